@@ -1,0 +1,35 @@
+"""Passive dynamic walkers: their gaits, and the basins of attraction of these.
+
+    import walker_jax as wj
+
+    walker = wj.SimplestWalker(slope=0.004)
+    grid = wj.Grid.sheared(theta=(0, 0.4, 200), sum=(-0.04, 0.01, 250))
+    wj.basin(walker, grid)
+
+Importing sets no JAX flag. Turn on float64 for numbers to quote:
+`jax.config.update("jax_enable_x64", True)`.
+"""
+
+from importlib.metadata import version
+
+from walker_jax.basin import basin
+from walker_jax.cells import Grid
+from walker_jax.stride import Outcome, Stride, Walk, stride, strides, trajectory, walk
+from walker_jax.walkers import SimplestWalker, State, Walker
+
+__version__ = version("walker-jax")
+
+__all__ = [
+    "Grid",
+    "Outcome",
+    "SimplestWalker",
+    "State",
+    "Stride",
+    "Walk",
+    "Walker",
+    "basin",
+    "stride",
+    "strides",
+    "trajectory",
+    "walk",
+]

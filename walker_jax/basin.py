@@ -1,0 +1,258 @@
+"""The basin of attraction: the fate of every start in a region of the Poincaré section.
+
+Two methods. Cell mapping (Hsu 1987; Schwab and Wisse 2001, section 4.3) makes one stride from the
+centre of every cell, sends each cell to the cell where that ends, and follows the cells. Direct
+iteration follows every centre itself, stride by stride. Direct iteration is exact up to its number
+of strides; cell mapping costs one stride a cell, and its errors are of the size of a cell.
+"""
+
+from importlib.metadata import version
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+from jaxtyping import Array, Float, Int
+
+from walker_jax.cells import Grid, cell_image, resolve
+from walker_jax.integrate import default_tolerance
+from walker_jax.stride import Outcome, stride, strides
+from walker_jax.tiles import compact_order, over_cells
+from walker_jax.walkers import Walker
+
+METHODS = ("cell-map", "direct")
+NEAR = 1e-6
+"""Distance, in every coordinate of the section, at which a walker has reached an attractor."""
+SAMPLE = 1024
+"""Walkers that are followed in search of attractors."""
+LONGEST_PERIOD = 64
+"""Strides in the longest cycle that is recognised as one."""
+PATIENCE = 32
+"""Times `LONGEST_PERIOD`: strides in which a walker is to settle into a cycle."""
+
+
+def basin(
+    walker: Walker,
+    grid: Grid,
+    method: str = "cell-map",
+    *,
+    strides: int = 200,
+    tolerance: float | None = None,
+    progress: bool = False,
+) -> xr.Dataset:
+    """Fate of every cell of a grid on the walker's section.
+
+    **Arguments:**
+
+    - `walker`: its parameters are used in float64 if JAX has that turned on.
+    - `grid`: its state coordinates are those of the section.
+    - `method`: "cell-map" or "direct".
+    - `strides`: how many of them direct iteration follows a walker for.
+    - `tolerance`: of the integration, as in `stride`.
+    - `progress`: whether to show a progress bar on a terminal.
+
+    **Returns** a data set over the grid's axes:
+
+    - `fate`: `Outcome` of the stride at which the walker fails; `STRIDE` where it walks for ever
+      (cell mapping) or to the last stride (direct);
+    - `attractor`: number of the attractor it comes to, -1 for none;
+    - `strides`: strides completed before that, or before the failure;
+
+    and over the attractors, numbered by period, then by the angle of their first state (the one
+    of the smallest angle): `period` (0 where the motion does not repeat itself), `states` (NaN
+    after the period), and of the basin within the grid `cells` and `area` (rad^2 per unit of
+    time). Its attributes say what was computed. Raises `ValueError` for an unknown method or a grid that does not fit the section.
+    """
+    if method not in METHODS:
+        raise ValueError(f"method must be one of {', '.join(METHODS)}, not {method!r}")
+    if strides < 1:
+        raise ValueError(f"strides must be at least 1, not {strides}")
+    if len(grid.names) != len(walker.section):
+        raise ValueError(
+            f"grid must have the {len(walker.section)} dimensions of the section, "
+            f"{', '.join(walker.section)}, not {', '.join(grid.names)}"
+        )
+    tolerance = float(default_tolerance(jnp.asarray(0.0).dtype, tolerance))
+    if method == "cell-map":
+        found = cell_mapping(walker, grid, tolerance, progress)
+    else:
+        found = direct_iteration(walker, grid, tolerance, strides, progress)
+    data = labelled(walker, grid, sort_attractors(found))
+    data.attrs = {
+        "walker": type(walker).__name__,
+        **{f"walker_{name}": float(value) for name, value in vars(walker).items()},
+        "method": method,
+        **({"strides": strides} if method == "direct" else {}),
+        "tolerance": tolerance,
+        "area": data["area"].values.tolist(),
+        "version": f"walker-jax {version('walker-jax')}",
+    }
+    return data
+
+
+class Basins(NamedTuple):
+    """What became of each of a grid's cells, in the order of their indices."""
+
+    fate: Int[np.ndarray, " n"]
+    attractor: Int[np.ndarray, " n"]
+    strides: Int[np.ndarray, " n"]
+    attractors: list["Attractor"]
+
+
+class Attractor(NamedTuple):
+    """A cycle of strides, from its state of the smallest angle on; or another attracting set."""
+
+    period: int | None
+    """Strides in a cycle; none where the motion does not repeat itself."""
+    states: Float[np.ndarray, "period section"]
+    """The states of the cycle; otherwise, one state of the motion."""
+
+
+def cell_mapping(walker: Walker, grid: Grid, tolerance: float, progress: bool = False) -> Basins:
+    """Simple cell mapping: one stride from the centre of each cell, then cells follow cells."""
+    order = compact_order(grid.shape)
+    shared = walker, grid, tolerance
+    image = np.empty_like(order)
+    image[order] = over_cells(image_of_cell, shared, order, progress=progress and "strides")
+    resolved = resolve(image, sinks=len(Outcome))
+    fate = np.maximum(np.asarray(resolved.sink), Outcome.STRIDE).astype(np.int8)
+    attractors = [
+        Attractor(len(cycle), np.asarray(jax.vmap(grid.centre)(cycle)))
+        for cycle in resolved.attractors
+    ]
+    return Basins(fate, np.asarray(resolved.attractor), np.asarray(resolved.steps), attractors)
+
+
+def image_of_cell(shared: tuple[Walker, Grid, float], index: Int[Array, ""]) -> Int[Array, ""]:
+    """The cell, or the sink, to which a stride takes the centre of a cell."""
+    walker, grid, tolerance = shared
+    result = stride(walker, grid.centre(index), tolerance=tolerance)
+    return cell_image(grid, result.state, result.outcome, leave=Outcome.LEFT_GRID)
+
+
+def direct_iteration(
+    walker: Walker, grid: Grid, tolerance: float, limit: int, progress: bool = False
+) -> Basins:
+    """Follow every centre for a number of strides, until it fails or comes near an attractor.
+
+    The attractors are those of a sample of the cells, and of cells that are left at the end.
+    """
+    order = compact_order(grid.shape)
+    starts = np.asarray(jax.jit(jax.vmap(grid.centre))(order))
+    sample = np.linspace(0, len(starts) - 1, min(len(starts), SAMPLE)).astype(int)
+    attractors = settle(walker, starts[sample], tolerance)
+
+    fate = np.full(grid.size, Outcome.STRIDE, np.int8)
+    attractor = np.full(grid.size, -1, np.int32)
+    count = np.zeros(grid.size, np.int32)
+    cells, x = order, starts
+    for k in range(limit + 1):
+        reached = nearest(x, attractors)
+        attractor[cells[reached >= 0]] = reached[reached >= 0]
+        cells, x = cells[reached < 0], x[reached < 0]
+        if k == limit or len(cells) == 0:
+            break
+        label = progress and f"stride {k + 1}, {len(cells)} cells"
+        x, outcome, _ = strides(walker, x, tolerance=tolerance, progress=label)
+        fate[cells] = outcome
+        going = outcome == Outcome.STRIDE
+        count[cells[going]] += 1
+        cells, x = cells[going], x[going]
+
+    if len(cells):
+        left = np.linspace(0, len(x) - 1, min(len(x), SAMPLE)).astype(int)
+        for new in settle(walker, x[left], tolerance):
+            if new.period is None or nearest(new.states[:1], attractors)[0] < 0:
+                attractors.append(new)
+        attractor[cells] = nearest(x, attractors)
+        for i, one in enumerate(attractors):
+            if one.period is None:
+                attractor[cells[attractor[cells] < 0]] = i
+    return Basins(fate, attractor, count, attractors)
+
+
+def settle(
+    walker: Walker, x: Float[np.ndarray, "n section"], tolerance: float
+) -> list[Attractor]:
+    """The attractors to which walkers come that start at x.
+
+    They are followed until each has failed or repeats itself. Those that do neither, in more than
+    two thousand strides, are on an attractor without a period, of which one is made for them all.
+    """
+    found: list[Attractor] = []
+    for _ in range(PATIENCE):
+        orbit = [x]
+        for _ in range(LONGEST_PERIOD):
+            x, outcome, _ = strides(walker, orbit[-1], tolerance=tolerance)
+            alive = outcome == Outcome.STRIDE
+            orbit = [states[alive] for states in [*orbit, x]]
+            x = orbit[-1]
+            if len(x) == 0:
+                return found
+        path = np.stack(orbit[::-1], axis=1)  # (walkers, strides back, coordinates)
+        repeats = np.abs(path[:, 1:] - path[:, :1]).max(axis=2) < NEAR * 1e-3
+        settled = repeats.any(axis=1)
+        for states, period in zip(path[settled], repeats[settled].argmax(axis=1) + 1, strict=True):
+            cycle = states[:period][::-1]
+            cycle = np.roll(cycle, -int(cycle[:, 0].argmin()), axis=0)
+            if nearest(cycle[:1], found)[0] < 0:
+                found.append(Attractor(int(period), cycle))
+        x = x[~settled]
+        x = x[nearest(x, found) < 0]
+        if len(x) == 0:
+            return found
+    return [*found, Attractor(None, x[:1])]
+
+
+def nearest(
+    x: Float[np.ndarray, "n section"], attractors: list[Attractor]
+) -> Int[np.ndarray, " n"]:
+    """Number of the cycle that each point is near to, -1 for none."""
+    number = np.full(len(x), -1, np.int32)
+    for i, attractor in enumerate(attractors):
+        for state in attractor.states if attractor.period else ():
+            number[np.abs(x - state).max(axis=1) < NEAR] = i
+    return number
+
+
+def sort_attractors(found: Basins) -> Basins:
+    """The same, attractors numbered by period, then by angle; those without a period last."""
+    key = [(one.period or np.inf, one.states[0, 0]) for one in found.attractors]
+    order = sorted(range(len(key)), key=key.__getitem__)
+    number = np.full(len(key) + 1, -1, np.int32)  # the last is that of no attractor
+    number[order] = np.arange(len(key))
+    attractors = [found.attractors[i] for i in order]
+    return found._replace(attractor=number[found.attractor], attractors=attractors)
+
+
+def labelled(walker: Walker, grid: Grid, found: Basins) -> xr.Dataset:
+    """The data set that `basin` returns, but for its attributes."""
+    names = list(Outcome.__members__)
+    cells = np.bincount(found.attractor[found.attractor >= 0], minlength=len(found.attractors))
+    longest = max((len(one.states) for one in found.attractors), default=0)
+    states = np.full((len(found.attractors), longest, len(walker.section)), np.nan)
+    for one, row in zip(found.attractors, states, strict=True):
+        row[: len(one.states)] = one.states
+
+    def over_grid(values, **attributes):
+        return grid.names, np.asarray(values).reshape(grid.shape), attributes
+
+    return xr.Dataset(
+        {
+            "fate": over_grid(
+                found.fate, flag_values=list(range(len(names))), flag_meanings=" ".join(names)
+            ),
+            "attractor": over_grid(found.attractor, description="-1 for none"),
+            "strides": over_grid(found.strides, description="before the attractor or the failure"),
+            "period": ("number", np.array([one.period or 0 for one in found.attractors], np.int32)),
+            "states": (("number", "phase", "coordinate"), states),
+            "cells": ("number", cells),
+            "area": ("number", cells * grid.cell_area),
+        },
+        coords={
+            **grid.axes,
+            "number": np.arange(len(found.attractors)),
+            "coordinate": list(walker.section),
+        },
+    )

@@ -1,0 +1,327 @@
+"""Grids of cells and the simple cell map of Hsu (1987, Cell-to-Cell Mapping, Springer).
+
+A grid is an affine image of a box divided into equal cells. A point has box coordinates u, along
+which the cells lie, and state coordinates x = shear @ u. Cells are half open, [low, high) along
+each box axis, and numbered from 0 with the last axis fastest (C order).
+
+The simple cell map replaces a map of points by a map of cells: a cell goes where its centre goes.
+All points off the grid, and those that the map does not send anywhere, are gathered in a few sink
+cells, which stay where they are: the n cells of the grid are 0 ... n - 1, and sink s is n + s. By
+convention s is the code of what went wrong; code 0 means success, so sink 0 is never used.
+
+Indices are int32 throughout; -1 stands for none.
+"""
+
+import math
+import operator
+from array import array
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float, Int, Int32
+
+ROOM_FOR_SINKS = 255
+MAX_SIZE = 2**31 - 1 - ROOM_FOR_SINKS
+
+Axis = Any
+"""(low, high, count): the ends of an axis and the number of its cells; checked by `Grid`."""
+
+
+class Grid(eqx.Module):
+    """Equal cells of a box, and of its image x = shear @ u.
+
+    `Grid.plain` and `Grid.sheared` make the usual ones; `Grid(axes, shear)` any other. Everything
+    but the names is an array leaf: a jitted function of a grid is not compiled again for another
+    window or count.
+
+    Raises ValueError for no axes, an axis that is not (low, high, count) with finite low < high
+    and count >= 1, a shear that is not an invertible (d, d) matrix, or more than `MAX_SIZE` cells.
+    """
+
+    names: tuple[str, ...] = eqx.field(static=True)
+    """Names of the box coordinates u."""
+    lower: Float[np.ndarray | Array, " d"]
+    """Lower ends of the axes."""
+    upper: Float[np.ndarray | Array, " d"]
+    """Upper ends of the axes, outside the grid."""
+    counts: Int32[np.ndarray | Array, " d"]
+    """Cells along each axis."""
+    shear: Float[np.ndarray | Array, "d d"]
+    """State coordinates from box coordinates, x = shear @ u."""
+    unshear: Float[np.ndarray | Array, "d d"]
+    """Its inverse, u = unshear @ x."""
+
+    def __init__(self, axes: Mapping[str, Axis], shear: ArrayLike):
+        if not axes:
+            raise ValueError(f"axes={axes!r}: a grid needs at least one axis")
+        lower, upper, counts = zip(*(_axis(*item) for item in axes.items()), strict=True)
+        if math.prod(counts) > MAX_SIZE:
+            raise ValueError(
+                f"counts={counts}: {math.prod(counts)} cells, and at most {MAX_SIZE} can be numbered"
+            )
+        self.names = tuple(axes)
+        self.lower = np.array(lower)
+        self.upper = np.array(upper)
+        self.counts = np.array(counts, np.int32)
+        self.shear = np.array(shear, np.float64)
+        if self.shear.shape != (len(axes), len(axes)) or not np.isfinite(self.shear).all():
+            raise ValueError(f"shear={shear!r}: must be a finite {len(axes)} x {len(axes)} matrix")
+        try:
+            # Exact, without rounding, for the shears below. Adding zero turns -0 into 0.
+            self.unshear = np.linalg.inv(self.shear) + 0.0
+        except np.linalg.LinAlgError:
+            raise ValueError(f"shear={shear!r}: must be invertible") from None
+
+    @classmethod
+    def plain(cls, **axes: Axis) -> "Grid":
+        """A grid along the state's own axes, x = u.
+
+        Each axis is (low, high, count), for example `theta=(0, 0.4, 200)`.
+        """
+        return cls(axes, np.eye(len(axes)))
+
+    @classmethod
+    def sheared(cls, *, theta: Axis, sum: Axis, **others: Axis) -> "Grid":
+        """A grid along theta and sum = theta + thetadot, for states (theta, thetadot, others...).
+
+        Each axis is (low, high, count). The coordinates of Schwab and Wisse (2001), Figure 4.
+        """
+        shear = np.eye(2 + len(others))
+        shear[1, 0] = -1
+        return cls({"theta": theta, "sum": sum, **others}, shear)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Number of cells along each axis; on the host only."""
+        return tuple(int(count) for count in self.counts)
+
+    @property
+    def size(self) -> int:
+        """Number of cells; on the host only."""
+        return math.prod(self.shape)
+
+    @property
+    def spacing(self) -> Float[np.ndarray | Array, " d"]:
+        """Width of a cell along each box axis."""
+        return (self.upper - self.lower) / self.counts.astype(self.lower.dtype)
+
+    @property
+    def cell_area(self) -> float:
+        """Length, area or volume of a cell in the state's coordinates; on the host only."""
+        return float(np.prod(self.spacing) * abs(np.linalg.det(self.shear)))
+
+    @property
+    def axes(self) -> dict[str, np.ndarray]:
+        """Box coordinates of the centres along each axis; on the host only."""
+        ends = zip(self.names, self.lower, self.spacing, self.shape, strict=True)
+        return {
+            name: np.asarray(low + (np.arange(count, dtype=low.dtype) + 0.5) * width)
+            for name, low, width, count in ends
+        }
+
+    def centre(self, index: Int[ArrayLike, ""]) -> Float[Array, " d"]:
+        """Centre of a cell, x = shear @ (lower + (i + 1/2) spacing), with i its place on each axis.
+
+        The index is 0 ... size - 1.
+        """
+        places = []
+        for count in self.counts[::-1]:
+            index, place = jnp.divmod(jnp.asarray(index).astype(jnp.int32), count)
+            places.insert(0, place)
+        lower, spacing = jnp.asarray(self.lower), jnp.asarray(self.spacing)
+        u = lower + (jnp.stack(places).astype(lower.dtype) + 0.5) * spacing
+        return _multiply(self.shear, u)
+
+    def cell(self, point: Float[Array, " d"]) -> Int32[Array, ""]:
+        """Index of the cell that holds a point x, -1 where none does or x is not finite."""
+        lower, upper, spacing = map(jnp.asarray, (self.lower, self.upper, self.spacing))
+        u = _multiply(self.unshear, point.astype(lower.dtype))
+        inside = jnp.all((lower <= u) & (u < upper))  # not so for NaN
+        places = jnp.floor(jnp.where(inside, u - lower, 0) / spacing).astype(jnp.int32)
+        places = jnp.minimum(places, self.counts - 1)  # the quotient may round up to the count
+        index = jnp.int32(0)
+        for place, count in zip(places, self.counts, strict=True):
+            index = index * count + place
+        return jnp.where(inside, index, -1)
+
+
+def _axis(name: str, axis: Axis) -> tuple[float, float, int]:
+    """The three parts of an axis, checked."""
+    try:
+        low, high, count = axis
+        low, high, count = float(low), float(high), operator.index(count)
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(
+            f"{name}={axis!r}: an axis is (low, high, count), two numbers and an integer"
+        ) from None
+    if not math.isfinite(high - low):
+        raise ValueError(f"{name}={axis!r}: the ends of an axis must be finite")
+    if low >= high:
+        raise ValueError(f"{name}={axis!r}: low must be below high")
+    if count < 1:
+        raise ValueError(f"{name}={axis!r}: the count of cells must be positive")
+    return low, high, count
+
+
+def _multiply(
+    matrix: Float[np.ndarray | Array, "d d"], vector: Float[Array, " d"]
+) -> Float[Array, " d"]:
+    """matrix @ vector, which some accelerators would round to a shorter type."""
+    return jnp.sum(jnp.asarray(matrix) * vector, axis=1)
+
+
+def cell_image(
+    grid: Grid, point: Float[Array, " d"], outcome: Int[ArrayLike, ""], *, leave: int
+) -> Int32[Array, ""]:
+    """Where the simple cell map sends a cell, given what became of its centre.
+
+    That is the cell of `point` where `outcome` is 0, sink `leave` where that point is off the grid
+    or not finite, and sink `outcome` where that is not 0; sink s has the index size + s. One cell:
+    `jax.vmap` it over a grid, and give the result to `resolve`, with sinks numbered up to the
+    greatest of the outcomes and `leave`.
+    """
+    outcome = jnp.asarray(outcome).astype(jnp.int32)
+    cell = grid.cell(point)
+    sink = jnp.where(outcome == 0, jnp.int32(leave), outcome)
+    size = jnp.prod(jnp.asarray(grid.counts), dtype=jnp.int32)
+    return jnp.where((outcome == 0) & (cell >= 0), cell, size + sink)
+
+
+class CellMap(NamedTuple):
+    """Where every cell of a simple cell map ends."""
+
+    attractor: Int32[Array, " n"]
+    """Number of the attractor the cell comes to; -1 where it ends in a sink."""
+    sink: Int32[Array, " n"]
+    """Number of the sink the cell ends in; -1 where it comes to an attractor."""
+    steps: Int32[Array, " n"]
+    """Steps until the cell is on its attractor, 0 if it is; or those before the one into a sink."""
+    attractors: tuple[Int[np.ndarray, " _period"], ...]
+    """The cells of each cycle as they are visited, from the smallest index on. Sorted by period,
+    then by that index. Sinks are not among them."""
+
+
+def resolve(image: ArrayLike, sinks: int) -> CellMap:
+    """Attractors, basins and transients of a simple cell map.
+
+    `image`, integers of shape (n,), holds the cell that each cell is sent to, 0 ... n - 1, or
+    n + s for sink s, of which there are `sinks`. Called on the host, it does its work per cell in
+    jitted array code, by pointer doubling: with f^(2k) = f^k(f^k), the number of rounds is about
+    twice the logarithm of the longest transient, however the cells are connected.
+
+    Raises ValueError where `image` is not of that form or points to a cell that does not exist.
+
+    Source: the problem is that of Hsu (1987), whose algorithm follows one sequence of cells after
+    the other (Schwab and Wisse 2001, section 4.3); the results are the same.
+    """
+    following = _with_sinks(np.asarray(image), sinks)
+    n = following.size - sinks
+    recurrent, entry, steps = _settle(following)
+
+    members = np.flatnonzero(np.asarray(recurrent)[:n])
+    attractors = _cycles(members, following)
+    number = np.full(following.size, -1, np.int32)
+    for i, cycle in enumerate(attractors):
+        number[cycle] = i
+    return CellMap(*_labels(entry, steps, number, sinks), attractors)
+
+
+def _with_sinks(image: np.ndarray, sinks: int) -> Int32[np.ndarray, " cells"]:
+    """The image of every cell of the grid, checked, then that of every sink: itself."""
+    if image.ndim != 1 or image.size == 0 or not np.issubdtype(image.dtype, np.integer):
+        raise ValueError(
+            f"image of shape {image.shape} and type {image.dtype}: must be integers of shape (n,)"
+        )
+    if not isinstance(sinks, int) or not 0 <= sinks <= ROOM_FOR_SINKS:
+        raise ValueError(f"sinks={sinks!r}: must be 0 ... {ROOM_FOR_SINKS}")
+    if image.size > MAX_SIZE:
+        raise ValueError(f"image of {image.size} cells: must be at most {MAX_SIZE}")
+    cells = image.size + sinks
+    if image.min() < 0 or image.max() >= cells:
+        cell = np.argmax((image < 0) | (image >= cells))
+        raise ValueError(f"image[{cell}]={image[cell]}: must be 0 ... {cells - 1}")
+    return np.concatenate([image, np.arange(image.size, cells)], dtype=np.int32, casting="unsafe")
+
+
+def _take(values: Array, indices: Int32[Array, " n"]) -> Array:
+    """values[indices], for indices known to be in range."""
+    return values.at[indices].get(mode="promise_in_bounds", wrap_negative_indices=False)
+
+
+@jax.jit
+def _settle(
+    following: Int32[Array | np.ndarray, " cells"],
+) -> tuple[Bool[Array, " cells"], Int32[Array, " cells"], Int32[Array, " cells"]]:
+    """Whether each cell is recurrent, the first recurrent cell it comes to, and the steps to it.
+
+    A cell is recurrent if it comes back to itself. The ranges of f, f^4, f^16, ... are nested.
+    Once two of them have the same size they are equal, so that f permutes them: they are the
+    recurrent cells. The second was not needed, so the power of the first is no less than the
+    longest transient.
+    """
+    following = jnp.asarray(following)
+
+    # Fourth powers, because finding a range costs as much as squaring.
+    def raise_to_fourth(carry):
+        power, _, size, _, rounds = carry
+        reached = jnp.zeros(following.shape, bool).at[power].set(True, mode="promise_in_bounds")
+        fewer = jnp.sum(reached, dtype=jnp.int32)
+        square = _take(power, power)
+        return _take(square, square), reached, fewer, fewer < size, rounds + 1
+
+    everywhere = jnp.ones(following.shape, bool)
+    start = following, everywhere, jnp.int32(following.size), jnp.array(True), jnp.int32(0)
+    _, recurrent, _, _, rounds = lax.while_loop(lambda carry: carry[3], raise_to_fourth, start)
+
+    # The recurrent cells hold still, for all the others to come to.
+    def double(_, carry):
+        ahead, steps = carry
+        return _take(ahead, ahead), steps + _take(steps, ahead)
+
+    cells = jnp.arange(following.size, dtype=jnp.int32)
+    ahead = jnp.where(recurrent, cells, following)
+    steps = jnp.where(recurrent, jnp.int32(0), jnp.int32(1))
+    doublings = jnp.maximum(2 * (rounds - 2), 0)
+    return recurrent, *lax.fori_loop(0, doublings, double, (ahead, steps))
+
+
+def _cycles(
+    members: Int[np.ndarray, " m"], following: Int32[np.ndarray, " n"]
+) -> tuple[Int[np.ndarray, " _period"], ...]:
+    """The cycles that the members, in ascending order, lie on.
+
+    They are few, or, if not, still sooner followed one by one than doubled.
+    """
+    images = memoryview(following)  # its items are read faster than an array's
+    visited = bytearray(following.size)
+    cycles = []
+    for start in memoryview(members):
+        cycle, here = array("i"), start
+        while not visited[here]:
+            visited[here] = True
+            cycle.append(here)
+            here = images[here]
+        if cycle:
+            cycles.append(np.array(cycle))
+    return tuple(sorted(cycles, key=len))  # a stable sort
+
+
+@jax.jit(static_argnames="sinks")
+def _labels(
+    entry: Int32[Array, " cells"],
+    steps: Int32[Array, " cells"],
+    number: Int32[Array | np.ndarray, " cells"],
+    sinks: int,
+) -> tuple[Int32[Array, " n"], Int32[Array, " n"], Int32[Array, " n"]]:
+    """Attractor, sink and steps of the cells of the grid."""
+    n = entry.size - sinks
+    entry, steps = entry[:n], steps[:n]
+    sunk = entry >= n
+    attractor = _take(jnp.asarray(number), entry)
+    return attractor, jnp.where(sunk, entry - n, -1), jnp.where(sunk, steps - 1, steps)

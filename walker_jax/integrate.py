@@ -1,0 +1,310 @@
+"""Integration by Taylor series: a diffrax solver, integration up to a condition, and landing.
+
+`Taylor` is the solver, for `diffrax.diffeqsolve`. `integrate_until` drives the same steps in a
+loop of its own, which is what makes a tile of a thousand cells fast: XLA gives a fusion on a CPU
+one output, and computes the whole expansion again for every further one. So the state leaves a
+step in pairs, as complex numbers, and a loop's boundary keeps what follows from computing the
+step again.
+
+Nothing here knows what is integrated. Forward-mode derivatives run through everything; step
+lengths are constants to them.
+"""
+
+from collections.abc import Callable
+from typing import ClassVar, NamedTuple
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Float, Int, PyTree
+
+from walker_jax.taylor import evaluate, fast_sines, is_list, solution_series
+
+Scalar = Float[Array, ""]
+VectorField = Callable[[PyTree], PyTree]
+
+# Order of the series. Higher orders take fewer steps of more work each; these are the fastest, or
+# nearly, at the default tolerances (benchmarks/README.md).
+ORDER = {jnp.dtype("float64"): 12, jnp.dtype("float32"): 8}
+TOLERANCE = {jnp.dtype("float64"): 1e-12, jnp.dtype("float32"): 1e-6}
+MAX_STEPS = 1000
+
+
+def default_tolerance(dtype, tolerance: float | None = None) -> float:
+    """The tolerance that a dtype holds, or the one given, where the dtype can hold it."""
+    dtype = jnp.dtype(dtype)
+    if dtype not in TOLERANCE:
+        raise ValueError(f"dtype must be float32 or float64, not {dtype}")
+    if tolerance is None:
+        return TOLERANCE[dtype]
+    if isinstance(tolerance, jax.core.Tracer):
+        return tolerance
+    if not jnp.finfo(dtype).eps / 4 <= tolerance < 1:
+        raise ValueError(
+            f"tolerance must lie between {jnp.finfo(dtype).eps / 4:.2g}, which is what {dtype} "
+            f"holds, and 1, not be {tolerance:g}"
+        )
+    return tolerance
+
+
+def step_length(series: PyTree, tolerance: float) -> Scalar:
+    """Length of a step in which the last terms of the series stay below the tolerance.
+
+    h = min over k = n-1, n of (tolerance |y| / |c_k|)^(1/k), in the largest norm over all
+    variables (Jorba and Zou 2005), where |y| is the larger of |c_0| and |c_1|. It is not finite
+    for the series of a rest position. The length needs few digits, and powers are cheap in
+    float32.
+    """
+    leaves = jax.tree.leaves(series, is_leaf=is_list)
+    order = len(leaves[0]) - 1
+
+    def size(k):
+        largest = jnp.zeros((), leaves[0][0].dtype)
+        for leaf in leaves:
+            largest = jnp.maximum(largest, jnp.max(jnp.abs(leaf[k])))
+        return lax.stop_gradient(largest)
+
+    scale = jnp.maximum(size(0), size(1))
+    log_tolerance = jnp.log(jnp.asarray(tolerance, jnp.float32))
+
+    def log_length(k):
+        return (log_tolerance - jnp.log((size(k) / scale).astype(jnp.float32))) / k
+
+    shortest = jnp.exp(jnp.minimum(log_length(order - 1), log_length(order)))
+    return shortest.astype(leaves[0][0].dtype)
+
+
+def step(vector_field: VectorField, state: PyTree, length: Scalar, order: int) -> PyTree:
+    """The solution of y' = f(y) a time `length` after `state`, by one Taylor step."""
+    series = solution_series(vector_field, state, order)
+    return polynomial(series, length)
+
+
+def polynomial(series: PyTree, t: Scalar) -> PyTree:
+    return jax.tree.map(lambda c: evaluate(c, t), series, is_leaf=is_list)
+
+
+class TaylorInterpolation(diffrax.AbstractLocalInterpolation):
+    """A step's own polynomial."""
+
+    t0: Scalar
+    t1: Scalar
+    series: PyTree
+
+    def evaluate(self, t0, t1=None, left=True):
+        del left
+        if t1 is not None:
+            return jax.tree.map(lambda a, b: a - b, self.evaluate(t1), self.evaluate(t0))
+        return polynomial(self.series, t0 - self.t0)
+
+
+class Taylor(diffrax.AbstractAdaptiveSolver):
+    """Explicit Taylor method for `diffrax.diffeqsolve`, of any order.
+
+    The error estimate is the last term of the series, so adaptive steps keep that term below the
+    tolerance. Dense output is the series itself, of the full order. Equations that depend on time
+    are taken as they are.
+    """
+
+    taylor_order: int = eqx.field(static=True, default=14)
+
+    term_structure: ClassVar = diffrax.ODETerm
+    interpolation_cls: ClassVar = TaylorInterpolation
+
+    def order(self, terms):
+        return self.taylor_order
+
+    def error_order(self, terms):
+        return self.taylor_order
+
+    def init(self, terms, t0, t1, y0, args):
+        return None
+
+    def func(self, terms, t0, y0, args):
+        return terms.vf(t0, y0, args)
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        del solver_state, made_jump
+
+        def autonomous(state):
+            time, y = state
+            return jnp.ones_like(time), terms.vf(time, y, args)
+
+        start = (jnp.asarray(t0), y0)
+        _, series = solution_series(autonomous, start, self.taylor_order)
+        length = t1 - t0
+        power = length**self.taylor_order
+        error = jax.tree.map(lambda c: c[-1] * power, series, is_leaf=is_list)
+        return polynomial(series, length), error, dict(series=series), None, diffrax.RESULTS.successful
+
+
+class Step(NamedTuple):
+    """One step of a solution."""
+
+    start: PyTree
+    """State where it begins."""
+    end: PyTree
+    """State where it ends."""
+    time: Scalar
+    """Time at which it begins."""
+    length: Scalar
+    """Its duration."""
+    count: Int[Array, ""]
+    """Number of steps taken, this one included."""
+
+
+def integrate_until(
+    vector_field: VectorField,
+    state: PyTree,
+    stop: Callable[[PyTree, PyTree], Bool[Array, ""]],
+    *,
+    tolerance: float,
+    time: Scalar | float = 0.0,
+    count: Int[Array, ""] | int = 0,
+    max_steps: int = MAX_STEPS,
+    active: Bool[Array, ""] | bool = True,
+) -> Step:
+    """Follow y' = f(y) from `state` until `stop(start, end)` holds for a step's two ends.
+
+    At least one step is taken, unless `active` is false. Steps are as long as `tolerance` allows.
+    Returns the last step; `count` reaches `max_steps`, or the state stops being finite, where
+    `stop` never holds.
+    """
+    dtype, structure = jax.tree.leaves(state)[0].dtype, jax.tree.structure(state)
+    stop = fast_sines(stop)
+
+    def unfinished(carry):
+        start, end, clock, count = carry
+        stopped = stop(unpacked(start, structure), unpacked(end, structure))
+        begun = clock.imag > 0
+        finite = jnp.isfinite(clock.imag)
+        return active & finite & (count < max_steps) & ~(begun & stopped)
+
+    def advance(carry):
+        _, start, clock, count = carry
+        series = solution_series(vector_field, unpacked(start, structure), ORDER[dtype])
+        length = step_length(series, tolerance)
+        clock = lax.complex(clock.real + clock.imag, length)
+        return start, packed(polynomial(series, length)), clock, count + 1
+
+    time = jnp.asarray(time, dtype)
+    clock = lax.complex(time, jnp.zeros_like(time))
+    carry = (packed(state), packed(state), clock, jnp.asarray(count))
+    start, end, clock, count = lax.while_loop(unfinished, advance, carry)
+    ends = unpacked(start, structure), unpacked(end, structure)
+    return Step(*ends, clock.real, clock.imag, count)
+
+
+def once(function: Callable[[], list[Scalar]]) -> list[Scalar]:
+    """function(), a list of real scalars, computed once for all uses of its results."""
+    like = jax.eval_shape(function)
+    zeros = paired([jnp.zeros(x.shape, x.dtype) for x in like])
+
+    def compute(_):
+        return jnp.array(True), paired(function())
+
+    # A loop of one turn, which XLA does not see through.
+    _, packed = lax.while_loop(lambda carry: ~carry[0], compute, (jnp.array(False), zeros))
+    return unpaired(packed, len(like))
+
+
+def paired(leaves: list[Scalar]) -> list[Array]:
+    """Real scalars as complex ones, neighbours together: fewer outputs for XLA to compute apart."""
+    even, odd = leaves[0::2], leaves[1::2]
+    odd = odd + [jnp.zeros_like(leaves[0])] * (len(even) - len(odd))
+    return [lax.complex(a, b) for a, b in zip(even, odd, strict=True)]
+
+
+def unpaired(packed: list[Array], count: int) -> list[Scalar]:
+    return [part for pair in packed for part in (pair.real, pair.imag)][:count]
+
+
+def packed(state: PyTree) -> list[Array]:
+    """A state as complex scalars: its first half, the coordinates, with its second, the rates."""
+    leaves = jax.tree.leaves(state)
+    half = (len(leaves) + 1) // 2
+    return paired([leaf for i in range(half) for leaf in leaves[i::half]])
+
+
+def unpacked(packed: list[Array], structure) -> PyTree:
+    leaves = unpaired(packed, structure.num_leaves)
+    return jax.tree.unflatten(structure, leaves[0::2] + leaves[1::2])
+
+
+def first_rise(series: list[Scalar], length: Scalar) -> tuple[Bool[Array, ""], Scalar]:
+    """Where a polynomial p(t) rises through zero in a step, if it does.
+
+    The step 0 <= t <= length ends with p >= 0, and is short enough for p to have one minimum in
+    it at most. p rises through zero if it is negative at the start, or at that minimum.
+
+    Returns whether it does, and the time (`length` if not). A constant to derivatives.
+    """
+    series, length = lax.stop_gradient((series, length))
+
+    def derivatives(t):
+        value, slope, curvature = series[-1], jnp.zeros_like(t), jnp.zeros_like(t)
+        for coefficient in series[-2::-1]:
+            curvature = curvature * t + slope
+            slope = slope * t + value
+            value = value * t + coefficient
+        return value, slope, 2 * curvature
+
+    zero = jnp.zeros_like(length)
+    turns = (series[0] >= 0) & (series[1] < 0) & (derivatives(length)[1] > 0)
+    turn = rising_root(lambda t: derivatives(t)[1:], zero, jnp.where(turns, length, zero))
+    rises = derivatives(turn)[0] < 0
+    root = rising_root(lambda t: derivatives(t)[:2], jnp.where(rises, turn, length), length)
+    return rises, root
+
+
+def rising_root(
+    function: Callable[[Scalar], tuple[Scalar, Scalar]], low: Scalar, high: Scalar
+) -> Scalar:
+    """Root of a function that is negative at `low` and not at `high`; either where they are equal.
+
+    Newton's iteration from `high` on (value, slope), kept inside the shrinking bracket by halving.
+    """
+    eps = float(jnp.finfo(high.dtype).eps)
+
+    def unfinished(carry):
+        low, high, t, previous, count = carry
+        return (jnp.abs(t - previous) > eps * jnp.abs(high)) & (count < 100)
+
+    def iterate(carry):
+        low, high, t, _, count = carry
+        value, slope = function(t)
+        low = jnp.where(value < 0, t, low)
+        high = jnp.where(value < 0, high, t)
+        newton = t - value / slope
+        inside = (newton >= low) & (newton <= high)
+        return low, high, jnp.where(inside, newton, (low + high) / 2), t, count + 1
+
+    carry = (low, high, high, low, 0)
+    return lax.while_loop(unfinished, iterate, carry)[2]
+
+
+def land(
+    vector_field: VectorField,
+    event: Callable[[PyTree], Scalar],
+    state: PyTree,
+    time: Scalar,
+) -> tuple[PyTree, Scalar]:
+    """The state and the time at which `event` is zero, near `time` after `state`.
+
+    `time` is already the root to rounding. What this adds are the derivatives of any order, by
+    the implicit function theorem: dt = -(d event) / (d event / dt).
+    """
+    order = ORDER[jax.tree.leaves(state)[0].dtype]
+
+    def residual(t):
+        return event(step(vector_field, state, t, order))
+
+    root = lax.custom_root(
+        residual,
+        lax.stop_gradient(time),
+        lambda _, guess: guess,
+        lambda linear, y: y / linear(jnp.ones_like(y)),
+    )
+    return step(vector_field, state, root, order), root

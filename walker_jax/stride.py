@@ -1,0 +1,280 @@
+"""The stride function: from one heel strike to the next (Schwab and Wisse 2001, section 3.3).
+
+A stride is followed by its contact coordinate h. Whatever ends it shows at the ends of an
+integration step: h has risen through zero with the swing leg ahead, or may have in between, the
+stance leg has stopped, or is down. Then the step is looked at more closely, through its own
+polynomial; where nothing has happened after all, the stride goes on.
+"""
+
+import enum
+from functools import partial
+from typing import NamedTuple
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float, Int
+
+from walker_jax.integrate import (
+    MAX_STEPS,
+    ORDER,
+    Taylor,
+    default_tolerance,
+    first_rise,
+    integrate_until,once,
+    land,
+    packed,
+    unpacked,
+)
+from walker_jax.taylor import fast_sines, function_series, solution_series
+from walker_jax.tiles import over_cells
+from walker_jax.walkers import Scalar, State, Walker
+
+
+class Outcome(enum.IntEnum):
+    """How a stride ends."""
+
+    STRIDE = 0
+    """Heel strike: the next stride begins."""
+    FORWARD = 1
+    """The stance leg reaches theta = -pi/2 without a heel strike."""
+    BACKWARD = 2
+    """The stance leg stops before a heel strike."""
+    RUNNING = 3
+    """The contact force is tensile at the start, or during a stride that reaches heel strike."""
+    STOPPED = 4
+    """At heel strike the trailing foot does not lift: both feet stay down."""
+    OUTSIDE = 5
+    """The start is not feasible."""
+    UNDECIDED = 6
+    """The integration gave no answer."""
+    LEFT_GRID = 7
+    """Cell mapping only: the stride ended outside the grid."""
+
+
+class Stride(NamedTuple):
+    """What a stride leads to."""
+
+    state: Float[Array, "*cells section"]
+    """Start of the next stride, on the section; NaN unless the outcome is `STRIDE`."""
+    outcome: Int[Array, "*cells"]
+    """`Outcome` as int8."""
+    time: Float[Array, "*cells"]
+    """Duration; NaN unless the outcome is `STRIDE`."""
+
+
+class Walk(NamedTuple):
+    """What a number of strides leads to. Nothing follows a failure: later states are NaN."""
+
+    states: Float[Array, "strides+1 section"]
+    """Start of each stride, and of the one after the last."""
+    outcomes: Int[Array, " strides"]
+    """`Outcome` of each stride; that of the failure from there on."""
+    times: Float[Array, " strides"]
+    """Duration of each stride."""
+
+
+def stride(
+    walker: Walker, x: Float[ArrayLike, " coordinates"], *, tolerance: float | None = None
+) -> Stride:
+    """One stride, S(x), equation (20).
+
+    Works under `jax.jit`, `jax.vmap` and `jax.jacfwd`, in the dtype of x, float32 or float64.
+
+    **Arguments:**
+
+    - `walker`: any walker; derivatives with respect to its parameters are right too.
+    - `x`: the start, on the walker's section just after heel strike; or a full state
+      (theta, phi, thetadot, phidot), for a launch or after a push. That is feasible where it is
+      finite and the stance leg stands, |theta| < pi/2.
+    - `tolerance`: of one step's last Taylor terms, relative to the state.
+
+    **Returns** a `Stride`. A failure is an `Outcome`. `ValueError` for a wrong shape or dtype, and
+    for a tolerance that the dtype cannot hold.
+    """
+    x = as_floating(x)
+    tolerance = default_tolerance(x.dtype, tolerance)
+    walker = jax.tree.map(lambda leaf: leaf.astype(x.dtype), walker)
+    start, verdict = fast_sines(begin)(walker, x)
+    arrival, time, verdict = swing(walker, start, verdict, tolerance)
+    return fast_sines(end)(walker, arrival, time, verdict)
+
+
+def begin(walker: Walker, x: Float[Array, " coordinates"]) -> tuple[State, Int[Array, ""]]:
+    """The full state at the start, and the outcome where that settles it."""
+    if x.shape == (len(walker.section),):
+        start, feasible = walker.lift(x), walker.feasible(x)
+    elif x.shape == (4,):
+        start = State(*x)
+        feasible = jnp.all(jnp.isfinite(x)) & (jnp.abs(start.theta) < np.pi / 2)
+    else:
+        raise ValueError(
+            f"x must have shape ({len(walker.section)},), on the section {walker.section}, or "
+            f"(4,), a full state, not {x.shape}"
+        )
+    verdict = jnp.where(start.thetadot >= 0, Outcome.BACKWARD, Outcome.UNDECIDED)
+    verdict = jnp.where(in_tension(walker, start), Outcome.RUNNING, verdict)
+    return start, jnp.where(feasible, verdict, Outcome.OUTSIDE).astype(jnp.int8)
+
+
+def end(walker: Walker, arrival: State, time: Scalar, verdict: Int[Array, ""]) -> Stride:
+    """What a stride leads to whose swing ended with `verdict`; at heel strike, by the impact."""
+    (_, lift), after = walker.impact(arrival)
+    struck = jnp.where(lift > 0, Outcome.STRIDE, Outcome.STOPPED)
+    struck = jnp.where(in_tension(walker, arrival), Outcome.RUNNING, struck)
+    outcome = jnp.where(verdict == Outcome.STRIDE, struck, verdict).astype(jnp.int8)
+    success = outcome == Outcome.STRIDE
+    following = walker.project(walker.exchange_legs(after))
+    return Stride(
+        jnp.where(success, following, jnp.nan), outcome, jnp.where(success, time, jnp.nan)
+    )
+
+
+def in_tension(walker: Walker, state: State) -> Bool[Array, ""]:
+    """Whether the ground would have to pull at the stance foot, Q_v < 0."""
+    return walker.contact_force(state)[1] < 0
+
+
+def swing(
+    walker: Walker, start: State, verdict: Int[Array, ""], tolerance: float
+) -> tuple[State, Scalar, Int[Array, ""]]:
+    """Swing the leg until heel strike (`STRIDE`) or a fall; nothing to do unless `UNDECIDED`.
+
+    Returns the state just before the impact, its time, and the verdict.
+    """
+    dtype, structure = start.theta.dtype, jax.tree.structure(start)
+    rate = partial(contact_rate, walker)
+
+    def may_end(before: State, after: State):
+        """Whether a stride may end in a step: all that is wanted of it are its two ends."""
+        h0, h1 = walker.contact(before), walker.contact(after)
+        rises = (h1 >= 0) & ((h0 < 0) | ((rate(before) < 0) & (rate(after) > 0)))
+        return (rises & (after.theta < 0)) | has_fallen(after)
+
+    def has_fallen(state: State):
+        return (state.thetadot >= 0) | (state.theta <= -np.pi / 2) | walker.past_contact(state)
+
+    def undecided(carry):
+        *_, time, verdict, count = carry
+        return (verdict == Outcome.UNDECIDED) & (count < MAX_STEPS) & jnp.isfinite(time)
+
+    def follow(carry):
+        now, _, time, verdict, count = carry
+        last = integrate_until(
+            walker.vector_field,
+            unpacked(now, structure),
+            may_end,
+            tolerance=tolerance,
+            time=time,
+            count=count,
+            active=verdict == Outcome.UNDECIDED,
+        )
+
+        def expand():
+            series = solution_series(walker.vector_field, last.start, ORDER[dtype])
+            return function_series(walker.contact, series)
+
+        rises, root = first_rise(once(expand), last.length)
+
+        def land_there():
+            arrival, time = land(walker.vector_field, walker.contact, last.start, root)
+            theta, phi, thetadot, phidot = arrival
+            return [theta, thetadot, phi, phidot, time]
+
+        theta, thetadot, phi, phidot, root = once(land_there)
+        arrival = State(theta, phi, thetadot, phidot)
+        ahead = (arrival.theta < 0) & (arrival.theta > -np.pi / 2) & (arrival.thetadot < 0)
+        fallen = jnp.where(last.end.thetadot >= 0, Outcome.BACKWARD, Outcome.FORWARD)
+        fallen = jnp.where(fast_sines(has_fallen)(last.end), fallen, Outcome.UNDECIDED)
+        verdict = jnp.where(rises & ahead, Outcome.STRIDE, fallen).astype(jnp.int8)
+        time = last.time + jnp.where(verdict == Outcome.STRIDE, root, last.length)
+        return packed(last.end), packed(arrival), time, verdict, last.count
+
+    carry = (packed(start), packed(start), jnp.zeros((), dtype), verdict, jnp.asarray(0))
+    _, arrival, time, verdict, _ = lax.while_loop(undecided, follow, carry)
+    return unpacked(arrival, structure), time, verdict
+
+
+def contact_rate(walker: Walker, state: State) -> Scalar:
+    """dh/dt along the motion."""
+    return jax.jvp(walker.contact, (state,), (walker.vector_field(state),))[1]
+
+
+def strides(
+    walker: Walker,
+    xs: Float[ArrayLike, "n coordinates"],
+    *,
+    tolerance: float | None = None,
+    progress: str | None = None,
+) -> Stride:
+    """`stride` for each of n starts, in tiles over all devices and cores; NumPy arrays.
+
+    Neighbours in `xs` share a tile: it is fastest where they are close on the section.
+    `progress` is what to call the work in a progress bar, shown on a terminal only.
+    """
+    xs = as_floating(xs)
+    if xs.ndim != 2:
+        raise ValueError(f"xs must have shape (n, coordinates), not {xs.shape}")
+    tolerance = default_tolerance(xs.dtype, tolerance)
+    return over_cells(stride_of_cell, (walker, tolerance), xs, progress=progress)
+
+
+def stride_of_cell(shared: tuple[Walker, float], x: Float[Array, " coordinates"]) -> Stride:
+    walker, tolerance = shared
+    return stride(walker, x, tolerance=tolerance)
+
+
+def walk(
+    walker: Walker, x: Float[ArrayLike, " section"], n: int, *, tolerance: float | None = None
+) -> Walk:
+    """n strides, one after the other, from x on the section. As `stride` otherwise."""
+    x = as_floating(x)
+
+    def follow(carry, _):
+        x, fate = carry
+        result = stride(walker, x, tolerance=tolerance)
+        fate = jnp.where(fate == Outcome.STRIDE, result.outcome, fate)
+        return (result.state, fate), (result.state, fate, result.time)
+
+    first = (x, jnp.asarray(Outcome.STRIDE, jnp.int8))
+    _, (states, outcomes, times) = lax.scan(follow, first, length=n)
+    return Walk(jnp.concatenate([x[None], states]), outcomes, times)
+
+
+def trajectory(
+    walker: Walker,
+    x: Float[ArrayLike, " coordinates"],
+    times: Float[ArrayLike, " times"],
+    *,
+    tolerance: float | None = None,
+) -> State:
+    """Angles and rates at `times` (increasing, from 0) after the start x of a stride.
+
+    The motion is that of the equations alone: it does not end at heel strike, which `stride`
+    gives. Returns a `State` of arrays.
+    """
+    x = as_floating(x)
+    walker = jax.tree.map(lambda leaf: leaf.astype(x.dtype), walker)
+    tolerance = default_tolerance(x.dtype, tolerance)
+    times = jnp.asarray(times, x.dtype)
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(lambda t, state, args: walker.vector_field(state)),
+        Taylor(ORDER[x.dtype]),
+        t0=0.0,
+        t1=times[-1],
+        dt0=None,
+        y0=walker.lift(x) if x.shape == (len(walker.section),) else State(*x),
+        saveat=diffrax.SaveAt(ts=times),
+        stepsize_controller=diffrax.PIDController(rtol=tolerance, atol=tolerance),
+        adjoint=diffrax.ForwardMode(),
+    )
+    return solution.ys
+
+
+def as_floating(x: ArrayLike) -> Float[Array, "..."]:
+    """x as an array, its dtype kept where it is a floating one."""
+    x = jnp.asarray(x)
+    return x if jnp.issubdtype(x.dtype, jnp.floating) else x.astype(float)

@@ -1,0 +1,301 @@
+"""Taylor series of the solution of an ordinary differential equation.
+
+Along a solution y(t) = y_0 + y_1 t + y_2 t^2 + ..., the equation y' = f(y) says
+
+    (k + 1) y_{k+1} = f_k,
+
+where f_k, the k-th coefficient of f(y(t)), needs y_0 ... y_k only. So the series grows order by
+order, each coefficient of each intermediate result computed once. f is any function of JAX
+primitives: its jaxpr is read, and every primitive has a recurrence for its coefficients
+(Jorba and Zou 2005; Griewank and Walther 2008, chapter 13). Those not listed here are left to
+`jax.experimental.jet`, which costs more tracing and gives the same coefficients.
+
+Coefficients are Taylor coefficients, derivatives divided by k!.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jax.experimental.jet import jet
+from jax.extend.core import Jaxpr, Literal, Primitive
+from jaxtyping import Array, Float, PyTree
+
+
+@jax.custom_jvp
+def sincos(angle: Float[Array, "..."]) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+    """Sine and cosine of one angle, to one unit in the last place up to 1e5 rad.
+
+    The angle is reduced to [-pi/4, pi/4] by a multiple of pi/2 held in three parts (Cody and
+    Waite), then both are polynomials. XLA's own float64 sine serves every argument and costs
+    seven times as much as this pair on a CPU.
+    """
+    dtype = angle.dtype
+    if dtype == jnp.float64:
+        parts = (1.5707963267341256, 6.077100506303966e-11, 2.0222662487959506e-21)
+    elif dtype == jnp.float32:
+        parts = (1.5703125, 4.837512969970703e-4, 7.549789954891882e-8)
+    else:
+        return lax.sin(angle), lax.cos(angle)
+    quadrant = lax.round(angle * (2 / math.pi), lax.RoundingMethod.TO_NEAREST_EVEN)
+    x = angle
+    for part in parts:
+        x = x - quadrant * part
+    terms, eps = 1, float(jnp.finfo(dtype).eps)
+    while (math.pi / 4) ** (2 * terms) / math.factorial(2 * terms) > eps / 16:
+        terms += 1
+    z = x * x
+    sine = x * evaluate([(-1) ** i / math.factorial(2 * i + 1) for i in range(terms)], z)
+    cosine = evaluate([(-1) ** i / math.factorial(2 * i) for i in range(terms)], z)
+    turn = quadrant.astype(jnp.int32)
+    odd = (turn & 1) == 1
+    sine, cosine = lax.select(odd, cosine, sine), lax.select(odd, sine, cosine)
+    return (
+        lax.select((turn & 2) == 2, -sine, sine),
+        lax.select(((turn + 1) & 2) == 2, -cosine, cosine),
+    )
+
+
+@sincos.defjvp
+def _sincos_jvp(primals, tangents):
+    (angle,), (dangle,) = primals, tangents
+    sine, cosine = sincos(angle)
+    return (sine, cosine), (cosine * dangle, -sine * dangle)
+
+
+def evaluate(coefficients: list, t):
+    """The polynomial c_0 + c_1 t + c_2 t^2 + ... by Horner's rule."""
+    value = coefficients[-1] + jnp.zeros_like(t)
+    for coefficient in coefficients[-2::-1]:
+        value = value * t + coefficient
+    return value
+
+
+class Series:
+    """A power series whose coefficients are computed when first asked for; `None` is zero."""
+
+    def __init__(self, rule: Callable[[int], Any]):
+        self.rule = rule
+        self.coefficients: list = []
+
+    def __getitem__(self, k: int):
+        while len(self.coefficients) <= k:
+            self.coefficients.append(self.rule(len(self.coefficients)))
+        return self.coefficients[k]
+
+
+def constant(value) -> Series:
+    return Series(lambda k: value if k == 0 else None)
+
+
+@eqx.filter_jit
+def solution_series(
+    vector_field: Callable[[PyTree], PyTree], state: PyTree, order: int
+) -> PyTree[list]:
+    """Taylor coefficients of the solution of y' = f(y) that starts at `state`.
+
+    **Arguments:**
+
+    - `vector_field`: f, from the state to its time derivative, of the same structure. Where it is
+      a method of an `equinox.Module`, the expansion is traced once for all its uses.
+    - `state`: y_0, a PyTree of floating-point arrays.
+    - `order`: of the last coefficient.
+
+    **Returns** a PyTree of the structure of the state with a list of `order + 1` coefficients at
+    each leaf. Raises `NotImplementedError` where f holds a primitive of which no series is known.
+    """
+    leaves, structure = jax.tree.flatten(state)
+    rates: list[Series] = []
+
+    def solution(i):
+        return Series(lambda k: leaves[i] if k == 0 else scaled(rates[i][k - 1], 1 / k))
+
+    solutions = jax.tree.unflatten(structure, [solution(i) for i in range(len(leaves))])
+    rates += jax.tree.leaves(compose(vector_field, solutions, state))
+    return jax.tree.map(lambda series: listed(series, order), solutions)
+
+
+def function_series(function: Callable[[PyTree], PyTree], series: PyTree[list]) -> PyTree[list]:
+    """Taylor coefficients of function(y(t)), given those of y(t), to the same order."""
+    known = jax.tree.map(lambda c: Series(c.__getitem__), series, is_leaf=is_list)
+    order = len(jax.tree.leaves(series, is_leaf=is_list)[0]) - 1
+    start = jax.tree.map(lambda c: c[0], series, is_leaf=is_list)
+    return jax.tree.map(lambda result: listed(result, order), compose(function, known, start))
+
+
+def fast_sines(function: Callable) -> Callable:
+    """The same function, with every sine and cosine in it computed by `sincos`."""
+
+    def faster(*args):
+        constants = jax.tree.map(constant, args)
+        return jax.tree.map(lambda s: s[0], compose(lambda a: function(*a), constants, args))
+
+    return faster
+
+
+def is_list(x) -> bool:
+    return isinstance(x, list)
+
+
+def listed(series: Series, order: int) -> list:
+    zero = jnp.zeros_like(series[0])
+    return [zero if series[k] is None else series[k] for k in range(order + 1)]
+
+
+def compose(function: Callable, series: PyTree[Series], start: PyTree) -> PyTree[Series]:
+    """The series of function(y(t)), given those of y(t), which is `start` at t = 0."""
+    structure = jax.tree.structure(start)
+    flat = lambda *leaves: function(jax.tree.unflatten(structure, leaves))  # noqa: E731
+    closed, shapes = jax.make_jaxpr(flat, return_shape=True)(*jax.tree.leaves(start))
+    results = interpret(closed.jaxpr, closed.consts, jax.tree.leaves(series))
+    return jax.tree.unflatten(jax.tree.structure(shapes), results)
+
+
+def interpret(jaxpr: Jaxpr, constants: list, inputs: list[Series]) -> list[Series]:
+    """The series of a jaxpr's outputs, given those of its inputs."""
+    series: dict = dict(zip(jaxpr.constvars, map(constant, constants), strict=True))
+    series |= zip(jaxpr.invars, inputs, strict=True)
+    sines: dict = {}
+
+    def read(variable):
+        return constant(variable.val) if isinstance(variable, Literal) else series[variable]
+
+    for equation in jaxpr.eqns:
+        name, params = equation.primitive.name, equation.params
+        operands = [read(variable) for variable in equation.invars]
+        if name in ("jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call"):
+            inner = params.get("jaxpr", params.get("call_jaxpr"))
+            outputs = interpret(inner.jaxpr, inner.consts, operands)
+        elif name in ("sin", "cos"):
+            variable = equation.invars[0]
+            key = id(operands[0]) if isinstance(variable, Literal) else variable
+            if key not in sines:
+                sines[key] = sine_and_cosine(operands[0])
+            outputs = [sines[key][name == "cos"]]
+        elif equation.primitive.multiple_results:
+            outputs = results_series(equation.primitive, params, operands)
+        else:
+            outputs = [primitive_series(equation.primitive, params, operands)]
+        series |= zip(equation.outvars, outputs, strict=True)
+    return [read(variable) for variable in jaxpr.outvars]
+
+
+# Primitives that are linear in all their operands together.
+LINEAR = frozenset(
+    "add_any broadcast_in_dim concatenate convert_element_type copy copy_p expand_dims neg pad "
+    "reduce_sum reshape rev slice squeeze sub transpose add".split()
+)
+BILINEAR = frozenset(["mul", "dot_general"])
+
+
+def primitive_series(primitive: Primitive, params: dict, operands: list[Series]) -> Series:
+    """The series of a primitive's result: c_0 by the primitive itself, the others by its rule."""
+    name = primitive.name
+
+    def bind(*values):
+        return primitive.bind(*values, **params)
+
+    def filled(k):
+        """The k-th coefficients of the operands, or None where all are zero."""
+        values = [operand[k] for operand in operands]
+        if all(value is None for value in values):
+            return None
+        return [
+            jnp.zeros_like(operand[0]) if value is None else value
+            for value, operand in zip(values, operands, strict=True)
+        ]
+
+    def linear(k):
+        if name in ("add", "sub", "add_any"):
+            left, right = operands[0][k], operands[1][k]
+            if right is None:
+                return left
+            if left is None:
+                return -right if name == "sub" else right
+        values = filled(k)
+        return None if values is None else bind(*values)
+
+    def bilinear(k):
+        left, right = operands
+        return total(product(left[j], right[k - j], bind) for j in range(k + 1))
+
+    def quotient(k):
+        numerator, denominator = operands
+        known = total(product(result[j], denominator[k - j]) for j in range(k))
+        difference = total([numerator[k], None if known is None else -known])
+        return None if difference is None else difference / denominator[0]
+
+    def by_jet(k):
+        if all(operand[j] is None for operand in operands for j in range(1, k + 1)):
+            return None
+        zeros = [jnp.zeros_like(operand[0]) for operand in operands]
+        terms = [
+            [zero if operand[j] is None else operand[j] for j in range(1, k + 1)]
+            for zero, operand in zip(zeros, operands, strict=True)
+        ]
+        try:
+            _, series = jet(bind, [o[0] for o in operands], terms, factorial_scaled=False)
+        except (KeyError, NotImplementedError) as error:
+            raise no_series(name) from error
+        return series[-1]
+
+    rules = {"div": quotient}
+    rules |= dict.fromkeys(LINEAR, linear) | dict.fromkeys(BILINEAR, bilinear)
+    rule = rules.get(name, by_jet)
+    result = Series(lambda k: bind(*(o[0] for o in operands)) if k == 0 else rule(k))
+    return result
+
+
+def results_series(primitive: Primitive, params: dict, operands: list[Series]) -> list[Series]:
+    """The series of a primitive with several results, such as a loop: constants only."""
+
+    def varies(k):
+        return any(operand[j] is not None for operand in operands for j in range(1, k + 1))
+
+    def higher(k):
+        if varies(k):
+            raise no_series(primitive.name)
+
+    def result(value):
+        return Series(lambda k: value if k == 0 else higher(k))
+
+    return [result(value) for value in primitive.bind(*(o[0] for o in operands), **params)]
+
+
+def no_series(name: str) -> NotImplementedError:
+    return NotImplementedError(
+        f"no Taylor series is known of the JAX primitive {name!r}: write the equations without "
+        "it, or integrate them with one of diffrax's Runge-Kutta solvers"
+    )
+
+
+def sine_and_cosine(x: Series) -> tuple[Series, Series]:
+    """s = sin(x) and c = cos(x) together, from s' = c x' and c' = -s x'."""
+    slope = Series(lambda k: scaled(x[k], k) if k else None)
+
+    def rule(k, zeroth, other, sign):
+        if k == 0:
+            return sincos(jnp.asarray(x[0]))[zeroth]
+        return scaled(total(product(slope[j], other[k - j]) for j in range(1, k + 1)), sign / k)
+
+    sine = Series(lambda k: rule(k, 0, cosine, 1))
+    cosine = Series(lambda k: rule(k, 1, sine, -1))
+    return sine, cosine
+
+
+def scaled(value, factor):
+    return None if value is None else value * factor
+
+
+def product(left, right, multiply=lambda left, right: left * right):
+    return None if left is None or right is None else multiply(left, right)
+
+
+def total(terms):
+    terms = [term for term in terms if term is not None]
+    return sum(terms[1:], terms[0]) if terms else None
+

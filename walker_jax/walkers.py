@@ -1,0 +1,174 @@
+"""Walkers: bipeds of two straight legs that go down a slope with no motor.
+
+Conventions, those of Schwab and Wisse (2001). Everything is nondimensional: lengths are counted
+in leg lengths, masses in hip masses, times in sqrt(leg length / gravity). Angles are in rad:
+
+- `slope`: of the ground, downwards in the direction of walking;
+- `theta`: of the stance leg, from the normal of the slope, positive before mid-stance;
+- `phi`: between the legs, from the stance leg to the swing leg.
+
+A stride begins just after heel strike, on the Poincaré section, with both feet on the slope
+(phi = 2 theta), and ends at the next heel strike.
+"""
+
+import abc
+from typing import ClassVar, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float
+
+Scalar = Float[Array, ""]
+
+
+class State(NamedTuple):
+    """Angles (rad) and rates (rad per unit of time) of the two legs, or their time derivatives."""
+
+    theta: Scalar
+    phi: Scalar
+    thetadot: Scalar
+    phidot: Scalar
+
+
+class Walker(eqx.Module):
+    """What a stride needs to know of a walker. Its fields are its parameters."""
+
+    section: eqx.AbstractClassVar[tuple[str, ...]]
+    """Names of the coordinates of the Poincaré section."""
+
+    @abc.abstractmethod
+    def lift(self, x: Float[Array, " section"]) -> State:
+        """The full state of a point of the section."""
+
+    @abc.abstractmethod
+    def project(self, state: State) -> Float[Array, " section"]:
+        """The point of the section of a state just after heel strike."""
+
+    @abc.abstractmethod
+    def feasible(self, x: Float[Array, " section"]) -> Bool[Array, ""]:
+        """Whether a stride can begin at x."""
+
+    @abc.abstractmethod
+    def vector_field(self, state: State) -> State:
+        """Time derivative of the state during a stride."""
+
+    @abc.abstractmethod
+    def contact_force(self, state: State) -> tuple[Scalar, Scalar]:
+        """Force (Q_u, Q_v) of the ground on the stance foot, along and normal to the slope."""
+
+    @abc.abstractmethod
+    def contact(self, state: State) -> Scalar:
+        """Contact coordinate h: zero when both feet are on the slope, rising at heel strike.
+
+        Ahead of the stance foot the swing foot is above the ground where h < 0.
+        """
+
+    @abc.abstractmethod
+    def past_contact(self, state: State) -> Bool[Array, ""]:
+        """Whether h > 0 can only grow from here, so that no heel strike follows.
+
+        It spares a falling walker the rest of its fall: an outcome may not depend on it.
+        """
+
+    @abc.abstractmethod
+    def impact(self, state: State) -> tuple[tuple[Scalar, Scalar], State]:
+        """Velocity (u, v) of the trailing foot and the state, legs not yet exchanged, after impact.
+
+        The state is that at heel strike, before the impact.
+        """
+
+    @abc.abstractmethod
+    def exchange_legs(self, state: State) -> State:
+        """The state with the swing leg as the new stance leg."""
+
+
+def parameter(name: str, value: ArrayLike, *, low: float, high: float) -> Scalar:
+    """A walker's parameter as an array, refused where it does not lie between low and high."""
+    value = jnp.asarray(value)
+    if value.shape != () or not jnp.issubdtype(value.dtype, jnp.number):
+        raise ValueError(f"{name} must be one number, not {value}")
+    if not jnp.issubdtype(value.dtype, jnp.floating):
+        value = value.astype(float)
+    if not isinstance(value, jax.core.Tracer) and not low < value < high:
+        raise ValueError(f"{name} must lie between {low:g} and {high:g}, not be {value}")
+    return value
+
+
+class SimplestWalker(Walker):
+    """The simplest walking model: a mass at the hip, and feet of vanishing mass.
+
+    Garcia, Chatterjee, Ruina and Coleman (1998); Schwab and Wisse (2001), whose equation numbers
+    stand below.
+
+    **Arguments:**
+
+    - `slope`: of the ground (rad), above 0 and below pi/2. `ValueError` otherwise.
+    """
+
+    slope: Scalar
+
+    section: ClassVar = ("theta", "thetadot")
+
+    def __init__(self, slope: ArrayLike):
+        self.slope = parameter("slope", slope, low=0, high=np.pi / 2)
+
+    def lift(self, x):
+        """phi = 2 theta, phidot = (1 - cos 2theta) thetadot, from (22)."""
+        theta, thetadot = x[0], x[1]
+        return State(theta, 2 * theta, thetadot, (1 - jnp.cos(2 * theta)) * thetadot)
+
+    def project(self, state):
+        return jnp.stack([state.theta, state.thetadot])
+
+    def feasible(self, x):
+        """0 < theta < pi/4 and thetadot < 0: beyond pi/4 no impact leaves the walker going on."""
+        theta, thetadot = x[0], x[1]
+        finite = jnp.isfinite(theta) & jnp.isfinite(thetadot)
+        return finite & (theta > 0) & (theta < np.pi / 4) & (thetadot < 0)
+
+    def vector_field(self, state):
+        """(7): thetaddot = sin(theta - slope), an inverted pendulum that the swing leg follows."""
+        theta, phi, thetadot, phidot = state
+        angle = theta - self.slope
+        thetaddot = jnp.sin(angle)
+        phiddot = jnp.sin(phi) * (thetadot**2 - jnp.cos(angle)) + thetaddot
+        return State(thetadot, phidot, thetaddot, phiddot)
+
+    def contact_force(self, state):
+        """(8)."""
+        tension = state.thetadot**2 - jnp.cos(state.theta - self.slope)
+        return jnp.sin(state.theta) * tension, -jnp.cos(state.theta) * tension
+
+    def contact(self, state):
+        """h = phi - 2 theta: the legs are of one length."""
+        return state.phi - 2 * state.theta
+
+    def past_contact(self, state):
+        """h > 0 and rising, the swing leg ahead, the stance leg in compression.
+
+        Then h'' = sin(phi) (thetadot^2 - cos(theta - slope)) - sin(theta - slope) > 0, and it
+        stays so until the fall has put the leg in tension.
+        """
+        theta, phi, thetadot, phidot = state
+        rising = (phi > 2 * theta) & (phidot > 2 * thetadot)
+        return rising & (phi < 0) & (thetadot**2 < jnp.cos(theta - self.slope))
+
+    def impact(self, state):
+        """(18), at phi = 2 theta."""
+        theta, phi, thetadot, _ = state
+        c, s = jnp.cos(2 * theta), jnp.sin(2 * theta)
+        foot = -jnp.sin(theta) * c * s * thetadot, jnp.cos(theta) * c * s * thetadot
+        return foot, State(theta, phi, c**2 * thetadot, c * (c - 1) * thetadot)
+
+    def impulse(self, state):
+        """Impulse (rho_x, rho_y) of the ground on the swing foot at heel strike, (19)."""
+        s = jnp.sin(2 * state.theta) * state.thetadot
+        return -jnp.sin(state.theta) * s, jnp.cos(state.theta) * s
+
+    def exchange_legs(self, state):
+        """(21), and its time derivative: (22) follows."""
+        theta, phi, thetadot, phidot = state
+        return State(theta - phi, -phi, thetadot - phidot, -phidot)
