@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+
 from walker_jax.cells import MAX_SIZE, CellMap, Grid, cell_image, resolve
 
 SINKS = 3
@@ -22,6 +23,10 @@ GRIDS = [
 ]
 THE_SEVERAL = pytest.mark.parametrize("grid", GRIDS, ids=lambda grid: "-".join(grid.names))
 
+cell_of = jax.jit(Grid.cell)
+cells_of = jax.jit(jax.vmap(Grid.cell, in_axes=(None, 0)))
+centres_of = jax.jit(jax.vmap(Grid.centre, in_axes=(None, 0)))
+
 
 # Grids
 
@@ -31,9 +36,9 @@ THE_SEVERAL = pytest.mark.parametrize("grid", GRIDS, ids=lambda grid: "-".join(g
 def test_every_cell_holds_its_centre(grid, dtype):
     grid = jax.tree.map(lambda x: x.astype(dtype) if x.dtype == np.float64 else x, grid)
     index = jnp.arange(grid.size)
-    centres = jax.vmap(grid.centre)(index)
+    centres = centres_of(grid, index)
     assert centres.shape == (grid.size, len(grid.names)) and centres.dtype == dtype
-    cells = jax.vmap(grid.cell)(centres)
+    cells = cells_of(grid, centres)
     assert cells.dtype == np.int32
     np.testing.assert_array_equal(cells, index)
 
@@ -42,7 +47,7 @@ def test_every_cell_holds_its_centre(grid, dtype):
 def test_cells_are_in_c_order_along_the_box_axes(grid):
     box = np.stack(np.meshgrid(*grid.axes.values(), indexing="ij"), axis=-1)
     assert box.shape == (*grid.shape, len(grid.names)) and tuple(grid.axes) == grid.names
-    centres = jax.vmap(grid.centre)(jnp.arange(grid.size))
+    centres = centres_of(grid, jnp.arange(grid.size))
     expected = (box @ grid.shear.T).reshape(grid.size, -1)
     np.testing.assert_allclose(centres, expected, rtol=1e-13, atol=1e-15)
 
@@ -53,7 +58,7 @@ def test_cells_are_in_c_order_along_the_box_axes(grid):
 def test_a_point_is_within_half_a_spacing_of_its_cell_or_off_the_grid(grid, seed):
     width = grid.upper - grid.lower
     u = np.random.default_rng(seed).uniform(grid.lower - 0.2 * width, grid.upper + 0.2 * width)
-    cell = jax.jit(Grid.cell)(grid, jnp.asarray(grid.shear @ u))
+    cell = cell_of(grid, jnp.asarray(grid.shear @ u))
     assert (cell >= 0) == np.all((grid.lower <= u) & (u < grid.upper))
     if cell >= 0:
         place = np.unravel_index(int(cell), grid.shape)
@@ -65,13 +70,13 @@ def test_cells_are_half_open():
     grid = Grid.plain(x=(0, 1, 4), y=(-1, 1, 2))
 
     def cell(x, y):
-        return int(grid.cell(jnp.array([x, y])))
+        return int(cell_of(grid, jnp.array([x, y])))
 
     assert [cell(x, 0.5) for x in (0.0, 0.25, 0.5, 0.75)] == [1, 3, 5, 7]
     assert [cell(0.1, y) for y in (-1.0, 0.0)] == [0, 1]
     assert cell(np.nextafter(0.25, 0), -1.0) == 0
     assert cell(np.nextafter(1.0, 0), np.nextafter(1.0, 0)) == 7
-    outside = [(1.0, 0), (0.5, 1.0), (np.nextafter(0, -1), 0), (0.5, np.nextafter(-1, -2))]
+    outside = [(1.0, 0.0), (0.5, 1.0), (-1e-300, 0.0), (0.5, np.nextafter(-1, -2))]
     assert {cell(x, float(y)) for x, y in outside} == {-1}
 
 
@@ -79,7 +84,7 @@ def test_cells_are_half_open():
 def test_the_last_point_below_the_upper_end_is_in_the_last_cell(low, width, count):
     grid = Grid.plain(x=(low, low + width, count))
     last = jnp.asarray(np.nextafter(grid.upper, -np.inf))
-    assert jax.jit(Grid.cell)(grid, last) == count - 1
+    assert cell_of(grid, last) == count - 1
 
 
 @THE_SEVERAL
@@ -89,8 +94,8 @@ def test_no_cell_holds_a_point_that_is_not_finite(grid, value):
     for i in range(len(grid.names)):
         point = inside.copy()
         point[i] = value
-        assert grid.cell(jnp.asarray(point)) == -1
-    assert grid.cell(jnp.full(len(grid.names), value)) == -1
+        assert cell_of(grid, jnp.asarray(point)) == -1
+    assert cell_of(grid, jnp.full(len(grid.names), value)) == -1
 
 
 def test_the_sum_axis_is_theta_plus_thetadot():
@@ -167,7 +172,7 @@ def test_wrong_grids_are_refused():
         Grid.plain(x=(0, 1, MAX_SIZE + 1))
     axes = {"p": (0, 1, 2), "q": (0, 1, 2)}
     for shear in (np.eye(3), np.ones(2), np.ones((2, 2)), np.full((2, 2), np.nan)):
-        with pytest.raises(ValueError, match="^shear="):
+        with pytest.raises(ValueError, match="shear="):
             Grid(axes, shear)
 
 
@@ -314,7 +319,7 @@ def simple_cell_map(function, grid) -> CellMap:
     def image(index):
         return cell_image(grid, function(grid.centre(index)), 0, leave=LEAVE)
 
-    return resolve(jax.vmap(image)(jnp.arange(grid.size)), SINKS)
+    return resolve(jax.jit(jax.vmap(image))(jnp.arange(grid.size)), SINKS)
 
 
 def test_cubing_draws_the_unit_interval_to_zero():
@@ -342,14 +347,15 @@ def test_logistic_map_at_its_superstable_two_cycle():
     grid = Grid.plain(x=(0, 1, 999))
     result = simple_cell_map(lambda x: r * x * (1 - x), grid)
     two = [cycle for cycle in result.attractors if cycle.size == 2]
-    assert [c.tolist() for c in two] == [[int(0.5 * 999), int(r / 4 * 999)]]
+    assert len(two) == 1
+    np.testing.assert_allclose(grid.axes["x"][two[0]], [1 / 2, r / 4], atol=2 / 999)
     number = [cycle.size for cycle in result.attractors].index(2)
     assert np.mean(np.asarray(result.attractor) == number) > 0.95
     assert np.all(result.sink == -1)
 
 
 def test_a_plane_contraction_in_sheared_coordinates():
-    """(sum, theta) halve with every step towards a point, so that they take log2 of the distance."""
+    """The distance to a point halves with every step, so its logarithm counts the steps."""
     grid = Grid.sheared(theta=(0, 0.4, 101), sum=(-0.05, 0.05, 51))
     goal = grid.centre(grid.size // 2)
     result = simple_cell_map(lambda x: goal + 0.49 * (x - goal), grid)

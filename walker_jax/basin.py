@@ -172,9 +172,7 @@ def direct_iteration(
     return Basins(fate, attractor, count, attractors)
 
 
-def settle(
-    walker: Walker, x: Float[np.ndarray, "n section"], tolerance: float
-) -> list[Attractor]:
+def settle(walker: Walker, x: Float[np.ndarray, "n section"], tolerance: float) -> list[Attractor]:
     """The attractors to which walkers come that start at x.
 
     They are followed until each has failed or repeats itself. Those that do neither, in more than

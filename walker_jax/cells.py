@@ -63,7 +63,7 @@ class Grid(eqx.Module):
         lower, upper, counts = zip(*(_axis(*item) for item in axes.items()), strict=True)
         if math.prod(counts) > MAX_SIZE:
             raise ValueError(
-                f"counts={counts}: {math.prod(counts)} cells, and at most {MAX_SIZE} can be numbered"
+                f"counts={counts}: {math.prod(counts)} cells, of at most {MAX_SIZE} there can be"
             )
         self.names = tuple(axes)
         self.lower = np.array(lower)

@@ -137,7 +137,13 @@ class Taylor(diffrax.AbstractAdaptiveSolver):
         length = t1 - t0
         power = length**self.taylor_order
         error = jax.tree.map(lambda c: c[-1] * power, series, is_leaf=is_list)
-        return polynomial(series, length), error, dict(series=series), None, diffrax.RESULTS.successful
+        return (
+            polynomial(series, length),
+            error,
+            dict(series=series),
+            None,
+            diffrax.RESULTS.successful,
+        )
 
 
 class Step(NamedTuple):
@@ -175,24 +181,25 @@ def integrate_until(
     dtype, structure = jax.tree.leaves(state)[0].dtype, jax.tree.structure(state)
     stop = fast_sines(stop)
 
-    def unfinished(carry):
-        start, end, clock, count = carry
-        stopped = stop(unpacked(start, structure), unpacked(end, structure))
-        begun = clock.imag > 0
-        finite = jnp.isfinite(clock.imag)
-        return active & finite & (count < max_steps) & ~(begun & stopped)
-
     def advance(carry):
-        _, start, clock, count = carry
-        series = solution_series(vector_field, unpacked(start, structure), ORDER[dtype])
-        length = step_length(series, tolerance)
-        clock = lax.complex(clock.real + clock.imag, length)
-        return start, packed(polynomial(series, length)), clock, count + 1
+        _, start, clock, count, _ = carry
+        before = unpacked(start, structure)
+
+        def take_step():
+            series = solution_series(vector_field, before, ORDER[dtype])
+            length = step_length(series, tolerance)
+            return [*interleaved(polynomial(series, length)), length]
+
+        *after, length = once(take_step)
+        end = paired(after)
+        going = jnp.isfinite(length) & (count + 1 < max_steps)
+        going &= ~stop(before, unpacked(end, structure))
+        return start, end, lax.complex(clock.real + clock.imag, length), count + 1, going
 
     time = jnp.asarray(time, dtype)
     clock = lax.complex(time, jnp.zeros_like(time))
-    carry = (packed(state), packed(state), clock, jnp.asarray(count))
-    start, end, clock, count = lax.while_loop(unfinished, advance, carry)
+    carry = packed(state), packed(state), clock, jnp.asarray(count), jnp.asarray(active)
+    start, end, clock, count, _ = lax.while_loop(lambda carry: carry[-1], advance, carry)
     ends = unpacked(start, structure), unpacked(end, structure)
     return Step(*ends, clock.real, clock.imag, count)
 
@@ -221,11 +228,16 @@ def unpaired(packed: list[Array], count: int) -> list[Scalar]:
     return [part for pair in packed for part in (pair.real, pair.imag)][:count]
 
 
-def packed(state: PyTree) -> list[Array]:
-    """A state as complex scalars: its first half, the coordinates, with its second, the rates."""
+def interleaved(state: PyTree) -> list[Scalar]:
+    """The leaves of a state, each of its first half, the coordinates, followed by its rate."""
     leaves = jax.tree.leaves(state)
     half = (len(leaves) + 1) // 2
-    return paired([leaf for i in range(half) for leaf in leaves[i::half]])
+    return [leaf for i in range(half) for leaf in leaves[i::half]]
+
+
+def packed(state: PyTree) -> list[Array]:
+    """A state as complex scalars, of a coordinate and its rate."""
+    return paired(interleaved(state))
 
 
 def unpacked(packed: list[Array], structure) -> PyTree:
@@ -264,25 +276,28 @@ def rising_root(
 ) -> Scalar:
     """Root of a function that is negative at `low` and not at `high`; either where they are equal.
 
-    Newton's iteration from `high` on (value, slope), kept inside the shrinking bracket by halving.
+    Newton's iteration from `high` on (value, slope), kept inside the bracket by halving; every
+    turn shrinks the bracket, so it ends.
     """
-    eps = float(jnp.finfo(high.dtype).eps)
+    resolution = 2 * float(jnp.finfo(high.dtype).eps) * jnp.abs(high)
 
     def unfinished(carry):
-        low, high, t, previous, count = carry
-        return (jnp.abs(t - previous) > eps * jnp.abs(high)) & (count < 100)
+        _, iterates = carry
+        return jnp.abs(iterates.real - iterates.imag) > resolution
 
     def iterate(carry):
-        low, high, t, _, count = carry
+        bracket, iterates = carry
+        t = iterates.real
         value, slope = function(t)
-        low = jnp.where(value < 0, t, low)
-        high = jnp.where(value < 0, high, t)
+        low = jnp.where(value < 0, t, bracket.real)
+        high = jnp.where(value < 0, bracket.imag, t)
         newton = t - value / slope
-        inside = (newton >= low) & (newton <= high)
-        return low, high, jnp.where(inside, newton, (low + high) / 2), t, count + 1
+        inside = ((newton > low) & (newton < high)) | (newton == t)
+        following = jnp.where(inside, newton, (low + high) / 2)
+        return lax.complex(low, high), lax.complex(following, t)
 
-    carry = (low, high, high, low, 0)
-    return lax.while_loop(unfinished, iterate, carry)[2]
+    start = lax.complex(low, high), lax.complex(high, low)
+    return lax.while_loop(unfinished, iterate, start)[1].real
 
 
 def land(

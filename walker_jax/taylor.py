@@ -298,4 +298,3 @@ def product(left, right, multiply=lambda left, right: left * right):
 def total(terms):
     terms = [term for term in terms if term is not None]
     return sum(terms[1:], terms[0]) if terms else None
-

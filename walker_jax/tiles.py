@@ -136,8 +136,11 @@ def compact_order(shape: tuple[int, ...], tile: int = TILE["cpu"][0]) -> Int[np.
     size = int(np.prod(shape))
     indices = np.arange(size, dtype=np.int32 if size < 2**31 else np.int64).reshape(shape)
     indices = np.pad(indices, padding, constant_values=-1)
-    split = [part for count, side in zip(indices.shape, sides, strict=True)
-             for part in (count // side, side)]
+    split = [
+        part
+        for count, side in zip(indices.shape, sides, strict=True)
+        for part in (count // side, side)
+    ]
     axes = [*range(0, 2 * len(shape), 2), *range(1, 2 * len(shape), 2)]
     indices = indices.reshape(split).transpose(axes).ravel()
     return indices[indices >= 0]
