@@ -6,6 +6,7 @@ iteration follows every centre itself, stride by stride. Direct iteration is exa
 of strides; cell mapping costs one stride a cell, and its errors are of the size of a cell.
 """
 
+import os
 from importlib.metadata import version
 from typing import NamedTuple
 
@@ -26,6 +27,8 @@ NEAR = 1e-6
 """Distance, in every coordinate of the section, at which a walker has reached an attractor."""
 SAMPLE = 1024
 """Walkers that are followed in search of attractors."""
+BYTES_PER_CELL = 100
+"""Memory at its peak, for each cell of a grid."""
 LONGEST_PERIOD = 64
 """Strides in the longest cycle that is recognised as one."""
 PATIENCE = 32
@@ -62,7 +65,10 @@ def basin(
     and over the attractors, numbered by period, then by the angle of their first state (the one
     of the smallest angle): `period` (0 where the motion does not repeat itself), `states` (NaN
     after the period), and of the basin within the grid `cells` and `area` (rad^2 per unit of
-    time). Its attributes say what was computed. Raises `ValueError` for an unknown method or a grid that does not fit the section.
+    time). Its attributes say what was computed.
+
+    Raises `ValueError` for an unknown method, and for a grid that does not fit the section or
+    that this machine has not the memory for.
     """
     if method not in METHODS:
         raise ValueError(f"method must be one of {', '.join(METHODS)}, not {method!r}")
@@ -72,6 +78,12 @@ def basin(
         raise ValueError(
             f"grid must have the {len(walker.section)} dimensions of the section, "
             f"{', '.join(walker.section)}, not {', '.join(grid.names)}"
+        )
+    needed, memory = grid.size * BYTES_PER_CELL, memory_of_machine()
+    if needed > memory:
+        raise ValueError(
+            f"grid of {grid.size} cells needs {needed / 2**30:.1f} GiB of memory, "
+            f"and this machine has {memory / 2**30:.1f} GiB"
         )
     tolerance = float(default_tolerance(jnp.asarray(0.0).dtype, tolerance))
     if method == "cell-map":
@@ -89,6 +101,14 @@ def basin(
         "version": f"walker-jax {version('walker-jax')}",
     }
     return data
+
+
+def memory_of_machine() -> float:
+    """Bytes of memory; without bound where the system does not say."""
+    try:
+        return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    except (AttributeError, ValueError):  # not a POSIX system
+        return float("inf")
 
 
 class Basins(NamedTuple):

@@ -25,8 +25,8 @@ from walker_jax.integrate import (
     default_tolerance,
     first_rise,
     integrate_until,
-    once,
     land,
+    once,
     packed,
     unpacked,
 )
@@ -96,26 +96,46 @@ def stride(
     **Returns** a `Stride`. A failure is an `Outcome`. `ValueError` for a wrong shape or dtype, and
     for a tolerance that the dtype cannot hold.
     """
+    return follow_stride(*prepared(walker, x, tolerance))
+
+
+def prepared(
+    walker: Walker, x: Float[ArrayLike, " coordinates"], tolerance: float | None
+) -> tuple[Walker, Float[Array, " coordinates"], Float[Array, ""]]:
+    """Walker, start and tolerance, checked, in the dtype of the start."""
     x = as_floating(x)
+    sizes = len(walker.section), len(State._fields)
+    if x.ndim != 1 or x.shape[0] not in sizes:
+        raise ValueError(
+            f"x must have shape ({sizes[0]},), on the section {walker.section}, or ({sizes[1]},), "
+            f"a full state, not {x.shape}"
+        )
     tolerance = default_tolerance(x.dtype, tolerance)
     walker = jax.tree.map(lambda leaf: leaf.astype(x.dtype), walker)
+    return walker, x, jnp.asarray(tolerance, x.dtype)
+
+
+@jax.jit
+def follow_stride(
+    walker: Walker, x: Float[Array, " coordinates"], tolerance: Float[Array, ""]
+) -> Stride:
     start, verdict = fast_sines(begin)(walker, x)
     arrival, time, verdict = swing(walker, start, verdict, tolerance)
     return fast_sines(end)(walker, arrival, time, verdict)
 
 
+def full_state(walker: Walker, x: Float[Array, " coordinates"]) -> State:
+    """The full state of a start, which may be one already."""
+    return walker.lift(x) if x.shape == (len(walker.section),) else State(*x)
+
+
 def begin(walker: Walker, x: Float[Array, " coordinates"]) -> tuple[State, Int[Array, ""]]:
     """The full state at the start, and the outcome where that settles it."""
+    start = full_state(walker, x)
     if x.shape == (len(walker.section),):
-        start, feasible = walker.lift(x), walker.feasible(x)
-    elif x.shape == (4,):
-        start = State(*x)
-        feasible = jnp.all(jnp.isfinite(x)) & (jnp.abs(start.theta) < np.pi / 2)
+        feasible = walker.feasible(x)
     else:
-        raise ValueError(
-            f"x must have shape ({len(walker.section)},), on the section {walker.section}, or "
-            f"(4,), a full state, not {x.shape}"
-        )
+        feasible = jnp.all(jnp.isfinite(x)) & (jnp.abs(start.theta) < np.pi / 2)
     verdict = jnp.where(start.thetadot >= 0, Outcome.BACKWARD, Outcome.UNDECIDED)
     verdict = jnp.where(in_tension(walker, start), Outcome.RUNNING, verdict)
     return start, jnp.where(feasible, verdict, Outcome.OUTSIDE).astype(jnp.int8)
@@ -232,11 +252,21 @@ def walk(
     walker: Walker, x: Float[ArrayLike, " section"], n: int, *, tolerance: float | None = None
 ) -> Walk:
     """n strides, one after the other, from x on the section. As `stride` otherwise."""
-    x = as_floating(x)
+    if n < 1:
+        raise ValueError(f"n must be at least 1, not {n}")
+    walker, x, tolerance = prepared(walker, x, tolerance)
+    if x.shape != (len(walker.section),):
+        raise ValueError(f"x must be on the section {walker.section}, not of shape {x.shape}")
+    return follow_walk(walker, x, n, tolerance)
 
+
+@partial(jax.jit, static_argnums=2)
+def follow_walk(
+    walker: Walker, x: Float[Array, " section"], n: int, tolerance: Float[Array, ""]
+) -> Walk:
     def follow(carry, _):
         x, fate = carry
-        result = stride(walker, x, tolerance=tolerance)
+        result = follow_stride(walker, x, tolerance)
         fate = jnp.where(fate == Outcome.STRIDE, result.outcome, fate)
         return (result.state, fate), (result.state, fate, result.time)
 
@@ -252,26 +282,40 @@ def trajectory(
     *,
     tolerance: float | None = None,
 ) -> State:
-    """Angles and rates at `times` (increasing, from 0) after the start x of a stride.
+    """Angles and rates at `times` after the start x of a stride, 0 or later, increasing.
 
-    The motion is that of the equations alone: it does not end at heel strike, which `stride`
-    gives. Returns a `State` of arrays.
+    The motion is that of the equations alone: it does not end at heel strike, whose time `stride`
+    gives. Returns a `State` of arrays. `ValueError` as for `stride`, and for times that decrease
+    or are negative.
     """
-    x = as_floating(x)
-    walker = jax.tree.map(lambda leaf: leaf.astype(x.dtype), walker)
-    tolerance = default_tolerance(x.dtype, tolerance)
+    walker, x, tolerance = prepared(walker, x, tolerance)
     times = jnp.asarray(times, x.dtype)
+    if not isinstance(times, jax.core.Tracer):
+        listed = np.asarray(times)
+        if listed.ndim != 1 or not (np.diff(listed, prepend=0.0) >= 0).all():
+            raise ValueError(f"times must not be negative nor decrease, unlike {times}")
+    return follow_motion(walker, x, times, tolerance)
+
+
+@jax.jit
+def follow_motion(
+    walker: Walker,
+    x: Float[Array, " coordinates"],
+    times: Float[Array, " times"],
+    tolerance: Float[Array, ""],
+) -> State:
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(lambda t, state, args: walker.vector_field(state)),
         Taylor(ORDER[x.dtype]),
-        t0=0.0,
+        t0=jnp.zeros((), x.dtype),
         t1=times[-1],
         dt0=None,
-        y0=walker.lift(x) if x.shape == (len(walker.section),) else State(*x),
+        y0=full_state(walker, x),
         saveat=diffrax.SaveAt(ts=times),
         stepsize_controller=diffrax.PIDController(rtol=tolerance, atol=tolerance),
         adjoint=diffrax.ForwardMode(),
     )
+    assert isinstance(solution.ys, State)
     return solution.ys
 
 

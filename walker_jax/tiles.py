@@ -62,8 +62,8 @@ def over_cells(
     first = jax.tree.map(lambda leaf: np.zeros((call, *leaf.shape[1:]), leaf.dtype), cells)
     shares = [(device, jax.device_put(shared, device)) for device in devices]
     # Compiles on every device, and works through no tile.
-    like = [run(share, jax.device_put(first, device), 0) for device, share in shares][0]
-    results = jax.tree.map(lambda leaf: np.empty((n, *leaf.shape[1:]), leaf.dtype), like)
+    like = [run(share, jax.device_put(first, device), 0) for device, share in shares]
+    results = jax.tree.map(lambda leaf: np.empty((n, *leaf.shape[1:]), leaf.dtype), like[0])
 
     def work(start: int, worker: int):
         device, share = shares[worker % len(shares)]
