@@ -17,7 +17,7 @@ import xarray as xr
 from jaxtyping import Array, Float, Int
 
 from walker_jax.cells import Grid, cell_image, resolve
-from walker_jax.integrate import default_tolerance
+from walker_jax.integrate import Real, default_tolerance
 from walker_jax.stride import Outcome, stride, strides
 from walker_jax.tiles import compact_order, over_cells
 from walker_jax.walkers import Walker
@@ -97,6 +97,7 @@ def basin(
         "method": method,
         **({"strides": strides} if method == "direct" else {}),
         "tolerance": tolerance,
+        "section": list(walker.section),
         "area": data["area"].values.tolist(),
         "version": f"walker-jax {version('walker-jax')}",
     }
@@ -134,7 +135,9 @@ def cell_mapping(walker: Walker, grid: Grid, tolerance: float, progress: bool = 
     order = compact_order(grid.shape)
     shared = walker, grid, tolerance
     image = np.empty_like(order)
-    image[order] = over_cells(image_of_cell, shared, order, progress=progress and "strides")
+    image[order] = over_cells(
+        image_of_cell, shared, order, progress="strides" if progress else None
+    )
     resolved = resolve(image, sinks=len(Outcome))
     fate = np.maximum(np.asarray(resolved.sink), Outcome.STRIDE).astype(np.int8)
     attractors = [
@@ -144,7 +147,7 @@ def cell_mapping(walker: Walker, grid: Grid, tolerance: float, progress: bool = 
     return Basins(fate, np.asarray(resolved.attractor), np.asarray(resolved.steps), attractors)
 
 
-def image_of_cell(shared: tuple[Walker, Grid, float], index: Int[Array, ""]) -> Int[Array, ""]:
+def image_of_cell(shared: tuple[Walker, Grid, Real], index: Int[Array, ""]) -> Int[Array, ""]:
     """The cell, or the sink, to which a stride takes the centre of a cell."""
     walker, grid, tolerance = shared
     result = stride(walker, grid.centre(index), tolerance=tolerance)
@@ -161,7 +164,7 @@ def direct_iteration(
     order = compact_order(grid.shape)
     starts = np.asarray(jax.jit(jax.vmap(grid.centre))(order))
     sample = np.linspace(0, len(starts) - 1, min(len(starts), SAMPLE)).astype(int)
-    attractors = settle(walker, starts[sample], tolerance)
+    attractors = settle(walker, starts[sample], tolerance, [])
 
     fate = np.full(grid.size, Outcome.STRIDE, np.int8)
     attractor = np.full(grid.size, -1, np.int32)
@@ -173,7 +176,7 @@ def direct_iteration(
         cells, x = cells[reached < 0], x[reached < 0]
         if k == limit or len(cells) == 0:
             break
-        label = progress and f"stride {k + 1}, {len(cells)} cells"
+        label = f"stride {k + 1}, {len(cells)} cells" if progress else None
         x, outcome, _ = strides(walker, x, tolerance=tolerance, progress=label)
         fate[cells] = outcome
         going = outcome == Outcome.STRIDE
@@ -182,9 +185,7 @@ def direct_iteration(
 
     if len(cells):
         left = np.linspace(0, len(x) - 1, min(len(x), SAMPLE)).astype(int)
-        for new in settle(walker, x[left], tolerance):
-            if new.period is None or nearest(new.states[:1], attractors)[0] < 0:
-                attractors.append(new)
+        attractors = settle(walker, x[left], tolerance, attractors)
         attractor[cells] = nearest(x, attractors)
         for i, one in enumerate(attractors):
             if one.period is None:
@@ -192,13 +193,18 @@ def direct_iteration(
     return Basins(fate, attractor, count, attractors)
 
 
-def settle(walker: Walker, x: Float[np.ndarray, "n section"], tolerance: float) -> list[Attractor]:
-    """The attractors to which walkers come that start at x.
+def settle(
+    walker: Walker,
+    x: Float[np.ndarray, "n section"],
+    tolerance: float,
+    known: list[Attractor],
+) -> list[Attractor]:
+    """The known attractors, and those to which walkers come that start at x.
 
     They are followed until each has failed or repeats itself. Those that do neither, in more than
     two thousand strides, are on an attractor without a period, of which one is made for them all.
     """
-    found: list[Attractor] = []
+    found = list(known)
     for _ in range(PATIENCE):
         orbit = [x]
         for _ in range(LONGEST_PERIOD):
@@ -220,7 +226,9 @@ def settle(walker: Walker, x: Float[np.ndarray, "n section"], tolerance: float) 
         x = x[nearest(x, found) < 0]
         if len(x) == 0:
             return found
-    return [*found, Attractor(None, x[:1])]
+    if all(one.period for one in found):
+        found.append(Attractor(None, x[:1]))
+    return found
 
 
 def nearest(
@@ -271,6 +279,5 @@ def labelled(walker: Walker, grid: Grid, found: Basins) -> xr.Dataset:
         coords={
             **grid.axes,
             "number": np.arange(len(found.attractors)),
-            "coordinate": list(walker.section),
         },
     )

@@ -71,12 +71,14 @@ class Grid(eqx.Module):
         self.counts = np.array(counts, np.int32)
         self.shear = np.array(shear, np.float64)
         if self.shear.shape != (len(axes), len(axes)) or not np.isfinite(self.shear).all():
-            raise ValueError(f"shear={shear!r}: must be a finite {len(axes)} x {len(axes)} matrix")
+            raise ValueError(
+                f"shear={self.shear.tolist()}: must be a finite {len(axes)} x {len(axes)} matrix"
+            )
         try:
             # Exact, without rounding, for the shears below. Adding zero turns -0 into 0.
             self.unshear = np.linalg.inv(self.shear) + 0.0
         except np.linalg.LinAlgError:
-            raise ValueError(f"shear={shear!r}: must be invertible") from None
+            raise ValueError(f"shear={self.shear.tolist()}: must be invertible") from None
 
     @classmethod
     def plain(cls, **axes: Axis) -> "Grid":

@@ -11,7 +11,7 @@ import sys
 import time
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated, Literal, NoReturn
 
 import jax
 import numpy as np
@@ -49,7 +49,7 @@ def walk(
     walker = wj.SimplestWalker(slope)
     # as many strides as a power of two, so that few lengths are ever compiled
     length = 1 << (strides - 1).bit_length()
-    result = wj.walk(walker, [theta, thetadot], length)
+    result = wj.walk(walker, np.array([theta, thetadot]), length)
     outcomes = np.asarray(result.outcomes)[:strides]
     failed = np.flatnonzero(outcomes != wj.Outcome.STRIDE)
     count = failed[0] + 1 if len(failed) else strides
@@ -84,7 +84,9 @@ def basin(
         Axis | None,
         typer.Option(metavar="LO HI N", help="The plain section: thetadot in the place of --sum."),
     ] = None,
-    method: Annotated[str, typer.Option(help="cell-map or direct.")] = "cell-map",
+    method: Annotated[
+        Literal["cell-map", "direct"], typer.Option(help="Cell mapping, or direct iteration.")
+    ] = "cell-map",
     strides: Annotated[int, typer.Option(min=1, help="Strides at most, direct only.")] = 200,
     out: Annotated[Path, typer.Option(help="Where the data set goes (Zarr).")] = Path("basin.zarr"),
     figure: Annotated[
@@ -95,6 +97,8 @@ def basin(
     as_json: Json = False,
 ) -> None:
     """Compute and draw the basin of attraction of the simplest walker's gait."""
+    from matplotlib.figure import Figure
+
     import walker_jax as wj
     from walker_jax import figures, store
 
@@ -107,6 +111,8 @@ def basin(
     else:
         axes = {"theta": theta, "sum": sum_ or (-0.04, 0.01, 250)}
         grid = wj.Grid.sheared(**axes)
+    if min(grid.shape) < 2:
+        raise ValueError(f"a picture needs 2 cells or more along each axis, not {grid.shape}")
     request = {
         "command": "basin",
         "walker": {"name": "SimplestWalker", "slope": slope},
@@ -116,8 +122,8 @@ def basin(
         "version": version("walker-jax"),
     }
     figure = figure or out.with_suffix(".png")
-    if figure.suffix[1:].lower() not in figures.FORMATS:
-        raise ValueError(f"--figure {figure}: must end in .{', .'.join(figures.FORMATS)}")
+    if figure.suffix[1:].lower() not in (formats := Figure().canvas.get_supported_filetypes()):
+        raise ValueError(f"--figure {figure}: must end in .{', .'.join(formats)}")
     store.check_picture(figure, request, overwrite=overwrite)
 
     data = store.find(out, request, overwrite=overwrite)
@@ -129,8 +135,9 @@ def basin(
         data = store.save(data, out, request)
     else:
         seconds = clock.seconds()
-    title = {"Title": store.signature(request)}
-    figures.basin(data).figure.savefig(figure, dpi=150, metadata=title)
+    picture = figures.basin(data).get_figure(root=True)
+    assert picture is not None
+    picture.savefig(figure, dpi=150, metadata={"Title": store.signature(request)})
 
     fates = {
         name: int((data["fate"] == code).sum()) for name, code in wj.Outcome.__members__.items()

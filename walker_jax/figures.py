@@ -25,14 +25,15 @@ FAILURES = {
     Outcome.LEFT_GRID: ("#f7f7f7", "", "leaves the grid"),
     Outcome.BACKWARD: ("#fae0b5", "B", "falls backward"),
     Outcome.FORWARD: ("#b4d1e9", "F", "falls forward"),
-    Outcome.RUNNING: ("#d99cab", "R", "runs"),
-    Outcome.OUTSIDE: ("#9a9a9a", "", "not a feasible start"),
-    Outcome.STOPPED: ("#548a3f", "", "stops on both feet"),
-    Outcome.UNDECIDED: ("#e03c00", "", "undecided"),
+    Outcome.RUNNING: ("#dea5b2", "R", "runs"),
+    Outcome.OUTSIDE: ("#9b9b9b", "", "not a feasible start"),
+    Outcome.STOPPED: ("#648f4b", "", "stops on both feet"),
+    Outcome.UNDECIDED: ("#d1361b", "", "undecided"),
 }
 """Colour, letter (Schwab and Wisse 2001, Figure 2) and words, from light to dark."""
 BASINS = ("#0d2c5e", "#8c2566", "#0f7a72")
-"""Colours of the basins, the largest first: from dark to light."""
+MARKERS = "os^"
+"""Colours of the basins, from dark to light, and signs of their attractors; the largest first."""
 OTHERS, ASTRAY = "#4d4d4d", "#7a5c00"
 """Colours of what walks on to other attractors, and to none that is known."""
 NOTABLE = 0.1
@@ -48,7 +49,7 @@ AXIS_LABELS = {
 METHODS = {"cell-map": "cell mapping", "direct": "direct iteration"}
 LETTER, WORDS = 16, 9
 """Sizes of the two lines of a label (points)."""
-BELOW, LINE = 40, 16
+BELOW, LINE = 40, 17
 """How far the legend stands below the axes, and its lines below one another (points)."""
 
 
@@ -84,6 +85,7 @@ def basin(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     if "fate" not in data or data["fate"].ndim != 2 or min(data["fate"].shape) < 2:
         dimensions = dict(data["fate"].sizes) if "fate" in data else "no fate"
         raise ValueError(f"data must have a fate over 2 x 2 cells or more, not {dimensions}")
+    data = data.assign_coords(coordinate=data.attrs["section"])
     fate = data["fate"]
     if ax is None:
         ax = Figure(figsize=(7, 5.4), layout="constrained").add_subplot()
@@ -106,7 +108,7 @@ def basin(data: xr.Dataset, ax: Axes | None = None) -> Axes:
 
     free = np.ones(fate.shape, bool)
     marks, patches = [], []
-    for number, marker in zip(notable, "os^", strict=False):
+    for number, marker in zip(notable, MARKERS, strict=False):
         cycle = data["states"].sel(number=number).dropna("phase")
         dots = np.column_stack([along(cycle, x), along(cycle, y)])
         inside = (dots >= extent[::2]) & (dots <= extent[1::2])
@@ -182,7 +184,7 @@ def along(states: xr.DataArray, axis: str) -> Float[np.ndarray, " n"]:
 def attractor_name(period: int, cycle: xr.DataArray) -> str:
     """What the legend says of an attractor: its period, and up to two of its states."""
     symbols = {"theta": r"$\theta$", "thetadot": r"$\dot{\theta}$"}
-    names = [symbols.get(name, name) for name in cycle["coordinate"].values.tolist()]
+    names = [symbols.get(name, str(name)) for name in cycle["coordinate"].values.tolist()]
     states = [", ".join(f"{value:.4f}" for value in state) for state in cycle.values.tolist()]
     shown = ", ".join(f"({state})" for state in states[:2]).replace("-", "−")
     more = ", …" if len(states) > 2 else ""
@@ -195,7 +197,7 @@ def attractor_name(period: int, cycle: xr.DataArray) -> str:
 def entry(region: Region) -> str:
     """What the legend says of a region."""
     count = int(region.cells.sum())
-    return f"{region.words} ({count} cell{'s' * (count > 1)})"
+    return f"{region.words} ({count:,} cell{'s' * (count > 1)})"
 
 
 def title(data: xr.Dataset) -> str:
@@ -221,7 +223,7 @@ def subtitle(data: xr.Dataset) -> str:
     return rf"{said}; basin area {mantissa} × 10$^{{{int(exponent)}}}$ rad² / √(l/g)"
 
 
-def place_legend(ax: Axes, handles: list, drop: float, *, columns: int) -> None:
+def place_legend(ax: Axes, handles: list, drop: int, *, columns: int) -> None:
     """A legend at the left, `drop` points below the axes."""
     if handles:
         figure = cast(Figure, ax.get_figure(root=True))
@@ -254,7 +256,7 @@ def draw_label(
     letter = [(region.letter, LETTER, "bold", 0)]
     words = [(region.words, WORDS, "normal", 0)]
     both = [(region.letter, LETTER, "bold", 5.5), (region.words, WORDS, "normal", -8.5)]
-    colour = "white" if luminance(region.colour) < 0.25 else INK
+    colour = "white" if luminance(region.colour) < 0.2 else INK
     low, high = np.array(extent[::2]), np.array(extent[1::2])
     axes_size = np.array(ax.bbox.size) * 72 / ax.figure.dpi
     for lines in (both, letter) if region.letter else (words,):

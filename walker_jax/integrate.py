@@ -23,6 +23,7 @@ from jaxtyping import Array, Bool, Float, Int, PyTree
 from walker_jax.taylor import evaluate, fast_sines, is_list, solution_series
 
 Scalar = Float[Array, ""]
+Real = Scalar | float
 VectorField = Callable[[PyTree], PyTree]
 
 # Order of the series. Higher orders take fewer steps of more work each; these are the fastest, or
@@ -32,7 +33,7 @@ TOLERANCE = {jnp.dtype("float64"): 1e-12, jnp.dtype("float32"): 1e-6}
 MAX_STEPS = 1000
 
 
-def default_tolerance(dtype, tolerance: float | None = None) -> float:
+def default_tolerance(dtype, tolerance: Real | None = None) -> Real:
     """The tolerance that a dtype holds, or the one given, where the dtype can hold it."""
     dtype = jnp.dtype(dtype)
     if dtype not in TOLERANCE:
@@ -49,7 +50,7 @@ def default_tolerance(dtype, tolerance: float | None = None) -> float:
     return tolerance
 
 
-def step_length(series: PyTree, tolerance: float) -> Scalar:
+def step_length(series: PyTree, tolerance: Real) -> Scalar:
     """Length of a step in which the last terms of the series stay below the tolerance.
 
     h = min over k = n-1, n of (tolerance |y| / |c_k|)^(1/k), in the largest norm over all
@@ -166,8 +167,8 @@ def integrate_until(
     state: PyTree,
     stop: Callable[[PyTree, PyTree], Bool[Array, ""]],
     *,
-    tolerance: float,
-    time: Scalar | float = 0.0,
+    tolerance: Real,
+    time: Real = 0.0,
     count: Int[Array, ""] | int = 0,
     max_steps: int = MAX_STEPS,
     active: Bool[Array, ""] | bool = True,

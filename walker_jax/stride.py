@@ -21,6 +21,7 @@ from jaxtyping import Array, Bool, Float, Int
 from walker_jax.integrate import (
     MAX_STEPS,
     ORDER,
+    Real,
     Taylor,
     default_tolerance,
     first_rise,
@@ -79,7 +80,7 @@ class Walk(NamedTuple):
 
 
 def stride(
-    walker: Walker, x: Float[ArrayLike, " coordinates"], *, tolerance: float | None = None
+    walker: Walker, x: Float[ArrayLike, " coordinates"], *, tolerance: Real | None = None
 ) -> Stride:
     """One stride, S(x), equation (20).
 
@@ -100,7 +101,7 @@ def stride(
 
 
 def prepared(
-    walker: Walker, x: Float[ArrayLike, " coordinates"], tolerance: float | None
+    walker: Walker, x: Float[ArrayLike, " coordinates"], tolerance: Real | None
 ) -> tuple[Walker, Float[Array, " coordinates"], Float[Array, ""]]:
     """Walker, start and tolerance, checked, in the dtype of the start."""
     x = as_floating(x)
@@ -160,7 +161,7 @@ def in_tension(walker: Walker, state: State) -> Bool[Array, ""]:
 
 
 def swing(
-    walker: Walker, start: State, verdict: Int[Array, ""], tolerance: float
+    walker: Walker, start: State, verdict: Int[Array, ""], tolerance: Real
 ) -> tuple[State, Scalar, Int[Array, ""]]:
     """Swing the leg until heel strike (`STRIDE`) or a fall; nothing to do unless `UNDECIDED`.
 
@@ -228,7 +229,7 @@ def strides(
     walker: Walker,
     xs: Float[ArrayLike, "n coordinates"],
     *,
-    tolerance: float | None = None,
+    tolerance: Real | None = None,
     progress: str | None = None,
 ) -> Stride:
     """`stride` for each of n starts, in tiles over all devices and cores; NumPy arrays.
@@ -243,13 +244,13 @@ def strides(
     return over_cells(stride_of_cell, (walker, tolerance), xs, progress=progress)
 
 
-def stride_of_cell(shared: tuple[Walker, float], x: Float[Array, " coordinates"]) -> Stride:
+def stride_of_cell(shared: tuple[Walker, Real], x: Float[Array, " coordinates"]) -> Stride:
     walker, tolerance = shared
     return stride(walker, x, tolerance=tolerance)
 
 
 def walk(
-    walker: Walker, x: Float[ArrayLike, " section"], n: int, *, tolerance: float | None = None
+    walker: Walker, x: Float[ArrayLike, " section"], n: int, *, tolerance: Real | None = None
 ) -> Walk:
     """n strides, one after the other, from x on the section. As `stride` otherwise."""
     if n < 1:
@@ -280,7 +281,7 @@ def trajectory(
     x: Float[ArrayLike, " coordinates"],
     times: Float[ArrayLike, " times"],
     *,
-    tolerance: float | None = None,
+    tolerance: Real | None = None,
 ) -> State:
     """Angles and rates at `times` after the start x of a stride, 0 or later, increasing.
 

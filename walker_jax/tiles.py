@@ -30,7 +30,7 @@ COMPILER_OPTIONS = {"cpu": {"xla_cpu_prefer_vector_width": 512}}
 def over_cells(
     function: Callable[[Any, PyTree], PyTree],
     shared: PyTree,
-    cells: PyTree[np.ndarray],
+    cells: PyTree,
     *,
     progress: str | None = None,
 ) -> PyTree[np.ndarray]:

@@ -113,7 +113,7 @@ class SimplestWalker(Walker):
     section: ClassVar = ("theta", "thetadot")
 
     def __init__(self, slope: ArrayLike):
-        self.slope = parameter("slope", slope, low=0, high=np.pi / 2)
+        self.slope = parameter("slope", slope, low=0.0, high=np.pi / 2)
 
     def lift(self, x):
         """phi = 2 theta, phidot = (1 - cos 2theta) thetadot, from (22)."""

@@ -1,0 +1,159 @@
+"""Which integrator, of which order, costs least at the same accuracy?
+
+PLACEHOLDER
+"""
+
+import argparse
+import os
+import time
+from collections.abc import Callable
+from functools import partial
+
+if hasattr(os, "sched_setaffinity"):  # one core, before JAX counts them
+    os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import walker_jax as wj
+from walker_jax.integrate import ORDER, Taylor, integrate_until, step
+from walker_jax.taylor import fast_sines
+from walker_jax.tiles import COMPILER_OPTIONS, compact_order, over_cells
+
+DTYPE = jnp.dtype("float64")
+SWING = 3.0
+
+
+def main():
+    parser = argparse.ArgumentParser(description="Integrators at the same accuracy, on one core.")
+    parser.add_argument("--repeats", type=int, default=3)
+    args = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    of_strides(args.repeats)
+    of_one_swing(args.repeats)
+
+
+def timed(run: Callable):
+    start = time.perf_counter()
+    result = run()
+    return time.perf_counter() - start, result
+
+
+def compare(ways: dict[str, tuple[Callable, list]], error: Callable, cells: int, repeats: int):
+    """Print microseconds per cell and the largest error of every way at each of its settings.
+
+    A way is a function of a setting; its first call compiles. Repeats are interleaved.
+    """
+    runs, errors, compiling = {}, {}, {}
+    for name, (run, settings) in ways.items():
+        compiling[name], _ = timed(partial(run, settings[0]))
+        runs |= {(name, setting): partial(run, setting) for setting in settings}
+    for key, run in runs.items():
+        errors[key] = error(run())
+    rounds = [{key: timed(run)[0] for key, run in runs.items()} for _ in range(repeats)]
+    for name, (_, settings) in ways.items():
+        print(f"{name:32}", end="")
+        for setting in settings:
+            median = np.median([times[name, setting] for times in rounds])
+            print(
+                f"{setting:8g}: {1e6 * median / cells:5.2f} ({errors[name, setting]:.0e})", end=""
+            )
+            compiling[name] -= median if setting == settings[0] else 0
+        print(f"  compile {compiling[name]:4.1f} s", flush=True)
+
+
+def of_strides(repeats: int):
+    """The paper's strides, by orders of the series and widths of the processor's vectors."""
+    walker = wj.SimplestWalker(0.004)
+    grid = wj.Grid.sheared(theta=(0, 0.4, 200), sum=(-0.04, 0.01, 250))
+    xs = np.asarray(jax.vmap(grid.centre)(compact_order(grid.shape)))
+
+    def way(order, width):
+        def one(shared, x):
+            return wj.stride(shared[0], x, tolerance=shared[1])
+
+        def run(tolerance):
+            # Looked at when `one` is compiled, that is in its first call.
+            ORDER[DTYPE] = order
+            COMPILER_OPTIONS["cpu"] = {"xla_cpu_prefer_vector_width": width}
+            return over_cells(one, (walker, tolerance), xs)
+
+        return run
+
+    usual, options = ORDER[DTYPE], COMPILER_OPTIONS["cpu"]
+    tolerances = [1e-9, 1e-11, 1e-12, 1e-13]
+    exact = way(16, 512)(1e-15).state
+    choices = [(order, 512) for order in (8, 10, 12, 14, 16)] + [(usual, 256)]
+    ways = {f"order {o}, {w} bits": (way(o, w), tolerances) for o, w in choices}
+    print("\nTaylor series, the strides: tolerance: us per stride (largest error)")
+    compare(ways, lambda result: np.nanmax(np.abs(result.state - exact)), len(xs), repeats)
+    ORDER[DTYPE], COMPILER_OPTIONS["cpu"] = usual, options
+
+
+def of_one_swing(repeats: int):
+    """The swing alone, without events: the equations followed for a time of 3."""
+    walker = wj.SimplestWalker(0.004)
+    grid = wj.Grid.sheared(theta=(0.1, 0.3, 128), sum=(-0.03, 0.0, 64))
+    xs = np.asarray(jax.vmap(grid.centre)(compact_order(grid.shape)))
+
+    def way(one):
+        return lambda setting: over_cells(one, (walker, setting), xs)
+
+    def loop(shared, x):
+        walker, tolerance = shared
+
+        def field(state):  # with a clock too slow to count in the error
+            return walker.vector_field(state[0]), jnp.full((), 1 / 64)
+
+        start = walker.lift(x), jnp.zeros(())
+        last = integrate_until(
+            field, start, lambda _, end: end[1] >= SWING / 64, tolerance=tolerance
+        )
+        return jnp.stack(step(field, last.start, SWING - last.time, ORDER[DTYPE])[0])
+
+    def by_diffrax(solver, adaptive=True, sines=False):
+        def one(shared, x):
+            walker, setting = shared
+            field = fast_sines(walker.vector_field) if sines else walker.vector_field
+            if adaptive:
+                controller = diffrax.PIDController(rtol=setting, atol=setting)
+            else:
+                controller = diffrax.ConstantStepSize()
+            solution = diffrax.diffeqsolve(
+                diffrax.ODETerm(lambda t, y, args: field(y)),
+                solver,
+                t0=0.0,
+                t1=SWING,
+                dt0=None if adaptive else SWING / setting,
+                y0=walker.lift(x),
+                stepsize_controller=controller,
+                max_steps=16384,
+                adjoint=diffrax.ForwardMode(),
+                throw=False,
+            )
+            return jnp.stack([leaf[-1] for leaf in solution.ys])
+
+        return way(one)
+
+    exact = by_diffrax(diffrax.Dopri8(), adaptive=False)(400.0)
+    taylor, tolerances = Taylor(ORDER[DTYPE]), [1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12]
+    tsit5, dopri8 = diffrax.Tsit5(), diffrax.Dopri8()
+    ways = {
+        "integrate_until": (way(loop), tolerances),
+        "diffeqsolve, Taylor": (by_diffrax(taylor), tolerances),
+        "diffeqsolve, Taylor, constant": (by_diffrax(taylor, False), [4.0, 6.0, 8.0, 12.0]),
+        "diffeqsolve, Dopri8": (by_diffrax(dopri8), tolerances),
+        "diffeqsolve, Dopri8, our sines": (by_diffrax(dopri8, sines=True), tolerances),
+        "diffeqsolve, Dopri8, constant": (by_diffrax(dopri8, False), [8.0, 16.0, 32.0, 64.0]),
+        "diffeqsolve, Tsit5": (by_diffrax(tsit5), tolerances),
+        "diffeqsolve, Tsit5, our sines": (by_diffrax(tsit5, sines=True), tolerances),
+        "diffeqsolve, Tsit5, constant": (by_diffrax(tsit5, False), [32.0, 64.0, 128.0, 256.0]),
+    }
+    print("\nOne swing of 3: tolerance or number of steps: us per cell (largest error)")
+    compare(ways, lambda states: np.max(np.abs(states - exact)), len(xs), repeats)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,147 @@
+import sys
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import walker_jax as wj
+from walker_jax.basin import Attractor, Basins, sort_attractors
+
+module = sys.modules["walker_jax.basin"]  # the package has the function by that name
+REFERENCE = np.load(Path(__file__).parent / "data" / "strides_slope_0.004.npz")
+PAPER = {"theta": (0, 0.4, 200), "sum": (-0.04, 0.01, 250)}
+
+
+@pytest.fixture(scope="module")
+def direct():
+    return wj.basin(wj.SimplestWalker(0.004), wj.Grid.sheared(**PAPER), "direct")
+
+
+@pytest.fixture(scope="module")
+def mapped():
+    return wj.basin(wj.SimplestWalker(0.004), wj.Grid.sheared(**PAPER))
+
+
+def test_direct_iteration_gives_the_reference_fates(direct):
+    assert (direct.fate.values != REFERENCE["fate"]).sum() <= 20
+    falls = (direct.fate.values == REFERENCE["fate"]) & (REFERENCE["fate"] != 0)
+    assert (direct.strides.values != REFERENCE["strides"])[falls].sum() <= 20
+    assert float(direct.area.sum()) == pytest.approx(0.001214, abs=5e-7)
+
+
+def test_direct_iteration_finds_the_gait(direct):
+    assert direct.period.values.tolist() == [1]
+    np.testing.assert_allclose(
+        direct.states.values[0, 0], [0.1533895648762, -0.1560801466757], atol=1e-9
+    )
+    assert ((direct.attractor.values >= 0) == (direct.fate.values == 0)).all()
+
+
+def test_strides_count_until_the_gait_is_reached(direct):
+    cells = np.flatnonzero(direct.attractor.values.ravel() == 0)[::101]
+    grid = wj.Grid.sheared(**PAPER)
+    for cell in cells:
+        count = int(direct.strides.values.ravel()[cell])
+        states = np.asarray(wj.walk(wj.SimplestWalker(0.004), grid.centre(cell), 64).states)
+        distance = np.abs(states - direct.states.values[0, 0]).max(axis=1)
+        assert distance[count] < module.NEAR
+        assert (distance[:count] >= module.NEAR).all()
+
+
+def test_cell_mapping_agrees_with_direct_iteration_but_for_cells(direct, mapped):
+    agree = (mapped.fate == wj.Outcome.STRIDE) == (direct.fate == wj.Outcome.STRIDE)
+    assert float(agree.mean()) >= 0.995
+    gait = direct.states.values[0, 0]
+    spacing = 0.002, 0.0002
+    sums = mapped.states.values[..., 0], mapped.states.values.sum(axis=-1)
+    near = [np.nanmin(np.abs(s - t)) for s, t in zip(sums, (gait[0], gait.sum()), strict=True)]
+    assert near[0] <= 5 * spacing[0] and near[1] <= 5 * spacing[1]
+
+
+def test_a_cell_goes_where_its_centre_goes(mapped):
+    """Cells whose strides end off the grid, and those that fail at once, against the reference."""
+    left = mapped.fate.values == wj.Outcome.LEFT_GRID
+    theta, total = REFERENCE["next_theta"], REFERENCE["next_theta"] + REFERENCE["next_velocity"]
+    inside = (theta >= 0) & (theta < 0.4) & (total >= -0.04) & (total < 0.01)
+    first = mapped.strides.values == 0
+    np.testing.assert_array_equal((REFERENCE["outcome"] == 0) & ~inside, left & first)
+    failed = REFERENCE["outcome"] != 0
+    np.testing.assert_array_equal(mapped.fate.values[failed], REFERENCE["outcome"][failed])
+    assert (mapped.strides.values[failed] == 0).all()
+
+
+def test_the_gait_of_period_two_after_the_doubling():
+    walker = wj.SimplestWalker(0.016)
+    data = wj.basin(walker, wj.Grid.sheared(theta=(0.1, 0.4, 40), sum=(-0.02, 0.01, 40)), "direct")
+    assert data.period.values.tolist() == [2]
+    states = data.states.values[0]
+    assert states[0, 0] < states[1, 0]
+    walked = np.asarray(wj.walk(walker, states[0], 2).states)
+    np.testing.assert_allclose(walked[1:], states[[1, 0]], atol=1e-7)
+    assert data.attrs["area"] == data.area.values.tolist() and data.area[0] > 0
+
+
+def test_a_motion_that_never_repeats_has_no_period(monkeypatch):
+    """Beyond the cascade of doublings: survivors are on one attractor, without a period."""
+    monkeypatch.setattr(module, "PATIENCE", 2)
+    grid = wj.Grid.sheared(theta=(0.2, 0.3, 12), sum=(-0.01, 0.0, 12))
+    data = wj.basin(wj.SimplestWalker(0.0186), grid, "direct", strides=60)
+    assert data.period.values.tolist() == [0]
+    assert ((data.attractor.values == 0) == (data.fate.values == 0)).all()
+    assert np.isfinite(data.states.values[0, 0]).all()
+
+
+def test_the_data_set_says_what_was_computed(direct):
+    assert direct.fate.dims == ("theta", "sum") and direct.fate.shape == (200, 250)
+    np.testing.assert_allclose(direct["theta"], REFERENCE["theta"], atol=1e-15)
+    np.testing.assert_allclose(direct["sum"], REFERENCE["sum"], atol=1e-15)
+    for key, value in {
+        "walker": "SimplestWalker",
+        "walker_slope": 0.004,
+        "method": "direct",
+        "tolerance": 1e-12,
+        "version": f"walker-jax {wj.__version__}",
+    }.items():
+        assert direct.attrs[key] == value
+    assert direct.fate.attrs["flag_meanings"].split() == list(wj.Outcome.__members__)
+
+
+def test_attractors_are_numbered_by_period_then_angle():
+    def cycle(*angles):
+        return Attractor(len(angles), np.array([[angle, -0.2] for angle in angles]))
+
+    wandering = Attractor(None, np.array([[0.05, -0.2]]))
+    found = [cycle(0.1, 0.3), wandering, cycle(0.2), cycle(0.15)]
+    cells = np.array([0, 1, 2, 3, -1, 0])
+    ordered = sort_attractors(Basins(cells * 0, cells, cells * 0, found))
+    assert [one.period for one in ordered.attractors] == [1, 1, 2, None]
+    assert [one.states[0, 0] for one in ordered.attractors] == [0.15, 0.2, 0.1, 0.05]
+    assert ordered.attractor.tolist() == [2, 3, 1, 0, -1, 2]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"method": "exact"}, "method .*'exact'"),
+        ({"strides": 0}, "strides .*0"),
+        ({"grid": wj.Grid.plain(theta=(0, 1, 9))}, "grid .*theta, thetadot"),
+        ({"grid": wj.Grid.sheared(theta=(0, 1, 40000), sum=(0, 1, 50000))}, "2000000000 cells"),
+        ({"tolerance": 1e-30}, "tolerance .*1e-30"),
+    ],
+)
+def test_wrong_requests_are_refused(arguments, message, monkeypatch):
+    monkeypatch.setattr(module, "memory_of_machine", lambda: 8 * 2**30)
+    grid = arguments.pop("grid", wj.Grid.sheared(theta=(0, 1, 3), sum=(0, 1, 3)))
+    with pytest.raises(ValueError, match=message):
+        wj.basin(wj.SimplestWalker(0.004), grid, **arguments)
+
+
+def test_a_basin_in_float32_is_close(mapped):
+    """Its cells differ at the edges of the basin only."""
+    grid = wj.Grid.sheared(**PAPER)
+    xs = np.stack([np.asarray(grid.centre(jnp.int32(i))) for i in range(0, grid.size, 97)])
+    single = wj.strides(wj.SimplestWalker(0.004), xs.astype(np.float32))
+    assert single.state.dtype == np.float32
+    outcome = REFERENCE["outcome"].ravel()[::97]
+    assert (single.outcome == outcome).mean() > 0.99

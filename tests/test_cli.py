@@ -1,0 +1,187 @@
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+import xarray as xr
+
+import walker_jax  # noqa: F401
+from walker_jax import cli
+
+SMALL = ["--theta", "0.05", "0.35", "30", "--sum", "-0.03", "0.01", "20"]
+
+
+@pytest.fixture
+def run(monkeypatch, capsys, tmp_path):
+    """Run a command in an empty folder; returns exit code, standard output and error."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(cli, "keep_compiled", lambda: None)
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["walker-jax", *map(str, arguments)])
+        with pytest.raises(SystemExit) as stop:
+            cli.main()
+        return (stop.value.code, *capsys.readouterr())
+
+    return run
+
+
+def test_walk_prints_table_1_as_json(run):
+    code, out, err = run("walk", "--json")
+    assert (code, err) == (0, "")
+    answer = json.loads(out)
+    assert list(answer) == ["states", "outcomes", "times"]
+    assert len(answer["states"]) == 10 and answer["outcomes"] == ["STRIDE"] * 9
+    angles = [0.2000, 0.1788, 0.1756, 0.1878, 0.1586, 0.1459, 0.1492, 0.1539, 0.1558]
+    np.testing.assert_allclose(np.array(answer["states"])[:9, 0], angles, atol=5e-5)
+    assert answer["times"][0] == pytest.approx(2.929164, abs=1e-6)
+
+
+def test_walk_ends_with_the_stride_that_failed(run):
+    code, out, _ = run("walk", "--thetadot", "-0.23", "--strides", "20", "--json")
+    answer = json.loads(out)
+    assert code == 0
+    assert answer["outcomes"][-1] == "FORWARD" and set(answer["outcomes"][:-1]) <= {"STRIDE"}
+    assert len(answer["states"]) == len(answer["outcomes"]) == len(answer["times"])
+    assert answer["times"][-1] is None
+    code, out, _ = run("walk", "--thetadot", "-0.23", "--strides", "20")
+    assert code == 0 and "FORWARD" in out and "nan" in out
+
+
+def test_basin_answers_keeps_and_draws(run, tmp_path):
+    code, out, err = run("basin", *SMALL, "--method", "direct", "--out", "b.zarr", "--json")
+    assert (code, err) == (0, "")
+    answer = json.loads(out)
+    assert answer["slope"] == 0.004 and answer["method"] == "direct" and answer["cells"] == 600
+    assert sum(answer["fates"].values()) == 600
+    assert answer["fates"]["STRIDE"] == answer["attractors"][0]["cells"] > 0
+    assert answer["area"] == sum(one["area"] for one in answer["attractors"])
+    assert answer["area"] == pytest.approx(answer["fates"]["STRIDE"] * 0.01 * 0.002)
+    assert answer["attractors"][0]["period"] == 1
+    np.testing.assert_allclose(
+        answer["attractors"][0]["states"], [[0.15338956, -0.15608015]], atol=1e-8
+    )
+    assert set(answer["seconds"]) == {"compile", "run"} and answer["seconds"]["run"] > 0
+    with xr.open_zarr(tmp_path / "b.zarr", consolidated=False) as data:
+        assert (
+            data.sizes["theta"] == 30 and int((data.fate == 0).sum()) == answer["fates"]["STRIDE"]
+        )
+    assert (tmp_path / "b.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_same_command_takes_what_is_there_and_another_is_refused(run, tmp_path):
+    command = ["basin", *SMALL, "--out", "b.zarr"]
+    code, first, _ = run(*command)
+    assert code == 0 and "strides per second" in first and "0 UNDECIDED" in first
+    before = {p: p.stat().st_mtime_ns for p in (tmp_path / "b.zarr").rglob("*")}
+    code, again, _ = run(*command)
+    assert code == 0 and "computed before" in again
+    assert again.splitlines()[:3] == first.splitlines()[:3]
+    code, out, err = run(*command, "--slope", "0.005")
+    assert (code, out) == (2, "") and "overwrite" in err and err.count("\n") == 1
+    assert before == {p: p.stat().st_mtime_ns for p in (tmp_path / "b.zarr").rglob("*")}
+    code, out, _ = run(*command, "--slope", "0.005", "--overwrite", "--json")
+    assert code == 0 and json.loads(out)["slope"] == 0.005
+
+
+def test_a_picture_of_something_else_is_not_replaced(run, tmp_path):
+    (tmp_path / "holiday.png").write_bytes(b"beach")
+    code, out, err = run("basin", *SMALL, "--figure", "holiday.png")
+    assert (code, out) == (2, "") and "holiday.png" in err
+    assert [p.name for p in tmp_path.iterdir()] == ["holiday.png"]
+    assert (tmp_path / "holiday.png").read_bytes() == b"beach"
+
+
+def test_the_plain_section(run, tmp_path):
+    arguments = ["--theta", "0.01", "0.7", "12", "--thetadot", "-1", "-0.1", "10"]
+    code, out, _ = run("basin", *arguments, "--out", "plain.zarr", "--figure", "p.svg", "--json")
+    assert code == 0 and json.loads(out)["cells"] == 120
+    with xr.open_zarr(tmp_path / "plain.zarr", consolidated=False) as data:
+        assert list(data.fate.dims) == ["theta", "thetadot"]
+    assert b"<svg" in (tmp_path / "p.svg").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["--slope", "0"], "slope"),
+        (["--slope", "-0.01"], "slope"),
+        (["--slope", "nan"], "slope"),
+        (["--slope", "inf"], "slope"),
+        (["--slope", "steep"], "slope"),
+        (["--theta", "0.4", "0", "10"], "theta"),
+        (["--theta", "0.2", "0.2", "10"], "theta"),
+        (["--theta", "0", "0.4", "0"], "theta"),
+        (["--theta", "0", "0.4", "1.5"], "theta"),
+        (["--theta", "nan", "0.4", "10"], "theta"),
+        (["--sum", "0", "-1", "10"], "sum"),
+        (["--theta", "0", "0.4", "1000000", "--sum", "0", "1", "1000000"], "cells"),
+        (["--theta", "0", "0.4", "100000", "--sum", "0", "1", "20000"], "cells"),
+        (["--sum", "0", "1", "10", "--thetadot", "-1", "0", "10"], "--thetadot"),
+        (["--method", "guess"], "method"),
+        (["--method", "direct", "--strides", "0"], "strides"),
+        (["--out", "no/such/folder/b.zarr"], "no/such/folder"),
+        (["--out", "/"], "/"),
+        (["--figure", "b.xyz"], "b.xyz"),
+        (["--colour", "red"], "--colour"),
+        (["extra"], "extra"),
+    ],
+)
+def test_wrong_usage_gets_one_line_and_changes_nothing(
+    run, tmp_path, arguments, named, monkeypatch
+):
+    monkeypatch.setattr(sys.modules["walker_jax.basin"], "memory_of_machine", lambda: 8 * 2**30)
+    code, out, err = run("basin", *arguments)
+    assert (code, out) == (2, "")
+    assert err.startswith("walker-jax: ") and err.count("\n") == 1 and named in err
+    assert "Traceback" not in err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "arguments", [["--theta", "nan"], ["--thetadot", "inf"], ["--strides", "-1"]]
+)
+def test_wrong_walks(run, arguments):
+    code, out, err = run("walk", *arguments)
+    assert (code, out) == (2, "") and err.count("\n") == 1 and arguments[0].strip("-") in err
+
+
+def test_a_failed_computation_ends_with_1_and_a_reason(run, monkeypatch):
+    def fail(*_, **__):
+        raise RuntimeError("no more memory\non the device")
+
+    monkeypatch.setattr("walker_jax.walk", fail)
+    code, out, err = run("walk")
+    assert (code, out) == (
+        1,
+        "",
+    ) and err == "walker-jax: RuntimeError: no more memory on the device\n"
+
+
+def test_the_installed_command_starts(tmp_path):
+    command = Path(sys.executable).with_name("walker-jax")
+    done = subprocess.run([command, "--help"], capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 0 and "basin" in done.stdout and "walk" in done.stdout
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_importing_sets_no_flag_and_loads_no_drawing():
+    program = (
+        "import jax, sys\n"
+        "before = dict(jax.config.values)\n"
+        "import walker_jax\n"
+        "assert before == dict(jax.config.values)\n"
+        "assert not {'matplotlib', 'dask', 'zarr', 'typer'} & set(sys.modules)\n"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)
+
+
+def test_compile_time_counts_once():
+    clock = cli.Stopwatch()
+    start = clock.start
+    clock.compiling = [(start + 1, start + 3), (start + 2, start + 4), (start + 6, start + 7)]
+    assert clock.seconds()["compile"] == pytest.approx(4)
+    assert jax.config.jax_enable_x64

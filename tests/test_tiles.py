@@ -1,0 +1,82 @@
+import os
+import subprocess
+import sys
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import walker_jax as wj
+from walker_jax.tiles import TILE, compact_order, over_cells
+
+CALL = TILE["cpu"][0] * TILE["cpu"][1]
+
+
+def sum_and_norm(shared, cell):
+    return {"sum": shared["offset"] + jnp.sum(cell["x"]), "scaled": cell["i"] * cell["x"]}
+
+
+@pytest.mark.parametrize("n", [0, 1, 2, TILE["cpu"][0], CALL - 1, CALL, CALL + 1, 2 * CALL + 77])
+def test_any_number_of_cells(n):
+    rng = np.random.default_rng(n)
+    cells = {"x": rng.normal(size=(n, 3)), "i": rng.normal(size=n)}
+    result = over_cells(sum_and_norm, {"offset": 2.5}, cells)
+    np.testing.assert_allclose(result["sum"], 2.5 + cells["x"].sum(axis=1), rtol=1e-14)
+    np.testing.assert_array_equal(result["scaled"], cells["i"][:, None] * cells["x"])
+
+
+def test_cells_of_different_lengths_are_refused():
+    with pytest.raises(ValueError, match=r"cells .*\[3, 4\]"):
+        over_cells(sum_and_norm, {"offset": 0.0}, {"x": np.ones((3, 2)), "i": np.ones(4)})
+
+
+@pytest.mark.parametrize("shape", [(7,), (5000,), (200, 250), (3, 10000), (33, 65), (20, 30, 40)])
+def test_compact_order_is_a_permutation_into_compact_tiles(shape):
+    order = compact_order(shape)
+    size = int(np.prod(shape))
+    np.testing.assert_array_equal(np.sort(order), np.arange(size))
+    places = np.stack(np.unravel_index(order, shape), axis=1)
+    tiles = np.array_split(places, range(TILE["cpu"][0], size, TILE["cpu"][0]))
+    extents = np.array([np.ptp(tile, axis=0) + 1 for tile in tiles])
+    # the side of a cube, or the length of a tile that is as wide as a narrow grid
+    side = max(TILE["cpu"][0] ** (1 / len(shape)), TILE["cpu"][0] / min(shape))
+    # blocks that do not divide the grid make tiles drift over two or three of them
+    assert np.median(extents, axis=0).max() <= 3 * side
+
+
+STARTS = """
+import numpy as np
+rng = np.random.default_rng(0)
+theta = rng.uniform(0.01, 0.4, 3000)
+xs = np.stack([theta, rng.uniform(-0.04, 0.01, 3000) - theta], axis=1)
+"""
+
+
+def test_same_bits_on_one_core_on_two_and_on_two_devices(monkeypatch, tmp_path):
+    starts: dict = {}
+    exec(STARTS, starts)
+    walker = wj.SimplestWalker(0.004)
+    results = []
+    for cores in ({0}, {0, 1}):
+        monkeypatch.setattr(os, "sched_getaffinity", lambda pid, cores=cores: cores, raising=False)
+        results.append(wj.strides(walker, starts["xs"]))
+    program = f"""
+import jax
+jax.config.update("jax_enable_x64", True)
+{STARTS}
+import walker_jax as wj
+assert len(jax.devices()) == 2
+np.savez("{tmp_path}/two.npz", **wj.strides(wj.SimplestWalker(0.004), xs)._asdict())
+"""
+    flags = {"XLA_FLAGS": "--xla_force_host_platform_device_count=2"}
+    subprocess.run([sys.executable, "-c", program], check=True, env={**os.environ, **flags})
+    results.append(wj.Stride(**np.load(tmp_path / "two.npz")))
+    for other in results[1:]:
+        for one, two in zip(results[0], other, strict=True):
+            np.testing.assert_array_equal(one, two)
+    assert 0 < (results[0].outcome == wj.Outcome.STRIDE).sum() < 3000
+
+
+def test_a_bar_is_shown_on_a_terminal_only(capfd):
+    over_cells(sum_and_norm, {"offset": 0.0}, {"x": np.ones((9, 2)), "i": np.ones(9)}, progress="x")
+    assert capfd.readouterr() == ("", "")
