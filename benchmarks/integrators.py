@@ -4,6 +4,7 @@ PLACEHOLDER
 """
 
 import argparse
+import inspect
 import os
 import time
 from collections.abc import Callable
@@ -18,7 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import walker_jax as wj
-from walker_jax.integrate import ORDER, Taylor, integrate_until, step
+from walker_jax.integrate import ORDER, Taylor, integrate_until, once, step
+from walker_jax.stride import follow_stride, prepared
 from walker_jax.taylor import fast_sines
 from walker_jax.tiles import COMPILER_OPTIONS, compact_order, over_cells
 
@@ -41,27 +43,26 @@ def timed(run: Callable):
     return time.perf_counter() - start, result
 
 
-def compare(ways: dict[str, tuple[Callable, list]], error: Callable, cells: int, repeats: int):
-    """Print microseconds per cell and the largest error of every way at each of its settings.
+def compare(ways: dict, error: Callable, cells: int, repeats: int, targets: list[float]):
+    """Print microseconds per cell of every way where its largest error is each of `targets`.
 
-    A way is a function of a setting; its first call compiles. Repeats are interleaved.
+    A way is a function of a setting, and its settings, the first of which compiles it. Time is
+    interpolated between them (logarithms of both). Repeats are interleaved.
     """
-    runs, errors, compiling = {}, {}, {}
+    compiling, runs = {}, {}
     for name, (run, settings) in ways.items():
         compiling[name], _ = timed(partial(run, settings[0]))
         runs |= {(name, setting): partial(run, setting) for setting in settings}
-    for key, run in runs.items():
-        errors[key] = error(run())
+    errors = {key: error(run()) for key, run in runs.items()}
     rounds = [{key: timed(run)[0] for key, run in runs.items()} for _ in range(repeats)]
+    print(f"{'largest error':34}" + "".join(f"{target:9.0e}" for target in targets) + "  compile")
     for name, (_, settings) in ways.items():
-        print(f"{name:32}", end="")
-        for setting in settings:
-            median = np.median([times[name, setting] for times in rounds])
-            print(
-                f"{setting:8g}: {1e6 * median / cells:5.2f} ({errors[name, setting]:.0e})", end=""
-            )
-            compiling[name] -= median if setting == settings[0] else 0
-        print(f"  compile {compiling[name]:4.1f} s", flush=True)
+        keys = sorted(((name, setting) for setting in settings), key=errors.__getitem__)
+        seconds = np.array([np.median([times[key] for times in rounds]) for key in keys])
+        logs = np.log([errors[key] for key in keys]), np.log(1e6 * seconds / cells)
+        costs = np.exp(np.interp(np.log(targets), *logs, left=np.nan, right=np.nan))
+        print(f"{name:34}" + "".join(f"{cost:9.2f}" for cost in costs), end="")
+        print(f"{compiling[name] - np.median(seconds):7.1f} s", flush=True)
 
 
 def of_strides(repeats: int):
@@ -70,9 +71,11 @@ def of_strides(repeats: int):
     grid = wj.Grid.sheared(theta=(0, 0.4, 200), sum=(-0.04, 0.01, 250))
     xs = np.asarray(jax.vmap(grid.centre)(compact_order(grid.shape)))
 
+    unjitted = inspect.unwrap(follow_stride)  # or its trace would serve every order
+
     def way(order, width):
         def one(shared, x):
-            return wj.stride(shared[0], x, tolerance=shared[1])
+            return unjitted(*prepared(shared[0], x, shared[1]))
 
         def run(tolerance):
             # Looked at when `one` is compiled, that is in its first call.
@@ -83,12 +86,13 @@ def of_strides(repeats: int):
         return run
 
     usual, options = ORDER[DTYPE], COMPILER_OPTIONS["cpu"]
-    tolerances = [1e-9, 1e-11, 1e-12, 1e-13]
+    tolerances = [1e-9, 1e-10, 1e-11, 1e-12, 1e-13]
     exact = way(16, 512)(1e-15).state
     choices = [(order, 512) for order in (8, 10, 12, 14, 16)] + [(usual, 256)]
     ways = {f"order {o}, {w} bits": (way(o, w), tolerances) for o, w in choices}
-    print("\nTaylor series, the strides: tolerance: us per stride (largest error)")
-    compare(ways, lambda result: np.nanmax(np.abs(result.state - exact)), len(xs), repeats)
+    targets = [1e-8, 1e-9, 1e-10]
+    print("Strides, by Taylor series: us each")
+    compare(ways, lambda result: np.nanmax(np.abs(result.state - exact)), len(xs), repeats, targets)
     ORDER[DTYPE], COMPILER_OPTIONS["cpu"] = usual, options
 
 
@@ -101,19 +105,26 @@ def of_one_swing(repeats: int):
     def way(one):
         return lambda setting: over_cells(one, (walker, setting), xs)
 
+    def finite(state):  # reads all of a state, as the condition of a heel strike does
+        return jnp.isfinite(sum(state))
+
+    def landed(walker, state, rest):  # from the end of a step, which is not at a time of 3
+        return jnp.stack(once(lambda: list(step(walker.vector_field, state, rest, ORDER[DTYPE]))))
+
     def loop(shared, x):
         walker, tolerance = shared
 
         def field(state):  # with a clock too slow to count in the error
             return walker.vector_field(state[0]), jnp.full((), 1 / 64)
 
-        start = walker.lift(x), jnp.zeros(())
-        last = integrate_until(
-            field, start, lambda _, end: end[1] >= SWING / 64, tolerance=tolerance
-        )
-        return jnp.stack(step(field, last.start, SWING - last.time, ORDER[DTYPE])[0])
+        def stop(_, end):
+            return (end[1] >= SWING / 64) & finite(end[0])
 
-    def by_diffrax(solver, adaptive=True, sines=False):
+        start = walker.lift(x), jnp.zeros(())
+        last = integrate_until(field, start, stop, tolerance=tolerance)
+        return landed(walker, last.start[0], SWING - last.time)
+
+    def by_diffrax(solver, adaptive=True, sines=False, event=False):
         def one(shared, x):
             walker, setting = shared
             field = fast_sines(walker.vector_field) if sines else walker.vector_field
@@ -121,38 +132,47 @@ def of_one_swing(repeats: int):
                 controller = diffrax.PIDController(rtol=setting, atol=setting)
             else:
                 controller = diffrax.ConstantStepSize()
+
+            def stop(t, y, args, **kwargs):
+                return (t >= SWING) & finite(y)
+
             solution = diffrax.diffeqsolve(
                 diffrax.ODETerm(lambda t, y, args: field(y)),
                 solver,
                 t0=0.0,
-                t1=SWING,
+                t1=2 * SWING if event else SWING,
                 dt0=None if adaptive else SWING / setting,
                 y0=walker.lift(x),
                 stepsize_controller=controller,
+                event=diffrax.Event(stop) if event else None,
                 max_steps=16384,
                 adjoint=diffrax.ForwardMode(),
                 throw=False,
             )
-            return jnp.stack([leaf[-1] for leaf in solution.ys])
+            assert solution.ts is not None and solution.ys is not None
+            end = wj.State(*(leaf[-1] for leaf in solution.ys))
+            return landed(walker, end, SWING - solution.ts[-1]) if event else jnp.stack(end)
 
         return way(one)
 
     exact = by_diffrax(diffrax.Dopri8(), adaptive=False)(400.0)
-    taylor, tolerances = Taylor(ORDER[DTYPE]), [1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12]
+    taylor, tolerances = Taylor(ORDER[DTYPE]), [10.0**-k for k in range(6, 14)]
     tsit5, dopri8 = diffrax.Tsit5(), diffrax.Dopri8()
     ways = {
         "integrate_until": (way(loop), tolerances),
         "diffeqsolve, Taylor": (by_diffrax(taylor), tolerances),
-        "diffeqsolve, Taylor, constant": (by_diffrax(taylor, False), [4.0, 6.0, 8.0, 12.0]),
+        "diffeqsolve, Taylor, event": (by_diffrax(taylor, event=True), tolerances),
+        "diffeqsolve, Taylor, constant": (by_diffrax(taylor, False), [3.0, 4.0, 6.0, 8.0, 12.0]),
         "diffeqsolve, Dopri8": (by_diffrax(dopri8), tolerances),
         "diffeqsolve, Dopri8, our sines": (by_diffrax(dopri8, sines=True), tolerances),
-        "diffeqsolve, Dopri8, constant": (by_diffrax(dopri8, False), [8.0, 16.0, 32.0, 64.0]),
+        "diffeqsolve, Dopri8, constant": (by_diffrax(dopri8, False), [4.0, 6.0, 8.0, 12.0, 16.0]),
         "diffeqsolve, Tsit5": (by_diffrax(tsit5), tolerances),
         "diffeqsolve, Tsit5, our sines": (by_diffrax(tsit5, sines=True), tolerances),
-        "diffeqsolve, Tsit5, constant": (by_diffrax(tsit5, False), [32.0, 64.0, 128.0, 256.0]),
+        "diffeqsolve, Tsit5, constant": (by_diffrax(tsit5, False), [16.0, 32.0, 64.0, 128.0]),
     }
-    print("\nOne swing of 3: tolerance or number of steps: us per cell (largest error)")
-    compare(ways, lambda states: np.max(np.abs(states - exact)), len(xs), repeats)
+    targets = [1e-8, 1e-10, 1e-12]
+    print("\nSwings for a time of 3: us each")
+    compare(ways, lambda states: np.max(np.abs(states - exact)), len(xs), repeats, targets)
 
 
 if __name__ == "__main__":

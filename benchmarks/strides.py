@@ -70,7 +70,8 @@ def plain(solver: diffrax.AbstractAdaptiveSolver, tolerance: float) -> Callable:
             throw=False,
         )
         assert solution.ts is not None and solution.ys is not None
-        return solution.ts[-1], tuple(leaf[-1] for leaf in solution.ys), solution.event_mask
+        y = tuple(leaf[-1] for leaf in solution.ys)
+        return solution.ts[-1], y, jnp.array(solution.event_mask)
 
     def stride(x):
         theta, thetadot = x
@@ -96,7 +97,11 @@ def plain(solver: diffrax.AbstractAdaptiveSolver, tolerance: float) -> Callable:
 def main():
     parser = argparse.ArgumentParser(description="50,000 strides, against plain diffrax.")
     parser.add_argument("--repeats", type=int, default=5)
-    parser.add_argument("--quick", action="store_true", help="a sixteenth of the cells, once")
+    parser.add_argument(
+        "--quick",
+        action="store_true",
+        help="a sixteenth of the cells, once: a trial, no measurement",
+    )
     parser.add_argument("--reference", type=Path, default=REFERENCE)
     args = parser.parse_args()
     jax.config.update("jax_enable_x64", True)

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from walker_jax.taylor import evaluate, fast_sines, is_list, solution_series
+from walker_jax.taylor import evaluate, fast_sines, function_series, is_list, solution_series
 
 Scalar = Float[Array, ""]
 Real = Scalar | float
@@ -302,25 +302,18 @@ def rising_root(
 
 
 def land(
-    vector_field: VectorField,
-    event: Callable[[PyTree], Scalar],
-    state: PyTree,
-    time: Scalar,
+    vector_field: VectorField, event: Callable[[PyTree], Scalar], state: PyTree
 ) -> tuple[PyTree, Scalar]:
-    """The state and the time at which `event` is zero, near `time` after `state`.
+    """The state at which `event` is zero, and the time to it from `state`: the same state, and 0.
 
-    `time` is already the root to rounding. What this adds are the derivatives of any order, by
-    the implicit function theorem: dt = -(d event) / (d event / dt).
+    `state` is there to rounding, found for a time that was constant to derivatives. What this
+    adds is how state and time depend on everything, to third order: two of Newton's iterations,
+    dt = -event / (d event / dt), on a series of as many terms.
     """
-    order = ORDER[jax.tree.leaves(state)[0].dtype]
-
-    def residual(t):
-        return event(step(vector_field, state, t, order))
-
-    root = lax.custom_root(
-        residual,
-        lax.stop_gradient(time),
-        lambda _, guess: guess,
-        lambda linear, y: y / linear(jnp.ones_like(y)),
-    )
-    return step(vector_field, state, root, order), root
+    series = solution_series(vector_field, state, 3)
+    values = function_series(event, series)
+    values[0] -= lax.stop_gradient(values[0])
+    slopes = [k * value for k, value in enumerate(values)][1:]
+    time = -values[0] / values[1]
+    time = time - evaluate(values, time) / evaluate(slopes, time)
+    return polynomial(series, time), time

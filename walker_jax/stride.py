@@ -26,9 +26,12 @@ from walker_jax.integrate import (
     default_tolerance,
     first_rise,
     integrate_until,
+    interleaved,
     land,
     once,
     packed,
+    paired,
+    step,
     unpacked,
 )
 from walker_jax.taylor import fast_sines, function_series, solution_series
@@ -195,25 +198,23 @@ def swing(
             active=verdict == Outcome.UNDECIDED,
         )
 
-        def expand():
-            series = solution_series(walker.vector_field, last.start, ORDER[dtype])
-            return function_series(walker.contact, series)
+        def contact_series():
+            field, before = lax.stop_gradient((walker.vector_field, last.start))
+            return function_series(walker.contact, solution_series(field, before, ORDER[dtype]))
 
-        rises, root = first_rise(once(expand), last.length)
+        rises, time = first_rise(once(contact_series), last.length)
 
-        def land_there():
-            arrival, time = land(walker.vector_field, walker.contact, last.start, root)
-            theta, phi, thetadot, phidot = arrival
-            return [theta, thetadot, phi, phidot, time]
+        def arrive():
+            return interleaved(step(walker.vector_field, last.start, time, ORDER[dtype]))
 
-        theta, thetadot, phi, phidot, root = once(land_there)
-        arrival = State(theta, phi, thetadot, phidot)
+        arrival = unpacked(paired(once(arrive)), structure)
+        arrival, delay = land(walker.vector_field, walker.contact, arrival)
         ahead = (arrival.theta < 0) & (arrival.theta > -np.pi / 2) & (arrival.thetadot < 0)
         fallen = jnp.where(last.end.thetadot >= 0, Outcome.BACKWARD, Outcome.FORWARD)
         fallen = jnp.where(fast_sines(has_fallen)(last.end), fallen, Outcome.UNDECIDED)
         verdict = jnp.where(rises & ahead, Outcome.STRIDE, fallen).astype(jnp.int8)
-        time = last.time + jnp.where(verdict == Outcome.STRIDE, root, last.length)
-        return packed(last.end), packed(arrival), time, verdict, last.count
+        time = jnp.where(verdict == Outcome.STRIDE, time + delay, last.length)
+        return packed(last.end), packed(arrival), last.time + time, verdict, last.count
 
     carry = (packed(start), packed(start), jnp.zeros((), dtype), verdict, jnp.asarray(0))
     _, arrival, time, verdict, _ = lax.while_loop(undecided, follow, carry)

@@ -1,0 +1,576 @@
+"""The Taylor solver, integration up to a condition, roots of polynomials, and landing."""
+
+from functools import partial
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from jax import lax
+from scipy.integrate import solve_ivp
+
+from walker_jax.integrate import (
+    ORDER,
+    Taylor,
+    TaylorInterpolation,
+    default_tolerance,
+    first_rise,
+    integrate_until,
+    land,
+    rising_root,
+    step,
+    step_length,
+)
+from walker_jax.taylor import solution_series
+
+TOLERANCE = 1e-12
+
+# Three equations with known solutions, of one state: an oscillator, y' = 4 t y, a pole at pi/2.
+
+
+def rates(t, state, args):
+    del args
+    (q, p), grown, pole = state
+    return (4 * p, -4 * q), 4 * t * grown, 1 + pole**2
+
+
+START = ((jnp.array(1.0), jnp.array(0.0)), jnp.array(1.0), jnp.array(0.0))
+
+
+def exact(t):
+    return (np.cos(4 * t), -np.sin(4 * t)), np.exp(2 * t**2), np.tan(t)
+
+
+def errors(times, states):
+    """Largest error of each of the four variables, relative where it exceeds 1."""
+    pairs = zip(jax.tree.leaves(states), jax.tree.leaves(exact(times)), strict=True)
+    return np.array([np.max(np.abs(y - e) / np.maximum(np.abs(e), 1)) for y, e in pairs])
+
+
+# The solver
+
+
+@pytest.mark.parametrize(("order", "steps"), [(3, 48), (6, 14)])
+def test_error_falls_with_the_order_of_the_series_also_between_steps(order, steps):
+    times = jnp.linspace(0.0, 1.0, 37)
+
+    @jax.jit
+    def solve(length):
+        return diffrax.diffeqsolve(
+            diffrax.ODETerm(rates),
+            Taylor(order),
+            t0=0.0,
+            t1=1.0,
+            dt0=length,
+            y0=START,
+            saveat=diffrax.SaveAt(ts=times),
+        ).ys
+
+    coarse, fine, finer = [errors(times, solve(1.0 / n)) for n in (steps, 2 * steps, 4 * steps)]
+    assert np.all(finer > 1e-14)  # rounding has no part in it
+    np.testing.assert_allclose(np.log2(coarse / fine), order, atol=0.35)
+    np.testing.assert_allclose(np.log2(fine / finer), order, atol=0.25)
+
+
+@pytest.fixture(scope="module")
+def adaptive():
+    return jax.jit(
+        lambda times: diffrax.diffeqsolve(
+            diffrax.ODETerm(rates),
+            Taylor(),
+            t0=0.0,
+            t1=1.4,
+            dt0=None,
+            y0=START,
+            saveat=diffrax.SaveAt(ts=times, dense=True),
+            stepsize_controller=diffrax.PIDController(rtol=1e-12, atol=1e-12),
+            max_steps=64,
+        )
+    )(jnp.linspace(0.0, 1.4, 57))
+
+
+def test_adaptive_steps_keep_the_tolerance_at_all_times(adaptive):
+    assert np.all(errors(adaptive.ts, adaptive.ys) < 1e-11)
+    assert 4 <= adaptive.stats["num_accepted_steps"] < 40
+
+
+def test_dense_output_is_the_solution_and_its_derivative_the_right_hand_side(adaptive):
+    times = jnp.linspace(0.05, 1.35, 11)
+
+    @jax.jit
+    @jax.vmap
+    def look(t):
+        return jax.jvp(adaptive.evaluate, (t,), (jnp.ones_like(t),))
+
+    values, slopes = look(times)
+    assert np.all(errors(times, values) < 1e-11)
+    expected = rates(times, exact(times), None)
+    for slope, right in zip(jax.tree.leaves(slopes), jax.tree.leaves(expected), strict=True):
+        np.testing.assert_allclose(slope, right, rtol=1e-9, atol=1e-9)
+
+
+def test_interpolation_is_the_polynomial_from_the_start_of_the_step():
+    """p(s) = 3 - s + 2 s^2, s = t - 5."""
+    series = [jnp.array(3.0), jnp.array(-1.0), jnp.array(2.0)]
+    interpolation = TaylorInterpolation(t0=jnp.array(5.0), t1=jnp.array(6.0), series=series)
+    assert interpolation.evaluate(jnp.array(5.5)) == 3.0
+    assert interpolation.evaluate(jnp.array(5.5), jnp.array(6.0)) == 1.0
+
+
+def test_solver_follows_its_arguments_and_differentiates():
+    """y' = a y: dy(1)/da = y(1), in float32 too."""
+
+    @jax.jit
+    def final(a):
+        return diffrax.diffeqsolve(
+            diffrax.ODETerm(lambda t, y, args: args * y),
+            Taylor(8),
+            t0=jnp.zeros_like(a),
+            t1=jnp.ones_like(a),
+            dt0=jnp.full_like(a, 0.25),
+            y0=jnp.ones_like(a),
+            args=a,
+            adjoint=diffrax.ForwardMode(),
+        ).ys.ravel()[0]
+
+    value, derivative = jax.jvp(final, (jnp.array(-0.7),), (jnp.array(1.0),))
+    np.testing.assert_allclose((value, derivative), np.exp(-0.7), rtol=1e-10)
+    low = final(jnp.array(-0.7, jnp.float32))
+    assert low.dtype == jnp.float32
+    assert low == pytest.approx(np.exp(-0.7), rel=1e-6)
+
+
+# Step lengths and tolerances
+
+
+def test_step_length_puts_the_last_terms_at_the_tolerance():
+    """The exponential, c_k = 1/k!: |c_k| h^k <= tolerance, with equality for the worse term."""
+    series = [jnp.array(1 / np.prod(np.arange(1.0, k + 1))) for k in range(13)]
+    length = float(step_length(series, 1e-10))
+    terms = np.array([float(series[k]) * length**k for k in (11, 12)])
+    assert np.max(terms) == pytest.approx(1e-10, rel=1e-5)
+    several = {"a": series, "b": [0.1 * c for c in series]}
+    assert step_length(several, 1e-10) == pytest.approx(length)
+
+
+def test_step_length_does_not_depend_on_units():
+    """Of time or of length, where the rate does not exceed the state."""
+    series = solution_series(lambda y: jnp.sin(y), jnp.array(1.0), 12)
+    scaled = [1e-6 * c for c in series]
+    slowed = [c * 2.0**-k for k, c in enumerate(series)]
+    length = step_length(series, 1e-9)
+    np.testing.assert_allclose(step_length(scaled, 1e-9), length, rtol=1e-6)
+    np.testing.assert_allclose(step_length(slowed, 1e-9), 2 * length, rtol=1e-6)
+
+
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64, "float32", np.dtype("float64")])
+def test_default_tolerances_lie_above_what_the_dtype_holds(dtype):
+    tolerance = default_tolerance(dtype)
+    assert jnp.finfo(dtype).eps < tolerance < 1e3 * jnp.finfo(dtype).eps * 10
+    assert default_tolerance(dtype, 1e-3) == 1e-3
+
+
+@pytest.mark.parametrize(
+    ("dtype", "tolerance"),
+    [
+        (jnp.float32, 1e-9),
+        (jnp.float64, 1e-18),
+        (jnp.float64, 0.0),
+        (jnp.float64, -1e-9),
+        (jnp.float64, 1.0),
+        (jnp.float64, np.nan),
+        (jnp.float64, np.inf),
+    ],
+)
+def test_tolerances_that_the_dtype_cannot_hold_are_refused(dtype, tolerance):
+    with pytest.raises(ValueError, match="tolerance") as error:
+        default_tolerance(dtype, tolerance)
+    assert f"{tolerance:g}" in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("dtype", [jnp.float16, jnp.int32, jnp.complex128])
+def test_other_dtypes_are_refused(dtype):
+    with pytest.raises(ValueError, match=jnp.dtype(dtype).name):
+        default_tolerance(dtype)
+
+
+# Integration up to a condition
+
+
+def oscillator(state):
+    q, p = state
+    return p, -q
+
+
+def below_zero(before, after):
+    del before
+    return after[0] <= 0
+
+
+@pytest.fixture(scope="module")
+def to_zero():
+    """Integration of the oscillator to q <= 0; of many at once, max_steps 50."""
+
+    @jax.jit
+    @jax.vmap
+    def run(start, active):
+        return integrate_until(
+            oscillator, start, below_zero, tolerance=TOLERANCE, max_steps=50, active=active
+        )
+
+    return run
+
+
+PHASES = np.concatenate([np.linspace(0.05, 6.2, 40), [np.nan, 0.3]])
+
+
+@pytest.fixture(scope="module")
+def stopped(to_zero):
+    """q = cos(t - a), p = -sin(t - a) at time 0; one start that is not a number, one inactive."""
+    start = jnp.cos(PHASES), jnp.sin(PHASES)
+    return to_zero(start, jnp.arange(len(PHASES)) != len(PHASES) - 1)
+
+
+def test_stops_at_the_end_of_the_step_that_crosses(stopped):
+    oscillators = slice(0, 40)
+    begin, length = stopped.time[oscillators], stopped.length[oscillators]
+    phases = PHASES[oscillators]
+    np.testing.assert_allclose(stopped.start[0][oscillators], np.cos(begin - phases), atol=3e-12)
+    np.testing.assert_allclose(stopped.start[1][oscillators], -np.sin(begin - phases), atol=3e-12)
+    arrival = begin + length - phases
+    np.testing.assert_allclose(stopped.end[0][oscillators], np.cos(arrival), atol=3e-12)
+    np.testing.assert_allclose(stopped.end[1][oscillators], -np.sin(arrival), atol=3e-12)
+    assert np.all(stopped.end[0][oscillators] <= 0)
+    # Where it began above zero it has not stopped too late; elsewhere it took one step.
+    above = np.cos(phases) > 0
+    assert np.all(stopped.start[0][oscillators][above] > 0)
+    assert np.all((stopped.count[oscillators] == 1) == (begin == 0))
+    assert len(np.unique(stopped.count[oscillators])) >= 3
+
+
+def test_energy_of_the_oscillator_is_kept(stopped):
+    q, p = (np.asarray(x)[:40] for x in stopped.end)
+    np.testing.assert_allclose(q**2 + p**2, 1, rtol=5e-12)
+
+
+def test_a_state_that_is_not_finite_ends_after_one_step(stopped):
+    assert stopped.count[-2] == 1 and np.isnan(stopped.end[0][-2])
+
+
+def test_inactive_takes_no_step(stopped):
+    assert stopped.count[-1] == 0 and stopped.length[-1] == 0
+    assert (stopped.start[0][-1], stopped.start[1][-1]) == (np.cos(0.3), np.sin(0.3))
+    assert stopped.end[0][-1] == stopped.start[0][-1]
+
+
+def test_a_lane_does_not_depend_on_its_neighbours(to_zero, stopped):
+    few = np.array([0.05, 6.2, 1.0])
+    padded = np.resize(few, len(PHASES))
+    alone = to_zero((jnp.cos(padded), jnp.sin(padded)), jnp.ones(len(PHASES), bool))
+    for a, b in zip(jax.tree.leaves(alone), jax.tree.leaves(stopped), strict=True):
+        assert (a[0], a[1]) == (b[0], b[39])
+
+
+def three_body_like(state):
+    """Rigid body: Euler's equations, an odd number of variables."""
+    x, y, z = state
+    return y * z, -2 * z * x, x * y
+
+
+@pytest.fixture(scope="module")
+def single_steps():
+    """One step at a time of Euler's equations: times and states at step ends."""
+    take = jax.jit(
+        lambda state, time, count: integrate_until(
+            three_body_like,
+            state,
+            lambda before, after: after[0] == after[0],
+            tolerance=TOLERANCE,
+            time=time,
+            count=count,
+        )
+    )
+    time, count, state = (
+        jnp.array(0.0),
+        jnp.array(0),
+        (jnp.array(1.0), jnp.array(0.4), jnp.array(0.9)),
+    )
+    times, states = [0.0], [state]
+    for i in range(12):
+        last = take(state, time, count)
+        state, time, count = last.end, last.time + last.length, last.count
+        assert count == i + 1
+        times.append(float(time))
+        states.append(state)
+    return np.array(times), np.array(states)
+
+
+def test_steps_equal_those_of_diffeqsolve_at_the_same_times(single_steps):
+    times, states = single_steps
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(lambda t, y, args: three_body_like(y)),
+        Taylor(ORDER[jnp.dtype("float64")]),
+        t0=times[0],
+        t1=times[-1],
+        dt0=None,
+        y0=tuple(jnp.asarray(states[0])),
+        saveat=diffrax.SaveAt(steps=True),
+        stepsize_controller=diffrax.StepTo(ts=times),
+        max_steps=12,
+    )
+    np.testing.assert_array_equal(solution.ts, times[1:])
+    np.testing.assert_allclose(np.array(solution.ys).T, states[1:], rtol=0, atol=5e-15)
+
+
+def test_steps_equal_a_runge_kutta_solution(single_steps):
+    times, states = single_steps
+    solution = solve_ivp(
+        lambda t, y: three_body_like(y),
+        (0, times[-1]),
+        states[0],
+        method="DOP853",
+        rtol=1e-13,
+        atol=1e-13,
+        t_eval=times,
+    )
+    np.testing.assert_allclose(states, solution.y.T, atol=2e-11)
+    x, y, z = states.T
+    for conserved in (x**2 - z**2, 2 * x**2 + y**2):
+        np.testing.assert_allclose(conserved, conserved[0], rtol=1e-11)
+
+
+def test_max_steps_ends_what_never_stops():
+    """And what nears a pole, and what rests; each takes a different number of steps."""
+
+    @jax.jit
+    @partial(jax.vmap, in_axes=(0, None))
+    def run(start, count):
+        return integrate_until(
+            lambda y: y**2,
+            start,
+            lambda before, after: after != after,
+            tolerance=1e-9,
+            count=count,
+            max_steps=30,
+        )
+
+    starts = jnp.array([-1.0, 1.0, 0.0])
+    decays, grows, rests = (jax.tree.map(lambda x, i=i: x[i], run(starts, 0)) for i in range(3))
+    assert decays.count == 30
+    np.testing.assert_allclose(decays.end, -1 / (1 + decays.time + decays.length), rtol=1e-8)
+    assert grows.count <= 30 and grows.time < 1
+    assert rests.count == 1 and not np.isfinite(rests.length)
+    late = run(starts, 29)
+    assert late.count.tolist() == [30, 30, 30]
+
+
+def test_derivative_of_the_flow_is_a_rotation():
+    @jax.jit
+    def run(start):
+        last = integrate_until(oscillator, start, below_zero, tolerance=TOLERANCE)
+        return last.end, last.time + last.length
+
+    ((end, _), (tangent, of_time)) = jax.jvp(
+        run, ((jnp.array(0.6), jnp.array(0.8)),), ((jnp.array(1.0), jnp.array(0.0)),)
+    )
+    time = run((jnp.array(0.6), jnp.array(0.8)))[1]
+    assert end[0] <= 0 and of_time == 0
+    np.testing.assert_allclose(tangent, (np.cos(time), -np.sin(time)), atol=1e-11)
+
+
+def test_integrates_in_float32():
+    start = jnp.array([1.0, 0.5], jnp.float32)
+    last = integrate_until(oscillator, tuple(start), below_zero, tolerance=1e-6)
+    assert {leaf.dtype for leaf in jax.tree.leaves(last)[:-1]} == {jnp.dtype("float32")}
+    phase, size = np.arctan2(0.5, 1.0), np.hypot(0.5, 1.0)
+    end = float(last.time) + float(last.length)
+    np.testing.assert_allclose(last.end[0], size * np.cos(end - phase), atol=5e-6)
+
+
+# Roots of polynomials
+
+
+@pytest.fixture(scope="module")
+def rise():
+    """first_rise of a batch of polynomials of degree 6, (n, 7), in steps of lengths (n,)."""
+
+    @jax.jit
+    def run(polynomials, lengths):
+        return jax.vmap(lambda p, t: first_rise(list(p), t))(polynomials, lengths)
+
+    def padded(polynomials, lengths):
+        count = len(polynomials)
+        array, times = np.zeros((1000, 7)), np.ones(1000)
+        for i, p in enumerate(polynomials):
+            array[i, : len(p)] = p
+        times[:count] = lengths
+        rises, roots = run(array, times)
+        return np.asarray(rises)[:count], np.asarray(roots)[:count]
+
+    return padded
+
+
+def ascending(*roots, factor=(1.0,)):
+    """Coefficients of factor(t) (t - r_1) (t - r_2) ..., constant term first."""
+    return np.polymul(np.poly(roots), factor)[::-1]
+
+
+RISES = {  # polynomial, length of the step, root
+    "line": (ascending(0.3), 1.0, 0.3),
+    "cubic": (ascending(0.7, factor=(1.0, 0.0, 1.0)), 1.0, 0.7),
+    "dip": (ascending(0.2, 0.6), 1.0, 0.6),
+    "dip of 1e-12": (ascending(0.4 - 1e-6, 0.4 + 1e-6), 1.0, 0.4 + 1e-6),
+    "dip just after the start": (ascending(0.0, 1e-7), 1.0, 1e-7),
+    "dip just before the end": (ascending(0.9, 1 - 1e-12), 1.0, 1 - 1e-12),
+    "starts at a falling zero": (ascending(0.0, 0.8), 1.0, 0.8),
+    "ends at the root": (ascending(0.5, 1.0), 1.0, 1.0),
+    "tiny step": (ascending(3e-9), 1e-8, 3e-9),
+    "tiny coefficients": (1e-150 * ascending(0.2, 0.6), 1.0, 0.6),
+    "triple root": (ascending(0.5, 0.5, 0.5), 1.0, 0.5),
+    "dip, of degree 6": (ascending(0.3, 0.5, factor=(1.0, 0.5, 2.0, -1.0, 3.0)), 1.0, 0.5),
+}
+STAYS = {
+    "positive": (ascending(-1.0), 1.0),
+    "turns above zero": (np.array([0.25 + 1e-12, -1.0, 1.0]), 1.0),
+    "starts at a rising zero": (ascending(0.0, -1.0), 1.0),
+    "falls all the way but stays above": (np.array([2.0, -1.0]), 1.0),
+    "root before the step": (ascending(-0.5, -0.2), 1.0),
+    "dip after the step": (ascending(1.2, 1.4), 1.0),
+    "zero throughout": (np.zeros(7), 1.0),
+}
+
+
+def test_first_rise_finds_the_roots_it_should(rise):
+    polynomials, lengths, roots = zip(*RISES.values(), strict=True)
+    rises, found = rise(polynomials, lengths)
+    assert rises.all(), np.array(list(RISES))[~rises]
+    # The root of a triple zero is known to the cube root of the rounding only.
+    tolerance = np.where(np.array(list(RISES)) == "triple root", 1e-5, 1e-10) * np.array(lengths)
+    assert np.all(np.abs(found - roots) <= tolerance), found - roots
+
+
+def test_first_rise_finds_none_where_there_is_none(rise):
+    polynomials, lengths = zip(*STAYS.values(), strict=True)
+    rises, times = rise(polynomials, lengths)
+    assert not rises.any(), np.array(list(STAYS))[rises]
+    np.testing.assert_array_equal(times, lengths)
+
+
+def test_a_double_root_may_go_either_way_but_only_there(rise):
+    where = np.linspace(0.05, 0.95, 200)
+    rises, times = rise([ascending(a, a) for a in where], np.ones(200))
+    np.testing.assert_allclose(times[rises], where[rises], atol=1e-7)
+    assert np.all(times[~rises] == 1)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), size=st.sampled_from([1.0, 1e-8, 1e8]))
+def test_first_rise_ends_for_every_polynomial_and_is_right_for_those_it_is_for(rise, seed, size):
+    rng = np.random.default_rng(seed)
+    polynomials = rng.normal(size=(1000, 7)) * 10 ** rng.uniform(-3, 1, (1000, 7)) * size
+    polynomials *= rng.random((1000, 7)) < rng.uniform(0.2, 1)
+    rises, times = rise(polynomials, np.ones(1000))
+    assert np.all((times > 0) & (times <= 1) | (polynomials[:, 0] >= 0))
+    for p, rising, time in zip(polynomials[:100], rises, times, strict=False):
+        roots = np.roots(p[::-1])
+        turns = np.roots(np.polyder(p[::-1]))
+        if any(np.abs(r.imag) < 1e-3 and r.imag != 0 for r in [*roots, *turns]):
+            continue  # too close a call
+        roots = np.sort(roots[np.isreal(roots) & (roots.real > 0) & (roots.real < 1)].real)
+        turns = turns[np.isreal(turns) & (turns.real > 0) & (turns.real < 1)]
+        starts_level = np.any(p[:2] == 0)
+        if starts_level or np.sum(p) <= 0 or len(turns) > 1 or np.any(np.diff(roots) < 1e-6):
+            continue  # not what it is for
+        assert rising == (len(roots) > 0)
+        assert time == pytest.approx(roots[-1] if rising else 1, abs=1e-7)
+
+
+def test_rising_root_of_functions_that_are_not_polynomials():
+    def root(function, low, high):
+        return rising_root(function, jnp.array(low), jnp.array(high))
+
+    def atan(t):  # from so far Newton's iteration runs away
+        return jnp.arctan(t - 2), 1 / (1 + (t - 2) ** 2)
+
+    def kink(t):
+        return jnp.where(t < 1, -1.0, t - 1), jnp.where(t < 1, 0.0, 1.0)
+
+    assert root(lambda t: (t**2 - 2, 2 * t), 0.0, 2.0) == pytest.approx(np.sqrt(2), rel=1e-15)
+    assert root(lambda t: (jnp.exp(t) - 1, jnp.exp(t)), -3.0, 30.0) == pytest.approx(0, abs=1e-14)
+    assert root(atan, -50.0, 80.0) == pytest.approx(2, rel=1e-14)
+    assert root(kink, 0.0, 3.0) == pytest.approx(1, rel=1e-14)
+    assert root(lambda t: (t, jnp.ones_like(t)), 0.5, 0.5) == 0.5
+    assert root(lambda t: (t - 3, jnp.ones_like(t)), 1.0, 3.0) == 3.0
+
+
+def test_first_rise_is_a_constant_to_derivatives():
+    def root(a):
+        return first_rise([-a, jnp.ones_like(a)], jnp.array(1.0))[1]
+
+    value, derivative = jax.jvp(root, (jnp.array(0.3),), (jnp.array(1.0),))
+    assert value == pytest.approx(0.3, rel=1e-15) and derivative == 0
+
+
+# Landing
+
+
+def assert_same_derivatives(function, expected, p):
+    """Of orders 0 to 3, with respect to a vector."""
+
+    def derivatives(function):
+        functions = [function]
+        for _ in range(3):
+            functions.append(jax.jacfwd(functions[-1]))
+        return jax.jit(lambda p: [f(p) for f in functions])(p)
+
+    for found, right in zip(derivatives(function), derivatives(expected), strict=True):
+        np.testing.assert_allclose(found, right, rtol=1e-11, atol=1e-11)
+
+
+def landing(vector_field, event, start, time):
+    """(z, v) and time where the event is zero, `time` being what is known of the latter."""
+    state, delay = land(vector_field, event, step(vector_field, start, lax.stop_gradient(time), 20))
+    return jnp.stack([*state, lax.stop_gradient(time) + delay])
+
+
+def test_landing_of_a_ball_with_its_derivatives():
+    """z'' = -g from height z with speed v: t = (v + sqrt(v^2 + 2 g z)) / g."""
+
+    def time(p):
+        z, v, g = p
+        return (v + jnp.sqrt(v**2 + 2 * g * z)) / g
+
+    def land_it(p):
+        z, v, g = p
+
+        def fall(state):
+            return state[1], -g * jnp.ones_like(state[1])
+
+        return landing(fall, lambda state: -state[0], (z, v), time(p))
+
+    def expected(p):
+        z, v, g = p
+        return jnp.stack([jnp.zeros_like(z), -jnp.sqrt(v**2 + 2 * g * z), time(p)])
+
+    assert_same_derivatives(land_it, expected, jnp.array([0.7, 0.4, 1.3]))
+
+
+def test_landing_of_an_oscillator_on_a_level_that_is_varied_too():
+    """q = r cos(t - a) falls to the level c at t = a + acos(c / r)."""
+
+    def time(p):
+        q, rate, level = p
+        return jnp.arctan2(rate, q) + jnp.arccos(level / jnp.sqrt(q**2 + rate**2))
+
+    def land_it(p):
+        q, rate, level = p
+        return landing(oscillator, lambda state: level - state[0], (q, rate), time(p))
+
+    def expected(p):
+        q, rate, level = p
+        return jnp.stack([level, -jnp.sqrt(q**2 + rate**2 - level**2), time(p)])
+
+    assert_same_derivatives(land_it, expected, jnp.array([0.6, 0.1, 0.45]))
