@@ -177,7 +177,8 @@ def direct_iteration(
         if k == limit or len(cells) == 0:
             break
         label = f"stride {k + 1}, {len(cells)} cells" if progress else None
-        x, outcome, _ = strides(walker, x, tolerance=tolerance, progress=label)
+        ends = strides(walker, x, tolerance=tolerance, progress=label)
+        x, outcome = np.asarray(ends.state), np.asarray(ends.outcome)
         fate[cells] = outcome
         going = outcome == Outcome.STRIDE
         count[cells[going]] += 1
@@ -208,9 +209,9 @@ def settle(
     for _ in range(PATIENCE):
         orbit = [x]
         for _ in range(LONGEST_PERIOD):
-            x, outcome, _ = strides(walker, orbit[-1], tolerance=tolerance)
-            alive = outcome == Outcome.STRIDE
-            orbit = [states[alive] for states in [*orbit, x]]
+            ends = strides(walker, orbit[-1], tolerance=tolerance)
+            alive = np.asarray(ends.outcome) == Outcome.STRIDE
+            orbit = [states[alive] for states in [*orbit, np.asarray(ends.state)]]
             x = orbit[-1]
             if len(x) == 0:
                 return found

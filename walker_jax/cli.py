@@ -200,10 +200,10 @@ class Stopwatch:
         self.start = time.perf_counter()
         jax.monitoring.register_event_duration_secs_listener(self.record)
 
-    def record(self, event: str, duration: float, **_) -> None:
+    def record(self, event: str, duration_secs: float, **kwargs: str | int) -> None:
         if "/compile" in event or "compilation_cache" in event:
             now = time.perf_counter()
-            self.compiling.append((max(now - duration, self.start), now))
+            self.compiling.append((max(now - duration_secs, self.start), now))
 
     def seconds(self) -> dict[str, float]:
         """Seconds so far; what was compiled in several threads at once counts once."""

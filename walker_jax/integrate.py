@@ -18,6 +18,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from walker_jax.taylor import evaluate, fast_sines, function_series, is_list, solution_series
@@ -40,7 +41,7 @@ def default_tolerance(dtype, tolerance: Real | None = None) -> Real:
         raise ValueError(f"dtype must be float32 or float64, not {dtype}")
     if tolerance is None:
         return TOLERANCE[dtype]
-    if isinstance(tolerance, jax.core.Tracer):
+    if isinstance(tolerance, Tracer):
         return tolerance
     if not jnp.finfo(dtype).eps / 4 <= tolerance < 1:
         raise ValueError(
@@ -83,7 +84,7 @@ def step(vector_field: VectorField, state: PyTree, length: Scalar, order: int) -
     return polynomial(series, length)
 
 
-def polynomial(series: PyTree, t: Scalar) -> PyTree:
+def polynomial(series: PyTree, t) -> PyTree:
     return jax.tree.map(lambda c: evaluate(c, t), series, is_leaf=is_list)
 
 

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.core import Tracer
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
@@ -292,7 +293,7 @@ def trajectory(
     """
     walker, x, tolerance = prepared(walker, x, tolerance)
     times = jnp.asarray(times, x.dtype)
-    if not isinstance(times, jax.core.Tracer):
+    if not isinstance(times, Tracer):
         listed = np.asarray(times)
         if listed.ndim != 1 or not (np.diff(listed, prepend=0.0) >= 0).all():
             raise ValueError(f"times must not be negative nor decrease, unlike {times}")

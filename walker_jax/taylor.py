@@ -168,7 +168,7 @@ def interpret(jaxpr: Jaxpr, constants: list, inputs: list[Series]) -> list[Serie
         name, params = equation.primitive.name, equation.params
         operands = [read(variable) for variable in equation.invars]
         if name in ("jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call"):
-            inner = params.get("jaxpr", params.get("call_jaxpr"))
+            inner = params["jaxpr"] if "jaxpr" in params else params["call_jaxpr"]
             outputs = interpret(inner.jaxpr, inner.consts, operands)
         elif name in ("sin", "cos"):
             variable = equation.invars[0]

@@ -15,9 +15,9 @@ import abc
 from typing import ClassVar, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
@@ -92,7 +92,7 @@ def parameter(name: str, value: ArrayLike, *, low: float, high: float) -> Scalar
         raise ValueError(f"{name} must be one number, not {value}")
     if not jnp.issubdtype(value.dtype, jnp.floating):
         value = value.astype(float)
-    if not isinstance(value, jax.core.Tracer) and not low < value < high:
+    if not isinstance(value, Tracer) and not low < value < high:
         raise ValueError(f"{name} must lie between {low:g} and {high:g}, not be {value}")
     return value
 
