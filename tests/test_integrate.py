@@ -80,7 +80,7 @@ def adaptive():
     return jax.jit(
         lambda times: diffrax.diffeqsolve(
             diffrax.ODETerm(rates),
-            Taylor(),
+            Taylor(10),
             t0=0.0,
             t1=1.4,
             dt0=None,
@@ -517,12 +517,12 @@ def test_first_rise_is_a_constant_to_derivatives():
 # Landing
 
 
-def assert_same_derivatives(function, expected, p):
-    """Of orders 0 to 3, with respect to a vector."""
+def assert_same_derivatives(function, expected, p, order):
+    """Of orders 0 to `order`, with respect to a vector."""
 
     def derivatives(function):
         functions = [function]
-        for _ in range(3):
+        for _ in range(order):
             functions.append(jax.jacfwd(functions[-1]))
         return jax.jit(lambda p: [f(p) for f in functions])(p)
 
@@ -532,7 +532,7 @@ def assert_same_derivatives(function, expected, p):
 
 def landing(vector_field, event, start, time):
     """(z, v) and time where the event is zero, `time` being what is known of the latter."""
-    state, delay = land(vector_field, event, step(vector_field, start, lax.stop_gradient(time), 20))
+    state, delay = land(vector_field, event, step(vector_field, start, lax.stop_gradient(time), 16))
     return jnp.stack([*state, lax.stop_gradient(time) + delay])
 
 
@@ -555,7 +555,7 @@ def test_landing_of_a_ball_with_its_derivatives():
         z, v, g = p
         return jnp.stack([jnp.zeros_like(z), -jnp.sqrt(v**2 + 2 * g * z), time(p)])
 
-    assert_same_derivatives(land_it, expected, jnp.array([0.7, 0.4, 1.3]))
+    assert_same_derivatives(land_it, expected, jnp.array([0.7, 0.4, 1.3]), order=3)
 
 
 def test_landing_of_an_oscillator_on_a_level_that_is_varied_too():
@@ -573,4 +573,4 @@ def test_landing_of_an_oscillator_on_a_level_that_is_varied_too():
         q, rate, level = p
         return jnp.stack([level, -jnp.sqrt(q**2 + rate**2 - level**2), time(p)])
 
-    assert_same_derivatives(land_it, expected, jnp.array([0.6, 0.1, 0.45]))
+    assert_same_derivatives(land_it, expected, jnp.array([0.6, 0.1, 0.45]), order=2)

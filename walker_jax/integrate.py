@@ -248,10 +248,10 @@ def unpacked(packed: list[Array], structure) -> PyTree:
 
 
 def first_rise(series: list[Scalar], length: Scalar) -> tuple[Bool[Array, ""], Scalar]:
-    """Where a polynomial p(t) rises through zero in a step, if it does.
+    """Where a polynomial p(t) rises through zero in a step 0 <= t <= length, if it does.
 
-    The step 0 <= t <= length ends with p >= 0, and is short enough for p to have one minimum in
-    it at most. p rises through zero if it is negative at the start, or at that minimum.
+    The step is short enough for p to have one minimum in it at most. p rises through zero if it
+    is not negative at the end, but is at the start or at that minimum.
 
     Returns whether it does, and the time (`length` if not). A constant to derivatives.
     """
@@ -266,9 +266,10 @@ def first_rise(series: list[Scalar], length: Scalar) -> tuple[Bool[Array, ""], S
         return value, slope, 2 * curvature
 
     zero = jnp.zeros_like(length)
-    turns = (series[0] >= 0) & (series[1] < 0) & (derivatives(length)[1] > 0)
+    end, end_slope, _ = derivatives(length)
+    turns = (series[0] >= 0) & (series[1] < 0) & (end_slope > 0)
     turn = rising_root(lambda t: derivatives(t)[1:], zero, jnp.where(turns, length, zero))
-    rises = derivatives(turn)[0] < 0
+    rises = (derivatives(turn)[0] < 0) & (end >= 0)
     root = rising_root(lambda t: derivatives(t)[:2], jnp.where(rises, turn, length), length)
     return rises, root
 

@@ -150,6 +150,7 @@ def end(walker: Walker, arrival: State, time: Scalar, verdict: Int[Array, ""]) -
     """What a stride leads to whose swing ended with `verdict`; at heel strike, by the impact."""
     (_, lift), after = walker.impact(arrival)
     struck = jnp.where(lift > 0, Outcome.STRIDE, Outcome.STOPPED)
+    # `begin` has looked at the start; the force is least there or here (see contact_force).
     struck = jnp.where(in_tension(walker, arrival), Outcome.RUNNING, struck)
     outcome = jnp.where(verdict == Outcome.STRIDE, struck, verdict).astype(jnp.int8)
     success = outcome == Outcome.STRIDE

@@ -57,7 +57,10 @@ class Walker(eqx.Module):
 
     @abc.abstractmethod
     def contact_force(self, state: State) -> tuple[Scalar, Scalar]:
-        """Force (Q_u, Q_v) of the ground on the stance foot, along and normal to the slope."""
+        """Force (Q_u, Q_v) of the ground on the stance foot, along and normal to the slope.
+
+        `stride` looks at Q_v at the start and at heel strike alone.
+        """
 
     @abc.abstractmethod
     def contact(self, state: State) -> Scalar:
@@ -138,7 +141,11 @@ class SimplestWalker(Walker):
         return State(thetadot, phidot, thetaddot, phiddot)
 
     def contact_force(self, state):
-        """(8)."""
+        """(8). Over a stride Q_v > 0 if it is at both its ends.
+
+        For thetadot^2 / 2 + cos(theta - slope) is some constant E, and Q_v has the sign of
+        3 cos(theta - slope) - 2 E, which is least at one end of any interval of theta.
+        """
         tension = state.thetadot**2 - jnp.cos(state.theta - self.slope)
         return jnp.sin(state.theta) * tension, -jnp.cos(state.theta) * tension
 
