@@ -1,6 +1,39 @@
 """Which integrator, of which order, costs least at the same accuracy?
 
-PLACEHOLDER
+On one core, in tiles of 1024 cells under the same compiler options, repeats interleaved, after
+compilation. First the paper's 50,000 strides by Taylor series of several orders, and with vectors
+of 512 and 256 bits. Then a swing alone, followed for a time of 3 from 8192 starts that lie close
+together: the package's loop, diffrax's `diffeqsolve` with the same Taylor solver, without and with
+a boolean event that reads the state at the end of a step, as that of a stride does; and
+Runge-Kutta, with XLA's sines and with the package's. Each is run at several tolerances, or numbers
+of constant steps; what is printed is the time where its largest error is that of the column.
+
+The answer: orders 10 to 16 are alike, 12 is as good as any; Taylor series take a fifth to a
+thirtieth of the time of Runge-Kutta; the loop is 1.3 times as fast as `diffeqsolve` with the same
+solver, and more than twice as fast where that has an event to watch. Vectors of 512 bits take
+three quarters of the time of 256.
+
+    Strides, by Taylor series: us each
+    largest error                         1e-08    1e-09    1e-10  compile
+    order 8, 512 bits                      2.38     3.04     3.83    3.5 s
+    order 10, 512 bits                     1.50     1.78     2.12    5.2 s
+    order 12, 512 bits                     1.47     1.68     1.91    4.3 s
+    order 14, 512 bits                     1.56     1.75     2.03    5.3 s
+    order 16, 512 bits                     1.51     1.64     1.84    5.9 s
+    order 12, 256 bits                     1.99     2.26     2.58    4.3 s
+
+    Swings for a time of 3: us each
+    largest error                         1e-08    1e-10    1e-12  compile
+    integrate_until                        0.73     0.89     1.22    2.9 s
+    diffeqsolve, Taylor                    1.05     1.23     1.59    3.5 s
+    diffeqsolve, Taylor, event             1.78     2.20     2.66    5.4 s
+    diffeqsolve, Taylor, constant          0.49     0.65     0.89    2.4 s
+    diffeqsolve, Dopri8                    6.71    10.15    15.21    2.5 s
+    diffeqsolve, Dopri8, our sines         4.15     6.12     9.04    2.2 s
+    diffeqsolve, Dopri8, constant          3.97     6.93    12.11    1.8 s
+    diffeqsolve, Tsit5                     7.58    15.77    39.55    2.1 s
+    diffeqsolve, Tsit5, our sines          4.03     8.27    20.70    2.7 s
+    diffeqsolve, Tsit5, constant           6.73    14.39    35.50    1.6 s
 """
 
 import argparse

@@ -1,6 +1,25 @@
 """How long do 50,000 strides take, against diffrax as one would use it by itself?
 
-PLACEHOLDER
+One stride from the centre of every cell of the paper's grid at a slope of 0.004, by
+`walker_jax.strides` (cells in `compact_order`, and row after row) and by a jitted and vmapped
+`diffrax.diffeqsolve` with real-valued events and a root finder, its tolerance set for a largest
+error below 1e-8. Each way is compiled first, repeats are interleaved, and `times as long` is
+the ratio to the first row in the same repeat (median, least and greatest). `error` is the largest
+of the next state; `wrong` counts the outcomes that are not those of the tests' reference.
+
+The answer: about 0.06 s on two cores, where the faster of diffrax's solvers takes 8 s, a hundred
+times as long, at an error twenty times as large. `lax.map` in batches of 1000 instead of `vmap`
+halves that. What diffrax gets wrong are strides that end at theta < 0.004, taken for falls:
+the foot clears the floor ahead too briefly for steps of that length.
+
+    2 cores, AMD EPYC; jax 0.10.2, diffrax 0.7.2; 50000 strides, 5 repeats
+                                      seconds strides/s        times as long  compile   error wrong
+    walker_jax                          0.064   783,932              1 (1-1)      3.2   2e-10     0
+    walker_jax, row after row           0.093   539,411     1.38 (1.25-1.54)      0.0   2e-10     0
+    walker_jax, 1e-11                   0.057   878,679  0.803 (0.766-0.933)      0.0   3e-09     0
+    vmap(diffeqsolve), Dopri8, 1e-12    7.707     6,487       117 (97.1-123)      5.5   5e-09     8
+    the same, batches of 1000           3.416    14,636     51.2 (29.5-54.2)      5.4   5e-09     9
+    vmap(diffeqsolve), Tsit5, 1e-11     9.512     5,256        143 (106-156)      5.4   5e-09     1
 """
 
 import argparse
@@ -28,10 +47,10 @@ REFERENCE = Path(__file__).parents[1] / "tests" / "data" / "strides_slope_0.004.
 def plain(solver: diffrax.AbstractAdaptiveSolver, tolerance: float) -> Callable:
     """One stride by diffrax's own means: (next state, outcome) of a point of the section.
 
-    Two solves: to the turning point of the swing, where the foot is deepest, and on to heel
-    strike. One alone misses the walkers that clear the floor for less than a step. Only what
-    needs a root is a real-valued event; a condition masked by a constant of the sign that it
-    must not leave makes no crossing where the mask opens.
+    Two solves: to the turning point of the swing, where h = phi - 2 theta is least, and on to
+    heel strike. One alone misses more of the walkers that clear the floor for less than a step.
+    Only what needs a root is a real-valued event. Where a condition is masked its value is
+    positive, so that it rises through zero nowhere but where it is meant to.
     """
 
     def field(t, y, args):
@@ -157,16 +176,16 @@ def main():
         f"{os.cpu_count()} cores, {processor()}; jax {jax.__version__}, "
         f"diffrax {diffrax.__version__}; {len(xs)} strides, {repeats} repeats"
     )
-    print(f"{'':34}{'seconds':>8}{'strides/s':>11}{'times as long':>20}", end="")
-    print(f"{'compile':>9}{'error':>9}{'outcomes off':>14}")
+    print(f"{'':33}{'seconds':>8}{'strides/s':>10}{'times as long':>21}", end="")
+    print(f"{'compile':>9}{'error':>8}{'wrong':>6}")
     for name in ways:
         seconds = np.array([times[name] for times in rounds])
         ratio = seconds / np.array([times["walker_jax"] for times in rounds])
         spread = f"{np.median(ratio):.3g} ({ratio.min():.3g}-{ratio.max():.3g})"
         median, (error, off) = np.median(seconds), accuracy[name]
         print(
-            f"{name:34}{median * 50_000 / len(xs):8.3f}{len(xs) / median:11,.0f}{spread:>20}"
-            f"{compiling[name]:9.1f}{error:9.1g}{off:14d}"
+            f"{name:33}{median * 50_000 / len(xs):8.3f}{len(xs) / median:10,.0f}{spread:>21}"
+            f"{compiling[name]:9.1f}{error:8.0e}{off:6d}"
         )
 
 
