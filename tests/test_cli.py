@@ -153,7 +153,7 @@ def test_a_failed_computation_ends_with_1_and_a_reason(run, monkeypatch):
     def fail(*_, **__):
         raise RuntimeError("no more memory\non the device")
 
-    monkeypatch.setattr("walker_jax.walk", fail)
+    monkeypatch.setattr("walker_jax.stride", fail)
     code, out, err = run("walk")
     assert (code, out) == (
         1,

@@ -47,22 +47,21 @@ def walk(
 
     finite(theta=theta, thetadot=thetadot)
     walker = wj.SimplestWalker(slope)
-    # as many strides as a power of two, so that few lengths are ever compiled
-    length = 1 << (strides - 1).bit_length()
-    result = wj.walk(walker, np.array([theta, thetadot]), length)
-    outcomes = np.asarray(result.outcomes)[:strides]
-    failed = np.flatnonzero(outcomes != wj.Outcome.STRIDE)
-    count = failed[0] + 1 if len(failed) else strides
-    states = np.asarray(result.states)[: count + (len(failed) == 0)]
-    names = [wj.Outcome(code).name for code in outcomes[:count]]
-    times = np.asarray(result.times)[:count]
+    states, names, times = [np.array([theta, thetadot])], [], []
+    for _ in range(strides):
+        result = wj.stride(walker, states[-1])
+        names.append(wj.Outcome(int(result.outcome)).name)
+        times.append(float(result.time))
+        if result.outcome != wj.Outcome.STRIDE:
+            break
+        states.append(np.asarray(result.state))
     if as_json:
         print_json({"states": states, "outcomes": names, "times": times})
         return
     print(f"{'stride':>6}  {'theta':>10}  {'thetadot':>10}  {'time':>8}  outcome")
     for i, (state, name, duration) in enumerate(zip(states, names, times, strict=False), start=1):
         print(f"{i:6}  {state[0]:10.6f}  {state[1]:10.6f}  {duration:8.4f}  {name}")
-    if len(states) > count:
+    if len(states) > len(names):
         print(f"{'next':>6}  {states[-1][0]:10.6f}  {states[-1][1]:10.6f}")
 
 
@@ -170,7 +169,7 @@ def basin(
         states = ", ".join(f"({state[0]:.6f}, {state[1]:.6f})" for state in one["states"][:4])
         more = ", ..." if len(one["states"]) > 4 else ""
         period = f"period {one['period']}" if one["period"] else "no period"
-        size = f"{one['cells']} cells, area {one['area']:.6g}"
+        size = f"{one['cells']} cell{'s' * (one['cells'] > 1)}, area {one['area']:.6g}"
         print(f"  attractor {i}: {period}, {size}, at {states}{more}")
     print(f"  area {float(data['area'].sum()):.6g} in all")
     print(
