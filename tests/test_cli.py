@@ -3,7 +3,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray as xr
@@ -72,13 +71,16 @@ def test_basin_answers_keeps_and_draws(run, tmp_path):
     assert (tmp_path / "b.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_same_command_takes_what_is_there_and_another_is_refused(run, tmp_path):
+def test_the_same_command_takes_what_is_there_and_another_is_refused(run, tmp_path, monkeypatch):
     command = ["basin", *SMALL, "--out", "b.zarr"]
     code, first, _ = run(*command)
     assert code == 0 and "strides per second" in first and "0 UNDECIDED" in first
     before = {p: p.stat().st_mtime_ns for p in (tmp_path / "b.zarr").rglob("*")}
-    code, again, _ = run(*command)
-    assert code == 0 and "computed before" in again
+    (tmp_path / "b.png").unlink()
+    with monkeypatch.context() as patch:
+        patch.setattr("walker_jax.basin", lambda *_, **__: 1 / 0)
+        code, again, _ = run(*command)
+    assert code == 0 and "computed before" in again and (tmp_path / "b.png").exists()
     assert again.splitlines()[:3] == first.splitlines()[:3]
     code, out, err = run(*command, "--slope", "0.005")
     assert (code, out) == (2, "") and "overwrite" in err and err.count("\n") == 1
@@ -102,6 +104,16 @@ def test_the_plain_section(run, tmp_path):
     with xr.open_zarr(tmp_path / "plain.zarr", consolidated=False) as data:
         assert list(data.fate.dims) == ["theta", "thetadot"]
     assert b"<svg" in (tmp_path / "p.svg").read_bytes()
+    for figure in ("p.svg", "p.pdf", "p.pdf"):  # one that is there is known again
+        assert run("basin", *arguments, "--out", "plain.zarr", "--figure", figure)[0] == 0
+
+
+def test_an_interruption_is_one_line(run, monkeypatch):
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("walker_jax.stride", interrupt)
+    assert run("walk") == (130, "", "walker-jax: interrupted\n")
 
 
 @pytest.mark.parametrize(
@@ -126,6 +138,10 @@ def test_the_plain_section(run, tmp_path):
         (["--out", "no/such/folder/b.zarr"], "no/such/folder"),
         (["--out", "/"], "/"),
         (["--figure", "b.xyz"], "b.xyz"),
+        (["--figure", "b.jpg"], "b.jpg"),
+        (["--out", "b.png"], "b.png"),
+        (["--out", "."], "--out"),
+        (["--strides", "50"], "--strides"),
         (["--colour", "red"], "--colour"),
         (["extra"], "extra"),
     ],
@@ -184,4 +200,3 @@ def test_compile_time_counts_once():
     start = clock.start
     clock.compiling = [(start + 1, start + 3), (start + 2, start + 4), (start + 6, start + 7)]
     assert clock.seconds()["compile"] == pytest.approx(4)
-    assert jnp.asarray(0.0).dtype == jnp.float64

@@ -77,6 +77,13 @@ np.savez("{tmp_path}/two.npz", **wj.strides(wj.SimplestWalker(0.004), xs)._asdic
     assert 0 < (results[0].outcome == wj.Outcome.STRIDE).sum() < 3000
 
 
-def test_a_bar_is_shown_on_a_terminal_only(capfd):
-    over_cells(sum_and_norm, {"offset": 0.0}, {"x": np.ones((9, 2)), "i": np.ones(9)}, progress="x")
+def test_a_bar_is_shown_on_a_terminal_only(capfd, monkeypatch):
+    cells = {"x": np.ones((9, 2)), "i": np.ones(9)}
+    over_cells(sum_and_norm, {"offset": 0.0}, cells, progress="the work")
+    assert capfd.readouterr() == ("", "")
+    monkeypatch.setenv("FORCE_COLOR", "1")  # rich takes this for a terminal
+    over_cells(sum_and_norm, {"offset": 0.0}, cells, progress="the work")
+    out, err = capfd.readouterr()
+    assert out == "" and "the work" in err
+    over_cells(sum_and_norm, {"offset": 0.0}, cells)
     assert capfd.readouterr() == ("", "")

@@ -18,21 +18,23 @@ from jaxtyping import Array, Float, Int
 
 from walker_jax.cells import Grid, cell_image, resolve
 from walker_jax.integrate import Real, default_tolerance
-from walker_jax.stride import Outcome, stride, strides
+from walker_jax.stride import Outcome, stride, strides, walk
 from walker_jax.tiles import compact_order, over_cells
 from walker_jax.walkers import Walker
 
 METHODS = ("cell-map", "direct")
-NEAR = 1e-6
-"""Distance, in every coordinate of the section, at which a walker has reached an attractor."""
-SAMPLE = 1024
-"""Walkers that are followed in search of attractors."""
+SAMPLE = 2**14
+"""Starts that are followed in search of attractors."""
 BYTES_PER_CELL = 100
 """Memory at its peak, for each cell of a grid."""
 LONGEST_PERIOD = 64
 """Strides in the longest cycle that is recognised as one."""
-PATIENCE = 32
+PATIENCE = 8
 """Times `LONGEST_PERIOD`: strides in which a walker is to settle into a cycle."""
+CLOSE = 0.01
+"""Distance from a cycle at which a walker counts as its, that is left when all others are there."""
+ATTEMPTS = 8
+"""Walkers that have not, for which a cycle is solved for."""
 
 
 def basin(
@@ -79,6 +81,8 @@ def basin(
             f"grid must have the {len(walker.section)} dimensions of the section, "
             f"{', '.join(walker.section)}, not {', '.join(grid.names)}"
         )
+    if set(grid.names) == set(walker.section) and grid.names != walker.section:
+        raise ValueError(f"grid must have its axes in the order {walker.section}, not {grid.names}")
     needed, memory = grid.size * BYTES_PER_CELL, memory_of_machine()
     if needed > memory:
         raise ValueError(
@@ -159,12 +163,12 @@ def direct_iteration(
 ) -> Basins:
     """Follow every centre for a number of strides, until it fails or comes near an attractor.
 
-    The attractors are those of a sample of the cells, and of cells that are left at the end.
+    The attractors are those of a sample of the cells, and of cells that are left at the end. Close
+    to a period doubling walkers are slow to come near: those left count where they are `CLOSE`.
     """
     order = compact_order(grid.shape)
     starts = np.asarray(jax.jit(jax.vmap(grid.centre))(order))
-    sample = np.linspace(0, len(starts) - 1, min(len(starts), SAMPLE)).astype(int)
-    attractors = settle(walker, starts[sample], tolerance, [])
+    attractors = settle(walker, sample(starts), tolerance, [])
 
     fate = np.full(grid.size, Outcome.STRIDE, np.int8)
     attractor = np.full(grid.size, -1, np.int32)
@@ -185,13 +189,17 @@ def direct_iteration(
         cells, x = cells[going], x[going]
 
     if len(cells):
-        left = np.linspace(0, len(x) - 1, min(len(x), SAMPLE)).astype(int)
-        attractors = settle(walker, x[left], tolerance, attractors)
-        attractor[cells] = nearest(x, attractors)
+        attractors = settle(walker, sample(x), tolerance, attractors)
+        attractor[cells] = nearest(x, attractors, within=CLOSE)
         for i, one in enumerate(attractors):
             if one.period is None:
                 attractor[cells[attractor[cells] < 0]] = i
     return Basins(fate, attractor, count, attractors)
+
+
+def sample(x: Float[np.ndarray, "n section"]) -> Float[np.ndarray, "m section"]:
+    """Some of many points, evenly spread over their order."""
+    return x[np.linspace(0, len(x) - 1, min(len(x), SAMPLE)).astype(int)]
 
 
 def settle(
@@ -202,45 +210,89 @@ def settle(
 ) -> list[Attractor]:
     """The known attractors, and those to which walkers come that start at x.
 
-    They are followed until each has failed or repeats itself. Those that do neither, in more than
-    two thousand strides, are on an attractor without a period, of which one is made for them all.
+    They are followed until each has failed, or repeats itself to rounding. For those that do
+    neither in some hundred strides, as close to a period doubling, a stable cycle is solved for.
+    Where there is none they are on an attractor without a period; one is made for them all.
     """
-    found = list(known)
+    found, exact = list(known), 1e3 * np.finfo(x.dtype).eps
+    period = np.ones(len(x), int)
     for _ in range(PATIENCE):
         orbit = [x]
         for _ in range(LONGEST_PERIOD):
             ends = strides(walker, orbit[-1], tolerance=tolerance)
             alive = np.asarray(ends.outcome) == Outcome.STRIDE
             orbit = [states[alive] for states in [*orbit, np.asarray(ends.state)]]
-            x = orbit[-1]
-            if len(x) == 0:
-                return found
+        x = orbit[-1]
         path = np.stack(orbit[::-1], axis=1)  # (walkers, strides back, coordinates)
-        repeats = np.abs(path[:, 1:] - path[:, :1]).max(axis=2) < NEAR * 1e-3
-        settled = repeats.any(axis=1)
-        for states, period in zip(path[settled], repeats[settled].argmax(axis=1) + 1, strict=True):
-            cycle = states[:period][::-1]
-            cycle = np.roll(cycle, -int(cycle[:, 0].argmin()), axis=0)
-            if nearest(cycle[:1], found)[0] < 0:
-                found.append(Attractor(int(period), cycle))
-        x = x[~settled]
-        x = x[nearest(x, found) < 0]
+        misses = np.abs(path[:, 1:] - path[:, :1]).max(axis=2)
+        settled = (misses < exact).any(axis=1)
+        for states, miss in zip(path[settled], misses[settled], strict=True):
+            # a slow approach that alternates comes close to itself after two strides before one
+            count = next(q for q in range(1, LONGEST_PERIOD + 1) if miss[q - 1] < near(x.dtype))
+            add_cycle(found, states[:count][::-1])
+        left = ~settled & (nearest(x, found) < 0)
+        x, period = x[left], misses[left].argmin(axis=1) + 1
         if len(x) == 0:
             return found
-    if all(one.period for one in found):
+    explained = False
+    for start, count in zip(x[:ATTEMPTS], period[:ATTEMPTS], strict=True):
+        state, residual, jacobian = map(np.asarray, solve_cycle(walker, start, count, tolerance))
+        if not residual < exact:  # or NaN
+            continue
+        stable = np.abs(np.linalg.eigvals(jacobian)).max() < 1
+        if stable and np.abs(state - start).max() < CLOSE:
+            states = np.asarray(walk(walker, state, int(count), tolerance=tolerance).states)
+            misses = np.abs(states[1:] - state).max(axis=1)
+            count = next(q for q in range(1, count + 1) if misses[q - 1] < near(x.dtype))
+            add_cycle(found, states[:count])
+            explained = True
+    if not explained and all(one.period for one in found):
         found.append(Attractor(None, x[:1]))
     return found
 
 
+@jax.jit
+def solve_cycle(
+    walker: Walker, x: Float[Array, " section"], period: Int[Array, ""], tolerance: Real
+) -> tuple[Float[Array, " section"], Float[Array, ""], Float[Array, "section section"]]:
+    """A state of a cycle near x by Newton's iteration (26), its residual and its Jacobian."""
+
+    def after_a_period(x):
+        advance = lambda _, x: stride(walker, x, tolerance=tolerance).state  # noqa: E731
+        return jax.lax.fori_loop(0, period, advance, x)
+
+    def iterate(_, carry):
+        x, *_ = carry
+        miss, jacobian = after_a_period(x) - x, jax.jacfwd(after_a_period)(x)
+        step = jnp.linalg.solve(jnp.eye(len(x), dtype=x.dtype) - jacobian, miss)
+        return x + step, jnp.abs(miss).max(), jacobian
+
+    start = x, jnp.zeros((), x.dtype), jnp.zeros((len(x), len(x)), x.dtype)
+    return jax.lax.fori_loop(0, 12, iterate, start)
+
+
+def add_cycle(found: list[Attractor], states: Float[np.ndarray, "period section"]) -> None:
+    """Add a cycle, from its state of the smallest angle on, unless it is known."""
+    states = np.roll(states, -int(states[:, 0].argmin()), axis=0)
+    if nearest(states[:1], found)[0] < 0:
+        found.append(Attractor(len(states), states))
+
+
 def nearest(
-    x: Float[np.ndarray, "n section"], attractors: list[Attractor]
+    x: Float[np.ndarray, "n section"], attractors: list[Attractor], within: float | None = None
 ) -> Int[np.ndarray, " n"]:
     """Number of the cycle that each point is near to, -1 for none."""
+    within = near(x.dtype) if within is None else within
     number = np.full(len(x), -1, np.int32)
     for i, attractor in enumerate(attractors):
         for state in attractor.states if attractor.period else ():
-            number[np.abs(x - state).max(axis=1) < NEAR] = i
+            number[np.abs(x - state).max(axis=1) < within] = i
     return number
+
+
+def near(dtype) -> float:
+    """Distance, in every coordinate of the section, at which a walker has reached an attractor."""
+    return max(1e-6, 1e4 * float(np.finfo(dtype).eps))
 
 
 def sort_attractors(found: Basins) -> Basins:

@@ -28,6 +28,8 @@ Slope = Annotated[float, typer.Option(help="Slope of the ground, rad.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the answer as JSON.")]
 Axis = tuple[float, float, int]
 
+PICTURES = (".png", ".svg", ".pdf")  # those that carry a title, by which a picture is known again
+
 
 @app.callback()
 def common() -> None:
@@ -86,7 +88,9 @@ def basin(
     method: Annotated[
         Literal["cell-map", "direct"], typer.Option(help="Cell mapping, or direct iteration.")
     ] = "cell-map",
-    strides: Annotated[int, typer.Option(min=1, help="Strides at most, direct only.")] = 200,
+    strides: Annotated[
+        int | None, typer.Option(min=1, help="Strides at most, direct only. [default: 200]")
+    ] = None,
     out: Annotated[Path, typer.Option(help="Where the data set goes (Zarr).")] = Path("basin.zarr"),
     figure: Annotated[
         Path | None,
@@ -96,12 +100,15 @@ def basin(
     as_json: Json = False,
 ) -> None:
     """Compute and draw the basin of attraction of the simplest walker's gait."""
-    from matplotlib.figure import Figure
 
     import walker_jax as wj
     from walker_jax import figures, store
 
     walker = wj.SimplestWalker(slope)
+    if strides is not None and method != "direct":
+        raise ValueError("--strides is for --method direct alone")
+    if not out.name:
+        raise ValueError(f"--out {out} is not the name of a data set")
     if thetadot is not None and sum_ is not None:
         raise ValueError("--sum and --thetadot exclude each other: give one of them")
     if thetadot is not None:
@@ -117,19 +124,21 @@ def basin(
         "walker": {"name": "SimplestWalker", "slope": slope},
         "axes": {name: [float(low), float(high), n] for name, (low, high, n) in axes.items()},
         "method": method,
-        **({"strides": strides} if method == "direct" else {}),
+        **({"strides": strides or 200} if method == "direct" else {}),
         "version": version("walker-jax"),
     }
     figure = figure or out.with_suffix(".png")
-    if figure.suffix[1:].lower() not in (formats := Figure().canvas.get_supported_filetypes()):
-        raise ValueError(f"--figure {figure}: must end in .{', .'.join(formats)}")
+    if figure.suffix not in PICTURES:
+        raise ValueError(f"--figure {figure} must end in one of {', '.join(PICTURES)}")
+    if out.absolute() in (figure.absolute(), *figure.absolute().parents):
+        raise ValueError(f"--figure {figure} must be another place than --out {out}")
     store.check_picture(figure, request, overwrite=overwrite)
 
     data = store.find(out, request, overwrite=overwrite)
     reused = data is not None
     clock = Stopwatch()
     if data is None:
-        data = wj.basin(walker, grid, method, strides=strides, progress=True)
+        data = wj.basin(walker, grid, method, strides=strides or 200, progress=True)
         seconds = clock.seconds()
         data = store.save(data, out, request)
     else:
@@ -159,7 +168,6 @@ def basin(
                 "area": float(data["area"].sum()),
                 "attractors": attractors,
                 "fates": fates,
-                "unlabelled": int(((data["fate"] == 0) & (data["attractor"] < 0)).sum()),
                 "seconds": seconds,
             }
         )
@@ -261,6 +269,8 @@ def main() -> NoReturn:
         # typer's own: wrong usage
         message = getattr(error, "format_message", None)
         stop(2, message()) if message else stop(1, f"{type(error).__name__}: {error}")
+    if code == 130:  # what typer makes of Ctrl-C
+        stop(130, "interrupted")
     sys.exit(code if isinstance(code, int) else 0)
 
 

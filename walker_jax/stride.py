@@ -7,6 +7,7 @@ polynomial; where nothing has happened after all, the stride goes on.
 """
 
 import enum
+import operator
 from functools import partial
 from typing import NamedTuple
 
@@ -116,7 +117,7 @@ def prepared(
             f"a full state, not {x.shape}"
         )
     tolerance = default_tolerance(x.dtype, tolerance)
-    walker = jax.tree.map(lambda leaf: leaf.astype(x.dtype), walker)
+    walker = jax.tree.map(lambda leaf: jnp.asarray(leaf, x.dtype), walker)
     return walker, x, jnp.asarray(tolerance, x.dtype)
 
 
@@ -256,7 +257,7 @@ def walk(
     walker: Walker, x: Float[ArrayLike, " section"], n: int, *, tolerance: Real | None = None
 ) -> Walk:
     """n strides, one after the other, from x on the section. As `stride` otherwise."""
-    if n < 1:
+    if operator.index(n) < 1:
         raise ValueError(f"n must be at least 1, not {n}")
     walker, x, tolerance = prepared(walker, x, tolerance)
     if x.shape != (len(walker.section),):
@@ -296,8 +297,9 @@ def trajectory(
     times = jnp.asarray(times, x.dtype)
     if not isinstance(times, Tracer):
         listed = np.asarray(times)
-        if listed.ndim != 1 or not (np.diff(listed, prepend=0.0) >= 0).all():
-            raise ValueError(f"times must not be negative nor decrease, unlike {times}")
+        steps = np.diff(listed, prepend=0.0)
+        if listed.size == 0 or not (np.isfinite(steps) & (steps >= 0)).all():
+            raise ValueError(f"times must be finite, not negative and not decrease, unlike {times}")
     return follow_motion(walker, x, times, tolerance)
 
 
@@ -326,4 +328,6 @@ def follow_motion(
 def as_floating(x: ArrayLike) -> Float[Array, "..."]:
     """x as an array, its dtype kept where it is a floating one."""
     x = jnp.asarray(x)
+    if jnp.iscomplexobj(x):
+        raise ValueError(f"x must be real, not of type {x.dtype}")
     return x if jnp.issubdtype(x.dtype, jnp.floating) else x.astype(float)

@@ -66,7 +66,8 @@ class Walker(eqx.Module):
     def contact(self, state: State) -> Scalar:
         """Contact coordinate h: zero when both feet are on the slope, rising at heel strike.
 
-        Ahead of the stance foot the swing foot is above the ground where h < 0.
+        Ahead of the stance foot the swing foot is above the ground where h < 0. A stride looks at
+        it at the ends of integration steps, and takes it to turn once at most within one.
         """
 
     @abc.abstractmethod
@@ -90,7 +91,10 @@ class Walker(eqx.Module):
 
 def parameter(name: str, value: ArrayLike, *, low: float, high: float) -> Scalar:
     """A walker's parameter as an array, refused where it does not lie between low and high."""
-    value = jnp.asarray(value)
+    try:
+        value = jnp.asarray(value)
+    except TypeError:
+        raise ValueError(f"{name} must be one number, not {value!r}") from None
     if value.shape != () or not jnp.issubdtype(value.dtype, jnp.number):
         raise ValueError(f"{name} must be one number, not {value}")
     if not jnp.issubdtype(value.dtype, jnp.floating):
@@ -156,8 +160,9 @@ class SimplestWalker(Walker):
     def past_contact(self, state):
         """h > 0 and rising, the swing leg ahead, the stance leg in compression.
 
-        Then h'' = sin(phi) (thetadot^2 - cos(theta - slope)) - sin(theta - slope) > 0, and it
-        stays so until the fall has put the leg in tension.
+        Then h'' = sin(phi) (thetadot^2 - cos(theta - slope)) - sin(theta - slope) > 0: both terms
+        are, and h goes on rising. It is too late to come down again once this has ended, by
+        tension or with phi > 0: an experience (tests), not a theorem.
         """
         theta, phi, thetadot, phidot = state
         rising = (phi > 2 * theta) & (phidot > 2 * thetadot)
