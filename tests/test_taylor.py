@@ -320,3 +320,9 @@ def test_fast_sines_keep_whole_numbers_and_loops():
     n, x = map(jnp.asarray, fast_sines(function)(jnp.array(3), jnp.array(0.5)))
     assert n == 4 and n.dtype == jnp.int64
     assert x == pytest.approx(np.sin(np.sin(np.sin(0.5))), rel=1e-15)
+
+
+def test_series_go_through_stop_gradient():
+    series = solution_series(lambda y: jax.lax.stop_gradient(y), jnp.array(1.0), 4)
+    np.testing.assert_allclose(np.array(series), [1, 1, 1 / 2, 1 / 6, 1 / 24], rtol=1e-15)
+    assert fast_sines(lambda x: jnp.array(True))(jnp.array(1.0)).dtype == bool

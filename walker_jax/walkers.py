@@ -91,12 +91,14 @@ class Walker(eqx.Module):
 
 def parameter(name: str, value: ArrayLike, *, low: float, high: float) -> Scalar:
     """A walker's parameter as an array, refused where it does not lie between low and high."""
+    refusal = f"{name} must be one real number, not {' '.join(repr(value).split())[:60]}"
     try:
         value = jnp.asarray(value)
-    except TypeError:
-        raise ValueError(f"{name} must be one number, not {value!r}") from None
-    if value.shape != () or not jnp.issubdtype(value.dtype, jnp.number):
-        raise ValueError(f"{name} must be one number, not {value}")
+    except (TypeError, ValueError):
+        raise ValueError(refusal) from None
+    real = jnp.issubdtype(value.dtype, jnp.number) and jnp.isrealobj(value)
+    if value.shape != () or not real:
+        raise ValueError(refusal)
     if not jnp.issubdtype(value.dtype, jnp.floating):
         value = value.astype(float)
     if not isinstance(value, Tracer) and not low < value < high:
@@ -176,9 +178,14 @@ class SimplestWalker(Walker):
         return foot, State(theta, phi, c**2 * thetadot, c * (c - 1) * thetadot)
 
     def impulse(self, state):
-        """Impulse (rho_x, rho_y) of the ground on the swing foot at heel strike, (19)."""
+        """Impulse (rho_x, rho_y) of the ground on the swing foot at heel strike, (19).
+
+        It is along the swing leg, as the paper says below (19), and changes the momentum of the
+        hip to that after the impact: so rho_x has the sign of sin(theta) thetadot sin(2 theta),
+        not the opposite one that is printed there.
+        """
         s = jnp.sin(2 * state.theta) * state.thetadot
-        return -jnp.sin(state.theta) * s, jnp.cos(state.theta) * s
+        return jnp.sin(state.theta) * s, jnp.cos(state.theta) * s
 
     def exchange_legs(self, state):
         """(21), and its time derivative: (22) follows."""
