@@ -210,9 +210,11 @@ def follow_sequences(image, sinks) -> CellMap:
     order = sorted(range(len(cycles)), key=lambda c: (len(turned[c]), turned[c][0]))
     number = {c: i for i, c in enumerate(order)}
     return CellMap(
-        np.array([number[i] if kind == "cycle" else -1 for kind, i in map(end.get, range(n))]),  # pyright: ignore
-        np.array([i if kind == "sink" else -1 for kind, i in map(end.get, range(n))]),  # pyright: ignore
-        np.array([steps[cell] for cell in range(n)]),  # pyright: ignore
+        jnp.array(
+            [number[i] if kind == "cycle" else -1 for kind, i in (end[cell] for cell in range(n))]
+        ),
+        jnp.array([i if kind == "sink" else -1 for kind, i in (end[cell] for cell in range(n))]),
+        jnp.array([steps[cell] for cell in range(n)]),
         tuple(np.array(turned[c]) for c in order),
     )
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import xarray as xr
 
-import walker_jax  # noqa: F401
 from walker_jax import cli
 
 SMALL = ["--theta", "0.05", "0.35", "30", "--sum", "-0.03", "0.01", "20"]

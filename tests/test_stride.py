@@ -85,7 +85,7 @@ def reference(slope, x):
         return Reference(Outcome.BACKWARD)
     stands = terminal(lambda t, y: y[2])
     down = terminal(lambda t, y: y[0] + np.pi / 2)
-    turns = lambda t, y: y[3] - 2 * y[2]  # noqa: E731
+    turns = lambda t, y: y[3] - 2 * y[2]
     solution = solve_ivp(
         motion(slope),
         (0, 100),
@@ -283,7 +283,7 @@ def test_close_to_the_dead_point_the_leg_swings_for_long():
 @pytest.mark.parametrize(("slope", "theta"), [(0.004, 0.2), (0.004, 0.1), (0.009, 0.35)])
 def test_a_walker_that_only_just_clears_the_floor(slope, theta):
     """On both sides of the boundary of falling forward, its depth goes to zero linearly."""
-    xs = lambda sums: np.stack([np.full_like(sums, theta), sums - theta], axis=1)  # noqa: E731
+    xs = lambda sums: np.stack([np.full_like(sums, theta), sums - theta], axis=1)
     low, high = np.array([-0.06]), np.array([-0.005])
     assert outcomes(slope, xs(np.concatenate([low, high]))) == [Outcome.FORWARD, Outcome.STRIDE]
     for _ in range(6):  # a thousandfold at a time
@@ -737,11 +737,11 @@ def test_second_derivatives_equal_differences_of_the_first(tangents):
 
     @jax.jit
     def second(z, v, w):
-        along = lambda z: jax.jvp(following, (z,), (v,))[1]  # noqa: E731
+        along = lambda z: jax.jvp(following, (z,), (v,))[1]
         return jax.jvp(along, (z,), (w,))[1]
 
     for v in np.eye(3):
-        first = lambda zs, v=v: tangents(zs, np.tile(v, (len(zs), 1)))[1]  # noqa: E731
+        first = lambda zs, v=v: tangents(zs, np.tile(v, (len(zs), 1)))[1]
         expected = differences(first, z, 4e-4)
         found = np.stack([second(z, v, w) for w in np.eye(3)], axis=1)
         np.testing.assert_allclose(found, expected, rtol=1e-6)

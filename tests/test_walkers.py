@@ -69,7 +69,7 @@ def test_energy_of_the_stance_leg_does_not_change():
     """(7): E = thetadot^2 / 2 + cos(theta - slope)."""
 
     def power(state):
-        energy = lambda s: s.thetadot**2 / 2 + jnp.cos(s.theta - SLOPE)  # noqa: E731
+        energy = lambda s: s.thetadot**2 / 2 + jnp.cos(s.theta - SLOPE)
         return jax.jvp(energy, (state,), (WALKER.vector_field(state),))[1]
 
     close(each(power, states()), 0)
@@ -86,7 +86,7 @@ def test_contact_force_is_what_newton_demands_of_the_hip():
 
     def force(state):
         rates = WALKER.vector_field(state)
-        velocity = lambda theta, thetadot: hip_velocity(theta, thetadot)  # noqa: E731
+        velocity = lambda theta, thetadot: hip_velocity(theta, thetadot)
         primals, tangents = (state.theta, state.thetadot), (rates.theta, rates.thetadot)
         return jax.jvp(velocity, primals, tangents)[1] - GRAVITY
 
@@ -277,7 +277,7 @@ def general_motion(state, beta):
     qdot = jnp.array([0.0, 0.0, state.thetadot, state.phidot])
     M = masses(beta)
     jacobian = jax.jacfwd(transfer)(q)
-    velocity = lambda q: jax.jvp(transfer, (q,), (qdot,))[1]  # noqa: E731
+    velocity = lambda q: jax.jvp(transfer, (q,), (qdot,))[1]
     convective = jax.jvp(velocity, (q,), (qdot,))[1]
     mass_matrix = jacobian.T @ (M[:, None] * jacobian)
     force = jacobian.T @ (M * (jnp.tile(GRAVITY, 3) - convective))

@@ -258,7 +258,7 @@ def solve_cycle(
     """A state of a cycle near x by Newton's iteration (26), its residual and its Jacobian."""
 
     def after_a_period(x):
-        advance = lambda _, x: stride(walker, x, tolerance=tolerance).state  # noqa: E731
+        advance = lambda _, x: stride(walker, x, tolerance=tolerance).state
         return jax.lax.fori_loop(0, period, advance, x)
 
     def iterate(_, carry):

@@ -150,7 +150,7 @@ def listed(series: Series, order: int) -> list:
 def compose(function: Callable, series: PyTree[Series], start: PyTree) -> PyTree[Series]:
     """The series of function(y(t)), given those of y(t), which is `start` at t = 0."""
     structure = jax.tree.structure(start)
-    flat = lambda *leaves: function(jax.tree.unflatten(structure, leaves))  # noqa: E731
+    flat = lambda *leaves: function(jax.tree.unflatten(structure, leaves))
     closed, shapes = jax.make_jaxpr(flat, return_shape=True)(*jax.tree.leaves(start))
     results = interpret(closed.jaxpr, closed.consts, jax.tree.leaves(series))
     return jax.tree.unflatten(jax.tree.structure(shapes), results)
