@@ -78,7 +78,7 @@ def basin(
     sum_: Annotated[
         Axis | None,
         typer.Option(
-            "--sum", metavar="LO HI N", help="theta + thetadot. [default: -0.04 0.01 250]"
+            "--sum", metavar="LO HI N", help="theta + thetadot (default: -0.04 0.01 250)."
         ),
     ] = None,
     thetadot: Annotated[
@@ -89,12 +89,12 @@ def basin(
         Literal["cell-map", "direct"], typer.Option(help="Cell mapping, or direct iteration.")
     ] = "cell-map",
     strides: Annotated[
-        int | None, typer.Option(min=1, help="Strides at most, direct only. [default: 200]")
+        int | None, typer.Option(min=1, help="Strides at most, direct only (default: 200).")
     ] = None,
     out: Annotated[Path, typer.Option(help="Where the data set goes (Zarr).")] = Path("basin.zarr"),
     figure: Annotated[
         Path | None,
-        typer.Option(help="Where the picture goes. [default: the data set's name with .png]"),
+        typer.Option(help="Where the picture goes (default: the name of the data set with .png)."),
     ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")] = False,
     as_json: Json = False,
