@@ -107,6 +107,7 @@ def basin(
     walker = wj.SimplestWalker(slope)
     if strides is not None and method != "direct":
         raise ValueError("--strides is for --method direct alone")
+    strides = strides or 200
     if not out.name:
         raise ValueError(f"--out {out} is not the name of a data set")
     if thetadot is not None and sum_ is not None:
@@ -124,7 +125,7 @@ def basin(
         "walker": {"name": "SimplestWalker", "slope": slope},
         "axes": {name: [float(low), float(high), n] for name, (low, high, n) in axes.items()},
         "method": method,
-        **({"strides": strides or 200} if method == "direct" else {}),
+        **({"strides": strides} if method == "direct" else {}),
         "version": version("walker-jax"),
     }
     figure = figure or out.with_suffix(".png")
@@ -138,11 +139,10 @@ def basin(
     reused = data is not None
     clock = Stopwatch()
     if data is None:
-        data = wj.basin(walker, grid, method, strides=strides or 200, progress=True)
-        seconds = clock.seconds()
+        data = wj.basin(walker, grid, method, strides=strides, progress=True)
+    seconds = clock.seconds()
+    if not reused:
         data = store.save(data, out, request)
-    else:
-        seconds = clock.seconds()
     picture = figures.basin(data).get_figure(root=True)
     assert picture is not None
     picture.savefig(figure, dpi=150, metadata={"Title": store.signature(request)})
