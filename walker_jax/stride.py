@@ -238,6 +238,7 @@ def strides(
 ) -> Stride:
     """`stride` for each of n starts, in tiles over all devices and cores; NumPy arrays.
 
+    The walker's parameters are numbers, or arrays of n: then every start has a walker of its own.
     Neighbours in `xs` share a tile: it is fastest where they are close on the section.
     `progress` is what to call the work in a progress bar, shown on a terminal only.
     """
@@ -245,12 +246,24 @@ def strides(
     if xs.ndim != 2:
         raise ValueError(f"xs must have shape (n, coordinates), not {xs.shape}")
     tolerance = default_tolerance(xs.dtype, tolerance)
+    if any(np.ndim(leaf) for leaf in jax.tree.leaves(walker)):
+        cells = stacked(walker, len(xs), xs.dtype), xs
+        return over_cells(stride_of_walker, tolerance, cells, progress=progress)
     return over_cells(stride_of_cell, (walker, tolerance), xs, progress=progress)
+
+
+def stacked(walker: Walker, n: int, dtype) -> Walker:
+    """A walker, or n of them, with every parameter as an array of n."""
+    return jax.tree.map(lambda leaf: np.broadcast_to(np.asarray(leaf, dtype), (n,)), walker)
 
 
 def stride_of_cell(shared: tuple[Walker, Real], x: Float[Array, " coordinates"]) -> Stride:
     walker, tolerance = shared
     return stride(walker, x, tolerance=tolerance)
+
+
+def stride_of_walker(tolerance: Real, cell: tuple[Walker, Float[Array, " coordinates"]]) -> Stride:
+    return stride(*cell, tolerance=tolerance)
 
 
 def walk(

@@ -23,8 +23,11 @@ from rich.progress import Progress
 # Cells in a tile, and tiles in a call: a call should take much longer than it takes to make.
 TILE = {"cpu": (1024, 8), "gpu": (2**17, 1), "tpu": (2**17, 1)}
 
-# A library may set these for its own calls: 512-bit vectors where the processor has them.
-COMPILER_OPTIONS = {"cpu": {"xla_cpu_prefer_vector_width": 512}}
+# A library may set these for its own calls: 512-bit vectors where the processor has them, and the
+# older of XLA's two ways to emit a fusion, which does not repeat what second derivatives share.
+COMPILER_OPTIONS = {
+    "cpu": {"xla_cpu_prefer_vector_width": 512, "xla_cpu_use_fusion_emitters": False}
+}
 
 
 def over_cells(
@@ -33,6 +36,7 @@ def over_cells(
     cells: PyTree,
     *,
     progress: str | None = None,
+    tile: int | None = None,
 ) -> PyTree[np.ndarray]:
     """function(shared, cell) for every cell, on all devices of the process and all cores of a CPU.
 
@@ -45,6 +49,8 @@ def over_cells(
       Neighbours share a tile: cells that take equally long should be neighbours, as
       `compact_order` makes them.
     - `progress`: what to call the work in a progress bar, shown on a terminal only.
+    - `tile`: cells in a call on a CPU, where the usual number is too many: for few cells, or where
+      each takes long or needs much memory.
 
     **Returns** a PyTree of NumPy arrays with the cells along their first axis.
     """
@@ -55,7 +61,8 @@ def over_cells(
     (n,) = sizes
     devices = jax.local_devices()
     platform = devices[0].platform
-    tile, tiles = TILE.get(platform, TILE["gpu"])
+    size, tiles = TILE.get(platform, TILE["gpu"])
+    tile, tiles = (tile, 1) if tile and platform == "cpu" else (size, tiles)
     call = tile * tiles
     run = _compiled(function, platform, tile, tiles)
 
@@ -105,7 +112,7 @@ _cache: dict = {}
 
 def _compiled(function: Callable, platform: str, tile: int, tiles: int) -> Callable:
     """The jitted function of (shared, cells of one call, number of tiles to work through)."""
-    key = function, platform
+    key = function, platform, tile
     if key not in _cache:
 
         def run(shared, cells, count):

@@ -38,6 +38,8 @@ class Walker(eqx.Module):
 
     section: eqx.AbstractClassVar[tuple[str, ...]]
     """Names of the coordinates of the Poincaré section."""
+    bounds: eqx.AbstractClassVar[tuple[tuple[float, float], ...]]
+    """Lowest and highest value of each coordinate between which gaits are looked for."""
 
     @abc.abstractmethod
     def lift(self, x: Float[Array, " section"]) -> State:
@@ -120,6 +122,7 @@ class SimplestWalker(Walker):
     slope: Scalar
 
     section: ClassVar = ("theta", "thetadot")
+    bounds: ClassVar = ((0.0, np.pi / 4), (-1.0, 0.0))  # faster ones are in tension, and run
 
     def __init__(self, slope: ArrayLike):
         self.slope = parameter("slope", slope, low=0.0, high=np.pi / 2)

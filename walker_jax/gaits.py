@@ -1,0 +1,659 @@
+"""Gaits: cycles of the stride function, how they are found, and their stability.
+
+A gait of period k is a cycle of k states, S(x_1) = x_2, ..., S(x_k) = x_1 (Schwab and Wisse 2001,
+section 4.2). All its states are unknowns at once, and Newton's iteration solves the k equations
+together: what one stride amplifies is not amplified again by the next. Its multipliers are the
+eigenvalues of the product of the strides' Jacobians, J_k ... J_1; it is stable where all are inside
+the unit circle. Jacobians come from automatic differentiation.
+
+`find_gait` is one search, a pure function of the walker and the guess that can be differentiated.
+`find_gaits` is thousands of them at once.
+"""
+
+import operator
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import optimistix
+from jax import lax
+from jax.core import Tracer
+from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Complex, Float, Int
+
+from walker_jax.cells import Grid
+from walker_jax.integrate import Real, default_tolerance
+from walker_jax.stride import Outcome, follow_stride, follow_walk, prepared, stacked, strides
+from walker_jax.tiles import over_cells
+from walker_jax.walkers import SimplestWalker, Walker
+
+RESIDUAL = {jnp.dtype("float64"): 1e-10, jnp.dtype("float32"): 1e-4}
+"""By how much a stride of what is called a gait may miss the next state."""
+DISTINCT = {jnp.dtype("float64"): 1e-8, jnp.dtype("float32"): 1e-3}
+"""States closer than this, in every coordinate, are one."""
+NEWTON_STEPS = 40
+SEARCH_CELLS = 100
+"""Starts along each coordinate of the section, where no region is given."""
+TILE = 256
+"""Cells in a tile of what is differentiated, which takes more memory than strides alone."""
+
+
+class Gait(NamedTuple):
+    """A cycle of strides; or what a search that found none ended with."""
+
+    states: Float[Array | np.ndarray, "period section"]
+    """Start of each stride."""
+    multipliers: Complex[Array | np.ndarray, " section"]
+    """Eigenvalues of the Jacobian of the cycle, the largest first."""
+    step_times: Float[Array | np.ndarray, " period"]
+    """Duration of each stride."""
+    stable: Bool[Array | np.ndarray, ""]
+    """Whether this is a gait with all multipliers inside the unit circle."""
+    residual: Float[Array | np.ndarray, ""]
+    """Largest distance, in any coordinate, from the end of a stride to the next state."""
+    found: Bool[Array | np.ndarray, ""]
+    """Whether this is a gait, of its period and no shorter one: the residual is rounding."""
+
+
+def find_gait(
+    walker: Walker,
+    guess: Float[ArrayLike, "..."] | None = None,
+    period: int = 1,
+    *,
+    tolerance: Real | None = None,
+) -> Gait:
+    """The gait to which Newton's iteration (24) leads from a guess.
+
+    Works under `jax.jit`, `jax.vmap` and `jax.jacfwd`. Derivatives with respect to the walker's
+    parameters are those of the implicit function: d(state)/dp = (I - J)^{-1} dS/dp for a period of
+    one, and through it those of multipliers and step times. At a bifurcation with a multiplier
+    of 1 they do not exist, and grow without bound towards it, as the gait folds back or others
+    leave it; the derivatives of two multipliers do not exist where they are equal.
+    `gait_derivatives` computes them in a fraction of the compile time.
+
+    **Arguments:**
+
+    - `walker`: any walker.
+    - `guess`: a point of the section, from which the other states of the cycle are walked; or all
+      states, of shape (period, section). By default one is made. For the simplest walker and a
+      period of one it is the small-slope expansion of the long gait, the one that is stable at
+      small slopes (Garcia and others 1998). Otherwise it is the most stable gait that `find_gaits`
+      finds, which cannot be done while JAX traces.
+    - `period`: strides in a cycle.
+    - `tolerance`: of the integration, as in `stride`.
+
+    **Returns** a `Gait`. Its `found` is false where the search fails, or ends in a gait of a
+    shorter period. `ValueError` for a period below 1, a guess of a wrong shape, or none where one
+    is needed.
+    """
+    if operator.index(period) < 1:
+        raise ValueError(f"period must be at least 1, not {period}")
+    guess = jnp.asarray(first_guess(walker, period, tolerance) if guess is None else guess)
+    size = len(walker.section)
+    if guess.shape not in ((size,), (period, size)):
+        raise ValueError(f"guess must have shape ({size},) or {(period, size)}, not {guess.shape}")
+    walker, first, tolerance = prepared(walker, guess.reshape(-1, size)[0], tolerance)
+    cycle = guess.reshape(-1, size).astype(first.dtype)
+    traced = is_traced((walker, cycle, tolerance))
+    if len(cycle) < period and traced:
+        cycle = follow_walk(walker, first, period - 1, tolerance).states
+    elif len(cycle) < period:
+        _, cycles = walked(walker, np.asarray(cycle), period, tolerance)
+        cycle = cycles[0] if len(cycles) else np.full((period, size), np.nan, first.dtype)
+    if traced:
+        return solve_cycle(walker, cycle, tolerance)
+    # The same iteration, on what is compiled for all searches.
+    return gait_at(search(walker, np.asarray(cycle)[None], tolerance), 0)
+
+
+def is_traced(tree) -> bool:
+    return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree))
+
+
+def first_guess(
+    walker: Walker, period: int, tolerance: Real | None
+) -> Float[Array | np.ndarray, "..."]:
+    """A guess of the most stable gait of a period."""
+    if isinstance(walker, SimplestWalker) and period == 1:
+        return small_slope_expansion(walker.slope)
+    if is_traced((walker, tolerance)):
+        raise ValueError(
+            f"guess must be given for a {type(walker).__name__}'s gait of period {period} where "
+            "JAX traces"
+        )
+    found = find_gaits(walker, period, tolerance=tolerance)
+    if not found:
+        return np.full((period, len(walker.section)), np.nan)
+    return min(found, key=lambda gait: np.abs(gait.multipliers[0])).states
+
+
+def small_slope_expansion(slope: Float[ArrayLike, ""]) -> Float[Array, " 2"]:
+    """The long period-one gait of the simplest walker at a small slope.
+
+    theta = T0 slope^{1/3} + T1 slope and thetadot = a theta + c1 slope; Garcia, Chatterjee, Ruina
+    and Coleman (1998), Table 1.
+    """
+    theta = 0.970956 * jnp.cbrt(slope) - 0.270837 * slope
+    return jnp.stack([theta, -1.045203 * theta + 1.062895 * slope])
+
+
+@jax.jit
+def solve_cycle(
+    walker: Walker, states: Float[Array, "period section"], tolerance: Float[Array, ""]
+) -> Gait:
+    """Newton's iteration on all states of a cycle, and what there is to know of the result."""
+    dtype = states.dtype
+    accuracy = 500 * float(jnp.finfo(dtype).eps)
+    solution = optimistix.root_find(
+        mismatch,
+        optimistix.Newton(rtol=accuracy, atol=accuracy),
+        states,
+        args=(walker, tolerance),
+        max_steps=NEWTON_STEPS,
+        throw=False,
+    )
+    states = solution.value
+    along = lambda states: advance(walker, states, tolerance)
+    (ends, times), derivative = jax.linearize(along, states)
+    basis = jnp.eye(states.shape[1], dtype=dtype)
+    one_by_one = lambda direction: derivative(jnp.broadcast_to(direction, states.shape))[0]
+    jacobian = basis
+    for factor in jax.vmap(one_by_one, out_axes=2)(basis):
+        jacobian = factor @ jacobian
+    multipliers = jnp.linalg.eigvals(jacobian)
+    multipliers = multipliers[jnp.lexsort((-multipliers.imag, -jnp.abs(multipliers)))]
+    residual = jnp.abs(ends - jnp.roll(states, -1, axis=0)).max()
+    found = (residual < RESIDUAL[dtype]) & ~repeats(states)
+    return Gait(
+        states=states,
+        multipliers=multipliers,
+        step_times=times,
+        stable=found & (jnp.abs(multipliers[0]) < 1),
+        residual=residual,
+        found=found,
+    )
+
+
+def mismatch(
+    states: Float[Array, "period section"], args: tuple[Walker, Float[Array, ""]]
+) -> Float[Array, "period section"]:
+    """S(x_i) - x_{i+1} for the states of a cycle; zero for a gait."""
+    walker, tolerance = args
+    ends, _ = advance(walker, states, tolerance)
+    return ends - jnp.roll(states, -1, axis=0)
+
+
+@jax.custom_jvp
+def advance(
+    walker: Walker, states: Float[Array, "n section"], tolerance: Float[Array, ""]
+) -> tuple[Float[Array, "n section"], Float[Array, " n"]]:
+    """The ends of strides, and their durations.
+
+    Its derivative is a matrix for each stride, computed column by column in a loop, the walker's
+    tangent as one more column. So a stride's derivative is compiled once, however many directions
+    are asked for.
+    """
+    ends = jax.vmap(follow_stride, (None, 0, None))(walker, states, tolerance)
+    return ends.state, ends.time
+
+
+@advance.defjvp
+def _advance_jvp(primals, tangents):
+    walker, states, tolerance = primals
+    dwalker, dstates, _ = tangents
+
+    def column(weights):
+        tangent = (
+            jax.tree.map(lambda leaf: leaf * weights[-1], dwalker),
+            jnp.broadcast_to(weights[:-1], states.shape),
+        )
+        plain = lambda walker, states: advance.fun(walker, states, tolerance)
+        return jax.jvp(plain, (walker, states), tangent)
+
+    values, columns = lax.map(column, jnp.eye(states.shape[1] + 1, dtype=states.dtype))
+
+    def along(columns):
+        """columns[:-1] is the derivative of each stride by its start, columns[-1] by the walker."""
+        weights = dstates.T.reshape(*dstates.T.shape, *[1] * (columns.ndim - 2))
+        return (columns[:-1] * weights).sum(axis=0) + columns[-1]
+
+    return jax.tree.map(lambda value: value[0], values), jax.tree.map(along, columns)
+
+
+def repeats(states) -> Bool[Array | np.ndarray, "..."]:
+    """Whether cycles, of shape (..., period, section), repeat themselves within their period."""
+    period, numpy = states.shape[-2], jnp if isinstance(states, jax.Array) else np
+    shorter = numpy.zeros(states.shape[:-2], bool)
+    for shift in range(1, period):
+        if period % shift == 0:
+            moved = numpy.abs(states - numpy.roll(states, shift, axis=-2)).max(axis=(-2, -1))
+            shorter = shorter | (moved < DISTINCT[jnp.dtype(states.dtype)])
+    return shorter
+
+
+def find_gaits(
+    walker: Walker,
+    period: int = 1,
+    region: Grid | None = None,
+    *,
+    descent: int = 0,
+    tolerance: Real | None = None,
+) -> list[Gait]:
+    """All gaits of a period to which Newton's iteration leads from the cells of a region.
+
+    The searches run together, each from the states of a walk from the centre of a cell. A gait is
+    found if a search comes to it; a finer region finds more. Each is checked by a walk over its
+    period, which it must repeat to `RESIDUAL`: one so unstable that rounding grows larger within
+    a period is left out.
+
+    **Arguments:**
+
+    - `walker`: any walker.
+    - `period`: strides in a cycle.
+    - `region`: of the section; by default the whole of `walker.bounds`.
+    - `descent`: steps of `descend` for searches in which Newton's iteration fails, before it is
+      tried again. They then reach two to six times as many gaits from poor starts.
+    - `tolerance`: of the integration, as in `stride`.
+
+    **Returns** the gaits that have a state in the region, each once, from its state of the
+    smallest first coordinate on, in ascending order of that.
+    """
+    if operator.index(period) < 1:
+        raise ValueError(f"period must be at least 1, not {period}")
+    if operator.index(descent) < 0:
+        raise ValueError(f"descent must not be negative, unlike {descent}")
+    region = whole_section(walker) if region is None else region
+    if len(region.names) != len(walker.section):
+        raise ValueError(
+            f"region must have the {len(walker.section)} dimensions of the section, "
+            f"{', '.join(walker.section)}, not {', '.join(region.names)}"
+        )
+    starts = np.asarray(jax.vmap(region.centre)(np.arange(region.size, dtype=np.int32)))
+    walker, _, tolerance = prepared(walker, starts[0], tolerance)
+    _, cycles = walked(walker, starts, period, tolerance)
+    gaits = search(walker, cycles, tolerance)
+    if descent and not gaits.found.all():
+        nearer = descend(walker, cycles[~gaits.found], descent, tolerance=tolerance)
+        further = search(walker, nearer, tolerance)
+        gaits = Gait(*map(np.concatenate, zip(gaits, further, strict=True)))
+    gaits = distinct(gaits)
+    last = gaits.states[:, 0]
+    for i in range(period):
+        last = np.asarray(strides(walker, last, tolerance=tolerance).state)
+        gaits.found[:] &= np.abs(last - gaits.states[:, (i + 1) % period]).max(axis=1) < RESIDUAL[last.dtype]
+    inside = np.asarray(jax.vmap(jax.vmap(region.cell))(gaits.states)) >= 0
+    keep = gaits.found & inside.any(axis=1)
+    return [gait_at(gaits, i) for i in np.flatnonzero(keep)]
+
+
+def descend(
+    walker: Walker,
+    cycles: Float[np.ndarray, "n period section"],
+    steps: int = 300,
+    *,
+    rate: float = 0.003,
+    tolerance: Real | None = None,
+) -> Float[np.ndarray, "n period section"]:
+    """Guesses closer to gaits than the given ones: descent along the gradient of the mismatch.
+
+    Minimises |S(x_1) - x_2|^2 + ... + |S(x_k) - x_1|^2 for each of n cycles by Adam, whose rate
+    falls to zero over the steps (optax). A step to where a state makes no stride is not made; that
+    search goes on half as fast. It reaches gaits from starts from which Newton's iteration
+    diverges; it may also end in a least mismatch above zero, where there is none.
+
+    **Arguments:**
+
+    - `walker`: any walker.
+    - `cycles`: guesses of all the states of cycles. They need not be walks.
+    - `steps`: how many.
+    - `rate`: length of the first steps, in each coordinate.
+    - `tolerance`: of the integration, as in `stride`.
+
+    **Returns** cycles of the same shape; as given where a state of the guess makes no stride.
+    """
+    walker, _, tolerance = prepared(walker, cycles[0, 0], tolerance)
+    optimiser = optax.adam(optax.cosine_decay_schedule(rate, steps), b1=0.5, b2=0.9)
+    x, scale = cycles, np.ones(len(cycles), cycles.dtype)
+    local = linearise(walker, x, tolerance)
+    with jax.numpy_dtype_promotion("standard"):  # as optax's own arithmetic needs
+        state = optimiser.init(jnp.asarray(x))
+    for _ in range(steps):
+        miss = local.state - np.roll(x, -1, axis=1)
+        gradient = 2 * np.einsum("...ji,...j->...i", local.jacobian, miss)
+        gradient -= 2 * np.roll(miss, 1, axis=1)
+        with jax.numpy_dtype_promotion("standard"):
+            update, state = optimiser.update(jnp.asarray(np.nan_to_num(gradient)), state)
+        tried = x + scale[:, None, None] * np.asarray(update)
+        there = linearise(walker, tried, tolerance)
+        good = np.isfinite(there.state).all(axis=(1, 2))
+        x = np.where(good[:, None, None], tried, x)
+        scale = np.where(good, scale, scale / 2)
+        local = Linearised(
+            *(
+                np.where(good.reshape(-1, *[1] * (new.ndim - 1)), new, old)
+                for new, old in zip(there, local, strict=True)
+            )
+        )
+    return x
+
+
+def whole_section(walker: Walker) -> Grid:
+    """The cells from which gaits are searched where no region is given."""
+    ends = zip(walker.section, walker.bounds, strict=True)
+    return Grid.plain(**{name: (*pair, SEARCH_CELLS) for name, pair in ends})
+
+
+def gait_at(gaits: Gait, index: int) -> Gait:
+    """One of many gaits."""
+    return Gait(*(field[index] for field in gaits))
+
+
+def walked(
+    walker: Walker, starts: Float[np.ndarray, "n section"], period: int, tolerance: Real
+) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m period section"]]:
+    """The starts of walks of `period` strides and more, and the states of those walks.
+
+    The walker's parameters may be arrays of n.
+    """
+    left = np.arange(len(starts))
+    states = [starts]
+    for _ in range(period):
+        ends = strides(some(walker, left), states[-1], tolerance=tolerance)
+        alive = ends.outcome == Outcome.STRIDE
+        left = left[alive]
+        states = [state[alive] for state in (*states, ends.state)]
+    return left, np.stack(states[:-1], axis=1)
+
+
+def search(
+    walker: Walker, cycles: Float[np.ndarray, "n period section"], tolerance: Real
+) -> Gait:
+    """Newton's iteration from many guesses of cycles at once; fields have the searches first.
+
+    The walker's parameters may be arrays of n. A search ends when it has met the rounding errors,
+    or when a state makes no stride.
+    """
+    n, period, size = cycles.shape
+    cycles = cycles.copy()
+    best = Gait(
+        states=np.full_like(cycles, np.nan),
+        multipliers=np.full((n, size), np.nan, np.result_type(cycles, np.complex64)),
+        step_times=np.full((n, period), np.nan, cycles.dtype),
+        stable=np.zeros(n, bool),
+        residual=np.full(n, np.nan, cycles.dtype),
+        found=np.zeros(n, bool),
+    )
+    best.states[:] = cycles
+    left = np.flatnonzero(np.isfinite(cycles).all(axis=(1, 2)))
+    rounding = 10 * float(np.finfo(cycles.dtype).eps)
+    for _ in range(NEWTON_STEPS):
+        local = linearise(some(walker, left), cycles[left], tolerance)
+        miss = local.state - np.roll(cycles[left], -1, axis=1)
+        residual = np.abs(miss).max(axis=(1, 2))
+        # near rounding a step no longer helps
+        better = ~(residual >= best.residual[left]) & np.isfinite(residual)
+        improved = left[better]
+        best.states[improved] = cycles[improved]
+        best.residual[improved] = residual[better]
+        best.step_times[improved] = local.time[better]
+        best.multipliers[improved] = multipliers_of(local.jacobian[better])
+        ended = (residual <= rounding) | (~better & (best.residual[left] < RESIDUAL[cycles.dtype]))
+        going = np.isfinite(residual) & ~ended
+        left, miss, jacobian = left[going], miss[going], local.jacobian[going]
+        if len(left) == 0:
+            break
+        step = solve(cyclic(jacobian), -miss.reshape(len(left), -1))
+        cycles[left] += step.reshape(len(left), period, size)
+    best.found[:] = (best.residual < RESIDUAL[cycles.dtype]) & ~repeats(best.states)
+    best.stable[:] = best.found & (np.abs(best.multipliers[:, 0]) < 1)
+    return best
+
+
+class GaitDerivatives(NamedTuple):
+    """How a gait changes with a parameter p of its walker, along its branch."""
+
+    states: Float[np.ndarray, "period section"]
+    """d(state)/dp."""
+    multipliers: Complex[np.ndarray, " section"]
+    """d(multiplier)/dp."""
+    step_times: Float[np.ndarray, " period"]
+    """d(step time)/dp."""
+
+
+def gait_derivatives(
+    walker: Walker, gait: Gait, parameter: str, *, tolerance: Real | None = None
+) -> GaitDerivatives:
+    """Derivatives of a gait's states, multipliers and step times by a parameter of the walker.
+
+    By the implicit function, the states change by the solution dx of
+    J_i dx_i - dx_{i+1} = -dS(x_i)/dp. With M = J_k ... J_1, whose derivative takes second
+    derivatives of the stride function, and v and w the right and left eigenvectors of M, a
+    multiplier changes by (w dM v) / (w v).
+
+    At a bifurcation with a multiplier of 1 there is no derivative, as there the system for dx is
+    singular: towards a fold all of them grow like the inverse square root of the distance in p.
+    A period doubling does them no harm, but where two multipliers meet theirs do not exist.
+
+    **Arguments:**
+
+    - `walker`: with its parameters.
+    - `gait`: of this walker.
+    - `parameter`: name of the walker's parameter.
+    - `tolerance`: of the integration, as in `stride`.
+
+    **Returns** `GaitDerivatives`. `ValueError` for a parameter that the walker does not have, and
+    for what is not a gait.
+    """
+    check_parameter(walker, parameter)
+    if not gait.found:
+        raise ValueError(f"gait must be one, unlike the end of a failed search, {gait.states}")
+    cycle = np.asarray(gait.states)[None]
+    walker, _, tolerance = prepared(walker, cycle[0, 0], tolerance)
+    local = linearise(walker, cycle, tolerance, parameter)
+    dx = solve(cyclic(local.jacobian), -local.by_parameter.reshape(1, -1)).reshape(cycle.shape)
+    along = np.concatenate([dx, np.ones_like(dx[..., :1])], axis=-1)
+    bend = curve(walker, cycle, along, tolerance, parameter)
+    period, size = cycle.shape[1:]
+    change = np.zeros((size, size))
+    for i in range(period):
+        factors = local.jacobian[0].copy()
+        factors[i] = bend.changes[0, i, :, :size]
+        change = change + product(factors[None])[0]
+    values, vectors = np.linalg.eig(product(local.jacobian)[0])
+    order = np.lexsort((-values.imag, -np.abs(values)))
+    rates = np.diag(np.linalg.solve(vectors, change @ vectors))
+    return GaitDerivatives(dx[0], rates[order].astype(complex), bend.time[0])
+
+
+def check_parameter(walker: Walker, parameter: str) -> None:
+    if parameter not in vars(walker):
+        names = ", ".join(vars(walker))
+        raise ValueError(f"parameter must be one of the walker's, {names}, not {parameter!r}")
+
+
+class Linearised(NamedTuple):
+    """Strides from n cycles of states, and how their ends change with start and parameter."""
+
+    state: Float[np.ndarray, "n period section"]
+    """Ends of the strides; NaN where one fails."""
+    outcome: Int[np.ndarray, "n period"]
+    time: Float[np.ndarray, "n period"]
+    """Durations of the strides."""
+    jacobian: Float[np.ndarray, "n period section section"]
+    """Derivatives of the ends by the starts, a matrix J for each stride."""
+    by_parameter: Float[np.ndarray, "n period section"]
+    """Derivatives of the ends by the parameter; zero where none is given."""
+
+
+def linearise(
+    walker: Walker,
+    cycles: Float[np.ndarray, "n period section"],
+    tolerance: Real,
+    parameter: str | None = None,
+) -> Linearised:
+    """One stride from each state, with its derivatives, a cell for each of their columns.
+
+    The walker's parameters may be arrays of n.
+    """
+    n, period, size = cycles.shape
+    directions = np.eye(size + (parameter is not None), size + 1, dtype=cycles.dtype)
+    columns = len(directions)
+    count = n * period
+    cells = (
+        jax.tree.map(lambda leaf: np.repeat(leaf, period * columns), stacked(walker, n, cycles.dtype)),
+        np.repeat(cycles.reshape(count, size), columns, axis=0),
+        np.tile(directions, (count, 1)),
+    )
+    shared = tolerance, axis_of(walker, parameter, cycles.dtype)
+    (state, time), (dstate, _), outcome = over_cells(push, shared, cells, tile=TILE)
+    by = dstate.reshape(n, period, columns, size)
+    first = lambda values: values.reshape(n, period, columns, *values.shape[1:])[:, :, 0]
+    return Linearised(
+        state=first(state),
+        outcome=first(outcome),
+        time=first(time),
+        jacobian=np.swapaxes(by[:, :, :size], 2, 3),
+        by_parameter=by[:, :, size] if parameter else np.zeros_like(cycles),
+    )
+
+
+class Curved(NamedTuple):
+    """How strides from n cycles change along a direction, and how that change changes."""
+
+    along: Float[np.ndarray, "n period section"]
+    """Derivatives of the ends along the direction."""
+    time: Float[np.ndarray, "n period"]
+    """Derivatives of the durations along it."""
+    changes: Float[np.ndarray, "n period section columns"]
+    """Derivatives of `along` by each coordinate of the start, and by the parameter."""
+
+
+def curve(
+    walker: Walker,
+    cycles: Float[np.ndarray, "n period section"],
+    directions: Float[np.ndarray, "n period columns"],
+    tolerance: Real,
+    parameter: str,
+) -> Curved:
+    """Second derivatives of one stride from each state, along a direction (start, parameter)."""
+    n, period, size = cycles.shape
+    columns, count = size + 1, n * period
+    cells = (
+        jax.tree.map(lambda leaf: np.repeat(leaf, period * columns), stacked(walker, n, cycles.dtype)),
+        np.repeat(cycles.reshape(count, size), columns, axis=0),
+        np.repeat(directions.reshape(count, columns), columns, axis=0),
+        np.tile(np.eye(columns, dtype=cycles.dtype), (count, 1)),
+    )
+    shared = tolerance, axis_of(walker, parameter, cycles.dtype)
+    (_, (along, time)), (_, (changes, _)), _ = over_cells(push_twice, shared, cells, tile=TILE)
+    shape = n, period, columns
+    return Curved(
+        along=along.reshape(*shape, size)[:, :, 0],
+        time=time.reshape(shape)[:, :, 0],
+        changes=np.swapaxes(changes.reshape(*shape, size), 2, 3),
+    )
+
+
+def push(shared: tuple[Real, Walker], cell):
+    """A stride, and its derivative along a direction (start, parameter) of one cell."""
+    tolerance, axis = shared
+    walker, x, direction = cell
+    tangent = jax.tree.map(lambda leaf: leaf * direction[-1], axis), direction[:-1]
+    return jax.jvp(partial(timed_stride, tolerance), (walker, x), tangent, has_aux=True)
+
+
+def timed_stride(tolerance: Real, walker: Walker, x: Float[Array, " section"]):
+    result = follow_stride(walker, x, tolerance)
+    return (result.state, result.time), result.outcome
+
+
+def push_twice(shared: tuple[Real, Walker], cell):
+    """A stride, its derivatives along two directions of one cell, and the second derivative."""
+    walker, x, first, second = cell
+    _, axis = shared
+    tangent = jax.tree.map(lambda leaf: leaf * second[-1], axis), second[:-1]
+
+    def pushed(walker, x):
+        value, derivative, outcome = push(shared, (walker, x, first))
+        return (value, derivative), outcome
+
+    return jax.jvp(pushed, (walker, x), tangent, has_aux=True)
+
+
+def axis_of(walker: Walker, parameter: str | None, dtype) -> Walker:
+    """A walker with 1 for the parameter and 0 for all others: the direction of the parameter."""
+    zeros = jax.tree.map(lambda leaf: np.zeros((), dtype), walker)
+    return zeros if parameter is None else with_parameter(zeros, parameter, np.ones((), dtype))
+
+
+def with_parameter(walker: Walker, parameter: str, value) -> Walker:
+    """The walker with another value of one parameter, unchecked; an array makes many walkers."""
+    return eqx.tree_at(lambda walker: getattr(walker, parameter), walker, value)
+
+
+def some(walker: Walker, indices: Int[np.ndarray, " m"]) -> Walker:
+    """Some of many walkers; the one, where all have it in common."""
+    return jax.tree.map(lambda leaf: leaf[indices] if np.ndim(leaf) else leaf, walker)
+
+
+def cyclic(
+    jacobians: Float[np.ndarray, "n period section section"], multiplier: float = 1.0
+) -> Float[np.ndarray, "n size size"]:
+    """The matrices of x -> (J_i x_i - x_{i+1}) over a cycle, with x_{k+1} = multiplier x_1."""
+    n, period, size, _ = jacobians.shape
+    matrix = np.zeros((n, period, size, period, size), jacobians.dtype)
+    for i in range(period):
+        following = (i + 1) % period
+        matrix[:, i, :, i] += jacobians[:, i]
+        matrix[:, i, :, following] -= np.eye(size) * (1.0 if following else multiplier)
+    return matrix.reshape(n, period * size, period * size)
+
+
+def solve(
+    matrices: Float[np.ndarray, "n size size"], vectors: Float[np.ndarray, "n size"]
+) -> Float[np.ndarray, "n size"]:
+    """Solutions of many linear systems; by least squares if one of them is singular."""
+    try:
+        return np.linalg.solve(matrices, vectors[..., None])[..., 0]
+    except np.linalg.LinAlgError:
+        return (np.linalg.pinv(matrices) @ vectors[..., None])[..., 0]
+
+
+def product(
+    jacobians: Float[np.ndarray, "n period section section"],
+) -> Float[np.ndarray, "n section section"]:
+    """J_k ... J_1, the Jacobians of whole cycles."""
+    whole = jacobians[:, 0]
+    for i in range(1, jacobians.shape[1]):
+        whole = jacobians[:, i] @ whole
+    return whole
+
+
+def multipliers_of(
+    jacobians: Float[np.ndarray, "n period section section"],
+) -> Complex[np.ndarray, "n section"]:
+    """Eigenvalues of the Jacobians of whole cycles, the largest first."""
+    values = np.linalg.eigvals(product(jacobians))
+    values = values.astype(np.result_type(jacobians, np.complex64))
+    return np.take_along_axis(values, np.lexsort((-values.imag, -np.abs(values)), axis=-1), axis=-1)
+
+
+def distinct(gaits: Gait) -> Gait:
+    """The gaits found, each once, from its state of the smallest first coordinate on."""
+    states = gaits.states[gaits.found]
+    first = states[..., 0].argmin(axis=1)
+    turns = (first[:, None] + np.arange(states.shape[1])) % states.shape[1]
+    turned = np.take_along_axis(states, turns[..., None], axis=1)
+    order = np.argsort(turned[:, 0, 0], kind="stable")
+    kept: list[int] = []
+    for i in order:
+        far = [np.abs(turned[i] - turned[j]).max() > DISTINCT[states.dtype] for j in kept]
+        if all(far):
+            kept.append(i)
+    chosen = gait_at(gaits, gaits.found)
+    times = np.take_along_axis(chosen.step_times, turns, axis=1)
+    return Gait(*(f[kept] for f in chosen._replace(states=turned, step_times=times)))
