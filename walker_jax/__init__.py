@@ -13,13 +13,25 @@ Importing sets no JAX flag. Turn on float64 for numbers to quote:
 from importlib.metadata import version
 
 from walker_jax.basin import basin
+from walker_jax.bifurcations import (
+    Bifurcation,
+    Branch,
+    attractors,
+    bifurcation_diagram,
+    continue_gait,
+    loss_of_walking,
+)
 from walker_jax.cells import Grid
+from walker_jax.gaits import Gait, descend, find_gait, find_gaits, gait_derivatives
 from walker_jax.stride import Outcome, Stride, Walk, stride, strides, trajectory, walk
 from walker_jax.walkers import SimplestWalker, State, Walker
 
 __version__ = version("walker-jax")
 
 __all__ = [
+    "Bifurcation",
+    "Branch",
+    "Gait",
     "Grid",
     "Outcome",
     "SimplestWalker",
@@ -27,7 +39,15 @@ __all__ = [
     "Stride",
     "Walk",
     "Walker",
+    "attractors",
     "basin",
+    "bifurcation_diagram",
+    "continue_gait",
+    "descend",
+    "find_gait",
+    "find_gaits",
+    "gait_derivatives",
+    "loss_of_walking",
     "stride",
     "strides",
     "trajectory",

@@ -17,8 +17,9 @@ import xarray as xr
 from jaxtyping import Array, Float, Int
 
 from walker_jax.cells import Grid, cell_image, resolve
+from walker_jax.gaits import find_gait
 from walker_jax.integrate import Real, default_tolerance
-from walker_jax.stride import Outcome, stride, strides, walk
+from walker_jax.stride import Outcome, stride, strides
 from walker_jax.tiles import compact_order, over_cells
 from walker_jax.walkers import Walker
 
@@ -236,39 +237,17 @@ def settle(
             return found
     explained = False
     for start, count in zip(x[:ATTEMPTS], period[:ATTEMPTS], strict=True):
-        state, residual, jacobian = map(np.asarray, solve_cycle(walker, start, count, tolerance))
-        if not residual < exact:  # or NaN
-            continue
-        stable = np.abs(np.linalg.eigvals(jacobian)).max() < 1
-        if stable and np.abs(state - start).max() < CLOSE:
-            states = np.asarray(walk(walker, state, int(count), tolerance=tolerance).states)
-            misses = np.abs(states[1:] - state).max(axis=1)
+        gait = find_gait(walker, start, int(count), tolerance=tolerance)
+        states = np.asarray(gait.states)
+        stable = gait.residual < exact and np.abs(gait.multipliers[0]) < 1  # neither if NaN
+        if stable and np.abs(states[0] - start).max() < CLOSE:
+            misses = np.abs(np.roll(states, -1, axis=0) - states[0]).max(axis=1)
             count = next(q for q in range(1, count + 1) if misses[q - 1] < near(x.dtype))
             add_cycle(found, states[:count])
             explained = True
     if not explained and all(one.period for one in found):
         found.append(Attractor(None, x[:1]))
     return found
-
-
-@jax.jit
-def solve_cycle(
-    walker: Walker, x: Float[Array, " section"], period: Int[Array, ""], tolerance: Real
-) -> tuple[Float[Array, " section"], Float[Array, ""], Float[Array, "section section"]]:
-    """A state of a cycle near x by Newton's iteration (26), its residual and its Jacobian."""
-
-    def after_a_period(x):
-        advance = lambda _, x: stride(walker, x, tolerance=tolerance).state
-        return jax.lax.fori_loop(0, period, advance, x)
-
-    def iterate(_, carry):
-        x, *_ = carry
-        miss, jacobian = after_a_period(x) - x, jax.jacfwd(after_a_period)(x)
-        step = jnp.linalg.solve(jnp.eye(len(x), dtype=x.dtype) - jacobian, miss)
-        return x + step, jnp.abs(miss).max(), jacobian
-
-    start = x, jnp.zeros((), x.dtype), jnp.zeros((len(x), len(x)), x.dtype)
-    return jax.lax.fori_loop(0, 12, iterate, start)
 
 
 def add_cycle(found: list[Attractor], states: Float[np.ndarray, "period section"]) -> None:

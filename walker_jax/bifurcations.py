@@ -41,7 +41,6 @@ from walker_jax.gaits import (
     solve,
     some,
     walked,
-    whole_section,
     with_parameter,
 )
 from walker_jax.integrate import Real, default_tolerance
@@ -64,8 +63,8 @@ RECENT = 64
 """States of an orbit that are recorded, and the longest period that is recognised."""
 ROUND = 64
 """Strides in a call, after which walkers that fell are left behind."""
-ROW = 33
-"""Values at which walkers start at once in search of the loss of walking."""
+PARTS = 32
+"""In which an interval is divided, at once, in search of the loss of walking."""
 OFFSET = 1e-3
 """Distance from a gait at which they start."""
 SAME = 1e-6
@@ -74,6 +73,8 @@ SEARCHED = 6
 """Longest period of which gaits are searched that no doubling leads to."""
 SAMPLES = 16
 """Values of the parameter at which gaits are searched."""
+SPARSE = 8
+"""One in how many cells of a gait region gaits are searched from there."""
 
 
 class Bifurcation(NamedTuple):
@@ -266,7 +267,7 @@ def answer_all(
         states = np.concatenate([ask.cycle for ask in asks])[:, None]
         return with_parameter(stacked(walker, len(values), dtype), parameter, values), states
 
-    def split(values: NamedTuple, asks: list[Ask]):
+    def split(values: Linearised | Curved, asks: list[Ask]) -> list[Any]:
         ends = np.cumsum([len(ask.cycle) for ask in asks])[:-1]
         parts = zip(*(np.split(np.moveaxis(v, 1, 0), ends, axis=1) for v in values), strict=True)
         return [type(values)(*part) for part in parts]
@@ -303,9 +304,7 @@ class Path(NamedTuple):
     end: str
 
 
-def follow(
-    start: Start, way: float, bounds: tuple[float, float]
-) -> Generator[Ask, Answer, Path]:
+def follow(start: Start, way: float, bounds: tuple[float, float]) -> Generator[Ask, Answer, Path]:
     """Follow a branch from a start, first with the parameter growing (way 1) or falling (-1)."""
     width = bounds[1] - bounds[0]
     path = Path([], [], [], "no gait")
@@ -418,14 +417,16 @@ def between(one: Point, other: Point, width: float) -> Float[np.ndarray, " size"
 def crosses_half_period(one: Point, other: Point) -> bool:
     """Whether a branch comes back, between two points, to a gait of half the period.
 
-    It goes on as itself, half a period later: the difference between the states half a period
-    apart turns round.
+    Beyond that it goes on as itself, half a period later, the difference between states half a
+    period apart turned round; or an iteration has left it for that gait, and there is none left.
     """
     period = len(one.cycle)
     if period % 2:
         return False
-    differences = [point.cycle - np.roll(point.cycle, period // 2, axis=0) for point in (one, other)]
-    return bool(np.sum(differences[0] * differences[1]) < 0)
+    before, after = (
+        point.cycle - np.roll(point.cycle, period // 2, axis=0) for point in (one, other)
+    )
+    return bool(np.sum(before * after) < 0.01 * np.sum(before**2))
 
 
 def passes(one: Point, other: Point, start: Point, width: float) -> bool:
@@ -476,9 +477,7 @@ def distance_to(kind: str, point: Point) -> float:
     return float(np.abs(multipliers_of(point.local.jacobian)[0] - aim).min())
 
 
-def locate(
-    kind: str, point: Point, width: float
-) -> Generator[Ask, Answer, Bifurcation | None]:
+def locate(kind: str, point: Point, width: float) -> Generator[Ask, Answer, Bifurcation | None]:
     """Newton's iteration to a bifurcation near a point of the branch.
 
     S(x_i) = x_{i+1}; J_i v_i = v_{i+1}, but -v_1 (doubling) or v_1 (fold) at the end of the cycle;
@@ -538,7 +537,13 @@ def joined(parameter: str, back: Path, forth: Path, size: int) -> Branch:
     if not points:
         nothing = np.zeros((0, 1, size))
         return Branch(
-            parameter, nothing[:, 0, 0], nothing, nothing[:, 0], nothing[:, :, 0], [], [],
+            parameter,
+            nothing[:, 0, 0],
+            nothing,
+            nothing[:, 0],
+            nothing[:, :, 0],
+            [],
+            [],
             (back.end, forth.end),
         )
     local = [point.local for point in points]
@@ -571,7 +576,7 @@ def attractors(
     walker: Walker,
     parameter: str,
     values: Float[ArrayLike, " values"],
-    starts: Float[ArrayLike, "values starts section"],
+    starts: Float[ArrayLike, "..."],
     *,
     strides: int = 2000,
     tolerance: Real | None = None,
@@ -584,7 +589,7 @@ def attractors(
     - `walker`: gives the values of its other parameters.
     - `parameter`: name of the one that changes.
     - `values`: of the parameter.
-    - `starts`: points of the section for each value.
+    - `starts`: points of the section for each value, of shape (values, starts, section).
     - `strides`: for which every walker is followed before its states are recorded.
     - `tolerance`: of the integration, as in `stride`.
     - `progress`: what to call the work in a progress bar, shown on a terminal only.
@@ -623,8 +628,8 @@ def attractors(
             "period": (over, period.reshape(n, m)),
             "orbit": ((*over, "recent", "coordinate"), orbit.reshape(n, m, RECENT, size)),
         },
-        coords={"value": values, "coordinate": list(walker.section)},
-        attrs={"parameter": parameter, "strides": strides},
+        coords={"value": values},
+        attrs={"parameter": parameter, "section": list(walker.section), "strides": strides},
     )
 
 
@@ -648,7 +653,9 @@ def persist(
         shared = jnp.asarray(tolerance, x.dtype), np.int32(more)
         cells = some(walkers, left), x[left]
         label = progress and f"{progress}: stride {done}, {len(left)} walkers"
-        x[left], fate[left], made = over_cells(persist_cell, shared, cells, progress=label, tile=TILE)
+        x[left], fate[left], made = over_cells(
+            persist_cell, shared, cells, progress=label, tile=TILE
+        )
         count[left] += made
         left = left[fate[left] == Outcome.STRIDE]
         if len(left) == 0:
@@ -679,9 +686,9 @@ class Loss(NamedTuple):
     """Between which two values of a parameter walkers stop walking on."""
 
     below: float
-    """The highest value tried at which one walked to the end; NaN where none did."""
+    """The highest value tried at which one walked to the end; NaN where none did at any."""
     above: float
-    """The next value tried, at which all fell; NaN where walkers walk on up to the range's end."""
+    """The next value tried, at which all fell; NaN where one walks on at the interval's end."""
     strides: int
     """That a walker had to make."""
 
@@ -707,9 +714,10 @@ def loss_of_walking(
 
     **Returns** a `Loss`. As `attractors` otherwise.
     """
-    below, above = lowest, highest = interval
+    below, above = interval
     while True:
-        values = np.linspace(below, above, ROW)
+        parts = min(PARTS, int(np.ceil((above - below) / resolution)) + 1)
+        values = np.linspace(below, above, parts + 1)
         starts = starts_near(branches, values, len(walker.section))
         keep = np.isfinite(starts).all(axis=2)
         where = np.nonzero(keep)[0]
@@ -719,10 +727,10 @@ def loss_of_walking(
             _, fate, _ = persist(walkers, starts[keep], strides, tolerance, progress)
             walks[where[fate == Outcome.STRIDE]] = True
         if not walks.any():
-            return Loss(np.nan if below == lowest else below, above, strides)
+            return Loss(np.nan, below, strides)
         last = int(np.flatnonzero(walks)[-1])
         if last == len(values) - 1:
-            return Loss(above, np.nan if above == highest else above, strides)
+            return Loss(above, np.nan, strides)
         below, above = float(values[last]), float(values[last + 1])
         if above - below <= resolution:
             return Loss(below, above, strides)
@@ -760,7 +768,7 @@ def bifurcation_diagram(
 ) -> xr.Dataset:
     """Every gait over a range of a parameter, how each is born and lost, and what walkers come to.
 
-    Gaits are searched over the whole section at `SAMPLES` values in the range, for all periods up
+    Gaits are searched at `SAMPLES` values in the range, from the walker's `gait_region`, for all periods up
     to `period_max` or `SEARCHED`. Their branches are followed, and those that leave them at period
     doublings, up to `period_max`. Then walkers start close to the gaits at `scan` values, and at
     more where walking is lost. A branch that is shorter than the samples are apart may be missed,
@@ -773,7 +781,8 @@ def bifurcation_diagram(
     - `interval`: lowest and highest value of it.
     - `period_max`: longest period of the branches.
     - `strides`: that a walker makes before it counts as walking for ever.
-    - `scan`: number of values at which the attractors are recorded.
+    - `scan`: number of values at which the attractors are recorded, and once more that many
+      between the first doubling of the cascade and the loss of walking.
     - `tolerance`: of the integration, as in `stride`.
     - `progress`: whether to show progress on a terminal.
 
@@ -781,7 +790,7 @@ def bifurcation_diagram(
 
     - `gait`, the points of all branches, one branch after the other: `branch` (a number), `period`,
       `value` of the parameter, `states`, `step_times`, `multipliers` (real and imaginary part),
-      `stable`; NaN after the period;
+      `stable`, and whether it is `on_cascade`; NaN after the period;
     - `event`, the bifurcations: `event_fold` (a fold, or a doubling), `event_branch`,
       `event_period`, `event_value`, `event_states`, `event_multipliers`, and whether it belongs to
       the `cascade`: the doublings of the most stable period-one gait (the simplest walker's long
@@ -823,18 +832,31 @@ def bifurcation_diagram(
                 follow_all([doubled(doubling) for doubling in branch.doublings], i)
         if period > SEARCHED:
             continue
-        for starts in gaits_at(walker, parameter, np.linspace(low, high, SAMPLES), period, tolerance):
+        for starts in gaits_at(
+            walker, parameter, np.linspace(low, high, SAMPLES), period, tolerance
+        ):
             follow_all(unknown(walker, parameter, branches, starts, tolerance), -1)
 
-    label = "walkers" if progress else None
+    members = family(branches, stems)
+    options: Any = dict(tolerance=tolerance, progress="walkers" if progress else None)
+    loss = loss_of_walking(walker, parameter, (low, high), branches, strides=strides, **options)
     values = np.linspace(low, high, scan)
+    doublings = [b.value for i in members for b in branches[i].doublings]
+    if doublings and min(doublings) < loss.above:
+        values = np.union1d(values, np.linspace(min(doublings), loss.above, scan))
     starts = starts_near(branches, values, len(walker.section))
-    options: Any = dict(tolerance=tolerance, progress=label)
     scanned = attractors(walker, parameter, values, starts, **options)
-    loss = loss_of_walking(
-        walker, parameter, (low, high), branches, strides=strides, **options
-    )
-    return diagram(walker, parameter, branches, stems, scanned, loss)
+    return diagram(walker, parameter, branches, members, scanned, loss)
+
+
+def family(branches: list[Branch], stems: list[int]) -> list[int]:
+    """Numbers of the most stable period-one branch, of those that stem from it, and so on."""
+    singles = [i for i, branch in enumerate(branches) if branch.period == 1]
+    members = sorted(singles, key=lambda i: np.abs(branches[i].multipliers[:, 0]).min())[:1]
+    for i, stem in enumerate(stems):
+        if stem in members:
+            members.append(i)
+    return members
 
 
 def gaits_at(
@@ -844,11 +866,14 @@ def gaits_at(
     period: int,
     tolerance: Real | None,
 ) -> list[list[Start]]:
-    """The gaits of a period that searches from the whole section find, for each of many values."""
-    grid = whole_section(walker)
-    points = np.asarray(jax.vmap(grid.centre)(np.arange(grid.size, dtype=np.int32)))
-    walkers = with_parameter(walker, parameter, np.repeat(values, len(points)))
-    left, cycles = walked(walkers, np.tile(points, (len(values), 1)), period, tolerance)
+    """The gaits of a period that searches from some cells find, for each of many values."""
+    points = []
+    for value in values:
+        grid = with_parameter(walker, parameter, value).gait_region()
+        cells = np.arange(0, grid.size, SPARSE, dtype=np.int32)
+        points.append(np.asarray(jax.vmap(grid.centre)(cells)))
+    walkers = with_parameter(walker, parameter, np.repeat(values, [len(p) for p in points]))
+    left, cycles = walked(walkers, np.concatenate(points), period, tolerance)
     walkers = some(walkers, left)
     found = search(walkers, cycles, tolerance)
     at = getattr(walkers, parameter)
@@ -888,17 +913,11 @@ def diagram(
     walker: Walker,
     parameter: str,
     branches: list[Branch],
-    stems: list[int],
+    members: list[int],
     scanned: xr.Dataset,
     loss: Loss,
 ) -> xr.Dataset:
     """The data set that `bifurcation_diagram` returns."""
-    singles = [i for i, branch in enumerate(branches) if branch.period == 1]
-    largest = lambda i: np.abs(branches[i].multipliers[:, 0]).min()
-    descent = {min(singles, key=largest, default=None)}
-    for i, stem in enumerate(stems):
-        if stem in descent:
-            descent.add(i)
     size = len(walker.section)
     phases = max((branch.period for branch in branches), default=1)
 
@@ -931,6 +950,7 @@ def diagram(
                 parts([b.multipliers for b in branches]),
             ),
             "stable": ("gait", flat([b.stable for b in branches], bool)),
+            "on_cascade": ("gait", np.repeat(np.isin(numbers, members), counts)),
             "event_fold": ("event", np.array([b.kind == "fold" for _, b in events], bool)),
             "event_branch": ("event", np.array([i for i, _ in events], int)),
             "event_period": ("event", np.array([len(b.states) for _, b in events], int)),
@@ -943,7 +963,7 @@ def diagram(
                 ("event", "order", "part"),
                 parts([b.multipliers[None] for _, b in events]),
             ),
-            "cascade": ("event", np.array([i in descent for i, _ in events], bool)),
+            "cascade": ("event", np.array([i in members for i, _ in events], bool)),
             "sample_value": ("sample", scanned["value"].values),
             "fate": (("sample", "start"), scanned["fate"].values),
             "strides": (("sample", "start"), scanned["strides"].values),
@@ -951,8 +971,8 @@ def diagram(
             "orbit": (("sample", "start", "recent", "coordinate"), scanned["orbit"].values),
             "lost": ("side", np.array([loss.below, loss.above])),
         },
-        coords={"coordinate": list(walker.section), "part": ["real", "imaginary"]},
         attrs={
+            "section": list(walker.section),
             "walker": type(walker).__name__,
             **{f"walker_{k}": float(v) for k, v in vars(walker).items() if k != parameter},
             "parameter": parameter,

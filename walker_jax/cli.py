@@ -26,9 +26,21 @@ app = typer.Typer(
 
 Slope = Annotated[float, typer.Option(help="Slope of the ground, rad.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the answer as JSON.")]
+Out = Annotated[Path, typer.Option(help="Where the data set goes (Zarr).")]
+PictureOfData = Annotated[
+    Path | None,
+    typer.Option(
+        "--figure", help="Where the picture goes (default: the name of the data set with .png)."
+    ),
+]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
 Axis = tuple[float, float, int]
 
 PICTURES = (".png", ".svg", ".pdf")  # those that carry a title, by which a picture is known again
+
+
+class NotFound(Exception):
+    """A search that found nothing, and why."""
 
 
 @app.callback()
@@ -68,6 +80,203 @@ def walk(
 
 
 @app.command()
+def gait(
+    slope: Slope = 0.004,
+    period: Annotated[int, typer.Option(min=1, help="Strides in a cycle.")] = 1,
+    all_: Annotated[
+        bool, typer.Option("--all", help="All gaits of the period, stable or not.")
+    ] = False,
+    guess: Annotated[
+        tuple[float, float] | None,
+        typer.Option(metavar="THETA THETADOT", help="Where the search begins."),
+    ] = None,
+    figure: Annotated[
+        Path | None, typer.Option(help="Where a picture of the multipliers goes.")
+    ] = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Find the gaits of the simplest walker: cycles of strides, and their stability."""
+    import walker_jax as wj
+    from walker_jax import figures, store
+
+    walker = wj.SimplestWalker(slope)
+    if guess is not None:
+        finite(theta=guess[0], thetadot=guess[1])
+    if guess is not None and all_:
+        raise ValueError("--guess and --all exclude each other: give one of them")
+    request = {
+        "command": "gait",
+        "walker": {"name": "SimplestWalker", "slope": slope},
+        "period": period,
+        "guess": guess,
+        "all": all_,
+        "version": version("walker-jax"),
+    }
+    if figure is not None:
+        check_suffix(figure)
+        store.check_picture(figure, request, overwrite=overwrite)
+
+    found = []
+    if all_:
+        found = wj.find_gaits(walker, period)
+        found.sort(key=lambda gait: np.abs(gait.multipliers[0]))
+    # the long gait of period one is no more stable than others of its period on every slope
+    if not all_ or period == 1:
+        first = wj.find_gait(walker, guess, period)
+        same = lambda gait: np.allclose(gait.states, first.states, rtol=0, atol=1e-8)
+        found = [first] * bool(first.found) + [gait for gait in found if not same(gait)]
+        if not found:
+            raise NotFound(f"no gait of period {period} found at slope {slope:g}: {end_of(first)}")
+    if not found:
+        raise NotFound(f"no gait of period {period} found at slope {slope:g}")
+    if figure is not None:
+        draw(figures.multipliers(found), figure, request)
+    if as_json:
+        gaits = [
+            {
+                "period": period,
+                "states": one.states,
+                "multipliers": [[value.real, value.imag] for value in one.multipliers.tolist()],
+                "step_times": one.step_times,
+                "stable": bool(one.stable),
+                "residual": float(one.residual),
+            }
+            for one in found
+        ]
+        print_json({"slope": slope, "gaits": gaits})
+        return
+    for one in found:
+        kind = "stable" if one.stable else "unstable"
+        values = ", ".join(f"{value:.8g}" for value in one.multipliers)
+        print(f"{kind} gait of period {period} at slope {slope:g} rad, multipliers {values}")
+        for state, duration in zip(one.states, one.step_times, strict=True):
+            print(f"  theta {state[0]:.13f}  thetadot {state[1]:.13f}  step time {duration:.10f}")
+    if figure is not None:
+        print(f"picture {figure}")
+
+
+@app.command()
+def bifurcation(
+    low: Annotated[float, typer.Option("--from", help="Lowest slope, rad.")] = 0.001,
+    high: Annotated[float, typer.Option("--to", help="Highest slope, rad.")] = 0.022,
+    period_max: Annotated[
+        int, typer.Option(min=1, max=64, help="Longest period of the gaits that are followed.")
+    ] = 8,
+    strides: Annotated[
+        int, typer.Option(min=1, help="Strides after which a walker walks for ever.")
+    ] = 5000,
+    out: Out = Path("bifurcation.zarr"),
+    figure: PictureOfData = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Follow the gaits over the slope: how each is born, doubles and ends."""
+    import walker_jax as wj
+    from walker_jax import figures, store
+
+    walker = wj.SimplestWalker(low)
+    wj.SimplestWalker(high)
+    if not low < high:
+        raise ValueError(f"--from {low:g} must be below --to {high:g}")
+    request = {
+        "command": "bifurcation",
+        "walker": {"name": "SimplestWalker"},
+        "slope": [low, high],
+        "period_max": period_max,
+        "strides": strides,
+        "version": version("walker-jax"),
+    }
+    figure = picture_of(out, figure)
+    store.check_picture(figure, request, overwrite=overwrite)
+    data = store.find(out, request, overwrite=overwrite)
+    if data is None:
+        data = wj.bifurcation_diagram(
+            walker, "slope", (low, high), period_max=period_max, strides=strides, progress=True
+        )
+        data = store.save(data, out, request)
+    draw(figures.bifurcations(data), figure, request)
+
+    def events(fold: bool, cascade: bool | None = None) -> list[dict]:
+        chosen = data["event_fold"].values == fold
+        if cascade is not None:
+            chosen &= data["cascade"].values == cascade
+        order = np.flatnonzero(chosen)
+        order = order[
+            np.lexsort([data[f"event_{key}"].values[order] for key in ("value", "period")])
+        ]
+        listed = []
+        for i in order:
+            period = int(data["event_period"][i])
+            kind = {"period": period} if fold else {"from": period, "to": 2 * period}
+            slope, state = float(data["event_value"][i]), data["event_states"].values[i, 0]
+            listed.append({**kind, "slope": slope, "state": state})
+        return listed
+
+    below, above = map(float, data["lost"].values)
+    answer = {
+        "doublings": events(fold=False, cascade=True),
+        "other_doublings": events(fold=False, cascade=False),
+        "folds": events(fold=True),
+        "lost": {"below": below, "above": above},
+    }
+    if as_json:
+        print_json(answer)
+        return
+    print(f"Gaits of the simplest walker from slope {low:g} to {high:g} rad")
+    for title, key in (
+        ("doublings of the long gait", "doublings"),
+        ("doublings of other gaits", "other_doublings"),
+        ("folds", "folds"),
+    ):
+        print(f"  {title}:{'' if answer[key] else ' none'}")
+        for event in answer[key]:
+            periods = f"{event['from']} to {event['to']}" if "to" in event else event["period"]
+            theta, thetadot = event["state"]
+            print(f"    period {periods} at {event['slope']:.12f}, ({theta:.6f}, {thetadot:.6f})")
+    if math.isnan(below):
+        print("  no walker that starts close to a gait walks on, on any slope")
+    elif math.isnan(above):
+        print("  walkers that start close to a gait walk on up to the highest slope")
+    else:
+        print(f"  walking is lost between {below:.8f} and {above:.8f}: {strides} strides, or fewer")
+    print(f"  data set {out}, picture {figure}")
+
+
+def end_of(gait) -> str:
+    """How a search ended that found no gait."""
+    if not np.isfinite(gait.residual):
+        return "a state of the guess makes no stride"
+    if gait.residual > 1e-6:
+        return f"the search ended where a stride misses the next state by {gait.residual:.2g}"
+    return "the search came to one of a shorter period"
+
+
+def picture_of(out: Path, figure: Path | None) -> Path:
+    """Where the picture of a data set goes, both places checked."""
+    if not out.name:
+        raise ValueError(f"--out {out} is not the name of a data set")
+    figure = figure or out.with_suffix(".png")
+    check_suffix(figure)
+    if out.absolute() in (figure.absolute(), *figure.absolute().parents):
+        raise ValueError(f"--figure {figure} must be another place than --out {out}")
+    return figure
+
+
+def check_suffix(figure: Path) -> None:
+    if figure.suffix not in PICTURES:
+        raise ValueError(f"--figure {figure} must end in one of {', '.join(PICTURES)}")
+
+
+def draw(axes, path: Path, request: dict) -> None:
+    """Save the picture to which axes belong, signed with the request."""
+    from walker_jax import store
+
+    picture = axes.get_figure(root=True)
+    picture.savefig(path, dpi=150, metadata={"Title": store.signature(request)})
+
+
+@app.command()
 def basin(
     slope: Slope = 0.004,
     theta: Annotated[Axis, typer.Option(metavar="LO HI N", help="Stance angle, rad.")] = (
@@ -91,12 +300,9 @@ def basin(
     strides: Annotated[
         int | None, typer.Option(min=1, help="Strides at most, direct only (default: 200).")
     ] = None,
-    out: Annotated[Path, typer.Option(help="Where the data set goes (Zarr).")] = Path("basin.zarr"),
-    figure: Annotated[
-        Path | None,
-        typer.Option(help="Where the picture goes (default: the name of the data set with .png)."),
-    ] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")] = False,
+    out: Out = Path("basin.zarr"),
+    figure: PictureOfData = None,
+    overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
     """Compute and draw the basin of attraction of the simplest walker's gait."""
@@ -108,8 +314,6 @@ def basin(
     if strides is not None and method != "direct":
         raise ValueError("--strides is for --method direct alone")
     strides = strides or 200
-    if not out.name:
-        raise ValueError(f"--out {out} is not the name of a data set")
     if thetadot is not None and sum_ is not None:
         raise ValueError("--sum and --thetadot exclude each other: give one of them")
     if thetadot is not None:
@@ -128,13 +332,8 @@ def basin(
         **({"strides": strides} if method == "direct" else {}),
         "version": version("walker-jax"),
     }
-    figure = figure or out.with_suffix(".png")
-    if figure.suffix not in PICTURES:
-        raise ValueError(f"--figure {figure} must end in one of {', '.join(PICTURES)}")
-    if out.absolute() in (figure.absolute(), *figure.absolute().parents):
-        raise ValueError(f"--figure {figure} must be another place than --out {out}")
+    figure = picture_of(out, figure)
     store.check_picture(figure, request, overwrite=overwrite)
-
     data = store.find(out, request, overwrite=overwrite)
     reused = data is not None
     clock = Stopwatch()
@@ -143,9 +342,7 @@ def basin(
     seconds = clock.seconds()
     if not reused:
         data = store.save(data, out, request)
-    picture = figures.basin(data).get_figure(root=True)
-    assert picture is not None
-    picture.savefig(figure, dpi=150, metadata={"Title": store.signature(request)})
+    draw(figures.basin(data), figure, request)
 
     fates = {
         name: int((data["fate"] == code).sum()) for name, code in wj.Outcome.__members__.items()
@@ -263,6 +460,8 @@ def main() -> NoReturn:
         code = app(standalone_mode=False)
     except ValueError as error:
         stop(2, error)
+    except NotFound as error:
+        stop(1, error)
     except KeyboardInterrupt:
         stop(130, "interrupted")
     except Exception as error:

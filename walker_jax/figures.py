@@ -6,18 +6,22 @@ times in sqrt(l / g), with leg length l and gravity g. Colours differ in lightne
 so that they are told apart in grey print and by the colour-blind.
 """
 
-from typing import NamedTuple, cast
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Complex, Float
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.legend import Legend
-from matplotlib.patches import Patch
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, Patch
 from matplotlib.transforms import offset_copy
 
+from walker_jax.gaits import Gait
 from walker_jax.stride import Outcome
 
 INK = "#1a1a1a"
@@ -45,12 +49,48 @@ AXIS_LABELS = {
     "theta": r"stance leg angle $\theta$ (rad)",
     "thetadot": r"stance leg rate $\dot{\theta}$ (rad, time in √(l/g))",
     "sum": r"$\theta + \dot{\theta}$ (rad, time in √(l/g))",
+    "slope": "slope (rad)",
 }
 METHODS = {"cell-map": "cell mapping", "direct": "direct iteration"}
 LETTER, WORDS = 16, 9
 """Sizes of the two lines of a label (points)."""
 BELOW, LINE = 40, 17
 """How far the legend stands below the axes, and its lines below one another (points)."""
+PERIODS = (
+    (INK, "o"),
+    ("#4a1a86", "s"),
+    ("#8f1230", "^"),
+    ("#04599b", "D"),
+    ("#187d4b", "v"),
+    ("#c6691d", "P"),
+    ("#d377b4", "X"),
+    ("#dfac02", "h"),
+)
+"""Colours, from dark to light, and signs of gaits of period 1, 2, ..."""
+LONGER = ("#9b9b9b", "*")
+"""Those of longer periods."""
+GAITS = (
+    *("branch", "period", "value", "states", "step_times", "multipliers", "stable", "on_cascade"),
+    *("event_fold", "event_branch", "event_period", "event_value", "event_states"),
+    *("event_multipliers", "cascade"),
+)
+ATTRACTORS = ("sample_value", "fate", "orbit", "lost")
+"""What the pictures of bifurcations take from a data set."""
+LOSS = "#b3261e"
+"""Colour of the value at which walking is lost."""
+SOLID: dict[str, Any] = {"lw": 2, "ls": "-"}
+DASHED: dict[str, Any] = {"lw": 0.7, "ls": (0, (6, 3))}
+"""Lines of stable and of unstable gaits."""
+FOLD: dict[str, Any] = {"marker": "<", "ms": 6, "mfc": "white", "mew": 1, "ls": ""}
+DOUBLING: dict[str, Any] = {"marker": "o", "ms": 4.5, "mec": "white", "mew": 0.5, "ls": ""}
+"""Signs of bifurcations."""
+TITLE: dict[str, Any] = {"loc": "left", "fontsize": 12, "fontweight": "bold", "pad": 18}
+HIGHEST = 2
+"""Largest modulus of a multiplier in a picture of it against a parameter."""
+FRAME = 2.5
+"""Largest real and imaginary part of a multiplier in the picture of the complex plane."""
+ROW, ROWS = 13, 8
+"""Height (points) of a line on multipliers beyond the frame, and how many stand at one place."""
 
 
 class Region(NamedTuple):
@@ -325,3 +365,528 @@ def luminance(colour: str) -> float:
     rgb = np.array(to_rgb(colour))
     linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
     return float(linear @ (0.2126, 0.7152, 0.0722))
+
+
+class Curve(NamedTuple):
+    """A branch of gaits, with its bifurcations in their places among its points."""
+
+    number: int
+    """Of the branch."""
+    period: int
+    value: Float[np.ndarray, " n"]
+    """Of the parameter."""
+    states: Float[np.ndarray, "n period"]
+    """The first coordinate at the start of each stride."""
+    multipliers: Complex[np.ndarray, "n order"]
+    stable: Bool[np.ndarray, " n"]
+    """True for bifurcations too, at which both stable and unstable parts may end."""
+
+
+def gait_branches(data: xr.Dataset, ax: Axes | None = None) -> Axes:
+    """All gaits against a parameter: the first coordinate at the start of each of their strides.
+
+    Figure 3 of Schwab and Wisse (2001), for gaits of every period. Colours tell periods. Lines are
+    solid where a gait is stable and dashed where it is not. Triangles are folds, where two gaits
+    are born, and dots are period doublings. At the right stand the step times, at the end of the
+    range, of the gaits of period one.
+
+    **Arguments:**
+
+    - `data`: what `walker_jax.bifurcations.bifurcation_diagram` returns.
+    - `ax`: where to draw; by default, on a new figure of 7 by 5.6 inches.
+
+    **Returns** the axes. Raises `ValueError` for a data set without branches of gaits.
+    """
+    check(data, GAITS)
+    if ax is None:
+        ax = Figure(figsize=(7, 5.6), layout="constrained").add_subplot()
+    drawn = curves(data)
+    for curve in drawn:
+        draw_curve(ax, curve, curve.states)
+    folds, values = data["event_fold"].values, data["event_value"].values
+    periods, states = data["event_period"].values.tolist(), first(data["event_states"])
+    for period, fold, value, cycle in zip(periods, folds, values, states, strict=True):
+        draw_event(ax, np.full(period, value), cycle[:period], period, fold=bool(fold))
+    branches, fold, doubling = (
+        counted(count, word)
+        for count, word in (
+            (len(drawn), "branch"),
+            (int(folds.sum()), "fold"),
+            (int((~folds).sum()), "period doubling"),
+        )
+    )
+    dress(ax, data, "gaits", f"{branches} with {fold} and {doubling}")
+    ax.set_ylabel(first_label(data), fontsize=11)
+    write_step_times(ax, data)
+    kinds = []
+    for name, found, style in (
+        ("stable", data["stable"].values, SOLID),
+        ("unstable", ~data["stable"].values, DASHED),
+        ("fold", folds, FOLD),
+        ("period doubling", ~folds, DOUBLING),
+    ):
+        if found.any():
+            kinds.append(Line2D([], [], color=INK, label=name, **style))
+    periods = period_lines({curve.period for curve in drawn})
+    place_legend(ax, kinds, BELOW, columns=4)
+    place_legend(ax, periods, BELOW + LINE * bool(kinds), columns=4)
+    return ax
+
+
+def largest_multiplier(data: xr.Dataset, ax: Axes | None = None) -> Axes:
+    """Modulus of the largest multiplier against a parameter, along a cascade of period doublings.
+
+    The left axis of Figure 8 of Schwab and Wisse (2001), for the most stable gait of period one,
+    the gaits of period two that leave it, and so on. A gait is stable, and its line solid, where
+    the modulus is below one. Between two points of a branch, the coefficients of the polynomial
+    whose roots the multipliers are change linearly.
+
+    **Arguments:**
+
+    - `data`: what `walker_jax.bifurcations.bifurcation_diagram` returns.
+    - `ax`: where to draw; by default, on a new figure of 7 by 4.6 inches.
+
+    **Returns** the axes. Raises `ValueError` for a data set without branches of gaits.
+    """
+    check(data, GAITS)
+    if ax is None:
+        ax = Figure(figsize=(7, 4.6), layout="constrained").add_subplot()
+    ax.axhline(1, color=INK, lw=0.8, zorder=1)
+    family = cascade(data)
+    handles = period_lines({curve.period for curve in family})
+    doublings = ~data["event_fold"].values
+    for handle, period in zip(handles, sorted({c.period for c in family}), strict=True):
+        of_period = [curve for curve in family if curve.period == period]
+        for curve in map(refined, of_period):
+            draw_curve(ax, curve, np.abs(curve.multipliers).max(axis=1, keepdims=True))
+        ours = np.isin(data["event_branch"].values, [curve.number for curve in of_period])
+        values = data["event_value"].values[ours & doublings]
+        draw_event(ax, values, np.ones(len(values)), period, fold=False)
+        if len(values):
+            where = " and ".join(f"{value:.5f}" for value in values)
+            handle.set_label(f"{handle.get_label()}, doubles at {where}")
+    note = "of the most stable gait of period one and the gaits that double from it"
+    dress(ax, data, "largest multiplier", note)
+    ax.set_ylim(0, HIGHEST)
+    ax.set_ylabel(r"modulus of the largest multiplier", fontsize=11)
+    for words, rise, side in (("unstable", 3, "bottom"), ("stable", -4, "top")):
+        place = ax.get_yaxis_transform()
+        ax.annotate(words, (0, 1), (5, rise), place, "offset points", va=side, fontsize=WORDS)
+    place_legend(ax, handles, BELOW, columns=2)
+    return ax
+
+
+def bifurcation_diagram(data: xr.Dataset, ax: Axes | None = None) -> Axes:
+    """What walkers come to, against a parameter: the first coordinate at the start of each stride.
+
+    A dot is a recorded state of a walker that walks on. For orientation, dashed lines show where
+    the gait of period one is unstable from which the cascade of period doublings starts. A vertical
+    line stands in the middle of the interval in which walking is lost.
+
+    **Arguments:**
+
+    - `data`: what `walker_jax.bifurcations.bifurcation_diagram` returns.
+    - `ax`: where to draw; by default, on a new figure of 7 by 5 inches.
+
+    **Returns** the axes. Raises `ValueError` for a data set without gaits and what walkers come to.
+    """
+    check(data, GAITS + ATTRACTORS)
+    if ax is None:
+        ax = Figure(figsize=(7, 5), layout="constrained").add_subplot()
+    value, state = dots(data)
+    ax.plot(value, state, "o", color=BASINS[0], ms=1, mew=0, rasterized=True, zorder=4)
+    for curve in cascade(data)[:1]:
+        draw_curve(ax, curve, curve.states, stable=False)
+    dress(ax, data, "attractors", "")
+    ax.set_ylabel(first_label(data), fontsize=11)
+    lost = float(data["lost"].values.mean())
+    if np.isfinite(lost):
+        ax.axvline(lost, color=LOSS, lw=1, zorder=3)
+        ax.annotate(
+            f"walking is lost at {lost:.5f}",
+            (lost, 1),
+            (0, 3),
+            ax.get_xaxis_transform(),
+            "offset points",
+            ha="center",
+            color=LOSS,
+            fontsize=WORDS,
+        )
+    return ax
+
+
+def bifurcations(data: xr.Dataset) -> Figure:
+    """Gaits, their largest multiplier and what walkers come to, over a range of a parameter.
+
+    The pictures `gait_branches`, above `largest_multiplier`, and `bifurcation_diagram`, above the
+    part of it between the first period doubling of the cascade and the loss of walking, if any.
+
+    **Arguments:**
+
+    - `data`: what `walker_jax.bifurcations.bifurcation_diagram` returns.
+
+    **Returns** the figure, of 13 by 9.4 inches: `figures.bifurcations(data).savefig("slope.png")`.
+    Raises `ValueError` as these do.
+    """
+    check(data, GAITS + ATTRACTORS)
+    figure = Figure(figsize=(13, 9.4), layout="constrained")
+    axes = figure.subplots(2, 2)
+    gait_branches(data, axes[0, 0]).set_title("Gaits", **TITLE)
+    bifurcation_diagram(data, axes[0, 1]).set_title("Attractors", **TITLE)
+    largest_multiplier(data, axes[1, 0]).set_title("Largest multiplier", **TITLE)
+    window = cascade_window(data)
+    if window is None:
+        axes[1, 1].remove()
+    else:
+        zoom = bifurcation_diagram(data, axes[1, 1])
+        zoom.set_title("Attractors of the cascade", **TITLE)
+        zoom.lines[0].set_markersize(1.6)
+        zoom.set(xlim=window[:2], ylim=window[2:])
+        zoom.locator_params(axis="x", nbins=6)
+    figure.suptitle(title(data), x=0.01, ha="left", fontsize=14, fontweight="bold")
+    return figure
+
+
+def multipliers(gaits: Sequence[Gait], ax: Axes | None = None) -> Axes:
+    """The multipliers of gaits in the complex plane, with the unit circle.
+
+    Colours and signs tell periods; they are filled for stable gaits and open for unstable ones.
+    Multipliers beyond the frame are at its rim, where an arrow points to them, with their values.
+
+    **Arguments:**
+
+    - `gaits`: such as `walker_jax.gaits.find_gaits` returns. Failed searches are left out.
+    - `ax`: where to draw; by default, on a new figure of 6.2 by 7.2 inches.
+
+    **Returns** the axes.
+    """
+    if ax is None:
+        ax = Figure(figsize=(6.2, 7.2), layout="compressed").add_subplot()
+    gaits = [gait for gait in gaits if gait.found]
+    ax.add_patch(Circle((0, 0), 1, fc="#f2f2f2", ec=INK, lw=1, zorder=1))
+    ax.axhline(0, color=INK, lw=0.4, zorder=1.5)
+    ax.axvline(0, color=INK, lw=0.4, zorder=1.5)
+    far: list[tuple[complex, Gait]] = []
+    for gait in sorted(gaits, key=lambda gait: len(gait.states)):
+        values = np.asarray(gait.multipliers)
+        beyond = np.maximum(np.abs(np.real(values)), np.abs(np.imag(values))) > FRAME
+        x, y = np.real(values[~beyond]), np.imag(values[~beyond])
+        ax.plot(x, y, zorder=3, **sign(len(gait.states), bool(gait.stable)))
+        far += [(complex(value), gait) for value in values[beyond]]
+    for rim in rims(far):
+        draw_rim(ax, rim)
+    ax.set(xlim=(-FRAME, FRAME), ylim=(-FRAME, FRAME), aspect="equal")
+    ax.set_xlabel("real part", fontsize=11)
+    ax.set_ylabel("imaginary part", fontsize=11)
+    stable = sum(bool(gait.stable) for gait in gaits)
+    write_title(ax, "Multipliers", f"of {counted(len(gaits), 'gait')}, {stable} of them stable")
+    kinds = [
+        Line2D([], [], label=name, **sign(1, stable))
+        for name, stable in (("stable", True), ("unstable", False))
+        if any(bool(gait.stable) == stable for gait in gaits)
+    ]
+    periods = [
+        Line2D([], [], label=f"period {period}", **sign(period, True))
+        for period in sorted({len(gait.states) for gait in gaits})
+    ]
+    place_legend(ax, kinds, BELOW, columns=4)
+    place_legend(ax, periods, BELOW + LINE * bool(kinds), columns=4)
+    return ax
+
+
+def check(data: xr.Dataset, names: tuple[str, ...]) -> None:
+    """Raise `ValueError` where a data set lacks what a picture of bifurcations takes from it."""
+    missing = [name for name in names if name not in data]
+    missing += [f"attribute {name}" for name in ("parameter", "section") if name not in data.attrs]
+    if missing:
+        lacking = ", ".join(missing)
+        raise ValueError(f"data must be of a bifurcation diagram, unlike one without {lacking}")
+
+
+def curves(data: xr.Dataset) -> list[Curve]:
+    """The branches of a data set."""
+    branch, event_branch = data["branch"].values, data["event_branch"].values
+    states, event_states = (first(data[name]) for name in ("states", "event_states"))
+    multipliers, event_multipliers = (
+        data[name].values[..., 0] + 1j * data[name].values[..., 1]
+        for name in ("multipliers", "event_multipliers")
+    )
+    found = []
+    for number in np.unique(branch).tolist():
+        ours = branch == number
+        period = int(data["period"].values[ours][0])
+        curve = Curve(
+            number,
+            period,
+            data["value"].values[ours],
+            states[ours, :period],
+            multipliers[ours],
+            data["stable"].values[ours],
+        )
+        for i in np.flatnonzero(event_branch == number):
+            value, cycle = data["event_value"].values[i], event_states[i, :period]
+            curve = with_event(curve, float(value), cycle, event_multipliers[i])
+        found.append(curve)
+    return found
+
+
+def with_event(
+    curve: Curve,
+    value: float,
+    states: Float[np.ndarray, " period"],
+    multipliers: Complex[np.ndarray, " order"],
+) -> Curve:
+    """A branch with a bifurcation put between those two of its points where the detour is least."""
+    path = np.column_stack([curve.value, curve.states])
+    scale = np.maximum(np.ptp(path, axis=0), np.finfo(float).tiny)
+    legs = np.linalg.norm(np.diff(path, axis=0) / scale, axis=1)
+    away = np.linalg.norm((path - [value, *states]) / scale, axis=1)
+    at = int((away[:-1] + away[1:] - legs).argmin()) + 1 if len(legs) else 1
+    return curve._replace(
+        value=np.insert(curve.value, at, value),
+        states=np.insert(curve.states, at, states, axis=0),
+        multipliers=np.insert(curve.multipliers, at, multipliers, axis=0),
+        stable=np.insert(curve.stable, at, True),
+    )
+
+
+def cascade(data: xr.Dataset) -> list[Curve]:
+    """The most stable gait of period one, those that leave it at its doublings, and so on."""
+    family = data["branch"].values[data["on_cascade"].values]
+    return [curve for curve in curves(data) if curve.number in family]
+
+
+def refined(curve: Curve) -> Curve:
+    """A branch with points between its own, where the multipliers' polynomial is interpolated."""
+    count = len(curve.value)
+    if count < 2:
+        return curve
+    at = np.linspace(0, count - 1, 16 * (count - 1) + 1)
+    low = np.minimum(at.astype(int), count - 2)
+    share = (at - low)[:, None]
+    solid = curve.stable[:-1] & curve.stable[1:]
+    polynomials = np.array([np.poly(row) for row in curve.multipliers])
+    value, states, polynomials = (
+        (1 - share) * points[low] + share * points[low + 1]
+        for points in (curve.value[:, None], curve.states, polynomials)
+    )
+    return curve._replace(
+        value=value[:, 0],
+        states=states,
+        multipliers=np.array([np.roots(row) for row in polynomials], complex),
+        stable=np.where(share[:, 0] % 1, solid[low], curve.stable[at.astype(int)]),
+    )
+
+
+def draw_curve(
+    ax: Axes,
+    curve: Curve,
+    heights: Float[np.ndarray, "n k"],
+    *,
+    stable: bool = True,
+) -> None:
+    """Lines along a branch: solid where it is stable, if that is wanted, dashed where it is not."""
+    solid = curve.stable[:-1] & curve.stable[1:]
+    changes = np.flatnonzero(solid[1:] != solid[:-1]) + 1
+    colour, _ = look(curve.period)
+    for start, stop in pairwise([0, *changes.tolist(), len(solid)]):
+        if start < stop and (stable or not solid[start]):
+            run = slice(start, stop + 1)
+            order = 3 * solid[start] + 1 / curve.period
+            style = SOLID if solid[start] else DASHED
+            ax.plot(curve.value[run], heights[run], color=colour, zorder=2 + order, **style)
+
+
+def draw_event(
+    ax: Axes,
+    values: Float[np.ndarray, " n"],
+    heights: Float[np.ndarray, " n"],
+    period: int,
+    *,
+    fold: bool,
+) -> None:
+    """The signs of a bifurcation."""
+    colour, _ = look(period)
+    ax.plot(values, heights, color=colour, zorder=7, **(FOLD if fold else DOUBLING))
+
+
+def look(period: int) -> tuple[str, str]:
+    """Colour and sign of gaits of a period."""
+    return PERIODS[period - 1] if period <= len(PERIODS) else LONGER
+
+
+def sign(period: int, stable: bool) -> dict[str, Any]:
+    """How multipliers of a gait are drawn."""
+    colour, marker = look(period)
+    face = colour if stable else "white"
+    return {"color": colour, "marker": marker, "mfc": face, "mew": 1.2, "ms": 7, "ls": ""}
+
+
+def period_lines(periods: set[int]) -> list[Line2D]:
+    """What the legend says of periods, the shortest first."""
+    return [
+        Line2D([], [], color=look(period)[0], lw=3, label=f"period {period}")
+        for period in sorted(periods)
+    ]
+
+
+def write_title(ax: Axes, subject: str, note: str) -> None:
+    """A title, and a line below it."""
+    ax.set_title(subject, **TITLE)
+    ax.annotate(note, (0, 1), (0, 7), "axes fraction", "offset points", fontsize=9.5)
+
+
+def counted(count: int, word: str) -> str:
+    """A number of things."""
+    ending = "" if count == 1 else "es" if word.endswith("ch") else "s"
+    return f"{count} {word}{ending}"
+
+
+def dress(ax: Axes, data: xr.Dataset, subject: str, note: str) -> None:
+    """Title, name of the parameter, and its range."""
+    write_title(ax, f"{title(data)}: {subject}", note)
+    parameter = str(data.attrs["parameter"])
+    ax.set_xlabel(AXIS_LABELS.get(parameter, parameter), fontsize=11)
+    samples = data["sample_value"].values if "sample_value" in data else []
+    values = np.concatenate([data["value"].values, samples])
+    if len(values) and np.ptp(values) > 0:
+        ax.set_xlim(values.min(), values.max())
+
+
+def first(states: xr.DataArray) -> Float[np.ndarray, "..."]:
+    """The coordinate that is drawn."""
+    return states.isel(coordinate=0).values
+
+
+def first_label(data: xr.Dataset) -> str:
+    """Its name."""
+    name = data.attrs["section"][0]
+    return AXIS_LABELS.get(name, name)
+
+
+def dots(data: xr.Dataset) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Parameter and state of all that was recorded of walkers that walk on."""
+    orbit = first(data["orbit"])
+    seen = np.isfinite(orbit) & (data["fate"].values == Outcome.STRIDE)[..., None]
+    return data["sample_value"].values[np.nonzero(seen)[0]], orbit[seen]
+
+
+def cascade_window(data: xr.Dataset) -> tuple[float, float, float, float] | None:
+    """Limits of the picture from the first doubling of the cascade to the loss of walking.
+
+    None where there is no such range, or no walker in it.
+    """
+    doublings = data["event_value"].values[data["cascade"].values & ~data["event_fold"].values]
+    low, high = float(doublings.min(initial=np.inf)), float(data["lost"].values.mean())
+    if not low < high:
+        return None
+    low, high = low - 0.05 * (high - low), high + 0.05 * (high - low)
+    value, state = dots(data)
+    inside = state[(value >= low) & (value <= high)]
+    if len(inside) == 0:
+        return None
+    room = 0.05 * float(np.ptp(inside)) or 0.05
+    return low, high, float(inside.min()) - room, float(inside.max()) + room
+
+
+def write_step_times(ax: Axes, data: xr.Dataset) -> None:
+    """Step times of the gaits of period one at the end of the range, beside the axes."""
+    value, period = data["value"].values, data["period"].values
+    last = np.flatnonzero((period == 1) & np.isclose(value, value.max(initial=-np.inf), rtol=1e-9))
+    heights, times = first(data["states"])[last, 0], data["step_times"].values[last, 0]
+    at, room, free = ax.get_yaxis_transform(), 0.05 * np.ptp(ax.get_ylim()), -np.inf
+    for height, time in sorted(zip(heights.tolist(), times.tolist(), strict=True)):
+        free = max(height, free + room)
+        line = {"arrowstyle": "-", "lw": 0.5, "shrinkA": 0, "shrinkB": 0}
+        ax.annotate(
+            f"{time:.2f}",
+            (1, height),
+            (1.03, free),
+            at,
+            at,
+            va="center",
+            fontsize=WORDS,
+            arrowprops=line,
+        )
+    if len(last):
+        ax.annotate(
+            "step time\n(√(l/g))",
+            (1.03, 1),
+            (0, 3),
+            "axes fraction",
+            "offset points",
+            fontsize=WORDS,
+        )
+
+
+class Rim(NamedTuple):
+    """Multipliers beyond the frame whose places at its rim are close together."""
+
+    x: float
+    y: float
+    members: list[tuple[complex, Gait]]
+    """With their gaits; the smallest first."""
+
+
+def rims(far: list[tuple[complex, Gait]]) -> list[Rim]:
+    """The places at the rim of the frame of multipliers beyond it."""
+    found: list[Rim] = []
+    for value, gait in sorted(far, key=lambda one: abs(one[0])):
+        place = value * FRAME / max(abs(value.real), abs(value.imag))
+        for rim in found:
+            if abs(complex(rim.x, rim.y) - place) < 0.2 * FRAME:
+                rim.members.append((value, gait))
+                break
+        else:
+            found.append(Rim(place.real, place.imag, [(value, gait)]))
+    return found
+
+
+def draw_rim(ax: Axes, rim: Rim) -> None:
+    """A row for each multiplier at a place of the rim: its value, its sign, and an arrow to it."""
+    figure = cast(Figure, ax.get_figure(root=True))
+    inward = -1 if (rim.x >= 0) == (abs(rim.x) > FRAME / 2) else 1
+    up = 1 if (rim.y >= 0) == (abs(rim.y) < FRAME / 2) else -1
+    shown = rim.members if len(rim.members) <= ROWS else rim.members[: ROWS - 1]
+    for row, (value, gait) in enumerate(shown, 1):
+        rise = up * ROW * row
+        way = value / abs(value) * 7
+        tip = offset_copy(
+            ax.transData, figure, 11 * inward + way.real, rise + way.imag, units="points"
+        )
+        spot = offset_copy(ax.transData, figure, 27 * inward, rise, units="points")
+        style = sign(len(gait.states), bool(gait.stable))
+        arrow = {"arrowstyle": "->", "color": style["color"], "shrinkA": 0, "shrinkB": 0}
+        tail = (-2 * way.real, -2 * way.imag)
+        ax.annotate("", (rim.x, rim.y), tail, tip, "offset points", arrowprops=arrow)
+        ax.add_line(Line2D([rim.x], [rim.y], transform=spot, zorder=4, **style))
+        write_row(ax, rim, 36 * inward, rise, number(value))
+    if len(shown) < len(rim.members):
+        largest = number(rim.members[-1][0])
+        words = f"and {len(rim.members) - len(shown)} more, up to {largest}"
+        write_row(ax, rim, 5 * inward, up * ROW * ROWS, words)
+
+
+def write_row(ax: Axes, rim: Rim, shift: int, rise: int, words: str) -> None:
+    """Words that stand off a place of the rim by so many points, on its inner side."""
+    ax.annotate(
+        words,
+        (rim.x, rim.y),
+        (shift, rise),
+        textcoords="offset points",
+        ha="left" if shift > 0 else "right",
+        va="center_baseline",
+        fontsize=WORDS,
+    )
+
+
+def number(value: complex) -> str:
+    """A number in short."""
+    real, imaginary = (
+        f"{part:.2e}" if part >= 1e6 else f"{part:,.0f}" if part >= 100 else f"{part:.1f}"
+        for part in (abs(value.real), abs(value.imag))
+    )
+    minus = "−" * (value.real < 0)
+    if value.imag == 0:
+        return minus + real
+    return f"{minus}{real} {'−' if value.imag < 0 else '+'} {imaginary}i"

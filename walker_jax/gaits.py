@@ -11,6 +11,7 @@ the unit circle. Jacobians come from automatic differentiation.
 """
 
 import operator
+from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -18,7 +19,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
 import optimistix
 from jax import lax
 from jax.core import Tracer
@@ -36,8 +36,6 @@ RESIDUAL = {jnp.dtype("float64"): 1e-10, jnp.dtype("float32"): 1e-4}
 DISTINCT = {jnp.dtype("float64"): 1e-8, jnp.dtype("float32"): 1e-3}
 """States closer than this, in every coordinate, are one."""
 NEWTON_STEPS = 40
-SEARCH_CELLS = 100
-"""Starts along each coordinate of the section, where no region is given."""
 TILE = 256
 """Cells in a tile of what is differentiated, which takes more memory than strides alone."""
 
@@ -61,7 +59,7 @@ class Gait(NamedTuple):
 
 def find_gait(
     walker: Walker,
-    guess: Float[ArrayLike, "..."] | None = None,
+    guess: Float[ArrayLike, "..."] | Sequence | None = None,
     period: int = 1,
     *,
     tolerance: Real | None = None,
@@ -135,9 +133,9 @@ def small_slope_expansion(slope: Float[ArrayLike, ""]) -> Float[Array, " 2"]:
     """The long period-one gait of the simplest walker at a small slope.
 
     theta = T0 slope^{1/3} + T1 slope and thetadot = a theta + c1 slope; Garcia, Chatterjee, Ruina
-    and Coleman (1998), Table 1.
+    and Coleman (1998), Table 1, where T1 is given as -0.270837: the gaits themselves say -0.186569.
     """
-    theta = 0.970956 * jnp.cbrt(slope) - 0.270837 * slope
+    theta = 0.970956 * jnp.cbrt(slope) - 0.186569 * slope
     return jnp.stack([theta, -1.045203 * theta + 1.062895 * slope])
 
 
@@ -254,7 +252,8 @@ def find_gaits(
 
     - `walker`: any walker.
     - `period`: strides in a cycle.
-    - `region`: of the section; by default the whole of `walker.bounds`.
+    - `region`: of the section, a search from each of its cells; by default the walker's
+      `gait_region`.
     - `descent`: steps of `descend` for searches in which Newton's iteration fails, before it is
       tried again. They then reach two to six times as many gaits from poor starts.
     - `tolerance`: of the integration, as in `stride`.
@@ -266,13 +265,13 @@ def find_gaits(
         raise ValueError(f"period must be at least 1, not {period}")
     if operator.index(descent) < 0:
         raise ValueError(f"descent must not be negative, unlike {descent}")
-    region = whole_section(walker) if region is None else region
-    if len(region.names) != len(walker.section):
+    grid = walker.gait_region() if region is None else region
+    if len(grid.names) != len(walker.section):
         raise ValueError(
             f"region must have the {len(walker.section)} dimensions of the section, "
-            f"{', '.join(walker.section)}, not {', '.join(region.names)}"
+            f"{', '.join(walker.section)}, not {', '.join(grid.names)}"
         )
-    starts = np.asarray(jax.vmap(region.centre)(np.arange(region.size, dtype=np.int32)))
+    starts = np.asarray(jax.vmap(grid.centre)(np.arange(grid.size, dtype=np.int32)))
     walker, _, tolerance = prepared(walker, starts[0], tolerance)
     _, cycles = walked(walker, starts, period, tolerance)
     gaits = search(walker, cycles, tolerance)
@@ -284,8 +283,9 @@ def find_gaits(
     last = gaits.states[:, 0]
     for i in range(period):
         last = np.asarray(strides(walker, last, tolerance=tolerance).state)
-        gaits.found[:] &= np.abs(last - gaits.states[:, (i + 1) % period]).max(axis=1) < RESIDUAL[last.dtype]
-    inside = np.asarray(jax.vmap(jax.vmap(region.cell))(gaits.states)) >= 0
+        miss = np.abs(last - gaits.states[:, (i + 1) % period]).max(axis=1)
+        gaits.found[:] &= miss < RESIDUAL[last.dtype]
+    inside = np.asarray(jax.vmap(jax.vmap(grid.cell))(gaits.states)) >= 0
     keep = gaits.found & inside.any(axis=1)
     return [gait_at(gaits, i) for i in np.flatnonzero(keep)]
 
@@ -315,6 +315,8 @@ def descend(
 
     **Returns** cycles of the same shape; as given where a state of the guess makes no stride.
     """
+    import optax  # here alone: it takes a quarter of a second
+
     walker, _, tolerance = prepared(walker, cycles[0, 0], tolerance)
     optimiser = optax.adam(optax.cosine_decay_schedule(rate, steps), b1=0.5, b2=0.9)
     x, scale = cycles, np.ones(len(cycles), cycles.dtype)
@@ -341,14 +343,8 @@ def descend(
     return x
 
 
-def whole_section(walker: Walker) -> Grid:
-    """The cells from which gaits are searched where no region is given."""
-    ends = zip(walker.section, walker.bounds, strict=True)
-    return Grid.plain(**{name: (*pair, SEARCH_CELLS) for name, pair in ends})
-
-
-def gait_at(gaits: Gait, index: int) -> Gait:
-    """One of many gaits."""
+def gait_at(gaits: Gait, index: int | np.integer | Bool[np.ndarray, " n"]) -> Gait:
+    """One of many gaits, or some of them."""
     return Gait(*(field[index] for field in gaits))
 
 
@@ -369,9 +365,7 @@ def walked(
     return left, np.stack(states[:-1], axis=1)
 
 
-def search(
-    walker: Walker, cycles: Float[np.ndarray, "n period section"], tolerance: Real
-) -> Gait:
+def search(walker: Walker, cycles: Float[np.ndarray, "n period section"], tolerance: Real) -> Gait:
     """Newton's iteration from many guesses of cycles at once; fields have the searches first.
 
     The walker's parameters may be arrays of n. A search ends when it has met the rounding errors,
@@ -504,7 +498,9 @@ def linearise(
     columns = len(directions)
     count = n * period
     cells = (
-        jax.tree.map(lambda leaf: np.repeat(leaf, period * columns), stacked(walker, n, cycles.dtype)),
+        jax.tree.map(
+            lambda leaf: np.repeat(leaf, period * columns), stacked(walker, n, cycles.dtype)
+        ),
         np.repeat(cycles.reshape(count, size), columns, axis=0),
         np.tile(directions, (count, 1)),
     )
@@ -543,7 +539,9 @@ def curve(
     n, period, size = cycles.shape
     columns, count = size + 1, n * period
     cells = (
-        jax.tree.map(lambda leaf: np.repeat(leaf, period * columns), stacked(walker, n, cycles.dtype)),
+        jax.tree.map(
+            lambda leaf: np.repeat(leaf, period * columns), stacked(walker, n, cycles.dtype)
+        ),
         np.repeat(cycles.reshape(count, size), columns, axis=0),
         np.repeat(directions.reshape(count, columns), columns, axis=0),
         np.tile(np.eye(columns, dtype=cycles.dtype), (count, 1)),

@@ -21,6 +21,8 @@ from jax.core import Tracer
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
+from walker_jax.cells import Grid
+
 Scalar = Float[Array, ""]
 
 
@@ -38,8 +40,6 @@ class Walker(eqx.Module):
 
     section: eqx.AbstractClassVar[tuple[str, ...]]
     """Names of the coordinates of the Poincaré section."""
-    bounds: eqx.AbstractClassVar[tuple[tuple[float, float], ...]]
-    """Lowest and highest value of each coordinate between which gaits are looked for."""
 
     @abc.abstractmethod
     def lift(self, x: Float[Array, " section"]) -> State:
@@ -52,6 +52,10 @@ class Walker(eqx.Module):
     @abc.abstractmethod
     def feasible(self, x: Float[Array, " section"]) -> Bool[Array, ""]:
         """Whether a stride can begin at x."""
+
+    @abc.abstractmethod
+    def gait_region(self) -> Grid:
+        """The part of the section where the states of gaits lie, in cells to search from."""
 
     @abc.abstractmethod
     def vector_field(self, state: State) -> State:
@@ -122,7 +126,6 @@ class SimplestWalker(Walker):
     slope: Scalar
 
     section: ClassVar = ("theta", "thetadot")
-    bounds: ClassVar = ((0.0, np.pi / 4), (-1.0, 0.0))  # faster ones are in tension, and run
 
     def __init__(self, slope: ArrayLike):
         self.slope = parameter("slope", slope, low=0.0, high=np.pi / 2)
@@ -140,6 +143,15 @@ class SimplestWalker(Walker):
         theta, thetadot = x[0], x[1]
         finite = jnp.isfinite(theta) & jnp.isfinite(thetadot)
         return finite & (theta > 0) & (theta < np.pi / 4) & (thetadot < 0)
+
+    def gait_region(self):
+        """A strip that shrinks like slope^{1/3}, as gaits do (Garcia and others 1998).
+
+        Its upper edge lies just above that of falling backward, where sum = slope nearly.
+        """
+        slope = float(self.slope)
+        widest = min(2 * slope ** (1 / 3), np.pi / 4)
+        return Grid.sheared(theta=(0, widest, 100), sum=(-0.15 * widest, 1.02 * slope, 1000))
 
     def vector_field(self, state):
         """(7): thetaddot = sin(theta - slope), an inverted pendulum that the swing leg follows."""

@@ -1,0 +1,266 @@
+import json
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import walker_jax as wj
+
+module = sys.modules["walker_jax.gaits"]
+VALUES = json.loads((Path(__file__).parent / "data" / "values.json").read_text())
+
+
+REGION = wj.Grid.sheared(theta=(0.1, 0.3, 40), sum=(-0.03, 0.018, 60))
+
+
+def walker(slope=0.009):
+    return wj.SimplestWalker(slope)
+
+
+def assert_walks(slope, gait):
+    """The gait repeats itself when it is walked."""
+    period = len(gait.states)
+    walked = wj.walk(walker(slope), gait.states[0], period)
+    np.testing.assert_allclose(walked.states[:-1], gait.states, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(walked.states[-1], gait.states[0], rtol=0, atol=1e-10)
+    np.testing.assert_allclose(walked.times, gait.step_times, rtol=0, atol=1e-9)
+
+
+def richardson(function, x, h):
+    """Derivative by central differences, extrapolated to sixth order."""
+    d = [(function(x + s) - function(x - s)) / (2 * s) for s in (h, h / 2, h / 4)]
+    first = [(4 * b - a) / 3 for a, b in zip(d, d[1:], strict=False)]
+    return (16 * first[1] - first[0]) / 15
+
+
+@pytest.mark.parametrize("value", VALUES["gaits"], ids=lambda v: f"{v['kind']}-{v['slope']}")
+def test_gaits_of_the_reference(value):
+    """The long one without a guess, the short one from Garcia's expansion."""
+    slope = value["slope"]
+    guess = None
+    if value["kind"] == "short":
+        theta = 0.943976 * slope ** (1 / 3) - 0.264561 * slope
+        guess = [theta, -1.090331 * theta + 0.86661 * slope]
+    gait = wj.find_gait(walker(slope), guess)
+    assert gait.found and gait.residual < 1e-14
+    np.testing.assert_allclose(gait.states, [value["state"]], rtol=0, atol=1e-11)
+    np.testing.assert_allclose(gait.step_times, [value["step_time"]], rtol=0, atol=1e-9)
+    multipliers = [complex(*pair) for pair in value["multipliers"]]
+    np.testing.assert_allclose(gait.multipliers, multipliers, rtol=0, atol=1e-9)
+    assert gait.stable == all(abs(m) < 1 for m in multipliers)
+    assert_walks(slope, gait)
+    if "jacobian" in value:
+        local = module.linearise(walker(slope), np.array([[value["state"]]]), 1e-12)
+        np.testing.assert_allclose(local.jacobian[0, 0], value["jacobian"], rtol=0, atol=1e-9)
+
+
+def test_all_gaits_of_a_region_each_once():
+    gaits = wj.find_gaits(walker())
+    kinds = {v["kind"]: v["state"] for v in VALUES["gaits"] if v["slope"] == 0.009}
+    np.testing.assert_allclose(
+        [gait.states[0] for gait in gaits], [kinds["short"], kinds["long"]], rtol=0, atol=1e-11
+    )
+    for gait in gaits:
+        assert_walks(0.009, gait)
+    around_long = wj.Grid.plain(theta=(0.198, 0.202, 9), thetadot=(-0.202, -0.198, 9))
+    (only,) = wj.find_gaits(walker(), region=around_long)
+    np.testing.assert_allclose(only.states, gaits[1].states, rtol=0, atol=1e-12)
+
+
+def test_slow_gaits_whose_swing_leg_swings_back_and_forth_again():
+    """Close to the edge of falling backward, where only fine cells lead to them."""
+    fine = wj.Grid.sheared(theta=(0, 0.5, 100), sum=(-0.05, 0.02, 1000))
+    gaits = wj.find_gaits(walker(), region=fine)
+    times = [float(gait.step_times[0]) for gait in gaits]
+    np.testing.assert_allclose(times, [3.096, 3.882, 9.417, 10.182], atol=1e-3)
+    for gait in gaits[2:]:
+        assert not gait.stable and abs(gait.multipliers[0]) > 900
+        assert_walks(0.009, gait)
+
+
+@pytest.mark.parametrize(
+    ("slope", "period", "count"), [(0.005, 2, 0), (0.016, 2, 1), (0.0122, 3, 0), (0.0124, 3, 2)]
+)
+def test_gaits_exist_where_they_do(slope, period, count):
+    """Period two after the doubling at 0.01509, period three after the fold at 0.01228."""
+    gaits = wj.find_gaits(walker(slope), period, REGION)
+    assert len(gaits) == count
+    for gait in gaits:
+        assert gait.states.shape == (period, 2) and gait.states[:, 0].argmin() == 0
+        assert np.abs(gait.states[1:] - gait.states[0]).max(axis=1).min() > 1e-3
+        assert_walks(slope, gait)
+
+
+@pytest.mark.parametrize("kind", ["long", "short"])
+def test_small_slopes_recover_the_expansion(kind):
+    """Down to a slope of 1e-5, fitted by polynomials in slope^{2/3}; Garcia and others (1998)."""
+    slopes = np.geomspace(1e-5, 3e-4, 12)
+    printed = VALUES["small_slope_expansion"][kind]
+    gaits = []
+    for slope in slopes:
+        theta = printed["T0"] * slope ** (1 / 3)
+        gaits.append(wj.find_gait(walker(slope), [theta, printed["a"] * theta]))
+    assert all(gait.found for gait in gaits)
+    theta, thetadot = np.array([gait.states[0] for gait in gaits]).T
+    u = np.cbrt(slopes)
+    powers = np.stack([u ** (2 * i) for i in range(5)], axis=1)
+    fit = lambda basis, values: np.linalg.lstsq(basis, values, rcond=None)[0][:2]
+    T0, T1 = fit(powers, theta / u)
+    a, c1 = fit(np.column_stack([theta / u, powers[:, 1:]]), thetadot / u)
+    t0, t1 = fit(powers, np.array([gait.step_times[0] for gait in gaits]))
+    found = dict(T0=T0, T1=T1, a=a, c1=c1, t0=t0, t1=t1)
+    if kind == "long":  # printed as -0.270837
+        assert found.pop("T1") == pytest.approx(-0.186569, abs=6e-7)
+    for name, value in found.items():
+        assert value == pytest.approx(printed[name], abs=6e-7), name
+
+
+def test_derivatives_of_a_gait():
+    gait = wj.find_gait(walker())
+    derivatives = wj.gait_derivatives(walker(), gait, "slope")
+    printed = VALUES["gait_slope_derivative"]["d_state_d_slope"]
+    np.testing.assert_allclose(derivatives.states[0], printed, rtol=1e-5)
+    at = lambda field: lambda slope: getattr(wj.find_gait(walker(slope)), field)
+    for field in ("states", "step_times"):
+        expected = richardson(at(field), 0.009, 1e-4)
+        np.testing.assert_allclose(getattr(derivatives, field), expected, rtol=1e-9)
+    expected = richardson(at("multipliers"), 0.009, 2e-5)
+    np.testing.assert_allclose(derivatives.multipliers, expected, rtol=1e-8)
+
+
+def test_derivatives_of_a_gait_of_period_two():
+    (gait,) = wj.find_gaits(walker(0.0165), 2, REGION)
+    derivatives = wj.gait_derivatives(walker(0.0165), gait, "slope")
+    at = lambda field: lambda slope: getattr(wj.find_gait(walker(slope), gait.states, 2), field)
+    for field in ("states", "step_times", "multipliers"):
+        expected = richardson(at(field), 0.0165, 2e-5)
+        np.testing.assert_allclose(getattr(derivatives, field), expected, rtol=1e-8)
+
+
+def test_derivatives_grow_towards_a_fold():
+    """Like the inverse square root of the distance; the fold of period three is at 0.01228082."""
+    rates = []
+    for distance in (4e-9, 1e-9):
+        slope = 0.012280821626094882 + distance
+        gaits = wj.find_gaits(walker(slope), 3, REGION)
+        derivatives = wj.gait_derivatives(walker(slope), gaits[0], "slope")
+        rates.append(np.abs(derivatives.states).max())
+    assert rates[1] / rates[0] == pytest.approx(2, abs=0.05)
+
+
+@pytest.mark.slow
+def test_under_transformations_a_gait_is_the_same_and_differentiable():
+    gait, rates = jax.jvp(lambda s: wj.find_gait(wj.SimplestWalker(s)), (0.009,), (1.0,))
+    eager = wj.find_gait(walker())
+    derivatives = wj.gait_derivatives(walker(), eager, "slope")
+    assert gait.found and gait.stable
+    for field in ("states", "multipliers", "step_times"):
+        np.testing.assert_allclose(getattr(gait, field), getattr(eager, field), atol=1e-13)
+        np.testing.assert_allclose(getattr(rates, field), getattr(derivatives, field), rtol=1e-9)
+    (cycle,) = wj.find_gaits(walker(0.016), 2, REGION)
+    two = jax.jit(lambda x: wj.find_gait(walker(0.016), x, 2))(cycle.states[0] + 1e-4)
+    np.testing.assert_allclose(two.states, cycle.states, atol=1e-12)
+    np.testing.assert_allclose(two.multipliers, cycle.multipliers, atol=1e-11)
+
+
+def test_a_failed_search_says_so():
+    for guess in ([3.0, 3.0], [0.2, -0.5], [0.2, 0.2], [np.nan, 0.0]):
+        gait = wj.find_gait(walker(), guess)
+        assert not gait.found and not gait.stable and np.isnan(gait.residual)
+        assert gait.states.shape == (1, 2)
+    gait = wj.find_gait(walker(0.005), [0.1, -0.1], 3)
+    assert not gait.found and gait.states.shape == (3, 2) and gait.step_times.shape == (3,)
+    assert not wj.find_gait(walker(0.5)).found
+    assert not wj.find_gait(walker(0.005), period=2).found
+
+
+def test_a_shorter_period_is_not_a_longer_one():
+    long = wj.find_gait(walker())
+    twice = wj.find_gait(walker(), long.states[0], 2)
+    assert twice.residual < 1e-14 and not twice.found and not twice.stable
+
+
+def test_descent_reaches_gaits_from_where_newton_diverges():
+    """From the cells of the whole section that make a stride at all."""
+    grid = wj.Grid.plain(theta=(0, np.pi / 4, 100), thetadot=(-1, 0, 100))
+    starts = np.asarray(jax.vmap(grid.centre)(np.arange(grid.size, dtype=np.int32)))
+    _, cycles = module.walked(walker(), starts, 1, 1e-12)
+    newton = module.search(walker(), cycles, 1e-12)
+    assert 0.6 < newton.found.mean() < 0.85
+    lost = cycles[~newton.found]
+    nearer = wj.descend(walker(), lost)
+    rescued = module.search(walker(), nearer, 1e-12)
+    assert rescued.found.mean() > 0.7
+    before, after = (
+        np.abs(wj.strides(walker(), x[:, 0]).state - x[:, 0]).max(axis=1) for x in (lost, nearer)
+    )
+    assert np.isfinite(after).all() and (after < before).mean() > 0.9
+    both = wj.find_gaits(walker(), region=grid, descent=100)
+    assert len(both) >= 2 and all(gait.found for gait in both)
+
+
+def test_descent_leaves_what_cannot_stride_alone():
+    cycles = np.array([[[0.2, -0.2]], [[0.2, -0.5]]])
+    moved = wj.descend(walker(), cycles, 5)
+    np.testing.assert_array_equal(moved[1], cycles[1])
+    assert np.abs(moved[0] - cycles[0]).max() > 0
+
+
+def test_each_search_may_have_its_own_walker():
+    slopes = np.array([0.004, 0.009, 0.015])
+    states = [
+        v["state"]
+        for s in slopes
+        for v in VALUES["gaits"]
+        if (v["slope"], v["kind"]) == (s, "long")
+    ]
+    walkers = module.with_parameter(walker(), "slope", slopes)
+    found = module.search(walkers, np.array(states)[:, None] + 1e-3, 1e-12)
+    np.testing.assert_allclose(found.states[:, 0], states, rtol=0, atol=1e-11)
+    ends = wj.strides(walkers, np.array(states))
+    np.testing.assert_allclose(ends.state, states, rtol=0, atol=1e-11)
+
+
+def test_one_singular_system_spoils_no_other():
+    matrices = np.stack([np.eye(2), np.zeros((2, 2)), 2 * np.eye(2)])
+    solutions = module.solve(matrices, np.ones((3, 2)))
+    np.testing.assert_allclose(solutions, [[1, 1], [0, 0], [0.5, 0.5]])
+
+
+def test_in_float32_a_gait_has_float32_digits():
+    gait = wj.find_gait(wj.SimplestWalker(jnp.float32(0.009)), np.array([0.2, -0.2], np.float32))
+    assert gait.found and gait.stable and gait.states.dtype == np.float32
+    np.testing.assert_allclose(gait.states[0], [0.2003109, -0.1998325], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (dict(period=0), "period .*0"),
+        (dict(guess=[0.2]), r"guess .*\(2,\).*\(1,\)"),
+        (dict(guess=[[0.2, -0.2]], period=2), r"guess .*\(2, 2\).*\(1, 2\)"),
+        (dict(tolerance=1e-30), "tolerance .*1e-30"),
+    ],
+)
+def test_wrong_requests_are_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        wj.find_gait(walker(), **arguments)
+
+
+def test_wrong_regions_parameters_and_gaits_are_refused():
+    with pytest.raises(ValueError, match="region .*theta, thetadot"):
+        wj.find_gaits(walker(), region=wj.Grid.plain(theta=(0, 1, 3)))
+    with pytest.raises(ValueError, match="period .*-1"):
+        wj.find_gaits(walker(), -1)
+    with pytest.raises(ValueError, match="descent .*-5"):
+        wj.find_gaits(walker(), descent=-5)
+    gait = wj.find_gait(walker())
+    with pytest.raises(ValueError, match="parameter .*slope.*'mass'"):
+        wj.gait_derivatives(walker(), gait, "mass")
+    with pytest.raises(ValueError, match="gait must be one"):
+        wj.gait_derivatives(walker(), wj.find_gait(walker(), [3.0, 3.0]), "slope")
+    with pytest.raises(ValueError, match="guess .*period 2.* JAX traces"):
+        jax.eval_shape(lambda s: wj.find_gait(wj.SimplestWalker(s), period=2), 0.009)
