@@ -130,10 +130,8 @@ def test_a_gait_born_in_a_fold_attracts_walkers(born_in_folds):
 
 def test_what_walkers_come_to():
     slopes = np.array([0.01, 0.016, 0.0178, 0.0186, 0.0195])
-    starts = np.array([[v["state"] for v in VALUES["gaits"] if v["slope"] == 0.015]] * 5)
-    starts[:] = [
-        [[*np.asarray(wj.find_gait(walker(s)).states[0] + [1e-3, 0])], [0.2, -0.3]] for s in slopes
-    ]
+    gaits = np.array([wj.find_gait(walker(slope)).states[0] for slope in slopes])
+    starts = np.stack([gaits + np.array([1e-3, 0]), np.full_like(gaits, [0.2, -0.3])], axis=1)
     data = wj.attractors(walker(), "slope", slopes, starts, strides=1000)
     assert data.fate.values[:, 0].tolist() == [0, 0, 0, 0, wj.Outcome.FORWARD]
     assert (data.fate.values[:, 1] == wj.Outcome.FORWARD).all()

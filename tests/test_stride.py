@@ -594,6 +594,9 @@ class PatientWalker(Walker):
     def feasible(self, x):
         return self.inner.feasible(x)
 
+    def gait_region(self):
+        return self.inner.gait_region()
+
     def vector_field(self, state):
         return self.inner.vector_field(state)
 

@@ -241,7 +241,7 @@ def together(
 
     def advance(i: int, answer: Answer | None):
         try:
-            asked[i] = tasks[i].send(answer)  # type: ignore[arg-type]
+            asked[i] = next(tasks[i]) if answer is None else tasks[i].send(answer)
         except StopIteration as stop:
             results[i] = stop.value
 
@@ -487,7 +487,7 @@ def locate(kind: str, point: Point, width: float) -> Generator[Ask, Answer, Bifu
     period, size = point.cycle.shape
     count = period * size
     values, eigenvectors = np.linalg.eig(product(point.local.jacobian)[0])
-    vector = eigenvectors[:, np.abs(values - aim).argmin()].real
+    vector = np.real(eigenvectors[:, np.abs(values - aim).argmin()])
     vectors = [vector]
     for jacobian in point.local.jacobian[0][:-1]:
         vectors.append(jacobian @ vectors[-1])
@@ -768,11 +768,11 @@ def bifurcation_diagram(
 ) -> xr.Dataset:
     """Every gait over a range of a parameter, how each is born and lost, and what walkers come to.
 
-    Gaits are searched at `SAMPLES` values in the range, from the walker's `gait_region`, for all periods up
-    to `period_max` or `SEARCHED`. Their branches are followed, and those that leave them at period
-    doublings, up to `period_max`. Then walkers start close to the gaits at `scan` values, and at
-    more where walking is lost. A branch that is shorter than the samples are apart may be missed,
-    and so may a gait that no search comes to.
+    Gaits are searched at `SAMPLES` values in the range, from the walker's `gait_region`, for all
+    periods up to `period_max` or `SEARCHED`. Their branches are followed, and those that leave them
+    at period doublings, up to `period_max`. Then walkers start close to the gaits at `scan` values,
+    and at more where walking is lost. A branch that is shorter than the samples are apart may be
+    missed, and so may a gait that no search comes to.
 
     **Arguments:**
 
@@ -864,7 +864,7 @@ def gaits_at(
     parameter: str,
     values: Float[np.ndarray, " values"],
     period: int,
-    tolerance: Real | None,
+    tolerance: Real,
 ) -> list[list[Start]]:
     """The gaits of a period that searches from some cells find, for each of many values."""
     points = []
@@ -933,7 +933,7 @@ def diagram(
 
     def parts(multipliers: list[np.ndarray]) -> np.ndarray:
         whole = np.concatenate([np.zeros((0, size), complex), *multipliers])
-        return np.stack([whole.real, whole.imag], axis=-1)
+        return np.stack([np.real(whole), np.imag(whole)], axis=-1)
 
     counts = [len(branch.values) for branch in branches]
     events = [(i, b) for i, one in enumerate(branches) for b in (*one.folds, *one.doublings)]

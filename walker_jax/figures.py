@@ -760,7 +760,7 @@ def first(states: xr.DataArray) -> Float[np.ndarray, "..."]:
 
 def first_label(data: xr.Dataset) -> str:
     """Its name."""
-    name = data.attrs["section"][0]
+    name = str(data.attrs["section"][0])
     return AXIS_LABELS.get(name, name)
 
 

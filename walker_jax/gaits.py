@@ -26,7 +26,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Complex, Float, Int
 
 from walker_jax.cells import Grid
-from walker_jax.integrate import Real, default_tolerance
+from walker_jax.integrate import Real
 from walker_jax.stride import Outcome, follow_stride, follow_walk, prepared, stacked, strides
 from walker_jax.tiles import over_cells
 from walker_jax.walkers import SimplestWalker, Walker
@@ -285,7 +285,7 @@ def find_gaits(
         last = np.asarray(strides(walker, last, tolerance=tolerance).state)
         miss = np.abs(last - gaits.states[:, (i + 1) % period]).max(axis=1)
         gaits.found[:] &= miss < RESIDUAL[last.dtype]
-    inside = np.asarray(jax.vmap(jax.vmap(grid.cell))(gaits.states)) >= 0
+    inside = np.asarray(jax.vmap(jax.vmap(grid.cell))(jnp.asarray(gaits.states))) >= 0
     keep = gaits.found & inside.any(axis=1)
     return [gait_at(gaits, i) for i in np.flatnonzero(keep)]
 
@@ -331,15 +331,11 @@ def descend(
             update, state = optimiser.update(jnp.asarray(np.nan_to_num(gradient)), state)
         tried = x + scale[:, None, None] * np.asarray(update)
         there = linearise(walker, tried, tolerance)
-        good = np.isfinite(there.state).all(axis=(1, 2))
+        good = np.isfinite(there.state).all(axis=(1, 2)).reshape(-1)
         x = np.where(good[:, None, None], tried, x)
         scale = np.where(good, scale, scale / 2)
-        local = Linearised(
-            *(
-                np.where(good.reshape(-1, *[1] * (new.ndim - 1)), new, old)
-                for new, old in zip(there, local, strict=True)
-            )
-        )
+        for old, new in zip(local, there, strict=True):
+            old[good] = new[good]
     return x
 
 
@@ -458,7 +454,7 @@ def gait_derivatives(
         factors[i] = bend.changes[0, i, :, :size]
         change = change + product(factors[None])[0]
     values, vectors = np.linalg.eig(product(local.jacobian)[0])
-    order = np.lexsort((-values.imag, -np.abs(values)))
+    order = np.lexsort((-np.imag(values), -np.abs(values)))
     rates = np.diag(np.linalg.solve(vectors, change @ vectors))
     return GaitDerivatives(dx[0], rates[order].astype(complex), bend.time[0])
 
@@ -637,21 +633,22 @@ def multipliers_of(
     """Eigenvalues of the Jacobians of whole cycles, the largest first."""
     values = np.linalg.eigvals(product(jacobians))
     values = values.astype(np.result_type(jacobians, np.complex64))
-    return np.take_along_axis(values, np.lexsort((-values.imag, -np.abs(values)), axis=-1), axis=-1)
+    order = np.lexsort((-np.imag(values), -np.abs(values)), axis=-1)
+    return np.take_along_axis(values, order, axis=-1)
 
 
 def distinct(gaits: Gait) -> Gait:
     """The gaits found, each once, from its state of the smallest first coordinate on."""
-    states = gaits.states[gaits.found]
+    chosen = gait_at(gaits, np.asarray(gaits.found))
+    states, times = np.asarray(chosen.states), np.asarray(chosen.step_times)
     first = states[..., 0].argmin(axis=1)
     turns = (first[:, None] + np.arange(states.shape[1])) % states.shape[1]
     turned = np.take_along_axis(states, turns[..., None], axis=1)
+    chosen = chosen._replace(states=turned, step_times=np.take_along_axis(times, turns, axis=1))
     order = np.argsort(turned[:, 0, 0], kind="stable")
     kept: list[int] = []
     for i in order:
         far = [np.abs(turned[i] - turned[j]).max() > DISTINCT[states.dtype] for j in kept]
         if all(far):
             kept.append(i)
-    chosen = gait_at(gaits, gaits.found)
-    times = np.take_along_axis(chosen.step_times, turns, axis=1)
-    return Gait(*(f[kept] for f in chosen._replace(states=turned, step_times=times)))
+    return Gait(*(field[kept] for field in chosen))
