@@ -1,3 +1,4 @@
+import functools
 import json
 import subprocess
 import sys
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+import walker_jax as wj
 from walker_jax import cli
 
 SMALL = ["--theta", "0.05", "0.35", "30", "--sum", "-0.03", "0.01", "20"]
@@ -153,6 +155,127 @@ def test_wrong_usage_gets_one_line_and_changes_nothing(
     assert (code, out) == (2, "")
     assert err.startswith("walker-jax: ") and err.count("\n") == 1 and named in err
     assert "Traceback" not in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_gait_prints_the_long_gait_as_json(run, tmp_path):
+    code, out, err = run("gait", "--slope", "0.009", "--json")
+    assert (code, err) == (0, "")
+    answer = json.loads(out)
+    assert list(answer) == ["slope", "gaits"] and answer["slope"] == 0.009
+    (gait,) = answer["gaits"]
+    assert list(gait) == [*("period", "states", "multipliers", "step_times", "stable", "residual")]
+    assert gait["period"] == 1 and gait["stable"] is True and gait["residual"] < 1e-14
+    np.testing.assert_allclose(gait["states"], [[0.2003109005442, -0.199832473005]], atol=1e-12)
+    expected = [[-0.19009984107, 0.55759877668], [-0.19009984107, -0.55759877668]]
+    np.testing.assert_allclose(gait["multipliers"], expected, atol=1e-10)
+    np.testing.assert_allclose(gait["step_times"], [3.882463752851], atol=1e-11)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_gait_finds_all_the_long_one_first_and_draws_them(run, tmp_path):
+    arguments = ["gait", "--slope", "0.004", "--all"]
+    code, out, _ = run(*arguments, "--figure", "m.png", "--json")
+    gaits = json.loads(out)["gaits"]
+    assert code == 0 and len(gaits) >= 2
+    np.testing.assert_allclose(gaits[0]["states"], [[0.1533895648762, -0.1560801466757]])
+    np.testing.assert_allclose(gaits[1]["states"], [[0.1487783869696, -0.1588066734576]])
+    assert [gait["stable"] for gait in gaits[:2]] == [True, False]
+    assert (tmp_path / "m.png").read_bytes().startswith(b"\x89PNG")
+    assert run("gait", "--figure", "m.png")[0] == 2  # of another request
+    assert run(*arguments, "--figure", "m.png")[0] == 0
+
+
+def test_gait_from_a_guess_and_of_a_longer_period(run):
+    code, out, _ = run("gait", "--slope", "0.009", "--guess", "0.1939", "-0.2039", "--json")
+    (gait,) = json.loads(out)["gaits"]
+    assert code == 0 and gait["stable"] is False
+    np.testing.assert_allclose(gait["states"], [[0.1939373698102, -0.203866927442]], atol=1e-12)
+    arguments = ["gait", "--slope", "0.016", "--period", "2", "--guess", "0.2357", "-0.2313"]
+    code, out, _ = run(*arguments, "--json")
+    (gait,) = json.loads(out)["gaits"]
+    assert code == 0 and gait["stable"] is True and len(gait["states"]) == 2
+    assert len(gait["step_times"]) == 2 and len(gait["multipliers"]) == 2
+    code, out, _ = run(*arguments)
+    assert code == 0 and out.startswith("stable gait of period 2") and out.count("theta ") == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["--guess", "3", "3"], "no stride"),
+        (["--guess", "0.2", "-0.5"], "no stride"),
+        (["--period", "2", "--guess", "0.1534", "-0.1561"], "shorter period"),
+        (["--slope", "0.5"], "no gait of period 1 found at slope 0.5"),
+    ],
+)
+def test_a_gait_that_is_not_found_ends_with_1_and_a_reason(run, arguments, reason):
+    code, out, err = run("gait", *arguments, "--json")
+    assert (code, out) == (1, "") and err.count("\n") == 1 and reason in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["--slope", "0"], "slope"),
+        (["--period", "0"], "period"),
+        (["--guess", "nan", "0"], "theta"),
+        (["--guess", "0.2", "inf"], "thetadot"),
+        (["--guess", "0.2"], "guess"),
+        (["--all", "--guess", "0.2", "-0.2"], "--all"),
+        (["--figure", "m.jpg"], "m.jpg"),
+        (["--figure", "no/such/folder/m.png"], "no/such/folder"),
+    ],
+)
+def test_wrong_searches(run, tmp_path, arguments, named):
+    code, out, err = run("gait", *arguments)
+    assert (code, out) == (2, "") and err.count("\n") == 1 and named in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_bifurcation_answers_keeps_and_draws(run, tmp_path, monkeypatch):
+    diagram = functools.partial(wj.bifurcation_diagram, scan=10)
+    arguments = ["bifurcation", "--from", "0.0149", "--to", "0.0155", "--period-max", "2"]
+    arguments += ["--strides", "100"]
+    with monkeypatch.context() as patch:
+        patch.setattr("walker_jax.bifurcation_diagram", diagram)
+        code, out, err = run(*arguments, "--json")
+    assert (code, err) == (0, "")
+    answer = json.loads(out)
+    assert set(answer) == {"doublings", "other_doublings", "folds", "lost"}
+    (doubling,) = answer["doublings"]
+    assert (doubling["from"], doubling["to"]) == (1, 2)
+    assert doubling["slope"] == pytest.approx(0.01508843794111946, abs=1e-12)
+    assert doubling["state"][0] == pytest.approx(0.23716586359158, abs=1e-11)
+    assert answer["folds"] == answer["other_doublings"] == []
+    assert answer["lost"] == {"below": 0.0155, "above": None}
+    assert (tmp_path / "bifurcation.png").read_bytes().startswith(b"\x89PNG")
+    with monkeypatch.context() as patch:
+        patch.setattr("walker_jax.bifurcation_diagram", lambda *_, **__: 1 / 0)
+        code, again, _ = run(*arguments, "--json")
+        assert code == 0 and json.loads(again) == answer
+        code, text, _ = run(*arguments)
+        assert code == 0 and "period 1 to 2 at 0.0150884379" in text
+    before = {p: p.stat().st_mtime_ns for p in (tmp_path / "bifurcation.zarr").rglob("*")}
+    assert run(*arguments, "--to", "0.02")[0] == 2
+    assert before == {p: p.stat().st_mtime_ns for p in (tmp_path / "bifurcation.zarr").rglob("*")}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["--from", "0.02", "--to", "0.01"], "--from"),
+        (["--from", "0"], "slope"),
+        (["--to", "nan"], "slope"),
+        (["--period-max", "0"], "period-max"),
+        (["--strides", "0"], "strides"),
+        (["--out", "b.png"], "b.png"),
+        (["--figure", "b.gif"], "b.gif"),
+    ],
+)
+def test_wrong_bifurcations(run, tmp_path, arguments, named):
+    code, out, err = run("bifurcation", *arguments)
+    assert (code, out) == (2, "") and err.count("\n") == 1 and named in err
     assert list(tmp_path.iterdir()) == []
 
 

@@ -474,7 +474,7 @@ def doubling_test(point: Point) -> float:
 def distance_to(kind: str, point: Point) -> float:
     """How far the nearest multiplier is from 1 or -1."""
     aim = 1 if kind == "fold" else -1
-    return float(np.abs(multipliers_of(point.local.jacobian)[0] - aim).min())
+    return float(np.abs(multipliers_of(product(point.local.jacobian))[0] - aim).min())
 
 
 def locate(kind: str, point: Point, width: float) -> Generator[Ask, Answer, Bifurcation | None]:
@@ -511,7 +511,7 @@ def locate(kind: str, point: Point, width: float) -> Generator[Ask, Answer, Bifu
             return None
         settled = best is not None and residual >= best.residual
         if residual < (best.residual if best else RESIDUAL[cycle.dtype]):
-            multipliers = multipliers_of(local.jacobian)[0]
+            multipliers = multipliers_of(product(local.jacobian))[0]
             best = Bifurcation(kind, float(value), cycle, multipliers, v, residual)
         if settled:
             break
@@ -551,7 +551,7 @@ def joined(parameter: str, back: Path, forth: Path, size: int) -> Branch:
         parameter=parameter,
         values=np.array([point.value for point in points]),
         states=np.stack([point.cycle for point in points]),
-        multipliers=multipliers_of(np.concatenate([one.jacobian for one in local])),
+        multipliers=multipliers_of(product(np.concatenate([one.jacobian for one in local]))),
         step_times=np.concatenate([one.time for one in local]),
         folds=[*reversed(back.folds), *forth.folds],
         doublings=[*reversed(back.doublings), *forth.doublings],

@@ -378,6 +378,7 @@ def search(walker: Walker, cycles: Float[np.ndarray, "n period section"], tolera
         found=np.zeros(n, bool),
     )
     best.states[:] = cycles
+    whole = np.full((n, size, size), np.nan, cycles.dtype)
     left = np.flatnonzero(np.isfinite(cycles).all(axis=(1, 2)))
     rounding = 10 * float(np.finfo(cycles.dtype).eps)
     for _ in range(NEWTON_STEPS):
@@ -390,7 +391,7 @@ def search(walker: Walker, cycles: Float[np.ndarray, "n period section"], tolera
         best.states[improved] = cycles[improved]
         best.residual[improved] = residual[better]
         best.step_times[improved] = local.time[better]
-        best.multipliers[improved] = multipliers_of(local.jacobian[better])
+        whole[improved] = product(local.jacobian[better])
         ended = (residual <= rounding) | (~better & (best.residual[left] < RESIDUAL[cycles.dtype]))
         going = np.isfinite(residual) & ~ended
         left, miss, jacobian = left[going], miss[going], local.jacobian[going]
@@ -398,6 +399,8 @@ def search(walker: Walker, cycles: Float[np.ndarray, "n period section"], tolera
             break
         step = solve(cyclic(jacobian), -miss.reshape(len(left), -1))
         cycles[left] += step.reshape(len(left), period, size)
+    known = np.isfinite(whole).all(axis=(1, 2))
+    best.multipliers[known] = multipliers_of(whole[known])
     best.found[:] = (best.residual < RESIDUAL[cycles.dtype]) & ~repeats(best.states)
     best.stable[:] = best.found & (np.abs(best.multipliers[:, 0]) < 1)
     return best
@@ -628,11 +631,11 @@ def product(
 
 
 def multipliers_of(
-    jacobians: Float[np.ndarray, "n period section section"],
+    whole: Float[np.ndarray, "n section section"],
 ) -> Complex[np.ndarray, "n section"]:
     """Eigenvalues of the Jacobians of whole cycles, the largest first."""
-    values = np.linalg.eigvals(product(jacobians))
-    values = values.astype(np.result_type(jacobians, np.complex64))
+    values = np.linalg.eigvals(whole)
+    values = values.astype(np.result_type(whole, np.complex64))
     order = np.lexsort((-np.imag(values), -np.abs(values)), axis=-1)
     return np.take_along_axis(values, order, axis=-1)
 
