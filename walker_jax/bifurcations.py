@@ -66,14 +66,14 @@ ROUND = 64
 PARTS = 32
 """In which an interval is divided, at once, in search of the loss of walking."""
 OFFSET = 1e-3
-"""Distance from a gait at which they start."""
+"""Distance from a gait, in the first coordinate, at which they start."""
 SAME = 1e-6
 """Distance, in every coordinate, at which an orbit has come back."""
 SEARCHED = 6
 """Longest period of which gaits are searched that no doubling leads to."""
 SAMPLES = 16
 """Values of the parameter at which gaits are searched."""
-SPARSE = 8
+SPARSE = 32
 """One in how many cells of a gait region gaits are searched from there."""
 
 
@@ -578,7 +578,7 @@ def attractors(
     values: Float[ArrayLike, " values"],
     starts: Float[ArrayLike, "..."],
     *,
-    strides: int = 2000,
+    strides: int = 1000,
     tolerance: Real | None = None,
     progress: str | None = None,
 ) -> xr.Dataset:
@@ -739,11 +739,11 @@ def loss_of_walking(
 def starts_near(
     branches: Sequence[Branch], values: Float[np.ndarray, " values"], size: int
 ) -> Float[np.ndarray, "values starts section"]:
-    """Starts close to the gaits of branches, for each value; NaN to make up their number."""
+    """Starts on both sides of the gaits of branches, for each value; NaN to make up their number."""
     rows = []
     for value in values:
         gaits = [cycle[0] for branch in branches for cycle in crossings(branch, value)]
-        moves = np.concatenate([np.eye(size), -np.eye(size)]) * OFFSET
+        moves = np.array([[OFFSET], [-OFFSET]]) * np.eye(1, size)
         rows.append([state + move for state in gaits for move in moves])
     starts = np.full((len(values), max(map(len, rows), default=0), size), np.nan)
     for i, row in enumerate(rows):
@@ -762,7 +762,7 @@ def bifurcation_diagram(
     *,
     period_max: int = 8,
     strides: int = 5000,
-    scan: int = 400,
+    scan: int = 300,
     tolerance: Real | None = None,
     progress: bool = False,
 ) -> xr.Dataset:

@@ -540,7 +540,7 @@ def bifurcations(data: xr.Dataset) -> Figure:
     else:
         zoom = bifurcation_diagram(data, axes[1, 1])
         zoom.set_title("Attractors of the cascade", **TITLE)
-        zoom.lines[0].set_markersize(1.6)
+        zoom.lines[0].set(markersize=0.8, alpha=0.5)
         zoom.set(xlim=window[:2], ylim=window[2:])
         zoom.locator_params(axis="x", nbins=6)
     figure.suptitle(title(data), x=0.01, ha="left", fontsize=14, fontweight="bold")

@@ -65,6 +65,10 @@ def over_cells(
     tile, tiles = (tile, 1) if tile and platform == "cpu" else (size, tiles)
     call = tile * tiles
     run = _compiled(function, platform, tile, tiles)
+    if 0 < n <= call:  # one call, and neither threads nor a progress bar for it
+        chunk = jax.tree.map(lambda leaf: _filled(leaf, call), cells)
+        done = run(shared, chunk, -(-n // tile))
+        return jax.tree.map(lambda leaf: np.array(leaf[:n]), jax.device_get(done))
 
     first = jax.tree.map(lambda leaf: np.zeros((call, *leaf.shape[1:]), leaf.dtype), cells)
     shares = [(device, jax.device_put(shared, device)) for device in devices]
