@@ -1,16 +1,16 @@
 """How many gaits are searched for in a second, against scipy's `fsolve` over `solve_ivp`?
 
-10,000 Newton searches at a slope of 0.009, one from the centre of each cell of a region around the
-period-one gaits, as `walker_jax.find_gaits` makes them in one call; and some of the same searches by
-`scipy.optimize.fsolve` on a stride function of `scipy.integrate.solve_ivp`, as one would write it,
-at tolerances that give the gait to about ten digits. Each is run once before it is timed, which
-compiles it; repeats are interleaved. `times as long` is the time for one search, over that of
-walker_jax in the same repeat (median, least and greatest); `reached` the share of the searches
-that end in a gait.
+10,000 Newton searches at a slope of 0.009, one from the centre of each cell of a region around
+the period-one gaits, as `walker_jax.find_gaits` makes them in one call; and some of the same
+searches by `scipy.optimize.fsolve` on a stride function of `scipy.integrate.solve_ivp`, as one
+would write it, at tolerances that give the gait to about ten digits. Each is run once before it is
+timed, which compiles it; repeats are interleaved. `times as long` is the time for one search, over
+that of walker_jax in the same repeat (median, least and greatest); `reached` the share of the
+searches that end in a gait.
 
-The answer: about 17,000 searches a second on two cores, 560 times as many as scipy's 28 on one, which is
-what such a loop uses. Both reach a gait from four starts in five; the others make no stride, or leave
-for where none is made.
+The answer: about 17,000 searches a second on two cores, 560 times as many as scipy's 28 on one,
+which is what such a loop uses. Both reach a gait from four starts in five; the others make no
+stride, or leave for where none is made.
 
     2 cores; jax 0.10.2, scipy 1.17.1; 10000 searches by walker_jax, 20 by scipy, 5 repeats
                   searches/s               times as long  reached
@@ -61,7 +61,7 @@ def scipy_stride(x: np.ndarray) -> np.ndarray:
     run = solve_ivp(field, (0, 40), start, "DOP853", events=events, rtol=1e-10, atol=1e-12)
     if run.t_events is None or len(run.t_events[0]) == 0:
         return np.full(2, np.nan)
-    theta, phi, thetadot, _ = run.y[:, -1]
+    theta, _, thetadot, _ = run.y[:, -1]
     return np.array([-theta, np.cos(2 * theta) * thetadot])
 
 

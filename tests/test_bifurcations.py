@@ -10,122 +10,11 @@ import walker_jax as wj
 module = sys.modules["walker_jax.bifurcations"]
 VALUES = json.loads((Path(__file__).parent / "data" / "values.json").read_text())
 REGION = wj.Grid.sheared(theta=(0.1, 0.3, 40), sum=(-0.03, 0.018, 60))
-FEIGENBAUM = 4.669201609
+DOUBLINGS = np.array([one["slope"] for one in VALUES["period_doublings"]])
 
 
 def walker(slope=0.009):
     return wj.SimplestWalker(slope)
-
-
-@pytest.fixture(scope="module")
-def long():
-    """The long period-one gait over the slope."""
-    return wj.continue_gait(walker(), "slope", (0.001, 0.03))
-
-
-@pytest.fixture(scope="module")
-def cascade(long):
-    """The branches that stem from it, one doubling after the other."""
-    branches = [long]
-    while branches[-1].period < 16:
-        start = module.doubled(branches[-1].doublings[0])
-        branches += module.continue_gaits(walker(), "slope", (0.001, 0.0185), [start])
-    return branches
-
-
-@pytest.fixture(scope="module")
-def born_in_folds():
-    """The gaits of period three and four that no doubling leads to."""
-    starts = []
-    for period, slope in ((3, 0.013), (4, 0.0105)):
-        gait = wj.find_gaits(walker(slope), period, REGION)[0]
-        starts.append(module.Start(slope, gait.states))
-    return module.continue_gaits(walker(), "slope", (0.009, 0.02), starts)
-
-
-def assert_walks(branch, every=1):
-    """Every gait of a branch repeats itself when it is walked."""
-    for value, states in list(zip(branch.values, branch.states, strict=True))[::every]:
-        walked = wj.walk(walker(value), states[0], branch.period).states
-        np.testing.assert_allclose(walked[:-1], states, rtol=0, atol=1e-10)
-        np.testing.assert_allclose(walked[-1], states[0], rtol=0, atol=1e-10)
-
-
-def test_a_branch_is_made_of_gaits(long):
-    assert long.period == 1 and long.ends == ("the end of the range", "the end of the range")
-    assert (np.diff(long.values) > 0).all() and long.folds == []
-    np.testing.assert_allclose(long.values[[0, -1]], [0.001, 0.03], rtol=0, atol=1e-15)
-    assert_walks(long)
-    for i in (0, len(long.values) // 2, -1):
-        gait = wj.find_gait(walker(long.values[i]))
-        np.testing.assert_allclose(long.states[i], gait.states, rtol=0, atol=1e-12)
-        np.testing.assert_allclose(long.multipliers[i], gait.multipliers, rtol=0, atol=1e-10)
-        np.testing.assert_allclose(long.step_times[i], gait.step_times, rtol=0, atol=1e-11)
-    np.testing.assert_array_equal(long.stable, long.values < long.doublings[0].value)
-
-
-def test_the_cascade_of_doublings(cascade):
-    """The three of the reference, two more, and how their distances shrink."""
-    doublings = [branch.doublings[0] for branch in cascade]
-    slopes = np.array([one.value for one in doublings])
-    known = [one["slope"] for one in VALUES["period_doublings"]]
-    np.testing.assert_allclose(slopes[:3], known, rtol=0, atol=1e-12)
-    assert doublings[0].states[0, 0] == pytest.approx(
-        VALUES["period_doublings"][0]["theta"], abs=1e-12
-    )
-    distances = np.diff(slopes)
-    ratios = distances[:-1] / distances[1:]
-    np.testing.assert_allclose(ratios, FEIGENBAUM, rtol=0.15)
-    assert abs(ratios[-1] - FEIGENBAUM) < 0.02
-    for one, branch in zip(doublings, cascade, strict=True):
-        assert one.kind == "doubling" and one.states.shape == (branch.period, 2)
-        assert one.residual < 1e-12
-        assert np.abs(one.multipliers + 1).min() < 1e-9
-        walked = wj.walk(walker(one.value), one.states[0], branch.period).states
-        np.testing.assert_allclose(walked[-1], one.states[0], rtol=0, atol=1e-10)
-
-
-def test_doubled_gaits_are_stable_until_they_double(cascade):
-    for branch in cascade[1:]:
-        assert branch.ends[0] == "a period doubling"
-        assert_walks(branch, every=3)
-        inside = (branch.values > branch.values[0] + 1e-7) & (
-            branch.values < branch.doublings[0].value - 1e-7
-        )
-        assert inside.sum() > 2 and branch.stable[inside].all()
-        assert not branch.stable[branch.values > branch.doublings[0].value + 1e-7].any()
-
-
-def test_a_doubled_branch_followed_back_ends_at_its_doubling(long):
-    (gait,) = wj.find_gaits(walker(0.016), 2, REGION)
-    branch = wj.continue_gait(walker(0.016), "slope", (0.001, 0.017), gait)
-    assert branch.ends == ("the gait of period 1 that it doubles", "the end of the range")
-    assert branch.folds == []
-    assert branch.values[0] == pytest.approx(long.doublings[0].value, abs=1e-5)
-
-
-def test_gaits_of_period_three_and_four_are_born_in_folds(born_in_folds):
-    for branch, slope in zip(born_in_folds, (0.0122808216261, 0.0100897842119), strict=True):
-        (fold,) = branch.folds
-        assert fold.kind == "fold" and fold.value == pytest.approx(slope, abs=1e-12)
-        assert fold.residual < 1e-12 and np.abs(fold.multipliers - 1).min() < 1e-7
-        assert branch.values.min() >= fold.value
-        assert branch.ends == ("the end of the range", "the end of the range")
-        assert_walks(branch, every=5)
-        below = wj.find_gaits(walker(slope - 1e-6), branch.period, REGION)
-        above = wj.find_gaits(walker(slope + 1e-6), branch.period, REGION)
-        assert len(below) == 0 and len(above) == 2
-        assert [bool(gait.stable) for gait in above].count(True) == 1
-
-
-def test_a_gait_born_in_a_fold_attracts_walkers(born_in_folds):
-    """Walked from beside it, well between its fold and its doubling."""
-    for branch in born_in_folds:
-        slope = (branch.folds[0].value + branch.doublings[0].value) / 2
-        gait = next(g for g in wj.find_gaits(walker(slope), branch.period, REGION) if g.stable)
-        beside = gait.states[0] + np.array([1e-5, 0])
-        states = np.asarray(wj.walk(walker(slope), beside, 100 * branch.period).states)
-        np.testing.assert_allclose(states[:: branch.period][-1], gait.states[0], atol=1e-10)
 
 
 def test_what_walkers_come_to():
@@ -145,7 +34,32 @@ def test_what_walkers_come_to():
     np.testing.assert_allclose(chaos[1:], wj.strides(walker(0.0186), chaos[:-1]).state, atol=1e-12)
 
 
-def test_walking_is_lost_between_two_slopes(long):
+def test_what_attracts_beside_the_long_gait_is_seen():
+    """Between fold and doubling of the gait of period four, at 0.010090 and 0.010132."""
+    gait = next(gait for gait in wj.find_gaits(walker(0.01012), 4, REGION) if gait.stable)
+    branch = wj.continue_gait(walker(0.01012), "slope", (0.01, 0.0102), gait)
+    long = wj.continue_gait(walker(0.01012), "slope", (0.01, 0.0102))
+    values = np.array([0.01008, 0.0101, 0.01012])
+    starts = module.starts_near(walker(), "slope", [long, branch], values, 1e-12)
+    data = wj.attractors(walker(), "slope", values, starts, strides=600)
+    found = [
+        set(row[fate == 0].tolist())
+        for row, fate in zip(data.period.values, data.fate.values, strict=True)
+    ]
+    assert found == [{1}, {1, 4}, {1, 4}]
+
+
+def test_a_cascade_that_began_below_the_interval_is_known_as_one():
+    data = wj.bifurcation_diagram(
+        walker(), "slope", (0.0165, 0.0182), period_max=4, strides=100, scan=2
+    )
+    chosen = data.cascade.values
+    np.testing.assert_allclose(data.event_value.values[chosen], DOUBLINGS[1:], rtol=0, atol=1e-12)
+    assert set(data.period.values[data.on_cascade.values].tolist()) == {1, 2, 4}
+
+
+def test_walking_is_lost_between_two_slopes():
+    long = wj.continue_gait(walker(), "slope", (0.001, 0.03))
     lost = wj.loss_of_walking(walker(), "slope", (0.0185, 0.0195), [long], strides=2000)
     assert 0.01903 < lost.below < lost.above < 0.01907
     assert lost.above - lost.below <= 1e-5 and lost.strides == 2000
@@ -155,7 +69,7 @@ def test_walking_is_lost_between_two_slopes(long):
     assert np.isnan(nowhere.below) and nowhere.above == 0.02
 
 
-def test_the_whole_diagram(cascade):
+def test_the_whole_diagram():
     data = wj.bifurcation_diagram(
         walker(), "slope", (0.0148, 0.0181), period_max=4, strides=300, scan=10
     )
@@ -169,9 +83,9 @@ def test_the_whole_diagram(cascade):
             strict=True,
         )
     }
-    for branch in cascade[:2]:
-        value, chain = events[branch.period, False]
-        assert chain and value == pytest.approx(branch.doublings[0].value, abs=1e-12)
+    for period, slope in ((1, DOUBLINGS[0]), (2, DOUBLINGS[1])):
+        value, chain = events[period, False]
+        assert chain and value == pytest.approx(slope, abs=1e-12)
     assert set(data.period.values.tolist()) == {1, 2, 3, 4}
     for i in range(0, data.sizes["gait"], 7):
         one = data.isel(gait=i)
@@ -182,35 +96,24 @@ def test_the_whole_diagram(cascade):
         np.testing.assert_allclose(walked[-1], states[0], rtol=0, atol=1e-10)
     periods = data.attractor_period.values.max(axis=1)
     slopes = data.sample_value.values
-    doublings = np.array([branch.doublings[0].value for branch in cascade[:3]])
-    settled = np.abs(slopes[:, None] - doublings).min(axis=1) > 1e-4
-    expected = 2 ** (slopes[:, None] > doublings).sum(axis=1)
+    settled = np.abs(slopes[:, None] - DOUBLINGS).min(axis=1) > 1e-4
+    expected = 2 ** (slopes[:, None] > DOUBLINGS).sum(axis=1)
     np.testing.assert_array_equal(periods[settled], expected[settled])
     assert data.lost.values[0] == 0.0181 and np.isnan(data.lost.values[1])
     assert data.attrs["parameter"] == "slope" and "walker_slope" not in data.attrs
 
 
-def test_no_gait_no_branch():
-    (branch,) = module.continue_gaits(
-        walker(), "slope", (0.001, 0.02), [module.Start(0.01, np.array([[0.2, -0.5]]))]
-    )
-    assert len(branch.values) == 0 and branch.ends == ("no gait", "no gait")
-    assert branch.folds == branch.doublings == []
-
-
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: wj.continue_gait(walker(), "mass", (0.1, 0.2)), "parameter .*slope.*'mass'"),
-        (lambda: wj.continue_gait(walker(), "slope", (0.2, 0.1)), "interval .*0.2, 0.1"),
-        (lambda: wj.continue_gait(walker(), "slope", (0.1, 0.2)), "interval .*0.009"),
-        (
-            lambda: wj.continue_gait(
-                walker(), "slope", (0.0, 1.0), wj.find_gait(walker(), np.array([3.0, 3.0]))
-            ),
-            "gait must be one",
-        ),
         (lambda: wj.bifurcation_diagram(walker(), "slope", (0.1, 0.1)), "interval .*0.1"),
+        (lambda: wj.loss_of_walking(walker(), "mass", (0.1, 0.2), []), "parameter .*'mass'"),
+        (lambda: wj.loss_of_walking(walker(), "slope", (0.2, 0.1), []), "interval .*0.2"),
+        (lambda: wj.loss_of_walking(walker(), "slope", (0.1, 0.2), [], strides=0), "strides .*0"),
+        (
+            lambda: wj.loss_of_walking(walker(), "slope", (0.1, 0.2), [], resolution=-1.0),
+            "resolution .*-1",
+        ),
         (
             lambda: wj.bifurcation_diagram(walker(), "slope", (0.1, 0.2), period_max=0),
             "period_max .*0",

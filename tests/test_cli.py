@@ -242,7 +242,7 @@ def test_bifurcation_answers_keeps_and_draws(run, tmp_path, monkeypatch):
         code, out, err = run(*arguments, "--json")
     assert (code, err) == (0, "")
     answer = json.loads(out)
-    assert set(answer) == {"doublings", "other_doublings", "folds", "lost"}
+    assert set(answer) == {"doublings", "other_doublings", "folds", "lost", "stable_beyond"}
     (doubling,) = answer["doublings"]
     assert (doubling["from"], doubling["to"]) == (1, 2)
     assert doubling["slope"] == pytest.approx(0.01508843794111946, abs=1e-12)

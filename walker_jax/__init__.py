@@ -13,14 +13,8 @@ Importing sets no JAX flag. Turn on float64 for numbers to quote:
 from importlib.metadata import version
 
 from walker_jax.basin import basin
-from walker_jax.bifurcations import (
-    Bifurcation,
-    Branch,
-    attractors,
-    bifurcation_diagram,
-    continue_gait,
-    loss_of_walking,
-)
+from walker_jax.bifurcations import attractors, bifurcation_diagram, loss_of_walking
+from walker_jax.branches import Bifurcation, Branch, continue_gait
 from walker_jax.cells import Grid
 from walker_jax.gaits import Gait, descend, find_gait, find_gaits, gait_derivatives
 from walker_jax.stride import Outcome, Stride, Walk, stride, strides, trajectory, walk

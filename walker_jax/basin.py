@@ -17,7 +17,7 @@ import xarray as xr
 from jaxtyping import Array, Float, Int
 
 from walker_jax.cells import Grid, cell_image, resolve
-from walker_jax.gaits import find_gait
+from walker_jax.gaits import gait_at, search, walked
 from walker_jax.integrate import Real, default_tolerance
 from walker_jax.stride import Outcome, stride, strides
 from walker_jax.tiles import compact_order, over_cells
@@ -237,7 +237,10 @@ def settle(
             return found
     explained = False
     for start, count in zip(x[:ATTEMPTS], period[:ATTEMPTS], strict=True):
-        gait = find_gait(walker, start, int(count), tolerance=tolerance)
+        _, cycles = walked(walker, start[None], int(count), tolerance)
+        if len(cycles) == 0:
+            continue
+        gait = gait_at(search(walker, cycles, tolerance), 0)
         states = np.asarray(gait.states)
         stable = gait.residual < exact and np.abs(gait.multipliers[0]) < 1  # neither if NaN
         if stable and np.abs(states[0] - start).max() < CLOSE:

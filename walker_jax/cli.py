@@ -118,11 +118,12 @@ def gait(
         store.check_picture(figure, request, overwrite=overwrite)
 
     found = []
-    if all_:
+    if all_ or (period > 1 and guess is None):
         found = wj.find_gaits(walker, period)
         found.sort(key=lambda gait: np.abs(gait.multipliers[0]))
-    # the long gait of period one is no more stable than others of its period on every slope
-    if not all_ or period == 1:
+        found = found if all_ else found[:1]
+    # the long gait of period one is not the most stable one on every slope
+    if period == 1 or guess is not None:
         first = wj.find_gait(walker, guess, period)
         same = lambda gait: np.allclose(gait.states, first.states, rtol=0, atol=1e-8)
         found = [first] * bool(first.found) + [gait for gait in found if not same(gait)]
@@ -165,7 +166,7 @@ def bifurcation(
     ] = 8,
     strides: Annotated[
         int, typer.Option(min=1, help="Strides after which a walker walks for ever.")
-    ] = 5000,
+    ] = 3000,
     out: Out = Path("bifurcation.zarr"),
     figure: PictureOfData = None,
     overwrite: Overwrite = False,
@@ -214,11 +215,19 @@ def bifurcation(
         return listed
 
     below, above = map(float, data["lost"].values)
+    windows = []
+    for number in np.unique(data["event_branch"].values[data["event_fold"].values]):
+        own = data["event_branch"].values == number
+        slopes = np.sort(data["event_value"].values[own])
+        if len(slopes) > 1 and slopes[0] > above:
+            period = int(data["event_period"].values[own][0])
+            windows.append({"period": period, "from": float(slopes[0]), "to": float(slopes[1])})
     answer = {
         "doublings": events(fold=False, cascade=True),
         "other_doublings": events(fold=False, cascade=False),
         "folds": events(fold=True),
         "lost": {"below": below, "above": above},
+        "stable_beyond": windows,
     }
     if as_json:
         print_json(answer)
@@ -240,13 +249,16 @@ def bifurcation(
         print("  walkers that start close to a gait walk on up to the highest slope")
     else:
         print(f"  walking is lost between {below:.8f} and {above:.8f}: {strides} strides, or fewer")
+    for window in windows:
+        where = f"from {window['from']:.9f} to {window['to']:.9f}"
+        print(f"  a gait of period {window['period']} is stable beyond that, {where}")
     print(f"  data set {out}, picture {figure}")
 
 
 def end_of(gait) -> str:
     """How a search ended that found no gait."""
     if not np.isfinite(gait.residual):
-        return "a state of the guess makes no stride"
+        return "a search began, or came, where no stride is made"
     if gait.residual > 1e-6:
         return f"the search ended where a stride misses the next state by {gait.residual:.2g}"
     return "the search came to one of a shorter period"

@@ -10,6 +10,7 @@ the unit circle. Jacobians come from automatic differentiation.
 `find_gaits` is thousands of them at once.
 """
 
+import inspect
 import operator
 from collections.abc import Sequence
 from functools import partial
@@ -54,7 +55,11 @@ class Gait(NamedTuple):
     residual: Float[Array | np.ndarray, ""]
     """Largest distance, in any coordinate, from the end of a stride to the next state."""
     found: Bool[Array | np.ndarray, ""]
-    """Whether this is a gait, of its period and no shorter one: the residual is rounding."""
+    """Whether this is a gait, of its period and no shorter one.
+
+    The residual is rounding, and rounding does not move the states: within about 1e-9 of a
+    bifurcation with a multiplier of 1 it does, and nothing is found.
+    """
 
 
 def find_gait(
@@ -78,15 +83,14 @@ def find_gait(
     - `walker`: any walker.
     - `guess`: a point of the section, from which the other states of the cycle are walked; or all
       states, of shape (period, section). By default one is made. For the simplest walker and a
-      period of one it is the small-slope expansion of the long gait, the one that is stable at
-      small slopes (Garcia and others 1998). Otherwise it is the most stable gait that `find_gaits`
-      finds, which cannot be done while JAX traces.
+      period of one it is the long gait, the one that is stable at small slopes. Otherwise it is the
+      most stable gait that `find_gaits` finds, which cannot be done while JAX traces.
     - `period`: strides in a cycle.
     - `tolerance`: of the integration, as in `stride`.
 
     **Returns** a `Gait`. Its `found` is false where the search fails, or ends in a gait of a
-    shorter period. `ValueError` for a period below 1, a guess of a wrong shape, or none where one
-    is needed.
+    shorter period; then states, multipliers and step times are NaN. `ValueError` for a period
+    below 1, a guess of a wrong shape, or none where one is needed.
     """
     if operator.index(period) < 1:
         raise ValueError(f"period must be at least 1, not {period}")
@@ -105,7 +109,14 @@ def find_gait(
     if traced:
         return solve_cycle(walker, cycle, tolerance)
     # The same iteration, on what is compiled for all searches.
-    return gait_at(search(walker, np.asarray(cycle)[None], tolerance), 0)
+    gait = gait_at(search(walker, np.asarray(cycle)[None], tolerance), 0)
+    return gait if gait.found else nowhere(gait)
+
+
+def nowhere(gait: Gait) -> Gait:
+    """NaN for what only a gait has."""
+    states, multipliers, times = (np.full_like(x, np.nan) for x in gait[:3])
+    return gait._replace(states=states, multipliers=multipliers, step_times=times)
 
 
 def is_traced(tree) -> bool:
@@ -117,7 +128,7 @@ def first_guess(
 ) -> Float[Array | np.ndarray, "..."]:
     """A guess of the most stable gait of a period."""
     if isinstance(walker, SimplestWalker) and period == 1:
-        return small_slope_expansion(walker.slope)
+        return long_gait(walker.slope)
     if is_traced((walker, tolerance)):
         raise ValueError(
             f"guess must be given for a {type(walker).__name__}'s gait of period {period} where "
@@ -129,14 +140,17 @@ def first_guess(
     return min(found, key=lambda gait: np.abs(gait.multipliers[0])).states
 
 
-def small_slope_expansion(slope: Float[ArrayLike, ""]) -> Float[Array, " 2"]:
-    """The long period-one gait of the simplest walker at a small slope.
+def long_gait(slope: Float[ArrayLike, ""]) -> Float[Array, " 2"]:
+    """The long period-one gait of the simplest walker to 1e-5, up to a slope of 0.2597.
 
-    theta = T0 slope^{1/3} + T1 slope and thetadot = a theta + c1 slope; Garcia, Chatterjee, Ruina
-    and Coleman (1998), Table 1, where T1 is given as -0.270837: the gaits themselves say -0.186569.
+    A fit to what continuation gives, in the powers of slope^{1/3} of the expansion for small slopes
+    (Garcia, Chatterjee, Ruina and Coleman 1998). Beyond that slope there is no such gait.
     """
-    theta = 0.970956 * jnp.cbrt(slope) - 0.186569 * slope
-    return jnp.stack([theta, -1.045203 * theta + 1.062895 * slope])
+    u = jnp.cbrt(slope)
+    powers = jnp.stack([jnp.ones_like(u), u**2, u**4, u**6])
+    theta = u * (jnp.array([0.970951, -0.185540, 0.044417, 0.005397], u.dtype) * powers).sum()
+    ratio = (jnp.array([-1.045203, 1.095118, 0.108861, 0.062005], u.dtype) * powers).sum()
+    return jnp.stack([theta, ratio * theta])
 
 
 @jax.jit
@@ -166,10 +180,15 @@ def solve_cycle(
     multipliers = multipliers[jnp.lexsort((-multipliers.imag, -jnp.abs(multipliers)))]
     residual = jnp.abs(ends - jnp.roll(states, -1, axis=0)).max()
     found = (residual < RESIDUAL[dtype]) & ~repeats(states)
+    unit = jnp.eye(states.size, dtype=dtype).reshape(-1, *states.shape)
+    rows = jax.vmap(lambda change: derivative(change)[0] - jnp.roll(change, -1, axis=0))(unit)
+    found &= uncertainty(residual, rows.reshape(states.size, -1)) < DISTINCT[dtype] / 10
+    # Multiplied, so that derivatives are NaN too.
+    known = jnp.where(found, 1, jnp.nan).astype(dtype)
     return Gait(
-        states=states,
-        multipliers=multipliers,
-        step_times=times,
+        states=states * known,
+        multipliers=multipliers * known,
+        step_times=times * known,
         stable=found & (jnp.abs(multipliers[0]) < 1),
         residual=residual,
         found=found,
@@ -222,6 +241,17 @@ def _advance_jvp(primals, tangents):
     return jax.tree.map(lambda value: value[0], values), jax.tree.map(along, columns)
 
 
+def uncertainty(residual, matrix):
+    """How far the states of a cycle may be from those of a gait.
+
+    As far as the residual, and rounding, move the solution of the linear equations that Newton's
+    iteration solves: divided by the smallest singular value of their matrix.
+    """
+    linalg = jnp.linalg if isinstance(matrix, jax.Array) else np.linalg
+    smallest = linalg.svd(matrix, compute_uv=False)[..., -1]
+    return (residual + 4 * float(jnp.finfo(residual.dtype).eps)) / smallest
+
+
 def repeats(states) -> Bool[Array | np.ndarray, "..."]:
     """Whether cycles, of shape (..., period, section), repeat themselves within their period."""
     period, numpy = states.shape[-2], jnp if isinstance(states, jax.Array) else np
@@ -255,7 +285,7 @@ def find_gaits(
     - `region`: of the section, a search from each of its cells; by default the walker's
       `gait_region`.
     - `descent`: steps of `descend` for searches in which Newton's iteration fails, before it is
-      tried again. They then reach two to six times as many gaits from poor starts.
+      tried again.
     - `tolerance`: of the integration, as in `stride`.
 
     **Returns** the gaits that have a state in the region, each once, from its state of the
@@ -317,6 +347,7 @@ def descend(
     """
     import optax  # here alone: it takes a quarter of a second
 
+    cycles = np.asarray(cycles)
     walker, _, tolerance = prepared(walker, cycles[0, 0], tolerance)
     optimiser = optax.adam(optax.cosine_decay_schedule(rate, steps), b1=0.5, b2=0.9)
     x, scale = cycles, np.ones(len(cycles), cycles.dtype)
@@ -378,7 +409,7 @@ def search(walker: Walker, cycles: Float[np.ndarray, "n period section"], tolera
         found=np.zeros(n, bool),
     )
     best.states[:] = cycles
-    whole = np.full((n, size, size), np.nan, cycles.dtype)
+    jacobians = np.full((n, period, size, size), np.nan, cycles.dtype)
     left = np.flatnonzero(np.isfinite(cycles).all(axis=(1, 2)))
     rounding = 10 * float(np.finfo(cycles.dtype).eps)
     for _ in range(NEWTON_STEPS):
@@ -391,7 +422,7 @@ def search(walker: Walker, cycles: Float[np.ndarray, "n period section"], tolera
         best.states[improved] = cycles[improved]
         best.residual[improved] = residual[better]
         best.step_times[improved] = local.time[better]
-        whole[improved] = product(local.jacobian[better])
+        jacobians[improved] = local.jacobian[better]
         ended = (residual <= rounding) | (~better & (best.residual[left] < RESIDUAL[cycles.dtype]))
         going = np.isfinite(residual) & ~ended
         left, miss, jacobian = left[going], miss[going], local.jacobian[going]
@@ -399,9 +430,12 @@ def search(walker: Walker, cycles: Float[np.ndarray, "n period section"], tolera
             break
         step = solve(cyclic(jacobian), -miss.reshape(len(left), -1))
         cycles[left] += step.reshape(len(left), period, size)
-    known = np.isfinite(whole).all(axis=(1, 2))
-    best.multipliers[known] = multipliers_of(whole[known])
-    best.found[:] = (best.residual < RESIDUAL[cycles.dtype]) & ~repeats(best.states)
+    known = np.flatnonzero(np.isfinite(best.residual))
+    best.multipliers[known] = multipliers_of(product(jacobians[known]))
+    near = (best.residual < RESIDUAL[cycles.dtype]) & ~repeats(best.states)
+    with np.errstate(divide="ignore"):
+        error = uncertainty(best.residual[near], cyclic(jacobians[near]))
+    best.found[near] = error < DISTINCT[cycles.dtype] / 10
     best.stable[:] = best.found & (np.abs(best.multipliers[:, 0]) < 1)
     return best
 
@@ -447,6 +481,11 @@ def gait_derivatives(
     cycle = np.asarray(gait.states)[None]
     walker, _, tolerance = prepared(walker, cycle[0, 0], tolerance)
     local = linearise(walker, cycle, tolerance, parameter)
+    miss = np.abs(local.state - np.roll(cycle, -1, axis=1)).max()
+    if not miss < RESIDUAL[cycle.dtype]:
+        raise ValueError(
+            f"gait must be one of this walker: a stride misses the next state by {miss}"
+        )
     dx = solve(cyclic(local.jacobian), -local.by_parameter.reshape(1, -1)).reshape(cycle.shape)
     along = np.concatenate([dx, np.ones_like(dx[..., :1])], axis=-1)
     bend = curve(walker, cycle, along, tolerance, parameter)
@@ -462,10 +501,14 @@ def gait_derivatives(
     return GaitDerivatives(dx[0], rates[order].astype(complex), bend.time[0])
 
 
-def check_parameter(walker: Walker, parameter: str) -> None:
+def check_parameter(walker: Walker, parameter: str, *values: float) -> None:
+    """Refuse a parameter that the walker does not have, and values that its constructor refuses."""
     if parameter not in vars(walker):
         names = ", ".join(vars(walker))
         raise ValueError(f"parameter must be one of the walker's, {names}, not {parameter!r}")
+    if set(vars(walker)) <= set(inspect.signature(type(walker)).parameters):
+        for value in values:
+            type(walker)(**{**vars(walker), parameter: value})
 
 
 class Linearised(NamedTuple):
@@ -473,7 +516,6 @@ class Linearised(NamedTuple):
 
     state: Float[np.ndarray, "n period section"]
     """Ends of the strides; NaN where one fails."""
-    outcome: Int[np.ndarray, "n period"]
     time: Float[np.ndarray, "n period"]
     """Durations of the strides."""
     jacobian: Float[np.ndarray, "n period section section"]
@@ -504,12 +546,11 @@ def linearise(
         np.tile(directions, (count, 1)),
     )
     shared = tolerance, axis_of(walker, parameter, cycles.dtype)
-    (state, time), (dstate, _), outcome = over_cells(push, shared, cells, tile=TILE)
+    (state, time), (dstate, _) = over_cells(push, shared, cells, tile=TILE)
     by = dstate.reshape(n, period, columns, size)
     first = lambda values: values.reshape(n, period, columns, *values.shape[1:])[:, :, 0]
     return Linearised(
         state=first(state),
-        outcome=first(outcome),
         time=first(time),
         jacobian=np.swapaxes(by[:, :, :size], 2, 3),
         by_parameter=by[:, :, size] if parameter else np.zeros_like(cycles),
@@ -546,7 +587,9 @@ def curve(
         np.tile(np.eye(columns, dtype=cycles.dtype), (count, 1)),
     )
     shared = tolerance, axis_of(walker, parameter, cycles.dtype)
-    (_, (along, time)), (_, (changes, _)), _ = over_cells(push_twice, shared, cells, tile=TILE)
+    (_, (along, time)), (_, (changes, _)) = over_cells(
+        push_twice, shared, cells, tile=TILE, nested=True
+    )
     shape = n, period, columns
     return Curved(
         along=along.reshape(*shape, size)[:, :, 0],
@@ -560,25 +603,22 @@ def push(shared: tuple[Real, Walker], cell):
     tolerance, axis = shared
     walker, x, direction = cell
     tangent = jax.tree.map(lambda leaf: leaf * direction[-1], axis), direction[:-1]
-    return jax.jvp(partial(timed_stride, tolerance), (walker, x), tangent, has_aux=True)
+    return jax.jvp(partial(timed_stride, tolerance), (walker, x), tangent)
 
 
 def timed_stride(tolerance: Real, walker: Walker, x: Float[Array, " section"]):
     result = follow_stride(walker, x, tolerance)
-    return (result.state, result.time), result.outcome
+    return result.state, result.time
 
 
 def push_twice(shared: tuple[Real, Walker], cell):
-    """A stride, its derivatives along two directions of one cell, and the second derivative."""
+    """((stride, derivative along one direction), (derivative along another, second one))."""
     walker, x, first, second = cell
     _, axis = shared
     tangent = jax.tree.map(lambda leaf: leaf * second[-1], axis), second[:-1]
 
-    def pushed(walker, x):
-        value, derivative, outcome = push(shared, (walker, x, first))
-        return (value, derivative), outcome
-
-    return jax.jvp(pushed, (walker, x), tangent, has_aux=True)
+    along = lambda walker, x: push(shared, (walker, x, first))
+    return jax.jvp(along, (walker, x), tangent)
 
 
 def axis_of(walker: Walker, parameter: str | None, dtype) -> Walker:
@@ -649,9 +689,9 @@ def distinct(gaits: Gait) -> Gait:
     turned = np.take_along_axis(states, turns[..., None], axis=1)
     chosen = chosen._replace(states=turned, step_times=np.take_along_axis(times, turns, axis=1))
     order = np.argsort(turned[:, 0, 0], kind="stable")
-    kept: list[int] = []
-    for i in order:
-        far = [np.abs(turned[i] - turned[j]).max() > DISTINCT[states.dtype] for j in kept]
-        if all(far):
-            kept.append(i)
+    kept = []
+    while len(order):
+        kept.append(order[0])
+        far = np.abs(turned[order] - turned[order[0]]).max(axis=(1, 2)) > DISTINCT[states.dtype]
+        order = order[far]
     return Gait(*(field[kept] for field in chosen))

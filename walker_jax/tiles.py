@@ -23,11 +23,11 @@ from rich.progress import Progress
 # Cells in a tile, and tiles in a call: a call should take much longer than it takes to make.
 TILE = {"cpu": (1024, 8), "gpu": (2**17, 1), "tpu": (2**17, 1)}
 
-# A library may set these for its own calls: 512-bit vectors where the processor has them, and the
-# older of XLA's two ways to emit a fusion, which does not repeat what second derivatives share.
-COMPILER_OPTIONS = {
-    "cpu": {"xla_cpu_prefer_vector_width": 512, "xla_cpu_use_fusion_emitters": False}
-}
+# A library may set these for its own calls: 512-bit vectors where the processor has them.
+COMPILER_OPTIONS = {"cpu": {"xla_cpu_prefer_vector_width": 512}}
+# The older of XLA's two ways to emit a fusion: a few per cent slower, but it does not repeat what
+# derivatives of derivatives have in common, which makes them a hundred times as fast.
+NESTED_OPTIONS = {"cpu": {**COMPILER_OPTIONS["cpu"], "xla_cpu_use_fusion_emitters": False}}
 
 
 def over_cells(
@@ -37,6 +37,7 @@ def over_cells(
     *,
     progress: str | None = None,
     tile: int | None = None,
+    nested: bool = False,
 ) -> PyTree[np.ndarray]:
     """function(shared, cell) for every cell, on all devices of the process and all cores of a CPU.
 
@@ -51,6 +52,7 @@ def over_cells(
     - `progress`: what to call the work in a progress bar, shown on a terminal only.
     - `tile`: cells in a call on a CPU, where the usual number is too many: for few cells, or where
       each takes long or needs much memory.
+    - `nested`: whether the function holds derivatives of derivatives.
 
     **Returns** a PyTree of NumPy arrays with the cells along their first axis.
     """
@@ -64,7 +66,7 @@ def over_cells(
     size, tiles = TILE.get(platform, TILE["gpu"])
     tile, tiles = (tile, 1) if tile and platform == "cpu" else (size, tiles)
     call = tile * tiles
-    run = _compiled(function, platform, tile, tiles)
+    run = _compiled(function, platform, tile, tiles, nested)
     if 0 < n <= call:  # one call, and neither threads nor a progress bar for it
         chunk = jax.tree.map(lambda leaf: _filled(leaf, call), cells)
         done = run(shared, chunk, -(-n // tile))
@@ -114,7 +116,7 @@ def _filled(values: np.ndarray, size: int) -> np.ndarray:
 _cache: dict = {}
 
 
-def _compiled(function: Callable, platform: str, tile: int, tiles: int) -> Callable:
+def _compiled(function: Callable, platform: str, tile: int, tiles: int, nested: bool) -> Callable:
     """The jitted function of (shared, cells of one call, number of tiles to work through)."""
     key = function, platform, tile
     if key not in _cache:
@@ -132,7 +134,8 @@ def _compiled(function: Callable, platform: str, tile: int, tiles: int) -> Calla
             results = lax.fori_loop(0, count, advance, empty)
             return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), results)
 
-        _cache[key] = jax.jit(run, compiler_options=COMPILER_OPTIONS.get(platform))
+        options = NESTED_OPTIONS if nested else COMPILER_OPTIONS
+        _cache[key] = jax.jit(run, compiler_options=options.get(platform))
     return _cache[key]
 
 

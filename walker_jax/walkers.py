@@ -36,7 +36,7 @@ class State(NamedTuple):
 
 
 class Walker(eqx.Module):
-    """What a stride needs to know of a walker. Its fields are its parameters."""
+    """What a stride needs to know of a walker. Its fields are its parameters, scalars all."""
 
     section: eqx.AbstractClassVar[tuple[str, ...]]
     """Names of the coordinates of the Poincaré section."""
@@ -147,11 +147,13 @@ class SimplestWalker(Walker):
     def gait_region(self):
         """A strip that shrinks like slope^{1/3}, as gaits do (Garcia and others 1998).
 
-        Its upper edge lies just above that of falling backward, where sum = slope nearly.
+        Its upper edge is where walkers begin to fall backward, thetadot = -2 sin((theta -
+        slope) / 2), at its widest.
         """
         slope = float(self.slope)
         widest = min(2 * slope ** (1 / 3), np.pi / 4)
-        return Grid.sheared(theta=(0, widest, 100), sum=(-0.15 * widest, 1.02 * slope, 1000))
+        edge = widest - 2 * np.sin((widest - slope) / 2)
+        return Grid.sheared(theta=(0, widest, 100), sum=(-0.15 * widest, edge, 1000))
 
     def vector_field(self, state):
         """(7): thetaddot = sin(theta - slope), an inverted pendulum that the swing leg follows."""
