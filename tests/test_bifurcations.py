@@ -49,6 +49,7 @@ def test_what_attracts_beside_the_long_gait_is_seen():
     assert found == [{1}, {1, 4}, {1, 4}]
 
 
+@pytest.mark.slow
 def test_a_cascade_that_began_below_the_interval_is_known_as_one():
     data = wj.bifurcation_diagram(
         walker(), "slope", (0.0165, 0.0182), period_max=4, strides=100, scan=2

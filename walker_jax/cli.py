@@ -248,7 +248,8 @@ def bifurcation(
     elif math.isnan(above):
         print("  walkers that start close to a gait walk on up to the highest slope")
     else:
-        print(f"  walking is lost between {below:.8f} and {above:.8f}: {strides} strides, or fewer")
+        print(f"  walking is lost between {below:.8f}, where a walker makes {strides} strides,")
+        print(f"  and {above:.8f}, where none does")
     for window in windows:
         where = f"from {window['from']:.9f} to {window['to']:.9f}"
         print(f"  a gait of period {window['period']} is stable beyond that, {where}")

@@ -67,7 +67,7 @@ def over_cells(
     tile, tiles = (tile, 1) if tile and platform == "cpu" else (size, tiles)
     call = tile * tiles
     run = _compiled(function, platform, tile, tiles, nested)
-    if 0 < n <= call:  # one call, and neither threads nor a progress bar for it
+    if 0 < n <= call and progress is None:  # one call, and no threads for it
         chunk = jax.tree.map(lambda leaf: _filled(leaf, call), cells)
         done = run(shared, chunk, -(-n // tile))
         return jax.tree.map(lambda leaf: np.array(leaf[:n]), jax.device_get(done))
