@@ -55,7 +55,7 @@ class Gait(NamedTuple):
     residual: Float[Array | np.ndarray, ""]
     """Largest distance, in any coordinate, from the end of a stride to the next state."""
     found: Bool[Array | np.ndarray, ""]
-    """Whether this is a gait, of its period and no shorter one.
+    """Whether this is a gait, of its period and no shorter one; a walk over the period repeats it.
 
     The residual is rounding, and rounding does not move the states: within about 1e-9 of a
     bifurcation with a multiplier of 1 it does, and nothing is found.
@@ -109,7 +109,8 @@ def find_gait(
     if traced:
         return solve_cycle(walker, cycle, tolerance)
     # The same iteration, on what is compiled for all searches.
-    gait = gait_at(search(walker, np.asarray(cycle)[None], tolerance), 0)
+    gaits = search(walker, np.asarray(cycle)[None], tolerance)
+    gait = gait_at(confirmed(walker, gaits, tolerance), 0)
     return gait if gait.found else nowhere(gait)
 
 
@@ -309,12 +310,7 @@ def find_gaits(
         nearer = descend(walker, cycles[~gaits.found], descent, tolerance=tolerance)
         further = search(walker, nearer, tolerance)
         gaits = Gait(*map(np.concatenate, zip(gaits, further, strict=True)))
-    gaits = distinct(gaits)
-    last = gaits.states[:, 0]
-    for i in range(period):
-        last = np.asarray(strides(walker, last, tolerance=tolerance).state)
-        miss = np.abs(last - gaits.states[:, (i + 1) % period]).max(axis=1)
-        gaits.found[:] &= miss < RESIDUAL[last.dtype]
+    gaits = confirmed(walker, distinct(gaits), tolerance)
     inside = np.asarray(jax.vmap(jax.vmap(grid.cell))(jnp.asarray(gaits.states))) >= 0
     keep = gaits.found & inside.any(axis=1)
     return [gait_at(gaits, i) for i in np.flatnonzero(keep)]
@@ -373,6 +369,18 @@ def descend(
 def gait_at(gaits: Gait, index: int | np.integer | Bool[np.ndarray, " n"]) -> Gait:
     """One of many gaits, or some of them."""
     return Gait(*(field[index] for field in gaits))
+
+
+def confirmed(walker: Walker, gaits: Gait, tolerance: Real) -> Gait:
+    """The same gaits, but those not found that a walk over the period does not repeat."""
+    states, found = np.asarray(gaits.states), np.asarray(gaits.found)
+    period = states.shape[1]
+    last = states[:, 0]
+    for i in range(period if period > 1 else 0):  # of one stride, the residual is that of the walk
+        last = strides(walker, last, tolerance=tolerance).state
+        miss = np.abs(last - states[:, (i + 1) % period]).max(axis=1)
+        found = found & (miss < RESIDUAL[states.dtype])
+    return gaits._replace(found=found, stable=gaits.stable & found)
 
 
 def walked(
