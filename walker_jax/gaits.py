@@ -188,7 +188,7 @@ def solve_cycle(
     known = jnp.where(found, 1, jnp.nan).astype(dtype)
     return Gait(
         states=states * known,
-        multipliers=multipliers * known,
+        multipliers=multipliers * known.astype(multipliers.dtype),
         step_times=times * known,
         stable=found & (jnp.abs(multipliers[0]) < 1),
         residual=residual,
