@@ -39,7 +39,7 @@ from walker_jax.gaits import (
     walked,
     with_parameter,
 )
-from walker_jax.integrate import Real, default_tolerance
+from walker_jax.integrate import Real
 from walker_jax.stride import Outcome, follow_stride, stacked
 from walker_jax.stride import strides as many_strides
 from walker_jax.tiles import over_cells
@@ -135,7 +135,7 @@ def persist(
     walker: Walker,
     x: Float[np.ndarray, "n section"],
     limit: int,
-    tolerance: Real | None,
+    tolerance: Real,
     progress: str | None = None,
 ) -> tuple[Float[np.ndarray, "n section"], Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
     """Where walkers are after `limit` strides, the outcome of their last, and how many they made.
@@ -144,7 +144,6 @@ def persist(
     """
     x, walkers = x.copy(), stacked(walker, len(x), x.dtype)
     fate, count = np.zeros(len(x), np.int8), np.zeros(len(x), np.int32)
-    tolerance = default_tolerance(x.dtype, tolerance)
     left = np.arange(len(x))
     for done in range(0, limit, ROUND):
         more = min(ROUND, limit - done)

@@ -504,7 +504,7 @@ def gait_derivatives(
         factors[i] = bend.changes[0, i, :, :size]
         change = change + product(factors[None])[0]
     values, vectors = np.linalg.eig(product(local.jacobian)[0])
-    order = np.lexsort((-np.imag(values), -np.abs(values)))
+    order = largest_first(values.astype(complex))
     rates = np.diag(np.linalg.solve(vectors, change @ vectors))
     return GaitDerivatives(dx[0], rates[order].astype(complex), bend.time[0])
 
@@ -545,14 +545,7 @@ def linearise(
     n, period, size = cycles.shape
     directions = np.eye(size + (parameter is not None), size + 1, dtype=cycles.dtype)
     columns = len(directions)
-    count = n * period
-    cells = (
-        jax.tree.map(
-            lambda leaf: np.repeat(leaf, period * columns), stacked(walker, n, cycles.dtype)
-        ),
-        np.repeat(cycles.reshape(count, size), columns, axis=0),
-        np.tile(directions, (count, 1)),
-    )
+    cells = *repeated(walker, cycles, columns), np.tile(directions, (n * period, 1))
     shared = tolerance, axis_of(walker, parameter, cycles.dtype)
     (state, time), (dstate, _) = over_cells(push, shared, cells, tile=TILE)
     by = dstate.reshape(n, period, columns, size)
@@ -585,14 +578,11 @@ def curve(
 ) -> Curved:
     """Second derivatives of one stride from each state, along a direction (start, parameter)."""
     n, period, size = cycles.shape
-    columns, count = size + 1, n * period
+    columns = size + 1
     cells = (
-        jax.tree.map(
-            lambda leaf: np.repeat(leaf, period * columns), stacked(walker, n, cycles.dtype)
-        ),
-        np.repeat(cycles.reshape(count, size), columns, axis=0),
-        np.repeat(directions.reshape(count, columns), columns, axis=0),
-        np.tile(np.eye(columns, dtype=cycles.dtype), (count, 1)),
+        *repeated(walker, cycles, columns),
+        np.repeat(directions.reshape(-1, columns), columns, axis=0),
+        np.tile(np.eye(columns, dtype=cycles.dtype), (n * period, 1)),
     )
     shared = tolerance, axis_of(walker, parameter, cycles.dtype)
     (_, (along, time)), (_, (changes, _)) = over_cells(
@@ -603,6 +593,18 @@ def curve(
         along=along.reshape(*shape, size)[:, :, 0],
         time=time.reshape(shape)[:, :, 0],
         changes=np.swapaxes(changes.reshape(*shape, size), 2, 3),
+    )
+
+
+def repeated(
+    walker: Walker, cycles: Float[np.ndarray, "n period section"], columns: int
+) -> tuple[Walker, Float[np.ndarray, "cells section"]]:
+    """The walker and the start of every stride of the cycles, once for each of its columns."""
+    n, period, size = cycles.shape
+    walkers = stacked(walker, n, cycles.dtype)
+    return (
+        jax.tree.map(lambda leaf: np.repeat(leaf, period * columns), walkers),
+        np.repeat(cycles.reshape(-1, size), columns, axis=0),
     )
 
 
@@ -684,8 +686,12 @@ def multipliers_of(
     """Eigenvalues of the Jacobians of whole cycles, the largest first."""
     values = np.linalg.eigvals(whole)
     values = values.astype(np.result_type(whole, np.complex64))
-    order = np.lexsort((-np.imag(values), -np.abs(values)), axis=-1)
-    return np.take_along_axis(values, order, axis=-1)
+    return np.take_along_axis(values, largest_first(values), axis=-1)
+
+
+def largest_first(values: Complex[np.ndarray, "..."]) -> Int[np.ndarray, "..."]:
+    """The order of multipliers along the last axis; of a conjugate pair, the upper one first."""
+    return np.lexsort((-np.imag(values), -np.abs(values)), axis=-1)
 
 
 def distinct(gaits: Gait) -> Gait:
