@@ -9,7 +9,7 @@ import pytest
 
 import walker_jax as wj
 from walker_jax import State
-from walker_jax.walkers import parameter
+from walker_jax.walkers import SLOPE as SLOPE_PARAMETER
 
 SLOPE = 0.03
 WALKER = wj.SimplestWalker(SLOPE)
@@ -343,9 +343,9 @@ def test_a_slope_that_is_none_is_refused_in_one_line(slope):
 
 @pytest.mark.parametrize("slope", ["0.004", "steep", None, 0.1 + 0.2j, np.ones((30, 30))])
 def test_what_is_no_real_number_is_refused_in_one_line(slope):
-    unchecked = inspect.unwrap(parameter)  # by the tests' own checks of types
+    unchecked = inspect.unwrap(type(SLOPE_PARAMETER).checked)  # by the tests' own checks of types
     with pytest.raises(ValueError, match="slope") as error:
-        unchecked("slope", slope, low=0.0, high=1.0)
+        unchecked(SLOPE_PARAMETER, slope)
     assert "\n" not in str(error.value)
 
 

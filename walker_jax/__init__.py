@@ -18,7 +18,16 @@ from walker_jax.branches import Bifurcation, Branch, continue_gait
 from walker_jax.cells import Grid
 from walker_jax.gaits import Gait, descend, find_gait, find_gaits, gait_derivatives
 from walker_jax.stride import Outcome, Stride, Walk, stride, strides, trajectory, walk
-from walker_jax.walkers import SimplestWalker, State, Walker
+from walker_jax.walkers import (
+    HeavyLegWalker,
+    PointFootWalker,
+    RoundFootWalker,
+    SimplestWalker,
+    SpringWalker,
+    State,
+    UpperBodyWalker,
+    Walker,
+)
 
 __version__ = version("walker-jax")
 
@@ -27,10 +36,15 @@ __all__ = [
     "Branch",
     "Gait",
     "Grid",
+    "HeavyLegWalker",
     "Outcome",
+    "PointFootWalker",
+    "RoundFootWalker",
     "SimplestWalker",
+    "SpringWalker",
     "State",
     "Stride",
+    "UpperBodyWalker",
     "Walk",
     "Walker",
     "attractors",

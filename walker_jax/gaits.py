@@ -30,7 +30,7 @@ from walker_jax.cells import Grid
 from walker_jax.integrate import Real
 from walker_jax.stride import Outcome, follow_stride, follow_walk, prepared, stacked, strides
 from walker_jax.tiles import over_cells
-from walker_jax.walkers import SimplestWalker, Walker
+from walker_jax.walkers import MultibodyWalker, SimplestWalker, Walker
 
 RESIDUAL = {jnp.dtype("float64"): 1e-10, jnp.dtype("float32"): 1e-4}
 """By how much a stride of what is called a gait may miss the next state."""
@@ -547,7 +547,9 @@ def linearise(
     columns = len(directions)
     cells = *repeated(walker, cycles, columns), np.tile(directions, (n * period, 1))
     shared = tolerance, axis_of(walker, parameter, cycles.dtype)
-    (state, time), (dstate, _) = over_cells(push, shared, cells, tile=TILE)
+    (state, time), (dstate, _) = over_cells(
+        push, shared, cells, tile=TILE, nested=isinstance(walker, MultibodyWalker)
+    )
     by = dstate.reshape(n, period, columns, size)
     first = lambda values: values.reshape(n, period, columns, *values.shape[1:])[:, :, 0]
     return Linearised(

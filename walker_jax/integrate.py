@@ -21,7 +21,14 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from walker_jax.taylor import evaluate, fast_sines, function_series, is_list, solution_series
+from walker_jax.taylor import (
+    VirtualPower,
+    evaluate,
+    fast_sines,
+    function_series,
+    is_list,
+    solution_series,
+)
 
 Scalar = Float[Array, ""]
 Real = Scalar | float
@@ -76,6 +83,12 @@ def step_length(series: PyTree, tolerance: Real) -> Scalar:
 
     shortest = jnp.exp(jnp.minimum(log_length(order - 1), log_length(order)))
     return shortest.astype(leaves[0][0].dtype)
+
+
+def order_of(vector_field: VectorField, state: PyTree) -> int:
+    """Order of the series in a step from a state."""
+    order = ORDER[jax.tree.leaves(state)[0].dtype]
+    return vector_field.order(state, order) if isinstance(vector_field, VirtualPower) else order
 
 
 def step(vector_field: VectorField, state: PyTree, length: Scalar, order: int) -> PyTree:
@@ -181,6 +194,7 @@ def integrate_until(
     `stop` never holds.
     """
     dtype, structure = jax.tree.leaves(state)[0].dtype, jax.tree.structure(state)
+    order = order_of(vector_field, state)
     stop = fast_sines(stop)
 
     def advance(carry):
@@ -188,7 +202,7 @@ def integrate_until(
         before = unpacked(start, structure)
 
         def take_step():
-            series = solution_series(vector_field, before, ORDER[dtype])
+            series = solution_series(vector_field, before, order)
             length = step_length(series, tolerance)
             return [*interleaved(polynomial(series, length)), length]
 

@@ -8,6 +8,7 @@ polynomial; where nothing has happened after all, the stride goes on.
 
 import enum
 import operator
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -31,6 +32,7 @@ from walker_jax.integrate import (
     interleaved,
     land,
     once,
+    order_of,
     packed,
     paired,
     step,
@@ -38,7 +40,7 @@ from walker_jax.integrate import (
 )
 from walker_jax.taylor import fast_sines, function_series, solution_series
 from walker_jax.tiles import over_cells
-from walker_jax.walkers import Scalar, State, Walker
+from walker_jax.walkers import MultibodyWalker, Scalar, SingleSupport, State, Walker
 
 
 class Outcome(enum.IntEnum):
@@ -126,8 +128,8 @@ def follow_stride(
     walker: Walker, x: Float[Array, " coordinates"], tolerance: Float[Array, ""]
 ) -> Stride:
     start, verdict = fast_sines(begin)(walker, x)
-    arrival, time, verdict = swing(walker, start, verdict, tolerance)
-    return fast_sines(end)(walker, arrival, time, verdict)
+    arrival, time, verdict, pulled = swing(walker, start, verdict, tolerance)
+    return fast_sines(end)(walker, arrival, time, verdict, pulled)
 
 
 def full_state(walker: Walker, x: Float[Array, " coordinates"]) -> State:
@@ -147,12 +149,17 @@ def begin(walker: Walker, x: Float[Array, " coordinates"]) -> tuple[State, Int[A
     return start, jnp.where(feasible, verdict, Outcome.OUTSIDE).astype(jnp.int8)
 
 
-def end(walker: Walker, arrival: State, time: Scalar, verdict: Int[Array, ""]) -> Stride:
+def end(
+    walker: Walker,
+    arrival: State,
+    time: Scalar,
+    verdict: Int[Array, ""],
+    pulled: Bool[Array, ""],
+) -> Stride:
     """What a stride leads to whose swing ended with `verdict`; at heel strike, by the impact."""
     (_, lift), after = walker.impact(arrival)
     struck = jnp.where(lift > 0, Outcome.STRIDE, Outcome.STOPPED)
-    # `begin` has looked at the start; the force is least there or here (see contact_force).
-    struck = jnp.where(in_tension(walker, arrival), Outcome.RUNNING, struck)
+    struck = jnp.where(pulled | in_tension(walker, arrival), Outcome.RUNNING, struck)
     outcome = jnp.where(verdict == Outcome.STRIDE, struck, verdict).astype(jnp.int8)
     success = outcome == Outcome.STRIDE
     following = walker.project(walker.exchange_legs(after))
@@ -166,15 +173,22 @@ def in_tension(walker: Walker, state: State) -> Bool[Array, ""]:
     return walker.contact_force(state)[1] < 0
 
 
+def equations(walker: Walker) -> Callable[[State], State]:
+    """What is integrated: the vector field, or what it follows from where that is faster."""
+    return SingleSupport(walker) if isinstance(walker, MultibodyWalker) else walker.vector_field
+
+
 def swing(
     walker: Walker, start: State, verdict: Int[Array, ""], tolerance: Real
-) -> tuple[State, Scalar, Int[Array, ""]]:
+) -> tuple[State, Scalar, Int[Array, ""], Bool[Array, ""]]:
     """Swing the leg until heel strike (`STRIDE`) or a fall; nothing to do unless `UNDECIDED`.
 
-    Returns the state just before the impact, its time, and the verdict.
+    Returns the state just before the impact, its time, the verdict, and whether the ground would
+    have had to pull at the stance foot before that; its two ends are not looked at.
     """
     dtype, structure = start.theta.dtype, jax.tree.structure(start)
-    rate = partial(contact_rate, walker)
+    field, rate = equations(walker), partial(contact_rate, walker)
+    order = order_of(field, start)
 
     def may_end(before: State, after: State):
         """Whether a stride may end in a step: all that is wanted of it are its two ends."""
@@ -182,19 +196,30 @@ def swing(
         rises = (h1 >= 0) & ((h0 < 0) | ((rate(before) < 0) & (rate(after) > 0)))
         return (rises & (after.theta < 0)) | has_fallen(after)
 
+    def may_pull(before: State, after: State):
+        """Whether the ground may have had to pull by the end of a step."""
+        return in_tension(walker, after) | dips(walker, before, after)
+
     def has_fallen(state: State):
         return (state.thetadot >= 0) | (state.theta <= -np.pi / 2) | walker.past_contact(state)
 
     def undecided(carry):
-        *_, time, verdict, count = carry
+        *_, time, verdict, count, _ = carry
         return (verdict == Outcome.UNDECIDED) & (count < MAX_STEPS) & jnp.isfinite(time)
 
     def follow(carry):
-        now, _, time, verdict, count = carry
+        now, _, time, verdict, count, pulled = carry
+
+        def stop(before: State, after: State):
+            stop = may_end(before, after)
+            return (
+                stop if walker.force_least_at_ends else stop | (may_pull(before, after) & ~pulled)
+            )
+
         last = integrate_until(
-            walker.vector_field,
+            field,
             unpacked(now, structure),
-            may_end,
+            stop,
             tolerance=tolerance,
             time=time,
             count=count,
@@ -202,31 +227,89 @@ def swing(
         )
 
         def contact_series():
-            field, before = lax.stop_gradient((walker.vector_field, last.start))
-            return function_series(walker.contact, solution_series(field, before, ORDER[dtype]))
+            solution = solution_series(*lax.stop_gradient((field, last.start)), order)
+            return function_series(walker.contact, solution)
 
         rises, time = first_rise(once(contact_series), last.length)
 
-        def arrive():
-            return interleaved(step(walker.vector_field, last.start, time, ORDER[dtype]))
+        def after(time):
+            """The state a time after the start of the step."""
+            arrive = lambda: interleaved(step(field, last.start, time, order))
+            return unpacked(paired(once(arrive)), structure)
 
-        arrival = unpacked(paired(once(arrive)), structure)
-        arrival, delay = land(walker.vector_field, walker.contact, arrival)
+        arrival = after(time)
+        if not walker.force_least_at_ends:
+            pulled |= pulls(walker, last.start, arrival, after, time)
+            pulled |= ~rises & fast_sines(in_tension)(walker, arrival)
+        arrival, delay = land(field, walker.contact, arrival)
         ahead = (arrival.theta < 0) & (arrival.theta > -np.pi / 2) & (arrival.thetadot < 0)
         fallen = jnp.where(last.end.thetadot >= 0, Outcome.BACKWARD, Outcome.FORWARD)
         fallen = jnp.where(fast_sines(has_fallen)(last.end), fallen, Outcome.UNDECIDED)
         verdict = jnp.where(rises & ahead, Outcome.STRIDE, fallen).astype(jnp.int8)
         time = jnp.where(verdict == Outcome.STRIDE, time + delay, last.length)
-        return packed(last.end), packed(arrival), last.time + time, verdict, last.count
+        return packed(last.end), packed(arrival), last.time + time, verdict, last.count, pulled
 
-    carry = (packed(start), packed(start), jnp.zeros((), dtype), verdict, jnp.asarray(0))
-    _, arrival, time, verdict, _ = lax.while_loop(undecided, follow, carry)
-    return unpacked(arrival, structure), time, verdict
+    zero, never = jnp.zeros((), dtype), jnp.asarray(False)
+    carry = (packed(start), packed(start), zero, verdict, jnp.asarray(0), never)
+    _, arrival, time, verdict, _, pulled = lax.while_loop(undecided, follow, carry)
+    return unpacked(arrival, structure), time, verdict, pulled
 
 
 def contact_rate(walker: Walker, state: State) -> Scalar:
     """dh/dt along the motion."""
     return jax.jvp(walker.contact, (state,), (walker.vector_field(state),))[1]
+
+
+def normal_force(walker: Walker, state: State) -> tuple[Scalar, Scalar]:
+    """Q_v, and dQ_v/dt along the motion."""
+    force = lambda state: walker.contact_force(state)[1]
+    return jax.jvp(force, (state,), (walker.vector_field(state),))
+
+
+def dips(walker: Walker, before: State, after: State) -> Bool[Array, ""]:
+    """Whether Q_v is least in between two states of a motion."""
+    return (normal_force(walker, before)[1] < 0) & (normal_force(walker, after)[1] > 0)
+
+
+def pulls(
+    walker: Walker,
+    before: State,
+    after: State,
+    between: Callable[[Scalar], State],
+    time: Scalar,
+) -> Bool[Array, ""]:
+    """Whether Q_v is negative in between two states of a motion, `time` apart.
+
+    It is where its least value is, at a root of its rate, bracketed by secants (Illinois). The
+    value there is right to the square of what the time is right to.
+    """
+    look = fast_sines(partial(normal_force, walker))
+    ends = lax.stop_gradient((look(before)[1], look(after)[1], time))
+    zero = jnp.zeros_like(time)
+
+    def unfinished(carry):
+        low, high, *_, least = carry
+        return (high - low > 1e-6 * time) & (least > 0)
+
+    def narrow(carry):
+        low, high, below, above, least = carry
+        t = low + (high - low) * jnp.clip(below / (below - above), 0.01, 0.99)
+        force, rate = look(between(t))
+        falling = rate < 0
+        # An end that stays counts half as much the next time.
+        return (
+            jnp.where(falling, t, low),
+            jnp.where(falling, high, t),
+            jnp.where(falling, rate, below / 2),
+            jnp.where(falling, above / 2, rate),
+            jnp.minimum(least, force),
+        )
+
+    below, above, time = ends
+    active = (below < 0) & (above > 0)
+    high = jnp.where(active, time, zero)
+    carry = (zero, high, below, above, jnp.full_like(time, jnp.inf))
+    return lax.while_loop(unfinished, narrow, carry)[-1] < 0
 
 
 def strides(
@@ -323,9 +406,11 @@ def follow_motion(
     times: Float[Array, " times"],
     tolerance: Float[Array, ""],
 ) -> State:
+    # The explicit equations of a multibody system are long: no high order of them.
+    general = isinstance(walker, MultibodyWalker)
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(lambda t, state, args: walker.vector_field(state)),
-        Taylor(ORDER[x.dtype]),
+        diffrax.Dopri8() if general else Taylor(ORDER[x.dtype]),
         t0=jnp.zeros((), x.dtype),
         t1=times[-1],
         dt0=None,

@@ -13,8 +13,11 @@ primitives: its jaxpr is read, and every primitive has a recurrence for its coef
 Coefficients are Taylor coefficients, derivatives divided by k!.
 """
 
+import abc
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any
 
 import equinox as eqx
@@ -25,8 +28,10 @@ from jax.experimental.jet import jet
 from jax.extend.core import Jaxpr, Literal, Primitive
 from jaxtyping import Array, Float, PyTree
 
+from walker_jax.scalars import CALLS
 
-@jax.custom_jvp
+
+@jax.jit  # traced once for all its uses
 def sincos(angle: Float[Array, "..."]) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
     """Sine and cosine of one angle, off by less than the dtype's epsilon up to 1e5 rad.
 
@@ -34,6 +39,11 @@ def sincos(angle: Float[Array, "..."]) -> tuple[Float[Array, "..."], Float[Array
     Waite), then both are polynomials. XLA's own float64 sine serves every argument and costs
     seven times as much as this pair on a CPU.
     """
+    return sincos_and_derivative(angle)
+
+
+@jax.custom_jvp
+def sincos_and_derivative(angle):
     dtype = angle.dtype
     if dtype == jnp.float64:
         parts = (1.5707963267341256, 6.077100506303966e-11, 2.0222662487959506e-21)
@@ -60,7 +70,7 @@ def sincos(angle: Float[Array, "..."]) -> tuple[Float[Array, "..."], Float[Array
     )
 
 
-@sincos.defjvp
+@sincos_and_derivative.defjvp
 def _sincos_jvp(primals, tangents):
     (angle,), (dangle,) = primals, tangents
     sine, cosine = sincos(angle)
@@ -76,11 +86,16 @@ def evaluate(coefficients: list, t):
 
 
 class Series:
-    """A power series whose coefficients are computed when first asked for; `None` is zero."""
+    """A power series whose coefficients are computed when first asked for.
 
-    def __init__(self, rule: Callable[[int], Any]):
+    A coefficient but the first may be `None`: it is zero.
+    """
+
+    def __init__(self, rule: Callable[[int], Any], coefficients: Iterable = ()):
         self.rule = rule
-        self.coefficients: list = []
+        self.coefficients: list = list(coefficients)
+        if (made := recorded.get()) is not None:
+            made.append(self)
 
     def __getitem__(self, k: int):
         while len(self.coefficients) <= k:
@@ -88,8 +103,153 @@ class Series:
         return self.coefficients[k]
 
 
+recorded: ContextVar[list[Series] | None] = ContextVar("recorded", default=None)
+"""Where to note every series that is made, if anywhere."""
+
+
 def constant(value) -> Series:
     return Series(lambda k: value if k == 0 else None)
+
+
+class VirtualPower(eqx.Module):
+    """Equations of motion as a balance of virtual power, without a formula for accelerations.
+
+    With x = F(q), they are p(q, q', x'') = 0 for some p that is linear in x'', which is F(q(t))''.
+    Of the series q(t) that is a series like any other: neither derivatives of F nor the solution
+    of linear equations need be expanded. A state holds the coordinates q first, then their rates.
+    """
+
+    @abc.abstractmethod
+    def transfer(self, q: list) -> list:
+        """F, from scalars q to scalars x."""
+
+    @abc.abstractmethod
+    def power(self, q: list, qdot: list, acceleration: list) -> list:
+        """p, of q, q' and x'': one scalar for each of q."""
+
+    @abc.abstractmethod
+    def factorise(self, q: list) -> PyTree:
+        """The matrix -dp/dx'' dF/dq, which multiplies q'' in -p, in a form for `solve`."""
+
+    @abc.abstractmethod
+    def solve(self, factors: PyTree, right: list) -> list:
+        """The solution of linear equations with that matrix."""
+
+    def __call__(self, state: PyTree) -> PyTree:
+        """The time derivative of a state."""
+        leaves, structure = jax.tree.flatten(state)
+        q, rates = leaves[: len(leaves) // 2], leaves[len(leaves) // 2 :]
+        velocity = lambda q: jax.jvp(self.transfer, (q,), (rates,))[1]
+        convective = jax.jvp(velocity, (q,), (rates,))[1]
+        accelerations = self.solve(self.factorise(q), self.power(q, rates, convective))
+        return jax.tree.unflatten(structure, rates + accelerations)
+
+    def series(self, state: PyTree, order: int) -> PyTree[list]:
+        """Taylor coefficients of the solution.
+
+        q_{k+2} is in the k-th coefficient of p in one place, the top coefficient of F(q(t)), where
+        its factor is the derivative of F at t = 0. So p is computed as if q_{k+2} were zero, and
+        q_{k+2} then has to supply what is missing for balance.
+        """
+        leaves, structure = jax.tree.flatten(state)
+        start, rates = leaves[: len(leaves) // 2], leaves[len(leaves) // 2 :]
+        factors = fast_sines(self.factorise)(start)
+        # zero, as long as they are not known
+        q = [Series(lambda k: None, pair) for pair in zip(start, rates, strict=True)]
+        qdot = [derivative(series) for series in q]
+        with recording() as of_transfer:
+            x = compose(self.transfer, q, start)
+        with recording() as of_power:
+            acceleration = [derivative(series, times=2) for series in x]
+            like = [jnp.zeros_like(start[0])] * len(x)
+            p = compose(
+                lambda args: self.power(*args), (q, qdot, acceleration), (start, rates, like)
+            )
+        for k in range(order):
+            missing = [jnp.zeros_like(start[0]) if c is None else c for c in (s[k] for s in p)]
+            for series in of_power:
+                del series.coefficients[k:]
+            for series in (*of_transfer, *q):
+                del series.coefficients[k + 2 :]
+            for series, value in zip(q, self.solve(factors, missing), strict=True):
+                series.coefficients.append(value * (1 / ((k + 1) * (k + 2))))
+        return jax.tree.unflatten(structure, [listed(series, order) for series in (*q, *qdot)])
+
+    def order(self, state: PyTree, highest: int) -> int:
+        """The order, up to the highest, at which the series is not too long for XLA.
+
+        From the operations that it takes at two orders, which grow like the square of the order.
+        """
+        shapes = [jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(self)]
+        key = jax.tree.structure(self), *((leaf.shape, leaf.dtype) for leaf in shapes), highest
+        if key not in _orders:
+            equations = jax.tree.unflatten(jax.tree.structure(self), shapes)
+            low = highest // 2
+            few, many = (
+                operations(lambda field, state, n=n: field.series(state, n), equations, state)
+                for n in (low, highest)
+            )
+            growth = (many - few) / (highest**2 - low**2)
+            fits = math.isqrt(max(0, round((LONGEST - few) / growth) + low**2))
+            _orders[key] = min(highest, max(fits, SHORTEST))
+        return _orders[key]
+
+
+_orders: dict = {}
+LONGEST = 3100
+"""Operations in an expansion that XLA still compiles to one loop. Beyond, it computes what parts
+have in common once for each of them, again and again: a step then takes minutes."""
+SHORTEST = 4
+"""The least order."""
+
+
+def operations(function: Callable, *args) -> int:
+    """How many operations on scalars a function takes, those that repeat another left out."""
+    numbers: dict = {}
+    distinct: dict = {}
+
+    def number(variable):
+        if isinstance(variable, Literal):
+            return repr(variable.val)
+        return numbers.setdefault(variable, object())
+
+    def count(jaxpr: Jaxpr):
+        for equation in jaxpr.eqns:
+            params = equation.params
+            if equation.primitive.name in CALLS:
+                inner = params["jaxpr"] if "jaxpr" in params else params["call_jaxpr"]
+                numbers.update(zip(inner.jaxpr.invars, map(number, equation.invars), strict=True))
+                numbers.update(zip(inner.jaxpr.constvars, map(repr, inner.consts), strict=True))
+                count(inner.jaxpr)
+                numbers.update(zip(equation.outvars, map(number, inner.jaxpr.outvars), strict=True))
+                continue
+            key = equation.primitive.name, repr(params), *map(number, equation.invars)
+            values = distinct.setdefault(key, [object() for _ in equation.outvars])
+            numbers.update(zip(equation.outvars, values, strict=True))
+
+    count(jax.make_jaxpr(function)(*args).jaxpr)
+    return len(distinct)
+
+
+@contextmanager
+def recording():
+    """A list of the series that are made meanwhile."""
+    made: list[Series] = []
+    token = recorded.set(made)
+    try:
+        yield made
+    finally:
+        recorded.reset(token)
+
+
+def derivative(series: Series, times: int = 1) -> Series:
+    """That of a series by time."""
+
+    def rule(k):
+        coefficient = scaled(series[k + times], math.perm(k + times, times))
+        return jnp.zeros_like(series[0]) if coefficient is None and k == 0 else coefficient
+
+    return Series(rule)
 
 
 @eqx.filter_jit
@@ -100,14 +260,17 @@ def solution_series(
 
     **Arguments:**
 
-    - `vector_field`: f, from the state to its time derivative, of the same structure. Where it is
-      a method of an `equinox.Module`, the expansion is traced once for all its uses.
+    - `vector_field`: f, from the state to its time derivative, of the same structure, or a
+      `VirtualPower`. Where it is a method of an `equinox.Module`, the expansion is traced once for
+      all its uses.
     - `state`: y_0, a PyTree of floating-point arrays.
     - `order`: of the last coefficient.
 
     **Returns** a PyTree of the structure of the state with a list of `order + 1` coefficients at
     each leaf. Raises `NotImplementedError` where f holds a primitive of which no series is known.
     """
+    if isinstance(vector_field, VirtualPower):
+        return vector_field.series(state, order)
     leaves, structure = jax.tree.flatten(state)
     rates: list[Series] = []
 
@@ -168,7 +331,7 @@ def interpret(jaxpr: Jaxpr, constants: list, inputs: list[Series]) -> list[Serie
     for equation in jaxpr.eqns:
         name, params = equation.primitive.name, equation.params
         operands = [read(variable) for variable in equation.invars]
-        if name in ("jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call"):
+        if name in CALLS:
             inner = params["jaxpr"] if "jaxpr" in params else params["call_jaxpr"]
             outputs = interpret(inner.jaxpr, inner.consts, operands)
         elif name in ("sin", "cos"):
@@ -188,9 +351,11 @@ def interpret(jaxpr: Jaxpr, constants: list, inputs: list[Series]) -> list[Serie
 # Primitives that are linear in all their operands together.
 LINEAR = frozenset(
     "add_any broadcast_in_dim concatenate convert_element_type copy copy_p expand_dims neg pad "
-    "reduce_sum reshape rev slice squeeze stop_gradient sub transpose add".split()
+    "reduce_sum reshape rev slice squeeze stack stop_gradient sub transpose add".split()
 )
 BILINEAR = frozenset(["mul", "dot_general"])
+# Those whose results do not change with time, but for jumps.
+DISCRETE = frozenset("and eq floor ge gt is_finite le lt ne not or sign xor".split())
 
 
 def primitive_series(primitive: Primitive, params: dict, operands: list[Series]) -> Series:
@@ -224,11 +389,14 @@ def primitive_series(primitive: Primitive, params: dict, operands: list[Series])
         left, right = operands
         return total(product(left[j], right[k - j], bind) for j in range(k + 1))
 
+    # One division for all orders: XLA computes an expression anew for each division of its parts.
+    reciprocal = Series(lambda k: 1 / operands[1][0])
+
     def quotient(k):
         numerator, denominator = operands
         known = total(product(result[j], denominator[k - j]) for j in range(k))
         difference = total([numerator[k], None if known is None else -known])
-        return None if difference is None else difference / denominator[0]
+        return product(difference, reciprocal[0])
 
     def by_jet(k):
         if all(operand[j] is None for operand in operands for j in range(1, k + 1)):
@@ -244,7 +412,11 @@ def primitive_series(primitive: Primitive, params: dict, operands: list[Series])
             raise no_series(name) from error
         return series[-1]
 
-    rules = {"div": quotient}
+    def selected(k):
+        values = filled(k)
+        return None if values is None else bind(operands[0][0], *values[1:])
+
+    rules = {"div": quotient, "select_n": selected} | dict.fromkeys(DISCRETE, lambda k: None)
     rules |= dict.fromkeys(LINEAR, linear) | dict.fromkeys(BILINEAR, bilinear)
     rule = rules.get(name, by_jet)
     result = Series(lambda k: bind(*(o[0] for o in operands)) if k == 0 else rule(k))

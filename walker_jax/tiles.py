@@ -118,7 +118,7 @@ _cache: dict = {}
 
 def _compiled(function: Callable, platform: str, tile: int, tiles: int, nested: bool) -> Callable:
     """The jitted function of (shared, cells of one call, number of tiles to work through)."""
-    key = function, platform, tile
+    key = function, platform, tile, tiles, nested
     if key not in _cache:
 
         def run(shared, cells, count):

@@ -1,7 +1,8 @@
-"""Walkers: bipeds of two straight legs that go down a slope with no motor.
+"""Walkers: bipeds of two straight legs, one like the other, that go down a slope with no motor.
 
-Conventions, those of Schwab and Wisse (2001). Everything is nondimensional: lengths are counted
-in leg lengths, masses in hip masses, times in sqrt(leg length / gravity). Angles are in rad:
+Conventions, those of Schwab and Wisse (2001), whose equation numbers stand below. Gravity is 1.
+The unit of mass and that of length are the user's; where a walker has no parameter for them, they
+are the hip's mass and the leg's length. Times are in sqrt(unit of length / gravity), angles in rad:
 
 - `slope`: of the ground, downwards in the direction of walking;
 - `theta`: of the stance leg, from the normal of the slope, positive before mid-stance;
@@ -9,19 +10,28 @@ in leg lengths, masses in hip masses, times in sqrt(leg length / gravity). Angle
 
 A stride begins just after heel strike, on the Poincaré section, with both feet on the slope
 (phi = 2 theta), and ends at the next heel strike.
+
+A walker of your own derives from `HeavyLegWalker`, and says where its masses are and where its
+swing foot meets the ground: equations of motion, contact forces and impact follow (`multibody`).
 """
 
 import abc
+import dataclasses
 from typing import ClassVar, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
+from walker_jax import multibody
 from walker_jax.cells import Grid
+from walker_jax.multibody import System
+from walker_jax.scalars import unrolled
+from walker_jax.taylor import VirtualPower
 
 Scalar = Float[Array, ""]
 
@@ -38,8 +48,11 @@ class State(NamedTuple):
 class Walker(eqx.Module):
     """What a stride needs to know of a walker. Its fields are its parameters, scalars all."""
 
-    section: eqx.AbstractClassVar[tuple[str, ...]]
+    section: ClassVar[tuple[str, ...]]
     """Names of the coordinates of the Poincaré section."""
+    force_least_at_ends: ClassVar[bool] = False
+    """Whether Q_v, over a stride, is least at the start or at heel strike, so that a stride need
+    not look at it in between."""
 
     @abc.abstractmethod
     def lift(self, x: Float[Array, " section"]) -> State:
@@ -63,18 +76,7 @@ class Walker(eqx.Module):
 
     @abc.abstractmethod
     def contact_force(self, state: State) -> tuple[Scalar, Scalar]:
-        """Force (Q_u, Q_v) of the ground on the stance foot, along and normal to the slope.
-
-        `stride` looks at Q_v at the start and at heel strike alone.
-        """
-
-    @abc.abstractmethod
-    def contact(self, state: State) -> Scalar:
-        """Contact coordinate h: zero when both feet are on the slope, rising at heel strike.
-
-        Ahead of the stance foot the swing foot is above the ground where h < 0. A stride looks at
-        it at the ends of integration steps, and takes it to turn once at most within one.
-        """
+        """Force (Q_u, Q_v) of the ground on the stance foot, along and normal to the slope."""
 
     @abc.abstractmethod
     def past_contact(self, state: State) -> Bool[Array, ""]:
@@ -90,48 +92,86 @@ class Walker(eqx.Module):
         The state is that at heel strike, before the impact.
         """
 
-    @abc.abstractmethod
+    def contact(self, state: State) -> Scalar:
+        """Contact coordinate h = phi - 2 theta: zero when both feet are on the slope.
+
+        It rises at heel strike. Ahead of the stance foot the swing foot is above the ground where
+        h < 0. A stride looks at it at the ends of integration steps, and takes it to turn once at
+        most within one.
+        """
+        return state.phi - 2 * state.theta
+
     def exchange_legs(self, state: State) -> State:
-        """The state with the swing leg as the new stance leg."""
+        """The state with the swing leg as the new stance leg, (21) and its time derivative."""
+        theta, phi, thetadot, phidot = state
+        return State(theta - phi, -phi, thetadot - phidot, -phidot)
 
 
-def parameter(name: str, value: ArrayLike, *, low: float, high: float) -> Scalar:
-    """A walker's parameter as an array, refused where it does not lie between low and high."""
-    refusal = f"{name} must be one real number, not {' '.join(repr(value).split())[:60]}"
-    try:
-        value = jnp.asarray(value)
-    except (TypeError, ValueError):
-        raise ValueError(refusal) from None
-    real = jnp.issubdtype(value.dtype, jnp.number) and jnp.isrealobj(value)
-    if value.shape != () or not real:
-        raise ValueError(refusal)
-    if not jnp.issubdtype(value.dtype, jnp.floating):
-        value = value.astype(float)
-    if not isinstance(value, Tracer) and not low < value < high:
-        raise ValueError(f"{name} must lie between {low:g} and {high:g}, not be {value}")
-    return value
+class Parameter(NamedTuple):
+    """What a parameter of a walker means, and the numbers it may be."""
+
+    name: str
+    meaning: str
+    unit: str
+    default: float
+    """Of the command line; and of the constructor, but for the slope."""
+    low: float = 0.0
+    high: float = np.inf
+    closed: bool = False
+    """Whether it may be equal to `low`."""
+
+    def checked(self, value: ArrayLike) -> Scalar:
+        """The number as an array; `ValueError` for what is none, or not within the bounds."""
+        refusal = f"{self.name} must be one real number, not {' '.join(repr(value).split())[:60]}"
+        try:
+            value = jnp.asarray(value)
+        except (TypeError, ValueError):
+            raise ValueError(refusal) from None
+        real = jnp.issubdtype(value.dtype, jnp.number) and jnp.isrealobj(value)
+        if value.shape != () or not real:
+            raise ValueError(refusal)
+        if not jnp.issubdtype(value.dtype, jnp.floating):
+            value = value.astype(float)
+        if isinstance(value, Tracer):
+            return value
+        above = value >= self.low if self.closed else value > self.low
+        if not (above & (value < self.high)):
+            raise ValueError(f"{self.name} must be {self.bounds()}, not {value}")
+        return value
+
+    def bounds(self) -> str:
+        """In words."""
+        if self.low > -np.inf and self.high < np.inf:
+            return f"between {self.low:g} and {self.high:g}"
+        if self.low > -np.inf:
+            return f"finite and {'not negative' if self.closed else f'above {self.low:g}'}"
+        return "finite"
 
 
-class SimplestWalker(Walker):
-    """The simplest walking model: a mass at the hip, and feet of vanishing mass.
+def parameters(walker: type[Walker] | Walker) -> tuple[Parameter, ...]:
+    """Parameters of a kind of walker, in the order of its constructor's arguments."""
+    return tuple(field.metadata["converter"].__self__ for field in dataclasses.fields(walker))
 
-    Garcia, Chatterjee, Ruina and Coleman (1998); Schwab and Wisse (2001), whose equation numbers
-    stand below.
 
-    **Arguments:**
+SLOPE = Parameter("slope", "of the ground", "rad", 0.004, high=np.pi / 2)
 
-    - `slope`: of the ground (rad), above 0 and below pi/2. `ValueError` otherwise.
+
+class PointFeetWalker(Walker):
+    """Walkers on point feet, with no mass on the legs but at their ends.
+
+    A foot that stood does not move at once across its leg when it lifts, so phidot after heel
+    strike follows from theta and thetadot, and the section has two dimensions.
     """
-
-    slope: Scalar
 
     section: ClassVar = ("theta", "thetadot")
 
-    def __init__(self, slope: ArrayLike):
-        self.slope = parameter("slope", slope, low=0.0, high=np.pi / 2)
-
     def lift(self, x):
-        """phi = 2 theta, phidot = (1 - cos 2theta) thetadot, from (22)."""
+        """phi = 2 theta, phidot = (1 - cos 2theta) thetadot, from (22).
+
+        The trailing foot was at rest, and its leg pulls it along itself only: its velocity across
+        the leg stays zero. That of the hip across that leg is cos(2 theta) thetadot, so the leg
+        turns as fast, thetadot - phidot = cos(2 theta) thetadot, whatever the masses.
+        """
         theta, thetadot = x[0], x[1]
         return State(theta, 2 * theta, thetadot, (1 - jnp.cos(2 * theta)) * thetadot)
 
@@ -144,6 +184,14 @@ class SimplestWalker(Walker):
         finite = jnp.isfinite(theta) & jnp.isfinite(thetadot)
         return finite & (theta > 0) & (theta < np.pi / 4) & (thetadot < 0)
 
+
+class MasslessFeetWalker(PointFeetWalker):
+    """The limit of vanishing foot mass: the hip does not feel the swing leg."""
+
+    slope: Scalar
+
+    force_least_at_ends: ClassVar = True
+
     def gait_region(self):
         """A strip that shrinks like slope^{1/3}, as gaits do (Garcia and others 1998).
 
@@ -155,14 +203,6 @@ class SimplestWalker(Walker):
         edge = widest - 2 * np.sin((widest - slope) / 2)
         return Grid.sheared(theta=(0, widest, 100), sum=(-0.15 * widest, edge, 1000))
 
-    def vector_field(self, state):
-        """(7): thetaddot = sin(theta - slope), an inverted pendulum that the swing leg follows."""
-        theta, phi, thetadot, phidot = state
-        angle = theta - self.slope
-        thetaddot = jnp.sin(angle)
-        phiddot = jnp.sin(phi) * (thetadot**2 - jnp.cos(angle)) + thetaddot
-        return State(thetadot, phidot, thetaddot, phiddot)
-
     def contact_force(self, state):
         """(8). Over a stride Q_v > 0 if it is at both its ends.
 
@@ -172,16 +212,12 @@ class SimplestWalker(Walker):
         tension = state.thetadot**2 - jnp.cos(state.theta - self.slope)
         return jnp.sin(state.theta) * tension, -jnp.cos(state.theta) * tension
 
-    def contact(self, state):
-        """h = phi - 2 theta: the legs are of one length."""
-        return state.phi - 2 * state.theta
-
     def past_contact(self, state):
         """h > 0 and rising, the swing leg ahead, the stance leg in compression.
 
-        Then h'' = sin(phi) (thetadot^2 - cos(theta - slope)) - sin(theta - slope) > 0: both terms
-        are, and h goes on rising. It is too late to come down again once this has ended, by
-        tension or with phi > 0: an experience (tests), not a theorem.
+        Then h'' = sin(phi) (thetadot^2 - cos(theta - slope)) - sin(theta - slope) > 0, and a
+        spring between the legs adds to it: h goes on rising. It is too late to come down again
+        once this has ended, by tension or with phi > 0: an experience (tests), not a theorem.
         """
         theta, phi, thetadot, phidot = state
         rising = (phi > 2 * theta) & (phidot > 2 * thetadot)
@@ -194,7 +230,7 @@ class SimplestWalker(Walker):
         foot = -jnp.sin(theta) * c * s * thetadot, jnp.cos(theta) * c * s * thetadot
         return foot, State(theta, phi, c**2 * thetadot, c * (c - 1) * thetadot)
 
-    def impulse(self, state):
+    def impulse(self, state: State) -> tuple[Scalar, Scalar]:
         """Impulse (rho_x, rho_y) of the ground on the swing foot at heel strike, (19).
 
         It is along the swing leg, as the paper says below (19), and changes the momentum of the
@@ -204,7 +240,424 @@ class SimplestWalker(Walker):
         s = jnp.sin(2 * state.theta) * state.thetadot
         return jnp.sin(state.theta) * s, jnp.cos(state.theta) * s
 
-    def exchange_legs(self, state):
-        """(21), and its time derivative: (22) follows."""
+
+class SimplestWalker(MasslessFeetWalker):
+    """The simplest walking model: a mass at the hip, and feet of vanishing mass.
+
+    Garcia, Chatterjee, Ruina and Coleman (1998); Schwab and Wisse (2001).
+
+    **Arguments:**
+
+    - `slope`: of the ground (rad), above 0 and below pi/2. `ValueError` otherwise.
+    """
+
+    slope: Scalar = eqx.field(converter=SLOPE.checked)
+
+    def vector_field(self, state):
+        """(7): thetaddot = sin(theta - slope), an inverted pendulum that the swing leg follows."""
         theta, phi, thetadot, phidot = state
-        return State(theta - phi, -phi, thetadot - phidot, -phidot)
+        angle = theta - self.slope
+        thetaddot = jnp.sin(angle)
+        phiddot = jnp.sin(phi) * (thetadot**2 - jnp.cos(angle)) + thetaddot
+        return State(thetadot, phidot, thetaddot, phiddot)
+
+
+HIP_STIFFNESS = Parameter(
+    "hip_stiffness", "of a spring between the legs, to foot mass", "g l", 0.0, closed=True
+)
+
+
+class SpringWalker(MasslessFeetWalker):
+    """The simplest walker with a torsional spring between its legs, slack when they are parallel.
+
+    A spring of stiffness K exerts the torque -K phi on the swing leg, and the opposite one on the
+    stance leg. In the limit of vanishing foot mass m it has an effect on the swing leg alone, and
+    there only if K vanishes too, in proportion: with K = m g l hip_stiffness, (4) divided by m has
+    the limit phiddot = sin(phi) (thetadot^2 - cos(theta - slope)) + sin(theta - slope)
+    - hip_stiffness phi. The leg then swings like a pendulum whose gravity is larger by a factor
+    1 + hip_stiffness. The spring exerts no impulse, so impact and contact force are as without it.
+
+    Such a spring makes steps shorter and faster (Kuo 2002, J. Biomech. Eng. 124:113-120).
+
+    **Arguments:**
+
+    - `slope`: of the ground (rad), above 0 and below pi/2.
+    - `hip_stiffness`: K / (m g l), not negative.
+
+    `ValueError` otherwise.
+    """
+
+    slope: Scalar = eqx.field(converter=SLOPE.checked)
+    hip_stiffness: Scalar = eqx.field(
+        converter=HIP_STIFFNESS.checked, default=HIP_STIFFNESS.default
+    )
+
+    def vector_field(self, state):
+        """(7), and the spring."""
+        theta, phi, thetadot, phidot = state
+        angle = theta - self.slope
+        thetaddot = jnp.sin(angle)
+        swing = jnp.sin(phi) * (thetadot**2 - jnp.cos(angle)) - self.hip_stiffness * phi
+        return State(thetadot, phidot, thetaddot, swing + thetaddot)
+
+
+class MultibodyWalker(Walker):
+    """Walkers whose equations follow from where their masses are, by the general method.
+
+    The generalised coordinates are q = (u, v, theta, phi), with u and v those of the stance foot
+    along and normal to the slope: zero on the ground, held there between heel strikes, and free at
+    heel strike.
+    """
+
+    @abc.abstractmethod
+    def system(self) -> System:
+        """Masses, the transfer function x = F(q) that says where they are, (1), and forces, (6)."""
+
+    @abc.abstractmethod
+    def swing_foot(self, q: Float[Array, " 4"]) -> Float[Array, " 2"]:
+        """The swing foot's coordinates, those that (u, v) are for the stance foot, (11)."""
+
+    def vector_field(self, state):
+        """(4), with u and v held."""
+        return SingleSupport(self)(state)
+
+    def contact_force(self, state):
+        """The forces dual to u and v that hold them, (4)."""
+        _, (Q_u, Q_v, _, _) = motion(self, state)
+        return Q_u, Q_v
+
+    def past_contact(self, state):
+        """h > 0, rising ever faster, the swing leg ahead, the stance leg in compression.
+
+        As for the simplest walker it is too late then to come down again: an experience (tests).
+        """
+        (_, _, thetaddot, phiddot), (_, Q_v, _, _) = motion(self, state)
+        rising = (state.phi > 2 * state.theta) & (state.phidot > 2 * state.thetadot)
+        faster = phiddot > 2 * thetaddot
+        return rising & faster & (state.phi < 0) & (Q_v > 0)
+
+    def impact(self, state):
+        """(17), without restitution."""
+        (u, v, thetadot, phidot), _ = collision(self, state)
+        return (u, v), State(state.theta, state.phi, thetadot, phidot)
+
+    def impulse(self, state: State) -> tuple[Scalar, Scalar]:
+        """Impulse (rho_x, rho_y) of the ground on the swing foot at heel strike, (17)."""
+        _, (rho_x, rho_y) = collision(self, state)
+        return rho_x, rho_y
+
+    def energy(self, state: State) -> Scalar:
+        """Kinetic energy, and potential energy of gravity, the stance foot at the origin."""
+        q, qdot = of_feet(list(state[:2])), of_feet(list(state[2:]))
+        system = self.system()
+        return multibody.kinetic_energy(system, q, qdot) + multibody.potential_energy(system, q)
+
+
+class SingleSupport(VirtualPower):
+    """The equations of motion (2) of a walker whose stance foot is on the ground: u = v = 0."""
+
+    walker: MultibodyWalker
+
+    def transfer(self, q):
+        flat = lambda walker, q: list(walker.system().transfer(of_feet(q)))
+        return unrolled(flat)(self.walker, q)
+
+    def power(self, q, qdot, acceleration):
+        def flat(walker, q, qdot, acceleration):
+            return list(
+                multibody.virtual_power(
+                    walker.system(), of_feet(q), of_feet(qdot), jnp.stack(acceleration)
+                )[2:]
+            )
+
+        return unrolled(flat)(self.walker, q, qdot, acceleration)
+
+    def factorise(self, q):
+        def flat(walker, q):
+            matrix = multibody.mass_matrix(walker.system(), of_feet(q))
+            return multibody.factorise(multibody.block(matrix, (2, 3)))
+
+        return unrolled(flat)(self.walker, q)
+
+    def solve(self, factors, right):
+        return multibody.solve(factors, right)
+
+
+def of_feet(legs: list[Scalar]) -> Float[Array, " 4"]:
+    """q = (u, v, theta, phi) from (theta, phi), the stance foot at the origin; or its rates."""
+    zero = jnp.zeros_like(legs[0])
+    return jnp.stack([zero, zero, *legs])
+
+
+@jax.jit
+def motion(walker: MultibodyWalker, state: State) -> tuple[list[Scalar], list[Scalar]]:
+    """Accelerations, and the forces that hold u and v, of a walker on its stance foot, (4)."""
+
+    def equations(walker, state):
+        q, qdot = of_feet(list(state[:2])), of_feet(list(state[2:]))
+        accelerations, forces = multibody.motion(walker.system(), q, qdot, held=(0, 1))
+        return list(accelerations), list(forces)
+
+    return unrolled(equations)(walker, state)
+
+
+@jax.jit
+def collision(walker: MultibodyWalker, state: State) -> tuple[list[Scalar], list[Scalar]]:
+    """Rates after heel strike, and impulses, (17)."""
+
+    def equations(walker, state):
+        q, qdot = of_feet(list(state[:2])), of_feet(list(state[2:]))
+        after = multibody.impact(walker.system(), walker.swing_foot, q, qdot)
+        return list(after.velocities), list(after.impulses)
+
+    return unrolled(equations)(walker, state)
+
+
+def gravity(slope: Scalar, masses: Float[Array, " x"], turns: int = 0) -> Float[Array, " x"]:
+    """Gravity, (6), on points in the plane, whose coordinates come before `turns` angles."""
+    points = (len(masses) - turns) // 2
+    down = jnp.stack([jnp.sin(slope), -jnp.cos(slope)])
+    return masses * jnp.concatenate([*[down] * points, jnp.zeros(turns, masses.dtype)])
+
+
+def leg(angle: Scalar) -> Float[Array, " 2"]:
+    """The direction from foot to hip of a leg at an angle from the normal of the slope."""
+    return jnp.stack([-jnp.sin(angle), jnp.cos(angle)])
+
+
+FOOT_MASS = Parameter("foot_mass", "of each foot, to that of the hip", "hip mass", 0.01)
+
+
+class PointFootWalker(PointFeetWalker, MultibodyWalker):
+    """A mass at the hip, and one at each foot: the paper's own model before its limit.
+
+    **Arguments:**
+
+    - `slope`: of the ground (rad), above 0 and below pi/2.
+    - `foot_mass`: beta, the mass of a foot to that of the hip, above 0.
+
+    `ValueError` otherwise.
+    """
+
+    slope: Scalar = eqx.field(converter=SLOPE.checked)
+    foot_mass: Scalar = eqx.field(converter=FOOT_MASS.checked, default=FOOT_MASS.default)
+
+    def system(self):
+        """(1), (5) and (6)."""
+
+        def transfer(q):
+            foot, theta, phi = q[:2], q[2], q[3]
+            hip = foot + leg(theta)
+            return jnp.concatenate([foot, hip, hip - leg(theta - phi)])
+
+        beta, hip = self.foot_mass, jnp.ones_like(self.foot_mass)
+        masses = jnp.stack([beta, beta, hip, hip, beta, beta])
+        return System(transfer, masses, gravity(self.slope, masses))
+
+    def swing_foot(self, q):
+        """(11)."""
+        return q[:2] + leg(q[2]) - leg(q[2] - q[3])
+
+    def gait_region(self):
+        return SimplestWalker(self.slope).gait_region()
+
+
+class HeavyLegWalker(MultibodyWalker):
+    """Walkers with mass anywhere on the legs, whose section has three dimensions."""
+
+    section: ClassVar = ("theta", "thetadot", "phidot")
+
+    def lift(self, x):
+        """phi = 2 theta."""
+        return State(x[0], 2 * x[0], x[1], x[2])
+
+    def project(self, state):
+        return jnp.stack([state.theta, state.thetadot, state.phidot])
+
+    def feasible(self, x):
+        """0 < theta < pi/2, thetadot < 0, and the trailing foot lifts: phidot > 2 thetadot."""
+        theta, thetadot, phidot = x[0], x[1], x[2]
+        finite = jnp.isfinite(theta) & jnp.isfinite(thetadot) & jnp.isfinite(phidot)
+        forward = (theta > 0) & (theta < np.pi / 2) & (thetadot < 0)
+        return finite & forward & (phidot > 2 * thetadot)
+
+    def gait_region(self):
+        """Starts with the speed that takes the stance leg about to its dead point.
+
+        Along phidot, all that the legs' own lengths and masses may make of it.
+        """
+        widest = 0.6
+        return Grid.sheared(
+            theta=(0, widest, 40),
+            sum=(-widest, 0.5 * widest, 60),
+            phidot=(-widest, 0.5 * widest, 25),
+        )
+
+
+# The parameters of the legs of all walkers with feet in the shape of an arc.
+HIP_MASS = Parameter("hip_mass", "at the hip", "mass", 1.0, closed=True)
+LEG_MASS = Parameter("leg_mass", "of each leg", "mass", 0.5)
+LEG_INERTIA = Parameter(
+    "leg_inertia", "of each leg about its centre of mass", "mass length^2", 0.02, closed=True
+)
+LEG_LENGTH = Parameter("leg_length", "from the hip to the sole", "length", 1.0)
+COM_FROM_HIP = Parameter(
+    "com_from_hip", "distance of a leg's centre of mass below the hip", "length", 0.5, low=-np.inf
+)
+COM_OFFSET = Parameter(
+    "com_offset", "of a leg's centre of mass before the leg's line", "length", 0.0, low=-np.inf
+)
+FOOT_RADIUS = Parameter(
+    "foot_radius", "of the foot's arc, centred on the leg", "length", 0.2, closed=True
+)
+
+
+class RoundFootWalker(HeavyLegWalker):
+    """A hip and two legs with mass and inertia, on feet that roll: arcs centred on the legs.
+
+    Point feet are those of radius zero. With the coordinate u of a foot that rolls held, its arc's
+    centre is at u - foot_radius theta.
+
+    **Arguments:** masses in any unit, lengths in any unit L, times then in sqrt(L / gravity).
+
+    - `slope`: of the ground (rad), above 0 and below pi/2.
+    - `hip_mass`: a point mass at the hip, not negative.
+    - `leg_mass`, `leg_inertia`: of each leg, about its centre of mass; above 0, and not negative.
+    - `leg_length`: from the hip to the sole, above 0. The arc's centre is at
+      leg_length - foot_radius from the hip.
+    - `com_from_hip`, `com_offset`: the place of a leg's centre of mass, down the leg and forward.
+    - `foot_radius`: not negative, and less than the length of the leg.
+
+    `ValueError` otherwise, and for legs that nothing keeps from turning: no inertia, and a centre
+    of mass at the hip.
+    """
+
+    slope: Scalar = eqx.field(converter=SLOPE.checked)
+    hip_mass: Scalar = eqx.field(converter=HIP_MASS.checked, default=HIP_MASS.default)
+    leg_mass: Scalar = eqx.field(converter=LEG_MASS.checked, default=LEG_MASS.default)
+    leg_inertia: Scalar = eqx.field(converter=LEG_INERTIA.checked, default=LEG_INERTIA.default)
+    leg_length: Scalar = eqx.field(converter=LEG_LENGTH.checked, default=LEG_LENGTH.default)
+    com_from_hip: Scalar = eqx.field(converter=COM_FROM_HIP.checked, default=COM_FROM_HIP.default)
+    com_offset: Scalar = eqx.field(converter=COM_OFFSET.checked, default=COM_OFFSET.default)
+    foot_radius: Scalar = eqx.field(converter=FOOT_RADIUS.checked, default=FOOT_RADIUS.default)
+
+    def __check_init__(self):
+        check_legs(self)
+
+    def system(self):
+        def transfer(q):
+            hip, legs = legs_of(self, q)
+            return jnp.concatenate([hip, legs])
+
+        M, m, inertia = self.hip_mass, self.leg_mass, self.leg_inertia
+        masses = jnp.stack([M, M, m, m, m, m, inertia, inertia])
+        return System(transfer, masses, gravity(self.slope, masses, turns=2))
+
+    def swing_foot(self, q):
+        return swing_foot_of(self, q)
+
+
+BODY_MASS = Parameter("body_mass", "of the upper body", "mass", 1.0)
+BODY_INERTIA = Parameter(
+    "body_inertia", "of the upper body about its centre of mass", "mass length^2", 0.0, closed=True
+)
+BODY_COM = Parameter(
+    "body_com", "distance of the upper body's centre of mass above the hip", "length", 0.1, -np.inf
+)
+
+
+class UpperBodyWalker(HeavyLegWalker):
+    """A walker with an upper body that a mechanism at the hip holds midway between the legs.
+
+    The bisecting hip of Wisse, Schwab and van der Helm (2004, Robotica 22:681-688): the angle of
+    the body is the mean of those of the legs, theta - phi / 2, at heel strike too. So it adds no
+    degree of freedom. Legs and feet are those of the `RoundFootWalker`.
+
+    **Arguments:** units as there, and so are the parameters not listed.
+
+    - `body_mass`, `body_inertia`: of the upper body, about its centre of mass; above 0, and not
+      negative.
+    - `body_com`: distance of its centre of mass above the hip; below it where negative.
+
+    `ValueError` as there.
+    """
+
+    slope: Scalar = eqx.field(converter=SLOPE.checked)
+    body_mass: Scalar = eqx.field(converter=BODY_MASS.checked, default=BODY_MASS.default)
+    body_inertia: Scalar = eqx.field(converter=BODY_INERTIA.checked, default=BODY_INERTIA.default)
+    body_com: Scalar = eqx.field(converter=BODY_COM.checked, default=BODY_COM.default)
+    leg_mass: Scalar = eqx.field(converter=LEG_MASS.checked, default=LEG_MASS.default)
+    leg_inertia: Scalar = eqx.field(converter=LEG_INERTIA.checked, default=LEG_INERTIA.default)
+    leg_length: Scalar = eqx.field(converter=LEG_LENGTH.checked, default=LEG_LENGTH.default)
+    com_from_hip: Scalar = eqx.field(converter=COM_FROM_HIP.checked, default=COM_FROM_HIP.default)
+    com_offset: Scalar = eqx.field(converter=COM_OFFSET.checked, default=COM_OFFSET.default)
+    foot_radius: Scalar = eqx.field(converter=FOOT_RADIUS.checked, default=FOOT_RADIUS.default)
+
+    def __check_init__(self):
+        check_legs(self)
+
+    def system(self):
+        def transfer(q):
+            hip, legs = legs_of(self, q)
+            angle = q[2] - q[3] / 2
+            return jnp.concatenate([hip + self.body_com * leg(angle), legs, jnp.stack([angle])])
+
+        M, m = self.body_mass, self.leg_mass
+        points = [M, M, m, m, m, m]
+        masses = jnp.stack([*points, self.leg_inertia, self.leg_inertia, self.body_inertia])
+        return System(transfer, masses, gravity(self.slope, masses, turns=3))
+
+    def swing_foot(self, q):
+        return swing_foot_of(self, q)
+
+
+LeggedWalker = RoundFootWalker | UpperBodyWalker
+
+
+def legs_of(
+    walker: LeggedWalker, q: Float[Array, " 4"]
+) -> tuple[Float[Array, " 2"], Float[Array, " 6"]]:
+    """The hip; and the legs' centres of mass and angles."""
+    u, v, theta, phi = q
+    radius = walker.foot_radius
+    centre = jnp.stack([u - radius * theta, v + radius])
+    hip = centre + (walker.leg_length - radius) * leg(theta)
+
+    def centre_of_mass(angle):
+        forward = jnp.stack([jnp.cos(angle), jnp.sin(angle)])
+        return hip - walker.com_from_hip * leg(angle) + walker.com_offset * forward
+
+    swing = theta - phi
+    angles = jnp.stack([theta, swing])
+    return hip, jnp.concatenate([centre_of_mass(theta), centre_of_mass(swing), angles])
+
+
+def swing_foot_of(walker: LeggedWalker, q: Float[Array, " 4"]) -> Float[Array, " 2"]:
+    """(u, v) of the swing foot: of the arc's centre, as if that foot had rolled there."""
+    hip, _ = legs_of(walker, q)
+    angle, radius = q[2] - q[3], walker.foot_radius
+    centre = hip - (walker.leg_length - radius) * leg(angle)
+    return centre + jnp.stack([radius * angle, -radius])
+
+
+def check_legs(walker: LeggedWalker) -> None:
+    values = (walker.foot_radius, walker.leg_length, walker.leg_inertia, walker.com_from_hip)
+    if any(isinstance(value, Tracer) for value in (*values, walker.com_offset)):
+        return
+    radius, length, inertia, down = map(float, values)
+    if radius >= length:
+        raise ValueError(f"foot_radius must be less than leg_length {length:g}, not {radius:g}")
+    if inertia == 0 and down == 0 and float(walker.com_offset) == 0:
+        raise ValueError(
+            "leg_inertia must be above 0 where com_from_hip and com_offset are 0, not 0"
+        )
+
+
+WALKERS: dict[str, type[Walker]] = {
+    "simplest": SimplestWalker,
+    "spring": SpringWalker,
+    "point-foot": PointFootWalker,
+    "round-foot": RoundFootWalker,
+    "upper-body": UpperBodyWalker,
+}
+"""The walkers there are, by their names on the command line."""

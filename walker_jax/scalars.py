@@ -1,0 +1,313 @@
+"""Functions of small arrays, computed as functions of scalars.
+
+Equations are best written with vectors and matrices of two or four entries; they are best computed
+one number at a time, since most entries are zero, one, or the same as another, and since a tile of
+a thousand cells fills a processor's vectors only where a cell's numbers are not vectors
+themselves. `unrolled` reads the jaxpr of a function and keeps, for every array, its entries: known
+zeros and ones drop out, equal terms are computed once, and what moves entries about costs nothing.
+"""
+
+import math
+from collections.abc import Callable
+from itertools import product
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.extend.core import Jaxpr, Literal, Primitive
+from jaxtyping import PyTree
+
+CALLS = ("jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call")
+"""Primitives that hold a function, which is read in their place."""
+
+ENTRYWISE = frozenset(
+    "abs acos acosh add add_any and asin asinh atan atan2 atanh cbrt ceil clamp "
+    "convert_element_type copy copy_p cos cosh div eq erf exp exp2 expm1 floor ge gt integer_pow "
+    "is_finite le log log1p logistic lt max min mul ne neg nextafter not or pow rem round rsqrt "
+    "select_n sign sin sinh sqrt square stop_gradient sub tan tanh xor".split()
+)
+
+
+def unrolled(function: Callable[..., PyTree]) -> Callable[..., PyTree]:
+    """The same function of a few numbers, without arrays of them in between.
+
+    What comes out is equal to rounding, derivatives included, but for zeros: the product with an
+    entry known to be zero is zero, also where the other factor is not finite. Operations that have
+    no meaning entry by entry, such as a factorisation or a loop, are kept as they are.
+    """
+
+    def scalar(*args):
+        leaves, structure = jax.tree.flatten(args)
+        leaves = [jnp.asarray(leaf) for leaf in leaves]
+        flat = lambda *leaves: function(*jax.tree.unflatten(structure, leaves))
+        closed, shapes = jax.make_jaxpr(flat, return_shape=True)(*leaves)
+        entries = Unrolling()
+        inputs = [entries.split(leaf) for leaf in leaves]
+        constants = [entries.split(value) for value in closed.consts]
+        results = entries.interpret(closed.jaxpr, constants, inputs)
+        outputs = [joined(x, s) for x, s in zip(results, jax.tree.leaves(shapes), strict=True)]
+        return jax.tree.unflatten(jax.tree.structure(shapes), outputs)
+
+    return scalar
+
+
+def joined(entries: np.ndarray, like) -> jax.Array:
+    """An array of its entries."""
+    scalars = [jnp.asarray(entry, like.dtype) for entry in entries.ravel()]
+    if like.shape == ():
+        return scalars[0]
+    if not scalars:
+        return jnp.zeros(like.shape, like.dtype)
+    return jnp.stack(scalars).reshape(like.shape)
+
+
+class Unrolling:
+    """A jaxpr read entry by entry: every value is a NumPy array of objects.
+
+    An entry is a Python number where it is known, otherwise a JAX scalar.
+    """
+
+    def __init__(self):
+        self.known: dict = {}
+        """Results by primitive, parameters and operands: equal terms are computed once."""
+        self.kept: list = []
+        """Operands of those, lest another object takes one's identity."""
+
+    def split(self, value) -> np.ndarray:
+        entries = np.empty(np.shape(value), object)
+        if isinstance(value, (np.ndarray, np.generic, int, float, bool)):
+            entries[...] = np.asarray(value).astype(object)
+            return entries
+        for place in np.ndindex(entries.shape):
+            entries[place] = value[place] if entries.shape else value
+        return entries
+
+    def interpret(
+        self, jaxpr: Jaxpr, constants: list[np.ndarray], inputs: list[np.ndarray]
+    ) -> list[np.ndarray]:
+        values: dict = dict(zip(jaxpr.constvars, constants, strict=True))
+        values |= zip(jaxpr.invars, inputs, strict=True)
+
+        def read(variable):
+            if isinstance(variable, Literal):
+                return self.split(np.asarray(variable.val))
+            return values[variable]
+
+        for equation in jaxpr.eqns:
+            operands = [read(variable) for variable in equation.invars]
+            outputs = self.apply(equation, operands)
+            values |= zip(equation.outvars, outputs, strict=True)
+        return [read(variable) for variable in jaxpr.outvars]
+
+    def apply(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
+        primitive, params = equation.primitive, equation.params
+        name, shape = primitive.name, equation.outvars[0].aval.shape
+        if name in CALLS:
+            inner = params["jaxpr"] if "jaxpr" in params else params["call_jaxpr"]
+            constants = [self.split(value) for value in inner.consts]
+            return self.interpret(inner.jaxpr, constants, operands)
+        if name in ENTRYWISE:
+            dtypes = [variable.aval.dtype for variable in equation.invars]
+            return [self.entrywise(primitive, params, operands, dtypes, shape)]
+        if name in MOVES:
+            return [MOVES[name](operands, params, shape)]
+        if name == "unstack":
+            axis, count = params["axis"], len(equation.outvars)
+            return [part.reshape(shape) for part in np.split(operands[0], count, axis=axis)]
+        if name == "split":
+            ends = np.cumsum(params["sizes"])[:-1]
+            return np.split(operands[0], ends, axis=params["axis"])
+        if name == "pad":
+            entries, padding = operands
+            return [padded(primitive, params, entries, padding)]
+        if name == "reduce_sum":
+            return [self.sum(operands[0], params["axes"], equation.outvars[0].aval)]
+        if name == "dot_general":
+            dtype = equation.outvars[0].aval.dtype
+            left, right = operands
+            return [self.contract(left, right, params["dimension_numbers"], dtype)]
+        known = [all(map(is_number, operand.ravel())) for operand in operands]
+        if name in INDEXED and all(known[1:]):
+            return [moved_by_index(primitive, params, operands, equation.invars)]
+        arrays = [joined(x, v.aval) for x, v in zip(operands, equation.invars, strict=True)]
+        results = bound(primitive, params, arrays, now=all(known))
+        return [self.split(result) for result in results]
+
+    def entrywise(
+        self, primitive: Primitive, params: dict, operands: list[np.ndarray], dtypes: list, shape
+    ) -> np.ndarray:
+        operands = [np.broadcast_to(operand, shape) for operand in operands]
+        result = np.empty(shape, object)
+        for place in np.ndindex(*shape):
+            result[place] = self.term(primitive, params, [x[place] for x in operands], dtypes)
+        return result
+
+    def term(self, primitive: Primitive, params: dict, operands: list, dtypes: list) -> Any:
+        """One number, computed unless it is known or has been computed already."""
+        name = primitive.name
+        if name in SHORTCUTS:
+            shorter = SHORTCUTS[name](*operands)
+            if shorter is not None:
+                return shorter
+        elif name in ("copy", "copy_p"):
+            return operands[0]
+        if name in ("mul", "add", "add_any"):  # the order does not matter
+            operands = sorted(operands, key=identity)
+        key = name, tuple(map(identity, operands)), repr(sorted(params.items()))
+        if key not in self.known:
+            self.kept += operands
+            self.known[key] = evaluated(primitive, params, operands, dtypes)
+        return self.known[key]
+
+    def multiply(self, a, b, dtype):
+        return self.term(lax.mul_p, {}, [a, b], [dtype, dtype])
+
+    def total(self, terms, dtype) -> Any:
+        result = 0.0
+        for term in terms:
+            result = self.term(lax.add_p, {}, [result, term], [dtype, dtype])
+        return result
+
+    def sum(self, operand: np.ndarray, axes: tuple[int, ...], like) -> np.ndarray:
+        moved = np.moveaxis(operand, axes, range(len(axes)))
+        result = np.empty(like.shape, object)
+        for place in np.ndindex(*like.shape):
+            result[place] = self.total(moved[(..., *place)].ravel(), like.dtype)
+        return result
+
+    def contract(self, left: np.ndarray, right: np.ndarray, dimensions, dtype) -> np.ndarray:
+        """A product of matrices: batch axes first, then the free ones of either side."""
+        (over_left, over_right), (batch_left, batch_right) = dimensions
+
+        def arranged(x, over, batch):
+            free = [axis for axis in range(x.ndim) if axis not in (*over, *batch)]
+            sizes = [[x.shape[axis] for axis in axes] for axes in (batch, free, over)]
+            matrices = x.transpose(*batch, *free, *over)
+            return matrices.reshape(*map(math.prod, sizes)), sizes
+
+        left, (batch, rows, _) = arranged(left, over_left, batch_left)
+        right, (_, columns, _) = arranged(right, over_right, batch_right)
+        result = np.empty((len(left), left.shape[1], right.shape[1]), object)
+        for b, i, j in product(*map(range, result.shape)):
+            pairs = zip(left[b, i], right[b, j], strict=True)
+            result[b, i, j] = self.total((self.multiply(x, y, dtype) for x, y in pairs), dtype)
+        return result.reshape(*batch, *rows, *columns)
+
+
+def is_number(entry) -> bool:
+    return isinstance(entry, (bool, int, float, complex))
+
+
+def identity(entry):
+    """What makes an entry the same as another."""
+    return (0, type(entry).__name__, repr(entry)) if is_number(entry) else (1, "", id(entry))
+
+
+def evaluated(primitive: Primitive, params: dict, operands: list, dtypes: list) -> Any:
+    """The primitive itself, of scalars: a number where all of them are."""
+    now = all(map(is_number, operands))
+    scalars = [
+        np.asarray(x, dtype) if is_number(x) else x
+        for x, dtype in zip(operands, dtypes, strict=True)
+    ]
+    (result,) = bound(primitive, params, scalars, now=now)
+    return result.item() if now else result
+
+
+def bound(primitive: Primitive, params: dict, operands, *, now: bool) -> list:
+    """A primitive's results; `now`, as NumPy arrays, where they do not depend on a tracer."""
+    if not now:
+        results = primitive.bind(*operands, **params)
+        return list(results) if primitive.multiple_results else [results]
+    with jax.ensure_compile_time_eval():
+        results = bound(primitive, params, list(map(jnp.asarray, operands)), now=False)
+        return list(map(np.asarray, results))
+
+
+def moved_by_index(primitive: Primitive, params: dict, operands, variables) -> np.ndarray:
+    """What a primitive that takes entries by known indices makes of the entries of an array."""
+    entries, *indices = operands
+    numbers = np.arange(1, entries.size + 1).reshape(entries.shape)
+    indices = [joined(x, v.aval) for x, v in zip(indices, variables[1:], strict=True)]
+    (places,) = bound(primitive, params, [numbers, *indices], now=True)
+    return entries.ravel()[places.ravel() - 1].reshape(places.shape)
+
+
+def padded(primitive: Primitive, params: dict, entries: np.ndarray, padding: np.ndarray):
+    """Entries with a value around them and in between."""
+    numbers = np.arange(1, entries.size + 1).reshape(entries.shape)
+    (places,) = bound(primitive, params, [numbers, np.asarray(0, numbers.dtype)], now=True)
+    return np.append(padding.ravel(), entries.ravel())[places.ravel()].reshape(places.shape)
+
+
+def added(a, b):
+    if is_number(a) and is_number(b):
+        return a + b
+    if is_number(a) and a == 0:
+        return b
+    return a if is_number(b) and b == 0 else None
+
+
+def subtracted(a, b):
+    if is_number(a) and is_number(b):
+        return a - b
+    return a if is_number(b) and b == 0 else None
+
+
+def multiplied(a, b):
+    if is_number(a) and is_number(b):
+        return a * b
+    for one, other in ((a, b), (b, a)):
+        if is_number(one) and one in (0, 1):
+            return other if one == 1 else one
+    return None
+
+
+def divided(a, b):
+    if is_number(a) and a == 0:
+        return a
+    return a if is_number(b) and b == 1 else None
+
+
+SHORTCUTS = {
+    "add": added,
+    "add_any": added,
+    "sub": subtracted,
+    "mul": multiplied,
+    "div": divided,
+    "neg": lambda a: -a if is_number(a) else None,
+}
+"""Results that are known, or are one of the operands."""
+
+
+def broadcast(operands, params, shape):
+    (operand, *_), dimensions = operands, params["broadcast_dimensions"]
+    sizes = [1] * len(shape)
+    for axis, size in zip(dimensions, operand.shape, strict=True):
+        sizes[axis] = size
+    return np.broadcast_to(operand.reshape(sizes), shape)
+
+
+def sliced(operands, params, shape):
+    strides = params["strides"] or (1,) * len(shape)
+    limits = zip(params["start_indices"], params["limit_indices"], strides, strict=True)
+    return operands[0][tuple(slice(*one) for one in limits)]
+
+
+MOVES = {
+    "broadcast_in_dim": broadcast,
+    "concatenate": lambda xs, params, shape: np.concatenate(xs, axis=params["dimension"]),
+    "expand_dims": lambda xs, params, shape: xs[0].reshape(shape),
+    "reshape": lambda xs, params, shape: xs[0].reshape(shape),
+    "rev": lambda xs, params, shape: np.flip(xs[0], params["dimensions"]),
+    "slice": sliced,
+    "stack": lambda xs, params, shape: np.stack(xs, axis=params["axis"]),
+    "squeeze": lambda xs, params, shape: xs[0].reshape(shape),
+    "transpose": lambda xs, params, shape: xs[0].transpose(params["permutation"]),
+}
+"""Primitives that only move entries about."""
+
+INDEXED = frozenset(["dynamic_slice", "gather"])
+"""Primitives that take entries of their first operand by indices."""
