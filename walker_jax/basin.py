@@ -52,8 +52,8 @@ def basin(
     **Arguments:**
 
     - `walker`: its parameters are used in float64 if JAX has that turned on.
-    - `grid`: its state coordinates are those of the section.
-    - `method`: "cell-map" or "direct".
+    - `grid`: its state coordinates are those of the section. It may be a slice.
+    - `method`: "cell-map" or "direct"; for a slice, "direct" only.
     - `strides`: how many of them direct iteration follows a walker for.
     - `tolerance`: of the integration, as in `stride`.
     - `progress`: whether to show a progress bar on a terminal.
@@ -77,10 +77,15 @@ def basin(
         raise ValueError(f"method must be one of {', '.join(METHODS)}, not {method!r}")
     if strides < 1:
         raise ValueError(f"strides must be at least 1, not {strides}")
-    if len(grid.names) != len(walker.section):
+    if grid.coordinates != len(walker.section):
         raise ValueError(
             f"grid must have the {len(walker.section)} dimensions of the section, "
-            f"{', '.join(walker.section)}, not {', '.join(grid.names)}"
+            f"{', '.join(walker.section)}, not {', '.join((*grid.names, *grid.fixed))}"
+        )
+    if method == "cell-map" and len(grid.names) < grid.coordinates:
+        raise ValueError(
+            f"method must be direct for a slice, {' and '.join(grid.fixed)} fixed, which walkers "
+            "leave, not 'cell-map'"
         )
     if set(grid.names) == set(walker.section) and grid.names != walker.section:
         raise ValueError(f"grid must have its axes in the order {walker.section}, not {grid.names}")
@@ -313,6 +318,7 @@ def labelled(walker: Walker, grid: Grid, found: Basins) -> xr.Dataset:
         },
         coords={
             **grid.axes,
+            **grid.held,
             "number": np.arange(len(found.attractors)),
         },
     )

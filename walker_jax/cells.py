@@ -1,8 +1,9 @@
 """Grids of cells and the simple cell map of Hsu (1987, Cell-to-Cell Mapping, Springer).
 
 A grid is an affine image of a box divided into equal cells. A point has box coordinates u, along
-which the cells lie, and state coordinates x = shear @ u. Cells are half open, [low, high) along
-each box axis, and numbered from 0 with the last axis fastest (C order).
+which the cells lie, and state coordinates x = origin + shear @ u. Where the box has fewer of them
+than the state, the grid is a slice: some coordinates of the state are fixed. Cells are half open,
+[low, high) along each box axis, and numbered from 0 with the last axis fastest (C order).
 
 The simple cell map replaces a map of points by a map of cells: a cell goes where its centre goes.
 All points off the grid, and those that the map does not send anywhere, are gathered in a few sink
@@ -34,30 +35,41 @@ Axis = Any
 
 
 class Grid(eqx.Module):
-    """Equal cells of a box, and of its image x = shear @ u.
+    """Equal cells of a box, and of its image x = origin + shear @ u.
 
-    `Grid.plain` and `Grid.sheared` make the usual ones; `Grid(axes, shear)` any other. Everything
-    but the names is an array leaf: a jitted function of a grid is not compiled again for another
-    window or count.
+    `Grid.plain` and `Grid.sheared` make the usual ones; `Grid(axes, shear, origin)` any other.
+    Everything but the names is an array leaf: a jitted function of a grid is not compiled again for
+    another window or count.
 
     Raises ValueError for no axes, an axis that is not (low, high, count) with finite low < high
-    and count >= 1, a shear that is not an invertible (d, d) matrix, or more than `MAX_SIZE` cells.
+    and count >= 1, a shear that is not an (s, d) matrix of rank d, an origin that is not s finite
+    numbers, or more than `MAX_SIZE` cells.
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
     """Names of the box coordinates u."""
+    fixed: tuple[str, ...] = eqx.field(static=True)
+    """Names of the last coordinates of the state, where a slice holds them fixed."""
     lower: Float[np.ndarray | Array, " d"]
     """Lower ends of the axes."""
     upper: Float[np.ndarray | Array, " d"]
     """Upper ends of the axes, outside the grid."""
     counts: Int32[np.ndarray | Array, " d"]
     """Cells along each axis."""
-    shear: Float[np.ndarray | Array, "d d"]
-    """State coordinates from box coordinates, x = shear @ u."""
-    unshear: Float[np.ndarray | Array, "d d"]
-    """Its inverse, u = unshear @ x."""
+    shear: Float[np.ndarray | Array, "s d"]
+    """State coordinates from box coordinates, x = origin + shear @ u."""
+    unshear: Float[np.ndarray | Array, "d s"]
+    """Its inverse, u = unshear @ (x - origin); of a slice, for points in it."""
+    origin: Float[np.ndarray | Array, " s"]
+    """The point of the state where u is zero."""
 
-    def __init__(self, axes: Mapping[str, Axis], shear: ArrayLike):
+    def __init__(
+        self,
+        axes: Mapping[str, Axis],
+        shear: ArrayLike,
+        origin: ArrayLike | None = None,
+        fixed: tuple[str, ...] = (),
+    ):
         if not axes:
             raise ValueError(f"axes={axes!r}: a grid needs at least one axis")
         lower, upper, counts = zip(*(_axis(*item) for item in axes.items()), strict=True)
@@ -69,14 +81,22 @@ class Grid(eqx.Module):
         self.lower = np.array(lower)
         self.upper = np.array(upper)
         self.counts = np.array(counts, np.int32)
+        self.fixed = tuple(fixed)
         self.shear = np.array(shear, np.float64)
-        if self.shear.shape != (len(axes), len(axes)) or not np.isfinite(self.shear).all():
-            raise ValueError(
-                f"shear={self.shear.tolist()}: must be a finite {len(axes)} x {len(axes)} matrix"
-            )
+        count = len(axes)
+        if self.shear.ndim != 2 or self.shear.shape[1] != count or len(self.shear) < count:
+            raise ValueError(f"shear={self.shear.tolist()}: must be a matrix of {count} columns")
+        size = len(self.shear)
+        if not np.isfinite(self.shear).all():
+            raise ValueError(f"shear={self.shear.tolist()}: must be finite")
+        self.origin = np.zeros(size) if origin is None else np.array(origin, np.float64)
+        if self.origin.shape != (size,) or not np.isfinite(self.origin).all():
+            raise ValueError(f"origin={self.origin.tolist()}: must be {size} finite numbers")
         try:
             # Exact, without rounding, for the shears below. Adding zero turns -0 into 0.
-            self.unshear = np.linalg.inv(self.shear) + 0.0
+            square = self.shear.T @ self.shear if size > count else self.shear
+            inverse = np.linalg.inv(square) + 0.0
+            self.unshear = inverse @ self.shear.T if size > count else inverse
         except np.linalg.LinAlgError:
             raise ValueError(f"shear={self.shear.tolist()}: must be invertible") from None
 
@@ -84,19 +104,29 @@ class Grid(eqx.Module):
     def plain(cls, **axes: Axis) -> "Grid":
         """A grid along the state's own axes, x = u.
 
-        Each axis is (low, high, count), for example `theta=(0, 0.4, 200)`.
+        Each axis is (low, high, count), for example `theta=(0, 0.4, 200)`. The last ones may be
+        numbers: then the grid is a slice, on which those coordinates have these values.
         """
-        return cls(axes, np.eye(len(axes)))
+        along, values = split(axes)
+        return cls(along, np.eye(len(axes), len(along)), values, tuple(axes)[len(along) :])
 
     @classmethod
     def sheared(cls, *, theta: Axis, sum: Axis, **others: Axis) -> "Grid":
         """A grid along theta and sum = theta + thetadot, for states (theta, thetadot, others...).
 
-        Each axis is (low, high, count). The coordinates of Schwab and Wisse (2001), Figure 4.
+        Each axis is (low, high, count), or for the last ones a number, as in `plain`. The
+        coordinates of Schwab and Wisse (2001), Figure 4.
         """
-        shear = np.eye(2 + len(others))
+        axes = {"theta": theta, "sum": sum, **others}
+        along, values = split(axes)
+        shear = np.eye(len(axes), len(along))
         shear[1, 0] = -1
-        return cls({"theta": theta, "sum": sum, **others}, shear)
+        return cls(along, shear, values, tuple(axes)[len(along) :])
+
+    @property
+    def coordinates(self) -> int:
+        """Number of coordinates of the state; on the host only."""
+        return len(self.shear)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -116,7 +146,9 @@ class Grid(eqx.Module):
     @property
     def cell_area(self) -> float:
         """Length, area or volume of a cell in the state's coordinates; on the host only."""
-        return float(np.prod(self.spacing) * abs(np.linalg.det(self.shear)))
+        if self.coordinates == len(self.names):
+            return float(np.prod(self.spacing) * abs(np.linalg.det(self.shear)))
+        return float(np.prod(self.spacing) * np.sqrt(np.linalg.det(self.shear.T @ self.shear)))
 
     @property
     def axes(self) -> dict[str, np.ndarray]:
@@ -127,9 +159,16 @@ class Grid(eqx.Module):
             for name, low, width, count in ends
         }
 
-    def centre(self, index: Int[ArrayLike, ""]) -> Float[Array, " d"]:
-        """Centre of a cell, x = shear @ (lower + (i + 1/2) spacing), with i its place on each axis.
+    @property
+    def held(self) -> dict[str, float]:
+        """The fixed coordinates of a slice; on the host only."""
+        values = self.origin[self.coordinates - len(self.fixed) :]
+        return {name: float(value) for name, value in zip(self.fixed, values, strict=True)}
 
+    def centre(self, index: Int[ArrayLike, ""]) -> Float[Array, " s"]:
+        """Centre of a cell, x = origin + shear @ (lower + (i + 1/2) spacing).
+
+        i is its place on each axis.
         The index is 0 ... size - 1.
         """
         places = []
@@ -138,12 +177,17 @@ class Grid(eqx.Module):
             places.insert(0, place)
         lower, spacing = jnp.asarray(self.lower), jnp.asarray(self.spacing)
         u = lower + (jnp.stack(places).astype(lower.dtype) + 0.5) * spacing
-        return _multiply(self.shear, u)
+        return jnp.asarray(self.origin) + _multiply(self.shear, u)
 
-    def cell(self, point: Float[Array, " d"]) -> Int32[Array, ""]:
-        """Index of the cell that holds a point x, -1 where none does or x is not finite."""
+    def cell(self, point: Float[Array, " s"]) -> Int32[Array, ""]:
+        """Index of the cell that holds a point x, -1 where none does or x is not finite.
+
+        Raises ValueError for a slice, in which hardly any point lies.
+        """
+        if self.coordinates != len(self.names):
+            raise ValueError(f"fixed={self.fixed}: a slice has no cell for a point")
         lower, upper, spacing = map(jnp.asarray, (self.lower, self.upper, self.spacing))
-        u = _multiply(self.unshear, point.astype(lower.dtype))
+        u = _multiply(self.unshear, point.astype(lower.dtype) - jnp.asarray(self.origin))
         inside = jnp.all((lower <= u) & (u < upper))  # not so for NaN
         places = jnp.floor(jnp.where(inside, u - lower, 0) / spacing).astype(jnp.int32)
         places = jnp.minimum(places, self.counts - 1)  # the quotient may round up to the count
@@ -151,6 +195,17 @@ class Grid(eqx.Module):
         for place, count in zip(places, self.counts, strict=True):
             index = index * count + place
         return jnp.where(inside, index, -1)
+
+
+def split(axes: Mapping[str, Axis]) -> tuple[dict[str, Axis], Float[np.ndarray, " s"]]:
+    """The axes that are not numbers, and an origin with those that are, which must be the last."""
+    numbers = [isinstance(axis, (int, float, np.number)) for axis in axes.values()]
+    count = len(axes) - sum(numbers)
+    if any(numbers[:count]):
+        name = list(axes)[numbers.index(True)]
+        raise ValueError(f"{name}={axes[name]!r}: only the last axes may be numbers")
+    values = [0.0] * count + [float(axis) for axis in list(axes.values())[count:]]
+    return dict(list(axes.items())[:count]), np.array(values)
 
 
 def _axis(name: str, axis: Axis) -> tuple[float, float, int]:
@@ -172,14 +227,14 @@ def _axis(name: str, axis: Axis) -> tuple[float, float, int]:
 
 
 def _multiply(
-    matrix: Float[np.ndarray | Array, "d d"], vector: Float[Array, " d"]
-) -> Float[Array, " d"]:
+    matrix: Float[np.ndarray | Array, "m n"], vector: Float[Array, " n"]
+) -> Float[Array, " m"]:
     """matrix @ vector, which some accelerators would round to a shorter type."""
     return jnp.sum(jnp.asarray(matrix) * vector, axis=1)
 
 
 def cell_image(
-    grid: Grid, point: Float[Array, " d"], outcome: Int[ArrayLike, ""], *, leave: int
+    grid: Grid, point: Float[Array, " s"], outcome: Int[ArrayLike, ""], *, leave: int
 ) -> Int32[Array, ""]:
     """Where the simple cell map sends a cell, given what became of its centre.
 

@@ -4,11 +4,14 @@ Answers go to standard output; progress, warnings and the one line that says wha
 standard error. Exit code 0: done; 2: wrong usage; 1: the computation failed.
 """
 
+import functools
+import inspect
 import json
 import math
 import os
 import sys
 import time
+from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Literal, NoReturn
@@ -18,13 +21,14 @@ import numpy as np
 import platformdirs
 import typer
 
+from walker_jax.walkers import WALKERS, Parameter, Walker, parameters
+
 app = typer.Typer(
     add_completion=False,
     no_args_is_help=True,
     help="Passive dynamic walkers: their gaits, and the basins of attraction of these.",
 )
 
-Slope = Annotated[float, typer.Option(help="Slope of the ground, rad.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the answer as JSON.")]
 Out = Annotated[Path, typer.Option(help="Where the data set goes (Zarr).")]
 PictureOfData = Annotated[
@@ -39,29 +43,138 @@ Axis = tuple[float, float, int]
 PICTURES = (".png", ".svg", ".pdf")  # those that carry a title, by which a picture is known again
 
 
+PHIDOT_HELP = "Rate between the legs, for walkers whose section has it"
+
+
 class NotFound(Exception):
     """A search that found nothing, and why."""
 
 
+def list_walkers(wanted: bool) -> None:
+    """Print the walkers there are, and end."""
+    if not wanted:
+        return
+    for name, kind in WALKERS.items():
+        print(f"{name}: {(kind.__doc__ or '').splitlines()[0]}")
+        print(f"  section ({', '.join(kind.section)})")
+        for one in parameters(kind):
+            flag = option_of(one.name)
+            what = f"{one.meaning}, {one.bounds()}"
+            print(f"  {flag:18} {one.unit:17} {one.default:<8g} {what}")
+    raise typer.Exit
+
+
+ListWalkers = Annotated[
+    bool,
+    typer.Option(
+        "--list-walkers",
+        is_eager=True,
+        callback=list_walkers,
+        help="The walkers, their parameters, units and defaults.",
+    ),
+]
+
+
+def option_of(parameter: str) -> str:
+    return f"--{parameter.replace('_', '-')}"
+
+
+def takes_walker(command: Callable[..., None], *, without: tuple[str, ...] = ()) -> Callable:
+    """A command whose first argument is a walker, as one with options for the walker.
+
+    `without` are parameters that the command sets itself, from options of its own.
+    """
+    offered: dict[str, Parameter] = {}
+    owners: dict[str, list[str]] = {}
+    for name, kind in WALKERS.items():
+        for one in parameters(kind):
+            offered.setdefault(one.name, one)
+            owners.setdefault(one.name, []).append(name)
+    for name in without:
+        del offered[name]
+
+    def help_of(one: Parameter) -> str:
+        whose = "" if len(owners[one.name]) == len(WALKERS) else f" {', '.join(owners[one.name])}:"
+        return f"{whose} {one.meaning}; {one.unit} (default: {one.default:g})".strip()
+
+    def option(name: str, annotation: object, default: object) -> inspect.Parameter:
+        keyword = inspect.Parameter.KEYWORD_ONLY
+        return inspect.Parameter(name, keyword, default=default, annotation=annotation)
+
+    panel = "Walker"
+    names = " | ".join(WALKERS)
+    walker = typer.Option(help=f"Its model: {names}.", rich_help_panel=panel, metavar="NAME")
+    options = [option("walker", Annotated[str, walker], "simplest")]
+    for one in offered.values():
+        number = typer.Option(help=help_of(one), rich_help_panel=panel, show_default=False)
+        options.append(option(one.name, Annotated[float | None, number], None))
+    options.append(option("list_walkers", ListWalkers, False))
+
+    @functools.wraps(command)
+    def with_options(**given):
+        name = given.pop("walker")
+        given.pop("list_walkers")
+        values = {one: given.pop(one) for one in offered}
+        values = {one: value for one, value in values.items() if value is not None}
+        if name not in WALKERS:
+            raise ValueError(f"--walker must be one of {', '.join(WALKERS)}, not {name}")
+        known = {one.name: one.default for one in parameters(WALKERS[name])}
+        for one in values:
+            if one not in known:
+                takes = ", ".join(option_of(other) for other in known)
+                raise ValueError(f"{option_of(one)} is no parameter of {name}, which has {takes}")
+        return command(WALKERS[name](**(known | values)), **given)
+
+    own = list(inspect.signature(command).parameters.values())[1:]
+    own = [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in own]
+    signature = inspect.Signature([*options, *own])
+    vars(with_options)["__signature__"] = signature  # which typer reads
+    with_options.__annotations__ = {one.name: one.annotation for one in (*options, *own)}
+    return with_options
+
+
+def description(walker: Walker) -> dict:
+    """A walker by name and parameters, for a request or an answer."""
+    values = {one.name: float(getattr(walker, one.name)) for one in parameters(walker)}
+    return {"name": type(walker).__name__, **values}
+
+
+def said(walker: Walker) -> str:
+    """A walker in words."""
+    name, *values = description(walker).items()
+    return ", ".join([name[1], *(f"{key} {value:g}" for key, value in values)])
+
+
 @app.callback()
-def common() -> None:
+def common(list_walkers: ListWalkers = False) -> None:
     """Passive dynamic walkers: their gaits, and the basins of attraction of these."""
 
 
 @app.command()
+@takes_walker
 def walk(
-    slope: Slope = 0.004,
-    theta: Annotated[float, typer.Option(help="Stance angle at the start, rad.")] = 0.2,
-    thetadot: Annotated[float, typer.Option(help="Its rate, rad per sqrt(l/g).")] = -0.21645,
+    walker: Walker,
+    theta: Annotated[
+        float | None, typer.Option(help="Stance angle at the start, rad (default: see above).")
+    ] = None,
+    thetadot: Annotated[float | None, typer.Option(help="Its rate, rad per unit of time.")] = None,
+    phidot: Annotated[float | None, typer.Option(help=f"{PHIDOT_HELP}.")] = None,
     strides: Annotated[int, typer.Option(min=1, help="Strides at most.")] = 9,
     as_json: Json = False,
 ) -> None:
-    """Walk from one start, stride by stride, until a failure."""
+    """Walk from one start, stride by stride, until a failure.
+
+    The simplest walker starts at theta 0.2, thetadot -0.21645 by default, any other in its gait.
+    """
     import walker_jax as wj
 
-    finite(theta=theta, thetadot=thetadot)
-    walker = wj.SimplestWalker(slope)
-    states, names, times = [np.array([theta, thetadot])], [], []
+    given = {"theta": theta, "thetadot": thetadot, "phidot": phidot}
+    given = {name: value for name, value in given.items() if value is not None}
+    finite(**given)
+    if isinstance(walker, wj.SimplestWalker):
+        given = {"theta": 0.2, "thetadot": -0.21645} | given
+    start = start_of(walker, given) if given else gait_of(walker).states[0]
+    states, names, times = [start], [], []
     for _ in range(strides):
         result = wj.stride(walker, states[-1])
         names.append(wj.Outcome(int(result.outcome)).name)
@@ -72,16 +185,40 @@ def walk(
     if as_json:
         print_json({"states": states, "outcomes": names, "times": times})
         return
-    print(f"{'stride':>6}  {'theta':>10}  {'thetadot':>10}  {'time':>8}  outcome")
+    row = lambda values: "  ".join(f"{value:10.6f}" for value in values)
+    heads = "  ".join(f"{name:>10}" for name in walker.section)
+    print(f"{'stride':>6}  {heads}  {'time':>8}  outcome")
     for i, (state, name, duration) in enumerate(zip(states, names, times, strict=False), start=1):
-        print(f"{i:6}  {state[0]:10.6f}  {state[1]:10.6f}  {duration:8.4f}  {name}")
+        print(f"{i:6}  {row(state)}  {duration:8.4f}  {name}")
     if len(states) > len(names):
-        print(f"{'next':>6}  {states[-1][0]:10.6f}  {states[-1][1]:10.6f}")
+        print(f"{'next':>6}  {row(states[-1])}")
+
+
+def start_of(walker: Walker, given: dict[str, float]) -> np.ndarray:
+    """A point of the section from the options that name its coordinates."""
+    for name in walker.section:
+        if name not in given:
+            raise ValueError(f"--{name} is wanted too: the section is {', '.join(walker.section)}")
+    for name in given:
+        if name not in walker.section:
+            raise ValueError(f"--{name} is not on the section, {', '.join(walker.section)}")
+    return np.array([given[name] for name in walker.section])
+
+
+def gait_of(walker: Walker):
+    """The most stable gait of period one that is found."""
+    import walker_jax as wj
+
+    gait = wj.find_gait(walker)
+    if not gait.found:
+        raise NotFound(f"no gait of {said(walker)} found")
+    return gait
 
 
 @app.command()
+@takes_walker
 def gait(
-    slope: Slope = 0.004,
+    walker: Walker,
     period: Annotated[int, typer.Option(min=1, help="Strides in a cycle.")] = 1,
     all_: Annotated[
         bool, typer.Option("--all", help="All gaits of the period, stable or not.")
@@ -90,26 +227,32 @@ def gait(
         tuple[float, float] | None,
         typer.Option(metavar="THETA THETADOT", help="Where the search begins."),
     ] = None,
+    phidot: Annotated[float | None, typer.Option(help=f"{PHIDOT_HELP}: with --guess.")] = None,
     figure: Annotated[
         Path | None, typer.Option(help="Where a picture of the multipliers goes.")
     ] = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Find the gaits of the simplest walker: cycles of strides, and their stability."""
+    """Find the gaits of a walker: cycles of strides, and their stability."""
     import walker_jax as wj
     from walker_jax import figures, store
 
-    walker = wj.SimplestWalker(slope)
+    if phidot is not None and guess is None:
+        raise ValueError("--phidot is for --guess alone")
+    start = None
     if guess is not None:
-        finite(theta=guess[0], thetadot=guess[1])
+        given = {"theta": guess[0], "thetadot": guess[1]}
+        given |= {} if phidot is None else {"phidot": phidot}
+        finite(**given)
+        start = start_of(walker, given)
     if guess is not None and all_:
         raise ValueError("--guess and --all exclude each other: give one of them")
     request = {
         "command": "gait",
-        "walker": {"name": "SimplestWalker", "slope": slope},
+        "walker": description(walker),
         "period": period,
-        "guess": guess,
+        "guess": None if start is None else start.tolist(),
         "all": all_,
         "version": version("walker-jax"),
     }
@@ -124,13 +267,13 @@ def gait(
         found = found if all_ else found[:1]
     # the long gait of period one is not the most stable one on every slope
     if period == 1 or guess is not None:
-        first = wj.find_gait(walker, guess, period)
+        first = wj.find_gait(walker, start, period)
         same = lambda gait: np.allclose(gait.states, first.states, rtol=0, atol=1e-8)
         found = [first] * bool(first.found) + [gait for gait in found if not same(gait)]
         if not found:
-            raise NotFound(f"no gait of period {period} found at slope {slope:g}: {end_of(first)}")
+            raise NotFound(f"no gait of period {period} of {said(walker)} found: {end_of(first)}")
     if not found:
-        raise NotFound(f"no gait of period {period} found at slope {slope:g}")
+        raise NotFound(f"no gait of period {period} of {said(walker)} found")
     if figure is not None:
         draw(figures.multipliers(found), figure, request)
     if as_json:
@@ -145,20 +288,27 @@ def gait(
             }
             for one in found
         ]
-        print_json({"slope": slope, "gaits": gaits})
+        print_json(
+            {"walker": description(walker), "slope": request["walker"]["slope"], "gaits": gaits}
+        )
         return
+    print(said(walker))
     for one in found:
         kind = "stable" if one.stable else "unstable"
         values = ", ".join(f"{value:.8g}" for value in one.multipliers)
-        print(f"{kind} gait of period {period} at slope {slope:g} rad, multipliers {values}")
+        print(f"{kind} gait of period {period}, multipliers {values}")
         for state, duration in zip(one.states, one.step_times, strict=True):
-            print(f"  theta {state[0]:.13f}  thetadot {state[1]:.13f}  step time {duration:.10f}")
+            named = zip(walker.section, state, strict=True)
+            shown = "  ".join(f"{name} {value:.13f}" for name, value in named)
+            print(f"  {shown}  step time {duration:.10f}")
     if figure is not None:
         print(f"picture {figure}")
 
 
 @app.command()
+@functools.partial(takes_walker, without=("slope",))
 def bifurcation(
+    walker: Walker,
     low: Annotated[float, typer.Option("--from", help="Lowest slope, rad.")] = 0.001,
     high: Annotated[float, typer.Option("--to", help="Highest slope, rad.")] = 0.022,
     period_max: Annotated[
@@ -176,13 +326,13 @@ def bifurcation(
     import walker_jax as wj
     from walker_jax import figures, store
 
-    walker = wj.SimplestWalker(low)
-    wj.SimplestWalker(high)
+    walker = at_slope(walker, low)
+    at_slope(walker, high)
     if not low < high:
         raise ValueError(f"--from {low:g} must be below --to {high:g}")
     request = {
         "command": "bifurcation",
-        "walker": {"name": "SimplestWalker"},
+        "walker": {key: value for key, value in description(walker).items() if key != "slope"},
         "slope": [low, high],
         "period_max": period_max,
         "strides": strides,
@@ -232,7 +382,9 @@ def bifurcation(
     if as_json:
         print_json(answer)
         return
-    print(f"Gaits of the simplest walker from slope {low:g} to {high:g} rad")
+    others = [f"{name} {value}" for name, value in request["walker"].items() if name != "name"]
+    name = ", ".join([request["walker"]["name"], *others])
+    print(f"Gaits of {name}, from slope {low:g} to {high:g} rad")
     for title, key in (
         ("doublings of the long gait", "doublings"),
         ("doublings of other gaits", "other_doublings"),
@@ -241,8 +393,8 @@ def bifurcation(
         print(f"  {title}:{'' if answer[key] else ' none'}")
         for event in answer[key]:
             periods = f"{event['from']} to {event['to']}" if "to" in event else event["period"]
-            theta, thetadot = event["state"]
-            print(f"    period {periods} at {event['slope']:.12f}, ({theta:.6f}, {thetadot:.6f})")
+            state = ", ".join(f"{value:.6f}" for value in event["state"])
+            print(f"    period {periods} at {event['slope']:.12f}, ({state})")
     if math.isnan(below):
         print("  no walker that starts close to a gait walks on, on any slope")
     elif math.isnan(above):
@@ -254,6 +406,12 @@ def bifurcation(
         where = f"from {window['from']:.9f} to {window['to']:.9f}"
         print(f"  a gait of period {window['period']} is stable beyond that, {where}")
     print(f"  data set {out}, picture {figure}")
+
+
+def at_slope(walker: Walker, slope: float) -> Walker:
+    """The same walker on another slope."""
+    values = {one.name: getattr(walker, one.name) for one in parameters(walker)}
+    return type(walker)(**(values | {"slope": slope}))
 
 
 def end_of(gait) -> str:
@@ -290,13 +448,13 @@ def draw(axes, path: Path, request: dict) -> None:
 
 
 @app.command()
+@takes_walker
 def basin(
-    slope: Slope = 0.004,
-    theta: Annotated[Axis, typer.Option(metavar="LO HI N", help="Stance angle, rad.")] = (
-        0.0,
-        0.4,
-        200,
-    ),
+    walker: Walker,
+    theta: Annotated[
+        Axis | None,
+        typer.Option(metavar="LO HI N", help="Stance angle, rad (default: 0 0.4 200)."),
+    ] = None,
     sum_: Annotated[
         Axis | None,
         typer.Option(
@@ -307,9 +465,20 @@ def basin(
         Axis | None,
         typer.Option(metavar="LO HI N", help="The plain section: thetadot in the place of --sum."),
     ] = None,
+    phidot: Annotated[
+        Axis | None,
+        typer.Option(metavar="LO HI N", help=f"{PHIDOT_HELP}: a grid of three dimensions."),
+    ] = None,
+    at_phidot: Annotated[
+        float | None,
+        typer.Option(help="A slice of such a section, followed directly (default: at the gait)."),
+    ] = None,
     method: Annotated[
-        Literal["cell-map", "direct"], typer.Option(help="Cell mapping, or direct iteration.")
-    ] = "cell-map",
+        Literal["cell-map", "direct"] | None,
+        typer.Option(
+            help="Cell mapping (default), or direct iteration (of a slice always).",
+        ),
+    ] = None,
     strides: Annotated[
         int | None, typer.Option(min=1, help="Strides at most, direct only (default: 200).")
     ] = None,
@@ -318,34 +487,54 @@ def basin(
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Compute and draw the basin of attraction of the simplest walker's gait."""
+    """Compute and draw the basin of attraction of a walker's gait.
 
+    By default that of the simplest walker in the window of Schwab and Wisse (2001), Figure 4. For
+    another walker the window is around its gait.
+    """
     import walker_jax as wj
     from walker_jax import figures, store
 
-    walker = wj.SimplestWalker(slope)
+    has_phidot = "phidot" in walker.section
+    if not has_phidot and (phidot is not None or at_phidot is not None):
+        flag = "--phidot" if phidot is not None else "--at-phidot"
+        raise ValueError(
+            f"{flag} is for walkers whose section has it, not {', '.join(walker.section)}"
+        )
+    if phidot is not None and at_phidot is not None:
+        raise ValueError("--phidot and --at-phidot exclude each other: give one of them")
+    if thetadot is not None and sum_ is not None:
+        raise ValueError("--sum and --thetadot exclude each other: give one of them")
+    sliced = has_phidot and phidot is None
+    method = method or ("direct" if sliced else "cell-map")
     if strides is not None and method != "direct":
         raise ValueError("--strides is for --method direct alone")
     strides = strides or 200
-    if thetadot is not None and sum_ is not None:
-        raise ValueError("--sum and --thetadot exclude each other: give one of them")
-    if thetadot is not None:
-        axes = {"theta": theta, "thetadot": thetadot}
-        grid = wj.Grid.plain(**axes)
-    else:
-        axes = {"theta": theta, "sum": sum_ or (-0.04, 0.01, 250)}
-        grid = wj.Grid.sheared(**axes)
+    if at_phidot is not None:
+        finite(**{"at-phidot": at_phidot})
+    figure = picture_of(out, figure)
+    axes: dict[str, Axis | float | None] = {"theta": theta}
+    axes |= {"sum": sum_} if thetadot is None else {"thetadot": thetadot}
+    if has_phidot:
+        axes["phidot"] = at_phidot if phidot is None else phidot
+    if None in axes.values():
+        axes = {
+            name: axes[name] if axes[name] is not None else axis
+            for name, axis in window(walker, tuple(axes), at_phidot).items()
+        }
+    grid = (wj.Grid.plain if thetadot is not None else wj.Grid.sheared)(**axes)
     if min(grid.shape) < 2:
         raise ValueError(f"a picture needs 2 cells or more along each axis, not {grid.shape}")
     request = {
         "command": "basin",
-        "walker": {"name": "SimplestWalker", "slope": slope},
-        "axes": {name: [float(low), float(high), n] for name, (low, high, n) in axes.items()},
+        "walker": description(walker),
+        "axes": {
+            name: list(axis) if isinstance(axis, tuple) else axis for name, axis in axes.items()
+        },
         "method": method,
         **({"strides": strides} if method == "direct" else {}),
         "version": version("walker-jax"),
     }
-    figure = picture_of(out, figure)
     store.check_picture(figure, request, overwrite=overwrite)
     data = store.find(out, request, overwrite=overwrite)
     reused = data is not None
@@ -355,7 +544,7 @@ def basin(
     seconds = clock.seconds()
     if not reused:
         data = store.save(data, out, request)
-    draw(figures.basin(data), figure, request)
+    draw((figures.basin if len(grid.names) == 2 else figures.basin_slices)(data), figure, request)
 
     fates = {
         name: int((data["fate"] == code).sum()) for name, code in wj.Outcome.__members__.items()
@@ -372,7 +561,8 @@ def basin(
     if as_json:
         print_json(
             {
-                "slope": slope,
+                "walker": request["walker"],
+                "slope": request["walker"]["slope"],
                 "method": method,
                 "cells": int(data["fate"].size),
                 "area": float(data["area"].sum()),
@@ -382,9 +572,12 @@ def basin(
             }
         )
         return
-    print(f"Basin of attraction, {request['walker']['name']}, slope {slope:g} rad, {method}")
+    print(f"Basin of attraction, {said(walker)}, {method}")
+    if sliced:
+        print(f"  slice at phidot {axes['phidot']:.10g}")
     for i, one in enumerate(attractors):
-        states = ", ".join(f"({state[0]:.6f}, {state[1]:.6f})" for state in one["states"][:4])
+        numbers = [", ".join(f"{value:.6f}" for value in state) for state in one["states"][:4]]
+        states = ", ".join(f"({state})" for state in numbers)
         more = ", ..." if len(one["states"]) > 4 else ""
         period = f"period {one['period']}" if one["period"] else "no period"
         size = f"{one['cells']} cell{'s' * (one['cells'] > 1)}, area {one['area']:.6g}"
@@ -407,6 +600,24 @@ def basin(
             f"{seconds['compile']:.1f} s to compile, {seconds['run']:.2f} s to run"
         )
     print(f"  data set {out}, picture {figure}")
+
+
+def window(walker: Walker, names: tuple[str, ...], at_phidot: float | None) -> dict:
+    """The axes that are drawn by default."""
+    import walker_jax as wj
+
+    if isinstance(walker, wj.SimplestWalker):
+        return {"theta": (0.0, 0.4, 200), names[1]: (-0.04, 0.01, 250)}
+    state = gait_of(walker).states[0]
+    theta, thetadot = float(state[0]), float(state[1])
+    middle = theta + thetadot if names[1] == "sum" else thetadot
+    axes: dict = {
+        "theta": (0.0, 2.5 * theta, 200),
+        names[1]: (middle - 0.5 * theta, middle + 0.3 * theta, 250),
+    }
+    if "phidot" in names:
+        axes["phidot"] = float(state[2]) if at_phidot is None else at_phidot
+    return axes
 
 
 class Stopwatch:

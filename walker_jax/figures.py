@@ -6,6 +6,7 @@ times in sqrt(l / g), with leg length l and gravity g. Colours differ in lightne
 so that they are told apart in grey print and by the colour-blind.
 """
 
+import textwrap
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple, cast
@@ -93,6 +94,11 @@ ROW, ROWS = 13, 8
 """Height (points) of a line on multipliers beyond the frame, and how many stand at one place."""
 
 
+PANELS = 6
+"""Slices in a picture of a basin of three dimensions, at most."""
+SYMBOLS = {"theta": r"$\theta$", "thetadot": r"$\dot{\theta}$", "phidot": r"$\dot{\varphi}$"}
+
+
 class Region(NamedTuple):
     """Cells that share a colour."""
 
@@ -177,6 +183,77 @@ def basin(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     return ax
 
 
+def basin_slices(data: xr.Dataset) -> Figure:
+    """The basin of attraction over a grid of three dimensions, in slices across the last.
+
+    Colours as in `basin`. Attractors are drawn in the slice that is nearest to them.
+
+    **Arguments:**
+
+    - `data`: what `walker_jax.basin` returns.
+
+    **Returns** a figure of up to six panels, evenly spaced. Raises `ValueError` for a data set that
+    is not of three dimensions, with two cells or more along the first two.
+    """
+    if "fate" not in data or data["fate"].ndim != 3 or min(data["fate"].shape[:2]) < 2:
+        dimensions = dict(data["fate"].sizes) if "fate" in data else "no fate"
+        raise ValueError(f"data must have a fate over 2 x 2 x 1 cells or more, not {dimensions}")
+    data = data.assign_coords(coordinate=data.attrs["section"])
+    fate = data["fate"]
+    x, y, z = map(str, fate.dims)
+    depths = data[z].values
+    panels = min(PANELS, len(depths))
+    chosen = np.round(np.linspace(0, len(depths) - 1, panels + 2)[1:-1]).astype(int)
+    chosen = np.unique(chosen) if len(depths) > panels else np.arange(len(depths))
+    columns = min(3, len(chosen))
+    rows = -(-len(chosen) // columns)
+    figure = Figure(figsize=(3.1 * columns + 0.6, 2.7 * rows + 1.5), layout="constrained")
+    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+
+    notable = notable_attractors(data)
+    regions = regions_of(data, notable)
+    image = np.zeros((*fate.shape, 3), np.uint8)
+    for region in regions:
+        image[region.cells] = np.round(np.multiply(to_rgb(region.colour), 255))
+    extent = (*ends(data[x].values), *ends(data[y].values))
+    marks: dict[str, Any] = {}
+    for ax, index in zip(grid.flat, chosen, strict=False):
+        ax.imshow(
+            image[:, :, index].swapaxes(0, 1),
+            origin="lower",
+            extent=extent,
+            aspect="auto",
+            interpolation="auto",
+            rasterized=True,
+        )
+        symbol = SYMBOLS.get(z, z)
+        ax.set_title(f"{symbol} = {depths[index]:.4g}".replace("-", "−"), fontsize=10)
+    for number, marker in zip(notable, MARKERS, strict=False):
+        cycle = data["states"].sel(number=number).dropna("phase")
+        name = attractor_name(int(data["period"].sel(number=number)), cycle)
+        places = (along(cycle, axis) for axis in (x, y, z))
+        for at_x, at_y, at_z in zip(*places, strict=True):
+            ax = grid.flat[int(np.abs(depths[chosen] - at_z).argmin())]
+            (marks[name],) = ax.plot(
+                *(at_x, at_y, marker), color=INK, mec="white", mew=1.2, ms=7, label=name
+            )
+    for ax in grid.flat[len(chosen) :]:
+        ax.set_visible(False)
+    grid[0, 0].set(xlim=extent[:2], ylim=extent[2:])
+    figure.supxlabel(AXIS_LABELS.get(x, x), fontsize=11)
+    figure.supylabel(AXIS_LABELS.get(y, y), fontsize=11)
+    patches = [Patch(fc=r.colour, ec=INK, lw=0.5, label=entry(r)) for r in regions]
+    figure.suptitle(f"{title(data)}\n{subtitle(data)}", x=0.01, ha="left", fontsize=10.5)
+    figure.legend(
+        handles=[*marks.values(), *patches],
+        loc="outside lower left",
+        ncols=2,
+        frameon=False,
+        fontsize=WORDS,
+    )
+    return figure
+
+
 def notable_attractors(data: xr.Dataset) -> list[int]:
     """Numbers of the attractors whose basins are drawn each in a colour, the largest first."""
     walks = data["fate"].values == Outcome.STRIDE
@@ -223,8 +300,7 @@ def along(states: xr.DataArray, axis: str) -> Float[np.ndarray, " n"]:
 
 def attractor_name(period: int, cycle: xr.DataArray) -> str:
     """What the legend says of an attractor: its period, and up to two of its states."""
-    symbols = {"theta": r"$\theta$", "thetadot": r"$\dot{\theta}$"}
-    names = [symbols.get(name, str(name)) for name in cycle["coordinate"].values.tolist()]
+    names = [SYMBOLS.get(name, str(name)) for name in cycle["coordinate"].values.tolist()]
     states = [", ".join(f"{value:.4f}" for value in state) for state in cycle.values.tolist()]
     shown = ", ".join(f"({state})" for state in states[:2]).replace("-", "−")
     more = ", …" if len(states) > 2 else ""
@@ -241,23 +317,26 @@ def entry(region: Region) -> str:
 
 
 def title(data: xr.Dataset) -> str:
-    """The walker and its parameters."""
+    """The walker and its parameters, in lines."""
     name = str(data.attrs.get("walker", "Walker"))
     parameters = [
-        f"{key.removeprefix('walker_')} {value:g}" + " rad" * (key == "walker_slope")
+        f"{key.removeprefix('walker_').replace('_', ' ')} {value:g}"
+        + " rad" * (key == "walker_slope")
         for key, value in data.attrs.items()
         if str(key).startswith("walker_")
     ]
-    return ", ".join([name, *parameters])
+    return textwrap.fill(", ".join([name, *parameters]), 72, break_on_hyphens=False)
 
 
 def subtitle(data: xr.Dataset) -> str:
     """The method, the number of cells, and the area of all basins together."""
     method = data.attrs.get("method", "")
-    nx, ny = data["fate"].shape
-    said = f"{METHODS.get(method, method)} on {nx} × {ny} cells"
+    said = f"{METHODS.get(method, method)} on {' × '.join(map(str, data['fate'].shape))} cells"
+    held = [name for name in data.attrs["section"] if name in data.coords and not data[name].ndim]
+    for name in held:
+        said += f", slice at {SYMBOLS.get(name, name)} = {float(data[name]):.4g}".replace("-", "−")
     area = float(data["area"].sum())
-    if data.sizes["coordinate"] != 2 or area == 0:
+    if data["fate"].ndim != 2 or area == 0:
         return said
     mantissa, exponent = f"{area:.2e}".split("e")
     return rf"{said}; basin area {mantissa} × 10$^{{{int(exponent)}}}$ rad² / √(l/g)"

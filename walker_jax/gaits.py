@@ -297,7 +297,7 @@ def find_gaits(
     if operator.index(descent) < 0:
         raise ValueError(f"descent must not be negative, unlike {descent}")
     grid = walker.gait_region() if region is None else region
-    if len(grid.names) != len(walker.section):
+    if not len(grid.names) == grid.coordinates == len(walker.section):
         raise ValueError(
             f"region must have the {len(walker.section)} dimensions of the section, "
             f"{', '.join(walker.section)}, not {', '.join(grid.names)}"

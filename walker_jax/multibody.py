@@ -135,7 +135,7 @@ def motion(
     there.
     """
     check_state(system, q, qdot)
-    held = sorted({operator.index(i) % len(q) for i in held})
+    held = numbers_held(held, len(q))
     free = [i for i in range(len(q)) if i not in held]
     matrix, force = mass_matrix(system, q), reduced_force(system, q, qdot)
     accelerations = [jnp.zeros((), q.dtype)] * len(q)
@@ -176,9 +176,11 @@ def impact(
     - `restitution`: e, from 0, no bounce, to 1, no loss of energy.
 
     `ValueError` as for `motion`, also where contacts are not independent of each other, and for a
-    restitution that is not between 0 and 1.
+    restitution that is not between 0 and 1. NaN where JAX traces.
     """
     check_state(system, q, qdot)
+    if len(shape := jax.eval_shape(contact, q).shape) != 1:
+        raise ValueError(f"contact must return an array of shape (g,), not {shape}")
     if not isinstance(restitution, Tracer) and not 0 <= restitution <= 1:
         raise ValueError(f"restitution must lie between 0 and 1, not be {restitution}")
     matrix, directions = mass_matrix(system, q), jacobian(contact, q)
@@ -186,7 +188,8 @@ def impact(
     # What a unit impulse at each contact does to the rates, [F,q^T M F,q]^-1 g,q^T.
     responses = jnp.stack([jnp.stack(solve(factors, list(one))) for one in directions])
     inertia = directions @ responses.T
-    closing = (1 + jnp.asarray(restitution, q.dtype)) * (directions @ qdot)
+    e = jnp.asarray(restitution, q.dtype)
+    closing = (1 + jnp.where((e >= 0) & (e <= 1), e, jnp.nan)) * (directions @ qdot)
     impulses = jnp.stack(solve(factorise(block(inertia, range(count))), list(-closing)))
     check_pivots("mass matrix", matrix, range(len(q)), "coordinate q", q)
     check_pivots("inverse inertia of the contacts", inertia, range(count), "contact g", q)
@@ -282,3 +285,17 @@ def check_state(system: System, q: Coordinates, qdot: Coordinates) -> None:
             f"masses and forces must have the shape of F(q), {x.shape}, not "
             f"{system.masses.shape} and {system.forces.shape}"
         )
+    if system.generalised_forces is not None:
+        Q = jax.eval_shape(system.generalised_forces, q, qdot)
+        if Q.shape != q.shape:
+            raise ValueError(
+                f"generalised forces must have the shape of q, {q.shape}, not {Q.shape}"
+            )
+
+
+def numbers_held(held: Sequence[int], count: int) -> list[int]:
+    """Numbers of coordinates from 0 on, in order and each once."""
+    numbers = {operator.index(i) for i in held}
+    if any(not -count <= i < count for i in numbers):
+        raise ValueError(f"held must be numbers of {count} coordinates, not {sorted(numbers)}")
+    return sorted({i % count for i in numbers})

@@ -7,6 +7,7 @@ themselves. `unrolled` reads the jaxpr of a function and keeps, for every array,
 zeros and ones drop out, equal terms are computed once, and what moves entries about costs nothing.
 """
 
+import functools
 import math
 from collections.abc import Callable
 from itertools import product
@@ -35,7 +36,8 @@ def unrolled(function: Callable[..., PyTree]) -> Callable[..., PyTree]:
 
     What comes out is equal to rounding, derivatives included, but for zeros: the product with an
     entry known to be zero is zero, also where the other factor is not finite. Operations that have
-    no meaning entry by entry, such as a factorisation or a loop, are kept as they are.
+    no meaning entry by entry, such as a factorisation or a loop, are kept as they are, and so are
+    functions with a rule of their own for derivatives.
     """
 
     def scalar(*args):
@@ -47,20 +49,19 @@ def unrolled(function: Callable[..., PyTree]) -> Callable[..., PyTree]:
         inputs = [entries.split(leaf) for leaf in leaves]
         constants = [entries.split(value) for value in closed.consts]
         results = entries.interpret(closed.jaxpr, constants, inputs)
-        outputs = [joined(x, s) for x, s in zip(results, jax.tree.leaves(shapes), strict=True)]
+        pairs = zip(results, jax.tree.leaves(shapes), strict=True)
+        outputs = [jnp.asarray(joined(x, like)) for x, like in pairs]
         return jax.tree.unflatten(jax.tree.structure(shapes), outputs)
 
     return scalar
 
 
-def joined(entries: np.ndarray, like) -> jax.Array:
-    """An array of its entries."""
+def joined(entries: np.ndarray, like) -> jax.Array | np.ndarray:
+    """An array of its entries, of NumPy where they are known."""
+    if all(map(is_number, entries.ravel())):
+        return np.asarray(entries.tolist(), like.dtype).reshape(like.shape)
     scalars = [jnp.asarray(entry, like.dtype) for entry in entries.ravel()]
-    if like.shape == ():
-        return scalars[0]
-    if not scalars:
-        return jnp.zeros(like.shape, like.dtype)
-    return jnp.stack(scalars).reshape(like.shape)
+    return jnp.stack(scalars).reshape(like.shape) if like.shape else scalars[0]
 
 
 class Unrolling:
@@ -103,8 +104,9 @@ class Unrolling:
 
     def apply(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
         primitive, params = equation.primitive, equation.params
-        name, shape = primitive.name, equation.outvars[0].aval.shape
-        if name in CALLS:
+        name, variables = primitive.name, (*equation.invars, *equation.outvars)
+        shape = equation.outvars[0].aval.shape if equation.outvars else ()
+        if name in CALLS and not name.startswith("custom"):
             inner = params["jaxpr"] if "jaxpr" in params else params["call_jaxpr"]
             constants = [self.split(value) for value in inner.consts]
             return self.interpret(inner.jaxpr, constants, operands)
@@ -124,13 +126,15 @@ class Unrolling:
             return [padded(primitive, params, entries, padding)]
         if name == "reduce_sum":
             return [self.sum(operands[0], params["axes"], equation.outvars[0].aval)]
-        if name == "dot_general":
+        if name == "dot_general" and len({v.aval.dtype for v in variables}) == 1:
             dtype = equation.outvars[0].aval.dtype
             left, right = operands
             return [self.contract(left, right, params["dimension_numbers"], dtype)]
         known = [all(map(is_number, operand.ravel())) for operand in operands]
         if name in INDEXED and all(known[1:]):
-            return [moved_by_index(primitive, params, operands, equation.invars)]
+            moved = moved_by_index(primitive, params, operands, equation.invars)
+            if moved is not None:
+                return [moved]
         arrays = [joined(x, v.aval) for x, v in zip(operands, equation.invars, strict=True)]
         results = bound(primitive, params, arrays, now=all(known))
         return [self.split(result) for result in results]
@@ -155,19 +159,19 @@ class Unrolling:
             return operands[0]
         if name in ("mul", "add", "add_any"):  # the order does not matter
             operands = sorted(operands, key=identity)
-        key = name, tuple(map(identity, operands)), repr(sorted(params.items()))
+        key = name, (*map(identity, operands), *dtypes), repr(sorted(params.items()))
         if key not in self.known:
             self.kept += operands
             self.known[key] = evaluated(primitive, params, operands, dtypes)
         return self.known[key]
 
     def multiply(self, a, b, dtype):
-        return self.term(lax.mul_p, {}, [a, b], [dtype, dtype])
+        return self.term(lax.mul_p, params_of(lax.mul), [a, b], [dtype, dtype])
 
     def total(self, terms, dtype) -> Any:
         result = 0.0
         for term in terms:
-            result = self.term(lax.add_p, {}, [result, term], [dtype, dtype])
+            result = self.term(lax.add_p, params_of(lax.add), [result, term], [dtype, dtype])
         return result
 
     def sum(self, operand: np.ndarray, axes: tuple[int, ...], like) -> np.ndarray:
@@ -193,7 +197,14 @@ class Unrolling:
         for b, i, j in product(*map(range, result.shape)):
             pairs = zip(left[b, i], right[b, j], strict=True)
             result[b, i, j] = self.total((self.multiply(x, y, dtype) for x, y in pairs), dtype)
-        return result.reshape(*batch, *rows, *columns)
+        return result.reshape((*batch, *rows, *columns))
+
+
+@functools.cache
+def params_of(function: Callable) -> dict:
+    """Those that a function of two numbers gives to its primitive."""
+    number = jax.ShapeDtypeStruct((), np.float32)
+    return jax.make_jaxpr(function)(number, number).eqns[0].params
 
 
 def is_number(entry) -> bool:
@@ -219,19 +230,25 @@ def evaluated(primitive: Primitive, params: dict, operands: list, dtypes: list) 
 def bound(primitive: Primitive, params: dict, operands, *, now: bool) -> list:
     """A primitive's results; `now`, as NumPy arrays, where they do not depend on a tracer."""
     if not now:
-        results = primitive.bind(*operands, **params)
+        results = primitive.bind(*operands, **primitive.get_bind_params(params))
         return list(results) if primitive.multiple_results else [results]
     with jax.ensure_compile_time_eval():
         results = bound(primitive, params, list(map(jnp.asarray, operands)), now=False)
         return list(map(np.asarray, results))
 
 
-def moved_by_index(primitive: Primitive, params: dict, operands, variables) -> np.ndarray:
-    """What a primitive that takes entries by known indices makes of the entries of an array."""
+def moved_by_index(primitive: Primitive, params: dict, operands, variables) -> np.ndarray | None:
+    """What a primitive that takes entries by known indices makes of the entries of an array.
+
+    None where an index is out of bounds, for which the primitive makes up an entry.
+    """
     entries, *indices = operands
     numbers = np.arange(1, entries.size + 1).reshape(entries.shape)
     indices = [joined(x, v.aval) for x, v in zip(indices, variables[1:], strict=True)]
+    params = params | {"fill_value": 0} if "fill_value" in params else params
     (places,) = bound(primitive, params, [numbers, *indices], now=True)
+    if not places.all():
+        return None
     return entries.ravel()[places.ravel() - 1].reshape(places.shape)
 
 
@@ -243,22 +260,16 @@ def padded(primitive: Primitive, params: dict, entries: np.ndarray, padding: np.
 
 
 def added(a, b):
-    if is_number(a) and is_number(b):
-        return a + b
     if is_number(a) and a == 0:
         return b
     return a if is_number(b) and b == 0 else None
 
 
 def subtracted(a, b):
-    if is_number(a) and is_number(b):
-        return a - b
     return a if is_number(b) and b == 0 else None
 
 
 def multiplied(a, b):
-    if is_number(a) and is_number(b):
-        return a * b
     for one, other in ((a, b), (b, a)):
         if is_number(one) and one in (0, 1):
             return other if one == 1 else one
@@ -277,9 +288,8 @@ SHORTCUTS = {
     "sub": subtracted,
     "mul": multiplied,
     "div": divided,
-    "neg": lambda a: -a if is_number(a) else None,
 }
-"""Results that are known, or are one of the operands."""
+"""Results that are one of the operands."""
 
 
 def broadcast(operands, params, shape):

@@ -488,9 +488,9 @@ class HeavyLegWalker(MultibodyWalker):
         """
         widest = 0.6
         return Grid.sheared(
-            theta=(0, widest, 40),
-            sum=(-widest, 0.5 * widest, 60),
-            phidot=(-widest, 0.5 * widest, 25),
+            theta=(0, widest, 30),
+            sum=(-widest, 0.5 * widest, 50),
+            phidot=(-widest, 0.5 * widest, 16),
         )
 
 
