@@ -68,7 +68,7 @@ def basin(
     and over the attractors, numbered by period, then by the angle of their first state (the one
     of the smallest angle): `period` (0 where the motion does not repeat itself), `states` (NaN
     after the period), and of the basin within the grid `cells` and `area` (rad^2 per unit of
-    time). Its attributes say what was computed.
+    time; over three dimensions it is a volume). Its attributes say what was computed.
 
     Raises `ValueError` for an unknown method, and for a grid that does not fit the section or
     that this machine has not the memory for.

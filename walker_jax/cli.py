@@ -575,14 +575,15 @@ def basin(
     print(f"Basin of attraction, {said(walker)}, {method}")
     if sliced:
         print(f"  slice at phidot {axes['phidot']:.10g}")
+    measure = "area" if len(grid.names) == 2 else "volume"
     for i, one in enumerate(attractors):
         numbers = [", ".join(f"{value:.6f}" for value in state) for state in one["states"][:4]]
         states = ", ".join(f"({state})" for state in numbers)
         more = ", ..." if len(one["states"]) > 4 else ""
         period = f"period {one['period']}" if one["period"] else "no period"
-        size = f"{one['cells']} cell{'s' * (one['cells'] > 1)}, area {one['area']:.6g}"
+        size = f"{one['cells']} cell{'s' * (one['cells'] > 1)}, {measure} {one['area']:.6g}"
         print(f"  attractor {i}: {period}, {size}, at {states}{more}")
-    print(f"  area {float(data['area'].sum()):.6g} in all")
+    print(f"  {measure} {float(data['area'].sum()):.6g} in all")
     print(
         "  cells: "
         + ", ".join(f"{n} {name}" for name, n in fates.items() if n or name == "UNDECIDED")
@@ -611,9 +612,10 @@ def window(walker: Walker, names: tuple[str, ...], at_phidot: float | None) -> d
     state = gait_of(walker).states[0]
     theta, thetadot = float(state[0]), float(state[1])
     middle = theta + thetadot if names[1] == "sum" else thetadot
+    below, above = (0.5, 0.3) if "phidot" in names else (0.25, 0.1)
     axes: dict = {
         "theta": (0.0, 2.5 * theta, 200),
-        names[1]: (middle - 0.5 * theta, middle + 0.3 * theta, 250),
+        names[1]: (middle - below * theta, middle + above * theta, 250),
     }
     if "phidot" in names:
         axes["phidot"] = float(state[2]) if at_phidot is None else at_phidot

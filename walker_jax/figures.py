@@ -177,8 +177,9 @@ def basin(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     ax.set(xlim=extent[:2], ylim=extent[2:])
     ax.set_xlabel(AXIS_LABELS.get(x, x), fontsize=11)
     ax.set_ylabel(AXIS_LABELS.get(y, y), fontsize=11)
-    ax.set_title(title(data), loc="left", fontsize=12, fontweight="bold", pad=22)
-    note = subtitle(data)
+    note, name = subtitle(data), title(data)
+    size, pad = (10.5 if "\n" in name else 12), 22 + 12 * note.count("\n")
+    ax.set_title(name, loc="left", fontsize=size, fontweight="bold", pad=pad)
     ax.annotate(note, (0, 1), (0, 7), "axes fraction", "offset points", fontsize=9.5)
     return ax
 
@@ -240,10 +241,13 @@ def basin_slices(data: xr.Dataset) -> Figure:
     for ax in grid.flat[len(chosen) :]:
         ax.set_visible(False)
     grid[0, 0].set(xlim=extent[:2], ylim=extent[2:])
-    figure.supxlabel(AXIS_LABELS.get(x, x), fontsize=11)
-    figure.supylabel(AXIS_LABELS.get(y, y), fontsize=11)
+    for index in range(columns):
+        grid[-1, index].set_xlabel(AXIS_LABELS.get(x, x), fontsize=WORDS)
+    for ax in grid[:, 0]:
+        ax.set_ylabel(AXIS_LABELS.get(y, y), fontsize=WORDS)
     patches = [Patch(fc=r.colour, ec=INK, lw=0.5, label=entry(r)) for r in regions]
-    figure.suptitle(f"{title(data)}\n{subtitle(data)}", x=0.01, ha="left", fontsize=10.5)
+    above = f"{title(data, 34 * columns)}\n{subtitle(data)}"
+    figure.suptitle(above, x=0.01, ha="left", fontsize=10.5)
     figure.legend(
         handles=[*marks.values(), *patches],
         loc="outside lower left",
@@ -316,8 +320,8 @@ def entry(region: Region) -> str:
     return f"{region.words} ({count:,} cell{'s' * (count > 1)})"
 
 
-def title(data: xr.Dataset) -> str:
-    """The walker and its parameters, in lines."""
+def title(data: xr.Dataset, width: int = 60) -> str:
+    """The walker and its parameters, in lines of some width."""
     name = str(data.attrs.get("walker", "Walker"))
     parameters = [
         f"{key.removeprefix('walker_').replace('_', ' ')} {value:g}"
@@ -325,7 +329,8 @@ def title(data: xr.Dataset) -> str:
         for key, value in data.attrs.items()
         if str(key).startswith("walker_")
     ]
-    return textwrap.fill(", ".join([name, *parameters]), 72, break_on_hyphens=False)
+    whole = [words.replace(" ", "\u00a0") for words in (name, *parameters)]
+    return textwrap.fill(", ".join(whole), width)
 
 
 def subtitle(data: xr.Dataset) -> str:
@@ -334,7 +339,9 @@ def subtitle(data: xr.Dataset) -> str:
     said = f"{METHODS.get(method, method)} on {' × '.join(map(str, data['fate'].shape))} cells"
     held = [name for name in data.attrs["section"] if name in data.coords and not data[name].ndim]
     for name in held:
-        said += f", slice at {SYMBOLS.get(name, name)} = {float(data[name]):.4g}".replace("-", "−")
+        said += f"\nin the slice at {SYMBOLS.get(name, name)} = {float(data[name]):.4g}".replace(
+            "-", "−"
+        )
     area = float(data["area"].sum())
     if data["fate"].ndim != 2 or area == 0:
         return said
