@@ -8,7 +8,19 @@ row in the same repeat (median, least and greatest). `error` is the largest diff
 cells whose next stride it changes no more than a hundred times, from strides at a tolerance of
 1e-15: every walker is integrated at the same tolerance, 1e-12.
 
-The answer: ANSWER
+The answer: 2.4 to 3.2 times as long with point feet. Walkers with more masses, and more numbers to
+a state, take longer: their series are cut at lower orders, and their strides are less alike.
+
+    2 cores; jax 0.10.2; 50000 strides, 5 repeats
+                            strides/s       times as long  compile   error  stride
+    simplest, closed form     821,941             1 (1-1)      7.1   5e-13     44%
+    point feet, 1e-6          331,453    2.41 (2.24-3.87)     17.7   5e-11     44%
+    point feet, 0.01          255,427    3.19 (3.15-4.25)      0.3   6e-13     44%
+    spring, 1                 628,919    1.28 (1.18-1.52)      4.4   4e-13     74%
+    round feet                123,665    6.62 (6.06-7.05)     28.9   1e-12     51%
+    upper body                 76,008      10.7 (10-12.2)     22.0   1e-13     43%
+
+The error with feet of 1e-6 is what a mass matrix holds whose entries differ that much.
 """
 
 import argparse

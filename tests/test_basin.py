@@ -162,3 +162,33 @@ def test_strides_and_cycles_in_float32_are_close(direct):
     found = module.settle(wj.SimplestWalker(0.004), walking, 1e-6, [])
     assert [one.period for one in found] == [1]
     np.testing.assert_allclose(found[0].states, direct.states.values[0], atol=1e-4)
+
+
+def test_a_slice_is_followed_directly_and_a_grid_has_the_dimensions_of_the_section():
+    walker = wj.RoundFootWalker(0.01)
+    layer = wj.Grid.sheared(theta=(0, 0.4, 4), sum=(-0.1, 0, 4), phidot=0.0)
+    with pytest.raises(ValueError, match="direct for a slice, phidot fixed"):
+        wj.basin(walker, layer)
+    with pytest.raises(ValueError, match="3 dimensions of the section"):
+        wj.basin(walker, wj.Grid.sheared(**PAPER), "direct")
+    with pytest.raises(ValueError, match="2 dimensions of the section"):
+        wj.basin(wj.SimplestWalker(0.004), layer, "direct")
+    with pytest.raises(ValueError, match="region must have the 3 dimensions"):
+        wj.find_gaits(walker, 1, layer)
+
+
+@pytest.mark.slow
+def test_a_basin_of_three_dimensions_and_a_slice_of_it():
+    """The slice is a layer of the whole, and both come to the gait of Newton's search."""
+    walker = wj.RoundFootWalker(0.01)
+    axes = {"theta": (0.05, 0.45, 16), "sum": (-0.15, -0.02, 12)}
+    whole = wj.basin(walker, wj.Grid.sheared(**axes, phidot=(-0.14, 0.06, 5)), "direct")
+    layer = wj.basin(walker, wj.Grid.sheared(**axes, phidot=-0.04), "direct")
+    assert whole.fate.dims == ("theta", "sum", "phidot") and layer.fate.dims == ("theta", "sum")
+    assert float(layer.phidot) == -0.04 and float(whole.phidot[2]) == pytest.approx(-0.04)
+    np.testing.assert_array_equal(whole.fate[:, :, 2], layer.fate)
+    np.testing.assert_array_equal(whole.strides[:, :, 2], layer.strides)
+    assert 10 < int((layer.fate == 0).sum()) < 150
+    assert layer.period.values.tolist() == whole.period.values.tolist() == [1]
+    gait = wj.find_gait(walker, layer.states.values[0, 0])
+    np.testing.assert_allclose(layer.states.values[0, 0], gait.states[0], atol=1e-9)

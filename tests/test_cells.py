@@ -405,3 +405,41 @@ def test_wrong_images_are_refused(image, sinks, message):
 
 def test_one_sink_more_makes_the_same_image_right():
     assert resolve(np.array([0, 1, 5]), 3).sink.tolist() == [-1, -1, 2]
+
+
+def test_a_slice_has_its_last_coordinates_fixed():
+    plain = Grid.plain(theta=(0, 1, 4), thetadot=(-1, 1, 2), phidot=0.25)
+    sheared = Grid.sheared(theta=(0, 1, 4), sum=(-1, 1, 2), phidot=-0.5)
+    assert plain.shape == sheared.shape == (4, 2) and plain.coordinates == 3
+    assert plain.held == {"phidot": 0.25} and sheared.held == {"phidot": -0.5}
+    np.testing.assert_array_equal(plain.centre(3), [0.375, 0.5, 0.25])
+    np.testing.assert_array_equal(sheared.centre(3), [0.375, 0.5 - 0.375, -0.5])
+    assert plain.cell_area == sheared.cell_area == pytest.approx(0.25)
+    assert Grid.plain(theta=(0, 1, 4)).held == {}
+
+
+def test_a_slice_is_the_layer_of_cells_around_it():
+    axes = {"theta": (0.0, 1.0, 5), "sum": (-1.0, 1.0, 3)}
+    whole = Grid.sheared(**axes, phidot=(-1.0, 1.0, 5))
+    layer = Grid.sheared(**axes, phidot=0.4)
+    centres = jax.vmap(whole.centre)(np.arange(whole.size)).reshape(5, 3, 5, 3)
+    np.testing.assert_allclose(
+        jax.vmap(layer.centre)(np.arange(layer.size)).reshape(5, 3, 3), centres[:, :, 3], atol=1e-15
+    )
+
+
+@pytest.mark.parametrize(
+    ("make", "named"),
+    [
+        (lambda: Grid.plain(theta=0.2, thetadot=(-1, 0, 3)), "theta=0.2"),
+        (lambda: Grid.plain(theta=0.2), "at least one axis"),
+        (lambda: Grid.plain(theta=(0, 1, 3), phidot=np.nan), "origin"),
+        (lambda: Grid.plain(theta=(0, 1, 3), phidot=0.1).cell(jnp.zeros(2)), "slice"),
+        (lambda: Grid({"x": (0, 1, 3)}, np.zeros((2, 1))), "shear"),
+        (lambda: Grid({"x": (0, 1, 3)}, np.eye(1), np.zeros(2)), "origin"),
+    ],
+)
+def test_slices_that_are_none(make, named):
+    with pytest.raises(ValueError, match=named) as error:
+        make()
+    assert "\n" not in str(error.value)

@@ -10,6 +10,7 @@ import xarray as xr
 
 import walker_jax as wj
 from walker_jax import cli
+from walker_jax.walkers import WALKERS, parameters
 
 SMALL = ["--theta", "0.05", "0.35", "30", "--sum", "-0.03", "0.01", "20"]
 
@@ -322,3 +323,101 @@ def test_compile_time_counts_once():
     start = clock.start
     clock.compiling = [(start + 1, start + 3), (start + 2, start + 4), (start + 6, start + 7)]
     assert clock.seconds()["compile"] == pytest.approx(4)
+
+
+def test_the_walkers_are_listed_with_parameters_units_and_defaults(run):
+    for arguments in (["--list-walkers"], ["basin", "--list-walkers"]):
+        code, out, err = run(*arguments)
+        assert (code, err) == (0, "")
+        for name, kind in WALKERS.items():
+            assert f"{name}:" in out and ", ".join(kind.section) in out
+            for one in parameters(kind):
+                row = next(line for line in out.splitlines() if cli.option_of(one.name) in line)
+                assert f"{one.default:g}" in row and one.unit in row and one.meaning in row
+
+
+def test_help_names_the_parameters_of_walkers(run):
+    code, out, _ = run("walk", "--help")
+    assert code == 0
+    words = " ".join(out.split())
+    for name in ("--walker", "--foot-mass", "--foot-radius", "--hip-stiffness", "--body-mass"):
+        assert name in words
+
+
+def test_another_walker_walks_and_is_named(run):
+    start = ["--theta", "0.16", "--thetadot", "-0.17"]
+    walker = ["--walker", "spring", "--hip-stiffness", "0.5", "--slope", "0.005"]
+    code, out, err = run("walk", *walker, *start, "--strides", "3", "--json")
+    assert (code, err) == (0, "")
+    walk = wj.walk(wj.SpringWalker(0.005, 0.5), np.array([0.16, -0.17]), 3)
+    np.testing.assert_allclose(json.loads(out)["states"], walk.states, rtol=0, atol=1e-14)
+
+
+@pytest.mark.slow
+def test_a_walker_with_three_dimensions_has_a_gait_a_slice_and_a_basin(run, tmp_path):
+    walker = ["--walker", "round-foot", "--slope", "0.01"]
+    code, out, err = run("gait", *walker, "--json")
+    assert (code, err) == (0, "")
+    answer = json.loads(out)
+    gait = answer["gaits"][0]
+    assert answer["walker"] == {
+        "name": "RoundFootWalker",
+        **cli.description(wj.RoundFootWalker(0.01)),
+    }
+    assert gait["stable"] and len(gait["multipliers"]) == 3
+    guess = ["--guess", *gait["states"][0][:2], "--phidot", gait["states"][0][2]]
+    code, out, _ = run("gait", *walker, *guess)
+    assert code == 0 and "phidot" in out
+
+    window = ["--theta", "0.05", "0.45", "20", "--sum", "-0.15", "-0.02", "16"]
+    code, out, err = run("basin", *walker, *window, "--out", "s.zarr", "--json")
+    assert (code, err) == (0, "")
+    answer = json.loads(out)
+    assert answer["method"] == "direct" and answer["attractors"][0]["period"] == 1
+    data = xr.open_zarr(tmp_path / "s.zarr", consolidated=False).load()
+    assert data.fate.dims == ("theta", "sum")
+    assert float(data.phidot) == pytest.approx(gait["states"][0][2], abs=1e-12)
+    assert (tmp_path / "s.png").stat().st_size > 10_000
+
+    depth = ["--phidot", "-0.1", "0.0", "7"]
+    code, out, err = run("basin", *walker, *window, *depth, "--out", "w.zarr", "--json")
+    assert (code, err) == (0, "")
+    answer = json.loads(out)
+    assert answer["method"] == "cell-map" and answer["cells"] == 20 * 16 * 7
+    assert (tmp_path / "w.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["walk", "--walker", "giraffe"], ["--walker", "giraffe", "simplest"]),
+        (["walk", "--foot-mass", "0.1"], ["--foot-mass", "simplest", "--slope"]),
+        (["gait", "--walker", "point-foot", "--foot-mass", "-1"], ["foot_mass", "-1"]),
+        (["gait", "--walker", "point-foot", "--foot-mass", "nan"], ["foot_mass", "nan"]),
+        (["basin", "--walker", "round-foot", "--foot-radius", "1"], ["foot_radius", "1"]),
+        (["basin", "--walker", "round-foot", "--leg-length", "0"], ["leg_length", "0"]),
+        (["basin", "--walker", "round-foot", "--leg-mass", "inf"], ["leg_mass", "inf"]),
+        (["basin", "--phidot", "0", "1", "5"], ["--phidot", "theta, thetadot"]),
+        (["basin", "--at-phidot", "0"], ["--at-phidot", "theta, thetadot"]),
+        (
+            ["basin", "--walker", "round-foot", "--phidot", "0", "1", "5", "--at-phidot", "0"],
+            ["--phidot", "--at-phidot"],
+        ),
+        (["basin", "--walker", "round-foot", "--at-phidot", "nan"], ["at-phidot", "nan"]),
+        (
+            ["basin", "--walker", "round-foot", "--at-phidot", "0", "--method", "cell-map"],
+            ["method", "slice"],
+        ),
+        (["walk", "--walker", "round-foot", "--theta", "0.2"], ["--thetadot"]),
+        (["walk", "--phidot", "0.2"], ["--phidot", "theta, thetadot"]),
+        (["gait", "--phidot", "0.2"], ["--phidot", "--guess"]),
+        (["gait", "--walker", "round-foot", "--guess", "0.2", "-0.2"], ["--phidot"]),
+        (["bifurcation", "--walker", "spring", "--hip-stiffness", "-1"], ["hip_stiffness", "-1"]),
+    ],
+)
+def test_wrong_walkers(run, tmp_path, arguments, named):
+    code, out, err = run(*arguments)
+    assert code == 2 and out == "" and err.count("\n") == 1
+    for word in named:
+        assert word in err
+    assert list(tmp_path.iterdir()) == []

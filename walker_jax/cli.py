@@ -50,10 +50,10 @@ class NotFound(Exception):
     """A search that found nothing, and why."""
 
 
-def list_walkers(wanted: bool) -> None:
-    """Print the walkers there are, and end."""
+def list_walkers(wanted: bool) -> bool:
+    """Print the walkers there are, and end, if that is wanted."""
     if not wanted:
-        return
+        return wanted
     for name, kind in WALKERS.items():
         print(f"{name}: {(kind.__doc__ or '').splitlines()[0]}")
         print(f"  section ({', '.join(kind.section)})")

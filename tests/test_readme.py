@@ -1,0 +1,28 @@
+"""The README's programs run."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+README = Path(__file__).parent.parent / "README.md"
+
+
+def program(title):
+    """The Python program of the README that follows a comment."""
+    return re.search(rf"<!-- {title} -->\n```python\n(.*?)```", README.read_text(), re.S)[1]
+
+
+def test_a_walker_of_your_own_takes_less_than_60_lines():
+    assert len(program("a walker of your own").splitlines()) < 60
+
+
+@pytest.mark.slow
+def test_a_walker_of_your_own_has_a_gait_and_a_picture(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names = {"__name__": "own"}
+    exec(compile(program("a walker of your own"), "README.md", "exec"), names)
+    assert names["gait"].stable and np.abs(names["gait"].multipliers[0]) < 1
+    assert int((names["data"].fate == 0).sum()) > 500
+    assert (tmp_path / "shank.png").stat().st_size > 20_000
