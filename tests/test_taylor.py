@@ -1,5 +1,6 @@
 """Taylor series of solutions against known ones, and the sines against mpmath."""
 
+import inspect
 from fractions import Fraction
 
 import jax
@@ -11,7 +12,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jax import lax
 
-from walker_jax.taylor import evaluate, fast_sines, function_series, sincos, solution_series
+import walker_jax as wj
+from walker_jax import multibody, taylor
+from walker_jax.scalars import unrolled
+from walker_jax.taylor import (
+    VirtualPower,
+    evaluate,
+    fast_sines,
+    function_series,
+    operations,
+    sincos,
+    solution_series,
+)
+from walker_jax.walkers import SingleSupport
 
 ORDER = 7
 
@@ -326,3 +339,155 @@ def test_series_go_through_stop_gradient():
     series = solution_series(lambda y: jax.lax.stop_gradient(y), jnp.array(1.0), 4)
     np.testing.assert_allclose(np.array(series), [1, 1, 1 / 2, 1 / 6, 1 / 24], rtol=1e-15)
     assert fast_sines(lambda x: jnp.array(True))(jnp.array(1.0)).dtype == bool
+
+
+# Series of motions by their virtual power
+
+
+class Chain(VirtualPower):
+    """Point masses on rods, each hung from the one before; damped, all angles from the vertical."""
+
+    masses: jax.Array
+
+    def system(self):
+        def transfer(q):
+            steps = jnp.stack([jnp.sin(q), -jnp.cos(q)], 1)
+            return jnp.cumsum(steps, axis=0).ravel()
+
+        masses = jnp.repeat(self.masses, 2)
+        down = jnp.tile(jnp.array([0.0, -1.0], masses.dtype), len(self.masses))
+        return multibody.System(transfer, masses, masses * down, lambda q, qdot: -0.1 * qdot)
+
+    def transfer(self, q):
+        return unrolled(lambda chain, q: list(chain.system().transfer(jnp.stack(q))))(self, q)
+
+    def power(self, q, qdot, acceleration):
+        def flat(chain, *vectors):
+            return list(multibody.virtual_power(chain.system(), *map(jnp.stack, vectors)))
+
+        return unrolled(flat)(self, q, qdot, acceleration)
+
+    def factorise(self, q):
+        def flat(chain, q):
+            matrix = multibody.mass_matrix(chain.system(), jnp.stack(q))
+            return multibody.factorise(multibody.block(matrix, range(len(q))))
+
+        return unrolled(flat)(self, q)
+
+    def solve(self, factors, right):
+        return multibody.solve(factors, right)
+
+    def explicit(self, state):
+        """The time derivative of a state by the accelerations, as any vector field."""
+
+        def flat(chain, q, qdot):
+            system, q, qdot = chain.system(), jnp.stack(q), jnp.stack(qdot)
+            return list(multibody.motion(system, q, qdot).accelerations)
+
+        q, qdot = state
+        return qdot, unrolled(flat)(self, q, qdot)
+
+
+def chain(n, dtype=jnp.float64):
+    """Masses, and a state far from equilibrium."""
+    masses = jnp.asarray(1 / np.arange(1, n + 1), dtype)
+    q, qdot = np.random.default_rng(n).uniform(-1, 1, (2, n))
+    return Chain(masses), tuple([jnp.asarray(x, dtype) for x in part] for part in (q, 2 * qdot))
+
+
+LOW = 6
+
+
+def series_and_slopes(equations, state, by_series):
+    """Coefficients, and their derivatives by all parameters and coordinates at once.
+
+    Not compiled: XLA takes minutes over the accelerations, as it has no loops to make of them.
+    """
+    expand = inspect.unwrap(solution_series)
+
+    def series(equations, state):
+        field = equations if by_series else equations.explicit
+        return [jnp.stack(c) for c in all_series(expand(field, state, LOW))]
+
+    ones = jax.tree.map(jnp.ones_like, (equations, state))
+    return [jnp.stack(part) for part in jax.jvp(series, (equations, state), ones)]
+
+
+def all_series(tree):
+    """The lists of coefficients, which are the innermost ones."""
+    innermost = lambda x: isinstance(x, list) and not isinstance(x[0], list)
+    return jax.tree.leaves(tree, is_leaf=innermost)
+
+
+def test_series_by_virtual_power_is_that_of_the_accelerations():
+    """Of a double pendulum; its derivative by masses and start too."""
+    results = [series_and_slopes(*chain(2), by_series) for by_series in (True, False)]
+    for found, expected in zip(*results, strict=True):
+        assert found.shape == (4, LOW + 1) and np.ptp(expected[:, -1]) > 0.1
+        np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max())
+
+
+class OfMotion(SingleSupport):
+    def explicit(self, state):
+        def flat(walker, state):
+            zero = jnp.zeros_like(state.theta)
+            q = jnp.stack([zero, zero, state.theta, state.phi])
+            qdot = jnp.stack([zero, zero, state.thetadot, state.phidot])
+            accelerations = multibody.motion(walker.system(), q, qdot, held=(0, 1)).accelerations
+            return wj.State(state.thetadot, state.phidot, accelerations[2], accelerations[3])
+
+        return unrolled(flat)(self.walker, state)
+
+
+def test_series_by_virtual_power_of_a_walker_is_that_of_its_accelerations():
+    equations = OfMotion(wj.PointFootWalker(0.01, 0.2))
+    state = wj.State(*map(jnp.asarray, (0.3, 0.5, -0.4, 0.2)))
+    results = [series_and_slopes(equations, state, by_series) for by_series in (True, False)]
+    for found, expected in zip(*results, strict=True):
+        assert found.shape == (4, LOW + 1) and np.ptp(expected[:, -1]) > 1e-3
+        np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-12 * np.abs(expected).max())
+
+
+def test_virtual_power_called_is_the_time_derivative():
+    for equations, state in (chain(1), chain(2)):
+        found, expected = equations(state), equations.explicit(state)
+        np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+def test_series_by_virtual_power_of_all_orders_begin_alike():
+    equations, state = chain(2)
+    long = all_series(equations.series(state, LOW))
+    for order in range(3):
+        short = all_series(equations.series(state, order))
+        assert [len(coefficients) for coefficients in short] == [order + 1] * 4
+        np.testing.assert_allclose(short, [c[: order + 1] for c in long], rtol=1e-13)
+
+
+def test_series_by_virtual_power_in_float32():
+    """Compiled."""
+    low = jax.tree.leaves(solution_series(*chain(1, jnp.float32), LOW))
+    assert {c.dtype for c in low} == {jnp.dtype("float32")}
+    equations, state = chain(1)
+    high = jax.tree.leaves(equations.series(state, LOW))
+    np.testing.assert_allclose(low, high, rtol=1e-4, atol=1e-5 * np.max(np.abs(high)))
+
+
+def test_order_falls_with_the_size_of_a_system_and_keeps_its_bounds():
+    highest = 16
+    orders = [equations.order(state, highest) for equations, state in map(chain, (1, 2))]
+    assert orders[0] == highest > orders[1] >= taylor.SHORTEST
+    equations, state = chain(1)
+    assert equations.order(state, 2) == 2
+
+
+def test_operations_are_counted_once_each_through_calls():
+    inner = jax.jit(lambda x, y: (jnp.sin(x) * y, jnp.cos(x)))
+    x, y = jnp.array(2.0), jnp.array(3.0)
+    assert operations(lambda x: x, x) == 0
+    assert operations(lambda x: (jnp.sin(x), jnp.sin(x), jnp.cos(x)), x) == 2
+    assert operations(inner, x, y) == 3
+    assert operations(lambda x, y: (inner(x, y), inner(x, y), jnp.sin(x)), x, y) == 3
+    assert operations(lambda x, y: (inner(x, y), inner(y, x)), x, y) == 6
+    assert operations(lambda x, y: (x - y, y - x, x - y, x * 2.0, x * 3.0), x, y) == 4
+    assert operations(lambda x: (x**2, x**3), x) == 2
+    assert operations(jax.nn.relu, x) == 1

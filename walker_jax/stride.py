@@ -328,7 +328,9 @@ def strides(
     xs = as_floating(xs)
     if xs.ndim != 2:
         raise ValueError(f"xs must have shape (n, coordinates), not {xs.shape}")
-    tolerance = default_tolerance(xs.dtype, tolerance)
+    # Of one dtype, whatever numbers they were given as: another would be compiled anew.
+    tolerance = np.asarray(default_tolerance(xs.dtype, tolerance), xs.dtype)
+    walker = jax.tree.map(lambda leaf: np.asarray(leaf, xs.dtype), walker)
     if any(np.ndim(leaf) for leaf in jax.tree.leaves(walker)):
         cells = stacked(walker, len(xs), xs.dtype), xs
         return over_cells(stride_of_walker, tolerance, cells, progress=progress)
