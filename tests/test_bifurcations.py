@@ -34,6 +34,7 @@ def test_what_walkers_come_to():
     np.testing.assert_allclose(chaos[1:], wj.strides(walker(0.0186), chaos[:-1]).state, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_what_attracts_beside_the_long_gait_is_seen():
     """Between fold and doubling of the gait of period four, at 0.010090 and 0.010132."""
     gait = next(gait for gait in wj.find_gaits(walker(0.01012), 4, REGION) if gait.stable)

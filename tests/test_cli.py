@@ -163,7 +163,7 @@ def test_gait_prints_the_long_gait_as_json(run, tmp_path):
     code, out, err = run("gait", "--slope", "0.009", "--json")
     assert (code, err) == (0, "")
     answer = json.loads(out)
-    assert list(answer) == ["slope", "gaits"] and answer["slope"] == 0.009
+    assert list(answer) == ["slope", "gaits", "walker"] and answer["slope"] == 0.009
     (gait,) = answer["gaits"]
     assert list(gait) == [*("period", "states", "multipliers", "step_times", "stable", "residual")]
     assert gait["period"] == 1 and gait["stable"] is True and gait["residual"] < 1e-14

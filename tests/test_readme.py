@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,8 @@ README = Path(__file__).parent.parent / "README.md"
 
 def program(title):
     """The Python program of the README that follows a comment."""
-    return re.search(rf"<!-- {title} -->\n```python\n(.*?)```", README.read_text(), re.S)[1]
+    (found,) = re.findall(rf"<!-- {title} -->\n```python\n(.*?)```", README.read_text(), re.S)
+    return found
 
 
 def test_a_walker_of_your_own_takes_less_than_60_lines():
@@ -21,7 +23,7 @@ def test_a_walker_of_your_own_takes_less_than_60_lines():
 @pytest.mark.slow
 def test_a_walker_of_your_own_has_a_gait_and_a_picture(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    names = {"__name__": "own"}
+    names: dict[str, Any] = {"__name__": "own"}
     exec(compile(program("a walker of your own"), "README.md", "exec"), names)
     assert names["gait"].stable and np.abs(names["gait"].multipliers[0]) < 1
     assert int((names["data"].fate == 0).sum()) > 500

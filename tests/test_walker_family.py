@@ -495,7 +495,7 @@ class Bodies:
         return np.array([state[0], state[1], *rates]), (old @ after)[-2:]
 
     def stride(self, x):
-        """Next state on the section, time, and the least normal force until heel strike."""
+        """Next state on the section, time, and normal forces until heel strike."""
         theta, thetadot, phidot = x
         start = np.array([theta, 2 * theta, thetadot, phidot])
 
@@ -526,11 +526,12 @@ class Bodies:
         )
         ahead = [t for t in solution.t_events[0] if t > 1e-3 and solution.sol(t)[0] < 0]
         if not ahead:
-            return None, np.nan, np.nan
+            return None, np.nan, np.array([])
         time = ahead[0]
-        forces = [self.motion(solution.sol(t))[1][1] for t in np.linspace(0, time, 60)]
+        times = np.linspace(0, time, 200)
+        forces = np.array([self.motion(solution.sol(t))[1][1] for t in times])
         (angle, _, stance, relative), _ = self.impact(solution.sol(time))
-        return np.array([-angle, stance - relative, -relative]), time, min(forces)
+        return np.array([-angle, stance - relative, -relative]), time, forces
 
 
 def a_family(cls, count, seed):
@@ -760,7 +761,10 @@ def derivative_cases():
         SpringWalker: (SpringWalker(0.009, 0.5), [0.19, -0.19]),
         PointFootWalker: (PointFootWalker(0.009, 0.01), [0.2, -0.2]),
         RoundFootWalker: (RoundFootWalker(0.01, leg_length=1.2), [0.189, -0.239, -0.0514]),
-        UpperBodyWalker: (UpperBodyWalker(0.01), [0.196, -0.2434, -0.033]),
+        UpperBodyWalker: (
+            UpperBodyWalker(0.01, body_inertia=0.01),
+            [0.196, -0.2434, -0.033],
+        ),
     }
     fast = {PointFootWalker}
     return [
@@ -921,13 +925,34 @@ def test_running_is_a_force_that_pulls_at_any_time_before_heel_strike():
     later = [i for i in runs if at_start(i) > 0][:12]
     assert len(later) >= 4 and len(runs) > 100
     for i in later:
-        following, _, least = Bodies(walkers[i]).stride(xs[i])
-        assert following is not None and least < 0
+        following, _, forces = Bodies(walkers[i]).stride(xs[i])
+        assert following is not None and forces.min() < 0
     for i in np.flatnonzero(found.outcome == Outcome.STRIDE)[:12]:
-        following, _, least = Bodies(walkers[i]).stride(xs[i])
-        assert following is not None and least > 0
+        following, _, forces = Bodies(walkers[i]).stride(xs[i])
+        assert following is not None and forces.min() > 0
     for i in np.flatnonzero(found.outcome != Outcome.OUTSIDE):
         assert found.outcome[i] == Outcome.RUNNING or at_start(i) > 0
+
+
+DIPS = (
+    ((0.088, 0.866, 1.049, 0.351, 1, 0.859, -0.128, 0.013), (0.481, -0.815, -1.42)),
+    ((0.105, 0.539, 1.053, 0.368, 1, 0.821, -0.13, 0.044), (0.514, -0.904, -1.572)),
+    ((0.245, 0.52, 0.376, 0.352, 1, 0.372, -0.12, 0.179), (0.635, -0.383, -0.342)),
+    ((0.101, 0.885, 1.093, 0.341, 1, 0.827, -0.137, 0.019), (0.482, -0.817, -1.409)),
+    ((0.049, 0.753, 0.826, 0.375, 1, 0.855, -0.055, 0.047), (0.479, -0.857, -1.654)),
+    ((0.087, 0.455, 1.031, 0.368, 1, 0.778, -0.121, 0.041), (0.476, -0.823, -1.44)),
+    ((0.088, 0.882, 1.1, 0.355, 1, 0.871, -0.119, 0.0), (0.489, -0.821, -1.438)),
+)
+"""Walkers and starts from which the ground would have to pull in mid-stride, at neither end of it."""
+
+
+def test_running_is_found_where_the_ground_pulls_in_mid_stride_alone():
+    walkers = [RoundFootWalker(*values) for values, _ in DIPS]
+    xs = np.array([x for _, x in DIPS])
+    assert (strides(walkers, xs).outcome == Outcome.RUNNING).all()
+    for walker, x in zip(walkers, xs, strict=True):
+        _, _, forces = Bodies(walker).stride(x)
+        assert min(forces[0], forces[-1]) > 0 > forces.min() and forces.argmin() > 100
 
 
 class Weightless(RoundFootWalker):
@@ -940,12 +965,18 @@ class Weightless(RoundFootWalker):
 @pytest.mark.slow
 def test_running_is_found_by_brute_force_too():
     """From where it only starts or ends in tension, and where the force dips in between."""
-    walkers, xs = fast_starts(8, 4000)
+    walkers, xs = fast_starts(8, 2000)
+    rng = np.random.default_rng(10)
+    for values, x in DIPS:
+        for _ in range(60):
+            changed = np.array(values) * rng.normal(1, 0.02, len(values))
+            walkers.append(RoundFootWalker(*changed))
+            xs = np.append(xs, [np.array(x) * rng.normal(1, 0.02, 3)], axis=0)
     found = strides(walkers, xs)
     glued = [Weightless(**vars(walker)) for walker in walkers]
     arrives = strides(glued, xs)
     lands = np.flatnonzero(arrives.outcome == Outcome.STRIDE)
-    share = np.linspace(0, 1, 400)
+    share = np.linspace(0, 1, 200)
 
     @jax.jit
     @jax.vmap
@@ -964,9 +995,9 @@ def test_running_is_found_by_brute_force_too():
     np.testing.assert_allclose(
         found.state[lands][walks], arrives.state[lands][walks], rtol=0, atol=1e-10
     )
-    assert np.mean(clear) > 0.95
+    assert np.mean(clear) > 0.9
     dips = clear & (least < 0) & (ends > 0)
-    assert dips.sum() >= 5
+    assert dips.sum() >= 50
 
 
 class WatchedWalker(SimplestWalker):
@@ -1012,7 +1043,7 @@ def test_no_outcome_depends_on_when_a_fall_is_given_up():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("cls", CLASSES, ids=name)
+@pytest.mark.parametrize("cls", [SpringWalker, RoundFootWalker, UpperBodyWalker], ids=name)
 def test_a_stride_is_the_same_alone_and_among_other_walkers(cls):
     """Parameters are numbers, or arrays with one for each start."""
     walker, x, _ = GAITS[cls]
@@ -1031,7 +1062,7 @@ def test_a_stride_is_the_same_alone_and_among_other_walkers(cls):
 @pytest.mark.slow
 def test_one_walker_is_as_many_that_are_equal():
     walker, x, _ = GAITS[SpringWalker]
-    xs = np.array(x) * np.linspace(0.7, 1.3, 50)[:, None]
+    xs = np.array(x) * np.linspace(0.5, 3, 50)[:, None]
     one, many = wj.strides(walker, xs), strides([walker] * len(xs), xs)
     np.testing.assert_array_equal(one.outcome, many.outcome)
     assert len(set(one.outcome.tolist())) > 1

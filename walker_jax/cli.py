@@ -260,6 +260,8 @@ def gait(
         check_suffix(figure)
         store.check_picture(figure, request, overwrite=overwrite)
 
+    slope = request["walker"]["slope"]
+    missing = f"no gait of period {period} found at slope {slope:g}, {said(walker)}"
     found = []
     if all_ or (period > 1 and guess is None):
         found = wj.find_gaits(walker, period)
@@ -271,9 +273,9 @@ def gait(
         same = lambda gait: np.allclose(gait.states, first.states, rtol=0, atol=1e-8)
         found = [first] * bool(first.found) + [gait for gait in found if not same(gait)]
         if not found:
-            raise NotFound(f"no gait of period {period} of {said(walker)} found: {end_of(first)}")
+            raise NotFound(f"{missing}: {end_of(first)}")
     if not found:
-        raise NotFound(f"no gait of period {period} of {said(walker)} found")
+        raise NotFound(missing)
     if figure is not None:
         draw(figures.multipliers(found), figure, request)
     if as_json:
@@ -288,15 +290,12 @@ def gait(
             }
             for one in found
         ]
-        print_json(
-            {"walker": description(walker), "slope": request["walker"]["slope"], "gaits": gaits}
-        )
+        print_json({"slope": slope, "gaits": gaits, "walker": request["walker"]})
         return
-    print(said(walker))
     for one in found:
         kind = "stable" if one.stable else "unstable"
         values = ", ".join(f"{value:.8g}" for value in one.multipliers)
-        print(f"{kind} gait of period {period}, multipliers {values}")
+        print(f"{kind} gait of period {period} at slope {slope:g} rad, multipliers {values}")
         for state, duration in zip(one.states, one.step_times, strict=True):
             named = zip(walker.section, state, strict=True)
             shown = "  ".join(f"{name} {value:.13f}" for name, value in named)
@@ -561,7 +560,6 @@ def basin(
     if as_json:
         print_json(
             {
-                "walker": request["walker"],
                 "slope": request["walker"]["slope"],
                 "method": method,
                 "cells": int(data["fate"].size),
@@ -569,6 +567,7 @@ def basin(
                 "attractors": attractors,
                 "fates": fates,
                 "seconds": seconds,
+                "walker": request["walker"],
             }
         )
         return

@@ -329,12 +329,12 @@ def strides(
     if xs.ndim != 2:
         raise ValueError(f"xs must have shape (n, coordinates), not {xs.shape}")
     # Of one dtype, whatever numbers they were given as: another would be compiled anew.
-    tolerance = np.asarray(default_tolerance(xs.dtype, tolerance), xs.dtype)
-    walker = jax.tree.map(lambda leaf: np.asarray(leaf, xs.dtype), walker)
+    to_dtype = lambda leaf: np.asarray(leaf, xs.dtype)
+    walker, finest = jax.tree.map(to_dtype, (walker, default_tolerance(xs.dtype, tolerance)))
     if any(np.ndim(leaf) for leaf in jax.tree.leaves(walker)):
         cells = stacked(walker, len(xs), xs.dtype), xs
-        return over_cells(stride_of_walker, tolerance, cells, progress=progress)
-    return over_cells(stride_of_cell, (walker, tolerance), xs, progress=progress)
+        return over_cells(stride_of_walker, finest, cells, progress=progress)
+    return over_cells(stride_of_cell, (walker, finest), xs, progress=progress)
 
 
 def stacked(walker: Walker, n: int, dtype) -> Walker:
