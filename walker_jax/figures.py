@@ -330,7 +330,7 @@ def title(data: xr.Dataset, width: int = 60) -> str:
         if str(key).startswith("walker_")
     ]
     whole = [words.replace(" ", "\u00a0") for words in (name, *parameters)]
-    return textwrap.fill(", ".join(whole), width)
+    return textwrap.fill(", ".join(whole), width).replace("\u00a0", " ")
 
 
 def subtitle(data: xr.Dataset) -> str:

@@ -80,7 +80,7 @@ class Impact(NamedTuple):
 def mass_matrix(system: System, q: Coordinates) -> Float[Array, "q q"]:
     """The reduced mass matrix, F,q^T M F,q, (10)."""
     slopes = jacobian(system.transfer, q)
-    return slopes.T @ (system.masses[:, None] * slopes)
+    return slopes.T @ (system.masses[:, None].astype(q.dtype) * slopes)
 
 
 def reduced_force(system: System, q: Coordinates, qdot: Coordinates) -> Coordinates:
@@ -94,7 +94,8 @@ def virtual_power(
     """F,q^T [f - M xddot] + Q, (2): zero for every coordinate that is free to move."""
     # Unrolled, what F holds twice is there once, and so is its product with the balance.
     _, transposed = jax.vjp(unrolled(system.transfer), q)
-    (power,) = transposed(system.forces - system.masses * acceleration)
+    masses, forces = system.masses.astype(q.dtype), system.forces.astype(q.dtype)
+    (power,) = transposed(forces - masses * acceleration)
     if system.generalised_forces is not None:
         power = power + system.generalised_forces(q, qdot)
     return power
@@ -198,7 +199,7 @@ def impact(
 
 def kinetic_energy(system: System, q: Coordinates, qdot: Coordinates) -> Float[Array, ""]:
     """xdot^T M xdot / 2."""
-    return jnp.sum(system.masses * velocity(system.transfer, q, qdot) ** 2) / 2
+    return jnp.sum(system.masses.astype(q.dtype) * velocity(system.transfer, q, qdot) ** 2) / 2
 
 
 def potential_energy(system: System, q: Coordinates) -> Float[Array, ""]:

@@ -159,6 +159,7 @@ def end(
     """What a stride leads to whose swing ended with `verdict`; at heel strike, by the impact."""
     (_, lift), after = walker.impact(arrival)
     struck = jnp.where(lift > 0, Outcome.STRIDE, Outcome.STOPPED)
+    struck = jnp.where(jnp.isfinite(lift), struck, Outcome.UNDECIDED)
     struck = jnp.where(pulled | in_tension(walker, arrival), Outcome.RUNNING, struck)
     outcome = jnp.where(verdict == Outcome.STRIDE, struck, verdict).astype(jnp.int8)
     success = outcome == Outcome.STRIDE

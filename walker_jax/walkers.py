@@ -327,14 +327,14 @@ class MultibodyWalker(Walker):
         return Q_u, Q_v
 
     def past_contact(self, state):
-        """h > 0, rising ever faster, the swing leg ahead, the stance leg in compression.
+        """h > 0 rises ever faster, the swing leg ahead, the stance leg falling, in compression.
 
         As for the simplest walker it is too late then to come down again: an experience (tests).
         """
         (_, _, thetaddot, phiddot), (_, Q_v, _, _) = motion(self, state)
         rising = (state.phi > 2 * state.theta) & (state.phidot > 2 * state.thetadot)
         faster = phiddot > 2 * thetaddot
-        return rising & faster & (state.phi < 0) & (Q_v > 0)
+        return rising & faster & (state.phi < 0) & (thetaddot < 0) & (Q_v > 0)
 
     def impact(self, state):
         """(17), without restitution."""
@@ -463,7 +463,14 @@ class PointFootWalker(PointFeetWalker, MultibodyWalker):
 
 
 class HeavyLegWalker(MultibodyWalker):
-    """Walkers with mass anywhere on the legs, whose section has three dimensions."""
+    """Walkers with mass anywhere on the legs, whose section has three dimensions.
+
+    What a walker of your own derives from. Its fields are its parameters, scalars, `slope` among
+    them. It defines `system` and `swing_foot`. Legs must be alike: with both feet on the slope,
+    phi = 2 theta and v = 0 of either.
+    """
+
+    slope: Scalar
 
     section: ClassVar = ("theta", "thetadot", "phidot")
 
@@ -484,14 +491,23 @@ class HeavyLegWalker(MultibodyWalker):
     def gait_region(self):
         """Starts with the speed that takes the stance leg about to its dead point.
 
-        Along phidot, all that the legs' own lengths and masses may make of it.
+        Rates are counted in that at which the walker topples, legs together, from rest:
+        thetaddot = rate^2 (theta - slope) to first order. Along phidot, whatever legs may do.
         """
+        dtype = jnp.asarray(0.0).dtype
+        walker = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), self)
+        zero, one = jnp.zeros((), dtype), jnp.ones((), dtype)
+        upright = State(walker.slope, zero, zero, zero)
+        falling = State(one, zero, zero, zero)
+        _, change = jax.jvp(walker.vector_field, (upright,), (falling,))
+        rate = float(jnp.sqrt(jnp.abs(change.thetadot)))
         widest = 0.6
-        return Grid.sheared(
-            theta=(0, widest, 30),
-            sum=(-widest, 0.5 * widest, 50),
-            phidot=(-widest, 0.5 * widest, 16),
-        )
+        axes = {
+            "theta": (0, widest, 30),
+            "sum": (-widest, 0.5 * widest, 50),
+            "turn": (-widest, 0.5 * widest, 16),
+        }
+        return Grid(axes, np.array([[1, 0, 0], [-rate, rate, 0], [0, 0, rate]]))
 
 
 # The parameters of the legs of all walkers with feet in the shape of an arc.
