@@ -91,7 +91,10 @@ def stride(
 ) -> Stride:
     """One stride, S(x), equation (20).
 
-    Works under `jax.jit`, `jax.vmap` and `jax.jacfwd`, in the dtype of x, float32 or float64.
+    Works under `jax.jit`, `jax.vmap` and `jax.jacfwd`, in the dtype of x, float32 or float64. The
+    derivative of a `MultibodyWalker`'s stride takes XLA minutes to compile, unless under
+    `jax.jit(..., compiler_options={"xla_cpu_use_fusion_emitters": False})`, as `find_gait` and
+    `gait_derivatives` do it.
 
     **Arguments:**
 
@@ -322,7 +325,8 @@ def strides(
 ) -> Stride:
     """`stride` for each of n starts, in tiles over all devices and cores; NumPy arrays.
 
-    The walker's parameters are numbers, or arrays of n: then every start has a walker of its own.
+    The walker's parameters are numbers, or arrays of n, as `jax.vmap(RoundFootWalker)(slopes)`
+    makes them: then every start has a walker of its own.
     Neighbours in `xs` share a tile: it is fastest where they are close on the section.
     `progress` is what to call the work in a progress bar, shown on a terminal only.
     """

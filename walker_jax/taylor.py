@@ -354,6 +354,8 @@ LINEAR = frozenset(
     "reduce_sum reshape rev slice squeeze stack stop_gradient sub transpose add".split()
 )
 BILINEAR = frozenset(["mul", "dot_general"])
+# Those with several results, the parts of their one operand.
+PARTS = frozenset(["split", "unstack"])
 # Those whose results do not change with time, but for jumps.
 DISCRETE = frozenset("and eq floor ge gt is_finite le lt ne not or sign xor".split())
 
@@ -424,19 +426,29 @@ def primitive_series(primitive: Primitive, params: dict, operands: list[Series])
 
 
 def results_series(primitive: Primitive, params: dict, operands: list[Series]) -> list[Series]:
-    """The series of a primitive with several results, such as a loop: constants only."""
+    """The series of a primitive with several results: parts of an array, or constants of a loop."""
 
     def varies(k):
         return any(operand[j] is not None for operand in operands for j in range(1, k + 1))
 
-    def higher(k):
-        if varies(k):
+    def results(k):
+        if k == 0:
+            return primitive.bind(*(operand[0] for operand in operands), **params)
+        if primitive.name in PARTS and operands[0][k] is not None:
+            return primitive.bind(operands[0][k], **params)
+        if primitive.name not in PARTS and varies(k):
             raise no_series(primitive.name)
+        return None
 
-    def result(value):
-        return Series(lambda k: value if k == 0 else higher(k))
+    together = Series(results)
 
-    return [result(value) for value in primitive.bind(*(o[0] for o in operands), **params)]
+    def result(i):
+        return Series(lambda k: None if (parts := together[k]) is None else parts[i])
+
+    values = jax.eval_shape(
+        lambda *values: primitive.bind(*values, **params), *(operand[0] for operand in operands)
+    )
+    return [result(i) for i in range(len(values))]
 
 
 def no_series(name: str) -> NotImplementedError:
