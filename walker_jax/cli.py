@@ -506,6 +506,8 @@ def basin(
         raise ValueError("--sum and --thetadot exclude each other: give one of them")
     sliced = has_phidot and phidot is None
     method = method or ("direct" if sliced else "cell-map")
+    if sliced and method == "cell-map":
+        raise ValueError("--method cell-map is not for a slice, which walkers leave: give --phidot")
     if strides is not None and method != "direct":
         raise ValueError("--strides is for --method direct alone")
     strides = strides or 200
