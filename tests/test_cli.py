@@ -392,11 +392,11 @@ def test_a_walker_with_three_dimensions_has_a_gait_a_slice_and_a_basin(run, tmp_
     [
         (["walk", "--walker", "giraffe"], ["--walker", "giraffe", "simplest"]),
         (["walk", "--foot-mass", "0.1"], ["--foot-mass", "simplest", "--slope"]),
-        (["gait", "--walker", "point-foot", "--foot-mass", "-1"], ["foot_mass", "-1"]),
-        (["gait", "--walker", "point-foot", "--foot-mass", "nan"], ["foot_mass", "nan"]),
-        (["basin", "--walker", "round-foot", "--foot-radius", "1"], ["foot_radius", "1"]),
-        (["basin", "--walker", "round-foot", "--leg-length", "0"], ["leg_length", "0"]),
-        (["basin", "--walker", "round-foot", "--leg-mass", "inf"], ["leg_mass", "inf"]),
+        (["gait", "--walker", "point-foot", "--foot-mass", "-1"], ["--foot-mass", "-1"]),
+        (["gait", "--walker", "point-foot", "--foot-mass", "nan"], ["--foot-mass", "nan"]),
+        (["basin", "--walker", "round-foot", "--foot-radius", "1"], ["--foot-radius", "--leg-length", "1"]),
+        (["basin", "--walker", "round-foot", "--leg-length", "0"], ["--leg-length", "0"]),
+        (["basin", "--walker", "round-foot", "--leg-mass", "inf"], ["--leg-mass", "inf"]),
         (["basin", "--phidot", "0", "1", "5"], ["--phidot", "theta, thetadot"]),
         (["basin", "--at-phidot", "0"], ["--at-phidot", "theta, thetadot"]),
         (
@@ -412,7 +412,7 @@ def test_a_walker_with_three_dimensions_has_a_gait_a_slice_and_a_basin(run, tmp_
         (["walk", "--phidot", "0.2"], ["--phidot", "theta, thetadot"]),
         (["gait", "--phidot", "0.2"], ["--phidot", "--guess"]),
         (["gait", "--walker", "round-foot", "--guess", "0.2", "-0.2"], ["--phidot"]),
-        (["bifurcation", "--walker", "spring", "--hip-stiffness", "-1"], ["hip_stiffness", "-1"]),
+        (["bifurcation", "--walker", "spring", "--hip-stiffness", "-1"], ["--hip-stiffness", "-1"]),
     ],
 )
 def test_wrong_walkers(run, tmp_path, arguments, named):

@@ -32,7 +32,7 @@ def test_cells_of_different_lengths_are_refused():
 
 @pytest.mark.parametrize("shape", [(7,), (5000,), (200, 250), (3, 10000), (33, 65), (20, 30, 40)])
 def test_compact_order_is_a_permutation_into_compact_tiles(shape):
-    order = compact_order(shape)
+    order = compact_order(shape, TILE["cpu"][0])
     size = int(np.prod(shape))
     np.testing.assert_array_equal(np.sort(order), np.arange(size))
     places = np.stack(np.unravel_index(order, shape), axis=1)

@@ -20,7 +20,7 @@ from walker_jax.cells import Grid, cell_image, resolve
 from walker_jax.gaits import gait_at, search, walked
 from walker_jax.integrate import Real, default_tolerance
 from walker_jax.stride import Outcome, stride, strides
-from walker_jax.tiles import compact_order, over_cells
+from walker_jax.tiles import order_of_cells, over_cells
 from walker_jax.walkers import Walker
 
 METHODS = ("cell-map", "direct")
@@ -87,8 +87,13 @@ def basin(
             f"method must be direct for a slice, {' and '.join(grid.fixed)} fixed, which walkers "
             "leave, not 'cell-map'"
         )
-    if set(grid.names) == set(walker.section) and grid.names != walker.section:
-        raise ValueError(f"grid must have its axes in the order {walker.section}, not {grid.names}")
+    for place, name in enumerate((*grid.names, *grid.fixed)):
+        wrong = name in walker.section and walker.section.index(name) != place
+        if wrong or (name in grid.fixed and name not in walker.section):
+            raise ValueError(
+                f"grid must name coordinates in the order of the section, {walker.section}, "
+                f"not {(*grid.names, *grid.fixed)}"
+            )
     needed, memory = grid.size * BYTES_PER_CELL, memory_of_machine()
     if needed > memory:
         raise ValueError(
@@ -142,7 +147,7 @@ class Attractor(NamedTuple):
 
 def cell_mapping(walker: Walker, grid: Grid, tolerance: float, progress: bool = False) -> Basins:
     """Simple cell mapping: one stride from the centre of each cell, then cells follow cells."""
-    order = compact_order(grid.shape)
+    order = order_of_cells(grid.shape)
     shared = walker, grid, tolerance
     image = np.empty_like(order)
     image[order] = over_cells(
@@ -172,7 +177,7 @@ def direct_iteration(
     The attractors are those of a sample of the cells, and of cells that are left at the end. Close
     to a period doubling walkers are slow to come near: those left count where they are `CLOSE`.
     """
-    order = compact_order(grid.shape)
+    order = order_of_cells(grid.shape)
     starts = np.asarray(jax.jit(jax.vmap(grid.centre))(order))
     attractors = settle(walker, sample(starts), tolerance, [])
 

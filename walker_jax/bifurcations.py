@@ -30,7 +30,6 @@ from walker_jax.branches import (
     together,
 )
 from walker_jax.gaits import (
-    TILE,
     Gait,
     check_parameter,
     distinct,
@@ -150,9 +149,7 @@ def persist(
         shared = jnp.asarray(tolerance, x.dtype), np.int32(more)
         cells = some(walkers, left), x[left]
         label = progress and f"{progress}: stride {done}, {len(left)} walkers"
-        x[left], fate[left], made = over_cells(
-            persist_cell, shared, cells, progress=label, tile=TILE
-        )
+        x[left], fate[left], made = over_cells(persist_cell, shared, cells, progress=label)
         count[left] += made
         left = left[fate[left] == Outcome.STRIDE]
         if len(left) == 0:

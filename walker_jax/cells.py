@@ -199,8 +199,11 @@ class Grid(eqx.Module):
 
 def split(axes: Mapping[str, Axis]) -> tuple[dict[str, Axis], Float[np.ndarray, " s"]]:
     """The axes that are not numbers, and an origin with those that are, which must be the last."""
-    numbers = [isinstance(axis, (int, float, np.number)) for axis in axes.values()]
+    number = (int, float, np.number)
+    numbers = [isinstance(axis, number) and not isinstance(axis, bool) for axis in axes.values()]
     count = len(axes) - sum(numbers)
+    if count == 0:
+        raise ValueError(f"axes={dict(axes)!r}: a grid needs at least one axis, (low, high, count)")
     if any(numbers[:count]):
         name = list(axes)[numbers.index(True)]
         raise ValueError(f"{name}={axes[name]!r}: only the last axes may be numbers")

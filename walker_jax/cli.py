@@ -9,9 +9,10 @@ import inspect
 import json
 import math
 import os
+import re
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Literal, NoReturn
@@ -21,6 +22,7 @@ import numpy as np
 import platformdirs
 import typer
 
+from walker_jax.gaits import check_parameter, with_parameter
 from walker_jax.walkers import WALKERS, Parameter, Walker, parameters
 
 app = typer.Typer(
@@ -79,6 +81,12 @@ def option_of(parameter: str) -> str:
     return f"--{parameter.replace('_', '-')}"
 
 
+def with_options_named(message: str, names: Iterable[str]) -> str:
+    """A message of the library, parameters in it as the options that set them."""
+    pattern = rf"\b({'|'.join(sorted(names, key=len, reverse=True))})\b"
+    return re.sub(pattern, lambda found: option_of(found[0]), message)
+
+
 def takes_walker(command: Callable[..., None], *, without: tuple[str, ...] = ()) -> Callable:
     """A command whose first argument is a walker, as one with options for the walker.
 
@@ -123,7 +131,11 @@ def takes_walker(command: Callable[..., None], *, without: tuple[str, ...] = ())
             if one not in known:
                 takes = ", ".join(option_of(other) for other in known)
                 raise ValueError(f"{option_of(one)} is no parameter of {name}, which has {takes}")
-        return command(WALKERS[name](**(known | values)), **given)
+        try:
+            walker = WALKERS[name](**(known | values))
+        except ValueError as error:
+            raise ValueError(with_options_named(str(error), known)) from error
+        return command(walker, **given)
 
     own = list(inspect.signature(command).parameters.values())[1:]
     own = [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in own]
@@ -325,8 +337,8 @@ def bifurcation(
     import walker_jax as wj
     from walker_jax import figures, store
 
-    walker = at_slope(walker, low)
-    at_slope(walker, high)
+    check_parameter(walker, "slope", low, high)
+    walker = with_parameter(walker, "slope", low)
     if not low < high:
         raise ValueError(f"--from {low:g} must be below --to {high:g}")
     request = {
@@ -405,12 +417,6 @@ def bifurcation(
         where = f"from {window['from']:.9f} to {window['to']:.9f}"
         print(f"  a gait of period {window['period']} is stable beyond that, {where}")
     print(f"  data set {out}, picture {figure}")
-
-
-def at_slope(walker: Walker, slope: float) -> Walker:
-    """The same walker on another slope."""
-    values = {one.name: getattr(walker, one.name) for one in parameters(walker)}
-    return type(walker)(**(values | {"slope": slope}))
 
 
 def end_of(gait) -> str:
@@ -518,14 +524,13 @@ def basin(
     axes |= {"sum": sum_} if thetadot is None else {"thetadot": thetadot}
     if has_phidot:
         axes["phidot"] = at_phidot if phidot is None else phidot
-    if None in axes.values():
-        axes = {
-            name: axes[name] if axes[name] is not None else axis
-            for name, axis in window(walker, tuple(axes), at_phidot).items()
-        }
-    grid = (wj.Grid.plain if thetadot is not None else wj.Grid.sheared)(**axes)
-    if min(grid.shape) < 2:
-        raise ValueError(f"a picture needs 2 cells or more along each axis, not {grid.shape}")
+    if isinstance(walker, wj.SimplestWalker):
+        axes = filled(axes, {"theta": (0.0, 0.4, 200), "sum": (-0.04, 0.01, 250)})
+    grid_of = wj.Grid.plain if thetadot is not None else wj.Grid.sheared
+    # Where an axis is still to be found by a gait, another holds its place.
+    shape = grid_of(**filled(axes, {"phidot": 0.0}, default=(0.0, 1.0, 2))).shape
+    if min(shape) < 2:
+        raise ValueError(f"a picture needs 2 cells or more along each axis, not {shape}")
     request = {
         "command": "basin",
         "walker": description(walker),
@@ -541,11 +546,14 @@ def basin(
     reused = data is not None
     clock = Stopwatch()
     if data is None:
-        data = wj.basin(walker, grid, method, strides=strides, progress=True)
+        if None in axes.values():
+            axes = filled(axes, around_gait(walker, tuple(axes)))
+        data = wj.basin(walker, grid_of(**axes), method, strides=strides, progress=True)
     seconds = clock.seconds()
     if not reused:
         data = store.save(data, out, request)
-    draw((figures.basin if len(grid.names) == 2 else figures.basin_slices)(data), figure, request)
+    flat = data["fate"].ndim == 2
+    draw((figures.basin if flat else figures.basin_slices)(data), figure, request)
 
     fates = {
         name: int((data["fate"] == code).sum()) for name, code in wj.Outcome.__members__.items()
@@ -575,8 +583,8 @@ def basin(
         return
     print(f"Basin of attraction, {said(walker)}, {method}")
     if sliced:
-        print(f"  slice at phidot {axes['phidot']:.10g}")
-    measure = "area" if len(grid.names) == 2 else "volume"
+        print(f"  slice at phidot {float(data['phidot']):.10g}")
+    measure = "area" if flat else "volume"
     for i, one in enumerate(attractors):
         numbers = [", ".join(f"{value:.6f}" for value in state) for state in one["states"][:4]]
         states = ", ".join(f"({state})" for state in numbers)
@@ -604,23 +612,24 @@ def basin(
     print(f"  data set {out}, picture {figure}")
 
 
-def window(walker: Walker, names: tuple[str, ...], at_phidot: float | None) -> dict:
-    """The axes that are drawn by default."""
-    import walker_jax as wj
+def filled(axes: dict, values: dict, default: Axis | None = None) -> dict:
+    """The axes, those that are not given with values of their own or the default one."""
+    return {
+        name: values.get(name, default) if axis is None else axis for name, axis in axes.items()
+    }
 
-    if isinstance(walker, wj.SimplestWalker):
-        return {"theta": (0.0, 0.4, 200), names[1]: (-0.04, 0.01, 250)}
+
+def around_gait(walker: Walker, names: tuple[str, ...]) -> dict:
+    """Axes around a walker's gait."""
     state = gait_of(walker).states[0]
     theta, thetadot = float(state[0]), float(state[1])
     middle = theta + thetadot if names[1] == "sum" else thetadot
     below, above = (0.5, 0.3) if "phidot" in names else (0.25, 0.1)
-    axes: dict = {
+    return {
         "theta": (0.0, 2.5 * theta, 200),
         names[1]: (middle - below * theta, middle + above * theta, 250),
+        **({"phidot": float(state[2])} if "phidot" in names else {}),
     }
-    if "phidot" in names:
-        axes["phidot"] = float(state[2]) if at_phidot is None else at_phidot
-    return axes
 
 
 class Stopwatch:

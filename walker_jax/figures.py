@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Bool, Complex, Float
+from jaxtyping import Bool, Complex, Float, UInt8
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
@@ -102,7 +102,7 @@ SYMBOLS = {"theta": r"$\theta$", "thetadot": r"$\dot{\theta}$", "phidot": r"$\do
 class Region(NamedTuple):
     """Cells that share a colour."""
 
-    cells: Bool[np.ndarray, "nx ny"]
+    cells: Bool[np.ndarray, "*shape"]
     colour: str
     letter: str
     """The first line of its label; empty where it has only one."""
@@ -138,19 +138,10 @@ def basin(data: xr.Dataset, ax: Axes | None = None) -> Axes:
 
     notable = notable_attractors(data)
     regions = regions_of(data, notable)
-    image = np.zeros((*fate.shape, 3), np.uint8)
-    for region in regions:
-        image[region.cells] = np.round(np.multiply(to_rgb(region.colour), 255))
+    image = painted(regions, fate.shape)
     x, y = map(str, fate.dims)
     extent = (*ends(data[x].values), *ends(data[y].values))
-    ax.imshow(
-        image.swapaxes(0, 1),
-        origin="lower",
-        extent=extent,
-        aspect="auto",
-        interpolation="auto",
-        rasterized=True,
-    )
+    show(ax, image, extent)
 
     free = np.ones(fate.shape, bool)
     marks, patches = [], []
@@ -213,20 +204,11 @@ def basin_slices(data: xr.Dataset) -> Figure:
 
     notable = notable_attractors(data)
     regions = regions_of(data, notable)
-    image = np.zeros((*fate.shape, 3), np.uint8)
-    for region in regions:
-        image[region.cells] = np.round(np.multiply(to_rgb(region.colour), 255))
+    image = painted(regions, fate.shape)
     extent = (*ends(data[x].values), *ends(data[y].values))
     marks: dict[str, Any] = {}
     for ax, index in zip(grid.flat, chosen, strict=False):
-        ax.imshow(
-            image[:, :, index].swapaxes(0, 1),
-            origin="lower",
-            extent=extent,
-            aspect="auto",
-            interpolation="auto",
-            rasterized=True,
-        )
+        show(ax, image[:, :, index], extent)
         symbol = SYMBOLS.get(z, z)
         ax.set_title(f"{symbol} = {depths[index]:.4g}".replace("-", "−"), fontsize=10)
     for number, marker in zip(notable, MARKERS, strict=False):
@@ -285,6 +267,28 @@ def regions_of(data: xr.Dataset, notable: list[int]) -> list[Region]:
         counted = outcome == Outcome.UNDECIDED
         found.append(Region(fate == outcome, colour, letter, words, counted))
     return [region for region in found if region.cells.any()]
+
+
+def painted(regions: list[Region], shape: tuple[int, ...]) -> UInt8[np.ndarray, "*shape 3"]:
+    """Every cell in the colour of its region."""
+    image = np.zeros((*shape, 3), np.uint8)
+    for region in regions:
+        image[region.cells] = np.round(np.multiply(to_rgb(region.colour), 255))
+    return image
+
+
+def show(
+    ax: Axes, image: UInt8[np.ndarray, "nx ny 3"], extent: tuple[float, float, float, float]
+) -> None:
+    """An image of cells, the first axis along x."""
+    ax.imshow(
+        image.swapaxes(0, 1),
+        origin="lower",
+        extent=extent,
+        aspect="auto",
+        interpolation="auto",
+        rasterized=True,
+    )
 
 
 def ends(centres: Float[np.ndarray, " n"]) -> tuple[float, float]:

@@ -30,15 +30,13 @@ from walker_jax.cells import Grid
 from walker_jax.integrate import Real
 from walker_jax.stride import Outcome, follow_stride, follow_walk, prepared, stacked, strides
 from walker_jax.tiles import over_cells
-from walker_jax.walkers import MultibodyWalker, SimplestWalker, Walker
+from walker_jax.walkers import SimplestWalker, Walker
 
 RESIDUAL = {jnp.dtype("float64"): 1e-10, jnp.dtype("float32"): 1e-4}
 """By how much a stride of what is called a gait may miss the next state."""
 DISTINCT = {jnp.dtype("float64"): 1e-8, jnp.dtype("float32"): 1e-3}
 """States closer than this, in every coordinate, are one."""
 NEWTON_STEPS = 40
-TILE = 256
-"""Cells in a tile of what is differentiated, which takes more memory than strides alone."""
 
 
 class Gait(NamedTuple):
@@ -547,9 +545,7 @@ def linearise(
     columns = len(directions)
     cells = *repeated(walker, cycles, columns), np.tile(directions, (n * period, 1))
     shared = tolerance, axis_of(walker, parameter, cycles.dtype)
-    (state, time), (dstate, _) = over_cells(
-        push, shared, cells, tile=TILE, nested=isinstance(walker, MultibodyWalker)
-    )
+    (state, time), (dstate, _) = over_cells(push, shared, cells)
     by = dstate.reshape(n, period, columns, size)
     first = lambda values: values.reshape(n, period, columns, *values.shape[1:])[:, :, 0]
     return Linearised(
@@ -587,9 +583,7 @@ def curve(
         np.tile(np.eye(columns, dtype=cycles.dtype), (n * period, 1)),
     )
     shared = tolerance, axis_of(walker, parameter, cycles.dtype)
-    (_, (along, time)), (_, (changes, _)) = over_cells(
-        push_twice, shared, cells, tile=TILE, nested=True
-    )
+    (_, (along, time)), (_, (changes, _)) = over_cells(push_twice, shared, cells)
     shape = n, period, columns
     return Curved(
         along=along.reshape(*shape, size)[:, :, 0],

@@ -9,7 +9,7 @@ zeros and ones drop out, equal terms are computed once, and what moves entries a
 
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, MutableMapping
 from itertools import product
 from typing import Any
 
@@ -24,10 +24,11 @@ CALLS = ("jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call")
 """Primitives that hold a function, which is read in their place."""
 
 ENTRYWISE = frozenset(
-    "abs acos acosh add add_any and asin asinh atan atan2 atanh cbrt ceil clamp "
-    "convert_element_type copy copy_p cos cosh div eq erf exp exp2 expm1 floor ge gt integer_pow "
-    "is_finite le log log1p logistic lt max min mul ne neg nextafter not or pow rem round rsqrt "
-    "select_n sign sin sinh sqrt square stop_gradient sub tan tanh xor".split()
+    "abs acos acosh add add_any and asin asinh atan atan2 atanh bitcast_convert_type cbrt ceil "
+    "clamp convert_element_type copy copy_p cos cosh div eq erf exp exp2 expm1 floor ge gt "
+    "integer_pow is_finite le log log1p logistic lt max min mul ne neg nextafter not or pow rem "
+    "round rsqrt select_n shift_left shift_right_arithmetic shift_right_logical sign sin sinh "
+    "sqrt square stop_gradient sub tan tanh xor".split()
 )
 
 
@@ -71,7 +72,7 @@ class Unrolling:
     """
 
     def __init__(self):
-        self.known: dict = {}
+        self.known: MutableMapping = {}
         """Results by primitive, parameters and operands: equal terms are computed once."""
         self.kept: list = []
         """Operands of those, lest another object takes one's identity."""
@@ -135,15 +136,23 @@ class Unrolling:
             moved = moved_by_index(primitive, params, operands, equation.invars)
             if moved is not None:
                 return [moved]
+        return self.keep(equation, operands)
+
+    def keep(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
+        """The results of a primitive of arrays, as it is."""
+        known = all(is_number(entry) for operand in operands for entry in operand.ravel())
         arrays = [joined(x, v.aval) for x, v in zip(operands, equation.invars, strict=True)]
-        results = bound(primitive, params, arrays, now=all(known))
+        results = bound(equation.primitive, equation.params, arrays, now=known)
         return [self.split(result) for result in results]
 
     def entrywise(
         self, primitive: Primitive, params: dict, operands: list[np.ndarray], dtypes: list, shape
     ) -> np.ndarray:
-        operands = [np.broadcast_to(operand, shape) for operand in operands]
         result = np.empty(shape, object)
+        if shape == ():  # nearly always
+            result[()] = self.term(primitive, params, [x[()] for x in operands], dtypes)
+            return result
+        operands = [np.broadcast_to(operand, shape) for operand in operands]
         for place in np.ndindex(*shape):
             result[place] = self.term(primitive, params, [x[place] for x in operands], dtypes)
         return result
@@ -162,8 +171,18 @@ class Unrolling:
         key = name, (*map(identity, operands), *dtypes), repr(sorted(params.items()))
         if key not in self.known:
             self.kept += operands
-            self.known[key] = evaluated(primitive, params, operands, dtypes)
+            self.known[key] = self.evaluate(primitive, params, operands, dtypes)
         return self.known[key]
+
+    def evaluate(self, primitive: Primitive, params: dict, operands: list, dtypes: list) -> Any:
+        """The primitive itself, of scalars: a number where all of them are."""
+        now = all(map(is_number, operands))
+        scalars = [
+            np.asarray(x, dtype) if is_number(x) else x
+            for x, dtype in zip(operands, dtypes, strict=True)
+        ]
+        (result,) = bound(primitive, params, scalars, now=now)
+        return result.item() if now else result
 
     def multiply(self, a, b, dtype):
         return self.term(lax.mul_p, params_of(lax.mul), [a, b], [dtype, dtype])
@@ -214,17 +233,6 @@ def is_number(entry) -> bool:
 def identity(entry):
     """What makes an entry the same as another."""
     return (0, type(entry).__name__, repr(entry)) if is_number(entry) else (1, "", id(entry))
-
-
-def evaluated(primitive: Primitive, params: dict, operands: list, dtypes: list) -> Any:
-    """The primitive itself, of scalars: a number where all of them are."""
-    now = all(map(is_number, operands))
-    scalars = [
-        np.asarray(x, dtype) if is_number(x) else x
-        for x, dtype in zip(operands, dtypes, strict=True)
-    ]
-    (result,) = bound(primitive, params, scalars, now=now)
-    return result.item() if now else result
 
 
 def bound(primitive: Primitive, params: dict, operands, *, now: bool) -> list:

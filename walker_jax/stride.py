@@ -40,7 +40,14 @@ from walker_jax.integrate import (
 )
 from walker_jax.taylor import fast_sines, function_series, solution_series
 from walker_jax.tiles import over_cells
-from walker_jax.walkers import MultibodyWalker, Scalar, SingleSupport, State, Walker
+from walker_jax.walkers import (
+    MultibodyWalker,
+    Scalar,
+    SingleSupport,
+    State,
+    Walker,
+    parameters,
+)
 
 
 class Outcome(enum.IntEnum):
@@ -51,7 +58,7 @@ class Outcome(enum.IntEnum):
     FORWARD = 1
     """The stance leg reaches theta = -pi/2 without a heel strike."""
     BACKWARD = 2
-    """The stance leg stops before a heel strike."""
+    """The stance leg stops before a heel strike, or the heel strike turns the next one back."""
     RUNNING = 3
     """The contact force is tensile at the start, or during a stride that reaches heel strike."""
     STOPPED = 4
@@ -161,14 +168,17 @@ def end(
 ) -> Stride:
     """What a stride leads to whose swing ended with `verdict`; at heel strike, by the impact."""
     (_, lift), after = walker.impact(arrival)
-    struck = jnp.where(lift > 0, Outcome.STRIDE, Outcome.STOPPED)
+    following = walker.exchange_legs(after)
+    struck = jnp.where(following.thetadot < 0, Outcome.STRIDE, Outcome.BACKWARD)
+    struck = jnp.where(lift > 0, struck, Outcome.STOPPED)
     struck = jnp.where(jnp.isfinite(lift), struck, Outcome.UNDECIDED)
     struck = jnp.where(pulled | in_tension(walker, arrival), Outcome.RUNNING, struck)
     outcome = jnp.where(verdict == Outcome.STRIDE, struck, verdict).astype(jnp.int8)
     success = outcome == Outcome.STRIDE
-    following = walker.project(walker.exchange_legs(after))
     return Stride(
-        jnp.where(success, following, jnp.nan), outcome, jnp.where(success, time, jnp.nan)
+        jnp.where(success, walker.project(following), jnp.nan),
+        outcome,
+        jnp.where(success, time, jnp.nan),
     )
 
 
@@ -215,10 +225,10 @@ def swing(
         now, _, time, verdict, count, pulled = carry
 
         def stop(before: State, after: State):
-            stop = may_end(before, after)
-            return (
-                stop if walker.force_least_at_ends else stop | (may_pull(before, after) & ~pulled)
-            )
+            ends = may_end(before, after)
+            if walker.force_least_at_ends:
+                return ends
+            return ends | (may_pull(before, after) & ~pulled)
 
         last = integrate_until(
             field,
@@ -337,6 +347,7 @@ def strides(
     to_dtype = lambda leaf: np.asarray(leaf, xs.dtype)
     walker, finest = jax.tree.map(to_dtype, (walker, default_tolerance(xs.dtype, tolerance)))
     if any(np.ndim(leaf) for leaf in jax.tree.leaves(walker)):
+        check_parameters(walker, len(xs))
         cells = stacked(walker, len(xs), xs.dtype), xs
         return over_cells(stride_of_walker, finest, cells, progress=progress)
     return over_cells(stride_of_cell, (walker, finest), xs, progress=progress)
@@ -345,6 +356,17 @@ def strides(
 def stacked(walker: Walker, n: int, dtype) -> Walker:
     """A walker, or n of them, with every parameter as an array of n."""
     return jax.tree.map(lambda leaf: np.broadcast_to(np.asarray(leaf, dtype), (n,)), walker)
+
+
+def check_parameters(walker: Walker, n: int) -> None:
+    """Refuse parameters that are neither one number nor n, or that a constructor refuses."""
+    for name, values in vars(walker).items():
+        if np.shape(values) not in ((), (n,)):
+            raise ValueError(f"{name} must be one number or {n}, not of shape {np.shape(values)}")
+    for one in parameters(walker):
+        values = getattr(walker, one.name)
+        for value in (np.min(values), np.max(values)) if np.size(values) else ():
+            one.checked(value)
 
 
 def stride_of_cell(shared: tuple[Walker, Real], x: Float[Array, " coordinates"]) -> Stride:

@@ -15,6 +15,7 @@ Coefficients are Taylor coefficients, derivatives divided by k!.
 
 import abc
 import math
+import operator
 from collections.abc import Callable, Iterable
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -28,6 +29,7 @@ from jax.experimental.jet import jet
 from jax.extend.core import Jaxpr, Literal, Primitive
 from jaxtyping import Array, Float, PyTree
 
+from walker_jax.kernels import long_programs
 from walker_jax.scalars import CALLS
 
 
@@ -180,6 +182,8 @@ class VirtualPower(eqx.Module):
 
         From the operations that it takes at two orders, which grow like the square of the order.
         """
+        if long_programs.value:
+            return highest
         shapes = [jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(self)]
         key = jax.tree.structure(self), *((leaf.shape, leaf.dtype) for leaf in shapes), highest
         if key not in _orders:
@@ -389,7 +393,9 @@ def primitive_series(primitive: Primitive, params: dict, operands: list[Series])
 
     def bilinear(k):
         left, right = operands
-        return total(product(left[j], right[k - j], bind) for j in range(k + 1))
+        if left is right:
+            return square(left, k, bind)
+        return total(product(left[j], right[k - j], bind) for j in newest_last(0, k))
 
     # One division for all orders: XLA computes an expression anew for each division of its parts.
     reciprocal = Series(lambda k: 1 / operands[1][0])
@@ -421,6 +427,8 @@ def primitive_series(primitive: Primitive, params: dict, operands: list[Series])
     rules = {"div": quotient, "select_n": selected} | dict.fromkeys(DISCRETE, lambda k: None)
     rules |= dict.fromkeys(LINEAR, linear) | dict.fromkeys(BILINEAR, bilinear)
     rule = rules.get(name, by_jet)
+    if name == "square" or (name == "integer_pow" and params["y"] == 2):
+        rule = lambda k: square(operands[0], k)
     result = Series(lambda k: bind(*(o[0] for o in operands)) if k == 0 else rule(k))
     return result
 
@@ -465,18 +473,35 @@ def sine_and_cosine(x: Series) -> tuple[Series, Series]:
     def rule(k, zeroth, other, sign):
         if k == 0:
             return sincos(jnp.asarray(x[0]))[zeroth]
-        return scaled(total(product(slope[j], other[k - j]) for j in range(1, k + 1)), sign / k)
+        terms = (product(slope[j], other[k - j]) for j in newest_last(1, k))
+        return scaled(total(terms), sign / k)
 
     sine = Series(lambda k: rule(k, 0, cosine, 1))
     cosine = Series(lambda k: rule(k, 1, sine, -1))
     return sine, cosine
 
 
+def newest_last(first: int, last: int) -> list[int]:
+    """first ... last, with those two, whose terms are known last, at the end.
+
+    A processor can then add up the other terms while it waits for these.
+    """
+    return [*range(first + 1, last), *dict.fromkeys((first, last))]
+
+
+def square(x: Series, k: int, multiply=operator.mul) -> Any:
+    """The k-th coefficient of a square, each product of two coefficients computed once."""
+    pairs = (product(x[j], x[k - j], multiply) for j in newest_last(0, (k - 1) // 2))
+    double = scaled(total(pairs), 2) if k else None
+    middle = product(x[k // 2], x[k // 2], multiply) if k % 2 == 0 else None
+    return total([middle, double])
+
+
 def scaled(value, factor):
     return None if value is None else value * factor
 
 
-def product(left, right, multiply=lambda left, right: left * right):
+def product(left, right, multiply=operator.mul):
     return None if left is None or right is None else multiply(left, right)
 
 

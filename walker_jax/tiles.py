@@ -1,11 +1,13 @@
-"""A function of one cell over millions of them: tiles, devices, cores, progress.
+"""A function of one cell over millions of them: kernels, tiles, devices, cores, progress.
 
-Cells are worked through in tiles. On a CPU a tile is small enough to stay in the cache, and ends
-when its own slowest cell does, whatever the others need; on a GPU it is large enough to fill the
-card. A tile is the same on every machine of a kind, so the results are too, to the last bit,
-however many cores or devices share the work.
+On a CPU a function becomes a kernel, which works on a few cells at once (`kernels`). A function
+that no kernel can do, and any on an accelerator, is mapped over tiles of cells by XLA. On a CPU a
+tile is small enough to stay in the cache, and ends when its own slowest cell does; on a GPU it is
+large enough to fill the card. Either way the results are the same to the last bit, however many
+cores or devices share the work.
 """
 
+import math
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -20,14 +22,22 @@ from jaxtyping import Int, PyTree
 from rich.console import Console
 from rich.progress import Progress
 
+from walker_jax.kernels import Kernel, NoKernel
+
 # Cells in a tile, and tiles in a call: a call should take much longer than it takes to make.
 TILE = {"cpu": (1024, 8), "gpu": (2**17, 1), "tpu": (2**17, 1)}
+FEW = (64, 8)
+"""The same, where there are few cells for a CPU."""
+PIECE = (512, 2**15)
+"""Cells that a core works on without a break, by a kernel, at least and at most."""
 
-# A library may set these for its own calls: 512-bit vectors where the processor has them.
-COMPILER_OPTIONS = {"cpu": {"xla_cpu_prefer_vector_width": 512}}
-# The older of XLA's two ways to emit a fusion: a few per cent slower, but it does not repeat what
-# derivatives of derivatives have in common, which makes them a hundred times as fast.
-NESTED_OPTIONS = {"cpu": {**COMPILER_OPTIONS["cpu"], "xla_cpu_use_fusion_emitters": False}}
+# A library may set these for its own calls: 512-bit vectors where the processor has them; and the
+# older of XLA's two ways to emit a fusion, a few per cent slower, which does not repeat what
+# derivatives of derivatives, or long expressions, have in common: that makes them a hundred times
+# as fast.
+COMPILER_OPTIONS = {
+    "cpu": {"xla_cpu_prefer_vector_width": 512, "xla_cpu_use_fusion_emitters": False}
+}
 
 
 def over_cells(
@@ -36,8 +46,6 @@ def over_cells(
     cells: PyTree,
     *,
     progress: str | None = None,
-    tile: int | None = None,
-    nested: bool = False,
 ) -> PyTree[np.ndarray]:
     """function(shared, cell) for every cell, on all devices of the process and all cores of a CPU.
 
@@ -47,12 +55,8 @@ def over_cells(
       for shapes, so give one defined at the top of a module, not a new closure each time.
     - `shared`: a PyTree, the same for all cells.
     - `cells`: a PyTree of arrays with the cells along their first axis, any number of them.
-      Neighbours share a tile: cells that take equally long should be neighbours, as
-      `compact_order` makes them.
+      Neighbours are worked on together: cells that take equally long should be neighbours.
     - `progress`: what to call the work in a progress bar, shown on a terminal only.
-    - `tile`: cells in a call on a CPU, where the usual number is too many: for few cells, or where
-      each takes long or needs much memory.
-    - `nested`: whether the function holds derivatives of derivatives.
 
     **Returns** a PyTree of NumPy arrays with the cells along their first axis.
     """
@@ -63,10 +67,13 @@ def over_cells(
     (n,) = sizes
     devices = jax.local_devices()
     platform = devices[0].platform
-    size, tiles = TILE.get(platform, TILE["gpu"])
-    tile, tiles = (tile, 1) if tile and platform == "cpu" else (size, tiles)
+    kernel = _kernel(function, shared, cells) if platform == "cpu" else None
+    if kernel is not None:
+        return _by_kernel(kernel, shared, cells, n, progress)
+    few = platform == "cpu" and n <= math.prod(FEW)
+    tile, tiles = FEW if few else TILE.get(platform, TILE["gpu"])
     call = tile * tiles
-    run = _compiled(function, platform, tile, tiles, nested)
+    run = _compiled(function, platform, tile, tiles)
     if 0 < n <= call and progress is None:  # one call, and no threads for it
         chunk = jax.tree.map(lambda leaf: _filled(leaf, call), cells)
         done = run(shared, chunk, -(-n // tile))
@@ -78,17 +85,23 @@ def over_cells(
     like = [run(share, jax.device_put(first, device), 0) for device, share in shares]
     results = jax.tree.map(lambda leaf: np.empty((n, *leaf.shape[1:]), leaf.dtype), like[0])
 
-    def work(start: int, worker: int):
+    def work(start: int, stop: int, worker: int):
         device, share = shares[worker % len(shares)]
-        count = min(call, n - start)
-        chunk = jax.tree.map(lambda leaf: _filled(leaf[start : start + count], call), cells)
-        done = run(share, jax.device_put(chunk, device), -(-count // tile))
+        chunk = jax.tree.map(lambda leaf: _filled(leaf[start:stop], call), cells)
+        done = run(share, jax.device_put(chunk, device), -(-(stop - start) // tile))
         for result, leaf in zip(jax.tree.leaves(results), jax.tree.leaves(done), strict=True):
-            result[start : start + count] = np.asarray(leaf)[:count]
+            result[start:stop] = np.asarray(leaf)[: stop - start]
 
+    workers = max(len(devices), _cores()) if platform == "cpu" else len(devices)
+    _share_out(work, n, call, workers, progress)
+    return results
+
+
+def _share_out(
+    work: Callable[[int, int, int], None], n: int, call: int, workers: int, progress: str | None
+) -> None:
+    """work(start, stop, number) for n cells, `call` of them at a time, in as many threads."""
     starts = range(0, n, call)
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    workers = max(len(devices), cores or 1) if platform == "cpu" else len(devices)
     console = Console(stderr=True)
     hidden = progress is None or not console.is_terminal
     with (
@@ -96,7 +109,9 @@ def over_cells(
         ThreadPoolExecutor(workers) as pool,
     ):
         task = bar.add_task(progress or "", total=n)
-        pending = [pool.submit(work, start, i) for i, start in enumerate(starts)]
+        pending = [
+            pool.submit(work, start, min(start + call, n), i) for i, start in enumerate(starts)
+        ]
         try:
             for start, future in zip(starts, pending, strict=True):
                 future.result()
@@ -104,7 +119,54 @@ def over_cells(
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
+
+
+def _cores() -> int:
+    """Processor cores that this process may use."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return cores or 1
+
+
+def _by_kernel(
+    kernel: Kernel, shared: PyTree, cells: PyTree, n: int, progress: str | None
+) -> PyTree[np.ndarray]:
+    """The cells' results by a kernel, on all cores."""
+    run, results = kernel.bind(shared, cells, n)
+    workers = _cores()
+    least, most = PIECE
+    # Several for each core, so that all end at about the same time.
+    call = min(most, max(least, -(-n // (4 * workers))))
+    if n <= least and progress is None:
+        run(0, n)
+    else:
+        _share_out(lambda start, stop, _: run(start, stop), n, call, workers, progress)
     return results
+
+
+_kernels: dict = {}
+
+
+def _kernel(function: Callable, shared: PyTree, cells: PyTree) -> Kernel | None:
+    """The kernel of a function, None where it holds what no kernel can do."""
+
+    def like(leaf, drop: int):
+        dtype = leaf.dtype if hasattr(leaf, "dtype") else jax.dtypes.canonicalize_dtype(type(leaf))
+        return jax.ShapeDtypeStruct(np.shape(leaf)[drop:], jax.dtypes.canonicalize_dtype(dtype))
+
+    leaves = [like(leaf, 0) for leaf in jax.tree.leaves(shared)]
+    each = [like(leaf, 1) for leaf in jax.tree.leaves(cells)]
+    structures = jax.tree.structure(shared), jax.tree.structure(cells)
+    key = function, structures, *((leaf.shape, leaf.dtype) for leaf in (*leaves, *each))
+    if key not in _kernels:
+        try:
+            _kernels[key] = Kernel(
+                function,
+                jax.tree.unflatten(structures[0], leaves),
+                jax.tree.unflatten(structures[1], each),
+            )
+        except NoKernel:
+            _kernels[key] = None
+    return _kernels[key]
 
 
 def _filled(values: np.ndarray, size: int) -> np.ndarray:
@@ -116,9 +178,9 @@ def _filled(values: np.ndarray, size: int) -> np.ndarray:
 _cache: dict = {}
 
 
-def _compiled(function: Callable, platform: str, tile: int, tiles: int, nested: bool) -> Callable:
+def _compiled(function: Callable, platform: str, tile: int, tiles: int) -> Callable:
     """The jitted function of (shared, cells of one call, number of tiles to work through)."""
-    key = function, platform, tile, tiles, nested
+    key = function, platform, tile, tiles
     if key not in _cache:
 
         def run(shared, cells, count):
@@ -134,12 +196,19 @@ def _compiled(function: Callable, platform: str, tile: int, tiles: int, nested: 
             results = lax.fori_loop(0, count, advance, empty)
             return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), results)
 
-        options = NESTED_OPTIONS if nested else COMPILER_OPTIONS
-        _cache[key] = jax.jit(run, compiler_options=options.get(platform))
+        _cache[key] = jax.jit(run, compiler_options=COMPILER_OPTIONS.get(platform))
     return _cache[key]
 
 
-def compact_order(shape: tuple[int, ...], tile: int = TILE["cpu"][0]) -> Int[np.ndarray, " n"]:
+def order_of_cells(shape: tuple[int, ...]) -> Int[np.ndarray, " n"]:
+    """Flat indices of a grid's cells, in the order in which to give them to `over_cells`."""
+    if jax.local_devices()[0].platform != "cpu":
+        return compact_order(shape)
+    size = math.prod(shape)
+    return np.arange(size, dtype=np.int32 if size < 2**31 else np.int64)
+
+
+def compact_order(shape: tuple[int, ...], tile: int = TILE["gpu"][0]) -> Int[np.ndarray, " n"]:
     """Flat indices of a grid's cells, in an order in which a tile's cells lie close together.
 
     The grid is cut into cubes of about `tile` cells, one after the other.

@@ -149,8 +149,10 @@ class Parameter(NamedTuple):
 
 
 def parameters(walker: type[Walker] | Walker) -> tuple[Parameter, ...]:
-    """Parameters of a kind of walker, in the order of its constructor's arguments."""
-    return tuple(field.metadata["converter"].__self__ for field in dataclasses.fields(walker))
+    """Those of a kind of walker that it describes, in the order of its constructor's arguments."""
+    converters = (field.metadata.get("converter") for field in dataclasses.fields(walker))
+    described = (getattr(converter, "__self__", None) for converter in converters)
+    return tuple(one for one in described if isinstance(one, Parameter))
 
 
 SLOPE = Parameter("slope", "of the ground", "rad", 0.004, high=np.pi / 2)
@@ -348,7 +350,7 @@ class MultibodyWalker(Walker):
 
     def energy(self, state: State) -> Scalar:
         """Kinetic energy, and potential energy of gravity, the stance foot at the origin."""
-        q, qdot = of_feet(list(state[:2])), of_feet(list(state[2:]))
+        q, qdot = coordinates(state)
         system = self.system()
         return multibody.kinetic_energy(system, q, qdot) + multibody.potential_energy(system, q)
 
@@ -389,12 +391,17 @@ def of_feet(legs: list[Scalar]) -> Float[Array, " 4"]:
     return jnp.stack([zero, zero, *legs])
 
 
+def coordinates(state: State) -> tuple[Float[Array, " 4"], Float[Array, " 4"]]:
+    """q and its rates."""
+    return of_feet(list(state[:2])), of_feet(list(state[2:]))
+
+
 @jax.jit
 def motion(walker: MultibodyWalker, state: State) -> tuple[list[Scalar], list[Scalar]]:
     """Accelerations, and the forces that hold u and v, of a walker on its stance foot, (4)."""
 
     def equations(walker, state):
-        q, qdot = of_feet(list(state[:2])), of_feet(list(state[2:]))
+        q, qdot = coordinates(state)
         accelerations, forces = multibody.motion(walker.system(), q, qdot, held=(0, 1))
         return list(accelerations), list(forces)
 
@@ -406,7 +413,7 @@ def collision(walker: MultibodyWalker, state: State) -> tuple[list[Scalar], list
     """Rates after heel strike, and impulses, (17)."""
 
     def equations(walker, state):
-        q, qdot = of_feet(list(state[:2])), of_feet(list(state[2:]))
+        q, qdot = coordinates(state)
         after = multibody.impact(walker.system(), walker.swing_foot, q, qdot)
         return list(after.velocities), list(after.impulses)
 
@@ -474,6 +481,16 @@ class HeavyLegWalker(MultibodyWalker):
 
     section: ClassVar = ("theta", "thetadot", "phidot")
 
+    def __check_init__(self):
+        if any(np.shape(leaf) or isinstance(leaf, Tracer) for leaf in jax.tree.leaves(self)):
+            return
+        along, above = swing_foot_at(self, 0.3)
+        if not abs(above) < 1e-5 * abs(along):
+            raise ValueError(
+                f"swing_foot of {type(self).__name__} must be on the slope where phi = 2 theta, "
+                f"v = 0, but v = {above:.3g} at theta = 0.3"
+            )
+
     def lift(self, x):
         """phi = 2 theta."""
         return State(x[0], 2 * x[0], x[1], x[2])
@@ -508,6 +525,13 @@ class HeavyLegWalker(MultibodyWalker):
             "turn": (-widest, 0.5 * widest, 16),
         }
         return Grid(axes, np.array([[1, 0, 0], [-rate, rate, 0], [0, 0, rate]]))
+
+
+@jax.jit
+def swing_foot_at(walker: HeavyLegWalker, theta: Scalar | float) -> Float[Array, " 2"]:
+    """(u, v) of the swing foot with legs as at heel strike, phi = 2 theta."""
+    theta = jnp.asarray(theta, walker.slope.dtype)
+    return walker.swing_foot(of_feet([theta, 2 * theta]))
 
 
 # The parameters of the legs of all walkers with feet in the shape of an arc.
