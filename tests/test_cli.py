@@ -394,7 +394,10 @@ def test_a_walker_with_three_dimensions_has_a_gait_a_slice_and_a_basin(run, tmp_
         (["walk", "--foot-mass", "0.1"], ["--foot-mass", "simplest", "--slope"]),
         (["gait", "--walker", "point-foot", "--foot-mass", "-1"], ["--foot-mass", "-1"]),
         (["gait", "--walker", "point-foot", "--foot-mass", "nan"], ["--foot-mass", "nan"]),
-        (["basin", "--walker", "round-foot", "--foot-radius", "1"], ["--foot-radius", "--leg-length", "1"]),
+        (
+            ["basin", "--walker", "round-foot", "--foot-radius", "1"],
+            ["--foot-radius", "--leg-length", "1"],
+        ),
         (["basin", "--walker", "round-foot", "--leg-length", "0"], ["--leg-length", "0"]),
         (["basin", "--walker", "round-foot", "--leg-mass", "inf"], ["--leg-mass", "inf"]),
         (["basin", "--phidot", "0", "1", "5"], ["--phidot", "theta, thetadot"]),

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import walker_jax as wj
+from walker_jax import tiles
 from walker_jax.tiles import TILE, compact_order, over_cells
 
 CALL = TILE["cpu"][0] * TILE["cpu"][1]
@@ -16,13 +17,41 @@ def sum_and_norm(shared, cell):
     return {"sum": shared["offset"] + jnp.sum(cell["x"]), "scaled": cell["i"] * cell["x"]}
 
 
-@pytest.mark.parametrize("n", [0, 1, 2, TILE["cpu"][0], CALL - 1, CALL, CALL + 1, 2 * CALL + 77])
-def test_any_number_of_cells(n):
+def by_xla(shared, cell):
+    """The same, with what no kernel can do in it."""
+    result = sum_and_norm(shared, cell)
+    return result | {"sum": result["sum"] + 0 * jnp.sort(cell["x"])[0]}
+
+
+@pytest.mark.parametrize(
+    "n", [0, 1, 2, 511, 512, 513, TILE["cpu"][0], CALL - 1, CALL, CALL + 1, 2 * CALL + 77, 2**18]
+)
+@pytest.mark.parametrize("function", [sum_and_norm, by_xla])
+def test_any_number_of_cells(function, n):
     rng = np.random.default_rng(n)
     cells = {"x": rng.normal(size=(n, 3)), "i": rng.normal(size=n)}
-    result = over_cells(sum_and_norm, {"offset": 2.5}, cells)
-    np.testing.assert_allclose(result["sum"], 2.5 + cells["x"].sum(axis=1), rtol=1e-14)
+    result = over_cells(function, {"offset": 2.5}, cells)
+    np.testing.assert_allclose(result["sum"], 2.5 + cells["x"].sum(axis=1), rtol=1e-14, atol=1e-14)
     np.testing.assert_array_equal(result["scaled"], cells["i"][:, None] * cells["x"])
+
+
+def test_cells_that_are_parts_or_transposes_of_arrays_are_taken_as_they_are():
+    x = np.random.default_rng(0).normal(size=(3, 60))
+    cells = {"x": x.T[::2], "i": x[0, ::2].astype(np.float32)}
+    result = over_cells(sum_and_norm, {"offset": 0}, cells)
+    np.testing.assert_array_equal(result["scaled"], cells["i"][:, None] * x.T[::2])
+
+
+def test_strides_by_kernels_and_by_xla_are_the_same_to_rounding(monkeypatch):
+    starts: dict = {}
+    exec(STARTS, starts)
+    walker = wj.SimplestWalker(0.004)
+    found = wj.strides(walker, starts["xs"])
+    monkeypatch.setattr(tiles, "_kernel", lambda *args: None)
+    expected = wj.strides(walker, starts["xs"])
+    np.testing.assert_array_equal(found.outcome, expected.outcome)
+    np.testing.assert_allclose(found.state, expected.state, rtol=0, atol=1e-9)
+    assert np.nanmedian(np.abs(found.state - expected.state)) < 1e-14
 
 
 def test_cells_of_different_lengths_are_refused():

@@ -576,7 +576,7 @@ def test_equations_are_those_of_free_bodies_held_at_their_joints(cls):
 
 @pytest.mark.parametrize("cls", INDEPENDENT, ids=name)
 def test_strides_are_those_of_free_bodies_held_at_their_joints(cls):
-    walkers = a_family(cls, 12, 5)
+    walkers = a_family(cls, 7, 5)
     _, x, _ = GAITS[cls]
     xs = np.array(x) * (1 + 0.1 * np.random.default_rng(6).uniform(-1, 1, (len(walkers), 3)))
     found = strides(walkers, xs)

@@ -15,7 +15,7 @@ import ctypes
 import math
 from collections import ChainMap
 from collections.abc import Callable, MutableMapping
-from typing import Any
+from typing import Any, no_type_check
 
 import jax
 import jax.numpy as jnp
@@ -49,6 +49,7 @@ class Complex:
         self.real, self.imag = real, imag
 
 
+@no_type_check  # as its base
 class Writer(Unrolling):
     """A jaxpr written as LLVM instructions: an entry is a number, a vector of one, or `Complex`."""
 
@@ -501,7 +502,7 @@ def logical(name: str):
 
 
 def clamp(writer, params, dtypes, low, x, high):
-    return writer.intrinsic("minimum", writer.intrinsic("maximum", x, low), high)
+    return RULES["min"](writer, {}, dtypes, RULES["max"](writer, {}, dtypes, x, low), high)
 
 
 def bits(writer, params, dtypes, x):
@@ -751,6 +752,7 @@ def compiled(source: str) -> Callable[[int, int, Any], None]:
         jit=True,
     )
     module = llvm.parse_assembly(source)
+    module.verify()
     options = llvm.create_pipeline_tuning_options(speed_level=2)
     passes = llvm.create_pass_builder(machine, options)
     passes.getModulePassManager().run(module, passes)

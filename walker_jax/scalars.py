@@ -11,7 +11,7 @@ import functools
 import math
 from collections.abc import Callable, MutableMapping
 from itertools import product
-from typing import Any
+from typing import Any, no_type_check
 
 import jax
 import jax.numpy as jnp
@@ -65,6 +65,7 @@ def joined(entries: np.ndarray, like) -> jax.Array | np.ndarray:
     return jnp.stack(scalars).reshape(like.shape) if like.shape else scalars[0]
 
 
+@no_type_check  # what is called for every number of a program: checks would take minutes
 class Unrolling:
     """A jaxpr read entry by entry: every value is a NumPy array of objects.
 
@@ -226,10 +227,12 @@ def params_of(function: Callable) -> dict:
     return jax.make_jaxpr(function)(number, number).eqns[0].params
 
 
+@no_type_check
 def is_number(entry) -> bool:
     return isinstance(entry, (bool, int, float, complex))
 
 
+@no_type_check
 def identity(entry):
     """What makes an entry the same as another."""
     return (0, type(entry).__name__, repr(entry)) if is_number(entry) else (1, "", id(entry))
@@ -267,16 +270,19 @@ def padded(primitive: Primitive, params: dict, entries: np.ndarray, padding: np.
     return np.append(padding.ravel(), entries.ravel())[places.ravel()].reshape(places.shape)
 
 
+@no_type_check
 def added(a, b):
     if is_number(a) and a == 0:
         return b
     return a if is_number(b) and b == 0 else None
 
 
+@no_type_check
 def subtracted(a, b):
     return a if is_number(b) and b == 0 else None
 
 
+@no_type_check
 def multiplied(a, b):
     for one, other in ((a, b), (b, a)):
         if is_number(one) and one in (0, 1):
@@ -284,6 +290,7 @@ def multiplied(a, b):
     return None
 
 
+@no_type_check
 def divided(a, b):
     if is_number(a) and a == 0:
         return a

@@ -150,13 +150,15 @@ def _kernel(function: Callable, shared: PyTree, cells: PyTree) -> Kernel | None:
     """The kernel of a function, None where it holds what no kernel can do."""
 
     def like(leaf, drop: int):
-        dtype = leaf.dtype if hasattr(leaf, "dtype") else jax.dtypes.canonicalize_dtype(type(leaf))
-        return jax.ShapeDtypeStruct(np.shape(leaf)[drop:], jax.dtypes.canonicalize_dtype(dtype))
+        plain = type(leaf) in (bool, int, float)
+        dtype = jax.dtypes.canonicalize_dtype(type(leaf) if plain else leaf.dtype)
+        return jax.ShapeDtypeStruct(np.shape(leaf)[drop:], dtype, weak_type=plain)
 
     leaves = [like(leaf, 0) for leaf in jax.tree.leaves(shared)]
     each = [like(leaf, 1) for leaf in jax.tree.leaves(cells)]
     structures = jax.tree.structure(shared), jax.tree.structure(cells)
-    key = function, structures, *((leaf.shape, leaf.dtype) for leaf in (*leaves, *each))
+    described = ((leaf.shape, leaf.dtype, leaf.weak_type) for leaf in (*leaves, *each))
+    key = function, structures, *described
     if key not in _kernels:
         try:
             _kernels[key] = Kernel(

@@ -1,0 +1,327 @@
+"""Kernels compute what JAX computes, cell by cell."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import lax
+from jax.scipy.special import erf
+
+from walker_jax.kernels import RULES, Kernel, NoKernel, exp_float32, log_float32
+from walker_jax.scalars import ENTRYWISE
+
+SPECIAL = [0.0, -0.0, 1.0, -1.0, 0.5, np.inf, -np.inf, np.nan, 1e300, -1e-300, 2.5, -3.5]
+
+
+def values(dtype, n=203, seed=0):
+    rng = np.random.default_rng(seed)
+    drawn = rng.normal(size=n) * 10.0 ** rng.integers(-3, 3, n)
+    with np.errstate(over="ignore"):
+        return np.concatenate([SPECIAL, drawn]).astype(dtype)
+
+
+def run(function, *cells, shared=()):
+    """By a kernel; cells are arrays with one number, or more, for each."""
+    like = [jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for x in cells]
+    flat = lambda shared, cell: function(*shared, *cell)
+    shapes = [jax.ShapeDtypeStruct(np.shape(x), np.asarray(x).dtype) for x in shared]
+    kernel = Kernel(flat, shapes, like)
+    compute, results = kernel.bind(list(shared), list(cells), len(cells[0]))
+    compute(0, len(cells[0]))
+    return results
+
+
+def assert_same(function, *cells, ulps=4, shared=()):
+    found = jax.tree.leaves(run(function, *cells, shared=shared))
+    mapped = jax.vmap(lambda *cell: function(*shared, *cell))(*map(jnp.asarray, cells))
+    for one, other in zip(found, jax.tree.leaves(mapped), strict=True):
+        assert one.dtype == other.dtype and one.shape == other.shape
+        if one.dtype.kind == "f":
+            eps = np.finfo(one.dtype).eps
+            np.testing.assert_allclose(one, other, rtol=ulps * eps, atol=0)
+        else:
+            np.testing.assert_array_equal(one, other)
+
+
+ONE = {
+    "abs": jnp.abs,
+    "neg": lambda x: -x,
+    "sqrt": jnp.sqrt,
+    "rsqrt": lax.rsqrt,
+    "floor": jnp.floor,
+    "ceil": jnp.ceil,
+    "sign": jnp.sign,
+    "square": jnp.square,
+    "to even": lambda x: lax.round(x, lax.RoundingMethod.TO_NEAREST_EVEN),
+    "away from zero": lambda x: lax.round(x, lax.RoundingMethod.AWAY_FROM_ZERO),
+    "power 5": lambda x: lax.integer_pow(x, 5),
+    "power -2": lambda x: lax.integer_pow(x, -2),
+    "power 0": lambda x: lax.integer_pow(x, 0),
+    "is finite": jnp.isfinite,
+    "clamp": lambda x: lax.clamp(jnp.asarray(-1, x.dtype), x, jnp.asarray(2, x.dtype)),
+    "to int32": lambda x: x.astype(jnp.int32),
+    "to int8": lambda x: x.astype(jnp.int8),
+    "to uint8": lambda x: x.astype(jnp.uint8),
+    "to bool": lambda x: x.astype(bool),
+    "to float32 and back": lambda x: x.astype(jnp.float32).astype(x.dtype) * 2,
+    "exp": jnp.exp,
+    "exp2": jnp.exp2,
+    "expm1": jnp.expm1,
+    "log": jnp.log,
+    "log1p": jnp.log1p,
+    "cbrt": jnp.cbrt,
+    "sin": jnp.sin,
+    "cos": jnp.cos,
+    "tan": jnp.tan,
+    "arcsin": jnp.arcsin,
+    "arccos": jnp.arccos,
+    "arctan": jnp.arctan,
+    "sinh": jnp.sinh,
+    "cosh": jnp.cosh,
+    "tanh": jnp.tanh,
+    "arcsinh": jnp.arcsinh,
+    "arccosh": jnp.arccosh,
+    "arctanh": jnp.arctanh,
+    "erf": erf,
+    "stop gradient": lax.stop_gradient,
+    "reciprocal": lambda x: 1 / x,
+    "select": lambda x: jnp.where(x > 0.5, x, -x),
+    "select of known": lambda x: jnp.where(True, x, -x),
+}
+# of XLA, which approximates these itself, or those of the C library
+LOOSE = {"sinh": 40, "cosh": 40, "tan": 40, "arcsinh": 40, "arccosh": 40, "arctanh": 40, "cbrt": 40}
+# beyond them XLA's functions have fewer digits
+LARGEST = {"sin": 1e6, "cos": 1e6, "tan": 1e6, "exp2": 10}
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@pytest.mark.parametrize("name", ONE)
+def test_functions_of_one_number(name, dtype):
+    x = values(dtype)
+    x = x[~(np.abs(x) > LARGEST.get(name, np.inf))]
+    assert_same(ONE[name], x, ulps=LOOSE.get(name, 10))
+
+
+TWO = {
+    "add": lambda a, b: a + b,
+    "sub": lambda a, b: a - b,
+    "mul": lambda a, b: a * b,
+    "div": lambda a, b: a / b,
+    "rem": lax.rem,
+    "max": jnp.maximum,
+    "min": jnp.minimum,
+    "pow": jnp.power,
+    "atan2": jnp.arctan2,
+    "eq": lambda a, b: a == b,
+    "ne": lambda a, b: a != b,
+    "lt": lambda a, b: a < b,
+    "le": lambda a, b: a <= b,
+    "gt": lambda a, b: a > b,
+    "ge": lambda a, b: a >= b,
+    "logic": lambda a, b: ((a > 0) & (b > 0)) | ~(a < b) ^ (b == 1),
+}
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@pytest.mark.parametrize("name", TWO)
+def test_functions_of_two_numbers(name, dtype):
+    x = values(dtype)
+    y = np.concatenate([np.roll(x[:12], k) for k in range(12)] + [values(dtype, seed=1)])
+    x = np.concatenate([x[:12]] * 12 + [x])
+    assert_same(TWO[name], x, y, ulps=40 if name == "pow" else 4)
+
+
+INTEGERS = {
+    "add": lambda a, b: a + b,
+    "mul": lambda a, b: a * b,
+    "div": lax.div,
+    "rem": lax.rem,
+    "divmod": lambda a, b: jnp.divmod(a, b),
+    "max": jnp.maximum,
+    "min": jnp.minimum,
+    "lt": lambda a, b: a < b,
+    "ne": lambda a, b: a != b,
+    "abs": lambda a, b: jnp.abs(a),
+    "sign": lambda a, b: jnp.sign(a),
+    "power": lambda a, b: lax.integer_pow(b, 3),
+    "bits": lambda a, b: (a & b) | (a ^ ~b),
+    "left": lambda a, b: lax.shift_left(a, jnp.full_like(a, 2)),
+    "right": lambda a, b: lax.shift_right_arithmetic(a, jnp.full_like(a, 2)),
+    "logical right": lambda a, b: lax.shift_right_logical(a, jnp.full_like(a, 2)),
+    "to float": lambda a, b: a.astype(jnp.float64) / b.astype(jnp.float32).astype(jnp.float64),
+    "to int64": lambda a, b: a.astype(jnp.int64) * 3,
+    "to int8": lambda a, b: a.astype(jnp.int8),
+    "power of a float": lambda a, b: lax.pow(a.astype(jnp.float64), b),
+}
+
+
+@pytest.mark.parametrize("dtype", [np.int32, np.int64, np.uint8])
+@pytest.mark.parametrize("name", INTEGERS)
+def test_functions_of_whole_numbers(name, dtype):
+    rng = np.random.default_rng(2)
+    low = 0 if dtype == np.uint8 else -100
+    a, b = rng.integers(low, 120, 90), rng.integers(1, 9, 90)
+    assert_same(INTEGERS[name], a.astype(dtype), b.astype(dtype))
+
+
+def test_all_primitives_that_work_entry_by_entry_are_covered():
+    """But for two, whose results are hardly ever wanted."""
+    moved = {"copy", "copy_p", "stop_gradient"}
+    assert ENTRYWISE - set(RULES) - moved == {"logistic", "nextafter"}
+
+
+def test_logarithm_and_exponential_of_float32():
+    rng = np.random.default_rng(0)
+    x = np.exp(rng.uniform(-87, 88, 20_000)).astype(np.float32)
+    assert np.all(np.abs(jax.jit(jax.vmap(log_float32))(x) - np.log(x)) < 2e-7 * 88)
+    close = rng.uniform(0.5, 2, 20_000).astype(np.float32)
+    error = jax.vmap(log_float32)(close) - np.log(close.astype(np.float64)).astype(np.float32)
+    assert np.all(np.abs(error) < 2e-7)
+    edges = np.array([0, np.inf, -1, np.nan], np.float32)
+    np.testing.assert_array_equal(
+        jax.vmap(log_float32)(edges), np.array([-np.inf, np.inf, np.nan, np.nan], np.float32)
+    )
+    y = rng.uniform(-86, 88, 20_000).astype(np.float32)
+    np.testing.assert_allclose(jax.vmap(exp_float32)(y), np.exp(y.astype(np.float64)), rtol=3e-7)
+    edges = np.array([0, np.inf, -np.inf, np.nan], np.float32)
+    np.testing.assert_array_equal(
+        jax.vmap(exp_float32)(edges), np.array([1, np.inf, 0, np.nan], np.float32)
+    )
+
+
+def test_a_loop_ends_for_each_cell_by_itself():
+    """The number of steps of Collatz' sequence."""
+
+    def steps(n):
+        def step(carry):
+            n, count = carry
+            return jnp.where(n % 2 == 0, n // 2, 3 * n + 1), count + 1
+
+        return lax.while_loop(lambda carry: carry[0] > 1, step, (n, jnp.int32(0)))[1]
+
+    n = np.arange(1, 200)
+    assert_same(steps, n)
+    assert run(steps, n)[26] == 111
+
+
+def test_loops_in_loops_wait_for_no_cell_that_has_ended():
+    """A cell that has ended would go round the inner loop for ever, were it looked at."""
+
+    def total(n):
+        def inner(i):
+            # adds n - i until 12 is reached: for ever once i is n
+            return lax.while_loop(lambda y: y < 12, lambda y: y + (n - i), jnp.int64(0))
+
+        def outer(carry):
+            i, sum_ = carry
+            return i + 1, sum_ + inner(i)
+
+        return lax.while_loop(lambda carry: carry[0] < n, outer, (jnp.int64(0), jnp.int64(0)))[1]
+
+    n = np.array([0, 5, 1, 3, 2, 0, 7, 4, 6, 1])
+    expected = [sum(-(-12 // (m - i)) * (m - i) for i in range(m)) for m in n]
+    np.testing.assert_array_equal(run(total, n), expected)
+
+
+def test_terms_computed_in_a_loop_are_not_taken_for_known_after_it():
+    def function(x):
+        total = lax.while_loop(lambda y: y > 3, lambda y: y - jnp.exp(-x) * jnp.exp(-x), x)
+        return total + jnp.exp(-x), jnp.exp(-x) * jnp.exp(-x)
+
+    assert_same(function, np.linspace(0.1, 4, 30), ulps=100)
+
+
+def test_a_loop_of_one_turn_is_no_loop():
+    def function(x):
+        def once(carry):
+            return jnp.array(True), jnp.sin(x) * carry[1]
+
+        return lax.while_loop(lambda carry: ~carry[0], once, (jnp.array(False), 2 * x))[1]
+
+    assert_same(function, np.linspace(-3, 3, 11))
+
+
+def test_branches_are_chosen_for_each_cell():
+    def function(i, x):
+        count = lambda x: lax.while_loop(lambda y: y < 9, lambda y: y + x, x)
+        switched = lax.switch(i, [jnp.sin, lambda x: x * x, count], x)
+        return switched, lax.cond(x > 2, lambda: (x, i), lambda: (-x, jnp.int32(7)))
+
+    i = np.arange(-2, 6).repeat(4).astype(np.int32)
+    assert_same(function, i, np.linspace(1, 4, len(i)))
+
+
+def test_complex_numbers_hold_pairs():
+    def function(x, y):
+        def turn(z):
+            return lax.complex(z.imag * 2, z.real + x)
+
+        z = lax.while_loop(lambda z: z.real < 20, turn, lax.complex(x, y))
+        z = jnp.where(x > 1, z, lax.complex(y, x))
+        return z.real, z.imag
+
+    assert_same(function, np.linspace(0.5, 3, 30), np.linspace(2, 0.3, 30))
+
+
+def test_derivatives():
+    def function(x, direction):
+        def step(carry):
+            y, n = carry
+            return jnp.sin(y) * x + y, n + 1
+
+        iterate = lambda x: lax.while_loop(lambda c: c[1] < 6, step, (x, 0))[0]
+        return jax.jvp(iterate, (x,), (direction,))
+
+    assert_same(function, np.linspace(-2, 2, 21), np.linspace(1, 3, 21), ulps=50)
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@pytest.mark.parametrize("n", [1, 2, 7, 8, 9, 15, 16, 17, 40])
+def test_arrays_of_any_length_and_shape(n, dtype):
+    rng = np.random.default_rng(n)
+    matrix, flags = rng.normal(size=(2, 3)).astype(dtype), np.array([True, False, True])
+    x, use = rng.normal(size=(n, 3)).astype(dtype), rng.uniform(size=(n, 3)) < 0.5
+
+    def function(matrix, flags, x, use):
+        chosen = jnp.where(use, x, 0) + jnp.where(flags, 1, 0)
+        most = jnp.max(x), jnp.min(x), jnp.prod(x), jnp.any(use), jnp.all(use | flags)
+        return {"product": matrix @ chosen, "flags": use ^ flags}, most, jnp.zeros((2,), jnp.int8)
+
+    assert_same(function, x, use, shared=(matrix, flags), ulps=100)
+
+
+def test_only_the_cells_asked_for_are_written():
+    kernel = Kernel(lambda shared, x: shared * x, np.float64(2), np.float64(0))
+    x = np.arange(40.0)
+    compute, result = kernel.bind(np.float64(2), x, 40)
+    result[:] = -1
+    compute(5, 5)
+    assert np.all(result == -1)
+    compute(3, 14)
+    np.testing.assert_array_equal(result, np.where((x >= 3) & (x < 14), 2 * x, -1))
+
+
+def test_a_cell_has_the_same_bits_in_any_company():
+    def function(x):
+        step = lambda carry: (jnp.sin(carry[0]) + x, carry[1] + 1)
+        return lax.while_loop(lambda c: c[1] < jnp.abs(10 * x), step, (x, 0.0))[0]
+
+    x = np.random.default_rng(0).normal(size=501)
+    alone = np.array([run(function, x[i : i + 1])[0] for i in range(3)])
+    together, backwards = run(function, x), run(function, x[::-1].copy())
+    np.testing.assert_array_equal(together, backwards[::-1])
+    np.testing.assert_array_equal(together[:3], alone)
+
+
+@pytest.mark.parametrize(
+    ("function", "named"),
+    [
+        (lambda x: jnp.sort(jnp.stack([x, -x])), "sort"),
+        (lambda x: jnp.linalg.solve(jnp.eye(2) + x, jnp.ones(2)), "lu"),
+        (lambda x: lax.complex(x, x) * 2, "complex128"),
+        (lambda x: x.astype(jnp.float16), "float16"),
+    ],
+)
+def test_what_no_kernel_can_do_is_named(function, named):
+    with pytest.raises(NoKernel, match=named):
+        run(function, np.ones(3))
