@@ -10,7 +10,6 @@ import os
 from importlib.metadata import version
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
@@ -147,19 +146,31 @@ class Attractor(NamedTuple):
 
 def cell_mapping(walker: Walker, grid: Grid, tolerance: float, progress: bool = False) -> Basins:
     """Simple cell mapping: one stride from the centre of each cell, then cells follow cells."""
+    resolved = resolve(cell_map(walker, grid, tolerance, progress), sinks=len(Outcome))
+    fate = np.maximum(np.asarray(resolved.sink), Outcome.STRIDE).astype(np.int8)
+    lengths = [len(cycle) for cycle in resolved.attractors]
+    cells = np.concatenate([np.zeros(0, np.int32), *resolved.attractors]).astype(np.int32)
+    states = np.split(centres(grid, cells), np.cumsum(lengths)[:-1])
+    attractors = [Attractor(*one) for one in zip(lengths, states, strict=False)]
+    return Basins(fate, np.asarray(resolved.attractor), np.asarray(resolved.steps), attractors)
+
+
+def cell_map(
+    walker: Walker, grid: Grid, tolerance: float, progress: bool = False
+) -> Int[np.ndarray, " n"]:
+    """The cell, or the sink, to which a stride takes the centre of each cell."""
     order = order_of_cells(grid.shape)
     shared = walker, grid, tolerance
     image = np.empty_like(order)
     image[order] = over_cells(
         image_of_cell, shared, order, progress="strides" if progress else None
     )
-    resolved = resolve(image, sinks=len(Outcome))
-    fate = np.maximum(np.asarray(resolved.sink), Outcome.STRIDE).astype(np.int8)
-    attractors = [
-        Attractor(len(cycle), np.asarray(jax.vmap(grid.centre)(cycle)))
-        for cycle in resolved.attractors
-    ]
-    return Basins(fate, np.asarray(resolved.attractor), np.asarray(resolved.steps), attractors)
+    return image
+
+
+def centres(grid: Grid, cells: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n section"]:
+    """Centres of cells, given by their indices."""
+    return over_cells(Grid.centre, grid, cells)
 
 
 def image_of_cell(shared: tuple[Walker, Grid, Real], index: Int[Array, ""]) -> Int[Array, ""]:
@@ -178,7 +189,7 @@ def direct_iteration(
     to a period doubling walkers are slow to come near: those left count where they are `CLOSE`.
     """
     order = order_of_cells(grid.shape)
-    starts = np.asarray(jax.jit(jax.vmap(grid.centre))(order))
+    starts = centres(grid, order)
     attractors = settle(walker, sample(starts), tolerance, [])
 
     fate = np.full(grid.size, Outcome.STRIDE, np.int8)

@@ -13,6 +13,7 @@ What comes out is what XLA computes, to rounding. Programs are compiled for the 
 
 import ctypes
 import math
+import time
 from collections import ChainMap
 from collections.abc import Callable, MutableMapping
 from typing import Any, no_type_check
@@ -618,6 +619,7 @@ class Kernel:
 
     def __init__(self, function: Callable, shared: PyTree, cell: PyTree):
         """Compile it for leaves of these shapes and types. `NoKernel` where that cannot be."""
+        start = time.perf_counter()
         with long_programs(True):
             closed, shapes = jax.make_jaxpr(function, return_shape=True)(shared, cell)
         self.structure = jax.tree.structure(shapes)
@@ -627,6 +629,8 @@ class Kernel:
         self.shared, self.cell = described(avals[:split]), described(avals[split:])
         self.results = described(jax.tree.leaves(shapes))
         self.run = compiled(written(closed, self.shared, self.cell, self.results))
+        seconds = time.perf_counter() - start
+        jax.monitoring.record_event_duration_secs("/walker_jax/compile_kernel", seconds)
 
     def bind(
         self, shared: PyTree, cells: PyTree, n: int

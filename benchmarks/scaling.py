@@ -1,0 +1,107 @@
+"""How do time and memory grow with the number of cells, and how long does a start take?
+
+The one-stride map (where a stride takes the centre of each cell) of ever finer grids over the
+paper's window, a process for each: strides per second, and memory at its peak beyond that of the
+process with a map of a hundred cells. The result itself takes 4 bytes a cell. Then the command
+`walker-jax basin` from a new cache directory, and again. `--figure` draws the first table.
+
+The answer: strides per second do not fall, and memory is 12 bytes a cell.
+
+TABLE
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+SIZES = 10**4, 10**5, 10**6, 10**7, 10**8
+
+
+def measure(cells: int) -> dict:
+    """In this process: seconds and bytes."""
+    import resource
+
+    import jax
+
+    import walker_jax as wj
+    from walker_jax.basin import cell_map
+
+    jax.config.update("jax_enable_x64", True)
+    walker = wj.SimplestWalker(0.004)
+    side = round(cells**0.5)
+    grid_of = lambda n, m: wj.Grid.sheared(theta=(0, 0.4, n), sum=(-0.04, 0.01, m))
+    cell_map(walker, grid_of(10, 10), 1e-12)  # compiles
+    peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    before, start = peak(), time.perf_counter()
+    image = cell_map(walker, grid_of(side, cells // side), 1e-12)
+    seconds = time.perf_counter() - start
+    return {"cells": image.size, "seconds": seconds, "bytes": peak() - before}
+
+
+def starting(folder: str) -> float:
+    """Seconds that the command takes, with its cache in a folder."""
+    start = time.perf_counter()
+    subprocess.run(
+        [sys.executable, "-c", "from walker_jax.cli import main; main()", "basin", "--overwrite"],
+        cwd=folder,
+        env={**os.environ, "XDG_CACHE_HOME": folder},
+        check=True,
+        stdout=subprocess.DEVNULL,
+    )
+    return time.perf_counter() - start
+
+
+def main():
+    parser = argparse.ArgumentParser(description="Time and memory, as work grows.")
+    parser.add_argument("--largest", type=float, default=1e8, help="cells at most")
+    parser.add_argument("--figure", type=Path, help="where a picture goes")
+    parser.add_argument("--measure", type=int, help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    if args.measure:
+        print(json.dumps(measure(args.measure)))
+        return
+    rows = []
+    print(f"{'cells':>12}{'seconds':>9}{'strides/s':>12}{'MiB':>8}{'bytes a cell':>14}")
+    for cells in SIZES:
+        if cells > args.largest:
+            break
+        child = subprocess.run(
+            [sys.executable, __file__, "--measure", str(cells)], check=True, capture_output=True
+        )
+        row = json.loads(child.stdout)
+        rows.append(row)
+        speed = row["cells"] / row["seconds"]
+        print(
+            f"{row['cells']:12,d}{row['seconds']:9.3f}{speed:12,.0f}{row['bytes'] / 2**20:8.0f}"
+            f"{row['bytes'] / row['cells']:14.1f}"
+        )
+    with tempfile.TemporaryDirectory() as folder:
+        first, again = starting(folder), min(starting(folder) for _ in range(3))
+    print(f"walker-jax basin: {first:.1f} s at first, {again:.1f} s again")
+    if args.figure:
+        draw(rows, args.figure)
+
+
+def draw(rows: list[dict], path: Path) -> None:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.4, 3.6), layout="constrained")
+    ax = figure.add_subplot()
+    cells = [row["cells"] for row in rows]
+    ax.plot(cells, [row["cells"] / row["seconds"] / 1e6 for row in rows], "o-", color="#0072b2")
+    ax.set(xscale="log", xlabel="cells", ylabel="million strides per second", ylim=(0, None))
+    right = ax.twinx()
+    right.plot(cells, [row["bytes"] / 2**30 for row in rows], "s--", color="#d55e00")
+    right.set(ylabel="memory, GiB", ylim=(0, None))
+    ax.yaxis.label.set_color("#0072b2")
+    right.yaxis.label.set_color("#d55e00")
+    figure.savefig(path, dpi=150)
+
+
+if __name__ == "__main__":
+    main()
