@@ -1,39 +1,42 @@
 """Which integrator, of which order, costs least at the same accuracy?
 
-On one core, in tiles of 1024 cells under the same compiler options, repeats interleaved, after
-compilation. First the paper's 50,000 strides by Taylor series of several orders, and with vectors
-of 512 and 256 bits. Then a swing alone, followed for a time of 3 from 8192 starts that lie close
-together: the package's loop, diffrax's `diffeqsolve` with the same Taylor solver, without and with
-a boolean event that reads the state at the end of a step, as that of a stride does; and
-Runge-Kutta, with XLA's sines and with the package's. Each is run at several tolerances, or numbers
-of constant steps; what is printed is the time where its largest error is that of the column.
+On one core, repeats interleaved, after compilation. First the paper's 50,000 strides by Taylor
+series of several orders, by kernels, and by XLA in tiles of 1024 cells with vectors of 512 and 256
+bits. Then a swing alone, followed for a time of 3 from 8192 starts that lie close together: the
+package's loop, by a kernel and by XLA; and, all by XLA in the same tiles, diffrax's `diffeqsolve`
+with the same Taylor solver, without and with a boolean event that reads the state at the end of a
+step, as that of a stride does; and Runge-Kutta, with XLA's sines and with the package's. Each is
+run at several tolerances, or numbers of constant steps; what is printed is the time where its
+largest error is that of the column.
 
-The answer: orders 10 to 16 are alike, 12 is as good as any; Taylor series take a fifth to a
-thirtieth of the time of Runge-Kutta; the loop is 1.3 times as fast as `diffeqsolve` with the same
-solver, and more than twice as fast where that has an event to watch. Vectors of 512 bits take
-three quarters of the time of 256.
+The answer: orders 10 to 16 are alike, 12 is as good as any; a kernel takes a fifth of the time of
+XLA's tiles; Taylor series take a fifth to a fortieth of the time of Runge-Kutta; by XLA, the loop
+is 1.4 times as fast as `diffeqsolve` with the same solver, and more than twice as fast where that
+has an event to watch.
 
     Strides, by Taylor series: us each
     largest error                         1e-08    1e-09    1e-10  compile
-    order 8, 512 bits                      2.38     3.04     3.83    3.5 s
-    order 10, 512 bits                     1.50     1.78     2.12    5.2 s
-    order 12, 512 bits                     1.47     1.68     1.91    4.3 s
-    order 14, 512 bits                     1.56     1.75     2.03    5.3 s
-    order 16, 512 bits                     1.51     1.64     1.84    5.9 s
-    order 12, 256 bits                     1.99     2.26     2.58    4.3 s
+    order 8                                0.82     1.07     1.39    0.3 s
+    order 10                               0.42     0.51     0.62    0.5 s
+    order 12                               0.39     0.45     0.52    0.5 s
+    order 14                               0.43     0.48     0.54    0.7 s
+    order 16                               0.38     0.41     0.46    0.5 s
+    XLA, 512 bits                          2.04     2.33     2.67    2.7 s
+    XLA, 256 bits                          2.43     2.78     3.18    2.5 s
 
     Swings for a time of 3: us each
     largest error                         1e-08    1e-10    1e-12  compile
-    integrate_until                        0.73     0.89     1.22    2.9 s
-    diffeqsolve, Taylor                    1.05     1.23     1.59    3.5 s
-    diffeqsolve, Taylor, event             1.78     2.20     2.66    5.4 s
-    diffeqsolve, Taylor, constant          0.49     0.65     0.89    2.4 s
-    diffeqsolve, Dopri8                    6.71    10.15    15.21    2.5 s
-    diffeqsolve, Dopri8, our sines         4.15     6.12     9.04    2.2 s
-    diffeqsolve, Dopri8, constant          3.97     6.93    12.11    1.8 s
-    diffeqsolve, Tsit5                     7.58    15.77    39.55    2.1 s
-    diffeqsolve, Tsit5, our sines          4.03     8.27    20.70    2.7 s
-    diffeqsolve, Tsit5, constant           6.73    14.39    35.50    1.6 s
+    integrate_until, kernel                0.29     0.36     0.46    0.4 s
+    integrate_until                        0.52     0.69     0.95    1.9 s
+    diffeqsolve, Taylor                    0.80     0.98     1.29    2.1 s
+    diffeqsolve, Taylor, event             1.53     1.88     2.29    3.6 s
+    diffeqsolve, Taylor, constant          0.30     0.41     0.60    1.5 s
+    diffeqsolve, Dopri8                    6.80    10.33    15.86    2.0 s
+    diffeqsolve, Dopri8, our sines         4.06     5.97     9.20    1.8 s
+    diffeqsolve, Dopri8, constant          3.80     6.68    11.71    1.4 s
+    diffeqsolve, Tsit5                     7.44    15.67    39.01    2.1 s
+    diffeqsolve, Tsit5, our sines          3.88     8.14    20.21    1.9 s
+    diffeqsolve, Tsit5, constant           6.38    14.15    36.35    1.4 s
 """
 
 import argparse
@@ -41,6 +44,7 @@ import inspect
 import os
 import time
 from collections.abc import Callable
+from contextlib import contextmanager, nullcontext
 from functools import partial
 
 if hasattr(os, "sched_setaffinity"):  # one core, before JAX counts them
@@ -52,10 +56,11 @@ import jax.numpy as jnp
 import numpy as np
 
 import walker_jax as wj
+from walker_jax import tiles
 from walker_jax.integrate import ORDER, Taylor, integrate_until, once, step
 from walker_jax.stride import follow_stride, prepared
 from walker_jax.taylor import fast_sines
-from walker_jax.tiles import COMPILER_OPTIONS, compact_order, over_cells
+from walker_jax.tiles import COMPILER_OPTIONS, TILE, compact_order, over_cells
 
 DTYPE = jnp.dtype("float64")
 SWING = 3.0
@@ -68,6 +73,16 @@ def main():
     jax.config.update("jax_enable_x64", True)
     of_strides(args.repeats)
     of_one_swing(args.repeats)
+
+
+@contextmanager
+def by_xla():
+    """Meanwhile there are no kernels."""
+    usual, tiles._kernel = tiles._kernel, lambda *args: None
+    try:
+        yield
+    finally:
+        tiles._kernel = usual
 
 
 def timed(run: Callable):
@@ -102,27 +117,29 @@ def of_strides(repeats: int):
     """The paper's strides, by orders of the series and widths of the processor's vectors."""
     walker = wj.SimplestWalker(0.004)
     grid = wj.Grid.sheared(theta=(0, 0.4, 200), sum=(-0.04, 0.01, 250))
-    xs = np.asarray(jax.vmap(grid.centre)(compact_order(grid.shape)))
+    xs = np.asarray(jax.vmap(grid.centre)(compact_order(grid.shape, TILE["cpu"][0])))
 
     unjitted = inspect.unwrap(follow_stride)  # or its trace would serve every order
 
-    def way(order, width):
+    def way(order, width=None):
         def one(shared, x):
             return unjitted(*prepared(shared[0], x, shared[1]))
 
         def run(tolerance):
             # Looked at when `one` is compiled, that is in its first call.
             ORDER[DTYPE] = order
-            COMPILER_OPTIONS["cpu"] = {"xla_cpu_prefer_vector_width": width}
-            return over_cells(one, (walker, tolerance), xs)
+            COMPILER_OPTIONS["cpu"] = options | {"xla_cpu_prefer_vector_width": width}
+            with by_xla() if width else nullcontext():
+                return over_cells(one, (walker, tolerance), xs)
 
         return run
 
     usual, options = ORDER[DTYPE], COMPILER_OPTIONS["cpu"]
     tolerances = [1e-9, 1e-10, 1e-11, 1e-12, 1e-13]
-    exact = way(16, 512)(1e-15).state
-    choices = [(order, 512) for order in (8, 10, 12, 14, 16)] + [(usual, 256)]
-    ways = {f"order {o}, {w} bits": (way(o, w), tolerances) for o, w in choices}
+    exact = way(16)(1e-15).state
+    orders = 8, 10, 12, 14, 16
+    ways = {f"order {order}": (way(order), tolerances) for order in orders}
+    ways |= {f"XLA, {bits} bits": (way(usual, bits), tolerances) for bits in (512, 256)}
     targets = [1e-8, 1e-9, 1e-10]
     print("Strides, by Taylor series: us each")
     compare(ways, lambda result: np.nanmax(np.abs(result.state - exact)), len(xs), repeats, targets)
@@ -133,10 +150,14 @@ def of_one_swing(repeats: int):
     """The swing alone, without events: the equations followed for a time of 3."""
     walker = wj.SimplestWalker(0.004)
     grid = wj.Grid.sheared(theta=(0.1, 0.3, 128), sum=(-0.03, 0.0, 64))
-    xs = np.asarray(jax.vmap(grid.centre)(compact_order(grid.shape)))
+    xs = np.asarray(jax.vmap(grid.centre)(compact_order(grid.shape, TILE["cpu"][0])))
 
-    def way(one):
-        return lambda setting: over_cells(one, (walker, setting), xs)
+    def way(one, xla=True):
+        def run(setting):
+            with by_xla() if xla else nullcontext():
+                return over_cells(one, (walker, setting), xs)
+
+        return run
 
     def finite(state):  # reads all of a state, as the condition of a heel strike does
         return jnp.isfinite(sum(state))
@@ -192,6 +213,7 @@ def of_one_swing(repeats: int):
     taylor, tolerances = Taylor(ORDER[DTYPE]), [10.0**-k for k in range(6, 14)]
     tsit5, dopri8 = diffrax.Tsit5(), diffrax.Dopri8()
     ways = {
+        "integrate_until, kernel": (way(lambda *args: loop(*args), xla=False), tolerances),
         "integrate_until": (way(loop), tolerances),
         "diffeqsolve, Taylor": (by_diffrax(taylor), tolerances),
         "diffeqsolve, Taylor, event": (by_diffrax(taylor, event=True), tolerances),

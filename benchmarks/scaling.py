@@ -7,7 +7,13 @@ process with a map of a hundred cells. The result itself takes 4 bytes a cell. T
 
 The answer: strides per second do not fall, and memory is 12 bytes a cell.
 
-TABLE
+           cells  seconds   strides/s     MiB  bytes a cell
+          10,000    0.005   2,055,588       0           0.0
+          99,856    0.044   2,284,136       0           1.3
+       1,000,000    0.278   3,593,092      12          12.1
+       9,998,244    3.031   3,298,879     114          12.0
+     100,000,000   27.883   3,586,421    1148          12.0
+    walker-jax basin: 4.6 s at first, 3.8 s again
 """
 
 import argparse
@@ -90,16 +96,19 @@ def main():
 def draw(rows: list[dict], path: Path) -> None:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(6.4, 3.6), layout="constrained")
-    ax = figure.add_subplot()
+    figure = Figure(figsize=(6.4, 4.2), layout="constrained")
+    above, below = figure.subplots(2, 1, sharex=True)
     cells = [row["cells"] for row in rows]
-    ax.plot(cells, [row["cells"] / row["seconds"] / 1e6 for row in rows], "o-", color="#0072b2")
-    ax.set(xscale="log", xlabel="cells", ylabel="million strides per second", ylim=(0, None))
-    right = ax.twinx()
-    right.plot(cells, [row["bytes"] / 2**30 for row in rows], "s--", color="#d55e00")
-    right.set(ylabel="memory, GiB", ylim=(0, None))
-    ax.yaxis.label.set_color("#0072b2")
-    right.yaxis.label.set_color("#d55e00")
+    speeds = [row["cells"] / row["seconds"] / 1e6 for row in rows]
+    above.plot(cells, speeds, "o-", color="#0072b2")
+    above.set(ylabel="million strides\nper second", ylim=(0, 1.15 * max(speeds)))
+    below.plot(cells, [row["bytes"] / 2**20 for row in rows], "o-", color="#0072b2", label="peak")
+    result = [4 * row["cells"] / 2**20 for row in rows]
+    below.plot(cells, result, "--", color="#767676", label="the result itself")
+    below.set(xscale="log", yscale="log", xlabel="cells", ylabel="memory, MiB", ylim=(0.1, None))
+    below.legend(frameon=False)
+    for ax in (above, below):
+        ax.spines[["top", "right"]].set_visible(False)
     figure.savefig(path, dpi=150)
 
 

@@ -100,8 +100,8 @@ def stride(
 
     Works under `jax.jit`, `jax.vmap` and `jax.jacfwd`, in the dtype of x, float32 or float64. The
     derivative of a `MultibodyWalker`'s stride takes XLA minutes to compile, unless under
-    `jax.jit(..., compiler_options={"xla_cpu_use_fusion_emitters": False})`, as `find_gait` and
-    `gait_derivatives` do it.
+    `jax.jit(..., compiler_options={"xla_cpu_use_fusion_emitters": False})`; `find_gait` and
+    `gait_derivatives` compile theirs in seconds, by another way (`kernels`).
 
     **Arguments:**
 
