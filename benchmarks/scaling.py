@@ -102,10 +102,12 @@ def draw(rows: list[dict], path: Path) -> None:
     speeds = [row["cells"] / row["seconds"] / 1e6 for row in rows]
     above.plot(cells, speeds, "o-", color="#0072b2")
     above.set(ylabel="million strides\nper second", ylim=(0, 1.15 * max(speeds)))
-    below.plot(cells, [row["bytes"] / 2**20 for row in rows], "o-", color="#0072b2", label="peak")
+    seen = [row for row in rows if row["bytes"] > 4 * row["cells"]]  # above the earlier peak
+    peaks = [row["bytes"] / 2**20 for row in seen]
+    below.plot([row["cells"] for row in seen], peaks, "o-", color="#0072b2", label="peak")
     result = [4 * row["cells"] / 2**20 for row in rows]
     below.plot(cells, result, "--", color="#767676", label="the result itself")
-    below.set(xscale="log", yscale="log", xlabel="cells", ylabel="memory, MiB", ylim=(0.1, None))
+    below.set(xscale="log", yscale="log", xlabel="cells", ylabel="memory, MiB")
     below.legend(frameon=False)
     for ax in (above, below):
         ax.spines[["top", "right"]].set_visible(False)

@@ -16,25 +16,25 @@ row in the same repeat (median, least and greatest). `wrong` counts the outcomes
 of the tests' reference. Then a heavier job: walkers from a million cells of the same window, each
 followed until it falls or is within 1e-6 of the gait, by this project and by heyoka.
 
-The answer: 12 ms on two cores, a tenth of heyoka's time and a hundredth or less of what diffrax
+The answer: 16 ms on two cores, a tenth of heyoka's time and less than a hundredth of what diffrax
 alone takes.
 
     2 cores, AMD EPYC; jax 0.10.2, diffrax 0.7.2, heyoka 7.13.2; 50000 strides, 5 repeats
-                                      seconds  strides/s        times as long  compile   error wrong
-    walker_jax, 1e-11                   0.016  3,159,884              1 (1-1)      0.7   3e-09     0
-    walker_jax, 1e-12, its own          0.016  3,130,518    1.02 (0.937-1.17)      0.0   2e-10     0
-    heyoka, batches of 8, 1e-11         0.224    223,415       13.7 (10.7-15)      2.9   3e-09     0
-    heyoka, batches of 16, 1e-11        0.159    315,047     10.7 (7.18-10.9)      0.2   3e-09     0
-    heyoka, batches of 32, 1e-11        0.149    334,622     9.83 (6.86-10.9)      0.2   3e-09     0
-    vmap(diffeqsolve), Dopri8, 1e-12    6.996      7,147        430 (383-592)      5.2   5e-09     8
-    the same, batches of 1000           3.075     16,261        192 (143-221)      5.2   5e-09     9
-    vmap(diffeqsolve), Tsit5, 1e-11     7.476      6,688        467 (347-599)      4.9   5e-09     1
-    scipy, DOP853, 1e-11, one core     84.312        593    5,350 (3,920-8,340)      0.0   3e-10     1
+                                      seconds strides/s       times as long  compile   error wrong
+    walker_jax, 1e-11                   0.016 3,159,884             1 (1-1)      0.7   3e-09     0
+    walker_jax, 1e-12, its own          0.016 3,130,518   1.02 (0.937-1.17)      0.0   2e-10     0
+    heyoka, batches of 8, 1e-11         0.224   223,415      13.7 (10.7-15)      2.9   3e-09     0
+    heyoka, batches of 16, 1e-11        0.159   315,047    10.7 (7.18-10.9)      0.2   3e-09     0
+    heyoka, batches of 32, 1e-11        0.149   334,622    9.83 (6.86-10.9)      0.2   3e-09     0
+    vmap(diffeqsolve), Dopri8, 1e-12    6.996     7,147       430 (383-592)      5.2   5e-09     8
+    the same, batches of 1000           3.075    16,261       192 (143-221)      5.2   5e-09     9
+    vmap(diffeqsolve), Tsit5, 1e-11     7.476     6,688       467 (347-599)      4.9   5e-09     1
+    scipy, DOP853, 1e-11, one core     84.312       593   5,350 (3,920-8,340)      0.0   3e-10     1
 
     A basin of 1000 x 1000 cells, followed directly; 3 repeats
-                                      seconds  strides/s        times as long    walk
-    walker_jax, 1e-11                    1.02  2,721,751              1 (1-1)   60392
-    heyoka, batches of 16, 1e-11         8.76    315,657      8.9 (5.34-8.97)   60392
+                                      seconds strides/s       times as long    walk
+    walker_jax, 1e-11                    1.02 2,721,751             1 (1-1)   60392
+    heyoka, batches of 16, 1e-11         8.76   315,657     8.9 (5.34-8.97)   60392
 """
 
 import argparse
@@ -360,14 +360,14 @@ def main():
             f"{cores} cores, {processor()}; jax {jax.__version__}, diffrax {diffrax.__version__}, "
             f"heyoka {heyoka.__version__}; {len(xs)} strides, {args.repeats} repeats"
         )
-        print(f"{'':33}{'seconds':>8}{'strides/s':>11}{'times as long':>21}", end="")
+        print(f"{'':33}{'seconds':>8}{'strides/s':>10}{'times as long':>20}", end="")
         print(f"{'compile':>9}{'error':>8}{'wrong':>6}")
         first = [times["walker_jax, 1e-11"] for times in rounds]
         for name in ways:
             seconds = [times[name] for times in rounds]
             median, (error, off) = np.median(seconds), accuracy[name]
             print(
-                f"{name:33}{median:8.3f}{len(xs) / median:11,.0f}{spread(seconds, first):>21}"
+                f"{name:33}{median:8.3f}{len(xs) / median:10,.0f}{spread(seconds, first):>20}"
                 f"{compiling[name]:9.1f}{error:8.0e}{off:6d}"
             )
 
@@ -384,7 +384,7 @@ def main():
             for name, strides in both.items():
                 repeats[name].append(timed(lambda strides=strides: followed(strides, starts)))
         print(f"\nA basin of {side} x {side} cells, followed directly; 3 repeats")
-        print(f"{'':33}{'seconds':>8}{'strides/s':>11}{'times as long':>21}{'walk':>8}")
+        print(f"{'':33}{'seconds':>8}{'strides/s':>10}{'times as long':>20}{'walk':>8}")
         for name, results in repeats.items():
             seconds = [one for one, _ in results]
             first = [one for one, _ in repeats["walker_jax, 1e-11"]]

@@ -173,6 +173,12 @@ def test_a_slice_is_followed_directly_and_a_grid_has_the_dimensions_of_the_secti
         wj.basin(walker, wj.Grid.sheared(**PAPER), "direct")
     with pytest.raises(ValueError, match="2 dimensions of the section"):
         wj.basin(wj.SimplestWalker(0.004), layer, "direct")
+    shape = {"theta": (0, 0.4, 4), "thetadot": (-0.1, 0, 4)}
+    wrong = wj.Grid.plain(theta=(0, 0.4, 4), phidot=(-0.1, 0, 4), thetadot=0.0)
+    unknown = wj.Grid.plain(**shape, turn=0.0)
+    for grid in (wrong, unknown):
+        with pytest.raises(ValueError, match="in the order of the section"):
+            wj.basin(walker, grid, "direct")
     with pytest.raises(ValueError, match="region must have the 3 dimensions"):
         wj.find_gaits(walker, 1, layer)
 

@@ -443,3 +443,10 @@ def test_slices_that_are_none(make, named):
     with pytest.raises(ValueError, match=named) as error:
         make()
     assert "\n" not in str(error.value)
+
+
+def test_truth_values_are_no_coordinates_and_a_grid_has_an_axis():
+    with pytest.raises(ValueError, match=r"phidot=True: an axis is"):
+        Grid.plain(theta=(0, 1, 3), thetadot=(0, 1, 3), phidot=True)
+    with pytest.raises(ValueError, match=r"axes=.*at least one axis"):
+        Grid.plain(theta=1.0, thetadot=2.0)

@@ -387,6 +387,18 @@ def test_a_walker_with_three_dimensions_has_a_gait_a_slice_and_a_basin(run, tmp_
     assert (tmp_path / "w.png").stat().st_size > 10_000
 
 
+def test_a_place_that_is_taken_is_refused_before_a_gait_is_searched_for(run, tmp_path, monkeypatch):
+    monkeypatch.setattr(cli, "gait_of", lambda walker: pytest.fail("a search"))
+    (tmp_path / "basin.png").write_bytes(b"mine")
+    code, out, err = run("basin", "--walker", "round-foot")
+    assert code == 2 and out == "" and "basin.png" in err and err.count("\n") == 1
+    assert (tmp_path / "basin.png").read_bytes() == b"mine"
+    code, _, err = run(
+        "basin", "--walker", "round-foot", "--theta", "1", "0", "9", "--out", "b.zarr"
+    )
+    assert code == 2 and "low must be below high" in err
+
+
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [

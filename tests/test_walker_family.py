@@ -593,6 +593,67 @@ def test_strides_are_those_of_free_bodies_held_at_their_joints(cls):
     assert walks >= 4
 
 
+# Ways to fail
+
+
+def test_a_heel_strike_may_turn_a_walker_back():
+    """With heavy legs the impact may leave the new stance leg turning back, the foot lifting."""
+    walker = RoundFootWalker(0.2113, 0.2293, 0.5035, 0.287, 1.0, 0.3853, -0.1476, 0.3712)
+    x = np.array([0.4695, -0.3179, 0.0358])
+    result = wj.stride(walker, x)
+    assert result.outcome == Outcome.BACKWARD and np.isnan(result.state).all()
+    assert strides([walker], x[None]).outcome[0] == Outcome.BACKWARD
+    # an independent solution comes to the heel strike, after which the walker goes back
+    times = np.linspace(0, 5, 5001)
+    motion = wj.trajectory(walker, x, times)
+    h = np.asarray(walker.contact(motion))
+    (strike, *_) = np.flatnonzero((h[:-1] < 0) & (h[1:] >= 0) & (np.asarray(motion.theta)[1:] < 0))
+    assert np.all(np.asarray(motion.thetadot)[: strike + 1] < 0)
+    arrival = State(*(leaf[strike] for leaf in motion))
+    (_, lift), after = walker.impact(arrival)
+    assert lift > 0 and walker.exchange_legs(after).thetadot > 0.1
+
+
+class Uneven(wj.HeavyLegWalker):
+    """A walker whose swing leg is longer than its stance leg."""
+
+    slope: jax.Array
+    longer: jax.Array
+
+    def system(self):
+        return RoundFootWalker(self.slope).system()
+
+    def swing_foot(self, q):
+        hip = q[:2] + jnp.stack([-jnp.sin(q[2]), jnp.cos(q[2])])
+        swing = q[2] - q[3]
+        return hip - (1 + self.longer) * jnp.stack([-jnp.sin(swing), jnp.cos(swing)])
+
+
+def test_legs_that_are_not_alike_are_refused():
+    assert Uneven(jnp.asarray(0.01), jnp.asarray(0.0)).longer == 0
+    with pytest.raises(ValueError, match="swing_foot of Uneven must be on the slope"):
+        Uneven(jnp.asarray(0.01), jnp.asarray(0.01))
+
+
+@pytest.mark.parametrize(
+    ("walker", "named"),
+    [
+        (RoundFootWalker(0.01), None),
+        (jax.vmap(RoundFootWalker)(jnp.array([0.01, 0.02, 0.03])), None),
+        (jax.vmap(RoundFootWalker)(jnp.array([0.01, 0.02])), r"slope .*3, not of shape \(2,\)"),
+        (jax.vmap(RoundFootWalker)(jnp.array([0.01, -0.02, 0.03])), r"slope .*-0.02"),
+        (jax.vmap(RoundFootWalker)(jnp.array([0.01, jnp.nan, 0.03])), r"slope .*nan"),
+    ],
+)
+def test_parameters_that_are_arrays_are_checked(walker, named):
+    xs = np.tile(GAITS[RoundFootWalker][1], (3, 1))
+    if named is None:
+        assert wj.strides(walker, xs).outcome.shape == (3,)
+        return
+    with pytest.raises(ValueError, match=named):
+        wj.strides(walker, xs)
+
+
 # Gaits that others found
 
 
@@ -1073,7 +1134,7 @@ def test_one_walker_is_as_many_that_are_equal():
 @pytest.mark.slow
 def test_strides_are_compiled_once_for_all_kinds_of_numbers():
     xs = np.array([GAIT["state"]])
-    compiled = lambda: sum(run._cache_size() for run in tiles._cache.values())
+    compiled = lambda: len(tiles._kernels)
     wj.strides(SimplestWalker(0.009), xs)
     count = compiled()
     for slope in (0.008, np.float64(0.008), jnp.asarray(0.007, float), np.float32(0.006)):
