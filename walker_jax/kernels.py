@@ -14,8 +14,7 @@ What comes out is what XLA computes, to rounding. Programs are compiled for the 
 import ctypes
 import math
 import time
-from collections import ChainMap
-from collections.abc import Callable, MutableMapping
+from collections.abc import Callable
 from typing import Any, no_type_check
 
 import jax
@@ -58,7 +57,6 @@ class Writer(Unrolling):
         super().__init__()
         self.builder = builder
         self.lanes = lanes
-        self.known: MutableMapping = ChainMap()
         self.active: Any = None
         """Which lanes are at work, where not all are."""
 
@@ -228,8 +226,7 @@ class Writer(Unrolling):
         for phi, value in zip(phis, initial, strict=True):
             phi.add_incoming(value, before)
 
-        outside, self.known = self.known, ChainMap({}, self.known)
-        lanes = self.active
+        known, lanes = len(self.known), self.active
         values = self.gathered(phis, avals)
         ((going,),) = map(np.ravel, interpret(condition, *of_condition, *values))
         going = self.vector(going, bool)
@@ -248,7 +245,9 @@ class Writer(Unrolling):
             phi.add_incoming(new, builder.block)
         builder.branch(head)
         builder.position_at_end(done)
-        self.known, self.active = outside, lanes
+        self.active = lanes
+        while len(self.known) > known:  # of what came before or after a loop, none is from inside
+            self.known.popitem()
         return self.gathered(phis, avals)
 
     def choice(self, params: dict, operands: list[np.ndarray]) -> list[np.ndarray]:

@@ -9,7 +9,7 @@ zeros and ones drop out, equal terms are computed once, and what moves entries a
 
 import functools
 import math
-from collections.abc import Callable, MutableMapping
+from collections.abc import Callable
 from itertools import product
 from typing import Any, no_type_check
 
@@ -73,7 +73,7 @@ class Unrolling:
     """
 
     def __init__(self):
-        self.known: MutableMapping = {}
+        self.known: dict = {}
         """Results by primitive, parameters and operands: equal terms are computed once."""
         self.kept: list = []
         """Operands of those, lest another object takes one's identity."""

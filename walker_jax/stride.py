@@ -114,7 +114,12 @@ def stride(
     **Returns** a `Stride`. A failure is an `Outcome`. `ValueError` for a wrong shape or dtype, and
     for a tolerance that the dtype cannot hold.
     """
-    return follow_stride(*prepared(walker, x, tolerance))
+    walker, x, tolerance = prepared(walker, x, tolerance)
+    traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((walker, x, tolerance)))
+    if not traced and jax.local_devices()[0].platform == "cpu":  # a kernel compiles faster
+        result = strides(walker, x[None], tolerance=tolerance)
+        return Stride(*(jnp.asarray(leaf[0]) for leaf in result))
+    return follow_stride(walker, x, tolerance)
 
 
 def prepared(
