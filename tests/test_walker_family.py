@@ -606,7 +606,12 @@ def test_a_heel_strike_may_turn_a_walker_back():
     field = jax.jit(lambda y: jnp.stack(walker.vector_field(State(*y))))
     times = np.linspace(0, 5, 5001)
     motion = solve_ivp(
-        lambda t, y: field(y), (0, 5), walker.lift(x), t_eval=times, rtol=1e-9, atol=1e-9
+        lambda t, y: field(y),
+        (0, 5),
+        walker.lift(jnp.asarray(x)),
+        t_eval=times,
+        rtol=1e-9,
+        atol=1e-9,
     ).y
     h = motion[1] - 2 * motion[0]
     (strike, *_) = np.flatnonzero((h[:-1] < 0) & (h[1:] >= 0) & (motion[0, 1:] < 0))

@@ -11,8 +11,11 @@ twice, and what lies between start and end of a cell never leaves the core.
 What comes out is what XLA computes, to rounding. Programs are compiled for the processor at hand.
 """
 
+import contextlib
 import ctypes
+import functools
 import math
+import sys
 import time
 from collections.abc import Callable
 from typing import Any, no_type_check
@@ -101,7 +104,7 @@ class Writer(Unrolling):
         """A function of the C library, one cell after the other."""
         kind, builder = self.scalar_type(dtype), self.builder
         full = name + ("f" if dtype == np.float32 else "")
-        if llvm.address_of_symbol(full) is None:
+        if not in_library(full):
             raise NoKernel(name)
         function = builder.module.globals.get(full)
         if function is None:
@@ -327,6 +330,19 @@ def runs_once(condition: Jaxpr, body: Jaxpr, carry: list, count: int, more: int)
     place = condition.invars.index(flag)
     first, last = carry[place][()], body.outvars[place]
     return is_number(first) and not first and isinstance(last, Literal) and bool(last.val)
+
+
+# Where the C library has its mathematics.
+LIBRARY = {"linux": "libm.so.6", "darwin": "/usr/lib/libSystem.B.dylib", "win32": "ucrtbase"}
+
+
+@functools.cache
+def in_library(name: str) -> bool:
+    """Whether the C library has a function that programs can call."""
+    if llvm.address_of_symbol(name) is None and sys.platform in LIBRARY:
+        with contextlib.suppress(RuntimeError):  # it is not there
+            llvm.load_library_permanently(LIBRARY[sys.platform])
+    return llvm.address_of_symbol(name) is not None
 
 
 FAST = ("contract",)

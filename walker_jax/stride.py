@@ -297,38 +297,56 @@ def pulls(
     between: Callable[[Scalar], State],
     time: Scalar,
 ) -> Bool[Array, ""]:
-    """Whether Q_v is negative in between two states of a motion, `time` apart.
+    """Whether Q_v is negative in between two states of a motion, `time` apart."""
+    _, least = least_force(walker, before, after, between, time, resolution=1e-6, above=0.0)
+    return least < 0
 
-    It is where its least value is, at a root of its rate, bracketed by secants (Illinois). The
-    value there is right to the square of what the time is right to.
+
+def least_force(
+    walker: Walker,
+    before: State,
+    after: State,
+    between: Callable[[Scalar], State],
+    time: Scalar,
+    *,
+    resolution: float,
+    above: float = -np.inf,
+) -> tuple[Scalar, Scalar]:
+    """When Q_v is least in between two states of a motion, `time` apart, and its value.
+
+    That is at a root of its rate, bracketed by secants (Illinois), to a part of `time`, or until
+    the value is not `above` some number. It is infinite where Q_v has no least value in between.
+    The value is right to the square of what the time is right to. Constants to derivatives.
     """
+    walker, before, after = lax.stop_gradient((walker, before, after))
     look = fast_sines(partial(normal_force, walker))
-    ends = lax.stop_gradient((look(before)[1], look(after)[1], time))
+    below, beyond, time = look(before)[1], look(after)[1], lax.stop_gradient(time)
     zero = jnp.zeros_like(time)
 
     def unfinished(carry):
         low, high, *_, least = carry
-        return (high - low > 1e-6 * time) & (least > 0)
+        return (high - low > resolution * time) & (least > above)
 
     def narrow(carry):
-        low, high, below, above, least = carry
-        t = low + (high - low) * jnp.clip(below / (below - above), 0.01, 0.99)
-        force, rate = look(between(t))
+        low, high, below, beyond, best, least = carry
+        t = low + (high - low) * jnp.clip(below / (below - beyond), 0.01, 0.99)
+        force, rate = look(lax.stop_gradient(between(t)))
         falling = rate < 0
         # An end that stays counts half as much the next time.
         return (
             jnp.where(falling, t, low),
             jnp.where(falling, high, t),
             jnp.where(falling, rate, below / 2),
-            jnp.where(falling, above / 2, rate),
+            jnp.where(falling, beyond / 2, rate),
+            jnp.where(force < least, t, best),
             jnp.minimum(least, force),
         )
 
-    below, above, time = ends
-    active = (below < 0) & (above > 0)
+    active = (below < 0) & (beyond > 0)
     high = jnp.where(active, time, zero)
-    carry = (zero, high, below, above, jnp.full_like(time, jnp.inf))
-    return lax.while_loop(unfinished, narrow, carry)[-1] < 0
+    carry = (zero, high, below, beyond, zero, jnp.full_like(time, jnp.inf))
+    *_, best, least = lax.while_loop(unfinished, narrow, carry)
+    return best, least
 
 
 def strides(

@@ -158,6 +158,18 @@ def parameters(walker: type[Walker] | Walker) -> tuple[Parameter, ...]:
 SLOPE = Parameter("slope", "of the ground", "rad", 0.004, high=np.pi / 2)
 
 
+def toppling_rate(walker: Walker) -> Scalar:
+    """The rate at which a walker topples, legs together, from rest.
+
+    To first order thetaddot = rate^2 (theta - slope).
+    """
+    slope = vars(walker)["slope"]
+    zero, one = jnp.zeros_like(slope), jnp.ones_like(slope)
+    upright, falling = State(slope, zero, zero, zero), State(one, zero, zero, zero)
+    _, change = jax.jvp(walker.vector_field, (upright,), (falling,))
+    return jnp.sqrt(jnp.abs(change.thetadot))
+
+
 class PointFeetWalker(Walker):
     """Walkers on point feet, with no mass on the legs but at their ends.
 
@@ -508,16 +520,11 @@ class HeavyLegWalker(MultibodyWalker):
     def gait_region(self):
         """Starts with the speed that takes the stance leg about to its dead point.
 
-        Rates are counted in that at which the walker topples, legs together, from rest:
-        thetaddot = rate^2 (theta - slope) to first order. Along phidot, whatever legs may do.
+        Rates are counted in that of toppling. Along phidot, whatever legs may do.
         """
         dtype = jnp.asarray(0.0).dtype
         walker = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), self)
-        zero, one = jnp.zeros((), dtype), jnp.ones((), dtype)
-        upright = State(walker.slope, zero, zero, zero)
-        falling = State(one, zero, zero, zero)
-        _, change = jax.jvp(walker.vector_field, (upright,), (falling,))
-        rate = float(jnp.sqrt(jnp.abs(change.thetadot)))
+        rate = float(toppling_rate(walker))
         widest = 0.6
         axes = {
             "theta": (0, widest, 30),

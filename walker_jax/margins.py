@@ -1,0 +1,305 @@
+"""By how much a stride misses each way to fail.
+
+A margin is a smooth function of start and parameters that is positive where the walker passes, and
+zero on the boundary to a failure. The first failure on a stride's way decides its outcome: its
+margin is negative; those of what was passed before are positive; what never came up has NaN.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.core import Tracer
+from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float
+
+from walker_jax.integrate import (
+    MAX_STEPS,
+    Real,
+    default_tolerance,
+    first_rise,
+    order_of,
+    polynomial,
+    rising_root,
+    step_length,
+)
+from walker_jax.stride import (
+    Outcome,
+    Stride,
+    as_floating,
+    begin,
+    end,
+    equations,
+    least_force,
+    prepared,
+)
+from walker_jax.taylor import evaluate, fast_sines, function_series, solution_series
+from walker_jax.tiles import over_cells
+from walker_jax.walkers import MasslessFeetWalker, Scalar, State, Walker, toppling_rate
+
+
+class Margins(NamedTuple):
+    """A stride, and by how much it misses each way to fail."""
+
+    stride: Stride
+    backward: Float[Array, "*cells"]
+    """Speed where the stance leg is slowest, as thetadot^2 / 2; where it stops, minus what is
+    missing, (thetaddot / rate)^2 / 2 with the rate of toppling. Of walkers on massless feet, both
+    are the energy above that at the top, thetadot^2 / 2 + cos(theta - slope) - 1. After an impact
+    that turns the next stance leg back, minus thetadot^2 / 2 of that."""
+    forward: Float[Array, "*cells"]
+    """How far the swing leg passes the contact, -h at the turning point of its swing; or how far
+    ahead of the stance foot it comes down, -theta at heel strike, where that is less. In a fall,
+    the greatest of these: minus by how much the foot is too low where it turns, or minus the theta
+    at which it scuffs. If it never does either: where the foot rises most slowly, or if it does not
+    do that, at the end."""
+    running: Float[Array, "*cells"]
+    """The least contact force Q_v up to heel strike; or that at the start, where it is negative."""
+    stopping: Float[Array, "*cells"]
+    """Velocity v of the trailing foot after the impact."""
+
+
+def margins(
+    walker: Walker, x: Float[ArrayLike, " coordinates"], *, tolerance: Real | None = None
+) -> Margins:
+    """One stride, as `stride` makes it, and its margins.
+
+    Arguments and errors are those of `stride`. Forward-mode derivatives, of the first order, are right; margins are smooth but where another
+    instant comes to be the one that counts.
+    """
+    walker, x, tolerance = prepared(walker, x, tolerance)
+    traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((walker, x, tolerance)))
+    if not traced and jax.local_devices()[0].platform == "cpu":  # a kernel compiles faster
+        found = over_cells(margins_of_cell, (walker, tolerance), x[None])
+        return jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), found)
+    return follow_margins(walker, x, tolerance)
+
+
+def margins_of_many(
+    walker: Walker,
+    xs: Float[ArrayLike, "n coordinates"],
+    *,
+    tolerance: Real | None = None,
+    progress: str | None = None,
+) -> Margins:
+    """`margins` for each of n starts, as `strides` makes them; NumPy arrays."""
+    xs = as_floating(xs)
+    if xs.ndim != 2:
+        raise ValueError(f"xs must have shape (n, coordinates), not {xs.shape}")
+    to_dtype = lambda leaf: np.asarray(leaf, xs.dtype)
+    shared = jax.tree.map(to_dtype, (walker, default_tolerance(xs.dtype, tolerance)))
+    return over_cells(margins_of_cell, shared, xs, progress=progress)
+
+
+def margins_of_cell(shared: tuple[Walker, Real], x: Float[Array, " coordinates"]) -> Margins:
+    walker, tolerance = shared
+    return margins(walker, x, tolerance=tolerance)
+
+
+class Following(NamedTuple):
+    """A stride on its way."""
+
+    state: State
+    time: Scalar
+    verdict: Array
+    count: Array
+    backward: Scalar
+    """Infinite until the stance leg has been slowest."""
+    dip: Scalar
+    """How far the foot has come past the contact since it last came up; minus infinity if not."""
+    missed: Scalar
+    """The forward margin if the walker falls from here; minus infinity if there was no chance."""
+    slowest: Scalar
+    """-h where the foot rose most slowly; minus infinity if it has not."""
+    running: Scalar
+    arrival: State
+    strike: Scalar
+    """theta at heel strike, or at the last scuff."""
+
+
+@jax.jit
+def follow_margins(
+    walker: Walker, x: Float[Array, " coordinates"], tolerance: Float[Array, ""]
+) -> Margins:
+    start, verdict = fast_sines(begin)(walker, x)
+    field = equations(walker)
+    order = order_of(field, start)
+    rate = fast_sines(toppling_rate)(walker)
+
+    def contact_force(state: State) -> Scalar:
+        return fast_sines(lambda walker, state: walker.contact_force(state)[1])(walker, state)
+
+    def undecided(now: Following):
+        going = (now.verdict == Outcome.UNDECIDED) & (now.count < MAX_STEPS)
+        return going & jnp.isfinite(now.time)
+
+    def advance(now: Following) -> Following:
+        series = solution_series(field, now.state, order)
+        length = step_length(series, tolerance)
+        after = polynomial(series, length)
+        h = function_series(walker.contact, series)
+        turn = least(h, length)
+        crossed, when = first_rise(h, length)
+        when = when_zero(h, when)
+        arrival = polynomial(series, when)
+        ahead = (arrival.theta < 0) & (arrival.theta > -np.pi / 2) & (arrival.thetadot < 0)
+        strikes = crossed & ahead
+        stopped, down = after.thetadot >= 0, after.theta <= -np.pi / 2
+        fallen = stopped | down | fast_sines(lambda w, s: w.past_contact(s))(walker, after)
+        verdict = jnp.where(stopped, Outcome.BACKWARD, Outcome.FORWARD)
+        verdict = jnp.where(fallen, verdict, Outcome.UNDECIDED)
+        verdict = jnp.where(strikes, Outcome.STRIDE, verdict).astype(jnp.int8)
+
+        # the foot
+        depth = -evaluate(h, turn.time)
+        is_ahead = evaluate(series.phi, turn.time) < 0
+        dip = jnp.where(turn.exists & (depth > 0), jnp.maximum(now.dip, depth), now.dip)
+        missed = jnp.where(
+            turn.exists & (depth <= 0) & is_ahead, jnp.maximum(now.missed, depth), now.missed
+        )
+        scuffs = crossed & (arrival.theta >= 0)
+        missed = jnp.where(scuffs, jnp.maximum(missed, -arrival.theta), missed)
+        hdot = derivative_of(h)
+        slow = least(hdot, length)
+        rising = slow.exists & (evaluate(hdot, slow.time) > 0)
+        rising &= evaluate(series.phi, slow.time) < 0
+        slowest = jnp.maximum(now.slowest, -evaluate(h, slow.time))
+        slowest = jnp.where(rising, slowest, now.slowest)
+
+        # the stance leg
+        speed = derivative_of(series.theta)
+        slowing = least([-c for c in speed], length)
+        until = jnp.where(strikes, when, length)
+        counts = slowing.exists & (slowing.time < until)
+        left = evaluate(speed, slowing.time) ** 2 / 2
+        backward = jnp.where(counts, jnp.minimum(now.backward, left), now.backward)
+        stop = rising_root(
+            lambda t: (evaluate(speed, t), evaluate(derivative_of(speed), t)),
+            jnp.zeros_like(length),
+            lax.stop_gradient(jnp.where(stopped, length, 0.0)),
+        )
+        stop = when_zero(speed, stop)
+        missing = -((evaluate(derivative_of(speed), stop) / rate) ** 2) / 2
+        backward = jnp.where(verdict == Outcome.BACKWARD, missing, backward)
+
+        # the force
+        running = now.running
+        if not walker.force_least_at_ends:
+            other = jax.tree.map(lambda a, b: jnp.where(strikes, a, b), arrival, after)
+            at, value = least_force(
+                walker,
+                now.state,
+                other,
+                lambda t: polynomial(series, t),
+                until,
+                resolution=1e-9,
+            )
+            value = jnp.where(jnp.isfinite(value), contact_force(polynomial(series, at)), value)
+            running = jnp.minimum(running, value)
+        return Following(
+            after,
+            now.time + jnp.where(strikes, when, length),
+            verdict,
+            now.count + 1,
+            backward,
+            jnp.where(scuffs, -jnp.inf, dip),
+            missed,
+            slowest,
+            running,
+            arrival,
+            arrival.theta,
+        )
+
+    first = Following(
+        state=start,
+        time=jnp.zeros_like(rate),
+        verdict=verdict,
+        count=jnp.asarray(0),
+        backward=jnp.full_like(rate, jnp.inf),
+        dip=jnp.full_like(rate, -jnp.inf),
+        missed=jnp.full_like(rate, -jnp.inf),
+        slowest=jnp.full_like(rate, -jnp.inf),
+        running=contact_force(start),
+        arrival=start,
+        strike=start.theta,
+    )
+    last = lax.while_loop(undecided, advance, first)
+    stride = fast_sines(end)(walker, last.arrival, last.time, last.verdict, last.running < 0)
+    return Margins(stride, *fast_sines(seen)(walker, first, last, stride.outcome))
+
+
+def seen(
+    walker: Walker, first: Following, last: Following, outcome: Array
+) -> tuple[Scalar, Scalar, Scalar, Scalar]:
+    """The margins, in their order, from what was seen during a stride."""
+    (_, lift), after = walker.impact(last.arrival)
+    following = walker.exchange_legs(after).thetadot
+    struck = last.verdict == Outcome.STRIDE
+    strode, none = outcome == Outcome.STRIDE, jnp.full_like(lift, jnp.nan)
+    start = first.state
+
+    if isinstance(walker, MasslessFeetWalker):
+        climbs = start.theta > walker.slope
+        energy = start.thetadot**2 / 2 + jnp.cos(start.theta - walker.slope) - 1
+        backward = jnp.where(climbs, energy, none)
+    else:
+        turned_back = struck & (outcome == Outcome.BACKWARD)
+        backward = jnp.where(strode, jnp.minimum(last.backward, following**2 / 2), last.backward)
+        backward = jnp.where(turned_back, -(following**2) / 2, backward)
+        backward = jnp.where(jnp.isfinite(backward), backward, none)
+    backward = jnp.where(first.verdict == Outcome.BACKWARD, -(start.thetadot**2) / 2, backward)
+
+    passed = jnp.where(last.dip > 0, jnp.minimum(last.dip, -last.strike), -last.strike)
+    otherwise = jnp.where(last.slowest > -jnp.inf, last.slowest, walker.contact(last.state))
+    missed = jnp.where(last.missed > -jnp.inf, last.missed, -jnp.abs(otherwise))
+    forward = jnp.where(struck, passed, jnp.where(outcome == Outcome.FORWARD, missed, none))
+
+    pulled = first.verdict == Outcome.RUNNING
+    force = jnp.minimum(last.running, walker.contact_force(last.arrival)[1])
+    running = jnp.where(struck, force, jnp.where(pulled, first.running, none))
+    landed = struck & (outcome != Outcome.RUNNING)
+    stopping = jnp.where(landed, lift, none)
+
+    began = (outcome != Outcome.OUTSIDE) & (outcome != Outcome.UNDECIDED)
+    keep = lambda margin, came: jnp.where(began & came, margin, none)
+    return (
+        keep(backward, ~pulled),
+        keep(forward, ~pulled),
+        keep(running, True),
+        keep(stopping, True),
+    )
+
+
+class Instant(NamedTuple):
+    """When something happens within a step, if it does."""
+
+    exists: Bool[Array, ""]
+    time: Scalar
+
+
+def least(series: list[Scalar], length: Scalar) -> Instant:
+    """Where a polynomial that falls at first in a step, and rises at its end, is least.
+
+    A constant to derivatives: to first order the least value does not depend on it.
+    """
+    series, length = lax.stop_gradient((series, length))
+    slope = derivative_of(series)
+    curvature = derivative_of(slope)
+    exists = (slope[0] < 0) & (evaluate(slope, length) > 0)
+    look = lambda t: (evaluate(slope, t), evaluate(curvature, t))
+    zero = jnp.zeros_like(length)
+    return Instant(exists, rising_root(look, zero, jnp.where(exists, length, zero)))
+
+
+def derivative_of(series: list[Scalar]) -> list[Scalar]:
+    """The coefficients of a polynomial's derivative."""
+    return [k * c for k, c in enumerate(series)][1:]
+
+
+def when_zero(series: list[Scalar], time: Scalar) -> Scalar:
+    """The time at which a polynomial is zero, with its derivatives: a step of Newton's."""
+    value, slope = evaluate(series, time), evaluate(derivative_of(series), time)
+    slope = lax.stop_gradient(jnp.where(slope == 0, 1.0, slope))
+    return lax.stop_gradient(time) - (value - lax.stop_gradient(value)) / slope
