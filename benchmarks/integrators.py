@@ -9,7 +9,7 @@ step, as that of a stride does; and Runge-Kutta, with XLA's sines and with the p
 run at several tolerances, or numbers of constant steps; what is printed is the time where its
 largest error is that of the column.
 
-The answer: orders 10 to 16 are alike, 12 is as good as any; a kernel takes a fifth of the time of
+The answer: orders 10 to 16 are alike; a kernel takes a fifth of the time of
 XLA's tiles; Taylor series take a fifth to a fortieth of the time of Runge-Kutta; by XLA, the loop
 is 1.4 times as fast as `diffeqsolve` with the same solver, and more than twice as fast where that
 has an event to watch.

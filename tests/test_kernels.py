@@ -325,3 +325,66 @@ def test_a_cell_has_the_same_bits_in_any_company():
 def test_what_no_kernel_can_do_is_named(function, named):
     with pytest.raises(NoKernel, match=named):
         run(function, np.ones(3))
+
+
+# What the processor, or LLVM, leaves open
+
+
+def test_integers_without_a_quotient_have_those_of_xla():
+    least = np.iinfo(np.int32).min
+    a = np.array([least, least, 7, -7, 0, 5], np.int32)
+    b = np.array([-1, 0, 0, 0, 0, -1], np.int32)
+    for function in (lax.div, lax.rem):
+        assert_same(function, a, b)
+        assert_same(function, a.astype(np.uint32), b.astype(np.uint32))
+        # by a number that cells share
+        assert_same(lambda s, v, f=function: f(v, s), a, shared=(np.int32(-1),))
+
+
+@pytest.mark.parametrize("dtype", [np.int8, np.int32, np.int64, np.uint8, np.uint32])
+def test_shifts_by_more_bits_than_there_are(dtype):
+    bits = 8 * np.dtype(dtype).itemsize
+    by = np.array([0, 1, bits - 1, bits, bits + 1, 100], dtype).repeat(3)
+    x = np.tile(np.array([1, 77, np.iinfo(dtype).max - 3], dtype), 6)
+    for function in (lax.shift_left, lax.shift_right_arithmetic, lax.shift_right_logical):
+        assert_same(function, x, by)
+        assert_same(lambda x, f=function: f(x, jnp.full_like(x, 100)), x)
+
+
+def test_signs_of_large_unsigned_numbers():
+    assert_same(jnp.sign, np.array([0, 1, 2**31, 2**32 - 1], np.uint32))
+
+
+def test_a_known_choice_of_complex_numbers():
+    def function(x):
+        z = jnp.where(jnp.array(True), lax.complex(x, x + 1), lax.complex(x + 2, x + 3))
+        return z.real, z.imag
+
+    assert_same(function, np.arange(4.0))
+
+
+def test_zero_by_what_is_none():
+    assert_same(lambda x: 0.0 / x, np.array([0.0, np.nan, 2.0, np.inf]))
+
+
+@pytest.mark.parametrize(
+    ("function", "named"),
+    [
+        (lambda x: jnp.prod(jnp.stack([x])[:0]), "reduce_prod"),
+        (lambda x: lax.bitcast_convert_type(x, jnp.uint32)[0], "bitcast"),
+        (lambda x: jax.random.uniform(jax.random.key(0)) + x, "random"),
+        (lambda x: lax.fori_loop(0, 3, lambda i, y: y * 2, x), "scan"),
+    ],
+)
+def test_what_no_kernel_is_made_of_does_not_break(function, named):
+    with pytest.raises(NoKernel, match=named):
+        run(function, np.ones(3))
+
+
+def test_large_arrays_have_no_kernel():
+    with pytest.raises(NoKernel, match="numbers"):
+        run(lambda s, x: jnp.sum(s) * x, np.ones(3), shared=(np.ones(5000),))
+
+
+def test_a_function_may_have_no_results():
+    assert run(lambda x: (), np.ones(3)) == ()

@@ -2,6 +2,7 @@ import os
 import subprocess
 import sys
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -40,6 +41,33 @@ def test_cells_that_are_parts_or_transposes_of_arrays_are_taken_as_they_are():
     cells = {"x": x.T[::2], "i": x[0, ::2]}
     result = over_cells(sum_and_norm, {"offset": 0}, cells)
     np.testing.assert_array_equal(result["scaled"], cells["i"][:, None] * x.T[::2])
+
+
+def scaled(shared, cell):
+    return jnp.sin(jnp.asarray(1, float)) * shared * cell
+
+
+def test_a_kernel_is_made_anew_for_another_mode_of_jax():
+    cells = np.ones(3, np.float32)
+    with jax.numpy_dtype_promotion("standard"):
+        assert over_cells(scaled, 2.0, cells).dtype == np.float64
+        assert over_cells(scaled, jnp.asarray(2.0), cells).dtype == np.float64
+        with jax.enable_x64(False):
+            assert over_cells(scaled, 2.0, cells).dtype == np.float32
+    with pytest.raises(jax.dtypes.TypePromotionError):
+        over_cells(scaled, 2.0, cells)
+
+
+def times(shared, cell):
+    return shared * cell
+
+
+def test_what_is_shared_may_be_of_a_weak_type():
+    cells = np.ones(3, np.float32)
+    for weak in (2, 2.0, jnp.asarray(2.0)):
+        assert over_cells(times, weak, cells).dtype == np.float32
+    with jax.numpy_dtype_promotion("standard"):
+        assert over_cells(times, 2j, cells).dtype == np.complex64
 
 
 def test_strides_by_kernels_and_by_xla_are_the_same_to_rounding(monkeypatch):

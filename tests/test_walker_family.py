@@ -640,6 +640,9 @@ def test_legs_that_are_not_alike_are_refused():
     assert Uneven(jnp.asarray(0.01), jnp.asarray(0.0)).longer == 0
     with pytest.raises(ValueError, match="swing_foot of Uneven must be on the slope"):
         Uneven(jnp.asarray(0.01), jnp.asarray(0.01))
+    slope, longer = jnp.asarray(0.01), jnp.asarray(0.0)
+    assert jax.jit(lambda a: a * Uneven(slope, longer).slope)(2.0) == 0.02
+    assert jax.jit(lambda a: a * RoundFootWalker(slope).slope)(2.0) == 0.02
 
 
 @pytest.mark.parametrize(

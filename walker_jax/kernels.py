@@ -8,7 +8,10 @@ as many cells as one of 512 bits holds. A loop goes on until it has ended for al
 for which it has keep their values. So a slow cell holds up seven others, nothing is computed
 twice, and what lies between start and end of a cell never leaves the core.
 
-What comes out is what XLA computes, to rounding. Programs are compiled for the processor at hand.
+What comes out is what XLA computes, to rounding; but a product with a number known to be zero is
+zero, whatever the other factor. Loops of a known number of turns (`lax.scan`), sorting, indices
+that are computed, and types of 16 bits have no kernel. Programs are compiled for the processor at
+hand.
 """
 
 import contextlib
@@ -33,6 +36,9 @@ from walker_jax.scalars import Unrolling, is_number
 
 BITS = 512
 """Of a vector; LLVM makes shorter ones of it where the processor has no such."""
+
+LARGEST = 1000
+"""Numbers that go into a program, of what cells share and of one cell."""
 
 long_programs = jax.make_user_context(False)
 """Whether a function is traced for a kernel, and so may be longer than XLA has it."""
@@ -66,7 +72,10 @@ class Writer(Unrolling):
     # Types and constants.
 
     def scalar_type(self, dtype):
-        dtype = np.dtype(dtype)
+        try:
+            dtype = np.dtype(dtype)
+        except TypeError:  # one of JAX's own
+            raise NoKernel(str(dtype)) from None
         if dtype.kind == "b":
             return ir.IntType(1)
         if dtype in FLOATS:
@@ -148,6 +157,8 @@ class Writer(Unrolling):
 
     def term(self, primitive: Primitive, params: dict, operands: list, dtypes: list) -> Any:
         name = primitive.name
+        if name == "select_n" and is_number(operands[0]):
+            return operands[1 + int(operands[0])]
         if name in ("select_n", "stop_gradient", "convert_element_type", "copy", "copy_p") and any(
             isinstance(operand, Complex) for operand in operands
         ):
@@ -156,8 +167,6 @@ class Writer(Unrolling):
             dtypes = [real if np.dtype(d).kind == "c" else d for d in dtypes]
             parts = (self.term(primitive, params, part(p), dtypes) for p in ("real", "imag"))
             return Complex(*parts)
-        if name == "select_n" and is_number(operands[0]):
-            return operands[1 + int(operands[0])]
         if name == "stop_gradient":
             return operands[0]
         return super().term(primitive, params, operands, dtypes)
@@ -185,11 +194,14 @@ class Writer(Unrolling):
 
     def keep(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
         if all(is_number(entry) for operand in operands for entry in operand.ravel()):
-            return super().keep(equation, operands)
+            with contextlib.suppress(TypeError):  # a key to random numbers, which has no digits
+                return super().keep(equation, operands)
         raise NoKernel(equation.primitive.name)
 
     def reduce(self, primitive: Primitive, operand: np.ndarray, axes, equation) -> np.ndarray:
         like = equation.outvars[0].aval
+        if operand.size == 0:
+            raise NoKernel(equation.primitive.name)
         moved = np.moveaxis(operand, axes, range(len(axes)))
         result = np.empty(like.shape, object)
         for place in np.ndindex(*like.shape):
@@ -420,10 +432,22 @@ def remainder(writer, params, dtypes, a, b):
 
 
 def whole(writer, dtype, name: str, a, b):
-    """A quotient or remainder of integers, of lanes that do not count too: never by zero."""
-    zero, one = writer.vector(0, dtype), writer.vector(1, dtype)
-    b = writer.builder.select(writer.builder.icmp_signed("==", b, zero), one, b)
-    return getattr(writer.builder, f"{signed(dtype)}{name}")(a, b)
+    """A quotient or remainder of integers, which are what XLA has where there is none.
+
+    The processor must not come to divide by zero, or the least integer by -1, in any lane.
+    """
+    builder, equal = writer.builder, lambda x, value: writer.builder.icmp_signed("==", x, value)
+    zero, one, ones = (
+        writer.vector(value, dtype)
+        for value in (0, 1, -1 if signed(dtype) == "s" else np.iinfo(dtype).max)
+    )
+    none = equal(b, zero)
+    wrong = none
+    if signed(dtype) == "s":
+        least = writer.vector(np.iinfo(dtype).min, dtype)
+        wrong = builder.or_(none, builder.and_(equal(a, least), equal(b, ones)))
+    result = getattr(builder, f"{signed(dtype)}{name}")(a, builder.select(wrong, one, b))
+    return builder.select(none, ones if name == "div" else a, result)
 
 
 def power(writer, params, dtypes, x):
@@ -503,9 +527,10 @@ def sign(writer, params, dtypes, x):
         return builder.select(
             builder.fcmp_ordered("!=", x, zero), writer.intrinsic("copysign", one, x), x
         )
-    negative = builder.ashr(x, writer.vector(8 * np.dtype(dtypes[0]).itemsize - 1, dtypes[0]))
-    negative = builder.or_(negative, one)  # of an unsigned number, 1 or 0
-    return builder.select(builder.icmp_unsigned("==", x, zero), zero, negative)
+    unit = one
+    if signed(dtypes[0]) == "s":
+        unit = builder.select(builder.icmp_signed("<", x, zero), writer.vector(-1, dtypes[0]), one)
+    return builder.select(builder.icmp_unsigned("==", x, zero), zero, unit)
 
 
 def rounding(writer, params, dtypes, x):
@@ -521,7 +546,24 @@ def clamp(writer, params, dtypes, low, x, high):
     return RULES["min"](writer, {}, dtypes, RULES["max"](writer, {}, dtypes, x, low), high)
 
 
+def shift(name: str):
+    """By as many bits as there are, or more, nothing but the sign is left."""
+
+    def rule(writer, params, dtypes, x, by):
+        builder, last = writer.builder, 8 * np.dtype(dtypes[0]).itemsize - 1
+        inside = builder.icmp_unsigned("<=", by, writer.vector(last, dtypes[0]))
+        arithmetic = name == "ashr"
+        outside = writer.vector(last if arithmetic else 0, dtypes[0])
+        shifted = getattr(builder, name)(x, builder.select(inside, by, outside))
+        zero = writer.vector(0, dtypes[0])
+        return shifted if arithmetic else builder.select(inside, shifted, zero)
+
+    return rule
+
+
 def bits(writer, params, dtypes, x):
+    if np.dtype(params["new_dtype"]).itemsize != np.dtype(dtypes[0]).itemsize:
+        raise NoKernel("bitcast_convert_type")
     return writer.builder.bitcast(x, writer.type(params["new_dtype"]))
 
 
@@ -537,7 +579,7 @@ def elementary(name: str, of_float32: Callable | None = None):
 
 
 def log_float32(x):
-    """log(x), right to about 1e-7 of the larger of it and 1."""
+    """log(x) of a normal number, right to about 1e-7 of the larger of it and 1."""
     bits = lax.bitcast_convert_type(x, jnp.int32)
     # x = 2^e m, with m between sqrt(1/2) and sqrt(2)
     e = lax.shift_right_arithmetic(bits - 0x3F3504F3, jnp.int32(23))
@@ -608,9 +650,9 @@ RULES: dict[str, Callable] = {
     "or": logical("or_"),
     "xor": logical("xor"),
     "not": lambda writer, params, dtypes, x: writer.builder.not_(x),
-    "shift_left": logical("shl"),
-    "shift_right_arithmetic": logical("ashr"),
-    "shift_right_logical": logical("lshr"),
+    "shift_left": shift("shl"),
+    "shift_right_arithmetic": shift("ashr"),
+    "shift_right_logical": shift("lshr"),
     "select_n": selection,
     "clamp": clamp,
     "convert_element_type": conversion,
@@ -640,6 +682,8 @@ class Kernel:
         self.structure = jax.tree.structure(shapes)
         avals = [variable.aval for variable in closed.jaxpr.invars]
         split = len(jax.tree.leaves(shared))
+        if sum(math.prod(aval.shape) for aval in avals) > LARGEST:
+            raise NoKernel(f"more than {LARGEST} numbers")
         described = lambda leaves: [(leaf.shape, np.dtype(leaf.dtype)) for leaf in leaves]
         self.shared, self.cell = described(avals[:split]), described(avals[split:])
         self.results = described(jax.tree.leaves(shapes))
@@ -659,7 +703,8 @@ class Kernel:
             pairs = zip(jax.tree.leaves(tree), like, strict=True)
             arrays = [np.ascontiguousarray(leaf, dtype) for leaf, (_, dtype) in pairs]
             for array, (shape, _) in zip(arrays, like, strict=True):
-                assert array.size == int(np.prod((*lead, *shape)))
+                if array.size != math.prod((*lead, *shape)):
+                    raise ValueError(f"shape {array.shape} of an array must be {(*lead, *shape)}")
             return arrays
 
         results = [np.empty((n, *shape), dtype) for shape, dtype in self.results]
@@ -698,7 +743,8 @@ def written(closed: ClosedJaxpr, shared: list, cell: list, results: list) -> str
         return builder.bitcast(address, in_memory(dtype).as_pointer())
 
     arrays = [array_at(i, dtype) for i, (_, dtype) in enumerate((*shared, *cell, *results))]
-    of_shared, of_cells = arrays[: len(shared)], arrays[len(shared) : -len(results)]
+    of_shared = arrays[: len(shared)]
+    of_cells = arrays[len(shared) : len(shared) + len(cell)]
 
     def load(array, places: list, dtype):
         """A vector of what stands at each lane's place of an array."""

@@ -53,8 +53,9 @@ class Margins(NamedTuple):
     """How far the swing leg passes the contact, -h at the turning point of its swing; or how far
     ahead of the stance foot it comes down, -theta at heel strike, where that is less. In a fall,
     the greatest of these: minus by how much the foot is too low where it turns, or minus the theta
-    at which it scuffs. If it never does either: where the foot rises most slowly, or if it does not
-    do that, at the end."""
+    at which it scuffs. If it does neither, -h where the foot is ahead and rises most slowly, or
+    where the legs pass each other, or where the stance leg is down, whichever there is first in
+    this order."""
     running: Float[Array, "*cells"]
     """The least contact force Q_v up to heel strike; or that at the start, where it is negative."""
     stopping: Float[Array, "*cells"]
@@ -66,8 +67,8 @@ def margins(
 ) -> Margins:
     """One stride, as `stride` makes it, and its margins.
 
-    Arguments and errors are those of `stride`. Forward-mode derivatives, of the first order, are right; margins are smooth but where another
-    instant comes to be the one that counts.
+    Arguments and errors are those of `stride`. Forward-mode derivatives, of the first order, are
+    right. Margins are smooth but where another instant comes to be the one that counts.
     """
     walker, x, tolerance = prepared(walker, x, tolerance)
     traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((walker, x, tolerance)))
@@ -113,10 +114,12 @@ class Following(NamedTuple):
     """The forward margin if the walker falls from here; minus infinity if there was no chance."""
     slowest: Scalar
     """-h where the foot rose most slowly; minus infinity if it has not."""
+    otherwise: Scalar
+    """-h where the legs first passed each other, or the stance leg was down before that; minus
+    infinity if neither has been."""
     running: Scalar
     arrival: State
-    strike: Scalar
-    """theta at heel strike, or at the last scuff."""
+    """That at heel strike, if there is one."""
 
 
 @jax.jit
@@ -167,6 +170,13 @@ def follow_margins(
         rising &= evaluate(series.phi, slow.time) < 0
         slowest = jnp.maximum(now.slowest, -evaluate(h, slow.time))
         slowest = jnp.where(rising, slowest, now.slowest)
+        passes, passing = rise([-c for c in series.phi], length)
+        lands, landing = rise(
+            [-np.pi / 2 - series.theta[0], *(-c for c in series.theta[1:])], length
+        )
+        unknown = now.otherwise == -jnp.inf
+        otherwise = jnp.where(lands & unknown, -evaluate(h, landing), now.otherwise)
+        otherwise = jnp.where(passes & unknown, -evaluate(h, passing), otherwise)
 
         # the stance leg
         speed = derivative_of(series.theta)
@@ -175,12 +185,7 @@ def follow_margins(
         counts = slowing.exists & (slowing.time < until)
         left = evaluate(speed, slowing.time) ** 2 / 2
         backward = jnp.where(counts, jnp.minimum(now.backward, left), now.backward)
-        stop = rising_root(
-            lambda t: (evaluate(speed, t), evaluate(derivative_of(speed), t)),
-            jnp.zeros_like(length),
-            lax.stop_gradient(jnp.where(stopped, length, 0.0)),
-        )
-        stop = when_zero(speed, stop)
+        _, stop = rise(speed, length)
         missing = -((evaluate(derivative_of(speed), stop) / rate) ** 2) / 2
         backward = jnp.where(verdict == Outcome.BACKWARD, missing, backward)
 
@@ -207,9 +212,9 @@ def follow_margins(
             jnp.where(scuffs, -jnp.inf, dip),
             missed,
             slowest,
+            otherwise,
             running,
             arrival,
-            arrival.theta,
         )
 
     first = Following(
@@ -221,9 +226,9 @@ def follow_margins(
         dip=jnp.full_like(rate, -jnp.inf),
         missed=jnp.full_like(rate, -jnp.inf),
         slowest=jnp.full_like(rate, -jnp.inf),
+        otherwise=jnp.full_like(rate, -jnp.inf),
         running=contact_force(start),
         arrival=start,
-        strike=start.theta,
     )
     last = lax.while_loop(undecided, advance, first)
     stride = fast_sines(end)(walker, last.arrival, last.time, last.verdict, last.running < 0)
@@ -251,8 +256,9 @@ def seen(
         backward = jnp.where(jnp.isfinite(backward), backward, none)
     backward = jnp.where(first.verdict == Outcome.BACKWARD, -(start.thetadot**2) / 2, backward)
 
-    passed = jnp.where(last.dip > 0, jnp.minimum(last.dip, -last.strike), -last.strike)
-    otherwise = jnp.where(last.slowest > -jnp.inf, last.slowest, walker.contact(last.state))
+    ahead = -last.arrival.theta
+    passed = jnp.where(last.dip > 0, jnp.minimum(last.dip, ahead), ahead)
+    otherwise = jnp.where(last.slowest > -jnp.inf, last.slowest, last.otherwise)
     missed = jnp.where(last.missed > -jnp.inf, last.missed, -jnp.abs(otherwise))
     forward = jnp.where(struck, passed, jnp.where(outcome == Outcome.FORWARD, missed, none))
 
@@ -293,6 +299,18 @@ def least(series: list[Scalar], length: Scalar) -> Instant:
     return Instant(exists, rising_root(look, zero, jnp.where(exists, length, zero)))
 
 
+def rise(series: list[Scalar], length: Scalar) -> Instant:
+    """Where a polynomial is zero that is negative at the start of a step, and not at its end."""
+    fixed, length = lax.stop_gradient((series, length))
+    exists = (fixed[0] < 0) & (evaluate(fixed, length) >= 0)
+    slope = derivative_of(fixed)
+    look = lambda t: (evaluate(fixed, t), evaluate(slope, t))
+    zero = jnp.zeros_like(length)
+    return Instant(
+        exists, when_zero(series, rising_root(look, zero, jnp.where(exists, length, zero)))
+    )
+
+
 def derivative_of(series: list[Scalar]) -> list[Scalar]:
     """The coefficients of a polynomial's derivative."""
     return [k * c for k, c in enumerate(series)][1:]
@@ -300,6 +318,7 @@ def derivative_of(series: list[Scalar]) -> list[Scalar]:
 
 def when_zero(series: list[Scalar], time: Scalar) -> Scalar:
     """The time at which a polynomial is zero, with its derivatives: a step of Newton's."""
+    time = lax.stop_gradient(time)
     value, slope = evaluate(series, time), evaluate(derivative_of(series), time)
     slope = lax.stop_gradient(jnp.where(slope == 0, 1.0, slope))
-    return lax.stop_gradient(time) - (value - lax.stop_gradient(value)) / slope
+    return time - (value - lax.stop_gradient(value)) / slope

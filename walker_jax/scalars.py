@@ -292,8 +292,6 @@ def multiplied(a, b):
 
 @no_type_check
 def divided(a, b):
-    if is_number(a) and a == 0:
-        return a
     return a if is_number(b) and b == 1 else None
 
 

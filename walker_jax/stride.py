@@ -356,11 +356,11 @@ def strides(
     tolerance: Real | None = None,
     progress: str | None = None,
 ) -> Stride:
-    """`stride` for each of n starts, in tiles over all devices and cores; NumPy arrays.
+    """`stride` for each of n starts, on all devices and cores; NumPy arrays.
 
     The walker's parameters are numbers, or arrays of n, as `jax.vmap(RoundFootWalker)(slopes)`
     makes them: then every start has a walker of its own.
-    Neighbours in `xs` share a tile: it is fastest where they are close on the section.
+    It is fastest where neighbours in `xs` are close on the section.
     `progress` is what to call the work in a progress bar, shown on a terminal only.
     """
     xs = as_floating(xs)

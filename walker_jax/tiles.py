@@ -55,6 +55,7 @@ def over_cells(
       for shapes, so give one defined at the top of a module, not a new closure each time.
     - `shared`: a PyTree, the same for all cells.
     - `cells`: a PyTree of arrays with the cells along their first axis, any number of them.
+      An interrupt waits for the cells that are being worked on.
       Neighbours are worked on together: cells that take equally long should be neighbours.
     - `progress`: what to call the work in a progress bar, shown on a terminal only.
 
@@ -144,21 +145,27 @@ def _by_kernel(
 
 
 _kernels: dict = {}
+MODES = "jax_enable_x64", "jax_numpy_dtype_promotion"
+"""Settings of JAX on which it depends what a function does."""
 
 
 def _kernel(function: Callable, shared: PyTree, cells: PyTree) -> Kernel | None:
     """The kernel of a function, None where it holds what no kernel can do."""
 
     def like(leaf, drop: int):
-        plain = type(leaf) in (bool, int, float)
-        dtype = jax.dtypes.canonicalize_dtype(type(leaf) if plain else leaf.dtype)
-        return jax.ShapeDtypeStruct(np.shape(leaf)[drop:], dtype, weak_type=plain)
+        plain = type(leaf) in (bool, int, float, complex)
+        dtype = jax.dtypes.canonicalize_dtype(
+            type(leaf) if plain else leaf.dtype, allow_extended_dtype=True
+        )
+        weak = plain or getattr(leaf, "weak_type", False)
+        return jax.ShapeDtypeStruct(np.shape(leaf)[drop:], dtype, weak_type=weak)
 
     leaves = [like(leaf, 0) for leaf in jax.tree.leaves(shared)]
     each = [like(leaf, 1) for leaf in jax.tree.leaves(cells)]
     structures = jax.tree.structure(shared), jax.tree.structure(cells)
     described = ((leaf.shape, leaf.dtype, leaf.weak_type) for leaf in (*leaves, *each))
-    key = function, structures, *described
+    modes = tuple(getattr(jax.config, mode) for mode in MODES)
+    key = function, structures, modes, *described
     if key not in _kernels:
         try:
             _kernels[key] = Kernel(

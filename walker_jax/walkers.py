@@ -134,8 +134,9 @@ class Parameter(NamedTuple):
             value = value.astype(float)
         if isinstance(value, Tracer):
             return value
-        above = value >= self.low if self.closed else value > self.low
-        if not (above & (value < self.high)):
+        number = np.asarray(value)
+        above = number >= self.low if self.closed else number > self.low
+        if not (above & (number < self.high)):
             raise ValueError(f"{self.name} must be {self.bounds()}, not {value}")
         return value
 
@@ -496,8 +497,11 @@ class HeavyLegWalker(MultibodyWalker):
     def __check_init__(self):
         if any(np.shape(leaf) or isinstance(leaf, Tracer) for leaf in jax.tree.leaves(self)):
             return
-        along, above = swing_foot_at(self, 0.3)
-        if not abs(above) < 1e-5 * abs(along):
+        foot = swing_foot_at(self, 0.3)
+        if isinstance(foot, Tracer):  # of a walker made in a function that JAX transforms
+            return
+        along, above = foot
+        if not abs(above) <= 1e-5 * abs(along):
             raise ValueError(
                 f"swing_foot of {type(self).__name__} must be on the slope where phi = 2 theta, "
                 f"v = 0, but v = {above:.3g} at theta = 0.3"
