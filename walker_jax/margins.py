@@ -166,9 +166,10 @@ def follow_margins(
         missed = jnp.where(scuffs, jnp.maximum(missed, -arrival.theta), missed)
         hdot = derivative_of(h)
         slow = least(hdot, length)
-        rising = slow.exists & (evaluate(hdot, slow.time) > 0)
-        rising &= evaluate(series.phi, slow.time) < 0
-        slowest = jnp.maximum(now.slowest, -evaluate(h, slow.time))
+        when_slow = when_zero(derivative_of(hdot), slow.time)  # where h itself goes on changing
+        rising = slow.exists & (evaluate(hdot, when_slow) > 0)
+        rising &= evaluate(series.phi, when_slow) < 0
+        slowest = jnp.maximum(now.slowest, -evaluate(h, when_slow))
         slowest = jnp.where(rising, slowest, now.slowest)
         passes, passing = rise([-c for c in series.phi], length)
         lands, landing = rise(

@@ -1,0 +1,230 @@
+"""Margins are zero where outcomes change, and have the right signs and derivatives."""
+
+from itertools import pairwise
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import walker_jax as wj
+from walker_jax import Outcome
+from walker_jax.margins import Margins, margins, margins_of_many
+from walker_jax.tiles import over_cells
+
+DATA = Path(__file__).parent / "data"
+WAYS = "backward", "forward", "running", "stopping"
+DECIDES = {
+    Outcome.BACKWARD: "backward",
+    Outcome.FORWARD: "forward",
+    Outcome.RUNNING: "running",
+    Outcome.STOPPED: "stopping",
+}
+WALKERS = {
+    "simplest": wj.SimplestWalker(0.0165),
+    "spring": wj.SpringWalker(0.0165, 1.0),
+    "point-foot": wj.PointFootWalker(0.0165, 0.05),
+    "round-foot": wj.RoundFootWalker(0.02, com_offset=-0.02),
+    "upper-body": wj.UpperBodyWalker(0.02),
+}
+
+
+def starts(walker, count=3000, seed=0):
+    """Of all kinds: walkers that stride, and that fail in each way."""
+    rng = np.random.default_rng(seed)
+    x = [rng.uniform(0.02, 0.75, count), rng.uniform(-1.2, -0.02, count)]
+    if len(walker.section) == 3:
+        x.append(rng.uniform(-0.5, 0.3, count))
+    return np.stack(x, axis=1)
+
+
+HEAVY = "round-foot", "upper-body"  # whose derivatives take long to compile
+PARAMS = [pytest.param(name, marks=[pytest.mark.slow] * (name in HEAVY)) for name in WALKERS]
+
+
+@pytest.fixture(scope="module", params=PARAMS)
+def looked_at(request):
+    walker = WALKERS[request.param]
+    xs = starts(walker)
+    return walker, xs, margins_of_many(walker, xs)
+
+
+def assert_signs(found: Margins):
+    """Which margins are negative, positive and unknown after each outcome."""
+    outcome = found.stride.outcome
+    none = np.isin(outcome, [Outcome.OUTSIDE, Outcome.UNDECIDED])
+    struck = np.isin(outcome, [Outcome.STRIDE, Outcome.STOPPED])
+    struck |= (outcome == Outcome.RUNNING) & ~np.isnan(found.forward)
+    for code, way in DECIDES.items():
+        values = getattr(found, way)
+        assert np.all(values[outcome == code] <= 0)
+        others = values[outcome != code]
+        assert np.all((others > 0) | np.isnan(others))
+    for way in WAYS:
+        assert np.isnan(getattr(found, way)[none]).all()
+    for way in ("forward", "running"):
+        assert not np.isnan(getattr(found, way)[struck]).any()
+    assert not np.isnan(found.stopping[outcome == Outcome.STRIDE]).any()
+    assert np.isnan(found.running[outcome == Outcome.FORWARD]).all()
+    assert np.isnan(found.forward[outcome == Outcome.BACKWARD]).sum() > 0
+    at_start = (outcome == Outcome.RUNNING) & np.isnan(found.forward)
+    assert np.isnan(found.backward[at_start]).all()
+
+
+@pytest.mark.parametrize("name", ["slope_0.004", "slope_0.0165_plain"])
+def test_signs_are_the_outcomes_of_the_reference(name):
+    with np.load(DATA / f"strides_{name}.npz") as data:
+        axes = "sum" if "sum" in data else "thetadot"
+        theta, other = np.meshgrid(data["theta"], data[axes], indexing="ij")
+        thetadot = other - theta if axes == "sum" else other
+        outcomes = data["outcome"].ravel()
+    xs = np.stack([theta.ravel(), thetadot.ravel()], axis=1)
+    slope = float(name.split("_")[1])
+    found = margins_of_many(wj.SimplestWalker(slope), xs)
+    np.testing.assert_array_equal(found.stride.outcome, outcomes)
+    assert_signs(found)
+    stride = wj.strides(wj.SimplestWalker(slope), xs)
+    np.testing.assert_allclose(found.stride.state, stride.state, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(found.stride.time, stride.time, rtol=0, atol=1e-9)
+
+
+def test_signs_are_the_outcomes_of_every_walker(looked_at):
+    walker, xs, found = looked_at
+    np.testing.assert_array_equal(found.stride.outcome, wj.strides(walker, xs).outcome)
+    assert len(set(found.stride.outcome.tolist())) >= 4
+    assert_signs(found)
+
+
+def push(shared, cell):
+    """Margins, and their derivatives along a direction of start and slope."""
+    walker, tolerance = shared
+    x, direction, along_slope = cell
+    still = jax.tree.map(jnp.zeros_like, walker)
+    tangent = jax.tree.unflatten(
+        jax.tree.structure(walker), [along_slope, *jax.tree.leaves(still)[1:]]
+    )
+    look = lambda walker, x: margins(walker, x, tolerance=tolerance)[1:]
+    return jax.jvp(look, (walker, x), (tangent, direction))
+
+
+def assert_derivatives(walker, xs, seed=0, scale=1e-4):
+    """Along random directions, against extrapolated differences, wherever these settle."""
+    rng = np.random.default_rng(seed)
+    directions, along_slope = rng.normal(size=xs.shape), rng.normal(size=len(xs))
+    cells = xs, directions, along_slope
+    tolerance = np.float64(1e-14)
+    values, found = map(np.stack, over_cells(push, (walker, tolerance), cells))
+
+    def at(h):
+        first, *others = jax.tree.leaves(walker)
+        leaves = [np.asarray(first) + h * along_slope]
+        leaves += [np.full(len(xs), float(leaf)) for leaf in others]
+        walkers = jax.tree.unflatten(jax.tree.structure(walker), leaves)
+        cells = walkers, xs + h * directions
+        values = over_cells(margins_of_each, tolerance, cells)
+        return np.stack(values[1:])
+
+    steps = scale * 0.5 ** np.arange(4)
+    table = [(at(h) - at(-h)) / (2 * h) for h in steps]
+    for factor in (4, 16, 64):
+        before, table = (
+            table,
+            [(factor * b - a) / (factor - 1) for a, b in pairwise(table)],
+        )
+    size = 1 + np.abs(table[0])
+    settled = np.abs(before[0] - before[1]) < 1e-7 * size
+    error = np.abs(found - table[0]) / size
+    assert np.all(error[settled] < 1e-7)
+    return settled & np.isfinite(values), np.isfinite(values)
+
+
+def margins_of_each(tolerance, cell):
+    return margins(*cell, tolerance=tolerance)
+
+
+def test_derivatives_are_those_of_differences(looked_at):
+    walker, xs, _ = looked_at
+    settled, known = assert_derivatives(walker, xs[:1500])
+    # of each margin, nearly everywhere
+    assert np.all(settled.sum(axis=1) > 0.9 * known.sum(axis=1))
+    assert np.all(known.sum(axis=1) > 20)
+
+
+def pairs_at(walker, way, code):
+    """Starts on both sides of where an outcome changes, within 1e-7 of each other."""
+    xs = starts(walker, 4000, seed=3)
+    outcome = wj.strides(walker, xs).outcome
+    fails, others = xs[outcome == code], xs[(outcome != code) & (outcome != Outcome.OUTSIDE)]
+    count = min(400, len(fails), len(others))
+    good, bad = others[:count], fails[:count]
+    for _ in range(24):
+        middle = (good + bad) / 2
+        still = (wj.strides(walker, middle).outcome == code)[:, None]
+        good, bad = np.where(still, good, middle), np.where(still, middle, bad)
+    return good, bad
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_margins_are_zero_at_the_boundaries(looked_at, way):
+    walker, *_ = looked_at
+    code = {name: code for code, name in DECIDES.items()}[way]
+    good, bad = pairs_at(walker, way, code)
+    before, after = margins_of_many(walker, good), margins_of_many(walker, bad)
+    passed, failed = getattr(before, way), getattr(after, way)
+    own = passed > 0  # else another failure came before this one
+    assert np.all(failed <= 0)
+    if way in ("backward", "forward"):
+        assert own.sum() >= 30
+    # starts close to falling backward are magnified thousands of times
+    least, most = (1e-6, 1e-4) if way == "backward" else (1e-6, 1e-5)
+    if own.any():
+        assert np.median(passed[own]) < least
+        assert np.median(-failed[own]) < most
+
+
+def test_a_stride_that_is_traced_has_the_same_margins():
+    walker, xs = WALKERS["spring"], starts(WALKERS["spring"], 200)
+    many = margins_of_many(walker, xs)
+    mapped = jax.jit(jax.vmap(lambda x: margins(walker, x)))(xs)
+    for one, other in zip(jax.tree.leaves(many), jax.tree.leaves(mapped), strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-9)
+    single = margins(walker, xs[7])
+    for one, other in zip(jax.tree.leaves(many), jax.tree.leaves(single), strict=True):
+        np.testing.assert_array_equal(one[7], other)
+
+
+def test_margins_in_float32_are_close():
+    walker = wj.SimplestWalker(0.0165)
+    xs = starts(walker, 500)
+    exact, found = margins_of_many(walker, xs), margins_of_many(walker, xs.astype(np.float32))
+    same = exact.stride.outcome == found.stride.outcome
+    assert same.mean() > 0.99 and found.forward.dtype == np.float32
+    for way in WAYS:
+        error = np.abs(getattr(exact, way) - getattr(found, way))[same]
+        assert np.nanmedian(error) < 1e-5
+
+
+def test_margins_of_the_simplest_walker_in_closed_form():
+    """At the top, at the start, and at heel strike."""
+    walker, xs = WALKERS["simplest"], starts(WALKERS["simplest"])
+    found = margins_of_many(walker, xs)
+    outcome, (theta, thetadot) = found.stride.outcome, xs.T
+    began = (outcome != Outcome.OUTSIDE) & ~np.isnan(found.backward)
+    energy = thetadot**2 / 2 + np.cos(theta - 0.0165) - 1
+    np.testing.assert_allclose(found.backward[began], energy[began], rtol=0, atol=1e-14)
+    strode = outcome == Outcome.STRIDE
+    angle, speed = found.stride.state[strode].T  # -theta, and cos(2 theta) thetadot
+    lift = np.cos(angle) * np.sin(2 * angle) * -speed
+    np.testing.assert_allclose(found.stopping[strode], lift, rtol=0, atol=1e-12)
+    arrival = speed / np.cos(2 * angle)
+    pull = np.cos(angle) * (np.cos(angle + 0.0165) - arrival**2)
+    start = np.cos(theta) * (np.cos(theta - 0.0165) - thetadot**2)
+    np.testing.assert_allclose(
+        found.running[strode], np.minimum(pull, start[strode]), rtol=0, atol=1e-12
+    )
+
+
+def test_wrong_starts_are_refused():
+    with pytest.raises(ValueError, match="x must have shape"):
+        margins(WALKERS["simplest"], np.ones(3))
