@@ -38,6 +38,7 @@ alone takes.
 """
 
 import argparse
+import importlib
 import os
 import platform
 import time
@@ -46,9 +47,9 @@ from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import diffrax
-import heyoka
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -57,6 +58,8 @@ from scipy.integrate import solve_ivp
 
 import walker_jax as wj
 from walker_jax.stride import Outcome
+
+heyoka: Any = importlib.import_module("heyoka")  # of the extra [bench] alone: no types of it
 
 SLOPE = 0.004
 GAIT = 0.1534717, -0.1561099  # roughly; each way comes to its own digits of it

@@ -191,11 +191,29 @@ def direct_iteration(
     order = order_of_cells(grid.shape)
     starts = centres(grid, order)
     attractors = settle(walker, sample(starts), tolerance, [])
+    found = follow(walker, starts, attractors, tolerance, limit, progress)
+    in_order = np.empty_like(order)
+    in_order[order] = np.arange(grid.size, dtype=order.dtype)
+    fate, attractor, count = (values[in_order] for values in found[:3])
+    return Basins(fate, attractor, count, found.attractors)
 
-    fate = np.full(grid.size, Outcome.STRIDE, np.int8)
-    attractor = np.full(grid.size, -1, np.int32)
-    count = np.zeros(grid.size, np.int32)
-    cells, x = order, starts
+
+def follow(
+    walker: Walker,
+    starts: Float[np.ndarray, "n section"],
+    attractors: list[Attractor],
+    tolerance: float,
+    limit: int,
+    progress: bool = False,
+) -> Basins:
+    """Follow every start for a number of strides, until it fails or comes near an attractor.
+
+    The attractors are those given, and those to which starts come that are left at the end.
+    """
+    fate = np.full(len(starts), Outcome.STRIDE, np.int8)
+    attractor = np.full(len(starts), -1, np.int32)
+    count = np.zeros(len(starts), np.int32)
+    cells, x = np.arange(len(starts)), starts
     for k in range(limit + 1):
         reached = nearest(x, attractors)
         attractor[cells[reached >= 0]] = reached[reached >= 0]
