@@ -39,7 +39,7 @@ def starts(walker, count=3000, seed=0):
     return np.stack(x, axis=1)
 
 
-HEAVY = "round-foot", "upper-body"  # whose derivatives take long to compile
+HEAVY = "point-foot", "round-foot", "upper-body"  # whose derivatives take long to compile
 PARAMS = [pytest.param(name, marks=[pytest.mark.slow] * (name in HEAVY)) for name in WALKERS]
 
 

@@ -17,6 +17,8 @@ from walker_jax.bifurcations import attractors, bifurcation_diagram, loss_of_wal
 from walker_jax.branches import Bifurcation, Branch, continue_gait
 from walker_jax.cells import Grid
 from walker_jax.gaits import Gait, descend, find_gait, find_gaits, gait_derivatives
+from walker_jax.margins import Margins, margins, margins_of_many
+from walker_jax.refinement import refine
 from walker_jax.stride import Outcome, Stride, Walk, stride, strides, trajectory, walk
 from walker_jax.walkers import (
     HeavyLegWalker,
@@ -37,6 +39,7 @@ __all__ = [
     "Gait",
     "Grid",
     "HeavyLegWalker",
+    "Margins",
     "Outcome",
     "PointFootWalker",
     "RoundFootWalker",
@@ -56,6 +59,9 @@ __all__ = [
     "find_gaits",
     "gait_derivatives",
     "loss_of_walking",
+    "margins",
+    "margins_of_many",
+    "refine",
     "stride",
     "strides",
     "trajectory",

@@ -76,29 +76,7 @@ def basin(
         raise ValueError(f"method must be one of {', '.join(METHODS)}, not {method!r}")
     if strides < 1:
         raise ValueError(f"strides must be at least 1, not {strides}")
-    if grid.coordinates != len(walker.section):
-        raise ValueError(
-            f"grid must have the {len(walker.section)} dimensions of the section, "
-            f"{', '.join(walker.section)}, not {', '.join((*grid.names, *grid.fixed))}"
-        )
-    if method == "cell-map" and len(grid.names) < grid.coordinates:
-        raise ValueError(
-            f"method must be direct for a slice, {' and '.join(grid.fixed)} fixed, which walkers "
-            "leave, not 'cell-map'"
-        )
-    for place, name in enumerate((*grid.names, *grid.fixed)):
-        wrong = name in walker.section and walker.section.index(name) != place
-        if wrong or (name in grid.fixed and name not in walker.section):
-            raise ValueError(
-                f"grid must name coordinates in the order of the section, {walker.section}, "
-                f"not {(*grid.names, *grid.fixed)}"
-            )
-    needed, memory = grid.size * BYTES_PER_CELL, memory_of_machine()
-    if needed > memory:
-        raise ValueError(
-            f"grid of {grid.size} cells needs {needed / 2**30:.1f} GiB of memory, "
-            f"and this machine has {memory / 2**30:.1f} GiB"
-        )
+    check_grid(walker, grid, method)
     tolerance = float(default_tolerance(jnp.asarray(0.0).dtype, tolerance))
     if method == "cell-map":
         found = cell_mapping(walker, grid, tolerance, progress)
@@ -116,6 +94,33 @@ def basin(
         "version": f"walker-jax {version('walker-jax')}",
     }
     return data
+
+
+def check_grid(walker: Walker, grid: Grid, method: str, each: int = BYTES_PER_CELL) -> None:
+    """Refuse a grid that is not of the walker's section, or too large for this machine's memory."""
+    if grid.coordinates != len(walker.section):
+        raise ValueError(
+            f"grid must have the {len(walker.section)} dimensions of the section, "
+            f"{', '.join(walker.section)}, not {', '.join((*grid.names, *grid.fixed))}"
+        )
+    if method == "cell-map" and len(grid.names) < grid.coordinates:
+        raise ValueError(
+            f"method must be direct for a slice, {' and '.join(grid.fixed)} fixed, which walkers "
+            "leave, not 'cell-map'"
+        )
+    for place, name in enumerate((*grid.names, *grid.fixed)):
+        wrong = name in walker.section and walker.section.index(name) != place
+        if wrong or (name in grid.fixed and name not in walker.section):
+            raise ValueError(
+                f"grid must name coordinates in the order of the section, {walker.section}, "
+                f"not {(*grid.names, *grid.fixed)}"
+            )
+    needed, memory = grid.size * each, memory_of_machine()
+    if needed > memory:
+        raise ValueError(
+            f"grid of {grid.size} cells needs {needed / 2**30:.1f} GiB of memory, "
+            f"and this machine has {memory / 2**30:.1f} GiB"
+        )
 
 
 def memory_of_machine() -> float:
