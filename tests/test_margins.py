@@ -184,7 +184,7 @@ def test_margins_are_zero_at_the_boundaries(looked_at, way):
 
 
 def test_a_stride_that_is_traced_has_the_same_margins():
-    walker, xs = WALKERS["spring"], starts(WALKERS["spring"], 200)
+    walker, xs = WALKERS["simplest"], starts(WALKERS["simplest"], 200)
     many = margins_of_many(walker, xs)
     mapped = jax.jit(jax.vmap(lambda x: margins(walker, x)))(xs)
     for one, other in zip(jax.tree.leaves(many), jax.tree.leaves(mapped), strict=True):

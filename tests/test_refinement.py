@@ -53,6 +53,7 @@ def test_strides_are_spent_on_the_boundary(refined, uniform):
     assert int(refined.mistaken) < 30
 
 
+@pytest.mark.slow
 def test_errors_are_as_large_as_is_said():
     """Twelve draws, against the area of a fine grid, in units of the error that each states."""
     found = [refine(WALKER, GRID, 1, seed=seed, check=10_000) for seed in range(12)]

@@ -19,6 +19,7 @@ from walker_jax.cells import Grid
 from walker_jax.gaits import Gait, descend, find_gait, find_gaits, gait_derivatives
 from walker_jax.margins import Margins, margins, margins_of_many
 from walker_jax.refinement import refine
+from walker_jax.robustness import LeastDisturbance, least_disturbance
 from walker_jax.stride import Outcome, Stride, Walk, stride, strides, trajectory, walk
 from walker_jax.walkers import (
     HeavyLegWalker,
@@ -39,6 +40,7 @@ __all__ = [
     "Gait",
     "Grid",
     "HeavyLegWalker",
+    "LeastDisturbance",
     "Margins",
     "Outcome",
     "PointFootWalker",
@@ -58,6 +60,7 @@ __all__ = [
     "find_gait",
     "find_gaits",
     "gait_derivatives",
+    "least_disturbance",
     "loss_of_walking",
     "margins",
     "margins_of_many",
