@@ -6,6 +6,7 @@ iteration follows every centre itself, stride by stride. Direct iteration is exa
 of strides; cell mapping costs one stride a cell, and its errors are of the size of a cell.
 """
 
+import itertools
 import os
 from importlib.metadata import version
 from typing import NamedTuple
@@ -13,6 +14,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
 from walker_jax.cells import Grid, cell_image, resolve
@@ -35,6 +37,14 @@ CLOSE = 0.01
 """Distance from a cycle at which a walker counts as its, that is left when all others are there."""
 ATTEMPTS = 8
 """Walkers that have not, for which a cycle is solved for."""
+CUBES = 1e-5 * 1.5 ** np.arange(20)
+"""Half edges of boxes about a cycle's states that are tried, for one from which walkers come."""
+STRETCHES = 1.5 ** np.arange(12)
+"""How many times as long they are made in one direction."""
+AROUND = 1000
+"""Starts in a box."""
+TURNS = 8
+"""Periods after which walkers are left in the directions in which they come last."""
 
 
 def basin(
@@ -147,6 +157,16 @@ class Attractor(NamedTuple):
     """Strides in a cycle; none where the motion does not repeat itself."""
     states: Float[np.ndarray, "period section"]
     """The states of the cycle; otherwise, one state of the motion."""
+    frames: Float[np.ndarray, "period section section"] | None = None
+    """For each state, matrices that make displacements from it less than 1, in all coordinates,
+    where a walker is taken to have arrived; none where that is `near`."""
+
+    def boxes(self) -> Float[np.ndarray, "period section section"]:
+        """The frames, also where there are none."""
+        if self.frames is not None:
+            return self.frames
+        period, size = self.states.shape
+        return np.tile(np.eye(size) / near(self.states.dtype), (period, 1, 1))
 
 
 def cell_mapping(walker: Walker, grid: Grid, tolerance: float, progress: bool = False) -> Basins:
@@ -233,6 +253,9 @@ def follow(
         count[cells[going]] += 1
         cells, x = cells[going], x[going]
 
+    attractor[cells] = nearest(x, attractors, within=CLOSE)
+    lost = attractor[cells] < 0
+    cells, x = cells[lost], x[lost]
     if len(cells):
         attractors = settle(walker, sample(x), tolerance, attractors)
         attractor[cells] = nearest(x, attractors, within=CLOSE)
@@ -308,12 +331,71 @@ def nearest(
     x: Float[np.ndarray, "n section"], attractors: list[Attractor], within: float | None = None
 ) -> Int[np.ndarray, " n"]:
     """Number of the cycle that each point is near to, -1 for none."""
-    within = near(x.dtype) if within is None else within
     number = np.full(len(x), -1, np.int32)
     for i, attractor in enumerate(attractors):
-        for state in attractor.states if attractor.period else ():
-            number[np.abs(x - state).max(axis=1) < within] = i
+        boxes = attractor.boxes() if within is None else np.eye(x.shape[1])[None] / within
+        for state, frame in zip(attractor.states, itertools.cycle(boxes), strict=False):
+            if attractor.period:
+                number[np.abs((x - state) @ frame.T).max(axis=1) < 1] = i
     return number
+
+
+def with_frames(
+    walker: Walker, attractors: list[Attractor], tolerance: float, limit: int
+) -> list[Attractor]:
+    """The attractors, each with boxes about its states from which a sample of walkers came to it.
+
+    Walkers need then be followed only until they are in one. The boxes lie along the directions in
+    which walkers come last, and are half as large, as a sample may miss a few, as the largest from
+    which all came: first cubes, then as long in each direction as may be.
+    """
+    rng = np.random.default_rng(0)
+    return [
+        framed(walker, attractors, i, tolerance, limit, rng) if one.period else one
+        for i, one in enumerate(attractors)
+    ]
+
+
+def framed(
+    walker: Walker,
+    attractors: list[Attractor],
+    number: int,
+    tolerance: float,
+    limit: int,
+    rng: np.random.Generator,
+) -> Attractor:
+    """One attractor, a cycle, with its boxes, whose half edges are the rows of a matrix."""
+    attractors = list(attractors)
+    cycle = attractors[number].states
+    period, size = cycle.shape
+    u = rng.uniform(-1, 1, (period, AROUND, size))
+
+    def largest(boxes: Float[np.ndarray, "tried period section section"]) -> int:
+        """The last of growing boxes from which all walkers came; it frames the attractor."""
+        starts = cycle[:, None] + u @ boxes
+        found = follow(walker, starts.reshape(-1, size), attractors, tolerance, limit)
+        came = (found.attractor == number).reshape(len(boxes), -1).all(axis=1)
+        best = int(np.logical_and.accumulate(came).sum()) - 1
+        if best >= 0:
+            frames = np.swapaxes(np.linalg.inv(boxes[best] / 2), 1, 2)
+            attractors[number] = attractors[number]._replace(frames=frames)
+        return best
+
+    cubes = CUBES[:, None, None, None] * np.tile(np.eye(size), (period, 1, 1))
+    best = largest(cubes)
+    if best < 0:
+        return attractors[number]
+    x = (cycle[:, None] + u @ cubes[best]).reshape(-1, size)
+    for _ in range(TURNS * period):
+        x = np.asarray(strides(walker, x, tolerance=tolerance).state)
+    axes = np.linalg.svd(x.reshape(u.shape) - cycle[:, None], full_matrices=False)[2]
+    cubes = CUBES[:, None, None, None] * axes
+    box = cubes[max(largest(cubes), 0)]
+    for i in range(size):
+        stretch = np.ones((len(STRETCHES), 1, size, 1))
+        stretch[:, 0, i, 0] = STRETCHES
+        box = (stretch * box)[max(largest(stretch * box), 0)]
+    return attractors[number]
 
 
 def near(dtype) -> float:
@@ -361,3 +443,15 @@ def labelled(walker: Walker, grid: Grid, found: Basins) -> xr.Dataset:
             "number": np.arange(len(found.attractors)),
         },
     )
+
+
+def around(state: Float[ArrayLike, " section"], names: tuple[str, ...]) -> dict:
+    """Axes of a window around a gait's state; with phidot among them, of a slice there."""
+    theta, thetadot, *others = map(float, np.asarray(state))
+    middle = theta + thetadot if names[1] == "sum" else thetadot
+    below, above = (0.5, 0.3) if "phidot" in names else (0.25, 0.1)
+    return {
+        "theta": (0.0, 2.5 * theta, 200),
+        names[1]: (middle - below * theta, middle + above * theta, 250),
+        **({"phidot": others[0]} if "phidot" in names else {}),
+    }

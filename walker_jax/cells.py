@@ -179,6 +179,12 @@ class Grid(eqx.Module):
         u = lower + (jnp.stack(places).astype(lower.dtype) + 0.5) * spacing
         return jnp.asarray(self.origin) + _multiply(self.shear, u)
 
+    def states(self, share: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n s"]:
+        """Points at shares, 0 to 1, of the way along each axis of the box; on the host only."""
+        lower, upper = np.asarray(self.lower), np.asarray(self.upper)
+        u = lower + (upper - lower) * share
+        return np.asarray(self.origin) + u @ np.asarray(self.shear).T
+
     def cell(self, point: Float[Array, " s"]) -> Int32[Array, ""]:
         """Index of the cell that holds a point x, -1 where none does or x is not finite.
 

@@ -499,6 +499,7 @@ def basin(
     """
     import walker_jax as wj
     from walker_jax import figures, store
+    from walker_jax.basin import around
 
     has_phidot = "phidot" in walker.section
     if not has_phidot and (phidot is not None or at_phidot is not None):
@@ -547,7 +548,7 @@ def basin(
     clock = Stopwatch()
     if data is None:
         if None in axes.values():
-            axes = filled(axes, around_gait(walker, tuple(axes)))
+            axes = filled(axes, around(gait_of(walker).states[0], tuple(axes)))
         data = wj.basin(walker, grid_of(**axes), method, strides=strides, progress=True)
     seconds = clock.seconds()
     if not reused:
@@ -616,19 +617,6 @@ def filled(axes: dict, values: dict, default: Axis | None = None) -> dict:
     """The axes, those that are not given with values of their own or the default one."""
     return {
         name: values.get(name, default) if axis is None else axis for name, axis in axes.items()
-    }
-
-
-def around_gait(walker: Walker, names: tuple[str, ...]) -> dict:
-    """Axes around a walker's gait."""
-    state = gait_of(walker).states[0]
-    theta, thetadot = float(state[0]), float(state[1])
-    middle = theta + thetadot if names[1] == "sum" else thetadot
-    below, above = (0.5, 0.3) if "phidot" in names else (0.25, 0.1)
-    return {
-        "theta": (0.0, 2.5 * theta, 200),
-        names[1]: (middle - below * theta, middle + above * theta, 250),
-        **({"phidot": float(state[2])} if "phidot" in names else {}),
     }
 
 

@@ -11,14 +11,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.core import Tracer
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
 from walker_jax.integrate import (
     MAX_STEPS,
     Real,
-    default_tolerance,
     first_rise,
     order_of,
     polynomial,
@@ -28,15 +26,14 @@ from walker_jax.integrate import (
 from walker_jax.stride import (
     Outcome,
     Stride,
-    as_floating,
     begin,
     end,
     equations,
+    for_each_start,
     least_force,
-    prepared,
+    of_one_start,
 )
 from walker_jax.taylor import evaluate, fast_sines, function_series, solution_series
-from walker_jax.tiles import over_cells
 from walker_jax.walkers import MasslessFeetWalker, Scalar, State, Walker, toppling_rate
 
 
@@ -70,12 +67,7 @@ def margins(
     Arguments and errors are those of `stride`. Forward-mode derivatives, of the first order, are
     right. Margins are smooth but where another instant comes to be the one that counts.
     """
-    walker, x, tolerance = prepared(walker, x, tolerance)
-    traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((walker, x, tolerance)))
-    if not traced and jax.local_devices()[0].platform == "cpu":  # a kernel compiles faster
-        found = over_cells(margins_of_cell, (walker, tolerance), x[None])
-        return jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), found)
-    return follow_margins(walker, x, tolerance)
+    return of_one_start(margins, follow_margins, walker, x, tolerance)
 
 
 def margins_of_many(
@@ -85,18 +77,22 @@ def margins_of_many(
     tolerance: Real | None = None,
     progress: str | None = None,
 ) -> Margins:
-    """`margins` for each of n starts, as `strides` makes them; NumPy arrays."""
-    xs = as_floating(xs)
-    if xs.ndim != 2:
-        raise ValueError(f"xs must have shape (n, coordinates), not {xs.shape}")
-    to_dtype = lambda leaf: np.asarray(leaf, xs.dtype)
-    shared = jax.tree.map(to_dtype, (walker, default_tolerance(xs.dtype, tolerance)))
-    return over_cells(margins_of_cell, shared, xs, progress=progress)
+    """`margins` for each of n starts, and one walker or n, as in `strides`; NumPy arrays."""
+    return for_each_start(margins, walker, xs, tolerance, progress)
 
 
-def margins_of_cell(shared: tuple[Walker, Real], x: Float[Array, " coordinates"]) -> Margins:
-    walker, tolerance = shared
-    return margins(walker, x, tolerance=tolerance)
+def failed_by(found: Margins) -> Scalar:
+    """The margin of the failure that ended a stride, NaN for none; no batch axis."""
+    ways = {
+        Outcome.BACKWARD: found.backward,
+        Outcome.FORWARD: found.forward,
+        Outcome.RUNNING: found.running,
+        Outcome.STOPPED: found.stopping,
+    }
+    by = jnp.full_like(found.backward, jnp.nan)
+    for outcome, margin in ways.items():
+        by = jnp.where(found.stride.outcome == outcome, margin, by)
+    return by
 
 
 class Following(NamedTuple):

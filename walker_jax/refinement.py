@@ -4,7 +4,8 @@ A coarse grid is followed directly. Then every cell that has a neighbour of anot
 2 x 2 (2 x 2 x 2), and the parts are followed; the parts of all others inherit. Where parts show a
 boundary to cells that inherited, those are followed too, and so on: a tail that has been met
 anywhere is followed to its end. What has not been met anywhere is looked for by starts drawn at
-random among the cells that inherited: they correct the area, and say how far it can be trusted.
+random among the cells that inherited: the tails they meet are followed too; then others, drawn
+anew, correct the area, and say how far it can be trusted.
 """
 
 from importlib.metadata import version
@@ -12,7 +13,7 @@ from importlib.metadata import version
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 
 from walker_jax.basin import (
     Basins,
@@ -23,6 +24,7 @@ from walker_jax.basin import (
     sample,
     settle,
     sort_attractors,
+    with_frames,
 )
 from walker_jax.cells import Grid
 from walker_jax.integrate import default_tolerance
@@ -42,7 +44,7 @@ def refine(
     levels: int,
     *,
     strides: int = 200,
-    check: int = 100_000,
+    check: int = 500_000,
     seed: int = 0,
     tolerance: float | None = None,
     progress: bool = False,
@@ -59,7 +61,7 @@ def refine(
       basin's parts are apart.
     - `levels`: how many times cells are cut; none gives the coarse grid.
     - `strides`: how many of them a walker is followed for.
-    - `check`: starts drawn among the cells that inherited their fate.
+    - `check`: starts drawn among the cells that inherited their fate, twice.
     - `seed`: of what is drawn.
     - `tolerance`: of the integration, as in `stride`.
     - `progress`: whether to show progress bars on a terminal.
@@ -70,8 +72,8 @@ def refine(
       `total_area_error`;
     - over the levels, `followed`: cells that were followed, and `boundary`: cells that have a
       neighbour of another fate;
-    - `checked`, `mistaken`: starts of the check, and those that fall where their cell walks, or the
-      other way round; `strides_made`: in all.
+    - `checked`, `mistaken`: starts of the second check, and those that fall where their cell
+      walks, or the other way round; `strides_made`: in all.
 
     `strides` are counted for cells that were followed, and 0 for others. Memory is that of the
     finest grid; strides are made for its boundary alone. `ValueError` as for `basin`.
@@ -89,53 +91,77 @@ def refine(
     attractors = settle(
         walker, sample(centres(grid, np.arange(grid.size, dtype=np.int32))), tolerance, []
     )
+    attractors = with_frames(walker, attractors, tolerance, strides)
     made = 0
 
     def look(grid: Grid, cells: Int[np.ndarray, " n"], *, anywhere: bool) -> Basins:
         """The fates of cells, by their centres or by points anywhere in them."""
         nonlocal attractors, made
-        x = centres(grid, cells.astype(np.int32))
-        if anywhere:
-            u = rng.uniform(-0.5, 0.5, (len(cells), len(grid.names))) * np.asarray(grid.spacing)
-            x = x + u @ np.asarray(grid.shear).T
+        places = np.stack(np.unravel_index(cells, grid.shape), axis=1)
+        within = rng.uniform(size=places.shape) if anywhere else 0.5
+        x = grid.states((places + within) / np.array(grid.shape))
         found = follow(walker, x, attractors, tolerance, strides, progress)
         attractors = found.attractors
         made += int(found.strides.sum() + (found.fate != Outcome.STRIDE).sum())
         return found
 
     fate, attractor = np.zeros(grid.shape, np.int8), np.full(grid.shape, -1, np.int16)
-    known = np.zeros(grid.shape, bool)
-    followed, boundary = [], []
-    for level in range(levels + 1):
-        fine = finer(grid, level)
-        wanted = np.ones(grid.shape, bool)
-        if level:
-            wanted = cut(edge(labels(fate, attractor)))
-            fate, attractor = cut(fate), cut(attractor)
-        count, known = np.zeros(fine.shape, np.int32), np.zeros(fine.shape, bool)
-        while (cells := np.flatnonzero(wanted & ~known)).size:
-            found = look(fine, cells, anywhere=level == levels)
+    count, depth = np.zeros(grid.shape, np.int32), np.full(grid.shape, -1, np.int8)
+
+    def label(cells: Int[np.ndarray, "..."]) -> Int[np.ndarray, "..."]:
+        return labels(fate.ravel()[cells], attractor.ravel()[cells])
+
+    def flood(level: int, cells: Int[np.ndarray, " n"]) -> None:
+        """Follow cells, and then those beside them where that shows a boundary, until none is."""
+        while cells.size:
+            found = look(finer(grid, level), cells, anywhere=level == levels)
             fate.ravel()[cells], attractor.ravel()[cells] = found.fate, found.attractor
-            count.ravel()[cells], known.ravel()[cells] = found.strides, True
-            wanted = edge(labels(fate, attractor))
-        followed.append(int(known.sum()))
-        boundary.append(int(edge(labels(fate, attractor)).sum()))
+            count.ravel()[cells], depth.ravel()[cells] = found.strides, level
+            beside = neighbours(cells, depth.shape)
+            unlike = label(beside) != label(cells)[:, None]
+            cells = np.unique(beside[unlike & (depth.ravel()[beside] < level)])
+
+    followed, boundary = [], []
+    on_edge = np.ones(grid.shape, bool)
+    for level in range(levels + 1):
+        if level:
+            on_edge, fate, attractor, depth = map(cut, (on_edge, fate, attractor, depth))
+            count = np.zeros(fate.shape, np.int32)
+        flood(level, np.flatnonzero(on_edge))
+        on_edge = edge(labels(fate, attractor))
+        followed.append(int(np.count_nonzero(depth == level)))
+        boundary.append(int(np.count_nonzero(on_edge)))
+
+    def sizes() -> Float[np.ndarray, " levels"]:
+        """How many cells inherited their fates from each level."""
+        return np.bincount(depth.ravel(), minlength=levels + 1)[:levels].astype(float)
+
+    def draw(shares: Float[np.ndarray, " levels"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Cells drawn among those that inherited, by how much a point in each walks more often, and
+        how many there are from each level."""
+        counts = np.floor(check * shares / max(shares.sum(), 1)).astype(int)
+        of_level = [np.flatnonzero(depth == level) for level in range(levels)]
+        drawn = [rng.choice(cells, n) for cells, n in zip(of_level, counts, strict=True) if n]
+        cells = np.concatenate([np.zeros(0, int), *drawn])
+        walks = look(finest, cells, anywhere=True).attractor >= 0
+        return cells, walks.astype(int) - (attractor.ravel()[cells] >= 0), counts
+
+    # What a first check meets is followed to its end; a second one says how much is left. Shares
+    # are those of least variance, (mistakes + 1) (size / count)^2 summed over the levels.
+    cells, error, _ = draw(sizes() ** (2 / 3))
+    wrong = np.bincount(depth.ravel()[cells[error != 0]], minlength=levels)
+    flood(levels, np.unique(cells[error != 0]))
+    cells, error, counts = draw(sizes() ** (2 / 3) * (wrong + 1) ** (1 / 3))
+    of_level = depth.ravel()[cells]
+    wrong = np.bincount(of_level[error != 0], minlength=levels)
+    excess = np.bincount(of_level, error, minlength=levels)
 
     cell = finest.cell_area
     mixed = edge((attractor >= 0).astype(np.int8)).sum()
-    walks = (attractor >= 0).ravel()
-    area, variance = walks.sum() * cell, mixed * SPREAD * cell**2
-    inherited = np.flatnonzero(~known)
-    checked, mistaken = (check if len(inherited) else 0), 0
-    if checked:
-        cells = inherited[rng.integers(0, len(inherited), checked)]
-        found = look(finest, cells, anywhere=True)
-        error = (found.attractor >= 0).astype(int) - walks[cells]
-        mistaken = int(np.count_nonzero(error))
-        whole = len(inherited) * cell
-        area += error.mean() * whole
-        # as if there were one more than were found, lest none be taken for certainty
-        variance += (mistaken + 1) * (whole / checked) ** 2
+    each = sizes() / np.maximum(counts, 1)
+    area = ((attractor >= 0).sum() + (each * excess).sum()) * cell
+    # as if there were one mistake more than were found, lest none be taken for certainty
+    variance = (mixed * SPREAD + ((wrong + 1) * each**2).sum()) * cell**2
 
     basins = Basins(fate.ravel(), attractor.ravel(), count.ravel(), attractors)
     data = labelled(walker, finest, sort_attractors(basins))
@@ -143,7 +169,7 @@ def refine(
     data["total_area_error"] = float(np.sqrt(variance))
     data["followed"] = "level", np.array(followed)
     data["boundary"] = "level", np.array(boundary)
-    data["checked"], data["mistaken"] = checked, mistaken
+    data["checked"], data["mistaken"] = len(cells), int(wrong.sum())
     data["strides_made"] = made
     data.attrs = {
         "walker": type(walker).__name__,
@@ -187,6 +213,13 @@ def edge(label: Int[np.ndarray, "*shape"]) -> Bool[np.ndarray, "*shape"]:
         most = among_neighbours(np.maximum, most, axis)
         least = among_neighbours(np.minimum, least, axis)
     return most != least
+
+
+def neighbours(cells: Int[np.ndarray, " n"], shape: tuple[int, ...]) -> Int[np.ndarray, "n m"]:
+    """Indices of each cell's neighbours, corners included, and itself, which the border repeats."""
+    steps = np.indices((3,) * len(shape)).reshape(len(shape), -1) - 1
+    index = np.stack(np.unravel_index(cells, shape))[:, :, None] + steps[:, None]
+    return np.asarray(np.ravel_multi_index(tuple(index), shape, mode="clip"))
 
 
 def among_neighbours(pick: np.ufunc, values: np.ndarray, axis: int) -> np.ndarray:

@@ -6,6 +6,7 @@ and Wisse 2001, section 5).
 """
 
 from collections.abc import Callable, Sequence
+from statistics import NormalDist
 from typing import Any, NamedTuple
 
 import jax
@@ -15,25 +16,51 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
-from walker_jax.basin import near
+from walker_jax.basin import (
+    Attractor,
+    centres,
+    check_grid,
+    follow,
+    sample,
+    settle,
+    with_frames,
+)
+from walker_jax.boundaries import Uncertainty, uncertainty_exponent
+from walker_jax.cells import Grid
 from walker_jax.gaits import Gait, find_gait
 from walker_jax.integrate import default_tolerance
-from walker_jax.stride import Outcome, follow_stride
+from walker_jax.margins import failed_by, follow_margins
+from walker_jax.refinement import edge
+from walker_jax.stride import (
+    Outcome,
+    check_parameters,
+    follow_step_down,
+    follow_stride,
+    step_down,
+)
 from walker_jax.tiles import over_cells
-from walker_jax.walkers import Walker
+from walker_jax.walkers import Scalar, Walker
 
 RAYS, RADII = 720, 128
 """Directions, of two dimensions, and distances along each, at which a walker is first tried."""
 DENSE, SHELL = 16, 48
 """How many times as many directions are then tried, at how many distances up to the least found."""
+HEIGHTS = 4096
+"""Heights of a step down, up to the least found."""
 FAN = 61
 """Directions that are tried at once around one of the nearest."""
 CANDIDATES = 64
 """Directions that are nearer than their neighbours, of which as many are looked at more closely."""
-ZOOMS = 7
+ZOOMS = 3
 """How often."""
-HALVINGS = 32
-"""Of the distance between two points tried on a ray."""
+POLISHES = 4
+"""Searches along the boundary's gradient that follow."""
+ALONG = 2.0 ** np.arange(-6, 3)
+"""Parts of the way, to where the boundary would be nearest if it were flat, that each tries."""
+BEYOND = 1 + 1e-8
+"""Of the least disturbance, that from which it is told how the walker fails: rounding is less."""
+HALVINGS = 12, 34
+"""Of the distance between two points tried on a ray: to tell rays apart, and in the end."""
 
 
 class LeastDisturbance(NamedTuple):
@@ -84,6 +111,267 @@ def least_disturbance(
     `ValueError` for a gait that is not stable, or not found, and for a scale or vectors that are
     not of the section.
     """
+    unit, basis = metric(walker, scale, along)
+    size = len(unit)
+    states, shared = returning(walker, gait, strides, tolerance)
+
+    def fails(points: Float[np.ndarray, "n section"]) -> Bool[np.ndarray, " n"]:
+        return ~over_cells(end_of_walk, shared, points).back
+
+    def gradient(points: Float[np.ndarray, "n section"]) -> Float[np.ndarray, "n section"]:
+        count = over_cells(end_of_walk, shared, points).strides
+        cells = np.repeat(points, size, axis=0), np.repeat(count, size)
+        change = over_cells(
+            change_of_margin, shared[:2], (*cells, np.tile(np.eye(size), (len(points), 1)))
+        )
+        return change.reshape(-1, size)
+
+    found = [
+        nearest_failure(
+            lambda y, x=x: fails(x + y * unit), basis, lambda y, x=x: gradient(x + y * unit) * unit
+        )
+        for x in states
+    ]
+    phase = int(np.argmin([np.linalg.norm(one) for one in found]))
+    step = found[phase]
+    length = float(np.linalg.norm(step))
+    state = states[phase] + step * unit
+    beyond = over_cells(end_of_walk, shared, (states[phase] + BEYOND * step * unit)[None])
+    failure, made = Outcome(int(beyond.outcome[0])), int(beyond.strides[0])
+    return LeastDisturbance(length, step / length, state, phase, failure, made)
+
+
+class LeastStepDown(NamedTuple):
+    """The least step down from which a walker does not come back to its gait."""
+
+    size: float
+    """Its height, at right angles to the slope, in the unit of length."""
+    state: Float[np.ndarray, " 4"]
+    """(theta, phi, thetadot, phidot) just after heel strike on the lower ground; NaN if none."""
+    phase: int
+    """The state of the gait from which the stride begins that ends there."""
+    failure: Outcome
+    """How the walker fails from just beyond it; `STRIDE` where it comes to another motion."""
+    strides: int
+    """Strides before that, the one down included, the failing one not."""
+
+
+def least_step_down(
+    walker: Walker,
+    gait: Gait | None = None,
+    *,
+    strides: int = 500,
+    tolerance: float | None = None,
+) -> LeastStepDown:
+    """The least height of a step down from which a walker does not return to its gait.
+
+    One heel strike is on ground that is lower (`step_down`), and so are all that follow. Arguments
+    and errors are those of `least_disturbance`. Heights are tried at some 4096 places up to the
+    least: failures in narrower ranges may be missed.
+    """
+    states, shared = returning(walker, gait, strides, tolerance)
+
+    def end(state, heights):
+        starts = np.broadcast_to(state, (len(heights), len(state)))
+        return over_cells(end_after_step, shared, (starts, heights.astype(states.dtype)))
+
+    up = np.ones((1, 1))
+    found = []
+    for state in states:
+        fails = lambda heights, state=state: ~end(state, heights[:, 0]).back
+        reach = scanned(fails, up, HEIGHTS)[0]
+        first = first_failures(fails, up, 0.0, reach, HEIGHTS)
+        found.append(halved(fails, up, first, reach / HEIGHTS, HALVINGS[1])[0])
+    phase = int(np.argmin(found))
+    height = float(found[phase])
+    beyond = end(states[phase], np.array([BEYOND * height]))
+    failure, made = Outcome(int(beyond.outcome[0])), int(beyond.strides[0])
+    down = step_down(walker, states[phase], height, tolerance=tolerance)
+    return LeastStepDown(height, np.asarray(down.state), phase, failure, made)
+
+
+class BasinStability(NamedTuple):
+    """The fraction of disturbances that a gait survives (Menck and others 2013)."""
+
+    value: Float[np.ndarray, "*walkers"]
+    """The fraction of the starts from which the walker comes back to its gait."""
+    low: Float[np.ndarray, "*walkers"]
+    high: Float[np.ndarray, "*walkers"]
+    """Wilson's confidence interval."""
+    fates: Int[np.ndarray, "*walkers outcomes"]
+    """Starts by the `Outcome` of their last stride; of those with `STRIDE`, `elsewhere` did not
+    come back, but still walk."""
+    elsewhere: Int[np.ndarray, "*walkers"]
+    median: Float[np.ndarray, "*walkers"]
+    """Strides to within a distance of the gait, of half of those that come back."""
+    slowest: Float[np.ndarray, "*walkers"]
+    """And of 95 of 100; infinite where they have not come that close, NaN where none come back."""
+
+
+def basin_stability(
+    walker: Walker,
+    disturbances: float | Grid,
+    gait: Gait | None = None,
+    *,
+    scale: Sequence[Any] | ArrayLike | None = None,
+    along: Sequence[Any] | ArrayLike | None = None,
+    within: float = 1e-6,
+    samples: int = 10_000,
+    strides: int = 500,
+    confidence: float = 0.95,
+    seed: int = 0,
+    tolerance: float | None = None,
+) -> BasinStability:
+    """The fraction of random disturbances from which a walker comes back to its gait, and how soon.
+
+    **Arguments:**
+
+    - `walker`: its parameters are numbers, or arrays of n, as in `strides`; then the results are
+      arrays of n, and NaN where there is no stable gait.
+    - `disturbances`: the greatest length of disturbances of the gait's first state, of which all
+      are as likely, in the metric of `least_disturbance` with `scale` and `along`; or a grid, in
+      whose region of the section starts are as likely anywhere.
+    - `gait`: a stable one, of one walker; the most stable of period one, by default.
+    - `within`: of a state of the gait, in every coordinate, a walker has come back.
+    - `samples`: starts for each walker, the same disturbances for all.
+    - `strides`: how many of them a walker may take to come back.
+    - `confidence`: of the interval.
+    - `seed`: of what is drawn.
+    - `tolerance`: of the integration, as in `stride`.
+
+    `ValueError` for a single walker without a stable gait, and for arguments out of range.
+    """
+    unit, basis = metric(walker, scale, along)
+    if isinstance(disturbances, Grid):
+        check_grid(walker, disturbances, "direct")
+        if scale is not None or along is not None:
+            raise ValueError("scale and along are of no use where disturbances is a grid")
+    elif not 0 < disturbances < np.inf:
+        raise ValueError(f"disturbances must be positive, or a grid, not {disturbances}")
+    if not within > 0:
+        raise ValueError(f"within must be positive, not {within}")
+    if samples < 1:
+        raise ValueError(f"samples must be at least 1, not {samples}")
+    if not 0 < confidence < 1:
+        raise ValueError(f"confidence must be between 0 and 1, not {confidence}")
+    counts = {np.size(leaf) for leaf in jax.tree.leaves(walker) if np.ndim(leaf)}
+    if counts and gait is not None:
+        raise ValueError("gait must be left out for walkers with arrays for parameters")
+    if counts:
+        check_parameters(walker, max(counts))
+    rng = np.random.default_rng(seed)
+    if isinstance(disturbances, Grid):
+        starts = disturbances.states(rng.uniform(size=(samples, len(disturbances.names))))
+        about = lambda state: starts
+    else:
+        inside = in_ball(rng, samples, len(basis)) @ basis * unit * disturbances
+        about = lambda state: state + inside
+
+    def one(walker: Walker, gait: Gait | None) -> tuple:
+        states, shared = returning(walker, gait, strides, tolerance)
+        starts = about(states[0]).astype(states.dtype)
+        found = over_cells(end_of_walk, shared, starts)
+        fates = np.bincount(found.outcome, minlength=len(Outcome))
+        elsewhere = np.count_nonzero((found.outcome == Outcome.STRIDE) & ~found.back)
+        cubes = np.broadcast_to(np.eye(states.shape[1]) / within, shared[3].shape)
+        closer = over_cells(
+            end_of_walk, (*shared[:3], cubes.astype(states.dtype), shared[4]), starts[found.back]
+        )
+        made = np.where(closer.back, closer.strides, np.inf)
+        back = len(made)
+        late = np.percentile(made, (50, 95), method="inverted_cdf") if back else (np.nan, np.nan)
+        return back / samples, *wilson(back, samples, confidence), fates, elsewhere, *late
+
+    if not counts:
+        return BasinStability(*map(np.asarray, one(walker, gait)))
+    rows = []
+    for i in range(max(counts)):
+        single = jax.tree.map(lambda leaf, i=i: leaf[i] if np.ndim(leaf) else leaf, walker)
+        gait = find_gait(single)
+        if gait.found and gait.stable:
+            rows.append(one(single, gait))
+        else:
+            rows.append((np.nan, np.nan, np.nan, np.zeros(len(Outcome), int), 0, np.nan, np.nan))
+    return BasinStability(*map(np.array, zip(*rows, strict=True)))
+
+
+DISTANCES = 10.0 ** np.linspace(-6, -3.5, 11)
+"""Between starts whose fates are compared, as shares of the lengths of a grid's axes."""
+
+
+def boundary_dimension(
+    walker: Walker,
+    grid: Grid,
+    *,
+    distances: Sequence[Any] | ArrayLike = DISTANCES,
+    pairs: int = 50_000,
+    strides: int = 200,
+    confidence: float = 0.95,
+    seed: int = 0,
+    tolerance: float | None = None,
+) -> Uncertainty:
+    """The dimension of the boundary of the basins in a region, by the uncertainty exponent.
+
+    A start is uncertain at a distance if a walker that starts that far from it, on either side, in
+    a random direction, comes to another attractor, or to none. Starts are drawn from the cells that
+    have a neighbour of another fate: elsewhere next to none are uncertain.
+
+    **Arguments:**
+
+    - `walker`: as in `basin`.
+    - `grid`: its region is meant, or slice, in cells larger than the distances.
+    - `distances`: as shares of the lengths of the grid's axes.
+    - `pairs`: starts for each distance.
+    - `strides`: how many of them a walker is followed for.
+    - `confidence`, `seed`: of the interval, and of what is drawn.
+    - `tolerance`: of the integration, as in `stride`.
+
+    `ValueError` as for `basin` and `uncertainty_exponent`.
+    """
+    check_grid(walker, grid, "direct")
+    finest = float(default_tolerance(jnp.asarray(0.0).dtype, tolerance))
+    starts = centres(grid, np.arange(grid.size, dtype=np.int32))
+    attractors = settle(walker, sample(starts), finest, [])
+    attractors = with_frames(walker, attractors, finest, strides)
+
+    def label_of(share: Float[np.ndarray, "n axes"]) -> Int[np.ndarray, " n"]:
+        return follow(walker, grid.states(share), attractors, finest, strides).attractor
+
+    shape = np.array(grid.shape)
+    label = follow(walker, starts, attractors, finest, strides).attractor.reshape(grid.shape)
+    on_edge = np.argwhere(edge(label))
+    if len(on_edge) == 0:
+        raise ValueError("grid must have cells of different fates, and all its cells have one")
+
+    def draw(rng: np.random.Generator, n: int) -> Float[np.ndarray, "n axes"]:
+        return (rng.choice(on_edge, n) + rng.uniform(size=(n, len(shape)))) / shape
+
+    return uncertainty_exponent(
+        label_of, draw, np.asarray(distances), pairs=pairs, seed=seed, confidence=confidence
+    )
+
+
+def in_ball(rng: np.random.Generator, n: int, rank: int) -> Float[np.ndarray, "n rank"]:
+    """Points of the unit ball, all as likely."""
+    x = rng.normal(size=(n, rank))
+    radius = rng.uniform(size=(n, 1)) ** (1 / rank)
+    return radius * x / np.linalg.norm(x, axis=1, keepdims=True)
+
+
+def wilson(successes: int, n: int, confidence: float) -> tuple[float, float]:
+    """Wilson's interval for a probability, from a number of successes of n."""
+    z = NormalDist().inv_cdf((1 + confidence) / 2)
+    centre, spread = successes + z**2 / 2, z * np.sqrt(successes * (1 - successes / n) + z**2 / 4)
+    return float((centre - spread) / (n + z**2)), float((centre + spread) / (n + z**2))
+
+
+def metric(
+    walker: Walker, scale: Sequence[Any] | ArrayLike | None, along: Sequence[Any] | ArrayLike | None
+) -> tuple[Float[np.ndarray, " section"], Float[np.ndarray, "rank section"]]:
+    """The units of a walker's section, and unit vectors at right angles in these that span `along`.
+
+    `ValueError` for what is not of the section.
+    """
     size = len(walker.section)
     unit = np.ones(size) if scale is None else np.asarray(scale, float)
     if unit.shape != (size,) or not np.all(np.isfinite(unit) & (unit > 0)):
@@ -92,29 +380,25 @@ def least_disturbance(
     rank = np.linalg.matrix_rank(basis) if np.isfinite(basis).all() else 0
     if basis.ndim != 2 or basis.shape[1] != size or rank != len(basis):
         raise ValueError(f"along must be independent vectors of the section, not {along}")
+    return unit, np.linalg.qr((basis / unit).T)[0].T
+
+
+def returning(
+    walker: Walker, gait: Gait | None, strides: int, tolerance: float | None
+) -> tuple[Float[np.ndarray, "period section"], tuple]:
+    """The states of a stable gait, and what walks share that are to come back to it, checked."""
     if strides < 1:
         raise ValueError(f"strides must be at least 1, not {strides}")
     gait = find_gait(walker) if gait is None else gait
     if not (gait.found and gait.stable):
         raise ValueError("gait must be a stable one, and found")
-    basis = np.linalg.qr((basis / unit).T)[0].T
-    states = np.asarray(gait.states, float)
+    states = np.asarray(gait.states)
     finest = default_tolerance(states.dtype, tolerance)
+    cycle = Attractor(len(states), states)
+    (cycle,) = with_frames(walker, [cycle], float(finest), strides)
     to_dtype = lambda leaf: np.asarray(leaf, states.dtype)
-    shared = jax.tree.map(to_dtype, (walker, finest, states, near(states.dtype)))
-    shared = *shared, np.int32(strides)
-
-    def fails(points: Float[np.ndarray, "n section"]) -> Bool[np.ndarray, " n"]:
-        return ~over_cells(end_of_walk, shared, points).back
-
-    found = [nearest_failure(lambda y, x=x: fails(x + y * unit), basis) for x in states]
-    phase = int(np.argmin([np.linalg.norm(one) for one in found]))
-    step = found[phase]
-    length = float(np.linalg.norm(step))
-    state = states[phase] + step * unit
-    beyond = over_cells(end_of_walk, shared, state[None])
-    failure, made = Outcome(int(beyond.outcome[0])), int(beyond.strides[0])
-    return LeastDisturbance(length, step / length, state, phase, failure, made)
+    shared = jax.tree.map(to_dtype, (walker, finest, states, cycle.boxes()))
+    return states, (*shared, np.int32(strides))
 
 
 class EndOfWalk(NamedTuple):
@@ -130,10 +414,11 @@ class EndOfWalk(NamedTuple):
 
 def end_of_walk(shared: tuple, x: Float[Array, " section"]) -> EndOfWalk:
     """Walk on until a failure, or close to a gait, or for a number of strides."""
-    walker, tolerance, states, close, limit = shared
+    walker, tolerance, states, frames, limit = shared
 
     def is_back(x):
-        return jnp.any(jnp.max(jnp.abs(states - x), axis=1) < close)
+        away = jnp.sum(frames * (x - states)[:, None], axis=2)
+        return jnp.any(jnp.max(jnp.abs(away), axis=1) < 1)
 
     def going(carry):
         x, outcome, count = carry
@@ -150,18 +435,88 @@ def end_of_walk(shared: tuple, x: Float[Array, " section"]) -> EndOfWalk:
     return EndOfWalk((outcome == Outcome.STRIDE) & is_back(x), outcome, count)
 
 
+def end_after_step(shared: tuple, cell: tuple) -> EndOfWalk:
+    """Step down from a state of the gait, and walk on, the stride down included in the count."""
+    walker, tolerance, *_ = shared
+    x, drop = cell
+    down = follow_step_down(walker, x, drop, tolerance)
+    after = follow_stride(walker, down.state, tolerance)
+    rest = end_of_walk(shared, after.state)
+    outcome = jnp.where(after.outcome == Outcome.STRIDE, rest.outcome, after.outcome)
+    outcome = jnp.where(down.outcome == Outcome.STRIDE, outcome, down.outcome)
+    count = rest.strides + sum(
+        (one.outcome == Outcome.STRIDE).astype(jnp.int32) for one in (down, after)
+    )
+    return EndOfWalk(rest.back & (outcome == Outcome.STRIDE), outcome, count)
+
+
+def change_of_margin(shared: tuple, cell: tuple) -> Scalar:
+    """Derivative, along a direction, of the margin of the failure that ends a number of strides."""
+    walker, tolerance = shared
+    x, count, direction = cell
+
+    def margin(x):
+        step = lambda _, x: follow_stride(walker, x, tolerance).state
+        last = follow_margins(walker, lax.fori_loop(0, count, step, x), tolerance)
+        return failed_by(last)
+
+    return jax.jvp(margin, (x,), (direction,))[1]
+
+
 def nearest_failure(
     fails: Callable[[Float[np.ndarray, "n size"]], Bool[np.ndarray, " n"]],
     basis: Float[np.ndarray, "rank size"],
+    gradient: Callable[[Float[np.ndarray, "n size"]], Float[np.ndarray, "n size"]],
 ) -> Float[np.ndarray, " size"]:
     """The shortest vector in the span of a basis, of unit vectors at right angles, that fails.
 
-    The origin does not. `ValueError` where nothing fails up to a length of a thousand.
+    The origin does not. `gradient`, at points that fail just beyond the boundary, is at right
+    angles to it, or NaN. `ValueError` where nothing fails.
     """
-    rank, reach = len(basis), 0.1
-    rays = directions(rank, RAYS)
+    rank = len(basis)
+    first = scanned(fails, directions(rank, RAYS) @ basis, RADII)
+    # Closer rays, over the shell in which a nearer failure may have been missed.
+    rays = directions(rank, DENSE * RAYS)
+    rays, first = nearest_of(fails, rays, basis, 0.85 * first.min(), 1.01 * first.min(), SHELL)
+    width = spacing(rank, DENSE * RAYS)
+    best = rays[lowest(rays, first, 2 * width)]
+    least = first.min()
+    for _ in range(ZOOMS if rank > 1 else 0):
+        fans = np.concatenate([around(ray, width) for ray in best])
+        # The nearest failures of a fan lie a little before those of the wider one.
+        rays, first = nearest_of(fails, fans, basis, 0.95 * least, 1.01 * least, 24)
+        best, least = rays[lowest(rays, first, width)], first.min()
+        width *= 0.25
+
+    gap = 1e-3 * least
+    lengths = first_failures(fails, best @ basis, least - gap, least + gap, 8)
+    lengths = halved(fails, best @ basis, lengths, gap / 4, HALVINGS[1])
+    least = lengths.min()
+    for _ in range(POLISHES if rank > 1 else 0):
+        with np.errstate(invalid="ignore", divide="ignore"):  # where there is no gradient
+            normal = gradient(lengths[:, None] * best @ basis) @ basis.T
+            along = normal / np.sum(normal * best, axis=1, keepdims=True) - best
+        tried = best[:, None] + np.concatenate([[0.0], ALONG])[:, None] * along[:, None]
+        tried = np.where(np.isfinite(tried), tried, best[:, None])
+        tried /= np.linalg.norm(tried, axis=2, keepdims=True)
+        flat = tried.reshape(-1, rank) @ basis
+        reached = first_failures(fails, flat, least - gap, least + gap, 8)
+        reached = halved(fails, flat, reached, gap / 4, HALVINGS[1]).reshape(tried.shape[:2])
+        best, lengths = tried[np.arange(len(best)), reached.argmin(axis=1)], reached.min(axis=1)
+        least = lengths.min()
+    return least * best[lengths.argmin()] @ basis
+
+
+def scanned(
+    fails: Callable, rays: Float[np.ndarray, "n size"], count: int
+) -> Float[np.ndarray, " n"]:
+    """The first failure along each ray, up to where the nearest is between 1/4 and all of the way.
+
+    `ValueError` where nothing fails up to a length of a thousand.
+    """
+    reach = 0.1
     while True:
-        first = first_failures(fails, rays @ basis, 0.0, reach, RADII)
+        first = first_failures(fails, rays, 0.0, reach, count)
         if np.isinf(first).all():
             if reach > 1e3:
                 raise ValueError("along these directions the walker returns from everywhere")
@@ -169,26 +524,17 @@ def nearest_failure(
         elif first.min() < reach / 4:
             reach = 2 * first.min()
         else:
-            break
-    # Closer rays, over the shell in which a nearer failure may have been missed.
-    rays, gap = directions(rank, DENSE * RAYS), 0.16 * first.min() / SHELL
-    first = first_failures(fails, rays @ basis, 0.85 * first.min(), 1.01 * first.min(), SHELL)
-    near = first < first.min() + 2 * gap
-    rays, first = rays[near], halved(fails, rays[near] @ basis, first[near], gap)
-    width = spacing(rank, DENSE * RAYS)
-    best = rays[lowest(rays, first, 2 * width)]
-    centre, least = rays[first.argmin()], first.min()
-    for _ in range(ZOOMS if rank > 1 else 0):
-        fans = np.stack([around(ray, width) for ray in best])
-        flat = fans.reshape(-1, rank) @ basis
-        # The nearest failures of a fan lie a little before those of the wider one.
-        tried = first_failures(fails, flat, 0.9 * least, 1.05 * least, 24)
-        tried = halved(fails, flat, tried, 0.15 * least / 24).reshape(fans.shape[:2])
-        best, lengths = fans[np.arange(len(fans)), tried.argmin(axis=1)], tried.min(axis=1)
-        centre, least = best[lengths.argmin()], lengths.min()
-        best = best[lengths < 1.01 * least]
-        width *= 0.25
-    return least * centre @ basis
+            return first
+
+
+def nearest_of(
+    fails: Callable, rays: np.ndarray, basis: np.ndarray, low: float, high: float, count: int
+) -> tuple[Float[np.ndarray, "n rank"], Float[np.ndarray, " n"]]:
+    """Those of some rays along which the first failure is among the nearest, and its distance."""
+    gap = (high - low) / count
+    first = first_failures(fails, rays @ basis, low, high, count)
+    near = first < first.min() + 1.5 * gap
+    return rays[near], halved(fails, rays[near] @ basis, first[near], gap, HALVINGS[0])
 
 
 def first_failures(
@@ -202,12 +548,16 @@ def first_failures(
 
 
 def halved(
-    fails: Callable, rays: Float[np.ndarray, "n size"], high: Float[np.ndarray, " n"], gap: Any
+    fails: Callable,
+    rays: Float[np.ndarray, "n size"],
+    high: Float[np.ndarray, " n"],
+    gap: float,
+    times: int,
 ) -> Float[np.ndarray, " n"]:
-    """Distances that fail, `gap` beyond ones that do not, brought down to some ten digits."""
+    """Distances that fail, `gap` beyond ones that do not, brought down by halving."""
     known = np.isfinite(high)
     below, above = high[known] - gap, high[known]
-    for _ in range(HALVINGS):
+    for _ in range(times):
         middle = (below + above) / 2
         failed = fails(middle[:, None] * rays[known])
         below, above = np.where(failed, below, middle), np.where(failed, middle, above)

@@ -9,8 +9,8 @@ polynomial; where nothing has happened after all, the stride goes on.
 import enum
 import operator
 from collections.abc import Callable
-from functools import partial
-from typing import NamedTuple
+from functools import cache, partial
+from typing import Any, NamedTuple
 
 import diffrax
 import jax
@@ -114,12 +114,23 @@ def stride(
     **Returns** a `Stride`. A failure is an `Outcome`. `ValueError` for a wrong shape or dtype, and
     for a tolerance that the dtype cannot hold.
     """
+    return of_one_start(stride, follow_stride, walker, x, tolerance)
+
+
+def of_one_start(
+    function: Callable,
+    follow: Callable,
+    walker: Walker,
+    x: Float[ArrayLike, " coordinates"],
+    tolerance: Real | None,
+) -> Any:
+    """follow(walker, x, tolerance), what `function` is to be; checked, and in the dtype of x."""
     walker, x, tolerance = prepared(walker, x, tolerance)
     traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((walker, x, tolerance)))
     if not traced and jax.local_devices()[0].platform == "cpu":  # a kernel compiles faster
-        result = strides(walker, x[None], tolerance=tolerance)
-        return Stride(*(jnp.asarray(leaf[0]) for leaf in result))
-    return follow_stride(walker, x, tolerance)
+        found = for_each_start(function, walker, x[None], tolerance)
+        return jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), found)
+    return follow(walker, x, tolerance)
 
 
 def prepared(
@@ -171,20 +182,62 @@ def end(
     verdict: Int[Array, ""],
     pulled: Bool[Array, ""],
 ) -> Stride:
-    """What a stride leads to whose swing ended with `verdict`; at heel strike, by the impact."""
+    """What a stride leads to whose swing ended with `verdict`, on the section."""
+    following, outcome = after_impact(walker, arrival, verdict, pulled)
+    return completed(walker.project(following), outcome, time)
+
+
+def completed(state: Float[Array, " coordinates"], outcome: Int[Array, ""], time: Scalar) -> Stride:
+    """A stride; its results are NaN unless it is one."""
+    success = outcome == Outcome.STRIDE
+    return Stride(jnp.where(success, state, jnp.nan), outcome, jnp.where(success, time, jnp.nan))
+
+
+def after_impact(
+    walker: Walker, arrival: State, verdict: Int[Array, ""], pulled: Bool[Array, ""]
+) -> tuple[State, Int[Array, ""]]:
+    """The state after a heel strike, legs exchanged, and the outcome of the stride."""
     (_, lift), after = walker.impact(arrival)
     following = walker.exchange_legs(after)
     struck = jnp.where(following.thetadot < 0, Outcome.STRIDE, Outcome.BACKWARD)
     struck = jnp.where(lift > 0, struck, Outcome.STOPPED)
     struck = jnp.where(jnp.isfinite(lift), struck, Outcome.UNDECIDED)
     struck = jnp.where(pulled | in_tension(walker, arrival), Outcome.RUNNING, struck)
-    outcome = jnp.where(verdict == Outcome.STRIDE, struck, verdict).astype(jnp.int8)
-    success = outcome == Outcome.STRIDE
-    return Stride(
-        jnp.where(success, walker.project(following), jnp.nan),
-        outcome,
-        jnp.where(success, time, jnp.nan),
-    )
+    return following, jnp.where(verdict == Outcome.STRIDE, struck, verdict).astype(jnp.int8)
+
+
+def step_down(
+    walker: Walker,
+    x: Float[ArrayLike, " coordinates"],
+    drop: Real,
+    *,
+    tolerance: Real | None = None,
+) -> Stride:
+    """One stride whose heel strike is on ground that is lower by `drop`.
+
+    The swing foot goes on past the slope until it is `drop` below, measured at right angles to the
+    slope, in the unit of length, not negative. Arguments and errors are those of `stride`
+    otherwise. The result's state is a full one, (theta, phi, thetadot, phidot), just after heel
+    strike, off the section: the foot that stood is higher. `stride` takes it from there, on a slope
+    through the foot that stands now.
+    """
+    if not isinstance(drop, Tracer) and not 0 <= drop < np.inf:
+        raise ValueError(f"drop must be finite and not negative, not {drop}")
+    walker, x, tolerance = prepared(walker, x, tolerance)
+    return follow_step_down(walker, x, jnp.asarray(drop, x.dtype), tolerance)
+
+
+@jax.jit
+def follow_step_down(
+    walker: Walker,
+    x: Float[Array, " coordinates"],
+    drop: Float[Array, ""],
+    tolerance: Float[Array, ""],
+) -> Stride:
+    start, verdict = fast_sines(begin)(walker, x)
+    arrival, time, verdict, pulled = swing(walker, start, verdict, tolerance, drop)
+    following, outcome = fast_sines(after_impact)(walker, arrival, verdict, pulled)
+    return completed(jnp.stack(following), outcome, time)
 
 
 def in_tension(walker: Walker, state: State) -> Bool[Array, ""]:
@@ -198,20 +251,32 @@ def equations(walker: Walker) -> Callable[[State], State]:
 
 
 def swing(
-    walker: Walker, start: State, verdict: Int[Array, ""], tolerance: Real
+    walker: Walker,
+    start: State,
+    verdict: Int[Array, ""],
+    tolerance: Real,
+    drop: Scalar | None = None,
 ) -> tuple[State, Scalar, Int[Array, ""], Bool[Array, ""]]:
     """Swing the leg until heel strike (`STRIDE`) or a fall; nothing to do unless `UNDECIDED`.
 
-    Returns the state just before the impact, its time, the verdict, and whether the ground would
-    have had to pull at the stance foot before that; its two ends are not looked at.
+    The ground is the slope, or `drop` below it. Returns the state just before the impact, its time,
+    the verdict, and whether the ground would have had to pull at the stance foot before that; its
+    two ends are not looked at.
     """
     dtype, structure = start.theta.dtype, jax.tree.structure(start)
-    field, rate = equations(walker), partial(contact_rate, walker)
+    field = equations(walker)
     order = order_of(field, start)
+
+    def contact(state: State) -> Scalar:
+        return walker.contact(state) if drop is None else -drop - walker.clearance(state)
+
+    def rate(state: State) -> Scalar:
+        """dh/dt along the motion."""
+        return jax.jvp(contact, (state,), (walker.vector_field(state),))[1]
 
     def may_end(before: State, after: State):
         """Whether a stride may end in a step: all that is wanted of it are its two ends."""
-        h0, h1 = walker.contact(before), walker.contact(after)
+        h0, h1 = contact(before), contact(after)
         rises = (h1 >= 0) & ((h0 < 0) | ((rate(before) < 0) & (rate(after) > 0)))
         return (rises & (after.theta < 0)) | has_fallen(after)
 
@@ -220,7 +285,8 @@ def swing(
         return in_tension(walker, after) | dips(walker, before, after)
 
     def has_fallen(state: State):
-        return (state.thetadot >= 0) | (state.theta <= -np.pi / 2) | walker.past_contact(state)
+        fallen = (state.thetadot >= 0) | (state.theta <= -np.pi / 2)
+        return fallen | walker.past_contact(state) if drop is None else fallen
 
     def undecided(carry):
         *_, time, verdict, count, _ = carry
@@ -247,7 +313,7 @@ def swing(
 
         def contact_series():
             solution = solution_series(*lax.stop_gradient((field, last.start)), order)
-            return function_series(walker.contact, solution)
+            return function_series(contact, solution)
 
         rises, time = first_rise(once(contact_series), last.length)
 
@@ -260,7 +326,7 @@ def swing(
         if not walker.force_least_at_ends:
             pulled |= pulls(walker, last.start, arrival, after, time)
             pulled |= ~rises & fast_sines(in_tension)(walker, arrival)
-        arrival, delay = land(field, walker.contact, arrival)
+        arrival, delay = land(field, contact, arrival)
         ahead = (arrival.theta < 0) & (arrival.theta > -np.pi / 2) & (arrival.thetadot < 0)
         fallen = jnp.where(last.end.thetadot >= 0, Outcome.BACKWARD, Outcome.FORWARD)
         fallen = jnp.where(fast_sines(has_fallen)(last.end), fallen, Outcome.UNDECIDED)
@@ -272,11 +338,6 @@ def swing(
     carry = (packed(start), packed(start), zero, verdict, jnp.asarray(0), never)
     _, arrival, time, verdict, _, pulled = lax.while_loop(undecided, follow, carry)
     return unpacked(arrival, structure), time, verdict, pulled
-
-
-def contact_rate(walker: Walker, state: State) -> Scalar:
-    """dh/dt along the motion."""
-    return jax.jvp(walker.contact, (state,), (walker.vector_field(state),))[1]
 
 
 def normal_force(walker: Walker, state: State) -> tuple[Scalar, Scalar]:
@@ -363,17 +424,44 @@ def strides(
     It is fastest where neighbours in `xs` are close on the section.
     `progress` is what to call the work in a progress bar, shown on a terminal only.
     """
-    xs = as_floating(xs)
+    return for_each_start(stride, walker, xs, tolerance, progress)
+
+
+def for_each_start(
+    function: Callable,
+    walker: Walker,
+    xs: Float[ArrayLike, "n coordinates"],
+    tolerance: Real | None = None,
+    progress: str | None = None,
+) -> Any:
+    """function(walker, x, tolerance=tolerance) for n starts, and one walker or n; NumPy arrays."""
+    xs = np.asarray(xs)
+    if np.iscomplexobj(xs):
+        raise ValueError(f"xs must be real, not of type {xs.dtype}")
     if xs.ndim != 2:
         raise ValueError(f"xs must have shape (n, coordinates), not {xs.shape}")
+    dtype = xs.dtype if np.issubdtype(xs.dtype, np.floating) else float
+    xs = xs.astype(jax.dtypes.canonicalize_dtype(dtype), copy=False)
     # Of one dtype, whatever numbers they were given as: another would be compiled anew.
     to_dtype = lambda leaf: np.asarray(leaf, xs.dtype)
     walker, finest = jax.tree.map(to_dtype, (walker, default_tolerance(xs.dtype, tolerance)))
     if any(np.ndim(leaf) for leaf in jax.tree.leaves(walker)):
         check_parameters(walker, len(xs))
         cells = stacked(walker, len(xs), xs.dtype), xs
-        return over_cells(stride_of_walker, finest, cells, progress=progress)
-    return over_cells(stride_of_cell, (walker, finest), xs, progress=progress)
+        return over_cells(each_walker(function), finest, cells, progress=progress)
+    return over_cells(each_start(function), (walker, finest), xs, progress=progress)
+
+
+@cache
+def each_start(function: Callable) -> Callable:
+    """A function of walker, start and tolerance, for cells that share all but the start."""
+    return lambda shared, x: function(shared[0], x, tolerance=shared[1])
+
+
+@cache
+def each_walker(function: Callable) -> Callable:
+    """The same for cells that share the tolerance alone."""
+    return lambda tolerance, cell: function(*cell, tolerance=tolerance)
 
 
 def stacked(walker: Walker, n: int, dtype) -> Walker:
@@ -390,15 +478,6 @@ def check_parameters(walker: Walker, n: int) -> None:
         values = getattr(walker, one.name)
         for value in (np.min(values), np.max(values)) if np.size(values) else ():
             one.checked(value)
-
-
-def stride_of_cell(shared: tuple[Walker, Real], x: Float[Array, " coordinates"]) -> Stride:
-    walker, tolerance = shared
-    return stride(walker, x, tolerance=tolerance)
-
-
-def stride_of_walker(tolerance: Real, cell: tuple[Walker, Float[Array, " coordinates"]]) -> Stride:
-    return stride(*cell, tolerance=tolerance)
 
 
 def walk(

@@ -101,6 +101,10 @@ class Walker(eqx.Module):
         """
         return state.phi - 2 * state.theta
 
+    @abc.abstractmethod
+    def clearance(self, state: State) -> Scalar:
+        """Height of the swing foot above the slope, in the unit of length."""
+
     def exchange_legs(self, state: State) -> State:
         """The state with the swing leg as the new stance leg, (21) and its time derivative."""
         theta, phi, thetadot, phidot = state
@@ -193,6 +197,9 @@ class PointFeetWalker(Walker):
     def project(self, state):
         return jnp.stack([state.theta, state.thetadot])
 
+    def clearance(self, state):
+        return jnp.cos(state.theta) - jnp.cos(state.theta - state.phi)
+
     def feasible(self, x):
         """0 < theta < pi/4 and thetadot < 0: beyond pi/4 no impact leaves the walker going on."""
         theta, thetadot = x[0], x[1]
@@ -239,9 +246,9 @@ class MasslessFeetWalker(PointFeetWalker):
         return rising & (phi < 0) & (thetadot**2 < jnp.cos(theta - self.slope))
 
     def impact(self, state):
-        """(18), at phi = 2 theta."""
+        """(18), which has 2 theta for phi: the feet may also be at different heights."""
         theta, phi, thetadot, _ = state
-        c, s = jnp.cos(2 * theta), jnp.sin(2 * theta)
+        c, s = jnp.cos(phi), jnp.sin(phi)
         foot = -jnp.sin(theta) * c * s * thetadot, jnp.cos(theta) * c * s * thetadot
         return foot, State(theta, phi, c**2 * thetadot, c * (c - 1) * thetadot)
 
@@ -513,6 +520,10 @@ class HeavyLegWalker(MultibodyWalker):
 
     def project(self, state):
         return jnp.stack([state.theta, state.thetadot, state.phidot])
+
+    def clearance(self, state):
+        above = lambda walker, *legs: walker.swing_foot(of_feet([*legs]))[1]
+        return unrolled(above)(self, state.theta, state.phi)
 
     def feasible(self, x):
         """0 < theta < pi/2, thetadot < 0, and the trailing foot lifts: phidot > 2 thetadot."""

@@ -1,0 +1,59 @@
+"""Is the least disturbance the least, how long does it take, and at which slope is it largest?
+
+The simplest walker's, at ten slopes, against a polar grid about its gait: 20,000 directions, and
+distances 0.02 % apart outwards from 0.9 of the size found, until a walker does not come back.
+
+"""
+
+import time
+
+import jax
+import numpy as np
+
+import walker_jax as wj
+from walker_jax.basin import Attractor, with_frames
+from walker_jax.robustness import end_of_walk
+from walker_jax.tiles import over_cells
+
+SLOPES = 0.001, 0.0025, 0.004, 0.0055, 0.0067, 0.0076, 0.009, 0.0105, 0.012, 0.0145
+SCAN = np.arange(0.0060, 0.00921, 0.0001)
+DIRECTIONS, RINGS = 20_000, 2e-4
+
+
+def brute_force(walker: wj.Walker, gait: wj.Gait, size: float) -> float:
+    """The first distance on a fine polar grid at which a walker does not come back."""
+    states = np.asarray(gait.states)
+    (cycle,) = with_frames(walker, [Attractor(1, states)], 1e-12, 500)
+    parameters = jax.tree.map(np.asarray, walker)
+    shared = parameters, np.float64(1e-12), states, cycle.boxes(), np.int32(500)
+    angles = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    for radius in np.arange(0.9, 1.01, RINGS) * size:
+        if not over_cells(end_of_walk, shared, states[0] + radius * rays).back.all():
+            return radius
+    return np.inf
+
+
+def main() -> None:
+    jax.config.update("jax_enable_x64", True)
+    for slope in SLOPES:
+        walker = wj.SimplestWalker(slope)
+        gait = wj.find_gait(walker)
+        begun = time.perf_counter()
+        found = wj.least_disturbance(walker, gait)
+        seconds = time.perf_counter() - begun
+        ratio = brute_force(walker, gait, found.size) / found.size
+        print(
+            f"slope {slope}: {found.size:.8f} along {np.round(found.direction, 4)}, "
+            f"{found.failure.name} after {found.strides}, in {seconds:.1f} s; "
+            f"polar grid {ratio:.5f} times as large",
+            flush=True,
+        )
+    sizes = [wj.least_disturbance(wj.SimplestWalker(slope)).size for slope in SCAN]
+    for slope, size in zip(SCAN, sizes, strict=True):
+        print(f"{slope:.4f} {size:.8f}")
+    print(f"largest at slope {SCAN[np.argmax(sizes)]:.4f}: {max(sizes):.8f}")
+
+
+if __name__ == "__main__":
+    main()
