@@ -612,6 +612,9 @@ class PatientWalker(Walker):
     def impact(self, state):
         return self.inner.impact(state)
 
+    def clearance(self, state):
+        return self.inner.clearance(state)
+
     def exchange_legs(self, state):
         return self.inner.exchange_legs(state)
 

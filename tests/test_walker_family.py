@@ -920,6 +920,9 @@ class RimlessWheel(wj.Walker):
     def past_contact(self, state):
         return state.phi > 2 * state.theta
 
+    def clearance(self, state):
+        return jnp.cos(state.theta) - jnp.cos(state.theta - state.phi)
+
     def impact(self, state):
         def spoke(q):
             feet = [jnp.sin(q[2] - state.phi) - jnp.sin(q[2])]

@@ -14,13 +14,24 @@ from importlib.metadata import version
 
 from walker_jax.basin import basin
 from walker_jax.bifurcations import attractors, bifurcation_diagram, loss_of_walking
+from walker_jax.boundaries import Dimension, Uncertainty, box_counting, uncertainty_exponent
 from walker_jax.branches import Bifurcation, Branch, continue_gait
 from walker_jax.cells import Grid
 from walker_jax.gaits import Gait, descend, find_gait, find_gaits, gait_derivatives
 from walker_jax.margins import Margins, margins, margins_of_many
 from walker_jax.refinement import refine
-from walker_jax.robustness import LeastDisturbance, least_disturbance
-from walker_jax.stride import Outcome, Stride, Walk, stride, strides, trajectory, walk
+from walker_jax.robustness import (
+    BasinStability,
+    LeastDisturbance,
+    LeastStepDown,
+    basin_stability,
+    boundary_dimension,
+    least_disturbance,
+    least_step_down,
+    robustness,
+    robustness_table,
+)
+from walker_jax.stride import Outcome, Stride, Walk, step_down, stride, strides, trajectory, walk
 from walker_jax.walkers import (
     HeavyLegWalker,
     PointFootWalker,
@@ -35,12 +46,15 @@ from walker_jax.walkers import (
 __version__ = version("walker-jax")
 
 __all__ = [
+    "BasinStability",
     "Bifurcation",
     "Branch",
+    "Dimension",
     "Gait",
     "Grid",
     "HeavyLegWalker",
     "LeastDisturbance",
+    "LeastStepDown",
     "Margins",
     "Outcome",
     "PointFootWalker",
@@ -49,24 +63,33 @@ __all__ = [
     "SpringWalker",
     "State",
     "Stride",
+    "Uncertainty",
     "UpperBodyWalker",
     "Walk",
     "Walker",
     "attractors",
     "basin",
+    "basin_stability",
     "bifurcation_diagram",
+    "boundary_dimension",
+    "box_counting",
     "continue_gait",
     "descend",
     "find_gait",
     "find_gaits",
     "gait_derivatives",
     "least_disturbance",
+    "least_step_down",
     "loss_of_walking",
     "margins",
     "margins_of_many",
     "refine",
+    "robustness",
+    "robustness_table",
+    "step_down",
     "stride",
     "strides",
     "trajectory",
+    "uncertainty_exponent",
     "walk",
 ]

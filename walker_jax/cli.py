@@ -613,6 +613,193 @@ def basin(
     print(f"  data set {out}, picture {figure}")
 
 
+@app.command()
+@takes_walker
+def robustness(
+    walker: Walker,
+    theta: Annotated[
+        Axis | None,
+        typer.Option(metavar="LO HI N", help="Stance angle, rad (default: 0 0.7854 200)."),
+    ] = None,
+    sum_: Annotated[
+        Axis | None,
+        typer.Option(
+            "--sum", metavar="LO HI N", help="theta + thetadot (default: -0.12 0.06 200)."
+        ),
+    ] = None,
+    at_phidot: Annotated[
+        float | None,
+        typer.Option(help=f"{PHIDOT_HELP}: a slice there (default: at the gait)."),
+    ] = None,
+    levels: Annotated[
+        int, typer.Option(min=0, max=8, help="Times that cells on a boundary are cut in two.")
+    ] = 4,
+    disturbances: Annotated[
+        float, typer.Option(help="Of basin stability: at most, as a part of the gait's own state.")
+    ] = 0.1,
+    strides: Annotated[
+        int, typer.Option(min=1, help="Strides in which a walker may come back.")
+    ] = 500,
+    low: Annotated[
+        float | None, typer.Option("--from", help="Lowest slope of a table over slopes, rad.")
+    ] = None,
+    high: Annotated[float | None, typer.Option("--to", help="Highest slope, rad.")] = None,
+    count: Annotated[
+        int | None, typer.Option(min=2, help="Slopes in the table (default: 20).")
+    ] = None,
+    out: Out = Path("robustness.zarr"),
+    figure: PictureOfData = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Measure how large a disturbance a gait survives, on one slope or over many.
+
+    The area of the basin with its error, the least disturbance from which the walker does not come
+    back, the least step down, the part of random disturbances that is survived, and the dimension
+    of the boundary. By default over the whole section of a walker on point feet, and in a slice
+    around the gait of any other.
+    """
+    import walker_jax as wj
+    from walker_jax import figures, store
+
+    if (low is None) != (high is None):
+        raise ValueError("--from and --to are for a table over slopes: give both or none")
+    if low is None and count is not None:
+        raise ValueError("--count is for a table over slopes: give --from and --to too")
+    finite(disturbances=disturbances)
+    if disturbances <= 0:
+        raise ValueError(f"--disturbances must be above 0, not {disturbances}")
+    sliced = "phidot" in walker.section
+    if at_phidot is not None and not sliced:
+        raise ValueError(f"--at-phidot is for walkers whose section has it, not {walker.section}")
+    axes: dict[str, Axis | float | None] = {"theta": theta, "sum": sum_}
+    axes |= {"phidot": at_phidot} if sliced else {}
+    given = {name: axis for name, axis in axes.items() if axis is not None}
+    if given and len(given) < len(axes):
+        raise ValueError(
+            f"give {' and '.join(f'--{name}' for name in axes)}, or none of them".replace(
+                "--phidot", "--at-phidot"
+            )
+        )
+    grid = wj.Grid.sheared(**given) if given else None
+    if grid is not None and min(grid.shape) < 2:
+        raise ValueError(f"a picture needs 2 cells or more along each axis, not {grid.shape}")
+    slopes = None
+    if low is not None and high is not None:
+        check_parameter(walker, "slope", low, high)
+        if not low < high:
+            raise ValueError(f"--from {low:g} must be below --to {high:g}")
+        slopes = np.linspace(low, high, count or 20)
+    about = description(walker)
+    slope = about["slope"] if slopes is None else about.pop("slope")
+    request = {
+        "command": "robustness",
+        "walker": about,
+        "slopes": None if slopes is None else slopes.tolist(),
+        "axes": {
+            name: list(axis) if isinstance(axis, tuple) else axis for name, axis in given.items()
+        },
+        "levels": levels,
+        "disturbances": disturbances,
+        "strides": strides,
+        "version": version("walker-jax"),
+    }
+    figure = picture_of(out, figure)
+    store.check_picture(figure, request, overwrite=overwrite)
+    data = store.find(out, request, overwrite=overwrite)
+    if data is None:
+        options = {"levels": levels, "disturbances": disturbances, "strides": strides}
+        if slopes is None:
+            data = wj.robustness(walker, grid, **options)
+        else:
+            data = wj.robustness_table(walker, slopes, "slope", grid, progress=True, **options)
+        data = store.save(data, out, request)
+    if slopes is None:
+        picture, rows = figures.robustness(data), [measures(data, slope)]
+    else:
+        picture = figures.robustness_table(data)
+        rows = [measures(data.isel(slope=i), float(slope)) for i, slope in enumerate(slopes)]
+    draw(picture, figure, request)
+    if as_json:
+        print_json({"walker": about} | (rows[0] if slopes is None else {"slopes": rows}))
+        return
+    values = [f"{name} {value:g}" for name, value in about.items() if name not in ("name", "slope")]
+    print(", ".join([f"Robustness, {about['name']}", *values]))
+    for row in rows:
+        print_measures(row)
+    print(f"  data set {out}, picture {figure}")
+
+
+def measures(data, slope: float) -> dict:
+    """The answer of `robustness` on one slope."""
+    import walker_jax as wj
+
+    number = lambda name: float(data[name])
+    interval = lambda name: {
+        "value": number(name),
+        "low": number(f"{name}_low"),
+        "high": number(f"{name}_high"),
+    }
+    answer = {
+        "slope": slope,
+        "area": number("total_area"),
+        "area_error": number("total_area_error"),
+    }
+    if int(data["gait_period"]) == 0:
+        absent = ("gait", "least_disturbance", "step_down", "basin_stability", "boundary_dimension")
+        return answer | dict.fromkeys(absent)
+    return answer | {
+        "gait": {
+            "period": int(data["gait_period"]),
+            "state": data["gait_state"].values,
+            "multiplier": number("multiplier"),
+            "step_time": number("step_time"),
+        },
+        "least_disturbance": {
+            "size": number("least_disturbance"),
+            "direction": data["direction"].values,
+            "state": data["failing_state"].values,
+            "failure": wj.Outcome(int(data["failure"])).name,
+            "strides": int(data["failing_strides"]),
+        },
+        "step_down": number("step_down"),
+        "basin_stability": {
+            **interval("stability"),
+            "disturbances": float(data.attrs["disturbances"]),
+            "median_strides": number("median_strides"),
+            "slowest_strides": number("slowest_strides"),
+        },
+        "boundary_dimension": interval("dimension"),
+    }
+
+
+def print_measures(row: dict) -> None:
+    """The answer of `robustness` on one slope, in words."""
+    print(f"  slope {row['slope']:g}: area {row['area']:.7g} +- {row['area_error']:.1g}")
+    if row["gait"] is None:
+        print("    no gait attracts")
+        return
+    gait, least = row["gait"], row["least_disturbance"]
+    survived, dimension = row["basin_stability"], row["boundary_dimension"]
+    along = ", ".join(f"{value:.4f}" for value in least["direction"])
+    how = "comes to another motion"
+    if least["failure"] != "STRIDE":
+        how = f"{least['failure']} after {least['strides']} strides"
+    print(f"    gait of period {gait['period']}, largest multiplier {gait['multiplier']:.6f}")
+    print(f"    least disturbance {least['size']:.8f} along ({along}): {how}")
+    print(f"    least step down {row['step_down']:.8f}")
+    print(
+        f"    {survived['value']:.1%} ({survived['low']:.1%} to {survived['high']:.1%}) of "
+        f"disturbances up to {survived['disturbances']:g} of the gait's state are survived; "
+        f"half of them are over in {survived['median_strides']:g} strides, "
+        f"95 of 100 in {survived['slowest_strides']:g}"
+    )
+    print(
+        f"    dimension of the boundary {dimension['value']:.3f} "
+        f"({dimension['low']:.3f} to {dimension['high']:.3f})"
+    )
+
+
 def filled(axes: dict, values: dict, default: Axis | None = None) -> dict:
     """The axes, those that are not given with values of their own or the default one."""
     return {

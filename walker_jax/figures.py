@@ -52,7 +52,19 @@ AXIS_LABELS = {
     "sum": r"$\theta + \dot{\theta}$ (rad, time in √(l/g))",
     "slope": "slope (rad)",
 }
-METHODS = {"cell-map": "cell mapping", "direct": "direct iteration"}
+METHODS = {
+    "cell-map": "cell mapping",
+    "direct": "direct iteration",
+    "direct, refined": "direct iteration, refined,",
+}
+MEASURES = {
+    "total_area": (BASINS[0], "-o", "area of the basin"),
+    "least_disturbance": (BASINS[1], "-s", "least disturbance"),
+    "multiplier": (INK, "--", "modulus of the largest multiplier"),
+}
+"""Colour, line and words of each measure of robustness."""
+WINDOW = 1.25
+"""Half the width of the picture of the least disturbance, to the width of its curve."""
 LETTER, WORDS = 16, 9
 """Sizes of the two lines of a label (points)."""
 BELOW, LINE = 40, 17
@@ -635,6 +647,180 @@ def bifurcations(data: xr.Dataset) -> Figure:
         zoom.locator_params(axis="x", nbins=6)
     figure.suptitle(title(data), x=0.01, ha="left", fontsize=14, fontweight="bold")
     return figure
+
+
+def disturbance(data: xr.Dataset, ax: Axes | None = None) -> Axes:
+    """The basin close to its gait, and the nearest start from which the walker does not come back.
+
+    All starts inside the curve, which are nearer, come back.
+
+    **Arguments:**
+
+    - `data`: what `walker_jax.robustness` returns, over two dimensions, with a gait.
+    - `ax`: where to draw; by default, on a new figure of 5.4 by 5.4 inches.
+
+    **Returns** the axes. Raises `ValueError` for another data set.
+    """
+    if not has_disturbance(data):
+        raise ValueError("data must hold the least disturbance of a gait, over two dimensions")
+    data = data.assign_coords(coordinate=data.attrs["section"])
+    if ax is None:
+        ax = Figure(figsize=(5.4, 5.4), layout="constrained").add_subplot()
+    x, y = map(str, data["fate"].dims)
+    turn = np.linspace(0, 2 * np.pi, 400)
+    gait, size = data["gait_state"], float(data["least_disturbance"])
+    circle = xr.DataArray(
+        gait.values + size * np.stack([np.cos(turn), np.sin(turn)], axis=1),
+        dims=("phase", "coordinate"),
+        coords={"coordinate": gait["coordinate"]},
+    )
+    points = xr.concat([gait, data["failing_state"]], "phase")
+    curve = along(circle, x), along(circle, y)
+    middle, reach = [0.5 * (c.max() + c.min()) for c in curve], [np.ptp(c) for c in curve]
+    window = {
+        name: slice(centre - WINDOW * width, centre + WINDOW * width)
+        for name, centre, width in zip((x, y), middle, reach, strict=True)
+    }
+    near = data.sel(window)
+    regions = regions_of(near, notable_attractors(data))
+    extent = (*ends(near[x].values), *ends(near[y].values))
+    show(ax, painted(regions, near["fate"].shape), extent)
+    ax.plot(*curve, color="white", lw=1.6)
+    place = along(points, x), along(points, y)
+    name = attractor_name(int(data["gait_period"]), gait.expand_dims("phase"))
+    look: dict[str, Any] = {"ls": "", "markeredgecolor": "white", "color": INK, "zorder": 3}
+    marks = ax.plot(place[0][:1], place[1][:1], "o", markersize=7.5, label=name, **look)
+    failure = int(data["failure"])
+    words = "comes to another motion"
+    if failure > 0:
+        made = counted(int(data["failing_strides"]), "stride")
+        words = f"{FAILURES[Outcome(failure)][2]} after {made}"
+    marks += ax.plot(
+        place[0][1:], place[1][1:], "X", markersize=10, label=f"nearest start that {words}", **look
+    )
+    patches = [Patch(fc=region.colour, ec=INK, lw=0.5, label=region.words) for region in regions]
+    place_legend(ax, marks, BELOW, columns=1)
+    place_legend(ax, patches, BELOW + LINE * len(marks), columns=2)
+    ax.set(xlim=extent[:2], ylim=extent[2:])
+    ax.set_xlabel(AXIS_LABELS.get(x, x), fontsize=11)
+    ax.set_ylabel(AXIS_LABELS.get(y, y), fontsize=11)
+    ax.locator_params(nbins=6)
+    write_title(ax, "Least disturbance", f"{size:.4g}, from the gait to the nearest failure")
+    return ax
+
+
+def has_disturbance(data: xr.Dataset) -> bool:
+    """Whether a data set holds what `disturbance` draws."""
+    known = {"fate", "least_disturbance", "failing_state", "gait_state"} <= set(data)
+    if not known or data["fate"].ndim != 2 or data["least_disturbance"].ndim:
+        return False
+    return len(data.attrs["section"]) == 2 and bool(np.isfinite(data["least_disturbance"]))
+
+
+def robustness(data: xr.Dataset) -> Figure:
+    """The basin of a gait, and beside it its least disturbance where that is in the same plane.
+
+    The pictures `basin` and `disturbance`.
+
+    **Arguments:**
+
+    - `data`: what `walker_jax.robustness` returns.
+
+    **Returns** the figure, of 13 by 5.8 inches. Raises `ValueError` as these do.
+    """
+    both = has_disturbance(data)
+    figure = Figure(figsize=(13 if both else 7, 5.8), layout="constrained")
+    axes = figure.subplots(1, 2 if both else 1, squeeze=False)[0]
+    basin(data, axes[0])
+    if both:
+        disturbance(data, axes[1])
+    return figure
+
+
+def robustness_measures(data: xr.Dataset, ax: Axes | None = None) -> Axes:
+    """Area of the basin, least disturbance and largest multiplier against a parameter.
+
+    Figure 8 of Schwab and Wisse (2001), and the least disturbance. Area and disturbance are drawn
+    as parts of their largest values, the multiplier as it is: where the one grows, the others need
+    not shrink.
+
+    **Arguments:**
+
+    - `data`: what `walker_jax.robustness_table` returns.
+    - `ax`: where to draw; by default, on a new figure of 7 by 4.6 inches.
+
+    **Returns** the axes. Raises `ValueError` for another data set.
+    """
+    values, parameter = table_axis(data)
+    if ax is None:
+        ax = Figure(figsize=(7, 4.6), layout="constrained").add_subplot()
+    area, error = data["total_area"].values, data["total_area_error"].values
+    most, farthest = np.max(area), np.nanmax([0.0, *data["least_disturbance"].values])
+    kind = MEASURES["total_area"]
+    handles = ax.plot(
+        values, area / (most or 1), kind[1], color=kind[0], label=f"{kind[2]}, of {most:.4g}"
+    )
+    wide = 2 * error / (most or 1)
+    ax.fill_between(values, area / (most or 1) - wide, area / (most or 1) + wide, color=kind[0])
+    colour, sign, words = MEASURES["least_disturbance"]
+    part = data["least_disturbance"].values / (farthest or 1)
+    handles += ax.plot(values, part, sign, color=colour, label=f"{words}, of {farthest:.4g}")
+    colour, sign, words = MEASURES["multiplier"]
+    handles += ax.plot(values, data["multiplier"].values, sign, color=colour, label=words)
+    ax.set_xlabel(AXIS_LABELS.get(parameter, parameter), fontsize=11)
+    ax.set_ylabel("part of the largest; modulus", fontsize=11)
+    ax.set_ylim(0, 1.05)
+    note = "with twice the error of the area; the multiplier is that of the gait walkers come to"
+    write_title(ax, f"{title(data)}: robustness", note)
+    place_legend(ax, handles, BELOW, columns=1)
+    return ax
+
+
+def boundary_dimension(data: xr.Dataset, ax: Axes | None = None) -> Axes:
+    """The dimension of the boundary of the basin against a parameter, with its interval.
+
+    It is 1 where the boundary is smooth, and above where it is fractal.
+
+    **Arguments** and errors are those of `robustness_measures`.
+    """
+    values, parameter = table_axis(data)
+    if ax is None:
+        ax = Figure(figsize=(7, 4.6), layout="constrained").add_subplot()
+    low, middle, high = (data[f"dimension{end}"].values for end in ("_low", "", "_high"))
+    ax.fill_between(values, low, high, color=BASINS[0], alpha=0.25, lw=0)
+    ax.plot(values, middle, "o-", color=BASINS[0], markersize=4)
+    ax.axhline(1, color=INK, lw=0.8, zorder=1)
+    ax.set_xlabel(AXIS_LABELS.get(parameter, parameter), fontsize=11)
+    ax.set_ylabel("dimension", fontsize=11)
+    top = np.nanmax([1.2, *high])
+    ax.set_ylim(0.9, 1.05 * top)
+    note = "by the uncertainty exponent, with its 95 % interval"
+    write_title(ax, "Dimension of the basin's boundary", note)
+    return ax
+
+
+def robustness_table(data: xr.Dataset) -> Figure:
+    """The pictures `robustness_measures` and `boundary_dimension`, side by side.
+
+    **Arguments:**
+
+    - `data`: what `walker_jax.robustness_table` returns.
+
+    **Returns** the figure, of 13 by 5 inches. Raises `ValueError` as these do.
+    """
+    figure = Figure(figsize=(13, 5), layout="constrained")
+    axes = figure.subplots(1, 2)
+    robustness_measures(data, axes[0])
+    boundary_dimension(data, axes[1])
+    return figure
+
+
+def table_axis(data: xr.Dataset) -> tuple[Float[np.ndarray, " n"], str]:
+    """The values of a table's parameter, and its name; `ValueError` for what is no table."""
+    dims = data["total_area"].dims if "total_area" in data else ()
+    if len(dims) != 1 or "least_disturbance" not in data:
+        raise ValueError("data must be a table of robustness over one parameter")
+    return data[dims[0]].values, str(dims[0])
 
 
 def multipliers(gaits: Sequence[Gait], ax: Axes | None = None) -> Axes:

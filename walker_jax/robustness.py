@@ -12,12 +12,16 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+import xarray as xr
 from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
+from rich.console import Console
+from rich.progress import track
 
 from walker_jax.basin import (
     Attractor,
+    around,
     centres,
     check_grid,
     follow,
@@ -27,10 +31,10 @@ from walker_jax.basin import (
 )
 from walker_jax.boundaries import Uncertainty, uncertainty_exponent
 from walker_jax.cells import Grid
-from walker_jax.gaits import Gait, find_gait
+from walker_jax.gaits import Gait, check_parameter, find_gait, with_parameter
 from walker_jax.integrate import default_tolerance
 from walker_jax.margins import failed_by, follow_margins
-from walker_jax.refinement import edge
+from walker_jax.refinement import edge, refine
 from walker_jax.stride import (
     Outcome,
     check_parameters,
@@ -39,7 +43,7 @@ from walker_jax.stride import (
     step_down,
 )
 from walker_jax.tiles import over_cells
-from walker_jax.walkers import Scalar, Walker
+from walker_jax.walkers import PointFeetWalker, Scalar, Walker
 
 RAYS, RADII = 720, 128
 """Directions, of two dimensions, and distances along each, at which a walker is first tried."""
@@ -57,8 +61,8 @@ POLISHES = 4
 """Searches along the boundary's gradient that follow."""
 ALONG = 2.0 ** np.arange(-6, 3)
 """Parts of the way, to where the boundary would be nearest if it were flat, that each tries."""
-BEYOND = 1 + 1e-8
-"""Of the least disturbance, that from which it is told how the walker fails: rounding is less."""
+BEYOND = 1 + np.array([1e-8, 1e-10, 0.0])
+"""Of the least disturbance, those of which the first that fails says how: rounding is less."""
 HALVINGS = 12, 34
 """Of the distance between two points tried on a ray: to tell rays apart, and in the end."""
 
@@ -136,8 +140,9 @@ def least_disturbance(
     step = found[phase]
     length = float(np.linalg.norm(step))
     state = states[phase] + step * unit
-    beyond = over_cells(end_of_walk, shared, (states[phase] + BEYOND * step * unit)[None])
-    failure, made = Outcome(int(beyond.outcome[0])), int(beyond.strides[0])
+    beyond = over_cells(end_of_walk, shared, states[phase] + BEYOND[:, None] * step * unit)
+    first = int(beyond.back.argmin())
+    failure, made = Outcome(int(beyond.outcome[first])), int(beyond.strides[first])
     return LeastDisturbance(length, step / length, state, phase, failure, made)
 
 
@@ -184,8 +189,9 @@ def least_step_down(
         found.append(halved(fails, up, first, reach / HEIGHTS, HALVINGS[1])[0])
     phase = int(np.argmin(found))
     height = float(found[phase])
-    beyond = end(states[phase], np.array([BEYOND * height]))
-    failure, made = Outcome(int(beyond.outcome[0])), int(beyond.strides[0])
+    beyond = end(states[phase], BEYOND * height)
+    first = int(beyond.back.argmin())
+    failure, made = Outcome(int(beyond.outcome[first])), int(beyond.strides[first])
     down = step_down(walker, states[phase], height, tolerance=tolerance)
     return LeastStepDown(height, np.asarray(down.state), phase, failure, made)
 
@@ -351,6 +357,145 @@ def boundary_dimension(
     )
 
 
+def robustness(
+    walker: Walker,
+    grid: Grid | None = None,
+    *,
+    levels: int = 4,
+    disturbances: float = 0.1,
+    strides: int = 500,
+    seed: int = 0,
+    tolerance: float | None = None,
+) -> xr.Dataset:
+    """How robust a walker's gait is: basin, least disturbance, basin stability, boundary.
+
+    **Arguments:**
+
+    - `walker`: as in `basin`.
+    - `grid`: what `refine` and `boundary_dimension` begin with; by default the whole feasible
+      section of a walker on point feet, and a slice around the gait of any other.
+    - `levels`: of refinement.
+    - `disturbances`: for `basin_stability`, shares of the coordinates of the gait's own state.
+    - `strides`: how many of them a walker may take to come back.
+    - `seed`, `tolerance`: of what is drawn, and of the integration.
+
+    **Returns** what `refine` does, and of the gait, the attractor of the largest basin:
+    `gait_period`, `gait_state`, `multiplier` (the largest modulus), `step_time` (the mean); of the
+    point that `least_disturbance` finds, `least_disturbance`, `direction`, `failing_state`,
+    `failure` (-1 for none) and `failing_strides`; `step_down`; `stability`, with `_low` and
+    `_high`, `median_strides` and `slowest_strides`; `dimension`, with `_low` and `_high`, of the
+    boundary. NaN, or -1, where no gait attracts.
+    """
+    grid = default_region(walker) if grid is None else grid
+    data = refine(walker, grid, levels, strides=strides, seed=seed, tolerance=tolerance)
+    data.attrs["disturbances"] = disturbances
+    cells = data["cells"].values * (data["period"].values > 0)
+    if cells.sum() == 0:
+        return data.assign(without_gait(walker))
+    largest = int(cells.argmax())
+    period = int(data["period"][largest])
+    gait = find_gait(walker, data["states"].values[largest, :period], period)
+    least = least_disturbance(walker, gait, strides=strides, tolerance=tolerance)
+    down = least_step_down(walker, gait, strides=strides, tolerance=tolerance)
+    stability = basin_stability(
+        walker,
+        disturbances,
+        gait,
+        scale=np.abs(np.asarray(gait.states[0])),
+        strides=strides,
+        seed=seed,
+        tolerance=tolerance,
+    )
+    boundary = boundary_dimension(walker, grid, strides=strides, seed=seed, tolerance=tolerance)
+    return data.assign(
+        {
+            "gait_period": period,
+            "gait_state": ("coordinate", np.asarray(gait.states[0])),
+            "multiplier": float(np.abs(gait.multipliers[0])),
+            "step_time": float(np.mean(gait.step_times)),
+            "least_disturbance": least.size,
+            "direction": ("coordinate", least.direction),
+            "failing_state": ("coordinate", least.state),
+            "failure": int(least.failure),
+            "failing_strides": least.strides,
+            "step_down": down.size,
+            "stability": float(stability.value),
+            "stability_low": float(stability.low),
+            "stability_high": float(stability.high),
+            "median_strides": float(stability.median),
+            "slowest_strides": float(stability.slowest),
+            "dimension": boundary.value,
+            "dimension_low": boundary.low,
+            "dimension_high": boundary.high,
+        }
+    )
+
+
+def without_gait(walker: Walker) -> dict:
+    """What `robustness` adds where no gait attracts."""
+    names = (
+        *("multiplier", "step_time", "least_disturbance", "step_down"),
+        *("stability", "stability_low", "stability_high", "median_strides", "slowest_strides"),
+        *("dimension", "dimension_low", "dimension_high"),
+    )
+    nowhere = "coordinate", np.full(len(walker.section), np.nan)
+    vectors = dict.fromkeys(("gait_state", "direction", "failing_state"), nowhere)
+    whole = {"gait_period": 0, "failure": -1, "failing_strides": -1}
+    return dict.fromkeys(names, np.nan) | vectors | whole
+
+
+def robustness_table(
+    walker: Walker,
+    values: Sequence[Any] | ArrayLike,
+    parameter: str = "slope",
+    grid: Grid | None = None,
+    *,
+    levels: int = 4,
+    disturbances: float = 0.1,
+    strides: int = 500,
+    seed: int = 0,
+    tolerance: float | None = None,
+    progress: bool = False,
+) -> xr.Dataset:
+    """`robustness` over values of a parameter: all that is not of single cells or attractors.
+
+    Arguments are those of `robustness`; `progress` shows a bar on a terminal. `ValueError` also for
+    values that the walker refuses.
+    """
+    values = np.asarray(values, float)
+    if values.ndim != 1 or len(values) == 0:
+        raise ValueError(f"values must be one row of numbers, not of shape {values.shape}")
+    check_parameter(walker, parameter, *map(float, values))
+    console = Console(stderr=True)
+    hidden = not (progress and console.is_terminal)
+    rows = []
+    for value in track(values, parameter, console=console, disable=hidden, transient=True):
+        one = robustness(
+            with_parameter(walker, parameter, float(value)),
+            grid,
+            levels=levels,
+            disturbances=disturbances,
+            strides=strides,
+            seed=seed,
+            tolerance=tolerance,
+        )
+        rows.append(one[[name for name in one if set(one[name].dims) <= {"coordinate"}]])
+    table = xr.concat(rows, xr.DataArray(values, dims=parameter, name=parameter))
+    own = ("area", f"walker_{parameter}")
+    attributes = {name: value for name, value in rows[0].attrs.items() if name not in own}
+    return table.drop_attrs().assign_attrs(attributes)
+
+
+def default_region(walker: Walker) -> Grid:
+    """The whole feasible section of a walker on point feet, or a slice around a gait."""
+    if isinstance(walker, PointFeetWalker):
+        return Grid.sheared(theta=(0, np.pi / 4, 200), sum=(-0.12, 0.06, 200))
+    gait = find_gait(walker)
+    if not gait.found:
+        raise ValueError("grid is wanted where no gait of period one is found")
+    return Grid.sheared(**around(gait.states[0], ("theta", "sum", "phidot")))
+
+
 def in_ball(rng: np.random.Generator, n: int, rank: int) -> Float[np.ndarray, "n rank"]:
     """Points of the unit ball, all as likely."""
     x = rng.normal(size=(n, rank))
@@ -482,7 +627,7 @@ def nearest_failure(
     best = rays[lowest(rays, first, 2 * width)]
     least = first.min()
     for _ in range(ZOOMS if rank > 1 else 0):
-        fans = np.concatenate([around(ray, width) for ray in best])
+        fans = np.concatenate([fan(ray, width) for ray in best])
         # The nearest failures of a fan lie a little before those of the wider one.
         rays, first = nearest_of(fails, fans, basis, 0.95 * least, 1.01 * least, 24)
         best, least = rays[lowest(rays, first, width)], first.min()
@@ -585,7 +730,7 @@ def spacing(rank: int, count: int) -> float:
     return 2 * np.pi / count if rank == 2 else float(np.sqrt(np.pi / count))
 
 
-def around(direction: Float[np.ndarray, " rank"], width: float) -> Float[np.ndarray, "n rank"]:
+def fan(direction: Float[np.ndarray, " rank"], width: float) -> Float[np.ndarray, "n rank"]:
     """Unit vectors within an angle of one, which is the first of them."""
     across = np.linalg.svd(direction[None])[2][1:]
     if len(across) == 1:
@@ -594,8 +739,8 @@ def around(direction: Float[np.ndarray, " rank"], width: float) -> Float[np.ndar
         angles = np.pi * (3 - np.sqrt(5)) * np.arange(FAN - 1)
         radius = np.sqrt((np.arange(FAN - 1) + 0.5) / (FAN - 1))
         offsets = radius[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    fan = np.concatenate([direction[None], direction + width * offsets @ across])
-    return fan / np.linalg.norm(fan, axis=1, keepdims=True)
+    rays = np.concatenate([direction[None], direction + width * offsets @ across])
+    return rays / np.linalg.norm(rays, axis=1, keepdims=True)
 
 
 def lowest(
