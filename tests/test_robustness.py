@@ -1,11 +1,26 @@
 """The least disturbance is the nearest point that fails."""
 
+import jax
 import numpy as np
 import pytest
 
 import walker_jax as wj
 from walker_jax import Outcome
-from walker_jax.robustness import least_disturbance, nearest_failure
+from walker_jax.basin import Attractor, with_frames
+from walker_jax.robustness import (
+    basin_stability,
+    boundary_dimension,
+    change_of_margin,
+    end_of_walk,
+    in_ball,
+    least_disturbance,
+    least_step_down,
+    nearest_failure,
+    returning,
+    robustness_table,
+    wilson,
+)
+from walker_jax.tiles import over_cells
 
 
 @pytest.mark.parametrize("size", [2, 3])
@@ -54,49 +69,190 @@ def test_in_one_direction_only():
         nearest_failure(fails, np.array([[1.0, 0.0]]), np.zeros_like)
 
 
-def test_a_push_that_changes_the_speed_alone():
-    walker = wj.SimplestWalker(0.004)
-    gait = wj.find_gait(walker)
-    found = least_disturbance(walker, gait, along=[0, 1])
+WALKER = wj.SimplestWalker(0.004)
+
+
+@pytest.fixture(scope="module")
+def gait():
+    return wj.find_gait(WALKER)
+
+
+@pytest.fixture(scope="module")
+def least(gait):
+    return least_disturbance(WALKER, gait)
+
+
+def test_a_push_that_changes_the_speed_alone(gait, least):
+    found = least_disturbance(WALKER, gait, along=[0, 1])
     assert abs(found.direction[0]) < 1e-12 and abs(found.direction[1]) == pytest.approx(1)
+    assert found.size > least.size
     state = np.asarray(gait.states[0])
     np.testing.assert_allclose(found.state, state + found.size * found.direction, atol=1e-15)
-    # the walker walks on from just short of it, and fails as said from there
-    inside = wj.walk(walker, state + 0.9999 * found.size * found.direction, 300)
+    # the walker walks on from just short of it, and fails as said from just beyond
+    inside = wj.walk(WALKER, state + 0.9999 * found.size * found.direction, 300)
     assert inside.outcomes[-1] == Outcome.STRIDE
-    outside = np.asarray(
-        wj.walk(walker, state + (1 + 1e-8) * found.size * found.direction, 300).outcomes
-    )
+    beyond = state + (1 + 1e-8) * found.size * found.direction
+    outside = np.asarray(wj.walk(WALKER, beyond, 300).outcomes)
     assert outside[-1] == found.failure != Outcome.STRIDE
     assert (outside == Outcome.STRIDE).sum() == pytest.approx(found.strides, abs=3)
     # in other units the same point
-    scaled = least_disturbance(walker, gait, along=[0, 1], scale=np.abs(state))
-    np.testing.assert_allclose(scaled.state, found.state, rtol=0, atol=1e-9)
+    scaled = least_disturbance(WALKER, gait, along=[0, 1], scale=np.abs(state))
+    np.testing.assert_allclose(scaled.state, found.state, rtol=0, atol=1e-10)
     assert scaled.size == pytest.approx(found.size / abs(state[1]))
+
+
+def test_the_boundary_is_at_right_angles_to_the_least_disturbance(gait, least):
+    """By the derivatives of the margin of the failure, that the search for it ends with."""
+    states, shared = returning(WALKER, gait, 500, None)
+    point = states[0] + (1 + 1e-8) * least.size * least.direction
+    cells = np.stack([point] * 2), np.repeat(np.int32(least.strides), 2), np.eye(2)
+    normal = over_cells(change_of_margin, shared[:2], cells)
+    normal /= -np.linalg.norm(normal)  # margins fall where the walker comes to fail
+    np.testing.assert_allclose(normal, least.direction, rtol=0, atol=1e-5)
+    assert least.failure == Outcome.FORWARD and least.phase == 0
+
+
+def test_walkers_come_to_their_gait_from_the_whole_of_its_box(gait):
+    """Also from between the starts that the box was found by, and from twice as far off."""
+    (cycle,) = with_frames(WALKER, [Attractor(1, np.asarray(gait.states))], 1e-12, 300)
+    assert cycle.frames is not None
+    rng = np.random.default_rng(5)
+    u = rng.uniform(-2, 2, (20_000, 2))
+    starts = cycle.states[0] + u @ np.linalg.inv(cycle.frames[0]).T
+    assert np.abs(starts - cycle.states[0]).max() > 1e-3
+    plain = cycle._replace(frames=None).boxes()
+    shared = jax.tree.map(np.asarray, (WALKER, 1e-12)), cycle.states, plain, np.int32(300)
+    found = over_cells(end_of_walk, (*shared[0], *shared[1:]), starts)
+    assert found.back.all()
+    x = starts
+    for _ in range(60):
+        x = wj.strides(WALKER, x).state
+    np.testing.assert_allclose(x, np.broadcast_to(cycle.states, x.shape), rtol=0, atol=1e-9)
+
+
+def test_all_disturbances_below_the_least_are_survived_and_not_all_above(gait, least):
+    below = basin_stability(WALKER, 0.999 * least.size, gait)
+    assert below.value == 1 and below.high == 1 and 0.999 < below.low < 1
+    assert below.fates[Outcome.STRIDE] == 10_000 and below.elsewhere == 0
+    above = basin_stability(WALKER, 1.2 * least.size, gait)
+    assert 0.9 < above.value < 1 and above.low < above.value < above.high
+    assert above.fates[1:].sum() == round(10_000 * (1 - above.value))
+
+
+def test_basin_stability_in_a_region_is_the_share_of_the_basin():
+    region = wj.Grid.sheared(theta=(0.1, 0.3, 2), sum=(-0.02, 0.01, 3))
+    found = basin_stability(WALKER, region, samples=40_000)
+    exact = wj.refine(
+        WALKER, wj.Grid.sheared(theta=(0.1, 0.3, 40), sum=(-0.02, 0.01, 40)), 3, check=20_000
+    )
+    share = float(exact.total_area) / (0.2 * 0.03)
+    assert found.low < share < found.high and found.high - found.low < 0.01
+    assert 10 <= found.median <= found.slowest <= 60
+
+
+def test_basin_stability_of_several_walkers(gait):
+    slopes = np.array([0.004, 0.009, 0.018])
+    found = basin_stability(jax.vmap(wj.SimplestWalker)(slopes), 0.01, samples=4000)
+    assert found.value.shape == (3,) and found.fates.shape == (3, len(Outcome))
+    single = basin_stability(WALKER, 0.01, gait, samples=4000)
+    assert found.value[0] == single.value and found.median[0] == single.median
+    assert np.isnan(found.value[2]) and np.isnan(found.median[2])  # no stable gait
+    other = basin_stability(WALKER, 0.01, gait, samples=4000, seed=1)
+    assert other.value != single.value and abs(other.value - single.value) < 0.05
+
+
+def test_strides_to_come_back_are_those_of_the_multipliers(gait):
+    """Ten times closer to the gait takes log 10 / log(1 / |multiplier|) strides."""
+    far, close = (basin_stability(WALKER, 1e-3, gait, within=w).median for w in (1e-5, 1e-9))
+    rate = np.log(1 / np.abs(gait.multipliers[0]))
+    assert (close - far) == pytest.approx(4 * np.log(10) / rate, abs=2)
+    never = basin_stability(WALKER, 1e-3, gait, within=1e-9, strides=25)
+    assert np.isinf(never.slowest) and never.value == 1
+
+
+def test_points_of_a_ball_and_wilsons_interval():
+    for rank in (1, 2, 3):
+        x = in_ball(np.random.default_rng(0), 20_000, rank)
+        radius = np.linalg.norm(x, axis=1)
+        assert radius.max() <= 1
+        assert np.mean(radius < 0.5) == pytest.approx(0.5**rank, abs=0.01)
+    # Newcombe (1998, Statistics in Medicine 17:857), Table I
+    for successes, n, ends in ((81, 263, (0.2553, 0.3662)), (15, 148, (0.0624, 0.1605))):
+        np.testing.assert_allclose(wilson(successes, n, 0.95), ends, atol=5e-5)
+    np.testing.assert_allclose(wilson(0, 20, 0.95), (0, 0.1611), atol=5e-5)
+
+
+def test_a_smooth_boundary_has_dimension_one_and_a_fractal_one_more():
+    grid = wj.Grid.sheared(theta=(0.1, 0.3, 60), sum=(-0.02, 0.01, 60))
+    options = {"pairs": 10_000, "distances": np.geomspace(1e-5, 3e-3, 6)}
+    smooth = boundary_dimension(WALKER, grid, **options)
+    assert smooth.low < 1.06 and smooth.value < 1.1
+    fractal = boundary_dimension(wj.SimplestWalker(0.012), grid, **options)
+    assert fractal.low > 1.3
+    with pytest.raises(ValueError, match="cells of different fates"):
+        boundary_dimension(WALKER, wj.Grid.sheared(theta=(0.01, 0.02, 4), sum=(0.1, 0.2, 4)))
+
+
+def test_a_step_down_that_a_walker_survives_and_one_that_it_does_not(gait):
+    found = least_step_down(WALKER, gait)
+    state = np.asarray(gait.states[0])
+    for share, ends in ((0.999, Outcome.STRIDE), (1 + 1e-7, found.failure)):
+        down = wj.step_down(WALKER, state, share * found.size)
+        after = wj.stride(WALKER, down.state)
+        assert after.outcome == Outcome.STRIDE
+        assert wj.walk(WALKER, after.state, 200).outcomes[-1] == ends
+    np.testing.assert_allclose(wj.step_down(WALKER, state, found.size).state, found.state)
+    states, shared = returning(WALKER, gait, 500, None)
+    from walker_jax.robustness import end_after_step
+
+    heights = np.linspace(0, found.size, 20_001)[:-1]
+    starts = np.broadcast_to(states[0], (len(heights), 2))
+    assert over_cells(end_after_step, shared, (starts, heights)).back.all()
+
+
+@pytest.mark.slow
+def test_a_table_over_slopes():
+    grid = wj.Grid.sheared(theta=(0.05, 0.4, 50), sum=(-0.04, 0.01, 50))
+    table = robustness_table(WALKER, [0.004, 0.0195], grid=grid, levels=1)
+    assert dict(table.sizes) == {"slope": 2, "coordinate": 2}
+    assert float(table.least_disturbance[0]) == pytest.approx(0.00225617, abs=1e-7)
+    assert float(table.step_down[0]) == pytest.approx(0.00133962, abs=1e-7)
+    assert int(table.gait_period[1]) == 0 and np.isnan(table.least_disturbance[1])
+    assert float(table.total_area[1]) == 0 and "walker_slope" not in table.attrs
+    other = robustness_table(
+        wj.SpringWalker(0.004), [0.0, 0.1], "hip_stiffness", grid=grid, levels=0
+    )
+    assert float(other.least_disturbance[0]) == pytest.approx(0.00225617, abs=1e-7)
+    assert table.attrs["walker"] == "SimplestWalker"
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("slope", [0.004, 0.009, 0.012])
 def test_no_point_of_a_fine_polar_grid_is_nearer(slope):
-    from walker_jax.basin import near
-    from walker_jax.robustness import end_of_walk
-    from walker_jax.tiles import over_cells
-
     walker = wj.SimplestWalker(slope)
     gait = wj.find_gait(walker)
     found = least_disturbance(walker, gait)
-    states = np.asarray(gait.states)
-    parameters = type(walker)(np.asarray(walker.slope))
-    shared = parameters, np.float64(1e-12), states, near(states.dtype), np.int32(500)
+    states, shared = returning(walker, gait, 500, None)
     angles = 2 * np.pi * np.arange(20_000) / 20_000
-    radii = np.linspace(0.8, 1.002, 102) * found.size
     rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     nearest = np.inf
-    for radius in radii:
+    for radius in np.linspace(0.8, 1.002, 203) * found.size:
         if not over_cells(end_of_walk, shared, states[0] + radius * rays).back.all():
             nearest = radius
             break
-    assert nearest == pytest.approx(found.size, rel=3e-3)
+    assert nearest == pytest.approx(found.size, rel=1e-3)
+
+
+@pytest.mark.slow
+def test_a_gait_on_a_section_of_three_dimensions():
+    walker = wj.RoundFootWalker(0.01)
+    gait = wj.find_gait(walker)
+    found = least_disturbance(walker, gait, along=[[1, 0, 0], [0, 1, 0]])
+    assert abs(found.direction[2]) < 1e-12 and found.failure != Outcome.STRIDE
+    assert basin_stability(walker, 0.99 * found.size, gait, along=np.eye(3)[:2]).value == 1
+    assert basin_stability(walker, 3 * found.size, gait, along=np.eye(3)[:2]).value < 1
+    down = least_step_down(walker, gait)
+    assert 0 < down.size < 0.1
 
 
 def test_wrong_arguments_are_refused():
@@ -113,3 +269,23 @@ def test_wrong_arguments_are_refused():
     unstable = wj.find_gait(wj.SimplestWalker(0.018))
     with pytest.raises(ValueError, match="gait must be a stable one"):
         least_disturbance(wj.SimplestWalker(0.018), unstable)
+    with pytest.raises(ValueError, match="disturbances must be positive, or a grid, not -1.0"):
+        basin_stability(walker, -1.0, gait)
+    with pytest.raises(ValueError, match="scale and along are of no use"):
+        basin_stability(walker, wj.Grid.plain(theta=(0, 1, 2), thetadot=(-1, 0, 2)), along=[0, 1])
+    with pytest.raises(ValueError, match="samples must be at least 1"):
+        basin_stability(walker, 0.1, gait, samples=0)
+    with pytest.raises(ValueError, match="within must be positive"):
+        basin_stability(walker, 0.1, gait, within=np.nan)
+    with pytest.raises(ValueError, match="confidence must be between 0 and 1"):
+        basin_stability(walker, 0.1, gait, confidence=1.0)
+    with pytest.raises(ValueError, match="gait must be left out"):
+        basin_stability(jax.vmap(wj.SimplestWalker)(np.array([0.004, 0.005])), 0.1, gait)
+    for drop in (-1e-3, np.inf, np.nan):
+        with pytest.raises(ValueError, match="drop must be finite and not negative"):
+            wj.step_down(walker, gait.states[0], drop)
+    for values in ([], np.array(0.004)):
+        with pytest.raises(ValueError, match="values must be one row"):
+            robustness_table(walker, values)
+    with pytest.raises(ValueError, match="parameter must be one of"):
+        robustness_table(walker, np.array([0.1]), "mass")

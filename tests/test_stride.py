@@ -751,3 +751,52 @@ def test_second_derivatives_equal_differences_of_the_first(tangents):
         expected = differences(first, z, 4e-4)
         found = np.stack([second(z, v, w) for w in np.eye(3)], axis=1)
         np.testing.assert_allclose(found, expected, rtol=1e-6)
+
+
+# A heel strike on lower ground
+
+
+def test_a_step_down_is_what_the_motion_of_the_feet_gives():
+    """By Runge-Kutta, and from velocities of hip and feet in the plane."""
+    slope, x = 0.009, np.array([0.2, -0.2])
+    walker = SimplestWalker(slope)
+    full = np.array([0.2, 0.4, -0.2, (1 - np.cos(0.4)) * -0.2])
+
+    def field(t, y):
+        theta, phi, thetadot, phidot = y
+        swing = np.sin(phi) * (thetadot**2 - np.cos(theta - slope)) + np.sin(theta - slope)
+        return [thetadot, phidot, np.sin(theta - slope), swing]
+
+    for drop in (0.0, 1e-4, 2e-3, 0.02):
+        found = wj.step_down(walker, x, drop)
+        assert found.outcome == Outcome.STRIDE
+        time = float(found.time)
+        before = solve_ivp(field, (0, time), full, rtol=1e-13, atol=1e-13, method="DOP853").y[:, -1]
+        theta, phi, thetadot, _ = before
+        foot = np.cos(theta) - np.cos(theta - phi)
+        assert foot == pytest.approx(-drop, abs=1e-11)
+        across = lambda angle: np.array([-np.cos(angle), -np.sin(angle)])
+        stance = theta - phi
+        rate = thetadot * across(theta) @ across(stance)  # the hip's velocity across the new leg
+        trailing = rate * across(stance) @ across(theta)  # the old foot's across its leg is zero
+        expected = stance, -phi, rate, rate - trailing
+        np.testing.assert_allclose(found.state, expected, rtol=0, atol=1e-10)
+    level = wj.stride(walker, x)
+    flat = wj.step_down(walker, x, 0.0)
+    np.testing.assert_allclose(flat.state[jnp.array([0, 2])], level.state, rtol=0, atol=1e-13)
+    assert float(flat.state[1] - 2 * flat.state[0]) == pytest.approx(0, abs=1e-13)
+    assert float(flat.time) == pytest.approx(float(level.time), abs=1e-12)
+
+
+def test_a_step_down_has_derivatives_and_an_outcome():
+    walker = SimplestWalker(0.009)
+    state = lambda z: wj.step_down(walker, z[:2], z[2]).state
+    z, width = jnp.array([0.2, -0.2, 1e-3]), 1e-4
+    jacobian = jax.jit(jax.jacfwd(state))(z)
+    step = lambda i, h: (state(z.at[i].add(h)) - state(z.at[i].add(-h))) / (2 * h)
+    for i in range(3):
+        central = (4 * step(i, width / 2) - step(i, width)) / 3
+        np.testing.assert_allclose(jacobian[:, i], central, rtol=0, atol=1e-7)
+    assert wj.step_down(walker, np.array([0.2, -0.2]), 0.9).outcome == Outcome.FORWARD
+    assert wj.step_down(walker, np.array([0.2, -0.1]), 1e-3).outcome == Outcome.BACKWARD
+    assert np.isnan(wj.step_down(walker, np.array([0.2, -0.1]), 1e-3).state).all()

@@ -1259,3 +1259,15 @@ def test_float32_strides_are_those_of_float64():
     np.testing.assert_array_equal(single.outcome, double.outcome)
     assert (double.outcome == Outcome.STRIDE).sum() >= 5
     np.testing.assert_allclose(single.state, double.state, rtol=0, atol=5e-5)
+
+
+def test_a_step_down_has_the_limit_of_the_simplest_walker():
+    x, drop = np.array([0.2, -0.2]), 2e-3
+    limit = np.asarray(wj.step_down(wj.SimplestWalker(0.009), x, drop).state)
+    errors = [
+        np.abs(wj.step_down(wj.PointFootWalker(0.009, mass), x, drop).state - limit).max()
+        for mass in (1e-3, 1e-4)
+    ]
+    assert 9.5 < errors[0] / errors[1] < 10.5
+    spring = wj.step_down(wj.SpringWalker(0.009, 0.0), x, drop)
+    np.testing.assert_allclose(spring.state, limit, rtol=0, atol=1e-12)
