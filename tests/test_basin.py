@@ -198,3 +198,22 @@ def test_a_basin_of_three_dimensions_and_a_slice_of_it():
     assert layer.period.values.tolist() == whole.period.values.tolist() == [1]
     gait = wj.find_gait(walker, layer.states.values[0, 0])
     np.testing.assert_allclose(layer.states.values[0, 0], gait.states[0], atol=1e-9)
+
+
+def test_where_cell_mapping_differs_and_what_it_makes_up():
+    grid = wj.Grid.sheared(theta=(0, 0.4, 100), sum=(-0.04, 0.01, 100))
+    walker = wj.SimplestWalker(0.004)
+    found = wj.compare_methods(walker, grid)
+    direct = wj.basin(walker, grid, "direct")
+    np.testing.assert_array_equal(found.direct, direct.attractor >= 0)
+    assert 0.001 < (found.mapped != found.direct).values.mean() < 0.005
+    # several cells seem to stand still: one holds the gait, and another does not
+    assert sorted(found.artefact.values.tolist()) == [False, True]
+    assert int(found.direct_attractors) == 1
+    assert int(found["cells"][found.artefact].sum()) < 0.01 * int(found["cells"].sum())
+    # beyond the loss of walking all that walks is made up
+    lost = wj.compare_methods(
+        wj.SimplestWalker(0.0195), wj.Grid.sheared(theta=(0, 0.4, 200), sum=(-0.04, 0.01, 250))
+    )
+    assert int(lost.direct_attractors) == 0 and not lost.direct.any()
+    assert lost.mapped.any() and lost.artefact.values.all()

@@ -10,6 +10,7 @@ import xarray as xr
 
 import walker_jax as wj
 from walker_jax import cli
+from walker_jax.robustness import without_gait
 from walker_jax.walkers import WALKERS, parameters
 
 SMALL = ["--theta", "0.05", "0.35", "30", "--sum", "-0.03", "0.01", "20"]
@@ -276,6 +277,81 @@ def test_bifurcation_answers_keeps_and_draws(run, tmp_path, monkeypatch):
 )
 def test_wrong_bifurcations(run, tmp_path, arguments, named):
     code, out, err = run("bifurcation", *arguments)
+    assert (code, out) == (2, "") and err.count("\n") == 1 and named in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_robustness_answers_keeps_and_draws(run, tmp_path, monkeypatch):
+    arguments = ["robustness", *SMALL, "--levels", "1", "--strides", "200"]
+    code, out, err = run(*arguments, "--json")
+    assert (code, err) == (0, "")
+    answer = json.loads(out)
+    assert list(answer) == [
+        *("walker", "slope", "area", "area_error", "gait", "least_disturbance", "step_down"),
+        *("basin_stability", "boundary_dimension"),
+    ]
+    assert answer["slope"] == 0.004 and answer["gait"]["period"] == 1
+    assert 0 < answer["area_error"] < 0.05 * answer["area"]
+    least = answer["least_disturbance"]
+    assert least["size"] == pytest.approx(0.00225617, abs=1e-7)
+    assert set(least) == {"size", "direction", "state", "failure", "strides"}
+    assert least["failure"] == "FORWARD"
+    survived, dimension = answer["basin_stability"], answer["boundary_dimension"]
+    assert survived["low"] < 0.3056 < survived["high"] and survived["disturbances"] == 0.1
+    assert dimension["low"] < dimension["value"] < dimension["high"] < 1.2
+    assert (tmp_path / "robustness.png").read_bytes().startswith(b"\x89PNG")
+    monkeypatch.setattr("walker_jax.robustness", lambda *_, **__: 1 / 0)
+    code, text, _ = run(*arguments)
+    assert code == 0 and "least disturbance 0.00225617" in text and "FORWARD after" in text
+    assert run(*arguments, "--disturbances", "0.2")[0] == 2
+
+
+def test_a_table_of_robustness_and_slopes_on_which_nothing_walks(run, tmp_path, monkeypatch):
+    grid = wj.Grid.sheared(theta=(0.05, 0.35, 4), sum=(-0.03, 0.01, 3))
+    data = wj.refine(wj.SimplestWalker(0.3), grid, 0, check=0)
+    lost = data.assign(without_gait(wj.SimplestWalker(0.3)))
+    monkeypatch.setattr(
+        "walker_jax.robustness_table",
+        lambda walker, slopes, *_, **__: xr.concat(
+            [lost[["total_area", "total_area_error", "gait_state", *without_gait(walker)]]]
+            * len(slopes),
+            xr.DataArray(slopes, dims="slope", name="slope"),
+        ).assign_attrs(lost.attrs),
+    )
+    arguments = ["robustness", "--from", "0.2", "--to", "0.3", "--count", "2"]
+    code, out, err = run(*arguments, "--json")
+    assert (code, err) == (0, "")
+    answer = json.loads(out)
+    assert answer["walker"] == {"name": "SimplestWalker"}
+    assert [row["slope"] for row in answer["slopes"]] == [0.2, 0.3]
+    assert all(row["least_disturbance"] is None and row["area"] == 0 for row in answer["slopes"])
+    assert "no gait attracts" in run(*arguments)[1]
+    assert (tmp_path / "robustness.png").is_file()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["--from", "0.01"], "--to"),
+        (["--count", "5"], "--from"),
+        (["--from", "0.02", "--to", "0.01"], "--from"),
+        (["--from", "0", "--to", "0.01"], "slope"),
+        (["--from", "0.01", "--to", "0.02", "--count", "1"], "count"),
+        (["--levels", "-1"], "levels"),
+        (["--levels", "9"], "levels"),
+        (["--disturbances", "0"], "--disturbances"),
+        (["--disturbances", "nan"], "disturbances"),
+        (["--strides", "0"], "strides"),
+        (["--theta", "0", "0.4", "10"], "--sum"),
+        (["--theta", "0", "0.4", "1", "--sum", "0", "0.4", "5"], "2 cells"),
+        (["--at-phidot", "0.1"], "--at-phidot"),
+        (["--walker", "round-foot", "--at-phidot", "0.1"], "--theta"),
+        (["--out", "r.png"], "r.png"),
+        (["--figure", "r.gif"], "r.gif"),
+    ],
+)
+def test_wrong_robustness(run, tmp_path, arguments, named):
+    code, out, err = run("robustness", *arguments)
     assert (code, out) == (2, "") and err.count("\n") == 1 and named in err
     assert list(tmp_path.iterdir()) == []
 

@@ -639,3 +639,100 @@ def test_multipliers_of_no_gait_and_of_failed_searches_are_left_out():
     axes = Figure(layout="constrained").subplots(1, 2)
     assert figures.multipliers([gait(1, 0.5, 0)], axes[0]) is axes[0]
     assert not axes[1].has_data()
+
+
+# Robustness
+
+
+def robust(grid=SHEARED, **changes):
+    """What `walker_jax.robustness` returns: a basin to the right of theta = 0.15, its gait at 0.2.
+
+    The nearest start that falls is at a distance of 0.05.
+    """
+    theta = grid.axes["theta"][:, None]
+    fate = np.where(theta > 0.15, Outcome.STRIDE, Outcome.FORWARD) + np.zeros(grid.shape, int)
+    values = {
+        "gait_period": 1,
+        "gait_state": ("coordinate", np.array([0.2, -0.215])),
+        "least_disturbance": 0.05,
+        "failing_state": ("coordinate", np.array([0.15, -0.215])),
+        "failure": int(Outcome.FORWARD),
+        "failing_strides": 7,
+    }
+    return data_set(grid, fate, cycles=[((0.2, -0.215),)]).assign(values | changes)
+
+
+def table(slopes=(0.004, 0.008, 0.012), **changes):
+    """What `walker_jax.robustness_table` returns, of a walker without a gait on the last slope."""
+    over = {
+        "total_area": [2e-3, 1e-3, 0.0],
+        "total_area_error": [1e-6] * 3,
+        "least_disturbance": [1e-3, 2e-3, np.nan],
+        "multiplier": [0.6, 0.9, np.nan],
+        "dimension_low": [1.0, 1.3, np.nan],
+        "dimension": [1.05, 1.4, np.nan],
+        "dimension_high": [1.1, 1.5, np.nan],
+    }
+    over = {name: ("slope", np.array(values)) for name, values in (over | changes).items()}
+    return xr.Dataset(over, {"slope": np.array(slopes)}, {"walker": "SimplestWalker"})
+
+
+def test_the_least_disturbance_is_drawn_to_where_it_touches_the_boundary():
+    ax = figures.disturbance(robust())
+    curve, gait, nearest = (np.asarray(line.get_xydata()) for line in ax.lines)
+    away = curve - [0.2, -0.015]
+    away[:, 1] -= away[:, 0]  # from theta + thetadot to thetadot
+    np.testing.assert_allclose(np.linalg.norm(away, axis=1), 0.05, rtol=1e-12)
+    np.testing.assert_allclose(gait, [[0.2, -0.015]], atol=1e-15)
+    np.testing.assert_allclose(nearest, [[0.15, -0.065]], atol=1e-15)
+    low, high = ax.get_xlim()
+    assert low < curve[:, 0].min() and curve[:, 0].max() < high
+    assert "nearest start that falls forward after 7 strides" in legend(ax)
+    assert "basin of attraction" in legend(ax) and "0.05" in ax.texts[0].get_text()
+    other = figures.disturbance(robust(failure=int(Outcome.STRIDE)))
+    assert "nearest start that comes to another motion" in legend(other)
+
+
+def test_a_basin_stands_alone_where_there_is_no_disturbance_to_draw():
+    assert len(figures.robustness(robust()).axes) == 2
+    lost = robust(least_disturbance=np.nan, gait_period=0)
+    assert len(figures.robustness(lost).axes) == 1
+    assert len(figures.robustness(every_fate()).axes) == 1
+    for data in (lost, every_fate()):
+        with pytest.raises(ValueError, match="must hold the least disturbance"):
+            figures.disturbance(data)
+
+
+def test_measures_of_robustness_are_parts_of_their_largest_on_one_axis():
+    ax = figures.robustness_measures(table())
+    area, least, multiplier = (np.asarray(line.get_xydata()) for line in ax.lines)
+    np.testing.assert_array_equal(area, [[0.004, 1], [0.008, 0.5], [0.012, 0]])
+    np.testing.assert_array_equal(least, [[0.004, 0.5], [0.008, 1], [0.012, np.nan]])
+    np.testing.assert_array_equal(multiplier[:2], [[0.004, 0.6], [0.008, 0.9]])
+    assert legend(ax) == [
+        "area of the basin, of 0.002",
+        "least disturbance, of 0.002",
+        "modulus of the largest multiplier",
+    ]
+    assert len({line.get_color() for line in ax.lines}) == 3
+    assert ax.get_title(loc="left") == "SimplestWalker: robustness"
+
+
+def test_nothing_walks_anywhere():
+    nowhere = [np.nan] * 3
+    names = ("least_disturbance", "multiplier", "dimension_low", "dimension", "dimension_high")
+    data = table(total_area=[0.0] * 3, **dict.fromkeys(names, nowhere))
+    figure = figures.robustness_table(data)
+    figure.canvas.draw()
+    assert len(figure.axes) == 2
+
+
+def test_the_dimension_is_drawn_with_its_interval_over_that_of_a_smooth_boundary():
+    ax = figures.boundary_dimension(table())
+    (band,) = ax.collections
+    corners = band.get_paths()[0].vertices
+    assert {1.0, 1.1, 1.3, 1.5} <= set(np.round(corners[:, 1], 12).tolist())
+    (low, high), smooth = ax.get_ylim(), ax.lines[1].get_ydata()
+    assert low < 1 and high > 1.5 and set(np.asarray(smooth)) == {1}
+    with pytest.raises(ValueError, match="must be a table"):
+        figures.boundary_dimension(robust())

@@ -269,7 +269,7 @@ def test_wrong_arguments_are_refused():
     unstable = wj.find_gait(wj.SimplestWalker(0.018))
     with pytest.raises(ValueError, match="gait must be a stable one"):
         least_disturbance(wj.SimplestWalker(0.018), unstable)
-    with pytest.raises(ValueError, match="disturbances must be positive, or a grid, not -1.0"):
+    with pytest.raises(ValueError, match=r"disturbances must be positive, or a grid, not -1\.0"):
         basin_stability(walker, -1.0, gait)
     with pytest.raises(ValueError, match="scale and along are of no use"):
         basin_stability(walker, wj.Grid.plain(theta=(0, 1, 2), thetadot=(-1, 0, 2)), along=[0, 1])

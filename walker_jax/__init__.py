@@ -12,7 +12,7 @@ Importing sets no JAX flag. Turn on float64 for numbers to quote:
 
 from importlib.metadata import version
 
-from walker_jax.basin import basin
+from walker_jax.basin import basin, compare_methods
 from walker_jax.bifurcations import attractors, bifurcation_diagram, loss_of_walking
 from walker_jax.boundaries import Dimension, Uncertainty, box_counting, uncertainty_exponent
 from walker_jax.branches import Bifurcation, Branch, continue_gait
@@ -73,6 +73,7 @@ __all__ = [
     "bifurcation_diagram",
     "boundary_dimension",
     "box_counting",
+    "compare_methods",
     "continue_gait",
     "descend",
     "find_gait",

@@ -180,6 +180,30 @@ def cell_mapping(walker: Walker, grid: Grid, tolerance: float, progress: bool = 
     return Basins(fate, np.asarray(resolved.attractor), np.asarray(resolved.steps), attractors)
 
 
+def compare_methods(
+    walker: Walker, grid: Grid, *, strides: int = 200, tolerance: float | None = None
+) -> xr.Dataset:
+    """Cell mapping against direct iteration on one grid: where they differ, and what is made up.
+
+    Arguments and errors are those of `basin`.
+
+    **Returns** a data set over the grid's axes with `mapped` and `direct`, whether a cell walks for
+    ever by either method; and over the attractors of cell mapping `cells`, `period`, and
+    `artefact`: that no attractor of direct iteration has a state within a cell of one of theirs.
+    `direct_attractors` is how many of those there are.
+    """
+    mapped = basin(walker, grid, strides=strides, tolerance=tolerance)
+    direct = basin(walker, grid, "direct", strides=strides, tolerance=tolerance)
+    real = direct["states"].values.reshape(-1, grid.coordinates)
+    own = mapped["states"].values[:, :, None] - real[~np.isnan(real).any(axis=1)]
+    away = np.abs(own @ np.asarray(grid.unshear).T) / np.asarray(grid.spacing)
+    near = (away.max(axis=3) <= 1).any(axis=(1, 2))
+    walks = {"mapped": mapped["attractor"] >= 0, "direct": direct["attractor"] >= 0}
+    found = mapped[["cells", "period"]].assign(artefact=("number", ~near), **walks)
+    found["direct_attractors"] = direct.sizes["number"]
+    return found.assign_attrs(mapped.attrs | {"method": "cell-map against direct"})
+
+
 def cell_map(
     walker: Walker, grid: Grid, tolerance: float, progress: bool = False
 ) -> Int[np.ndarray, " n"]:
