@@ -92,18 +92,9 @@ def basin(
         found = cell_mapping(walker, grid, tolerance, progress)
     else:
         found = direct_iteration(walker, grid, tolerance, strides, progress)
-    data = labelled(walker, grid, sort_attractors(found))
-    data.attrs = {
-        "walker": type(walker).__name__,
-        **{f"walker_{name}": float(value) for name, value in vars(walker).items()},
-        "method": method,
-        **({"strides": strides} if method == "direct" else {}),
-        "tolerance": tolerance,
-        "section": list(walker.section),
-        "area": data["area"].values.tolist(),
-        "version": f"walker-jax {version('walker-jax')}",
-    }
-    return data
+    limit = {"strides": strides} if method == "direct" else {}
+    how = {"method": method, **limit, "tolerance": tolerance}
+    return labelled(walker, grid, sort_attractors(found), how)
 
 
 def check_grid(walker: Walker, grid: Grid, method: str, each: int = BYTES_PER_CELL) -> None:
@@ -199,7 +190,7 @@ def compare_methods(
     away = np.abs(own @ np.asarray(grid.unshear).T) / np.asarray(grid.spacing)
     near = (away.max(axis=3) <= 1).any(axis=(1, 2))
     walks = {"mapped": mapped["attractor"] >= 0, "direct": direct["attractor"] >= 0}
-    found = mapped[["cells", "period"]].assign(artefact=("number", ~near), **walks)
+    found = mapped[["cells", "period"]].assign({"artefact": ("number", ~near), **walks})
     found["direct_attractors"] = direct.sizes["number"]
     return found.assign_attrs(mapped.attrs | {"method": "cell-map against direct"})
 
@@ -437,8 +428,8 @@ def sort_attractors(found: Basins) -> Basins:
     return found._replace(attractor=number[found.attractor], attractors=attractors)
 
 
-def labelled(walker: Walker, grid: Grid, found: Basins) -> xr.Dataset:
-    """The data set that `basin` returns, but for its attributes."""
+def labelled(walker: Walker, grid: Grid, found: Basins, how: dict) -> xr.Dataset:
+    """The data set that `basin` returns; `how` it was made is among its attributes."""
     names = list(Outcome.__members__)
     cells = np.bincount(found.attractor[found.attractor >= 0], minlength=len(found.attractors))
     longest = max((len(one.states) for one in found.attractors), default=0)
@@ -449,7 +440,7 @@ def labelled(walker: Walker, grid: Grid, found: Basins) -> xr.Dataset:
     def over_grid(values, **attributes):
         return grid.names, np.asarray(values).reshape(grid.shape), attributes
 
-    return xr.Dataset(
+    data = xr.Dataset(
         {
             "fate": over_grid(
                 found.fate, flag_values=list(range(len(names))), flag_meanings=" ".join(names)
@@ -466,6 +457,16 @@ def labelled(walker: Walker, grid: Grid, found: Basins) -> xr.Dataset:
             **grid.held,
             "number": np.arange(len(found.attractors)),
         },
+    )
+    return data.assign_attrs(
+        {
+            "walker": type(walker).__name__,
+            **{f"walker_{name}": float(value) for name, value in vars(walker).items()},
+            **how,
+            "section": list(walker.section),
+            "area": data["area"].values.tolist(),
+            "version": f"walker-jax {version('walker-jax')}",
+        }
     )
 
 

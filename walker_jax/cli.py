@@ -689,7 +689,7 @@ def robustness(
         check_parameter(walker, "slope", low, high)
         if not low < high:
             raise ValueError(f"--from {low:g} must be below --to {high:g}")
-        slopes = np.linspace(low, high, count or 20)
+        slopes = np.linspace(low, high, count or 20).round(12)
     about = description(walker)
     slope = about["slope"] if slopes is None else about.pop("slope")
     request = {

@@ -769,7 +769,7 @@ def robustness_measures(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     handles += ax.plot(values, data["multiplier"].values, sign, color=colour, label=words)
     ax.set_xlabel(AXIS_LABELS.get(parameter, parameter), fontsize=11)
     ax.set_ylabel("part of the largest; modulus", fontsize=11)
-    ax.set_ylim(0, 1.05)
+    ax.set(xlim=margin(values), ylim=(0, 1.05))
     note = "with twice the error of the area; the multiplier is that of the gait walkers come to"
     write_title(ax, f"{title(data)}: robustness", note)
     place_legend(ax, handles, BELOW, columns=1)
@@ -793,7 +793,7 @@ def boundary_dimension(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     ax.set_xlabel(AXIS_LABELS.get(parameter, parameter), fontsize=11)
     ax.set_ylabel("dimension", fontsize=11)
     top = np.nanmax([1.2, *high])
-    ax.set_ylim(0.9, 1.05 * top)
+    ax.set(xlim=margin(values), ylim=(0.9, 1.05 * top))
     note = "by the uncertainty exponent, with its 95 % interval"
     write_title(ax, "Dimension of the basin's boundary", note)
     return ax
@@ -813,6 +813,12 @@ def robustness_table(data: xr.Dataset) -> Figure:
     robustness_measures(data, axes[0])
     boundary_dimension(data, axes[1])
     return figure
+
+
+def margin(values: Float[np.ndarray, " n"]) -> tuple[float, float] | None:
+    """The range of values, and a little more; none where there is but one."""
+    beyond = 0.03 * np.ptp(values)
+    return (values.min() - beyond, values.max() + beyond) if beyond else None
 
 
 def table_axis(data: xr.Dataset) -> tuple[Float[np.ndarray, " n"], str]:

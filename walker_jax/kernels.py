@@ -182,8 +182,7 @@ class Writer(Unrolling):
                 )
             return [result]
         if name in ("custom_jvp_call", "custom_vjp_call"):
-            inner = params["call_jaxpr"]
-            return self.interpret(inner.jaxpr, list(map(self.split, inner.consts)), operands)
+            return self.interpret(params["call_jaxpr"], operands)
         if name in REDUCTIONS:
             return [self.reduce(REDUCTIONS[name], operands[0], params["axes"], equation)]
         if name == "while":
@@ -220,12 +219,8 @@ class Writer(Unrolling):
         of_condition, of_body = operands[:count], operands[count : count + more]
         carry = operands[count + more :]
 
-        def interpret(closed: ClosedJaxpr, *inputs):
-            constants = list(map(self.split, closed.consts))
-            return self.interpret(closed.jaxpr, constants, [*inputs])
-
         if runs_once(condition.jaxpr, body.jaxpr, carry, count, more):
-            return interpret(body, *of_body, *carry)
+            return self.interpret(body, [*of_body, *carry])
 
         avals = [variable.aval for variable in body.jaxpr.outvars]
         flat, kinds = self.flattened(carry, avals)
@@ -243,7 +238,7 @@ class Writer(Unrolling):
 
         known, lanes = len(self.known), self.active
         values = self.gathered(phis, avals)
-        ((going,),) = map(np.ravel, interpret(condition, *of_condition, *values))
+        ((going,),) = map(np.ravel, self.interpret(condition, [*of_condition, *values]))
         going = self.vector(going, bool)
         if lanes is not None:
             going = builder.and_(going, lanes)
@@ -254,7 +249,7 @@ class Writer(Unrolling):
 
         builder.position_at_end(turn)
         self.active = going
-        results, _ = self.flattened(interpret(body, *of_body, *values), avals)
+        results, _ = self.flattened(self.interpret(body, [*of_body, *values]), avals)
         for phi, result, dtype in zip(phis, results, kinds, strict=True):
             new = builder.select(going, self.vector(result, dtype), phi)
             phi.add_incoming(new, builder.block)
@@ -277,8 +272,7 @@ class Writer(Unrolling):
             if len(branches) > 1:
                 mine = self.builder.icmp_signed("==", index, self.vector(i, np.int32))
                 self.active = mine if lanes is None else self.builder.and_(mine, lanes)
-            constants = list(map(self.split, branch.consts))
-            results.append(self.flattened(self.interpret(branch.jaxpr, constants, inputs), avals))
+            results.append(self.flattened(self.interpret(branch, inputs), avals))
         self.active = lanes
         chosen, kinds = results[-1]
         for i, (entries, _) in reversed(list(enumerate(results[:-1]))):
@@ -325,7 +319,7 @@ class Writer(Unrolling):
             entry = np.empty((), object)
             entry[()] = vector
             inputs.append(entry)
-        (result,) = self.interpret(closed.jaxpr, list(map(self.split, closed.consts)), inputs)
+        (result,) = self.interpret(closed, inputs)
         return self.vector(result[()], dtype)
 
 
@@ -787,9 +781,7 @@ def written(closed: ClosedJaxpr, shared: list, cell: list, results: list) -> str
         entries(array, shape, dtype, places_in(shape))
         for array, (shape, dtype) in zip(of_cells, cell, strict=True)
     ]
-    outputs = writer.interpret(
-        closed.jaxpr, list(map(writer.split, closed.consts)), constants + inputs
-    )
+    outputs = writer.interpret(closed, constants + inputs)
     ends = zip(arrays[len(arrays) - len(results) :], outputs, results, strict=True)
     for array, output, (shape, dtype) in ends:
         for i, place in enumerate(np.ndindex(*shape)):

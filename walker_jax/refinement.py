@@ -8,8 +8,6 @@ random among the cells that inherited: the tails they meet are followed too; the
 anew, correct the area, and say how far it can be trusted.
 """
 
-from importlib.metadata import version
-
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
@@ -164,24 +162,14 @@ def refine(
     variance = (mixed * SPREAD + ((wrong + 1) * each**2).sum()) * cell**2
 
     basins = Basins(fate.ravel(), attractor.ravel(), count.ravel(), attractors)
-    data = labelled(walker, finest, sort_attractors(basins))
+    how = {"method": "direct, refined", "strides": strides, "tolerance": tolerance, "seed": seed}
+    data = labelled(walker, finest, sort_attractors(basins), how)
     data["total_area"] = float(area)
     data["total_area_error"] = float(np.sqrt(variance))
     data["followed"] = "level", np.array(followed)
     data["boundary"] = "level", np.array(boundary)
     data["checked"], data["mistaken"] = len(cells), int(wrong.sum())
     data["strides_made"] = made
-    data.attrs = {
-        "walker": type(walker).__name__,
-        **{f"walker_{name}": float(value) for name, value in vars(walker).items()},
-        "method": "direct, refined",
-        "strides": strides,
-        "tolerance": tolerance,
-        "section": list(walker.section),
-        "area": data["area"].values.tolist(),
-        "seed": seed,
-        "version": f"walker-jax {version('walker-jax')}",
-    }
     return data
 
 

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.extend.core import Jaxpr, Literal, Primitive
+from jax.extend.core import ClosedJaxpr, Literal, Primitive
 from jaxtyping import PyTree
 
 CALLS = ("jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call")
@@ -48,8 +48,7 @@ def unrolled(function: Callable[..., PyTree]) -> Callable[..., PyTree]:
         closed, shapes = jax.make_jaxpr(flat, return_shape=True)(*leaves)
         entries = Unrolling()
         inputs = [entries.split(leaf) for leaf in leaves]
-        constants = [entries.split(value) for value in closed.consts]
-        results = entries.interpret(closed.jaxpr, constants, inputs)
+        results = entries.interpret(closed, inputs)
         pairs = zip(results, jax.tree.leaves(shapes), strict=True)
         outputs = [jnp.asarray(joined(x, like)) for x, like in pairs]
         return jax.tree.unflatten(jax.tree.structure(shapes), outputs)
@@ -87,10 +86,9 @@ class Unrolling:
             entries[place] = value[place] if entries.shape else value
         return entries
 
-    def interpret(
-        self, jaxpr: Jaxpr, constants: list[np.ndarray], inputs: list[np.ndarray]
-    ) -> list[np.ndarray]:
-        values: dict = dict(zip(jaxpr.constvars, constants, strict=True))
+    def interpret(self, closed: ClosedJaxpr, inputs: list[np.ndarray]) -> list[np.ndarray]:
+        jaxpr = closed.jaxpr
+        values: dict = dict(zip(jaxpr.constvars, map(self.split, closed.consts), strict=True))
         values |= zip(jaxpr.invars, inputs, strict=True)
 
         def read(variable):
@@ -110,8 +108,7 @@ class Unrolling:
         shape = equation.outvars[0].aval.shape if equation.outvars else ()
         if name in CALLS and not name.startswith("custom"):
             inner = params["jaxpr"] if "jaxpr" in params else params["call_jaxpr"]
-            constants = [self.split(value) for value in inner.consts]
-            return self.interpret(inner.jaxpr, constants, operands)
+            return self.interpret(inner, operands)
         if name in ENTRYWISE:
             dtypes = [variable.aval.dtype for variable in equation.invars]
             return [self.entrywise(primitive, params, operands, dtypes, shape)]
