@@ -1,9 +1,9 @@
 """Is the least disturbance the least, how long does it take, and at which slope is it largest?
 
 The simplest walker's, at ten slopes, against a polar grid about its gait: 20,000 directions, and
-distances 0.02 % apart outwards from 0.9 of the size found, until a walker does not come back. It is:
-nothing on the grid is nearer, and what is nearest there is at most one step of the grid farther.
-The largest is at 0.0077. On two cores, one of them busy:
+distances 0.02 % apart outwards from 0.9 of the size found, until a walker does not come back. It is
+the least: nothing on the grid is nearer, and what is nearest there is at most one step farther. The
+largest is at 0.0077. On two cores, one of them busy:
 
 slope 0.001: 0.00192270 ..., FORWARD after 42, in 5.2 s; polar grid 1.00020 times as large
 slope 0.0025: 0.00215421 ..., FORWARD after 33, in 1.6 s; polar grid 1.00020 times as large

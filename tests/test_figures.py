@@ -693,6 +693,14 @@ def test_the_least_disturbance_is_drawn_to_where_it_touches_the_boundary():
     assert "nearest start that comes to another motion" in legend(other)
 
 
+def test_the_least_disturbance_is_drawn_over_cells_that_are_larger_than_it():
+    coarse = robust(Grid.sheared(theta=(0, 0.4, 4), sum=(-0.04, 0.01, 2)), least_disturbance=1e-4)
+    ax = figures.disturbance(coarse)
+    low, high = ax.get_xlim()
+    assert low < 0.2 < high and high - low < 1e-3
+    figure_of(ax).canvas.draw()
+
+
 def test_a_basin_stands_alone_where_there_is_no_disturbance_to_draw():
     assert len(figures.robustness(robust()).axes) == 2
     lost = robust(least_disturbance=np.nan, gait_period=0)
@@ -730,7 +738,7 @@ def test_nothing_walks_anywhere():
 def test_the_dimension_is_drawn_with_its_interval_over_that_of_a_smooth_boundary():
     ax = figures.boundary_dimension(table())
     (band,) = ax.collections
-    corners = band.get_paths()[0].vertices
+    corners = np.asarray(band.get_paths()[0].vertices)
     assert {1.0, 1.1, 1.3, 1.5} <= set(np.round(corners[:, 1], 12).tolist())
     (low, high), smooth = ax.get_ylim(), ax.lines[1].get_ydata()
     assert low < 1 and high > 1.5 and set(np.asarray(smooth)) == {1}

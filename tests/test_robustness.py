@@ -61,6 +61,20 @@ def test_the_nearest_of_several_discs(gradient):
     )
 
 
+def test_a_finger_of_failure_that_is_thinner_than_the_first_rays_are_apart():
+    """A wedge with its tip at 0.5, between two of them, before a circle of radius 0.9."""
+    angle = 2 * np.pi * 100.5 / 720
+    along = np.array([np.cos(angle), np.sin(angle)])
+
+    def fails(y):
+        on, off = y @ along, np.abs(y @ [-along[1], along[0]])
+        return (np.linalg.norm(y, axis=1) > 0.9) | ((on > 0.5) & (off < 0.01 * (on - 0.5)))
+
+    found = nearest_failure(fails, np.eye(2), lambda y: np.full_like(y, np.nan))
+    assert fails(found[None]) and not fails(0.999999 * found[None])
+    assert 0.5 < np.linalg.norm(found) < 0.53  # the tip, where it is as wide as rays are apart
+
+
 def test_in_one_direction_only():
     fails = lambda y: (y[:, 1] > 0.2) | (y[:, 1] < -0.05)
     found = nearest_failure(fails, np.array([[0.0, 1.0]]), np.zeros_like)
@@ -136,7 +150,7 @@ def test_all_disturbances_below_the_least_are_survived_and_not_all_above(gait, l
     assert below.fates[Outcome.STRIDE] == 10_000 and below.elsewhere == 0
     above = basin_stability(WALKER, 1.2 * least.size, gait)
     assert 0.9 < above.value < 1 and above.low < above.value < above.high
-    assert above.fates[1:].sum() == round(10_000 * (1 - above.value))
+    assert above.fates[1:].sum() == round(10_000 * (1 - float(above.value)))
 
 
 def test_basin_stability_in_a_region_is_the_share_of_the_basin():
@@ -170,6 +184,20 @@ def test_strides_to_come_back_are_those_of_the_multipliers(gait):
     assert np.isinf(never.slowest) and never.value == 1
 
 
+def test_a_gait_of_period_two_is_disturbed_where_it_is_weakest():
+    walker = wj.SimplestWalker(0.0165)
+    gait = wj.find_gait(walker, np.array([[0.2367, -0.2323], [0.2510, -0.2423]]), 2)
+    assert gait.stable
+    found = least_disturbance(walker, gait)
+    states = np.asarray(gait.states)
+    np.testing.assert_allclose(
+        found.state, states[found.phase] + found.size * found.direction, rtol=0, atol=1e-15
+    )
+    rolled = gait._replace(states=np.roll(states, -found.phase, axis=0))
+    assert basin_stability(walker, 0.999 * found.size, rolled, samples=4000).value == 1
+    assert basin_stability(walker, 2 * found.size, rolled, samples=4000).value < 1
+
+
 def test_points_of_a_ball_and_wilsons_interval():
     for rank in (1, 2, 3):
         x = in_ball(np.random.default_rng(0), 20_000, rank)
@@ -189,8 +217,8 @@ def test_a_smooth_boundary_has_dimension_one_and_a_fractal_one_more():
     assert smooth.low < 1.06 and smooth.value < 1.1
     fractal = boundary_dimension(wj.SimplestWalker(0.012), grid, **options)
     assert fractal.low > 1.3
-    with pytest.raises(ValueError, match="cells of different fates"):
-        boundary_dimension(WALKER, wj.Grid.sheared(theta=(0.01, 0.02, 4), sum=(0.1, 0.2, 4)))
+    nowhere = boundary_dimension(WALKER, wj.Grid.sheared(theta=(0.01, 0.02, 4), sum=(0.1, 0.2, 4)))
+    assert np.isnan(nowhere.value) and nowhere.distances.size == 0
 
 
 def test_a_step_down_that_a_walker_survives_and_one_that_it_does_not(gait):
@@ -269,8 +297,24 @@ def test_wrong_arguments_are_refused():
     unstable = wj.find_gait(wj.SimplestWalker(0.018))
     with pytest.raises(ValueError, match="gait must be a stable one"):
         least_disturbance(wj.SimplestWalker(0.018), unstable)
-    with pytest.raises(ValueError, match=r"disturbances must be positive, or a grid, not -1\.0"):
+    other = wj.find_gait(wj.SimplestWalker(0.005))
+    for search in (least_disturbance, least_step_down):
+        with pytest.raises(ValueError, match="gait must be one of this walker, whose strides miss"):
+            search(walker, other)
+    with pytest.raises(ValueError, match="gait must be one of this walker, on theta, thetadot, ph"):
+        least_disturbance(wj.RoundFootWalker(0.01), gait)
+    with pytest.raises(
+        ValueError, match="disturbances must be a positive number, or a grid, not -"
+    ):
         basin_stability(walker, -1.0, gait)
+    for scale in ("ab", [[1.0], [1.0, 2.0]]):
+        with pytest.raises(ValueError, match="scale must be 2 positive numbers"):
+            least_disturbance(walker, gait, scale=scale)
+    grid = wj.Grid.sheared(theta=(0, 0.4, 4), sum=(-0.04, 0.01, 4))
+    with pytest.raises(ValueError, match="strides must be at least 1, not 0"):
+        boundary_dimension(walker, grid, strides=0)
+    with pytest.raises(ValueError, match=r"distances=\[0\.  0\.1 0\.2\]: must be positive"):
+        boundary_dimension(walker, grid, distances=[0.0, 0.1, 0.2])
     with pytest.raises(ValueError, match="scale and along are of no use"):
         basin_stability(walker, wj.Grid.plain(theta=(0, 1, 2), thetadot=(-1, 0, 2)), along=[0, 1])
     with pytest.raises(ValueError, match="samples must be at least 1"):
@@ -282,7 +326,7 @@ def test_wrong_arguments_are_refused():
     with pytest.raises(ValueError, match="gait must be left out"):
         basin_stability(jax.vmap(wj.SimplestWalker)(np.array([0.004, 0.005])), 0.1, gait)
     for drop in (-1e-3, np.inf, np.nan):
-        with pytest.raises(ValueError, match="drop must be finite and not negative"):
+        with pytest.raises(ValueError, match="drop must be one number, finite and not negative"):
             wj.step_down(walker, gait.states[0], drop)
     for values in ([], np.array(0.004)):
         with pytest.raises(ValueError, match="values must be one row"):

@@ -15,7 +15,9 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from scipy.optimize import brentq
 
 import walker_jax as wj
-from walker_jax import Outcome, SimplestWalker, Walker
+from walker_jax import Outcome, SimplestWalker, State, Walker
+from walker_jax.stride import step_down_of_cell
+from walker_jax.tiles import over_cells
 
 DATA = Path(__file__).parent / "data"
 VALUES = json.loads((DATA / "values.json").read_text())
@@ -786,6 +788,31 @@ def test_a_step_down_is_what_the_motion_of_the_feet_gives():
     np.testing.assert_allclose(flat.state[jnp.array([0, 2])], level.state, rtol=0, atol=1e-13)
     assert float(flat.state[1] - 2 * flat.state[0]) == pytest.approx(0, abs=1e-13)
     assert float(flat.time) == pytest.approx(float(level.time), abs=1e-12)
+
+
+def test_a_step_down_by_nothing_is_a_stride_from_anywhere():
+    """Legs that pass each other, and feet that never clear the slope, strike no lower ground."""
+    walker = jax.tree.map(np.asarray, SimplestWalker(0.004))
+    starts = np.random.default_rng(1).uniform([0.01, -0.8], [np.pi / 4, -0.01], (4000, 2))
+    level = wj.strides(walker, starts)
+    for drop in (0.0, 1e-9):
+        drops = np.full(len(starts), drop)
+        down = over_cells(step_down_of_cell, (walker, np.float64(1e-12)), (starts, drops))
+        np.testing.assert_array_equal(down.outcome, level.outcome)
+        np.testing.assert_allclose(down.time, level.time, rtol=0, atol=1e-6)
+        np.testing.assert_allclose(down.state[:, 0], level.state[:, 0], rtol=0, atol=1e-6)
+    assert len(set(level.outcome)) >= 4
+
+
+def test_an_impulse_changes_the_momentum_also_on_lower_ground():
+    walker = SimplestWalker(0.009)
+    state = State(*map(jnp.asarray, (-0.21, -0.4, -0.2, 0.1)))
+    (_, _), after = walker.impact(state)
+    across = lambda angle: np.array([-np.cos(angle), -np.sin(angle)])
+    before = float(state.thetadot) * across(float(state.theta))
+    swing = float(state.theta - state.phi)
+    change = float(after.thetadot - after.phidot) * across(swing) - before
+    np.testing.assert_allclose(np.array(walker.impulse(state)), change, rtol=0, atol=1e-15)
 
 
 def test_a_step_down_has_derivatives_and_an_outcome():

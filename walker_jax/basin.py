@@ -37,6 +37,8 @@ CLOSE = 0.01
 """Distance from a cycle at which a walker counts as its, that is left when all others are there."""
 ATTEMPTS = 8
 """Walkers that have not, for which a cycle is solved for."""
+ORBIT = 3000
+"""Strides of a motion that does not repeat itself that are compared with cells."""
 CUBES = 1e-5 * 1.5 ** np.arange(20)
 """Half edges of boxes about a cycle's states that are tried, for one from which walkers come."""
 STRETCHES = 1.5 ** np.arange(12)
@@ -185,14 +187,27 @@ def compare_methods(
     """
     mapped = basin(walker, grid, strides=strides, tolerance=tolerance)
     direct = basin(walker, grid, "direct", strides=strides, tolerance=tolerance)
-    real = direct["states"].values.reshape(-1, grid.coordinates)
-    own = mapped["states"].values[:, :, None] - real[~np.isnan(real).any(axis=1)]
+    cycles = zip(direct["states"].values, direct["period"].values, strict=True)
+    real = [states[:n] if n else orbit(walker, states[:1]) for states, n in cycles]
+    real = np.concatenate([np.zeros((0, grid.coordinates)), *real])
+    own = mapped["states"].values[:, :, None] - real
     away = np.abs(own @ np.asarray(grid.unshear).T) / np.asarray(grid.spacing)
     near = (away.max(axis=3) <= 1).any(axis=(1, 2))
     walks = {"mapped": mapped["attractor"] >= 0, "direct": direct["attractor"] >= 0}
     found = mapped[["cells", "period"]].assign({"artefact": ("number", ~near), **walks})
     found["direct_attractors"] = direct.sizes["number"]
     return found.assign_attrs(mapped.attrs | {"method": "cell-map against direct"})
+
+
+def orbit(walker: Walker, x: Float[np.ndarray, "1 section"]) -> Float[np.ndarray, "n section"]:
+    """The states that follow on one, which is the first, for as long as the walker walks."""
+    states = [x]
+    for _ in range(ORBIT):
+        x = np.asarray(strides(walker, x).state)
+        if np.isnan(x).any():
+            break
+        states.append(x)
+    return np.concatenate(states)
 
 
 def cell_map(
@@ -245,10 +260,13 @@ def follow(
     tolerance: float,
     limit: int,
     progress: bool = False,
+    *,
+    explain: bool = True,
 ) -> Basins:
     """Follow every start for a number of strides, until it fails or comes near an attractor.
 
-    The attractors are those given, and those to which starts come that are left at the end.
+    The attractors are those given, and those to which starts come that are left at the end; but for
+    `explain` these count as no attractor's.
     """
     fate = np.full(len(starts), Outcome.STRIDE, np.int8)
     attractor = np.full(len(starts), -1, np.int32)
@@ -268,6 +286,8 @@ def follow(
         count[cells[going]] += 1
         cells, x = cells[going], x[going]
 
+    if not explain:
+        return Basins(fate, attractor, count, attractors)
     attractor[cells] = nearest(x, attractors, within=CLOSE)
     lost = attractor[cells] < 0
     cells, x = cells[lost], x[lost]
@@ -388,7 +408,8 @@ def framed(
     def largest(boxes: Float[np.ndarray, "tried period section section"]) -> int:
         """The last of growing boxes from which all walkers came; it frames the attractor."""
         starts = cycle[:, None] + u @ boxes
-        found = follow(walker, starts.reshape(-1, size), attractors, tolerance, limit)
+        starts = starts.reshape(-1, size)
+        found = follow(walker, starts, attractors, tolerance, limit, explain=False)
         came = (found.attractor == number).reshape(len(boxes), -1).all(axis=1)
         best = int(np.logical_and.accumulate(came).sum()) - 1
         if best >= 0:

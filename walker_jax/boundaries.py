@@ -169,13 +169,7 @@ def uncertainty_exponent(
 
     Raises ValueError if an argument is out of range, or the functions return wrong shapes.
     """
-    distances = np.sort(np.asarray(distances, float))
-    if distances.ndim != 1 or len(np.unique(distances)) < max(SCALES, len(distances)):
-        raise ValueError(f"distances={distances}: must be at least {SCALES}, all different")
-    if not (np.isfinite(distances) & (distances > 0)).all():
-        raise ValueError(f"distances={distances}: must be positive and finite")
-    if operator.index(pairs) < POINTS:
-        raise ValueError(f"pairs={pairs}: must be at least {POINTS}")
+    distances = checked_distances(distances, pairs)
     upper = upper_end(confidence)
 
     rng = np.random.default_rng(seed)
@@ -201,6 +195,25 @@ def uncertainty_exponent(
         exponent, half = fit_power(distances, hits, pairs, upper)
     value = d - exponent
     return Uncertainty(value, value - half, value + half, exponent, distances, hits / pairs)
+
+
+def checked_distances(
+    distances: Float[np.ndarray | Array, " k"], pairs: int
+) -> Float[np.ndarray, " k"]:
+    """The distances, sorted; ValueError for what `uncertainty_exponent` cannot use."""
+    distances = np.sort(np.asarray(distances, float))
+    if distances.ndim != 1 or len(np.unique(distances)) < max(SCALES, distances.size):
+        raise ValueError(f"distances={short(distances)}: must be at least {SCALES}, all different")
+    if not (np.isfinite(distances) & (distances > 0)).all():
+        raise ValueError(f"distances={short(distances)}: must be positive and finite")
+    if operator.index(pairs) < POINTS:
+        raise ValueError(f"pairs={pairs}: must be at least {POINTS}")
+    return distances
+
+
+def short(values: Float[np.ndarray, "..."]) -> str:
+    """Numbers on one line."""
+    return np.array2string(values, threshold=6, edgeitems=3, max_line_width=200).replace("\n", " ")
 
 
 def fit_power(

@@ -677,11 +677,13 @@ def disturbance(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     points = xr.concat([gait, data["failing_state"]], "phase")
     curve = along(circle, x), along(circle, y)
     middle, reach = [0.5 * (c.max() + c.min()) for c in curve], [np.ptp(c) for c in curve]
-    window = {
-        name: slice(centre - WINDOW * width, centre + WINDOW * width)
-        for name, centre, width in zip((x, y), middle, reach, strict=True)
-    }
-    near = data.sel(window)
+    limits, window = [], {}
+    for name, centre, width in zip((x, y), middle, reach, strict=True):
+        axis = data[name].values
+        limits.append((centre - WINDOW * width, centre + WINDOW * width))
+        first, last = np.searchsorted(axis, limits[-1])
+        window[name] = slice(max(0, first - 2), last + 2)  # some cells, however large they are
+    near = data.isel(window)
     regions = regions_of(near, notable_attractors(data))
     extent = (*ends(near[x].values), *ends(near[y].values))
     show(ax, painted(regions, near["fate"].shape), extent)
@@ -701,7 +703,7 @@ def disturbance(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     patches = [Patch(fc=region.colour, ec=INK, lw=0.5, label=region.words) for region in regions]
     place_legend(ax, marks, BELOW, columns=1)
     place_legend(ax, patches, BELOW + LINE * len(marks), columns=2)
-    ax.set(xlim=extent[:2], ylim=extent[2:])
+    ax.set(xlim=limits[0], ylim=limits[1])
     ax.set_xlabel(AXIS_LABELS.get(x, x), fontsize=11)
     ax.set_ylabel(AXIS_LABELS.get(y, y), fontsize=11)
     ax.locator_params(nbins=6)

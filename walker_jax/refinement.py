@@ -8,6 +8,8 @@ random among the cells that inherited: the tails they meet are followed too; the
 anew, correct the area, and say how far it can be trusted.
 """
 
+import operator
+
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
@@ -67,7 +69,7 @@ def refine(
     **Returns** a data set over the finest grid like that of `basin`, by direct iteration, and
 
     - `total_area`: of all attractors together, corrected by the check, and its standard error
-      `total_area_error`;
+      `total_area_error`, NaN where nothing is checked;
     - over the levels, `followed`: cells that were followed, and `boundary`: cells that have a
       neighbour of another fate;
     - `checked`, `mistaken`: starts of the second check, and those that fall where their cell
@@ -76,7 +78,7 @@ def refine(
     `strides` are counted for cells that were followed, and 0 for others. Memory is that of the
     finest grid; strides are made for its boundary alone. `ValueError` as for `basin`.
     """
-    if levels < 0:
+    if operator.index(levels) < 0:
         raise ValueError(f"levels must not be negative, not {levels}")
     if check < 0:
         raise ValueError(f"check must not be negative, not {check}")
@@ -138,6 +140,7 @@ def refine(
         """Cells drawn among those that inherited, by how much a point in each walks more often, and
         how many there are from each level."""
         counts = np.floor(check * shares / max(shares.sum(), 1)).astype(int)
+        counts = np.maximum(counts, (shares > 0) & (check > 0))
         of_level = [np.flatnonzero(depth == level) for level in range(levels)]
         drawn = [rng.choice(cells, n) for cells, n in zip(of_level, counts, strict=True) if n]
         cells = np.concatenate([np.zeros(0, int), *drawn])
@@ -160,6 +163,8 @@ def refine(
     area = ((attractor >= 0).sum() + (each * excess).sum()) * cell
     # as if there were one mistake more than were found, lest none be taken for certainty
     variance = (mixed * SPREAD + ((wrong + 1) * each**2).sum()) * cell**2
+    if check == 0 and levels:
+        variance = np.nan
 
     basins = Basins(fate.ravel(), attractor.ravel(), count.ravel(), attractors)
     how = {"method": "direct, refined", "strides": strides, "tolerance": tolerance, "seed": seed}

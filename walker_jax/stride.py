@@ -126,11 +126,16 @@ def of_one_start(
 ) -> Any:
     """follow(walker, x, tolerance), what `function` is to be; checked, and in the dtype of x."""
     walker, x, tolerance = prepared(walker, x, tolerance)
-    traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((walker, x, tolerance)))
-    if not traced and jax.local_devices()[0].platform == "cpu":  # a kernel compiles faster
+    if kernel_serves(walker, x, tolerance):
         found = for_each_start(function, walker, x[None], tolerance)
         return jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), found)
     return follow(walker, x, tolerance)
+
+
+def kernel_serves(*values: Any) -> bool:
+    """Whether a kernel can do one start, which compiles faster: nothing is traced, on a CPU."""
+    traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(values))
+    return not traced and jax.local_devices()[0].platform == "cpu"
 
 
 def prepared(
@@ -215,16 +220,29 @@ def step_down(
 ) -> Stride:
     """One stride whose heel strike is on ground that is lower by `drop`.
 
-    The swing foot goes on past the slope until it is `drop` below, measured at right angles to the
-    slope, in the unit of length, not negative. Arguments and errors are those of `stride`
-    otherwise. The result's state is a full one, (theta, phi, thetadot, phidot), just after heel
-    strike, off the section: the foot that stood is higher. `stride` takes it from there, on a slope
-    through the foot that stands now.
+    The swing foot comes down to the slope, as in `stride`, and goes on until it is `drop` below,
+    measured at right angles to the slope, in the unit of length, not negative. Arguments and errors
+    are those of `stride` otherwise. The result's state is a full one, (theta, phi, thetadot,
+    phidot), just after heel strike, off the section: the foot that stood is higher. `stride` takes
+    it from there, on a slope through the foot that stands now.
     """
-    if not isinstance(drop, Tracer) and not 0 <= drop < np.inf:
-        raise ValueError(f"drop must be finite and not negative, not {drop}")
     walker, x, tolerance = prepared(walker, x, tolerance)
-    return follow_step_down(walker, x, jnp.asarray(drop, x.dtype), tolerance)
+    if not isinstance(drop, Tracer):
+        number = np.ndim(drop) == 0 and np.isrealobj(drop) and not isinstance(drop, str)
+        if not number or not 0 <= drop < np.inf:
+            raise ValueError(f"drop must be one number, finite and not negative, not {drop}")
+    height = jnp.asarray(drop, x.dtype)
+    if kernel_serves(walker, x, height, tolerance):
+        found = over_cells(step_down_of_cell, (walker, tolerance), (x[None], height[None]))
+        return jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), found)
+    return follow_step_down(walker, x, height, tolerance)
+
+
+def step_down_of_cell(
+    shared: tuple[Walker, Real], cell: tuple[Float[Array, " coordinates"], Scalar]
+) -> Stride:
+    walker, tolerance = shared
+    return follow_step_down(walker, *cell, jnp.asarray(tolerance))
 
 
 @jax.jit
@@ -235,9 +253,15 @@ def follow_step_down(
     tolerance: Float[Array, ""],
 ) -> Stride:
     start, verdict = fast_sines(begin)(walker, x)
-    arrival, time, verdict, pulled = swing(walker, start, verdict, tolerance, drop)
-    following, outcome = fast_sines(after_impact)(walker, arrival, verdict, pulled)
-    return completed(jnp.stack(following), outcome, time)
+    level, time, verdict, pulled = swing(walker, start, verdict, tolerance)
+    pulled |= fast_sines(in_tension)(walker, level)
+    going = (verdict == Outcome.STRIDE) & (drop > 0)
+    still = jnp.where(going, Outcome.UNDECIDED, verdict).astype(jnp.int8)
+    lower, longer, still, more = swing(walker, level, still, tolerance, drop)
+    arrival = jax.tree.map(lambda one, other: jnp.where(going, one, other), lower, level)
+    verdict = jnp.where(going, still, verdict)
+    following, outcome = fast_sines(after_impact)(walker, arrival, verdict, pulled | (going & more))
+    return completed(jnp.stack(following), outcome, time + jnp.where(going, longer, 0.0))
 
 
 def in_tension(walker: Walker, state: State) -> Bool[Array, ""]:
@@ -259,16 +283,18 @@ def swing(
 ) -> tuple[State, Scalar, Int[Array, ""], Bool[Array, ""]]:
     """Swing the leg until heel strike (`STRIDE`) or a fall; nothing to do unless `UNDECIDED`.
 
-    The ground is the slope, or `drop` below it. Returns the state just before the impact, its time,
-    the verdict, and whether the ground would have had to pull at the stance foot before that; its
-    two ends are not looked at.
+    Or until the swing foot is lower than at the start by `drop`. Returns the state just before the
+    impact, its time, the verdict, and whether the ground would have had to pull at the stance foot
+    before that; its two ends are not looked at.
     """
     dtype, structure = start.theta.dtype, jax.tree.structure(start)
     field = equations(walker)
     order = order_of(field, start)
 
     def contact(state: State) -> Scalar:
-        return walker.contact(state) if drop is None else -drop - walker.clearance(state)
+        if drop is None:
+            return walker.contact(state)
+        return walker.clearance(start) - walker.clearance(state) - drop
 
     def rate(state: State) -> Scalar:
         """dh/dt along the motion."""

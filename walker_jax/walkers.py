@@ -259,8 +259,9 @@ class MasslessFeetWalker(PointFeetWalker):
         hip to that after the impact: so rho_x has the sign of sin(theta) thetadot sin(2 theta),
         not the opposite one that is printed there.
         """
-        s = jnp.sin(2 * state.theta) * state.thetadot
-        return jnp.sin(state.theta) * s, jnp.cos(state.theta) * s
+        s = jnp.sin(state.phi) * state.thetadot
+        swing = state.theta - state.phi
+        return -jnp.sin(swing) * s, jnp.cos(swing) * s
 
 
 class SimplestWalker(MasslessFeetWalker):
