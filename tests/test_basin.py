@@ -208,7 +208,7 @@ def test_where_cell_mapping_differs_and_what_it_makes_up():
     np.testing.assert_array_equal(found.direct, direct.attractor >= 0)
     assert 0.001 < (found.mapped != found.direct).values.mean() < 0.005
     # several cells seem to stand still: one holds the gait, and another does not
-    assert sorted(found.artefact.values.tolist()) == [False, True]
+    assert 0 < found.artefact.values.sum() < len(found.artefact)
     assert int(found.direct_attractors) == 1
     assert int(found["cells"][found.artefact].sum()) < 0.01 * int(found["cells"].sum())
     # beyond the loss of walking all that walks is made up

@@ -71,6 +71,7 @@ def test_walking_is_lost_between_two_slopes():
     assert np.isnan(nowhere.below) and nowhere.above == 0.02
 
 
+@pytest.mark.slow
 def test_the_whole_diagram():
     data = wj.bifurcation_diagram(
         walker(), "slope", (0.0148, 0.0181), period_max=4, strides=300, scan=10

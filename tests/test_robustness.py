@@ -184,6 +184,7 @@ def test_strides_to_come_back_are_those_of_the_multipliers(gait):
     assert np.isinf(never.slowest) and never.value == 1
 
 
+@pytest.mark.slow
 def test_a_gait_of_period_two_is_disturbed_where_it_is_weakest():
     walker = wj.SimplestWalker(0.0165)
     gait = wj.find_gait(walker, np.array([[0.2367, -0.2323], [0.2510, -0.2423]]), 2)

@@ -801,7 +801,7 @@ def test_a_step_down_by_nothing_is_a_stride_from_anywhere():
         np.testing.assert_array_equal(down.outcome, level.outcome)
         np.testing.assert_allclose(down.time, level.time, rtol=0, atol=1e-6)
         np.testing.assert_allclose(down.state[:, 0], level.state[:, 0], rtol=0, atol=1e-6)
-    assert len(set(level.outcome)) >= 4
+    assert {0, 1, 2} <= set(level.outcome.tolist())
 
 
 def test_an_impulse_changes_the_momentum_also_on_lower_ground():
@@ -815,7 +815,15 @@ def test_an_impulse_changes_the_momentum_also_on_lower_ground():
     np.testing.assert_allclose(np.array(walker.impulse(state)), change, rtol=0, atol=1e-15)
 
 
-def test_a_step_down_has_derivatives_and_an_outcome():
+def test_a_step_down_may_fail():
+    walker = SimplestWalker(0.009)
+    assert wj.step_down(walker, np.array([0.2, -0.2]), 0.9).outcome == Outcome.FORWARD
+    assert wj.step_down(walker, np.array([0.2, -0.1]), 1e-3).outcome == Outcome.BACKWARD
+    assert np.isnan(wj.step_down(walker, np.array([0.2, -0.1]), 1e-3).state).all()
+
+
+@pytest.mark.slow
+def test_a_step_down_has_derivatives():
     walker = SimplestWalker(0.009)
     state = lambda z: wj.step_down(walker, z[:2], z[2]).state
     z, width = jnp.array([0.2, -0.2, 1e-3]), 1e-4
@@ -824,6 +832,3 @@ def test_a_step_down_has_derivatives_and_an_outcome():
     for i in range(3):
         central = (4 * step(i, width / 2) - step(i, width)) / 3
         np.testing.assert_allclose(jacobian[:, i], central, rtol=0, atol=1e-7)
-    assert wj.step_down(walker, np.array([0.2, -0.2]), 0.9).outcome == Outcome.FORWARD
-    assert wj.step_down(walker, np.array([0.2, -0.1]), 1e-3).outcome == Outcome.BACKWARD
-    assert np.isnan(wj.step_down(walker, np.array([0.2, -0.1]), 1e-3).state).all()

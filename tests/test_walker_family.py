@@ -121,6 +121,7 @@ def test_impact_and_impulse_have_the_limit_of_the_paper():
     assert_in_proportion(errors_of(general, simplest, strikes()))
 
 
+@pytest.mark.slow
 def test_gaits_and_multipliers_have_those_of_the_simplest_walker_as_limit():
     betas = BETAS[1:]
     gaits = [wj.find_gait(PointFootWalker(GAIT["slope"], beta), GAIT["state"]) for beta in betas]
@@ -1261,6 +1262,7 @@ def test_float32_strides_are_those_of_float64():
     np.testing.assert_allclose(single.state, double.state, rtol=0, atol=5e-5)
 
 
+@pytest.mark.slow
 def test_a_step_down_has_the_limit_of_the_simplest_walker():
     x, drop = np.array([0.2, -0.2]), 2e-3
     limit = np.asarray(wj.step_down(wj.SimplestWalker(0.009), x, drop).state)

@@ -288,6 +288,32 @@ def first_rise(series: list[Scalar], length: Scalar) -> tuple[Bool[Array, ""], S
     return rises, root
 
 
+class Instant(NamedTuple):
+    """When something happens within a step, if it does."""
+
+    exists: Bool[Array, ""]
+    time: Scalar
+
+
+def least(series: list[Scalar], length: Scalar) -> Instant:
+    """Where a polynomial that falls at first in a step, and rises at its end, is least.
+
+    A constant to derivatives: to first order the least value does not depend on it.
+    """
+    series, length = lax.stop_gradient((series, length))
+    slope = derivative_of(series)
+    curvature = derivative_of(slope)
+    exists = (slope[0] < 0) & (evaluate(slope, length) > 0)
+    look = lambda t: (evaluate(slope, t), evaluate(curvature, t))
+    zero = jnp.zeros_like(length)
+    return Instant(exists, rising_root(look, zero, jnp.where(exists, length, zero)))
+
+
+def derivative_of(series: list[Scalar]) -> list[Scalar]:
+    """The coefficients of a polynomial's derivative."""
+    return [k * c for k, c in enumerate(series)][1:]
+
+
 def rising_root(
     function: Callable[[Scalar], tuple[Scalar, Scalar]], low: Scalar, high: Scalar
 ) -> Scalar:

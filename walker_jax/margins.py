@@ -12,12 +12,15 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.typing import ArrayLike
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from walker_jax.integrate import (
     MAX_STEPS,
+    Instant,
     Real,
+    derivative_of,
     first_rise,
+    least,
     order_of,
     polynomial,
     rising_root,
@@ -275,27 +278,6 @@ def seen(
     )
 
 
-class Instant(NamedTuple):
-    """When something happens within a step, if it does."""
-
-    exists: Bool[Array, ""]
-    time: Scalar
-
-
-def least(series: list[Scalar], length: Scalar) -> Instant:
-    """Where a polynomial that falls at first in a step, and rises at its end, is least.
-
-    A constant to derivatives: to first order the least value does not depend on it.
-    """
-    series, length = lax.stop_gradient((series, length))
-    slope = derivative_of(series)
-    curvature = derivative_of(slope)
-    exists = (slope[0] < 0) & (evaluate(slope, length) > 0)
-    look = lambda t: (evaluate(slope, t), evaluate(curvature, t))
-    zero = jnp.zeros_like(length)
-    return Instant(exists, rising_root(look, zero, jnp.where(exists, length, zero)))
-
-
 def rise(series: list[Scalar], length: Scalar) -> Instant:
     """Where a polynomial is zero that is negative at the start of a step, and not at its end."""
     fixed, length = lax.stop_gradient((series, length))
@@ -306,11 +288,6 @@ def rise(series: list[Scalar], length: Scalar) -> Instant:
     return Instant(
         exists, when_zero(series, rising_root(look, zero, jnp.where(exists, length, zero)))
     )
-
-
-def derivative_of(series: list[Scalar]) -> list[Scalar]:
-    """The coefficients of a polynomial's derivative."""
-    return [k * c for k, c in enumerate(series)][1:]
 
 
 def when_zero(series: list[Scalar], time: Scalar) -> Scalar:

@@ -31,6 +31,7 @@ from walker_jax.integrate import (
     integrate_until,
     interleaved,
     land,
+    least,
     once,
     order_of,
     packed,
@@ -304,6 +305,8 @@ def swing(
         """Whether a stride may end in a step: all that is wanted of it are its two ends."""
         h0, h1 = contact(before), contact(after)
         rises = (h1 >= 0) & ((h0 < 0) | ((rate(before) < 0) & (rate(after) > 0)))
+        if drop is not None:  # a foot may come down and up again: the legs pass each other
+            rises |= (rate(before) > 0) & (rate(after) < 0)
         return (rises & (after.theta < 0)) | has_fallen(after)
 
     def may_pull(before: State, after: State):
@@ -341,7 +344,12 @@ def swing(
             solution = solution_series(*lax.stop_gradient((field, last.start)), order)
             return function_series(contact, solution)
 
-        rises, time = first_rise(once(contact_series), last.length)
+        series, until = once(contact_series), last.length
+        if drop is not None:
+            highest = least([-c for c in series], until)
+            until = jnp.where(highest.exists, highest.time, until)
+        rises, time = first_rise(series, until)
+        time = jnp.where(rises, time, last.length)
 
         def after(time):
             """The state a time after the start of the step."""
@@ -354,6 +362,7 @@ def swing(
             pulled |= ~rises & fast_sines(in_tension)(walker, arrival)
         arrival, delay = land(field, contact, arrival)
         ahead = (arrival.theta < 0) & (arrival.theta > -np.pi / 2) & (arrival.thetadot < 0)
+        ahead &= arrival.phi < 0
         fallen = jnp.where(last.end.thetadot >= 0, Outcome.BACKWARD, Outcome.FORWARD)
         fallen = jnp.where(fast_sines(has_fallen)(last.end), fallen, Outcome.UNDECIDED)
         verdict = jnp.where(rises & ahead, Outcome.STRIDE, fallen).astype(jnp.int8)
