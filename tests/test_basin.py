@@ -95,6 +95,7 @@ def test_the_period_is_right_close_to_the_doubling_at_0_01509(slope, period):
     assert period == 1 or np.abs(states[1] - states[0]).max() > 1e-4
 
 
+@pytest.mark.slow
 def test_a_motion_that_never_repeats_has_no_period(monkeypatch):
     """Beyond the cascade of doublings: survivors are on one attractor, without a period."""
     monkeypatch.setattr(module, "PATIENCE", 2)

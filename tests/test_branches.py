@@ -103,6 +103,7 @@ def test_a_doubled_branch_followed_back_ends_at_its_doubling(long):
     assert branch.values[0] == pytest.approx(long.doublings[0].value, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_gaits_of_period_three_and_four_are_born_in_folds(born_in_folds):
     for branch, slope in zip(born_in_folds, (0.0122808216261, 0.0100897842119), strict=True):
         (fold,) = branch.folds
@@ -117,6 +118,7 @@ def test_gaits_of_period_three_and_four_are_born_in_folds(born_in_folds):
         assert [bool(gait.stable) for gait in above].count(True) == 1
 
 
+@pytest.mark.slow
 def test_a_gait_born_in_a_fold_attracts_walkers(born_in_folds):
     """Walked from beside it, well between its fold and its doubling."""
     for branch in born_in_folds:

@@ -281,6 +281,7 @@ def test_wrong_bifurcations(run, tmp_path, arguments, named):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_robustness_answers_keeps_and_draws(run, tmp_path, monkeypatch):
     arguments = ["robustness", *SMALL, "--levels", "1", "--strides", "200"]
     code, out, err = run(*arguments, "--json")
@@ -306,27 +307,46 @@ def test_robustness_answers_keeps_and_draws(run, tmp_path, monkeypatch):
     assert run(*arguments, "--disturbances", "0.2")[0] == 2
 
 
-def test_a_table_of_robustness_and_slopes_on_which_nothing_walks(run, tmp_path, monkeypatch):
-    grid = wj.Grid.sheared(theta=(0.05, 0.35, 4), sum=(-0.03, 0.01, 3))
-    data = wj.refine(wj.SimplestWalker(0.3), grid, 0, check=0)
-    lost = data.assign(without_gait(wj.SimplestWalker(0.3)))
-    monkeypatch.setattr(
-        "walker_jax.robustness_table",
-        lambda walker, slopes, *_, **__: xr.concat(
-            [lost[["total_area", "total_area_error", "gait_state", *without_gait(walker)]]]
-            * len(slopes),
-            xr.DataArray(slopes, dims="slope", name="slope"),
-        ).assign_attrs(lost.attrs),
-    )
-    arguments = ["robustness", "--from", "0.2", "--to", "0.3", "--count", "2"]
-    code, out, err = run(*arguments, "--json")
+def test_answers_on_robustness(run, tmp_path, monkeypatch):
+    """One slope, and a table of two, on the second of which nothing walks."""
+    grid = wj.Grid.sheared(theta=(0.05, 0.35, 30), sum=(-0.03, 0.01, 20))
+    walker = wj.SimplestWalker(0.004)
+    data = wj.refine(walker, grid, 0, check=0).assign_attrs(disturbances=0.1)
+    found = without_gait(walker) | {
+        **dict.fromkeys(("stability", "stability_low", "stability_high"), 0.25),
+        **dict.fromkeys(("dimension", "dimension_low", "dimension_high"), 1.5),
+        "gait_period": 1,
+        "gait_state": ("coordinate", data["states"].values[0, 0]),
+        "failing_state": ("coordinate", data["states"].values[0, 0] + [0.0, 0.01]),
+        "direction": ("coordinate", np.array([0.0, 1.0])),
+        "least_disturbance": 0.01,
+        "failure": 1,
+        "failing_strides": 7,
+        "median_strides": np.inf,
+    }
+    one, none = data.assign(found), data.assign(without_gait(walker))
+    names = [name for name in one if set(one[name].dims) <= {"coordinate"}]
+    rows = [one[names], none[names].assign(total_area=0.0)]
+    slopes = xr.DataArray([0.004, 0.2], dims="slope", name="slope")
+    table = xr.concat(rows, slopes).assign_attrs(one.attrs)
+    monkeypatch.setattr("walker_jax.robustness", lambda *_, **__: one)
+    monkeypatch.setattr("walker_jax.robustness_table", lambda *_, **__: table)
+    code, out, err = run("robustness", "--json")
     assert (code, err) == (0, "")
     answer = json.loads(out)
-    assert answer["walker"] == {"name": "SimplestWalker"}
-    assert [row["slope"] for row in answer["slopes"]] == [0.2, 0.3]
-    assert all(row["least_disturbance"] is None and row["area"] == 0 for row in answer["slopes"])
+    assert answer["least_disturbance"]["failure"] == "FORWARD"
+    assert answer["basin_stability"]["median_strides"] is None
+    assert answer["boundary_dimension"] == {"value": 1.5, "low": 1.5, "high": 1.5}
+    assert "FORWARD after 7 strides" in run("robustness")[1]
+    arguments = ["robustness", "--from", "0.004", "--to", "0.2", "--count", "2", "--out", "t.zarr"]
+    code, out, err = run(*arguments, "--json")
+    assert (code, err) == (0, "")
+    rows = json.loads(out)["slopes"]
+    assert [row["slope"] for row in rows] == [0.004, 0.2]
+    assert rows[0]["gait"]["period"] == 1 and rows[1]["least_disturbance"] is None
     assert "no gait attracts" in run(*arguments)[1]
-    assert (tmp_path / "robustness.png").is_file()
+    for name in ("robustness.png", "t.png"):
+        assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize(

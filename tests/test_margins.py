@@ -183,6 +183,7 @@ def test_margins_are_zero_at_the_boundaries(looked_at, way):
         assert np.median(-failed[own]) < most
 
 
+@pytest.mark.slow
 def test_a_stride_that_is_traced_has_the_same_margins():
     walker, xs = WALKERS["simplest"], starts(WALKERS["simplest"], 200)
     many = margins_of_many(walker, xs)

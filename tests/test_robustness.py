@@ -119,7 +119,8 @@ def test_the_boundary_is_at_right_angles_to_the_least_disturbance(gait, least):
     """By the derivatives of the margin of the failure, that the search for it ends with."""
     states, shared = returning(WALKER, gait, 500, None)
     point = states[0] + (1 + 1e-8) * least.size * least.direction
-    cells = np.stack([point] * 2), np.repeat(np.int32(least.strides), 2), np.eye(2)
+    tangents = jax.tree.map(lambda leaf: np.zeros(2), WALKER), np.eye(2)
+    cells = np.stack([point] * 2), np.repeat(np.int32(least.strides), 2), tangents
     normal = over_cells(change_of_margin, shared[:2], cells)
     normal /= -np.linalg.norm(normal)  # margins fall where the walker comes to fail
     np.testing.assert_allclose(normal, least.direction, rtol=0, atol=1e-5)

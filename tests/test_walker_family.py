@@ -575,6 +575,7 @@ def test_equations_are_those_of_free_bodies_held_at_their_joints(cls):
         np.testing.assert_allclose(foot, lifted, rtol=1e-10, atol=1e-11)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cls", INDEPENDENT, ids=name)
 def test_strides_are_those_of_free_bodies_held_at_their_joints(cls):
     walkers = a_family(cls, 12, 5)

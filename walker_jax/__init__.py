@@ -17,6 +17,12 @@ from walker_jax.bifurcations import attractors, bifurcation_diagram, loss_of_wal
 from walker_jax.boundaries import Dimension, Uncertainty, box_counting, uncertainty_exponent
 from walker_jax.branches import Bifurcation, Branch, continue_gait
 from walker_jax.cells import Grid
+from walker_jax.design import (
+    AreaGradient,
+    DisturbanceGradient,
+    area_gradient,
+    disturbance_gradient,
+)
 from walker_jax.gaits import Gait, descend, find_gait, find_gaits, gait_derivatives
 from walker_jax.margins import Margins, margins, margins_of_many
 from walker_jax.refinement import refine
@@ -46,10 +52,12 @@ from walker_jax.walkers import (
 __version__ = version("walker-jax")
 
 __all__ = [
+    "AreaGradient",
     "BasinStability",
     "Bifurcation",
     "Branch",
     "Dimension",
+    "DisturbanceGradient",
     "Gait",
     "Grid",
     "HeavyLegWalker",
@@ -67,6 +75,7 @@ __all__ = [
     "UpperBodyWalker",
     "Walk",
     "Walker",
+    "area_gradient",
     "attractors",
     "basin",
     "basin_stability",
@@ -76,6 +85,7 @@ __all__ = [
     "compare_methods",
     "continue_gait",
     "descend",
+    "disturbance_gradient",
     "find_gait",
     "find_gaits",
     "gait_derivatives",

@@ -129,11 +129,10 @@ def least_disturbance(
 
     def gradient(points: Float[np.ndarray, "n section"]) -> Float[np.ndarray, "n section"]:
         count = over_cells(end_of_walk, shared, points).strides
-        cells = np.repeat(points, size, axis=0), np.repeat(count, size)
-        change = over_cells(
-            change_of_margin, shared[:2], (*cells, np.tile(np.eye(size), (len(points), 1)))
-        )
-        return change.reshape(-1, size)
+        still = jax.tree.map(lambda leaf: np.zeros(size * len(points), leaf.dtype), shared[0])
+        tangents = still, np.tile(np.eye(size, dtype=points.dtype), (len(points), 1))
+        cells = np.repeat(points, size, axis=0), np.repeat(count, size), tangents
+        return over_cells(change_of_margin, shared[:2], cells).reshape(-1, size)
 
     found = [
         nearest_failure(
@@ -646,16 +645,18 @@ def end_after_step(shared: tuple, cell: tuple) -> EndOfWalk:
 
 
 def change_of_margin(shared: tuple, cell: tuple) -> Scalar:
-    """Derivative, along a direction, of the margin of the failure that ends a number of strides."""
+    """Derivative of the margin of the failure that ends a walk, after a number of strides.
+
+    It is along tangents of the walker and of the start.
+    """
     walker, tolerance = shared
-    x, count, direction = cell
+    x, count, tangents = cell
 
-    def margin(x):
+    def margin(walker, x):
         step = lambda _, x: follow_stride(walker, x, tolerance).state
-        last = follow_margins(walker, lax.fori_loop(0, count, step, x), tolerance)
-        return failed_by(last)
+        return failed_by(follow_margins(walker, lax.fori_loop(0, count, step, x), tolerance))
 
-    return jax.jvp(margin, (x,), (direction,))[1]
+    return jax.jvp(margin, (walker, x), tangents)[1]
 
 
 def nearest_failure(
