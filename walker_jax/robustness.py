@@ -56,8 +56,10 @@ HEIGHTS = 4096
 """Heights of a step down, up to the least found."""
 FAN = 61
 """Directions that are tried at once around one of the nearest."""
-CANDIDATES = 64
+CANDIDATES = 128
 """Directions that are nearer than their neighbours, of which as many are looked at more closely."""
+KEPT = 0.01
+"""By how much, relatively, a failure may be farther than the nearest for its ray to be kept."""
 ZOOMS = 3
 """How often."""
 POLISHES = 4
@@ -103,8 +105,9 @@ def least_disturbance(
     Rays from the gait are followed outwards, all at once, to the first distance from which the
     walker does not return; then closer rays, up to the least of these; then fans of rays around
     those that are nearer than their neighbours, ever narrower, and along the boundary's gradient.
-    Fingers of failure may be missed that pass between the points tried, 11,520 directions and
-    distances 1.6 % of the size apart: then the size found is too large by the length of a finger.
+    Fingers of failure may be missed that pass between the points tried, in 11,520 directions at
+    distances 1.6 % of the size apart, or 0.16 % close to it: then the size found is too large by as
+    much as such a finger comes nearer.
 
     **Arguments:**
 
@@ -671,9 +674,10 @@ def nearest_failure(
     """
     rank = len(basis)
     first = scanned(fails, directions(rank, RAYS) @ basis, RADII)
-    # Closer rays: between those a nearer failure may have been missed.
-    rays = directions(rank, DENSE * RAYS)
-    rays, first = nearest_of(fails, rays, basis, 0.0, 1.01 * first.min(), SHELL)
+    # Closer rays, then closer distances too: between those a nearer failure may have been missed.
+    dense = directions(rank, DENSE * RAYS)
+    _, first = nearest_of(fails, dense, basis, 0.0, 1.01 * first.min(), SHELL)
+    rays, first = nearest_of(fails, dense, basis, 0.9 * first.min(), 1.01 * first.min(), SHELL)
     width = spacing(rank, DENSE * RAYS)
     best = rays[lowest(rays, first, 2 * width)]
     least = first.min()
@@ -738,7 +742,7 @@ def nearest_of(
         if low == 0 or first.min() > low + 1.5 * gap:
             break
         low, high = max(0.0, low - count * gap), low + gap  # there may be nearer ones
-    near = first < first.min() + 1.5 * gap
+    near = first < max(first.min() + 1.5 * gap, (1 + KEPT) * first.min())
     return rays[near], halved(fails, rays[near] @ basis, first[near], gap, HALVINGS[0])
 
 
