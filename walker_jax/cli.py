@@ -624,7 +624,9 @@ def robustness(
     sum_: Annotated[
         Axis | None,
         typer.Option(
-            "--sum", metavar="LO HI N", help="theta + thetadot (default: -0.12 0.06 200)."
+            "--sum",
+            metavar="LO HI N",
+            help="theta + thetadot (default: -0.12 0.06 200; -0.4 0.1 400 but for the simplest).",
         ),
     ] = None,
     at_phidot: Annotated[
@@ -656,8 +658,8 @@ def robustness(
 
     The area of the basin with its error, the least disturbance from which the walker does not come
     back, the least step down, the part of random disturbances that is survived, and the dimension
-    of the boundary. By default over the whole section of a walker on point feet, and in a slice
-    around the gait of any other.
+    of the boundary. By default over all angles of a walker on point feet, and in a slice around the
+    gait of any other.
     """
     import walker_jax as wj
     from walker_jax import figures, store

@@ -46,7 +46,7 @@ from walker_jax.stride import (
 )
 from walker_jax.stride import strides as take_strides
 from walker_jax.tiles import over_cells
-from walker_jax.walkers import PointFeetWalker, Scalar, Walker
+from walker_jax.walkers import PointFeetWalker, Scalar, SimplestWalker, Walker
 
 RAYS, RADII = 720, 128
 """Directions, of two dimensions, and distances along each, at which a walker is first tried."""
@@ -386,8 +386,9 @@ def robustness(
     **Arguments:**
 
     - `walker`: as in `basin`.
-    - `grid`: what `refine` and `boundary_dimension` begin with; by default the whole feasible
-      section of a walker on point feet, and a slice around the gait of any other.
+    - `grid`: what `refine` and `boundary_dimension` begin with; by default all feasible angles of a
+      walker on point feet, sum from -0.12 to 0.06 (-0.4 to 0.1 but for the simplest), and a slice
+      around the gait of any other.
     - `levels`: of refinement.
     - `disturbances`: for `basin_stability`, shares of the coordinates of the gait's own state.
     - `strides`: how many of them a walker may take to come back.
@@ -521,9 +522,13 @@ def robustness_table(
 
 
 def default_region(walker: Walker) -> Grid | None:
-    """The whole feasible section of a walker on point feet, or a slice around a gait, if any."""
+    """All feasible angles of a walker on point feet, or a slice around a gait, if there is one.
+
+    The rates are those of the simplest walker's basins, and more for others.
+    """
     if isinstance(walker, PointFeetWalker):
-        return Grid.sheared(theta=(0, np.pi / 4, 200), sum=(-0.12, 0.06, 200))
+        rates = (-0.12, 0.06, 200) if isinstance(walker, SimplestWalker) else (-0.4, 0.1, 400)
+        return Grid.sheared(theta=(0, np.pi / 4, 200), sum=rates)
     gait = find_gait(walker)
     if not gait.found:
         return None
