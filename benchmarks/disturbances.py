@@ -29,7 +29,7 @@ from walker_jax.robustness import end_of_walk
 from walker_jax.tiles import over_cells
 
 SLOPES = 0.001, 0.0025, 0.004, 0.0055, 0.0067, 0.0076, 0.009, 0.0105, 0.012, 0.0145
-SCAN = np.arange(0.0060, 0.00921, 0.0001)
+SCAN = np.arange(0.0068, 0.00841, 0.0001)
 DIRECTIONS, RINGS = 20_000, 2e-4
 
 

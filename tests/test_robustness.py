@@ -3,6 +3,7 @@
 import jax
 import numpy as np
 import pytest
+import xarray as xr
 
 import walker_jax as wj
 from walker_jax import Outcome
@@ -11,8 +12,10 @@ from walker_jax.robustness import (
     basin_stability,
     boundary_dimension,
     change_of_margin,
+    common,
     end_of_walk,
     in_ball,
+    joined,
     least_disturbance,
     least_step_down,
     nearest_failure,
@@ -238,6 +241,21 @@ def test_a_step_down_that_a_walker_survives_and_one_that_it_does_not(gait):
     heights = np.linspace(0, found.size, 20_001)[:-1]
     starts = np.broadcast_to(states[0], (len(heights), 2))
     assert over_cells(end_after_step, shared, (starts, heights)).back.all()
+
+
+def test_rows_of_a_table_may_lack_what_others_have():
+    full = xr.Dataset(
+        {"total_area": 0.5, "checked": 7, "direction": ("coordinate", np.array([0.6, 0.8]))},
+        {"phidot": -0.05},
+        {"area": [0.5], "walker_slope": 0.1, "walker_mass": 2.0, "seed": 0},
+    )
+    lacking = xr.Dataset({"total_area": np.nan, "direction": ("coordinate", np.full(2, np.nan))})
+    other = full.assign_coords(phidot=-0.06)
+    table = joined([full, lacking, other], np.array([0.1, 0.2, 0.3]), "slope")
+    assert table.phidot.values.tolist()[::2] == [-0.05, -0.06] and np.isnan(table.phidot[1])
+    assert np.isnan(table.checked[1]) and table.checked[2] == 7
+    assert table.direction.dims == ("slope", "coordinate") and table.direction[2, 1] == 0.8
+    assert common([lacking, full], "slope") == {"walker_mass": 2.0, "seed": 0}
 
 
 @pytest.mark.slow

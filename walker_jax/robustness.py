@@ -54,6 +54,8 @@ DENSE, SHELL = 16, 64
 """How many times as many directions are then tried, at how many distances up to the least found."""
 HEIGHTS = 4096
 """Heights of a step down, up to the least found."""
+ARC, CLOSER = 2000, 16
+"""Directions, of those, about which more are tried, and how many."""
 FAN = 61
 """Directions that are tried at once around one of the nearest."""
 CANDIDATES = 128
@@ -106,8 +108,8 @@ def least_disturbance(
     walker does not return; then closer rays, up to the least of these; then fans of rays around
     those that are nearer than their neighbours, ever narrower, and along the boundary's gradient.
     Fingers of failure may be missed that pass between the points tried, in 11,520 directions at
-    distances 1.6 % of the size apart, or 0.16 % close to it: then the size found is too large by as
-    much as such a finger comes nearer.
+    distances 1.6 % of the size apart, or 0.16 % close to it, where directions are 8 times as close
+    too: then the size found is too large by as much as such a finger comes nearer.
 
     **Arguments:**
 
@@ -511,14 +513,23 @@ def robustness_table(
             tolerance=tolerance,
         )
         rows.append(one[[name for name in one if set(one[name].dims) <= {"coordinate"}]])
-    # What a row lacks, of a walker without a gait to find a slice by, is left NaN.
+    about = {"walker": type(walker).__name__, "disturbances": disturbances}
+    return joined(rows, values, parameter).assign_attrs(about | common(rows, parameter))
+
+
+def joined(rows: list[xr.Dataset], values: Float[np.ndarray, " n"], parameter: str) -> xr.Dataset:
+    """One table of rows. What a row lacks, of a walker without a gait, is NaN."""
     where = xr.DataArray(values, dims=parameter, name=parameter)
-    table = xr.concat(rows, where, data_vars="all", coords="different", join="outer")
+    plain = [row.reset_coords().drop_attrs() for row in rows]
+    return xr.concat(
+        plain, where, data_vars="all", coords="minimal", compat="override", join="outer"
+    )
+
+
+def common(rows: list[xr.Dataset], parameter: str) -> dict[str, Any]:
+    """The attributes that rows have, but those of a row's own."""
     own = ("area", f"walker_{parameter}")
-    attributes = {"walker": type(walker).__name__, "disturbances": disturbances}
-    for row in rows:
-        attributes |= {name: value for name, value in row.attrs.items() if name not in own}
-    return table.drop_attrs().assign_attrs(attributes)
+    return {name: value for row in rows for name, value in row.attrs.items() if name not in own}
 
 
 def default_region(walker: Walker) -> Grid | None:
@@ -684,10 +695,14 @@ def nearest_failure(
     _, first = nearest_of(fails, dense, basis, 0.0, 1.01 * first.min(), SHELL)
     rays, first = nearest_of(fails, dense, basis, 0.9 * first.min(), 1.01 * first.min(), SHELL)
     width = spacing(rank, DENSE * RAYS)
-    best = rays[lowest(rays, first, 2 * width)]
+    if rank > 1:  # and more of them wherever the boundary is about as near
+        arc = np.concatenate([fan(ray, width, CLOSER) for ray in rays[first.argsort()[:ARC]]])
+        rays, first = nearest_of(fails, arc, basis, 0.98 * first.min(), 1.003 * first.min(), 32)
+    width = 4 * width / CLOSER
+    best = rays[lowest(rays, first, width)]
     least = first.min()
     for _ in range(ZOOMS if rank > 1 else 0):
-        fans = np.concatenate([fan(ray, width) for ray in best])
+        fans = np.concatenate([fan(ray, width, FAN) for ray in best])
         # The nearest failures of a fan lie a little before those of the wider one.
         rays, first = nearest_of(fails, fans, basis, 0.95 * least, 1.01 * least, 24)
         best, least = rays[lowest(rays, first, width)], first.min()
@@ -799,14 +814,16 @@ def spacing(rank: int, count: int) -> float:
     return 2 * np.pi / count if rank == 2 else float(np.sqrt(np.pi / count))
 
 
-def fan(direction: Float[np.ndarray, " rank"], width: float) -> Float[np.ndarray, "n rank"]:
+def fan(
+    direction: Float[np.ndarray, " rank"], width: float, count: int
+) -> Float[np.ndarray, "n rank"]:
     """Unit vectors within an angle of one, which is the first of them."""
     across = np.linalg.svd(direction[None])[2][1:]
     if len(across) == 1:
-        offsets = np.linspace(-1, 1, FAN - 1)[:, None]
+        offsets = np.linspace(-1, 1, count - 1)[:, None]
     else:
-        angles = np.pi * (3 - np.sqrt(5)) * np.arange(FAN - 1)
-        radius = np.sqrt((np.arange(FAN - 1) + 0.5) / (FAN - 1))
+        angles = np.pi * (3 - np.sqrt(5)) * np.arange(count - 1)
+        radius = np.sqrt((np.arange(count - 1) + 0.5) / (count - 1))
         offsets = radius[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     rays = np.concatenate([direction[None], direction + width * offsets @ across])
     return rays / np.linalg.norm(rays, axis=1, keepdims=True)
