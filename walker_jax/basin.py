@@ -375,6 +375,15 @@ def nearest(
     return number
 
 
+def framed_attractors(
+    walker: Walker, grid: Grid, tolerance: float, limit: int
+) -> tuple[Float[np.ndarray, "n section"], list[Attractor]]:
+    """The centres of a grid's cells, and the attractors of a sample of them, with their boxes."""
+    starts = centres(grid, np.arange(grid.size, dtype=np.int32))
+    attractors = settle(walker, sample(starts), tolerance, [])
+    return starts, with_frames(walker, attractors, tolerance, limit)
+
+
 def with_frames(
     walker: Walker, attractors: list[Attractor], tolerance: float, limit: int
 ) -> list[Attractor]:

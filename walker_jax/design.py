@@ -16,12 +16,9 @@ from jaxtyping import Bool, Float, Int
 
 from walker_jax.basin import (
     Attractor,
-    centres,
     check_grid,
     follow,
-    sample,
-    settle,
-    with_frames,
+    framed_attractors,
 )
 from walker_jax.cells import Grid
 from walker_jax.gaits import Gait, check_parameter, find_gait, gait_derivatives
@@ -100,9 +97,7 @@ def area_gradient(
     fine = finer(grid, levels)
     check_grid(walker, fine, "direct", each=BYTES_PER_CELL)
     tolerance = float(default_tolerance(jnp.asarray(0.0).dtype, tolerance))
-    starts = centres(grid, np.arange(grid.size, dtype=np.int32))
-    attractors = settle(walker, sample(starts), tolerance, [])
-    attractors = with_frames(walker, attractors, tolerance, strides)
+    _, attractors = framed_attractors(walker, grid, tolerance, strides)
     walks = cells_that_walk(walker, grid, attractors, levels, strides, tolerance)
 
     shape, count = np.array(fine.shape), len(parameters)

@@ -17,14 +17,11 @@ from jaxtyping import Bool, Float, Int
 
 from walker_jax.basin import (
     Basins,
-    centres,
     check_grid,
     follow,
+    framed_attractors,
     labelled,
-    sample,
-    settle,
     sort_attractors,
-    with_frames,
 )
 from walker_jax.cells import Grid
 from walker_jax.integrate import default_tolerance
@@ -88,10 +85,7 @@ def refine(
     finest = finer(grid, levels)
     check_grid(walker, finest, "direct", each=BYTES_PER_CELL)
     rng = np.random.default_rng(seed)
-    attractors = settle(
-        walker, sample(centres(grid, np.arange(grid.size, dtype=np.int32))), tolerance, []
-    )
-    attractors = with_frames(walker, attractors, tolerance, strides)
+    _, attractors = framed_attractors(walker, grid, tolerance, strides)
     made = 0
 
     def look(grid: Grid, cells: Int[np.ndarray, " n"], *, anywhere: bool) -> Basins:

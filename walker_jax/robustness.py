@@ -23,12 +23,10 @@ from rich.progress import track
 from walker_jax.basin import (
     Attractor,
     around,
-    centres,
     check_grid,
     follow,
+    framed_attractors,
     near,
-    sample,
-    settle,
     with_frames,
 )
 from walker_jax.boundaries import Uncertainty, checked_distances, uncertainty_exponent, upper_end
@@ -52,24 +50,24 @@ RAYS, RADII = 720, 128
 """Directions, of two dimensions, and distances along each, at which a walker is first tried."""
 DENSE, SHELL = 16, 64
 """How many times as many directions are then tried, at how many distances up to the least found."""
-HEIGHTS = 4096
-"""Heights of a step down, up to the least found."""
+KEPT = 0.01
+"""By how much, relatively, a failure may be farther than the nearest for its ray to be kept."""
 ARC, CLOSER = 2000, 16
-"""Directions, of those, about which more are tried, and how many."""
+"""Directions, of those kept, about which more are tried, and how many about each."""
 FAN = 61
 """Directions that are tried at once around one of the nearest."""
 CANDIDATES = 128
 """Directions that are nearer than their neighbours, of which as many are looked at more closely."""
-KEPT = 0.01
-"""By how much, relatively, a failure may be farther than the nearest for its ray to be kept."""
 ZOOMS = 3
-"""How often."""
+"""How often fans are made narrower."""
 POLISHES = 4
 """Searches along the boundary's gradient that follow."""
 ALONG = 2.0 ** np.arange(-6, 3)
 """Parts of the way, to where the boundary would be nearest if it were flat, that each tries."""
 LAST = 512
 """Distances at which it is made sure that nothing nearer fails in the direction found."""
+HEIGHTS = 4096
+"""Heights of a step down, up to the least found."""
 BEYOND = 1 + np.array([1e-8, 1e-10, 0.0])
 """Of the least disturbance, those of which the first that fails says how: rounding is less."""
 HALVINGS = 12, 34
@@ -352,9 +350,7 @@ def boundary_dimension(
     if strides < 1:
         raise ValueError(f"strides must be at least 1, not {strides}")
     finest = float(default_tolerance(jnp.asarray(0.0).dtype, tolerance))
-    starts = centres(grid, np.arange(grid.size, dtype=np.int32))
-    attractors = settle(walker, sample(starts), finest, [])
-    attractors = with_frames(walker, attractors, finest, strides)
+    starts, attractors = framed_attractors(walker, grid, finest, strides)
 
     def label_of(share: Float[np.ndarray, "n axes"]) -> Int[np.ndarray, " n"]:
         return follow(walker, grid.states(share), attractors, finest, strides).attractor
