@@ -1,103 +1,335 @@
-"""Areas and least disturbances change with parameters as their derivatives say."""
+"""Walkers that are optimised end where independent searches end, and say so."""
+
+import json
+from typing import Any
 
 import numpy as np
 import pytest
+import xarray as xr
+from scipy.optimize import brentq, minimize_scalar
 
 import walker_jax as wj
-from walker_jax.basin import centres, settle
-from walker_jax.design import (
-    area_gradient,
-    cells_that_walk,
-    crossings_along,
-    disturbance_gradient,
-)
+from walker_jax import design, store
+from walker_jax.design import allowed, along_limits, optimise, starting_places, weights_of
+from walker_jax.robustness import default_region
 
-SECTION = wj.Grid.sheared(theta=(0, np.pi / 4, 200), sum=(-0.12, 0.06, 200))
+WALKER = wj.SimplestWalker(0.004)
+SLOPES = {"slope": (0.001, 0.02)}
+GRID = wj.Grid.sheared(theta=(0, 0.4, 100), sum=(-0.04, 0.01, 60))
 
 
-def difference(walker_of, value, width, grid, levels=5):
-    """A central difference of refined areas, and its standard error."""
-    low, high = (
-        wj.refine(walker_of(value + step), grid, levels) for step in (-width / 2, width / 2)
+def measure(name, slope):
+    return wj.gait_measures(wj.SimplestWalker(slope), ())[name].value
+
+
+def lowest(function):
+    """The slope of its least value, and that, by golden sections."""
+    found: Any = minimize_scalar(function, bounds=(0.001, 0.02), method="bounded")
+    return found.x, found.fun
+
+
+def values(data, name):
+    return data[name].values.tolist()
+
+
+@pytest.fixture(scope="module")
+def steepest():
+    """The most stable gait."""
+    return optimise(WALKER, SLOPES, "spectral-radius", scan=7)
+
+
+def test_an_optimum_within_the_bounds(steepest):
+    at, least = lowest(lambda slope: measure("spectral-radius", slope))
+    assert bool(steepest.found) and bool(steepest.converged)
+    assert float(steepest.optimum[0]) == pytest.approx(at, abs=0.003 * 0.019)
+    assert float(steepest.exact_optimum) == pytest.approx(least, abs=1e-4)
+    run = values(steepest, "run")[values(steepest, "stage").index(design.ENDS)]
+    first = float(steepest.parameters[values(steepest, "run").index(run), 0])
+    assert values(steepest, "start") == [first]
+    assert float(steepest.exact_start) == pytest.approx(
+        measure("spectral-radius", first), rel=1e-12
     )
-    error = np.hypot(float(low.total_area_error), float(high.total_area_error))
-    return (float(high.total_area) - float(low.total_area)) / width, error / width
+    assert float(steepest.parameters[0, 0]) == 0.004
+    assert values(steepest, "at_bound") == [0] and not steepest.binding.any()
+    assert values(steepest, "note") == ["", "", ""]
+
+
+def test_the_trace_holds_what_was_measured(steepest):
+    climbing = steepest.isel(evaluation=steepest.stage.values >= 0)
+    assert set(values(climbing, "run")) == {0, 1, 2} and set(values(climbing, "stage")) == {
+        *range(4)
+    }
+    for row in range(0, climbing.sizes["evaluation"], 5):
+        one = climbing.isel(evaluation=row)
+        found = wj.gait_measures(wj.SimplestWalker(float(one.parameters[0])))["spectral-radius"]
+        assert float(one.value) == float(one.measures[0]) == pytest.approx(found.value, abs=1e-12)
+        assert float(one.gradient[0]) == pytest.approx(found.gradient[0], rel=1e-9)
+    np.testing.assert_allclose(steepest.scan_parameters[0], np.linspace(0.001, 0.02, 7))
+    expected = [measure("spectral-radius", slope) for slope in np.linspace(0.001, 0.02, 7)]
+    np.testing.assert_allclose(steepest.scan_value[0], expected, rtol=1e-12)
+    assert steepest.scan_allowed.all()
+    about = steepest.attrs
+    assert about["walker"] == "SimplestWalker" and about["sign"] == -1
+    assert json.loads(about["bounds"]) == {"slope": [0.001, 0.02]}
+
+
+def test_basins_at_both_ends_are_shown(steepest):
+    assert steepest.fate_start.dims == ("theta", "sum") == steepest.fate_optimum.dims
+    view = wj.Grid.sheared(
+        **{
+            name: (*((axis := steepest[name].values)[[0, -1]] + np.diff(axis)[0] * shift), 300)
+            for name in ("theta", "sum")
+            for shift in [np.array([-0.5, 0.5])]
+        }
+    )
+    direct = wj.basin(wj.SimplestWalker(float(steepest.optimum[0])), view, "direct")
+    walks = (direct.attractor >= 0).values
+    shown = steepest.fate_optimum.values
+    assert 0.01 < walks.mean() and np.mean((shown == -1) != walks) < 1e-4
+    assert np.mean(shown[~walks] == direct.fate.values[~walks]) > 0.999
+    assert not walks[[0, -1]].any() or float(steepest.theta[-1]) > 0.78
+
+
+def test_at_a_bound_and_where_a_limit_holds():
+    found = optimise(WALKER, SLOPES, "speed", starts=2)
+    assert values(found, "optimum") == [0.02] and values(found, "at_bound") == [1]
+    assert bool(found.converged) and not found.binding.any()
+    found = optimise(
+        WALKER,
+        SLOPES,
+        "speed",
+        starts=2,
+        scan=5,
+        at_most={"spectral-radius": 0.9},
+        at_least={"step-length": 0.1},
+    )
+    edge = brentq(lambda slope: measure("spectral-radius", slope) - 0.9, 0.01, 0.015)
+    assert float(found.optimum[0]) == pytest.approx(edge, rel=1e-7)
+    assert values(found, "at_bound") == [0] and bool(found.converged)
+    assert dict(zip(values(found, "measure"), values(found, "binding"), strict=True)) == {
+        "speed": False,
+        "spectral-radius": True,
+        "step-length": False,
+    }
+    slopes = np.linspace(0.001, 0.02, 5)
+    expected = [measure("spectral-radius", slope) <= 0.9 for slope in slopes]
+    assert found.scan_allowed.values[0].tolist() == expected
+
+
+def test_a_weighted_sum():
+    """Speed against steepness: where ten times speed falls behind ninety times the slope."""
+    weights = {"speed": 10.0, "cost-of-transport": -90.0}
+    found = optimise(WALKER, SLOPES, weights)
+    total = lambda slope: 10 * measure("speed", slope) - 90 * np.sin(slope)
+    at, least = lowest(lambda slope: -total(slope))
+    assert 0.0011 < at < 0.0199
+    assert float(found.optimum[0]) == pytest.approx(at, abs=0.003 * 0.019)
+    assert float(found.exact_optimum) == pytest.approx(-least, abs=1e-4)
+    assert found.attrs["sign"] == 1 and values(found, "measure") == list(weights)
+
+
+@pytest.mark.slow
+def test_two_parameters_along_a_limit():
+    """The least slope at a speed: the stiffest spring, and the slope that then gives the speed."""
+    bounds = {"slope": (0.001, 0.01), "hip_stiffness": (0.0, 0.5)}
+    walker = wj.SpringWalker(0.006, 0.1)
+    speed = 0.09
+    found = optimise(walker, bounds, "cost-of-transport", at_least={"speed": speed}, starts=1)
+    fast = lambda slope: wj.gait_measures(wj.SpringWalker(slope, 0.5), ())["speed"].value - speed
+    assert values(found, "at_bound") == [0, 1] and bool(found.binding[1])
+    assert float(found.optimum[0]) == pytest.approx(brentq(fast, 0.001, 0.01), rel=1e-6)
+    assert float(found.optimum[1]) == 0.5 and bool(found.converged)
+
+
+def test_the_area_is_largest_on_the_gentlest_slope(monkeypatch):
+    """In one stage, of long steps."""
+    monkeypatch.setattr(design, "STEPS", (0.4,))
+    bounds, walker = {"slope": (0.003, 0.009)}, wj.SimplestWalker(0.007)
+    found = optimise(walker, bounds, grid=GRID, starts=1, scan=3)
+    assert values(found, "optimum") == [0.003] and values(found, "at_bound") == [-1]
+    assert bool(found.converged)
+    areas = {slope: wj.refine(wj.SimplestWalker(slope), GRID, 3) for slope in (0.003, 0.007)}
+    for end, slope in (("optimum", 0.003), ("start", 0.007)):
+        error = 4 * float(found[f"exact_{end}_error"]) + 4 * float(areas[slope].total_area_error)
+        assert abs(float(found[f"exact_{end}"]) - float(areas[slope].total_area)) < error
+    assert np.all(np.diff(found.scan_value[0]) < 0)
+    climbing = found.isel(evaluation=found.stage.values >= 0)
+    assert climbing.sizes["evaluation"] < 6
+    assert np.all(climbing.gradient < 0) and np.all(climbing.strides > 0)
+
+
+@pytest.mark.slow
+def test_a_start_where_nothing_walks_is_led_to_where_something_does():
+    bounds = {"slope": (0.001, 0.05)}
+    walker = wj.SimplestWalker(0.03)
+    found = optimise(walker, bounds, grid=GRID, starts=1, levels=1)
+    first = found.isel(evaluation=0)
+    assert float(first.value) == 0 and first.gradient.values.tolist() == [0.0]
+    assert bool(found.found) and float(found.exact_start) == 0 < float(found.exact_optimum)
+    assert np.isfinite(found.gradient.values[found.stage.values >= 0]).all()
 
 
 @pytest.mark.parametrize(
-    ("slope", "expected"),
-    # by differences of areas refined five times, at slopes 4e-4 apart, to 0.0016
-    [pytest.param(0.003, -0.0985, marks=pytest.mark.slow), (0.006, -0.0410)],
+    ("slopes", "reason"),
+    [
+        ((0.05, 0.06), "nothing walks; the gait has a multiplier of modulus"),
+        ((0.4, 0.5), "no gait is found"),
+    ],
 )
-def test_the_area_falls_with_the_slope(slope, expected):
-    found = area_gradient(wj.SimplestWalker(slope), SECTION, levels=1)
-    assert found.gradient[0] == pytest.approx(expected, abs=0.0016 + 0.05 * abs(expected))
-    assert abs(found.gradient[0] - expected) < 0.0016 + 3 * found.error[0]
-    assert found.lost == 0 and found.crossings > 500
+def test_where_nothing_leads_anywhere_that_is_said(slopes, reason):
+    walker = wj.SimplestWalker(sum(slopes) / 2)
+    found = optimise(walker, {"slope": slopes}, grid=GRID, starts=2, levels=1)
+    assert not found.found and "optimum" not in found
+    assert all(reason in note and "slope 0." in note for note in values(found, "note"))
+
+
+def test_a_limit_out_of_reach_is_named():
+    found = optimise(WALKER, SLOPES, "spectral-radius", at_least={"speed": 0.2}, starts=1)
+    assert not found.found
+    reason = "slope 0.004: speed is 0.07932, and no way was found to at least 0.2"
+    assert values(found, "note") == [reason]
+
+
+def test_an_interrupted_run_goes_on(tmp_path, monkeypatch):
+    kept = []
+
+    def keep(trace):
+        kept.append(trace)
+        if len(kept) == 7:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        optimise(WALKER, SLOPES, "speed", starts=2, keep=keep)
+    assert [one.sizes["evaluation"] for one in kept] == [*range(1, 8)]
+    whole = optimise(WALKER, SLOPES, "speed", starts=2)
+
+    made = []
+    measured = design.measured
+    monkeypatch.setattr(design, "measured", lambda *all: made.append(all) or measured(*all))
+    store.save(kept[-1], tmp_path / "trace.zarr", {})
+    known = store.load(tmp_path / "trace.zarr")
+    assert known is not None
+    again = optimise(WALKER, SLOPES, "speed", starts=2, known=known)
+    xr.testing.assert_identical(again, whole)
+    distinct, before = (
+        set(zip(data.stage.values, data.parameters.values[:, 0], strict=True))
+        for data in (whole, known)
+    )
+    assert len(made) == len(distinct - before) < len(distinct)
+    made.clear()
+    xr.testing.assert_identical(optimise(WALKER, SLOPES, "speed", starts=2, known=whole), whole)
+    assert not made
+
+
+def problem_of(walker, bounds, **limits):
+    low, high = np.array(list(bounds.values())).T
+    return design.Problem(
+        walker, tuple(bounds), low, high, {"speed": 1.0}, 1.0, limits, None, 0, 200, 0, None
+    )
+
+
+def test_places_between_the_bounds():
+    problem = problem_of(WALKER, {"slope": (0.1 + 0.2, 0.7)})
+    assert problem.values(np.array([0.0])) == [0.1 + 0.2] and problem.values(np.array([1.0])) == 0.7
+    assert problem.place(np.array([0.5])) == pytest.approx([0.5])
+    problem = problem_of(wj.SpringWalker(0.004, 0.25), {**SLOPES, "hip_stiffness": (0.0, 1.0)})
+    places = starting_places(problem, 4)
+    np.testing.assert_allclose(places[0], [0.003 / 0.019, 0.25])
+    assert len({tuple(place) for place in places}) == 4
+    thirds = np.sort(np.floor(3 * np.array(places[1:])), axis=0)  # one in each, along each
+    np.testing.assert_array_equal(thirds, [[0, 0], [1, 1], [2, 2]])
+    outside = problem_of(wj.SpringWalker(0.05, 0.25), {**SLOPES, "hip_stiffness": (0.0, 1.0)})
+    assert len(starting_places(outside, 3)) == 3
+    assert all(np.all((place > 0) & (place < 1)) for place in starting_places(outside, 3))
+
+
+def test_steps_keep_to_bounds_and_limits():
+    problem = problem_of(WALKER, SLOPES, speed=(0.06, np.inf))
+    trace = design.Trace(problem, None, None, False)
+    edge = brentq(lambda slope: measure("speed", slope) - 0.06, 0.001, 0.004)
+    back = allowed(trace, np.array([0.0]))
+    assert back is not None
+    assert problem.values(back)[0] == pytest.approx(edge, rel=1e-8)
+    np.testing.assert_array_equal(allowed(trace, np.array([0.5])), [0.5])
+    np.testing.assert_allclose(along_limits(trace, back, np.array([-1.0])), [0.0], atol=1e-12)
+    assert along_limits(trace, back, np.array([1.0])).tolist() == [1.0]
+    free = design.Trace(problem_of(WALKER, SLOPES), None, None, False)
+    assert along_limits(free, np.array([0.0]), np.array([-1.0])).tolist() == [0.0]
+    assert along_limits(free, np.array([0.0]), np.array([1.0])).tolist() == [1.0]
+
+
+def test_objectives_have_their_senses():
+    assert weights_of("area") == ({"area": 1.0}, 1.0)
+    assert weights_of("spectral-radius") == ({"spectral-radius": 1.0}, -1.0)
+    assert weights_of({"speed": 2, "spectral-radius": -1}) == (
+        {"speed": 2.0, "spectral-radius": -1.0},
+        1.0,
+    )
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"bounds": {}}, "bounds must name at least one parameter"),
+        ({"bounds": {"mass": (0.1, 1.0)}}, "parameter must be one of the walker's, slope, not 'm"),
+        ({"bounds": {"slope": (0.1, 0.1)}}, "bounds of slope must be finite, the lower first"),
+        ({"bounds": {"slope": (0.1, np.inf)}}, "bounds of slope must be finite"),
+        ({"bounds": {"slope": (0.0, 0.1)}}, "slope must be between 0 and 1.5708, not 0"),
+        ({"bounds": {"slope": 0.1}}, "bounds of slope must be two numbers, not 0.1"),
+        ({"objective": "beauty"}, "objective must be one of area, .*, not 'beauty'"),
+        ({"objective": {}}, "objective must name at least one measure"),
+        ({"objective": {"area": 0.0}}, "objective must give area a weight other than 0, not 0.0"),
+        ({"at_least": {"area": 0.1}}, "limits must be those of one of step-length, .*'area'"),
+        ({"at_most": {"speed": np.nan}}, "limits of speed must be finite, not nan"),
+        (
+            {"at_most": {"speed": 0.1}, "at_least": {"speed": 0.2}},
+            "limits of speed must be the lower first, not 0.2 and 0.1",
+        ),
+        ({"starts": 0}, "starts must be at least 1, not 0"),
+        ({"strides": 0}, "strides must be at least 1, not 0"),
+        ({"levels": -1}, "levels must be at least 0, not -1"),
+        ({"scan": -1}, "scan must be at least 0, not -1"),
+        ({"grid": wj.Grid.plain(theta=(0, 1, 5))}, "grid must have the 2 dimensions"),
+    ],
+)
+def test_wrong_arguments_are_refused_before_any_work(given, message, monkeypatch):
+    monkeypatch.setattr(design, "measured", None)
+    bounds = given.pop("bounds", SLOPES)
+    with pytest.raises(ValueError, match=message):
+        optimise(WALKER, bounds, **given)
 
 
 @pytest.mark.slow
-def test_two_parameters_of_another_walker():
-    walker = wj.SpringWalker(0.004, 0.1)
-    found = area_gradient(walker, SECTION, ("slope", "hip_stiffness"), levels=3)
-    by_slope, error = difference(lambda p: wj.SpringWalker(p, 0.1), 0.004, 4e-4, SECTION)
-    assert abs(found.gradient[0] - by_slope) < 3 * error + 0.1 * abs(by_slope)
-    by_stiffness, error = difference(lambda p: wj.SpringWalker(0.004, p), 0.1, 2e-2, SECTION)
-    assert abs(found.gradient[1] - by_stiffness) < 3 * error + 0.1 * abs(by_stiffness)
-    refined = wj.refine(walker, SECTION, 5)
-    assert found.area == pytest.approx(float(refined.total_area), rel=0.02)
+def test_the_area_over_the_whole_range_of_slopes():
+    """At the lower bound, as the area falls with the slope; or where the least speed holds it."""
+    found = optimise(WALKER, SLOPES, scan=20)
+    assert values(found, "optimum") == [0.001] and values(found, "at_bound") == [-1]
+    assert np.all(np.diff(found.scan_value[0]) <= 0) and float(found.exact_optimum) > 0.00208
+    found = optimise(WALKER, SLOPES, at_least={"speed": 0.06}, scan=20)
+    edge = brentq(lambda slope: measure("speed", slope) - 0.06, 0.001, 0.004)
+    assert float(found.optimum[0]) == pytest.approx(edge, rel=1e-7)
+    assert values(found, "binding") == [False, True] and values(found, "at_bound") == [0]
+    allowed = found.scan_allowed.values[0]
+    best = found.scan_value.values[0][allowed].max()
+    assert float(found.objective_optimum) > best
 
 
 @pytest.mark.slow
-def test_the_least_disturbance_changes_with_the_slope():
-    size = lambda slope: wj.least_disturbance(wj.SimplestWalker(slope)).size
-    found = disturbance_gradient(wj.SimplestWalker(0.004))
-    assert found.size == pytest.approx(0.0022561749204, abs=1e-12)
-    central = (size(0.004 + 1e-5) - size(0.004 - 1e-5)) / 2e-5
-    assert found.gradient[0] == pytest.approx(central, rel=1e-4)
+def test_the_least_disturbance_is_largest_within_the_bounds():
+    found = optimise(WALKER, SLOPES, "least-disturbance", starts=5, scan=39)
+    assert values(found, "at_bound") == [0] and bool(found.converged)
+    assert float(found.optimum[0]) == pytest.approx(0.0077, abs=3e-4)
+    assert float(found.exact_optimum) == pytest.approx(0.002355, abs=2e-6)
+    assert float(found.exact_optimum) > np.nanmax(found.scan_value.values)
 
 
-def test_where_nothing_walks_there_is_no_area_and_no_gradient():
-    grid = wj.Grid.sheared(theta=(0.1, 0.3, 20), sum=(-0.02, 0.01, 20))
-    found = area_gradient(wj.SimplestWalker(0.1), grid, levels=1)
-    assert found.area == 0 and found.gradient.tolist() == [0.0] and found.crossings == 0
-
-
-def test_where_everything_walks_the_area_is_that_of_the_grid():
-    grid = wj.Grid.plain(theta=(0.1533, 0.1535, 5), thetadot=(-0.1562, -0.156, 6))
-    found = area_gradient(wj.SimplestWalker(0.004), grid, levels=1)
-    assert found.area == pytest.approx(4e-8) and found.gradient.tolist() == [0.0]
-
-
-def test_cells_are_cut_where_they_are_on_the_boundary():
-    walker = wj.SimplestWalker(0.004)
-    grid = wj.Grid.sheared(theta=(0.1, 0.3, 40), sum=(-0.02, 0.01, 40))
-    fine = wj.Grid.sheared(theta=(0.1, 0.3, 160), sum=(-0.02, 0.01, 160))
-    direct = (wj.basin(walker, fine, "direct").attractor >= 0).values
-    starts = centres(grid, np.arange(grid.size, dtype=np.int32))
-    walks = cells_that_walk(walker, grid, settle(walker, starts, 1e-12, []), 2, 200, 1e-12)
-    assert walks.shape == direct.shape and np.mean(walks == direct) > 0.999
-
-
-def test_crossings_are_between_neighbours_that_differ():
-    walks = np.array([[0, 1, 1], [0, 0, 1]], bool)
-    inside, outside, rises = crossings_along(walks, 1)
-    assert inside.tolist() == [[0.5, 1.5], [1.5, 2.5]]
-    assert outside.tolist() == [[0.5, 0.5], [1.5, 1.5]] and rises.tolist() == [True, True]
-    inside, outside, rises = crossings_along(walks, 0)
-    assert inside.tolist() == [[0.5, 1.5]] and outside.tolist() == [[1.5, 1.5]]
-    assert rises.tolist() == [False]
-
-
-def test_wrong_arguments_are_refused():
-    walker = wj.SimplestWalker(0.004)
-    with pytest.raises(ValueError, match="parameter must be one of the walker's"):
-        area_gradient(walker, SECTION, ("hip_stiffness",))
-    with pytest.raises(ValueError, match="parameter must be one of the walker's"):
-        disturbance_gradient(walker, ("mass",))
-    with pytest.raises(ValueError, match="levels must not be negative"):
-        area_gradient(walker, SECTION, levels=-1)
-    with pytest.raises(ValueError, match="strides must be at least 1"):
-        area_gradient(walker, SECTION, strides=0)
-    with pytest.raises(ValueError, match="grid must have the 2 dimensions"):
-        area_gradient(walker, wj.Grid.plain(theta=(0, 1, 5)))
+@pytest.mark.slow
+def test_a_spring_between_the_legs_makes_the_basin_many_times_as_large():
+    walker = wj.SpringWalker(0.004, 0.0)
+    found = optimise(walker, {"hip_stiffness": (0.0, 2.0)}, starts=1, levels=3)
+    assert values(found, "optimum") == [2.0] and values(found, "at_bound") == [1]
+    region = default_region(walker)
+    assert region is not None
+    simplest = wj.refine(WALKER, region, 3)
+    assert float(found.exact_start) == pytest.approx(float(simplest.total_area), rel=0.01)
+    assert float(found.exact_optimum) > 20 * float(found.exact_start)

@@ -86,6 +86,17 @@ def test_in_one_direction_only():
         nearest_failure(fails, np.array([[1.0, 0.0]]), np.zeros_like)
 
 
+def test_dust_of_failures_is_met_by_chance_and_never_lost():
+    """Some points fail that are farther than a half, as if at random."""
+
+    def fails(y):
+        dust = np.sin(1e7 * y[:, 0]) * np.cos(3e7 * y[:, 1]) > 0.98
+        return (np.linalg.norm(y, axis=1) > 0.5) & dust
+
+    found = nearest_failure(fails, np.eye(2), lambda y: np.full_like(y, np.nan))
+    assert fails(found[None])[0] and 0.5 < np.linalg.norm(found) < 0.51
+
+
 WALKER = wj.SimplestWalker(0.004)
 
 

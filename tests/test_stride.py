@@ -617,6 +617,9 @@ class PatientWalker(Walker):
     def clearance(self, state):
         return self.inner.clearance(state)
 
+    def reach(self, state):
+        return self.inner.reach(state)
+
     def exchange_legs(self, state):
         return self.inner.exchange_legs(state)
 

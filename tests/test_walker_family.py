@@ -925,6 +925,9 @@ class RimlessWheel(wj.Walker):
     def clearance(self, state):
         return jnp.cos(state.theta) - jnp.cos(state.theta - state.phi)
 
+    def reach(self, state):
+        return jnp.sin(state.theta - state.phi) - jnp.sin(state.theta)
+
     def impact(self, state):
         def spoke(q):
             feet = [jnp.sin(q[2] - state.phi) - jnp.sin(q[2])]

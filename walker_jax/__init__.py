@@ -17,14 +17,17 @@ from walker_jax.bifurcations import attractors, bifurcation_diagram, loss_of_wal
 from walker_jax.boundaries import Dimension, Uncertainty, box_counting, uncertainty_exponent
 from walker_jax.branches import Bifurcation, Branch, continue_gait
 from walker_jax.cells import Grid
-from walker_jax.design import (
-    AreaGradient,
-    DisturbanceGradient,
-    area_gradient,
-    disturbance_gradient,
-)
+from walker_jax.design import optimise
 from walker_jax.gaits import Gait, descend, find_gait, find_gaits, gait_derivatives
 from walker_jax.margins import Margins, margins, margins_of_many
+from walker_jax.objectives import (
+    AreaGradient,
+    DisturbanceGradient,
+    Measure,
+    area_gradient,
+    disturbance_gradient,
+    gait_measures,
+)
 from walker_jax.refinement import refine
 from walker_jax.robustness import (
     BasinStability,
@@ -64,6 +67,7 @@ __all__ = [
     "LeastDisturbance",
     "LeastStepDown",
     "Margins",
+    "Measure",
     "Outcome",
     "PointFootWalker",
     "RoundFootWalker",
@@ -89,11 +93,13 @@ __all__ = [
     "find_gait",
     "find_gaits",
     "gait_derivatives",
+    "gait_measures",
     "least_disturbance",
     "least_step_down",
     "loss_of_walking",
     "margins",
     "margins_of_many",
+    "optimise",
     "refine",
     "robustness",
     "robustness_table",

@@ -22,6 +22,7 @@ import numpy as np
 import platformdirs
 import typer
 
+from walker_jax.cells import Grid
 from walker_jax.gaits import check_parameter, with_parameter
 from walker_jax.walkers import WALKERS, Parameter, Walker, parameters
 
@@ -626,7 +627,7 @@ def robustness(
         typer.Option(
             "--sum",
             metavar="LO HI N",
-            help="theta + thetadot (default: -0.12 0.06 200; -0.4 0.1 400 but for the simplest).",
+            help="theta + thetadot (default: -0.12 0.06 200; -1.1 0.1 800 but for the simplest).",
         ),
     ] = None,
     at_phidot: Annotated[
@@ -671,21 +672,7 @@ def robustness(
     finite(disturbances=disturbances)
     if disturbances <= 0:
         raise ValueError(f"--disturbances must be above 0, not {disturbances}")
-    sliced = "phidot" in walker.section
-    if at_phidot is not None and not sliced:
-        raise ValueError(f"--at-phidot is for walkers whose section has it, not {walker.section}")
-    axes: dict[str, Axis | float | None] = {"theta": theta, "sum": sum_}
-    axes |= {"phidot": at_phidot} if sliced else {}
-    given = {name: axis for name, axis in axes.items() if axis is not None}
-    if given and len(given) < len(axes):
-        raise ValueError(
-            f"give {' and '.join(f'--{name}' for name in axes)}, or none of them".replace(
-                "--phidot", "--at-phidot"
-            )
-        )
-    grid = wj.Grid.sheared(**given) if given else None
-    if grid is not None and min(grid.shape) < 2:
-        raise ValueError(f"a picture needs 2 cells or more along each axis, not {grid.shape}")
+    grid = region_of(walker, theta, sum_, at_phidot)
     slopes = None
     if low is not None and high is not None:
         check_parameter(walker, "slope", low, high)
@@ -698,9 +685,7 @@ def robustness(
         "command": "robustness",
         "walker": about,
         "slopes": None if slopes is None else slopes.tolist(),
-        "axes": {
-            name: list(axis) if isinstance(axis, tuple) else axis for name, axis in given.items()
-        },
+        "axes": axes_of(grid),
         "levels": levels,
         "disturbances": disturbances,
         "strides": strides,
@@ -730,6 +715,233 @@ def robustness(
     for row in rows:
         print_measures(row)
     print(f"  data set {out}, picture {figure}")
+
+
+def region_of(
+    walker: Walker, theta: Axis | None, sum_: Axis | None, at_phidot: float | None
+) -> Grid | None:
+    """The grid of these axes, if they are given, all or none."""
+    import walker_jax as wj
+
+    sliced = "phidot" in walker.section
+    if at_phidot is not None and not sliced:
+        raise ValueError(f"--at-phidot is for walkers whose section has it, not {walker.section}")
+    axes: dict[str, Axis | float | None] = {"theta": theta, "sum": sum_}
+    axes |= {"phidot": at_phidot} if sliced else {}
+    given = {name: axis for name, axis in axes.items() if axis is not None}
+    if given and len(given) < len(axes):
+        raise ValueError(
+            f"give {' and '.join(f'--{name}' for name in axes)}, or none of them".replace(
+                "--phidot", "--at-phidot"
+            )
+        )
+    grid = wj.Grid.sheared(**given) if given else None
+    if grid is not None and min(grid.shape) < 2:
+        raise ValueError(f"a picture needs 2 cells or more along each axis, not {grid.shape}")
+    return grid
+
+
+def axes_of(grid: Grid | None) -> dict:
+    """The axes of a grid, for a request."""
+    if grid is None:
+        return {}
+    ends = zip(grid.names, grid.lower, grid.upper, grid.shape, strict=True)
+    return {name: [float(low), float(high), n] for name, low, high, n in ends} | grid.held
+
+
+@app.command()
+@takes_walker
+def optimise(
+    walker: Walker,
+    over: Annotated[
+        list[str] | None, typer.Option(help="A parameter that is free; may be repeated.")
+    ] = None,
+    bound: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=LO:HI", help="Its bounds; one for each of them."),
+    ] = None,
+    objective: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="area (default), least-disturbance, speed, step-length, spectral-radius or "
+            "cost-of-transport; NAME=WEIGHT, repeated, for a weighted sum, to be large.",
+        ),
+    ] = None,
+    at_least: Annotated[
+        tuple[str, float] | None,
+        typer.Option(metavar="NAME VALUE", help="Least speed, step-length, ... of the gait."),
+    ] = None,
+    at_most: Annotated[
+        tuple[str, float] | None,
+        typer.Option(metavar="NAME VALUE", help="Greatest value of one of them."),
+    ] = None,
+    theta: Annotated[
+        Axis | None,
+        typer.Option(metavar="LO HI N", help="Where the area is measured, as for robustness."),
+    ] = None,
+    sum_: Annotated[
+        Axis | None, typer.Option("--sum", metavar="LO HI N", help="theta + thetadot.")
+    ] = None,
+    at_phidot: Annotated[
+        float | None, typer.Option(help=f"{PHIDOT_HELP}: a slice there (default: at the gait).")
+    ] = None,
+    starts: Annotated[
+        int, typer.Option(min=1, help="Starts: the walker given, and others within the bounds.")
+    ] = 3,
+    levels: Annotated[
+        int, typer.Option(min=0, max=8, help="Refinement of the areas at both ends.")
+    ] = 4,
+    strides: Annotated[int, typer.Option(min=1, help="Strides a walker is followed for.")] = 200,
+    scan: Annotated[
+        int, typer.Option(min=0, help="Values of each parameter at which the objective is drawn.")
+    ] = 25,
+    seed: Annotated[int, typer.Option(min=0, help="Of the starts.")] = 0,
+    out: Out = Path("optimum.zarr"),
+    figure: PictureOfData = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Design a walker: the parameters with the largest basin, or another objective, by gradient.
+
+    For example: walker-jax optimise --over slope --bound slope=0.001:0.02 --at-least speed 0.06
+
+    What has been measured is kept as it goes: after an interruption the same command goes on. The
+    picture shows the climb over a scan of the objective, and the basins before and after.
+    """
+    import walker_jax as wj
+    from walker_jax import figures, store
+
+    bounds = bounds_of(walker, over or [], bound or [])
+    wanted = objective_of(objective or ["area"])
+    least, most = (dict([one]) if one else {} for one in (at_least, at_most))
+    grid = region_of(walker, theta, sum_, at_phidot)
+    request = {
+        "command": "optimise",
+        "walker": description(walker),
+        "bounds": bounds,
+        "objective": wanted,
+        "at_least": least,
+        "at_most": most,
+        "axes": axes_of(grid),
+        "starts": starts,
+        "levels": levels,
+        "strides": strides,
+        "scan": scan,
+        "seed": seed,
+        "version": version("walker-jax"),
+    }
+    figure = picture_of(out, figure)
+    store.check_picture(figure, request, overwrite=overwrite)
+    data = store.find(out, request, overwrite=overwrite)
+    if data is None or "found" not in data:  # not begun, or interrupted
+        try:
+            data = wj.optimise(
+                walker,
+                bounds,
+                wanted,
+                at_least=least,
+                at_most=most,
+                grid=grid,
+                starts=starts,
+                levels=levels,
+                strides=strides,
+                scan=scan,
+                seed=seed,
+                known=data,
+                keep=lambda trace: store.save(trace, out, request),
+                progress=True,
+            )
+        except ValueError as error:
+            raise ValueError(str(error).replace("at_least", "--at-least")) from error
+        data = store.save(data, out, request)
+    if not data["found"]:
+        reasons = "; ".join(dict.fromkeys(data["note"].values.tolist()))
+        raise NotFound(f"no start leads anywhere: {reasons}")
+    draw(figures.optimised(data), figure, request)
+    answer = optimum(data)
+    if as_json:
+        print_json(answer | {"walker": request["walker"]})
+        return
+    print_optimum(walker, answer, " + ".join(objective or ["area"]))
+    for note in data["note"].values.tolist():
+        if note:
+            print(f"  a start led nowhere: {note}")
+    print(f"  data set {out}, picture {figure}")
+
+
+def bounds_of(walker: Walker, over: list[str], bound: list[str]) -> dict[str, tuple[float, float]]:
+    """The bounds of the parameters that are free."""
+    names = [name.replace("-", "_") for name in over]
+    bounds: dict[str, tuple[float, float]] = {}
+    for text in bound:
+        name, _, ends = text.partition("=")
+        low, _, high = ends.partition(":")
+        try:
+            pair = float(low), float(high)
+        except ValueError:
+            raise ValueError(f"--bound must be NAME=LO:HI, not {text}") from None
+        bounds[name.replace("-", "_")] = pair
+    if not names:
+        raise ValueError("--over is wanted: a parameter that is free, such as slope")
+    for name in names:
+        check_parameter(walker, name)
+        if name not in bounds:
+            raise ValueError(f"--bound is wanted for {name}: {name}=LO:HI")
+    for name in bounds:
+        if name not in names:
+            raise ValueError(f"--bound is of {name}, which is not free: add --over {name}")
+    return {name: bounds[name] for name in names}
+
+
+def objective_of(texts: list[str]) -> str | dict[str, float]:
+    """One objective by name, or the weights of several."""
+    if len(texts) == 1 and "=" not in texts[0]:
+        return texts[0]
+    weights = {}
+    for text in texts:
+        name, _, weight = text.partition("=")
+        try:
+            weights[name] = float(weight or 1)
+        except ValueError:
+            raise ValueError(f"--objective must be NAME or NAME=WEIGHT, not {text}") from None
+    return weights
+
+
+def optimum(data) -> dict:
+    """The answer of `optimise`."""
+    names = data["parameter"].values.tolist()
+    named = lambda key: dict(zip(names, data[key].values.tolist(), strict=True))
+    both = lambda key: {end: float(data[f"{key}_{end}"]) for end in ("start", "optimum")}
+    held = data["measure"].values[data["binding"].values]
+    return {
+        "start": named("start"),
+        "optimum": named("optimum"),
+        "objective": both("objective"),
+        "exact": both("exact"),
+        "exact_error": {end: float(data[f"exact_{end}_error"]) for end in ("start", "optimum")},
+        "at_bound": [name for name, side in named("at_bound").items() if side],
+        "binding": held.tolist(),
+        "evaluations": data.sizes["evaluation"],
+        "converged": bool(data["converged"]),
+    }
+
+
+def print_optimum(walker: Walker, answer: dict, objective: str) -> None:
+    """The answer of `optimise`, in words."""
+    print(f"{objective}, {said(walker)}")
+    for end in ("start", "optimum"):
+        values = ", ".join(f"{name} {value:.8g}" for name, value in answer[end].items())
+        exact, error = answer["exact"][end], answer["exact_error"][end]
+        print(f"  {end:8} {values}: {exact:.7g}" + (f" +- {error:.1g}" if error else ""))
+    before, after = answer["exact"]["start"], answer["exact"]["optimum"]
+    change = f"{after - before:+.4g}" + (f", by a factor of {after / before:.3f}" * (before > 0))
+    print(f"  exactly, it changed by {change}")
+    inside = "inside the bounds" if not answer["at_bound"] else ""
+    place = inside or f"at a bound of {', '.join(answer['at_bound'])}"
+    limit = f", held by the limit of {', '.join(answer['binding'])}" * bool(answer["binding"])
+    end = "converged" if answer["converged"] else "not converged"
+    print(f"  {place}{limit}; {end}, {answer['evaluations']} evaluations")
 
 
 def measures(data, slope: float) -> dict:

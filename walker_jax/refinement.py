@@ -9,6 +9,7 @@ anew, correct the area, and say how far it can be trusted.
 """
 
 import operator
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,6 +17,7 @@ import xarray as xr
 from jaxtyping import Bool, Float, Int
 
 from walker_jax.basin import (
+    Attractor,
     Basins,
     check_grid,
     follow,
@@ -75,6 +77,65 @@ def refine(
     `strides` are counted for cells that were followed, and 0 for others. Memory is that of the
     finest grid; strides are made for its boundary alone. `ValueError` as for `basin`.
     """
+    found = refined(
+        walker,
+        grid,
+        levels,
+        strides=strides,
+        check=check,
+        seed=seed,
+        tolerance=tolerance,
+        progress=progress,
+    )
+    how = {
+        "method": "direct, refined",
+        "strides": strides,
+        "tolerance": found.tolerance,
+        "seed": seed,
+    }
+    basins = Basins(
+        found.fate.ravel(), found.attractor.ravel(), found.count.ravel(), found.attractors
+    )
+    data = labelled(walker, found.grid, sort_attractors(basins), how)
+    data["total_area"], data["total_area_error"] = found.area, found.area_error
+    data["followed"] = "level", np.array(found.followed)
+    data["boundary"] = "level", np.array(found.boundary)
+    data["checked"], data["mistaken"] = found.checked, found.mistaken
+    data["strides_made"] = found.made
+    return data
+
+
+class Refined(NamedTuple):
+    """What `refine` finds, as arrays over the finest grid."""
+
+    grid: Grid
+    fate: Int[np.ndarray, "*shape"]
+    attractor: Int[np.ndarray, "*shape"]
+    count: Int[np.ndarray, "*shape"]
+    attractors: list[Attractor]
+    area: float
+    area_error: float
+    followed: list[int]
+    boundary: list[int]
+    checked: int
+    mistaken: int
+    made: int
+    tolerance: float
+
+
+def refined(
+    walker: Walker,
+    grid: Grid,
+    levels: int,
+    *,
+    strides: int,
+    check: int,
+    seed: int,
+    tolerance: float | None,
+    progress: bool = False,
+    by_centres: bool = False,
+) -> Refined:
+    """The work of `refine`. Cells of the finest grid may have the fates of their centres."""
     if operator.index(levels) < 0:
         raise ValueError(f"levels must not be negative, not {levels}")
     if check < 0:
@@ -108,7 +169,8 @@ def refine(
     def flood(level: int, cells: Int[np.ndarray, " n"]) -> None:
         """Follow cells, and then those beside them where that shows a boundary, until none is."""
         while cells.size:
-            found = look(finer(grid, level), cells, anywhere=level == levels)
+            anywhere = level == levels and not by_centres
+            found = look(finer(grid, level), cells, anywhere=anywhere)
             fate.ravel()[cells], attractor.ravel()[cells] = found.fate, found.attractor
             count.ravel()[cells], depth.ravel()[cells] = found.strides, level
             beside = neighbours(cells, depth.shape)
@@ -160,16 +222,21 @@ def refine(
     if check == 0 and levels:
         variance = np.nan
 
-    basins = Basins(fate.ravel(), attractor.ravel(), count.ravel(), attractors)
-    how = {"method": "direct, refined", "strides": strides, "tolerance": tolerance, "seed": seed}
-    data = labelled(walker, finest, sort_attractors(basins), how)
-    data["total_area"] = float(area)
-    data["total_area_error"] = float(np.sqrt(variance))
-    data["followed"] = "level", np.array(followed)
-    data["boundary"] = "level", np.array(boundary)
-    data["checked"], data["mistaken"] = len(cells), int(wrong.sum())
-    data["strides_made"] = made
-    return data
+    return Refined(
+        grid=finest,
+        fate=fate,
+        attractor=attractor,
+        count=count,
+        attractors=attractors,
+        area=float(area),
+        area_error=float(np.sqrt(variance)),
+        followed=followed,
+        boundary=boundary,
+        checked=len(cells),
+        mistaken=int(wrong.sum()),
+        made=made,
+        tolerance=tolerance,
+    )
 
 
 def finer(grid: Grid, level: int) -> Grid:

@@ -385,7 +385,7 @@ def robustness(
 
     - `walker`: as in `basin`.
     - `grid`: what `refine` and `boundary_dimension` begin with; by default all feasible angles of a
-      walker on point feet, sum from -0.12 to 0.06 (-0.4 to 0.1 but for the simplest), and a slice
+      walker on point feet, sum from -0.12 to 0.06 (-1.1 to 0.1 but for the simplest), and a slice
       around the gait of any other.
     - `levels`: of refinement.
     - `disturbances`: for `basin_stability`, shares of the coordinates of the gait's own state.
@@ -534,7 +534,7 @@ def default_region(walker: Walker) -> Grid | None:
     The rates are those of the simplest walker's basins, and more for others.
     """
     if isinstance(walker, PointFeetWalker):
-        rates = (-0.12, 0.06, 200) if isinstance(walker, SimplestWalker) else (-0.4, 0.1, 400)
+        rates = (-0.12, 0.06, 200) if isinstance(walker, SimplestWalker) else (-1.1, 0.1, 800)
         return Grid.sheared(theta=(0, np.pi / 4, 200), sum=rates)
     gait = find_gait(walker)
     if not gait.found:
@@ -662,7 +662,7 @@ def end_after_step(shared: tuple, cell: tuple) -> EndOfWalk:
 def change_of_margin(shared: tuple, cell: tuple) -> Scalar:
     """Derivative of the margin of the failure that ends a walk, after a number of strides.
 
-    It is along tangents of the walker and of the start.
+    It is along tangents of the walker and of the start; NaN where the walk does not end there.
     """
     walker, tolerance = shared
     x, count, tangents = cell
@@ -671,7 +671,8 @@ def change_of_margin(shared: tuple, cell: tuple) -> Scalar:
         step = lambda _, x: follow_stride(walker, x, tolerance).state
         return failed_by(follow_margins(walker, lax.fori_loop(0, count, step, x), tolerance))
 
-    return jax.jvp(margin, (walker, x), tangents)[1]
+    value, change = jax.jvp(margin, (walker, x), tangents)
+    return jnp.where(jnp.isnan(value), jnp.nan, change)
 
 
 def nearest_failure(
@@ -687,27 +688,33 @@ def nearest_failure(
     rank = len(basis)
     first = scanned(fails, directions(rank, RAYS) @ basis, RADII)
     # Closer rays, then closer distances too: between those a nearer failure may have been missed.
+    # A finger that was met may be missed by the next distances: then what was known is kept.
     dense = directions(rank, DENSE * RAYS)
-    _, first = nearest_of(fails, dense, basis, 0.0, 1.01 * first.min(), SHELL)
-    rays, first = nearest_of(fails, dense, basis, 0.9 * first.min(), 1.01 * first.min(), SHELL)
+    rays, first = nearest_of(fails, dense, basis, 0.0, 1.01 * first.min(), SHELL)
+    near = nearest_of(fails, dense, basis, 0.9 * first.min(), 1.01 * first.min(), SHELL)
+    rays, first = near if near[1].size else (rays, first)
     width = spacing(rank, DENSE * RAYS)
     if rank > 1:  # and more of them wherever the boundary is about as near
         arc = np.concatenate([fan(ray, width, CLOSER) for ray in rays[first.argsort()[:ARC]]])
-        rays, first = nearest_of(fails, arc, basis, 0.98 * first.min(), 1.003 * first.min(), 32)
+        near = nearest_of(fails, arc, basis, 0.98 * first.min(), 1.003 * first.min(), 32)
+        rays, first = near if near[1].size else (rays, first)
     width = 4 * width / CLOSER
-    best = rays[lowest(rays, first, width)]
-    least = first.min()
+    lowest_ones = lowest(rays, first, width)
+    best, lengths = rays[lowest_ones], first[lowest_ones]
     for _ in range(ZOOMS if rank > 1 else 0):
         fans = np.concatenate([fan(ray, width, FAN) for ray in best])
         # The nearest failures of a fan lie a little before those of the wider one.
+        least = lengths.min()
         rays, first = nearest_of(fails, fans, basis, 0.95 * least, 1.01 * least, 24)
-        best, least = rays[lowest(rays, first, width)], first.min()
+        if first.size:
+            lowest_ones = lowest(rays, first, width)
+            best, lengths = rays[lowest_ones], first[lowest_ones]
         width *= 0.25
 
-    gap = 1e-3 * least
-    lengths = first_failures(fails, best @ basis, least - gap, least + gap, 8)
-    lengths = halved(fails, best @ basis, lengths, gap / 4, HALVINGS[1])
-    least = lengths.min()
+    gap = 1e-3 * lengths.min()
+    closer = first_failures(fails, best @ basis, lengths.min() - gap, lengths.min() + gap, 8)
+    closer = halved(fails, best @ basis, closer, gap / 4, HALVINGS[1])
+    lengths = np.minimum(lengths, closer)
     for _ in range(POLISHES if rank > 1 else 0):
         with np.errstate(invalid="ignore", divide="ignore"):  # where there is no gradient
             normal = gradient(lengths[:, None] * best @ basis) @ basis.T
@@ -715,11 +722,12 @@ def nearest_failure(
         tried = best[:, None] + np.concatenate([[0.0], ALONG])[:, None] * along[:, None]
         tried = np.where(np.isfinite(tried), tried, best[:, None])
         tried /= np.linalg.norm(tried, axis=2, keepdims=True)
-        flat = tried.reshape(-1, rank) @ basis
+        flat, least = tried.reshape(-1, rank) @ basis, lengths.min()
         reached = first_failures(fails, flat, least - gap, least + gap, 8)
         reached = halved(fails, flat, reached, gap / 4, HALVINGS[1]).reshape(tried.shape[:2])
+        reached[:, 0] = np.minimum(reached[:, 0], lengths)  # that ray is the best one so far
         best, lengths = tried[np.arange(len(best)), reached.argmin(axis=1)], reached.min(axis=1)
-        least = lengths.min()
+    least = lengths.min()
     ray = best[lengths.argmin()][None]
     while True:  # the first failure on its ray
         first = first_failures(fails, ray @ basis, 0.0, (1 - 1e-9) * least, LAST)

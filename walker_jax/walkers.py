@@ -105,6 +105,10 @@ class Walker(eqx.Module):
     def clearance(self, state: State) -> Scalar:
         """Height of the swing foot above the slope, in the unit of length."""
 
+    @abc.abstractmethod
+    def reach(self, state: State) -> Scalar:
+        """How far the swing foot is ahead of the stance foot, along the slope, in that unit."""
+
     def exchange_legs(self, state: State) -> State:
         """The state with the swing leg as the new stance leg, (21) and its time derivative."""
         theta, phi, thetadot, phidot = state
@@ -199,6 +203,9 @@ class PointFeetWalker(Walker):
 
     def clearance(self, state):
         return jnp.cos(state.theta) - jnp.cos(state.theta - state.phi)
+
+    def reach(self, state):
+        return jnp.sin(state.theta - state.phi) - jnp.sin(state.theta)
 
     def feasible(self, x):
         """0 < theta < pi/4 and thetadot < 0: beyond pi/4 no impact leaves the walker going on."""
@@ -525,6 +532,11 @@ class HeavyLegWalker(MultibodyWalker):
     def clearance(self, state):
         above = lambda walker, *legs: walker.swing_foot(of_feet([*legs]))[1]
         return unrolled(above)(self, state.theta, state.phi)
+
+    def reach(self, state):
+        """Of feet that roll, how far the walker gets by a step, rolling included."""
+        ahead = lambda walker, *legs: walker.swing_foot(of_feet([*legs]))[0]
+        return unrolled(ahead)(self, state.theta, state.phi)
 
     def feasible(self, x):
         """0 < theta < pi/2, thetadot < 0, and the trailing foot lifts: phidot > 2 thetadot."""

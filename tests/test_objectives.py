@@ -1,0 +1,212 @@
+"""Areas, least disturbances and gaits change with parameters as their derivatives say."""
+
+import numpy as np
+import pytest
+
+import walker_jax as wj
+from walker_jax.gaits import with_parameter
+from walker_jax.objectives import (
+    GAIT_MEASURES,
+    area_gradient,
+    crossings_along,
+    disturbance_gradient,
+    ends_of_band,
+    gait_measures,
+)
+from walker_jax.refinement import refined
+
+SECTION = wj.Grid.sheared(theta=(0, np.pi / 4, 200), sum=(-0.12, 0.06, 200))
+
+
+def difference(walker_of, value, width, grid, levels=5):
+    """A central difference of refined areas, and its standard error."""
+    low, high = (
+        wj.refine(walker_of(value + step), grid, levels, seed=7) for step in (-width / 2, width / 2)
+    )
+    error = np.hypot(float(low.total_area_error), float(high.total_area_error))
+    return (float(high.total_area) - float(low.total_area)) / width, error / width
+
+
+@pytest.mark.parametrize(
+    ("slope", "expected"),
+    # by differences of areas refined five times, at slopes 4e-4 apart, to 0.0016
+    [pytest.param(0.003, -0.0985, marks=pytest.mark.slow), (0.006, -0.0410)],
+)
+def test_the_area_falls_with_the_slope(slope, expected):
+    found = area_gradient(wj.SimplestWalker(slope), SECTION, levels=1)
+    assert found.gradient[0] == pytest.approx(expected, abs=0.0016 + 0.05 * abs(expected))
+    assert abs(found.gradient[0] - expected) < 0.0016 + 3 * found.error[0]
+    assert found.lost == 0 and found.crossings > 500 and not found.averaged.any()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("slope", "half", "smooth"),
+    [(0.003, 1e-3, True), (0.006, 1e-3, True), (0.010, 5e-4, False), (0.013, 5e-4, False)],
+)
+def test_the_derivative_of_the_area_where_the_edge_is_smooth_and_where_it_is_fractal(
+    slope, half, smooth
+):
+    """Within 5 % of a central difference on a finer grid, of which that has the error stated."""
+    levels = 3 if smooth else 4
+    found = area_gradient(wj.SimplestWalker(slope), SECTION, levels=levels, bands=(half,))
+    expected, error = difference(wj.SimplestWalker, slope, 2 * half, SECTION)
+    assert error < 0.02 * abs(expected)
+    assert abs(found.gradient[0] - expected) < 0.05 * abs(expected)
+    assert found.averaged.tolist() == [not smooth]
+
+
+def test_where_the_edge_is_fractal_the_derivative_is_an_average_over_the_band():
+    walker, band = wj.SimplestWalker(0.013), 1e-3
+    assert not area_gradient(walker, SECTION, levels=1).averaged[0]
+    found = area_gradient(walker, SECTION, levels=1, bands=(band,))
+    assert found.averaged[0]
+    expected = -0.1627  # by areas refined five times, to 0.0004
+    assert abs(found.gradient[0] - expected) < 4 * found.error[0] < 0.25 * abs(expected)
+
+
+def test_bands_end_where_a_parameter_does():
+    low, high = ends_of_band(wj.SpringWalker(0.004, 0.1), "hip_stiffness", 0.25)
+    assert [float(vars(one)["hip_stiffness"]) for one in (low, high)] == pytest.approx([0.1, 0.35])
+    low, high = ends_of_band(wj.SpringWalker(0.004, 0.1), "slope", 0.001)
+    assert [float(vars(one)["slope"]) for one in (low, high)] == pytest.approx([0.003, 0.005])
+
+
+@pytest.mark.slow
+def test_two_parameters_of_another_walker():
+    walker = wj.SpringWalker(0.004, 0.1)
+    found = area_gradient(walker, SECTION, ("slope", "hip_stiffness"), levels=3)
+    by_slope, error = difference(lambda p: wj.SpringWalker(p, 0.1), 0.004, 4e-4, SECTION)
+    assert error < 0.05 * abs(by_slope)
+    assert abs(found.gradient[0] - by_slope) < 0.1 * abs(by_slope)
+    by_stiffness, error = difference(lambda p: wj.SpringWalker(0.004, p), 0.1, 2e-2, SECTION)
+    assert error < 0.05 * abs(by_stiffness)
+    assert abs(found.gradient[1] - by_stiffness) < 0.1 * abs(by_stiffness)
+    exact = wj.refine(walker, SECTION, 5)
+    assert abs(found.area - float(exact.total_area)) < 4 * found.area_error
+
+
+@pytest.mark.slow
+def test_the_least_disturbance_changes_with_the_slope():
+    size = lambda slope: wj.least_disturbance(wj.SimplestWalker(slope)).size
+    found = disturbance_gradient(wj.SimplestWalker(0.004))
+    assert found.size == pytest.approx(0.0022561749204, abs=1e-12)
+    central = (size(0.004 + 1e-5) - size(0.004 - 1e-5)) / 2e-5
+    assert found.gradient[0] == pytest.approx(central, rel=1e-4)
+    assert not found.averaged
+
+
+@pytest.mark.slow
+def test_where_another_motion_is_nearest_the_derivative_is_an_average():
+    """At 0.0125 the basin of a gait of period three comes closest."""
+    walker = wj.SimplestWalker(0.0125)
+    assert wj.least_disturbance(walker).failure == wj.Outcome.STRIDE
+    assert np.isnan(disturbance_gradient(walker).gradient).all()
+    found = disturbance_gradient(walker, bands=(1e-4,))
+    low, high = (wj.least_disturbance(wj.SimplestWalker(slope)).size for slope in (0.0124, 0.0126))
+    assert found.averaged and found.gradient[0] == pytest.approx((high - low) / 2e-4)
+
+
+def test_where_nothing_walks_there_is_no_area_and_no_gradient():
+    grid = wj.Grid.sheared(theta=(0.1, 0.3, 20), sum=(-0.02, 0.01, 20))
+    found = area_gradient(wj.SimplestWalker(0.1), grid, levels=1)
+    assert found.area == 0 and found.gradient.tolist() == [0.0] and found.crossings == 0
+
+
+def test_where_everything_walks_the_area_is_that_of_the_grid():
+    grid = wj.Grid.plain(theta=(0.1533, 0.1535, 5), thetadot=(-0.1562, -0.156, 6))
+    found = area_gradient(wj.SimplestWalker(0.004), grid, levels=1)
+    assert found.area == pytest.approx(4e-8) and found.gradient.tolist() == [0.0]
+
+
+def test_cells_may_have_the_fates_of_their_centres():
+    walker = wj.SimplestWalker(0.004)
+    grid = wj.Grid.sheared(theta=(0.1, 0.3, 40), sum=(-0.02, 0.01, 40))
+    fine = wj.Grid.sheared(theta=(0.1, 0.3, 160), sum=(-0.02, 0.01, 160))
+    direct = (wj.basin(walker, fine, "direct").attractor >= 0).values
+    options = {"strides": 200, "check": 0, "seed": 0, "tolerance": None}
+    walks = refined(walker, grid, 2, by_centres=True, **options).attractor >= 0
+    assert walks.shape == direct.shape and np.mean(walks == direct) > 0.999
+    by_points = refined(walker, grid, 2, **options).attractor >= 0
+    assert np.mean(by_points == direct) < 0.999
+
+
+def test_crossings_are_between_neighbours_that_differ():
+    walks = np.array([[0, 1, 1], [0, 0, 1]], bool)
+    inside, outside = crossings_along(walks, 1)
+    assert inside.tolist() == [[0.5, 1.5], [1.5, 2.5]]
+    assert outside.tolist() == [[0.5, 0.5], [1.5, 1.5]]
+    inside, outside = crossings_along(walks, 0)
+    assert inside.tolist() == [[0.5, 1.5]] and outside.tolist() == [[1.5, 1.5]]
+
+
+WALKERS = {
+    "simplest": (wj.SimplestWalker(0.004), 1, ("slope",)),
+    "period two": (wj.SimplestWalker(0.016), 2, ("slope",)),
+    "spring": (wj.SpringWalker(0.004, 0.5), 1, ("slope", "hip_stiffness")),
+    "round": (wj.RoundFootWalker(0.01), 1, ("foot_radius",)),
+}
+
+
+@pytest.mark.parametrize(
+    "name", [*list(WALKERS)[:3], pytest.param("round", marks=pytest.mark.slow)]
+)
+def test_measures_of_a_gait_change_as_their_derivatives_say(name):
+    walker, period, names = WALKERS[name]
+    gait = wj.find_gait(walker, period=period)
+    found = gait_measures(walker, names, gait)
+    assert tuple(found) == GAIT_MEASURES
+    for k, parameter in enumerate(names):
+        step = 1e-5 * float(getattr(walker, parameter))
+        ends = []
+        for side in (-1, 1):
+            value = float(getattr(walker, parameter)) + side * step
+            other = with_parameter(walker, parameter, np.asarray(value))
+            there = wj.find_gait(other, gait.states, period)
+            ends.append(gait_measures(other, (), there))
+        for one in GAIT_MEASURES:
+            central = (ends[1][one].value - ends[0][one].value) / (2 * step)
+            assert found[one].gradient[k] == pytest.approx(central, rel=1e-4, abs=1e-9), one
+
+
+def test_measures_of_a_gait_are_those_of_its_geometry():
+    walker = wj.SimplestWalker(0.004)
+    gait, found = wj.find_gait(walker), gait_measures(walker)
+    theta = float(gait.states[0, 0])
+    assert found["step-length"].value == pytest.approx(2 * np.sin(theta), rel=1e-13)
+    speed = 2 * np.sin(theta) / float(gait.step_times[0])
+    assert found["speed"].value == pytest.approx(speed, rel=1e-13)
+    assert found["spectral-radius"].value == pytest.approx(abs(gait.multipliers[0]), rel=1e-13)
+    # a step of length s lets the weight down by s sin(slope)
+    assert found["cost-of-transport"].value == np.sin(0.004)
+    assert found["cost-of-transport"].gradient.tolist() == [np.cos(0.004)]
+
+    walker = wj.RoundFootWalker(0.01)
+    theta = float(wj.find_gait(walker).states[0, 0])
+    # the arcs' centres are 2 (l - R) sin(theta) apart, and the foot rolls by 2 R theta
+    step = 2 * (1 - 0.2) * np.sin(theta) + 2 * 0.2 * theta
+    assert gait_measures(walker, ())["step-length"].value == pytest.approx(step, rel=1e-12)
+
+
+def test_without_a_gait_its_measures_are_nan():
+    found = gait_measures(wj.SimplestWalker(0.3), ("slope",))
+    assert all(np.isnan(one.value) and np.isnan(one.gradient).all() for one in found.values())
+
+
+def test_wrong_arguments_are_refused():
+    walker = wj.SimplestWalker(0.004)
+    with pytest.raises(ValueError, match="parameter must be one of the walker's"):
+        area_gradient(walker, SECTION, ("hip_stiffness",))
+    with pytest.raises(ValueError, match="parameter must be one of the walker's"):
+        disturbance_gradient(walker, ("mass",))
+    with pytest.raises(ValueError, match="levels must not be negative"):
+        area_gradient(walker, SECTION, levels=-1)
+    with pytest.raises(ValueError, match="strides must be at least 1"):
+        area_gradient(walker, SECTION, strides=0)
+    with pytest.raises(ValueError, match="grid must have the 2 dimensions"):
+        area_gradient(walker, wj.Grid.plain(theta=(0, 1, 5)))
+    for bands in [(0.0,), (1e-4, 1e-4), (np.inf,)]:
+        with pytest.raises(ValueError, match="bands must be a number above 0 for each parameter"):
+            area_gradient(walker, SECTION, bands=bands)
+    with pytest.raises(ValueError, match="parameter must be one of the walker's"):
+        gait_measures(walker, ("foot_mass",))

@@ -1,0 +1,391 @@
+"""What walkers are designed for, and how it changes with any of their parameters.
+
+Area. That of a basin is the integral of an indicator, which has no derivative; but the basin's
+boundary is where the margin m of some failure is zero, and moves outwards, at right angles to
+itself, by v = (dm/dp) / |grad m| for each unit of a parameter p. So dA/dp is the integral of v
+along the boundary, by derivatives of strides and margins alone. Where the boundary is fractal the
+area falls by jumps, whose sum that integral misses; there a derivative means something only as its
+average over a band of the parameter, which is the change of the area over the band.
+
+Least disturbance. By the envelope theorem it changes as the nearest point of the boundary does.
+
+Gaits. Their speed, step length, largest multiplier and cost of transport follow from the gait, and
+so do the derivatives, by the implicit function.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from walker_jax.basin import follow
+from walker_jax.cells import Grid
+from walker_jax.gaits import Gait, check_parameter, find_gait, gait_derivatives, with_parameter
+from walker_jax.integrate import default_tolerance
+from walker_jax.refinement import Refined, refined
+from walker_jax.robustness import BEYOND, change_of_margin, least_disturbance
+from walker_jax.tiles import over_cells
+from walker_jax.walkers import Scalar, Walker
+
+HALVINGS = 5
+"""Of the distance between two centres, on the way to the boundary between them."""
+SHARES = 4
+"""Parts of the lines, each a grid of its own, by whose scatter the error is told."""
+GAIT_MEASURES = ("step-length", "speed", "spectral-radius", "cost-of-transport")
+UNSURE = 0.05
+"""Error of an integral along the boundary, to its value, from which on it is not trusted."""
+
+
+class AreaGradient(NamedTuple):
+    """The area of a basin, and how it changes with parameters of the walker."""
+
+    area: float
+    """Within the grid, of all attractors together (rad^2 per unit of time); of a slice, in it."""
+    gradient: Float[np.ndarray, " parameters"]
+    """Its derivatives."""
+    area_error: float
+    error: Float[np.ndarray, " parameters"]
+    """Standard errors; of the gradient, by the scatter between lines of the grid."""
+    averaged: Bool[np.ndarray, " parameters"]
+    """Which derivatives are averages over a band."""
+    crossings: int
+    """Points of the boundary that were met."""
+    lost: int
+    """Those among them beyond which no failure lies, but another motion: they count as fixed."""
+    strides: int
+    """That were made in all, those with derivatives once for each direction."""
+
+
+def area_gradient(
+    walker: Walker,
+    grid: Grid,
+    parameters: Sequence[str] = ("slope",),
+    *,
+    bands: Sequence[float] | Float[np.ndarray, " parameters"] | None = None,
+    levels: int = 2,
+    strides: int = 200,
+    check: int = 100_000,
+    seed: int = 0,
+    tolerance: float | None = None,
+) -> AreaGradient:
+    """The area of the basin within a grid, and its derivatives by parameters of the walker.
+
+    With n the unit normal of the boundary,
+
+        dA/dp = integral of v ds = sum over the axes i of the integral of v |n_i| |n_i| ds,
+
+    and lines of the grid along axis i meet a piece ds of the boundary in proportion to |n_i| ds: so
+    v |n_i| is summed over the points in which lines through the cells' centres cross the boundary.
+    Each is found by halving; beyond it the walker makes some number of strides and then fails, and
+    v follows from the forward-mode derivatives of that failure's margin. There is no smoothing.
+
+    Parts of the basin thinner than a cell are met too rarely for this. Where they matter, as where
+    the boundary is fractal, they have no derivative worth the name either: fingers of failure grow
+    into the basin like the square root of the distance in p from where each is born. Then, that is
+    where the error is more than 1/20 of the integral, and with `bands` given, the derivative is
+    the average over a band of half width h, (A(p + h) - A(p - h)) / 2h, of refined areas.
+
+    **Arguments:**
+
+    - `walker`: of one kind, with numbers for parameters.
+    - `grid`: as in `refine`, by which it is cut where the boundary is; its borders are fixed.
+    - `parameters`: names of the walker's.
+    - `bands`: a half width for each of them, above 0. A band ends where the walker takes no more.
+    - `levels`: how many times cells on the boundary are cut in two.
+    - `strides`: how many of them a walker is followed for.
+    - `check`, `seed`: of the areas, as in `refine`.
+    - `tolerance`: of the integration, as in `stride`.
+
+    Returns zeros where nothing walks. `ValueError` for parameters that the walker does not have,
+    for bands that are not such numbers, and as for `refine`.
+    """
+    widths = checked_bands(walker, parameters, bands)
+
+    def basin_of(walker: Walker) -> Refined:
+        return refined(
+            walker,
+            grid,
+            levels,
+            strides=strides,
+            check=check,
+            seed=seed,
+            tolerance=tolerance,
+            by_centres=True,
+        )
+
+    found = basin_of(walker)
+    integral = along_boundary(walker, found, parameters, strides)
+    gradient, error, made = integral.gradient, integral.error, found.made + integral.strides
+    unsure = ~(error <= UNSURE * np.abs(gradient)) & (found.area > 0)
+    averaged = unsure & (bands is not None)
+    for k in map(int, np.flatnonzero(averaged)):
+        low, high = ends_of_band(walker, parameters[k], widths[k])
+        below, above = basin_of(low), basin_of(high)
+        width = float(getattr(high, parameters[k]) - getattr(low, parameters[k]))
+        gradient[k] = (above.area - below.area) / width
+        error[k] = np.hypot(above.area_error, below.area_error) / width
+        made += below.made + above.made
+    return AreaGradient(
+        area=found.area,
+        gradient=gradient,
+        area_error=found.area_error,
+        error=error,
+        averaged=averaged,
+        crossings=integral.crossings,
+        lost=integral.lost,
+        strides=made,
+    )
+
+
+def checked_bands(
+    walker: Walker,
+    parameters: Sequence[str],
+    bands: Sequence[float] | Float[np.ndarray, " parameters"] | None,
+) -> Float[np.ndarray, " parameters"]:
+    """The widths of bands, of any size where none are given; parameters and they are checked."""
+    for name in parameters:
+        check_parameter(walker, name)
+    widths = np.ones(len(parameters)) if bands is None else np.asarray(bands, float)
+    if widths.shape != (len(parameters),) or not np.all((widths > 0) & (widths < np.inf)):
+        raise ValueError(f"bands must be a number above 0 for each parameter, not {bands}")
+    return widths
+
+
+def ends_of_band(walker: Walker, parameter: str, width: float) -> tuple[Walker, Walker]:
+    """The walkers with a parameter lower and higher by a width, as far as it may be."""
+    value, ends = float(getattr(walker, parameter)), []
+    for step in (-width, width):
+        try:
+            check_parameter(walker, parameter, value + step)
+        except ValueError:
+            step = 0.0
+        ends.append(with_parameter(walker, parameter, jnp.asarray(value + step)))
+    return ends[0], ends[1]
+
+
+class Integral(NamedTuple):
+    """That of v along the boundary, for each parameter."""
+
+    gradient: Float[np.ndarray, " parameters"]
+    error: Float[np.ndarray, " parameters"]
+    crossings: int
+    lost: int
+    strides: int
+
+
+def along_boundary(
+    walker: Walker, found: Refined, parameters: Sequence[str], strides: int
+) -> Integral:
+    """The sum of v |n_i| over the points in which lines of a grid cross the boundary."""
+    if not parameters:
+        return Integral(np.zeros(0), np.zeros(0), 0, 0, 0)
+    walks, fine = found.attractor >= 0, found.grid
+    attractors, tolerance = found.attractors, found.tolerance
+    shape, count = np.array(fine.shape), len(parameters)
+    tangents = np.asarray(fine.shear) * np.asarray(fine.spacing)  # columns: from cell to cell
+    totals = np.zeros((SHARES, count))
+    crossings = lost = made = 0
+
+    def walk(places: Float[np.ndarray, "n axes"]) -> tuple[np.ndarray, np.ndarray]:
+        """Whether walkers come to an attractor, and after how many strides they do or fail."""
+        nonlocal made
+        end = follow(walker, fine.states(places / shape), attractors, tolerance, strides)
+        made += int(end.strides.sum() + (end.fate != 0).sum())
+        return end.attractor >= 0, end.strides
+
+    for axis in range(len(shape)):
+        inside, outside = crossings_along(walks, axis)
+        for _ in range(HALVINGS):
+            middle = (inside + outside) / 2
+            stays = walk(middle)[0][:, None]
+            inside, outside = np.where(stays, middle, inside), np.where(stays, outside, middle)
+        x = fine.states(outside / shape)
+        beyond = walk(outside)[1]
+        change = margin_changes(walker, x, beyond, tangents.T, parameters, tolerance)
+        made += int((beyond + 1).sum()) * change.shape[1]
+        slopes, by_parameter = change[:, : len(shape)], change[:, len(shape) :]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            steepness = np.sum(slopes**2, axis=1)
+            moves = by_parameter * (np.abs(slopes[:, axis]) / steepness)[:, None]
+        known = np.isfinite(moves).all(axis=1)
+        crossings, lost = crossings + len(x), lost + int(np.sum(~known))
+        line = np.delete(np.floor(outside).astype(int), axis, axis=1).sum(axis=1) % SHARES
+        np.add.at(totals, line[known], moves[known])
+    cell = fine.cell_area
+    error = np.sqrt(SHARES) * np.std(totals, axis=0, ddof=1) * cell
+    return Integral(totals.sum(axis=0) * cell, error, crossings, lost, made)
+
+
+def crossings_along(
+    walks: Bool[np.ndarray, "*shape"], axis: int
+) -> tuple[Float[np.ndarray, "n axes"], Float[np.ndarray, "n axes"]]:
+    """Neighbours along an axis of which one walks: that one, and the other.
+
+    As places in the grid, in cells; centres are at halves.
+    """
+    rises = np.delete(walks, 0, axis=axis)
+    index = np.argwhere(rises != np.delete(walks, -1, axis=axis))
+    first, step = index + 0.5, np.eye(walks.ndim)[axis]
+    ahead = rises[tuple(index.T)][:, None]
+    return np.where(ahead, first + step, first), np.where(ahead, first, first + step)
+
+
+def margin_changes(
+    walker: Walker,
+    x: Float[np.ndarray, "n section"],
+    made: Int[np.ndarray, " n"],
+    directions: Float[np.ndarray, "axes section"],
+    parameters: Sequence[str],
+    tolerance: float,
+) -> Float[np.ndarray, "n columns"]:
+    """Derivatives of the margins of the failures of walks from x, along directions and parameters.
+
+    Each walk has `made` some strides when it fails. They are NaN where it does not.
+    """
+    dtype, n = x.dtype, len(x)
+    columns = len(directions) + len(parameters)
+    zero = np.zeros((len(parameters), x.shape[1]), dtype)
+    along = np.tile(np.concatenate([directions.astype(dtype), zero]), (n, 1))
+    names = [None] * len(directions) + list(parameters)
+    by = {name: np.array([name == one for one in names], dtype) for name in vars(walker)}
+    fields = jax.tree.unflatten(
+        jax.tree.structure(walker), [np.tile(by[name], n) for name in vars(walker)]
+    )
+    cells = np.repeat(x, columns, axis=0), np.repeat(made, columns), (fields, along)
+    shared = jax.tree.map(lambda leaf: np.asarray(leaf, dtype), (walker, tolerance))
+    return over_cells(change_of_margin, shared, cells).reshape(n, columns)
+
+
+class DisturbanceGradient(NamedTuple):
+    """The least disturbance of a gait, and how it changes with parameters of the walker."""
+
+    size: float
+    gradient: Float[np.ndarray, " parameters"]
+    averaged: bool
+    """Whether the derivatives are averages over bands."""
+
+
+def disturbance_gradient(
+    walker: Walker,
+    parameters: Sequence[str] = ("slope",),
+    gait: Gait | None = None,
+    *,
+    bands: Sequence[float] | Float[np.ndarray, " parameters"] | None = None,
+    strides: int = 500,
+    tolerance: float | None = None,
+) -> DisturbanceGradient:
+    """The least disturbance, and its derivatives by parameters of the walker.
+
+    At the nearest point of the boundary, x = g + r u with g the gait's state and u of length one,
+    the margin stays zero: dr/dp = -(dm/dp + grad m . dg/dp) / (grad m . u). That u turns matters to
+    second order only. Where two points are as near as each other, the size has a kink; this is the
+    derivative on the side of the one found.
+
+    Where the nearest point leads to another motion instead of a failure it has no margin. Then,
+    with `bands` given, as for `area_gradient`, derivatives are averages over these, as far as the
+    gait is stable there; NaN otherwise.
+
+    Other arguments and errors are those of `least_disturbance`, in its plain metric.
+    """
+    widths = checked_bands(walker, parameters, bands)
+    gait = find_gait(walker, tolerance=tolerance) if gait is None else gait
+    found = least_disturbance(walker, gait, strides=strides, tolerance=tolerance)
+    finest = float(default_tolerance(found.state.dtype, tolerance))
+    beyond = np.asarray(gait.states)[found.phase] + BEYOND[:, None] * found.size * found.direction
+    made, axes = np.full(len(beyond), found.strides, np.int32), np.eye(beyond.shape[1])
+    changes = margin_changes(walker, beyond, made, axes, parameters, finest)
+    moves = [gait_derivatives(walker, gait, name).states[found.phase] for name in parameters]
+    moves = np.array(moves).reshape(len(parameters), len(axes))
+    for change in changes[np.isfinite(changes).all(axis=1)]:
+        slopes, by_parameter = change[: len(axes)], change[len(axes) :]
+        gradient = -(by_parameter + moves @ slopes) / (slopes @ found.direction)
+        return DisturbanceGradient(found.size, gradient, False)
+    if bands is None:
+        return DisturbanceGradient(found.size, np.full(len(widths), np.nan), False)
+    pairs = zip(parameters, widths, strict=True)
+    gradient = [size_over_band(walker, gait, *pair, strides, tolerance) for pair in pairs]
+    return DisturbanceGradient(found.size, np.array(gradient), True)
+
+
+def size_over_band(
+    walker: Walker,
+    gait: Gait,
+    parameter: str,
+    width: float,
+    strides: int,
+    tolerance: float | None,
+) -> float:
+    """Average derivative of the least disturbance over a band, where its ends have the gait."""
+    ends = []
+    for one in (*ends_of_band(walker, parameter, width), walker):
+        there = find_gait(one, gait.states, len(gait.states), tolerance=tolerance)
+        if there.found and there.stable:
+            size = least_disturbance(one, there, strides=strides, tolerance=tolerance).size
+            ends.append((float(getattr(one, parameter)), size))
+    (low, below), (high, above), *_ = ends if len(ends) > 1 else [(0.0, np.nan), (1.0, np.nan)]
+    return (above - below) / (high - low)
+
+
+class Measure(NamedTuple):
+    """A number that a walker may be designed for, and how it changes with its parameters."""
+
+    value: float
+    gradient: Float[np.ndarray, " parameters"]
+
+
+def gait_measures(
+    walker: Walker,
+    parameters: Sequence[str] = ("slope",),
+    gait: Gait | None = None,
+    *,
+    tolerance: float | None = None,
+) -> dict[str, Measure]:
+    """What follows from a gait, and its derivatives by parameters of the walker.
+
+    - "step-length": how far the walker gets by a step, along the slope, on average over the gait;
+    - "speed": that per unit of time;
+    - "spectral-radius": the modulus of the largest multiplier of one stride, the root of that of
+      the gait;
+    - "cost-of-transport": the energy that is lost per unit of weight and of way, sin(slope).
+
+    Arguments are those of `gait_derivatives`; the gait is that of `find_gait` by default. All are
+    NaN where none is found. `ValueError` for parameters that the walker does not have, and for what
+    is no gait of this walker.
+    """
+    for name in parameters:
+        check_parameter(walker, name)
+    gait = find_gait(walker, tolerance=tolerance) if gait is None else gait
+    if not gait.found:
+        nowhere = Measure(np.nan, np.full(len(parameters), np.nan))
+        return dict.fromkeys(GAIT_MEASURES, nowhere)
+    changes = [gait_derivatives(walker, gait, name, tolerance=tolerance) for name in parameters]
+    states, period = np.asarray(gait.states), len(gait.states)
+
+    def way(walker: Walker, states: Float[Array, "period section"]) -> Scalar:
+        """The mean step, each seen at the heel strike that ends it."""
+        before = lambda x: walker.reach(walker.exchange_legs(walker.lift(x)))
+        return jnp.mean(jnp.stack([before(x) for x in states]))
+
+    def along(name: str, dx: Float[np.ndarray, "period section"]) -> float:
+        by = jax.tree.map(jnp.zeros_like, walker)
+        by = with_parameter(by, name, jnp.ones_like(getattr(walker, name)))
+        return float(jax.jvp(way, (walker, jnp.asarray(states)), (by, jnp.asarray(dx)))[1])
+
+    length, time = float(way(walker, jnp.asarray(states))), float(np.mean(gait.step_times))
+    pairs = zip(parameters, changes, strict=True)
+    longer = np.array([along(name, change.states) for name, change in pairs])
+    slower = np.array([np.mean(change.step_times) for change in changes])
+    largest = complex(gait.multipliers[0])
+    radius = abs(largest) ** (1 / period)
+    growth = np.array([(np.conj(largest) * change.multipliers[0]).real for change in changes])
+    slope = float(vars(walker)["slope"])
+    steeper = np.array([float(name == "slope") for name in parameters])
+    return {
+        "step-length": Measure(length, longer),
+        "speed": Measure(length / time, (longer - slower * length / time) / time),
+        "spectral-radius": Measure(radius, radius * growth / abs(largest) ** 2 / period),
+        "cost-of-transport": Measure(np.sin(slope), np.cos(slope) * steeper),
+    }
