@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 
 import walker_jax as wj
-from walker_jax import cli
+from walker_jax import cli, design
 from walker_jax.robustness import without_gait
 from walker_jax.walkers import WALKERS, parameters
 
@@ -373,6 +373,84 @@ def test_answers_on_robustness(run, tmp_path, monkeypatch):
 def test_wrong_robustness(run, tmp_path, arguments, named):
     code, out, err = run("robustness", *arguments)
     assert (code, out) == (2, "") and err.count("\n") == 1 and named in err
+    assert list(tmp_path.iterdir()) == []
+
+
+FASTEST = ["optimise", "--over", "slope", "--bound", "slope=0.001:0.02", "--objective", "speed"]
+FASTEST += ["--at-most", "spectral-radius", "0.9", "--starts", "1", "--scan", "3"]
+
+
+def test_optimise_answers_keeps_and_draws(run, tmp_path, monkeypatch):
+    code, out, err = run(*FASTEST, "--json")
+    assert (code, err) == (0, "")
+    answer = json.loads(out)
+    assert list(answer) == [
+        *("start", "optimum", "objective", "exact", "exact_error", "at_bound", "binding"),
+        *("evaluations", "converged", "walker"),
+    ]
+    assert answer["start"] == {"slope": 0.004} and answer["converged"] is True
+    assert answer["optimum"]["slope"] == pytest.approx(0.0146558225, abs=1e-10)
+    assert answer["at_bound"] == [] and answer["binding"] == ["spectral-radius"]
+    assert set(answer["exact"]) == set(answer["objective"]) == {"start", "optimum"}
+    assert answer["exact"]["start"] == pytest.approx(0.0793169483, abs=1e-10)
+    data = xr.open_zarr(tmp_path / "optimum.zarr", consolidated=False)
+    assert data.sizes["evaluation"] == answer["evaluations"]
+    assert (tmp_path / "optimum.png").read_bytes().startswith(b"\x89PNG")
+    monkeypatch.setattr("walker_jax.optimise", lambda *_, **__: 1 / 0)
+    code, text, _ = run(*FASTEST)
+    assert code == 0 and "held by the limit of spectral-radius; converged" in text
+    assert run(*FASTEST, "--seed", "1")[0] == 2
+
+
+def test_an_interrupted_optimisation_goes_on(run, tmp_path, monkeypatch):
+    measured = design.measured
+
+    def interrupted(problem, stage, values, gait_of):
+        if stage == 1:
+            raise KeyboardInterrupt
+        return measured(problem, stage, values, gait_of)
+
+    monkeypatch.setattr(design, "measured", interrupted)
+    assert run(*FASTEST)[0] == 130
+    assert "found" not in xr.open_zarr(tmp_path / "optimum.zarr", consolidated=False)
+    stages = []
+    monkeypatch.setattr(design, "measured", lambda *all: stages.append(all[1]) or measured(*all))
+    assert run(*FASTEST)[0] == 0
+    assert 0 not in stages and {1, 2, 3} < set(stages)
+
+
+def test_an_optimisation_that_leads_nowhere_ends_with_1_and_a_reason(run, tmp_path):
+    arguments = ["optimise", "--slope", "0.45", "--over", "slope", "--bound", "slope=0.4:0.5"]
+    code, out, err = run(*arguments, "--objective", "spectral-radius", "--starts", "1", "--json")
+    assert (code, out) == (1, "")
+    assert err == "walker-jax: no start leads anywhere: slope 0.45: no gait is found\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        ([], "--over is wanted"),
+        (["--over", "slope"], "--bound is wanted for slope: slope=LO:HI"),
+        (["--over", "mass", "--bound", "mass=1:2"], "not 'mass'"),
+        (["--over", "slope", "--bound", "slope=0.1"], "--bound must be NAME=LO:HI, not slope=0.1"),
+        (["--over", "slope", "--bound", "slope=0.2:0.1"], "bounds of slope"),
+        (["--over", "slope", "--bound", "slope=0:0.1"], "slope must be between 0 and"),
+        (
+            ["--over", "slope", "--bound", "slope=0.1:0.2", "--bound", "foot_mass=1:2"],
+            "--bound is of foot_mass, which is not free: add --over foot_mass",
+        ),
+        ([*FASTEST[1:5], "--objective", "beauty"], "'beauty'"),
+        ([*FASTEST[1:5], "--objective", "area=much"], "--objective must be NAME or NAME=WEIGHT"),
+        ([*FASTEST[1:5], "--at-least", "area", "1"], "'area'"),
+        ([*FASTEST[1:5], "--at-least", "speed", "nan"], "limits of speed must be finite"),
+        ([*FASTEST[1:5], "--starts", "0"], "--starts"),
+        ([*FASTEST[1:5], "--theta", "0", "1", "10"], "give --theta and --sum, or none of them"),
+        ([*FASTEST[1:5], "--at-phidot", "0.1"], "--at-phidot is for walkers"),
+    ],
+)
+def test_wrong_optimisations(run, tmp_path, arguments, named):
+    code, out, err = run("optimise", *arguments)
+    assert (code, out) == (2, "") and named in err and err.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
 
 

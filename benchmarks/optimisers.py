@@ -1,0 +1,178 @@
+"""What does the gradient of a basin's area cost, is it right, and is it worth it?
+
+HEADER
+"""
+
+import time
+from collections.abc import Callable
+
+import jax
+import numpy as np
+from scipy.optimize import NonlinearConstraint, minimize
+
+import walker_jax as wj
+from walker_jax.gaits import with_parameter
+from walker_jax.refinement import refined
+
+SECTION = wj.Grid.sheared(theta=(0, np.pi / 4, 200), sum=(-0.12, 0.06, 200))
+WIDE = wj.Grid.sheared(theta=(0, np.pi / 4, 200), sum=(-0.5, 0.1, 400))
+LEVELS = 4
+"""Of the areas that are compared in the end."""
+PROBLEMS = {
+    "slope, speed at least 0.06": (
+        wj.SimplestWalker(0.008),
+        {"slope": (0.001, 0.02)},
+        {"speed": 0.06},
+        SECTION,
+    ),
+    "slope and hip stiffness, steps at least 0.35": (
+        wj.SpringWalker(0.012, 0.1),
+        {"slope": (0.002, 0.02), "hip_stiffness": (0.0, 1.0)},
+        {"step-length": 0.35},
+        WIDE,
+    ),
+}
+SEEDS = range(5)
+
+
+class Spent(Exception):
+    """All strides have been made that a search may make."""
+
+
+class Search:
+    """The area over parameters, for searches without derivatives, that counts strides."""
+
+    def __init__(self, walker, bounds, limits, grid, strides):
+        self.walker, self.names, self.limits, self.grid = walker, list(bounds), limits, grid
+        self.low, self.high = np.array(list(bounds.values())).T
+        self.left, self.best = strides, (0.0, None)
+
+    def built(self, place):
+        walker = self.walker
+        for name, value in zip(self.names, self.low + (self.high - self.low) * place, strict=True):
+            walker = with_parameter(walker, name, np.asarray(value))
+        return walker
+
+    def slack(self, place):
+        found = wj.gait_measures(self.built(np.clip(place, 0, 1)), ())
+        return [np.nan_to_num(found[name].value, nan=-1) / x - 1 for name, x in self.limits.items()]
+
+    def loss(self, place):
+        """Minus the area, in units of 0.001; zero, and no strides, where a limit is broken."""
+        place = np.clip(place, 0, 1)
+        if self.left <= 0:
+            raise Spent
+        if min(self.slack(place)) < -1e-6:
+            return 0.0
+        options = {"strides": 200, "check": 50_000, "seed": 0, "tolerance": None}
+        found = refined(self.built(place), self.grid, LEVELS - 2, by_centres=True, **options)
+        self.left -= found.made
+        if found.area > self.best[0]:
+            self.best = found.area, place
+        return -1000 * found.area
+
+
+def random_search(search: Search, start, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    while True:
+        search.loss(rng.uniform(size=len(search.names)))
+
+
+def nelder_mead(search: Search, start, seed: int) -> None:
+    """From the start, and again from random places until the strides are spent."""
+    rng = np.random.default_rng(seed)
+    while True:
+        minimize(search.loss, start, method="Nelder-Mead", bounds=[(0, 1)] * len(start))
+        start = rng.uniform(size=len(start))
+
+
+def cobyqa(search: Search, start, seed: int) -> None:
+    """Quadratic models, and limits as constraints; then again, as above."""
+    rng = np.random.default_rng(seed)
+    limits = NonlinearConstraint(search.slack, 0, np.inf)
+    while True:
+        options = {"initial_tr_radius": 0.1, "final_tr_radius": 0.001}
+        bounds = [(0, 1)] * len(start)
+        minimize(
+            search.loss, start, method="COBYQA", bounds=bounds, constraints=limits, options=options
+        )
+        start = rng.uniform(size=len(start))
+
+
+def exact(walker: wj.Walker, grid: wj.Grid) -> float:
+    return float(wj.refine(walker, grid, LEVELS).total_area)
+
+
+def compare(title: str) -> None:
+    walker, bounds, limits, grid = PROBLEMS[title]
+    found = wj.optimise(walker, bounds, at_least=limits, grid=grid, starts=1, levels=LEVELS)
+    climbing = found.isel(evaluation=found.stage.values >= 0)
+    _, first = np.unique(climbing.parameters.values, axis=0, return_index=True)
+    strides, best = int(climbing.strides.sum()), float(found.exact_optimum)
+    values = ", ".join(f"{x:.6g}" for x in found.optimum.values)
+    print(f"\n{title}: from {float(found.exact_start):.6f}; {strides / 1e6:.1f} million strides")
+    print(f"{'by the gradient':18} {best:.6f}  at ({values}), {len(first)} places", flush=True)
+    start = np.array([float(getattr(walker, name)) for name in bounds])
+    low, high = np.array(list(bounds.values())).T
+    searches: list[Callable] = [random_search, nelder_mead, cobyqa]
+    for one in searches:
+        reached = []
+        for seed in SEEDS:
+            search = Search(walker, bounds, limits, grid, strides)
+            try:
+                one(search, (start - low) / (high - low), seed)
+            except Spent:
+                pass
+            place = search.best[1]
+            reached.append(0.0 if place is None else exact(search.built(place), grid) / best)
+        name = one.__name__.replace("_", " ")
+        parts = ", ".join(f"{part:.1%}" for part in sorted(reached))
+        print(f"{name:18} {np.median(reached):.1%} of that ({parts})", flush=True)
+
+
+def accuracy() -> None:
+    print(f"{'slope':>6} {'by area_gradient':>24} {'by a difference':>20} {'apart':>7}  averaged")
+    for slope, half in ((0.003, 1e-3), (0.006, 1e-3), (0.010, 5e-4), (0.013, 5e-4)):
+        found = wj.area_gradient(wj.SimplestWalker(slope), SECTION, levels=4, bands=(half,))
+        ends = [wj.refine(wj.SimplestWalker(slope + h), SECTION, 6, seed=7) for h in (-half, half)]
+        low, high = ends
+        difference = float(high.total_area - low.total_area) / (2 * half)
+        error = np.hypot(float(low.total_area_error), float(high.total_area_error)) / (2 * half)
+        value, own = found.gradient[0], found.error[0]
+        print(
+            f"{slope:6} {value:14.5f} +- {own:.5f} {difference:10.5f} +- {error:.5f} "
+            f"{value / difference - 1:7.1%}  {bool(found.averaged[0])}",
+            flush=True,
+        )
+
+
+def cost(repeats: int = 5) -> None:
+    options = {"strides": 200, "check": 50_000, "seed": 0, "tolerance": None}
+    walker = wj.SimplestWalker(0.004)
+    plain, both = [], []
+    made = 0, 0
+    for _ in range(repeats + 1):  # the first compiles
+        begun = time.perf_counter()
+        area = refined(walker, SECTION, 3, by_centres=True, **options)
+        middle = time.perf_counter()
+        found = wj.area_gradient(walker, SECTION, levels=3, check=50_000)
+        plain.append(middle - begun)
+        both.append(time.perf_counter() - middle)
+        made = area.made, found.strides
+    ratio = np.median(np.array(both[1:]) / np.array(plain[1:]))
+    for name, seconds, strides in (("area", plain, made[0]), ("and gradient", both, made[1])):
+        middle = float(np.median(seconds[1:]))
+        print(f"{name:14} {middle:.2f} s, {strides:,} strides, {strides / middle:,.0f} a second")
+    print(f"the gradient takes {ratio:.2f} times as long as the area alone")
+
+
+def main() -> None:
+    jax.config.update("jax_enable_x64", True)
+    cost()
+    accuracy()
+    for title in PROBLEMS:
+        compare(title)
+
+
+if __name__ == "__main__":
+    main()
