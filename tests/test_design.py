@@ -258,6 +258,25 @@ def test_steps_keep_to_bounds_and_limits():
     assert along_limits(free, np.array([0.0]), np.array([1.0])).tolist() == [1.0]
 
 
+def test_within_their_errors_values_are_not_believed():
+    def row(place, value, gradient, error=0.1):
+        numbers = (np.array([place]), value, error, np.array([gradient]), np.zeros(1))
+        return design.Row(0, 0, *numbers, np.zeros(1), 0)
+
+    problem = problem_of(WALKER, SLOPES)
+    here = row(0.010, 1.0, 1.0)
+    assert design.leads_up(problem, here, row(0.012, 1.5, -1.0))
+    assert not design.leads_up(problem, here, row(0.012, 0.5, 1.0))
+    assert design.leads_up(problem, here, row(0.012, 0.9, 1.0))
+    assert not design.leads_up(problem, here, row(0.012, 1.1, -1.0))  # beyond the top
+    assert not design.leads_up(problem, here, row(0.008, 1.1, 1.0))
+    small = problem._replace(sign=-1.0)
+    assert design.leads_up(small, here, row(0.012, 0.5, 1.0))
+    assert design.leads_up(small, here, row(0.008, 1.1, 1.0))
+    exact = row(0.010, 1.0, 1.0, 0.0)
+    assert design.leads_up(problem, exact, row(0.012, 1.0 + 1e-12, -1.0, 0.0))
+
+
 def test_objectives_have_their_senses():
     assert weights_of("area") == ({"area": 1.0}, 1.0)
     assert weights_of("spectral-radius") == ({"spectral-radius": 1.0}, -1.0)

@@ -67,7 +67,7 @@ NEWTON = 20
 MET, BINDING = 1e-9, 1e-6
 """By how much, relatively, a limit may be missed, and kept where it holds an optimum."""
 SURE = 2
-"""Standard errors by which a rise is told from none."""
+"""Standard errors from which on a difference of values is believed."""
 CHECK = 50_000, 500_000
 """Starts that correct an area on the way, and at the ends."""
 VIEW = 300
@@ -492,12 +492,12 @@ def climb(trace: Trace, run: int, stage: int, place: Float[np.ndarray, " paramet
 
 
 def leads_up(problem: Problem, here: Row, there: Row) -> bool:
-    """Whether a value is higher; or, where errors do not tell, whether the gradient says so."""
+    """Whether a value is higher; where errors do not tell, whether it is uphill at both ends."""
     gain = problem.sign * (there.value - here.value)
-    step = there.parameters - here.parameters
-    rise, doubt = problem.sign * here.gradient @ step, here.gradient_error @ np.abs(step)
-    noise = np.hypot(here.value_error, there.value_error)
-    return bool(gain > (-SURE * noise if rise > SURE * doubt else 0.0))
+    if np.abs(gain) > SURE * np.hypot(here.value_error, there.value_error):
+        return bool(gain > 0)
+    step = problem.sign * (there.parameters - here.parameters)
+    return bool(here.gradient @ step > 0 and there.gradient @ step > 0)
 
 
 def walks(problem: Problem, row: Row) -> bool:
