@@ -419,6 +419,22 @@ def test_an_interrupted_optimisation_goes_on(run, tmp_path, monkeypatch):
     assert 0 not in stages and {1, 2, 3} < set(stages)
 
 
+def test_an_optimum_after_a_start_where_nothing_walks_is_told(capsys):
+    ends = {"start": 0.0, "optimum": 0.002}
+    answer = {
+        "exact": ends,
+        "exact_error": {"start": 0.0, "optimum": 1e-6},
+        "at_bound": ["slope"],
+        "binding": [],
+        "converged": False,
+        "evaluations": 5,
+    }
+    answer |= {end: {"slope": 0.01} for end in ends}
+    cli.print_optimum(wj.SimplestWalker(0.03), answer, "area")
+    told = capsys.readouterr().out
+    assert "changed by +0.002\n" in told and "at a bound of slope; not converged" in told
+
+
 def test_an_optimisation_that_leads_nowhere_ends_with_1_and_a_reason(run, tmp_path):
     arguments = ["optimise", "--slope", "0.45", "--over", "slope", "--bound", "slope=0.4:0.5"]
     code, out, err = run(*arguments, "--objective", "spectral-radius", "--starts", "1", "--json")
@@ -433,16 +449,25 @@ def test_an_optimisation_that_leads_nowhere_ends_with_1_and_a_reason(run, tmp_pa
         (["--over", "slope"], "--bound is wanted for slope: slope=LO:HI"),
         (["--over", "mass", "--bound", "mass=1:2"], "not 'mass'"),
         (["--over", "slope", "--bound", "slope=0.1"], "--bound must be NAME=LO:HI, not slope=0.1"),
-        (["--over", "slope", "--bound", "slope=0.2:0.1"], "bounds of slope"),
+        (["--over", "slope", "--bound", "slope=0.2:0.1"], "--bound of slope must be finite"),
         (["--over", "slope", "--bound", "slope=0:0.1"], "slope must be between 0 and"),
         (
             ["--over", "slope", "--bound", "slope=0.1:0.2", "--bound", "foot_mass=1:2"],
             "--bound is of foot_mass, which is not free: add --over foot_mass",
         ),
-        ([*FASTEST[1:5], "--objective", "beauty"], "'beauty'"),
-        ([*FASTEST[1:5], "--objective", "area=much"], "--objective must be NAME or NAME=WEIGHT"),
+        ([*FASTEST[1:5], "--objective", "beauty"], "--objective must be one of area"),
+        ([*FASTEST[1:5], *["--objective", "speed"] * 2], "--objective must be one NAME, or NAME="),
+        ([*FASTEST[1:5], *["--objective", "speed=1"] * 2], "--objective is given twice for speed"),
+        ([*FASTEST[1:5], "--bound", "slope=0.1:0.2"], "--bound is given twice for slope"),
+        (
+            [*FASTEST[1:5], "--objective", "area=much"],
+            "--objective must be one NAME, or NAME=WEIGHT",
+        ),
         ([*FASTEST[1:5], "--at-least", "area", "1"], "'area'"),
-        ([*FASTEST[1:5], "--at-least", "speed", "nan"], "limits of speed must be finite"),
+        (
+            [*FASTEST[1:5], "--at-least", "speed", "nan"],
+            "--at-least and --at-most of speed must be finite",
+        ),
         ([*FASTEST[1:5], "--starts", "0"], "--starts"),
         ([*FASTEST[1:5], "--theta", "0", "1", "10"], "give --theta and --sum, or none of them"),
         ([*FASTEST[1:5], "--at-phidot", "0.1"], "--at-phidot is for walkers"),

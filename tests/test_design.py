@@ -172,7 +172,7 @@ def test_a_start_where_nothing_walks_is_led_to_where_something_does():
 @pytest.mark.parametrize(
     ("slopes", "reason"),
     [
-        ((0.05, 0.06), "nothing walks; the gait has a multiplier of modulus"),
+        ((0.05, 0.06), "the gait of period one has a multiplier of modulus"),
         ((0.4, 0.5), "no gait is found"),
     ],
 )
@@ -216,9 +216,52 @@ def test_an_interrupted_run_goes_on(tmp_path, monkeypatch):
         for data in (whole, known)
     )
     assert len(made) == len(distinct - before) < len(distinct)
+    # what is kept on the way holds all that is known, lest a second interruption lose it
+    kept.clear()
+    optimise(WALKER, SLOPES, "speed", starts=2, known=known, keep=kept.append)
+    assert len(kept) == len(distinct - before)
+    assert kept[0].sizes["evaluation"] == len(before) + 1
     made.clear()
     xr.testing.assert_identical(optimise(WALKER, SLOPES, "speed", starts=2, known=whole), whole)
     assert not made
+
+
+def test_measurements_of_something_else_are_refused():
+    known = optimise(WALKER, {"slope": (0.019, 0.02)}, "speed", starts=1)
+    with pytest.raises(ValueError, match="known must be of the same objective"):
+        optimise(WALKER, {"slope": (0.019, 0.02)}, "step-length", known=known)
+    with pytest.raises(ValueError, match="known must be of the same bounds"):
+        optimise(WALKER, SLOPES, "speed", known=known)
+
+
+def test_limits_hold_at_a_loose_tolerance():
+    limits = {"spectral-radius": 0.9}
+    found = optimise(WALKER, SLOPES, "speed", starts=1, at_most=limits, tolerance=1e-6)
+    assert float(found.optimum[0]) == pytest.approx(0.01465582, rel=1e-4)
+
+
+def test_parameters_that_the_walker_refuses_together_are_not_tried():
+    walker = wj.RoundFootWalker(0.01, leg_length=0.6, foot_radius=0.3)
+    bounds = {"foot_radius": (0.1, 0.5), "leg_length": (0.4, 1.0)}
+    trace = design.Trace(problem_of(walker, bounds), None, None, False)
+    assert allowed(trace, np.array([1.0, 0.0])) is None
+    assert "foot_radius must be less than leg_length" in design.why_nowhere(
+        trace, np.array([1.0, 0.0])
+    )
+    np.testing.assert_array_equal(allowed(trace, np.array([0.5, 0.5])), [0.5, 0.5])
+
+
+def test_a_stage_that_cannot_begin_keeps_what_was_found(monkeypatch):
+    measured = design.measured
+
+    def failing(problem, stage, values, gait_of):
+        row = measured(problem, stage, values, gait_of)
+        return row._replace(gradient=row.gradient * np.nan) if stage >= 1 else row
+
+    monkeypatch.setattr(design, "measured", failing)
+    found = optimise(WALKER, {"slope": (0.019, 0.02)}, "speed", starts=1)
+    assert bool(found.found) and not found.converged
+    assert float(found.exact_optimum) == pytest.approx(measure("speed", 0.02), rel=1e-9)
 
 
 def problem_of(walker, bounds, **limits):
@@ -243,7 +286,7 @@ def test_places_between_the_bounds():
     assert all(np.all((place > 0) & (place < 1)) for place in starting_places(outside, 3))
 
 
-def test_steps_keep_to_bounds_and_limits():
+def test_steps_keep_to_bounds_and_limits(monkeypatch):
     problem = problem_of(WALKER, SLOPES, speed=(0.06, np.inf))
     trace = design.Trace(problem, None, None, False)
     edge = brentq(lambda slope: measure("speed", slope) - 0.06, 0.001, 0.004)
@@ -253,6 +296,18 @@ def test_steps_keep_to_bounds_and_limits():
     np.testing.assert_array_equal(allowed(trace, np.array([0.5])), [0.5])
     np.testing.assert_allclose(along_limits(trace, back, np.array([-1.0])), [0.0], atol=1e-12)
     assert along_limits(trace, back, np.array([1.0])).tolist() == [1.0]
+    bounds = {**SLOPES, "hip_stiffness": (0.0, 1.0)}
+    both = design.Trace(problem_of(wj.SpringWalker(0.004), bounds), None, None, False)
+    slant = design.Slack("speed", 0.0, np.array([1.0, 2.0]))
+    monkeypatch.setattr(design, "slacks", lambda *_: [slant])
+    # against a limit, and then against a bound as well: no way is left
+    np.testing.assert_allclose(
+        along_limits(both, np.array([0.5, 0.5]), np.array([-1.0, 0.0])), [-0.8, 0.4]
+    )
+    np.testing.assert_allclose(
+        along_limits(both, np.array([0.5, 1.0]), np.array([-1.0, 0.0])), [0.0, 0.0], atol=1e-12
+    )
+    monkeypatch.undo()
     free = design.Trace(problem_of(WALKER, SLOPES), None, None, False)
     assert along_limits(free, np.array([0.0]), np.array([-1.0])).tolist() == [0.0]
     assert along_limits(free, np.array([0.0]), np.array([1.0])).tolist() == [1.0]
@@ -299,12 +354,15 @@ def test_objectives_have_their_senses():
         ({"objective": {}}, "objective must name at least one measure"),
         ({"objective": {"area": 0.0}}, "objective must give area a weight other than 0, not 0.0"),
         ({"at_least": {"area": 0.1}}, "limits must be those of one of step-length, .*'area'"),
-        ({"at_most": {"speed": np.nan}}, "limits of speed must be finite, not nan"),
+        ({"at_most": {"speed": np.nan}}, "limits of speed must be finite numbers, not nan"),
         (
             {"at_most": {"speed": 0.1}, "at_least": {"speed": 0.2}},
             "limits of speed must be the lower first, not 0.2 and 0.1",
         ),
         ({"starts": 0}, "starts must be at least 1, not 0"),
+        ({"seed": -1}, "seed must be at least 0, not -1"),
+        ({"objective": {"speed": "x"}}, "objective must give speed a weight other than 0, not x"),
+        ({"at_least": {"speed": "x"}}, "limits of speed must be finite numbers, not 'x'"),
         ({"strides": 0}, "strides must be at least 1, not 0"),
         ({"levels": -1}, "levels must be at least 0, not -1"),
         ({"scan": -1}, "scan must be at least 0, not -1"),

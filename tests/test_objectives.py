@@ -42,7 +42,7 @@ def test_the_area_falls_with_the_slope(slope, expected):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("slope", "half", "smooth"),
-    [(0.003, 1e-3, True), (0.006, 1e-3, True), (0.010, 5e-4, False), (0.013, 5e-4, False)],
+    [(0.003, 2e-4, True), (0.006, 4e-4, True), (0.010, 5e-4, False), (0.013, 5e-4, False)],
 )
 def test_the_derivative_of_the_area_where_the_edge_is_smooth_and_where_it_is_fractal(
     slope, half, smooth
@@ -50,8 +50,8 @@ def test_the_derivative_of_the_area_where_the_edge_is_smooth_and_where_it_is_fra
     """Within 5 % of a central difference on a finer grid, of which that has the error stated."""
     levels = 3 if smooth else 4
     found = area_gradient(wj.SimplestWalker(slope), SECTION, levels=levels, bands=(half,))
-    expected, error = difference(wj.SimplestWalker, slope, 2 * half, SECTION)
-    assert error < 0.02 * abs(expected)
+    expected, error = difference(wj.SimplestWalker, slope, 2 * half, SECTION, levels=6)
+    assert error < 0.025 * abs(expected)
     assert abs(found.gradient[0] - expected) < 0.05 * abs(expected)
     assert found.averaged.tolist() == [not smooth]
 
@@ -67,7 +67,11 @@ def test_where_the_edge_is_fractal_the_derivative_is_an_average_over_the_band():
 
 def test_bands_end_where_a_parameter_does():
     low, high = ends_of_band(wj.SpringWalker(0.004, 0.1), "hip_stiffness", 0.25)
-    assert [float(vars(one)["hip_stiffness"]) for one in (low, high)] == pytest.approx([0.1, 0.35])
+    ends = [float(vars(one)["hip_stiffness"]) for one in (low, high)]
+    assert ends == pytest.approx([0.1 - 0.25 / 4, 0.35])
+    grid = wj.Grid.sheared(theta=(0.1, 0.3, 20), sum=(-0.02, 0.01, 20))
+    found = area_gradient(wj.SimplestWalker(0.013), grid, levels=0, bands=(2.0,))
+    assert np.isfinite(found.gradient).all()
     low, high = ends_of_band(wj.SpringWalker(0.004, 0.1), "slope", 0.001)
     assert [float(vars(one)["slope"]) for one in (low, high)] == pytest.approx([0.003, 0.005])
 

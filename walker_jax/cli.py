@@ -770,11 +770,11 @@ def optimise(
     ] = None,
     at_least: Annotated[
         tuple[str, float] | None,
-        typer.Option(metavar="NAME VALUE", help="Least speed, step-length, ... of the gait."),
+        typer.Option(metavar="NAME VALUE", help="Least speed, step-length, ...; one limit."),
     ] = None,
     at_most: Annotated[
         tuple[str, float] | None,
-        typer.Option(metavar="NAME VALUE", help="Greatest value of one of them."),
+        typer.Option(metavar="NAME VALUE", help="Greatest value of one of them; one limit."),
     ] = None,
     theta: Annotated[
         Axis | None,
@@ -853,7 +853,10 @@ def optimise(
                 progress=True,
             )
         except ValueError as error:
-            raise ValueError(str(error).replace("at_least", "--at-least")) from error
+            message = str(error)
+            for word, options in NAMED.items():
+                message = message.replace(f"{word} ", f"{options} ", 1)
+            raise ValueError(message) from error
         data = store.save(data, out, request)
     if not data["found"]:
         reasons = "; ".join(dict.fromkeys(data["note"].values.tolist()))
@@ -870,6 +873,16 @@ def optimise(
     print(f"  data set {out}, picture {figure}")
 
 
+NAMED = {
+    "limits of": "--at-least and --at-most of",
+    "limits must be": "--at-least and --at-most must be",
+    "bounds of": "--bound of",
+    "objective must": "--objective must",
+    "grid is": "--theta, --sum and --at-phidot are",
+}
+"""What the library calls arguments of `optimise`, and the options that set them."""
+
+
 def bounds_of(walker: Walker, over: list[str], bound: list[str]) -> dict[str, tuple[float, float]]:
     """The bounds of the parameters that are free."""
     names = [name.replace("-", "_") for name in over]
@@ -881,7 +894,10 @@ def bounds_of(walker: Walker, over: list[str], bound: list[str]) -> dict[str, tu
             pair = float(low), float(high)
         except ValueError:
             raise ValueError(f"--bound must be NAME=LO:HI, not {text}") from None
-        bounds[name.replace("-", "_")] = pair
+        name = name.replace("-", "_")
+        if name in bounds:
+            raise ValueError(f"--bound is given twice for {name}")
+        bounds[name] = pair
     if not names:
         raise ValueError("--over is wanted: a parameter that is free, such as slope")
     for name in names:
@@ -898,13 +914,16 @@ def objective_of(texts: list[str]) -> str | dict[str, float]:
     """One objective by name, or the weights of several."""
     if len(texts) == 1 and "=" not in texts[0]:
         return texts[0]
-    weights = {}
+    weights: dict[str, float] = {}
     for text in texts:
         name, _, weight = text.partition("=")
         try:
-            weights[name] = float(weight or 1)
+            value = float(weight)
         except ValueError:
-            raise ValueError(f"--objective must be NAME or NAME=WEIGHT, not {text}") from None
+            raise ValueError(f"--objective must be one NAME, or NAME=WEIGHT, not {text}") from None
+        if name in weights:
+            raise ValueError(f"--objective is given twice for {name}")
+        weights[name] = value
     return weights
 
 
@@ -935,7 +954,8 @@ def print_optimum(walker: Walker, answer: dict, objective: str) -> None:
         exact, error = answer["exact"][end], answer["exact_error"][end]
         print(f"  {end:8} {values}: {exact:.7g}" + (f" +- {error:.1g}" if error else ""))
     before, after = answer["exact"]["start"], answer["exact"]["optimum"]
-    change = f"{after - before:+.4g}" + (f", by a factor of {after / before:.3f}" * (before > 0))
+    factor = f", by a factor of {after / before:.3f}" if before > 0 else ""
+    change = f"{after - before:+.4g}{factor}"
     print(f"  exactly, it changed by {change}")
     inside = "inside the bounds" if not answer["at_bound"] else ""
     place = inside or f"at a bound of {', '.join(answer['at_bound'])}"

@@ -33,8 +33,9 @@ from walker_jax.objectives import (
     disturbance_gradient,
     gait_measures,
 )
-from walker_jax.refinement import BYTES_PER_CELL, finer, refined
-from walker_jax.robustness import default_region
+from walker_jax.refinement import BYTES_PER_CELL, refined
+from walker_jax.refinement import finer as finer_grid
+from walker_jax.robustness import default_region, is_number
 from walker_jax.walkers import Walker
 
 OBJECTIVES = {
@@ -113,6 +114,14 @@ class Problem(NamedTuple):
             walker = with_parameter(walker, name, jnp.asarray(float(value)))
         return walker
 
+    def refusal(self, values: Float[np.ndarray, " parameters"]) -> str:
+        """What the walker's constructor says against these parameters together, if anything."""
+        try:
+            check_parameter(self.built(values), self.names[0], float(values[0]))
+        except ValueError as error:
+            return str(error)
+        return ""
+
     def named(self, values: Float[np.ndarray, " parameters"]) -> str:
         pairs = zip(self.names, values, strict=True)
         return ", ".join(f"{name} {value:.6g}" for name, value in pairs)
@@ -173,8 +182,10 @@ def optimise(
       these by name, for a sum that is to be large.
     - `at_least`, `at_most`: limits of "speed", "step-length", "spectral-radius" and
       "cost-of-transport", by name.
-    - `grid`: where the area is measured. By default as in `robustness`: of walkers with mass on
-      their legs, the slice around the gait of the first start that has one.
+    - `grid`: where the area is measured, the same for all parameters. By default as in
+      `robustness`: of walkers with mass on their legs, the slice around the gait of the first start
+      that has one. The slice stays where it is as gaits move away, so areas in it compare walkers
+      whose gaits have about the same phidot.
     - `starts`: how many. Those after the first are spread over the bounds.
     - `levels`: of refinement, for the areas at both ends.
     - `strides`: how many of them a walker is followed for.
@@ -191,13 +202,14 @@ def optimise(
     `objective_start` and `objective_optimum`, as this saw them; `exact_start` and `exact_optimum`,
     with standard errors `exact_start_error` and `exact_optimum_error`, which are 0 but of areas;
     `at_bound`, -1 or 1 for parameters that end at their lower or upper bound; `binding`, which
-    measures hold the optimum by their limits; and `converged`, whether it ended where nothing
-    better was near. The trace, over evaluations: `run`, `stage` (-1 for the scan, -2 for the ends),
-    `parameters`, `value` and `value_error`, `gradient` and `gradient_error` (by the parameters),
-    `measures`, and the `strides` that were made for areas; `note`, for each run, says why it led
-    nowhere. `scan_parameters`, `scan_value` and `scan_allowed`, by the limits. `fate_start` and
-    `fate_optimum`: the basins at both ends, on a grid that shows them; -1 where a walker comes to
-    an attractor. Where `found` is false no start led anywhere, and all but the trace is missing.
+    measures hold the optimum by their limits; and `converged`, whether it ended because no step
+    of the last stage, of those tried along the gradient, led higher. The trace, over evaluations:
+    `run`, `stage` (-1 for the scan, -2 for the ends), `parameters`, `value` and `value_error`,
+    `gradient` and `gradient_error` (by the parameters), `measures`, and the `strides` that were
+    made for areas; `note`, for each run, says why it led nowhere. `scan_parameters`, `scan_value`
+    and `scan_allowed`, by the limits. `fate_start` and `fate_optimum`: the basins at both ends, on
+    a grid that shows them; -1 where a walker comes to an attractor. Where `found` is false no start
+    led anywhere, and all but the trace is missing.
 
     Where nothing walks, areas and disturbances are zero and have no gradient: a start there is led,
     by up to eight long steps, to where its gait is more stable, if it has one.
@@ -211,8 +223,10 @@ def optimise(
         check_bounds(walker, name, ends)
     for name, value, least in (
         *(("starts", starts, 1), ("strides", strides, 1)),
-        *(("levels", levels, 0), ("scan", scan, 0)),
+        *(("levels", levels, 0), ("scan", scan, 0), ("seed", seed, 0)),
     ):
+        if not isinstance(value, int | np.integer):
+            raise ValueError(f"{name} must be a whole number, not {value!r}")
         if value < least:
             raise ValueError(f"{name} must be at least {least}, not {value}")
     low, high = np.array([tuple(map(float, ends)) for ends in bounds.values()]).T
@@ -223,9 +237,9 @@ def optimise(
         regions = (default_region(problem.built(problem.values(place))) for place in places)
         problem = problem._replace(grid=next((one for one in regions if one is not None), None))
     if problem.grid is None and "area" in weights:
-        raise ValueError("grid is wanted where no start has a gait of period one")
+        raise ValueError("grid is wanted: no start has a gait of period one to lay it around")
     if problem.grid is not None:
-        check_grid(walker, finer(problem.grid, levels), "direct", each=BYTES_PER_CELL)
+        check_grid(walker, finer_grid(problem.grid, levels), "direct", each=BYTES_PER_CELL)
 
     trace = Trace(problem, known, keep, progress)
     first = [climb(trace, run, 0, place) for run, place in enumerate(places)]
@@ -234,7 +248,9 @@ def optimise(
     last, notes = first[run], {"note": ("start_number", strings(one.note for one in first))}
     for stage in range(1, len(STEPS)):
         if last.best is not None:
-            last = climb(trace, run, stage, problem.place(last.best.parameters))
+            finer = climb(trace, run, stage, problem.place(last.best.parameters))
+            # what walked on a coarse grid alone is still the best that is known
+            last = finer if finer.best is not None else last._replace(converged=False)
     start, best = first[run].start, last.best
     if start is None or best is None:
         return trace.data().assign(notes | {"found": False})
@@ -253,7 +269,7 @@ def weights_of(objective: str | Mapping[str, Any]) -> tuple[dict[str, float], fl
     for name, weight in given.items():
         if name not in OBJECTIVES:
             raise ValueError(f"objective must be one of {', '.join(OBJECTIVES)}, not {name!r}")
-        if not (np.isfinite(weight) and weight != 0):
+        if not (is_number(weight) and np.isfinite(weight) and weight != 0):
             raise ValueError(f"objective must give {name} a weight other than 0, not {weight}")
     weights = {name: float(weight) for name, weight in given.items()}
     return weights, OBJECTIVES[objective] if named else 1.0
@@ -269,8 +285,8 @@ def limits_of(
             if name not in GAIT_MEASURES:
                 known = ", ".join(GAIT_MEASURES)
                 raise ValueError(f"limits must be those of one of {known}, not of {name!r}")
-            if not np.isfinite(value):
-                raise ValueError(f"limits of {name} must be finite, not {value}")
+            if not (is_number(value) and np.isfinite(value)):
+                raise ValueError(f"limits of {name} must be finite numbers, not {value!r}")
             pair = list(limits.get(name, (-np.inf, np.inf)))
             pair[side] = float(value)
             limits[name] = pair[0], pair[1]
@@ -311,6 +327,8 @@ class Trace:
     ):
         self.problem, self.keep = problem, keep
         self.rows: list[Row] = []
+        if known is not None:
+            check_known(problem, known)
         self.known = {} if known is None else {key(row): row for row in rows_of(known)}
         self.gaits: dict[bytes, Gait] = {}
         self.console = Console(stderr=True)
@@ -332,14 +350,19 @@ class Trace:
             with status if self.shown else nullcontext():
                 row = measured(self.problem, stage, values, self.gait)
             self.known[key(row)] = row
-        self.rows.append(row._replace(run=run))
-        if self.keep is not None:
-            self.keep(self.data())
+            self.rows.append(row._replace(run=run))
+            if self.keep is not None:
+                visited = {key(one) for one in self.rows}
+                left = [one for place, one in self.known.items() if place not in visited]
+                self.keep(self.data([*self.rows, *left]))
+        else:
+            self.rows.append(row._replace(run=run))
         return self.rows[-1]
 
-    def data(self) -> xr.Dataset:
+    def data(self, rows: list[Row] | None = None) -> xr.Dataset:
         """The measurements, as `optimise` returns them."""
-        problem, count = self.problem, len(self.rows)
+        rows = self.rows if rows is None else rows
+        problem, count = self.problem, len(rows)
         dims = dict.fromkeys(("parameters", "gradient", "gradient_error"), "parameter")
         dims |= {"measures": "measure"}
         coords = {"parameter": strings(problem.names), "measure": strings(problem.measures)}
@@ -347,7 +370,7 @@ class Trace:
         for name in Row._fields:
             own = [dims[name]] if name in dims else []
             shape = [count, *(len(coords[dim]) for dim in own)]
-            column = np.array([getattr(row, name) for row in self.rows]).reshape(shape)
+            column = np.array([getattr(row, name) for row in rows]).reshape(shape)
             data[name] = ["evaluation", *own], column
         return data
 
@@ -365,6 +388,16 @@ def key(row: Row) -> tuple[int, bytes]:
 def rows_of(data: xr.Dataset) -> list[Row]:
     """The measurements in a data set."""
     return [Row(*row) for row in zip(*(data[name].values for name in Row._fields), strict=True)]
+
+
+def check_known(problem: Problem, known: xr.Dataset) -> None:
+    """Refuse measurements that were made for something else."""
+    for name, value in description(problem).items():
+        own = name.startswith("walker_") and name.removeprefix("walker_") in problem.names
+        if not own and name != "version" and known.attrs.get(name) != value:
+            raise ValueError(
+                f"known must be of the same {name}, {value!r}, not {known.attrs.get(name)!r}"
+            )
 
 
 def description(problem: Problem) -> dict:
@@ -390,6 +423,7 @@ def description(problem: Problem) -> dict:
         "levels": problem.levels,
         "strides_followed": problem.strides,
         "seed": problem.seed,
+        "tolerance": problem.tolerance or 0.0,
         "version": f"walker-jax {version('walker-jax')}",
     }
 
@@ -426,15 +460,7 @@ def measured(
         if "least-disturbance" in problem.weights:
             found["least-disturbance"] = Measure(0.0, np.zeros(len(names)))
             if gait.found and gait.stable:
-                least = disturbance_gradient(
-                    walker,
-                    names,
-                    gait,
-                    bands=bands,
-                    strides=problem.strides,
-                    tolerance=problem.tolerance,
-                )
-                found["least-disturbance"] = Measure(least.size, least.gradient)
+                found["least-disturbance"] = least_disturbed(problem, walker, names, gait, bands)
     weighted = [(weight, found[name]) for name, weight in problem.weights.items()]
     gradient = np.sum([weight * one.gradient for weight, one in weighted], axis=0)
     none = np.full(len(problem.names), np.nan)
@@ -451,6 +477,22 @@ def measured(
     )
 
 
+def least_disturbed(
+    problem: Problem,
+    walker: Walker,
+    names: tuple[str, ...],
+    gait: Gait,
+    bands: Float[np.ndarray, " bands"],
+) -> Measure:
+    """The least disturbance and its gradient; NaN where the search for it fails."""
+    options = {"strides": problem.strides, "tolerance": problem.tolerance}
+    try:
+        least = disturbance_gradient(walker, names, gait, bands=bands, **options)
+    except ValueError:  # the walker returns from everywhere, or the gait is lost to rounding
+        return Measure(np.nan, np.full(len(names), np.nan))
+    return Measure(least.size, least.gradient)
+
+
 def climb(trace: Trace, run: int, stage: int, place: Float[np.ndarray, " parameters"]) -> Climb:
     """Go up from a place by the steps of one stage, until none leads higher."""
     import optax  # here alone: it takes a quarter of a second
@@ -459,7 +501,9 @@ def climb(trace: Trace, run: int, stage: int, place: Float[np.ndarray, " paramet
     if begin is None:
         return Climb(None, None, False, why_nowhere(trace, place))
     start = trace.measure(run, stage, begin)
-    here = start if walks(problem, start) else rescued(trace, run, start)
+    here = start if walks(problem, start) else None
+    if here is None and stage == 0:
+        here = rescued(trace, run, start)
     if here is None:
         return Climb(start, None, False, why_nowhere(trace, begin))
     optimiser = optax.adam(STEPS[stage], b1=0.5, b2=0.9, eps=1e-12)
@@ -508,7 +552,7 @@ def walks(problem: Problem, row: Row) -> bool:
         if name in ("area", "least-disturbance")
     ]
     known = np.isfinite(row.value) and np.isfinite(row.gradient).all()
-    return bool(known) and all(size > 0 for size in sizes)
+    return bool(known) and (not sizes or any(size > 0 for size in sizes))
 
 
 def rescued(trace: Trace, run: int, row: Row) -> Row | None:
@@ -516,7 +560,8 @@ def rescued(trace: Trace, run: int, row: Row) -> Row | None:
     problem = trace.problem
     for _ in range(RESCUES):
         gait = trace.gait(row.parameters)
-        measures = gait_measures(problem.built(row.parameters), problem.names, gait)
+        walker, tolerance = problem.built(row.parameters), problem.tolerance
+        measures = gait_measures(walker, problem.names, gait, tolerance=tolerance)
         growth = measures["spectral-radius"].gradient * (problem.high - problem.low)
         steepest = np.abs(growth).max()
         if not (np.isfinite(steepest) and steepest > 0):
@@ -534,9 +579,11 @@ def rescued(trace: Trace, run: int, row: Row) -> Row | None:
 def why_nowhere(trace: Trace, place: Float[np.ndarray, " parameters"]) -> str:
     """Why nothing can be climbed from a place."""
     problem, values = trace.problem, trace.problem.values(place)
+    where, refusal = problem.named(values), problem.refusal(values)
+    if refusal:
+        return f"{where}: {refusal}"
     measures = gait_measures(problem.built(values), (), trace.gait(values))
     radius = measures["spectral-radius"].value
-    where = problem.named(values)
     if np.isnan(radius):
         return f"{where}: no gait is found"
     for name, (low, high) in problem.limits.items():
@@ -544,7 +591,10 @@ def why_nowhere(trace: Trace, place: Float[np.ndarray, " parameters"]) -> str:
         if not low <= value <= high:
             limit = f"at least {low:g}" if value < low else f"at most {high:g}"
             return f"{where}: {name} is {value:.4g}, and no way was found to {limit}"
-    return f"{where}: nothing walks; the gait has a multiplier of modulus {radius:.4g}"
+    return (
+        f"{where}: nothing walks, or nothing says which way is up; "
+        f"the gait of period one has a multiplier of modulus {radius:.4g}"
+    )
 
 
 class Slack(NamedTuple):
@@ -560,7 +610,8 @@ def slacks(trace: Trace, place: Float[np.ndarray, " parameters"]) -> list[Slack]
     problem, values = trace.problem, trace.problem.values(place)
     if not problem.limits:
         return []
-    measures = gait_measures(problem.built(values), problem.names, trace.gait(values))
+    walker, gait = problem.built(values), trace.gait(values)
+    measures = gait_measures(walker, problem.names, gait, tolerance=problem.tolerance)
     found = []
     for name, ends in problem.limits.items():
         for limit, side in zip(ends, (1, -1), strict=True):
@@ -578,6 +629,8 @@ def allowed(
     """The place, or one near it that keeps all limits; none if that is not found."""
     beyond = None
     for _ in range(NEWTON):
+        if trace.problem.refusal(trace.problem.values(place)):
+            return None
         found = slacks(trace, place)
         broken = [one for one in found if not one.value >= -MET]
         if not broken:
@@ -615,11 +668,14 @@ def along_limits(
     uphill: Float[np.ndarray, " parameters"],
 ) -> Float[np.ndarray, " parameters"]:
     """A direction without what leads out of the bounds, and beyond limits that hold."""
-    for one in slacks(trace, place):
-        if one.value < BINDING and uphill @ one.gradient < 0:
-            uphill = uphill - (uphill @ one.gradient) / np.sum(one.gradient**2) * one.gradient
-    outward = ((place == 0) & (uphill < 0)) | ((place == 1) & (uphill > 0))
-    return np.where(outward, 0.0, uphill)
+    holding = [one.gradient for one in slacks(trace, place) if one.value < BINDING]
+    for _ in range(1 + len(place)):
+        free = ~(((place == 0) & (uphill < 0)) | ((place == 1) & (uphill > 0)))
+        uphill = np.where(free, uphill, 0.0)
+        for gradient in (np.where(free, one, 0.0) for one in holding):
+            if uphill @ gradient < 0:
+                uphill = uphill - (uphill @ gradient) / np.sum(gradient**2) * gradient
+    return uphill
 
 
 def both_ends(trace: Trace, start: Row, best: Row) -> dict:

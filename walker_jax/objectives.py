@@ -30,11 +30,13 @@ from walker_jax.robustness import BEYOND, change_of_margin, least_disturbance
 from walker_jax.tiles import over_cells
 from walker_jax.walkers import Scalar, Walker
 
-HALVINGS = 5
+HALVINGS = 8
 """Of the distance between two centres, on the way to the boundary between them."""
 SHARES = 4
 """Parts of the lines, each a grid of its own, by whose scatter the error is told."""
 GAIT_MEASURES = ("step-length", "speed", "spectral-radius", "cost-of-transport")
+NARROWINGS = 20
+"""Times that a band is halved on a side on which the walker refuses it."""
 UNSURE = 0.05
 """Error of an integral along the boundary, to its value, from which on it is not trusted."""
 
@@ -93,7 +95,8 @@ def area_gradient(
     - `walker`: of one kind, with numbers for parameters.
     - `grid`: as in `refine`, by which it is cut where the boundary is; its borders are fixed.
     - `parameters`: names of the walker's.
-    - `bands`: a half width for each of them, above 0. A band ends where the walker takes no more.
+    - `bands`: a half width for each of them, above 0; less on a side on which the walker takes no
+      such value.
     - `levels`: how many times cells on the boundary are cut in two.
     - `strides`: how many of them a walker is followed for.
     - `check`, `seed`: of the areas, as in `refine`.
@@ -124,7 +127,7 @@ def area_gradient(
     for k in map(int, np.flatnonzero(averaged)):
         low, high = ends_of_band(walker, parameters[k], widths[k])
         below, above = basin_of(low), basin_of(high)
-        width = float(getattr(high, parameters[k]) - getattr(low, parameters[k]))
+        width = float(getattr(high, parameters[k]) - getattr(low, parameters[k])) or np.nan
         gradient[k] = (above.area - below.area) / width
         error[k] = np.hypot(above.area_error, below.area_error) / width
         made += below.made + above.made
@@ -155,12 +158,16 @@ def checked_bands(
 
 
 def ends_of_band(walker: Walker, parameter: str, width: float) -> tuple[Walker, Walker]:
-    """The walkers with a parameter lower and higher by a width, as far as it may be."""
+    """The walkers with a parameter lower and higher by a width, or less if they are none."""
     value, ends = float(getattr(walker, parameter)), []
     for step in (-width, width):
-        try:
-            check_parameter(walker, parameter, value + step)
-        except ValueError:
+        for _ in range(NARROWINGS):
+            try:
+                check_parameter(walker, parameter, value + step)
+                break
+            except ValueError:
+                step /= 2
+        else:
             step = 0.0
         ends.append(with_parameter(walker, parameter, jnp.asarray(value + step)))
     return ends[0], ends[1]
@@ -297,7 +304,10 @@ def disturbance_gradient(
     beyond = np.asarray(gait.states)[found.phase] + BEYOND[:, None] * found.size * found.direction
     made, axes = np.full(len(beyond), found.strides, np.int32), np.eye(beyond.shape[1])
     changes = margin_changes(walker, beyond, made, axes, parameters, finest)
-    moves = [gait_derivatives(walker, gait, name).states[found.phase] for name in parameters]
+    changes_of_gait = [
+        gait_derivatives(walker, gait, name, tolerance=tolerance) for name in parameters
+    ]
+    moves = [change.states[found.phase] for change in changes_of_gait]
     moves = np.array(moves).reshape(len(parameters), len(axes))
     for change in changes[np.isfinite(changes).all(axis=1)]:
         slopes, by_parameter = change[: len(axes)], change[len(axes) :]
@@ -320,13 +330,13 @@ def size_over_band(
 ) -> float:
     """Average derivative of the least disturbance over a band, where its ends have the gait."""
     ends = []
-    for one in (*ends_of_band(walker, parameter, width), walker):
+    for one in ends_of_band(walker, parameter, width):
         there = find_gait(one, gait.states, len(gait.states), tolerance=tolerance)
-        if there.found and there.stable:
-            size = least_disturbance(one, there, strides=strides, tolerance=tolerance).size
-            ends.append((float(getattr(one, parameter)), size))
-    (low, below), (high, above), *_ = ends if len(ends) > 1 else [(0.0, np.nan), (1.0, np.nan)]
-    return (above - below) / (high - low)
+        one, there = (one, there) if there.found and there.stable else (walker, gait)
+        size = least_disturbance(one, there, strides=strides, tolerance=tolerance).size
+        ends.append((float(getattr(one, parameter)), size))
+    (low, below), (high, above) = ends
+    return (above - below) / (high - low) if high > low else np.nan
 
 
 class Measure(NamedTuple):
@@ -352,8 +362,8 @@ def gait_measures(
     - "cost-of-transport": the energy that is lost per unit of weight and of way, sin(slope).
 
     Arguments are those of `gait_derivatives`; the gait is that of `find_gait` by default. All are
-    NaN where none is found. `ValueError` for parameters that the walker does not have, and for what
-    is no gait of this walker.
+    NaN where none is found. `ValueError` for parameters that the walker does not have, and, where
+    there are any, for what is no gait of this walker.
     """
     for name in parameters:
         check_parameter(walker, name)

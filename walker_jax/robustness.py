@@ -686,11 +686,13 @@ def nearest_failure(
     angles to it, or NaN. `ValueError` where nothing fails.
     """
     rank = len(basis)
-    first = scanned(fails, directions(rank, RAYS) @ basis, RADII)
+    rays = directions(rank, RAYS)
+    first = scanned(fails, rays @ basis, RADII)
     # Closer rays, then closer distances too: between those a nearer failure may have been missed.
     # A finger that was met may be missed by the next distances: then what was known is kept.
     dense = directions(rank, DENSE * RAYS)
-    rays, first = nearest_of(fails, dense, basis, 0.0, 1.01 * first.min(), SHELL)
+    near = nearest_of(fails, dense, basis, 0.0, 1.01 * first.min(), SHELL)
+    rays, first = near if near[1].size else (rays[np.isfinite(first)], first[np.isfinite(first)])
     near = nearest_of(fails, dense, basis, 0.9 * first.min(), 1.01 * first.min(), SHELL)
     rays, first = near if near[1].size else (rays, first)
     width = spacing(rank, DENSE * RAYS)
