@@ -402,6 +402,7 @@ def test_optimise_answers_keeps_and_draws(run, tmp_path, monkeypatch):
     assert run(*FASTEST, "--seed", "1")[0] == 2
 
 
+@pytest.mark.slow
 def test_an_interrupted_optimisation_goes_on(run, tmp_path, monkeypatch):
     measured = design.measured
 

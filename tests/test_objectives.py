@@ -56,6 +56,7 @@ def test_the_derivative_of_the_area_where_the_edge_is_smooth_and_where_it_is_fra
     assert found.averaged.tolist() == [not smooth]
 
 
+@pytest.mark.slow
 def test_where_the_edge_is_fractal_the_derivative_is_an_average_over_the_band():
     walker, band = wj.SimplestWalker(0.013), 1e-3
     assert not area_gradient(walker, SECTION, levels=1).averaged[0]
@@ -153,7 +154,8 @@ WALKERS = {
 
 
 @pytest.mark.parametrize(
-    "name", [*list(WALKERS)[:3], pytest.param("round", marks=pytest.mark.slow)]
+    "name",
+    [*list(WALKERS)[:2], *(pytest.param(one, marks=pytest.mark.slow) for one in list(WALKERS)[2:])],
 )
 def test_measures_of_a_gait_change_as_their_derivatives_say(name):
     walker, period, names = WALKERS[name]
