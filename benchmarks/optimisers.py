@@ -1,6 +1,25 @@
 """What does the gradient of a basin's area cost, is it right, and is it worth it?
 
-HEADER
+It takes 2.3 times as long as the area alone, and is within 4 % of differences of areas on finer
+grids; where the edge is fractal it is itself an average over a band, by areas on coarser ones. One
+parameter and a limit are too easy a problem to tell it from searches with models or simplices: by
+the strides of a gradient search of five places these come as far, and random search does not. Best
+areas are given as parts of that of the gradient search, for five seeds; on two busy cores:
+
+area           1.24 s, 434,462 strides, 349,183 a second
+and gradient   2.98 s, 1,206,947 strides, 405,194 a second
+the gradient takes 2.27 times as long as the area alone
+ slope         by area_gradient      by a difference   apart  averaged
+ 0.003       -0.09792 +- 0.00041   -0.09739 +- 0.00072    0.5%  False
+ 0.006       -0.04064 +- 0.00040   -0.04205 +- 0.00036   -3.4%  False
+  0.01       -0.06630 +- 0.00270   -0.06677 +- 0.00037   -0.7%  True
+ 0.013       -0.13540 +- 0.00323   -0.13289 +- 0.00054    1.9%  True
+
+slope, speed at least 0.06: from 0.001492; 5.6 million strides
+by the gradient    0.001931  at (0.00168807), 5 places
+random search      93.5% of that (88.4%, 93.1%, 93.5%, 96.9%, 99.1%)
+nelder mead        100.0% of that (100.0%, 100.0%, 100.0%, 100.0%, 100.0%)
+cobyqa             99.9% of that (99.9%, 99.9%, 99.9%, 99.9%, 99.9%)
 """
 
 import time
@@ -15,8 +34,7 @@ from walker_jax.gaits import with_parameter
 from walker_jax.refinement import refined
 
 SECTION = wj.Grid.sheared(theta=(0, np.pi / 4, 200), sum=(-0.12, 0.06, 200))
-WIDE = wj.Grid.sheared(theta=(0, np.pi / 4, 200), sum=(-0.25, 0.05, 200))
-LEVELS = 3
+LEVELS = 4
 """Of the areas that are compared in the end."""
 PROBLEMS = {
     "slope, speed at least 0.06": (
@@ -25,14 +43,8 @@ PROBLEMS = {
         {"speed": 0.06},
         SECTION,
     ),
-    "slope and hip stiffness, steps at least 0.35": (
-        wj.SpringWalker(0.012, 0.1),
-        {"slope": (0.002, 0.02), "hip_stiffness": (0.0, 1.0)},
-        {"step-length": 0.35},
-        WIDE,
-    ),
 }
-SEEDS = range(3)
+SEEDS = range(5)
 
 
 class Spent(Exception):
