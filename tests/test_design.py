@@ -393,7 +393,7 @@ def test_the_area_over_the_whole_range_of_slopes():
 
 @pytest.mark.slow
 def test_the_least_disturbance_is_largest_within_the_bounds():
-    found = optimise(WALKER, SLOPES, "least-disturbance", starts=5, scan=39)
+    found = optimise(WALKER, SLOPES, "least-disturbance", scan=39)
     assert values(found, "at_bound") == [0] and bool(found.converged)
     assert float(found.optimum[0]) == pytest.approx(0.0077, abs=3e-4)
     assert float(found.exact_optimum) == pytest.approx(0.002355, abs=2e-6)
