@@ -142,6 +142,11 @@ class Basins(NamedTuple):
     strides: Int[np.ndarray, " n"]
     attractors: list["Attractor"]
 
+    @property
+    def made(self) -> int:
+        """Strides that were made, the failing ones among them."""
+        return int(self.strides.sum() + np.sum(self.fate != Outcome.STRIDE))
+
 
 class Attractor(NamedTuple):
     """A cycle of strides, from its state of the smallest angle on; or another attracting set."""

@@ -165,6 +165,12 @@ class Grid(eqx.Module):
         values = self.origin[self.coordinates - len(self.fixed) :]
         return {name: float(value) for name, value in zip(self.fixed, values, strict=True)}
 
+    @property
+    def box(self) -> dict[str, list[float | int] | float]:
+        """[low, high, count] of each axis, and the fixed coordinates; on the host only."""
+        ends = zip(self.names, self.lower, self.upper, self.shape, strict=True)
+        return {name: [float(low), float(high), n] for name, low, high, n in ends} | self.held
+
     def centre(self, index: Int[ArrayLike, ""]) -> Float[Array, " s"]:
         """Centre of a cell, x = origin + shear @ (lower + (i + 1/2) spacing).
 

@@ -685,7 +685,7 @@ def robustness(
         "command": "robustness",
         "walker": about,
         "slopes": None if slopes is None else slopes.tolist(),
-        "axes": axes_of(grid),
+        "axes": {} if grid is None else grid.box,
         "levels": levels,
         "disturbances": disturbances,
         "strides": strides,
@@ -721,8 +721,6 @@ def region_of(
     walker: Walker, theta: Axis | None, sum_: Axis | None, at_phidot: float | None
 ) -> Grid | None:
     """The grid of these axes, if they are given, all or none."""
-    import walker_jax as wj
-
     sliced = "phidot" in walker.section
     if at_phidot is not None and not sliced:
         raise ValueError(f"--at-phidot is for walkers whose section has it, not {walker.section}")
@@ -735,18 +733,10 @@ def region_of(
                 "--phidot", "--at-phidot"
             )
         )
-    grid = wj.Grid.sheared(**given) if given else None
+    grid = Grid.sheared(**given) if given else None
     if grid is not None and min(grid.shape) < 2:
         raise ValueError(f"a picture needs 2 cells or more along each axis, not {grid.shape}")
     return grid
-
-
-def axes_of(grid: Grid | None) -> dict:
-    """The axes of a grid, for a request."""
-    if grid is None:
-        return {}
-    ends = zip(grid.names, grid.lower, grid.upper, grid.shape, strict=True)
-    return {name: [float(low), float(high), n] for name, low, high, n in ends} | grid.held
 
 
 @app.command()
@@ -823,7 +813,7 @@ def optimise(
         "objective": wanted,
         "at_least": least,
         "at_most": most,
-        "axes": axes_of(grid),
+        "axes": {} if grid is None else grid.box,
         "starts": starts,
         "levels": levels,
         "strides": strides,

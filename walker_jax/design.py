@@ -33,8 +33,7 @@ from walker_jax.objectives import (
     disturbance_gradient,
     gait_measures,
 )
-from walker_jax.refinement import BYTES_PER_CELL, refined
-from walker_jax.refinement import finer as finer_grid
+from walker_jax.refinement import BYTES_PER_CELL, finer, refined
 from walker_jax.robustness import default_region, is_number
 from walker_jax.walkers import Walker
 
@@ -71,6 +70,8 @@ SURE = 2
 """Standard errors from which on a difference of values is believed."""
 CHECK = 50_000, 500_000
 """Starts that correct an area on the way, and at the ends."""
+ATTRACTED = -1
+"""In the place of a fate, in those basins: the walker comes to an attractor."""
 VIEW = 300
 """Cells along each axis in which the basins at both ends are shown."""
 
@@ -239,7 +240,7 @@ def optimise(
     if problem.grid is None and "area" in weights:
         raise ValueError("grid is wanted: no start has a gait of period one to lay it around")
     if problem.grid is not None:
-        check_grid(walker, finer_grid(problem.grid, levels), "direct", each=BYTES_PER_CELL)
+        check_grid(walker, finer(problem.grid, levels), "direct", each=BYTES_PER_CELL)
 
     trace = Trace(problem, known, keep, progress)
     first = [climb(trace, run, 0, place) for run, place in enumerate(places)]
@@ -248,9 +249,9 @@ def optimise(
     last, notes = first[run], {"note": ("start_number", strings(one.note for one in first))}
     for stage in range(1, len(STEPS)):
         if last.best is not None:
-            finer = climb(trace, run, stage, problem.place(last.best.parameters))
+            further = climb(trace, run, stage, problem.place(last.best.parameters))
             # what walked on a coarse grid alone is still the best that is known
-            last = finer if finer.best is not None else last._replace(converged=False)
+            last = further if further.best is not None else last._replace(converged=False)
     start, best = first[run].start, last.best
     if start is None or best is None:
         return trace.data().assign(notes | {"found": False})
@@ -331,6 +332,7 @@ class Trace:
             check_known(problem, known)
         self.known = {} if known is None else {key(row): row for row in rows_of(known)}
         self.gaits: dict[bytes, Gait] = {}
+        self.slacks: dict[bytes, list[Slack]] = {}
         self.console = Console(stderr=True)
         self.shown = progress and self.console.is_terminal
 
@@ -407,10 +409,6 @@ def description(problem: Problem) -> dict:
         name: [end if np.isfinite(end) else None for end in ends]
         for name, ends in problem.limits.items()
     }
-    region = {}
-    if (grid := problem.grid) is not None:
-        axes = zip(grid.names, grid.lower, grid.upper, grid.shape, strict=True)
-        region = {name: [float(low), float(high), n] for name, low, high, n in axes} | grid.held
     return {
         "walker": type(problem.walker).__name__,
         **{f"walker_{name}": float(value) for name, value in vars(problem.walker).items()},
@@ -419,7 +417,7 @@ def description(problem: Problem) -> dict:
         "sign": problem.sign,
         "bounds": json.dumps({name: ends for name, *ends in bounds}),
         "limits": json.dumps(limits),
-        "region": json.dumps(region),
+        "region": json.dumps({} if problem.grid is None else problem.grid.box),
         "levels": problem.levels,
         "strides_followed": problem.strides,
         "seed": problem.seed,
@@ -610,6 +608,8 @@ def slacks(trace: Trace, place: Float[np.ndarray, " parameters"]) -> list[Slack]
     problem, values = trace.problem, trace.problem.values(place)
     if not problem.limits:
         return []
+    if values.tobytes() in trace.slacks:
+        return trace.slacks[values.tobytes()]
     walker, gait = problem.built(values), trace.gait(values)
     measures = gait_measures(walker, problem.names, gait, tolerance=problem.tolerance)
     found = []
@@ -620,6 +620,7 @@ def slacks(trace: Trace, place: Float[np.ndarray, " parameters"]) -> list[Slack]
                 value, gradient = measures[name]
                 gradient = gradient * (problem.high - problem.low)
                 found.append(Slack(name, scale * (value - limit), scale * gradient))
+    trace.slacks[values.tobytes()] = found
     return found
 
 
@@ -749,6 +750,6 @@ def compared(problem: Problem, start: Row, best: Row) -> dict:
     fates = {}
     for name, walker in zip(("start", "optimum"), walkers, strict=True):
         data = basin(walker, view, "direct", strides=problem.strides, tolerance=problem.tolerance)
-        fate = np.where(data["attractor"] >= 0, -1, data["fate"]).astype(np.int8)
+        fate = np.where(data["attractor"] >= 0, ATTRACTED, data["fate"]).astype(np.int8)
         fates[f"fate_{name}"] = tuple(grid.names), fate
     return fates | {name: (name, values) for name, values in view.axes.items()}

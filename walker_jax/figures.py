@@ -23,6 +23,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
 from matplotlib.transforms import offset_copy
 
+from walker_jax.design import ATTRACTED, ENDS
 from walker_jax.gaits import Gait
 from walker_jax.stride import Outcome
 
@@ -76,8 +77,6 @@ STAGES = (
     (BASINS[0], 4, "very short"),
 )
 """Colour, size and words of the evaluations in each stage of an optimisation."""
-ENDS, ATTRACTED = -2, -1
-"""In the data set of an optimisation, for a stage, the ends, and for a fate, the basin."""
 FAINT = 0.45
 """Opacity of the runs that did not lead to the optimum."""
 WHOLE: dict[str, Any] = {"clip_on": False, "in_layout": False}

@@ -200,7 +200,7 @@ def along_boundary(
         """Whether walkers come to an attractor, and after how many strides they do or fail."""
         nonlocal made
         end = follow(walker, fine.states(places / shape), attractors, tolerance, strides)
-        made += int(end.strides.sum() + (end.fate != 0).sum())
+        made += end.made
         return end.attractor >= 0, end.strides
 
     for axis in range(len(shape)):

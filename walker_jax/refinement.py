@@ -157,7 +157,7 @@ def refined(
         x = grid.states((places + within) / np.array(grid.shape))
         found = follow(walker, x, attractors, tolerance, strides, progress)
         attractors = found.attractors
-        made += int(found.strides.sum() + (found.fate != Outcome.STRIDE).sum())
+        made += found.made
         return found
 
     fate, attractor = np.zeros(grid.shape, np.int8), np.full(grid.shape, -1, np.int16)
