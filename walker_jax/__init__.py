@@ -20,6 +20,7 @@ from walker_jax.cells import Grid
 from walker_jax.design import optimise
 from walker_jax.gaits import Gait, descend, find_gait, find_gaits, gait_derivatives
 from walker_jax.margins import Margins, margins, margins_of_many
+from walker_jax.motion import motion
 from walker_jax.objectives import (
     AreaGradient,
     DisturbanceGradient,
@@ -99,6 +100,7 @@ __all__ = [
     "loss_of_walking",
     "margins",
     "margins_of_many",
+    "motion",
     "optimise",
     "refine",
     "robustness",

@@ -21,6 +21,7 @@ import jax
 import numpy as np
 import platformdirs
 import typer
+from jax.typing import ArrayLike
 
 from walker_jax.cells import Grid
 from walker_jax.gaits import check_parameter, with_parameter
@@ -46,6 +47,10 @@ Axis = tuple[float, float, int]
 PICTURES = (".png", ".svg", ".pdf")  # those that carry a title, by which a picture is known again
 
 
+WINDOW = {"theta": (0.0, 0.4, 200), "sum": (-0.04, 0.01, 250)}
+"""That of Schwab and Wisse (2001), Figure 4."""
+FRAME = 0.15
+"""Time between two frames of a film: 1/20 s for legs of one metre."""
 PHIDOT_HELP = "Rate between the legs, for walkers whose section has it"
 
 
@@ -173,19 +178,36 @@ def walk(
     thetadot: Annotated[float | None, typer.Option(help="Its rate, rad per unit of time.")] = None,
     phidot: Annotated[float | None, typer.Option(help=f"{PHIDOT_HELP}.")] = None,
     strides: Annotated[int, typer.Option(min=1, help="Strides at most.")] = 9,
+    animate: Annotated[
+        Path | None,
+        typer.Option(help="Where a film goes, .gif, or .mp4 where the program ffmpeg is there."),
+    ] = None,
+    overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
     """Walk from one start, stride by stride, until a failure.
 
-    The simplest walker starts at theta 0.2, thetadot -0.21645 by default, any other in its gait.
+    The simplest walker starts at theta 0.2, thetadot -0.21645 by default, any other in its gait. A
+    film shows it walk, about as fast as one with legs of one metre, and its way over the basin.
     """
     import walker_jax as wj
+    from walker_jax import poses, store
 
     given = {"theta": theta, "thetadot": thetadot, "phidot": phidot}
     given = {name: value for name, value in given.items() if value is not None}
     finite(**given)
     if isinstance(walker, wj.SimplestWalker):
         given = {"theta": 0.2, "thetadot": -0.21645} | given
+    request = {
+        "command": "walk",
+        "walker": description(walker),
+        "start": given,
+        "strides": strides,
+        "version": version("walker-jax"),
+    }
+    if animate is not None:
+        poses.check_film(animate)
+        store.check_picture(animate, request, overwrite=overwrite)
     start = start_of(walker, given) if given else gait_of(walker).states[0]
     states, names, times = [start], [], []
     for _ in range(strides):
@@ -195,6 +217,11 @@ def walk(
         if result.outcome != wj.Outcome.STRIDE:
             break
         states.append(np.asarray(result.state))
+    if animate is not None:
+        shown = wj.motion(walker, start, strides, step=FRAME)
+        data = wj.basin(walker, window(walker, start), "direct", progress=True)
+        signature = store.signature(request)
+        poses.film(shown, animate, data, signature=signature, progress=True)
     if as_json:
         print_json({"states": states, "outcomes": names, "times": times})
         return
@@ -205,6 +232,20 @@ def walk(
         print(f"{i:6}  {row(state)}  {duration:8.4f}  {name}")
     if len(states) > len(names):
         print(f"{'next':>6}  {row(states[-1])}")
+    if animate is not None:
+        print(f"film {animate}")
+
+
+def window(walker: Walker, x: ArrayLike) -> Grid:
+    """The part of the section, or of a slice through it, around the gait; around x if none is."""
+    import walker_jax as wj
+    from walker_jax.basin import around
+
+    if isinstance(walker, wj.SimplestWalker):
+        return Grid.sheared(**WINDOW)
+    gait = wj.find_gait(walker)
+    state = gait.states[0] if gait.found else x
+    return Grid.sheared(**around(state, ("theta", "sum", *walker.section[2:])))
 
 
 def start_of(walker: Walker, given: dict[str, float]) -> np.ndarray:
@@ -527,7 +568,7 @@ def basin(
     if has_phidot:
         axes["phidot"] = at_phidot if phidot is None else phidot
     if isinstance(walker, wj.SimplestWalker):
-        axes = filled(axes, {"theta": (0.0, 0.4, 200), "sum": (-0.04, 0.01, 250)})
+        axes = filled(axes, WINDOW)
     grid_of = wj.Grid.plain if thetadot is not None else wj.Grid.sheared
     # Where an axis is still to be found by a gait, another holds its place.
     shape = grid_of(**filled(axes, {"phidot": 0.0}, default=(0.0, 1.0, 2))).shape
@@ -915,6 +956,36 @@ def objective_of(texts: list[str]) -> str | dict[str, float]:
             raise ValueError(f"--objective is given twice for {name}")
         weights[name] = value
     return weights
+
+
+@app.command()
+def reproduce(
+    out: Annotated[Path, typer.Option(help="The folder of the report.")] = Path("report"),
+    quick: Annotated[
+        bool, typer.Option("--quick", help="With fewer cells and slopes, without exact areas.")
+    ] = False,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Reproduce the paper of Schwab and Wisse (2001): every figure and number, in a report.
+
+    An interrupted run goes on where it was.
+    """
+    from walker_jax import paper
+
+    clock = Stopwatch()
+    numbers = paper.reproduce(out, quick=quick, overwrite=overwrite, progress=True)
+    differ = [number for number in numbers if not number.agrees]
+    if as_json:
+        listed = [number._asdict() for number in numbers]
+        seconds = clock.seconds()
+        print_json({"report": str(out / "report.html"), "numbers": listed, "seconds": seconds})
+        return
+    agree = len(numbers) - len(differ)
+    print(f"{agree} of {len(numbers)} numbers agree at the digits that the paper prints; not so:")
+    for one in differ:
+        print(f"  {one.where}, {one.what}: printed {one.printed}, ours {one.ours}. {one.why}")
+    print(f"  report {out / 'report.html'}")
 
 
 def optimum(data) -> dict:

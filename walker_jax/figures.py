@@ -272,6 +272,97 @@ def basin_slices(data: xr.Dataset) -> Figure:
     return figure
 
 
+def basins_in_a_row(data: xr.Dataset) -> Figure:
+    """Basins of attraction at several slopes, side by side, with colours as in `basin`.
+
+    Figure 7 of Schwab and Wisse (2001).
+
+    **Arguments:**
+
+    - `data`: `fate` and `attractor` over `slope` and two axes of the section, and over `slope` the
+      `area` of all basins.
+
+    **Returns** the figure, of three panels in a row.
+    """
+    slopes, (x, y) = data["slope"].values.tolist(), map(str, data["fate"].dims[1:])
+    rows = -(-len(slopes) // 3)
+    figure = Figure(figsize=(10, 3 * rows + 0.9), layout="constrained")
+    panels = figure.subplots(rows, 3, sharex=True, sharey=True, squeeze=False)
+    fate, attractor = data["fate"].values, data["attractor"].values
+    walks = fate == Outcome.STRIDE
+    found = [
+        Region(walks & (attractor >= 0), BASINS[0], "A", "basin of attraction"),
+        Region(walks & (attractor < 0), ASTRAY, "", "walks on, near no attractor"),
+        *failures(fate),
+    ]
+    regions = [region for region in found if region.cells.any()]
+    extent = (*ends(data[x].values), *ends(data[y].values))
+    image = painted(regions, fate.shape)
+    for k, ax in enumerate(panels.flat):
+        if k >= len(slopes):
+            ax.set_visible(False)
+            continue
+        show(ax, image[k], extent)
+        area = float(data["area"][k])
+        note = area_of_basin(area) if area else "no basin of attraction"
+        ax.set_title(f"slope {slopes[k]:g} rad", **TITLE | {"fontsize": 10, "pad": 16})
+        ax.annotate(note, (0, 1), (0, 5), "axes fraction", "offset points", fontsize=8)
+    for ax in panels[-1]:
+        ax.set_xlabel(AXIS_LABELS.get(x, x), fontsize=WORDS)
+    for ax in panels[:, 0]:
+        ax.set_ylabel(AXIS_LABELS.get(y, y), fontsize=WORDS)
+    patches = [Patch(fc=region.colour, ec=INK, lw=0.5, label=region.words) for region in regions]
+    figure.legend(handles=patches, loc="outside lower left", ncols=3, frameon=False, fontsize=WORDS)
+    return figure
+
+
+def stability_and_area(gaits: xr.Dataset, sizes: xr.Dataset, ax: Axes | None = None) -> Axes:
+    """Modulus of the largest multiplier of the gait, and area of the basin, against the slope.
+
+    Figure 8 of Schwab and Wisse (2001).
+
+    **Arguments:**
+
+    - `gaits`: what `walker_jax.bifurcation_diagram` returns, over the slope.
+    - `sizes`: over `slope`, the `mapped_area` by cell mapping, and the `area` by refinement, NaN
+      where it is not known.
+    - `ax`: where to draw; by default, on a new figure of 8 by 4.8 inches.
+
+    **Returns** the axes, of the multiplier; those of the area share it.
+    """
+    check(gaits, GAITS)
+    if ax is None:
+        ax = Figure(figsize=(8, 4.8), layout="constrained").add_subplot()
+    ax.axhline(1, color=INK, lw=0.8, zorder=1)
+    colour, slopes = MEASURES["multiplier"][0], sizes["slope"].values
+    for curve in map(refined, cascade(gaits)[:1]):
+        draw_curve(ax, curve, np.abs(curve.multipliers).max(axis=1, keepdims=True))
+    ax.set(xlim=(0, slopes.max()), ylim=(0, HIGHEST))
+    ax.set_xlabel(AXIS_LABELS["slope"], fontsize=11)
+    ax.set_ylabel("modulus of the largest multiplier", fontsize=11)
+    other = ax.twinx()
+    areas = other.plot(
+        slopes, sizes["mapped_area"], "s", color=BASINS[1], ms=5, mfc="none", label="cell mapping"
+    )
+    known = np.isfinite(sizes["area"].values)
+    if known.any():
+        areas += other.plot(
+            *(slopes[known], sizes["area"].values[known], "-o"),
+            color=BASINS[0],
+            ms=3,
+            label="refined, exact to the width of the line",
+        )
+    other.set_ylim(0)
+    other.set_ylabel("area of the basin (rad² / √(l/g))", fontsize=11, color=BASINS[0])
+    write_title(ax, "Stability of the gait, and area of its basin", "SimplestWalker")
+    line = Line2D([], [], color=colour, **SOLID, label="largest multiplier; dashed: unstable")
+    place_legend(ax, [line], BELOW, columns=1)
+    for handle in areas:
+        handle.set_label(f"area, {handle.get_label()}")
+    place_legend(ax, areas, BELOW + LINE, columns=2)
+    return ax
+
+
 def notable_attractors(data: xr.Dataset) -> list[int]:
     """Numbers of the attractors whose basins are drawn each in a colour, the largest first."""
     walks = data["fate"].values == Outcome.STRIDE

@@ -60,6 +60,13 @@ def save(data: xr.Dataset, path: Path, request: dict) -> xr.Dataset:
     return data
 
 
+def write(path: Path, text: str) -> None:
+    """Write a file at `path`, in the place of any that stands there, whole or not at all."""
+    draft = path.with_name(f".{path.name}.new")
+    draft.write_text(text, encoding="utf-8")
+    draft.replace(path)
+
+
 def load(path: Path) -> xr.Dataset | None:
     """The data set at `path`, in memory, or None where it cannot be read."""
     try:
