@@ -418,6 +418,28 @@ def test_trajectory_equals_the_independent_solution(swing):
     np.testing.assert_allclose(states, solution.y.T, rtol=0, atol=1e-11)
 
 
+def test_trajectory_and_walk_are_the_same_under_jit(swing):
+    """There diffrax and XLA make them, a program of their own otherwise."""
+    times, states = swing
+    walker, start = SimplestWalker(GAIT["slope"]), np.array(GAIT["state"])
+    traced = jax.jit(wj.trajectory)(walker, start, times)
+    np.testing.assert_allclose(np.stack(traced, axis=1), states, rtol=0, atol=2e-12)
+    begin = np.array([0.2, -0.2])
+    plain, traced = wj.walk(walker, begin, 8), jax.jit(wj.walk, static_argnums=2)(walker, begin, 8)
+    np.testing.assert_array_equal(plain.outcomes, traced.outcomes)
+    np.testing.assert_allclose(plain.states, traced.states, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(plain.times, traced.times, rtol=0, atol=1e-11)
+
+
+def test_walk_is_nan_after_a_failure():
+    """Whether it is traced or not, and its outcome stays that of the failure."""
+    walker, start = SimplestWalker(0.004), np.array([0.2, -0.23])
+    for found in (wj.walk(walker, start, 3), jax.jit(wj.walk, static_argnums=2)(walker, start, 3)):
+        assert found.outcomes.tolist() == [Outcome.FORWARD] * 3
+        assert found.outcomes.dtype == np.int8
+        assert np.isnan(found.states[1:]).all() and np.isnan(found.times).all()
+
+
 def test_trajectory_keeps_the_energy_of_the_stance_leg(swing):
     theta, _, thetadot, _ = swing[1].T
     energy = thetadot**2 / 2 + np.cos(theta - GAIT["slope"])

@@ -337,7 +337,7 @@ def stability_and_area(gaits: xr.Dataset, sizes: xr.Dataset, ax: Axes | None = N
     colour, slopes = MEASURES["multiplier"][0], sizes["slope"].values
     for curve in map(refined, cascade(gaits)[:1]):
         draw_curve(ax, curve, np.abs(curve.multipliers).max(axis=1, keepdims=True))
-    ax.set(xlim=(0, slopes.max()), ylim=(0, HIGHEST))
+    ax.set(xlim=(0, 1.02 * slopes.max()), ylim=(0, HIGHEST))
     ax.set_xlabel(AXIS_LABELS["slope"], fontsize=11)
     ax.set_ylabel("modulus of the largest multiplier", fontsize=11)
     other = ax.twinx()

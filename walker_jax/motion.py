@@ -62,19 +62,18 @@ def motion(
     starts = np.asarray(made.states)[: count + (not failed.any())]
 
     steps = np.where(failed[:count], FALL, durations) / step
-    frames = 1 + np.maximum(1, np.round(steps)).astype(int)
+    frames = (1 + np.maximum(1, np.round(steps)).astype(int)).tolist()
     parts, places, foot = [], [], 0.0
     length, radius = shape_of_legs(walker)
     for k in range(count):
         end = FALL if failed[k] else durations[k]
         times = np.linspace(0, end, frames[k])
-        # of one length for all, so that there is one program
-        padded = np.concatenate([times, np.full(frames.max() - len(times), end)])
-        states = trajectory(walker, starts[k], padded, tolerance=tolerance)
-        states = first(states, frames[k])
+        states = trajectory(walker, starts[k], times, tolerance=tolerance)
+        states = jax.tree.map(np.asarray, states)
         if failed[k]:
             over = ended(walker, states, Outcome(int(outcomes[k])))
-            states = first(states, max(1, int(over.argmax())) if over.any() else len(over))
+            end = max(1, int(over.argmax())) if over.any() else len(over)
+            states = jax.tree.map(lambda values, end=end: values[:end], states)
         parts.append(states)
         places.append(ends_of_legs(states, foot, length, radius))
         foot += float(walker.reach(jax.tree.map(lambda values: jnp.asarray(values[-1]), states)))
@@ -140,8 +139,3 @@ def ended(walker: Walker, states: State, outcome: Outcome) -> Bool[np.ndarray, "
     pulls = np.asarray(jax.vmap(lambda state: in_tension(walker, state))(each))
     strikes = np.asarray(jax.vmap(walker.contact)(each)) > 0
     return pulls | (strikes & (np.asarray(states.theta) < 0) & (np.asarray(states.phi) < 0))
-
-
-def first(states: State, count: int) -> State:
-    """The first frames, as NumPy arrays."""
-    return jax.tree.map(lambda values: np.asarray(values)[:count], states)

@@ -26,9 +26,13 @@ table { border-collapse: collapse; width: 100%; font-size: 0.9rem;
 th, td { padding: 0.35rem 0.7rem 0.35rem 0; text-align: left; vertical-align: top;
   border-bottom: 1px solid var(--line); }
 th { color: var(--faint); font-weight: 600; }
-td:nth-child(-n+4) { white-space: nowrap; }
-td:last-child { min-width: 16rem; }
 .mark { color: var(--mark); font-weight: 600; }
+@media (max-width: 44rem) {
+  thead { display: none; }
+  tr { display: block; padding: 0.6rem 0; border-bottom: 1px solid var(--line); }
+  td { display: block; border: 0; padding: 0.1rem 0; }
+  td:empty { display: none; }
+  td[data-head]::before { content: attr(data-head) ": "; color: var(--faint); } }
 """
 
 
@@ -61,9 +65,14 @@ def picture(title: str, png: bytes, caption: str) -> str:
 
 
 def table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table, which scrolls where the page is narrow. Cells that say `differs` stand out."""
-    cell = lambda text: f'<td class="mark">{text}</td>' if text == "differs" else f"<td>{text}</td>"
-    lines = ["".join(cell(escape(text)) for text in row) for row in rows]
+    """A table, whose rows are stacked on a narrow page. Cells that say `differs` stand out."""
+
+    def cell(name: str, text: str) -> str:
+        label = f' data-head="{escape(name)}"' * bool(name)
+        mark = ' class="mark"' * (text == "differs")
+        return f"<td{label}{mark}>{escape(text)}</td>"
+
+    lines = ["".join(map(cell, head, row)) for row in rows]
     names = "".join(f"<th>{escape(name)}</th>" for name in head)
     body = "".join(f"<tr>{row}</tr>" for row in lines)
     return (

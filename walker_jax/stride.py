@@ -36,7 +36,9 @@ from walker_jax.integrate import (
     order_of,
     packed,
     paired,
+    polynomial,
     step,
+    step_length,
     unpacked,
 )
 from walker_jax.taylor import fast_sines, function_series, solution_series
@@ -524,7 +526,16 @@ def walk(
     walker, x, tolerance = prepared(walker, x, tolerance)
     if x.shape != (len(walker.section),):
         raise ValueError(f"x must be on the section {walker.section}, not of shape {x.shape}")
-    return follow_walk(walker, x, n, tolerance)
+    if not kernel_serves(walker, x, tolerance):
+        return follow_walk(walker, x, n, tolerance)
+    states, outcomes, times = [x], [], []
+    for _ in range(n):
+        result = stride(walker, states[-1], tolerance=tolerance)
+        failed = bool(outcomes) and outcomes[-1] != Outcome.STRIDE
+        outcomes.append(outcomes[-1] if failed else result.outcome)
+        states.append(result.state)
+        times.append(result.time)
+    return Walk(jnp.stack(states), jnp.stack(outcomes), jnp.stack(times))
 
 
 @partial(jax.jit, static_argnums=2)
@@ -562,7 +573,39 @@ def trajectory(
         steps = np.diff(listed, prepend=0.0)
         if listed.size == 0 or not (np.isfinite(steps) & (steps >= 0)).all():
             raise ValueError(f"times must be finite, not negative and not decrease, unlike {times}")
+    if kernel_serves(walker, x, times, tolerance):
+        shared = jax.tree.map(np.asarray, (walker, x, tolerance))
+        return jax.tree.map(jnp.asarray, over_cells(state_after, shared, np.asarray(times)))
     return follow_motion(walker, x, times, tolerance)
+
+
+def state_after(shared: tuple[Walker, Float[Array, " coordinates"], Scalar], time: Scalar) -> State:
+    """The state a time after the start of a stride."""
+    walker, x, tolerance = shared
+    start, field = full_state(walker, x), equations(walker)
+    structure, order = jax.tree.structure(start), order_of(field, start)
+
+    def unfinished(carry):
+        _, clock, count = carry
+        return (clock < time) & (count < MAX_STEPS)
+
+    def advance(carry):
+        now, clock, count = carry
+
+        def take_step():
+            series = solution_series(field, unpacked(now, structure), order)
+            length = jnp.minimum(step_length(series, tolerance), time - clock)
+            return [*interleaved(polynomial(series, length)), length]
+
+        *after, length = once(take_step)
+        # to the end without rounding, or a step of no length would follow
+        clock = jnp.where(length < time - clock, clock + length, time)
+        return paired(after), clock, count + 1
+
+    carry = packed(start), jnp.zeros_like(time), jnp.asarray(0)
+    state, clock, _ = lax.while_loop(unfinished, advance, carry)
+    arrived = lambda value: jnp.where(clock >= time, value, jnp.nan)
+    return jax.tree.map(arrived, unpacked(state, structure))
 
 
 @jax.jit

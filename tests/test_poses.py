@@ -1,0 +1,109 @@
+"""Pictures of walkers in motion show what was computed."""
+
+import numpy as np
+import pytest
+from matplotlib.animation import FFMpegWriter
+from PIL import Image
+
+import walker_jax as wj
+from walker_jax import poses
+
+SLOPE = 0.004
+
+
+@pytest.fixture(scope="module")
+def walk():
+    return wj.motion(wj.SimplestWalker(SLOPE), np.array([0.2, -0.21645]), 9, step=0.4)
+
+
+@pytest.fixture(scope="module")
+def data():
+    grid = wj.Grid.sheared(theta=(0, 0.4, 40), sum=(-0.04, 0.01, 50))
+    return wj.basin(wj.SimplestWalker(SLOPE), grid, "direct")
+
+
+def test_a_step_is_drawn_in_six_poses_with_hip_and_feet_where_they_are(walk):
+    figure = poses.step(walk)
+    assert len(figure.axes) == 6
+    first = walk.isel(frame=0)
+    c, s = np.cos(SLOPE), np.sin(SLOPE)
+    seen = lambda place: [place[0] * c + place[1] * s, place[1] * c - place[0] * s]
+    drawn = [line.get_xydata()[-1] for line in figure.axes[0].lines]
+    for name in ("hip", "stance", "swing"):
+        place = seen(first[name].values)
+        assert min(np.abs(np.asarray(xy) - place).max() for xy in drawn) < 1e-12
+    names = [text.get_text() for text in figure.axes[1].texts]
+    assert {r"$\theta$", r"$\phi$", "$g$"} <= set(names)
+    figure.draw_without_rendering()
+
+
+def test_the_ground_goes_down_to_the_right(walk):
+    figure = poses.step(walk)
+    ground = figure.axes[0].lines[0].get_xydata()
+    (x0, y0), (x1, y1) = ground
+    assert x1 > x0 and (y1 - y0) / (x1 - x0) == pytest.approx(-np.tan(SLOPE))
+
+
+def test_leg_angles_have_a_line_for_each_leg_and_stride_and_mark_the_strikes(walk):
+    ax = poses.leg_angles(walk)
+    curves = [line for line in ax.lines if len(line.get_xdata()) > 2]
+    assert len(curves) == 2 * 9
+    own = walk.isel(frame=walk["stride"].values == 0)
+    np.testing.assert_array_equal(curves[0].get_ydata(), own["theta"])
+    np.testing.assert_array_equal(curves[1].get_ydata(), own["theta"] - own["phi"])
+    assert len(ax.lines) == 1 + 8 + 2 * 9  # the normal, heel strikes but the last, curves
+    assert "9 strides" in [text.get_text() for text in ax.texts]
+
+
+def test_leg_angles_say_how_a_walk_ends():
+    data = wj.motion(wj.SimplestWalker(SLOPE), np.array([0.2, -0.23]), 9, step=0.4)
+    ax = poses.leg_angles(data)
+    assert "0 strides, then falls forward" in [text.get_text() for text in ax.texts]
+
+
+def test_the_way_over_a_basin_is_that_of_the_walk(walk, data):
+    figure = poses.steps_over_basin(data, walk)
+    theta, thetadot = walk["states"].values.T
+    for ax in figure.axes:
+        way = next(line.get_xydata() for line in ax.lines if len(line.get_xdata()) == 10)
+        np.testing.assert_allclose(way, np.stack([theta, theta + thetadot], axis=1))
+    numbers = [text.get_text() for ax in figure.axes for text in ax.texts]
+    assert [str(k) for k in range(1, 11)] == [text for text in numbers if text.isdigit()]
+
+
+def test_a_film_has_all_frames_and_carries_its_signature(walk, data, tmp_path):
+    path = tmp_path / "walk.gif"
+    short = walk.isel(frame=slice(0, 20))
+    poses.film(short, path, data, signature="of a request")
+    with Image.open(path) as film:
+        assert film.n_frames == 20 and film.info["comment"] == b"of a request"
+        assert film.info["duration"] == 50 and film.info["loop"] == 0
+        first = np.asarray(film.convert("RGB"), int)
+        film.seek(19)
+        last = np.asarray(film.convert("RGB"), int)
+    assert np.abs(first - last).max() > 100 and first.std() > 10
+    assert [one.name for one in tmp_path.iterdir()] == ["walk.gif"]
+
+
+def test_a_film_of_the_walker_alone(walk, tmp_path):
+    path = tmp_path / "walk.gif"
+    poses.film(walk.isel(frame=slice(0, 3)), path)
+    with Image.open(path) as film:
+        assert film.n_frames == 3
+
+
+def test_an_interrupted_film_leaves_what_was_there(walk, tmp_path, monkeypatch):
+    path = tmp_path / "walk.gif"
+    path.write_bytes(b"before")
+    monkeypatch.setattr(poses, "draw_pose", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        poses.film(walk, path)
+    assert path.read_bytes() == b"before" and len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_film_needs_an_ending_and_mp4_needs_ffmpeg(walk, tmp_path, monkeypatch):
+    with pytest.raises(ValueError, match=r"a film must end in one of \.gif, \.mp4, not .*walk.png"):
+        poses.film(walk, tmp_path / "walk.png")
+    monkeypatch.setattr(FFMpegWriter, "isAvailable", classmethod(lambda cls: False))
+    with pytest.raises(ValueError, match="takes the program ffmpeg"):
+        poses.film(walk, tmp_path / "walk.mp4")
