@@ -67,7 +67,7 @@ def find_gait(
     *,
     tolerance: Real | None = None,
 ) -> Gait:
-    """The gait to which Newton's iteration (24) leads from a guess.
+    """The gait to which Newton's iteration (26) leads from a guess.
 
     Works under `jax.jit`, `jax.vmap` and `jax.jacfwd`. Derivatives with respect to the walker's
     parameters are those of the implicit function: d(state)/dp = (I - J)^{-1} dS/dp for a period of

@@ -112,7 +112,7 @@ def stride(
     - `x`: the start, on the walker's section just after heel strike; or a full state
       (theta, phi, thetadot, phidot), for a launch or after a push. That is feasible where it is
       finite and the stance leg stands, |theta| < pi/2.
-    - `tolerance`: of one step's last Taylor terms, relative to the state.
+    - `tolerance`: of one step's last Taylor terms, relative to the state or its rate.
 
     **Returns** a `Stride`. A failure is an `Outcome`. `ValueError` for a wrong shape or dtype, and
     for a tolerance that the dtype cannot hold.

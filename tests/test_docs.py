@@ -1,4 +1,4 @@
-"""The README's programs run."""
+"""The programs in the pages run."""
 
 import re
 from pathlib import Path
@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-README = Path(__file__).parent.parent / "README.md"
+PAGE = Path(__file__).parent.parent / "docs" / "walkers.md"
 
 
 def program(title):
-    """The Python program of the README that follows a comment."""
-    (found,) = re.findall(rf"<!-- {title} -->\n```python\n(.*?)```", README.read_text(), re.S)
+    """The Python program of the page that follows a comment."""
+    (found,) = re.findall(rf"<!-- {title} -->\n```python\n(.*?)```", PAGE.read_text(), re.S)
     return found
 
 
@@ -24,7 +24,7 @@ def test_a_walker_of_your_own_takes_less_than_60_lines():
 def test_a_walker_of_your_own_has_a_gait_and_a_picture(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {"__name__": "own"}
-    exec(compile(program("a walker of your own"), "README.md", "exec"), names)
+    exec(compile(program("a walker of your own"), PAGE.name, "exec"), names)
     assert names["gait"].stable and np.abs(names["gait"].multipliers[0]) < 1
     assert int((names["data"].fate == 0).sum()) > 500
     assert (tmp_path / "shank.png").stat().st_size > 20_000
