@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from PIL import Image
 
 import walker_jax as wj
-from walker_jax import cli, design
+from walker_jax import cli, design, paper
 from walker_jax.robustness import without_gait
 from walker_jax.walkers import WALKERS, parameters
 
@@ -51,6 +52,39 @@ def test_walk_ends_with_the_stride_that_failed(run):
     assert answer["times"][-1] is None
     code, out, _ = run("walk", "--thetadot", "-0.23", "--strides", "20")
     assert code == 0 and "FORWARD" in out and "nan" in out
+
+
+def test_walk_makes_a_film_which_is_not_replaced_by_another(run, tmp_path):
+    command = ["walk", "--strides", "1", "--animate", "w.gif"]
+    code, out, err = run(*command)
+    assert (code, err) == (0, "") and "film w.gif" in out
+    with Image.open(tmp_path / "w.gif") as film:
+        assert film.n_frames == 21  # 2.93 at 0.15, and the first
+    before = (tmp_path / "w.gif").read_bytes()
+    assert run(*command)[0] == 0
+    code, _, err = run(*command, "--theta", "0.21")
+    assert code == 2 and "w.gif is something else" in err and len(err.splitlines()) == 1
+    assert (tmp_path / "w.gif").read_bytes() == before
+
+
+def test_reproduce_prints_what_differs_and_refuses_other_places(run, tmp_path, monkeypatch):
+    found = [
+        paper.Number("5.2", "slope", "0.022", "0.019", False, "No cells."),
+        paper.Number("5.1", "fate", "F", "F", True, ""),
+    ]
+    monkeypatch.setattr(paper, "reproduce", lambda out, **_: found)
+    code, out, _ = run("reproduce", "--quick")
+    assert code == 0 and "1 of 2 numbers agree" in out
+    assert "5.2, slope: printed 0.022, ours 0.019. No cells." in out
+    code, out, _ = run("reproduce", "--json")
+    answer = json.loads(out)
+    assert answer["report"] == "report/report.html"
+    assert [one["agrees"] for one in answer["numbers"]] == [False, True]
+    monkeypatch.undo()
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "letter.txt").write_text("dear")
+    with pytest.raises(ValueError, match="is not a folder"):
+        paper.reproduce(Path("letter.txt"))
 
 
 def test_basin_answers_keeps_and_draws(run, tmp_path):

@@ -32,6 +32,12 @@ def values(data, name):
     return data[name].values.tolist()
 
 
+@pytest.fixture
+def no_basins(monkeypatch):
+    """Those at both ends take most of the time, and have a test of their own."""
+    monkeypatch.setattr(design, "compared", lambda *_: {})
+
+
 @pytest.fixture(scope="module")
 def steepest():
     """The most stable gait."""
@@ -90,7 +96,7 @@ def test_basins_at_both_ends_are_shown(steepest):
     assert not walks[[0, -1]].any() or float(steepest.theta[-1]) > 0.78
 
 
-def test_at_a_bound_and_where_a_limit_holds():
+def test_at_a_bound_and_where_a_limit_holds(no_basins):
     found = optimise(WALKER, SLOPES, "speed", starts=2)
     assert values(found, "optimum") == [0.02] and values(found, "at_bound") == [1]
     assert bool(found.converged) and not found.binding.any()
@@ -116,7 +122,7 @@ def test_at_a_bound_and_where_a_limit_holds():
     assert found.scan_allowed.values[0].tolist() == expected
 
 
-def test_a_weighted_sum():
+def test_a_weighted_sum(no_basins):
     """Speed against steepness: where ten times speed falls behind ninety times the slope."""
     weights = {"speed": 10.0, "cost-of-transport": -90.0}
     found = optimise(WALKER, SLOPES, weights)
@@ -141,11 +147,12 @@ def test_two_parameters_along_a_limit():
     assert float(found.optimum[1]) == 0.5 and bool(found.converged)
 
 
-def test_the_area_is_largest_on_the_gentlest_slope(monkeypatch):
+def test_the_area_is_largest_on_the_gentlest_slope(no_basins, monkeypatch):
     """In one stage, of long steps."""
     monkeypatch.setattr(design, "STEPS", (0.4,))
+    monkeypatch.setattr(design, "CHECK", (20_000, 50_000))
     bounds, walker = {"slope": (0.003, 0.009)}, wj.SimplestWalker(0.007)
-    found = optimise(walker, bounds, grid=GRID, starts=1, scan=3)
+    found = optimise(walker, bounds, grid=GRID, starts=1, scan=3, levels=3)
     assert values(found, "optimum") == [0.003] and values(found, "at_bound") == [-1]
     assert bool(found.converged)
     areas = {slope: wj.refine(wj.SimplestWalker(slope), GRID, 3) for slope in (0.003, 0.007)}
@@ -190,7 +197,7 @@ def test_a_limit_out_of_reach_is_named():
     assert values(found, "note") == [reason]
 
 
-def test_an_interrupted_run_goes_on(tmp_path, monkeypatch):
+def test_an_interrupted_run_goes_on(no_basins, tmp_path, monkeypatch):
     kept = []
 
     def keep(trace):
@@ -226,7 +233,7 @@ def test_an_interrupted_run_goes_on(tmp_path, monkeypatch):
     assert not made
 
 
-def test_measurements_of_something_else_are_refused():
+def test_measurements_of_something_else_are_refused(no_basins):
     known = optimise(WALKER, {"slope": (0.019, 0.02)}, "speed", starts=1)
     with pytest.raises(ValueError, match="known must be of the same objective"):
         optimise(WALKER, {"slope": (0.019, 0.02)}, "step-length", known=known)
@@ -234,7 +241,7 @@ def test_measurements_of_something_else_are_refused():
         optimise(WALKER, SLOPES, "speed", known=known)
 
 
-def test_limits_hold_at_a_loose_tolerance():
+def test_limits_hold_at_a_loose_tolerance(no_basins):
     limits = {"spectral-radius": 0.9}
     found = optimise(WALKER, SLOPES, "speed", starts=1, at_most=limits, tolerance=1e-6)
     assert float(found.optimum[0]) == pytest.approx(0.01465582, rel=1e-4)
@@ -251,7 +258,7 @@ def test_parameters_that_the_walker_refuses_together_are_not_tried():
     np.testing.assert_array_equal(allowed(trace, np.array([0.5, 0.5])), [0.5, 0.5])
 
 
-def test_a_stage_that_cannot_begin_keeps_what_was_found(monkeypatch):
+def test_a_stage_that_cannot_begin_keeps_what_was_found(no_basins, monkeypatch):
     measured = design.measured
 
     def failing(problem, stage, values, gait_of):

@@ -61,7 +61,7 @@ def test_the_energy_of_the_hip_is_conserved_within_a_stride(nine):
 @pytest.mark.parametrize(
     "walker",
     [
-        wj.PointFootWalker(0.01, 0.1),
+        pytest.param(wj.PointFootWalker(0.01, 0.1), marks=pytest.mark.slow),
         pytest.param(wj.RoundFootWalker(0.01), marks=pytest.mark.slow),
         pytest.param(wj.UpperBodyWalker(0.01), marks=pytest.mark.slow),
     ],

@@ -119,16 +119,16 @@ def reproduce(
             found = store.save(found, path, own)
         data[name] = found
     numbers = compared(data)
-    pictures = {}
-    for figure in FIGURES:
+    images = []
+    for k, figure in enumerate(FIGURES):
         drawn = figure.draw(data)
-        for suffix in (".png", ".svg"):
-            path = out / f"figure-{figure.number}{suffix}"
+        png, svg = pictures(out)[2 * k : 2 * k + 2]
+        for path in (png, svg):
             drawn.savefig(path, dpi=150, metadata={"Title": store.signature(request)})
-        pictures[figure.number] = (out / f"figure-{figure.number}.png").read_bytes()
+        images.append(png.read_bytes())
     listed = [number._asdict() for number in numbers]
     store.write(out / "numbers.json", json.dumps({"request": request, "numbers": listed}, indent=1))
-    store.write(out / "report.html", html(numbers, pictures, quick=quick))
+    store.write(out / "report.html", html(numbers, images, quick=quick))
     return numbers
 
 
@@ -137,11 +137,20 @@ def check_place(out: Path, request: dict, *, overwrite: bool) -> None:
     store.writable(out)
     if not out.exists():
         return
-    ours = out.is_dir() and ((out / "data").is_dir() or not any(out.iterdir()))
-    if not ours:
-        raise store.Occupied(f"{out} exists and is not a report: name another place")
+    if not out.is_dir():
+        raise store.Occupied(f"{out} exists and is not a folder: name another place")
+    known = {"data", "report.html", "numbers.json", *(path.name for path in pictures(out))}
+    for path in out.iterdir():
+        if path.name not in known and not path.name.startswith("."):
+            raise store.Occupied(f"{out} holds {path.name}, no part of a report: name another")
     for name in PARTS:
         store.find(out / "data" / f"{name}.zarr", request | {"part": name}, overwrite=overwrite)
+
+
+def pictures(out: Path) -> list[Path]:
+    """Where the figures go, each as PNG and then as SVG."""
+    suffixes = ".png", ".svg"
+    return [out / f"figure-{one.number}{suffix}" for one in FIGURES for suffix in suffixes]
 
 
 def paper_grid(shift: Sequence[float] | Float[np.ndarray, " 2"] = (0, 0)) -> Grid:
@@ -499,7 +508,7 @@ def close(
     return Number(where, what, printed, shown, agrees, why)
 
 
-def html(numbers: list[Number], pictures: dict[int, bytes], *, quick: bool) -> str:
+def html(numbers: list[Number], images: list[bytes], *, quick: bool) -> str:
     """The report."""
     differ = [number for number in numbers if not number.agrees]
     rows = lambda chosen: [
@@ -517,8 +526,8 @@ def html(numbers: list[Number], pictures: dict[int, bytes], *, quick: bool) -> s
     )
     blocks = [report.table("What differs", head, rows(differ))]
     blocks += [
-        report.picture(f"Figure {one.number}. {one.title}", pictures[one.number], one.text)
-        for one in FIGURES
+        report.picture(f"Figure {one.number}. {one.title}", image, one.text)
+        for one, image in zip(FIGURES, images, strict=True)
     ]
     blocks.append(report.table("All numbers", head, rows(numbers)))
     title = "Basin of attraction of the simplest walking model"
