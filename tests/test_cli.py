@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from PIL import Image
+from PIL import Image, ImageSequence
 
 import walker_jax as wj
 from walker_jax import cli, design, paper
@@ -59,7 +59,7 @@ def test_walk_makes_a_film_which_is_not_replaced_by_another(run, tmp_path):
     code, out, err = run(*command)
     assert (code, err) == (0, "") and "film w.gif" in out
     with Image.open(tmp_path / "w.gif") as film:
-        assert film.n_frames == 21  # 2.93 at 0.15, and the first
+        assert sum(1 for _ in ImageSequence.Iterator(film)) == 21  # 2.93 at 0.15, and the first
     before = (tmp_path / "w.gif").read_bytes()
     assert run(*command)[0] == 0
     code, _, err = run(*command, "--theta", "0.21")
@@ -67,7 +67,7 @@ def test_walk_makes_a_film_which_is_not_replaced_by_another(run, tmp_path):
     assert (tmp_path / "w.gif").read_bytes() == before
 
 
-def test_reproduce_prints_what_differs_and_refuses_other_places(run, tmp_path, monkeypatch):
+def test_reproduce_prints_what_differs(run, monkeypatch):
     found = [
         paper.Number("5.2", "slope", "0.022", "0.019", False, "No cells."),
         paper.Number("5.1", "fate", "F", "F", True, ""),
@@ -80,11 +80,6 @@ def test_reproduce_prints_what_differs_and_refuses_other_places(run, tmp_path, m
     answer = json.loads(out)
     assert answer["report"] == "report/report.html"
     assert [one["agrees"] for one in answer["numbers"]] == [False, True]
-    monkeypatch.undo()
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "letter.txt").write_text("dear")
-    with pytest.raises(ValueError, match="is not a folder"):
-        paper.reproduce(Path("letter.txt"))
 
 
 def test_basin_answers_keeps_and_draws(run, tmp_path):
@@ -515,11 +510,19 @@ def test_wrong_optimisations(run, tmp_path, arguments, named):
 
 
 @pytest.mark.parametrize(
-    "arguments", [["--theta", "nan"], ["--thetadot", "inf"], ["--strides", "-1"]]
+    "arguments",
+    [
+        ["--theta", "nan"],
+        ["--thetadot", "inf"],
+        ["--strides", "-1"],
+        ["--theta", "0.9", "--animate", "walk.gif"],
+        ["--animate", "walk.png"],
+    ],
 )
 def test_wrong_walks(run, arguments):
     code, out, err = run("walk", *arguments)
-    assert (code, out) == (2, "") and err.count("\n") == 1 and arguments[0].strip("-") in err
+    assert (code, out) == (2, "") and err.count("\n") == 1
+    assert arguments[0].strip("-") in err or arguments[1] in err
 
 
 def test_a_failed_computation_ends_with_1_and_a_reason(run, monkeypatch):

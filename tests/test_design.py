@@ -147,6 +147,7 @@ def test_two_parameters_along_a_limit():
     assert float(found.optimum[1]) == 0.5 and bool(found.converged)
 
 
+@pytest.mark.slow
 def test_the_area_is_largest_on_the_gentlest_slope(no_basins, monkeypatch):
     """In one stage, of long steps."""
     monkeypatch.setattr(design, "STEPS", (0.4,))

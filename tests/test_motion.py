@@ -114,5 +114,5 @@ def test_wrong_arguments():
         wj.motion(walker, np.array([0.9, -0.2]), 3)
     with pytest.raises(ValueError, match="step must be above 0, not 0"):
         wj.motion(walker, START, 3, step=0.0)
-    with pytest.raises(ValueError, match="n must be at least 1, not 0"):
+    with pytest.raises(ValueError, match="strides must be at least 1, not 0"):
         wj.motion(walker, START, 0)

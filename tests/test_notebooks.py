@@ -23,14 +23,14 @@ def read(path: Path) -> NotebookNode:
 
 
 def printed(notebook: NotebookNode) -> list[str]:
-    """The text that each code cell gives, in however many pieces; of figures nothing."""
+    """The text that each code cell gives, in however many pieces; a figure has its size."""
     return ["".join(map(text_of, outputs)) for outputs in outputs_of(notebook)]
 
 
 def text_of(output: NotebookNode) -> str:
     if output.output_type == "stream":
         return output.text
-    return "" if is_figure(output) else output.get("data", {}).get("text/plain", "")
+    return output.get("data", {}).get("text/plain", "")
 
 
 def figures(notebook: NotebookNode) -> list[int]:

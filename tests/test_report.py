@@ -21,7 +21,7 @@ class Reader(HTMLParser):
     def handle_starttag(self, tag, attrs):
         if tag not in VOID:
             self.open.append(tag)
-        self.sources += [value for key, value in attrs if key in ("src", "href")]
+        self.sources += [value or "" for key, value in attrs if key in ("src", "href")]
 
     def handle_endtag(self, tag):
         assert self.open.pop() == tag

@@ -598,6 +598,7 @@ def test_strides_are_those_of_free_bodies_held_at_their_joints(cls):
 # Ways to fail
 
 
+@pytest.mark.slow
 def test_a_heel_strike_may_turn_a_walker_back():
     """With heavy legs the impact may leave the new stance leg turning back, the foot lifting."""
     walker = RoundFootWalker(0.2113, 0.2293, 0.5035, 0.287, 1.0, 0.3853, -0.1476, 0.3712)

@@ -209,14 +209,15 @@ def walk(
         poses.check_film(animate)
         store.check_picture(animate, request, overwrite=overwrite)
     start = start_of(walker, given) if given else gait_of(walker).states[0]
-    states, names, times = [start], [], []
-    for _ in range(strides):
-        result = wj.stride(walker, states[-1])
-        names.append(wj.Outcome(int(result.outcome)).name)
-        times.append(float(result.time))
-        if result.outcome != wj.Outcome.STRIDE:
-            break
-        states.append(np.asarray(result.state))
+    made = wj.walk(walker, start, strides)
+    outcomes = np.asarray(made.outcomes)
+    completed = int((outcomes == wj.Outcome.STRIDE).sum())
+    count = min(completed + 1, strides)
+    names = [wj.Outcome(code).name for code in outcomes[:count].tolist()]
+    states, times = np.asarray(made.states)[: completed + 1], np.asarray(made.times)[:count]
+    if animate is not None and names[0] == "OUTSIDE":
+        options = " and ".join(f"--{name}" for name in walker.section)
+        raise ValueError(f"{options} must be a feasible start for a film, not {states[0].tolist()}")
     if animate is not None:
         shown = wj.motion(walker, start, strides, step=FRAME)
         data = wj.basin(walker, window(walker, start), "direct", progress=True)

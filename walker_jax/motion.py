@@ -18,7 +18,7 @@ from walker_jax.stride import Outcome, in_tension, trajectory, walk
 from walker_jax.walkers import State, Walker
 
 FALL = 40.0
-"""Time in which a walker that fails is on the ground."""
+"""Time in which a walker that fails is on the ground, for legs of length 1."""
 
 
 def motion(
@@ -52,7 +52,9 @@ def motion(
     """
     if not (np.isfinite(step) and step > 0):
         raise ValueError(f"step must be above 0, not {step}")
-    made = walk(walker, x, operator.index(strides), tolerance=tolerance)
+    if operator.index(strides) < 1:
+        raise ValueError(f"strides must be at least 1, not {strides}")
+    made = walk(walker, x, strides, tolerance=tolerance)
     outcomes, durations = np.asarray(made.outcomes), np.asarray(made.times)
     if outcomes[0] == Outcome.OUTSIDE:
         raise ValueError(f"x must be a feasible start, not {np.asarray(x).tolist()}")
@@ -61,12 +63,13 @@ def motion(
     outcomes, durations = outcomes[:count], durations[:count]
     starts = np.asarray(made.states)[: count + (not failed.any())]
 
-    steps = np.where(failed[:count], FALL, durations) / step
+    length, radius = shape_of_legs(walker)
+    fall = FALL * np.sqrt(length + radius)
+    steps = np.where(failed[:count], fall, durations) / step
     frames = (1 + np.maximum(1, np.round(steps)).astype(int)).tolist()
     parts, places, foot = [], [], 0.0
-    length, radius = shape_of_legs(walker)
     for k in range(count):
-        end = FALL if failed[k] else durations[k]
+        end = fall if failed[k] else durations[k]
         times = np.linspace(0, end, frames[k])
         states = trajectory(walker, starts[k], times, tolerance=tolerance)
         states = jax.tree.map(np.asarray, states)
@@ -82,7 +85,7 @@ def motion(
     begins = np.concatenate([[0.0], np.cumsum(durations[:-1])])
     spread = [begins[k] + np.linspace(0, durations[k], n) for k, n in enumerate(sizes)]
     if failed[count - 1]:
-        spread[-1] = begins[-1] + FALL / (frames[count - 1] - 1) * np.arange(sizes[-1])
+        spread[-1] = begins[-1] + fall / (frames[count - 1] - 1) * np.arange(sizes[-1])
     joined = {name: np.concatenate([getattr(s, name) for s in parts]) for name in State._fields}
     return xr.Dataset(
         {
@@ -132,10 +135,12 @@ def ends_of_legs(
 
 
 def ended(walker: Walker, states: State, outcome: Outcome) -> Bool[np.ndarray, " frames"]:
-    """Whether a stride that fails is over."""
-    if outcome in (Outcome.FORWARD, Outcome.BACKWARD):
-        return np.abs(np.asarray(states.theta)) >= np.pi / 2
+    """Whether a stride that fails is over: on the ground, at heel strike, or in the air."""
     each = jax.tree.map(jnp.asarray, states)
-    pulls = np.asarray(jax.vmap(lambda state: in_tension(walker, state))(each))
-    strikes = np.asarray(jax.vmap(walker.contact)(each)) > 0
-    return pulls | (strikes & (np.asarray(states.theta) < 0) & (np.asarray(states.phi) < 0))
+    theta, phi, thetadot, _ = map(np.asarray, states)
+    h = np.asarray(jax.vmap(walker.contact)(each))
+    strikes = (h > 0) & (np.roll(h, 1) <= 0) & (theta < 0) & (phi < 0) & (thetadot < 0)
+    over = strikes | (np.abs(theta) >= np.pi / 2)
+    if outcome == Outcome.RUNNING:
+        over |= np.asarray(jax.vmap(lambda state: in_tension(walker, state))(each))
+    return over

@@ -6,6 +6,7 @@ cells show in what it says, its number is found on its own grid, and the exact o
 """
 
 import json
+import shutil
 from collections.abc import Callable, Sequence
 from decimal import Decimal
 from importlib.metadata import version
@@ -69,7 +70,7 @@ class Size(NamedTuple):
 
 
 FULL = Size(section=1000, slopes=22, levels=3, strides=3000, shifts=4)
-QUICK = Size(section=400, slopes=22, levels=None, strides=1000, shifts=4)
+QUICK = Size(section=400, slopes=15, levels=None, strides=1000, shifts=2)
 
 
 class Number(NamedTuple):
@@ -95,62 +96,69 @@ def reproduce(
     - `out`: a folder, which is made: `report.html`, a page with everything in it; the figures, as
       PNG and SVG; `numbers.json`; and in `data` the data sets. Those that are there from an earlier
       run, which may have been interrupted, are taken as they are.
-    - `quick`: with fewer cells and slopes, and without exact areas.
-    - `overwrite`: whether to compute everything anew.
+    - `quick`: with fewer cells, slopes and strides, and without exact areas.
+    - `overwrite`: whether to remove what is there of another run.
     - `progress`: whether to show on a terminal what is being computed.
 
     **Returns** the numbers. `ValueError` where something else stands in the place.
     """
     size = QUICK if quick else FULL
     request = {"command": "reproduce", "size": size._asdict(), "version": version("walker-jax")}
-    check_place(out, request, overwrite=overwrite)
+    places = {name: out / "data" / f"{name}.zarr" for name in PARTS}
+    check_place(out, places, request, overwrite=overwrite)
+    if overwrite:  # all at once, so that the same run can be gone on with when interrupted
+        for path in files_of(out):
+            path.unlink(missing_ok=True)
+        for path in places.values():
+            shutil.rmtree(path, ignore_errors=True)
     (out / "data").mkdir(parents=True, exist_ok=True)
-    console = Console(stderr=True)
+    console = Console(stderr=True, quiet=not progress)
     data: dict[str, xr.Dataset] = {}
     for name, compute in PARTS.items():
-        path, own = out / "data" / f"{name}.zarr", request | {"part": name}
-        found = store.find(path, own, overwrite=overwrite)
+        own = request | {"part": name}
+        found = store.find(places[name], own)
         if found is None:
-            if progress and console.is_terminal:
-                with console.status(f"{name} ({len(data) + 1} of {len(PARTS)})"):
-                    found = compute(size)
-            else:
-                found = compute(size)
-            found = store.save(found, path, own)
+            with console.status(f"{name} ({len(data) + 1} of {len(PARTS)})"):
+                found = store.save(compute(size), places[name], own)
         data[name] = found
-    numbers = compared(data)
-    images = []
-    for k, figure in enumerate(FIGURES):
-        drawn = figure.draw(data)
-        png, svg = pictures(out)[2 * k : 2 * k + 2]
-        for path in (png, svg):
-            drawn.savefig(path, dpi=150, metadata={"Title": store.signature(request)})
-        images.append(png.read_bytes())
-    listed = [number._asdict() for number in numbers]
-    store.write(out / "numbers.json", json.dumps({"request": request, "numbers": listed}, indent=1))
-    store.write(out / "report.html", html(numbers, images, quick=quick))
+    with console.status("numbers and figures"):
+        numbers = compared(data)
+        title, images = store.signature(request), []
+        for one in FIGURES:
+            figure = one.draw(data)
+            for path in pictures(out, one):
+                figure.savefig(path, dpi=150, metadata={"Title": title})
+            images.append(pictures(out, one)[0].read_bytes())
+    kept = {"signature": title, "numbers": [number._asdict() for number in numbers]}
+    store.write(out / "numbers.json", json.dumps(kept, indent=1))
+    store.write(out / "report.html", html(numbers, images, title, quick=quick))
     return numbers
 
 
-def check_place(out: Path, request: dict, *, overwrite: bool) -> None:
-    """Refuse a folder that holds something else than a report of this request."""
+def check_place(out: Path, places: dict[str, Path], request: dict, *, overwrite: bool) -> None:
+    """Refuse a place in which something else would be lost, or that cannot be written to."""
     store.writable(out)
     if not out.exists():
         return
     if not out.is_dir():
         raise store.Occupied(f"{out} exists and is not a folder: name another place")
-    known = {"data", "report.html", "numbers.json", *(path.name for path in pictures(out))}
-    for path in out.iterdir():
-        if path.name not in known and not path.name.startswith("."):
-            raise store.Occupied(f"{out} holds {path.name}, no part of a report: name another")
-    for name in PARTS:
-        store.find(out / "data" / f"{name}.zarr", request | {"part": name}, overwrite=overwrite)
+    for path in files_of(out):
+        store.check_picture(path, request, overwrite=overwrite)
+    store.writable(out / "data")
+    if (out / "data").exists():
+        for name, path in places.items():
+            store.find(path, request | {"part": name}, overwrite=overwrite)
 
 
-def pictures(out: Path) -> list[Path]:
-    """Where the figures go, each as PNG and then as SVG."""
-    suffixes = ".png", ".svg"
-    return [out / f"figure-{one.number}{suffix}" for one in FIGURES for suffix in suffixes]
+def files_of(out: Path) -> list[Path]:
+    """What a report consists of, beside its data sets."""
+    figures = [path for one in FIGURES for path in pictures(out, one)]
+    return [*figures, out / "numbers.json", out / "report.html"]
+
+
+def pictures(out: Path, figure: "PaperFigure") -> tuple[Path, Path]:
+    """Where a figure goes, as PNG and as SVG."""
+    return out / f"figure-{figure.number}.png", out / f"figure-{figure.number}.svg"
 
 
 def paper_grid(shift: Sequence[float] | Float[np.ndarray, " 2"] = (0, 0)) -> Grid:
@@ -290,9 +298,9 @@ FIGURES = (
         "A step",
         lambda data: poses.step(data["stride"]),
         "Drawn from a computed stride: the gait at a slope of 0.009, whose steps are longer than "
-        "those at 0.004. Between the first pose and the second the swing foot is just above the "
-        "ground behind the stance foot, then it passes below it, which the model allows, and ends "
-        "with the heel strike in the last pose.",
+        "those at 0.004. The swing foot is a little above the ground until the legs are about to "
+        "pass each other, below it for a moment between the third pose and the fourth, which the "
+        "model allows, and then above it until the heel strike of the last pose.",
     ),
     PaperFigure(
         2,
@@ -313,8 +321,9 @@ FIGURES = (
         4,
         "The basin, enlarged and sheared",
         lambda data: drawn(figures.basin(data["mapped"])),
-        "Cell mapping on the paper's own grid, 200 × 250 cells. A walker that leaves this window "
-        "is lost to cell mapping; in the figure below each is followed to its end.",
+        "Cell mapping on the paper's own grid: 200 × 250 cells, Δθ = 0.002, Δ(θ + θ̇) = 0.0002. A "
+        "walker that leaves this window is lost to cell mapping; in the figure below each is "
+        "followed to its end.",
     ),
     PaperFigure(
         5,
@@ -334,13 +343,13 @@ FIGURES = (
         "The basin at increasing slopes",
         lambda data: figures.basins_in_a_row(data["slopes"]),
         "The paper does not print its slopes. Where the basin is largest it has smooth edges; at "
-        "steeper slopes fingers of failure reach into it; beyond 0.01905 nothing walks for ever.",
+        "steeper slopes fingers of failure reach into it; beyond 0.01905 it is lost.",
     ),
     PaperFigure(
         8,
         "Stability, and area of the basin",
         lambda data: drawn(figures.stability_and_area(data["gaits"], data["sizes"])),
-        "The gait is most stable near a slope of 0.014, and the basin is largest on the smallest "
+        "The gait is most stable at a slope of 0.0138, and the basin is largest on the smallest "
         "slope: one says nothing about the other. Areas are those of the whole section up to "
         "θ = π/4, by cells of the paper's size, and by refinement.",
     ),
@@ -378,17 +387,27 @@ def of_section_3() -> list[Number]:
     theta, rate = -0.25, -0.3
     walker = PointFootWalker(SLOPE, 1e-9)
     strike = State(*map(jnp.asarray, (theta, 2 * theta, rate, 0.1)))
-    _, after = walker.impact(strike)
-    along, above = map(float, walker.impulse(strike))
-    c, s = np.cos(2 * theta), np.sin(2 * theta)
+    (u, v), after = walker.impact(strike)
+    along, above = walker.impulse(strike)
+    s, c = np.sin(2 * theta) * rate, np.cos(2 * theta)
+    sine, cosine = np.sin(theta), np.cos(theta)
+    slip = (
+        "One component of (19) has the wrong sign: the impulse is directed along the swing leg, as "
+        "the text says. For the impulse of the ground on the walker, which is upward, it is this."
+    )
+    formulas = (
+        ("(18)", "u̇⁺, to -sin θ cos 2θ sin 2θ θ̇⁻", u, -sine * c * s, ""),
+        ("(18)", "v̇⁺, to cos θ cos 2θ sin 2θ θ̇⁻", v, cosine * c * s, ""),
+        ("(18)", "θ̇⁺, to cos²2θ θ̇⁻", after.thetadot, c**2 * rate, ""),
+        ("(18)", "φ̇⁺, to cos 2θ (cos 2θ - 1) θ̇⁻", after.phidot, c * (c - 1) * rate, ""),
+        ("(19)", "ρ_x, to -sin θ sin 2θ θ̇⁻", along, -sine * s, slip),
+        ("(19)", "ρ_y, to cos θ sin 2θ θ̇⁻", above, cosine * s, ""),
+        ("3.2", "size of the impulse, to sin 2θ θ̇⁻", np.hypot(along, above), np.abs(s), ""),
+        ("3.2", "speed of the stance foot, to cos 2θ sin 2θ θ̇⁻", np.hypot(u, v), np.abs(c * s), ""),
+    )
     return [
-        close("(18)", "θ̇⁺, to cos²2θ θ̇⁻", "1", float(after.thetadot) / (c**2 * rate), 6),
-        close("(19)", "ρ_y, to cos θ sin 2θ θ̇⁻", "1", above / (np.cos(theta) * s * rate), 6),
-        close(
-            *("(19)", "ρ_x, to -sin θ sin 2θ θ̇⁻", "1", along / (-np.sin(theta) * s * rate), 6),
-            why="A slip of sign in print: the text below (19) says that the impulse is directed "
-            "along the swing leg, and only with + sin θ it is.",
-        ),
+        close(where, what, "1", float(ours) / float(printed), 6, why)
+        for where, what, ours, printed, why in formulas
     ]
 
 
@@ -396,38 +415,37 @@ def of_section_4(data: dict[str, xr.Dataset], walker: SimplestWalker) -> list[Nu
     """Step-to-step behaviour."""
     at = lambda *values: State(*map(jnp.asarray, values))
     force: Any = lambda rate: float(walker.contact_force(at(SLOPE, 0.0, rate, 0.0))[1])
-    lifting: Any = lambda angle: float(walker.impact(at(angle, 2 * angle, -1.0, 0.0))[0][1])
     fastest: Any = brentq(force, -2.0, -0.1)
-    widest: Any = brentq(lifting, -1.2, -0.4)
+
+    def following(angle: float) -> float:
+        """The rate of the stance leg after heel strike at an angle."""
+        _, after = walker.impact(at(angle, 2 * angle, -1.0, 0.0))
+        return float(walker.exchange_legs(after).thetadot)
+
+    turning: Any = following
+    widest: Any = brentq(turning, -1.2, -0.4)
     edge = backward_edge(walker, np.array([0.1, 0.2, 0.3]))
-    doubling = float(data["gaits"]["event_value"].values[~data["gaits"]["event_fold"].values].min())
-    count = len(find_gaits(walker, 1))
-    grid = paper_grid()
     inclination = float(np.degrees(np.arctan((edge[2] - edge[0]) / 0.2)))
+    folds = data["gaits"]["event_fold"].values
+    doubling = float(data["gaits"]["event_value"].values[~folds].min())
+    count = len(find_gaits(walker, 1))
+    froude = "Froude number at which the contact force vanishes, leg upright"
+    slower = "The long and the short gait, and slower ones whose leg swings to and fro once more."
     return [
-        close("4.1", "largest θ from which walking goes on, π/4", "0.7854", -widest),
-        close(
-            "4.1",
-            "Froude number at which the contact force vanishes, leg upright",
-            "1",
-            fastest**2,
-            3,
-        ),
+        close("4.1", "θ from which a heel strike turns the walker back, π/4", "0.7854", -widest),
+        close("4.1", froude, "1", fastest**2, 3),
         close("4.1", "θ + θ̇ on the boundary to B, at θ = 0.2: γ", "0.004", float(edge[1]) + 0.2),
         close("5.1", "inclination of that boundary, degrees", "-45", inclination),
         close("4.2", "slope up to which the gait is stable", "0.015", doubling),
         close("5.2", "the same, after Garcia and others (1998)", "0.0151", doubling),
         Number(
-            *("4", "cyclic solutions of period one", "one or two", str(count), count == 2),
-            ""
-            if count == 2
-            else "The long and the short gait, and slower ones whose leg "
-            "swings to and fro once more.",
+            where="4",
+            what="cyclic solutions of period one",
+            printed="one or two",
+            ours=str(count),
+            agrees=count in (1, 2),
+            why="" if count in (1, 2) else slower,
         ),
-        close("5.1", "cells of Figure 4 along θ", "200", grid.shape[0]),
-        close("5.1", "cells of Figure 4 along θ + θ̇", "250", grid.shape[1]),
-        close("5.1", "Δθ", "0.002", float(grid.spacing[0])),
-        close("5.1", "Δ(θ + θ̇)", "0.0002", float(grid.spacing[1])),
     ]
 
 
@@ -437,51 +455,61 @@ def of_section_5(data: dict[str, xr.Dataset], walker: SimplestWalker) -> list[Nu
     walks = data["line"]["attractor"].values >= 0
     crossings = int((np.diff(walks.astype(int), prepend=0) > 0).sum())
     at = data["vanishing"]["slope"].values
-    gone = at[(data["vanishing"]["cells"].values == 0).argmax(axis=1)]
-    first, last = gone.min(), gone.max()
+    empty = data["vanishing"]["cells"].values == 0
+    gone = np.where(empty.any(axis=1), at[empty.argmax(axis=1)], np.inf)
     below, above = map(float, data["gaits"]["lost"].values)
     radius = lambda slope: float(np.abs(find_gait(SimplestWalker(slope)).multipliers[0]))
     best: Any = minimize_scalar(radius, bounds=(0.008, 0.015), method="bounded")
     coarse = min((0.008, 0.010, 0.012, 0.014, 0.016), key=radius)
     areas = data["sizes"]["mapped_area"].values
     largest = float(data["sizes"]["slope"].values[areas.argmax()])
+    vanished = "slope at which the basin has vanished"
     return [
-        Number("5.1", "fate of (0.2, -0.23)", "F", fate[0], fate == "FORWARD", ""),
         Number(
-            *("5.1", "crossings of the basin along θ = 0.2", "at least 4", str(crossings)),
-            *(crossings >= 4, ""),
+            where="5.1",
+            what="fate of (0.2, -0.23)",
+            printed="F",
+            ours=fate[0],
+            agrees=fate == "FORWARD",
+            why="",
         ),
         Number(
-            "5.2",
-            "slope at which the basin has vanished, on the paper's grid, in steps of 0.001",
-            "0.022",
-            f"{first:.3f} to {last:.3f}",
-            bool(first <= 0.022 <= last),
-            f"The first at which no cell walks for ever, on {len(gone)} grids that are the "
-            "paper's shifted by parts of a cell: it depends on where cells lie. On steeper slopes "
-            "too some come and go, each with an unstable gait that seems to stand still in it.",
-        ),
-        Number(
-            "5.2",
-            "slope at which the basin has vanished, followed directly",
-            "0.022",
-            f"{below:.5f} to {above:.5f}",
-            bool(below <= 0.022 <= above),
-            "No cells. Between these slopes the chaotic attractor, to which the gait has come by "
-            "doubling its period, is lost, and walkers fall after some hundred strides.",
+            where="5.1",
+            what="crossings of the basin along θ = 0.2",
+            printed="at least 4",
+            ours=str(crossings),
+            agrees=crossings >= 4,
+            why="",
         ),
         close(
-            *("5.2", "slope of the most stable gait, in steps of 0.002", "0.012", coarse),
-            why="If the slopes of Figure 8 were as far apart as that.",
+            *("5.2", f"{vanished}, on the paper's grid", "0.022", float(gone[0])),
+            why="The first slope, in steps of 0.001, at which no cell walks for ever. It depends "
+            f"on where cells lie: from {gone.min():.3f} to {gone.max():.3f} on {len(gone)} grids, "
+            "this one and others shifted by parts of a cell. From 0.0205 on only a few are left, "
+            "each with an unstable gait that seems to stand still in it.",
+        ),
+        Number(
+            where="5.2",
+            what=f"{vanished}, followed directly",
+            printed="0.022",
+            ours=f"{below:.5f} to {above:.5f}",
+            agrees=bool(below <= 0.022 <= above),
+            why="No cells. Between these slopes the chaotic attractor, to which the gait has come "
+            "by doubling its period, is lost, and walkers fall after some hundred strides.",
         ),
         close(
-            *("5.2", "slope of the most stable gait, exactly", "0.012", float(best.x)),
+            *("5.2", "slope of the most stable gait", "0.012", float(best.x)),
             why="Two complex multipliers meet on the real axis there; their modulus shrinks up to "
-            "that slope, and that of the larger one grows steeply beyond it.",
+            "that slope, and that of the larger one grows steeply beyond it. Of slopes that are "
+            f"0.002 apart, {coarse:g} has the most stable gait.",
         ),
         Number(
-            *("5.2", "is the basin largest there?", "no", "no" if largest < 0.011 else "yes"),
-            *(largest < 0.011, f"It is largest at the smallest slope measured, {largest:g}."),
+            where="5.2",
+            what="is the basin largest there?",
+            printed="no",
+            ours="no" if largest < 0.011 else "yes",
+            agrees=largest < 0.011,
+            why=f"It is largest at the smallest slope measured, {largest:g}.",
         ),
     ]
 
@@ -498,17 +526,16 @@ def backward_edge(walker: SimplestWalker, theta: np.ndarray) -> np.ndarray:
 
 
 def close(
-    where: str, what: str, printed: str, ours: float | int, digits: int | None = None, why: str = ""
+    where: str, what: str, printed: str, ours: float, digits: int | None = None, why: str = ""
 ) -> Number:
     """A number that is printed to some digits, and ours with three more."""
     places = -int(Decimal(printed).as_tuple().exponent)
     agrees = bool(abs(ours - float(printed)) <= 0.5 * 10.0**-places * (1 + 1e-9))
-    shown = f"{ours:.{places + 3 if digits is None else digits}f}"
-    shown = f"{ours:d}" if isinstance(ours, int) else shown
-    return Number(where, what, printed, shown, agrees, why)
+    digits = places + 3 if digits is None else digits
+    return Number(where, what, printed, f"{ours:.{digits}f}", agrees, why)
 
 
-def html(numbers: list[Number], images: list[bytes], *, quick: bool) -> str:
+def html(numbers: list[Number], images: list[bytes], signature: str, *, quick: bool) -> str:
     """The report."""
     differ = [number for number in numbers if not number.agrees]
     rows = lambda chosen: [
@@ -516,7 +543,7 @@ def html(numbers: list[Number], images: list[bytes], *, quick: bool) -> str:
         for one in chosen
     ]
     head = ("section", "number", "printed", "ours", "", "why")
-    size = "with few cells and slopes (quick)" if quick else "in full"
+    size = "with fewer cells and slopes than in full" if quick else "in full"
     intro = (
         f"{len(numbers)} numbers of the paper's text and table are compared, at the digits that "
         f"are printed: {len(numbers) - len(differ)} agree, {len(differ)} differ, and each of these "
@@ -532,4 +559,4 @@ def html(numbers: list[Number], images: list[bytes], *, quick: bool) -> str:
     blocks.append(report.table("All numbers", head, rows(numbers)))
     title = "Basin of attraction of the simplest walking model"
     subtitle = "A. L. Schwab and M. Wisse, ASME DETC2001/VIB-21363 (2001), reproduced"
-    return report.page(title, subtitle, intro, blocks)
+    return report.page(title, subtitle, intro, blocks, signature)

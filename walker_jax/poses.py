@@ -6,7 +6,7 @@ Walkers walk to the right, and slopes go down to the right, by their own angle.
 
 import os
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Arc, Polygon
 from PIL import Image
+from rich.console import Console
 from rich.progress import track
 
 from walker_jax.figures import (
@@ -73,6 +74,8 @@ def step(data: xr.Dataset) -> Figure:
     figure = Figure(figsize=(9, 6.4), layout="constrained")
     panels = figure.subplots(2, 3, sharex=True, sharey=True).flat
     last, size = own.sizes["frame"] - 1, leg_of(data)
+    strides = data["outcome"].values[0] == Outcome.STRIDE
+    ending = "just before heel strike" if strides else FAILURES[Outcome(int(data["outcome"][0]))][2]
     for k, (ax, share) in enumerate(zip(panels, SHARES, strict=True)):
         pose = own.isel(frame=round(share * last))
         draw_ground(ax, data)
@@ -80,7 +83,7 @@ def step(data: xr.Dataset) -> Figure:
         if k == 1:
             name_parts(ax, pose)
         when = f"time {float(pose['time']):.2f}"
-        note = {0: "just after heel strike", len(SHARES) - 1: "just before heel strike"}.get(k, "")
+        note = {0: "just after heel strike", len(SHARES) - 1: ending}.get(k, "")
         ax.set_title(when, loc="left", fontsize=10, fontweight="bold")
         ax.set_title(note, loc="right", fontsize=WORDS)
         ax.set(xlim=(-0.62 * size, 0.62 * size), ylim=(-0.16 * size, 1.22 * size), aspect="equal")
@@ -147,7 +150,8 @@ def name_parts(ax: Axes, pose: xr.Dataset) -> None:
     slope = float(pose.attrs["walker_slope"])
     foot, hip = (turned(pose[name].values[None], slope)[0] for name in ("stance", "hip"))
     theta, phi = float(pose["theta"]), float(pose["phi"])
-    up = turned(np.array([[0.0, 0.9]]), slope)[0]
+    leg = leg_of(pose)
+    up = turned(np.array([[0.0, 0.9 * leg]]), slope)[0]
     ax.plot(*np.stack([foot, foot + up]).T, color=GROUND, lw=0.8, ls=(0, (5, 4)), zorder=2)
     upright, down = 90 - np.degrees(slope), 270 - np.degrees(slope)
     hanging = down + np.degrees(theta - phi)
@@ -155,10 +159,10 @@ def name_parts(ax: Axes, pose: xr.Dataset) -> None:
         (foot, 0.72, upright, upright + np.degrees(theta), r"$\theta$", (13, -3)),
         (hip, 0.5, hanging, down + np.degrees(theta), r"$\phi$", (2, -10)),
     ):
-        arc = Arc(middle, 2 * size, 2 * size, theta1=begin, theta2=end, lw=1, zorder=8)
-        ax.add_patch(arc)
+        wide = 2 * size * leg
+        ax.add_patch(Arc(middle, wide, wide, theta1=begin, theta2=end, lw=1, zorder=8))
         way = np.radians((begin + end) / 2)
-        at = middle + size * np.array([np.cos(way), np.sin(way)])
+        at = middle + size * leg * np.array([np.cos(way), np.sin(way)])
         centred: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 12}
         ax.annotate(text, at, away, textcoords="offset points", **centred)
     words = (
@@ -168,14 +172,9 @@ def name_parts(ax: Axes, pose: xr.Dataset) -> None:
     )
     for place, shift, text in words:
         ax.annotate(text, place, shift, textcoords="offset points", va="center", fontsize=WORDS)
-    ax.annotate(
-        f"slope $\\gamma$ = {slope:g}",
-        (-0.6, -0.13),
-        fontsize=WORDS,
-    )
-    ax.annotate(
-        "$g$", (0.5, 0.45), (0.5, 0.75), ha="center", fontsize=12, arrowprops={"arrowstyle": "->"}
-    )
+    ax.annotate(f"slope $\\gamma$ = {slope:g}", (-0.6 * leg, -0.13 * leg), fontsize=WORDS)
+    head, tail = (0.5 * leg, 0.45 * leg), (0.5 * leg, 0.75 * leg)
+    ax.annotate("$g$", head, tail, ha="center", fontsize=12, arrowprops={"arrowstyle": "->"})
 
 
 def leg_angles(data: xr.Dataset, ax: Axes | None = None) -> Axes:
@@ -201,7 +200,8 @@ def leg_angles(data: xr.Dataset, ax: Axes | None = None) -> Axes:
             ax.axvline(time[own][0], color=GROUND, lw=0.6, zorder=1)
         ax.plot(time[own], theta[own], color=INK, lw=1.8)
         ax.plot(time[own], (theta - data["phi"].values)[own], color=SWING, lw=1.8, ls=(0, (1, 1.2)))
-    ax.set_xlim(time[0], time[-1])
+    if time[-1] > time[0]:
+        ax.set_xlim(time[0], time[-1])
     ax.set_xlabel("time (√(l/g))", fontsize=11)
     ax.set_ylabel("angle from the normal of the slope (rad)", fontsize=11)
     made = int((data["outcome"].values == Outcome.STRIDE).sum())
@@ -235,7 +235,7 @@ def steps_over_basin(data: xr.Dataset, walk: xr.Dataset) -> Figure:
     figure = Figure(figsize=(12, 5.4), layout="constrained")
     whole, close = figure.subplots(1, 2)
     basin(data, whole)
-    x, y = way_over(data, walk["states"])
+    x, y = way_over(data, walk["states"].rename(start="phase"))
     half = len(x) // 2
     window = [(values.min(), values.max()) for values in (x[half:], y[half:])]
     window = [(low - 0.3 * (high - low), high + 0.3 * (high - low)) for low, high in window]
@@ -250,7 +250,7 @@ def steps_over_basin(data: xr.Dataset, walk: xr.Dataset) -> Figure:
             write_number(ax, k + 1, (x[k], y[k]))
     for number in notable_attractors(data):
         cycle = data["states"].sel(number=number)
-        dots = way_over(data, cycle.rename(phase="start"))
+        dots = way_over(data, cycle)
         close.plot(*dots, "o", color=INK, mec="white", mew=1.2, ms=7.5, zorder=5)
     close.set(xlim=window[0], ylim=window[1])
     close.set_xlabel(whole.get_xlabel(), fontsize=11)
@@ -270,7 +270,7 @@ def way_over(
     data: xr.Dataset, states: xr.DataArray
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """States along the axes of a basin."""
-    states = states.assign_coords(coordinate=data.attrs["section"]).rename(start="phase")
+    states = states.assign_coords(coordinate=data.attrs["section"])
     x, y = (along(states, str(axis)) for axis in data["fate"].dims)
     return x, y
 
@@ -304,7 +304,7 @@ def film(
     way, moving = None, [axes[0]]
     if data is not None:
         basin(data, axes[1])
-        way = way_over(data, walk["states"])
+        way = way_over(data, walk["states"].rename(start="phase"))
         (line,) = axes[1].plot([], [], "o-", color=PATH, mec=INK, mew=0.8, ms=5, lw=1, zorder=6)
         (now,) = axes[1].plot([], [], "o", color=PATH, mec=INK, mew=1.4, ms=10, zorder=7)
         moving += [line, now]
@@ -314,9 +314,9 @@ def film(
     figure.draw_without_rendering()
     figure.set_layout_engine("none")  # or panels shake
 
-    frames = range(walk.sizes["frame"])
+    frames: Iterable[int] = range(walk.sizes["frame"])
     if progress:
-        frames = track(list(frames), "film", transient=True)
+        frames = track(frames, "film", console=Console(stderr=True), transient=True)
     slope, stride = float(walk.attrs["walker_slope"]), walk["stride"].values
     tall = 1.2 * leg_of(walk)
     with saved(figure, path, signature, moving) as grab:

@@ -36,14 +36,18 @@ th { color: var(--faint); font-weight: 600; }
 """
 
 
-def page(title: str, subtitle: str, intro: str, blocks: Sequence[str]) -> str:
-    """A page with a heading, an introduction, and blocks of `picture` and `table`."""
+def page(title: str, subtitle: str, intro: str, blocks: Sequence[str], signature: str = "") -> str:
+    """A page with a heading, an introduction, and blocks of `picture` and `table`.
+
+    The signature is kept in it, unseen.
+    """
     return "\n".join(
         [
             "<!doctype html>",
             '<html lang="en">',
             '<head><meta charset="utf-8">',
             '<meta name="viewport" content="width=device-width, initial-scale=1">',
+            f'<meta name="generator" content="{escape(signature)}">',
             '<link rel="icon" href="data:,">',  # or a browser asks for one that is not there
             f"<title>{escape(title)}</title><style>{STYLE}</style></head>",
             f'<body><h1>{escape(title)}</h1><p class="faint">{escape(subtitle)}</p>',

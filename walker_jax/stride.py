@@ -528,14 +528,16 @@ def walk(
         raise ValueError(f"x must be on the section {walker.section}, not of shape {x.shape}")
     if not kernel_serves(walker, x, tolerance):
         return follow_walk(walker, x, n, tolerance)
-    states, outcomes, times = [x], [], []
-    for _ in range(n):
-        result = stride(walker, states[-1], tolerance=tolerance)
-        failed = bool(outcomes) and outcomes[-1] != Outcome.STRIDE
-        outcomes.append(outcomes[-1] if failed else result.outcome)
-        states.append(result.state)
-        times.append(result.time)
-    return Walk(jnp.stack(states), jnp.stack(outcomes), jnp.stack(times))
+    shared = jax.tree.map(np.asarray, (walker, tolerance))
+    states = np.full((n + 1, x.size), np.nan, x.dtype)
+    outcomes, times = np.zeros(n, np.int8), np.full(n, np.nan, x.dtype)
+    states[0] = x
+    for k in range(n):
+        made = over_cells(each_start(stride), shared, states[k : k + 1])
+        states[k + 1], outcomes[k:], times[k] = made.state[0], made.outcome[0], made.time[0]
+        if outcomes[k] != Outcome.STRIDE:
+            break
+    return Walk(*map(jnp.asarray, (states, outcomes, times)))
 
 
 @partial(jax.jit, static_argnums=2)
@@ -563,8 +565,8 @@ def trajectory(
     """Angles and rates at `times` after the start x of a stride, 0 or later, increasing.
 
     The motion is that of the equations alone: it does not end at heel strike, whose time `stride`
-    gives. Returns a `State` of arrays. `ValueError` as for `stride`, and for times that decrease
-    or are negative.
+    gives. Returns a `State` of arrays; NaN where that takes more than `MAX_STEPS` of integration.
+    `ValueError` as for `stride`, and for times that decrease or are negative.
     """
     walker, x, tolerance = prepared(walker, x, tolerance)
     times = jnp.asarray(times, x.dtype)
