@@ -144,7 +144,7 @@ def test_an_interruption_is_one_line(run, monkeypatch):
     def interrupt(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("walker_jax.stride", interrupt)
+    monkeypatch.setattr("walker_jax.walk", interrupt)
     assert run("walk") == (130, "", "walker-jax: interrupted\n")
 
 
@@ -529,7 +529,7 @@ def test_a_failed_computation_ends_with_1_and_a_reason(run, monkeypatch):
     def fail(*_, **__):
         raise RuntimeError("no more memory\non the device")
 
-    monkeypatch.setattr("walker_jax.stride", fail)
+    monkeypatch.setattr("walker_jax.walk", fail)
     code, out, err = run("walk")
     assert (code, out) == (
         1,

@@ -241,17 +241,7 @@ def answer_all(
     """What is asked for, every state of every cycle a cell of its own."""
     dtype = asks[0].cycle.dtype
     walker, _, tolerance = prepared(walker, asks[0].cycle[0], tolerance)
-
-    def batch(asks: list[Ask]):
-        values = np.concatenate([np.full(len(ask.cycle), ask.value, dtype) for ask in asks])
-        states = np.concatenate([ask.cycle for ask in asks])[:, None]
-        return with_parameter(stacked(walker, len(values), dtype), parameter, values), states
-
-    def split(values: Linearised | Curved, asks: list[Ask]) -> list[Any]:
-        ends = np.cumsum([len(ask.cycle) for ask in asks])[:-1]
-        parts = zip(*(np.split(np.moveaxis(v, 1, 0), ends, axis=1) for v in values), strict=True)
-        return [type(values)(*part) for part in parts]
-
+    batch = lambda asks: cells_of(walker, parameter, asks, dtype)
     locals_ = split(linearise(*batch(asks), tolerance, parameter), asks)
     bent = [ask for ask in asks if ask.vectors is not None]
     curves: list[Curved] = []
@@ -265,6 +255,22 @@ def answer_all(
         Answer(local, next(curved) if ask.vectors is not None else None)
         for ask, local in zip(asks, locals_, strict=True)
     ]
+
+
+def cells_of(
+    walker: Walker, parameter: str, asks: list[Ask], dtype: Any
+) -> tuple[Walker, Float[np.ndarray, "n 1 section"]]:
+    """Walkers and states of all cycles asked about, one after the other."""
+    values = np.concatenate([np.full(len(ask.cycle), ask.value, dtype) for ask in asks])
+    states = np.concatenate([ask.cycle for ask in asks])[:, None]
+    return with_parameter(stacked(walker, len(values), dtype), parameter, values), states
+
+
+def split(values: Linearised | Curved, asks: list[Ask]) -> list[Any]:
+    """What was found at all states, cycle by cycle."""
+    ends = np.cumsum([len(ask.cycle) for ask in asks])[:-1]
+    parts = zip(*(np.split(np.moveaxis(v, 1, 0), ends, axis=1) for v in values), strict=True)
+    return [type(values)(*part) for part in parts]
 
 
 class Point(NamedTuple):

@@ -692,23 +692,23 @@ class Kernel:
 
         It may run in several threads at once.
         """
-
-        def contiguous(tree, like, lead):
-            pairs = zip(jax.tree.leaves(tree), like, strict=True)
-            arrays = [np.ascontiguousarray(leaf, dtype) for leaf, (_, dtype) in pairs]
-            for array, (shape, _) in zip(arrays, like, strict=True):
-                if array.size != math.prod((*lead, *shape)):
-                    raise ValueError(f"shape {array.shape} of an array must be {(*lead, *shape)}")
-            return arrays
-
         results = [np.empty((n, *shape), dtype) for shape, dtype in self.results]
-        arrays = contiguous(shared, self.shared, ()) + contiguous(cells, self.cell, (n,)) + results
+        given = contiguous(shared, self.shared) + contiguous(cells, self.cell, n)
+        arrays = [*given, *results]
         pointers = (ctypes.c_void_p * len(arrays))(*(array.ctypes.data for array in arrays))
-
-        def compute(start: int, stop: int, arrays=arrays) -> None:  # which must live as long
-            self.run(start, stop, pointers)
-
+        # The arrays must live as long as it does.
+        compute = lambda start, stop, _=arrays: self.run(start, stop, pointers)
         return compute, jax.tree.unflatten(self.structure, results)
+
+
+def contiguous(tree: PyTree, like: list, *lead: int) -> list[np.ndarray]:
+    """The leaves of a tree as a kernel reads them: of these shapes and types, in C's order."""
+    pairs = zip(jax.tree.leaves(tree), like, strict=True)
+    arrays = [np.ascontiguousarray(leaf, dtype) for leaf, (_, dtype) in pairs]
+    for array, (shape, _) in zip(arrays, like, strict=True):
+        if array.size != math.prod((*lead, *shape)):
+            raise ValueError(f"shape {array.shape} of an array must be {(*lead, *shape)}")
+    return arrays
 
 
 def written(closed: ClosedJaxpr, shared: list, cell: list, results: list) -> str:

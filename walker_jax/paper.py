@@ -112,7 +112,8 @@ def reproduce(
         for path in places.values():
             shutil.rmtree(path, ignore_errors=True)
     (out / "data").mkdir(parents=True, exist_ok=True)
-    console = Console(stderr=True, quiet=not progress)
+    console = Console(stderr=True)
+    console.quiet = not (progress and console.is_terminal)
     data: dict[str, xr.Dataset] = {}
     for name, compute in PARTS.items():
         own = request | {"part": name}
@@ -492,7 +493,7 @@ def of_section_5(data: dict[str, xr.Dataset], walker: SimplestWalker) -> list[Nu
             where="5.2",
             what=f"{vanished}, followed directly",
             printed="0.022",
-            ours=f"{below:.5f} to {above:.5f}",
+            ours=f"{np.floor(below * 1e5) / 1e5:.5f} to {np.ceil(above * 1e5) / 1e5:.5f}",
             agrees=bool(below <= 0.022 <= above),
             why="No cells. Between these slopes the chaotic attractor, to which the gait has come "
             "by doubling its period, is lost, and walkers fall after some hundred strides.",

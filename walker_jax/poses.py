@@ -6,7 +6,7 @@ Walkers walk to the right, and slopes go down to the right, by their own angle.
 
 import os
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -314,9 +314,10 @@ def film(
     figure.draw_without_rendering()
     figure.set_layout_engine("none")  # or panels shake
 
-    frames: Iterable[int] = range(walk.sizes["frame"])
-    if progress:
-        frames = track(frames, "film", console=Console(stderr=True), transient=True)
+    console = Console(stderr=True)
+    hidden = not (progress and console.is_terminal)
+    count = range(walk.sizes["frame"])
+    frames = track(count, "film", console=console, disable=hidden, transient=True)
     slope, stride = float(walk.attrs["walker_slope"]), walk["stride"].values
     tall = 1.2 * leg_of(walk)
     with saved(figure, path, signature, moving) as grab:

@@ -19,6 +19,7 @@ import operator
 from collections.abc import Callable, Iterable
 from contextlib import contextmanager
 from contextvars import ContextVar
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -354,8 +355,8 @@ def interpret(jaxpr: Jaxpr, constants: list, inputs: list[Series]) -> list[Serie
 
 # Primitives that are linear in all their operands together.
 LINEAR = frozenset(
-    "add_any broadcast_in_dim concatenate convert_element_type copy copy_p expand_dims neg pad "
-    "reduce_sum reshape rev slice squeeze stack stop_gradient sub transpose add".split()
+    "broadcast_in_dim concatenate convert_element_type copy copy_p expand_dims neg pad "
+    "reduce_sum reshape rev slice squeeze stack stop_gradient transpose".split()
 )
 BILINEAR = frozenset(["mul", "dot_general"])
 # Those with several results, the parts of their one operand.
@@ -367,69 +368,96 @@ DISCRETE = frozenset("and eq floor ge gt is_finite le lt ne not or sign xor".spl
 def primitive_series(primitive: Primitive, params: dict, operands: list[Series]) -> Series:
     """The series of a primitive's result: c_0 by the primitive itself, the others by its rule."""
     name = primitive.name
+    bind = lambda *values: primitive.bind(*values, **params)
+    if name == "div":
+        return quotient(*operands, bind)
+    rule = RULES.get(name, partial(by_jet, name))
+    if name == "integer_pow" and params["y"] == 2:
+        rule = squared
+    return Series(lambda k: rule(k, operands, bind) if k else bind(*(o[0] for o in operands)))
 
-    def bind(*values):
-        return primitive.bind(*values, **params)
 
-    def filled(k):
-        """The k-th coefficients of the operands, or None where all are zero."""
-        values = [operand[k] for operand in operands]
-        if all(value is None for value in values):
-            return None
-        return [
-            jnp.zeros_like(operand[0]) if value is None else value
-            for value, operand in zip(values, operands, strict=True)
-        ]
+# Rules: the k-th coefficient of a result, k > 0, given its operands and the primitive itself.
+# None is zero.
 
-    def linear(k):
-        if name in ("add", "sub", "add_any"):
-            left, right = operands[0][k], operands[1][k]
-            if right is None:
-                return left
-            if left is None:
-                return -right if name == "sub" else right
-        values = filled(k)
-        return None if values is None else bind(*values)
 
-    def bilinear(k):
-        left, right = operands
-        if left is right:
-            return square(left, k, bind)
-        return total(product(left[j], right[k - j], bind) for j in newest_last(0, k))
+def linear(k: int, operands: list[Series], bind: Callable) -> Any:
+    values = filled(k, operands)
+    return None if values is None else bind(*values)
 
+
+def plus(k: int, operands: list[Series], bind: Callable) -> Any:
+    left, right = operands[0][k], operands[1][k]
+    return right if left is None else left if right is None else bind(left, right)
+
+
+def minus(k: int, operands: list[Series], bind: Callable) -> Any:
+    left, right = operands[0][k], operands[1][k]
+    if left is None:
+        return None if right is None else -right
+    return left if right is None else bind(left, right)
+
+
+def bilinear(k: int, operands: list[Series], bind: Callable) -> Any:
+    left, right = operands
+    if left is right:
+        return square(left, k, bind)
+    return total(product(left[j], right[k - j], bind) for j in newest_last(0, k))
+
+
+def squared(k: int, operands: list[Series], bind: Callable) -> Any:
+    return square(operands[0], k)
+
+
+def selected(k: int, operands: list[Series], bind: Callable) -> Any:
+    values = filled(k, operands)
+    return None if values is None else bind(operands[0][0], *values[1:])
+
+
+def by_jet(name: str, k: int, operands: list[Series], bind: Callable) -> Any:
+    """The rule of JAX's own for a primitive, if it has one."""
+    if all(operand[j] is None for operand in operands for j in range(1, k + 1)):
+        return None
+    zeros = [jnp.zeros_like(operand[0]) for operand in operands]
+    terms = [
+        [zero if operand[j] is None else operand[j] for j in range(1, k + 1)]
+        for zero, operand in zip(zeros, operands, strict=True)
+    ]
+    try:
+        _, series = jet(bind, [o[0] for o in operands], terms, factorial_scaled=False)
+    except (KeyError, NotImplementedError) as error:
+        raise no_series(name) from error
+    return series[-1]
+
+
+def filled(k: int, operands: list[Series]) -> list | None:
+    """The k-th coefficients of the operands, or None where all are zero."""
+    values = [operand[k] for operand in operands]
+    if all(value is None for value in values):
+        return None
+    return [
+        jnp.zeros_like(operand[0]) if value is None else value
+        for value, operand in zip(values, operands, strict=True)
+    ]
+
+
+RULES: dict[str, Callable] = {"add": plus, "add_any": plus, "sub": minus}
+RULES |= {"select_n": selected, "square": squared}
+RULES |= dict.fromkeys(DISCRETE, lambda k, operands, bind: None)
+RULES |= dict.fromkeys(LINEAR, linear) | dict.fromkeys(BILINEAR, bilinear)
+
+
+def quotient(numerator: Series, denominator: Series, divide: Callable) -> Series:
+    """r = n / d, from n = r d."""
     # One division for all orders: XLA computes an expression anew for each division of its parts.
-    reciprocal = Series(lambda k: 1 / operands[1][0])
+    reciprocal = Series(lambda k: 1 / denominator[0])
 
-    def quotient(k):
-        numerator, denominator = operands
+    def rule(k):
         known = total(product(result[j], denominator[k - j]) for j in range(k))
         difference = total([numerator[k], None if known is None else -known])
         return product(difference, reciprocal[0])
 
-    def by_jet(k):
-        if all(operand[j] is None for operand in operands for j in range(1, k + 1)):
-            return None
-        zeros = [jnp.zeros_like(operand[0]) for operand in operands]
-        terms = [
-            [zero if operand[j] is None else operand[j] for j in range(1, k + 1)]
-            for zero, operand in zip(zeros, operands, strict=True)
-        ]
-        try:
-            _, series = jet(bind, [o[0] for o in operands], terms, factorial_scaled=False)
-        except (KeyError, NotImplementedError) as error:
-            raise no_series(name) from error
-        return series[-1]
-
-    def selected(k):
-        values = filled(k)
-        return None if values is None else bind(operands[0][0], *values[1:])
-
-    rules = {"div": quotient, "select_n": selected} | dict.fromkeys(DISCRETE, lambda k: None)
-    rules |= dict.fromkeys(LINEAR, linear) | dict.fromkeys(BILINEAR, bilinear)
-    rule = rules.get(name, by_jet)
-    if name == "square" or (name == "integer_pow" and params["y"] == 2):
-        rule = lambda k: square(operands[0], k)
-    result = Series(lambda k: bind(*(o[0] for o in operands)) if k == 0 else rule(k))
+    result = Series(lambda k: rule(k) if k else divide(numerator[0], denominator[0]))
     return result
 
 

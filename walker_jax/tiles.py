@@ -151,17 +151,8 @@ MODES = "jax_enable_x64", "jax_numpy_dtype_promotion"
 
 def _kernel(function: Callable, shared: PyTree, cells: PyTree) -> Kernel | None:
     """The kernel of a function, None where it holds what no kernel can do."""
-
-    def like(leaf, drop: int):
-        plain = type(leaf) in (bool, int, float, complex)
-        dtype = jax.dtypes.canonicalize_dtype(
-            type(leaf) if plain else leaf.dtype, allow_extended_dtype=True
-        )
-        weak = plain or getattr(leaf, "weak_type", False)
-        return jax.ShapeDtypeStruct(np.shape(leaf)[drop:], dtype, weak_type=weak)
-
-    leaves = [like(leaf, 0) for leaf in jax.tree.leaves(shared)]
-    each = [like(leaf, 1) for leaf in jax.tree.leaves(cells)]
+    leaves = [_described(leaf, 0) for leaf in jax.tree.leaves(shared)]
+    each = [_described(leaf, 1) for leaf in jax.tree.leaves(cells)]
     structures = jax.tree.structure(shared), jax.tree.structure(cells)
     described = ((leaf.shape, leaf.dtype, leaf.weak_type) for leaf in (*leaves, *each))
     modes = tuple(getattr(jax.config, mode) for mode in MODES)
@@ -176,6 +167,16 @@ def _kernel(function: Callable, shared: PyTree, cells: PyTree) -> Kernel | None:
         except NoKernel:
             _kernels[key] = None
     return _kernels[key]
+
+
+def _described(leaf: Any, drop: int) -> jax.ShapeDtypeStruct:
+    """Type of a leaf, and its shape without so many of the first axes."""
+    plain = type(leaf) in (bool, int, float, complex)
+    dtype = jax.dtypes.canonicalize_dtype(
+        type(leaf) if plain else leaf.dtype, allow_extended_dtype=True
+    )
+    weak = plain or getattr(leaf, "weak_type", False)
+    return jax.ShapeDtypeStruct(np.shape(leaf)[drop:], dtype, weak_type=weak)
 
 
 def _filled(values: np.ndarray, size: int) -> np.ndarray:
