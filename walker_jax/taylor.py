@@ -370,7 +370,8 @@ def primitive_series(primitive: Primitive, params: dict, operands: list[Series])
     name = primitive.name
     bind = lambda *values: primitive.bind(*values, **params)
     if name == "div":
-        return quotient(*operands, bind)
+        numerator, denominator = operands
+        return quotient(numerator, denominator, bind)
     rule = RULES.get(name, partial(by_jet, name))
     if name == "integer_pow" and params["y"] == 2:
         rule = squared
