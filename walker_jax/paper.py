@@ -315,8 +315,9 @@ FIGURES = (
         3,
         "Fixed points over the slope",
         lambda data: drawn(figures.gait_branches(data["gaits"])),
-        "The long gait, upper line, is stable up to a slope of 0.01509, where it doubles its "
-        "period; the short one never is.",
+        "The long gait, the middle line, is stable up to a slope of 0.01509, where it doubles its "
+        "period; the short one below it never is, nor is a slower one above, whose leg swings to "
+        "and fro once more. A fourth gait differs from that by less than 0.00002.",
     ),
     PaperFigure(
         4,
