@@ -303,11 +303,13 @@ def film(
     draw_ground(axes[0], walk)
     way, moving = None, [axes[0]]
     if data is not None:
-        basin(data, axes[1])
+        basin(data, axes[1]).set_title("", loc="left")
         way = way_over(data, walk["states"].rename(start="phase"))
         (line,) = axes[1].plot([], [], "o-", color=PATH, mec=INK, mew=0.8, ms=5, lw=1, zorder=6)
         (now,) = axes[1].plot([], [], "o", color=PATH, mec=INK, mew=1.4, ms=10, zorder=7)
         moving += [line, now]
+    words = title(walk, 45 if data is None else 90)
+    figure.suptitle(words, x=0.01, ha="left", fontsize=12, fontweight="bold")
     axes[0].set_axis_off()
     axes[0].set_aspect("equal")
     heading = axes[0].set_title("", loc="left", fontsize=11, fontweight="bold")
