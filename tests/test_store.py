@@ -101,11 +101,11 @@ def begun(path, request=REQUEST, notes=lambda: {"a": 0.1}):
         "value": xr.Variable(("x", "y"), np.broadcast_to(-1.0, (6, 2)), {"unit": "m"}),
         "half": xr.Variable(("x",), np.broadcast_to(np.int8(0), 6)),
     }
-    return store.pieces(path, request, axes(), arrays, 4, notes, aside=["half"])
+    return store.pieces(path, request, axes(), arrays, (4,), notes, aside=["half"])
 
 
 def write(place, piece):
-    rows = slice(*place.rows(piece))
+    (rows,) = place.at(piece)
     half = np.ones(rows.stop - rows.start, np.int8)
     place.write(piece, {"value": ROWS[rows], "half": half}, done=True)
 
@@ -114,7 +114,7 @@ def test_pieces_are_written_one_by_one_and_make_a_whole(tmp_path):
     path = tmp_path / "a.zarr"
     with begun(path) as place:
         assert (place.count, place.missing(), place.notes) == (2, [0, 1], {"a": 0.1})
-        assert [place.rows(i) for i in range(2)] == [(0, 4), (4, 6)]
+        assert [place.at(i) for i in range(2)] == [(slice(0, 4),), (slice(4, 6),)]
         write(place, 1)
         assert place.missing() == [0]
         np.testing.assert_array_equal(place.read("value", 1), ROWS[4:])

@@ -9,6 +9,7 @@ of strides; cell mapping costs one stride a cell, and its errors are of the size
 import math
 import os
 from collections.abc import Iterator
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -33,9 +34,10 @@ from walker_jax.attraction import (
     until_near,
 )
 from walker_jax.cells import Grid, cell_image, resolve
+from walker_jax.cluster import each
 from walker_jax.integrate import Real, default_tolerance
 from walker_jax.stride import Outcome, stride, strides
-from walker_jax.tiles import order_of_cells, over_cells, tracked
+from walker_jax.tiles import order_of_cells, over_cells
 from walker_jax.walkers import Walker
 
 METHODS = ("cell-map", "direct")
@@ -61,6 +63,7 @@ def basin(
     progress: bool = False,
     out: Path | None = None,
     request: dict | None = None,
+    cluster: Any = None,
 ) -> xr.Dataset:
     """Fate of every cell of a grid on the walker's section.
 
@@ -78,6 +81,8 @@ def basin(
       has ended, cells of missing pieces have a fate of -1. What is returned is read from there when
       it is used.
     - `request`: by what the result is known again there; by default, all that it depends on.
+    - `cluster`: who computes the pieces, as in `walker_jax.cluster.each`: a number of worker
+      processes on this machine, the address of a Dask scheduler, or a Dask client.
 
     **Returns** a data set over the grid's axes:
 
@@ -105,7 +110,9 @@ def basin(
     limit = {"strides": strides} if method == "direct" else {}
     how = {"method": method, **limit, "tolerance": tolerance}
     if out is not None:
-        return in_pieces(walker, grid, how, out, request, progress)
+        return in_pieces(walker, grid, how, out, request, cluster, progress)
+    if cluster is not None:
+        raise ValueError(f"cluster={cluster!r} computes pieces of a store: out is wanted too")
     if method == "cell-map":
         found = cell_mapping(walker, grid, tolerance, progress)
     else:
@@ -333,7 +340,13 @@ def with_attractors(
 
 
 def in_pieces(
-    walker: Walker, grid: Grid, how: dict, out: Path, request: dict | None, progress: bool
+    walker: Walker,
+    grid: Grid,
+    how: dict,
+    out: Path,
+    request: dict | None,
+    cluster: Any,
+    progress: bool,
 ) -> xr.Dataset:
     """`basin`, computed piece by piece into a store.
 
@@ -356,15 +369,17 @@ def in_pieces(
         "attractor": over_grid(grid, -1, np.int32, ABOUT["attractor"]),
         "strides": over_grid(grid, 0, np.int32, ABOUT["strides"]),
     }
-    rows = -(-PIECE // math.prod(grid.shape[1:]))
+    high = -(-PIECE // math.prod(grid.shape[1:]))
     found = store.find(out, request)
     if found is not None:
         return found
     with store.pieces(
-        out, request, about, arrays | work, rows, method.notes, aside=list(work)
+        out, request, about, arrays | work, (high,), method.notes, aside=list(work)
     ) as place:
-        for i in tracked(place.missing(), "pieces", progress):
-            place.write(i, method.piece(place.notes, place.rows(i)), done=True)
+        compute = partial(method.piece, place.notes)
+        number = {rows_of(place, i): i for i in place.missing()}
+        for rows, values in each(compute, [*number], cluster, progress=progress):
+            place.write(number[rows], values, done=True)
         attractors, pieces = method.finish(place)
         cells = np.zeros(len(attractors), int)
         for i, values in enumerate(pieces):
@@ -403,11 +418,11 @@ class MappedPieces(NamedTuple):
         """The attractors, and what is still to be written of each piece."""
         image = np.empty(self.grid.size, np.int32)
         for i in range(place.count):
-            cells_of_rows(self.grid, image, place.rows(i))[...] = place.read("image", i).ravel()
+            cells_of_rows(self.grid, image, rows_of(place, i))[...] = place.read("image", i).ravel()
         found = resolved(self.grid, image)
         pieces = (
             {
-                name: cells_of_rows(self.grid, np.asarray(values), place.rows(i))
+                name: cells_of_rows(self.grid, np.asarray(values), rows_of(place, i))
                 for name, values in zip(ABOUT, found[:3], strict=True)
             }
             for i in range(place.count)
@@ -464,6 +479,12 @@ class FollowedPieces(NamedTuple):
                 yield {"attractor": attractor}
 
         return attractors, pieces()
+
+
+def rows_of(place: store.Pieces, piece: int) -> tuple[int, int]:
+    """The first row of a piece, and the one after its last."""
+    (rows,) = place.at(piece)
+    return rows.start, rows.stop
 
 
 def left(ends: Float[np.ndarray, "n section"]) -> Bool[np.ndarray, " n"]:

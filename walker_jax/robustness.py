@@ -481,7 +481,7 @@ def robustness_table(
         raise ValueError(f"values must be one row of numbers, not of shape {values.shape}")
     check_parameter(walker, parameter, *map(float, values))
     rows = []
-    for value in tracked(values.tolist(), parameter, progress):
+    for value in tracked(values, parameter, progress):
         there = with_parameter(walker, parameter, float(value))
         region = default_region(there) if grid is None else grid
         if region is None:

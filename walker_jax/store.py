@@ -9,6 +9,7 @@ with it. Each piece is a chunk of every array, and counts as written once its en
 
 import hashlib
 import json
+import math
 import os
 import shutil
 import tempfile
@@ -125,47 +126,60 @@ def opened(path: Path) -> xr.Dataset:
 
 
 class Pieces(NamedTuple):
-    """A data set on disk whose arrays are written by pieces, so many rows of each at a time."""
+    """A data set on disk whose arrays are written by pieces, blocks of their first axes."""
 
     path: Path
     group: Any
-    rows_of_piece: int
-    rows_in_all: int
+    shape: tuple[int, ...]
+    """Of the axes that are cut."""
+    block: tuple[int, ...]
+    """How much of each is in a piece; less in the last ones."""
     notes: Any
     """What was noted when it was begun."""
 
     @property
+    def counts(self) -> tuple[int, ...]:
+        """How many pieces there are along each axis."""
+        return pieces_along(self.shape, self.block)
+
+    @property
     def count(self) -> int:
         """How many pieces there are."""
-        return -(-self.rows_in_all // self.rows_of_piece)
+        return math.prod(self.counts)
 
-    def rows(self, piece: int) -> tuple[int, int]:
-        """The first row of a piece, and the one after its last."""
-        first = piece * self.rows_of_piece
-        return first, min(first + self.rows_of_piece, self.rows_in_all)
+    def place(self, piece: int) -> tuple[int, ...]:
+        """Which piece along each axis it is."""
+        return tuple(int(i) for i in np.unravel_index(piece, self.counts))
+
+    def at(self, piece: int) -> tuple[slice, ...]:
+        """Its part of the arrays."""
+        ends = zip(self.place(piece), self.block, self.shape, strict=True)
+        return tuple(slice(i * size, min((i + 1) * size, whole)) for i, size, whole in ends)
 
     def missing(self) -> list[int]:
         """Pieces that are not written yet."""
-        return np.flatnonzero(self.array("written")[:] == 0).tolist()
+        return np.flatnonzero(self.array("written")[...] == 0).tolist()
 
     def array(self, name: str) -> Any:
         return self.group[name]
 
     def read(self, name: str, piece: int) -> np.ndarray:
         """What an array holds of a piece."""
-        return np.asarray(self.array(name)[slice(*self.rows(piece))])
+        return np.asarray(self.array(name)[self.at(piece)])
 
-    def write(self, piece: int, values: Mapping[str, np.ndarray], *, done: bool = False) -> None:
+    def write(self, piece: int, values: Mapping[str, Any], *, done: bool = False) -> None:
         """Write a piece's parts of some arrays; the piece is written if these are all, `done`."""
-        first, last = self.rows(piece)
+        at, place = self.at(piece), self.place(piece)
         for name, value in values.items():
             array = self.array(name)
-            array[first:last] = value.reshape(last - first, *array.shape[1:])
-            file = self.path / name / "c" / "/".join([str(piece), *"0" * (array.ndim - 1)])
+            part = [one.stop - one.start for one in at]
+            array[at] = np.reshape(value, (*part, *array.shape[len(at) :]))
+            key = "/".join(map(str, (*place, *[0] * (array.ndim - len(place)))))
+            file = self.path / name / "c" / key
             if file.exists():  # as it does not where all is as it was when the store was made
                 flush(file)
         if done:
-            self.array("written")[piece] = 1
+            self.array("written")[place] = 1
 
     def finish(self, data: xr.Dataset) -> None:
         """Add what is found at the end, and remove the arrays that were of use on the way."""
@@ -183,7 +197,7 @@ def pieces(
     request: dict,
     data: xr.Dataset,
     arrays: Mapping[str, xr.Variable],
-    rows: int,
+    block: tuple[int, ...],
     notes: Callable[[], Any],
     *,
     aside: Sequence[str] = (),
@@ -195,8 +209,8 @@ def pieces(
     - `request`: by which it is known again.
     - `data`: what there is besides the arrays, from the beginning.
     - `arrays`: each the shape, and everywhere the value that it has where nothing is written yet.
-      Their first axis, of the same length in all, is cut into pieces.
-    - `rows`: of each piece but the last.
+      Their first axes, the same in all, are cut into pieces.
+    - `block`: how much of each of these axes is in a piece.
     - `notes`: called once, when it is begun; what it returns, in terms of JSON, is kept until the
       end.
     - `aside`: arrays that are of use on the way only.
@@ -207,7 +221,7 @@ def pieces(
     writable(path)
     if not path.exists():
         kept = {"request": canonical(request), "unfinished": 1, "notes": json.dumps(notes())}
-        begin(path, data.assign_attrs(kept), arrays, rows, aside)
+        begin(path, data.assign_attrs(kept), arrays, block, aside)
     try:
         group = group_at(path, "r+")
     except Exception as error:  # whatever is wrong with a foreign or damaged store
@@ -215,15 +229,15 @@ def pieces(
     check_request(path, group.attrs, request)
     with locked(path):
         notes_kept = json.loads(str(group.attrs["notes"]))
-        first = next(iter(arrays.values()))
-        yield Pieces(path, group, rows, first.shape[0], notes_kept)
+        shape = next(iter(arrays.values())).shape[: len(block)]
+        yield Pieces(path, group, shape, block, notes_kept)
 
 
 def begin(
     path: Path,
     data: xr.Dataset,
     arrays: Mapping[str, xr.Variable],
-    rows: int,
+    block: tuple[int, ...],
     aside: Sequence[str],
 ) -> None:
     """Make a store of pieces, none of them written."""
@@ -235,25 +249,30 @@ def begin(
             group.create_array(
                 name,
                 shape=array.shape,
-                chunks=(min(rows, array.shape[0]), *array.shape[1:]),
+                chunks=(*map(min, block, array.shape), *array.shape[len(block) :]),
                 dtype=array.dtype,
                 fill_value=array.values.flat[0],
                 dimension_names=[str(dim) for dim in array.dims],
                 attributes=dict(array.attrs),
             )
-            count = -(-array.shape[0] // rows)
+        count = pieces_along(next(iter(arrays.values())).shape, block)
         group.create_array(
             "written",
-            shape=(count,),
-            chunks=(1,),
+            shape=count,
+            chunks=(1,) * len(count),
             dtype="int8",
-            dimension_names=["piece"],
+            dimension_names=[f"piece{i}" for i in range(len(count))],
             attributes={"aside": list(aside)},
         )
         (draft / "new" / "written" / "lock").touch()
         (draft / "new").rename(path)
     finally:
         shutil.rmtree(draft, ignore_errors=True)
+
+
+def pieces_along(shape: Sequence[int], block: Sequence[int]) -> tuple[int, ...]:
+    """How many blocks there are along each of the first axes of a shape."""
+    return tuple(-(-whole // size) for whole, size in zip(shape, block, strict=False))
 
 
 @contextmanager

@@ -9,7 +9,7 @@ cores or devices share the work.
 
 import math
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any, TypeVar
@@ -124,17 +124,28 @@ def _share_out(
             raise
 
 
-def tracked(things: Sequence[T], label: str, progress: bool) -> Iterable[T]:
+def tracked(
+    things: Iterable[T], label: str, progress: bool, total: int | None = None
+) -> Iterable[T]:
     """The things, one after the other, with a progress bar on a terminal if that is wanted."""
     console = Console(stderr=True)
     hidden = not (progress and console.is_terminal)
-    return track(things, label, console=console, disable=hidden, transient=True)
+    return track(things, label, total, console=console, disable=hidden, transient=True)
+
+
+_limit: int | None = None
+
+
+def limit_cores(cores: int | None) -> None:
+    """Let `over_cells` use no more cores of a CPU than so many, in this process."""
+    global _limit
+    _limit = cores
 
 
 def _cores() -> int:
     """Processor cores that this process may use."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return cores or 1
+    return min(cores or 1, _limit or cores or 1)
 
 
 def _by_kernel(
