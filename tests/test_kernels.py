@@ -7,6 +7,7 @@ import pytest
 from jax import lax
 from jax.scipy.special import erf
 
+from walker_jax import kernels
 from walker_jax.kernels import RULES, Kernel, NoKernel, exp_float32, log_float32
 from walker_jax.scalars import ENTRYWISE
 
@@ -388,3 +389,21 @@ def test_large_arrays_have_no_kernel():
 
 def test_a_function_may_have_no_results():
     assert run(lambda x: (), np.ones(3)) == ()
+
+
+def test_the_program_of_a_function_is_the_same_whenever_it_is_written(monkeypatch):
+    """Not so if it depended on where objects lie in memory; nor would the last bits be."""
+    programs, junk = [], []
+    compiled = kernels.compiled
+    monkeypatch.setattr(kernels, "compiled", lambda text: programs.append(text) or compiled(text))
+
+    def function(shared, x):
+        waves = [jnp.sin(k * x) * jnp.cos(shared / k) for k in range(1, 9)]
+        return sum(a * b + b * c for a, b, c in zip(waves, waves[1:], waves[2:], strict=False))
+
+    change = lambda shared, x: jax.jvp(lambda x: function(shared, x), (x,), (x,))
+    for size in (1, 10, 100, 1000, 10_000):
+        Kernel(change, jnp.float64(2), jnp.float64(1))
+        junk.append([object() for _ in range(size)])  # so that the next ones lie elsewhere
+        junk[::2] = [[] for _ in junk[::2]]
+    assert len(programs) == 5 and len(set(programs)) == 1

@@ -42,6 +42,7 @@ from walker_jax.robustness import (
     robustness_table,
 )
 from walker_jax.stride import Outcome, Stride, Walk, step_down, stride, strides, trajectory, walk
+from walker_jax.sweep import sweep
 from walker_jax.walkers import (
     HeavyLegWalker,
     PointFootWalker,
@@ -108,6 +109,7 @@ __all__ = [
     "step_down",
     "stride",
     "strides",
+    "sweep",
     "trajectory",
     "uncertainty_exponent",
     "walk",

@@ -356,14 +356,7 @@ def in_pieces(
     """
     method = (MappedPieces if how["method"] == "cell-map" else FollowedPieces)(walker, grid, how)
     about, work = described(walker, grid, how), method.arrays()
-    request = request or {
-        "command": "basin",
-        **{name: value for name, value in about.attrs.items() if name != "section"},
-        "axes": grid.box,
-        "shear": grid.shear.tolist(),
-        "origin": grid.origin.tolist(),
-        "dtype": str(jnp.asarray(0.0).dtype),
-    }
+    request = request or request_of(about, grid) | {"command": "basin"}
     arrays = {
         "fate": over_grid(grid, NOT_YET, np.int8, ABOUT["fate"]),
         "attractor": over_grid(grid, -1, np.int32, ABOUT["attractor"]),
@@ -388,6 +381,17 @@ def in_pieces(
             cells += np.bincount(number[number >= 0], minlength=len(cells))
         place.finish(with_attractors(about, grid, attractors, cells))
     return store.opened(out)
+
+
+def request_of(about: xr.Dataset, grid: Grid) -> dict:
+    """All that a basin depends on, by which it is known again."""
+    return {
+        **{str(name): value for name, value in about.attrs.items()},
+        "axes": grid.box,
+        "shear": grid.shear.tolist(),
+        "origin": grid.origin.tolist(),
+        "dtype": str(jnp.asarray(0.0).dtype),
+    }
 
 
 def over_grid(grid: Grid, value: Any, dtype: Any, about: dict, *more: str) -> xr.Variable:

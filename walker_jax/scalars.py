@@ -74,8 +74,8 @@ class Unrolling:
     def __init__(self):
         self.known: dict = {}
         """Results by primitive, parameters and operands: equal terms are computed once."""
-        self.kept: list = []
-        """Operands of those, lest another object takes one's identity."""
+        self.numbers: dict[int, tuple[int, Any]] = {}
+        """Every JAX scalar met: its number in the order in which they came, by its identity."""
 
     def split(self, value) -> np.ndarray:
         entries = np.empty(np.shape(value), object)
@@ -165,12 +165,21 @@ class Unrolling:
         elif name in ("copy", "copy_p"):
             return operands[0]
         if name in ("mul", "add", "add_any"):  # the order does not matter
-            operands = sorted(operands, key=identity)
-        key = name, (*map(identity, operands), *dtypes), repr(sorted(params.items()))
+            operands = sorted(operands, key=self.identity)
+        key = name, (*map(self.identity, operands), *dtypes), repr(sorted(params.items()))
         if key not in self.known:
-            self.kept += operands
             self.known[key] = self.evaluate(primitive, params, operands, dtypes)
         return self.known[key]
+
+    def identity(self, entry) -> tuple:
+        """What makes an entry the same as another, and sorts entries alike in every process.
+
+        For the last bit of a sum of products depends on the order of its terms.
+        """
+        if is_number(entry):
+            return 0, type(entry).__name__, repr(entry)
+        number, _ = self.numbers.setdefault(id(entry), (len(self.numbers), entry))
+        return 1, "", number
 
     def evaluate(self, primitive: Primitive, params: dict, operands: list, dtypes: list) -> Any:
         """The primitive itself, of scalars: a number where all of them are."""
@@ -227,12 +236,6 @@ def params_of(function: Callable) -> dict:
 @no_type_check
 def is_number(entry) -> bool:
     return isinstance(entry, (bool, int, float, complex))
-
-
-@no_type_check
-def identity(entry):
-    """What makes an entry the same as another."""
-    return (0, type(entry).__name__, repr(entry)) if is_number(entry) else (1, "", id(entry))
 
 
 def bound(primitive: Primitive, params: dict, operands, *, now: bool) -> list:

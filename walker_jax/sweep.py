@@ -1,0 +1,191 @@
+"""Basins over any parameters of a walker, each with its gait, area and robustness."""
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+from jax.typing import ArrayLike
+from jaxtyping import Float
+
+from walker_jax import store
+from walker_jax.basin import ABOUT, NOT_YET, basin, check_grid, described, over_grid, request_of
+from walker_jax.cells import Grid
+from walker_jax.cluster import each
+from walker_jax.gaits import check_parameter, find_gait, with_parameter
+from walker_jax.integrate import default_tolerance
+from walker_jax.objectives import gait_measures
+from walker_jax.refinement import refine
+from walker_jax.robustness import default_region, robustness, without_gait
+from walker_jax.walkers import Walker
+
+OF_GAIT = ("step-length", "speed", "cost-of-transport")
+"""What is measured of a gait beside its state, multiplier and time."""
+
+
+def sweep(
+    walker: Walker,
+    over: Mapping[str, Sequence[Any] | ArrayLike],
+    grid: Grid | None = None,
+    *,
+    levels: int = 2,
+    robust: bool = False,
+    strides: int = 200,
+    seed: int = 0,
+    tolerance: float | None = None,
+    out: Path | None = None,
+    request: dict | None = None,
+    cluster: Any = None,
+    progress: bool = False,
+) -> xr.Dataset:
+    """The basin of a walker, its gait and its area, for all combinations of some parameters.
+
+    **Arguments:**
+
+    - `walker`: gives the values of its other parameters.
+    - `over`: values of each of the parameters.
+    - `grid`: of all basins; by default the region that `robustness` takes for this walker.
+    - `levels`: of the refinement by which areas are exact, as in `refine`.
+    - `robust`: whether to measure all that `robustness` does, which takes half a minute for each.
+    - `strides`: how many of them a walker is followed for.
+    - `seed`, `tolerance`: of what is drawn, and of the integration.
+    - `out`, `request`, `cluster`: as in `basin`; a piece is one combination.
+    - `progress`: whether to show a progress bar on a terminal.
+
+    **Returns** a data set with the parameters as dimensions, in the order given, of
+
+    - over the grid too: `fate`, `attractor` and `strides`, as `basin` gives them, by direct
+      iteration from the cells' centres. Attractors are numbered in each basin on its own; there are
+      so many `attractors`;
+    - `area` of the cells that come to one; `total_area` and its standard error `total_area_error`,
+      as `refine` gives them;
+    - of the gait of period one, NaN where none is found: `gait_state`, `multiplier` (the largest
+      modulus), `step_time`, `step_length`, `speed` and `cost_of_transport`;
+    - if `robust`, what `robustness` gives of the gait with the largest basin, of any period, whose
+      `gait_state`, `multiplier` and `step_time` these are then.
+
+    A combination that cannot be computed, as one that the walker refuses, has `failed` 1, fates of
+    -1, and NaN; the others go on. `ValueError` for a parameter or a value that the walker does not
+    have, for no values, and as for `basin` and `refine`.
+    """
+    values = {name: np.array(some, float, ndmin=1) for name, some in over.items()}
+    check_values(walker, values)
+    if levels < 0 or strides < 1:
+        raise ValueError(f"levels must not be negative, {levels}, nor strides below 1, {strides}")
+    grid = default_region(walker) if grid is None else grid
+    if grid is None:
+        raise ValueError("grid is wanted where no gait of period one is found")
+    check_grid(walker, grid, "direct")
+    tolerance = float(default_tolerance(jnp.asarray(0.0).dtype, tolerance))
+    how = {"levels": levels, "robust": int(robust), "strides": strides, "seed": seed}
+    about = described(walker, grid, {"method": "direct", **how, "tolerance": tolerance})
+    for name in values:
+        del about.attrs[f"walker_{name}"]
+    own = {"command": "sweep", "over": {name: some.tolist() for name, some in values.items()}}
+    request = request or request_of(about, grid) | own
+    about = about.assign_coords(values)
+    if out is None:  # nobody else sees it
+        with tempfile.TemporaryDirectory() as folder:
+            place = Path(folder) / "sweep.zarr"
+            data = fill(place, request, about, walker, grid, [*values], cluster, progress).load()
+        del data.attrs["request"]
+        return data
+    found = store.find(out, request)
+    if found is not None:
+        return found
+    return fill(out, request, about, walker, grid, [*values], cluster, progress)
+
+
+def check_values(walker: Walker, values: Mapping[str, Float[np.ndarray, "..."]]) -> None:
+    """Refuse parameters that the walker does not have, and values."""
+    if not values:
+        raise ValueError("over must name at least one parameter")
+    for name, some in values.items():
+        if some.ndim != 1 or len(some) == 0 or len(np.unique(some)) < len(some):
+            raise ValueError(f"over {name} must be one row of different numbers, not {some}")
+        check_parameter(walker, name, *some.tolist())
+
+
+def fill(
+    out: Path,
+    request: dict,
+    about: xr.Dataset,
+    walker: Walker,
+    grid: Grid,
+    names: list[str],
+    cluster: Any,
+    progress: bool,
+) -> xr.Dataset:
+    """Compute what is missing of a sweep, and give all of it."""
+    shape = [about.sizes[name] for name in names]
+    compute = partial(point, walker, grid, about.attrs, names)
+    fields = {
+        name: spread(value, names, shape) for name, value in blank(walker, grid, about).items()
+    }
+    with store.pieces(out, request, about, fields, (1,) * len(shape), dict) as place:
+        number = {}
+        for i in place.missing():
+            at = zip(names, place.place(i), strict=True)
+            number[tuple(float(about[name][k]) for name, k in at)] = i
+        label = " × ".join(names)
+        for values, row in each(compute, [*number], cluster, label=label, progress=progress):
+            place.write(number[values], row, done=True)
+        place.finish(about)
+    return store.opened(out)
+
+
+def blank(walker: Walker, grid: Grid, about: xr.Dataset) -> dict[str, xr.Variable]:
+    """What there is of one combination, before it is computed."""
+    numbers = ("area", "total_area", "total_area_error", "multiplier", "step_time")
+    numbers += tuple(name.replace("-", "_") for name in OF_GAIT)
+    nowhere = "coordinate", np.full(grid.coordinates, np.nan)
+    row = dict.fromkeys(numbers, np.nan) | {"gait_state": nowhere, "attractors": 0, "failed": 0}
+    row |= without_gait(walker) if about.attrs["robust"] else {}
+    return {
+        "fate": over_grid(grid, NOT_YET, np.int8, ABOUT["fate"]),
+        "attractor": over_grid(grid, -1, np.int32, ABOUT["attractor"]),
+        "strides": over_grid(grid, 0, np.int32, ABOUT["strides"]),
+        **{str(name): one.variable for name, one in xr.Dataset(row).items()},
+    }
+
+
+def spread(value: xr.Variable, names: list[str], shape: list[int]) -> xr.Variable:
+    """The same for every combination of parameters, without taking memory for it."""
+    everywhere = np.broadcast_to(value.values, (*shape, *value.shape))
+    return xr.Variable((*names, *value.dims), everywhere, value.attrs)
+
+
+def point(
+    walker: Walker, grid: Grid, how: Mapping[str, Any], names: list[str], values: tuple[float, ...]
+) -> dict[str, Any]:
+    """What a sweep holds of one combination of values."""
+    try:
+        there = walker
+        for name, value in zip(names, values, strict=True):
+            check_parameter(there, name, value)
+            there = with_parameter(there, name, jnp.asarray(value, jnp.asarray(0.0).dtype))
+        return measured(there, grid, how)
+    except Exception:  # whatever is wrong with it: one bad combination must not cost the others
+        return {"failed": 1}
+
+
+def measured(walker: Walker, grid: Grid, how: Mapping[str, Any]) -> dict[str, Any]:
+    """The basin of a walker, and the numbers that go with it."""
+    options: Any = {name: how[name] for name in ("strides", "tolerance")}
+    cells = basin(walker, grid, "direct", **options)
+    row = {name: cells[name].values for name in ABOUT}
+    row |= {"area": float(cells["area"].sum()), "attractors": cells.sizes["number"]}
+    options |= {"levels": how["levels"], "seed": how["seed"]}
+    gait = find_gait(walker, tolerance=how["tolerance"])
+    if gait.found:
+        row |= {"gait_state": np.asarray(gait.states[0])}
+        row |= {"multiplier": np.abs(gait.multipliers[0]), "step_time": np.mean(gait.step_times)}
+        of_gait = gait_measures(walker, (), gait, tolerance=how["tolerance"])
+        row |= {name.replace("-", "_"): of_gait[name].value for name in OF_GAIT}
+    fine = robustness(walker, grid, **options) if how["robust"] else refine(walker, grid, **options)
+    of_basin = ("total_area", "total_area_error", *(without_gait(walker) if how["robust"] else ()))
+    return row | {name: fine[name].values for name in of_basin}
