@@ -43,6 +43,14 @@ PictureOfData = Annotated[
     ),
 ]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
+Workers = Annotated[
+    int | None,
+    typer.Option(min=1, help="Compute pieces in so many processes (Dask), which share the cores."),
+]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(metavar="ADDRESS", help="Compute pieces on the workers of a Dask scheduler."),
+]
 Axis = tuple[float, float, int]
 
 PICTURES = (".png", ".svg", ".pdf")  # those that carry a title, by which a picture is known again
@@ -531,6 +539,8 @@ def basin(
     strides: Annotated[
         int | None, typer.Option(min=1, help="Strides at most, direct only (default: 200).")
     ] = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
     out: Out = Path("basin.zarr"),
     figure: PictureOfData = None,
     overwrite: Overwrite = False,
@@ -539,7 +549,8 @@ def basin(
     """Compute and draw the basin of attraction of a walker's gait.
 
     By default that of the simplest walker in the window of Schwab and Wisse (2001), Figure 4. For
-    another walker the window is around its gait.
+    another walker the window is around its gait. The data set is written piece by piece: after an
+    interruption the same command goes on.
     """
     import walker_jax as wj
     from walker_jax import figures, store
@@ -555,6 +566,7 @@ def basin(
         raise ValueError("--phidot and --at-phidot exclude each other: give one of them")
     if thetadot is not None and sum_ is not None:
         raise ValueError("--sum and --thetadot exclude each other: give one of them")
+    cluster = cluster_of(workers, scheduler)
     sliced = has_phidot and phidot is None
     method = method or ("direct" if sliced else "cell-map")
     if sliced and method == "cell-map":
@@ -597,6 +609,7 @@ def basin(
         if overwrite:
             store.clear(out)
         options: Any = {"strides": strides, "progress": True, "out": out, "request": request}
+        options |= {"cluster": cluster}
         data = wj.basin(walker, grid, method, **options)
     seconds = clock.seconds()
     flat = data["fate"].ndim == 2
@@ -655,6 +668,13 @@ def basin(
             f"{seconds['compile']:.1f} s to compile, {seconds['run']:.2f} s to run"
         )
     print(f"  data set {out}, picture {figure}")
+
+
+def cluster_of(workers: int | None, scheduler: str | None) -> int | str | None:
+    """Who computes pieces: worker processes, those of a scheduler, or this process, none."""
+    if workers is not None and scheduler is not None:
+        raise ValueError("--workers and --scheduler exclude each other: give one of them")
+    return scheduler if workers is None else workers
 
 
 def tally(data: xr.Dataset) -> tuple[np.ndarray, int, int]:
@@ -977,6 +997,107 @@ def objective_of(texts: list[str]) -> str | dict[str, float]:
             raise ValueError(f"--objective is given twice for {name}")
         weights[name] = value
     return weights
+
+
+@app.command()
+@takes_walker
+def sweep(
+    walker: Walker,
+    over: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=LO:HI:N", help="Values of a parameter; give it again for others."
+        ),
+    ] = None,
+    theta: Annotated[
+        Axis | None, typer.Option(metavar="LO HI N", help="Stance angle, rad (default: all).")
+    ] = None,
+    sum_: Annotated[
+        Axis | None, typer.Option("--sum", metavar="LO HI N", help="theta + thetadot.")
+    ] = None,
+    at_phidot: Annotated[
+        float | None, typer.Option(help=f"{PHIDOT_HELP}: where the slice is.")
+    ] = None,
+    levels: Annotated[int, typer.Option(min=0, help="Of refinement of the areas.")] = 2,
+    robust: Annotated[
+        bool, typer.Option("--robust", help="All numbers of `robustness` too; half a minute each.")
+    ] = False,
+    strides: Annotated[int, typer.Option(min=1, help="Strides at most.")] = 200,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    out: Out = Path("sweep.zarr"),
+    figure: PictureOfData = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Compute basins, gaits and areas over one or more parameters, all combinations of them.
+
+    What has been computed is kept as it goes: after an interruption the same command goes on. The
+    picture shows the area over the first two parameters.
+    """
+    import walker_jax as wj
+    from walker_jax import figures, store
+
+    values = values_of(over or [])
+    if not values:
+        raise ValueError("--over is wanted: a parameter and its values, such as slope=0.002:0.01:5")
+    for name, some in values.items():
+        check_parameter(walker, name, *some)
+    cluster = cluster_of(workers, scheduler)
+    grid = region_of(walker, theta, sum_, at_phidot)
+    about = {name: v for name, v in description(walker).items() if name not in values}
+    request = {
+        "command": "sweep",
+        "walker": about,
+        "over": values,
+        "axes": {} if grid is None else grid.box,
+        "levels": levels,
+        "robust": robust,
+        "strides": strides,
+        "version": version("walker-jax"),
+    }
+    figure = picture_of(out, figure)
+    store.check_picture(figure, request, overwrite=overwrite)
+    data = store.find(out, request, overwrite=overwrite)
+    if data is None:
+        if overwrite:
+            store.clear(out)
+        options: Any = {"levels": levels, "robust": robust, "strides": strides, "cluster": cluster}
+        options |= {"out": out, "request": request, "progress": True}
+        data = wj.sweep(walker, values, grid, **options)
+    draw(figures.sweep(data), figure, request)
+    names = [*values]
+    table = data[[name for name in data if set(data[name].dims) == set(names)]].load()
+    rows = table.stack(point=names).to_dataframe()[[str(name) for name in table]].reset_index()
+    if as_json:
+        print_json({"walker": about, "points": rows.to_dict(orient="records")})
+        return
+    shown = [*names, "total_area", "total_area_error", "multiplier", "speed", "failed"]
+    shown += ["least_disturbance", "step_down"] if robust else []
+    print(rows[shown].map("{:.6g}".format).to_string(index=False))
+    print(f"  data set {out}, picture {figure}")
+
+
+def values_of(over: list[str]) -> dict[str, list[float]]:
+    """The values of each parameter that --over names."""
+    values: dict[str, list[float]] = {}
+    for text in over:
+        name, _, span = text.partition("=")
+        try:
+            low, high, count = span.split(":")
+            ends = float(low), float(high)
+            number = int(count)
+        except ValueError:
+            raise ValueError(f"--over must be NAME=LO:HI:N, not {text}") from None
+        if not ends[0] < ends[1] or number < 2 or not math.isfinite(ends[1] - ends[0]):
+            raise ValueError(
+                f"--over {text} must have LO below HI, both finite, and N of 2 or more"
+            )
+        name = name.replace("-", "_")
+        if name in values:
+            raise ValueError(f"--over is given twice for {name}")
+        values[name] = np.linspace(*ends, number).round(12).tolist()
+    return values
 
 
 @app.command()

@@ -455,6 +455,47 @@ def entry(region: Region, share: int) -> str:
     return f"{region.words} ({about}{count:,} cell{'s' * (count > 1)})"
 
 
+def sweep(data: xr.Dataset, ax: Axes | None = None) -> Axes:
+    """The area of the basin over one or two parameters, with its standard error over one.
+
+    **Arguments:**
+
+    - `data`: what `walker_jax.sweep` returns. Of three parameters and more, the others are at their
+      first values.
+    - `ax`: where to draw; by default, on a new figure of 7 by 4.8 inches.
+
+    **Returns** the axes.
+    """
+    ax = Figure(figsize=(7, 4.8), layout="constrained").add_subplot() if ax is None else ax
+    area, error = data["total_area"], data["total_area_error"]
+    others = [str(name) for name in area.dims[2:]]
+    at = {name: 0 for name in others}
+    area, error = area.isel(at), error.isel(at)
+    x = str(area.dims[0])
+    ax.set_xlabel(named(x), fontsize=11)
+    if area.ndim == 1:
+        ax.errorbar(data[x], area, error, fmt="o-", color=BASINS[0], capsize=3)
+        ax.set_ylabel("area of the basin (rad² / √(l/g))", fontsize=11)
+        ax.set_ylim(bottom=0)
+    else:
+        y = str(area.dims[1])
+        image = ax.pcolormesh(data[x], data[y], area.T, cmap="viridis", rasterized=True)
+        ax.set_ylabel(named(y), fontsize=11)
+        bar = ax.figure.colorbar(image, ax=ax)
+        bar.set_label("area of the basin (rad² / √(l/g))", fontsize=11)
+    held = valued({name: float(data[name][0]) for name in others})
+    shape = " × ".join(map(str, data["total_area"].shape))
+    failed = int(data["failed"].sum())
+    note = listed([f"{shape} basins", *held, *([f"{failed} failed"] if failed else [])], 60)
+    write_title(ax, title(data), note)
+    return ax
+
+
+def named(parameter: str) -> str:
+    """A parameter, as the label of an axis."""
+    return f"{parameter.replace('_', ' ')}{' (rad)' * (parameter == 'slope')}"
+
+
 def thinned(data: xr.Dataset, most: int = 2000) -> xr.Dataset:
     """Of many cells, some rows and columns, so many at most: enough for a picture."""
     over = {dim: -(-size // most) for dim, size in data["fate"].sizes.items()}
