@@ -18,6 +18,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
 from walker_jax.cells import Grid, cell_image, resolve
+from walker_jax.checks import check_kind, check_whole
 from walker_jax.gaits import gait_at, search, walked
 from walker_jax.integrate import Real, default_tolerance
 from walker_jax.stride import Outcome, stride, strides
@@ -86,8 +87,7 @@ def basin(
     """
     if method not in METHODS:
         raise ValueError(f"method must be one of {', '.join(METHODS)}, not {method!r}")
-    if strides < 1:
-        raise ValueError(f"strides must be at least 1, not {strides}")
+    check_whole("strides", strides)
     check_grid(walker, grid, method)
     tolerance = float(default_tolerance(jnp.asarray(0.0).dtype, tolerance))
     if method == "cell-map":
@@ -101,6 +101,8 @@ def basin(
 
 def check_grid(walker: Walker, grid: Grid, method: str, each: int = BYTES_PER_CELL) -> None:
     """Refuse a grid that is not of the walker's section, or too large for this machine's memory."""
+    check_kind("walker", walker, Walker)
+    check_kind("grid", grid, Grid)
     if grid.coordinates != len(walker.section):
         raise ValueError(
             f"grid must have the {len(walker.section)} dimensions of the section, "

@@ -5,7 +5,6 @@ shows how each is born, loses its stability and ends. What walkers come to, gait
 never repeat themselves, is seen by following walkers that start close to the gaits, stable or not.
 """
 
-import operator
 from collections.abc import Sequence
 from importlib.metadata import version
 from typing import Any, NamedTuple
@@ -29,6 +28,7 @@ from walker_jax.branches import (
     doubled,
     together,
 )
+from walker_jax.checks import check_whole
 from walker_jax.gaits import (
     Gait,
     check_parameter,
@@ -100,8 +100,7 @@ def attractors(
     if starts.ndim != 3 or starts.shape[::2] != (len(values), len(walker.section)):
         shape = f"({len(values)}, starts, {len(walker.section)})"
         raise ValueError(f"starts must have shape {shape}, not {starts.shape}")
-    if operator.index(strides) < 1:
-        raise ValueError(f"strides must be at least 1, not {strides}")
+    check_whole("strides", strides)
     n, m, size = starts.shape
     walkers = with_parameter(walker, parameter, np.repeat(values, m))
     x, fate, count = persist(walkers, starts.reshape(-1, size), strides, tolerance, progress)
@@ -211,8 +210,7 @@ def loss_of_walking(
     """
     tolerance = double_tolerance(tolerance)
     below, above = check_interval(walker, parameter, interval)
-    if operator.index(strides) < 1:
-        raise ValueError(f"strides must be at least 1, not {strides}")
+    check_whole("strides", strides)
     if not resolution > np.spacing(above):
         raise ValueError(
             f"resolution must be a distance, and wider than rounding, not {resolution}"
@@ -314,8 +312,7 @@ def bifurcation_diagram(
     tolerance = double_tolerance(tolerance)
     low, high = check_interval(walker, parameter, interval)
     for name, number in {"period_max": period_max, "strides": strides, "scan": scan}.items():
-        if operator.index(number) < 1:
-            raise ValueError(f"{name} must be at least 1, not {number}")
+        check_whole(name, number)
     branches: list[Branch] = []
     stems: list[int] = []
 

@@ -9,13 +9,14 @@ needs labels at random points, and can look at distances far below any grid's.
 Dimensions are pure numbers; sizes and distances are in the caller's units.
 """
 
-import operator
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy.special import ndtri, stdtrit
+
+from walker_jax.checks import check_whole
 
 SMALLEST = 4
 """Cells along a side of the smallest box: detail finer than a cell is missing from smaller ones."""
@@ -170,6 +171,7 @@ def uncertainty_exponent(
     Raises ValueError if an argument is out of range, or the functions return wrong shapes.
     """
     distances = checked_distances(distances, pairs)
+    check_whole("seed", seed, 0)
     upper = upper_end(confidence)
 
     rng = np.random.default_rng(seed)
@@ -201,13 +203,12 @@ def checked_distances(
     distances: Float[np.ndarray | Array, " k"], pairs: int
 ) -> Float[np.ndarray, " k"]:
     """The distances, sorted; ValueError for what `uncertainty_exponent` cannot use."""
-    distances = np.sort(np.asarray(distances, float))
+    distances = np.sort(np.atleast_1d(np.asarray(distances, float)))
     if distances.ndim != 1 or len(np.unique(distances)) < max(SCALES, distances.size):
         raise ValueError(f"distances={short(distances)}: must be at least {SCALES}, all different")
     if not (np.isfinite(distances) & (distances > 0)).all():
         raise ValueError(f"distances={short(distances)}: must be positive and finite")
-    if operator.index(pairs) < POINTS:
-        raise ValueError(f"pairs={pairs}: must be at least {POINTS}")
+    check_whole("pairs", pairs, POINTS)
     return distances
 
 

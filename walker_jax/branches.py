@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float
 
+from walker_jax.checks import check_kind
 from walker_jax.gaits import (
     RESIDUAL,
     Curved,
@@ -128,6 +129,7 @@ def continue_gait(
     check_interval(walker, parameter, interval)
     value = float(getattr(walker, parameter))
     gait = find_gait(walker, tolerance=tolerance) if gait is None else gait
+    check_kind("gait", gait, Gait)
     if not gait.found:
         raise ValueError(f"gait must be one, unlike the end of a failed search, {gait.states}")
     start = Start(value, np.asarray(gait.states, float))

@@ -27,6 +27,8 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, Int32
 
+from walker_jax.checks import check_kind
+
 ROOM_FOR_SINKS = 255
 MAX_SIZE = 2**31 - 1 - ROOM_FOR_SINKS
 
@@ -70,6 +72,7 @@ class Grid(eqx.Module):
         origin: ArrayLike | None = None,
         fixed: tuple[str, ...] = (),
     ):
+        check_kind("axes", axes, Mapping)
         if not axes:
             raise ValueError(f"axes={axes!r}: a grid needs at least one axis")
         lower, upper, counts = zip(*(_axis(*item) for item in axes.items()), strict=True)
@@ -238,6 +241,8 @@ def _axis(name: str, axis: Axis) -> tuple[float, float, int]:
         raise ValueError(f"{name}={axis!r}: low must be below high")
     if count < 1:
         raise ValueError(f"{name}={axis!r}: the count of cells must be positive")
+    if (high - low) / count < np.finfo(float).tiny:
+        raise ValueError(f"{name}={axis!r}: the cells are narrower than numbers can be apart")
     return low, high, count
 
 

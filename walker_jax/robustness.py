@@ -5,7 +5,6 @@ from which it does not come back says more of a machine than the multipliers of 
 and Wisse 2001, section 5).
 """
 
-import operator
 from collections.abc import Callable, Sequence
 from statistics import NormalDist
 from typing import Any, NamedTuple
@@ -31,6 +30,7 @@ from walker_jax.basin import (
 )
 from walker_jax.boundaries import Uncertainty, checked_distances, uncertainty_exponent, upper_end
 from walker_jax.cells import Grid
+from walker_jax.checks import check_kind, check_whole
 from walker_jax.gaits import Gait, check_parameter, find_gait, with_parameter
 from walker_jax.integrate import default_tolerance
 from walker_jax.margins import failed_by, follow_margins
@@ -264,8 +264,8 @@ def basin_stability(
         raise ValueError(f"disturbances must be a positive number, or a grid, not {disturbances}")
     if not within > 0:
         raise ValueError(f"within must be positive, not {within}")
-    if operator.index(samples) < 1:
-        raise ValueError(f"samples must be at least 1, not {samples}")
+    check_whole("samples", samples)
+    check_whole("seed", seed, 0)
     if not 0 < confidence < 1:
         raise ValueError(f"confidence must be between 0 and 1, not {confidence}")
     counts = {np.size(leaf) for leaf in jax.tree.leaves(walker) if np.ndim(leaf)}
@@ -345,10 +345,10 @@ def boundary_dimension(
     It is NaN where all cells have one fate. `ValueError` as for `basin` and `uncertainty_exponent`.
     """
     check_grid(walker, grid, "direct")
+    check_whole("seed", seed, 0)
     apart = checked_distances(np.asarray(distances, float), pairs)
     upper_end(confidence)
-    if strides < 1:
-        raise ValueError(f"strides must be at least 1, not {strides}")
+    check_whole("strides", strides)
     finest = float(default_tolerance(jnp.asarray(0.0).dtype, tolerance))
     starts, attractors = framed_attractors(walker, grid, finest, strides)
 
@@ -403,6 +403,7 @@ def robustness(
     `ValueError` as for `refine`, and for a walker that a grid is wanted for: without it, no gait of
     period one is found.
     """
+    check_kind("walker", walker, Walker)
     grid = default_region(walker) if grid is None else grid
     if grid is None:
         raise ValueError("grid is wanted where no gait of period one is found")
@@ -567,6 +568,7 @@ def metric(
 
     `ValueError` for what is not of the section.
     """
+    check_kind("walker", walker, Walker)
     size = len(walker.section)
     unit = np.ones(size) if scale is None else numbers(scale)
     if unit.shape != (size,) or not np.all(np.isfinite(unit) & (unit > 0)):
@@ -590,8 +592,7 @@ def returning(
     walker: Walker, gait: Gait | None, strides: int, tolerance: float | None
 ) -> tuple[Float[np.ndarray, "period section"], tuple]:
     """The states of a stable gait, and what walks share that are to come back to it, checked."""
-    if strides < 1:
-        raise ValueError(f"strides must be at least 1, not {strides}")
+    check_whole("strides", strides)
     gait = find_gait(walker) if gait is None else gait
     if not isinstance(gait, Gait) or not (gait.found and gait.stable):
         raise ValueError("gait must be a stable one, and found")
