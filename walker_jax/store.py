@@ -40,10 +40,15 @@ def find(path: Path, request: dict, *, overwrite: bool = False) -> xr.Dataset | 
 def writable(path: Path) -> None:
     """Raises `ValueError` where no file can be made beside `path`."""
     folder = path.absolute().parent
-    if not folder.is_dir():
-        raise ValueError(f"{path} cannot be written: there is no folder {folder}")
-    if not os.access(folder, os.W_OK | os.X_OK):
-        raise ValueError(f"{path} cannot be written: no permission for the folder {folder}")
+    try:
+        if not folder.is_dir():
+            raise ValueError(f"{path} cannot be written: there is no folder {folder}")
+        if not os.access(folder, os.W_OK | os.X_OK):
+            raise ValueError(f"{path} cannot be written: no permission for the folder {folder}")
+        (folder / f".{path.name}.{'x' * 8}").exists()  # refuses a name too long for a draft's
+        tempfile.TemporaryFile(dir=folder).close()  # refused on what is read only, also to root
+    except OSError as error:
+        raise ValueError(f"{path} cannot be written: {error.strerror}") from None
 
 
 def save(data: xr.Dataset, path: Path, request: dict) -> xr.Dataset:
@@ -56,6 +61,8 @@ def save(data: xr.Dataset, path: Path, request: dict) -> xr.Dataset:
             path.rename(draft / "old")
         (draft / "new").rename(path)
     finally:
+        if (draft / "old").exists() and not path.exists():
+            (draft / "old").rename(path)  # interrupted in between
         shutil.rmtree(draft, ignore_errors=True)
     return data
 
@@ -79,9 +86,10 @@ def load(path: Path) -> xr.Dataset | None:
 def check_picture(path: Path, request: dict, *, overwrite: bool = False) -> None:
     """Raises as `find` does where a picture of `request` cannot go; one of it may stand there."""
     writable(path)
-    if path.is_dir() or (
-        path.exists() and not overwrite and signature(request).encode() not in path.read_bytes()
-    ):
+    if not path.exists():
+        return
+    known = path.is_file() and (overwrite or signature(request).encode() in path.read_bytes())
+    if not known:
         raise Occupied(f"{path} is something else: name another place, or overwrite it")
 
 
