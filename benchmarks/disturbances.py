@@ -25,7 +25,7 @@ import jax
 import numpy as np
 
 import walker_jax as wj
-from walker_jax.basin import Attractor, with_frames
+from walker_jax.attraction import Attractor, with_frames
 from walker_jax.robustness import end_of_walk
 from walker_jax.tiles import over_cells
 

@@ -1,4 +1,7 @@
+import signal
+import subprocess
 import sys
+import time
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -6,7 +9,8 @@ import numpy as np
 import pytest
 
 import walker_jax as wj
-from walker_jax.basin import Attractor, Basins, sort_attractors
+from walker_jax import attraction, store
+from walker_jax.attraction import Attractor, Basins, sort_attractors
 
 module = sys.modules["walker_jax.basin"]  # the package has the function by that name
 REFERENCE = np.load(Path(__file__).parent / "data" / "strides_slope_0.004.npz")
@@ -45,8 +49,8 @@ def test_strides_count_until_the_gait_is_reached(direct):
         count = int(direct.strides.values.ravel()[cell])
         states = np.asarray(wj.walk(wj.SimplestWalker(0.004), grid.centre(cell), 64).states)
         distance = np.abs(states - direct.states.values[0, 0]).max(axis=1)
-        assert distance[count] < module.near(np.float64)
-        assert (distance[:count] >= module.near(np.float64)).all()
+        assert distance[count] < attraction.near(np.float64)
+        assert (distance[:count] >= attraction.near(np.float64)).all()
 
 
 def test_cell_mapping_agrees_with_direct_iteration_but_for_cells(direct, mapped):
@@ -98,7 +102,7 @@ def test_the_period_is_right_close_to_the_doubling_at_0_01509(slope, period):
 @pytest.mark.slow
 def test_a_motion_that_never_repeats_has_no_period(monkeypatch):
     """Beyond the cascade of doublings: survivors are on one attractor, without a period."""
-    monkeypatch.setattr(module, "PATIENCE", 2)
+    monkeypatch.setattr(attraction, "PATIENCE", 2)
     grid = wj.Grid.sheared(theta=(0.2, 0.3, 12), sum=(-0.01, 0.0, 12))
     data = wj.basin(wj.SimplestWalker(0.0186), grid, "direct", strides=60)
     assert data.period.values.tolist() == [0]
@@ -160,7 +164,7 @@ def test_strides_and_cycles_in_float32_are_close(direct):
     outcome = REFERENCE["outcome"].ravel()[::97]
     assert (single.outcome == outcome).mean() > 0.99
     walking = xs[direct.fate.values.ravel()[::97] == 0].astype(np.float32)
-    found = module.settle(wj.SimplestWalker(0.004), walking, 1e-6, [])
+    found = attraction.settle(wj.SimplestWalker(0.004), walking, 1e-6, [])
     assert [one.period for one in found] == [1]
     np.testing.assert_allclose(found[0].states, direct.states.values[0], atol=1e-4)
 
@@ -218,3 +222,114 @@ def test_where_cell_mapping_differs_and_what_it_makes_up():
     )
     assert int(lost.direct_attractors) == 0 and not lost.direct.any()
     assert lost.mapped.any() and lost.artefact.values.all()
+
+
+# Piece by piece
+
+
+STEEP = wj.SimplestWalker(0.0151)
+COARSE = {"theta": (0, 0.4, 50), "sum": (-0.03, 0.02, 60)}
+
+
+@pytest.fixture
+def small_pieces(monkeypatch):
+    monkeypatch.setattr(module, "PIECE", 700)
+
+
+@pytest.mark.parametrize("method", ["cell-map", "direct"])
+def test_piece_by_piece_it_is_the_same(tmp_path, small_pieces, method):
+    """Close to the doubling, where walkers are left at the end."""
+    grid = wj.Grid.sheared(**COARSE)
+    wanted = wj.basin(STEEP, grid, method, strides=30)
+    found = wj.basin(STEEP, grid, method, strides=30, out=tmp_path / "a.zarr")
+    assert found.attrs.pop("request") and found.identical(wanted)
+    again = wj.basin(STEEP, grid, method, strides=30, out=tmp_path / "a.zarr")
+    assert again.drop_attrs(deep=False).identical(wanted.drop_attrs(deep=False))
+    if method == "direct":
+        assert ((wanted.fate == 0) & (wanted.strides == 30)).sum() > 10
+    with pytest.raises(store.Occupied, match="another result"):
+        wj.basin(STEEP, grid, method, strides=30, tolerance=1e-9, out=tmp_path / "a.zarr")
+
+
+@pytest.mark.parametrize("method", ["cell-map", "direct"])
+def test_interrupted_at_any_write_it_goes_on(tmp_path, small_pieces, monkeypatch, method):
+    grid, path = wj.Grid.sheared(**COARSE), tmp_path / "a.zarr"
+    wanted = wj.basin(STEEP, grid, method, strides=30)
+    written, piece = [], []
+    kind = module.MappedPieces if method == "cell-map" else module.FollowedPieces
+    write, compute = store.Pieces.write, kind.piece
+
+    def stopped(place, i, values, done=False):
+        if len(written) in stops:
+            stops.discard(len(written))
+            write(place, i, dict(list(values.items())[:1]))  # a part of a piece
+            raise KeyboardInterrupt
+        written.append(i)
+        write(place, i, values, done=done)
+
+    def counted(self, notes, rows):
+        piece.append(rows)
+        return compute(self, notes, rows)
+
+    monkeypatch.setattr(store.Pieces, "write", stopped)
+    monkeypatch.setattr(kind, "piece", counted)
+    stops, runs = {0, 2, 3, 4, 6, 8}, 0
+    while stops:
+        with pytest.raises(KeyboardInterrupt):
+            wj.basin(STEEP, grid, method, strides=30, out=path)
+        runs += 1
+        assert store.load(path) is not None
+    found = wj.basin(STEEP, grid, method, strides=30, out=path)
+    assert found.drop_attrs(deep=False).identical(wanted.drop_attrs(deep=False))
+    # of five pieces four were in flight when it stopped; no other is computed twice
+    assert (runs, len(piece), len(set(piece))) == (6, 9, 5)
+
+
+KILLED = """
+import sys
+from pathlib import Path
+import jax
+import walker_jax as wj
+jax.config.update("jax_enable_x64", True)
+module = sys.modules["walker_jax.basin"]
+module.PIECE = 2**13
+kind = module.MappedPieces if sys.argv[1] == "cell-map" else module.FollowedPieces
+compute = kind.piece
+def told(self, notes, rows):
+    print("begun", rows[0], flush=True)
+    return compute(self, notes, rows)
+kind.piece = told
+grid = wj.Grid.sheared(theta=(0, 0.4, 400), sum=(-0.03, 0.02, 1000))
+wj.basin(wj.SimplestWalker(0.0151), grid, sys.argv[1], out=Path(sys.argv[2]))
+print("ended", flush=True)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["cell-map", "direct"])
+def test_killed_at_twenty_moments_it_is_the_same_to_the_last_bit(tmp_path, method):
+    """Killed, so that nothing is tidied up; no piece is computed twice but those in flight."""
+    rng, path = np.random.default_rng(0), tmp_path / "a.zarr"
+    command = [sys.executable, "-c", KILLED, method, str(path)]
+    begun, kills, ended = [], 0, False
+    while not ended:
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as run:
+            assert run.stdout is not None
+            lines = []
+            if kills < 20:
+                pieces = rng.integers(0, 4)  # after so many, and a moment within the next
+                while len(lines) < pieces and (line := run.stdout.readline()):
+                    lines.append(line)
+                time.sleep(rng.uniform(0, 0.3 if pieces else 4))
+                run.kill()
+                kills += 1
+            lines += run.stdout.read().splitlines()
+        ended = "ended" in map(str.strip, lines)
+        begun += [line for line in lines if line.startswith("begun")]
+        assert run.returncode in (0, -signal.SIGKILL)
+    assert kills == 20
+    grid = wj.Grid.sheared(theta=(0, 0.4, 400), sum=(-0.03, 0.02, 1000))
+    wanted = wj.basin(wj.SimplestWalker(0.0151), grid, method)
+    assert store.opened(path).drop_attrs(deep=False).identical(wanted.drop_attrs(deep=False))
+    assert len(set(map(str.strip, begun))) == 45
+    assert len(begun) <= 45 + kills

@@ -7,7 +7,7 @@ import xarray as xr
 
 import walker_jax as wj
 from walker_jax import Outcome
-from walker_jax.basin import Attractor, with_frames
+from walker_jax.attraction import Attractor, with_frames
 from walker_jax.robustness import (
     basin_stability,
     boundary_dimension,

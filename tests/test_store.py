@@ -1,6 +1,11 @@
+import errno
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import xarray as xr
+from zarr.storage import LocalStore
 
 from walker_jax import store
 
@@ -79,3 +84,158 @@ def test_a_picture_is_known_by_its_title(tmp_path):
     with pytest.raises(store.Occupied, match=r"a\.png is something else"):
         store.check_picture(path, {**REQUEST, "slope": 0.005})
     store.check_picture(path, {**REQUEST, "slope": 0.005}, overwrite=True)
+
+
+# Pieces
+
+
+ROWS = np.arange(12.0).reshape(6, 2)
+
+
+def axes():
+    return xr.Dataset(coords={"x": np.arange(6.0), "y": [0.0, 1.0]}, attrs={"kind": "test"})
+
+
+def begun(path, request=REQUEST, notes=lambda: {"a": 0.1}):
+    arrays = {
+        "value": xr.Variable(("x", "y"), np.broadcast_to(-1.0, (6, 2)), {"unit": "m"}),
+        "half": xr.Variable(("x",), np.broadcast_to(np.int8(0), 6)),
+    }
+    return store.pieces(path, request, axes(), arrays, 4, notes, aside=["half"])
+
+
+def write(place, piece):
+    rows = slice(*place.rows(piece))
+    half = np.ones(rows.stop - rows.start, np.int8)
+    place.write(piece, {"value": ROWS[rows], "half": half}, done=True)
+
+
+def test_pieces_are_written_one_by_one_and_make_a_whole(tmp_path):
+    path = tmp_path / "a.zarr"
+    with begun(path) as place:
+        assert (place.count, place.missing(), place.notes) == (2, [0, 1], {"a": 0.1})
+        assert [place.rows(i) for i in range(2)] == [(0, 4), (4, 6)]
+        write(place, 1)
+        assert place.missing() == [0]
+        np.testing.assert_array_equal(place.read("value", 1), ROWS[4:])
+        # anybody may look
+        seen = xr.open_zarr(path, consolidated=False)
+        np.testing.assert_array_equal(seen["value"], np.r_[np.full((4, 2), -1), ROWS[4:]])
+        assert seen.attrs["kind"] == "test" and seen["value"].attrs == {"unit": "m"}
+    assert store.find(path, REQUEST) is None
+    with begun(path, notes=lambda: 1 / 0) as place:
+        assert place.missing() == [0] and place.notes == {"a": 0.1}
+        write(place, 0)
+        place.finish(axes().assign(sum=ROWS.sum()))
+    found = store.find(path, REQUEST)
+    wanted = axes().assign(value=(("x", "y"), ROWS, {"unit": "m"}), sum=ROWS.sum())
+    assert found is not None and found.drop_attrs(deep=False).identical(
+        wanted.drop_attrs(deep=False)
+    )
+    assert found.attrs == {"kind": "test", "request": store.canonical(REQUEST)}
+    assert [p.name for p in tmp_path.iterdir()] == ["a.zarr"]
+    assert sorted(p.name for p in path.iterdir() if p.is_dir()) == ["sum", "value", "x", "y"]
+
+
+def test_another_request_may_not_go_on(tmp_path):
+    path = tmp_path / "a.zarr"
+    with begun(path) as place:
+        write(place, 0)
+    other = {**REQUEST, "slope": 0.005}
+    with (
+        pytest.raises(store.Occupied, match=r"another result \(slope: 0\.004, not 0\.005\)"),
+        begun(path, other),
+    ):
+        pass
+    with pytest.raises(store.Occupied, match="another result"):
+        store.find(path, other)
+    with begun(path) as place:
+        assert place.missing() == [1]
+
+
+@pytest.mark.parametrize(
+    ("there", "wanted", "said"),
+    [
+        ({"a": 1}, {"a": 2}, " (a: 1, not 2)"),
+        ({"a": {"b": 1, "c": [1]}}, {"a": {"b": 1, "c": [2]}}, " (a c: [1], not [2])"),
+        ({"a": 1}, {"a": 1, "b": "x"}, ' (b: none, not "x")'),
+        ({"a": 1, "b": 2}, {"a": 1}, " (b: 2, not null)"),
+        ({"a": 1}, {"a": 1}, ""),
+    ],
+)
+def test_what_is_other_is_said(there, wanted, said):
+    assert store.differences(there, wanted) == said
+
+
+def test_two_runs_may_not_write_at_once(tmp_path):
+    path = tmp_path / "a.zarr"
+    with begun(path) as place:
+        write(place, 0)
+        with pytest.raises(store.Occupied, match="is being written by another run"), begun(path):
+            pass
+        with pytest.raises(store.Occupied, match="is being written by another run"):
+            store.clear(path)
+    with begun(path) as place:
+        assert place.missing() == [1]
+    store.clear(path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_that_was_killed_holds_nothing(tmp_path):
+    path = tmp_path / "a.zarr"
+    with begun(path):
+        pass
+    program = (
+        "import os, signal, sys, pathlib\n"
+        "from walker_jax import store\n"
+        "with store.locked(pathlib.Path(sys.argv[1])):\n"
+        "    print('locked', flush=True)\n"
+        "    sys.stdin.read()\n"
+    )
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    with subprocess.Popen([sys.executable, "-c", program, str(path)], **pipes) as other:
+        assert other.stdout is not None and other.stdout.readline() == "locked\n"
+        with pytest.raises(store.Occupied), begun(path):
+            pass
+        other.kill()
+        other.wait()
+        with begun(path) as place:
+            assert place.missing() == [0, 1]
+
+
+def test_a_piece_that_does_not_fit_on_the_disk_is_missing(tmp_path, monkeypatch):
+    path = tmp_path / "a.zarr"
+    with begun(path) as place:
+        write(place, 0)
+    put = LocalStore.set
+
+    async def full(self, key, value):
+        if "half/c" in key:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        await put(self, key, value)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(LocalStore, "set", full)
+        with pytest.raises(OSError, match="No space"), begun(path) as place:
+            write(place, 1)
+    with begun(path) as place:
+        assert place.missing() == [1]
+        np.testing.assert_array_equal(place.read("value", 0), ROWS[:4])
+        write(place, 1)
+        place.finish(axes())
+    found = store.find(path, REQUEST)
+    assert found is not None and (found["value"].values == ROWS).all()
+
+
+def test_a_run_that_ended_but_for_tidying_is_tidied(tmp_path, monkeypatch):
+    path = tmp_path / "a.zarr"
+    with begun(path) as place:
+        write(place, 0)
+        write(place, 1)
+        with monkeypatch.context() as patch:
+            patch.setattr(store, "tidy", lambda path: None)
+            place.finish(axes())
+    assert (path / "half").exists()
+    found = store.find(path, REQUEST)
+    assert found is not None and set(found.variables) == {"value", "x", "y"}
+    assert not (path / "half").exists() and not (path / "written").exists()

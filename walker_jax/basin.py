@@ -6,48 +6,50 @@ iteration follows every centre itself, stride by stride. Direct iteration is exa
 of strides; cell mapping costs one stride a cell, and its errors are of the size of a cell.
 """
 
-import itertools
+import math
 import os
+from collections.abc import Iterator
 from importlib.metadata import version
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int, Shaped
 
+from walker_jax import store
+from walker_jax.attraction import (
+    Attractor,
+    Basins,
+    Followed,
+    centres,
+    explain,
+    in_order,
+    settle,
+    sort_attractors,
+    spread,
+    until_near,
+)
 from walker_jax.cells import Grid, cell_image, resolve
 from walker_jax.checks import check_kind, check_whole
-from walker_jax.gaits import gait_at, search, walked
 from walker_jax.integrate import Real, default_tolerance
 from walker_jax.stride import Outcome, stride, strides
-from walker_jax.tiles import order_of_cells, over_cells
+from walker_jax.tiles import order_of_cells, over_cells, tracked
 from walker_jax.walkers import Walker
 
 METHODS = ("cell-map", "direct")
-SAMPLE = 2**14
-"""Starts that are followed in search of attractors."""
 BYTES_PER_CELL = 100
 """Memory at its peak, for each cell of a grid."""
-LONGEST_PERIOD = 64
-"""Strides in the longest cycle that is recognised as one."""
-PATIENCE = 8
-"""Times `LONGEST_PERIOD`: strides in which a walker is to settle into a cycle."""
-CLOSE = 0.01
-"""Distance from a cycle at which a walker counts as its, that is left when all others are there."""
-ATTEMPTS = 8
-"""Walkers that have not, for which a cycle is solved for."""
+BYTES_STORED = {"cell-map": 40, "direct": 0}
+"""The same where the result goes into a store: of the cell map, when all of it is there."""
+PIECE = 2**20
+"""Cells, at least and about, of a piece of a store."""
+NOT_YET = -1
+"""The fate of a cell whose piece has not been computed."""
 ORBIT = 3000
 """Strides of a motion that does not repeat itself that are compared with cells."""
-CUBES = 1e-5 * 1.5 ** np.arange(20)
-"""Half edges of boxes about a cycle's states that are tried, for one from which walkers come."""
-STRETCHES = 1.5 ** np.arange(12)
-"""How many times as long they are made in one direction."""
-AROUND = 1000
-"""Starts in a box."""
-TURNS = 8
-"""Periods after which walkers are left in the directions in which they come last."""
 
 
 def basin(
@@ -58,6 +60,8 @@ def basin(
     strides: int = 200,
     tolerance: float | None = None,
     progress: bool = False,
+    out: Path | None = None,
+    request: dict | None = None,
 ) -> xr.Dataset:
     """Fate of every cell of a grid on the walker's section.
 
@@ -69,6 +73,12 @@ def basin(
     - `strides`: how many of them direct iteration follows a walker for.
     - `tolerance`: of the integration, as in `stride`.
     - `progress`: whether to show a progress bar on a terminal.
+    - `out`: a place on disk, a Zarr store, into which the result is written piece by piece, while
+      memory holds a piece alone; but the cell map takes some 40 bytes for each cell at the end.
+      A run that was interrupted is gone on with there, and gives the same to the last bit. Until it
+      has ended, cells of missing pieces have a fate of -1. What is returned is read from there when
+      it is used.
+    - `request`: by what the result is known again there; by default, all that it depends on.
 
     **Returns** a data set over the grid's axes:
 
@@ -78,25 +88,29 @@ def basin(
     - `strides`: strides completed before that, or before the failure;
 
     and over the attractors, numbered by period, then by the angle of their first state (the one
-    of the smallest angle): `period` (0 where the motion does not repeat itself), `states` (NaN
-    after the period), and of the basin within the grid `cells` and `area` (rad^2 per unit of
-    time; over three dimensions it is a volume). Its attributes say what was computed.
+    of the smallest angle), those last that are found only of walkers left at the end: `period` (0
+    where the motion does not repeat itself), `states` (NaN after the period), and of the basin
+    within the grid `cells` and `area` (rad^2 per unit of time; over three dimensions it is a
+    volume). Its attributes say what was computed.
 
-    Raises `ValueError` for an unknown method, and for a grid that does not fit the section or
-    that this machine has not the memory for.
+    Raises `ValueError` for an unknown method, for a grid that does not fit the section or that this
+    machine has not the memory for, and for a place where something else stands, that cannot be
+    written to, or that another run is writing to.
     """
     if method not in METHODS:
         raise ValueError(f"method must be one of {', '.join(METHODS)}, not {method!r}")
     check_whole("strides", strides)
-    check_grid(walker, grid, method)
+    check_grid(walker, grid, method, each=BYTES_PER_CELL if out is None else BYTES_STORED[method])
     tolerance = float(default_tolerance(jnp.asarray(0.0).dtype, tolerance))
+    limit = {"strides": strides} if method == "direct" else {}
+    how = {"method": method, **limit, "tolerance": tolerance}
+    if out is not None:
+        return in_pieces(walker, grid, how, out, request, progress)
     if method == "cell-map":
         found = cell_mapping(walker, grid, tolerance, progress)
     else:
         found = direct_iteration(walker, grid, tolerance, strides, progress)
-    limit = {"strides": strides} if method == "direct" else {}
-    how = {"method": method, **limit, "tolerance": tolerance}
-    return labelled(walker, grid, sort_attractors(found), how)
+    return labelled(walker, grid, found, how)
 
 
 def check_grid(walker: Walker, grid: Grid, method: str, each: int = BYTES_PER_CELL) -> None:
@@ -136,48 +150,21 @@ def memory_of_machine() -> float:
         return float("inf")
 
 
-class Basins(NamedTuple):
-    """What became of each of a grid's cells, in the order of their indices."""
-
-    fate: Int[np.ndarray, " n"]
-    attractor: Int[np.ndarray, " n"]
-    strides: Int[np.ndarray, " n"]
-    attractors: list["Attractor"]
-
-    @property
-    def made(self) -> int:
-        """Strides that were made, the failing ones among them."""
-        return int(self.strides.sum() + np.sum(self.fate != Outcome.STRIDE))
-
-
-class Attractor(NamedTuple):
-    """A cycle of strides, from its state of the smallest angle on; or another attracting set."""
-
-    period: int | None
-    """Strides in a cycle; none where the motion does not repeat itself."""
-    states: Float[np.ndarray, "period section"]
-    """The states of the cycle; otherwise, one state of the motion."""
-    frames: Float[np.ndarray, "period section section"] | None = None
-    """For each state, matrices that make displacements from it less than 1, in all coordinates,
-    where a walker is taken to have arrived; none where that is `near`."""
-
-    def boxes(self) -> Float[np.ndarray, "period section section"]:
-        """The frames, also where there are none."""
-        if self.frames is not None:
-            return self.frames
-        period, size = self.states.shape
-        return np.tile(np.eye(size) / near(self.states.dtype), (period, 1, 1))
-
-
 def cell_mapping(walker: Walker, grid: Grid, tolerance: float, progress: bool = False) -> Basins:
     """Simple cell mapping: one stride from the centre of each cell, then cells follow cells."""
-    resolved = resolve(cell_map(walker, grid, tolerance, progress), sinks=len(Outcome))
-    fate = np.maximum(np.asarray(resolved.sink), Outcome.STRIDE).astype(np.int8)
-    lengths = [len(cycle) for cycle in resolved.attractors]
-    cells = np.concatenate([np.zeros(0, np.int32), *resolved.attractors]).astype(np.int32)
+    return resolved(grid, cell_map(walker, grid, tolerance, progress=progress))
+
+
+def resolved(grid: Grid, image: Int[np.ndarray, " n"]) -> Basins:
+    """Where all cells end, given the cell, or the sink, to which each is sent."""
+    ends = resolve(image, sinks=len(Outcome))
+    fate = np.maximum(np.asarray(ends.sink), Outcome.STRIDE).astype(np.int8)
+    lengths = [len(cycle) for cycle in ends.attractors]
+    cells = np.concatenate([np.zeros(0, np.int32), *ends.attractors]).astype(np.int32)
     states = np.split(centres(grid, cells), np.cumsum(lengths)[:-1])
     attractors = [Attractor(*one) for one in zip(lengths, states, strict=False)]
-    return Basins(fate, np.asarray(resolved.attractor), np.asarray(resolved.steps), attractors)
+    found = Basins(fate, np.asarray(ends.attractor), np.asarray(ends.steps), attractors)
+    return sort_attractors(found)
 
 
 def compare_methods(
@@ -218,21 +205,32 @@ def orbit(walker: Walker, x: Float[np.ndarray, "1 section"]) -> Float[np.ndarray
 
 
 def cell_map(
-    walker: Walker, grid: Grid, tolerance: float, progress: bool = False
+    walker: Walker,
+    grid: Grid,
+    tolerance: float,
+    rows: tuple[int, int] | None = None,
+    *,
+    progress: bool = False,
 ) -> Int[np.ndarray, " n"]:
-    """The cell, or the sink, to which a stride takes the centre of each cell."""
-    order = order_of_cells(grid.shape)
-    shared = walker, grid, tolerance
+    """The cell, or the sink, to which a stride takes the centre of each cell of some rows."""
+    order, first = cells_of(grid, rows)
     image = np.empty_like(order)
     image[order] = over_cells(
-        image_of_cell, shared, order, progress="strides" if progress else None
+        image_of_cell,
+        (walker, grid, tolerance),
+        order + order.dtype.type(first),
+        progress="strides" if progress else None,
     )
     return image
 
 
-def centres(grid: Grid, cells: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n section"]:
-    """Centres of cells, given by their indices."""
-    return over_cells(Grid.centre, grid, cells)
+def cells_of(grid: Grid, rows: tuple[int, int] | None) -> tuple[Int[np.ndarray, " n"], int]:
+    """Cells of rows, first to last along the first axis, or of all, as an order to compute them in.
+
+    They are counted from the first of them, whose index is given too.
+    """
+    first, last = rows or (0, grid.shape[0])
+    return order_of_cells((last - first, *grid.shape[1:])), first * math.prod(grid.shape[1:])
 
 
 def image_of_cell(shared: tuple[Walker, Grid, Real], index: Int[Array, ""]) -> Int[Array, ""]:
@@ -247,264 +245,240 @@ def direct_iteration(
 ) -> Basins:
     """Follow every centre for a number of strides, until it fails or comes near an attractor.
 
-    The attractors are those of a sample of the cells, and of cells that are left at the end. Close
-    to a period doubling walkers are slow to come near: those left count where they are `CLOSE`.
+    The attractors are those of a sample of the cells, and then of cells that are left at the end.
     """
-    order = order_of_cells(grid.shape)
-    starts = centres(grid, order)
-    attractors = settle(walker, sample(starts), tolerance, [])
-    found = follow(walker, starts, attractors, tolerance, limit, progress)
-    in_order = np.empty_like(order)
-    in_order[order] = np.arange(grid.size, dtype=order.dtype)
-    fate, attractor, count = (values[in_order] for values in found[:3])
-    return Basins(fate, attractor, count, found.attractors)
+    attractors = attractors_of(walker, grid, tolerance)
+    found = follow_rows(walker, grid, tolerance, attractors, limit, progress=progress)
+    found.attractor[found.left], attractors = explain(walker, found.ends, attractors, tolerance)
+    return Basins(*found[:3], attractors)
 
 
-def follow(
+def attractors_of(walker: Walker, grid: Grid, tolerance: float) -> list[Attractor]:
+    """Those to which walkers come from a sample of the cells, numbered."""
+    found = settle(walker, centres(grid, spread(grid.size).astype(np.int32)), tolerance, [])
+    return [found[i] for i in in_order(found)]
+
+
+def follow_rows(
     walker: Walker,
-    starts: Float[np.ndarray, "n section"],
-    attractors: list[Attractor],
+    grid: Grid,
     tolerance: float,
+    attractors: list[Attractor],
     limit: int,
-    progress: bool = False,
+    rows: tuple[int, int] | None = None,
     *,
-    explain: bool = True,
-) -> Basins:
-    """Follow every start for a number of strides, until it fails or comes near an attractor.
-
-    The attractors are those given, and those to which starts come that are left at the end; but for
-    `explain` these count as no attractor's.
-    """
-    fate = np.full(len(starts), Outcome.STRIDE, np.int8)
-    attractor = np.full(len(starts), -1, np.int32)
-    count = np.zeros(len(starts), np.int32)
-    cells, x = np.arange(len(starts)), starts
-    for k in range(limit + 1):
-        reached = nearest(x, attractors)
-        attractor[cells[reached >= 0]] = reached[reached >= 0]
-        cells, x = cells[reached < 0], x[reached < 0]
-        if k == limit or len(cells) == 0:
-            break
-        label = f"stride {k + 1}, {len(cells)} cells" if progress else None
-        ends = strides(walker, x, tolerance=tolerance, progress=label)
-        x, outcome = np.asarray(ends.state), np.asarray(ends.outcome)
-        fate[cells] = outcome
-        going = outcome == Outcome.STRIDE
-        count[cells[going]] += 1
-        cells, x = cells[going], x[going]
-
-    if not explain:
-        return Basins(fate, attractor, count, attractors)
-    attractor[cells] = nearest(x, attractors, within=CLOSE)
-    lost = attractor[cells] < 0
-    cells, x = cells[lost], x[lost]
-    if len(cells):
-        attractors = settle(walker, sample(x), tolerance, attractors)
-        attractor[cells] = nearest(x, attractors, within=CLOSE)
-        for i, one in enumerate(attractors):
-            if one.period is None:
-                attractor[cells[attractor[cells] < 0]] = i
-    return Basins(fate, attractor, count, attractors)
-
-
-def sample(x: Float[np.ndarray, "n section"]) -> Float[np.ndarray, "m section"]:
-    """Some of many points, evenly spread over their order."""
-    return x[np.linspace(0, len(x) - 1, min(len(x), SAMPLE)).astype(int)]
-
-
-def settle(
-    walker: Walker,
-    x: Float[np.ndarray, "n section"],
-    tolerance: float,
-    known: list[Attractor],
-) -> list[Attractor]:
-    """The known attractors, and those to which walkers come that start at x.
-
-    They are followed until each has failed, or repeats itself to rounding. For those that do
-    neither in some hundred strides, as close to a period doubling, a stable cycle is solved for.
-    Where there is none they are on an attractor without a period; one is made for them all.
-    """
-    found, exact = list(known), 1e3 * np.finfo(x.dtype).eps
-    period = np.ones(len(x), int)
-    for _ in range(PATIENCE):
-        orbit = [x]
-        for _ in range(LONGEST_PERIOD):
-            ends = strides(walker, orbit[-1], tolerance=tolerance)
-            alive = np.asarray(ends.outcome) == Outcome.STRIDE
-            orbit = [states[alive] for states in [*orbit, np.asarray(ends.state)]]
-        x = orbit[-1]
-        path = np.stack(orbit[::-1], axis=1)  # (walkers, strides back, coordinates)
-        misses = np.abs(path[:, 1:] - path[:, :1]).max(axis=2)
-        settled = (misses < exact).any(axis=1)
-        for states, miss in zip(path[settled], misses[settled], strict=True):
-            # a slow approach that alternates comes close to itself after two strides before one
-            count = next(q for q in range(1, LONGEST_PERIOD + 1) if miss[q - 1] < near(x.dtype))
-            add_cycle(found, states[:count][::-1])
-        left = ~settled & (nearest(x, found) < 0)
-        x, period = x[left], misses[left].argmin(axis=1) + 1
-        if len(x) == 0:
-            return found
-    explained = False
-    for start, count in zip(x[:ATTEMPTS], period[:ATTEMPTS], strict=True):
-        _, cycles = walked(walker, start[None], int(count), tolerance)
-        if len(cycles) == 0:
-            continue
-        gait = gait_at(search(walker, cycles, tolerance), 0)
-        states = np.asarray(gait.states)
-        stable = gait.residual < exact and np.abs(gait.multipliers[0]) < 1  # neither if NaN
-        if stable and np.abs(states[0] - start).max() < CLOSE:
-            misses = np.abs(np.roll(states, -1, axis=0) - states[0]).max(axis=1)
-            count = next(q for q in range(1, count + 1) if misses[q - 1] < near(x.dtype))
-            add_cycle(found, states[:count])
-            explained = True
-    if not explained and all(one.period for one in found):
-        found.append(Attractor(None, x[:1]))
-    return found
-
-
-def add_cycle(found: list[Attractor], states: Float[np.ndarray, "period section"]) -> None:
-    """Add a cycle, from its state of the smallest angle on, unless it is known."""
-    states = np.roll(states, -int(states[:, 0].argmin()), axis=0)
-    if nearest(states[:1], found)[0] < 0:
-        found.append(Attractor(len(states), states))
-
-
-def nearest(
-    x: Float[np.ndarray, "n section"], attractors: list[Attractor], within: float | None = None
-) -> Int[np.ndarray, " n"]:
-    """Number of the cycle that each point is near to, -1 for none."""
-    number = np.full(len(x), -1, np.int32)
-    for i, attractor in enumerate(attractors):
-        boxes = attractor.boxes() if within is None else np.eye(x.shape[1])[None] / within
-        for state, frame in zip(attractor.states, itertools.cycle(boxes), strict=False):
-            if attractor.period:
-                number[np.abs((x - state) @ frame.T).max(axis=1) < 1] = i
-    return number
-
-
-def framed_attractors(
-    walker: Walker, grid: Grid, tolerance: float, limit: int
-) -> tuple[Float[np.ndarray, "n section"], list[Attractor]]:
-    """The centres of a grid's cells, and the attractors of a sample of them, with their boxes."""
-    starts = centres(grid, np.arange(grid.size, dtype=np.int32))
-    attractors = settle(walker, sample(starts), tolerance, [])
-    return starts, with_frames(walker, attractors, tolerance, limit)
-
-
-def with_frames(
-    walker: Walker, attractors: list[Attractor], tolerance: float, limit: int
-) -> list[Attractor]:
-    """The attractors, each with boxes about its states from which a sample of walkers came to it.
-
-    Walkers need then be followed only until they are in one. The boxes lie along the directions in
-    which walkers come last, and are half as large, as a sample may miss a few, as the largest from
-    which all came: first cubes, then as long in each direction as may be.
-    """
-    rng = np.random.default_rng(0)
-    return [
-        framed(walker, attractors, i, tolerance, limit, rng) if one.period else one
-        for i, one in enumerate(attractors)
-    ]
-
-
-def framed(
-    walker: Walker,
-    attractors: list[Attractor],
-    number: int,
-    tolerance: float,
-    limit: int,
-    rng: np.random.Generator,
-) -> Attractor:
-    """One attractor, a cycle, with its boxes, whose half edges are the rows of a matrix."""
-    attractors = list(attractors)
-    cycle = attractors[number].states
-    period, size = cycle.shape
-    u = rng.uniform(-1, 1, (period, AROUND, size))
-
-    def largest(boxes: Float[np.ndarray, "tried period section section"]) -> int:
-        """The last of growing boxes from which all walkers came; it frames the attractor."""
-        starts = cycle[:, None] + u @ boxes
-        starts = starts.reshape(-1, size)
-        found = follow(walker, starts, attractors, tolerance, limit, explain=False)
-        came = (found.attractor == number).reshape(len(boxes), -1).all(axis=1)
-        best = int(np.logical_and.accumulate(came).sum()) - 1
-        if best >= 0:
-            frames = np.swapaxes(np.linalg.inv(boxes[best] / 2), 1, 2)
-            attractors[number] = attractors[number]._replace(frames=frames)
-        return best
-
-    cubes = CUBES[:, None, None, None] * np.tile(np.eye(size), (period, 1, 1))
-    best = largest(cubes)
-    if best < 0:
-        return attractors[number]
-    x = (cycle[:, None] + u @ cubes[best]).reshape(-1, size)
-    for _ in range(TURNS * period):
-        x = np.asarray(strides(walker, x, tolerance=tolerance).state)
-    axes = np.linalg.svd(x.reshape(u.shape) - cycle[:, None], full_matrices=False)[2]
-    cubes = CUBES[:, None, None, None] * axes
-    box = cubes[max(largest(cubes), 0)]
-    for i in range(size):
-        stretch = np.ones((len(STRETCHES), 1, size, 1))
-        stretch[:, 0, i, 0] = STRETCHES
-        box = (stretch * box)[max(largest(stretch * box), 0)]
-    return attractors[number]
-
-
-def near(dtype) -> float:
-    """Distance, in every coordinate of the section, at which a walker has reached an attractor."""
-    return max(1e-6, 1e4 * float(np.finfo(dtype).eps))
-
-
-def sort_attractors(found: Basins) -> Basins:
-    """The same, attractors numbered by period, then by angle; those without a period last."""
-    key = [(one.period or np.inf, one.states[0, 0]) for one in found.attractors]
-    order = sorted(range(len(key)), key=key.__getitem__)
-    number = np.full(len(key) + 1, -1, np.int32)  # the last is that of no attractor
-    number[order] = np.arange(len(key))
-    attractors = [found.attractors[i] for i in order]
-    return found._replace(attractor=number[found.attractor], attractors=attractors)
+    progress: bool = False,
+) -> Followed:
+    """Follow the centres of the cells of some rows, and give what became of them in their order."""
+    order, first = cells_of(grid, rows)
+    starts = centres(grid, order + order.dtype.type(first))
+    found = until_near(walker, starts, attractors, tolerance, limit, progress)
+    place = np.empty_like(order)
+    place[order] = np.arange(order.size, dtype=order.dtype)
+    fate, attractor, count = (values[place] for values in found[:3])
+    left = order[found.left]
+    sort = np.argsort(left)
+    return Followed(fate, attractor, count, left[sort], found.ends[sort])
 
 
 def labelled(walker: Walker, grid: Grid, found: Basins, how: dict) -> xr.Dataset:
     """The data set that `basin` returns; `how` it was made is among its attributes."""
-    names = list(Outcome.__members__)
     cells = np.bincount(found.attractor[found.attractor >= 0], minlength=len(found.attractors))
-    longest = max((len(one.states) for one in found.attractors), default=0)
-    states = np.full((len(found.attractors), longest, len(walker.section)), np.nan)
-    for one, row in zip(found.attractors, states, strict=True):
+    over_grid = {
+        name: (grid.names, np.asarray(values).reshape(grid.shape), ABOUT[name])
+        for name, values in zip(ABOUT, found, strict=False)
+    }
+    data = described(walker, grid, how).assign(over_grid)
+    return with_attractors(data, grid, found.attractors, cells)
+
+
+ABOUT: dict[str, dict[str, Any]] = {
+    "fate": {
+        "flag_values": list(range(len(Outcome))),
+        "flag_meanings": " ".join(Outcome.__members__),
+    },
+    "attractor": {"description": "-1 for none"},
+    "strides": {"description": "before the attractor or the failure"},
+}
+"""Attributes of what there is over a grid."""
+
+
+def described(walker: Walker, grid: Grid, how: dict) -> xr.Dataset:
+    """The axes of a grid, and what is computed over it."""
+    about = {
+        "walker": type(walker).__name__,
+        **{f"walker_{name}": float(value) for name, value in vars(walker).items()},
+        **how,
+        "section": list(walker.section),
+        "version": f"walker-jax {version('walker-jax')}",
+    }
+    return xr.Dataset(coords=grid.axes | grid.held, attrs=about)
+
+
+def with_attractors(
+    data: xr.Dataset, grid: Grid, attractors: list[Attractor], cells: Int[np.ndarray, " number"]
+) -> xr.Dataset:
+    """With the attractors, and how many cells come to each."""
+    longest = max((len(one.states) for one in attractors), default=0)
+    states = np.full((len(attractors), longest, grid.coordinates), np.nan)
+    for one, row in zip(attractors, states, strict=True):
         row[: len(one.states)] = one.states
+    area = cells * grid.cell_area
+    found = {
+        "period": ("number", np.array([one.period or 0 for one in attractors], np.int32)),
+        "states": (("number", "phase", "coordinate"), states),
+        "cells": ("number", cells),
+        "area": ("number", area),
+    }
+    data = data.assign(found).assign_coords(number=np.arange(len(attractors)))
+    return data.assign_attrs(area=area.tolist())
 
-    def over_grid(values, **attributes):
-        return grid.names, np.asarray(values).reshape(grid.shape), attributes
 
-    data = xr.Dataset(
-        {
-            "fate": over_grid(
-                found.fate, flag_values=list(range(len(names))), flag_meanings=" ".join(names)
-            ),
-            "attractor": over_grid(found.attractor, description="-1 for none"),
-            "strides": over_grid(found.strides, description="before the attractor or the failure"),
-            "period": ("number", np.array([one.period or 0 for one in found.attractors], np.int32)),
-            "states": (("number", "phase", "coordinate"), states),
-            "cells": ("number", cells),
-            "area": ("number", cells * grid.cell_area),
-        },
-        coords={
-            **grid.axes,
-            **grid.held,
-            "number": np.arange(len(found.attractors)),
-        },
-    )
-    return data.assign_attrs(
-        {
-            "walker": type(walker).__name__,
-            **{f"walker_{name}": float(value) for name, value in vars(walker).items()},
-            **how,
-            "section": list(walker.section),
-            "area": data["area"].values.tolist(),
-            "version": f"walker-jax {version('walker-jax')}",
-        }
-    )
+def in_pieces(
+    walker: Walker, grid: Grid, how: dict, out: Path, request: dict | None, progress: bool
+) -> xr.Dataset:
+    """`basin`, computed piece by piece into a store.
+
+    A piece is some rows of the grid. What is found of single cells is written at once; what takes
+    all of them, where the cell map leads and what walkers come to that are left at the end, follows
+    when all pieces are there. Either may be done again, with the same result.
+    """
+    method = (MappedPieces if how["method"] == "cell-map" else FollowedPieces)(walker, grid, how)
+    about, work = described(walker, grid, how), method.arrays()
+    request = request or {
+        "command": "basin",
+        **{name: value for name, value in about.attrs.items() if name != "section"},
+        "axes": grid.box,
+        "shear": grid.shear.tolist(),
+        "origin": grid.origin.tolist(),
+        "dtype": str(jnp.asarray(0.0).dtype),
+    }
+    arrays = {
+        "fate": over_grid(grid, NOT_YET, np.int8, ABOUT["fate"]),
+        "attractor": over_grid(grid, -1, np.int32, ABOUT["attractor"]),
+        "strides": over_grid(grid, 0, np.int32, ABOUT["strides"]),
+    }
+    rows = -(-PIECE // math.prod(grid.shape[1:]))
+    found = store.find(out, request)
+    if found is not None:
+        return found
+    with store.pieces(
+        out, request, about, arrays | work, rows, method.notes, aside=list(work)
+    ) as place:
+        for i in tracked(place.missing(), "pieces", progress):
+            place.write(i, method.piece(place.notes, place.rows(i)), done=True)
+        attractors, pieces = method.finish(place)
+        cells = np.zeros(len(attractors), int)
+        for i, values in enumerate(pieces):
+            place.write(i, values)
+            number = values["attractor"]
+            cells += np.bincount(number[number >= 0], minlength=len(cells))
+        place.finish(with_attractors(about, grid, attractors, cells))
+    return store.opened(out)
+
+
+def over_grid(grid: Grid, value: Any, dtype: Any, about: dict, *more: str) -> xr.Variable:
+    """An array over a grid, and over the state too, with one value everywhere and no memory."""
+    shape = (*grid.shape, *(grid.coordinates for _ in more))
+    return xr.Variable((*grid.names, *more), np.broadcast_to(np.array(value, dtype), shape), about)
+
+
+class MappedPieces(NamedTuple):
+    """Cell mapping: pieces of the map, and the fates of all cells at the end."""
+
+    walker: Walker
+    grid: Grid
+    how: dict
+
+    def arrays(self) -> dict[str, xr.Variable]:
+        return {"image": over_grid(self.grid, -1, np.int32, {})}
+
+    def notes(self) -> dict:
+        return {}
+
+    def piece(self, notes: dict, rows: tuple[int, int]) -> dict[str, np.ndarray]:
+        return {"image": cell_map(self.walker, self.grid, self.how["tolerance"], rows)}
+
+    def finish(
+        self, place: store.Pieces
+    ) -> tuple[list[Attractor], Iterator[dict[str, np.ndarray]]]:
+        """The attractors, and what is still to be written of each piece."""
+        image = np.empty(self.grid.size, np.int32)
+        for i in range(place.count):
+            cells_of_rows(self.grid, image, place.rows(i))[...] = place.read("image", i).ravel()
+        found = resolved(self.grid, image)
+        pieces = (
+            {
+                name: cells_of_rows(self.grid, np.asarray(values), place.rows(i))
+                for name, values in zip(ABOUT, found[:3], strict=True)
+            }
+            for i in range(place.count)
+        )
+        return found.attractors, pieces
+
+
+class FollowedPieces(NamedTuple):
+    """Direct iteration: attractors before all pieces, and at the end those of walkers left."""
+
+    walker: Walker
+    grid: Grid
+    how: dict
+
+    def arrays(self) -> dict[str, xr.Variable]:
+        dtype = jnp.asarray(0.0).dtype
+        return {"ends": over_grid(self.grid, np.nan, dtype, {}, "coordinate")}
+
+    def notes(self) -> dict:
+        found = attractors_of(self.walker, self.grid, self.how["tolerance"])
+        return {"attractors": [[one.period, one.states.tolist()] for one in found]}
+
+    def known(self, notes: dict) -> list[Attractor]:
+        dtype = jnp.asarray(0.0).dtype
+        return [
+            Attractor(period, np.array(states, dtype)) for period, states in notes["attractors"]
+        ]
+
+    def piece(self, notes: dict, rows: tuple[int, int]) -> dict[str, np.ndarray]:
+        tolerance, limit = self.how["tolerance"], self.how["strides"]
+        found = follow_rows(self.walker, self.grid, tolerance, self.known(notes), limit, rows)
+        ends = np.full((len(found.fate), self.grid.coordinates), np.nan, found.ends.dtype)
+        ends[found.left] = found.ends
+        return dict(zip(ABOUT, found, strict=False)) | {"ends": ends}
+
+    def finish(
+        self, place: store.Pieces
+    ) -> tuple[list[Attractor], Iterator[dict[str, np.ndarray]]]:
+        """The attractors, and what is still to be written of each piece."""
+        ends = [np.zeros((0, self.grid.coordinates))]
+        counts = []
+        for i in range(place.count):
+            x = place.read("ends", i).reshape(-1, self.grid.coordinates)
+            ends.append(x[left(x)])
+            counts.append(len(ends[-1]))
+        x = np.concatenate(ends, dtype=ends[-1].dtype)
+        number, attractors = explain(self.walker, x, self.known(place.notes), self.how["tolerance"])
+
+        def pieces():
+            for i, mine in enumerate(np.split(number, np.cumsum(counts)[:-1])):
+                attractor = place.read("attractor", i).ravel()
+                x = place.read("ends", i).reshape(-1, self.grid.coordinates)
+                attractor[left(x)] = mine
+                yield {"attractor": attractor}
+
+        return attractors, pieces()
+
+
+def left(ends: Float[np.ndarray, "n section"]) -> Bool[np.ndarray, " n"]:
+    """Walkers that neither failed nor came near an attractor: the others have no end."""
+    return np.isfinite(ends[:, 0])
+
+
+def cells_of_rows(
+    grid: Grid, values: Shaped[np.ndarray, " n"], rows: tuple[int, int]
+) -> Shaped[np.ndarray, " cells"]:
+    """The part of what there is of all cells that is of some rows, not a copy."""
+    each = math.prod(grid.shape[1:])
+    return values[rows[0] * each : rows[1] * each]
 
 
 def around(state: Float[ArrayLike, " section"], names: tuple[str, ...]) -> dict:

@@ -17,12 +17,13 @@ import time
 from collections.abc import Callable, Iterable
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Literal, NoReturn
+from typing import Annotated, Any, Literal, NoReturn
 
 import jax
 import numpy as np
 import platformdirs
 import typer
+import xarray as xr
 from jax.typing import ArrayLike
 
 from walker_jax.cells import Grid
@@ -603,16 +604,18 @@ def basin(
     if data is None:
         if None in axes.values():
             axes = filled(axes, around(gait_of(walker).states[0], tuple(axes)))
-        data = wj.basin(walker, grid_of(**axes), method, strides=strides, progress=True)
+        grid = grid_of(**axes)
+        if overwrite:
+            store.clear(out)
+        options: Any = {"strides": strides, "progress": True, "out": out, "request": request}
+        data = wj.basin(walker, grid, method, **options)
     seconds = clock.seconds()
-    if not reused:
-        data = store.save(data, out, request)
     flat = data["fate"].ndim == 2
-    draw((figures.basin if flat else figures.basin_slices)(data), figure, request)
+    draw_basin = figures.basin if flat else figures.basin_slices
+    draw(draw_basin(figures.thinned(data)), figure, request)
 
-    fates = {
-        name: int((data["fate"] == code).sum()) for name, code in wj.Outcome.__members__.items()
-    }
+    counts, lost, made = tally(data)
+    fates = dict(zip(wj.Outcome.__members__, counts.tolist(), strict=True))
     attractors = [
         {
             "period": int(data["period"][i]) or None,
@@ -652,19 +655,36 @@ def basin(
         "  cells: "
         + ", ".join(f"{n} {name}" for name, n in fates.items() if n or name == "UNDECIDED")
     )
-    lost = int(((data["fate"] == 0) & (data["attractor"] < 0)).sum())
     if lost:
         print(f"  {lost} cells walk on without coming near a known attractor")
     if reused:
         print(f"  taken from {out}, computed before")
     else:
-        made = int(data["strides"].sum() + (data["fate"] != wj.Outcome.STRIDE).sum())
         made = data["fate"].size if method == "cell-map" else made
         print(
             f"  {made / max(seconds['run'], 1e-9):,.0f} strides per second; "
             f"{seconds['compile']:.1f} s to compile, {seconds['run']:.2f} s to run"
         )
     print(f"  data set {out}, picture {figure}")
+
+
+def tally(data: xr.Dataset) -> tuple[np.ndarray, int, int]:
+    """Cells of each outcome, those that walk on near no attractor, and the strides of all.
+
+    Few rows at a time: a large data set is not in memory.
+    """
+    import walker_jax as wj
+
+    counts, lost, made = np.zeros(len(wj.Outcome), int), 0, 0
+    row = data["fate"].dims[0]
+    rows = max(1, 2**22 * data.sizes[row] // data["fate"].size)
+    for first in range(0, data.sizes[row], rows):
+        part = data[["fate", "attractor", "strides"]].isel({row: slice(first, first + rows)})
+        fate, attractor, strides = (part[name].values.ravel() for name in part)
+        counts += np.bincount(fate, minlength=len(counts))
+        lost += int(((fate == wj.Outcome.STRIDE) & (attractor < 0)).sum())
+        made += int(strides.sum(dtype=np.int64) + (fate != wj.Outcome.STRIDE).sum())
+    return counts, lost, made
 
 
 @app.command()

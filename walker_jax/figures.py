@@ -7,6 +7,7 @@ so that they are told apart in grey print and by the colour-blind.
 """
 
 import json
+import math
 import textwrap
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
@@ -175,7 +176,7 @@ def basin(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     extent = (*ends(data[x].values), *ends(data[y].values))
     show(ax, image, extent)
 
-    free = np.ones(fate.shape, bool)
+    free, share = np.ones(fate.shape, bool), drawn(data)
     marks, patches = [], []
     for number, marker in zip(notable, MARKERS, strict=False):
         cycle = data["states"].sel(number=number).dropna("phase")
@@ -194,7 +195,7 @@ def basin(data: xr.Dataset, ax: Axes | None = None) -> Axes:
         keep_clear(free, dots, extent)
     for region in regions:
         if not draw_label(ax, region, free, extent) or region.counted:
-            patches.append(Patch(fc=region.colour, ec=INK, lw=0.5, label=entry(region)))
+            patches.append(Patch(fc=region.colour, ec=INK, lw=0.5, label=entry(region, share)))
     place_legend(ax, marks, BELOW, columns=1)
     place_legend(ax, patches, BELOW + LINE * len(marks), columns=2)
     ax.set(xlim=extent[:2], ylim=extent[2:])
@@ -259,7 +260,8 @@ def basin_slices(data: xr.Dataset) -> Figure:
         grid[-1, index].set_xlabel(AXIS_LABELS.get(x, x), fontsize=WORDS)
     for ax in grid[:, 0]:
         ax.set_ylabel(AXIS_LABELS.get(y, y), fontsize=WORDS)
-    patches = [Patch(fc=r.colour, ec=INK, lw=0.5, label=entry(r)) for r in regions]
+    share = drawn(data)
+    patches = [Patch(fc=r.colour, ec=INK, lw=0.5, label=entry(r, share)) for r in regions]
     above = f"{title(data, 34 * columns)}\n{subtitle(data)}"
     figure.suptitle(above, x=0.01, ha="left", fontsize=10.5)
     figure.legend(
@@ -446,10 +448,23 @@ def attractor_name(period: int, cycle: xr.DataArray) -> str:
     return f"{kind}: ({', '.join(names)}) = {shown}{more}"
 
 
-def entry(region: Region) -> str:
-    """What the legend says of a region."""
-    count = int(region.cells.sum())
-    return f"{region.words} ({count:,} cell{'s' * (count > 1)})"
+def entry(region: Region, share: int) -> str:
+    """What the legend says of a region, of whose cells one in so many is drawn."""
+    count = int(region.cells.sum()) * share
+    about = "about " * (share > 1)
+    return f"{region.words} ({about}{count:,} cell{'s' * (count > 1)})"
+
+
+def thinned(data: xr.Dataset, most: int = 2000) -> xr.Dataset:
+    """Of many cells, some rows and columns, so many at most: enough for a picture."""
+    over = {dim: -(-size // most) for dim, size in data["fate"].sizes.items()}
+    some = data.isel({dim: slice(step // 2, None, step) for dim, step in over.items()})
+    return some.assign_attrs(shape=list(data["fate"].shape), thinned=math.prod(over.values()))
+
+
+def drawn(data: xr.Dataset) -> int:
+    """One in so many cells is there."""
+    return int(data.attrs.get("thinned", 1))
 
 
 def title(data: xr.Dataset, width: int = 60) -> str:
@@ -480,7 +495,8 @@ def listed(things: Sequence[str], width: int) -> str:
 def subtitle(data: xr.Dataset) -> str:
     """The method, the number of cells, and the area of all basins together."""
     method = data.attrs.get("method", "")
-    said = f"{METHODS.get(method, method)} on {' × '.join(map(str, data['fate'].shape))} cells"
+    shape = data.attrs.get("shape", data["fate"].shape)
+    said = f"{METHODS.get(method, method)} on {' × '.join(map(str, shape))} cells"
     held = [name for name in data.attrs["section"] if name in data.coords and not data[name].ndim]
     for name in held:
         said += f"\n{in_slice(name, float(data[name]))}"

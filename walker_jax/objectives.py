@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from walker_jax.basin import follow
+from walker_jax.attraction import follow
 from walker_jax.cells import Grid
 from walker_jax.gaits import Gait, check_parameter, find_gait, gait_derivatives, with_parameter
 from walker_jax.integrate import default_tolerance

@@ -23,8 +23,6 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Arc, Polygon
 from PIL import Image
-from rich.console import Console
-from rich.progress import track
 
 from walker_jax.figures import (
     BASINS,
@@ -45,6 +43,7 @@ from walker_jax.figures import (
     write_title,
 )
 from walker_jax.stride import Outcome
+from walker_jax.tiles import tracked
 
 SWING = BASINS[1]
 """Colour of the swing leg; the stance leg is in ink."""
@@ -316,10 +315,7 @@ def film(
     figure.draw_without_rendering()
     figure.set_layout_engine("none")  # or panels shake
 
-    console = Console(stderr=True)
-    hidden = not (progress and console.is_terminal)
-    count = range(walk.sizes["frame"])
-    frames = track(count, "film", console=console, disable=hidden, transient=True)
+    frames = tracked(range(walk.sizes["frame"]), "film", progress)
     slope, stride = float(walk.attrs["walker_slope"]), walk["stride"].values
     tall = 1.2 * leg_of(walk)
     with saved(figure, path, signature, moving) as grab:

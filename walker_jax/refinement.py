@@ -15,15 +15,14 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float, Int
 
-from walker_jax.basin import (
+from walker_jax.attraction import (
     Attractor,
     Basins,
-    check_grid,
     follow,
     framed_attractors,
-    labelled,
     sort_attractors,
 )
+from walker_jax.basin import check_grid, labelled
 from walker_jax.cells import Grid
 from walker_jax.checks import check_whole
 from walker_jax.integrate import default_tolerance

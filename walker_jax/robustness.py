@@ -16,18 +16,9 @@ import xarray as xr
 from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
-from rich.console import Console
-from rich.progress import track
 
-from walker_jax.basin import (
-    Attractor,
-    around,
-    check_grid,
-    follow,
-    framed_attractors,
-    near,
-    with_frames,
-)
+from walker_jax.attraction import Attractor, follow, framed_attractors, near, with_frames
+from walker_jax.basin import around, check_grid
 from walker_jax.boundaries import Uncertainty, checked_distances, uncertainty_exponent, upper_end
 from walker_jax.cells import Grid
 from walker_jax.checks import check_kind, check_whole
@@ -43,7 +34,7 @@ from walker_jax.stride import (
     step_down,
 )
 from walker_jax.stride import strides as take_strides
-from walker_jax.tiles import over_cells
+from walker_jax.tiles import over_cells, tracked
 from walker_jax.walkers import PointFeetWalker, Scalar, SimplestWalker, Walker
 
 RAYS, RADII = 720, 128
@@ -490,10 +481,8 @@ def robustness_table(
     if values.ndim != 1 or len(values) == 0:
         raise ValueError(f"values must be one row of numbers, not of shape {values.shape}")
     check_parameter(walker, parameter, *map(float, values))
-    console = Console(stderr=True)
-    hidden = not (progress and console.is_terminal)
     rows = []
-    for value in track(values, parameter, console=console, disable=hidden, transient=True):
+    for value in tracked(values.tolist(), parameter, progress):
         there = with_parameter(walker, parameter, float(value))
         region = default_region(there) if grid is None else grid
         if region is None:

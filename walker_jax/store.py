@@ -1,7 +1,10 @@
-"""Results on disk: labelled data sets as Zarr, written whole or not at all.
+"""Results on disk: labelled data sets as Zarr, written whole or not at all, or piece by piece.
 
 A data set carries, in its attribute `request`, what was asked for, as JSON. The same request finds
-its result again; any other is refused the place unless it is told to overwrite.
+its result again; any other is refused the place unless it is told to overwrite. One that is written
+piece by piece carries an attribute `unfinished` until all of it is there; the same request goes on
+with it. Each piece is a chunk of every array, and counts as written once its entry in the array
+`written` is 1, which comes last.
 """
 
 import hashlib
@@ -9,9 +12,17 @@ import json
 import os
 import shutil
 import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any, Literal, NamedTuple
 
+import filelock
+import numpy as np
 import xarray as xr
+
+LARGE = 2**28
+"""Bytes from which on a data set is read when it is used, rather than at once."""
 
 
 class Occupied(ValueError):
@@ -32,9 +43,34 @@ def find(path: Path, request: dict, *, overwrite: bool = False) -> xr.Dataset | 
         raise Occupied(f"{path} exists and is not a data set: name another place")
     if overwrite:
         return None
-    if data.attrs.get("request") == canonical(request):
-        return data
-    raise Occupied(f"{path} holds another result: name another place, or overwrite it")
+    check_request(path, data.attrs, request)
+    if data.attrs.get("unfinished"):
+        return None
+    if "written" in data:  # a run ended here but for the last thing that it had to do
+        tidy(path)
+        return load(path)
+    return data
+
+
+def check_request(path: Path, attributes: Mapping, request: dict) -> None:
+    """Raises `Occupied` for the attributes of another result, and says what is other."""
+    there = attributes.get("request")
+    if there == canonical(request):
+        return
+    other = differences(json.loads(there), json.loads(canonical(request))) if there else ""
+    raise Occupied(f"{path} holds another result{other}: name another place, or overwrite it")
+
+
+def differences(there: dict, wanted: dict, within: str = "") -> str:
+    """The first thing in which what stands somewhere is not what is wanted, in words."""
+    for name in there | wanted:
+        old, new = there.get(name), wanted.get(name)
+        if isinstance(old, dict) and isinstance(new, dict) and old != new:
+            return differences(old, new, f"{within}{name} ")
+        if old != new:
+            said = json.dumps(old) if name in there else "none"
+            return f" ({within}{name}: {said}, not {json.dumps(new)})"
+    return ""
 
 
 def writable(path: Path) -> None:
@@ -75,12 +111,203 @@ def write(path: Path, text: str) -> None:
 
 
 def load(path: Path) -> xr.Dataset | None:
-    """The data set at `path`, in memory, or None where it cannot be read."""
+    """The data set at `path`, or None where it cannot be read."""
     try:
-        with xr.open_zarr(path, consolidated=False) as data:
-            return data.load()
+        return opened(path)
     except Exception:  # whatever is wrong with a foreign or damaged store
         return None
+
+
+def group_at(path: Path, mode: Literal["r", "r+"]) -> Any:
+    """The Zarr group at `path`."""
+    import zarr  # which takes long to load, and only runs with a place on disk need it
+
+    return zarr.open_group(path, mode=mode)
+
+
+def opened(path: Path) -> xr.Dataset:
+    """The data set at `path`, in memory; but one that is large is read when it is used."""
+    data = xr.open_zarr(path, consolidated=False, chunks=None)
+    return data if data.nbytes > LARGE else data.load()
+
+
+class Pieces(NamedTuple):
+    """A data set on disk whose arrays are written by pieces, so many rows of each at a time."""
+
+    path: Path
+    group: Any
+    rows_of_piece: int
+    rows_in_all: int
+    notes: Any
+    """What was noted when it was begun."""
+
+    @property
+    def count(self) -> int:
+        """How many pieces there are."""
+        return -(-self.rows_in_all // self.rows_of_piece)
+
+    def rows(self, piece: int) -> tuple[int, int]:
+        """The first row of a piece, and the one after its last."""
+        first = piece * self.rows_of_piece
+        return first, min(first + self.rows_of_piece, self.rows_in_all)
+
+    def missing(self) -> list[int]:
+        """Pieces that are not written yet."""
+        return np.flatnonzero(self.array("written")[:] == 0).tolist()
+
+    def array(self, name: str) -> Any:
+        return self.group[name]
+
+    def read(self, name: str, piece: int) -> np.ndarray:
+        """What an array holds of a piece."""
+        return np.asarray(self.array(name)[slice(*self.rows(piece))])
+
+    def write(self, piece: int, values: Mapping[str, np.ndarray], *, done: bool = False) -> None:
+        """Write a piece's parts of some arrays; the piece is written if these are all, `done`."""
+        first, last = self.rows(piece)
+        for name, value in values.items():
+            array = self.array(name)
+            array[first:last] = value.reshape(last - first, *array.shape[1:])
+            file = self.path / name / "c" / "/".join([str(piece), *"0" * (array.ndim - 1)])
+            if file.exists():  # as it does not where all is as it was when the store was made
+                flush(file)
+        if done:
+            self.array("written")[piece] = 1
+
+    def finish(self, data: xr.Dataset) -> None:
+        """Add what is found at the end, and remove the arrays that were of use on the way."""
+        there, attributes = set(self.group), dict(self.group.attrs)
+        data = data.drop_vars([name for name in data.coords if name in there])
+        data.assign_attrs(attributes).to_zarr(self.path, mode="a", consolidated=False)
+        final = data.attrs | {"request": attributes["request"]}
+        group_at(self.path, "r+").attrs.put(final)  # in one go: the data set is whole
+        tidy(self.path)
+
+
+@contextmanager
+def pieces(
+    path: Path,
+    request: dict,
+    data: xr.Dataset,
+    arrays: Mapping[str, xr.Variable],
+    rows: int,
+    notes: Callable[[], Any],
+    *,
+    aside: Sequence[str] = (),
+) -> Iterator[Pieces]:
+    """A data set to be written piece by piece, begun, or gone on with where it is unfinished.
+
+    **Arguments:**
+
+    - `request`: by which it is known again.
+    - `data`: what there is besides the arrays, from the beginning.
+    - `arrays`: each the shape, and everywhere the value that it has where nothing is written yet.
+      Their first axis, of the same length in all, is cut into pieces.
+    - `rows`: of each piece but the last.
+    - `notes`: called once, when it is begun; what it returns, in terms of JSON, is kept until the
+      end.
+    - `aside`: arrays that are of use on the way only.
+
+    Nobody else writes to it meanwhile: raises `Occupied` where another process does, or something
+    else stands there, and `ValueError` where nothing can be written.
+    """
+    writable(path)
+    if not path.exists():
+        kept = {"request": canonical(request), "unfinished": 1, "notes": json.dumps(notes())}
+        begin(path, data.assign_attrs(kept), arrays, rows, aside)
+    try:
+        group = group_at(path, "r+")
+    except Exception as error:  # whatever is wrong with a foreign or damaged store
+        raise Occupied(f"{path} exists and is not a data set: name another place") from error
+    check_request(path, group.attrs, request)
+    with locked(path):
+        notes_kept = json.loads(str(group.attrs["notes"]))
+        first = next(iter(arrays.values()))
+        yield Pieces(path, group, rows, first.shape[0], notes_kept)
+
+
+def begin(
+    path: Path,
+    data: xr.Dataset,
+    arrays: Mapping[str, xr.Variable],
+    rows: int,
+    aside: Sequence[str],
+) -> None:
+    """Make a store of pieces, none of them written."""
+    draft = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.absolute().parent))
+    try:
+        data.to_zarr(draft / "new", consolidated=False)
+        group = group_at(draft / "new", "r+")
+        for name, array in arrays.items():
+            group.create_array(
+                name,
+                shape=array.shape,
+                chunks=(min(rows, array.shape[0]), *array.shape[1:]),
+                dtype=array.dtype,
+                fill_value=array.values.flat[0],
+                dimension_names=[str(dim) for dim in array.dims],
+                attributes=dict(array.attrs),
+            )
+            count = -(-array.shape[0] // rows)
+        group.create_array(
+            "written",
+            shape=(count,),
+            chunks=(1,),
+            dtype="int8",
+            dimension_names=["piece"],
+            attributes={"aside": list(aside)},
+        )
+        (draft / "new" / "written" / "lock").touch()
+        (draft / "new").rename(path)
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
+
+
+@contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Nobody else holds the store meanwhile. The lock goes with the process, however that ends."""
+    lock = filelock.FileLock(path / "written" / "lock", blocking=False)
+    try:
+        with lock:
+            yield
+    except filelock.Timeout:
+        raise Occupied(
+            f"{path} is being written by another run: wait, or name another place"
+        ) from None
+
+
+def tidy(path: Path) -> None:
+    """Remove from a data set that is whole what was of use on the way."""
+    aside = group_at(path, "r")["written"].attrs["aside"]
+    draft = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.absolute().parent))
+    for name in (*aside, "written"):  # this one last: it says that there is something to do
+        if (path / name).exists():
+            (path / name).rename(draft / name)
+    shutil.rmtree(draft, ignore_errors=True)
+
+
+def flush(file: Path) -> None:
+    """Make sure that a file is on the disk, whatever happens next."""
+    number = os.open(file, os.O_RDONLY)
+    try:
+        os.fsync(number)
+    finally:
+        os.close(number)
+
+
+def clear(path: Path) -> None:
+    """Remove the data set at `path`, if there is one, unless another run is writing it."""
+    if not path.exists():
+        return
+    draft = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.absolute().parent))
+    try:
+        if (path / "written").is_dir():
+            with locked(path):
+                path.rename(draft / "old")
+        else:
+            path.rename(draft / "old")
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
 
 
 def check_picture(path: Path, request: dict, *, overwrite: bool = False) -> None:

@@ -9,10 +9,10 @@ cores or devices share the work.
 
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -20,9 +20,11 @@ import numpy as np
 from jax import lax
 from jaxtyping import Int, PyTree
 from rich.console import Console
-from rich.progress import Progress
+from rich.progress import Progress, track
 
 from walker_jax.kernels import Kernel, NoKernel
+
+T = TypeVar("T")
 
 # Cells in a tile, and tiles in a call: a call should take much longer than it takes to make.
 TILE = {"cpu": (1024, 8), "gpu": (2**17, 1), "tpu": (2**17, 1)}
@@ -120,6 +122,13 @@ def _share_out(
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
+
+
+def tracked(things: Sequence[T], label: str, progress: bool) -> Iterable[T]:
+    """The things, one after the other, with a progress bar on a terminal if that is wanted."""
+    console = Console(stderr=True)
+    hidden = not (progress and console.is_terminal)
+    return track(things, label, console=console, disable=hidden, transient=True)
 
 
 def _cores() -> int:
