@@ -554,7 +554,7 @@ def basin(
     """
     import walker_jax as wj
     from walker_jax import figures, store
-    from walker_jax.basin import around
+    from walker_jax.basin import BYTES_STORED, around, check_grid
 
     has_phidot = "phidot" in walker.section
     if not has_phidot and (phidot is not None or at_phidot is not None):
@@ -605,6 +605,7 @@ def basin(
         if None in axes.values():
             axes = filled(axes, around(gait_of(walker).states[0], tuple(axes)))
         grid = grid_of(**axes)
+        check_grid(walker, grid, method, each=BYTES_STORED[method])
         if overwrite:
             store.clear(out)
         options: Any = {"strides": strides, "progress": True, "out": out, "request": request}
@@ -1208,7 +1209,9 @@ def main() -> NoReturn:
     except Exception as error:
         # typer's own: wrong usage
         message = getattr(error, "format_message", None)
-        stop(2, message()) if message else stop(1, f"{type(error).__name__}: {error}")
+        stop(2, message() or "name a command, one of those above") if message else stop(
+            1, f"{type(error).__name__}: {error}"
+        )
     if code == 130:  # what typer makes of Ctrl-C
         stop(130, "interrupted")
     sys.exit(code if isinstance(code, int) else 0)
