@@ -15,6 +15,7 @@ import typer
 import xarray as xr
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from jaxtyping import TypeCheckError
 
 import walker_jax as wj
 from walker_jax import cli, figures, paper, poses, store
@@ -82,6 +83,7 @@ def bench(tmp_path_factory):
     (template / "held.png").write_bytes(b"beach")
     (template / "broken.zarr" / "zarr.json").write_text('{"zarr_f')
     store.save(xr.Dataset({"x": ("n", np.arange(3))}), template / "held.zarr", {"command": "other"})
+    before = content(template)
     grid = wj.Grid.sheared(theta=(0.05, 0.35, 6), sum=(-0.03, 0.01, 6))
     answer = wj.basin(wj.SimplestWalker(0.004), grid, "direct")
     gait = wj.find_gait(wj.SimplestWalker(0.004))
@@ -106,7 +108,7 @@ def bench(tmp_path_factory):
         patch(sys.modules["walker_jax.design"], "climb", refuse)
 
         def run(arguments):
-            if not there.exists() or content(there) != content(template):
+            if not there.exists() or content(there) != before:
                 shutil.rmtree(there, ignore_errors=True)
                 shutil.copytree(template, there)
             out, err = io.StringIO(), io.StringIO()
@@ -118,14 +120,11 @@ def bench(tmp_path_factory):
                 pytest.raises(SystemExit) as stop,
             ):
                 cli.main()
-            lost = {
-                path: value
-                for path, value in content(template).items()
-                if content(there).get(path) != value
-            }
-            return stop.value.code, out.getvalue(), err.getvalue(), lost, content(there)
+            after = content(there)
+            lost = [path for path, value in before.items() if after.get(path) != value]
+            return stop.value.code, out.getvalue(), err.getvalue(), lost, after
 
-        yield run, content(template)
+        yield run, before
 
 
 def content(folder: Path) -> dict[Path, bytes]:
@@ -149,7 +148,7 @@ def check(bench, arguments, tried: Counter) -> None:
     assert "--overwrite" in arguments or not lost
     # What is no data set stays in any case, and what a command may replace it must have named.
     assert not {str(path) for path in lost} & {"file.txt", "broken.zarr/zarr.json"}
-    if code == 0 and "--json" in arguments and "--help" not in arguments:
+    if code == 0 and "--json" in arguments and not {"--help", "--list-walkers"} & {*arguments}:
         json.loads(out, parse_constant=lambda name: pytest.fail(name))
 
 
@@ -173,3 +172,153 @@ def test_thousands_of_command_lines_end_in_order(bench):
     finally:
         print(dict(tried))
     assert tried["tracebacks"] == tried["wrong exit codes"] == 0 and sum(tried.values()) >= 5000
+
+
+X = [0.2, -0.21645]
+BAD = [
+    None,
+    "abc",
+    "slope",
+    "",
+    np.nan,
+    np.inf,
+    -np.inf,
+    -1,
+    0,
+    1.5,
+    1e300,
+    -1e300,
+    10**30,
+    1j,
+    [],
+    {},
+]
+BAD += [(), [np.nan], [[1.0, 2.0], [3.0]], object(), (2, 1), (np.nan, 1), (0.01, 0.01), ["slope"]]
+BAD += [
+    np.zeros((2, 3, 4)),
+    np.zeros(0),
+    np.array("a"),
+    [np.nan, 0.1],
+    [0.2, np.inf],
+    [[0.2, -0.2]],
+]
+BAD += [
+    wj.SimplestWalker(0.004),
+    wj.RoundFootWalker,
+    print,
+    {"speed": np.nan},
+    {"slope": None},
+    b"x",
+]
+
+
+def calls() -> dict[str, dict]:
+    """Public functions, and arguments by name that are good and take little time."""
+    walker = wj.SimplestWalker(0.004)
+    grid = wj.Grid.sheared(theta=(0.05, 0.35, 4), sum=(-0.03, 0.01, 4))
+    gait, interval = wj.find_gait(walker), (0.0039, 0.0041)
+    of_walker = {"walker": walker, "tolerance": None}
+    start = {**of_walker, "x": X}
+    on_grid = {**of_walker, "grid": grid, "strides": 20}
+    refined = {**on_grid, "levels": 0, "check": 0, "seed": 0}
+    ends = lambda points: np.asarray(points)[:, 0] > 0
+    draw = lambda rng, n: rng.normal(size=(n, 2))
+    fit = {"confidence": 0.9, "seed": 0}
+    of_gait = {**of_walker, "gait": gait}
+    axis = (0.05, 0.35, 4)
+    optimum = {
+        "bounds": {"slope": (0.003, 0.005)},
+        "objective": "speed",
+        "starts": 1,
+        "known": None,
+    }
+    optimum |= {"at_least": {"speed": 0.01}, "at_most": None, "seed": 0, "scan": 0, "levels": 0}
+    return {
+        "SimplestWalker": {"slope": 0.004},
+        "SpringWalker": {"slope": 0.004, "hip_stiffness": 0.1},
+        "PointFootWalker": {"slope": 0.004, "foot_mass": 0.1},
+        "RoundFootWalker": {"slope": 0.01, "foot_radius": 0.1, "leg_inertia": 0.1},
+        "UpperBodyWalker": {"slope": 0.01, "body_mass": 0.1, "com_from_hip": 0.1},
+        "Grid": {"axes": {"theta": axis}, "shear": [[1.0]], "origin": [0.0]},
+        "Grid.plain": {"theta": axis, "thetadot": (-1, 0, 3)},
+        "Grid.sheared": {"theta": axis, "sum": (-0.1, 0, 3)},
+        "stride": start,
+        "margins": start,
+        "strides": {**of_walker, "xs": [X, X]},
+        "margins_of_many": {**of_walker, "xs": [X, X]},
+        "walk": {**start, "n": 2},
+        "trajectory": {**start, "times": [0.0, 1.0]},
+        "step_down": {**start, "drop": 0.001},
+        "motion": {**start, "strides": 2, "step": 0.1},
+        "find_gait": {**of_walker, "guess": X, "period": 1},
+        "find_gaits": {**of_walker, "period": 1, "region": grid, "descent": 0},
+        "descend": {**of_walker, "cycles": np.array([[X]]), "steps": 2, "rate": 0.001},
+        "gait_derivatives": {**of_gait, "parameter": "slope"},
+        "gait_measures": {**of_gait, "parameters": ("slope",)},
+        "continue_gait": {**of_gait, "parameter": "slope", "interval": interval},
+        "basin": {**on_grid, "method": "direct"},
+        "compare_methods": on_grid,
+        "refine": refined,
+        "area_gradient": {**refined, "parameters": ("slope",), "bands": None},
+        "boundary_dimension": {**on_grid, **fit, "distances": [0.1, 0.01, 0.001], "pairs": 20},
+        "basin_stability": {
+            **of_gait,
+            **fit,
+            "disturbances": 0.01,
+            "within": 1e-3,
+            "samples": 5,
+            "strides": 20,
+        }
+        | {"scale": None, "along": None},
+        "box_counting": {"labels": np.eye(64) > 0, "spacing": 1.0, "confidence": 0.9},
+        "uncertainty_exponent": {
+            **fit,
+            "label_of": ends,
+            "draw": draw,
+            "distances": [0.1, 0.2, 0.3],
+            "pairs": 100,
+        },
+        "attractors": {
+            **of_walker,
+            "parameter": "slope",
+            "values": [0.004],
+            "starts": [[X]],
+            "strides": 5,
+        },
+        "loss_of_walking": {**of_walker, "parameter": "slope", "interval": interval, "branches": []}
+        | {"strides": 5, "resolution": 1e-4},
+        "bifurcation_diagram": {**of_walker, "parameter": "slope", "interval": interval},
+        "least_disturbance": {**of_gait, "scale": None, "along": None, "strides": 20},
+        "least_step_down": {**of_gait, "strides": 20},
+        "disturbance_gradient": {**of_gait, "parameters": ("slope",), "bands": None},
+        "robustness": {**on_grid, "levels": 0, "disturbances": 0.1, "seed": 0},
+        "robustness_table": {
+            **on_grid,
+            "values": [0.004],
+            "parameter": "slope",
+            "levels": 0,
+            "seed": 0,
+        },
+        "optimise": {**of_walker, **optimum, "strides": 20, "grid": grid},
+    }
+
+
+SLOW = {"bifurcation_diagram", "least_disturbance", "least_step_down", "disturbance_gradient"}
+SLOW |= {"robustness", "robustness_table", "optimise", "compare_methods", "area_gradient"}
+
+
+def refusal(name: str, arguments: dict, changed: str) -> str:
+    """What is wrong with how a function takes a bad argument; nothing where it is in order."""
+    function = wj
+    for part in name.split("."):
+        function = getattr(function, part)
+    try:
+        function(**arguments)
+    except TypeCheckError:  # beartype's, which users do not have
+        return ""
+    except (ValueError, TypeError) as error:
+        message = str(error)
+        return "" if message and "\n" not in message else f"not one line: {message}"
+    except Exception as error:
+        return f"{type(error).__name__}: {error}"
+    return ""

@@ -28,7 +28,7 @@ from walker_jax.branches import (
     doubled,
     together,
 )
-from walker_jax.checks import check_whole
+from walker_jax.checks import check_kind, check_number, check_whole, numbers
 from walker_jax.gaits import (
     Gait,
     check_parameter,
@@ -94,7 +94,9 @@ def attractors(
     walker fails, `STRIDE` where it does not; `strides` before that; `orbit`, the `RECENT` states
     that follow, NaN after a failure; and `period` of that orbit, 0 where none up to `RECENT` shows.
     """
-    values, starts = np.asarray(values, float), np.asarray(starts, float)
+    values, starts = numbers("values", values), numbers("starts", starts)
+    if values.ndim != 1:
+        raise ValueError(f"values must be one row of numbers, not of shape {values.shape}")
     check_parameter(walker, parameter, *values)
     tolerance = double_tolerance(tolerance)
     if starts.ndim != 3 or starts.shape[::2] != (len(values), len(walker.section)):
@@ -211,6 +213,9 @@ def loss_of_walking(
     tolerance = double_tolerance(tolerance)
     below, above = check_interval(walker, parameter, interval)
     check_whole("strides", strides)
+    for branch in branches:
+        check_kind("branches", branch, Branch)
+    check_number("resolution", resolution)
     if not resolution > np.spacing(above):
         raise ValueError(
             f"resolution must be a distance, and wider than rounding, not {resolution}"

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy.special import ndtri, stdtrit
 
-from walker_jax.checks import check_whole
+from walker_jax.checks import check_kind, check_number, check_whole, numbers
 
 SMALLEST = 4
 """Cells along a side of the smallest box: detail finer than a cell is missing from smaller ones."""
@@ -91,6 +91,7 @@ def box_counting(
     Raises ValueError if the array is too small for `SCALES` sizes, or an option is out of range.
     """
     labels = np.asarray(labels)
+    check_number("spacing", spacing)
     if not (np.isfinite(spacing) and spacing > 0):
         raise ValueError(f"spacing={spacing}: must be positive and finite")
     upper = upper_end(confidence)
@@ -172,6 +173,8 @@ def uncertainty_exponent(
     """
     distances = checked_distances(distances, pairs)
     check_whole("seed", seed, 0)
+    check_kind("label_of", label_of, Callable)
+    check_kind("draw", draw, Callable)
     upper = upper_end(confidence)
 
     rng = np.random.default_rng(seed)
@@ -203,7 +206,7 @@ def checked_distances(
     distances: Float[np.ndarray | Array, " k"], pairs: int
 ) -> Float[np.ndarray, " k"]:
     """The distances, sorted; ValueError for what `uncertainty_exponent` cannot use."""
-    distances = np.sort(np.atleast_1d(np.asarray(distances, float)))
+    distances = np.sort(np.atleast_1d(numbers("distances", distances)))
     if distances.ndim != 1 or len(np.unique(distances)) < max(SCALES, distances.size):
         raise ValueError(f"distances={short(distances)}: must be at least {SCALES}, all different")
     if not (np.isfinite(distances) & (distances > 0)).all():
@@ -239,6 +242,7 @@ def fit_power(
 
 def upper_end(confidence: float) -> float:
     """The probability below the upper end of a two-sided interval."""
+    check_number("confidence", confidence)
     if not 0 < confidence < 1:
         raise ValueError(f"confidence={confidence}: must be between 0 and 1")
     return (1 + confidence) / 2

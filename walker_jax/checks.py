@@ -3,6 +3,9 @@
 import operator
 from typing import Any
 
+import numpy as np
+from jaxtyping import Float
+
 MOST = 2**31 - 1
 """Strides, starts and cells are counted in 32 bits."""
 
@@ -23,6 +26,25 @@ def check_kind(name: str, value: Any, kind: type) -> None:
     """Refuse a value of another kind."""
     if not isinstance(value, kind):
         raise TypeError(f"{name} must be a {kind.__name__}, not {short(value)}")
+
+
+def check_number(name: str, value: Any) -> None:
+    """Refuse what is no real number; it may be NaN or infinite."""
+    try:
+        float(value)
+        single = np.shape(value) == () and not isinstance(value, str | bytes)
+    except (TypeError, ValueError, OverflowError):
+        single = False
+    if not single:
+        raise TypeError(f"{name} must be a real number, not {short(value)}")
+
+
+def numbers(name: str, values: Any) -> Float[np.ndarray, "..."]:
+    """An array of numbers; what is none is refused."""
+    try:
+        return np.asarray(values, float)
+    except (TypeError, ValueError, OverflowError):
+        raise TypeError(f"{name} must be real numbers, not {short(values)}") from None
 
 
 def short(value: Any) -> str:

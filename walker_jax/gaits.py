@@ -26,9 +26,17 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Complex, Float, Int
 
 from walker_jax.cells import Grid
-from walker_jax.checks import check_kind, check_whole
+from walker_jax.checks import check_kind, check_number, check_whole, short
 from walker_jax.integrate import Real
-from walker_jax.stride import Outcome, follow_stride, follow_walk, prepared, stacked, strides
+from walker_jax.stride import (
+    Outcome,
+    as_floating,
+    follow_stride,
+    follow_walk,
+    prepared,
+    stacked,
+    strides,
+)
 from walker_jax.tiles import over_cells
 from walker_jax.walkers import SimplestWalker, Walker
 
@@ -93,7 +101,7 @@ def find_gait(
     check_kind("walker", walker, Walker)
     check_whole("period", period)
     given = guess is not None
-    guess = jnp.asarray(guess if given else first_guess(walker, period, tolerance))
+    guess = as_floating(guess if given else first_guess(walker, period, tolerance), "guess")
     size = len(walker.section)
     if guess.shape not in ((size,), (period, size)):
         raise ValueError(f"guess must have shape ({size},) or {(period, size)}, not {guess.shape}")
@@ -345,12 +353,15 @@ def descend(
     """
     import optax  # here alone: it takes a quarter of a second
 
+    check_kind("walker", walker, Walker)
     cycles = np.asarray(cycles)
     if cycles.ndim != 3 or cycles.size == 0 or cycles.shape[2] != len(walker.section):
         raise ValueError(
             f"cycles must have shape (n, period, {len(walker.section)}), not {cycles.shape}"
         )
     check_whole("steps", steps)
+    check_number("rate", rate)
+    rate = float(rate)
     if not 0 < rate < np.inf:
         raise ValueError(f"rate must be positive and finite, not {rate}")
     walker, _, tolerance = prepared(walker, cycles[0, 0], tolerance)
@@ -524,7 +535,7 @@ def check_parameter(walker: Walker, parameter: str, *values: float) -> None:
     check_kind("walker", walker, Walker)
     if not isinstance(parameter, str) or parameter not in vars(walker):
         names = ", ".join(vars(walker))
-        raise ValueError(f"parameter must be one of the walker's, {names}, not {parameter!r}")
+        raise ValueError(f"parameter must be one of the walker's, {names}, not {short(parameter)}")
     if set(vars(walker)) <= set(inspect.signature(type(walker)).parameters):
         for value in values:
             type(walker)(**{**vars(walker), parameter: value})

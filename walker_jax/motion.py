@@ -13,7 +13,7 @@ import xarray as xr
 from jax.typing import ArrayLike
 from jaxtyping import Bool, Float
 
-from walker_jax.checks import check_whole
+from walker_jax.checks import check_number, check_whole
 from walker_jax.stride import Outcome, in_tension, trajectory, walk
 from walker_jax.walkers import State, Walker
 
@@ -50,6 +50,7 @@ def motion(
     Attributes `leg_length`, to the end of the leg, and `foot_radius` are the sizes in which to draw
     these. `ValueError` for a start that is not feasible, and as for `walk`.
     """
+    check_number("step", step)
     if not (np.isfinite(step) and step > 0):
         raise ValueError(f"step must be above 0, not {step}")
     check_whole("strides", strides)

@@ -21,7 +21,7 @@ from walker_jax.attraction import Attractor, follow, framed_attractors, near, wi
 from walker_jax.basin import around, check_grid
 from walker_jax.boundaries import Uncertainty, checked_distances, uncertainty_exponent, upper_end
 from walker_jax.cells import Grid
-from walker_jax.checks import check_kind, check_whole
+from walker_jax.checks import check_kind, check_number, check_whole, numbers, short
 from walker_jax.gaits import Gait, check_parameter, find_gait, with_parameter
 from walker_jax.integrate import default_tolerance
 from walker_jax.margins import failed_by, follow_margins
@@ -252,7 +252,11 @@ def basin_stability(
         if scale is not None or along is not None:
             raise ValueError("scale and along are of no use where disturbances is a grid")
     elif not is_number(disturbances) or not 0 < disturbances < np.inf:
-        raise ValueError(f"disturbances must be a positive number, or a grid, not {disturbances}")
+        raise ValueError(
+            f"disturbances must be a positive number, or a grid, not {short(disturbances)}"
+        )
+    check_number("within", within)
+    check_number("confidence", confidence)
     if not within > 0:
         raise ValueError(f"within must be positive, not {within}")
     check_whole("samples", samples)
@@ -337,7 +341,7 @@ def boundary_dimension(
     """
     check_grid(walker, grid, "direct")
     check_whole("seed", seed, 0)
-    apart = checked_distances(np.asarray(distances, float), pairs)
+    apart = checked_distances(distances, pairs)
     upper_end(confidence)
     check_whole("strides", strides)
     finest = float(default_tolerance(jnp.asarray(0.0).dtype, tolerance))
@@ -477,7 +481,7 @@ def robustness_table(
     Arguments are those of `robustness`; `progress` shows a bar on a terminal. `ValueError` also for
     values that the walker refuses.
     """
-    values = np.asarray(values, float)
+    values = numbers("values", values)
     if values.ndim != 1 or len(values) == 0:
         raise ValueError(f"values must be one row of numbers, not of shape {values.shape}")
     check_parameter(walker, parameter, *map(float, values))
@@ -559,17 +563,17 @@ def metric(
     """
     check_kind("walker", walker, Walker)
     size = len(walker.section)
-    unit = np.ones(size) if scale is None else numbers(scale)
+    unit = np.ones(size) if scale is None else numbers_or_none(scale)
     if unit.shape != (size,) or not np.all(np.isfinite(unit) & (unit > 0)):
-        raise ValueError(f"scale must be {size} positive numbers, not {scale}")
-    basis = np.eye(size) if along is None else np.atleast_2d(numbers(along))
+        raise ValueError(f"scale must be {size} positive numbers, not {short(scale)}")
+    basis = np.eye(size) if along is None else np.atleast_2d(numbers_or_none(along))
     fits = basis.ndim == 2 and basis.shape[1] == size and bool(np.isfinite(basis).all())
     if not fits or np.linalg.matrix_rank(basis) != len(basis):
-        raise ValueError(f"along must be independent vectors of the section, not {along}")
+        raise ValueError(f"along must be independent vectors of the section, not {short(along)}")
     return unit, np.linalg.qr((basis / unit).T)[0].T
 
 
-def numbers(values: Any) -> Float[np.ndarray, "..."]:
+def numbers_or_none(values: Any) -> Float[np.ndarray, "..."]:
     """An array of them; of NaN for what is none."""
     try:
         return np.asarray(values, float)

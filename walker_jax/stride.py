@@ -237,7 +237,7 @@ def step_down(
     if not isinstance(drop, Tracer):
         number = np.ndim(drop) == 0 and np.isrealobj(drop) and not isinstance(drop, str)
         if not number or not 0 <= drop < np.inf:
-            raise ValueError(f"drop must be one number, finite and not negative, not {drop}")
+            raise ValueError(f"drop must be one number, finite and not negative, not {short(drop)}")
     height = jnp.asarray(drop, x.dtype)
     if kernel_serves(walker, x, height, tolerance):
         found = over_cells(step_down_of_cell, (walker, tolerance), (x[None], height[None]))
@@ -575,7 +575,7 @@ def trajectory(
     walker, x, tolerance = prepared(walker, x, tolerance)
     if not isinstance(x, Tracer) and not jnp.isfinite(x).all():
         raise ValueError(f"x must be finite, not {x}")
-    times = jnp.asarray(times, x.dtype)
+    times = as_floating(times, "times").astype(x.dtype)
     if times.ndim != 1:
         raise ValueError(f"times must be a row of numbers, not of shape {times.shape}")
     if not isinstance(times, Tracer):
@@ -642,12 +642,12 @@ def follow_motion(
     return solution.ys
 
 
-def as_floating(x: ArrayLike) -> Float[Array, "..."]:
+def as_floating(x: Any, name: str = "x") -> Float[Array, "..."]:
     """x as an array, its dtype kept where it is a floating one."""
     try:
         values = jnp.asarray(x)
-    except (TypeError, ValueError):
-        raise TypeError(f"x must be real numbers, not {short(x)}") from None
+    except (TypeError, ValueError, OverflowError):
+        raise TypeError(f"{name} must be real numbers, not {short(x)}") from None
     if jnp.iscomplexobj(values):
-        raise ValueError(f"x must be real, not of type {values.dtype}")
+        raise ValueError(f"{name} must be real, not of type {values.dtype}")
     return values if jnp.issubdtype(values.dtype, jnp.floating) else values.astype(float)
