@@ -72,7 +72,7 @@ def put(path: Path, request: dict) -> None:
     path.write_bytes(store.signature(request).encode())
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def bench(tmp_path_factory):
     """Run command lines in a folder with things in it; what takes long is left out."""
     folder = tmp_path_factory.mktemp("fuzz")
@@ -303,22 +303,72 @@ def calls() -> dict[str, dict]:
     }
 
 
-SLOW = {"bifurcation_diagram", "least_disturbance", "least_step_down", "disturbance_gradient"}
-SLOW |= {"robustness", "robustness_table", "optimise", "compare_methods", "area_gradient"}
+HEAVY = {"bifurcation_diagram", "least_disturbance", "least_step_down", "disturbance_gradient"}
+HEAVY |= {"robustness", "robustness_table", "optimise", "compare_methods", "area_gradient"}
 
 
-def refusal(name: str, arguments: dict, changed: str) -> str:
-    """What is wrong with how a function takes a bad argument; nothing where it is in order."""
+def reaction(name: str, arguments: dict) -> str:
+    """What a public function says of its arguments; nothing where it has an answer.
+
+    Anything but one line fails, unless it is beartype's, which users do not have.
+    """
     function = wj
     for part in name.split("."):
         function = getattr(function, part)
     try:
         function(**arguments)
-    except TypeCheckError:  # beartype's, which users do not have
-        return ""
+    except TypeCheckError as error:
+        return str(error)
     except (ValueError, TypeError) as error:
-        message = str(error)
-        return "" if message and "\n" not in message else f"not one line: {message}"
-    except Exception as error:
-        return f"{type(error).__name__}: {error}"
+        assert str(error) and "\n" not in str(error), str(error)
+        return str(error)
     return ""
+
+
+@pytest.fixture(scope="module")
+def good():
+    return calls()
+
+
+def test_the_calls_to_be_spoilt_are_good(good):
+    assert {name.split(".")[0] for name in good} >= {
+        name for name in wj.__all__ if callable(getattr(wj, name)) and name[0].islower()
+    }
+    for name in set(good) - HEAVY:
+        assert reaction(name, good[name]) == "", name
+
+
+def spoil(good, light: bool) -> st.SearchStrategy:
+    """A call of a public function with a bad value for one argument."""
+    names = sorted(set(good) - HEAVY if light else good)
+    pairs = [(name, argument) for name in names for argument in good[name]]
+    return st.tuples(st.sampled_from(pairs), st.sampled_from(range(len(BAD))))
+
+
+@QUICK
+@given(data=st.data())
+def test_a_bad_argument_is_refused_in_one_line_or_answered(good, data):
+    (name, argument), bad = data.draw(spoil(good, light=True))
+    reaction(name, good[name] | {argument: BAD[bad]})
+
+
+@pytest.mark.slow
+def test_thousands_of_bad_arguments_are_refused_in_one_line_or_answered(good):
+    tried = Counter()
+
+    @LONG
+    @given(data=st.data())
+    def run(data):
+        (name, argument), bad = data.draw(spoil(good, light=False))
+        try:
+            refused = reaction(name, good[name] | {argument: BAD[bad]})
+        except BaseException:
+            tried["tracebacks"] += 1
+            raise
+        tried["refused" if refused else "answered"] += 1
+
+    try:
+        run()
+    finally:
+        print(dict(tried))
+    assert tried["tracebacks"] == 0 and sum(tried.values()) >= 3000

@@ -33,7 +33,7 @@ from walker_jax.attraction import (
     until_near,
 )
 from walker_jax.cells import Grid, cell_image, resolve
-from walker_jax.checks import check_kind, check_whole
+from walker_jax.checks import check_kind, check_whole, short
 from walker_jax.integrate import Real, default_tolerance
 from walker_jax.stride import Outcome, stride, strides
 from walker_jax.tiles import order_of_cells, over_cells, tracked
@@ -97,8 +97,8 @@ def basin(
     machine has not the memory for, and for a place where something else stands, that cannot be
     written to, or that another run is writing to.
     """
-    if method not in METHODS:
-        raise ValueError(f"method must be one of {', '.join(METHODS)}, not {method!r}")
+    if not isinstance(method, str) or method not in METHODS:
+        raise ValueError(f"method must be one of {', '.join(METHODS)}, not {short(method)}")
     check_whole("strides", strides)
     check_grid(walker, grid, method, each=BYTES_PER_CELL if out is None else BYTES_STORED[method])
     tolerance = float(default_tolerance(jnp.asarray(0.0).dtype, tolerance))

@@ -92,7 +92,7 @@ def box_counting(
     """
     labels = np.asarray(labels)
     check_number("spacing", spacing)
-    if not (np.isfinite(spacing) and spacing > 0):
+    if not 0 < spacing < np.inf:
         raise ValueError(f"spacing={spacing}: must be positive and finite")
     upper = upper_end(confidence)
     least = SMALLEST * 2 ** (SCALES - 1)

@@ -51,7 +51,7 @@ def motion(
     these. `ValueError` for a start that is not feasible, and as for `walk`.
     """
     check_number("step", step)
-    if not (np.isfinite(step) and step > 0):
+    if not 0 < step < np.inf:
         raise ValueError(f"step must be above 0, not {step}")
     check_whole("strides", strides)
     made = walk(walker, x, strides, tolerance=tolerance)

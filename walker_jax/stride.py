@@ -20,7 +20,7 @@ from jax.core import Tracer
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
-from walker_jax.checks import check_kind, check_whole, short
+from walker_jax.checks import check_kind, check_number, check_whole, short
 from walker_jax.integrate import (
     MAX_STEPS,
     ORDER,
@@ -235,8 +235,8 @@ def step_down(
     """
     walker, x, tolerance = prepared(walker, x, tolerance)
     if not isinstance(drop, Tracer):
-        number = np.ndim(drop) == 0 and np.isrealobj(drop) and not isinstance(drop, str)
-        if not number or not 0 <= drop < np.inf:
+        check_number("drop", drop)
+        if not 0 <= drop < np.inf:
             raise ValueError(f"drop must be one number, finite and not negative, not {short(drop)}")
     height = jnp.asarray(drop, x.dtype)
     if kernel_serves(walker, x, height, tolerance):
