@@ -215,6 +215,28 @@ def test_a_failed_search_says_so():
     assert not wj.find_gait(walker(0.005), period=2).found
 
 
+@pytest.mark.parametrize("guess", [[np.nan, 0.0], [0.2, np.inf], [[0.2, -0.2], [np.nan, -0.2]]])
+def test_a_guess_that_is_not_finite_is_refused(guess):
+    with pytest.raises(ValueError, match=r"^guess must be finite, not \[.*(nan|inf).*\]$"):
+        wj.find_gait(walker(), guess, np.ndim(guess))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"cycles": np.zeros((1, 2))}, r"cycles must have shape \(n, period, 2\), not \(1, 2\)"),
+        ({"cycles": np.zeros((0, 1, 2))}, r"cycles must have shape .* not \(0, 1, 2\)"),
+        ({"steps": 0}, "steps must be at least 1, not 0"),
+        ({"rate": np.nan}, "rate must be positive and finite, not nan"),
+        ({"rate": -1.0}, r"rate must be positive and finite, not -1\.0"),
+    ],
+)
+def test_descend_refuses(changes, message):
+    arguments = {"cycles": np.array([[[0.2, -0.2]]]), "steps": 2, "rate": 0.001} | changes
+    with pytest.raises((ValueError, TypeError), match=message):
+        wj.descend(walker(), **arguments)
+
+
 def test_a_shorter_period_is_not_a_longer_one():
     long = wj.find_gait(walker())
     twice = wj.find_gait(walker(), long.states[0], 2)
