@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy.special import ndtri, stdtrit
 
-from walker_jax.checks import check_kind, check_number, check_whole, numbers
+from walker_jax.checks import check_number, check_whole, numbers
 
 SMALLEST = 4
 """Cells along a side of the smallest box: detail finer than a cell is missing from smaller ones."""
@@ -173,8 +173,9 @@ def uncertainty_exponent(
     """
     distances = checked_distances(distances, pairs)
     check_whole("seed", seed, 0)
-    check_kind("label_of", label_of, Callable)
-    check_kind("draw", draw, Callable)
+    for name, function in {"label_of": label_of, "draw": draw}.items():
+        if not callable(function):
+            raise TypeError(f"{name} must be a function, not {function!r}")
     upper = upper_end(confidence)
 
     rng = np.random.default_rng(seed)

@@ -341,7 +341,7 @@ def boundary_dimension(
     """
     check_grid(walker, grid, "direct")
     check_whole("seed", seed, 0)
-    apart = checked_distances(distances, pairs)
+    apart = checked_distances(numbers("distances", distances), pairs)
     upper_end(confidence)
     check_whole("strides", strides)
     finest = float(default_tolerance(jnp.asarray(0.0).dtype, tolerance))
