@@ -23,7 +23,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from walker_jax.attraction import follow
 from walker_jax.cells import Grid
-from walker_jax.checks import check_kind, numbers
+from walker_jax.checks import check_kind, numbers, short
 from walker_jax.gaits import Gait, check_parameter, find_gait, gait_derivatives, with_parameter
 from walker_jax.integrate import default_tolerance
 from walker_jax.refinement import Refined, refined
@@ -155,7 +155,7 @@ def checked_bands(
         check_parameter(walker, name)
     widths = np.ones(len(parameters)) if bands is None else numbers("bands", bands)
     if widths.shape != (len(parameters),) or not np.all((widths > 0) & (widths < np.inf)):
-        raise ValueError(f"bands must be a number above 0 for each parameter, not {bands}")
+        raise ValueError(f"bands must be a number above 0 for each parameter, not {short(bands)}")
     return widths
 
 

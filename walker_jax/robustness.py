@@ -585,6 +585,7 @@ def returning(
     walker: Walker, gait: Gait | None, strides: int, tolerance: float | None
 ) -> tuple[Float[np.ndarray, "period section"], tuple]:
     """The states of a stable gait, and what walks share that are to come back to it, checked."""
+    check_kind("walker", walker, Walker)
     check_whole("strides", strides)
     gait = find_gait(walker) if gait is None else gait
     if not isinstance(gait, Gait) or not (gait.found and gait.stable):
