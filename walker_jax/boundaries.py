@@ -175,7 +175,7 @@ def uncertainty_exponent(
     check_whole("seed", seed, 0)
     for name, function in {"label_of": label_of, "draw": draw}.items():
         if not callable(function):
-            raise TypeError(f"{name} must be a function, not {function!r}")
+            raise TypeError(f"{name} must be a function, not a {type(function).__name__}")
     upper = upper_end(confidence)
 
     rng = np.random.default_rng(seed)
