@@ -1,7 +1,10 @@
 import functools
 import json
+import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -146,6 +149,66 @@ def test_an_interruption_is_one_line(run, monkeypatch):
 
     monkeypatch.setattr("walker_jax.walk", interrupt)
     assert run("walk") == (130, "", "walker-jax: interrupted\n")
+
+
+def test_a_termination_is_one_line(run, monkeypatch):
+    monkeypatch.setattr("walker_jax.walk", lambda *_: os.kill(os.getpid(), signal.SIGTERM))
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        assert run("walk") == (143, "", "walker-jax: terminated\n")
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("number", "end"),
+    [
+        (signal.SIGINT, (130, "walker-jax: interrupted\n")),
+        (signal.SIGTERM, (143, "walker-jax: terminated\n")),
+    ],
+)
+def test_a_signal_ends_a_command_in_one_line_and_leaves_no_draft(tmp_path, number, end):
+    command = [str(Path(sys.executable).with_name("walker-jax")), "basin", "--method", "direct"]
+    window = ["--theta", "0", "0.4", "4000", "--sum", "-0.04", "0.01", "4000"]
+    start = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "cwd": tmp_path}
+    with subprocess.Popen([*command, *window], **start) as process:
+        while not (tmp_path / "basin.zarr").exists():
+            assert process.poll() is None
+            time.sleep(0.1)
+        process.send_signal(number)
+        out, err = process.communicate(timeout=120)
+    assert (process.returncode, err) == end and out == ""
+    assert [path.name for path in tmp_path.iterdir()] == ["basin.zarr"]  # with which to go on
+
+
+def test_no_command_is_wrong_usage_in_one_line(run):
+    code, out, err = run()
+    assert code == 2 and "basin" in out
+    assert err == "walker-jax: name a command, one of those above\n"
+
+
+def test_a_grid_that_is_refused_leaves_what_it_was_to_replace(run, tmp_path):
+    assert run("basin", *SMALL)[0] == 0
+    before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
+    large = ["--theta", "0", "0.4", "46000", "--sum", "0", "1", "46000"]
+    code, out, err = run("basin", *large, "--overwrite")
+    assert (code, out) == (2, "") and "memory" in err and err.count("\n") == 1
+    assert before == {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
+
+
+def test_an_interrupted_drawing_leaves_the_picture_that_was_there(run, tmp_path, monkeypatch):
+    assert run("basin", *SMALL)[0] == 0
+    before = (tmp_path / "basin.png").read_bytes()
+
+    def half(self, path, **_):
+        Path(path).write_bytes(b"half")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", half)
+    assert run("basin", *SMALL)[0] == 130
+    assert (tmp_path / "basin.png").read_bytes() == before
+    assert {path.name for path in tmp_path.iterdir()} == {"basin.zarr", "basin.png"}
 
 
 @pytest.mark.parametrize(
@@ -515,6 +578,7 @@ def test_wrong_optimisations(run, tmp_path, arguments, named):
         ["--theta", "nan"],
         ["--thetadot", "inf"],
         ["--strides", "-1"],
+        ["--strides", "1000001"],
         ["--theta", "0.9", "--animate", "walk.gif"],
         ["--animate", "walk.png"],
     ],

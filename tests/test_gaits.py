@@ -204,7 +204,7 @@ def test_under_transformations_a_gait_is_the_same_and_differentiable():
 
 
 def test_a_failed_search_says_so():
-    for guess in ([3.0, 3.0], [0.2, -0.5], [0.2, 0.2], [np.nan, 0.0]):
+    for guess in ([3.0, 3.0], [0.2, -0.5], [0.2, 0.2]):
         gait = wj.find_gait(walker(), guess)
         assert not gait.found and not gait.stable and np.isnan(gait.residual)
         assert gait.states.shape == (1, 2) and np.isnan(gait.states).all()
@@ -213,6 +213,27 @@ def test_a_failed_search_says_so():
     assert not gait.found and gait.states.shape == (3, 2) and gait.step_times.shape == (3,)
     assert not wj.find_gait(walker(0.27)).found
     assert not wj.find_gait(walker(0.005), period=2).found
+
+
+@pytest.mark.parametrize("guess", [[np.nan, 0.0], [0.2, np.inf], [[0.2, -0.2], [np.nan, -0.2]]])
+def test_a_guess_that_is_not_finite_is_refused(guess):
+    with pytest.raises(ValueError, match=r"^guess must be finite, not \[.*(nan|inf).*\]$"):
+        wj.find_gait(walker(), guess, np.ndim(guess))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"cycles": np.zeros((0, 1, 2))}, r"cycles must have shape .* not \(0, 1, 2\)"),
+        ({"steps": 0}, "steps must be at least 1, not 0"),
+        ({"rate": np.nan}, "rate must be positive and finite, not nan"),
+        ({"rate": -1.0}, r"rate must be positive and finite, not -1\.0"),
+    ],
+)
+def test_descend_refuses(changes, message):
+    arguments = {"cycles": np.array([[[0.2, -0.2]]]), "steps": 2, "rate": 0.001} | changes
+    with pytest.raises((ValueError, TypeError), match=message):
+        wj.descend(walker(), **arguments)
 
 
 def test_a_shorter_period_is_not_a_longer_one():

@@ -210,7 +210,7 @@ def test_wrong_arguments_are_refused():
         area_gradient(walker, SECTION, ("hip_stiffness",))
     with pytest.raises(ValueError, match="parameter must be one of the walker's"):
         disturbance_gradient(walker, ("mass",))
-    with pytest.raises(ValueError, match="levels must not be negative"):
+    with pytest.raises(ValueError, match="levels must be at least 0"):
         area_gradient(walker, SECTION, levels=-1)
     with pytest.raises(ValueError, match="strides must be at least 1"):
         area_gradient(walker, SECTION, strides=0)

@@ -107,9 +107,13 @@ def test_the_result_is_drawn_like_a_basin(refined):
 
 
 def test_wrong_arguments_are_refused():
-    with pytest.raises(ValueError, match="levels must not be negative, not -1"):
+    with pytest.raises(ValueError, match="levels must be at least 0, not -1"):
         refine(WALKER, GRID, -1)
-    with pytest.raises(ValueError, match="check must not be negative"):
+    with pytest.raises(ValueError, match="levels must be at most 30, not 1000"):
+        refine(WALKER, GRID, 1000)
+    with pytest.raises(ValueError, match="seed must be at least 0, not -1"):
+        refine(WALKER, GRID, 1, seed=-1)
+    with pytest.raises(ValueError, match="check must be at least 0"):
         refine(WALKER, GRID, 1, check=-5)
     with pytest.raises(ValueError, match="strides must be at least 1"):
         refine(WALKER, GRID, 1, strides=0)

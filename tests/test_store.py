@@ -1,6 +1,8 @@
 import errno
+import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -239,3 +241,61 @@ def test_a_run_that_ended_but_for_tidying_is_tidied(tmp_path, monkeypatch):
     found = store.find(path, REQUEST)
     assert found is not None and set(found.variables) == {"value", "x", "y"}
     assert not (path / "half").exists() and not (path / "written").exists()
+
+
+def test_places_that_are_read_only_even_to_root_and_names_too_long(tmp_path):
+    for path in (Path("/proc/a.zarr"), tmp_path / ("n" * 300), tmp_path / ("n" * 250)):
+        with pytest.raises(ValueError, match="cannot be written: ") as refusal:
+            store.find(path, REQUEST)
+        assert "\n" not in str(refusal.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_interruption_between_the_old_and_the_new_loses_neither(tmp_path, data, monkeypatch):
+    path = tmp_path / "a.zarr"
+    store.save(data, path, REQUEST)
+    rename = Path.rename
+
+    def interrupted(self, target):
+        if self.name == "new":
+            raise KeyboardInterrupt
+        return rename(self, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "rename", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            store.save(data * 2, path, REQUEST)
+    assert [p.name for p in tmp_path.iterdir()] == ["a.zarr"]
+    there = store.load(path)
+    assert there is not None and there.fate.values.tolist() == [0, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_a_pipe_is_no_picture(tmp_path, overwrite):
+    os.mkfifo(tmp_path / "p.png")
+    with pytest.raises(store.Occupied, match="is something else"):
+        store.check_picture(tmp_path / "p.png", REQUEST, overwrite=overwrite)
+
+
+def test_a_store_cut_in_half_is_refused_as_it_is(tmp_path, data):
+    for name in ("zarr.json", "fate/zarr.json", "fate/c/0"):
+        path = tmp_path / "a.zarr"
+        store.save(data, path, REQUEST)
+        file = path / name
+        file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+        before = file.read_bytes()
+        for overwrite in (False, True):
+            with pytest.raises(store.Occupied, match="is not a data set"):
+                store.find(path, REQUEST, overwrite=overwrite)
+        assert file.read_bytes() == before
+
+
+def test_a_data_set_without_some_of_its_chunks_is_none(tmp_path):
+    path = tmp_path / "a.zarr"
+    zeros = xr.Dataset({"count": ("x", np.zeros(5))})
+    store.save(zeros, path, REQUEST)
+    found = store.find(path, REQUEST)
+    assert found is not None and (found["count"] == 0).all()
+    (path / "count" / "c" / "0").unlink()
+    with pytest.raises(store.Occupied, match="is not a data set"):
+        store.find(path, REQUEST)

@@ -34,6 +34,7 @@ from walker_jax.attraction import (
     until_near,
 )
 from walker_jax.cells import Grid, cell_image, resolve
+from walker_jax.checks import check_kind, check_whole, short
 from walker_jax.cluster import each
 from walker_jax.integrate import Real, default_tolerance
 from walker_jax.stride import Outcome, stride, strides
@@ -101,10 +102,9 @@ def basin(
     machine has not the memory for, and for a place where something else stands, that cannot be
     written to, or that another run is writing to.
     """
-    if method not in METHODS:
-        raise ValueError(f"method must be one of {', '.join(METHODS)}, not {method!r}")
-    if strides < 1:
-        raise ValueError(f"strides must be at least 1, not {strides}")
+    if not isinstance(method, str) or method not in METHODS:
+        raise ValueError(f"method must be one of {', '.join(METHODS)}, not {short(method)}")
+    check_whole("strides", strides)
     check_grid(walker, grid, method, each=BYTES_PER_CELL if out is None else BYTES_STORED[method])
     tolerance = float(default_tolerance(jnp.asarray(0.0).dtype, tolerance))
     limit = {"strides": strides} if method == "direct" else {}
@@ -122,6 +122,8 @@ def basin(
 
 def check_grid(walker: Walker, grid: Grid, method: str, each: int = BYTES_PER_CELL) -> None:
     """Refuse a grid that is not of the walker's section, or too large for this machine's memory."""
+    check_kind("walker", walker, Walker)
+    check_kind("grid", grid, Grid)
     if grid.coordinates != len(walker.section):
         raise ValueError(
             f"grid must have the {len(walker.section)} dimensions of the section, "

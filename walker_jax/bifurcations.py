@@ -5,7 +5,6 @@ shows how each is born, loses its stability and ends. What walkers come to, gait
 never repeat themselves, is seen by following walkers that start close to the gaits, stable or not.
 """
 
-import operator
 from collections.abc import Sequence
 from importlib.metadata import version
 from typing import Any, NamedTuple
@@ -29,6 +28,7 @@ from walker_jax.branches import (
     doubled,
     together,
 )
+from walker_jax.checks import check_kind, check_number, check_whole, numbers
 from walker_jax.gaits import (
     Gait,
     check_parameter,
@@ -94,14 +94,15 @@ def attractors(
     walker fails, `STRIDE` where it does not; `strides` before that; `orbit`, the `RECENT` states
     that follow, NaN after a failure; and `period` of that orbit, 0 where none up to `RECENT` shows.
     """
-    values, starts = np.asarray(values, float), np.asarray(starts, float)
+    values, starts = numbers("values", values), numbers("starts", starts)
+    if values.ndim != 1:
+        raise ValueError(f"values must be one row of numbers, not of shape {values.shape}")
     check_parameter(walker, parameter, *values)
     tolerance = double_tolerance(tolerance)
     if starts.ndim != 3 or starts.shape[::2] != (len(values), len(walker.section)):
         shape = f"({len(values)}, starts, {len(walker.section)})"
         raise ValueError(f"starts must have shape {shape}, not {starts.shape}")
-    if operator.index(strides) < 1:
-        raise ValueError(f"strides must be at least 1, not {strides}")
+    check_whole("strides", strides)
     n, m, size = starts.shape
     walkers = with_parameter(walker, parameter, np.repeat(values, m))
     x, fate, count = persist(walkers, starts.reshape(-1, size), strides, tolerance, progress)
@@ -211,8 +212,10 @@ def loss_of_walking(
     """
     tolerance = double_tolerance(tolerance)
     below, above = check_interval(walker, parameter, interval)
-    if operator.index(strides) < 1:
-        raise ValueError(f"strides must be at least 1, not {strides}")
+    check_whole("strides", strides)
+    for branch in branches:
+        check_kind("branches", branch, Branch)
+    check_number("resolution", resolution)
     if not resolution > np.spacing(above):
         raise ValueError(
             f"resolution must be a distance, and wider than rounding, not {resolution}"
@@ -314,8 +317,7 @@ def bifurcation_diagram(
     tolerance = double_tolerance(tolerance)
     low, high = check_interval(walker, parameter, interval)
     for name, number in {"period_max": period_max, "strides": strides, "scan": scan}.items():
-        if operator.index(number) < 1:
-            raise ValueError(f"{name} must be at least 1, not {number}")
+        check_whole(name, number)
     branches: list[Branch] = []
     stems: list[int] = []
 

@@ -9,13 +9,14 @@ needs labels at random points, and can look at distances far below any grid's.
 Dimensions are pure numbers; sizes and distances are in the caller's units.
 """
 
-import operator
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy.special import ndtri, stdtrit
+
+from walker_jax.checks import check_number, check_whole, numbers
 
 SMALLEST = 4
 """Cells along a side of the smallest box: detail finer than a cell is missing from smaller ones."""
@@ -90,7 +91,8 @@ def box_counting(
     Raises ValueError if the array is too small for `SCALES` sizes, or an option is out of range.
     """
     labels = np.asarray(labels)
-    if not (np.isfinite(spacing) and spacing > 0):
+    check_number("spacing", spacing)
+    if not 0 < spacing < np.inf:
         raise ValueError(f"spacing={spacing}: must be positive and finite")
     upper = upper_end(confidence)
     least = SMALLEST * 2 ** (SCALES - 1)
@@ -170,6 +172,10 @@ def uncertainty_exponent(
     Raises ValueError if an argument is out of range, or the functions return wrong shapes.
     """
     distances = checked_distances(distances, pairs)
+    check_whole("seed", seed, 0)
+    for name, function in {"label_of": label_of, "draw": draw}.items():
+        if not callable(function):
+            raise TypeError(f"{name} must be a function, not a {type(function).__name__}")
     upper = upper_end(confidence)
 
     rng = np.random.default_rng(seed)
@@ -201,13 +207,12 @@ def checked_distances(
     distances: Float[np.ndarray | Array, " k"], pairs: int
 ) -> Float[np.ndarray, " k"]:
     """The distances, sorted; ValueError for what `uncertainty_exponent` cannot use."""
-    distances = np.sort(np.asarray(distances, float))
+    distances = np.sort(np.atleast_1d(numbers("distances", distances)))
     if distances.ndim != 1 or len(np.unique(distances)) < max(SCALES, distances.size):
         raise ValueError(f"distances={short(distances)}: must be at least {SCALES}, all different")
     if not (np.isfinite(distances) & (distances > 0)).all():
         raise ValueError(f"distances={short(distances)}: must be positive and finite")
-    if operator.index(pairs) < POINTS:
-        raise ValueError(f"pairs={pairs}: must be at least {POINTS}")
+    check_whole("pairs", pairs, POINTS)
     return distances
 
 
@@ -238,6 +243,7 @@ def fit_power(
 
 def upper_end(confidence: float) -> float:
     """The probability below the upper end of a two-sided interval."""
+    check_number("confidence", confidence)
     if not 0 < confidence < 1:
         raise ValueError(f"confidence={confidence}: must be between 0 and 1")
     return (1 + confidence) / 2

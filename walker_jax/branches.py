@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float
 
+from walker_jax.checks import check_kind, numbers, short
 from walker_jax.gaits import (
     RESIDUAL,
     Curved,
@@ -128,6 +129,7 @@ def continue_gait(
     check_interval(walker, parameter, interval)
     value = float(getattr(walker, parameter))
     gait = find_gait(walker, tolerance=tolerance) if gait is None else gait
+    check_kind("gait", gait, Gait)
     if not gait.found:
         raise ValueError(f"gait must be one, unlike the end of a failed search, {gait.states}")
     start = Start(value, np.asarray(gait.states, float))
@@ -170,8 +172,9 @@ def check_interval(
 ) -> tuple[float, float]:
     """The two ends of an interval of a walker's parameter, checked."""
     check_parameter(walker, parameter)
-    if len(interval) != 2 or not -np.inf < interval[0] < interval[1] < np.inf:
-        raise ValueError(f"interval must be (low, high) with low below high, not {interval}")
+    ends = numbers("interval", interval)
+    if ends.shape != (2,) or not -np.inf < ends[0] < ends[1] < np.inf:
+        raise ValueError(f"interval must be (low, high) with low below high, not {short(interval)}")
     check_parameter(walker, parameter, *interval)
     return float(interval[0]), float(interval[1])
 

@@ -27,6 +27,8 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, Int32
 
+from walker_jax.checks import check_kind, numbers, short
+
 ROOM_FOR_SINKS = 255
 MAX_SIZE = 2**31 - 1 - ROOM_FOR_SINKS
 
@@ -70,6 +72,7 @@ class Grid(eqx.Module):
         origin: ArrayLike | None = None,
         fixed: tuple[str, ...] = (),
     ):
+        check_kind("axes", axes, Mapping)
         if not axes:
             raise ValueError(f"axes={axes!r}: a grid needs at least one axis")
         lower, upper, counts = zip(*(_axis(*item) for item in axes.items()), strict=True)
@@ -82,14 +85,14 @@ class Grid(eqx.Module):
         self.upper = np.array(upper)
         self.counts = np.array(counts, np.int32)
         self.fixed = tuple(fixed)
-        self.shear = np.array(shear, np.float64)
+        self.shear = numbers("shear", shear).copy()
         count = len(axes)
         if self.shear.ndim != 2 or self.shear.shape[1] != count or len(self.shear) < count:
             raise ValueError(f"shear={self.shear.tolist()}: must be a matrix of {count} columns")
         size = len(self.shear)
         if not np.isfinite(self.shear).all():
             raise ValueError(f"shear={self.shear.tolist()}: must be finite")
-        self.origin = np.zeros(size) if origin is None else np.array(origin, np.float64)
+        self.origin = np.zeros(size) if origin is None else numbers("origin", origin).copy()
         if self.origin.shape != (size,) or not np.isfinite(self.origin).all():
             raise ValueError(f"origin={self.origin.tolist()}: must be {size} finite numbers")
         try:
@@ -218,7 +221,7 @@ def split(axes: Mapping[str, Axis]) -> tuple[dict[str, Axis], Float[np.ndarray, 
         raise ValueError(f"axes={dict(axes)!r}: a grid needs at least one axis, (low, high, count)")
     if any(numbers[:count]):
         name = list(axes)[numbers.index(True)]
-        raise ValueError(f"{name}={axes[name]!r}: only the last axes may be numbers")
+        raise ValueError(f"{name}={short(axes[name])}: only the last axes may be numbers")
     values = [0.0] * count + [float(axis) for axis in list(axes.values())[count:]]
     return dict(list(axes.items())[:count]), np.array(values)
 
@@ -230,14 +233,16 @@ def _axis(name: str, axis: Axis) -> tuple[float, float, int]:
         low, high, count = float(low), float(high), operator.index(count)
     except (TypeError, ValueError, OverflowError):
         raise ValueError(
-            f"{name}={axis!r}: an axis is (low, high, count), two numbers and an integer"
+            f"{name}={short(axis)}: an axis is (low, high, count), two numbers and an integer"
         ) from None
     if not math.isfinite(high - low):
-        raise ValueError(f"{name}={axis!r}: the ends of an axis must be finite")
+        raise ValueError(f"{name}={short(axis)}: the ends of an axis must be finite")
     if low >= high:
-        raise ValueError(f"{name}={axis!r}: low must be below high")
+        raise ValueError(f"{name}={short(axis)}: low must be below high")
     if count < 1:
-        raise ValueError(f"{name}={axis!r}: the count of cells must be positive")
+        raise ValueError(f"{name}={short(axis)}: the count of cells must be positive")
+    if (high - low) / count < np.finfo(float).tiny:
+        raise ValueError(f"{name}={short(axis)}: the cells are narrower than numbers can be apart")
     return low, high, count
 
 

@@ -1,7 +1,8 @@
 """The command `walker-jax`. Each command asks the library, prints a summary, and keeps the result.
 
 Answers go to standard output; progress, warnings and the one line that says what is wrong go to
-standard error. Exit code 0: done; 2: wrong usage; 1: the computation failed.
+standard error. Exit code 0: done; 2: wrong usage; 1: the computation failed; 130: interrupted by
+Ctrl-C; 143: terminated by SIGTERM.
 """
 
 import functools
@@ -10,6 +11,7 @@ import json
 import math
 import os
 import re
+import signal
 import sys
 import time
 from collections.abc import Callable, Iterable
@@ -65,6 +67,10 @@ PHIDOT_HELP = "Rate between the legs, for walkers whose section has it"
 
 class NotFound(Exception):
     """A search that found nothing, and why."""
+
+
+class Terminated(BaseException):
+    """The command is to end at once, what it has begun to write removed."""
 
 
 def list_walkers(wanted: bool) -> bool:
@@ -186,7 +192,7 @@ def walk(
     ] = None,
     thetadot: Annotated[float | None, typer.Option(help="Its rate, rad per unit of time.")] = None,
     phidot: Annotated[float | None, typer.Option(help=f"{PHIDOT_HELP}.")] = None,
-    strides: Annotated[int, typer.Option(min=1, help="Strides at most.")] = 9,
+    strides: Annotated[int, typer.Option(min=1, max=1_000_000, help="Strides at most.")] = 9,
     animate: Annotated[
         Path | None,
         typer.Option(help="Where a film goes, .gif, or .mp4 where the program ffmpeg is there."),
@@ -501,7 +507,12 @@ def draw(axes, path: Path, request: dict) -> None:
     from walker_jax import store
 
     picture = axes.get_figure(root=True)
-    picture.savefig(path, dpi=150, metadata={"Title": store.signature(request)})
+    draft = path.with_name(f".new.{path.name}")
+    try:
+        picture.savefig(draft, dpi=150, metadata={"Title": store.signature(request)})
+        draft.replace(path)
+    finally:
+        draft.unlink(missing_ok=True)
 
 
 @app.command()
@@ -554,7 +565,7 @@ def basin(
     """
     import walker_jax as wj
     from walker_jax import figures, store
-    from walker_jax.basin import around
+    from walker_jax.basin import BYTES_STORED, around, check_grid
 
     has_phidot = "phidot" in walker.section
     if not has_phidot and (phidot is not None or at_phidot is not None):
@@ -606,6 +617,7 @@ def basin(
         if None in axes.values():
             axes = filled(axes, around(gait_of(walker).states[0], tuple(axes)))
         grid = grid_of(**axes)
+        check_grid(walker, grid, method, each=BYTES_STORED[method])
         if overwrite:
             store.clear(out)
         options: Any = {"strides": strides, "progress": True, "out": out, "request": request}
@@ -1304,6 +1316,7 @@ def keep_compiled() -> None:
 def main() -> NoReturn:
     jax.config.update("jax_enable_x64", True)
     keep_compiled()
+    signal.signal(signal.SIGTERM, terminate)
     try:
         code = app(standalone_mode=False)
     except ValueError as error:
@@ -1312,13 +1325,21 @@ def main() -> NoReturn:
         stop(1, error)
     except KeyboardInterrupt:
         stop(130, "interrupted")
+    except Terminated:
+        stop(143, "terminated")
     except Exception as error:
         # typer's own: wrong usage
         message = getattr(error, "format_message", None)
-        stop(2, message()) if message else stop(1, f"{type(error).__name__}: {error}")
+        stop(2, message() or "name a command, one of those above") if message else stop(
+            1, f"{type(error).__name__}: {error}"
+        )
     if code == 130:  # what typer makes of Ctrl-C
         stop(130, "interrupted")
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def terminate(signal_number: int, frame: object) -> NoReturn:
+    raise Terminated
 
 
 def stop(code: int, reason) -> NoReturn:

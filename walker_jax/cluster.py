@@ -19,6 +19,9 @@ AHEAD = 2
 DEATHS = 100
 """Times that workers may die over one piece."""
 
+PATIENCE = 10
+"""Seconds to wait for a scheduler."""
+
 Thing = TypeVar("Thing")
 
 
@@ -104,7 +107,7 @@ def client_of(cluster: Any) -> Iterator[Any]:
         address = local.scheduler_address
     try:
         try:
-            client = Client(address)
+            client = Client(address, timeout=PATIENCE)
         except (OSError, ValueError) as error:
             raise ValueError(f"cluster {address} cannot be reached: {error}") from None
         with client:

@@ -25,6 +25,7 @@ from scipy.stats import qmc
 
 from walker_jax.basin import basin, check_grid
 from walker_jax.cells import Grid
+from walker_jax.checks import check_kind, check_whole
 from walker_jax.gaits import Gait, check_parameter, find_gait, with_parameter
 from walker_jax.objectives import (
     GAIT_MEASURES,
@@ -33,7 +34,7 @@ from walker_jax.objectives import (
     disturbance_gradient,
     gait_measures,
 )
-from walker_jax.refinement import BYTES_PER_CELL, finer, refined
+from walker_jax.refinement import BYTES_PER_CELL, FINEST, finer, refined
 from walker_jax.robustness import default_region, is_number
 from walker_jax.walkers import Walker
 
@@ -218,6 +219,10 @@ def optimise(
     `ValueError` for parameters, bounds, names and numbers that are not such, and as for `refine`.
     """
     (weights, sign), limits = weights_of(objective), limits_of(at_least, at_most)
+    check_kind("walker", walker, Walker)
+    check_kind("bounds", bounds, Mapping)
+    if known is not None:
+        check_kind("known", known, xr.Dataset)
     if not bounds:
         raise ValueError(f"bounds must name at least one parameter, not {dict(bounds)}")
     for name, ends in bounds.items():
@@ -226,10 +231,7 @@ def optimise(
         *(("starts", starts, 1), ("strides", strides, 1)),
         *(("levels", levels, 0), ("scan", scan, 0), ("seed", seed, 0)),
     ):
-        if not isinstance(value, int | np.integer):
-            raise ValueError(f"{name} must be a whole number, not {value!r}")
-        if value < least:
-            raise ValueError(f"{name} must be at least {least}, not {value}")
+        check_whole(name, value, least)
     low, high = np.array([tuple(map(float, ends)) for ends in bounds.values()]).T
     how = (grid, levels, strides, seed, tolerance)
     problem = Problem(walker, tuple(bounds), low, high, weights, sign, limits, *how)
@@ -240,6 +242,8 @@ def optimise(
     if problem.grid is None and "area" in weights:
         raise ValueError("grid is wanted: no start has a gait of period one to lay it around")
     if problem.grid is not None:
+        check_grid(walker, problem.grid, "direct")
+        check_whole("levels", levels, 0, FINEST)
         check_grid(walker, finer(problem.grid, levels), "direct", each=BYTES_PER_CELL)
 
     trace = Trace(problem, known, keep, progress)
@@ -264,6 +268,8 @@ def optimise(
 def weights_of(objective: str | Mapping[str, Any]) -> tuple[dict[str, float], float]:
     """The weights of an objective, checked, and whether it is to be large, 1, or small, -1."""
     named = isinstance(objective, str)
+    if not named:
+        check_kind("objective", objective, Mapping)
     given = {objective: 1.0} if named else dict(objective)
     if not given:
         raise ValueError("objective must name at least one measure, not none")
@@ -282,6 +288,7 @@ def limits_of(
     """The least and the greatest value of each measure that has limits, checked."""
     limits: dict[str, tuple[float, float]] = {}
     for side, given in enumerate((at_least or {}, at_most or {})):
+        check_kind("limits", given, Mapping)
         for name, value in given.items():
             if name not in GAIT_MEASURES:
                 known = ", ".join(GAIT_MEASURES)

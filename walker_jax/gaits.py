@@ -11,7 +11,6 @@ the unit circle. Jacobians come from automatic differentiation.
 """
 
 import inspect
-import operator
 from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
@@ -27,8 +26,17 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Complex, Float, Int
 
 from walker_jax.cells import Grid
+from walker_jax.checks import check_kind, check_number, check_whole, short
 from walker_jax.integrate import Real
-from walker_jax.stride import Outcome, follow_stride, follow_walk, prepared, stacked, strides
+from walker_jax.stride import (
+    Outcome,
+    as_floating,
+    follow_stride,
+    follow_walk,
+    prepared,
+    stacked,
+    strides,
+)
 from walker_jax.tiles import over_cells
 from walker_jax.walkers import SimplestWalker, Walker
 
@@ -88,14 +96,17 @@ def find_gait(
 
     **Returns** a `Gait`. Its `found` is false where the search fails, or ends in a gait of a
     shorter period; then states, multipliers and step times are NaN. `ValueError` for a period
-    below 1, a guess of a wrong shape, or none where one is needed.
+    below 1, a guess of a wrong shape, one that is not finite, or none where one is needed.
     """
-    if operator.index(period) < 1:
-        raise ValueError(f"period must be at least 1, not {period}")
-    guess = jnp.asarray(first_guess(walker, period, tolerance) if guess is None else guess)
+    check_kind("walker", walker, Walker)
+    check_whole("period", period)
+    given = guess is not None
+    guess = as_floating(guess if given else first_guess(walker, period, tolerance), "guess")
     size = len(walker.section)
     if guess.shape not in ((size,), (period, size)):
         raise ValueError(f"guess must have shape ({size},) or {(period, size)}, not {guess.shape}")
+    if given and not isinstance(guess, Tracer) and not jnp.isfinite(guess).all():
+        raise ValueError(f"guess must be finite, not {guess.tolist()}")
     walker, first, tolerance = prepared(walker, guess.reshape(-1, size)[0], tolerance)
     cycle = guess.reshape(-1, size).astype(first.dtype)
     traced = is_traced((walker, cycle, tolerance))
@@ -290,11 +301,11 @@ def find_gaits(
     **Returns** the gaits that have a state in the region, each once, from its state of the
     smallest first coordinate on, in ascending order of that.
     """
-    if operator.index(period) < 1:
-        raise ValueError(f"period must be at least 1, not {period}")
-    if operator.index(descent) < 0:
-        raise ValueError(f"descent must not be negative, unlike {descent}")
+    check_kind("walker", walker, Walker)
+    check_whole("period", period)
+    check_whole("descent", descent, 0)
     grid = walker.gait_region() if region is None else region
+    check_kind("region", grid, Grid)
     if not len(grid.names) == grid.coordinates == len(walker.section):
         raise ValueError(
             f"region must have the {len(walker.section)} dimensions of the section, "
@@ -338,10 +349,21 @@ def descend(
     - `tolerance`: of the integration, as in `stride`.
 
     **Returns** cycles of the same shape; as given where a state of the guess makes no stride.
+    `ValueError` for another shape, and for numbers that are not above 0.
     """
     import optax  # here alone: it takes a quarter of a second
 
+    check_kind("walker", walker, Walker)
     cycles = np.asarray(cycles)
+    if cycles.ndim != 3 or cycles.size == 0 or cycles.shape[2] != len(walker.section):
+        raise ValueError(
+            f"cycles must have shape (n, period, {len(walker.section)}), not {cycles.shape}"
+        )
+    check_whole("steps", steps)
+    check_number("rate", rate)
+    rate = float(rate)
+    if not 0 < rate < np.inf:
+        raise ValueError(f"rate must be positive and finite, not {rate}")
     walker, _, tolerance = prepared(walker, cycles[0, 0], tolerance)
     optimiser = optax.adam(optax.cosine_decay_schedule(rate, steps), b1=0.5, b2=0.9)
     x, scale = cycles, np.ones(len(cycles), cycles.dtype)
@@ -482,6 +504,7 @@ def gait_derivatives(
     for what is not a gait.
     """
     check_parameter(walker, parameter)
+    check_kind("gait", gait, Gait)
     if not gait.found:
         raise ValueError(f"gait must be one, unlike the end of a failed search, {gait.states}")
     cycle = np.asarray(gait.states)[None]
@@ -509,9 +532,10 @@ def gait_derivatives(
 
 def check_parameter(walker: Walker, parameter: str, *values: float) -> None:
     """Refuse a parameter that the walker does not have, and values that its constructor refuses."""
-    if parameter not in vars(walker):
+    check_kind("walker", walker, Walker)
+    if not isinstance(parameter, str) or parameter not in vars(walker):
         names = ", ".join(vars(walker))
-        raise ValueError(f"parameter must be one of the walker's, {names}, not {parameter!r}")
+        raise ValueError(f"parameter must be one of the walker's, {names}, not {short(parameter)}")
     if set(vars(walker)) <= set(inspect.signature(type(walker)).parameters):
         for value in values:
             type(walker)(**{**vars(walker), parameter: value})

@@ -21,6 +21,7 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
+from walker_jax.checks import check_number
 from walker_jax.taylor import (
     VirtualPower,
     evaluate,
@@ -50,6 +51,7 @@ def default_tolerance(dtype, tolerance: Real | None = None) -> Real:
         return TOLERANCE[dtype]
     if isinstance(tolerance, Tracer):
         return tolerance
+    check_number("tolerance", tolerance)
     if not jnp.finfo(dtype).eps / 4 <= tolerance < 1:
         raise ValueError(
             f"tolerance must lie between {jnp.finfo(dtype).eps / 4:.2g}, which is what {dtype} "

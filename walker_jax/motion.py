@@ -4,7 +4,6 @@ For pictures and films. Places are along the slope and normal to it, from where 
 the first stride is when its leg is upright.
 """
 
-import operator
 from importlib.metadata import version
 
 import jax
@@ -14,6 +13,7 @@ import xarray as xr
 from jax.typing import ArrayLike
 from jaxtyping import Bool, Float
 
+from walker_jax.checks import check_number, check_whole
 from walker_jax.stride import Outcome, in_tension, trajectory, walk
 from walker_jax.walkers import State, Walker
 
@@ -50,10 +50,10 @@ def motion(
     Attributes `leg_length`, to the end of the leg, and `foot_radius` are the sizes in which to draw
     these. `ValueError` for a start that is not feasible, and as for `walk`.
     """
-    if not (np.isfinite(step) and step > 0):
+    check_number("step", step)
+    if not 0 < step < np.inf:
         raise ValueError(f"step must be above 0, not {step}")
-    if operator.index(strides) < 1:
-        raise ValueError(f"strides must be at least 1, not {strides}")
+    check_whole("strides", strides)
     made = walk(walker, x, strides, tolerance=tolerance)
     outcomes, durations = np.asarray(made.outcomes), np.asarray(made.times)
     if outcomes[0] == Outcome.OUTSIDE:

@@ -23,6 +23,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from walker_jax.attraction import follow
 from walker_jax.cells import Grid
+from walker_jax.checks import check_kind, numbers, short
 from walker_jax.gaits import Gait, check_parameter, find_gait, gait_derivatives, with_parameter
 from walker_jax.integrate import default_tolerance
 from walker_jax.refinement import Refined, refined
@@ -149,11 +150,12 @@ def checked_bands(
     bands: Sequence[float] | Float[np.ndarray, " parameters"] | None,
 ) -> Float[np.ndarray, " parameters"]:
     """The widths of bands, of any size where none are given; parameters and they are checked."""
+    check_kind("parameters", parameters, Sequence)
     for name in parameters:
         check_parameter(walker, name)
-    widths = np.ones(len(parameters)) if bands is None else np.asarray(bands, float)
+    widths = np.ones(len(parameters)) if bands is None else numbers("bands", bands)
     if widths.shape != (len(parameters),) or not np.all((widths > 0) & (widths < np.inf)):
-        raise ValueError(f"bands must be a number above 0 for each parameter, not {bands}")
+        raise ValueError(f"bands must be a number above 0 for each parameter, not {short(bands)}")
     return widths
 
 
@@ -365,9 +367,11 @@ def gait_measures(
     NaN where none is found. `ValueError` for parameters that the walker does not have, and, where
     there are any, for what is no gait of this walker.
     """
+    check_kind("parameters", parameters, Sequence)
     for name in parameters:
         check_parameter(walker, name)
     gait = find_gait(walker, tolerance=tolerance) if gait is None else gait
+    check_kind("gait", gait, Gait)
     if not gait.found:
         nowhere = Measure(np.nan, np.full(len(parameters), np.nan))
         return dict.fromkeys(GAIT_MEASURES, nowhere)

@@ -8,7 +8,6 @@ random among the cells that inherited: the tails they meet are followed too; the
 anew, correct the area, and say how far it can be trusted.
 """
 
-import operator
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -25,12 +24,15 @@ from walker_jax.attraction import (
 )
 from walker_jax.basin import check_grid, labelled
 from walker_jax.cells import Grid
+from walker_jax.checks import check_whole
 from walker_jax.integrate import default_tolerance
 from walker_jax.stride import Outcome
 from walker_jax.walkers import Walker
 
 BYTES_PER_CELL = 40
 """Memory at its peak, for each cell of the finest grid."""
+FINEST = 30
+"""The most levels: there is a number for each cell, of 32 bits."""
 SPREAD = 1 / 12
 """Variance that a cell beside one of another fate brings to the area, in cells. A part f of it in
 the basin brings f (1 - f), 1/6 on average; half of these cells or more have no part in both."""
@@ -135,12 +137,11 @@ def refined(
     by_centres: bool = False,
 ) -> Refined:
     """The work of `refine`. Cells of the finest grid may have the fates of their centres."""
-    if operator.index(levels) < 0:
-        raise ValueError(f"levels must not be negative, not {levels}")
-    if check < 0:
-        raise ValueError(f"check must not be negative, not {check}")
-    if strides < 1:
-        raise ValueError(f"strides must be at least 1, not {strides}")
+    check_grid(walker, grid, "direct")
+    check_whole("levels", levels, 0, FINEST)
+    check_whole("check", check, 0)
+    check_whole("strides", strides)
+    check_whole("seed", seed, 0)
     tolerance = float(default_tolerance(jnp.asarray(0.0).dtype, tolerance))
     finest = finer(grid, levels)
     check_grid(walker, finest, "direct", each=BYTES_PER_CELL)

@@ -5,7 +5,6 @@ from which it does not come back says more of a machine than the multipliers of 
 and Wisse 2001, section 5).
 """
 
-import operator
 from collections.abc import Callable, Sequence
 from statistics import NormalDist
 from typing import Any, NamedTuple
@@ -22,6 +21,7 @@ from walker_jax.attraction import Attractor, follow, framed_attractors, near, wi
 from walker_jax.basin import around, check_grid
 from walker_jax.boundaries import Uncertainty, checked_distances, uncertainty_exponent, upper_end
 from walker_jax.cells import Grid
+from walker_jax.checks import check_kind, check_number, check_whole, numbers, short
 from walker_jax.gaits import Gait, check_parameter, find_gait, with_parameter
 from walker_jax.integrate import default_tolerance
 from walker_jax.margins import failed_by, follow_margins
@@ -252,11 +252,15 @@ def basin_stability(
         if scale is not None or along is not None:
             raise ValueError("scale and along are of no use where disturbances is a grid")
     elif not is_number(disturbances) or not 0 < disturbances < np.inf:
-        raise ValueError(f"disturbances must be a positive number, or a grid, not {disturbances}")
+        raise ValueError(
+            f"disturbances must be a positive number, or a grid, not {short(disturbances)}"
+        )
+    check_number("within", within)
+    check_number("confidence", confidence)
     if not within > 0:
         raise ValueError(f"within must be positive, not {within}")
-    if operator.index(samples) < 1:
-        raise ValueError(f"samples must be at least 1, not {samples}")
+    check_whole("samples", samples)
+    check_whole("seed", seed, 0)
     if not 0 < confidence < 1:
         raise ValueError(f"confidence must be between 0 and 1, not {confidence}")
     counts = {np.size(leaf) for leaf in jax.tree.leaves(walker) if np.ndim(leaf)}
@@ -336,10 +340,10 @@ def boundary_dimension(
     It is NaN where all cells have one fate. `ValueError` as for `basin` and `uncertainty_exponent`.
     """
     check_grid(walker, grid, "direct")
-    apart = checked_distances(np.asarray(distances, float), pairs)
+    check_whole("seed", seed, 0)
+    apart = checked_distances(numbers("distances", distances), pairs)
     upper_end(confidence)
-    if strides < 1:
-        raise ValueError(f"strides must be at least 1, not {strides}")
+    check_whole("strides", strides)
     finest = float(default_tolerance(jnp.asarray(0.0).dtype, tolerance))
     starts, attractors = framed_attractors(walker, grid, finest, strides)
 
@@ -394,6 +398,7 @@ def robustness(
     `ValueError` as for `refine`, and for a walker that a grid is wanted for: without it, no gait of
     period one is found.
     """
+    check_kind("walker", walker, Walker)
     grid = default_region(walker) if grid is None else grid
     if grid is None:
         raise ValueError("grid is wanted where no gait of period one is found")
@@ -476,7 +481,7 @@ def robustness_table(
     Arguments are those of `robustness`; `progress` shows a bar on a terminal. `ValueError` also for
     values that the walker refuses.
     """
-    values = np.asarray(values, float)
+    values = numbers("values", values)
     if values.ndim != 1 or len(values) == 0:
         raise ValueError(f"values must be one row of numbers, not of shape {values.shape}")
     check_parameter(walker, parameter, *map(float, values))
@@ -556,18 +561,19 @@ def metric(
 
     `ValueError` for what is not of the section.
     """
+    check_kind("walker", walker, Walker)
     size = len(walker.section)
-    unit = np.ones(size) if scale is None else numbers(scale)
+    unit = np.ones(size) if scale is None else numbers_or_none(scale)
     if unit.shape != (size,) or not np.all(np.isfinite(unit) & (unit > 0)):
-        raise ValueError(f"scale must be {size} positive numbers, not {scale}")
-    basis = np.eye(size) if along is None else np.atleast_2d(numbers(along))
+        raise ValueError(f"scale must be {size} positive numbers, not {short(scale)}")
+    basis = np.eye(size) if along is None else np.atleast_2d(numbers_or_none(along))
     fits = basis.ndim == 2 and basis.shape[1] == size and bool(np.isfinite(basis).all())
     if not fits or np.linalg.matrix_rank(basis) != len(basis):
-        raise ValueError(f"along must be independent vectors of the section, not {along}")
+        raise ValueError(f"along must be independent vectors of the section, not {short(along)}")
     return unit, np.linalg.qr((basis / unit).T)[0].T
 
 
-def numbers(values: Any) -> Float[np.ndarray, "..."]:
+def numbers_or_none(values: Any) -> Float[np.ndarray, "..."]:
     """An array of them; of NaN for what is none."""
     try:
         return np.asarray(values, float)
@@ -579,8 +585,8 @@ def returning(
     walker: Walker, gait: Gait | None, strides: int, tolerance: float | None
 ) -> tuple[Float[np.ndarray, "period section"], tuple]:
     """The states of a stable gait, and what walks share that are to come back to it, checked."""
-    if strides < 1:
-        raise ValueError(f"strides must be at least 1, not {strides}")
+    check_kind("walker", walker, Walker)
+    check_whole("strides", strides)
     gait = find_gait(walker) if gait is None else gait
     if not isinstance(gait, Gait) or not (gait.found and gait.stable):
         raise ValueError("gait must be a stable one, and found")

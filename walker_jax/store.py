@@ -77,10 +77,15 @@ def differences(there: dict, wanted: dict, within: str = "") -> str:
 def writable(path: Path) -> None:
     """Raises `ValueError` where no file can be made beside `path`."""
     folder = path.absolute().parent
-    if not folder.is_dir():
-        raise ValueError(f"{path} cannot be written: there is no folder {folder}")
-    if not os.access(folder, os.W_OK | os.X_OK):
-        raise ValueError(f"{path} cannot be written: no permission for the folder {folder}")
+    try:
+        if not folder.is_dir():
+            raise ValueError(f"{path} cannot be written: there is no folder {folder}")
+        if not os.access(folder, os.W_OK | os.X_OK):
+            raise ValueError(f"{path} cannot be written: no permission for the folder {folder}")
+        (folder / f".{path.name}.{'x' * 8}").exists()  # refuses a name too long for a draft's
+        tempfile.TemporaryFile(dir=folder).close()  # refused on what is read only, also to root
+    except OSError as error:
+        raise ValueError(f"{path} cannot be written: {error.strerror}") from None
 
 
 def save(data: xr.Dataset, path: Path, request: dict) -> xr.Dataset:
@@ -88,11 +93,13 @@ def save(data: xr.Dataset, path: Path, request: dict) -> xr.Dataset:
     data = data.assign_attrs(request=canonical(request))
     draft = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.absolute().parent))
     try:
-        data.to_zarr(draft / "new", consolidated=False)
+        data.to_zarr(draft / "new", consolidated=False, write_empty_chunks=True)
         if path.exists():
             path.rename(draft / "old")
         (draft / "new").rename(path)
     finally:
+        if (draft / "old").exists() and not path.exists():
+            (draft / "old").rename(path)  # interrupted in between
         shutil.rmtree(draft, ignore_errors=True)
     return data
 
@@ -122,6 +129,10 @@ def group_at(path: Path, mode: Literal["r", "r+"]) -> Any:
 def opened(path: Path) -> xr.Dataset:
     """The data set at `path`, in memory; but one that is large is read when it is used."""
     data = xr.open_zarr(path, consolidated=False, chunks=None)
+    if not data.attrs.get("unfinished"):
+        for name, array in group_at(path, "r").arrays():
+            if array.nchunks_initialized < array.nchunks:  # which would read as zeros
+                raise ValueError(f"{path} is damaged: chunks of {name} are missing")
     return data if data.nbytes > LARGE else data.load()
 
 
@@ -161,7 +172,8 @@ class Pieces(NamedTuple):
         return np.flatnonzero(self.array("written")[...] == 0).tolist()
 
     def array(self, name: str) -> Any:
-        return self.group[name]
+        """One of the arrays; all its chunks are written, so that it is known which are missing."""
+        return self.group[name].with_config({"write_empty_chunks": True})
 
     def read(self, name: str, piece: int) -> np.ndarray:
         """What an array holds of a piece."""
@@ -176,8 +188,7 @@ class Pieces(NamedTuple):
             array[at] = np.reshape(value, (*part, *array.shape[len(at) :]))
             key = "/".join(map(str, (*place, *[0] * (array.ndim - len(place)))))
             file = self.path / name / "c" / key
-            if file.exists():  # as it does not where all is as it was when the store was made
-                flush(file)
+            flush(file)
         if done:
             self.array("written")[place] = 1
 
@@ -185,7 +196,9 @@ class Pieces(NamedTuple):
         """Add what is found at the end, and remove the arrays that were of use on the way."""
         there, attributes = set(self.group), dict(self.group.attrs)
         data = data.drop_vars([name for name in data.coords if name in there])
-        data.assign_attrs(attributes).to_zarr(self.path, mode="a", consolidated=False)
+        data.assign_attrs(attributes).to_zarr(
+            self.path, mode="a", consolidated=False, write_empty_chunks=True
+        )
         final = data.attrs | {"request": attributes["request"]}
         group_at(self.path, "r+").attrs.put(final)  # in one go: the data set is whole
         tidy(self.path)
@@ -243,7 +256,7 @@ def begin(
     """Make a store of pieces, none of them written."""
     draft = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.absolute().parent))
     try:
-        data.to_zarr(draft / "new", consolidated=False)
+        data.to_zarr(draft / "new", consolidated=False, write_empty_chunks=True)
         group = group_at(draft / "new", "r+")
         for name, array in arrays.items():
             group.create_array(
@@ -325,9 +338,10 @@ def clear(path: Path) -> None:
 def check_picture(path: Path, request: dict, *, overwrite: bool = False) -> None:
     """Raises as `find` does where a picture of `request` cannot go; one of it may stand there."""
     writable(path)
-    if path.is_dir() or (
-        path.exists() and not overwrite and signature(request).encode() not in path.read_bytes()
-    ):
+    if not path.exists():
+        return
+    known = path.is_file() and (overwrite or signature(request).encode() in path.read_bytes())
+    if not known:
         raise Occupied(f"{path} is something else: name another place, or overwrite it")
 
 

@@ -7,7 +7,6 @@ polynomial; where nothing has happened after all, the stride goes on.
 """
 
 import enum
-import operator
 from collections.abc import Callable
 from functools import cache, partial
 from typing import Any, NamedTuple
@@ -21,6 +20,7 @@ from jax.core import Tracer
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
+from walker_jax.checks import check_kind, check_number, check_whole, short
 from walker_jax.integrate import (
     MAX_STEPS,
     ORDER,
@@ -145,6 +145,10 @@ def prepared(
     walker: Walker, x: Float[ArrayLike, " coordinates"], tolerance: Real | None
 ) -> tuple[Walker, Float[Array, " coordinates"], Float[Array, ""]]:
     """Walker, start and tolerance, checked, in the dtype of the start."""
+    check_kind("walker", walker, Walker)
+    for name, value in vars(walker).items():
+        if np.shape(value):
+            raise ValueError(f"{name} must be one number, not of shape {np.shape(value)}")
     x = as_floating(x)
     sizes = len(walker.section), len(State._fields)
     if x.ndim != 1 or x.shape[0] not in sizes:
@@ -231,9 +235,9 @@ def step_down(
     """
     walker, x, tolerance = prepared(walker, x, tolerance)
     if not isinstance(drop, Tracer):
-        number = np.ndim(drop) == 0 and np.isrealobj(drop) and not isinstance(drop, str)
-        if not number or not 0 <= drop < np.inf:
-            raise ValueError(f"drop must be one number, finite and not negative, not {drop}")
+        check_number("drop", drop)
+        if not 0 <= drop < np.inf:
+            raise ValueError(f"drop must be one number, finite and not negative, not {short(drop)}")
     height = jnp.asarray(drop, x.dtype)
     if kernel_serves(walker, x, height, tolerance):
         found = over_cells(step_down_of_cell, (walker, tolerance), (x[None], height[None]))
@@ -472,6 +476,7 @@ def for_each_start(
     progress: str | None = None,
 ) -> Any:
     """function(walker, x, tolerance=tolerance) for n starts, and one walker or n; NumPy arrays."""
+    check_kind("walker", walker, Walker)
     xs = np.asarray(xs)
     if np.iscomplexobj(xs):
         raise ValueError(f"xs must be real, not of type {xs.dtype}")
@@ -521,8 +526,7 @@ def walk(
     walker: Walker, x: Float[ArrayLike, " section"], n: int, *, tolerance: Real | None = None
 ) -> Walk:
     """n strides, one after the other, from x on the section. As `stride` otherwise."""
-    if operator.index(n) < 1:
-        raise ValueError(f"n must be at least 1, not {n}")
+    check_whole("n", n)
     walker, x, tolerance = prepared(walker, x, tolerance)
     if x.shape != (len(walker.section),):
         raise ValueError(f"x must be on the section {walker.section}, not of shape {x.shape}")
@@ -569,7 +573,11 @@ def trajectory(
     `ValueError` as for `stride`, and for times that decrease or are negative.
     """
     walker, x, tolerance = prepared(walker, x, tolerance)
-    times = jnp.asarray(times, x.dtype)
+    if not isinstance(x, Tracer) and not jnp.isfinite(x).all():
+        raise ValueError(f"x must be finite, not {x}")
+    times = as_floating(times, "times").astype(x.dtype)
+    if times.ndim != 1:
+        raise ValueError(f"times must be a row of numbers, not of shape {times.shape}")
     if not isinstance(times, Tracer):
         listed = np.asarray(times)
         steps = np.diff(listed, prepend=0.0)
@@ -634,9 +642,12 @@ def follow_motion(
     return solution.ys
 
 
-def as_floating(x: ArrayLike) -> Float[Array, "..."]:
+def as_floating(x: Any, name: str = "x") -> Float[Array, "..."]:
     """x as an array, its dtype kept where it is a floating one."""
-    x = jnp.asarray(x)
-    if jnp.iscomplexobj(x):
-        raise ValueError(f"x must be real, not of type {x.dtype}")
-    return x if jnp.issubdtype(x.dtype, jnp.floating) else x.astype(float)
+    try:
+        values = jnp.asarray(x)
+    except (TypeError, ValueError, OverflowError):
+        raise TypeError(f"{name} must be real numbers, not {short(x)}") from None
+    if jnp.iscomplexobj(values):
+        raise ValueError(f"{name} must be real, not of type {values.dtype}")
+    return values if jnp.issubdtype(values.dtype, jnp.floating) else values.astype(float)

@@ -15,11 +15,12 @@ from jaxtyping import Float
 from walker_jax import store
 from walker_jax.basin import ABOUT, NOT_YET, basin, check_grid, described, over_grid, request_of
 from walker_jax.cells import Grid
+from walker_jax.checks import check_kind, check_whole, numbers, short
 from walker_jax.cluster import each
 from walker_jax.gaits import check_parameter, find_gait, with_parameter
 from walker_jax.integrate import default_tolerance
 from walker_jax.objectives import gait_measures
-from walker_jax.refinement import refine
+from walker_jax.refinement import FINEST, refine
 from walker_jax.robustness import default_region, robustness, without_gait
 from walker_jax.walkers import Walker
 
@@ -72,10 +73,13 @@ def sweep(
     -1, and NaN; the others go on. `ValueError` for a parameter or a value that the walker does not
     have, for no values, and as for `basin` and `refine`.
     """
-    values = {name: np.array(some, float, ndmin=1) for name, some in over.items()}
+    check_kind("walker", walker, Walker)
+    check_kind("over", over, Mapping)
+    values = {name: np.atleast_1d(numbers(f"over {name}", some)) for name, some in over.items()}
     check_values(walker, values)
-    if levels < 0 or strides < 1:
-        raise ValueError(f"levels must not be negative, {levels}, nor strides below 1, {strides}")
+    check_whole("levels", levels, 0, FINEST)
+    check_whole("strides", strides)
+    check_whole("seed", seed, 0)
     grid = default_region(walker) if grid is None else grid
     if grid is None:
         raise ValueError("grid is wanted where no gait of period one is found")
@@ -106,7 +110,7 @@ def check_values(walker: Walker, values: Mapping[str, Float[np.ndarray, "..."]])
         raise ValueError("over must name at least one parameter")
     for name, some in values.items():
         if some.ndim != 1 or len(some) == 0 or len(np.unique(some)) < len(some):
-            raise ValueError(f"over {name} must be one row of different numbers, not {some}")
+            raise ValueError(f"over {name} must be one row of different numbers, not {short(some)}")
         check_parameter(walker, name, *some.tolist())
 
 
@@ -123,9 +127,9 @@ def fill(
     """Compute what is missing of a sweep, and give all of it."""
     shape = [about.sizes[name] for name in names]
     compute = partial(point, walker, grid, about.attrs, names)
-    fields = {
-        name: spread(value, names, shape) for name, value in blank(walker, grid, about).items()
-    }
+    before = blank(walker, grid, about)
+    fields = {name: spread(value, names, shape) for name, value in before.items()}
+    unknown = {name: value.values for name, value in before.items()}
     with store.pieces(out, request, about, fields, (1,) * len(shape), dict) as place:
         number = {}
         for i in place.missing():
@@ -133,7 +137,7 @@ def fill(
             number[tuple(float(about[name][k]) for name, k in at)] = i
         label = " × ".join(names)
         for values, row in each(compute, [*number], cluster, label=label, progress=progress):
-            place.write(number[values], row, done=True)
+            place.write(number[values], unknown | row, done=True)
         place.finish(about)
     return store.opened(out)
 

@@ -29,6 +29,7 @@ from jaxtyping import Array, Bool, Float
 
 from walker_jax import multibody
 from walker_jax.cells import Grid
+from walker_jax.checks import short
 from walker_jax.multibody import System
 from walker_jax.scalars import unrolled
 from walker_jax.taylor import VirtualPower
@@ -130,10 +131,10 @@ class Parameter(NamedTuple):
 
     def checked(self, value: ArrayLike) -> Scalar:
         """The number as an array; `ValueError` for what is none, or not within the bounds."""
-        refusal = f"{self.name} must be one real number, not {' '.join(repr(value).split())[:60]}"
+        refusal = f"{self.name} must be one real number, not {short(value)}"
         try:
             value = jnp.asarray(value)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise ValueError(refusal) from None
         real = jnp.issubdtype(value.dtype, jnp.number) and jnp.isrealobj(value)
         if value.shape != () or not real:

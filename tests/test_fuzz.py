@@ -1,0 +1,374 @@
+"""Whatever is asked for: an answer, or one line that says what is wrong, and nothing is lost."""
+
+import contextlib
+import io
+import json
+import shutil
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import jax
+import numpy as np
+import pytest
+import typer
+import xarray as xr
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import walker_jax as wj
+from walker_jax import cli, figures, paper, poses, store
+from walker_jax.basin import check_grid
+
+NUMBERS = ["0.004", "0.2", "-0.2", "0.01", "0.3", "1", "2", "3", "10", "0", "-1", "1.5", "1e-300"]
+NUMBERS += ["1e300", "1e400", "nan", "inf", "-inf", "abc", "", " ", "0x10", "1_0", "٣", "9" * 30]
+WORDS = ["slope", "simplest", "spring", "mass", "direct", "cell-map", "speed", "area", "speed=1"]
+WORDS += ["slope=0.001:0.02", "slope=0.02:0.001", "slope=nan:1", "slope=", "=", "", "ä\n", "--json"]
+PLACES = ["a.zarr", "a.png", "b.svg", "c.xyz", "w.gif", "no/a.zarr", ".", "..", "/", "", "\0.zarr"]
+PLACES += ["taken", "taken/a.zarr", "file.txt", "file.txt/a.png", "broken.zarr", "held.zarr"]
+PLACES += ["held.png", "n" * 250 + ".zarr", "n" * 300, "/proc/a.zarr", "/proc/a.png", "ä b.zarr"]
+AXES = [("0.05", "0.35", "6"), ("-0.03", "0.01", "6"), ("0", "0.4", "46000"), ("0.4", "0", "6")]
+
+QUICK = settings(
+    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+LONG = settings(QUICK, max_examples=5000)
+GROUP = typer.main.get_group(cli.app)
+COMMANDS = {name: command.params for name, command in GROUP.commands.items()}
+
+
+@st.composite
+def commands(draw, walkers=("simplest",)):
+    """A command line: mostly what there is, with values good and bad."""
+    name = draw(st.sampled_from(sorted(COMMANDS)))
+    arguments = [name] if draw(st.integers(0, 30)) else [draw(st.sampled_from(WORDS))]
+    chosen = draw(st.lists(st.sampled_from(COMMANDS[name]), max_size=5))
+    for option in chosen:
+        arguments.append(option.opts[0])
+        if option.opts[0] == "--walker":
+            arguments.append(draw(st.sampled_from([*walkers, "giraffe"])))
+        elif option.nargs > 1:
+            several = st.lists(
+                st.sampled_from(NUMBERS), min_size=option.nargs, max_size=option.nargs
+            )
+            axes = st.sampled_from(AXES) if option.nargs == 3 else several
+            arguments += draw(axes if draw(st.integers(0, 3)) else several)
+        elif not option.is_flag:
+            kinds = {"out": PLACES, "figure": PLACES, "animate": PLACES, "over": WORDS}
+            kinds |= {"bound": WORDS, "objective": WORDS, "method": WORDS}
+            arguments.append(draw(st.sampled_from(kinds.get(option.name, NUMBERS))))
+    if not draw(st.integers(0, 20)):
+        arguments.append(draw(st.sampled_from(WORDS + NUMBERS)))
+    return arguments
+
+
+def refuse(*_, **__):
+    raise RuntimeError("so much is not computed here")
+
+
+def put(path: Path, request: dict) -> None:
+    path.write_bytes(store.signature(request).encode())
+
+
+@pytest.fixture
+def bench(tmp_path_factory):
+    """Run command lines in a folder with things in it; what takes long is left out."""
+    folder = tmp_path_factory.mktemp("fuzz")
+    there, template = folder / "there", folder / "template"
+    for name in ("taken", "broken.zarr"):
+        (template / name).mkdir(parents=True)
+    (template / "file.txt").write_text("mine")
+    (template / "held.png").write_bytes(b"beach")
+    (template / "broken.zarr" / "zarr.json").write_text('{"zarr_f')
+    store.save(xr.Dataset({"x": ("n", np.arange(3))}), template / "held.zarr", {"command": "other"})
+    before = content(template)
+    grid = wj.Grid.sheared(theta=(0.05, 0.35, 6), sum=(-0.03, 0.01, 6))
+    answer = wj.basin(wj.SimplestWalker(0.004), grid, "direct")
+    gait = wj.find_gait(wj.SimplestWalker(0.004))
+
+    def basin(walker, grid, method, *, strides=200, progress=False, out=None, request=None):
+        check_grid(walker, grid, method)
+        return answer if out is None else store.save(answer, out, request or {})
+
+    with contextlib.ExitStack() as stack:
+        patch = lambda *all: stack.enter_context(mock.patch.object(*all))
+        patch(cli, "keep_compiled", lambda: None)
+        patch(cli, "draw", lambda axes, path, request: put(path, request))
+        for name in ("basin", "basin_slices", "multipliers"):
+            patch(figures, name, lambda data: None)
+        patch(poses, "film", lambda *all, **more: all[1].write_bytes(more["signature"].encode()))
+        patch(paper, "reproduce", refuse)
+        patch(wj, "basin", basin)
+        patch(wj, "bifurcation_diagram", refuse)
+        patch(wj, "find_gaits", lambda walker, period: [gait] if period == 1 else [])
+        patch(sys.modules["walker_jax.gaits"], "find_gaits", lambda *_, **__: [])
+        patch(sys.modules["walker_jax.refinement"], "framed_attractors", refuse)
+        patch(sys.modules["walker_jax.design"], "climb", refuse)
+
+        def run(arguments):
+            if not there.exists() or content(there) != before:
+                shutil.rmtree(there, ignore_errors=True)
+                shutil.copytree(template, there)
+            out, err = io.StringIO(), io.StringIO()
+            with (
+                contextlib.chdir(there),
+                contextlib.redirect_stdout(out),
+                contextlib.redirect_stderr(err),
+                mock.patch.object(sys, "argv", ["walker-jax", *arguments]),
+                pytest.raises(SystemExit) as stop,
+            ):
+                cli.main()
+            after = content(there)
+            lost = [path for path, value in before.items() if after.get(path) != value]
+            return stop.value.code, out.getvalue(), err.getvalue(), lost, after
+
+        yield run, before
+
+
+def content(folder: Path) -> dict[Path, bytes]:
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {path.relative_to(folder): path.read_bytes() for path in files}
+
+
+def check(bench, arguments, tried: Counter) -> None:
+    run, before = bench
+    try:
+        code, out, err, lost, after = run(arguments)
+    except BaseException:
+        tried["tracebacks"] += 1
+        raise
+    tried[f"exit code {code}"] += 1
+    tried["wrong exit codes"] += code not in (0, 1, 2)
+    assert code in (0, 1, 2)
+    assert err.count("\n") == (code != 0) and err.startswith("walker-jax: ") == (code != 0), err
+    assert "Traceback" not in out + err and (len(err) > len("walker-jax: \n")) == (code != 0)
+    assert code != 2 or after == before
+    assert "--overwrite" in arguments or not lost
+    # What is no data set stays in any case, and what a command may replace it must have named.
+    assert not {str(path) for path in lost} & {"file.txt", "broken.zarr/zarr.json"}
+    if code == 0 and "--json" in arguments and not {"--help", "--list-walkers"} & {*arguments}:
+        json.loads(out, parse_constant=lambda name: pytest.fail(name))
+
+
+@QUICK
+@given(arguments=commands())
+def test_any_command_line_ends_in_order(bench, arguments):
+    check(bench, arguments, Counter())
+
+
+@pytest.mark.slow
+def test_thousands_of_command_lines_end_in_order(bench):
+    tried = Counter()
+
+    @LONG
+    @given(arguments=commands(walkers=("simplest", "spring", "point-foot", "round-foot")))
+    def run(arguments):
+        check(bench, arguments, tried)
+
+    try:
+        run()
+    finally:
+        print(dict(tried))
+    assert tried["tracebacks"] == tried["wrong exit codes"] == 0 and sum(tried.values()) >= 5000
+
+
+X = np.array([0.2, -0.21645])
+BAD = [
+    None,
+    "abc",
+    "slope",
+    "",
+    np.nan,
+    np.inf,
+    -np.inf,
+    -1,
+    0,
+    1.5,
+    1e300,
+    -1e300,
+    10**30,
+    1j,
+    [],
+    {},
+]
+BAD += [(), [np.nan], [[1.0, 2.0], [3.0]], object(), (2, 1), (np.nan, 1), (0.01, 0.01), ["slope"]]
+BAD += [
+    np.zeros((2, 3, 4)),
+    np.zeros(0),
+    np.array("a"),
+    [np.nan, 0.1],
+    [0.2, np.inf],
+    [[0.2, -0.2]],
+]
+BAD += [
+    wj.SimplestWalker(0.004),
+    wj.RoundFootWalker,
+    print,
+    {"speed": np.nan},
+    {"slope": None},
+    b"x",
+]
+
+
+def calls() -> dict[str, dict]:
+    """Public functions, and arguments by name that are good and take little time."""
+    walker = wj.SimplestWalker(0.004)
+    grid = wj.Grid.sheared(theta=(0.05, 0.35, 4), sum=(-0.03, 0.01, 4))
+    gait, interval = wj.find_gait(walker), (0.0039, 0.0041)
+    of_walker = {"walker": walker, "tolerance": None}
+    start = {**of_walker, "x": X}
+    on_grid = {**of_walker, "grid": grid, "strides": 20}
+    refined = {**on_grid, "levels": 0, "check": 0, "seed": 0}
+    ends = lambda points: np.asarray(points)[:, 0] > 0
+    draw = lambda rng, n: rng.normal(size=(n, 2))
+    fit = {"confidence": 0.9, "seed": 0}
+    of_gait = {**of_walker, "gait": gait}
+    axis = (0.05, 0.35, 4)
+    optimum = {
+        "bounds": {"slope": (0.003, 0.005)},
+        "objective": "speed",
+        "starts": 1,
+        "known": None,
+    }
+    optimum |= {"at_least": {"speed": 0.01}, "at_most": None, "seed": 0, "scan": 0, "levels": 0}
+    return {
+        "SimplestWalker": {"slope": 0.004},
+        "SpringWalker": {"slope": 0.004, "hip_stiffness": 0.1},
+        "PointFootWalker": {"slope": 0.004, "foot_mass": 0.1},
+        "RoundFootWalker": {"slope": 0.01, "foot_radius": 0.1, "leg_inertia": 0.1},
+        "UpperBodyWalker": {"slope": 0.01, "body_mass": 0.1, "com_from_hip": 0.1},
+        "Grid": {"axes": {"theta": axis}, "shear": [[1.0]], "origin": [0.0]},
+        "Grid.plain": {"theta": axis, "thetadot": (-1, 0, 3)},
+        "Grid.sheared": {"theta": axis, "sum": (-0.1, 0, 3)},
+        "stride": start,
+        "margins": start,
+        "strides": {**of_walker, "xs": np.array([X, X])},
+        "margins_of_many": {**of_walker, "xs": np.array([X, X])},
+        "walk": {**start, "n": 2},
+        "trajectory": {**start, "times": np.array([0.0, 1.0])},
+        "step_down": {**start, "drop": 0.001},
+        "motion": {**start, "strides": 2, "step": 0.1},
+        "find_gait": {**of_walker, "guess": X, "period": 1},
+        "find_gaits": {**of_walker, "period": 1, "region": grid, "descent": 0},
+        "descend": {**of_walker, "cycles": np.array([[X]]), "steps": 2, "rate": 0.001},
+        "gait_derivatives": {**of_gait, "parameter": "slope"},
+        "gait_measures": {**of_gait, "parameters": ("slope",)},
+        "continue_gait": {**of_gait, "parameter": "slope", "interval": interval},
+        "basin": {**on_grid, "method": "direct"},
+        "compare_methods": on_grid,
+        "refine": refined,
+        "area_gradient": {**refined, "parameters": ("slope",), "bands": None},
+        "boundary_dimension": {**on_grid, **fit, "distances": [0.1, 0.01, 0.001], "pairs": 20},
+        "basin_stability": {
+            **of_gait,
+            **fit,
+            "disturbances": 0.01,
+            "within": 1e-3,
+            "samples": 5,
+            "strides": 20,
+        }
+        | {"scale": None, "along": None},
+        "box_counting": {"labels": np.eye(64) > 0, "spacing": 1.0, "confidence": 0.9},
+        "uncertainty_exponent": {
+            **fit,
+            "label_of": ends,
+            "draw": draw,
+            "distances": [0.1, 0.2, 0.3],
+            "pairs": 100,
+        },
+        "attractors": {
+            **of_walker,
+            "parameter": "slope",
+            "values": [0.004],
+            "starts": [[X]],
+            "strides": 5,
+        },
+        "loss_of_walking": {**of_walker, "parameter": "slope", "interval": interval, "branches": []}
+        | {"strides": 5, "resolution": 1e-4},
+        "bifurcation_diagram": {**of_walker, "parameter": "slope", "interval": interval},
+        "least_disturbance": {**of_gait, "scale": None, "along": None, "strides": 20},
+        "least_step_down": {**of_gait, "strides": 20},
+        "disturbance_gradient": {**of_gait, "parameters": ("slope",), "bands": None},
+        "robustness": {**on_grid, "levels": 0, "disturbances": 0.1, "seed": 0},
+        "robustness_table": {
+            **on_grid,
+            "values": [0.004],
+            "parameter": "slope",
+            "levels": 0,
+            "seed": 0,
+        },
+        "sweep": {**of_walker, "over": {"slope": [0.004]}, "grid": grid, "strides": 20, "seed": 0}
+        | {"levels": 0, "robust": False},
+        "optimise": {**of_walker, **optimum, "strides": 20, "grid": grid},
+    }
+
+
+LONG_WORK = {"compare_methods", "area_gradient", "least_step_down", "sweep"}
+"""Left to the run of thousands."""
+HEAVY = {"bifurcation_diagram", "least_disturbance", "disturbance_gradient", "optimise"}
+HEAVY |= {"robustness", "robustness_table"}
+"""Never drawn: where a bad value is a default, they take minutes."""
+
+
+def reaction(name: str, arguments: dict) -> str:
+    """What a public function says of its arguments; nothing where it has an answer."""
+    function: Any = wj
+    for part in name.split("."):
+        function = getattr(function, part)
+    try:
+        function(**arguments)
+    except (ValueError, TypeError) as error:
+        assert str(error) and "\n" not in str(error), str(error)
+        return str(error)
+    return ""
+
+
+def spoil(good: dict[str, dict], count: int) -> Counter:
+    """Call public functions with a bad value for one argument, as users do, without beartype."""
+    left_out = HEAVY if count >= 1000 else HEAVY | LONG_WORK
+    pairs = [(name, argument) for name in good if name not in left_out for argument in good[name]]
+    tried = Counter()
+
+    @settings(QUICK, max_examples=count)
+    @given(pair=st.sampled_from(pairs), bad=st.sampled_from(range(len(BAD))))
+    def run(pair, bad):
+        name, argument = pair
+        try:
+            refused = reaction(name, good[name] | {argument: BAD[bad]})
+        except BaseException:
+            tried["tracebacks"] += 1
+            raise
+        tried["refused" if refused else "answered"] += 1
+
+    run()
+    return tried
+
+
+def spoilt(count: int) -> dict[str, int]:
+    """The same in a process of its own, to which the checks of signatures do not come."""
+    command = [sys.executable, __file__, str(count)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr[-3000:]
+    print(done.stdout)
+    return json.loads(done.stdout.splitlines()[-1])  # some functions given print
+
+
+def test_a_bad_argument_is_refused_in_one_line_or_answered():
+    assert set(calls()) >= {
+        name for name in wj.__all__ if callable(getattr(wj, name)) and name[0].islower()
+    }
+    assert spoilt(150)["refused"] > 50
+
+
+@pytest.mark.slow
+def test_thousands_of_bad_arguments_are_refused_in_one_line_or_answered():
+    tried = spoilt(3000)
+    assert tried.get("tracebacks", 0) == 0 and sum(tried.values()) >= 3000
+
+
+if __name__ == "__main__":
+    jax.config.update("jax_enable_x64", True)
+    print(json.dumps(spoil(calls(), int(sys.argv[1]))))

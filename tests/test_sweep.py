@@ -1,0 +1,182 @@
+"""Basins over parameters, and the cluster that may compute them."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import walker_jax as wj
+from walker_jax import cluster, store
+from walker_jax.cluster import each
+
+module = sys.modules["walker_jax.sweep"]  # the package has the function by that name
+WALKER = wj.SpringWalker(0.004, 0.0)
+GRID = wj.Grid.sheared(theta=(0, 0.4, 20), sum=(-0.2, 0.05, 25))
+OVER = {"hip_stiffness": [0.0, 2.0], "slope": [0.004, 0.006, 0.3]}
+
+
+@pytest.fixture(scope="module")
+def swept():
+    return wj.sweep(WALKER, OVER, GRID, levels=0)
+
+
+def test_every_combination_is_as_computed_alone(swept):
+    assert swept["total_area"].dims == ("hip_stiffness", "slope")
+    assert swept["fate"].dims == ("hip_stiffness", "slope", "theta", "sum")
+    for stiffness, slope in ((0.0, 0.006), (2.0, 0.004)):
+        walker, here = (
+            wj.SpringWalker(slope, stiffness),
+            {"hip_stiffness": stiffness, "slope": slope},
+        )
+        alone, there = wj.basin(walker, GRID, "direct"), swept.sel(here)
+        for name in ("fate", "attractor", "strides"):
+            np.testing.assert_array_equal(there[name], alone[name])
+        assert float(there["area"]) == alone.area.values.sum()
+        fine = wj.refine(walker, GRID, 0)
+        assert float(there["total_area"]) == float(fine["total_area"])
+        assert float(there["total_area_error"]) == float(fine["total_area_error"])
+        gait = wj.find_gait(walker)
+        np.testing.assert_array_equal(there["gait_state"], gait.states[0])
+        assert float(there["multiplier"]) == np.abs(gait.multipliers[0])
+        assert float(there["speed"]) == wj.gait_measures(walker, (), gait)["speed"].value
+
+
+def test_where_nothing_walks_there_is_no_area_and_no_gait(swept):
+    steep = swept.sel(slope=0.3, hip_stiffness=0.0)
+    assert steep["total_area"] == 0 and np.isnan(steep["multiplier"]) and steep["failed"] == 0
+
+
+def test_attributes_say_what_does_not_vary(swept):
+    assert swept.attrs["walker"] == "SpringWalker" and "walker_slope" not in swept.attrs
+    slopes = wj.sweep(WALKER, {"slope": [0.004]}, GRID, levels=0)
+    assert slopes.attrs["walker_hip_stiffness"] == 0
+    assert float(slopes["total_area"][0]) == float(swept["total_area"][0, 0])
+
+
+def test_a_combination_that_fails_costs_no_other(monkeypatch):
+    measured = module.measured
+
+    def failing(walker, grid, how):
+        if float(walker.slope) == 0.006:
+            raise FloatingPointError("broken")
+        return measured(walker, grid, how)
+
+    monkeypatch.setattr(module, "measured", failing)
+    found = wj.sweep(WALKER, {"slope": [0.004, 0.006]}, GRID, levels=0)
+    assert found["failed"].values.tolist() == [0, 1]
+    assert (found["fate"][1] == -1).all() and np.isnan(found["total_area"][1])
+    assert found["total_area"][0] > 0
+
+
+def test_an_interrupted_sweep_goes_on(tmp_path, swept, monkeypatch):
+    computed, path = [], tmp_path / "a.zarr"
+    measured = module.measured
+
+    def counted(walker, grid, how):
+        computed.append((float(walker.hip_stiffness), float(walker.slope)))
+        if len(computed) == 3:
+            raise KeyboardInterrupt
+        return measured(walker, grid, how)
+
+    monkeypatch.setattr(module, "measured", counted)
+    with pytest.raises(KeyboardInterrupt):
+        wj.sweep(WALKER, OVER, GRID, levels=0, out=path)
+    looked = xr.open_zarr(path, consolidated=False)
+    assert looked["total_area"].notnull().sum() == 2
+    with pytest.raises(store.Occupied, match=r"\(levels: 0, not 1\)"):
+        wj.sweep(WALKER, OVER, GRID, levels=1, out=path)
+    found = wj.sweep(WALKER, OVER, GRID, levels=0, out=path)
+    assert len(computed) == 7 and len(set(computed)) == 6
+    assert found.drop_attrs(deep=False).identical(swept.drop_attrs(deep=False))
+    assert wj.sweep(WALKER, OVER, GRID, levels=0, out=path).identical(found)
+    assert len(computed) == 7
+
+
+@pytest.mark.parametrize(
+    ("over", "named"),
+    [
+        ({}, "over must name"),
+        ({"mass": [1]}, "mass"),
+        ({"slope": []}, "over slope"),
+        ({"slope": [0.1, 0.1]}, "over slope"),
+        ({"slope": [0.1, -0.1]}, "slope"),
+        ({"slope": [0.1, np.nan]}, "slope"),
+        ({"slope": [[0.1]]}, "over slope"),
+    ],
+)
+def test_wrong_values(over, named):
+    with pytest.raises(ValueError, match=named):
+        wj.sweep(WALKER, over, GRID)
+
+
+def test_a_cluster_needs_a_place():
+    with pytest.raises(ValueError, match="out is wanted"):
+        wj.basin(WALKER, GRID, cluster=2)
+
+
+def test_here_things_are_computed_one_by_one():
+    assert list(each(lambda x: 2 * x, [3, 1])) == [(3, 6), (1, 2)]
+
+
+def test_a_scheduler_that_is_not_there(tmp_path, monkeypatch):
+    monkeypatch.setattr(cluster, "PATIENCE", 1)
+    with pytest.raises(ValueError, match=r"cluster tcp://127\.0\.0\.1:9 cannot be reached"):
+        wj.basin(WALKER, GRID, out=tmp_path / "a.zarr", cluster="tcp://127.0.0.1:9")
+
+
+DYING = """
+import os, sys
+from pathlib import Path
+import jax
+import walker_jax as wj
+from walker_jax import sweep
+jax.config.update("jax_enable_x64", True)
+module = sys.modules["walker_jax.sweep"]
+def main():
+    grid = wj.Grid.sheared(theta=(0, 0.4, 20), sum=(-0.2, 0.05, 25))
+    over = {"hip_stiffness": [0.0, 2.0], "slope": [0.004, 0.006, 0.3]}
+    options = {"out": Path(sys.argv[1]), "cluster": 2}
+    wj.sweep(wj.SpringWalker(0.004, 0.0), over, grid, levels=0, **options)
+if __name__ == "__main__":
+    main()
+"""
+
+
+@pytest.mark.slow
+def test_workers_that_are_killed_cost_their_pieces_alone(tmp_path, swept):
+    program, path, kills = tmp_path / "program.py", tmp_path / "a.zarr", 0
+    program.write_text(DYING)
+    rng = np.random.default_rng(0)
+    with subprocess.Popen([sys.executable, program, path], stderr=subprocess.DEVNULL) as run:
+        while run.poll() is None:
+            time.sleep(rng.uniform(4, 8))
+            workers = [pid for pid in descendants(run.pid) if b"spawn_main" in command_of(pid)]
+            if workers and kills < 4:
+                os.kill(int(rng.choice(workers)), signal.SIGKILL)
+                kills += 1
+    assert run.returncode == 0 and kills == 4
+    found = store.opened(path)
+    assert found.drop_attrs(deep=False).identical(swept.drop_attrs(deep=False))
+
+
+def command_of(pid: int) -> bytes:
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_bytes()
+    except OSError:
+        return b""
+
+
+def descendants(pid: int) -> list[int]:
+    """Processes that one has started, and those that these have."""
+    try:
+        threads = list(Path(f"/proc/{pid}/task").iterdir())
+        children = [child for one in threads for child in (one / "children").read_text().split()]
+    except OSError:
+        return []
+    return [one for child in map(int, children) for one in (child, *descendants(child))]
