@@ -238,7 +238,7 @@ def test_resolve_follows_any_sequence(image):
     assert_is_sequential(image)
 
 
-@settings(max_examples=1600, deadline=None)
+@settings(max_examples=500, deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),
     n=st.sampled_from([17, 64, 200]),

@@ -327,6 +327,7 @@ def test_wrong_searches(run, tmp_path, arguments, named):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_bifurcation_answers_keeps_and_draws(run, tmp_path, monkeypatch):
     diagram = functools.partial(wj.bifurcation_diagram, scan=10)
     arguments = ["bifurcation", "--from", "0.0149", "--to", "0.0155", "--period-max", "2"]

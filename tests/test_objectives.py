@@ -66,6 +66,7 @@ def test_where_the_edge_is_fractal_the_derivative_is_an_average_over_the_band():
     assert abs(found.gradient[0] - expected) < 4 * found.error[0] < 0.25 * abs(expected)
 
 
+@pytest.mark.slow
 def test_bands_end_where_a_parameter_does():
     low, high = ends_of_band(wj.SpringWalker(0.004, 0.1), "hip_stiffness", 0.25)
     ends = [float(vars(one)["hip_stiffness"]) for one in (low, high)]

@@ -418,6 +418,7 @@ def test_trajectory_equals_the_independent_solution(swing):
     np.testing.assert_allclose(states, solution.y.T, rtol=0, atol=1e-11)
 
 
+@pytest.mark.slow
 def test_trajectory_and_walk_are_the_same_under_jit(swing):
     """There diffrax and XLA make them, a program of their own otherwise."""
     times, states = swing

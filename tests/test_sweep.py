@@ -18,7 +18,7 @@ from walker_jax.cluster import each
 module = sys.modules["walker_jax.sweep"]  # the package has the function by that name
 WALKER = wj.SpringWalker(0.004, 0.0)
 GRID = wj.Grid.sheared(theta=(0, 0.4, 20), sum=(-0.2, 0.05, 25))
-OVER = {"hip_stiffness": [0.0, 2.0], "slope": [0.004, 0.006, 0.3]}
+OVER = {"hip_stiffness": [0.0, 2.0], "slope": [0.004, 0.3]}
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +29,7 @@ def swept():
 def test_every_combination_is_as_computed_alone(swept):
     assert swept["total_area"].dims == ("hip_stiffness", "slope")
     assert swept["fate"].dims == ("hip_stiffness", "slope", "theta", "sum")
-    for stiffness, slope in ((0.0, 0.006), (2.0, 0.004)):
+    for stiffness, slope in ((0.0, 0.004), (2.0, 0.004)):
         walker, here = (
             wj.SpringWalker(slope, stiffness),
             {"hip_stiffness": stiffness, "slope": slope},
@@ -92,10 +92,10 @@ def test_an_interrupted_sweep_goes_on(tmp_path, swept, monkeypatch):
     with pytest.raises(store.Occupied, match=r"\(levels: 0, not 1\)"):
         wj.sweep(WALKER, OVER, GRID, levels=1, out=path)
     found = wj.sweep(WALKER, OVER, GRID, levels=0, out=path)
-    assert len(computed) == 7 and len(set(computed)) == 6
+    assert len(computed) == 5 and len(set(computed)) == 4
     assert found.drop_attrs(deep=False).identical(swept.drop_attrs(deep=False))
     assert wj.sweep(WALKER, OVER, GRID, levels=0, out=path).identical(found)
-    assert len(computed) == 7
+    assert len(computed) == 5
 
 
 @pytest.mark.parametrize(
@@ -140,7 +140,7 @@ jax.config.update("jax_enable_x64", True)
 module = sys.modules["walker_jax.sweep"]
 def main():
     grid = wj.Grid.sheared(theta=(0, 0.4, 20), sum=(-0.2, 0.05, 25))
-    over = {"hip_stiffness": [0.0, 2.0], "slope": [0.004, 0.006, 0.3]}
+    over = {"hip_stiffness": [0.0, 2.0], "slope": [0.004, 0.3]}
     options = {"out": Path(sys.argv[1]), "cluster": 2}
     wj.sweep(wj.SpringWalker(0.004, 0.0), over, grid, levels=0, **options)
 if __name__ == "__main__":
@@ -157,10 +157,10 @@ def test_workers_that_are_killed_cost_their_pieces_alone(tmp_path, swept):
         while run.poll() is None:
             time.sleep(rng.uniform(4, 8))
             workers = [pid for pid in descendants(run.pid) if b"spawn_main" in command_of(pid)]
-            if workers and kills < 4:
+            if workers and kills < 3:
                 os.kill(int(rng.choice(workers)), signal.SIGKILL)
                 kills += 1
-    assert run.returncode == 0 and kills == 4
+    assert run.returncode == 0 and kills == 3
     found = store.opened(path)
     assert found.drop_attrs(deep=False).identical(swept.drop_attrs(deep=False))
 

@@ -731,6 +731,7 @@ def test_the_reference_gait_on_round_feet():
     assert time == pytest.approx(value["step_time"], abs=1e-9)
 
 
+@pytest.mark.slow
 def test_the_reference_gait_on_point_feet():
     """With a hip of 1000 times the mass of a foot."""
     value = FINITE["point feet"]

@@ -62,7 +62,7 @@ def basin(
     strides: int = 200,
     tolerance: float | None = None,
     progress: bool = False,
-    out: Path | None = None,
+    out: Path | str | None = None,
     request: dict | None = None,
     cluster: Any = None,
 ) -> xr.Dataset:
@@ -110,7 +110,7 @@ def basin(
     limit = {"strides": strides} if method == "direct" else {}
     how = {"method": method, **limit, "tolerance": tolerance}
     if out is not None:
-        return in_pieces(walker, grid, how, out, request, cluster, progress)
+        return in_pieces(walker, grid, how, Path(out), request, cluster, progress)
     if cluster is not None:
         raise ValueError(f"cluster={cluster!r} computes pieces of a store: out is wanted too")
     if method == "cell-map":

@@ -129,5 +129,10 @@ def as_here(cores: int | None) -> Any:
             for mode, value in modes.items():
                 jax.config.update(mode, value)
             tiles.limit_cores(cores)
+            # Its profiler looks at the frames of all threads, over which Python before 3.12 may
+            # come to a standstill when garbage is collected meanwhile.
+            for name in ("profile", "profile-cycle"):
+                if name in worker.periodic_callbacks:
+                    worker.periodic_callbacks[name].stop()
 
     return AsHere()

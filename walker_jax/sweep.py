@@ -38,7 +38,7 @@ def sweep(
     strides: int = 200,
     seed: int = 0,
     tolerance: float | None = None,
-    out: Path | None = None,
+    out: Path | str | None = None,
     request: dict | None = None,
     cluster: Any = None,
     progress: bool = False,
@@ -98,10 +98,10 @@ def sweep(
             data = fill(place, request, about, walker, grid, [*values], cluster, progress).load()
         del data.attrs["request"]
         return data
-    found = store.find(out, request)
+    found = store.find(Path(out), request)
     if found is not None:
         return found
-    return fill(out, request, about, walker, grid, [*values], cluster, progress)
+    return fill(Path(out), request, about, walker, grid, [*values], cluster, progress)
 
 
 def check_values(walker: Walker, values: Mapping[str, Float[np.ndarray, "..."]]) -> None:
