@@ -232,13 +232,13 @@ def assert_is_sequential(image, sinks=SINKS):
     assert_same(resolve(image, sinks), follow_sequences(image.tolist(), sinks))
 
 
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=200, deadline=None)
 @given(st.sampled_from([1, 5, 24]).flatmap(lambda n: st.tuples(*n * [st.integers(0, n + 2)])))
 def test_resolve_follows_any_sequence(image):
     assert_is_sequential(image)
 
 
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=200, deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),
     n=st.sampled_from([17, 64, 200]),

@@ -356,6 +356,7 @@ def spoilt(count: int) -> dict[str, int]:
     return json.loads(done.stdout.splitlines()[-1])  # some functions given print
 
 
+@pytest.mark.slow
 def test_a_bad_argument_is_refused_in_one_line_or_answered():
     assert set(calls()) >= {
         name for name in wj.__all__ if callable(getattr(wj, name)) and name[0].islower()

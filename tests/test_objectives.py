@@ -127,6 +127,7 @@ def test_where_everything_walks_the_area_is_that_of_the_grid():
     assert found.area == pytest.approx(4e-8) and found.gradient.tolist() == [0.0]
 
 
+@pytest.mark.slow
 def test_cells_may_have_the_fates_of_their_centres():
     walker = wj.SimplestWalker(0.004)
     grid = wj.Grid.sheared(theta=(0.1, 0.3, 40), sum=(-0.02, 0.01, 40))

@@ -226,6 +226,7 @@ def test_another_request_is_refused_and_changes_nothing(report):
     assert files_of(out) == before
 
 
+@pytest.mark.slow
 def test_what_is_overwritten_is_begun_anew_and_can_be_gone_on_with(
     report, data, numbers, monkeypatch
 ):

@@ -584,6 +584,7 @@ def test_a_looser_tolerance_is_less_exact_but_not_by_much():
     assert np.all(errors < 1e-4) and np.max(errors) > 1e-10
 
 
+@pytest.mark.slow
 def test_single_strides_equal_those_in_tiles_and_mapped(tangents):
     """Called as it is, in tiles, and jitted and mapped over slopes."""
     starts = np.array([[0.2, -0.2], [0.2, -0.25], [0.2, -0.1], [0.9, -0.1], GAIT["state"]])
