@@ -170,22 +170,27 @@ def test_a_number_agrees_at_the_digits_that_are_printed():
     assert paper.close("", "", "1", 1 - 1e-7, 6).ours == "1.000000"
 
 
+def stopping(name, data, computed):
+    """The parts of the tiny data, told as they are computed; the first time one is interrupted."""
+
+    def part(one):
+        def compute(size):
+            computed.append(one)
+            if one == name and computed.count(name) == 1:
+                raise KeyboardInterrupt
+            return data[one]
+
+        return compute
+
+    return {one: part(one) for one in data}
+
+
 @pytest.fixture(scope="module")
 def report(tmp_path_factory, data, numbers):
     """A report of the tiny data, interrupted and begun again; and the parts computed each time."""
     out, computed = tmp_path_factory.mktemp("reproduce") / "report", []
-
-    def part(name):
-        def compute(size):
-            computed.append(name)
-            if computed.count("walk") == 1 and name == "walk":
-                raise KeyboardInterrupt
-            return data[name]
-
-        return compute
-
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(paper, "PARTS", {name: part(name) for name in data})
+        patch.setattr(paper, "PARTS", stopping("walk", data, computed))
         patch.setattr(paper, "compared", lambda data: [*numbers.values()])
         with pytest.raises(KeyboardInterrupt):
             paper.reproduce(out, quick=True)
@@ -233,17 +238,7 @@ def test_what_is_overwritten_is_begun_anew_and_can_be_gone_on_with(
     """What is there goes first, so that the same command without --overwrite completes it."""
     out, *_ = report
     computed = []
-
-    def part(name):
-        def compute(size):
-            computed.append(name)
-            if name == "gaits" and computed.count("gaits") == 1:
-                raise KeyboardInterrupt
-            return data[name]
-
-        return compute
-
-    monkeypatch.setattr(paper, "PARTS", {name: part(name) for name in data})
+    monkeypatch.setattr(paper, "PARTS", stopping("gaits", data, computed))
     monkeypatch.setattr(paper, "compared", lambda data: [*numbers.values()])
     with pytest.raises(KeyboardInterrupt):
         paper.reproduce(out, overwrite=True)

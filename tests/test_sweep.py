@@ -115,6 +115,17 @@ def test_wrong_values(over, named):
         wj.sweep(WALKER, over, GRID)
 
 
+def test_what_is_overwritten_is_kept_until_the_next_is_begun(tmp_path):
+    path, over = tmp_path / "a.zarr", {"slope": [0.004]}
+    first = wj.sweep(WALKER, over, GRID, levels=0, out=path)
+    slice_ = wj.Grid.plain(theta=(0, 0.4, 4))
+    with pytest.raises(ValueError, match="grid must have"):
+        wj.sweep(WALKER, over, slice_, levels=0, out=path, overwrite=True)
+    assert store.opened(path).identical(first)
+    second = wj.sweep(WALKER, {"slope": [0.006]}, GRID, levels=0, out=path, overwrite=True)
+    assert second["slope"].values.tolist() == [0.006]
+
+
 def test_a_cluster_needs_a_place():
     with pytest.raises(ValueError, match="out is wanted"):
         wj.basin(WALKER, GRID, cluster=2)

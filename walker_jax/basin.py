@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 from jax.typing import ArrayLike
-from jaxtyping import Array, Bool, Float, Int, Shaped
+from jaxtyping import Array, Float, Int, Shaped
 
 from walker_jax import store
 from walker_jax.attraction import (
@@ -64,6 +64,7 @@ def basin(
     progress: bool = False,
     out: Path | str | None = None,
     request: dict | None = None,
+    overwrite: bool = False,
     cluster: Any = None,
 ) -> xr.Dataset:
     """Fate of every cell of a grid on the walker's section.
@@ -82,6 +83,7 @@ def basin(
       has ended, cells of missing pieces have a fate of -1. What is returned is read from there when
       it is used.
     - `request`: by what the result is known again there; by default, all that it depends on.
+    - `overwrite`: whether to remove another result that stands there.
     - `cluster`: who computes the pieces, as in `walker_jax.cluster.each`: a number of worker
       processes on this machine, the address of a Dask scheduler, or a Dask client.
 
@@ -110,7 +112,7 @@ def basin(
     limit = {"strides": strides} if method == "direct" else {}
     how = {"method": method, **limit, "tolerance": tolerance}
     if out is not None:
-        return in_pieces(walker, grid, how, Path(out), request, cluster, progress)
+        return in_pieces(walker, grid, how, Path(out), request, overwrite, cluster, progress)
     if cluster is not None:
         raise ValueError(f"cluster={cluster!r} computes pieces of a store: out is wanted too")
     if method == "cell-map":
@@ -347,6 +349,7 @@ def in_pieces(
     how: dict,
     out: Path,
     request: dict | None,
+    overwrite: bool,
     cluster: Any,
     progress: bool,
 ) -> xr.Dataset:
@@ -359,17 +362,13 @@ def in_pieces(
     method = (MappedPieces if how["method"] == "cell-map" else FollowedPieces)(walker, grid, how)
     about, work = described(walker, grid, how), method.arrays()
     request = request or request_of(about, grid) | {"command": "basin"}
-    arrays = {
-        "fate": over_grid(grid, NOT_YET, np.int8, ABOUT["fate"]),
-        "attractor": over_grid(grid, -1, np.int32, ABOUT["attractor"]),
-        "strides": over_grid(grid, 0, np.int32, ABOUT["strides"]),
-    }
-    high = -(-PIECE // math.prod(grid.shape[1:]))
-    found = store.find(out, request)
+    block = (-(-PIECE // math.prod(grid.shape[1:])),)
+    found = store.find(out, request, overwrite=overwrite)
     if found is not None:
         return found
+    options: Any = {"aside": list(work), "overwrite": overwrite}
     with store.pieces(
-        out, request, about, arrays | work, (high,), method.notes, aside=list(work)
+        out, request, about, not_yet(grid) | work, block, method.notes, **options
     ) as place:
         compute = partial(method.piece, place.notes)
         number = {rows_of(place, i): i for i in place.missing()}
@@ -379,8 +378,8 @@ def in_pieces(
         cells = np.zeros(len(attractors), int)
         for i, values in enumerate(pieces):
             place.write(i, values)
-            number = values["attractor"]
-            cells += np.bincount(number[number >= 0], minlength=len(cells))
+            reached = values["attractor"]
+            cells += np.bincount(reached[reached >= 0], minlength=len(cells))
         place.finish(with_attractors(about, grid, attractors, cells))
     return store.opened(out)
 
@@ -393,6 +392,15 @@ def request_of(about: xr.Dataset, grid: Grid) -> dict:
         "shear": grid.shear.tolist(),
         "origin": grid.origin.tolist(),
         "dtype": str(jnp.asarray(0.0).dtype),
+    }
+
+
+def not_yet(grid: Grid) -> dict[str, xr.Variable]:
+    """What there is over a grid before anything is computed."""
+    return {
+        "fate": over_grid(grid, NOT_YET, np.int8, ABOUT["fate"]),
+        "attractor": over_grid(grid, -1, np.int32, ABOUT["attractor"]),
+        "strides": over_grid(grid, 0, np.int32, ABOUT["strides"]),
     }
 
 
@@ -468,20 +476,19 @@ class FollowedPieces(NamedTuple):
         self, place: store.Pieces
     ) -> tuple[list[Attractor], Iterator[dict[str, np.ndarray]]]:
         """The attractors, and what is still to be written of each piece."""
-        ends = [np.zeros((0, self.grid.coordinates))]
-        counts = []
+        left, ends = [], []
         for i in range(place.count):
             x = place.read("ends", i).reshape(-1, self.grid.coordinates)
-            ends.append(x[left(x)])
-            counts.append(len(ends[-1]))
-        x = np.concatenate(ends, dtype=ends[-1].dtype)
-        number, attractors = explain(self.walker, x, self.known(place.notes), self.how["tolerance"])
+            left.append(np.flatnonzero(np.isfinite(x[:, 0])))  # the others have no end
+            ends.append(x[left[-1]])
+        known, x = self.known(place.notes), np.concatenate(ends)
+        number, attractors = explain(self.walker, x, known, self.how["tolerance"])
+        numbers = np.split(number, np.cumsum([len(cells) for cells in left])[:-1])
 
         def pieces():
-            for i, mine in enumerate(np.split(number, np.cumsum(counts)[:-1])):
+            for i, (cells, mine) in enumerate(zip(left, numbers, strict=True)):
                 attractor = place.read("attractor", i).ravel()
-                x = place.read("ends", i).reshape(-1, self.grid.coordinates)
-                attractor[left(x)] = mine
+                attractor[cells] = mine
                 yield {"attractor": attractor}
 
         return attractors, pieces()
@@ -491,11 +498,6 @@ def rows_of(place: store.Pieces, piece: int) -> tuple[int, int]:
     """The first row of a piece, and the one after its last."""
     (rows,) = place.at(piece)
     return rows.start, rows.stop
-
-
-def left(ends: Float[np.ndarray, "n section"]) -> Bool[np.ndarray, " n"]:
-    """Walkers that neither failed nor came near an attractor: the others have no end."""
-    return np.isfinite(ends[:, 0])
 
 
 def cells_of_rows(

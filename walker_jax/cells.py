@@ -27,7 +27,7 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, Int32
 
-from walker_jax.checks import check_kind, numbers, short
+from walker_jax.checks import check_kind, is_number, numbers, short
 
 ROOM_FOR_SINKS = 255
 MAX_SIZE = 2**31 - 1 - ROOM_FOR_SINKS
@@ -214,13 +214,12 @@ class Grid(eqx.Module):
 
 def split(axes: Mapping[str, Axis]) -> tuple[dict[str, Axis], Float[np.ndarray, " s"]]:
     """The axes that are not numbers, and an origin with those that are, which must be the last."""
-    number = (int, float, np.number)
-    numbers = [isinstance(axis, number) and not isinstance(axis, bool) for axis in axes.values()]
-    count = len(axes) - sum(numbers)
+    single = [is_number(axis) for axis in axes.values()]
+    count = len(axes) - sum(single)
     if count == 0:
         raise ValueError(f"axes={dict(axes)!r}: a grid needs at least one axis, (low, high, count)")
-    if any(numbers[:count]):
-        name = list(axes)[numbers.index(True)]
+    if any(single[:count]):
+        name = list(axes)[single.index(True)]
         raise ValueError(f"{name}={short(axes[name])}: only the last axes may be numbers")
     values = [0.0] * count + [float(axis) for axis in list(axes.values())[count:]]
     return dict(list(axes.items())[:count]), np.array(values)

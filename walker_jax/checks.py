@@ -39,6 +39,11 @@ def check_number(name: str, value: Any) -> None:
         raise TypeError(f"{name} must be a real number, not {short(value)}")
 
 
+def is_number(value: Any) -> bool:
+    """Whether a value is one number, and no truth value."""
+    return isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
+
+
 def numbers(name: str, values: Any) -> Float[np.ndarray, "..."]:
     """An array of numbers; what is none is refused."""
     try:

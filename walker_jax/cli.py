@@ -408,8 +408,7 @@ def bifurcation(
         "version": version("walker-jax"),
     }
     figure = picture_of(out, figure)
-    store.check_picture(figure, request, overwrite=overwrite)
-    data = store.find(out, request, overwrite=overwrite)
+    data = made_before(out, figure, request, overwrite=overwrite)
     if data is None:
         data = wj.bifurcation_diagram(
             walker, "slope", (low, high), period_max=period_max, strides=strides, progress=True
@@ -497,6 +496,14 @@ def picture_of(out: Path, figure: Path | None) -> Path:
     return figure
 
 
+def made_before(out: Path, figure: Path, request: dict, *, overwrite: bool) -> xr.Dataset | None:
+    """What the same command has left at `out`, if it has ended; something else is refused."""
+    from walker_jax import store
+
+    store.check_picture(figure, request, overwrite=overwrite)
+    return store.find(out, request, overwrite=overwrite)
+
+
 def check_suffix(figure: Path) -> None:
     if figure.suffix not in PICTURES:
         raise ValueError(f"--figure {figure} must end in one of {', '.join(PICTURES)}")
@@ -564,8 +571,8 @@ def basin(
     interruption the same command goes on.
     """
     import walker_jax as wj
-    from walker_jax import figures, store
-    from walker_jax.basin import BYTES_STORED, around, check_grid
+    from walker_jax import figures
+    from walker_jax.basin import around
 
     has_phidot = "phidot" in walker.section
     if not has_phidot and (phidot is not None or at_phidot is not None):
@@ -609,20 +616,15 @@ def basin(
         **({"strides": strides} if method == "direct" else {}),
         "version": version("walker-jax"),
     }
-    store.check_picture(figure, request, overwrite=overwrite)
-    data = store.find(out, request, overwrite=overwrite)
+    data = made_before(out, figure, request, overwrite=overwrite)
     reused = data is not None
     clock = Stopwatch()
     if data is None:
         if None in axes.values():
             axes = filled(axes, around(gait_of(walker).states[0], tuple(axes)))
-        grid = grid_of(**axes)
-        check_grid(walker, grid, method, each=BYTES_STORED[method])
-        if overwrite:
-            store.clear(out)
-        options: Any = {"strides": strides, "progress": True, "out": out, "request": request}
-        options |= {"cluster": cluster}
-        data = wj.basin(walker, grid, method, **options)
+        options: Any = {"out": out, "request": request, "overwrite": overwrite}
+        options |= {"strides": strides, "cluster": cluster, "progress": True}
+        data = wj.basin(walker, grid_of(**axes), method, **options)
     seconds = clock.seconds()
     flat = data["fate"].ndim == 2
     draw_basin = figures.basin if flat else figures.basin_slices
@@ -786,8 +788,7 @@ def robustness(
         "version": version("walker-jax"),
     }
     figure = picture_of(out, figure)
-    store.check_picture(figure, request, overwrite=overwrite)
-    data = store.find(out, request, overwrite=overwrite)
+    data = made_before(out, figure, request, overwrite=overwrite)
     if data is None:
         options = {"levels": levels, "disturbances": disturbances, "strides": strides}
         if slopes is None:
@@ -916,8 +917,7 @@ def optimise(
         "version": version("walker-jax"),
     }
     figure = picture_of(out, figure)
-    store.check_picture(figure, request, overwrite=overwrite)
-    data = store.find(out, request, overwrite=overwrite)
+    data = made_before(out, figure, request, overwrite=overwrite)
     if data is None or "found" not in data:  # not begun, or interrupted
         try:
             data = wj.optimise(
@@ -1048,7 +1048,7 @@ def sweep(
     picture shows the area over the first two parameters.
     """
     import walker_jax as wj
-    from walker_jax import figures, store
+    from walker_jax import figures
 
     values = values_of(over or [])
     if not values:
@@ -1069,13 +1069,11 @@ def sweep(
         "version": version("walker-jax"),
     }
     figure = picture_of(out, figure)
-    store.check_picture(figure, request, overwrite=overwrite)
-    data = store.find(out, request, overwrite=overwrite)
+    data = made_before(out, figure, request, overwrite=overwrite)
     if data is None:
-        if overwrite:
-            store.clear(out)
-        options: Any = {"levels": levels, "robust": robust, "strides": strides, "cluster": cluster}
-        options |= {"out": out, "request": request, "progress": True}
+        options: Any = {"out": out, "request": request, "overwrite": overwrite}
+        options |= {"levels": levels, "robust": robust, "strides": strides}
+        options |= {"cluster": cluster, "progress": True}
         data = wj.sweep(walker, values, grid, **options)
     draw(figures.sweep(data), figure, request)
     names = [*values]

@@ -6,6 +6,7 @@ that it was at, which others compute again.
 """
 
 import os
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, TypeVar
@@ -13,6 +14,7 @@ from typing import Any, TypeVar
 import jax
 
 from walker_jax import tiles
+from walker_jax.progress import tracked
 
 AHEAD = 2
 """Pieces that each worker has been given, so that it need not wait for the next."""
@@ -38,6 +40,7 @@ def each(
     **Arguments:**
 
     - `function`: may be pickled, and gives the same wherever it is computed.
+    - `things`: hashable.
     - `cluster`: none to compute here, one after the other; a number of worker processes to start on
       this machine, which share its cores; the address of a Dask scheduler, such as
       "tcp://10.0.0.1:8786"; or a `dask.distributed.Client`.
@@ -46,10 +49,10 @@ def each(
     `ValueError` for a cluster that cannot be reached, or where Dask is not installed.
     """
     if cluster is None:
-        yield from ((thing, function(thing)) for thing in tiles.tracked(things, label, progress))
+        yield from ((thing, function(thing)) for thing in tracked(things, label, progress))
         return
     with client_of(cluster) as client:
-        yield from tiles.tracked(on(client, function, things), label, progress, len(things))
+        yield from tracked(on(client, function, things), label, progress, len(things))
 
 
 def on(
@@ -58,7 +61,7 @@ def on(
     """Each thing and its result, from the workers of a Dask client."""
     from distributed import KilledWorker, as_completed
 
-    waiting, deaths = list(things)[::-1], dict.fromkeys(range(len(things)), 0)
+    waiting, deaths = list(things)[::-1], Counter()
     asked: dict[Any, Thing] = {}
     done = as_completed()
 
@@ -76,9 +79,8 @@ def on(
         try:
             result = future.result()
         except KilledWorker:
-            place = things.index(thing)
-            deaths[place] += 1
-            if deaths[place] > DEATHS:
+            deaths[thing] += 1
+            if deaths[thing] > DEATHS:
                 raise
             ask(thing)
             continue

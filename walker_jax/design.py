@@ -19,13 +19,12 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
-from rich.console import Console
 from scipy.optimize import brentq
 from scipy.stats import qmc
 
 from walker_jax.basin import basin, check_grid
 from walker_jax.cells import Grid
-from walker_jax.checks import check_kind, check_whole
+from walker_jax.checks import check_kind, check_whole, is_number
 from walker_jax.gaits import Gait, check_parameter, find_gait, with_parameter
 from walker_jax.objectives import (
     GAIT_MEASURES,
@@ -34,8 +33,9 @@ from walker_jax.objectives import (
     disturbance_gradient,
     gait_measures,
 )
+from walker_jax.progress import console
 from walker_jax.refinement import BYTES_PER_CELL, FINEST, finer, refined
-from walker_jax.robustness import default_region, is_number
+from walker_jax.robustness import default_region
 from walker_jax.walkers import Walker
 
 OBJECTIVES = {
@@ -340,8 +340,7 @@ class Trace:
         self.known = {} if known is None else {key(row): row for row in rows_of(known)}
         self.gaits: dict[bytes, Gait] = {}
         self.slacks: dict[bytes, list[Slack]] = {}
-        self.console = Console(stderr=True)
-        self.shown = progress and self.console.is_terminal
+        self.console = console(progress)
 
     def gait(self, values: Float[np.ndarray, " parameters"]) -> Gait:
         """That of the walker with these parameters."""
@@ -356,7 +355,7 @@ class Trace:
         row = self.known.get((stage, values.tobytes()))
         if row is None:
             status = self.console.status(f"{len(self.rows) + 1}: {self.problem.named(values)}")
-            with status if self.shown else nullcontext():
+            with nullcontext() if self.console.quiet else status:
                 row = measured(self.problem, stage, values, self.gait)
             self.known[key(row)] = row
             self.rows.append(row._replace(run=run))

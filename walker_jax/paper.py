@@ -18,7 +18,6 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 from matplotlib.figure import Figure
-from rich.console import Console
 from scipy.optimize import brentq, minimize_scalar
 
 from walker_jax import figures, poses, report, store
@@ -27,6 +26,7 @@ from walker_jax.bifurcations import bifurcation_diagram
 from walker_jax.cells import Grid
 from walker_jax.gaits import find_gait, find_gaits
 from walker_jax.motion import motion
+from walker_jax.progress import console
 from walker_jax.refinement import refine
 from walker_jax.robustness import default_region
 from walker_jax.stride import Outcome, strides
@@ -112,17 +112,16 @@ def reproduce(
         for path in places.values():
             shutil.rmtree(path, ignore_errors=True)
     (out / "data").mkdir(parents=True, exist_ok=True)
-    console = Console(stderr=True)
-    console.quiet = not (progress and console.is_terminal)
+    shown = console(progress)
     data: dict[str, xr.Dataset] = {}
     for name, compute in PARTS.items():
         own = request | {"part": name}
         found = store.find(places[name], own)
         if found is None:
-            with console.status(f"{name} ({len(data) + 1} of {len(PARTS)})"):
+            with shown.status(f"{name} ({len(data) + 1} of {len(PARTS)})"):
                 found = store.save(compute(size), places[name], own)
         data[name] = found
-    with console.status("numbers and figures"):
+    with shown.status("numbers and figures"):
         numbers = compared(data)
         title, images = store.signature(request), []
         for one in FIGURES:

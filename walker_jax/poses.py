@@ -42,8 +42,8 @@ from walker_jax.figures import (
     title,
     write_title,
 )
+from walker_jax.progress import tracked
 from walker_jax.stride import Outcome
-from walker_jax.tiles import tracked
 
 SWING = BASINS[1]
 """Colour of the swing leg; the stance leg is in ink."""

@@ -21,10 +21,11 @@ from walker_jax.attraction import Attractor, follow, framed_attractors, near, wi
 from walker_jax.basin import around, check_grid
 from walker_jax.boundaries import Uncertainty, checked_distances, uncertainty_exponent, upper_end
 from walker_jax.cells import Grid
-from walker_jax.checks import check_kind, check_number, check_whole, numbers, short
+from walker_jax.checks import check_kind, check_number, check_whole, is_number, numbers, short
 from walker_jax.gaits import Gait, check_parameter, find_gait, with_parameter
 from walker_jax.integrate import default_tolerance
 from walker_jax.margins import failed_by, follow_margins
+from walker_jax.progress import tracked
 from walker_jax.refinement import edge, refine
 from walker_jax.stride import (
     Outcome,
@@ -34,7 +35,7 @@ from walker_jax.stride import (
     step_down,
 )
 from walker_jax.stride import strides as take_strides
-from walker_jax.tiles import over_cells, tracked
+from walker_jax.tiles import over_cells
 from walker_jax.walkers import PointFeetWalker, Scalar, SimplestWalker, Walker
 
 RAYS, RADII = 720, 128
@@ -534,10 +535,6 @@ def default_region(walker: Walker) -> Grid | None:
     if not gait.found:
         return None
     return Grid.sheared(**around(gait.states[0], ("theta", "sum", "phidot")))
-
-
-def is_number(value: Any) -> bool:
-    return isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
 
 
 def in_ball(rng: np.random.Generator, n: int, rank: int) -> Float[np.ndarray, "n rank"]:

@@ -14,7 +14,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -91,17 +91,26 @@ def writable(path: Path) -> None:
 def save(data: xr.Dataset, path: Path, request: dict) -> xr.Dataset:
     """Write a data set at `path`, in the place of any that stands there; returns it as written."""
     data = data.assign_attrs(request=canonical(request))
-    draft = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.absolute().parent))
-    try:
-        data.to_zarr(draft / "new", consolidated=False, write_empty_chunks=True)
-        if path.exists():
-            path.rename(draft / "old")
-        (draft / "new").rename(path)
-    finally:
-        if (draft / "old").exists() and not path.exists():
-            (draft / "old").rename(path)  # interrupted in between
-        shutil.rmtree(draft, ignore_errors=True)
+    with folder_beside(path) as draft:
+        try:
+            data.to_zarr(draft / "new", consolidated=False, write_empty_chunks=True)
+            if path.exists():
+                path.rename(draft / "old")
+            (draft / "new").rename(path)
+        finally:
+            if (draft / "old").exists() and not path.exists():
+                (draft / "old").rename(path)  # interrupted in between
     return data
+
+
+@contextmanager
+def folder_beside(path: Path) -> Iterator[Path]:
+    """A hidden folder, to and from which `path` may be moved at once; removed at the end."""
+    folder = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.absolute().parent))
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def write(path: Path, text: str) -> None:
@@ -214,6 +223,7 @@ def pieces(
     notes: Callable[[], Any],
     *,
     aside: Sequence[str] = (),
+    overwrite: bool = False,
 ) -> Iterator[Pieces]:
     """A data set to be written piece by piece, begun, or gone on with where it is unfinished.
 
@@ -227,11 +237,14 @@ def pieces(
     - `notes`: called once, when it is begun; what it returns, in terms of JSON, is kept until the
       end.
     - `aside`: arrays that are of use on the way only.
+    - `overwrite`: whether to remove what stands there first.
 
     Nobody else writes to it meanwhile: raises `Occupied` where another process does, or something
     else stands there, and `ValueError` where nothing can be written.
     """
     writable(path)
+    if overwrite:
+        clear(path)
     if not path.exists():
         kept = {"request": canonical(request), "unfinished": 1, "notes": json.dumps(notes())}
         begin(path, data.assign_attrs(kept), arrays, block, aside)
@@ -254,8 +267,7 @@ def begin(
     aside: Sequence[str],
 ) -> None:
     """Make a store of pieces, none of them written."""
-    draft = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.absolute().parent))
-    try:
+    with folder_beside(path) as draft:
         data.to_zarr(draft / "new", consolidated=False, write_empty_chunks=True)
         group = group_at(draft / "new", "r+")
         for name, array in arrays.items():
@@ -279,8 +291,6 @@ def begin(
         )
         (draft / "new" / "written" / "lock").touch()
         (draft / "new").rename(path)
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
 
 
 def pieces_along(shape: Sequence[int], block: Sequence[int]) -> tuple[int, ...]:
@@ -304,11 +314,10 @@ def locked(path: Path) -> Iterator[None]:
 def tidy(path: Path) -> None:
     """Remove from a data set that is whole what was of use on the way."""
     aside = group_at(path, "r")["written"].attrs["aside"]
-    draft = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.absolute().parent))
-    for name in (*aside, "written"):  # this one last: it says that there is something to do
-        if (path / name).exists():
-            (path / name).rename(draft / name)
-    shutil.rmtree(draft, ignore_errors=True)
+    with folder_beside(path) as draft:
+        for name in (*aside, "written"):  # this one last: it says that there is something to do
+            if (path / name).exists():
+                (path / name).rename(draft / name)
 
 
 def flush(file: Path) -> None:
@@ -324,15 +333,11 @@ def clear(path: Path) -> None:
     """Remove the data set at `path`, if there is one, unless another run is writing it."""
     if not path.exists():
         return
-    draft = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.absolute().parent))
-    try:
-        if (path / "written").is_dir():
-            with locked(path):
-                path.rename(draft / "old")
-        else:
-            path.rename(draft / "old")
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
+    with (
+        folder_beside(path) as draft,
+        locked(path) if (path / "written").is_dir() else nullcontext(),
+    ):
+        path.rename(draft / "old")
 
 
 def check_picture(path: Path, request: dict, *, overwrite: bool = False) -> None:

@@ -13,7 +13,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from walker_jax import store
-from walker_jax.basin import ABOUT, NOT_YET, basin, check_grid, described, over_grid, request_of
+from walker_jax.basin import ABOUT, basin, check_grid, described, not_yet, request_of
 from walker_jax.cells import Grid
 from walker_jax.checks import check_kind, check_whole, numbers, short
 from walker_jax.cluster import each
@@ -40,6 +40,7 @@ def sweep(
     tolerance: float | None = None,
     out: Path | str | None = None,
     request: dict | None = None,
+    overwrite: bool = False,
     cluster: Any = None,
     progress: bool = False,
 ) -> xr.Dataset:
@@ -54,7 +55,7 @@ def sweep(
     - `robust`: whether to measure all that `robustness` does, which takes half a minute for each.
     - `strides`: how many of them a walker is followed for.
     - `seed`, `tolerance`: of what is drawn, and of the integration.
-    - `out`, `request`, `cluster`: as in `basin`; a piece is one combination.
+    - `out`, `request`, `overwrite`, `cluster`: as in `basin`; a piece is one combination.
     - `progress`: whether to show a progress bar on a terminal.
 
     **Returns** a data set with the parameters as dimensions, in the order given, of
@@ -92,16 +93,16 @@ def sweep(
     own = {"command": "sweep", "over": {name: some.tolist() for name, some in values.items()}}
     request = request or request_of(about, grid) | own
     about = about.assign_coords(values)
+    names = [*values]
+    compute = partial(fill, request, about, walker, grid, names, cluster, progress)
     if out is None:  # nobody else sees it
         with tempfile.TemporaryDirectory() as folder:
             place = Path(folder) / "sweep.zarr"
-            data = fill(place, request, about, walker, grid, [*values], cluster, progress).load()
+            data = compute(place, overwrite=False).load()
         del data.attrs["request"]
         return data
-    found = store.find(Path(out), request)
-    if found is not None:
-        return found
-    return fill(Path(out), request, about, walker, grid, [*values], cluster, progress)
+    found = store.find(Path(out), request, overwrite=overwrite)
+    return compute(Path(out), overwrite=overwrite) if found is None else found
 
 
 def check_values(walker: Walker, values: Mapping[str, Float[np.ndarray, "..."]]) -> None:
@@ -115,7 +116,6 @@ def check_values(walker: Walker, values: Mapping[str, Float[np.ndarray, "..."]])
 
 
 def fill(
-    out: Path,
     request: dict,
     about: xr.Dataset,
     walker: Walker,
@@ -123,6 +123,9 @@ def fill(
     names: list[str],
     cluster: Any,
     progress: bool,
+    out: Path,
+    *,
+    overwrite: bool,
 ) -> xr.Dataset:
     """Compute what is missing of a sweep, and give all of it."""
     shape = [about.sizes[name] for name in names]
@@ -130,7 +133,8 @@ def fill(
     before = blank(walker, grid, about)
     fields = {name: spread(value, names, shape) for name, value in before.items()}
     unknown = {name: value.values for name, value in before.items()}
-    with store.pieces(out, request, about, fields, (1,) * len(shape), dict) as place:
+    block = (1,) * len(shape)
+    with store.pieces(out, request, about, fields, block, dict, overwrite=overwrite) as place:
         number = {}
         for i in place.missing():
             at = zip(names, place.place(i), strict=True)
@@ -149,12 +153,7 @@ def blank(walker: Walker, grid: Grid, about: xr.Dataset) -> dict[str, xr.Variabl
     nowhere = "coordinate", np.full(grid.coordinates, np.nan)
     row = dict.fromkeys(numbers, np.nan) | {"gait_state": nowhere, "attractors": 0, "failed": 0}
     row |= without_gait(walker) if about.attrs["robust"] else {}
-    return {
-        "fate": over_grid(grid, NOT_YET, np.int8, ABOUT["fate"]),
-        "attractor": over_grid(grid, -1, np.int32, ABOUT["attractor"]),
-        "strides": over_grid(grid, 0, np.int32, ABOUT["strides"]),
-        **{str(name): one.variable for name, one in xr.Dataset(row).items()},
-    }
+    return not_yet(grid) | {str(name): one.variable for name, one in xr.Dataset(row).items()}
 
 
 def spread(value: xr.Variable, names: list[str], shape: list[int]) -> xr.Variable:

@@ -9,22 +9,20 @@ cores or devices share the work.
 
 import math
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Int, PyTree
-from rich.console import Console
-from rich.progress import Progress, track
+from rich.progress import Progress
 
 from walker_jax.kernels import Kernel, NoKernel
-
-T = TypeVar("T")
+from walker_jax.progress import console
 
 # Cells in a tile, and tiles in a call: a call should take much longer than it takes to make.
 TILE = {"cpu": (1024, 8), "gpu": (2**17, 1), "tpu": (2**17, 1)}
@@ -105,10 +103,9 @@ def _share_out(
 ) -> None:
     """work(start, stop, number) for n cells, `call` of them at a time, in as many threads."""
     starts = range(0, n, call)
-    console = Console(stderr=True)
-    hidden = progress is None or not console.is_terminal
+    shown = console(progress is not None)
     with (
-        Progress(console=console, disable=hidden, transient=True) as bar,
+        Progress(console=shown, disable=shown.quiet, transient=True) as bar,
         ThreadPoolExecutor(workers) as pool,
     ):
         task = bar.add_task(progress or "", total=n)
@@ -122,15 +119,6 @@ def _share_out(
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
-
-
-def tracked(
-    things: Iterable[T], label: str, progress: bool, total: int | None = None
-) -> Iterable[T]:
-    """The things, one after the other, with a progress bar on a terminal if that is wanted."""
-    console = Console(stderr=True)
-    hidden = not (progress and console.is_terminal)
-    return track(things, label, total, console=console, disable=hidden, transient=True)
 
 
 _limit: int | None = None
