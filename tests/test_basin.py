@@ -1,3 +1,4 @@
+import math
 import signal
 import subprocess
 import sys
@@ -7,6 +8,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import xarray as xr
 
 import walker_jax as wj
 from walker_jax import attraction, store
@@ -251,6 +253,29 @@ def test_piece_by_piece_it_is_the_same(tmp_path, small_pieces, method):
         wj.basin(STEEP, grid, method, strides=30, tolerance=1e-9, out=tmp_path / "a.zarr")
 
 
+@pytest.mark.parametrize("shape", [(50, 60), (2, 2000), (3, 4, 1000), (1, 1, 5000), (7,), (900,)])
+def test_pieces_are_all_cells_one_after_the_other(small_pieces, shape):
+    block = module.block_of(shape)
+    place = store.Pieces(Path(), None, shape[: len(block)], block, None)
+    grid = wj.Grid({str(i): (0, 1, n) for i, n in enumerate(shape)}, np.eye(len(shape)))
+    parts = [module.part_of(grid, place, i) for i in range(place.count)]
+    assert [i for part in parts for i in range(grid.size)[part.cells]] == [*range(grid.size)]
+    assert max(math.prod(part.shape) for part in parts) < 2 * 700
+
+
+@pytest.mark.parametrize("method", ["cell-map", "direct"])
+def test_rows_that_are_long_are_cut(tmp_path, small_pieces, method):
+    grid = wj.Grid.sheared(theta=(0.1, 0.3, 2), sum=(-0.03, 0.02, 1500))
+    wanted = wj.basin(STEEP, grid, method, strides=30)
+    found = wj.basin(STEEP, grid, method, strides=30, out=tmp_path / "a.zarr")
+    assert found.drop_attrs(deep=False).identical(wanted.drop_attrs(deep=False))
+    assert xr.open_zarr(tmp_path / "a.zarr", consolidated=False).chunksizes["sum"] == (
+        700,
+        700,
+        100,
+    )
+
+
 @pytest.mark.parametrize("method", ["cell-map", "direct"])
 def test_interrupted_at_any_write_it_goes_on(tmp_path, small_pieces, monkeypatch, method):
     grid, path = wj.Grid.sheared(**COARSE), tmp_path / "a.zarr"
@@ -267,9 +292,9 @@ def test_interrupted_at_any_write_it_goes_on(tmp_path, small_pieces, monkeypatch
         written.append(i)
         write(place, i, values, done=done)
 
-    def counted(self, notes, rows):
-        piece.append(rows)
-        return compute(self, notes, rows)
+    def counted(self, notes, part):
+        piece.append(part)
+        return compute(self, notes, part)
 
     monkeypatch.setattr(store.Pieces, "write", stopped)
     monkeypatch.setattr(kind, "piece", counted)
@@ -295,9 +320,9 @@ module = sys.modules["walker_jax.basin"]
 module.PIECE = 2**13
 kind = module.MappedPieces if sys.argv[1] == "cell-map" else module.FollowedPieces
 compute = kind.piece
-def told(self, notes, rows):
-    print("begun", rows[0], flush=True)
-    return compute(self, notes, rows)
+def told(self, notes, part):
+    print("begun", part.first, flush=True)
+    return compute(self, notes, part)
 kind.piece = told
 grid = wj.Grid.sheared(theta=(0, 0.4, 400), sum=(-0.03, 0.02, 1000))
 wj.basin(wj.SimplestWalker(0.0151), grid, sys.argv[1], out=Path(sys.argv[2]))
@@ -333,3 +358,4 @@ def test_killed_at_twenty_moments_it_is_the_same_to_the_last_bit(tmp_path, metho
     assert store.opened(path).drop_attrs(deep=False).identical(wanted.drop_attrs(deep=False))
     assert len(set(map(str.strip, begun))) == 45
     assert len(begun) <= 45 + kills
+    assert [place.name for place in tmp_path.iterdir()] == ["a.zarr"]

@@ -209,18 +209,14 @@ def follow_sequences(image, sinks) -> CellMap:
     turned = [c[c.index(min(c)) :] + c[: c.index(min(c))] for c in cycles]
     order = sorted(range(len(cycles)), key=lambda c: (len(turned[c]), turned[c][0]))
     number = {c: i for i, c in enumerate(order)}
-    return CellMap(
-        jnp.array(
-            [number[i] if kind == "cycle" else -1 for kind, i in (end[cell] for cell in range(n))]
-        ),
-        jnp.array([i if kind == "sink" else -1 for kind, i in (end[cell] for cell in range(n))]),
-        jnp.array([steps[cell] for cell in range(n)]),
-        tuple(np.array(turned[c]) for c in order),
-    )
+    ends = [number[i] if kind == "cycle" else -1 - i for kind, i in (end[c] for c in range(n))]
+    counts = [steps[cell] for cell in range(n)]
+    cycles = tuple(np.array(turned[c]) for c in order)
+    return CellMap(np.array(ends, np.int32), np.array(counts, np.int32), cycles)
 
 
 def assert_same(result, expected):
-    for name in ("attractor", "sink", "steps"):
+    for name in ("end", "attractor", "sink", "steps"):
         values = getattr(result, name)
         assert values.dtype == np.int32
         np.testing.assert_array_equal(values, getattr(expected, name), err_msg=name)

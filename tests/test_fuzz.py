@@ -292,16 +292,17 @@ def calls() -> dict[str, dict]:
         "least_disturbance": {**of_gait, "scale": None, "along": None, "strides": 20},
         "least_step_down": {**of_gait, "strides": 20},
         "disturbance_gradient": {**of_gait, "parameters": ("slope",), "bands": None},
-        "robustness": {**on_grid, "levels": 0, "disturbances": 0.1, "seed": 0},
+        "robustness": {**on_grid, "levels": 0, "check": 0, "disturbances": 0.1, "seed": 0},
         "robustness_table": {
             **on_grid,
             "values": [0.004],
             "parameter": "slope",
             "levels": 0,
+            "check": 0,
             "seed": 0,
         },
         "sweep": {**of_walker, "over": {"slope": [0.004]}, "grid": grid, "strides": 20, "seed": 0}
-        | {"levels": 0, "robust": False},
+        | {"levels": 0, "check": 0, "robust": False},
         "optimise": {**of_walker, **optimum, "strides": 20, "grid": grid},
     }
 

@@ -190,7 +190,8 @@ def test_a_run_that_was_killed_holds_nothing(tmp_path):
     program = (
         "import os, signal, sys, pathlib\n"
         "from walker_jax import store\n"
-        "with store.locked(pathlib.Path(sys.argv[1])):\n"
+        "path = pathlib.Path(sys.argv[1])\n"
+        "with store.locked(path, path / 'written'):\n"
         "    print('locked', flush=True)\n"
         "    sys.stdin.read()\n"
     )
@@ -203,6 +204,24 @@ def test_a_run_that_was_killed_holds_nothing(tmp_path):
         other.wait()
         with begun(path) as place:
             assert place.missing() == [0, 1]
+
+
+def test_what_a_killed_run_left_beside_a_store_goes_with_the_next(tmp_path, data):
+    path, left = tmp_path / "a.zarr", tmp_path / ".a.zarr.part"
+    (left / "new" / "x").mkdir(parents=True)
+    (left / "lock").touch()
+    store.save(data, path, REQUEST)
+    assert [p.name for p in tmp_path.iterdir()] == ["a.zarr"]
+
+
+def test_two_runs_may_not_begin_at_once(tmp_path, data):
+    path = tmp_path / "a.zarr"
+    with store.folder_beside(path):
+        with pytest.raises(store.Occupied, match="is being written by another run"), begun(path):
+            pass
+        with pytest.raises(store.Occupied, match="is being written by another run"):
+            store.save(data, path, REQUEST)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_piece_that_does_not_fit_on_the_disk_is_missing(tmp_path, monkeypatch):

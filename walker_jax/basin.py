@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float, Int, Shaped
+from jaxtyping import Array, Float, Int
 
 from walker_jax import store
 from walker_jax.attraction import (
@@ -33,7 +33,7 @@ from walker_jax.attraction import (
     spread,
     until_near,
 )
-from walker_jax.cells import Grid, cell_image, resolve
+from walker_jax.cells import CellMap, Grid, cell_image, resolve
 from walker_jax.checks import check_kind, check_whole, short
 from walker_jax.cluster import each
 from walker_jax.integrate import Real, default_tolerance
@@ -44,7 +44,7 @@ from walker_jax.walkers import Walker
 METHODS = ("cell-map", "direct")
 BYTES_PER_CELL = 100
 """Memory at its peak, for each cell of a grid."""
-BYTES_STORED = {"cell-map": 40, "direct": 0}
+BYTES_STORED = {"cell-map": 16, "direct": 0}
 """The same where the result goes into a store: of the cell map, when all of it is there."""
 PIECE = 2**20
 """Cells, at least and about, of a piece of a store."""
@@ -78,7 +78,7 @@ def basin(
     - `tolerance`: of the integration, as in `stride`.
     - `progress`: whether to show a progress bar on a terminal.
     - `out`: a place on disk, a Zarr store, into which the result is written piece by piece, while
-      memory holds a piece alone; but the cell map takes some 40 bytes for each cell at the end.
+      memory holds a piece alone; but the cell map takes 13 bytes for each cell at the end.
       A run that was interrupted is gone on with there, and gives the same to the last bit. Until it
       has ended, cells of missing pieces have a fate of -1. What is returned is read from there when
       it is used.
@@ -161,19 +161,22 @@ def memory_of_machine() -> float:
 
 def cell_mapping(walker: Walker, grid: Grid, tolerance: float, progress: bool = False) -> Basins:
     """Simple cell mapping: one stride from the centre of each cell, then cells follow cells."""
-    return resolved(grid, cell_map(walker, grid, tolerance, progress=progress))
+    ends = resolve(cell_map(walker, grid, tolerance, progress=progress), sinks=len(Outcome))
+    return sort_attractors(Basins(*fates(ends), cycles_of(grid, ends)))
 
 
-def resolved(grid: Grid, image: Int[np.ndarray, " n"]) -> Basins:
-    """Where all cells end, given the cell, or the sink, to which each is sent."""
-    ends = resolve(image, sinks=len(Outcome))
-    fate = np.maximum(np.asarray(ends.sink), Outcome.STRIDE).astype(np.int8)
+def fates(ends: CellMap) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What `basin` says of cells, given where they end."""
+    fate = np.maximum(ends.sink, Outcome.STRIDE).astype(np.int8)
+    return fate, ends.attractor, ends.steps
+
+
+def cycles_of(grid: Grid, ends: CellMap) -> list[Attractor]:
+    """The attractors of a cell map, by the centres of their cells."""
     lengths = [len(cycle) for cycle in ends.attractors]
     cells = np.concatenate([np.zeros(0, np.int32), *ends.attractors]).astype(np.int32)
     states = np.split(centres(grid, cells), np.cumsum(lengths)[:-1])
-    attractors = [Attractor(*one) for one in zip(lengths, states, strict=False)]
-    found = Basins(fate, np.asarray(ends.attractor), np.asarray(ends.steps), attractors)
-    return sort_attractors(found)
+    return [Attractor(*one) for one in zip(lengths, states, strict=False)]
 
 
 def compare_methods(
@@ -213,33 +216,42 @@ def orbit(walker: Walker, x: Float[np.ndarray, "1 section"]) -> Float[np.ndarray
     return np.concatenate(states)
 
 
+class Part(NamedTuple):
+    """Cells of a grid that follow one on another: a block of it."""
+
+    first: int
+    shape: tuple[int, ...]
+
+    @property
+    def cells(self) -> slice:
+        return slice(self.first, self.first + math.prod(self.shape))
+
+
 def cell_map(
     walker: Walker,
     grid: Grid,
     tolerance: float,
-    rows: tuple[int, int] | None = None,
+    part: Part | None = None,
     *,
     progress: bool = False,
 ) -> Int[np.ndarray, " n"]:
-    """The cell, or the sink, to which a stride takes the centre of each cell of some rows."""
-    order, first = cells_of(grid, rows)
+    """The cell, or the sink, to which a stride takes the centre of each cell of a part."""
+    order, cells = cells_of(grid, part)
     image = np.empty_like(order)
     image[order] = over_cells(
         image_of_cell,
         (walker, grid, tolerance),
-        order + order.dtype.type(first),
+        cells,
         progress="strides" if progress else None,
     )
     return image
 
 
-def cells_of(grid: Grid, rows: tuple[int, int] | None) -> tuple[Int[np.ndarray, " n"], int]:
-    """Cells of rows, first to last along the first axis, or of all, as an order to compute them in.
-
-    They are counted from the first of them, whose index is given too.
-    """
-    first, last = rows or (0, grid.shape[0])
-    return order_of_cells((last - first, *grid.shape[1:])), first * math.prod(grid.shape[1:])
+def cells_of(grid: Grid, part: Part | None) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    """Cells of a part, or of all, in an order to compute them in: places in it, and indices."""
+    first, shape = part or (0, grid.shape)
+    order = order_of_cells(shape)
+    return order, order + order.dtype.type(first)
 
 
 def image_of_cell(shared: tuple[Walker, Grid, Real], index: Int[Array, ""]) -> Int[Array, ""]:
@@ -257,7 +269,7 @@ def direct_iteration(
     The attractors are those of a sample of the cells, and then of cells that are left at the end.
     """
     attractors = attractors_of(walker, grid, tolerance)
-    found = follow_rows(walker, grid, tolerance, attractors, limit, progress=progress)
+    found = follow_part(walker, grid, tolerance, attractors, limit, progress=progress)
     found.attractor[found.left], attractors = explain(walker, found.ends, attractors, tolerance)
     return Basins(*found[:3], attractors)
 
@@ -268,20 +280,19 @@ def attractors_of(walker: Walker, grid: Grid, tolerance: float) -> list[Attracto
     return [found[i] for i in in_order(found)]
 
 
-def follow_rows(
+def follow_part(
     walker: Walker,
     grid: Grid,
     tolerance: float,
     attractors: list[Attractor],
     limit: int,
-    rows: tuple[int, int] | None = None,
+    part: Part | None = None,
     *,
     progress: bool = False,
 ) -> Followed:
-    """Follow the centres of the cells of some rows, and give what became of them in their order."""
-    order, first = cells_of(grid, rows)
-    starts = centres(grid, order + order.dtype.type(first))
-    found = until_near(walker, starts, attractors, tolerance, limit, progress)
+    """Follow the centres of the cells of a part, and give what became of them in their order."""
+    order, cells = cells_of(grid, part)
+    found = until_near(walker, centres(grid, cells), attractors, tolerance, limit, progress)
     place = np.empty_like(order)
     place[order] = np.arange(order.size, dtype=order.dtype)
     fate, attractor, count = (values[place] for values in found[:3])
@@ -355,25 +366,24 @@ def in_pieces(
 ) -> xr.Dataset:
     """`basin`, computed piece by piece into a store.
 
-    A piece is some rows of the grid. What is found of single cells is written at once; what takes
+    A piece is a block of the grid. What is found of single cells is written at once; what takes
     all of them, where the cell map leads and what walkers come to that are left at the end, follows
     when all pieces are there. Either may be done again, with the same result.
     """
     method = (MappedPieces if how["method"] == "cell-map" else FollowedPieces)(walker, grid, how)
     about, work = described(walker, grid, how), method.arrays()
     request = request or request_of(about, grid) | {"command": "basin"}
-    block = (-(-PIECE // math.prod(grid.shape[1:])),)
     found = store.find(out, request, overwrite=overwrite)
     if found is not None:
         return found
     options: Any = {"aside": list(work), "overwrite": overwrite}
     with store.pieces(
-        out, request, about, not_yet(grid) | work, block, method.notes, **options
+        out, request, about, not_yet(grid) | work, block_of(grid.shape), method.notes, **options
     ) as place:
         compute = partial(method.piece, place.notes)
-        number = {rows_of(place, i): i for i in place.missing()}
-        for rows, values in each(compute, [*number], cluster, progress=progress):
-            place.write(number[rows], values, done=True)
+        number = {part_of(grid, place, i): i for i in place.missing()}
+        for part, values in each(compute, [*number], cluster, progress=progress):
+            place.write(number[part], values, done=True)
         attractors, pieces = method.finish(place)
         cells = np.zeros(len(attractors), int)
         for i, values in enumerate(pieces):
@@ -423,25 +433,29 @@ class MappedPieces(NamedTuple):
     def notes(self) -> dict:
         return {}
 
-    def piece(self, notes: dict, rows: tuple[int, int]) -> dict[str, np.ndarray]:
-        return {"image": cell_map(self.walker, self.grid, self.how["tolerance"], rows)}
+    def piece(self, notes: dict, part: Part) -> dict[str, np.ndarray]:
+        return {"image": cell_map(self.walker, self.grid, self.how["tolerance"], part)}
 
     def finish(
         self, place: store.Pieces
     ) -> tuple[list[Attractor], Iterator[dict[str, np.ndarray]]]:
         """The attractors, and what is still to be written of each piece."""
+        ends = resolve(self.image(place), sinks=len(Outcome))
+        attractors = cycles_of(self.grid, ends)
+
+        def piece(cells: slice) -> dict[str, np.ndarray]:
+            found = sort_attractors(Basins(*fates(ends.part(cells)), attractors))
+            return dict(zip(ABOUT, found[:3], strict=True))
+
+        pieces = (piece(part_of(self.grid, place, i).cells) for i in range(place.count))
+        return [attractors[i] for i in in_order(attractors)], pieces
+
+    def image(self, place: store.Pieces) -> Int[np.ndarray, " n"]:
+        """The cell, or the sink, to which each cell is sent."""
         image = np.empty(self.grid.size, np.int32)
         for i in range(place.count):
-            cells_of_rows(self.grid, image, rows_of(place, i))[...] = place.read("image", i).ravel()
-        found = resolved(self.grid, image)
-        pieces = (
-            {
-                name: cells_of_rows(self.grid, np.asarray(values), rows_of(place, i))
-                for name, values in zip(ABOUT, found[:3], strict=True)
-            }
-            for i in range(place.count)
-        )
-        return found.attractors, pieces
+            image[part_of(self.grid, place, i).cells] = place.read("image", i).ravel()
+        return image
 
 
 class FollowedPieces(NamedTuple):
@@ -465,9 +479,9 @@ class FollowedPieces(NamedTuple):
             Attractor(period, np.array(states, dtype)) for period, states in notes["attractors"]
         ]
 
-    def piece(self, notes: dict, rows: tuple[int, int]) -> dict[str, np.ndarray]:
+    def piece(self, notes: dict, part: Part) -> dict[str, np.ndarray]:
         tolerance, limit = self.how["tolerance"], self.how["strides"]
-        found = follow_rows(self.walker, self.grid, tolerance, self.known(notes), limit, rows)
+        found = follow_part(self.walker, self.grid, tolerance, self.known(notes), limit, part)
         ends = np.full((len(found.fate), self.grid.coordinates), np.nan, found.ends.dtype)
         ends[found.left] = found.ends
         return dict(zip(ABOUT, found, strict=False)) | {"ends": ends}
@@ -494,18 +508,18 @@ class FollowedPieces(NamedTuple):
         return attractors, pieces()
 
 
-def rows_of(place: store.Pieces, piece: int) -> tuple[int, int]:
-    """The first row of a piece, and the one after its last."""
-    (rows,) = place.at(piece)
-    return rows.start, rows.stop
+def block_of(shape: tuple[int, ...]) -> tuple[int, ...]:
+    """How much of each of its first axes is in a piece of a grid, whose cells follow on another."""
+    axis = next(i for i in range(len(shape)) if math.prod(shape[i + 1 :]) <= PIECE)
+    return (*[1] * axis, -(-PIECE // math.prod(shape[axis + 1 :])))
 
 
-def cells_of_rows(
-    grid: Grid, values: Shaped[np.ndarray, " n"], rows: tuple[int, int]
-) -> Shaped[np.ndarray, " cells"]:
-    """The part of what there is of all cells that is of some rows, not a copy."""
-    each = math.prod(grid.shape[1:])
-    return values[rows[0] * each : rows[1] * each]
+def part_of(grid: Grid, place: store.Pieces, piece: int) -> Part:
+    """The cells of a piece."""
+    at = place.at(piece)
+    start = [one.start for one in at] + [0] * (len(grid.shape) - len(at))
+    shape = *(one.stop - one.start for one in at), *grid.shape[len(at) :]
+    return Part(int(np.ravel_multi_index(start, grid.shape)), shape)
 
 
 def around(state: Float[ArrayLike, " section"], names: tuple[str, ...]) -> dict:

@@ -20,17 +20,19 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jax.typing import ArrayLike
-from jaxtyping import Array, Bool, Float, Int, Int32
+from jaxtyping import Array, Float, Int, Int32
 
 from walker_jax.checks import check_kind, is_number, numbers, short
 
 ROOM_FOR_SINKS = 255
 MAX_SIZE = 2**31 - 1 - ROOM_FOR_SINKS
+PART = 2**16
+"""Cells of a map that are worked on together."""
+FEW = 2**-10
+"""A share of all cells that is quickly followed one by one."""
 
 Axis = Any
 """(low, high, count): the ends of an axis and the number of its cells; checked by `Grid`."""
@@ -272,45 +274,63 @@ def cell_image(
 class CellMap(NamedTuple):
     """Where every cell of a simple cell map ends."""
 
-    attractor: Int32[Array, " n"]
-    """Number of the attractor the cell comes to; -1 where it ends in a sink."""
-    sink: Int32[Array, " n"]
-    """Number of the sink the cell ends in; -1 where it comes to an attractor."""
-    steps: Int32[Array, " n"]
+    end: Int32[np.ndarray, " n"]
+    """Number of the attractor the cell comes to; -1 - s where it ends in sink s."""
+    steps: Int32[np.ndarray, " n"]
     """Steps until the cell is on its attractor, 0 if it is; or those before the one into a sink."""
     attractors: tuple[Int[np.ndarray, " _period"], ...]
     """The cells of each cycle as they are visited, from the smallest index on. Sorted by period,
     then by that index. Sinks are not among them."""
+
+    @property
+    def attractor(self) -> Int32[np.ndarray, " n"]:
+        """Number of the attractor the cell comes to; -1 where it ends in a sink."""
+        return np.maximum(self.end, -1)
+
+    @property
+    def sink(self) -> Int32[np.ndarray, " n"]:
+        """Number of the sink the cell ends in; -1 where it comes to an attractor."""
+        return np.maximum(-1 - self.end, -1)
+
+    def part(self, cells: slice) -> "CellMap":
+        """The same of some of the cells."""
+        return self._replace(end=self.end[cells], steps=self.steps[cells])
 
 
 def resolve(image: ArrayLike, sinks: int) -> CellMap:
     """Attractors, basins and transients of a simple cell map.
 
     `image`, integers of shape (n,), holds the cell that each cell is sent to, 0 ... n - 1, or
-    n + s for sink s, of which there are `sinks`. Called on the host, it does its work per cell in
-    jitted array code, by pointer doubling: with f^(2k) = f^k(f^k), the number of rounds is about
-    twice the logarithm of the longest transient, however the cells are connected.
+    n + s for sink s, of which there are `sinks`. Called on the host. Pointers are doubled, with
+    f^(j + k) = f^j(f^k), so that the number of rounds goes with the logarithm of the longest
+    transient, however the cells are connected; and in place, so that at most nine bytes are needed
+    for each cell beside the image. What is returned takes eight.
 
     Raises ValueError where `image` is not of that form or points to a cell that does not exist.
 
     Source: the problem is that of Hsu (1987), whose algorithm follows one sequence of cells after
     the other (Schwab and Wisse 2001, section 4.3); the results are the same.
     """
-    following = _with_sinks(np.asarray(image), sinks)
-    n = following.size - sinks
-    recurrent, entry, steps = _settle(following)
+    image = np.asarray(image)
+    check_image(image, sinks)
+    image = image.astype(np.int32, copy=False)
+    attractors = cycles(image, late(image, sinks))
+    recurrent = np.concatenate([np.zeros(0, np.int32), *attractors])
+    end, steps = settle(image, sinks, recurrent)
 
-    members = np.flatnonzero(np.asarray(recurrent)[:n])
-    attractors = _cycles(members, following)
-    number = np.full(following.size, -1, np.int32)
-    for i, cycle in enumerate(attractors):
-        number[cycle] = i
-    attractor, sink, steps = _labels(entry, steps, number, sinks)
-    return CellMap(attractor, sink, steps, attractors)
+    number = np.repeat(np.arange(len(attractors)), [len(cycle) for cycle in attractors])
+    order = np.argsort(recurrent)
+    for part in parts(image.size):
+        sunk = end[part] >= image.size
+        place = np.searchsorted(recurrent, np.where(sunk, 0, end[part]), sorter=order)
+        reached = number[order[place]] if len(order) else -1
+        end[part] = np.where(sunk, image.size - 1 - end[part], reached)
+        steps[part] -= sunk
+    return CellMap(end, steps, attractors)
 
 
-def _with_sinks(image: np.ndarray, sinks: int) -> Int32[np.ndarray, " cells"]:
-    """The image of every cell of the grid, checked, then that of every sink: itself."""
+def check_image(image: np.ndarray, sinks: Any) -> None:
+    """Refuse what is no map of cells."""
     if image.ndim != 1 or image.size == 0 or not np.issubdtype(image.dtype, np.integer):
         raise ValueError(
             f"image of shape {image.shape} and type {image.dtype}: must be integers of shape (n,)"
@@ -323,82 +343,71 @@ def _with_sinks(image: np.ndarray, sinks: int) -> Int32[np.ndarray, " cells"]:
     if image.min() < 0 or image.max() >= cells:
         cell = np.argmax((image < 0) | (image >= cells))
         raise ValueError(f"image[{cell}]={image[cell]}: must be 0 ... {cells - 1}")
-    return np.concatenate([image, np.arange(image.size, cells)], dtype=np.int32, casting="unsafe")
 
 
-def _take(values: Array, indices: Int32[Array, " n"]) -> Array:
-    """values[indices], for indices known to be in range."""
-    return values.at[indices].get(mode="promise_in_bounds", wrap_negative_indices=False)
+def parts(size: int) -> list[slice]:
+    """All of an array, a part at a time, so that what is found of it stays in the cache."""
+    return [slice(start, min(start + PART, size)) for start in range(0, size, PART)]
 
 
-@jax.jit
-def _settle(
-    following: Int32[Array | np.ndarray, " cells"],
-) -> tuple[Bool[Array, " cells"], Int32[Array, " cells"], Int32[Array, " cells"]]:
-    """Whether each cell is recurrent, the first recurrent cell it comes to, and the steps to it.
+def late(image: Int32[np.ndarray, " n"], sinks: int) -> Int[np.ndarray, " m"]:
+    """Cells that are reached after many steps, from which all cycles can be found.
 
-    A cell is recurrent if it comes back to itself. The ranges of f, f^4, f^16, ... are nested.
-    Once two of them have the same size they are equal, so that f permutes them: they are the
-    recurrent cells. The second was not needed, so the power of the first is no less than the
-    longest transient.
+    Each cell goes its own number of steps, for those before it in its part have gone already. That
+    takes those of a cycle round it, and all others nearer to one.
     """
-    following = jnp.asarray(following)
-
-    # Fourth powers, because finding a range costs as much as squaring.
-    def raise_to_fourth(carry):
-        power, _, size, _, rounds = carry
-        reached = jnp.zeros(following.shape, bool).at[power].set(True, mode="promise_in_bounds")
-        fewer = jnp.sum(reached, dtype=jnp.int32)
-        square = _take(power, power)
-        return _take(square, square), reached, fewer, fewer < size, rounds + 1
-
-    everywhere = jnp.ones(following.shape, bool)
-    start = following, everywhere, jnp.int32(following.size), jnp.array(True), jnp.int32(0)
-    _, recurrent, _, _, rounds = lax.while_loop(lambda carry: carry[3], raise_to_fourth, start)
-
-    # The recurrent cells hold still, for all the others to come to.
-    def double(_, carry):
-        ahead, steps = carry
-        return _take(ahead, ahead), steps + _take(steps, ahead)
-
-    cells = jnp.arange(following.size, dtype=jnp.int32)
-    ahead = jnp.where(recurrent, cells, following)
-    steps = jnp.where(recurrent, jnp.int32(0), jnp.int32(1))
-    doublings = jnp.maximum(2 * (rounds - 2), 0)
-    return recurrent, *lax.fori_loop(0, doublings, double, (ahead, steps))
+    n = image.size
+    ahead = np.concatenate([image, np.arange(n, n + sinks, dtype=np.int32)])
+    reached, count, before = np.empty(n + sinks, bool), n, 2 * n
+    while count > FEW * n and count <= before / 2:
+        before = count
+        reached[:] = False
+        for part in parts(n):
+            for _ in range(2):  # as marking takes as long
+                ahead[part] = ahead.take(ahead[part])
+            reached[ahead[part]] = True
+        count = np.count_nonzero(reached[:n])
+    return np.flatnonzero(reached[:n])
 
 
-def _cycles(
-    members: Int[np.ndarray, " m"], following: Int32[np.ndarray, " n"]
+def cycles(
+    image: Int32[np.ndarray, " n"], starts: Int[np.ndarray, " m"]
 ) -> tuple[Int[np.ndarray, " _period"], ...]:
-    """The cycles that the members, in ascending order, lie on.
-
-    One by one: they are few, and even a cycle of ten million takes but seconds.
-    """
-    images = following.data  # a memoryview, whose items are read faster than an array's
-    visited = bytearray(following.size)
-    cycles = []
-    for start in members.data:
-        cycle, here = array("i"), start
-        while not visited[here]:
+    """The cycles to which cells come, one sequence after the other; they are few."""
+    following = image.data  # a memoryview, whose items are read faster than an array's
+    visited, found = bytearray(image.size), []
+    for here in starts.data:
+        sequence = array("i")
+        while here < image.size and not visited[here]:
             visited[here] = True
-            cycle.append(here)
-            here = images[here]
-        if cycle:
-            cycles.append(np.array(cycle))
-    return tuple(sorted(cycles, key=len))  # a stable sort
+            sequence.append(here)
+            here = following[here]
+        if sequence and here in sequence:
+            cycle = np.array(sequence[sequence.index(here) :])
+            found.append(np.roll(cycle, -cycle.argmin()))
+    return tuple(sorted(found, key=lambda cycle: (len(cycle), cycle[0])))
 
 
-@jax.jit(static_argnames="sinks")
-def _labels(
-    entry: Int32[Array, " cells"],
-    steps: Int32[Array, " cells"],
-    number: Int32[Array | np.ndarray, " cells"],
-    sinks: int,
-) -> tuple[Int32[Array, " n"], Int32[Array, " n"], Int32[Array, " n"]]:
-    """Attractor, sink and steps of the cells of the grid."""
-    n = entry.size - sinks
-    entry, steps = entry[:n], steps[:n]
-    sunk = entry >= n
-    attractor = _take(jnp.asarray(number), entry)
-    return attractor, jnp.where(sunk, entry - n, -1), jnp.where(sunk, steps - 1, steps)
+def settle(
+    image: Int32[np.ndarray, " n"], sinks: int, recurrent: Int[np.ndarray, " m"]
+) -> tuple[Int32[np.ndarray, " n"], Int32[np.ndarray, " n"]]:
+    """The first recurrent cell, or the sink, that each cell comes to, and the steps to it."""
+    n = image.size
+    both = np.empty((n + sinks, 2), np.int32)
+    both[:n, 0], both[:, 1] = image, 1
+    for held in (recurrent, np.arange(n, n + sinks)):  # for all the others to come to
+        both[held, 0], both[held, 1] = held, 0
+    pairs = both.view(np.int64)[:, 0]  # fetched together
+    ahead, steps = both[:n].T
+
+    def goes_on(part: slice) -> bool:
+        here = ahead[part].copy()
+        there = pairs.take(here).view(np.int32).reshape(-1, 2)
+        there[:, 1] += steps[part]
+        both[part] = there
+        return not np.array_equal(there[:, 0], here)
+
+    moving = parts(n)
+    while moving:
+        moving = [part for part in moving if goes_on(part)]
+    return ahead, steps

@@ -1031,6 +1031,7 @@ def sweep(
         float | None, typer.Option(help=f"{PHIDOT_HELP}: where the slice is.")
     ] = None,
     levels: Annotated[int, typer.Option(min=0, help="Of refinement of the areas.")] = 2,
+    check: Annotated[int, typer.Option(min=0, help="Starts that check each area.")] = 500_000,
     robust: Annotated[
         bool, typer.Option("--robust", help="All numbers of `robustness` too; half a minute each.")
     ] = False,
@@ -1064,6 +1065,7 @@ def sweep(
         "over": values,
         "axes": {} if grid is None else grid.box,
         "levels": levels,
+        "check": check,
         "robust": robust,
         "strides": strides,
         "version": version("walker-jax"),
@@ -1072,7 +1074,7 @@ def sweep(
     data = made_before(out, figure, request, overwrite=overwrite)
     if data is None:
         options: Any = {"out": out, "request": request, "overwrite": overwrite}
-        options |= {"levels": levels, "robust": robust, "strides": strides}
+        options |= {"levels": levels, "check": check, "robust": robust, "strides": strides}
         options |= {"cluster": cluster, "progress": True}
         data = wj.sweep(walker, values, grid, **options)
     draw(figures.sweep(data), figure, request)

@@ -370,6 +370,7 @@ def robustness(
     grid: Grid | None = None,
     *,
     levels: int = 4,
+    check: int = 500_000,
     disturbances: float = 0.1,
     strides: int = 500,
     seed: int = 0,
@@ -383,7 +384,7 @@ def robustness(
     - `grid`: what `refine` and `boundary_dimension` begin with; by default all feasible angles of a
       walker on point feet, sum from -0.12 to 0.06 (-1.1 to 0.1 but for the simplest), and a slice
       around the gait of any other.
-    - `levels`: of refinement.
+    - `levels`, `check`: of refinement.
     - `disturbances`: for `basin_stability`, shares of the coordinates of the gait's own state.
     - `strides`: how many of them a walker may take to come back.
     - `seed`, `tolerance`: of what is drawn, and of the integration.
@@ -403,7 +404,8 @@ def robustness(
     grid = default_region(walker) if grid is None else grid
     if grid is None:
         raise ValueError("grid is wanted where no gait of period one is found")
-    data = refine(walker, grid, levels, strides=strides, seed=seed, tolerance=tolerance)
+    options: Any = {"check": check, "strides": strides, "seed": seed, "tolerance": tolerance}
+    data = refine(walker, grid, levels, **options)
     data.attrs["disturbances"] = disturbances
     cells = data["cells"].values * (data["period"].values > 0)
     if cells.sum() == 0:
@@ -470,6 +472,7 @@ def robustness_table(
     grid: Grid | None = None,
     *,
     levels: int = 4,
+    check: int = 500_000,
     disturbances: float = 0.1,
     strides: int = 500,
     seed: int = 0,
@@ -498,6 +501,7 @@ def robustness_table(
             there,
             region,
             levels=levels,
+            check=check,
             disturbances=disturbances,
             strides=strides,
             seed=seed,

@@ -24,6 +24,8 @@ import xarray as xr
 
 LARGE = 2**28
 """Bytes from which on a data set is read when it is used, rather than at once."""
+LOCK = "lock"
+"""The file by which a run keeps others out of a folder."""
 
 
 class Occupied(ValueError):
@@ -82,7 +84,7 @@ def writable(path: Path) -> None:
             raise ValueError(f"{path} cannot be written: there is no folder {folder}")
         if not os.access(folder, os.W_OK | os.X_OK):
             raise ValueError(f"{path} cannot be written: no permission for the folder {folder}")
-        (folder / f".{path.name}.{'x' * 8}").exists()  # refuses a name too long for a draft's
+        (folder / f".{path.name}.part").exists()  # refuses a name too long for a draft's
         tempfile.TemporaryFile(dir=folder).close()  # refused on what is read only, also to root
     except OSError as error:
         raise ValueError(f"{path} cannot be written: {error.strerror}") from None
@@ -105,12 +107,20 @@ def save(data: xr.Dataset, path: Path, request: dict) -> xr.Dataset:
 
 @contextmanager
 def folder_beside(path: Path) -> Iterator[Path]:
-    """A hidden folder, to and from which `path` may be moved at once; removed at the end."""
-    folder = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.absolute().parent))
-    try:
-        yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
+    """A hidden folder, to and from which `path` may be moved at once; removed at the end.
+
+    What a run left there that was killed is removed first. Raises `Occupied` while another has it.
+    """
+    folder = path.absolute().with_name(f".{path.name}.part")
+    folder.mkdir(exist_ok=True)
+    with locked(path, folder):
+        try:
+            for left in folder.iterdir():
+                if left.name != LOCK:
+                    shutil.rmtree(left)
+            yield folder
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 def write(path: Path, text: str) -> None:
@@ -253,7 +263,7 @@ def pieces(
     except Exception as error:  # whatever is wrong with a foreign or damaged store
         raise Occupied(f"{path} exists and is not a data set: name another place") from error
     check_request(path, group.attrs, request)
-    with locked(path):
+    with locked(path, path / "written"):
         notes_kept = json.loads(str(group.attrs["notes"]))
         shape = next(iter(arrays.values())).shape[: len(block)]
         yield Pieces(path, group, shape, block, notes_kept)
@@ -289,7 +299,7 @@ def begin(
             dimension_names=[f"piece{i}" for i in range(len(count))],
             attributes={"aside": list(aside)},
         )
-        (draft / "new" / "written" / "lock").touch()
+        (draft / "new" / "written" / LOCK).touch()
         (draft / "new").rename(path)
 
 
@@ -299,9 +309,9 @@ def pieces_along(shape: Sequence[int], block: Sequence[int]) -> tuple[int, ...]:
 
 
 @contextmanager
-def locked(path: Path) -> Iterator[None]:
-    """Nobody else holds the store meanwhile. The lock goes with the process, however that ends."""
-    lock = filelock.FileLock(path / "written" / "lock", blocking=False)
+def locked(path: Path, folder: Path) -> Iterator[None]:
+    """Nobody else has a folder of the store. The lock goes with the process, however that ends."""
+    lock = filelock.FileLock(folder / LOCK, blocking=False)
     try:
         with lock:
             yield
@@ -335,7 +345,7 @@ def clear(path: Path) -> None:
         return
     with (
         folder_beside(path) as draft,
-        locked(path) if (path / "written").is_dir() else nullcontext(),
+        locked(path, path / "written") if (path / "written").is_dir() else nullcontext(),
     ):
         path.rename(draft / "old")
 

@@ -34,6 +34,7 @@ def sweep(
     grid: Grid | None = None,
     *,
     levels: int = 2,
+    check: int = 500_000,
     robust: bool = False,
     strides: int = 200,
     seed: int = 0,
@@ -51,7 +52,7 @@ def sweep(
     - `walker`: gives the values of its other parameters.
     - `over`: values of each of the parameters.
     - `grid`: of all basins; by default the region that `robustness` takes for this walker.
-    - `levels`: of the refinement by which areas are exact, as in `refine`.
+    - `levels`, `check`: of the refinement by which areas are exact, as in `refine`.
     - `robust`: whether to measure all that `robustness` does, which takes half a minute for each.
     - `strides`: how many of them a walker is followed for.
     - `seed`, `tolerance`: of what is drawn, and of the integration.
@@ -79,6 +80,7 @@ def sweep(
     values = {name: np.atleast_1d(numbers(f"over {name}", some)) for name, some in over.items()}
     check_values(walker, values)
     check_whole("levels", levels, 0, FINEST)
+    check_whole("check", check, 0)
     check_whole("strides", strides)
     check_whole("seed", seed, 0)
     grid = default_region(walker) if grid is None else grid
@@ -86,8 +88,9 @@ def sweep(
         raise ValueError("grid is wanted where no gait of period one is found")
     check_grid(walker, grid, "direct")
     tolerance = float(default_tolerance(jnp.asarray(0.0).dtype, tolerance))
-    how = {"levels": levels, "robust": int(robust), "strides": strides, "seed": seed}
-    about = described(walker, grid, {"method": "direct", **how, "tolerance": tolerance})
+    how = {"levels": levels, "check": check, "robust": int(robust), "strides": strides}
+    how = {"method": "direct", **how, "seed": seed, "tolerance": tolerance}
+    about = described(walker, grid, how)
     for name in values:
         del about.attrs[f"walker_{name}"]
     own = {"command": "sweep", "over": {name: some.tolist() for name, some in values.items()}}
@@ -182,7 +185,7 @@ def measured(walker: Walker, grid: Grid, how: Mapping[str, Any]) -> dict[str, An
     cells = basin(walker, grid, "direct", **options)
     row = {name: cells[name].values for name in ABOUT}
     row |= {"area": float(cells["area"].sum()), "attractors": cells.sizes["number"]}
-    options |= {"levels": how["levels"], "seed": how["seed"]}
+    options |= {name: how[name] for name in ("levels", "check", "seed")}
     gait = find_gait(walker, tolerance=how["tolerance"])
     if gait.found:
         row |= {"gait_state": np.asarray(gait.states[0])}
