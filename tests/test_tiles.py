@@ -70,13 +70,18 @@ def test_what_is_shared_may_be_of_a_weak_type():
         assert over_cells(times, 2j, cells).dtype == np.complex64
 
 
-def test_strides_by_kernels_and_by_xla_are_the_same_to_rounding(monkeypatch):
-    starts: dict = {}
-    exec(STARTS, starts)
+@pytest.fixture(scope="module")
+def starts():
+    rng = np.random.default_rng(0)
+    theta = rng.uniform(0.01, 0.4, 20_000)
+    return np.stack([theta, rng.uniform(-0.04, 0.01, 20_000) - theta], axis=1)
+
+
+def test_strides_by_kernels_and_by_xla_are_the_same_to_rounding(monkeypatch, starts):
     walker = wj.SimplestWalker(0.004)
-    found = wj.strides(walker, starts["xs"])
+    found = wj.strides(walker, starts)
     monkeypatch.setattr(tiles, "_kernel", lambda *args: None)
-    expected = wj.strides(walker, starts["xs"])
+    expected = wj.strides(walker, starts)
     np.testing.assert_array_equal(found.outcome, expected.outcome)
     np.testing.assert_allclose(found.state, expected.state, rtol=0, atol=1e-9)
     assert np.nanmedian(np.abs(found.state - expected.state)) < 1e-14
@@ -101,37 +106,47 @@ def test_compact_order_is_a_permutation_into_compact_tiles(shape):
     assert np.median(extents, axis=0).max() <= 3 * side
 
 
-STARTS = """
-import numpy as np
-rng = np.random.default_rng(0)
-theta = rng.uniform(0.01, 0.4, 3000)
-xs = np.stack([theta, rng.uniform(-0.04, 0.01, 3000) - theta], axis=1)
-"""
+def assert_same_bits(one: wj.Stride, other: wj.Stride) -> None:
+    for values, others in zip(one, other, strict=True):
+        np.testing.assert_array_equal(values, others)
+    assert 0 < (one.outcome == wj.Outcome.STRIDE).sum() < len(one.outcome)
 
 
-def test_same_bits_on_one_core_on_two_and_on_two_devices(monkeypatch, tmp_path):
-    starts: dict = {}
-    exec(STARTS, starts)
-    walker = wj.SimplestWalker(0.004)
+def test_same_bits_on_one_core_and_on_two(monkeypatch, starts):
     results = []
     for cores in ({0}, {0, 1}):
         monkeypatch.setattr(os, "sched_getaffinity", lambda pid, cores=cores: cores, raising=False)
-        results.append(wj.strides(walker, starts["xs"]))
-    program = f"""
+        results.append(wj.strides(wj.SimplestWalker(0.004), starts))
+    assert_same_bits(*results)
+
+
+DEVICES = """
+import sys
 import jax
-jax.config.update("jax_enable_x64", True)
-{STARTS}
+import numpy as np
 import walker_jax as wj
-assert len(jax.devices()) == 2
-np.savez("{tmp_path}/two.npz", **wj.strides(wj.SimplestWalker(0.004), xs)._asdict())
+from walker_jax import tiles
+jax.config.update("jax_enable_x64", True)
+tiles._kernel = lambda *_: None  # so that it is XLA that computes, as on an accelerator
+devices = jax.local_devices()
+assert len(devices) == 8
+for n in (1, 2, 4, 8):
+    jax.local_devices = lambda: devices[:n]
+    tiles._cache.clear()
+    found = wj.strides(wj.SimplestWalker(0.004), np.load(f"{sys.argv[1]}/starts.npy"))
+    np.savez(f"{sys.argv[1]}/on{n}.npz", **found._asdict())
 """
-    flags = {"XLA_FLAGS": "--xla_force_host_platform_device_count=2"}
-    subprocess.run([sys.executable, "-c", program], check=True, env={**os.environ, **flags})
-    results.append(wj.Stride(**np.load(tmp_path / "two.npz")))
-    for other in results[1:]:
-        for one, two in zip(results[0], other, strict=True):
-            np.testing.assert_array_equal(one, two)
-    assert 0 < (results[0].outcome == wj.Outcome.STRIDE).sum() < 3000
+
+
+def test_same_bits_on_one_device_and_on_eight(tmp_path, starts):
+    """Of eight devices, some have nothing to do in the last call."""
+    np.save(tmp_path / "starts.npy", starts)
+    flags = {"XLA_FLAGS": "--xla_force_host_platform_device_count=8"}
+    command = [sys.executable, "-c", DEVICES, str(tmp_path)]
+    subprocess.run(command, check=True, env={**os.environ, **flags})
+    one, *others = (wj.Stride(**np.load(tmp_path / f"on{n}.npz")) for n in (1, 2, 4, 8))
+    for other in others:
+        assert_same_bits(one, other)
 
 
 def test_a_bar_is_shown_on_a_terminal_only(capfd, monkeypatch):

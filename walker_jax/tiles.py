@@ -18,6 +18,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.sharding import Mesh
+from jax.sharding import PartitionSpec as P
 from jaxtyping import Int, PyTree
 from rich.progress import Progress
 
@@ -73,35 +75,34 @@ def over_cells(
         return _by_kernel(kernel, shared, cells, n, progress)
     few = platform == "cpu" and n <= math.prod(FEW)
     tile, tiles = FEW if few else TILE.get(platform, TILE["gpu"])
-    call = tile * tiles
+    call = tile * tiles * len(devices)
     run = _compiled(function, platform, tile, tiles)
-    if 0 < n <= call and progress is None:  # one call, and no threads for it
-        chunk = jax.tree.map(lambda leaf: _filled(leaf, call), cells)
-        done = run(shared, chunk, -(-n // tile))
-        return jax.tree.map(lambda leaf: np.array(leaf[:n]), jax.device_get(done))
 
-    first = jax.tree.map(lambda leaf: np.zeros((call, *leaf.shape[1:]), leaf.dtype), cells)
-    shares = [(device, jax.device_put(shared, device)) for device in devices]
-    # Compiles on every device, and works through no tile.
-    like = [run(share, jax.device_put(first, device), 0) for device, share in shares]
-    results = jax.tree.map(lambda leaf: np.empty((n, *leaf.shape[1:]), leaf.dtype), like[0])
-
-    def work(start: int, stop: int, worker: int):
-        device, share = shares[worker % len(shares)]
+    def work(start: int, stop: int) -> PyTree[np.ndarray]:
+        """The results of at most one call, in which each device has an equal share of the cells."""
         chunk = jax.tree.map(lambda leaf: _filled(leaf[start:stop], call), cells)
-        done = run(share, jax.device_put(chunk, device), -(-(stop - start) // tile))
-        for result, leaf in zip(jax.tree.leaves(results), jax.tree.leaves(done), strict=True):
-            result[start:stop] = np.asarray(leaf)[: stop - start]
+        left = stop - start - tile * tiles * np.arange(len(devices))
+        done = run(shared, chunk, -(-np.clip(left, 0, tile * tiles) // tile))
+        return jax.tree.map(lambda leaf: np.array(leaf[: stop - start]), jax.device_get(done))
 
-    workers = max(len(devices), _cores()) if platform == "cpu" else len(devices)
-    _share_out(work, n, call, workers, progress)
+    if n <= call and progress is None:  # no threads for it
+        return work(0, n)
+    first = work(0, 0)  # compiles, and works through no tile
+    results = jax.tree.map(lambda leaf: np.empty((n, *leaf.shape[1:]), leaf.dtype), first)
+
+    def put(start: int, stop: int) -> None:
+        for result, leaf in zip(*map(jax.tree.leaves, (results, work(start, stop))), strict=True):
+            result[start:stop] = leaf
+
+    # Two calls at a time for an accelerator, so that it need not wait for the host.
+    _share_out(put, n, call, _cores() if platform == "cpu" else 2, progress)
     return results
 
 
 def _share_out(
-    work: Callable[[int, int, int], None], n: int, call: int, workers: int, progress: str | None
+    work: Callable[[int, int], None], n: int, call: int, workers: int, progress: str | None
 ) -> None:
-    """work(start, stop, number) for n cells, `call` of them at a time, in as many threads."""
+    """work(start, stop) for n cells, `call` of them at a time, in as many threads."""
     starts = range(0, n, call)
     shown = console(progress is not None)
     with (
@@ -109,9 +110,7 @@ def _share_out(
         ThreadPoolExecutor(workers) as pool,
     ):
         task = bar.add_task(progress or "", total=n)
-        pending = [
-            pool.submit(work, start, min(start + call, n), i) for i, start in enumerate(starts)
-        ]
+        pending = [pool.submit(work, start, min(start + call, n)) for start in starts]
         try:
             for start, future in zip(starts, pending, strict=True):
                 future.result()
@@ -148,7 +147,7 @@ def _by_kernel(
     if n <= least and progress is None:
         run(0, n)
     else:
-        _share_out(lambda start, stop, _: run(start, stop), n, call, workers, progress)
+        _share_out(run, n, call, workers, progress)
     return results
 
 
@@ -189,15 +188,17 @@ def _described(leaf: Any, drop: int) -> jax.ShapeDtypeStruct:
 
 def _filled(values: np.ndarray, size: int) -> np.ndarray:
     """values made up to `size` with copies of the last, which no tile waits for."""
-    missing = size - len(values)
-    return np.concatenate([values, np.repeat(values[-1:], missing, axis=0)]) if missing else values
+    if len(values) == size:
+        return values
+    last = values[-1:] if len(values) else np.zeros_like(values, shape=(1, *values.shape[1:]))
+    return np.concatenate([values, np.repeat(last, size - len(values), axis=0)])
 
 
 _cache: dict = {}
 
 
 def _compiled(function: Callable, platform: str, tile: int, tiles: int) -> Callable:
-    """The jitted function of (shared, cells of one call, number of tiles to work through)."""
+    """The jitted function of (shared, cells of one call, how many tiles each device does of it)."""
     key = function, platform, tile, tiles
     if key not in _cache:
 
@@ -211,10 +212,15 @@ def _compiled(function: Callable, platform: str, tile: int, tiles: int) -> Calla
                 result = one(jax.tree.map(lambda leaf: leaf[i], blocks))
                 return jax.tree.map(lambda all, new: all.at[i].set(new), results, result)
 
-            results = lax.fori_loop(0, count, advance, empty)
+            results = lax.fori_loop(0, count[0], advance, empty)
             return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), results)
 
-        _cache[key] = jax.jit(run, compiler_options=COMPILER_OPTIONS.get(platform))
+        # One program for all devices, which do not wait for each other.
+        mesh, each = Mesh(np.array(jax.local_devices()), ("devices",)), P("devices")
+        shares = jax.shard_map(
+            run, mesh=mesh, in_specs=(P(), each, each), out_specs=each, check_vma=False
+        )
+        _cache[key] = jax.jit(shares, compiler_options=COMPILER_OPTIONS.get(platform))
     return _cache[key]
 
 
