@@ -289,6 +289,42 @@ def test_an_interruption_between_the_old_and_the_new_loses_neither(tmp_path, dat
     assert there is not None and there.fate.values.tolist() == [0, 1, 2, 3, 4]
 
 
+def test_a_data_set_goes_to_netcdf_as_it_is(tmp_path, data):
+    path, file = tmp_path / "a.zarr", tmp_path / "a.nc"
+    data["fate"].attrs = {"flag_values": [0, 1], "flag_meanings": "STRIDE FORWARD"}
+    data["speed"], data.attrs["walker"] = np.nan, "SimplestWalker"
+    written = store.save(data, path, REQUEST | {"long": "x" * 100_000})
+    assert store.export(path, file).identical(written)
+    with xr.open_dataset(file, engine="h5netcdf") as there:
+        assert there.equals(written) and there.attrs == written.attrs
+        assert {name: there[name].dtype for name in there} == {"fate": "int8", "speed": "float64"}
+        assert there["fate"].attrs["flag_values"].tolist() == [0, 1]
+    with pytest.raises(store.Occupied, match=r"a\.nc exists"):
+        store.export(path, file)
+    store.save(data * 2, path, REQUEST)
+    store.export(path, file, overwrite=True)
+    with xr.open_dataset(file, engine="h5netcdf") as there:
+        assert there["fate"].values.tolist() == [0, 2, 4, 6, 8]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.nc", "a.zarr"]
+
+
+def test_what_cannot_go_to_netcdf(tmp_path, data, monkeypatch):
+    path, file = tmp_path / "a.zarr", tmp_path / "a.nc"
+    with begun(path):
+        pass
+    for place, message in ((path, "is unfinished"), (tmp_path / "b.zarr", "is not a data set")):
+        with pytest.raises(store.Occupied, match=message):
+            store.export(place, file)
+    store.clear(path)
+    store.save(data, path, REQUEST)
+    with pytest.raises(ValueError, match="there is no folder"):
+        store.export(path, tmp_path / "none" / "a.nc")
+    monkeypatch.setattr(store.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(ValueError, match="NetCDF takes h5netcdf"):
+        store.export(path, file)
+    assert [p.name for p in tmp_path.iterdir()] == ["a.zarr"]
+
+
 @pytest.mark.parametrize("overwrite", [False, True])
 def test_a_pipe_is_no_picture(tmp_path, overwrite):
     os.mkfifo(tmp_path / "p.png")

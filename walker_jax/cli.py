@@ -1113,6 +1113,26 @@ def values_of(over: list[str]) -> dict[str, list[float]]:
 
 
 @app.command()
+def export(
+    data: Annotated[Path, typer.Argument(metavar="DATA", help="A data set that a command left.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE.nc", help="Where it goes.")],
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Copy a data set that another command has left to a NetCDF file."""
+    from walker_jax import store
+
+    if file.suffix != ".nc":
+        raise ValueError(f"FILE.nc must end in .nc, not {file}")
+    copied = store.export(data, file, overwrite=overwrite)
+    answer = {"data": str(data), "file": str(file), "variables": sorted(map(str, copied.variables))}
+    if as_json:
+        print_json(answer)
+        return
+    print(f"{data}: {', '.join(answer['variables'])}\n  NetCDF file {file}")
+
+
+@app.command()
 def reproduce(
     out: Annotated[Path, typer.Option(help="The folder of the report.")] = Path("report"),
     quick: Annotated[

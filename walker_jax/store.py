@@ -8,6 +8,7 @@ with it. Each piece is a chunk of every array, and counts as written once its en
 """
 
 import hashlib
+import importlib.util
 import json
 import math
 import os
@@ -348,6 +349,32 @@ def clear(path: Path) -> None:
         locked(path, path / "written") if (path / "written").is_dir() else nullcontext(),
     ):
         path.rename(draft / "old")
+
+
+def export(path: Path, file: Path, *, overwrite: bool = False) -> xr.Dataset:
+    """Copy the data set at `path` to a NetCDF file; returns it.
+
+    Raises `Occupied` where another file stands there, or `path` is no data set or is unfinished;
+    `ValueError` where nothing can be written, or h5netcdf is not installed.
+    """
+    if importlib.util.find_spec("h5netcdf") is None:
+        raise ValueError("NetCDF takes h5netcdf: pip install 'walker_jax[netcdf]'")
+    writable(file)
+    if file.exists() and not (overwrite and file.is_file()):
+        raise Occupied(f"{file} exists: name another place, or overwrite it")
+    data = load(path) if path.is_dir() else None
+    if data is None:
+        raise Occupied(f"{path} is not a data set")
+    if data.attrs.get("unfinished"):
+        raise Occupied(f"{path} is unfinished: the command that began it goes on with it")
+    draft = file.with_name(f".{file.name}.new")
+    try:
+        small = {name: {"zlib": True} for name in data.variables if data[name].dtype.kind in "iuf"}
+        data.to_netcdf(draft, engine="h5netcdf", encoding=small)
+        draft.replace(file)
+    finally:
+        draft.unlink(missing_ok=True)
+    return data
 
 
 def check_picture(path: Path, request: dict, *, overwrite: bool = False) -> None:

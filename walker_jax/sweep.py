@@ -81,6 +81,7 @@ def sweep(
     check_values(walker, values)
     check_whole("levels", levels, 0, FINEST)
     check_whole("check", check, 0)
+    check_kind("robust", robust, bool)
     check_whole("strides", strides)
     check_whole("seed", seed, 0)
     grid = default_region(walker) if grid is None else grid
