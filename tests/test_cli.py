@@ -13,7 +13,7 @@ import xarray as xr
 from PIL import Image, ImageSequence
 
 import walker_jax as wj
-from walker_jax import cli, design, paper
+from walker_jax import cli, design, paper, store
 from walker_jax.robustness import without_gait
 from walker_jax.walkers import WALKERS, parameters
 
@@ -104,6 +104,18 @@ def test_basin_answers_keeps_and_draws(run, tmp_path):
             data.sizes["theta"] == 30 and int((data.fate == 0).sum()) == answer["fates"]["STRIDE"]
         )
     assert (tmp_path / "b.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_same_command_goes_on_with_what_was_interrupted(run, tmp_path, monkeypatch):
+    def interrupted(place, piece, values, done=False):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(store.Pieces, "write", interrupted)
+        assert run("basin", *SMALL)[0] == 130
+    code, out, _ = run("basin", *SMALL)
+    assert code == 0 and "went on with basin.zarr" in out and "strides per second" not in out
+    assert "computed before" in run("basin", *SMALL)[1]
 
 
 def test_the_same_command_takes_what_is_there_and_another_is_refused(run, tmp_path, monkeypatch):

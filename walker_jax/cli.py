@@ -617,7 +617,7 @@ def basin(
         "version": version("walker-jax"),
     }
     data = made_before(out, figure, request, overwrite=overwrite)
-    reused = data is not None
+    reused, begun = data is not None, out.exists() and not overwrite
     clock = Stopwatch()
     if data is None:
         if None in axes.values():
@@ -675,6 +675,8 @@ def basin(
         print(f"  {lost} cells walk on without coming near a known attractor")
     if reused:
         print(f"  taken from {out}, computed before")
+    elif begun:
+        print(f"  went on with {out}, begun before; {seconds['run']:.2f} s to run")
     else:
         made = data["fate"].size if method == "cell-map" else made
         print(
