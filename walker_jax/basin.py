@@ -42,7 +42,7 @@ from walker_jax.tiles import order_of_cells, over_cells
 from walker_jax.walkers import Walker
 
 METHODS = ("cell-map", "direct")
-BYTES_PER_CELL = 100
+BYTES_PER_CELL = {"cell-map": 25, "direct": 100}
 """Memory at its peak, for each cell of a grid."""
 BYTES_STORED = {"cell-map": 16, "direct": 0}
 """The same where the result goes into a store: of the cell map, when all of it is there."""
@@ -78,7 +78,7 @@ def basin(
     - `tolerance`: of the integration, as in `stride`.
     - `progress`: whether to show a progress bar on a terminal.
     - `out`: a place on disk, a Zarr store, into which the result is written piece by piece, while
-      memory holds a piece alone; but the cell map takes 13 bytes for each cell at the end.
+      memory holds a piece alone; but the cell map takes 12 bytes for each cell at the end.
       A run that was interrupted is gone on with there, and gives the same to the last bit. Until it
       has ended, cells of missing pieces have a fate of -1. What is returned is read from there when
       it is used.
@@ -107,7 +107,7 @@ def basin(
     if not isinstance(method, str) or method not in METHODS:
         raise ValueError(f"method must be one of {', '.join(METHODS)}, not {short(method)}")
     check_whole("strides", strides)
-    check_grid(walker, grid, method, each=BYTES_PER_CELL if out is None else BYTES_STORED[method])
+    check_grid(walker, grid, method, (BYTES_PER_CELL if out is None else BYTES_STORED)[method])
     tolerance = float(default_tolerance(jnp.asarray(0.0).dtype, tolerance))
     limit = {"strides": strides} if method == "direct" else {}
     how = {"method": method, **limit, "tolerance": tolerance}
@@ -122,7 +122,9 @@ def basin(
     return labelled(walker, grid, found, how)
 
 
-def check_grid(walker: Walker, grid: Grid, method: str, each: int = BYTES_PER_CELL) -> None:
+def check_grid(
+    walker: Walker, grid: Grid, method: str, each: int = BYTES_PER_CELL["direct"]
+) -> None:
     """Refuse a grid that is not of the walker's section, or too large for this machine's memory."""
     check_kind("walker", walker, Walker)
     check_kind("grid", grid, Grid)

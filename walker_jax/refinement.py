@@ -144,7 +144,7 @@ def refined(
     check_whole("seed", seed, 0)
     tolerance = float(default_tolerance(jnp.asarray(0.0).dtype, tolerance))
     finest = finer(grid, levels)
-    check_grid(walker, finest, "direct", each=BYTES_PER_CELL)
+    check_grid(walker, finest, "direct", BYTES_PER_CELL)
     rng = np.random.default_rng(seed)
     _, attractors = framed_attractors(walker, grid, tolerance, strides)
     made = 0
