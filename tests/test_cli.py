@@ -106,6 +106,32 @@ def test_basin_answers_keeps_and_draws(run, tmp_path):
     assert (tmp_path / "b.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.parametrize(
+    ("over", "values"),
+    [
+        ("slope=1e-14:2e-14:2", [1e-14, 2e-14]),
+        ("hip-stiffness=0:0.3:4", [0.0, 0.1, 0.2, 0.3]),
+    ],
+)
+def test_values_are_as_written(over, values):
+    (found,) = cli.values_of([over]).values()
+    assert found == values
+
+
+@pytest.mark.parametrize(
+    ("over", "named"),
+    [
+        (["slope=0.001:0.02:30000000"], "N of at most 1048576"),
+        (["slope=0.001:0.02:2000", "foot-mass=0.1:0.2:1000"], "at most 1048576 combinations"),
+    ],
+)
+def test_a_sweep_of_too_much_is_refused_at_once(run, tmp_path, over, named):
+    options = [word for one in over for word in ("--over", one)]
+    code, out, err = run("sweep", "--walker", "point-foot", *options)
+    assert (code, out) == (2, "") and named in err and err.count("\n") == 1
+    assert not [*tmp_path.iterdir()]
+
+
 def test_the_same_command_goes_on_with_what_was_interrupted(run, tmp_path, monkeypatch):
     def interrupted(place, piece, values, done=False):
         raise KeyboardInterrupt

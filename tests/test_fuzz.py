@@ -22,10 +22,12 @@ from hypothesis import strategies as st
 import walker_jax as wj
 from walker_jax import cli, figures, paper, poses, store, tiles
 from walker_jax.basin import check_grid
+from walker_jax.cluster import computers
 
 NUMBERS = ["0.004", "0.2", "-0.2", "0.01", "0.3", "1", "2", "3", "10", "0", "-1", "1.5", "1e-300"]
 NUMBERS += ["1e300", "1e400", "nan", "inf", "-inf", "abc", "", " ", "0x10", "1_0", "٣", "9" * 30]
 WORDS = ["slope", "simplest", "spring", "mass", "direct", "cell-map", "speed", "area", "speed=1"]
+WORDS += ["slope=0.003:0.004:2", "slope=0.001:0.02:9999999", "slope=1e-14:2e-14:2"]
 WORDS += ["slope=0.001:0.02", "slope=0.02:0.001", "slope=nan:1", "slope=", "=", "", "ä\n", "--json"]
 PLACES = ["a.zarr", "a.png", "b.svg", "c.xyz", "w.gif", "no/a.zarr", ".", "..", "/", "", "\0.zarr"]
 PLACES += ["taken", "taken/a.zarr", "file.txt", "file.txt/a.png", "broken.zarr", "held.zarr"]
@@ -81,6 +83,10 @@ def refuse(*_, **__):
     raise RuntimeError("so much is not computed here")
 
 
+def unreachable(cluster):
+    raise ValueError(f"cluster {cluster} cannot be reached, which takes too long")
+
+
 def put(path: Path, request: dict) -> None:
     path.write_bytes(store.signature(request).encode())
 
@@ -102,9 +108,10 @@ def bench(tmp_path_factory):
     answer = wj.basin(wj.SimplestWalker(0.004), grid, "direct")
     gait = wj.find_gait(wj.SimplestWalker(0.004))
 
-    def basin(walker, grid, method, *, strides=200, progress=False, out=None, request=None):
+    def basin(walker, grid, method, *, strides, progress, out, request, overwrite, cluster):
         check_grid(walker, grid, method)
-        return answer if out is None else store.save(answer, out, request or {})
+        with computers(cluster):
+            return store.save(answer, out, request)
 
     with contextlib.ExitStack() as stack:
         patch = lambda *all: stack.enter_context(mock.patch.object(*all))
@@ -114,6 +121,8 @@ def bench(tmp_path_factory):
             patch(figures, name, lambda data: None)
         patch(poses, "film", lambda *all, **more: all[1].write_bytes(more["signature"].encode()))
         patch(paper, "reproduce", refuse)
+        patch(sys.modules["walker_jax.cluster"], "client_of", unreachable)
+        patch(sys.modules["walker_jax.sweep"], "measured", lambda *_: {"total_area": 0.001})
         patch(wj, "basin", basin)
         patch(wj, "bifurcation_diagram", refuse)
         patch(wj, "find_gaits", lambda walker, period: [gait] if period == 1 else [])
@@ -154,10 +163,15 @@ def check(bench, arguments, tried: Counter) -> None:
         tried["tracebacks"] += 1
         raise
     tried[f"exit code {code}"] += 1
+    tried[f"answers of {arguments[0]}"] += code == 0
     tried["wrong exit codes"] += code not in (0, 1, 2)
     assert code in (0, 1, 2)
     assert err.count("\n") == (code != 0) and err.startswith("walker-jax: ") == (code != 0), err
-    assert "Traceback" not in out + err and (len(err) > len("walker-jax: \n")) == (code != 0)
+    assert (
+        "Traceback" not in out + err
+        and "TypeError" not in err
+        and (len(err) > len("walker-jax: \n")) == (code != 0)
+    )
     assert code != 2 or after == before
     assert "--overwrite" in arguments or not lost
     # What is no data set stays in any case, and what a command may replace it must have named.
@@ -186,7 +200,9 @@ def test_thousands_of_command_lines_end_in_order(bench):
         run()
     finally:
         print(dict(tried))
-    assert tried["tracebacks"] == tried["wrong exit codes"] == 0 and sum(tried.values()) >= 5000
+    assert tried["tracebacks"] == tried["wrong exit codes"] == 0
+    assert sum(tried[f"exit code {code}"] for code in (0, 1, 2)) >= 5000
+    assert all(tried[f"answers of {name}"] for name in {*COMMANDS} - {"reproduce", "bifurcation"})
 
 
 X = np.array([0.2, -0.21645])
@@ -208,6 +224,7 @@ BAD = [
     [],
     {},
 ]
+BAD += [np.int64(3), np.float32(0.1), np.bool_(True)]
 BAD += [(), [np.nan], [[1.0, 2.0], [3.0]], object(), (2, 1), (np.nan, 1), (0.01, 0.01), ["slope"]]
 BAD += [
     np.zeros((2, 3, 4)),

@@ -98,12 +98,12 @@ def axes():
     return xr.Dataset(coords={"x": np.arange(6.0), "y": [0.0, 1.0]}, attrs={"kind": "test"})
 
 
-def begun(path, request=REQUEST, notes=lambda: {"a": 0.1}):
+def begun(path, request=REQUEST, notes=lambda: {"a": 0.1}, **options):
     arrays = {
         "value": xr.Variable(("x", "y"), np.broadcast_to(-1.0, (6, 2)), {"unit": "m"}),
         "half": xr.Variable(("x",), np.broadcast_to(np.int8(0), 6)),
     }
-    return store.pieces(path, request, axes(), arrays, (4,), notes, aside=["half"])
+    return store.pieces(path, request, axes(), arrays, (4,), notes, aside=["half"], **options)
 
 
 def write(place, piece):
@@ -176,11 +176,10 @@ def test_two_runs_may_not_write_at_once(tmp_path):
         with pytest.raises(store.Occupied, match="is being written by another run"), begun(path):
             pass
         with pytest.raises(store.Occupied, match="is being written by another run"):
-            store.clear(path)
+            store.save(axes(), path, REQUEST)
+        assert store.find(path, REQUEST) is None
     with begun(path) as place:
         assert place.missing() == [1]
-    store.clear(path)
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_run_that_was_killed_holds_nothing(tmp_path):
@@ -191,7 +190,7 @@ def test_a_run_that_was_killed_holds_nothing(tmp_path):
         "import os, signal, sys, pathlib\n"
         "from walker_jax import store\n"
         "path = pathlib.Path(sys.argv[1])\n"
-        "with store.locked(path, path / 'written'):\n"
+        "with store.held(path):\n"
         "    print('locked', flush=True)\n"
         "    sys.stdin.read()\n"
     )
@@ -206,6 +205,74 @@ def test_a_run_that_was_killed_holds_nothing(tmp_path):
             assert place.missing() == [0, 1]
 
 
+def killed(kind, folder, every=1):
+    """A run is killed at every so many operations on files, and gone on with."""
+    program = Path(__file__).parent / "store_killed.py"
+    command = [sys.executable, program, kind, folder, str(every)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0 and "0 not in order" in done.stdout, done.stdout + done.stderr
+    return int(done.stdout.split()[2])
+
+
+def test_killed_at_some_operations_on_files_a_run_loses_nothing(tmp_path):
+    assert killed("pieces", tmp_path, 9) > 10
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["pieces", "overwrite", "save"])
+def test_killed_at_any_operation_on_files_a_run_loses_nothing(tmp_path, kind):
+    assert killed(kind, tmp_path) > 90
+
+
+def test_what_is_overwritten_stands_until_the_next_is_begun(tmp_path):
+    path = tmp_path / "a.zarr"
+    store.save(axes(), path, {"slope": 1})
+
+    def interrupted():
+        assert store.load(path) is not None
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt), begun(path, notes=interrupted, overwrite=True):
+        pass
+    assert store.find(path, {"slope": 1}) is not None
+    with begun(path, overwrite=True) as place:
+        assert place.missing() == [0, 1]
+    assert [p.name for p in tmp_path.iterdir()] == ["a.zarr"]
+
+
+def test_another_run_may_have_finished_it_in_between(tmp_path):
+    path = tmp_path / "a.zarr"
+    with begun(path) as place:
+        for i in place.missing():
+            write(place, i)
+        place.finish(axes())
+    with pytest.raises(store.Occupied, match="has just been finished"), begun(path):
+        pass
+    assert store.find(path, REQUEST) is not None
+    assert sorted(p.name for p in path.iterdir() if p.is_dir()) == ["value", "x", "y"]
+
+
+@pytest.mark.parametrize("request_", ["hello", "[1]", 5, '{"command": 1}'])
+def test_a_data_set_of_others_may_have_a_request(tmp_path, data, request_):
+    path = tmp_path / "a.zarr"
+    data.assign_attrs(request=request_).to_zarr(path, consolidated=False)
+    with pytest.raises(store.Occupied, match="holds another result"):
+        store.find(path, REQUEST)
+
+
+def test_a_link_is_followed_by_none_and_one_to_nothing_is_refused(tmp_path, data):
+    (tmp_path / "gone.zarr").symlink_to(tmp_path / "none")
+    with pytest.raises(ValueError, match="link to what is not there"):
+        store.find(tmp_path / "gone.zarr", REQUEST)
+    store.save(data, tmp_path / "a.zarr", REQUEST)
+    link = tmp_path / "link.zarr"
+    link.symlink_to(tmp_path / "a.zarr")
+    store.save(data * 2, link, REQUEST)
+    first, second = store.load(tmp_path / "a.zarr"), store.load(link)
+    assert first is not None and first.identical(data.assign_attrs(first.attrs))
+    assert second is not None and second["fate"].values.tolist() == [0, 2, 4, 6, 8]
+
+
 def test_what_a_killed_run_left_beside_a_store_goes_with_the_next(tmp_path, data):
     path, left = tmp_path / "a.zarr", tmp_path / ".a.zarr.part"
     (left / "new" / "x").mkdir(parents=True)
@@ -216,7 +283,7 @@ def test_what_a_killed_run_left_beside_a_store_goes_with_the_next(tmp_path, data
 
 def test_two_runs_may_not_begin_at_once(tmp_path, data):
     path = tmp_path / "a.zarr"
-    with store.folder_beside(path):
+    with store.held(path):
         with pytest.raises(store.Occupied, match="is being written by another run"), begun(path):
             pass
         with pytest.raises(store.Occupied, match="is being written by another run"):
@@ -254,7 +321,7 @@ def test_a_run_that_ended_but_for_tidying_is_tidied(tmp_path, monkeypatch):
         write(place, 0)
         write(place, 1)
         with monkeypatch.context() as patch:
-            patch.setattr(store, "tidy", lambda path: None)
+            patch.setattr(store, "tidy", lambda path, folder: None)
             place.finish(axes())
     assert (path / "half").exists()
     found = store.find(path, REQUEST)
@@ -315,14 +382,14 @@ def test_what_cannot_go_to_netcdf(tmp_path, data, monkeypatch):
     for place, message in ((path, "is unfinished"), (tmp_path / "b.zarr", "is not a data set")):
         with pytest.raises(store.Occupied, match=message):
             store.export(place, file)
-    store.clear(path)
-    store.save(data, path, REQUEST)
+    store.save(data, tmp_path / "b.zarr", REQUEST)
+    path = tmp_path / "b.zarr"
     with pytest.raises(ValueError, match="there is no folder"):
         store.export(path, tmp_path / "none" / "a.nc")
     monkeypatch.setattr(store.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(ValueError, match="NetCDF takes h5netcdf"):
         store.export(path, file)
-    assert [p.name for p in tmp_path.iterdir()] == ["a.zarr"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.zarr", "b.zarr"]
 
 
 @pytest.mark.parametrize("overwrite", [False, True])

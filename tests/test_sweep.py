@@ -4,16 +4,18 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import xarray as xr
 
 import walker_jax as wj
-from walker_jax import cluster, store
-from walker_jax.cluster import each
+from walker_jax import cluster, figures, store
+from walker_jax.cluster import computers
 
 module = sys.modules["walker_jax.sweep"]  # the package has the function by that name
 WALKER = wj.SpringWalker(0.004, 0.0)
@@ -74,6 +76,29 @@ def test_a_combination_that_fails_costs_no_other(monkeypatch):
     assert found["total_area"][0] > 0
 
 
+def test_what_the_machine_lacks_is_tried_again(tmp_path, monkeypatch):
+    path, over, lacking = tmp_path / "a.zarr", {"slope": [0.004, 0.006]}, [MemoryError]
+    measured = module.measured
+
+    def failing(walker, grid, how):
+        if float(walker.slope) == 0.006 and lacking:
+            raise lacking.pop()
+        return measured(walker, grid, how)
+
+    monkeypatch.setattr(module, "measured", failing)
+    with pytest.raises(MemoryError):
+        wj.sweep(WALKER, over, GRID, levels=0, out=path)
+    found = wj.sweep(WALKER, over, GRID, levels=0, out=path)
+    assert not found["failed"].any() and (found["total_area"] > 0).all()
+
+
+def test_a_sweep_of_which_all_failed_has_a_picture(monkeypatch):
+    monkeypatch.setattr(module, "measured", lambda *_: 1 / 0)
+    found = wj.sweep(WALKER, {"slope": [0.004, 0.006]}, GRID, levels=0)
+    assert found["failed"].values.tolist() == [1, 1]
+    assert "2 failed" in figures.sweep(found).texts[0].get_text()
+
+
 def test_an_interrupted_sweep_goes_on(tmp_path, swept, monkeypatch):
     computed, path = [], tmp_path / "a.zarr"
     measured = module.measured
@@ -108,6 +133,10 @@ def test_an_interrupted_sweep_goes_on(tmp_path, swept, monkeypatch):
         ({"slope": [0.1, -0.1]}, "slope"),
         ({"slope": [0.1, np.nan]}, "slope"),
         ({"slope": [[0.1]]}, "over slope"),
+        (
+            {"slope": np.linspace(0.001, 0.02, 2000), "hip_stiffness": np.arange(1000)},
+            "over must have at most 1048576 combinations, not 2000000",
+        ),
     ],
 )
 def test_wrong_values(over, named):
@@ -132,13 +161,60 @@ def test_a_cluster_needs_a_place():
 
 
 def test_here_things_are_computed_one_by_one():
-    assert list(each(lambda x: 2 * x, [3, 1])) == [(3, 6), (1, 2)]
+    with computers() as each:
+        assert list(each(lambda x: 2 * x, [3, 1])) == [(3, 6), (1, 2)]
 
 
-def test_a_scheduler_that_is_not_there(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("cluster_", "message"),
+    [
+        ("tcp://127.0.0.1:9", r"cluster tcp://127\.0\.0\.1:9 cannot be reached"),
+        (0, "cluster must be at least 1, not 0"),
+        (10**6, "cluster must be at most 1024, not 1000000"),
+        (2.5, r"cluster must be a whole number, not 2\.5"),
+    ],
+)
+def test_a_cluster_that_there_cannot_be_costs_nothing(tmp_path, monkeypatch, cluster_, message):
     monkeypatch.setattr(cluster, "PATIENCE", 1)
-    with pytest.raises(ValueError, match=r"cluster tcp://127\.0\.0\.1:9 cannot be reached"):
-        wj.basin(WALKER, GRID, out=tmp_path / "a.zarr", cluster="tcp://127.0.0.1:9")
+    with pytest.raises((ValueError, TypeError), match=message):
+        wj.basin(WALKER, GRID, out=tmp_path / "a.zarr", cluster=cluster_)
+    assert not [*tmp_path.iterdir()]
+    first = wj.basin(WALKER, GRID, strides=5, method="direct", out=tmp_path / "a.zarr")
+    options = {"out": tmp_path / "a.zarr", "cluster": cluster_, "overwrite": True}
+    with pytest.raises((ValueError, TypeError), match=message):
+        wj.basin(WALKER, GRID, **options)
+    with pytest.raises((ValueError, TypeError), match=message):
+        wj.sweep(WALKER, OVER, GRID, **options)
+    assert store.opened(tmp_path / "a.zarr").identical(first)
+
+
+RUNNING, LOCK = [0], threading.Lock()
+
+
+def how_many_run(thing):
+    """How many of it are running, itself among them."""
+    with LOCK:
+        RUNNING[0] += 1
+        found = RUNNING[0]
+    time.sleep(0.2)
+    with LOCK:
+        RUNNING[0] -= 1
+    return found
+
+
+def test_workers_that_come_later_are_used():
+    from distributed import Client, LocalCluster
+
+    options = {"processes": False, "threads_per_worker": 1, "dashboard_address": None}
+    local: Any = LocalCluster(n_workers=1, **options)
+    with local, Client(local) as client, computers(client) as each:
+        running = {}
+        for thing, count in each(how_many_run, [*range(40)]):
+            if not running:
+                local.scale(4)
+                client.wait_for_workers(4)
+            running[thing] = count
+    assert sorted(running) == [*range(40)] and max(running.values()) == 4
 
 
 DYING = """

@@ -35,8 +35,9 @@ from walker_jax.attraction import (
 )
 from walker_jax.cells import CellMap, Grid, cell_image, resolve
 from walker_jax.checks import check_kind, check_whole, short
-from walker_jax.cluster import each
+from walker_jax.cluster import computers
 from walker_jax.integrate import Real, default_tolerance
+from walker_jax.progress import tracked
 from walker_jax.stride import Outcome, stride, strides
 from walker_jax.tiles import order_of_cells, over_cells
 from walker_jax.walkers import Walker
@@ -47,7 +48,7 @@ BYTES_PER_CELL = {"cell-map": 25, "direct": 100}
 BYTES_STORED = {"cell-map": 16, "direct": 0}
 """The same where the result goes into a store: of the cell map, when all of it is there."""
 PIECE = 2**20
-"""Cells, at least and about, of a piece of a store."""
+"""Cells of a piece of a store, up to twice as many, or all of a smaller grid."""
 NOT_YET = -1
 """The fate of a cell whose piece has not been computed."""
 ORBIT = 3000
@@ -106,7 +107,7 @@ def basin(
     """
     if not isinstance(method, str) or method not in METHODS:
         raise ValueError(f"method must be one of {', '.join(METHODS)}, not {short(method)}")
-    check_whole("strides", strides)
+    strides = check_whole("strides", strides)
     check_grid(walker, grid, method, (BYTES_PER_CELL if out is None else BYTES_STORED)[method])
     tolerance = float(default_tolerance(jnp.asarray(0.0).dtype, tolerance))
     limit = {"strides": strides} if method == "direct" else {}
@@ -379,12 +380,14 @@ def in_pieces(
     if found is not None:
         return found
     options: Any = {"aside": list(work), "overwrite": overwrite}
-    with store.pieces(
-        out, request, about, not_yet(grid) | work, block_of(grid.shape), method.notes, **options
-    ) as place:
+    arrays, block = not_yet(grid) | work, block_of(grid.shape)
+    with (
+        computers(cluster) as each,  # first, as there may be none
+        store.pieces(out, request, about, arrays, block, method.notes, **options) as place,
+    ):
         compute = partial(method.piece, place.notes)
         number = {part_of(grid, place, i): i for i in place.missing()}
-        for part, values in each(compute, [*number], cluster, progress=progress):
+        for part, values in tracked(each(compute, [*number]), "pieces", progress, len(number)):
             place.write(number[part], values, done=True)
         attractors, pieces = method.finish(place)
         cells = np.zeros(len(attractors), int)
@@ -511,9 +514,13 @@ class FollowedPieces(NamedTuple):
 
 
 def block_of(shape: tuple[int, ...]) -> tuple[int, ...]:
-    """How much of each of its first axes is in a piece of a grid, whose cells follow on another."""
+    """How much of each of its first axes is in a piece of a grid, so that its cells are neighbours.
+
+    One axis is cut into as many parts of the same length as have `PIECE` cells or more.
+    """
     axis = next(i for i in range(len(shape)) if math.prod(shape[i + 1 :]) <= PIECE)
-    return (*[1] * axis, -(-PIECE // math.prod(shape[axis + 1 :])))
+    parts = max(1, math.prod(shape[axis:]) // PIECE)
+    return (*[1] * axis, -(-shape[axis] // parts))
 
 
 def part_of(grid: Grid, place: store.Pieces, piece: int) -> Part:

@@ -13,6 +13,7 @@ convention s is the code of what went wrong; code 0 means success, so sink 0 is 
 Indices are int32 throughout; -1 stands for none.
 """
 
+import itertools
 import math
 import operator
 from array import array
@@ -23,7 +24,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float, Int, Int32
+from jaxtyping import Array, Bool, Float, Int, Int32
 
 from walker_jax.checks import check_kind, is_number, numbers, short
 
@@ -303,8 +304,9 @@ def resolve(image: ArrayLike, sinks: int) -> CellMap:
     `image`, integers of shape (n,), holds the cell that each cell is sent to, 0 ... n - 1, or
     n + s for sink s, of which there are `sinks`. Called on the host. Pointers are doubled, with
     f^(j + k) = f^j(f^k), so that the number of rounds goes with the logarithm of the longest
-    transient, however the cells are connected; and in place, so that at most nine bytes are needed
-    for each cell beside the image. What is returned takes eight.
+    transient; and in place, so that nine bytes are needed for each cell beside the image, and more
+    for those of cycles. What is returned takes eight. Maps without attraction, such as
+    permutations, are followed cell by cell.
 
     Raises ValueError where `image` is not of that form or points to a cell that does not exist.
 
@@ -350,8 +352,8 @@ def parts(size: int) -> list[slice]:
     return [slice(start, min(start + PART, size)) for start in range(0, size, PART)]
 
 
-def late(image: Int32[np.ndarray, " n"], sinks: int) -> Int[np.ndarray, " m"]:
-    """Cells that are reached after many steps, from which all cycles can be found.
+def late(image: Int32[np.ndarray, " n"], sinks: int) -> Bool[np.ndarray, " n"]:
+    """Whether cells are reached after many steps. From these all cycles can be found.
 
     Each cell goes its own number of steps, for those before it in its part have gone already. That
     takes those of a cycle round it, and all others nearer to one.
@@ -367,16 +369,17 @@ def late(image: Int32[np.ndarray, " n"], sinks: int) -> Int[np.ndarray, " m"]:
                 ahead[part] = ahead.take(ahead[part])
             reached[ahead[part]] = True
         count = np.count_nonzero(reached[:n])
-    return np.flatnonzero(reached[:n])
+    return reached[:n]
 
 
 def cycles(
-    image: Int32[np.ndarray, " n"], starts: Int[np.ndarray, " m"]
+    image: Int32[np.ndarray, " n"], starts: Bool[np.ndarray, " n"]
 ) -> tuple[Int[np.ndarray, " _period"], ...]:
-    """The cycles to which cells come, one sequence after the other; they are few."""
+    """The cycles to which some cells come, one sequence after the other."""
     following = image.data  # a memoryview, whose items are read faster than an array's
     visited, found = bytearray(image.size), []
-    for here in starts.data:
+    numbers = ((np.flatnonzero(starts[part]) + part.start).data for part in parts(image.size))
+    for here in itertools.chain.from_iterable(numbers):
         sequence = array("i")
         while here < image.size and not visited[here]:
             visited[here] = True

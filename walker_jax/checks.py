@@ -10,8 +10,8 @@ MOST = 2**31 - 1
 """Strides, starts and cells are counted in 32 bits."""
 
 
-def check_whole(name: str, value: Any, least: int = 1, most: int = MOST) -> None:
-    """Refuse what is no whole number, and one out of range."""
+def check_whole(name: str, value: Any, least: int = 1, most: int = MOST) -> int:
+    """A whole number, as Python has it; what is none, or out of range, is refused."""
     try:
         number = operator.index(value)
     except TypeError:
@@ -20,6 +20,7 @@ def check_whole(name: str, value: Any, least: int = 1, most: int = MOST) -> None
         raise ValueError(f"{name} must be at least {least}, not {short(value)}")
     if number > most:
         raise ValueError(f"{name} must be at most {most}, not {short(value)}")
+    return number
 
 
 def check_kind(name: str, value: Any, kind: type) -> None:

@@ -514,12 +514,8 @@ def draw(axes, path: Path, request: dict) -> None:
     from walker_jax import store
 
     picture = axes.get_figure(root=True)
-    draft = path.with_name(f".new.{path.name}")
-    try:
+    with store.draft_of(path) as draft:
         picture.savefig(draft, dpi=150, metadata={"Title": store.signature(request)})
-        draft.replace(path)
-    finally:
-        draft.unlink(missing_ok=True)
 
 
 @app.command()
@@ -1052,12 +1048,12 @@ def sweep(
     """
     import walker_jax as wj
     from walker_jax import figures
+    from walker_jax.sweep import check_values
 
     values = values_of(over or [])
     if not values:
         raise ValueError("--over is wanted: a parameter and its values, such as slope=0.002:0.01:5")
-    for name, some in values.items():
-        check_parameter(walker, name, *some)
+    check_values(walker, {name: np.array(some) for name, some in values.items()})
     cluster = cluster_of(workers, scheduler)
     grid = region_of(walker, theta, sum_, at_phidot)
     about = {name: v for name, v in description(walker).items() if name not in values}
@@ -1094,6 +1090,8 @@ def sweep(
 
 def values_of(over: list[str]) -> dict[str, list[float]]:
     """The values of each parameter that --over names."""
+    from walker_jax.sweep import MOST
+
     values: dict[str, list[float]] = {}
     for text in over:
         name, _, span = text.partition("=")
@@ -1110,7 +1108,9 @@ def values_of(over: list[str]) -> dict[str, list[float]]:
         name = name.replace("-", "_")
         if name in values:
             raise ValueError(f"--over is given twice for {name}")
-        values[name] = np.linspace(*ends, number).round(12).tolist()
+        if number > MOST:
+            raise ValueError(f"--over {text} must have N of at most {MOST}")
+        values[name] = [float(f"{value:.12g}") for value in np.linspace(*ends, number)]
     return values
 
 

@@ -5,88 +5,91 @@ found; it writes nothing, and needs no disk in common with others. One that dies
 that it was at, which others compute again.
 """
 
-import os
+import logging
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, TypeVar
+from functools import partial
+from typing import Any
 
 import jax
 
 from walker_jax import tiles
-from walker_jax.progress import tracked
+from walker_jax.checks import check_whole
 
 AHEAD = 2
 """Pieces that each worker has been given, so that it need not wait for the next."""
-DEATHS = 100
-"""Times that workers may die over one piece."""
+DEATHS = 10
+"""Times that Dask may give a piece up, as it does when several workers have died over it."""
 
+MOST_HERE = 1024
+"""Worker processes on this machine, at most."""
 PATIENCE = 10
 """Seconds to wait for a scheduler."""
 
-Thing = TypeVar("Thing")
+Each = Callable[[Callable[[Any], Any], Sequence[Any]], Iterator[tuple[Any, Any]]]
 
 
-def each(
-    function: Callable[[Thing], Any],
-    things: Sequence[Thing],
-    cluster: Any = None,
-    *,
-    label: str = "pieces",
-    progress: bool = False,
-) -> Iterator[tuple[Thing, Any]]:
-    """(thing, function(thing)) for each thing, as they are done.
+@contextmanager
+def computers(cluster: Any = None) -> Iterator[Each]:
+    """Something that computes function(thing) for each thing: gives both, as they are done.
+
+    The function may be pickled, and gives the same wherever it is computed; things are hashable.
 
     **Arguments:**
 
-    - `function`: may be pickled, and gives the same wherever it is computed.
-    - `things`: hashable.
     - `cluster`: none to compute here, one after the other; a number of worker processes to start on
       this machine, which share its cores; the address of a Dask scheduler, such as
       "tcp://10.0.0.1:8786"; or a `dask.distributed.Client`.
-    - `label`, `progress`: of a progress bar, on a terminal.
 
     `ValueError` for a cluster that cannot be reached, or where Dask is not installed.
     """
     if cluster is None:
-        yield from ((thing, function(thing)) for thing in tracked(things, label, progress))
+        yield here
         return
     with client_of(cluster) as client:
-        yield from tracked(on(client, function, things), label, progress, len(things))
+        yield partial(on, client)
+
+
+def here(function: Callable[[Any], Any], things: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
+    """Each thing and its result, from this process."""
+    for thing in things:
+        yield thing, function(thing)
 
 
 def on(
-    client: Any, function: Callable[[Thing], Any], things: Sequence[Thing]
-) -> Iterable[tuple[Thing, Any]]:
+    client: Any, function: Callable[[Any], Any], things: Sequence[Any]
+) -> Iterator[tuple[Any, Any]]:
     """Each thing and its result, from the workers of a Dask client."""
     from distributed import KilledWorker, as_completed
 
     waiting, deaths = list(things)[::-1], Counter()
-    asked: dict[Any, Thing] = {}
+    asked: dict[Any, Any] = {}
     done = as_completed()
 
-    def ask(thing: Thing) -> None:
-        future = client.submit(function, thing, pure=False)
-        asked[future] = thing
-        done.add(future)
+    def ask_more() -> None:
+        """As many as there are workers for by now."""
+        workers = max(1, len(client.scheduler_info(n_workers=-1)["workers"]))
+        while waiting and len(asked) < AHEAD * workers:
+            thing = waiting.pop()
+            future = client.submit(function, thing, pure=False)
+            asked[future] = thing
+            done.add(future)
 
-    workers = max(1, len(client.scheduler_info(n_workers=-1)["workers"]))
-    while waiting and len(asked) < AHEAD * workers:
-        ask(waiting.pop())
+    ask_more()
     while asked:
         future = next(done)
         thing = asked.pop(future)
+        found = []
         try:
-            result = future.result()
+            found.append((thing, future.result()))
         except KilledWorker:
             deaths[thing] += 1
             if deaths[thing] > DEATHS:
                 raise
-            ask(thing)
-            continue
-        if waiting:
-            ask(waiting.pop())
-        yield thing, result
+            waiting.append(thing)
+        ask_more()
+        yield from found
 
 
 @contextmanager
@@ -96,16 +99,21 @@ def client_of(cluster: Any) -> Iterator[Any]:
         from distributed import Client, LocalCluster
     except ImportError:
         raise ValueError("a cluster takes Dask: pip install 'walker_jax[distributed]'") from None
+    modes = {mode: getattr(jax.config, mode) for mode in tiles.MODES}
     if isinstance(cluster, Client):
-        cluster.register_plugin(as_here(None), name="walker-jax")
+        cluster.register_worker_callbacks(partial(as_here, modes, None))
         yield cluster
         return
     local, cores, address = None, None, cluster
-    if isinstance(cluster, int):
-        if cluster < 1:
-            raise ValueError(f"cluster must be at least 1 worker, not {cluster}")
-        cores = max(1, (os.cpu_count() or 1) // cluster)
-        local = LocalCluster(n_workers=cluster, threads_per_worker=1, dashboard_address=":0")
+    if not isinstance(cluster, str):
+        check_whole("cluster", cluster, most=MOST_HERE)
+        cores = max(1, tiles.cores() // int(cluster))
+        local = LocalCluster(
+            n_workers=int(cluster),
+            threads_per_worker=1,
+            dashboard_address=":0",
+            silence_logs=logging.CRITICAL,  # of workers that are interrupted, or killed
+        )
         address = local.scheduler_address
     try:
         try:
@@ -113,28 +121,20 @@ def client_of(cluster: Any) -> Iterator[Any]:
         except (OSError, ValueError) as error:
             raise ValueError(f"cluster {address} cannot be reached: {error}") from None
         with client:
-            client.register_plugin(as_here(cores), name="walker-jax")
+            client.register_worker_callbacks(partial(as_here, modes, cores))
             yield client
     finally:
         if local is not None:
             local.close()
 
 
-def as_here(cores: int | None) -> Any:
-    """A plugin by which workers compute in the modes of this process, on so many cores."""
-    from distributed import WorkerPlugin
-
-    modes = {mode: getattr(jax.config, mode) for mode in tiles.MODES}
-
-    class AsHere(WorkerPlugin):
-        def setup(self, worker: Any) -> None:
-            for mode, value in modes.items():
-                jax.config.update(mode, value)
-            tiles.limit_cores(cores)
-            # Its profiler looks at the frames of all threads, over which Python before 3.12 may
-            # come to a standstill when garbage is collected meanwhile.
-            for name in ("profile", "profile-cycle"):
-                if name in worker.periodic_callbacks:
-                    worker.periodic_callbacks[name].stop()
-
-    return AsHere()
+def as_here(modes: dict[str, Any], cores: int | None, dask_worker: Any) -> None:
+    """Let a worker compute in the modes of another process, on so many cores."""
+    for mode, value in modes.items():
+        jax.config.update(mode, value)
+    tiles.limit_cores(cores)
+    # Its profiler looks at the frames of all threads, over which Python before 3.12 may come to a
+    # standstill when garbage is collected meanwhile.
+    for name in ("profile", "profile-cycle"):
+        if name in dask_worker.periodic_callbacks:
+            dask_worker.periodic_callbacks[name].stop()

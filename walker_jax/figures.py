@@ -476,7 +476,7 @@ def sweep(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     if area.ndim == 1:
         ax.errorbar(data[x], area, error, fmt="o-", color=BASINS[0], capsize=3)
         ax.set_ylabel("area of the basin (rad² / √(l/g))", fontsize=11)
-        ax.set_ylim(0, 1.1 * float(area.max()) or None)
+        ax.set_ylim(0, 1.1 * float(area.fillna(0).max()) or None)
     else:
         y = str(area.dims[1])
         image = ax.pcolormesh(data[x], data[y], area.T, cmap="viridis", rasterized=True)

@@ -14,8 +14,9 @@ import math
 import os
 import shutil
 import tempfile
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -37,9 +38,13 @@ def find(path: Path, request: dict, *, overwrite: bool = False) -> xr.Dataset | 
     """The result of `request` that stands at `path`, or None where it is still to be computed.
 
     Raises `Occupied` where something else stands there, unless `overwrite` is given and it is a
-    data set; and `ValueError` where nothing can be written. Nothing is changed.
+    data set; and `ValueError` where nothing can be written. What a killed run has left is put in
+    order; else nothing is changed.
     """
     writable(path)
+    if beside(path).exists():
+        with suppress(Occupied), held(path):
+            pass
     if not path.exists():
         return None
     data = load(path) if (path / "zarr.json").is_file() else None
@@ -51,7 +56,8 @@ def find(path: Path, request: dict, *, overwrite: bool = False) -> xr.Dataset | 
     if data.attrs.get("unfinished"):
         return None
     if "written" in data:  # a run ended here but for the last thing that it had to do
-        tidy(path)
+        with held(path) as folder:
+            tidy(path, folder)
         return load(path)
     return data
 
@@ -61,7 +67,10 @@ def check_request(path: Path, attributes: Mapping, request: dict) -> None:
     there = attributes.get("request")
     if there == canonical(request):
         return
-    other = differences(json.loads(there), json.loads(canonical(request))) if there else ""
+    try:
+        other = differences(json.loads(str(there)), json.loads(canonical(request)))
+    except (TypeError, ValueError):  # nothing that was written here
+        other = ""
     raise Occupied(f"{path} holds another result{other}: name another place, or overwrite it")
 
 
@@ -85,7 +94,9 @@ def writable(path: Path) -> None:
             raise ValueError(f"{path} cannot be written: there is no folder {folder}")
         if not os.access(folder, os.W_OK | os.X_OK):
             raise ValueError(f"{path} cannot be written: no permission for the folder {folder}")
-        (folder / f".{path.name}.part").exists()  # refuses a name too long for a draft's
+        if path.is_symlink() and not path.exists():
+            raise ValueError(f"{path} cannot be written: it is a link to what is not there")
+        beside(path).exists()  # refuses a name too long for that one's
         tempfile.TemporaryFile(dir=folder).close()  # refused on what is read only, also to root
     except OSError as error:
         raise ValueError(f"{path} cannot be written: {error.strerror}") from None
@@ -94,41 +105,79 @@ def writable(path: Path) -> None:
 def save(data: xr.Dataset, path: Path, request: dict) -> xr.Dataset:
     """Write a data set at `path`, in the place of any that stands there; returns it as written."""
     data = data.assign_attrs(request=canonical(request))
-    with folder_beside(path) as draft:
-        try:
-            data.to_zarr(draft / "new", consolidated=False, write_empty_chunks=True)
-            if path.exists():
-                path.rename(draft / "old")
-            (draft / "new").rename(path)
-        finally:
-            if (draft / "old").exists() and not path.exists():
-                (draft / "old").rename(path)  # interrupted in between
+    with held(path) as folder:
+        data.to_zarr(folder / "new", consolidated=False, write_empty_chunks=True)
+        put(folder, path)
     return data
 
 
-@contextmanager
-def folder_beside(path: Path) -> Iterator[Path]:
-    """A hidden folder, to and from which `path` may be moved at once; removed at the end.
+def beside(path: Path) -> Path:
+    """The hidden folder of the run that writes at `path`."""
+    return path.absolute().with_name(f".{path.name}.part")
 
-    What a run left there that was killed is removed first. Raises `Occupied` while another has it.
+
+@contextmanager
+def held(path: Path) -> Iterator[Path]:
+    """Nobody else writes at `path` meanwhile. Gives a hidden folder beside it, removed at the end.
+
+    What a killed run left there is put in order first. Raises `Occupied` while another run holds
+    the place, which ends with its process, however that ends.
     """
-    folder = path.absolute().with_name(f".{path.name}.part")
+    folder = beside(path)
     folder.mkdir(exist_ok=True)
-    with locked(path, folder):
-        try:
-            for left in folder.iterdir():
-                if left.name != LOCK:
-                    shutil.rmtree(left)
-            yield folder
-        finally:
-            shutil.rmtree(folder, ignore_errors=True)
+    try:
+        with filelock.FileLock(folder / LOCK, blocking=False):
+            try:
+                restore(folder, path)
+                yield folder
+            finally:
+                restore(folder, path)
+                shutil.rmtree(folder, ignore_errors=True)
+    except filelock.Timeout:
+        raise Occupied(
+            f"{path} is being written by another run: wait, or name another place"
+        ) from None
+
+
+def put(folder: Path, path: Path) -> None:
+    """Move the new data set in the folder to `path`, and what stands there to the folder."""
+    if path.exists():
+        path.rename(folder / "old")
+    (folder / "new").rename(path)
+
+
+def restore(folder: Path, path: Path) -> None:
+    """Put back what stood at `path` if nothing came in its place; remove what else there is."""
+    if (folder / "old").exists() and not path.exists():
+        (folder / "old").rename(path)
+    if (path / "zarr.json").is_file():
+        for left in [*path.rglob("*.partial")]:  # files that Zarr was writing
+            left.unlink()
+        for array in path.iterdir():
+            with suppress(OSError):  # which holds something
+                array.rmdir()
+    for left in folder.iterdir():
+        if left.is_dir() and not left.is_symlink():
+            shutil.rmtree(left)
+        elif left.name != LOCK:
+            left.unlink()
+
+
+@contextmanager
+def draft_of(path: Path) -> Iterator[Path]:
+    """A file that takes the place of `path` at the end, if all goes well, or is removed."""
+    draft = path.with_name(f".new.{path.name}")
+    try:
+        yield draft
+        draft.replace(path)
+    finally:
+        draft.unlink(missing_ok=True)
 
 
 def write(path: Path, text: str) -> None:
     """Write a file at `path`, in the place of any that stands there, whole or not at all."""
-    draft = path.with_name(f".{path.name}.new")
-    draft.write_text(text, encoding="utf-8")
-    draft.replace(path)
+    with draft_of(path) as draft:
+        draft.write_text(text, encoding="utf-8")
 
 
 def load(path: Path) -> xr.Dataset | None:
@@ -148,11 +197,13 @@ def group_at(path: Path, mode: Literal["r", "r+"]) -> Any:
 
 def opened(path: Path) -> xr.Dataset:
     """The data set at `path`, in memory; but one that is large is read when it is used."""
-    data = xr.open_zarr(path, consolidated=False, chunks=None)
-    if not data.attrs.get("unfinished"):
-        for name, array in group_at(path, "r").arrays():
-            if array.nchunks_initialized < array.nchunks:  # which would read as zeros
-                raise ValueError(f"{path} is damaged: chunks of {name} are missing")
+    with warnings.catch_warnings():  # of arrays that a run is about to begin
+        warnings.filterwarnings("ignore", "Object at .* is not recognized")
+        data = xr.open_zarr(path, consolidated=False, chunks=None)
+        if not data.attrs.get("unfinished"):
+            for name, array in group_at(path, "r").arrays():
+                if array.nchunks_initialized < array.nchunks:  # which would read as zeros
+                    raise ValueError(f"{path} is damaged: chunks of {name} are missing")
     return data if data.nbytes > LARGE else data.load()
 
 
@@ -160,6 +211,8 @@ class Pieces(NamedTuple):
     """A data set on disk whose arrays are written by pieces, blocks of their first axes."""
 
     path: Path
+    folder: Path
+    """Beside it."""
     group: Any
     shape: tuple[int, ...]
     """Of the axes that are cut."""
@@ -206,22 +259,20 @@ class Pieces(NamedTuple):
             array = self.array(name)
             part = [one.stop - one.start for one in at]
             array[at] = np.reshape(value, (*part, *array.shape[len(at) :]))
-            key = "/".join(map(str, (*place, *[0] * (array.ndim - len(place)))))
-            file = self.path / name / "c" / key
-            flush(file)
+            chunk = *place, *[0] * (array.ndim - len(place))
+            flush(self.path / name / array.metadata.encode_chunk_key(chunk))
         if done:
             self.array("written")[place] = 1
 
     def finish(self, data: xr.Dataset) -> None:
         """Add what is found at the end, and remove the arrays that were of use on the way."""
-        there, attributes = set(self.group), dict(self.group.attrs)
-        data = data.drop_vars([name for name in data.coords if name in there])
+        attributes = dict(self.group.attrs)
         data.assign_attrs(attributes).to_zarr(
             self.path, mode="a", consolidated=False, write_empty_chunks=True
         )
         final = data.attrs | {"request": attributes["request"]}
         group_at(self.path, "r+").attrs.put(final)  # in one go: the data set is whole
-        tidy(self.path)
+        tidy(self.path, self.folder)
 
 
 @contextmanager
@@ -248,26 +299,26 @@ def pieces(
     - `notes`: called once, when it is begun; what it returns, in terms of JSON, is kept until the
       end.
     - `aside`: arrays that are of use on the way only.
-    - `overwrite`: whether to remove what stands there first.
+    - `overwrite`: whether to begin anew, in the place of what stands there.
 
     Nobody else writes to it meanwhile: raises `Occupied` where another process does, or something
     else stands there, and `ValueError` where nothing can be written.
     """
     writable(path)
-    if overwrite:
-        clear(path)
-    if not path.exists():
-        kept = {"request": canonical(request), "unfinished": 1, "notes": json.dumps(notes())}
-        begin(path, data.assign_attrs(kept), arrays, block, aside)
-    try:
-        group = group_at(path, "r+")
-    except Exception as error:  # whatever is wrong with a foreign or damaged store
-        raise Occupied(f"{path} exists and is not a data set: name another place") from error
-    check_request(path, group.attrs, request)
-    with locked(path, path / "written"):
-        notes_kept = json.loads(str(group.attrs["notes"]))
+    with held(path) as folder:
+        if overwrite or not path.exists():
+            kept = {"request": canonical(request), "unfinished": 1, "notes": json.dumps(notes())}
+            begin(folder / "new", data.assign_attrs(kept), arrays, block, aside)
+            put(folder, path)
+        try:
+            group = group_at(path, "r+")
+        except Exception as error:  # whatever is wrong with a foreign or damaged store
+            raise Occupied(f"{path} exists and is not a data set: name another place") from error
+        check_request(path, group.attrs, request)
+        if not group.attrs.get("unfinished"):
+            raise Occupied(f"{path} has just been finished by another run, which can be taken")
         shape = next(iter(arrays.values())).shape[: len(block)]
-        yield Pieces(path, group, shape, block, notes_kept)
+        yield Pieces(path, folder, group, shape, block, json.loads(str(group.attrs["notes"])))
 
 
 def begin(
@@ -278,30 +329,27 @@ def begin(
     aside: Sequence[str],
 ) -> None:
     """Make a store of pieces, none of them written."""
-    with folder_beside(path) as draft:
-        data.to_zarr(draft / "new", consolidated=False, write_empty_chunks=True)
-        group = group_at(draft / "new", "r+")
-        for name, array in arrays.items():
-            group.create_array(
-                name,
-                shape=array.shape,
-                chunks=(*map(min, block, array.shape), *array.shape[len(block) :]),
-                dtype=array.dtype,
-                fill_value=array.values.flat[0],
-                dimension_names=[str(dim) for dim in array.dims],
-                attributes=dict(array.attrs),
-            )
-        count = pieces_along(next(iter(arrays.values())).shape, block)
+    data.to_zarr(path, consolidated=False, write_empty_chunks=True)
+    group = group_at(path, "r+")
+    for name, array in arrays.items():
         group.create_array(
-            "written",
-            shape=count,
-            chunks=(1,) * len(count),
-            dtype="int8",
-            dimension_names=[f"piece{i}" for i in range(len(count))],
-            attributes={"aside": list(aside)},
+            name,
+            shape=array.shape,
+            chunks=(*map(min, block, array.shape), *array.shape[len(block) :]),
+            dtype=array.dtype,
+            fill_value=array.values.flat[0],
+            dimension_names=[str(dim) for dim in array.dims],
+            attributes=dict(array.attrs),
         )
-        (draft / "new" / "written" / LOCK).touch()
-        (draft / "new").rename(path)
+    count = pieces_along(next(iter(arrays.values())).shape, block)
+    group.create_array(
+        "written",
+        shape=count,
+        chunks=(1,) * len(count),
+        dtype="int8",
+        dimension_names=[f"piece{i}" for i in range(len(count))],
+        attributes={"aside": list(aside)},
+    )
 
 
 def pieces_along(shape: Sequence[int], block: Sequence[int]) -> tuple[int, ...]:
@@ -309,46 +357,25 @@ def pieces_along(shape: Sequence[int], block: Sequence[int]) -> tuple[int, ...]:
     return tuple(-(-whole // size) for whole, size in zip(shape, block, strict=False))
 
 
-@contextmanager
-def locked(path: Path, folder: Path) -> Iterator[None]:
-    """Nobody else has a folder of the store. The lock goes with the process, however that ends."""
-    lock = filelock.FileLock(folder / LOCK, blocking=False)
-    try:
-        with lock:
-            yield
-    except filelock.Timeout:
-        raise Occupied(
-            f"{path} is being written by another run: wait, or name another place"
-        ) from None
-
-
-def tidy(path: Path) -> None:
+def tidy(path: Path, folder: Path) -> None:
     """Remove from a data set that is whole what was of use on the way."""
     aside = group_at(path, "r")["written"].attrs["aside"]
-    with folder_beside(path) as draft:
-        for name in (*aside, "written"):  # this one last: it says that there is something to do
-            if (path / name).exists():
-                (path / name).rename(draft / name)
+    for name in (*aside, "written"):  # this one last: it says that there is something to do
+        if (path / name).exists():
+            (path / name).rename(folder / name)
 
 
 def flush(file: Path) -> None:
     """Make sure that a file is on the disk, whatever happens next."""
-    number = os.open(file, os.O_RDONLY)
-    try:
-        os.fsync(number)
-    finally:
-        os.close(number)
-
-
-def clear(path: Path) -> None:
-    """Remove the data set at `path`, if there is one, unless another run is writing it."""
-    if not path.exists():
-        return
-    with (
-        folder_beside(path) as draft,
-        locked(path, path / "written") if (path / "written").is_dir() else nullcontext(),
-    ):
-        path.rename(draft / "old")
+    for place in (file, file.parent):
+        try:
+            number = os.open(place, os.O_RDONLY if place.is_dir() else os.O_RDWR)
+        except PermissionError:  # folders cannot be opened on Windows
+            continue
+        try:
+            os.fsync(number)
+        finally:
+            os.close(number)
 
 
 def export(path: Path, file: Path, *, overwrite: bool = False) -> xr.Dataset:
@@ -367,13 +394,9 @@ def export(path: Path, file: Path, *, overwrite: bool = False) -> xr.Dataset:
         raise Occupied(f"{path} is not a data set")
     if data.attrs.get("unfinished"):
         raise Occupied(f"{path} is unfinished: the command that began it goes on with it")
-    draft = file.with_name(f".{file.name}.new")
-    try:
-        small = {name: {"zlib": True} for name in data.variables if data[name].dtype.kind in "iuf"}
+    small = {name: {"zlib": True} for name in data.variables if data[name].dtype.kind in "iuf"}
+    with draft_of(file) as draft:
         data.to_netcdf(draft, engine="h5netcdf", encoding=small)
-        draft.replace(file)
-    finally:
-        draft.unlink(missing_ok=True)
     return data
 
 

@@ -1,5 +1,6 @@
 """Basins over any parameters of a walker, each with its gait, area and robustness."""
 
+import math
 import tempfile
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -9,6 +10,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
+from jax.errors import JaxRuntimeError
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
@@ -16,16 +18,19 @@ from walker_jax import store
 from walker_jax.basin import ABOUT, basin, check_grid, described, not_yet, request_of
 from walker_jax.cells import Grid
 from walker_jax.checks import check_kind, check_whole, numbers, short
-from walker_jax.cluster import each
+from walker_jax.cluster import computers
 from walker_jax.gaits import check_parameter, find_gait, with_parameter
 from walker_jax.integrate import default_tolerance
 from walker_jax.objectives import gait_measures
+from walker_jax.progress import tracked
 from walker_jax.refinement import FINEST, refine
 from walker_jax.robustness import default_region, robustness, without_gait
 from walker_jax.walkers import Walker
 
 OF_GAIT = ("step-length", "speed", "cost-of-transport")
 """What is measured of a gait beside its state, multiplier and time."""
+MOST = 2**20
+"""Combinations of parameters, each of which is some twenty files of a store."""
 
 
 def sweep(
@@ -72,18 +77,20 @@ def sweep(
       `gait_state`, `multiplier` and `step_time` these are then.
 
     A combination that cannot be computed, as one that the walker refuses, has `failed` 1, fates of
-    -1, and NaN; the others go on. `ValueError` for a parameter or a value that the walker does not
-    have, for no values, and as for `basin` and `refine`.
+    -1, and NaN; the others go on. Where memory or the like is wanting, the error is raised, and the
+    same call goes on with that combination. `ValueError` for a parameter or a value that the walker
+    does not have, for no values or more than a million combinations, and as for `basin` and
+    `refine`.
     """
     check_kind("walker", walker, Walker)
     check_kind("over", over, Mapping)
     values = {name: np.atleast_1d(numbers(f"over {name}", some)) for name, some in over.items()}
     check_values(walker, values)
-    check_whole("levels", levels, 0, FINEST)
-    check_whole("check", check, 0)
+    levels = check_whole("levels", levels, 0, FINEST)
+    check = check_whole("check", check, 0)
     check_kind("robust", robust, bool)
-    check_whole("strides", strides)
-    check_whole("seed", seed, 0)
+    strides = check_whole("strides", strides)
+    seed = check_whole("seed", seed, 0)
     grid = default_region(walker) if grid is None else grid
     if grid is None:
         raise ValueError("grid is wanted where no gait of period one is found")
@@ -116,6 +123,10 @@ def check_values(walker: Walker, values: Mapping[str, Float[np.ndarray, "..."]])
     for name, some in values.items():
         if some.ndim != 1 or len(some) == 0 or len(np.unique(some)) < len(some):
             raise ValueError(f"over {name} must be one row of different numbers, not {short(some)}")
+    count = math.prod(map(len, values.values()))
+    if count > MOST:
+        raise ValueError(f"over must have at most {MOST} combinations, not {count}")
+    for name, some in values.items():
         check_parameter(walker, name, *some.tolist())
 
 
@@ -138,13 +149,16 @@ def fill(
     fields = {name: spread(value, names, shape) for name, value in before.items()}
     unknown = {name: value.values for name, value in before.items()}
     block = (1,) * len(shape)
-    with store.pieces(out, request, about, fields, block, dict, overwrite=overwrite) as place:
+    with (
+        computers(cluster) as each,  # first, as there may be none
+        store.pieces(out, request, about, fields, block, dict, overwrite=overwrite) as place,
+    ):
         number = {}
         for i in place.missing():
             at = zip(names, place.place(i), strict=True)
             number[tuple(float(about[name][k]) for name, k in at)] = i
         label = " × ".join(names)
-        for values, row in each(compute, [*number], cluster, label=label, progress=progress):
+        for values, row in tracked(each(compute, [*number]), label, progress, len(number)):
             place.write(number[values], unknown | row, done=True)
         place.finish(about)
     return store.opened(out)
@@ -176,6 +190,8 @@ def point(
             check_parameter(there, name, value)
             there = with_parameter(there, name, jnp.asarray(value, jnp.asarray(0.0).dtype))
         return measured(there, grid, how)
+    except (MemoryError, OSError, ImportError, JaxRuntimeError):
+        raise  # of the machine: another try may go well
     except Exception:  # whatever is wrong with it: one bad combination must not cost the others
         return {"failed": 1}
 

@@ -95,7 +95,7 @@ def over_cells(
             result[start:stop] = leaf
 
     # Two calls at a time for an accelerator, so that it need not wait for the host.
-    _share_out(put, n, call, _cores() if platform == "cpu" else 2, progress)
+    _share_out(put, n, call, cores() if platform == "cpu" else 2, progress)
     return results
 
 
@@ -123,16 +123,16 @@ def _share_out(
 _limit: int | None = None
 
 
-def limit_cores(cores: int | None) -> None:
+def limit_cores(most: int | None) -> None:
     """Let `over_cells` use no more cores of a CPU than so many, in this process."""
     global _limit
-    _limit = cores
+    _limit = most
 
 
-def _cores() -> int:
+def cores() -> int:
     """Processor cores that this process may use."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return min(cores or 1, _limit or cores or 1)
+    number = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return min(number or 1, _limit or number or 1)
 
 
 def _by_kernel(
@@ -140,7 +140,7 @@ def _by_kernel(
 ) -> PyTree[np.ndarray]:
     """The cells' results by a kernel, on all cores."""
     run, results = kernel.bind(shared, cells, n)
-    workers = _cores()
+    workers = cores()
     least, most = PIECE
     # Several for each core, so that all end at about the same time.
     call = min(most, max(least, -(-n // (4 * workers))))
@@ -215,7 +215,7 @@ def _compiled(function: Callable, platform: str, tile: int, tiles: int) -> Calla
             results = lax.fori_loop(0, count[0], advance, empty)
             return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), results)
 
-        # One program for all devices, which do not wait for each other.
+        # One program for all devices, which need nothing of each other.
         mesh, each = Mesh(np.array(jax.local_devices()), ("devices",)), P("devices")
         shares = jax.shard_map(
             run, mesh=mesh, in_specs=(P(), each, each), out_specs=each, check_vma=False
