@@ -59,7 +59,6 @@ def commands(draw, walkers=("simplest",)):
     chosen = draw(st.lists(st.sampled_from(COMMANDS[name]), max_size=5))
     for option in chosen:
         if option.param_type_name == "argument":
-            arguments.append(draw(st.sampled_from(PLACES)))
             continue
         arguments.append(option.opts[0])
         if option.opts[0] == "--walker":
@@ -74,6 +73,10 @@ def commands(draw, walkers=("simplest",)):
             kinds = {"out": PLACES, "figure": PLACES, "animate": PLACES, "over": WORDS}
             kinds |= {"bound": WORDS, "objective": WORDS, "method": WORDS}
             arguments.append(draw(st.sampled_from(kinds.get(option.name, NUMBERS))))
+    for option in COMMANDS[name]:
+        if option.param_type_name == "argument" and draw(st.integers(0, 20)):
+            good = [{"data": "held.zarr", "file": "b.nc"}[option.name]] * 30
+            arguments.append(draw(st.sampled_from(PLACES + good)))
     if not draw(st.integers(0, 20)):
         arguments.append(draw(st.sampled_from(WORDS + NUMBERS)))
     return arguments
