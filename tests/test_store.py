@@ -260,21 +260,90 @@ def test_a_data_set_of_others_may_have_a_request(tmp_path, data, request_):
         store.find(path, REQUEST)
 
 
-def test_a_link_is_followed_by_none_and_one_to_nothing_is_refused(tmp_path, data):
-    (tmp_path / "gone.zarr").symlink_to(tmp_path / "none")
-    with pytest.raises(ValueError, match="link to what is not there"):
-        store.find(tmp_path / "gone.zarr", REQUEST)
-    store.save(data, tmp_path / "a.zarr", REQUEST)
-    link = tmp_path / "link.zarr"
-    link.symlink_to(tmp_path / "a.zarr")
+def test_a_link_is_another_name_of_a_place(tmp_path, data):
+    path, link = tmp_path / "a.zarr", tmp_path / "link.zarr"
+    link.symlink_to("a.zarr")
+    store.save(data, link, REQUEST)
+    assert link.is_symlink() and store.find(path, REQUEST) is not None
     store.save(data * 2, link, REQUEST)
-    first, second = store.load(tmp_path / "a.zarr"), store.load(link)
-    assert first is not None and first.identical(data.assign_attrs(first.attrs))
-    assert second is not None and second["fate"].values.tolist() == [0, 2, 4, 6, 8]
+    found = store.find(path, REQUEST)
+    assert found is not None and found["fate"].values.tolist() == [0, 2, 4, 6, 8]
+    with begun(path, overwrite=True):
+        with pytest.raises(store.Occupied, match="is being written by another run"), begun(link):
+            pass
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.zarr", "link.zarr"]
+
+
+def test_a_result_may_be_read_where_nothing_can_be_written(tmp_path, data, monkeypatch):
+    store.save(data, tmp_path / "a.zarr", REQUEST)
+    monkeypatch.setattr(store.os, "access", lambda *_: False)
+    assert store.find(tmp_path / "a.zarr", REQUEST) is not None
+    with pytest.raises(store.Occupied, match="holds another result"):
+        store.find(tmp_path / "a.zarr", {})
+    with pytest.raises(ValueError, match="no permission"):
+        store.find(tmp_path / "a.zarr", {}, overwrite=True)
+
+
+def test_what_comes_in_the_way_is_left_and_so_is_what_was_to_go_there(tmp_path, data, monkeypatch):
+    path = tmp_path / "a.zarr"
+    store.save(data, path, REQUEST)
+    rename = Path.rename
+
+    def late(self, target):
+        if self.name == "new":
+            path.mkdir()
+            (path / "mine").touch()
+        return rename(self, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "rename", late)
+        with pytest.raises(store.Occupied, match="came in the way"):
+            store.save(data * 2, path, REQUEST)
+    assert (path / "mine").exists()
+    kept = [store.load(tmp_path / ".a.zarr.walker-jax" / name) for name in ("old", "new")]
+    assert [one is not None for one in kept] == [True, True]
+    (path / "mine").unlink()
+    path.rmdir()
+    found = store.find(path, REQUEST)
+    assert found is not None and found["fate"].values.tolist() == [0, 1, 2, 3, 4]
+
+
+def test_a_run_goes_on_with_the_blocks_that_it_was_begun_with(tmp_path, monkeypatch):
+    path = tmp_path / "a.zarr"
+    with begun(path) as place:
+        write(place, 1)
+    arrays = {"value": xr.Variable(("x", "y"), np.broadcast_to(-1.0, (6, 2)))}
+    with store.pieces(path, REQUEST, axes(), arrays, (2,), dict) as place:
+        assert place.missing() == [0] and place.at(1) == (slice(4, 6),)
+
+
+HOLDING = """
+import os, sys, time
+from pathlib import Path
+from walker_jax import store
+path, mark, held, end = Path(sys.argv[1]), sys.argv[2], 0, time.monotonic() + 1.5
+while time.monotonic() < end:
+    try:
+        with store.held(path):
+            os.close(os.open(mark, os.O_CREAT | os.O_EXCL))  # not if another one holds it too
+            held += 1
+            os.unlink(mark)
+    except store.Occupied:
+        pass
+print(held)
+"""
+
+
+def test_no_two_processes_hold_a_place_at_once(tmp_path):
+    command = [sys.executable, "-c", HOLDING, str(tmp_path / "a.zarr"), str(tmp_path / "mark")]
+    runs = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(3)]
+    held = [int(run.communicate()[0]) for run in runs]
+    assert min(held) > 10 and [run.returncode for run in runs] == [0, 0, 0]
+    assert not [*tmp_path.iterdir()]
 
 
 def test_what_a_killed_run_left_beside_a_store_goes_with_the_next(tmp_path, data):
-    path, left = tmp_path / "a.zarr", tmp_path / ".a.zarr.part"
+    path, left = tmp_path / "a.zarr", tmp_path / ".a.zarr.walker-jax"
     (left / "new" / "x").mkdir(parents=True)
     (left / "lock").touch()
     store.save(data, path, REQUEST)

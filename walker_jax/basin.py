@@ -123,6 +123,10 @@ def basin(
     return labelled(walker, grid, found, how)
 
 
+class TooLarge(ValueError, MemoryError):
+    """More is asked than this machine has the memory for."""
+
+
 def check_grid(
     walker: Walker, grid: Grid, method: str, each: int = BYTES_PER_CELL["direct"]
 ) -> None:
@@ -148,7 +152,7 @@ def check_grid(
             )
     needed, memory = grid.size * each, memory_of_machine()
     if needed > memory:
-        raise ValueError(
+        raise TooLarge(
             f"grid of {grid.size} cells needs {needed / 2**30:.1f} GiB of memory, "
             f"and this machine has {memory / 2**30:.1f} GiB"
         )

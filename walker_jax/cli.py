@@ -1110,7 +1110,8 @@ def values_of(over: list[str]) -> dict[str, list[float]]:
             raise ValueError(f"--over is given twice for {name}")
         if number > MOST:
             raise ValueError(f"--over {text} must have N of at most {MOST}")
-        values[name] = [float(f"{value:.12g}") for value in np.linspace(*ends, number)]
+        spaced, least = np.linspace(*ends, number), 1e-12 * (ends[1] - ends[0])
+        values[name] = [float(f"{x:.12g}") if abs(x) > least else 0.0 for x in spaced]
     return values
 
 

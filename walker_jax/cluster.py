@@ -40,15 +40,21 @@ def computers(cluster: Any = None) -> Iterator[Each]:
 
     - `cluster`: none to compute here, one after the other; a number of worker processes to start on
       this machine, which share its cores; the address of a Dask scheduler, such as
-      "tcp://10.0.0.1:8786"; or a `dask.distributed.Client`.
+      "tcp://10.0.0.1:8786"; or a `dask.distributed.Client`, whose workers are left in the modes of
+      this process.
 
     `ValueError` for a cluster that cannot be reached, or where Dask is not installed.
     """
     if cluster is None:
         yield here
         return
+    asked: dict[Any, Any] = {}
     with client_of(cluster) as client:
-        yield partial(on, client)
+        try:
+            yield partial(on, client, asked)
+        finally:
+            if client is cluster:  # others end here
+                client.cancel([*asked])
 
 
 def here(function: Callable[[Any], Any], things: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
@@ -58,13 +64,12 @@ def here(function: Callable[[Any], Any], things: Sequence[Any]) -> Iterator[tupl
 
 
 def on(
-    client: Any, function: Callable[[Any], Any], things: Sequence[Any]
+    client: Any, asked: dict[Any, Any], function: Callable[[Any], Any], things: Sequence[Any]
 ) -> Iterator[tuple[Any, Any]]:
-    """Each thing and its result, from the workers of a Dask client."""
+    """Each thing and its result, from the workers of a Dask client; those asked for meanwhile."""
     from distributed import KilledWorker, as_completed
 
     waiting, deaths = list(things)[::-1], Counter()
-    asked: dict[Any, Any] = {}
     done = as_completed()
 
     def ask_more() -> None:

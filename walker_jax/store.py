@@ -28,6 +28,8 @@ LARGE = 2**28
 """Bytes from which on a data set is read when it is used, rather than at once."""
 LOCK = "lock"
 """The file by which a run keeps others out of a folder."""
+TRIES = 100
+"""To take a lock that another run is just removing."""
 
 
 class Occupied(ValueError):
@@ -41,25 +43,43 @@ def find(path: Path, request: dict, *, overwrite: bool = False) -> xr.Dataset | 
     data set; and `ValueError` where nothing can be written. What a killed run has left is put in
     order; else nothing is changed.
     """
+    path = followed(path)
+    with suppress(Occupied, OSError):  # of another run, or where one may only read
+        if beside(path).exists():
+            with held(path):
+                pass
+    data = standing(path)
+    if data is not None and not overwrite:
+        check_request(path, data.attrs, request)
+        if not data.attrs.get("unfinished"):
+            return data
     writable(path)
-    if beside(path).exists():
-        with suppress(Occupied), held(path):
-            pass
-    if not path.exists():
-        return None
-    data = load(path) if (path / "zarr.json").is_file() else None
-    if data is None:
+    if data is None and path.exists():
         raise Occupied(f"{path} exists and is not a data set: name another place")
-    if overwrite:
+    return None
+
+
+def standing(path: Path) -> xr.Dataset | None:
+    """The data set that stands at a place, if one does; of a whole one, nothing else."""
+    try:
+        if not (path / "zarr.json").is_file():
+            return None
+    except OSError:  # as of a name that is too long
         return None
-    check_request(path, data.attrs, request)
-    if data.attrs.get("unfinished"):
-        return None
-    if "written" in data:  # a run ended here but for the last thing that it had to do
-        with held(path) as folder:
-            tidy(path, folder)
-        return load(path)
-    return data
+    data = load(path)
+    if data is None:  # again, as a run that ends removes arrays
+        data = load(path)
+    if data is None or data.attrs.get("unfinished") or "written" not in data:
+        return data
+    # a run ended here but for the last thing that it had to do
+    with suppress(Occupied, OSError), held(path) as folder:
+        tidy(path, folder)
+    return data.drop_vars([*data["written"].attrs["aside"], "written"], errors="ignore")
+
+
+def followed(path: Path) -> Path:
+    """Where a link leads, so that one place has one name."""
+    return path.resolve() if os.path.islink(path) else path
 
 
 def check_request(path: Path, attributes: Mapping, request: dict) -> None:
@@ -94,8 +114,6 @@ def writable(path: Path) -> None:
             raise ValueError(f"{path} cannot be written: there is no folder {folder}")
         if not os.access(folder, os.W_OK | os.X_OK):
             raise ValueError(f"{path} cannot be written: no permission for the folder {folder}")
-        if path.is_symlink() and not path.exists():
-            raise ValueError(f"{path} cannot be written: it is a link to what is not there")
         beside(path).exists()  # refuses a name too long for that one's
         tempfile.TemporaryFile(dir=folder).close()  # refused on what is read only, also to root
     except OSError as error:
@@ -104,7 +122,7 @@ def writable(path: Path) -> None:
 
 def save(data: xr.Dataset, path: Path, request: dict) -> xr.Dataset:
     """Write a data set at `path`, in the place of any that stands there; returns it as written."""
-    data = data.assign_attrs(request=canonical(request))
+    path, data = followed(path), data.assign_attrs(request=canonical(request))
     with held(path) as folder:
         data.to_zarr(folder / "new", consolidated=False, write_empty_chunks=True)
         put(folder, path)
@@ -113,7 +131,7 @@ def save(data: xr.Dataset, path: Path, request: dict) -> xr.Dataset:
 
 def beside(path: Path) -> Path:
     """The hidden folder of the run that writes at `path`."""
-    return path.absolute().with_name(f".{path.name}.part")
+    return path.absolute().with_name(f".{path.name}.walker-jax")
 
 
 @contextmanager
@@ -124,32 +142,50 @@ def held(path: Path) -> Iterator[Path]:
     the place, which ends with its process, however that ends.
     """
     folder = beside(path)
-    folder.mkdir(exist_ok=True)
+    lock = taken(folder, path)
     try:
-        with filelock.FileLock(folder / LOCK, blocking=False):
-            try:
-                restore(folder, path)
-                yield folder
-            finally:
-                restore(folder, path)
-                shutil.rmtree(folder, ignore_errors=True)
-    except filelock.Timeout:
-        raise Occupied(
-            f"{path} is being written by another run: wait, or name another place"
-        ) from None
+        restore(folder, path)
+        yield folder
+    finally:
+        try:
+            restore(folder, path)
+            shutil.rmtree(folder, ignore_errors=True)
+        finally:
+            lock.release()
+
+
+def taken(folder: Path, path: Path) -> filelock.BaseFileLock:
+    """The lock of the folder of `path`, which is made."""
+    lock = filelock.FileLock(folder / LOCK, blocking=False)
+    for _ in range(TRIES):
+        try:
+            folder.mkdir(exist_ok=True)
+            lock.acquire()
+            return lock
+        except (FileNotFoundError, FileExistsError):  # another run is just removing it
+            continue
+        except (filelock.Timeout, PermissionError):  # a run of this user, or of another one
+            raise Occupied(
+                f"{path} is being written by another run: wait, or name another place"
+            ) from None
+    raise Occupied(f"{path} cannot be written: {folder} is in the way")
 
 
 def put(folder: Path, path: Path) -> None:
-    """Move the new data set in the folder to `path`, and what stands there to the folder."""
+    """Put the new data set in the folder at `path`, in the place of what stands there."""
     if path.exists():
         path.rename(folder / "old")
     (folder / "new").rename(path)
+    restore(folder, path)
 
 
 def restore(folder: Path, path: Path) -> None:
     """Put back what stood at `path` if nothing came in its place; remove what else there is."""
-    if (folder / "old").exists() and not path.exists():
-        (folder / "old").rename(path)
+    old, new = folder / "old", folder / "new"
+    if old.exists() and not path.exists():
+        old.rename(path)
+    if old.exists() and new.exists():
+        raise Occupied(f"{path} came in the way of data sets that are in {folder}: move it away")
     if (path / "zarr.json").is_file():
         for left in [*path.rglob("*.partial")]:  # files that Zarr was writing
             left.unlink()
@@ -295,7 +331,7 @@ def pieces(
     - `data`: what there is besides the arrays, from the beginning.
     - `arrays`: each the shape, and everywhere the value that it has where nothing is written yet.
       Their first axes, the same in all, are cut into pieces.
-    - `block`: how much of each of these axes is in a piece.
+    - `block`: how much of each of these axes is in a piece; of one gone on with, as before.
     - `notes`: called once, when it is begun; what it returns, in terms of JSON, is kept until the
       end.
     - `aside`: arrays that are of use on the way only.
@@ -304,6 +340,7 @@ def pieces(
     Nobody else writes to it meanwhile: raises `Occupied` where another process does, or something
     else stands there, and `ValueError` where nothing can be written.
     """
+    path = followed(path)
     writable(path)
     with held(path) as folder:
         if overwrite or not path.exists():
@@ -317,7 +354,8 @@ def pieces(
         check_request(path, group.attrs, request)
         if not group.attrs.get("unfinished"):
             raise Occupied(f"{path} has just been finished by another run, which can be taken")
-        shape = next(iter(arrays.values())).shape[: len(block)]
+        name, array = next(iter(arrays.items()))
+        shape, block = array.shape[: len(block)], group[name].chunks[: len(block)]
         yield Pieces(path, folder, group, shape, block, json.loads(str(group.attrs["notes"])))
 
 
@@ -359,6 +397,8 @@ def pieces_along(shape: Sequence[int], block: Sequence[int]) -> tuple[int, ...]:
 
 def tidy(path: Path, folder: Path) -> None:
     """Remove from a data set that is whole what was of use on the way."""
+    if not (path / "written").exists():  # another run was faster
+        return
     aside = group_at(path, "r")["written"].attrs["aside"]
     for name in (*aside, "written"):  # this one last: it says that there is something to do
         if (path / name).exists():

@@ -190,9 +190,10 @@ def point(
             check_parameter(there, name, value)
             there = with_parameter(there, name, jnp.asarray(value, jnp.asarray(0.0).dtype))
         return measured(there, grid, how)
-    except (MemoryError, OSError, ImportError, JaxRuntimeError):
-        raise  # of the machine: another try may go well
-    except Exception:  # whatever is wrong with it: one bad combination must not cost the others
+    except Exception as error:  # one bad combination must not cost the others
+        full = isinstance(error, JaxRuntimeError) and "RESOURCE_EXHAUSTED" in str(error)
+        if full or isinstance(error, MemoryError | OSError | ImportError):
+            raise  # of the machine, not of the combination
         return {"failed": 1}
 
 
