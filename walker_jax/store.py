@@ -353,7 +353,7 @@ def pieces(
             raise Occupied(f"{path} exists and is not a data set: name another place") from error
         check_request(path, group.attrs, request)
         if not group.attrs.get("unfinished"):
-            raise Occupied(f"{path} has just been finished by another run, which can be taken")
+            raise Occupied(f"{path} has just been finished by another run: ask again to have it")
         name, array = next(iter(arrays.items()))
         shape, block = array.shape[: len(block)], group[name].chunks[: len(block)]
         yield Pieces(path, folder, group, shape, block, json.loads(str(group.attrs["notes"])))
