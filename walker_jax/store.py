@@ -424,8 +424,8 @@ def export(path: Path, file: Path, *, overwrite: bool = False) -> xr.Dataset:
     Raises `Occupied` where another file stands there, or `path` is no data set or is unfinished;
     `ValueError` where nothing can be written, or h5netcdf is not installed.
     """
-    if importlib.util.find_spec("h5netcdf") is None:
-        raise ValueError("NetCDF takes h5netcdf: pip install 'walker_jax[netcdf]'")
+    if None in map(importlib.util.find_spec, ("h5netcdf", "h5py")):
+        raise ValueError("NetCDF takes h5netcdf and h5py: pip install 'walker_jax[netcdf]'")
     writable(file)
     if file.exists() and not (overwrite and file.is_file()):
         raise Occupied(f"{file} exists: name another place, or overwrite it")
