@@ -2,6 +2,7 @@ import errno
 import os
 import subprocess
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -284,19 +285,30 @@ def test_a_result_may_be_read_where_nothing_can_be_written(tmp_path, data, monke
         store.find(tmp_path / "a.zarr", {}, overwrite=True)
 
 
-def test_what_comes_in_the_way_is_left_and_so_is_what_was_to_go_there(tmp_path, data, monkeypatch):
-    path = tmp_path / "a.zarr"
-    store.save(data, path, REQUEST)
+@contextmanager
+def between_the_old_and_the_new(monkeypatch, happens):
+    """Something happens when the old data set is out of the way and the new one not there yet."""
     rename = Path.rename
 
     def late(self, target):
         if self.name == "new":
-            path.mkdir()
-            (path / "mine").touch()
+            happens()
         return rename(self, target)
 
     with monkeypatch.context() as patch:
         patch.setattr(Path, "rename", late)
+        yield
+
+
+def test_what_comes_in_the_way_is_left_and_so_is_what_was_to_go_there(tmp_path, data, monkeypatch):
+    path = tmp_path / "a.zarr"
+    store.save(data, path, REQUEST)
+
+    def other():
+        path.mkdir()
+        (path / "mine").touch()
+
+    with between_the_old_and_the_new(monkeypatch, other):
         with pytest.raises(store.Occupied, match="came in the way"):
             store.save(data * 2, path, REQUEST)
     assert (path / "mine").exists()
@@ -409,15 +421,11 @@ def test_places_that_are_read_only_even_to_root_and_names_too_long(tmp_path):
 def test_an_interruption_between_the_old_and_the_new_loses_neither(tmp_path, data, monkeypatch):
     path = tmp_path / "a.zarr"
     store.save(data, path, REQUEST)
-    rename = Path.rename
 
-    def interrupted(self, target):
-        if self.name == "new":
-            raise KeyboardInterrupt
-        return rename(self, target)
+    def interrupt():
+        raise KeyboardInterrupt
 
-    with monkeypatch.context() as patch:
-        patch.setattr(Path, "rename", interrupted)
+    with between_the_old_and_the_new(monkeypatch, interrupt):
         with pytest.raises(KeyboardInterrupt):
             store.save(data * 2, path, REQUEST)
     assert [p.name for p in tmp_path.iterdir()] == ["a.zarr"]

@@ -407,8 +407,7 @@ def bifurcation(
         "strides": strides,
         "version": version("walker-jax"),
     }
-    figure = picture_of(out, figure)
-    data = made_before(out, figure, request, overwrite=overwrite)
+    figure, data = made_before(out, figure, request, overwrite=overwrite)
     if data is None:
         data = wj.bifurcation_diagram(
             walker, "slope", (low, high), period_max=period_max, strides=strides, progress=True
@@ -496,12 +495,18 @@ def picture_of(out: Path, figure: Path | None) -> Path:
     return figure
 
 
-def made_before(out: Path, figure: Path, request: dict, *, overwrite: bool) -> xr.Dataset | None:
-    """What the same command has left at `out`, if it has ended; something else is refused."""
+def made_before(
+    out: Path, figure: Path | None, request: dict, *, overwrite: bool
+) -> tuple[Path, xr.Dataset | None]:
+    """Where the picture goes, and what the same command has left at `out`, if it has ended.
+
+    Something else at either place is refused.
+    """
     from walker_jax import store
 
+    figure = picture_of(out, figure)
     store.check_picture(figure, request, overwrite=overwrite)
-    return store.find(out, request, overwrite=overwrite)
+    return figure, store.find(out, request, overwrite=overwrite)
 
 
 def check_suffix(figure: Path) -> None:
@@ -590,7 +595,6 @@ def basin(
     strides = strides or 200
     if at_phidot is not None:
         finite(**{"at-phidot": at_phidot})
-    figure = picture_of(out, figure)
     axes: dict[str, Axis | float | None] = {"theta": theta}
     axes |= {"sum": sum_} if thetadot is None else {"thetadot": thetadot}
     if has_phidot:
@@ -612,7 +616,7 @@ def basin(
         **({"strides": strides} if method == "direct" else {}),
         "version": version("walker-jax"),
     }
-    data = made_before(out, figure, request, overwrite=overwrite)
+    figure, data = made_before(out, figure, request, overwrite=overwrite)
     reused, begun = data is not None, out.exists() and not overwrite
     clock = Stopwatch()
     if data is None:
@@ -785,8 +789,7 @@ def robustness(
         "strides": strides,
         "version": version("walker-jax"),
     }
-    figure = picture_of(out, figure)
-    data = made_before(out, figure, request, overwrite=overwrite)
+    figure, data = made_before(out, figure, request, overwrite=overwrite)
     if data is None:
         options = {"levels": levels, "disturbances": disturbances, "strides": strides}
         if slopes is None:
@@ -914,8 +917,7 @@ def optimise(
         "seed": seed,
         "version": version("walker-jax"),
     }
-    figure = picture_of(out, figure)
-    data = made_before(out, figure, request, overwrite=overwrite)
+    figure, data = made_before(out, figure, request, overwrite=overwrite)
     if data is None or "found" not in data:  # not begun, or interrupted
         try:
             data = wj.optimise(
@@ -1068,8 +1070,7 @@ def sweep(
         "strides": strides,
         "version": version("walker-jax"),
     }
-    figure = picture_of(out, figure)
-    data = made_before(out, figure, request, overwrite=overwrite)
+    figure, data = made_before(out, figure, request, overwrite=overwrite)
     if data is None:
         options: Any = {"out": out, "request": request, "overwrite": overwrite}
         options |= {"levels": levels, "check": check, "robust": robust, "strides": strides}

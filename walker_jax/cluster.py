@@ -111,10 +111,10 @@ def client_of(cluster: Any) -> Iterator[Any]:
         return
     local, cores, address = None, None, cluster
     if not isinstance(cluster, str):
-        check_whole("cluster", cluster, most=MOST_HERE)
-        cores = max(1, tiles.cores() // int(cluster))
+        workers = check_whole("cluster", cluster, most=MOST_HERE)
+        cores = max(1, tiles.cores() // workers)
         local = LocalCluster(
-            n_workers=int(cluster),
+            n_workers=workers,
             threads_per_worker=1,
             dashboard_address=":0",
             silence_logs=logging.CRITICAL,  # of workers that are interrupted, or killed

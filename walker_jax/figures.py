@@ -49,6 +49,7 @@ NOTABLE = 0.1
 
 Cell mapping makes small cycles of its own beside a true attractor, each with a few cells.
 """
+AREA = "area of the basin (rad² / √(l/g))"
 AXIS_LABELS = {
     "theta": r"stance leg angle $\theta$ (rad)",
     "thetadot": r"stance leg rate $\dot{\theta}$ (rad, time in √(l/g))",
@@ -355,7 +356,7 @@ def stability_and_area(gaits: xr.Dataset, sizes: xr.Dataset, ax: Axes | None = N
             label="refined, exact to the width of the line",
         )
     other.set_ylim(0)
-    other.set_ylabel("area of the basin (rad² / √(l/g))", fontsize=11, color=BASINS[0])
+    other.set_ylabel(AREA, fontsize=11, color=BASINS[0])
     write_title(ax, "Stability of the gait, and area of its basin", "SimplestWalker")
     line = Line2D([], [], color=colour, **SOLID, label="largest multiplier; dashed: unstable")
     place_legend(ax, [line], BELOW, columns=1)
@@ -475,14 +476,14 @@ def sweep(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     ax.set_xlabel(named(x), fontsize=11)
     if area.ndim == 1:
         ax.errorbar(data[x], area, error, fmt="o-", color=BASINS[0], capsize=3)
-        ax.set_ylabel("area of the basin (rad² / √(l/g))", fontsize=11)
+        ax.set_ylabel(AREA, fontsize=11)
         ax.set_ylim(0, 1.1 * float(area.fillna(0).max()) or None)
     else:
         y = str(area.dims[1])
         image = ax.pcolormesh(data[x], data[y], area.T, cmap="viridis", rasterized=True)
         ax.set_ylabel(named(y), fontsize=11)
         bar = ax.figure.colorbar(image, ax=ax)
-        bar.set_label("area of the basin (rad² / √(l/g))", fontsize=11)
+        bar.set_label(AREA, fontsize=11)
     held = valued({name: float(data[name][0]) for name in others})
     shape = " × ".join(map(str, data["total_area"].shape))
     failed = int(data["failed"].sum())
@@ -493,7 +494,7 @@ def sweep(data: xr.Dataset, ax: Axes | None = None) -> Axes:
 
 def named(parameter: str) -> str:
     """A parameter, as the label of an axis."""
-    return f"{parameter.replace('_', ' ')}{' (rad)' * (parameter == 'slope')}"
+    return AXIS_LABELS.get(parameter, parameter.replace("_", " "))
 
 
 def thinned(data: xr.Dataset, most: int = 2000) -> xr.Dataset:
@@ -1121,7 +1122,7 @@ def draw_optimisation(ax: Axes, data: xr.Dataset, parameter: str, subject: str) 
     marks = [*draw_ends(ax, own), *scan, *others]
     ax.set_xlim(*json.loads(data.attrs["bounds"])[parameter])
     ax.locator_params(axis="x", nbins=6)
-    ax.set_xlabel(AXIS_LABELS.get(parameter, parameter.replace("_", " ")), fontsize=11)
+    ax.set_xlabel(named(parameter), fontsize=11)
     ax.set_ylabel(objective(data), fontsize=11)
     write_title(ax, subject, listed([gain(data), *ending(own)], 60))
     rows = -(-len(marks) // 2)

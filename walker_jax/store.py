@@ -145,6 +145,7 @@ def held(path: Path) -> Iterator[Path]:
     lock = taken(folder, path)
     try:
         restore(folder, path)
+        mend(path)
         yield folder
     finally:
         try:
@@ -186,17 +187,21 @@ def restore(folder: Path, path: Path) -> None:
         old.rename(path)
     if old.exists() and new.exists():
         raise Occupied(f"{path} came in the way of data sets that are in {folder}: move it away")
-    if (path / "zarr.json").is_file():
-        for left in [*path.rglob("*.partial")]:  # files that Zarr was writing
-            left.unlink()
-        for array in path.iterdir():
-            with suppress(OSError):  # which holds something
-                array.rmdir()
     for left in folder.iterdir():
         if left.is_dir() and not left.is_symlink():
             shutil.rmtree(left)
         elif left.name != LOCK:
             left.unlink()
+
+
+def mend(path: Path) -> None:
+    """Remove from a data set what Zarr was at when a run ended: files half written, no arrays."""
+    if (path / "zarr.json").is_file():
+        for left in [*path.rglob("*.partial")]:
+            left.unlink()
+        for array in path.iterdir():
+            with suppress(OSError):  # which holds something
+                array.rmdir()
 
 
 @contextmanager

@@ -166,10 +166,10 @@ def fill(
 
 def blank(walker: Walker, grid: Grid, about: xr.Dataset) -> dict[str, xr.Variable]:
     """What there is of one combination, before it is computed."""
-    numbers = ("area", "total_area", "total_area_error", "multiplier", "step_time")
-    numbers += tuple(name.replace("-", "_") for name in OF_GAIT)
+    single = ("area", "total_area", "total_area_error", "multiplier", "step_time")
+    single += tuple(name.replace("-", "_") for name in OF_GAIT)
     nowhere = "coordinate", np.full(grid.coordinates, np.nan)
-    row = dict.fromkeys(numbers, np.nan) | {"gait_state": nowhere, "attractors": 0, "failed": 0}
+    row = dict.fromkeys(single, np.nan) | {"gait_state": nowhere, "attractors": 0, "failed": 0}
     row |= without_gait(walker) if about.attrs["robust"] else {}
     return not_yet(grid) | {str(name): one.variable for name, one in xr.Dataset(row).items()}
 
