@@ -216,13 +216,14 @@ def add_cycle(found: list[Attractor], states: Float[np.ndarray, "period section"
 def nearest(
     x: Float[np.ndarray, "n section"], attractors: list[Attractor], within: float | None = None
 ) -> Int[np.ndarray, " n"]:
-    """Number of the cycle that each point is near to, -1 for none."""
-    number = np.full(len(x), -1, np.int32)
+    """Number of the cycle that each point is near to, the nearest of several, -1 for none."""
+    number, least = np.full(len(x), -1, np.int32), np.ones(len(x), x.dtype)
     for i, attractor in enumerate(attractors):
         boxes = attractor.boxes() if within is None else np.eye(x.shape[1])[None] / within
         for state, frame in zip(attractor.states, itertools.cycle(boxes), strict=False):
             if attractor.period:
-                number[np.abs((x - state) @ frame.T).max(axis=1) < 1] = i
+                away = np.abs((x - state) @ frame.T).max(axis=1)
+                number[away < least], least = i, np.minimum(away, least)
     return number
 
 

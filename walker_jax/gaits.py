@@ -38,7 +38,7 @@ from walker_jax.stride import (
     strides,
 )
 from walker_jax.tiles import over_cells
-from walker_jax.walkers import SimplestWalker, Walker
+from walker_jax.walkers import SimplestWalker, Walker, moves_like
 
 RESIDUAL = {jnp.dtype("float64"): 1e-10, jnp.dtype("float32"): 1e-4}
 """By how much a stride of what is called a gait may miss the next state."""
@@ -137,7 +137,7 @@ def first_guess(
     walker: Walker, period: int, tolerance: Real | None
 ) -> Float[Array | np.ndarray, "..."]:
     """A guess of the most stable gait of a period."""
-    if isinstance(walker, SimplestWalker) and period == 1:
+    if moves_like(walker, SimplestWalker) and period == 1:
         return long_gait(walker.slope)
     if is_traced((walker, tolerance)):
         raise ValueError(
@@ -683,11 +683,13 @@ def cyclic(
 def solve(
     matrices: Float[np.ndarray, "n size size"], vectors: Float[np.ndarray, "n size"]
 ) -> Float[np.ndarray, "n size"]:
-    """Solutions of many linear systems; by least squares if one of them is singular."""
-    try:
-        return np.linalg.solve(matrices, vectors[..., None])[..., 0]
-    except np.linalg.LinAlgError:
-        return (np.linalg.pinv(matrices) @ vectors[..., None])[..., 0]
+    """Solutions of many linear systems; of each that is singular, by least squares."""
+    solutions = np.empty_like(vectors)
+    singular = np.linalg.det(matrices) == 0
+    regular, right = matrices[~singular], vectors[..., None]
+    solutions[~singular] = np.linalg.solve(regular, right[~singular])[..., 0]
+    solutions[singular] = (np.linalg.pinv(matrices[singular]) @ right[singular])[..., 0]
+    return solutions
 
 
 def product(

@@ -36,7 +36,7 @@ from walker_jax.stride import (
 )
 from walker_jax.stride import strides as take_strides
 from walker_jax.tiles import over_cells
-from walker_jax.walkers import PointFeetWalker, Scalar, SimplestWalker, Walker
+from walker_jax.walkers import PointFeetWalker, Scalar, SimplestWalker, Walker, moves_like
 
 RAYS, RADII = 720, 128
 """Directions, of two dimensions, and distances along each, at which a walker is first tried."""
@@ -533,7 +533,7 @@ def default_region(walker: Walker) -> Grid | None:
     The rates are those of the simplest walker's basins, and more for others.
     """
     if isinstance(walker, PointFeetWalker):
-        rates = (-0.12, 0.06, 200) if isinstance(walker, SimplestWalker) else (-1.1, 0.1, 800)
+        rates = (-0.12, 0.06, 200) if moves_like(walker, SimplestWalker) else (-1.1, 0.1, 800)
         return Grid.sheared(theta=(0, np.pi / 4, 200), sum=rates)
     gait = find_gait(walker)
     if not gait.found:

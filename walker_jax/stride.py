@@ -38,10 +38,10 @@ from walker_jax.integrate import (
     paired,
     polynomial,
     step,
-    step_length,
+    taylor_step,
     unpacked,
 )
-from walker_jax.taylor import fast_sines, function_series, solution_series
+from walker_jax.taylor import evaluate, fast_sines, function_series, solution_series
 from walker_jax.tiles import over_cells
 from walker_jax.walkers import (
     MultibodyWalker,
@@ -278,7 +278,9 @@ def in_tension(walker: Walker, state: State) -> Bool[Array, ""]:
 
 def equations(walker: Walker) -> Callable[[State], State]:
     """What is integrated: the vector field, or what it follows from where that is faster."""
-    return SingleSupport(walker) if isinstance(walker, MultibodyWalker) else walker.vector_field
+    if type(walker).vector_field is MultibodyWalker.vector_field:
+        return SingleSupport(walker)
+    return walker.vector_field
 
 
 def swing(
@@ -307,40 +309,43 @@ def swing(
         """dh/dt along the motion."""
         return jax.jvp(contact, (state,), (walker.vector_field(state),))[1]
 
-    def may_end(before: State, after: State):
+    def may_end(before: State, after: State, below: Bool[Array, ""], ends_below: Bool[Array, ""]):
         """Whether a stride may end in a step: all that is wanted of it are its two ends."""
-        h0, h1 = contact(before), contact(after)
-        rises = (h1 >= 0) & ((h0 < 0) | ((rate(before) < 0) & (rate(after) > 0)))
+        turns = (rate(before) < 0) & (rate(after) > 0)
+        rises = ~ends_below & (below | turns)
         if drop is not None:  # a foot may come down and up again: the legs pass each other
             rises |= (rate(before) > 0) & (rate(after) < 0)
-        return (rises & (after.theta < 0)) | has_fallen(after)
+        return (rises & (after.theta < 0)) | has_fallen(after, ends_below)
 
     def may_pull(before: State, after: State):
         """Whether the ground may have had to pull by the end of a step."""
         return in_tension(walker, after) | dips(walker, before, after)
 
-    def has_fallen(state: State):
+    def has_fallen(state: State, below: Bool[Array, ""]):
         fallen = (state.thetadot >= 0) | (state.theta <= -np.pi / 2)
-        return fallen | walker.past_contact(state) if drop is None else fallen
+        return fallen | (~below & walker.past_contact(state)) if drop is None else fallen
 
     def undecided(carry):
-        *_, time, verdict, count, _ = carry
+        *_, time, verdict, count, _, _ = carry
         return (verdict == Outcome.UNDECIDED) & (count < MAX_STEPS) & jnp.isfinite(time)
 
     def follow(carry):
-        now, _, time, verdict, count, pulled = carry
+        now, _, time, verdict, count, pulled, below = carry
 
-        def stop(before: State, after: State):
-            ends = may_end(before, after)
-            if walker.force_least_at_ends:
-                return ends
-            return ends | (may_pull(before, after) & ~pulled)
+        def stop(before: State, after: State, below: Bool[Array, ""]):
+            ends_below = contact(after) < 0
+            ends = may_end(before, after, below, ends_below)
+            if not walker.force_least_at_ends:
+                ends |= may_pull(before, after) & ~pulled
+            return ends, ends_below
 
         last = integrate_until(
             field,
             unpacked(now, structure),
             stop,
             tolerance=tolerance,
+            side=below,
+            others=[contact],
             time=time,
             count=count,
             active=verdict == Outcome.UNDECIDED,
@@ -351,10 +356,12 @@ def swing(
             return function_series(contact, solution)
 
         series, until = once(contact_series), last.length
+        below, ends_below = last.sides
         if drop is not None:
             highest = least([-c for c in series], until)
             until = jnp.where(highest.exists, highest.time, until)
-        rises, time = first_rise(series, until)
+            ends_below = jnp.where(highest.exists, evaluate(series, until) < 0, ends_below)
+        rises, time = first_rise(series, until, (below, ends_below))
         time = jnp.where(rises, time, last.length)
 
         def after(time):
@@ -370,14 +377,19 @@ def swing(
         ahead = (arrival.theta < 0) & (arrival.theta > -np.pi / 2) & (arrival.thetadot < 0)
         ahead &= arrival.phi < 0
         fallen = jnp.where(last.end.thetadot >= 0, Outcome.BACKWARD, Outcome.FORWARD)
-        fallen = jnp.where(fast_sines(has_fallen)(last.end), fallen, Outcome.UNDECIDED)
+        fallen = jnp.where(
+            fast_sines(has_fallen)(last.end, last.sides[1]), fallen, Outcome.UNDECIDED
+        )
         verdict = jnp.where(rises & ahead, Outcome.STRIDE, fallen).astype(jnp.int8)
         time = jnp.where(verdict == Outcome.STRIDE, time + delay, last.length)
-        return packed(last.end), packed(arrival), last.time + time, verdict, last.count, pulled
+        time = last.time + time
+        below = last.sides[1]
+        return packed(last.end), packed(arrival), time, verdict, last.count, pulled, below
 
     zero, never = jnp.zeros((), dtype), jnp.asarray(False)
-    carry = (packed(start), packed(start), zero, verdict, jnp.asarray(0), never)
-    _, arrival, time, verdict, _, pulled = lax.while_loop(undecided, follow, carry)
+    below = jnp.asarray(fast_sines(contact)(start) < 0)
+    carry = (packed(start), packed(start), zero, verdict, jnp.asarray(0), never, below)
+    _, arrival, time, verdict, _, pulled, _ = lax.while_loop(undecided, follow, carry)
     return unpacked(arrival, structure), time, verdict, pulled
 
 
@@ -603,8 +615,8 @@ def state_after(shared: tuple[Walker, Float[Array, " coordinates"], Scalar], tim
         now, clock, count = carry
 
         def take_step():
-            series = solution_series(field, unpacked(now, structure), order)
-            length = jnp.minimum(step_length(series, tolerance), time - clock)
+            series, longest = taylor_step(field, unpacked(now, structure), order, tolerance)
+            length = jnp.minimum(longest, time - clock)
             return [*interleaved(polynomial(series, length)), length]
 
         *after, length = once(take_step)
