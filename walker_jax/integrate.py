@@ -113,20 +113,24 @@ def taylor_step(
         return series, length
     least = jnp.asarray(tolerance, length.dtype) * length
     length = up_to_switches(switches, length, least)
-    rates = vector_field(lax.stop_gradient(polynomial(series, length)))
-    expected = jax.tree.map(
-        lambda c: evaluate(derivative_of(c), length), lax.stop_gradient(series), is_leaf=is_list
-    )
+    field, fixed, end = lax.stop_gradient((vector_field, series, length))
+    rates = field(polynomial(fixed, end))
+    expected = jax.tree.map(lambda c: evaluate(derivative_of(c), end), fixed, is_leaf=is_list)
     defects = jax.tree.map(lambda a, b: jnp.max(jnp.abs(a - b)), rates, expected)
     defect = jnp.max(jnp.stack(jax.tree.leaves(defects)))
     steady = defect <= jnp.sqrt(jnp.asarray(tolerance, length.dtype)) * scale_of(series)
-    return series, lax.stop_gradient(jnp.where(steady, length, jnp.nan))
+    return series, jnp.where(steady, length, jnp.nan)
 
 
 def up_to_switches(switches: list[list[Scalar]], length: Scalar, behind: Scalar) -> Scalar:
-    """A step's length, cut a little behind the first zero of functions given by their series."""
-    for switch in lax.stop_gradient(switches):
-        length = jnp.minimum(length, first_zero(switch, length, behind) + behind)
+    """A step's length, cut a little behind the first zero of functions given by their series.
+
+    How that zero depends on everything is part of the result: where a step ends at a kink matters
+    to second derivatives.
+    """
+    for switch in switches:
+        zero = first_zero(lax.stop_gradient(switch), lax.stop_gradient(length), behind)
+        length = jnp.where(zero + behind < length, when_zero(switch, zero) + behind, length)
     return length
 
 
@@ -135,24 +139,23 @@ def first_zero(series: list[Scalar], length: Scalar, resolution: Scalar) -> Scal
 
     The polynomial is expanded anew, about points that approach the zero from the left by as much as
     is certain to hold none, until that is less than the resolution. It converges as Newton's
-    iteration does, but passes no zero. A polynomial that is zero everywhere has none.
+    iteration does, but passes no zero. One that is zero at 0 has that zero, unless it vanishes.
     """
 
     def certain(series: list[Scalar], most: Scalar) -> Scalar:
-        """A length, up to `most`, in which there is no zero.
+        """A length, up to `most`, in which a polynomial that is positive at first has no zero.
 
-        |p(t)| >= |p_0| + v t - b t^2, with v the rate of |p| and b such that b most^2 is the sum of
-        all later terms' sizes at most.
+        p(t) >= p_0 + p_1 t - b t^2, with b such that b most^2 is the sum of the later terms' sizes
+        at t = most.
         """
-        sign = jnp.where(series[0] < 0, -1, 1).astype(most.dtype)
-        size, rate = jnp.abs(series[0]), sign * series[1]
+        value, rate = series[:2]
         later = evaluate([jnp.abs(c) for c in series[2:]], most)
-        all_of_it = size + (rate - later * most) * most >= 0
-        root = jnp.sqrt(rate**2 + 4 * later * size)
+        all_of_it = value + (rate - later * most) * most >= 0
+        root = jnp.sqrt(rate**2 + 4 * later * value)
         rising = (rate + root) / (2 * jnp.where(later > 0, later, 1))
-        falling = 2 * size / jnp.where(root > rate, root - rate, 1)
+        falling = 2 * value / jnp.where(root > rate, root - rate, 1)
         bound = jnp.where(rate > 0, rising, falling)
-        at_zero = (size == 0) & ((rate != 0) | (later != 0))
+        at_zero = (value <= 0) & ((value != 0) | (rate != 0) | (later != 0))
         return jnp.where(at_zero, 0, jnp.where(all_of_it, most, bound))
 
     def unfinished(carry):
@@ -167,9 +170,10 @@ def first_zero(series: list[Scalar], length: Scalar, resolution: Scalar) -> Scal
         time = time + step
         return time, certain(series, length - time), *series
 
-    return lax.while_loop(
-        unfinished, advance, (jnp.zeros_like(length), certain(series, length), *series)
-    )[0]
+    sign = jnp.where(series[0] < 0, -1, 1).astype(length.dtype)
+    series = [sign * c for c in series]
+    first = jnp.zeros_like(length), certain(series, length), *series
+    return lax.while_loop(unfinished, advance, first)[0]
 
 
 def order_of(vector_field: VectorField, state: PyTree) -> int:
@@ -420,6 +424,14 @@ def least(series: list[Scalar], length: Scalar) -> Instant:
 def derivative_of(series: list[Scalar]) -> list[Scalar]:
     """The coefficients of a polynomial's derivative."""
     return [k * c for k, c in enumerate(series)][1:]
+
+
+def when_zero(series: list[Scalar], time: Scalar) -> Scalar:
+    """The time at which a polynomial is zero, with its derivatives: a step of Newton's."""
+    time = lax.stop_gradient(time)
+    value, slope = evaluate(series, time), evaluate(derivative_of(series), time)
+    slope = lax.stop_gradient(jnp.where(slope == 0, 1.0, slope))
+    return time - (value - lax.stop_gradient(value)) / slope
 
 
 def rising_root(

@@ -25,6 +25,7 @@ from walker_jax.integrate import (
     polynomial,
     rising_root,
     taylor_step,
+    when_zero,
 )
 from walker_jax.stride import (
     Outcome,
@@ -297,11 +298,3 @@ def rise(series: list[Scalar], length: Scalar) -> Instant:
     return Instant(
         exists, when_zero(series, rising_root(look, zero, jnp.where(exists, length, zero)))
     )
-
-
-def when_zero(series: list[Scalar], time: Scalar) -> Scalar:
-    """The time at which a polynomial is zero, with its derivatives: a step of Newton's."""
-    time = lax.stop_gradient(time)
-    value, slope = evaluate(series, time), evaluate(derivative_of(series), time)
-    slope = lax.stop_gradient(jnp.where(slope == 0, 1.0, slope))
-    return time - (value - lax.stop_gradient(value)) / slope
