@@ -361,7 +361,8 @@ def gait_measures(
     - "speed": that per unit of time;
     - "spectral-radius": the modulus of the largest multiplier of one stride, the root of that of
       the gait;
-    - "cost-of-transport": the energy that is lost per unit of weight and of way, sin(slope).
+    - "cost-of-transport": the energy that is lost per unit of weight and of way, sin(slope) where
+      gravity alone drives the walker (`Walker.driven_by_gravity`), and NaN where that is not known.
 
     Arguments are those of `gait_derivatives`; the gait is that of `find_gait` by default. All are
     NaN where none is found. `ValueError` for parameters that the walker does not have, and, where
@@ -395,7 +396,7 @@ def gait_measures(
     largest = complex(gait.multipliers[0])
     radius = abs(largest) ** (1 / period)
     growth = np.array([(np.conj(largest) * change.multipliers[0]).real for change in changes])
-    slope = float(vars(walker)["slope"])
+    slope = float(vars(walker)["slope"]) if walker.driven_by_gravity() else np.nan
     steeper = np.array([float(name == "slope") for name in parameters])
     return {
         "step-length": Measure(length, longer),

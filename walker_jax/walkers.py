@@ -56,8 +56,6 @@ class Walker(eqx.Module):
     not look at it in between."""
     inverted_pendulum: ClassVar[bool] = False
     """Whether thetaddot = sin(theta - slope): the hip does not feel the swing leg."""
-    driven_by_gravity: ClassVar[bool] = False
-    """Whether gravity alone does work on the walker, so that a step loses what the slope gives."""
 
     def __init_subclass__(cls, **kwargs):
         """Take back what is known of the walkers that this class derives from, but not of it.
@@ -114,6 +112,13 @@ class Walker(eqx.Module):
     def contact_force(self, state: State) -> tuple[Scalar, Scalar]:
         """Force (Q_u, Q_v) of the ground on the stance foot, along and normal to the slope."""
 
+    def driven_by_gravity(self) -> bool:
+        """Whether gravity alone does work on the walker, so that a step loses what the slope gives.
+
+        By default that is not known.
+        """
+        return False
+
     def past_contact(self, state: State) -> Bool[Array, ""]:
         """Whether h > 0 can only grow from here, so that no heel strike follows.
 
@@ -156,7 +161,7 @@ MOTION = ("vector_field", "system")
 KNOWN_OF = {
     "force_least_at_ends": (*MOTION, "contact_force"),
     "inverted_pendulum": MOTION,
-    "driven_by_gravity": (*MOTION, "impact"),
+    "driven_by_gravity": ("vector_field", "impact"),
     "past_contact": (*MOTION, "contact", "swing_foot"),
     "gait_region": (*MOTION, "contact", "swing_foot", "impact", "lift", "project"),
 }
@@ -340,7 +345,9 @@ class SimplestWalker(MasslessFeetWalker):
 
     force_least_at_ends: ClassVar = True
     inverted_pendulum: ClassVar = True
-    driven_by_gravity: ClassVar = True
+
+    def driven_by_gravity(self):
+        return True
 
     def gait_region(self):
         return strip_of_gaits(self.slope)
@@ -389,7 +396,9 @@ class SpringWalker(MasslessFeetWalker):
 
     force_least_at_ends: ClassVar = True
     inverted_pendulum: ClassVar = True
-    driven_by_gravity: ClassVar = True
+
+    def driven_by_gravity(self):
+        return True
 
     def gait_region(self):
         return strip_of_gaits(self.slope)
@@ -421,6 +430,10 @@ class MultibodyWalker(Walker):
     @abc.abstractmethod
     def swing_foot(self, q: Float[Array, " 4"]) -> Float[Array, " 2"]:
         """The swing foot's coordinates, those that (u, v) are for the stance foot, (11)."""
+
+    def driven_by_gravity(self):
+        """As long as there are no generalised forces, and `forces` are those of gravity."""
+        return self.system().generalised_forces is None
 
     def vector_field(self, state):
         """(4), with u and v held."""
@@ -553,8 +566,6 @@ class PointFootWalker(PointFeetWalker, MultibodyWalker):
     slope: Scalar = eqx.field(converter=SLOPE.checked)
     foot_mass: Scalar = eqx.field(converter=FOOT_MASS.checked, default=FOOT_MASS.default)
 
-    driven_by_gravity: ClassVar = True
-
     def past_contact(self, state):
         return rises_ever_faster(self, state)
 
@@ -681,8 +692,6 @@ class RoundFootWalker(HeavyLegWalker):
     com_offset: Scalar = eqx.field(converter=COM_OFFSET.checked, default=COM_OFFSET.default)
     foot_radius: Scalar = eqx.field(converter=FOOT_RADIUS.checked, default=FOOT_RADIUS.default)
 
-    driven_by_gravity: ClassVar = True
-
     def past_contact(self, state):
         return rises_ever_faster(self, state)
 
@@ -737,8 +746,6 @@ class UpperBodyWalker(HeavyLegWalker):
     com_from_hip: Scalar = eqx.field(converter=COM_FROM_HIP.checked, default=COM_FROM_HIP.default)
     com_offset: Scalar = eqx.field(converter=COM_OFFSET.checked, default=COM_OFFSET.default)
     foot_radius: Scalar = eqx.field(converter=FOOT_RADIUS.checked, default=FOOT_RADIUS.default)
-
-    driven_by_gravity: ClassVar = True
 
     def past_contact(self, state):
         return rises_ever_faster(self, state)
