@@ -34,7 +34,7 @@ from walker_jax.attraction import (
     until_near,
 )
 from walker_jax.cells import CellMap, Grid, cell_image, resolve
-from walker_jax.checks import check_kind, check_whole, short
+from walker_jax.checks import check_kind, check_precision, check_whole, short
 from walker_jax.cluster import computers
 from walker_jax.integrate import Real, default_tolerance
 from walker_jax.progress import tracked
@@ -109,7 +109,9 @@ def basin(
         raise ValueError(f"method must be one of {', '.join(METHODS)}, not {short(method)}")
     strides = check_whole("strides", strides)
     check_grid(walker, grid, method, (BYTES_PER_CELL if out is None else BYTES_STORED)[method])
-    tolerance = float(default_tolerance(jnp.asarray(0.0).dtype, tolerance))
+    dtype = jnp.asarray(0.0).dtype
+    check_precision(dtype)
+    tolerance = float(default_tolerance(dtype, tolerance))
     limit = {"strides": strides} if method == "direct" else {}
     how = {"method": method, **limit, "tolerance": tolerance}
     if out is not None:

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float
 
-from walker_jax.checks import check_kind, numbers, short
+from walker_jax.checks import check_kind, check_precision, numbers, short
 from walker_jax.gaits import (
     RESIDUAL,
     Curved,
@@ -181,8 +181,7 @@ def check_interval(
 
 def double_tolerance(tolerance: Real | None) -> Real:
     """The tolerance in float64, without which nothing here can be told from rounding."""
-    if jnp.asarray(0.0).dtype != jnp.float64:
-        raise ValueError("float64 is needed: jax.config.update('jax_enable_x64', True)")
+    check_precision(jnp.asarray(0.0).dtype, "following gaits over a parameter")
     return default_tolerance(jnp.float64, tolerance)
 
 

@@ -1,6 +1,8 @@
 """Arguments that many functions take, checked: one line that names the argument and the value."""
 
+import functools
 import operator
+import warnings
 from typing import Any
 
 import numpy as np
@@ -56,3 +58,29 @@ def numbers(name: str, values: Any) -> Float[np.ndarray, "..."]:
 def short(value: Any) -> str:
     """A value on one line, the beginning of a long one."""
     return " ".join(repr(value).split())[:60]
+
+
+class PrecisionWarning(UserWarning):
+    """What is asked rests on many strides, and is computed in float32."""
+
+
+TURN_ON = 'turn on float64 first, by jax.config.update("jax_enable_x64", True)'
+
+
+def check_precision(dtype: Any, needed_by: str | None = None) -> None:
+    """Warn of float32, once in a process; or refuse it, where something needs float64."""
+    if np.dtype(dtype) == np.float64:
+        return
+    if needed_by is not None:
+        raise ValueError(f"{needed_by} needs float64, not {np.dtype(dtype)}: {TURN_ON}")
+    warn_of_float32()
+
+
+@functools.cache
+def warn_of_float32() -> None:
+    warnings.warn(
+        "this rests on many strides, each in float32, which holds seven digits: starts near the "
+        f"boundary of a basin may have another fate. For results, {TURN_ON}",
+        PrecisionWarning,
+        stacklevel=4,
+    )

@@ -232,6 +232,11 @@ def optimise(
         *(("levels", levels, 0), ("scan", scan, 0), ("seed", seed, 0)),
     ):
         check_whole(name, value, least)
+    if "cost-of-transport" in {*weights, *limits} and not walker.driven_by_gravity():
+        raise ValueError(
+            f"cost-of-transport is not known of a {type(walker).__name__}, which more than gravity "
+            "may drive (driven_by_gravity)"
+        )
     low, high = np.array([tuple(map(float, ends)) for ends in bounds.values()]).T
     how = (grid, levels, strides, seed, tolerance)
     problem = Problem(walker, tuple(bounds), low, high, weights, sign, limits, *how)

@@ -24,7 +24,7 @@ from walker_jax.attraction import (
 )
 from walker_jax.basin import check_grid, labelled
 from walker_jax.cells import Grid
-from walker_jax.checks import check_whole
+from walker_jax.checks import check_precision, check_whole
 from walker_jax.integrate import default_tolerance
 from walker_jax.stride import Outcome
 from walker_jax.walkers import Walker
@@ -142,7 +142,9 @@ def refined(
     check_whole("check", check, 0)
     check_whole("strides", strides)
     check_whole("seed", seed, 0)
-    tolerance = float(default_tolerance(jnp.asarray(0.0).dtype, tolerance))
+    dtype = jnp.asarray(0.0).dtype
+    check_precision(dtype)
+    tolerance = float(default_tolerance(dtype, tolerance))
     finest = finer(grid, levels)
     check_grid(walker, finest, "direct", BYTES_PER_CELL)
     rng = np.random.default_rng(seed)

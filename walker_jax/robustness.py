@@ -21,7 +21,15 @@ from walker_jax.attraction import Attractor, follow, framed_attractors, near, wi
 from walker_jax.basin import around, check_grid
 from walker_jax.boundaries import Uncertainty, checked_distances, uncertainty_exponent, upper_end
 from walker_jax.cells import Grid
-from walker_jax.checks import check_kind, check_number, check_whole, is_number, numbers, short
+from walker_jax.checks import (
+    check_kind,
+    check_number,
+    check_precision,
+    check_whole,
+    is_number,
+    numbers,
+    short,
+)
 from walker_jax.gaits import Gait, check_parameter, find_gait, with_parameter
 from walker_jax.integrate import default_tolerance
 from walker_jax.margins import failed_by, follow_margins
@@ -345,7 +353,9 @@ def boundary_dimension(
     apart = checked_distances(numbers("distances", distances), pairs)
     upper_end(confidence)
     check_whole("strides", strides)
-    finest = float(default_tolerance(jnp.asarray(0.0).dtype, tolerance))
+    dtype = jnp.asarray(0.0).dtype
+    check_precision(dtype, "boundary_dimension, which compares starts 1e-6 apart,")
+    finest = float(default_tolerance(dtype, tolerance))
     starts, attractors = framed_attractors(walker, grid, finest, strides)
 
     def label_of(share: Float[np.ndarray, "n axes"]) -> Int[np.ndarray, " n"]:
@@ -401,6 +411,7 @@ def robustness(
     period one is found.
     """
     check_kind("walker", walker, Walker)
+    check_precision(jnp.asarray(0.0).dtype, "robustness, which has the dimension of a boundary,")
     grid = default_region(walker) if grid is None else grid
     if grid is None:
         raise ValueError("grid is wanted where no gait of period one is found")
@@ -489,6 +500,7 @@ def robustness_table(
     if values.ndim != 1 or len(values) == 0:
         raise ValueError(f"values must be one row of numbers, not of shape {values.shape}")
     check_parameter(walker, parameter, *map(float, values))
+    check_precision(jnp.asarray(0.0).dtype, "robustness_table, as robustness does,")
     rows = []
     for value in tracked(values, parameter, progress):
         there = with_parameter(walker, parameter, float(value))
@@ -592,6 +604,7 @@ def returning(
     if not isinstance(gait, Gait) or not (gait.found and gait.stable):
         raise ValueError("gait must be a stable one, and found")
     states = np.asarray(gait.states)
+    check_precision(states.dtype)
     if states.shape[1:] != (len(walker.section),):
         raise ValueError(f"gait must be one of this walker, on {', '.join(walker.section)}")
     ends = take_strides(walker, states, tolerance=tolerance).state
