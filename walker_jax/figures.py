@@ -165,11 +165,8 @@ def basin(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     """
     if "fate" not in data or data["fate"].ndim != 2 or min(data["fate"].shape) < 2:
         dimensions = dict(data["fate"].sizes) if "fate" in data else "no fate"
-        slices = ""
-        if "fate" in data and data["fate"].ndim == 3 and "number" in data.dims:
-            depth = data["fate"].dims[2]
-            slices = f": draw a slice, data.isel({depth}=0), or several by basin_slices(data)"
-        raise WrongUse(f"data must have a fate over 2 x 2 cells or more, not {dimensions}{slices}")
+        instead = slices_of(data)
+        raise WrongUse(f"data must have a fate over 2 x 2 cells or more, not {dimensions}{instead}")
     data = data.assign_coords(coordinate=data.attrs["section"])
     fate = data["fate"]
     if ax is None:
@@ -212,6 +209,15 @@ def basin(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     ax.set_title(name, loc="left", fontsize=size, fontweight="bold", pad=pad)
     ax.annotate(note, (0, 1), (0, 7), "axes fraction", "offset points", fontsize=9.5)
     return ax
+
+
+def slices_of(data: xr.Dataset) -> str:
+    """What to do with a basin of three dimensions where one of two is drawn."""
+    dimensions = data["fate"].dims if "fate" in data and "number" in data.dims else ()
+    others = [name for name in dimensions if name not in ("theta", "thetadot", "sum")]
+    if len(dimensions) != 3 or len(others) != 1:
+        return ""
+    return f": take a slice, data.isel({others[0]}=0), or draw several, basin_slices(data)"
 
 
 def basin_slices(data: xr.Dataset) -> Figure:

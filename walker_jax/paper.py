@@ -309,8 +309,9 @@ FIGURES = (
         "The Poincaré section",
         lambda data: drawn(figures.basin(data["section"])),
         "The whole feasible section at a slope of 0.004, every cell followed until it fails or has "
-        "come to the gait: F falls forward, B backward, R runs (its foot pulls at the ground), and "
-        "A is attracted by the gait.",
+        "come to the gait: F falls forward, B backward, and R runs (its foot pulls at the ground). "
+        "The basin of attraction, which is too narrow for a letter, is dark; the dot is the gait. "
+        "At the right border, a few walkers stop on both feet.",
     ),
     PaperFigure(
         3,

@@ -122,7 +122,9 @@ class Walker(eqx.Module):
 
 
 def displayed(value: Any) -> str:
-    """A number as it is; of anything else, such as an array, the type and shape."""
+    """A number as it is; of arrays, and of what JAX traces, the type and shape."""
+    if not eqx.is_array_like(value):
+        return repr(value)
     single = not isinstance(value, Tracer) and np.shape(value) == ()
     return str(np.asarray(value)[()]) if single else eqx.tree_pformat(value)
 
