@@ -432,7 +432,7 @@ def test_what_jax_cannot_trace_says_so():
         call = lambda value, name=name, good=good, argument=argument: getattr(wj, name)(
             **good, **{argument: value}
         )
-        said = f"^{argument} must not be traced: {name} runs outside of jax.jit, .*; .+$"
+        said = f"^{argument} must not be traced: {name} runs outside of jax.jit, .*; .+"
         with pytest.raises(WrongUse, match=said):
             jax.eval_shape(call, jnp.asarray(value) if argument != "walker" else value)
 

@@ -222,6 +222,7 @@ def loss_of_walking(
     tolerance = double_tolerance(tolerance)
     below, above = check_interval(walker, parameter, interval)
     check_whole("strides", strides)
+    check_kind("branches", branches, Sequence)
     for branch in branches:
         check_kind("branches", branch, Branch)
     check_number("resolution", resolution)

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy.special import ndtri, stdtrit
 
-from walker_jax.checks import WrongUse, check_number, check_whole, numbers, refuses_tracers
+from walker_jax.checks import WrongUse, array, check_number, check_whole, numbers, refuses_tracers
 
 SMALLEST = 4
 """Cells along a side of the smallest box: detail finer than a cell is missing from smaller ones."""
@@ -91,7 +91,7 @@ def box_counting(
 
     Raises ValueError if the array is too small for `SCALES` sizes, or an option is out of range.
     """
-    labels = np.asarray(labels)
+    labels = array("labels", labels)
     check_number("spacing", spacing)
     if not 0 < spacing < np.inf:
         raise WrongUse(f"spacing={spacing}: must be positive and finite")

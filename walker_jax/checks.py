@@ -12,7 +12,7 @@ from typing import Any, ParamSpec, TypeVar
 import jax
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -73,6 +73,14 @@ def numbers(name: str, values: Any) -> Float[np.ndarray, "..."]:
         return np.asarray(values, float)
     except (TypeError, ValueError, OverflowError):
         raise WrongUse(f"{name} must be real numbers, not {short(values)}") from None
+
+
+def array(name: str, values: Any) -> Shaped[np.ndarray, "..."]:
+    """An array of any kind; rows of different lengths are refused."""
+    try:
+        return np.asarray(values)
+    except ValueError:
+        raise WrongUse(f"{name} must be an array, not {short(values)}") from None
 
 
 def is_traced(tree: Any) -> bool:

@@ -1399,8 +1399,9 @@ def main() -> NoReturn:
 
 
 def notes_of(interruption: BaseException) -> list[str]:
-    """What the library says of what is left, with options as here."""
+    """How the work is resumed, as the library says, with options as here."""
     notes = getattr(interruption, "__notes__", [])
+    notes = [note for note in notes if note.startswith(store.RESUME)]
     return [note.replace("without overwrite", "without --overwrite", 1) for note in notes]
 
 

@@ -295,7 +295,8 @@ def limits_of(
 ) -> dict[str, tuple[float, float]]:
     """The least and the greatest value of each measure that has limits, checked."""
     limits: dict[str, tuple[float, float]] = {}
-    for side, given in enumerate((at_least or {}, at_most or {})):
+    for side, given in enumerate((at_least, at_most)):
+        given = {} if given is None else given
         check_kind("limits", given, Mapping)
         for name, value in given.items():
             if name not in GAIT_MEASURES:

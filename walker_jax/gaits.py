@@ -28,6 +28,7 @@ from jaxtyping import Array, Bool, Complex, Float, Int
 from walker_jax.cells import Grid
 from walker_jax.checks import (
     WrongUse,
+    array,
     check_kind,
     check_number,
     check_whole,
@@ -360,7 +361,7 @@ def descend(
     import optax  # here alone: it takes a quarter of a second
 
     check_kind("walker", walker, Walker)
-    cycles = np.asarray(cycles)
+    cycles = array("cycles", cycles)
     if cycles.ndim != 3 or cycles.size == 0 or cycles.shape[2] != len(walker.section):
         raise WrongUse(
             f"cycles must have shape (n, period, {len(walker.section)}), not {cycles.shape}"

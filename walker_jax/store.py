@@ -43,6 +43,8 @@ class Occupied(WrongUse):
 
 ELSEWHERE = "give another {}"
 REPLACE = "give another {}, or overwrite to replace it"
+RESUME = "run the same again"
+"""What a note on an interruption begins with that says how its work is resumed."""
 
 
 def find(path: Path, request: dict, *, overwrite: bool = False) -> xr.Dataset | None:
@@ -228,7 +230,7 @@ def resumable(
     except BaseException as interruption:
         if begun():
             how = ", without overwrite," if overwrite else ""
-            interruption.add_note(f"run the same again{how} to resume from {path}")
+            interruption.add_note(f"{RESUME}{how} to resume from {path}")
         raise
 
 

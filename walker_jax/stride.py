@@ -23,6 +23,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from walker_jax.checks import (
     WrongUse,
+    array,
     check_kind,
     check_number,
     check_whole,
@@ -501,7 +502,7 @@ def for_each_start(
 ) -> Any:
     """function(walker, x, tolerance=tolerance) for n starts, and one walker or n; NumPy arrays."""
     check_kind("walker", walker, Walker)
-    xs = np.asarray(xs)
+    xs = array("xs", xs)
     if np.iscomplexobj(xs):
         raise WrongUse(f"xs must be real, not of type {xs.dtype}")
     if xs.ndim != 2:
