@@ -1,5 +1,6 @@
 """Pictures, drawn from small data sets made by hand: what stands where, and in which colour."""
 
+import re
 import subprocess
 import sys
 from itertools import combinations
@@ -265,6 +266,21 @@ def test_two_dimensions_are_drawn_and_nothing_else(data):
     ) as e:
         figures.basin(data)
     assert "\n" not in str(e.value)
+
+
+def test_a_refusal_of_three_dimensions_says_how_to_take_a_slice():
+    data = every_fate().expand_dims(phidot=3)
+    with pytest.raises(ValueError, match=r"take a slice, data\.isel\(phidot=0\), or") as error:
+        figures.basin(data)
+    (slicing,) = re.findall(r"data\.isel\(phidot=0\)", str(error.value))
+    assert figures.basin(eval(slicing)).has_data()
+    for other in (
+        every_fate().expand_dims(slope=3).drop_dims("number"),
+        every_fate().isel(theta=0),
+    ):
+        with pytest.raises(ValueError) as error:
+            figures.basin(other)
+        assert "slice" not in str(error.value)
 
 
 def test_a_slice_of_a_data_set_with_more_dimensions_is_drawn():

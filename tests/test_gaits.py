@@ -232,7 +232,7 @@ def test_a_guess_that_is_not_finite_is_refused(guess):
 )
 def test_descend_refuses(changes, message):
     arguments = {"cycles": np.array([[[0.2, -0.2]]]), "steps": 2, "rate": 0.001} | changes
-    with pytest.raises((ValueError, TypeError), match=message):
+    with pytest.raises(ValueError, match=message):
         wj.descend(walker(), **arguments)
 
 

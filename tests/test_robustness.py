@@ -82,7 +82,7 @@ def test_in_one_direction_only():
     fails = lambda y: (y[:, 1] > 0.2) | (y[:, 1] < -0.05)
     found = nearest_failure(fails, np.array([[0.0, 1.0]]), np.zeros_like)
     np.testing.assert_allclose(found, [0, -0.05], rtol=0, atol=1e-12)
-    with pytest.raises(ValueError, match="returns from everywhere"):
+    with pytest.raises(wj.ComputationFailed, match="returns to its gait from all disturbances"):
         nearest_failure(fails, np.array([[1.0, 0.0]]), np.zeros_like)
 
 

@@ -1,6 +1,7 @@
 """Strides against an independent Runge-Kutta solution, the literature, and a 40-digit map."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -600,6 +601,34 @@ def test_single_strides_equal_those_in_tiles_and_mapped(tangents):
         assert single.outcome == tiled.outcome[i] and single.outcome.dtype == jnp.int8
         np.testing.assert_allclose(single.state, tiled.state[i], rtol=0, atol=1e-12)
         np.testing.assert_allclose(single.time, tiled.time[i], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("rates", "found"),
+    [
+        (lambda s: jnp.sin(s.theta), "f64[]"),
+        (lambda s: (s.thetadot, s.phidot, s.theta), "(f64[], f64[], f64[])"),
+        (lambda s: [*s], "[f64[], f64[], f64[], f64[]]"),
+        (lambda s: jnp.stack(s), "f64[4]"),
+        (lambda s: s._replace(phi=jnp.stack(s)), "State(theta=f64[], phi=f64[4], "),
+        (lambda s: None, "None"),
+    ],
+)
+def test_a_vector_field_that_gives_no_state_is_refused(rates, found):
+    class Own(SimplestWalker):
+        def vector_field(self, state):
+            return rates(state)
+
+    said = f"vector_field of Own must return a State of four scalars, not {found}"
+    for function in (
+        lambda x: wj.stride(Own(0.004), x),
+        lambda x: wj.margins(Own(0.004), x),
+        lambda x: wj.trajectory(Own(0.004), x, jnp.array([1.0])),
+        lambda x: wj.step_down(Own(0.004), x, 0.001),
+    ):
+        for call in (function, jax.jit(function)):
+            with pytest.raises(ValueError, match=f"^{re.escape(said)}"):
+                call(jnp.array([0.2, -0.21]))
 
 
 class PatientWalker(Walker):

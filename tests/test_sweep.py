@@ -176,14 +176,14 @@ def test_here_things_are_computed_one_by_one():
 )
 def test_a_cluster_that_there_cannot_be_costs_nothing(tmp_path, monkeypatch, cluster_, message):
     monkeypatch.setattr(cluster, "PATIENCE", 1)
-    with pytest.raises((ValueError, TypeError), match=message):
+    with pytest.raises(ValueError, match=message):
         wj.basin(WALKER, GRID, out=tmp_path / "a.zarr", cluster=cluster_)
     assert not [*tmp_path.iterdir()]
     first = wj.basin(WALKER, GRID, strides=5, method="direct", out=tmp_path / "a.zarr")
     options = {"out": tmp_path / "a.zarr", "cluster": cluster_, "overwrite": True}
-    with pytest.raises((ValueError, TypeError), match=message):
+    with pytest.raises(ValueError, match=message):
         wj.basin(WALKER, GRID, **options)
-    with pytest.raises((ValueError, TypeError), match=message):
+    with pytest.raises(ValueError, match=message):
         wj.sweep(WALKER, OVER, GRID, **options)
     assert store.opened(tmp_path / "a.zarr").identical(first)
 

@@ -20,6 +20,17 @@ WALKER = wj.SimplestWalker(SLOPE)
 COUNT = 40
 
 
+def test_the_representation_shows_values():
+    assert repr(wj.SimplestWalker(slope=0.004)) == "SimplestWalker(slope=0.004)"
+    single = wj.SpringWalker(jnp.float32(0.1), 0.5)
+    assert repr(single) == "SpringWalker(slope=0.1, hip_stiffness=0.5)"
+    many = jax.vmap(wj.SimplestWalker)(jnp.array([0.004, 0.005]))
+    assert repr(many) == "SimplestWalker(slope=f64[2])"
+    seen = []
+    jax.eval_shape(lambda slope: seen.append(repr(wj.SimplestWalker(slope))), jnp.ones(()))
+    assert seen == ["SimplestWalker(slope=f64[])"]
+
+
 def states():
     """States of all kinds, also fast and steep ones: arrays of shape (COUNT,)."""
     rng = np.random.default_rng(1)

@@ -34,7 +34,14 @@ from walker_jax.attraction import (
     until_near,
 )
 from walker_jax.cells import CellMap, Grid, cell_image, resolve
-from walker_jax.checks import check_kind, check_precision, check_whole, short
+from walker_jax.checks import (
+    WrongUse,
+    check_kind,
+    check_precision,
+    check_whole,
+    refuses_tracers,
+    short,
+)
 from walker_jax.cluster import computers
 from walker_jax.integrate import Real, default_tolerance
 from walker_jax.progress import tracked
@@ -55,6 +62,7 @@ ORBIT = 3000
 """Strides of a motion that does not repeat itself that are compared with cells."""
 
 
+@refuses_tracers("area_gradient gives derivatives of a basin's area")
 def basin(
     walker: Walker,
     grid: Grid,
@@ -106,7 +114,7 @@ def basin(
     written to, or that another run is writing to.
     """
     if not isinstance(method, str) or method not in METHODS:
-        raise ValueError(f"method must be one of {', '.join(METHODS)}, not {short(method)}")
+        raise WrongUse(f"method must be one of {', '.join(METHODS)}, not {short(method)}")
     strides = check_whole("strides", strides)
     check_grid(walker, grid, method, (BYTES_PER_CELL if out is None else BYTES_STORED)[method])
     dtype = jnp.asarray(0.0).dtype
@@ -117,7 +125,7 @@ def basin(
     if out is not None:
         return in_pieces(walker, grid, how, Path(out), request, overwrite, cluster, progress)
     if cluster is not None:
-        raise ValueError(f"cluster={cluster!r} computes pieces of a store: out is wanted too")
+        raise WrongUse(f"cluster={cluster!r} computes pieces of a store: out is wanted too")
     if method == "cell-map":
         found = cell_mapping(walker, grid, tolerance, progress)
     else:
@@ -125,7 +133,7 @@ def basin(
     return labelled(walker, grid, found, how)
 
 
-class TooLarge(ValueError, MemoryError):
+class TooLarge(WrongUse, MemoryError):
     """More is asked than this machine has the memory for."""
 
 
@@ -136,19 +144,19 @@ def check_grid(
     check_kind("walker", walker, Walker)
     check_kind("grid", grid, Grid)
     if grid.coordinates != len(walker.section):
-        raise ValueError(
+        raise WrongUse(
             f"grid must have the {len(walker.section)} dimensions of the section, "
             f"{', '.join(walker.section)}, not {', '.join((*grid.names, *grid.fixed))}"
         )
     if method == "cell-map" and len(grid.names) < grid.coordinates:
-        raise ValueError(
+        raise WrongUse(
             f"method must be direct for a slice, {' and '.join(grid.fixed)} fixed, which walkers "
             "leave, not 'cell-map'"
         )
     for place, name in enumerate((*grid.names, *grid.fixed)):
         wrong = name in walker.section and walker.section.index(name) != place
         if wrong or (name in grid.fixed and name not in walker.section):
-            raise ValueError(
+            raise WrongUse(
                 f"grid must name coordinates in the order of the section, {walker.section}, "
                 f"not {(*grid.names, *grid.fixed)}"
             )
@@ -188,6 +196,7 @@ def cycles_of(grid: Grid, ends: CellMap) -> list[Attractor]:
     return [Attractor(*one) for one in zip(lengths, states, strict=False)]
 
 
+@refuses_tracers()
 def compare_methods(
     walker: Walker, grid: Grid, *, strides: int = 200, tolerance: float | None = None
 ) -> xr.Dataset:
@@ -393,7 +402,8 @@ def in_pieces(
     ):
         compute = partial(method.piece, place.notes)
         number = {part_of(grid, place, i): i for i in place.missing()}
-        for part, values in tracked(each(compute, [*number]), "pieces", progress, len(number)):
+        found, done = each(compute, [*number]), place.count - len(number)
+        for part, values in tracked(found, "pieces", progress, place.count, done):
             place.write(number[part], values, done=True)
         attractors, pieces = method.finish(place)
         cells = np.zeros(len(attractors), int)

@@ -24,6 +24,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
 from matplotlib.transforms import offset_copy
 
+from walker_jax.checks import WrongUse
 from walker_jax.design import ATTRACTED, ENDS
 from walker_jax.gaits import Gait
 from walker_jax.stride import Outcome
@@ -164,7 +165,8 @@ def basin(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     """
     if "fate" not in data or data["fate"].ndim != 2 or min(data["fate"].shape) < 2:
         dimensions = dict(data["fate"].sizes) if "fate" in data else "no fate"
-        raise ValueError(f"data must have a fate over 2 x 2 cells or more, not {dimensions}")
+        instead = slices_of(data)
+        raise WrongUse(f"data must have a fate over 2 x 2 cells or more, not {dimensions}{instead}")
     data = data.assign_coords(coordinate=data.attrs["section"])
     fate = data["fate"]
     if ax is None:
@@ -209,6 +211,15 @@ def basin(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     return ax
 
 
+def slices_of(data: xr.Dataset) -> str:
+    """What to do with a basin of three dimensions where one of two is drawn."""
+    dimensions = data["fate"].dims if "fate" in data and "number" in data.dims else ()
+    others = [name for name in dimensions if name not in ("theta", "thetadot", "sum")]
+    if len(dimensions) != 3 or len(others) != 1:
+        return ""
+    return f": take a slice, data.isel({others[0]}=0), or draw several, basin_slices(data)"
+
+
 def basin_slices(data: xr.Dataset) -> Figure:
     """The basin of attraction over a grid of three dimensions, in slices across the last.
 
@@ -223,7 +234,7 @@ def basin_slices(data: xr.Dataset) -> Figure:
     """
     if "fate" not in data or data["fate"].ndim != 3 or min(data["fate"].shape[:2]) < 2:
         dimensions = dict(data["fate"].sizes) if "fate" in data else "no fate"
-        raise ValueError(f"data must have a fate over 2 x 2 x 1 cells or more, not {dimensions}")
+        raise WrongUse(f"data must have a fate over 2 x 2 x 1 cells or more, not {dimensions}")
     data = data.assign_coords(coordinate=data.attrs["section"])
     fate = data["fate"]
     x, y, z = map(str, fate.dims)
@@ -854,7 +865,7 @@ def disturbance(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     **Returns** the axes. Raises `ValueError` for another data set.
     """
     if not has_disturbance(data):
-        raise ValueError("data must hold the least disturbance of a gait, over two dimensions")
+        raise WrongUse("data must hold the least disturbance of a gait, over two dimensions")
     data = data.assign_coords(coordinate=data.attrs["section"])
     if ax is None:
         ax = Figure(figsize=(5.4, 5.4), layout="constrained").add_subplot()
@@ -1019,7 +1030,7 @@ def table_axis(data: xr.Dataset) -> tuple[Float[np.ndarray, " n"], str]:
     """The values of a table's parameter, and its name; `ValueError` for what is no table."""
     dims = data["total_area"].dims if "total_area" in data else ()
     if len(dims) != 1 or "least_disturbance" not in data:
-        raise ValueError("data must be a table of robustness over one parameter")
+        raise WrongUse("data must be a table of robustness over one parameter")
     return data[dims[0]].values, str(dims[0])
 
 
@@ -1044,7 +1055,7 @@ def optimisation(data: xr.Dataset, parameter: str | None = None, ax: Axes | None
     names = free(data)
     parameter = names[0] if parameter is None else parameter
     if parameter not in names:
-        raise ValueError(f"parameter must be one of {', '.join(names)}, not {parameter!r}")
+        raise WrongUse(f"parameter must be one of {', '.join(names)}, not {parameter!r}")
     if ax is None:
         ax = Figure(figsize=(7, 5.6), layout="constrained").add_subplot()
     draw_optimisation(ax, data, parameter, aim(data, 60))
@@ -1100,7 +1111,7 @@ def optimised(data: xr.Dataset) -> Figure:
 def check_optimum(data: xr.Dataset) -> None:
     """Raise `ValueError` where no optimum was found."""
     if "found" not in data or not data["found"]:
-        raise ValueError("data must be of an optimisation that found an optimum")
+        raise WrongUse("data must be of an optimisation that found an optimum")
 
 
 def free(data: xr.Dataset) -> list[str]:
@@ -1195,7 +1206,7 @@ def draw_runs(ax: Axes, own: xr.Dataset) -> tuple[list[Line2D], list[Line2D]]:
 def draw_basins(panels: Sequence[Axes], data: xr.Dataset) -> None:
     """The basins at start and optimum, on two axes of a figure, whose legend is for both."""
     if "fate_start" not in data or "fate_optimum" not in data:
-        raise ValueError("data must hold the basins at start and optimum of an optimisation")
+        raise WrongUse("data must hold the basins at start and optimum of an optimisation")
     x, y = map(str, data["fate_start"].dims)
     fate = np.stack([data["fate_start"].values, data["fate_optimum"].values])
     found = [
@@ -1336,7 +1347,7 @@ def check(data: xr.Dataset, names: tuple[str, ...]) -> None:
     missing += [f"attribute {name}" for name in ("parameter", "section") if name not in data.attrs]
     if missing:
         lacking = ", ".join(missing)
-        raise ValueError(f"data must be of a bifurcation diagram, unlike one without {lacking}")
+        raise WrongUse(f"data must be of a bifurcation diagram, unlike one without {lacking}")
 
 
 def curves(data: xr.Dataset) -> list[Curve]:

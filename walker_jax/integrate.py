@@ -21,7 +21,7 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from walker_jax.checks import check_number
+from walker_jax.checks import WrongUse, check_number
 from walker_jax.taylor import (
     VirtualPower,
     evaluate,
@@ -47,14 +47,14 @@ def default_tolerance(dtype, tolerance: Real | None = None) -> Real:
     """The tolerance that a dtype holds, or the one given, where the dtype can hold it."""
     dtype = jnp.dtype(dtype)
     if dtype not in TOLERANCE:
-        raise ValueError(f"dtype must be float32 or float64, not {dtype}")
+        raise WrongUse(f"dtype must be float32 or float64, not {dtype}")
     if tolerance is None:
         return TOLERANCE[dtype]
     if isinstance(tolerance, Tracer):
         return tolerance
     check_number("tolerance", tolerance)
     if not jnp.finfo(dtype).eps / 4 <= tolerance < 1:
-        raise ValueError(
+        raise WrongUse(
             f"tolerance must lie between {jnp.finfo(dtype).eps / 4:.2g}, which is what {dtype} "
             f"holds, and 1, not be {tolerance:g}"
         )

@@ -14,6 +14,7 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
+from walker_jax.checks import refuses_tracers
 from walker_jax.integrate import (
     MAX_STEPS,
     Instant,
@@ -74,6 +75,7 @@ def margins(
     return of_one_start(margins, follow_margins, walker, x, tolerance)
 
 
+@refuses_tracers("within them use jax.vmap(lambda x: wj.margins(walker, x))(xs)")
 def margins_of_many(
     walker: Walker,
     xs: Float[ArrayLike, "n coordinates"],

@@ -23,7 +23,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from walker_jax.attraction import follow
 from walker_jax.cells import Grid
-from walker_jax.checks import check_kind, numbers, short
+from walker_jax.checks import WrongUse, check_kind, numbers, refuses_tracers, short
 from walker_jax.gaits import Gait, check_parameter, find_gait, gait_derivatives, with_parameter
 from walker_jax.integrate import default_tolerance
 from walker_jax.refinement import Refined, refined
@@ -62,6 +62,7 @@ class AreaGradient(NamedTuple):
     """That were made in all, those with derivatives once for each direction."""
 
 
+@refuses_tracers("it gives derivatives itself, by the parameters named")
 def area_gradient(
     walker: Walker,
     grid: Grid,
@@ -155,7 +156,7 @@ def checked_bands(
         check_parameter(walker, name)
     widths = np.ones(len(parameters)) if bands is None else numbers("bands", bands)
     if widths.shape != (len(parameters),) or not np.all((widths > 0) & (widths < np.inf)):
-        raise ValueError(f"bands must be a number above 0 for each parameter, not {short(bands)}")
+        raise WrongUse(f"bands must be a number above 0 for each parameter, not {short(bands)}")
     return widths
 
 
@@ -277,6 +278,7 @@ class DisturbanceGradient(NamedTuple):
     """Whether the derivatives are averages over bands."""
 
 
+@refuses_tracers("it gives derivatives itself, by the parameters named")
 def disturbance_gradient(
     walker: Walker,
     parameters: Sequence[str] = ("slope",),
@@ -348,6 +350,7 @@ class Measure(NamedTuple):
     gradient: Float[np.ndarray, " parameters"]
 
 
+@refuses_tracers("it gives derivatives itself, by the parameters named")
 def gait_measures(
     walker: Walker,
     parameters: Sequence[str] = ("slope",),

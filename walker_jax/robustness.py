@@ -22,12 +22,15 @@ from walker_jax.basin import around, check_grid
 from walker_jax.boundaries import Uncertainty, checked_distances, uncertainty_exponent, upper_end
 from walker_jax.cells import Grid
 from walker_jax.checks import (
+    ComputationFailed,
+    WrongUse,
     check_kind,
     check_number,
     check_precision,
     check_whole,
     is_number,
     numbers,
+    refuses_tracers,
     short,
 )
 from walker_jax.gaits import Gait, check_parameter, find_gait, with_parameter
@@ -91,6 +94,7 @@ class LeastDisturbance(NamedTuple):
     """Strides before that, the failing one not counted."""
 
 
+@refuses_tracers("disturbance_gradient gives derivatives of the least disturbance")
 def least_disturbance(
     walker: Walker,
     gait: Gait | None = None,
@@ -121,7 +125,8 @@ def least_disturbance(
     - `tolerance`: of the integration, as in `stride`.
 
     `ValueError` for a gait that is not stable, or not found, and for a scale or vectors that are
-    not of the section.
+    not of the section; `ComputationFailed` where no disturbance up to a size of a thousand is
+    found from which the walker does not return.
     """
     unit, basis = metric(walker, scale, along)
     size = len(unit)
@@ -168,6 +173,7 @@ class LeastStepDown(NamedTuple):
     """Strides before that, the one down included, the failing one not."""
 
 
+@refuses_tracers()
 def least_step_down(
     walker: Walker,
     gait: Gait | None = None,
@@ -221,6 +227,7 @@ class BasinStability(NamedTuple):
     """And of 95 of 100; infinite where they have not come that close, NaN where none come back."""
 
 
+@refuses_tracers()
 def basin_stability(
     walker: Walker,
     disturbances: float | Grid,
@@ -259,26 +266,26 @@ def basin_stability(
     if isinstance(disturbances, Grid):
         check_grid(walker, disturbances, "direct")
         if scale is not None or along is not None:
-            raise ValueError("scale and along are of no use where disturbances is a grid")
+            raise WrongUse("scale and along are of no use where disturbances is a grid")
     elif not is_number(disturbances) or not 0 < disturbances < np.inf:
-        raise ValueError(
+        raise WrongUse(
             f"disturbances must be a positive number, or a grid, not {short(disturbances)}"
         )
     check_number("within", within)
     check_number("confidence", confidence)
     if not within > 0:
-        raise ValueError(f"within must be positive, not {within}")
+        raise WrongUse(f"within must be positive, not {within}")
     check_whole("samples", samples)
     check_whole("seed", seed, 0)
     if not 0 < confidence < 1:
-        raise ValueError(f"confidence must be between 0 and 1, not {confidence}")
+        raise WrongUse(f"confidence must be between 0 and 1, not {confidence}")
     counts = {np.size(leaf) for leaf in jax.tree.leaves(walker) if np.ndim(leaf)}
     if counts and gait is not None:
-        raise ValueError("gait must be left out for walkers with arrays for parameters")
+        raise WrongUse("gait must be left out for walkers with arrays for parameters")
     if counts:
         check_parameters(walker, max(counts))
     if 0 in counts:
-        raise ValueError("walker must be one or more, and its parameters are arrays of none")
+        raise WrongUse("walker must be one or more, and its parameters are arrays of none")
     rng = np.random.default_rng(seed)
     if isinstance(disturbances, Grid):
         starts = disturbances.states(rng.uniform(size=(samples, len(disturbances.names))))
@@ -319,6 +326,7 @@ DISTANCES = 10.0 ** np.linspace(-6, -3.5, 11)
 """Between starts whose fates are compared, as shares of the lengths of a grid's axes."""
 
 
+@refuses_tracers()
 def boundary_dimension(
     walker: Walker,
     grid: Grid,
@@ -375,6 +383,7 @@ def boundary_dimension(
     )
 
 
+@refuses_tracers()
 def robustness(
     walker: Walker,
     grid: Grid | None = None,
@@ -414,7 +423,7 @@ def robustness(
     check_precision(jnp.asarray(0.0).dtype, "robustness, which has the dimension of a boundary,")
     grid = default_region(walker) if grid is None else grid
     if grid is None:
-        raise ValueError("grid is wanted where no gait of period one is found")
+        raise WrongUse("grid is wanted where no gait of period one is found")
     options: Any = {"check": check, "strides": strides, "seed": seed, "tolerance": tolerance}
     data = refine(walker, grid, levels, **options)
     data.attrs["disturbances"] = disturbances
@@ -476,6 +485,7 @@ def without_gait(walker: Walker) -> dict:
     return dict.fromkeys(names, np.nan) | vectors | whole
 
 
+@refuses_tracers()
 def robustness_table(
     walker: Walker,
     values: Sequence[Any] | ArrayLike,
@@ -498,7 +508,7 @@ def robustness_table(
     """
     values = numbers("values", values)
     if values.ndim != 1 or len(values) == 0:
-        raise ValueError(f"values must be one row of numbers, not of shape {values.shape}")
+        raise WrongUse(f"values must be one row of numbers, not of shape {values.shape}")
     check_parameter(walker, parameter, *map(float, values))
     check_precision(jnp.asarray(0.0).dtype, "robustness_table, as robustness does,")
     rows = []
@@ -578,11 +588,11 @@ def metric(
     size = len(walker.section)
     unit = np.ones(size) if scale is None else numbers_or_none(scale)
     if unit.shape != (size,) or not np.all(np.isfinite(unit) & (unit > 0)):
-        raise ValueError(f"scale must be {size} positive numbers, not {short(scale)}")
+        raise WrongUse(f"scale must be {size} positive numbers, not {short(scale)}")
     basis = np.eye(size) if along is None else np.atleast_2d(numbers_or_none(along))
     fits = basis.ndim == 2 and basis.shape[1] == size and bool(np.isfinite(basis).all())
     if not fits or np.linalg.matrix_rank(basis) != len(basis):
-        raise ValueError(f"along must be independent vectors of the section, not {short(along)}")
+        raise WrongUse(f"along must be independent vectors of the section, not {short(along)}")
     return unit, np.linalg.qr((basis / unit).T)[0].T
 
 
@@ -602,15 +612,15 @@ def returning(
     check_whole("strides", strides)
     gait = find_gait(walker) if gait is None else gait
     if not isinstance(gait, Gait) or not (gait.found and gait.stable):
-        raise ValueError("gait must be a stable one, and found")
+        raise WrongUse("gait must be a stable one, and found")
     states = np.asarray(gait.states)
     check_precision(states.dtype)
     if states.shape[1:] != (len(walker.section),):
-        raise ValueError(f"gait must be one of this walker, on {', '.join(walker.section)}")
+        raise WrongUse(f"gait must be one of this walker, on {', '.join(walker.section)}")
     ends = take_strides(walker, states, tolerance=tolerance).state
     miss = np.abs(ends - np.roll(states, -1, axis=0)).max()
     if not miss < near(states.dtype):
-        raise ValueError(f"gait must be one of this walker, whose strides miss it by {miss:.2g}")
+        raise WrongUse(f"gait must be one of this walker, whose strides miss it by {miss:.2g}")
     finest = default_tolerance(states.dtype, tolerance)
     cycle = Attractor(len(states), states)
     (cycle,) = with_frames(walker, [cycle], float(finest), strides)
@@ -692,7 +702,7 @@ def nearest_failure(
     """The shortest vector in the span of a basis, of unit vectors at right angles, that fails.
 
     The origin does not. `gradient`, at points that fail just beyond the boundary, is at right
-    angles to it, or NaN. `ValueError` where nothing fails.
+    angles to it, or NaN. `ComputationFailed` where nothing fails.
     """
     rank = len(basis)
     rays = directions(rank, RAYS)
@@ -752,14 +762,17 @@ def scanned(
 ) -> Float[np.ndarray, " n"]:
     """The first failure along each ray, up to where the nearest is between 1/4 and all of the way.
 
-    `ValueError` where nothing fails up to a length of a thousand.
+    `ComputationFailed` where nothing fails up to a length of a thousand.
     """
     reach = 0.1
     while True:
         first = first_failures(fails, rays, 0.0, reach, count)
         if np.isinf(first).all():
             if reach > 1e3:
-                raise ValueError("along these directions the walker returns from everywhere")
+                raise ComputationFailed(
+                    "no failure found: the walker returns to its gait from all disturbances tried, "
+                    f"of a size up to {reach:g}"
+                )
             reach *= 4
         elif first.min() < reach / 4:
             reach = 2 * first.min()

@@ -17,7 +17,7 @@ swing foot meets the ground: equations of motion, contact forces and impact foll
 
 import abc
 import dataclasses
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -29,7 +29,7 @@ from jaxtyping import Array, Bool, Float
 
 from walker_jax import multibody
 from walker_jax.cells import Grid
-from walker_jax.checks import short
+from walker_jax.checks import WrongUse, short
 from walker_jax.multibody import System
 from walker_jax.scalars import unrolled
 from walker_jax.taylor import VirtualPower
@@ -68,6 +68,11 @@ class Walker(eqx.Module):
             said = next(i for i, base in enumerate(cls.__mro__) if name in vars(base))
             if any(method in vars(base) for base in cls.__mro__[:said] for method in methods):
                 setattr(cls, name, vars(Walker)[name])
+
+    def __repr__(self):
+        """The parameters' values, as far as each is one number; else their types and shapes."""
+        shown = (f"{name}={displayed(value)}" for name, value in vars(self).items())
+        return f"{type(self).__name__}({', '.join(shown)})"
 
     @abc.abstractmethod
     def lift(self, x: Float[Array, " section"]) -> State:
@@ -175,6 +180,14 @@ def moves_like(walker: Walker, kind: type[Walker]) -> bool:
     return isinstance(walker, kind) and all(map(same, methods))
 
 
+def displayed(value: Any) -> str:
+    """A number as it is; of arrays, and of what JAX traces, the type and shape."""
+    if not eqx.is_array_like(value):
+        return repr(value)
+    single = not isinstance(value, Tracer) and np.shape(value) == ()
+    return str(np.asarray(value)[()]) if single else eqx.tree_pformat(value)
+
+
 class Parameter(NamedTuple):
     """What a parameter of a walker means, and the numbers it may be."""
 
@@ -194,10 +207,10 @@ class Parameter(NamedTuple):
         try:
             value = jnp.asarray(value)
         except (TypeError, ValueError, OverflowError):
-            raise ValueError(refusal) from None
+            raise WrongUse(refusal) from None
         real = jnp.issubdtype(value.dtype, jnp.number) and jnp.isrealobj(value)
         if value.shape != () or not real:
-            raise ValueError(refusal)
+            raise WrongUse(refusal)
         if not jnp.issubdtype(value.dtype, jnp.floating):
             value = value.astype(float)
         if isinstance(value, Tracer):
@@ -205,13 +218,14 @@ class Parameter(NamedTuple):
         number = np.asarray(value)
         above = number >= self.low if self.closed else number > self.low
         if not (above & (number < self.high)):
-            raise ValueError(f"{self.name} must be {self.bounds()}, not {value}")
+            raise WrongUse(f"{self.name} must be {self.bounds()}, not {value}")
         return value
 
     def bounds(self) -> str:
         """In words."""
         if self.low > -np.inf and self.high < np.inf:
-            return f"between {self.low:g} and {self.high:g}"
+            least = "at least" if self.closed else "above"
+            return f"{least} {self.low:g} and below {self.high:g}"
         if self.low > -np.inf:
             return f"finite and {'not negative' if self.closed else f'above {self.low:g}'}"
         return "finite"
@@ -609,7 +623,7 @@ class HeavyLegWalker(MultibodyWalker):
             return
         along, above = foot
         if not abs(above) <= 1e-5 * abs(along):
-            raise ValueError(
+            raise WrongUse(
                 f"swing_foot of {type(self).__name__} must be on the slope where phi = 2 theta, "
                 f"v = 0, but v = {above:.3g} at theta = 0.3"
             )
@@ -803,11 +817,9 @@ def check_legs(walker: LeggedWalker) -> None:
         return
     radius, length, inertia, down = map(float, values)
     if radius >= length:
-        raise ValueError(f"foot_radius must be less than leg_length {length:g}, not {radius:g}")
+        raise WrongUse(f"foot_radius must be less than leg_length {length:g}, not {radius:g}")
     if inertia == 0 and down == 0 and float(walker.com_offset) == 0:
-        raise ValueError(
-            "leg_inertia must be above 0 where com_from_hip and com_offset are 0, not 0"
-        )
+        raise WrongUse("leg_inertia must be above 0 where com_from_hip and com_offset are 0, not 0")
 
 
 WALKERS: dict[str, type[Walker]] = {
