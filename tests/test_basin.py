@@ -2,6 +2,7 @@ import math
 import signal
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -12,6 +13,7 @@ import xarray as xr
 import walker_jax as wj
 from walker_jax import attraction, store
 from walker_jax.attraction import Attractor, Basins, sort_attractors
+from walker_jax.tiles import compact_order
 
 module = sys.modules["walker_jax.basin"]  # the package has the function by that name
 REFERENCE = np.load(Path(__file__).parent / "data" / "strides_slope_0.004.npz")
@@ -48,7 +50,7 @@ def test_strides_count_until_the_gait_is_reached(direct):
     cells = np.flatnonzero(direct.attractor.values.ravel() == 0)[::101]
     states = [attraction.centres(wj.Grid.sheared(**PAPER), cells.astype(np.int32))]
     for _ in range(64):
-        states.append(wj.strides(wj.SimplestWalker(0.004), states[-1]).state)
+        states.append(np.asarray(wj.strides(wj.SimplestWalker(0.004), states[-1]).state))
     distance = np.abs(np.stack(states, axis=1) - direct.states.values[0, 0]).max(axis=2)
     first = (distance < 1e-6).argmax(axis=1)
     np.testing.assert_array_equal(direct.strides.values.ravel()[cells], first)
@@ -243,6 +245,12 @@ STEEP = wj.SimplestWalker(0.0151)
 COARSE = {"theta": (0, 0.4, 50), "sum": (-0.03, 0.02, 60)}
 
 
+@cache
+def computed_at_once(method):
+    """Close to the doubling, where walkers are left at the end."""
+    return wj.basin(STEEP, wj.Grid.sheared(**COARSE), method, strides=30)
+
+
 @pytest.fixture
 def small_pieces(monkeypatch):
     monkeypatch.setattr(module, "PIECE", 600)
@@ -250,9 +258,7 @@ def small_pieces(monkeypatch):
 
 @pytest.mark.parametrize("method", ["cell-map", "direct"])
 def test_piece_by_piece_it_is_the_same(tmp_path, small_pieces, method):
-    """Close to the doubling, where walkers are left at the end."""
-    grid = wj.Grid.sheared(**COARSE)
-    wanted = wj.basin(STEEP, grid, method, strides=30)
+    grid, wanted = wj.Grid.sheared(**COARSE), computed_at_once(method)
     found = wj.basin(STEEP, grid, method, strides=30, out=tmp_path / "a.zarr")
     assert found.attrs.pop("request") and found.identical(wanted)
     again = wj.basin(STEEP, grid, method, strides=30, out=tmp_path / "a.zarr")
@@ -261,6 +267,18 @@ def test_piece_by_piece_it_is_the_same(tmp_path, small_pieces, method):
         assert ((wanted.fate == 0) & (wanted.strides == 30)).sum() > 10
     with pytest.raises(store.Occupied, match="another result"):
         wj.basin(STEEP, grid, method, strides=30, tolerance=1e-9, out=tmp_path / "a.zarr")
+
+
+@pytest.mark.parametrize("method", ["cell-map", "direct"])
+def test_the_order_in_which_cells_are_computed_changes_nothing(
+    tmp_path, small_pieces, monkeypatch, method
+):
+    """That of accelerators, all at once and piece by piece."""
+    grid, wanted = wj.Grid.sheared(**COARSE), computed_at_once(method)
+    monkeypatch.setattr(module, "order_of_cells", lambda shape: compact_order(shape, 64))
+    assert wj.basin(STEEP, grid, method, strides=30).identical(wanted)
+    found = wj.basin(STEEP, grid, method, strides=30, out=tmp_path / "a.zarr")
+    assert found.drop_attrs(deep=False).identical(wanted.drop_attrs(deep=False))
 
 
 @pytest.mark.parametrize("shape", [(50, 60), (2, 2000), (3, 4, 1000), (1, 1, 5000), (7,), (900,)])
@@ -286,7 +304,7 @@ def test_rows_that_are_long_are_cut(tmp_path, small_pieces, method):
 @pytest.mark.parametrize("method", ["cell-map", "direct"])
 def test_interrupted_at_any_write_it_goes_on(tmp_path, small_pieces, monkeypatch, method):
     grid, path = wj.Grid.sheared(**COARSE), tmp_path / "a.zarr"
-    wanted = wj.basin(STEEP, grid, method, strides=30)
+    wanted = computed_at_once(method)
     written, piece = [], []
     kind = module.MappedPieces if method == "cell-map" else module.FollowedPieces
     write, compute = store.Pieces.write, kind.piece

@@ -352,8 +352,10 @@ def test_no_two_processes_hold_a_place_at_once(tmp_path):
     command = [sys.executable, "-c", HOLDING, str(tmp_path / "a.zarr"), str(tmp_path / "mark")]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
     runs = [subprocess.Popen(command, **pipes) for _ in range(3)]
-    assert [run.stdout.readline() for run in runs] == 3 * ["ready\n"]
+    for run in runs:
+        assert run.stdout is not None and run.stdout.readline() == "ready\n"
     for run in runs:  # all are there
+        assert run.stdin is not None
         run.stdin.write("go\n")
         run.stdin.flush()
     for run in runs:
