@@ -156,6 +156,18 @@ def test_step_length_puts_the_last_terms_at_the_tolerance():
     assert step_length(several, 1e-10) == pytest.approx(length)
 
 
+@pytest.mark.parametrize("rate", [0.2, 5.0])
+def test_step_length_is_relative_to_the_state_or_its_rate(rate):
+    """Whichever is larger, of all variables: that takes the terms below its part of 1e-9."""
+    series = {
+        "a": [jnp.array([0.5, -1.0]), jnp.array([0.1, 0.0]), *[jnp.array([0.0, 3.0])] * 3],
+        "b": [jnp.array(0.0), jnp.array(-rate), *map(jnp.array, (1e3, -40.0, 7.0))],
+    }
+    limit = 1e-9 * max(1.0, rate)
+    expected = min((limit / 40) ** (1 / 3), (limit / 7) ** (1 / 4))
+    assert step_length(series, 1e-9) == pytest.approx(expected, rel=1e-5)
+
+
 def test_step_length_does_not_depend_on_units():
     """Of time or of length, where the rate does not exceed the state."""
     series = solution_series(lambda y: jnp.sin(y), jnp.array(1.0), 12)
