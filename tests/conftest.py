@@ -1,6 +1,37 @@
-"""Tests compute in float64, and mixing dtypes without saying so is an error."""
+"""Tests compute in float64, and mixing dtypes without saying so is an error.
+
+What XLA compiles is kept in pytest's cache, from which the processes of the tests take it, those
+that they start, and the next run: `pytest --cache-clear` begins from nothing. Properties are tried
+on the same inputs in every run; `pytest --hypothesis-profile=explore` draws others.
+"""
+
+import os
 
 import jax
+import pytest
+from hypothesis import settings
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
+
+settings.register_profile("repeatable", derandomize=True, deadline=None)
+settings.register_profile("explore", deadline=None)
+settings.load_profile("repeatable")
+
+WORTH_KEEPING = 0.1
+"""Seconds of compilation from which on a program is read faster than it is compiled."""
+HALF_WRITTEN = "ignore:Error reading persistent compilation cache entry"
+"""Another process may just be writing it; then it is compiled here."""
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line("filterwarnings", HALF_WRITTEN)
+    folder = str(config.cache.mkdir("compiled")) if config.cache else None
+    kept = {
+        "jax_compilation_cache_dir": folder,
+        "jax_persistent_cache_min_compile_time_secs": WORTH_KEEPING,
+    }
+    for name, value in kept.items():
+        jax.config.update(name, value)
+        os.environ[name.upper()] = str(value)
+    os.environ["PYTHONWARNINGS"] = HALF_WRITTEN

@@ -107,7 +107,7 @@ def test_at_a_bound_and_where_a_limit_holds(no_basins):
         starts=2,
         scan=5,
         at_most={"spectral-radius": 0.9},
-        at_least={"step-length": 0.1},
+        at_least={"step-length": 0.25},  # at the lowest slope steps are shorter
     )
     edge = brentq(lambda slope: measure("spectral-radius", slope) - 0.9, 0.01, 0.015)
     assert float(found.optimum[0]) == pytest.approx(edge, rel=1e-7)
@@ -118,8 +118,10 @@ def test_at_a_bound_and_where_a_limit_holds(no_basins):
         "step-length": False,
     }
     slopes = np.linspace(0.001, 0.02, 5)
-    expected = [measure("spectral-radius", slope) <= 0.9 for slope in slopes]
-    assert found.scan_allowed.values[0].tolist() == expected
+    stable = [measure("spectral-radius", slope) <= 0.9 for slope in slopes]
+    long = [measure("step-length", slope) >= 0.25 for slope in slopes]
+    assert stable == [True, True, True, False, False] and long == [False, True, True, True, True]
+    assert found.scan_allowed.values[0].tolist() == [False, True, True, False, False]
 
 
 def test_a_weighted_sum(no_basins):
@@ -379,9 +381,8 @@ def test_objectives_have_their_senses():
 )
 def test_wrong_arguments_are_refused_before_any_work(given, message, monkeypatch):
     monkeypatch.setattr(design, "measured", None)
-    bounds = given.pop("bounds", SLOPES)
     with pytest.raises(ValueError, match=message):
-        optimise(WALKER, bounds, **given)
+        optimise(WALKER, **{"bounds": SLOPES} | given)
 
 
 @pytest.mark.slow

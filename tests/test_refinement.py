@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import walker_jax as wj
-from walker_jax import Outcome, figures
+from walker_jax import Outcome, figures, refinement
+from walker_jax.attraction import Attractor, Basins
 from walker_jax.refinement import cut, edge, finer, refine
 
 WALKER = wj.SimplestWalker(0.004)
@@ -121,6 +122,111 @@ def test_wrong_arguments_are_refused():
         refine(WALKER, wj.Grid.sheared(theta=(0, 1, 1000), sum=(0, 1, 1000)), 5)
     with pytest.raises(ValueError, match="3 dimensions"):
         refine(wj.RoundFootWalker(0.01), GRID, 1)
+
+
+SQUARE = wj.Grid.plain(theta=(0, 1, 10), thetadot=(0, 1, 10))
+"""Coarse cells of side 0.1, those of level 2 of side 0.025."""
+
+
+def refined_by(number_of, monkeypatch, levels=2, check=4000):
+    """Refine where the attractor's number is a function of the point; all points, by call."""
+    asked = []
+
+    def follow(walker, x, attractors, tolerance, strides, progress=False):
+        asked.append(x)
+        number = number_of(x).astype(np.int32)
+        fate = np.where(number >= 0, Outcome.STRIDE, Outcome.FORWARD).astype(np.int8)
+        return Basins(fate, number, np.ones(len(x), np.int32), attractors)
+
+    cycle = Attractor(1, np.zeros((1, 2)))
+    monkeypatch.setattr(refinement, "follow", follow)
+    monkeypatch.setattr(refinement, "framed_attractors", lambda *_: (None, [cycle, cycle]))
+    options = {"strides": 10, "check": check, "seed": 0, "tolerance": None}
+    return refinement.refined(WALKER, SQUARE, levels, **options), asked
+
+
+def cells_of(x):
+    """Cells of level 2, as numbers in the flattened grid of 40 x 40."""
+    row, column = np.floor(40 * x).astype(int).T
+    return 40 * row + column
+
+
+def test_an_island_that_no_centre_shows_is_found_and_followed_to_its_end(monkeypatch):
+    """Of 3 x 3 of the finest cells, between the centres of coarse ones."""
+    island = lambda x: np.where(((x > [0.475, 0.675]) & (x < [0.55, 0.75])).all(axis=1), 0, -1)
+    found, asked = refined_by(island, monkeypatch)
+    walks = np.zeros((40, 40), bool)
+    walks[19:22, 27:30] = True
+    np.testing.assert_array_equal(found.attractor >= 0, walks)
+    assert found.mistaken == 0 and found.area == pytest.approx(9 / 1600, rel=1e-12)
+    # 8 cells of the island and the 16 around it have neighbours of another fate; these 25 have
+    # been followed, and the starts of the second check are in the 1575 others
+    assert 3999 <= found.checked == len(asked[-1]) <= 4000  # rounded down
+    variance = (24 / 12 + (1575 / found.checked) ** 2) / 1600**2
+    assert found.area_error == pytest.approx(np.sqrt(variance), rel=1e-12)
+    assert found.followed == [100, 0, 0] and found.boundary == [0, 0, 0]  # before the check
+
+
+def test_mistakes_count_by_how_many_cells_inherited_from_each_level(monkeypatch):
+    """On one side of a line walkers walk, but from dust, which is denser near the line."""
+
+    def number_of(x):
+        within = np.mod(40 * x, 1)
+        width = np.where(x[:, :1] < 0.4, 0.1, 0.25) * (x[:, :1] < 0.45)
+        dust = ((within > 0.02) & (within < 0.02 + width)).all(axis=1)  # not at centres
+        return np.where((x[:, 0] < 0.5) & ~dust, 0, -1)
+
+    found, asked = refined_by(number_of, monkeypatch)
+    # of 40 columns of cells 4 are followed on the finest level, beside them 4 inherited from
+    # level 1, and 32 from level 0
+    assert found.followed == [100, 80, 160] and found.boundary == [20, 40, 80]
+    level = np.zeros((40, 40), int)
+    level[16:24], level[18:22] = 1, 2
+    points = asked[3:]  # after one call for each level
+    first, last = points[0], points[-1]
+    level.ravel()[np.unique(np.concatenate([cells_of(x) for x in points[1:-1]]))] = 2
+    mistaken = [number_of(x) != np.where(cells_of(x) < 800, 0, -1) for x in (first, last)]
+    inherited = np.repeat([0, 1], [16, 4])  # levels of the 20 columns that walk, before the check
+    wrong_at_first = np.bincount(inherited[cells_of(first)[mistaken[0]] // 40], minlength=2)
+    assert all(wrong_at_first > 5)
+    # of the second check, more starts where there are more cells, and more mistakes
+    sizes = np.bincount(level.ravel(), minlength=3)[:2]
+    shares = sizes ** (2 / 3) * (wrong_at_first + 1) ** (1 / 3)
+    drawn = np.bincount(level.ravel()[cells_of(last)], minlength=2)
+    np.testing.assert_array_equal(drawn, np.floor(4000 * shares / shares.sum()))
+    wrong = np.bincount(level.ravel()[cells_of(last)[mistaken[1]]], minlength=2)
+    assert all(wrong > 5) and found.mistaken == wrong.sum() and found.checked == drawn.sum()
+    cell, walks = 1 / 1600, found.attractor >= 0
+    area = (walks.sum() - (wrong * sizes / drawn).sum()) * cell  # all fall where their cell walks
+    assert found.area == pytest.approx(area, rel=1e-12)
+    mixed = edge(walks.astype(int)).sum()
+    variance = (mixed / 12 + ((wrong + 1) * (sizes / drawn) ** 2).sum()) * cell**2
+    assert found.area_error == pytest.approx(np.sqrt(variance), rel=1e-12)
+    exact = 0.5 - (80 * 0.25**2 + 640 * 0.1**2) * cell
+    assert abs(found.area - exact) < 3 * found.area_error < 0.02
+
+
+def test_the_line_between_two_attractors_is_a_boundary_but_no_edge_of_the_area(monkeypatch):
+    above = lambda x: (x[:, 1] > 0.5).astype(int)
+    found, _ = refined_by(above, monkeypatch, check=100)
+    assert found.followed == [100, 80, 160] and found.boundary == [20, 40, 80]
+    np.testing.assert_array_equal(found.attractor, np.tile(np.repeat([0, 1], 20), (40, 1)))
+    assert found.area == pytest.approx(1, rel=1e-12) and found.mistaken == 0
+    # starts of the check go by the sizes to the power of 2/3
+    sizes = np.array([1280, 160])
+    counts = np.floor(100 * sizes ** (2 / 3) / (sizes ** (2 / 3)).sum())
+    assert found.area_error == pytest.approx(np.linalg.norm(sizes / counts) / 1600, rel=1e-12)
+    few, _ = refined_by(above, monkeypatch, check=1)
+    assert few.checked == 2  # one at least for each level
+
+
+@pytest.mark.parametrize("levels", [0, 2])
+def test_without_a_check_the_error_is_that_of_the_edge_or_unknown(levels, monkeypatch):
+    left = lambda x: np.where(x[:, 0] < 0.5, 0, -1)
+    found, _ = refined_by(left, monkeypatch, levels=levels, check=0)
+    assert found.area == pytest.approx(0.5, rel=1e-12) and found.checked == 0
+    expected = np.nan if levels else np.sqrt(20 / 12) * 0.01  # two columns of cells
+    assert found.area_error == pytest.approx(expected, rel=1e-12, nan_ok=True)
 
 
 def test_edges_are_cells_beside_others():

@@ -13,6 +13,7 @@ from walker_jax.robustness import (
     boundary_dimension,
     change_of_margin,
     common,
+    end_after_step,
     end_of_walk,
     in_ball,
     joined,
@@ -84,6 +85,19 @@ def test_in_one_direction_only():
     np.testing.assert_allclose(found, [0, -0.05], rtol=0, atol=1e-12)
     with pytest.raises(wj.ComputationFailed, match="returns to its gait from all disturbances"):
         nearest_failure(fails, np.array([[1.0, 0.0]]), np.zeros_like)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_thin_shell_of_failures_is_met_on_the_last_search_along_the_ray(axis):
+    """Nothing else does that: of 128 and 64 distances, none is in it; of the last 512, one is."""
+    shell = 257 / 512
+
+    def fails(y):
+        size = np.linalg.norm(y, axis=1)
+        return (size > 1) | (np.abs(size - shell) < 1e-4)
+
+    found = nearest_failure(fails, np.eye(2)[[axis]], np.zeros_like)
+    assert np.linalg.norm(found) == pytest.approx(shell - 1e-4, abs=1e-9)
 
 
 def test_dust_of_failures_is_met_by_chance_and_never_lost():
@@ -176,7 +190,24 @@ def test_basin_stability_in_a_region_is_the_share_of_the_basin():
     )
     share = float(exact.total_area) / (0.2 * 0.03)
     assert found.low < share < found.high and found.high - found.low < 0.01
-    assert 10 <= found.median <= found.slowest <= 60
+
+
+def test_strides_to_come_back_are_those_of_walks_that_are_counted(gait):
+    """One by one, of the starts that the seed gives."""
+    region = wj.Grid.sheared(theta=(0.1, 0.3, 2), sum=(-0.02, 0.01, 3))
+    found = basin_stability(WALKER, region, gait, samples=2001, seed=5, within=1e-5)
+    x = region.states(np.random.default_rng(5).uniform(size=(2001, 2)))
+    fate, arrived = np.full(len(x), -1), np.full(len(x), np.inf)
+    for k in range(80):
+        close = np.abs(x - gait.states[0]).max(axis=1) < 1e-5
+        arrived[close] = np.minimum(arrived[close], k)
+        outcome, x = np.asarray((one := wj.strides(WALKER, x)).outcome), np.asarray(one.state)
+        fate = np.where((fate <= 0) & (outcome != Outcome.OUTSIDE), outcome, fate)
+    back = np.sort(arrived[np.isfinite(arrived)])
+    assert 300 < len(back) < 1900 and found.value == len(back) / 2001
+    assert found.median == back[-(-50 * len(back) // 100) - 1]
+    assert found.slowest == back[-(-95 * len(back) // 100) - 1] > found.median
+    np.testing.assert_array_equal(found.fates, np.bincount(fate, minlength=len(Outcome)))
 
 
 def test_basin_stability_of_several_walkers(gait):
@@ -247,11 +278,22 @@ def test_a_step_down_that_a_walker_survives_and_one_that_it_does_not(gait):
         assert wj.walk(WALKER, after.state, 200).outcomes[-1] == ends
     np.testing.assert_allclose(wj.step_down(WALKER, state, found.size).state, found.state)
     states, shared = returning(WALKER, gait, 500, None)
-    from walker_jax.robustness import end_after_step
-
     heights = np.linspace(0, found.size, 20_001)[:-1]
     starts = np.broadcast_to(states[0], (len(heights), 2))
     assert over_cells(end_after_step, shared, (starts, heights)).back.all()
+    # how a walk from higher ones ends, and how many strides it has, as it is made one by one
+    heights = np.array([1 + 1e-8, 1.0001, 1.1, 1.5, 200]) * found.size
+    ends = over_cells(end_after_step, shared, (starts[: len(heights)], heights))
+    for k, height in enumerate(heights):
+        down = wj.step_down(WALKER, state, height)
+        walk = [down, wj.stride(WALKER, down.state)]
+        while len(walk) < 400 and walk[-1].outcome == Outcome.STRIDE:
+            walk.append(wj.stride(WALKER, walk[-1].state))
+        outcomes = [int(one.outcome) for one in walk]
+        failed = next(outcome for outcome in outcomes if outcome != Outcome.STRIDE)
+        assert ends.strides[k] == outcomes.index(failed) and ends.outcome[k] == failed
+        assert not ends.back[k]
+    assert found.strides == ends.strides[0] > 10 and {0, 1, 2} < set(ends.strides.tolist())
 
 
 def test_rows_of_a_table_may_lack_what_others_have():
