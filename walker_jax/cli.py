@@ -573,7 +573,7 @@ def basin(
     """
     import walker_jax as wj
     from walker_jax import figures
-    from walker_jax.basin import around
+    from walker_jax.basin import around, artefacts
 
     has_phidot = "phidot" in walker.section
     if not has_phidot and (phidot is not None or at_phidot is not None):
@@ -632,14 +632,17 @@ def basin(
 
     counts, lost, made = tally(data)
     fates = dict(zip(wj.Outcome.__members__, counts.tolist(), strict=True))
+    of_cells = [name for name in ("cycles", "falling") if name in data]  # by cell mapping
     attractors = [
         {
             "period": int(data["period"][i]) or None,
             "states": data["states"].values[i][: max(1, int(data["period"][i]))],
             "cells": int(data["cells"][i]),
             "area": float(data["area"][i]),
+            "artefact": bool(artefact),
+            **{name: int(data[name][i]) for name in of_cells},
         }
-        for i in range(data.sizes["number"])
+        for i, artefact in enumerate(artefacts(data))
     ]
     if as_json:
         print_json(
@@ -664,8 +667,9 @@ def basin(
         states = ", ".join(f"({state})" for state in numbers)
         more = ", ..." if len(one["states"]) > 4 else ""
         period = f"period {one['period']}" if one["period"] else "no period"
-        size = f"{one['cells']} cell{'s' * (one['cells'] > 1)}, {measure} {one['area']:.6g}"
-        print(f"  attractor {i}: {period}, {size}, at {states}{more}")
+        size = f"{one['cells']} cell{'s' * (one['cells'] != 1)}, {measure} {one['area']:.6g}"
+        kind = "artefact" if one["artefact"] else "attractor"
+        print(f"  {kind} {i}: {period}, {size}, at {states}{more}{truth(one)}")
     print(f"  {measure} {float(data['area'].sum()):.6g} in all")
     print(
         "  cells: "
@@ -684,6 +688,19 @@ def basin(
             f"{seconds['compile']:.1f} s to compile, {seconds['run']:.2f} s to run"
         )
     print(f"  data set {out}, picture {figure}")
+
+
+def truth(attractor: dict) -> str:
+    """What cell mapping makes of an attractor: several of one, or one where there is none."""
+    if attractor["artefact"]:
+        centres, falling = len(attractor["states"]), attractor["falling"]
+        if centres == 1:
+            end = "falls" if falling else "comes to no attractor"
+            return f": a walker that starts there {end}"
+        end = f"walkers fall from {falling} of its {centres} centres"
+        return f": {end}" if falling else ": walkers do not come to one attractor from its centres"
+    joined = attractor.get("cycles", 1)
+    return f": {joined} cycles of cells" if joined > 1 else ""
 
 
 def cluster_of(workers: int | None, scheduler: str | None) -> int | str | None:

@@ -24,6 +24,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
 from matplotlib.transforms import offset_copy
 
+from walker_jax.basin import artefacts
 from walker_jax.design import ATTRACTED, ENDS
 from walker_jax.gaits import Gait
 from walker_jax.stride import Outcome
@@ -44,11 +45,10 @@ MARKERS = "os^"
 """Colours of the basins, from dark to light, and signs of their attractors; the largest first."""
 OTHERS, ASTRAY = "#4d4d4d", "#7a5c00"
 """Colours of what walks on to other attractors, and to none that is known."""
+ARTEFACTS = "#8a63b8"
+"""Colour of what walks on in cycles that cell mapping makes up."""
 NOTABLE = 0.1
-"""Share of the walking cells that a basin must have for a colour of its own.
-
-Cell mapping makes small cycles of its own beside a true attractor, each with a few cells.
-"""
+"""Share of the walking cells that a basin must have for a colour of its own."""
 AREA = "area of the basin (rad² / √(l/g))"
 AXIS_LABELS = {
     "theta": r"stance leg angle $\theta$ (rad)",
@@ -150,9 +150,9 @@ def basin(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     """The basin of attraction and the ways to fall around it, over a grid of two dimensions.
 
     Figures 2 (plain axes) and 4 (sheared ones) of Schwab and Wisse (2001). Each fate has a pale
-    colour and each basin a dark one. The basins of a few cells share a colour. A region is
-    labelled where there is room in it, and in the legend otherwise, with the number of its cells.
-    Dots are the attractors of the large basins.
+    colour and each basin a dark one. The basins of a few cells share a colour, and so do artefacts
+    of cell mapping. A region is labelled where there is room in it, and in the legend otherwise,
+    with the number of its cells. Dots are the attractors of the large basins.
 
     **Arguments:**
 
@@ -370,7 +370,8 @@ def notable_attractors(data: xr.Dataset) -> list[int]:
     """Numbers of the attractors whose basins are drawn each in a colour, the largest first."""
     walks = data["fate"].values == Outcome.STRIDE
     numbers, cells = np.unique(data["attractor"].values[walks], return_counts=True)
-    large = (numbers >= 0) & (cells >= NOTABLE * walks.sum())
+    real = np.isin(numbers, np.flatnonzero(~artefacts(data)))
+    large = real & (cells >= NOTABLE * walks.sum())
     order = np.argsort(-cells[large], kind="stable")[: len(BASINS)]
     return numbers[large][order].tolist()
 
@@ -386,8 +387,10 @@ def regions_of(data: xr.Dataset, notable: list[int]) -> list[Region]:
         words = "basin of attraction" if len(notable) == 1 else kind
         found.append(Region(walks & (attractor == number), colour, "A", words))
     known = attractor >= 0
-    others = walks & known & ~np.isin(attractor, notable)
+    made_up = walks & np.isin(attractor, np.flatnonzero(artefacts(data)))
+    others = walks & known & ~made_up & ~np.isin(attractor, notable)
     found.append(Region(others, OTHERS, "", "other attractors", counted=True))
+    found.append(Region(made_up, ARTEFACTS, "", "artefacts of cells", counted=True))
     found.append(Region(walks & ~known, ASTRAY, "", "walks on, near no attractor", counted=True))
     return [region for region in (*found, *failures(fate)) if region.cells.any()]
 
