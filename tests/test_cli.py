@@ -1,6 +1,7 @@
 import functools
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -104,6 +105,41 @@ def test_basin_answers_keeps_and_draws(run, tmp_path):
             data.sizes["theta"] == 30 and int((data.fate == 0).sum()) == answer["fates"]["STRIDE"]
         )
     assert (tmp_path / "b.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_cycle_of_cells_that_is_no_gait_is_said_to_be_an_artefact(run, tmp_path):
+    """On the paper's own grid; a store that does not tell is read as it is."""
+    code, text, _ = run("basin", "--out", "b.zarr")
+    assert code == 0
+    gait, made_up = (line.strip() for line in text.splitlines()[1:3])
+    assert gait.startswith("attractor 0: period 1, 3043 cells, ") and gait.endswith("-0.156080)")
+    assert made_up.startswith("artefact 1: period 1, 1 cell, ")
+    assert made_up.endswith(": a walker falls from there")
+    _, out, _ = run("basin", "--out", "b.zarr", "--json")
+    told = [
+        {name: one[name] for name in ("cells", "artefact", "cycles", "falling")}
+        for one in json.loads(out)["attractors"]
+    ]
+    assert told == [
+        {"cells": 3043, "artefact": False, "cycles": 1, "falling": 0},
+        {"cells": 1, "artefact": True, "cycles": 1, "falling": 1},
+    ]
+    for name in ("artefact", "cycles", "falling"):
+        shutil.rmtree(tmp_path / "b.zarr" / name)
+    code, text, err = run("basin", "--out", "b.zarr")
+    assert (code, err) == (0, "") and "attractor 1: period 1, 1 cell, " in text
+
+
+def test_what_is_said_of_cycles_of_cells():
+    said = lambda artefact, cycles, falling, centres=2: cli.of_cells(
+        {"artefact": artefact, "cycles": cycles, "falling": falling, "states": [0] * centres}
+    )
+    assert said(False, 1, 0) == cli.of_cells({"artefact": False}) == ""
+    assert said(False, 3, 0) == ": 3 cycles of cells"
+    told = ": 2 cycles of cells, a walker falls from 1 of their centres"
+    assert said(False, 2, 1) == told
+    assert said(True, 1, 1) == ": a walker falls from 1 of 2"
+    assert said(True, 1, 0) == ": walkers from there do not come to one attractor"
 
 
 @pytest.mark.parametrize(

@@ -210,6 +210,23 @@ def test_large_basins_have_their_own_colours_and_small_ones_share_one():
     assert {"other attractors (52 cells)", "walks on, near no attractor (1 cell)"} < set(legend(ax))
 
 
+def test_artefacts_of_cells_are_no_basin_however_large_they_are():
+    fate = np.full(SHEARED.shape, Outcome.STRIDE)
+    attractor = np.zeros(SHEARED.shape, int)
+    attractor[:, 25:], attractor[0, 0] = 1, 2
+    data = data_set(SHEARED, fate, attractor, [[(0.01 * i, -0.01 * i)] for i in range(3)])
+    with_two = figures.basin(data)
+    assert sum("attractor" in text for text in legend(with_two)) == 3
+    ax = figures.basin(data.assign(artefact=("number", np.array([False, True, True]))))
+    (line,) = ax.lines
+    assert line.get_xdata() == [0.0]
+    made_up, found = attractor > 0, colours(ax)
+    assert len(np.unique(found[made_up], axis=0)) == len(np.unique(found[~made_up], axis=0)) == 1
+    assert (found[0, 0] != found[0, 1]).any()
+    assert f"artefacts of cells ({made_up.sum():,} cells)" in legend(ax)
+    assert not any("other attractors" in text for text in legend(ax))
+
+
 @pytest.mark.parametrize(
     "grid, x, y",
     [

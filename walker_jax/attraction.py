@@ -57,14 +57,11 @@ class Attractor(NamedTuple):
     """For each state, matrices that make displacements from it less than 1, in all coordinates,
     where a walker is taken to have arrived; none where that is `near`."""
     cycles: int = 0
-    """By cell mapping: how many cycles of cells lead to it, or are this artefact."""
-    falling: int | None = None
-    """Of an artefact of cells alone, a cycle of them that does not lead to one attractor: from how
-    many of their centres a walker falls."""
-
-    @property
-    def artefact(self) -> bool:
-        return self.falling is not None
+    """By cell mapping: how many cycles of cells belong to it, or are this artefact."""
+    falling: int = 0
+    """From how many of the centres of their cells a walker falls."""
+    artefact: bool = False
+    """Whether it is a cycle of cells alone, and their centres, to which no walker comes."""
 
     def boxes(self) -> Float[np.ndarray, "period section section"]:
         """The frames, also where there are none."""

@@ -105,11 +105,11 @@ def basin(
     volume). Its attributes say what was computed.
 
     The attractors of a cell map are those to which walkers come that start at the centres of the
-    cells in its cycles. A cycle from all of whose centres they come to one attractor belongs to
+    cells in its cycles. A cycle from most of whose centres they come to one attractor belongs to
     that, with all cells that lead to it. Any other is an `artefact` of the cells: its period and
     states are those of cells and their centres, its cells walk for ever by the map alone, and it
     is numbered after all attractors. Beside `artefact` there are `cycles`, how many cycles of
-    cells belong to each, and `falling`, from how many centres of an artefact a walker falls.
+    cells belong to each, and `falling`, from how many centres of their cells a walker falls.
 
     Raises `ValueError` for an unknown method, for a grid that does not fit the section or that this
     machine has not the memory for, and for a place where something else stands, that cannot be
@@ -196,27 +196,28 @@ def attractors_of_map(
 ) -> tuple[list[Attractor], Int[np.ndarray, " cycles"]]:
     """The attractors and artefacts of a cell map, in order, and to which each cycle belongs.
 
-    A cycle belongs to an attractor if walkers come to it from the centres of all of its cells.
+    A cycle belongs to an attractor if walkers come to it from most of the centres of its cells.
     """
     if not ends.attractors:
         return [], np.zeros(0, np.int32)
+    lengths = np.array([len(cycle) for cycle in ends.attractors])
     x = centres(grid, np.concatenate(ends.attractors).astype(np.int32))
     known = settle(walker, sample(x), tolerance, [])
     found = follow(walker, x, known, tolerance, PATIENCE * LONGEST_PERIOD)
-    last = np.cumsum([len(cycle) for cycle in ends.attractors])[:-1]
-    every = (np.split(values, last) for values in (x, found.attractor, found.fate))
-    attractors, number = found.attractors, []
-    for states, reached, fate in zip(*every, strict=True):
-        if reached[0] >= 0 and (reached == reached[0]).all():
-            number.append(int(reached[0]))
-        else:
-            falling = int(np.count_nonzero(fate != Outcome.STRIDE))
-            number.append(len(attractors))
-            attractors.append(Attractor(len(states), states, falling=falling))
-    belonging = np.bincount(number, minlength=len(attractors)).tolist()
+    own = np.repeat(np.arange(len(lengths)), lengths)
+    falls = np.bincount(own, found.fate != Outcome.STRIDE).astype(int)
+    number = np.full(len(lengths), -1, np.int32)
+    for i in range(len(found.attractors)):
+        number[2 * np.bincount(own, found.attractor == i) > lengths] = i
+    attractors = [
+        one._replace(cycles=int((number == i).sum()), falling=int(falls[number == i].sum()))
+        for i, one in enumerate(found.attractors)
+    ]
+    for i in np.flatnonzero(number < 0):
+        number[i] = len(attractors)
+        attractors.append(Attractor(int(lengths[i]), x[own == i], None, 1, int(falls[i]), True))
     order = in_order(attractors)
-    attractors = [attractors[i]._replace(cycles=belonging[i]) for i in order]
-    return attractors, np.argsort(order)[number].astype(np.int32)
+    return [attractors[i] for i in order], np.argsort(order)[number].astype(np.int32)
 
 
 def compare_methods(
@@ -382,7 +383,7 @@ def with_attractors(
         found |= {
             "artefact": ("number", np.array([one.artefact for one in attractors], bool)),
             "cycles": ("number", np.array([one.cycles for one in attractors], np.int32)),
-            "falling": ("number", np.array([one.falling or 0 for one in attractors], np.int32)),
+            "falling": ("number", np.array([one.falling for one in attractors], np.int32)),
         }
     data = data.assign(found).assign_coords(number=np.arange(len(attractors)))
     return data.assign_attrs(area=area.tolist())

@@ -632,7 +632,7 @@ def basin(
 
     counts, lost, made = tally(data)
     fates = dict(zip(wj.Outcome.__members__, counts.tolist(), strict=True))
-    of_cells = [name for name in ("cycles", "falling") if name in data]  # by cell mapping
+    mapped = [name for name in ("cycles", "falling") if name in data]
     attractors = [
         {
             "period": int(data["period"][i]) or None,
@@ -640,7 +640,7 @@ def basin(
             "cells": int(data["cells"][i]),
             "area": float(data["area"][i]),
             "artefact": bool(artefact),
-            **{name: int(data[name][i]) for name in of_cells},
+            **{name: int(data[name][i]) for name in mapped},
         }
         for i, artefact in enumerate(artefacts(data))
     ]
@@ -669,7 +669,7 @@ def basin(
         period = f"period {one['period']}" if one["period"] else "no period"
         size = f"{one['cells']} cell{'s' * (one['cells'] != 1)}, {measure} {one['area']:.6g}"
         kind = "artefact" if one["artefact"] else "attractor"
-        print(f"  {kind} {i}: {period}, {size}, at {states}{more}{truth(one)}")
+        print(f"  {kind} {i}: {period}, {size}, at {states}{more}{of_cells(one)}")
     print(f"  {measure} {float(data['area'].sum()):.6g} in all")
     print(
         "  cells: "
@@ -690,17 +690,17 @@ def basin(
     print(f"  data set {out}, picture {figure}")
 
 
-def truth(attractor: dict) -> str:
-    """What cell mapping makes of an attractor: several of one, or one where there is none."""
+def of_cells(attractor: dict) -> str:
+    """What stands for an attractor in a cell map, where that is not one cycle that leads there."""
+    cycles, falling = attractor.get("cycles", 1), attractor.get("falling", 0)
     if attractor["artefact"]:
-        centres, falling = len(attractor["states"]), attractor["falling"]
-        if centres == 1:
-            end = "falls" if falling else "comes to no attractor"
-            return f": a walker that starts there {end}"
-        end = f"walkers fall from {falling} of its {centres} centres"
-        return f": {end}" if falling else ": walkers do not come to one attractor from its centres"
-    joined = attractor.get("cycles", 1)
-    return f": {joined} cycles of cells" if joined > 1 else ""
+        centres = len(attractor["states"])
+        if falling == 0:
+            return ": walkers from there do not come to one attractor"
+        return f": a walker falls from {f'{falling} of {centres}' if centres > 1 else 'there'}"
+    joined = [f"{cycles} cycles of cells"] * (cycles > 1)
+    joined += [f"a walker falls from {falling} of their centres"] * (falling > 0)
+    return f": {', '.join(joined)}" if joined else ""
 
 
 def cluster_of(workers: int | None, scheduler: str | None) -> int | str | None:
