@@ -773,7 +773,8 @@ def robustness(
     """Measure how large a disturbance a gait survives, on one slope or over many.
 
     The area of the basin with its error, the least disturbance from which the walker does not come
-    back, the least step down, the part of random disturbances that is survived, and the dimension
+    back and, where that leads to another motion, the least one from which it falls, the least step
+    down, the part of random disturbances that is survived, and the dimension
     of the boundary. By default over all angles of a walker on point feet, and in a slice around the
     gait of any other.
     """
@@ -1101,7 +1102,8 @@ def sweep(
         print_json({"walker": about, "points": rows.to_dict(orient="records")})
         return
     shown = [*names, "total_area", "total_area_error", "multiplier", "speed", "failed"]
-    shown += ["least_disturbance", "step_down"] if robust else []
+    shown += ["least_disturbance", "least_fall", "step_down", "step_down_fall"]
+    shown = [name for name in shown if name in rows]
     print(rows[shown].map("{:.6g}".format).to_string(index=False))
     print(f"  data set {out}, picture {figure}")
 
@@ -1224,7 +1226,8 @@ def measures(data, slope: float) -> dict:
     """The answer of `robustness` on one slope."""
     import walker_jax as wj
 
-    number = lambda name: float(data[name])
+    number = lambda name: float(data[name]) if name in data else None
+    failure = lambda name: wj.Outcome(int(data[name])).name if name in data else None
     interval = lambda name: {
         "value": number(name),
         "low": number(f"{name}_low"),
@@ -1236,7 +1239,8 @@ def measures(data, slope: float) -> dict:
         "area_error": number("total_area_error"),
     }
     if int(data["gait_period"]) == 0:
-        absent = ("gait", "least_disturbance", "step_down", "basin_stability", "boundary_dimension")
+        absent = ("gait", "least_disturbance", "least_fall", "step_down", "step_down_failure")
+        absent += ("step_down_fall", "basin_stability", "boundary_dimension")
         return answer | dict.fromkeys(absent)
     return answer | {
         "gait": {
@@ -1249,10 +1253,21 @@ def measures(data, slope: float) -> dict:
             "size": number("least_disturbance"),
             "direction": data["direction"].values,
             "state": data["failing_state"].values,
-            "failure": wj.Outcome(int(data["failure"])).name,
+            "failure": failure("failure"),
             "strides": int(data["failing_strides"]),
         },
+        "least_fall": {
+            "size": number("least_fall"),
+            "direction": data["fall_direction"].values,
+            "state": data["fall_state"].values,
+            "failure": failure("fall_failure"),
+            "strides": int(data["fall_strides"]),
+        }
+        if "least_fall" in data
+        else None,
         "step_down": number("step_down"),
+        "step_down_failure": failure("step_down_failure"),
+        "step_down_fall": number("step_down_fall"),
         "basin_stability": {
             **interval("stability"),
             "disturbances": float(data.attrs["disturbances"]),
@@ -1263,6 +1278,15 @@ def measures(data, slope: float) -> dict:
     }
 
 
+def said_of(disturbance: dict) -> str:
+    """A least disturbance in words."""
+    along = ", ".join(f"{value:.4f}" for value in disturbance["direction"])
+    how = "comes to another motion"
+    if disturbance["failure"] != "STRIDE":
+        how = f"{disturbance['failure']} after {disturbance['strides']} strides"
+    return f"{disturbance['size']:.8f} along ({along}): {how}"
+
+
 def print_measures(row: dict) -> None:
     """The answer of `robustness` on one slope, in words."""
     print(f"  slope {row['slope']:g}: area {row['area']:.7g} +- {row['area_error']:.1g}")
@@ -1271,13 +1295,14 @@ def print_measures(row: dict) -> None:
         return
     gait, least = row["gait"], row["least_disturbance"]
     survived, dimension = row["basin_stability"], row["boundary_dimension"]
-    along = ", ".join(f"{value:.4f}" for value in least["direction"])
-    how = "comes to another motion"
-    if least["failure"] != "STRIDE":
-        how = f"{least['failure']} after {least['strides']} strides"
     print(f"    gait of period {gait['period']}, largest multiplier {gait['multiplier']:.6f}")
-    print(f"    least disturbance {least['size']:.8f} along ({along}): {how}")
-    print(f"    least step down {row['step_down']:.8f}")
+    print(f"    least disturbance {said_of(least)}")
+    if least["failure"] == "STRIDE" and row["least_fall"] is not None:
+        print(f"    least one from which it falls {said_of(row['least_fall'])}")
+    down = f"{row['step_down']:.8f}"
+    if row["step_down_failure"] == "STRIDE":
+        down += f": comes to another motion; falls from {row['step_down_fall']:.8f}"
+    print(f"    least step down {down}")
     print(
         f"    {survived['value']:.1%} ({survived['low']:.1%} to {survived['high']:.1%}) of "
         f"disturbances up to {survived['disturbances']:g} of the gait's state are survived; "

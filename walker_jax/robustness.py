@@ -413,7 +413,10 @@ def robustness(
     `gait_period`, `gait_state` (that from which the least disturbance is), `multiplier` (the
     largest modulus), `step_time` (the mean); of the point that `least_disturbance` finds,
     `least_disturbance`, `direction`, `failing_state`, `failure` (-1 for none) and
-    `failing_strides`; `step_down`; `stability`, with `_low` and `_high`, `median_strides` and
+    `failing_strides`; of the one that it finds with `fall`, which is the same unless the first
+    leads to another motion, `least_fall`, `fall_direction`, `fall_state`, `fall_failure` and
+    `fall_strides`; `step_down` and `step_down_failure`, and `step_down_fall`, the least one from
+    which the walker falls; `stability`, with `_low` and `_high`, `median_strides` and
     `slowest_strides`; `dimension`, with `_low` and `_high`, of the boundary. NaN, or -1, where no
     gait attracts.
 
@@ -437,6 +440,11 @@ def robustness(
         return data.assign(without_gait(walker))
     least = least_disturbance(walker, gait, strides=strides, tolerance=tolerance)
     down = least_step_down(walker, gait, strides=strides, tolerance=tolerance)
+    fall, fall_down = least, down
+    if least.failure == Outcome.STRIDE:
+        fall = least_disturbance(walker, gait, fall=True, strides=strides, tolerance=tolerance)
+    if down.failure == Outcome.STRIDE:
+        fall_down = least_step_down(walker, gait, fall=True, strides=strides, tolerance=tolerance)
     gait = gait._replace(states=np.roll(np.asarray(gait.states), -least.phase, axis=0))
     stability = basin_stability(
         walker,
@@ -459,7 +467,14 @@ def robustness(
             "failing_state": ("coordinate", least.state),
             "failure": int(least.failure),
             "failing_strides": least.strides,
+            "least_fall": fall.size,
+            "fall_direction": ("coordinate", fall.direction),
+            "fall_state": ("coordinate", fall.state),
+            "fall_failure": int(fall.failure),
+            "fall_strides": fall.strides,
             "step_down": down.size,
+            "step_down_failure": int(down.failure),
+            "step_down_fall": fall_down.size,
             "stability": float(stability.value),
             "stability_low": float(stability.low),
             "stability_high": float(stability.high),
@@ -475,13 +490,16 @@ def robustness(
 def without_gait(walker: Walker) -> dict:
     """What `robustness` adds where no gait attracts."""
     names = (
-        *("multiplier", "step_time", "least_disturbance", "step_down"),
+        *("multiplier", "step_time", "least_disturbance", "least_fall"),
+        *("step_down", "step_down_fall"),
         *("stability", "stability_low", "stability_high", "median_strides", "slowest_strides"),
         *("dimension", "dimension_low", "dimension_high"),
     )
     nowhere = "coordinate", np.full(len(walker.section), np.nan)
-    vectors = dict.fromkeys(("gait_state", "direction", "failing_state"), nowhere)
-    whole = {"gait_period": 0, "failure": -1, "failing_strides": -1}
+    vectors = ("gait_state", "direction", "failing_state", "fall_direction", "fall_state")
+    vectors = dict.fromkeys(vectors, nowhere)
+    none = ("failure", "failing_strides", "fall_failure", "fall_strides", "step_down_failure")
+    whole = {"gait_period": 0} | dict.fromkeys(none, -1)
     return dict.fromkeys(names, np.nan) | vectors | whole
 
 
@@ -653,7 +671,7 @@ class EndOfWalk(NamedTuple):
     """Those completed."""
 
 
-def which_walks(fall: bool) -> Callable[[EndOfWalk], Bool[np.ndarray, " n"]]:
+def which_walks(fall: bool) -> Callable[[EndOfWalk], Any]:
     """Tells of walks whether they end in a fall, or whether they do not lead back."""
     check_kind("fall", fall, bool)
     return lambda walk: walk.outcome != Outcome.STRIDE if fall else ~walk.back
