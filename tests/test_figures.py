@@ -710,6 +710,40 @@ def test_the_least_disturbance_is_drawn_to_where_it_touches_the_boundary():
     assert "nearest start that comes to another motion" in legend(other)
 
 
+def test_the_nearest_fall_is_drawn_too_where_another_motion_is_nearer():
+    falls = {
+        "least_fall": 0.08,
+        "fall_direction": ("coordinate", np.array([0.0, 1.0])),
+        "fall_state": ("coordinate", np.array([0.2, -0.135])),
+        "fall_failure": int(Outcome.BACKWARD),
+        "fall_strides": 3,
+    }
+    ax = figures.disturbance(robust(failure=int(Outcome.STRIDE), **falls))
+    _, outer, *_, fall = (np.asarray(line.get_xydata()) for line in ax.lines)
+    away = outer - [0.2, -0.015]
+    away[:, 1] -= away[:, 0]  # from theta + thetadot to thetadot
+    np.testing.assert_allclose(np.linalg.norm(away, axis=1), 0.08, rtol=1e-12)
+    np.testing.assert_allclose(fall, [[0.2, 0.065]], atol=1e-15)
+    low, high = ax.get_xlim()
+    assert low < outer[:, 0].min() and outer[:, 0].max() < high
+    told = legend(ax)
+    assert "nearest start that comes to another motion" in told
+    assert "nearest start that falls backward after 3 strides" in told
+    assert "0.05 to another motion, 0.08 to a failure" in ax.texts[0].get_text()
+    figure_of(ax).canvas.draw()
+    assert len(figures.disturbance(robust(**falls)).lines) == 3  # one point: it falls there
+
+
+def test_the_table_marks_falls_that_are_farther_than_another_motion():
+    data = table(least_fall=[1e-3, 3e-3, np.nan])
+    ax = figures.robustness_measures(data)
+    (marks,) = (line for line in ax.lines if "falls" in str(line.get_label()))
+    np.testing.assert_array_equal(np.asarray(marks.get_xydata()), [[0.008, 1.5]])
+    assert ax.get_ylim()[1] > 1.5
+    same = figures.robustness_measures(table(least_fall=[1e-3, 2e-3, np.nan]))
+    assert len(same.lines) == 3
+
+
 def test_the_least_disturbance_is_drawn_over_cells_that_are_larger_than_it():
     coarse = robust(Grid.sheared(theta=(0, 0.4, 4), sum=(-0.04, 0.01, 2)), least_disturbance=1e-4)
     ax = figures.disturbance(coarse)

@@ -978,17 +978,18 @@ def robustness_measures(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     colour, sign, words = MEASURES["least_disturbance"]
     part = data["least_disturbance"].values / (farthest or 1)
     handles += ax.plot(values, part, sign, color=colour, label=f"{words}, of {farthest:.4g}")
-    falls = data["least_fall"].values if "least_fall" in data else data["least_disturbance"].values
+    falls = data.get("least_fall", data["least_disturbance"]).values
     beyond = falls > data["least_disturbance"].values
+    highest = np.max(falls[beyond] / (farthest or 1), initial=1)
     if beyond.any():
-        part = falls[beyond] / farthest
         words = "least one from which it falls, where that comes to another motion"
+        part = falls[beyond] / farthest
         handles += ax.plot(values[beyond], part, "s", color=colour, mfc="white", label=words)
     colour, sign, words = MEASURES["multiplier"]
     handles += ax.plot(values, data["multiplier"].values, sign, color=colour, label=words)
     ax.set_xlabel(AXIS_LABELS.get(parameter, parameter), fontsize=11)
     ax.set_ylabel("part of the largest; modulus", fontsize=11)
-    ax.set(xlim=margin(values), ylim=(0, 1.05))
+    ax.set(xlim=margin(values), ylim=(0, 1.05 * highest))
     note = "with twice the error of the area; the multiplier is that of the gait walkers come to"
     write_title(ax, f"{title(data)}: robustness", note)
     place_legend(ax, handles, BELOW, columns=1)
