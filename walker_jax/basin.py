@@ -205,7 +205,8 @@ def attractors_of_map(
     known = settle(walker, sample(x), tolerance, [])
     found = follow(walker, x, known, tolerance, PATIENCE * LONGEST_PERIOD)
     own = np.repeat(np.arange(len(lengths)), lengths)
-    falls = np.bincount(own, found.fate != Outcome.STRIDE).astype(int)
+    fails = ~np.isin(found.fate, (Outcome.STRIDE, Outcome.UNDECIDED))
+    falls = np.bincount(own, fails).astype(int)
     number = np.full(len(lengths), -1, np.int32)
     for i in range(len(found.attractors)):
         number[2 * np.bincount(own, found.attractor == i) > lengths] = i
