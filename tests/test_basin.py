@@ -13,6 +13,7 @@ import xarray as xr
 import walker_jax as wj
 from walker_jax import attraction, store
 from walker_jax.attraction import Attractor, Basins, sort_attractors
+from walker_jax.cells import resolve
 from walker_jax.tiles import compact_order
 
 module = sys.modules["walker_jax.basin"]  # the package has the function by that name
@@ -219,6 +220,17 @@ def test_a_basin_of_three_dimensions_and_a_slice_of_it():
     np.testing.assert_allclose(layer.states.values[0, 0], gait.states[0], atol=1e-9)
 
 
+@pytest.mark.slow
+def test_cells_of_three_dimensions_show_one_attractor_where_there_is_one():
+    walker = wj.RoundFootWalker(0.01)
+    axes = {"theta": (0, 0.5, 20), "sum": (-0.17, -0.01, 20), "phidot": (-0.15, 0.05, 20)}
+    data = wj.basin(walker, wj.Grid.sheared(**axes))
+    true = ~data.artefact.values
+    assert data.period.values[true].tolist() == [1] and int(data.cycles[0]) > 1
+    gait = wj.find_gait(walker).states[0]
+    np.testing.assert_allclose(data.states.values[0, 0], gait, rtol=0, atol=1e-9)
+
+
 def test_where_cell_mapping_differs_and_what_it_makes_up():
     grid = wj.Grid.sheared(theta=(0, 0.4, 100), sum=(-0.04, 0.01, 100))
     walker = wj.SimplestWalker(0.004)
@@ -236,6 +248,64 @@ def test_where_cell_mapping_differs_and_what_it_makes_up():
     )
     assert int(lost.direct_attractors) == 0 and not lost.direct.any()
     assert lost.mapped.any() and lost.artefact.values.all()
+
+
+def test_the_gait_is_the_attractor_of_the_map_and_a_cell_that_seems_to_stand_still_is_none(
+    direct, mapped
+):
+    """The unstable gait is in that cell; a walker from its centre falls."""
+    assert mapped.period.values.tolist() == [1, 1]
+    assert mapped.artefact.values.tolist() == [False, True]
+    assert mapped.cycles.values.tolist() == [1, 1] and mapped.falling.values.tolist() == [0, 1]
+    np.testing.assert_allclose(mapped.states[0], direct.states[0], rtol=0, atol=1e-9)
+    assert mapped["cells"].values.tolist() == [3043, 1]
+    fallen = wj.walk(wj.SimplestWalker(0.004), mapped.states.values[1, 0], 50).outcomes
+    assert fallen[-1] not in (wj.Outcome.STRIDE, wj.Outcome.UNDECIDED)
+    assert "artefact" not in direct
+
+
+@pytest.mark.parametrize(("slope", "joined"), [(0.0114, 1), (0.0124, 3), (0.0178, 3)])
+def test_a_cycle_of_cells_belongs_to_where_walkers_come_from_most_of_its_centres(slope, joined):
+    """Every cycle, and the cells that lead to it, against walks from the centres one by one."""
+    walker, grid = wj.SimplestWalker(slope), wj.Grid.sheared(**PAPER)
+    data = wj.basin(walker, grid)
+    ends = resolve(module.cell_map(walker, grid, 1e-12), sinks=len(wj.Outcome))
+    lengths = [len(cycle) for cycle in ends.attractors]
+    starts = attraction.centres(grid, np.concatenate(ends.attractors))
+    x = starts
+    for _ in range(300):
+        x = wj.strides(walker, x).state
+    fallen, near = np.isnan(x).any(axis=1), np.zeros((data.sizes["number"], len(x)), bool)
+    for number in np.flatnonzero(~data.artefact.values):
+        states = data.states.values[number, : int(data.period[number])]
+        near[number] = (np.abs(x - states[:, None]).max(axis=2) < 1e-5).any(axis=0)
+    assert (fallen | near.any(axis=0)).all()
+    label = data.attractor.values.ravel()
+    cycles, falling = np.zeros((2, data.sizes["number"]), int)
+    for i, own in enumerate(np.split(np.arange(len(x)), np.cumsum(lengths)[:-1])):
+        (number,) = np.unique(label[ends.attractor == i])
+        share = near[:, own].mean(axis=1)
+        if share.max() > 0.5:
+            assert number == share.argmax()
+        else:
+            assert data.artefact[number] and int(data.period[number]) == len(own)
+            np.testing.assert_array_equal(data.states[number, : len(own)], starts[own])
+        cycles[number] += 1
+        falling[number] += fallen[own].sum()
+    np.testing.assert_array_equal(cycles, data.cycles)
+    np.testing.assert_array_equal(falling, data.falling)
+    assert cycles.max() == joined and (np.diff(data.artefact.values.astype(int)) >= 0).all()
+    np.testing.assert_array_equal(label >= 0, data.fate.values.ravel() == wj.Outcome.STRIDE)
+
+
+def test_a_cycle_of_cells_on_an_attractor_without_a_period_belongs_to_that(monkeypatch):
+    """Beyond the cascade of doublings: walkers from both centres never come back to themselves."""
+    monkeypatch.setattr(attraction, "PATIENCE", 2)
+    monkeypatch.setattr(attraction, "ATTEMPTS", 1)
+    monkeypatch.setattr(module, "PATIENCE", 2)
+    data = wj.basin(wj.SimplestWalker(0.0188), wj.Grid.sheared(**PAPER))
+    assert data.period.values.tolist() == [0] and not data.artefact.any()
+    assert data["cells"].values.tolist() == [(data.fate.values == 0).sum()] == [28]
 
 
 # Piece by piece

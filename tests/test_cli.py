@@ -1,6 +1,7 @@
 import functools
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -108,6 +109,43 @@ def test_basin_answers_keeps_and_draws(run, tmp_path):
             data.sizes["theta"] == 30 and int((data.fate == 0).sum()) == answer["fates"]["STRIDE"]
         )
     assert (tmp_path / "b.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_cycle_of_cells_that_is_no_gait_is_said_to_be_an_artefact(run, tmp_path, monkeypatch):
+    """On the paper's own grid; a store that does not tell is read as it is."""
+    code, text, _ = run("basin", "--out", "b.zarr")
+    assert code == 0
+    gait, made_up = (line.strip() for line in text.splitlines()[1:3])
+    assert gait.startswith("attractor 0: period 1, 3043 cells, ") and gait.endswith("-0.156080)")
+    assert made_up.startswith("artefact 1: period 1, 1 cell, ")
+    assert made_up.endswith(": a walker falls from there")
+    with monkeypatch.context() as patch:
+        patch.setattr(cli, "draw", lambda *_: None)
+        _, out, _ = run("basin", "--out", "b.zarr", "--json")
+    told = [
+        {name: one[name] for name in ("cells", "artefact", "cycles", "falling")}
+        for one in json.loads(out)["attractors"]
+    ]
+    assert told == [
+        {"cells": 3043, "artefact": False, "cycles": 1, "falling": 0},
+        {"cells": 1, "artefact": True, "cycles": 1, "falling": 1},
+    ]
+    for name in ("artefact", "cycles", "falling"):
+        shutil.rmtree(tmp_path / "b.zarr" / name)
+    code, text, err = run("basin", "--out", "b.zarr")
+    assert (code, err) == (0, "") and "attractor 1: period 1, 1 cell, " in text
+
+
+def test_what_is_said_of_cycles_of_cells():
+    said = lambda artefact, cycles, falling, centres=2: cli.of_cells(
+        {"artefact": artefact, "cycles": cycles, "falling": falling, "states": [0] * centres}
+    )
+    assert said(False, 1, 0) == cli.of_cells({"artefact": False}) == ""
+    assert said(False, 3, 0) == ": 3 cycles of cells"
+    told = ": 2 cycles of cells, a walker falls from 1 of their centres"
+    assert said(False, 2, 1) == told
+    assert said(True, 1, 1) == ": a walker falls from 1 of 2"
+    assert said(True, 1, 0) == ": walkers from there do not come to one attractor"
 
 
 @pytest.mark.parametrize(
@@ -474,7 +512,8 @@ def test_robustness_answers_keeps_and_draws(run, tmp_path, monkeypatch):
     assert (code, err) == (0, "")
     answer = json.loads(out)
     assert list(answer) == [
-        *("walker", "slope", "area", "area_error", "gait", "least_disturbance", "step_down"),
+        *("walker", "slope", "area", "area_error", "gait", "least_disturbance", "least_fall"),
+        *("step_down", "step_down_failure", "step_down_fall"),
         *("basin_stability", "boundary_dimension"),
     ]
     assert answer["slope"] == 0.004 and answer["gait"]["period"] == 1
@@ -482,7 +521,8 @@ def test_robustness_answers_keeps_and_draws(run, tmp_path, monkeypatch):
     least = answer["least_disturbance"]
     assert least["size"] == pytest.approx(0.00225617, abs=1e-7)
     assert set(least) == {"size", "direction", "state", "failure", "strides"}
-    assert least["failure"] == "FORWARD"
+    assert least["failure"] == "FORWARD" and answer["least_fall"] == least
+    assert answer["step_down_fall"] == answer["step_down"]
     survived, dimension = answer["basin_stability"], answer["boundary_dimension"]
     assert survived["low"] < 0.3056 < survived["high"] and survived["disturbances"] == 0.1
     assert dimension["low"] < dimension["value"] < dimension["high"] < 1.2
@@ -508,6 +548,11 @@ def test_answers_on_robustness(run, tmp_path, monkeypatch):
         "least_disturbance": 0.01,
         "failure": 1,
         "failing_strides": 7,
+        "least_fall": 0.01,
+        "fall_failure": 1,
+        "step_down": 0.001,
+        "step_down_failure": 1,
+        "step_down_fall": 0.001,
         "median_strides": np.inf,
     }
     one, none = data.assign(found), data.assign(without_gait(walker))
@@ -523,16 +568,38 @@ def test_answers_on_robustness(run, tmp_path, monkeypatch):
     assert answer["least_disturbance"]["failure"] == "FORWARD"
     assert answer["basin_stability"]["median_strides"] is None
     assert answer["boundary_dimension"] == {"value": 1.5, "low": 1.5, "high": 1.5}
-    assert "FORWARD after 7 strides" in run("robustness")[1]
+    text = run("robustness")[1]
+    assert "FORWARD after 7 strides" in text and "falls" not in text
     arguments = ["robustness", "--from", "0.004", "--to", "0.2", "--count", "2", "--out", "t.zarr"]
     code, out, err = run(*arguments, "--json")
     assert (code, err) == (0, "")
     rows = json.loads(out)["slopes"]
     assert [row["slope"] for row in rows] == [0.004, 0.2]
-    assert rows[0]["gait"]["period"] == 1 and rows[1]["least_disturbance"] is None
+    assert rows[0]["gait"]["period"] == 1
+    for name in ("least_disturbance", "least_fall", "step_down", "step_down_fall"):
+        assert rows[0][name] is not None and rows[1][name] is None
     assert "no gait attracts" in run(*arguments)[1]
+    # where another motion is nearer than a fall both are told; a store that does not tell is read
+    nearer = {"failure": 0, "failing_strides": 500, "fall_strides": 9, "step_down_failure": 0}
+    nearer |= {"least_fall": 0.03, "step_down_fall": 0.002}
+    nearer |= {"fall_direction": one["direction"], "fall_state": one["gait_state"] + [0.0, 0.03]}
+    one = one.assign(nearer)
     for name in ("robustness.png", "t.png"):
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
+    monkeypatch.setattr(cli, "draw", lambda *_: None)
+    answer = json.loads(run("robustness", "--json", "--overwrite")[1])
+    assert answer["least_disturbance"]["size"] == 0.01 and answer["step_down"] == 0.001
+    assert answer["least_disturbance"]["failure"] == answer["step_down_failure"] == "STRIDE"
+    assert answer["least_fall"]["size"] == 0.03 and answer["least_fall"]["failure"] == "FORWARD"
+    assert answer["least_fall"]["strides"] == 9 and answer["step_down_fall"] == 0.002
+    text = run("robustness")[1]
+    assert "least disturbance 0.01000000 along (0.0000, 1.0000): comes to another motion" in text
+    assert "from which it falls 0.03000000 along (0.0000, 1.0000): FORWARD after 9 strides" in text
+    assert "step down 0.00100000: comes to another motion; falls from 0.00200000" in text
+    one = one.drop_vars([name for name in one if "fall" in str(name)] + ["step_down_failure"])
+    answer = json.loads(run("robustness", "--json", "--overwrite")[1])
+    assert answer["least_fall"] is answer["step_down_fall"] is answer["step_down_failure"] is None
+    assert "comes to another motion" in run("robustness")[1]
 
 
 @pytest.mark.parametrize(

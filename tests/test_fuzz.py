@@ -329,9 +329,9 @@ def calls() -> dict[str, dict]:
         "loss_of_walking": {**of_walker, "parameter": "slope", "interval": interval, "branches": []}
         | {"strides": 5, "resolution": 1e-4},
         "bifurcation_diagram": {**of_walker, "parameter": "slope", "interval": interval},
-        "least_disturbance": {**of_gait, "scale": None, "along": None, "strides": 20},
-        "least_step_down": {**of_gait, "strides": 20},
-        "disturbance_gradient": {**of_gait, "parameters": ("slope",), "bands": None},
+        "least_disturbance": {**of_gait, "scale": None, "along": None, "fall": True, "strides": 20},
+        "least_step_down": {**of_gait, "fall": True, "strides": 20},
+        "disturbance_gradient": {**of_gait, "parameters": ("slope",), "bands": None, "fall": True},
         "robustness": {**on_grid, "levels": 0, "check": 0, "disturbances": 0.1, "seed": 0},
         "robustness_table": {
             **on_grid,

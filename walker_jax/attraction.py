@@ -56,6 +56,12 @@ class Attractor(NamedTuple):
     frames: Float[np.ndarray, "period section section"] | None = None
     """For each state, matrices that make displacements from it less than 1, in all coordinates,
     where a walker is taken to have arrived; none where that is `near`."""
+    cycles: int = 0
+    """By cell mapping: how many cycles of cells belong to it, or are this artefact."""
+    falling: int = 0
+    """From how many of the centres of their cells a walker falls."""
+    artefact: bool = False
+    """Whether it is a cycle of cells alone, and their centres, to which no walker comes."""
 
     def boxes(self) -> Float[np.ndarray, "period section section"]:
         """The frames, also where there are none."""
@@ -301,7 +307,7 @@ def near(dtype) -> float:
 
 
 def sort_attractors(found: Basins) -> Basins:
-    """The same, attractors numbered by period, then by angle; those without a period last."""
+    """The same, attractors numbered in order."""
     order = in_order(found.attractors)
     number = np.full(len(order) + 1, -1, np.int32)  # the last is that of no attractor
     number[order] = np.arange(len(order))
@@ -310,8 +316,8 @@ def sort_attractors(found: Basins) -> Basins:
 
 
 def in_order(attractors: list[Attractor]) -> list[int]:
-    """Their numbers, by period, then by angle; those without a period last."""
-    key = [(one.period or np.inf, one.states[0, 0]) for one in attractors]
+    """Their numbers, by period, then by angle; those without a period, then artefacts, last."""
+    key = [(one.artefact, one.period or np.inf, one.states[0, 0]) for one in attractors]
     return sorted(range(len(key)), key=key.__getitem__)
 
 

@@ -599,7 +599,7 @@ def basin(
     """
     import walker_jax as wj
     from walker_jax import figures
-    from walker_jax.basin import around
+    from walker_jax.basin import around, artefacts
 
     has_phidot = "phidot" in walker.section
     if not has_phidot and (phidot is not None or at_phidot is not None):
@@ -659,14 +659,17 @@ def basin(
 
     counts, lost, made = tally(data)
     fates = dict(zip(wj.Outcome.__members__, counts.tolist(), strict=True))
+    mapped = [name for name in ("cycles", "falling") if name in data]
     attractors = [
         {
             "period": int(data["period"][i]) or None,
             "states": data["states"].values[i][: max(1, int(data["period"][i]))],
             "cells": int(data["cells"][i]),
             "area": float(data["area"][i]),
+            "artefact": bool(artefact),
+            **{name: int(data[name][i]) for name in mapped},
         }
-        for i in range(data.sizes["number"])
+        for i, artefact in enumerate(artefacts(data))
     ]
     if as_json:
         print_json(
@@ -691,8 +694,9 @@ def basin(
         states = ", ".join(f"({state})" for state in numbers)
         more = ", ..." if len(one["states"]) > 4 else ""
         period = f"period {one['period']}" if one["period"] else "no period"
-        size = f"{one['cells']} cell{'s' * (one['cells'] > 1)}, {measure} {one['area']:.6g}"
-        print(f"  attractor {i}: {period}, {size}, at {states}{more}")
+        size = f"{one['cells']} cell{'s' * (one['cells'] != 1)}, {measure} {one['area']:.6g}"
+        kind = "artefact" if one["artefact"] else "attractor"
+        print(f"  {kind} {i}: {period}, {size}, at {states}{more}{of_cells(one)}")
     print(f"  {measure} {float(data['area'].sum()):.6g} in all")
     print(
         "  cells: "
@@ -711,6 +715,19 @@ def basin(
             f"{seconds['compile']:.1f} s to compile, {seconds['run']:.2f} s to run"
         )
     print(f"  data set {out}, picture {figure}")
+
+
+def of_cells(attractor: dict) -> str:
+    """What stands for an attractor in a cell map, where that is not one cycle that leads there."""
+    cycles, falling = attractor.get("cycles", 1), attractor.get("falling", 0)
+    if attractor["artefact"]:
+        centres = len(attractor["states"])
+        if falling == 0:
+            return ": walkers from there do not come to one attractor"
+        return f": a walker falls from {f'{falling} of {centres}' if centres > 1 else 'there'}"
+    joined = [f"{cycles} cycles of cells"] * (cycles > 1)
+    joined += [f"a walker falls from {falling} of their centres"] * (falling > 0)
+    return f": {', '.join(joined)}" if joined else ""
 
 
 def cluster_of(workers: int | None, scheduler: str | None) -> int | str | None:
@@ -783,7 +800,8 @@ def robustness(
     """Measure how large a disturbance a gait survives, on one slope or over many.
 
     The area of the basin with its error, the least disturbance from which the walker does not come
-    back, the least step down, the part of random disturbances that is survived, and the dimension
+    back and, where that leads to another motion, the least one from which it falls, the least step
+    down, the part of random disturbances that is survived, and the dimension
     of the boundary. By default over all angles of a walker on point feet, and in a slice around the
     gait of any other.
     """
@@ -1121,7 +1139,8 @@ def sweep(
         print_json({"walker": about, "points": rows.to_dict(orient="records")})
         return
     shown = [*names, "total_area", "total_area_error", "multiplier", "speed", "failed"]
-    shown += ["least_disturbance", "step_down"] if robust else []
+    shown += ["least_disturbance", "least_fall", "step_down", "step_down_fall"]
+    shown = [name for name in shown if name in rows]
     print(rows[shown].map("{:.6g}".format).to_string(index=False))
     print(f"  data set {out}, picture {figure}")
 
@@ -1240,7 +1259,8 @@ def measures(data, slope: float) -> dict:
     """The answer of `robustness` on one slope."""
     import walker_jax as wj
 
-    number = lambda name: float(data[name])
+    number = lambda name: float(data[name]) if name in data else None
+    failure = lambda name: wj.Outcome(int(data[name])).name if name in data else None
     interval = lambda name: {
         "value": number(name),
         "low": number(f"{name}_low"),
@@ -1252,7 +1272,8 @@ def measures(data, slope: float) -> dict:
         "area_error": number("total_area_error"),
     }
     if int(data["gait_period"]) == 0:
-        absent = ("gait", "least_disturbance", "step_down", "basin_stability", "boundary_dimension")
+        absent = ("gait", "least_disturbance", "least_fall", "step_down", "step_down_failure")
+        absent += ("step_down_fall", "basin_stability", "boundary_dimension")
         return answer | dict.fromkeys(absent)
     return answer | {
         "gait": {
@@ -1265,10 +1286,21 @@ def measures(data, slope: float) -> dict:
             "size": number("least_disturbance"),
             "direction": data["direction"].values,
             "state": data["failing_state"].values,
-            "failure": wj.Outcome(int(data["failure"])).name,
+            "failure": failure("failure"),
             "strides": int(data["failing_strides"]),
         },
+        "least_fall": {
+            "size": number("least_fall"),
+            "direction": data["fall_direction"].values,
+            "state": data["fall_state"].values,
+            "failure": failure("fall_failure"),
+            "strides": int(data["fall_strides"]),
+        }
+        if "least_fall" in data
+        else None,
         "step_down": number("step_down"),
+        "step_down_failure": failure("step_down_failure"),
+        "step_down_fall": number("step_down_fall"),
         "basin_stability": {
             **interval("stability"),
             "disturbances": float(data.attrs["disturbances"]),
@@ -1279,6 +1311,15 @@ def measures(data, slope: float) -> dict:
     }
 
 
+def said_of(disturbance: dict) -> str:
+    """A least disturbance in words."""
+    along = ", ".join(f"{value:.4f}" for value in disturbance["direction"])
+    how = "comes to another motion"
+    if disturbance["failure"] != "STRIDE":
+        how = f"{disturbance['failure']} after {disturbance['strides']} strides"
+    return f"{disturbance['size']:.8f} along ({along}): {how}"
+
+
 def print_measures(row: dict) -> None:
     """The answer of `robustness` on one slope, in words."""
     print(f"  slope {row['slope']:g}: area {row['area']:.7g} +- {row['area_error']:.1g}")
@@ -1287,13 +1328,14 @@ def print_measures(row: dict) -> None:
         return
     gait, least = row["gait"], row["least_disturbance"]
     survived, dimension = row["basin_stability"], row["boundary_dimension"]
-    along = ", ".join(f"{value:.4f}" for value in least["direction"])
-    how = "comes to another motion"
-    if least["failure"] != "STRIDE":
-        how = f"{least['failure']} after {least['strides']} strides"
     print(f"    gait of period {gait['period']}, largest multiplier {gait['multiplier']:.6f}")
-    print(f"    least disturbance {least['size']:.8f} along ({along}): {how}")
-    print(f"    least step down {row['step_down']:.8f}")
+    print(f"    least disturbance {said_of(least)}")
+    if least["failure"] == "STRIDE" and row["least_fall"] is not None:
+        print(f"    least one from which it falls {said_of(row['least_fall'])}")
+    down = f"{row['step_down']:.8f}"
+    if row["step_down_failure"] == "STRIDE":
+        down += f": comes to another motion; falls from {row['step_down_fall']:.8f}"
+    print(f"    least step down {down}")
     print(
         f"    {survived['value']:.1%} ({survived['low']:.1%} to {survived['high']:.1%}) of "
         f"disturbances up to {survived['disturbances']:g} of the gait's state are survived; "

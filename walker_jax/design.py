@@ -187,9 +187,9 @@ def optimise(
 
     - `walker`: of one kind. Its own values are the first start, where they are within the bounds.
     - `bounds`: the least and the greatest value of each parameter that is free.
-    - `objective`: "area" (of the basin, all attractors together), "least-disturbance", "speed" or
-      "step-length" to be large, "spectral-radius" or "cost-of-transport" to be small; or weights of
-      these by name, for a sum that is to be large.
+    - `objective`: "area" (of the basin, all attractors together), "least-disturbance" (from which
+      the walker does not come back), "speed" or "step-length" to be large, "spectral-radius" or
+      "cost-of-transport" to be small; or weights of these by name, for a sum that is to be large.
     - `at_least`, `at_most`: limits of "speed", "step-length", "spectral-radius" and
       "cost-of-transport", by name.
     - `grid`: where the area is measured, the same for all parameters. By default as in

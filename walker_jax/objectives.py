@@ -285,10 +285,13 @@ def disturbance_gradient(
     gait: Gait | None = None,
     *,
     bands: Sequence[float] | Float[np.ndarray, " parameters"] | None = None,
+    fall: bool = False,
     strides: int = 500,
     tolerance: float | None = None,
 ) -> DisturbanceGradient:
     """The least disturbance, and its derivatives by parameters of the walker.
+
+    It is that from which the walker does not come back, or with `fall` that from which it falls.
 
     At the nearest point of the boundary, x = g + r u with g the gait's state and u of length one,
     the margin stays zero: dr/dp = -(dm/dp + grad m . dg/dp) / (grad m . u). That u turns matters to
@@ -303,7 +306,7 @@ def disturbance_gradient(
     """
     widths = checked_bands(walker, parameters, bands)
     gait = find_gait(walker, tolerance=tolerance) if gait is None else gait
-    found = least_disturbance(walker, gait, strides=strides, tolerance=tolerance)
+    found = least_disturbance(walker, gait, fall=fall, strides=strides, tolerance=tolerance)
     finest = float(default_tolerance(found.state.dtype, tolerance))
     beyond = np.asarray(gait.states)[found.phase] + BEYOND[:, None] * found.size * found.direction
     made, axes = np.full(len(beyond), found.strides, np.int32), np.eye(beyond.shape[1])
@@ -320,7 +323,7 @@ def disturbance_gradient(
     if bands is None:
         return DisturbanceGradient(found.size, np.full(len(widths), np.nan), False)
     pairs = zip(parameters, widths, strict=True)
-    gradient = [size_over_band(walker, gait, *pair, strides, tolerance) for pair in pairs]
+    gradient = [size_over_band(walker, gait, *pair, fall, strides, tolerance) for pair in pairs]
     return DisturbanceGradient(found.size, np.array(gradient), True)
 
 
@@ -329,6 +332,7 @@ def size_over_band(
     gait: Gait,
     parameter: str,
     width: float,
+    fall: bool,
     strides: int,
     tolerance: float | None,
 ) -> float:
@@ -337,8 +341,8 @@ def size_over_band(
     for one in ends_of_band(walker, parameter, width):
         there = find_gait(one, gait.states, len(gait.states), tolerance=tolerance)
         one, there = (one, there) if there.found and there.stable else (walker, gait)
-        size = least_disturbance(one, there, strides=strides, tolerance=tolerance).size
-        ends.append((float(getattr(one, parameter)), size))
+        found = least_disturbance(one, there, fall=fall, strides=strides, tolerance=tolerance)
+        ends.append((float(getattr(one, parameter)), found.size))
     (low, below), (high, above) = ends
     return (above - below) / (high - low) if high > low else np.nan
 

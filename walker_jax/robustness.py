@@ -17,7 +17,14 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
-from walker_jax.attraction import Attractor, follow, framed_attractors, near, with_frames
+from walker_jax.attraction import (
+    Attractor,
+    follow,
+    framed_attractors,
+    near,
+    settle,
+    with_frames,
+)
 from walker_jax.basin import around, check_grid
 from walker_jax.boundaries import Uncertainty, checked_distances, uncertainty_exponent, upper_end
 from walker_jax.cells import Grid
@@ -73,12 +80,14 @@ HEIGHTS = 4096
 """Heights of a step down, up to the least found."""
 BEYOND = 1 + np.array([1e-8, 1e-10, 0.0])
 """Of the least disturbance, those of which the first that fails says how: rounding is less."""
+MEETING, OUTWARDS = 90, 0.1 * 0.5 ** np.arange(12.0)[:, None]
+"""Directions and distances, of starts from which other gaits are met."""
 HALVINGS = 12, 34
 """Of the distance between two points tried on a ray: to tell rays apart, and in the end."""
 
 
 class LeastDisturbance(NamedTuple):
-    """The nearest point to a gait from which the walker does not come back."""
+    """The nearest point to a gait from which the walker does not come back, or falls."""
 
     size: float
     """Its distance from the gait, in the metric asked for."""
@@ -101,10 +110,15 @@ def least_disturbance(
     *,
     scale: Sequence[Any] | ArrayLike | None = None,
     along: Sequence[Any] | ArrayLike | None = None,
+    fall: bool = False,
     strides: int = 500,
     tolerance: float | None = None,
 ) -> LeastDisturbance:
-    """The nearest point of the section from which a walker does not return to its gait.
+    """The nearest point of the section from which a walker does not return to its gait, or falls.
+
+    From the nearest point at which it does not return it may come to another motion: the `failure`
+    is `STRIDE` then, and the nearest at which it falls, found with `fall`, is farther. Otherwise
+    these are the same.
 
     Rays from the gait are followed outwards, all at once, to the first distance from which the
     walker does not return; then closer rays, up to the least of these; then fans of rays around
@@ -121,7 +135,8 @@ def least_disturbance(
       the length of the disturbance divided by it; by default it is plain length.
     - `along`: vectors, one a row, that disturbances are made of, such as (0, 1) for a push that
       changes thetadot alone. By default they have any direction.
-    - `strides`: how many of them a walker may take to come back.
+    - `fall`: whether the walker is to fall, and no other motion counts.
+    - `strides`: how many of them a walker may take to come back, or to fall.
     - `tolerance`: of the integration, as in `stride`.
 
     `ValueError` for a gait that is not stable, or not found, and for a scale or vectors that are
@@ -129,11 +144,14 @@ def least_disturbance(
     found from which the walker does not return.
     """
     unit, basis = metric(walker, scale, along)
-    size = len(unit)
+    size, lost = len(unit), which_walks(fall)
     states, shared = returning(walker, gait, strides, tolerance)
+    if fall:
+        rays = directions(len(basis), MEETING) @ basis * unit
+        shared = until_settled(shared, states[:, None, None] + OUTWARDS * rays[:, None])
 
     def fails(points: Float[np.ndarray, "n section"]) -> Bool[np.ndarray, " n"]:
-        return ~over_cells(end_of_walk, shared, points).back
+        return lost(over_cells(end_of_walk, shared, points))
 
     def gradient(points: Float[np.ndarray, "n section"]) -> Float[np.ndarray, "n section"]:
         count = over_cells(end_of_walk, shared, points).strides
@@ -153,13 +171,13 @@ def least_disturbance(
     length = float(np.linalg.norm(step))
     state = states[phase] + step * unit
     beyond = over_cells(end_of_walk, shared, states[phase] + BEYOND[:, None] * step * unit)
-    first = int(beyond.back.argmin())
+    first = int(lost(beyond).argmax())
     failure, made = Outcome(int(beyond.outcome[first])), int(beyond.strides[first])
     return LeastDisturbance(length, step / length, state, phase, failure, made)
 
 
 class LeastStepDown(NamedTuple):
-    """The least step down from which a walker does not come back to its gait."""
+    """The least step down from which a walker does not come back to its gait, or falls."""
 
     size: float
     """Its height, at right angles to the slope, in the unit of length."""
@@ -178,15 +196,17 @@ def least_step_down(
     walker: Walker,
     gait: Gait | None = None,
     *,
+    fall: bool = False,
     strides: int = 500,
     tolerance: float | None = None,
 ) -> LeastStepDown:
-    """The least height of a step down from which a walker does not return to its gait.
+    """The least height of a step down from which a walker does not return to its gait, or falls.
 
     One heel strike is on ground that is lower (`step_down`), and so are all that follow. Arguments
     and errors are those of `least_disturbance`. Heights are tried at some 4096 places up to the
     least: failures in narrower ranges may be missed.
     """
+    lost = which_walks(fall)
     states, shared = returning(walker, gait, strides, tolerance)
 
     def end(state, heights):
@@ -196,14 +216,14 @@ def least_step_down(
     up = np.ones((1, 1))
     found = []
     for state in states:
-        fails = lambda heights, state=state: ~end(state, heights[:, 0]).back
+        fails = lambda heights, state=state: lost(end(state, heights[:, 0]))
         reach = scanned(fails, up, HEIGHTS)[0]
         first = first_failures(fails, up, 0.0, reach, HEIGHTS)
         found.append(halved(fails, up, first, reach / HEIGHTS, HALVINGS[1])[0])
     phase = int(np.argmin(found))
     height = float(found[phase])
     beyond = end(states[phase], BEYOND * height)
-    first = int(beyond.back.argmin())
+    first = int(lost(beyond).argmax())
     failure, made = Outcome(int(beyond.outcome[first])), int(beyond.strides[first])
     down = step_down(walker, states[phase], height, tolerance=tolerance)
     return LeastStepDown(height, np.asarray(down.state), phase, failure, made)
@@ -412,7 +432,10 @@ def robustness(
     `gait_period`, `gait_state` (that from which the least disturbance is), `multiplier` (the
     largest modulus), `step_time` (the mean); of the point that `least_disturbance` finds,
     `least_disturbance`, `direction`, `failing_state`, `failure` (-1 for none) and
-    `failing_strides`; `step_down`; `stability`, with `_low` and `_high`, `median_strides` and
+    `failing_strides`; of the one that it finds with `fall`, which is the same unless the first
+    leads to another motion, `least_fall`, `fall_direction`, `fall_state`, `fall_failure` and
+    `fall_strides`; `step_down` and `step_down_failure`, and `step_down_fall`, the least one from
+    which the walker falls; `stability`, with `_low` and `_high`, `median_strides` and
     `slowest_strides`; `dimension`, with `_low` and `_high`, of the boundary. NaN, or -1, where no
     gait attracts.
 
@@ -437,6 +460,11 @@ def robustness(
         return data.assign(without_gait(walker))
     least = least_disturbance(walker, gait, strides=strides, tolerance=tolerance)
     down = least_step_down(walker, gait, strides=strides, tolerance=tolerance)
+    fall, fall_down = least, down
+    if least.failure == Outcome.STRIDE:
+        fall = least_disturbance(walker, gait, fall=True, strides=strides, tolerance=tolerance)
+    if down.failure == Outcome.STRIDE:
+        fall_down = least_step_down(walker, gait, fall=True, strides=strides, tolerance=tolerance)
     gait = gait._replace(states=np.roll(np.asarray(gait.states), -least.phase, axis=0))
     stability = basin_stability(
         walker,
@@ -459,7 +487,14 @@ def robustness(
             "failing_state": ("coordinate", least.state),
             "failure": int(least.failure),
             "failing_strides": least.strides,
+            "least_fall": fall.size,
+            "fall_direction": ("coordinate", fall.direction),
+            "fall_state": ("coordinate", fall.state),
+            "fall_failure": int(fall.failure),
+            "fall_strides": fall.strides,
             "step_down": down.size,
+            "step_down_failure": int(down.failure),
+            "step_down_fall": fall_down.size,
             "stability": float(stability.value),
             "stability_low": float(stability.low),
             "stability_high": float(stability.high),
@@ -475,13 +510,16 @@ def robustness(
 def without_gait(walker: Walker) -> dict:
     """What `robustness` adds where no gait attracts."""
     names = (
-        *("multiplier", "step_time", "least_disturbance", "step_down"),
+        *("multiplier", "step_time", "least_disturbance", "least_fall"),
+        *("step_down", "step_down_fall"),
         *("stability", "stability_low", "stability_high", "median_strides", "slowest_strides"),
         *("dimension", "dimension_low", "dimension_high"),
     )
     nowhere = "coordinate", np.full(len(walker.section), np.nan)
-    vectors = dict.fromkeys(("gait_state", "direction", "failing_state"), nowhere)
-    whole = {"gait_period": 0, "failure": -1, "failing_strides": -1}
+    vectors = ("gait_state", "direction", "failing_state", "fall_direction", "fall_state")
+    vectors = dict.fromkeys(vectors, nowhere)
+    none = ("failure", "failing_strides", "fall_failure", "fall_strides", "step_down_failure")
+    whole = {"gait_period": 0} | dict.fromkeys(none, -1)
     return dict.fromkeys(names, np.nan) | vectors | whole
 
 
@@ -629,15 +667,37 @@ def returning(
     return states, (*shared, np.int32(strides))
 
 
+def until_settled(shared: tuple, starts: Float[np.ndarray, "*starts section"]) -> tuple:
+    """What walks share that may end close to any gait to which walkers come from some starts.
+
+    Those that come to another gait are not followed to their last stride then.
+    """
+    walker, tolerance, states, frames, limit = shared
+    own = Attractor(len(states), states, frames)
+    found = settle(walker, starts.reshape(-1, states.shape[1]), float(tolerance), [own])
+    gaits = [one for one in found if one.period]
+    if len(gaits) > 1:
+        gaits = with_frames(walker, gaits, float(tolerance), int(limit))
+        states = np.concatenate([one.states for one in gaits])
+        frames = np.concatenate([one.boxes() for one in gaits])
+    return walker, tolerance, states, frames, limit
+
+
 class EndOfWalk(NamedTuple):
     """How a walk ends."""
 
     back: Bool[Array, "*cells"]
-    """Whether the walker has come back to its gait."""
+    """Whether the walker has come back to its gait, or to another that it may come to."""
     outcome: Int[Array, "*cells"]
     """Of its last stride."""
     strides: Int[Array, "*cells"]
     """Those completed."""
+
+
+def which_walks(fall: bool) -> Callable[[EndOfWalk], Any]:
+    """Tells of walks whether they end in a fall, or whether they do not lead back."""
+    check_kind("fall", fall, bool)
+    return lambda walk: walk.outcome != Outcome.STRIDE if fall else ~walk.back
 
 
 def end_of_walk(shared: tuple, x: Float[Array, " section"]) -> EndOfWalk:
