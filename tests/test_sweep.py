@@ -6,15 +6,20 @@ import subprocess
 import sys
 import threading
 import time
+from collections import Counter
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 import xarray as xr
+from jax.errors import JaxRuntimeError
 
 import walker_jax as wj
-from walker_jax import cluster, figures, store
+from walker_jax import cluster, figures, store, tiles
 from walker_jax.cluster import computers
 
 module = sys.modules["walker_jax.sweep"]  # the package has the function by that name
@@ -90,6 +95,31 @@ def test_what_the_machine_lacks_is_tried_again(tmp_path, monkeypatch):
         wj.sweep(WALKER, over, GRID, levels=0, out=path)
     found = wj.sweep(WALKER, over, GRID, levels=0, out=path)
     assert not found["failed"].any() and (found["total_area"] > 0).all()
+
+
+@pytest.mark.parametrize(
+    "lacking",
+    [
+        MemoryError(),
+        OSError("disk"),
+        ImportError("library"),
+        JaxRuntimeError("RESOURCE_EXHAUSTED: memory"),
+    ],
+    ids=lambda error: type(error).__name__,
+)
+def test_what_the_machine_lacks_is_raised_and_what_a_walker_lacks_is_told(monkeypatch, lacking):
+    broken = [lacking, JaxRuntimeError("INTERNAL"), ValueError("gait"), RuntimeError("no step")]
+
+    def failing(*_):
+        raise broken.pop(0)
+
+    monkeypatch.setattr(module, "measured", failing)
+    combination = (WALKER, GRID, {}, ["slope"], (0.004,))
+    with pytest.raises(type(lacking)):
+        module.point(*combination)
+    for _ in range(3):
+        assert module.point(*combination) == {"failed": 1}
+    assert not broken and module.point(WALKER, GRID, {}, ["slope"], (-1.0,)) == {"failed": 1}
 
 
 def test_a_sweep_of_which_all_failed_has_a_picture(monkeypatch):
@@ -188,33 +218,100 @@ def test_a_cluster_that_there_cannot_be_costs_nothing(tmp_path, monkeypatch, clu
     assert store.opened(tmp_path / "a.zarr").identical(first)
 
 
-RUNNING, LOCK = [0], threading.Lock()
-
-
-def how_many_run(thing):
-    """How many of it are running, itself among them."""
-    with LOCK:
-        RUNNING[0] += 1
-        found = RUNNING[0]
-    time.sleep(0.2)
-    with LOCK:
-        RUNNING[0] -= 1
-    return found
-
-
-def test_workers_that_come_later_are_used():
+@pytest.fixture(scope="module")
+def client():
+    """Of a cluster in this process, of one worker to begin with."""
     from distributed import Client, LocalCluster
 
     options = {"processes": False, "threads_per_worker": 1, "dashboard_address": None}
     local: Any = LocalCluster(n_workers=1, **options)
-    with local, Client(local) as client, computers(client) as each:
-        running = {}
-        for thing, count in each(how_many_run, [*range(40)]):
-            if not running:
-                local.scale(4)
+    with local, Client(local) as client:
+        yield client
+
+
+CHANGED = threading.Condition()
+COUNT = Counter()
+
+
+def together(thing):
+    """Runs until as many as are wanted have run at once; gives how many these were at most."""
+    with CHANGED:
+        COUNT["running"] += 1
+        COUNT["most"] = max(COUNT["most"], COUNT["running"])
+        CHANGED.notify_all()
+        if not CHANGED.wait_for(lambda: COUNT["most"] >= COUNT["wanted"], timeout=60):
+            COUNT["wanted"] = 0  # it has failed, and the others need not wait
+        COUNT["running"] -= 1
+        return COUNT["most"]
+
+
+def test_workers_that_come_later_are_used(client):
+    COUNT.clear()
+    with computers(client) as each:
+        done = {}
+        for thing, most in each(together, [*range(40)]):
+            if not done:
+                client.cluster.scale(4)
                 client.wait_for_workers(4)
-            running[thing] = count
-    assert sorted(running) == [*range(40)] and max(running.values()) == 4
+                COUNT["wanted"] = 4
+            done[thing] = most
+    assert sorted(done) == [*range(40)] and max(done.values()) == 4
+
+
+TRIED = Counter()
+
+
+def dying(thing):
+    """A piece over which workers have died as often as it says, before it is computed."""
+    from distributed import KilledWorker
+
+    name, deaths = thing
+    TRIED[thing] += 1
+    if TRIED[thing] <= deaths:
+        raise KilledWorker(name, SimpleNamespace(address="tcp://127.0.0.1:9"), 3)
+    return name.upper()
+
+
+def test_a_piece_over_which_workers_died_is_computed_by_others_but_not_for_ever(client):
+    from distributed import KilledWorker
+
+    TRIED.clear()
+    pieces = [("a", 0), ("b", cluster.DEATHS), ("c", 1)]
+    with computers(client) as each:
+        assert dict(each(dying, pieces)) == {piece: piece[0].upper() for piece in pieces}
+        with pytest.raises(KilledWorker):
+            list(each(dying, [("d", cluster.DEATHS + 1)]))
+
+
+@pytest.fixture
+def modes():
+    """Those of this process, and its cores, are as before when a test ends."""
+    before = {mode: getattr(jax.config, mode) for mode in tiles.MODES}
+    yield before
+    for mode, value in before.items():
+        jax.config.update(mode, value)
+    tiles.limit_cores(None)
+
+
+@pytest.mark.parametrize("by", ["client", "address"])
+def test_workers_compute_in_the_modes_of_the_process_that_asks(client, modes, monkeypatch, by):
+    asked = []
+    keep = lambda self, setup: asked.append(setup)
+    monkeypatch.setattr(type(client), "register_worker_callbacks", keep)
+    with computers(client if by == "client" else client.cluster.scheduler_address):
+        (setup,) = asked
+    others = {"jax_enable_x64": False, "jax_numpy_dtype_promotion": "standard"}
+    assert set(others) == set(modes) and not set(others.items()) & set(modes.items())
+    for mode, value in others.items():
+        jax.config.update(mode, value)
+    stopped = []
+    profilers = ("profile", "profile-cycle", "heartbeat")
+    callbacks = {name: SimpleNamespace(stop=partial(stopped.append, name)) for name in profilers}
+    setup(SimpleNamespace(periodic_callbacks=callbacks))
+    assert {mode: getattr(jax.config, mode) for mode in modes} == modes
+    assert stopped == ["profile", "profile-cycle"]
+    cluster.as_here(modes, 1, SimpleNamespace(periodic_callbacks={}))
+    assert tiles.cores() == 1
 
 
 DYING = """
