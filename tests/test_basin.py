@@ -31,6 +31,14 @@ def mapped():
     return wj.basin(wj.SimplestWalker(0.004), wj.Grid.sheared(**PAPER))
 
 
+def test_a_point_within_reach_of_several_attractors_is_the_nearests():
+    places = np.array([[0.1, 0.0], [0.2, 0.0], [0.3, 0.0]])
+    cycles = [Attractor(1, place[None]) for place in places]
+    points = np.array([[0.11, 0.01], [0.16, 0], [0.24, 0], [0.9, 0]])
+    assert attraction.nearest(points, cycles, within=0.5).tolist() == [0, 1, 1, -1]
+    assert attraction.nearest(points, cycles[::-1], within=0.5).tolist() == [2, 1, 1, -1]
+
+
 def test_direct_iteration_gives_the_reference_fates(direct):
     assert (direct.fate.values != REFERENCE["fate"]).sum() <= 20
     falls = (direct.fate.values == REFERENCE["fate"]) & (REFERENCE["fate"] != 0)

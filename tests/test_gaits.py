@@ -372,6 +372,8 @@ def test_one_singular_system_spoils_no_other():
     matrices = np.stack([np.eye(2), np.zeros((2, 2)), 2 * np.eye(2)])
     solutions = module.solve(matrices, np.ones((3, 2)))
     np.testing.assert_allclose(solutions, [[1, 1], [0, 0], [0.5, 0.5]])
+    steep = np.stack([np.diag([1.0, 1e-17]), np.zeros((2, 2))])  # the first is not singular
+    np.testing.assert_allclose(module.solve(steep, np.ones((2, 2))), [[1, 1e17], [0, 0]])
 
 
 def test_in_float32_a_gait_has_float32_digits():

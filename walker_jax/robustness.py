@@ -697,7 +697,8 @@ class EndOfWalk(NamedTuple):
 def which_walks(fall: bool) -> Callable[[EndOfWalk], Any]:
     """Tells of walks whether they end in a fall, or whether they do not lead back."""
     check_kind("fall", fall, bool)
-    return lambda walk: walk.outcome != Outcome.STRIDE if fall else ~walk.back
+    none = (Outcome.STRIDE, Outcome.UNDECIDED)
+    return lambda walk: ~np.isin(walk.outcome, none) if fall else ~walk.back
 
 
 def end_of_walk(shared: tuple, x: Float[Array, " section"]) -> EndOfWalk:
