@@ -283,7 +283,8 @@ def test_a_cycle_of_cells_belongs_to_where_walkers_come_from_most_of_its_centres
     x = starts
     for _ in range(300):
         x = wj.strides(walker, x).state
-    fallen, near = np.isnan(x).any(axis=1), np.zeros((data.sizes["number"], len(x)), bool)
+    fallen = np.asarray(np.isnan(x).any(axis=1))
+    near = np.zeros((data.sizes["number"], len(x)), bool)
     for number in np.flatnonzero(~data.artefact.values):
         states = data.states.values[number, : int(data.period[number])]
         near[number] = (np.abs(x - states[:, None]).max(axis=2) < 1e-5).any(axis=0)

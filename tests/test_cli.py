@@ -174,6 +174,37 @@ def test_a_sweep_of_too_much_is_refused_at_once(run, tmp_path, over, named):
     assert not [*tmp_path.iterdir()]
 
 
+def test_a_sweep_answers_with_a_row_for_each_combination(run, tmp_path, monkeypatch):
+    """The numbers are made up, by the walker's parameters."""
+
+    def measured(walker, grid, how):
+        slope, stiffness = float(walker.slope), float(walker.hip_stiffness)
+        if stiffness == 1:
+            raise FloatingPointError
+        return {"total_area": slope + stiffness, "total_area_error": 0.5, "speed": slope}
+
+    monkeypatch.setattr(sys.modules["walker_jax.sweep"], "measured", measured)
+    command = ["sweep", "--walker", "spring", "--over", "slope=0.25:0.5:2"]
+    command += ["--over", "hip-stiffness=0:1:3", *SMALL]
+    code, out, err = run(*command, "--json")
+    assert (code, err) == (0, "")
+    answer = json.loads(out)
+    assert answer["walker"] == {"name": "SpringWalker"}
+    keys = ("slope", "hip_stiffness", "total_area", "total_area_error", "speed", "failed")
+    rows = [tuple(point[key] for key in keys) for point in answer["points"]]
+    assert rows == [
+        *((0.25, 0.0, 0.25, 0.5, 0.25, 0), (0.25, 0.5, 0.75, 0.5, 0.25, 0)),
+        *((0.25, 1.0, None, None, None, 1), (0.5, 0.0, 0.5, 0.5, 0.5, 0)),
+        *((0.5, 0.5, 1.0, 0.5, 0.5, 0), (0.5, 1.0, None, None, None, 1)),
+    ]
+    monkeypatch.setattr("walker_jax.sweep", lambda *_, **__: 1 / 0)
+    code, text, _ = run(*command)
+    assert code == 0 and text.splitlines()[2].split() == [
+        *("0.25", "0.5", "0.75", "0.5", "nan", "0.25", "0")
+    ]
+    assert (tmp_path / "sweep.png").read_bytes().startswith(b"\x89PNG")
+
+
 def test_the_same_command_goes_on_with_what_was_interrupted(run, tmp_path, monkeypatch):
     def interrupted(place, piece, values, done=False):
         raise KeyboardInterrupt
@@ -539,8 +570,9 @@ def test_answers_on_robustness(run, tmp_path, monkeypatch):
     walker = wj.SimplestWalker(0.004)
     data = wj.refine(walker, grid, 0, check=0).assign_attrs(disturbances=0.1)
     found = without_gait(walker) | {
-        **dict.fromkeys(("stability", "stability_low", "stability_high"), 0.25),
-        **dict.fromkeys(("dimension", "dimension_low", "dimension_high"), 1.5),
+        **{"stability": 0.25, "stability_low": 0.2, "stability_high": 0.375},
+        **{"dimension": 1.5, "dimension_low": 1.4, "dimension_high": 1.75},
+        **{"multiplier": 0.625, "step_time": 3.75, "step_down": 0.03125},
         "gait_period": 1,
         "gait_state": ("coordinate", data["states"].values[0, 0]),
         "failing_state": ("coordinate", data["states"].values[0, 0] + [0.0, 0.01]),
@@ -550,10 +582,9 @@ def test_answers_on_robustness(run, tmp_path, monkeypatch):
         "failing_strides": 7,
         "least_fall": 0.01,
         "fall_failure": 1,
-        "step_down": 0.001,
         "step_down_failure": 1,
-        "step_down_fall": 0.001,
-        "median_strides": np.inf,
+        "step_down_fall": 0.03125,
+        **{"median_strides": 12.0, "slowest_strides": np.inf},
     }
     one, none = data.assign(found), data.assign(without_gait(walker))
     names = [name for name in one if set(one[name].dims) <= {"coordinate"}]
@@ -566,10 +597,23 @@ def test_answers_on_robustness(run, tmp_path, monkeypatch):
     assert (code, err) == (0, "")
     answer = json.loads(out)
     assert answer["least_disturbance"]["failure"] == "FORWARD"
-    assert answer["basin_stability"]["median_strides"] is None
-    assert answer["boundary_dimension"] == {"value": 1.5, "low": 1.5, "high": 1.5}
+    assert answer["least_disturbance"]["direction"] == [0.0, 1.0]
+    assert answer["least_disturbance"]["strides"] == 7 and answer["step_down"] == 0.03125
+    state, failing = answer["gait"]["state"], answer["least_disturbance"]["state"]
+    np.testing.assert_allclose(np.subtract(failing, state), [0, 0.01], atol=1e-15)
+    assert answer["gait"] == {
+        **{"period": 1, "state": state, "multiplier": 0.625, "step_time": 3.75}
+    }
+    assert answer["basin_stability"] == {
+        **{"value": 0.25, "low": 0.2, "high": 0.375, "disturbances": 0.1},
+        **{"median_strides": 12.0, "slowest_strides": None},
+    }
+    assert answer["boundary_dimension"] == {"value": 1.5, "low": 1.4, "high": 1.75}
     text = run("robustness")[1]
-    assert "FORWARD after 7 strides" in text and "falls" not in text
+    assert "FORWARD after 7 strides" in text and "least step down 0.03125000" in text
+    assert "25.0% (20.0% to 37.5%)" in text and "1.500 (1.400 to 1.750)" in text
+    assert "falls" not in text
+    assert "in 12 strides" in text and "95 of 100 in inf" in text
     arguments = ["robustness", "--from", "0.004", "--to", "0.2", "--count", "2", "--out", "t.zarr"]
     code, out, err = run(*arguments, "--json")
     assert (code, err) == (0, "")
@@ -581,21 +625,21 @@ def test_answers_on_robustness(run, tmp_path, monkeypatch):
     assert "no gait attracts" in run(*arguments)[1]
     # where another motion is nearer than a fall both are told; a store that does not tell is read
     nearer = {"failure": 0, "failing_strides": 500, "fall_strides": 9, "step_down_failure": 0}
-    nearer |= {"least_fall": 0.03, "step_down_fall": 0.002}
+    nearer |= {"least_fall": 0.03, "step_down_fall": 0.0625}
     nearer |= {"fall_direction": one["direction"], "fall_state": one["gait_state"] + [0.0, 0.03]}
     one = one.assign(nearer)
     for name in ("robustness.png", "t.png"):
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
     monkeypatch.setattr(cli, "draw", lambda *_: None)
     answer = json.loads(run("robustness", "--json", "--overwrite")[1])
-    assert answer["least_disturbance"]["size"] == 0.01 and answer["step_down"] == 0.001
+    assert answer["least_disturbance"]["size"] == 0.01 and answer["step_down"] == 0.03125
     assert answer["least_disturbance"]["failure"] == answer["step_down_failure"] == "STRIDE"
     assert answer["least_fall"]["size"] == 0.03 and answer["least_fall"]["failure"] == "FORWARD"
-    assert answer["least_fall"]["strides"] == 9 and answer["step_down_fall"] == 0.002
+    assert answer["least_fall"]["strides"] == 9 and answer["step_down_fall"] == 0.0625
     text = run("robustness")[1]
     assert "least disturbance 0.01000000 along (0.0000, 1.0000): comes to another motion" in text
     assert "from which it falls 0.03000000 along (0.0000, 1.0000): FORWARD after 9 strides" in text
-    assert "step down 0.00100000: comes to another motion; falls from 0.00200000" in text
+    assert "step down 0.03125000: comes to another motion; falls from 0.06250000" in text
     one = one.drop_vars([name for name in one if "fall" in str(name)] + ["step_down_failure"])
     answer = json.loads(run("robustness", "--json", "--overwrite")[1])
     assert answer["least_fall"] is answer["step_down_fall"] is answer["step_down_failure"] is None
@@ -672,6 +716,39 @@ def test_an_interrupted_optimisation_goes_on(run, tmp_path, monkeypatch):
     monkeypatch.setattr(design, "measured", lambda *all: stages.append(all[1]) or measured(*all))
     assert run(*FASTEST)[0] == 0
     assert 0 not in stages and {1, 2, 3} < set(stages)
+
+
+def test_an_optimum_is_told_with_both_ends_as_they_were_measured(capsys):
+    found = xr.Dataset(
+        {
+            "start": ("parameter", [0.004, 0.5]),
+            "optimum": ("parameter", [0.012, 0.25]),
+            **{"objective_start": 0.5, "objective_optimum": 0.75},
+            **{"exact_start": 0.5625, "exact_optimum": 0.84375},
+            **{"exact_start_error": 0.125, "exact_optimum_error": 0.0625},
+            "at_bound": ("parameter", [0, -1]),
+            "binding": ("measure", [False, True]),
+            "converged": True,
+            "value": ("evaluation", np.zeros(9)),
+        },
+        {"parameter": ["slope", "hip_stiffness"], "measure": ["area", "speed"]},
+    )
+    answer = cli.optimum(found)
+    assert answer == {
+        "start": {"slope": 0.004, "hip_stiffness": 0.5},
+        "optimum": {"slope": 0.012, "hip_stiffness": 0.25},
+        "objective": {"start": 0.5, "optimum": 0.75},
+        "exact": {"start": 0.5625, "optimum": 0.84375},
+        "exact_error": {"start": 0.125, "optimum": 0.0625},
+        **{"at_bound": ["hip_stiffness"], "binding": ["speed"]},
+        **{"evaluations": 9, "converged": True},
+    }
+    cli.print_optimum(wj.SpringWalker(0.004, 0.5), answer, "area")
+    told = capsys.readouterr().out
+    assert "slope 0.004, hip_stiffness 0.5: 0.5625 +- 0.1" in told
+    assert "slope 0.012, hip_stiffness 0.25: 0.84375 +- 0.06" in told
+    assert "+0.2812, by a factor of 1.500" in told
+    assert "at a bound of hip_stiffness, held by the limit of speed; converged, 9 ev" in told
 
 
 def test_an_optimum_after_a_start_where_nothing_walks_is_told(capsys):

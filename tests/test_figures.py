@@ -1068,3 +1068,65 @@ def test_an_optimisation_that_led_nowhere_is_refused():
         figures.optimisation(optimum(), "feet")
     with pytest.raises(ValueError, match="must hold the basins at start and optimum"):
         figures.basins_compared(optimum(basins=False))
+
+
+def swept(*shape):
+    """A data set of the form that `walker_jax.sweep` returns, over so many values of each."""
+    values = {"slope": [0.002, 0.004, 0.006], "hip_stiffness": [0.0, 2.0], "foot_mass": [0.1, 0.3]}
+    over = {name: values[name][:size] for name, size in zip(values, shape, strict=False)}
+    area = 0.001 * (1 + np.arange(np.prod(shape))).reshape(shape)
+    failed = np.zeros(shape, int)
+    failed.flat[0] = 1
+    return xr.Dataset(
+        {
+            "total_area": ((*over,), np.where(failed, np.nan, area)),
+            "total_area_error": ((*over,), area / 10),
+            "failed": ((*over,), failed),
+        },
+        over,
+        {"walker": "PointFootWalker", "walker_leg_length": 1.0},
+    )
+
+
+def test_the_area_over_one_parameter_has_its_error():
+    ax = figures.sweep(swept(3))
+    (line, _, (bars,)) = ax.containers[0]
+    np.testing.assert_array_equal(line.get_xdata(), [0.002, 0.004, 0.006])
+    np.testing.assert_allclose(np.asarray(line.get_ydata(), float), [np.nan, 0.002, 0.003])
+    ends = [segment[:, 1] for segment in bars.get_segments() if len(segment)]
+    np.testing.assert_allclose(ends, [[0.0018, 0.0022], [0.0027, 0.0033]])
+    assert "slope" in ax.get_xlabel() and "area of the basin" in ax.get_ylabel()
+    assert "3 basins" in (note := ax.texts[0].get_text()) and "1 failed" in note
+
+
+def test_the_area_over_two_parameters_is_the_colour_of_its_place():
+    ax = figures.sweep(swept(3, 2))
+    (mesh,) = ax.collections
+    corners = np.asarray(mesh.get_coordinates())
+    middle = (corners[:-1, :-1] + corners[1:, 1:]) / 2
+    shown = {
+        (round(float(x), 6), round(float(y), 6)): area
+        for (x, y), area in zip(
+            middle.reshape(-1, 2), np.ma.filled(mesh.get_array(), np.nan).ravel(), strict=True
+        )
+    }
+    data = swept(3, 2)["total_area"]
+    assert len(shown) == 6
+    for (slope, stiffness), area in shown.items():
+        there = float(data.sel(slope=slope, hip_stiffness=stiffness))
+        assert area == pytest.approx(there, nan_ok=True)
+    assert "slope" in ax.get_xlabel() and "stiffness" in ax.get_ylabel()
+    bar = ax.figure.axes[-1]
+    assert bar is not ax and "area of the basin" in bar.get_ylabel()
+
+
+def test_of_more_parameters_the_others_are_at_their_first_values_and_named():
+    data = swept(3, 2, 2)
+    ax = figures.sweep(data)
+    (mesh,) = ax.collections
+    expected = data["total_area"].isel(foot_mass=0).values.T
+    np.testing.assert_allclose(np.ma.filled(mesh.get_array(), np.nan), expected)
+    note = ax.texts[0].get_text()
+    assert "3 × 2 × 2 basins" in note and "0.1" in note
+    line = figures.sweep(data.isel(hip_stiffness=0, foot_mass=0), Figure().add_subplot())
+    assert line.containers

@@ -1,5 +1,7 @@
 """Dynamics with kinks, such as torques with limits: integrated and differentiated right."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -47,7 +49,7 @@ def motion_by_dop853(stiffness, start, times):
 
     theta, thetadot = start
     y = [theta, 2 * theta, thetadot, (1 - np.cos(2 * theta)) * thetadot]
-    options = dict(method="DOP853", rtol=1e-13, atol=1e-15, max_step=0.01)
+    options: Any = dict(method="DOP853", rtol=1e-13, atol=1e-15, max_step=0.01)
     return solve_ivp(field, (0, times[-1]), y, t_eval=times, **options).y
 
 

@@ -5,6 +5,7 @@ The numbers are copied here from the paper once more, so that a slip in `walker_
 
 import json
 import re
+import shutil
 
 import numpy as np
 import pytest
@@ -124,6 +125,15 @@ def test_the_numbers_that_differ_are_what_the_project_finds(numbers):
     why = numbers[f"{vanished}, on the paper's grid"].why
     low, high = map(float, re.findall(r"from (0\.\d+) to (0\.\d+) on", why)[0])
     assert low < 0.022 < high
+
+
+def test_crossings_are_counted_where_a_line_enters_the_basin(data, numbers):
+    """By runs of cells that walk, along starts at the angle of 0.2."""
+    line = data["line"]
+    fates = "".join("x" if number >= 0 else "." for number in line["attractor"].values.ravel())
+    crossings = len(re.findall("x+", fates))
+    assert int(numbers["crossings of the basin along θ = 0.2"].ours) == crossings >= 4
+    assert float(line["theta"]) == pytest.approx(0.2)
 
 
 def test_the_grid_is_that_of_the_paper():
@@ -248,10 +258,11 @@ def test_another_request_is_refused_and_changes_nothing(report):
 
 @pytest.mark.slow
 def test_what_is_overwritten_is_begun_anew_and_can_be_gone_on_with(
-    report, data, numbers, monkeypatch
+    report, data, numbers, monkeypatch, tmp_path
 ):
     """What is there goes first, so that the same command without --overwrite completes it."""
-    out, *_ = report
+    out = tmp_path / "report"
+    shutil.copytree(report[0], out)
     computed = []
     monkeypatch.setattr(paper, "PARTS", stopping("gaits", data, computed))
     monkeypatch.setattr(paper, "compared", lambda data: [*numbers.values()])

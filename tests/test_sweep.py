@@ -261,14 +261,15 @@ def test_workers_that_come_later_are_used(client):
 TRIED = Counter()
 
 
-def dying(thing):
+def dying(thing: tuple[str, int]):
     """A piece over which workers have died as often as it says, before it is computed."""
     from distributed import KilledWorker
 
     name, deaths = thing
     TRIED[thing] += 1
     if TRIED[thing] <= deaths:
-        raise KilledWorker(name, SimpleNamespace(address="tcp://127.0.0.1:9"), 3)
+        who: Any = SimpleNamespace(address="tcp://127.0.0.1:9")
+        raise KilledWorker(name, who, 3)
     return name.upper()
 
 

@@ -2,6 +2,7 @@
 
 import inspect
 from dataclasses import fields
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -419,7 +420,7 @@ class NamedWalker(wj.SimplestWalker):
 class PushOff:
     """A class that is no walker, from which one takes its impact."""
 
-    def impact(self, state):
+    def impact(self: Any, state):
         foot, after = wj.SimplestWalker.impact(self, state)
         return foot, after._replace(thetadot=1.1 * after.thetadot)
 

@@ -240,7 +240,7 @@ class Taylor(diffrax.AbstractAdaptiveSolver):
 
         start = (jnp.asarray(t0), y0)
         both = solution_series(autonomous, start, self.taylor_order)
-        length, series = t1 - t0, both[1]
+        length, series = jnp.asarray(t1 - t0), both[1]
         power = length**self.taylor_order
         error = jax.tree.map(lambda c: c[-1] * power, series, is_leaf=is_list)
         if switches := switching_series(autonomous, both):
@@ -321,9 +321,10 @@ def integrate_until(
     clock = lax.complex(time, jnp.zeros_like(time))
     count, side, active = map(jnp.asarray, (count, side, active))
     carry = packed(state), packed(state), clock, count, side, side, active
-    start, end, clock, count, *sides, _ = lax.while_loop(lambda carry: carry[-1], advance, carry)
+    last = lax.while_loop(lambda carry: carry[-1], advance, carry)
+    start, end, clock, count, side, beyond, _ = last
     ends = unpacked(start, structure), unpacked(end, structure)
-    return Step(*ends, clock.real, clock.imag, count, tuple(sides))
+    return Step(*ends, clock.real, clock.imag, count, (side, beyond))
 
 
 def once(function: Callable[[], list[Scalar]]) -> list[Scalar]:

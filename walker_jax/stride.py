@@ -302,7 +302,8 @@ def in_tension(walker: Walker, state: State) -> Bool[Array, ""]:
 
 def equations(walker: Walker) -> Callable[[State], State]:
     """What is integrated: the vector field, or what it follows from where that is faster."""
-    if type(walker).vector_field is MultibodyWalker.vector_field:
+    general = type(walker).vector_field is MultibodyWalker.vector_field
+    if general and isinstance(walker, MultibodyWalker):
         return SingleSupport(walker)
     return walker.vector_field
 

@@ -17,7 +17,7 @@ swing foot meets the ground: equations of motion, contact forces and impact foll
 
 import abc
 import dataclasses
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, TypeGuard, TypeVar
 
 import equinox as eqx
 import jax
@@ -162,6 +162,7 @@ class Walker(eqx.Module):
         return State(theta - phi, -phi, thetadot - phidot, -phidot)
 
 
+Kind = TypeVar("Kind", bound=Walker)
 MOTION = ("vector_field", "system")
 KNOWN_OF = {
     "force_least_at_ends": (*MOTION, "contact_force"),
@@ -173,7 +174,7 @@ KNOWN_OF = {
 """What may be known of a walker beyond its equations, and the methods that it is known of."""
 
 
-def moves_like(walker: Walker, kind: type[Walker]) -> bool:
+def moves_like(walker: Walker, kind: type[Kind]) -> TypeGuard[Kind]:
     """Whether a walker moves as one of some kind does, by the same equations."""
     methods = {method for methods in KNOWN_OF.values() for method in methods}
     same = lambda name: getattr(type(walker), name, None) is getattr(kind, name, None)
@@ -333,15 +334,14 @@ def rises_past_contact(walker: MasslessFeetWalker, state: State) -> Bool[Array, 
     return rising & (phi < 0) & (thetadot**2 < jnp.cos(theta - walker.slope))
 
 
-def strip_of_gaits(slope: ArrayLike) -> Grid:
+def strip_of_gaits(slope: Scalar) -> Grid:
     """A strip of the section that shrinks like slope^{1/3}, as gaits do (Garcia and others 1998).
 
     Its upper edge is where walkers begin to fall backward, thetadot = -2 sin((theta - slope) / 2),
     at its widest.
     """
-    slope = float(slope)
-    widest = min(2 * slope ** (1 / 3), np.pi / 4)
-    edge = widest - 2 * np.sin((widest - slope) / 2)
+    widest = min(2 * float(slope) ** (1 / 3), np.pi / 4)
+    edge = widest - 2 * np.sin((widest - float(slope)) / 2)
     return Grid.sheared(theta=(0, widest, 100), sum=(-0.15 * widest, edge, 1000))
 
 
