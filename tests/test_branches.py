@@ -175,10 +175,13 @@ def test_a_branch_that_closes_is_gone_round_once(way):
         assert abs(fold.states[0, 0]) < 1e-6 and abs(fold.multipliers[0] - 1) < 1e-6
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("lean", [1.0, -1.0])
 @pytest.mark.parametrize("way", [1.0, -1.0])
-def test_a_branch_is_followed_the_way_that_is_wanted(way, lean):
-    """Whether its states grow with the parameter, or fall."""
+def test_a_branch_is_followed_the_way_that_is_wanted(way, lean, sign, monkeypatch):
+    """Whether its states grow with the parameter, or fall, and whatever the sign of a tangent."""
+    tangent = branches.tangent
+    monkeypatch.setattr(branches, "tangent", lambda *given: sign * tangent(*given))
     line = lambda x, p: x + 0.5 * (lean * p - x)
     path = done_with(line, branches.follow(branches.Start(0.0, np.zeros((1, 1))), way, (-1.0, 2.0)))
     values = np.array([point.value for point in path.points])
