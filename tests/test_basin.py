@@ -354,7 +354,13 @@ def test_the_order_in_which_cells_are_computed_changes_nothing(
 ):
     """That of accelerators, all at once and piece by piece."""
     grid, wanted = wj.Grid.sheared(**COARSE), computed_at_once(method)
+    part = module.Part(600, (20, 60))
+    followed = module.follow_part(STEEP, grid, 1e-12, [], 3, part)
     monkeypatch.setattr(module, "order_of_cells", lambda shape: compact_order(shape, 64))
+    again = module.follow_part(STEEP, grid, 1e-12, [], 3, part)
+    for one, other in zip(again, followed, strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert 20 < len(followed.left) < 1200 and (np.diff(followed.left) > 0).all()
     assert wj.basin(STEEP, grid, method, strides=30).identical(wanted)
     found = wj.basin(STEEP, grid, method, strides=30, out=tmp_path / "a.zarr")
     assert found.drop_attrs(deep=False).identical(wanted.drop_attrs(deep=False))

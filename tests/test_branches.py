@@ -175,6 +175,22 @@ def test_a_branch_that_closes_is_gone_round_once(way):
         assert abs(fold.states[0, 0]) < 1e-6 and abs(fold.multipliers[0] - 1) < 1e-6
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("lean", [1.0, -1.0])
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_branch_is_followed_the_way_that_is_wanted(way, lean, sign, monkeypatch):
+    """Whether its states grow with the parameter, or fall, and whatever the sign of a tangent."""
+    tangent = branches.tangent
+    monkeypatch.setattr(branches, "tangent", lambda *given: sign * tangent(*given))
+    line = lambda x, p: x + 0.5 * (lean * p - x)
+    path = done_with(line, branches.follow(branches.Start(0.0, np.zeros((1, 1))), way, (-1.0, 2.0)))
+    values = np.array([point.value for point in path.points])
+    assert path.end == "the end of the range" and (way * np.diff(values) > 0).all()
+    assert values[0] == 0 and values[-1] == (2.0 if way > 0 else -1.0)
+    states = [point.cycle[0, 0] for point in path.points]
+    np.testing.assert_allclose(states, lean * values, rtol=0, atol=1e-13)
+
+
 def test_crossings_are_where_a_line_between_points_has_the_value():
     """Once on the way up, and once on the way down."""
     values, x = np.array([0.0, 1.0, 0.5]), np.array([[[2.0, 0.0]], [[4.0, 1.0]], [[0.0, 3.0]]])
@@ -199,13 +215,14 @@ def test_a_branch_that_passes_at_some_distance_from_its_start_does_not_close():
 
 def test_a_bifurcation_found_beyond_a_step_is_none_of_the_step():
     """The multiplier of x = 0 is -1 - 0.3 sin(p): doublings at all multiples of pi."""
+    width = 3.0
     waves = lambda x, p: -x * (1 + 0.3 * jnp.sin(p))
 
     def look(first, last):
-        ends = [branches.corrected(p, np.zeros((1, 1)), None, 1.0) for p in (first, last)]
+        ends = [branches.corrected(p, np.zeros((1, 1)), None, width) for p in (first, last)]
         one, other = (done_with(waves, task) for task in ends)
         along = np.array([0.0, 1.0])
-        return done_with(waves, branches.bifurcations_between(one, other, along, along, width=1.0))
+        return done_with(waves, branches.bifurcations_between(one, other, along, along, width))
 
     (doubling,) = look(2.9, 3.6)
     assert doubling.kind == "doubling" and doubling.value == pytest.approx(np.pi, abs=1e-12)

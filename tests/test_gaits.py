@@ -304,23 +304,23 @@ def test_a_traced_search_invents_no_gait_next_to_a_bifurcation(monkeypatch):
 
 
 def test_multipliers_of_a_traced_search_are_those_of_the_strides_in_their_order(monkeypatch):
-    """Of a cycle of three of the Henon map, whose Jacobians do not commute."""
+    """Of a cycle of three, whose Jacobians do not commute."""
 
-    def henon(x):
-        return jnp.stack([1 - 1.89 * x[0] ** 2 + x[1], 0.05 * x[0]])
+    def bend(x):
+        return jnp.stack([1 - 1.92 * x[0] ** 2 + x[1], 0.05 * x[0] + 0.3 * x[0] * x[1]])
 
     def ends(walker, states, tolerance):
-        return jax.vmap(henon)(states), jnp.ones(len(states))
+        return jax.vmap(bend)(states), jnp.ones(len(states))
 
     def thrice(x):
-        return henon(henon(henon(x)))
+        return bend(bend(bend(x)))
 
     monkeypatch.setattr(module, "advance", ends)
     x = jnp.array([1.0, 0.0])
     for _ in range(999):
-        x = henon(x)
+        x = bend(x)
     plain = inspect.unwrap(module.solve_cycle)
-    start = jnp.stack([x, henon(x), henon(henon(x))])
+    start = jnp.stack([x, bend(x), bend(bend(x))])
     gait = jax.jit(lambda start: plain(walker(), start, jnp.asarray(1e-12)))(start)
     assert gait.found
     np.testing.assert_allclose(thrice(gait.states[0]), gait.states[0], rtol=0, atol=1e-13)
@@ -366,6 +366,15 @@ def test_each_search_may_have_its_own_walker():
     np.testing.assert_allclose(found.states[:, 0], states, rtol=0, atol=1e-11)
     ends = wj.strides(walkers, np.array(states))
     np.testing.assert_allclose(ends.state, states, rtol=0, atol=1e-11)
+
+
+def test_uncertainty_is_what_residual_and_rounding_move_a_solution():
+    """By the smallest of the factors by which a matrix stretches; here a diagonal one, turned."""
+    turn = np.array([[0.8, 0.6], [-0.6, 0.8]])
+    matrices = np.stack([turn @ np.diag([3.0, small]) for small in (0.5, 1e-7)])
+    sure, unsure = module.uncertainty(np.array([1e-12, 0.0]), matrices)
+    assert sure == pytest.approx(2e-12, rel=0.01)
+    assert np.finfo(float).eps / 1e-7 <= unsure < 1e-7  # though nothing is seen to be missed
 
 
 def test_one_singular_system_spoils_no_other():

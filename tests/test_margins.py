@@ -236,6 +236,51 @@ def test_margins_of_the_simplest_walker_in_closed_form():
     )
 
 
+def forward_by_brute_force(walker, x, outcome, time):
+    """The forward margin, from many states along a stride; NaN where the foot never had a chance.
+
+    Also whether it is that of the place of the strike, or of a scuff.
+    """
+    theta, phi, *_ = map(np.asarray, wj.trajectory(walker, x, np.linspace(0, time, 6000)))
+    upright = np.flatnonzero(theta > -np.pi / 2)  # until the stance leg is down
+    theta, phi = theta[upright], phi[upright]
+    h = phi - 2 * theta
+    h[0] *= abs(h[0]) > 1e-12  # both feet on the slope
+    turns = np.flatnonzero((h[1:-1] < h[:-2]) & (h[1:-1] <= h[2:])) + 1
+    rises = np.flatnonzero((h[:-1] < 0) & (h[1:] >= 0))
+    scuffs = rises[theta[rises] >= 0]
+    if outcome == Outcome.STRIDE:
+        since = [i for i in turns if i > max(scuffs, default=0) and h[i] < 0]
+        depth, ahead = max(-h[since], default=np.inf), -theta[-1]
+        return min(depth, ahead), ahead < depth
+    turned = [-h[i] for i in turns if phi[i] < 0 and h[i] >= 0]
+    share = [h[i] / (h[i] - h[i + 1]) for i in scuffs]
+    scuffed = [s * -theta[i + 1] + (1 - s) * -theta[i] for i, s in zip(scuffs, share, strict=True)]
+    both = [*turned, *scuffed]
+    return max(both, default=np.nan), bool(scuffed) and max(both) == max(scuffed)
+
+
+def test_the_forward_margin_is_that_of_the_motion():
+    """Of strides, how far the foot passes or how far ahead it comes down; of falls, what missed."""
+    walker, rng = WALKERS["simplest"], np.random.default_rng(5)
+    theta, thetadot = starts(walker, 6000, seed=5).T
+    on_section = np.stack([theta, 2 * theta, thetadot, (1 - np.cos(2 * theta)) * thetadot], axis=1)
+    launched = rng.uniform([0.0, -0.8, -0.5, -0.8], [0.4, 0.8, 0.0, 0.8], (2000, 4))
+    xs = np.concatenate([on_section, launched])
+    found = margins_of_many(walker, xs)
+    outcome = found.stride.outcome
+    strode, fell = (np.flatnonzero(outcome == code) for code in (Outcome.STRIDE, Outcome.FORWARD))
+    nearest = strode[np.argsort(found.stride.state[strode, 0])[:8]]  # where the foot comes down
+    kinds = []
+    for i in (*nearest, *strode[::40], *fell[::40]):
+        time = found.stride.time[i] if outcome[i] == Outcome.STRIDE else 8.0
+        expected, other = forward_by_brute_force(walker, xs[i], outcome[i], time)
+        if not np.isnan(expected):
+            assert found.forward[i] == pytest.approx(expected, abs=1e-5)
+            kinds.append((int(outcome[i]), bool(other)))
+    assert set(kinds) == {(0, False), (0, True), (1, False), (1, True)}
+
+
 class HeavierWorld(PointFeetWalker):
     """The simplest walker where gravity is another, and nothing is known of its feet or forces."""
 
