@@ -1102,7 +1102,8 @@ def test_the_area_over_one_parameter_has_its_error():
 
 def test_the_area_over_two_parameters_is_the_colour_of_its_place():
     ax = figures.sweep(swept(3, 2))
-    mesh: Any = ax.collections[0]
+    collections: Any = ax.collections
+    (mesh,) = collections
     corners = np.asarray(mesh.get_coordinates())
     middle = (corners[:-1, :-1] + corners[1:, 1:]) / 2
     shown = {
@@ -1124,7 +1125,8 @@ def test_the_area_over_two_parameters_is_the_colour_of_its_place():
 def test_of_more_parameters_the_others_are_at_their_first_values_and_named():
     data = swept(3, 2, 2)
     ax = figures.sweep(data)
-    mesh: Any = ax.collections[0]
+    collections: Any = ax.collections
+    (mesh,) = collections
     expected = data["total_area"].isel(foot_mass=0).values.T
     np.testing.assert_allclose(np.ma.filled(mesh.get_array(), np.nan), expected)
     note = ax.texts[0].get_text()
