@@ -348,22 +348,25 @@ def test_piece_by_piece_it_is_the_same(tmp_path, small_pieces, method):
         wj.basin(STEEP, grid, method, strides=30, tolerance=1e-9, out=tmp_path / "a.zarr")
 
 
-@pytest.mark.parametrize("method", ["cell-map", "direct"])
-def test_the_order_in_which_cells_are_computed_changes_nothing(
-    tmp_path, small_pieces, monkeypatch, method
-):
-    """That of accelerators, all at once and piece by piece."""
-    grid, wanted = wj.Grid.sheared(**COARSE), computed_at_once(method)
-    part = module.Part(600, (20, 60))
-    followed = module.follow_part(STEEP, grid, 1e-12, [], 3, part)
+def test_the_order_in_which_cells_are_computed_changes_nothing(monkeypatch):
+    """That of accelerators, over all of a grid or a part of it."""
+    grid = wj.Grid.sheared(**COARSE)
+    parts = None, module.Part(600, (20, 60))
+    compute = lambda: [
+        values
+        for part in parts
+        for values in (
+            module.cell_map(STEEP, grid, 1e-12, part),
+            *module.follow_part(STEEP, grid, 1e-12, [], 3, part),
+        )
+    ]
+    wanted = compute()
     monkeypatch.setattr(module, "order_of_cells", lambda shape: compact_order(shape, 64))
-    again = module.follow_part(STEEP, grid, 1e-12, [], 3, part)
-    for one, other in zip(again, followed, strict=True):
-        np.testing.assert_array_equal(one, other)
-    assert 20 < len(followed.left) < 1200 and (np.diff(followed.left) > 0).all()
-    assert wj.basin(STEEP, grid, method, strides=30).identical(wanted)
-    found = wj.basin(STEEP, grid, method, strides=30, out=tmp_path / "a.zarr")
-    assert found.drop_attrs(deep=False).identical(wanted.drop_attrs(deep=False))
+    for found, values in zip(compute(), wanted, strict=True):
+        np.testing.assert_array_equal(found, values)
+    whole, cells = wanted[0], grid.size
+    np.testing.assert_array_equal(wanted[6], whole[600:1800])
+    assert 100 < np.unique(whole[whole < cells]).size and 20 < len(wanted[4]) < cells
 
 
 @pytest.mark.parametrize("shape", [(50, 60), (2, 2000), (3, 4, 1000), (1, 1, 5000), (7,), (900,)])
