@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from itertools import combinations
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -1034,7 +1035,7 @@ def test_the_area_over_one_parameter_has_its_error():
 
 def test_the_area_over_two_parameters_is_the_colour_of_its_place():
     ax = figures.sweep(swept(3, 2))
-    (mesh,) = ax.collections
+    mesh: Any = ax.collections[0]
     corners = np.asarray(mesh.get_coordinates())
     middle = (corners[:-1, :-1] + corners[1:, 1:]) / 2
     shown = {
@@ -1056,7 +1057,7 @@ def test_the_area_over_two_parameters_is_the_colour_of_its_place():
 def test_of_more_parameters_the_others_are_at_their_first_values_and_named():
     data = swept(3, 2, 2)
     ax = figures.sweep(data)
-    (mesh,) = ax.collections
+    mesh: Any = ax.collections[0]
     expected = data["total_area"].isel(foot_mass=0).values.T
     np.testing.assert_allclose(np.ma.filled(mesh.get_array(), np.nan), expected)
     note = ax.texts[0].get_text()

@@ -119,7 +119,7 @@ def disc(monkeypatch):
 def test_the_area_of_a_disc_grows_by_its_circumference(disc, shear):
     """In any coordinates: 2 pi r dr/dp, with dr/dp = 10."""
     axes = {"u": (-1, 1, 30), "v": (-1, 1, 40)}
-    grid = wj.Grid(axes, shear, [0.5, 0.5])
+    grid = wj.Grid(axes, np.array(shear), np.array([0.5, 0.5]))
     for slope in (0.004, 0.01):
         found = area_gradient(wj.SimplestWalker(slope), grid, levels=4)
         r = radius(slope)
