@@ -171,8 +171,8 @@ def of_one_swing(repeats: int):
         def field(state):  # with a clock too slow to count in the error
             return walker.vector_field(state[0]), jnp.full((), 1 / 64)
 
-        def stop(_, end):
-            return (end[1] >= SWING / 64) & finite(end[0])
+        def stop(_, end, side):
+            return (end[1] >= SWING / 64) & finite(end[0]), side
 
         start = walker.lift(x), jnp.zeros(())
         last = integrate_until(field, start, stop, tolerance=tolerance)

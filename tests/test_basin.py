@@ -2,7 +2,7 @@ import math
 import signal
 import subprocess
 import sys
-import time
+from functools import cache
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -13,6 +13,8 @@ import xarray as xr
 import walker_jax as wj
 from walker_jax import attraction, store
 from walker_jax.attraction import Attractor, Basins, sort_attractors
+from walker_jax.cells import resolve
+from walker_jax.tiles import compact_order
 
 module = sys.modules["walker_jax.basin"]  # the package has the function by that name
 REFERENCE = np.load(Path(__file__).parent / "data" / "strides_slope_0.004.npz")
@@ -27,6 +29,14 @@ def direct():
 @pytest.fixture(scope="module")
 def mapped():
     return wj.basin(wj.SimplestWalker(0.004), wj.Grid.sheared(**PAPER))
+
+
+def test_a_point_within_reach_of_several_attractors_is_the_nearests():
+    places = np.array([[0.1, 0.0], [0.2, 0.0], [0.3, 0.0]])
+    cycles = [Attractor(1, place[None]) for place in places]
+    points = np.array([[0.11, 0.01], [0.16, 0], [0.24, 0], [0.9, 0]])
+    assert attraction.nearest(points, cycles, within=0.5).tolist() == [0, 1, 1, -1]
+    assert attraction.nearest(points, cycles[::-1], within=0.5).tolist() == [2, 1, 1, -1]
 
 
 def test_direct_iteration_gives_the_reference_fates(direct):
@@ -45,14 +55,15 @@ def test_direct_iteration_finds_the_gait(direct):
 
 
 def test_strides_count_until_the_gait_is_reached(direct):
+    """Until all coordinates are within 1e-6 of it."""
     cells = np.flatnonzero(direct.attractor.values.ravel() == 0)[::101]
-    grid = wj.Grid.sheared(**PAPER)
-    for cell in cells:
-        count = int(direct.strides.values.ravel()[cell])
-        states = np.asarray(wj.walk(wj.SimplestWalker(0.004), grid.centre(cell), 64).states)
-        distance = np.abs(states - direct.states.values[0, 0]).max(axis=1)
-        assert distance[count] < attraction.near(np.float64)
-        assert (distance[:count] >= attraction.near(np.float64)).all()
+    states = [attraction.centres(wj.Grid.sheared(**PAPER), cells.astype(np.int32))]
+    for _ in range(64):
+        states.append(np.asarray(wj.strides(wj.SimplestWalker(0.004), states[-1]).state))
+    distance = np.abs(np.stack(states, axis=1) - direct.states.values[0, 0]).max(axis=2)
+    first = (distance < 1e-6).argmax(axis=1)
+    np.testing.assert_array_equal(direct.strides.values.ravel()[cells], first)
+    assert len(cells) > 20 and first.min() > 0
 
 
 def test_cell_mapping_agrees_with_direct_iteration_but_for_cells(direct, mapped):
@@ -112,6 +123,16 @@ def test_a_motion_that_never_repeats_has_no_period(monkeypatch):
     assert np.isfinite(data.states.values[0, 0]).all()
 
 
+def test_areas_are_those_of_the_section():
+    """Of the same cells, by other coordinates of the box."""
+    plain = wj.Grid.plain(theta=(0.1, 0.3, 20), thetadot=(-0.3, -0.1, 20))
+    half = wj.Grid({"theta": (0.1, 0.3, 20), "half": (-0.15, -0.05, 20)}, np.diag([1.0, 2.0]))
+    wanted, found = (wj.basin(wj.SimplestWalker(0.009), grid, "direct") for grid in (plain, half))
+    assert found.cells.values.tolist() == wanted.cells.values.tolist() and found.cells[0] > 5
+    np.testing.assert_allclose(wanted.area, wanted.cells * 0.01**2, rtol=1e-12)
+    np.testing.assert_allclose(found.area, wanted.area, rtol=1e-12)
+
+
 def test_the_data_set_says_what_was_computed(direct):
     assert direct.fate.dims == ("theta", "sum") and direct.fate.shape == (200, 250)
     np.testing.assert_allclose(direct["theta"], REFERENCE["theta"], atol=1e-15)
@@ -153,9 +174,9 @@ def test_attractors_are_numbered_by_period_then_angle():
 )
 def test_wrong_requests_are_refused(arguments, message, monkeypatch):
     monkeypatch.setattr(module, "memory_of_machine", lambda: 8 * 2**30)
-    grid = arguments.pop("grid", wj.Grid.sheared(theta=(0, 1, 3), sum=(0, 1, 3)))
+    arguments = {"grid": wj.Grid.sheared(theta=(0, 1, 3), sum=(0, 1, 3))} | arguments
     with pytest.raises(ValueError, match=message):
-        wj.basin(wj.SimplestWalker(0.004), grid, **arguments)
+        wj.basin(wj.SimplestWalker(0.004), **arguments)
 
 
 def test_strides_and_cycles_in_float32_are_close(direct):
@@ -207,6 +228,17 @@ def test_a_basin_of_three_dimensions_and_a_slice_of_it():
     np.testing.assert_allclose(layer.states.values[0, 0], gait.states[0], atol=1e-9)
 
 
+@pytest.mark.slow
+def test_cells_of_three_dimensions_show_one_attractor_where_there_is_one():
+    walker = wj.RoundFootWalker(0.01)
+    axes = {"theta": (0, 0.5, 20), "sum": (-0.17, -0.01, 20), "phidot": (-0.15, 0.05, 20)}
+    data = wj.basin(walker, wj.Grid.sheared(**axes))
+    true = ~data.artefact.values
+    assert data.period.values[true].tolist() == [1] and int(data.cycles[0]) > 1
+    gait = wj.find_gait(walker).states[0]
+    np.testing.assert_allclose(data.states.values[0, 0], gait, rtol=0, atol=1e-9)
+
+
 def test_where_cell_mapping_differs_and_what_it_makes_up():
     grid = wj.Grid.sheared(theta=(0, 0.4, 100), sum=(-0.04, 0.01, 100))
     walker = wj.SimplestWalker(0.004)
@@ -226,11 +258,76 @@ def test_where_cell_mapping_differs_and_what_it_makes_up():
     assert lost.mapped.any() and lost.artefact.values.all()
 
 
+def test_the_gait_is_the_attractor_of_the_map_and_a_cell_that_seems_to_stand_still_is_none(
+    direct, mapped
+):
+    """The unstable gait is in that cell; a walker from its centre falls."""
+    assert mapped.period.values.tolist() == [1, 1]
+    assert mapped.artefact.values.tolist() == [False, True]
+    assert mapped.cycles.values.tolist() == [1, 1] and mapped.falling.values.tolist() == [0, 1]
+    np.testing.assert_allclose(mapped.states[0], direct.states[0], rtol=0, atol=1e-9)
+    assert mapped["cells"].values.tolist() == [3043, 1]
+    fallen = wj.walk(wj.SimplestWalker(0.004), mapped.states.values[1, 0], 50).outcomes
+    assert fallen[-1] not in (wj.Outcome.STRIDE, wj.Outcome.UNDECIDED)
+    assert "artefact" not in direct
+
+
+@pytest.mark.parametrize(("slope", "joined"), [(0.0114, 1), (0.0124, 3), (0.0178, 3)])
+def test_a_cycle_of_cells_belongs_to_where_walkers_come_from_most_of_its_centres(slope, joined):
+    """Every cycle, and the cells that lead to it, against walks from the centres one by one."""
+    walker, grid = wj.SimplestWalker(slope), wj.Grid.sheared(**PAPER)
+    data = wj.basin(walker, grid)
+    ends = resolve(module.cell_map(walker, grid, 1e-12), sinks=len(wj.Outcome))
+    lengths = [len(cycle) for cycle in ends.attractors]
+    starts = attraction.centres(grid, np.concatenate(ends.attractors))
+    x = starts
+    for _ in range(300):
+        x = wj.strides(walker, x).state
+    fallen = np.asarray(np.isnan(x).any(axis=1))
+    near = np.zeros((data.sizes["number"], len(x)), bool)
+    for number in np.flatnonzero(~data.artefact.values):
+        states = data.states.values[number, : int(data.period[number])]
+        near[number] = (np.abs(x - states[:, None]).max(axis=2) < 1e-5).any(axis=0)
+    assert (fallen | near.any(axis=0)).all()
+    label = data.attractor.values.ravel()
+    cycles, falling = np.zeros((2, data.sizes["number"]), int)
+    for i, own in enumerate(np.split(np.arange(len(x)), np.cumsum(lengths)[:-1])):
+        (number,) = np.unique(label[ends.attractor == i])
+        share = near[:, own].mean(axis=1)
+        if share.max() > 0.5:
+            assert number == share.argmax()
+        else:
+            assert data.artefact[number] and int(data.period[number]) == len(own)
+            np.testing.assert_array_equal(data.states[number, : len(own)], starts[own])
+        cycles[number] += 1
+        falling[number] += fallen[own].sum()
+    np.testing.assert_array_equal(cycles, data.cycles)
+    np.testing.assert_array_equal(falling, data.falling)
+    assert cycles.max() == joined and (np.diff(data.artefact.values.astype(int)) >= 0).all()
+    np.testing.assert_array_equal(label >= 0, data.fate.values.ravel() == wj.Outcome.STRIDE)
+
+
+def test_a_cycle_of_cells_on_an_attractor_without_a_period_belongs_to_that(monkeypatch):
+    """Beyond the cascade of doublings: walkers from both centres never come back to themselves."""
+    monkeypatch.setattr(attraction, "PATIENCE", 2)
+    monkeypatch.setattr(attraction, "ATTEMPTS", 1)
+    monkeypatch.setattr(module, "PATIENCE", 2)
+    data = wj.basin(wj.SimplestWalker(0.0188), wj.Grid.sheared(**PAPER))
+    assert data.period.values.tolist() == [0] and not data.artefact.any()
+    assert data["cells"].values.tolist() == [(data.fate.values == 0).sum()] == [28]
+
+
 # Piece by piece
 
 
 STEEP = wj.SimplestWalker(0.0151)
 COARSE = {"theta": (0, 0.4, 50), "sum": (-0.03, 0.02, 60)}
+
+
+@cache
+def computed_at_once(method):
+    """Close to the doubling, where walkers are left at the end."""
+    return wj.basin(STEEP, wj.Grid.sheared(**COARSE), method, strides=30)
 
 
 @pytest.fixture
@@ -240,9 +337,7 @@ def small_pieces(monkeypatch):
 
 @pytest.mark.parametrize("method", ["cell-map", "direct"])
 def test_piece_by_piece_it_is_the_same(tmp_path, small_pieces, method):
-    """Close to the doubling, where walkers are left at the end."""
-    grid = wj.Grid.sheared(**COARSE)
-    wanted = wj.basin(STEEP, grid, method, strides=30)
+    grid, wanted = wj.Grid.sheared(**COARSE), computed_at_once(method)
     found = wj.basin(STEEP, grid, method, strides=30, out=tmp_path / "a.zarr")
     assert found.attrs.pop("request") and found.identical(wanted)
     again = wj.basin(STEEP, grid, method, strides=30, out=tmp_path / "a.zarr")
@@ -251,6 +346,27 @@ def test_piece_by_piece_it_is_the_same(tmp_path, small_pieces, method):
         assert ((wanted.fate == 0) & (wanted.strides == 30)).sum() > 10
     with pytest.raises(store.Occupied, match="another result"):
         wj.basin(STEEP, grid, method, strides=30, tolerance=1e-9, out=tmp_path / "a.zarr")
+
+
+def test_the_order_in_which_cells_are_computed_changes_nothing(monkeypatch):
+    """That of accelerators, over all of a grid or a part of it."""
+    grid = wj.Grid.sheared(**COARSE)
+    parts = None, module.Part(600, (20, 60))
+    compute = lambda: [
+        values
+        for part in parts
+        for values in (
+            module.cell_map(STEEP, grid, 1e-12, part),
+            *module.follow_part(STEEP, grid, 1e-12, [], 3, part),
+        )
+    ]
+    wanted = compute()
+    monkeypatch.setattr(module, "order_of_cells", lambda shape: compact_order(shape, 64))
+    for found, values in zip(compute(), wanted, strict=True):
+        np.testing.assert_array_equal(found, values)
+    whole, cells = wanted[0], grid.size
+    np.testing.assert_array_equal(wanted[6], whole[600:1800])
+    assert 100 < np.unique(whole[whole < cells]).size and 20 < len(wanted[4]) < cells
 
 
 @pytest.mark.parametrize("shape", [(50, 60), (2, 2000), (3, 4, 1000), (1, 1, 5000), (7,), (900,)])
@@ -276,7 +392,7 @@ def test_rows_that_are_long_are_cut(tmp_path, small_pieces, method):
 @pytest.mark.parametrize("method", ["cell-map", "direct"])
 def test_interrupted_at_any_write_it_goes_on(tmp_path, small_pieces, monkeypatch, method):
     grid, path = wj.Grid.sheared(**COARSE), tmp_path / "a.zarr"
-    wanted = wj.basin(STEEP, grid, method, strides=30)
+    wanted = computed_at_once(method)
     written, piece = [], []
     kind = module.MappedPieces if method == "cell-map" else module.FollowedPieces
     write, compute = store.Pieces.write, kind.piece
@@ -308,21 +424,28 @@ def test_interrupted_at_any_write_it_goes_on(tmp_path, small_pieces, monkeypatch
 
 
 KILLED = """
+import os
+import signal
 import sys
-import time
 from pathlib import Path
 import jax
+from zarr.storage import LocalStore
 import walker_jax as wj
 jax.config.update("jax_enable_x64", True)
 module = sys.modules["walker_jax.basin"]
 module.PIECE = 2**12
 kind = module.MappedPieces if sys.argv[1] == "cell-map" else module.FollowedPieces
-compute = kind.piece
+compute, put, left = kind.piece, LocalStore.set, int(sys.argv[3])
 def told(self, notes, part):
     print("begun", part.first, flush=True)
-    time.sleep(0.1)  # so that there is something left to kill
     return compute(self, notes, part)
-kind.piece = told
+async def counted(self, key, value):
+    global left
+    left -= 1
+    if left == 0:
+        os.kill(os.getpid(), signal.SIGKILL)
+    await put(self, key, value)
+kind.piece, LocalStore.set = told, counted
 grid = wj.Grid.sheared(theta=(0, 0.4, 400), sum=(-0.03, 0.02, 1000))
 wj.basin(wj.SimplestWalker(0.0151), grid, sys.argv[1], out=Path(sys.argv[2]))
 print("ended", flush=True)
@@ -333,28 +456,18 @@ print("ended", flush=True)
 @pytest.mark.parametrize("method", ["cell-map", "direct"])
 def test_killed_at_twenty_moments_it_is_the_same_to_the_last_bit(tmp_path, method):
     """Killed, so that nothing is tidied up; no piece is computed twice but those in flight."""
-    rng, path = np.random.default_rng(0), tmp_path / "a.zarr"
-    command = [sys.executable, "-c", KILLED, method, str(path)]
-    begun, kills, ended = [], 0, False
-    while not ended:
-        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as run:
-            assert run.stdout is not None
-            lines = []
-            if kills < 20:
-                pieces = rng.integers(0, 4)  # after so many, and a moment within the next
-                while len(lines) < pieces and (line := run.stdout.readline()):
-                    lines.append(line)
-                time.sleep(rng.uniform(0, 0.2 if pieces else 4))
-                run.kill()
-                kills += 1
-            lines += run.stdout.read().splitlines()
-        ended = "ended" in map(str.strip, lines)
+    path, begun = tmp_path / "a.zarr", []
+    # before so many files are written, none of them so many that twenty runs could come to the end
+    for files in (*np.random.default_rng(0).integers(1, 12, 20).tolist(), 0):
+        command = [sys.executable, "-c", KILLED, method, str(path), str(files)]
+        run = subprocess.run(command, stdout=subprocess.PIPE, text=True)
+        lines = run.stdout.splitlines()
+        assert run.returncode == (-signal.SIGKILL if files else 0)
+        assert ("ended" in lines) == (files == 0)
         begun += [line for line in lines if line.startswith("begun")]
-        assert run.returncode in (0, -signal.SIGKILL)
-    assert kills == 20
     grid = wj.Grid.sheared(theta=(0, 0.4, 400), sum=(-0.03, 0.02, 1000))
     wanted = wj.basin(wj.SimplestWalker(0.0151), grid, method)
     assert store.opened(path).drop_attrs(deep=False).identical(wanted.drop_attrs(deep=False))
-    assert len(set(map(str.strip, begun))) == 80
-    assert len(begun) <= 80 + kills
+    assert len(set(begun)) == 80
+    assert len(begun) <= 80 + 20
     assert [place.name for place in tmp_path.iterdir()] == ["a.zarr"]

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from maps import done_with
 
 import walker_jax as wj
 
@@ -69,6 +70,44 @@ def test_walking_is_lost_between_two_slopes():
     assert everywhere.below == 0.006 and np.isnan(everywhere.above)
     nowhere = wj.loss_of_walking(walker(), "slope", (0.0200, 0.0201), [long], strides=2000)
     assert np.isnan(nowhere.below) and nowhere.above == 0.02
+
+
+def branch_of(period, sizes, values=None, states=None):
+    """One along which the largest multiplier has these sizes."""
+    sizes = np.array(sizes)
+    values = np.linspace(0, 1, len(sizes)) if values is None else values
+    states = np.zeros((len(sizes), period, 2)) if states is None else states
+    multipliers = np.stack([-sizes, 0.1 * sizes], axis=1).astype(complex)
+    return wj.Branch("slope", values, states, multipliers, states[..., 0], [], [], ("", ""))
+
+
+def test_the_cascade_stems_from_the_most_stable_gait():
+    """Most stable where that is, however unstable elsewhere; and from it alone."""
+    short, long = branch_of(1, [1.5, 1.4, 1.6]), branch_of(1, [0.6, 0.9, 5.0])
+    doubles = [branch_of(2, [0.3, 2.0]) for _ in range(3)]
+    branches = [short, doubles[0], long, doubles[1], doubles[2], branch_of(4, [0.2, 3.0])]
+    assert sorted(module.family(branches, [-1, 0, -1, 2, -1, 3])) == [2, 3, 5]
+    assert module.family([doubles[0]], [-1]) == []
+
+
+def test_gaits_are_known_from_any_of_their_states(monkeypatch):
+    """Of the logistic map, whose cycle of two is known in closed form."""
+
+    def cycle(r):
+        root = np.sqrt((r + 1) * (r - 3))
+        return np.array([[r + 1 - root], [r + 1 + root]]) / (2 * r)
+
+    logistic = lambda x, r: r * x * (1 - x)
+    monkeypatch.setattr(
+        module, "together", lambda *given: [done_with(logistic, task) for task in given[2]]
+    )
+    values = np.array([3.2, 3.4])
+    two = branch_of(2, [0.5, 0.5], values, np.stack([cycle(r) for r in values]))
+    look = lambda starts: module.unknown(walker(), "slope", [two], starts, 1e-12)
+    fixed = np.full((2, 1), 1 - 1 / 3.3)
+    starts = [module.Start(3.3, x) for x in (cycle(3.3), cycle(3.3)[::-1], fixed, fixed[:1])]
+    assert look(starts) == starts[2:]
+    assert look([module.Start(3.5, cycle(3.5))]) != []  # where there is no branch
 
 
 @pytest.mark.slow

@@ -115,6 +115,13 @@ def test_cell_area_is_in_state_coordinates():
     assert schwab_and_wisse.cell_area == pytest.approx(0.002 * 0.0002)
     stretched = Grid({"p": (0, 1, 2), "q": (0, 1, 2)}, np.array([[2.0, 0.5], [-1.0, -3.0]]))
     assert stretched.cell_area == pytest.approx(0.25 * 5.5)
+    # of slices along no axis of the state: by Pythagoras, and of a rhomb of half a square's height
+    line = Grid({"p": (0, 1, 2)}, np.array([[2.0], [1.0]]))
+    assert line.cell_area == pytest.approx(np.sqrt(5) / 2)
+    rhomb = Grid({"p": (0, 2, 1), "q": (0, 2, 1)}, np.array([[1.0, 0.5], [0.0, 0.5], [0.0, 0.0]]))
+    assert rhomb.cell_area == pytest.approx(2.0)
+    leaning = Grid({"p": (0, 1, 1), "q": (0, 1, 1)}, np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]))
+    assert leaning.cell_area == pytest.approx(np.sqrt(3))
 
 
 def test_another_window_is_not_compiled_again():

@@ -1,6 +1,7 @@
 import functools
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -17,6 +18,7 @@ from walker_jax import cli, design, paper, store
 from walker_jax.robustness import without_gait
 from walker_jax.walkers import WALKERS, parameters
 
+RESUME = "run the same again to resume from"
 SMALL = ["--theta", "0.05", "0.35", "30", "--sum", "-0.03", "0.01", "20"]
 
 
@@ -65,8 +67,11 @@ def test_walk_makes_a_film_which_is_not_replaced_by_another(run, tmp_path):
         assert sum(1 for _ in ImageSequence.Iterator(film)) == 21  # 2.93 at 0.15, and the first
     before = (tmp_path / "w.gif").read_bytes()
     assert run(*command)[0] == 0
-    code, _, err = run(*command, "--theta", "0.21")
-    assert code == 2 and "w.gif is something else" in err and len(err.splitlines()) == 1
+    code, out, err = run(*command, "--theta", "0.21")
+    assert (code, out) == (2, "") and err == (
+        "walker-jax: w.gif is something else: "
+        "give another --animate, or --overwrite to replace it\n"
+    )
     assert (tmp_path / "w.gif").read_bytes() == before
 
 
@@ -104,6 +109,43 @@ def test_basin_answers_keeps_and_draws(run, tmp_path):
             data.sizes["theta"] == 30 and int((data.fate == 0).sum()) == answer["fates"]["STRIDE"]
         )
     assert (tmp_path / "b.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_cycle_of_cells_that_is_no_gait_is_said_to_be_an_artefact(run, tmp_path, monkeypatch):
+    """On the paper's own grid; a store that does not tell is read as it is."""
+    code, text, _ = run("basin", "--out", "b.zarr")
+    assert code == 0
+    gait, made_up = (line.strip() for line in text.splitlines()[1:3])
+    assert gait.startswith("attractor 0: period 1, 3043 cells, ") and gait.endswith("-0.156080)")
+    assert made_up.startswith("artefact 1: period 1, 1 cell, ")
+    assert made_up.endswith(": a walker falls from there")
+    with monkeypatch.context() as patch:
+        patch.setattr(cli, "draw", lambda *_: None)
+        _, out, _ = run("basin", "--out", "b.zarr", "--json")
+    told = [
+        {name: one[name] for name in ("cells", "artefact", "cycles", "falling")}
+        for one in json.loads(out)["attractors"]
+    ]
+    assert told == [
+        {"cells": 3043, "artefact": False, "cycles": 1, "falling": 0},
+        {"cells": 1, "artefact": True, "cycles": 1, "falling": 1},
+    ]
+    for name in ("artefact", "cycles", "falling"):
+        shutil.rmtree(tmp_path / "b.zarr" / name)
+    code, text, err = run("basin", "--out", "b.zarr")
+    assert (code, err) == (0, "") and "attractor 1: period 1, 1 cell, " in text
+
+
+def test_what_is_said_of_cycles_of_cells():
+    said = lambda artefact, cycles, falling, centres=2: cli.of_cells(
+        {"artefact": artefact, "cycles": cycles, "falling": falling, "states": [0] * centres}
+    )
+    assert said(False, 1, 0) == cli.of_cells({"artefact": False}) == ""
+    assert said(False, 3, 0) == ": 3 cycles of cells"
+    told = ": 2 cycles of cells, a walker falls from 1 of their centres"
+    assert said(False, 2, 1) == told
+    assert said(True, 1, 1) == ": a walker falls from 1 of 2"
+    assert said(True, 1, 0) == ": walkers from there do not come to one attractor"
 
 
 @pytest.mark.parametrize(
@@ -169,7 +211,16 @@ def test_the_same_command_goes_on_with_what_was_interrupted(run, tmp_path, monke
 
     with monkeypatch.context() as patch:
         patch.setattr(store.Pieces, "write", interrupted)
-        assert run("basin", *SMALL)[0] == 130
+        code, out, err = run("basin", *SMALL)
+        again = f"{RESUME} basin.zarr"
+        assert (code, out, err) == (130, "", f"walker-jax: interrupted: {again}\n")
+        _, _, err = run("basin", *SMALL, "--overwrite")
+        assert again.replace("again", "again, without --overwrite,") in err
+        patch.setattr(store.Pieces, "write", lambda *_, **__: os.kill(os.getpid(), signal.SIGTERM))
+        before = signal.getsignal(signal.SIGTERM)
+        code, _, err = run("basin", *SMALL)
+        signal.signal(signal.SIGTERM, before)
+        assert (code, err) == (143, f"walker-jax: terminated: {again}\n")
     code, out, _ = run("basin", *SMALL)
     assert code == 0 and "went on with basin.zarr" in out and "strides per second" not in out
     assert "computed before" in run("basin", *SMALL)[1]
@@ -187,7 +238,10 @@ def test_the_same_command_takes_what_is_there_and_another_is_refused(run, tmp_pa
     assert code == 0 and "computed before" in again and (tmp_path / "b.png").exists()
     assert again.splitlines()[:3] == first.splitlines()[:3]
     code, out, err = run(*command, "--slope", "0.005")
-    assert (code, out) == (2, "") and "overwrite" in err and err.count("\n") == 1
+    assert (code, out) == (2, "") and err == (
+        "walker-jax: b.zarr holds another result (walker slope: 0.004, not 0.005): "
+        "give another --out, or --overwrite to replace it\n"
+    )
     assert before == {p: p.stat().st_mtime_ns for p in (tmp_path / "b.zarr").rglob("*")}
     code, out, _ = run(*command, "--slope", "0.005", "--overwrite", "--json")
     assert code == 0 and json.loads(out)["slope"] == 0.005
@@ -199,6 +253,43 @@ def test_a_picture_of_something_else_is_not_replaced(run, tmp_path):
     assert (code, out) == (2, "") and "holiday.png" in err
     assert [p.name for p in tmp_path.iterdir()] == ["holiday.png"]
     assert (tmp_path / "holiday.png").read_bytes() == b"beach"
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        *("basin", "bifurcation", "robustness", "sweep --over slope=0.002:0.01:3"),
+        "optimise --over slope --bound slope=0.01:0.02",
+    ],
+)
+def test_a_refusal_says_what_is_other_about_the_data_and_not_that_the_picture_is(run, command):
+    """A data set and its picture lie where those of this command go by default."""
+    name, *options = command.split()
+    place = {"optimise": "optimum"}.get(name, name)
+    store.save(xr.Dataset({"x": 1}), Path(f"{place}.zarr"), {"command": "walk", "a": 1})
+    Path(f"{place}.png").write_bytes(b"of that")
+    code, out, err = run(name, *options)
+    what = f'{place}.zarr holds another result (command: "walk", not "{name}")'
+    help_ = "give another --out, or --overwrite to replace it"
+    assert (code, out, err) == (2, "", f"walker-jax: {what}: {help_}\n")
+    code, out, err = run(name, *options, "--out", "o.zarr", "--figure", f"{place}.png")
+    help_ = help_.replace("out", "figure")
+    assert (code, out, err) == (2, "", f"walker-jax: {place}.png is something else: {help_}\n")
+    assert sorted(path.name for path in Path().iterdir()) == [f"{place}.png", f"{place}.zarr"]
+
+
+def test_other_places_that_are_taken_name_their_options(run, tmp_path):
+    for name in ("taken.zarr", "report", "g.png", "d.nc"):
+        (tmp_path / name).write_bytes(b"mine")
+    store.save(xr.Dataset({"x": 1}), tmp_path / "d.zarr", {})
+    replaced = ", or --overwrite to replace it"
+    for command, said in (
+        ("basin --out taken.zarr", "taken.zarr exists and is not a data set: give another --out"),
+        ("reproduce", "report exists and is not a folder: give another --out"),
+        ("gait --figure g.png", f"g.png is something else: give another --figure{replaced}"),
+        ("export d.zarr d.nc", f"d.nc exists: give another file{replaced}"),
+    ):
+        assert run(*command.split()) == (2, "", f"walker-jax: {said}\n")
 
 
 def test_the_plain_section(run, tmp_path):
@@ -233,8 +324,8 @@ def test_a_termination_is_one_line(run, monkeypatch):
 @pytest.mark.parametrize(
     ("number", "end"),
     [
-        (signal.SIGINT, (130, "walker-jax: interrupted\n")),
-        (signal.SIGTERM, (143, "walker-jax: terminated\n")),
+        (signal.SIGINT, (130, f"walker-jax: interrupted: {RESUME} basin.zarr\n")),
+        (signal.SIGTERM, (143, f"walker-jax: terminated: {RESUME} basin.zarr\n")),
     ],
 )
 def test_a_signal_ends_a_command_in_one_line_and_leaves_no_draft(tmp_path, number, end):
@@ -369,7 +460,9 @@ def test_gait_from_a_guess_and_of_a_longer_period(run):
         (["--guess", "3", "3"], "no stride"),
         (["--guess", "0.2", "-0.5"], "no stride"),
         (["--period", "2", "--guess", "0.1534", "-0.1561"], "shorter period"),
-        (["--slope", "0.5"], "no gait of period 1 found at slope 0.5"),
+        (["--slope", "0.5"], "no gait of period 1 found for SimplestWalker, slope 0.5: the walker"),
+        (["--slope", "0.5", "--period", "2"], "none of the searches all over the section"),
+        (["--guess", "0.2", "-0.4"], "another --guess, or another --slope"),
     ],
 )
 def test_a_gait_that_is_not_found_ends_with_1_and_a_reason(run, arguments, reason):
@@ -450,7 +543,8 @@ def test_robustness_answers_keeps_and_draws(run, tmp_path, monkeypatch):
     assert (code, err) == (0, "")
     answer = json.loads(out)
     assert list(answer) == [
-        *("walker", "slope", "area", "area_error", "gait", "least_disturbance", "step_down"),
+        *("walker", "slope", "area", "area_error", "gait", "least_disturbance", "least_fall"),
+        *("step_down", "step_down_failure", "step_down_fall"),
         *("basin_stability", "boundary_dimension"),
     ]
     assert answer["slope"] == 0.004 and answer["gait"]["period"] == 1
@@ -458,7 +552,8 @@ def test_robustness_answers_keeps_and_draws(run, tmp_path, monkeypatch):
     least = answer["least_disturbance"]
     assert least["size"] == pytest.approx(0.00225617, abs=1e-7)
     assert set(least) == {"size", "direction", "state", "failure", "strides"}
-    assert least["failure"] == "FORWARD"
+    assert least["failure"] == "FORWARD" and answer["least_fall"] == least
+    assert answer["step_down_fall"] == answer["step_down"]
     survived, dimension = answer["basin_stability"], answer["boundary_dimension"]
     assert survived["low"] < 0.3056 < survived["high"] and survived["disturbances"] == 0.1
     assert dimension["low"] < dimension["value"] < dimension["high"] < 1.2
@@ -485,6 +580,10 @@ def test_answers_on_robustness(run, tmp_path, monkeypatch):
         "least_disturbance": 0.01,
         "failure": 1,
         "failing_strides": 7,
+        "least_fall": 0.01,
+        "fall_failure": 1,
+        "step_down_failure": 1,
+        "step_down_fall": 0.03125,
         **{"median_strides": 12.0, "slowest_strides": np.inf},
     }
     one, none = data.assign(found), data.assign(without_gait(walker))
@@ -513,16 +612,38 @@ def test_answers_on_robustness(run, tmp_path, monkeypatch):
     text = run("robustness")[1]
     assert "FORWARD after 7 strides" in text and "least step down 0.03125000" in text
     assert "25.0% (20.0% to 37.5%)" in text and "1.500 (1.400 to 1.750)" in text
+    assert "falls" not in text
     assert "in 12 strides" in text and "95 of 100 in inf" in text
     arguments = ["robustness", "--from", "0.004", "--to", "0.2", "--count", "2", "--out", "t.zarr"]
     code, out, err = run(*arguments, "--json")
     assert (code, err) == (0, "")
     rows = json.loads(out)["slopes"]
     assert [row["slope"] for row in rows] == [0.004, 0.2]
-    assert rows[0]["gait"]["period"] == 1 and rows[1]["least_disturbance"] is None
+    assert rows[0]["gait"]["period"] == 1
+    for name in ("least_disturbance", "least_fall", "step_down", "step_down_fall"):
+        assert rows[0][name] is not None and rows[1][name] is None
     assert "no gait attracts" in run(*arguments)[1]
+    # where another motion is nearer than a fall both are told; a store that does not tell is read
+    nearer = {"failure": 0, "failing_strides": 500, "fall_strides": 9, "step_down_failure": 0}
+    nearer |= {"least_fall": 0.03, "step_down_fall": 0.0625}
+    nearer |= {"fall_direction": one["direction"], "fall_state": one["gait_state"] + [0.0, 0.03]}
+    one = one.assign(nearer)
     for name in ("robustness.png", "t.png"):
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
+    monkeypatch.setattr(cli, "draw", lambda *_: None)
+    answer = json.loads(run("robustness", "--json", "--overwrite")[1])
+    assert answer["least_disturbance"]["size"] == 0.01 and answer["step_down"] == 0.03125
+    assert answer["least_disturbance"]["failure"] == answer["step_down_failure"] == "STRIDE"
+    assert answer["least_fall"]["size"] == 0.03 and answer["least_fall"]["failure"] == "FORWARD"
+    assert answer["least_fall"]["strides"] == 9 and answer["step_down_fall"] == 0.0625
+    text = run("robustness")[1]
+    assert "least disturbance 0.01000000 along (0.0000, 1.0000): comes to another motion" in text
+    assert "from which it falls 0.03000000 along (0.0000, 1.0000): FORWARD after 9 strides" in text
+    assert "step down 0.03125000: comes to another motion; falls from 0.06250000" in text
+    one = one.drop_vars([name for name in one if "fall" in str(name)] + ["step_down_failure"])
+    answer = json.loads(run("robustness", "--json", "--overwrite")[1])
+    assert answer["least_fall"] is answer["step_down_fall"] is answer["step_down_failure"] is None
+    assert "comes to another motion" in run("robustness")[1]
 
 
 @pytest.mark.parametrize(
@@ -588,7 +709,8 @@ def test_an_interrupted_optimisation_goes_on(run, tmp_path, monkeypatch):
         return measured(problem, stage, values, gait_of)
 
     monkeypatch.setattr(design, "measured", interrupted)
-    assert run(*FASTEST)[0] == 130
+    code, _, err = run(*FASTEST)
+    assert (code, err) == (130, f"walker-jax: interrupted: {RESUME} optimum.zarr\n")
     assert "found" not in xr.open_zarr(tmp_path / "optimum.zarr", consolidated=False)
     stages = []
     monkeypatch.setattr(design, "measured", lambda *all: stages.append(all[1]) or measured(*all))
@@ -655,12 +777,15 @@ def test_an_optimisation_that_leads_nowhere_ends_with_1_and_a_reason(run, tmp_pa
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
-        ([], "--over is wanted"),
-        (["--over", "slope"], "--bound is wanted for slope: slope=LO:HI"),
+        ([], "--over is required"),
+        (["--over", "slope"], "--bound is required for slope: slope=LO:HI"),
         (["--over", "mass", "--bound", "mass=1:2"], "not 'mass'"),
         (["--over", "slope", "--bound", "slope=0.1"], "--bound must be NAME=LO:HI, not slope=0.1"),
         (["--over", "slope", "--bound", "slope=0.2:0.1"], "--bound of slope must be finite"),
-        (["--over", "slope", "--bound", "slope=0:0.1"], "slope must be between 0 and"),
+        (
+            ["--over", "slope", "--bound", "slope=0:0.1"],
+            "slope must be above 0 and below 1.5708, not 0",
+        ),
         (
             ["--over", "slope", "--bound", "slope=0.1:0.2", "--bound", "foot_mass=1:2"],
             "--bound is of foot_mass, which is not free: add --over foot_mass",
@@ -716,6 +841,25 @@ def test_a_failed_computation_ends_with_1_and_a_reason(run, monkeypatch):
         1,
         "",
     ) and err == "walker-jax: RuntimeError: no more memory on the device\n"
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (np.linalg.LinAlgError("SVD did not converge"), "LinAlgError: SVD did not converge"),
+        (ValueError("f(a) and f(b) differ"), "ValueError: f(a) and f(b) differ"),
+        (wj.ComputationFailed("no failure found"), "no failure found"),
+    ],
+)
+def test_a_value_error_from_within_a_computation_is_no_wrong_use(run, monkeypatch, error, said):
+    def fail(*_, **__):
+        raise error
+
+    names = {"basin": [], "robustness": [], "bifurcation_diagram": ["bifurcation"]}
+    names |= {"optimise": FASTEST, "sweep": ["sweep", "--over", "slope=0.01:0.02:2"], "walk": []}
+    for name, command in names.items():
+        monkeypatch.setattr(wj, name, fail)
+        assert run(*(command or [name])) == (1, "", f"walker-jax: {said}\n")
 
 
 def test_the_installed_command_starts(tmp_path):
@@ -806,7 +950,7 @@ def test_a_walker_with_three_dimensions_has_a_gait_a_slice_and_a_basin(run, tmp_
 
 
 def test_a_place_that_is_taken_is_refused_before_a_gait_is_searched_for(run, tmp_path, monkeypatch):
-    monkeypatch.setattr(cli, "gait_of", lambda walker: pytest.fail("a search"))
+    monkeypatch.setattr(cli, "gait_of", lambda *_: pytest.fail("a search"))
     (tmp_path / "basin.png").write_bytes(b"mine")
     code, out, err = run("basin", "--walker", "round-foot")
     assert code == 2 and out == "" and "basin.png" in err and err.count("\n") == 1

@@ -358,7 +358,7 @@ def test_objectives_have_their_senses():
         ({"bounds": {"mass": (0.1, 1.0)}}, "parameter must be one of the walker's, slope, not 'm"),
         ({"bounds": {"slope": (0.1, 0.1)}}, "bounds of slope must be finite, the lower first"),
         ({"bounds": {"slope": (0.1, np.inf)}}, "bounds of slope must be finite"),
-        ({"bounds": {"slope": (0.0, 0.1)}}, "slope must be between 0 and 1.5708, not 0"),
+        ({"bounds": {"slope": (0.0, 0.1)}}, "slope must be above 0 and below 1.5708, not 0"),
         ({"bounds": {"slope": 0.1}}, "bounds of slope must be two numbers, not 0.1"),
         ({"objective": "beauty"}, "objective must be one of area, .*, not 'beauty'"),
         ({"objective": {}}, "objective must name at least one measure"),

@@ -1,11 +1,15 @@
 """The programs in the pages run."""
 
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+
+import walker_jax as wj
+from walker_jax import cli, paper, store
 
 ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "walkers.md"
@@ -23,6 +27,57 @@ def test_the_program_of_the_readme_gives_a_basin():
     names: dict[str, Any] = {}
     exec(compile(source, "README.md", "exec"), names)
     assert 3000 < int((names["basin"].attractor >= 0).sum()) < 3100
+
+
+class Begun(BaseException):
+    """A command has taken its places."""
+
+
+@pytest.mark.parametrize("first", ["the first command", "the table"])
+def test_the_commands_of_the_readme_run_one_after_the_other_in_one_folder(
+    first, monkeypatch, tmp_path
+):
+    """No two of them want one place for different results, and none what is not there."""
+    page = (ROOT / "README.md").read_text()
+    beginning, table, rest = re.split(r"(^\| `walker-jax .*?\n\n)", page, flags=re.M | re.S)
+    blocks = lambda text: re.findall(r"(?:^|&& )walker-jax ((?:[^#\n])*)", text, re.M)
+    commands = blocks(beginning) if first == "the first command" else []
+    commands += [*re.findall(r"^\| `(?!walker-jax)([a-z][^`]*)` \|", table, re.M), *blocks(rest)]
+    assert len(commands) >= 14
+    taken: dict[str, str] = {}
+
+    def take(path, request):
+        assert taken.setdefault(str(path), store.canonical(request)) == store.canonical(request)
+
+    def begin(*_, **__):
+        raise Begun
+
+    def of_data(out, figure, request, *, overwrite):
+        take(out, request)
+        take(cli.picture_of(out, figure), request)
+        raise Begun
+
+    def of_report(out, **_):
+        take(out, {"command": "reproduce"})
+        raise Begun
+
+    def of_export(data, file, **_):
+        assert str(data) in taken
+        take(file, {"data": str(data)})
+        raise Begun
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(cli, "keep_compiled", lambda: None)
+    monkeypatch.setattr(cli, "made_before", of_data)
+    monkeypatch.setattr(paper, "reproduce", of_report)
+    monkeypatch.setattr(store, "export", of_export)
+    monkeypatch.setattr(store, "check_picture", lambda path, request, **_: take(path, request))
+    for name in ("walk", "find_gait", "find_gaits"):
+        monkeypatch.setattr(wj, name, begin)
+    for command in commands:
+        monkeypatch.setattr(sys, "argv", ["walker-jax", *command.split()])
+        with pytest.raises(Begun):
+            cli.main()
 
 
 def test_links_within_the_pages_lead_somewhere():

@@ -1,5 +1,6 @@
 """Pictures, drawn from small data sets made by hand: what stands where, and in which colour."""
 
+import re
 import subprocess
 import sys
 from itertools import combinations
@@ -211,6 +212,23 @@ def test_large_basins_have_their_own_colours_and_small_ones_share_one():
     assert {"other attractors (52 cells)", "walks on, near no attractor (1 cell)"} < set(legend(ax))
 
 
+def test_artefacts_of_cells_are_no_basin_however_large_they_are():
+    fate = np.full(SHEARED.shape, Outcome.STRIDE)
+    attractor = np.zeros(SHEARED.shape, int)
+    attractor[:, 25:], attractor[0, 0] = 1, 2
+    data = data_set(SHEARED, fate, attractor, [[(0.01 * i, -0.01 * i)] for i in range(3)])
+    with_two = figures.basin(data)
+    assert sum("attractor" in text for text in legend(with_two)) == 3
+    ax = figures.basin(data.assign(artefact=("number", np.array([False, True, True]))))
+    (line,) = ax.lines
+    assert line.get_xdata() == [0.0]
+    made_up, found = attractor > 0, colours(ax)
+    assert len(np.unique(found[made_up], axis=0)) == len(np.unique(found[~made_up], axis=0)) == 1
+    assert (found[0, 0] != found[0, 1]).any()
+    assert f"artefacts of cells ({made_up.sum():,} cells)" in legend(ax)
+    assert not any("other attractors" in text for text in legend(ax))
+
+
 @pytest.mark.parametrize(
     "grid, x, y",
     [
@@ -266,6 +284,21 @@ def test_two_dimensions_are_drawn_and_nothing_else(data):
     ) as e:
         figures.basin(data)
     assert "\n" not in str(e.value)
+
+
+def test_a_refusal_of_three_dimensions_says_how_to_take_a_slice():
+    data = every_fate().expand_dims(phidot=3)
+    with pytest.raises(ValueError, match=r"take a slice, data\.isel\(phidot=0\), or") as error:
+        figures.basin(data)
+    (slicing,) = re.findall(r"data\.isel\(phidot=0\)", str(error.value))
+    assert figures.basin(eval(slicing)).has_data()
+    for other in (
+        every_fate().expand_dims(slope=3).drop_dims("number"),
+        every_fate().isel(theta=0),
+    ):
+        with pytest.raises(ValueError) as error:
+            figures.basin(other)
+        assert "slice" not in str(error.value)
 
 
 def test_a_slice_of_a_data_set_with_more_dimensions_is_drawn():
@@ -694,6 +727,40 @@ def test_the_least_disturbance_is_drawn_to_where_it_touches_the_boundary():
     assert "nearest start that comes to another motion" in legend(other)
 
 
+def test_the_nearest_fall_is_drawn_too_where_another_motion_is_nearer():
+    falls = {
+        "least_fall": 0.08,
+        "fall_direction": ("coordinate", np.array([0.0, 1.0])),
+        "fall_state": ("coordinate", np.array([0.2, -0.135])),
+        "fall_failure": int(Outcome.BACKWARD),
+        "fall_strides": 3,
+    }
+    ax = figures.disturbance(robust(failure=int(Outcome.STRIDE), **falls))
+    _, outer, *_, fall = (np.asarray(line.get_xydata()) for line in ax.lines)
+    away = outer - [0.2, -0.015]
+    away[:, 1] -= away[:, 0]  # from theta + thetadot to thetadot
+    np.testing.assert_allclose(np.linalg.norm(away, axis=1), 0.08, rtol=1e-12)
+    np.testing.assert_allclose(fall, [[0.2, 0.065]], atol=1e-15)
+    low, high = ax.get_xlim()
+    assert low < outer[:, 0].min() and outer[:, 0].max() < high
+    told = legend(ax)
+    assert "nearest start that comes to another motion" in told
+    assert "nearest start that falls backward after 3 strides" in told
+    assert "0.05 to another motion, 0.08 to a failure" in ax.texts[0].get_text()
+    figure_of(ax).canvas.draw()
+    assert len(figures.disturbance(robust(**falls)).lines) == 3  # one point: it falls there
+
+
+def test_the_table_marks_falls_that_are_farther_than_another_motion():
+    data = table(least_fall=[1e-3, 3e-3, np.nan])
+    ax = figures.robustness_measures(data)
+    (marks,) = (line for line in ax.lines if "falls" in str(line.get_label()))
+    np.testing.assert_array_equal(np.asarray(marks.get_xydata()), [[0.008, 1.5]])
+    assert ax.get_ylim()[1] > 1.5
+    same = figures.robustness_measures(table(least_fall=[1e-3, 2e-3, np.nan]))
+    assert len(same.lines) == 3
+
+
 def test_the_least_disturbance_is_drawn_over_cells_that_are_larger_than_it():
     coarse = robust(Grid.sheared(theta=(0, 0.4, 4), sum=(-0.04, 0.01, 2)), least_disturbance=1e-4)
     ax = figures.disturbance(coarse)
@@ -1035,7 +1102,8 @@ def test_the_area_over_one_parameter_has_its_error():
 
 def test_the_area_over_two_parameters_is_the_colour_of_its_place():
     ax = figures.sweep(swept(3, 2))
-    mesh: Any = ax.collections[0]
+    collections: Any = ax.collections
+    (mesh,) = collections
     corners = np.asarray(mesh.get_coordinates())
     middle = (corners[:-1, :-1] + corners[1:, 1:]) / 2
     shown = {
@@ -1057,7 +1125,8 @@ def test_the_area_over_two_parameters_is_the_colour_of_its_place():
 def test_of_more_parameters_the_others_are_at_their_first_values_and_named():
     data = swept(3, 2, 2)
     ax = figures.sweep(data)
-    mesh: Any = ax.collections[0]
+    collections: Any = ax.collections
+    (mesh,) = collections
     expected = data["total_area"].isel(foot_mass=0).values.T
     np.testing.assert_allclose(np.ma.filled(mesh.get_array(), np.nan), expected)
     note = ax.texts[0].get_text()

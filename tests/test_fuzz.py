@@ -12,6 +12,7 @@ from typing import Any
 from unittest import mock
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import typer
@@ -22,6 +23,7 @@ from hypothesis import strategies as st
 import walker_jax as wj
 from walker_jax import cli, figures, paper, poses, store, tiles
 from walker_jax.basin import check_grid
+from walker_jax.checks import WrongUse
 from walker_jax.cluster import computers
 from walker_jax.design import Climb, Row
 from walker_jax.refinement import finer
@@ -390,9 +392,9 @@ def calls() -> dict[str, dict]:
         "loss_of_walking": {**of_walker, "parameter": "slope", "interval": interval, "branches": []}
         | {"strides": 5, "resolution": 1e-4},
         "bifurcation_diagram": {**of_walker, "parameter": "slope", "interval": interval},
-        "least_disturbance": {**of_gait, "scale": None, "along": None, "strides": 20},
-        "least_step_down": {**of_gait, "strides": 20},
-        "disturbance_gradient": {**of_gait, "parameters": ("slope",), "bands": None},
+        "least_disturbance": {**of_gait, "scale": None, "along": None, "fall": True, "strides": 20},
+        "least_step_down": {**of_gait, "fall": True, "strides": 20},
+        "disturbance_gradient": {**of_gait, "parameters": ("slope",), "bands": None, "fall": True},
         "robustness": {**on_grid, "levels": 0, "check": 0, "disturbances": 0.1, "seed": 0},
         "robustness_table": {
             **on_grid,
@@ -426,7 +428,7 @@ def reaction(name: str, arguments: dict, *, begin: bool) -> str:
     try:
         with contextlib.nullcontext() if begin else stopped:
             function(**arguments)
-    except (ValueError, TypeError) as error:
+    except WrongUse as error:
         assert str(error) and "\n" not in str(error), str(error)
         return "refused"
     except Begun:
@@ -478,6 +480,24 @@ def test_a_bad_argument_of_a_public_function_is_refused_before_its_work_begins()
         name for name in wj.__all__ if callable(getattr(wj, name)) and name[0].islower()
     }
     assert spoilt(0)["refused"] > 5000
+
+
+TRACEABLE = {"stride", "margins", "walk", "trajectory", "step_down", "find_gait"}
+
+
+def test_what_jax_cannot_trace_says_so():
+    others = {"box_counting": "labels", "uncertainty_exponent": "distances"}
+    for name, good in calls().items():
+        if name[0].isupper() or name in TRACEABLE:
+            continue
+        argument = others.get(name, "walker")
+        value = jax.tree.map(jnp.asarray, good.pop(argument))
+        call = lambda value, name=name, good=good, argument=argument: getattr(wj, name)(
+            **good, **{argument: value}
+        )
+        said = f"^{argument} must not be traced: {name} runs outside of jax.jit, .*; .+"
+        with pytest.raises(WrongUse, match=said):
+            jax.eval_shape(call, jnp.asarray(value) if argument != "walker" else value)
 
 
 @pytest.mark.slow

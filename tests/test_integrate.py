@@ -156,6 +156,18 @@ def test_step_length_puts_the_last_terms_at_the_tolerance():
     assert step_length(several, 1e-10) == pytest.approx(length)
 
 
+@pytest.mark.parametrize("rate", [0.2, 5.0])
+def test_step_length_is_relative_to_the_state_or_its_rate(rate):
+    """Whichever is larger, of all variables: that takes the terms below its part of 1e-9."""
+    series = {
+        "a": [jnp.array([0.5, -1.0]), jnp.array([0.1, 0.0]), *[jnp.array([0.0, 3.0])] * 3],
+        "b": [jnp.array(0.0), jnp.array(-rate), *map(jnp.array, (1e3, -40.0, 7.0))],
+    }
+    limit = 1e-9 * max(1.0, rate)
+    expected = min((limit / 40) ** (1 / 3), (limit / 7) ** (1 / 4))
+    assert step_length(series, 1e-9) == pytest.approx(expected, rel=1e-5)
+
+
 def test_step_length_does_not_depend_on_units():
     """Of time or of length, where the rate does not exceed the state."""
     series = solution_series(lambda y: jnp.sin(y), jnp.array(1.0), 12)
@@ -205,9 +217,9 @@ def oscillator(state):
     return p, -q
 
 
-def below_zero(before, after):
+def below_zero(before, after, side):
     del before
-    return after[0] <= 0
+    return after[0] <= 0, side
 
 
 @pytest.fixture(scope="module")
@@ -287,7 +299,7 @@ def single_steps():
         lambda state, time, count: integrate_until(
             three_body_like,
             state,
-            lambda before, after: after[0] == after[0],
+            lambda before, after, side: (after[0] == after[0], side),
             tolerance=TOLERANCE,
             time=time,
             count=count,
@@ -351,7 +363,7 @@ def test_max_steps_ends_what_never_stops():
         return integrate_until(
             lambda y: y**2,
             start,
-            lambda before, after: after != after,
+            lambda before, after, side: (after != after, side),
             tolerance=1e-9,
             count=count,
             max_steps=30,
@@ -384,7 +396,7 @@ def test_derivative_of_the_flow_is_a_rotation():
 def test_integrates_in_float32():
     start = jnp.array([1.0, 0.5], jnp.float32)
     last = integrate_until(oscillator, tuple(start), below_zero, tolerance=1e-6)
-    assert {leaf.dtype for leaf in jax.tree.leaves(last)[:-1]} == {jnp.dtype("float32")}
+    assert {leaf.dtype for leaf in jax.tree.leaves(last[:4])} == {jnp.dtype("float32")}
     phase, size = np.arctan2(0.5, 1.0), np.hypot(0.5, 1.0)
     end = float(last.time) + float(last.length)
     np.testing.assert_allclose(last.end[0], size * np.cos(end - phase), atol=5e-6)

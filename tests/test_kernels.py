@@ -1,5 +1,9 @@
 """Kernels compute what JAX computes, cell by cell."""
 
+import json
+import subprocess
+import sys
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -205,23 +209,53 @@ def test_a_loop_ends_for_each_cell_by_itself():
     assert run(steps, n)[26] == 111
 
 
-def test_loops_in_loops_wait_for_no_cell_that_has_ended():
-    """A cell that has ended would go round the inner loop for ever, were it looked at."""
+ENDLESS = """
+import json, signal
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from walker_jax.kernels import Kernel
 
-    def total(n):
-        def inner(i):
-            # adds n - i until 12 is reached: for ever once i is n
-            return lax.while_loop(lambda y: y < 12, lambda y: y + (n - i), jnp.int64(0))
+jax.config.update("jax_enable_x64", True)
+signal.setitimer(signal.ITIMER_VIRTUAL, 20)  # seconds of the processor at most, in loops for ever
 
-        def outer(carry):
-            i, sum_ = carry
-            return i + 1, sum_ + inner(i)
 
-        return lax.while_loop(lambda carry: carry[0] < n, outer, (jnp.int64(0), jnp.int64(0)))[1]
+def total(shared, n):
+    def inner(i):
+        # adds n - i until 12 is reached: for ever once i is n
+        return lax.while_loop(lambda y: y < 12, lambda y: y + (n - i), jnp.int64(0))
 
-    n = np.array([0, 5, 1, 3, 2, 0, 7, 4, 6, 1])
-    expected = [sum(-(-12 // (m - i)) * (m - i) for i in range(m)) for m in n]
-    np.testing.assert_array_equal(run(total, n), expected)
+    def outer(carry):
+        i, sum_ = carry
+        return i + 1, sum_ + inner(i)
+
+    return lax.while_loop(lambda carry: carry[0] < n, outer, (jnp.int64(0), jnp.int64(0)))[1]
+
+
+def chosen(shared, x):
+    # adds x until 9 is reached: for ever unless x is positive
+    count = lambda: lax.while_loop(lambda y: y < 9, lambda y: y + x, x)
+    nested = lambda: lax.cond(x != 1, count, lambda: x - 100)
+    return lax.cond(x > 0, nested, lambda: x)
+
+
+for function, cells in ((total, [0, 5, 1, 3, 2, 0, 7, 4, 6, 1]), (chosen, range(-2, 4))):
+    cells = np.array(cells)
+    compute, results = Kernel(function, (), cells[0]).bind((), cells, len(cells))
+    compute(0, len(cells))
+    print(results.tolist())
+"""
+
+
+def test_no_loop_waits_for_a_cell_that_is_not_at_work_in_it():
+    """One that has ended, or that takes another branch, would go round the loop for ever."""
+    run = subprocess.run([sys.executable, "-c", ENDLESS], capture_output=True, text=True)
+    assert run.returncode == 0, (run.returncode, run.stderr)
+    totals, chosen = map(json.loads, run.stdout.splitlines())
+    sums = lambda m: sum(-(-12 // (m - i)) * (m - i) for i in range(m))
+    assert totals == [sums(m) for m in (0, 5, 1, 3, 2, 0, 7, 4, 6, 1)]
+    assert chosen == [-2, -1, 0, -99, 10, 9]
 
 
 def test_terms_computed_in_a_loop_are_not_taken_for_known_after_it():
@@ -350,6 +384,20 @@ def test_shifts_by_more_bits_than_there_are(dtype):
     for function in (lax.shift_left, lax.shift_right_arithmetic, lax.shift_right_logical):
         assert_same(function, x, by)
         assert_same(lambda x, f=function: f(x, jnp.full_like(x, 100)), x)
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_what_is_beyond_the_integers_of_a_type_is_the_last_of_them(dtype):
+    """From the first number that is, a power of two; below, all are cut off towards zero."""
+    kinds = np.int8, np.uint8, np.int32, np.uint32, np.int64, np.uint64
+    powers = np.array([0, 7, 8, 31, 32, 63, 64])
+    x = np.concatenate([2.0**powers, -(2.0**powers), [1.5, -1.5]]).astype(dtype)
+    x = np.concatenate([x, np.nextafter(x, dtype(0)), np.nextafter(x, 4 * x)])
+    found = run(lambda x: [x.astype(kind) for kind in kinds], x)
+    for kind, values in zip(kinds, found, strict=True):
+        low, high = int(np.iinfo(kind).min), int(np.iinfo(kind).max)
+        assert values.dtype == kind
+        assert values.tolist() == [min(max(int(each), low), high) for each in x.tolist()]
 
 
 def test_signs_of_large_unsigned_numbers():

@@ -172,6 +172,20 @@ def test_every_figure_is_drawn_of_the_data(data):
     assert np.all(np.diff(areas) < 0) and areas[-1] == 0
 
 
+def test_letters_in_a_caption_are_on_the_picture(data):
+    figure = paper.FIGURES[1]
+    (axes,) = figure.draw(data).axes
+    shown = {text.get_text() for text in axes.texts}
+    named = set(re.findall(r"\b[A-Z]\b", figure.text))
+    assert named == {text for text in shown if re.fullmatch("[A-Z]", text)} == {"F", "B", "R"}
+    below = [
+        text.get_text()
+        for legend in axes.artists + axes.get_children()
+        for text in getattr(legend, "get_texts", list)()
+    ]
+    assert any("basin of attraction" in text for text in below)  # so it has no letter
+
+
 def test_a_number_agrees_at_the_digits_that_are_printed():
     assert paper.close("", "", "0.15", 0.1549999).agrees
     assert not paper.close("", "", "0.15", 0.1550001).agrees
@@ -202,8 +216,9 @@ def report(tmp_path_factory, data, numbers):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(paper, "PARTS", stopping("walk", data, computed))
         patch.setattr(paper, "compared", lambda data: [*numbers.values()])
-        with pytest.raises(KeyboardInterrupt):
+        with pytest.raises(KeyboardInterrupt) as interruption:
             paper.reproduce(out, quick=True)
+        assert interruption.value.__notes__ == [f"run the same again to resume from {out}"]
         assert not (out / "report.html").exists()
         found = paper.reproduce(out, quick=True)
     return out, found, computed
@@ -236,7 +251,7 @@ def files_of(out):
 def test_another_request_is_refused_and_changes_nothing(report):
     out, *_ = report
     before = files_of(out)
-    with pytest.raises(store.Occupied, match=r"figure-1\.png is something else"):
+    with pytest.raises(store.Occupied, match=r"stride\.zarr holds another result \(size "):
         paper.reproduce(out)
     assert files_of(out) == before
 

@@ -1,5 +1,7 @@
 """The least disturbance is the nearest point that fails."""
 
+import sys
+
 import jax
 import numpy as np
 import pytest
@@ -8,7 +10,11 @@ import xarray as xr
 import walker_jax as wj
 from walker_jax import Outcome
 from walker_jax.attraction import Attractor, with_frames
+from walker_jax.boundaries import Uncertainty
 from walker_jax.robustness import (
+    BasinStability,
+    LeastDisturbance,
+    LeastStepDown,
     basin_stability,
     boundary_dimension,
     change_of_margin,
@@ -24,7 +30,10 @@ from walker_jax.robustness import (
     robustness_table,
     wilson,
 )
+from walker_jax.stride import step_down_of_cell
 from walker_jax.tiles import over_cells
+
+robustness = sys.modules["walker_jax.robustness"]  # the package has the function by that name
 
 
 @pytest.mark.parametrize("size", [2, 3])
@@ -83,7 +92,7 @@ def test_in_one_direction_only():
     fails = lambda y: (y[:, 1] > 0.2) | (y[:, 1] < -0.05)
     found = nearest_failure(fails, np.array([[0.0, 1.0]]), np.zeros_like)
     np.testing.assert_allclose(found, [0, -0.05], rtol=0, atol=1e-12)
-    with pytest.raises(ValueError, match="returns from everywhere"):
+    with pytest.raises(wj.ComputationFailed, match="returns to its gait from all disturbances"):
         nearest_failure(fails, np.array([[1.0, 0.0]]), np.zeros_like)
 
 
@@ -294,6 +303,132 @@ def test_a_step_down_that_a_walker_survives_and_one_that_it_does_not(gait):
         assert ends.strides[k] == outcomes.index(failed) and ends.outcome[k] == failed
         assert not ends.back[k]
     assert found.strides == ends.strides[0] > 10 and {0, 1, 2} < set(ends.strides.tolist())
+
+
+STEEP = wj.SimplestWalker(0.0125)
+"""A gait of period three attracts there too, and its basin is nearer than any fall."""
+BOXES: dict = {}
+
+
+@pytest.fixture
+def boxed(monkeypatch):
+    """What walks share that come back is found once for each gait."""
+
+    def once(walker, gait, strides, tolerance):
+        key = float(walker.slope), strides
+        if key not in BOXES:
+            BOXES[key] = returning(walker, gait, strides, tolerance)
+        return BOXES[key]
+
+    monkeypatch.setattr(robustness, "returning", once)
+
+
+@pytest.fixture(scope="module")
+def steep():
+    return wj.find_gait(STEEP)
+
+
+def ends_of(x, gait):
+    """Which walkers come back, and which fall, stride by stride."""
+    for _ in range(150):
+        x = wj.strides(STEEP, x).state
+    fallen = np.isnan(x).any(axis=1)
+    return ~fallen & (np.abs(x - np.asarray(gait.states[0])).max(axis=1) < 1e-4), fallen
+
+
+def test_the_nearest_fall_is_farther_where_another_motion_is_nearer(steep, boxed, monkeypatch):
+    """Along one direction, against walks from points 2e-6 apart."""
+    options = {"along": [[0.68, 0.73]], "strides": 150}
+    first, fall = (least_disturbance(STEEP, steep, **options, fall=f) for f in (False, True))
+    assert first.failure == Outcome.STRIDE and fall.failure == Outcome.FORWARD
+    assert first.strides == 150 and fall.strides < 100
+    np.testing.assert_allclose(fall.state, steep.states[0] + fall.size * fall.direction, rtol=1e-12)
+    distances = np.arange(2e-6, 1.01 * fall.size, 2e-6)
+    starts = np.asarray(steep.states[0]) + np.concatenate(
+        [sign * distances[:, None] * fall.direction for sign in (-1, 1)]
+    )
+    back, fallen = (one.reshape(2, -1) for one in ends_of(starts, steep))
+    lost, falls = (distances[one.any(axis=0).argmax()] for one in (~back, fallen))
+    assert first.size == pytest.approx(lost, abs=2.1e-6)
+    assert fall.size == pytest.approx(falls, abs=2.1e-6) and falls > 1.2 * lost
+    # and the same where no walk may end at the other gait
+    monkeypatch.setattr(robustness, "until_settled", lambda shared, starts: shared)
+    slow = least_disturbance(STEEP, steep, **options, fall=True)
+    assert fall.size == slow.size and fall[3:] == slow[3:]
+
+
+def test_the_least_step_down_that_ends_in_a_fall_is_higher(steep, boxed):
+    """Against steps down of heights that are 0.1 % apart."""
+    first, fall = (least_step_down(STEEP, steep, strides=150, fall=f) for f in (False, True))
+    assert first.failure == Outcome.STRIDE and fall.failure == Outcome.FORWARD
+    heights = np.arange(0.001, 1.01, 0.001) * fall.size
+    state = np.broadcast_to(steep.states[0], (len(heights), 2))
+    down = over_cells(step_down_of_cell, (STEEP, np.float64(1e-12)), (state, heights))
+    back, fallen = ends_of(wj.strides(STEEP, down.state).state, steep)
+    assert first.size == pytest.approx(heights[(~back).argmax()], abs=1.1e-3 * fall.size)
+    assert fall.size == pytest.approx(heights[fallen.argmax()], abs=1.1e-3 * fall.size)
+    assert first.size < 0.7 * fall.size
+
+
+def test_the_two_are_one_where_the_nearest_start_that_is_lost_falls(gait, boxed):
+    options = {"along": [0, 1], "strides": 150}
+    first, fall = (least_disturbance(WALKER, gait, **options, fall=f) for f in (False, True))
+    assert first.failure == Outcome.FORWARD and first.size == fall.size
+    assert first[3:] == fall[3:]
+    first, fall = (least_step_down(WALKER, gait, strides=150, fall=f) for f in (False, True))
+    assert first.size == fall.size and first[2:] == fall[2:]
+
+
+@pytest.mark.parametrize("failure", [Outcome.STRIDE, Outcome.BACKWARD])
+def test_a_fall_is_searched_for_only_where_the_nearest_start_that_is_lost_does_not(
+    monkeypatch, gait, failure
+):
+    asked = []
+
+    def disturbed(walker, gait, *, fall=False, **options):
+        asked.append(("disturbance", fall))
+        size, how = (0.02, Outcome.FORWARD) if fall else (0.01, failure)
+        return LeastDisturbance(size, np.array([0.0, 1.0]), np.array([0.1, -size]), 0, how, 7)
+
+    def stepped(walker, gait, *, fall=False, **options):
+        asked.append(("step", fall))
+        size, how = (0.2, Outcome.FORWARD) if fall else (0.1, failure)
+        return LeastStepDown(size, np.zeros(4), 0, how, 7)
+
+    survived = BasinStability(*map(np.asarray, (0.5, 0.4, 0.6, np.zeros(8, int), 0, 5.0, 9.0)))
+    dimension = Uncertainty(1.0, 1.0, 1.0, 1.0, np.zeros(0), np.zeros(0))
+    monkeypatch.setattr(robustness, "least_disturbance", disturbed)
+    monkeypatch.setattr(robustness, "least_step_down", stepped)
+    monkeypatch.setattr(robustness, "basin_stability", lambda *_, **__: survived)
+    monkeypatch.setattr(robustness, "boundary_dimension", lambda *_, **__: dimension)
+    grid = wj.Grid.sheared(theta=(0.05, 0.4, 20), sum=(-0.04, 0.01, 20))
+    found = robustness.robustness(WALKER, grid, levels=0, check=0, strides=100)
+    twice = failure == Outcome.STRIDE
+    both = [("disturbance", False), ("step", False)], [("disturbance", True), ("step", True)]
+    assert asked == [*both[0], *both[1] * twice]
+    assert float(found.least_disturbance) == 0.01 and float(found.step_down) == 0.1
+    assert int(found.failure) == int(found.step_down_failure) == failure
+    assert float(found.least_fall) == (0.02 if twice else 0.01)
+    assert float(found.step_down_fall) == (0.2 if twice else 0.1)
+    assert int(found.fall_failure) == (Outcome.FORWARD if twice else failure)
+    assert found.fall_state.values.tolist() == [0.1, -0.02 if twice else -0.01]
+
+
+@pytest.mark.slow
+def test_the_nearest_fall_beyond_the_basin_of_another_gait_against_a_polar_grid(steep):
+    first, fall = (least_disturbance(STEEP, steep, fall=f) for f in (False, True))
+    assert first.failure == Outcome.STRIDE and fall.failure == Outcome.FORWARD
+    assert first.size == pytest.approx(0.001333, abs=1e-6)
+    states, shared = returning(STEEP, steep, 500, None)
+    angles = 2 * np.pi * np.arange(5000) / 5000
+    rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    nearest = np.inf
+    for radius in np.linspace(0.97, 1.005, 36) * fall.size:
+        ends = over_cells(end_of_walk, shared, states[0] + radius * rays)
+        if (ends.outcome != Outcome.STRIDE).any():
+            nearest = radius
+            break
+    assert nearest == pytest.approx(fall.size, rel=2e-3)
 
 
 def test_rows_of_a_table_may_lack_what_others_have():

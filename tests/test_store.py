@@ -330,11 +330,13 @@ def test_a_run_goes_on_with_the_blocks_that_it_was_begun_with(tmp_path, monkeypa
 
 
 HOLDING = """
-import os, sys, time
+import os, sys
 from pathlib import Path
 from walker_jax import store
-path, mark, held, end = Path(sys.argv[1]), sys.argv[2], 0, time.monotonic() + 1.5
-while time.monotonic() < end:
+path, mark, held = Path(sys.argv[1]), sys.argv[2], 0
+print("ready", flush=True)
+sys.stdin.readline()
+while held < 30:
     try:
         with store.held(path):
             os.close(os.open(mark, os.O_CREAT | os.O_EXCL))  # not if another one holds it too
@@ -342,15 +344,23 @@ while time.monotonic() < end:
             os.unlink(mark)
     except store.Occupied:
         pass
-print(held)
 """
 
 
 def test_no_two_processes_hold_a_place_at_once(tmp_path):
+    """Three in a race for it, each until it has had it thirty times."""
     command = [sys.executable, "-c", HOLDING, str(tmp_path / "a.zarr"), str(tmp_path / "mark")]
-    runs = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(3)]
-    held = [int(run.communicate()[0]) for run in runs]
-    assert min(held) > 10 and [run.returncode for run in runs] == [0, 0, 0]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    runs = [subprocess.Popen(command, **pipes) for _ in range(3)]
+    for run in runs:
+        assert run.stdout is not None and run.stdout.readline() == "ready\n"
+    for run in runs:  # all are there
+        assert run.stdin is not None
+        run.stdin.write("go\n")
+        run.stdin.flush()
+    for run in runs:
+        run.communicate()
+    assert [run.returncode for run in runs] == [0, 0, 0]
     assert not [*tmp_path.iterdir()]
 
 

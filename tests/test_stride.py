@@ -1,6 +1,7 @@
 """Strides against an independent Runge-Kutta solution, the literature, and a 40-digit map."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -338,10 +339,99 @@ def test_a_fall_in_tension_is_forward():
 
 
 def test_rest_at_the_top_is_an_outcome_too():
-    """The slowest starts there are: an answer, or that there is none."""
-    starts = [[0.004, -1e-300], [0.004, -1e-15], [1e-300, -1e-300], [0.2, -0.19569]]
-    allowed = {Outcome.FORWARD, Outcome.BACKWARD, Outcome.STRIDE, Outcome.UNDECIDED}
-    assert set(outcomes(0.004, starts)) <= allowed
+    """The slowest starts there are. Too slow to move at all in float64: there is no answer."""
+    assert outcomes(0.004, [[0.004, -1e-300]]) == [Outcome.UNDECIDED]
+    assert_equal_strides(0.004, [[1e-300, -1e-300], [0.2, -0.19569]], tolerance=1e-9)
+    # From the top theta - slope = -1e-15 sinh(t), while the swing leg is a pendulum at rest.
+    late, slowly = 14.0, 1e-15
+    pendulum = solve_ivp(
+        lambda t, y: [y[1], -np.sin(y[0])], (0, late), [0.008, 0.0], rtol=1e-13, atol=1e-16
+    )
+    phi, phidot = pendulum.y[:, -1]
+    stance = 0.004 - slowly * np.sinh(late), -slowly * np.cosh(late)
+    expected = reference(0.004, [stance[0], phi, stance[1], phidot])
+    found = strides(0.004, [[0.004, -slowly]])
+    assert found.outcome[0] == expected.outcome == Outcome.STRIDE
+    assert found.time[0] == pytest.approx(late + expected.time, abs=1e-3)
+    np.testing.assert_allclose(found.state[0], expected.state, rtol=0, atol=1e-6)
+
+
+# What hardly ever happens, to a walker that is simple to follow
+
+
+class PulledWalker(SimplestWalker):
+    """Its stance leg topples, and its swing leg turns uniformly.
+
+    The ground pulls at its foot while theta is within `width` of `at`: ever more towards `at`, or,
+    where it `jumps`, as much all the time.
+    """
+
+    at: jax.Array
+    width: jax.Array
+    jumps: jax.Array
+    force_least_at_ends: ClassVar = False
+
+    def vector_field(self, state):
+        none = jnp.zeros_like(state.theta)
+        return State(state.thetadot, state.phidot, state.theta - self.slope, none)
+
+    def contact_force(self, state):
+        force = (state.theta - self.at) ** 2 - self.width**2
+        force = jnp.where(self.jumps > 0, jnp.sign(force), force)
+        return jnp.zeros_like(state.theta), force
+
+
+LAUNCH = [0.2, 0.4, -0.2, -0.25]
+
+
+def steps_down(starts, drop, at, width, jumps=0.0, tolerance=1e-12):
+    """Steps down of such walkers, each pulled at a place of its own."""
+    pulled = lambda at: PulledWalker(0.009, at, jnp.asarray(width), jnp.asarray(jumps))
+    cells = jax.vmap(pulled)(jnp.asarray(at)), np.array(starts), np.full(len(starts), drop)
+    return over_cells(step_down_of_each, np.float64(tolerance), cells)
+
+
+def step_down_of_each(tolerance, cell):
+    walker, x, drop = cell
+    return step_down_of_cell((walker, tolerance), (x, drop))
+
+
+@pytest.mark.parametrize("tolerance", [1e-12, 1e-5])
+def test_tension_is_seen_however_short_it_is(tolerance):
+    """Within a single step of the integration too, and on the way down from the level."""
+    lasts = []
+    for drop in (0.0, 0.02):
+        plain = steps_down([LAUNCH], drop, [0.0], 0.0, tolerance=tolerance)
+        assert plain.outcome[0] == Outcome.STRIDE
+        last = plain.state[0, 0] - plain.state[0, 1]  # theta of the leg that stood
+        lasts.append(last)
+        for width in (0.05, 3e-3, 1e-4):
+            at = np.linspace(last - 0.1, 0.3, 81)
+            pulls = (at + width > last) & (at - width < 0.2)
+            close = np.minimum(np.abs(at + width - last), np.abs(at - width - 0.2)) < 1e-6
+            found = steps_down(len(at) * [LAUNCH], drop, at, width, tolerance=tolerance).outcome
+            expected = np.where(pulls, Outcome.RUNNING, Outcome.STRIDE)
+            np.testing.assert_array_equal(found[~close], expected[~close])
+            assert set(expected[~close]) == {Outcome.RUNNING, Outcome.STRIDE}
+    # of the angles at which it was pulled, some were below the level alone
+    assert lasts[1] < lasts[0] - 0.02
+
+
+def test_tension_that_comes_and_goes_at_once_is_seen_at_the_ends_of_steps():
+    """Of steps of the integration, and where the foot is level with the ground it stood on."""
+    for drop in (0.0, 0.02):
+        assert steps_down([LAUNCH], drop, [-0.04], 0.15, jumps=1.0).outcome == Outcome.RUNNING
+    level = steps_down([LAUNCH], 0.0, [1.0], 0.0)
+    level = level.state[:, 0] - level.state[:, 1]
+    assert steps_down([LAUNCH], 0.02, level, 1e-6, jumps=1.0).outcome == Outcome.RUNNING
+    assert steps_down([LAUNCH], 0.02, level + 1.0, 1e-6, jumps=1.0).outcome == Outcome.STRIDE
+
+
+def test_a_leg_that_turns_right_round_strikes_no_lower_ground():
+    """Its foot is there again where phi = 2 pi + ..., as if it were ahead."""
+    whirling = [[-0.1, -0.205, -0.5, rate] for rate in np.linspace(6.0, 6.8, 9)]
+    found = steps_down([LAUNCH, *whirling], 0.1, np.zeros(10), 0.0)
+    assert found.outcome.tolist() == [Outcome.STRIDE] + 9 * [Outcome.FORWARD]
 
 
 # Full states
@@ -600,6 +690,34 @@ def test_single_strides_equal_those_in_tiles_and_mapped(tangents):
         assert single.outcome == tiled.outcome[i] and single.outcome.dtype == jnp.int8
         np.testing.assert_allclose(single.state, tiled.state[i], rtol=0, atol=1e-12)
         np.testing.assert_allclose(single.time, tiled.time[i], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("rates", "found"),
+    [
+        (lambda s: jnp.sin(s.theta), "f64[]"),
+        (lambda s: (s.thetadot, s.phidot, s.theta), "(f64[], f64[], f64[])"),
+        (lambda s: [*s], "[f64[], f64[], f64[], f64[]]"),
+        (lambda s: jnp.stack(s), "f64[4]"),
+        (lambda s: s._replace(phi=jnp.stack(s)), "State(theta=f64[], phi=f64[4], "),
+        (lambda s: None, "None"),
+    ],
+)
+def test_a_vector_field_that_gives_no_state_is_refused(rates, found):
+    class Own(SimplestWalker):
+        def vector_field(self, state):
+            return rates(state)
+
+    said = f"vector_field of Own must return a State of four scalars, not {found}"
+    for function in (
+        lambda x: wj.stride(Own(0.004), x),
+        lambda x: wj.margins(Own(0.004), x),
+        lambda x: wj.trajectory(Own(0.004), x, jnp.array([1.0])),
+        lambda x: wj.step_down(Own(0.004), x, 0.001),
+    ):
+        for call in (function, jax.jit(function)):
+            with pytest.raises(ValueError, match=f"^{re.escape(said)}"):
+                call(jnp.array([0.2, -0.21]))
 
 
 class PatientWalker(Walker):

@@ -10,7 +10,7 @@ from collections import Counter
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import jax
 import numpy as np
@@ -206,14 +206,14 @@ def test_here_things_are_computed_one_by_one():
 )
 def test_a_cluster_that_there_cannot_be_costs_nothing(tmp_path, monkeypatch, cluster_, message):
     monkeypatch.setattr(cluster, "PATIENCE", 1)
-    with pytest.raises((ValueError, TypeError), match=message):
+    with pytest.raises(ValueError, match=message):
         wj.basin(WALKER, GRID, out=tmp_path / "a.zarr", cluster=cluster_)
     assert not [*tmp_path.iterdir()]
     first = wj.basin(WALKER, GRID, strides=5, method="direct", out=tmp_path / "a.zarr")
     options = {"out": tmp_path / "a.zarr", "cluster": cluster_, "overwrite": True}
-    with pytest.raises((ValueError, TypeError), match=message):
+    with pytest.raises(ValueError, match=message):
         wj.basin(WALKER, GRID, **options)
-    with pytest.raises((ValueError, TypeError), match=message):
+    with pytest.raises(ValueError, match=message):
         wj.sweep(WALKER, OVER, GRID, **options)
     assert store.opened(tmp_path / "a.zarr").identical(first)
 
@@ -261,14 +261,15 @@ def test_workers_that_come_later_are_used(client):
 TRIED = Counter()
 
 
-def dying(thing):
+def dying(thing: tuple[str, int]):
     """A piece over which workers have died as often as it says, before it is computed."""
     from distributed import KilledWorker
 
-    (name, deaths), last_worker = thing, SimpleNamespace(address="tcp://127.0.0.1:9")
+    name, deaths = thing
     TRIED[thing] += 1
     if TRIED[thing] <= deaths:
-        raise KilledWorker(name, cast(Any, last_worker), 3)
+        who: Any = SimpleNamespace(address="tcp://127.0.0.1:9")
+        raise KilledWorker(name, who, 3)
     return name.upper()
 
 

@@ -198,6 +198,38 @@ def test_series_of_a_pendulum_equals_that_of_its_elliptic_function():
     assert_series(series["rate"], [(k + 1) * expected[k + 1] for k in range(13)])
 
 
+def test_series_of_an_order_higher_than_in_use():
+    """Odd and even orders, of squares, products, quotients and sines that all vary."""
+    order = 14
+    k, since = 0.8, 0.7  # theta'' = -sin theta with a rate: sin(theta / 2) = k sn(t + since)
+    swing = lambda t: 2 * mpmath.asin(k * mpmath.ellipfun("sn", t + since, k=k))
+    solutions = {
+        "square": lambda t: mpmath.tan(t + 0.3),
+        "product": lambda t: 1 / (1 + mpmath.exp(-t - 0.4)),
+        "quotient": lambda t: mpmath.lambertw(mpmath.exp(1 + 4 * t)).real,
+        "angle": swing,
+    }
+
+    def rates(y):
+        return {
+            "square": 1 + y["square"] ** 2,
+            "product": y["product"] * (1 - y["product"]),
+            "quotient": 4 * y["quotient"] / (1 + y["quotient"]),
+            "angle": y["rate"],
+            "rate": -jnp.sin(y["angle"]),
+            "along": -jnp.cos(y["angle"]) * y["rate"],  # the rate's own rate
+        }
+
+    expected = {name: expected_series(one, order + 2) for name, one in solutions.items()}
+    expected["rate"] = [(k + 1) * c for k, c in enumerate(expected["angle"][1:])]
+    expected["along"] = [(k + 1) * c for k, c in enumerate(expected["rate"][1:])]
+    start = {name: jnp.array(one[0]) for name, one in expected.items()}
+    series = inspect.unwrap(solution_series)(rates, start, order)
+    for name, coefficients in series.items():
+        assert_series(coefficients, expected[name][: order + 1])
+        assert np.abs(expected[name][: order + 1]).min() > 1e-8  # so that none goes unseen
+
+
 def test_series_of_a_walker_like_system_of_equations():
     """A pair (sin, cos) of the same angle: u = tan, w = sec of t from u' = w^2, w' = u w."""
     start = (jnp.array(0.0), jnp.array(1.0))

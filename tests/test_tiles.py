@@ -70,6 +70,15 @@ def test_what_is_shared_may_be_of_a_weak_type():
         assert over_cells(times, 2j, cells).dtype == np.complex64
 
 
+@pytest.mark.parametrize("turn", [1, -1])
+def test_a_kernel_is_made_anew_for_a_number_of_another_kind(turn):
+    """A plain number takes the type of the cells; one of NumPy's has its own."""
+    function = lambda shared, cell: shared * cell
+    with jax.numpy_dtype_promotion("standard"):
+        for shared, dtype in ((2.0, np.float32), (np.float64(2.0), np.float64))[::turn]:
+            assert over_cells(function, shared, np.ones(3, np.float32)).dtype == dtype
+
+
 @pytest.fixture(scope="module")
 def starts():
     rng = np.random.default_rng(0)

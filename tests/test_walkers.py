@@ -1,19 +1,35 @@
 """The simplest walker's equations against Newton's laws and the paper's general method."""
 
 import inspect
+from dataclasses import fields
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import walker_jax as wj
 from walker_jax import State
+from walker_jax.multibody import System
 from walker_jax.walkers import SLOPE as SLOPE_PARAMETER
+from walker_jax.walkers import Scalar, moves_like
 
 SLOPE = 0.03
 WALKER = wj.SimplestWalker(SLOPE)
 COUNT = 40
+
+
+def test_the_representation_shows_values():
+    assert repr(wj.SimplestWalker(slope=0.004)) == "SimplestWalker(slope=0.004)"
+    single = wj.SpringWalker(jnp.float32(0.1), 0.5)
+    assert repr(single) == "SpringWalker(slope=0.1, hip_stiffness=0.5)"
+    many = jax.vmap(wj.SimplestWalker)(jnp.array([0.004, 0.005]))
+    assert repr(many) == "SimplestWalker(slope=f64[2])"
+    seen = []
+    jax.eval_shape(lambda slope: seen.append(repr(wj.SimplestWalker(slope))), jnp.ones(()))
+    assert seen == ["SimplestWalker(slope=f64[])"]
 
 
 def states():
@@ -368,3 +384,135 @@ def test_a_walker_is_a_pytree_of_its_parameters():
     expected = np.sin(0.2 - slopes)
     close(jax.jit(jax.vmap(acceleration))(slopes), expected)
     close(jax.vmap(jax.jacfwd(acceleration))(slopes), -np.cos(0.2 - slopes))
+
+
+# What is known of a walker, and of which others it is not
+
+
+class TorqueWalker(wj.SimplestWalker):
+    """A hip torque that brings the swing leg to an angle."""
+
+    stiffness: Scalar
+    target: Scalar
+
+    def vector_field(self, state):
+        free = super().vector_field(state)
+        torque = self.stiffness * (state.phi - self.target)
+        return free._replace(phidot=free.phidot - torque)
+
+
+class HastyTorqueWalker(TorqueWalker):
+    """The same, that says of itself what is known of the simplest walker."""
+
+    force_least_at_ends = True
+
+    def past_contact(self, state):
+        return wj.SimplestWalker.past_contact(self, state)
+
+
+class NamedWalker(wj.SimplestWalker):
+    """The simplest walker, with more to say."""
+
+    def greet(self):
+        return "walks"
+
+
+class PushOff:
+    """A class that is no walker, from which one takes its impact."""
+
+    def impact(self: Any, state):
+        foot, after = wj.SimplestWalker.impact(self, state)
+        return foot, after._replace(thetadot=1.1 * after.thetadot)
+
+
+class PushedWalker(PushOff, wj.SimplestWalker):
+    pass
+
+
+KNOWN = ("force_least_at_ends", "inverted_pendulum", "driven_by_gravity", "past_contact")
+
+
+@pytest.mark.parametrize(
+    ("kind", "kept"),
+    [
+        (wj.SimplestWalker, (*KNOWN, "gait_region")),
+        (NamedWalker, (*KNOWN, "gait_region")),
+        (TorqueWalker, ()),
+        (HastyTorqueWalker, ("force_least_at_ends", "past_contact")),
+        (PushedWalker, ("force_least_at_ends", "inverted_pendulum", "past_contact")),
+    ],
+)
+def test_what_is_known_of_a_walker_does_not_pass_to_one_that_changes_it(kind, kept):
+    for name in (*KNOWN, "gait_region"):
+        is_default = inspect.getattr_static(kind, name) is inspect.getattr_static(wj.Walker, name)
+        assert is_default == (name not in kept), name
+    assert moves_like(kind(*[0.01] * len(fields(kind))), wj.SimplestWalker) == (len(kept) == 5)
+
+
+def test_a_torque_may_bring_the_foot_down_again():
+    """Where the simplest walker's swing leg could only rise, this one still strikes."""
+    theta, rate = np.meshgrid(np.linspace(0.01, 0.04, 30), np.linspace(-0.43, -0.3, 30))
+    starts = np.stack([theta.ravel(), rate.ravel()], axis=1)
+    torque = jnp.array([4.0, -0.6])
+    free, hasty = (kind(0.004, *torque) for kind in (TorqueWalker, HastyTorqueWalker))
+    ends, wrong = wj.strides(free, starts), wj.strides(hasty, starts)
+    unlike = np.flatnonzero(ends.outcome != wrong.outcome)
+    assert len(unlike) > 3 and (wrong.outcome[unlike] == wj.Outcome.FORWARD).all()
+
+    def field(_, y):
+        theta, phi, thetadot, phidot = y
+        angle = theta - 0.004
+        swing = np.sin(phi) * (thetadot**2 - np.cos(angle)) + np.sin(angle) - 4 * (phi + 0.6)
+        return [thetadot, phidot, np.sin(angle), swing]
+
+    down = lambda t, y: y[0] + np.pi / 2
+    down.terminal = True
+    for i in unlike[:4]:
+        lifted = np.array(free.lift(jnp.asarray(starts[i])))
+        path = solve_ivp(field, (0, 40), lifted, events=down, rtol=1e-9, max_step=0.01).y
+        h = path[1] - 2 * path[0]
+        rises = (h[:-1] < 0) & (h[1:] >= 0) & (path[0][1:] < 0) & (path[1][1:] < 0)
+        assert rises.any()
+
+
+def test_margins_of_a_walker_that_is_no_inverted_pendulum_are_not_those_of_one():
+    class Braked(wj.SimplestWalker):
+        def vector_field(self, state):
+            free = super().vector_field(state)
+            return free._replace(thetadot=free.thetadot - 0.02 * state.thetadot)
+
+    start = jnp.array([0.2, -0.22])
+    energy = 0.22**2 / 2 + np.cos(0.2 - 0.004) - 1
+    plain, braked = (wj.margins(kind(0.004), start) for kind in (wj.SimplestWalker, Braked))
+    assert float(plain.backward) == pytest.approx(energy, rel=1e-12)
+    times = np.linspace(0, float(braked.stride.time), 4001)
+    slowest = np.abs(wj.trajectory(Braked(0.004), start, times).thetadot).min()
+    assert float(braked.backward) == pytest.approx(slowest**2 / 2, rel=1e-5)
+    assert float(braked.backward) < 0.99 * energy
+
+
+@pytest.mark.parametrize(
+    ("kind", "guess"), [(TorqueWalker, [0.205, -0.207]), (PushedWalker, [0.2, -0.2])]
+)
+def test_cost_of_transport_is_unknown_where_gravity_is_not_all_that_drives(kind, guess):
+    walker = kind(*[jnp.array(value) for value in (0.01, 0.5, -0.3)[: len(fields(kind))]])
+    found = wj.gait_measures(walker, [], wj.find_gait(walker, guess))
+    assert np.isfinite(found["speed"].value) and np.isnan(found["cost-of-transport"].value)
+
+
+def test_walkers_of_several_masses_are_driven_by_gravity_unless_they_have_motors():
+    class Motor(wj.PointFootWalker):
+        def system(self):
+            free = super().system()
+            push = lambda q, qdot: jnp.zeros_like(q)
+            return System(free.transfer, free.masses, free.forces, push)
+
+    assert wj.PointFootWalker(0.01).driven_by_gravity() and not Motor(0.01).driven_by_gravity()
+
+
+def test_a_walker_of_another_motion_is_searched_for_gaits_where_these_may_be():
+    walker = TorqueWalker(0.01, *jnp.array([0.0, 0.0]))  # no torque: the simplest walker's gaits
+    assert moves_like(walker, wj.SimplestWalker) is False
+    found = wj.find_gaits(walker)
+    expected = [wj.find_gait(wj.SimplestWalker(0.01)).states[0]]
+    assert np.abs(np.array([gait.states[0] for gait in found]) - expected).max(1).min() < 1e-9

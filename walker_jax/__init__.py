@@ -17,6 +17,7 @@ from walker_jax.bifurcations import attractors, bifurcation_diagram, loss_of_wal
 from walker_jax.boundaries import Dimension, Uncertainty, box_counting, uncertainty_exponent
 from walker_jax.branches import Bifurcation, Branch, continue_gait
 from walker_jax.cells import Grid
+from walker_jax.checks import ComputationFailed
 from walker_jax.design import optimise
 from walker_jax.gaits import Gait, descend, find_gait, find_gaits, gait_derivatives
 from walker_jax.margins import Margins, margins, margins_of_many
@@ -61,6 +62,7 @@ __all__ = [
     "BasinStability",
     "Bifurcation",
     "Branch",
+    "ComputationFailed",
     "Dimension",
     "DisturbanceGradient",
     "Gait",

@@ -56,6 +56,12 @@ class Attractor(NamedTuple):
     frames: Float[np.ndarray, "period section section"] | None = None
     """For each state, matrices that make displacements from it less than 1, in all coordinates,
     where a walker is taken to have arrived; none where that is `near`."""
+    cycles: int = 0
+    """By cell mapping: how many cycles of cells belong to it, or are this artefact."""
+    falling: int = 0
+    """From how many of the centres of their cells a walker falls."""
+    artefact: bool = False
+    """Whether it is a cycle of cells alone, and their centres, to which no walker comes."""
 
     def boxes(self) -> Float[np.ndarray, "period section section"]:
         """The frames, also where there are none."""
@@ -216,13 +222,14 @@ def add_cycle(found: list[Attractor], states: Float[np.ndarray, "period section"
 def nearest(
     x: Float[np.ndarray, "n section"], attractors: list[Attractor], within: float | None = None
 ) -> Int[np.ndarray, " n"]:
-    """Number of the cycle that each point is near to, -1 for none."""
-    number = np.full(len(x), -1, np.int32)
+    """Number of the cycle that each point is near to, the nearest of several, -1 for none."""
+    number, least = np.full(len(x), -1, np.int32), np.ones(len(x), x.dtype)
     for i, attractor in enumerate(attractors):
         boxes = attractor.boxes() if within is None else np.eye(x.shape[1])[None] / within
         for state, frame in zip(attractor.states, itertools.cycle(boxes), strict=False):
             if attractor.period:
-                number[np.abs((x - state) @ frame.T).max(axis=1) < 1] = i
+                away = np.abs((x - state) @ frame.T).max(axis=1)
+                number[away < least], least = i, np.minimum(away, least)
     return number
 
 
@@ -300,7 +307,7 @@ def near(dtype) -> float:
 
 
 def sort_attractors(found: Basins) -> Basins:
-    """The same, attractors numbered by period, then by angle; those without a period last."""
+    """The same, attractors numbered in order."""
     order = in_order(found.attractors)
     number = np.full(len(order) + 1, -1, np.int32)  # the last is that of no attractor
     number[order] = np.arange(len(order))
@@ -309,8 +316,8 @@ def sort_attractors(found: Basins) -> Basins:
 
 
 def in_order(attractors: list[Attractor]) -> list[int]:
-    """Their numbers, by period, then by angle; those without a period last."""
-    key = [(one.period or np.inf, one.states[0, 0]) for one in attractors]
+    """Their numbers, by period, then by angle; those without a period, then artefacts, last."""
+    key = [(one.artefact, one.period or np.inf, one.states[0, 0]) for one in attractors]
     return sorted(range(len(key)), key=key.__getitem__)
 
 

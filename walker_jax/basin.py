@@ -3,7 +3,9 @@
 Two methods. Cell mapping (Hsu 1987; Schwab and Wisse 2001, section 4.3) makes one stride from the
 centre of every cell, sends each cell to the cell where that ends, and follows the cells. Direct
 iteration follows every centre itself, stride by stride. Direct iteration is exact up to its number
-of strides; cell mapping costs one stride a cell, and its errors are of the size of a cell.
+of strides; cell mapping costs one stride a cell, and its errors are of the size of a cell. Among
+these are cycles of cells where there is no attractor, and several for one attractor. So walkers are
+followed from the centres of their cells, to see where each cycle leads.
 """
 
 import math
@@ -18,27 +20,37 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from walker_jax import store
 from walker_jax.attraction import (
+    LONGEST_PERIOD,
+    PATIENCE,
     Attractor,
     Basins,
     Followed,
     centres,
     explain,
+    follow,
     in_order,
+    sample,
     settle,
-    sort_attractors,
     spread,
     until_near,
 )
 from walker_jax.cells import CellMap, Grid, cell_image, resolve
-from walker_jax.checks import check_kind, check_whole, short
+from walker_jax.checks import (
+    WrongUse,
+    check_kind,
+    check_precision,
+    check_whole,
+    refuses_tracers,
+    short,
+)
 from walker_jax.cluster import computers
 from walker_jax.integrate import Real, default_tolerance
 from walker_jax.progress import tracked
-from walker_jax.stride import Outcome, stride, strides
+from walker_jax.stride import Outcome, stride
 from walker_jax.tiles import order_of_cells, over_cells
 from walker_jax.walkers import Walker
 
@@ -51,10 +63,9 @@ PIECE = 2**20
 """Cells of a piece of a store, up to twice as many, or all of a smaller grid."""
 NOT_YET = -1
 """The fate of a cell whose piece has not been computed."""
-ORBIT = 3000
-"""Strides of a motion that does not repeat itself that are compared with cells."""
 
 
+@refuses_tracers("area_gradient gives derivatives of a basin's area")
 def basin(
     walker: Walker,
     grid: Grid,
@@ -101,21 +112,30 @@ def basin(
     within the grid `cells` and `area` (rad^2 per unit of time; over three dimensions it is a
     volume). Its attributes say what was computed.
 
+    The attractors of a cell map are those to which walkers come that start at the centres of the
+    cells in its cycles. A cycle from most of whose centres they come to one attractor belongs to
+    that, with all cells that lead to it. Any other is an `artefact` of the cells: its period and
+    states are those of cells and their centres, its cells walk for ever by the map alone, and it
+    is numbered after all attractors. Beside `artefact` there are `cycles`, how many cycles of
+    cells belong to each, and `falling`, from how many centres of their cells a walker falls.
+
     Raises `ValueError` for an unknown method, for a grid that does not fit the section or that this
     machine has not the memory for, and for a place where something else stands, that cannot be
     written to, or that another run is writing to.
     """
     if not isinstance(method, str) or method not in METHODS:
-        raise ValueError(f"method must be one of {', '.join(METHODS)}, not {short(method)}")
+        raise WrongUse(f"method must be one of {', '.join(METHODS)}, not {short(method)}")
     strides = check_whole("strides", strides)
     check_grid(walker, grid, method, (BYTES_PER_CELL if out is None else BYTES_STORED)[method])
-    tolerance = float(default_tolerance(jnp.asarray(0.0).dtype, tolerance))
+    dtype = jnp.asarray(0.0).dtype
+    check_precision(dtype)
+    tolerance = float(default_tolerance(dtype, tolerance))
     limit = {"strides": strides} if method == "direct" else {}
     how = {"method": method, **limit, "tolerance": tolerance}
     if out is not None:
         return in_pieces(walker, grid, how, Path(out), request, overwrite, cluster, progress)
     if cluster is not None:
-        raise ValueError(f"cluster={cluster!r} computes pieces of a store: out is wanted too")
+        raise WrongUse(f"cluster={cluster!r} computes pieces of a store: out is wanted too")
     if method == "cell-map":
         found = cell_mapping(walker, grid, tolerance, progress)
     else:
@@ -123,7 +143,7 @@ def basin(
     return labelled(walker, grid, found, how)
 
 
-class TooLarge(ValueError, MemoryError):
+class TooLarge(WrongUse, MemoryError):
     """More is asked than this machine has the memory for."""
 
 
@@ -134,19 +154,19 @@ def check_grid(
     check_kind("walker", walker, Walker)
     check_kind("grid", grid, Grid)
     if grid.coordinates != len(walker.section):
-        raise ValueError(
+        raise WrongUse(
             f"grid must have the {len(walker.section)} dimensions of the section, "
             f"{', '.join(walker.section)}, not {', '.join((*grid.names, *grid.fixed))}"
         )
     if method == "cell-map" and len(grid.names) < grid.coordinates:
-        raise ValueError(
+        raise WrongUse(
             f"method must be direct for a slice, {' and '.join(grid.fixed)} fixed, which walkers "
             "leave, not 'cell-map'"
         )
     for place, name in enumerate((*grid.names, *grid.fixed)):
         wrong = name in walker.section and walker.section.index(name) != place
         if wrong or (name in grid.fixed and name not in walker.section):
-            raise ValueError(
+            raise WrongUse(
                 f"grid must name coordinates in the order of the section, {walker.section}, "
                 f"not {(*grid.names, *grid.fixed)}"
             )
@@ -169,23 +189,49 @@ def memory_of_machine() -> float:
 def cell_mapping(walker: Walker, grid: Grid, tolerance: float, progress: bool = False) -> Basins:
     """Simple cell mapping: one stride from the centre of each cell, then cells follow cells."""
     ends = resolve(cell_map(walker, grid, tolerance, progress=progress), sinks=len(Outcome))
-    return sort_attractors(Basins(*fates(ends), cycles_of(grid, ends)))
+    attractors, number = attractors_of_map(walker, grid, ends, tolerance)
+    return Basins(*fates(ends, number), attractors)
 
 
-def fates(ends: CellMap) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What `basin` says of cells, given where they end."""
+def fates(
+    ends: CellMap, number: Int[np.ndarray, " cycles"]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What `basin` says of cells, given where they end, and the attractor of each cycle."""
     fate = np.maximum(ends.sink, Outcome.STRIDE).astype(np.int8)
-    return fate, ends.attractor, ends.steps
+    return fate, np.append(number, np.int32(-1))[ends.attractor], ends.steps
 
 
-def cycles_of(grid: Grid, ends: CellMap) -> list[Attractor]:
-    """The attractors of a cell map, by the centres of their cells."""
-    lengths = [len(cycle) for cycle in ends.attractors]
-    cells = np.concatenate([np.zeros(0, np.int32), *ends.attractors]).astype(np.int32)
-    states = np.split(centres(grid, cells), np.cumsum(lengths)[:-1])
-    return [Attractor(*one) for one in zip(lengths, states, strict=False)]
+def attractors_of_map(
+    walker: Walker, grid: Grid, ends: CellMap, tolerance: float
+) -> tuple[list[Attractor], Int[np.ndarray, " cycles"]]:
+    """The attractors and artefacts of a cell map, in order, and to which each cycle belongs.
+
+    A cycle belongs to an attractor if walkers come to it from most of the centres of its cells.
+    """
+    if not ends.attractors:
+        return [], np.zeros(0, np.int32)
+    lengths = np.array([len(cycle) for cycle in ends.attractors])
+    x = centres(grid, np.concatenate(ends.attractors).astype(np.int32))
+    known = settle(walker, sample(x), tolerance, [])
+    found = follow(walker, x, known, tolerance, PATIENCE * LONGEST_PERIOD)
+    own = np.repeat(np.arange(len(lengths)), lengths)
+    fails = ~np.isin(found.fate, (Outcome.STRIDE, Outcome.UNDECIDED))
+    falls = np.bincount(own, fails).astype(int)
+    number = np.full(len(lengths), -1, np.int32)
+    for i in range(len(found.attractors)):
+        number[2 * np.bincount(own, found.attractor == i) > lengths] = i
+    attractors = [
+        one._replace(cycles=int((number == i).sum()), falling=int(falls[number == i].sum()))
+        for i, one in enumerate(found.attractors)
+    ]
+    for i in np.flatnonzero(number < 0):
+        number[i] = len(attractors)
+        attractors.append(Attractor(int(lengths[i]), x[own == i], None, 1, int(falls[i]), True))
+    order = in_order(attractors)
+    return [attractors[i] for i in order], np.argsort(order)[number].astype(np.int32)
 
 
+@refuses_tracers()
 def compare_methods(
     walker: Walker, grid: Grid, *, strides: int = 200, tolerance: float | None = None
 ) -> xr.Dataset:
@@ -194,33 +240,21 @@ def compare_methods(
     Arguments and errors are those of `basin`.
 
     **Returns** a data set over the grid's axes with `mapped` and `direct`, whether a cell walks for
-    ever by either method; and over the attractors of cell mapping `cells`, `period`, and
-    `artefact`: that no attractor of direct iteration has a state within a cell of one of theirs.
-    `direct_attractors` is how many of those there are.
+    ever by either method; and over the attractors of cell mapping `cells`, `period`, `cycles`,
+    `artefact` and `falling`, as `basin` gives them. `direct_attractors` is how many direct
+    iteration finds.
     """
     mapped = basin(walker, grid, strides=strides, tolerance=tolerance)
     direct = basin(walker, grid, "direct", strides=strides, tolerance=tolerance)
-    cycles = zip(direct["states"].values, direct["period"].values, strict=True)
-    real = [states[:n] if n else orbit(walker, states[:1]) for states, n in cycles]
-    real = np.concatenate([np.zeros((0, grid.coordinates)), *real])
-    own = mapped["states"].values[:, :, None] - real
-    away = np.abs(own @ np.asarray(grid.unshear).T) / np.asarray(grid.spacing)
-    near = (away.max(axis=3) <= 1).any(axis=(1, 2))
     walks = {"mapped": mapped["attractor"] >= 0, "direct": direct["attractor"] >= 0}
-    found = mapped[["cells", "period"]].assign({"artefact": ("number", ~near), **walks})
+    found = mapped[["cells", "period", "cycles", "artefact", "falling"]].assign(walks)
     found["direct_attractors"] = direct.sizes["number"]
     return found.assign_attrs(mapped.attrs | {"method": "cell-map against direct"})
 
 
-def orbit(walker: Walker, x: Float[np.ndarray, "1 section"]) -> Float[np.ndarray, "n section"]:
-    """The states that follow on one, which is the first, for as long as the walker walks."""
-    states = [x]
-    for _ in range(ORBIT):
-        x = np.asarray(strides(walker, x).state)
-        if np.isnan(x).any():
-            break
-        states.append(x)
-    return np.concatenate(states)
+def artefacts(data: xr.Dataset) -> Bool[np.ndarray, " number"]:
+    """Which attractors of a data set are artefacts of cells; none where it does not tell."""
+    return data["artefact"].values if "artefact" in data else np.zeros(data.sizes["number"], bool)
 
 
 class Part(NamedTuple):
@@ -357,6 +391,12 @@ def with_attractors(
         "cells": ("number", cells),
         "area": ("number", area),
     }
+    if data.attrs["method"] == "cell-map":
+        found |= {
+            "artefact": ("number", np.array([one.artefact for one in attractors], bool)),
+            "cycles": ("number", np.array([one.cycles for one in attractors], np.int32)),
+            "falling": ("number", np.array([one.falling for one in attractors], np.int32)),
+        }
     data = data.assign(found).assign_coords(number=np.arange(len(attractors)))
     return data.assign_attrs(area=area.tolist())
 
@@ -391,7 +431,8 @@ def in_pieces(
     ):
         compute = partial(method.piece, place.notes)
         number = {part_of(grid, place, i): i for i in place.missing()}
-        for part, values in tracked(each(compute, [*number]), "pieces", progress, len(number)):
+        found, done = each(compute, [*number]), place.count - len(number)
+        for part, values in tracked(found, "pieces", progress, place.count, done):
             place.write(number[part], values, done=True)
         attractors, pieces = method.finish(place)
         cells = np.zeros(len(attractors), int)
@@ -450,14 +491,14 @@ class MappedPieces(NamedTuple):
     ) -> tuple[list[Attractor], Iterator[dict[str, np.ndarray]]]:
         """The attractors, and what is still to be written of each piece."""
         ends = resolve(self.image(place), sinks=len(Outcome))
-        attractors = cycles_of(self.grid, ends)
+        tolerance = self.how["tolerance"]
+        attractors, number = attractors_of_map(self.walker, self.grid, ends, tolerance)
 
         def piece(cells: slice) -> dict[str, np.ndarray]:
-            found = sort_attractors(Basins(*fates(ends.part(cells)), attractors))
-            return dict(zip(ABOUT, found[:3], strict=True))
+            return dict(zip(ABOUT, fates(ends.part(cells), number), strict=True))
 
         pieces = (piece(part_of(self.grid, place, i).cells) for i in range(place.count))
-        return [attractors[i] for i in in_order(attractors)], pieces
+        return attractors, pieces
 
     def image(self, place: store.Pieces) -> Int[np.ndarray, " n"]:
         """The cell, or the sink, to which each cell is sent."""

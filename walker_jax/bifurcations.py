@@ -28,7 +28,14 @@ from walker_jax.branches import (
     doubled,
     together,
 )
-from walker_jax.checks import check_kind, check_number, check_whole, numbers
+from walker_jax.checks import (
+    WrongUse,
+    check_kind,
+    check_number,
+    check_whole,
+    numbers,
+    refuses_tracers,
+)
 from walker_jax.gaits import (
     Gait,
     check_parameter,
@@ -68,6 +75,7 @@ SPARSE = 32
 """One in how many cells of a gait region gaits are searched from there."""
 
 
+@refuses_tracers()
 def attractors(
     walker: Walker,
     parameter: str,
@@ -96,12 +104,12 @@ def attractors(
     """
     values, starts = numbers("values", values), numbers("starts", starts)
     if values.ndim != 1:
-        raise ValueError(f"values must be one row of numbers, not of shape {values.shape}")
+        raise WrongUse(f"values must be one row of numbers, not of shape {values.shape}")
     check_parameter(walker, parameter, *values)
     tolerance = double_tolerance(tolerance)
     if starts.ndim != 3 or starts.shape[::2] != (len(values), len(walker.section)):
         shape = f"({len(values)}, starts, {len(walker.section)})"
-        raise ValueError(f"starts must have shape {shape}, not {starts.shape}")
+        raise WrongUse(f"starts must have shape {shape}, not {starts.shape}")
     check_whole("strides", strides)
     n, m, size = starts.shape
     walkers = with_parameter(walker, parameter, np.repeat(values, m))
@@ -188,6 +196,7 @@ class Loss(NamedTuple):
     """That a walker had to make."""
 
 
+@refuses_tracers()
 def loss_of_walking(
     walker: Walker,
     parameter: str,
@@ -213,13 +222,12 @@ def loss_of_walking(
     tolerance = double_tolerance(tolerance)
     below, above = check_interval(walker, parameter, interval)
     check_whole("strides", strides)
+    check_kind("branches", branches, Sequence)
     for branch in branches:
         check_kind("branches", branch, Branch)
     check_number("resolution", resolution)
     if not resolution > np.spacing(above):
-        raise ValueError(
-            f"resolution must be a distance, and wider than rounding, not {resolution}"
-        )
+        raise WrongUse(f"resolution must be a distance, and wider than rounding, not {resolution}")
     while True:
         parts = min(PARTS, int(np.ceil((above - below) / resolution)) + 1)
         values = np.linspace(below, above, parts + 1)
@@ -267,6 +275,7 @@ def starts_near(
     return starts
 
 
+@refuses_tracers()
 def bifurcation_diagram(
     walker: Walker,
     parameter: str,

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy.special import ndtri, stdtrit
 
-from walker_jax.checks import check_number, check_whole, numbers
+from walker_jax.checks import WrongUse, array, check_number, check_whole, numbers, refuses_tracers
 
 SMALLEST = 4
 """Cells along a side of the smallest box: detail finer than a cell is missing from smaller ones."""
@@ -60,6 +60,7 @@ class Uncertainty(NamedTuple):
     """Of the points, those that were uncertain."""
 
 
+@refuses_tracers()
 def box_counting(
     labels: Int[np.ndarray | Array, "*cells"], *, spacing: float = 1.0, confidence: float = 0.95
 ) -> Dimension:
@@ -90,16 +91,16 @@ def box_counting(
 
     Raises ValueError if the array is too small for `SCALES` sizes, or an option is out of range.
     """
-    labels = np.asarray(labels)
+    labels = array("labels", labels)
     check_number("spacing", spacing)
     if not 0 < spacing < np.inf:
-        raise ValueError(f"spacing={spacing}: must be positive and finite")
+        raise WrongUse(f"spacing={spacing}: must be positive and finite")
     upper = upper_end(confidence)
     least = SMALLEST * 2 ** (SCALES - 1)
     largest = int(min(labels.shape, default=0) * LARGEST)
     if largest < least:
         needed = int(least / LARGEST)
-        raise ValueError(f"labels: shape {labels.shape}, must be {needed} or more along every axis")
+        raise WrongUse(f"labels: shape {labels.shape}, must be {needed} or more along every axis")
 
     largest = 2 ** (largest.bit_length() - 1)
     while (fine := mean_counts(labels, largest))[-1] < BOXES:
@@ -139,6 +140,7 @@ def mean_counts(
     return np.array(counts)
 
 
+@refuses_tracers()
 def uncertainty_exponent(
     label_of: Callable[[Float[np.ndarray, "n d"]], Int[np.ndarray | Array, " n"]],
     draw: Callable[[np.random.Generator, int], Float[np.ndarray | Array, "n d"]],
@@ -175,7 +177,7 @@ def uncertainty_exponent(
     check_whole("seed", seed, 0)
     for name, function in {"label_of": label_of, "draw": draw}.items():
         if not callable(function):
-            raise TypeError(f"{name} must be a function, not a {type(function).__name__}")
+            raise WrongUse(f"{name} must be a function, not a {type(function).__name__}")
     upper = upper_end(confidence)
 
     rng = np.random.default_rng(seed)
@@ -184,13 +186,13 @@ def uncertainty_exponent(
     for i, distance in enumerate(distances):
         x = np.asarray(draw(rng, pairs), float)
         if x.ndim != 2 or len(x) != pairs:
-            raise ValueError(f"draw: must return shape ({pairs}, d), not {x.shape}")
+            raise WrongUse(f"draw: must return shape ({pairs}, d), not {x.shape}")
         d = x.shape[1]
         u = rng.normal(size=x.shape)
         u *= distance / np.linalg.norm(u, axis=1, keepdims=True)
         labels = np.asarray(label_of(np.concatenate([x, x + u, x - u])))
         if labels.shape != (3 * pairs,):
-            raise ValueError(f"label_of: must return shape ({3 * pairs},), not {labels.shape}")
+            raise WrongUse(f"label_of: must return shape ({3 * pairs},), not {labels.shape}")
         here, *beside = np.split(labels, 3)
         hits[i] = np.count_nonzero((here != beside[0]) | (here != beside[1]))
 
@@ -209,9 +211,9 @@ def checked_distances(
     """The distances, sorted; ValueError for what `uncertainty_exponent` cannot use."""
     distances = np.sort(np.atleast_1d(numbers("distances", distances)))
     if distances.ndim != 1 or len(np.unique(distances)) < max(SCALES, distances.size):
-        raise ValueError(f"distances={short(distances)}: must be at least {SCALES}, all different")
+        raise WrongUse(f"distances={short(distances)}: must be at least {SCALES}, all different")
     if not (np.isfinite(distances) & (distances > 0)).all():
-        raise ValueError(f"distances={short(distances)}: must be positive and finite")
+        raise WrongUse(f"distances={short(distances)}: must be positive and finite")
     check_whole("pairs", pairs, POINTS)
     return distances
 
@@ -245,5 +247,5 @@ def upper_end(confidence: float) -> float:
     """The probability below the upper end of a two-sided interval."""
     check_number("confidence", confidence)
     if not 0 < confidence < 1:
-        raise ValueError(f"confidence={confidence}: must be between 0 and 1")
+        raise WrongUse(f"confidence={confidence}: must be between 0 and 1")
     return (1 + confidence) / 2

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float
 
-from walker_jax.checks import check_kind, numbers, short
+from walker_jax.checks import WrongUse, check_kind, check_precision, numbers, refuses_tracers, short
 from walker_jax.gaits import (
     RESIDUAL,
     Curved,
@@ -99,6 +99,7 @@ class Start(NamedTuple):
     """In which to leave, the parameter standing still; both ways along the branch if none."""
 
 
+@refuses_tracers()
 def continue_gait(
     walker: Walker,
     parameter: str,
@@ -131,7 +132,7 @@ def continue_gait(
     gait = find_gait(walker, tolerance=tolerance) if gait is None else gait
     check_kind("gait", gait, Gait)
     if not gait.found:
-        raise ValueError(f"gait must be one, unlike the end of a failed search, {gait.states}")
+        raise WrongUse(f"gait must be one, unlike the end of a failed search, {gait.states}")
     start = Start(value, np.asarray(gait.states, float))
     return continue_gaits(walker, parameter, interval, [start], tolerance=tolerance)[0]
 
@@ -153,7 +154,7 @@ def continue_gaits(
     low, high = check_interval(walker, parameter, interval)
     for start in starts:
         if not low <= start.value <= high:
-            raise ValueError(f"interval ({low}, {high}) must hold the {parameter} {start.value}")
+            raise WrongUse(f"interval ({low}, {high}) must hold the {parameter} {start.value}")
     tasks = [
         follow(start, way, (low, high))
         for start in starts
@@ -174,15 +175,14 @@ def check_interval(
     check_parameter(walker, parameter)
     ends = numbers("interval", interval)
     if ends.shape != (2,) or not -np.inf < ends[0] < ends[1] < np.inf:
-        raise ValueError(f"interval must be (low, high) with low below high, not {short(interval)}")
+        raise WrongUse(f"interval must be (low, high) with low below high, not {short(interval)}")
     check_parameter(walker, parameter, *interval)
     return float(interval[0]), float(interval[1])
 
 
 def double_tolerance(tolerance: Real | None) -> Real:
     """The tolerance in float64, without which nothing here can be told from rounding."""
-    if jnp.asarray(0.0).dtype != jnp.float64:
-        raise ValueError("float64 is needed: jax.config.update('jax_enable_x64', True)")
+    check_precision(jnp.asarray(0.0).dtype, "following gaits over a parameter")
     return default_tolerance(jnp.float64, tolerance)
 
 

@@ -26,7 +26,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, Int32
 
-from walker_jax.checks import check_kind, is_number, numbers, short
+from walker_jax.checks import WrongUse, check_kind, is_number, numbers, short
 
 ROOM_FOR_SINKS = 255
 MAX_SIZE = 2**31 - 1 - ROOM_FOR_SINKS
@@ -77,10 +77,10 @@ class Grid(eqx.Module):
     ):
         check_kind("axes", axes, Mapping)
         if not axes:
-            raise ValueError(f"axes={axes!r}: a grid needs at least one axis")
+            raise WrongUse(f"axes={axes!r}: a grid needs at least one axis")
         lower, upper, counts = zip(*(_axis(*item) for item in axes.items()), strict=True)
         if math.prod(counts) > MAX_SIZE:
-            raise ValueError(
+            raise WrongUse(
                 f"counts={counts}: {math.prod(counts)} cells, of at most {MAX_SIZE} there can be"
             )
         self.names = tuple(axes)
@@ -91,20 +91,20 @@ class Grid(eqx.Module):
         self.shear = numbers("shear", shear).copy()
         count = len(axes)
         if self.shear.ndim != 2 or self.shear.shape[1] != count or len(self.shear) < count:
-            raise ValueError(f"shear={self.shear.tolist()}: must be a matrix of {count} columns")
+            raise WrongUse(f"shear={self.shear.tolist()}: must be a matrix of {count} columns")
         size = len(self.shear)
         if not np.isfinite(self.shear).all():
-            raise ValueError(f"shear={self.shear.tolist()}: must be finite")
+            raise WrongUse(f"shear={self.shear.tolist()}: must be finite")
         self.origin = np.zeros(size) if origin is None else numbers("origin", origin).copy()
         if self.origin.shape != (size,) or not np.isfinite(self.origin).all():
-            raise ValueError(f"origin={self.origin.tolist()}: must be {size} finite numbers")
+            raise WrongUse(f"origin={self.origin.tolist()}: must be {size} finite numbers")
         try:
             # Exact, without rounding, for the shears below. Adding zero turns -0 into 0.
             square = self.shear.T @ self.shear if size > count else self.shear
             inverse = np.linalg.inv(square) + 0.0
             self.unshear = inverse @ self.shear.T if size > count else inverse
         except np.linalg.LinAlgError:
-            raise ValueError(f"shear={self.shear.tolist()}: must be invertible") from None
+            raise WrongUse(f"shear={self.shear.tolist()}: must be invertible") from None
 
     @classmethod
     def plain(cls, **axes: Axis) -> "Grid":
@@ -203,7 +203,7 @@ class Grid(eqx.Module):
         Raises ValueError for a slice, in which hardly any point lies.
         """
         if self.coordinates != len(self.names):
-            raise ValueError(f"fixed={self.fixed}: a slice has no cell for a point")
+            raise WrongUse(f"fixed={self.fixed}: a slice has no cell for a point")
         lower, upper, spacing = map(jnp.asarray, (self.lower, self.upper, self.spacing))
         u = _multiply(self.unshear, point.astype(lower.dtype) - jnp.asarray(self.origin))
         inside = jnp.all((lower <= u) & (u < upper))  # not so for NaN
@@ -220,10 +220,10 @@ def split(axes: Mapping[str, Axis]) -> tuple[dict[str, Axis], Float[np.ndarray, 
     single = [is_number(axis) for axis in axes.values()]
     count = len(axes) - sum(single)
     if count == 0:
-        raise ValueError(f"axes={dict(axes)!r}: a grid needs at least one axis, (low, high, count)")
+        raise WrongUse(f"axes={dict(axes)!r}: a grid needs at least one axis, (low, high, count)")
     if any(single[:count]):
         name = list(axes)[single.index(True)]
-        raise ValueError(f"{name}={short(axes[name])}: only the last axes may be numbers")
+        raise WrongUse(f"{name}={short(axes[name])}: only the last axes may be numbers")
     values = [0.0] * count + [float(axis) for axis in list(axes.values())[count:]]
     return dict(list(axes.items())[:count]), np.array(values)
 
@@ -234,17 +234,17 @@ def _axis(name: str, axis: Axis) -> tuple[float, float, int]:
         low, high, count = axis
         low, high, count = float(low), float(high), operator.index(count)
     except (TypeError, ValueError, OverflowError):
-        raise ValueError(
+        raise WrongUse(
             f"{name}={short(axis)}: an axis is (low, high, count), two numbers and an integer"
         ) from None
     if not math.isfinite(high - low):
-        raise ValueError(f"{name}={short(axis)}: the ends of an axis must be finite")
+        raise WrongUse(f"{name}={short(axis)}: the ends of an axis must be finite")
     if low >= high:
-        raise ValueError(f"{name}={short(axis)}: low must be below high")
+        raise WrongUse(f"{name}={short(axis)}: low must be below high")
     if count < 1:
-        raise ValueError(f"{name}={short(axis)}: the count of cells must be positive")
+        raise WrongUse(f"{name}={short(axis)}: the count of cells must be positive")
     if (high - low) / count < np.finfo(float).tiny:
-        raise ValueError(f"{name}={short(axis)}: the cells are narrower than numbers can be apart")
+        raise WrongUse(f"{name}={short(axis)}: the cells are narrower than numbers can be apart")
     return low, high, count
 
 
@@ -334,17 +334,17 @@ def resolve(image: ArrayLike, sinks: int) -> CellMap:
 def check_image(image: np.ndarray, sinks: Any) -> None:
     """Refuse what is no map of cells."""
     if image.ndim != 1 or image.size == 0 or not np.issubdtype(image.dtype, np.integer):
-        raise ValueError(
+        raise WrongUse(
             f"image of shape {image.shape} and type {image.dtype}: must be integers of shape (n,)"
         )
     if not isinstance(sinks, int) or not 0 <= sinks <= ROOM_FOR_SINKS:
-        raise ValueError(f"sinks={sinks!r}: must be 0 ... {ROOM_FOR_SINKS}")
+        raise WrongUse(f"sinks={sinks!r}: must be 0 ... {ROOM_FOR_SINKS}")
     if image.size > MAX_SIZE:
-        raise ValueError(f"image of {image.size} cells: must be at most {MAX_SIZE}")
+        raise WrongUse(f"image of {image.size} cells: must be at most {MAX_SIZE}")
     cells = image.size + sinks
     if image.min() < 0 or image.max() >= cells:
         cell = np.argmax((image < 0) | (image >= cells))
-        raise ValueError(f"image[{cell}]={image[cell]}: must be 0 ... {cells - 1}")
+        raise WrongUse(f"image[{cell}]={image[cell]}: must be 0 ... {cells - 1}")
 
 
 def parts(size: int) -> list[slice]:

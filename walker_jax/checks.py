@@ -1,13 +1,36 @@
-"""Arguments that many functions take, checked: one line that names the argument and the value."""
+"""Arguments that many functions take, checked: one line that names the argument and the value.
 
+And the two ways in which a call ends without an answer: wrong use, or a computation that failed.
+"""
+
+import functools
+import inspect
 import operator
-from typing import Any
+import warnings
+from collections.abc import Callable, Mapping
+from typing import Any, ParamSpec, TypeVar
 
+import jax
 import numpy as np
-from jaxtyping import Float
+from jax.core import Tracer
+from jaxtyping import Float, Shaped
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 MOST = 2**31 - 1
 """Strides, starts and cells are counted in 32 bits."""
+
+
+class WrongUse(ValueError):
+    """An argument is refused. The package raises no other `ValueError` of its own.
+
+    So one that is no `WrongUse` comes from within a computation, as NumPy's `LinAlgError` does.
+    """
+
+
+class ComputationFailed(RuntimeError):
+    """A computation came to no answer, for the reason given, though its arguments are right."""
 
 
 def check_whole(name: str, value: Any, least: int = 1, most: int = MOST) -> int:
@@ -15,18 +38,18 @@ def check_whole(name: str, value: Any, least: int = 1, most: int = MOST) -> int:
     try:
         number = operator.index(value)
     except TypeError:
-        raise TypeError(f"{name} must be a whole number, not {short(value)}") from None
+        raise WrongUse(f"{name} must be a whole number, not {short(value)}") from None
     if number < least:
-        raise ValueError(f"{name} must be at least {least}, not {short(value)}")
+        raise WrongUse(f"{name} must be at least {least}, not {short(value)}")
     if number > most:
-        raise ValueError(f"{name} must be at most {most}, not {short(value)}")
+        raise WrongUse(f"{name} must be at most {most}, not {short(value)}")
     return number
 
 
 def check_kind(name: str, value: Any, kind: type) -> None:
     """Refuse a value of another kind."""
     if not isinstance(value, kind):
-        raise TypeError(f"{name} must be a {kind.__name__}, not {short(value)}")
+        raise WrongUse(f"{name} must be a {kind.__name__}, not {short(value)}")
 
 
 def check_number(name: str, value: Any) -> None:
@@ -37,7 +60,7 @@ def check_number(name: str, value: Any) -> None:
     except (TypeError, ValueError, OverflowError):
         single = False
     if not single:
-        raise TypeError(f"{name} must be a real number, not {short(value)}")
+        raise WrongUse(f"{name} must be a real number, not {short(value)}")
 
 
 def is_number(value: Any) -> bool:
@@ -50,9 +73,71 @@ def numbers(name: str, values: Any) -> Float[np.ndarray, "..."]:
     try:
         return np.asarray(values, float)
     except (TypeError, ValueError, OverflowError):
-        raise TypeError(f"{name} must be real numbers, not {short(values)}") from None
+        raise WrongUse(f"{name} must be real numbers, not {short(values)}") from None
+
+
+def array(name: str, values: Any) -> Shaped[np.ndarray, "..."]:
+    """An array of any kind; rows of different lengths are refused."""
+    try:
+        return np.asarray(values)
+    except ValueError:
+        raise WrongUse(f"{name} must be an array, not {short(values)}") from None
+
+
+def is_traced(tree: Any) -> bool:
+    """Whether JAX traces any leaf."""
+    return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree))
+
+
+def refuses_tracers(
+    instead: str = "call it outside of them",
+) -> Callable[[Callable[P, T]], Callable[P, T]]:
+    """For a function that JAX cannot trace: it refuses tracers, and says what to do `instead`."""
+
+    def decorate(function: Callable[P, T]) -> Callable[P, T]:
+        names = inspect.signature(function).parameters
+
+        @functools.wraps(function)
+        def checked(*args: P.args, **kwargs: P.kwargs) -> T:
+            for name, value in (dict(zip(names, args, strict=False)) | kwargs).items():
+                if is_traced([*value.values()] if isinstance(value, Mapping) else value):
+                    raise WrongUse(
+                        f"{name} must not be traced: {function.__name__} runs outside of jax.jit, "
+                        f"jax.vmap and jax.grad; {instead}"
+                    )
+            return function(*args, **kwargs)
+
+        return checked
+
+    return decorate
 
 
 def short(value: Any) -> str:
     """A value on one line, the beginning of a long one."""
     return " ".join(repr(value).split())[:60]
+
+
+class PrecisionWarning(UserWarning):
+    """What is asked rests on many strides, and is computed in float32."""
+
+
+TURN_ON = 'turn on float64 first, by jax.config.update("jax_enable_x64", True)'
+
+
+def check_precision(dtype: Any, needed_by: str | None = None) -> None:
+    """Warn of float32, once in a process; or refuse it, where something needs float64."""
+    if np.dtype(dtype) == np.float64:
+        return
+    if needed_by is not None:
+        raise WrongUse(f"{needed_by} needs float64, not {np.dtype(dtype)}: {TURN_ON}")
+    warn_of_float32()
+
+
+@functools.cache
+def warn_of_float32() -> None:
+    warnings.warn(
+        "this rests on many strides, each in float32, which holds seven digits: starts near the "
+        f"boundary of a basin may have another fate. For results, {TURN_ON}",
+        PrecisionWarning,
+        stacklevel=4,
+    )

@@ -25,12 +25,27 @@ import platformdirs
 import typer
 import xarray as xr
 from jax.typing import ArrayLike
+from typer.core import TyperGroup
 
+from walker_jax import store
 from walker_jax.cells import Grid
+from walker_jax.checks import ComputationFailed, WrongUse
 from walker_jax.gaits import check_parameter, with_parameter
-from walker_jax.walkers import WALKERS, Parameter, Walker, parameters
+from walker_jax.walkers import WALKERS, Parameter, SimplestWalker, Walker, parameters
+
+
+class Commands(TyperGroup):
+    """The commands; what interrupts them carries notes on what they leave."""
+
+    def invoke(self, ctx):
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt as interruption:  # of which typer would keep no more than a code
+            raise Interrupted(*notes_of(interruption)) from interruption
+
 
 app = typer.Typer(
+    cls=Commands,
     add_completion=False,
     no_args_is_help=True,
     help="Passive dynamic walkers: their gaits, and the basins of attraction of these.",
@@ -55,6 +70,8 @@ Scheduler = Annotated[
 ]
 Axis = tuple[float, float, int]
 
+PLACES = ("out", "figure", "animate", "overwrite")
+"""Arguments of the library about places, which are options of the same names here."""
 PICTURES = (".png", ".svg", ".pdf")  # those that carry a title, by which a picture is known again
 
 
@@ -65,8 +82,8 @@ FRAME = 0.15
 PHIDOT_HELP = "Rate between the legs, for walkers whose section has it"
 
 
-class NotFound(Exception):
-    """A search that found nothing, and why."""
+class Interrupted(BaseException):
+    """The command was interrupted, and what there is to say of what it leaves."""
 
 
 class Terminated(BaseException):
@@ -146,16 +163,16 @@ def takes_walker(command: Callable[..., None], *, without: tuple[str, ...] = ())
         values = {one: given.pop(one) for one in offered}
         values = {one: value for one, value in values.items() if value is not None}
         if name not in WALKERS:
-            raise ValueError(f"--walker must be one of {', '.join(WALKERS)}, not {name}")
+            raise WrongUse(f"--walker must be one of {', '.join(WALKERS)}, not {name}")
         known = {one.name: one.default for one in parameters(WALKERS[name])}
         for one in values:
             if one not in known:
                 takes = ", ".join(option_of(other) for other in known)
-                raise ValueError(f"{option_of(one)} is no parameter of {name}, which has {takes}")
+                raise WrongUse(f"{option_of(one)} is no parameter of {name}, which has {takes}")
         try:
             walker = WALKERS[name](**(known | values))
-        except ValueError as error:
-            raise ValueError(with_options_named(str(error), known)) from error
+        except WrongUse as error:
+            raise WrongUse(with_options_named(str(error), known)) from error
         return command(walker, **given)
 
     own = list(inspect.signature(command).parameters.values())[1:]
@@ -206,7 +223,7 @@ def walk(
     film shows it walk, about as fast as one with legs of one metre, and its way over the basin.
     """
     import walker_jax as wj
-    from walker_jax import poses, store
+    from walker_jax import poses
 
     given = {"theta": theta, "thetadot": thetadot, "phidot": phidot}
     given = {name: value for name, value in given.items() if value is not None}
@@ -222,8 +239,8 @@ def walk(
     }
     if animate is not None:
         poses.check_film(animate)
-        store.check_picture(animate, request, overwrite=overwrite)
-    start = start_of(walker, given) if given else gait_of(walker).states[0]
+        store.check_picture(animate, request, overwrite=overwrite, argument="animate")
+    start = start_of(walker, given) if given else gait_of(walker, walker.section).states[0]
     made = wj.walk(walker, start, strides)
     outcomes = np.asarray(made.outcomes)
     completed = int((outcomes == wj.Outcome.STRIDE).sum())
@@ -232,7 +249,7 @@ def walk(
     states, times = np.asarray(made.states)[: completed + 1], np.asarray(made.times)[:count]
     if animate is not None and names[0] == "OUTSIDE":
         options = " and ".join(f"--{name}" for name in walker.section)
-        raise ValueError(f"{options} must be a feasible start for a film, not {states[0].tolist()}")
+        raise WrongUse(f"{options} must be a feasible start for a film, not {states[0].tolist()}")
     if animate is not None:
         shown = wj.motion(walker, start, strides, step=FRAME)
         data = wj.basin(walker, window(walker, start), "direct", progress=True)
@@ -268,20 +285,23 @@ def start_of(walker: Walker, given: dict[str, float]) -> np.ndarray:
     """A point of the section from the options that name its coordinates."""
     for name in walker.section:
         if name not in given:
-            raise ValueError(f"--{name} is wanted too: the section is {', '.join(walker.section)}")
+            raise WrongUse(f"--{name} is required too: the section is {', '.join(walker.section)}")
     for name in given:
         if name not in walker.section:
-            raise ValueError(f"--{name} is not on the section, {', '.join(walker.section)}")
+            raise WrongUse(f"--{name} is not on the section, {', '.join(walker.section)}")
     return np.array([given[name] for name in walker.section])
 
 
-def gait_of(walker: Walker):
-    """The most stable gait of period one that is found."""
+def gait_of(walker: Walker, instead: Iterable[str]):
+    """The most stable gait of period one that is found; options `instead` make it needless."""
     import walker_jax as wj
 
     gait = wj.find_gait(walker)
     if not gait.found:
-        raise NotFound(f"no gait of {said(walker)} found")
+        options = ", ".join(option_of(name) for name in instead)
+        raise ComputationFailed(
+            f"no gait of period 1 found for {said(walker)}: give {options}, or another --slope"
+        )
     return gait
 
 
@@ -306,10 +326,10 @@ def gait(
 ) -> None:
     """Find the gaits of a walker: cycles of strides, and their stability."""
     import walker_jax as wj
-    from walker_jax import figures, store
+    from walker_jax import figures
 
     if phidot is not None and guess is None:
-        raise ValueError("--phidot is for --guess alone")
+        raise WrongUse("--phidot is for --guess alone")
     start = None
     if guess is not None:
         given = {"theta": guess[0], "thetadot": guess[1]}
@@ -317,7 +337,7 @@ def gait(
         finite(**given)
         start = start_of(walker, given)
     if guess is not None and all_:
-        raise ValueError("--guess and --all exclude each other: give one of them")
+        raise WrongUse("--guess and --all exclude each other: give one of them")
     request = {
         "command": "gait",
         "walker": description(walker),
@@ -331,8 +351,7 @@ def gait(
         store.check_picture(figure, request, overwrite=overwrite)
 
     slope = request["walker"]["slope"]
-    missing = f"no gait of period {period} found at slope {slope:g}, {said(walker)}"
-    found = []
+    found, first = [], None
     if all_ or (period > 1 and guess is None):
         found = wj.find_gaits(walker, period)
         found.sort(key=lambda gait: np.abs(gait.multipliers[0]))
@@ -342,10 +361,8 @@ def gait(
         first = wj.find_gait(walker, start, period)
         same = lambda gait: np.allclose(gait.states, first.states, rtol=0, atol=1e-8)
         found = [first] * bool(first.found) + [gait for gait in found if not same(gait)]
-        if not found:
-            raise NotFound(f"{missing}: {end_of(first)}")
     if not found:
-        raise NotFound(missing)
+        raise ComputationFailed(no_gait(walker, period, None if all_ else first, guess is not None))
     if figure is not None:
         draw(figures.multipliers(found), figure, request)
     if as_json:
@@ -393,12 +410,12 @@ def bifurcation(
 ) -> None:
     """Follow the gaits over the slope: how each is born, doubles and ends."""
     import walker_jax as wj
-    from walker_jax import figures, store
+    from walker_jax import figures
 
     check_parameter(walker, "slope", low, high)
     walker = with_parameter(walker, "slope", low)
     if not low < high:
-        raise ValueError(f"--from {low:g} must be below --to {high:g}")
+        raise WrongUse(f"--from {low:g} must be below --to {high:g}")
     request = {
         "command": "bifurcation",
         "walker": {key: value for key, value in description(walker).items() if key != "slope"},
@@ -475,23 +492,35 @@ def bifurcation(
     print(f"  data set {out}, picture {figure}")
 
 
-def end_of(gait) -> str:
-    """How a search ended that found no gait."""
-    if not np.isfinite(gait.residual):
-        return "a search began, or came, where no stride is made"
-    if gait.residual > 1e-6:
-        return f"the search ended where a stride misses the next state by {gait.residual:.2g}"
-    return "the search came to one of a shorter period"
+def no_gait(walker: Walker, period: int, gait: Any, guessed: bool) -> str:
+    """That no gait was found, why, given how a search ended, if there was one, and what to try."""
+    one = guessed or (isinstance(walker, SimplestWalker) and period == 1)
+    if gait is None or not (np.isfinite(gait.residual) or one):
+        why = "none of the searches all over the section led to one"
+    elif not np.isfinite(gait.residual):
+        where = "--guess" if guessed else "the state where the search begins"
+        why = f"the walker makes no stride from {where}"
+    elif gait.residual > 1e-6:
+        why = f"the search ended where a stride misses the next state by {gait.residual:.2g}"
+    elif period > 1:
+        why = "the search ended in a gait of a shorter period, or too close to a bifurcation"
+    else:
+        why = "the search ended too close to a bifurcation"
+    other = "another --guess" if guessed else "--guess THETA THETADOT"
+    return (
+        f"no gait of period {period} found for {said(walker)}: {why}; "
+        f"try {other}, or another --slope"
+    )
 
 
 def picture_of(out: Path, figure: Path | None) -> Path:
     """Where the picture of a data set goes, both places checked."""
     if not out.name:
-        raise ValueError(f"--out {out} is not the name of a data set")
+        raise WrongUse(f"--out {out} is not the name of a data set")
     figure = figure or out.with_suffix(".png")
     check_suffix(figure)
     if out.absolute() in (figure.absolute(), *figure.absolute().parents):
-        raise ValueError(f"--figure {figure} must be another place than --out {out}")
+        raise WrongUse(f"--figure {figure} must be another place than --out {out}")
     return figure
 
 
@@ -502,22 +531,19 @@ def made_before(
 
     Something else at either place is refused.
     """
-    from walker_jax import store
-
     figure = picture_of(out, figure)
+    found = store.find(out, request, overwrite=overwrite)  # first: it says what is other
     store.check_picture(figure, request, overwrite=overwrite)
-    return figure, store.find(out, request, overwrite=overwrite)
+    return figure, found
 
 
 def check_suffix(figure: Path) -> None:
     if figure.suffix not in PICTURES:
-        raise ValueError(f"--figure {figure} must end in one of {', '.join(PICTURES)}")
+        raise WrongUse(f"--figure {figure} must end in one of {', '.join(PICTURES)}")
 
 
 def draw(axes, path: Path, request: dict) -> None:
     """Save the picture to which axes belong, signed with the request."""
-    from walker_jax import store
-
     picture = axes.get_figure(root=True)
     with store.draft_of(path) as draft:
         picture.savefig(draft, dpi=150, metadata={"Title": store.signature(request)})
@@ -573,25 +599,25 @@ def basin(
     """
     import walker_jax as wj
     from walker_jax import figures
-    from walker_jax.basin import around
+    from walker_jax.basin import around, artefacts
 
     has_phidot = "phidot" in walker.section
     if not has_phidot and (phidot is not None or at_phidot is not None):
         flag = "--phidot" if phidot is not None else "--at-phidot"
-        raise ValueError(
+        raise WrongUse(
             f"{flag} is for walkers whose section has it, not {', '.join(walker.section)}"
         )
     if phidot is not None and at_phidot is not None:
-        raise ValueError("--phidot and --at-phidot exclude each other: give one of them")
+        raise WrongUse("--phidot and --at-phidot exclude each other: give one of them")
     if thetadot is not None and sum_ is not None:
-        raise ValueError("--sum and --thetadot exclude each other: give one of them")
+        raise WrongUse("--sum and --thetadot exclude each other: give one of them")
     cluster = cluster_of(workers, scheduler)
     sliced = has_phidot and phidot is None
     method = method or ("direct" if sliced else "cell-map")
     if sliced and method == "cell-map":
-        raise ValueError("--method cell-map is not for a slice, which walkers leave: give --phidot")
+        raise WrongUse("--method cell-map is not for a slice, which walkers leave: give --phidot")
     if strides is not None and method != "direct":
-        raise ValueError("--strides is for --method direct alone")
+        raise WrongUse("--strides is for --method direct alone")
     strides = strides or 200
     if at_phidot is not None:
         finite(**{"at-phidot": at_phidot})
@@ -605,7 +631,7 @@ def basin(
     # Where an axis is still to be found by a gait, another holds its place.
     shape = grid_of(**filled(axes, {"phidot": 0.0}, default=(0.0, 1.0, 2))).shape
     if min(shape) < 2:
-        raise ValueError(f"a picture needs 2 cells or more along each axis, not {shape}")
+        raise WrongUse(f"a picture needs 2 cells or more along each axis, not {shape}")
     request = {
         "command": "basin",
         "walker": description(walker),
@@ -621,7 +647,8 @@ def basin(
     clock = Stopwatch()
     if data is None:
         if None in axes.values():
-            axes = filled(axes, around(gait_of(walker).states[0], tuple(axes)))
+            needed = [name for name, axis in axes.items() if axis is None]
+            axes = filled(axes, around(gait_of(walker, needed).states[0], tuple(axes)))
         options: Any = {"out": out, "request": request, "overwrite": overwrite}
         options |= {"strides": strides, "cluster": cluster, "progress": True}
         data = wj.basin(walker, grid_of(**axes), method, **options)
@@ -632,14 +659,17 @@ def basin(
 
     counts, lost, made = tally(data)
     fates = dict(zip(wj.Outcome.__members__, counts.tolist(), strict=True))
+    mapped = [name for name in ("cycles", "falling") if name in data]
     attractors = [
         {
             "period": int(data["period"][i]) or None,
             "states": data["states"].values[i][: max(1, int(data["period"][i]))],
             "cells": int(data["cells"][i]),
             "area": float(data["area"][i]),
+            "artefact": bool(artefact),
+            **{name: int(data[name][i]) for name in mapped},
         }
-        for i in range(data.sizes["number"])
+        for i, artefact in enumerate(artefacts(data))
     ]
     if as_json:
         print_json(
@@ -664,8 +694,9 @@ def basin(
         states = ", ".join(f"({state})" for state in numbers)
         more = ", ..." if len(one["states"]) > 4 else ""
         period = f"period {one['period']}" if one["period"] else "no period"
-        size = f"{one['cells']} cell{'s' * (one['cells'] > 1)}, {measure} {one['area']:.6g}"
-        print(f"  attractor {i}: {period}, {size}, at {states}{more}")
+        size = f"{one['cells']} cell{'s' * (one['cells'] != 1)}, {measure} {one['area']:.6g}"
+        kind = "artefact" if one["artefact"] else "attractor"
+        print(f"  {kind} {i}: {period}, {size}, at {states}{more}{of_cells(one)}")
     print(f"  {measure} {float(data['area'].sum()):.6g} in all")
     print(
         "  cells: "
@@ -686,10 +717,23 @@ def basin(
     print(f"  data set {out}, picture {figure}")
 
 
+def of_cells(attractor: dict) -> str:
+    """What stands for an attractor in a cell map, where that is not one cycle that leads there."""
+    cycles, falling = attractor.get("cycles", 1), attractor.get("falling", 0)
+    if attractor["artefact"]:
+        centres = len(attractor["states"])
+        if falling == 0:
+            return ": walkers from there do not come to one attractor"
+        return f": a walker falls from {f'{falling} of {centres}' if centres > 1 else 'there'}"
+    joined = [f"{cycles} cycles of cells"] * (cycles > 1)
+    joined += [f"a walker falls from {falling} of their centres"] * (falling > 0)
+    return f": {', '.join(joined)}" if joined else ""
+
+
 def cluster_of(workers: int | None, scheduler: str | None) -> int | str | None:
     """Who computes pieces: worker processes, those of a scheduler, or this process, none."""
     if workers is not None and scheduler is not None:
-        raise ValueError("--workers and --scheduler exclude each other: give one of them")
+        raise WrongUse("--workers and --scheduler exclude each other: give one of them")
     return scheduler if workers is None else workers
 
 
@@ -756,26 +800,27 @@ def robustness(
     """Measure how large a disturbance a gait survives, on one slope or over many.
 
     The area of the basin with its error, the least disturbance from which the walker does not come
-    back, the least step down, the part of random disturbances that is survived, and the dimension
+    back and, where that leads to another motion, the least one from which it falls, the least step
+    down, the part of random disturbances that is survived, and the dimension
     of the boundary. By default over all angles of a walker on point feet, and in a slice around the
     gait of any other.
     """
     import walker_jax as wj
-    from walker_jax import figures, store
+    from walker_jax import figures
 
     if (low is None) != (high is None):
-        raise ValueError("--from and --to are for a table over slopes: give both or none")
+        raise WrongUse("--from and --to are for a table over slopes: give both or none")
     if low is None and count is not None:
-        raise ValueError("--count is for a table over slopes: give --from and --to too")
+        raise WrongUse("--count is for a table over slopes: give --from and --to too")
     finite(disturbances=disturbances)
     if disturbances <= 0:
-        raise ValueError(f"--disturbances must be above 0, not {disturbances}")
+        raise WrongUse(f"--disturbances must be above 0, not {disturbances}")
     grid = region_of(walker, theta, sum_, at_phidot)
     slopes = None
     if low is not None and high is not None:
         check_parameter(walker, "slope", low, high)
         if not low < high:
-            raise ValueError(f"--from {low:g} must be below --to {high:g}")
+            raise WrongUse(f"--from {low:g} must be below --to {high:g}")
         slopes = np.linspace(low, high, count or 20).round(12)
     about = description(walker)
     slope = about["slope"] if slopes is None else about.pop("slope")
@@ -819,19 +864,19 @@ def region_of(
     """The grid of these axes, if they are given, all or none."""
     sliced = "phidot" in walker.section
     if at_phidot is not None and not sliced:
-        raise ValueError(f"--at-phidot is for walkers whose section has it, not {walker.section}")
+        raise WrongUse(f"--at-phidot is for walkers whose section has it, not {walker.section}")
     axes: dict[str, Axis | float | None] = {"theta": theta, "sum": sum_}
     axes |= {"phidot": at_phidot} if sliced else {}
     given = {name: axis for name, axis in axes.items() if axis is not None}
     if given and len(given) < len(axes):
-        raise ValueError(
+        raise WrongUse(
             f"give {' and '.join(f'--{name}' for name in axes)}, or none of them".replace(
                 "--phidot", "--at-phidot"
             )
         )
     grid = Grid.sheared(**given) if given else None
     if grid is not None and min(grid.shape) < 2:
-        raise ValueError(f"a picture needs 2 cells or more along each axis, not {grid.shape}")
+        raise WrongUse(f"a picture needs 2 cells or more along each axis, not {grid.shape}")
     return grid
 
 
@@ -896,7 +941,7 @@ def optimise(
     picture shows the climb over a scan of the objective, and the basins before and after.
     """
     import walker_jax as wj
-    from walker_jax import figures, store
+    from walker_jax import figures
 
     bounds = bounds_of(walker, over or [], bound or [])
     wanted = objective_of(objective or ["area"])
@@ -918,33 +963,43 @@ def optimise(
         "version": version("walker-jax"),
     }
     figure, data = made_before(out, figure, request, overwrite=overwrite)
+    kept = data is not None
+
+    def keep(trace: xr.Dataset) -> None:
+        nonlocal kept
+        store.save(trace, out, request)
+        kept = True
+
     if data is None or "found" not in data:  # not begun, or interrupted
         try:
-            data = wj.optimise(
-                walker,
-                bounds,
-                wanted,
-                at_least=least,
-                at_most=most,
-                grid=grid,
-                starts=starts,
-                levels=levels,
-                strides=strides,
-                scan=scan,
-                seed=seed,
-                known=data,
-                keep=lambda trace: store.save(trace, out, request),
-                progress=True,
-            )
-        except ValueError as error:
+            with store.resumable(out, lambda: kept, overwrite=overwrite):
+                data = wj.optimise(
+                    walker,
+                    bounds,
+                    wanted,
+                    at_least=least,
+                    at_most=most,
+                    grid=grid,
+                    starts=starts,
+                    levels=levels,
+                    strides=strides,
+                    scan=scan,
+                    seed=seed,
+                    known=data,
+                    keep=keep,
+                    progress=True,
+                )
+        except store.Occupied:
+            raise
+        except WrongUse as error:
             message = str(error)
             for word, options in NAMED.items():
                 message = message.replace(f"{word} ", f"{options} ", 1)
-            raise ValueError(message) from error
+            raise WrongUse(message) from error
         data = store.save(data, out, request)
     if not data["found"]:
         reasons = "; ".join(dict.fromkeys(data["note"].values.tolist()))
-        raise NotFound(f"no start leads anywhere: {reasons}")
+        raise ComputationFailed(f"no start leads anywhere: {reasons}")
     draw(figures.optimised(data), figure, request)
     answer = optimum(data)
     if as_json:
@@ -977,20 +1032,20 @@ def bounds_of(walker: Walker, over: list[str], bound: list[str]) -> dict[str, tu
         try:
             pair = float(low), float(high)
         except ValueError:
-            raise ValueError(f"--bound must be NAME=LO:HI, not {text}") from None
+            raise WrongUse(f"--bound must be NAME=LO:HI, not {text}") from None
         name = name.replace("-", "_")
         if name in bounds:
-            raise ValueError(f"--bound is given twice for {name}")
+            raise WrongUse(f"--bound is given twice for {name}")
         bounds[name] = pair
     if not names:
-        raise ValueError("--over is wanted: a parameter that is free, such as slope")
+        raise WrongUse("--over is required: a parameter that is free, such as slope")
     for name in names:
         check_parameter(walker, name)
         if name not in bounds:
-            raise ValueError(f"--bound is wanted for {name}: {name}=LO:HI")
+            raise WrongUse(f"--bound is required for {name}: {name}=LO:HI")
     for name in bounds:
         if name not in names:
-            raise ValueError(f"--bound is of {name}, which is not free: add --over {name}")
+            raise WrongUse(f"--bound is of {name}, which is not free: add --over {name}")
     return {name: bounds[name] for name in names}
 
 
@@ -1004,9 +1059,9 @@ def objective_of(texts: list[str]) -> str | dict[str, float]:
         try:
             value = float(weight)
         except ValueError:
-            raise ValueError(f"--objective must be one NAME, or NAME=WEIGHT, not {text}") from None
+            raise WrongUse(f"--objective must be one NAME, or NAME=WEIGHT, not {text}") from None
         if name in weights:
-            raise ValueError(f"--objective is given twice for {name}")
+            raise WrongUse(f"--objective is given twice for {name}")
         weights[name] = value
     return weights
 
@@ -1054,7 +1109,7 @@ def sweep(
 
     values = values_of(over or [])
     if not values:
-        raise ValueError("--over is wanted: a parameter and its values, such as slope=0.002:0.01:5")
+        raise WrongUse("--over is required: a parameter and its values, such as slope=0.002:0.01:5")
     check_values(walker, {name: np.array(some) for name, some in values.items()})
     cluster = cluster_of(workers, scheduler)
     grid = region_of(walker, theta, sum_, at_phidot)
@@ -1084,7 +1139,8 @@ def sweep(
         print_json({"walker": about, "points": rows.to_dict(orient="records")})
         return
     shown = [*names, "total_area", "total_area_error", "multiplier", "speed", "failed"]
-    shown += ["least_disturbance", "step_down"] if robust else []
+    shown += ["least_disturbance", "least_fall", "step_down", "step_down_fall"]
+    shown = [name for name in shown if name in rows]
     print(rows[shown].map("{:.6g}".format).to_string(index=False))
     print(f"  data set {out}, picture {figure}")
 
@@ -1101,16 +1157,14 @@ def values_of(over: list[str]) -> dict[str, list[float]]:
             ends = float(low), float(high)
             number = int(count)
         except ValueError:
-            raise ValueError(f"--over must be NAME=LO:HI:N, not {text}") from None
+            raise WrongUse(f"--over must be NAME=LO:HI:N, not {text}") from None
         if not ends[0] < ends[1] or number < 2 or not math.isfinite(ends[1] - ends[0]):
-            raise ValueError(
-                f"--over {text} must have LO below HI, both finite, and N of 2 or more"
-            )
+            raise WrongUse(f"--over {text} must have LO below HI, both finite, and N of 2 or more")
         name = name.replace("-", "_")
         if name in values:
-            raise ValueError(f"--over is given twice for {name}")
+            raise WrongUse(f"--over is given twice for {name}")
         if number > MOST:
-            raise ValueError(f"--over {text} must have N of at most {MOST}")
+            raise WrongUse(f"--over {text} must have N of at most {MOST}")
         spaced, least = np.linspace(*ends, number), 1e-12 * (ends[1] - ends[0])
         values[name] = [float(f"{x:.12g}") if abs(x) > least else 0.0 for x in spaced]
     return values
@@ -1124,10 +1178,8 @@ def export(
     as_json: Json = False,
 ) -> None:
     """Copy a data set that another command has left to a NetCDF file."""
-    from walker_jax import store
-
     if file.suffix != ".nc":
-        raise ValueError(f"FILE.nc must end in .nc, not {file}")
+        raise WrongUse(f"FILE.nc must end in .nc, not {file}")
     copied = store.export(data, file, overwrite=overwrite)
     answer = {"data": str(data), "file": str(file), "variables": sorted(map(str, copied.variables))}
     if as_json:
@@ -1207,7 +1259,8 @@ def measures(data, slope: float) -> dict:
     """The answer of `robustness` on one slope."""
     import walker_jax as wj
 
-    number = lambda name: float(data[name])
+    number = lambda name: float(data[name]) if name in data else None
+    failure = lambda name: wj.Outcome(int(data[name])).name if name in data else None
     interval = lambda name: {
         "value": number(name),
         "low": number(f"{name}_low"),
@@ -1219,7 +1272,8 @@ def measures(data, slope: float) -> dict:
         "area_error": number("total_area_error"),
     }
     if int(data["gait_period"]) == 0:
-        absent = ("gait", "least_disturbance", "step_down", "basin_stability", "boundary_dimension")
+        absent = ("gait", "least_disturbance", "least_fall", "step_down", "step_down_failure")
+        absent += ("step_down_fall", "basin_stability", "boundary_dimension")
         return answer | dict.fromkeys(absent)
     return answer | {
         "gait": {
@@ -1232,10 +1286,21 @@ def measures(data, slope: float) -> dict:
             "size": number("least_disturbance"),
             "direction": data["direction"].values,
             "state": data["failing_state"].values,
-            "failure": wj.Outcome(int(data["failure"])).name,
+            "failure": failure("failure"),
             "strides": int(data["failing_strides"]),
         },
+        "least_fall": {
+            "size": number("least_fall"),
+            "direction": data["fall_direction"].values,
+            "state": data["fall_state"].values,
+            "failure": failure("fall_failure"),
+            "strides": int(data["fall_strides"]),
+        }
+        if "least_fall" in data
+        else None,
         "step_down": number("step_down"),
+        "step_down_failure": failure("step_down_failure"),
+        "step_down_fall": number("step_down_fall"),
         "basin_stability": {
             **interval("stability"),
             "disturbances": float(data.attrs["disturbances"]),
@@ -1246,6 +1311,15 @@ def measures(data, slope: float) -> dict:
     }
 
 
+def said_of(disturbance: dict) -> str:
+    """A least disturbance in words."""
+    along = ", ".join(f"{value:.4f}" for value in disturbance["direction"])
+    how = "comes to another motion"
+    if disturbance["failure"] != "STRIDE":
+        how = f"{disturbance['failure']} after {disturbance['strides']} strides"
+    return f"{disturbance['size']:.8f} along ({along}): {how}"
+
+
 def print_measures(row: dict) -> None:
     """The answer of `robustness` on one slope, in words."""
     print(f"  slope {row['slope']:g}: area {row['area']:.7g} +- {row['area_error']:.1g}")
@@ -1254,13 +1328,14 @@ def print_measures(row: dict) -> None:
         return
     gait, least = row["gait"], row["least_disturbance"]
     survived, dimension = row["basin_stability"], row["boundary_dimension"]
-    along = ", ".join(f"{value:.4f}" for value in least["direction"])
-    how = "comes to another motion"
-    if least["failure"] != "STRIDE":
-        how = f"{least['failure']} after {least['strides']} strides"
     print(f"    gait of period {gait['period']}, largest multiplier {gait['multiplier']:.6f}")
-    print(f"    least disturbance {least['size']:.8f} along ({along}): {how}")
-    print(f"    least step down {row['step_down']:.8f}")
+    print(f"    least disturbance {said_of(least)}")
+    if least["failure"] == "STRIDE" and row["least_fall"] is not None:
+        print(f"    least one from which it falls {said_of(row['least_fall'])}")
+    down = f"{row['step_down']:.8f}"
+    if row["step_down_failure"] == "STRIDE":
+        down += f": comes to another motion; falls from {row['step_down_fall']:.8f}"
+    print(f"    least step down {down}")
     print(
         f"    {survived['value']:.1%} ({survived['low']:.1%} to {survived['high']:.1%}) of "
         f"disturbances up to {survived['disturbances']:g} of the gait's state are survived; "
@@ -1305,7 +1380,7 @@ class Stopwatch:
 def finite(**values: float) -> None:
     for name, value in values.items():
         if not math.isfinite(value):
-            raise ValueError(f"{name} must be finite, not {value}")
+            raise WrongUse(f"{name} must be finite, not {value}")
 
 
 def print_json(answer: dict) -> None:
@@ -1343,23 +1418,33 @@ def main() -> NoReturn:
     signal.signal(signal.SIGTERM, terminate)
     try:
         code = app(standalone_mode=False)
-    except ValueError as error:
+    except store.Occupied as error:
+        what, *help_ = error.args
+        stop(2, ": ".join([what, *(with_options_named(words, PLACES) for words in help_)]))
+    except WrongUse as error:
         stop(2, error)
-    except NotFound as error:
+    except ComputationFailed as error:
         stop(1, error)
-    except KeyboardInterrupt:
-        stop(130, "interrupted")
-    except Terminated:
-        stop(143, "terminated")
+    except Interrupted as error:
+        stop(130, ": ".join(["interrupted", *error.args]))
+    except Terminated as error:
+        stop(143, ": ".join(["terminated", *notes_of(error)]))
     except Exception as error:
         # typer's own: wrong usage
         message = getattr(error, "format_message", None)
         stop(2, message() or "name a command, one of those above") if message else stop(
             1, f"{type(error).__name__}: {error}"
         )
-    if code == 130:  # what typer makes of Ctrl-C
+    if code == 130:  # what typer makes of Ctrl-C before a command begins
         stop(130, "interrupted")
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def notes_of(interruption: BaseException) -> list[str]:
+    """How the work is resumed, as the library says, with options as here."""
+    notes = getattr(interruption, "__notes__", [])
+    notes = [note for note in notes if note.startswith(store.RESUME)]
+    return [note.replace("without overwrite", "without --overwrite", 1) for note in notes]
 
 
 def terminate(signal_number: int, frame: object) -> NoReturn:

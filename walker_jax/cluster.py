@@ -15,7 +15,7 @@ from typing import Any
 import jax
 
 from walker_jax import tiles
-from walker_jax.checks import check_whole
+from walker_jax.checks import WrongUse, check_whole
 
 AHEAD = 2
 """Pieces that each worker has been given, so that it need not wait for the next."""
@@ -103,7 +103,7 @@ def client_of(cluster: Any) -> Iterator[Any]:
     try:
         from distributed import Client, LocalCluster
     except ImportError:
-        raise ValueError("a cluster takes Dask: pip install 'walker_jax[distributed]'") from None
+        raise WrongUse("a cluster takes Dask: pip install 'walker_jax[distributed]'") from None
     modes = {mode: getattr(jax.config, mode) for mode in tiles.MODES}
     if isinstance(cluster, Client):
         cluster.register_worker_callbacks(partial(as_here, modes, None))
@@ -124,7 +124,7 @@ def client_of(cluster: Any) -> Iterator[Any]:
         try:
             client = Client(address, timeout=PATIENCE)
         except (OSError, ValueError) as error:
-            raise ValueError(f"cluster {address} cannot be reached: {error}") from None
+            raise WrongUse(f"cluster {address} cannot be reached: {error}") from None
         with client:
             client.register_worker_callbacks(partial(as_here, modes, cores))
             yield client

@@ -24,7 +24,14 @@ from scipy.stats import qmc
 
 from walker_jax.basin import basin, check_grid
 from walker_jax.cells import Grid
-from walker_jax.checks import check_kind, check_whole, is_number
+from walker_jax.checks import (
+    ComputationFailed,
+    WrongUse,
+    check_kind,
+    check_whole,
+    is_number,
+    refuses_tracers,
+)
 from walker_jax.gaits import Gait, check_parameter, find_gait, with_parameter
 from walker_jax.objectives import (
     GAIT_MEASURES,
@@ -155,6 +162,7 @@ class Climb(NamedTuple):
     note: str = ""
 
 
+@refuses_tracers()
 def optimise(
     walker: Walker,
     bounds: Mapping[str, Any],
@@ -179,9 +187,9 @@ def optimise(
 
     - `walker`: of one kind. Its own values are the first start, where they are within the bounds.
     - `bounds`: the least and the greatest value of each parameter that is free.
-    - `objective`: "area" (of the basin, all attractors together), "least-disturbance", "speed" or
-      "step-length" to be large, "spectral-radius" or "cost-of-transport" to be small; or weights of
-      these by name, for a sum that is to be large.
+    - `objective`: "area" (of the basin, all attractors together), "least-disturbance" (from which
+      the walker does not come back), "speed" or "step-length" to be large, "spectral-radius" or
+      "cost-of-transport" to be small; or weights of these by name, for a sum that is to be large.
     - `at_least`, `at_most`: limits of "speed", "step-length", "spectral-radius" and
       "cost-of-transport", by name.
     - `grid`: where the area is measured, the same for all parameters. By default as in
@@ -224,7 +232,7 @@ def optimise(
     if known is not None:
         check_kind("known", known, xr.Dataset)
     if not bounds:
-        raise ValueError(f"bounds must name at least one parameter, not {dict(bounds)}")
+        raise WrongUse(f"bounds must name at least one parameter, not {dict(bounds)}")
     for name, ends in bounds.items():
         check_bounds(walker, name, ends)
     for name, value, least in (
@@ -232,6 +240,11 @@ def optimise(
         *(("levels", levels, 0), ("scan", scan, 0), ("seed", seed, 0)),
     ):
         check_whole(name, value, least)
+    if "cost-of-transport" in {*weights, *limits} and not walker.driven_by_gravity():
+        raise WrongUse(
+            f"cost-of-transport is not known of a {type(walker).__name__}, which more than gravity "
+            "may drive (driven_by_gravity)"
+        )
     low, high = np.array([tuple(map(float, ends)) for ends in bounds.values()]).T
     how = (grid, levels, strides, seed, tolerance)
     problem = Problem(walker, tuple(bounds), low, high, weights, sign, limits, *how)
@@ -240,7 +253,7 @@ def optimise(
         regions = (default_region(problem.built(problem.values(place))) for place in places)
         problem = problem._replace(grid=next((one for one in regions if one is not None), None))
     if problem.grid is None and "area" in weights:
-        raise ValueError("grid is wanted: no start has a gait of period one to lay it around")
+        raise WrongUse("grid is wanted: no start has a gait of period one to lay it around")
     if problem.grid is not None:
         check_grid(walker, problem.grid, "direct")
         check_whole("levels", levels, 0, FINEST)
@@ -272,12 +285,12 @@ def weights_of(objective: str | Mapping[str, Any]) -> tuple[dict[str, float], fl
         check_kind("objective", objective, Mapping)
     given = {objective: 1.0} if named else dict(objective)
     if not given:
-        raise ValueError("objective must name at least one measure, not none")
+        raise WrongUse("objective must name at least one measure, not none")
     for name, weight in given.items():
         if name not in OBJECTIVES:
-            raise ValueError(f"objective must be one of {', '.join(OBJECTIVES)}, not {name!r}")
+            raise WrongUse(f"objective must be one of {', '.join(OBJECTIVES)}, not {name!r}")
         if not (is_number(weight) and np.isfinite(weight) and weight != 0):
-            raise ValueError(f"objective must give {name} a weight other than 0, not {weight}")
+            raise WrongUse(f"objective must give {name} a weight other than 0, not {weight}")
     weights = {name: float(weight) for name, weight in given.items()}
     return weights, OBJECTIVES[objective] if named else 1.0
 
@@ -287,20 +300,21 @@ def limits_of(
 ) -> dict[str, tuple[float, float]]:
     """The least and the greatest value of each measure that has limits, checked."""
     limits: dict[str, tuple[float, float]] = {}
-    for side, given in enumerate((at_least or {}, at_most or {})):
+    for side, given in enumerate((at_least, at_most)):
+        given = {} if given is None else given
         check_kind("limits", given, Mapping)
         for name, value in given.items():
             if name not in GAIT_MEASURES:
                 known = ", ".join(GAIT_MEASURES)
-                raise ValueError(f"limits must be those of one of {known}, not of {name!r}")
+                raise WrongUse(f"limits must be those of one of {known}, not of {name!r}")
             if not (is_number(value) and np.isfinite(value)):
-                raise ValueError(f"limits of {name} must be finite numbers, not {value!r}")
+                raise WrongUse(f"limits of {name} must be finite numbers, not {value!r}")
             pair = list(limits.get(name, (-np.inf, np.inf)))
             pair[side] = float(value)
             limits[name] = pair[0], pair[1]
     for name, (low, high) in limits.items():
         if low > high:
-            raise ValueError(f"limits of {name} must be the lower first, not {low:g} and {high:g}")
+            raise WrongUse(f"limits of {name} must be the lower first, not {low:g} and {high:g}")
     return limits
 
 
@@ -309,9 +323,9 @@ def check_bounds(walker: Walker, name: str, ends: Any) -> None:
     try:
         low, high = map(float, ends)
     except (TypeError, ValueError):
-        raise ValueError(f"bounds of {name} must be two numbers, not {ends!r}") from None
+        raise WrongUse(f"bounds of {name} must be two numbers, not {ends!r}") from None
     if not (np.isfinite(low) and np.isfinite(high) and low < high):
-        raise ValueError(f"bounds of {name} must be finite, the lower first, not {low:g}:{high:g}")
+        raise WrongUse(f"bounds of {name} must be finite, the lower first, not {low:g}:{high:g}")
     check_parameter(walker, name, low, high)
 
 
@@ -403,7 +417,7 @@ def check_known(problem: Problem, known: xr.Dataset) -> None:
     for name, value in description(problem).items():
         own = name.startswith("walker_") and name.removeprefix("walker_") in problem.names
         if not own and name != "version" and known.attrs.get(name) != value:
-            raise ValueError(
+            raise WrongUse(
                 f"known must be of the same {name}, {value!r}, not {known.attrs.get(name)!r}"
             )
 
@@ -492,7 +506,10 @@ def least_disturbed(
     options = {"strides": problem.strides, "tolerance": problem.tolerance}
     try:
         least = disturbance_gradient(walker, names, gait, bands=bands, **options)
-    except ValueError:  # the walker returns from everywhere, or the gait is lost to rounding
+    except (
+        WrongUse,
+        ComputationFailed,
+    ):  # the walker returns from everywhere, or the gait is lost to rounding
         return Measure(np.nan, np.full(len(names), np.nan))
     return Measure(least.size, least.gradient)
 

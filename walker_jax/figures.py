@@ -24,6 +24,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
 from matplotlib.transforms import offset_copy
 
+from walker_jax.basin import artefacts
+from walker_jax.checks import WrongUse
 from walker_jax.design import ATTRACTED, ENDS
 from walker_jax.gaits import Gait
 from walker_jax.stride import Outcome
@@ -44,11 +46,10 @@ MARKERS = "os^"
 """Colours of the basins, from dark to light, and signs of their attractors; the largest first."""
 OTHERS, ASTRAY = "#4d4d4d", "#7a5c00"
 """Colours of what walks on to other attractors, and to none that is known."""
+ARTEFACTS = "#8a63b8"
+"""Colour of what walks on in cycles that cell mapping makes up."""
 NOTABLE = 0.1
-"""Share of the walking cells that a basin must have for a colour of its own.
-
-Cell mapping makes small cycles of its own beside a true attractor, each with a few cells.
-"""
+"""Share of the walking cells that a basin must have for a colour of its own."""
 AREA = "area of the basin (rad² / √(l/g))"
 AXIS_LABELS = {
     "theta": r"stance leg angle $\theta$ (rad)",
@@ -150,9 +151,9 @@ def basin(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     """The basin of attraction and the ways to fall around it, over a grid of two dimensions.
 
     Figures 2 (plain axes) and 4 (sheared ones) of Schwab and Wisse (2001). Each fate has a pale
-    colour and each basin a dark one. The basins of a few cells share a colour. A region is
-    labelled where there is room in it, and in the legend otherwise, with the number of its cells.
-    Dots are the attractors of the large basins.
+    colour and each basin a dark one. The basins of a few cells share a colour, and so do artefacts
+    of cell mapping. A region is labelled where there is room in it, and in the legend otherwise,
+    with the number of its cells. Dots are the attractors of the large basins.
 
     **Arguments:**
 
@@ -164,7 +165,8 @@ def basin(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     """
     if "fate" not in data or data["fate"].ndim != 2 or min(data["fate"].shape) < 2:
         dimensions = dict(data["fate"].sizes) if "fate" in data else "no fate"
-        raise ValueError(f"data must have a fate over 2 x 2 cells or more, not {dimensions}")
+        instead = slices_of(data)
+        raise WrongUse(f"data must have a fate over 2 x 2 cells or more, not {dimensions}{instead}")
     data = data.assign_coords(coordinate=data.attrs["section"])
     fate = data["fate"]
     if ax is None:
@@ -209,6 +211,15 @@ def basin(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     return ax
 
 
+def slices_of(data: xr.Dataset) -> str:
+    """What to do with a basin of three dimensions where one of two is drawn."""
+    dimensions = data["fate"].dims if "fate" in data and "number" in data.dims else ()
+    others = [name for name in dimensions if name not in ("theta", "thetadot", "sum")]
+    if len(dimensions) != 3 or len(others) != 1:
+        return ""
+    return f": take a slice, data.isel({others[0]}=0), or draw several, basin_slices(data)"
+
+
 def basin_slices(data: xr.Dataset) -> Figure:
     """The basin of attraction over a grid of three dimensions, in slices across the last.
 
@@ -223,7 +234,7 @@ def basin_slices(data: xr.Dataset) -> Figure:
     """
     if "fate" not in data or data["fate"].ndim != 3 or min(data["fate"].shape[:2]) < 2:
         dimensions = dict(data["fate"].sizes) if "fate" in data else "no fate"
-        raise ValueError(f"data must have a fate over 2 x 2 x 1 cells or more, not {dimensions}")
+        raise WrongUse(f"data must have a fate over 2 x 2 x 1 cells or more, not {dimensions}")
     data = data.assign_coords(coordinate=data.attrs["section"])
     fate = data["fate"]
     x, y, z = map(str, fate.dims)
@@ -370,7 +381,8 @@ def notable_attractors(data: xr.Dataset) -> list[int]:
     """Numbers of the attractors whose basins are drawn each in a colour, the largest first."""
     walks = data["fate"].values == Outcome.STRIDE
     numbers, cells = np.unique(data["attractor"].values[walks], return_counts=True)
-    large = (numbers >= 0) & (cells >= NOTABLE * walks.sum())
+    real = np.isin(numbers, np.flatnonzero(~artefacts(data)))
+    large = real & (cells >= NOTABLE * walks.sum())
     order = np.argsort(-cells[large], kind="stable")[: len(BASINS)]
     return numbers[large][order].tolist()
 
@@ -386,8 +398,10 @@ def regions_of(data: xr.Dataset, notable: list[int]) -> list[Region]:
         words = "basin of attraction" if len(notable) == 1 else kind
         found.append(Region(walks & (attractor == number), colour, "A", words))
     known = attractor >= 0
-    others = walks & known & ~np.isin(attractor, notable)
+    made_up = walks & np.isin(attractor, np.flatnonzero(artefacts(data)))
+    others = walks & known & ~made_up & ~np.isin(attractor, notable)
     found.append(Region(others, OTHERS, "", "other attractors", counted=True))
+    found.append(Region(made_up, ARTEFACTS, "", "artefacts of cells", counted=True))
     found.append(Region(walks & ~known, ASTRAY, "", "walks on, near no attractor", counted=True))
     return [region for region in (*found, *failures(fate)) if region.cells.any()]
 
@@ -844,7 +858,8 @@ def bifurcations(data: xr.Dataset) -> Figure:
 def disturbance(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     """The basin close to its gait, and the nearest start from which the walker does not come back.
 
-    All starts inside the curve, which are nearer, come back.
+    All starts inside the curve, which are nearer, come back. Where that start leads to another
+    motion, the nearest one that falls is marked too: none inside the dashed curve does.
 
     **Arguments:**
 
@@ -854,21 +869,33 @@ def disturbance(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     **Returns** the axes. Raises `ValueError` for another data set.
     """
     if not has_disturbance(data):
-        raise ValueError("data must hold the least disturbance of a gait, over two dimensions")
+        raise WrongUse("data must hold the least disturbance of a gait, over two dimensions")
     data = data.assign_coords(coordinate=data.attrs["section"])
     if ax is None:
         ax = Figure(figsize=(5.4, 5.4), layout="constrained").add_subplot()
     x, y = map(str, data["fate"].dims)
     turn = np.linspace(0, 2 * np.pi, 400)
-    gait, size = data["gait_state"], float(data["least_disturbance"])
-    circle = xr.DataArray(
-        gait.values + size * np.stack([np.cos(turn), np.sin(turn)], axis=1),
-        dims=("phase", "coordinate"),
-        coords={"coordinate": gait["coordinate"]},
-    )
-    points = xr.concat([gait, data["failing_state"]], "phase")
-    curve = along(circle, x), along(circle, y)
-    middle, reach = [0.5 * (c.max() + c.min()) for c in curve], [np.ptp(c) for c in curve]
+    section, gait = data["coordinate"], data["gait_state"]
+
+    def circle(middle: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray]:
+        """The points at a distance from a state, in the plane of the picture."""
+        around = middle + size * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+        states = xr.DataArray(around, dims=("phase", "coordinate"), coords={"coordinate": section})
+        return along(states, x), along(states, y)
+
+    size, elsewhere = float(data["least_disturbance"]), int(data["failure"]) == Outcome.STRIDE
+    curves = [circle(gait.values, size)]
+    points = [(data["failing_state"], "X", disturbed(data, "failure", "failing_strides"))]
+    nearest = "nearest start that does not come back" if elsewhere else "nearest failure"
+    subject = f"{size:.4g}, from the gait to the {nearest}"
+    if elsewhere and "least_fall" in data:
+        farther = float(data["least_fall"])
+        from_state = data["fall_state"] - farther * data["fall_direction"]
+        curves.append(circle(from_state.values, farther))
+        points.append((data["fall_state"], "P", disturbed(data, "fall_failure", "fall_strides")))
+        subject = f"from the gait {size:.4g} to another motion, {farther:.4g} to a failure"
+    both = [np.concatenate(axis) for axis in zip(*curves, strict=True)]
+    middle, reach = [0.5 * (c.max() + c.min()) for c in both], [np.ptp(c) for c in both]
     limits, window = [], {}
     for name, centre, width in zip((x, y), middle, reach, strict=True):
         axis = data[name].values
@@ -879,19 +906,14 @@ def disturbance(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     regions = regions_of(near, notable_attractors(data))
     extent = (*ends(near[x].values), *ends(near[y].values))
     show(ax, painted(regions, near["fate"].shape), extent)
-    ax.plot(*curve, color="white", lw=1.6)
-    place = along(points, x), along(points, y)
+    for curve, style in zip(curves, ("-", "--"), strict=False):
+        ax.plot(*curve, style, color="white", lw=1.6)
     name = attractor_name(int(data["gait_period"]), gait.expand_dims("phase"))
-    look: dict[str, Any] = {"ls": "", "markeredgecolor": "white", "color": INK, "zorder": 3}
-    marks = ax.plot(place[0][:1], place[1][:1], "o", markersize=7.5, label=name, **look)
-    failure = int(data["failure"])
-    words = "comes to another motion"
-    if failure > 0:
-        made = counted(int(data["failing_strides"]), "stride")
-        words = f"{FAILURES[Outcome(failure)][2]} after {made}"
-    marks += ax.plot(
-        place[0][1:], place[1][1:], "X", markersize=10, label=f"nearest start that {words}", **look
-    )
+    marks = []
+    look: dict[str, Any] = {"ls": "", "mec": "white", "color": INK, "zorder": 3}
+    for state, sign, words in [(gait, "o", name), *points]:
+        at, ms = state.expand_dims("phase"), 7.5 if sign == "o" else 10
+        marks += ax.plot(along(at, x), along(at, y), sign, ms=ms, label=words, **look)
     patches = [Patch(fc=region.colour, ec=INK, lw=0.5, label=region.words) for region in regions]
     place_legend(ax, marks, BELOW, columns=1)
     place_legend(ax, patches, BELOW + LINE * len(marks), columns=2)
@@ -899,8 +921,16 @@ def disturbance(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     ax.set_xlabel(AXIS_LABELS.get(x, x), fontsize=11)
     ax.set_ylabel(AXIS_LABELS.get(y, y), fontsize=11)
     ax.locator_params(nbins=6)
-    write_title(ax, "Least disturbance", f"{size:.4g}, from the gait to the nearest failure")
+    write_title(ax, "Least disturbance", subject)
     return ax
+
+
+def disturbed(data: xr.Dataset, failure: str, strides: str) -> str:
+    """What the legend says of the nearest start that is lost, given the names of how and when."""
+    how = Outcome(int(data[failure]))
+    if how == Outcome.STRIDE:
+        return "nearest start that comes to another motion"
+    return f"nearest start that {FAILURES[how][2]} after {counted(int(data[strides]), 'stride')}"
 
 
 def has_disturbance(data: xr.Dataset) -> bool:
@@ -959,11 +989,18 @@ def robustness_measures(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     colour, sign, words = MEASURES["least_disturbance"]
     part = data["least_disturbance"].values / (farthest or 1)
     handles += ax.plot(values, part, sign, color=colour, label=f"{words}, of {farthest:.4g}")
+    falls = data.get("least_fall", data["least_disturbance"]).values
+    beyond = falls > data["least_disturbance"].values
+    highest = np.max(falls[beyond] / (farthest or 1), initial=1)
+    if beyond.any():
+        words = "least one from which it falls, where that comes to another motion"
+        part = falls[beyond] / farthest
+        handles += ax.plot(values[beyond], part, "s", color=colour, mfc="white", label=words)
     colour, sign, words = MEASURES["multiplier"]
     handles += ax.plot(values, data["multiplier"].values, sign, color=colour, label=words)
     ax.set_xlabel(AXIS_LABELS.get(parameter, parameter), fontsize=11)
     ax.set_ylabel("part of the largest; modulus", fontsize=11)
-    ax.set(xlim=margin(values), ylim=(0, 1.05))
+    ax.set(xlim=margin(values), ylim=(0, 1.05 * highest))
     note = "with twice the error of the area; the multiplier is that of the gait walkers come to"
     write_title(ax, f"{title(data)}: robustness", note)
     place_legend(ax, handles, BELOW, columns=1)
@@ -1019,7 +1056,7 @@ def table_axis(data: xr.Dataset) -> tuple[Float[np.ndarray, " n"], str]:
     """The values of a table's parameter, and its name; `ValueError` for what is no table."""
     dims = data["total_area"].dims if "total_area" in data else ()
     if len(dims) != 1 or "least_disturbance" not in data:
-        raise ValueError("data must be a table of robustness over one parameter")
+        raise WrongUse("data must be a table of robustness over one parameter")
     return data[dims[0]].values, str(dims[0])
 
 
@@ -1044,7 +1081,7 @@ def optimisation(data: xr.Dataset, parameter: str | None = None, ax: Axes | None
     names = free(data)
     parameter = names[0] if parameter is None else parameter
     if parameter not in names:
-        raise ValueError(f"parameter must be one of {', '.join(names)}, not {parameter!r}")
+        raise WrongUse(f"parameter must be one of {', '.join(names)}, not {parameter!r}")
     if ax is None:
         ax = Figure(figsize=(7, 5.6), layout="constrained").add_subplot()
     draw_optimisation(ax, data, parameter, aim(data, 60))
@@ -1100,7 +1137,7 @@ def optimised(data: xr.Dataset) -> Figure:
 def check_optimum(data: xr.Dataset) -> None:
     """Raise `ValueError` where no optimum was found."""
     if "found" not in data or not data["found"]:
-        raise ValueError("data must be of an optimisation that found an optimum")
+        raise WrongUse("data must be of an optimisation that found an optimum")
 
 
 def free(data: xr.Dataset) -> list[str]:
@@ -1195,7 +1232,7 @@ def draw_runs(ax: Axes, own: xr.Dataset) -> tuple[list[Line2D], list[Line2D]]:
 def draw_basins(panels: Sequence[Axes], data: xr.Dataset) -> None:
     """The basins at start and optimum, on two axes of a figure, whose legend is for both."""
     if "fate_start" not in data or "fate_optimum" not in data:
-        raise ValueError("data must hold the basins at start and optimum of an optimisation")
+        raise WrongUse("data must hold the basins at start and optimum of an optimisation")
     x, y = map(str, data["fate_start"].dims)
     fate = np.stack([data["fate_start"].values, data["fate_optimum"].values])
     found = [
@@ -1336,7 +1373,7 @@ def check(data: xr.Dataset, names: tuple[str, ...]) -> None:
     missing += [f"attribute {name}" for name in ("parameter", "section") if name not in data.attrs]
     if missing:
         lacking = ", ".join(missing)
-        raise ValueError(f"data must be of a bifurcation diagram, unlike one without {lacking}")
+        raise WrongUse(f"data must be of a bifurcation diagram, unlike one without {lacking}")
 
 
 def curves(data: xr.Dataset) -> list[Curve]:

@@ -26,7 +26,16 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Complex, Float, Int
 
 from walker_jax.cells import Grid
-from walker_jax.checks import check_kind, check_number, check_whole, short
+from walker_jax.checks import (
+    WrongUse,
+    array,
+    check_kind,
+    check_number,
+    check_whole,
+    is_traced,
+    refuses_tracers,
+    short,
+)
 from walker_jax.integrate import Real
 from walker_jax.stride import (
     Outcome,
@@ -38,7 +47,7 @@ from walker_jax.stride import (
     strides,
 )
 from walker_jax.tiles import over_cells
-from walker_jax.walkers import SimplestWalker, Walker
+from walker_jax.walkers import SimplestWalker, Walker, moves_like
 
 RESIDUAL = {jnp.dtype("float64"): 1e-10, jnp.dtype("float32"): 1e-4}
 """By how much a stride of what is called a gait may miss the next state."""
@@ -104,9 +113,9 @@ def find_gait(
     guess = as_floating(guess if given else first_guess(walker, period, tolerance), "guess")
     size = len(walker.section)
     if guess.shape not in ((size,), (period, size)):
-        raise ValueError(f"guess must have shape ({size},) or {(period, size)}, not {guess.shape}")
+        raise WrongUse(f"guess must have shape ({size},) or {(period, size)}, not {guess.shape}")
     if given and not isinstance(guess, Tracer) and not jnp.isfinite(guess).all():
-        raise ValueError(f"guess must be finite, not {guess.tolist()}")
+        raise WrongUse(f"guess must be finite, not {guess.tolist()}")
     walker, first, tolerance = prepared(walker, guess.reshape(-1, size)[0], tolerance)
     cycle = guess.reshape(-1, size).astype(first.dtype)
     traced = is_traced((walker, cycle, tolerance))
@@ -129,18 +138,14 @@ def nowhere(gait: Gait) -> Gait:
     return gait._replace(states=states, multipliers=multipliers, step_times=times)
 
 
-def is_traced(tree) -> bool:
-    return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree))
-
-
 def first_guess(
     walker: Walker, period: int, tolerance: Real | None
 ) -> Float[Array | np.ndarray, "..."]:
     """A guess of the most stable gait of a period."""
-    if isinstance(walker, SimplestWalker) and period == 1:
+    if moves_like(walker, SimplestWalker) and period == 1:
         return long_gait(walker.slope)
     if is_traced((walker, tolerance)):
-        raise ValueError(
+        raise WrongUse(
             f"guess must be given for a {type(walker).__name__}'s gait of period {period} where "
             "JAX traces"
         )
@@ -273,6 +278,7 @@ def repeats(states) -> Bool[Array | np.ndarray, "..."]:
     return shorter
 
 
+@refuses_tracers("find_gait, given a guess, works within them")
 def find_gaits(
     walker: Walker,
     period: int = 1,
@@ -307,7 +313,7 @@ def find_gaits(
     grid = walker.gait_region() if region is None else region
     check_kind("region", grid, Grid)
     if not len(grid.names) == grid.coordinates == len(walker.section):
-        raise ValueError(
+        raise WrongUse(
             f"region must have the {len(walker.section)} dimensions of the section, "
             f"{', '.join(walker.section)}, not {', '.join(grid.names)}"
         )
@@ -325,6 +331,7 @@ def find_gaits(
     return [gait_at(gaits, i) for i in np.flatnonzero(keep)]
 
 
+@refuses_tracers()
 def descend(
     walker: Walker,
     cycles: Float[np.ndarray, "n period section"],
@@ -354,16 +361,16 @@ def descend(
     import optax  # here alone: it takes a quarter of a second
 
     check_kind("walker", walker, Walker)
-    cycles = np.asarray(cycles)
+    cycles = array("cycles", cycles)
     if cycles.ndim != 3 or cycles.size == 0 or cycles.shape[2] != len(walker.section):
-        raise ValueError(
+        raise WrongUse(
             f"cycles must have shape (n, period, {len(walker.section)}), not {cycles.shape}"
         )
     check_whole("steps", steps)
     check_number("rate", rate)
     rate = float(rate)
     if not 0 < rate < np.inf:
-        raise ValueError(f"rate must be positive and finite, not {rate}")
+        raise WrongUse(f"rate must be positive and finite, not {rate}")
     walker, _, tolerance = prepared(walker, cycles[0, 0], tolerance)
     optimiser = optax.adam(optax.cosine_decay_schedule(rate, steps), b1=0.5, b2=0.9)
     x, scale = cycles, np.ones(len(cycles), cycles.dtype)
@@ -479,6 +486,7 @@ class GaitDerivatives(NamedTuple):
     """d(step time)/dp."""
 
 
+@refuses_tracers("find_gait can be differentiated within them")
 def gait_derivatives(
     walker: Walker, gait: Gait, parameter: str, *, tolerance: Real | None = None
 ) -> GaitDerivatives:
@@ -506,15 +514,13 @@ def gait_derivatives(
     check_parameter(walker, parameter)
     check_kind("gait", gait, Gait)
     if not gait.found:
-        raise ValueError(f"gait must be one, unlike the end of a failed search, {gait.states}")
+        raise WrongUse(f"gait must be one, unlike the end of a failed search, {gait.states}")
     cycle = np.asarray(gait.states)[None]
     walker, _, tolerance = prepared(walker, cycle[0, 0], tolerance)
     local = linearise(walker, cycle, tolerance, parameter)
     miss = np.abs(local.state - np.roll(cycle, -1, axis=1)).max()
     if not miss < RESIDUAL[cycle.dtype]:
-        raise ValueError(
-            f"gait must be one of this walker: a stride misses the next state by {miss}"
-        )
+        raise WrongUse(f"gait must be one of this walker: a stride misses the next state by {miss}")
     dx = solve(cyclic(local.jacobian), -local.by_parameter.reshape(1, -1)).reshape(cycle.shape)
     along = np.concatenate([dx, np.ones_like(dx[..., :1])], axis=-1)
     bend = curve(walker, cycle, along, tolerance, parameter)
@@ -535,7 +541,7 @@ def check_parameter(walker: Walker, parameter: str, *values: float) -> None:
     check_kind("walker", walker, Walker)
     if not isinstance(parameter, str) or parameter not in vars(walker):
         names = ", ".join(vars(walker))
-        raise ValueError(f"parameter must be one of the walker's, {names}, not {short(parameter)}")
+        raise WrongUse(f"parameter must be one of the walker's, {names}, not {short(parameter)}")
     if set(vars(walker)) <= set(inspect.signature(type(walker)).parameters):
         for value in values:
             type(walker)(**{**vars(walker), parameter: value})
@@ -683,11 +689,13 @@ def cyclic(
 def solve(
     matrices: Float[np.ndarray, "n size size"], vectors: Float[np.ndarray, "n size"]
 ) -> Float[np.ndarray, "n size"]:
-    """Solutions of many linear systems; by least squares if one of them is singular."""
-    try:
-        return np.linalg.solve(matrices, vectors[..., None])[..., 0]
-    except np.linalg.LinAlgError:
-        return (np.linalg.pinv(matrices) @ vectors[..., None])[..., 0]
+    """Solutions of many linear systems; of each that is singular, by least squares."""
+    solutions = np.empty_like(vectors)
+    singular = np.linalg.det(matrices) == 0
+    regular, right = matrices[~singular], vectors[..., None]
+    solutions[~singular] = np.linalg.solve(regular, right[~singular])[..., 0]
+    solutions[singular] = (np.linalg.pinv(matrices[singular]) @ right[singular])[..., 0]
+    return solutions
 
 
 def product(

@@ -10,7 +10,7 @@ Nothing here knows what is integrated. Forward-mode derivatives run through ever
 lengths are constants to them.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import ClassVar, NamedTuple
 
 import diffrax
@@ -21,7 +21,7 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from walker_jax.checks import check_number
+from walker_jax.checks import WrongUse, check_number
 from walker_jax.taylor import (
     VirtualPower,
     evaluate,
@@ -29,6 +29,7 @@ from walker_jax.taylor import (
     function_series,
     is_list,
     solution_series,
+    switching_series,
 )
 
 Scalar = Float[Array, ""]
@@ -46,14 +47,14 @@ def default_tolerance(dtype, tolerance: Real | None = None) -> Real:
     """The tolerance that a dtype holds, or the one given, where the dtype can hold it."""
     dtype = jnp.dtype(dtype)
     if dtype not in TOLERANCE:
-        raise ValueError(f"dtype must be float32 or float64, not {dtype}")
+        raise WrongUse(f"dtype must be float32 or float64, not {dtype}")
     if tolerance is None:
         return TOLERANCE[dtype]
     if isinstance(tolerance, Tracer):
         return tolerance
     check_number("tolerance", tolerance)
     if not jnp.finfo(dtype).eps / 4 <= tolerance < 1:
-        raise ValueError(
+        raise WrongUse(
             f"tolerance must lie between {jnp.finfo(dtype).eps / 4:.2g}, which is what {dtype} "
             f"holds, and 1, not be {tolerance:g}"
         )
@@ -69,22 +70,110 @@ def step_length(series: PyTree, tolerance: Real) -> Scalar:
     float32.
     """
     leaves = jax.tree.leaves(series, is_leaf=is_list)
-    order = len(leaves[0]) - 1
-
-    def size(k):
-        largest = jnp.zeros((), leaves[0][0].dtype)
-        for leaf in leaves:
-            largest = jnp.maximum(largest, jnp.max(jnp.abs(leaf[k])))
-        return lax.stop_gradient(largest)
-
-    scale = jnp.maximum(size(0), size(1))
+    order, scale = len(leaves[0]) - 1, scale_of(series)
     log_tolerance = jnp.log(jnp.asarray(tolerance, jnp.float32))
 
     def log_length(k):
-        return (log_tolerance - jnp.log((size(k) / scale).astype(jnp.float32))) / k
+        return (log_tolerance - jnp.log((largest(series, k) / scale).astype(jnp.float32))) / k
 
     shortest = jnp.exp(jnp.minimum(log_length(order - 1), log_length(order)))
     return shortest.astype(leaves[0][0].dtype)
+
+
+def scale_of(series: PyTree) -> Scalar:
+    """The larger of |y| and |y'| at the start of a step."""
+    return jnp.maximum(largest(series, 0), largest(series, 1))
+
+
+def largest(series: PyTree, k: int) -> Scalar:
+    """The largest of all variables' k-th coefficients, in size. A constant to derivatives."""
+    leaves = jax.tree.leaves(series, is_leaf=is_list)
+    size = jnp.zeros((), leaves[0][0].dtype)
+    for leaf in leaves:
+        size = jnp.maximum(size, jnp.max(jnp.abs(leaf[k])))
+    return lax.stop_gradient(size)
+
+
+def taylor_step(
+    vector_field: VectorField,
+    state: PyTree,
+    order: int,
+    tolerance: Real,
+    *others: Callable[[PyTree], PyTree],
+) -> tuple[PyTree[list], Scalar]:
+    """The series of y' = f(y) from a state, and how long a step it may be used for.
+
+    That is the length at which its last terms reach the tolerance; or where f, or one of the
+    others, has a kink, that up to the kink and just beyond it, by `tolerance` of the length. It is
+    NaN where f jumps by more than the root of the tolerance, relative to |y| or |y'|.
+    """
+    series = solution_series(vector_field, state, order)
+    length = step_length(series, tolerance)
+    if not (switches := [s for f in (vector_field, *others) for s in switching_series(f, series)]):
+        return series, length
+    least = jnp.asarray(tolerance, length.dtype) * length
+    length = up_to_switches(switches, length, least)
+    field, fixed, end = lax.stop_gradient((vector_field, series, length))
+    rates = field(polynomial(fixed, end))
+    expected = jax.tree.map(lambda c: evaluate(derivative_of(c), end), fixed, is_leaf=is_list)
+    defects = jax.tree.map(lambda a, b: jnp.max(jnp.abs(a - b)), rates, expected)
+    defect = jnp.max(jnp.stack(jax.tree.leaves(defects)))
+    steady = defect <= jnp.sqrt(jnp.asarray(tolerance, length.dtype)) * scale_of(series)
+    return series, jnp.where(steady, length, jnp.nan)
+
+
+def up_to_switches(switches: list[list[Scalar]], length: Scalar, behind: Scalar) -> Scalar:
+    """A step's length, cut a little behind the first zero of functions given by their series.
+
+    How that zero depends on everything is part of the result: where a step ends at a kink matters
+    to second derivatives.
+    """
+    for switch in switches:
+        zero = first_zero(lax.stop_gradient(switch), lax.stop_gradient(length), behind)
+        length = jnp.where(zero + behind < length, when_zero(switch, zero) + behind, length)
+    return length
+
+
+def first_zero(series: list[Scalar], length: Scalar, resolution: Scalar) -> Scalar:
+    """The first zero of a polynomial in 0 <= t <= length; that, or more, where there is none.
+
+    The polynomial is expanded anew, about points that approach the zero from the left by as much as
+    is certain to hold none, until that is less than the resolution. It converges as Newton's
+    iteration does, but passes no zero. One that is zero at 0 has that zero, unless it vanishes.
+    """
+
+    def certain(series: list[Scalar], most: Scalar) -> Scalar:
+        """A length, up to `most`, in which a polynomial that is positive at first has no zero.
+
+        p(t) >= p_0 + p_1 t - b t^2, with b such that b most^2 is the sum of the later terms' sizes
+        at t = most.
+        """
+        value, rate = series[:2]
+        later = evaluate([jnp.abs(c) for c in series[2:]], most)
+        all_of_it = value + (rate - later * most) * most >= 0
+        root = jnp.sqrt(rate**2 + 4 * later * value)
+        rising = (rate + root) / (2 * jnp.where(later > 0, later, 1))
+        falling = 2 * value / jnp.where(root > rate, root - rate, 1)
+        bound = jnp.where(rate > 0, rising, falling)
+        at_zero = (value <= 0) & ((value != 0) | (rate != 0) | (later != 0))
+        return jnp.where(at_zero, 0, jnp.where(all_of_it, most, bound))
+
+    def unfinished(carry):
+        time, step, *_ = carry
+        return (time < length) & (step > resolution)
+
+    def advance(carry):
+        time, step, *series = carry
+        for i in range(len(series) - 1):  # p(step + t), by Horner's rule order after order
+            for k in range(len(series) - 2, i - 1, -1):
+                series[k] = series[k] + step * series[k + 1]
+        time = time + step
+        return time, certain(series, length - time), *series
+
+    sign = jnp.where(series[0] < 0, -1, 1).astype(length.dtype)
+    series = [sign * c for c in series]
+    first = jnp.zeros_like(length), certain(series, length), *series
+    return lax.while_loop(unfinished, advance, first)[0]
 
 
 def order_of(vector_field: VectorField, state: PyTree) -> int:
@@ -150,10 +239,16 @@ class Taylor(diffrax.AbstractAdaptiveSolver):
             return jnp.ones_like(time), terms.vf(time, y, args)
 
         start = (jnp.asarray(t0), y0)
-        _, series = solution_series(autonomous, start, self.taylor_order)
-        length = t1 - t0
+        both = solution_series(autonomous, start, self.taylor_order)
+        length, series = jnp.asarray(t1 - t0), both[1]
         power = length**self.taylor_order
         error = jax.tree.map(lambda c: c[-1] * power, series, is_leaf=is_list)
+        if switches := switching_series(autonomous, both):
+            # A step over a kink has an error that no controller takes; one just behind it has not.
+            eps = float(jnp.finfo(length.dtype).eps)
+            least = 1e3 * eps * jnp.maximum(step_length(both, eps), jnp.abs(t1))
+            over = length > up_to_switches(switches, length, least)
+            error = jax.tree.map(lambda e: jnp.where(over, scale_of(both), e), error)
         return (
             polynomial(series, length),
             error,
@@ -176,50 +271,60 @@ class Step(NamedTuple):
     """Its duration."""
     count: Int[Array, ""]
     """Number of steps taken, this one included."""
+    sides: tuple[Bool[Array, ""], Bool[Array, ""]]
+    """The sides of the event on which it begins and ends."""
 
 
 def integrate_until(
     vector_field: VectorField,
     state: PyTree,
-    stop: Callable[[PyTree, PyTree], Bool[Array, ""]],
+    stop: Callable[..., tuple[Bool[Array, ""], Bool[Array, ""]]],
     *,
     tolerance: Real,
+    side: Bool[Array, ""] | bool = False,
+    others: Sequence[Callable[[PyTree], PyTree]] = (),
     time: Real = 0.0,
     count: Int[Array, ""] | int = 0,
     max_steps: int = MAX_STEPS,
     active: Bool[Array, ""] | bool = True,
 ) -> Step:
-    """Follow y' = f(y) from `state` until `stop(start, end)` holds for a step's two ends.
+    """Follow y' = f(y) from `state` until `stop` holds for a step's two ends.
 
-    At least one step is taken, unless `active` is false. Steps are as long as `tolerance` allows.
-    Returns the last step; `count` reaches `max_steps`, or the state stops being finite, where
-    `stop` never holds.
+    `stop(start, end, side)` is whether it does, and the side of an event on which the end is; the
+    side of the start is that of the step before its end. So a step that an event has missed by
+    rounding and the next one cannot disagree on where they meet, and miss it both.
+
+    At least one step is taken, unless `active` is false. Steps are as long as `tolerance` allows,
+    and end where the field, or one of `others`, has a kink. Returns the last step; `count` reaches
+    `max_steps`, or the state stops being finite, where `stop` never holds.
     """
     dtype, structure = jax.tree.leaves(state)[0].dtype, jax.tree.structure(state)
     order = order_of(vector_field, state)
     stop = fast_sines(stop)
 
     def advance(carry):
-        _, start, clock, count, _ = carry
+        _, start, clock, count, _, side, _ = carry
         before = unpacked(start, structure)
 
         def take_step():
-            series = solution_series(vector_field, before, order)
-            length = step_length(series, tolerance)
+            series, length = taylor_step(vector_field, before, order, tolerance, *others)
             return [*interleaved(polynomial(series, length)), length]
 
         *after, length = once(take_step)
         end = paired(after)
-        going = jnp.isfinite(length) & (count + 1 < max_steps)
-        going &= ~stop(before, unpacked(end, structure))
-        return start, end, lax.complex(clock.real + clock.imag, length), count + 1, going
+        stops, beyond = stop(before, unpacked(end, structure), side)
+        going = jnp.isfinite(length) & (count + 1 < max_steps) & ~stops
+        clock = lax.complex(clock.real + clock.imag, length)
+        return start, end, clock, count + 1, side, beyond, going
 
     time = jnp.asarray(time, dtype)
     clock = lax.complex(time, jnp.zeros_like(time))
-    carry = packed(state), packed(state), clock, jnp.asarray(count), jnp.asarray(active)
-    start, end, clock, count, _ = lax.while_loop(lambda carry: carry[-1], advance, carry)
+    count, side, active = map(jnp.asarray, (count, side, active))
+    carry = packed(state), packed(state), clock, count, side, side, active
+    last = lax.while_loop(lambda carry: carry[-1], advance, carry)
+    start, end, clock, count, side, beyond, _ = last
     ends = unpacked(start, structure), unpacked(end, structure)
-    return Step(*ends, clock.real, clock.imag, count)
+    return Step(*ends, clock.real, clock.imag, count, (side, beyond))
 
 
 def once(function: Callable[[], list[Scalar]]) -> list[Scalar]:
@@ -263,11 +368,16 @@ def unpacked(packed: list[Array], structure) -> PyTree:
     return jax.tree.unflatten(structure, leaves[0::2] + leaves[1::2])
 
 
-def first_rise(series: list[Scalar], length: Scalar) -> tuple[Bool[Array, ""], Scalar]:
+def first_rise(
+    series: list[Scalar],
+    length: Scalar,
+    sides: tuple[Bool[Array, ""], Bool[Array, ""]] | None = None,
+) -> tuple[Bool[Array, ""], Scalar]:
     """Where a polynomial p(t) rises through zero in a step 0 <= t <= length, if it does.
 
     The step is short enough for p to have one minimum in it at most. p rises through zero if it
-    is not negative at the end, but is at the start or at that minimum.
+    is not negative at the end, but is at the start or at that minimum. `sides` says whether it is
+    negative at start and end, where that has been decided; rounding may have p differ.
 
     Returns whether it does, and the time (`length` if not). A constant to derivatives.
     """
@@ -283,9 +393,10 @@ def first_rise(series: list[Scalar], length: Scalar) -> tuple[Bool[Array, ""], S
 
     zero = jnp.zeros_like(length)
     end, end_slope, _ = derivatives(length)
-    turns = (series[0] >= 0) & (series[1] < 0) & (end_slope > 0)
+    below, ends_below = (series[0] < 0, end < 0) if sides is None else sides
+    turns = ~below & (series[1] < 0) & (end_slope > 0)
     turn = rising_root(lambda t: derivatives(t)[1:], zero, jnp.where(turns, length, zero))
-    rises = (derivatives(turn)[0] < 0) & (end >= 0)
+    rises = (below | (turns & (derivatives(turn)[0] < 0))) & ~ends_below
     root = rising_root(lambda t: derivatives(t)[:2], jnp.where(rises, turn, length), length)
     return rises, root
 
@@ -314,6 +425,14 @@ def least(series: list[Scalar], length: Scalar) -> Instant:
 def derivative_of(series: list[Scalar]) -> list[Scalar]:
     """The coefficients of a polynomial's derivative."""
     return [k * c for k, c in enumerate(series)][1:]
+
+
+def when_zero(series: list[Scalar], time: Scalar) -> Scalar:
+    """The time at which a polynomial is zero, with its derivatives: a step of Newton's."""
+    time = lax.stop_gradient(time)
+    value, slope = evaluate(series, time), evaluate(derivative_of(series), time)
+    slope = lax.stop_gradient(jnp.where(slope == 0, 1.0, slope))
+    return time - (value - lax.stop_gradient(value)) / slope
 
 
 def rising_root(

@@ -32,6 +32,7 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, Primitive
 from jaxtyping import PyTree
 from llvmlite import ir
 
+from walker_jax.checks import WrongUse
 from walker_jax.scalars import Unrolling, is_number
 
 BITS = 512
@@ -707,7 +708,7 @@ def contiguous(tree: PyTree, like: list, *lead: int) -> list[np.ndarray]:
     arrays = [np.ascontiguousarray(leaf, dtype) for leaf, (_, dtype) in pairs]
     for array, (shape, _) in zip(arrays, like, strict=True):
         if array.size != math.prod((*lead, *shape)):
-            raise ValueError(f"shape {array.shape} of an array must be {(*lead, *shape)}")
+            raise WrongUse(f"shape {array.shape} of an array must be {(*lead, *shape)}")
     return arrays
 
 

@@ -12,8 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
+from walker_jax.checks import refuses_tracers
 from walker_jax.integrate import (
     MAX_STEPS,
     Instant,
@@ -24,7 +25,8 @@ from walker_jax.integrate import (
     order_of,
     polynomial,
     rising_root,
-    step_length,
+    taylor_step,
+    when_zero,
 )
 from walker_jax.stride import (
     Outcome,
@@ -36,8 +38,8 @@ from walker_jax.stride import (
     least_force,
     of_one_start,
 )
-from walker_jax.taylor import evaluate, fast_sines, function_series, solution_series
-from walker_jax.walkers import MasslessFeetWalker, Scalar, State, Walker, toppling_rate
+from walker_jax.taylor import evaluate, fast_sines, function_series
+from walker_jax.walkers import Scalar, State, Walker, toppling_rate
 
 
 class Margins(NamedTuple):
@@ -46,7 +48,7 @@ class Margins(NamedTuple):
     stride: Stride
     backward: Float[Array, "*cells"]
     """Speed where the stance leg is slowest, as thetadot^2 / 2; where it stops, minus what is
-    missing, (thetaddot / rate)^2 / 2 with the rate of toppling. Of walkers on massless feet, both
+    missing, (thetaddot / rate)^2 / 2 with the rate of toppling. Of an inverted pendulum, both
     are the energy above that at the top, thetadot^2 / 2 + cos(theta - slope) - 1. After an impact
     that turns the next stance leg back, minus thetadot^2 / 2 of that."""
     forward: Float[Array, "*cells"]
@@ -73,6 +75,7 @@ def margins(
     return of_one_start(margins, follow_margins, walker, x, tolerance)
 
 
+@refuses_tracers("within them use jax.vmap(lambda x: wj.margins(walker, x))(xs)")
 def margins_of_many(
     walker: Walker,
     xs: Float[ArrayLike, "n coordinates"],
@@ -119,6 +122,8 @@ class Following(NamedTuple):
     running: Scalar
     arrival: State
     """That at heel strike, if there is one."""
+    below: Array
+    """Whether h < 0: decided once for the end of a step and the start of the next."""
 
 
 @jax.jit
@@ -138,18 +143,19 @@ def follow_margins(
         return going & jnp.isfinite(now.time)
 
     def advance(now: Following) -> Following:
-        series = solution_series(field, now.state, order)
-        length = step_length(series, tolerance)
+        series, length = taylor_step(field, now.state, order, tolerance, walker.contact)
         after = polynomial(series, length)
         h = function_series(walker.contact, series)
         turn = least(h, length)
-        crossed, when = first_rise(h, length)
+        below = fast_sines(is_below)(walker, after)
+        crossed, when = first_rise(h, length, (now.below, below))
         when = when_zero(h, when)
         arrival = polynomial(series, when)
         ahead = (arrival.theta < 0) & (arrival.theta > -np.pi / 2) & (arrival.thetadot < 0)
         strikes = crossed & ahead
         stopped, down = after.thetadot >= 0, after.theta <= -np.pi / 2
-        fallen = stopped | down | fast_sines(lambda w, s: w.past_contact(s))(walker, after)
+        falls = fast_sines(lambda w, s: w.past_contact(s))(walker, after)
+        fallen = stopped | down | (~below & falls)
         verdict = jnp.where(stopped, Outcome.BACKWARD, Outcome.FORWARD)
         verdict = jnp.where(fallen, verdict, Outcome.UNDECIDED)
         verdict = jnp.where(strikes, Outcome.STRIDE, verdict).astype(jnp.int8)
@@ -215,6 +221,7 @@ def follow_margins(
             otherwise,
             running,
             arrival,
+            below,
         )
 
     first = Following(
@@ -229,10 +236,15 @@ def follow_margins(
         otherwise=jnp.full_like(rate, -jnp.inf),
         running=contact_force(start),
         arrival=start,
+        below=fast_sines(is_below)(walker, start),
     )
     last = lax.while_loop(undecided, advance, first)
     stride = fast_sines(end)(walker, last.arrival, last.time, last.verdict, last.running < 0)
     return Margins(stride, *fast_sines(seen)(walker, first, last, stride.outcome))
+
+
+def is_below(walker: Walker, state: State) -> Bool[Array, ""]:
+    return walker.contact(state) < 0
 
 
 def seen(
@@ -245,10 +257,10 @@ def seen(
     strode, none = outcome == Outcome.STRIDE, jnp.full_like(lift, jnp.nan)
     start = first.state
 
-    if isinstance(walker, MasslessFeetWalker):
-        climbs = start.theta > walker.slope
-        energy = start.thetadot**2 / 2 + jnp.cos(start.theta - walker.slope) - 1
-        backward = jnp.where(climbs, energy, none)
+    if walker.inverted_pendulum:
+        slope = vars(walker)["slope"]
+        energy = start.thetadot**2 / 2 + jnp.cos(start.theta - slope) - 1
+        backward = jnp.where(start.theta > slope, energy, none)
     else:
         turned_back = struck & (outcome == Outcome.BACKWARD)
         backward = jnp.where(strode, jnp.minimum(last.backward, following**2 / 2), last.backward)
@@ -288,11 +300,3 @@ def rise(series: list[Scalar], length: Scalar) -> Instant:
     return Instant(
         exists, when_zero(series, rising_root(look, zero, jnp.where(exists, length, zero)))
     )
-
-
-def when_zero(series: list[Scalar], time: Scalar) -> Scalar:
-    """The time at which a polynomial is zero, with its derivatives: a step of Newton's."""
-    time = lax.stop_gradient(time)
-    value, slope = evaluate(series, time), evaluate(derivative_of(series), time)
-    slope = lax.stop_gradient(jnp.where(slope == 0, 1.0, slope))
-    return time - (value - lax.stop_gradient(value)) / slope

@@ -13,7 +13,7 @@ import xarray as xr
 from jax.typing import ArrayLike
 from jaxtyping import Bool, Float
 
-from walker_jax.checks import check_number, check_whole
+from walker_jax.checks import WrongUse, check_number, check_whole, refuses_tracers
 from walker_jax.stride import Outcome, in_tension, trajectory, walk
 from walker_jax.walkers import State, Walker
 
@@ -21,6 +21,7 @@ FALL = 40.0
 """Time in which a walker that fails is on the ground, for legs of length 1."""
 
 
+@refuses_tracers()
 def motion(
     walker: Walker,
     x: Float[ArrayLike, " section"],
@@ -52,12 +53,12 @@ def motion(
     """
     check_number("step", step)
     if not 0 < step < np.inf:
-        raise ValueError(f"step must be above 0, not {step}")
+        raise WrongUse(f"step must be above 0, not {step}")
     check_whole("strides", strides)
     made = walk(walker, x, strides, tolerance=tolerance)
     outcomes, durations = np.asarray(made.outcomes), np.asarray(made.times)
     if outcomes[0] == Outcome.OUTSIDE:
-        raise ValueError(f"x must be a feasible start, not {np.asarray(x).tolist()}")
+        raise WrongUse(f"x must be a feasible start, not {np.asarray(x).tolist()}")
     failed = outcomes != Outcome.STRIDE
     count = int(failed.argmax()) + 1 if failed.any() else len(outcomes)
     outcomes, durations = outcomes[:count], durations[:count]

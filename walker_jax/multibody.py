@@ -22,6 +22,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from walker_jax.checks import WrongUse
 from walker_jax.scalars import unrolled
 
 Coordinates = Float[Array, " q"]
@@ -56,7 +57,7 @@ class System(eqx.Module):
         if not isinstance(self.masses, Tracer):
             masses = np.asarray(self.masses)
             if not (np.isfinite(masses) & (masses >= 0)).all():
-                raise ValueError(f"masses must be finite and not negative, not {masses.tolist()}")
+                raise WrongUse(f"masses must be finite and not negative, not {masses.tolist()}")
 
 
 class Motion(NamedTuple):
@@ -181,9 +182,9 @@ def impact(
     """
     check_state(system, q, qdot)
     if len(shape := jax.eval_shape(contact, q).shape) != 1:
-        raise ValueError(f"contact must return an array of shape (g,), not {shape}")
+        raise WrongUse(f"contact must return an array of shape (g,), not {shape}")
     if not isinstance(restitution, Tracer) and not 0 <= restitution <= 1:
-        raise ValueError(f"restitution must lie between 0 and 1, not be {restitution}")
+        raise WrongUse(f"restitution must lie between 0 and 1, not be {restitution}")
     matrix, directions = mass_matrix(system, q), jacobian(contact, q)
     factors, count = factorise(block(matrix, range(len(q)))), len(directions)
     # What a unit impulse at each contact does to the rates, [F,q^T M F,q]^-1 g,q^T.
@@ -270,7 +271,7 @@ def check_pivots(name: str, matrix: Array, places: Iterable[int], what: str, q) 
         pivot = reduced[k, k]
         if not pivot > worst * entry:
             kind = "ill-conditioned" if pivot > 0 else "singular"
-            raise ValueError(
+            raise WrongUse(
                 f"{name} is {kind} at q = {np.asarray(q).tolist()}: {what}[{place}] moves "
                 f"{pivot:.3g} of its {entry:.3g} once those before it are given"
             )
@@ -279,24 +280,22 @@ def check_pivots(name: str, matrix: Array, places: Iterable[int], what: str, q) 
 
 def check_state(system: System, q: Coordinates, qdot: Coordinates) -> None:
     if q.ndim != 1 or qdot.shape != q.shape:
-        raise ValueError(f"q and qdot must have one shape (n,), not {q.shape} and {qdot.shape}")
+        raise WrongUse(f"q and qdot must have one shape (n,), not {q.shape} and {qdot.shape}")
     x = jax.eval_shape(system.transfer, q)
     if not x.shape == system.masses.shape == system.forces.shape:
-        raise ValueError(
+        raise WrongUse(
             f"masses and forces must have the shape of F(q), {x.shape}, not "
             f"{system.masses.shape} and {system.forces.shape}"
         )
     if system.generalised_forces is not None:
         Q = jax.eval_shape(system.generalised_forces, q, qdot)
         if Q.shape != q.shape:
-            raise ValueError(
-                f"generalised forces must have the shape of q, {q.shape}, not {Q.shape}"
-            )
+            raise WrongUse(f"generalised forces must have the shape of q, {q.shape}, not {Q.shape}")
 
 
 def numbers_held(held: Sequence[int], count: int) -> list[int]:
     """Numbers of coordinates from 0 on, in order and each once."""
     numbers = {operator.index(i) for i in held}
     if any(not -count <= i < count for i in numbers):
-        raise ValueError(f"held must be numbers of {count} coordinates, not {sorted(numbers)}")
+        raise WrongUse(f"held must be numbers of {count} coordinates, not {sorted(numbers)}")
     return sorted({i % count for i in numbers})

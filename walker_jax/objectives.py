@@ -23,7 +23,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from walker_jax.attraction import follow
 from walker_jax.cells import Grid
-from walker_jax.checks import check_kind, numbers, short
+from walker_jax.checks import WrongUse, check_kind, numbers, refuses_tracers, short
 from walker_jax.gaits import Gait, check_parameter, find_gait, gait_derivatives, with_parameter
 from walker_jax.integrate import default_tolerance
 from walker_jax.refinement import Refined, refined
@@ -62,6 +62,7 @@ class AreaGradient(NamedTuple):
     """That were made in all, those with derivatives once for each direction."""
 
 
+@refuses_tracers("it gives derivatives itself, by the parameters named")
 def area_gradient(
     walker: Walker,
     grid: Grid,
@@ -155,7 +156,7 @@ def checked_bands(
         check_parameter(walker, name)
     widths = np.ones(len(parameters)) if bands is None else numbers("bands", bands)
     if widths.shape != (len(parameters),) or not np.all((widths > 0) & (widths < np.inf)):
-        raise ValueError(f"bands must be a number above 0 for each parameter, not {short(bands)}")
+        raise WrongUse(f"bands must be a number above 0 for each parameter, not {short(bands)}")
     return widths
 
 
@@ -277,16 +278,20 @@ class DisturbanceGradient(NamedTuple):
     """Whether the derivatives are averages over bands."""
 
 
+@refuses_tracers("it gives derivatives itself, by the parameters named")
 def disturbance_gradient(
     walker: Walker,
     parameters: Sequence[str] = ("slope",),
     gait: Gait | None = None,
     *,
     bands: Sequence[float] | Float[np.ndarray, " parameters"] | None = None,
+    fall: bool = False,
     strides: int = 500,
     tolerance: float | None = None,
 ) -> DisturbanceGradient:
     """The least disturbance, and its derivatives by parameters of the walker.
+
+    It is that from which the walker does not come back, or with `fall` that from which it falls.
 
     At the nearest point of the boundary, x = g + r u with g the gait's state and u of length one,
     the margin stays zero: dr/dp = -(dm/dp + grad m . dg/dp) / (grad m . u). That u turns matters to
@@ -301,7 +306,7 @@ def disturbance_gradient(
     """
     widths = checked_bands(walker, parameters, bands)
     gait = find_gait(walker, tolerance=tolerance) if gait is None else gait
-    found = least_disturbance(walker, gait, strides=strides, tolerance=tolerance)
+    found = least_disturbance(walker, gait, fall=fall, strides=strides, tolerance=tolerance)
     finest = float(default_tolerance(found.state.dtype, tolerance))
     beyond = np.asarray(gait.states)[found.phase] + BEYOND[:, None] * found.size * found.direction
     made, axes = np.full(len(beyond), found.strides, np.int32), np.eye(beyond.shape[1])
@@ -318,7 +323,7 @@ def disturbance_gradient(
     if bands is None:
         return DisturbanceGradient(found.size, np.full(len(widths), np.nan), False)
     pairs = zip(parameters, widths, strict=True)
-    gradient = [size_over_band(walker, gait, *pair, strides, tolerance) for pair in pairs]
+    gradient = [size_over_band(walker, gait, *pair, fall, strides, tolerance) for pair in pairs]
     return DisturbanceGradient(found.size, np.array(gradient), True)
 
 
@@ -327,6 +332,7 @@ def size_over_band(
     gait: Gait,
     parameter: str,
     width: float,
+    fall: bool,
     strides: int,
     tolerance: float | None,
 ) -> float:
@@ -335,8 +341,8 @@ def size_over_band(
     for one in ends_of_band(walker, parameter, width):
         there = find_gait(one, gait.states, len(gait.states), tolerance=tolerance)
         one, there = (one, there) if there.found and there.stable else (walker, gait)
-        size = least_disturbance(one, there, strides=strides, tolerance=tolerance).size
-        ends.append((float(getattr(one, parameter)), size))
+        found = least_disturbance(one, there, fall=fall, strides=strides, tolerance=tolerance)
+        ends.append((float(getattr(one, parameter)), found.size))
     (low, below), (high, above) = ends
     return (above - below) / (high - low) if high > low else np.nan
 
@@ -348,6 +354,7 @@ class Measure(NamedTuple):
     gradient: Float[np.ndarray, " parameters"]
 
 
+@refuses_tracers("it gives derivatives itself, by the parameters named")
 def gait_measures(
     walker: Walker,
     parameters: Sequence[str] = ("slope",),
@@ -361,7 +368,8 @@ def gait_measures(
     - "speed": that per unit of time;
     - "spectral-radius": the modulus of the largest multiplier of one stride, the root of that of
       the gait;
-    - "cost-of-transport": the energy that is lost per unit of weight and of way, sin(slope).
+    - "cost-of-transport": the energy that is lost per unit of weight and of way, sin(slope) where
+      gravity alone drives the walker (`Walker.driven_by_gravity`), and NaN where that is not known.
 
     Arguments are those of `gait_derivatives`; the gait is that of `find_gait` by default. All are
     NaN where none is found. `ValueError` for parameters that the walker does not have, and, where
@@ -395,7 +403,7 @@ def gait_measures(
     largest = complex(gait.multipliers[0])
     radius = abs(largest) ** (1 / period)
     growth = np.array([(np.conj(largest) * change.multipliers[0]).real for change in changes])
-    slope = float(vars(walker)["slope"])
+    slope = float(vars(walker)["slope"]) if walker.driven_by_gravity() else np.nan
     steeper = np.array([float(name == "slope") for name in parameters])
     return {
         "step-length": Measure(length, longer),

@@ -114,24 +114,26 @@ def reproduce(
     (out / "data").mkdir(parents=True, exist_ok=True)
     shown = console(progress)
     data: dict[str, xr.Dataset] = {}
-    for name, compute in PARTS.items():
-        own = request | {"part": name}
-        found = store.find(places[name], own)
-        if found is None:
-            with shown.status(f"{name} ({len(data) + 1} of {len(PARTS)})"):
-                found = store.save(compute(size), places[name], own)
-        data[name] = found
-    with shown.status("numbers and figures"):
-        numbers = compared(data)
-        title, images = store.signature(request), []
-        for one in FIGURES:
-            figure = one.draw(data)
-            for path in pictures(out, one):
-                figure.savefig(path, dpi=150, metadata={"Title": title})
-            images.append(pictures(out, one)[0].read_bytes())
-    kept = {"signature": title, "numbers": [number._asdict() for number in numbers]}
-    store.write(out / "numbers.json", json.dumps(kept, indent=1))
-    store.write(out / "report.html", html(numbers, images, title, quick=quick))
+    begun = lambda: any(path.exists() for path in places.values())
+    with store.resumable(out, begun, overwrite=overwrite):
+        for name, compute in PARTS.items():
+            own = request | {"part": name}
+            found = store.find(places[name], own)
+            if found is None:
+                with shown.status(f"{name} ({len(data) + 1} of {len(PARTS)})"):
+                    found = store.save(compute(size), places[name], own)
+            data[name] = found
+        with shown.status("numbers and figures"):
+            numbers = compared(data)
+            title, images = store.signature(request), []
+            for one in FIGURES:
+                figure = one.draw(data)
+                for path in pictures(out, one):
+                    figure.savefig(path, dpi=150, metadata={"Title": title})
+                images.append(pictures(out, one)[0].read_bytes())
+        kept = {"signature": title, "numbers": [number._asdict() for number in numbers]}
+        store.write(out / "numbers.json", json.dumps(kept, indent=1))
+        store.write(out / "report.html", html(numbers, images, title, quick=quick))
     return numbers
 
 
@@ -141,13 +143,13 @@ def check_place(out: Path, places: dict[str, Path], request: dict, *, overwrite:
     if not out.exists():
         return
     if not out.is_dir():
-        raise store.Occupied(f"{out} exists and is not a folder: name another place")
-    for path in files_of(out):
-        store.check_picture(path, request, overwrite=overwrite)
+        raise store.Occupied(f"{out} exists and is not a folder", store.ELSEWHERE.format("out"))
     store.writable(out / "data")
     if (out / "data").exists():
         for name, path in places.items():
             store.find(path, request | {"part": name}, overwrite=overwrite)
+    for path in files_of(out):
+        store.check_picture(path, request, overwrite=overwrite, argument="out")
 
 
 def files_of(out: Path) -> list[Path]:
@@ -307,8 +309,9 @@ FIGURES = (
         "The Poincaré section",
         lambda data: drawn(figures.basin(data["section"])),
         "The whole feasible section at a slope of 0.004, every cell followed until it fails or has "
-        "come to the gait: F falls forward, B backward, R runs (its foot pulls at the ground), and "
-        "A is attracted by the gait.",
+        "come to the gait: F falls forward, B backward, and R runs (its foot pulls at the ground). "
+        "The basin of attraction, which is too narrow for a letter, is dark; the dot is the gait. "
+        "At the right border, a few walkers stop on both feet.",
     ),
     PaperFigure(
         3,

@@ -24,6 +24,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Arc, Polygon
 from PIL import Image
 
+from walker_jax.checks import WrongUse
 from walker_jax.figures import (
     BASINS,
     BELOW,
@@ -336,9 +337,9 @@ def film(
 def check_film(path: Path) -> None:
     """Refuse what no film can be written to."""
     if path.suffix not in FILMS:
-        raise ValueError(f"a film must end in one of {', '.join(FILMS)}, not {path}")
+        raise WrongUse(f"a film must end in one of {', '.join(FILMS)}, not {path}")
     if path.suffix == ".mp4" and not FFMpegWriter.isAvailable():
-        raise ValueError(f"{path} takes the program ffmpeg, which is not there: try .gif")
+        raise WrongUse(f"{path} takes the program ffmpeg, which is not there: try .gif")
 
 
 @contextmanager

@@ -1,10 +1,11 @@
 """What a computation shows of its progress: on a terminal, where that is wanted."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from operator import length_hint
 from typing import TypeVar
 
 from rich.console import Console
-from rich.progress import track
+from rich.progress import Progress
 
 T = TypeVar("T")
 
@@ -17,8 +18,15 @@ def console(wanted: bool) -> Console:
 
 
 def tracked(
-    things: Iterable[T], label: str, progress: bool, total: int | None = None
-) -> Iterable[T]:
-    """The things, one after the other, with a progress bar."""
+    things: Iterable[T], label: str, progress: bool, total: int | None = None, done: int = 0
+) -> Iterator[T]:
+    """The things, one after the other, with a progress bar.
+
+    It begins where `done` of `total` were there before.
+    """
     shown = console(progress)
-    return track(things, label, total, console=shown, disable=shown.quiet, transient=True)
+    with Progress(console=shown, disable=shown.quiet, transient=True) as bar:
+        task = bar.add_task(label, total=total or length_hint(things) or None, completed=done)
+        for thing in things:
+            yield thing
+            bar.advance(task)

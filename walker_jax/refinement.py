@@ -24,7 +24,7 @@ from walker_jax.attraction import (
 )
 from walker_jax.basin import check_grid, labelled
 from walker_jax.cells import Grid
-from walker_jax.checks import check_whole
+from walker_jax.checks import check_precision, check_whole, refuses_tracers
 from walker_jax.integrate import default_tolerance
 from walker_jax.stride import Outcome
 from walker_jax.walkers import Walker
@@ -38,6 +38,7 @@ SPREAD = 1 / 12
 the basin brings f (1 - f), 1/6 on average; half of these cells or more have no part in both."""
 
 
+@refuses_tracers("area_gradient gives derivatives of a basin's area")
 def refine(
     walker: Walker,
     grid: Grid,
@@ -142,7 +143,9 @@ def refined(
     check_whole("check", check, 0)
     check_whole("strides", strides)
     check_whole("seed", seed, 0)
-    tolerance = float(default_tolerance(jnp.asarray(0.0).dtype, tolerance))
+    dtype = jnp.asarray(0.0).dtype
+    check_precision(dtype)
+    tolerance = float(default_tolerance(dtype, tolerance))
     finest = finer(grid, levels)
     check_grid(walker, finest, "direct", BYTES_PER_CELL)
     rng = np.random.default_rng(seed)

@@ -17,11 +17,29 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
-from walker_jax.attraction import Attractor, follow, framed_attractors, near, with_frames
+from walker_jax.attraction import (
+    Attractor,
+    follow,
+    framed_attractors,
+    near,
+    settle,
+    with_frames,
+)
 from walker_jax.basin import around, check_grid
 from walker_jax.boundaries import Uncertainty, checked_distances, uncertainty_exponent, upper_end
 from walker_jax.cells import Grid
-from walker_jax.checks import check_kind, check_number, check_whole, is_number, numbers, short
+from walker_jax.checks import (
+    ComputationFailed,
+    WrongUse,
+    check_kind,
+    check_number,
+    check_precision,
+    check_whole,
+    is_number,
+    numbers,
+    refuses_tracers,
+    short,
+)
 from walker_jax.gaits import Gait, check_parameter, find_gait, with_parameter
 from walker_jax.integrate import default_tolerance
 from walker_jax.margins import failed_by, follow_margins
@@ -36,7 +54,7 @@ from walker_jax.stride import (
 )
 from walker_jax.stride import strides as take_strides
 from walker_jax.tiles import over_cells
-from walker_jax.walkers import PointFeetWalker, Scalar, SimplestWalker, Walker
+from walker_jax.walkers import PointFeetWalker, Scalar, SimplestWalker, Walker, moves_like
 
 RAYS, RADII = 720, 128
 """Directions, of two dimensions, and distances along each, at which a walker is first tried."""
@@ -62,12 +80,14 @@ HEIGHTS = 4096
 """Heights of a step down, up to the least found."""
 BEYOND = 1 + np.array([1e-8, 1e-10, 0.0])
 """Of the least disturbance, those of which the first that fails says how: rounding is less."""
+MEETING, OUTWARDS = 90, 0.1 * 0.5 ** np.arange(12.0)[:, None]
+"""Directions and distances, of starts from which other gaits are met."""
 HALVINGS = 12, 34
 """Of the distance between two points tried on a ray: to tell rays apart, and in the end."""
 
 
 class LeastDisturbance(NamedTuple):
-    """The nearest point to a gait from which the walker does not come back."""
+    """The nearest point to a gait from which the walker does not come back, or falls."""
 
     size: float
     """Its distance from the gait, in the metric asked for."""
@@ -83,16 +103,22 @@ class LeastDisturbance(NamedTuple):
     """Strides before that, the failing one not counted."""
 
 
+@refuses_tracers("disturbance_gradient gives derivatives of the least disturbance")
 def least_disturbance(
     walker: Walker,
     gait: Gait | None = None,
     *,
     scale: Sequence[Any] | ArrayLike | None = None,
     along: Sequence[Any] | ArrayLike | None = None,
+    fall: bool = False,
     strides: int = 500,
     tolerance: float | None = None,
 ) -> LeastDisturbance:
-    """The nearest point of the section from which a walker does not return to its gait.
+    """The nearest point of the section from which a walker does not return to its gait, or falls.
+
+    From the nearest point at which it does not return it may come to another motion: the `failure`
+    is `STRIDE` then, and the nearest at which it falls, found with `fall`, is farther. Otherwise
+    these are the same.
 
     Rays from the gait are followed outwards, all at once, to the first distance from which the
     walker does not return; then closer rays, up to the least of these; then fans of rays around
@@ -109,18 +135,23 @@ def least_disturbance(
       the length of the disturbance divided by it; by default it is plain length.
     - `along`: vectors, one a row, that disturbances are made of, such as (0, 1) for a push that
       changes thetadot alone. By default they have any direction.
-    - `strides`: how many of them a walker may take to come back.
+    - `fall`: whether the walker is to fall, and no other motion counts.
+    - `strides`: how many of them a walker may take to come back, or to fall.
     - `tolerance`: of the integration, as in `stride`.
 
     `ValueError` for a gait that is not stable, or not found, and for a scale or vectors that are
-    not of the section.
+    not of the section; `ComputationFailed` where no disturbance up to a size of a thousand is
+    found from which the walker does not return.
     """
     unit, basis = metric(walker, scale, along)
-    size = len(unit)
+    size, lost = len(unit), which_walks(fall)
     states, shared = returning(walker, gait, strides, tolerance)
+    if fall:
+        rays = directions(len(basis), MEETING) @ basis * unit
+        shared = until_settled(shared, states[:, None, None] + OUTWARDS * rays[:, None])
 
     def fails(points: Float[np.ndarray, "n section"]) -> Bool[np.ndarray, " n"]:
-        return ~over_cells(end_of_walk, shared, points).back
+        return lost(over_cells(end_of_walk, shared, points))
 
     def gradient(points: Float[np.ndarray, "n section"]) -> Float[np.ndarray, "n section"]:
         count = over_cells(end_of_walk, shared, points).strides
@@ -140,13 +171,13 @@ def least_disturbance(
     length = float(np.linalg.norm(step))
     state = states[phase] + step * unit
     beyond = over_cells(end_of_walk, shared, states[phase] + BEYOND[:, None] * step * unit)
-    first = int(beyond.back.argmin())
+    first = int(lost(beyond).argmax())
     failure, made = Outcome(int(beyond.outcome[first])), int(beyond.strides[first])
     return LeastDisturbance(length, step / length, state, phase, failure, made)
 
 
 class LeastStepDown(NamedTuple):
-    """The least step down from which a walker does not come back to its gait."""
+    """The least step down from which a walker does not come back to its gait, or falls."""
 
     size: float
     """Its height, at right angles to the slope, in the unit of length."""
@@ -160,19 +191,22 @@ class LeastStepDown(NamedTuple):
     """Strides before that, the one down included, the failing one not."""
 
 
+@refuses_tracers()
 def least_step_down(
     walker: Walker,
     gait: Gait | None = None,
     *,
+    fall: bool = False,
     strides: int = 500,
     tolerance: float | None = None,
 ) -> LeastStepDown:
-    """The least height of a step down from which a walker does not return to its gait.
+    """The least height of a step down from which a walker does not return to its gait, or falls.
 
     One heel strike is on ground that is lower (`step_down`), and so are all that follow. Arguments
     and errors are those of `least_disturbance`. Heights are tried at some 4096 places up to the
     least: failures in narrower ranges may be missed.
     """
+    lost = which_walks(fall)
     states, shared = returning(walker, gait, strides, tolerance)
 
     def end(state, heights):
@@ -182,14 +216,14 @@ def least_step_down(
     up = np.ones((1, 1))
     found = []
     for state in states:
-        fails = lambda heights, state=state: ~end(state, heights[:, 0]).back
+        fails = lambda heights, state=state: lost(end(state, heights[:, 0]))
         reach = scanned(fails, up, HEIGHTS)[0]
         first = first_failures(fails, up, 0.0, reach, HEIGHTS)
         found.append(halved(fails, up, first, reach / HEIGHTS, HALVINGS[1])[0])
     phase = int(np.argmin(found))
     height = float(found[phase])
     beyond = end(states[phase], BEYOND * height)
-    first = int(beyond.back.argmin())
+    first = int(lost(beyond).argmax())
     failure, made = Outcome(int(beyond.outcome[first])), int(beyond.strides[first])
     down = step_down(walker, states[phase], height, tolerance=tolerance)
     return LeastStepDown(height, np.asarray(down.state), phase, failure, made)
@@ -213,6 +247,7 @@ class BasinStability(NamedTuple):
     """And of 95 of 100; infinite where they have not come that close, NaN where none come back."""
 
 
+@refuses_tracers()
 def basin_stability(
     walker: Walker,
     disturbances: float | Grid,
@@ -251,26 +286,26 @@ def basin_stability(
     if isinstance(disturbances, Grid):
         check_grid(walker, disturbances, "direct")
         if scale is not None or along is not None:
-            raise ValueError("scale and along are of no use where disturbances is a grid")
+            raise WrongUse("scale and along are of no use where disturbances is a grid")
     elif not is_number(disturbances) or not 0 < disturbances < np.inf:
-        raise ValueError(
+        raise WrongUse(
             f"disturbances must be a positive number, or a grid, not {short(disturbances)}"
         )
     check_number("within", within)
     check_number("confidence", confidence)
     if not within > 0:
-        raise ValueError(f"within must be positive, not {within}")
+        raise WrongUse(f"within must be positive, not {within}")
     check_whole("samples", samples)
     check_whole("seed", seed, 0)
     if not 0 < confidence < 1:
-        raise ValueError(f"confidence must be between 0 and 1, not {confidence}")
+        raise WrongUse(f"confidence must be between 0 and 1, not {confidence}")
     counts = {np.size(leaf) for leaf in jax.tree.leaves(walker) if np.ndim(leaf)}
     if counts and gait is not None:
-        raise ValueError("gait must be left out for walkers with arrays for parameters")
+        raise WrongUse("gait must be left out for walkers with arrays for parameters")
     if counts:
         check_parameters(walker, max(counts))
     if 0 in counts:
-        raise ValueError("walker must be one or more, and its parameters are arrays of none")
+        raise WrongUse("walker must be one or more, and its parameters are arrays of none")
     rng = np.random.default_rng(seed)
     if isinstance(disturbances, Grid):
         starts = disturbances.states(rng.uniform(size=(samples, len(disturbances.names))))
@@ -311,6 +346,7 @@ DISTANCES = 10.0 ** np.linspace(-6, -3.5, 11)
 """Between starts whose fates are compared, as shares of the lengths of a grid's axes."""
 
 
+@refuses_tracers()
 def boundary_dimension(
     walker: Walker,
     grid: Grid,
@@ -345,7 +381,9 @@ def boundary_dimension(
     apart = checked_distances(numbers("distances", distances), pairs)
     upper_end(confidence)
     check_whole("strides", strides)
-    finest = float(default_tolerance(jnp.asarray(0.0).dtype, tolerance))
+    dtype = jnp.asarray(0.0).dtype
+    check_precision(dtype, "boundary_dimension, which compares starts 1e-6 apart,")
+    finest = float(default_tolerance(dtype, tolerance))
     starts, attractors = framed_attractors(walker, grid, finest, strides)
 
     def label_of(share: Float[np.ndarray, "n axes"]) -> Int[np.ndarray, " n"]:
@@ -365,6 +403,7 @@ def boundary_dimension(
     )
 
 
+@refuses_tracers()
 def robustness(
     walker: Walker,
     grid: Grid | None = None,
@@ -393,7 +432,10 @@ def robustness(
     `gait_period`, `gait_state` (that from which the least disturbance is), `multiplier` (the
     largest modulus), `step_time` (the mean); of the point that `least_disturbance` finds,
     `least_disturbance`, `direction`, `failing_state`, `failure` (-1 for none) and
-    `failing_strides`; `step_down`; `stability`, with `_low` and `_high`, `median_strides` and
+    `failing_strides`; of the one that it finds with `fall`, which is the same unless the first
+    leads to another motion, `least_fall`, `fall_direction`, `fall_state`, `fall_failure` and
+    `fall_strides`; `step_down` and `step_down_failure`, and `step_down_fall`, the least one from
+    which the walker falls; `stability`, with `_low` and `_high`, `median_strides` and
     `slowest_strides`; `dimension`, with `_low` and `_high`, of the boundary. NaN, or -1, where no
     gait attracts.
 
@@ -401,9 +443,10 @@ def robustness(
     period one is found.
     """
     check_kind("walker", walker, Walker)
+    check_precision(jnp.asarray(0.0).dtype, "robustness, which has the dimension of a boundary,")
     grid = default_region(walker) if grid is None else grid
     if grid is None:
-        raise ValueError("grid is wanted where no gait of period one is found")
+        raise WrongUse("grid is wanted where no gait of period one is found")
     options: Any = {"check": check, "strides": strides, "seed": seed, "tolerance": tolerance}
     data = refine(walker, grid, levels, **options)
     data.attrs["disturbances"] = disturbances
@@ -417,6 +460,11 @@ def robustness(
         return data.assign(without_gait(walker))
     least = least_disturbance(walker, gait, strides=strides, tolerance=tolerance)
     down = least_step_down(walker, gait, strides=strides, tolerance=tolerance)
+    fall, fall_down = least, down
+    if least.failure == Outcome.STRIDE:
+        fall = least_disturbance(walker, gait, fall=True, strides=strides, tolerance=tolerance)
+    if down.failure == Outcome.STRIDE:
+        fall_down = least_step_down(walker, gait, fall=True, strides=strides, tolerance=tolerance)
     gait = gait._replace(states=np.roll(np.asarray(gait.states), -least.phase, axis=0))
     stability = basin_stability(
         walker,
@@ -439,7 +487,14 @@ def robustness(
             "failing_state": ("coordinate", least.state),
             "failure": int(least.failure),
             "failing_strides": least.strides,
+            "least_fall": fall.size,
+            "fall_direction": ("coordinate", fall.direction),
+            "fall_state": ("coordinate", fall.state),
+            "fall_failure": int(fall.failure),
+            "fall_strides": fall.strides,
             "step_down": down.size,
+            "step_down_failure": int(down.failure),
+            "step_down_fall": fall_down.size,
             "stability": float(stability.value),
             "stability_low": float(stability.low),
             "stability_high": float(stability.high),
@@ -455,16 +510,20 @@ def robustness(
 def without_gait(walker: Walker) -> dict:
     """What `robustness` adds where no gait attracts."""
     names = (
-        *("multiplier", "step_time", "least_disturbance", "step_down"),
+        *("multiplier", "step_time", "least_disturbance", "least_fall"),
+        *("step_down", "step_down_fall"),
         *("stability", "stability_low", "stability_high", "median_strides", "slowest_strides"),
         *("dimension", "dimension_low", "dimension_high"),
     )
     nowhere = "coordinate", np.full(len(walker.section), np.nan)
-    vectors = dict.fromkeys(("gait_state", "direction", "failing_state"), nowhere)
-    whole = {"gait_period": 0, "failure": -1, "failing_strides": -1}
+    vectors = ("gait_state", "direction", "failing_state", "fall_direction", "fall_state")
+    vectors = dict.fromkeys(vectors, nowhere)
+    none = ("failure", "failing_strides", "fall_failure", "fall_strides", "step_down_failure")
+    whole = {"gait_period": 0} | dict.fromkeys(none, -1)
     return dict.fromkeys(names, np.nan) | vectors | whole
 
 
+@refuses_tracers()
 def robustness_table(
     walker: Walker,
     values: Sequence[Any] | ArrayLike,
@@ -487,8 +546,9 @@ def robustness_table(
     """
     values = numbers("values", values)
     if values.ndim != 1 or len(values) == 0:
-        raise ValueError(f"values must be one row of numbers, not of shape {values.shape}")
+        raise WrongUse(f"values must be one row of numbers, not of shape {values.shape}")
     check_parameter(walker, parameter, *map(float, values))
+    check_precision(jnp.asarray(0.0).dtype, "robustness_table, as robustness does,")
     rows = []
     for value in tracked(values, parameter, progress):
         there = with_parameter(walker, parameter, float(value))
@@ -533,7 +593,7 @@ def default_region(walker: Walker) -> Grid | None:
     The rates are those of the simplest walker's basins, and more for others.
     """
     if isinstance(walker, PointFeetWalker):
-        rates = (-0.12, 0.06, 200) if isinstance(walker, SimplestWalker) else (-1.1, 0.1, 800)
+        rates = (-0.12, 0.06, 200) if moves_like(walker, SimplestWalker) else (-1.1, 0.1, 800)
         return Grid.sheared(theta=(0, np.pi / 4, 200), sum=rates)
     gait = find_gait(walker)
     if not gait.found:
@@ -566,11 +626,11 @@ def metric(
     size = len(walker.section)
     unit = np.ones(size) if scale is None else numbers_or_none(scale)
     if unit.shape != (size,) or not np.all(np.isfinite(unit) & (unit > 0)):
-        raise ValueError(f"scale must be {size} positive numbers, not {short(scale)}")
+        raise WrongUse(f"scale must be {size} positive numbers, not {short(scale)}")
     basis = np.eye(size) if along is None else np.atleast_2d(numbers_or_none(along))
     fits = basis.ndim == 2 and basis.shape[1] == size and bool(np.isfinite(basis).all())
     if not fits or np.linalg.matrix_rank(basis) != len(basis):
-        raise ValueError(f"along must be independent vectors of the section, not {short(along)}")
+        raise WrongUse(f"along must be independent vectors of the section, not {short(along)}")
     return unit, np.linalg.qr((basis / unit).T)[0].T
 
 
@@ -590,14 +650,15 @@ def returning(
     check_whole("strides", strides)
     gait = find_gait(walker) if gait is None else gait
     if not isinstance(gait, Gait) or not (gait.found and gait.stable):
-        raise ValueError("gait must be a stable one, and found")
+        raise WrongUse("gait must be a stable one, and found")
     states = np.asarray(gait.states)
+    check_precision(states.dtype)
     if states.shape[1:] != (len(walker.section),):
-        raise ValueError(f"gait must be one of this walker, on {', '.join(walker.section)}")
+        raise WrongUse(f"gait must be one of this walker, on {', '.join(walker.section)}")
     ends = take_strides(walker, states, tolerance=tolerance).state
     miss = np.abs(ends - np.roll(states, -1, axis=0)).max()
     if not miss < near(states.dtype):
-        raise ValueError(f"gait must be one of this walker, whose strides miss it by {miss:.2g}")
+        raise WrongUse(f"gait must be one of this walker, whose strides miss it by {miss:.2g}")
     finest = default_tolerance(states.dtype, tolerance)
     cycle = Attractor(len(states), states)
     (cycle,) = with_frames(walker, [cycle], float(finest), strides)
@@ -606,15 +667,38 @@ def returning(
     return states, (*shared, np.int32(strides))
 
 
+def until_settled(shared: tuple, starts: Float[np.ndarray, "*starts section"]) -> tuple:
+    """What walks share that may end close to any gait to which walkers come from some starts.
+
+    Those that come to another gait are not followed to their last stride then.
+    """
+    walker, tolerance, states, frames, limit = shared
+    own = Attractor(len(states), states, frames)
+    found = settle(walker, starts.reshape(-1, states.shape[1]), float(tolerance), [own])
+    gaits = [one for one in found if one.period]
+    if len(gaits) > 1:
+        gaits = with_frames(walker, gaits, float(tolerance), int(limit))
+        states = np.concatenate([one.states for one in gaits])
+        frames = np.concatenate([one.boxes() for one in gaits])
+    return walker, tolerance, states, frames, limit
+
+
 class EndOfWalk(NamedTuple):
     """How a walk ends."""
 
     back: Bool[Array, "*cells"]
-    """Whether the walker has come back to its gait."""
+    """Whether the walker has come back to its gait, or to another that it may come to."""
     outcome: Int[Array, "*cells"]
     """Of its last stride."""
     strides: Int[Array, "*cells"]
     """Those completed."""
+
+
+def which_walks(fall: bool) -> Callable[[EndOfWalk], Any]:
+    """Tells of walks whether they end in a fall, or whether they do not lead back."""
+    check_kind("fall", fall, bool)
+    none = (Outcome.STRIDE, Outcome.UNDECIDED)
+    return lambda walk: ~np.isin(walk.outcome, none) if fall else ~walk.back
 
 
 def end_of_walk(shared: tuple, x: Float[Array, " section"]) -> EndOfWalk:
@@ -679,7 +763,7 @@ def nearest_failure(
     """The shortest vector in the span of a basis, of unit vectors at right angles, that fails.
 
     The origin does not. `gradient`, at points that fail just beyond the boundary, is at right
-    angles to it, or NaN. `ValueError` where nothing fails.
+    angles to it, or NaN. `ComputationFailed` where nothing fails.
     """
     rank = len(basis)
     rays = directions(rank, RAYS)
@@ -739,14 +823,17 @@ def scanned(
 ) -> Float[np.ndarray, " n"]:
     """The first failure along each ray, up to where the nearest is between 1/4 and all of the way.
 
-    `ValueError` where nothing fails up to a length of a thousand.
+    `ComputationFailed` where nothing fails up to a length of a thousand.
     """
     reach = 0.1
     while True:
         first = first_failures(fails, rays, 0.0, reach, count)
         if np.isinf(first).all():
             if reach > 1e3:
-                raise ValueError("along these directions the walker returns from everywhere")
+                raise ComputationFailed(
+                    "no failure found: the walker returns to its gait from all disturbances tried, "
+                    f"of a size up to {reach:g}"
+                )
             reach *= 4
         elif first.min() < reach / 4:
             reach = 2 * first.min()

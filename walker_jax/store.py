@@ -24,6 +24,8 @@ import filelock
 import numpy as np
 import xarray as xr
 
+from walker_jax.checks import WrongUse
+
 LARGE = 2**28
 """Bytes from which on a data set is read when it is used, rather than at once."""
 LOCK = "lock"
@@ -32,8 +34,17 @@ TRIES = 100
 """To take a lock that another run is just removing."""
 
 
-class Occupied(ValueError):
-    """Something else stands where a result is to go."""
+class Occupied(WrongUse):
+    """Something else stands where a result is to go: what it is, and the arguments that help."""
+
+    def __str__(self):
+        return ": ".join(self.args)
+
+
+ELSEWHERE = "give another {}"
+REPLACE = "give another {}, or overwrite to replace it"
+RESUME = "run the same again"
+"""What a note on an interruption begins with that says how its work is resumed."""
 
 
 def find(path: Path, request: dict, *, overwrite: bool = False) -> xr.Dataset | None:
@@ -55,7 +66,7 @@ def find(path: Path, request: dict, *, overwrite: bool = False) -> xr.Dataset | 
             return data
     writable(path)
     if data is None and path.exists():
-        raise Occupied(f"{path} exists and is not a data set: name another place")
+        raise Occupied(f"{path} exists and is not a data set", ELSEWHERE.format("out"))
     return None
 
 
@@ -91,12 +102,12 @@ def check_request(path: Path, attributes: Mapping, request: dict) -> None:
         other = differences(json.loads(str(there)), json.loads(canonical(request)))
     except (TypeError, ValueError):  # nothing that was written here
         other = ""
-    raise Occupied(f"{path} holds another result{other}: name another place, or overwrite it")
+    raise Occupied(f"{path} holds another result{other}", REPLACE.format("out"))
 
 
 def differences(there: dict, wanted: dict, within: str = "") -> str:
     """The first thing in which what stands somewhere is not what is wanted, in words."""
-    for name in there | wanted:
+    for name in sorted(there | wanted, key=lambda name: name != "command"):
         old, new = there.get(name), wanted.get(name)
         if isinstance(old, dict) and isinstance(new, dict) and old != new:
             return differences(old, new, f"{within}{name} ")
@@ -111,13 +122,13 @@ def writable(path: Path) -> None:
     folder = path.absolute().parent
     try:
         if not folder.is_dir():
-            raise ValueError(f"{path} cannot be written: there is no folder {folder}")
+            raise WrongUse(f"{path} cannot be written: there is no folder {folder}")
         if not os.access(folder, os.W_OK | os.X_OK):
-            raise ValueError(f"{path} cannot be written: no permission for the folder {folder}")
+            raise WrongUse(f"{path} cannot be written: no permission for the folder {folder}")
         beside(path).exists()  # refuses a name too long for that one's
         tempfile.TemporaryFile(dir=folder).close()  # refused on what is read only, also to root
     except OSError as error:
-        raise ValueError(f"{path} cannot be written: {error.strerror}") from None
+        raise WrongUse(f"{path} cannot be written: {error.strerror}") from None
 
 
 def save(data: xr.Dataset, path: Path, request: dict) -> xr.Dataset:
@@ -167,7 +178,7 @@ def taken(folder: Path, path: Path) -> filelock.BaseFileLock:
             continue
         except (filelock.Timeout, PermissionError):  # a run of this user, or of another one
             raise Occupied(
-                f"{path} is being written by another run: wait, or name another place"
+                f"{path} is being written by another run", f"wait, or {ELSEWHERE.format('out')}"
             ) from None
     raise Occupied(f"{path} cannot be written: {folder} is in the way")
 
@@ -202,6 +213,25 @@ def mend(path: Path) -> None:
         for array in path.iterdir():
             with suppress(OSError):  # which holds something
                 array.rmdir()
+
+
+@contextmanager
+def resumable(
+    path: Path, begun: Callable[[], bool] = lambda: True, *, overwrite: bool = False
+) -> Iterator[None]:
+    """What interrupts the work within carries a note that the same again resumes from `path`.
+
+    `begun` is whether anything is there to resume from, `overwrite` whether that was given.
+    """
+    try:
+        yield
+    except Exception:
+        raise
+    except BaseException as interruption:
+        if begun():
+            how = ", without overwrite," if overwrite else ""
+            interruption.add_note(f"{RESUME}{how} to resume from {path}")
+        raise
 
 
 @contextmanager
@@ -244,7 +274,7 @@ def opened(path: Path) -> xr.Dataset:
         if not data.attrs.get("unfinished"):
             for name, array in group_at(path, "r").arrays():
                 if array.nchunks_initialized < array.nchunks:  # which would read as zeros
-                    raise ValueError(f"{path} is damaged: chunks of {name} are missing")
+                    raise OSError(f"{path} is damaged: chunks of {name} are missing")
     return data if data.nbytes > LARGE else data.load()
 
 
@@ -355,13 +385,16 @@ def pieces(
         try:
             group = group_at(path, "r+")
         except Exception as error:  # whatever is wrong with a foreign or damaged store
-            raise Occupied(f"{path} exists and is not a data set: name another place") from error
+            raise Occupied(
+                f"{path} exists and is not a data set", ELSEWHERE.format("out")
+            ) from error
         check_request(path, group.attrs, request)
         if not group.attrs.get("unfinished"):
             raise Occupied(f"{path} has just been finished by another run: ask again to have it")
         name, array = next(iter(arrays.items()))
         shape, block = array.shape[: len(block)], group[name].chunks[: len(block)]
-        yield Pieces(path, folder, group, shape, block, json.loads(str(group.attrs["notes"])))
+        with resumable(path, overwrite=overwrite):
+            yield Pieces(path, folder, group, shape, block, json.loads(str(group.attrs["notes"])))
 
 
 def begin(
@@ -430,10 +463,10 @@ def export(path: Path, file: Path, *, overwrite: bool = False) -> xr.Dataset:
     `ValueError` where nothing can be written, or h5netcdf is not installed.
     """
     if None in map(importlib.util.find_spec, ("h5netcdf", "h5py")):
-        raise ValueError("NetCDF takes h5netcdf and h5py: pip install 'walker_jax[netcdf]'")
+        raise WrongUse("NetCDF takes h5netcdf and h5py: pip install 'walker_jax[netcdf]'")
     writable(file)
     if file.exists() and not (overwrite and file.is_file()):
-        raise Occupied(f"{file} exists: name another place, or overwrite it")
+        raise Occupied(f"{file} exists", REPLACE.format("file"))
     data = load(path) if path.is_dir() else None
     if data is None:
         raise Occupied(f"{path} is not a data set")
@@ -445,14 +478,19 @@ def export(path: Path, file: Path, *, overwrite: bool = False) -> xr.Dataset:
     return data
 
 
-def check_picture(path: Path, request: dict, *, overwrite: bool = False) -> None:
-    """Raises as `find` does where a picture of `request` cannot go; one of it may stand there."""
+def check_picture(
+    path: Path, request: dict, *, overwrite: bool = False, argument: str = "figure"
+) -> None:
+    """Raises as `find` does where a picture of `request` cannot go; one of it may stand there.
+
+    `argument` is the name of that by which the place was given.
+    """
     writable(path)
     if not path.exists():
         return
     known = path.is_file() and (overwrite or signature(request).encode() in path.read_bytes())
     if not known:
-        raise Occupied(f"{path} is something else: name another place, or overwrite it")
+        raise Occupied(f"{path} is something else", REPLACE.format(argument))
 
 
 def signature(request: dict) -> str:

@@ -12,6 +12,7 @@ from functools import cache, partial
 from typing import Any, NamedTuple
 
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -20,7 +21,16 @@ from jax.core import Tracer
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
-from walker_jax.checks import check_kind, check_number, check_whole, short
+from walker_jax.checks import (
+    WrongUse,
+    array,
+    check_kind,
+    check_number,
+    check_whole,
+    is_traced,
+    refuses_tracers,
+    short,
+)
 from walker_jax.integrate import (
     MAX_STEPS,
     ORDER,
@@ -38,10 +48,10 @@ from walker_jax.integrate import (
     paired,
     polynomial,
     step,
-    step_length,
+    taylor_step,
     unpacked,
 )
-from walker_jax.taylor import fast_sines, function_series, solution_series
+from walker_jax.taylor import evaluate, fast_sines, function_series, solution_series
 from walker_jax.tiles import over_cells
 from walker_jax.walkers import (
     MultibodyWalker,
@@ -137,8 +147,7 @@ def of_one_start(
 
 def kernel_serves(*values: Any) -> bool:
     """Whether a kernel can do one start, which compiles faster: nothing is traced, on a CPU."""
-    traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(values))
-    return not traced and jax.local_devices()[0].platform == "cpu"
+    return not is_traced(values) and jax.local_devices()[0].platform == "cpu"
 
 
 def prepared(
@@ -148,11 +157,11 @@ def prepared(
     check_kind("walker", walker, Walker)
     for name, value in vars(walker).items():
         if np.shape(value):
-            raise ValueError(f"{name} must be one number, not of shape {np.shape(value)}")
+            raise WrongUse(f"{name} must be one number, not of shape {np.shape(value)}")
     x = as_floating(x)
     sizes = len(walker.section), len(State._fields)
     if x.ndim != 1 or x.shape[0] not in sizes:
-        raise ValueError(
+        raise WrongUse(
             f"x must have shape ({sizes[0]},), on the section {walker.section}, or ({sizes[1]},), "
             f"a full state, not {x.shape}"
         )
@@ -172,7 +181,22 @@ def follow_stride(
 
 def full_state(walker: Walker, x: Float[Array, " coordinates"]) -> State:
     """The full state of a start, which may be one already."""
-    return walker.lift(x) if x.shape == (len(walker.section),) else State(*x)
+    start = walker.lift(x) if x.shape == (len(walker.section),) else State(*x)
+    check_field(walker, start)
+    return start
+
+
+def check_field(walker: Walker, start: State) -> None:
+    """Refuse a walker of a user's own whose vector field is none."""
+    if type(walker).vector_field is MultibodyWalker.vector_field:
+        return
+    rates = jax.eval_shape(walker.vector_field, start)
+    if not isinstance(rates, State) or any(np.shape(rate) for rate in rates):
+        found = " ".join(eqx.tree_pformat(rates, struct_as_array=True).split())
+        raise WrongUse(
+            f"vector_field of {type(walker).__name__} must return a State of four scalars, "
+            f"not {found}"
+        )
 
 
 def begin(walker: Walker, x: Float[Array, " coordinates"]) -> tuple[State, Int[Array, ""]]:
@@ -237,7 +261,7 @@ def step_down(
     if not isinstance(drop, Tracer):
         check_number("drop", drop)
         if not 0 <= drop < np.inf:
-            raise ValueError(f"drop must be one number, finite and not negative, not {short(drop)}")
+            raise WrongUse(f"drop must be one number, finite and not negative, not {short(drop)}")
     height = jnp.asarray(drop, x.dtype)
     if kernel_serves(walker, x, height, tolerance):
         found = over_cells(step_down_of_cell, (walker, tolerance), (x[None], height[None]))
@@ -278,7 +302,10 @@ def in_tension(walker: Walker, state: State) -> Bool[Array, ""]:
 
 def equations(walker: Walker) -> Callable[[State], State]:
     """What is integrated: the vector field, or what it follows from where that is faster."""
-    return SingleSupport(walker) if isinstance(walker, MultibodyWalker) else walker.vector_field
+    general = type(walker).vector_field is MultibodyWalker.vector_field
+    if general and isinstance(walker, MultibodyWalker):
+        return SingleSupport(walker)
+    return walker.vector_field
 
 
 def swing(
@@ -307,40 +334,43 @@ def swing(
         """dh/dt along the motion."""
         return jax.jvp(contact, (state,), (walker.vector_field(state),))[1]
 
-    def may_end(before: State, after: State):
+    def may_end(before: State, after: State, below: Bool[Array, ""], ends_below: Bool[Array, ""]):
         """Whether a stride may end in a step: all that is wanted of it are its two ends."""
-        h0, h1 = contact(before), contact(after)
-        rises = (h1 >= 0) & ((h0 < 0) | ((rate(before) < 0) & (rate(after) > 0)))
+        turns = (rate(before) < 0) & (rate(after) > 0)
+        rises = ~ends_below & (below | turns)
         if drop is not None:  # a foot may come down and up again: the legs pass each other
             rises |= (rate(before) > 0) & (rate(after) < 0)
-        return (rises & (after.theta < 0)) | has_fallen(after)
+        return (rises & (after.theta < 0)) | has_fallen(after, ends_below)
 
     def may_pull(before: State, after: State):
         """Whether the ground may have had to pull by the end of a step."""
         return in_tension(walker, after) | dips(walker, before, after)
 
-    def has_fallen(state: State):
+    def has_fallen(state: State, below: Bool[Array, ""]):
         fallen = (state.thetadot >= 0) | (state.theta <= -np.pi / 2)
-        return fallen | walker.past_contact(state) if drop is None else fallen
+        return fallen | (~below & walker.past_contact(state)) if drop is None else fallen
 
     def undecided(carry):
-        *_, time, verdict, count, _ = carry
+        *_, time, verdict, count, _, _ = carry
         return (verdict == Outcome.UNDECIDED) & (count < MAX_STEPS) & jnp.isfinite(time)
 
     def follow(carry):
-        now, _, time, verdict, count, pulled = carry
+        now, _, time, verdict, count, pulled, below = carry
 
-        def stop(before: State, after: State):
-            ends = may_end(before, after)
-            if walker.force_least_at_ends:
-                return ends
-            return ends | (may_pull(before, after) & ~pulled)
+        def stop(before: State, after: State, below: Bool[Array, ""]):
+            ends_below = contact(after) < 0
+            ends = may_end(before, after, below, ends_below)
+            if not walker.force_least_at_ends:
+                ends |= may_pull(before, after) & ~pulled
+            return ends, ends_below
 
         last = integrate_until(
             field,
             unpacked(now, structure),
             stop,
             tolerance=tolerance,
+            side=below,
+            others=[contact],
             time=time,
             count=count,
             active=verdict == Outcome.UNDECIDED,
@@ -351,10 +381,12 @@ def swing(
             return function_series(contact, solution)
 
         series, until = once(contact_series), last.length
+        below, ends_below = last.sides
         if drop is not None:
             highest = least([-c for c in series], until)
             until = jnp.where(highest.exists, highest.time, until)
-        rises, time = first_rise(series, until)
+            ends_below = jnp.where(highest.exists, evaluate(series, until) < 0, ends_below)
+        rises, time = first_rise(series, until, (below, ends_below))
         time = jnp.where(rises, time, last.length)
 
         def after(time):
@@ -370,14 +402,19 @@ def swing(
         ahead = (arrival.theta < 0) & (arrival.theta > -np.pi / 2) & (arrival.thetadot < 0)
         ahead &= arrival.phi < 0
         fallen = jnp.where(last.end.thetadot >= 0, Outcome.BACKWARD, Outcome.FORWARD)
-        fallen = jnp.where(fast_sines(has_fallen)(last.end), fallen, Outcome.UNDECIDED)
+        fallen = jnp.where(
+            fast_sines(has_fallen)(last.end, last.sides[1]), fallen, Outcome.UNDECIDED
+        )
         verdict = jnp.where(rises & ahead, Outcome.STRIDE, fallen).astype(jnp.int8)
         time = jnp.where(verdict == Outcome.STRIDE, time + delay, last.length)
-        return packed(last.end), packed(arrival), last.time + time, verdict, last.count, pulled
+        time = last.time + time
+        below = last.sides[1]
+        return packed(last.end), packed(arrival), time, verdict, last.count, pulled, below
 
     zero, never = jnp.zeros((), dtype), jnp.asarray(False)
-    carry = (packed(start), packed(start), zero, verdict, jnp.asarray(0), never)
-    _, arrival, time, verdict, _, pulled = lax.while_loop(undecided, follow, carry)
+    below = jnp.asarray(fast_sines(contact)(start) < 0)
+    carry = (packed(start), packed(start), zero, verdict, jnp.asarray(0), never, below)
+    _, arrival, time, verdict, _, pulled, _ = lax.while_loop(undecided, follow, carry)
     return unpacked(arrival, structure), time, verdict, pulled
 
 
@@ -451,6 +488,7 @@ def least_force(
     return best, least
 
 
+@refuses_tracers("within them use jax.vmap(lambda x: wj.stride(walker, x))(xs)")
 def strides(
     walker: Walker,
     xs: Float[ArrayLike, "n coordinates"],
@@ -477,11 +515,11 @@ def for_each_start(
 ) -> Any:
     """function(walker, x, tolerance=tolerance) for n starts, and one walker or n; NumPy arrays."""
     check_kind("walker", walker, Walker)
-    xs = np.asarray(xs)
+    xs = array("xs", xs)
     if np.iscomplexobj(xs):
-        raise ValueError(f"xs must be real, not of type {xs.dtype}")
+        raise WrongUse(f"xs must be real, not of type {xs.dtype}")
     if xs.ndim != 2:
-        raise ValueError(f"xs must have shape (n, coordinates), not {xs.shape}")
+        raise WrongUse(f"xs must have shape (n, coordinates), not {xs.shape}")
     dtype = xs.dtype if np.issubdtype(xs.dtype, np.floating) else float
     xs = xs.astype(jax.dtypes.canonicalize_dtype(dtype), copy=False)
     # Of one dtype, whatever numbers they were given as: another would be compiled anew.
@@ -515,7 +553,7 @@ def check_parameters(walker: Walker, n: int) -> None:
     """Refuse parameters that are neither one number nor n, or that a constructor refuses."""
     for name, values in vars(walker).items():
         if np.shape(values) not in ((), (n,)):
-            raise ValueError(f"{name} must be one number or {n}, not of shape {np.shape(values)}")
+            raise WrongUse(f"{name} must be one number or {n}, not of shape {np.shape(values)}")
     for one in parameters(walker):
         values = getattr(walker, one.name)
         for value in (np.min(values), np.max(values)) if np.size(values) else ():
@@ -529,7 +567,7 @@ def walk(
     check_whole("n", n)
     walker, x, tolerance = prepared(walker, x, tolerance)
     if x.shape != (len(walker.section),):
-        raise ValueError(f"x must be on the section {walker.section}, not of shape {x.shape}")
+        raise WrongUse(f"x must be on the section {walker.section}, not of shape {x.shape}")
     if not kernel_serves(walker, x, tolerance):
         return follow_walk(walker, x, n, tolerance)
     shared = jax.tree.map(np.asarray, (walker, tolerance))
@@ -574,15 +612,15 @@ def trajectory(
     """
     walker, x, tolerance = prepared(walker, x, tolerance)
     if not isinstance(x, Tracer) and not jnp.isfinite(x).all():
-        raise ValueError(f"x must be finite, not {x}")
+        raise WrongUse(f"x must be finite, not {x}")
     times = as_floating(times, "times").astype(x.dtype)
     if times.ndim != 1:
-        raise ValueError(f"times must be a row of numbers, not of shape {times.shape}")
+        raise WrongUse(f"times must be a row of numbers, not of shape {times.shape}")
     if not isinstance(times, Tracer):
         listed = np.asarray(times)
         steps = np.diff(listed, prepend=0.0)
         if listed.size == 0 or not (np.isfinite(steps) & (steps >= 0)).all():
-            raise ValueError(f"times must be finite, not negative and not decrease, unlike {times}")
+            raise WrongUse(f"times must be finite, not negative and not decrease, unlike {times}")
     if kernel_serves(walker, x, times, tolerance):
         shared = jax.tree.map(np.asarray, (walker, x, tolerance))
         return jax.tree.map(jnp.asarray, over_cells(state_after, shared, np.asarray(times)))
@@ -603,8 +641,8 @@ def state_after(shared: tuple[Walker, Float[Array, " coordinates"], Scalar], tim
         now, clock, count = carry
 
         def take_step():
-            series = solution_series(field, unpacked(now, structure), order)
-            length = jnp.minimum(step_length(series, tolerance), time - clock)
+            series, longest = taylor_step(field, unpacked(now, structure), order, tolerance)
+            length = jnp.minimum(longest, time - clock)
             return [*interleaved(polynomial(series, length)), length]
 
         *after, length = once(take_step)
@@ -647,7 +685,7 @@ def as_floating(x: Any, name: str = "x") -> Float[Array, "..."]:
     try:
         values = jnp.asarray(x)
     except (TypeError, ValueError, OverflowError):
-        raise TypeError(f"{name} must be real numbers, not {short(x)}") from None
+        raise WrongUse(f"{name} must be real numbers, not {short(x)}") from None
     if jnp.iscomplexobj(values):
-        raise ValueError(f"{name} must be real, not of type {values.dtype}")
+        raise WrongUse(f"{name} must be real, not of type {values.dtype}")
     return values if jnp.issubdtype(values.dtype, jnp.floating) else values.astype(float)

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from walker_jax import store
 from walker_jax.basin import ABOUT, basin, check_grid, described, not_yet, request_of
 from walker_jax.cells import Grid
-from walker_jax.checks import check_kind, check_whole, numbers, short
+from walker_jax.checks import WrongUse, check_kind, check_whole, numbers, refuses_tracers, short
 from walker_jax.cluster import computers
 from walker_jax.gaits import check_parameter, find_gait, with_parameter
 from walker_jax.integrate import default_tolerance
@@ -33,6 +33,7 @@ MOST = 2**20
 """Combinations of parameters, each of which is some twenty files of a store."""
 
 
+@refuses_tracers()
 def sweep(
     walker: Walker,
     over: Mapping[str, Sequence[Any] | ArrayLike],
@@ -93,7 +94,7 @@ def sweep(
     seed = check_whole("seed", seed, 0)
     grid = default_region(walker) if grid is None else grid
     if grid is None:
-        raise ValueError("grid is wanted where no gait of period one is found")
+        raise WrongUse("grid is wanted where no gait of period one is found")
     check_grid(walker, grid, "direct")
     tolerance = float(default_tolerance(jnp.asarray(0.0).dtype, tolerance))
     how = {"levels": levels, "check": check, "robust": int(robust), "strides": strides}
@@ -119,13 +120,13 @@ def sweep(
 def check_values(walker: Walker, values: Mapping[str, Float[np.ndarray, "..."]]) -> None:
     """Refuse parameters that the walker does not have, and values."""
     if not values:
-        raise ValueError("over must name at least one parameter")
+        raise WrongUse("over must name at least one parameter")
     for name, some in values.items():
         if some.ndim != 1 or len(some) == 0 or len(np.unique(some)) < len(some):
-            raise ValueError(f"over {name} must be one row of different numbers, not {short(some)}")
+            raise WrongUse(f"over {name} must be one row of different numbers, not {short(some)}")
     count = math.prod(map(len, values.values()))
     if count > MOST:
-        raise ValueError(f"over must have at most {MOST} combinations, not {count}")
+        raise WrongUse(f"over must have at most {MOST} combinations, not {count}")
     for name, some in values.items():
         check_parameter(walker, name, *some.tolist())
 
@@ -158,7 +159,8 @@ def fill(
             at = zip(names, place.place(i), strict=True)
             number[tuple(float(about[name][k]) for name, k in at)] = i
         label = " × ".join(names)
-        for values, row in tracked(each(compute, [*number]), label, progress, len(number)):
+        found, done = each(compute, [*number]), place.count - len(number)
+        for values, row in tracked(found, label, progress, place.count, done):
             place.write(number[values], unknown | row, done=True)
         place.finish(about)
     return store.opened(out)

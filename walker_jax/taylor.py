@@ -11,6 +11,10 @@ primitives: its jaxpr is read, and every primitive has a recurrence for its coef
 `jax.experimental.jet`, which costs more tracing and gives the same coefficients.
 
 Coefficients are Taylor coefficients, derivatives divided by k!.
+
+Where f has a kink, as |x| at zero, a series continues the branch on which it starts. It holds until
+a switching function changes its sign, x for |x|, and a - b for max(a, b); `switching_series` has
+these.
 """
 
 import abc
@@ -108,6 +112,19 @@ class Series:
 
 recorded: ContextVar[list[Series] | None] = ContextVar("recorded", default=None)
 """Where to note every series that is made, if anywhere."""
+switches: ContextVar[list[Series] | None] = ContextVar("switches", default=None)
+"""Where to note every switching function, if anywhere."""
+
+
+@contextmanager
+def recording(where: ContextVar[list[Series] | None]):
+    """A list of the series that are noted there meanwhile."""
+    noted: list[Series] = []
+    token = where.set(noted)
+    try:
+        yield noted
+    finally:
+        where.reset(token)
 
 
 def constant(value) -> Series:
@@ -160,14 +177,7 @@ class VirtualPower(eqx.Module):
         # zero, as long as they are not known
         q = [Series(lambda k: None, pair) for pair in zip(start, rates, strict=True)]
         qdot = [derivative(series) for series in q]
-        with recording() as of_transfer:
-            x = compose(self.transfer, q, start)
-        with recording() as of_power:
-            acceleration = [derivative(series, times=2) for series in x]
-            like = [jnp.zeros_like(start[0])] * len(x)
-            p = compose(
-                lambda args: self.power(*args), (q, qdot, acceleration), (start, rates, like)
-            )
+        p, of_transfer, of_power = self.balance([*q, *qdot], leaves)
         for k in range(order):
             missing = [jnp.zeros_like(start[0]) if c is None else c for c in (s[k] for s in p)]
             for series in of_power:
@@ -177,6 +187,24 @@ class VirtualPower(eqx.Module):
             for series, value in zip(q, self.solve(factors, missing), strict=True):
                 series.coefficients.append(value * (1 / ((k + 1) * (k + 2))))
         return jax.tree.unflatten(structure, [listed(series, order) for series in (*q, *qdot)])
+
+    def balance(
+        self, state: list[Series], start: list
+    ) -> tuple[list[Series], list[Series], list[Series]]:
+        """The series of p along q(t), and all that were made for F, and for p itself."""
+        half = len(state) // 2
+        q, qdot = state[:half], state[half:]
+        with recording(recorded) as of_transfer:
+            x = compose(self.transfer, q, start[:half])
+        with recording(recorded) as of_power:
+            acceleration = [derivative(series, times=2) for series in x]
+            like = [jnp.zeros_like(start[0])] * len(x)
+            p = compose(
+                lambda args: self.power(*args),
+                (q, qdot, acceleration),
+                (start[:half], start[half:], like),
+            )
+        return p, of_transfer, of_power
 
     def order(self, state: PyTree, highest: int) -> int:
         """The order, up to the highest, at which the series is not too long for XLA.
@@ -236,17 +264,6 @@ def operations(function: Callable, *args) -> int:
     return len(distinct)
 
 
-@contextmanager
-def recording():
-    """A list of the series that are made meanwhile."""
-    made: list[Series] = []
-    token = recorded.set(made)
-    try:
-        yield made
-    finally:
-        recorded.reset(token)
-
-
 def derivative(series: Series, times: int = 1) -> Series:
     """That of a series by time."""
 
@@ -293,6 +310,42 @@ def function_series(function: Callable[[PyTree], PyTree], series: PyTree[list]) 
     order = len(jax.tree.leaves(series, is_leaf=is_list)[0]) - 1
     start = jax.tree.map(lambda c: c[0], series, is_leaf=is_list)
     return jax.tree.map(lambda result: listed(result, order), compose(function, known, start))
+
+
+@eqx.filter_jit
+def switching_series(
+    function: Callable[[PyTree], PyTree], series: PyTree[list]
+) -> list[list[Array]]:
+    """Taylor coefficients of the functions whose zeros are the kinks of function(y(t)), and jumps.
+
+    **Arguments:**
+
+    - `function`: of the state, or a `VirtualPower`.
+    - `series`: the coefficients of y(t), to some order.
+
+    **Returns** a list of coefficients for each scalar whose sign selects a branch and changes with
+    time; none where `function` is smooth. Its order is that of the series, and less by two for a
+    `VirtualPower`.
+    """
+    known = jax.tree.map(lambda c: Series(c.__getitem__), series, is_leaf=is_list)
+    start = jax.tree.map(lambda c: c[0], series, is_leaf=is_list)
+    order = len(jax.tree.leaves(series, is_leaf=is_list)[0]) - 1
+    with recording(switches) as found:
+        if isinstance(function, VirtualPower):
+            function.balance(jax.tree.leaves(known, is_leaf=is_series), jax.tree.leaves(start))
+            order -= 2
+        else:
+            compose(function, known, start)
+    varying = [one for one in found if any(one[k] is not None for k in range(1, order + 1))]
+    return [
+        [coefficient.ravel()[i] for coefficient in listed(one, order)]
+        for one in varying
+        for i in range(one[0].size)
+    ]
+
+
+def is_series(x) -> bool:
+    return isinstance(x, Series)
 
 
 def fast_sines(function: Callable) -> Callable:
@@ -362,13 +415,20 @@ BILINEAR = frozenset(["mul", "dot_general"])
 # Those with several results, the parts of their one operand.
 PARTS = frozenset(["split", "unstack"])
 # Those whose results do not change with time, but for jumps.
-DISCRETE = frozenset("and eq floor ge gt is_finite le lt ne not or sign xor".split())
+DISCRETE = frozenset("and ceil eq floor ge gt is_finite le lt ne not or round sign xor".split())
+# Those with kinks of which no switching functions are known.
+UNKNOWN_SWITCHES = frozenset(
+    "argmax argmin cummax cummin reduce_max reduce_min rem sort top_k".split()
+)
 
 
 def primitive_series(primitive: Primitive, params: dict, operands: list[Series]) -> Series:
     """The series of a primitive's result: c_0 by the primitive itself, the others by its rule."""
     name = primitive.name
     bind = lambda *values: primitive.bind(*values, **params)
+    if (found := switches.get()) is not None and name in SWITCHES:
+        if jnp.issubdtype(jnp.result_type(operands[0][0]), jnp.floating):
+            found += SWITCHES[name](*operands)
     if name == "div":
         numerator, denominator = operands
         return quotient(numerator, denominator, bind)
@@ -415,8 +475,39 @@ def selected(k: int, operands: list[Series], bind: Callable) -> Any:
     return None if values is None else bind(operands[0][0], *values[1:])
 
 
+def greater(k: int, operands: list[Series], bind: Callable) -> Any:
+    left, right = operands
+    return branch(k, left[0] >= right[0], left, right)
+
+
+def lesser(k: int, operands: list[Series], bind: Callable) -> Any:
+    left, right = operands
+    return branch(k, left[0] <= right[0], left, right)
+
+
+def clamped(k: int, operands: list[Series], bind: Callable) -> Any:
+    values = filled(k, operands)
+    if values is None:
+        return None
+    low, x, high = (operand[0] for operand in operands)
+    return jnp.where(x < low, values[0], jnp.where(x > high, values[2], values[1]))
+
+
+def absolute(k: int, operands: list[Series], bind: Callable) -> Any:
+    (x,) = operands
+    return None if x[k] is None else jnp.where(x[0] < 0, -x[k], x[k])
+
+
+def branch(k: int, which, one: Series, other: Series) -> Any:
+    """The k-th coefficient of one series or another."""
+    values = filled(k, [one, other])
+    return None if values is None else jnp.where(which, *values)
+
+
 def by_jet(name: str, k: int, operands: list[Series], bind: Callable) -> Any:
     """The rule of JAX's own for a primitive, if it has one."""
+    if name in UNKNOWN_SWITCHES:
+        raise no_series(name)
     if all(operand[j] is None for operand in operands for j in range(1, k + 1)):
         return None
     zeros = [jnp.zeros_like(operand[0]) for operand in operands]
@@ -444,8 +535,33 @@ def filled(k: int, operands: list[Series]) -> list | None:
 
 RULES: dict[str, Callable] = {"add": plus, "add_any": plus, "sub": minus}
 RULES |= {"select_n": selected, "square": squared}
+RULES |= {"max": greater, "min": lesser, "clamp": clamped, "abs": absolute}
 RULES |= dict.fromkeys(DISCRETE, lambda k, operands, bind: None)
 RULES |= dict.fromkeys(LINEAR, linear) | dict.fromkeys(BILINEAR, bilinear)
+
+
+def difference(left: Series, right: Series) -> Series:
+    return Series(lambda k: minus(k, [left, right], operator.sub))
+
+
+def shares(x: Series, whole: Callable) -> list[Series]:
+    """How far x is from the two ends of the interval in which it is rounded to one number."""
+    below = lambda k: x[0] - whole(x[0]) if k == 0 else x[k]
+    above = lambda k: whole(x[0]) + 1 - x[0] if k == 0 else scaled(x[k], -1)
+    return [Series(below), Series(above)]
+
+
+# Switching functions of primitives, whose results have a kink or a jump where one is zero.
+SWITCHES: dict[str, Callable[..., list[Series]]] = dict.fromkeys(
+    "ge gt le lt max min".split(), lambda left, right: [difference(left, right)]
+)
+SWITCHES |= dict.fromkeys(("abs", "sign"), lambda x: [x])
+SWITCHES |= {
+    "clamp": lambda low, x, high: [difference(x, low), difference(high, x)],
+    "ceil": lambda x: shares(x, lambda value: jnp.ceil(value) - 1),
+    "floor": lambda x: shares(x, jnp.floor),
+    "round": lambda x: shares(x, lambda value: jnp.round(value) - 0.5),
+}
 
 
 def quotient(numerator: Series, denominator: Series, divide: Callable) -> Series:

@@ -23,6 +23,7 @@ from jax.sharding import PartitionSpec as P
 from jaxtyping import Int, PyTree
 from rich.progress import Progress
 
+from walker_jax.checks import WrongUse
 from walker_jax.kernels import Kernel, NoKernel
 from walker_jax.progress import console
 
@@ -66,7 +67,7 @@ def over_cells(
     cells = jax.tree.map(np.asarray, cells)
     sizes = {leaf.shape[0] for leaf in jax.tree.leaves(cells)}
     if len(sizes) != 1:
-        raise ValueError(f"cells must hold arrays of one length, not of {sorted(sizes)}")
+        raise WrongUse(f"cells must hold arrays of one length, not of {sorted(sizes)}")
     (n,) = sizes
     devices = jax.local_devices()
     platform = devices[0].platform

@@ -17,7 +17,7 @@ swing foot meets the ground: equations of motion, contact forces and impact foll
 
 import abc
 import dataclasses
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, TypeGuard, TypeVar
 
 import equinox as eqx
 import jax
@@ -29,7 +29,7 @@ from jaxtyping import Array, Bool, Float
 
 from walker_jax import multibody
 from walker_jax.cells import Grid
-from walker_jax.checks import short
+from walker_jax.checks import WrongUse, short
 from walker_jax.multibody import System
 from walker_jax.scalars import unrolled
 from walker_jax.taylor import VirtualPower
@@ -54,6 +54,25 @@ class Walker(eqx.Module):
     force_least_at_ends: ClassVar[bool] = False
     """Whether Q_v, over a stride, is least at the start or at heel strike, so that a stride need
     not look at it in between."""
+    inverted_pendulum: ClassVar[bool] = False
+    """Whether thetaddot = sin(theta - slope): the hip does not feel the swing leg."""
+
+    def __init_subclass__(cls, **kwargs):
+        """Take back what is known of the walkers that this class derives from, but not of it.
+
+        What `KNOWN_OF` lists has been shown for the methods named there. Where a class defines one
+        of these anew, and does not say that it still holds, the default of `Walker` holds.
+        """
+        super().__init_subclass__(**kwargs)
+        for name, methods in KNOWN_OF.items():
+            said = next(i for i, base in enumerate(cls.__mro__) if name in vars(base))
+            if any(method in vars(base) for base in cls.__mro__[:said] for method in methods):
+                setattr(cls, name, vars(Walker)[name])
+
+    def __repr__(self):
+        """The parameters' values, as far as each is one number; else their types and shapes."""
+        shown = (f"{name}={displayed(value)}" for name, value in vars(self).items())
+        return f"{type(self).__name__}({', '.join(shown)})"
 
     @abc.abstractmethod
     def lift(self, x: Float[Array, " section"]) -> State:
@@ -67,24 +86,51 @@ class Walker(eqx.Module):
     def feasible(self, x: Float[Array, " section"]) -> Bool[Array, ""]:
         """Whether a stride can begin at x."""
 
-    @abc.abstractmethod
     def gait_region(self) -> Grid:
-        """The part of the section where the states of gaits lie, in cells to search from."""
+        """The part of the section where the states of gaits lie, in cells to search from.
+
+        By default starts with the speed that takes the stance leg about to its dead point. Rates
+        are counted in that of toppling. Along phidot, whatever legs may do.
+        """
+        dtype = jnp.asarray(0.0).dtype
+        walker = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), self)
+        rate, widest = float(toppling_rate(walker)), 0.6
+        if len(self.section) == 2:
+            axes = {"theta": (0, widest, 100), "sum": (-widest, 0.5 * widest, 600)}
+            return Grid(axes, np.array([[1, 0], [-rate, rate]]))
+        axes = {
+            "theta": (0, widest, 30),
+            "sum": (-widest, 0.5 * widest, 50),
+            "turn": (-widest, 0.5 * widest, 16),
+        }
+        return Grid(axes, np.array([[1, 0, 0], [-rate, rate, 0], [0, 0, rate]]))
 
     @abc.abstractmethod
     def vector_field(self, state: State) -> State:
-        """Time derivative of the state during a stride."""
+        """Time derivative of the state during a stride.
+
+        It may have kinks, such as the limits of a torque: a step of the integration ends where one
+        is. Where it jumps, the outcome of a stride is `UNDECIDED`.
+        """
 
     @abc.abstractmethod
     def contact_force(self, state: State) -> tuple[Scalar, Scalar]:
         """Force (Q_u, Q_v) of the ground on the stance foot, along and normal to the slope."""
 
-    @abc.abstractmethod
+    def driven_by_gravity(self) -> bool:
+        """Whether gravity alone does work on the walker, so that a step loses what the slope gives.
+
+        By default that is not known.
+        """
+        return False
+
     def past_contact(self, state: State) -> Bool[Array, ""]:
         """Whether h > 0 can only grow from here, so that no heel strike follows.
 
-        It spares a falling walker the rest of its fall: an outcome may not depend on it.
+        It spares a falling walker the rest of its fall: an outcome may not depend on it. By default
+        that is never known.
         """
+        return jnp.zeros_like(state.theta, bool)
 
     @abc.abstractmethod
     def impact(self, state: State) -> tuple[tuple[Scalar, Scalar], State]:
@@ -116,6 +162,33 @@ class Walker(eqx.Module):
         return State(theta - phi, -phi, thetadot - phidot, -phidot)
 
 
+Kind = TypeVar("Kind", bound=Walker)
+MOTION = ("vector_field", "system")
+KNOWN_OF = {
+    "force_least_at_ends": (*MOTION, "contact_force"),
+    "inverted_pendulum": MOTION,
+    "driven_by_gravity": ("vector_field", "impact"),
+    "past_contact": (*MOTION, "contact", "swing_foot"),
+    "gait_region": (*MOTION, "contact", "swing_foot", "impact", "lift", "project"),
+}
+"""What may be known of a walker beyond its equations, and the methods that it is known of."""
+
+
+def moves_like(walker: Walker, kind: type[Kind]) -> TypeGuard[Kind]:
+    """Whether a walker moves as one of some kind does, by the same equations."""
+    methods = {method for methods in KNOWN_OF.values() for method in methods}
+    same = lambda name: getattr(type(walker), name, None) is getattr(kind, name, None)
+    return isinstance(walker, kind) and all(map(same, methods))
+
+
+def displayed(value: Any) -> str:
+    """A number as it is; of arrays, and of what JAX traces, the type and shape."""
+    if not eqx.is_array_like(value):
+        return repr(value)
+    single = not isinstance(value, Tracer) and np.shape(value) == ()
+    return str(np.asarray(value)[()]) if single else eqx.tree_pformat(value)
+
+
 class Parameter(NamedTuple):
     """What a parameter of a walker means, and the numbers it may be."""
 
@@ -135,10 +208,10 @@ class Parameter(NamedTuple):
         try:
             value = jnp.asarray(value)
         except (TypeError, ValueError, OverflowError):
-            raise ValueError(refusal) from None
+            raise WrongUse(refusal) from None
         real = jnp.issubdtype(value.dtype, jnp.number) and jnp.isrealobj(value)
         if value.shape != () or not real:
-            raise ValueError(refusal)
+            raise WrongUse(refusal)
         if not jnp.issubdtype(value.dtype, jnp.floating):
             value = value.astype(float)
         if isinstance(value, Tracer):
@@ -146,13 +219,14 @@ class Parameter(NamedTuple):
         number = np.asarray(value)
         above = number >= self.low if self.closed else number > self.low
         if not (above & (number < self.high)):
-            raise ValueError(f"{self.name} must be {self.bounds()}, not {value}")
+            raise WrongUse(f"{self.name} must be {self.bounds()}, not {value}")
         return value
 
     def bounds(self) -> str:
         """In words."""
         if self.low > -np.inf and self.high < np.inf:
-            return f"between {self.low:g} and {self.high:g}"
+            least = "at least" if self.closed else "above"
+            return f"{least} {self.low:g} and below {self.high:g}"
         if self.low > -np.inf:
             return f"finite and {'not negative' if self.closed else f'above {self.low:g}'}"
         return "finite"
@@ -220,38 +294,14 @@ class MasslessFeetWalker(PointFeetWalker):
 
     slope: Scalar
 
-    force_least_at_ends: ClassVar = True
-
-    def gait_region(self):
-        """A strip that shrinks like slope^{1/3}, as gaits do (Garcia and others 1998).
-
-        Its upper edge is where walkers begin to fall backward, thetadot = -2 sin((theta -
-        slope) / 2), at its widest.
-        """
-        slope = float(self.slope)
-        widest = min(2 * slope ** (1 / 3), np.pi / 4)
-        edge = widest - 2 * np.sin((widest - slope) / 2)
-        return Grid.sheared(theta=(0, widest, 100), sum=(-0.15 * widest, edge, 1000))
-
     def contact_force(self, state):
-        """(8). Over a stride Q_v > 0 if it is at both its ends.
+        """(8). Of an inverted pendulum, Q_v > 0 over a stride if it is at both its ends.
 
         For thetadot^2 / 2 + cos(theta - slope) is some constant E, and Q_v has the sign of
         3 cos(theta - slope) - 2 E, which is least at one end of any interval of theta.
         """
         tension = state.thetadot**2 - jnp.cos(state.theta - self.slope)
         return jnp.sin(state.theta) * tension, -jnp.cos(state.theta) * tension
-
-    def past_contact(self, state):
-        """h > 0 and rising, the swing leg ahead, the stance leg in compression.
-
-        Then h'' = sin(phi) (thetadot^2 - cos(theta - slope)) - sin(theta - slope) > 0, and a
-        spring between the legs adds to it: h goes on rising. It is too late to come down again
-        once this has ended, by tension or with phi > 0: an experience (tests), not a theorem.
-        """
-        theta, phi, thetadot, phidot = state
-        rising = (phi > 2 * theta) & (phidot > 2 * thetadot)
-        return rising & (phi < 0) & (thetadot**2 < jnp.cos(theta - self.slope))
 
     def impact(self, state):
         """(18), which has 2 theta for phi: the feet may also be at different heights."""
@@ -272,6 +322,29 @@ class MasslessFeetWalker(PointFeetWalker):
         return -jnp.sin(swing) * s, jnp.cos(swing) * s
 
 
+def rises_past_contact(walker: MasslessFeetWalker, state: State) -> Bool[Array, ""]:
+    """h > 0 and rising, the swing leg ahead, the stance leg in compression.
+
+    Then h'' = sin(phi) (thetadot^2 - cos(theta - slope)) - sin(theta - slope) > 0, and a spring
+    between the legs adds to it: h goes on rising. It is too late to come down again once this has
+    ended, by tension or with phi > 0: an experience (tests), not a theorem.
+    """
+    theta, phi, thetadot, phidot = state
+    rising = (phi > 2 * theta) & (phidot > 2 * thetadot)
+    return rising & (phi < 0) & (thetadot**2 < jnp.cos(theta - walker.slope))
+
+
+def strip_of_gaits(slope: Scalar) -> Grid:
+    """A strip of the section that shrinks like slope^{1/3}, as gaits do (Garcia and others 1998).
+
+    Its upper edge is where walkers begin to fall backward, thetadot = -2 sin((theta - slope) / 2),
+    at its widest.
+    """
+    widest = min(2 * float(slope) ** (1 / 3), np.pi / 4)
+    edge = widest - 2 * np.sin((widest - float(slope)) / 2)
+    return Grid.sheared(theta=(0, widest, 100), sum=(-0.15 * widest, edge, 1000))
+
+
 class SimplestWalker(MasslessFeetWalker):
     """The simplest walking model: a mass at the hip, and feet of vanishing mass.
 
@@ -283,6 +356,18 @@ class SimplestWalker(MasslessFeetWalker):
     """
 
     slope: Scalar = eqx.field(converter=SLOPE.checked)
+
+    force_least_at_ends: ClassVar = True
+    inverted_pendulum: ClassVar = True
+
+    def driven_by_gravity(self):
+        return True
+
+    def gait_region(self):
+        return strip_of_gaits(self.slope)
+
+    def past_contact(self, state):
+        return rises_past_contact(self, state)
 
     def vector_field(self, state):
         """(7): thetaddot = sin(theta - slope), an inverted pendulum that the swing leg follows."""
@@ -323,6 +408,18 @@ class SpringWalker(MasslessFeetWalker):
         converter=HIP_STIFFNESS.checked, default=HIP_STIFFNESS.default
     )
 
+    force_least_at_ends: ClassVar = True
+    inverted_pendulum: ClassVar = True
+
+    def driven_by_gravity(self):
+        return True
+
+    def gait_region(self):
+        return strip_of_gaits(self.slope)
+
+    def past_contact(self, state):
+        return rises_past_contact(self, state)
+
     def vector_field(self, state):
         """(7), and the spring."""
         theta, phi, thetadot, phidot = state
@@ -348,6 +445,10 @@ class MultibodyWalker(Walker):
     def swing_foot(self, q: Float[Array, " 4"]) -> Float[Array, " 2"]:
         """The swing foot's coordinates, those that (u, v) are for the stance foot, (11)."""
 
+    def driven_by_gravity(self):
+        """As long as there are no generalised forces, and `forces` are those of gravity."""
+        return self.system().generalised_forces is None
+
     def vector_field(self, state):
         """(4), with u and v held."""
         return SingleSupport(self)(state)
@@ -356,16 +457,6 @@ class MultibodyWalker(Walker):
         """The forces dual to u and v that hold them, (4)."""
         _, (Q_u, Q_v, _, _) = motion(self, state)
         return Q_u, Q_v
-
-    def past_contact(self, state):
-        """h > 0 rises ever faster, the swing leg ahead, the stance leg falling, in compression.
-
-        As for the simplest walker it is too late then to come down again: an experience (tests).
-        """
-        (_, _, thetaddot, phiddot), (_, Q_v, _, _) = motion(self, state)
-        rising = (state.phi > 2 * state.theta) & (state.phidot > 2 * state.thetadot)
-        faster = phiddot > 2 * thetaddot
-        return rising & faster & (state.phi < 0) & (thetaddot < 0) & (Q_v > 0)
 
     def impact(self, state):
         """(17), without restitution."""
@@ -382,6 +473,17 @@ class MultibodyWalker(Walker):
         q, qdot = coordinates(state)
         system = self.system()
         return multibody.kinetic_energy(system, q, qdot) + multibody.potential_energy(system, q)
+
+
+def rises_ever_faster(walker: MultibodyWalker, state: State) -> Bool[Array, ""]:
+    """h > 0 rises ever faster, the swing leg ahead, the stance leg falling, in compression.
+
+    As for the simplest walker it is too late then to come down again: an experience (tests).
+    """
+    (_, _, thetaddot, phiddot), (_, Q_v, _, _) = motion(walker, state)
+    rising = (state.phi > 2 * state.theta) & (state.phidot > 2 * state.thetadot)
+    faster = phiddot > 2 * thetaddot
+    return rising & faster & (state.phi < 0) & (thetaddot < 0) & (Q_v > 0)
 
 
 class SingleSupport(VirtualPower):
@@ -478,6 +580,9 @@ class PointFootWalker(PointFeetWalker, MultibodyWalker):
     slope: Scalar = eqx.field(converter=SLOPE.checked)
     foot_mass: Scalar = eqx.field(converter=FOOT_MASS.checked, default=FOOT_MASS.default)
 
+    def past_contact(self, state):
+        return rises_ever_faster(self, state)
+
     def system(self):
         """(1), (5) and (6)."""
 
@@ -495,7 +600,7 @@ class PointFootWalker(PointFeetWalker, MultibodyWalker):
         return q[:2] + leg(q[2]) - leg(q[2] - q[3])
 
     def gait_region(self):
-        return SimplestWalker(self.slope).gait_region()
+        return strip_of_gaits(self.slope)
 
 
 class HeavyLegWalker(MultibodyWalker):
@@ -518,7 +623,7 @@ class HeavyLegWalker(MultibodyWalker):
             return
         along, above = foot
         if not abs(above) <= 1e-5 * abs(along):
-            raise ValueError(
+            raise WrongUse(
                 f"swing_foot of {type(self).__name__} must be on the slope where phi = 2 theta, "
                 f"v = 0, but v = {above:.3g} at theta = 0.3"
             )
@@ -545,22 +650,6 @@ class HeavyLegWalker(MultibodyWalker):
         finite = jnp.isfinite(theta) & jnp.isfinite(thetadot) & jnp.isfinite(phidot)
         forward = (theta > 0) & (theta < np.pi / 2) & (thetadot < 0)
         return finite & forward & (phidot > 2 * thetadot)
-
-    def gait_region(self):
-        """Starts with the speed that takes the stance leg about to its dead point.
-
-        Rates are counted in that of toppling. Along phidot, whatever legs may do.
-        """
-        dtype = jnp.asarray(0.0).dtype
-        walker = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), self)
-        rate = float(toppling_rate(walker))
-        widest = 0.6
-        axes = {
-            "theta": (0, widest, 30),
-            "sum": (-widest, 0.5 * widest, 50),
-            "turn": (-widest, 0.5 * widest, 16),
-        }
-        return Grid(axes, np.array([[1, 0, 0], [-rate, rate, 0], [0, 0, rate]]))
 
 
 @jax.jit
@@ -617,6 +706,9 @@ class RoundFootWalker(HeavyLegWalker):
     com_offset: Scalar = eqx.field(converter=COM_OFFSET.checked, default=COM_OFFSET.default)
     foot_radius: Scalar = eqx.field(converter=FOOT_RADIUS.checked, default=FOOT_RADIUS.default)
 
+    def past_contact(self, state):
+        return rises_ever_faster(self, state)
+
     def __check_init__(self):
         check_legs(self)
 
@@ -668,6 +760,9 @@ class UpperBodyWalker(HeavyLegWalker):
     com_from_hip: Scalar = eqx.field(converter=COM_FROM_HIP.checked, default=COM_FROM_HIP.default)
     com_offset: Scalar = eqx.field(converter=COM_OFFSET.checked, default=COM_OFFSET.default)
     foot_radius: Scalar = eqx.field(converter=FOOT_RADIUS.checked, default=FOOT_RADIUS.default)
+
+    def past_contact(self, state):
+        return rises_ever_faster(self, state)
 
     def __check_init__(self):
         check_legs(self)
@@ -722,11 +817,9 @@ def check_legs(walker: LeggedWalker) -> None:
         return
     radius, length, inertia, down = map(float, values)
     if radius >= length:
-        raise ValueError(f"foot_radius must be less than leg_length {length:g}, not {radius:g}")
+        raise WrongUse(f"foot_radius must be less than leg_length {length:g}, not {radius:g}")
     if inertia == 0 and down == 0 and float(walker.com_offset) == 0:
-        raise ValueError(
-            "leg_inertia must be above 0 where com_from_hip and com_offset are 0, not 0"
-        )
+        raise WrongUse("leg_inertia must be above 0 where com_from_hip and com_offset are 0, not 0")
 
 
 WALKERS: dict[str, type[Walker]] = {

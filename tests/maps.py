@@ -1,0 +1,46 @@
+"""Continuation along branches of any map, in the place of a walker's stride function."""
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from walker_jax.branches import Answer, Task
+from walker_jax.gaits import Curved, Linearised
+
+
+def done_with(stride: Callable, task: Task) -> Any:
+    """What a task returns where a stride from x, the parameter being p, ends in stride(x, p)."""
+    answer = None
+    while True:
+        try:
+            ask = next(task) if answer is None else task.send(answer)
+        except StopIteration as stop:
+            return stop.value
+        vectors = np.zeros_like(ask.cycle) if ask.vectors is None else ask.vectors
+        found = looked_at(stride)(ask.cycle, float(ask.value), vectors)
+        state, jacobian, by_parameter, along, changes = (np.asarray(x)[None] for x in found)
+        times = np.ones((1, len(ask.cycle)))
+        curved = None if ask.vectors is None else Curved(along, 0 * times, changes)
+        answer = Answer(Linearised(state, times, jacobian, by_parameter), curved)
+
+
+@cache
+def looked_at(stride: Callable) -> Callable:
+    """Ends of strides and their derivatives, first and, along vectors, second ones."""
+
+    def derivatives(x, p, vector):
+        along = lambda x, p: jax.jvp(lambda x: stride(x, p), (x,), (vector,))[1]
+        changes = jax.jacfwd(along, 0)(x, p), jax.jacfwd(along, 1)(x, p)[:, None]
+        return (
+            stride(x, p),
+            jax.jacfwd(stride, 0)(x, p),
+            jax.jacfwd(stride, 1)(x, p),
+            along(x, p),
+            jnp.concatenate(changes, axis=1),
+        )
+
+    return jax.jit(jax.vmap(derivatives, (0, None, 0)))

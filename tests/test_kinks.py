@@ -1,0 +1,291 @@
+"""Dynamics with kinks, such as torques with limits: integrated and differentiated right."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+import walker_jax as wj
+from walker_jax.gaits import with_parameter
+from walker_jax.integrate import first_zero
+from walker_jax.multibody import System
+from walker_jax.stride import Outcome, equations
+from walker_jax.taylor import function_series, solution_series, switching_series
+from walker_jax.walkers import WALKERS, Scalar, State
+
+SLOPE, LIMIT = 0.004, 0.1
+STARTS = np.array([[0.2, -0.21], [0.2, -0.2158], [0.25, -0.26], [0.1, -0.12], [0.3, -0.31]])
+
+
+class LimitedSpringWalker(wj.SimplestWalker):
+    """A spring between the legs whose torque has a limit."""
+
+    stiffness: Scalar
+
+    def vector_field(self, state):
+        free = super().vector_field(state)
+        torque = jnp.clip(self.stiffness * state.phi, -LIMIT, LIMIT)
+        return free._replace(phidot=free.phidot - torque)
+
+
+def limited(stiffness):
+    return LimitedSpringWalker(SLOPE, jnp.asarray(stiffness))
+
+
+def motion_by_dop853(stiffness, start, times):
+    """States at `times`, by steps so small that a kink does no harm."""
+
+    def field(_, y):
+        theta, phi, thetadot, phidot = y
+        angle = theta - SLOPE
+        swing = np.sin(phi) * (thetadot**2 - np.cos(angle)) + np.sin(angle)
+        torque = np.clip(stiffness * phi, -LIMIT, LIMIT)
+        return [thetadot, phidot, np.sin(angle), swing - torque]
+
+    theta, thetadot = start
+    y = [theta, 2 * theta, thetadot, (1 - np.cos(2 * theta)) * thetadot]
+    options: Any = dict(method="DOP853", rtol=1e-13, atol=1e-15, max_step=0.01)
+    return solve_ivp(field, (0, times[-1]), y, t_eval=times, **options).y
+
+
+def richardson(function, h):
+    """The derivative of a function at 0, by extrapolated differences."""
+    half, full = ((function(d) - function(-d)) / (2 * d) for d in (h, 2 * h))
+    return (4 * half - full) / 3
+
+
+@pytest.mark.parametrize("stiffness", [1.0, 5.0, 50.0])
+def test_strides_through_kinks_are_those_of_small_steps(stiffness):
+    """At heel strike the legs are where small steps take them, and the impact is the paper's."""
+    walker = limited(stiffness)
+    ends = wj.strides(walker, STARTS)
+    assert (ends.outcome == Outcome.STRIDE).all()
+    for start, state, time in zip(STARTS, ends.state, ends.time, strict=True):
+        theta, phi, thetadot, _ = motion_by_dop853(stiffness, start, [0.0, time])[:, -1]
+        np.testing.assert_allclose(phi, 2 * theta, rtol=0, atol=1e-9)
+        expected = [-theta, np.cos(phi) * thetadot]
+        np.testing.assert_allclose(state, expected, rtol=0, atol=1e-9)
+
+
+def test_trajectories_through_kinks_with_and_without_tracing():
+    walker, times = limited(5.0), np.linspace(0, 3, 7)
+    expected = motion_by_dop853(5.0, STARTS[0], times)
+    plain = np.array(wj.trajectory(walker, STARTS[0], times))
+    np.testing.assert_allclose(plain, expected, rtol=0, atol=1e-10)
+    traced = jax.jit(lambda x: wj.trajectory(walker, x, times))(jnp.asarray(STARTS[0]))
+    np.testing.assert_allclose(np.array(traced), expected, rtol=0, atol=1e-10)
+
+
+def test_under_jit_a_stride_through_kinks_is_the_same():
+    walker = limited(5.0)
+    one_by_one = wj.strides(walker, STARTS)
+    traced = jax.jit(jax.vmap(lambda x: wj.stride(walker, x)))(jnp.asarray(STARTS))
+    np.testing.assert_allclose(traced.state, one_by_one.state, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(traced.outcome, one_by_one.outcome)
+
+
+def test_derivatives_of_a_gait_through_kinks():
+    """First derivatives, in states and times; second ones, in multipliers."""
+    walker = limited(5.0)
+    gait = wj.find_gait(walker, [0.148, -0.159])
+    assert gait.found and gait.stable
+    for parameter, h in {"stiffness": 1e-4, "slope": 1e-6}.items():
+        change = wj.gait_derivatives(walker, gait, parameter)
+        value = getattr(walker, parameter)
+
+        def at(d, parameter=parameter, value=value):
+            there = wj.find_gait(with_parameter(walker, parameter, value + d), gait.states)
+            numbers = (there.states, there.multipliers, there.step_times)
+            return np.concatenate([np.ravel(one) for one in numbers])
+
+        expected = richardson(at, h)
+        found = np.concatenate([np.ravel(one) for one in change])
+        scale = np.abs(expected).max()
+        np.testing.assert_allclose(found / scale, expected / scale, rtol=1e-6, atol=2e-7)
+
+
+def test_margins_through_kinks_are_of_the_same_stride():
+    walker = limited(5.0)
+    plain, found = wj.strides(walker, STARTS), wj.margins_of_many(walker, STARTS)
+    np.testing.assert_allclose(found.stride.state, plain.state, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(found.stride.outcome, plain.outcome)
+
+
+class ShortPushWalker(wj.SimplestWalker):
+    """A torque while the legs are farther apart than an angle, which may be a very short time."""
+
+    angle: Scalar
+
+    def vector_field(self, state):
+        free = super().vector_field(state)
+        return free._replace(phidot=free.phidot - 100 * jax.nn.relu(state.phi - self.angle))
+
+
+def test_a_torque_that_acts_for_a_moment_within_a_step_is_not_missed():
+    """The legs swing apart at first, and pass the angle for some 0.01."""
+    times = np.linspace(0, 0.5, 2001)
+    start = jnp.array([0.2, 0.4, -0.22, 0.05])  # a full state, the swing leg still going back
+    free = wj.trajectory(wj.SimplestWalker(SLOPE), start, times)
+    widest = float(np.max(free.phi))
+    height = 1e-5
+    push = ShortPushWalker(SLOPE, jnp.asarray(widest - height))
+    above = times[np.asarray(free.phi) > widest - height]
+    assert 0.001 < above[-1] - above[0] < 0.02
+    change = wj.trajectory(push, start, times[[0, -1]]).phidot[-1] - free.phidot[-1]
+    # 100 times the integral of what phi is beyond the angle: 2/3 of the height of a parabola
+    curvature = -np.gradient(np.asarray(free.phidot), times)[np.argmax(free.phi)]
+    width = 2 * np.sqrt(2 * height / curvature)
+    assert float(change) == pytest.approx(-100 * 2 / 3 * height * width, rel=0.1)
+
+
+class JumpingWalker(wj.SimplestWalker):
+    """A torque that is switched on behind an angle."""
+
+    angle: Scalar
+
+    def vector_field(self, state):
+        free = super().vector_field(state)
+        torque = jnp.where(state.theta < self.angle, 0.05, 0.0)
+        return free._replace(phidot=free.phidot + torque)
+
+
+def test_where_a_field_jumps_the_outcome_is_undecided():
+    walkers = jax.vmap(JumpingWalker)(jnp.full(2, SLOPE), jnp.array([0.0, -1.5]))
+    ends = wj.strides(walkers, STARTS[[0, 0]])
+    plain = wj.stride(wj.SimplestWalker(SLOPE), STARTS[0])
+    assert ends.outcome.tolist() == [Outcome.UNDECIDED, Outcome.STRIDE]  # the second never jumps
+    np.testing.assert_allclose(ends.state[1], plain.state, rtol=0, atol=1e-12)
+    motion = wj.trajectory(JumpingWalker(SLOPE, jnp.array(0.0)), STARTS[0], np.array([0.5, 3.0]))
+    assert np.isfinite(motion.theta).tolist() == [True, False]
+
+
+class LimitedTorqueWalker(wj.PointFootWalker):
+    """A limited torque between legs with mass, of which the general method is told."""
+
+    def system(self):
+        free = super().system()
+
+        def torque(q, qdot):
+            limited = jnp.clip(0.05 * q[3], -0.001, 0.001)
+            return jnp.stack([0 * limited, 0 * limited, 0 * limited, -limited])
+
+        return System(free.transfer, free.masses, free.forces, torque)
+
+
+class AcceleratedWalker(wj.PointFootWalker):
+    """Legs with mass, and an angular acceleration of the swing leg that comes on top."""
+
+    def vector_field(self, state):
+        free = super().vector_field(state)
+        return free._replace(phidot=free.phidot - jnp.clip(state.phi, -0.05, 0.05))
+
+
+@pytest.mark.parametrize("kind", [LimitedTorqueWalker, AcceleratedWalker])
+def test_walkers_of_several_masses_may_have_kinks_and_a_field_of_their_own(kind):
+    walker, start = kind(0.01), np.array([0.2, -0.21])
+    end = wj.stride(walker, start)
+    assert end.outcome == Outcome.STRIDE
+    rates = jax.jit(lambda state: walker.vector_field(state))
+    time = float(end.time)
+    found = solve_ivp(
+        lambda _, y: np.array(rates(State(*map(jnp.asarray, y)))),
+        (0, time),
+        np.array(walker.lift(jnp.asarray(start))),
+        method="DOP853",
+        rtol=1e-12,
+        atol=1e-14,
+        max_step=0.05,
+    ).y[:, -1]
+    arrival = State(*map(jnp.asarray, found))
+    assert float(walker.contact(arrival)) == pytest.approx(0, abs=1e-9)
+    _, after = walker.impact(arrival)
+    np.testing.assert_allclose(
+        end.state, walker.project(walker.exchange_legs(after)), rtol=0, atol=1e-9
+    )
+
+
+@pytest.mark.parametrize("kind", WALKERS.values())
+def test_the_family_is_smooth_and_pays_nothing(kind):
+    walker = kind(0.01)
+    state = walker.lift(jnp.full(len(walker.section), 0.1))
+    series = jax.tree.map(lambda value: [value] * 5, state)
+    for function in (equations(walker), walker.contact):
+        assert switching_series(function, series) == []
+
+
+PIECEWISE = {
+    "abs": (lambda t: jnp.abs(t - 0.3), lambda t: 0.3 - t),
+    "max": (lambda t: jnp.maximum(jnp.sin(t), 0.2 + 0 * t), lambda t: 0.2 + 0 * t),
+    "min": (lambda t: jnp.minimum(t**2, 3 * t), lambda t: t**2),
+    "clip": (lambda t: jnp.clip(jnp.exp(t), 0.5, 2.0), jnp.exp),
+    "clip above": (lambda t: jnp.clip(3 + t, 0.5, 2.0), lambda t: 2 + 0 * t),
+    "where": (lambda t: jnp.where(t < 0.7, t**3, t), lambda t: t**3),
+    "floor": (lambda t: t * jnp.floor(3.2 + t), lambda t: 3 * t),
+    "ceil": (lambda t: t * jnp.ceil(3.2 + t), lambda t: 4 * t),
+    "round": (lambda t: t * jnp.round(3.2 + t), lambda t: 3 * t),
+    "sign": (lambda t: t * jnp.sign(t - 0.1), lambda t: -t),
+}
+ZEROS = {"abs": 0.3, "max": np.arcsin(0.2), "min": 3.0, "clip": np.log(2), "where": 0.7}
+ZEROS |= {"floor": 0.8, "ceil": 0.8, "round": 0.3, "sign": 0.1}
+
+
+@pytest.mark.parametrize("name", PIECEWISE)
+def test_series_are_those_of_the_branch_and_say_where_it_ends(name):
+    whole, branch = PIECEWISE[name]
+    start = jnp.array(1e-3)
+    line = [start, jnp.ones_like(start), *[jnp.zeros_like(start)] * 8]
+    found = function_series(whole, line)
+    np.testing.assert_allclose(found, function_series(branch, line), rtol=1e-13, atol=1e-13)
+    switches = switching_series(whole, line)
+    length = jnp.array(0.9 if name in ("floor", "ceil") else 4.0 if name == "min" else 0.75)
+    ends = [float(first_zero(switch, length, jnp.array(1e-12))) for switch in switches]
+    first = min((end for end in ends if end < length), default=None)
+    expected = ZEROS[name] - 1e-3 if name in ZEROS else None
+    assert first == (None if expected is None else pytest.approx(expected, abs=1e-8))
+
+
+def test_kinks_of_which_nothing_is_known_are_refused():
+    state = jnp.array([0.1, 0.2])
+    with pytest.raises(NotImplementedError, match="reduce_max"):
+        solution_series(lambda y: jnp.max(y) - y, state, 4)
+
+
+@pytest.fixture(scope="module")
+def zero():
+    """The first zero of polynomials, (n, 7), in 0 <= t <= 1."""
+    found = jax.jit(jax.vmap(lambda p: first_zero(list(p), jnp.array(1.0), jnp.array(1e-9))))
+    return lambda polynomials: np.asarray(found(jnp.asarray(polynomials)))
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_the_first_zero_is_that_of_all_roots(zero, seed):
+    rng = np.random.default_rng(seed)
+    polynomials = rng.normal(size=(64, 7)) * 10.0 ** rng.uniform(-3, 0, (64, 7))
+    found = zero(polynomials)
+    for polynomial, time in zip(polynomials, found, strict=True):
+        roots = np.roots(polynomial[::-1])
+        real = roots[(np.abs(roots.imag) < 1e-12) & (roots.real >= 0) & (roots.real < 1)].real
+        near = roots[(np.abs(roots.imag) < 1e-5)].real  # which may touch zero to rounding
+        if real.size and np.abs(near - real.min()).size == near.size:
+            assert time <= real.min() + 1e-9
+            assert np.abs(near - time).min() < 1e-4
+        elif near.size == 0 or ((near < -1e-4) | (near > 1 + 1e-4)).all():
+            assert time >= 1
+
+
+def test_first_zeros_that_hardly_are_or_lie_at_the_start(zero):
+    polynomials = np.zeros((5, 7))
+    polynomials[0, :3] = 0.25 - 1e-9, -1, 1  # just below (t - 1/2)^2
+    polynomials[1, :3] = 0.25 + 1e-9, -1, 1  # just above
+    polynomials[2, :2] = 0, 1  # zero at the start
+    polynomials[4, :4] = -0.016, 0.28, -1.4, 2  # 2 (t - 0.1) (t - 0.2) (t - 0.4), falling twice
+    found = zero(polynomials)
+    assert found[0] == pytest.approx(0.5, abs=1e-4) and found[1] >= 1
+    assert found[2] == 0 and found[3] >= 1  # one that vanishes has no zero
+    assert found[4] == pytest.approx(0.1, abs=1e-9)

@@ -1,0 +1,111 @@
+"""Strides in float32, JAX's default, against those in float64; and what is said of it."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import walker_jax as wj
+from walker_jax.checks import PrecisionWarning, warn_of_float32
+from walker_jax.integrate import first_rise
+from walker_jax.stride import Outcome
+
+SLOPE = 0.004
+AT_A_STEPS_END = 0.14289452135562897, -0.14757704734802246
+"""A start whose heel strike falls on the end of an integration step in float32."""
+
+
+def walker(dtype):
+    return wj.SimplestWalker(jnp.asarray(SLOPE, dtype))
+
+
+def test_a_heel_strike_at_the_end_of_a_step_is_not_lost_to_rounding():
+    single, double = (np.array([AT_A_STEPS_END], dtype) for dtype in (np.float32, np.float64))
+    expected = wj.strides(walker(np.float64), double)
+    for found in (
+        wj.strides(walker(np.float32), single),
+        wj.margins_of_many(walker(np.float32), single).stride,
+        jax.jit(jax.vmap(lambda x: wj.stride(walker(np.float32), x)))(jnp.asarray(single)),
+    ):
+        assert found.outcome[0] == expected.outcome[0] == Outcome.STRIDE
+        np.testing.assert_allclose(found.state, expected.state, rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("end", [-1e-17, 0.0, 1e-17])
+def test_the_side_that_was_seen_decides_whether_a_polynomial_has_risen(end):
+    """The end of a step is above zero, or below: once said, rounding has no say in it."""
+    rising, length = [jnp.array(-1.0 + end), jnp.array(1.0)], jnp.array(1.0)
+    for ends_below in (True, False):
+        found, time = first_rise(rising, length, (jnp.array(True), jnp.array(ends_below)))
+        assert found != ends_below and time == pytest.approx(1.0, abs=1e-15)
+    leaving = [jnp.array(end), jnp.array(1.0)]
+    found, _ = first_rise(leaving, length, (jnp.array(False), jnp.array(False)))
+    assert not found
+
+
+def starts_of(rng, n):
+    """Starts about the gait's basin, on float32's own grid."""
+    theta, total = rng.uniform(0.05, 0.35, n), rng.uniform(-0.01, 0.005, n)
+    return np.stack([theta, total - theta], axis=1).astype(np.float32)
+
+
+def assert_alike(starts):
+    """Outcomes are the same but where a failure is as near as rounding."""
+    single = wj.strides(walker(np.float32), starts)
+    double = wj.strides(walker(np.float64), starts.astype(float))
+    unlike = np.flatnonzero(single.outcome != double.outcome)
+    margins = wj.margins_of_many(walker(np.float64), starts[unlike].astype(float))
+    ways = np.array([margins.backward, margins.forward, margins.running, margins.stopping])
+    assert (np.nanmin(np.abs(ways), axis=0) < 1e-6).all()
+    return len(unlike), int((double.outcome == Outcome.STRIDE).sum())
+
+
+def test_strides_of_both_types_are_alike():
+    rng = np.random.default_rng(0)
+    near = np.array(AT_A_STEPS_END) + rng.uniform(-1e-6, 1e-6, (20_000, 2))
+    assert assert_alike(near.astype(np.float32)) == (0, len(near))
+    unlike, strode = assert_alike(starts_of(rng, 50_000))
+    assert strode > 20_000 and unlike < 50
+
+
+@pytest.mark.slow
+def test_a_hundred_million_strides_of_both_types_are_alike():
+    rng, made = np.random.default_rng(1), 0
+    while made < 1e8:
+        made += 2_000_000
+        assert_alike(starts_of(rng, 2_000_000))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("slope", [0.004, 0.0041, 0.0043])
+def test_the_least_disturbance_in_float32(slope):
+    expected = wj.least_disturbance(wj.SimplestWalker(slope)).size
+    with jax.enable_x64(False), pytest.warns(PrecisionWarning):
+        warn_of_float32.cache_clear()
+        found = wj.least_disturbance(wj.SimplestWalker(slope)).size
+    assert found == pytest.approx(expected, rel=2e-3)
+
+
+def test_what_rests_on_many_strides_says_once_that_float64_is_off():
+    grid = wj.Grid.sheared(theta=(0.05, 0.3, 4), sum=(-0.01, 0.002, 4))
+    warn_of_float32.cache_clear()
+    with jax.enable_x64(False):
+        with pytest.warns(PrecisionWarning, match="jax_enable_x64") as said:
+            wj.basin(wj.SimplestWalker(SLOPE), grid)
+            wj.basin(wj.SimplestWalker(SLOPE), grid)
+        assert len(said) == 1
+    wj.basin(wj.SimplestWalker(SLOPE), grid)  # in float64 nothing is said
+
+
+def test_what_needs_float64_refuses_float32():
+    grid = wj.Grid.sheared(theta=(0.05, 0.3, 4), sum=(-0.01, 0.002, 4))
+    with jax.enable_x64(False):
+        simplest = wj.SimplestWalker(SLOPE)
+        for call in (
+            lambda: wj.boundary_dimension(simplest, grid),
+            lambda: wj.robustness(simplest, grid),
+            lambda: wj.robustness_table(simplest, [0.004]),
+            lambda: wj.continue_gait(simplest, "slope", (0.001, 0.02)),
+        ):
+            with pytest.raises(ValueError, match="needs float64, not float32: turn on"):
+                call()
