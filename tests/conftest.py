@@ -19,19 +19,20 @@ settings.register_profile("explore", deadline=None)
 settings.load_profile("repeatable")
 
 WORTH_KEEPING = 0.1
-"""Seconds of compilation from which on a program is read faster than it is compiled."""
+"""Seconds of compilation from which on a program is kept."""
 HALF_WRITTEN = "ignore:Error reading persistent compilation cache entry"
-"""Another process may just be writing it; then it is compiled here."""
+"""As another process is just writing it, or was killed while it did: it is compiled instead."""
 
 
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("filterwarnings", HALF_WRITTEN)
-    folder = str(config.cache.mkdir("compiled")) if config.cache else None
-    kept = {
-        "jax_compilation_cache_dir": folder,
-        "jax_persistent_cache_min_compile_time_secs": WORTH_KEEPING,
+    if getattr(config, "cache", None) is None:  # with -p no:cacheprovider
+        return
+    folder = str(config.cache.mkdir("compiled"))
+    jax.config.update("jax_compilation_cache_dir", folder)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", WORTH_KEEPING)
+    os.environ |= {  # for processes that tests start
+        "JAX_COMPILATION_CACHE_DIR": folder,
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": str(WORTH_KEEPING),
+        "PYTHONWARNINGS": HALF_WRITTEN,
     }
-    for name, value in kept.items():
-        jax.config.update(name, value)
-        os.environ[name.upper()] = str(value)
-    os.environ["PYTHONWARNINGS"] = HALF_WRITTEN

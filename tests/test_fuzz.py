@@ -25,6 +25,8 @@ from walker_jax import cli, figures, paper, poses, store, tiles
 from walker_jax.basin import check_grid
 from walker_jax.checks import WrongUse
 from walker_jax.cluster import computers
+from walker_jax.design import Climb, Row
+from walker_jax.refinement import finer
 
 NUMBERS = ["0.004", "0.2", "-0.2", "0.01", "0.3", "1", "2", "3", "10", "0", "-1", "1.5", "1e-300"]
 NUMBERS += ["1e300", "1e400", "nan", "inf", "-inf", "abc", "", " ", "0x10", "1_0", "٣", "9" * 30]
@@ -45,8 +47,17 @@ PLACES += [
 ]
 AXES = [("0.05", "0.35", "6"), ("-0.03", "0.01", "6"), ("0", "0.4", "46000"), ("0.4", "0", "6")]
 
+GOOD = {
+    "basin": ["--theta", *AXES[0], "--sum", *AXES[1]],
+    "optimise": ["--over", "slope", "--bound", "slope=0.001:0.02", "--scan", "3"],
+    "robustness": ["--theta", *AXES[0], "--sum", *AXES[1]],
+    "sweep": ["--over", "slope=0.003:0.004:2"],
+    "export": ["held.zarr", "b.nc"],
+}
+"""What some commands need to answer, or to do so soon."""
+
 QUICK = settings(
-    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=120, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 LONG = settings(QUICK, max_examples=5000)
 GROUP = typer.main.get_group(cli.app)
@@ -58,6 +69,7 @@ def commands(draw, walkers=("simplest",)):
     """A command line: mostly what there is, with values good and bad."""
     name = draw(st.sampled_from(sorted(COMMANDS)))
     arguments = [name] if draw(st.integers(0, 30)) else [draw(st.sampled_from(WORDS))]
+    arguments += draw(st.sampled_from([[], GOOD.get(name, [])]))
     chosen = draw(st.lists(st.sampled_from(COMMANDS[name]), max_size=5))
     for option in chosen:
         if option.param_type_name == "argument":
@@ -76,7 +88,7 @@ def commands(draw, walkers=("simplest",)):
             kinds |= {"bound": WORDS, "objective": WORDS, "method": WORDS}
             arguments.append(draw(st.sampled_from(kinds.get(option.name, NUMBERS))))
     for option in COMMANDS[name]:
-        if option.param_type_name == "argument" and draw(st.integers(0, 20)):
+        if option.param_type_name == "argument" and len(arguments) < 3 and draw(st.integers(0, 20)):
             good = [{"data": "held.zarr", "file": "b.nc"}[option.name]] * 30
             arguments.append(draw(st.sampled_from(PLACES + good)))
     if not draw(st.integers(0, 20)):
@@ -94,6 +106,29 @@ def refuse(*_, **__):
 
 def unreachable(cluster):
     raise ValueError(f"cluster {cluster} cannot be reached, which takes too long")
+
+
+ANSWERS = {
+    "least_disturbance": wj.LeastDisturbance(
+        0.002, np.array([0.6, 0.8]), np.array([0.16, -0.15]), 0, wj.Outcome.FORWARD, 6
+    ),
+    "least_step_down": wj.LeastStepDown(0.001, np.zeros(4), 0, wj.Outcome.FORWARD, 6),
+    "basin_stability": wj.BasinStability(*map(np.asarray, (0.3, 0.2, 0.4, 8 * [0], 0, 20.0, 30.0))),
+    "boundary_dimension": wj.Uncertainty(1.0, 0.9, 1.1, 1.0, np.zeros(0), np.zeros(0)),
+}
+"""What is measured of a walker's robustness."""
+PICTURES = ("basin", "basin_slices", "multipliers", "robustness", "robustness_table")
+PICTURES += ("optimised", "sweep")
+
+
+def climb(trace, run, stage, place):
+    row = trace.measure(run, stage, place)
+    return Climb(row, row, True)
+
+
+def measured(problem, stage, values, gait_of):
+    gradient, of_measures = np.ones(len(values)), np.zeros(len(problem.measures))
+    return Row(-1, stage, values, float(values.sum()), 0.0, gradient, 0 * gradient, of_measures, 0)
 
 
 def put(path: Path, request: dict) -> None:
@@ -117,6 +152,12 @@ def bench(tmp_path_factory):
     answer = wj.basin(wj.SimplestWalker(0.004), grid, "direct")
     gait = wj.find_gait(wj.SimplestWalker(0.004))
 
+    fine = wj.refine(wj.SimplestWalker(0.004), grid, 0, check=0)
+
+    def refine(walker, grid, levels, **_):
+        check_grid(walker, finer(grid, levels), "direct")
+        return fine.copy()
+
     def basin(walker, grid, method, *, out=None, request=None, cluster=None, **_):
         check_grid(walker, grid, method)
         with computers(cluster):
@@ -126,7 +167,7 @@ def bench(tmp_path_factory):
         patch = lambda *all: stack.enter_context(mock.patch.object(*all))
         patch(cli, "keep_compiled", lambda: None)
         patch(cli, "draw", lambda axes, path, request: put(path, request))
-        for name in ("basin", "basin_slices", "multipliers"):
+        for name in PICTURES:
             patch(figures, name, lambda data: None)
         patch(poses, "film", lambda *all, **more: all[1].write_bytes(more["signature"].encode()))
         patch(paper, "reproduce", refuse)
@@ -136,8 +177,15 @@ def bench(tmp_path_factory):
         patch(wj, "bifurcation_diagram", refuse)
         patch(wj, "find_gaits", lambda walker, period: [gait] if period == 1 else [])
         patch(sys.modules["walker_jax.gaits"], "find_gaits", lambda *_, **__: [])
-        patch(sys.modules["walker_jax.refinement"], "framed_attractors", refuse)
-        patch(sys.modules["walker_jax.design"], "climb", refuse)
+        robustness, design = (
+            sys.modules[f"walker_jax.{name}"] for name in ("robustness", "design")
+        )
+        for name, found in ANSWERS.items():
+            patch(robustness, name, lambda *_, found=found, **__: found)
+        patch(robustness, "refine", refine)
+        patch(design, "climb", climb)
+        patch(design, "measured", measured)
+        patch(design, "compared", lambda *_: {})
 
         def run(arguments):
             if not there.exists() or content(there) != before:
@@ -172,7 +220,8 @@ def check(bench, arguments, tried: Counter) -> None:
         tried["tracebacks"] += 1
         raise
     tried[f"exit code {code}"] += 1
-    tried[f"answers of {arguments[0]}"] += code == 0
+    told = {"--help", "--list-walkers"} & {*arguments}
+    tried[f"answers of {arguments[0]}"] += code == 0 and not told
     tried["wrong exit codes"] += code not in (0, 1, 2)
     assert code in (0, 1, 2)
     assert err.count("\n") == (code != 0) and err.startswith("walker-jax: ") == (code != 0), err
@@ -186,7 +235,7 @@ def check(bench, arguments, tried: Counter) -> None:
     # What is no data set stays in any case, and what a command may replace it must have named.
     assert not {str(path) for path in lost} & {"file.txt", "broken.zarr/zarr.json"}
     assert "held.nc" not in map(str, lost) or arguments[0] == "export"
-    if code == 0 and "--json" in arguments and not {"--help", "--list-walkers"} & {*arguments}:
+    if code == 0 and "--json" in arguments and not told:
         json.loads(out, parse_constant=lambda name: pytest.fail(name))
 
 
@@ -194,6 +243,20 @@ def check(bench, arguments, tried: Counter) -> None:
 @given(arguments=commands())
 def test_any_command_line_ends_in_order(bench, arguments):
     check(bench, arguments, Counter())
+
+
+STOPPED = {"reproduce", "bifurcation"}
+"""For which nothing stands in."""
+
+
+def test_every_command_answers(bench):
+    run, _ = bench
+    tables = {"robustness": [[], ["--from", "0.003", "--to", "0.004", "--count", "2"]]}
+    for name in (one for one in COMMANDS if one not in STOPPED):
+        for more in tables.get(name, [[]]):
+            code, out, err, lost, _ = run([name, *GOOD.get(name, []), *more, "--json"])
+            assert (code, err, lost) == (0, "", []), name
+            assert json.loads(out), name
 
 
 @pytest.mark.slow
@@ -211,7 +274,7 @@ def test_thousands_of_command_lines_end_in_order(bench):
         print(dict(tried))
     assert tried["tracebacks"] == tried["wrong exit codes"] == 0
     assert sum(tried[f"exit code {code}"] for code in (0, 1, 2)) >= 5000
-    assert all(tried[f"answers of {name}"] for name in {*COMMANDS} - {"reproduce", "bifurcation"})
+    assert all(tried[f"answers of {name}"] for name in {*COMMANDS} - STOPPED)
 
 
 X = np.array([0.2, -0.21645])
@@ -373,7 +436,7 @@ def reaction(name: str, arguments: dict, *, begin: bool) -> str:
     return "answered"
 
 
-def spoil(good: dict[str, dict], count: int) -> Counter:
+def spoil(good: dict[str, dict], count: int, *, repeatable: bool) -> Counter:
     """Call public functions with a bad value for one argument, as users do, without beartype.
 
     So many times at random; or, without a count, once for each argument and each value, until the
@@ -387,7 +450,7 @@ def spoil(good: dict[str, dict], count: int) -> Counter:
                 tried[reaction(name, good[name] | {argument: bad}, begin=False)] += 1
         return tried
 
-    @settings(QUICK, max_examples=count)
+    @settings(QUICK, max_examples=count, derandomize=repeatable)
     @given(pair=st.sampled_from(pairs), bad=st.sampled_from(range(len(BAD))))
     def run(pair, bad):
         name, argument = pair
@@ -404,7 +467,7 @@ def spoil(good: dict[str, dict], count: int) -> Counter:
 
 def spoilt(count: int) -> dict[str, int]:
     """The same in a process of its own, to which the checks of signatures do not come."""
-    command = [sys.executable, __file__, str(count)]
+    command = [sys.executable, __file__, str(count), "again" * settings().derandomize]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-3000:]
     print(done.stdout)
@@ -445,4 +508,4 @@ def test_thousands_of_bad_arguments_are_refused_in_one_line_or_answered():
 
 if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
-    print(json.dumps(spoil(calls(), int(sys.argv[1]))))
+    print(json.dumps(spoil(calls(), int(sys.argv[1]), repeatable=sys.argv[2] == "again")))
