@@ -229,9 +229,12 @@ PIECEWISE = {
     "ceil": (lambda t: t * jnp.ceil(3.2 + t), lambda t: 4 * t),
     "round": (lambda t: t * jnp.round(3.2 + t), lambda t: 3 * t),
     "sign": (lambda t: t * jnp.sign(t - 0.1), lambda t: -t),
+    "cast": (lambda t: t * (3.2 + t).astype(int).astype(float), lambda t: 3 * t),
+    "arctan2": (lambda t: jnp.arctan2(jnp.sin(3 + t), jnp.cos(3 + t)), lambda t: 3 + t),
 }
 ZEROS = {"abs": 0.3, "max": np.arcsin(0.2), "min": 3.0, "clip": np.log(2), "where": 0.7}
-ZEROS |= {"floor": 0.8, "ceil": 0.8, "round": 0.3, "sign": 0.1}
+ZEROS |= {"floor": 0.8, "ceil": 0.8, "round": 0.3, "sign": 0.1, "cast": 0.8}
+ZEROS |= {"arctan2": np.pi - 3}
 
 
 @pytest.mark.parametrize("name", PIECEWISE)
@@ -242,7 +245,7 @@ def test_series_are_those_of_the_branch_and_say_where_it_ends(name):
     found = function_series(whole, line)
     np.testing.assert_allclose(found, function_series(branch, line), rtol=1e-13, atol=1e-13)
     switches = switching_series(whole, line)
-    length = jnp.array(0.9 if name in ("floor", "ceil") else 4.0 if name == "min" else 0.75)
+    length = jnp.array(0.9 if name in ("floor", "ceil", "cast") else 4.0 if name == "min" else 0.75)
     ends = [float(first_zero(switch, length, jnp.array(1e-12))) for switch in switches]
     first = min((end for end in ends if end < length), default=None)
     expected = ZEROS[name] - 1e-3 if name in ZEROS else None
@@ -253,6 +256,11 @@ def test_kinks_of_which_nothing_is_known_are_refused():
     state = jnp.array([0.1, 0.2])
     with pytest.raises(NotImplementedError, match="reduce_max"):
         solution_series(lambda y: jnp.max(y) - y, state, 4)
+    with pytest.raises(NotImplementedError, match="bitcast"):
+        solution_series(lambda y: jnp.copysign(1.0, y), state, 4)
+    fixed = jnp.array([1.0, 3.0])  # what does not change with time may have any
+    series = solution_series(lambda y: jnp.max(fixed) + 0 * y, state, 4)
+    np.testing.assert_allclose(series[1], 3.0)
 
 
 @pytest.fixture(scope="module")

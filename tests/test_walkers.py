@@ -507,7 +507,25 @@ def test_walkers_of_several_masses_are_driven_by_gravity_unless_they_have_motors
             push = lambda q, qdot: jnp.zeros_like(q)
             return System(free.transfer, free.masses, free.forces, push)
 
-    assert wj.PointFootWalker(0.01).driven_by_gravity() and not Motor(0.01).driven_by_gravity()
+    class Wind(wj.PointFootWalker):
+        def system(self):
+            free = super().system()
+            return System(free.transfer, free.masses, free.forces.at[2].add(5e-4))
+
+    for kind in (wj.PointFootWalker, wj.RoundFootWalker, wj.UpperBodyWalker):
+        assert kind(0.01).driven_by_gravity()
+    assert not Motor(0.01).driven_by_gravity() and not Wind(0.01).driven_by_gravity()
+
+
+def test_an_impact_that_turns_the_leg_back_has_a_margin_of_that():
+    class Turning(wj.SimplestWalker):
+        def impact(self, state):
+            foot, after = super().impact(state)
+            return foot, after._replace(thetadot=-0.1 + 0 * after.thetadot, phidot=-1.0)
+
+    found = wj.margins(Turning(0.004), jnp.array([0.2, -0.21]))
+    assert found.stride.outcome == wj.Outcome.BACKWARD
+    assert float(found.backward) == pytest.approx(-(0.9**2) / 2, rel=1e-12)
 
 
 def test_a_walker_of_another_motion_is_searched_for_gaits_where_these_may_be():

@@ -61,7 +61,8 @@ class Attractor(NamedTuple):
     falling: int = 0
     """From how many of the centres of their cells a walker falls."""
     artefact: bool = False
-    """Whether it is a cycle of cells alone, and their centres, to which no walker comes."""
+    """Whether it is a cycle of cells alone, from most of whose centres walkers do not come to one
+    attractor; its states are those centres."""
 
     def boxes(self) -> Float[np.ndarray, "period section section"]:
         """The frames, also where there are none."""
@@ -229,7 +230,7 @@ def nearest(
         for state, frame in zip(attractor.states, itertools.cycle(boxes), strict=False):
             if attractor.period:
                 away = np.abs((x - state) @ frame.T).max(axis=1)
-                number[away < least], least = i, np.minimum(away, least)
+                number[away < least], least = i, np.fmin(away, least)
     return number
 
 

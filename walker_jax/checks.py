@@ -1,11 +1,13 @@
 """Arguments that many functions take, checked: one line that names the argument and the value.
 
-And the two ways in which a call ends without an answer: wrong use, or a computation that failed.
+It also defines the two exceptions that the package raises: for wrong use, and for a computation
+that failed.
 """
 
 import functools
 import inspect
 import operator
+import sys
 import warnings
 from collections.abc import Callable, Mapping
 from typing import Any, ParamSpec, TypeVar
@@ -135,9 +137,12 @@ def check_precision(dtype: Any, needed_by: str | None = None) -> None:
 
 @functools.cache
 def warn_of_float32() -> None:
+    level, frame = 1, sys._getframe()
+    while frame is not None and frame.f_globals.get("__name__", "").startswith("walker_jax"):
+        level, frame = level + 1, frame.f_back
     warnings.warn(
         "this rests on many strides, each in float32, which holds seven digits: starts near the "
         f"boundary of a basin may have another fate. For results, {TURN_ON}",
         PrecisionWarning,
-        stacklevel=4,
+        stacklevel=level,
     )

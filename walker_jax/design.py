@@ -506,10 +506,8 @@ def least_disturbed(
     options = {"strides": problem.strides, "tolerance": problem.tolerance}
     try:
         least = disturbance_gradient(walker, names, gait, bands=bands, **options)
-    except (
-        WrongUse,
-        ComputationFailed,
-    ):  # the walker returns from everywhere, or the gait is lost to rounding
+    except (WrongUse, ComputationFailed, np.linalg.LinAlgError):
+        # The walker returns from everywhere, or the gait is lost to rounding.
         return Measure(np.nan, np.full(len(names), np.nan))
     return Measure(least.size, least.gradient)
 

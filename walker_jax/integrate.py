@@ -113,8 +113,8 @@ def taylor_step(
         return series, length
     least = jnp.asarray(tolerance, length.dtype) * length
     length = up_to_switches(switches, length, least)
-    field, fixed, end = lax.stop_gradient((vector_field, series, length))
-    rates = field(polynomial(fixed, end))
+    fixed, end = lax.stop_gradient((series, length))
+    rates = vector_field(polynomial(fixed, end))
     expected = jax.tree.map(lambda c: evaluate(derivative_of(c), end), fixed, is_leaf=is_list)
     defects = jax.tree.map(lambda a, b: jnp.max(jnp.abs(a - b)), rates, expected)
     defect = jnp.max(jnp.stack(jax.tree.leaves(defects)))
@@ -123,7 +123,7 @@ def taylor_step(
 
 
 def up_to_switches(switches: list[list[Scalar]], length: Scalar, behind: Scalar) -> Scalar:
-    """A step's length, cut a little behind the first zero of functions given by their series.
+    """A step's length, cut just past the first zero of functions given by their series.
 
     How that zero depends on everything is part of the result: where a step ends at a kink matters
     to second derivatives.

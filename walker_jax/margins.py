@@ -264,10 +264,10 @@ def seen(
         energy = start.thetadot**2 / 2 + jnp.cos(start.theta - slope) - 1
         backward = jnp.where(start.theta > slope, energy, none)
     else:
-        turned_back = struck & (outcome == Outcome.BACKWARD)
         backward = jnp.where(strode, jnp.minimum(last.backward, following**2 / 2), last.backward)
-        backward = jnp.where(turned_back, -(following**2) / 2, backward)
         backward = jnp.where(jnp.isfinite(backward), backward, none)
+    turned_back = struck & (outcome == Outcome.BACKWARD)
+    backward = jnp.where(turned_back, -(following**2) / 2, backward)
     backward = jnp.where(first.verdict == Outcome.BACKWARD, -(start.thetadot**2) / 2, backward)
 
     ahead = -last.arrival.theta

@@ -461,9 +461,10 @@ def robustness(
     least = least_disturbance(walker, gait, strides=strides, tolerance=tolerance)
     down = least_step_down(walker, gait, strides=strides, tolerance=tolerance)
     fall, fall_down = least, down
-    if least.failure == Outcome.STRIDE:
+    unknown = (Outcome.STRIDE, Outcome.UNDECIDED)
+    if least.failure in unknown:
         fall = least_disturbance(walker, gait, fall=True, strides=strides, tolerance=tolerance)
-    if down.failure == Outcome.STRIDE:
+    if down.failure in unknown:
         fall_down = least_step_down(walker, gait, fall=True, strides=strides, tolerance=tolerance)
     gait = gait._replace(states=np.roll(np.asarray(gait.states), -least.phase, axis=0))
     stability = basin_stability(

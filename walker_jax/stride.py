@@ -526,8 +526,8 @@ def for_each_start(
     """function(walker, x, tolerance=tolerance) for n starts, and one walker or n; NumPy arrays."""
     check_kind("walker", walker, Walker)
     xs = array("xs", xs)
-    if np.iscomplexobj(xs):
-        raise WrongUse(f"xs must be real, not of type {xs.dtype}")
+    if xs.dtype.kind not in "fiub":
+        raise WrongUse(f"xs must be real numbers, not of type {xs.dtype}")
     if xs.ndim != 2:
         raise WrongUse(f"xs must have shape (n, coordinates), not {xs.shape}")
     dtype = xs.dtype if np.issubdtype(xs.dtype, np.floating) else float

@@ -415,10 +415,13 @@ BILINEAR = frozenset(["mul", "dot_general"])
 # Those with several results, the parts of their one operand.
 PARTS = frozenset(["split", "unstack"])
 # Those whose results do not change with time, but for jumps.
-DISCRETE = frozenset("and ceil eq floor ge gt is_finite le lt ne not or round sign xor".split())
+DISCRETE = frozenset(
+    "and cast ceil eq floor ge gt is_finite le lt ne not or round sign xor".split()
+)
 # Those with kinks of which no switching functions are known.
 UNKNOWN_SWITCHES = frozenset(
-    "argmax argmin cummax cummin reduce_max reduce_min rem sort top_k".split()
+    "argmax argmin bitcast_convert_type cummax cummin nextafter reduce_max reduce_min rem sort "
+    "top_k".split()
 )
 
 
@@ -426,6 +429,8 @@ def primitive_series(primitive: Primitive, params: dict, operands: list[Series])
     """The series of a primitive's result: c_0 by the primitive itself, the others by its rule."""
     name = primitive.name
     bind = lambda *values: primitive.bind(*values, **params)
+    if name == "convert_element_type" and is_cut_off(operands[0], params["new_dtype"]):
+        name = "cast"
     if (found := switches.get()) is not None and name in SWITCHES:
         if jnp.issubdtype(jnp.result_type(operands[0][0]), jnp.floating):
             found += SWITCHES[name](*operands)
@@ -436,6 +441,12 @@ def primitive_series(primitive: Primitive, params: dict, operands: list[Series])
     if name == "integer_pow" and params["y"] == 2:
         rule = squared
     return Series(lambda k: rule(k, operands, bind) if k else bind(*(o[0] for o in operands)))
+
+
+def is_cut_off(x: Series, dtype: Any) -> bool:
+    """Whether a real number becomes an integer, or a truth value."""
+    real = jnp.issubdtype(jnp.result_type(x[0]), jnp.floating)
+    return real and not jnp.issubdtype(dtype, jnp.floating)
 
 
 # Rules: the k-th coefficient of a result, k > 0, given its operands and the primitive itself.
@@ -506,10 +517,10 @@ def branch(k: int, which, one: Series, other: Series) -> Any:
 
 def by_jet(name: str, k: int, operands: list[Series], bind: Callable) -> Any:
     """The rule of JAX's own for a primitive, if it has one."""
-    if name in UNKNOWN_SWITCHES:
-        raise no_series(name)
     if all(operand[j] is None for operand in operands for j in range(1, k + 1)):
         return None
+    if name in UNKNOWN_SWITCHES:
+        raise no_series(name)
     zeros = [jnp.zeros_like(operand[0]) for operand in operands]
     terms = [
         [zero if operand[j] is None else operand[j] for j in range(1, k + 1)]
@@ -544,7 +555,7 @@ def difference(left: Series, right: Series) -> Series:
     return Series(lambda k: minus(k, [left, right], operator.sub))
 
 
-def shares(x: Series, whole: Callable) -> list[Series]:
+def to_rounding(x: Series, whole: Callable) -> list[Series]:
     """How far x is from the two ends of the interval in which it is rounded to one number."""
     below = lambda k: x[0] - whole(x[0]) if k == 0 else x[k]
     above = lambda k: whole(x[0]) + 1 - x[0] if k == 0 else scaled(x[k], -1)
@@ -556,11 +567,13 @@ SWITCHES: dict[str, Callable[..., list[Series]]] = dict.fromkeys(
     "ge gt le lt max min".split(), lambda left, right: [difference(left, right)]
 )
 SWITCHES |= dict.fromkeys(("abs", "sign"), lambda x: [x])
+SWITCHES["atan2"] = lambda y, x: [y]
+SWITCHES["cast"] = lambda x: [x, *to_rounding(x, jnp.floor)]
 SWITCHES |= {
     "clamp": lambda low, x, high: [difference(x, low), difference(high, x)],
-    "ceil": lambda x: shares(x, lambda value: jnp.ceil(value) - 1),
-    "floor": lambda x: shares(x, jnp.floor),
-    "round": lambda x: shares(x, lambda value: jnp.round(value) - 0.5),
+    "ceil": lambda x: to_rounding(x, lambda value: jnp.ceil(value) - 1),
+    "floor": lambda x: to_rounding(x, jnp.floor),
+    "round": lambda x: to_rounding(x, lambda value: jnp.round(value) - 0.5),
 }
 
 

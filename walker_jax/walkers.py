@@ -58,7 +58,7 @@ class Walker(eqx.Module):
     """Whether thetaddot = sin(theta - slope): the hip does not feel the swing leg."""
 
     def __init_subclass__(cls, **kwargs):
-        """Take back what is known of the walkers that this class derives from, but not of it.
+        """Reset what is known of the walkers that this class derives from, but not of it.
 
         What `KNOWN_OF` lists has been shown for the methods named there. Where a class defines one
         of these anew, and does not say that it still holds, the default of `Walker` holds.
@@ -110,7 +110,7 @@ class Walker(eqx.Module):
         """Time derivative of the state during a stride.
 
         It may have kinks, such as the limits of a torque: a step of the integration ends where one
-        is. Where it jumps, the outcome of a stride is `UNDECIDED`.
+        is. Where it jumps within a stride, or just behind its end, the outcome is `UNDECIDED`.
         """
 
     @abc.abstractmethod
@@ -447,7 +447,11 @@ class MultibodyWalker(Walker):
 
     def driven_by_gravity(self):
         """As long as there are no generalised forces, and `forces` are those of gravity."""
-        return self.system().generalised_forces is None
+        system, slope = self.system(), vars(self)["slope"]
+        count = len(system.masses)
+        weights = (gravity(slope, system.masses, turns) for turns in range(count % 2, count + 1, 2))
+        falls = any(np.allclose(system.forces, weight, rtol=1e-6, atol=0) for weight in weights)
+        return system.generalised_forces is None and falls
 
     def vector_field(self, state):
         """(4), with u and v held."""
