@@ -334,14 +334,15 @@ def rises_past_contact(walker: MasslessFeetWalker, state: State) -> Bool[Array, 
     return rising & (phi < 0) & (thetadot**2 < jnp.cos(theta - walker.slope))
 
 
-def strip_of_gaits(slope: Scalar) -> Grid:
+def strip_of_gaits(slope: ArrayLike) -> Grid:
     """A strip of the section that shrinks like slope^{1/3}, as gaits do (Garcia and others 1998).
 
     Its upper edge is where walkers begin to fall backward, thetadot = -2 sin((theta - slope) / 2),
     at its widest.
     """
-    widest = min(2 * float(slope) ** (1 / 3), np.pi / 4)
-    edge = widest - 2 * np.sin((widest - float(slope)) / 2)
+    angle = float(np.asarray(slope))
+    widest = min(2 * angle ** (1 / 3), np.pi / 4)
+    edge = widest - 2 * np.sin((widest - angle) / 2)
     return Grid.sheared(theta=(0, widest, 100), sum=(-0.15 * widest, edge, 1000))
 
 
