@@ -1279,3 +1279,14 @@ def test_a_step_down_has_the_limit_of_the_simplest_walker():
     assert 9.5 < errors[0] / errors[1] < 10.5
     spring = wj.step_down(wj.SpringWalker(0.009, 0.0), x, drop)
     np.testing.assert_allclose(spring.state, limit, rtol=0, atol=1e-12)
+
+
+def test_a_launch_is_followed_to_the_end_of_its_fall():
+    """The swing leg swings so fast, its foot below the ground, that it stops the stance leg."""
+    walker = wj.PointFootWalker(0.028741, 0.789282)
+    launch = np.array([-0.2532712826255108, -0.4475475949, -0.5318088083, 2.7522266076])
+    motion = wj.trajectory(walker, launch, np.linspace(0, 0.6, 121))
+    stopped = np.argmax(motion.thetadot >= 0)
+    assert stopped > 0 and motion.theta[stopped] > -1
+    assert wj.stride(walker, launch).outcome == wj.Outcome.BACKWARD
+    assert wj.margins(walker, launch).stride.outcome == wj.Outcome.BACKWARD

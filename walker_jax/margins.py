@@ -37,6 +37,7 @@ from walker_jax.stride import (
     for_each_start,
     least_force,
     of_one_start,
+    on_section,
 )
 from walker_jax.taylor import evaluate, fast_sines, function_series
 from walker_jax.walkers import Scalar, State, Walker, toppling_rate
@@ -154,8 +155,9 @@ def follow_margins(
         ahead = (arrival.theta < 0) & (arrival.theta > -np.pi / 2) & (arrival.thetadot < 0)
         strikes = crossed & ahead
         stopped, down = after.thetadot >= 0, after.theta <= -np.pi / 2
-        falls = fast_sines(lambda w, s: w.past_contact(s))(walker, after)
-        fallen = stopped | down | (~below & falls)
+        fallen = stopped | down
+        if on_section(walker, x):
+            fallen |= ~below & fast_sines(lambda w, s: w.past_contact(s))(walker, after)
         verdict = jnp.where(stopped, Outcome.BACKWARD, Outcome.FORWARD)
         verdict = jnp.where(fallen, verdict, Outcome.UNDECIDED)
         verdict = jnp.where(strikes, Outcome.STRIDE, verdict).astype(jnp.int8)

@@ -175,13 +175,19 @@ def follow_stride(
     walker: Walker, x: Float[Array, " coordinates"], tolerance: Float[Array, ""]
 ) -> Stride:
     start, verdict = fast_sines(begin)(walker, x)
-    arrival, time, verdict, pulled = swing(walker, start, verdict, tolerance)
+    launched = not on_section(walker, x)
+    arrival, time, verdict, pulled = swing(walker, start, verdict, tolerance, launched=launched)
     return fast_sines(end)(walker, arrival, time, verdict, pulled)
+
+
+def on_section(walker: Walker, x: Float[Array, " coordinates"]) -> bool:
+    """Whether a start is a point of the section, and no full state."""
+    return x.shape == (len(walker.section),)
 
 
 def full_state(walker: Walker, x: Float[Array, " coordinates"]) -> State:
     """The full state of a start, which may be one already."""
-    start = walker.lift(x) if x.shape == (len(walker.section),) else State(*x)
+    start = walker.lift(x) if on_section(walker, x) else State(*x)
     check_field(walker, start)
     return start
 
@@ -202,7 +208,7 @@ def check_field(walker: Walker, start: State) -> None:
 def begin(walker: Walker, x: Float[Array, " coordinates"]) -> tuple[State, Int[Array, ""]]:
     """The full state at the start, and the outcome where that settles it."""
     start = full_state(walker, x)
-    if x.shape == (len(walker.section),):
+    if on_section(walker, x):
         feasible = walker.feasible(x)
     else:
         feasible = jnp.all(jnp.isfinite(x)) & (jnp.abs(start.theta) < np.pi / 2)
@@ -284,15 +290,14 @@ def follow_step_down(
     tolerance: Float[Array, ""],
 ) -> Stride:
     start, verdict = fast_sines(begin)(walker, x)
-    level, time, verdict, pulled = swing(walker, start, verdict, tolerance)
+    launched = not on_section(walker, x)
+    level, time, verdict, pulled = swing(walker, start, verdict, tolerance, launched=launched)
     pulled |= fast_sines(in_tension)(walker, level)
     going = (verdict == Outcome.STRIDE) & (drop > 0)
-    still = jnp.where(going, Outcome.UNDECIDED, verdict).astype(jnp.int8)
-    lower, longer, still, more = swing(walker, level, still, tolerance, drop)
-    arrival = jax.tree.map(lambda one, other: jnp.where(going, one, other), lower, level)
-    verdict = jnp.where(going, still, verdict)
-    following, outcome = fast_sines(after_impact)(walker, arrival, verdict, pulled | (going & more))
-    return completed(jnp.stack(following), outcome, time + jnp.where(going, longer, 0.0))
+    verdict = jnp.where(going, Outcome.UNDECIDED, verdict).astype(jnp.int8)
+    arrival, longer, verdict, more = swing(walker, level, verdict, tolerance, drop)
+    following, outcome = fast_sines(after_impact)(walker, arrival, verdict, pulled | more)
+    return completed(jnp.stack(following), outcome, time + longer)
 
 
 def in_tension(walker: Walker, state: State) -> Bool[Array, ""]:
@@ -314,12 +319,15 @@ def swing(
     verdict: Int[Array, ""],
     tolerance: Real,
     drop: Scalar | None = None,
+    *,
+    launched: bool = False,
 ) -> tuple[State, Scalar, Int[Array, ""], Bool[Array, ""]]:
     """Swing the leg until heel strike (`STRIDE`) or a fall; nothing to do unless `UNDECIDED`.
 
     Or until the swing foot is lower than at the start by `drop`. Returns the state just before the
     impact, its time, the verdict, and whether the ground would have had to pull at the stance foot
-    before that; its two ends are not looked at.
+    before that; its two ends are not looked at. What has been `launched`, and did not start on the
+    section, is followed to the end of its fall.
     """
     dtype, structure = start.theta.dtype, jax.tree.structure(start)
     field = equations(walker)
@@ -348,7 +356,9 @@ def swing(
 
     def has_fallen(state: State, below: Bool[Array, ""]):
         fallen = (state.thetadot >= 0) | (state.theta <= -np.pi / 2)
-        return fallen | (~below & walker.past_contact(state)) if drop is None else fallen
+        if launched or drop is not None:
+            return fallen
+        return fallen | (~below & walker.past_contact(state))
 
     def undecided(carry):
         *_, time, verdict, count, _, _ = carry

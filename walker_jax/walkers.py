@@ -127,8 +127,8 @@ class Walker(eqx.Module):
     def past_contact(self, state: State) -> Bool[Array, ""]:
         """Whether h > 0 can only grow from here, so that no heel strike follows.
 
-        It spares a falling walker the rest of its fall: an outcome may not depend on it. By default
-        that is never known.
+        It spares a walker that falls after a start on the section the rest of its fall: an outcome
+        may not depend on it. By default that is never known.
         """
         return jnp.zeros_like(state.theta, bool)
 
