@@ -11,6 +11,7 @@ from scipy.optimize import brentq, minimize_scalar
 import walker_jax as wj
 from walker_jax import design, store
 from walker_jax.design import allowed, along_limits, optimise, starting_places, weights_of
+from walker_jax.objectives import Measure
 from walker_jax.robustness import default_region
 
 WALKER = wj.SimplestWalker(0.004)
@@ -340,6 +341,66 @@ def test_within_their_errors_values_are_not_believed():
     assert design.leads_up(small, here, row(0.008, 1.1, 1.0))
     exact = row(0.010, 1.0, 1.0, 0.0)
     assert design.leads_up(problem, exact, row(0.012, 1.0 + 1e-12, -1.0, 0.0))
+
+
+def made_up(problem, stage, values, value, area=0.0):
+    """A row of the trace."""
+    none = np.zeros(len(values))
+    return design.Row(
+        -1, stage, values, value, 0.0, none, none, np.full(len(problem.measures), area), 0
+    )
+
+
+@pytest.mark.parametrize(("walking_below", "steps"), [(0.012, 4), (0.0, 8)])
+def test_from_where_nothing_walks_steps_lead_to_where_the_gait_is_more_stable(
+    monkeypatch, walking_below, steps
+):
+    """By a tenth of the bounds along the parameter that matters most, and others in proportion."""
+    bounds = {"slope": (0.001, 0.021), "hip_stiffness": (0.0, 2.0)}
+    problem = problem_of(wj.SpringWalker(0.019, 0.4), bounds)._replace(weights={"area": 1.0})
+    radius = Measure(1.5, np.array([2 / 0.02, -1 / 2]))
+    monkeypatch.setattr(design, "gait_measures", lambda *_, **__: {"spectral-radius": radius})
+    monkeypatch.setattr(design.Trace, "gait", lambda *_: None)
+    asked = []
+
+    def measured(problem, stage, values, gait_of):
+        asked.append(values)
+        return made_up(problem, stage, values, 1.0, area=float(values[0] < walking_below))
+
+    monkeypatch.setattr(design, "measured", measured)
+    begin = np.array([0.019, 0.4])
+    trace = design.Trace(problem, None, None, False)
+    found = design.rescued(trace, 0, made_up(problem, 0, begin, 0.0))
+    way = np.arange(1, 9)[:, None] * [-0.002, 0.1]
+    np.testing.assert_allclose(asked, (begin + way)[:steps], rtol=1e-9)
+    assert (found is not None) == (steps == 4)
+    flat = {"spectral-radius": Measure(1.5, np.zeros(2))}
+    monkeypatch.setattr(design, "gait_measures", lambda *_, **__: flat)
+    assert design.rescued(trace, 0, made_up(problem, 0, begin, 0.0)) is None
+
+
+@pytest.mark.parametrize(("objective", "best"), [("speed", 1), ("spectral-radius", 2)])
+def test_the_best_of_the_first_climbs_goes_on(no_basins, monkeypatch, objective, best):
+    """The climbs are made up; one of them leads nowhere, and the third stage cannot begin."""
+    heights, asked = [0.5, 0.75, 0.25, None], []
+
+    def climb(trace, run, stage, place):
+        asked.append((run, stage))
+        if stage == 2 or heights[run] is None:
+            return design.Climb(None, None, False, "nothing there")
+        high = heights[run] + stage / 100
+        start = made_up(trace.problem, stage, trace.problem.values(place), high)
+        return design.Climb(start, start._replace(value=high + 0.005), True)
+
+    measured = lambda problem, stage, values, _: made_up(problem, stage, values, 0.125)
+    monkeypatch.setattr(design, "climb", climb)
+    monkeypatch.setattr(design, "measured", measured)
+    found = optimise(WALKER, SLOPES, objective, starts=4)
+    assert asked == [*((run, 0) for run in range(4)), *((best, stage) for stage in (1, 2, 3))]
+    assert values(found, "note") == ["", "", "", "nothing there"]
+    assert float(found.objective_start) == heights[best]
+    assert float(found.objective_optimum) == heights[best] + 0.03 + 0.005
+    assert float(found.exact_start) == float(found.exact_optimum) == 0.125 and found.converged
 
 
 def test_objectives_have_their_senses():

@@ -11,6 +11,7 @@ import walker_jax as wj
 from walker_jax import Outcome
 from walker_jax.attraction import Attractor, with_frames
 from walker_jax.boundaries import Uncertainty
+from walker_jax.gaits import Gait
 from walker_jax.robustness import (
     BasinStability,
     LeastDisturbance,
@@ -412,6 +413,77 @@ def test_a_fall_is_searched_for_only_where_the_nearest_start_that_is_lost_does_n
     assert float(found.step_down_fall) == (0.2 if twice else 0.1)
     assert int(found.fall_failure) == (Outcome.FORWARD if twice else failure)
     assert found.fall_state.values.tolist() == [0.1, -0.02 if twice else -0.01]
+
+
+def test_the_numbers_are_those_of_the_gait_of_the_largest_basin_where_it_is_weakest(monkeypatch):
+    """Of a motion that does not repeat itself there are none. All of this is made up."""
+    cycle = np.array([[0.1, -0.1], [0.2, -0.25], [0.3, -0.35]])
+    states = np.full((3, 3, 2), np.nan)
+    states[0, 0], states[1], states[2, 0] = [0.15, -0.15], cycle, [0.16, -0.14]
+    basins = xr.Dataset(
+        {
+            "cells": ("number", [7, 40, 90]),
+            "period": ("number", [1, 3, 0]),
+            "states": (("number", "phase", "coordinate"), states),
+        }
+    )
+    multipliers, times = np.array([0.3 + 0.4j, 0.3 - 0.4j]), np.array([3.0, 4.0, 6.5])
+    yes, asked = np.array(True), {}
+    gait = Gait(cycle, multipliers, times, yes, np.array(0.0), yes)
+
+    def found_gait(walker, guess, period, **_):
+        np.testing.assert_array_equal(guess, cycle)
+        assert period == 3
+        return gait
+
+    def survived(walker, disturbances, gait, *, scale, **_):
+        asked.update(states=gait.states, scale=scale, disturbances=disturbances)
+        return BasinStability(*map(np.asarray, (0.5, 0.4, 0.7, np.zeros(8, int), 0, 5.0, 9.0)))
+
+    failing = {"failure": Outcome.FORWARD, "strides": 7, "phase": 1}
+    at = {"size": 0.01, "direction": np.array([0.6, 0.8]), "state": np.array([0.21, -0.24])}
+    answers = {
+        "refine": basins,
+        "least_disturbance": LeastDisturbance(**at, **failing),
+        "least_step_down": LeastStepDown(size=0.05, state=np.zeros(4), **failing),
+        "boundary_dimension": Uncertainty(1.25, 1.0, 1.5, 0.75, np.zeros(0), np.zeros(0)),
+    }
+    for name, answer in answers.items():
+        monkeypatch.setattr(robustness, name, lambda *_, answer=answer, **__: answer)
+    monkeypatch.setattr(robustness, "find_gait", found_gait)
+    monkeypatch.setattr(robustness, "basin_stability", survived)
+    grid = wj.Grid.sheared(theta=(0.05, 0.4, 20), sum=(-0.04, 0.01, 20))
+    found = robustness.robustness(WALKER, grid, disturbances=0.25)
+    np.testing.assert_array_equal(asked["states"], cycle[[1, 2, 0]])
+    assert asked["scale"].tolist() == [0.2, 0.25] and asked["disturbances"] == 0.25
+    expected = {
+        **{"gait_period": 3, "gait_state": [0.2, -0.25], "multiplier": 0.5, "step_time": 4.5},
+        **{"least_disturbance": 0.01, "direction": [0.6, 0.8], "failing_state": [0.21, -0.24]},
+        **{"failure": 1, "failing_strides": 7, "step_down": 0.05},
+        **{"stability": 0.5, "stability_low": 0.4, "stability_high": 0.7},
+        **{"median_strides": 5, "slowest_strides": 9},
+        **{"dimension": 1.25, "dimension_low": 1.0, "dimension_high": 1.5},
+    }
+    for name, value in expected.items():
+        assert found[name].values.tolist() == pytest.approx(value), name
+    assert found.attrs["disturbances"] == 0.25
+
+
+def test_of_the_states_of_a_gait_the_weakest_counts(gait, monkeypatch):
+    """The searches from each are made up, and so is the second state."""
+    (state,), shared = returning(WALKER, gait, 500, None)
+    states = np.array([state, [0.16, -0.165]])
+    monkeypatch.setattr(robustness, "returning", lambda *_: (states, shared))
+    steps = iter([[0.03, 0.0], [0.0, -0.02]])
+    monkeypatch.setattr(robustness, "nearest_failure", lambda *_: np.array(next(steps)))
+    found = least_disturbance(WALKER, gait, scale=[1.0, 0.5])
+    assert (found.size, found.phase, found.direction.tolist()) == (0.02, 1, [0.0, -1.0])
+    np.testing.assert_allclose(found.state, [0.16, -0.175], rtol=1e-12)
+    heights = iter([0.03, 0.02])
+    monkeypatch.setattr(robustness, "halved", lambda *_: np.array([next(heights)]))
+    down = least_step_down(WALKER, gait)
+    assert (down.size, down.phase) == (0.02, 1)
+    np.testing.assert_allclose(down.state, wj.step_down(WALKER, states[1], 0.02).state)
 
 
 @pytest.mark.slow
