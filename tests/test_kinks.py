@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 import walker_jax as wj
-from walker_jax.gaits import with_parameter
+from walker_jax.gaits import linearise, with_parameter
 from walker_jax.integrate import first_zero
 from walker_jax.multibody import System
 from walker_jax.stride import Outcome, equations
@@ -72,15 +72,22 @@ def test_strides_through_kinks_are_those_of_small_steps(stiffness):
         np.testing.assert_allclose(state, expected, rtol=0, atol=1e-9)
 
 
-def test_trajectories_through_kinks_with_and_without_tracing():
+def test_a_trajectory_through_kinks():
+    times = np.linspace(0, 3, 7)
+    found = np.array(wj.trajectory(limited(5.0), STARTS[0], times))
+    expected = motion_by_dop853(5.0, STARTS[0], times)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10)
+
+
+@pytest.mark.slow
+def test_a_traced_trajectory_through_kinks():
     walker, times = limited(5.0), np.linspace(0, 3, 7)
     expected = motion_by_dop853(5.0, STARTS[0], times)
-    plain = np.array(wj.trajectory(walker, STARTS[0], times))
-    np.testing.assert_allclose(plain, expected, rtol=0, atol=1e-10)
     traced = jax.jit(lambda x: wj.trajectory(walker, x, times))(jnp.asarray(STARTS[0]))
     np.testing.assert_allclose(np.array(traced), expected, rtol=0, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_under_jit_a_stride_through_kinks_is_the_same():
     walker = limited(5.0)
     one_by_one = wj.strides(walker, STARTS)
@@ -89,6 +96,24 @@ def test_under_jit_a_stride_through_kinks_is_the_same():
     np.testing.assert_array_equal(traced.outcome, one_by_one.outcome)
 
 
+@pytest.mark.parametrize("parameter", ["stiffness", "slope"])
+def test_derivatives_of_strides_through_kinks(parameter):
+    walker, h = limited(5.0), {"stiffness": 1e-3, "slope": 1e-5}[parameter]
+    found = linearise(walker, STARTS[:, None], 1e-12, parameter)
+
+    def ends(starts, walker=walker):
+        return wj.strides(walker, starts).state
+
+    for i in range(2):
+        expected = richardson(lambda d, i=i: ends(STARTS + d * np.eye(2)[i]), 1e-5)
+        np.testing.assert_allclose(found.jacobian[:, 0, :, i], expected, rtol=2e-6, atol=2e-6)
+    value = getattr(walker, parameter)
+    at = lambda d: ends(STARTS, with_parameter(walker, parameter, value + d))
+    expected = richardson(at, h)
+    np.testing.assert_allclose(found.by_parameter[:, 0], expected, rtol=2e-6, atol=1e-8)
+
+
+@pytest.mark.slow
 def test_derivatives_of_a_gait_through_kinks():
     """First derivatives, in states and times; second ones, in multipliers."""
     walker = limited(5.0)
@@ -185,7 +210,9 @@ class AcceleratedWalker(wj.PointFootWalker):
         return free._replace(phidot=free.phidot - jnp.clip(state.phi, -0.05, 0.05))
 
 
-@pytest.mark.parametrize("kind", [LimitedTorqueWalker, AcceleratedWalker])
+@pytest.mark.parametrize(
+    "kind", [AcceleratedWalker, pytest.param(LimitedTorqueWalker, marks=pytest.mark.slow)]
+)
 def test_walkers_of_several_masses_may_have_kinks_and_a_field_of_their_own(kind):
     walker, start = kind(0.01), np.array([0.2, -0.21])
     end = wj.stride(walker, start)
