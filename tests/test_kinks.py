@@ -16,7 +16,7 @@ from walker_jax.integrate import first_zero
 from walker_jax.multibody import System
 from walker_jax.stride import Outcome, equations
 from walker_jax.taylor import function_series, solution_series, switching_series
-from walker_jax.walkers import WALKERS, Scalar, State
+from walker_jax.walkers import WALKERS, Scalar, SingleSupport, State
 
 SLOPE, LIMIT = 0.004, 0.1
 STARTS = np.array([[0.2, -0.21], [0.2, -0.2158], [0.25, -0.26], [0.1, -0.12], [0.3, -0.31]])
@@ -101,7 +101,7 @@ def test_derivatives_of_strides_through_kinks(parameter):
     walker, h = limited(5.0), {"stiffness": 1e-3, "slope": 1e-5}[parameter]
     found = linearise(walker, STARTS[:, None], 1e-12, parameter)
 
-    def ends(starts, walker=walker):
+    def ends(starts, walker: Any = walker):
         return wj.strides(walker, starts).state
 
     for i in range(2):
@@ -210,9 +210,21 @@ class AcceleratedWalker(wj.PointFootWalker):
         return free._replace(phidot=free.phidot - jnp.clip(state.phi, -0.05, 0.05))
 
 
-@pytest.mark.parametrize(
-    "kind", [AcceleratedWalker, pytest.param(LimitedTorqueWalker, marks=pytest.mark.slow)]
-)
+def test_the_equations_of_several_masses_are_those_of_the_class():
+    """A field of its own, where there is one; otherwise the balance of virtual power."""
+    own, state = AcceleratedWalker(0.01), State(*jnp.array([0.2, 0.4, -0.2, 0.1]))
+    free = wj.PointFootWalker(0.01)
+    difference = equations(own)(state).phidot - equations(free)(state).phidot
+    assert float(difference) == pytest.approx(-0.05, abs=1e-12)
+    assert isinstance(equations(free), SingleSupport)
+    assert isinstance(equations(LimitedTorqueWalker(0.01)), SingleSupport)
+    series = jax.tree.map(lambda value: [value] * 5, state)
+    for walker in (own, LimitedTorqueWalker(0.01)):
+        assert len(switching_series(equations(walker), series)) >= 2  # both limits
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", [AcceleratedWalker, LimitedTorqueWalker])
 def test_walkers_of_several_masses_may_have_kinks_and_a_field_of_their_own(kind):
     walker, start = kind(0.01), np.array([0.2, -0.21])
     end = wj.stride(walker, start)

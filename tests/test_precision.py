@@ -50,13 +50,16 @@ def starts_of(rng, n):
 
 
 def assert_alike(starts):
-    """Outcomes are the same but where a failure is as near as rounding."""
+    """Outcomes are the same but where a failure is as near as rounding, which slow strides amplify.
+
+    Margins are of the order of 0.01 elsewhere, also of strides that end at the end of a step.
+    """
     single = wj.strides(walker(np.float32), starts)
     double = wj.strides(walker(np.float64), starts.astype(float))
     unlike = np.flatnonzero(single.outcome != double.outcome)
     margins = wj.margins_of_many(walker(np.float64), starts[unlike].astype(float))
     ways = np.array([margins.backward, margins.forward, margins.running, margins.stopping])
-    assert (np.nanmin(np.abs(ways), axis=0) < 1e-6).all()
+    assert (np.nanmin(np.abs(ways), axis=0) < 1e-5).all()
     return len(unlike), int((double.outcome == Outcome.STRIDE).sum())
 
 

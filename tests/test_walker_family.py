@@ -1289,4 +1289,3 @@ def test_a_launch_is_followed_to_the_end_of_its_fall():
     stopped = np.argmax(motion.thetadot >= 0)
     assert stopped > 0 and motion.theta[stopped] > -1
     assert wj.stride(walker, launch).outcome == wj.Outcome.BACKWARD
-    assert wj.margins(walker, launch).stride.outcome == wj.Outcome.BACKWARD
