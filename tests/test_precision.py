@@ -50,16 +50,20 @@ def starts_of(rng, n):
 
 
 def assert_alike(starts):
-    """Outcomes are the same but where a failure is as near as rounding, which slow strides amplify.
+    """Outcomes are the same but where a failure is as near as rounding.
 
-    Margins are of the order of 0.01 elsewhere, also of strides that end at the end of a step.
+    A stance leg that hardly passes its top amplifies rounding by one over the margin by which it
+    does. Elsewhere margins are of the order of 0.01, also where a strike ends a step.
     """
     single = wj.strides(walker(np.float32), starts)
     double = wj.strides(walker(np.float64), starts.astype(float))
     unlike = np.flatnonzero(single.outcome != double.outcome)
     margins = wj.margins_of_many(walker(np.float64), starts[unlike].astype(float))
-    ways = np.array([margins.backward, margins.forward, margins.running, margins.stopping])
-    assert (np.nanmin(np.abs(ways), axis=0) < 1e-5).all()
+    backward = np.abs(margins.backward)
+    ways = np.abs([margins.forward, margins.running, margins.stopping])
+    least = np.nanmin([backward, *ways], axis=0)
+    amplified = backward * np.nanmin(ways, axis=0) < np.finfo(np.float32).eps
+    assert ((least < 1e-6) | amplified).all()
     return len(unlike), int((double.outcome == Outcome.STRIDE).sum())
 
 
