@@ -44,7 +44,7 @@ import walker_jax as wj
 from walker_jax import multibody
 from walker_jax.branches import continue_gaits, doubled
 from walker_jax.gaits import linearise
-from walker_jax.scalars import unrolled
+from walker_jax.kernels.scalars import unrolled
 from walker_jax.walkers import State, coordinates, parameters
 
 DATA = Path(__file__).parents[1] / "tests" / "data"

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from jax import lax
 
-from walker_jax.scalars import unrolled
+from walker_jax.kernels.scalars import unrolled
 
 SYMMETRIC = np.array([[3.0, 1.0, 0.5], [1.0, 4.0, -1.0], [0.5, -1.0, 5.0]])
 V = jnp.array([0.3, -1.2, 0.8])

@@ -14,7 +14,7 @@ from jax import lax
 
 import walker_jax as wj
 from walker_jax import multibody, taylor
-from walker_jax.scalars import unrolled
+from walker_jax.kernels.scalars import unrolled
 from walker_jax.taylor import (
     VirtualPower,
     evaluate,

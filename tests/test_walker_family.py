@@ -26,8 +26,8 @@ from walker_jax import (
     tiles,
 )
 from walker_jax.gaits import linearise
+from walker_jax.kernels.scalars import unrolled
 from walker_jax.multibody import System
-from walker_jax.scalars import unrolled
 from walker_jax.walkers import WALKERS, MultibodyWalker, of_feet, parameters
 
 DATA = Path(__file__).parent / "data"

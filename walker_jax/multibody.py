@@ -23,7 +23,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from walker_jax.checks import WrongUse
-from walker_jax.scalars import unrolled
+from walker_jax.kernels.scalars import unrolled
 
 Coordinates = Float[Array, " q"]
 Real = Float[Array, ""] | float

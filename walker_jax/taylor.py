@@ -34,8 +34,8 @@ from jax.experimental.jet import jet
 from jax.extend.core import Jaxpr, Literal, Primitive
 from jaxtyping import Array, Float, PyTree
 
-from walker_jax.kernels import long_programs
-from walker_jax.scalars import CALLS
+from walker_jax.kernels import tracing_for_kernel
+from walker_jax.kernels.scalars import CALLS
 
 
 @jax.jit  # traced once for all its uses
@@ -211,7 +211,7 @@ class VirtualPower(eqx.Module):
 
         From the operations that it takes at two orders, which grow like the square of the order.
         """
-        if long_programs.value:
+        if tracing_for_kernel.value:
             return highest
         shapes = [jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(self)]
         key = jax.tree.structure(self), *((leaf.shape, leaf.dtype) for leaf in shapes), highest

@@ -24,7 +24,7 @@ from jaxtyping import Int, PyTree
 from rich.progress import Progress
 
 from walker_jax.checks import WrongUse
-from walker_jax.kernels import Kernel, NoKernel
+from walker_jax.kernels import Kernel, UnsupportedPrimitive
 from walker_jax.progress import console
 
 # Cells in a tile, and tiles in a call: a call should take much longer than it takes to make.
@@ -172,7 +172,7 @@ def _kernel(function: Callable, shared: PyTree, cells: PyTree) -> Kernel | None:
                 jax.tree.unflatten(structures[0], leaves),
                 jax.tree.unflatten(structures[1], each),
             )
-        except NoKernel:
+        except UnsupportedPrimitive:
             _kernels[key] = None
     return _kernels[key]
 

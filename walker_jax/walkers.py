@@ -30,8 +30,8 @@ from jaxtyping import Array, Bool, Float
 from walker_jax import multibody
 from walker_jax.cells import Grid
 from walker_jax.checks import WrongUse, short
+from walker_jax.kernels.scalars import unrolled
 from walker_jax.multibody import System
-from walker_jax.scalars import unrolled
 from walker_jax.taylor import VirtualPower
 
 Scalar = Float[Array, ""]

@@ -1,0 +1,20 @@
+"""Functions of one cell as machine code that works on several cells at once.
+
+XLA makes of a function that is mapped over a tile of cells a loop over the tile for each part that
+it sees as a whole. There, all wait for the slowest cell of the tile, a loop gives one result, and
+what several have in common is computed again for each. Here the jaxpr of the same function is read
+number by number (`scalars`) and written as one program for LLVM, in which a number is a vector of
+as many cells as one of 512 bits holds. A loop goes on until it has ended for all of these; those
+for which it has keep their values. So a slow cell holds up seven others, nothing is computed
+twice, and what lies between start and end of a cell never leaves the core.
+
+What comes out is what XLA computes, to rounding; but a product with a number known to be zero is
+zero, whatever the other factor. Loops of a known number of turns (`lax.scan`), sorting, indices
+that are computed, and types of 16 bits have no kernel. Programs are compiled for the processor at
+hand.
+"""
+
+from walker_jax.kernels.kernel import Kernel, tracing_for_kernel
+from walker_jax.kernels.rules import UnsupportedPrimitive
+
+__all__ = ["Kernel", "UnsupportedPrimitive", "tracing_for_kernel"]

@@ -1,0 +1,345 @@
+"""Primitives of scalars as LLVM instructions, each of a vector with one number for every cell."""
+
+import contextlib
+import functools
+import sys
+from collections.abc import Callable
+
+import jax.numpy as jnp
+import llvmlite.binding as llvm
+import numpy as np
+from jax import lax
+from llvmlite import ir
+
+
+class UnsupportedPrimitive(NotImplementedError):
+    """A function holds a primitive or a type, which the error names, that no kernel can do."""
+
+
+# Where the C library has its mathematics.
+LIBRARY = {"linux": "libm.so.6", "darwin": "/usr/lib/libSystem.B.dylib", "win32": "ucrtbase"}
+
+
+@functools.cache
+def in_library(name: str) -> bool:
+    """Whether the C library has a function that programs can call."""
+    if llvm.address_of_symbol(name) is None and sys.platform in LIBRARY:
+        with contextlib.suppress(RuntimeError):  # it is not there
+            llvm.load_library_permanently(LIBRARY[sys.platform])
+    return llvm.address_of_symbol(name) is not None
+
+
+FAST = ("contract",)
+"""Multiply and add at once, as XLA does; nothing else that IEEE arithmetic forbids."""
+
+
+def is_float(kind) -> bool:
+    return isinstance(getattr(kind, "element", kind), (ir.FloatType, ir.DoubleType))
+
+
+def is_floating(dtype) -> bool:
+    return np.dtype(dtype).kind == "f"
+
+
+def arithmetic(of_float: str, of_int: str):
+    def rule(emitter, params, dtypes, *operands):
+        if is_floating(dtypes[0]):
+            return getattr(emitter.builder, of_float)(*operands, flags=FAST)
+        return getattr(emitter.builder, of_int)(*operands)
+
+    return rule
+
+
+def unary(name: str):
+    return lambda emitter, params, dtypes, x: emitter.intrinsic(name, x)
+
+
+def extremum(of_float: str, of_int: str):
+    def rule(emitter, params, dtypes, a, b):
+        if is_floating(dtypes[0]):
+            return emitter.intrinsic(of_float, a, b)
+        return emitter.intrinsic(of_int.replace("?", signed(dtypes[0])), a, b)
+
+    return rule
+
+
+def signed(dtype) -> str:
+    return "s" if np.dtype(dtype).kind == "i" else "u"
+
+
+def comparison(sign: str):
+    def rule(emitter, params, dtypes, a, b):
+        builder = emitter.builder
+        if is_floating(dtypes[0]):
+            ordered = builder.fcmp_unordered if sign == "!=" else builder.fcmp_ordered
+            return ordered(sign, a, b)
+        compare = builder.icmp_signed if signed(dtypes[0]) == "s" else builder.icmp_unsigned
+        return compare(sign, a, b)
+
+    return rule
+
+
+def negation(emitter, params, dtypes, x):
+    return emitter.builder.fneg(x, flags=FAST) if is_floating(dtypes[0]) else emitter.builder.neg(x)
+
+
+def absolute(emitter, params, dtypes, x):
+    if is_floating(dtypes[0]):
+        return emitter.intrinsic("fabs", x)
+    return emitter.builder.select(
+        emitter.builder.icmp_signed("<", x, emitter.vector(0, dtypes[0])), emitter.builder.neg(x), x
+    )
+
+
+def division(emitter, params, dtypes, a, b):
+    if is_floating(dtypes[0]):
+        return emitter.builder.fdiv(a, b, flags=FAST)
+    return integer_division(emitter, dtypes[0], "div", a, b)
+
+
+def remainder(emitter, params, dtypes, a, b):
+    if is_floating(dtypes[0]):
+        return emitter.by_library("fmod", dtypes[0], a, b)
+    return integer_division(emitter, dtypes[0], "rem", a, b)
+
+
+def integer_division(emitter, dtype, name: str, a, b):
+    """A quotient or remainder of integers, which are what XLA has where there is none.
+
+    The processor must not come to divide by zero, or the least integer by -1, in any lane.
+    """
+    builder, equal = emitter.builder, lambda x, value: emitter.builder.icmp_signed("==", x, value)
+    zero, one, ones = (
+        emitter.vector(value, dtype)
+        for value in (0, 1, -1 if signed(dtype) == "s" else np.iinfo(dtype).max)
+    )
+    none = equal(b, zero)
+    wrong = none
+    if signed(dtype) == "s":
+        least = emitter.vector(np.iinfo(dtype).min, dtype)
+        wrong = builder.or_(none, builder.and_(equal(a, least), equal(b, ones)))
+    result = getattr(builder, f"{signed(dtype)}{name}")(a, builder.select(wrong, one, b))
+    return builder.select(none, ones if name == "div" else a, result)
+
+
+def integer_power(emitter, params, dtypes, x):
+    """x^y for an integer y, by repeated squaring."""
+    y = params["y"]
+    multiply = lambda a, b: emitter.builder.fmul(a, b, flags=FAST)
+    if not is_floating(dtypes[0]):
+        multiply = emitter.builder.mul
+    result, square, left = None, x, abs(y)
+    while left:
+        if left & 1:
+            result = square if result is None else multiply(result, square)
+        left >>= 1
+        if left:
+            square = multiply(square, square)
+    one = emitter.vector(1, dtypes[0])
+    if result is None:
+        return one
+    return emitter.builder.fdiv(one, result, flags=FAST) if y < 0 else result
+
+
+def power(emitter, params, dtypes, x, y):
+    """x^y, where y may be of another type."""
+    if dtypes[1] != dtypes[0]:
+        y = conversion(emitter, {"new_dtype": dtypes[0]}, [dtypes[1]], y)
+    return emitter.by_library("pow", dtypes[0], x, y)
+
+
+def selection(emitter, params, dtypes, which, *cases):
+    if np.dtype(dtypes[0]).kind != "b" or len(cases) != 2:
+        raise UnsupportedPrimitive("select_n")
+    return emitter.builder.select(which, cases[1], cases[0])
+
+
+def conversion(emitter, params, dtypes, x):
+    builder, old, new = emitter.builder, np.dtype(dtypes[0]), np.dtype(params["new_dtype"])
+    kind = emitter.type(new)
+    if old == new:
+        return x
+    if new.kind == "b":
+        zero = emitter.vector(0, old)
+        if is_floating(old):
+            return builder.fcmp_unordered("!=", x, zero)
+        return builder.icmp_unsigned("!=", x, zero)
+    if is_floating(old):
+        if is_floating(new):
+            return (builder.fpext if new.itemsize > old.itemsize else builder.fptrunc)(x, kind)
+        return saturated(emitter, old, new, x)
+    if is_floating(new):
+        return (builder.sitofp if old.kind == "i" else builder.uitofp)(x, kind)
+    if new.itemsize > old.itemsize or old.kind == "b":
+        return (builder.sext if old.kind == "i" else builder.zext)(x, kind)
+    return builder.trunc(x, kind) if new.itemsize < old.itemsize else x
+
+
+def saturated(emitter, old, new, x):
+    """The nearest integer of a type that is not beyond x; zero for NaN."""
+    builder, info = emitter.builder, np.iinfo(new)
+    low, high = float(info.min), -float(info.min) if info.min else float(info.max) + 1
+    low, high = emitter.vector(low, old), emitter.vector(high, old)
+    inside = builder.and_(builder.fcmp_ordered(">=", x, low), builder.fcmp_ordered("<", x, high))
+    convert = builder.fptosi if signed(new) == "s" else builder.fptoui
+    value = convert(builder.select(inside, x, emitter.vector(0, old)), emitter.type(new))
+    value = builder.select(
+        builder.fcmp_ordered(">=", x, high), emitter.vector(info.max, new), value
+    )
+    return builder.select(builder.fcmp_ordered("<", x, low), emitter.vector(info.min, new), value)
+
+
+def finite(emitter, params, dtypes, x):
+    size = emitter.intrinsic("fabs", x)
+    return emitter.builder.fcmp_ordered("<", size, emitter.vector(np.inf, dtypes[0]))
+
+
+def sign(emitter, params, dtypes, x):
+    zero, one = emitter.vector(0, dtypes[0]), emitter.vector(1, dtypes[0])
+    builder = emitter.builder
+    if is_floating(dtypes[0]):
+        return builder.select(
+            builder.fcmp_ordered("!=", x, zero), emitter.intrinsic("copysign", one, x), x
+        )
+    unit = one
+    if signed(dtypes[0]) == "s":
+        unit = builder.select(builder.icmp_signed("<", x, zero), emitter.vector(-1, dtypes[0]), one)
+    return builder.select(builder.icmp_unsigned("==", x, zero), zero, unit)
+
+
+def rounding(emitter, params, dtypes, x):
+    even = params["rounding_method"] == lax.RoundingMethod.TO_NEAREST_EVEN
+    return emitter.intrinsic("roundeven" if even else "round", x)
+
+
+def logical(name: str):
+    return lambda emitter, params, dtypes, a, b: getattr(emitter.builder, name)(a, b)
+
+
+def clamp(emitter, params, dtypes, low, x, high):
+    return RULES["min"](emitter, {}, dtypes, RULES["max"](emitter, {}, dtypes, x, low), high)
+
+
+def shift(name: str):
+    """By as many bits as there are, or more, nothing but the sign is left."""
+
+    def rule(emitter, params, dtypes, x, by):
+        builder, last = emitter.builder, 8 * np.dtype(dtypes[0]).itemsize - 1
+        inside = builder.icmp_unsigned("<=", by, emitter.vector(last, dtypes[0]))
+        arithmetic = name == "ashr"
+        outside = emitter.vector(last if arithmetic else 0, dtypes[0])
+        shifted = getattr(builder, name)(x, builder.select(inside, by, outside))
+        zero = emitter.vector(0, dtypes[0])
+        return shifted if arithmetic else builder.select(inside, shifted, zero)
+
+    return rule
+
+
+def bits(emitter, params, dtypes, x):
+    if np.dtype(params["new_dtype"]).itemsize != np.dtype(dtypes[0]).itemsize:
+        raise UnsupportedPrimitive("bitcast_convert_type")
+    return emitter.builder.bitcast(x, emitter.type(params["new_dtype"]))
+
+
+def elementary(name: str, of_float32: Callable | None = None):
+    """A function of the C library, cell by cell; or one of JAX's primitives, for float32."""
+
+    def rule(emitter, params, dtypes, *operands):
+        if of_float32 is not None and dtypes[0] == np.float32:
+            return emitter.inline(of_float32, *operands, dtype=np.float32)
+        return emitter.by_library(name, dtypes[0], *operands)
+
+    return rule
+
+
+def log_float32(x):
+    """log(x) of a normal number, right to about 1e-7 of the larger of it and 1."""
+    bits = lax.bitcast_convert_type(x, jnp.int32)
+    # x = 2^e m, with m between sqrt(1/2) and sqrt(2)
+    e = lax.shift_right_arithmetic(bits - 0x3F3504F3, jnp.int32(23))
+    m = lax.bitcast_convert_type(bits - lax.shift_left(e, jnp.int32(23)), jnp.float32)
+    # log(m) = 2 artanh(s)
+    s = (m - 1) / (m + 1)
+    z = s * s
+    series = 2 * s * (1 + z * (1 / 3 + z * (1 / 5 + z * (1 / 7 + z / 9))))
+    value = e.astype(jnp.float32) * jnp.float32(np.log(2)) + series
+    value = jnp.where(x == jnp.inf, x, value)
+    value = jnp.where(x > 0, value, jnp.where(x == 0, -jnp.inf, jnp.nan)).astype(jnp.float32)
+    return value
+
+
+def exp_float32(x):
+    """exp(x), right to about 1e-7 of it."""
+    x = jnp.minimum(jnp.maximum(x, jnp.float32(-104)), jnp.float32(89))
+    n = lax.round(x * jnp.float32(1 / np.log(2)), lax.RoundingMethod.TO_NEAREST_EVEN)
+    r = x - n * jnp.float32(0.693359375) + n * jnp.float32(2.12194440e-4)
+    value = jnp.float32(1 / 5040)
+    for k in (720, 120, 24, 6, 2, 1, 1):
+        value = value * r + jnp.float32(1 / k)
+    half = lax.shift_right_arithmetic(n.astype(jnp.int32), jnp.int32(1))
+
+    def two_to(k):
+        return lax.bitcast_convert_type(lax.shift_left(k + 127, jnp.int32(23)), jnp.float32)
+
+    return value * two_to(half) * two_to(n.astype(jnp.int32) - half)
+
+
+REDUCTIONS = {
+    "reduce_max": lax.max_p,
+    "reduce_min": lax.min_p,
+    "reduce_prod": lax.mul_p,
+    "reduce_and": lax.and_p,
+    "reduce_or": lax.or_p,
+}
+
+RULES: dict[str, Callable] = {
+    "add": arithmetic("fadd", "add"),
+    "add_any": arithmetic("fadd", "add"),
+    "sub": arithmetic("fsub", "sub"),
+    "mul": arithmetic("fmul", "mul"),
+    "div": division,
+    "rem": remainder,
+    "neg": negation,
+    "abs": absolute,
+    "max": extremum("maximum", "?max"),
+    "min": extremum("minimum", "?min"),
+    "sqrt": unary("sqrt"),
+    "rsqrt": lambda emitter, params, dtypes, x: emitter.builder.fdiv(
+        emitter.vector(1, dtypes[0]), emitter.intrinsic("sqrt", x), flags=FAST
+    ),
+    "floor": unary("floor"),
+    "ceil": unary("ceil"),
+    "round": rounding,
+    "sign": sign,
+    "integer_pow": integer_power,
+    "square": lambda emitter, params, dtypes, x: integer_power(emitter, {"y": 2}, dtypes, x),
+    "is_finite": finite,
+    "eq": comparison("=="),
+    "ne": comparison("!="),
+    "lt": comparison("<"),
+    "le": comparison("<="),
+    "gt": comparison(">"),
+    "ge": comparison(">="),
+    "and": logical("and_"),
+    "or": logical("or_"),
+    "xor": logical("xor"),
+    "not": lambda emitter, params, dtypes, x: emitter.builder.not_(x),
+    "shift_left": shift("shl"),
+    "shift_right_arithmetic": shift("ashr"),
+    "shift_right_logical": shift("lshr"),
+    "select_n": selection,
+    "clamp": clamp,
+    "convert_element_type": conversion,
+    "bitcast_convert_type": bits,
+    "pow": power,
+    "log": elementary("log", log_float32),
+    "exp": elementary("exp", exp_float32),
+    **{
+        name: elementary(name)
+        for name in (
+            "exp2 expm1 log1p cbrt sin cos tan asin acos atan atan2 sinh cosh tanh asinh acosh "
+            "atanh erf".split()
+        )
+    },
+}
+"""Primitives of real scalars, as instructions."""
