@@ -15,13 +15,12 @@ from jax import lax
 import walker_jax as wj
 from walker_jax import multibody, taylor
 from walker_jax.kernels.scalars import unrolled
+from walker_jax.series import evaluate, sincos
 from walker_jax.taylor import (
     VirtualPower,
-    evaluate,
     fast_sines,
     function_series,
     operations,
-    sincos,
     solution_series,
 )
 from walker_jax.walkers import SingleSupport

@@ -28,6 +28,7 @@ from walker_jax.integrate import (
     taylor_step,
     when_zero,
 )
+from walker_jax.series import evaluate
 from walker_jax.stride import (
     Outcome,
     Stride,
@@ -39,7 +40,7 @@ from walker_jax.stride import (
     of_one_start,
     on_section,
 )
-from walker_jax.taylor import evaluate, fast_sines, function_series
+from walker_jax.taylor import fast_sines, function_series
 from walker_jax.walkers import Scalar, State, Walker, toppling_rate
 
 
