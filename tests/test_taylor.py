@@ -281,7 +281,8 @@ def test_a_product_of_a_matrix_with_itself_whose_coefficients_do_not_commute():
     B = np.array([[0.0, 1.0, 0.0], [0.0, 0.5, 2.0], [1.0, 0.0, 0.0]])
     Y = [A]
     for k in range(ORDER):
-        Y.append((sum(Y[j] @ Y[k - j] for j in range(k + 1)) + (B if k == 0 else 0)) / (k + 1))
+        square = np.sum([Y[j] @ Y[k - j] for j in range(k + 1)], axis=0)
+        Y.append((square + B if k == 0 else square) / (k + 1))
     assert_series(solution_series(lambda Y: Y @ Y + B, jnp.array(A), ORDER), Y)
 
 

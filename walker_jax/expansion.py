@@ -185,7 +185,8 @@ def by_pair(values: Callable, sign: int, which: int) -> Callable:
 
 
 def divided(expansion, equation, operands: list[Series]) -> list[Series]:
-    return [quotient(*operands, binding(equation))]
+    numerator, denominator = operands
+    return [quotient(numerator, denominator, binding(equation))]
 
 
 def power(expansion, equation, operands: list[Series]) -> list[Series]:
