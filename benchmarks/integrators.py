@@ -60,7 +60,7 @@ from walker_jax import tiles
 from walker_jax.integrate import ORDER, Taylor, integrate_until, once, step
 from walker_jax.stride import follow_stride, prepared
 from walker_jax.taylor import fast_sines
-from walker_jax.tiles import COMPILER_OPTIONS, TILE, compact_order, over_cells
+from walker_jax.tiles import COMPILER_OPTIONS, TILE, compact_order, map_cells
 
 DTYPE = jnp.dtype("float64")
 SWING = 3.0
@@ -130,7 +130,7 @@ def of_strides(repeats: int):
             ORDER[DTYPE] = order
             COMPILER_OPTIONS["cpu"] = options | {"xla_cpu_prefer_vector_width": width}
             with by_xla() if width else nullcontext():
-                return over_cells(one, (walker, tolerance), xs)
+                return map_cells(one, ((walker, tolerance), xs))
 
         return run
 
@@ -155,7 +155,7 @@ def of_one_swing(repeats: int):
     def way(one, xla=True):
         def run(setting):
             with by_xla() if xla else nullcontext():
-                return over_cells(one, (walker, setting), xs)
+                return map_cells(one, ((walker, setting), xs))
 
         return run
 

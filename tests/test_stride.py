@@ -18,7 +18,7 @@ from scipy.optimize import brentq
 import walker_jax as wj
 from walker_jax import Outcome, SimplestWalker, State, Walker
 from walker_jax.stride import step_down_of_cell
-from walker_jax.tiles import over_cells
+from walker_jax.tiles import map_cells
 
 DATA = Path(__file__).parent / "data"
 VALUES = json.loads((DATA / "values.json").read_text())
@@ -388,7 +388,7 @@ def steps_down(starts, drop, at, width, jumps=0.0, tolerance=1e-12):
     """Steps down of such walkers, each pulled at a place of its own."""
     pulled = lambda at: PulledWalker(0.009, at, jnp.asarray(width), jnp.asarray(jumps))
     cells = jax.vmap(pulled)(jnp.asarray(at)), np.array(starts), np.full(len(starts), drop)
-    return over_cells(step_down_of_each, np.float64(tolerance), cells)
+    return map_cells(step_down_of_each, (np.float64(tolerance), cells))
 
 
 def step_down_of_each(tolerance, cell):
@@ -942,7 +942,7 @@ def test_a_step_down_by_nothing_is_a_stride_from_anywhere():
     level = wj.strides(walker, starts)
     for drop in (0.0, 1e-9):
         drops = np.full(len(starts), drop)
-        down = over_cells(step_down_of_cell, (walker, np.float64(1e-12)), (starts, drops))
+        down = map_cells(step_down_of_cell, ((walker, np.float64(1e-12)), (starts, drops)))
         np.testing.assert_array_equal(down.outcome, level.outcome)
         np.testing.assert_allclose(down.time, level.time, rtol=0, atol=1e-6)
         np.testing.assert_allclose(down.state[:, 0], level.state[:, 0], rtol=0, atol=1e-6)

@@ -46,7 +46,7 @@ from walker_jax.stride import (
     stacked,
     strides,
 )
-from walker_jax.tiles import over_cells
+from walker_jax.tiles import map_cells
 from walker_jax.walkers import SimplestWalker, Walker, moves_like
 
 RESIDUAL = {jnp.dtype("float64"): 1e-10, jnp.dtype("float32"): 1e-4}
@@ -575,7 +575,7 @@ def linearise(
     columns = len(directions)
     cells = *repeated(walker, cycles, columns), np.tile(directions, (n * period, 1))
     shared = tolerance, axis_of(walker, parameter, cycles.dtype)
-    (state, time), (dstate, _) = over_cells(push, shared, cells)
+    (state, time), (dstate, _) = map_cells(push, (shared, cells))
     by = dstate.reshape(n, period, columns, size)
     first = lambda values: values.reshape(n, period, columns, *values.shape[1:])[:, :, 0]
     return Linearised(
@@ -613,7 +613,7 @@ def curve(
         np.tile(np.eye(columns, dtype=cycles.dtype), (n * period, 1)),
     )
     shared = tolerance, axis_of(walker, parameter, cycles.dtype)
-    (_, (along, time)), (_, (changes, _)) = over_cells(push_twice, shared, cells)
+    (_, (along, time)), (_, (changes, _)) = map_cells(push_twice, (shared, cells))
     shape = n, period, columns
     return Curved(
         along=along.reshape(*shape, size)[:, :, 0],
