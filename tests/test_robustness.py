@@ -31,7 +31,7 @@ from walker_jax.robustness import (
     robustness_table,
     wilson,
 )
-from walker_jax.stride import step_down_of_cell
+from walker_jax.stride import follow_step_down
 from walker_jax.tiles import map_cells
 
 robustness = sys.modules["walker_jax.robustness"]  # the package has the function by that name
@@ -364,7 +364,11 @@ def test_the_least_step_down_that_ends_in_a_fall_is_higher(steep, boxed):
     assert first.failure == Outcome.STRIDE and fall.failure == Outcome.FORWARD
     heights = np.arange(0.001, 1.01, 0.001) * fall.size
     state = np.broadcast_to(steep.states[0], (len(heights), 2))
-    down = map_cells(step_down_of_cell, ((STEEP, np.float64(1e-12)), (state, heights)))
+    down = map_cells(
+        follow_step_down,
+        (STEEP, state, heights, np.float64(1e-12)),
+        (False, True, True, False),
+    )
     back, fallen = ends_of(wj.strides(STEEP, down.state).state, steep)
     assert first.size == pytest.approx(heights[(~back).argmax()], abs=1.1e-3 * fall.size)
     assert fall.size == pytest.approx(heights[fallen.argmax()], abs=1.1e-3 * fall.size)

@@ -1,6 +1,7 @@
 import os
 import subprocess
 import sys
+from collections import OrderedDict
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 import walker_jax as wj
-from walker_jax import tiles
+from walker_jax.kernels import UnsupportedPrimitive, primitive
 from walker_jax.tiles import TILE, compact_order, map_cells
 
 CALL = TILE["cpu"][0] * TILE["cpu"][1]
@@ -79,6 +80,10 @@ def test_a_kernel_is_made_anew_for_a_number_of_another_kind(turn):
             assert map_cells(function, (shared, np.ones(3, np.float32))).dtype == dtype
 
 
+def no_kernel(closed):
+    raise UnsupportedPrimitive("any")
+
+
 @pytest.fixture(scope="module")
 def starts():
     rng = np.random.default_rng(0)
@@ -89,7 +94,8 @@ def starts():
 def test_strides_by_kernels_and_by_xla_are_the_same_to_rounding(monkeypatch, starts):
     walker = wj.SimplestWalker(0.004)
     found = wj.strides(walker, starts)
-    monkeypatch.setattr(tiles, "_kernel", lambda *args: None)
+    monkeypatch.setattr(primitive, "Kernel", no_kernel)
+    monkeypatch.setattr(primitive, "programs", OrderedDict())
     expected = wj.strides(walker, starts)
     np.testing.assert_array_equal(found.outcome, expected.outcome)
     np.testing.assert_allclose(found.state, expected.state, rtol=0, atol=1e-9)
@@ -135,8 +141,9 @@ import jax
 import numpy as np
 import walker_jax as wj
 from walker_jax import tiles
+from walker_jax.kernels import primitive
 jax.config.update("jax_enable_x64", True)
-tiles._kernel = lambda *_: None  # so that it is XLA that computes, as on an accelerator
+primitive.Program.kernel = None  # so that it is XLA that computes, as on an accelerator
 devices = jax.local_devices()
 assert len(devices) == 8
 for n in map(int, sys.argv[2:]):

@@ -132,8 +132,8 @@ declare void @llvm.x86.sse.stmxcsr(ptr)
     "reset_rounding": "  call void @llvm.x86.sse.ldmxcsr(ptr %mode)",
 }
 
-# The work of one call, in eight bytes each: 0 the next piece; 1 cells done; 2 threads that may still
-# look here; 3 cells; 4 cells of a piece; 5 the kernel; 6 its strides' place; 7 addresses, strides.
+# The work of one call, in eight bytes each: 0 the next piece; 1 cells done; 2 threads that may
+# still look here; 3 cells; 4 cells of a piece; 5 the kernel; 6 its strides; 7 addresses, strides.
 HANDLER = """
 declare ptr @malloc(i64)
 declare void @free(ptr)

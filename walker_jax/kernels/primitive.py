@@ -22,7 +22,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import ShapedArray
-from jax.extend.core import ClosedJaxpr, Primitive, jaxpr_as_fun, jaxprs_in_params
+from jax.extend.core import Primitive, jaxprs_in_params
 from jax.interpreters import ad, batching, mlir
 from jax.sharding import PartitionSpec
 
@@ -41,15 +41,24 @@ tracing_for_kernel = jax.make_user_context(False)
 
 
 class Program:
-    """A function of one cell, as JAX has read it, and what follows from it when it is needed."""
+    """A pure function of arrays of one cell, and what follows from it when it is needed."""
 
-    def __init__(self, closed: ClosedJaxpr, linear: Sequence[int] = (), directions: int = 0):
-        self.closed = closed
-        self.linear = frozenset(linear)
+    def __init__(
+        self,
+        function: Callable[..., list],
+        operands: Sequence,
+        origin: "tuple[Program, tuple[int, ...], int] | None" = None,
+    ):
+        with tracing_for_kernel(True):
+            self.closed = jax.make_jaxpr(function)(*operands)
+        self.function = function
+        self.operands = self.closed.in_avals
+        self.results = self.closed.out_avals
+        self.origin = origin
+        """Of which program this is the derivative, by which operands, along how many directions."""
+        first = len(self.operands) if origin is None else len(origin[0].operands)
+        self.linear = frozenset(range(first, len(self.operands)))
         """Operands in which it is linear, all together: directions of a derivative."""
-        self.directions = directions
-        """How many of them, along the first axis of those operands and of its results."""
-        self.results = [(aval.shape, aval.dtype) for aval in closed.out_avals]
         self.derivatives: dict[tuple, Program] = {}
 
     @functools.cached_property
@@ -68,39 +77,34 @@ class Program:
     def derivative(self, by: tuple[int, ...], directions: int = 1) -> "Program":
         """That of all results that are real, along directions of some operands.
 
-        Its operands are those of this program, then a direction for each of `by`, with one more
-        axis in front for several directions at once.
+        Its operands are those of this program, then, for each of `by`, its part of the directions,
+        along one more axis in front. So have its results.
         """
         if (by, directions) not in self.derivatives:
-            function, avals = jaxpr_as_fun(self.closed), self.closed.in_avals
-            real = [is_real(aval) for aval in self.closed.out_avals]
+            real = list(map(is_real, self.results))
 
             def along(*values):
-                point, tangents = list(values[: len(avals)]), values[len(avals) :]
+                point, tangents = list(values[: len(self.operands)]), values[len(self.operands) :]
 
                 def of_some(*some):
                     for i, value in zip(by, some, strict=True):
                         point[i] = value
-                    results = function(*point)
-                    return list(itertools.compress(results, real))
+                    return list(itertools.compress(self.function(*point), real))
 
                 some = tuple(point[i] for i in by)
-                one = lambda *tangents: jax.jvp(of_some, some, tangents)[1]
-                return jax.vmap(one)(*tangents)
+                return jax.vmap(lambda *tangents: jax.jvp(of_some, some, tangents)[1])(*tangents)
 
-            like = [
-                *(jax.ShapeDtypeStruct(aval.shape, aval.dtype) for aval in avals),
-                *(jax.ShapeDtypeStruct((directions, *avals[i].shape), avals[i].dtype) for i in by),
+            parts = [
+                self.operands[i].update(shape=(directions, *self.operands[i].shape)) for i in by
             ]
-            with tracing_for_kernel(True):
-                closed = jax.make_jaxpr(along)(*like)
-            linear = range(len(avals), len(like))
-            self.derivatives[by, directions] = Program(closed, linear, directions)
-            self.derivatives[by, directions].origin = self, by
+            like = map(described, (*self.operands, *parts))
+            program = Program(along, list(like), (self, by, directions))
+            self.derivatives[by, directions] = program
         return self.derivatives[by, directions]
 
-    origin: "tuple[Program, tuple[int, ...]] | None" = None
-    """Of which program this is the derivative, and by which operands."""
+
+def described(aval) -> jax.ShapeDtypeStruct:
+    return jax.ShapeDtypeStruct(aval.shape, aval.dtype, weak_type=aval.weak_type)
 
 
 def operations(jaxpr) -> int:
@@ -132,12 +136,16 @@ def program_of(function: Callable, structure, avals: Sequence) -> tuple[Program,
     if key in programs:
         programs.move_to_end(key)
         return programs[key]
-    like = [jax.ShapeDtypeStruct(x.shape, x.dtype, weak_type=x.weak_type) for x in avals]
-    with tracing_for_kernel(True):
-        closed, shapes = jax.make_jaxpr(function, return_shape=True)(
-            *jax.tree.unflatten(structure, like)
-        )
-    programs[key] = Program(closed), jax.tree.structure(shapes)
+    results: Any = None
+
+    def flat(*leaves):
+        nonlocal results
+        found = function(*jax.tree.unflatten(structure, leaves))
+        found, results = jax.tree.flatten(found)
+        return found
+
+    program = Program(flat, list(map(described, avals)))
+    programs[key] = program, results
     while len(programs) > PROGRAMS:
         programs.popitem(last=False)
     return programs[key]
@@ -198,7 +206,7 @@ def shapes(*avals, program: Program, mapped: tuple[bool, ...]):
         sharding = like.sharding.update(spec=PartitionSpec(*[None] * len(shape)))
         return like.update(shape=shape, dtype=dtype, weak_type=False, sharding=sharding)
 
-    return [array((*lead, *shape), dtype) for shape, dtype in program.results]
+    return [array((*lead, *x.shape), x.dtype) for x in program.results]
 
 
 def axes_of(aval) -> frozenset:
@@ -218,10 +226,11 @@ def alike(leaves: list) -> list:
 
 def by_xla(*operands, program: Program, mapped: tuple[bool, ...]):
     """The same, of JAX's own primitives."""
-    function = jaxpr_as_fun(program.closed)
+    function = program.function
     if any(mapped):
         function = jax.vmap(function, [0 if each else None for each in mapped])
-    return function(*operands)
+    with tracing_for_kernel(True):
+        return function(*operands)
 
 
 def on_cpu(ctx, *operands, program: Program, mapped: tuple[bool, ...]):
@@ -242,10 +251,10 @@ def batch(operands, axes, *, program: Program, mapped: tuple[bool, ...]):
     size = next(np.shape(x)[axis] for x, axis in pairs if axis is not None)
     operands = [x if axis is None else jnp.moveaxis(x, axis, 0) for x, axis in pairs]
     if program.origin is not None and program.linear.issuperset(np.flatnonzero(batched)):
-        origin, by = program.origin
-        directions = program.directions * size
-        if origin.size * (directions + 1) <= TOGETHER:
-            return along_more(operands, batched, size, origin.derivative(by, directions), mapped)
+        origin, by, directions = program.origin
+        if origin.size * (directions * size + 1) <= TOGETHER:
+            more = origin.derivative(by, directions * size)
+            return along_more(operands, batched, size, more, mapped)
     if not any(mapped):
         outputs = kernel_p.bind(*operands, program=program, mapped=tuple(batched))
         return outputs, [0] * len(outputs)
@@ -266,29 +275,21 @@ def batch(operands, axes, *, program: Program, mapped: tuple[bool, ...]):
     return [x.reshape(size, n, *x.shape[1:]) for x in outputs], [0] * len(outputs)
 
 
-def along_more(operands, batched, size: int, program: Program, mapped):
+def along_more(operands, batched, size: int, program: Program, mapped: tuple[bool, ...]):
     """A derivative along more directions at once: the axis `size` of some joins that of theirs."""
-    more = program.directions
+    cells = any(mapped)
 
     def joined(i, x):
         if i not in program.linear:
             return x
-        if not batched[i]:
-            x = jnp.broadcast_to(x, (size, *x.shape))
-        # behind the axis of cells, where there is one
-        x = jnp.moveaxis(x, 0, 1) if mapped[i] else x
-        lead = x.shape[:1] if mapped[i] else ()
-        return x.reshape(*lead, more, *x.shape[len(lead) + 2 :])
+        x = x if batched[i] else jnp.broadcast_to(x, (size, *x.shape))
+        x = jnp.moveaxis(x, 0, 1) if mapped[i] else x  # behind the axis of cells
+        return x.reshape(*x.shape[: mapped[i]], -1, *x.shape[mapped[i] + 2 :])
 
     operands = [joined(i, x) for i, x in enumerate(operands)]
     outputs = kernel_p.bind(*operands, program=program, mapped=mapped)
-    lead = 1 if any(mapped) else 0
-
-    def parted(x):
-        x = x.reshape(*x.shape[:lead], size, more // size, *x.shape[lead + 1 :])
-        return x
-
-    return [parted(x) for x in outputs], [lead] * len(outputs)
+    parted = [x.reshape(*x.shape[:cells], size, -1, *x.shape[cells + 1 :]) for x in outputs]
+    return parted, [int(cells)] * len(outputs)
 
 
 batching.primitive_batchers[kernel_p] = batch
@@ -334,17 +335,17 @@ ad.primitive_jvps[kernel_p] = push_forward
 def pull_back(cotangents, *operands, program: Program, mapped: tuple[bool, ...]):
     """Cotangents of the directions of a derivative: those of its results times its Jacobian."""
     assert program.origin is not None
-    origin, by = program.origin
-    count = len(origin.closed.in_avals)
+    origin, by, _ = program.origin
+    count = len(origin.operands)
     wanted = [i for i, x in enumerate(operands) if ad.is_undefined_primal(x)]
     point = operands[:count]
     some = tuple(by[i - count] for i in wanted)
-    each, shapes = any(mapped[:count]), [origin.closed.in_avals[i].shape for i in some]
+    each, shapes = any(mapped[:count]), [origin.operands[i].shape for i in some]
     sizes = [math.prod(shape) for shape in shapes]
     given = [i for i, ct in enumerate(cotangents) if not isinstance(ct, ad.Zero)]
     if not given:
         return [None] * len(operands)
-    dtype = origin.closed.in_avals[some[0]].dtype
+    dtype = origin.operands[some[0]].dtype
 
     def along(direction):
         """The derivatives of the results, of each cell, along one direction of all operands."""
