@@ -37,6 +37,7 @@ from walker_jax.checks import (
     short,
 )
 from walker_jax.integrate import Real
+from walker_jax.series import evaluate
 from walker_jax.stride import (
     Outcome,
     as_floating,
@@ -46,7 +47,6 @@ from walker_jax.stride import (
     stacked,
     strides,
 )
-from walker_jax.taylor import evaluate
 from walker_jax.tiles import map_cells
 from walker_jax.walkers import SimplestWalker, Walker, moves_like
 

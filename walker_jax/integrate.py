@@ -19,9 +19,9 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from walker_jax.checks import WrongUse, check_number
+from walker_jax.series import evaluate
 from walker_jax.taylor import (
     VirtualPower,
-    evaluate,
     fast_sines,
     function_series,
     is_list,

@@ -29,6 +29,7 @@ from walker_jax.integrate import (
     when_zero,
 )
 from walker_jax.kernels import by_kernel
+from walker_jax.series import evaluate
 from walker_jax.stride import (
     Outcome,
     Stride,
@@ -40,7 +41,7 @@ from walker_jax.stride import (
     on_section,
     prepared,
 )
-from walker_jax.taylor import evaluate, fast_sines, function_series
+from walker_jax.taylor import fast_sines, function_series
 from walker_jax.walkers import Scalar, State, Walker, toppling_rate
 
 

@@ -43,7 +43,8 @@ from walker_jax.integrate import (
     taylor_step,
 )
 from walker_jax.kernels import by_kernel
-from walker_jax.taylor import evaluate, fast_sines, function_series, solution_series
+from walker_jax.series import evaluate
+from walker_jax.taylor import fast_sines, function_series, solution_series
 from walker_jax.tiles import map_cells
 from walker_jax.walkers import (
     MultibodyWalker,
