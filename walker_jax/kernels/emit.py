@@ -316,18 +316,19 @@ def runs_once(condition: Jaxpr, body: Jaxpr, carry: list, count: int, more: int)
     return is_number(first) and not first and isinstance(last, Literal) and bool(last.val)
 
 
-def emit(closed: ClosedJaxpr, shared: list, cell: list, results: list) -> str:
-    """A program that computes results[start:stop]: void kernel(start, stop, addresses).
+def emit(closed: ClosedJaxpr, operands: list, results: list) -> str:
+    """A program of results[start:stop]: void kernel(start, stop, addresses, strides).
 
-    The addresses are of the arrays that cells share, then of those of cells and of results.
+    The addresses are of the arrays of the operands, then of those of the results. The entries of an
+    operand are as far apart from cell to cell as its stride says, 0 for one that cells share.
     """
-    floats = [dtype.itemsize for _, dtype in (*cell, *results) if is_floating(dtype)]
+    floats = [dtype.itemsize for _, dtype in (*operands, *results) if is_floating(dtype)]
     lanes = BITS // 8 // max(floats, default=8)
     module = ir.Module("kernel")
     number, pointer = ir.IntType(64), ir.IntType(8).as_pointer()
-    kind = ir.FunctionType(ir.VoidType(), [number, number, pointer.as_pointer()])
-    function = ir.Function(module, kind, "kernel")
-    start, stop, addresses = function.args
+    arguments = [number, number, pointer.as_pointer(), number.as_pointer()]
+    function = ir.Function(module, ir.FunctionType(ir.VoidType(), arguments), "kernel")
+    start, stop, addresses, strides = function.args
     before, head, turn, done = map(function.append_basic_block, ("before", "head", "turn", "done"))
     builder = ir.IRBuilder(before)
     emitter = LLVMEmitter(builder, lanes)
@@ -341,28 +342,8 @@ def emit(closed: ClosedJaxpr, shared: list, cell: list, results: list) -> str:
         address = builder.load(builder.gep(addresses, [long(i)]))
         return builder.bitcast(address, in_memory(dtype).as_pointer())
 
-    arrays = [array_at(i, dtype) for i, (_, dtype) in enumerate((*shared, *cell, *results))]
-    of_shared = arrays[: len(shared)]
-    of_cells = arrays[len(shared) : len(shared) + len(cell)]
-
-    def load(array, places: list, dtype):
-        """A vector of what stands at each lane's place of an array."""
-        vector = ir.Constant(ir.VectorType(in_memory(dtype), lanes), ir.Undefined)
-        for i, place in enumerate(places):
-            value = builder.load(builder.gep(array, [place]))
-            vector = builder.insert_element(vector, value, lane(i))
-        return builder.trunc(vector, emitter.type(dtype)) if dtype.kind == "b" else vector
-
-    def entries(array, shape, dtype, places_of: Callable[[int], list]):
-        values = np.empty(shape, object)
-        for i, place in enumerate(np.ndindex(*shape)):
-            values[place] = load(array, places_of(i), dtype)
-        return values
-
-    constants = [
-        entries(array, shape, dtype, lambda i: [long(i)] * lanes)
-        for array, (shape, dtype) in zip(of_shared, shared, strict=True)
-    ]
+    arrays = [array_at(i, dtype) for i, (_, dtype) in enumerate((*operands, *results))]
+    steps = [builder.load(builder.gep(strides, [long(i)])) for i in range(len(operands))]
     last = builder.sub(stop, long(1))
     builder.branch(head)
 
@@ -378,24 +359,36 @@ def emit(closed: ClosedJaxpr, shared: list, cell: list, results: list) -> str:
         mine = builder.add(first, long(i))
         cells.append(builder.select(builder.icmp_signed("<", mine, last), mine, last))
 
-    def places_in(shape) -> Callable[[int], list]:
-        size = math.prod(shape)
-        return lambda i: [builder.add(builder.mul(one, long(size)), long(i)) for one in cells]
+    def loaded(array, step, shape, dtype) -> np.ndarray:
+        """The entries of an operand, each a vector of what stands at the place of each lane."""
+        begins = [builder.mul(cell, step) for cell in cells]
+        values = np.empty(shape, object)
+        for i, place in enumerate(np.ndindex(*shape)):
+            vector = ir.Constant(ir.VectorType(in_memory(dtype), lanes), ir.Undefined)
+            for j, begin in enumerate(begins):
+                value = builder.load(builder.gep(array, [builder.add(begin, long(i))]))
+                vector = builder.insert_element(vector, value, lane(j))
+            if dtype.kind == "b":
+                vector = builder.trunc(vector, emitter.type(dtype))
+            values[place] = vector
+        return values
 
     inputs = [
-        entries(array, shape, dtype, places_in(shape))
-        for array, (shape, dtype) in zip(of_cells, cell, strict=True)
+        loaded(array, step, shape, dtype)
+        for array, step, (shape, dtype) in zip(arrays, steps, operands, strict=False)
     ]
-    outputs = emitter.interpret(closed, constants + inputs)
-    ends = zip(arrays[len(arrays) - len(results) :], outputs, results, strict=True)
-    for array, output, (shape, dtype) in ends:
+    outputs = emitter.interpret(closed, inputs)
+    for array, output, (shape, dtype) in zip(
+        arrays[len(operands) :], outputs, results, strict=True
+    ):
+        begins = [builder.mul(cell, long(math.prod(shape))) for cell in cells]
         for i, place in enumerate(np.ndindex(*shape)):
             vector = emitter.vector(output[place], dtype)
             if dtype.kind == "b":
                 vector = builder.zext(vector, ir.VectorType(in_memory(dtype), lanes))
-            for j, where in enumerate(places_in(shape)(i)):
+            for j, begin in enumerate(begins):
                 value = builder.extract_element(vector, lane(j))
-                builder.store(value, builder.gep(array, [where]))
+                builder.store(value, builder.gep(array, [builder.add(begin, long(i))]))
     first.add_incoming(builder.add(first, long(lanes)), builder.block)
     builder.branch(head)
     builder.position_at_end(done)
