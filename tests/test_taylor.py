@@ -14,14 +14,13 @@ from hypothesis import strategies as st
 from jax import lax
 
 import walker_jax as wj
-from walker_jax import multibody, taylor
+from walker_jax import multibody
 from walker_jax.kernels.scalars import unrolled
 from walker_jax.series import evaluate, sincos
 from walker_jax.taylor import (
     VirtualPower,
     fast_sines,
     function_series,
-    operations,
     solution_series,
 )
 from walker_jax.walkers import SingleSupport
@@ -632,24 +631,3 @@ def test_series_by_virtual_power_in_float32():
     equations, state = chain(1)
     high = jax.tree.leaves(equations.series(state, LOW))
     np.testing.assert_allclose(low, high, rtol=1e-4, atol=1e-5 * np.max(np.abs(high)))
-
-
-def test_order_falls_with_the_size_of_a_system_and_keeps_its_bounds():
-    highest = 16
-    orders = [equations.order(state, highest) for equations, state in map(chain, (1, 2))]
-    assert orders[0] == highest > orders[1] >= taylor.SHORTEST
-    equations, state = chain(1)
-    assert equations.order(state, 2) == 2
-
-
-def test_operations_are_counted_once_each_through_calls():
-    inner = jax.jit(lambda x, y: (jnp.sin(x) * y, jnp.cos(x)))
-    x, y = jnp.array(2.0), jnp.array(3.0)
-    assert operations(lambda x: x, x) == 0
-    assert operations(lambda x: (jnp.sin(x), jnp.sin(x), jnp.cos(x)), x) == 2
-    assert operations(inner, x, y) == 3
-    assert operations(lambda x, y: (inner(x, y), inner(x, y), jnp.sin(x)), x, y) == 3
-    assert operations(lambda x, y: (inner(x, y), inner(y, x)), x, y) == 6
-    assert operations(lambda x, y: (x - y, y - x, x - y, x * 2.0, x * 3.0), x, y) == 4
-    assert operations(lambda x: (x**2, x**3), x) == 2
-    assert operations(jax.nn.relu, x) == 1

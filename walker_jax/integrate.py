@@ -21,7 +21,6 @@ from jaxtyping import Array, Bool, Float, Int, PyTree
 from walker_jax.checks import WrongUse, check_number
 from walker_jax.series import evaluate
 from walker_jax.taylor import (
-    VirtualPower,
     fast_sines,
     function_series,
     is_list,
@@ -173,10 +172,9 @@ def first_zero(series: list[Scalar], length: Scalar, resolution: Scalar) -> Scal
     return lax.while_loop(unfinished, advance, first)[0]
 
 
-def order_of(vector_field: VectorField, state: PyTree) -> int:
+def order_of(state: PyTree) -> int:
     """Order of the series in a step from a state."""
-    order = ORDER[jax.tree.leaves(state)[0].dtype]
-    return vector_field.order(state, order) if isinstance(vector_field, VirtualPower) else order
+    return ORDER[jax.tree.leaves(state)[0].dtype]
 
 
 def step(vector_field: VectorField, state: PyTree, length: Scalar, order: int) -> PyTree:
@@ -295,7 +293,7 @@ def integrate_until(
     and end where the field, or one of `others`, has a kink. Returns the last step; `count` reaches
     `max_steps`, or the state stops being finite, where `stop` never holds.
     """
-    order = order_of(vector_field, state)
+    order = order_of(state)
     stop = fast_sines(stop)
 
     def advance(carry):

@@ -135,7 +135,7 @@ def follow_margins(
 ) -> Margins:
     start, verdict = fast_sines(begin)(walker, x)
     field = equations(walker)
-    order = order_of(field, start)
+    order = order_of(start)
     rate = fast_sines(toppling_rate)(walker)
 
     def contact_force(state: State) -> Scalar:

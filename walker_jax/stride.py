@@ -293,7 +293,7 @@ def swing(
     section, is followed to the end of its fall.
     """
     field = equations(walker)
-    order = order_of(field, start)
+    order = order_of(start)
 
     def contact(state: State) -> Scalar:
         if drop is None:
@@ -581,7 +581,7 @@ def state_after(
 ) -> State:
     """The state a time after the start of a stride."""
     start, field = full_state(walker, x), equations(walker)
-    order = order_of(field, start)
+    order = order_of(start)
 
     def unfinished(carry):
         _, clock, count = carry

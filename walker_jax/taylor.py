@@ -21,12 +21,9 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.extend.core import Jaxpr, Literal
 from jaxtyping import Array, PyTree
 
 from walker_jax.expansion import compose, switches
-from walker_jax.kernels import tracing_for_kernel
-from walker_jax.kernels.jaxprs import CALLS, CALLS_WITH_DERIVATIVES
 from walker_jax.series import Series, constant, recorded, recording, scaled
 
 
@@ -104,63 +101,6 @@ class VirtualPower(eqx.Module):
                 (start[:half], start[half:], like),
             )
         return p, of_transfer, of_power
-
-    def order(self, state: PyTree, highest: int) -> int:
-        """The order, up to the highest, at which the series is not too long for XLA.
-
-        From the operations that it takes at two orders, which grow like the square of the order.
-        """
-        if tracing_for_kernel.value:
-            return highest
-        shapes = [jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(self)]
-        key = jax.tree.structure(self), *((leaf.shape, leaf.dtype) for leaf in shapes), highest
-        if key not in _orders:
-            equations = jax.tree.unflatten(jax.tree.structure(self), shapes)
-            low = highest // 2
-            few, many = (
-                operations(lambda field, state, n=n: field.series(state, n), equations, state)
-                for n in (low, highest)
-            )
-            growth = (many - few) / (highest**2 - low**2)
-            fits = math.isqrt(max(0, round((LONGEST - few) / growth) + low**2))
-            _orders[key] = min(highest, max(fits, SHORTEST))
-        return _orders[key]
-
-
-_orders: dict = {}
-LONGEST = 3100
-"""Operations in an expansion that XLA still compiles to one loop. Beyond, it computes what parts
-have in common once for each of them, again and again: a step then takes minutes."""
-SHORTEST = 4
-"""The least order."""
-
-
-def operations(function: Callable, *args) -> int:
-    """How many operations on scalars a function takes, those that repeat another left out."""
-    numbers: dict = {}
-    distinct: dict = {}
-
-    def number(variable):
-        if isinstance(variable, Literal):
-            return repr(variable.val)
-        return numbers.setdefault(variable, object())
-
-    def count(jaxpr: Jaxpr):
-        for equation in jaxpr.eqns:
-            params = equation.params
-            if equation.primitive.name in {**CALLS, **CALLS_WITH_DERIVATIVES}:
-                inner = params["jaxpr"] if "jaxpr" in params else params["call_jaxpr"]
-                numbers.update(zip(inner.jaxpr.invars, map(number, equation.invars), strict=True))
-                numbers.update(zip(inner.jaxpr.constvars, map(repr, inner.consts), strict=True))
-                count(inner.jaxpr)
-                numbers.update(zip(equation.outvars, map(number, inner.jaxpr.outvars), strict=True))
-                continue
-            key = equation.primitive.name, repr(params), *map(number, equation.invars)
-            values = distinct.setdefault(key, [object() for _ in equation.outvars])
-            numbers.update(zip(equation.outvars, values, strict=True))
-
-    count(jax.make_jaxpr(function)(*args).jaxpr)
-    return len(distinct)
 
 
 def derivative(series: Series, times: int = 1) -> Series:
