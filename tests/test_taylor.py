@@ -238,6 +238,18 @@ def test_series_of_a_walker_like_system_of_equations():
 
 
 A = np.array([[0.0, 1.0, -0.5], [2.0, 0.25, 1.0], [-1.0, 0.5, 0.0]])
+
+
+def there_and_back(y):
+    """The same vector, through sums, indices, updates and Fourier coefficients."""
+    turn = np.array([1, 2, 0])
+    y = jnp.diff(jnp.cumsum(y), prepend=0.0)
+    y = jnp.ones(3).at[turn].set(y[turn])
+    y = jnp.zeros(3).at[turn].add(y[turn])
+    y = lax.dynamic_update_slice(jnp.ones(5), y, turn[:1])
+    return jnp.fft.ifft(jnp.fft.fft(lax.dynamic_slice(y, turn[:1], (3,)))).real
+
+
 SAME_LINEAR_SYSTEM = {
     "matmul": lambda y: A @ y,
     "dot-of-both": lambda y: jnp.matmul(y[None], jnp.asarray(A.T))[0],
@@ -250,6 +262,8 @@ SAME_LINEAR_SYSTEM = {
     "pad": lambda y: jnp.pad(A[:2] @ y, (0, 1)) + jnp.pad(A[2:] @ y, (2, 0)),
     "jit-vmap": lambda y: jax.jit(jax.vmap(lambda row: row @ y))(jnp.asarray(A)),
     "jvp": lambda y: jax.jvp(lambda y: jnp.asarray(A) @ y, (y,), (y,))[1],
+    "there-and-back": lambda y: there_and_back(A @ y),
+    "checkpoint": jax.checkpoint(lambda y: A @ y),
 }
 
 
