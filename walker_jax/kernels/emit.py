@@ -1,15 +1,18 @@
 """A jaxpr of one cell as a program for LLVM, whose every number is a vector, one for each cell."""
 
 import contextlib
+import inspect
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any, no_type_check
 
 import jax
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, Primitive
+from jax.extend.core import ClosedJaxpr, Primitive
 from llvmlite import ir
 
+from walker_jax.kernels import control, indexing
 from walker_jax.kernels.rules import (
     FAST,
     REDUCTIONS,
@@ -20,6 +23,7 @@ from walker_jax.kernels.rules import (
     is_floating,
 )
 from walker_jax.kernels.scalars import Unrolling, is_number
+from walker_jax.kernels.substitutes import SUBSTITUTES
 
 BITS = 512
 """Of a vector; LLVM makes shorter ones of it where the processor has no such."""
@@ -161,17 +165,22 @@ class LLVMEmitter(Unrolling):
             return self.interpret(params["call_jaxpr"], operands)
         if name in REDUCTIONS:
             return [self.reduce(REDUCTIONS[name], operands[0], params["axes"], equation)]
-        if name == "while":
-            return self.loop(params, operands)
-        if name == "cond":
-            return self.choice(params, operands)
         return super().apply(equation, operands)
 
     def keep(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
+        primitive, params = equation.primitive, equation.params
         if all(is_number(entry) for operand in operands for entry in operand.ravel()):
             with contextlib.suppress(TypeError):  # a key to random numbers, which has no digits
                 return super().keep(equation, operands)
-        raise UnsupportedPrimitive(equation.primitive.name)
+        if primitive.name in OF_ARRAYS:
+            return OF_ARRAYS[primitive.name](self, equation, operands)
+        if primitive.name in SUBSTITUTES:
+            function = SUBSTITUTES[primitive.name](params)
+        elif implemented_in_jax(primitive):
+            function = partial(primitive.impl, **params)
+        else:
+            raise UnsupportedPrimitive(primitive.name)
+        return self.interpret(jax.make_jaxpr(function)(*avals_of(equation.invars)), operands)
 
     def reduce(self, primitive: Primitive, operand: np.ndarray, axes, equation) -> np.ndarray:
         like = equation.outvars[0].aval
@@ -186,78 +195,7 @@ class LLVMEmitter(Unrolling):
             result[place] = first
         return result
 
-    # Loops.
-
-    def loop(self, params: dict, operands: list[np.ndarray]) -> list[np.ndarray]:
-        """A while loop. Lanes that have ended keep their values until the last one has."""
-        condition, body = params["cond_jaxpr"], params["body_jaxpr"]
-        count, more = params["cond_nconsts"], params["body_nconsts"]
-        of_condition, of_body = operands[:count], operands[count : count + more]
-        carry = operands[count + more :]
-
-        if runs_once(condition.jaxpr, body.jaxpr, carry, count, more):
-            return self.interpret(body, [*of_body, *carry])
-
-        avals = [variable.aval for variable in body.jaxpr.outvars]
-        flat, kinds = self.flattened(carry, avals)
-        initial = [self.vector(x, dtype) for x, dtype in zip(flat, kinds, strict=True)]
-        builder = self.builder
-        before = builder.block
-        head = builder.append_basic_block("head")
-        turn = builder.append_basic_block("turn")
-        done = builder.append_basic_block("done")
-        builder.branch(head)
-        builder.position_at_end(head)
-        phis = [builder.phi(value.type) for value in initial]
-        for phi, value in zip(phis, initial, strict=True):
-            phi.add_incoming(value, before)
-
-        known, lanes = len(self.known), self.active
-        values = self.gathered(phis, avals)
-        ((going,),) = map(np.ravel, self.interpret(condition, [*of_condition, *values]))
-        going = self.vector(going, bool)
-        if lanes is not None:
-            going = builder.and_(going, lanes)
-        bits = builder.bitcast(going, ir.IntType(self.lanes))
-        builder.cbranch(
-            builder.icmp_unsigned("!=", bits, ir.Constant(ir.IntType(self.lanes), 0)), turn, done
-        )
-
-        builder.position_at_end(turn)
-        self.active = going
-        results, _ = self.flattened(self.interpret(body, [*of_body, *values]), avals)
-        for phi, result, dtype in zip(phis, results, kinds, strict=True):
-            new = builder.select(going, self.vector(result, dtype), phi)
-            phi.add_incoming(new, builder.block)
-        builder.branch(head)
-        builder.position_at_end(done)
-        self.active = lanes
-        while len(self.known) > known:  # of what came before or after a loop, none is from inside
-            self.known.popitem()
-        return self.gathered(phis, avals)
-
-    def choice(self, params: dict, operands: list[np.ndarray]) -> list[np.ndarray]:
-        """One of several functions: all are computed, unless it is known which is wanted."""
-        branches, (which, *inputs) = params["branches"], operands
-        index = which[()]
-        if is_number(index):
-            branches = [branches[min(max(int(index), 0), len(branches) - 1)]]
-        results, lanes = [], self.active
-        avals = [variable.aval for variable in branches[0].jaxpr.outvars]
-        for i, branch in enumerate(branches):
-            if len(branches) > 1:
-                mine = self.builder.icmp_signed("==", index, self.vector(i, np.int32))
-                self.active = mine if lanes is None else self.builder.and_(mine, lanes)
-            results.append(self.flattened(self.interpret(branch, inputs), avals))
-        self.active = lanes
-        chosen, kinds = results[-1]
-        for i, (entries, _) in reversed(list(enumerate(results[:-1]))):
-            before = self.builder.icmp_signed("<=", index, self.vector(i, np.int32))
-            chosen = [
-                self.builder.select(before, self.vector(one, dtype), self.vector(other, dtype))
-                for one, other, dtype in zip(entries, chosen, kinds, strict=True)
-            ]
-        return self.gathered(chosen, avals)
+    # Arrays and entries.
 
     def flattened(self, arrays: list[np.ndarray], avals) -> tuple[list, list]:
         """All entries of arrays, complex ones as two, and their types."""
@@ -299,19 +237,30 @@ class LLVMEmitter(Unrolling):
         return self.vector(result[()], dtype)
 
 
-def runs_once(condition: Jaxpr, body: Jaxpr, carry: list, count: int, more: int) -> bool:
-    """Whether a loop is one of a single turn, whose condition hangs on a flag that the body sets.
+OF_ARRAYS: dict[str, Callable] = {
+    "while": control.loop,
+    "cond": control.choice,
+    "dynamic_slice": indexing.dynamic_slice,
+    "dynamic_update_slice": indexing.dynamic_update_slice,
+    "gather": indexing.gather,
+    **dict.fromkeys(indexing.COMBINATIONS, indexing.scatter),
+}
+"""Rules of primitives of whole arrays: (emitter, equation, operands) -> results."""
 
-    That is how `integrate.once` keeps XLA from computing its results several times.
+
+def implemented_in_jax(primitive: Primitive) -> bool:
+    """Whether a primitive is not one of JAX's own: then its implementation is a JAX function.
+
+    Equinox and lineax have such, which say what a function of one cell is under transformations.
     """
-    if count or len(condition.eqns) != 1 or condition.eqns[0].primitive.name != "not":
-        return False
-    (flag,) = condition.eqns[0].invars
-    if condition.outvars[0] is not condition.eqns[0].outvars[0] or flag not in condition.invars:
-        return False
-    place = condition.invars.index(flag)
-    first, last = carry[place][()], body.outvars[place]
-    return is_number(first) and not first and isinstance(last, Literal) and bool(last.val)
+    return inspect.isfunction(primitive.impl) and not primitive.impl.__module__.startswith("jax.")
+
+
+def avals_of(variables) -> list[jax.ShapeDtypeStruct]:
+    return [
+        jax.ShapeDtypeStruct(aval.shape, aval.dtype, weak_type=aval.weak_type)
+        for aval in (variable.aval for variable in variables)
+    ]
 
 
 def emit(closed: ClosedJaxpr, shared: list, cell: list, results: list) -> str:
