@@ -22,7 +22,7 @@ from walker_jax.kernels.rules import (
     is_float,
     is_floating,
 )
-from walker_jax.kernels.scalars import Unrolling, is_number
+from walker_jax.kernels.scalars import CALLS, Unrolling, is_number
 from walker_jax.kernels.substitutes import SUBSTITUTES
 
 BITS = 512
@@ -48,6 +48,10 @@ class LLVMEmitter(Unrolling):
         self.lanes = lanes
         self.active: Any = None
         """Which lanes are at work, where not all are."""
+        self.functions: dict[int, tuple] = {}
+        """Of equations, by identity: with the function that each stands for."""
+        self.alternatives: dict[int, tuple] = {}
+        """Entries that are one of two numbers, by identity: with the flag, and the numbers."""
 
     # Types and constants.
 
@@ -149,7 +153,10 @@ class LLVMEmitter(Unrolling):
             return Complex(*parts)
         if name == "stop_gradient":
             return operands[0]
-        return super().term(primitive, params, operands, dtypes)
+        result = super().term(primitive, params, operands, dtypes)
+        if name == "select_n" and all(map(is_number, operands[1:])) and len(operands) == 3:
+            self.alternatives[id(result)] = (result, *operands)
+        return result
 
     def apply(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
         name, params = equation.primitive.name, equation.params
@@ -168,19 +175,32 @@ class LLVMEmitter(Unrolling):
         return super().apply(equation, operands)
 
     def keep(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
-        primitive, params = equation.primitive, equation.params
+        primitive = equation.primitive
         if all(is_number(entry) for operand in operands for entry in operand.ravel()):
             with contextlib.suppress(TypeError):  # a key to random numbers, which has no digits
                 return super().keep(equation, operands)
         if primitive.name in OF_ARRAYS:
             return OF_ARRAYS[primitive.name](self, equation, operands)
+        inner = self.inner(equation)
+        if inner is None:
+            raise UnsupportedPrimitive(primitive.name)
+        return self.interpret(inner, operands)
+
+    def inner(self, equation) -> ClosedJaxpr | None:
+        """The function that an equation stands for, if it stands for one."""
+        primitive, params = equation.primitive, equation.params
+        if primitive.name in CALLS:
+            return params["jaxpr"] if "jaxpr" in params else params["call_jaxpr"]
         if primitive.name in SUBSTITUTES:
             function = SUBSTITUTES[primitive.name](params)
         elif implemented_in_jax(primitive):
             function = partial(primitive.impl, **params)
         else:
-            raise UnsupportedPrimitive(primitive.name)
-        return self.interpret(jax.make_jaxpr(function)(*avals_of(equation.invars)), operands)
+            return None
+        if id(equation) not in self.functions:
+            closed = jax.make_jaxpr(function)(*avals_of(equation.invars))
+            self.functions[id(equation)] = equation, closed
+        return self.functions[id(equation)][1]
 
     def reduce(self, primitive: Primitive, operand: np.ndarray, axes, equation) -> np.ndarray:
         like = equation.outvars[0].aval

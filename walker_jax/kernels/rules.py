@@ -284,6 +284,25 @@ def exp_float32(x):
     return value * two_to(half) * two_to(n.astype(jnp.int32) - half)
 
 
+def next_after(x, y):
+    """The number of the type that follows x, towards y: its bits, counted as an integer."""
+    dtype = np.dtype(x.dtype)
+    integer = np.dtype(f"int{8 * dtype.itemsize}")
+    bits = lax.bitcast_convert_type(x, integer)
+    outwards = (y > x) == (x > 0)
+    moved = lax.bitcast_convert_type(bits + jnp.where(outwards, 1, -1).astype(integer), dtype)
+    least = jnp.asarray(np.finfo(dtype).smallest_subnormal, dtype)
+    moved = jnp.where(x == 0, jnp.where(y > x, least, -least), moved)
+    return jnp.where((x != x) | (y != y), x + y, jnp.where(x == y, y, moved))
+
+
+def in_terms_of_jax(function: Callable):
+    """A JAX function of scalars."""
+    return lambda emitter, params, dtypes, *operands: emitter.inline(
+        function, *operands, dtype=dtypes[0]
+    )
+
+
 REDUCTIONS = {
     "reduce_max": lax.max_p,
     "reduce_min": lax.min_p,
@@ -331,6 +350,8 @@ RULES: dict[str, Callable] = {
     "clamp": clamp,
     "convert_element_type": conversion,
     "bitcast_convert_type": bits,
+    "nextafter": in_terms_of_jax(next_after),
+    "logistic": in_terms_of_jax(lambda x: 1 / (1 + jnp.exp(-x))),
     "pow": power,
     "log": elementary("log", log_float32),
     "exp": elementary("exp", exp_float32),

@@ -9,7 +9,6 @@ from functools import reduce
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jax.extend.core import jaxpr_as_fun
 
@@ -250,18 +249,6 @@ def cholesky(**_) -> Callable:
         return [jnp.where(definite, factor, jnp.nan)]
 
     return function
-
-
-def next_after(x, y):
-    """The number of the type that follows x, towards y: its bits, counted as an integer."""
-    dtype = np.dtype(x.dtype)
-    integer = np.dtype(f"int{8 * dtype.itemsize}")
-    bits = lax.bitcast_convert_type(x, integer)
-    outwards = (y > x) == (x > 0)
-    moved = lax.bitcast_convert_type(bits + jnp.where(outwards, 1, -1).astype(integer), dtype)
-    least = jnp.asarray(np.finfo(dtype).smallest_subnormal, dtype)
-    moved = jnp.where(x == 0, jnp.where(y > x, least, -least), moved)
-    return jnp.where((x != x) | (y != y), x + y, jnp.where(x == y, y, moved))
 
 
 SUBSTITUTES: dict[str, Callable[[dict], Callable]] = {
