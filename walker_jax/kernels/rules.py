@@ -11,6 +11,8 @@ import numpy as np
 from jax import lax
 from llvmlite import ir
 
+from walker_jax.kernels.powers import known_exponent, power_of_known
+
 
 class UnsupportedPrimitive(NotImplementedError):
     """A function holds a primitive or a type, which the error names, that no kernel can do."""
@@ -145,6 +147,13 @@ def power(emitter, params, dtypes, x, y):
     """x^y, where y may be of another type."""
     if dtypes[1] != dtypes[0]:
         y = conversion(emitter, {"new_dtype": dtypes[0]}, [dtypes[1]], y)
+    elif (exponent := known_exponent(y)) is not None:
+        if dtypes[0] == np.float64:
+            return power_of_known(emitter, x, exponent)
+        x = emitter.builder.fpext(x, emitter.type(np.float64))
+        return emitter.builder.fptrunc(
+            power_of_known(emitter, x, exponent), emitter.type(np.float32)
+        )
     return emitter.by_library("pow", dtypes[0], x, y)
 
 
