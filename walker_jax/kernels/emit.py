@@ -257,9 +257,18 @@ class LLVMEmitter(Unrolling):
         return self.vector(result[()], dtype)
 
 
+def custom_linear_solve(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
+    """As its author solves it."""
+    lengths, jaxprs = equation.params["const_lengths"], equation.params["jaxprs"]
+    first = lengths.matvec + lengths.vecmat
+    inputs = [*operands[first : first + lengths.solve], *operands[sum(lengths) :]]
+    return emitter.interpret(jaxprs.solve, inputs)
+
+
 OF_ARRAYS: dict[str, Callable] = {
     "while": control.loop,
     "cond": control.choice,
+    "custom_linear_solve": custom_linear_solve,
     "dynamic_slice": indexing.dynamic_slice,
     "dynamic_update_slice": indexing.dynamic_update_slice,
     "gather": indexing.gather,

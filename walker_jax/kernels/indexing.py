@@ -13,9 +13,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from walker_jax.kernels.rules import UnsupportedPrimitive
 from walker_jax.kernels.scalars import is_number, params_of
 
 BOOL = np.dtype(bool)
+
+LONGEST = 128
+"""Entries of an array with computed indices, at most: with more, XLA is faster."""
 
 COMBINATIONS = {
     "scatter": None,
@@ -88,7 +92,14 @@ def part(emitter, array: np.ndarray, axis: int, index, size: int, kind, dtype) -
 
     if is_number(index):
         return beginning(min(max(int(index), 0), last))
+    check_size(array)
     return between(0, last)
+
+
+@no_type_check
+def check_size(array: np.ndarray) -> None:
+    if array.size > LONGEST:
+        raise UnsupportedPrimitive(f"computed indices of an array of {array.size}")
 
 
 @no_type_check
@@ -96,6 +107,8 @@ def updated(
     emitter, array: np.ndarray, window: np.ndarray, starts: list, kind, clip: bool, name: str, dtype
 ) -> np.ndarray:
     """An array with a window of updates in it that starts at computed indices."""
+    if not all(map(is_number, starts)):
+        check_size(array)
     combine = COMBINATIONS[name]
     lasts = [length - size for length, size in zip(array.shape, window.shape, strict=True)]
 
@@ -116,6 +129,7 @@ def updated(
         if here is False:
             continue
         where = tuple(slice(at, at + size) for at, size in zip(corner, window.shape, strict=True))
+        where = (*where, ...)
         new = window
         if combine is not None:
             new = np.empty(window.shape, object)
@@ -181,7 +195,7 @@ def gather(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
             slice(None) if axis in numbers.offset_dims else next(batch)
             for axis in range(result.ndim)
         ]
-        result[tuple(where)] = chosen
+        result[(*where, ...)] = chosen
     return [result]
 
 
@@ -209,7 +223,7 @@ def scatter(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
             slice(None) if axis in numbers.update_window_dims else next(batch)
             for axis in range(updates.ndim)
         ]
-        window = np.expand_dims(np.asarray(updates[tuple(where)], object), sorted(inserted))
+        window = np.expand_dims(updates[(*where, ...)], sorted(inserted))
         starts = [0] * array.ndim
         for axis, dim in zip(
             numbers.operand_batching_dims, numbers.scatter_indices_batching_dims, strict=True

@@ -158,9 +158,15 @@ def power(emitter, params, dtypes, x, y):
 
 
 def selection(emitter, params, dtypes, which, *cases):
-    if np.dtype(dtypes[0]).kind != "b" or len(cases) != 2:
-        raise UnsupportedPrimitive("select_n")
-    return emitter.builder.select(which, cases[1], cases[0])
+    """The case of a number, or for a flag the second where it is true."""
+    builder = emitter.builder
+    if np.dtype(dtypes[0]).kind == "b":
+        return builder.select(which, cases[1], cases[0])
+    *others, chosen = cases
+    for i, case in reversed(list(enumerate(others))):
+        here = builder.icmp_signed("<=", which, emitter.vector(i, dtypes[0]))
+        chosen = builder.select(here, case, chosen)
+    return chosen
 
 
 def conversion(emitter, params, dtypes, x):
