@@ -176,7 +176,11 @@ class LLVMEmitter(Unrolling):
 
     def keep(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
         primitive = equation.primitive
-        if all(is_number(entry) for operand in operands for entry in operand.ravel()):
+        if primitive.name.endswith("callback"):  # nothing of it happens while programs are written
+            raise UnsupportedPrimitive(primitive.name)
+        if primitive.name != "cond" and all(
+            is_number(entry) for operand in operands for entry in operand.ravel()
+        ):
             with contextlib.suppress(TypeError):  # a key to random numbers, which has no digits
                 return super().keep(equation, operands)
         if primitive.name in OF_ARRAYS:
