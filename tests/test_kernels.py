@@ -171,9 +171,8 @@ def test_functions_of_whole_numbers(name, dtype):
 
 
 def test_all_primitives_that_work_entry_by_entry_are_covered():
-    """But for two, whose results are hardly ever wanted."""
     moved = {"copy", "copy_p", "stop_gradient"}
-    assert ENTRYWISE - set(RULES) - moved == {"logistic", "nextafter"}
+    assert ENTRYWISE - set(RULES) == moved
 
 
 def test_logarithm_and_exponential_of_float32():
@@ -288,18 +287,6 @@ def test_branches_are_chosen_for_each_cell():
     assert_same(function, i, np.linspace(1, 4, len(i)))
 
 
-def test_complex_numbers_hold_pairs():
-    def function(x, y):
-        def turn(z):
-            return lax.complex(z.imag * 2, z.real + x)
-
-        z = lax.while_loop(lambda z: z.real < 20, turn, lax.complex(x, y))
-        z = jnp.where(x > 1, z, lax.complex(y, x))
-        return z.real, z.imag
-
-    assert_same(function, np.linspace(0.5, 3, 30), np.linspace(2, 0.3, 30))
-
-
 def test_derivatives():
     def function(x, direction):
         def step(carry):
@@ -354,7 +341,7 @@ def test_a_cell_has_the_same_bits_in_any_company():
     ("function", "named"),
     [
         (lambda x: jnp.sort(jnp.stack([x, -x])), "sort"),
-        (lambda x: jnp.linalg.solve(jnp.eye(2) + x, jnp.ones(2)), "lu"),
+        (lambda x: jnp.linalg.svd(jnp.eye(2) + x), "svd"),
         (lambda x: lax.complex(x, x) * 2, "complex128"),
         (lambda x: x.astype(jnp.float16), "float16"),
     ],
@@ -424,7 +411,6 @@ def test_zero_by_what_is_none():
         (lambda x: jnp.prod(jnp.stack([x])[:0]), "reduce_prod"),
         (lambda x: lax.bitcast_convert_type(x, jnp.uint32)[0], "bitcast"),
         (lambda x: jax.random.uniform(jax.random.key(0)) + x, "random"),
-        (lambda x: lax.fori_loop(0, 3, lambda i, y: y * 2, x), "scan"),
     ],
 )
 def test_what_no_kernel_is_made_of_does_not_break(function, named):
