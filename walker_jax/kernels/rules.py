@@ -81,6 +81,24 @@ def comparison(sign: str):
     return rule
 
 
+def total_order(sign: str):
+    """A comparison in which -0 comes before 0, and NaN beyond infinity."""
+
+    def rule(emitter, params, dtypes, *operands):
+        if not is_floating(dtypes[0]):
+            return comparison(sign)(emitter, params, dtypes, *operands)
+        builder, integer = emitter.builder, np.dtype(f"int{8 * np.dtype(dtypes[0]).itemsize}")
+        keys = []
+        for x in operands:
+            bits = builder.bitcast(x, emitter.type(integer))
+            negative = builder.ashr(bits, emitter.vector(8 * integer.itemsize - 1, integer))
+            flipped = builder.and_(negative, emitter.vector(np.iinfo(integer).max, integer))
+            keys.append(builder.xor(bits, flipped))
+        return builder.icmp_signed(sign, *keys)
+
+    return rule
+
+
 def negation(emitter, params, dtypes, x):
     return emitter.builder.fneg(x, flags=FAST) if is_floating(dtypes[0]) else emitter.builder.neg(x)
 
@@ -354,6 +372,8 @@ RULES: dict[str, Callable] = {
     "le": comparison("<="),
     "gt": comparison(">"),
     "ge": comparison(">="),
+    "lt_to": total_order("<"),
+    "le_to": total_order("<="),
     "and": logical("and_"),
     "or": logical("or_"),
     "xor": logical("xor"),
