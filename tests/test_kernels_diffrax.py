@@ -4,6 +4,8 @@ Step lengths follow from error estimates, which are small differences of large n
 programs that round differently agree to some digits more than the tolerance, not to the last.
 """
 
+from typing import Any
+
 import diffrax
 import jax
 import jax.numpy as jnp
@@ -43,7 +45,7 @@ def solve(x, **options):
     def field(t, y, args):
         return {"angle": y["rate"], "rate": -args * jnp.sin(y["angle"])}
 
-    chosen = dict(
+    chosen: dict[str, Any] = dict(
         solver=diffrax.Tsit5(),
         t0=0.0,
         t1=6.0,
@@ -71,7 +73,7 @@ def results(x, **options):
     return (solution.stats, solution.result._value, solution.event_mask), numbers
 
 
-def compared(function, cells=CELLS, rtol=1e-6):
+def compared(function, cells: np.ndarray = CELLS, rtol: float = 1e-6):
     found, expected = run(function, cells), jax.jit(jax.vmap(function))(cells)
     assert jax.tree.structure(found) == jax.tree.structure(expected)
     for one, other in zip(*map(jax.tree.leaves, (found[0], expected[0])), strict=True):
@@ -86,7 +88,7 @@ def compared(function, cells=CELLS, rtol=1e-6):
     return found
 
 
-def check(rtol=1e-6, cells=CELLS, **options):
+def check(rtol: float = 1e-6, cells: np.ndarray = CELLS, **options: Any):
     return compared(lambda x: results(x, **options), cells, rtol)
 
 
@@ -128,7 +130,7 @@ SAVED = {
 
 def test_the_steps_of_a_method():
     """To rounding, where their lengths are given; in the time that all cells have."""
-    given = dict(stepsize_controller=diffrax.ConstantStepSize(), dt0=0.25)
+    given: dict[str, Any] = dict(stepsize_controller=diffrax.ConstantStepSize(), dt0=0.25)
     check(rtol=1e-13, **given, saveat=diffrax.SaveAt(ts=TIMES))
 
 
@@ -167,7 +169,7 @@ def test_long_results_have_no_kernel():
 @pytest.mark.slow
 def test_float32():
     """Whose error estimates hold three digits: a step more or less is no error."""
-    options = dict(
+    options: dict[str, Any] = dict(
         t0=jnp.float32(0),
         t1=jnp.float32(6),
         dt0=jnp.float32(0.1),
@@ -176,7 +178,7 @@ def test_float32():
     )
     cells = (CELLS / 2).astype(np.float32)  # far from the rest position that amplifies rounding
     compared(lambda x: ((), results(x, **options)[1]), cells, rtol=1e-3)
-    given = dict(stepsize_controller=diffrax.ConstantStepSize())
+    given: dict[str, Any] = dict(stepsize_controller=diffrax.ConstantStepSize())
     check(rtol=1e-4, cells=cells, **(options | given))
 
 
@@ -185,7 +187,7 @@ def test_float32():
 @pytest.mark.parametrize("name", SOLVERS)
 def test_solvers(name, adapts):
     if not adapts:
-        given = dict(stepsize_controller=diffrax.ConstantStepSize(), dt0=0.25)
+        given: dict[str, Any] = dict(stepsize_controller=diffrax.ConstantStepSize(), dt0=0.25)
         check(rtol=1e-12, solver=SOLVERS[name], **given)
     elif name != "Euler":
         check(solver=SOLVERS[name], stepsize_controller=pid(1e-5))
@@ -212,7 +214,7 @@ def test_what_is_saved(name):
 @pytest.mark.slow
 def test_every_step_saved():
     """And the solver's and the controller's state, and what interpolates between them."""
-    given = dict(
+    given: dict[str, Any] = dict(
         solver=diffrax.Heun(),
         stepsize_controller=diffrax.ConstantStepSize(),
         dt0=0.25,

@@ -88,13 +88,14 @@ def total_order(sign: str):
         if not is_floating(dtypes[0]):
             return comparison(sign)(emitter, params, dtypes, *operands)
         builder, integer = emitter.builder, np.dtype(f"int{8 * np.dtype(dtypes[0]).itemsize}")
-        keys = []
-        for x in operands:
+        last, most = 8 * integer.itemsize - 1, np.iinfo(integer).max
+
+        def key(x):
             bits = builder.bitcast(x, emitter.type(integer))
-            negative = builder.ashr(bits, emitter.vector(8 * integer.itemsize - 1, integer))
-            flipped = builder.and_(negative, emitter.vector(np.iinfo(integer).max, integer))
-            keys.append(builder.xor(bits, flipped))
-        return builder.icmp_signed(sign, *keys)
+            negative = builder.ashr(bits, emitter.vector(last, integer))
+            return builder.xor(bits, builder.and_(negative, emitter.vector(most, integer)))
+
+        return builder.icmp_signed(sign, *map(key, operands))
 
     return rule
 
@@ -329,11 +330,8 @@ def next_after(x, y):
     return jnp.where((x != x) | (y != y), x + y, jnp.where(x == y, y, moved))
 
 
-def in_terms_of_jax(function: Callable):
-    """A JAX function of scalars."""
-    return lambda emitter, params, dtypes, *operands: emitter.inline(
-        function, *operands, dtype=dtypes[0]
-    )
+def in_jax(function: Callable):
+    return lambda emitter, params, dtypes, *x: emitter.inline(function, *x, dtype=dtypes[0])
 
 
 REDUCTIONS = {
@@ -385,8 +383,8 @@ RULES: dict[str, Callable] = {
     "clamp": clamp,
     "convert_element_type": conversion,
     "bitcast_convert_type": bits,
-    "nextafter": in_terms_of_jax(next_after),
-    "logistic": in_terms_of_jax(lambda x: 1 / (1 + jnp.exp(-x))),
+    "nextafter": in_jax(next_after),
+    "logistic": in_jax(lambda x: 1 / (1 + jnp.exp(-x))),
     "pow": power,
     "log": elementary("log", log_float32),
     "exp": elementary("exp", exp_float32),
