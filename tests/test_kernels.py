@@ -28,13 +28,13 @@ def values(dtype, n=203, seed=0):
 
 def run(function, *cells, shared=()):
     """By a kernel; cells are arrays with one number, or more, for each."""
-    like = [jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for x in cells]
-    flat = lambda shared, cell: function(*shared, *cell)
-    shapes = [jax.ShapeDtypeStruct(np.shape(x), np.asarray(x).dtype) for x in shared]
-    kernel = Kernel(flat, shapes, like)
-    compute, results = kernel.bind(list(shared), list(cells), len(cells[0]))
+    like = [jax.ShapeDtypeStruct(np.shape(x), np.asarray(x).dtype) for x in shared]
+    like += [jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for x in cells]
+    closed, shapes = jax.make_jaxpr(function, return_shape=True)(*like)
+    mapped = [False] * len(shared) + [True] * len(cells)
+    compute, results = Kernel(closed).bind([*shared, *cells], mapped, len(cells[0]))
     compute(0, len(cells[0]))
-    return results
+    return jax.tree.unflatten(jax.tree.structure(shapes), results)
 
 
 def assert_same(function, *cells, ulps=4, shared=()):
@@ -242,7 +242,8 @@ def chosen(shared, x):
 
 for function, cells in ((total, [0, 5, 1, 3, 2, 0, 7, 4, 6, 1]), (chosen, range(-2, 4))):
     cells = np.array(cells)
-    compute, results = Kernel(function, (), cells[0]).bind((), cells, len(cells))
+    kernel = Kernel(jax.make_jaxpr(lambda cell: function((), cell))(cells[0]))
+    compute, (results,) = kernel.bind([cells], [True], len(cells))
     compute(0, len(cells))
     print(results.tolist())
 """
@@ -286,18 +287,6 @@ def test_branches_are_chosen_for_each_cell():
     assert_same(function, i, np.linspace(1, 4, len(i)))
 
 
-def test_complex_numbers_hold_pairs():
-    def function(x, y):
-        def turn(z):
-            return lax.complex(z.imag * 2, z.real + x)
-
-        z = lax.while_loop(lambda z: z.real < 20, turn, lax.complex(x, y))
-        z = jnp.where(x > 1, z, lax.complex(y, x))
-        return z.real, z.imag
-
-    assert_same(function, np.linspace(0.5, 3, 30), np.linspace(2, 0.3, 30))
-
-
 def test_derivatives():
     def function(x, direction):
         def step(carry):
@@ -326,9 +315,9 @@ def test_arrays_of_any_length_and_shape(n, dtype):
 
 
 def test_only_the_cells_asked_for_are_written():
-    kernel = Kernel(lambda shared, x: shared * x, np.float64(2), np.float64(0))
+    kernel = Kernel(jax.make_jaxpr(lambda shared, x: shared * x)(2.0, 0.0))
     x = np.arange(40.0)
-    compute, result = kernel.bind(np.float64(2), x, 40)
+    compute, (result,) = kernel.bind([np.float64(2), x], [False, True], 40)
     result[:] = -1
     compute(5, 5)
     assert np.all(result == -1)
@@ -441,9 +430,9 @@ def test_a_function_may_have_no_results():
 def test_the_program_of_a_function_is_the_same_whenever_it_is_written(monkeypatch):
     """Not so if it depended on where objects lie in memory; nor would the last bits be."""
     programs, junk = [], []
-    compiled = of_kernel.compile_program
+    compiled = of_kernel.load_program
     keep = lambda text: programs.append(text) or compiled(text)
-    monkeypatch.setattr(of_kernel, "compile_program", keep)
+    monkeypatch.setattr(of_kernel, "load_program", keep)
 
     def function(shared, x):
         waves = [jnp.sin(k * x) * jnp.cos(shared / k) for k in range(1, 9)]
@@ -451,7 +440,7 @@ def test_the_program_of_a_function_is_the_same_whenever_it_is_written(monkeypatc
 
     change = lambda shared, x: jax.jvp(lambda x: function(shared, x), (x,), (x,))
     for size in (1, 10, 100, 1000, 10_000):
-        Kernel(change, jnp.float64(2), jnp.float64(1))
+        Kernel(jax.make_jaxpr(change)(jnp.float64(2), jnp.float64(1)))
         junk.append([object() for _ in range(size)])  # so that the next ones lie elsewhere
         junk[::2] = [[] for _ in junk[::2]]
     assert len(programs) == 5 and len(set(programs)) == 1

@@ -20,7 +20,8 @@ such as results of many times; random numbers; callbacks, and so checks at run t
 differentiated, in reverse mode). Programs are compiled for the processor at hand.
 """
 
-from walker_jax.kernels.kernel import Kernel, tracing_for_kernel
+from walker_jax.kernels.kernel import Kernel
+from walker_jax.kernels.primitive import by_kernel, kernel_p, tracing_for_kernel
 from walker_jax.kernels.rules import UnsupportedPrimitive
 
-__all__ = ["Kernel", "UnsupportedPrimitive", "tracing_for_kernel"]
+__all__ = ["Kernel", "UnsupportedPrimitive", "by_kernel", "kernel_p", "tracing_for_kernel"]

@@ -13,6 +13,7 @@ from jax.extend.core import ClosedJaxpr, Primitive
 from llvmlite import ir
 
 from walker_jax.kernels import control, indexing
+from walker_jax.kernels.jaxprs import CALLS_WITH_DERIVATIVES
 from walker_jax.kernels.rules import (
     FAST,
     REDUCTIONS,
@@ -22,7 +23,7 @@ from walker_jax.kernels.rules import (
     is_float,
     is_floating,
 )
-from walker_jax.kernels.scalars import CALLS, Unrolling, is_number
+from walker_jax.kernels.scalars import Unrolling, is_number
 from walker_jax.kernels.substitutes import SUBSTITUTES
 
 BITS = 512
@@ -31,16 +32,9 @@ BITS = 512
 FLOATS = {np.dtype(np.float32): ir.FloatType(), np.dtype(np.float64): ir.DoubleType()}
 
 
-class Complex:
-    """A complex entry, of two real ones."""
-
-    def __init__(self, real, imag):
-        self.real, self.imag = real, imag
-
-
 @no_type_check  # as its base
 class LLVMEmitter(Unrolling):
-    """A jaxpr written as LLVM instructions: an entry is a number, a vector of one, or `Complex`."""
+    """A jaxpr written as LLVM instructions: an entry is a number, or a vector of one."""
 
     def __init__(self, builder: ir.IRBuilder, lanes: int):
         super().__init__()
@@ -122,19 +116,13 @@ class LLVMEmitter(Unrolling):
     def split(self, value) -> np.ndarray:
         if isinstance(value, jax.Array):
             value = np.asarray(value)
-        if np.iscomplexobj(value):
-            entries = np.empty(np.shape(value), object)
-            for place in np.ndindex(entries.shape):
-                number = complex(value[place])
-                entries[place] = Complex(number.real, number.imag)
-            return entries
         return super().split(value)
 
     def evaluate(self, primitive: Primitive, params: dict, operands: list, dtypes: list) -> Any:
         if all(map(is_number, operands)):
             return super().evaluate(primitive, params, operands, dtypes)
         rule = RULES.get(primitive.name)
-        if rule is None or any(isinstance(operand, Complex) for operand in operands):
+        if rule is None:
             raise UnsupportedPrimitive(primitive.name)
         vectors = [self.vector(x, dtype) for x, dtype in zip(operands, dtypes, strict=True)]
         return rule(self, params, dtypes, *vectors)
@@ -143,36 +131,12 @@ class LLVMEmitter(Unrolling):
         name = primitive.name
         if name == "select_n" and is_number(operands[0]):
             return operands[1 + int(operands[0])]
-        if name in ("select_n", "stop_gradient", "convert_element_type", "copy", "copy_p") and any(
-            isinstance(operand, Complex) for operand in operands
-        ):
-            part = lambda which: [getattr(o, which, o) for o in operands]
-            real = np.dtype(np.float32 if dtypes[-1] == np.complex64 else np.float64)
-            dtypes = [real if np.dtype(d).kind == "c" else d for d in dtypes]
-            parts = (self.term(primitive, params, part(p), dtypes) for p in ("real", "imag"))
-            return Complex(*parts)
         if name == "stop_gradient":
             return operands[0]
         result = super().term(primitive, params, operands, dtypes)
         if name == "select_n" and all(map(is_number, operands[1:])) and len(operands) == 3:
             self.alternatives[id(result)] = (result, *operands)
         return result
-
-    def apply(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
-        name, params = equation.primitive.name, equation.params
-        if name in ("complex", "real", "imag"):
-            result = np.empty(equation.outvars[0].aval.shape, object)
-            for place in np.ndindex(*result.shape):
-                entries = [operand[place] for operand in operands]
-                result[place] = (
-                    Complex(*entries) if name == "complex" else getattr(entries[0], name)
-                )
-            return [result]
-        if name in ("custom_jvp_call", "custom_vjp_call"):
-            return self.interpret(params["call_jaxpr"], operands)
-        if name in REDUCTIONS:
-            return [self.reduce(REDUCTIONS[name], operands[0], params["axes"], equation)]
-        return super().apply(equation, operands)
 
     def keep(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
         primitive = equation.primitive
@@ -193,8 +157,6 @@ class LLVMEmitter(Unrolling):
     def inner(self, equation) -> ClosedJaxpr | None:
         """The function that an equation stands for, if it stands for one."""
         primitive, params = equation.primitive, equation.params
-        if primitive.name in CALLS:
-            return params["jaxpr"] if "jaxpr" in params else params["call_jaxpr"]
         if primitive.name in SUBSTITUTES:
             function = SUBSTITUTES[primitive.name](params)
         elif implemented_in_jax(primitive):
@@ -206,10 +168,11 @@ class LLVMEmitter(Unrolling):
             self.functions[id(equation)] = equation, closed
         return self.functions[id(equation)][1]
 
-    def reduce(self, primitive: Primitive, operand: np.ndarray, axes, equation) -> np.ndarray:
-        like = equation.outvars[0].aval
+    def reduce(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
+        (operand,), axes, like = operands, equation.params["axes"], equation.outvars[0].aval
         if operand.size == 0:
             raise UnsupportedPrimitive(equation.primitive.name)
+        primitive = REDUCTIONS[equation.primitive.name]
         moved = np.moveaxis(operand, axes, range(len(axes)))
         result = np.empty(like.shape, object)
         for place in np.ndindex(*like.shape):
@@ -217,35 +180,22 @@ class LLVMEmitter(Unrolling):
             for other in others:
                 first = self.term(primitive, {}, [first, other], [like.dtype] * 2)
             result[place] = first
-        return result
+        return [result]
 
     # Arrays and entries.
 
     def flattened(self, arrays: list[np.ndarray], avals) -> tuple[list, list]:
-        """All entries of arrays, complex ones as two, and their types."""
-        flat, kinds = [], []
-        for array, aval in zip(arrays, avals, strict=True):
-            for entry in array.ravel():
-                if isinstance(entry, Complex):
-                    flat += [entry.real, entry.imag]
-                    kinds += [np.finfo(aval.dtype).dtype] * 2
-                else:
-                    flat.append(entry)
-                    kinds.append(aval.dtype)
-        return flat, kinds
+        """All entries of arrays, and their types."""
+        entries = [entry for array in arrays for entry in array.ravel()]
+        return entries, [aval.dtype for aval in avals for _ in range(math.prod(aval.shape))]
 
     def gathered(self, flat: list, avals) -> list[np.ndarray]:
         """The arrays of such a list."""
         remaining = iter(flat)
-        arrays = []
-        for aval in avals:
-            result = np.empty(aval.shape, object)
-            for place in np.ndindex(aval.shape):
-                pair = np.dtype(aval.dtype).kind == "c"
-                result[place] = (
-                    Complex(next(remaining), next(remaining)) if pair else next(remaining)
-                )
-            arrays.append(result)
+        arrays = [np.empty(aval.shape, object) for aval in avals]
+        for array in arrays:
+            for place in np.ndindex(array.shape):
+                array[place] = next(remaining)
         return arrays
 
     def inline(self, function: Callable, *vectors: Any, dtype) -> Any:
@@ -296,18 +246,26 @@ def avals_of(variables) -> list[jax.ShapeDtypeStruct]:
     ]
 
 
-def emit(closed: ClosedJaxpr, shared: list, cell: list, results: list) -> str:
-    """A program that computes results[start:stop]: void kernel(start, stop, addresses).
+LLVMEmitter.rules = {
+    **Unrolling.rules,
+    **CALLS_WITH_DERIVATIVES,
+    **dict.fromkeys(REDUCTIONS, LLVMEmitter.reduce),
+}
 
-    The addresses are of the arrays that cells share, then of those of cells and of results.
+
+def emit(closed: ClosedJaxpr, operands: list, results: list) -> str:
+    """A program of results[start:stop]: void kernel(start, stop, addresses, strides).
+
+    The addresses are of the arrays of the operands, then of those of the results. The entries of an
+    operand are as far apart from cell to cell as its stride says, 0 for one that cells share.
     """
-    floats = [dtype.itemsize for _, dtype in (*cell, *results) if is_floating(dtype)]
+    floats = [dtype.itemsize for _, dtype in (*operands, *results) if is_floating(dtype)]
     lanes = BITS // 8 // max(floats, default=8)
     module = ir.Module("kernel")
     number, pointer = ir.IntType(64), ir.IntType(8).as_pointer()
-    kind = ir.FunctionType(ir.VoidType(), [number, number, pointer.as_pointer()])
-    function = ir.Function(module, kind, "kernel")
-    start, stop, addresses = function.args
+    arguments = [number, number, pointer.as_pointer(), number.as_pointer()]
+    function = ir.Function(module, ir.FunctionType(ir.VoidType(), arguments), "kernel")
+    start, stop, addresses, strides = function.args
     before, head, turn, done = map(function.append_basic_block, ("before", "head", "turn", "done"))
     builder = ir.IRBuilder(before)
     emitter = LLVMEmitter(builder, lanes)
@@ -321,28 +279,8 @@ def emit(closed: ClosedJaxpr, shared: list, cell: list, results: list) -> str:
         address = builder.load(builder.gep(addresses, [long(i)]))
         return builder.bitcast(address, in_memory(dtype).as_pointer())
 
-    arrays = [array_at(i, dtype) for i, (_, dtype) in enumerate((*shared, *cell, *results))]
-    of_shared = arrays[: len(shared)]
-    of_cells = arrays[len(shared) : len(shared) + len(cell)]
-
-    def load(array, places: list, dtype):
-        """A vector of what stands at each lane's place of an array."""
-        vector = ir.Constant(ir.VectorType(in_memory(dtype), lanes), ir.Undefined)
-        for i, place in enumerate(places):
-            value = builder.load(builder.gep(array, [place]))
-            vector = builder.insert_element(vector, value, lane(i))
-        return builder.trunc(vector, emitter.type(dtype)) if dtype.kind == "b" else vector
-
-    def entries(array, shape, dtype, places_of: Callable[[int], list]):
-        values = np.empty(shape, object)
-        for i, place in enumerate(np.ndindex(*shape)):
-            values[place] = load(array, places_of(i), dtype)
-        return values
-
-    constants = [
-        entries(array, shape, dtype, lambda i: [long(i)] * lanes)
-        for array, (shape, dtype) in zip(of_shared, shared, strict=True)
-    ]
+    arrays = [array_at(i, dtype) for i, (_, dtype) in enumerate((*operands, *results))]
+    steps = [builder.load(builder.gep(strides, [long(i)])) for i in range(len(operands))]
     last = builder.sub(stop, long(1))
     builder.branch(head)
 
@@ -358,24 +296,36 @@ def emit(closed: ClosedJaxpr, shared: list, cell: list, results: list) -> str:
         mine = builder.add(first, long(i))
         cells.append(builder.select(builder.icmp_signed("<", mine, last), mine, last))
 
-    def places_in(shape) -> Callable[[int], list]:
-        size = math.prod(shape)
-        return lambda i: [builder.add(builder.mul(one, long(size)), long(i)) for one in cells]
+    def loaded(array, step, shape, dtype) -> np.ndarray:
+        """The entries of an operand, each a vector of what stands at the place of each lane."""
+        begins = [builder.mul(cell, step) for cell in cells]
+        values = np.empty(shape, object)
+        for i, place in enumerate(np.ndindex(*shape)):
+            vector = ir.Constant(ir.VectorType(in_memory(dtype), lanes), ir.Undefined)
+            for j, begin in enumerate(begins):
+                value = builder.load(builder.gep(array, [builder.add(begin, long(i))]))
+                vector = builder.insert_element(vector, value, lane(j))
+            if dtype.kind == "b":
+                vector = builder.trunc(vector, emitter.type(dtype))
+            values[place] = vector
+        return values
 
     inputs = [
-        entries(array, shape, dtype, places_in(shape))
-        for array, (shape, dtype) in zip(of_cells, cell, strict=True)
+        loaded(array, step, shape, dtype)
+        for array, step, (shape, dtype) in zip(arrays, steps, operands, strict=False)
     ]
-    outputs = emitter.interpret(closed, constants + inputs)
-    ends = zip(arrays[len(arrays) - len(results) :], outputs, results, strict=True)
-    for array, output, (shape, dtype) in ends:
+    outputs = emitter.interpret(closed, inputs)
+    for array, output, (shape, dtype) in zip(
+        arrays[len(operands) :], outputs, results, strict=True
+    ):
+        begins = [builder.mul(cell, long(math.prod(shape))) for cell in cells]
         for i, place in enumerate(np.ndindex(*shape)):
             vector = emitter.vector(output[place], dtype)
             if dtype.kind == "b":
                 vector = builder.zext(vector, ir.VectorType(in_memory(dtype), lanes))
-            for j, where in enumerate(places_in(shape)(i)):
+            for j, begin in enumerate(begins):
                 value = builder.extract_element(vector, lane(j))
-                builder.store(value, builder.gep(array, [where]))
+                builder.store(value, builder.gep(array, [builder.add(begin, long(i))]))
     first.add_incoming(builder.add(first, long(lanes)), builder.block)
     builder.branch(head)
     builder.position_at_end(done)

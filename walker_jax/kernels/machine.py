@@ -1,14 +1,10 @@
 """Programs of LLVM as machine code for the processor at hand."""
 
-import ctypes
-from collections.abc import Callable
-from typing import Any
-
 import llvmlite.binding as llvm
 
 
-def compile_program(source: str) -> Callable[[int, int, Any], None]:
-    """The machine code of a program, for this processor."""
+def load_program(source: str) -> llvm.ExecutionEngine:
+    """What holds the machine code of a program, for this processor."""
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     machine = llvm.Target.from_default_triple().create_target_machine(
@@ -24,11 +20,4 @@ def compile_program(source: str) -> Callable[[int, int, Any], None]:
     passes.getModulePassManager().run(module, passes)
     engine = llvm.create_mcjit_compiler(module, machine)
     engine.finalize_object()
-    kind = ctypes.CFUNCTYPE(None, ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p)
-    call = kind(engine.get_function_address("kernel"))
-    engines.append(engine)
-    return call
-
-
-engines: list = []
-"""What holds the machine code: it lasts as long as the process."""
+    return engine
