@@ -246,8 +246,8 @@ def there_and_back(y):
     y = jnp.diff(jnp.cumsum(y), prepend=0.0)
     y = jnp.ones(3).at[turn].set(y[turn])
     y = jnp.zeros(3).at[turn].add(y[turn])
-    y = lax.dynamic_update_slice(jnp.ones(5), y, turn[:1])
-    return jnp.fft.ifft(jnp.fft.fft(lax.dynamic_slice(y, turn[:1], (3,)))).real
+    y = lax.dynamic_update_slice(jnp.ones(5), y, [1])
+    return jnp.fft.ifft(jnp.fft.fft(lax.dynamic_slice(y, [1], (3,)))).real
 
 
 SAME_LINEAR_SYSTEM = {
