@@ -1,14 +1,15 @@
-"""Integration by Taylor series: a diffrax solver, integration up to a condition, and landing.
+"""Integration by diffrax: a solver by Taylor series, integration up to a condition, and landing.
 
-`Taylor` is the solver, for `diffrax.diffeqsolve`. `integrate_until` drives the same steps in a
-loop of its own.
+`Taylor` is a solver for `diffrax.diffeqsolve`, and `SeriesSteps` the step size controller that
+suits it, which needs no steps to be rejected. `Method` follows a solution until a condition holds
+for the two ends of a step, by these or by an explicit Runge-Kutta method of diffrax's.
 
-Nothing here knows what is integrated. Forward-mode derivatives run through everything; step
-lengths are constants to them.
+Nothing here knows what is integrated. Forward-mode derivatives run through everything.
 """
 
-from collections.abc import Callable, Sequence
-from typing import ClassVar, NamedTuple
+import math
+from collections.abc import Callable
+from typing import Any, ClassVar, NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -18,7 +19,8 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from walker_jax.checks import WrongUse, check_number
+from walker_jax.checks import WrongUse, check_number, short
+from walker_jax.roots import Look, derivative_of, first_zero, of_function, of_polynomial, when_zero
 from walker_jax.series import evaluate
 from walker_jax.taylor import (
     fast_sines,
@@ -37,6 +39,8 @@ VectorField = Callable[[PyTree], PyTree]
 ORDER = {jnp.dtype("float64"): 12, jnp.dtype("float32"): 8}
 TOLERANCE = {jnp.dtype("float64"): 1e-12, jnp.dtype("float32"): 1e-6}
 MAX_STEPS = 1000
+SHARPENINGS = 3
+"""Of a time that an interpolation gives: its error is squared by each."""
 
 
 def default_tolerance(dtype, tolerance: Real | None = None) -> Real:
@@ -130,57 +134,28 @@ def up_to_switches(switches: list[list[Scalar]], length: Scalar, behind: Scalar)
     return length
 
 
-def first_zero(series: list[Scalar], length: Scalar, resolution: Scalar) -> Scalar:
-    """The first zero of a polynomial in 0 <= t <= length; that, or more, where there is none.
-
-    The polynomial is expanded anew, about points that approach the zero from the left by as much as
-    is certain to hold none, until that is less than the resolution. It converges as Newton's
-    iteration does, but passes no zero. One that is zero at 0 has that zero, unless it vanishes.
-    """
-
-    def certain(series: list[Scalar], most: Scalar) -> Scalar:
-        """A length, up to `most`, in which a polynomial that is positive at first has no zero.
-
-        p(t) >= p_0 + p_1 t - b t^2, with b such that b most^2 is the sum of the later terms' sizes
-        at t = most.
-        """
-        value, rate = series[:2]
-        later = evaluate([jnp.abs(c) for c in series[2:]], most)
-        all_of_it = value + (rate - later * most) * most >= 0
-        root = jnp.sqrt(rate**2 + 4 * later * value)
-        rising = (rate + root) / (2 * jnp.where(later > 0, later, 1))
-        falling = 2 * value / jnp.where(root > rate, root - rate, 1)
-        bound = jnp.where(rate > 0, rising, falling)
-        at_zero = (value <= 0) & ((value != 0) | (rate != 0) | (later != 0))
-        return jnp.where(at_zero, 0, jnp.where(all_of_it, most, bound))
-
-    def unfinished(carry):
-        time, step, *_ = carry
-        return (time < length) & (step > resolution)
-
-    def advance(carry):
-        time, step, *series = carry
-        for i in range(len(series) - 1):  # p(step + t), by Horner's rule order after order
-            for k in range(len(series) - 2, i - 1, -1):
-                series[k] = series[k] + step * series[k + 1]
-        time = time + step
-        return time, certain(series, length - time), *series
-
-    sign = jnp.where(series[0] < 0, -1, 1).astype(length.dtype)
-    series = [sign * c for c in series]
-    first = jnp.zeros_like(length), certain(series, length), *series
-    return lax.while_loop(unfinished, advance, first)[0]
-
-
 def order_of(state: PyTree) -> int:
     """Order of the series in a step from a state."""
     return ORDER[jax.tree.leaves(state)[0].dtype]
 
 
-def step(vector_field: VectorField, state: PyTree, length: Scalar, order: int) -> PyTree:
-    """The solution of y' = f(y) a time `length` after `state`, by one Taylor step."""
-    series = solution_series(vector_field, state, order)
-    return polynomial(series, length)
+Solver = diffrax.AbstractAdaptiveSolver
+
+
+def taylor(state: PyTree) -> "Taylor":
+    """The solver that is used unless another is given."""
+    return Taylor(order_of(state))
+
+
+def checked_solver(solver: Any) -> Solver:
+    """A solver by which a stride can be followed; refuses any other."""
+    explicit = isinstance(solver, (diffrax.AbstractERK, Taylor))
+    if not (explicit and isinstance(solver, diffrax.AbstractAdaptiveSolver)):
+        raise WrongUse(
+            "solver must be an explicit Runge-Kutta method of diffrax that estimates its error, "
+            f"such as diffrax.Dopri8(), or a Taylor, not {short(solver)}"
+        )
+    return solver
 
 
 def polynomial(series: PyTree, t) -> PyTree:
@@ -210,6 +185,8 @@ class Taylor(diffrax.AbstractAdaptiveSolver):
     """
 
     taylor_order: int = eqx.field(static=True, default=14)
+    field: VectorField | None = None
+    """f, where it depends on the state alone. Then it may be a `VirtualPower`."""
 
     term_structure: ClassVar = diffrax.ODETerm
     interpolation_cls: ClassVar = TaylorInterpolation
@@ -226,24 +203,31 @@ class Taylor(diffrax.AbstractAdaptiveSolver):
     def func(self, terms, t0, y0, args):
         return terms.vf(t0, y0, args)
 
-    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        del solver_state, made_jump
+    def expand(self, terms, t0, y0, args) -> tuple[PyTree[list], list[list[Scalar]]]:
+        """The series of the solution from a state, and that of its switching functions."""
+        if self.field is not None:
+            series = solution_series(self.field, y0, self.taylor_order)
+            return series, switching_series(self.field, series)
 
         def autonomous(state):
             time, y = state
             return jnp.ones_like(time), terms.vf(time, y, args)
 
-        start = (jnp.asarray(t0), y0)
-        both = solution_series(autonomous, start, self.taylor_order)
-        length, series = jnp.asarray(t1 - t0), both[1]
+        both = solution_series(autonomous, (jnp.asarray(t0), y0), self.taylor_order)
+        return both[1], switching_series(autonomous, both)
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        del solver_state, made_jump
+        series, switches = self.expand(terms, t0, y0, args)
+        length = jnp.asarray(t1 - t0)
         power = length**self.taylor_order
         error = jax.tree.map(lambda c: c[-1] * power, series, is_leaf=is_list)
-        if switches := switching_series(autonomous, both):
+        if switches:
             # A step over a kink has an error that no controller takes; one just behind it has not.
             eps = float(jnp.finfo(length.dtype).eps)
-            least = 1e3 * eps * jnp.maximum(step_length(both, eps), jnp.abs(t1))
+            least = 1e3 * eps * jnp.maximum(step_length(series, eps), jnp.abs(t1))
             over = length > up_to_switches(switches, length, least)
-            error = jax.tree.map(lambda e: jnp.where(over, scale_of(both), e), error)
+            error = jax.tree.map(lambda e: jnp.where(over, scale_of(series), e), error)
         return (
             polynomial(series, length),
             error,
@@ -251,6 +235,33 @@ class Taylor(diffrax.AbstractAdaptiveSolver):
             None,
             diffrax.RESULTS.successful,
         )
+
+
+class SeriesSteps(diffrax.AbstractStepSizeController):
+    """Steps as long as the series of the solution allows: none is rejected.
+
+    They are those of `taylor_step`, which has the arguments' meaning.
+    """
+
+    field: VectorField
+    order: int = eqx.field(static=True)
+    tolerance: Real
+    others: tuple[Callable[[PyTree], PyTree], ...] = ()
+
+    def wrap(self, direction):
+        return self
+
+    def longest(self, state: PyTree) -> Scalar:
+        return taylor_step(self.field, state, self.order, self.tolerance, *self.others)[1]
+
+    def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
+        return t0 + self.longest(y0), None
+
+    def adapt_step_size(
+        self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
+    ):
+        following = t1 + self.longest(y1_candidate)
+        return jnp.array(True), t1, following, False, None, diffrax.RESULTS.successful
 
 
 class Step(NamedTuple):
@@ -264,159 +275,202 @@ class Step(NamedTuple):
     """Time at which it begins."""
     length: Scalar
     """Its duration."""
-    count: Int[Array, ""]
-    """Number of steps taken, this one included."""
     sides: tuple[Bool[Array, ""], Bool[Array, ""]]
     """The sides of the event on which it begins and ends."""
 
 
-def integrate_until(
-    vector_field: VectorField,
-    state: PyTree,
-    stop: Callable[..., tuple[Bool[Array, ""], Bool[Array, ""]]],
-    *,
-    tolerance: Real,
-    side: Bool[Array, ""] | bool = False,
-    others: Sequence[Callable[[PyTree], PyTree]] = (),
-    time: Real = 0.0,
-    count: Int[Array, ""] | int = 0,
-    max_steps: int = MAX_STEPS,
-    active: Bool[Array, ""] | bool = True,
-) -> Step:
-    """Follow y' = f(y) from `state` until `stop` holds for a step's two ends.
+class Until(diffrax.AbstractStepSizeController):
+    """Another controller's steps, until a condition holds for the two ends of one.
 
     `stop(start, end, side)` is whether it does, and the side of an event on which the end is; the
     side of the start is that of the step before its end. So a step that an event has missed by
-    rounding and the next one cannot disagree on where they meet, and miss it both.
-
-    At least one step is taken, unless `active` is false. Steps are as long as `tolerance` allows,
-    and end where the field, or one of `others`, has a kink. Returns the last step; `count` reaches
-    `max_steps`, or the state stops being finite, where `stop` never holds.
+    rounding and the next one cannot disagree on where they meet, and miss it both. An
+    `diffrax.Event` sees the end alone.
     """
-    order = order_of(state)
-    stop = fast_sines(stop)
 
-    def advance(carry):
-        last, _ = carry
-        series, length = taylor_step(vector_field, last.end, order, tolerance, *others)
-        end, (_, side) = polynomial(series, length), last.sides
-        stops, beyond = stop(last.end, end, side)
-        going = jnp.isfinite(length) & (last.count + 1 < max_steps) & ~stops
-        time = last.time + last.length
-        return Step(last.end, end, time, length, last.count + 1, (side, beyond)), going
+    controller: diffrax.AbstractStepSizeController
+    stop: Callable[..., tuple[Bool[Array, ""], Bool[Array, ""]]]
+    side: Bool[Array, ""]
 
-    time = jnp.asarray(time, jax.tree.leaves(state)[0].dtype)
-    count, side, active = map(jnp.asarray, (count, side, active))
-    first = Step(state, state, time, jnp.zeros_like(time), count, (side, side))
-    last, _ = lax.while_loop(lambda carry: carry[-1], advance, (first, active))
-    return last
+    def wrap(self, direction):
+        return Until(self.controller.wrap(direction), self.stop, self.side)
 
+    def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
+        end, state = self.controller.init(terms, t0, t1, y0, dt0, args, func, error_order)
+        start, none = jnp.asarray(t0), jnp.zeros_like(t0)
+        return end, (state, Step(y0, y0, start, none, (self.side, self.side)))
 
-def first_rise(
-    series: list[Scalar],
-    length: Scalar,
-    sides: tuple[Bool[Array, ""], Bool[Array, ""]] | None = None,
-) -> tuple[Bool[Array, ""], Scalar]:
-    """Where a polynomial p(t) rises through zero in a step 0 <= t <= length, if it does.
-
-    The step is short enough for p to have one minimum in it at most. p rises through zero if it
-    is not negative at the end, but is at the start or at that minimum. `sides` says whether it is
-    negative at start and end, where that has been decided; rounding may have p differ.
-
-    Returns whether it does, and the time (`length` if not). A constant to derivatives.
-    """
-    series, length = lax.stop_gradient((series, length))
-
-    def derivatives(t):
-        value, slope, curvature = series[-1], jnp.zeros_like(t), jnp.zeros_like(t)
-        for coefficient in series[-2::-1]:
-            curvature = curvature * t + slope
-            slope = slope * t + value
-            value = value * t + coefficient
-        return value, slope, 2 * curvature
-
-    zero = jnp.zeros_like(length)
-    end, end_slope, _ = derivatives(length)
-    below, ends_below = (series[0] < 0, end < 0) if sides is None else sides
-    turns = ~below & (series[1] < 0) & (end_slope > 0)
-    turn = rising_root(lambda t: derivatives(t)[1:], zero, jnp.where(turns, length, zero))
-    rises = (below | (turns & (derivatives(turn)[0] < 0))) & ~ends_below
-    root = rising_root(lambda t: derivatives(t)[:2], jnp.where(rises, turn, length), length)
-    return rises, root
+    def adapt_step_size(
+        self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
+    ):
+        state, last = controller_state
+        adapted = self.controller.adapt_step_size(
+            t0, t1, y0, y1_candidate, args, y_error, error_order, state
+        )
+        kept, following, end, made_jump, state, result = adapted
+        stops, side = self.stop(y0, y1_candidate, last.sides[1])
+        start, length = jnp.asarray(t0), jnp.asarray(t1 - t0)
+        step = Step(y0, y1_candidate, start, length, (last.sides[1], side))
+        last = jax.tree.map(lambda new, old: jnp.where(kept, new, old), step, last)
+        stopped = diffrax.RESULTS.where(
+            kept & stops, diffrax.RESULTS.event_occurred, diffrax.RESULTS.successful
+        )
+        result = diffrax.RESULTS.where(result == diffrax.RESULTS.successful, stopped, result)
+        return kept, following, end, made_jump, (state, last), result
 
 
-class Instant(NamedTuple):
-    """When something happens within a step, if it does."""
-
-    exists: Bool[Array, ""]
-    time: Scalar
+def fixed(tree: PyTree) -> PyTree:
+    """The same, with all arrays as constants to derivatives."""
+    return jax.tree.map(lambda x: lax.stop_gradient(x) if eqx.is_array(x) else x, tree)
 
 
-def least(series: list[Scalar], length: Scalar) -> Instant:
-    """Where a polynomial that falls at first in a step, and rises at its end, is least.
+class Method(eqx.Module):
+    """How equations y' = f(y) are solved: a solver of diffrax's, and its tolerance."""
 
-    A constant to derivatives: to first order the least value does not depend on it.
-    """
-    series, length = lax.stop_gradient((series, length))
-    slope = derivative_of(series)
-    curvature = derivative_of(slope)
-    exists = (slope[0] < 0) & (evaluate(slope, length) > 0)
-    look = lambda t: (evaluate(slope, t), evaluate(curvature, t))
-    zero = jnp.zeros_like(length)
-    return Instant(exists, rising_root(look, zero, jnp.where(exists, length, zero)))
+    field: VectorField
+    solver: Solver
+    tolerance: Real
+    others: tuple[Callable[[PyTree], PyTree], ...] = ()
+    """Functions of the state at whose kinks steps of the Taylor solver end, as at the field's."""
 
+    @property
+    def terms(self):
+        return diffrax.ODETerm(lambda t, y, args: self.field(y))
 
-def derivative_of(series: list[Scalar]) -> list[Scalar]:
-    """The coefficients of a polynomial's derivative."""
-    return [k * c for k, c in enumerate(series)][1:]
+    def controller(self) -> diffrax.AbstractStepSizeController:
+        if isinstance(self.solver, Taylor):
+            order = self.solver.taylor_order
+            return SeriesSteps(self.field, order, self.tolerance, self.others)
+        return diffrax.PIDController(rtol=self.tolerance, atol=self.tolerance)
 
+    def solve(self, state: PyTree, t0, t1, controller, **saved) -> diffrax.Solution:
+        """From `state` at t0 to t1, or until the controller ends it."""
+        solver = self.solver
+        if isinstance(solver, Taylor):
+            solver = Taylor(solver.taylor_order, self.field)
+        return diffrax.diffeqsolve(
+            self.terms,
+            solver,
+            t0,
+            t1,
+            None,
+            state,
+            saveat=diffrax.SaveAt(t1=True, **saved),
+            stepsize_controller=controller,
+            adjoint=diffrax.ForwardMode(),
+            max_steps=MAX_STEPS,
+            throw=False,
+        )
 
-def when_zero(series: list[Scalar], time: Scalar) -> Scalar:
-    """The time at which a polynomial is zero, with its derivatives: a step of Newton's."""
-    time = lax.stop_gradient(time)
-    value, slope = evaluate(series, time), evaluate(derivative_of(series), time)
-    slope = lax.stop_gradient(jnp.where(slope == 0, 1.0, slope))
-    return time - (value - lax.stop_gradient(value)) / slope
+    def follow(
+        self,
+        state: PyTree,
+        stop: Callable[..., tuple[Bool[Array, ""], Bool[Array, ""]]],
+        *,
+        side: Bool[Array, ""] | bool = False,
+        time: Real = 0.0,
+    ) -> tuple[Step, Int[Array, ""]]:
+        """The first step for whose two ends `stop` holds (`Until`), and how many there were.
 
+        At least one is taken, `MAX_STEPS` at most. The state stops being finite where the field
+        jumps, or `stop` holds for none.
+        """
+        time, side = jnp.asarray(time, jax.tree.leaves(state)[0].dtype), jnp.asarray(side)
+        if isinstance(self.solver, Taylor):
+            order = self.solver.taylor_order
+            return self.follow_series(state, fast_sines(stop), side, time, order)
+        controller = Until(self.controller(), fast_sines(stop), side)
+        end = jnp.full_like(time, jnp.inf)
+        solution = self.solve(state, time, end, controller, controller_state=True)
+        assert solution.controller_state is not None
+        _, last = solution.controller_state
+        return last, solution.stats["num_steps"]
 
-def rising_root(
-    function: Callable[[Scalar], tuple[Scalar, Scalar]], low: Scalar, high: Scalar
-) -> Scalar:
-    """Root of a function that is negative at `low` and not at `high`; either where they are equal.
+    def follow_series(
+        self, state: PyTree, stop: Callable, side: Bool[Array, ""], time: Scalar, order: int
+    ) -> tuple[Step, Int[Array, ""]]:
+        """The same with the steps of a series, by a loop that expands it once in each.
 
-    Newton's iteration from `high` on (value, slope), kept inside the bracket by halving; every
-    turn shrinks the bracket, so it ends.
-    """
-    resolution = 2 * float(jnp.finfo(high.dtype).eps) * jnp.abs(high)
+        A step size controller of diffrax's has to know the next step when one ends, and so the next
+        series: then each is carried on to the next turn, which takes longer.
+        """
 
-    def unfinished(carry):
-        *_, t, previous = carry
-        return jnp.abs(t - previous) > resolution
+        def advance(carry):
+            last, count, _ = carry
+            series, length = taylor_step(self.field, last.end, order, self.tolerance, *self.others)
+            end, (_, side) = polynomial(series, length), last.sides
+            stops, beyond = stop(last.end, end, side)
+            going = jnp.isfinite(length) & (count + 1 < MAX_STEPS) & ~stops
+            step = Step(last.end, end, last.time + last.length, length, (side, beyond))
+            return step, count + 1, going
 
-    def iterate(carry):
-        low, high, t, _ = carry
-        value, slope = function(t)
-        low, high = jnp.where(value < 0, t, low), jnp.where(value < 0, high, t)
-        newton = t - value / slope
-        inside = ((newton > low) & (newton < high)) | (newton == t)
-        return low, high, jnp.where(inside, newton, (low + high) / 2), t
+        first = Step(state, state, time, jnp.zeros_like(time), (side, side))
+        carry = first, jnp.asarray(0), jnp.asarray(True)
+        last, count, _ = lax.while_loop(lambda carry: carry[-1], advance, carry)
+        return last, count
 
-    return lax.while_loop(unfinished, iterate, (low, high, high, low))[2]
+    def begin(self, state: PyTree, length: Scalar) -> tuple[PyTree, Callable[[Scalar], PyTree]]:
+        """A Runge-Kutta step of some length: its end, and the solver's interpolation."""
+        zero, solver = jnp.zeros_like(length), self.solver
+        if isinstance(solver, diffrax.AbstractRungeKutta):  # one that has derivatives forward
+            solver = eqx.tree_at(lambda s: s.scan_kind, solver, "lax", is_leaf=lambda x: x is None)
+        first = solver.init(self.terms, zero, length, state, None)
+        end, _, dense, _, _ = solver.step(self.terms, zero, length, state, None, first, False)
+        return end, solver.interpolation_cls(t0=zero, t1=length, **dense).evaluate
 
+    def within(self, step: Step, time: Scalar) -> PyTree:
+        """The state a time after a step began, by one step."""
+        if isinstance(self.solver, Taylor):
+            order = self.solver.taylor_order
+            return polynomial(solution_series(self.field, step.start, order), time)
+        return self.begin(step.start, time)[0]
 
-def land(
-    vector_field: VectorField, event: Callable[[PyTree], Scalar], state: PyTree
-) -> tuple[PyTree, Scalar]:
-    """The state at which `event` is zero, and the time to it from `state`: the same state, and 0.
+    def look(self, function: Callable[[PyTree], Scalar], step: Step) -> Look:
+        """A function of the state along a step. A constant to derivatives."""
+        method, step = fixed((self, step))
+        if isinstance(self.solver, Taylor):
+            series = method.series(function, step.start, self.solver.taylor_order)
+            return of_polynomial(series)
+        _, inside = method.begin(step.start, step.length)
+        return of_function(lambda t: function(inside(t)))
 
-    `state` is there to rounding, found for a time that was constant to derivatives. What this
-    adds is how state and time depend on everything, to third order: two of Newton's iterations,
-    dt = -event / (d event / dt), on a series of as many terms.
-    """
-    series = solution_series(vector_field, state, 3)
-    values = function_series(event, series)
-    values[0] -= lax.stop_gradient(values[0])
-    slopes = [k * value for k, value in enumerate(values)][1:]
-    time = -values[0] / values[1]
-    time = time - evaluate(values, time) / evaluate(slopes, time)
-    return polynomial(series, time), time
+    def sharpened(self, event: Callable[[PyTree], Scalar], step: Step, time: Scalar) -> Scalar:
+        """When an event is zero in a step, given that by interpolation. A constant to derivatives.
+
+        An interpolation is less exact than the steps that it is made of, but for a series: Newton's
+        iteration goes on, with a step of its own to each time.
+        """
+        if isinstance(self.solver, Taylor):
+            return time
+        method, step, time = fixed((self, step, time))
+        for _ in range(SHARPENINGS):
+            state = method.within(step, time)
+            value, rate = jax.jvp(event, (state,), (method.field(state),))
+            time = time - value / rate
+        return time
+
+    def series(self, function: Callable, state: PyTree, order: int) -> PyTree[list]:
+        """Taylor coefficients of function(y(t)) along the solution y from a state."""
+        if isinstance(self.solver, Taylor):
+            return function_series(function, solution_series(self.field, state, order))
+        values = []
+        for k in range(order + 1):
+            value = jax.tree.map(lambda x, k=k: x / math.factorial(k), function(state))
+            values.append(value)
+            along = lambda state, last=function: jax.jvp(last, (state,), (self.field(state),))[1]
+            function = along
+        return jax.tree.map(lambda *coefficients: list(coefficients), *values)
+
+    def land(self, event: Callable[[PyTree], Scalar], state: PyTree) -> tuple[PyTree, Scalar]:
+        """The state at which `event` is zero, and the time to it from `state`: that state, and 0.
+
+        `state` is there to rounding, found for a time that was constant to derivatives. What this
+        adds is how state and time depend on everything, to third order: two of Newton's
+        iterations, dt = -event / (d event / dt), on a series of as many terms.
+        """
+        values = self.series(event, state, 3)
+        values[0] -= lax.stop_gradient(values[0])
+        slopes = derivative_of(values)
+        time = -values[0] / values[1]
+        time = time - evaluate(values, time) / evaluate(slopes, time)
+        return polynomial(self.series(lambda state: state, state, 3), time), time

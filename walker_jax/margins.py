@@ -17,18 +17,22 @@ from jaxtyping import Array, Bool, Float
 from walker_jax.checks import refuses_tracers
 from walker_jax.integrate import (
     MAX_STEPS,
-    Instant,
     Real,
+    order_of,
+    polynomial,
+    taylor_step,
+)
+from walker_jax.kernels import by_kernel
+from walker_jax.roots import (
+    Instant,
     derivative_of,
     first_rise,
     least,
-    order_of,
-    polynomial,
+    negative,
+    of_polynomial,
     rising_root,
-    taylor_step,
     when_zero,
 )
-from walker_jax.kernels import by_kernel
 from walker_jax.series import evaluate
 from walker_jax.stride import (
     Outcome,
@@ -149,9 +153,10 @@ def follow_margins(
         series, length = taylor_step(field, now.state, order, tolerance, walker.contact)
         after = polynomial(series, length)
         h = function_series(walker.contact, series)
-        turn = least(h, length)
+        look = of_polynomial(h)
+        turn = least(look, length)
         below = fast_sines(is_below)(walker, after)
-        crossed, when = first_rise(h, length, (now.below, below))
+        crossed, when = first_rise(look, length, (now.below, below))
         when = when_zero(h, when)
         arrival = polynomial(series, when)
         ahead = (arrival.theta < 0) & (arrival.theta > -np.pi / 2) & (arrival.thetadot < 0)
@@ -174,7 +179,7 @@ def follow_margins(
         scuffs = crossed & (arrival.theta >= 0)
         missed = jnp.where(scuffs, jnp.maximum(missed, -arrival.theta), missed)
         hdot = derivative_of(h)
-        slow = least(hdot, length)
+        slow = least(of_polynomial(hdot), length)
         when_slow = when_zero(derivative_of(hdot), slow.time)  # where h itself goes on changing
         rising = slow.exists & (evaluate(hdot, when_slow) > 0)
         rising &= evaluate(series.phi, when_slow) < 0
@@ -190,7 +195,7 @@ def follow_margins(
 
         # the stance leg
         speed = derivative_of(series.theta)
-        slowing = least([-c for c in speed], length)
+        slowing = least(negative(of_polynomial(speed)), length)
         until = jnp.where(strikes, when, length)
         counts = slowing.exists & (slowing.time < until)
         left = evaluate(speed, slowing.time) ** 2 / 2

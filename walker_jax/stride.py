@@ -11,6 +11,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
+import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -31,20 +32,15 @@ from walker_jax.checks import (
 )
 from walker_jax.integrate import (
     MAX_STEPS,
+    Method,
     Real,
+    Solver,
     default_tolerance,
-    first_rise,
-    integrate_until,
-    land,
-    least,
-    order_of,
-    polynomial,
-    step,
-    taylor_step,
+    taylor,
 )
 from walker_jax.kernels import by_kernel
-from walker_jax.series import evaluate
-from walker_jax.taylor import fast_sines, function_series, solution_series
+from walker_jax.roots import first_rise, least, negative
+from walker_jax.taylor import fast_sines
 from walker_jax.tiles import map_cells
 from walker_jax.walkers import (
     MultibodyWalker,
@@ -145,11 +141,16 @@ def prepared(
 
 @by_kernel
 def follow_stride(
-    walker: Walker, x: Float[Array, " coordinates"], tolerance: Float[Array, ""]
+    walker: Walker,
+    x: Float[Array, " coordinates"],
+    tolerance: Float[Array, ""],
+    solver: Solver | None = None,
 ) -> Stride:
     start, verdict = fast_sines(begin)(walker, x)
     launched = not on_section(walker, x)
-    arrival, time, verdict, pulled = swing(walker, start, verdict, tolerance, launched=launched)
+    arrival, time, verdict, pulled = swing(
+        walker, start, verdict, tolerance, solver, launched=launched
+    )
     return fast_sines(end)(walker, arrival, time, verdict, pulled)
 
 
@@ -251,14 +252,17 @@ def follow_step_down(
     x: Float[Array, " coordinates"],
     drop: Float[Array, ""],
     tolerance: Float[Array, ""],
+    solver: Solver | None = None,
 ) -> Stride:
     start, verdict = fast_sines(begin)(walker, x)
     launched = not on_section(walker, x)
-    level, time, verdict, pulled = swing(walker, start, verdict, tolerance, launched=launched)
+    level, time, verdict, pulled = swing(
+        walker, start, verdict, tolerance, solver, launched=launched
+    )
     pulled |= fast_sines(in_tension)(walker, level)
     going = (verdict == Outcome.STRIDE) & (drop > 0)
     verdict = jnp.where(going, Outcome.UNDECIDED, verdict).astype(jnp.int8)
-    arrival, longer, verdict, more = swing(walker, level, verdict, tolerance, drop)
+    arrival, longer, verdict, more = swing(walker, level, verdict, tolerance, solver, drop)
     following, outcome = fast_sines(after_impact)(walker, arrival, verdict, pulled | more)
     return completed(jnp.stack(following), outcome, time + longer)
 
@@ -281,6 +285,7 @@ def swing(
     start: State,
     verdict: Int[Array, ""],
     tolerance: Real,
+    solver: Solver | None,
     drop: Scalar | None = None,
     *,
     launched: bool = False,
@@ -292,8 +297,6 @@ def swing(
     before that; its two ends are not looked at. What has been `launched`, and did not start on the
     section, is followed to the end of its fall.
     """
-    field = equations(walker)
-    order = order_of(start)
 
     def contact(state: State) -> Scalar:
         if drop is None:
@@ -336,37 +339,21 @@ def swing(
                 ends |= may_pull(before, after) & ~pulled
             return ends, ends_below
 
-        last = integrate_until(
-            field,
-            now,
-            stop,
-            tolerance=tolerance,
-            side=below,
-            others=[contact],
-            time=time,
-            count=count,
-            active=verdict == Outcome.UNDECIDED,
-        )
-
-        solution = solution_series(*lax.stop_gradient((field, last.start)), order)
-        series, until = function_series(contact, solution), last.length
+        last, steps = method.follow(now, stop, side=below, time=time)
+        look, until = method.look(contact, last), last.length
         below, ends_below = last.sides
         if drop is not None:
-            highest = least([-c for c in series], until)
+            highest = least(negative(look), until)
             until = jnp.where(highest.exists, highest.time, until)
-            ends_below = jnp.where(highest.exists, evaluate(series, until) < 0, ends_below)
-        rises, time = first_rise(series, until, (below, ends_below))
-        time = jnp.where(rises, time, last.length)
-
-        def after(time):
-            """The state a time after the start of the step."""
-            return step(field, last.start, time, order)
-
+            ends_below = jnp.where(highest.exists, look(until)[0] < 0, ends_below)
+        rises, time = first_rise(look, until, (below, ends_below))
+        time = jnp.where(rises, method.sharpened(contact, last, time), last.length)
+        after = lambda time: method.within(last, time)
         arrival = after(time)
         if not walker.force_least_at_ends:
             pulled |= pulls(walker, last.start, arrival, after, time)
             pulled |= ~rises & fast_sines(in_tension)(walker, arrival)
-        arrival, delay = land(field, contact, arrival)
+        arrival, delay = method.land(contact, arrival)
         ahead = (arrival.theta < 0) & (arrival.theta > -np.pi / 2) & (arrival.thetadot < 0)
         ahead &= arrival.phi < 0
         fallen = jnp.where(last.end.thetadot >= 0, Outcome.BACKWARD, Outcome.FORWARD)
@@ -377,8 +364,9 @@ def swing(
         time = jnp.where(verdict == Outcome.STRIDE, time + delay, last.length)
         time = last.time + time
         below = last.sides[1]
-        return last.end, arrival, time, verdict, last.count, pulled, below
+        return last.end, arrival, time, verdict, count + steps, pulled, below
 
+    method = Method(equations(walker), solver or taylor(start), tolerance, (contact,))
     zero, never = jnp.zeros_like(start.theta), jnp.asarray(False)
     below = jnp.asarray(fast_sines(contact)(start) < 0)
     carry = (start, start, zero, verdict, jnp.asarray(0), never, below)
@@ -577,29 +565,18 @@ def trajectory(
 
 @by_kernel
 def state_after(
-    walker: Walker, x: Float[Array, " coordinates"], time: Scalar, tolerance: Scalar
+    walker: Walker,
+    x: Float[Array, " coordinates"],
+    time: Scalar,
+    tolerance: Scalar,
+    solver: Solver | None = None,
 ) -> State:
     """The state a time after the start of a stride."""
-    start, field = full_state(walker, x), equations(walker)
-    order = order_of(start)
-
-    def unfinished(carry):
-        _, clock, count = carry
-        return (clock < time) & (count < MAX_STEPS)
-
-    def advance(carry):
-        now, clock, count = carry
-
-        series, longest = taylor_step(field, now, order, tolerance)
-        length = jnp.minimum(longest, time - clock)
-        # to the end without rounding, or a step of no length would follow
-        clock = jnp.where(length < time - clock, clock + length, time)
-        return polynomial(series, length), clock, count + 1
-
-    carry = start, jnp.zeros_like(time), jnp.asarray(0)
-    state, clock, _ = lax.while_loop(unfinished, advance, carry)
-    arrived = lambda value: jnp.where(clock >= time, value, jnp.nan)
-    return jax.tree.map(arrived, state)
+    start = full_state(walker, x)
+    method = Method(equations(walker), solver or taylor(start), tolerance)
+    solution = method.solve(start, jnp.zeros_like(time), time, method.controller())
+    arrived = solution.result == diffrax.RESULTS.successful
+    return jax.tree.map(lambda values: jnp.where(arrived, values[-1], jnp.nan), solution.ys)
 
 
 def as_floating(x: Any, name: str = "x") -> Float[Array, "..."]:

@@ -162,8 +162,8 @@ def by_kernel(function: Callable) -> Callable:
         if tracing_for_kernel.value:
             return function(*args)
         leaves, structure = jax.tree.flatten(args)
-        leaves = alike([jnp.asarray(leaf) for leaf in leaves])
-        program, results = program_of(function, structure, list(map(jax.typeof, leaves)))
+        leaves = alike(list(map(strong, leaves)))
+        program, results = program_of(call, structure, list(map(jax.typeof, leaves)))
         outputs = kernel_p.bind(*leaves, program=program, mapped=(False,) * len(leaves))
         return jax.tree.unflatten(results, outputs)
 
@@ -207,6 +207,12 @@ def shapes(*avals, program: Program, mapped: tuple[bool, ...]):
         return like.update(shape=shape, dtype=dtype, weak_type=False, sharding=sharding)
 
     return [array((*lead, *x.shape), x.dtype) for x in program.results]
+
+
+def strong(leaf) -> jax.Array:
+    """A number or an array, of a type of its own."""
+    leaf = jnp.asarray(leaf)
+    return jax.lax.convert_element_type(leaf, leaf.dtype)
 
 
 def axes_of(aval) -> frozenset:
