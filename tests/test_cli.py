@@ -8,6 +8,7 @@ import sys
 import time
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 import xarray as xr
@@ -867,6 +868,22 @@ def test_the_installed_command_starts(tmp_path):
     done = subprocess.run([command, "--help"], capture_output=True, text=True, cwd=tmp_path)
     assert done.returncode == 0 and "basin" in done.stdout and "walk" in done.stdout
     assert list(tmp_path.iterdir()) == []
+
+
+def test_compiled_programs_are_kept_where_the_user_says(tmp_path, monkeypatch):
+    settings = {}
+    monkeypatch.setattr(jax.config, "update", settings.__setitem__)
+    for variable, place, kept in [
+        ("WALKER_JAX_CACHE_DIR", tmp_path / "here", tmp_path / "here"),
+        ("WALKER_JAX_CACHE_DIR", "", None),
+        ("JAX_COMPILATION_CACHE_DIR", tmp_path / "of JAX", None),  # which takes care of it itself
+    ]:
+        monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
+        monkeypatch.setenv(variable, str(place))
+        settings.clear()
+        cli.keep_compiled()
+        assert settings.get("jax_compilation_cache_dir") == (str(kept) if kept else None)
+    assert [path.name for path in tmp_path.iterdir()] == ["here"]
 
 
 def test_importing_sets_no_flag_and_loads_no_drawing():

@@ -21,7 +21,6 @@ from typing import Annotated, Any, Literal, NoReturn
 
 import jax
 import numpy as np
-import platformdirs
 import typer
 import xarray as xr
 from jax.typing import ArrayLike
@@ -31,6 +30,7 @@ from walker_jax import store
 from walker_jax.cells import Grid
 from walker_jax.checks import ComputationFailed, WrongUse
 from walker_jax.gaits import check_parameter, with_parameter
+from walker_jax.kernels.object_cache import cache_folder
 from walker_jax.walkers import WALKERS, Parameter, SimplestWalker, Walker, parameters
 
 
@@ -1401,8 +1401,10 @@ def plain(value):
 
 
 def keep_compiled() -> None:
-    """Keep compiled programs in the user's cache directory, so that the next start is fast."""
-    folder = Path(platformdirs.user_cache_dir("walker-jax"))
+    """Keep what XLA compiles where kernels are, so that the next start is fast."""
+    folder = cache_folder()
+    if folder is None or "JAX_COMPILATION_CACHE_DIR" in os.environ:
+        return
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:
