@@ -892,7 +892,27 @@ def test_importing_sets_no_flag_and_loads_no_drawing():
         "before = dict(jax.config.values)\n"
         "import walker_jax\n"
         "assert before == dict(jax.config.values)\n"
-        "assert not {'matplotlib', 'dask', 'zarr', 'typer'} & set(sys.modules)\n"
+        "walker_jax.find_gait, walker_jax.SimplestWalker, walker_jax.strides\n"
+        "late = {'matplotlib', 'dask', 'zarr', 'typer', 'xarray', 'scipy.stats'}\n"
+        "assert not late & set(sys.modules)\n"
+        "import walker_jax.cli\n"
+        "assert not late - {'typer'} & set(sys.modules)\n"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)
+
+
+def test_public_names_are_what_they_name_whatever_is_loaded_first():
+    """Some modules have the name of a function, and Python would put them in its place."""
+    program = (
+        "import types, walker_jax.sweep, walker_jax\n"  # which loads most of the others
+        "from walker_jax import basin, stride, store\n"
+        "from walker_jax import *\n"
+        "values = [getattr(walker_jax, name) for name in walker_jax.__all__]\n"
+        "assert not any(isinstance(value, types.ModuleType) for value in values)\n"
+        "assert basin.__name__ == walker_jax.basin.__name__ == 'basin' and callable(stride)\n"
+        "assert isinstance(store, types.ModuleType) and set(walker_jax.__all__) < set(globals())\n"
+        "assert set(walker_jax.__all__) < set(dir(walker_jax))\n"
+        "assert not hasattr(walker_jax, 'no_such_name')\n"
     )
     subprocess.run([sys.executable, "-c", program], check=True)
 
