@@ -35,7 +35,8 @@ from jax.extend.core import Jaxpr, Literal, Primitive
 from jaxtyping import Array, Float, PyTree
 
 from walker_jax.kernels import tracing_for_kernel
-from walker_jax.kernels.scalars import CALLS
+from walker_jax.kernels.jaxprs import CALLS as PLAIN, CALLS_WITH_DERIVATIVES
+CALLS = {**PLAIN, **CALLS_WITH_DERIVATIVES}
 
 
 @jax.jit  # traced once for all its uses

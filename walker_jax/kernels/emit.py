@@ -10,6 +10,7 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, Primitive
 from llvmlite import ir
 
+from walker_jax.kernels.jaxprs import CALLS_WITH_DERIVATIVES
 from walker_jax.kernels.rules import (
     FAST,
     REDUCTIONS,
@@ -147,36 +148,26 @@ class LLVMEmitter(Unrolling):
             return operands[0]
         return super().term(primitive, params, operands, dtypes)
 
-    def apply(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
-        name, params = equation.primitive.name, equation.params
-        if name in ("complex", "real", "imag"):
-            result = np.empty(equation.outvars[0].aval.shape, object)
-            for place in np.ndindex(*result.shape):
-                entries = [operand[place] for operand in operands]
-                result[place] = (
-                    Complex(*entries) if name == "complex" else getattr(entries[0], name)
-                )
-            return [result]
-        if name in ("custom_jvp_call", "custom_vjp_call"):
-            return self.interpret(params["call_jaxpr"], operands)
-        if name in REDUCTIONS:
-            return [self.reduce(REDUCTIONS[name], operands[0], params["axes"], equation)]
-        if name == "while":
-            return self.loop(params, operands)
-        if name == "cond":
-            return self.choice(params, operands)
-        return super().apply(equation, operands)
-
     def keep(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
         if all(is_number(entry) for operand in operands for entry in operand.ravel()):
             with contextlib.suppress(TypeError):  # a key to random numbers, which has no digits
                 return super().keep(equation, operands)
         raise UnsupportedPrimitive(equation.primitive.name)
 
-    def reduce(self, primitive: Primitive, operand: np.ndarray, axes, equation) -> np.ndarray:
-        like = equation.outvars[0].aval
+    def parts(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
+        """A complex number of its parts, or one of these."""
+        name = equation.primitive.name
+        result = np.empty(equation.outvars[0].aval.shape, object)
+        for place in np.ndindex(*result.shape):
+            entries = [operand[place] for operand in operands]
+            result[place] = Complex(*entries) if name == "complex" else getattr(entries[0], name)
+        return [result]
+
+    def reduce(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
+        (operand,), axes, like = operands, equation.params["axes"], equation.outvars[0].aval
         if operand.size == 0:
             raise UnsupportedPrimitive(equation.primitive.name)
+        primitive = REDUCTIONS[equation.primitive.name]
         moved = np.moveaxis(operand, axes, range(len(axes)))
         result = np.empty(like.shape, object)
         for place in np.ndindex(*like.shape):
@@ -184,12 +175,13 @@ class LLVMEmitter(Unrolling):
             for other in others:
                 first = self.term(primitive, {}, [first, other], [like.dtype] * 2)
             result[place] = first
-        return result
+        return [result]
 
     # Loops.
 
-    def loop(self, params: dict, operands: list[np.ndarray]) -> list[np.ndarray]:
+    def loop(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
         """A while loop. Lanes that have ended keep their values until the last one has."""
+        params = equation.params
         condition, body = params["cond_jaxpr"], params["body_jaxpr"]
         count, more = params["cond_nconsts"], params["body_nconsts"]
         of_condition, of_body = operands[:count], operands[count : count + more]
@@ -236,9 +228,9 @@ class LLVMEmitter(Unrolling):
             self.known.popitem()
         return self.gathered(phis, avals)
 
-    def choice(self, params: dict, operands: list[np.ndarray]) -> list[np.ndarray]:
+    def choice(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
         """One of several functions: all are computed, unless it is known which is wanted."""
-        branches, (which, *inputs) = params["branches"], operands
+        branches, (which, *inputs) = equation.params["branches"], operands
         index = which[()]
         if is_number(index):
             branches = [branches[min(max(int(index), 0), len(branches) - 1)]]
@@ -297,6 +289,16 @@ class LLVMEmitter(Unrolling):
             inputs.append(entry)
         (result,) = self.interpret(closed, inputs)
         return self.vector(result[()], dtype)
+
+
+LLVMEmitter.rules = {
+    **Unrolling.rules,
+    **CALLS_WITH_DERIVATIVES,
+    **dict.fromkeys(("complex", "real", "imag"), LLVMEmitter.parts),
+    **dict.fromkeys(REDUCTIONS, LLVMEmitter.reduce),
+    "cond": LLVMEmitter.choice,
+    "while": LLVMEmitter.loop,
+}
 
 
 def runs_once(condition: Jaxpr, body: Jaxpr, carry: list, count: int, more: int) -> bool:

@@ -17,11 +17,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.extend.core import ClosedJaxpr, Literal, Primitive
+from jax.extend.core import Primitive
 from jaxtyping import PyTree
 
-CALLS = ("jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call")
-"""Primitives that hold a function, which is read in their place."""
+from walker_jax.kernels.jaxprs import CALLS, Interpreter
 
 ENTRYWISE = frozenset(
     "abs acos acosh add add_any and asin asinh atan atan2 atanh bitcast_convert_type cbrt ceil "
@@ -65,7 +64,7 @@ def joined(entries: np.ndarray, like) -> jax.Array | np.ndarray:
 
 
 @no_type_check  # what is called for every number of a program: checks would take minutes
-class Unrolling:
+class Unrolling(Interpreter):
     """A jaxpr read entry by entry: every value is a NumPy array of objects.
 
     An entry is a Python number where it is known, otherwise a JAX scalar.
@@ -86,55 +85,8 @@ class Unrolling:
             entries[place] = value[place] if entries.shape else value
         return entries
 
-    def interpret(self, closed: ClosedJaxpr, inputs: list[np.ndarray]) -> list[np.ndarray]:
-        jaxpr = closed.jaxpr
-        values: dict = dict(zip(jaxpr.constvars, map(self.split, closed.consts), strict=True))
-        values |= zip(jaxpr.invars, inputs, strict=True)
-
-        def read(variable):
-            if isinstance(variable, Literal):
-                return self.split(np.asarray(variable.val))
-            return values[variable]
-
-        for equation in jaxpr.eqns:
-            operands = [read(variable) for variable in equation.invars]
-            outputs = self.apply(equation, operands)
-            values |= zip(equation.outvars, outputs, strict=True)
-        return [read(variable) for variable in jaxpr.outvars]
-
-    def apply(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
-        primitive, params = equation.primitive, equation.params
-        name, variables = primitive.name, (*equation.invars, *equation.outvars)
-        shape = equation.outvars[0].aval.shape if equation.outvars else ()
-        if name in CALLS and not name.startswith("custom"):
-            inner = params["jaxpr"] if "jaxpr" in params else params["call_jaxpr"]
-            return self.interpret(inner, operands)
-        if name in ENTRYWISE:
-            dtypes = [variable.aval.dtype for variable in equation.invars]
-            return [self.entrywise(primitive, params, operands, dtypes, shape)]
-        if name in MOVES:
-            return [MOVES[name](operands, params, shape)]
-        if name == "unstack":
-            axis, count = params["axis"], len(equation.outvars)
-            return [part.reshape(shape) for part in np.split(operands[0], count, axis=axis)]
-        if name == "split":
-            ends = np.cumsum(params["sizes"])[:-1]
-            return np.split(operands[0], ends, axis=params["axis"])
-        if name == "pad":
-            entries, padding = operands
-            return [padded(primitive, params, entries, padding)]
-        if name == "reduce_sum":
-            return [self.sum(operands[0], params["axes"], equation.outvars[0].aval)]
-        if name == "dot_general" and len({v.aval.dtype for v in variables}) == 1:
-            dtype = equation.outvars[0].aval.dtype
-            left, right = operands
-            return [self.contract(left, right, params["dimension_numbers"], dtype)]
-        known = [all(map(is_number, operand.ravel())) for operand in operands]
-        if name in INDEXED and all(known[1:]):
-            moved = moved_by_index(primitive, params, operands, equation.invars)
-            if moved is not None:
-                return [moved]
-        return self.keep(equation, operands)
+    def constant(self, value) -> np.ndarray:
+        return self.split(value if isinstance(value, jax.Array) else np.asarray(value))
 
     def keep(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
         """The results of a primitive of arrays, as it is."""
@@ -143,17 +95,18 @@ class Unrolling:
         results = bound(equation.primitive, equation.params, arrays, now=known)
         return [self.split(result) for result in results]
 
-    def entrywise(
-        self, primitive: Primitive, params: dict, operands: list[np.ndarray], dtypes: list, shape
-    ) -> np.ndarray:
+    def entrywise(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
+        primitive, params = equation.primitive, equation.params
+        dtypes = [variable.aval.dtype for variable in equation.invars]
+        shape = equation.outvars[0].aval.shape
         result = np.empty(shape, object)
         if shape == ():  # nearly always
             result[()] = self.term(primitive, params, [x[()] for x in operands], dtypes)
-            return result
+            return [result]
         operands = [np.broadcast_to(operand, shape) for operand in operands]
         for place in np.ndindex(*shape):
             result[place] = self.term(primitive, params, [x[place] for x in operands], dtypes)
-        return result
+        return [result]
 
     def term(self, primitive: Primitive, params: dict, operands: list, dtypes: list) -> Any:
         """One number, computed unless it is known or has been computed already."""
@@ -200,15 +153,21 @@ class Unrolling:
             result = self.term(lax.add_p, params_of(lax.add), [result, term], [dtype, dtype])
         return result
 
-    def sum(self, operand: np.ndarray, axes: tuple[int, ...], like) -> np.ndarray:
-        moved = np.moveaxis(operand, axes, range(len(axes)))
+    def sum(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
+        axes, like = equation.params["axes"], equation.outvars[0].aval
+        moved = np.moveaxis(operands[0], axes, range(len(axes)))
         result = np.empty(like.shape, object)
         for place in np.ndindex(*like.shape):
             result[place] = self.total(moved[(..., *place)].ravel(), like.dtype)
-        return result
+        return [result]
 
-    def contract(self, left: np.ndarray, right: np.ndarray, dimensions, dtype) -> np.ndarray:
+    def contract(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
         """A product of matrices: batch axes first, then the free ones of either side."""
+        dtypes = {variable.aval.dtype for variable in (*equation.invars, *equation.outvars)}
+        if len(dtypes) > 1:
+            return self.keep(equation, operands)
+        (dtype,), (left, right) = dtypes, operands
+        dimensions = equation.params["dimension_numbers"]
         (over_left, over_right), (batch_left, batch_right) = dimensions
 
         def arranged(x, over, batch):
@@ -223,7 +182,25 @@ class Unrolling:
         for b, i, j in product(*map(range, result.shape)):
             pairs = zip(left[b, i], right[b, j], strict=True)
             result[b, i, j] = self.total((self.multiply(x, y, dtype) for x, y in pairs), dtype)
-        return result.reshape((*batch, *rows, *columns))
+        return [result.reshape((*batch, *rows, *columns))]
+
+    def index(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
+        """Entries of an array at places that are known; others are left to the primitive.
+
+        So are those out of bounds, for which the primitive makes up an entry.
+        """
+        entries, *indices = operands
+        if not all(is_number(entry) for index in indices for entry in index.ravel()):
+            return self.keep(equation, operands)
+        params = equation.params
+        numbers = np.arange(1, entries.size + 1).reshape(entries.shape)
+        avals = [variable.aval for variable in equation.invars[1:]]
+        indices = [joined(x, like) for x, like in zip(indices, avals, strict=True)]
+        params = params | {"fill_value": 0} if "fill_value" in params else params
+        (places,) = bound(equation.primitive, params, [numbers, *indices], now=True)
+        if not places.all():
+            return self.keep(equation, operands)
+        return [entries.ravel()[places.ravel() - 1].reshape(places.shape)]
 
 
 @functools.cache
@@ -246,28 +223,6 @@ def bound(primitive: Primitive, params: dict, operands, *, now: bool) -> list:
     with jax.ensure_compile_time_eval():
         results = bound(primitive, params, list(map(jnp.asarray, operands)), now=False)
         return list(map(np.asarray, results))
-
-
-def moved_by_index(primitive: Primitive, params: dict, operands, variables) -> np.ndarray | None:
-    """What a primitive that takes entries by known indices makes of the entries of an array.
-
-    None where an index is out of bounds, for which the primitive makes up an entry.
-    """
-    entries, *indices = operands
-    numbers = np.arange(1, entries.size + 1).reshape(entries.shape)
-    indices = [joined(x, v.aval) for x, v in zip(indices, variables[1:], strict=True)]
-    params = params | {"fill_value": 0} if "fill_value" in params else params
-    (places,) = bound(primitive, params, [numbers, *indices], now=True)
-    if not places.all():
-        return None
-    return entries.ravel()[places.ravel() - 1].reshape(places.shape)
-
-
-def padded(primitive: Primitive, params: dict, entries: np.ndarray, padding: np.ndarray):
-    """Entries with a value around them and in between."""
-    numbers = np.arange(1, entries.size + 1).reshape(entries.shape)
-    (places,) = bound(primitive, params, [numbers, np.asarray(0, numbers.dtype)], now=True)
-    return np.append(padding.ravel(), entries.ravel())[places.ravel()].reshape(places.shape)
 
 
 @no_type_check
@@ -330,7 +285,46 @@ MOVES = {
     "squeeze": lambda xs, params, shape: xs[0].reshape(shape),
     "transpose": lambda xs, params, shape: xs[0].transpose(params["permutation"]),
 }
-"""Primitives that only move entries about."""
+"""Primitives that only move entries about, to one array."""
 
-INDEXED = frozenset(["dynamic_slice", "gather"])
-"""Primitives that take entries of their first operand by indices."""
+
+def moving(move: Callable) -> Callable:
+    """The rule of a primitive that only moves entries."""
+
+    def rule(unrolling, equation, operands):
+        return [move(operands, equation.params, equation.outvars[0].aval.shape)]
+
+    return rule
+
+
+def pad(unrolling, equation, operands):
+    """Entries with a value around them and in between."""
+    entries, padding = operands
+    numbers = np.arange(1, entries.size + 1).reshape(entries.shape)
+    zero = np.asarray(0, numbers.dtype)
+    (places,) = bound(equation.primitive, equation.params, [numbers, zero], now=True)
+    return [np.append(padding.ravel(), entries.ravel())[places.ravel()].reshape(places.shape)]
+
+
+def split(unrolling, equation, operands):
+    ends = np.cumsum(equation.params["sizes"])[:-1]
+    return np.split(operands[0], ends, axis=equation.params["axis"])
+
+
+def unstack(unrolling, equation, operands):
+    axis, parts = equation.params["axis"], equation.outvars
+    shape = parts[0].aval.shape
+    return [part.reshape(shape) for part in np.split(operands[0], len(parts), axis=axis)]
+
+
+Unrolling.rules = {
+    **CALLS,
+    **dict.fromkeys(ENTRYWISE, Unrolling.entrywise),
+    **dict.fromkeys(("dynamic_slice", "gather"), Unrolling.index),
+    **{name: moving(move) for name, move in MOVES.items()},
+    "dot_general": Unrolling.contract,
+    "pad": pad,
+    "reduce_sum": Unrolling.sum,
+    "split": split,
+    "unstack": unstack,
+}
