@@ -1,9 +1,11 @@
 """A JAX function of one cell, compile_program for arrays of cells."""
 
 import ctypes
+import gc
 import math
 import time
 from collections.abc import Callable
+from contextlib import contextmanager
 
 import jax
 import numpy as np
@@ -26,6 +28,10 @@ class Kernel:
 
     def __init__(self, function: Callable, shared: PyTree, cell: PyTree):
         """Compile it for leaves of these shapes and types; may raise `UnsupportedPrimitive`."""
+        with without_garbage_collection():
+            self.compile(function, shared, cell)
+
+    def compile(self, function: Callable, shared: PyTree, cell: PyTree) -> None:
         start = time.perf_counter()
         with tracing_for_kernel(True):
             closed, shapes = jax.make_jaxpr(function, return_shape=True)(shared, cell)
@@ -55,6 +61,18 @@ class Kernel:
         # The arrays must live as long as it does.
         compute = lambda start, stop, _=arrays: self.run(start, stop, pointers)
         return compute, jax.tree.unflatten(self.structure, results)
+
+
+@contextmanager
+def without_garbage_collection():
+    """Traces are made of many small objects that live on; to look through them takes a fifth."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
 
 
 def contiguous(tree: PyTree, like: list, *lead: int) -> list[np.ndarray]:
