@@ -117,12 +117,14 @@ class Unrolling(Interpreter):
                 return shorter
         elif name in ("copy", "copy_p"):
             return operands[0]
-        if name in ("mul", "add", "add_any"):  # the order does not matter
-            operands = sorted(operands, key=self.identity)
-        key = name, (*map(self.identity, operands), *dtypes), repr(sorted(params.items()))
-        if key not in self.known:
-            self.known[key] = self.evaluate(primitive, params, operands, dtypes)
-        return self.known[key]
+        identities = [self.identity(operand) for operand in operands]
+        if name in COMMUTATIVE and identities[1] < identities[0]:
+            operands, identities = operands[::-1], identities[::-1]
+        key = name, *identities, *dtypes, repr(sorted(params.items())) if params else ""
+        result = self.known.get(key)
+        if result is None:
+            result = self.known[key] = self.evaluate(primitive, params, operands, dtypes)
+        return result
 
     def identity(self, entry) -> tuple:
         """What makes an entry the same as another, and sorts entries alike in every process.
@@ -137,6 +139,9 @@ class Unrolling(Interpreter):
     def evaluate(self, primitive: Primitive, params: dict, operands: list, dtypes: list) -> Any:
         """The primitive itself, of scalars: a number where all of them are."""
         now = all(map(is_number, operands))
+        if now and primitive.name in EXACT:
+            with np.errstate(all="ignore"):
+                return EXACT[primitive.name](*map(np.asarray, operands, dtypes)).item()
         scalars = [
             np.asarray(x, dtype) if is_number(x) else x
             for x, dtype in zip(operands, dtypes, strict=True)
@@ -203,6 +208,9 @@ class Unrolling(Interpreter):
         return [entries.ravel()[places.ravel() - 1].reshape(places.shape)]
 
 
+COMMUTATIVE = frozenset(["mul", "add", "add_any"])
+
+
 @functools.cache
 def params_of(function: Callable) -> dict:
     """Those that a function of two numbers gives to its primitive."""
@@ -249,6 +257,22 @@ def multiplied(a, b):
 def divided(a, b):
     return a if is_number(b) and b == 1 else None
 
+
+EXACT = {
+    "add": np.add,
+    "add_any": np.add,
+    "eq": np.equal,
+    "ge": np.greater_equal,
+    "gt": np.greater,
+    "le": np.less_equal,
+    "lt": np.less,
+    "mul": np.multiply,
+    "ne": np.not_equal,
+    "neg": np.negative,
+    "sub": np.subtract,
+}
+"""Functions of known numbers that NumPy computes alike, and for which XLA would compile a program.
+"""
 
 SHORTCUTS = {
     "add": added,
@@ -298,12 +322,20 @@ def moving(move: Callable) -> Callable:
 
 
 def pad(unrolling, equation, operands):
-    """Entries with a value around them and in between."""
+    """Entries with a value around them and in between; less than none around cuts some off."""
     entries, padding = operands
-    numbers = np.arange(1, entries.size + 1).reshape(entries.shape)
-    zero = np.asarray(0, numbers.dtype)
-    (places,) = bound(equation.primitive, equation.params, [numbers, zero], now=True)
-    return [np.append(padding.ravel(), entries.ravel())[places.ravel()].reshape(places.shape)]
+    for axis, (low, high, between) in enumerate(equation.params["padding_config"]):
+        moved = np.moveaxis(entries, axis, 0)
+        count = len(moved)
+        size = max(low + count + max(count - 1, 0) * between + high, 0)
+        result = np.empty((size, *moved.shape[1:]), object)
+        result[...] = padding
+        for i, entry in enumerate(moved):
+            place = low + i * (between + 1)
+            if 0 <= place < size:
+                result[place] = entry
+        entries = np.moveaxis(result, 0, axis)
+    return [entries]
 
 
 def split(unrolling, equation, operands):
