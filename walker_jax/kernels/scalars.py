@@ -73,8 +73,8 @@ class Unrolling(Interpreter):
     def __init__(self):
         self.known: dict = {}
         """Results by primitive, parameters and operands: equal terms are computed once."""
-        self.numbers: dict[int, tuple[int, Any]] = {}
-        """Every JAX scalar met: its number in the order in which they came, by its identity."""
+        self.numbers: dict[int, tuple[tuple, Any]] = {}
+        """Every JAX scalar met, and its identity in the order in which they came."""
 
     def split(self, value) -> np.ndarray:
         entries = np.empty(np.shape(value), object)
@@ -120,7 +120,7 @@ class Unrolling(Interpreter):
         identities = [self.identity(operand) for operand in operands]
         if name in COMMUTATIVE and identities[1] < identities[0]:
             operands, identities = operands[::-1], identities[::-1]
-        key = name, *identities, *dtypes, repr(sorted(params.items())) if params else ""
+        key = name, *identities, *dtypes, *params.values()
         result = self.known.get(key)
         if result is None:
             result = self.known[key] = self.evaluate(primitive, params, operands, dtypes)
@@ -133,8 +133,10 @@ class Unrolling(Interpreter):
         """
         if is_number(entry):
             return 0, type(entry).__name__, repr(entry)
-        number, _ = self.numbers.setdefault(id(entry), (len(self.numbers), entry))
-        return 1, "", number
+        found = self.numbers.get(id(entry))
+        if found is None:
+            found = self.numbers[id(entry)] = (1, "", len(self.numbers)), entry
+        return found[0]
 
     def evaluate(self, primitive: Primitive, params: dict, operands: list, dtypes: list) -> Any:
         """The primitive itself, of scalars: a number where all of them are."""
