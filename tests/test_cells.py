@@ -79,7 +79,7 @@ def test_on_the_host_cells_are_the_same(dtype):
             edges = grid.states(np.array([[0, 0], [1, 0.5], [0.5, 1], [1e-3, 0.999]]))
             beyond = [[np.nan, 0.1], [np.inf, 0.1]]
             points = np.concatenate([centres, 2 * centres, edges, beyond]).astype(dtype)
-            cells = jax.vmap(grid.cell)(points)
+            cells = jax.vmap(grid.cell)(jnp.asarray(points))
             np.testing.assert_array_equal(grid.contains(points), cells >= 0)
             pairs = points[: len(points) // 2 * 2].reshape(-1, 2, 2)
             assert grid.contains(pairs).shape == pairs.shape[:2]

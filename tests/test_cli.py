@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from importlib import import_module
 from pathlib import Path
 
 import jax
@@ -184,7 +185,7 @@ def test_a_sweep_answers_with_a_row_for_each_combination(run, tmp_path, monkeypa
             raise FloatingPointError
         return {"total_area": slope + stiffness, "total_area_error": 0.5, "speed": slope}
 
-    monkeypatch.setattr(sys.modules["walker_jax.sweep"], "measured", measured)
+    monkeypatch.setattr(import_module("walker_jax.sweep"), "measured", measured)
     command = ["sweep", "--walker", "spring", "--over", "slope=0.25:0.5:2"]
     command += ["--over", "hip-stiffness=0:1:3", *SMALL]
     code, out, err = run(*command, "--json")
@@ -405,7 +406,7 @@ def test_an_interrupted_drawing_leaves_the_picture_that_was_there(run, tmp_path,
 def test_wrong_usage_gets_one_line_and_changes_nothing(
     run, tmp_path, arguments, named, monkeypatch
 ):
-    monkeypatch.setattr(sys.modules["walker_jax.basin"], "memory_of_machine", lambda: 8 * 2**30)
+    monkeypatch.setattr(import_module("walker_jax.basin"), "memory_of_machine", lambda: 8 * 2**30)
     code, out, err = run("basin", *arguments)
     assert (code, out) == (2, "")
     assert err.startswith("walker-jax: ") and err.count("\n") == 1 and named in err

@@ -11,7 +11,7 @@ twice, and what lies between start and end of a cell never leaves the core.
 What comes out is what XLA computes, to rounding; but a product with a number known to be zero is
 zero, whatever the other factor. Loops of a known number of turns (`lax.scan`), sorting, indices
 that are computed, and types of 16 bits have no kernel. Programs are compiled for the processor at
-hand.
+hand, and kept on disk (`object_cache`).
 """
 
 from walker_jax.kernels.kernel import Kernel, tracing_for_kernel
