@@ -58,4 +58,5 @@ from walker_jax.walkers import State as State
 from walker_jax.walkers import UpperBodyWalker as UpperBodyWalker
 from walker_jax.walkers import Walker as Walker
 
+__all__: list[str]
 __version__: str
