@@ -27,7 +27,7 @@ import numpy as np
 import walker_jax as wj
 from walker_jax.attraction import Attractor, with_frames
 from walker_jax.robustness import end_of_walk
-from walker_jax.tiles import over_cells
+from walker_jax.tiles import map_cells
 
 SLOPES = 0.001, 0.0025, 0.004, 0.0055, 0.0067, 0.0076, 0.009, 0.0105, 0.012, 0.0145
 SCAN = np.arange(0.0068, 0.00841, 0.0001)
@@ -43,7 +43,7 @@ def brute_force(walker: wj.Walker, gait: wj.Gait, size: float) -> float:
     angles = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
     rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     for radius in np.arange(0.9, 1.01, RINGS) * size:
-        if not over_cells(end_of_walk, shared, states[0] + radius * rays).back.all():
+        if not map_cells(end_of_walk, (shared, states[0] + radius * rays)).back.all():
             return radius
     return np.inf
 

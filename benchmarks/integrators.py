@@ -56,11 +56,11 @@ import jax.numpy as jnp
 import numpy as np
 
 import walker_jax as wj
-from walker_jax import tiles
-from walker_jax.integrate import ORDER, Taylor, integrate_until, once, step
+from walker_jax.integrate import ORDER, Taylor, integrate_until, step
+from walker_jax.kernels import primitive
 from walker_jax.stride import follow_stride, prepared
 from walker_jax.taylor import fast_sines
-from walker_jax.tiles import COMPILER_OPTIONS, TILE, compact_order, over_cells
+from walker_jax.tiles import COMPILER_OPTIONS, TILE, compact_order, map_cells
 
 DTYPE = jnp.dtype("float64")
 SWING = 3.0
@@ -78,11 +78,13 @@ def main():
 @contextmanager
 def by_xla():
     """Meanwhile there are no kernels."""
-    usual, tiles._kernel = tiles._kernel, lambda *args: None
+    usual, primitive.Program.kernel = primitive.Program.kernel, None
+    primitive.programs.clear()
     try:
         yield
     finally:
-        tiles._kernel = usual
+        primitive.Program.kernel = usual
+        primitive.programs.clear()
 
 
 def timed(run: Callable):
@@ -130,7 +132,7 @@ def of_strides(repeats: int):
             ORDER[DTYPE] = order
             COMPILER_OPTIONS["cpu"] = options | {"xla_cpu_prefer_vector_width": width}
             with by_xla() if width else nullcontext():
-                return over_cells(one, (walker, tolerance), xs)
+                return map_cells(one, ((walker, tolerance), xs))
 
         return run
 
@@ -155,7 +157,7 @@ def of_one_swing(repeats: int):
     def way(one, xla=True):
         def run(setting):
             with by_xla() if xla else nullcontext():
-                return over_cells(one, (walker, setting), xs)
+                return map_cells(one, ((walker, setting), xs))
 
         return run
 
@@ -163,7 +165,7 @@ def of_one_swing(repeats: int):
         return jnp.isfinite(sum(state))
 
     def landed(walker, state, rest):  # from the end of a step, which is not at a time of 3
-        return jnp.stack(once(lambda: list(step(walker.vector_field, state, rest, ORDER[DTYPE]))))
+        return jnp.stack(list(step(walker.vector_field, state, rest, ORDER[DTYPE])))
 
     def loop(shared, x):
         walker, tolerance = shared

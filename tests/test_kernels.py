@@ -28,13 +28,13 @@ def values(dtype, n=203, seed=0):
 
 def run(function, *cells, shared=()):
     """By a kernel; cells are arrays with one number, or more, for each."""
-    like = [jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for x in cells]
-    flat = lambda shared, cell: function(*shared, *cell)
-    shapes = [jax.ShapeDtypeStruct(np.shape(x), np.asarray(x).dtype) for x in shared]
-    kernel = Kernel(flat, shapes, like)
-    compute, results = kernel.bind(list(shared), list(cells), len(cells[0]))
+    like = [jax.ShapeDtypeStruct(np.shape(x), np.asarray(x).dtype) for x in shared]
+    like += [jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for x in cells]
+    closed, shapes = jax.make_jaxpr(function, return_shape=True)(*like)
+    mapped = [False] * len(shared) + [True] * len(cells)
+    compute, results = Kernel(closed).bind([*shared, *cells], mapped, len(cells[0]))
     compute(0, len(cells[0]))
-    return results
+    return jax.tree.unflatten(jax.tree.structure(shapes), results)
 
 
 def assert_same(function, *cells, ulps=4, shared=()):
@@ -171,9 +171,8 @@ def test_functions_of_whole_numbers(name, dtype):
 
 
 def test_all_primitives_that_work_entry_by_entry_are_covered():
-    """But for two, whose results are hardly ever wanted."""
     moved = {"copy", "copy_p", "stop_gradient"}
-    assert ENTRYWISE - set(RULES) - moved == {"logistic", "nextafter"}
+    assert ENTRYWISE - set(RULES) == moved
 
 
 def test_logarithm_and_exponential_of_float32():
@@ -243,7 +242,8 @@ def chosen(shared, x):
 
 for function, cells in ((total, [0, 5, 1, 3, 2, 0, 7, 4, 6, 1]), (chosen, range(-2, 4))):
     cells = np.array(cells)
-    compute, results = Kernel(function, (), cells[0]).bind((), cells, len(cells))
+    kernel = Kernel(jax.make_jaxpr(lambda cell: function((), cell))(cells[0]))
+    compute, (results,) = kernel.bind([cells], [True], len(cells))
     compute(0, len(cells))
     print(results.tolist())
 """
@@ -287,18 +287,6 @@ def test_branches_are_chosen_for_each_cell():
     assert_same(function, i, np.linspace(1, 4, len(i)))
 
 
-def test_complex_numbers_hold_pairs():
-    def function(x, y):
-        def turn(z):
-            return lax.complex(z.imag * 2, z.real + x)
-
-        z = lax.while_loop(lambda z: z.real < 20, turn, lax.complex(x, y))
-        z = jnp.where(x > 1, z, lax.complex(y, x))
-        return z.real, z.imag
-
-    assert_same(function, np.linspace(0.5, 3, 30), np.linspace(2, 0.3, 30))
-
-
 def test_derivatives():
     def function(x, direction):
         def step(carry):
@@ -327,9 +315,9 @@ def test_arrays_of_any_length_and_shape(n, dtype):
 
 
 def test_only_the_cells_asked_for_are_written():
-    kernel = Kernel(lambda shared, x: shared * x, np.float64(2), np.float64(0))
+    kernel = Kernel(jax.make_jaxpr(lambda shared, x: shared * x)(2.0, 0.0))
     x = np.arange(40.0)
-    compute, result = kernel.bind(np.float64(2), x, 40)
+    compute, (result,) = kernel.bind([np.float64(2), x], [False, True], 40)
     result[:] = -1
     compute(5, 5)
     assert np.all(result == -1)
@@ -353,7 +341,7 @@ def test_a_cell_has_the_same_bits_in_any_company():
     ("function", "named"),
     [
         (lambda x: jnp.sort(jnp.stack([x, -x])), "sort"),
-        (lambda x: jnp.linalg.solve(jnp.eye(2) + x, jnp.ones(2)), "lu"),
+        (lambda x: jnp.linalg.svd(jnp.eye(2) + x), "svd"),
         (lambda x: lax.complex(x, x) * 2, "complex128"),
         (lambda x: x.astype(jnp.float16), "float16"),
     ],
@@ -423,7 +411,6 @@ def test_zero_by_what_is_none():
         (lambda x: jnp.prod(jnp.stack([x])[:0]), "reduce_prod"),
         (lambda x: lax.bitcast_convert_type(x, jnp.uint32)[0], "bitcast"),
         (lambda x: jax.random.uniform(jax.random.key(0)) + x, "random"),
-        (lambda x: lax.fori_loop(0, 3, lambda i, y: y * 2, x), "scan"),
     ],
 )
 def test_what_no_kernel_is_made_of_does_not_break(function, named):
@@ -443,9 +430,9 @@ def test_a_function_may_have_no_results():
 def test_the_program_of_a_function_is_the_same_whenever_it_is_written(monkeypatch):
     """Not so if it depended on where objects lie in memory; nor would the last bits be."""
     programs, junk = [], []
-    compiled = of_kernel.compile_program
+    compiled = of_kernel.load_program
     keep = lambda text: programs.append(text) or compiled(text)
-    monkeypatch.setattr(of_kernel, "compile_program", keep)
+    monkeypatch.setattr(of_kernel, "load_program", keep)
 
     def function(shared, x):
         waves = [jnp.sin(k * x) * jnp.cos(shared / k) for k in range(1, 9)]
@@ -453,7 +440,7 @@ def test_the_program_of_a_function_is_the_same_whenever_it_is_written(monkeypatc
 
     change = lambda shared, x: jax.jvp(lambda x: function(shared, x), (x,), (x,))
     for size in (1, 10, 100, 1000, 10_000):
-        Kernel(change, jnp.float64(2), jnp.float64(1))
+        Kernel(jax.make_jaxpr(change)(jnp.float64(2), jnp.float64(1)))
         junk.append([object() for _ in range(size)])  # so that the next ones lie elsewhere
         junk[::2] = [[] for _ in junk[::2]]
     assert len(programs) == 5 and len(set(programs)) == 1

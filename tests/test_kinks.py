@@ -295,6 +295,8 @@ def test_kinks_of_which_nothing_is_known_are_refused():
     state = jnp.array([0.1, 0.2])
     with pytest.raises(NotImplementedError, match="reduce_max"):
         solution_series(lambda y: jnp.max(y) - y, state, 4)
+    with pytest.raises(NotImplementedError, match="argmax"):
+        solution_series(lambda y: y[jnp.argmax(y)] - y, state, 4)
     with pytest.raises(NotImplementedError, match="bitcast"):
         solution_series(lambda y: jnp.copysign(1.0, y), state, 4)
     fixed = jnp.array([1.0, 3.0])  # what does not change with time may have any

@@ -11,7 +11,7 @@ import pytest
 import walker_jax as wj
 from walker_jax import Outcome
 from walker_jax.margins import Margins, margins, margins_of_many
-from walker_jax.tiles import over_cells
+from walker_jax.tiles import map_cells
 from walker_jax.walkers import PointFeetWalker
 
 DATA = Path(__file__).parent / "data"
@@ -115,7 +115,7 @@ def assert_derivatives(walker, xs, seed=0, scale=1e-4):
     directions, along_slope = rng.normal(size=xs.shape), rng.normal(size=len(xs))
     cells = xs, directions, along_slope
     tolerance = np.float64(1e-14)
-    values, found = map(np.stack, over_cells(push, (walker, tolerance), cells))
+    values, found = map(np.stack, map_cells(push, ((walker, tolerance), cells)))
 
     def at(h):
         first, *others = jax.tree.leaves(walker)
@@ -123,7 +123,7 @@ def assert_derivatives(walker, xs, seed=0, scale=1e-4):
         leaves += [np.full(len(xs), float(leaf)) for leaf in others]
         walkers = jax.tree.unflatten(jax.tree.structure(walker), leaves)
         cells = walkers, xs + h * directions
-        values = over_cells(margins_of_each, tolerance, cells)
+        values = map_cells(margins_of_each, (tolerance, cells))
         return np.stack(values[1:])
 
     steps = scale * 0.5 ** np.arange(4)

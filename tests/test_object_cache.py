@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -11,18 +12,18 @@ import pytest
 from walker_jax.kernels import Kernel, machine, object_cache
 
 FUNCTION = """
-import jax.numpy as jnp, numpy as np
+import jax, jax.numpy as jnp, numpy as np
 from walker_jax.kernels import Kernel
 
 def function(shared, x):  # of the C library: tan, pow, atan2
     return jnp.tan(x) + jnp.power(x, shared) * jnp.arctan2(x, shared)
 
 def compute():
-    kernel = Kernel(function, np.float32(2), np.float32(1))
+    kernel = Kernel(jax.make_jaxpr(function)(*np.ones(2, np.float32)))
     x = np.linspace(0.1, 3, 50, dtype=np.float32)
-    run, results = kernel.bind(np.float32(0.3), x, len(x))
+    run, results = kernel.bind([np.float32(0.3), x], [False, True], len(x))
     run(0, len(x))
-    return x, results
+    return x, results[0]
 """
 
 
@@ -42,10 +43,10 @@ def compilations(monkeypatch):
 
 
 def square(x=3.0):
-    kernel = Kernel(lambda shared, x: x * x, (), jnp.float64(1))
-    run, results = kernel.bind((), np.array([x]), 1)
+    kernel = Kernel(jax.make_jaxpr(lambda x: x * x)(1.0))
+    run, results = kernel.bind([np.array([x])], [True], 1)
     run(0, 1)
-    return results[0]
+    return results[0].item()
 
 
 def test_processes_share_code_and_its_calls_of_the_c_library(folder, compilations):
@@ -93,8 +94,7 @@ def test_a_broken_file_is_compiled_anew(folder, compilations, how):
 def test_the_code_of_another_program_is_not_loaded(folder, compilations):
     square()
     (entry,) = folder.iterdir()
-    kernel = lambda: Kernel(lambda shared, x: x + x, (), jnp.float64(1))
-    kernel()
+    Kernel(jax.make_jaxpr(lambda x: x + x)(1.0))
     (other,) = set(folder.iterdir()) - {entry}
     other.replace(entry)
     assert square() == 9 and len(compilations) == 3

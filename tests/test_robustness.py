@@ -31,8 +31,8 @@ from walker_jax.robustness import (
     robustness_table,
     wilson,
 )
-from walker_jax.stride import step_down_of_cell
-from walker_jax.tiles import over_cells
+from walker_jax.stride import follow_step_down
+from walker_jax.tiles import map_cells
 
 robustness = import_module("walker_jax.robustness")  # the package has the function by that name
 
@@ -159,7 +159,7 @@ def test_the_boundary_is_at_right_angles_to_the_least_disturbance(gait, least):
     point = states[0] + (1 + 1e-8) * least.size * least.direction
     tangents = jax.tree.map(lambda leaf: np.zeros(2), WALKER), np.eye(2)
     cells = np.stack([point] * 2), np.repeat(np.int32(least.strides), 2), tangents
-    normal = over_cells(change_of_margin, shared[:2], cells)
+    normal = map_cells(change_of_margin, (shared[:2], cells))
     normal /= -np.linalg.norm(normal)  # margins fall where the walker comes to fail
     np.testing.assert_allclose(normal, least.direction, rtol=0, atol=1e-5)
     assert least.failure == Outcome.FORWARD and least.phase == 0
@@ -175,7 +175,7 @@ def test_walkers_come_to_their_gait_from_the_whole_of_its_box(gait):
     assert np.abs(starts - cycle.states[0]).max() > 1e-3
     plain = cycle._replace(frames=None).boxes()
     shared = jax.tree.map(np.asarray, (WALKER, 1e-12)), cycle.states, plain, np.int32(300)
-    found = over_cells(end_of_walk, (*shared[0], *shared[1:]), starts)
+    found = map_cells(end_of_walk, ((*shared[0], *shared[1:]), starts))
     assert found.back.all()
     x = starts
     for _ in range(60):
@@ -290,10 +290,10 @@ def test_a_step_down_that_a_walker_survives_and_one_that_it_does_not(gait):
     states, shared = returning(WALKER, gait, 500, None)
     heights = np.linspace(0, found.size, 20_001)[:-1]
     starts = np.broadcast_to(states[0], (len(heights), 2))
-    assert over_cells(end_after_step, shared, (starts, heights)).back.all()
+    assert map_cells(end_after_step, (shared, (starts, heights))).back.all()
     # how a walk from higher ones ends, and how many strides it has, as it is made one by one
     heights = np.array([1 + 1e-8, 1.0001, 1.1, 1.5, 200]) * found.size
-    ends = over_cells(end_after_step, shared, (starts[: len(heights)], heights))
+    ends = map_cells(end_after_step, (shared, (starts[: len(heights)], heights)))
     for k, height in enumerate(heights):
         down = wj.step_down(WALKER, state, height)
         walk = [down, wj.stride(WALKER, down.state)]
@@ -364,7 +364,11 @@ def test_the_least_step_down_that_ends_in_a_fall_is_higher(steep, boxed):
     assert first.failure == Outcome.STRIDE and fall.failure == Outcome.FORWARD
     heights = np.arange(0.001, 1.01, 0.001) * fall.size
     state = np.broadcast_to(steep.states[0], (len(heights), 2))
-    down = over_cells(step_down_of_cell, (STEEP, np.float64(1e-12)), (state, heights))
+    down = map_cells(
+        follow_step_down,
+        (STEEP, state, heights, np.float64(1e-12)),
+        (False, True, True, False),
+    )
     back, fallen = ends_of(wj.strides(STEEP, down.state).state, steep)
     assert first.size == pytest.approx(heights[(~back).argmax()], abs=1.1e-3 * fall.size)
     assert fall.size == pytest.approx(heights[fallen.argmax()], abs=1.1e-3 * fall.size)
@@ -496,7 +500,7 @@ def test_the_nearest_fall_beyond_the_basin_of_another_gait_against_a_polar_grid(
     rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     nearest = np.inf
     for radius in np.linspace(0.97, 1.005, 36) * fall.size:
-        ends = over_cells(end_of_walk, shared, states[0] + radius * rays)
+        ends = map_cells(end_of_walk, (shared, states[0] + radius * rays))
         if (ends.outcome != Outcome.STRIDE).any():
             nearest = radius
             break
@@ -545,7 +549,7 @@ def test_no_point_of_a_fine_polar_grid_is_nearer(slope):
     rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     nearest = np.inf
     for radius in np.linspace(0.8, 1.002, 203) * found.size:
-        if not over_cells(end_of_walk, shared, states[0] + radius * rays).back.all():
+        if not map_cells(end_of_walk, (shared, states[0] + radius * rays)).back.all():
             nearest = radius
             break
     assert nearest == pytest.approx(found.size, rel=1e-3)

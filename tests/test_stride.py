@@ -17,8 +17,8 @@ from scipy.optimize import brentq
 
 import walker_jax as wj
 from walker_jax import Outcome, SimplestWalker, State, Walker
-from walker_jax.stride import step_down_of_cell
-from walker_jax.tiles import over_cells
+from walker_jax.stride import follow_step_down
+from walker_jax.tiles import map_cells
 
 DATA = Path(__file__).parent / "data"
 VALUES = json.loads((DATA / "values.json").read_text())
@@ -388,12 +388,8 @@ def steps_down(starts, drop, at, width, jumps=0.0, tolerance=1e-12):
     """Steps down of such walkers, each pulled at a place of its own."""
     pulled = lambda at: PulledWalker(0.009, at, jnp.asarray(width), jnp.asarray(jumps))
     cells = jax.vmap(pulled)(jnp.asarray(at)), np.array(starts), np.full(len(starts), drop)
-    return over_cells(step_down_of_each, np.float64(tolerance), cells)
-
-
-def step_down_of_each(tolerance, cell):
-    walker, x, drop = cell
-    return step_down_of_cell((walker, tolerance), (x, drop))
+    args = *cells, np.float64(tolerance)
+    return map_cells(follow_step_down, args, (True, True, True, False))
 
 
 @pytest.mark.parametrize("tolerance", [1e-12, 1e-5])
@@ -617,7 +613,7 @@ def test_starts_of_other_shapes_are_refused(shape):
         lambda: wj.trajectory(walker, start, np.ones(1)),
     ]
     for call in calls:
-        with pytest.raises(ValueError, match="x must have shape") as error:
+        with pytest.raises(ValueError, match="xs? must have shape") as error:
             call()
         assert str(shape) in str(error.value)
 
@@ -942,7 +938,11 @@ def test_a_step_down_by_nothing_is_a_stride_from_anywhere():
     level = wj.strides(walker, starts)
     for drop in (0.0, 1e-9):
         drops = np.full(len(starts), drop)
-        down = over_cells(step_down_of_cell, (walker, np.float64(1e-12)), (starts, drops))
+        down = map_cells(
+            follow_step_down,
+            (walker, starts, drops, np.float64(1e-12)),
+            (False, True, True, False),
+        )
         np.testing.assert_array_equal(down.outcome, level.outcome)
         np.testing.assert_allclose(down.time, level.time, rtol=0, atol=1e-6)
         np.testing.assert_allclose(down.state[:, 0], level.state[:, 0], rtol=0, atol=1e-6)

@@ -22,6 +22,7 @@ from jax.errors import JaxRuntimeError
 import walker_jax as wj
 from walker_jax import cluster, figures, store, tiles
 from walker_jax.cluster import computers
+from walker_jax.kernels.primitive import MODES
 
 module = import_module("walker_jax.sweep")  # the package has the function by that name
 WALKER = wj.SpringWalker(0.004, 0.0)
@@ -288,7 +289,7 @@ def test_a_piece_over_which_workers_died_is_computed_by_others_but_not_for_ever(
 @pytest.fixture
 def modes():
     """Those of this process, and its cores, are as before when a test ends."""
-    before = {mode: getattr(jax.config, mode) for mode in tiles.MODES}
+    before = {mode: getattr(jax.config, mode) for mode in MODES}
     yield before
     for mode, value in before.items():
         jax.config.update(mode, value)

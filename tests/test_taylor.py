@@ -2,6 +2,7 @@
 
 import inspect
 from fractions import Fraction
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -13,15 +14,13 @@ from hypothesis import strategies as st
 from jax import lax
 
 import walker_jax as wj
-from walker_jax import multibody, taylor
+from walker_jax import multibody
 from walker_jax.kernels.scalars import unrolled
+from walker_jax.series import evaluate, sincos
 from walker_jax.taylor import (
     VirtualPower,
-    evaluate,
     fast_sines,
     function_series,
-    operations,
-    sincos,
     solution_series,
 )
 from walker_jax.walkers import SingleSupport
@@ -239,6 +238,18 @@ def test_series_of_a_walker_like_system_of_equations():
 
 
 A = np.array([[0.0, 1.0, -0.5], [2.0, 0.25, 1.0], [-1.0, 0.5, 0.0]])
+
+
+def there_and_back(y):
+    """The same vector, through sums, indices, updates and Fourier coefficients."""
+    turn = np.array([1, 2, 0])
+    y = jnp.diff(jnp.cumsum(y), prepend=0.0)
+    y = jnp.ones(3).at[turn].set(y[turn])
+    y = jnp.zeros(3).at[turn].add(y[turn])
+    y = lax.dynamic_update_slice(jnp.ones(5), y, [1])
+    return jnp.fft.ifft(jnp.fft.fft(lax.dynamic_slice(y, [1], (3,)))).real
+
+
 SAME_LINEAR_SYSTEM = {
     "matmul": lambda y: A @ y,
     "dot-of-both": lambda y: jnp.matmul(y[None], jnp.asarray(A.T))[0],
@@ -251,6 +262,8 @@ SAME_LINEAR_SYSTEM = {
     "pad": lambda y: jnp.pad(A[:2] @ y, (0, 1)) + jnp.pad(A[2:] @ y, (2, 0)),
     "jit-vmap": lambda y: jax.jit(jax.vmap(lambda row: row @ y))(jnp.asarray(A)),
     "jvp": lambda y: jax.jvp(lambda y: jnp.asarray(A) @ y, (y,), (y,))[1],
+    "there-and-back": lambda y: there_and_back(A @ y),
+    "checkpoint": jax.checkpoint(lambda y: A @ y),
 }
 
 
@@ -276,8 +289,18 @@ def test_products_of_two_vectors_that_both_vary():
     assert_series(series, np.outer(expected, start))
 
 
+def test_a_product_of_a_matrix_with_itself_whose_coefficients_do_not_commute():
+    """Y' = Y Y + B, by Cauchy products."""
+    B = np.array([[0.0, 1.0, 0.0], [0.0, 0.5, 2.0], [1.0, 0.0, 0.0]])
+    Y = [A]
+    for k in range(ORDER):
+        square = np.sum([Y[j] @ Y[k - j] for j in range(k + 1)], axis=0)
+        Y.append((square + B if k == 0 else square) / (k + 1))
+    assert_series(solution_series(lambda Y: Y @ Y + B, jnp.array(A), ORDER), Y)
+
+
 UNKNOWN = {
-    "tan": jnp.tan,
+    "lgamma": lax.lgamma,
     "cond": lambda y: lax.cond(y > 0, jnp.negative, jnp.exp, y),
     "scan": lambda y: lax.fori_loop(0, 3, lambda i, x: x * y, y),
     "while": lambda y: lax.while_loop(lambda x: x < 9.0, lambda x: 2 * x, y),
@@ -324,6 +347,126 @@ def test_series_of_a_function_of_known_series():
     assert_series(product, expected_series(lambda t: mpmath.exp(t) * mpmath.sin(mpmath.tan(t))))
     assert_series(difference, expected_series(lambda t: t - mpmath.tan(t)))
     assert_series(one, [1.0] + [0.0] * ORDER)
+
+
+INNER = (0.8, 0.5, -0.6, 0.0, 0.4)
+"""Coefficients of x(t) from t on."""
+SECOND = (1.5, -0.7, 0.3, 0.2)
+"""Those of a second operand, y(t)."""
+LARGE = (1.1, 1.7, 4.0)
+SMALL = (-0.6, 0.1, 0.5)
+BOTH = (-1.3, 0.4, 2.0)
+# Of one operand: the function, the same of mpmath, and where it is expanded.
+ELEMENTARY = {
+    "acos": (jnp.arccos, mpmath.acos, SMALL),
+    "acosh": (jnp.arccosh, mpmath.acosh, (1.6, 2.0, 4.0)),
+    "asin": (jnp.arcsin, mpmath.asin, SMALL),
+    "asinh": (jnp.arcsinh, mpmath.asinh, BOTH),
+    "atan": (jnp.arctan, mpmath.atan, BOTH),
+    "atanh": (jnp.arctanh, mpmath.atanh, SMALL),
+    "cbrt": (jnp.cbrt, lambda x: mpmath.sign(x) * mpmath.cbrt(abs(x)), (-1.3, 0.7, 2.0)),
+    "cos": (jnp.cos, mpmath.cos, BOTH),
+    "cosh": (jnp.cosh, mpmath.cosh, BOTH),
+    "erf": (lax.erf, mpmath.erf, BOTH),
+    "erf_inv": (lambda x: lax.erf(lax.erf_inv(x)), lambda x: x, SMALL),
+    "erfc": (lax.erfc, mpmath.erfc, BOTH),
+    "exp": (jnp.exp, mpmath.exp, BOTH),
+    "exp2": (jnp.exp2, lambda x: mpmath.mpf(2) ** x, BOTH),
+    "expm1": (jnp.expm1, mpmath.expm1, (-1.3, 1e-9, 2.0)),
+    "log": (jnp.log, mpmath.log, LARGE),
+    "log1p": (jnp.log1p, mpmath.log1p, (-0.3, 1e-9, 2.0)),
+    "logistic": (lax.logistic, lambda x: 1 / (1 + mpmath.exp(-x)), BOTH),
+    "rsqrt": (lax.rsqrt, lambda x: 1 / mpmath.sqrt(x), LARGE),
+    "sin": (jnp.sin, mpmath.sin, BOTH),
+    "sinh": (jnp.sinh, mpmath.sinh, BOTH),
+    "sqrt": (jnp.sqrt, mpmath.sqrt, LARGE),
+    "square": (jnp.square, lambda x: x * x, (-1.3, 0.0, 2.0)),
+    "tan": (jnp.tan, mpmath.tan, (-0.9, 0.4, 3.0)),
+    "tanh": (jnp.tanh, mpmath.tanh, BOTH),
+    "power 0": (lambda x: lax.integer_pow(x, 0), lambda x: mpmath.mpf(1), (-1.3, 0.0, 2.0)),
+    "power 1": (lambda x: lax.integer_pow(x, 1), lambda x: x, (-1.3, 0.0, 2.0)),
+    "power 7": (lambda x: lax.integer_pow(x, 7), lambda x: x**7, (-1.3, 0.0, 2.0)),
+    "power -3": (lambda x: lax.integer_pow(x, -3), lambda x: x**-3, (-1.3, 0.7, 2.0)),
+    "power 4.0": (lambda x: x**4.0, lambda x: x**4, (-1.3, 0.0, 2.0)),
+    "power 0.3": (lambda x: x**0.3, lambda x: x ** mpmath.mpf(0.3), LARGE),
+    "power -2.0": (lambda x: x**-2.0, lambda x: x**-2, (-1.3, 0.7, 2.0)),
+    "whole numbers": (lambda x: lax.pow(x, jnp.array([2, 3, -1])), None, (-1.3, 0.7, 2.0)),
+    "exponent": (lambda x: jnp.power(1.7, x), lambda x: mpmath.mpf(1.7) ** x, BOTH),
+    "products": (lambda x: jnp.cumprod(x) / jnp.prod(x) * jnp.cumsum(x), None, (1.1, -2.0, 0.8)),
+}
+# Of two operands x(t) and y(t), the second from y(0) = 1.2 on.
+OF_TWO = {
+    "atan2": (jnp.arctan2, lambda x, y: mpmath.atan2(x, y), BOTH),
+    "atan2 behind": (lambda x, y: jnp.arctan2(x, -y), lambda x, y: mpmath.atan2(x, -y), LARGE),
+    "power": (jnp.power, lambda x, y: x**y, LARGE),
+}
+
+
+def polynomials(dtype):
+    """Coefficients up to t^12 of x(t), but for the first, and of y(t)."""
+    both = (INNER, (1.2, *SECOND))
+    x, y = ([jnp.full(3, c, dtype) for c in coefficients] for coefficients in both)
+    zero = jnp.zeros(3, dtype)
+    return x + [zero] * (12 - len(x)), y + [zero] * (13 - len(y))
+
+
+def of_elementary_functions(dtype):
+    """Series of all of them, with three points of expansion each."""
+    inner, second = polynomials(dtype)
+    starts = {name: jnp.array(of[-1], dtype) for name, of in (ELEMENTARY | OF_TWO).items()}
+
+    def functions(known):
+        x, y = known
+        one = {name: function(x[name]) for name, (function, *_) in ELEMENTARY.items()}
+        return one | {name: function(x[name], y) for name, (function, *_) in OF_TWO.items()}
+
+    return function_series(functions, ({name: [x, *inner] for name, x in starts.items()}, second))
+
+
+@pytest.fixture(scope="module")
+def elementary():
+    return jax.jit(of_elementary_functions, static_argnums=0)(float)
+
+
+def along(x, coefficients=INNER):
+    """The polynomial, of mpmath numbers."""
+    return lambda t: mpmath.polyval([*reversed(coefficients), x], t)
+
+
+@pytest.mark.parametrize("name", ELEMENTARY | OF_TWO)
+def test_series_of_elementary_functions(name, elementary):
+    *_, function, starts = (ELEMENTARY | OF_TWO)[name]
+    lines = [along(x) for x in starts]
+    y = along(1.2, SECOND)
+
+    def value(i, t):
+        if name == "whole numbers":
+            return lines[i](t) ** (2, 3, -1)[i]
+        if name == "products":
+            terms = [line(t) for line in lines]
+            return mpmath.fsum(terms[: i + 1]) / mpmath.fprod(terms[i + 1 :])
+        return function(lines[i](t), y(t)) if name in OF_TWO else function(lines[i](t))
+
+    for i, start in enumerate(starts):
+        expected = expected_series(partial(value, i), 12)
+        found = np.array([c[i] for c in elementary[name]])
+        # Numbers of the size of the larger ones before it may have cancelled.
+        sizes = np.maximum.accumulate(np.abs(expected))
+        assert (np.abs(found - expected) <= 1e-13 * sizes).all(), (start, found, expected)
+
+
+def test_series_of_elementary_functions_in_float32_are_float32():
+    series = jax.eval_shape(lambda: of_elementary_functions(jnp.float32))
+    assert {c.dtype for c in jax.tree.leaves(series)} == {jnp.dtype("float32")}
+
+
+def test_derivatives_of_a_series_are_the_series_of_the_derivative():
+    """By x_0: of tan, those of 1 + tan^2."""
+    _, known = polynomials(float)
+    ones = [jnp.ones(3), *[jnp.zeros(3)] * 12]
+    _, slopes = jax.jvp(lambda x: function_series(jnp.tan, x), (known,), (ones,))
+    expected = expected_series(lambda t: mpmath.sec(along(1.2, SECOND)(t)) ** 2, 12)
+    assert_series([c[0] for c in slopes], expected)
 
 
 def test_evaluate_is_the_polynomial():
@@ -502,24 +645,3 @@ def test_series_by_virtual_power_in_float32():
     equations, state = chain(1)
     high = jax.tree.leaves(equations.series(state, LOW))
     np.testing.assert_allclose(low, high, rtol=1e-4, atol=1e-5 * np.max(np.abs(high)))
-
-
-def test_order_falls_with_the_size_of_a_system_and_keeps_its_bounds():
-    highest = 16
-    orders = [equations.order(state, highest) for equations, state in map(chain, (1, 2))]
-    assert orders[0] == highest > orders[1] >= taylor.SHORTEST
-    equations, state = chain(1)
-    assert equations.order(state, 2) == 2
-
-
-def test_operations_are_counted_once_each_through_calls():
-    inner = jax.jit(lambda x, y: (jnp.sin(x) * y, jnp.cos(x)))
-    x, y = jnp.array(2.0), jnp.array(3.0)
-    assert operations(lambda x: x, x) == 0
-    assert operations(lambda x: (jnp.sin(x), jnp.sin(x), jnp.cos(x)), x) == 2
-    assert operations(inner, x, y) == 3
-    assert operations(lambda x, y: (inner(x, y), inner(x, y), jnp.sin(x)), x, y) == 3
-    assert operations(lambda x, y: (inner(x, y), inner(y, x)), x, y) == 6
-    assert operations(lambda x, y: (x - y, y - x, x - y, x * 2.0, x * 3.0), x, y) == 4
-    assert operations(lambda x: (x**2, x**3), x) == 2
-    assert operations(jax.nn.relu, x) == 1

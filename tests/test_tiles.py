@@ -1,6 +1,7 @@
 import os
 import subprocess
 import sys
+from collections import OrderedDict
 
 import jax
 import jax.numpy as jnp
@@ -8,8 +9,8 @@ import numpy as np
 import pytest
 
 import walker_jax as wj
-from walker_jax import tiles
-from walker_jax.tiles import TILE, compact_order, over_cells
+from walker_jax.kernels import UnsupportedPrimitive, primitive
+from walker_jax.tiles import TILE, compact_order, map_cells
 
 CALL = TILE["cpu"][0] * TILE["cpu"][1]
 
@@ -31,7 +32,7 @@ def by_xla(shared, cell):
 def test_any_number_of_cells(function, n):
     rng = np.random.default_rng(n)
     cells = {"x": rng.normal(size=(n, 3)), "i": rng.normal(size=n)}
-    result = over_cells(function, {"offset": 2.5}, cells)
+    result = map_cells(function, ({"offset": 2.5}, cells))
     np.testing.assert_allclose(result["sum"], 2.5 + cells["x"].sum(axis=1), rtol=1e-14, atol=1e-14)
     np.testing.assert_array_equal(result["scaled"], cells["i"][:, None] * cells["x"])
 
@@ -39,7 +40,7 @@ def test_any_number_of_cells(function, n):
 def test_cells_that_are_parts_or_transposes_of_arrays_are_taken_as_they_are():
     x = np.random.default_rng(0).normal(size=(3, 60))
     cells = {"x": x.T[::2], "i": x[0, ::2]}
-    result = over_cells(sum_and_norm, {"offset": 0}, cells)
+    result = map_cells(sum_and_norm, ({"offset": 0}, cells))
     np.testing.assert_array_equal(result["scaled"], cells["i"][:, None] * x.T[::2])
 
 
@@ -50,12 +51,12 @@ def scaled(shared, cell):
 def test_a_kernel_is_made_anew_for_another_mode_of_jax():
     cells = np.ones(3, np.float32)
     with jax.numpy_dtype_promotion("standard"):
-        assert over_cells(scaled, 2.0, cells).dtype == np.float64
-        assert over_cells(scaled, jnp.asarray(2.0), cells).dtype == np.float64
+        assert map_cells(scaled, (2.0, cells)).dtype == np.float64
+        assert map_cells(scaled, (jnp.asarray(2.0), cells)).dtype == np.float64
         with jax.enable_x64(False):
-            assert over_cells(scaled, 2.0, cells).dtype == np.float32
+            assert map_cells(scaled, (2.0, cells)).dtype == np.float32
     with pytest.raises(jax.dtypes.TypePromotionError):
-        over_cells(scaled, 2.0, cells)
+        map_cells(scaled, (2.0, cells))
 
 
 def times(shared, cell):
@@ -65,9 +66,9 @@ def times(shared, cell):
 def test_what_is_shared_may_be_of_a_weak_type():
     cells = np.ones(3, np.float32)
     for weak in (2, 2.0, jnp.asarray(2.0)):
-        assert over_cells(times, weak, cells).dtype == np.float32
+        assert map_cells(times, (weak, cells)).dtype == np.float32
     with jax.numpy_dtype_promotion("standard"):
-        assert over_cells(times, 2j, cells).dtype == np.complex64
+        assert map_cells(times, (2j, cells)).dtype == np.complex64
 
 
 @pytest.mark.parametrize("turn", [1, -1])
@@ -76,7 +77,11 @@ def test_a_kernel_is_made_anew_for_a_number_of_another_kind(turn):
     function = lambda shared, cell: shared * cell
     with jax.numpy_dtype_promotion("standard"):
         for shared, dtype in ((2.0, np.float32), (np.float64(2.0), np.float64))[::turn]:
-            assert over_cells(function, shared, np.ones(3, np.float32)).dtype == dtype
+            assert map_cells(function, (shared, np.ones(3, np.float32))).dtype == dtype
+
+
+def no_kernel(closed):
+    raise UnsupportedPrimitive("any")
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +94,8 @@ def starts():
 def test_strides_by_kernels_and_by_xla_are_the_same_to_rounding(monkeypatch, starts):
     walker = wj.SimplestWalker(0.004)
     found = wj.strides(walker, starts)
-    monkeypatch.setattr(tiles, "_kernel", lambda *args: None)
+    monkeypatch.setattr(primitive, "Kernel", no_kernel)
+    monkeypatch.setattr(primitive, "programs", OrderedDict())
     expected = wj.strides(walker, starts)
     np.testing.assert_array_equal(found.outcome, expected.outcome)
     np.testing.assert_allclose(found.state, expected.state, rtol=0, atol=1e-9)
@@ -98,7 +104,7 @@ def test_strides_by_kernels_and_by_xla_are_the_same_to_rounding(monkeypatch, sta
 
 def test_cells_of_different_lengths_are_refused():
     with pytest.raises(ValueError, match=r"cells .*\[3, 4\]"):
-        over_cells(sum_and_norm, {"offset": 0.0}, {"x": np.ones((3, 2)), "i": np.ones(4)})
+        map_cells(sum_and_norm, ({"offset": 0.0}, {"x": np.ones((3, 2)), "i": np.ones(4)}))
 
 
 @pytest.mark.parametrize("shape", [(7,), (5000,), (200, 250), (3, 10000), (33, 65), (20, 30, 40)])
@@ -135,8 +141,9 @@ import jax
 import numpy as np
 import walker_jax as wj
 from walker_jax import tiles
+from walker_jax.kernels import primitive
 jax.config.update("jax_enable_x64", True)
-tiles._kernel = lambda *_: None  # so that it is XLA that computes, as on an accelerator
+primitive.Program.kernel = None  # so that it is XLA that computes, as on an accelerator
 devices = jax.local_devices()
 assert len(devices) == 8
 for n in map(int, sys.argv[2:]):
@@ -161,11 +168,11 @@ def test_same_bits_on_one_device_and_on_eight(tmp_path, starts, counts):
 
 def test_a_bar_is_shown_on_a_terminal_only(capfd, monkeypatch):
     cells = {"x": np.ones((9, 2)), "i": np.ones(9)}
-    over_cells(sum_and_norm, {"offset": 0.0}, cells, progress="the work")
+    map_cells(sum_and_norm, ({"offset": 0.0}, cells), progress="the work")
     assert capfd.readouterr() == ("", "")
     monkeypatch.setenv("FORCE_COLOR", "1")  # rich takes this for a terminal
-    over_cells(sum_and_norm, {"offset": 0.0}, cells, progress="the work")
+    map_cells(sum_and_norm, ({"offset": 0.0}, cells), progress="the work")
     out, err = capfd.readouterr()
     assert out == "" and "the work" in err
-    over_cells(sum_and_norm, {"offset": 0.0}, cells)
+    map_cells(sum_and_norm, ({"offset": 0.0}, cells))
     assert capfd.readouterr() == ("", "")

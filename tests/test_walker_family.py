@@ -23,9 +23,9 @@ from walker_jax import (
     State,
     UpperBodyWalker,
     multibody,
-    tiles,
 )
 from walker_jax.gaits import linearise
+from walker_jax.kernels.primitive import programs
 from walker_jax.kernels.scalars import unrolled
 from walker_jax.multibody import System
 from walker_jax.walkers import WALKERS, MultibodyWalker, of_feet, parameters
@@ -1159,7 +1159,7 @@ def test_one_walker_is_as_many_that_are_equal():
 @pytest.mark.slow
 def test_strides_are_compiled_once_for_all_kinds_of_numbers():
     xs = np.array([GAIT["state"]])
-    compiled = lambda: len(tiles._kernels)
+    compiled = lambda: len(programs)
     wj.strides(SimplestWalker(0.009), xs)
     count = compiled()
     for slope in (0.008, np.float64(0.008), jnp.asarray(0.007, float), np.float32(0.006)):

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from walker_jax.cells import Grid
 from walker_jax.gaits import gait_at, search, walked
 from walker_jax.stride import Outcome, strides
-from walker_jax.tiles import over_cells
+from walker_jax.tiles import map_cells
 from walker_jax.walkers import Walker
 
 SAMPLE = 2**14
@@ -324,4 +324,4 @@ def in_order(attractors: list[Attractor]) -> list[int]:
 
 def centres(grid: Grid, cells: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n section"]:
     """Centres of cells, given by their indices."""
-    return over_cells(Grid.centre, grid, cells)
+    return map_cells(Grid.centre, (grid, cells))

@@ -51,7 +51,7 @@ from walker_jax.cluster import computers
 from walker_jax.integrate import Real, default_tolerance
 from walker_jax.progress import tracked
 from walker_jax.stride import Outcome, stride
-from walker_jax.tiles import order_of_cells, over_cells
+from walker_jax.tiles import map_cells, order_of_cells
 from walker_jax.walkers import Walker
 
 METHODS = ("cell-map", "direct")
@@ -279,11 +279,8 @@ def cell_map(
     """The cell, or the sink, to which a stride takes the centre of each cell of a part."""
     order, cells = cells_of(grid, part)
     image = np.empty_like(order)
-    image[order] = over_cells(
-        image_of_cell,
-        (walker, grid, tolerance),
-        cells,
-        progress="strides" if progress else None,
+    image[order] = map_cells(
+        image_of_cell, ((walker, grid, tolerance), cells), progress="strides" if progress else None
     )
     return image
 

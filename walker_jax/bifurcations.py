@@ -47,7 +47,7 @@ from walker_jax.gaits import (
 from walker_jax.integrate import Real
 from walker_jax.stride import Outcome, follow_stride, stacked
 from walker_jax.stride import strides as many_strides
-from walker_jax.tiles import over_cells
+from walker_jax.tiles import map_cells
 from walker_jax.walkers import Walker
 
 RECENT = 64
@@ -157,7 +157,7 @@ def persist(
         shared = jnp.asarray(tolerance, x.dtype), np.int32(more)
         cells = some(walkers, left), x[left]
         label = progress and f"{progress}: stride {done}, {len(left)} walkers"
-        x[left], fate[left], made = over_cells(persist_cell, shared, cells, progress=label)
+        x[left], fate[left], made = map_cells(persist_cell, (shared, cells), progress=label)
         count[left] += made
         left = left[fate[left] == Outcome.STRIDE]
         if len(left) == 0:

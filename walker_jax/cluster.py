@@ -16,6 +16,7 @@ import jax
 
 from walker_jax import tiles
 from walker_jax.checks import WrongUse, check_whole
+from walker_jax.kernels.primitive import MODES
 
 AHEAD = 2
 """Pieces that each worker has been given, so that it need not wait for the next."""
@@ -104,7 +105,7 @@ def client_of(cluster: Any) -> Iterator[Any]:
         from distributed import Client, LocalCluster
     except ImportError:
         raise WrongUse("a cluster takes Dask: pip install 'walker_jax[distributed]'") from None
-    modes = {mode: getattr(jax.config, mode) for mode in tiles.MODES}
+    modes = {mode: getattr(jax.config, mode) for mode in MODES}
     if isinstance(cluster, Client):
         cluster.register_worker_callbacks(partial(as_here, modes, None))
         yield cluster

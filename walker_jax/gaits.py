@@ -37,6 +37,7 @@ from walker_jax.checks import (
     short,
 )
 from walker_jax.integrate import Real
+from walker_jax.series import evaluate
 from walker_jax.stride import (
     Outcome,
     as_floating,
@@ -46,7 +47,7 @@ from walker_jax.stride import (
     stacked,
     strides,
 )
-from walker_jax.tiles import over_cells
+from walker_jax.tiles import map_cells
 from walker_jax.walkers import SimplestWalker, Walker, moves_like
 
 RESIDUAL = {jnp.dtype("float64"): 1e-10, jnp.dtype("float32"): 1e-4}
@@ -114,7 +115,7 @@ def find_gait(
     size = len(walker.section)
     if guess.shape not in ((size,), (period, size)):
         raise WrongUse(f"guess must have shape ({size},) or {(period, size)}, not {guess.shape}")
-    if given and not isinstance(guess, Tracer) and not jnp.isfinite(guess).all():
+    if given and not isinstance(guess, Tracer) and not np.isfinite(np.asarray(guess)).all():
         raise WrongUse(f"guess must be finite, not {guess.tolist()}")
     walker, first, tolerance = prepared(walker, guess.reshape(-1, size)[0], tolerance)
     cycle = guess.reshape(-1, size).astype(first.dtype)
@@ -191,7 +192,7 @@ def solve_cycle(
     jacobian = basis
     for factor in jax.vmap(one_by_one, out_axes=2)(basis):
         jacobian = factor @ jacobian
-    multipliers = jnp.linalg.eigvals(jacobian)
+    multipliers = eigenvalues(jacobian)
     multipliers = multipliers[jnp.lexsort((-multipliers.imag, -jnp.abs(multipliers)))]
     residual = jnp.abs(ends - jnp.roll(states, -1, axis=0)).max()
     found = (residual < RESIDUAL[dtype]) & ~repeats(states)
@@ -210,6 +211,27 @@ def solve_cycle(
     )
 
 
+def eigenvalues(matrix: Float[Array, "n n"]) -> Complex[Array, " n"]:
+    """Eigenvalues of a matrix, with derivatives up to the third order where they are distinct.
+
+    Those that LAPACK finds are roots of the characteristic polynomial (Faddeev and LeVerrier), and
+    two steps of Newton's say how these depend on the matrix.
+    """
+    n = len(matrix)
+    minors, coefficients = jnp.zeros_like(matrix), [jnp.ones_like(matrix[0, 0])]
+    for k in range(1, n + 1):
+        minors = matrix @ minors + coefficients[-1] * jnp.eye(n, dtype=matrix.dtype)
+        coefficients.append(-jnp.trace(matrix @ minors) / k)
+    slopes = [(n - k) * c for k, c in enumerate(coefficients[:-1])]
+    roots = jnp.linalg.eigvals(lax.stop_gradient(matrix))
+    lower = lambda terms: [c.astype(roots.dtype) for c in terms[::-1]]
+    remainder = lax.stop_gradient(evaluate(lower(coefficients), roots))
+    for _ in range(2):
+        miss = evaluate(lower(coefficients), roots) - remainder
+        roots = roots - miss / evaluate(lower(slopes), roots)
+    return roots
+
+
 def mismatch(
     states: Float[Array, "period section"], args: tuple[Walker, Float[Array, ""]]
 ) -> Float[Array, "period section"]:
@@ -219,41 +241,12 @@ def mismatch(
     return ends - jnp.roll(states, -1, axis=0)
 
 
-@jax.custom_jvp
 def advance(
     walker: Walker, states: Float[Array, "n section"], tolerance: Float[Array, ""]
 ) -> tuple[Float[Array, "n section"], Float[Array, " n"]]:
-    """The ends of strides, and their durations.
-
-    Its derivative is a matrix for each stride, computed column by column in a loop, the walker's
-    tangent as one more column. So a stride's derivative is compiled once, however many directions
-    are asked for.
-    """
+    """The ends of strides, and their durations."""
     ends = jax.vmap(follow_stride, (None, 0, None))(walker, states, tolerance)
     return ends.state, ends.time
-
-
-@advance.defjvp
-def _advance_jvp(primals, tangents):
-    walker, states, tolerance = primals
-    dwalker, dstates, _ = tangents
-
-    def column(weights):
-        tangent = (
-            jax.tree.map(lambda leaf: leaf * weights[-1], dwalker),
-            jnp.broadcast_to(weights[:-1], states.shape),
-        )
-        plain = lambda walker, states: advance.fun(walker, states, tolerance)
-        return jax.jvp(plain, (walker, states), tangent)
-
-    values, columns = lax.map(column, jnp.eye(states.shape[1] + 1, dtype=states.dtype))
-
-    def along(columns):
-        """columns[:-1] is the derivative of each stride by its start, columns[-1] by the walker."""
-        weights = dstates.T.reshape(*dstates.T.shape, *[1] * (columns.ndim - 2))
-        return (columns[:-1] * weights).sum(axis=0) + columns[-1]
-
-    return jax.tree.map(lambda value: value[0], values), jax.tree.map(along, columns)
 
 
 def uncertainty(residual, matrix):
@@ -574,7 +567,7 @@ def linearise(
     columns = len(directions)
     cells = *repeated(walker, cycles, columns), np.tile(directions, (n * period, 1))
     shared = tolerance, axis_of(walker, parameter, cycles.dtype)
-    (state, time), (dstate, _) = over_cells(push, shared, cells)
+    (state, time), (dstate, _) = map_cells(push, (shared, cells))
     by = dstate.reshape(n, period, columns, size)
     first = lambda values: values.reshape(n, period, columns, *values.shape[1:])[:, :, 0]
     return Linearised(
@@ -612,7 +605,7 @@ def curve(
         np.tile(np.eye(columns, dtype=cycles.dtype), (n * period, 1)),
     )
     shared = tolerance, axis_of(walker, parameter, cycles.dtype)
-    (_, (along, time)), (_, (changes, _)) = over_cells(push_twice, shared, cells)
+    (_, (along, time)), (_, (changes, _)) = map_cells(push_twice, (shared, cells))
     shape = n, period, columns
     return Curved(
         along=along.reshape(*shape, size)[:, :, 0],

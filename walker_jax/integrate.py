@@ -1,10 +1,7 @@
 """Integration by Taylor series: a diffrax solver, integration up to a condition, and landing.
 
 `Taylor` is the solver, for `diffrax.diffeqsolve`. `integrate_until` drives the same steps in a
-loop of its own, which is what makes a tile of a thousand cells fast: XLA gives a fusion on a CPU
-one output, and computes the whole expansion again for every further one. So the state leaves a
-step in pairs, as complex numbers, and a loop's boundary keeps what follows from computing the
-step again.
+loop of its own.
 
 Nothing here knows what is integrated. Forward-mode derivatives run through everything; step
 lengths are constants to them.
@@ -22,9 +19,8 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from walker_jax.checks import WrongUse, check_number
+from walker_jax.series import evaluate
 from walker_jax.taylor import (
-    VirtualPower,
-    evaluate,
     fast_sines,
     function_series,
     is_list,
@@ -176,10 +172,9 @@ def first_zero(series: list[Scalar], length: Scalar, resolution: Scalar) -> Scal
     return lax.while_loop(unfinished, advance, first)[0]
 
 
-def order_of(vector_field: VectorField, state: PyTree) -> int:
+def order_of(state: PyTree) -> int:
     """Order of the series in a step from a state."""
-    order = ORDER[jax.tree.leaves(state)[0].dtype]
-    return vector_field.order(state, order) if isinstance(vector_field, VirtualPower) else order
+    return ORDER[jax.tree.leaves(state)[0].dtype]
 
 
 def step(vector_field: VectorField, state: PyTree, length: Scalar, order: int) -> PyTree:
@@ -298,74 +293,23 @@ def integrate_until(
     and end where the field, or one of `others`, has a kink. Returns the last step; `count` reaches
     `max_steps`, or the state stops being finite, where `stop` never holds.
     """
-    dtype, structure = jax.tree.leaves(state)[0].dtype, jax.tree.structure(state)
-    order = order_of(vector_field, state)
+    order = order_of(state)
     stop = fast_sines(stop)
 
     def advance(carry):
-        _, start, clock, count, _, side, _ = carry
-        before = unpacked(start, structure)
+        last, _ = carry
+        series, length = taylor_step(vector_field, last.end, order, tolerance, *others)
+        end, (_, side) = polynomial(series, length), last.sides
+        stops, beyond = stop(last.end, end, side)
+        going = jnp.isfinite(length) & (last.count + 1 < max_steps) & ~stops
+        time = last.time + last.length
+        return Step(last.end, end, time, length, last.count + 1, (side, beyond)), going
 
-        def take_step():
-            series, length = taylor_step(vector_field, before, order, tolerance, *others)
-            return [*interleaved(polynomial(series, length)), length]
-
-        *after, length = once(take_step)
-        end = paired(after)
-        stops, beyond = stop(before, unpacked(end, structure), side)
-        going = jnp.isfinite(length) & (count + 1 < max_steps) & ~stops
-        clock = lax.complex(clock.real + clock.imag, length)
-        return start, end, clock, count + 1, side, beyond, going
-
-    time = jnp.asarray(time, dtype)
-    clock = lax.complex(time, jnp.zeros_like(time))
+    time = jnp.asarray(time, jax.tree.leaves(state)[0].dtype)
     count, side, active = map(jnp.asarray, (count, side, active))
-    carry = packed(state), packed(state), clock, count, side, side, active
-    last = lax.while_loop(lambda carry: carry[-1], advance, carry)
-    start, end, clock, count, side, beyond, _ = last
-    ends = unpacked(start, structure), unpacked(end, structure)
-    return Step(*ends, clock.real, clock.imag, count, (side, beyond))
-
-
-def once(function: Callable[[], list[Scalar]]) -> list[Scalar]:
-    """function(), a list of real scalars, computed once for all uses of its results."""
-    like = jax.eval_shape(function)
-    zeros = paired([jnp.zeros(x.shape, x.dtype) for x in like])
-
-    def compute(_):
-        return jnp.array(True), paired(function())
-
-    # A loop of one turn, which XLA does not see through.
-    _, packed = lax.while_loop(lambda carry: ~carry[0], compute, (jnp.array(False), zeros))
-    return unpaired(packed, len(like))
-
-
-def paired(leaves: list[Scalar]) -> list[Array]:
-    """Real scalars as complex ones, neighbours together: fewer outputs for XLA to compute apart."""
-    even, odd = leaves[0::2], leaves[1::2]
-    odd = odd + [jnp.zeros_like(leaves[0])] * (len(even) - len(odd))
-    return [lax.complex(a, b) for a, b in zip(even, odd, strict=True)]
-
-
-def unpaired(packed: list[Array], count: int) -> list[Scalar]:
-    return [part for pair in packed for part in (pair.real, pair.imag)][:count]
-
-
-def interleaved(state: PyTree) -> list[Scalar]:
-    """The leaves of a state, each of its first half, the coordinates, followed by its rate."""
-    leaves = jax.tree.leaves(state)
-    half = (len(leaves) + 1) // 2
-    return [leaf for i in range(half) for leaf in leaves[i::half]]
-
-
-def packed(state: PyTree) -> list[Array]:
-    """A state as complex scalars, of a coordinate and its rate."""
-    return paired(interleaved(state))
-
-
-def unpacked(packed: list[Array], structure) -> PyTree:
-    leaves = unpaired(packed, structure.num_leaves)
-    return jax.tree.unflatten(structure, leaves[0::2] + leaves[1::2])
+    first = Step(state, state, time, jnp.zeros_like(time), count, (side, side))
+    last, _ = lax.while_loop(lambda carry: carry[-1], advance, (first, active))
+    return last
 
 
 def first_rise(
@@ -446,22 +390,18 @@ def rising_root(
     resolution = 2 * float(jnp.finfo(high.dtype).eps) * jnp.abs(high)
 
     def unfinished(carry):
-        _, iterates = carry
-        return jnp.abs(iterates.real - iterates.imag) > resolution
+        *_, t, previous = carry
+        return jnp.abs(t - previous) > resolution
 
     def iterate(carry):
-        bracket, iterates = carry
-        t = iterates.real
+        low, high, t, _ = carry
         value, slope = function(t)
-        low = jnp.where(value < 0, t, bracket.real)
-        high = jnp.where(value < 0, bracket.imag, t)
+        low, high = jnp.where(value < 0, t, low), jnp.where(value < 0, high, t)
         newton = t - value / slope
         inside = ((newton > low) & (newton < high)) | (newton == t)
-        following = jnp.where(inside, newton, (low + high) / 2)
-        return lax.complex(low, high), lax.complex(following, t)
+        return low, high, jnp.where(inside, newton, (low + high) / 2), t
 
-    start = lax.complex(low, high), lax.complex(high, low)
-    return lax.while_loop(unfinished, iterate, start)[1].real
+    return lax.while_loop(unfinished, iterate, (low, high, high, low))[2]
 
 
 def land(

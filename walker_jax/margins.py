@@ -28,6 +28,8 @@ from walker_jax.integrate import (
     taylor_step,
     when_zero,
 )
+from walker_jax.kernels import by_kernel
+from walker_jax.series import evaluate
 from walker_jax.stride import (
     Outcome,
     Stride,
@@ -36,10 +38,10 @@ from walker_jax.stride import (
     equations,
     for_each_start,
     least_force,
-    of_one_start,
     on_section,
+    prepared,
 )
-from walker_jax.taylor import evaluate, fast_sines, function_series
+from walker_jax.taylor import fast_sines, function_series
 from walker_jax.walkers import Scalar, State, Walker, toppling_rate
 
 
@@ -73,7 +75,7 @@ def margins(
     Arguments and errors are those of `stride`. Forward-mode derivatives, of the first order, are
     right. Margins are smooth but where another instant comes to be the one that counts.
     """
-    return of_one_start(margins, follow_margins, walker, x, tolerance)
+    return follow_margins(*prepared(walker, x, tolerance))
 
 
 @refuses_tracers("within them use jax.vmap(lambda x: wj.margins(walker, x))(xs)")
@@ -85,7 +87,7 @@ def margins_of_many(
     progress: str | None = None,
 ) -> Margins:
     """`margins` for each of n starts, and one walker or n, as in `strides`; NumPy arrays."""
-    return for_each_start(margins, walker, xs, tolerance, progress)
+    return for_each_start(follow_margins, walker, xs, tolerance, progress)
 
 
 def failed_by(found: Margins) -> Scalar:
@@ -127,13 +129,13 @@ class Following(NamedTuple):
     """Whether h < 0: decided once for the end of a step and the start of the next."""
 
 
-@jax.jit
+@by_kernel
 def follow_margins(
     walker: Walker, x: Float[Array, " coordinates"], tolerance: Float[Array, ""]
 ) -> Margins:
     start, verdict = fast_sines(begin)(walker, x)
     field = equations(walker)
-    order = order_of(field, start)
+    order = order_of(start)
     rate = fast_sines(toppling_rate)(walker)
 
     def contact_force(state: State) -> Scalar:

@@ -28,7 +28,7 @@ from walker_jax.gaits import Gait, check_parameter, find_gait, gait_derivatives,
 from walker_jax.integrate import default_tolerance
 from walker_jax.refinement import Refined, refined
 from walker_jax.robustness import BEYOND, change_of_margin, least_disturbance
-from walker_jax.tiles import over_cells
+from walker_jax.tiles import map_cells
 from walker_jax.walkers import Scalar, Walker
 
 HALVINGS = 8
@@ -266,7 +266,7 @@ def margin_changes(
     )
     cells = np.repeat(x, columns, axis=0), np.repeat(made, columns), (fields, along)
     shared = jax.tree.map(lambda leaf: np.asarray(leaf, dtype), (walker, tolerance))
-    return over_cells(change_of_margin, shared, cells).reshape(n, columns)
+    return map_cells(change_of_margin, (shared, cells)).reshape(n, columns)
 
 
 class DisturbanceGradient(NamedTuple):

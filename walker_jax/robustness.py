@@ -53,7 +53,7 @@ from walker_jax.stride import (
     step_down,
 )
 from walker_jax.stride import strides as take_strides
-from walker_jax.tiles import over_cells
+from walker_jax.tiles import map_cells
 from walker_jax.walkers import PointFeetWalker, Scalar, SimplestWalker, Walker, moves_like
 
 RAYS, RADII = 720, 128
@@ -151,14 +151,14 @@ def least_disturbance(
         shared = until_settled(shared, states[:, None, None] + OUTWARDS * rays[:, None])
 
     def fails(points: Float[np.ndarray, "n section"]) -> Bool[np.ndarray, " n"]:
-        return lost(over_cells(end_of_walk, shared, points))
+        return lost(map_cells(end_of_walk, (shared, points)))
 
     def gradient(points: Float[np.ndarray, "n section"]) -> Float[np.ndarray, "n section"]:
-        count = over_cells(end_of_walk, shared, points).strides
+        count = map_cells(end_of_walk, (shared, points)).strides
         still = jax.tree.map(lambda leaf: np.zeros(size * len(points), leaf.dtype), shared[0])
         tangents = still, np.tile(np.eye(size, dtype=points.dtype), (len(points), 1))
         cells = np.repeat(points, size, axis=0), np.repeat(count, size), tangents
-        return over_cells(change_of_margin, shared[:2], cells).reshape(-1, size)
+        return map_cells(change_of_margin, (shared[:2], cells)).reshape(-1, size)
 
     found = [
         nearest_failure(
@@ -170,7 +170,7 @@ def least_disturbance(
     step = found[phase]
     length = float(np.linalg.norm(step))
     state = states[phase] + step * unit
-    beyond = over_cells(end_of_walk, shared, states[phase] + BEYOND[:, None] * step * unit)
+    beyond = map_cells(end_of_walk, (shared, states[phase] + BEYOND[:, None] * step * unit))
     first = int(lost(beyond).argmax())
     failure, made = Outcome(int(beyond.outcome[first])), int(beyond.strides[first])
     return LeastDisturbance(length, step / length, state, phase, failure, made)
@@ -211,7 +211,7 @@ def least_step_down(
 
     def end(state, heights):
         starts = np.broadcast_to(state, (len(heights), len(state)))
-        return over_cells(end_after_step, shared, (starts, heights.astype(states.dtype)))
+        return map_cells(end_after_step, (shared, (starts, heights.astype(states.dtype))))
 
     up = np.ones((1, 1))
     found = []
@@ -317,12 +317,12 @@ def basin_stability(
     def one(walker: Walker, gait: Gait | None) -> tuple:
         states, shared = returning(walker, gait, strides, tolerance)
         starts = about(states[0]).astype(states.dtype)
-        found = over_cells(end_of_walk, shared, starts)
+        found = map_cells(end_of_walk, (shared, starts))
         fates = np.bincount(found.outcome, minlength=len(Outcome))
         elsewhere = np.count_nonzero((found.outcome == Outcome.STRIDE) & ~found.back)
         cubes = np.broadcast_to(np.eye(states.shape[1]) / within, shared[3].shape)
-        closer = over_cells(
-            end_of_walk, (*shared[:3], cubes.astype(states.dtype), shared[4]), starts[found.back]
+        closer = map_cells(
+            end_of_walk, ((*shared[:3], cubes.astype(states.dtype), shared[4]), starts[found.back])
         )
         made = np.where(closer.back, closer.strides, np.inf)
         back = len(made)

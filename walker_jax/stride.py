@@ -8,10 +8,9 @@ polynomial; where nothing has happened after all, the stride goes on.
 
 import enum
 from collections.abc import Callable
-from functools import cache, partial
+from functools import partial
 from typing import Any, NamedTuple
 
-import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -27,32 +26,26 @@ from walker_jax.checks import (
     check_kind,
     check_number,
     check_whole,
-    is_traced,
     refuses_tracers,
     short,
 )
 from walker_jax.integrate import (
     MAX_STEPS,
-    ORDER,
     Real,
-    Taylor,
     default_tolerance,
     first_rise,
     integrate_until,
-    interleaved,
     land,
     least,
-    once,
     order_of,
-    packed,
-    paired,
     polynomial,
     step,
     taylor_step,
-    unpacked,
 )
-from walker_jax.taylor import evaluate, fast_sines, function_series, solution_series
-from walker_jax.tiles import over_cells
+from walker_jax.kernels import by_kernel
+from walker_jax.series import evaluate
+from walker_jax.taylor import fast_sines, function_series, solution_series
+from walker_jax.tiles import map_cells
 from walker_jax.walkers import (
     MultibodyWalker,
     Scalar,
@@ -127,27 +120,7 @@ def stride(
     **Returns** a `Stride`. A failure is an `Outcome`. `ValueError` for a wrong shape or dtype, and
     for a tolerance that the dtype cannot hold.
     """
-    return of_one_start(stride, follow_stride, walker, x, tolerance)
-
-
-def of_one_start(
-    function: Callable,
-    follow: Callable,
-    walker: Walker,
-    x: Float[ArrayLike, " coordinates"],
-    tolerance: Real | None,
-) -> Any:
-    """follow(walker, x, tolerance), what `function` is to be; checked, and in the dtype of x."""
-    walker, x, tolerance = prepared(walker, x, tolerance)
-    if kernel_serves(walker, x, tolerance):
-        found = for_each_start(function, walker, x[None], tolerance)
-        return jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), found)
-    return follow(walker, x, tolerance)
-
-
-def kernel_serves(*values: Any) -> bool:
-    """Whether a kernel can do one start, which compiles faster: nothing is traced, on a CPU."""
-    return not is_traced(values) and jax.local_devices()[0].platform == "cpu"
+    return follow_stride(*prepared(walker, x, tolerance))
 
 
 def prepared(
@@ -170,7 +143,7 @@ def prepared(
     return walker, x, jnp.asarray(tolerance, x.dtype)
 
 
-@jax.jit
+@by_kernel
 def follow_stride(
     walker: Walker, x: Float[Array, " coordinates"], tolerance: Float[Array, ""]
 ) -> Stride:
@@ -269,20 +242,10 @@ def step_down(
         if not 0 <= drop < np.inf:
             raise WrongUse(f"drop must be one number, finite and not negative, not {short(drop)}")
     height = jnp.asarray(drop, x.dtype)
-    if kernel_serves(walker, x, height, tolerance):
-        found = over_cells(step_down_of_cell, (walker, tolerance), (x[None], height[None]))
-        return jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), found)
     return follow_step_down(walker, x, height, tolerance)
 
 
-def step_down_of_cell(
-    shared: tuple[Walker, Real], cell: tuple[Float[Array, " coordinates"], Scalar]
-) -> Stride:
-    walker, tolerance = shared
-    return follow_step_down(walker, *cell, jnp.asarray(tolerance))
-
-
-@jax.jit
+@by_kernel
 def follow_step_down(
     walker: Walker,
     x: Float[Array, " coordinates"],
@@ -329,9 +292,8 @@ def swing(
     before that; its two ends are not looked at. What has been `launched`, and did not start on the
     section, is followed to the end of its fall.
     """
-    dtype, structure = start.theta.dtype, jax.tree.structure(start)
     field = equations(walker)
-    order = order_of(field, start)
+    order = order_of(start)
 
     def contact(state: State) -> Scalar:
         if drop is None:
@@ -376,7 +338,7 @@ def swing(
 
         last = integrate_until(
             field,
-            unpacked(now, structure),
+            now,
             stop,
             tolerance=tolerance,
             side=below,
@@ -386,11 +348,8 @@ def swing(
             active=verdict == Outcome.UNDECIDED,
         )
 
-        def contact_series():
-            solution = solution_series(*lax.stop_gradient((field, last.start)), order)
-            return function_series(contact, solution)
-
-        series, until = once(contact_series), last.length
+        solution = solution_series(*lax.stop_gradient((field, last.start)), order)
+        series, until = function_series(contact, solution), last.length
         below, ends_below = last.sides
         if drop is not None:
             highest = least([-c for c in series], until)
@@ -401,8 +360,7 @@ def swing(
 
         def after(time):
             """The state a time after the start of the step."""
-            arrive = lambda: interleaved(step(field, last.start, time, order))
-            return unpacked(paired(once(arrive)), structure)
+            return step(field, last.start, time, order)
 
         arrival = after(time)
         if not walker.force_least_at_ends:
@@ -419,13 +377,13 @@ def swing(
         time = jnp.where(verdict == Outcome.STRIDE, time + delay, last.length)
         time = last.time + time
         below = last.sides[1]
-        return packed(last.end), packed(arrival), time, verdict, last.count, pulled, below
+        return last.end, arrival, time, verdict, last.count, pulled, below
 
-    zero, never = jnp.zeros((), dtype), jnp.asarray(False)
+    zero, never = jnp.zeros_like(start.theta), jnp.asarray(False)
     below = jnp.asarray(fast_sines(contact)(start) < 0)
-    carry = (packed(start), packed(start), zero, verdict, jnp.asarray(0), never, below)
+    carry = (start, start, zero, verdict, jnp.asarray(0), never, below)
     _, arrival, time, verdict, _, pulled, _ = lax.while_loop(undecided, follow, carry)
-    return unpacked(arrival, structure), time, verdict, pulled
+    return arrival, time, verdict, pulled
 
 
 def normal_force(walker: Walker, state: State) -> tuple[Scalar, Scalar]:
@@ -513,7 +471,7 @@ def strides(
     It is fastest where neighbours in `xs` are close on the section.
     `progress` is what to call the work in a progress bar, shown on a terminal only.
     """
-    return for_each_start(stride, walker, xs, tolerance, progress)
+    return for_each_start(follow_stride, walker, xs, tolerance, progress)
 
 
 def for_each_start(
@@ -523,35 +481,29 @@ def for_each_start(
     tolerance: Real | None = None,
     progress: str | None = None,
 ) -> Any:
-    """function(walker, x, tolerance=tolerance) for n starts, and one walker or n; NumPy arrays."""
+    """function(walker, x, tolerance) for n starts, and one walker or n; NumPy arrays."""
     check_kind("walker", walker, Walker)
     xs = array("xs", xs)
     if xs.dtype.kind not in "fiub":
         raise WrongUse(f"xs must be real numbers, not of type {xs.dtype}")
     if xs.ndim != 2:
         raise WrongUse(f"xs must have shape (n, coordinates), not {xs.shape}")
+    sizes = len(walker.section), len(State._fields)
+    if xs.shape[1] not in sizes:
+        raise WrongUse(
+            f"xs must have shape (n, {sizes[0]}), on the section {walker.section}, or "
+            f"(n, {sizes[1]}), full states, not {xs.shape}"
+        )
     dtype = xs.dtype if np.issubdtype(xs.dtype, np.floating) else float
     xs = xs.astype(jax.dtypes.canonicalize_dtype(dtype), copy=False)
     # Of one dtype, whatever numbers they were given as: another would be compiled anew.
     to_dtype = lambda leaf: np.asarray(leaf, xs.dtype)
     walker, finest = jax.tree.map(to_dtype, (walker, default_tolerance(xs.dtype, tolerance)))
-    if any(np.ndim(leaf) for leaf in jax.tree.leaves(walker)):
+    many = any(np.ndim(leaf) for leaf in jax.tree.leaves(walker))
+    if many:
         check_parameters(walker, len(xs))
-        cells = stacked(walker, len(xs), xs.dtype), xs
-        return over_cells(each_walker(function), finest, cells, progress=progress)
-    return over_cells(each_start(function), (walker, finest), xs, progress=progress)
-
-
-@cache
-def each_start(function: Callable) -> Callable:
-    """A function of walker, start and tolerance, for cells that share all but the start."""
-    return lambda shared, x: function(shared[0], x, tolerance=shared[1])
-
-
-@cache
-def each_walker(function: Callable) -> Callable:
-    """The same for cells that share the tolerance alone."""
-    return lambda tolerance, cell: function(*cell, tolerance=tolerance)
+        walker = stacked(walker, len(xs), xs.dtype)
+    return map_cells(function, (walker, xs, finest), (many, True, False), progress=progress)
 
 
 def stacked(walker: Walker, n: int, dtype) -> Walker:
@@ -578,18 +530,7 @@ def walk(
     walker, x, tolerance = prepared(walker, x, tolerance)
     if x.shape != (len(walker.section),):
         raise WrongUse(f"x must be on the section {walker.section}, not of shape {x.shape}")
-    if not kernel_serves(walker, x, tolerance):
-        return follow_walk(walker, x, n, tolerance)
-    shared = jax.tree.map(np.asarray, (walker, tolerance))
-    states = np.full((n + 1, x.size), np.nan, x.dtype)
-    outcomes, times = np.zeros(n, np.int8), np.full(n, np.nan, x.dtype)
-    states[0] = x
-    for k in range(n):
-        made = over_cells(each_start(stride), shared, states[k : k + 1])
-        states[k + 1], outcomes[k:], times[k] = made.state[0], made.outcome[0], made.time[0]
-        if outcomes[k] != Outcome.STRIDE:
-            break
-    return Walk(*map(jnp.asarray, (states, outcomes, times)))
+    return follow_walk(walker, x, n, tolerance)
 
 
 @partial(jax.jit, static_argnums=2)
@@ -631,17 +572,16 @@ def trajectory(
         steps = np.diff(listed, prepend=0.0)
         if listed.size == 0 or not (np.isfinite(steps) & (steps >= 0)).all():
             raise WrongUse(f"times must be finite, not negative and not decrease, unlike {times}")
-    if kernel_serves(walker, x, times, tolerance):
-        shared = jax.tree.map(np.asarray, (walker, x, tolerance))
-        return jax.tree.map(jnp.asarray, over_cells(state_after, shared, np.asarray(times)))
-    return follow_motion(walker, x, times, tolerance)
+    return jax.vmap(state_after, (None, None, 0, None))(walker, x, times, tolerance)
 
 
-def state_after(shared: tuple[Walker, Float[Array, " coordinates"], Scalar], time: Scalar) -> State:
+@by_kernel
+def state_after(
+    walker: Walker, x: Float[Array, " coordinates"], time: Scalar, tolerance: Scalar
+) -> State:
     """The state a time after the start of a stride."""
-    walker, x, tolerance = shared
     start, field = full_state(walker, x), equations(walker)
-    structure, order = jax.tree.structure(start), order_of(field, start)
+    order = order_of(start)
 
     def unfinished(carry):
         _, clock, count = carry
@@ -650,44 +590,16 @@ def state_after(shared: tuple[Walker, Float[Array, " coordinates"], Scalar], tim
     def advance(carry):
         now, clock, count = carry
 
-        def take_step():
-            series, longest = taylor_step(field, unpacked(now, structure), order, tolerance)
-            length = jnp.minimum(longest, time - clock)
-            return [*interleaved(polynomial(series, length)), length]
-
-        *after, length = once(take_step)
+        series, longest = taylor_step(field, now, order, tolerance)
+        length = jnp.minimum(longest, time - clock)
         # to the end without rounding, or a step of no length would follow
         clock = jnp.where(length < time - clock, clock + length, time)
-        return paired(after), clock, count + 1
+        return polynomial(series, length), clock, count + 1
 
-    carry = packed(start), jnp.zeros_like(time), jnp.asarray(0)
+    carry = start, jnp.zeros_like(time), jnp.asarray(0)
     state, clock, _ = lax.while_loop(unfinished, advance, carry)
     arrived = lambda value: jnp.where(clock >= time, value, jnp.nan)
-    return jax.tree.map(arrived, unpacked(state, structure))
-
-
-@jax.jit
-def follow_motion(
-    walker: Walker,
-    x: Float[Array, " coordinates"],
-    times: Float[Array, " times"],
-    tolerance: Float[Array, ""],
-) -> State:
-    # The explicit equations of a multibody system are long: no high order of them.
-    general = isinstance(walker, MultibodyWalker)
-    solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(lambda t, state, args: walker.vector_field(state)),
-        diffrax.Dopri8() if general else Taylor(ORDER[x.dtype]),
-        t0=jnp.zeros((), x.dtype),
-        t1=times[-1],
-        dt0=None,
-        y0=full_state(walker, x),
-        saveat=diffrax.SaveAt(ts=times),
-        stepsize_controller=diffrax.PIDController(rtol=tolerance, atol=tolerance),
-        adjoint=diffrax.ForwardMode(),
-    )
-    assert isinstance(solution.ys, State)
-    return solution.ys
+    return jax.tree.map(arrived, state)
 
 
 def as_floating(x: Any, name: str = "x") -> Float[Array, "..."]:

@@ -11,7 +11,6 @@ import math
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from typing import Any
 
 import jax
@@ -24,7 +23,7 @@ from jaxtyping import Int, PyTree
 from rich.progress import Progress
 
 from walker_jax.checks import WrongUse
-from walker_jax.kernels import Kernel, UnsupportedPrimitive
+from walker_jax.kernels.primitive import Program, program_of
 from walker_jax.progress import console
 
 # Cells in a tile, and tiles in a call: a call should take much longer than it takes to make.
@@ -43,41 +42,54 @@ COMPILER_OPTIONS = {
 }
 
 
-def over_cells(
-    function: Callable[[Any, PyTree], PyTree],
-    shared: PyTree,
-    cells: PyTree,
+def map_cells(
+    function: Callable[..., PyTree],
+    args: tuple[PyTree, ...],
+    mapped: tuple[bool, ...] = (False, True),
     *,
     progress: str | None = None,
 ) -> PyTree[np.ndarray]:
-    """function(shared, cell) for every cell, on all devices of the process and all cores of a CPU.
+    """function(*args) for every cell, on all devices of the process and all cores of a CPU.
 
     **Arguments:**
 
-    - `function`: of what the cells share and of one cell. It is compiled once for a function and
-      for shapes, so give one defined at the top of a module, not a new closure each time.
-    - `shared`: a PyTree, the same for all cells.
-    - `cells`: a PyTree of arrays with the cells along their first axis, any number of them.
+    - `function`: of one cell. It is compiled once for a function and for shapes, so give one
+      defined at the top of a module, not a new closure each time.
+    - `args`: PyTrees of arrays.
+    - `mapped`: for each of them, whether it has the cells along the first axis of its arrays, any
+      number of them; others are the same for all cells. By default the second of two.
       An interrupt waits for the cells that are being worked on.
       Neighbours are worked on together: cells that take equally long should be neighbours.
     - `progress`: what to call the work in a progress bar, shown on a terminal only.
 
     **Returns** a PyTree of NumPy arrays with the cells along their first axis.
     """
-    cells = jax.tree.map(np.asarray, cells)
-    sizes = {leaf.shape[0] for leaf in jax.tree.leaves(cells)}
+    pairs = list(zip(args, mapped, strict=True))
+    args = tuple(jax.tree.map(np.asarray, arg) if each else arg for arg, each in pairs)
+    sizes = {
+        leaf.shape[0]
+        for arg, each in zip(args, mapped, strict=True)
+        for leaf in (jax.tree.leaves(arg) if each else ())
+    }
     if len(sizes) != 1:
         raise WrongUse(f"cells must hold arrays of one length, not of {sorted(sizes)}")
     (n,) = sizes
     devices = jax.local_devices()
     platform = devices[0].platform
-    kernel = _kernel(function, shared, cells) if platform == "cpu" else None
-    if kernel is not None:
-        return _by_kernel(kernel, shared, cells, n, progress)
+    if platform == "cpu":
+        operands, structure = jax.tree.flatten(args)
+        each = [each for arg, each in pairs for _ in jax.tree.leaves(arg)]
+        avals = [_described(x, one) for x, one in zip(operands, each, strict=True)]
+        program, results = program_of(function, structure, avals)
+        if program.kernel is not None:
+            found = _by_kernel(program, operands, each, n, progress)
+            return jax.tree.unflatten(results, found)
     few = platform == "cpu" and n <= math.prod(FEW)
     tile, tiles = FEW if few else TILE.get(platform, TILE["gpu"])
     call = tile * tiles * len(devices)
-    run = _compiled(function, platform, tile, tiles)
+    run = _compiled(function, mapped, platform, tile, tiles)
+    shared = [arg for arg, each in pairs if not each]
+    cells = [arg for arg, each in zip(args, mapped, strict=True) if each]
 
     def work(start: int, stop: int) -> PyTree[np.ndarray]:
         """The results of at most one call, in which each device has an equal share of the cells."""
@@ -125,7 +137,7 @@ _limit: int | None = None
 
 
 def limit_cores(most: int | None) -> None:
-    """Let `over_cells` use no more cores of a CPU than so many, in this process."""
+    """Let `map_cells` use no more cores of a CPU than so many, in this process."""
     global _limit
     _limit = most
 
@@ -137,10 +149,11 @@ def cores() -> int:
 
 
 def _by_kernel(
-    kernel: Kernel, shared: PyTree, cells: PyTree, n: int, progress: str | None
-) -> PyTree[np.ndarray]:
+    program: Program, operands: list, mapped: list[bool], n: int, progress: str | None
+) -> list[np.ndarray]:
     """The cells' results by a kernel, on all cores."""
-    run, results = kernel.bind(shared, cells, n)
+    assert program.kernel is not None
+    run, results = program.kernel.bind(operands, mapped, n)
     workers = cores()
     least, most = PIECE
     # Several for each core, so that all end at about the same time.
@@ -152,39 +165,16 @@ def _by_kernel(
     return results
 
 
-_kernels: dict = {}
-MODES = "jax_enable_x64", "jax_numpy_dtype_promotion"
-"""Settings of JAX on which it depends what a function does."""
-
-
-def _kernel(function: Callable, shared: PyTree, cells: PyTree) -> Kernel | None:
-    """The kernel of a function, None where it holds what no kernel can do."""
-    leaves = [_described(leaf, 0) for leaf in jax.tree.leaves(shared)]
-    each = [_described(leaf, 1) for leaf in jax.tree.leaves(cells)]
-    structures = jax.tree.structure(shared), jax.tree.structure(cells)
-    described = ((leaf.shape, leaf.dtype, leaf.weak_type) for leaf in (*leaves, *each))
-    modes = tuple(getattr(jax.config, mode) for mode in MODES)
-    key = function, structures, modes, *described
-    if key not in _kernels:
-        try:
-            _kernels[key] = Kernel(
-                function,
-                jax.tree.unflatten(structures[0], leaves),
-                jax.tree.unflatten(structures[1], each),
-            )
-        except UnsupportedPrimitive:
-            _kernels[key] = None
-    return _kernels[key]
-
-
-def _described(leaf: Any, drop: int) -> jax.ShapeDtypeStruct:
-    """Type of a leaf, and its shape without so many of the first axes."""
+def _described(leaf: Any, each: bool) -> jax.ShapeDtypeStruct:
+    """Type of a leaf, and its shape in one cell."""
     plain = type(leaf) in (bool, int, float, complex)
     dtype = jax.dtypes.canonicalize_dtype(
         type(leaf) if plain else leaf.dtype, allow_extended_dtype=True
     )
     weak = plain or getattr(leaf, "weak_type", False)
-    return jax.ShapeDtypeStruct(np.shape(leaf)[drop:], dtype, weak_type=weak)
+    return jax.ShapeDtypeStruct(
+        np.shape(leaf)[1:] if each else np.shape(leaf), dtype, weak_type=weak
+    )
 
 
 def _filled(values: np.ndarray, size: int) -> np.ndarray:
@@ -198,14 +188,21 @@ def _filled(values: np.ndarray, size: int) -> np.ndarray:
 _cache: dict = {}
 
 
-def _compiled(function: Callable, platform: str, tile: int, tiles: int) -> Callable:
+def _compiled(
+    function: Callable, mapped: tuple[bool, ...], platform: str, tile: int, tiles: int
+) -> Callable:
     """The jitted function of (shared, cells of one call, how many tiles each device does of it)."""
-    key = function, platform, tile, tiles
+    key = function, mapped, platform, tile, tiles
     if key not in _cache:
 
         def run(shared, cells, count):
             blocks = jax.tree.map(lambda leaf: leaf.reshape(tiles, tile, *leaf.shape[1:]), cells)
-            one = jax.vmap(partial(function, shared))
+
+            def of_cell(cell):
+                parts = {True: iter(cell), False: iter(shared)}
+                return function(*(next(parts[each]) for each in mapped))
+
+            one = jax.vmap(of_cell)
             like = jax.eval_shape(one, jax.tree.map(lambda leaf: leaf[0], blocks))
             empty = jax.tree.map(lambda leaf: jnp.zeros((tiles, *leaf.shape), leaf.dtype), like)
 
@@ -226,7 +223,7 @@ def _compiled(function: Callable, platform: str, tile: int, tiles: int) -> Calla
 
 
 def order_of_cells(shape: tuple[int, ...]) -> Int[np.ndarray, " n"]:
-    """Flat indices of a grid's cells, in the order in which to give them to `over_cells`."""
+    """Flat indices of a grid's cells, in the order in which to give them to `map_cells`."""
     if jax.local_devices()[0].platform != "cpu":
         return compact_order(shape)
     size = math.prod(shape)

@@ -14,7 +14,8 @@ that are computed, and types of 16 bits have no kernel. Programs are compiled fo
 hand, and kept on disk (`object_cache`).
 """
 
-from walker_jax.kernels.kernel import Kernel, tracing_for_kernel
+from walker_jax.kernels.kernel import Kernel
+from walker_jax.kernels.primitive import by_kernel, kernel_p, tracing_for_kernel
 from walker_jax.kernels.rules import UnsupportedPrimitive
 
-__all__ = ["Kernel", "UnsupportedPrimitive", "tracing_for_kernel"]
+__all__ = ["Kernel", "UnsupportedPrimitive", "by_kernel", "kernel_p", "tracing_for_kernel"]

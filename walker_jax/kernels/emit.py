@@ -1,15 +1,18 @@
 """A jaxpr of one cell as a program for LLVM, whose every number is a vector, one for each cell."""
 
 import contextlib
+import inspect
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any, no_type_check
 
 import jax
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, Primitive
+from jax.extend.core import ClosedJaxpr, Primitive
 from llvmlite import ir
 
+from walker_jax.kernels import control, indexing
 from walker_jax.kernels.jaxprs import CALLS_WITH_DERIVATIVES
 from walker_jax.kernels.rules import (
     FAST,
@@ -21,6 +24,7 @@ from walker_jax.kernels.rules import (
     is_floating,
 )
 from walker_jax.kernels.scalars import Unrolling, is_number
+from walker_jax.kernels.substitutes import SUBSTITUTES
 
 BITS = 512
 """Of a vector; LLVM makes shorter ones of it where the processor has no such."""
@@ -28,16 +32,9 @@ BITS = 512
 FLOATS = {np.dtype(np.float32): ir.FloatType(), np.dtype(np.float64): ir.DoubleType()}
 
 
-class Complex:
-    """A complex entry, of two real ones."""
-
-    def __init__(self, real, imag):
-        self.real, self.imag = real, imag
-
-
 @no_type_check  # as its base
 class LLVMEmitter(Unrolling):
-    """A jaxpr written as LLVM instructions: an entry is a number, a vector of one, or `Complex`."""
+    """A jaxpr written as LLVM instructions: an entry is a number, or a vector of one."""
 
     def __init__(self, builder: ir.IRBuilder, lanes: int):
         super().__init__()
@@ -45,6 +42,10 @@ class LLVMEmitter(Unrolling):
         self.lanes = lanes
         self.active: Any = None
         """Which lanes are at work, where not all are."""
+        self.functions: dict[int, tuple] = {}
+        """Of equations, by identity: with the function that each stands for."""
+        self.alternatives: dict[int, tuple] = {}
+        """Entries that are one of two numbers, by identity: with the flag, and the numbers."""
 
     # Types and constants.
 
@@ -115,19 +116,13 @@ class LLVMEmitter(Unrolling):
     def split(self, value) -> np.ndarray:
         if isinstance(value, jax.Array):
             value = np.asarray(value)
-        if np.iscomplexobj(value):
-            entries = np.empty(np.shape(value), object)
-            for place in np.ndindex(entries.shape):
-                number = complex(value[place])
-                entries[place] = Complex(number.real, number.imag)
-            return entries
         return super().split(value)
 
     def evaluate(self, primitive: Primitive, params: dict, operands: list, dtypes: list) -> Any:
         if all(map(is_number, operands)):
             return super().evaluate(primitive, params, operands, dtypes)
         rule = RULES.get(primitive.name)
-        if rule is None or any(isinstance(operand, Complex) for operand in operands):
+        if rule is None:
             raise UnsupportedPrimitive(primitive.name)
         vectors = [self.vector(x, dtype) for x, dtype in zip(operands, dtypes, strict=True)]
         return rule(self, params, dtypes, *vectors)
@@ -136,32 +131,42 @@ class LLVMEmitter(Unrolling):
         name = primitive.name
         if name == "select_n" and is_number(operands[0]):
             return operands[1 + int(operands[0])]
-        if name in ("select_n", "stop_gradient", "convert_element_type", "copy", "copy_p") and any(
-            isinstance(operand, Complex) for operand in operands
-        ):
-            part = lambda which: [getattr(o, which, o) for o in operands]
-            real = np.dtype(np.float32 if dtypes[-1] == np.complex64 else np.float64)
-            dtypes = [real if np.dtype(d).kind == "c" else d for d in dtypes]
-            parts = (self.term(primitive, params, part(p), dtypes) for p in ("real", "imag"))
-            return Complex(*parts)
         if name == "stop_gradient":
             return operands[0]
-        return super().term(primitive, params, operands, dtypes)
+        result = super().term(primitive, params, operands, dtypes)
+        if name == "select_n" and all(map(is_number, operands[1:])) and len(operands) == 3:
+            self.alternatives[id(result)] = (result, *operands)
+        return result
 
     def keep(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
-        if all(is_number(entry) for operand in operands for entry in operand.ravel()):
+        primitive = equation.primitive
+        if primitive.name.endswith("callback"):  # nothing of it happens while programs are written
+            raise UnsupportedPrimitive(primitive.name)
+        if primitive.name != "cond" and all(
+            is_number(entry) for operand in operands for entry in operand.ravel()
+        ):
             with contextlib.suppress(TypeError):  # a key to random numbers, which has no digits
                 return super().keep(equation, operands)
-        raise UnsupportedPrimitive(equation.primitive.name)
+        if primitive.name in OF_ARRAYS:
+            return OF_ARRAYS[primitive.name](self, equation, operands)
+        inner = self.inner(equation)
+        if inner is None:
+            raise UnsupportedPrimitive(primitive.name)
+        return self.interpret(inner, operands)
 
-    def parts(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
-        """A complex number of its parts, or one of these."""
-        name = equation.primitive.name
-        result = np.empty(equation.outvars[0].aval.shape, object)
-        for place in np.ndindex(*result.shape):
-            entries = [operand[place] for operand in operands]
-            result[place] = Complex(*entries) if name == "complex" else getattr(entries[0], name)
-        return [result]
+    def inner(self, equation) -> ClosedJaxpr | None:
+        """The function that an equation stands for, if it stands for one."""
+        primitive, params = equation.primitive, equation.params
+        if primitive.name in SUBSTITUTES:
+            function = SUBSTITUTES[primitive.name](params)
+        elif implemented_in_jax(primitive):
+            function = partial(primitive.impl, **params)
+        else:
+            return None
+        if id(equation) not in self.functions:
+            closed = jax.make_jaxpr(function)(*avals_of(equation.invars))
+            self.functions[id(equation)] = equation, closed
+        return self.functions[id(equation)][1]
 
     def reduce(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
         (operand,), axes, like = operands, equation.params["axes"], equation.outvars[0].aval
@@ -177,105 +182,20 @@ class LLVMEmitter(Unrolling):
             result[place] = first
         return [result]
 
-    # Loops.
-
-    def loop(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
-        """A while loop. Lanes that have ended keep their values until the last one has."""
-        params = equation.params
-        condition, body = params["cond_jaxpr"], params["body_jaxpr"]
-        count, more = params["cond_nconsts"], params["body_nconsts"]
-        of_condition, of_body = operands[:count], operands[count : count + more]
-        carry = operands[count + more :]
-
-        if runs_once(condition.jaxpr, body.jaxpr, carry, count, more):
-            return self.interpret(body, [*of_body, *carry])
-
-        avals = [variable.aval for variable in body.jaxpr.outvars]
-        flat, kinds = self.flattened(carry, avals)
-        initial = [self.vector(x, dtype) for x, dtype in zip(flat, kinds, strict=True)]
-        builder = self.builder
-        before = builder.block
-        head = builder.append_basic_block("head")
-        turn = builder.append_basic_block("turn")
-        done = builder.append_basic_block("done")
-        builder.branch(head)
-        builder.position_at_end(head)
-        phis = [builder.phi(value.type) for value in initial]
-        for phi, value in zip(phis, initial, strict=True):
-            phi.add_incoming(value, before)
-
-        known, lanes = len(self.known), self.active
-        values = self.gathered(phis, avals)
-        ((going,),) = map(np.ravel, self.interpret(condition, [*of_condition, *values]))
-        going = self.vector(going, bool)
-        if lanes is not None:
-            going = builder.and_(going, lanes)
-        bits = builder.bitcast(going, ir.IntType(self.lanes))
-        builder.cbranch(
-            builder.icmp_unsigned("!=", bits, ir.Constant(ir.IntType(self.lanes), 0)), turn, done
-        )
-
-        builder.position_at_end(turn)
-        self.active = going
-        results, _ = self.flattened(self.interpret(body, [*of_body, *values]), avals)
-        for phi, result, dtype in zip(phis, results, kinds, strict=True):
-            new = builder.select(going, self.vector(result, dtype), phi)
-            phi.add_incoming(new, builder.block)
-        builder.branch(head)
-        builder.position_at_end(done)
-        self.active = lanes
-        while len(self.known) > known:  # of what came before or after a loop, none is from inside
-            self.known.popitem()
-        return self.gathered(phis, avals)
-
-    def choice(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
-        """One of several functions: all are computed, unless it is known which is wanted."""
-        branches, (which, *inputs) = equation.params["branches"], operands
-        index = which[()]
-        if is_number(index):
-            branches = [branches[min(max(int(index), 0), len(branches) - 1)]]
-        results, lanes = [], self.active
-        avals = [variable.aval for variable in branches[0].jaxpr.outvars]
-        for i, branch in enumerate(branches):
-            if len(branches) > 1:
-                mine = self.builder.icmp_signed("==", index, self.vector(i, np.int32))
-                self.active = mine if lanes is None else self.builder.and_(mine, lanes)
-            results.append(self.flattened(self.interpret(branch, inputs), avals))
-        self.active = lanes
-        chosen, kinds = results[-1]
-        for i, (entries, _) in reversed(list(enumerate(results[:-1]))):
-            before = self.builder.icmp_signed("<=", index, self.vector(i, np.int32))
-            chosen = [
-                self.builder.select(before, self.vector(one, dtype), self.vector(other, dtype))
-                for one, other, dtype in zip(entries, chosen, kinds, strict=True)
-            ]
-        return self.gathered(chosen, avals)
+    # Arrays and entries.
 
     def flattened(self, arrays: list[np.ndarray], avals) -> tuple[list, list]:
-        """All entries of arrays, complex ones as two, and their types."""
-        flat, kinds = [], []
-        for array, aval in zip(arrays, avals, strict=True):
-            for entry in array.ravel():
-                if isinstance(entry, Complex):
-                    flat += [entry.real, entry.imag]
-                    kinds += [np.finfo(aval.dtype).dtype] * 2
-                else:
-                    flat.append(entry)
-                    kinds.append(aval.dtype)
-        return flat, kinds
+        """All entries of arrays, and their types."""
+        entries = [entry for array in arrays for entry in array.ravel()]
+        return entries, [aval.dtype for aval in avals for _ in range(math.prod(aval.shape))]
 
     def gathered(self, flat: list, avals) -> list[np.ndarray]:
         """The arrays of such a list."""
         remaining = iter(flat)
-        arrays = []
-        for aval in avals:
-            result = np.empty(aval.shape, object)
-            for place in np.ndindex(aval.shape):
-                pair = np.dtype(aval.dtype).kind == "c"
-                result[place] = (
-                    Complex(next(remaining), next(remaining)) if pair else next(remaining)
-                )
-            arrays.append(result)
+        arrays = [np.empty(aval.shape, object) for aval in avals]
+        for array in arrays:
+            for place in np.ndindex(array.shape):
+                array[place] = next(remaining)
         return arrays
 
     def inline(self, function: Callable, *vectors: Any, dtype) -> Any:
@@ -291,43 +211,61 @@ class LLVMEmitter(Unrolling):
         return self.vector(result[()], dtype)
 
 
+def custom_linear_solve(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
+    """As its author solves it."""
+    lengths, jaxprs = equation.params["const_lengths"], equation.params["jaxprs"]
+    first = lengths.matvec + lengths.vecmat
+    inputs = [*operands[first : first + lengths.solve], *operands[sum(lengths) :]]
+    return emitter.interpret(jaxprs.solve, inputs)
+
+
+OF_ARRAYS: dict[str, Callable] = {
+    "while": control.loop,
+    "cond": control.choice,
+    "custom_linear_solve": custom_linear_solve,
+    "dynamic_slice": indexing.dynamic_slice,
+    "dynamic_update_slice": indexing.dynamic_update_slice,
+    "gather": indexing.gather,
+    **dict.fromkeys(indexing.COMBINATIONS, indexing.scatter),
+}
+"""Rules of primitives of whole arrays: (emitter, equation, operands) -> results."""
+
+
+def implemented_in_jax(primitive: Primitive) -> bool:
+    """Whether a primitive is not one of JAX's own: then its implementation is a JAX function.
+
+    Equinox and lineax have such, which say what a function of one cell is under transformations.
+    """
+    return inspect.isfunction(primitive.impl) and not primitive.impl.__module__.startswith("jax.")
+
+
+def avals_of(variables) -> list[jax.ShapeDtypeStruct]:
+    return [
+        jax.ShapeDtypeStruct(aval.shape, aval.dtype, weak_type=aval.weak_type)
+        for aval in (variable.aval for variable in variables)
+    ]
+
+
 LLVMEmitter.rules = {
     **Unrolling.rules,
     **CALLS_WITH_DERIVATIVES,
-    **dict.fromkeys(("complex", "real", "imag"), LLVMEmitter.parts),
     **dict.fromkeys(REDUCTIONS, LLVMEmitter.reduce),
-    "cond": LLVMEmitter.choice,
-    "while": LLVMEmitter.loop,
 }
 
 
-def runs_once(condition: Jaxpr, body: Jaxpr, carry: list, count: int, more: int) -> bool:
-    """Whether a loop is one of a single turn, whose condition hangs on a flag that the body sets.
+def emit(closed: ClosedJaxpr, operands: list, results: list) -> str:
+    """A program of results[start:stop]: void kernel(start, stop, addresses, strides).
 
-    That is how `integrate.once` keeps XLA from computing its results several times.
+    The addresses are of the arrays of the operands, then of those of the results. The entries of an
+    operand are as far apart from cell to cell as its stride says, 0 for one that cells share.
     """
-    if count or len(condition.eqns) != 1 or condition.eqns[0].primitive.name != "not":
-        return False
-    (flag,) = condition.eqns[0].invars
-    if condition.outvars[0] is not condition.eqns[0].outvars[0] or flag not in condition.invars:
-        return False
-    place = condition.invars.index(flag)
-    first, last = carry[place][()], body.outvars[place]
-    return is_number(first) and not first and isinstance(last, Literal) and bool(last.val)
-
-
-def emit(closed: ClosedJaxpr, shared: list, cell: list, results: list) -> str:
-    """A program that computes results[start:stop]: void kernel(start, stop, addresses).
-
-    The addresses are of the arrays that cells share, then of those of cells and of results.
-    """
-    floats = [dtype.itemsize for _, dtype in (*cell, *results) if is_floating(dtype)]
+    floats = [dtype.itemsize for _, dtype in (*operands, *results) if is_floating(dtype)]
     lanes = BITS // 8 // max(floats, default=8)
     module = ir.Module("kernel")
     number, pointer = ir.IntType(64), ir.IntType(8).as_pointer()
-    kind = ir.FunctionType(ir.VoidType(), [number, number, pointer.as_pointer()])
-    function = ir.Function(module, kind, "kernel")
-    start, stop, addresses = function.args
+    arguments = [number, number, pointer.as_pointer(), number.as_pointer()]
+    function = ir.Function(module, ir.FunctionType(ir.VoidType(), arguments), "kernel")
+    start, stop, addresses, strides = function.args
     before, head, turn, done = map(function.append_basic_block, ("before", "head", "turn", "done"))
     builder = ir.IRBuilder(before)
     emitter = LLVMEmitter(builder, lanes)
@@ -341,28 +279,8 @@ def emit(closed: ClosedJaxpr, shared: list, cell: list, results: list) -> str:
         address = builder.load(builder.gep(addresses, [long(i)]))
         return builder.bitcast(address, in_memory(dtype).as_pointer())
 
-    arrays = [array_at(i, dtype) for i, (_, dtype) in enumerate((*shared, *cell, *results))]
-    of_shared = arrays[: len(shared)]
-    of_cells = arrays[len(shared) : len(shared) + len(cell)]
-
-    def load(array, places: list, dtype):
-        """A vector of what stands at each lane's place of an array."""
-        vector = ir.Constant(ir.VectorType(in_memory(dtype), lanes), ir.Undefined)
-        for i, place in enumerate(places):
-            value = builder.load(builder.gep(array, [place]))
-            vector = builder.insert_element(vector, value, lane(i))
-        return builder.trunc(vector, emitter.type(dtype)) if dtype.kind == "b" else vector
-
-    def entries(array, shape, dtype, places_of: Callable[[int], list]):
-        values = np.empty(shape, object)
-        for i, place in enumerate(np.ndindex(*shape)):
-            values[place] = load(array, places_of(i), dtype)
-        return values
-
-    constants = [
-        entries(array, shape, dtype, lambda i: [long(i)] * lanes)
-        for array, (shape, dtype) in zip(of_shared, shared, strict=True)
-    ]
+    arrays = [array_at(i, dtype) for i, (_, dtype) in enumerate((*operands, *results))]
+    steps = [builder.load(builder.gep(strides, [long(i)])) for i in range(len(operands))]
     last = builder.sub(stop, long(1))
     builder.branch(head)
 
@@ -378,24 +296,36 @@ def emit(closed: ClosedJaxpr, shared: list, cell: list, results: list) -> str:
         mine = builder.add(first, long(i))
         cells.append(builder.select(builder.icmp_signed("<", mine, last), mine, last))
 
-    def places_in(shape) -> Callable[[int], list]:
-        size = math.prod(shape)
-        return lambda i: [builder.add(builder.mul(one, long(size)), long(i)) for one in cells]
+    def loaded(array, step, shape, dtype) -> np.ndarray:
+        """The entries of an operand, each a vector of what stands at the place of each lane."""
+        begins = [builder.mul(cell, step) for cell in cells]
+        values = np.empty(shape, object)
+        for i, place in enumerate(np.ndindex(*shape)):
+            vector = ir.Constant(ir.VectorType(in_memory(dtype), lanes), ir.Undefined)
+            for j, begin in enumerate(begins):
+                value = builder.load(builder.gep(array, [builder.add(begin, long(i))]))
+                vector = builder.insert_element(vector, value, lane(j))
+            if dtype.kind == "b":
+                vector = builder.trunc(vector, emitter.type(dtype))
+            values[place] = vector
+        return values
 
     inputs = [
-        entries(array, shape, dtype, places_in(shape))
-        for array, (shape, dtype) in zip(of_cells, cell, strict=True)
+        loaded(array, step, shape, dtype)
+        for array, step, (shape, dtype) in zip(arrays, steps, operands, strict=False)
     ]
-    outputs = emitter.interpret(closed, constants + inputs)
-    ends = zip(arrays[len(arrays) - len(results) :], outputs, results, strict=True)
-    for array, output, (shape, dtype) in ends:
+    outputs = emitter.interpret(closed, inputs)
+    for array, output, (shape, dtype) in zip(
+        arrays[len(operands) :], outputs, results, strict=True
+    ):
+        begins = [builder.mul(cell, long(math.prod(shape))) for cell in cells]
         for i, place in enumerate(np.ndindex(*shape)):
             vector = emitter.vector(output[place], dtype)
             if dtype.kind == "b":
                 vector = builder.zext(vector, ir.VectorType(in_memory(dtype), lanes))
-            for j, where in enumerate(places_in(shape)(i)):
+            for j, begin in enumerate(begins):
                 value = builder.extract_element(vector, lane(j))
-                builder.store(value, builder.gep(array, [where]))
+                builder.store(value, builder.gep(array, [builder.add(begin, long(i))]))
     first.add_incoming(builder.add(first, long(lanes)), builder.block)
     builder.branch(head)
     builder.position_at_end(done)

@@ -36,10 +36,14 @@ class Interpreter(abc.ABC):
             return self.constant(variable.val) if known else values[variable]
 
         for equation in jaxpr.eqns:
-            rule = self.rules.get(equation.primitive.name, type(self).keep)
-            results = rule(self, equation, [read(variable) for variable in equation.invars])
+            results = self.apply(equation, [read(variable) for variable in equation.invars])
             values |= zip(equation.outvars, results, strict=True)
         return [read(variable) for variable in jaxpr.outvars]
+
+    def apply(self, equation: JaxprEqn, operands: list) -> list:
+        """The results of an equation."""
+        rule = self.rules.get(equation.primitive.name, type(self).keep)
+        return rule(self, equation, operands)
 
 
 def enter(interpreter: Interpreter, equation: JaxprEqn, operands: list) -> list:

@@ -1,66 +1,72 @@
-"""A JAX function of one cell, compile_program for arrays of cells."""
+"""A jaxpr of one cell, compiled for arrays of cells."""
 
 import ctypes
 import gc
+import hashlib
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import contextmanager
 
 import jax
 import numpy as np
-from jaxtyping import PyTree
+from jax.extend.core import ClosedJaxpr
 
 from walker_jax.checks import WrongUse
 from walker_jax.kernels.emit import emit
-from walker_jax.kernels.machine import compile_program
+from walker_jax.kernels.machine import load_program
 from walker_jax.kernels.rules import UnsupportedPrimitive
 
 LARGEST = 1000
-"""Numbers that go into a program, of what cells share and of one cell."""
-
-tracing_for_kernel = jax.make_user_context(False)
-"""Whether a function is traced for a kernel, and so may be longer than XLA has it."""
+"""Numbers that go into a program, all operands of one cell together."""
 
 
 class Kernel:
-    """A compile_program function of (shared, cell), for arrays of cells."""
+    """A compiled function of some operands, for arrays of cells."""
 
-    def __init__(self, function: Callable, shared: PyTree, cell: PyTree):
-        """Compile it for leaves of these shapes and types; may raise `UnsupportedPrimitive`."""
-        with without_garbage_collection():
-            self.compile(function, shared, cell)
-
-    def compile(self, function: Callable, shared: PyTree, cell: PyTree) -> None:
+    def __init__(self, closed: ClosedJaxpr):
+        """Compile it; `UnsupportedPrimitive` where that cannot be."""
         start = time.perf_counter()
-        with tracing_for_kernel(True):
-            closed, shapes = jax.make_jaxpr(function, return_shape=True)(shared, cell)
-        self.structure = jax.tree.structure(shapes)
-        avals = [variable.aval for variable in closed.jaxpr.invars]
-        split = len(jax.tree.leaves(shared))
-        if sum(math.prod(aval.shape) for aval in avals) > LARGEST:
+        described = lambda avals: [(aval.shape, np.dtype(aval.dtype)) for aval in avals]
+        self.operands, self.results = described(closed.in_avals), described(closed.out_avals)
+        if sum(math.prod(shape) for shape, _ in self.operands) > LARGEST:
             raise UnsupportedPrimitive(f"more than {LARGEST} numbers")
-        described = lambda leaves: [(leaf.shape, np.dtype(leaf.dtype)) for leaf in leaves]
-        self.shared, self.cell = described(avals[:split]), described(avals[split:])
-        self.results = described(jax.tree.leaves(shapes))
-        self.run = compile_program(emit(closed, self.shared, self.cell, self.results))
+        with without_garbage_collection():
+            source = emit(closed, self.operands, self.results)
+        self.digest = hashlib.sha256(source.encode()).hexdigest()
+        self.engine = load_program(source)
+        kind = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 2, *[ctypes.c_void_p] * 2)
+        self.run = kind(self.engine.get_function_address("kernel"))
+        self.target: str | None = None
+        """Its name as a custom call of XLA, once it has one."""
         seconds = time.perf_counter() - start
         jax.monitoring.record_event_duration_secs("/walker_jax/compile_kernel", seconds)
 
     def bind(
-        self, shared: PyTree, cells: PyTree, n: int
-    ) -> tuple[Callable[[int, int], None], PyTree[np.ndarray]]:
+        self, operands: Sequence, mapped: Sequence[bool], n: int
+    ) -> tuple[Callable[[int, int], None], list[np.ndarray]]:
         """A function that computes results[start:stop] of n cells, and the results, still empty.
 
-        It may run in several threads at once.
+        `mapped` says which operands have the cells along their first axis; others are shared. The
+        function may run in several threads at once.
         """
         results = [np.empty((n, *shape), dtype) for shape, dtype in self.results]
-        given = contiguous(shared, self.shared) + contiguous(cells, self.cell, n)
+        given = []
+        for value, each, (shape, dtype) in zip(operands, mapped, self.operands, strict=True):
+            array = np.ascontiguousarray(value, dtype)
+            if array.size != math.prod((n, *shape) if each else shape):
+                raise WrongUse(f"shape {array.shape} of an array must be {(n, *shape)}")
+            given.append(array)
         arrays = [*given, *results]
         pointers = (ctypes.c_void_p * len(arrays))(*(array.ctypes.data for array in arrays))
+        sizes = [
+            math.prod(shape) * bool(each)
+            for each, (shape, _) in zip(mapped, self.operands, strict=True)
+        ]
+        strides = (ctypes.c_int64 * len(sizes))(*sizes)
         # The arrays must live as long as it does.
-        compute = lambda start, stop, _=arrays: self.run(start, stop, pointers)
-        return compute, jax.tree.unflatten(self.structure, results)
+        compute = lambda start, stop, _=arrays: self.run(start, stop, pointers, strides)
+        return compute, results
 
 
 @contextmanager
@@ -73,13 +79,3 @@ def without_garbage_collection():
     finally:
         if enabled:
             gc.enable()
-
-
-def contiguous(tree: PyTree, like: list, *lead: int) -> list[np.ndarray]:
-    """The leaves of a tree as a kernel reads them: of these shapes and types, in C's order."""
-    pairs = zip(jax.tree.leaves(tree), like, strict=True)
-    arrays = [np.ascontiguousarray(leaf, dtype) for leaf, (_, dtype) in pairs]
-    for array, (shape, _) in zip(arrays, like, strict=True):
-        if array.size != math.prod((*lead, *shape)):
-            raise WrongUse(f"shape {array.shape} of an array must be {(*lead, *shape)}")
-    return arrays

@@ -1,9 +1,6 @@
 """Programs of LLVM as machine code for the processor at hand, compiled once and kept on disk."""
 
-import ctypes
 import hashlib
-from collections.abc import Callable
-from typing import Any
 
 import llvmlite
 import llvmlite.binding as llvm
@@ -14,8 +11,8 @@ LEVEL = 2
 """Of optimisation, as in `clang -O2`."""
 
 
-def compile_program(source: str) -> Callable[[int, int, Any], None]:
-    """The machine code of a program, for this processor."""
+def load_program(source: str) -> llvm.ExecutionEngine:
+    """What holds the machine code of a program, for this processor."""
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     triple, processor = llvm.get_process_triple(), llvm.get_host_cpu_name()
@@ -30,10 +27,7 @@ def compile_program(source: str) -> Callable[[int, int, Any], None]:
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
     engine.add_object_file(llvm.ObjectFileRef.from_data(code))
     engine.finalize_object()
-    kind = ctypes.CFUNCTYPE(None, ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p)
-    call = kind(engine.get_function_address("kernel"))
-    engines.append(engine)
-    return call
+    return engine
 
 
 def object_code(source: str, machine: llvm.TargetMachine) -> bytes:
@@ -44,7 +38,3 @@ def object_code(source: str, machine: llvm.TargetMachine) -> bytes:
     passes = llvm.create_pass_builder(machine, options)
     passes.getModulePassManager().run(module, passes)
     return machine.emit_object(module)
-
-
-engines: list = []
-"""What holds the machine code: it lasts as long as the process."""

@@ -11,6 +11,8 @@ import numpy as np
 from jax import lax
 from llvmlite import ir
 
+from walker_jax.kernels.powers import known_exponent, power_of_known
+
 
 class UnsupportedPrimitive(NotImplementedError):
     """A function holds a primitive or a type, which the error names, that no kernel can do."""
@@ -145,13 +147,26 @@ def power(emitter, params, dtypes, x, y):
     """x^y, where y may be of another type."""
     if dtypes[1] != dtypes[0]:
         y = conversion(emitter, {"new_dtype": dtypes[0]}, [dtypes[1]], y)
+    elif (exponent := known_exponent(y)) is not None:
+        if dtypes[0] == np.float64:
+            return power_of_known(emitter, x, exponent)
+        x = emitter.builder.fpext(x, emitter.type(np.float64))
+        return emitter.builder.fptrunc(
+            power_of_known(emitter, x, exponent), emitter.type(np.float32)
+        )
     return emitter.by_library("pow", dtypes[0], x, y)
 
 
 def selection(emitter, params, dtypes, which, *cases):
-    if np.dtype(dtypes[0]).kind != "b" or len(cases) != 2:
-        raise UnsupportedPrimitive("select_n")
-    return emitter.builder.select(which, cases[1], cases[0])
+    """The case of a number, or for a flag the second where it is true."""
+    builder = emitter.builder
+    if np.dtype(dtypes[0]).kind == "b":
+        return builder.select(which, cases[1], cases[0])
+    *others, chosen = cases
+    for i, case in reversed(list(enumerate(others))):
+        here = builder.icmp_signed("<=", which, emitter.vector(i, dtypes[0]))
+        chosen = builder.select(here, case, chosen)
+    return chosen
 
 
 def conversion(emitter, params, dtypes, x):
@@ -284,6 +299,25 @@ def exp_float32(x):
     return value * two_to(half) * two_to(n.astype(jnp.int32) - half)
 
 
+def next_after(x, y):
+    """The number of the type that follows x, towards y: its bits, counted as an integer."""
+    dtype = np.dtype(x.dtype)
+    integer = np.dtype(f"int{8 * dtype.itemsize}")
+    bits = lax.bitcast_convert_type(x, integer)
+    outwards = (y > x) == (x > 0)
+    moved = lax.bitcast_convert_type(bits + jnp.where(outwards, 1, -1).astype(integer), dtype)
+    least = jnp.asarray(np.finfo(dtype).smallest_subnormal, dtype)
+    moved = jnp.where(x == 0, jnp.where(y > x, least, -least), moved)
+    return jnp.where((x != x) | (y != y), x + y, jnp.where(x == y, y, moved))
+
+
+def in_terms_of_jax(function: Callable):
+    """A JAX function of scalars."""
+    return lambda emitter, params, dtypes, *operands: emitter.inline(
+        function, *operands, dtype=dtypes[0]
+    )
+
+
 REDUCTIONS = {
     "reduce_max": lax.max_p,
     "reduce_min": lax.min_p,
@@ -331,6 +365,8 @@ RULES: dict[str, Callable] = {
     "clamp": clamp,
     "convert_element_type": conversion,
     "bitcast_convert_type": bits,
+    "nextafter": in_terms_of_jax(next_after),
+    "logistic": in_terms_of_jax(lambda x: 1 / (1 + jnp.exp(-x))),
     "pow": power,
     "log": elementary("log", log_float32),
     "exp": elementary("exp", exp_float32),

@@ -1,0 +1,217 @@
+"""Loops and branches of which each lane takes its own turns.
+
+A loop whose number of turns is known before it begins, and small, is unrolled: what counts its
+turns is then known in each, and so are the indices and coefficients that hang on it. One that
+begins at either of two numbers, as the stages of a Runge-Kutta method do that may have the first
+from the step before, is unrolled for both. What is long, and wanted by no lane, is skipped.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import Any, no_type_check
+
+import numpy as np
+from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, subjaxprs
+from llvmlite import ir
+
+from walker_jax.kernels.scalars import is_number
+
+UNROLLED = 16
+"""Turns of a loop that is unrolled, at most: the stages of a Runge-Kutta method, and some more."""
+
+LONG = 20
+"""Equations of a branch that is worth a jump, at least."""
+
+
+@no_type_check  # as the emitter
+def loop(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
+    """A while loop. Lanes that have ended keep their values until the last one has."""
+    params, builder = equation.params, emitter.builder
+    condition, body = params["cond_jaxpr"], params["body_jaxpr"]
+    count, more = params["cond_nconsts"], params["body_nconsts"]
+    of_condition, of_body = operands[:count], operands[count : count + more]
+    carry = operands[count + more :]
+
+    turns = known_turns(emitter, condition, body, of_condition, of_body, carry)
+    if turns is not None:
+        for _ in range(turns):
+            carry = emitter.interpret(body, [*of_body, *carry])
+        return carry
+
+    avals = [variable.aval for variable in body.jaxpr.outvars]
+    for which, cases in starts_known_to_be_one_of_two(emitter, carry):
+        started = [case(carry) for case in cases]
+        turns = [
+            known_turns(emitter, condition, body, of_condition, of_body, start) for start in started
+        ]
+        if None not in turns:
+            flags = builder.not_(which), which
+            runs = [
+                lambda start=s: loop(emitter, equation, [*operands[: count + more], *start])
+                for s in started
+            ]
+            return joined(emitter, flags, runs, avals)
+
+    avals = [variable.aval for variable in body.jaxpr.outvars]
+    flat, kinds = emitter.flattened(carry, avals)
+    initial = [emitter.vector(x, dtype) for x, dtype in zip(flat, kinds, strict=True)]
+    before = builder.block
+    head = builder.append_basic_block("head")
+    turn = builder.append_basic_block("turn")
+    done = builder.append_basic_block("done")
+    builder.branch(head)
+    builder.position_at_end(head)
+    phis = [builder.phi(value.type) for value in initial]
+    for phi, value in zip(phis, initial, strict=True):
+        phi.add_incoming(value, before)
+
+    known, lanes = len(emitter.known), emitter.active
+    values = emitter.gathered(phis, avals)
+    ((going,),) = map(np.ravel, emitter.interpret(condition, [*of_condition, *values]))
+    going = emitter.vector(going, bool)
+    if lanes is not None:
+        going = builder.and_(going, lanes)
+    builder.cbranch(any_lane(emitter, going), turn, done)
+
+    builder.position_at_end(turn)
+    emitter.active = going
+    results, _ = emitter.flattened(emitter.interpret(body, [*of_body, *values]), avals)
+    for phi, result, dtype in zip(phis, results, kinds, strict=True):
+        new = builder.select(going, emitter.vector(result, dtype), phi)
+        phi.add_incoming(new, builder.block)
+    builder.branch(head)
+    builder.position_at_end(done)
+    emitter.active = lanes
+    forget(emitter, known)
+    return emitter.gathered(phis, avals)
+
+
+@no_type_check
+def any_lane(emitter, flags) -> Any:
+    bits = ir.IntType(emitter.lanes)
+    flags = emitter.builder.bitcast(flags, bits)
+    return emitter.builder.icmp_unsigned("!=", flags, ir.Constant(bits, 0))
+
+
+@no_type_check
+def forget(emitter, known: int) -> None:
+    """Of terms known to a block that may not have run, none is known behind it."""
+    while len(emitter.known) > known:
+        emitter.known.popitem()
+
+
+@no_type_check
+def known_turns(
+    emitter, condition: ClosedJaxpr, body: ClosedJaxpr, of_condition, of_body, carry
+) -> int | None:
+    """How many turns a loop takes, if what its condition hangs on is known in each, and few."""
+    for turn in range(UNROLLED + 1):
+        (going,) = known_part(emitter, condition, [*of_condition, *carry])
+        if going is None:
+            return None
+        if not going[()]:
+            return turn
+        carry = known_part(emitter, body, [*of_body, *carry])
+    return None
+
+
+@no_type_check
+def known_part(emitter, closed: ClosedJaxpr, inputs: list) -> list:
+    """Those results of a function that are numbers, of inputs that are; None for all others."""
+    known = lambda x: x is not None and all(map(is_number, x.ravel()))
+    values: dict = dict(zip(closed.jaxpr.constvars, map(emitter.split, closed.consts), strict=True))
+    values |= zip(closed.jaxpr.invars, inputs, strict=True)
+    read = lambda v: emitter.split(np.asarray(v.val)) if isinstance(v, Literal) else values[v]
+    for equation in closed.jaxpr.eqns:
+        operands = [read(variable) for variable in equation.invars]
+        if all(map(known, operands)):
+            results = emitter.apply(equation, operands)
+        elif (inner := emitter.inner(equation)) is not None:
+            results = known_part(emitter, inner, operands)
+        else:
+            results = [None] * len(equation.outvars)
+        values |= zip(equation.outvars, results, strict=True)
+    results = map(read, closed.jaxpr.outvars)
+    return [result if known(result) else None for result in results]
+
+
+@no_type_check
+def starts_known_to_be_one_of_two(emitter, carry: list[np.ndarray]) -> Iterator:
+    """Flags that choose an entry of the carry between two numbers; the carry with either."""
+
+    def replaced(entry, number):
+        def case(carry):
+            new = [array.copy() for array in carry]
+            for array in new:
+                for place in np.ndindex(array.shape):
+                    array[place] = number if array[place] is entry else array[place]
+            return new
+
+        return case
+
+    for entry in (array[()] for array in carry if array.shape == ()):
+        if id(entry) in emitter.alternatives:
+            _, which, *numbers = emitter.alternatives[id(entry)]
+            yield which, [replaced(entry, number) for number in numbers]
+
+
+@no_type_check
+def choice(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
+    """One of several functions: that of a known index, or for each lane its own."""
+    branches, (which, *inputs) = equation.params["branches"], operands
+    builder, index, last = emitter.builder, which[()], len(branches) - 1
+    if is_number(index) or last == 0:
+        return emitter.interpret(branches[min(max(int(index), 0), last) if last else 0], inputs)
+    avals = [variable.aval for variable in branches[0].jaxpr.outvars]
+    number = lambda i: emitter.vector(i, np.int32)
+    compared = ["<=", *["=="] * (last - 1), ">="]
+    flags = [builder.icmp_signed(sign, index, number(i)) for i, sign in enumerate(compared)]
+    runs = [lambda branch=branch: emitter.interpret(branch, inputs) for branch in branches]
+    jumps = [length(branch.jaxpr) >= LONG for branch in branches]
+    return joined(emitter, flags, runs, avals, jumps)
+
+
+def length(jaxpr: Jaxpr) -> int:
+    """Equations, also of functions in them; a loop has many."""
+    inner = sum(map(length, subjaxprs(jaxpr)))
+    return inner + sum(LONG if e.primitive.name == "while" else 1 for e in jaxpr.eqns)
+
+
+@no_type_check
+def joined(
+    emitter, flags, functions: list[Callable], avals, jumps: list[bool] | None = None
+) -> list[np.ndarray]:
+    """The values, in each lane, of that function whose flag is set there.
+
+    Those that jump are not computed where no lane at work has their flag.
+    """
+    builder, lanes, chosen = emitter.builder, emitter.active, None
+    for i, (mine, function) in enumerate(zip(flags, functions, strict=True)):
+        at_work = mine if lanes is None else builder.and_(mine, lanes)
+        jump, known, before = jumps is None or jumps[i], len(emitter.known), builder.block
+        if jump:
+            taken, done = builder.append_basic_block("taken"), builder.append_basic_block("joined")
+            builder.cbranch(any_lane(emitter, at_work), taken, done)
+            builder.position_at_end(taken)
+        emitter.active = at_work
+        flat, kinds = emitter.flattened(function(), avals)
+        if chosen is None:  # numbers, since a lane at work in none must not stop the others
+            chosen = [emitter.vector(0, dtype) for dtype in kinds] if jump else flat
+        pairs = zip(flat, chosen, kinds, strict=True)
+        new = [
+            one
+            if one is other
+            else builder.select(mine, emitter.vector(one, dtype), emitter.vector(other, dtype))
+            for one, other, dtype in pairs
+        ]
+        if jump:
+            after = builder.block
+            builder.branch(done)
+            builder.position_at_end(done)
+            phis = [builder.phi(emitter.type(dtype)) for dtype in kinds]
+            for phi, one, other, dtype in zip(phis, new, chosen, kinds, strict=True):
+                phi.add_incoming(emitter.vector(one, dtype), after)
+                phi.add_incoming(emitter.vector(other, dtype), before)
+            new = phis
+            forget(emitter, known)
+        emitter.active, chosen = lanes, new
+    return emitter.gathered(chosen, avals)

@@ -1,0 +1,236 @@
+"""Parts of arrays at computed indices, read and written by choosing among all places.
+
+An index is an entry of its own for each lane. A part that begins at it is chosen from all parts
+of its shape, by halves, so an axis of length n costs n selections an entry. A part written takes
+the place of all whose index it is. Where indices lie out of bounds, parts are what JAX says:
+those nearest by, or, for `FILL_OR_DROP`, a number made up, and nothing written.
+"""
+
+from itertools import product
+from typing import Any, no_type_check
+
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from walker_jax.kernels.rules import UnsupportedPrimitive
+from walker_jax.kernels.scalars import is_number, params_of
+
+BOOL = np.dtype(bool)
+
+LONGEST = 128
+"""Entries of an array with computed indices, at most: with more, XLA is faster."""
+
+COMBINATIONS = {
+    "scatter": None,
+    "scatter-add": lax.add,
+    "scatter-sub": lax.sub,
+    "scatter-mul": lax.mul,
+    "scatter-min": lax.min,
+    "scatter-max": lax.max,
+}
+"""What scattering makes of an entry and an update; it replaces the entry where there is none."""
+PRIMITIVES = {
+    lax.add: lax.add_p,
+    lax.sub: lax.sub_p,
+    lax.mul: lax.mul_p,
+    lax.min: lax.min_p,
+    lax.max: lax.max_p,
+}
+
+
+@no_type_check  # as the emitter
+def select(emitter, which, one: np.ndarray, other: np.ndarray, dtype) -> np.ndarray:
+    """The entries of one array where a flag is true, otherwise those of another."""
+    if is_number(which):
+        return one if which else other
+    result = np.empty(one.shape, object)
+    for place in np.ndindex(one.shape):
+        cases = other[place], one[place]
+        same = cases[0] is cases[1]
+        result[place] = (
+            cases[0]
+            if same
+            else emitter.term(lax.select_n_p, {}, [which, *cases], [BOOL, dtype, dtype])
+        )
+    return result
+
+
+@no_type_check
+def compare(emitter, primitive, index, number: int, dtype) -> Any:
+    return emitter.term(primitive, {}, [index, number], [dtype, np.dtype(dtype)])
+
+
+@no_type_check
+def conjunction(emitter, flags) -> Any:
+    """Whether all flags are true."""
+    result = True
+    for flag in flags:
+        if is_number(flag):
+            result = result if flag else False
+        elif result is True:
+            result = flag
+        elif result is not False:
+            result = emitter.term(lax.and_p, {}, [result, flag], [BOOL, BOOL])
+    return result
+
+
+@no_type_check
+def part(emitter, array: np.ndarray, axis: int, index, size: int, kind, dtype) -> np.ndarray:
+    """array[index : index + size] along an axis, the nearest there is."""
+    last = array.shape[axis] - size
+
+    def beginning(at: int):
+        return np.take(array, range(at, at + size), axis=axis)
+
+    def between(low: int, high: int):
+        if low == high:
+            return beginning(low)
+        middle = (low + high) // 2
+        left = compare(emitter, lax.le_p, index, middle, kind)
+        return select(emitter, left, between(low, middle), between(middle + 1, high), dtype)
+
+    if is_number(index):
+        return beginning(min(max(int(index), 0), last))
+    check_size(array)
+    return between(0, last)
+
+
+@no_type_check
+def check_size(array: np.ndarray) -> None:
+    if array.size > LONGEST:
+        raise UnsupportedPrimitive(f"computed indices of an array of {array.size}")
+
+
+@no_type_check
+def updated(
+    emitter, array: np.ndarray, window: np.ndarray, starts: list, kind, clip: bool, name: str, dtype
+) -> np.ndarray:
+    """An array with a window of updates in it that starts at computed indices."""
+    if not all(map(is_number, starts)):
+        check_size(array)
+    combine = COMBINATIONS[name]
+    lasts = [length - size for length, size in zip(array.shape, window.shape, strict=True)]
+
+    def begins(index, at: int, last: int):
+        """Whether a part begins there, given its index."""
+        if is_number(index):
+            return (min(max(int(index), 0), last) if clip else int(index)) == at
+        if clip and last == 0:
+            return True
+        compared = lax.eq_p
+        if clip and at in (0, last):
+            compared = lax.le_p if at == 0 else lax.ge_p
+        return compare(emitter, compared, index, at, kind)
+
+    result = array.copy()
+    for corner in product(*(range(last + 1) for last in lasts)):
+        here = conjunction(emitter, map(begins, starts, corner, lasts))
+        if here is False:
+            continue
+        where = tuple(slice(at, at + size) for at, size in zip(corner, window.shape, strict=True))
+        where = (*where, ...)
+        new = window
+        if combine is not None:
+            new = np.empty(window.shape, object)
+            for place in np.ndindex(window.shape):
+                new[place] = emitter.term(
+                    PRIMITIVES[combine],
+                    params_of(combine),
+                    [array[where][place], window[place]],
+                    [dtype, dtype],
+                )
+        result[where] = select(emitter, here, new, result[where], dtype)
+    return result
+
+
+@no_type_check
+def dynamic_slice(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
+    result, *starts = operands
+    dtype = equation.outvars[0].aval.dtype
+    for axis, size in enumerate(equation.params["slice_sizes"]):
+        kind = equation.invars[1 + axis].aval.dtype
+        result = part(emitter, result, axis, starts[axis][()], size, kind, dtype)
+    return [result]
+
+
+@no_type_check
+def dynamic_update_slice(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
+    array, window, *starts = operands
+    dtype = equation.outvars[0].aval.dtype
+    starts = [start[()] for start in starts]
+    kind = equation.invars[-1].aval.dtype
+    return [updated(emitter, array, window, starts, kind, True, "scatter", dtype)]
+
+
+@no_type_check
+def gather(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
+    array, indices = operands
+    params, like = equation.params, equation.outvars[0].aval
+    numbers, sizes = params["dimension_numbers"], params["slice_sizes"]
+    kind = equation.invars[1].aval.dtype
+    filling = params["mode"] == lax.GatherScatterMode.FILL_OR_DROP
+    dropped = (*numbers.collapsed_slice_dims, *numbers.operand_batching_dims)
+    result = np.empty(like.shape, object)
+    for place in np.ndindex(indices.shape[:-1]):
+        chosen, inside = array, []
+        for axis, batch in zip(
+            numbers.operand_batching_dims, numbers.start_indices_batching_dims, strict=True
+        ):
+            chosen = np.take(chosen, [place[batch]], axis=axis)
+        for k, axis in enumerate(numbers.start_index_map):
+            index, last = indices[(*place, k)], array.shape[axis] - sizes[axis]
+            if filling:
+                inside += [
+                    compare(emitter, lax.ge_p, index, 0, kind),
+                    compare(emitter, lax.le_p, index, last, kind),
+                ]
+            chosen = part(emitter, chosen, axis, index, sizes[axis], kind, like.dtype)
+        if filling:
+            made_up = np.full(chosen.shape, filler(params["fill_value"], like.dtype), object)
+            chosen = select(emitter, conjunction(emitter, inside), chosen, made_up, like.dtype)
+        chosen = np.squeeze(chosen, dropped)
+        batch = iter(place)
+        where = [
+            slice(None) if axis in numbers.offset_dims else next(batch)
+            for axis in range(result.ndim)
+        ]
+        result[(*where, ...)] = chosen
+    return [result]
+
+
+def filler(value, dtype) -> bool | int | float:
+    """What stands for an entry that is out of bounds."""
+    if value is not None:
+        return np.asarray(value, dtype).item()
+    if jnp.issubdtype(dtype, jnp.inexact):
+        return float("nan")
+    if dtype == BOOL:
+        return True
+    return int(jnp.iinfo(dtype).min if dtype.kind == "i" else jnp.iinfo(dtype).max)
+
+
+@no_type_check
+def scatter(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
+    array, indices, updates = operands
+    numbers, kind = equation.params["dimension_numbers"], equation.invars[1].aval.dtype
+    dtype = equation.outvars[0].aval.dtype
+    clip = equation.params["mode"] == lax.GatherScatterMode.CLIP
+    inserted = (*numbers.inserted_window_dims, *numbers.operand_batching_dims)
+    for place in np.ndindex(indices.shape[:-1]):
+        batch = iter(place)
+        where = [
+            slice(None) if axis in numbers.update_window_dims else next(batch)
+            for axis in range(updates.ndim)
+        ]
+        window = np.expand_dims(updates[(*where, ...)], sorted(inserted))
+        starts = [0] * array.ndim
+        for axis, dim in zip(
+            numbers.operand_batching_dims, numbers.scatter_indices_batching_dims, strict=True
+        ):
+            starts[axis] = place[dim]
+        for k, axis in enumerate(numbers.scatter_dims_to_operand_dims):
+            starts[axis] = indices[(*place, k)]
+        name = equation.primitive.name
+        array = updated(emitter, array, window, starts, kind, clip, name, dtype)
+    return [array]

@@ -1,0 +1,385 @@
+"""Functions of one cell as a JAX primitive, which is a kernel on a CPU.
+
+`by_kernel` makes of a function one primitive of JAX: it is compiled apart, and called like any
+other from `jit`, `vmap`, `scan` and the like. On a CPU that is a call of machine code (`ffi`);
+elsewhere, and for what has no kernel, the same function by XLA.
+
+Every `vmap` is one more axis of cells; an operand over which none maps is shared by all cells. The
+derivative along directions is a function of one cell too, and so a kernel of its own, linear in the
+directions; that of it is one again, and so on. Reverse mode takes the derivative along every
+direction that is asked for, and multiplies: so no loop need be gone through backwards. That suits
+functions of few numbers, as a stride is.
+"""
+
+import functools
+import itertools
+import math
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import ShapedArray
+from jax.extend.core import Primitive, jaxprs_in_params
+from jax.interpreters import ad, batching, mlir
+from jax.sharding import PartitionSpec
+
+from walker_jax.kernels import ffi
+from walker_jax.kernels.kernel import Kernel, without_garbage_collection
+from walker_jax.kernels.rules import UnsupportedPrimitive
+
+PROGRAMS = 256
+"""Functions that are kept compiled, those used last."""
+TOGETHER = 4000
+"""Operations of a derivative along several directions at once, at most: more take long to compile.
+Beyond, every direction is a cell of its own."""
+
+tracing_for_kernel = jax.make_user_context(False)
+"""Whether a function is traced as part of a kernel, whose parts are not kernels themselves."""
+
+
+class Program:
+    """A pure function of arrays of one cell, and what follows from it when it is needed."""
+
+    def __init__(
+        self,
+        function: Callable[..., list],
+        operands: Sequence,
+        origin: "tuple[Program, tuple[int, ...], int] | None" = None,
+    ):
+        with tracing_for_kernel(True), without_garbage_collection():
+            self.closed = jax.make_jaxpr(function)(*operands)
+        self.function = function
+        self.operands = self.closed.in_avals
+        self.results = self.closed.out_avals
+        self.origin = origin
+        """Of which program this is the derivative, by which operands, along how many directions."""
+        first = len(self.operands) if origin is None else len(origin[0].operands)
+        self.linear = frozenset(range(first, len(self.operands)))
+        """Operands in which it is linear, all together: directions of a derivative."""
+        self.derivatives: dict[tuple, Program] = {}
+
+    @functools.cached_property
+    def kernel(self) -> Kernel | None:
+        """Its machine code, None where it holds what no kernel can do."""
+        try:
+            return Kernel(self.closed)
+        except UnsupportedPrimitive:
+            return None
+
+    @functools.cached_property
+    def size(self) -> int:
+        """Operations in it."""
+        return operations(self.closed.jaxpr)
+
+    def derivative(self, by: tuple[int, ...], directions: int = 1) -> "Program":
+        """That of all results that are real, along directions of some operands.
+
+        Its operands are those of this program, then, for each of `by`, its part of the directions,
+        along one more axis in front. So have its results.
+        """
+        if (by, directions) not in self.derivatives:
+            real = list(map(is_real, self.results))
+
+            def along(*values):
+                point, tangents = list(values[: len(self.operands)]), values[len(self.operands) :]
+
+                def of_some(*some):
+                    for i, value in zip(by, some, strict=True):
+                        point[i] = value
+                    return list(itertools.compress(self.function(*point), real))
+
+                some = tuple(point[i] for i in by)
+                return jax.vmap(lambda *tangents: jax.jvp(of_some, some, tangents)[1])(*tangents)
+
+            parts = [
+                self.operands[i].update(shape=(directions, *self.operands[i].shape)) for i in by
+            ]
+            like = map(described, (*self.operands, *parts))
+            program = Program(along, list(like), (self, by, directions))
+            self.derivatives[by, directions] = program
+        return self.derivatives[by, directions]
+
+
+def described(aval) -> jax.ShapeDtypeStruct:
+    return jax.ShapeDtypeStruct(aval.shape, aval.dtype, weak_type=aval.weak_type)
+
+
+def operations(jaxpr) -> int:
+    """How many numbers a jaxpr computes, in one turn of its loops."""
+    total = 0
+    for equation in jaxpr.eqns:
+        inner = list(jaxprs_in_params(equation.params))
+        total += sum(map(operations, inner))
+        total += 0 if inner else sum(math.prod(v.aval.shape) for v in equation.outvars)
+    return total
+
+
+def is_real(aval) -> bool:
+    return jnp.issubdtype(aval.dtype, jnp.floating)
+
+
+kernel_p = Primitive("kernel")
+kernel_p.multiple_results = True
+
+programs: OrderedDict = OrderedDict()
+MODES = "jax_enable_x64", "jax_numpy_dtype_promotion"
+"""Settings of JAX on which it depends what a function does."""
+
+
+def program_of(function: Callable, structure, avals: Sequence) -> tuple[Program, Any]:
+    """The program of a function of operands of these shapes and types, and its results' tree."""
+    modes = tuple(getattr(jax.config, mode) for mode in MODES)
+    key = function, structure, modes, *((x.shape, x.dtype, x.weak_type) for x in avals)
+    if key in programs:
+        programs.move_to_end(key)
+        return programs[key]
+    results: Any = None
+
+    def flat(*leaves):
+        nonlocal results
+        found = function(*jax.tree.unflatten(structure, leaves))
+        found, results = jax.tree.flatten(found)
+        return found
+
+    program = Program(flat, list(map(described, avals)))
+    programs[key] = program, results
+    while len(programs) > PROGRAMS:
+        programs.popitem(last=False)
+    return programs[key]
+
+
+def by_kernel(function: Callable) -> Callable:
+    """The same pure function of arrays of one cell, as a primitive of JAX.
+
+    All that it depends on are its arguments, PyTrees of arrays or numbers.
+    """
+
+    @functools.wraps(function)
+    def call(*args):
+        if tracing_for_kernel.value:
+            return function(*args)
+        leaves, structure = jax.tree.flatten(args)
+        leaves = alike([jnp.asarray(leaf) for leaf in leaves])
+        program, results = program_of(function, structure, list(map(jax.typeof, leaves)))
+        outputs = kernel_p.bind(*leaves, program=program, mapped=(False,) * len(leaves))
+        return jax.tree.unflatten(results, outputs)
+
+    return call
+
+
+def count_of(values: Sequence, mapped: Sequence[bool]) -> int | None:
+    """How many cells there are, None for a single one."""
+    return next((np.shape(x)[0] for x, each in zip(values, mapped, strict=True) if each), None)
+
+
+@kernel_p.def_impl
+def compute(*operands, program: Program, mapped: tuple[bool, ...]):
+    """At once, outside of jit: a call of the machine code."""
+    on_cpu = all(
+        device.platform == "cpu"
+        for x in operands
+        for device in (x.devices() if isinstance(x, jax.Array) else jax.local_devices()[:1])
+    )
+    if not on_cpu or program.kernel is None:
+        return compiled(program, mapped)(*operands)
+    n = count_of(operands, mapped)
+    run, results = program.kernel.bind(operands, mapped, 1 if n is None else n)
+    run(0, 1 if n is None else n)
+    return [jnp.asarray(result if n is not None else result[0]) for result in results]
+
+
+@functools.lru_cache(PROGRAMS)
+def compiled(program: Program, mapped: tuple[bool, ...]) -> Callable:
+    return jax.jit(lambda *operands: kernel_p.bind(*operands, program=program, mapped=mapped))
+
+
+@kernel_p.def_abstract_eval
+def shapes(*avals, program: Program, mapped: tuple[bool, ...]):
+    n = count_of(avals, mapped)
+    lead = () if n is None else (n,)
+    like = max(avals, key=lambda aval: len(axes_of(aval)), default=ShapedArray((), np.dtype(bool)))
+
+    def array(shape, dtype):
+        sharding = like.sharding.update(spec=PartitionSpec(*[None] * len(shape)))
+        return like.update(shape=shape, dtype=dtype, weak_type=False, sharding=sharding)
+
+    return [array((*lead, *x.shape), x.dtype) for x in program.results]
+
+
+def axes_of(aval) -> frozenset:
+    """Axes of a mesh along which a value differs, within `jax.shard_map`."""
+    return aval.manual_axis_type.varying
+
+
+def alike(leaves: list) -> list:
+    """Values that all differ along every axis of a mesh along which one of them does."""
+    axes = frozenset().union(*(axes_of(jax.typeof(leaf)) for leaf in leaves))
+    missing = [tuple(axes - axes_of(jax.typeof(leaf))) for leaf in leaves]
+    return [
+        jax.lax.pcast(leaf, more, to="varying") if more else leaf
+        for leaf, more in zip(leaves, missing, strict=True)
+    ]
+
+
+def by_xla(*operands, program: Program, mapped: tuple[bool, ...]):
+    """The same, of JAX's own primitives."""
+    function = program.function
+    if any(mapped):
+        function = jax.vmap(function, [0 if each else None for each in mapped])
+    with tracing_for_kernel(True):
+        return function(*operands)
+
+
+def on_cpu(ctx, *operands, program: Program, mapped: tuple[bool, ...]):
+    if program.kernel is None or not ffi.available():
+        return elsewhere(ctx, *operands, program=program, mapped=mapped)
+    return jax.ffi.ffi_lowering(ffi.target(program.kernel))(ctx, *operands)
+
+
+elsewhere = mlir.lower_fun(by_xla, multiple_results=True)
+mlir.register_lowering(kernel_p, elsewhere)
+mlir.register_lowering(kernel_p, on_cpu, platform="cpu")
+
+
+def batch(operands, axes, *, program: Program, mapped: tuple[bool, ...]):
+    """One more axis of cells, or of directions."""
+    batched = [axis is not None for axis in axes]
+    pairs = list(zip(operands, axes, strict=True))
+    size = next(np.shape(x)[axis] for x, axis in pairs if axis is not None)
+    operands = [x if axis is None else jnp.moveaxis(x, axis, 0) for x, axis in pairs]
+    if program.origin is not None and program.linear.issuperset(np.flatnonzero(batched)):
+        origin, by, directions = program.origin
+        if origin.size * (directions * size + 1) <= TOGETHER:
+            more = origin.derivative(by, directions * size)
+            return along_more(operands, batched, size, more, mapped)
+    if not any(mapped):
+        outputs = kernel_p.bind(*operands, program=program, mapped=tuple(batched))
+        return outputs, [0] * len(outputs)
+    n = next(x.shape[over] for x, each, over in zip(operands, mapped, batched, strict=True) if each)
+
+    def flat(x, each, over):
+        """With the cells of both axes along the first one."""
+        if not each and not over:
+            return x
+        x = x if over else x[None]
+        x = x if each else x[:, None]
+        x = jnp.broadcast_to(x, (size, n, *x.shape[2:]))
+        return x.reshape(size * n, *x.shape[2:])
+
+    operands = list(map(flat, operands, mapped, batched))
+    either = tuple(a or b for a, b in zip(mapped, batched, strict=True))
+    outputs = kernel_p.bind(*operands, program=program, mapped=either)
+    return [x.reshape(size, n, *x.shape[1:]) for x in outputs], [0] * len(outputs)
+
+
+def along_more(operands, batched, size: int, program: Program, mapped: tuple[bool, ...]):
+    """A derivative along more directions at once: the axis `size` of some joins that of theirs."""
+    cells = any(mapped)
+
+    def joined(i, x):
+        if i not in program.linear:
+            return x
+        x = x if batched[i] else jnp.broadcast_to(x, (size, *x.shape))
+        x = jnp.moveaxis(x, 0, 1) if mapped[i] else x  # behind the axis of cells
+        return x.reshape(*x.shape[: mapped[i]], -1, *x.shape[mapped[i] + 2 :])
+
+    operands = [joined(i, x) for i, x in enumerate(operands)]
+    outputs = kernel_p.bind(*operands, program=program, mapped=mapped)
+    parted = [x.reshape(*x.shape[:cells], size, -1, *x.shape[cells + 1 :]) for x in outputs]
+    return parted, [int(cells)] * len(outputs)
+
+
+batching.primitive_batchers[kernel_p] = batch
+
+
+def push_forward(primals, tangents, *, program: Program, mapped: tuple[bool, ...]):
+    """Results, and their derivatives along tangents: a call each, the second linear in these."""
+    results = kernel_p.bind(*primals, program=program, mapped=mapped)
+    along = [i for i, t in enumerate(tangents) if not isinstance(t, ad.Zero) and is_real(t)]
+    total: list[Any] = [None] * sum(map(is_real, results))
+
+    # What it is linear in changes as its value does, along the change.
+    if any(i in program.linear for i in along):
+        changed = [
+            ad.instantiate_zeros(t) if i in program.linear else x
+            for i, (x, t) in enumerate(zip(primals, tangents, strict=True))
+        ]
+        total = list(kernel_p.bind(*changed, program=program, mapped=mapped))
+    others = tuple(i for i in along if i not in program.linear)
+    if others:
+        directions = [jnp.expand_dims(tangents[i], 1 if mapped[i] else 0) for i in others]
+        changes = kernel_p.bind(
+            *primals,
+            *directions,
+            program=program.derivative(others),
+            mapped=(*mapped, *(mapped[i] for i in others)),
+        )
+        axis = 1 if any(mapped) else 0
+        changes = [jnp.squeeze(change, axis) for change in changes]
+        total = [a if b is None else a + b for a, b in zip(changes, total, strict=True)]
+    reals = iter(total)
+    out = [next(reals) if is_real(x) else ad.Zero(jax.typeof(x).to_tangent_aval()) for x in results]
+    out = [
+        ad.Zero(jax.typeof(x).to_tangent_aval()) if t is None else t
+        for x, t in zip(results, out, strict=True)
+    ]
+    return results, out
+
+
+ad.primitive_jvps[kernel_p] = push_forward
+
+
+def pull_back(cotangents, *operands, program: Program, mapped: tuple[bool, ...]):
+    """Cotangents of the directions of a derivative: those of its results times its Jacobian."""
+    assert program.origin is not None
+    origin, by, _ = program.origin
+    count = len(origin.operands)
+    wanted = [i for i, x in enumerate(operands) if ad.is_undefined_primal(x)]
+    point = operands[:count]
+    some = tuple(by[i - count] for i in wanted)
+    each, shapes = any(mapped[:count]), [origin.operands[i].shape for i in some]
+    sizes = [math.prod(shape) for shape in shapes]
+    given = [i for i, ct in enumerate(cotangents) if not isinstance(ct, ad.Zero)]
+    if not given:
+        return [None] * len(operands)
+    dtype = origin.operands[some[0]].dtype
+
+    def along(direction):
+        """The derivatives of the results, of each cell, along one direction of all operands."""
+        parts = jnp.split(direction, np.cumsum(sizes)[:-1])
+        parts = [part.reshape(1, *shape) for part, shape in zip(parts, shapes, strict=True)]
+        changes = kernel_p.bind(
+            *point,
+            *parts,
+            program=origin.derivative(some),
+            mapped=(*mapped[:count], *[False] * len(parts)),
+        )
+        return [jnp.squeeze(changes[i], 1 if each else 0) for i in given]
+
+    columns = jax.vmap(along)(jnp.eye(sum(sizes), dtype=dtype))  # column, cell, result
+    cells = any(mapped)
+    total: Any = 0.0
+    for i, column in zip(given, columns, strict=True):
+        ct = cotangents[i]  # cell, direction, result
+        if cells and not each:
+            column = jnp.broadcast_to(
+                column[:, None], (column.shape[0], ct.shape[0], *column.shape[1:])
+            )
+        column = column.reshape(*column.shape[: 1 + cells], -1)
+        ct = ct.reshape(*ct.shape[: 1 + cells], -1)
+        total = total + jnp.einsum("cnr,nkr->nkc" if cells else "cr,kr->kc", column, ct)
+    found: list[Any] = [None] * len(operands)
+    ends = np.cumsum(sizes)
+    for i, end, width, shape in zip(wanted, ends, sizes, shapes, strict=True):
+        part = total[..., end - width : end]
+        if cells and not mapped[i]:
+            part = part.sum(axis=0)
+        lead = part.shape[:-1]
+        found[i] = part.reshape(*lead, *shape)
+    return found
+
+
+ad.primitive_transposes[kernel_p] = pull_back

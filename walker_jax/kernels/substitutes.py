@@ -1,0 +1,272 @@
+"""Primitives of small arrays as JAX functions of scalars, unrolled: linear algebra, scans, sums.
+
+Each takes the primitive's parameters, and gives the function of its operands. Factorisations have
+LAPACK's conventions. Batches of matrices are mapped over.
+"""
+
+from collections.abc import Callable
+from functools import reduce
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jax.extend.core import jaxpr_as_fun
+
+
+def scan(params: dict) -> Callable:
+    """As a loop that counts its turns."""
+    body, length, reverse = jaxpr_as_fun(params["jaxpr"]), params["length"], params["reverse"]
+    constants, carried = params["num_consts"], params["num_carry"]
+    stacked = params["jaxpr"].out_avals[carried:]
+
+    def function(*operands):
+        fixed, carry = operands[:constants], operands[constants : constants + carried]
+        inputs = operands[constants + carried :]
+
+        def turn(state):
+            i, carry, outputs = state
+            place = length - 1 - i if reverse else i
+            here = [lax.dynamic_index_in_dim(x, place, keepdims=False) for x in inputs]
+            results = body(*fixed, *carry, *here)
+            pairs = zip(outputs, results[carried:], strict=True)
+            outputs = [lax.dynamic_update_index_in_dim(all, one, place, 0) for all, one in pairs]
+            return i + 1, results[:carried], outputs
+
+        outputs = [jnp.zeros((length, *aval.shape), aval.dtype) for aval in stacked]
+        start = jnp.int32(0), list(carry), outputs
+        _, carry, outputs = lax.while_loop(lambda state: state[0] < length, turn, start)
+        return [*carry, *outputs]
+
+    return function
+
+
+def cumulative(combine: Callable) -> Callable:
+    def substitute(params: dict) -> Callable:
+        axis, reverse = params["axis"], params["reverse"]
+
+        def function(x):
+            parts = [lax.index_in_dim(x, i, axis) for i in range(x.shape[axis])]
+            parts = parts[::-1] if reverse else parts
+            results = parts[:1]
+            for one in parts[1:]:
+                results.append(combine(results[-1], one))
+            return [lax.concatenate(results[::-1] if reverse else results, axis)]
+
+        return function
+
+    return substitute
+
+
+def extreme_place(beyond: Callable) -> Callable:
+    """The first place of the largest entry, or the least; NaN is beyond all."""
+
+    def substitute(params: dict) -> Callable:
+        (axis,), dtype = params["axes"], params["index_dtype"]
+
+        def function(x):
+            best = lax.index_in_dim(x, 0, axis, keepdims=False)
+            place = jnp.zeros(best.shape, dtype)
+            for i in range(1, x.shape[axis]):
+                one = lax.index_in_dim(x, i, axis, keepdims=False)
+                better = (beyond(one, best) | (one != one)) & (best == best)
+                best = jnp.where(better, one, best)
+                place = jnp.where(better, jnp.asarray(i, dtype), place)
+            return [place]
+
+        return function
+
+    return substitute
+
+
+# Linear algebra
+
+
+def of_matrices(substitute: Callable[..., Callable], ranks: tuple[int, ...]) -> Callable:
+    """The same for batches: operands have these ranks but for leading axes, mapped over."""
+
+    def batched(params: dict) -> Callable:
+        single = substitute(**params)
+
+        def function(*operands):
+            mapped = single
+            for _ in range(operands[0].ndim - ranks[0]):
+                mapped = jax.vmap(mapped)
+            return mapped(*operands)
+
+        return function
+
+    return batched
+
+
+def reflected(c, v, tau):
+    """(1 - tau v v^T) c."""
+    return c - tau * v * jnp.sum(v * c)
+
+
+def unit_vectors(a, k: int):
+    """The vector of the k-th reflection that a factorisation holds below its diagonal."""
+    return jnp.concatenate([jnp.zeros(k, a.dtype), jnp.ones(1, a.dtype), a[k + 1 :, k]])
+
+
+def geqrf() -> Callable:
+    """Householder's factorisation: R, below it the vectors of the reflections; their factors."""
+
+    def function(a):
+        m, n = a.shape
+        columns, taus = [a[:, j] for j in range(n)], []
+        for k in range(min(m, n)):
+            above, x, rest = columns[k][:k], columns[k][k], columns[k][k + 1 :]
+            below = jnp.sum(rest * rest)
+            turns = below != 0
+            end = jnp.where(turns, -jnp.copysign(jnp.sqrt(x * x + below), x), x)
+            tau = jnp.where(turns, (end - x) / jnp.where(turns, end, 1), 0)
+            rest = rest / jnp.where(turns, x - end, 1)
+            v = jnp.concatenate([jnp.ones(1, a.dtype), rest])
+            for j in range(k + 1, n):
+                new = reflected(columns[j][k:], v, tau)
+                columns[j] = jnp.concatenate([columns[j][:k], new])
+            columns[k] = jnp.concatenate([above, end[None], rest])
+            taus.append(tau)
+        return [jnp.stack(columns, 1), jnp.stack(taus)]
+
+    return function
+
+
+def householder_product() -> Callable:
+    """The first columns of a product of reflections."""
+
+    def function(a, taus):
+        m, n = a.shape
+        columns = list(jnp.eye(m, n, dtype=a.dtype).T)
+        for k in reversed(range(taus.shape[0])):
+            columns = [reflected(c, unit_vectors(a, k), taus[k]) for c in columns]
+        return [jnp.stack(columns, 1)]
+
+    return function
+
+
+def ormqr(left: bool, transpose: bool) -> Callable:
+    """A product of reflections by a matrix, or a matrix by it."""
+
+    def function(a, taus, c):
+        lines = list(c.T if left else c)
+        order = range(taus.shape[0])
+        for k in order if left == transpose else reversed(order):
+            lines = [reflected(line, unit_vectors(a, k), taus[k]) for line in lines]
+        return [jnp.stack(lines, 1 if left else 0)]
+
+    return function
+
+
+def qr(*, full_matrices: bool, pivoting: bool, use_magma: bool | None) -> Callable:
+    del use_magma
+    if pivoting:
+        raise NotImplementedError
+
+    def function(a):
+        m, n = a.shape
+        packed, taus = geqrf()(a)
+        r = jnp.triu(packed if full_matrices else packed[: min(m, n)])
+        if full_matrices and m > n:
+            packed = jnp.concatenate([packed, jnp.zeros((m, m - n), a.dtype)], 1)
+        (q,) = householder_product()(packed[:, : m if full_matrices else min(m, n)], taus)
+        return [q, r]
+
+    return function
+
+
+def triangular_solve(
+    *, left_side: bool, lower: bool, transpose_a: bool, conjugate_a: bool, unit_diagonal: bool
+) -> Callable:
+    """By substitution."""
+    del conjugate_a
+
+    def function(a, b):
+        # x a = b is a^T x^T = b^T.
+        a = a.T if transpose_a == left_side else a
+        b = b if left_side else b.T
+        n = a.shape[0]
+        forwards = lower != (transpose_a == left_side)
+        rows = {}
+        for i in range(n) if forwards else reversed(range(n)):
+            row = b[i] - sum((a[i, j] * rows[j] for j in rows), jnp.zeros_like(b[i]))
+            rows[i] = row if unit_diagonal else row / a[i, i]
+        x = jnp.stack([rows[i] for i in range(n)])
+        return [x if left_side else x.T]
+
+    return function
+
+
+def lu() -> Callable:
+    """Gauss' elimination with the largest entry of a column as its pivot."""
+
+    def function(a):
+        m, n = a.shape
+        pivots, order = [], jnp.arange(m, dtype=jnp.int32)
+        for k in range(min(m, n)):
+            pivot = (k + jnp.argmax(jnp.abs(a[k:, k]))).astype(jnp.int32)
+            pivots.append(pivot)
+            order = swapped(order, k, pivot)
+            a = swapped(a, k, pivot)
+            factors = a[k + 1 :, k] / jnp.where(a[k, k] == 0, 1, a[k, k])
+            rest = a[k + 1 :, k + 1 :] - factors[:, None] * a[k, k + 1 :]
+            below = jnp.concatenate([a[k + 1 :, :k], factors[:, None], rest], 1)
+            a = jnp.concatenate([a[: k + 1], below])
+        return [a, jnp.stack(pivots), order]
+
+    return function
+
+
+def swapped(a, i: int, j):
+    """An array with two of its parts in each other's place, where j >= i."""
+    first, other = a[i], lax.dynamic_index_in_dim(a, j, keepdims=False)
+    a = lax.dynamic_update_index_in_dim(a, first, j, 0)
+    return jnp.concatenate([a[:i], other[None], a[i + 1 :]])
+
+
+def lu_pivots_to_permutation(*, permutation_size: int) -> Callable:
+    def function(pivots):
+        order = jnp.arange(permutation_size, dtype=jnp.int32)
+        return [reduce(lambda order, k: swapped(order, k, pivots[k]), range(len(pivots)), order)]
+
+    return function
+
+
+def cholesky(**_) -> Callable:
+    """The lower factor; NaN where the matrix is not positive definite."""
+
+    def function(a):
+        n = a.shape[0]
+        rows = [[jnp.zeros((), a.dtype)] * n for _ in range(n)]
+        for j in range(n):
+            square = a[j, j] - sum(rows[j][k] * rows[j][k] for k in range(j))
+            rows[j][j] = jnp.sqrt(jnp.where(square > 0, square, jnp.nan))
+            for i in range(j + 1, n):
+                products = sum(rows[i][k] * rows[j][k] for k in range(j))
+                rows[i][j] = (a[i, j] - products) / rows[j][j]
+        factor = jnp.stack([jnp.stack(row) for row in rows])
+        definite = jnp.all(jnp.isfinite(jnp.diagonal(factor)))
+        return [jnp.where(definite, factor, jnp.nan)]
+
+    return function
+
+
+SUBSTITUTES: dict[str, Callable[[dict], Callable]] = {
+    "scan": scan,
+    "cumsum": cumulative(lambda a, b: a + b),
+    "cumprod": cumulative(lambda a, b: a * b),
+    "cummax": cumulative(jnp.maximum),
+    "cummin": cumulative(jnp.minimum),
+    "cumlogsumexp": cumulative(jnp.logaddexp),
+    "argmax": extreme_place(lambda a, b: a > b),
+    "argmin": extreme_place(lambda a, b: a < b),
+    "geqrf": of_matrices(geqrf, (2,)),
+    "householder_product": of_matrices(householder_product, (2, 1)),
+    "ormqr": of_matrices(ormqr, (2, 1, 2)),
+    "qr": of_matrices(qr, (2,)),
+    "triangular_solve": of_matrices(triangular_solve, (2, 2)),
+    "lu": of_matrices(lu, (2,)),
+    "lu_pivots_to_permutation": of_matrices(lu_pivots_to_permutation, (1,)),
+    "cholesky": of_matrices(cholesky, (2,)),
+}
+"""By primitive, a function of its parameters that gives one of its operands."""
