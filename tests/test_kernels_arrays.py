@@ -75,6 +75,12 @@ def test_a_loop_through_an_array():
     assert_same(function, ARRAYS[:, :, 0], np.arange(len(ARRAYS)) % 8)
 
 
+def test_places_in_sorted_arrays():
+    x = np.array([-np.inf, -1.0, -0.0, 0.0, 0.5, np.nan, np.inf, 7.0])
+    assert_same(lambda x: jnp.searchsorted(jnp.array([-1.0, 0.0, 0.5, 2.0]), x), x)
+    assert_same(lambda x: jnp.searchsorted(jnp.array([-1, 0, 3]), x), np.arange(-3, 6))
+
+
 @pytest.mark.parametrize("length", [3, 40])
 def test_scans_short_and_long(length):
     """The short one is unrolled."""

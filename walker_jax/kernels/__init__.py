@@ -9,9 +9,16 @@ for which it has keep their values. So a slow cell holds up seven others, nothin
 twice, and what lies between start and end of a cell never leaves the core.
 
 What comes out is what XLA computes, to rounding; but a product with a number known to be zero is
-zero, whatever the other factor. Loops of a known number of turns (`lax.scan`), sorting, indices
-that are computed, and types of 16 bits have no kernel. Programs are compiled for the processor at
-hand, and kept on disk (`object_cache`).
+zero, whatever the other factor. A loop of few turns, whose number is known, is unrolled. Primitives
+of Equinox and lineax are those of one cell: each lane goes its own way in their loops. So a whole
+`diffrax.diffeqsolve` has a kernel, with `adjoint=ForwardMode()` and `throw=False`.
+
+No kernel has a function with sorting, eigenvalues or singular values; types of 16 bits or
+arithmetic of complex numbers; computed indices of arrays of more than `indexing.LONGEST` entries,
+such as results of many times; random numbers; callbacks, and so checks at run time that may fail
+(`equinox.error_if`: where `optimistix.Bisection` is to detect the bracket's sign, where a root is
+differentiated, in reverse mode). Programs are compiled for the processor at hand,
+and kept on disk (`object_cache`).
 """
 
 from walker_jax.kernels.kernel import Kernel

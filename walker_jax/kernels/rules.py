@@ -81,6 +81,25 @@ def comparison(sign: str):
     return rule
 
 
+def total_order(sign: str):
+    """A comparison in which -0 comes before 0, and NaN beyond infinity."""
+
+    def rule(emitter, params, dtypes, *operands):
+        if not is_floating(dtypes[0]):
+            return comparison(sign)(emitter, params, dtypes, *operands)
+        builder, integer = emitter.builder, np.dtype(f"int{8 * np.dtype(dtypes[0]).itemsize}")
+        last, most = 8 * integer.itemsize - 1, np.iinfo(integer).max
+
+        def key(x):
+            bits = builder.bitcast(x, emitter.type(integer))
+            negative = builder.ashr(bits, emitter.vector(last, integer))
+            return builder.xor(bits, builder.and_(negative, emitter.vector(most, integer)))
+
+        return builder.icmp_signed(sign, *map(key, operands))
+
+    return rule
+
+
 def negation(emitter, params, dtypes, x):
     return emitter.builder.fneg(x, flags=FAST) if is_floating(dtypes[0]) else emitter.builder.neg(x)
 
@@ -311,11 +330,8 @@ def next_after(x, y):
     return jnp.where((x != x) | (y != y), x + y, jnp.where(x == y, y, moved))
 
 
-def in_terms_of_jax(function: Callable):
-    """A JAX function of scalars."""
-    return lambda emitter, params, dtypes, *operands: emitter.inline(
-        function, *operands, dtype=dtypes[0]
-    )
+def in_jax(function: Callable):
+    return lambda emitter, params, dtypes, *x: emitter.inline(function, *x, dtype=dtypes[0])
 
 
 REDUCTIONS = {
@@ -354,6 +370,8 @@ RULES: dict[str, Callable] = {
     "le": comparison("<="),
     "gt": comparison(">"),
     "ge": comparison(">="),
+    "lt_to": total_order("<"),
+    "le_to": total_order("<="),
     "and": logical("and_"),
     "or": logical("or_"),
     "xor": logical("xor"),
@@ -365,8 +383,8 @@ RULES: dict[str, Callable] = {
     "clamp": clamp,
     "convert_element_type": conversion,
     "bitcast_convert_type": bits,
-    "nextafter": in_terms_of_jax(next_after),
-    "logistic": in_terms_of_jax(lambda x: 1 / (1 + jnp.exp(-x))),
+    "nextafter": in_jax(next_after),
+    "logistic": in_jax(lambda x: 1 / (1 + jnp.exp(-x))),
     "pow": power,
     "log": elementary("log", log_float32),
     "exp": elementary("exp", exp_float32),
