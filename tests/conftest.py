@@ -1,8 +1,8 @@
 """Tests compute in float64, and mixing dtypes without saying so is an error.
 
-What XLA compiles is kept in pytest's cache, from which the processes of the tests take it, those
-that they start, and the next run: `pytest --cache-clear` begins from nothing. Properties are tried
-on the same inputs in every run; `pytest --hypothesis-profile=explore` draws others.
+What XLA and LLVM compile is kept in pytest's cache, from which the processes of the tests take it,
+those that they start, and the next run: `pytest --cache-clear` begins from nothing. Properties are
+tried on the same inputs in every run; `pytest --hypothesis-profile=explore` draws others.
 """
 
 import os
@@ -35,4 +35,5 @@ def pytest_configure(config: pytest.Config) -> None:
         "JAX_COMPILATION_CACHE_DIR": folder,
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": str(WORTH_KEEPING),
         "PYTHONWARNINGS": HALF_WRITTEN,
+        "WALKER_JAX_CACHE_DIR": folder,
     }

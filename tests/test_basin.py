@@ -3,6 +3,7 @@ import signal
 import subprocess
 import sys
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -16,7 +17,7 @@ from walker_jax.attraction import Attractor, Basins, sort_attractors
 from walker_jax.cells import resolve
 from walker_jax.tiles import compact_order
 
-module = sys.modules["walker_jax.basin"]  # the package has the function by that name
+module = import_module("walker_jax.basin")  # the package has the function by that name
 REFERENCE = np.load(Path(__file__).parent / "data" / "strides_slope_0.004.npz")
 PAPER = {"theta": (0, 0.4, 200), "sum": (-0.04, 0.01, 250)}
 
@@ -427,12 +428,13 @@ KILLED = """
 import os
 import signal
 import sys
+from importlib import import_module
 from pathlib import Path
 import jax
 from zarr.storage import LocalStore
 import walker_jax as wj
 jax.config.update("jax_enable_x64", True)
-module = sys.modules["walker_jax.basin"]
+module = import_module("walker_jax.basin")
 module.PIECE = 2**12
 kind = module.MappedPieces if sys.argv[1] == "cell-map" else module.FollowedPieces
 compute, put, left = kind.piece, LocalStore.set, int(sys.argv[3])

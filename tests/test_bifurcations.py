@@ -1,5 +1,5 @@
 import json
-import sys
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +8,7 @@ from maps import done_with
 
 import walker_jax as wj
 
-module = sys.modules["walker_jax.bifurcations"]
+module = import_module("walker_jax.bifurcations")
 VALUES = json.loads((Path(__file__).parent / "data" / "values.json").read_text())
 REGION = wj.Grid.sheared(theta=(0.1, 0.3, 40), sum=(-0.03, 0.018, 60))
 DOUBLINGS = np.array([one["slope"] for one in VALUES["period_doublings"]])

@@ -66,6 +66,25 @@ def test_a_point_is_within_half_a_spacing_of_its_cell_or_off_the_grid(grid, seed
         assert np.all(abs(u - centre) <= 0.5 * grid.spacing * (1 + 1e-9))
 
 
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_on_the_host_cells_are_the_same(dtype):
+    axes = {"theta": (0.0, 0.4, 13), "thetadot": (-0.5, 0.1, 7)}
+    grids = [Grid.plain(**axes), Grid(axes, np.array([[1, 0.3], [-1, 2]]), np.array([0.1, -0.2]))]
+    with jax.enable_x64(dtype == np.float64):
+        for grid in grids:
+            index = np.arange(grid.size)
+            centres = grid.centres(index)
+            assert centres.dtype == dtype
+            np.testing.assert_array_equal(centres, jax.vmap(grid.centre)(index.astype(np.int32)))
+            edges = grid.states(np.array([[0, 0], [1, 0.5], [0.5, 1], [1e-3, 0.999]]))
+            beyond = [[np.nan, 0.1], [np.inf, 0.1]]
+            points = np.concatenate([centres, 2 * centres, edges, beyond]).astype(dtype)
+            cells = jax.vmap(grid.cell)(jnp.asarray(points))
+            np.testing.assert_array_equal(grid.contains(points), cells >= 0)
+            pairs = points[: len(points) // 2 * 2].reshape(-1, 2, 2)
+            assert grid.contains(pairs).shape == pairs.shape[:2]
+
+
 def test_cells_are_half_open():
     grid = Grid.plain(x=(0, 1, 4), y=(-1, 1, 2))
 

@@ -6,8 +6,10 @@ import signal
 import subprocess
 import sys
 import time
+from importlib import import_module
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 import xarray as xr
@@ -183,7 +185,7 @@ def test_a_sweep_answers_with_a_row_for_each_combination(run, tmp_path, monkeypa
             raise FloatingPointError
         return {"total_area": slope + stiffness, "total_area_error": 0.5, "speed": slope}
 
-    monkeypatch.setattr(sys.modules["walker_jax.sweep"], "measured", measured)
+    monkeypatch.setattr(import_module("walker_jax.sweep"), "measured", measured)
     command = ["sweep", "--walker", "spring", "--over", "slope=0.25:0.5:2"]
     command += ["--over", "hip-stiffness=0:1:3", *SMALL]
     code, out, err = run(*command, "--json")
@@ -404,7 +406,7 @@ def test_an_interrupted_drawing_leaves_the_picture_that_was_there(run, tmp_path,
 def test_wrong_usage_gets_one_line_and_changes_nothing(
     run, tmp_path, arguments, named, monkeypatch
 ):
-    monkeypatch.setattr(sys.modules["walker_jax.basin"], "memory_of_machine", lambda: 8 * 2**30)
+    monkeypatch.setattr(import_module("walker_jax.basin"), "memory_of_machine", lambda: 8 * 2**30)
     code, out, err = run("basin", *arguments)
     assert (code, out) == (2, "")
     assert err.startswith("walker-jax: ") and err.count("\n") == 1 and named in err
@@ -869,13 +871,49 @@ def test_the_installed_command_starts(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_compiled_programs_are_kept_where_the_user_says(tmp_path, monkeypatch):
+    settings = {}
+    monkeypatch.setattr(jax.config, "update", settings.__setitem__)
+    for variable, place, kept in [
+        ("WALKER_JAX_CACHE_DIR", tmp_path / "here", tmp_path / "here"),
+        ("WALKER_JAX_CACHE_DIR", "", None),
+        ("JAX_COMPILATION_CACHE_DIR", tmp_path / "of JAX", None),  # which takes care of it itself
+    ]:
+        monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
+        monkeypatch.setenv(variable, str(place))
+        settings.clear()
+        cli.keep_compiled()
+        assert settings.get("jax_compilation_cache_dir") == (str(kept) if kept else None)
+    assert [path.name for path in tmp_path.iterdir()] == ["here"]
+
+
 def test_importing_sets_no_flag_and_loads_no_drawing():
     program = (
         "import jax, sys\n"
         "before = dict(jax.config.values)\n"
         "import walker_jax\n"
         "assert before == dict(jax.config.values)\n"
-        "assert not {'matplotlib', 'dask', 'zarr', 'typer'} & set(sys.modules)\n"
+        "walker_jax.find_gait, walker_jax.SimplestWalker, walker_jax.strides\n"
+        "late = {'matplotlib', 'dask', 'zarr', 'typer', 'xarray', 'scipy.stats'}\n"
+        "assert not late & set(sys.modules)\n"
+        "import walker_jax.cli\n"
+        "assert not late - {'typer'} & set(sys.modules)\n"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)
+
+
+def test_public_names_are_what_they_name_whatever_is_loaded_first():
+    """Some modules have the name of a function, and Python would put them in its place."""
+    program = (
+        "import types, walker_jax.sweep, walker_jax\n"  # which loads most of the others
+        "from walker_jax import basin, stride, store\n"
+        "from walker_jax import *\n"
+        "values = [getattr(walker_jax, name) for name in walker_jax.__all__]\n"
+        "assert not any(isinstance(value, types.ModuleType) for value in values)\n"
+        "assert basin.__name__ == walker_jax.basin.__name__ == 'basin' and callable(stride)\n"
+        "assert isinstance(store, types.ModuleType) and set(walker_jax.__all__) < set(globals())\n"
+        "assert set(walker_jax.__all__) < set(dir(walker_jax))\n"
+        "assert not hasattr(walker_jax, 'no_such_name')\n"
     )
     subprocess.run([sys.executable, "-c", program], check=True)
 

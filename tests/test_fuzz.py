@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from collections import Counter
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -171,14 +172,14 @@ def bench(tmp_path_factory):
             patch(figures, name, lambda data: None)
         patch(poses, "film", lambda *all, **more: all[1].write_bytes(more["signature"].encode()))
         patch(paper, "reproduce", refuse)
-        patch(sys.modules["walker_jax.cluster"], "client_of", unreachable)
-        patch(sys.modules["walker_jax.sweep"], "measured", lambda *_: {"total_area": 0.001})
+        patch(import_module("walker_jax.cluster"), "client_of", unreachable)
+        patch(import_module("walker_jax.sweep"), "measured", lambda *_: {"total_area": 0.001})
         patch(wj, "basin", basin)
         patch(wj, "bifurcation_diagram", refuse)
         patch(wj, "find_gaits", lambda walker, period: [gait] if period == 1 else [])
-        patch(sys.modules["walker_jax.gaits"], "find_gaits", lambda *_, **__: [])
+        patch(import_module("walker_jax.gaits"), "find_gaits", lambda *_, **__: [])
         robustness, design = (
-            sys.modules[f"walker_jax.{name}"] for name in ("robustness", "design")
+            import_module(f"walker_jax.{name}") for name in ("robustness", "design")
         )
         for name, found in ANSWERS.items():
             patch(robustness, name, lambda *_, found=found, **__: found)

@@ -1,6 +1,6 @@
 import inspect
 import json
-import sys
+from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
 
@@ -11,7 +11,7 @@ import pytest
 
 import walker_jax as wj
 
-module = sys.modules["walker_jax.gaits"]
+module = import_module("walker_jax.gaits")
 VALUES = json.loads((Path(__file__).parent / "data" / "values.json").read_text())
 
 

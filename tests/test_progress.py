@@ -2,7 +2,7 @@
 
 import io
 import re
-import sys
+from importlib import import_module
 
 import pytest
 from rich.console import Console
@@ -22,11 +22,11 @@ def test_a_bar_begins_with_what_was_done_before_and_ends_with_all(monkeypatch):
 
 @pytest.mark.parametrize("name", ["basin", "sweep"])
 def test_a_run_that_is_resumed_shows_what_is_there(name, tmp_path, monkeypatch):
-    module = sys.modules[f"walker_jax.{name}"]
+    module = import_module(f"walker_jax.{name}")
     grid = wj.Grid.sheared(theta=(0.05, 0.35, 8), sum=(-0.03, 0.01, 6))
     walker, out = wj.SimplestWalker(0.004), tmp_path / "a.zarr"
-    monkeypatch.setattr(sys.modules["walker_jax.basin"], "PIECE", 12)
-    monkeypatch.setattr(sys.modules["walker_jax.sweep"], "measured", lambda *_: {"area": 0.001})
+    monkeypatch.setattr(import_module("walker_jax.basin"), "PIECE", 12)
+    monkeypatch.setattr(import_module("walker_jax.sweep"), "measured", lambda *_: {"area": 0.001})
     calls = {
         "basin": lambda: wj.basin(walker, grid, out=out),
         "sweep": lambda: wj.sweep(

@@ -1,6 +1,6 @@
 """The least disturbance is the nearest point that fails."""
 
-import sys
+from importlib import import_module
 
 import jax
 import numpy as np
@@ -34,7 +34,7 @@ from walker_jax.robustness import (
 from walker_jax.stride import follow_step_down
 from walker_jax.tiles import map_cells
 
-robustness = sys.modules["walker_jax.robustness"]  # the package has the function by that name
+robustness = import_module("walker_jax.robustness")  # the package has the function by that name
 
 
 @pytest.mark.parametrize("size", [2, 3])

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from jax import lax
 
-from walker_jax.kernels.scalars import unrolled
+from walker_jax.kernels.scalars import EXACT, unrolled
 
 SYMMETRIC = np.array([[3.0, 1.0, 0.5], [1.0, 4.0, -1.0], [0.5, -1.0, 5.0]])
 V = jnp.array([0.3, -1.2, 0.8])
@@ -68,6 +68,10 @@ FUNCTIONS = {
     "select": lambda v, A: lax.select_n(jnp.array(1), v, v**2, v**3),
     "at-set": lambda v, A: A.at[1].set(v).at[0, -1].add(v[0]).at[:, 1].multiply(2.0),
     "pad": lambda v, A: (jnp.pad(A, ((1, 0), (0, 2))), lax.pad(v, v[0], [(-1, 2, 1)])),
+    "pad-less": lambda v, A: (
+        lax.pad(A, v[1], [(2, -4, 2), (-1, -2, 0)]),
+        lax.pad(v, 0.0, [(-2, -1, 0)]),
+    ),
     "split": lambda v, A: (jnp.split(v, [1]), jnp.split(A, 3, axis=1)),
     "cumsum": lambda v, A: (jnp.cumsum(v), jnp.cumprod(A, 1), jnp.diff(v)),
     "sort": lambda v, A: (jnp.sort(v), A[jnp.argsort(v)]),
@@ -367,3 +371,20 @@ def test_products_that_widen_are_as_wide():
 def test_complex_numbers():
     function = lambda x: (lax.complex(x, 2 * x) * (1 + 2j), jnp.abs(lax.complex(x, x)))
     assert_equal(unrolled(function)(V), function(V))
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32, np.int32, np.uint8])
+def test_known_numbers_are_computed_as_jax_does(dtype):
+    special = [0.0, 1.0, 0.1, 3.0, 7.0, 200.0]
+    special += [-0.0, -2.5, np.inf, -np.inf, np.nan, 1e30, 3e38] * bool(dtype(0.5))
+    numbers = np.array(special, dtype)
+    left, right = (np.ravel(part) for part in np.meshgrid(numbers, numbers))
+    for name, function in EXACT.items():
+        operands = (numbers,) if name == "neg" else (left, right)
+        primitive = jax.lax.add_p if name == "add_any" else getattr(jax.lax, f"{name}_p")
+        with np.errstate(all="ignore"):
+            found = np.array(
+                [function(*map(np.asarray, pair)) for pair in zip(*operands, strict=True)]
+            )
+        np.testing.assert_array_equal(found, primitive.bind(*map(jnp.asarray, operands)))
+        assert found.dtype == primitive.bind(*map(jnp.asarray, operands)).dtype

@@ -8,6 +8,7 @@ import threading
 import time
 from collections import Counter
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -23,7 +24,7 @@ from walker_jax import cluster, figures, store, tiles
 from walker_jax.cluster import computers
 from walker_jax.kernels.primitive import MODES
 
-module = sys.modules["walker_jax.sweep"]  # the package has the function by that name
+module = import_module("walker_jax.sweep")  # the package has the function by that name
 WALKER = wj.SpringWalker(0.004, 0.0)
 GRID = wj.Grid.sheared(theta=(0, 0.4, 20), sum=(-0.2, 0.05, 25))
 OVER = {"hip_stiffness": [0.0, 2.0], "slope": [0.004, 0.3]}
@@ -318,12 +319,13 @@ def test_workers_compute_in_the_modes_of_the_process_that_asks(client, modes, mo
 
 DYING = """
 import os, sys
+from importlib import import_module
 from pathlib import Path
 import jax
 import walker_jax as wj
 from walker_jax import sweep
 jax.config.update("jax_enable_x64", True)
-module = sys.modules["walker_jax.sweep"]
+module = import_module("walker_jax.sweep")
 def main():
     grid = wj.Grid.sheared(theta=(0, 0.4, 20), sum=(-0.2, 0.05, 25))
     over = {"hip_stiffness": [0.0, 2.0], "slope": [0.004, 0.3]}

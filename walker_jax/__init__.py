@@ -10,109 +10,43 @@ Importing sets no JAX flag. Turn on float64 for numbers to quote:
 `jax.config.update("jax_enable_x64", True)`.
 """
 
+import ast
+import sys
+from importlib import import_module
 from importlib.metadata import version
+from pathlib import Path
+from types import ModuleType
+from typing import Any
 
-from walker_jax.basin import basin, compare_methods
-from walker_jax.bifurcations import attractors, bifurcation_diagram, loss_of_walking
-from walker_jax.boundaries import Dimension, Uncertainty, box_counting, uncertainty_exponent
-from walker_jax.branches import Bifurcation, Branch, continue_gait
-from walker_jax.cells import Grid
-from walker_jax.checks import ComputationFailed
-from walker_jax.design import optimise
-from walker_jax.gaits import Gait, descend, find_gait, find_gaits, gait_derivatives
-from walker_jax.margins import Margins, margins, margins_of_many
-from walker_jax.motion import motion
-from walker_jax.objectives import (
-    AreaGradient,
-    DisturbanceGradient,
-    Measure,
-    area_gradient,
-    disturbance_gradient,
-    gait_measures,
-)
-from walker_jax.refinement import refine
-from walker_jax.robustness import (
-    BasinStability,
-    LeastDisturbance,
-    LeastStepDown,
-    basin_stability,
-    boundary_dimension,
-    least_disturbance,
-    least_step_down,
-    robustness,
-    robustness_table,
-)
-from walker_jax.stride import Outcome, Stride, Walk, step_down, stride, strides, trajectory, walk
-from walker_jax.sweep import sweep
-from walker_jax.walkers import (
-    HeavyLegWalker,
-    PointFootWalker,
-    RoundFootWalker,
-    SimplestWalker,
-    SpringWalker,
-    State,
-    UpperBodyWalker,
-    Walker,
-)
+STUB = ast.parse(Path(__file__).with_suffix(".pyi").read_text())
+MODULES = {
+    name.name: statement.module or ""
+    for statement in STUB.body
+    if isinstance(statement, ast.ImportFrom)
+    for name in statement.names
+}
+"""Where each public name is; type checkers read the same file."""
 
+
+class Package(ModuleType):
+    """The package, whose names are loaded when they are first used."""
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in MODULES:
+            raise AttributeError(f"module {self.__name__!r} has no attribute {name!r}")
+        value = getattr(import_module(MODULES[name]), name)
+        setattr(self, name, value)
+        return value
+
+    def __setattr__(self, name: str, value: object) -> None:
+        # Python puts every submodule here, of which some have the name of a function.
+        if not (name in MODULES and isinstance(value, ModuleType)):
+            super().__setattr__(name, value)
+
+    def __dir__(self) -> list[str]:
+        return sorted({*super().__dir__(), *MODULES})
+
+
+sys.modules[__name__].__class__ = Package
 __version__ = version("walker-jax")
-
-__all__ = [
-    "AreaGradient",
-    "BasinStability",
-    "Bifurcation",
-    "Branch",
-    "ComputationFailed",
-    "Dimension",
-    "DisturbanceGradient",
-    "Gait",
-    "Grid",
-    "HeavyLegWalker",
-    "LeastDisturbance",
-    "LeastStepDown",
-    "Margins",
-    "Measure",
-    "Outcome",
-    "PointFootWalker",
-    "RoundFootWalker",
-    "SimplestWalker",
-    "SpringWalker",
-    "State",
-    "Stride",
-    "Uncertainty",
-    "UpperBodyWalker",
-    "Walk",
-    "Walker",
-    "area_gradient",
-    "attractors",
-    "basin",
-    "basin_stability",
-    "bifurcation_diagram",
-    "boundary_dimension",
-    "box_counting",
-    "compare_methods",
-    "continue_gait",
-    "descend",
-    "disturbance_gradient",
-    "find_gait",
-    "find_gaits",
-    "gait_derivatives",
-    "gait_measures",
-    "least_disturbance",
-    "least_step_down",
-    "loss_of_walking",
-    "margins",
-    "margins_of_many",
-    "motion",
-    "optimise",
-    "refine",
-    "robustness",
-    "robustness_table",
-    "step_down",
-    "stride",
-    "strides",
-    "sweep",
-    "trajectory",
-    "uncertainty_exponent",
-    "walk",
-]
+__all__ = sorted(MODULES)  # pyright: ignore[reportUnsupportedDunderAll]

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from importlib.metadata import version
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
@@ -423,8 +422,7 @@ def gaits_at(
     points = []
     for value in values:
         grid = with_parameter(walker, parameter, value).gait_region()
-        cells = np.arange(0, grid.size, SPARSE, dtype=np.int32)
-        points.append(np.asarray(jax.vmap(grid.centre)(cells)))
+        points.append(grid.centres(np.arange(0, grid.size, SPARSE)))
     walkers = with_parameter(walker, parameter, np.repeat(values, [len(p) for p in points]))
     left, cycles = walked(walkers, np.concatenate(points), period, tolerance)
     walkers = some(walkers, left)

@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Array, Float, Int
-from scipy.special import ndtri, stdtrit
 
 from walker_jax.checks import WrongUse, array, check_number, check_whole, numbers, refuses_tracers
 
@@ -112,6 +111,8 @@ def box_counting(
     counts = fine**2 / coarse
     slopes = -np.diff(np.log2(counts))
     value = slopes.mean()
+    from scipy.special import stdtrit
+
     half = stdtrit(len(slopes) - 1, upper) * slopes.std(ddof=1) / np.sqrt(len(slopes))
     sizes = spacing * SMALLEST * 2.0 ** np.arange(len(counts))
     return Dimension(float(value), float(value - half), float(value + half), sizes, counts)
@@ -239,6 +240,8 @@ def fit_power(
         line = np.average(seen, weights=weights) + power * deviation
     freedom = len(x) - 2
     scatter = np.sqrt(np.sum(weights * (seen - line) ** 2) / freedom)
+    from scipy.special import ndtri, stdtrit
+
     half = max(ndtri(upper), stdtrit(freedom, upper) * scatter) / np.sqrt(information)
     return float(power), float(half)
 

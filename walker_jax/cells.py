@@ -191,6 +191,23 @@ class Grid(eqx.Module):
         u = lower + (jnp.stack(places).astype(lower.dtype) + 0.5) * spacing
         return jnp.asarray(self.origin) + _multiply(self.shear, u)
 
+    def centres(self, indices: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n s"]:
+        """Centres of many cells, as `centre` has them; on the host only."""
+        dtype = jnp.asarray(0.0).dtype  # where nothing is compiled for so little
+        parts = (self.lower, self.spacing, self.shear, self.origin)
+        lower, spacing, shear, origin = (np.asarray(part, dtype) for part in parts)
+        places = np.stack(np.unravel_index(indices, self.counts), axis=1).astype(dtype)
+        u = lower + (places + dtype.type(0.5)) * spacing
+        return origin + np.sum(shear * u[:, None], axis=2)
+
+    def contains(self, points: Float[np.ndarray, "*n s"]) -> Bool[np.ndarray, "*n"]:
+        """Whether a cell holds a point; on the host only."""
+        parts = (self.lower, self.upper, self.unshear, self.origin)
+        lower, upper, unshear, origin = (np.asarray(part, points.dtype) for part in parts)
+        with np.errstate(invalid="ignore"):  # of a point that is not finite
+            u = np.sum(unshear * (points - origin)[..., None, :], axis=-1)
+        return ((lower <= u) & (u < upper)).all(axis=-1)
+
     def states(self, share: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n s"]:
         """Points at shares, 0 to 1, of the way along each axis of the box; on the host only."""
         lower, upper = np.asarray(self.lower), np.asarray(self.upper)

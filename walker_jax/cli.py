@@ -6,6 +6,7 @@ Ctrl-C; 143: terminated by SIGTERM.
 """
 
 import functools
+import gc
 import inspect
 import json
 import math
@@ -17,21 +18,23 @@ import time
 from collections.abc import Callable, Iterable
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any, Literal, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 import jax
 import numpy as np
-import platformdirs
 import typer
-import xarray as xr
 from jax.typing import ArrayLike
 from typer.core import TyperGroup
 
+import walker_jax as wj
 from walker_jax import store
 from walker_jax.cells import Grid
 from walker_jax.checks import ComputationFailed, WrongUse
-from walker_jax.gaits import check_parameter, with_parameter
+from walker_jax.kernels.object_cache import cache_folder
 from walker_jax.walkers import WALKERS, Parameter, SimplestWalker, Walker, parameters
+
+if TYPE_CHECKING:
+    import xarray
 
 
 class Commands(TyperGroup):
@@ -222,9 +225,6 @@ def walk(
     The simplest walker starts at theta 0.2, thetadot -0.21645 by default, any other in its gait. A
     film shows it walk, about as fast as one with legs of one metre, and its way over the basin.
     """
-    import walker_jax as wj
-    from walker_jax import poses
-
     given = {"theta": theta, "thetadot": thetadot, "phidot": phidot}
     given = {name: value for name, value in given.items() if value is not None}
     finite(**given)
@@ -238,6 +238,8 @@ def walk(
         "version": version("walker-jax"),
     }
     if animate is not None:
+        from walker_jax import poses
+
         poses.check_film(animate)
         store.check_picture(animate, request, overwrite=overwrite, argument="animate")
     start = start_of(walker, given) if given else gait_of(walker, walker.section).states[0]
@@ -271,7 +273,6 @@ def walk(
 
 def window(walker: Walker, x: ArrayLike) -> Grid:
     """The part of the section, or of a slice through it, around the gait; around x if none is."""
-    import walker_jax as wj
     from walker_jax.basin import around
 
     if isinstance(walker, wj.SimplestWalker):
@@ -294,8 +295,6 @@ def start_of(walker: Walker, given: dict[str, float]) -> np.ndarray:
 
 def gait_of(walker: Walker, instead: Iterable[str]):
     """The most stable gait of period one that is found; options `instead` make it needless."""
-    import walker_jax as wj
-
     gait = wj.find_gait(walker)
     if not gait.found:
         options = ", ".join(option_of(name) for name in instead)
@@ -325,9 +324,6 @@ def gait(
     as_json: Json = False,
 ) -> None:
     """Find the gaits of a walker: cycles of strides, and their stability."""
-    import walker_jax as wj
-    from walker_jax import figures
-
     if phidot is not None and guess is None:
         raise WrongUse("--phidot is for --guess alone")
     start = None
@@ -364,6 +360,8 @@ def gait(
     if not found:
         raise ComputationFailed(no_gait(walker, period, None if all_ else first, guess is not None))
     if figure is not None:
+        from walker_jax import figures
+
         draw(figures.multipliers(found), figure, request)
     if as_json:
         gaits = [
@@ -409,8 +407,8 @@ def bifurcation(
     as_json: Json = False,
 ) -> None:
     """Follow the gaits over the slope: how each is born, doubles and ends."""
-    import walker_jax as wj
     from walker_jax import figures
+    from walker_jax.gaits import check_parameter, with_parameter
 
     check_parameter(walker, "slope", low, high)
     walker = with_parameter(walker, "slope", low)
@@ -526,7 +524,7 @@ def picture_of(out: Path, figure: Path | None) -> Path:
 
 def made_before(
     out: Path, figure: Path | None, request: dict, *, overwrite: bool
-) -> tuple[Path, xr.Dataset | None]:
+) -> "tuple[Path, xarray.Dataset | None]":
     """Where the picture goes, and what the same command has left at `out`, if it has ended.
 
     Something else at either place is refused.
@@ -597,7 +595,6 @@ def basin(
     another walker the window is around its gait. The data set is written piece by piece: after an
     interruption the same command goes on.
     """
-    import walker_jax as wj
     from walker_jax import figures
     from walker_jax.basin import around, artefacts
 
@@ -737,13 +734,11 @@ def cluster_of(workers: int | None, scheduler: str | None) -> int | str | None:
     return scheduler if workers is None else workers
 
 
-def tally(data: xr.Dataset) -> tuple[np.ndarray, int, int]:
+def tally(data: "xarray.Dataset") -> tuple[np.ndarray, int, int]:
     """Cells of each outcome, those that walk on near no attractor, and the strides of all.
 
     Few rows at a time: a large data set is not in memory.
     """
-    import walker_jax as wj
-
     counts, lost, made = np.zeros(len(wj.Outcome), int), 0, 0
     row = data["fate"].dims[0]
     rows = max(1, 2**22 * data.sizes[row] // data["fate"].size)
@@ -805,8 +800,8 @@ def robustness(
     of the boundary. By default over all angles of a walker on point feet, and in a slice around the
     gait of any other.
     """
-    import walker_jax as wj
     from walker_jax import figures
+    from walker_jax.gaits import check_parameter
 
     if (low is None) != (high is None):
         raise WrongUse("--from and --to are for a table over slopes: give both or none")
@@ -940,7 +935,6 @@ def optimise(
     What has been measured is kept as it goes: after an interruption the same command goes on. The
     picture shows the climb over a scan of the objective, and the basins before and after.
     """
-    import walker_jax as wj
     from walker_jax import figures
 
     bounds = bounds_of(walker, over or [], bound or [])
@@ -965,7 +959,7 @@ def optimise(
     figure, data = made_before(out, figure, request, overwrite=overwrite)
     kept = data is not None
 
-    def keep(trace: xr.Dataset) -> None:
+    def keep(trace: "xarray.Dataset") -> None:
         nonlocal kept
         store.save(trace, out, request)
         kept = True
@@ -1024,6 +1018,8 @@ NAMED = {
 
 def bounds_of(walker: Walker, over: list[str], bound: list[str]) -> dict[str, tuple[float, float]]:
     """The bounds of the parameters that are free."""
+    from walker_jax.gaits import check_parameter
+
     names = [name.replace("-", "_") for name in over]
     bounds: dict[str, tuple[float, float]] = {}
     for text in bound:
@@ -1103,7 +1099,6 @@ def sweep(
     What has been computed is kept as it goes: after an interruption the same command goes on. The
     picture shows the area over the first two parameters.
     """
-    import walker_jax as wj
     from walker_jax import figures
     from walker_jax.sweep import check_values
 
@@ -1257,8 +1252,6 @@ def print_optimum(walker: Walker, answer: dict, objective: str) -> None:
 
 def measures(data, slope: float) -> dict:
     """The answer of `robustness` on one slope."""
-    import walker_jax as wj
-
     number = lambda name: float(data[name]) if name in data else None
     failure = lambda name: wj.Outcome(int(data[name])).name if name in data else None
     interval = lambda name: {
@@ -1401,8 +1394,10 @@ def plain(value):
 
 
 def keep_compiled() -> None:
-    """Keep compiled programs in the user's cache directory, so that the next start is fast."""
-    folder = Path(platformdirs.user_cache_dir("walker-jax"))
+    """Keep what XLA compiles where kernels are, so that the next start is fast."""
+    folder = cache_folder()
+    if folder is None or "JAX_COMPILATION_CACHE_DIR" in os.environ:
+        return
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:
@@ -1412,7 +1407,13 @@ def keep_compiled() -> None:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
 
 
+FEW_COLLECTIONS = 50_000
+"""New objects after which Python looks for garbage: traces are many objects, of which most live on,
+and at its default of 700 a sixth of a short command is spent on looking."""
+
+
 def main() -> NoReturn:
+    gc.set_threshold(FEW_COLLECTIONS)
     jax.config.update("jax_enable_x64", True)
     keep_compiled()
     signal.signal(signal.SIGTERM, terminate)

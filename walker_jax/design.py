@@ -19,8 +19,6 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
-from scipy.optimize import brentq
-from scipy.stats import qmc
 
 from walker_jax.basin import basin, check_grid
 from walker_jax.cells import Grid
@@ -333,6 +331,8 @@ def starting_places(problem: Problem, starts: int) -> list[Float[np.ndarray, " p
     """The walker's own place, if it is within the bounds, and others spread over these."""
     own = problem.place(np.array([float(getattr(problem.walker, name)) for name in problem.names]))
     first = [own] if np.all((own >= 0) & (own <= 1)) else []
+    from scipy.stats import qmc
+
     sampler = qmc.LatinHypercube(len(own), rng=np.random.default_rng(problem.seed))
     return [*first, *sampler.random(starts - len(first))]
 
@@ -679,6 +679,8 @@ def on_limit(
     def least(share: float) -> float:
         slack = min(one.value for one in slacks(trace, within + share * (beyond - within)))
         return slack if np.isfinite(slack) else -1.0
+
+    from scipy.optimize import brentq
 
     share: Any = brentq(least, 0.0, 1.0, xtol=1e-13)
     return within + share * (beyond - within)

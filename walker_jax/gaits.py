@@ -310,7 +310,7 @@ def find_gaits(
             f"region must have the {len(walker.section)} dimensions of the section, "
             f"{', '.join(walker.section)}, not {', '.join(grid.names)}"
         )
-    starts = np.asarray(jax.vmap(grid.centre)(np.arange(grid.size, dtype=np.int32)))
+    starts = grid.centres(np.arange(grid.size))
     walker, _, tolerance = prepared(walker, starts[0], tolerance)
     _, cycles = walked(walker, starts, period, tolerance)
     gaits = search(walker, cycles, tolerance)
@@ -319,8 +319,7 @@ def find_gaits(
         further = search(walker, nearer, tolerance)
         gaits = Gait(*map(np.concatenate, zip(gaits, further, strict=True)))
     gaits = confirmed(walker, distinct(gaits), tolerance)
-    inside = np.asarray(jax.vmap(jax.vmap(grid.cell))(jnp.asarray(gaits.states))) >= 0
-    keep = gaits.found & inside.any(axis=1)
+    keep = gaits.found & grid.contains(np.asarray(gaits.states)).any(axis=1)
     return [gait_at(gaits, i) for i in np.flatnonzero(keep)]
 
 

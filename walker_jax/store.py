@@ -18,13 +18,15 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import filelock
 import numpy as np
-import xarray as xr
 
 from walker_jax.checks import WrongUse
+
+if TYPE_CHECKING:
+    import xarray  # which takes half a second to load, and commands without a data set need not
 
 LARGE = 2**28
 """Bytes from which on a data set is read when it is used, rather than at once."""
@@ -47,7 +49,7 @@ RESUME = "run the same again"
 """What a note on an interruption begins with that says how its work is resumed."""
 
 
-def find(path: Path, request: dict, *, overwrite: bool = False) -> xr.Dataset | None:
+def find(path: Path, request: dict, *, overwrite: bool = False) -> "xarray.Dataset | None":
     """The result of `request` that stands at `path`, or None where it is still to be computed.
 
     Raises `Occupied` where something else stands there, unless `overwrite` is given and it is a
@@ -70,7 +72,7 @@ def find(path: Path, request: dict, *, overwrite: bool = False) -> xr.Dataset | 
     return None
 
 
-def standing(path: Path) -> xr.Dataset | None:
+def standing(path: Path) -> "xarray.Dataset | None":
     """The data set that stands at a place, if one does; of a whole one, nothing else."""
     try:
         if not (path / "zarr.json").is_file():
@@ -131,7 +133,7 @@ def writable(path: Path) -> None:
         raise WrongUse(f"{path} cannot be written: {error.strerror}") from None
 
 
-def save(data: xr.Dataset, path: Path, request: dict) -> xr.Dataset:
+def save(data: "xarray.Dataset", path: Path, request: dict) -> "xarray.Dataset":
     """Write a data set at `path`, in the place of any that stands there; returns it as written."""
     path, data = followed(path), data.assign_attrs(request=canonical(request))
     with held(path) as folder:
@@ -251,7 +253,7 @@ def write(path: Path, text: str) -> None:
         draft.write_text(text, encoding="utf-8")
 
 
-def load(path: Path) -> xr.Dataset | None:
+def load(path: Path) -> "xarray.Dataset | None":
     """The data set at `path`, or None where it cannot be read."""
     try:
         return opened(path)
@@ -266,11 +268,13 @@ def group_at(path: Path, mode: Literal["r", "r+"]) -> Any:
     return zarr.open_group(path, mode=mode)
 
 
-def opened(path: Path) -> xr.Dataset:
+def opened(path: Path) -> "xarray.Dataset":
     """The data set at `path`, in memory; but one that is large is read when it is used."""
+    import xarray
+
     with warnings.catch_warnings():  # of arrays that a run is about to begin
         warnings.filterwarnings("ignore", "Object at .* is not recognized")
-        data = xr.open_zarr(path, consolidated=False, chunks=None)
+        data = xarray.open_zarr(path, consolidated=False, chunks=None)
         if not data.attrs.get("unfinished"):
             for name, array in group_at(path, "r").arrays():
                 if array.nchunks_initialized < array.nchunks:  # which would read as zeros
@@ -335,7 +339,7 @@ class Pieces(NamedTuple):
         if done:
             self.array("written")[place] = 1
 
-    def finish(self, data: xr.Dataset) -> None:
+    def finish(self, data: "xarray.Dataset") -> None:
         """Add what is found at the end, and remove the arrays that were of use on the way."""
         attributes = dict(self.group.attrs)
         data.assign_attrs(attributes).to_zarr(
@@ -350,8 +354,8 @@ class Pieces(NamedTuple):
 def pieces(
     path: Path,
     request: dict,
-    data: xr.Dataset,
-    arrays: Mapping[str, xr.Variable],
+    data: "xarray.Dataset",
+    arrays: "Mapping[str, xarray.Variable]",
     block: tuple[int, ...],
     notes: Callable[[], Any],
     *,
@@ -399,8 +403,8 @@ def pieces(
 
 def begin(
     path: Path,
-    data: xr.Dataset,
-    arrays: Mapping[str, xr.Variable],
+    data: "xarray.Dataset",
+    arrays: "Mapping[str, xarray.Variable]",
     block: tuple[int, ...],
     aside: Sequence[str],
 ) -> None:
@@ -456,7 +460,7 @@ def flush(file: Path) -> None:
             os.close(number)
 
 
-def export(path: Path, file: Path, *, overwrite: bool = False) -> xr.Dataset:
+def export(path: Path, file: Path, *, overwrite: bool = False) -> "xarray.Dataset":
     """Copy the data set at `path` to a NetCDF file; returns it.
 
     Raises `Occupied` where another file stands there, or `path` is no data set or is unfinished;

@@ -17,7 +17,8 @@ No kernel has a function with sorting, eigenvalues or singular values; types of 
 arithmetic of complex numbers; computed indices of arrays of more than `indexing.LONGEST` entries,
 such as results of many times; random numbers; callbacks, and so checks at run time that may fail
 (`equinox.error_if`: where `optimistix.Bisection` is to detect the bracket's sign, where a root is
-differentiated, in reverse mode). Programs are compiled for the processor at hand.
+differentiated, in reverse mode). Programs are compiled for the processor at hand,
+and kept on disk (`object_cache`).
 """
 
 from walker_jax.kernels.kernel import Kernel

@@ -1,10 +1,12 @@
 """A jaxpr of one cell, compiled for arrays of cells."""
 
 import ctypes
+import gc
 import hashlib
 import math
 import time
 from collections.abc import Callable, Sequence
+from contextlib import contextmanager
 
 import jax
 import numpy as np
@@ -29,7 +31,8 @@ class Kernel:
         self.operands, self.results = described(closed.in_avals), described(closed.out_avals)
         if sum(math.prod(shape) for shape, _ in self.operands) > LARGEST:
             raise UnsupportedPrimitive(f"more than {LARGEST} numbers")
-        source = emit(closed, self.operands, self.results)
+        with without_garbage_collection():
+            source = emit(closed, self.operands, self.results)
         self.digest = hashlib.sha256(source.encode()).hexdigest()
         self.engine = load_program(source)
         kind = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 2, *[ctypes.c_void_p] * 2)
@@ -64,3 +67,15 @@ class Kernel:
         # The arrays must live as long as it does.
         compute = lambda start, stop, _=arrays: self.run(start, stop, pointers, strides)
         return compute, results
+
+
+@contextmanager
+def without_garbage_collection():
+    """Traces are made of many small objects that live on; to look through them takes a fifth."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()

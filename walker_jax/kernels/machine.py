@@ -1,23 +1,40 @@
-"""Programs of LLVM as machine code for the processor at hand."""
+"""Programs of LLVM as machine code for the processor at hand, compiled once and kept on disk."""
 
+import hashlib
+
+import llvmlite
 import llvmlite.binding as llvm
+
+from walker_jax.kernels.object_cache import cached
+
+LEVEL = 2
+"""Of optimisation, as in `clang -O2`."""
 
 
 def load_program(source: str) -> llvm.ExecutionEngine:
     """What holds the machine code of a program, for this processor."""
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
-    machine = llvm.Target.from_default_triple().create_target_machine(
-        cpu=llvm.get_host_cpu_name(),
-        features=llvm.get_host_cpu_features().flatten(),
-        opt=2,
-        jit=True,
+    triple, processor = llvm.get_process_triple(), llvm.get_host_cpu_name()
+    features = llvm.get_host_cpu_features().flatten()
+    machine = llvm.Target.from_triple(triple).create_target_machine(
+        cpu=processor, features=features, opt=LEVEL, jit=True
     )
-    module = llvm.parse_assembly(source)
-    module.verify()
-    options = llvm.create_pipeline_tuning_options(speed_level=2)
-    passes = llvm.create_pass_builder(machine, options)
-    passes.getModulePassManager().run(module, passes)
-    engine = llvm.create_mcjit_compiler(module, machine)
+    versions = llvmlite.__version__, *llvm.llvm_version_info
+    all_it_depends_on = repr((versions, triple, processor, features, LEVEL, source))
+    name = hashlib.sha256(all_it_depends_on.encode()).hexdigest()
+    code = cached(name, lambda: object_code(source, machine))
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
+    engine.add_object_file(llvm.ObjectFileRef.from_data(code))
     engine.finalize_object()
     return engine
+
+
+def object_code(source: str, machine: llvm.TargetMachine) -> bytes:
+    """A program, optimised and compiled, with the C library's functions still to be linked."""
+    module = llvm.parse_assembly(source)
+    module.verify()
+    options = llvm.create_pipeline_tuning_options(speed_level=LEVEL)
+    passes = llvm.create_pass_builder(machine, options)
+    passes.getModulePassManager().run(module, passes)
+    return machine.emit_object(module)

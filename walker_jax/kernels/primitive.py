@@ -27,7 +27,7 @@ from jax.interpreters import ad, batching, mlir
 from jax.sharding import PartitionSpec
 
 from walker_jax.kernels import ffi
-from walker_jax.kernels.kernel import Kernel
+from walker_jax.kernels.kernel import Kernel, without_garbage_collection
 from walker_jax.kernels.rules import UnsupportedPrimitive
 
 PROGRAMS = 256
@@ -49,7 +49,7 @@ class Program:
         operands: Sequence,
         origin: "tuple[Program, tuple[int, ...], int] | None" = None,
     ):
-        with tracing_for_kernel(True):
+        with tracing_for_kernel(True), without_garbage_collection():
             self.closed = jax.make_jaxpr(function)(*operands)
         self.function = function
         self.operands = self.closed.in_avals

@@ -73,8 +73,8 @@ class Unrolling(Interpreter):
     def __init__(self):
         self.known: dict = {}
         """Results by primitive, parameters and operands: equal terms are computed once."""
-        self.numbers: dict[int, tuple[int, Any]] = {}
-        """Every JAX scalar met: its number in the order in which they came, by its identity."""
+        self.numbers: dict[int, tuple[tuple, Any]] = {}
+        """Every JAX scalar met, and its identity in the order in which they came."""
 
     def split(self, value) -> np.ndarray:
         entries = np.empty(np.shape(value), object)
@@ -117,12 +117,14 @@ class Unrolling(Interpreter):
                 return shorter
         elif name in ("copy", "copy_p"):
             return operands[0]
-        if name in ("mul", "add", "add_any"):  # the order does not matter
-            operands = sorted(operands, key=self.identity)
-        key = name, (*map(self.identity, operands), *dtypes), repr(sorted(params.items()))
-        if key not in self.known:
-            self.known[key] = self.evaluate(primitive, params, operands, dtypes)
-        return self.known[key]
+        identities = [self.identity(operand) for operand in operands]
+        if name in COMMUTATIVE and identities[1] < identities[0]:
+            operands, identities = operands[::-1], identities[::-1]
+        key = name, *identities, *dtypes, *params.values()
+        result = self.known.get(key)
+        if result is None:
+            result = self.known[key] = self.evaluate(primitive, params, operands, dtypes)
+        return result
 
     def identity(self, entry) -> tuple:
         """What makes an entry the same as another, and sorts entries alike in every process.
@@ -131,12 +133,17 @@ class Unrolling(Interpreter):
         """
         if is_number(entry):
             return 0, type(entry).__name__, repr(entry)
-        number, _ = self.numbers.setdefault(id(entry), (len(self.numbers), entry))
-        return 1, "", number
+        found = self.numbers.get(id(entry))
+        if found is None:
+            found = self.numbers[id(entry)] = (1, "", len(self.numbers)), entry
+        return found[0]
 
     def evaluate(self, primitive: Primitive, params: dict, operands: list, dtypes: list) -> Any:
         """The primitive itself, of scalars: a number where all of them are."""
         now = all(map(is_number, operands))
+        if now and primitive.name in EXACT:
+            with np.errstate(all="ignore"):
+                return EXACT[primitive.name](*map(np.asarray, operands, dtypes)).item()
         scalars = [
             np.asarray(x, dtype) if is_number(x) else x
             for x, dtype in zip(operands, dtypes, strict=True)
@@ -203,6 +210,9 @@ class Unrolling(Interpreter):
         return [entries.ravel()[places.ravel() - 1].reshape(places.shape)]
 
 
+COMMUTATIVE = frozenset(["mul", "add", "add_any"])
+
+
 @functools.cache
 def params_of(function: Callable) -> dict:
     """Those that a function of two numbers gives to its primitive."""
@@ -249,6 +259,22 @@ def multiplied(a, b):
 def divided(a, b):
     return a if is_number(b) and b == 1 else None
 
+
+EXACT = {
+    "add": np.add,
+    "add_any": np.add,
+    "eq": np.equal,
+    "ge": np.greater_equal,
+    "gt": np.greater,
+    "le": np.less_equal,
+    "lt": np.less,
+    "mul": np.multiply,
+    "ne": np.not_equal,
+    "neg": np.negative,
+    "sub": np.subtract,
+}
+"""Functions of known numbers that NumPy computes alike, and for which XLA would compile a program.
+"""
 
 SHORTCUTS = {
     "add": added,
@@ -298,12 +324,20 @@ def moving(move: Callable) -> Callable:
 
 
 def pad(unrolling, equation, operands):
-    """Entries with a value around them and in between."""
+    """Entries with a value around them and in between; less than none around cuts some off."""
     entries, padding = operands
-    numbers = np.arange(1, entries.size + 1).reshape(entries.shape)
-    zero = np.asarray(0, numbers.dtype)
-    (places,) = bound(equation.primitive, equation.params, [numbers, zero], now=True)
-    return [np.append(padding.ravel(), entries.ravel())[places.ravel()].reshape(places.shape)]
+    for axis, (low, high, between) in enumerate(equation.params["padding_config"]):
+        moved = np.moveaxis(entries, axis, 0)
+        count = len(moved)
+        size = max(low + count + max(count - 1, 0) * between + high, 0)
+        result = np.empty((size, *moved.shape[1:]), object)
+        result[...] = padding
+        for i, entry in enumerate(moved):
+            place = low + i * (between + 1)
+            if 0 <= place < size:
+                result[place] = entry
+        entries = np.moveaxis(result, 0, axis)
+    return [entries]
 
 
 def split(unrolling, equation, operands):

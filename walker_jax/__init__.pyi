@@ -1,0 +1,62 @@
+"""The public names, each of which `__init__.py` loads from here when it is first used."""
+
+from walker_jax.basin import basin as basin
+from walker_jax.basin import compare_methods as compare_methods
+from walker_jax.bifurcations import attractors as attractors
+from walker_jax.bifurcations import bifurcation_diagram as bifurcation_diagram
+from walker_jax.bifurcations import loss_of_walking as loss_of_walking
+from walker_jax.boundaries import Dimension as Dimension
+from walker_jax.boundaries import Uncertainty as Uncertainty
+from walker_jax.boundaries import box_counting as box_counting
+from walker_jax.boundaries import uncertainty_exponent as uncertainty_exponent
+from walker_jax.branches import Bifurcation as Bifurcation
+from walker_jax.branches import Branch as Branch
+from walker_jax.branches import continue_gait as continue_gait
+from walker_jax.cells import Grid as Grid
+from walker_jax.checks import ComputationFailed as ComputationFailed
+from walker_jax.design import optimise as optimise
+from walker_jax.gaits import Gait as Gait
+from walker_jax.gaits import descend as descend
+from walker_jax.gaits import find_gait as find_gait
+from walker_jax.gaits import find_gaits as find_gaits
+from walker_jax.gaits import gait_derivatives as gait_derivatives
+from walker_jax.margins import Margins as Margins
+from walker_jax.margins import margins as margins
+from walker_jax.margins import margins_of_many as margins_of_many
+from walker_jax.motion import motion as motion
+from walker_jax.objectives import AreaGradient as AreaGradient
+from walker_jax.objectives import DisturbanceGradient as DisturbanceGradient
+from walker_jax.objectives import Measure as Measure
+from walker_jax.objectives import area_gradient as area_gradient
+from walker_jax.objectives import disturbance_gradient as disturbance_gradient
+from walker_jax.objectives import gait_measures as gait_measures
+from walker_jax.refinement import refine as refine
+from walker_jax.robustness import BasinStability as BasinStability
+from walker_jax.robustness import LeastDisturbance as LeastDisturbance
+from walker_jax.robustness import LeastStepDown as LeastStepDown
+from walker_jax.robustness import basin_stability as basin_stability
+from walker_jax.robustness import boundary_dimension as boundary_dimension
+from walker_jax.robustness import least_disturbance as least_disturbance
+from walker_jax.robustness import least_step_down as least_step_down
+from walker_jax.robustness import robustness as robustness
+from walker_jax.robustness import robustness_table as robustness_table
+from walker_jax.stride import Outcome as Outcome
+from walker_jax.stride import Stride as Stride
+from walker_jax.stride import Walk as Walk
+from walker_jax.stride import step_down as step_down
+from walker_jax.stride import stride as stride
+from walker_jax.stride import strides as strides
+from walker_jax.stride import trajectory as trajectory
+from walker_jax.stride import walk as walk
+from walker_jax.sweep import sweep as sweep
+from walker_jax.walkers import HeavyLegWalker as HeavyLegWalker
+from walker_jax.walkers import PointFootWalker as PointFootWalker
+from walker_jax.walkers import RoundFootWalker as RoundFootWalker
+from walker_jax.walkers import SimplestWalker as SimplestWalker
+from walker_jax.walkers import SpringWalker as SpringWalker
+from walker_jax.walkers import State as State
+from walker_jax.walkers import UpperBodyWalker as UpperBodyWalker
+from walker_jax.walkers import Walker as Walker
+
+__all__: list[str]
+__version__: str
