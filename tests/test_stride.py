@@ -613,7 +613,7 @@ def test_starts_of_other_shapes_are_refused(shape):
         lambda: wj.trajectory(walker, start, np.ones(1)),
     ]
     for call in calls:
-        with pytest.raises(ValueError, match="xs? must have shape") as error:
+        with pytest.raises(ValueError, match=r"xs? must have shape") as error:
             call()
         assert str(shape) in str(error.value)
 
