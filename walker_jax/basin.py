@@ -48,7 +48,7 @@ from walker_jax.checks import (
     short,
 )
 from walker_jax.cluster import computers
-from walker_jax.integrate import Real, default_tolerance
+from walker_jax.integrate import Real, Solver, default_tolerance, solved_by
 from walker_jax.progress import tracked
 from walker_jax.stride import Outcome, stride
 from walker_jax.tiles import map_cells, order_of_cells
@@ -73,6 +73,7 @@ def basin(
     *,
     strides: int = 200,
     tolerance: float | None = None,
+    solver: Solver | None = None,
     progress: bool = False,
     out: Path | str | None = None,
     request: dict | None = None,
@@ -87,7 +88,7 @@ def basin(
     - `grid`: its state coordinates are those of the section. It may be a slice.
     - `method`: "cell-map" or "direct"; for a slice, "direct" only.
     - `strides`: how many of them direct iteration follows a walker for.
-    - `tolerance`: of the integration, as in `stride`.
+    - `tolerance`, `solver`: of the integration, as in `stride`. A cluster takes no other solver.
     - `progress`: whether to show a progress bar on a terminal.
     - `out`: a place on disk, a Zarr store, into which the result is written piece by piece, while
       memory holds a piece alone; but the cell map takes 12 bytes for each cell at the end.
@@ -132,14 +133,19 @@ def basin(
     tolerance = float(default_tolerance(dtype, tolerance))
     limit = {"strides": strides} if method == "direct" else {}
     how = {"method": method, **limit, "tolerance": tolerance}
-    if out is not None:
-        return in_pieces(walker, grid, how, Path(out), request, overwrite, cluster, progress)
-    if cluster is not None:
-        raise WrongUse(f"cluster={cluster!r} computes pieces of a store: out is wanted too")
-    if method == "cell-map":
-        found = cell_mapping(walker, grid, tolerance, progress)
-    else:
-        found = direct_iteration(walker, grid, tolerance, strides, progress)
+    if solver is not None:
+        how["solver"] = repr(solver)
+        if cluster is not None:
+            raise WrongUse(f"solver must not be given with a cluster, unlike {solver!r}")
+    with solved_by(solver):
+        if out is not None:
+            return in_pieces(walker, grid, how, Path(out), request, overwrite, cluster, progress)
+        if cluster is not None:
+            raise WrongUse(f"cluster={cluster!r} computes pieces of a store: out is wanted too")
+        if method == "cell-map":
+            found = cell_mapping(walker, grid, tolerance, progress)
+        else:
+            found = direct_iteration(walker, grid, tolerance, strides, progress)
     return labelled(walker, grid, found, how)
 
 

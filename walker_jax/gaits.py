@@ -13,7 +13,7 @@ the unit circle. Jacobians come from automatic differentiation.
 import inspect
 from collections.abc import Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -36,7 +36,7 @@ from walker_jax.checks import (
     refuses_tracers,
     short,
 )
-from walker_jax.integrate import Real
+from walker_jax.integrate import Real, Solver, solved_by
 from walker_jax.series import evaluate
 from walker_jax.stride import (
     Outcome,
@@ -84,6 +84,7 @@ def find_gait(
     period: int = 1,
     *,
     tolerance: Real | None = None,
+    solver: Solver | None = None,
 ) -> Gait:
     """The gait to which Newton's iteration (26) leads from a guess.
 
@@ -102,12 +103,18 @@ def find_gait(
       period of one it is the long gait, the one that is stable at small slopes. Otherwise it is the
       most stable gait that `find_gaits` finds, which cannot be done while JAX traces.
     - `period`: strides in a cycle.
-    - `tolerance`: of the integration, as in `stride`.
+    - `tolerance`, `solver`: of the integration, as in `stride`.
 
     **Returns** a `Gait`. Its `found` is false where the search fails, or ends in a gait of a
     shorter period; then states, multipliers and step times are NaN. `ValueError` for a period
     below 1, a guess of a wrong shape, one that is not finite, or none where one is needed.
     """
+    with solved_by(solver):
+        return gait_near(walker, guess, period, tolerance)
+
+
+def gait_near(walker: Walker, guess: Any, period: int, tolerance: Real | None) -> Gait:
+    """`find_gait` by the solver in use."""
     check_kind("walker", walker, Walker)
     check_whole("period", period)
     given = guess is not None

@@ -9,6 +9,7 @@ Nothing here knows what is integrated. Forward-mode derivatives run through ever
 
 import math
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any, ClassVar, NamedTuple
 
 import diffrax
@@ -20,6 +21,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from walker_jax.checks import WrongUse, check_number, short
+from walker_jax.kernels.primitive import contexts
 from walker_jax.roots import Look, derivative_of, first_zero, of_function, of_polynomial, when_zero
 from walker_jax.series import evaluate
 from walker_jax.taylor import (
@@ -141,21 +143,26 @@ def order_of(state: PyTree) -> int:
 
 Solver = diffrax.AbstractAdaptiveSolver
 
-
-def taylor(state: PyTree) -> "Taylor":
-    """The solver that is used unless another is given."""
-    return Taylor(order_of(state))
+solver_in_use = jax.make_user_context(None)
+contexts.append(solver_in_use)
 
 
-def checked_solver(solver: Any) -> Solver:
-    """A solver by which a stride can be followed; refuses any other."""
+def solved_by(solver: Any) -> AbstractContextManager:
+    """Let strides be followed by a solver meanwhile; None leaves it as it is. Refuses most."""
+    if solver is None:
+        return nullcontext()
     explicit = isinstance(solver, (diffrax.AbstractERK, Taylor))
     if not (explicit and isinstance(solver, diffrax.AbstractAdaptiveSolver)):
         raise WrongUse(
             "solver must be an explicit Runge-Kutta method of diffrax that estimates its error, "
             f"such as diffrax.Dopri8(), or a Taylor, not {short(solver)}"
         )
-    return solver
+    return solver_in_use(solver)
+
+
+def solver_for(state: PyTree) -> Solver:
+    """The solver in use: unless one is given, a series of the order that suits the dtype."""
+    return solver_in_use.value or Taylor(order_of(state))
 
 
 def polynomial(series: PyTree, t) -> PyTree:
@@ -335,7 +342,8 @@ class Method(eqx.Module):
 
     @property
     def terms(self):
-        return diffrax.ODETerm(lambda t, y, args: self.field(y))
+        field = self.field if isinstance(self.solver, Taylor) else fast_sines(self.field)
+        return diffrax.ODETerm(lambda t, y, args: field(y))
 
     def controller(self) -> diffrax.AbstractStepSizeController:
         if isinstance(self.solver, Taylor):

@@ -36,7 +36,8 @@ from walker_jax.integrate import (
     Real,
     Solver,
     default_tolerance,
-    taylor,
+    solved_by,
+    solver_for,
 )
 from walker_jax.kernels import by_kernel
 from walker_jax.roots import first_rise, least, negative
@@ -96,7 +97,11 @@ class Walk(NamedTuple):
 
 
 def stride(
-    walker: Walker, x: Float[ArrayLike, " coordinates"], *, tolerance: Real | None = None
+    walker: Walker,
+    x: Float[ArrayLike, " coordinates"],
+    *,
+    tolerance: Real | None = None,
+    solver: Solver | None = None,
 ) -> Stride:
     """One stride, S(x), equation (20).
 
@@ -111,12 +116,16 @@ def stride(
     - `x`: the start, on the walker's section just after heel strike; or a full state
       (theta, phi, thetadot, phidot), for a launch or after a push. That is feasible where it is
       finite and the stance leg stands, |theta| < pi/2.
-    - `tolerance`: of one step's last Taylor terms, relative to the state or its rate.
+    - `tolerance`: of one step's last Taylor terms, relative to the state or its rate; of the error
+      that another solver estimates.
+    - `solver`: one of diffrax's explicit Runge-Kutta methods, such as `diffrax.Dopri8()`, in place
+      of the Taylor series. It does not know where a vector field has kinks.
 
     **Returns** a `Stride`. A failure is an `Outcome`. `ValueError` for a wrong shape or dtype, and
     for a tolerance that the dtype cannot hold.
     """
-    return follow_stride(*prepared(walker, x, tolerance))
+    with solved_by(solver):
+        return follow_stride(*prepared(walker, x, tolerance))
 
 
 def prepared(
@@ -144,13 +153,10 @@ def follow_stride(
     walker: Walker,
     x: Float[Array, " coordinates"],
     tolerance: Float[Array, ""],
-    solver: Solver | None = None,
 ) -> Stride:
     start, verdict = fast_sines(begin)(walker, x)
     launched = not on_section(walker, x)
-    arrival, time, verdict, pulled = swing(
-        walker, start, verdict, tolerance, solver, launched=launched
-    )
+    arrival, time, verdict, pulled = swing(walker, start, verdict, tolerance, launched=launched)
     return fast_sines(end)(walker, arrival, time, verdict, pulled)
 
 
@@ -252,17 +258,14 @@ def follow_step_down(
     x: Float[Array, " coordinates"],
     drop: Float[Array, ""],
     tolerance: Float[Array, ""],
-    solver: Solver | None = None,
 ) -> Stride:
     start, verdict = fast_sines(begin)(walker, x)
     launched = not on_section(walker, x)
-    level, time, verdict, pulled = swing(
-        walker, start, verdict, tolerance, solver, launched=launched
-    )
+    level, time, verdict, pulled = swing(walker, start, verdict, tolerance, launched=launched)
     pulled |= fast_sines(in_tension)(walker, level)
     going = (verdict == Outcome.STRIDE) & (drop > 0)
     verdict = jnp.where(going, Outcome.UNDECIDED, verdict).astype(jnp.int8)
-    arrival, longer, verdict, more = swing(walker, level, verdict, tolerance, solver, drop)
+    arrival, longer, verdict, more = swing(walker, level, verdict, tolerance, drop)
     following, outcome = fast_sines(after_impact)(walker, arrival, verdict, pulled | more)
     return completed(jnp.stack(following), outcome, time + longer)
 
@@ -285,7 +288,6 @@ def swing(
     start: State,
     verdict: Int[Array, ""],
     tolerance: Real,
-    solver: Solver | None,
     drop: Scalar | None = None,
     *,
     launched: bool = False,
@@ -366,7 +368,7 @@ def swing(
         below = last.sides[1]
         return last.end, arrival, time, verdict, count + steps, pulled, below
 
-    method = Method(equations(walker), solver or taylor(start), tolerance, (contact,))
+    method = Method(equations(walker), solver_for(start), tolerance, (contact,))
     zero, never = jnp.zeros_like(start.theta), jnp.asarray(False)
     below = jnp.asarray(fast_sines(contact)(start) < 0)
     carry = (start, start, zero, verdict, jnp.asarray(0), never, below)
@@ -450,6 +452,7 @@ def strides(
     xs: Float[ArrayLike, "n coordinates"],
     *,
     tolerance: Real | None = None,
+    solver: Solver | None = None,
     progress: str | None = None,
 ) -> Stride:
     """`stride` for each of n starts, on all devices and cores; NumPy arrays.
@@ -459,7 +462,8 @@ def strides(
     It is fastest where neighbours in `xs` are close on the section.
     `progress` is what to call the work in a progress bar, shown on a terminal only.
     """
-    return for_each_start(follow_stride, walker, xs, tolerance, progress)
+    with solved_by(solver):
+        return for_each_start(follow_stride, walker, xs, tolerance, progress)
 
 
 def for_each_start(
@@ -511,14 +515,20 @@ def check_parameters(walker: Walker, n: int) -> None:
 
 
 def walk(
-    walker: Walker, x: Float[ArrayLike, " section"], n: int, *, tolerance: Real | None = None
+    walker: Walker,
+    x: Float[ArrayLike, " section"],
+    n: int,
+    *,
+    tolerance: Real | None = None,
+    solver: Solver | None = None,
 ) -> Walk:
     """n strides, one after the other, from x on the section. As `stride` otherwise."""
     check_whole("n", n)
     walker, x, tolerance = prepared(walker, x, tolerance)
     if x.shape != (len(walker.section),):
         raise WrongUse(f"x must be on the section {walker.section}, not of shape {x.shape}")
-    return follow_walk(walker, x, n, tolerance)
+    with solved_by(solver):
+        return follow_walk(walker, x, n, tolerance)
 
 
 @partial(jax.jit, static_argnums=2)
@@ -542,6 +552,7 @@ def trajectory(
     times: Float[ArrayLike, " times"],
     *,
     tolerance: Real | None = None,
+    solver: Solver | None = None,
 ) -> State:
     """Angles and rates at `times` after the start x of a stride, 0 or later, increasing.
 
@@ -560,7 +571,8 @@ def trajectory(
         steps = np.diff(listed, prepend=0.0)
         if listed.size == 0 or not (np.isfinite(steps) & (steps >= 0)).all():
             raise WrongUse(f"times must be finite, not negative and not decrease, unlike {times}")
-    return jax.vmap(state_after, (None, None, 0, None))(walker, x, times, tolerance)
+    with solved_by(solver):
+        return jax.vmap(state_after, (None, None, 0, None))(walker, x, times, tolerance)
 
 
 @by_kernel
@@ -569,11 +581,10 @@ def state_after(
     x: Float[Array, " coordinates"],
     time: Scalar,
     tolerance: Scalar,
-    solver: Solver | None = None,
 ) -> State:
     """The state a time after the start of a stride."""
     start = full_state(walker, x)
-    method = Method(equations(walker), solver or taylor(start), tolerance)
+    method = Method(equations(walker), solver_for(start), tolerance)
     solution = method.solve(start, jnp.zeros_like(time), time, method.controller())
     arrived = solution.result == diffrax.RESULTS.successful
     return jax.tree.map(lambda values: jnp.where(arrived, values[-1], jnp.nan), solution.ys)

@@ -11,6 +11,7 @@ import math
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from typing import Any
 
 import jax
@@ -23,7 +24,7 @@ from jaxtyping import Int, PyTree
 from rich.progress import Progress
 
 from walker_jax.checks import WrongUse
-from walker_jax.kernels.primitive import Program, program_of
+from walker_jax.kernels.primitive import Program, contexts, program_of
 from walker_jax.progress import console
 
 # Cells in a tile, and tiles in a call: a call should take much longer than it takes to make.
@@ -117,13 +118,21 @@ def _share_out(
 ) -> None:
     """work(start, stop) for n cells, `call` of them at a time, in as many threads."""
     starts = range(0, n, call)
+    settings = [(context, context.value) for context in contexts]  # which a thread has of its own
+
+    def alike(start: int, stop: int) -> None:
+        with ExitStack() as now:
+            for context, value in settings:
+                now.enter_context(context(value))
+            work(start, stop)
+
     shown = console(progress is not None)
     with (
         Progress(console=shown, disable=shown.quiet, transient=True) as bar,
         ThreadPoolExecutor(workers) as pool,
     ):
         task = bar.add_task(progress or "", total=n)
-        pending = [pool.submit(work, start, min(start + call, n)) for start in starts]
+        pending = [pool.submit(alike, start, min(start + call, n)) for start in starts]
         try:
             for start, future in zip(starts, pending, strict=True):
                 future.result()

@@ -11,6 +11,7 @@ direction that is asked for, and multiplies: so no loop need be gone through bac
 functions of few numbers, as a stride is.
 """
 
+import contextlib
 import functools
 import itertools
 import math
@@ -127,12 +128,15 @@ kernel_p.multiple_results = True
 programs: OrderedDict = OrderedDict()
 MODES = "jax_enable_x64", "jax_numpy_dtype_promotion"
 """Settings of JAX on which it depends what a function does."""
+contexts: list = []
+"""And settings of others, made by `jax.make_user_context`."""
 
 
 def program_of(function: Callable, structure, avals: Sequence) -> tuple[Program, Any]:
     """The program of a function of operands of these shapes and types, and its results' tree."""
     modes = tuple(getattr(jax.config, mode) for mode in MODES)
-    key = function, structure, modes, *((x.shape, x.dtype, x.weak_type) for x in avals)
+    settings = [(context, context.value) for context in contexts]
+    key = function, structure, modes, *settings, *((x.shape, x.dtype, x.weak_type) for x in avals)
     if key in programs:
         programs.move_to_end(key)
         return programs[key]
@@ -140,8 +144,10 @@ def program_of(function: Callable, structure, avals: Sequence) -> tuple[Program,
 
     def flat(*leaves):
         nonlocal results
-        found = function(*jax.tree.unflatten(structure, leaves))
-        found, results = jax.tree.flatten(found)
+        with contextlib.ExitStack() as now:
+            for context, value in settings:
+                now.enter_context(context(value))
+            found, results = jax.tree.flatten(function(*jax.tree.unflatten(structure, leaves)))
         return found
 
     program = Program(flat, list(map(described, avals)))
