@@ -9,9 +9,10 @@ greatest). `first` is how long the first answer takes, with no machine code on d
 compiling and one run. What has one program is compiled once: rows below the first that uses it
 find it there.
 
-The answer: a derivative costs two or three strides, a whole Jacobian about as many as it has
-directions, twice over, and reverse mode the same, as it goes through no stride backwards. The
-derivative of a stride is compiled in seconds, and serves all ways and any number of strides.
+The answer: a derivative costs two or three strides, a whole Jacobian about two for each direction,
+and reverse mode the same, as it goes through no stride backwards. The derivative of a stride is
+compiled once, in seconds, and serves all ways and any number of strides. The machine was busy with
+other work, which doubles times.
 
     2 cores; jax 0.10.2; 5000 starts, 5 repeats
 
