@@ -10,7 +10,7 @@ Nothing here knows what is integrated. Forward-mode derivatives run through ever
 import math
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -141,13 +141,14 @@ def order_of(state: PyTree) -> int:
     return ORDER[jax.tree.leaves(state)[0].dtype]
 
 
+AnySolver = diffrax.AbstractSolver
 Solver = diffrax.AbstractAdaptiveSolver
 
 solver_in_use = jax.make_user_context(None)
 contexts.append(solver_in_use)
 
 
-def solved_by(solver: Any) -> AbstractContextManager:
+def solved_by(solver: AnySolver | None) -> AbstractContextManager:
     """Let strides be followed by a solver meanwhile; None leaves it as it is. Refuses most."""
     if solver is None:
         return nullcontext()
