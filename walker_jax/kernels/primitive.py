@@ -93,7 +93,11 @@ class Program:
                     return list(itertools.compress(self.function(*point), real))
 
                 some = tuple(point[i] for i in by)
-                return jax.vmap(lambda *tangents: jax.jvp(of_some, some, tangents)[1])(*tangents)
+                one = lambda *tangents: jax.jvp(of_some, some, tangents)[1]
+                if directions > 1:
+                    return jax.vmap(one)(*tangents)
+                # The same, which takes half as long to trace.
+                return [change[None] for change in one(*(tangent[0] for tangent in tangents))]
 
             parts = [
                 self.operands[i].update(shape=(directions, *self.operands[i].shape)) for i in by
