@@ -375,7 +375,7 @@ def test_steps_of_a_series_in_diffeqsolve_are_those_of_the_loop(single_steps):
         stepsize_controller=SeriesSteps(three_body_like, order, TOLERANCE),
         max_steps=20,
     )
-    assert solution.stats["num_rejected_steps"] == 0
+    assert solution.stats["num_rejected_steps"] == 0 and solution.ts is not None
     np.testing.assert_allclose(solution.ts[:12], times[1:], rtol=1e-13)
     np.testing.assert_allclose(np.array(solution.ys).T[:12], states[1:], rtol=0, atol=1e-13)
 

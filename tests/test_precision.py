@@ -41,8 +41,8 @@ def test_the_side_that_was_seen_decides_whether_a_polynomial_has_risen(end):
             of_polynomial(rising), length, (jnp.array(True), jnp.array(ends_below))
         )
         assert found != ends_below and time == pytest.approx(1.0, abs=1e-15)
-    leaving = [jnp.array(end), jnp.array(1.0)]
-    found, _ = first_rise(of_polynomial(leaving), length, (jnp.array(False), jnp.array(False)))
+    leaving = of_polynomial([jnp.array(end), jnp.array(1.0)])
+    found, _ = first_rise(leaving, length, (jnp.array(False), jnp.array(False)))
     assert not found
 
 
