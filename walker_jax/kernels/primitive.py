@@ -368,7 +368,7 @@ def pull_back(cotangents, *operands, program: Program, mapped: tuple[bool, ...])
         )
         return [jnp.squeeze(changes[i], 1 if each else 0).astype(dtype) for i in given]
 
-    dtype = functools.reduce(jnp.promote_types, (x.dtype for x in (*avals, *program.results)))
+    dtype = np.result_type(*(aval.dtype for aval in (*avals, *program.results)))
     columns = jax.vmap(along)(jnp.eye(sum(sizes), dtype=dtype))  # column, cell, result
     cells = any(mapped)
     total: Any = 0.0
