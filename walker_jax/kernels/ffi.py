@@ -251,7 +251,10 @@ prepare:
   %expected_at = getelementptr i64, ptr %description, i64 %first_rank_place
   %expected = load i64, ptr %expected_at
   %one = icmp eq i64 %first_rank, %expected
-  br i1 %one, label %allocate, label %many
+  br i1 %one, label %allocate, label %higher
+higher:
+  %has_cells = icmp sgt i64 %first_rank, %expected
+  br i1 %has_cells, label %many, label %refuse
 many:
   %first_dims_at = getelementptr i8, ptr %first, i64 40
   %first_dims = load ptr, ptr %first_dims_at
