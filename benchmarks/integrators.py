@@ -2,17 +2,17 @@
 
 On one core, repeats interleaved, after compilation. First the paper's 50,000 strides by Taylor
 series of several orders, by kernels, and by XLA in tiles of 1024 cells with vectors of 512 and 256
-bits. Then a swing alone, followed for a time of 3 from 8192 starts that lie close together: the
-package's loop, by a kernel and by XLA; and, all by XLA in the same tiles, diffrax's `diffeqsolve`
-with the same Taylor solver, without and with a boolean event that reads the state at the end of a
-step, as that of a stride does; and Runge-Kutta, with XLA's sines and with the package's. Each is
-run at several tolerances, or numbers of constant steps; what is printed is the time where its
-largest error is that of the column.
+bits. Then a swing alone, followed for a time of 3 from 8192 starts that lie close together: by
+`Method.follow`, with a loop of its own and with that of diffrax's `diffeqsolve`; by `diffeqsolve`
+to a final time, without and with a boolean event that reads the state at the end of a step; and by
+Runge-Kutta methods, with XLA's sines and with the package's. Rows without `kernel` are by XLA in
+the same tiles. Each is run at several tolerances, or numbers of constant steps; what is printed is
+the time where its largest error is that of the column.
 
-The answer: orders 10 to 16 are alike; a kernel takes a fifth of the time of
-XLA's tiles; Taylor series take a fifth to a fortieth of the time of Runge-Kutta; by XLA, the loop
-is 1.4 times as fast as `diffeqsolve` with the same solver, and more than twice as fast where that
-has an event to watch.
+The answer: orders 10 to 16 are alike; a kernel takes a fifth of the time of XLA's tiles, and
+compiles sooner; in kernels, Taylor series take a ninth to a twentieth of the time of Runge-Kutta,
+and a loop that expands each series once is faster than diffrax's. The two tables are of different
+runs; the machine was busy with other work during the second, so trust its ratios alone.
 
     Strides, by Taylor series: us each
     largest error                         1e-08    1e-09    1e-10  compile
@@ -26,17 +26,21 @@ has an event to watch.
 
     Swings for a time of 3: us each
     largest error                         1e-08    1e-10    1e-12  compile
-    integrate_until, kernel                0.29     0.36     0.46    0.4 s
-    integrate_until                        0.52     0.69     0.95    1.9 s
-    diffeqsolve, Taylor                    0.80     0.98     1.29    2.1 s
-    diffeqsolve, Taylor, event             1.53     1.88     2.29    3.6 s
-    diffeqsolve, Taylor, constant          0.30     0.41     0.60    1.5 s
-    diffeqsolve, Dopri8                    6.80    10.33    15.86    2.0 s
-    diffeqsolve, Dopri8, our sines         4.06     5.97     9.20    1.8 s
-    diffeqsolve, Dopri8, constant          3.80     6.68    11.71    1.4 s
-    diffeqsolve, Tsit5                     7.44    15.67    39.01    2.1 s
-    diffeqsolve, Tsit5, our sines          3.88     8.14    20.21    1.9 s
-    diffeqsolve, Tsit5, constant           6.38    14.15    36.35    1.4 s
+    follow, kernel                         0.36     0.59     0.92    0.2 s
+    follow, diffrax's loop, kernel         0.60     0.62     1.39    0.6 s
+    follow                                 2.09     2.38     3.18    2.6 s
+    diffeqsolve, Taylor, kernel            0.51     0.48     0.89    3.2 s
+    diffeqsolve, Taylor                    1.66     1.77     2.48   25.5 s
+    diffeqsolve, Taylor, event             3.23     4.20     4.97   30.6 s
+    diffeqsolve, Taylor, constant          0.56     0.91     1.12    2.3 s
+    diffeqsolve, Dopri8, kernel            3.15     4.37     7.19    0.6 s
+    diffeqsolve, Dopri8                   11.38    18.19    31.60    1.6 s
+    diffeqsolve, Dopri8, our sines         8.62    12.21    18.06    1.3 s
+    diffeqsolve, Dopri8, constant          5.46    10.78    18.36    2.1 s
+    diffeqsolve, Tsit5, kernel             3.37     7.25    19.75    0.4 s
+    diffeqsolve, Tsit5                    10.44    20.32    57.30    1.1 s
+    diffeqsolve, Tsit5, our sines          7.96    19.00    40.52    1.2 s
+    diffeqsolve, Tsit5, constant           9.58    21.67    56.14    2.1 s
 """
 
 import argparse
@@ -56,7 +60,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import walker_jax as wj
-from walker_jax.integrate import ORDER, Taylor, integrate_until, step
+from walker_jax.integrate import ORDER, Method, Taylor, Until
 from walker_jax.kernels import primitive
 from walker_jax.stride import follow_stride, prepared
 from walker_jax.taylor import fast_sines
@@ -77,14 +81,12 @@ def main():
 
 @contextmanager
 def by_xla():
-    """Meanwhile there are no kernels."""
+    """Meanwhile no function that is new gets a kernel."""
     usual, primitive.Program.kernel = primitive.Program.kernel, None
-    primitive.programs.clear()
     try:
         yield
     finally:
         primitive.Program.kernel = usual
-        primitive.programs.clear()
 
 
 def timed(run: Callable):
@@ -165,9 +167,11 @@ def of_one_swing(repeats: int):
         return jnp.isfinite(sum(state))
 
     def landed(walker, state, rest):  # from the end of a step, which is not at a time of 3
-        return jnp.stack(list(step(walker.vector_field, state, rest, ORDER[DTYPE])))
+        short = diffrax.ODETerm(lambda t, y, args: walker.vector_field(y))
+        taylor = Taylor(ORDER[DTYPE])
+        return jnp.stack(taylor.step(short, 0.0, rest, state, None, None, False)[0])
 
-    def loop(shared, x):
+    def loop(shared, x, diffrax_loop=False):
         walker, tolerance = shared
 
         def field(state):  # with a clock too slow to count in the error
@@ -176,11 +180,18 @@ def of_one_swing(repeats: int):
         def stop(_, end, side):
             return (end[1] >= SWING / 64) & finite(end[0]), side
 
-        start = walker.lift(x), jnp.zeros(())
-        last = integrate_until(field, start, stop, tolerance=tolerance)
+        method = Method(field, Taylor(ORDER[DTYPE]), tolerance)
+        start, none = (walker.lift(x), jnp.zeros(())), jnp.asarray(False)
+        if diffrax_loop:  # as `follow` has other solvers go
+            until = Until(method.controller(), stop, none)
+            solution = method.solve(start, 0.0, jnp.inf, until, controller_state=True)
+            assert solution.controller_state is not None
+            _, last = solution.controller_state
+        else:
+            last, _ = method.follow(start, stop, side=none)
         return landed(walker, last.start[0], SWING - last.time)
 
-    def by_diffrax(solver, adaptive=True, sines=False, event=False):
+    def by_diffrax(solver, adaptive=True, sines=False, event=False, xla=True):
         def one(shared, x):
             walker, setting = shared
             field = fast_sines(walker.vector_field) if sines else walker.vector_field
@@ -209,20 +220,27 @@ def of_one_swing(repeats: int):
             end = wj.State(*(leaf[-1] for leaf in solution.ys))
             return landed(walker, end, SWING - solution.ts[-1]) if event else jnp.stack(end)
 
-        return way(one)
+        return way(one, xla)
 
     exact = by_diffrax(diffrax.Dopri8(), adaptive=False)(400.0)
     taylor, tolerances = Taylor(ORDER[DTYPE]), [10.0**-k for k in range(6, 14)]
     tsit5, dopri8 = diffrax.Tsit5(), diffrax.Dopri8()
     ways = {
-        "integrate_until, kernel": (way(lambda *args: loop(*args), xla=False), tolerances),
-        "integrate_until": (way(loop), tolerances),
+        "follow, kernel": (way(partial(loop), xla=False), tolerances),
+        "follow, diffrax's loop, kernel": (
+            way(partial(loop, diffrax_loop=True), False),
+            tolerances,
+        ),
+        "follow": (way(loop), tolerances),
+        "diffeqsolve, Taylor, kernel": (by_diffrax(taylor, xla=False), tolerances),
         "diffeqsolve, Taylor": (by_diffrax(taylor), tolerances),
         "diffeqsolve, Taylor, event": (by_diffrax(taylor, event=True), tolerances),
         "diffeqsolve, Taylor, constant": (by_diffrax(taylor, False), [3.0, 4.0, 6.0, 8.0, 12.0]),
+        "diffeqsolve, Dopri8, kernel": (by_diffrax(dopri8, xla=False), tolerances),
         "diffeqsolve, Dopri8": (by_diffrax(dopri8), tolerances),
         "diffeqsolve, Dopri8, our sines": (by_diffrax(dopri8, sines=True), tolerances),
         "diffeqsolve, Dopri8, constant": (by_diffrax(dopri8, False), [4.0, 6.0, 8.0, 12.0, 16.0]),
+        "diffeqsolve, Tsit5, kernel": (by_diffrax(tsit5, xla=False), tolerances),
         "diffeqsolve, Tsit5": (by_diffrax(tsit5), tolerances),
         "diffeqsolve, Tsit5, our sines": (by_diffrax(tsit5, sines=True), tolerances),
         "diffeqsolve, Tsit5, constant": (by_diffrax(tsit5, False), [16.0, 32.0, 64.0, 128.0]),

@@ -3,6 +3,7 @@
 One stride from the centre of every cell of the paper's grid at a slope of 0.004, row after row, by
 
 - `walker_jax.strides`, at a tolerance that makes the largest error less than 1e-8, and at its own;
+- `jax.jit(jax.vmap(...))` of `walker_jax.stride`, as one would write it in a program of one's own;
 - heyoka, adaptive Taylor series with events, in batches, their size tried, on all cores by
   processes that are started before; its callbacks are Python functions, of which a stride needs
   one or two;
@@ -317,6 +318,10 @@ def main():
         wj.strides(walker, xs[:1])  # compiles
         return lambda: wj.strides(walker, xs, tolerance=tolerance)[:2]
 
+    def of_stride(tolerance):
+        one = lambda x: wj.stride(walker, x, tolerance=tolerance)[:2]
+        return partial(jax.jit(jax.vmap(one)).lower(xs).compile(), xs)
+
     def of_diffrax(solver, tolerance, batch=None):
         one = plain(solver, tolerance)
         if batch is None:
@@ -336,6 +341,7 @@ def main():
         ways = {
             "walker_jax, 1e-11": partial(of_project, 1e-11),
             "walker_jax, 1e-12, its own": partial(of_project, None),
+            "jit(vmap(stride)), 1e-11": partial(of_stride, 1e-11),
             **{
                 f"heyoka, batches of {size}, 1e-11": partial(of_heyoka, size, 1e-11)
                 for size in (8, 16, 32)

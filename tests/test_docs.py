@@ -21,12 +21,20 @@ def program(title):
     return found
 
 
-def test_the_program_of_the_readme_gives_a_basin():
-    (source,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.S)
-    assert len(source.splitlines()) <= 6
+def test_the_programs_of_the_readme_give_a_basin_and_a_derivative():
+    sources = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.S)
+    basin, derivative = sources
+    assert len(basin.splitlines()) <= 6
     names: dict[str, Any] = {}
-    exec(compile(source, "README.md", "exec"), names)
+    for source in sources:
+        exec(compile(source, "README.md", "exec"), names)
     assert 3000 < int((names["basin"].attractor >= 0).sum()) < 3100
+    many = wj.strides(names["walker"], names["starts"])
+    np.testing.assert_allclose(names["ends"].state, many.state, rtol=1e-13)
+    high, low = map(names["angle_after_ten_strides"], (0.004 + 1e-8, 0.004 - 1e-8))
+    assert float(names["rate"]) == pytest.approx(float(high - low) / 2e-8, rel=1e-5)
+    (printed,) = re.findall(r"^rate = .*# (\S+)$", derivative, re.M)
+    assert f"{names['rate']:.4f}" == printed
 
 
 class Begun(BaseException):

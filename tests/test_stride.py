@@ -506,7 +506,7 @@ def test_trajectory_equals_the_independent_solution(swing):
 
 @pytest.mark.slow
 def test_trajectory_and_walk_are_the_same_under_jit(swing):
-    """There diffrax and XLA make them, a program of their own otherwise."""
+    """There XLA calls the programs."""
     times, states = swing
     walker, start = SimplestWalker(GAIT["slope"]), np.array(GAIT["state"])
     traced = jax.jit(wj.trajectory)(walker, start, times)

@@ -88,12 +88,11 @@ def find_gait(
 ) -> Gait:
     """The gait to which Newton's iteration (26) leads from a guess.
 
-    Works under `jax.jit`, `jax.vmap` and `jax.jacfwd`. Derivatives with respect to the walker's
-    parameters are those of the implicit function: d(state)/dp = (I - J)^{-1} dS/dp for a period of
-    one, and through it those of multipliers and step times. At a bifurcation with a multiplier
-    of 1 they do not exist, and grow without bound towards it, as the gait folds back or others
-    leave it; the derivatives of two multipliers do not exist where they are equal.
-    `gait_derivatives` computes them in a fraction of the compile time.
+    Works under JAX's transformations. Derivatives with respect to the walker's parameters, in
+    forward and reverse mode, are those of the implicit function: d(state)/dp = (I - J)^{-1} dS/dp
+    for a period of one, and through it those of multipliers and step times. At a bifurcation with
+    a multiplier of 1 they do not exist, and grow without bound towards it, as the gait folds back
+    or others leave it; the derivatives of two multipliers do not exist where they are equal.
 
     **Arguments:**
 

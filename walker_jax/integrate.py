@@ -4,7 +4,8 @@
 suits it, which needs no steps to be rejected. `Method` follows a solution until a condition holds
 for the two ends of a step, by these or by an explicit Runge-Kutta method of diffrax's.
 
-Nothing here knows what is integrated. Forward-mode derivatives run through everything.
+Nothing here knows what is integrated. Derivatives are forward mode; `kernels.by_kernel`
+makes those of reverse mode of them.
 """
 
 import math

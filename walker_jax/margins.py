@@ -76,8 +76,8 @@ def margins(
 ) -> Margins:
     """One stride, as `stride` makes it, and its margins.
 
-    Arguments and errors are those of `stride`. Forward-mode derivatives, of the first order, are
-    right. Margins are smooth but where another instant comes to be the one that counts.
+    Arguments and errors are those of `stride`. Derivatives of the first order are right.
+    Margins are smooth but where another instant comes to be the one that counts.
     """
     return follow_margins(*prepared(walker, x, tolerance))
 

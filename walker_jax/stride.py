@@ -105,10 +105,9 @@ def stride(
 ) -> Stride:
     """One stride, S(x), equation (20).
 
-    Works under `jax.jit`, `jax.vmap` and `jax.jacfwd`, in the dtype of x, float32 or float64. The
-    derivative of a `MultibodyWalker`'s stride takes XLA minutes to compile, unless under
-    `jax.jit(..., compiler_options={"xla_cpu_use_fusion_emitters": False})`; `find_gait` and
-    `gait_derivatives` compile theirs in seconds, by another way (`kernels`).
+    Works under JAX's transformations, in the dtype of x, float32 or float64: `jax.jit`, `jax.vmap`,
+    `jax.lax.scan`; `jax.jacfwd`, `jax.grad` and `jax.jacrev`, and derivatives of these. On a CPU
+    all of them call machine code (`kernels`), so a jitted `jax.vmap` is as fast as `strides`.
 
     **Arguments:**
 
