@@ -37,9 +37,7 @@ def test_the_side_that_was_seen_decides_whether_a_polynomial_has_risen(end):
     length = jnp.array(1.0)
     rising = of_polynomial([jnp.array(-1.0 + end), jnp.array(1.0)])
     for ends_below in (True, False):
-        found, time = first_rise(
-            of_polynomial(rising), length, (jnp.array(True), jnp.array(ends_below))
-        )
+        found, time = first_rise(rising, length, (jnp.array(True), jnp.array(ends_below)))
         assert found != ends_below and time == pytest.approx(1.0, abs=1e-15)
     leaving = of_polynomial([jnp.array(end), jnp.array(1.0)])
     found, _ = first_rise(leaving, length, (jnp.array(False), jnp.array(False)))
