@@ -27,6 +27,7 @@ from walker_jax.basin import check_grid
 from walker_jax.checks import WrongUse
 from walker_jax.cluster import computers
 from walker_jax.design import Climb, Row
+from walker_jax.kernels import primitive
 from walker_jax.refinement import finer
 
 NUMBERS = ["0.004", "0.2", "-0.2", "0.01", "0.3", "1", "2", "3", "10", "0", "-1", "1.5", "1e-300"]
@@ -425,9 +426,10 @@ def reaction(name: str, arguments: dict, *, begin: bool) -> str:
     function: Any = wj
     for part in name.split("."):
         function = getattr(function, part)
-    stopped = mock.patch.object(tiles, "_kernel", side_effect=Begun)
     try:
-        with contextlib.nullcontext() if begin else stopped:
+        with contextlib.ExitStack() as stopped:
+            for module in () if begin else (tiles, primitive):
+                stopped.enter_context(mock.patch.object(module, "program_of", side_effect=Begun))
             function(**arguments)
     except WrongUse as error:
         assert str(error) and "\n" not in str(error), str(error)

@@ -1,7 +1,5 @@
 """The Taylor solver, integration up to a condition, roots of polynomials, and landing."""
 
-from functools import partial
-
 import diffrax
 import jax
 import jax.numpy as jnp
@@ -12,18 +10,18 @@ from hypothesis import strategies as st
 from jax import lax
 from scipy.integrate import solve_ivp
 
+from walker_jax import integrate
 from walker_jax.integrate import (
     ORDER,
+    Method,
+    SeriesSteps,
     Taylor,
     TaylorInterpolation,
     default_tolerance,
-    first_rise,
-    integrate_until,
-    land,
-    rising_root,
-    step,
+    polynomial,
     step_length,
 )
+from walker_jax.roots import first_rise, of_function, of_polynomial, rising_root
 from walker_jax.taylor import solution_series
 
 TOLERANCE = 1e-12
@@ -217,6 +215,12 @@ def oscillator(state):
     return p, -q
 
 
+def follow(field, start, stop, tolerance=TOLERANCE, **options):
+    """The last step, and how many there were."""
+    dtype = jax.tree.leaves(start)[0].dtype
+    return Method(field, Taylor(ORDER[dtype]), tolerance).follow(start, stop, **options)
+
+
 def below_zero(before, after, side):
     del before
     return after[0] <= 0, side
@@ -224,29 +228,21 @@ def below_zero(before, after, side):
 
 @pytest.fixture(scope="module")
 def to_zero():
-    """Integration of the oscillator to q <= 0; of many at once, max_steps 50."""
-
-    @jax.jit
-    @jax.vmap
-    def run(start, active):
-        return integrate_until(
-            oscillator, start, below_zero, tolerance=TOLERANCE, max_steps=50, active=active
-        )
-
-    return run
+    """Integration of the oscillator to q <= 0; of many at once."""
+    return jax.jit(jax.vmap(lambda start: follow(oscillator, start, below_zero)))
 
 
-PHASES = np.concatenate([np.linspace(0.05, 6.2, 40), [np.nan, 0.3]])
+PHASES = np.concatenate([np.linspace(0.05, 6.2, 40), [np.nan]])
 
 
 @pytest.fixture(scope="module")
 def stopped(to_zero):
-    """q = cos(t - a), p = -sin(t - a) at time 0; one start that is not a number, one inactive."""
-    start = jnp.cos(PHASES), jnp.sin(PHASES)
-    return to_zero(start, jnp.arange(len(PHASES)) != len(PHASES) - 1)
+    """q = cos(t - a), p = -sin(t - a) at time 0; one start that is not a number."""
+    return to_zero((jnp.cos(PHASES), jnp.sin(PHASES)))
 
 
 def test_stops_at_the_end_of_the_step_that_crosses(stopped):
+    stopped, count = stopped
     oscillators = slice(0, 40)
     begin, length = stopped.time[oscillators], stopped.length[oscillators]
     phases = PHASES[oscillators]
@@ -259,29 +255,24 @@ def test_stops_at_the_end_of_the_step_that_crosses(stopped):
     # Where it began above zero it has not stopped too late; elsewhere it took one step.
     above = np.cos(phases) > 0
     assert np.all(stopped.start[0][oscillators][above] > 0)
-    assert np.all((stopped.count[oscillators] == 1) == (begin == 0))
-    assert len(np.unique(stopped.count[oscillators])) >= 3
+    assert np.all((count[oscillators] == 1) == (begin == 0))
+    assert len(np.unique(count[oscillators])) >= 3
 
 
 def test_energy_of_the_oscillator_is_kept(stopped):
-    q, p = (np.asarray(x)[:40] for x in stopped.end)
+    q, p = (np.asarray(x)[:40] for x in stopped[0].end)
     np.testing.assert_allclose(q**2 + p**2, 1, rtol=5e-12)
 
 
 def test_a_state_that_is_not_finite_ends_after_one_step(stopped):
-    assert stopped.count[-2] == 1 and np.isnan(stopped.end[0][-2])
-
-
-def test_inactive_takes_no_step(stopped):
-    assert stopped.count[-1] == 0 and stopped.length[-1] == 0
-    assert (stopped.start[0][-1], stopped.start[1][-1]) == (np.cos(0.3), np.sin(0.3))
-    assert stopped.end[0][-1] == stopped.start[0][-1]
+    last, count = stopped
+    assert count[-1] == 1 and np.isnan(last.end[0][-1])
 
 
 def test_a_lane_does_not_depend_on_its_neighbours(to_zero, stopped):
     few = np.array([0.05, 6.2, 1.0])
     padded = np.resize(few, len(PHASES))
-    alone = to_zero((jnp.cos(padded), jnp.sin(padded)), jnp.ones(len(PHASES), bool))
+    alone = to_zero((jnp.cos(padded), jnp.sin(padded)))
     for a, b in zip(jax.tree.leaves(alone), jax.tree.leaves(stopped), strict=True):
         assert (a[0], a[1]) == (b[0], b[39])
 
@@ -295,26 +286,14 @@ def three_body_like(state):
 @pytest.fixture(scope="module")
 def single_steps():
     """One step at a time of Euler's equations: times and states at step ends."""
-    take = jax.jit(
-        lambda state, time, count: integrate_until(
-            three_body_like,
-            state,
-            lambda before, after, side: (after[0] == after[0], side),
-            tolerance=TOLERANCE,
-            time=time,
-            count=count,
-        )
-    )
-    time, count, state = (
-        jnp.array(0.0),
-        jnp.array(0),
-        (jnp.array(1.0), jnp.array(0.4), jnp.array(0.9)),
-    )
+    at_once = lambda before, after, side: (after[0] == after[0], side)
+    take = jax.jit(lambda state, time: follow(three_body_like, state, at_once, time=time))
+    time, state = jnp.array(0.0), (jnp.array(1.0), jnp.array(0.4), jnp.array(0.9))
     times, states = [0.0], [state]
-    for i in range(12):
-        last = take(state, time, count)
-        state, time, count = last.end, last.time + last.length, last.count
-        assert count == i + 1
+    for _ in range(12):
+        last, count = take(state, time)
+        state, time = last.end, last.time + last.length
+        assert count == 1
         times.append(float(time))
         states.append(state)
     return np.array(times), np.array(states)
@@ -354,35 +333,23 @@ def test_steps_equal_a_runge_kutta_solution(single_steps):
         np.testing.assert_allclose(conserved, conserved[0], rtol=1e-11)
 
 
-def test_max_steps_ends_what_never_stops():
+def test_max_steps_ends_what_never_stops(monkeypatch):
     """And what nears a pole, and what rests; each takes a different number of steps."""
-
-    @jax.jit
-    @partial(jax.vmap, in_axes=(0, None))
-    def run(start, count):
-        return integrate_until(
-            lambda y: y**2,
-            start,
-            lambda before, after, side: (after != after, side),
-            tolerance=1e-9,
-            count=count,
-            max_steps=30,
-        )
-
-    starts = jnp.array([-1.0, 1.0, 0.0])
-    decays, grows, rests = (jax.tree.map(lambda x, i=i: x[i], run(starts, 0)) for i in range(3))
-    assert decays.count == 30
+    monkeypatch.setattr(integrate, "MAX_STEPS", 30)
+    never = lambda before, after, side: (after != after, side)
+    run = jax.jit(jax.vmap(lambda start: follow(lambda y: y**2, start, never, 1e-9)))
+    last, count = run(jnp.array([-1.0, 1.0, 0.0]))
+    decays, grows, rests = (jax.tree.map(lambda x, i=i: x[i], last) for i in range(3))
+    assert count[0] == 30
     np.testing.assert_allclose(decays.end, -1 / (1 + decays.time + decays.length), rtol=1e-8)
-    assert grows.count <= 30 and grows.time < 1
-    assert rests.count == 1 and not np.isfinite(rests.length)
-    late = run(starts, 29)
-    assert late.count.tolist() == [30, 30, 30]
+    assert count[1] <= 30 and grows.time < 1
+    assert count[2] == 1 and not np.isfinite(rests.length)
 
 
 def test_derivative_of_the_flow_is_a_rotation():
     @jax.jit
     def run(start):
-        last = integrate_until(oscillator, start, below_zero, tolerance=TOLERANCE)
+        last, _ = follow(oscillator, start, below_zero)
         return last.end, last.time + last.length
 
     ((end, _), (tangent, of_time)) = jax.jvp(
@@ -393,9 +360,59 @@ def test_derivative_of_the_flow_is_a_rotation():
     np.testing.assert_allclose(tangent, (np.cos(time), -np.sin(time)), atol=1e-11)
 
 
+def test_steps_of_a_series_in_diffeqsolve_are_those_of_the_loop(single_steps):
+    """None is rejected, and none of their lengths is guessed."""
+    times, states = single_steps
+    order = ORDER[jnp.dtype("float64")]
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(lambda t, y, args: three_body_like(y)),
+        Taylor(order),
+        t0=0.0,
+        t1=times[-1],
+        dt0=None,
+        y0=tuple(jnp.asarray(states[0])),
+        saveat=diffrax.SaveAt(steps=True),
+        stepsize_controller=SeriesSteps(three_body_like, order, TOLERANCE),
+        max_steps=20,
+    )
+    assert solution.stats["num_rejected_steps"] == 0 and solution.ts is not None
+    np.testing.assert_allclose(solution.ts[:12], times[1:], rtol=1e-13)
+    np.testing.assert_allclose(np.array(solution.ys).T[:12], states[1:], rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize(
+    "solver", [diffrax.Dopri8(), pytest.param(diffrax.Bosh3(), marks=pytest.mark.slow)], ids=repr
+)
+def test_runge_kutta_steps_stop_where_they_should_and_land(solver):
+    """At q = cos(t - a) = 0, falling: t = a + pi/2, whose derivatives by phase are 1 and 0."""
+    method = Method(oscillator, solver, 1e-8)
+    event = lambda state: -state[0]
+
+    @jax.jit
+    def run(phase):
+        start = jnp.cos(phase), jnp.sin(phase)
+        stop = lambda before, after, side: ((before[0] > 0) & (after[0] <= 0), side)
+        last, _ = method.follow(start, stop)
+        exists, time = first_rise(method.look(event, last), last.length)
+        time = method.sharpened(event, last, time)
+        state, delay = method.land(event, method.within(last, time))
+        return last.time + time + delay, (state, exists)
+
+    (time, (state, exists)), (change, _) = jax.jvp(run, (jnp.array(0.4),), (jnp.array(1.0),))
+    bend = jax.jacfwd(jax.jacfwd(lambda phase: run(phase)[0]))(0.4)
+    assert exists and abs(time - (0.4 + np.pi / 2)) < 1e-6
+    assert abs(state[0]) < 1e-15 and abs(change - 1) < 1e-6 and abs(bend) < 1e-6
+
+
+def test_value_slope_and_curvature_of_a_function_of_time():
+    t = jnp.array(0.7)
+    np.testing.assert_allclose(of_function(jnp.sin)(t), (np.sin(t), np.cos(t), -np.sin(t)))
+    np.testing.assert_allclose(of_polynomial([t, t, t])(jnp.array(2.0)), (4.9, 3.5, 1.4))
+
+
 def test_integrates_in_float32():
     start = jnp.array([1.0, 0.5], jnp.float32)
-    last = integrate_until(oscillator, tuple(start), below_zero, tolerance=1e-6)
+    last, _ = follow(oscillator, tuple(start), below_zero, 1e-6)
     assert {leaf.dtype for leaf in jax.tree.leaves(last[:4])} == {jnp.dtype("float32")}
     phase, size = np.arctan2(0.5, 1.0), np.hypot(0.5, 1.0)
     end = float(last.time) + float(last.length)
@@ -411,7 +428,7 @@ def rise():
 
     @jax.jit
     def run(polynomials, lengths):
-        return jax.vmap(lambda p, t: first_rise(list(p), t))(polynomials, lengths)
+        return jax.vmap(lambda p, t: first_rise(of_polynomial(list(p)), t))(polynomials, lengths)
 
     def padded(polynomials, lengths):
         count = len(polynomials)
@@ -520,7 +537,7 @@ def test_rising_root_of_functions_that_are_not_polynomials():
 
 def test_first_rise_is_a_constant_to_derivatives():
     def root(a):
-        return first_rise([-a, jnp.ones_like(a)], jnp.array(1.0))[1]
+        return first_rise(of_polynomial([-a, jnp.ones_like(a)]), jnp.array(1.0))[1]
 
     value, derivative = jax.jvp(root, (jnp.array(0.3),), (jnp.array(1.0),))
     assert value == pytest.approx(0.3, rel=1e-15) and derivative == 0
@@ -544,7 +561,8 @@ def assert_same_derivatives(function, expected, p, order):
 
 def landing(vector_field, event, start, time):
     """(z, v) and time where the event is zero, `time` being what is known of the latter."""
-    state, delay = land(vector_field, event, step(vector_field, start, lax.stop_gradient(time), 16))
+    near = polynomial(solution_series(vector_field, start, 16), lax.stop_gradient(time))
+    state, delay = Method(vector_field, Taylor(16), TOLERANCE).land(event, near)
     return jnp.stack([*state, lax.stop_gradient(time) + delay])
 
 

@@ -393,14 +393,6 @@ def test_signs_of_large_unsigned_numbers():
     assert_same(jnp.sign, np.array([0, 1, 2**31, 2**32 - 1], np.uint32))
 
 
-def test_a_known_choice_of_complex_numbers():
-    def function(x):
-        z = jnp.where(jnp.array(True), lax.complex(x, x + 1), lax.complex(x + 2, x + 3))
-        return z.real, z.imag
-
-    assert_same(function, np.arange(4.0))
-
-
 def test_zero_by_what_is_none():
     assert_same(lambda x: 0.0 / x, np.array([0.0, np.nan, 2.0, np.inf]))
 

@@ -128,6 +128,7 @@ SAVED = {
 }
 
 
+@pytest.mark.slow
 def test_the_steps_of_a_method():
     """To rounding, where their lengths are given; in the time that all cells have."""
     given: dict[str, Any] = dict(stepsize_controller=diffrax.ConstantStepSize(), dt0=0.25)

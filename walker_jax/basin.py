@@ -48,7 +48,7 @@ from walker_jax.checks import (
     short,
 )
 from walker_jax.cluster import computers
-from walker_jax.integrate import Real, Solver, default_tolerance, solved_by
+from walker_jax.integrate import AnySolver, Real, default_tolerance, solved_by
 from walker_jax.progress import tracked
 from walker_jax.stride import Outcome, stride
 from walker_jax.tiles import map_cells, order_of_cells
@@ -73,7 +73,7 @@ def basin(
     *,
     strides: int = 200,
     tolerance: float | None = None,
-    solver: Solver | None = None,
+    solver: AnySolver | None = None,
     progress: bool = False,
     out: Path | str | None = None,
     request: dict | None = None,

@@ -36,7 +36,7 @@ from walker_jax.checks import (
     refuses_tracers,
     short,
 )
-from walker_jax.integrate import Real, Solver, solved_by
+from walker_jax.integrate import AnySolver, Real, solved_by
 from walker_jax.series import evaluate
 from walker_jax.stride import (
     Outcome,
@@ -84,7 +84,7 @@ def find_gait(
     period: int = 1,
     *,
     tolerance: Real | None = None,
-    solver: Solver | None = None,
+    solver: AnySolver | None = None,
 ) -> Gait:
     """The gait to which Newton's iteration (26) leads from a guess.
 

@@ -11,7 +11,7 @@ makes those of reverse mode of them.
 import math
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -142,13 +142,14 @@ def order_of(state: PyTree) -> int:
     return ORDER[jax.tree.leaves(state)[0].dtype]
 
 
+AnySolver = diffrax.AbstractSolver
 Solver = diffrax.AbstractAdaptiveSolver
 
 solver_in_use = jax.make_user_context(None)
 contexts.append(solver_in_use)
 
 
-def solved_by(solver: Any) -> AbstractContextManager:
+def solved_by(solver: AnySolver | None) -> AbstractContextManager:
     """Let strides be followed by a solver meanwhile; None leaves it as it is. Refuses most."""
     if solver is None:
         return nullcontext()
@@ -285,6 +286,8 @@ class Step(NamedTuple):
     """Its duration."""
     sides: tuple[Bool[Array, ""], Bool[Array, ""]]
     """The sides of the event on which it begins and ends."""
+    series: PyTree[list] | None = None
+    """The solution's from where it begins, if that is how it was solved."""
 
 
 class Until(diffrax.AbstractStepSizeController):
@@ -416,7 +419,7 @@ class Method(eqx.Module):
         first = Step(state, state, time, jnp.zeros_like(time), (side, side))
         carry = first, jnp.asarray(0), jnp.asarray(True)
         last, count, _ = lax.while_loop(lambda carry: carry[-1], advance, carry)
-        return last, count
+        return last._replace(series=solution_series(self.field, last.start, order)), count
 
     def begin(self, state: PyTree, length: Scalar) -> tuple[PyTree, Callable[[Scalar], PyTree]]:
         """A Runge-Kutta step of some length: its end, and the solver's interpolation."""
@@ -429,17 +432,15 @@ class Method(eqx.Module):
 
     def within(self, step: Step, time: Scalar) -> PyTree:
         """The state a time after a step began, by one step."""
-        if isinstance(self.solver, Taylor):
-            order = self.solver.taylor_order
-            return polynomial(solution_series(self.field, step.start, order), time)
+        if step.series is not None:
+            return polynomial(step.series, time)
         return self.begin(step.start, time)[0]
 
     def look(self, function: Callable[[PyTree], Scalar], step: Step) -> Look:
         """A function of the state along a step. A constant to derivatives."""
         method, step = fixed((self, step))
-        if isinstance(self.solver, Taylor):
-            series = method.series(function, step.start, self.solver.taylor_order)
-            return of_polynomial(series)
+        if step.series is not None:
+            return of_polynomial(function_series(function, step.series))
         _, inside = method.begin(step.start, step.length)
         return of_function(lambda t: function(inside(t)))
 

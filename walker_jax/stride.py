@@ -32,9 +32,9 @@ from walker_jax.checks import (
 )
 from walker_jax.integrate import (
     MAX_STEPS,
+    AnySolver,
     Method,
     Real,
-    Solver,
     default_tolerance,
     solved_by,
     solver_for,
@@ -101,7 +101,7 @@ def stride(
     x: Float[ArrayLike, " coordinates"],
     *,
     tolerance: Real | None = None,
-    solver: Solver | None = None,
+    solver: AnySolver | None = None,
 ) -> Stride:
     """One stride, S(x), equation (20).
 
@@ -451,7 +451,7 @@ def strides(
     xs: Float[ArrayLike, "n coordinates"],
     *,
     tolerance: Real | None = None,
-    solver: Solver | None = None,
+    solver: AnySolver | None = None,
     progress: str | None = None,
 ) -> Stride:
     """`stride` for each of n starts, on all devices and cores; NumPy arrays.
@@ -519,7 +519,7 @@ def walk(
     n: int,
     *,
     tolerance: Real | None = None,
-    solver: Solver | None = None,
+    solver: AnySolver | None = None,
 ) -> Walk:
     """n strides, one after the other, from x on the section. As `stride` otherwise."""
     check_whole("n", n)
@@ -551,7 +551,7 @@ def trajectory(
     times: Float[ArrayLike, " times"],
     *,
     tolerance: Real | None = None,
-    solver: Solver | None = None,
+    solver: AnySolver | None = None,
 ) -> State:
     """Angles and rates at `times` after the start x of a stride, 0 or later, increasing.
 

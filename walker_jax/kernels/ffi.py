@@ -12,7 +12,9 @@ versions only add to these; where the version is another, or unknown, there are 
 
 import ctypes
 import functools
+import hashlib
 import itertools
+import math
 import platform
 import re
 import sys
@@ -59,39 +61,37 @@ def available() -> bool:
 
 
 PARTS = "MAJOR", "MINOR"
-numbers = itertools.count()
 lock = threading.Lock()
+registered: dict[str, Any] = {}
+"""What XLA may call at any time, by its name, and all that this needs. A program is there once,
+however often it is made; it cannot be known when XLA's own programs no longer call it."""
 
 
 def target(kernel: Kernel) -> str:
     """The name under which XLA knows a kernel, which is registered when first asked for."""
-    with lock:
-        if kernel.target is None:
-            kernel.target = registered(kernel)
-        return kernel.target
-
-
-def registered(kernel: Kernel) -> str:
-    # The same program has the same name in every process, as XLA's cache on disk keeps the name.
-    name = f"walker_jax_{kernel.digest[:32]}_{next(numbers)}"
-    address = ctypes.cast(kernel.run, ctypes.c_void_p).value
     described = [
-        (TYPES[dtype.name], len(shape), int(np.prod(shape)))
+        (TYPES[dtype.name], len(shape), math.prod(shape))
         for shape, dtype in (*kernel.operands, *kernel.results)
     ]
+    # The same in every process, as the programs that XLA keeps on disk hold the name.
+    digest = hashlib.sha256(repr((kernel.digest, described)).encode()).hexdigest()
+    name = f"walker_jax_{digest[:32]}"
+    with lock:
+        if name not in registered:
+            registered[name] = register(name, kernel, described)
+    return name
+
+
+def register(name: str, kernel: Kernel, described: list[tuple[int, int, int]]) -> Any:
+    address = ctypes.cast(kernel.run, ctypes.c_void_p).value
     head = [address, len(kernel.operands), len(kernel.results), *PIECE]
     description = np.array([*head, *itertools.chain(*described)], np.int64)
     handler = ctypes.cast(handlers().get_function_address("handle"), ctypes.c_void_p).value
     stub = STUB.format(handler=handler, description=description.ctypes.data)
-    program = load_program(stub)
+    program = load_program(stub, keep=False)
     call = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p)(program.get_function_address("stub"))
     jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(call), platform="cpu")
-    kept.append((kernel, description, program))
-    return name
-
-
-kept: list[Any] = []
-"""What XLA may still call: programs of its own hold no reference to it."""
+    return kernel, description, program
 
 
 @functools.cache
@@ -251,7 +251,10 @@ prepare:
   %expected_at = getelementptr i64, ptr %description, i64 %first_rank_place
   %expected = load i64, ptr %expected_at
   %one = icmp eq i64 %first_rank, %expected
-  br i1 %one, label %allocate, label %many
+  br i1 %one, label %allocate, label %higher
+higher:
+  %has_cells = icmp sgt i64 %first_rank, %expected
+  br i1 %has_cells, label %many, label %refuse
 many:
   %first_dims_at = getelementptr i8, ptr %first, i64 40
   %first_dims = load ptr, ptr %first_dims_at

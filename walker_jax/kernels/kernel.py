@@ -37,8 +37,6 @@ class Kernel:
         self.engine = load_program(source)
         kind = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 2, *[ctypes.c_void_p] * 2)
         self.run = kind(self.engine.get_function_address("kernel"))
-        self.target: str | None = None
-        """Its name as a custom call of XLA, once it has one."""
         seconds = time.perf_counter() - start
         jax.monitoring.record_event_duration_secs("/walker_jax/compile_kernel", seconds)
 

@@ -11,8 +11,8 @@ LEVEL = 2
 """Of optimisation, as in `clang -O2`."""
 
 
-def load_program(source: str) -> llvm.ExecutionEngine:
-    """What holds the machine code of a program, for this processor."""
+def load_program(source: str, *, keep: bool = True) -> llvm.ExecutionEngine:
+    """What holds the machine code of a program, for this processor; `keep` it on disk too."""
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     triple, processor = llvm.get_process_triple(), llvm.get_host_cpu_name()
@@ -23,7 +23,8 @@ def load_program(source: str) -> llvm.ExecutionEngine:
     versions = llvmlite.__version__, *llvm.llvm_version_info
     all_it_depends_on = repr((versions, triple, processor, features, LEVEL, source))
     name = hashlib.sha256(all_it_depends_on.encode()).hexdigest()
-    code = cached(name, lambda: object_code(source, machine))
+    compile_it = lambda: object_code(source, machine)
+    code = cached(name, compile_it) if keep else compile_it()
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
     engine.add_object_file(llvm.ObjectFileRef.from_data(code))
     engine.finalize_object()

@@ -1,0 +1,185 @@
+"""Strides, walks, gaits and margins under JAX's transformations, of all walkers."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import walker_jax as wj
+from walker_jax import (
+    PointFootWalker,
+    RoundFootWalker,
+    SimplestWalker,
+    SpringWalker,
+    UpperBodyWalker,
+)
+from walker_jax.kernels import primitive
+from walker_jax.walkers import parameters
+
+SLOW = pytest.mark.slow
+STARTS = {
+    SimplestWalker: (SimplestWalker(0.009), [0.2003109, -0.1998325]),
+    SpringWalker: (SpringWalker(0.009, 2.0), [0.15, -0.16]),
+    PointFootWalker: (PointFootWalker(0.009, 1e-3), [0.200161, -0.199906]),
+    RoundFootWalker: (RoundFootWalker(0.01, leg_length=1.2), [0.18944, -0.23901, -0.0514]),
+    UpperBodyWalker: (UpperBodyWalker(0.01), [0.196, -0.2434, -0.033]),
+}
+"""A walker of each kind and a start close to a gait of it."""
+TIMES = np.array([0.4, 1.1])
+
+
+def found(gait):
+    multipliers = gait.multipliers
+    return gait.states, multipliers.real, multipliers.imag, gait.step_times
+
+
+QUANTITIES = {
+    "stride": lambda walker, x: (wj.stride(walker, x).state, wj.stride(walker, x).time),
+    "walk": lambda walker, x: (wj.walk(walker, x, 3).states[1:], wj.walk(walker, x, 3).times),
+    "trajectory": lambda walker, x: tuple(wj.trajectory(walker, x, TIMES)),
+    "margins": lambda walker, x: wj.margins(walker, x)[1:],
+    "gait": lambda walker, x: found(wj.find_gait(walker, x)),
+}
+
+
+def of_numbers(cls, quantity):
+    """A quantity as a function of one vector, of the start and all parameters."""
+    size = len(cls.section)
+
+    def function(z):
+        leaves = jax.tree.leaves(QUANTITIES[quantity](cls(*z[size:]), z[:size]))
+        return jnp.concatenate([jnp.ravel(leaf) for leaf in leaves])
+
+    return function
+
+
+def point(cls):
+    walker, x = STARTS[cls]
+    names = [parameter.name for parameter in parameters(cls)]
+    values = np.array([float(getattr(walker, name)) for name in names])
+    steps = 4e-4 * np.concatenate([np.ones(len(x)), np.maximum(values, 0.25)])
+    steps[len(x) + np.flatnonzero(np.isin(names, ["slope", "foot_mass"]))] = 1e-4
+    return jnp.asarray([*x, *values]), steps
+
+
+def differences(function, z, steps):
+    """Its derivatives by differences, extrapolated to step 0 thrice (Richardson)."""
+    n, scales = len(z), 0.5 ** np.arange(4)
+    moves = np.einsum("i,ij,s,k->iskj", steps, np.eye(n), scales, [1, -1])
+    values = jax.jit(jax.vmap(function))(z + moves.reshape(-1, n)).reshape(n, 4, 2, -1)
+    table = (values[:, :, 0] - values[:, :, 1]) / (2 * scales[:, None] * steps[:, None, None])
+    for factor in (4, 16, 64):
+        table = (factor * table[:, 1:] - table[:, :-1]) / (factor - 1)
+    return np.asarray(table[:, 0].T)
+
+
+def assert_close(found, expected, tolerance):
+    """Relative to the largest of a row."""
+    assert np.isfinite(found).all()
+    scale = np.maximum(np.abs(expected).max(axis=-1, keepdims=True), 1e-3)
+    assert np.max(np.abs(found - expected) / scale) < tolerance, (found, expected)
+
+
+QUICK = {(SimplestWalker, quantity) for quantity in QUANTITIES} | {(RoundFootWalker, "stride")}
+QUICK -= {(SimplestWalker, "gait")}
+CASES = [
+    pytest.param(
+        cls,
+        quantity,
+        marks=() if (cls, quantity) in QUICK else SLOW,
+        id=f"{cls.__name__}-{quantity}",
+    )
+    for cls in STARTS
+    for quantity in QUANTITIES
+]
+
+
+@pytest.mark.parametrize(("cls", "quantity"), CASES)
+def test_derivatives_in_either_mode_are_those_of_differences(cls, quantity, monkeypatch):
+    """By the start and all parameters."""
+    if (cls, quantity) in QUICK:  # directions are cells, so that there is one program
+        monkeypatch.setattr(primitive, "TOGETHER", 0)
+    function = of_numbers(cls, quantity)
+    z, steps = point(cls)
+    forward = np.asarray(jax.jit(jax.jacfwd(function))(z))
+    assert_close(jax.jit(jax.jacrev(function))(z), forward, 1e-11)
+    v = jnp.cos(jnp.arange(1.0, len(z) + 1))
+    value, along = jax.jit(lambda z: jax.jvp(function, (z,), (v,)))(z)
+    np.testing.assert_allclose(along, forward @ v, rtol=1e-11, atol=1e-11 * abs(forward).max())
+    w = jnp.sin(jnp.arange(1.0, len(value) + 1))
+    gradient = jax.jit(jax.grad(lambda z: w @ function(z)))(z)
+    np.testing.assert_allclose(gradient, w @ forward, rtol=1e-11, atol=1e-11 * abs(forward).max())
+    assert_close(forward, differences(function, z, steps), 1e-7)
+
+
+@pytest.mark.parametrize("quantity", ["stride", pytest.param("gait", marks=SLOW)])
+def test_hessians_are_differences_of_gradients(quantity, monkeypatch):
+    """Of the simplest walker, in three of the four modes."""
+    monkeypatch.setattr(primitive, "TOGETHER", 0)
+    function = of_numbers(SimplestWalker, quantity)
+    z, steps = point(SimplestWalker)
+    weights = jnp.cos(jnp.arange(len(function(z))))
+    single = lambda z: weights @ function(z)
+    gradient = jax.grad(single)
+    hessian = np.asarray(jax.jit(jax.hessian(single))(z))
+    np.testing.assert_allclose(hessian, hessian.T, rtol=1e-9, atol=1e-9 * abs(hessian).max())
+    for other in (jax.jacrev(gradient), jax.jacfwd(jax.jacfwd(single))):
+        assert_close(np.asarray(jax.jit(other)(z)), hessian, 1e-10)
+    assert_close(hessian, differences(gradient, z, steps), 1e-6)
+
+
+SLOPES = np.array([0.0085, 0.009, 0.0093])
+
+
+def starts(cls, count=5):
+    rng = np.random.default_rng(3)
+    return STARTS[cls][1] * rng.uniform(0.995, 1.005, (count, len(cls.section)))
+
+
+@pytest.mark.parametrize(
+    "cls",
+    [
+        cls if cls in (SimplestWalker, RoundFootWalker) else pytest.param(cls, marks=SLOW)
+        for cls in STARTS
+    ],
+)
+def test_strides_of_many_walkers_and_starts_are_those_of_each(cls):
+    """To the bit, whichever is mapped first."""
+    _, rest = STARTS[cls][0], jax.tree.leaves(STARTS[cls][0])[1:]
+    walkers = jax.vmap(lambda slope: cls(slope, *rest))(SLOPES)
+    xs = starts(cls)
+    each = jax.jit(wj.stride)
+    one = lambda i: jax.tree.map(lambda leaf: leaf[i], walkers)
+    expected = [[each(one(i), x) for x in xs] for i in range(len(SLOPES))]
+    expected = jax.tree.map(
+        lambda *rows: np.stack(rows),
+        *(jax.tree.map(lambda *c: np.stack(c), *row) for row in expected),
+    )
+    by_starts = jax.vmap(wj.stride, (None, 0))
+    by_walkers = jax.vmap(wj.stride, (0, None))
+    for transform in (lambda f: f, jax.jit):
+        found = transform(jax.vmap(by_starts, (0, None)))(walkers, xs)
+        jax.tree.map(np.testing.assert_array_equal, found, expected)
+        found = transform(jax.vmap(by_walkers, (None, 0), out_axes=1))(walkers, xs)
+        jax.tree.map(np.testing.assert_array_equal, found, expected)
+        pairs = transform(jax.vmap(wj.stride))(walkers, xs[:3])
+        own = jax.tree.map(lambda leaf: leaf[np.arange(3), np.arange(3)], expected)
+        jax.tree.map(np.testing.assert_array_equal, pairs, own)
+
+
+@pytest.mark.parametrize("quantity", ["walk", "margins", "trajectory", "gait"])
+def test_quantities_of_many_walkers_and_starts_are_those_of_each(quantity):
+    """Of the simplest walker, to the bit where XLA's part does not depend on how many there are."""
+    function = QUANTITIES[quantity]
+    walkers, xs = jax.vmap(SimplestWalker)(SLOPES[1:]), starts(SimplestWalker, 3)
+    both = jax.vmap(jax.vmap(function, (None, 0)), (0, None))
+    found = jax.jit(both)(walkers, xs)
+    turned = jax.jit(jax.vmap(jax.vmap(function, (0, None)), (None, 0), out_axes=1))(walkers, xs)
+    each = jax.jit(function)
+    expected = [each(SimplestWalker(slope), x) for slope in SLOPES[1:] for x in xs]
+    assert np.isfinite(jax.tree.leaves(found)[0]).all()
+    tolerance = 1e-12 if quantity == "gait" else 0
+    for one, other, *single in zip(*map(jax.tree.leaves, (found, turned, *expected)), strict=True):
+        np.testing.assert_allclose(one, other, rtol=tolerance, atol=tolerance)
+        single = np.reshape(single, one.shape)
+        np.testing.assert_allclose(one, single, rtol=tolerance, atol=tolerance)

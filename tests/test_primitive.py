@@ -1,0 +1,507 @@
+"""A function as a primitive of JAX: all that JAX does with one, against the function itself."""
+
+import os
+import subprocess
+import sys
+import threading
+import warnings
+from collections import OrderedDict
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import lax
+
+from walker_jax.kernels import by_kernel, ffi, primitive
+from walker_jax.kernels.primitive import Program
+
+TURNS = 2
+
+
+def turn(a, x, y):
+    return y * a - jnp.sin(y) * x[0] + x[1] ** 2 * 0.1
+
+
+def turns(x):
+    return jnp.where(x[0] > 0.3, TURNS, TURNS - 1)
+
+
+def results(a, x, y, count):
+    return jnp.stack([y, x[0] * a]), y * x[1], count, y > 0.5
+
+
+@by_kernel
+def by_loop(a, x):
+    """A vector, a number, an integer and a truth value of a number and a vector."""
+    going = lambda carry: carry[1] < turns(x)
+    advance = lambda carry: (turn(a, x, carry[0]), carry[1] + 1)
+    return results(a, x, *lax.while_loop(going, advance, (x[0] + x[1], jnp.asarray(0))))
+
+
+def unrolled(a, x):
+    """The same of JAX alone, in whose derivatives no loop is."""
+    y = x[0] + x[1]
+    for k in range(TURNS):
+        y = jnp.where(k < turns(x), turn(a, x, y), y)
+    return results(a, x, y, turns(x))
+
+
+A, X = jnp.asarray(0.9), jnp.asarray([0.35, 0.4])
+RNG = np.random.default_rng(0)
+AS, XS = jnp.asarray(RNG.random(7)), jnp.asarray(RNG.random((9, 2)))
+BOTH = 0, 1
+MANY = jnp.asarray(RNG.normal(size=(3, 500, 2)))
+
+
+def real(function):
+    return lambda a, x: function(a, x)[:2]
+
+
+def number(function):
+    """One number, in which all real results have a part."""
+
+    def single(a, x):
+        y, z = function(a, x)[:2]
+        return jnp.sum(y**2) * z + y[1]
+
+    return single
+
+
+def repeated(function, loop):
+    """A number after some calls, each of what the one before led to."""
+
+    def last(a, x):
+        following = lambda x: function(a, x)[0]
+        if loop == "scan":
+            return lax.scan(lambda x, _: (following(x), x), x, length=4)[0].sum()
+        if loop == "for":
+            return lax.fori_loop(0, 4, lambda _, x: following(x), x).sum()
+        if loop == "while":
+            step = lambda carry: (following(carry[0]), carry[1] + 1)
+            return lax.while_loop(lambda carry: carry[1] < 4, step, (x, 0))[0].sum()
+        return lax.cond(x[0] > 0, following, lambda x: x * a, x).sum()
+
+    return last
+
+
+def in_axes_elsewhere(f):
+    along = jax.vmap(f, in_axes=(None, 1), out_axes=(1, 0, 0, -1))
+    return jax.vmap(along, in_axes=(0, None), out_axes=(2, 1, 0, 1))(AS, XS.T)
+
+
+def together(f):
+    """Derivatives along directions in three axes, of which the machine code takes some at once."""
+    along = lambda a, x, v: jax.jvp(partial(real(f), a), (x,), (v,))[1]
+    over_directions = jax.vmap(along, (None, None, 0))
+    over_both = jax.vmap(over_directions, (None, 0, 0))
+    few, more = MANY[:, :3], MANY
+    return (
+        over_directions(A, X, more[0]),
+        over_both(A, XS[:3], few),
+        jax.vmap(over_both, (0, None, None))(AS, XS[:3], few),
+        jax.vmap(over_both, (None, None, 1), 1)(A, XS[:3], MANY.reshape(3, 5, 100, 2)),
+    )
+
+
+def pulled(f):
+    _, pull = jax.vjp(real(f), A, X)
+    return pull((jnp.asarray([1.0, -2.0]), jnp.asarray(0.5)))
+
+
+def without_some_results(f):
+    """Cotangents of one result alone, of either."""
+    return jax.grad(lambda x: f(A, x)[1])(X), jax.grad(lambda a: f(a, X)[0][1])(A)
+
+
+def third(f):
+    g = number(f)
+    return jax.jacfwd(jax.jacrev(jax.jacfwd(g, 1), 1), 1)(A, X), jax.grad(jax.grad(jax.grad(g)))(
+        A, X
+    )
+
+
+def transposed(f):
+    """The transpose of what is linear in a direction, of first and of second derivatives."""
+    along = lambda v, x=X: jax.jvp(lambda x: f(A, x)[0], (x,), (v,))[1]
+    again = lambda v: jax.jvp(partial(along, v), (X,), (jnp.asarray([1.0, 2.0]),))[1]
+    w = jnp.asarray([0.3, -0.7])
+    return jax.linear_transpose(along, X)(w), jax.linear_transpose(again, X)(w)
+
+
+def transposed_of_many(f):
+    def again(v):
+        along = lambda x, v: jax.jvp(lambda x: f(A, x)[0], (x,), (v,))[1]
+        second = lambda x, v: jax.jvp(partial(along, v=v), (x,), (x,))[1]
+        return jax.vmap(second)(XS, v), jax.vmap(second, (0, None))(XS, v[0])
+
+    return jax.linear_transpose(again, XS)((XS, XS))
+
+
+@pytest.fixture(autouse=True)
+def few_together(monkeypatch):
+    """Machine code of few directions at once compiles in no time; more are cells of their own."""
+    monkeypatch.setattr(primitive, "TOGETHER", 100)
+
+
+TRANSFORMED = {
+    "values": lambda f: f(A, X),
+    "jvp": lambda f: jax.jvp(real(f), (A, X), (A, X)),
+    "vjp": pulled,
+    "some results": without_some_results,
+    "jacfwd": lambda f: jax.jacfwd(real(f), BOTH)(A, X),
+    "jacrev": lambda f: jax.jacrev(real(f), BOTH)(A, X),
+    "grad": lambda f: jax.grad(number(f), BOTH)(A, X),
+    "hessian": lambda f: jax.hessian(number(f), BOTH)(A, X),
+    "forward over forward": lambda f: jax.jacfwd(jax.jacfwd(real(f), BOTH), BOTH)(A, X),
+    "reverse over reverse": lambda f: jax.jacrev(jax.jacrev(real(f), BOTH), BOTH)(A, X),
+    "reverse over forward": lambda f: jax.jacrev(jax.jacfwd(real(f), BOTH), BOTH)(A, X),
+    "third": third,
+    "linearize": lambda f: jax.linearize(real(f), A, X)[1](A, X),
+    "transposed": transposed,
+    "transposed of many": transposed_of_many,
+    "vmap over one": lambda f: jax.vmap(f, (None, 0))(A, XS),
+    "vmap over the other": lambda f: jax.vmap(f, (0, None))(AS, X),
+    "vmap over both": lambda f: jax.vmap(f)(AS, XS[:7]),
+    "vmap nested": lambda f: jax.vmap(jax.vmap(f, (None, 0)), (0, None))(AS, XS),
+    "vmap nested otherwise": lambda f: jax.vmap(jax.vmap(f, (0, None)), (None, 0))(AS, XS),
+    "vmap thrice": lambda f: jax.vmap(jax.vmap(jax.vmap(f, (0, None)), (None, 0)))(
+        jnp.outer(AS[:2], AS), jnp.stack([XS, XS])
+    ),
+    "vmap along other axes": in_axes_elsewhere,
+    "vmap of grad": lambda f: jax.vmap(jax.grad(number(f), BOTH), (None, 0))(A, XS),
+    "vmap of hessian": lambda f: jax.vmap(jax.hessian(number(f), BOTH), (0, None))(AS, X),
+    "grad of vmap": lambda f: jax.grad(
+        lambda a, x: jax.vmap(number(f), (None, 0))(a, x).sum(), BOTH
+    )(A, XS),
+    "jacfwd of vmap": lambda f: jax.jacfwd(jax.vmap(real(f), (None, 0)), BOTH)(A, XS),
+    "jacrev of vmap": lambda f: jax.jacrev(jax.vmap(real(f), (0, None)), BOTH)(AS, X),
+    "hessian of vmap": lambda f: jax.hessian(
+        lambda a, x: jax.vmap(number(f), (None, 0))(a, x).sum(), BOTH
+    )(A, XS[:3]),
+    "many directions": together,
+    "checkpoint": lambda f: jax.grad(jax.checkpoint(number(f)), BOTH)(A, X),
+    "filters": lambda f: eqx.filter_vmap(eqx.filter_grad(number(f)), in_axes=(None, 0))(A, XS),
+    "scan": lambda f: jax.hessian(repeated(f, "scan"), BOTH)(A, X),
+    "scan of many": lambda f: jax.grad(
+        lambda a, x: jax.vmap(repeated(f, "scan"), (None, 0))(a, x).sum(), BOTH
+    )(A, XS),
+    "for": lambda f: jax.grad(repeated(f, "for"), BOTH)(A, X),
+    "while": lambda f: jax.jacfwd(repeated(f, "while"), BOTH)(A, X),
+    "cond": lambda f: jax.vmap(jax.grad(repeated(f, "cond"), BOTH), (None, 0))(A, XS - 0.5),
+}
+
+
+def assert_same(found, expected, rtol=1e-12, atol=1e-13):
+    assert jax.tree.structure(found) == jax.tree.structure(expected)
+    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+        assert one.shape == other.shape and one.dtype == other.dtype
+        np.testing.assert_allclose(one, other, rtol=rtol, atol=atol)
+
+
+AT_ONCE = "values", "jvp", "some results", "linearize", "vmap over one", "vmap nested"
+"""What is computed outside of `jit` too, where XLA compiles each operation around it."""
+
+
+@pytest.mark.parametrize("name", TRANSFORMED)
+def test_the_transformed_primitive_is_the_transformed_function(name):
+    transform = TRANSFORMED[name]
+    expected = jax.jit(lambda: transform(unrolled))()
+    assert_same(eqx.filter_jit(lambda: transform(by_loop))(), expected)
+    if name in AT_ONCE:
+        assert_same(transform(by_loop), expected)
+
+
+@pytest.mark.parametrize("n", [0, 1, 7, 8, 9, 1000])
+def test_any_number_of_cells(n):
+    """Values and derivatives of no cells too."""
+    xs = jnp.asarray(RNG.random((n, 2)))
+    together = lambda f: (
+        jax.vmap(f, (None, 0))(A, xs),
+        jax.vmap(jax.jacfwd(number(f), BOTH), (None, 0))(A, xs),
+        jax.grad(lambda a: jax.vmap(number(f), (None, 0))(a, xs).sum())(A),
+    )
+    expected = jax.jit(lambda: together(unrolled))()
+    assert_same(jax.jit(lambda: together(by_loop))(), expected, rtol=1e-11)
+    outputs = jax.vmap(by_loop, (None, 0))(A, xs)
+    assert_same(outputs, expected[0])
+
+
+def test_no_cells_by_no_cells():
+    """And derivatives along no directions."""
+    over_both = lambda f: jax.vmap(jax.vmap(f, (0, None)), (None, 0))
+    none = jnp.zeros((0, 2))
+    y, z, count, high = over_both(by_loop)(AS, none)
+    assert y.shape == (0, 7, 2) and z.shape == count.shape == high.shape == (0, 7)
+    assert over_both(by_loop)(AS[:0], XS)[0].shape == (9, 0, 2)
+    along = lambda v: jax.jvp(lambda x: by_loop(A, x)[0], (X,), (v,))[1]
+    assert jax.vmap(along)(none).shape == (0, 2)
+    of_many = lambda x, v: jax.jvp(lambda x: by_loop(A, x)[0], (x,), (v,))[1]
+    found = jax.vmap(jax.vmap(of_many, (None, 0)), (0, None))
+    assert found(XS, none).shape == (9, 0, 2) and found(none, XS).shape == (0, 9, 2)
+
+
+def test_float32():
+    cast = lambda value: value.astype(jnp.float32)
+    derivatives = lambda f, a, x: (f(a, x), jax.jacrev(real(f), BOTH)(a, x))
+    found = jax.jit(partial(derivatives, by_loop))(cast(A), cast(X))
+    expected = jax.jit(partial(derivatives, unrolled))(cast(A), cast(X))
+    assert {leaf.dtype.name for leaf in jax.tree.leaves(found)} == {"float32", "int64", "bool"}
+    assert_same(found, expected, rtol=1e-5, atol=1e-6)
+
+
+@by_kernel
+def of_two_types(x, y):
+    return x * x, y * y * x.astype(jnp.float64)
+
+
+def test_operands_of_two_types():
+    operands = jnp.float32(0.5), jnp.float64(0.25)
+
+    def pulled(f):
+        _, pull = jax.vjp(f, *operands)
+        return pull((jnp.float32(2.0), jnp.float64(3.0)))
+
+    found = jax.jit(lambda: pulled(of_two_types))()
+    assert_same(found, pulled(of_two_types.__wrapped__), rtol=1e-6)
+
+
+def test_a_linear_function_is_its_own_transpose():
+    scaled = by_kernel(lambda x, y: (jnp.stack([x[0] + 2 * x[1], 3 * x[0], x[1]]) * y[0], 1))
+    y = jnp.asarray([2.0])
+    transposed = lambda w: jax.linear_transpose(lambda x: scaled(x, y)[0], X)(w)[0]
+    w = jnp.asarray([1.0, -1.0, 0.5])
+    np.testing.assert_allclose(transposed(w), [-4.0, 5.0], rtol=1e-15)
+    ws = jnp.asarray(RNG.normal(size=(4, 3)))
+    np.testing.assert_allclose(jax.vmap(transposed)(ws), jnp.stack(list(map(transposed, ws))))
+
+
+def test_what_has_no_real_results_has_no_derivative():
+    above = by_kernel(lambda x: (x > 0.5, jnp.floor(x).astype(int)))
+    tangents = jax.jit(lambda x, v: jax.jvp(above, (x,), (v,))[1])(A, A)
+    assert all(tangent.dtype == jax.dtypes.float0 for tangent in tangents)
+
+
+def asked_for(monkeypatch, function, *args):
+    """By which operands a function's derivatives are taken, and along how many directions."""
+    asked = []
+
+    def derivative(self, by, directions=1, take=Program.derivative):
+        asked.append((by, directions))
+        return take(self, by, directions)
+
+    monkeypatch.setattr(Program, "derivative", derivative)
+    jax.make_jaxpr(function)(*args)
+    return asked
+
+
+DERIVATIVES = {
+    "none": (by_loop, set()),
+    "forward by one": (lambda a, x: jax.jvp(lambda a: real(by_loop)(a, x), (a,), (a,)), {(0,)}),
+    "forward by the other": (
+        lambda a, x: jax.jvp(lambda x: real(by_loop)(a, x), (x,), (x,)),
+        {(1,)},
+    ),
+    "reverse by one": (jax.grad(number(by_loop)), {(0,)}),
+    "reverse by both": (jax.grad(number(by_loop), BOTH), {(0, 1)}),
+    "of what is constant": (
+        lambda a, x: jax.grad(number(by_loop))(a, lax.stop_gradient(x)),
+        {(0,)},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", DERIVATIVES)
+def test_derivatives_are_only_by_what_is_asked_for(name, monkeypatch):
+    function, expected = DERIVATIVES[name]
+    asked = asked_for(monkeypatch, function, A, X)
+    assert {by for by, _ in asked} == expected
+    sizes = 1, 2
+    assert all(directions <= sum(sizes[i] for i in by) for by, directions in asked)
+
+
+def test_donated_operands():
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Some donated buffers were not usable")
+        xs = jnp.array(XS)
+        expected = jax.vmap(unrolled, (None, 0))(A, xs)
+        found = jax.jit(jax.vmap(by_loop, (None, 0)), donate_argnums=1)(A, xs)
+    assert_same(found, expected)
+
+
+ON_DEVICES = """
+import sys
+from functools import partial
+import jax, jax.numpy as jnp, numpy as np
+from jax import lax
+from jax.sharding import NamedSharding, PartitionSpec as P
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_numpy_dtype_promotion", "strict")
+from walker_jax.kernels import by_kernel
+
+@by_kernel
+def function(a, x):
+    step = lambda c: (c[0] * a - jnp.sin(c[0]) * x[1], c[1] + 1)
+    y, k = lax.while_loop(lambda c: c[1] < jnp.where(x[0] > 0.5, 3, 2), step, (x[0], 0))
+    return y, k
+
+a, xs = jnp.asarray(0.9), jnp.asarray(np.random.default_rng(0).random((400, 2)))
+many = jax.vmap(function, (None, 0))
+total = lambda a, xs: (many(a, xs)[0] ** 2).sum()
+expected = jax.jit(many)(a, xs)
+gradient = jax.jit(jax.grad(total, (0, 1)))(a, xs)
+check = partial(jax.tree.map, partial(np.testing.assert_allclose, rtol=1e-12, atol=1e-14))
+for n in 1, 2, 4:
+    mesh = jax.make_mesh((n,), ("cells",), devices=jax.devices()[:n], axis_types=(AUTO,))
+    sharded = jax.device_put(xs, NamedSharding(mesh, P("cells")))
+    check(jax.jit(many)(a, sharded), expected)
+    check(jax.jit(jax.grad(total, (0, 1)))(a, sharded), gradient)
+    on_mesh = partial(jax.shard_map, mesh=mesh, in_specs=(P(), P("cells")))
+    apart = jax.jit(on_mesh(many, out_specs=P("cells")))(a, sharded)
+    assert len(apart[0].sharding.device_set) == n
+    check(apart, expected)
+    whole = on_mesh(lambda a, xs: lax.psum(total(a, xs), "cells"), out_specs=P())
+    check(jax.jit(jax.grad(whole, (0, 1)))(a, sharded), gradient)
+    check(jax.jit(jax.jacfwd(whole))(a, sharded), gradient[0])
+    inside = on_mesh(jax.grad(total, (0, 1)), out_specs=(P(), P("cells")))
+    check(jax.jit(inside)(a, sharded), gradient)
+"""
+
+
+def test_cells_on_several_devices():
+    """Of one mesh; the derivative by what all share is the total."""
+    flags = "--xla_force_host_platform_device_count=4"
+    program = ON_DEVICES.replace("AUTO", "jax.sharding.AxisType.Auto")
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        env=os.environ | {"XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+# The handler
+
+
+def call(operands, results):
+    """The handler, called with any buffers."""
+    program, _ = primitive.program_of(
+        by_loop, jax.tree.structure((A, X)), [*map(jax.typeof, (A, X))]
+    )
+    assert program.kernel is not None
+    like = [jax.ShapeDtypeStruct(*result) for result in results]
+    target = ffi.target(program.kernel)
+    return jax.jit(lambda *operands: jax.ffi.ffi_call(target, like)(*operands))(*operands)
+
+
+VECTOR, NUMBER, WHOLE, TRUTH = ((2,), "float64"), ((), "float64"), ((), "int64"), ((), "bool")
+SINGLE = [VECTOR, NUMBER, WHOLE, TRUTH]
+SEVEN = [((7, *shape), dtype) for shape, dtype in SINGLE]
+WRONG = {
+    "type of an operand": ((A.astype(jnp.float32), X), SINGLE),
+    "size of an operand": ((A, jnp.ones(3)), SINGLE),
+    "no size of an operand": ((A, jnp.ones(0)), SINGLE),
+    "rank of an operand": ((A, jnp.asarray(1.0)), SINGLE),
+    "larger rank of an operand": ((A, jnp.ones((1, 1, 2))), SINGLE),
+    "cells of an operand": ((A, jnp.ones((6, 2))), SEVEN),
+    "cells of an operand of one": ((A, jnp.ones((7, 2))), SINGLE),
+    "operands too few": ((A,), SINGLE),
+    "operands too many": ((A, X, X), SINGLE),
+    "results too few": ((A, X), SINGLE[:3]),
+    "results too many": ((A, X), [*SINGLE, NUMBER]),
+    "type of a result": ((A, X), [*SINGLE[:2], ((), "int32"), TRUTH]),
+    "size of a result": ((A, X), [((3,), "float64"), *SINGLE[1:]]),
+    "rank of the first result": ((A, X), [NUMBER, *SINGLE[1:]]),
+    "larger rank of the first result": ((A, X), [((1, 1, 2), "float64"), *SINGLE[1:]]),
+    "rank of a later result": ((A, X), [*SEVEN[:3], TRUTH]),
+    "cells of a result": ((A, X), [*SEVEN[:3], ((8,), "bool")]),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_other_buffers_are_refused(name):
+    with pytest.raises(jax.errors.JaxRuntimeError, match=ffi.WRONG):
+        jax.block_until_ready(call(*WRONG[name]))
+
+
+def test_the_right_buffers_are_not():
+    assert_same(tuple(call((A, X), SINGLE)), jax.jit(unrolled)(A, X))
+    found = call((A, XS[:7]), SEVEN)
+    assert_same(tuple(found), jax.jit(jax.vmap(unrolled, (None, 0)))(A, XS[:7]))
+
+
+def test_xla_computes_where_its_interface_is_unknown(monkeypatch):
+    """That is told once."""
+    monkeypatch.setattr(ffi, "VERSION", (0, 10**6))
+    monkeypatch.setattr(primitive, "programs", OrderedDict())
+    ffi.available.cache_clear()
+    try:
+        with pytest.warns(RuntimeWarning, match="more slowly") as told:
+            many = jax.jit(jax.vmap(by_loop, (None, 0)))
+            text = many.lower(A, XS).as_text()
+            found = many(A, XS), jax.jit(jax.grad(number(by_loop), BOTH))(A, X)
+        assert len(told) == 1 and "custom_call" not in text
+    finally:
+        ffi.available.cache_clear()
+    monkeypatch.undo()
+    assert "custom_call" in jax.jit(jax.vmap(by_loop, (None, 0))).lower(A, XS).as_text()
+    expected = jax.vmap(unrolled, (None, 0))(A, XS), jax.jit(jax.grad(number(unrolled), BOTH))(A, X)
+    assert_same(found, expected)
+
+
+def test_several_threads_at_once():
+    """Each with a function of its own, and all with one."""
+    xs = jnp.asarray(RNG.random((20000, 2)))
+    expected = jax.vmap(unrolled, (None, 0))(A, xs)
+    shared = jax.jit(jax.vmap(by_loop, (None, 0)))
+    found = {}
+
+    def compute(i):
+        own = jax.jit(lambda a, x: jax.vmap(by_loop, (None, 0))(a, x + 0.0 * i))
+        found[i] = [f(A, xs) for f in (shared, own) for _ in range(5)]
+
+    threads = [threading.Thread(target=compute, args=(i,)) for i in range(6)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(found) == len(threads)
+    for each in found.values():
+        for one in each:
+            assert_same(one, expected)
+
+
+def test_cells_of_a_loop_that_ends_for_each_at_another_turn():
+    """A call in each turn, within a loop over which cells are mapped."""
+
+    def last(f, a, x):
+        going = lambda carry: (carry[1] < 6) & (jnp.abs(carry[0]).sum() > 0.4)
+        step = lambda carry: (f(a, carry[0])[0] * 0.7, carry[1] + 1)
+        return lax.while_loop(going, step, (x, jnp.asarray(0)))
+
+    both = lambda f: jax.vmap(jax.vmap(partial(last, f), (0, None)), (None, 0))(AS, XS)
+    assert_same(jax.jit(lambda: both(by_loop))(), jax.jit(lambda: both(unrolled))())
+
+
+def test_many_threads_compute_the_same_bits_as_one():
+    """All at once, eight at a time, and outside of `jit`."""
+    xs = jnp.asarray(RNG.random((100_000, 2)))
+    many = jax.vmap(by_loop, (None, 0))
+    found = jax.jit(many)(A, xs)
+    in_parts = jax.jit(lambda xs: lax.map(lambda x: many(A, x), xs.reshape(-1, 50, 2)))(xs)
+    for whole, parts, outside in zip(found, in_parts, many(A, xs), strict=True):
+        np.testing.assert_array_equal(whole, parts.reshape(whole.shape))
+        np.testing.assert_array_equal(whole, outside)
+
+
+@pytest.mark.parametrize("n", [1, 100_000])
+def test_denormal_numbers_are_kept(n):
+    tiny = by_kernel(lambda x: x * 1e-310)
+    found = jax.jit(jax.vmap(tiny))(jnp.ones(n))
+    np.testing.assert_array_equal(found, np.full(n, 1e-310))
+    # The mode of XLA's threads is theirs again.
+    after = jax.jit(lambda x: jax.vmap(tiny)(x) * 0.5)(jnp.ones(n))
+    np.testing.assert_array_equal(after, jax.jit(lambda x: x * 0.5)(jnp.full(n, 1e-310)))
