@@ -80,7 +80,7 @@ def assert_close(found, expected, tolerance):
     assert np.max(np.abs(found - expected) / scale) < tolerance, (found, expected)
 
 
-QUICK = {(SimplestWalker, quantity) for quantity in QUANTITIES} | {(RoundFootWalker, "stride")}
+QUICK = {(SimplestWalker, quantity) for quantity in QUANTITIES} | {(PointFootWalker, "stride")}
 QUICK -= {(SimplestWalker, "gait")}
 CASES = [
     pytest.param(
@@ -167,7 +167,9 @@ def test_strides_of_many_walkers_and_starts_are_those_of_each(cls):
         jax.tree.map(np.testing.assert_array_equal, pairs, own)
 
 
-@pytest.mark.parametrize("quantity", ["walk", "margins", "trajectory", "gait"])
+@pytest.mark.parametrize(
+    "quantity", ["walk", "margins", "trajectory", pytest.param("gait", marks=SLOW)]
+)
 def test_quantities_of_many_walkers_and_starts_are_those_of_each(quantity):
     """Of the simplest walker, to the bit where XLA's part does not depend on how many there are."""
     function = QUANTITIES[quantity]
