@@ -19,7 +19,7 @@ from walker_jax.walkers import parameters
 SLOW = pytest.mark.slow
 STARTS = {
     SimplestWalker: (SimplestWalker(0.009), [0.2003109, -0.1998325]),
-    SpringWalker: (SpringWalker(0.009, 2.0), [0.15, -0.16]),
+    SpringWalker: (SpringWalker(0.009, 2.0), [0.1718, -0.2192]),
     PointFootWalker: (PointFootWalker(0.009, 1e-3), [0.200161, -0.199906]),
     RoundFootWalker: (RoundFootWalker(0.01, leg_length=1.2), [0.18944, -0.23901, -0.0514]),
     UpperBodyWalker: (UpperBodyWalker(0.01), [0.196, -0.2434, -0.033]),
@@ -80,7 +80,7 @@ def assert_close(found, expected, tolerance):
     assert np.max(np.abs(found - expected) / scale) < tolerance, (found, expected)
 
 
-QUICK = {(SimplestWalker, quantity) for quantity in QUANTITIES} | {(RoundFootWalker, "stride")}
+QUICK = {(SimplestWalker, quantity) for quantity in QUANTITIES} | {(PointFootWalker, "stride")}
 QUICK -= {(SimplestWalker, "gait")}
 CASES = [
     pytest.param(
@@ -102,13 +102,16 @@ def test_derivatives_in_either_mode_are_those_of_differences(cls, quantity, monk
     function = of_numbers(cls, quantity)
     z, steps = point(cls)
     forward = np.asarray(jax.jit(jax.jacfwd(function))(z))
-    assert_close(jax.jit(jax.jacrev(function))(z), forward, 1e-11)
+    # Of several strides it is a product, in which large numbers cancel.
+    tolerance = 1e-10 if quantity in ("walk", "gait") else 1e-11
+    assert_close(jax.jit(jax.jacrev(function))(z), forward, tolerance)
+    close = {"rtol": tolerance, "atol": tolerance * abs(forward).max()}
     v = jnp.cos(jnp.arange(1.0, len(z) + 1))
     value, along = jax.jit(lambda z: jax.jvp(function, (z,), (v,)))(z)
-    np.testing.assert_allclose(along, forward @ v, rtol=1e-11, atol=1e-11 * abs(forward).max())
+    np.testing.assert_allclose(along, forward @ v, **close)
     w = jnp.sin(jnp.arange(1.0, len(value) + 1))
     gradient = jax.jit(jax.grad(lambda z: w @ function(z)))(z)
-    np.testing.assert_allclose(gradient, w @ forward, rtol=1e-11, atol=1e-11 * abs(forward).max())
+    np.testing.assert_allclose(gradient, w @ forward, **close)
     assert_close(forward, differences(function, z, steps), 1e-7)
 
 
@@ -167,7 +170,9 @@ def test_strides_of_many_walkers_and_starts_are_those_of_each(cls):
         jax.tree.map(np.testing.assert_array_equal, pairs, own)
 
 
-@pytest.mark.parametrize("quantity", ["walk", "margins", "trajectory", "gait"])
+@pytest.mark.parametrize(
+    "quantity", ["walk", "margins", "trajectory", pytest.param("gait", marks=SLOW)]
+)
 def test_quantities_of_many_walkers_and_starts_are_those_of_each(quantity):
     """Of the simplest walker, to the bit where XLA's part does not depend on how many there are."""
     function = QUANTITIES[quantity]

@@ -204,8 +204,12 @@ def assert_same(found, expected, rtol=1e-12, atol=1e-13):
 AT_ONCE = "values", "jvp", "some results", "linearize", "vmap over one", "vmap nested"
 """What is computed outside of `jit` too, where XLA compiles each operation around it."""
 
+LONG = {"third", "reverse over reverse", "reverse over forward", "transposed of many"}
+LONG |= {"vmap thrice", "vmap of hessian", "hessian of vmap", "scan of many", "for", "filters"}
+CASES = [pytest.param(name, marks=pytest.mark.slow if name in LONG else ()) for name in TRANSFORMED]
 
-@pytest.mark.parametrize("name", TRANSFORMED)
+
+@pytest.mark.parametrize("name", CASES)
 def test_the_transformed_primitive_is_the_transformed_function(name):
     transform = TRANSFORMED[name]
     expected = jax.jit(lambda: transform(unrolled))()
@@ -214,7 +218,9 @@ def test_the_transformed_primitive_is_the_transformed_function(name):
         assert_same(transform(by_loop), expected)
 
 
-@pytest.mark.parametrize("n", [0, 1, 7, 8, 9, 1000])
+@pytest.mark.parametrize(
+    "n", [0, 1, *(pytest.param(n, marks=pytest.mark.slow) for n in (7, 8, 9)), 1000]
+)
 def test_any_number_of_cells(n):
     """Values and derivatives of no cells too."""
     xs = jnp.asarray(RNG.random((n, 2)))
