@@ -337,12 +337,9 @@ def push_forward(primals, tangents, *, program: Program, mapped: tuple[bool, ...
         changes = [jnp.squeeze(change, axis) for change in changes]
         total = [a if b is None else a + b for a, b in zip(changes, total, strict=True)]
     reals = iter(total)
-    out = [next(reals) if is_real(x) else ad.Zero(jax.typeof(x).to_tangent_aval()) for x in results]
-    out = [
-        ad.Zero(jax.typeof(x).to_tangent_aval()) if t is None else t
-        for x, t in zip(results, out, strict=True)
-    ]
-    return results, out
+    changes = [next(reals) if is_real(x) else None for x in results]
+    none = lambda x: ad.Zero(jax.typeof(x).to_tangent_aval())
+    return results, [none(x) if t is None else t for x, t in zip(results, changes, strict=True)]
 
 
 ad.primitive_jvps[kernel_p] = push_forward
