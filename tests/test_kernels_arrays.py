@@ -81,7 +81,7 @@ def test_places_in_sorted_arrays():
     assert_same(lambda x: jnp.searchsorted(jnp.array([-1, 0, 3]), x), np.arange(-3, 6))
 
 
-@pytest.mark.parametrize("length", [3, 40])
+@pytest.mark.parametrize("length", [3, pytest.param(40, marks=pytest.mark.slow)])
 def test_scans_short_and_long(length):
     """The short one is unrolled."""
     xs = RNG.normal(size=(length, 2))

@@ -25,7 +25,8 @@ def starts():
 
 
 @pytest.mark.parametrize(
-    ("solver", "tolerance", "error"), [(DOPRI, 1e-11, 1e-8), (TSIT, 1e-9, 1e-6)]
+    ("solver", "tolerance", "error"),
+    [(DOPRI, 1e-11, 1e-8), pytest.param(TSIT, 1e-9, 1e-6, marks=pytest.mark.slow)],
 )
 def test_strides_by_other_solvers(starts, solver, tolerance, error):
     series = wj.strides(SIMPLEST, starts)

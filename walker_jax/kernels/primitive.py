@@ -94,7 +94,7 @@ class Program:
 
                 some = tuple(point[i] for i in by)
                 one = lambda *tangents: jax.jvp(of_some, some, tangents)[1]
-                if directions > 1:
+                if directions != 1:
                     return jax.vmap(one)(*tangents)
                 # The same, which takes half as long to trace.
                 return [change[None] for change in one(*(tangent[0] for tangent in tangents))]
