@@ -49,4 +49,5 @@ class Package(ModuleType):
 
 sys.modules[__name__].__class__ = Package
 __version__ = version("walker-jax")
+# pyright reads the names in the stub, and knows no list that is computed.
 __all__ = sorted(MODULES)  # pyright: ignore[reportUnsupportedDunderAll]

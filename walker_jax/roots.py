@@ -89,7 +89,12 @@ def least(look: Look, length: Scalar) -> Instant:
 
 def negative(look: Look) -> Look:
     """Of minus a function."""
-    return lambda t: (-look(t)[0], -look(t)[1], -look(t)[2])
+
+    def opposite(t):
+        value, slope, curvature = look(t)
+        return -value, -slope, -curvature
+
+    return opposite
 
 
 def derivative_of(series: list[Scalar]) -> list[Scalar]:

@@ -11,7 +11,6 @@ import math
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
 from typing import Any
 
 import jax
@@ -24,7 +23,7 @@ from jaxtyping import Int, PyTree
 from rich.progress import Progress
 
 from walker_jax.checks import WrongUse
-from walker_jax.kernels.primitive import Program, contexts, program_of
+from walker_jax.kernels.primitive import Program, program_of, settings_now, under
 from walker_jax.progress import console
 
 # Cells in a tile, and tiles in a call: a call should take much longer than it takes to make.
@@ -52,6 +51,9 @@ def map_cells(
 ) -> PyTree[np.ndarray]:
     """function(*args) for every cell, on all devices of the process and all cores of a CPU.
 
+    An interrupt waits for the cells that are being worked on. Neighbours are worked on together:
+    cells that take equally long should be neighbours.
+
     **Arguments:**
 
     - `function`: of one cell. It is compiled once for a function and for shapes, so give one
@@ -59,19 +61,18 @@ def map_cells(
     - `args`: PyTrees of arrays.
     - `mapped`: for each of them, whether it has the cells along the first axis of its arrays, any
       number of them; others are the same for all cells. By default the second of two.
-      An interrupt waits for the cells that are being worked on.
-      Neighbours are worked on together: cells that take equally long should be neighbours.
     - `progress`: what to call the work in a progress bar, shown on a terminal only.
 
     **Returns** a PyTree of NumPy arrays with the cells along their first axis.
     """
-    pairs = list(zip(args, mapped, strict=True))
-    args = tuple(jax.tree.map(np.asarray, arg) if each else arg for arg, each in pairs)
-    sizes = {
-        leaf.shape[0]
+    args = tuple(
+        jax.tree.map(np.asarray, arg) if each else arg
         for arg, each in zip(args, mapped, strict=True)
-        for leaf in (jax.tree.leaves(arg) if each else ())
-    }
+    )
+    pairs = list(zip(args, mapped, strict=True))
+    shared = [arg for arg, each in pairs if not each]
+    cells = [arg for arg, each in pairs if each]
+    sizes = {leaf.shape[0] for leaf in jax.tree.leaves(cells)}
     if len(sizes) != 1:
         raise WrongUse(f"cells must hold arrays of one length, not of {sorted(sizes)}")
     (n,) = sizes
@@ -89,8 +90,6 @@ def map_cells(
     tile, tiles = FEW if few else TILE.get(platform, TILE["gpu"])
     call = tile * tiles * len(devices)
     run = _compiled(function, mapped, platform, tile, tiles)
-    shared = [arg for arg, each in pairs if not each]
-    cells = [arg for arg, each in zip(args, mapped, strict=True) if each]
 
     def work(start: int, stop: int) -> PyTree[np.ndarray]:
         """The results of at most one call, in which each device has an equal share of the cells."""
@@ -118,12 +117,10 @@ def _share_out(
 ) -> None:
     """work(start, stop) for n cells, `call` of them at a time, in as many threads."""
     starts = range(0, n, call)
-    settings = [(context, context.value) for context in contexts]  # which a thread has of its own
+    settings = settings_now()
 
-    def alike(start: int, stop: int) -> None:
-        with ExitStack() as now:
-            for context, value in settings:
-                now.enter_context(context(value))
+    def work_as_here(start: int, stop: int) -> None:
+        with under(settings):
             work(start, stop)
 
     shown = console(progress is not None)
@@ -132,7 +129,7 @@ def _share_out(
         ThreadPoolExecutor(workers) as pool,
     ):
         task = bar.add_task(progress or "", total=n)
-        pending = [pool.submit(alike, start, min(start + call, n)) for start in starts]
+        pending = [pool.submit(work_as_here, start, min(start + call, n)) for start in starts]
         try:
             for start, future in zip(starts, pending, strict=True):
                 future.result()

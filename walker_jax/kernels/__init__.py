@@ -22,7 +22,7 @@ and kept on disk (`object_cache`).
 """
 
 from walker_jax.kernels.kernel import Kernel
-from walker_jax.kernels.primitive import by_kernel, kernel_p, tracing_for_kernel
+from walker_jax.kernels.primitive import by_kernel, tracing_for_kernel
 from walker_jax.kernels.rules import UnsupportedPrimitive
 
-__all__ = ["Kernel", "UnsupportedPrimitive", "by_kernel", "kernel_p", "tracing_for_kernel"]
+__all__ = ["Kernel", "UnsupportedPrimitive", "by_kernel", "tracing_for_kernel"]

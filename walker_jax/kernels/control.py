@@ -51,7 +51,6 @@ def loop(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
             ]
             return joined(emitter, flags, runs, avals)
 
-    avals = [variable.aval for variable in body.jaxpr.outvars]
     flat, kinds = emitter.flattened(carry, avals)
     initial = [emitter.vector(x, dtype) for x, dtype in zip(flat, kinds, strict=True)]
     before = builder.block

@@ -13,7 +13,7 @@ from jax.extend.core import ClosedJaxpr, Primitive
 from llvmlite import ir
 
 from walker_jax.kernels import control, indexing
-from walker_jax.kernels.jaxprs import CALLS_WITH_DERIVATIVES
+from walker_jax.kernels.jaxprs import CALLS_WITH_DERIVATIVES, described
 from walker_jax.kernels.rules import (
     FAST,
     REDUCTIONS,
@@ -164,7 +164,8 @@ class LLVMEmitter(Unrolling):
         else:
             return None
         if id(equation) not in self.functions:
-            closed = jax.make_jaxpr(function)(*avals_of(equation.invars))
+            like = [described(variable.aval) for variable in equation.invars]
+            closed = jax.make_jaxpr(function)(*like)
             self.functions[id(equation)] = equation, closed
         return self.functions[id(equation)][1]
 
@@ -237,13 +238,6 @@ def implemented_in_jax(primitive: Primitive) -> bool:
     Equinox and lineax have such, which say what a function of one cell is under transformations.
     """
     return inspect.isfunction(primitive.impl) and not primitive.impl.__module__.startswith("jax.")
-
-
-def avals_of(variables) -> list[jax.ShapeDtypeStruct]:
-    return [
-        jax.ShapeDtypeStruct(aval.shape, aval.dtype, weak_type=aval.weak_type)
-        for aval in (variable.aval for variable in variables)
-    ]
 
 
 LLVMEmitter.rules = {

@@ -100,8 +100,16 @@ def handlers() -> Any:
     x86 = platform.machine().lower() in ("x86_64", "amd64")
     rounding = {part: text if x86 else "" for part, text in ROUNDING.items()}
     pause = "" if sys.platform == "win32" else "  %yielded = call i32 @sched_yield()"
-    return load_program(
-        HANDLER.format(pause=pause, message=WRONG, length=len(WRONG) + 1, **rounding)
+    text = HANDLER.format(pause=pause, message=WRONG, length=len(WRONG) + 1, **rounding)
+    return load_program(with_fields_loaded(text))
+
+
+def with_fields_loaded(text: str) -> str:
+    """A program whose lines `%x = field TYPE, ptr %s, i64 N` load what stands N bytes into %s."""
+    return re.sub(
+        r"  %(\w+) = field (\w+), ptr %(\w+), i64 (\d+)",
+        r"  %\1_at = getelementptr i8, ptr %\3, i64 \4\n  %\1 = load \2, ptr %\1_at",
+        text,
     )
 
 
@@ -197,55 +205,41 @@ entry:
   %threads_args = alloca [4 x i64]
   %schedule_args = alloca [5 x i64]
   %error_args = alloca [4 x i64]
-  %extension_at = getelementptr i8, ptr %frame, i64 8
-  %extension = load ptr, ptr %extension_at
+  %extension = field ptr, ptr %frame, i64 8
   %plain = icmp eq ptr %extension, null
   br i1 %plain, label %run, label %extended
 extended:
-  %kind_at = getelementptr i8, ptr %extension, i64 8
-  %kind = load i32, ptr %kind_at
+  %kind = field i32, ptr %extension, i64 8
   %asked = icmp eq i32 %kind, 1
   br i1 %asked, label %metadata, label %run
 metadata:
-  %metadata_at = getelementptr i8, ptr %extension, i64 24
-  %about = load ptr, ptr %metadata_at
+  %about = field ptr, ptr %extension, i64 24
   %major_at = getelementptr i8, ptr %about, i64 24
   store i32 0, ptr %major_at
   %minor_at = getelementptr i8, ptr %about, i64 28
   store i32 3, ptr %minor_at
   ret ptr null
 run:
-  %api_at = getelementptr i8, ptr %frame, i64 16
-  %api = load ptr, ptr %api_at
-  %context_at = getelementptr i8, ptr %frame, i64 24
-  %context = load ptr, ptr %context_at
-  %given_args_at = getelementptr i8, ptr %frame, i64 56
-  %given_args = load i64, ptr %given_args_at
-  %given_rets_at = getelementptr i8, ptr %frame, i64 96
-  %given_rets = load i64, ptr %given_rets_at
+  %api = field ptr, ptr %frame, i64 16
+  %context = field ptr, ptr %frame, i64 24
+  %given_args = field i64, ptr %frame, i64 56
+  %given_rets = field i64, ptr %frame, i64 96
   %kernel = load ptr, ptr %description
-  %args_at = getelementptr i64, ptr %description, i64 1
-  %args = load i64, ptr %args_at
-  %rets_at = getelementptr i64, ptr %description, i64 2
-  %rets = load i64, ptr %rets_at
+  %args = field i64, ptr %description, i64 8
+  %rets = field i64, ptr %description, i64 16
   %all = add i64 %args, %rets
-  %least_at = getelementptr i64, ptr %description, i64 3
-  %least = load i64, ptr %least_at
-  %most_at = getelementptr i64, ptr %description, i64 4
-  %most = load i64, ptr %most_at
+  %least = field i64, ptr %description, i64 24
+  %most = field i64, ptr %description, i64 32
   %as_many = icmp eq i64 %given_args, %args
   %as_many_too = icmp eq i64 %given_rets, %rets
   %counts = and i1 %as_many, %as_many_too
   br i1 %counts, label %prepare, label %refuse
 prepare:
-  %arg_list_at = getelementptr i8, ptr %frame, i64 72
-  %arg_list = load ptr, ptr %arg_list_at
-  %ret_list_at = getelementptr i8, ptr %frame, i64 112
-  %ret_list = load ptr, ptr %ret_list_at
+  %arg_list = field ptr, ptr %frame, i64 72
+  %ret_list = field ptr, ptr %frame, i64 112
   ; as many cells as the first result has
   %first = load ptr, ptr %ret_list
-  %first_rank_at = getelementptr i8, ptr %first, i64 32
-  %first_rank = load i64, ptr %first_rank_at
+  %first_rank = field i64, ptr %first, i64 32
   %first_place = mul i64 %args, 3
   %first_rank_place = add i64 %first_place, 6
   %expected_at = getelementptr i64, ptr %description, i64 %first_rank_place
@@ -256,8 +250,7 @@ higher:
   %has_cells = icmp sgt i64 %first_rank, %expected
   br i1 %has_cells, label %many, label %refuse
 many:
-  %first_dims_at = getelementptr i8, ptr %first, i64 40
-  %first_dims = load ptr, ptr %first_dims_at
+  %first_dims = field ptr, ptr %first, i64 40
   %length = load i64, ptr %first_dims
   br label %allocate
 allocate:
@@ -280,23 +273,17 @@ buffer:
   %list = select i1 %is_arg, ptr %arg_list, ptr %ret_list
   %b_at = getelementptr ptr, ptr %list, i64 %place
   %b = load ptr, ptr %b_at
-  %type_at = getelementptr i8, ptr %b, i64 16
-  %type32 = load i32, ptr %type_at
+  %type32 = field i32, ptr %b, i64 16
   %type = sext i32 %type32 to i64
-  %data_at = getelementptr i8, ptr %b, i64 24
-  %data = load ptr, ptr %data_at
-  %rank_at = getelementptr i8, ptr %b, i64 32
-  %rank = load i64, ptr %rank_at
-  %dims_at = getelementptr i8, ptr %b, i64 40
-  %dims = load ptr, ptr %dims_at
+  %data = field ptr, ptr %b, i64 24
+  %rank = field i64, ptr %b, i64 32
+  %dims = field ptr, ptr %b, i64 40
   %d0 = mul i64 %k, 3
   %d1 = add i64 %d0, 5
   %e_type_at = getelementptr i64, ptr %description, i64 %d1
   %e_type = load i64, ptr %e_type_at
-  %e_rank_at = getelementptr i64, ptr %e_type_at, i64 1
-  %e_rank = load i64, ptr %e_rank_at
-  %e_size_at = getelementptr i64, ptr %e_type_at, i64 2
-  %e_size = load i64, ptr %e_size_at
+  %e_rank = field i64, ptr %e_type_at, i64 8
+  %e_size = field i64, ptr %e_type_at, i64 16
   %type_good = icmp eq i64 %type, %e_type
   %lead = sub i64 %rank, %e_rank
   %shared = icmp eq i64 %lead, 0
@@ -362,8 +349,7 @@ pool:
   %t3 = getelementptr i64, ptr %threads_args, i64 3
   store ptr %count, ptr %t3
   store i64 1, ptr %count
-  %ask_at = getelementptr i8, ptr %api, i64 144
-  %ask = load ptr, ptr %ask_at
+  %ask = field ptr, ptr %api, i64 144
   %no_pool = call ptr %ask(ptr %threads_args)
   %pooled = icmp eq ptr %no_pool, null
   br i1 %pooled, label %share, label %forget
@@ -460,8 +446,7 @@ refuse:
   store ptr @wrong, ptr %r2
   %r3 = getelementptr i64, ptr %error_args, i64 3
   store i64 3, ptr %r3
-  %create_at = getelementptr i8, ptr %api, i64 48
-  %create = load ptr, ptr %create_at
+  %create = field ptr, ptr %api, i64 48
   %error = call ptr %create(ptr %error_args)
   ret ptr %error
 }}
@@ -473,8 +458,7 @@ define void @dismiss(ptr %api, ptr %error) {{
   store ptr null, ptr %a1
   %a2 = getelementptr i64, ptr %args, i64 2
   store ptr %error, ptr %a2
-  %destroy_at = getelementptr i8, ptr %api, i64 64
-  %destroy = load ptr, ptr %destroy_at
+  %destroy = field ptr, ptr %api, i64 64
   call void %destroy(ptr %args)
   ret void
 }}

@@ -23,20 +23,13 @@ LONGEST = 128
 
 COMBINATIONS = {
     "scatter": None,
-    "scatter-add": lax.add,
-    "scatter-sub": lax.sub,
-    "scatter-mul": lax.mul,
-    "scatter-min": lax.min,
-    "scatter-max": lax.max,
+    "scatter-add": (lax.add, lax.add_p),
+    "scatter-sub": (lax.sub, lax.sub_p),
+    "scatter-mul": (lax.mul, lax.mul_p),
+    "scatter-min": (lax.min, lax.min_p),
+    "scatter-max": (lax.max, lax.max_p),
 }
 """What scattering makes of an entry and an update; it replaces the entry where there is none."""
-PRIMITIVES = {
-    lax.add: lax.add_p,
-    lax.sub: lax.sub_p,
-    lax.mul: lax.mul_p,
-    lax.min: lax.min_p,
-    lax.max: lax.max_p,
-}
 
 
 @no_type_check  # as the emitter
@@ -132,11 +125,12 @@ def updated(
         where = (*where, ...)
         new = window
         if combine is not None:
+            function, primitive = combine
             new = np.empty(window.shape, object)
             for place in np.ndindex(window.shape):
                 new[place] = emitter.term(
-                    PRIMITIVES[combine],
-                    params_of(combine),
+                    primitive,
+                    params_of(function),
                     [array[where][place], window[place]],
                     [dtype, dtype],
                 )

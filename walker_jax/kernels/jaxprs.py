@@ -7,6 +7,7 @@ import abc
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, no_type_check
 
+import jax
 from jax.extend.core import ClosedJaxpr, JaxprEqn, Literal
 
 
@@ -44,6 +45,11 @@ class Interpreter(abc.ABC):
         """The results of an equation."""
         rule = self.rules.get(equation.primitive.name, type(self).keep)
         return rule(self, equation, operands)
+
+
+def described(aval) -> jax.ShapeDtypeStruct:
+    """An abstract value without what depends on where it is."""
+    return jax.ShapeDtypeStruct(aval.shape, aval.dtype, weak_type=aval.weak_type)
 
 
 def enter(interpreter: Interpreter, equation: JaxprEqn, operands: list) -> list:

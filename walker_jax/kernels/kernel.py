@@ -49,19 +49,16 @@ class Kernel:
         function may run in several threads at once.
         """
         results = [np.empty((n, *shape), dtype) for shape, dtype in self.results]
-        given = []
+        given, steps = [], []
         for value, each, (shape, dtype) in zip(operands, mapped, self.operands, strict=True):
-            array = np.ascontiguousarray(value, dtype)
-            if array.size != math.prod((n, *shape) if each else shape):
-                raise WrongUse(f"shape {array.shape} of an array must be {(n, *shape)}")
+            array, expected = np.ascontiguousarray(value, dtype), (n, *shape) if each else shape
+            if array.size != math.prod(expected):
+                raise WrongUse(f"shape {array.shape} of an array must be {expected}")
             given.append(array)
+            steps.append(math.prod(shape) if each else 0)
         arrays = [*given, *results]
         pointers = (ctypes.c_void_p * len(arrays))(*(array.ctypes.data for array in arrays))
-        sizes = [
-            math.prod(shape) * bool(each)
-            for each, (shape, _) in zip(mapped, self.operands, strict=True)
-        ]
-        strides = (ctypes.c_int64 * len(sizes))(*sizes)
+        strides = (ctypes.c_int64 * len(steps))(*steps)
         # The arrays must live as long as it does.
         compute = lambda start, stop, _=arrays: self.run(start, stop, pointers, strides)
         return compute, results

@@ -28,6 +28,7 @@ from jax.interpreters import ad, batching, mlir
 from jax.sharding import PartitionSpec
 
 from walker_jax.kernels import ffi
+from walker_jax.kernels.jaxprs import described
 from walker_jax.kernels.kernel import Kernel, without_garbage_collection
 from walker_jax.kernels.rules import UnsupportedPrimitive
 
@@ -108,10 +109,6 @@ class Program:
         return self.derivatives[by, directions]
 
 
-def described(aval) -> jax.ShapeDtypeStruct:
-    return jax.ShapeDtypeStruct(aval.shape, aval.dtype, weak_type=aval.weak_type)
-
-
 def operations(jaxpr) -> int:
     """How many numbers a jaxpr computes, in one turn of its loops."""
     total = 0
@@ -136,11 +133,25 @@ contexts: list = []
 """And settings of others, made by `jax.make_user_context`."""
 
 
+def settings_now() -> tuple[tuple[Any, Any], ...]:
+    """The contexts and their values, which are those of this thread alone."""
+    return tuple((context, context.value) for context in contexts)
+
+
+@contextlib.contextmanager
+def under(settings: tuple[tuple[Any, Any], ...]):
+    """With the contexts as they were elsewhere."""
+    with contextlib.ExitStack() as now:
+        for context, value in settings:
+            now.enter_context(context(value))
+        yield
+
+
 def program_of(function: Callable, structure, avals: Sequence) -> tuple[Program, Any]:
     """The program of a function of operands of these shapes and types, and its results' tree."""
     modes = tuple(getattr(jax.config, mode) for mode in MODES)
-    settings = [(context, context.value) for context in contexts]
-    key = function, structure, modes, *settings, *((x.shape, x.dtype, x.weak_type) for x in avals)
+    settings = settings_now()
+    key = function, structure, modes, settings, *((x.shape, x.dtype, x.weak_type) for x in avals)
     if key in programs:
         programs.move_to_end(key)
         return programs[key]
@@ -148,9 +159,7 @@ def program_of(function: Callable, structure, avals: Sequence) -> tuple[Program,
 
     def flat(*leaves):
         nonlocal results
-        with contextlib.ExitStack() as now:
-            for context, value in settings:
-                now.enter_context(context(value))
+        with under(settings):
             found, results = jax.tree.flatten(function(*jax.tree.unflatten(structure, leaves)))
         return found
 
