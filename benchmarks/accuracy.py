@@ -42,10 +42,13 @@ import numpy as np
 
 import walker_jax as wj
 from walker_jax import multibody
-from walker_jax.branches import continue_gaits, doubled
-from walker_jax.gaits import linearise
+from walker_jax.gaits.branches import continue_gaits
+from walker_jax.gaits.continuation import doubled
+from walker_jax.gaits.derivatives import linearise
 from walker_jax.kernels.scalars import unrolled
-from walker_jax.walkers import State, coordinates, parameters
+from walker_jax.walkers.masses import coordinates
+from walker_jax.walkers.model import State
+from walker_jax.walkers.parameters import parameters
 
 DATA = Path(__file__).parents[1] / "tests" / "data"
 VALUES = json.loads((DATA / "values.json").read_text())

@@ -23,7 +23,7 @@ import jax
 import numpy as np
 
 import walker_jax as wj
-from walker_jax.basin import compare_methods
+from walker_jax.basins.computation import compare_methods
 
 WINDOW = {"theta": (0.0, 0.4), "sum": (-0.04, 0.01)}
 SIDES = 50, 100, 200, 400, 800, 1600

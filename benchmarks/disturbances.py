@@ -25,9 +25,10 @@ import jax
 import numpy as np
 
 import walker_jax as wj
-from walker_jax.attraction import Attractor, with_frames
-from walker_jax.robustness import end_of_walk
-from walker_jax.tiles import map_cells
+from walker_jax.basins.attractor import Attractor
+from walker_jax.basins.attractor_search import with_frames
+from walker_jax.execution.tiles import map_cells
+from walker_jax.stability.walks import end_of_walk
 
 SLOPES = 0.001, 0.0025, 0.004, 0.0055, 0.0067, 0.0076, 0.009, 0.0105, 0.012, 0.0145
 SCAN = np.arange(0.0068, 0.00841, 0.0001)

@@ -29,7 +29,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import fsolve
 
 import walker_jax as wj
-from walker_jax.gaits import search
+from walker_jax.gaits.search import search
 
 SLOPE = 0.009
 

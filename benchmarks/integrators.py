@@ -62,11 +62,11 @@ import jax.numpy as jnp
 import numpy as np
 
 import walker_jax as wj
-from walker_jax.integrate import ORDER, Method, Taylor, Until
+from walker_jax.execution.tiles import COMPILER_OPTIONS, TILE, compact_order, map_cells
+from walker_jax.integrators.solvers import ORDER, Method, Taylor, Until
+from walker_jax.integrators.taylor import fast_sines
 from walker_jax.kernels import primitive
-from walker_jax.stride import follow_stride, prepared
-from walker_jax.taylor import fast_sines
-from walker_jax.tiles import COMPILER_OPTIONS, TILE, compact_order, map_cells
+from walker_jax.walking.stepping import follow_stride, prepared
 
 DTYPE = jnp.dtype("float64")
 SWING = 3.0

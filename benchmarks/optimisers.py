@@ -30,8 +30,8 @@ import numpy as np
 from scipy.optimize import NonlinearConstraint, minimize
 
 import walker_jax as wj
-from walker_jax.gaits import with_parameter
-from walker_jax.refinement import refined
+from walker_jax.basins.refinement import refined
+from walker_jax.walkers.parameters import with_parameter
 
 SECTION = wj.Grid.sheared(theta=(0, np.pi / 4, 200), sum=(-0.12, 0.06, 200))
 LEVELS = 4

@@ -35,7 +35,7 @@ def measure(cells: int) -> dict:
     import jax
 
     import walker_jax as wj
-    from walker_jax.basin import cell_map
+    from walker_jax.basins.methods import cell_map
 
     jax.config.update("jax_enable_x64", True)
     walker = wj.SimplestWalker(0.004)

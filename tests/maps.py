@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from walker_jax.branches import Answer, Task
-from walker_jax.gaits import Curved, Linearised
+from walker_jax.gaits.derivatives import Curved, Linearised
+from walker_jax.gaits.requests import Answer, Task
 
 
 def done_with(stride: Callable, task: Task) -> Any:

@@ -18,7 +18,8 @@ import numpy as np
 import xarray as xr
 from zarr.storage import LocalStore
 
-from walker_jax import store
+from walker_jax import storage
+from walker_jax.storage import requests, whole
 
 OLD, NEW = {"slope": 0.004}, {"slope": 0.005}
 ROWS = np.arange(12.0).reshape(6, 2)
@@ -32,7 +33,7 @@ OPERATIONS = ("unlink", "rmdir", "mkdir", "replace")
 
 def run(path: Path, overwrite: bool = False) -> xr.Dataset:
     """Two pieces, and what is found at the end."""
-    found = store.find(path, NEW, overwrite=overwrite)
+    found = storage.find(path, NEW, overwrite=overwrite)
     if found is not None:
         return found
     arrays = {
@@ -40,33 +41,35 @@ def run(path: Path, overwrite: bool = False) -> xr.Dataset:
         "half": xr.Variable(("x",), np.broadcast_to(np.int8(0), 6)),
     }
     options = {"aside": ["half"], "overwrite": overwrite}
-    with store.pieces(path, NEW, AXES, arrays, (4,), dict, **options) as place:
+    with storage.pieces(path, NEW, AXES, arrays, (4,), dict, **options) as place:
         for i in place.missing():
             (rows,) = place.at(i)
             half = np.ones(rows.stop - rows.start, np.int8)
             place.write(i, {"value": ROWS[rows], "half": half}, done=True)
         place.finish(AXES.merge(FOUND))
-    return store.opened(path)
+    return whole.opened(path)
 
 
 def go_on(path: Path) -> xr.Dataset:
     """The same run again; where the old data set is still there, told to overwrite it again."""
     try:
         return run(path)
-    except store.Occupied:
-        there = store.load(path)
+    except storage.Occupied:
+        there = storage.load(path)
         assert there is not None and there.identical(OTHER.assign_attrs(there.attrs))
         return run(path, overwrite=True)
 
 
 def saved_again(path: Path) -> xr.Dataset:
     """One of the two data sets is there, whole; then the other is saved."""
-    assert store.find(path, {}, overwrite=True) is None
-    there = store.load(path)
+    assert storage.find(path, {}, overwrite=True) is None
+    there = storage.load(path)
     assert there is not None
-    wanted = {store.canonical(OLD): OTHER, store.canonical(NEW): WHOLE}[there.attrs["request"]]
+    wanted = {requests.canonical(OLD): OTHER, requests.canonical(NEW): WHOLE}[
+        there.attrs["request"]
+    ]
     assert there.drop_attrs(deep=False).identical(wanted)
-    return store.save(WHOLE, path, NEW)
+    return storage.save(WHOLE, path, NEW)
 
 
 def dying_at(operation: int) -> None:
@@ -108,13 +111,13 @@ def main(kind: str, folder: Path, every: int = 1) -> int:
     warnings.simplefilter("error")
     first = {
         "pieces": lambda path: None,
-        "overwrite": lambda path: store.save(OTHER, path, OLD),
-        "save": lambda path: store.save(OTHER, path, OLD),
+        "overwrite": lambda path: storage.save(OTHER, path, OLD),
+        "save": lambda path: storage.save(OTHER, path, OLD),
     }[kind]
     killed = {
         "pieces": run,
         "overwrite": partial(run, overwrite=True),
-        "save": lambda path: store.save(WHOLE, path, NEW),
+        "save": lambda path: storage.save(WHOLE, path, NEW),
     }[kind]
     again = saved_again if kind == "save" else go_on
     bad, operation, code = 0, 0, KILLED

@@ -3,7 +3,6 @@ import signal
 import subprocess
 import sys
 from functools import cache
-from importlib import import_module
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -12,12 +11,13 @@ import pytest
 import xarray as xr
 
 import walker_jax as wj
-from walker_jax import attraction, store
-from walker_jax.attraction import Attractor, Basins, sort_attractors
-from walker_jax.cells import resolve
-from walker_jax.tiles import compact_order
+from walker_jax import storage
+from walker_jax.basins import attractor, attractor_search, methods, pieces
+from walker_jax.basins.attractor import Attractor, Basins, sort_attractors
+from walker_jax.cellmaps import resolve
+from walker_jax.execution.tiles import compact_order
+from walker_jax.storage import whole
 
-module = import_module("walker_jax.basin")  # the package has the function by that name
 REFERENCE = np.load(Path(__file__).parent / "data" / "strides_slope_0.004.npz")
 PAPER = {"theta": (0, 0.4, 200), "sum": (-0.04, 0.01, 250)}
 
@@ -36,8 +36,8 @@ def test_a_point_within_reach_of_several_attractors_is_the_nearests():
     places = np.array([[0.1, 0.0], [0.2, 0.0], [0.3, 0.0]])
     cycles = [Attractor(1, place[None]) for place in places]
     points = np.array([[0.11, 0.01], [0.16, 0], [0.24, 0], [0.9, 0]])
-    assert attraction.nearest(points, cycles, within=0.5).tolist() == [0, 1, 1, -1]
-    assert attraction.nearest(points, cycles[::-1], within=0.5).tolist() == [2, 1, 1, -1]
+    assert attractor.nearest(points, cycles, within=0.5).tolist() == [0, 1, 1, -1]
+    assert attractor.nearest(points, cycles[::-1], within=0.5).tolist() == [2, 1, 1, -1]
 
 
 def test_direct_iteration_gives_the_reference_fates(direct):
@@ -58,7 +58,7 @@ def test_direct_iteration_finds_the_gait(direct):
 def test_strides_count_until_the_gait_is_reached(direct):
     """Until all coordinates are within 1e-6 of it."""
     cells = np.flatnonzero(direct.attractor.values.ravel() == 0)[::101]
-    states = [attraction.centres(wj.Grid.sheared(**PAPER), cells.astype(np.int32))]
+    states = [attractor_search.centres(wj.Grid.sheared(**PAPER), cells.astype(np.int32))]
     for _ in range(64):
         states.append(np.asarray(wj.strides(wj.SimplestWalker(0.004), states[-1]).state))
     distance = np.abs(np.stack(states, axis=1) - direct.states.values[0, 0]).max(axis=2)
@@ -116,7 +116,7 @@ def test_the_period_is_right_close_to_the_doubling_at_0_01509(slope, period):
 @pytest.mark.slow
 def test_a_motion_that_never_repeats_has_no_period(monkeypatch):
     """Beyond the cascade of doublings: survivors are on one attractor, without a period."""
-    monkeypatch.setattr(attraction, "PATIENCE", 2)
+    monkeypatch.setattr("walker_jax.basins.attractor_search.PATIENCE", 2)
     grid = wj.Grid.sheared(theta=(0.2, 0.3, 12), sum=(-0.01, 0.0, 12))
     data = wj.basin(wj.SimplestWalker(0.0186), grid, "direct", strides=60)
     assert data.period.values.tolist() == [0]
@@ -174,7 +174,7 @@ def test_attractors_are_numbered_by_period_then_angle():
     ],
 )
 def test_wrong_requests_are_refused(arguments, message, monkeypatch):
-    monkeypatch.setattr(module, "memory_of_machine", lambda: 8 * 2**30)
+    monkeypatch.setattr("walker_jax.basins.memory.memory_of_machine", lambda: 8 * 2**30)
     arguments = {"grid": wj.Grid.sheared(theta=(0, 1, 3), sum=(0, 1, 3))} | arguments
     with pytest.raises(ValueError, match=message):
         wj.basin(wj.SimplestWalker(0.004), **arguments)
@@ -188,7 +188,7 @@ def test_strides_and_cycles_in_float32_are_close(direct):
     outcome = REFERENCE["outcome"].ravel()[::97]
     assert (single.outcome == outcome).mean() > 0.99
     walking = xs[direct.fate.values.ravel()[::97] == 0].astype(np.float32)
-    found = attraction.settle(wj.SimplestWalker(0.004), walking, 1e-6, [])
+    found = attractor_search.settle(wj.SimplestWalker(0.004), walking, 1e-6, [])
     assert [one.period for one in found] == [1]
     np.testing.assert_allclose(found[0].states, direct.states.values[0], atol=1e-4)
 
@@ -278,9 +278,9 @@ def test_a_cycle_of_cells_belongs_to_where_walkers_come_from_most_of_its_centres
     """Every cycle, and the cells that lead to it, against walks from the centres one by one."""
     walker, grid = wj.SimplestWalker(slope), wj.Grid.sheared(**PAPER)
     data = wj.basin(walker, grid)
-    ends = resolve(module.cell_map(walker, grid, 1e-12), sinks=len(wj.Outcome))
+    ends = resolve(methods.cell_map(walker, grid, 1e-12), sinks=len(wj.Outcome))
     lengths = [len(cycle) for cycle in ends.attractors]
-    starts = attraction.centres(grid, np.concatenate(ends.attractors))
+    starts = attractor_search.centres(grid, np.concatenate(ends.attractors))
     x = starts
     for _ in range(300):
         x = wj.strides(walker, x).state
@@ -310,8 +310,8 @@ def test_a_cycle_of_cells_belongs_to_where_walkers_come_from_most_of_its_centres
 
 def test_a_cycle_of_cells_on_an_attractor_without_a_period_belongs_to_that(monkeypatch):
     """Beyond the cascade of doublings: walkers from both centres never come back to themselves."""
-    monkeypatch.setattr(attraction, "PATIENCE", 2)
-    monkeypatch.setattr(attraction, "ATTEMPTS", 1)
+    monkeypatch.setattr("walker_jax.basins.attractor_search.PATIENCE", 2)
+    monkeypatch.setattr("walker_jax.basins.attractor_search.ATTEMPTS", 1)
     monkeypatch.setattr(module, "PATIENCE", 2)
     data = wj.basin(wj.SimplestWalker(0.0188), wj.Grid.sheared(**PAPER))
     assert data.period.values.tolist() == [0] and not data.artefact.any()
@@ -333,7 +333,7 @@ def computed_at_once(method):
 
 @pytest.fixture
 def small_pieces(monkeypatch):
-    monkeypatch.setattr(module, "PIECE", 600)
+    monkeypatch.setattr("walker_jax.basins.pieces.PIECE", 600)
 
 
 @pytest.mark.parametrize("method", ["cell-map", "direct"])
@@ -345,20 +345,20 @@ def test_piece_by_piece_it_is_the_same(tmp_path, small_pieces, method):
     assert again.drop_attrs(deep=False).identical(wanted.drop_attrs(deep=False))
     if method == "direct":
         assert ((wanted.fate == 0) & (wanted.strides == 30)).sum() > 10
-    with pytest.raises(store.Occupied, match="another result"):
+    with pytest.raises(storage.Occupied, match="another result"):
         wj.basin(STEEP, grid, method, strides=30, tolerance=1e-9, out=tmp_path / "a.zarr")
 
 
 def test_the_order_in_which_cells_are_computed_changes_nothing(monkeypatch):
     """That of accelerators, over all of a grid or a part of it."""
     grid = wj.Grid.sheared(**COARSE)
-    parts = None, module.Part(600, (20, 60))
+    parts = None, methods.Part(600, (20, 60))
     compute = lambda: [
         values
         for part in parts
         for values in (
-            module.cell_map(STEEP, grid, 1e-12, part),
-            *module.follow_part(STEEP, grid, 1e-12, [], 3, part),
+            methods.cell_map(STEEP, grid, 1e-12, part),
+            *methods.follow_part(STEEP, grid, 1e-12, [], 3, part),
         )
     ]
     wanted = compute()
@@ -372,10 +372,10 @@ def test_the_order_in_which_cells_are_computed_changes_nothing(monkeypatch):
 
 @pytest.mark.parametrize("shape", [(50, 60), (2, 2000), (3, 4, 1000), (1, 1, 5000), (7,), (900,)])
 def test_pieces_are_all_cells_one_after_the_other(small_pieces, shape):
-    block = module.block_of(shape)
-    place = store.Pieces(Path(), Path(), None, shape[: len(block)], block, None)
+    block = pieces.block_of(shape)
+    place = storage.Pieces(Path(), Path(), None, shape[: len(block)], block, None)
     grid = wj.Grid({str(i): (0, 1, n) for i, n in enumerate(shape)}, np.eye(len(shape)))
-    parts = [module.part_of(grid, place, i) for i in range(place.count)]
+    parts = [pieces.part_of(grid, place, i) for i in range(place.count)]
     assert [i for part in parts for i in range(grid.size)[part.cells]] == [*range(grid.size)]
     sizes = [math.prod(part.shape) for part in parts]
     assert max(sizes) < 2 * 600 and (len(parts) == 1 or max(sizes) >= 600)
@@ -395,8 +395,8 @@ def test_interrupted_at_any_write_it_goes_on(tmp_path, small_pieces, monkeypatch
     grid, path = wj.Grid.sheared(**COARSE), tmp_path / "a.zarr"
     wanted = computed_at_once(method)
     written, piece = [], []
-    kind = module.MappedPieces if method == "cell-map" else module.FollowedPieces
-    write, compute = store.Pieces.write, kind.piece
+    kind = pieces.MappedPieces if method == "cell-map" else pieces.FollowedPieces
+    write, compute = storage.Pieces.write, kind.piece
 
     def stopped(place, i, values, done=False):
         if len(written) in stops:
@@ -410,14 +410,14 @@ def test_interrupted_at_any_write_it_goes_on(tmp_path, small_pieces, monkeypatch
         piece.append(part)
         return compute(self, notes, part)
 
-    monkeypatch.setattr(store.Pieces, "write", stopped)
+    monkeypatch.setattr(storage.Pieces, "write", stopped)
     monkeypatch.setattr(kind, "piece", counted)
     stops, runs = {0, 2, 3, 4, 6, 8}, 0
     while stops:
         with pytest.raises(KeyboardInterrupt):
             wj.basin(STEEP, grid, method, strides=30, out=path)
         runs += 1
-        assert store.load(path) is not None
+        assert storage.load(path) is not None
     found = wj.basin(STEEP, grid, method, strides=30, out=path)
     assert found.drop_attrs(deep=False).identical(wanted.drop_attrs(deep=False))
     # of five pieces four were in flight when it stopped; no other is computed twice
@@ -434,9 +434,8 @@ import jax
 from zarr.storage import LocalStore
 import walker_jax as wj
 jax.config.update("jax_enable_x64", True)
-module = import_module("walker_jax.basin")
-module.PIECE = 2**12
-kind = module.MappedPieces if sys.argv[1] == "cell-map" else module.FollowedPieces
+pieces.PIECE = 2**12
+kind = pieces.MappedPieces if sys.argv[1] == "cell-map" else pieces.FollowedPieces
 compute, put, left = kind.piece, LocalStore.set, int(sys.argv[3])
 def told(self, notes, part):
     print("begun", part.first, flush=True)
@@ -469,7 +468,7 @@ def test_killed_at_twenty_moments_it_is_the_same_to_the_last_bit(tmp_path, metho
         begun += [line for line in lines if line.startswith("begun")]
     grid = wj.Grid.sheared(theta=(0, 0.4, 400), sum=(-0.03, 0.02, 1000))
     wanted = wj.basin(wj.SimplestWalker(0.0151), grid, method)
-    assert store.opened(path).drop_attrs(deep=False).identical(wanted.drop_attrs(deep=False))
+    assert whole.opened(path).drop_attrs(deep=False).identical(wanted.drop_attrs(deep=False))
     assert len(set(begun)) == 80
     assert len(begun) <= 80 + 20
     assert [place.name for place in tmp_path.iterdir()] == ["a.zarr"]

@@ -1,5 +1,4 @@
 import json
-from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -7,8 +6,8 @@ import pytest
 from maps import done_with
 
 import walker_jax as wj
+from walker_jax.gaits import diagrams, long_runs
 
-module = import_module("walker_jax.bifurcations")
 VALUES = json.loads((Path(__file__).parent / "data" / "values.json").read_text())
 REGION = wj.Grid.sheared(theta=(0.1, 0.3, 40), sum=(-0.03, 0.018, 60))
 DOUBLINGS = np.array([one["slope"] for one in VALUES["period_doublings"]])
@@ -26,7 +25,7 @@ def test_what_walkers_come_to():
     assert data.fate.values[:, 0].tolist() == [0, 0, 0, 0, wj.Outcome.FORWARD]
     assert (data.fate.values[:, 1] == wj.Outcome.FORWARD).all()
     assert data.period.values[:, 0].tolist() == [1, 2, 4, 0, 0]
-    assert data.strides.values[:4, 0].tolist() == [1000 + module.RECENT] * 4
+    assert data.strides.values[:4, 0].tolist() == [1000 + long_runs.RECENT] * 4
     assert np.isnan(data.orbit.values[:, 1]).all()
     np.testing.assert_allclose(
         data.orbit.values[0, 0, -1], wj.find_gait(walker(0.01)).states[0], atol=1e-9
@@ -42,7 +41,7 @@ def test_what_attracts_beside_the_long_gait_is_seen():
     branch = wj.continue_gait(walker(0.01012), "slope", (0.01, 0.0102), gait)
     long = wj.continue_gait(walker(0.01012), "slope", (0.01, 0.0102))
     values = np.array([0.01008, 0.0101, 0.01012])
-    starts = module.starts_near(walker(), "slope", [long, branch], values, 1e-12)
+    starts = long_runs.starts_near(walker(), "slope", [long, branch], values, 1e-12)
     data = wj.attractors(walker(), "slope", values, starts, strides=600)
     found = [
         set(row[fate == 0].tolist())
@@ -86,8 +85,8 @@ def test_the_cascade_stems_from_the_most_stable_gait():
     short, long = branch_of(1, [1.5, 1.4, 1.6]), branch_of(1, [0.6, 0.9, 5.0])
     doubles = [branch_of(2, [0.3, 2.0]) for _ in range(3)]
     branches = [short, doubles[0], long, doubles[1], doubles[2], branch_of(4, [0.2, 3.0])]
-    assert sorted(module.family(branches, [-1, 0, -1, 2, -1, 3])) == [2, 3, 5]
-    assert module.family([doubles[0]], [-1]) == []
+    assert sorted(diagrams.family(branches, [-1, 0, -1, 2, -1, 3])) == [2, 3, 5]
+    assert diagrams.family([doubles[0]], [-1]) == []
 
 
 def test_gaits_are_known_from_any_of_their_states(monkeypatch):
@@ -103,7 +102,7 @@ def test_gaits_are_known_from_any_of_their_states(monkeypatch):
     )
     values = np.array([3.2, 3.4])
     two = branch_of(2, [0.5, 0.5], values, np.stack([cycle(r) for r in values]))
-    look = lambda starts: module.unknown(walker(), "slope", [two], starts, 1e-12)
+    look = lambda starts: diagrams.unknown(walker(), "slope", [two], starts, 1e-12)
     fixed = np.full((2, 1), 1 - 1 / 3.3)
     starts = [module.Start(3.3, x) for x in (cycle(3.3), cycle(3.3)[::-1], fixed, fixed[:1])]
     assert look(starts) == starts[2:]

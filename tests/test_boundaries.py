@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from walker_jax.boundaries import box_counting, uncertainty_exponent
+from walker_jax.fractals import box_counting, uncertainty_exponent
 
 
 def circle(p):

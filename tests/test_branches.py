@@ -7,8 +7,8 @@ import pytest
 from maps import done_with
 
 import walker_jax as wj
-from walker_jax import branches
-from walker_jax.gaits import Linearised
+from walker_jax.gaits import arclength, branches, continuation, events
+from walker_jax.gaits.derivatives import Linearised
 
 VALUES = json.loads((Path(__file__).parent / "data" / "values.json").read_text())
 REGION = wj.Grid.sheared(theta=(0.1, 0.3, 40), sum=(-0.03, 0.018, 60))
@@ -30,7 +30,7 @@ def cascade(long):
     """The branches that stem from it, one doubling after the other."""
     found = [long]
     while found[-1].period < 16:
-        start = branches.doubled(found[-1].doublings[0])
+        start = continuation.doubled(found[-1].doublings[0])
         found += branches.continue_gaits(walker(), "slope", (0.001, 0.0185), [start])
     return found
 
@@ -41,7 +41,7 @@ def born_in_folds():
     starts = []
     for period, slope in ((3, 0.013), (4, 0.0105)):
         gait = wj.find_gaits(walker(slope), period, REGION)[0]
-        starts.append(branches.Start(slope, np.asarray(gait.states)))
+        starts.append(continuation.Start(slope, np.asarray(gait.states)))
     return branches.continue_gaits(walker(), "slope", (0.009, 0.02), starts)
 
 
@@ -141,7 +141,7 @@ def test_a_branch_may_start_at_an_end_of_the_interval():
 
 def test_no_gait_no_branch():
     (branch,) = branches.continue_gaits(
-        walker(), "slope", (0.001, 0.02), [branches.Start(0.01, np.array([[0.2, -0.5]]))]
+        walker(), "slope", (0.001, 0.02), [continuation.Start(0.01, np.array([[0.2, -0.5]]))]
     )
     assert len(branch.values) == 0 and branch.ends == ("no gait", "no gait")
     assert branch.folds == branch.doublings == []
@@ -160,8 +160,8 @@ def island(x, p):
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
 def test_a_branch_that_closes_is_gone_round_once(way):
-    start = branches.Start(0.0, np.array([[RADIUS]]))
-    path = done_with(island, branches.follow(start, way, (-1.0, 1.0)))
+    start = continuation.Start(0.0, np.array([[RADIUS]]))
+    path = done_with(island, continuation.follow(start, way, (-1.0, 1.0)))
     assert path.end == "the branch closes" and path.doublings == []
     values = np.array([point.value for point in path.points])
     states = np.array([point.cycle[0, 0] for point in path.points])
@@ -180,10 +180,14 @@ def test_a_branch_that_closes_is_gone_round_once(way):
 @pytest.mark.parametrize("way", [1.0, -1.0])
 def test_a_branch_is_followed_the_way_that_is_wanted(way, lean, sign, monkeypatch):
     """Whether its states grow with the parameter, or fall, and whatever the sign of a tangent."""
-    tangent = branches.tangent
-    monkeypatch.setattr(branches, "tangent", lambda *given: sign * tangent(*given))
+    tangent = arclength.tangent
+    monkeypatch.setattr(
+        "walker_jax.gaits.continuation.tangent", lambda *given: sign * tangent(*given)
+    )
     line = lambda x, p: x + 0.5 * (lean * p - x)
-    path = done_with(line, branches.follow(branches.Start(0.0, np.zeros((1, 1))), way, (-1.0, 2.0)))
+    path = done_with(
+        line, continuation.follow(continuation.Start(0.0, np.zeros((1, 1))), way, (-1.0, 2.0))
+    )
     values = np.array([point.value for point in path.points])
     assert path.end == "the end of the range" and (way * np.diff(values) > 0).all()
     assert values[0] == 0 and values[-1] == (2.0 if way > 0 else -1.0)
@@ -205,9 +209,9 @@ def test_crossings_are_where_a_line_between_points_has_the_value():
 
 def test_a_branch_that_passes_at_some_distance_from_its_start_does_not_close():
     none = Linearised(*4 * [np.zeros(0)])
-    point = lambda value, x: branches.Point(value, np.array([[x]]), none)
+    point = lambda value, x: arclength.Point(value, np.array([[x]]), none)
     one, other = point(0.0, 0.1), point(0.04, 0.1)
-    passes = lambda value, x: branches.passes(one, other, point(value, x), 1.0)
+    passes = lambda value, x: continuation.passes(one, other, point(value, x), 1.0)
     assert all(passes(value, x) for value in (1e-6, 0.02, 0.0399) for x in (0.1, 0.1 + 1e-4))
     assert not any(passes(value, 0.1) for value in (-1e-3, 0.041))
     assert not any(passes(0.02, x) for x in (0.09, 0.11, -0.5))
@@ -219,10 +223,10 @@ def test_a_bifurcation_found_beyond_a_step_is_none_of_the_step():
     waves = lambda x, p: -x * (1 + 0.3 * jnp.sin(p))
 
     def look(first, last):
-        ends = [branches.corrected(p, np.zeros((1, 1)), None, width) for p in (first, last)]
+        ends = [arclength.corrected(p, np.zeros((1, 1)), None, width) for p in (first, last)]
         one, other = (done_with(waves, task) for task in ends)
         along = np.array([0.0, 1.0])
-        return done_with(waves, branches.bifurcations_between(one, other, along, along, width))
+        return done_with(waves, events.bifurcations_between(one, other, along, along, width))
 
     (doubling,) = look(2.9, 3.6)
     assert doubling.kind == "doubling" and doubling.value == pytest.approx(np.pi, abs=1e-12)

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from walker_jax.cells import MAX_SIZE, CellMap, Grid, cell_image, resolve
+from walker_jax.cellmaps import CellMap, cell_image, resolve
+from walker_jax.grids import MAX_SIZE, Grid
 
 SINKS = 3
 LEAVE = 2

@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import time
-from importlib import import_module
 from pathlib import Path
 
 import jax
@@ -16,9 +15,14 @@ import xarray as xr
 from PIL import Image, ImageSequence
 
 import walker_jax as wj
-from walker_jax import cli, design, paper, store
-from walker_jax.robustness import without_gait
-from walker_jax.walkers import WALKERS, parameters
+from walker_jax import storage
+from walker_jax.cli import answers, basin_command, main, optimise_command, options, sweep_command
+from walker_jax.design import trace
+from walker_jax.paper import numbers
+from walker_jax.paper import reproduction as paper
+from walker_jax.stability.summary import without_gait
+from walker_jax.walkers.family import WALKERS
+from walker_jax.walkers.parameters import parameters
 
 RESUME = "run the same again to resume from"
 SMALL = ["--theta", "0.05", "0.35", "30", "--sum", "-0.03", "0.01", "20"]
@@ -28,12 +32,12 @@ SMALL = ["--theta", "0.05", "0.35", "30", "--sum", "-0.03", "0.01", "20"]
 def run(monkeypatch, capsys, tmp_path):
     """Run a command in an empty folder; returns exit code, standard output and error."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(cli, "keep_compiled", lambda: None)
+    monkeypatch.setattr("walker_jax.cli.main.keep_compiled", lambda: None)
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["walker-jax", *map(str, arguments)])
         with pytest.raises(SystemExit) as stop:
-            cli.main()
+            main.main()
         return (stop.value.code, *capsys.readouterr())
 
     return run
@@ -79,8 +83,8 @@ def test_walk_makes_a_film_which_is_not_replaced_by_another(run, tmp_path):
 
 def test_reproduce_prints_what_differs(run, monkeypatch):
     found = [
-        paper.Number("5.2", "slope", "0.022", "0.019", False, "No cells."),
-        paper.Number("5.1", "fate", "F", "F", True, ""),
+        numbers.Number("5.2", "slope", "0.022", "0.019", False, "No cells."),
+        numbers.Number("5.1", "fate", "F", "F", True, ""),
     ]
     monkeypatch.setattr(paper, "reproduce", lambda out, **_: found)
     code, out, _ = run("reproduce", "--quick")
@@ -122,7 +126,7 @@ def test_a_cycle_of_cells_that_is_no_gait_is_said_to_be_an_artefact(run, tmp_pat
     assert made_up.startswith("artefact 1: period 1, 1 cell, ")
     assert made_up.endswith(": a walker falls from there")
     with monkeypatch.context() as patch:
-        patch.setattr(cli, "draw", lambda *_: None)
+        patch.setattr("walker_jax.cli.basin_command.draw", lambda *_: None)
         _, out, _ = run("basin", "--out", "b.zarr", "--json")
     told = [
         {name: one[name] for name in ("cells", "artefact", "cycles", "falling")}
@@ -139,10 +143,10 @@ def test_a_cycle_of_cells_that_is_no_gait_is_said_to_be_an_artefact(run, tmp_pat
 
 
 def test_what_is_said_of_cycles_of_cells():
-    said = lambda artefact, cycles, falling, centres=2: cli.of_cells(
+    said = lambda artefact, cycles, falling, centres=2: basin_command.of_cells(
         {"artefact": artefact, "cycles": cycles, "falling": falling, "states": [0] * centres}
     )
-    assert said(False, 1, 0) == cli.of_cells({"artefact": False}) == ""
+    assert said(False, 1, 0) == basin_command.of_cells({"artefact": False}) == ""
     assert said(False, 3, 0) == ": 3 cycles of cells"
     told = ": 2 cycles of cells, a walker falls from 1 of their centres"
     assert said(False, 2, 1) == told
@@ -158,7 +162,7 @@ def test_what_is_said_of_cycles_of_cells():
     ],
 )
 def test_values_are_as_written(over, values):
-    (found,) = cli.values_of([over]).values()
+    (found,) = sweep_command.values_of([over]).values()
     assert found == values
 
 
@@ -185,7 +189,7 @@ def test_a_sweep_answers_with_a_row_for_each_combination(run, tmp_path, monkeypa
             raise FloatingPointError
         return {"total_area": slope + stiffness, "total_area_error": 0.5, "speed": slope}
 
-    monkeypatch.setattr(import_module("walker_jax.sweep"), "measured", measured)
+    monkeypatch.setattr("walker_jax.design.sweeps.measured", measured)
     command = ["sweep", "--walker", "spring", "--over", "slope=0.25:0.5:2"]
     command += ["--over", "hip-stiffness=0:1:3", *SMALL]
     code, out, err = run(*command, "--json")
@@ -212,13 +216,15 @@ def test_the_same_command_goes_on_with_what_was_interrupted(run, tmp_path, monke
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(store.Pieces, "write", interrupted)
+        patch.setattr(storage.Pieces, "write", interrupted)
         code, out, err = run("basin", *SMALL)
         again = f"{RESUME} basin.zarr"
         assert (code, out, err) == (130, "", f"walker-jax: interrupted: {again}\n")
         _, _, err = run("basin", *SMALL, "--overwrite")
         assert again.replace("again", "again, without --overwrite,") in err
-        patch.setattr(store.Pieces, "write", lambda *_, **__: os.kill(os.getpid(), signal.SIGTERM))
+        patch.setattr(
+            storage.Pieces, "write", lambda *_, **__: os.kill(os.getpid(), signal.SIGTERM)
+        )
         before = signal.getsignal(signal.SIGTERM)
         code, _, err = run("basin", *SMALL)
         signal.signal(signal.SIGTERM, before)
@@ -268,7 +274,7 @@ def test_a_refusal_says_what_is_other_about_the_data_and_not_that_the_picture_is
     """A data set and its picture lie where those of this command go by default."""
     name, *options = command.split()
     place = {"optimise": "optimum"}.get(name, name)
-    store.save(xr.Dataset({"x": 1}), Path(f"{place}.zarr"), {"command": "walk", "a": 1})
+    storage.save(xr.Dataset({"x": 1}), Path(f"{place}.zarr"), {"command": "walk", "a": 1})
     Path(f"{place}.png").write_bytes(b"of that")
     code, out, err = run(name, *options)
     what = f'{place}.zarr holds another result (command: "walk", not "{name}")'
@@ -283,7 +289,7 @@ def test_a_refusal_says_what_is_other_about_the_data_and_not_that_the_picture_is
 def test_other_places_that_are_taken_name_their_options(run, tmp_path):
     for name in ("taken.zarr", "report", "g.png", "d.nc"):
         (tmp_path / name).write_bytes(b"mine")
-    store.save(xr.Dataset({"x": 1}), tmp_path / "d.zarr", {})
+    storage.save(xr.Dataset({"x": 1}), tmp_path / "d.zarr", {})
     replaced = ", or --overwrite to replace it"
     for command, said in (
         ("basin --out taken.zarr", "taken.zarr exists and is not a data set: give another --out"),
@@ -406,7 +412,7 @@ def test_an_interrupted_drawing_leaves_the_picture_that_was_there(run, tmp_path,
 def test_wrong_usage_gets_one_line_and_changes_nothing(
     run, tmp_path, arguments, named, monkeypatch
 ):
-    monkeypatch.setattr(import_module("walker_jax.basin"), "memory_of_machine", lambda: 8 * 2**30)
+    monkeypatch.setattr("walker_jax.basins.memory.memory_of_machine", lambda: 8 * 2**30)
     code, out, err = run("basin", *arguments)
     assert (code, out) == (2, "")
     assert err.startswith("walker-jax: ") and err.count("\n") == 1 and named in err
@@ -632,7 +638,7 @@ def test_answers_on_robustness(run, tmp_path, monkeypatch):
     one = one.assign(nearer)
     for name in ("robustness.png", "t.png"):
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
-    monkeypatch.setattr(cli, "draw", lambda *_: None)
+    monkeypatch.setattr("walker_jax.cli.basin_command.draw", lambda *_: None)
     answer = json.loads(run("robustness", "--json", "--overwrite")[1])
     assert answer["least_disturbance"]["size"] == 0.01 and answer["step_down"] == 0.03125
     assert answer["least_disturbance"]["failure"] == answer["step_down_failure"] == "STRIDE"
@@ -703,19 +709,21 @@ def test_optimise_answers_keeps_and_draws(run, tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_an_interrupted_optimisation_goes_on(run, tmp_path, monkeypatch):
-    measured = design.measured
+    measured = trace.measured
 
     def interrupted(problem, stage, values, gait_of):
         if stage == 1:
             raise KeyboardInterrupt
         return measured(problem, stage, values, gait_of)
 
-    monkeypatch.setattr(design, "measured", interrupted)
+    monkeypatch.setattr("walker_jax.design.trace.measured", interrupted)
     code, _, err = run(*FASTEST)
     assert (code, err) == (130, f"walker-jax: interrupted: {RESUME} optimum.zarr\n")
     assert "found" not in xr.open_zarr(tmp_path / "optimum.zarr", consolidated=False)
     stages = []
-    monkeypatch.setattr(design, "measured", lambda *all: stages.append(all[1]) or measured(*all))
+    monkeypatch.setattr(
+        "walker_jax.design.trace.measured", lambda *all: stages.append(all[1]) or measured(*all)
+    )
     assert run(*FASTEST)[0] == 0
     assert 0 not in stages and {1, 2, 3} < set(stages)
 
@@ -735,7 +743,7 @@ def test_an_optimum_is_told_with_both_ends_as_they_were_measured(capsys):
         },
         {"parameter": ["slope", "hip_stiffness"], "measure": ["area", "speed"]},
     )
-    answer = cli.optimum(found)
+    answer = optimise_command.optimum(found)
     assert answer == {
         "start": {"slope": 0.004, "hip_stiffness": 0.5},
         "optimum": {"slope": 0.012, "hip_stiffness": 0.25},
@@ -745,7 +753,7 @@ def test_an_optimum_is_told_with_both_ends_as_they_were_measured(capsys):
         **{"at_bound": ["hip_stiffness"], "binding": ["speed"]},
         **{"evaluations": 9, "converged": True},
     }
-    cli.print_optimum(wj.SpringWalker(0.004, 0.5), answer, "area")
+    optimise_command.print_optimum(wj.SpringWalker(0.004, 0.5), answer, "area")
     told = capsys.readouterr().out
     assert "slope 0.004, hip_stiffness 0.5: 0.5625 +- 0.1" in told
     assert "slope 0.012, hip_stiffness 0.25: 0.84375 +- 0.06" in told
@@ -764,7 +772,7 @@ def test_an_optimum_after_a_start_where_nothing_walks_is_told(capsys):
         "evaluations": 5,
     }
     answer |= {end: {"slope": 0.01} for end in ends}
-    cli.print_optimum(wj.SimplestWalker(0.03), answer, "area")
+    optimise_command.print_optimum(wj.SimplestWalker(0.03), answer, "area")
     told = capsys.readouterr().out
     assert "changed by +0.002\n" in told and "at a bound of slope; not converged" in told
 
@@ -882,7 +890,7 @@ def test_compiled_programs_are_kept_where_the_user_says(tmp_path, monkeypatch):
         monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
         monkeypatch.setenv(variable, str(place))
         settings.clear()
-        cli.keep_compiled()
+        main.keep_compiled()
         assert settings.get("jax_compilation_cache_dir") == (str(kept) if kept else None)
     assert [path.name for path in tmp_path.iterdir()] == ["here"]
 
@@ -919,7 +927,7 @@ def test_public_names_are_what_they_name_whatever_is_loaded_first():
 
 
 def test_compile_time_counts_once():
-    clock = cli.Stopwatch()
+    clock = answers.Stopwatch()
     start = clock.start
     clock.compiling = [(start + 1, start + 3), (start + 2, start + 4), (start + 6, start + 7)]
     assert clock.seconds()["compile"] == pytest.approx(4)
@@ -932,7 +940,7 @@ def test_the_walkers_are_listed_with_parameters_units_and_defaults(run):
         for name, kind in WALKERS.items():
             assert f"{name}:" in out and ", ".join(kind.section) in out
             for one in parameters(kind):
-                row = next(line for line in out.splitlines() if cli.option_of(one.name) in line)
+                row = next(line for line in out.splitlines() if options.option_of(one.name) in line)
                 assert f"{one.default:g}" in row and one.unit in row and one.meaning in row
 
 
@@ -962,7 +970,7 @@ def test_a_walker_with_three_dimensions_has_a_gait_a_slice_and_a_basin(run, tmp_
     gait = answer["gaits"][0]
     assert answer["walker"] == {
         "name": "RoundFootWalker",
-        **cli.description(wj.RoundFootWalker(0.01)),
+        **answers.description(wj.RoundFootWalker(0.01)),
     }
     assert gait["stable"] and len(gait["multipliers"]) == 3
     guess = ["--guess", *gait["states"][0][:2], "--phidot", gait["states"][0][2]]
@@ -988,7 +996,7 @@ def test_a_walker_with_three_dimensions_has_a_gait_a_slice_and_a_basin(run, tmp_
 
 
 def test_a_place_that_is_taken_is_refused_before_a_gait_is_searched_for(run, tmp_path, monkeypatch):
-    monkeypatch.setattr(cli, "gait_of", lambda *_: pytest.fail("a search"))
+    monkeypatch.setattr("walker_jax.cli.basin_command.gait_of", lambda *_: pytest.fail("a search"))
     (tmp_path / "basin.png").write_bytes(b"mine")
     code, out, err = run("basin", "--walker", "round-foot")
     assert code == 2 and out == "" and "basin.png" in err and err.count("\n") == 1

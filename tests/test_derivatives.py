@@ -14,7 +14,7 @@ from walker_jax import (
     UpperBodyWalker,
 )
 from walker_jax.kernels import primitive
-from walker_jax.walkers import parameters
+from walker_jax.walkers.parameters import parameters
 
 SLOW = pytest.mark.slow
 STARTS = {

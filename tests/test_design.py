@@ -9,10 +9,13 @@ import xarray as xr
 from scipy.optimize import brentq, minimize_scalar
 
 import walker_jax as wj
-from walker_jax import design, store
-from walker_jax.design import allowed, along_limits, optimise, starting_places, weights_of
-from walker_jax.objectives import Measure
-from walker_jax.robustness import default_region
+from walker_jax import storage
+from walker_jax.design import climbs, problem, trace
+from walker_jax.design.climbs import allowed, along_limits
+from walker_jax.design.measures import Measure
+from walker_jax.design.optimisation import optimise
+from walker_jax.design.problem import starting_places, weights_of
+from walker_jax.stability.summary import default_region
 
 WALKER = wj.SimplestWalker(0.004)
 SLOPES = {"slope": (0.001, 0.02)}
@@ -36,7 +39,7 @@ def values(data, name):
 @pytest.fixture
 def no_basins(monkeypatch):
     """Those at both ends take most of the time, and have a test of their own."""
-    monkeypatch.setattr(design, "compared", lambda *_: {})
+    monkeypatch.setattr("walker_jax.design.optimisation.compared", lambda *_: {})
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +53,7 @@ def test_an_optimum_within_the_bounds(steepest):
     assert bool(steepest.found) and bool(steepest.converged)
     assert float(steepest.optimum[0]) == pytest.approx(at, abs=0.003 * 0.019)
     assert float(steepest.exact_optimum) == pytest.approx(least, abs=1e-4)
-    run = values(steepest, "run")[values(steepest, "stage").index(design.ENDS)]
+    run = values(steepest, "run")[values(steepest, "stage").index(trace.ENDS)]
     first = float(steepest.parameters[values(steepest, "run").index(run), 0])
     assert values(steepest, "start") == [first]
     assert float(steepest.exact_start) == pytest.approx(
@@ -153,8 +156,8 @@ def test_two_parameters_along_a_limit():
 @pytest.mark.slow
 def test_the_area_is_largest_on_the_gentlest_slope(no_basins, monkeypatch):
     """In one stage, of long steps."""
-    monkeypatch.setattr(design, "STEPS", (0.4,))
-    monkeypatch.setattr(design, "CHECK", (20_000, 50_000))
+    monkeypatch.setattr("walker_jax.design.climbs.STEPS", (0.4,))
+    monkeypatch.setattr("walker_jax.design.optimisation.CHECK", (20_000, 50_000))
     bounds, walker = {"slope": (0.003, 0.009)}, wj.SimplestWalker(0.007)
     found = optimise(walker, bounds, grid=GRID, starts=1, scan=3, levels=3)
     assert values(found, "optimum") == [0.003] and values(found, "at_bound") == [-1]
@@ -215,10 +218,12 @@ def test_an_interrupted_run_goes_on(no_basins, tmp_path, monkeypatch):
     whole = optimise(WALKER, SLOPES, "speed", starts=2)
 
     made = []
-    measured = design.measured
-    monkeypatch.setattr(design, "measured", lambda *all: made.append(all) or measured(*all))
-    store.save(kept[-1], tmp_path / "trace.zarr", {})
-    known = store.load(tmp_path / "trace.zarr")
+    measured = trace.measured
+    monkeypatch.setattr(
+        "walker_jax.design.trace.measured", lambda *all: made.append(all) or measured(*all)
+    )
+    storage.save(kept[-1], tmp_path / "trace.zarr", {})
+    known = storage.load(tmp_path / "trace.zarr")
     assert known is not None
     again = optimise(WALKER, SLOPES, "speed", starts=2, known=known)
     xr.testing.assert_identical(again, whole)
@@ -254,22 +259,22 @@ def test_limits_hold_at_a_loose_tolerance(no_basins):
 def test_parameters_that_the_walker_refuses_together_are_not_tried():
     walker = wj.RoundFootWalker(0.01, leg_length=0.6, foot_radius=0.3)
     bounds = {"foot_radius": (0.1, 0.5), "leg_length": (0.4, 1.0)}
-    trace = design.Trace(problem_of(walker, bounds), None, None, False)
+    trace = trace.Trace(problem_of(walker, bounds), None, None, False)
     assert allowed(trace, np.array([1.0, 0.0])) is None
-    assert "foot_radius must be less than leg_length" in design.why_nowhere(
+    assert "foot_radius must be less than leg_length" in climbs.why_nowhere(
         trace, np.array([1.0, 0.0])
     )
     np.testing.assert_array_equal(allowed(trace, np.array([0.5, 0.5])), [0.5, 0.5])
 
 
 def test_a_stage_that_cannot_begin_keeps_what_was_found(no_basins, monkeypatch):
-    measured = design.measured
+    measured = trace.measured
 
     def failing(problem, stage, values, gait_of):
         row = measured(problem, stage, values, gait_of)
         return row._replace(gradient=row.gradient * np.nan) if stage >= 1 else row
 
-    monkeypatch.setattr(design, "measured", failing)
+    monkeypatch.setattr("walker_jax.design.trace.measured", failing)
     found = optimise(WALKER, {"slope": (0.019, 0.02)}, "speed", starts=1)
     assert bool(found.found) and not found.converged
     assert float(found.exact_optimum) == pytest.approx(measure("speed", 0.02), rel=1e-9)
@@ -277,7 +282,7 @@ def test_a_stage_that_cannot_begin_keeps_what_was_found(no_basins, monkeypatch):
 
 def problem_of(walker, bounds, **limits):
     low, high = np.array(list(bounds.values())).T
-    return design.Problem(
+    return problem.Problem(
         walker, tuple(bounds), low, high, {"speed": 1.0}, 1.0, limits, None, 0, 200, 0, None
     )
 
@@ -299,7 +304,7 @@ def test_places_between_the_bounds():
 
 def test_steps_keep_to_bounds_and_limits(monkeypatch):
     problem = problem_of(WALKER, SLOPES, speed=(0.06, np.inf))
-    trace = design.Trace(problem, None, None, False)
+    trace = trace.Trace(problem, None, None, False)
     edge = brentq(lambda slope: measure("speed", slope) - 0.06, 0.001, 0.004)
     back = allowed(trace, np.array([0.0]))
     assert back is not None
@@ -308,9 +313,9 @@ def test_steps_keep_to_bounds_and_limits(monkeypatch):
     np.testing.assert_allclose(along_limits(trace, back, np.array([-1.0])), [0.0], atol=1e-12)
     assert along_limits(trace, back, np.array([1.0])).tolist() == [1.0]
     bounds = {**SLOPES, "hip_stiffness": (0.0, 1.0)}
-    both = design.Trace(problem_of(wj.SpringWalker(0.004), bounds), None, None, False)
-    slant = design.Slack("speed", 0.0, np.array([1.0, 2.0]))
-    monkeypatch.setattr(design, "slacks", lambda *_: [slant])
+    both = trace.Trace(problem_of(wj.SpringWalker(0.004), bounds), None, None, False)
+    slant = trace.Slack("speed", 0.0, np.array([1.0, 2.0]))
+    monkeypatch.setattr("walker_jax.design.climbs.slacks", lambda *_: [slant])
     # against a limit, and then against a bound as well: no way is left
     np.testing.assert_allclose(
         along_limits(both, np.array([0.5, 0.5]), np.array([-1.0, 0.0])), [-0.8, 0.4]
@@ -319,7 +324,7 @@ def test_steps_keep_to_bounds_and_limits(monkeypatch):
         along_limits(both, np.array([0.5, 1.0]), np.array([-1.0, 0.0])), [0.0, 0.0], atol=1e-12
     )
     monkeypatch.undo()
-    free = design.Trace(problem_of(WALKER, SLOPES), None, None, False)
+    free = trace.Trace(problem_of(WALKER, SLOPES), None, None, False)
     assert along_limits(free, np.array([0.0]), np.array([-1.0])).tolist() == [0.0]
     assert along_limits(free, np.array([0.0]), np.array([1.0])).tolist() == [1.0]
 
@@ -327,26 +332,26 @@ def test_steps_keep_to_bounds_and_limits(monkeypatch):
 def test_within_their_errors_values_are_not_believed():
     def row(place, value, gradient, error=0.1):
         numbers = (np.array([place]), value, error, np.array([gradient]), np.zeros(1))
-        return design.Row(0, 0, *numbers, np.zeros(1), 0)
+        return trace.Row(0, 0, *numbers, np.zeros(1), 0)
 
     problem = problem_of(WALKER, SLOPES)
     here = row(0.010, 1.0, 1.0)
-    assert design.leads_up(problem, here, row(0.012, 1.5, -1.0))
-    assert not design.leads_up(problem, here, row(0.012, 0.5, 1.0))
-    assert design.leads_up(problem, here, row(0.012, 0.9, 1.0))
-    assert not design.leads_up(problem, here, row(0.012, 1.1, -1.0))  # beyond the top
-    assert not design.leads_up(problem, here, row(0.008, 1.1, 1.0))
+    assert climbs.leads_up(problem, here, row(0.012, 1.5, -1.0))
+    assert not climbs.leads_up(problem, here, row(0.012, 0.5, 1.0))
+    assert climbs.leads_up(problem, here, row(0.012, 0.9, 1.0))
+    assert not climbs.leads_up(problem, here, row(0.012, 1.1, -1.0))  # beyond the top
+    assert not climbs.leads_up(problem, here, row(0.008, 1.1, 1.0))
     small = problem._replace(sign=-1.0)
-    assert design.leads_up(small, here, row(0.012, 0.5, 1.0))
-    assert design.leads_up(small, here, row(0.008, 1.1, 1.0))
+    assert climbs.leads_up(small, here, row(0.012, 0.5, 1.0))
+    assert climbs.leads_up(small, here, row(0.008, 1.1, 1.0))
     exact = row(0.010, 1.0, 1.0, 0.0)
-    assert design.leads_up(problem, exact, row(0.012, 1.0 + 1e-12, -1.0, 0.0))
+    assert climbs.leads_up(problem, exact, row(0.012, 1.0 + 1e-12, -1.0, 0.0))
 
 
 def made_up(problem, stage, values, value, area=0.0):
     """A row of the trace."""
     none = np.zeros(len(values))
-    return design.Row(
+    return trace.Row(
         -1, stage, values, value, 0.0, none, none, np.full(len(problem.measures), area), 0
     )
 
@@ -360,23 +365,23 @@ def test_from_where_nothing_walks_steps_lead_to_where_the_gait_is_more_stable(
     problem = problem_of(wj.SpringWalker(0.019, 0.4), bounds)._replace(weights={"area": 1.0})
     radius = Measure(1.5, np.array([2 / 0.02, -1 / 2]))
     monkeypatch.setattr(design, "gait_measures", lambda *_, **__: {"spectral-radius": radius})
-    monkeypatch.setattr(design.Trace, "gait", lambda *_: None)
+    monkeypatch.setattr(trace.Trace, "gait", lambda *_: None)
     asked = []
 
     def measured(problem, stage, values, gait_of):
         asked.append(values)
         return made_up(problem, stage, values, 1.0, area=float(values[0] < walking_below))
 
-    monkeypatch.setattr(design, "measured", measured)
+    monkeypatch.setattr("walker_jax.design.trace.measured", measured)
     begin = np.array([0.019, 0.4])
-    trace = design.Trace(problem, None, None, False)
-    found = design.rescued(trace, 0, made_up(problem, 0, begin, 0.0))
+    trace = trace.Trace(problem, None, None, False)
+    found = climbs.rescued(trace, 0, made_up(problem, 0, begin, 0.0))
     way = np.arange(1, 9)[:, None] * [-0.002, 0.1]
     np.testing.assert_allclose(asked, (begin + way)[:steps], rtol=1e-9)
     assert (found is not None) == (steps == 4)
     flat = {"spectral-radius": Measure(1.5, np.zeros(2))}
     monkeypatch.setattr(design, "gait_measures", lambda *_, **__: flat)
-    assert design.rescued(trace, 0, made_up(problem, 0, begin, 0.0)) is None
+    assert climbs.rescued(trace, 0, made_up(problem, 0, begin, 0.0)) is None
 
 
 @pytest.mark.parametrize(("objective", "best"), [("speed", 1), ("spectral-radius", 2)])
@@ -387,14 +392,14 @@ def test_the_best_of_the_first_climbs_goes_on(no_basins, monkeypatch, objective,
     def climb(trace, run, stage, place):
         asked.append((run, stage))
         if stage == 2 or heights[run] is None:
-            return design.Climb(None, None, False, "nothing there")
+            return climbs.Climb(None, None, False, "nothing there")
         high = heights[run] + stage / 100
         start = made_up(trace.problem, stage, trace.problem.values(place), high)
-        return design.Climb(start, start._replace(value=high + 0.005), True)
+        return climbs.Climb(start, start._replace(value=high + 0.005), True)
 
     measured = lambda problem, stage, values, _: made_up(problem, stage, values, 0.125)
-    monkeypatch.setattr(design, "climb", climb)
-    monkeypatch.setattr(design, "measured", measured)
+    monkeypatch.setattr("walker_jax.design.optimisation.climb", climb)
+    monkeypatch.setattr("walker_jax.design.trace.measured", measured)
     found = optimise(WALKER, SLOPES, objective, starts=4)
     assert asked == [*((run, 0) for run in range(4)), *((best, stage) for stage in (1, 2, 3))]
     assert values(found, "note") == ["", "", "", "nothing there"]
@@ -441,7 +446,7 @@ def test_objectives_have_their_senses():
     ],
 )
 def test_wrong_arguments_are_refused_before_any_work(given, message, monkeypatch):
-    monkeypatch.setattr(design, "measured", None)
+    monkeypatch.setattr("walker_jax.design.trace.measured", None)
     with pytest.raises(ValueError, match=message):
         optimise(WALKER, **{"bounds": SLOPES} | given)
 

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 import walker_jax as wj
-from walker_jax import cli, paper, store
+from walker_jax.cli import answers, main
+from walker_jax.paper import reproduction as paper
+from walker_jax.storage import requests
 
 ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "walkers.md"
@@ -55,14 +57,16 @@ def test_the_commands_of_the_readme_run_one_after_the_other_in_one_folder(
     taken: dict[str, str] = {}
 
     def take(path, request):
-        assert taken.setdefault(str(path), store.canonical(request)) == store.canonical(request)
+        assert taken.setdefault(str(path), requests.canonical(request)) == requests.canonical(
+            request
+        )
 
     def begin(*_, **__):
         raise Begun
 
     def of_data(out, figure, request, *, overwrite):
         take(out, request)
-        take(cli.picture_of(out, figure), request)
+        take(answers.picture_of(out, figure), request)
         raise Begun
 
     def of_report(out, **_):
@@ -75,8 +79,8 @@ def test_the_commands_of_the_readme_run_one_after_the_other_in_one_folder(
         raise Begun
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(cli, "keep_compiled", lambda: None)
-    monkeypatch.setattr(cli, "made_before", of_data)
+    monkeypatch.setattr("walker_jax.cli.main.keep_compiled", lambda: None)
+    monkeypatch.setattr("walker_jax.cli.basin_command.made_before", of_data)
     monkeypatch.setattr(paper, "reproduce", of_report)
     monkeypatch.setattr(store, "export", of_export)
     monkeypatch.setattr(store, "check_picture", lambda path, request, **_: take(path, request))
@@ -85,7 +89,7 @@ def test_the_commands_of_the_readme_run_one_after_the_other_in_one_folder(
     for command in commands:
         monkeypatch.setattr(sys, "argv", ["walker-jax", *command.split()])
         with pytest.raises(Begun):
-            cli.main()
+            main.main()
 
 
 def test_links_within_the_pages_lead_somewhere():

@@ -17,7 +17,8 @@ from matplotlib.patches import Circle
 from matplotlib.text import Annotation, Text
 
 from walker_jax import Grid, Outcome, figures
-from walker_jax.gaits import Gait
+from walker_jax.figures import optimum_plots, style
+from walker_jax.gaits.cycles import Gait
 
 SHEARED = Grid.sheared(theta=(0, 0.4, 80), sum=(-0.04, 0.01, 60))
 PLAIN = Grid.plain(theta=(0, 0.8, 80), thetadot=(-1.2, 0, 60))
@@ -503,14 +504,14 @@ def test_step_times_of_the_gaits_of_period_one_stand_beside_their_ends():
 
 
 def test_periods_are_told_apart_even_in_grey():
-    shades = [lightness(255 * np.array(to_rgb(colour))) for colour, _ in figures.PERIODS]
+    shades = [lightness(255 * np.array(to_rgb(colour))) for colour, _ in style.PERIODS]
     assert min(np.diff(shades)) > 6
-    markers = [marker for _, marker in (*figures.PERIODS, figures.LONGER)]
+    markers = [marker for _, marker in (*style.PERIODS, style.LONGER)]
     assert len(set(markers)) == len(markers)
     branches = {"long": BRANCHES["long"], "doubled": BRANCHES["doubled"]}
     ax = figures.gait_branches(diagram(branches, EVENTS[:1]))
     colour = {str(line.get_color()) for line in ax.lines}
-    assert colour == {figures.PERIODS[0][0], figures.PERIODS[1][0]}
+    assert colour == {style.PERIODS[0][0], style.PERIODS[1][0]}
 
 
 def test_the_largest_multiplier_is_drawn_along_the_cascade_and_no_other_branch():
@@ -567,7 +568,7 @@ def test_pictures_of_a_parameter_have_names_units_and_its_range(draw):
     ax = draw(diagram())
     assert ax.get_xlabel() == "slope (rad)"
     assert ax.get_xlim() == pytest.approx((0.01, 0.02))
-    assert ax.get_ylabel() in (figures.AXIS_LABELS["theta"], "modulus of the largest multiplier")
+    assert ax.get_ylabel() in (style.AXIS_LABELS["theta"], "modulus of the largest multiplier")
     assert ax.get_title(loc="left").startswith("SimplestWalker: ")
     other = diagram().assign_attrs(parameter="foot_radius", walker_slope=0.004)
     assert draw(other).get_xlabel() == "foot_radius"
@@ -944,12 +945,12 @@ def test_the_run_to_the_optimum_is_joined_in_its_order_and_others_are_fainter():
     way = [[0.010, 2], [0.006, 3], [0.0035, 3.8], [0.003, 4]]
     np.testing.assert_array_equal(line(ax, linewidth=0.8, alpha=1), way)
     faint = [[0.018, 1], [0.012, 1.5]]
-    np.testing.assert_array_equal(line(ax, linewidth=0.8, alpha=figures.FAINT), faint)
-    shades, sizes, names = ([stage[i] for stage in figures.STAGES] for i in range(3))
+    np.testing.assert_array_equal(line(ax, linewidth=0.8, alpha=style.FAINT), faint)
+    shades, sizes, names = ([stage[i] for stage in optimum_plots.STAGES] for i in range(3))
     for stage, dots in enumerate([way[:2], way[2:3], [], way[3:]]):
         style = {"marker": "o", "alpha": 1, "color": shades[stage]}
         np.testing.assert_array_equal(line(ax, **style), np.reshape(dots, (-1, 2)))
-    light = [lightness(255 * np.array(to_rgb(colour))) for colour, *_ in figures.STAGES]
+    light = [lightness(255 * np.array(to_rgb(colour))) for colour, *_ in optimum_plots.STAGES]
     assert max(np.diff(light)) < -10 and max(np.diff(sizes)) < 0
     assert "other runs" in legend(ax) and legend(ax)[-4:-1] == [names[0], names[1], names[3]]
     alone = figures.optimisation(data.isel(evaluation=slice(2, None)))
@@ -1008,8 +1009,8 @@ def test_the_basins_before_and_after_have_the_colours_of_a_basin():
     start, best = figure.axes
     assert start.get_xlim() == best.get_xlim() == pytest.approx((0, 0.4))
     assert start.get_ylim() == best.get_ylim() == pytest.approx((-0.04, 0.01))
-    expected = {outcome: colour for outcome, (colour, *_) in figures.FAILURES.items()}
-    expected |= {-1: figures.BASINS[0], 0: figures.ASTRAY}
+    expected = {outcome: colour for outcome, (colour, *_) in style.FAILURES.items()}
+    expected |= {-1: style.BASINS[0], 0: style.ASTRAY}
     for ax, name in ((start, "fate_start"), (best, "fate_optimum")):
         for fate in FATES.tolist():
             (colour,) = np.unique(colours(ax)[data[name].values == fate], axis=0)

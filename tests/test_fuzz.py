@@ -22,13 +22,17 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import walker_jax as wj
-from walker_jax import cli, figures, paper, poses, store, tiles
-from walker_jax.basin import check_grid
+from walker_jax import figures, storage
+from walker_jax.basins.memory import check_grid
+from walker_jax.basins.refinement import finer
 from walker_jax.checks import WrongUse
-from walker_jax.cluster import computers
-from walker_jax.design import Climb, Row
+from walker_jax.cli import app, main
+from walker_jax.design.climbs import Climb
+from walker_jax.design.trace import Row
+from walker_jax.execution import tiles
+from walker_jax.execution.workers import computers
 from walker_jax.kernels import primitive
-from walker_jax.refinement import finer
+from walker_jax.paper import reproduction as paper
 
 NUMBERS = ["0.004", "0.2", "-0.2", "0.01", "0.3", "1", "2", "3", "10", "0", "-1", "1.5", "1e-300"]
 NUMBERS += ["1e300", "1e400", "nan", "inf", "-inf", "abc", "", " ", "0x10", "1_0", "٣", "9" * 30]
@@ -62,7 +66,7 @@ QUICK = settings(
     max_examples=120, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 LONG = settings(QUICK, max_examples=5000)
-GROUP = typer.main.get_group(cli.app)
+GROUP = typer.main.get_group(app.app)
 COMMANDS = {name: command.params for name, command in GROUP.commands.items()}
 
 
@@ -134,7 +138,7 @@ def measured(problem, stage, values, gait_of):
 
 
 def put(path: Path, request: dict) -> None:
-    path.write_bytes(store.signature(request).encode())
+    path.write_bytes(storage.signature(request).encode())
 
 
 @pytest.fixture
@@ -148,7 +152,9 @@ def bench(tmp_path_factory):
     for name in ("held.png", "held.nc"):
         (template / name).write_bytes(b"beach")
     (template / "broken.zarr" / "zarr.json").write_text('{"zarr_f')
-    store.save(xr.Dataset({"x": ("n", np.arange(3))}), template / "held.zarr", {"command": "other"})
+    storage.save(
+        xr.Dataset({"x": ("n", np.arange(3))}), template / "held.zarr", {"command": "other"}
+    )
     before = content(template)
     grid = wj.Grid.sheared(theta=(0.05, 0.35, 6), sum=(-0.03, 0.01, 6))
     answer = wj.basin(wj.SimplestWalker(0.004), grid, "direct")
@@ -163,22 +169,22 @@ def bench(tmp_path_factory):
     def basin(walker, grid, method, *, out=None, request=None, cluster=None, **_):
         check_grid(walker, grid, method)
         with computers(cluster):
-            return answer if out is None else store.save(answer, out, request or {})
+            return answer if out is None else storage.save(answer, out, request or {})
 
     with contextlib.ExitStack() as stack:
         patch = lambda *all: stack.enter_context(mock.patch.object(*all))
-        patch(cli, "keep_compiled", lambda: None)
-        patch(cli, "draw", lambda axes, path, request: put(path, request))
+        patch("walker_jax.cli.main.keep_compiled", lambda: None)
+        patch("walker_jax.cli.basin_command.draw", lambda axes, path, request: put(path, request))
         for name in PICTURES:
             patch(figures, name, lambda data: None)
         patch(poses, "film", lambda *all, **more: all[1].write_bytes(more["signature"].encode()))
         patch(paper, "reproduce", refuse)
-        patch(import_module("walker_jax.cluster"), "client_of", unreachable)
-        patch(import_module("walker_jax.sweep"), "measured", lambda *_: {"total_area": 0.001})
+        patch("walker_jax.execution.workers.client_of", unreachable)
+        patch("walker_jax.design.sweeps.measured", lambda *_: {"total_area": 0.001})
         patch(wj, "basin", basin)
         patch(wj, "bifurcation_diagram", refuse)
         patch(wj, "find_gaits", lambda walker, period: [gait] if period == 1 else [])
-        patch(import_module("walker_jax.gaits"), "find_gaits", lambda *_, **__: [])
+        patch("walker_jax.gaits.search.find_gaits", lambda *_, **__: [])
         robustness, design = (
             import_module(f"walker_jax.{name}") for name in ("robustness", "design")
         )
@@ -201,7 +207,7 @@ def bench(tmp_path_factory):
                 mock.patch.object(sys, "argv", ["walker-jax", *arguments]),
                 pytest.raises(SystemExit) as stop,
             ):
-                cli.main()
+                main.main()
             after = content(there)
             lost = [path for path, value in before.items() if after.get(path) != value]
             return stop.value.code, out.getvalue(), err.getvalue(), lost, after

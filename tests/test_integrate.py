@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from jax import lax
 from scipy.integrate import solve_ivp
 
-from walker_jax import integrate
-from walker_jax.integrate import (
+from walker_jax.integrators.roots import first_rise, of_function, of_polynomial, rising_root
+from walker_jax.integrators.solvers import (
     ORDER,
     Method,
     SeriesSteps,
@@ -21,8 +21,7 @@ from walker_jax.integrate import (
     polynomial,
     step_length,
 )
-from walker_jax.roots import first_rise, of_function, of_polynomial, rising_root
-from walker_jax.taylor import solution_series
+from walker_jax.integrators.taylor import solution_series
 
 TOLERANCE = 1e-12
 
@@ -335,7 +334,7 @@ def test_steps_equal_a_runge_kutta_solution(single_steps):
 
 def test_max_steps_ends_what_never_stops(monkeypatch):
     """And what nears a pole, and what rests; each takes a different number of steps."""
-    monkeypatch.setattr(integrate, "MAX_STEPS", 30)
+    monkeypatch.setattr("walker_jax.integrators.solvers.MAX_STEPS", 30)
     never = lambda before, after, side: (after != after, side)
     run = jax.jit(jax.vmap(lambda start: follow(lambda y: y**2, start, never, 1e-9)))
     last, count = run(jnp.array([-1.0, 1.0, 0.0]))

@@ -14,7 +14,7 @@ import optimistix
 import pytest
 from test_kernels import run
 
-from walker_jax.integrate import Taylor
+from walker_jax.integrators.solvers import Taylor
 from walker_jax.kernels import UnsupportedPrimitive
 
 TIMES = jnp.linspace(0.0, 6.0, 7)

@@ -9,14 +9,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
+from walker_jax.integrators.roots import first_zero
 
 import walker_jax as wj
-from walker_jax.gaits import linearise, with_parameter
-from walker_jax.integrate import first_zero
+from walker_jax.gaits.derivatives import linearise
+from walker_jax.integrators.taylor import function_series, solution_series, switching_series
 from walker_jax.multibody import System
-from walker_jax.stride import Outcome, equations
-from walker_jax.taylor import function_series, solution_series, switching_series
-from walker_jax.walkers import WALKERS, Scalar, SingleSupport, State
+from walker_jax.walkers.family import WALKERS
+from walker_jax.walkers.masses import SingleSupport
+from walker_jax.walkers.model import Scalar, State
+from walker_jax.walkers.parameters import with_parameter
+from walker_jax.walking.outcomes import Outcome
+from walker_jax.walking.swing import equations
 
 SLOPE, LIMIT = 0.004, 0.1
 STARTS = np.array([[0.2, -0.21], [0.2, -0.2158], [0.25, -0.26], [0.1, -0.12], [0.3, -0.31]])

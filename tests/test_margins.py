@@ -10,9 +10,9 @@ import pytest
 
 import walker_jax as wj
 from walker_jax import Outcome
-from walker_jax.margins import Margins, margins, margins_of_many
-from walker_jax.tiles import map_cells
-from walker_jax.walkers import PointFeetWalker
+from walker_jax.execution.tiles import map_cells
+from walker_jax.walkers.point_feet import PointFeetWalker
+from walker_jax.walking.failure_margins import Margins, margins, margins_of_many
 
 DATA = Path(__file__).parent / "data"
 WAYS = "backward", "forward", "running", "stopping"

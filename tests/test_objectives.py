@@ -4,19 +4,18 @@ import numpy as np
 import pytest
 
 import walker_jax as wj
-from walker_jax import objectives, refinement
-from walker_jax.attraction import Attractor, Basins
-from walker_jax.gaits import with_parameter
-from walker_jax.objectives import (
-    GAIT_MEASURES,
+from walker_jax.basins import refinement
+from walker_jax.basins.attractor import Attractor, Basins
+from walker_jax.basins.refinement import refined
+from walker_jax.design.gradients import (
     along_boundary,
     area_gradient,
     crossings_along,
     disturbance_gradient,
     ends_of_band,
-    gait_measures,
 )
-from walker_jax.refinement import refined
+from walker_jax.design.measures import GAIT_MEASURES, gait_measures
+from walker_jax.walkers.parameters import with_parameter
 
 SECTION = wj.Grid.sheared(theta=(0, np.pi / 4, 200), sum=(-0.12, 0.06, 200))
 
@@ -112,7 +111,7 @@ def disc(monkeypatch):
     monkeypatch.setattr(refinement, "framed_attractors", lambda *_: (None, [cycle]))
     for module in (refinement, objectives):
         monkeypatch.setattr(module, "follow", follow)
-    monkeypatch.setattr(objectives, "margin_changes", changes)
+    monkeypatch.setattr("walker_jax.design.gradients.margin_changes", changes)
 
 
 @pytest.mark.parametrize("shear", [[[1.0, 0.0], [0.0, 1.0]], [[1.0, 0.0], [0.3, 2.0]]])
@@ -134,7 +133,7 @@ def test_the_area_of_a_disc_grows_by_its_circumference(disc, shear):
 def test_the_area_of_a_disc_over_a_band(disc, monkeypatch):
     """Where the integral is not to be trusted: pi ((r + 10 h)^2 - (r - 10 h)^2) / 2h."""
     grid = wj.Grid.plain(theta=(0, 1, 40), thetadot=(0, 1, 40))
-    monkeypatch.setattr(objectives, "UNSURE", 0.0)
+    monkeypatch.setattr("walker_jax.design.gradients.UNSURE", 0.0)
     found = area_gradient(wj.SimplestWalker(0.008), grid, bands=(0.002,), levels=4)
     assert found.averaged.tolist() == [True]
     expected = 4 * np.pi * radius(0.008) * 10 / 2
@@ -157,7 +156,7 @@ def test_the_error_of_an_integral_is_that_of_a_sum_of_independent_parts(disc, mo
         moves = np.where(line == 8, np.nan, 5 * line)
         return np.stack([np.full(len(x), -5.0), 0 * line, moves], axis=1)
 
-    monkeypatch.setattr(objectives, "margin_changes", changes)
+    monkeypatch.setattr("walker_jax.design.gradients.margin_changes", changes)
     integral = along_boundary(wj.SimplestWalker(0.004), found, ("slope",), 10)
     # lines 0 to 7 move by their numbers: in four parts, by 0 + 4, 1 + 5, 2 + 6 and 3 + 7
     assert integral.gradient[0] == pytest.approx(28 / 36, rel=1e-12)
@@ -184,7 +183,7 @@ def test_the_least_disturbance_changes_as_its_boundary_and_its_gait_do(monkeypat
         row = 7 * np.array([*(-np.array(u)), 3 + moved @ u])
         return np.stack([np.full(3, np.nan), *[row] * (len(x) - 1)])  # the first is not known
 
-    monkeypatch.setattr(objectives, "margin_changes", changes)
+    monkeypatch.setattr("walker_jax.design.gradients.margin_changes", changes)
     gradient = disturbance_gradient(walker, ("slope",), gait)
     assert gradient.size == SIZE(0.004) and not gradient.averaged
     assert gradient.gradient == pytest.approx([3.0], rel=1e-9)
@@ -201,7 +200,7 @@ def test_the_least_disturbance_without_a_margin_changes_by_its_average_over_a_ba
 
     monkeypatch.setattr(objectives, "least_disturbance", least)
     nan = lambda walker, x, *_: np.full((len(x), 3), np.nan)
-    monkeypatch.setattr(objectives, "margin_changes", nan)
+    monkeypatch.setattr("walker_jax.design.gradients.margin_changes", nan)
     walker = wj.SimplestWalker(0.012)
     assert np.isnan(disturbance_gradient(walker).gradient).all()
     for width, low, high in ((0.002, 0.010, 0.014), (0.004, 0.008, 0.012)):

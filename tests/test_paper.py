@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 import walker_jax as wj
-from walker_jax import paper, store
+from walker_jax import storage
+from walker_jax.paper import calculations, numbers, pictures, reproduction
 
-TINY = paper.Size(section=40, slopes=5, levels=None, strides=500, shifts=2)
+TINY = calculations.Size(section=40, slopes=5, levels=None, strides=500, shifts=2)
 
 TABLE_1 = """
 1  0.2000  -0.2165  -0.01645
@@ -64,12 +65,12 @@ DIFFER = {
 
 @pytest.fixture(scope="module")
 def data():
-    return {name: compute(TINY) for name, compute in paper.PARTS.items()}
+    return {name: compute(TINY) for name, compute in calculations.PARTS.items()}
 
 
 @pytest.fixture(scope="module")
 def numbers(data):
-    return {number.what: number for number in paper.compared(data)}
+    return {number.what: number for number in numbers.compared(data)}
 
 
 def test_table_1_comes_out_in_every_digit(numbers):
@@ -138,10 +139,10 @@ def test_crossings_are_counted_where_a_line_enters_the_basin(data, numbers):
 
 def test_the_grid_is_that_of_the_paper():
     """About 200 x 250 points, 0.002 and 0.0002 apart."""
-    grid = paper.paper_grid()
+    grid = calculations.paper_grid()
     assert grid.shape == (200, 250)
     np.testing.assert_allclose(grid.spacing, [0.002, 0.0002], rtol=1e-12)
-    half = np.asarray(paper.paper_grid((0.5, 0.5)).lower) - np.asarray(grid.lower)
+    half = np.asarray(calculations.paper_grid((0.5, 0.5)).lower) - np.asarray(grid.lower)
     np.testing.assert_allclose(half, [-0.001, 0.0001], rtol=1e-9)
 
 
@@ -161,19 +162,19 @@ def test_the_most_stable_gait_is_where_multipliers_meet():
 
 
 def test_every_figure_is_drawn_of_the_data(data):
-    for figure in paper.FIGURES:
+    for figure in pictures.FIGURES:
         drawn = figure.draw(data)
         drawn.draw_without_rendering()
         assert figure.title and figure.text and drawn.axes
-    assert [figure.number for figure in paper.FIGURES] == list(range(1, 9))
-    panels = [ax for ax in paper.FIGURES[6].draw(data).axes if ax.get_visible()]
-    assert len(panels) == len(paper.ROW)
+    assert [figure.number for figure in pictures.FIGURES] == list(range(1, 9))
+    panels = [ax for ax in pictures.FIGURES[6].draw(data).axes if ax.get_visible()]
+    assert len(panels) == len(calculations.ROW)
     areas = data["slopes"]["area"].values
     assert np.all(np.diff(areas) < 0) and areas[-1] == 0
 
 
 def test_letters_in_a_caption_are_on_the_picture(data):
-    figure = paper.FIGURES[1]
+    figure = pictures.FIGURES[1]
     (axes,) = figure.draw(data).axes
     shown = {text.get_text() for text in axes.texts}
     named = set(re.findall(r"\b[A-Z]\b", figure.text))
@@ -187,11 +188,11 @@ def test_letters_in_a_caption_are_on_the_picture(data):
 
 
 def test_a_number_agrees_at_the_digits_that_are_printed():
-    assert paper.close("", "", "0.15", 0.1549999).agrees
-    assert not paper.close("", "", "0.15", 0.1550001).agrees
-    assert paper.close("", "", "0.150", 0.1502).ours == "0.150200"
-    assert not paper.close("", "", "0.150", 0.1506).agrees
-    assert paper.close("", "", "1", 1 - 1e-7, 6).ours == "1.000000"
+    assert numbers.close("", "", "0.15", 0.1549999).agrees
+    assert not numbers.close("", "", "0.15", 0.1550001).agrees
+    assert numbers.close("", "", "0.150", 0.1502).ours == "0.150200"
+    assert not numbers.close("", "", "0.150", 0.1506).agrees
+    assert numbers.close("", "", "1", 1 - 1e-7, 6).ours == "1.000000"
 
 
 def stopping(name, data, computed):
@@ -214,19 +215,19 @@ def report(tmp_path_factory, data, numbers):
     """A report of the tiny data, interrupted and begun again; and the parts computed each time."""
     out, computed = tmp_path_factory.mktemp("reproduce") / "report", []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(paper, "PARTS", stopping("walk", data, computed))
-        patch.setattr(paper, "compared", lambda data: [*numbers.values()])
+        patch.setattr("walker_jax.paper.reproduction.PARTS", stopping("walk", data, computed))
+        patch.setattr("walker_jax.paper.reproduction.compared", lambda data: [*numbers.values()])
         with pytest.raises(KeyboardInterrupt) as interruption:
-            paper.reproduce(out, quick=True)
+            reproduction.reproduce(out, quick=True)
         assert interruption.value.__notes__ == [f"run the same again to resume from {out}"]
         assert not (out / "report.html").exists()
-        found = paper.reproduce(out, quick=True)
+        found = reproduction.reproduce(out, quick=True)
     return out, found, computed
 
 
 def test_an_interrupted_report_goes_on_where_it_was(report):
     *_, computed = report
-    names = list(paper.PARTS)
+    names = list(calculations.PARTS)
     place = names.index("walk")
     assert computed == [*names[: place + 1], *names[place:]]
 
@@ -241,7 +242,7 @@ def test_a_report_holds_everything(report):
     assert all(number.ours in page for number in numbers)
     kept = json.loads((out / "numbers.json").read_text())
     assert kept["numbers"] == [number._asdict() for number in numbers]
-    assert store.load(out / "data" / "mapped.zarr") is not None
+    assert storage.load(out / "data" / "mapped.zarr") is not None
 
 
 def files_of(out):
@@ -251,8 +252,8 @@ def files_of(out):
 def test_another_request_is_refused_and_changes_nothing(report):
     out, *_ = report
     before = files_of(out)
-    with pytest.raises(store.Occupied, match=r"stride\.zarr holds another result \(size "):
-        paper.reproduce(out)
+    with pytest.raises(storage.Occupied, match=r"stride\.zarr holds another result \(size "):
+        reproduction.reproduce(out)
     assert files_of(out) == before
 
 
@@ -264,37 +265,40 @@ def test_what_is_overwritten_is_begun_anew_and_can_be_gone_on_with(
     out = tmp_path / "report"
     shutil.copytree(report[0], out)
     computed = []
-    monkeypatch.setattr(paper, "PARTS", stopping("gaits", data, computed))
-    monkeypatch.setattr(paper, "compared", lambda data: [*numbers.values()])
+    monkeypatch.setattr("walker_jax.paper.reproduction.PARTS", stopping("gaits", data, computed))
+    monkeypatch.setattr("walker_jax.paper.reproduction.compared", lambda data: [*numbers.values()])
     with pytest.raises(KeyboardInterrupt):
-        paper.reproduce(out, overwrite=True)
-    paper.reproduce(out)
+        reproduction.reproduce(out, overwrite=True)
+    reproduction.reproduce(out)
     assert computed == [*list(data)[:3], *list(data)[2:]]
 
 
 def test_files_of_something_else_are_kept(tmp_path):
     (tmp_path / "letter.txt").write_text("dear")
-    with pytest.raises(store.Occupied, match="is not a folder"):
-        paper.reproduce(tmp_path / "letter.txt", overwrite=True)
+    with pytest.raises(storage.Occupied, match="is not a folder"):
+        reproduction.reproduce(tmp_path / "letter.txt", overwrite=True)
     with pytest.raises(ValueError, match="there is no folder"):
-        paper.reproduce(tmp_path / "none" / "report")
+        reproduction.reproduce(tmp_path / "none" / "report")
     (tmp_path / "report.html").write_text("of the year")
-    with pytest.raises(store.Occupied, match=r"report\.html is something else"):
-        paper.reproduce(tmp_path)
+    with pytest.raises(storage.Occupied, match=r"report\.html is something else"):
+        reproduction.reproduce(tmp_path)
     assert (tmp_path / "report.html").read_text() == "of the year"
     assert not (tmp_path / "data").exists()
 
 
 def test_an_empty_folder_will_do(tmp_path, data, monkeypatch):
-    monkeypatch.setattr(paper, "PARTS", {name: lambda _, name=name: data[name] for name in data})
-    monkeypatch.setattr(paper, "FIGURES", paper.FIGURES[5:6])
-    paper.reproduce(tmp_path, quick=True)
+    monkeypatch.setattr(
+        "walker_jax.paper.reproduction.PARTS",
+        {name: lambda _, name=name: data[name] for name in data},
+    )
+    monkeypatch.setattr("walker_jax.paper.reproduction.FIGURES", pictures.FIGURES[5:6])
+    reproduction.reproduce(tmp_path, quick=True)
     assert (tmp_path / "report.html").is_file()
 
 
 @pytest.mark.slow
 def test_the_quick_report_in_earnest(tmp_path):
-    found = paper.reproduce(tmp_path / "report", quick=True)
+    found = reproduction.reproduce(tmp_path / "report", quick=True)
     differ = {number.what for number in found if not number.agrees}
     assert differ == set(DIFFER)
     lost = next(n for n in found if n.what.endswith("followed directly"))

@@ -6,7 +6,7 @@ from matplotlib.animation import FFMpegWriter
 from PIL import Image, ImageSequence
 
 import walker_jax as wj
-from walker_jax import poses
+from walker_jax import figures
 
 SLOPE = 0.004
 
@@ -23,7 +23,7 @@ def data():
 
 
 def test_a_step_is_drawn_in_six_poses_with_hip_and_feet_where_they_are(walk):
-    figure = poses.step(walk)
+    figure = figures.step(walk)
     assert len(figure.axes) == 6
     first = walk.isel(frame=0)
     c, s = np.cos(SLOPE), np.sin(SLOPE)
@@ -42,7 +42,7 @@ def test_round_feet_are_arcs_that_touch_the_ground(walk):
     radius = 0.2
     round_ = walk.assign_attrs(foot_radius=radius, leg_length=0.8, walker_slope=0.0)
     lifted = round_.assign({name: round_[name] + [0, radius] for name in ("stance", "hip")})
-    ax = poses.step(lifted).axes[0]
+    ax = figures.step(lifted).axes[0]
     arcs = [np.asarray(line.get_xydata()) for line in ax.lines]
     arcs = [line for line in arcs if len(line) == 40]
     assert len(arcs) == 2
@@ -53,26 +53,26 @@ def test_round_feet_are_arcs_that_touch_the_ground(walk):
 
 
 def test_a_walk_that_has_no_length_is_drawn(walk):
-    ax = poses.leg_angles(walk.isel(frame=[0]))
+    ax = figures.leg_angles(walk.isel(frame=[0]))
     low, high = ax.get_xlim()
     assert low < 0 < high and len(ax.lines) == 3
 
 
 def test_a_step_that_fails_says_so():
     data = wj.motion(wj.SimplestWalker(SLOPE), np.array([0.2, -0.23]), 1, step=0.4)
-    titles = [ax.get_title(loc="right") for ax in poses.step(data).axes]
+    titles = [ax.get_title(loc="right") for ax in figures.step(data).axes]
     assert titles[0] == "just after heel strike" and titles[-1] == "falls forward"
 
 
 def test_the_ground_goes_down_to_the_right(walk):
-    figure = poses.step(walk)
+    figure = figures.step(walk)
     ground = np.asarray(figure.axes[0].lines[0].get_xydata())
     (x0, y0), (x1, y1) = ground
     assert x1 > x0 and (y1 - y0) / (x1 - x0) == pytest.approx(-np.tan(SLOPE))
 
 
 def test_leg_angles_have_a_line_for_each_leg_and_stride_and_mark_the_strikes(walk):
-    ax = poses.leg_angles(walk)
+    ax = figures.leg_angles(walk)
     curves = [line for line in ax.lines if len(np.asarray(line.get_xdata())) > 2]
     assert len(curves) == 2 * 9
     own = walk.isel(frame=walk["stride"].values == 0)
@@ -84,12 +84,12 @@ def test_leg_angles_have_a_line_for_each_leg_and_stride_and_mark_the_strikes(wal
 
 def test_leg_angles_say_how_a_walk_ends():
     data = wj.motion(wj.SimplestWalker(SLOPE), np.array([0.2, -0.23]), 9, step=0.4)
-    ax = poses.leg_angles(data)
+    ax = figures.leg_angles(data)
     assert "0 strides, then falls forward" in [text.get_text() for text in ax.texts]
 
 
 def test_the_way_over_a_basin_is_that_of_the_walk(walk, data):
-    figure = poses.steps_over_basin(data, walk)
+    figure = figures.steps_over_basin(data, walk)
     theta, thetadot = walk["states"].values.T
     for ax in figure.axes:
         lines = [np.asarray(line.get_xydata()) for line in ax.lines]
@@ -102,7 +102,7 @@ def test_the_way_over_a_basin_is_that_of_the_walk(walk, data):
 def test_a_film_has_all_frames_and_carries_its_signature(walk, data, tmp_path):
     path = tmp_path / "walk.gif"
     short = walk.isel(frame=slice(0, 20))
-    poses.film(short, path, data, signature="of a request")
+    figures.film(short, path, data, signature="of a request")
     with Image.open(path) as film:
         assert film.info["comment"] == b"of a request"
         assert film.info["duration"] == 50 and film.info["loop"] == 0
@@ -115,7 +115,7 @@ def test_a_film_has_all_frames_and_carries_its_signature(walk, data, tmp_path):
 
 def test_a_film_of_the_walker_alone(walk, tmp_path):
     path = tmp_path / "walk.gif"
-    poses.film(walk.isel(frame=slice(0, 3)), path)
+    figures.film(walk.isel(frame=slice(0, 3)), path)
     with Image.open(path) as film:
         assert sum(1 for _ in ImageSequence.Iterator(film)) == 3
 
@@ -123,15 +123,15 @@ def test_a_film_of_the_walker_alone(walk, tmp_path):
 def test_an_interrupted_film_leaves_what_was_there(walk, tmp_path, monkeypatch):
     path = tmp_path / "walk.gif"
     path.write_bytes(b"before")
-    monkeypatch.setattr(poses, "draw_pose", lambda *_: 1 / 0)
+    monkeypatch.setattr("walker_jax.figures.films.draw_pose", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
-        poses.film(walk, path)
+        figures.film(walk, path)
     assert path.read_bytes() == b"before" and len(list(tmp_path.iterdir())) == 1
 
 
 def test_a_film_needs_an_ending_and_mp4_needs_ffmpeg(walk, tmp_path, monkeypatch):
     with pytest.raises(ValueError, match=r"a film must end in one of \.gif, \.mp4, not .*walk.png"):
-        poses.film(walk, tmp_path / "walk.png")
+        figures.film(walk, tmp_path / "walk.png")
     monkeypatch.setattr(FFMpegWriter, "isAvailable", classmethod(lambda cls: False))
     with pytest.raises(ValueError, match="takes the program ffmpeg"):
-        poses.film(walk, tmp_path / "walk.mp4")
+        figures.film(walk, tmp_path / "walk.mp4")

@@ -8,13 +8,14 @@ import pytest
 from rich.console import Console
 
 import walker_jax as wj
-from walker_jax import progress, store
+from walker_jax import storage
+from walker_jax.execution import progress
 
 
 def test_a_bar_begins_with_what_was_done_before_and_ends_with_all(monkeypatch):
     shown = io.StringIO()
     terminal = Console(file=shown, force_terminal=True, width=80)
-    monkeypatch.setattr(progress, "console", lambda wanted: terminal)
+    monkeypatch.setattr("walker_jax.design.trace.console", lambda wanted: terminal)
     assert [*progress.tracked("ab", "pieces", True, 10, done=8)] == ["a", "b"]
     parts = [int(part) for part in re.findall(r"(\d+)%", shown.getvalue())]
     assert parts[0] == 80 and parts[-1] == 100 and parts == sorted(parts)
@@ -25,15 +26,15 @@ def test_a_run_that_is_resumed_shows_what_is_there(name, tmp_path, monkeypatch):
     module = import_module(f"walker_jax.{name}")
     grid = wj.Grid.sheared(theta=(0.05, 0.35, 8), sum=(-0.03, 0.01, 6))
     walker, out = wj.SimplestWalker(0.004), tmp_path / "a.zarr"
-    monkeypatch.setattr(import_module("walker_jax.basin"), "PIECE", 12)
-    monkeypatch.setattr(import_module("walker_jax.sweep"), "measured", lambda *_: {"area": 0.001})
+    monkeypatch.setattr("walker_jax.basins.pieces.PIECE", 12)
+    monkeypatch.setattr("walker_jax.design.sweeps.measured", lambda *_: {"area": 0.001})
     calls = {
         "basin": lambda: wj.basin(walker, grid, out=out),
         "sweep": lambda: wj.sweep(
             walker, {"slope": [0.004, 0.005, 0.006, 0.007]}, grid, levels=0, check=0, out=out
         ),
     }
-    write, seen = store.Pieces.write, []
+    write, seen = storage.Pieces.write, []
 
     def interrupted(place, piece, values, *, done=False):
         if piece == 3:
@@ -41,7 +42,7 @@ def test_a_run_that_is_resumed_shows_what_is_there(name, tmp_path, monkeypatch):
         write(place, piece, values, done=done)
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(store.Pieces, "write", interrupted)
+        patch.setattr(storage.Pieces, "write", interrupted)
         calls[name]()
     track = module.tracked
     keep = lambda things, label, wanted, *counts: seen.append(counts) or track(things, label, False)

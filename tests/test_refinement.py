@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 import walker_jax as wj
-from walker_jax import Outcome, figures, refinement
-from walker_jax.attraction import Attractor, Basins
-from walker_jax.refinement import cut, edge, finer, refine
+from walker_jax import Outcome, figures
+from walker_jax.basins import refinement
+from walker_jax.basins.attractor import Attractor, Basins
+from walker_jax.basins.refinement import cut, edge, finer, refine
 
 WALKER = wj.SimplestWalker(0.004)
 GRID = wj.Grid.sheared(theta=(0, 0.4, 100), sum=(-0.04, 0.01, 60))

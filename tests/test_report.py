@@ -3,7 +3,7 @@
 import base64
 from html.parser import HTMLParser
 
-from walker_jax import report
+from walker_jax.paper import report
 
 VOID = {"meta", "link", "img"}
 

@@ -1,7 +1,5 @@
 """The least disturbance is the nearest point that fails."""
 
-from importlib import import_module
-
 import jax
 import numpy as np
 import pytest
@@ -9,32 +7,20 @@ import xarray as xr
 
 import walker_jax as wj
 from walker_jax import Outcome
-from walker_jax.attraction import Attractor, with_frames
-from walker_jax.boundaries import Uncertainty
-from walker_jax.gaits import Gait
-from walker_jax.robustness import (
-    BasinStability,
-    LeastDisturbance,
-    LeastStepDown,
-    basin_stability,
-    boundary_dimension,
-    change_of_margin,
-    common,
-    end_after_step,
-    end_of_walk,
-    in_ball,
-    joined,
-    least_disturbance,
-    least_step_down,
-    nearest_failure,
-    returning,
-    robustness_table,
-    wilson,
-)
-from walker_jax.stride import follow_step_down
-from walker_jax.tiles import map_cells
-
-robustness = import_module("walker_jax.robustness")  # the package has the function by that name
+from walker_jax.basins.attractor import Attractor
+from walker_jax.basins.attractor_search import with_frames
+from walker_jax.execution.tiles import map_cells
+from walker_jax.fractals import Uncertainty
+from walker_jax.gaits.cycles import Gait
+from walker_jax.stability import summary
+from walker_jax.stability.dimension import boundary_dimension
+from walker_jax.stability.disturbances import LeastDisturbance, least_disturbance
+from walker_jax.stability.rays import nearest_failure
+from walker_jax.stability.sampling import BasinStability, basin_stability, in_ball, wilson
+from walker_jax.stability.steps_down import LeastStepDown, least_step_down
+from walker_jax.stability.summary import common, joined, robustness_table
+from walker_jax.stability.walks import change_of_margin, end_after_step, end_of_walk, returning
+from walker_jax.walking.stepping import follow_step_down
 
 
 @pytest.mark.parametrize("size", [2, 3])
@@ -321,7 +307,7 @@ def boxed(monkeypatch):
             BOXES[key] = returning(walker, gait, strides, tolerance)
         return BOXES[key]
 
-    monkeypatch.setattr(robustness, "returning", once)
+    monkeypatch.setattr("walker_jax.stability.disturbances.returning", once)
 
 
 @pytest.fixture(scope="module")
@@ -353,7 +339,9 @@ def test_the_nearest_fall_is_farther_where_another_motion_is_nearer(steep, boxed
     assert first.size == pytest.approx(lost, abs=2.1e-6)
     assert fall.size == pytest.approx(falls, abs=2.1e-6) and falls > 1.2 * lost
     # and the same where no walk may end at the other gait
-    monkeypatch.setattr(robustness, "until_settled", lambda shared, starts: shared)
+    monkeypatch.setattr(
+        "walker_jax.stability.disturbances.until_settled", lambda shared, starts: shared
+    )
     slow = least_disturbance(STEEP, steep, **options, fall=True)
     assert fall.size == slow.size and fall[3:] == slow[3:]
 
@@ -402,12 +390,14 @@ def test_a_fall_is_searched_for_only_where_the_nearest_start_that_is_lost_does_n
 
     survived = BasinStability(*map(np.asarray, (0.5, 0.4, 0.6, np.zeros(8, int), 0, 5.0, 9.0)))
     dimension = Uncertainty(1.0, 1.0, 1.0, 1.0, np.zeros(0), np.zeros(0))
-    monkeypatch.setattr(robustness, "least_disturbance", disturbed)
-    monkeypatch.setattr(robustness, "least_step_down", stepped)
-    monkeypatch.setattr(robustness, "basin_stability", lambda *_, **__: survived)
-    monkeypatch.setattr(robustness, "boundary_dimension", lambda *_, **__: dimension)
+    monkeypatch.setattr("walker_jax.design.gradients.least_disturbance", disturbed)
+    monkeypatch.setattr("walker_jax.stability.summary.least_step_down", stepped)
+    monkeypatch.setattr("walker_jax.stability.summary.basin_stability", lambda *_, **__: survived)
+    monkeypatch.setattr(
+        "walker_jax.stability.summary.boundary_dimension", lambda *_, **__: dimension
+    )
     grid = wj.Grid.sheared(theta=(0.05, 0.4, 20), sum=(-0.04, 0.01, 20))
-    found = robustness.robustness(WALKER, grid, levels=0, check=0, strides=100)
+    found = summary.robustness(WALKER, grid, levels=0, check=0, strides=100)
     twice = failure == Outcome.STRIDE
     both = [("disturbance", False), ("step", False)], [("disturbance", True), ("step", True)]
     assert asked == [*both[0], *both[1] * twice]
@@ -455,9 +445,9 @@ def test_the_numbers_are_those_of_the_gait_of_the_largest_basin_where_it_is_weak
     for name, answer in answers.items():
         monkeypatch.setattr(robustness, name, lambda *_, answer=answer, **__: answer)
     monkeypatch.setattr(robustness, "find_gait", found_gait)
-    monkeypatch.setattr(robustness, "basin_stability", survived)
+    monkeypatch.setattr("walker_jax.stability.summary.basin_stability", survived)
     grid = wj.Grid.sheared(theta=(0.05, 0.4, 20), sum=(-0.04, 0.01, 20))
-    found = robustness.robustness(WALKER, grid, disturbances=0.25)
+    found = summary.robustness(WALKER, grid, disturbances=0.25)
     np.testing.assert_array_equal(asked["states"], cycle[[1, 2, 0]])
     assert asked["scale"].tolist() == [0.2, 0.25] and asked["disturbances"] == 0.25
     expected = {
@@ -477,14 +467,16 @@ def test_of_the_states_of_a_gait_the_weakest_counts(gait, monkeypatch):
     """The searches from each are made up, and so is the second state."""
     (state,), shared = returning(WALKER, gait, 500, None)
     states = np.array([state, [0.16, -0.165]])
-    monkeypatch.setattr(robustness, "returning", lambda *_: (states, shared))
+    monkeypatch.setattr("walker_jax.stability.disturbances.returning", lambda *_: (states, shared))
     steps = iter([[0.03, 0.0], [0.0, -0.02]])
-    monkeypatch.setattr(robustness, "nearest_failure", lambda *_: np.array(next(steps)))
+    monkeypatch.setattr(
+        "walker_jax.stability.disturbances.nearest_failure", lambda *_: np.array(next(steps))
+    )
     found = least_disturbance(WALKER, gait, scale=[1.0, 0.5])
     assert (found.size, found.phase, found.direction.tolist()) == (0.02, 1, [0.0, -1.0])
     np.testing.assert_allclose(found.state, [0.16, -0.175], rtol=1e-12)
     heights = iter([0.03, 0.02])
-    monkeypatch.setattr(robustness, "halved", lambda *_: np.array([next(heights)]))
+    monkeypatch.setattr("walker_jax.stability.rays.halved", lambda *_: np.array([next(heights)]))
     down = least_step_down(WALKER, gait)
     assert (down.size, down.phase) == (0.02, 1)
     np.testing.assert_allclose(down.state, wj.step_down(WALKER, states[1], 0.02).state)

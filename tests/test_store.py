@@ -10,7 +10,8 @@ import pytest
 import xarray as xr
 from zarr.storage import LocalStore
 
-from walker_jax import store
+from walker_jax import storage
+from walker_jax.storage import places, requests
 
 REQUEST = {"command": "basin", "slope": 0.004}
 
@@ -24,9 +25,9 @@ def data():
 
 def test_the_same_request_finds_its_result(tmp_path, data):
     path = tmp_path / "a.zarr"
-    assert store.find(path, REQUEST) is None
-    written = store.save(data, path, REQUEST)
-    found = store.find(path, {"slope": 0.004, "command": "basin"})
+    assert storage.find(path, REQUEST) is None
+    written = storage.save(data, path, REQUEST)
+    found = storage.find(path, {"slope": 0.004, "command": "basin"})
     assert found is not None and found.identical(written)
     assert [p.name for p in tmp_path.iterdir()] == ["a.zarr"]
     assert xr.open_zarr(path, consolidated=False).identical(written)
@@ -34,13 +35,13 @@ def test_the_same_request_finds_its_result(tmp_path, data):
 
 def test_another_request_is_refused_unless_told_to_overwrite(tmp_path, data):
     path = tmp_path / "a.zarr"
-    store.save(data, path, REQUEST)
-    with pytest.raises(store.Occupied, match=r"a\.zarr holds another result"):
-        store.find(path, {**REQUEST, "slope": 0.005})
-    assert store.find(path, {**REQUEST, "slope": 0.005}, overwrite=True) is None
-    assert store.find(path, REQUEST) is not None  # nothing was touched
-    store.save(data * 2, path, {**REQUEST, "slope": 0.005})
-    replaced = store.load(path)
+    storage.save(data, path, REQUEST)
+    with pytest.raises(storage.Occupied, match=r"a\.zarr holds another result"):
+        storage.find(path, {**REQUEST, "slope": 0.005})
+    assert storage.find(path, {**REQUEST, "slope": 0.005}, overwrite=True) is None
+    assert storage.find(path, REQUEST) is not None  # nothing was touched
+    storage.save(data * 2, path, {**REQUEST, "slope": 0.005})
+    replaced = storage.load(path)
     assert replaced is not None and replaced.fate.values.tolist() == [0, 2, 4, 6, 8]
     assert [p.name for p in tmp_path.iterdir()] == ["a.zarr"]
 
@@ -55,38 +56,38 @@ def test_what_is_no_data_set_is_never_replaced(tmp_path, overwrite):
             path.mkdir()
         if name == "damaged":
             (path / "zarr.json").write_text("{")
-        with pytest.raises(store.Occupied, match="is not a data set"):
-            store.find(path, REQUEST, overwrite=overwrite)
+        with pytest.raises(storage.Occupied, match="is not a data set"):
+            storage.find(path, REQUEST, overwrite=overwrite)
         assert path.exists()
 
 
 def test_places_that_cannot_be_written(tmp_path, monkeypatch):
     with pytest.raises(ValueError, match="no folder"):
-        store.find(tmp_path / "none" / "a.zarr", REQUEST)
-    monkeypatch.setattr(store.os, "access", lambda *_: False)
+        storage.find(tmp_path / "none" / "a.zarr", REQUEST)
+    monkeypatch.setattr(storage.os, "access", lambda *_: False)
     with pytest.raises(ValueError, match="no permission"):
-        store.find(tmp_path / "a.zarr", REQUEST)
+        storage.find(tmp_path / "a.zarr", REQUEST)
 
 
 def test_a_failed_write_leaves_what_was_there(tmp_path, data, monkeypatch):
     path = tmp_path / "a.zarr"
-    written = store.save(data, path, REQUEST)
+    written = storage.save(data, path, REQUEST)
     monkeypatch.setattr(xr.Dataset, "to_zarr", lambda *_, **__: 1 / 0)
     with pytest.raises(ZeroDivisionError):
-        store.save(data * 2, path, REQUEST)
-    found = store.find(path, REQUEST)
+        storage.save(data * 2, path, REQUEST)
+    found = storage.find(path, REQUEST)
     assert found is not None and found.identical(written)
     assert [p.name for p in tmp_path.iterdir()] == ["a.zarr"]
 
 
 def test_a_picture_is_known_by_its_title(tmp_path):
     path = tmp_path / "a.png"
-    store.check_picture(path, REQUEST)
-    path.write_bytes(b"x" + store.signature(REQUEST).encode() + b"y")
-    store.check_picture(path, REQUEST)
-    with pytest.raises(store.Occupied, match=r"a\.png is something else"):
-        store.check_picture(path, {**REQUEST, "slope": 0.005})
-    store.check_picture(path, {**REQUEST, "slope": 0.005}, overwrite=True)
+    storage.check_picture(path, REQUEST)
+    path.write_bytes(b"x" + storage.signature(REQUEST).encode() + b"y")
+    storage.check_picture(path, REQUEST)
+    with pytest.raises(storage.Occupied, match=r"a\.png is something else"):
+        storage.check_picture(path, {**REQUEST, "slope": 0.005})
+    storage.check_picture(path, {**REQUEST, "slope": 0.005}, overwrite=True)
 
 
 # Pieces
@@ -104,7 +105,7 @@ def begun(path, request=REQUEST, notes=lambda: {"a": 0.1}, **options):
         "value": xr.Variable(("x", "y"), np.broadcast_to(-1.0, (6, 2)), {"unit": "m"}),
         "half": xr.Variable(("x",), np.broadcast_to(np.int8(0), 6)),
     }
-    return store.pieces(path, request, axes(), arrays, (4,), notes, aside=["half"], **options)
+    return storage.pieces(path, request, axes(), arrays, (4,), notes, aside=["half"], **options)
 
 
 def write(place, piece):
@@ -125,17 +126,17 @@ def test_pieces_are_written_one_by_one_and_make_a_whole(tmp_path):
         seen = xr.open_zarr(path, consolidated=False)
         np.testing.assert_array_equal(seen["value"], np.r_[np.full((4, 2), -1), ROWS[4:]])
         assert seen.attrs["kind"] == "test" and seen["value"].attrs == {"unit": "m"}
-    assert store.find(path, REQUEST) is None
+    assert storage.find(path, REQUEST) is None
     with begun(path, notes=lambda: 1 / 0) as place:
         assert place.missing() == [0] and place.notes == {"a": 0.1}
         write(place, 0)
         place.finish(axes().assign(sum=ROWS.sum()))
-    found = store.find(path, REQUEST)
+    found = storage.find(path, REQUEST)
     wanted = axes().assign(value=(("x", "y"), ROWS, {"unit": "m"}), sum=ROWS.sum())
     assert found is not None and found.drop_attrs(deep=False).identical(
         wanted.drop_attrs(deep=False)
     )
-    assert found.attrs == {"kind": "test", "request": store.canonical(REQUEST)}
+    assert found.attrs == {"kind": "test", "request": requests.canonical(REQUEST)}
     assert [p.name for p in tmp_path.iterdir()] == ["a.zarr"]
     assert sorted(p.name for p in path.iterdir() if p.is_dir()) == ["sum", "value", "x", "y"]
 
@@ -146,12 +147,12 @@ def test_another_request_may_not_go_on(tmp_path):
         write(place, 0)
     other = {**REQUEST, "slope": 0.005}
     with (
-        pytest.raises(store.Occupied, match=r"another result \(slope: 0\.004, not 0\.005\)"),
+        pytest.raises(storage.Occupied, match=r"another result \(slope: 0\.004, not 0\.005\)"),
         begun(path, other),
     ):
         pass
-    with pytest.raises(store.Occupied, match="another result"):
-        store.find(path, other)
+    with pytest.raises(storage.Occupied, match="another result"):
+        storage.find(path, other)
     with begun(path) as place:
         assert place.missing() == [1]
 
@@ -167,18 +168,18 @@ def test_another_request_may_not_go_on(tmp_path):
     ],
 )
 def test_what_is_other_is_said(there, wanted, said):
-    assert store.differences(there, wanted) == said
+    assert requests.differences(there, wanted) == said
 
 
 def test_two_runs_may_not_write_at_once(tmp_path):
     path = tmp_path / "a.zarr"
     with begun(path) as place:
         write(place, 0)
-        with pytest.raises(store.Occupied, match="is being written by another run"), begun(path):
+        with pytest.raises(storage.Occupied, match="is being written by another run"), begun(path):
             pass
-        with pytest.raises(store.Occupied, match="is being written by another run"):
-            store.save(axes(), path, REQUEST)
-        assert store.find(path, REQUEST) is None
+        with pytest.raises(storage.Occupied, match="is being written by another run"):
+            storage.save(axes(), path, REQUEST)
+        assert storage.find(path, REQUEST) is None
     with begun(path) as place:
         assert place.missing() == [1]
 
@@ -191,14 +192,14 @@ def test_a_run_that_was_killed_holds_nothing(tmp_path):
         "import os, signal, sys, pathlib\n"
         "from walker_jax import store\n"
         "path = pathlib.Path(sys.argv[1])\n"
-        "with store.held(path):\n"
+        "with places.held(path):\n"
         "    print('locked', flush=True)\n"
         "    sys.stdin.read()\n"
     )
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
     with subprocess.Popen([sys.executable, "-c", program, str(path)], **pipes) as other:
         assert other.stdout is not None and other.stdout.readline() == "locked\n"
-        with pytest.raises(store.Occupied), begun(path):
+        with pytest.raises(storage.Occupied), begun(path):
             pass
         other.kill()
         other.wait()
@@ -227,15 +228,15 @@ def test_killed_at_any_operation_on_files_a_run_loses_nothing(tmp_path, kind):
 
 def test_what_is_overwritten_stands_until_the_next_is_begun(tmp_path):
     path = tmp_path / "a.zarr"
-    store.save(axes(), path, {"slope": 1})
+    storage.save(axes(), path, {"slope": 1})
 
     def interrupted():
-        assert store.load(path) is not None
+        assert storage.load(path) is not None
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt), begun(path, notes=interrupted, overwrite=True):
         pass
-    assert store.find(path, {"slope": 1}) is not None
+    assert storage.find(path, {"slope": 1}) is not None
     with begun(path, overwrite=True) as place:
         assert place.missing() == [0, 1]
     assert [p.name for p in tmp_path.iterdir()] == ["a.zarr"]
@@ -247,9 +248,9 @@ def test_another_run_may_have_finished_it_in_between(tmp_path):
         for i in place.missing():
             write(place, i)
         place.finish(axes())
-    with pytest.raises(store.Occupied, match="has just been finished"), begun(path):
+    with pytest.raises(storage.Occupied, match="has just been finished"), begun(path):
         pass
-    assert store.find(path, REQUEST) is not None
+    assert storage.find(path, REQUEST) is not None
     assert sorted(p.name for p in path.iterdir() if p.is_dir()) == ["value", "x", "y"]
 
 
@@ -257,32 +258,32 @@ def test_another_run_may_have_finished_it_in_between(tmp_path):
 def test_a_data_set_of_others_may_have_a_request(tmp_path, data, request_):
     path = tmp_path / "a.zarr"
     data.assign_attrs(request=request_).to_zarr(path, consolidated=False)
-    with pytest.raises(store.Occupied, match="holds another result"):
-        store.find(path, REQUEST)
+    with pytest.raises(storage.Occupied, match="holds another result"):
+        storage.find(path, REQUEST)
 
 
 def test_a_link_is_another_name_of_a_place(tmp_path, data):
     path, link = tmp_path / "a.zarr", tmp_path / "link.zarr"
     link.symlink_to("a.zarr")
-    store.save(data, link, REQUEST)
-    assert link.is_symlink() and store.find(path, REQUEST) is not None
-    store.save(data * 2, link, REQUEST)
-    found = store.find(path, REQUEST)
+    storage.save(data, link, REQUEST)
+    assert link.is_symlink() and storage.find(path, REQUEST) is not None
+    storage.save(data * 2, link, REQUEST)
+    found = storage.find(path, REQUEST)
     assert found is not None and found["fate"].values.tolist() == [0, 2, 4, 6, 8]
     with begun(path, overwrite=True):
-        with pytest.raises(store.Occupied, match="is being written by another run"), begun(link):
+        with pytest.raises(storage.Occupied, match="is being written by another run"), begun(link):
             pass
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.zarr", "link.zarr"]
 
 
 def test_a_result_may_be_read_where_nothing_can_be_written(tmp_path, data, monkeypatch):
-    store.save(data, tmp_path / "a.zarr", REQUEST)
-    monkeypatch.setattr(store.os, "access", lambda *_: False)
-    assert store.find(tmp_path / "a.zarr", REQUEST) is not None
-    with pytest.raises(store.Occupied, match="holds another result"):
-        store.find(tmp_path / "a.zarr", {})
+    storage.save(data, tmp_path / "a.zarr", REQUEST)
+    monkeypatch.setattr(storage.os, "access", lambda *_: False)
+    assert storage.find(tmp_path / "a.zarr", REQUEST) is not None
+    with pytest.raises(storage.Occupied, match="holds another result"):
+        storage.find(tmp_path / "a.zarr", {})
     with pytest.raises(ValueError, match="no permission"):
-        store.find(tmp_path / "a.zarr", {}, overwrite=True)
+        storage.find(tmp_path / "a.zarr", {}, overwrite=True)
 
 
 @contextmanager
@@ -302,21 +303,21 @@ def between_the_old_and_the_new(monkeypatch, happens):
 
 def test_what_comes_in_the_way_is_left_and_so_is_what_was_to_go_there(tmp_path, data, monkeypatch):
     path = tmp_path / "a.zarr"
-    store.save(data, path, REQUEST)
+    storage.save(data, path, REQUEST)
 
     def other():
         path.mkdir()
         (path / "mine").touch()
 
     with between_the_old_and_the_new(monkeypatch, other):
-        with pytest.raises(store.Occupied, match="came in the way"):
-            store.save(data * 2, path, REQUEST)
+        with pytest.raises(storage.Occupied, match="came in the way"):
+            storage.save(data * 2, path, REQUEST)
     assert (path / "mine").exists()
-    kept = [store.load(tmp_path / ".a.zarr.walker-jax" / name) for name in ("old", "new")]
+    kept = [storage.load(tmp_path / ".a.zarr.walker-jax" / name) for name in ("old", "new")]
     assert [one is not None for one in kept] == [True, True]
     (path / "mine").unlink()
     path.rmdir()
-    found = store.find(path, REQUEST)
+    found = storage.find(path, REQUEST)
     assert found is not None and found["fate"].values.tolist() == [0, 1, 2, 3, 4]
 
 
@@ -325,24 +326,23 @@ def test_a_run_goes_on_with_the_blocks_that_it_was_begun_with(tmp_path, monkeypa
     with begun(path) as place:
         write(place, 1)
     arrays = {"value": xr.Variable(("x", "y"), np.broadcast_to(-1.0, (6, 2)))}
-    with store.pieces(path, REQUEST, axes(), arrays, (2,), dict) as place:
+    with storage.pieces(path, REQUEST, axes(), arrays, (2,), dict) as place:
         assert place.missing() == [0] and place.at(1) == (slice(4, 6),)
 
 
 HOLDING = """
 import os, sys
 from pathlib import Path
-from walker_jax import store
 path, mark, held = Path(sys.argv[1]), sys.argv[2], 0
 print("ready", flush=True)
 sys.stdin.readline()
 while held < 30:
     try:
-        with store.held(path):
+        with places.held(path):
             os.close(os.open(mark, os.O_CREAT | os.O_EXCL))  # not if another one holds it too
             held += 1
             os.unlink(mark)
-    except store.Occupied:
+    except storage.Occupied:
         pass
 """
 
@@ -368,17 +368,17 @@ def test_what_a_killed_run_left_beside_a_store_goes_with_the_next(tmp_path, data
     path, left = tmp_path / "a.zarr", tmp_path / ".a.zarr.walker-jax"
     (left / "new" / "x").mkdir(parents=True)
     (left / "lock").touch()
-    store.save(data, path, REQUEST)
+    storage.save(data, path, REQUEST)
     assert [p.name for p in tmp_path.iterdir()] == ["a.zarr"]
 
 
 def test_two_runs_may_not_begin_at_once(tmp_path, data):
     path = tmp_path / "a.zarr"
-    with store.held(path):
-        with pytest.raises(store.Occupied, match="is being written by another run"), begun(path):
+    with places.held(path):
+        with pytest.raises(storage.Occupied, match="is being written by another run"), begun(path):
             pass
-        with pytest.raises(store.Occupied, match="is being written by another run"):
-            store.save(data, path, REQUEST)
+        with pytest.raises(storage.Occupied, match="is being written by another run"):
+            storage.save(data, path, REQUEST)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -402,7 +402,7 @@ def test_a_piece_that_does_not_fit_on_the_disk_is_missing(tmp_path, monkeypatch)
         np.testing.assert_array_equal(place.read("value", 0), ROWS[:4])
         write(place, 1)
         place.finish(axes())
-    found = store.find(path, REQUEST)
+    found = storage.find(path, REQUEST)
     assert found is not None and (found["value"].values == ROWS).all()
 
 
@@ -412,10 +412,10 @@ def test_a_run_that_ended_but_for_tidying_is_tidied(tmp_path, monkeypatch):
         write(place, 0)
         write(place, 1)
         with monkeypatch.context() as patch:
-            patch.setattr(store, "tidy", lambda path, folder: None)
+            patch.setattr("walker_jax.storage.piecewise.tidy", lambda path, folder: None)
             place.finish(axes())
     assert (path / "half").exists()
-    found = store.find(path, REQUEST)
+    found = storage.find(path, REQUEST)
     assert found is not None and set(found.variables) == {"value", "x", "y"}
     assert not (path / "half").exists() and not (path / "written").exists()
 
@@ -423,23 +423,23 @@ def test_a_run_that_ended_but_for_tidying_is_tidied(tmp_path, monkeypatch):
 def test_places_that_are_read_only_even_to_root_and_names_too_long(tmp_path):
     for path in (Path("/proc/a.zarr"), tmp_path / ("n" * 300), tmp_path / ("n" * 250)):
         with pytest.raises(ValueError, match="cannot be written: ") as refusal:
-            store.find(path, REQUEST)
+            storage.find(path, REQUEST)
         assert "\n" not in str(refusal.value)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_an_interruption_between_the_old_and_the_new_loses_neither(tmp_path, data, monkeypatch):
     path = tmp_path / "a.zarr"
-    store.save(data, path, REQUEST)
+    storage.save(data, path, REQUEST)
 
     def interrupt():
         raise KeyboardInterrupt
 
     with between_the_old_and_the_new(monkeypatch, interrupt):
         with pytest.raises(KeyboardInterrupt):
-            store.save(data * 2, path, REQUEST)
+            storage.save(data * 2, path, REQUEST)
     assert [p.name for p in tmp_path.iterdir()] == ["a.zarr"]
-    there = store.load(path)
+    there = storage.load(path)
     assert there is not None and there.fate.values.tolist() == [0, 1, 2, 3, 4]
 
 
@@ -447,16 +447,16 @@ def test_a_data_set_goes_to_netcdf_as_it_is(tmp_path, data):
     path, file = tmp_path / "a.zarr", tmp_path / "a.nc"
     data["fate"].attrs = {"flag_values": [0, 1], "flag_meanings": "STRIDE FORWARD"}
     data["speed"], data.attrs["walker"] = np.nan, "SimplestWalker"
-    written = store.save(data, path, REQUEST | {"long": "x" * 100_000})
-    assert store.export(path, file).identical(written)
+    written = storage.save(data, path, REQUEST | {"long": "x" * 100_000})
+    assert storage.export(path, file).identical(written)
     with xr.open_dataset(file, engine="h5netcdf") as there:
         assert there.equals(written) and there.attrs == written.attrs
         assert {name: there[name].dtype for name in there} == {"fate": "int8", "speed": "float64"}
         assert there["fate"].attrs["flag_values"].tolist() == [0, 1]
-    with pytest.raises(store.Occupied, match=r"a\.nc exists"):
-        store.export(path, file)
-    store.save(data * 2, path, REQUEST)
-    store.export(path, file, overwrite=True)
+    with pytest.raises(storage.Occupied, match=r"a\.nc exists"):
+        storage.export(path, file)
+    storage.save(data * 2, path, REQUEST)
+    storage.export(path, file, overwrite=True)
     with xr.open_dataset(file, engine="h5netcdf") as there:
         assert there["fate"].values.tolist() == [0, 2, 4, 6, 8]
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.nc", "a.zarr"]
@@ -467,44 +467,44 @@ def test_what_cannot_go_to_netcdf(tmp_path, data, monkeypatch):
     with begun(path):
         pass
     for place, message in ((path, "is unfinished"), (tmp_path / "b.zarr", "is not a data set")):
-        with pytest.raises(store.Occupied, match=message):
-            store.export(place, file)
-    store.save(data, tmp_path / "b.zarr", REQUEST)
+        with pytest.raises(storage.Occupied, match=message):
+            storage.export(place, file)
+    storage.save(data, tmp_path / "b.zarr", REQUEST)
     path = tmp_path / "b.zarr"
     with pytest.raises(ValueError, match="there is no folder"):
-        store.export(path, tmp_path / "none" / "a.nc")
-    monkeypatch.setattr(store.importlib.util, "find_spec", lambda name: None)
+        storage.export(path, tmp_path / "none" / "a.nc")
+    monkeypatch.setattr(storage.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(ValueError, match="NetCDF takes h5netcdf"):
-        store.export(path, file)
+        storage.export(path, file)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.zarr", "b.zarr"]
 
 
 @pytest.mark.parametrize("overwrite", [False, True])
 def test_a_pipe_is_no_picture(tmp_path, overwrite):
     os.mkfifo(tmp_path / "p.png")
-    with pytest.raises(store.Occupied, match="is something else"):
-        store.check_picture(tmp_path / "p.png", REQUEST, overwrite=overwrite)
+    with pytest.raises(storage.Occupied, match="is something else"):
+        storage.check_picture(tmp_path / "p.png", REQUEST, overwrite=overwrite)
 
 
 def test_a_store_cut_in_half_is_refused_as_it_is(tmp_path, data):
     for name in ("zarr.json", "fate/zarr.json", "fate/c/0"):
         path = tmp_path / "a.zarr"
-        store.save(data, path, REQUEST)
+        storage.save(data, path, REQUEST)
         file = path / name
         file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
         before = file.read_bytes()
         for overwrite in (False, True):
-            with pytest.raises(store.Occupied, match="is not a data set"):
-                store.find(path, REQUEST, overwrite=overwrite)
+            with pytest.raises(storage.Occupied, match="is not a data set"):
+                storage.find(path, REQUEST, overwrite=overwrite)
         assert file.read_bytes() == before
 
 
 def test_a_data_set_without_some_of_its_chunks_is_none(tmp_path):
     path = tmp_path / "a.zarr"
     zeros = xr.Dataset({"count": ("x", np.zeros(5))})
-    store.save(zeros, path, REQUEST)
-    found = store.find(path, REQUEST)
+    storage.save(zeros, path, REQUEST)
+    found = storage.find(path, REQUEST)
     assert found is not None and (found["count"] == 0).all()
     (path / "count" / "c" / "0").unlink()
-    with pytest.raises(store.Occupied, match="is not a data set"):
-        store.find(path, REQUEST)
+    with pytest.raises(storage.Occupied, match="is not a data set"):
+        storage.find(path, REQUEST)

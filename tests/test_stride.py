@@ -17,8 +17,8 @@ from scipy.optimize import brentq
 
 import walker_jax as wj
 from walker_jax import Outcome, SimplestWalker, State, Walker
-from walker_jax.stride import follow_step_down
-from walker_jax.tiles import map_cells
+from walker_jax.execution.tiles import map_cells
+from walker_jax.walking.stepping import follow_step_down
 
 DATA = Path(__file__).parent / "data"
 VALUES = json.loads((DATA / "values.json").read_text())

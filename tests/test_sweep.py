@@ -8,7 +8,6 @@ import threading
 import time
 from collections import Counter
 from functools import partial
-from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -20,11 +19,13 @@ import xarray as xr
 from jax.errors import JaxRuntimeError
 
 import walker_jax as wj
-from walker_jax import cluster, figures, store, tiles
-from walker_jax.cluster import computers
+from walker_jax import figures, storage
+from walker_jax.design import sweeps
+from walker_jax.execution import tiles, workers
+from walker_jax.execution.workers import computers
 from walker_jax.kernels.primitive import MODES
+from walker_jax.storage import whole
 
-module = import_module("walker_jax.sweep")  # the package has the function by that name
 WALKER = wj.SpringWalker(0.004, 0.0)
 GRID = wj.Grid.sheared(theta=(0, 0.4, 20), sum=(-0.2, 0.05, 25))
 OVER = {"hip_stiffness": [0.0, 2.0], "slope": [0.004, 0.3]}
@@ -69,14 +70,14 @@ def test_attributes_say_what_does_not_vary(swept):
 
 
 def test_a_combination_that_fails_costs_no_other(monkeypatch):
-    measured = module.measured
+    measured = sweeps.measured
 
     def failing(walker, grid, how):
         if float(walker.slope) == 0.006:
             raise FloatingPointError("broken")
         return measured(walker, grid, how)
 
-    monkeypatch.setattr(module, "measured", failing)
+    monkeypatch.setattr("walker_jax.design.sweeps.measured", failing)
     found = wj.sweep(WALKER, {"slope": [0.004, 0.006]}, GRID, levels=0)
     assert found["failed"].values.tolist() == [0, 1]
     assert (found["fate"][1] == -1).all() and np.isnan(found["total_area"][1])
@@ -85,14 +86,14 @@ def test_a_combination_that_fails_costs_no_other(monkeypatch):
 
 def test_what_the_machine_lacks_is_tried_again(tmp_path, monkeypatch):
     path, over, lacking = tmp_path / "a.zarr", {"slope": [0.004, 0.006]}, [MemoryError]
-    measured = module.measured
+    measured = sweeps.measured
 
     def failing(walker, grid, how):
         if float(walker.slope) == 0.006 and lacking:
             raise lacking.pop()
         return measured(walker, grid, how)
 
-    monkeypatch.setattr(module, "measured", failing)
+    monkeypatch.setattr("walker_jax.design.sweeps.measured", failing)
     with pytest.raises(MemoryError):
         wj.sweep(WALKER, over, GRID, levels=0, out=path)
     found = wj.sweep(WALKER, over, GRID, levels=0, out=path)
@@ -115,17 +116,17 @@ def test_what_the_machine_lacks_is_raised_and_what_a_walker_lacks_is_told(monkey
     def failing(*_):
         raise broken.pop(0)
 
-    monkeypatch.setattr(module, "measured", failing)
+    monkeypatch.setattr("walker_jax.design.sweeps.measured", failing)
     combination = (WALKER, GRID, {}, ["slope"], (0.004,))
     with pytest.raises(type(lacking)):
-        module.point(*combination)
+        sweeps.point(*combination)
     for _ in range(3):
-        assert module.point(*combination) == {"failed": 1}
-    assert not broken and module.point(WALKER, GRID, {}, ["slope"], (-1.0,)) == {"failed": 1}
+        assert sweeps.point(*combination) == {"failed": 1}
+    assert not broken and sweeps.point(WALKER, GRID, {}, ["slope"], (-1.0,)) == {"failed": 1}
 
 
 def test_a_sweep_of_which_all_failed_has_a_picture(monkeypatch):
-    monkeypatch.setattr(module, "measured", lambda *_: 1 / 0)
+    monkeypatch.setattr("walker_jax.design.sweeps.measured", lambda *_: 1 / 0)
     found = wj.sweep(WALKER, {"slope": [0.004, 0.006]}, GRID, levels=0)
     assert found["failed"].values.tolist() == [1, 1]
     assert "2 failed" in figures.sweep(found).texts[0].get_text()
@@ -133,7 +134,7 @@ def test_a_sweep_of_which_all_failed_has_a_picture(monkeypatch):
 
 def test_an_interrupted_sweep_goes_on(tmp_path, swept, monkeypatch):
     computed, path = [], tmp_path / "a.zarr"
-    measured = module.measured
+    measured = sweeps.measured
 
     def counted(walker, grid, how):
         computed.append((float(walker.hip_stiffness), float(walker.slope)))
@@ -141,12 +142,12 @@ def test_an_interrupted_sweep_goes_on(tmp_path, swept, monkeypatch):
             raise KeyboardInterrupt
         return measured(walker, grid, how)
 
-    monkeypatch.setattr(module, "measured", counted)
+    monkeypatch.setattr("walker_jax.design.sweeps.measured", counted)
     with pytest.raises(KeyboardInterrupt):
         wj.sweep(WALKER, OVER, GRID, levels=0, out=path)
     looked = xr.open_zarr(path, consolidated=False)
     assert looked["total_area"].notnull().sum() == 2
-    with pytest.raises(store.Occupied, match=r"\(levels: 0, not 1\)"):
+    with pytest.raises(storage.Occupied, match=r"\(levels: 0, not 1\)"):
         wj.sweep(WALKER, OVER, GRID, levels=1, out=path)
     found = wj.sweep(WALKER, OVER, GRID, levels=0, out=path)
     assert len(computed) == 5 and len(set(computed)) == 4
@@ -182,7 +183,7 @@ def test_what_is_overwritten_is_kept_until_the_next_is_begun(tmp_path):
     slice_ = wj.Grid.plain(theta=(0, 0.4, 4))
     with pytest.raises(ValueError, match="grid must have"):
         wj.sweep(WALKER, over, slice_, levels=0, out=path, overwrite=True)
-    assert store.opened(path).identical(first)
+    assert whole.opened(path).identical(first)
     second = wj.sweep(WALKER, {"slope": [0.006]}, GRID, levels=0, out=path, overwrite=True)
     assert second["slope"].values.tolist() == [0.006]
 
@@ -207,7 +208,7 @@ def test_here_things_are_computed_one_by_one():
     ],
 )
 def test_a_cluster_that_there_cannot_be_costs_nothing(tmp_path, monkeypatch, cluster_, message):
-    monkeypatch.setattr(cluster, "PATIENCE", 1)
+    monkeypatch.setattr("walker_jax.execution.workers.PATIENCE", 1)
     with pytest.raises(ValueError, match=message):
         wj.basin(WALKER, GRID, out=tmp_path / "a.zarr", cluster=cluster_)
     assert not [*tmp_path.iterdir()]
@@ -217,7 +218,7 @@ def test_a_cluster_that_there_cannot_be_costs_nothing(tmp_path, monkeypatch, clu
         wj.basin(WALKER, GRID, **options)
     with pytest.raises(ValueError, match=message):
         wj.sweep(WALKER, OVER, GRID, **options)
-    assert store.opened(tmp_path / "a.zarr").identical(first)
+    assert whole.opened(tmp_path / "a.zarr").identical(first)
 
 
 @pytest.fixture(scope="module")
@@ -279,11 +280,11 @@ def test_a_piece_over_which_workers_died_is_computed_by_others_but_not_for_ever(
     from distributed import KilledWorker
 
     TRIED.clear()
-    pieces = [("a", 0), ("b", cluster.DEATHS), ("c", 1)]
+    pieces = [("a", 0), ("b", workers.DEATHS), ("c", 1)]
     with computers(client) as each:
         assert dict(each(dying, pieces)) == {piece: piece[0].upper() for piece in pieces}
         with pytest.raises(KilledWorker):
-            list(each(dying, [("d", cluster.DEATHS + 1)]))
+            list(each(dying, [("d", workers.DEATHS + 1)]))
 
 
 @pytest.fixture
@@ -313,7 +314,7 @@ def test_workers_compute_in_the_modes_of_the_process_that_asks(client, modes, mo
     setup(SimpleNamespace(periodic_callbacks=callbacks))
     assert {mode: getattr(jax.config, mode) for mode in modes} == modes
     assert stopped == ["profile", "profile-cycle"]
-    cluster.as_here(modes, 1, SimpleNamespace(periodic_callbacks={}))
+    workers.as_here(modes, 1, SimpleNamespace(periodic_callbacks={}))
     assert tiles.cores() == 1
 
 
@@ -323,9 +324,7 @@ from importlib import import_module
 from pathlib import Path
 import jax
 import walker_jax as wj
-from walker_jax import sweep
 jax.config.update("jax_enable_x64", True)
-module = import_module("walker_jax.sweep")
 def main():
     grid = wj.Grid.sheared(theta=(0, 0.4, 20), sum=(-0.2, 0.05, 25))
     over = {"hip_stiffness": [0.0, 2.0], "slope": [0.004, 0.3]}
@@ -350,7 +349,7 @@ def test_workers_that_are_killed_cost_their_pieces_alone(tmp_path, swept):
                 os.kill(int(rng.choice(workers)), signal.SIGKILL)
                 kills += 1
     assert (run.returncode, kills) == (0, 2)
-    found = store.opened(path)
+    found = whole.opened(path)
     assert found.drop_attrs(deep=False).identical(swept.drop_attrs(deep=False))
 
 

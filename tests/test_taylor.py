@@ -15,15 +15,10 @@ from jax import lax
 
 import walker_jax as wj
 from walker_jax import multibody
+from walker_jax.integrators.series import evaluate, sincos
+from walker_jax.integrators.taylor import VirtualPower, fast_sines, function_series, solution_series
 from walker_jax.kernels.scalars import unrolled
-from walker_jax.series import evaluate, sincos
-from walker_jax.taylor import (
-    VirtualPower,
-    fast_sines,
-    function_series,
-    solution_series,
-)
-from walker_jax.walkers import SingleSupport
+from walker_jax.walkers.masses import SingleSupport
 
 ORDER = 7
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import walker_jax as wj
+from walker_jax.execution.tiles import TILE, compact_order, map_cells
 from walker_jax.kernels import UnsupportedPrimitive, primitive
-from walker_jax.tiles import TILE, compact_order, map_cells
 
 CALL = TILE["cpu"][0] * TILE["cpu"][1]
 

@@ -24,11 +24,13 @@ from walker_jax import (
     UpperBodyWalker,
     multibody,
 )
-from walker_jax.gaits import linearise
+from walker_jax.gaits.derivatives import linearise
 from walker_jax.kernels.primitive import programs
 from walker_jax.kernels.scalars import unrolled
 from walker_jax.multibody import System
-from walker_jax.walkers import WALKERS, MultibodyWalker, of_feet, parameters
+from walker_jax.walkers.family import WALKERS
+from walker_jax.walkers.masses import MultibodyWalker, of_feet
+from walker_jax.walkers.parameters import parameters
 
 DATA = Path(__file__).parent / "data"
 VALUES = json.loads((DATA / "values.json").read_text())

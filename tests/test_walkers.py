@@ -13,8 +13,8 @@ from scipy.integrate import solve_ivp
 import walker_jax as wj
 from walker_jax import State
 from walker_jax.multibody import System
-from walker_jax.walkers import SLOPE as SLOPE_PARAMETER
-from walker_jax.walkers import Scalar, moves_like
+from walker_jax.walkers.model import Scalar, moves_like
+from walker_jax.walkers.parameters import SLOPE as SLOPE_PARAMETER
 
 SLOPE = 0.03
 WALKER = wj.SimplestWalker(SLOPE)

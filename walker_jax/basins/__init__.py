@@ -1,0 +1,1 @@
+"""Basins of attraction: by cell mapping, by direct iteration, refined along their boundaries."""

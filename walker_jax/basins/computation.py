@@ -1,0 +1,135 @@
+"""The basin of attraction: the fate of every start in a region of the Poincaré section.
+
+Two methods. Cell mapping (Hsu 1987; Schwab and Wisse 2001, section 4.3) makes one stride from the
+centre of every cell, sends each cell to the cell where that ends, and follows the cells. Direct
+iteration follows every centre itself, stride by stride. Direct iteration is exact up to its number
+of strides; cell mapping costs one stride a cell, and its errors are of the size of a cell. Among
+these are cycles of cells where there is no attractor, and several for one attractor. So walkers are
+followed from the centres of their cells, to see where each cycle leads.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import xarray as xr
+
+from walker_jax.basins.memory import BYTES_PER_CELL, check_grid
+from walker_jax.basins.methods import cell_mapping, direct_iteration
+from walker_jax.basins.pieces import in_pieces
+from walker_jax.basins.schema import labelled
+from walker_jax.checks import WrongUse, check_precision, check_whole, refuses_tracers, short
+from walker_jax.grids import Grid
+from walker_jax.integrators.solvers import AnySolver, default_tolerance, solved_by
+from walker_jax.walkers.model import Walker
+
+METHODS = ("cell-map", "direct")
+
+
+BYTES_STORED = {"cell-map": 16, "direct": 0}
+"""The same where the result goes into a store: of the cell map, when all of it is there."""
+
+
+@refuses_tracers("area_gradient gives derivatives of a basin's area")
+def basin(
+    walker: Walker,
+    grid: Grid,
+    method: str = "cell-map",
+    *,
+    strides: int = 200,
+    tolerance: float | None = None,
+    solver: AnySolver | None = None,
+    progress: bool = False,
+    out: Path | str | None = None,
+    request: dict | None = None,
+    overwrite: bool = False,
+    cluster: Any = None,
+) -> xr.Dataset:
+    """Fate of every cell of a grid on the walker's section.
+
+    **Arguments:**
+
+    - `walker`: its parameters are used in float64 if JAX has that turned on.
+    - `grid`: its state coordinates are those of the section. It may be a slice.
+    - `method`: "cell-map" or "direct"; for a slice, "direct" only.
+    - `strides`: how many of them direct iteration follows a walker for.
+    - `tolerance`, `solver`: of the integration, as in `stride`. A cluster takes no other solver.
+    - `progress`: whether to show a progress bar on a terminal.
+    - `out`: a place on disk, a Zarr store, into which the result is written piece by piece, while
+      memory holds a piece alone; but the cell map takes 12 bytes for each cell at the end.
+      A run that was interrupted is gone on with there, and gives the same to the last bit. Until it
+      has ended, cells of missing pieces have a fate of -1. What is returned is read from there when
+      it is used.
+    - `request`: by what the result is known again there; by default, all that it depends on.
+    - `overwrite`: whether to remove another result that stands there.
+    - `cluster`: who computes the pieces, as in `walker_jax.cluster.computers`: a number of worker
+      processes on this machine, the address of a Dask scheduler, or a Dask client.
+
+    **Returns** a data set over the grid's axes:
+
+    - `fate`: `Outcome` of the stride at which the walker fails; `STRIDE` where it walks for ever
+      (cell mapping) or to the last stride (direct);
+    - `attractor`: number of the attractor it comes to, -1 for none;
+    - `strides`: strides completed before that, or before the failure;
+
+    and over the attractors, numbered by period, then by the angle of their first state (the one
+    of the smallest angle), those last that are found only of walkers left at the end: `period` (0
+    where the motion does not repeat itself), `states` (NaN after the period), and of the basin
+    within the grid `cells` and `area` (rad^2 per unit of time; over three dimensions it is a
+    volume). Its attributes say what was computed.
+
+    The attractors of a cell map are those to which walkers come that start at the centres of the
+    cells in its cycles. A cycle from most of whose centres they come to one attractor belongs to
+    that, with all cells that lead to it. Any other is an `artefact` of the cells: its period and
+    states are those of cells and their centres, its cells walk for ever by the map alone, and it
+    is numbered after all attractors. Beside `artefact` there are `cycles`, how many cycles of
+    cells belong to each, and `falling`, from how many centres of their cells a walker falls.
+
+    Raises `ValueError` for an unknown method, for a grid that does not fit the section or that this
+    machine has not the memory for, and for a place where something else stands, that cannot be
+    written to, or that another run is writing to.
+    """
+    if not isinstance(method, str) or method not in METHODS:
+        raise WrongUse(f"method must be one of {', '.join(METHODS)}, not {short(method)}")
+    strides = check_whole("strides", strides)
+    check_grid(walker, grid, method, (BYTES_PER_CELL if out is None else BYTES_STORED)[method])
+    dtype = jnp.asarray(0.0).dtype
+    check_precision(dtype)
+    tolerance = float(default_tolerance(dtype, tolerance))
+    limit = {"strides": strides} if method == "direct" else {}
+    how = {"method": method, **limit, "tolerance": tolerance}
+    if solver is not None:
+        how["solver"] = repr(solver)
+        if cluster is not None:
+            raise WrongUse(f"solver must not be given with a cluster, unlike {solver!r}")
+    with solved_by(solver):
+        if out is not None:
+            return in_pieces(walker, grid, how, Path(out), request, overwrite, cluster, progress)
+        if cluster is not None:
+            raise WrongUse(f"cluster={cluster!r} computes pieces of a store: out is wanted too")
+        if method == "cell-map":
+            found = cell_mapping(walker, grid, tolerance, progress)
+        else:
+            found = direct_iteration(walker, grid, tolerance, strides, progress)
+    return labelled(walker, grid, found, how)
+
+
+@refuses_tracers()
+def compare_methods(
+    walker: Walker, grid: Grid, *, strides: int = 200, tolerance: float | None = None
+) -> xr.Dataset:
+    """Cell mapping against direct iteration on one grid: where they differ, and what is made up.
+
+    Arguments and errors are those of `basin`.
+
+    **Returns** a data set over the grid's axes with `mapped` and `direct`, whether a cell walks for
+    ever by either method; and over the attractors of cell mapping `cells`, `period`, `cycles`,
+    `artefact` and `falling`, as `basin` gives them. `direct_attractors` is how many direct
+    iteration finds.
+    """
+    mapped = basin(walker, grid, strides=strides, tolerance=tolerance)
+    direct = basin(walker, grid, "direct", strides=strides, tolerance=tolerance)
+    walks = {"mapped": mapped["attractor"] >= 0, "direct": direct["attractor"] >= 0}
+    found = mapped[["cells", "period", "cycles", "artefact", "falling"]].assign(walks)
+    found["direct_attractors"] = direct.sizes["number"]
+    return found.assign_attrs(mapped.attrs | {"method": "cell-map against direct"})

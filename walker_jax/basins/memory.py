@@ -1,0 +1,53 @@
+"""Whether a grid fits into the memory of the machine."""
+
+import os
+
+from walker_jax.checks import WrongUse, check_kind
+from walker_jax.grids import Grid
+from walker_jax.walkers.model import Walker
+
+BYTES_PER_CELL = {"cell-map": 25, "direct": 100}
+"""Memory at its peak, for each cell of a grid."""
+
+
+class TooLarge(WrongUse, MemoryError):
+    """More is asked than this machine has the memory for."""
+
+
+def check_grid(
+    walker: Walker, grid: Grid, method: str, each: int = BYTES_PER_CELL["direct"]
+) -> None:
+    """Refuse a grid that is not of the walker's section, or too large for this machine's memory."""
+    check_kind("walker", walker, Walker)
+    check_kind("grid", grid, Grid)
+    if grid.coordinates != len(walker.section):
+        raise WrongUse(
+            f"grid must have the {len(walker.section)} dimensions of the section, "
+            f"{', '.join(walker.section)}, not {', '.join((*grid.names, *grid.fixed))}"
+        )
+    if method == "cell-map" and len(grid.names) < grid.coordinates:
+        raise WrongUse(
+            f"method must be direct for a slice, {' and '.join(grid.fixed)} fixed, which walkers "
+            "leave, not 'cell-map'"
+        )
+    for place, name in enumerate((*grid.names, *grid.fixed)):
+        wrong = name in walker.section and walker.section.index(name) != place
+        if wrong or (name in grid.fixed and name not in walker.section):
+            raise WrongUse(
+                f"grid must name coordinates in the order of the section, {walker.section}, "
+                f"not {(*grid.names, *grid.fixed)}"
+            )
+    needed, memory = grid.size * each, memory_of_machine()
+    if needed > memory:
+        raise TooLarge(
+            f"grid of {grid.size} cells needs {needed / 2**30:.1f} GiB of memory, "
+            f"and this machine has {memory / 2**30:.1f} GiB"
+        )
+
+
+def memory_of_machine() -> float:
+    """Bytes of memory; without bound where the system does not say."""
+    try:
+        return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    except (AttributeError, ValueError):  # not a POSIX system
+        return float("inf")

@@ -1,0 +1,289 @@
+"""The basin of attraction on fine grids, where only cells on a boundary are worked out.
+
+A coarse grid is followed directly. Then every cell that has a neighbour of another fate is cut into
+2 x 2 (2 x 2 x 2), and the parts are followed; the parts of all others inherit. Where parts show a
+boundary to cells that inherited, those are followed too, and so on: a tail that has been met
+anywhere is followed to its end. What has not been met anywhere is looked for by starts drawn at
+random among the cells that inherited: the tails they meet are followed too; then others, drawn
+anew, correct the area, and say how far it can be trusted.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+from jaxtyping import Bool, Float, Int
+
+from walker_jax.basins.attractor import Attractor, Basins, sort_attractors
+from walker_jax.basins.attractor_search import framed_attractors
+from walker_jax.basins.mapper import follow
+from walker_jax.basins.memory import check_grid
+from walker_jax.basins.schema import labelled
+from walker_jax.checks import check_precision, check_whole, refuses_tracers
+from walker_jax.grids import Grid
+from walker_jax.integrators.solvers import default_tolerance
+from walker_jax.walkers.model import Walker
+from walker_jax.walking.outcomes import Outcome
+
+BYTES_PER_CELL = 40
+"""Memory at its peak, for each cell of the finest grid."""
+
+
+FINEST = 30
+"""The most levels: there is a number for each cell, of 32 bits."""
+
+
+SPREAD = 1 / 12
+"""Variance that a cell beside one of another fate brings to the area, in cells. A part f of it in
+the basin brings f (1 - f), 1/6 on average; half of these cells or more have no part in both."""
+
+
+@refuses_tracers("area_gradient gives derivatives of a basin's area")
+def refine(
+    walker: Walker,
+    grid: Grid,
+    levels: int,
+    *,
+    strides: int = 200,
+    check: int = 500_000,
+    seed: int = 0,
+    tolerance: float | None = None,
+    progress: bool = False,
+) -> xr.Dataset:
+    """Fate of every cell of a grid that is 2^levels times as fine along each axis.
+
+    On the finest level a cell's fate is that of a random point in it, so that the area of cells on
+    the boundary is right on average.
+
+    **Arguments:**
+
+    - `walker`: as in `basin`.
+    - `grid`: the coarse grid, or slice, to start from. Its cells should be smaller than what the
+      basin's parts are apart.
+    - `levels`: how many times cells are cut; none gives the coarse grid.
+    - `strides`: how many of them a walker is followed for.
+    - `check`: starts drawn among the cells that inherited their fate, twice.
+    - `seed`: of what is drawn.
+    - `tolerance`: of the integration, as in `stride`.
+    - `progress`: whether to show progress bars on a terminal.
+
+    **Returns** a data set over the finest grid like that of `basin`, by direct iteration, and
+
+    - `total_area`: of all attractors together, corrected by the check, and its standard error
+      `total_area_error`, NaN where nothing is checked;
+    - over the levels, `followed`: cells that were followed, and `boundary`: cells that have a
+      neighbour of another fate;
+    - `checked`, `mistaken`: starts of the second check, and those that fall where their cell
+      walks, or the other way round; `strides_made`: in all.
+
+    `strides` are counted for cells that were followed, and 0 for others. Memory is that of the
+    finest grid; strides are made for its boundary alone. `ValueError` as for `basin`.
+    """
+    found = refined(
+        walker,
+        grid,
+        levels,
+        strides=strides,
+        check=check,
+        seed=seed,
+        tolerance=tolerance,
+        progress=progress,
+    )
+    how = {
+        "method": "direct, refined",
+        "strides": strides,
+        "tolerance": found.tolerance,
+        "seed": seed,
+    }
+    basins = Basins(
+        found.fate.ravel(), found.attractor.ravel(), found.count.ravel(), found.attractors
+    )
+    data = labelled(walker, found.grid, sort_attractors(basins), how)
+    data["total_area"], data["total_area_error"] = found.area, found.area_error
+    data["followed"] = "level", np.array(found.followed)
+    data["boundary"] = "level", np.array(found.boundary)
+    data["checked"], data["mistaken"] = found.checked, found.mistaken
+    data["strides_made"] = found.made
+    return data
+
+
+class Refined(NamedTuple):
+    """What `refine` finds, as arrays over the finest grid."""
+
+    grid: Grid
+    fate: Int[np.ndarray, "*shape"]
+    attractor: Int[np.ndarray, "*shape"]
+    count: Int[np.ndarray, "*shape"]
+    attractors: list[Attractor]
+    area: float
+    area_error: float
+    followed: list[int]
+    boundary: list[int]
+    checked: int
+    mistaken: int
+    made: int
+    tolerance: float
+
+
+def refined(
+    walker: Walker,
+    grid: Grid,
+    levels: int,
+    *,
+    strides: int,
+    check: int,
+    seed: int,
+    tolerance: float | None,
+    progress: bool = False,
+    by_centres: bool = False,
+) -> Refined:
+    """The work of `refine`. Cells of the finest grid may have the fates of their centres."""
+    check_grid(walker, grid, "direct")
+    check_whole("levels", levels, 0, FINEST)
+    check_whole("check", check, 0)
+    check_whole("strides", strides)
+    check_whole("seed", seed, 0)
+    dtype = jnp.asarray(0.0).dtype
+    check_precision(dtype)
+    tolerance = float(default_tolerance(dtype, tolerance))
+    finest = finer(grid, levels)
+    check_grid(walker, finest, "direct", BYTES_PER_CELL)
+    rng = np.random.default_rng(seed)
+    _, attractors = framed_attractors(walker, grid, tolerance, strides)
+    made = 0
+
+    def look(grid: Grid, cells: Int[np.ndarray, " n"], *, anywhere: bool) -> Basins:
+        """The fates of cells, by their centres or by points anywhere in them."""
+        nonlocal attractors, made
+        places = np.stack(np.unravel_index(cells, grid.shape), axis=1)
+        within = rng.uniform(size=places.shape) if anywhere else 0.5
+        x = grid.states((places + within) / np.array(grid.shape))
+        found = follow(walker, x, attractors, tolerance, strides, progress)
+        attractors = found.attractors
+        made += found.made
+        return found
+
+    fate, attractor = np.zeros(grid.shape, np.int8), np.full(grid.shape, -1, np.int16)
+    count, depth = np.zeros(grid.shape, np.int32), np.full(grid.shape, -1, np.int8)
+
+    def label(cells: Int[np.ndarray, "..."]) -> Int[np.ndarray, "..."]:
+        return labels(fate.ravel()[cells], attractor.ravel()[cells])
+
+    def flood(level: int, cells: Int[np.ndarray, " n"]) -> None:
+        """Follow cells, and then those beside them where that shows a boundary, until none is."""
+        while cells.size:
+            anywhere = level == levels and not by_centres
+            found = look(finer(grid, level), cells, anywhere=anywhere)
+            fate.ravel()[cells], attractor.ravel()[cells] = found.fate, found.attractor
+            count.ravel()[cells], depth.ravel()[cells] = found.strides, level
+            beside = neighbours(cells, depth.shape)
+            unlike = label(beside) != label(cells)[:, None]
+            cells = np.unique(beside[unlike & (depth.ravel()[beside] < level)])
+
+    followed, boundary = [], []
+    on_edge = np.ones(grid.shape, bool)
+    for level in range(levels + 1):
+        if level:
+            on_edge, fate, attractor, depth = map(cut, (on_edge, fate, attractor, depth))
+            count = np.zeros(fate.shape, np.int32)
+        flood(level, np.flatnonzero(on_edge))
+        on_edge = edge(labels(fate, attractor))
+        followed.append(int(np.count_nonzero(depth == level)))
+        boundary.append(int(np.count_nonzero(on_edge)))
+
+    def sizes() -> Float[np.ndarray, " levels"]:
+        """How many cells inherited their fates from each level."""
+        return np.bincount(depth.ravel(), minlength=levels + 1)[:levels].astype(float)
+
+    def draw(shares: Float[np.ndarray, " levels"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Cells drawn among those that inherited, by how much a point in each walks more often, and
+        how many there are from each level."""
+        counts = np.floor(check * shares / max(shares.sum(), 1)).astype(int)
+        counts = np.maximum(counts, (shares > 0) & (check > 0))
+        of_level = [np.flatnonzero(depth == level) for level in range(levels)]
+        drawn = [rng.choice(cells, n) for cells, n in zip(of_level, counts, strict=True) if n]
+        cells = np.concatenate([np.zeros(0, int), *drawn])
+        walks = look(finest, cells, anywhere=True).attractor >= 0
+        return cells, walks.astype(int) - (attractor.ravel()[cells] >= 0), counts
+
+    # What a first check meets is followed to its end; a second one says how much is left. Shares
+    # are those of least variance, (mistakes + 1) (size / count)^2 summed over the levels.
+    cells, error, _ = draw(sizes() ** (2 / 3))
+    wrong = np.bincount(depth.ravel()[cells[error != 0]], minlength=levels)
+    flood(levels, np.unique(cells[error != 0]))
+    cells, error, counts = draw(sizes() ** (2 / 3) * (wrong + 1) ** (1 / 3))
+    of_level = depth.ravel()[cells]
+    wrong = np.bincount(of_level[error != 0], minlength=levels)
+    excess = np.bincount(of_level, error, minlength=levels)
+
+    cell = finest.cell_area
+    mixed = edge((attractor >= 0).astype(np.int8)).sum()
+    each = sizes() / np.maximum(counts, 1)
+    area = ((attractor >= 0).sum() + (each * excess).sum()) * cell
+    # as if there were one mistake more than were found, lest none be taken for certainty
+    variance = (mixed * SPREAD + ((wrong + 1) * each**2).sum()) * cell**2
+    if check == 0 and levels:
+        variance = np.nan
+
+    return Refined(
+        grid=finest,
+        fate=fate,
+        attractor=attractor,
+        count=count,
+        attractors=attractors,
+        area=float(area),
+        area_error=float(np.sqrt(variance)),
+        followed=followed,
+        boundary=boundary,
+        checked=len(cells),
+        mistaken=int(wrong.sum()),
+        made=made,
+        tolerance=tolerance,
+    )
+
+
+def finer(grid: Grid, level: int) -> Grid:
+    """The grid with its cells cut in two along each axis, `level` times over."""
+    ends = zip(grid.names, grid.lower, grid.upper, grid.shape, strict=True)
+    axes = {name: (low, high, count * 2**level) for name, low, high, count in ends}
+    return Grid(axes, grid.shear, grid.origin, grid.fixed)
+
+
+def cut(values: np.ndarray) -> np.ndarray:
+    """What cells have, for the parts of cells cut in two along each axis."""
+    for axis in range(values.ndim):
+        values = np.repeat(values, 2, axis=axis)
+    return values
+
+
+def labels(
+    fate: Int[np.ndarray, "*shape"], attractor: Int[np.ndarray, "*shape"]
+) -> Int[np.ndarray, "*shape"]:
+    """One number for the fate and the attractor of each cell."""
+    return np.where(attractor >= 0, len(Outcome) + attractor, fate)
+
+
+def edge(label: Int[np.ndarray, "*shape"]) -> Bool[np.ndarray, "*shape"]:
+    """Whether a cell has a neighbour, corners included, with another label."""
+    most, least = label, label
+    for axis in range(label.ndim):
+        most = among_neighbours(np.maximum, most, axis)
+        least = among_neighbours(np.minimum, least, axis)
+    return most != least
+
+
+def neighbours(cells: Int[np.ndarray, " n"], shape: tuple[int, ...]) -> Int[np.ndarray, "n m"]:
+    """Indices of each cell's neighbours, corners included, and itself, which the border repeats."""
+    steps = np.indices((3,) * len(shape)).reshape(len(shape), -1) - 1
+    index = np.stack(np.unravel_index(cells, shape))[:, :, None] + steps[:, None]
+    return np.asarray(np.ravel_multi_index(tuple(index), shape, mode="clip"))
+
+
+def among_neighbours(pick: np.ufunc, values: np.ndarray, axis: int) -> np.ndarray:
+    """The largest, or least, of each value and its two neighbours along an axis."""
+    picked = values.copy()
+    here, there = (np.moveaxis(array, axis, 0) for array in (picked, values))
+    pick(here[1:], there[:-1], out=here[1:])
+    pick(here[:-1], there[1:], out=here[:-1])
+    return picked

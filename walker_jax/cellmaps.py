@@ -1,0 +1,180 @@
+"""The simple cell map of Hsu (1987, Cell-to-Cell Mapping, Springer).
+
+It replaces a map of points by a map of cells: a cell goes where its centre goes. All points off the
+grid, and those that the map does not send anywhere, are gathered in a few sink cells, which stay
+where they are: the n cells of the grid are 0 ... n - 1, and sink s is n + s. By convention s is the
+code of what went wrong; code 0 means success, so sink 0 is never used.
+
+Indices are int32 throughout; -1 stands for none.
+"""
+
+import itertools
+from array import array
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float, Int, Int32
+
+from walker_jax.checks import WrongUse
+from walker_jax.grids import MAX_SIZE, ROOM_FOR_SINKS, Grid, parts
+
+FEW = 2**-10
+"""A share of all cells that is quickly followed one by one."""
+
+
+def cell_image(
+    grid: Grid, point: Float[Array, " s"], outcome: Int[ArrayLike, ""], *, leave: int
+) -> Int32[Array, ""]:
+    """Where the simple cell map sends a cell, given what became of its centre.
+
+    That is the cell of `point` where `outcome` is 0, sink `leave` where that point is off the grid
+    or not finite, and sink `outcome` where that is not 0; sink s has the index size + s. One cell:
+    `jax.vmap` it over a grid, and give the result to `resolve`, with sinks numbered up to the
+    greatest of the outcomes and `leave`.
+    """
+    outcome = jnp.asarray(outcome).astype(jnp.int32)
+    cell = grid.cell(point)
+    sink = jnp.where(outcome == 0, jnp.int32(leave), outcome)
+    size = jnp.prod(jnp.asarray(grid.counts), dtype=jnp.int32)
+    return jnp.where((outcome == 0) & (cell >= 0), cell, size + sink)
+
+
+class CellMap(NamedTuple):
+    """Where every cell of a simple cell map ends."""
+
+    end: Int32[np.ndarray, " n"]
+    """Number of the attractor the cell comes to; -1 - s where it ends in sink s."""
+    steps: Int32[np.ndarray, " n"]
+    """Steps until the cell is on its attractor, 0 if it is; or those before the one into a sink."""
+    attractors: tuple[Int[np.ndarray, " _period"], ...]
+    """The cells of each cycle as they are visited, from the smallest index on. Sorted by period,
+    then by that index. Sinks are not among them."""
+
+    @property
+    def attractor(self) -> Int32[np.ndarray, " n"]:
+        """Number of the attractor the cell comes to; -1 where it ends in a sink."""
+        return np.maximum(self.end, -1)
+
+    @property
+    def sink(self) -> Int32[np.ndarray, " n"]:
+        """Number of the sink the cell ends in; -1 where it comes to an attractor."""
+        return np.maximum(-1 - self.end, -1)
+
+    def part(self, cells: slice) -> "CellMap":
+        """The same of some of the cells."""
+        return self._replace(end=self.end[cells], steps=self.steps[cells])
+
+
+def resolve(image: ArrayLike, sinks: int) -> CellMap:
+    """Attractors, basins and transients of a simple cell map.
+
+    `image`, integers of shape (n,), holds the cell that each cell is sent to, 0 ... n - 1, or
+    n + s for sink s, of which there are `sinks`. Called on the host. Pointers are doubled, with
+    f^(j + k) = f^j(f^k), so that the number of rounds goes with the logarithm of the longest
+    transient; and in place, so that nine bytes are needed for each cell beside the image, and more
+    for those of cycles. What is returned takes eight. Maps without attraction, such as
+    permutations, are followed cell by cell.
+
+    Raises ValueError where `image` is not of that form or points to a cell that does not exist.
+
+    Source: the problem is that of Hsu (1987), whose algorithm follows one sequence of cells after
+    the other (Schwab and Wisse 2001, section 4.3); the results are the same.
+    """
+    image = np.asarray(image)
+    check_image(image, sinks)
+    image = image.astype(np.int32, copy=False)
+    attractors = cycles(image, late(image, sinks))
+    recurrent = np.concatenate([np.zeros(0, np.int32), *attractors])
+    end, steps = settle(image, sinks, recurrent)
+
+    number = np.repeat(np.arange(len(attractors)), [len(cycle) for cycle in attractors])
+    order = np.argsort(recurrent)
+    for part in parts(image.size):
+        sunk = end[part] >= image.size
+        place = np.searchsorted(recurrent, np.where(sunk, 0, end[part]), sorter=order)
+        reached = number[order[place]] if len(order) else -1
+        end[part] = np.where(sunk, image.size - 1 - end[part], reached)
+        steps[part] -= sunk
+    return CellMap(end, steps, attractors)
+
+
+def check_image(image: np.ndarray, sinks: Any) -> None:
+    """Refuse what is no map of cells."""
+    if image.ndim != 1 or image.size == 0 or not np.issubdtype(image.dtype, np.integer):
+        raise WrongUse(
+            f"image of shape {image.shape} and type {image.dtype}: must be integers of shape (n,)"
+        )
+    if not isinstance(sinks, int) or not 0 <= sinks <= ROOM_FOR_SINKS:
+        raise WrongUse(f"sinks={sinks!r}: must be 0 ... {ROOM_FOR_SINKS}")
+    if image.size > MAX_SIZE:
+        raise WrongUse(f"image of {image.size} cells: must be at most {MAX_SIZE}")
+    cells = image.size + sinks
+    if image.min() < 0 or image.max() >= cells:
+        cell = np.argmax((image < 0) | (image >= cells))
+        raise WrongUse(f"image[{cell}]={image[cell]}: must be 0 ... {cells - 1}")
+
+
+def late(image: Int32[np.ndarray, " n"], sinks: int) -> Bool[np.ndarray, " n"]:
+    """Whether cells are reached after many steps. From these all cycles can be found.
+
+    Each cell goes its own number of steps, for those before it in its part have gone already. That
+    takes those of a cycle round it, and all others nearer to one.
+    """
+    n = image.size
+    ahead = np.concatenate([image, np.arange(n, n + sinks, dtype=np.int32)])
+    reached, count, before = np.empty(n + sinks, bool), n, 2 * n
+    while count > FEW * n and count <= before / 2:
+        before = count
+        reached[:] = False
+        for part in parts(n):
+            for _ in range(2):  # as marking takes as long
+                ahead[part] = ahead.take(ahead[part])
+            reached[ahead[part]] = True
+        count = np.count_nonzero(reached[:n])
+    return reached[:n]
+
+
+def cycles(
+    image: Int32[np.ndarray, " n"], starts: Bool[np.ndarray, " n"]
+) -> tuple[Int[np.ndarray, " _period"], ...]:
+    """The cycles to which some cells come, one sequence after the other."""
+    following = image.data  # a memoryview, whose items are read faster than an array's
+    visited, found = bytearray(image.size), []
+    numbers = ((np.flatnonzero(starts[part]) + part.start).data for part in parts(image.size))
+    for here in itertools.chain.from_iterable(numbers):
+        sequence = array("i")
+        while here < image.size and not visited[here]:
+            visited[here] = True
+            sequence.append(here)
+            here = following[here]
+        if sequence and here in sequence:
+            cycle = np.array(sequence[sequence.index(here) :])
+            found.append(np.roll(cycle, -cycle.argmin()))
+    return tuple(sorted(found, key=lambda cycle: (len(cycle), cycle[0])))
+
+
+def settle(
+    image: Int32[np.ndarray, " n"], sinks: int, recurrent: Int[np.ndarray, " m"]
+) -> tuple[Int32[np.ndarray, " n"], Int32[np.ndarray, " n"]]:
+    """The first recurrent cell, or the sink, that each cell comes to, and the steps to it."""
+    n = image.size
+    both = np.empty((n + sinks, 2), np.int32)
+    both[:n, 0], both[:, 1] = image, 1
+    for held in (recurrent, np.arange(n, n + sinks)):  # for all the others to come to
+        both[held, 0], both[held, 1] = held, 0
+    pairs = both.view(np.int64)[:, 0]  # fetched together
+    ahead, steps = both[:n].T
+
+    def goes_on(part: slice) -> bool:
+        here = ahead[part].copy()
+        there = pairs.take(here).view(np.int32).reshape(-1, 2)
+        there[:, 1] += steps[part]
+        both[part] = there
+        return not np.array_equal(there[:, 0], here)
+
+    moving = parts(n)
+    while moving:
+        moving = [part for part in moving if goes_on(part)]
+    return ahead, steps

@@ -1,0 +1,1 @@
+"""The command `walker-jax`: one file a command."""

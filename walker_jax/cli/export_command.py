@@ -1,0 +1,30 @@
+"""`walker-jax export`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from walker_jax import storage
+from walker_jax.checks import WrongUse
+from walker_jax.cli.answers import print_json
+from walker_jax.cli.app import app
+from walker_jax.cli.options import Json, Overwrite
+
+
+@app.command()
+def export(
+    data: Annotated[Path, typer.Argument(metavar="DATA", help="A data set that a command left.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE.nc", help="Where it goes.")],
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Copy a data set that another command has left to a NetCDF file."""
+    if file.suffix != ".nc":
+        raise WrongUse(f"FILE.nc must end in .nc, not {file}")
+    copied = storage.export(data, file, overwrite=overwrite)
+    answer = {"data": str(data), "file": str(file), "variables": sorted(map(str, copied.variables))}
+    if as_json:
+        print_json(answer)
+        return
+    print(f"{data}: {', '.join(answer['variables'])}\n  NetCDF file {file}")

@@ -1,0 +1,1 @@
+"""Design: objectives and their gradients, optimisation of any parameter, sweeps."""

@@ -1,0 +1,88 @@
+"""Measures of gaits, and their derivatives by the walker's parameters.
+
+Speed, step length, largest multiplier and cost of transport follow from the gait, and so do the
+derivatives, by the implicit function.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from walker_jax.checks import check_kind, refuses_tracers
+from walker_jax.gaits.cycles import Gait
+from walker_jax.gaits.derivatives import gait_derivatives
+from walker_jax.gaits.search import find_gait
+from walker_jax.walkers.model import Scalar, Walker
+from walker_jax.walkers.parameters import check_parameter, with_parameter
+
+GAIT_MEASURES = ("step-length", "speed", "spectral-radius", "cost-of-transport")
+
+
+class Measure(NamedTuple):
+    """A number that a walker may be designed for, and how it changes with its parameters."""
+
+    value: float
+    gradient: Float[np.ndarray, " parameters"]
+
+
+@refuses_tracers("it gives derivatives itself, by the parameters named")
+def gait_measures(
+    walker: Walker,
+    parameters: Sequence[str] = ("slope",),
+    gait: Gait | None = None,
+    *,
+    tolerance: float | None = None,
+) -> dict[str, Measure]:
+    """What follows from a gait, and its derivatives by parameters of the walker.
+
+    - "step-length": how far the walker gets by a step, along the slope, on average over the gait;
+    - "speed": that per unit of time;
+    - "spectral-radius": the modulus of the largest multiplier of one stride, the root of that of
+      the gait;
+    - "cost-of-transport": the energy that is lost per unit of weight and of way, sin(slope) where
+      gravity alone drives the walker (`Walker.driven_by_gravity`), and NaN where that is not known.
+
+    Arguments are those of `gait_derivatives`; the gait is that of `find_gait` by default. All are
+    NaN where none is found. `ValueError` for parameters that the walker does not have, and, where
+    there are any, for what is no gait of this walker.
+    """
+    check_kind("parameters", parameters, Sequence)
+    for name in parameters:
+        check_parameter(walker, name)
+    gait = find_gait(walker, tolerance=tolerance) if gait is None else gait
+    check_kind("gait", gait, Gait)
+    if not gait.found:
+        nowhere = Measure(np.nan, np.full(len(parameters), np.nan))
+        return dict.fromkeys(GAIT_MEASURES, nowhere)
+    changes = [gait_derivatives(walker, gait, name, tolerance=tolerance) for name in parameters]
+    states, period = np.asarray(gait.states), len(gait.states)
+
+    def way(walker: Walker, states: Float[Array, "period section"]) -> Scalar:
+        """The mean step, each seen at the heel strike that ends it."""
+        before = lambda x: walker.reach(walker.exchange_legs(walker.lift(x)))
+        return jnp.mean(jnp.stack([before(x) for x in states]))
+
+    def along(name: str, dx: Float[np.ndarray, "period section"]) -> float:
+        by = jax.tree.map(jnp.zeros_like, walker)
+        by = with_parameter(by, name, jnp.ones_like(getattr(walker, name)))
+        return float(jax.jvp(way, (walker, jnp.asarray(states)), (by, jnp.asarray(dx)))[1])
+
+    length, time = float(way(walker, jnp.asarray(states))), float(np.mean(gait.step_times))
+    pairs = zip(parameters, changes, strict=True)
+    longer = np.array([along(name, change.states) for name, change in pairs])
+    slower = np.array([np.mean(change.step_times) for change in changes])
+    largest = complex(gait.multipliers[0])
+    radius = abs(largest) ** (1 / period)
+    growth = np.array([(np.conj(largest) * change.multipliers[0]).real for change in changes])
+    slope = float(vars(walker)["slope"]) if walker.driven_by_gravity() else np.nan
+    steeper = np.array([float(name == "slope") for name in parameters])
+    return {
+        "step-length": Measure(length, longer),
+        "speed": Measure(length / time, (longer - slower * length / time) / time),
+        "spectral-radius": Measure(radius, radius * growth / abs(largest) ** 2 / period),
+        "cost-of-transport": Measure(np.sin(slope), np.cos(slope) * steeper),
+    }

@@ -1,0 +1,225 @@
+"""Walkers designed by gradient: the best values of any of their parameters.
+
+A parameter's place is where it is between its bounds, from 0 to 1. From each of several starts Adam
+(optax) climbs the gradient of an objective by long steps, with areas on coarse grids; the best of
+these climbs goes on by ever shorter steps on finer grids. A step that leads no higher is not made,
+but shorter ones are tried. Steps end between the bounds, and where they break a limit go back, by
+Newton's iteration along its gradient, to what that allows. Both ends are measured once more, areas
+on a grid finer than any before.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from walker_jax.basins.computation import basin
+from walker_jax.basins.memory import check_grid
+from walker_jax.basins.refinement import BYTES_PER_CELL, FINEST, finer, refined
+from walker_jax.checks import WrongUse, check_kind, check_whole, refuses_tracers
+from walker_jax.design.climbs import BINDING, climb, slacks
+from walker_jax.design.problem import Problem, check_bounds, limits_of, starting_places, weights_of
+from walker_jax.design.trace import CHECK, ENDS, SCAN, STEPS, Row, Trace, strings
+from walker_jax.grids import Grid
+from walker_jax.stability.summary import default_region
+from walker_jax.walkers.model import Walker
+
+ATTRACTED = -1
+"""In the place of a fate, in those basins: the walker comes to an attractor."""
+
+
+VIEW = 300
+"""Cells along each axis in which the basins at both ends are shown."""
+
+
+@refuses_tracers()
+def optimise(
+    walker: Walker,
+    bounds: Mapping[str, Any],
+    objective: str | Mapping[str, Any] = "area",
+    *,
+    at_least: Mapping[str, Any] | None = None,
+    at_most: Mapping[str, Any] | None = None,
+    grid: Grid | None = None,
+    starts: int = 3,
+    levels: int = 4,
+    strides: int = 200,
+    scan: int = 0,
+    seed: int = 0,
+    tolerance: float | None = None,
+    known: xr.Dataset | None = None,
+    keep: Callable[[xr.Dataset], object] | None = None,
+    progress: bool = False,
+) -> xr.Dataset:
+    """The best values of a walker's parameters, within bounds.
+
+    **Arguments:**
+
+    - `walker`: of one kind. Its own values are the first start, where they are within the bounds.
+    - `bounds`: the least and the greatest value of each parameter that is free.
+    - `objective`: "area" (of the basin, all attractors together), "least-disturbance" (from which
+      the walker does not come back), "speed" or "step-length" to be large, "spectral-radius" or
+      "cost-of-transport" to be small; or weights of these by name, for a sum that is to be large.
+    - `at_least`, `at_most`: limits of "speed", "step-length", "spectral-radius" and
+      "cost-of-transport", by name.
+    - `grid`: where the area is measured, the same for all parameters. By default as in
+      `robustness`: of walkers with mass on their legs, the slice around the gait of the first start
+      that has one. The slice stays where it is as gaits move away, so areas in it compare walkers
+      whose gaits have about the same phidot.
+    - `starts`: how many. Those after the first are spread over the bounds.
+    - `levels`: of refinement, for the areas at both ends.
+    - `strides`: how many of them a walker is followed for.
+    - `scan`: if above 0, at so many values of each parameter, others as in the optimum, the
+      objective is measured too.
+    - `seed`: of the starts, and of `refine`.
+    - `tolerance`: of the integration, as in `stride`.
+    - `known`: an earlier result, or the trace of a run that was interrupted, whose measurements are
+      taken as they are.
+    - `keep`: called with the trace after each measurement.
+    - `progress`: whether to show on a terminal what is being measured.
+
+    **Returns** a data set: over the parameters, `start` and `optimum`, those of the best climb;
+    `objective_start` and `objective_optimum`, as this saw them; `exact_start` and `exact_optimum`,
+    with standard errors `exact_start_error` and `exact_optimum_error`, which are 0 but of areas;
+    `at_bound`, -1 or 1 for parameters that end at their lower or upper bound; `binding`, which
+    measures hold the optimum by their limits; and `converged`, whether it ended because no step
+    of the last stage, of those tried along the gradient, led higher. The trace, over evaluations:
+    `run`, `stage` (-1 for the scan, -2 for the ends), `parameters`, `value` and `value_error`,
+    `gradient` and `gradient_error` (by the parameters), `measures`, and the `strides` that were
+    made for areas; `note`, for each run, says why it led nowhere. `scan_parameters`, `scan_value`
+    and `scan_allowed`, by the limits. `fate_start` and `fate_optimum`: the basins at both ends, on
+    a grid that shows them; -1 where a walker comes to an attractor. Where `found` is false no start
+    led anywhere, and all but the trace is missing.
+
+    Where nothing walks, areas and disturbances are zero and have no gradient: a start there is led,
+    by up to eight long steps, to where its gait is more stable, if it has one.
+
+    `ValueError` for parameters, bounds, names and numbers that are not such, and as for `refine`.
+    """
+    (weights, sign), limits = weights_of(objective), limits_of(at_least, at_most)
+    check_kind("walker", walker, Walker)
+    check_kind("bounds", bounds, Mapping)
+    if known is not None:
+        check_kind("known", known, xr.Dataset)
+    if not bounds:
+        raise WrongUse(f"bounds must name at least one parameter, not {dict(bounds)}")
+    for name, ends in bounds.items():
+        check_bounds(walker, name, ends)
+    for name, value, least in (
+        *(("starts", starts, 1), ("strides", strides, 1)),
+        *(("levels", levels, 0), ("scan", scan, 0), ("seed", seed, 0)),
+    ):
+        check_whole(name, value, least)
+    if "cost-of-transport" in {*weights, *limits} and not walker.driven_by_gravity():
+        raise WrongUse(
+            f"cost-of-transport is not known of a {type(walker).__name__}, which more than gravity "
+            "may drive (driven_by_gravity)"
+        )
+    low, high = np.array([tuple(map(float, ends)) for ends in bounds.values()]).T
+    how = (grid, levels, strides, seed, tolerance)
+    problem = Problem(walker, tuple(bounds), low, high, weights, sign, limits, *how)
+    places = starting_places(problem, starts)
+    if grid is None:
+        regions = (default_region(problem.built(problem.values(place))) for place in places)
+        problem = problem._replace(grid=next((one for one in regions if one is not None), None))
+    if problem.grid is None and "area" in weights:
+        raise WrongUse("grid is wanted: no start has a gait of period one to lay it around")
+    if problem.grid is not None:
+        check_grid(walker, problem.grid, "direct")
+        check_whole("levels", levels, 0, FINEST)
+        check_grid(walker, finer(problem.grid, levels), "direct", each=BYTES_PER_CELL)
+
+    trace = Trace(problem, known, keep, progress)
+    first = [climb(trace, run, 0, place) for run, place in enumerate(places)]
+    height = lambda one: -np.inf if one.best is None else sign * one.best.value
+    run = max(range(starts), key=lambda i: height(first[i]))
+    last, notes = first[run], {"note": ("start_number", strings(one.note for one in first))}
+    for stage in range(1, len(STEPS)):
+        if last.best is not None:
+            further = climb(trace, run, stage, problem.place(last.best.parameters))
+            # what walked on a coarse grid alone is still the best that is known
+            last = further if further.best is not None else last._replace(converged=False)
+    start, best = first[run].start, last.best
+    if start is None or best is None:
+        return trace.data().assign(notes | {"found": False})
+    found = both_ends(trace, start, best) | {"converged": last.converged}
+    found |= scanned(trace, best, scan) if scan else {}
+    found |= {} if problem.grid is None else compared(problem, start, best)
+    return trace.data().assign(notes | found | {"found": True})
+
+
+def both_ends(trace: Trace, start: Row, best: Row) -> dict:
+    """What `optimise` says of the best climb's start and its end."""
+    problem, sides = trace.problem, {"start": start, "optimum": best}
+    found: dict = {}
+    for name, row in sides.items():
+        exact = trace.measure(row.run, ENDS, problem.place(row.parameters))
+        found[name] = "parameter", row.parameters
+        found[f"objective_{name}"] = row.value
+        found[f"exact_{name}"], found[f"exact_{name}_error"] = exact.value, exact.value_error
+    place = problem.place(best.parameters)
+    side = (place == 1).astype(np.int8) - (place == 0).astype(np.int8)
+    binding = {one.name for one in slacks(trace, place) if one.value < BINDING}
+    found["at_bound"] = "parameter", side
+    found["binding"] = "measure", [name in binding for name in problem.measures]
+    return found
+
+
+def scanned(trace: Trace, best: Row, count: int) -> dict:
+    """The objective at values of each parameter, others as in the best row."""
+    problem, middle = trace.problem, trace.problem.place(best.parameters)
+    places = np.tile(middle, (len(middle), count, 1))
+    for k in range(len(middle)):
+        places[k, :, k] = np.linspace(0, 1, count)
+    rows = [[trace.measure(-1, SCAN, place) for place in line] for line in places]
+    low, high = np.array(
+        [problem.limits.get(name, (-np.inf, np.inf)) for name in problem.measures]
+    ).T
+    keeps = lambda row: bool(np.all((row.measures >= low) & (row.measures <= high)))
+    at = [[row.parameters[k] for row in line] for k, line in enumerate(rows)]
+    dims = "parameter", "point"
+    return {
+        "scan_parameters": (dims, at),
+        "scan_value": (dims, [[row.value for row in line] for line in rows]),
+        "scan_allowed": (dims, [[keeps(row) for row in line] for line in rows]),
+    }
+
+
+def compared(problem: Problem, start: Row, best: Row) -> dict:
+    """The fates of a grid that holds both basins; none over three dimensions."""
+    grid = problem.grid
+    if grid is None or len(grid.names) != 2:
+        return {}
+    walkers = [problem.built(row.parameters) for row in (start, best)]
+    rough = [
+        refined(
+            walker,
+            grid,
+            min(1, problem.levels),
+            strides=problem.strides,
+            check=CHECK[False],
+            seed=problem.seed,
+            tolerance=problem.tolerance,
+        )
+        for walker in walkers
+    ]
+    cells = np.concatenate([np.argwhere(one.attractor >= 0) for one in rough])
+    shape = np.array(rough[0].grid.shape)
+    low, high = (cells.min(axis=0), cells.max(axis=0) + 1) if len(cells) else (0 * shape, shape)
+    margin = np.maximum(1, (high - low) // 20)
+    low, high = np.maximum(low - margin, 0), np.minimum(high + margin, shape)
+    spacing = np.asarray(rough[0].grid.spacing)
+    axes = {
+        name: (float(start + first * width), float(start + last * width), VIEW)
+        for name, start, first, last, width in zip(
+            grid.names, grid.lower, low, high, spacing, strict=True
+        )
+    }
+    view = Grid(axes, grid.shear, grid.origin, grid.fixed)
+    fates = {}
+    for name, walker in zip(("start", "optimum"), walkers, strict=True):
+        data = basin(walker, view, "direct", strides=problem.strides, tolerance=problem.tolerance)
+        fate = np.where(data["attractor"] >= 0, ATTRACTED, data["fate"]).astype(np.int8)
+        fates[f"fate_{name}"] = tuple(grid.names), fate
+    return fates | {name: (name, values) for name, values in view.axes.items()}

@@ -1,0 +1,163 @@
+"""A problem of design: the walker, what is free, what is sought, and its limits."""
+
+import json
+from collections.abc import Mapping
+from importlib.metadata import version
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from walker_jax.checks import WrongUse, check_kind, is_number
+from walker_jax.design.measures import GAIT_MEASURES
+from walker_jax.grids import Grid
+from walker_jax.walkers.model import Walker
+from walker_jax.walkers.parameters import check_parameter, with_parameter
+
+OBJECTIVES = {
+    "area": 1.0,
+    "least-disturbance": 1.0,
+    "speed": 1.0,
+    "step-length": 1.0,
+    "spectral-radius": -1.0,
+    "cost-of-transport": -1.0,
+}
+"""What a walker can be designed for: 1 where more of it is better, -1 where less is."""
+
+
+class Problem(NamedTuple):
+    """What is to be optimised."""
+
+    walker: Walker
+    names: tuple[str, ...]
+    """Of the parameters that are free."""
+    low: Float[np.ndarray, " parameters"]
+    high: Float[np.ndarray, " parameters"]
+    weights: dict[str, float]
+    """Of the measures in the objective."""
+    sign: float
+    """Whether that is to be large, 1, or small, -1."""
+    limits: dict[str, tuple[float, float]]
+    """The least and the greatest value allowed of measures of the gait."""
+    grid: Grid | None
+    levels: int
+    strides: int
+    seed: int
+    tolerance: float | None
+
+    @property
+    def measures(self) -> tuple[str, ...]:
+        """What the objective is made of, and what has limits."""
+        return tuple(dict.fromkeys([*self.weights, *self.limits]))
+
+    def values(self, place: Float[np.ndarray, " parameters"]) -> Float[np.ndarray, " parameters"]:
+        """Parameters at a place; not rounded where they are at a bound."""
+        inner = self.low + (self.high - self.low) * place
+        return np.where(place == 0, self.low, np.where(place == 1, self.high, inner))
+
+    def place(self, values: Float[np.ndarray, " parameters"]) -> Float[np.ndarray, " parameters"]:
+        return (values - self.low) / (self.high - self.low)
+
+    def built(self, values: Float[np.ndarray, " parameters"]) -> Walker:
+        walker = self.walker
+        for name, value in zip(self.names, values, strict=True):
+            walker = with_parameter(walker, name, jnp.asarray(float(value)))
+        return walker
+
+    def refusal(self, values: Float[np.ndarray, " parameters"]) -> str:
+        """What the walker's constructor says against these parameters together, if anything."""
+        try:
+            check_parameter(self.built(values), self.names[0], float(values[0]))
+        except ValueError as error:
+            return str(error)
+        return ""
+
+    def named(self, values: Float[np.ndarray, " parameters"]) -> str:
+        pairs = zip(self.names, values, strict=True)
+        return ", ".join(f"{name} {value:.6g}" for name, value in pairs)
+
+
+def weights_of(objective: str | Mapping[str, Any]) -> tuple[dict[str, float], float]:
+    """The weights of an objective, checked, and whether it is to be large, 1, or small, -1."""
+    named = isinstance(objective, str)
+    if not named:
+        check_kind("objective", objective, Mapping)
+    given = {objective: 1.0} if named else dict(objective)
+    if not given:
+        raise WrongUse("objective must name at least one measure, not none")
+    for name, weight in given.items():
+        if name not in OBJECTIVES:
+            raise WrongUse(f"objective must be one of {', '.join(OBJECTIVES)}, not {name!r}")
+        if not (is_number(weight) and np.isfinite(weight) and weight != 0):
+            raise WrongUse(f"objective must give {name} a weight other than 0, not {weight}")
+    weights = {name: float(weight) for name, weight in given.items()}
+    return weights, OBJECTIVES[objective] if named else 1.0
+
+
+def limits_of(
+    at_least: Mapping[str, Any] | None, at_most: Mapping[str, Any] | None
+) -> dict[str, tuple[float, float]]:
+    """The least and the greatest value of each measure that has limits, checked."""
+    limits: dict[str, tuple[float, float]] = {}
+    for side, given in enumerate((at_least, at_most)):
+        given = {} if given is None else given
+        check_kind("limits", given, Mapping)
+        for name, value in given.items():
+            if name not in GAIT_MEASURES:
+                known = ", ".join(GAIT_MEASURES)
+                raise WrongUse(f"limits must be those of one of {known}, not of {name!r}")
+            if not (is_number(value) and np.isfinite(value)):
+                raise WrongUse(f"limits of {name} must be finite numbers, not {value!r}")
+            pair = list(limits.get(name, (-np.inf, np.inf)))
+            pair[side] = float(value)
+            limits[name] = pair[0], pair[1]
+    for name, (low, high) in limits.items():
+        if low > high:
+            raise WrongUse(f"limits of {name} must be the lower first, not {low:g} and {high:g}")
+    return limits
+
+
+def check_bounds(walker: Walker, name: str, ends: Any) -> None:
+    """Refuse bounds that are not two numbers that the walker may have, the lower one first."""
+    try:
+        low, high = map(float, ends)
+    except (TypeError, ValueError):
+        raise WrongUse(f"bounds of {name} must be two numbers, not {ends!r}") from None
+    if not (np.isfinite(low) and np.isfinite(high) and low < high):
+        raise WrongUse(f"bounds of {name} must be finite, the lower first, not {low:g}:{high:g}")
+    check_parameter(walker, name, low, high)
+
+
+def starting_places(problem: Problem, starts: int) -> list[Float[np.ndarray, " parameters"]]:
+    """The walker's own place, if it is within the bounds, and others spread over these."""
+    own = problem.place(np.array([float(getattr(problem.walker, name)) for name in problem.names]))
+    first = [own] if np.all((own >= 0) & (own <= 1)) else []
+    from scipy.stats import qmc
+
+    sampler = qmc.LatinHypercube(len(own), rng=np.random.default_rng(problem.seed))
+    return [*first, *sampler.random(starts - len(first))]
+
+
+def description(problem: Problem) -> dict:
+    """What was asked for, as attributes of a data set."""
+    bounds = zip(problem.names, problem.low.tolist(), problem.high.tolist(), strict=True)
+    limits = {
+        name: [end if np.isfinite(end) else None for end in ends]
+        for name, ends in problem.limits.items()
+    }
+    return {
+        "walker": type(problem.walker).__name__,
+        **{f"walker_{name}": float(value) for name, value in vars(problem.walker).items()},
+        "section": list(problem.walker.section),
+        "objective": json.dumps(problem.weights),
+        "sign": problem.sign,
+        "bounds": json.dumps({name: ends for name, *ends in bounds}),
+        "limits": json.dumps(limits),
+        "region": json.dumps({} if problem.grid is None else problem.grid.box),
+        "levels": problem.levels,
+        "strides_followed": problem.strides,
+        "seed": problem.seed,
+        "tolerance": problem.tolerance or 0.0,
+        "version": f"walker-jax {version('walker-jax')}",
+    }

@@ -1,0 +1,222 @@
+"""Basins over any parameters of a walker, each with its gait, area and robustness."""
+
+import math
+import tempfile
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+from jax.errors import JaxRuntimeError
+from jax.typing import ArrayLike
+from jaxtyping import Float
+
+from walker_jax import storage
+from walker_jax.basins.computation import basin
+from walker_jax.basins.memory import check_grid
+from walker_jax.basins.refinement import FINEST, refine
+from walker_jax.basins.schema import ABOUT, described, not_yet, request_of
+from walker_jax.checks import WrongUse, check_kind, check_whole, numbers, refuses_tracers, short
+from walker_jax.design.measures import gait_measures
+from walker_jax.execution.progress import tracked
+from walker_jax.execution.workers import computers
+from walker_jax.gaits.search import find_gait
+from walker_jax.grids import Grid
+from walker_jax.integrators.solvers import default_tolerance
+from walker_jax.stability.summary import default_region, robustness, without_gait
+from walker_jax.walkers.model import Walker
+from walker_jax.walkers.parameters import check_parameter, with_parameter
+
+OF_GAIT = ("step-length", "speed", "cost-of-transport")
+"""What is measured of a gait beside its state, multiplier and time."""
+
+
+MOST = 2**20
+"""Combinations of parameters, each of which is some twenty files of a store."""
+
+
+@refuses_tracers()
+def sweep(
+    walker: Walker,
+    over: Mapping[str, Sequence[Any] | ArrayLike],
+    grid: Grid | None = None,
+    *,
+    levels: int = 2,
+    check: int = 500_000,
+    robust: bool = False,
+    strides: int = 200,
+    seed: int = 0,
+    tolerance: float | None = None,
+    out: Path | str | None = None,
+    request: dict | None = None,
+    overwrite: bool = False,
+    cluster: Any = None,
+    progress: bool = False,
+) -> xr.Dataset:
+    """The basin of a walker, its gait and its area, for all combinations of some parameters.
+
+    **Arguments:**
+
+    - `walker`: gives the values of its other parameters.
+    - `over`: values of each of the parameters.
+    - `grid`: of all basins; by default the region that `robustness` takes for this walker.
+    - `levels`, `check`: of the refinement by which areas are exact, as in `refine`.
+    - `robust`: whether to measure all that `robustness` does, which takes half a minute for each.
+    - `strides`: how many of them a walker is followed for.
+    - `seed`, `tolerance`: of what is drawn, and of the integration.
+    - `out`, `request`, `overwrite`, `cluster`: as in `basin`; a piece is one combination.
+    - `progress`: whether to show a progress bar on a terminal.
+
+    **Returns** a data set with the parameters as dimensions, in the order given, of
+
+    - over the grid too: `fate`, `attractor` and `strides`, as `basin` gives them, by direct
+      iteration from the cells' centres. Attractors are numbered in each basin on its own; there are
+      so many `attractors`;
+    - `area` of the cells that come to one; `total_area` and its standard error `total_area_error`,
+      as `refine` gives them;
+    - of the gait of period one, NaN where none is found: `gait_state`, `multiplier` (the largest
+      modulus), `step_time`, `step_length`, `speed` and `cost_of_transport`;
+    - if `robust`, what `robustness` gives of the gait with the largest basin, of any period, whose
+      `gait_state`, `multiplier` and `step_time` these are then.
+
+    A combination that cannot be computed, as one that the walker refuses, has `failed` 1, fates of
+    -1, and NaN; the others go on. Where memory or the like is wanting, the error is raised, and the
+    same call goes on with that combination. `ValueError` for a parameter or a value that the walker
+    does not have, for no values or more than a million combinations, and as for `basin` and
+    `refine`.
+    """
+    check_kind("walker", walker, Walker)
+    check_kind("over", over, Mapping)
+    values = {name: np.atleast_1d(numbers(f"over {name}", some)) for name, some in over.items()}
+    check_values(walker, values)
+    levels = check_whole("levels", levels, 0, FINEST)
+    check = check_whole("check", check, 0)
+    check_kind("robust", robust, bool)
+    strides = check_whole("strides", strides)
+    seed = check_whole("seed", seed, 0)
+    grid = default_region(walker) if grid is None else grid
+    if grid is None:
+        raise WrongUse("grid is wanted where no gait of period one is found")
+    check_grid(walker, grid, "direct")
+    tolerance = float(default_tolerance(jnp.asarray(0.0).dtype, tolerance))
+    how = {"levels": levels, "check": check, "robust": int(robust), "strides": strides}
+    how = {"method": "direct", **how, "seed": seed, "tolerance": tolerance}
+    about = described(walker, grid, how)
+    for name in values:
+        del about.attrs[f"walker_{name}"]
+    own = {"command": "sweep", "over": {name: some.tolist() for name, some in values.items()}}
+    request = request or request_of(about, grid) | own
+    about = about.assign_coords(values)
+    names = [*values]
+    compute = partial(fill, request, about, walker, grid, names, cluster, progress)
+    if out is None:  # nobody else sees it
+        with tempfile.TemporaryDirectory() as folder:
+            place = Path(folder) / "sweep.zarr"
+            data = compute(place, overwrite=False).load()
+        del data.attrs["request"]
+        return data
+    found = storage.find(Path(out), request, overwrite=overwrite)
+    return compute(Path(out), overwrite=overwrite) if found is None else found
+
+
+def check_values(walker: Walker, values: Mapping[str, Float[np.ndarray, "..."]]) -> None:
+    """Refuse parameters that the walker does not have, and values."""
+    if not values:
+        raise WrongUse("over must name at least one parameter")
+    for name, some in values.items():
+        if some.ndim != 1 or len(some) == 0 or len(np.unique(some)) < len(some):
+            raise WrongUse(f"over {name} must be one row of different numbers, not {short(some)}")
+    count = math.prod(map(len, values.values()))
+    if count > MOST:
+        raise WrongUse(f"over must have at most {MOST} combinations, not {count}")
+    for name, some in values.items():
+        check_parameter(walker, name, *some.tolist())
+
+
+def fill(
+    request: dict,
+    about: xr.Dataset,
+    walker: Walker,
+    grid: Grid,
+    names: list[str],
+    cluster: Any,
+    progress: bool,
+    out: Path,
+    *,
+    overwrite: bool,
+) -> xr.Dataset:
+    """Compute what is missing of a sweep, and give all of it."""
+    shape = [about.sizes[name] for name in names]
+    compute = partial(point, walker, grid, about.attrs, names)
+    before = blank(walker, grid, about)
+    fields = {name: spread(value, names, shape) for name, value in before.items()}
+    unknown = {name: value.values for name, value in before.items()}
+    block = (1,) * len(shape)
+    with (
+        computers(cluster) as each,  # first, as there may be none
+        storage.pieces(out, request, about, fields, block, dict, overwrite=overwrite) as place,
+    ):
+        number = {}
+        for i in place.missing():
+            at = zip(names, place.place(i), strict=True)
+            number[tuple(float(about[name][k]) for name, k in at)] = i
+        label = " × ".join(names)
+        found, done = each(compute, [*number]), place.count - len(number)
+        for values, row in tracked(found, label, progress, place.count, done):
+            place.write(number[values], unknown | row, done=True)
+        place.finish(about)
+    return storage.opened(out)
+
+
+def blank(walker: Walker, grid: Grid, about: xr.Dataset) -> dict[str, xr.Variable]:
+    """What there is of one combination, before it is computed."""
+    single = ("area", "total_area", "total_area_error", "multiplier", "step_time")
+    single += tuple(name.replace("-", "_") for name in OF_GAIT)
+    nowhere = "coordinate", np.full(grid.coordinates, np.nan)
+    row = dict.fromkeys(single, np.nan) | {"gait_state": nowhere, "attractors": 0, "failed": 0}
+    row |= without_gait(walker) if about.attrs["robust"] else {}
+    return not_yet(grid) | {str(name): one.variable for name, one in xr.Dataset(row).items()}
+
+
+def spread(value: xr.Variable, names: list[str], shape: list[int]) -> xr.Variable:
+    """The same for every combination of parameters, without taking memory for it."""
+    everywhere = np.broadcast_to(value.values, (*shape, *value.shape))
+    return xr.Variable((*names, *value.dims), everywhere, value.attrs)
+
+
+def point(
+    walker: Walker, grid: Grid, how: Mapping[str, Any], names: list[str], values: tuple[float, ...]
+) -> dict[str, Any]:
+    """What a sweep holds of one combination of values."""
+    try:
+        there = walker
+        for name, value in zip(names, values, strict=True):
+            check_parameter(there, name, value)
+            there = with_parameter(there, name, jnp.asarray(value, jnp.asarray(0.0).dtype))
+        return measured(there, grid, how)
+    except Exception as error:  # one bad combination must not cost the others
+        full = isinstance(error, JaxRuntimeError) and "RESOURCE_EXHAUSTED" in str(error)
+        if full or isinstance(error, MemoryError | OSError | ImportError):
+            raise  # of the machine, not of the combination
+        return {"failed": 1}
+
+
+def measured(walker: Walker, grid: Grid, how: Mapping[str, Any]) -> dict[str, Any]:
+    """The basin of a walker, and the numbers that go with it."""
+    options: Any = {name: how[name] for name in ("strides", "tolerance")}
+    cells = basin(walker, grid, "direct", **options)
+    row = {name: cells[name].values for name in ABOUT}
+    row |= {"area": float(cells["area"].sum()), "attractors": cells.sizes["number"]}
+    options |= {name: how[name] for name in ("levels", "check", "seed")}
+    gait = find_gait(walker, tolerance=how["tolerance"])
+    if gait.found:
+        row |= {"gait_state": np.asarray(gait.states[0])}
+        row |= {"multiplier": np.abs(gait.multipliers[0]), "step_time": np.mean(gait.step_times)}
+        of_gait = gait_measures(walker, (), gait, tolerance=how["tolerance"])
+        row |= {name.replace("-", "_"): of_gait[name].value for name in OF_GAIT}
+    fine = robustness(walker, grid, **options) if how["robust"] else refine(walker, grid, **options)
+    of_basin = ("total_area", "total_area_error", *(without_gait(walker) if how["robust"] else ()))
+    return row | {name: fine[name].values for name in of_basin}

@@ -1,0 +1,1 @@
+"""A function of one cell over millions: devices, cores, workers, progress."""

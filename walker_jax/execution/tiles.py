@@ -1,0 +1,262 @@
+"""A function of one cell over millions of them: kernels, tiles, devices, cores, progress.
+
+On a CPU a function becomes a kernel, which works on a few cells at once (`kernels`). A function
+that no kernel can do, and any on an accelerator, is mapped over tiles of cells by XLA. On a CPU a
+tile is small enough to stay in the cache, and ends when its own slowest cell does; on a GPU it is
+large enough to fill the card. Either way the results are the same to the last bit, however many
+cores or devices share the work.
+"""
+
+import math
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.sharding import Mesh
+from jax.sharding import PartitionSpec as P
+from jaxtyping import Int, PyTree
+from rich.progress import Progress
+
+from walker_jax.checks import WrongUse
+from walker_jax.execution.progress import console
+from walker_jax.kernels.primitive import Program, program_of, settings_now, under
+
+# Cells in a tile, and tiles in a call: a call should take much longer than it takes to make.
+TILE = {"cpu": (1024, 8), "gpu": (2**17, 1), "tpu": (2**17, 1)}
+
+
+FEW = (64, 8)
+"""The same, where there are few cells for a CPU."""
+
+
+PIECE = (512, 2**15)
+"""Cells that a core works on without a break, by a kernel, at least and at most."""
+
+
+# A library may set these for its own calls: 512-bit vectors where the processor has them; and the
+# older of XLA's two ways to emit a fusion, a few per cent slower, which does not repeat what
+# derivatives of derivatives, or long expressions, have in common: that makes them a hundred times
+# as fast.
+COMPILER_OPTIONS = {
+    "cpu": {"xla_cpu_prefer_vector_width": 512, "xla_cpu_use_fusion_emitters": False}
+}
+
+
+def map_cells(
+    function: Callable[..., PyTree],
+    args: tuple[PyTree, ...],
+    mapped: tuple[bool, ...] = (False, True),
+    *,
+    progress: str | None = None,
+) -> PyTree[np.ndarray]:
+    """function(*args) for every cell, on all devices of the process and all cores of a CPU.
+
+    An interrupt waits for the cells that are being worked on. Neighbours are worked on together:
+    cells that take equally long should be neighbours.
+
+    **Arguments:**
+
+    - `function`: of one cell. It is compiled once for a function and for shapes, so give one
+      defined at the top of a module, not a new closure each time.
+    - `args`: PyTrees of arrays.
+    - `mapped`: for each of them, whether it has the cells along the first axis of its arrays, any
+      number of them; others are the same for all cells. By default the second of two.
+    - `progress`: what to call the work in a progress bar, shown on a terminal only.
+
+    **Returns** a PyTree of NumPy arrays with the cells along their first axis.
+    """
+    args = tuple(
+        jax.tree.map(np.asarray, arg) if each else arg
+        for arg, each in zip(args, mapped, strict=True)
+    )
+    pairs = list(zip(args, mapped, strict=True))
+    shared = [arg for arg, each in pairs if not each]
+    cells = [arg for arg, each in pairs if each]
+    sizes = {leaf.shape[0] for leaf in jax.tree.leaves(cells)}
+    if len(sizes) != 1:
+        raise WrongUse(f"cells must hold arrays of one length, not of {sorted(sizes)}")
+    (n,) = sizes
+    devices = jax.local_devices()
+    platform = devices[0].platform
+    if platform == "cpu":
+        operands, structure = jax.tree.flatten(args)
+        each = [each for arg, each in pairs for _ in jax.tree.leaves(arg)]
+        avals = [_described(x, one) for x, one in zip(operands, each, strict=True)]
+        program, results = program_of(function, structure, avals)
+        if program.kernel is not None:
+            found = _by_kernel(program, operands, each, n, progress)
+            return jax.tree.unflatten(results, found)
+    few = platform == "cpu" and n <= math.prod(FEW)
+    tile, tiles = FEW if few else TILE.get(platform, TILE["gpu"])
+    call = tile * tiles * len(devices)
+    run = _compiled(function, mapped, platform, tile, tiles)
+
+    def work(start: int, stop: int) -> PyTree[np.ndarray]:
+        """The results of at most one call, in which each device has an equal share of the cells."""
+        chunk = jax.tree.map(lambda leaf: _filled(leaf[start:stop], call), cells)
+        left = stop - start - tile * tiles * np.arange(len(devices))
+        done = run(shared, chunk, -(-np.clip(left, 0, tile * tiles) // tile))
+        return jax.tree.map(lambda leaf: np.array(leaf[: stop - start]), jax.device_get(done))
+
+    if n <= call and progress is None:  # no threads for it
+        return work(0, n)
+    first = work(0, 0)  # compiles, and works through no tile
+    results = jax.tree.map(lambda leaf: np.empty((n, *leaf.shape[1:]), leaf.dtype), first)
+
+    def put(start: int, stop: int) -> None:
+        for result, leaf in zip(*map(jax.tree.leaves, (results, work(start, stop))), strict=True):
+            result[start:stop] = leaf
+
+    # Two calls at a time for an accelerator, so that it need not wait for the host.
+    _share_out(put, n, call, cores() if platform == "cpu" else 2, progress)
+    return results
+
+
+def _share_out(
+    work: Callable[[int, int], None], n: int, call: int, workers: int, progress: str | None
+) -> None:
+    """work(start, stop) for n cells, `call` of them at a time, in as many threads."""
+    starts = range(0, n, call)
+    settings = settings_now()
+
+    def work_as_here(start: int, stop: int) -> None:
+        with under(settings):
+            work(start, stop)
+
+    shown = console(progress is not None)
+    with (
+        Progress(console=shown, disable=shown.quiet, transient=True) as bar,
+        ThreadPoolExecutor(workers) as pool,
+    ):
+        task = bar.add_task(progress or "", total=n)
+        pending = [pool.submit(work_as_here, start, min(start + call, n)) for start in starts]
+        try:
+            for start, future in zip(starts, pending, strict=True):
+                future.result()
+                bar.update(task, completed=min(start + call, n))
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
+_limit: int | None = None
+
+
+def limit_cores(most: int | None) -> None:
+    """Let `map_cells` use no more cores of a CPU than so many, in this process."""
+    global _limit
+    _limit = most
+
+
+def cores() -> int:
+    """Processor cores that this process may use."""
+    number = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return min(number or 1, _limit or number or 1)
+
+
+def _by_kernel(
+    program: Program, operands: list, mapped: list[bool], n: int, progress: str | None
+) -> list[np.ndarray]:
+    """The cells' results by a kernel, on all cores."""
+    assert program.kernel is not None
+    run, results = program.kernel.bind(operands, mapped, n)
+    workers = cores()
+    least, most = PIECE
+    # Several for each core, so that all end at about the same time.
+    call = min(most, max(least, -(-n // (4 * workers))))
+    if n <= least and progress is None:
+        run(0, n)
+    else:
+        _share_out(run, n, call, workers, progress)
+    return results
+
+
+def _described(leaf: Any, each: bool) -> jax.ShapeDtypeStruct:
+    """Type of a leaf, and its shape in one cell."""
+    plain = type(leaf) in (bool, int, float, complex)
+    dtype = jax.dtypes.canonicalize_dtype(
+        type(leaf) if plain else leaf.dtype, allow_extended_dtype=True
+    )
+    weak = plain or getattr(leaf, "weak_type", False)
+    return jax.ShapeDtypeStruct(
+        np.shape(leaf)[1:] if each else np.shape(leaf), dtype, weak_type=weak
+    )
+
+
+def _filled(values: np.ndarray, size: int) -> np.ndarray:
+    """values made up to `size` with copies of the last, which no tile waits for."""
+    if len(values) == size:
+        return values
+    last = values[-1:] if len(values) else np.zeros_like(values, shape=(1, *values.shape[1:]))
+    return np.concatenate([values, np.repeat(last, size - len(values), axis=0)])
+
+
+_cache: dict = {}
+
+
+def _compiled(
+    function: Callable, mapped: tuple[bool, ...], platform: str, tile: int, tiles: int
+) -> Callable:
+    """The jitted function of (shared, cells of one call, how many tiles each device does of it)."""
+    key = function, mapped, platform, tile, tiles
+    if key not in _cache:
+
+        def run(shared, cells, count):
+            blocks = jax.tree.map(lambda leaf: leaf.reshape(tiles, tile, *leaf.shape[1:]), cells)
+
+            def of_cell(cell):
+                parts = {True: iter(cell), False: iter(shared)}
+                return function(*(next(parts[each]) for each in mapped))
+
+            one = jax.vmap(of_cell)
+            like = jax.eval_shape(one, jax.tree.map(lambda leaf: leaf[0], blocks))
+            empty = jax.tree.map(lambda leaf: jnp.zeros((tiles, *leaf.shape), leaf.dtype), like)
+
+            def advance(i, results):
+                result = one(jax.tree.map(lambda leaf: leaf[i], blocks))
+                return jax.tree.map(lambda all, new: all.at[i].set(new), results, result)
+
+            results = lax.fori_loop(0, count[0], advance, empty)
+            return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), results)
+
+        # One program for all devices, which need nothing of each other.
+        mesh, each = Mesh(np.array(jax.local_devices()), ("devices",)), P("devices")
+        shares = jax.shard_map(
+            run, mesh=mesh, in_specs=(P(), each, each), out_specs=each, check_vma=False
+        )
+        _cache[key] = jax.jit(shares, compiler_options=COMPILER_OPTIONS.get(platform))
+    return _cache[key]
+
+
+def order_of_cells(shape: tuple[int, ...]) -> Int[np.ndarray, " n"]:
+    """Flat indices of a grid's cells, in the order in which to give them to `map_cells`."""
+    if jax.local_devices()[0].platform != "cpu":
+        return compact_order(shape)
+    size = math.prod(shape)
+    return np.arange(size, dtype=np.int32 if size < 2**31 else np.int64)
+
+
+def compact_order(shape: tuple[int, ...], tile: int = TILE["gpu"][0]) -> Int[np.ndarray, " n"]:
+    """Flat indices of a grid's cells, in an order in which a tile's cells lie close together.
+
+    The grid is cut into cubes of about `tile` cells, one after the other.
+    """
+    side = max(1, round(tile ** (1 / len(shape))))
+    sides = [min(side, count) for count in shape]
+    padding = [(0, -count % side) for count, side in zip(shape, sides, strict=True)]
+    size = int(np.prod(shape))
+    indices = np.arange(size, dtype=np.int32 if size < 2**31 else np.int64).reshape(shape)
+    indices = np.pad(indices, padding, constant_values=-1)
+    split = [
+        part
+        for count, side in zip(indices.shape, sides, strict=True)
+        for part in (count // side, side)
+    ]
+    axes = [*range(0, 2 * len(shape), 2), *range(1, 2 * len(shape), 2)]
+    indices = indices.reshape(split).transpose(axes).ravel()
+    return indices[indices >= 0]

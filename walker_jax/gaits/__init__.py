@@ -1,0 +1,1 @@
+"""Gaits: their search, derivatives, branches and bifurcations."""

@@ -1,0 +1,283 @@
+"""Grids of cells: affine images of boxes divided into equal cells.
+
+A point has box coordinates u, along which the cells lie, and state coordinates
+x = origin + shear @ u. Where the box has fewer of them than the state, the grid is a slice: some
+coordinates of the state are fixed. Cells are half open, [low, high) along each box axis, and
+numbered from 0 with the last axis fastest (C order), by int32; -1 stands for none.
+"""
+
+import math
+import operator
+from collections.abc import Mapping
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float, Int, Int32
+
+from walker_jax.checks import WrongUse, check_kind, is_number, numbers, short
+
+ROOM_FOR_SINKS = 255
+
+
+MAX_SIZE = 2**31 - 1 - ROOM_FOR_SINKS
+
+
+PART = 2**16
+"""Cells of a map that are worked on together."""
+
+
+Axis = Any
+"""(low, high, count): the ends of an axis and the number of its cells; checked by `Grid`."""
+
+
+class Grid(eqx.Module):
+    """Equal cells of a box, and of its image x = origin + shear @ u.
+
+    `Grid.plain` and `Grid.sheared` make the usual ones; `Grid(axes, shear, origin)` any other.
+    Everything but the names is an array leaf: a jitted function of a grid is not compiled again for
+    another window or count.
+
+    Raises ValueError for no axes, an axis that is not (low, high, count) with finite low < high
+    and count >= 1, a shear that is not an (s, d) matrix of rank d, an origin that is not s finite
+    numbers, or more than `MAX_SIZE` cells.
+    """
+
+    names: tuple[str, ...] = eqx.field(static=True)
+    """Names of the box coordinates u."""
+    fixed: tuple[str, ...] = eqx.field(static=True)
+    """Names of the last coordinates of the state, where a slice holds them fixed."""
+    lower: Float[np.ndarray | Array, " d"]
+    """Lower ends of the axes."""
+    upper: Float[np.ndarray | Array, " d"]
+    """Upper ends of the axes, outside the grid."""
+    counts: Int32[np.ndarray | Array, " d"]
+    """Cells along each axis."""
+    shear: Float[np.ndarray | Array, "s d"]
+    """State coordinates from box coordinates, x = origin + shear @ u."""
+    unshear: Float[np.ndarray | Array, "d s"]
+    """Its inverse, u = unshear @ (x - origin); of a slice, for points in it."""
+    origin: Float[np.ndarray | Array, " s"]
+    """The point of the state where u is zero."""
+
+    def __init__(
+        self,
+        axes: Mapping[str, Axis],
+        shear: ArrayLike,
+        origin: ArrayLike | None = None,
+        fixed: tuple[str, ...] = (),
+    ):
+        check_kind("axes", axes, Mapping)
+        if not axes:
+            raise WrongUse(f"axes={axes!r}: a grid needs at least one axis")
+        lower, upper, counts = zip(*(_axis(*item) for item in axes.items()), strict=True)
+        if math.prod(counts) > MAX_SIZE:
+            raise WrongUse(
+                f"counts={counts}: {math.prod(counts)} cells, of at most {MAX_SIZE} there can be"
+            )
+        self.names = tuple(axes)
+        self.lower = np.array(lower)
+        self.upper = np.array(upper)
+        self.counts = np.array(counts, np.int32)
+        self.fixed = tuple(fixed)
+        self.shear = numbers("shear", shear).copy()
+        count = len(axes)
+        if self.shear.ndim != 2 or self.shear.shape[1] != count or len(self.shear) < count:
+            raise WrongUse(f"shear={self.shear.tolist()}: must be a matrix of {count} columns")
+        size = len(self.shear)
+        if not np.isfinite(self.shear).all():
+            raise WrongUse(f"shear={self.shear.tolist()}: must be finite")
+        self.origin = np.zeros(size) if origin is None else numbers("origin", origin).copy()
+        if self.origin.shape != (size,) or not np.isfinite(self.origin).all():
+            raise WrongUse(f"origin={self.origin.tolist()}: must be {size} finite numbers")
+        try:
+            # Exact, without rounding, for the shears below. Adding zero turns -0 into 0.
+            square = self.shear.T @ self.shear if size > count else self.shear
+            inverse = np.linalg.inv(square) + 0.0
+            self.unshear = inverse @ self.shear.T if size > count else inverse
+        except np.linalg.LinAlgError:
+            raise WrongUse(f"shear={self.shear.tolist()}: must be invertible") from None
+
+    @classmethod
+    def plain(cls, **axes: Axis) -> "Grid":
+        """A grid along the state's own axes, x = u.
+
+        Each axis is (low, high, count), for example `theta=(0, 0.4, 200)`. The last ones may be
+        numbers: then the grid is a slice, on which those coordinates have these values.
+        """
+        along, values = split(axes)
+        return cls(along, np.eye(len(axes), len(along)), values, tuple(axes)[len(along) :])
+
+    @classmethod
+    def sheared(cls, *, theta: Axis, sum: Axis, **others: Axis) -> "Grid":
+        """A grid along theta and sum = theta + thetadot, for states (theta, thetadot, others...).
+
+        Each axis is (low, high, count), or for the last ones a number, as in `plain`. The
+        coordinates of Schwab and Wisse (2001), Figure 4.
+        """
+        axes = {"theta": theta, "sum": sum, **others}
+        along, values = split(axes)
+        shear = np.eye(len(axes), len(along))
+        shear[1, 0] = -1
+        return cls(along, shear, values, tuple(axes)[len(along) :])
+
+    @property
+    def coordinates(self) -> int:
+        """Number of coordinates of the state; on the host only."""
+        return len(self.shear)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Number of cells along each axis; on the host only."""
+        return tuple(int(count) for count in self.counts)
+
+    @property
+    def size(self) -> int:
+        """Number of cells; on the host only."""
+        return math.prod(self.shape)
+
+    @property
+    def spacing(self) -> Float[np.ndarray | Array, " d"]:
+        """Width of a cell along each box axis."""
+        return (self.upper - self.lower) / self.counts.astype(self.lower.dtype)
+
+    @property
+    def cell_area(self) -> float:
+        """Length, area or volume of a cell in the state's coordinates; on the host only."""
+        if self.coordinates == len(self.names):
+            return float(np.prod(self.spacing) * abs(np.linalg.det(self.shear)))
+        return float(np.prod(self.spacing) * np.sqrt(np.linalg.det(self.shear.T @ self.shear)))
+
+    @property
+    def axes(self) -> dict[str, np.ndarray]:
+        """Box coordinates of the centres along each axis; on the host only."""
+        ends = zip(self.names, self.lower, self.spacing, self.shape, strict=True)
+        return {
+            name: np.asarray(low + (np.arange(count, dtype=low.dtype) + 0.5) * width)
+            for name, low, width, count in ends
+        }
+
+    @property
+    def held(self) -> dict[str, float]:
+        """The fixed coordinates of a slice; on the host only."""
+        values = self.origin[self.coordinates - len(self.fixed) :]
+        return {name: float(value) for name, value in zip(self.fixed, values, strict=True)}
+
+    @property
+    def box(self) -> dict[str, list[float | int] | float]:
+        """[low, high, count] of each axis, and the fixed coordinates; on the host only."""
+        ends = zip(self.names, self.lower, self.upper, self.shape, strict=True)
+        return {name: [float(low), float(high), n] for name, low, high, n in ends} | self.held
+
+    def centre(self, index: Int[ArrayLike, ""]) -> Float[Array, " s"]:
+        """Centre of a cell, x = origin + shear @ (lower + (i + 1/2) spacing).
+
+        i is its place on each axis.
+        The index is 0 ... size - 1.
+        """
+        places = []
+        for count in self.counts[::-1]:
+            index, place = jnp.divmod(jnp.asarray(index).astype(jnp.int32), count)
+            places.insert(0, place)
+        lower, spacing = jnp.asarray(self.lower), jnp.asarray(self.spacing)
+        u = lower + (jnp.stack(places).astype(lower.dtype) + 0.5) * spacing
+        return jnp.asarray(self.origin) + _multiply(self.shear, u)
+
+    def centres(self, indices: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n s"]:
+        """Centres of many cells, as `centre` has them; on the host only."""
+        dtype = jnp.asarray(0.0).dtype  # where nothing is compiled for so little
+        parts = (self.lower, self.spacing, self.shear, self.origin)
+        lower, spacing, shear, origin = (np.asarray(part, dtype) for part in parts)
+        places = np.stack(np.unravel_index(indices, self.counts), axis=1).astype(dtype)
+        u = lower + (places + dtype.type(0.5)) * spacing
+        return origin + np.sum(shear * u[:, None], axis=2)
+
+    def contains(self, points: Float[np.ndarray, "*n s"]) -> Bool[np.ndarray, "*n"]:
+        """Whether a cell holds a point; on the host only."""
+        parts = (self.lower, self.upper, self.unshear, self.origin)
+        lower, upper, unshear, origin = (np.asarray(part, points.dtype) for part in parts)
+        with np.errstate(invalid="ignore"):  # of a point that is not finite
+            u = np.sum(unshear * (points - origin)[..., None, :], axis=-1)
+        return ((lower <= u) & (u < upper)).all(axis=-1)
+
+    def states(self, share: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n s"]:
+        """Points at shares, 0 to 1, of the way along each axis of the box; on the host only."""
+        lower, upper = np.asarray(self.lower), np.asarray(self.upper)
+        u = lower + (upper - lower) * share
+        return np.asarray(self.origin) + u @ np.asarray(self.shear).T
+
+    def cell(self, point: Float[Array, " s"]) -> Int32[Array, ""]:
+        """Index of the cell that holds a point x, -1 where none does or x is not finite.
+
+        Raises ValueError for a slice, in which hardly any point lies.
+        """
+        if self.coordinates != len(self.names):
+            raise WrongUse(f"fixed={self.fixed}: a slice has no cell for a point")
+        lower, upper, spacing = map(jnp.asarray, (self.lower, self.upper, self.spacing))
+        u = _multiply(self.unshear, point.astype(lower.dtype) - jnp.asarray(self.origin))
+        inside = jnp.all((lower <= u) & (u < upper))  # not so for NaN
+        places = jnp.floor(jnp.where(inside, u - lower, 0) / spacing).astype(jnp.int32)
+        places = jnp.minimum(places, self.counts - 1)  # the quotient may round up to the count
+        index = jnp.int32(0)
+        for place, count in zip(places, self.counts, strict=True):
+            index = index * count + place
+        return jnp.where(inside, index, -1)
+
+
+def split(axes: Mapping[str, Axis]) -> tuple[dict[str, Axis], Float[np.ndarray, " s"]]:
+    """The axes that are not numbers, and an origin with those that are, which must be the last."""
+    single = [is_number(axis) for axis in axes.values()]
+    count = len(axes) - sum(single)
+    if count == 0:
+        raise WrongUse(f"axes={dict(axes)!r}: a grid needs at least one axis, (low, high, count)")
+    if any(single[:count]):
+        name = list(axes)[single.index(True)]
+        raise WrongUse(f"{name}={short(axes[name])}: only the last axes may be numbers")
+    values = [0.0] * count + [float(axis) for axis in list(axes.values())[count:]]
+    return dict(list(axes.items())[:count]), np.array(values)
+
+
+def _axis(name: str, axis: Axis) -> tuple[float, float, int]:
+    """The three parts of an axis, checked."""
+    try:
+        low, high, count = axis
+        low, high, count = float(low), float(high), operator.index(count)
+    except (TypeError, ValueError, OverflowError):
+        raise WrongUse(
+            f"{name}={short(axis)}: an axis is (low, high, count), two numbers and an integer"
+        ) from None
+    if not math.isfinite(high - low):
+        raise WrongUse(f"{name}={short(axis)}: the ends of an axis must be finite")
+    if low >= high:
+        raise WrongUse(f"{name}={short(axis)}: low must be below high")
+    if count < 1:
+        raise WrongUse(f"{name}={short(axis)}: the count of cells must be positive")
+    if (high - low) / count < np.finfo(float).tiny:
+        raise WrongUse(f"{name}={short(axis)}: the cells are narrower than numbers can be apart")
+    return low, high, count
+
+
+def _multiply(
+    matrix: Float[np.ndarray | Array, "m n"], vector: Float[Array, " n"]
+) -> Float[Array, " m"]:
+    """matrix @ vector, which some accelerators would round to a shorter type."""
+    return jnp.sum(jnp.asarray(matrix) * vector, axis=1)
+
+
+def parts(size: int) -> list[slice]:
+    """All of an array, a part at a time, so that what is found of it stays in the cache."""
+    return [slice(start, min(start + PART, size)) for start in range(0, size, PART)]
+
+
+def around(state: Float[ArrayLike, " section"], names: tuple[str, ...]) -> dict:
+    """Axes of a window around a gait's state; with phidot among them, of a slice there."""
+    theta, thetadot, *others = map(float, np.asarray(state))
+    middle = theta + thetadot if names[1] == "sum" else thetadot
+    below, above = (0.5, 0.3) if "phidot" in names else (0.25, 0.1)
+    return {
+        "theta": (0.0, 2.5 * theta, 200),
+        names[1]: (middle - below * theta, middle + above * theta, 250),
+        **({"phidot": others[0]} if "phidot" in names else {}),
+    }

@@ -1,0 +1,207 @@
+"""Taylor series of the solution of an ordinary differential equation.
+
+Along a solution y(t) = y_0 + y_1 t + y_2 t^2 + ..., the equation y' = f(y) says
+
+    (k + 1) y_{k+1} = f_k,
+
+where f_k, the k-th coefficient of f(y(t)), needs y_0 ... y_k only. So the series grows order by
+order, each coefficient of each intermediate result computed once (Jorba and Zou 2005). f is any
+function of JAX primitives that `expansion` has a rule for.
+
+Coefficients are Taylor coefficients, derivatives divided by k!.
+
+Where f has a kink, its series continues the branch on which it starts, until a switching function
+changes its sign; `switching_series` has these.
+"""
+
+import abc
+import math
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, PyTree
+
+from walker_jax.integrators.expansion import compose, switches
+from walker_jax.integrators.series import Series, constant, recorded, recording, scaled
+
+
+class VirtualPower(eqx.Module):
+    """Equations of motion as a balance of virtual power, without a formula for accelerations.
+
+    With x = F(q), they are p(q, q', x'') = 0 for some p that is linear in x'', which is F(q(t))''.
+    Of the series q(t) that is a series like any other: neither derivatives of F nor the solution
+    of linear equations need be expanded. A state holds the coordinates q first, then their rates.
+    """
+
+    @abc.abstractmethod
+    def transfer(self, q: list) -> list:
+        """F, from scalars q to scalars x."""
+
+    @abc.abstractmethod
+    def power(self, q: list, qdot: list, acceleration: list) -> list:
+        """p, of q, q' and x'': one scalar for each of q."""
+
+    @abc.abstractmethod
+    def factorise(self, q: list) -> PyTree:
+        """The matrix -dp/dx'' dF/dq, which multiplies q'' in -p, in a form for `solve`."""
+
+    @abc.abstractmethod
+    def solve(self, factors: PyTree, right: list) -> list:
+        """The solution of linear equations with that matrix."""
+
+    def __call__(self, state: PyTree) -> PyTree:
+        """The time derivative of a state."""
+        leaves, structure = jax.tree.flatten(state)
+        q, rates = leaves[: len(leaves) // 2], leaves[len(leaves) // 2 :]
+        velocity = lambda q: jax.jvp(self.transfer, (q,), (rates,))[1]
+        convective = jax.jvp(velocity, (q,), (rates,))[1]
+        accelerations = self.solve(self.factorise(q), self.power(q, rates, convective))
+        return jax.tree.unflatten(structure, rates + accelerations)
+
+    def series(self, state: PyTree, order: int) -> PyTree[list]:
+        """Taylor coefficients of the solution.
+
+        q_{k+2} is in the k-th coefficient of p in one place, the top coefficient of F(q(t)), where
+        its factor is the derivative of F at t = 0. So p is computed as if q_{k+2} were zero, and
+        q_{k+2} then has to supply what is missing for balance.
+        """
+        leaves, structure = jax.tree.flatten(state)
+        start, rates = leaves[: len(leaves) // 2], leaves[len(leaves) // 2 :]
+        factors = fast_sines(self.factorise)(start)
+        # zero, as long as they are not known
+        q = [Series(lambda k: None, pair) for pair in zip(start, rates, strict=True)]
+        qdot = [derivative(series) for series in q]
+        p, of_transfer, of_power = self.balance([*q, *qdot], leaves)
+        for k in range(order):
+            missing = [jnp.zeros_like(start[0]) if c is None else c for c in (s[k] for s in p)]
+            for series in of_power:
+                del series.coefficients[k:]
+            for series in (*of_transfer, *q):
+                del series.coefficients[k + 2 :]
+            for series, value in zip(q, self.solve(factors, missing), strict=True):
+                series.coefficients.append(value * (1 / ((k + 1) * (k + 2))))
+        return jax.tree.unflatten(structure, [listed(series, order) for series in (*q, *qdot)])
+
+    def balance(
+        self, state: list[Series], start: list
+    ) -> tuple[list[Series], list[Series], list[Series]]:
+        """The series of p along q(t), and all that were made for F, and for p itself."""
+        half = len(state) // 2
+        q, qdot = state[:half], state[half:]
+        with recording(recorded) as of_transfer:
+            x = compose(self.transfer, q, start[:half])
+        with recording(recorded) as of_power:
+            acceleration = [derivative(series, times=2) for series in x]
+            like = [jnp.zeros_like(start[0])] * len(x)
+            p = compose(
+                lambda args: self.power(*args),
+                (q, qdot, acceleration),
+                (start[:half], start[half:], like),
+            )
+        return p, of_transfer, of_power
+
+
+def derivative(series: Series, times: int = 1) -> Series:
+    """That of a series by time."""
+
+    def rule(k):
+        coefficient = scaled(series[k + times], math.perm(k + times, times))
+        return jnp.zeros_like(series[0]) if coefficient is None and k == 0 else coefficient
+
+    return Series(rule)
+
+
+@eqx.filter_jit
+def solution_series(
+    vector_field: Callable[[PyTree], PyTree], state: PyTree, order: int
+) -> PyTree[list]:
+    """Taylor coefficients of the solution of y' = f(y) that starts at `state`.
+
+    **Arguments:**
+
+    - `vector_field`: f, from the state to its time derivative, of the same structure, or a
+      `VirtualPower`. Where it is a method of an `equinox.Module`, the expansion is traced once for
+      all its uses.
+    - `state`: y_0, a PyTree of floating-point arrays.
+    - `order`: of the last coefficient.
+
+    **Returns** a PyTree of the structure of the state with a list of `order + 1` coefficients at
+    each leaf. Raises `NotImplementedError` where f holds a primitive of which no series is known.
+    """
+    if isinstance(vector_field, VirtualPower):
+        return vector_field.series(state, order)
+    leaves, structure = jax.tree.flatten(state)
+    rates: list[Series] = []
+
+    def solution(i):
+        return Series(lambda k: leaves[i] if k == 0 else scaled(rates[i][k - 1], 1 / k))
+
+    solutions = jax.tree.unflatten(structure, [solution(i) for i in range(len(leaves))])
+    rates += jax.tree.leaves(compose(vector_field, solutions, state))
+    return jax.tree.map(lambda series: listed(series, order), solutions)
+
+
+def function_series(function: Callable[[PyTree], PyTree], series: PyTree[list]) -> PyTree[list]:
+    """Taylor coefficients of function(y(t)), given those of y(t), to the same order."""
+    known = jax.tree.map(lambda c: Series(c.__getitem__), series, is_leaf=is_list)
+    order = len(jax.tree.leaves(series, is_leaf=is_list)[0]) - 1
+    start = jax.tree.map(lambda c: c[0], series, is_leaf=is_list)
+    return jax.tree.map(lambda result: listed(result, order), compose(function, known, start))
+
+
+@eqx.filter_jit
+def switching_series(
+    function: Callable[[PyTree], PyTree], series: PyTree[list]
+) -> list[list[Array]]:
+    """Taylor coefficients of the functions whose zeros are the kinks of function(y(t)), and jumps.
+
+    **Arguments:**
+
+    - `function`: of the state, or a `VirtualPower`.
+    - `series`: the coefficients of y(t), to some order.
+
+    **Returns** a list of coefficients for each scalar whose sign selects a branch and changes with
+    time; none where `function` is smooth. Its order is that of the series, and less by two for a
+    `VirtualPower`.
+    """
+    known = jax.tree.map(lambda c: Series(c.__getitem__), series, is_leaf=is_list)
+    start = jax.tree.map(lambda c: c[0], series, is_leaf=is_list)
+    order = len(jax.tree.leaves(series, is_leaf=is_list)[0]) - 1
+    with recording(switches) as found:
+        if isinstance(function, VirtualPower):
+            function.balance(jax.tree.leaves(known, is_leaf=is_series), jax.tree.leaves(start))
+            order -= 2
+        else:
+            compose(function, known, start)
+    varying = [one for one in found if any(one[k] is not None for k in range(1, order + 1))]
+    return [
+        [coefficient.ravel()[i] for coefficient in listed(one, order)]
+        for one in varying
+        for i in range(one[0].size)
+    ]
+
+
+def is_series(x) -> bool:
+    return isinstance(x, Series)
+
+
+def fast_sines(function: Callable) -> Callable:
+    """The same function, with every sine and cosine in it computed by `sincos`."""
+
+    def faster(*args):
+        constants = jax.tree.map(constant, args)
+        results = compose(lambda a: function(*a), constants, args)
+        return jax.tree.map(lambda series: jnp.asarray(series[0]), results)
+
+    return faster
+
+
+def is_list(x) -> bool:
+    return isinstance(x, list)
+
+
+def listed(series: Series, order: int) -> list:
+    zero = jnp.zeros_like(series[0])
+    return [zero if series[k] is None else series[k] for k in range(order + 1)]

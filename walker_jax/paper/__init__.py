@@ -1,0 +1,1 @@
+"""The paper of Schwab and Wisse (2001), figure by figure and number by number."""

@@ -1,0 +1,171 @@
+"""What the paper computes, each part as a data set."""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float
+
+from walker_jax.basins.computation import basin
+from walker_jax.basins.refinement import refine
+from walker_jax.gaits.diagrams import bifurcation_diagram
+from walker_jax.gaits.search import find_gait
+from walker_jax.grids import Grid
+from walker_jax.stability.summary import default_region
+from walker_jax.walkers.simplest import SimplestWalker
+from walker_jax.walking.movement import motion
+
+SLOPE = 0.004
+"""Of the paper's examples."""
+
+
+START = (0.2, -0.21645)
+"""Of Table 1, whose theta + thetadot has one digit more than its thetadot."""
+
+
+CELL = 0.002, 0.0002
+"""Widths of the paper's cells, along theta and theta + thetadot."""
+
+
+ROW = (0.004, 0.008, 0.012, 0.015, 0.018, 0.02)
+"""Slopes of Figure 7, which the paper does not tell."""
+
+
+class Size(NamedTuple):
+    """How much is computed."""
+
+    section: int
+    """Cells along each axis of Figure 2."""
+    slopes: int
+    """Of Figure 8."""
+    levels: int | None
+    """Of refinement, for the exact areas of Figure 8; none for none."""
+    strides: int
+    """After which a walker counts as walking for ever, where walking is lost."""
+    shifts: int
+    """Of the paper's grid along each axis, in search of where it shows nothing any more."""
+
+
+FULL = Size(section=1000, slopes=22, levels=3, strides=3000, shifts=4)
+
+
+QUICK = Size(section=400, slopes=15, levels=None, strides=1000, shifts=2)
+
+
+def paper_grid(shift: Sequence[float] | Float[np.ndarray, " 2"] = (0, 0)) -> Grid:
+    """That of Figure 4: 200 x 250 cells; shifted, by parts of a cell."""
+    left, up = np.multiply(CELL, shift)
+    return Grid.sheared(theta=(-left, 0.4 - left, 200), sum=(-0.04 + up, 0.01 + up, 250))
+
+
+def stride_of_gait(size: Size) -> xr.Dataset:
+    """Figure 1: one stride of the gait, where its steps are long enough to see."""
+    walker = SimplestWalker(0.009)
+    return motion(walker, find_gait(walker).states[0], 1, step=0.02)
+
+
+def section(size: Size) -> xr.Dataset:
+    """Figure 2: the whole section."""
+    n = size.section
+    grid = Grid.plain(theta=(0, np.pi / 4, n), thetadot=(-1.2, 0, n))
+    return basin(SimplestWalker(SLOPE), grid, "direct")
+
+
+def gaits(size: Size) -> xr.Dataset:
+    """Figure 3: gaits of period one over the slope, where they double, and what is lost."""
+    return bifurcation_diagram(
+        SimplestWalker(SLOPE),
+        "slope",
+        (0.0005, 0.0225),
+        period_max=1,
+        strides=size.strides,
+        scan=2,
+    )
+
+
+def mapped(size: Size) -> xr.Dataset:
+    """Figure 4: cell mapping on the paper's own grid."""
+    return basin(SimplestWalker(SLOPE), paper_grid())
+
+
+def followed(size: Size) -> xr.Dataset:
+    """Under Figure 5: the same cells, followed directly."""
+    return basin(SimplestWalker(SLOPE), paper_grid(), "direct")
+
+
+def walk(size: Size) -> xr.Dataset:
+    """Table 1 and Figures 5 and 6: nine steps from just inside the basin."""
+    return motion(SimplestWalker(SLOPE), np.array(START), 9, step=0.02)
+
+
+def slopes(size: Size) -> xr.Dataset:
+    """Figure 7: basins at a row of slopes, in a window that is higher than that of Figure 4.
+
+    The basin rises with the slope.
+    """
+    grid = Grid.sheared(theta=(0, 0.4, 200), sum=(-0.04, 0.02, 300))
+    found = [basin(SimplestWalker(slope), grid, "direct") for slope in ROW]
+    kept = [one[["fate", "attractor"]].assign(area=one["area"].sum()) for one in found]
+    joined = xr.concat(kept, "slope", coords="minimal", compat="override", combine_attrs="drop")
+    return joined.assign_coords(slope=list(ROW)).assign_attrs(found[0].attrs)
+
+
+def sizes(size: Size) -> xr.Dataset:
+    """Figure 8: area of the whole basin over the slope, by the paper's cells and exactly."""
+    theta, total = CELL
+    grid = Grid.sheared(theta=(0, 392 * theta, 392), sum=(-600 * total, 150 * total, 750))
+    at = np.linspace(0.0005, 0.0215, size.slopes).round(6)
+    mapped_area, area, error = [], [], []
+    for slope in at.tolist():
+        walker = SimplestWalker(slope)
+        mapped_area.append(float(basin(walker, grid)["area"].sum()))
+        region = default_region(walker)
+        if size.levels is None or region is None:
+            area.append(np.nan)
+            error.append(np.nan)
+        else:
+            fine = refine(walker, region, size.levels)
+            area.append(float(fine["total_area"]))
+            error.append(float(fine["total_area_error"]))
+    over = {"mapped_area": mapped_area, "area": area, "area_error": error}
+    return xr.Dataset({name: ("slope", values) for name, values in over.items()}, {"slope": at})
+
+
+def vanishing(size: Size) -> xr.Dataset:
+    """Section 5.2: cells of the paper's own grid that walk for ever, over steep slopes.
+
+    And of grids that are that one shifted by parts of a cell.
+    """
+    at = np.arange(18, 28) / 1000
+    shifts = np.stack(np.divmod(np.arange(size.shifts**2), size.shifts), axis=1) / size.shifts
+    cells = [
+        [
+            int((basin(SimplestWalker(slope), paper_grid(shift))["attractor"] >= 0).sum())
+            for slope in at.tolist()
+        ]
+        for shift in shifts
+    ]
+    return xr.Dataset({"cells": (("shift", "slope"), cells)}, {"slope": at})
+
+
+def line(size: Size) -> xr.Dataset:
+    """Section 5.1: fates along the line theta = 0.2 of Figure 4."""
+    half = 1e-9
+    grid = Grid.sheared(theta=(0.2 - half, 0.2 + half, 1), sum=(-0.04, 0.01, 50_000))
+    return basin(SimplestWalker(SLOPE), grid, "direct").isel(theta=0)
+
+
+PARTS: dict[str, Callable[[Size], xr.Dataset]] = {
+    "stride": stride_of_gait,
+    "section": section,
+    "gaits": gaits,
+    "mapped": mapped,
+    "followed": followed,
+    "walk": walk,
+    "slopes": slopes,
+    "sizes": sizes,
+    "vanishing": vanishing,
+    "line": line,
+}
+"""What is computed, by the names of the data sets."""

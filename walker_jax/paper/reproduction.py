@@ -1,0 +1,124 @@
+"""The paper of Schwab and Wisse (2001), figure by figure and number by number.
+
+*Basin of attraction of the simplest walking model*, ASME DETC2001/VIB-21363. Each part of it is
+computed anew and kept as a data set; pictures and numbers follow from these. Where the paper's own
+cells show in what it says, its number is found on its own grid, and the exact one stands beside it.
+"""
+
+import json
+import shutil
+from importlib.metadata import version
+from pathlib import Path
+
+import xarray as xr
+
+from walker_jax import storage
+from walker_jax.execution.progress import console
+from walker_jax.paper import report
+from walker_jax.paper.calculations import FULL, PARTS, QUICK
+from walker_jax.paper.numbers import Number, compared
+from walker_jax.paper.pictures import FIGURES, PaperFigure
+
+
+def reproduce(
+    out: Path, *, quick: bool = False, overwrite: bool = False, progress: bool = False
+) -> list[Number]:
+    """Compute all of the paper's figures and numbers, and write a report of them.
+
+    **Arguments:**
+
+    - `out`: a folder, which is made: `report.html`, a page with everything in it; the figures, as
+      PNG and SVG; `numbers.json`; and in `data` the data sets. Those that are there from an earlier
+      run, which may have been interrupted, are taken as they are.
+    - `quick`: with fewer cells, slopes and strides, and without exact areas.
+    - `overwrite`: whether to remove what is there of another run.
+    - `progress`: whether to show on a terminal what is being computed.
+
+    **Returns** the numbers. `ValueError` where something else stands in the place.
+    """
+    size = QUICK if quick else FULL
+    request = {"command": "reproduce", "size": size._asdict(), "version": version("walker-jax")}
+    places = {name: out / "data" / f"{name}.zarr" for name in PARTS}
+    check_place(out, places, request, overwrite=overwrite)
+    if overwrite:  # all at once, so that the same run can be gone on with when interrupted
+        for path in files_of(out):
+            path.unlink(missing_ok=True)
+        for path in places.values():
+            shutil.rmtree(path, ignore_errors=True)
+    (out / "data").mkdir(parents=True, exist_ok=True)
+    shown = console(progress)
+    data: dict[str, xr.Dataset] = {}
+    begun = lambda: any(path.exists() for path in places.values())
+    with storage.resumable(out, begun, overwrite=overwrite):
+        for name, compute in PARTS.items():
+            own = request | {"part": name}
+            found = storage.find(places[name], own)
+            if found is None:
+                with shown.status(f"{name} ({len(data) + 1} of {len(PARTS)})"):
+                    found = storage.save(compute(size), places[name], own)
+            data[name] = found
+        with shown.status("numbers and figures"):
+            numbers = compared(data)
+            title, images = storage.signature(request), []
+            for one in FIGURES:
+                figure = one.draw(data)
+                for path in pictures(out, one):
+                    figure.savefig(path, dpi=150, metadata={"Title": title})
+                images.append(pictures(out, one)[0].read_bytes())
+        kept = {"signature": title, "numbers": [number._asdict() for number in numbers]}
+        storage.write(out / "numbers.json", json.dumps(kept, indent=1))
+        storage.write(out / "report.html", html(numbers, images, title, quick=quick))
+    return numbers
+
+
+def check_place(out: Path, places: dict[str, Path], request: dict, *, overwrite: bool) -> None:
+    """Refuse a place in which something else would be lost, or that cannot be written to."""
+    storage.writable(out)
+    if not out.exists():
+        return
+    if not out.is_dir():
+        raise storage.Occupied(f"{out} exists and is not a folder", storage.ELSEWHERE.format("out"))
+    storage.writable(out / "data")
+    if (out / "data").exists():
+        for name, path in places.items():
+            storage.find(path, request | {"part": name}, overwrite=overwrite)
+    for path in files_of(out):
+        storage.check_picture(path, request, overwrite=overwrite, argument="out")
+
+
+def files_of(out: Path) -> list[Path]:
+    """What a report consists of, beside its data sets."""
+    figures = [path for one in FIGURES for path in pictures(out, one)]
+    return [*figures, out / "numbers.json", out / "report.html"]
+
+
+def pictures(out: Path, figure: "PaperFigure") -> tuple[Path, Path]:
+    """Where a figure goes, as PNG and as SVG."""
+    return out / f"figure-{figure.number}.png", out / f"figure-{figure.number}.svg"
+
+
+def html(numbers: list[Number], images: list[bytes], signature: str, *, quick: bool) -> str:
+    """The report."""
+    differ = [number for number in numbers if not number.agrees]
+    rows = lambda chosen: [
+        (one.where, one.what, one.printed, one.ours, "✓" if one.agrees else "differs", one.why)
+        for one in chosen
+    ]
+    head = ("section", "number", "printed", "ours", "", "why")
+    size = "with fewer cells and slopes than in full" if quick else "in full"
+    intro = (
+        f"{len(numbers)} numbers of the paper's text and table are compared, at the digits that "
+        f"are printed: {len(numbers) - len(differ)} agree, {len(differ)} differ, and each of these "
+        "has its reason beside it. Computed "
+        f"{size} by walker_jax {version('walker-jax')}. Lengths are in units of the leg, times in "
+        "√(l/g), angles in rad."
+    )
+    blocks = [report.table("What differs", head, rows(differ))]
+    blocks += [
+        report.picture(f"Figure {one.number}. {one.title}", image, one.text)
+        for one, image in zip(FIGURES, images, strict=True)
+    ]
+    blocks.append(report.table("All numbers", head, rows(numbers)))
+    title = "Basin of attraction of the simplest walking model"
+    subtitle = "A. L. Schwab and M. Wisse, ASME DETC2001/VIB-21363 (2001), reproduced"
+    return report.page(title, subtitle, intro, blocks, signature)

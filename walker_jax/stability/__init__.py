@@ -1,0 +1,1 @@
+"""How large a disturbance a gait survives."""

@@ -1,0 +1,79 @@
+"""The fractal dimension of a basin's boundary."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Float, Int
+
+from walker_jax.basins.attractor_search import framed_attractors
+from walker_jax.basins.mapper import follow
+from walker_jax.basins.memory import check_grid
+from walker_jax.basins.refinement import edge
+from walker_jax.checks import check_precision, check_whole, numbers, refuses_tracers
+from walker_jax.fractals import Uncertainty, checked_distances, uncertainty_exponent, upper_end
+from walker_jax.grids import Grid
+from walker_jax.integrators.solvers import default_tolerance
+from walker_jax.walkers.model import Walker
+
+DISTANCES = 10.0 ** np.linspace(-6, -3.5, 11)
+"""Between starts whose fates are compared, as shares of the lengths of a grid's axes."""
+
+
+@refuses_tracers()
+def boundary_dimension(
+    walker: Walker,
+    grid: Grid,
+    *,
+    distances: Sequence[Any] | ArrayLike = DISTANCES,
+    pairs: int = 50_000,
+    strides: int = 200,
+    confidence: float = 0.95,
+    seed: int = 0,
+    tolerance: float | None = None,
+) -> Uncertainty:
+    """The dimension of the boundary of the basins in a region, by the uncertainty exponent.
+
+    A start is uncertain at a distance if a walker that starts that far from it, on either side, in
+    a random direction, comes to another attractor, or to none. Starts are drawn from the cells that
+    have a neighbour of another fate: elsewhere next to none are uncertain.
+
+    **Arguments:**
+
+    - `walker`: as in `basin`.
+    - `grid`: its region is meant, or slice, in cells larger than the distances.
+    - `distances`: as shares of the lengths of the grid's axes.
+    - `pairs`: starts for each distance.
+    - `strides`: how many of them a walker is followed for.
+    - `confidence`, `seed`: of the interval, and of what is drawn.
+    - `tolerance`: of the integration, as in `stride`.
+
+    It is NaN where all cells have one fate. `ValueError` as for `basin` and `uncertainty_exponent`.
+    """
+    check_grid(walker, grid, "direct")
+    check_whole("seed", seed, 0)
+    apart = checked_distances(numbers("distances", distances), pairs)
+    upper_end(confidence)
+    check_whole("strides", strides)
+    dtype = jnp.asarray(0.0).dtype
+    check_precision(dtype, "boundary_dimension, which compares starts 1e-6 apart,")
+    finest = float(default_tolerance(dtype, tolerance))
+    starts, attractors = framed_attractors(walker, grid, finest, strides)
+
+    def label_of(share: Float[np.ndarray, "n axes"]) -> Int[np.ndarray, " n"]:
+        return follow(walker, grid.states(share), attractors, finest, strides).attractor
+
+    shape = np.array(grid.shape)
+    label = follow(walker, starts, attractors, finest, strides).attractor.reshape(grid.shape)
+    on_edge = np.argwhere(edge(label))
+    if len(on_edge) == 0:
+        return Uncertainty(np.nan, np.nan, np.nan, np.nan, np.zeros(0), np.zeros(0))
+
+    def draw(rng: np.random.Generator, n: int) -> Float[np.ndarray, "n axes"]:
+        return (rng.choice(on_edge, n) + rng.uniform(size=(n, len(shape)))) / shape
+
+    return uncertainty_exponent(
+        label_of, draw, apart, pairs=pairs, seed=seed, confidence=confidence
+    )

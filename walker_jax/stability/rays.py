@@ -1,0 +1,225 @@
+"""The nearest failure along rays from a state."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from walker_jax.checks import ComputationFailed
+
+RAYS, RADII = 720, 128
+"""Directions, of two dimensions, and distances along each, at which a walker is first tried."""
+
+
+DENSE, SHELL = 16, 64
+"""How many times as many directions are then tried, at how many distances up to the least found."""
+
+
+KEPT = 0.01
+"""By how much, relatively, a failure may be farther than the nearest for its ray to be kept."""
+
+
+ARC, CLOSER = 2000, 16
+"""Directions, of those kept, about which more are tried, and how many about each."""
+
+
+FAN = 61
+"""Directions that are tried at once around one of the nearest."""
+
+
+CANDIDATES = 128
+"""Directions that are nearer than their neighbours, of which as many are looked at more closely."""
+
+
+ZOOMS = 3
+"""How often fans are made narrower."""
+
+
+POLISHES = 4
+"""Searches along the boundary's gradient that follow."""
+
+
+ALONG = 2.0 ** np.arange(-6, 3)
+"""Parts of the way, to where the boundary would be nearest if it were flat, that each tries."""
+
+
+LAST = 512
+"""Distances at which it is made sure that nothing nearer fails in the direction found."""
+
+
+HALVINGS = 12, 34
+"""Of the distance between two points tried on a ray: to tell rays apart, and in the end."""
+
+
+def nearest_failure(
+    fails: Callable[[Float[np.ndarray, "n size"]], Bool[np.ndarray, " n"]],
+    basis: Float[np.ndarray, "rank size"],
+    gradient: Callable[[Float[np.ndarray, "n size"]], Float[np.ndarray, "n size"]],
+) -> Float[np.ndarray, " size"]:
+    """The shortest vector in the span of a basis, of unit vectors at right angles, that fails.
+
+    The origin does not. `gradient`, at points that fail just beyond the boundary, is at right
+    angles to it, or NaN. `ComputationFailed` where nothing fails.
+    """
+    rank = len(basis)
+    rays = directions(rank, RAYS)
+    first = scanned(fails, rays @ basis, RADII)
+    # Closer rays, then closer distances too: between those a nearer failure may have been missed.
+    # A finger that was met may be missed by the next distances: then what was known is kept.
+    dense = directions(rank, DENSE * RAYS)
+    near = nearest_of(fails, dense, basis, 0.0, 1.01 * first.min(), SHELL)
+    rays, first = near if near[1].size else (rays[np.isfinite(first)], first[np.isfinite(first)])
+    near = nearest_of(fails, dense, basis, 0.9 * first.min(), 1.01 * first.min(), SHELL)
+    rays, first = near if near[1].size else (rays, first)
+    width = spacing(rank, DENSE * RAYS)
+    if rank > 1:  # and more of them wherever the boundary is about as near
+        arc = np.concatenate([fan(ray, width, CLOSER) for ray in rays[first.argsort()[:ARC]]])
+        near = nearest_of(fails, arc, basis, 0.98 * first.min(), 1.003 * first.min(), 32)
+        rays, first = near if near[1].size else (rays, first)
+    width = 4 * width / CLOSER
+    lowest_ones = lowest(rays, first, width)
+    best, lengths = rays[lowest_ones], first[lowest_ones]
+    for _ in range(ZOOMS if rank > 1 else 0):
+        fans = np.concatenate([fan(ray, width, FAN) for ray in best])
+        # The nearest failures of a fan lie a little before those of the wider one.
+        least = lengths.min()
+        rays, first = nearest_of(fails, fans, basis, 0.95 * least, 1.01 * least, 24)
+        if first.size:
+            lowest_ones = lowest(rays, first, width)
+            best, lengths = rays[lowest_ones], first[lowest_ones]
+        width *= 0.25
+
+    gap = 1e-3 * lengths.min()
+    closer = first_failures(fails, best @ basis, lengths.min() - gap, lengths.min() + gap, 8)
+    closer = halved(fails, best @ basis, closer, gap / 4, HALVINGS[1])
+    lengths = np.minimum(lengths, closer)
+    for _ in range(POLISHES if rank > 1 else 0):
+        with np.errstate(invalid="ignore", divide="ignore"):  # where there is no gradient
+            normal = gradient(lengths[:, None] * best @ basis) @ basis.T
+            along = normal / np.sum(normal * best, axis=1, keepdims=True) - best
+        tried = best[:, None] + np.concatenate([[0.0], ALONG])[:, None] * along[:, None]
+        tried = np.where(np.isfinite(tried), tried, best[:, None])
+        tried /= np.linalg.norm(tried, axis=2, keepdims=True)
+        flat, least = tried.reshape(-1, rank) @ basis, lengths.min()
+        reached = first_failures(fails, flat, least - gap, least + gap, 8)
+        reached = halved(fails, flat, reached, gap / 4, HALVINGS[1]).reshape(tried.shape[:2])
+        reached[:, 0] = np.minimum(reached[:, 0], lengths)  # that ray is the best one so far
+        best, lengths = tried[np.arange(len(best)), reached.argmin(axis=1)], reached.min(axis=1)
+    least = lengths.min()
+    ray = best[lengths.argmin()][None]
+    while True:  # the first failure on its ray
+        first = first_failures(fails, ray @ basis, 0.0, (1 - 1e-9) * least, LAST)
+        if np.isinf(first[0]):
+            return least * ray[0] @ basis
+        least = halved(fails, ray @ basis, first, least / LAST, HALVINGS[1])[0]
+
+
+def scanned(
+    fails: Callable, rays: Float[np.ndarray, "n size"], count: int
+) -> Float[np.ndarray, " n"]:
+    """The first failure along each ray, up to where the nearest is between 1/4 and all of the way.
+
+    `ComputationFailed` where nothing fails up to a length of a thousand.
+    """
+    reach = 0.1
+    while True:
+        first = first_failures(fails, rays, 0.0, reach, count)
+        if np.isinf(first).all():
+            if reach > 1e3:
+                raise ComputationFailed(
+                    "no failure found: the walker returns to its gait from all disturbances tried, "
+                    f"of a size up to {reach:g}"
+                )
+            reach *= 4
+        elif first.min() < reach / 4:
+            reach = 2 * first.min()
+        else:
+            return first
+
+
+def nearest_of(
+    fails: Callable, rays: np.ndarray, basis: np.ndarray, low: float, high: float, count: int
+) -> tuple[Float[np.ndarray, "n rank"], Float[np.ndarray, " n"]]:
+    """Those of some rays along which the first failure is among the nearest, and its distance."""
+    while True:
+        gap = (high - low) / count
+        first = first_failures(fails, rays @ basis, low, high, count)
+        if low == 0 or first.min() > low + 1.5 * gap:
+            break
+        low, high = max(0.0, low - count * gap), low + gap  # there may be nearer ones
+    near = first < max(first.min() + 1.5 * gap, (1 + KEPT) * first.min())
+    return rays[near], halved(fails, rays[near] @ basis, first[near], gap, HALVINGS[0])
+
+
+def first_failures(
+    fails: Callable, rays: Float[np.ndarray, "n size"], low: Any, high: Any, count: int
+) -> Float[np.ndarray, " n"]:
+    """The first of some distances along each ray that fails; infinite where none does."""
+    distances = np.linspace(low, high, count + 1)[1:]
+    points = distances[:, None] * rays[:, None]
+    failed = fails(points.reshape(-1, rays.shape[1])).reshape(len(rays), count)
+    return np.where(failed.any(axis=1), distances[failed.argmax(axis=1)], np.inf)
+
+
+def halved(
+    fails: Callable,
+    rays: Float[np.ndarray, "n size"],
+    high: Float[np.ndarray, " n"],
+    gap: float,
+    times: int,
+) -> Float[np.ndarray, " n"]:
+    """Distances that fail, `gap` beyond ones that do not, brought down by halving."""
+    known = np.isfinite(high)
+    below, above = high[known] - gap, high[known]
+    for _ in range(times):
+        middle = (below + above) / 2
+        failed = fails(middle[:, None] * rays[known])
+        below, above = np.where(failed, below, middle), np.where(failed, middle, above)
+    result = np.full(len(high), np.inf)
+    result[known] = above
+    return result
+
+
+def directions(rank: int, count: int) -> Float[np.ndarray, "n rank"]:
+    """Unit vectors, evenly spread, in three dimensions four times as many as in two."""
+    if rank == 1:
+        return np.array([[1.0], [-1.0]])
+    if rank == 2:
+        angles = 2 * np.pi * np.arange(count) / count
+        return np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    # a spiral of equal steps in height on a sphere, turned by the golden angle
+    count *= 4
+    height = 1 - (2 * np.arange(count) + 1) / count
+    angles, radius = np.pi * (3 - np.sqrt(5)) * np.arange(count), np.sqrt(1 - height**2)
+    return np.stack([radius * np.cos(angles), radius * np.sin(angles), height], axis=1)
+
+
+def spacing(rank: int, count: int) -> float:
+    """The angle between neighbours among them."""
+    return 2 * np.pi / count if rank == 2 else float(np.sqrt(np.pi / count))
+
+
+def fan(
+    direction: Float[np.ndarray, " rank"], width: float, count: int
+) -> Float[np.ndarray, "n rank"]:
+    """Unit vectors within an angle of one, which is the first of them."""
+    across = np.linalg.svd(direction[None])[2][1:]
+    if len(across) == 1:
+        offsets = np.linspace(-1, 1, count - 1)[:, None]
+    else:
+        angles = np.pi * (3 - np.sqrt(5)) * np.arange(count - 1)
+        radius = np.sqrt((np.arange(count - 1) + 0.5) / (count - 1))
+        offsets = radius[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    rays = np.concatenate([direction[None], direction + width * offsets @ across])
+    return rays / np.linalg.norm(rays, axis=1, keepdims=True)
+
+
+def lowest(
+    rays: Float[np.ndarray, "n rank"], lengths: Float[np.ndarray, " n"], angle: float
+) -> Int[np.ndarray, " m"]:
+    """Those of unit vectors that have a least length within an angle, the shortest first."""
+    order = lengths.argsort()
+    beside = rays[order] @ rays[order].T > np.cos(angle)
+    shorter = np.tril(beside, -1).any(axis=1)
+    return order[~shorter][:CANDIDATES]

@@ -1,0 +1,148 @@
+"""Basin stability: the share of disturbances, drawn at random, that a gait survives."""
+
+from collections.abc import Sequence
+from statistics import NormalDist
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Float, Int
+
+from walker_jax.basins.memory import check_grid
+from walker_jax.checks import WrongUse, check_number, check_whole, is_number, refuses_tracers, short
+from walker_jax.execution.tiles import map_cells
+from walker_jax.gaits.cycles import Gait
+from walker_jax.gaits.search import find_gait
+from walker_jax.grids import Grid
+from walker_jax.stability.walks import end_of_walk, metric, returning
+from walker_jax.walkers.model import Walker
+from walker_jax.walking.iteration import check_parameters
+from walker_jax.walking.outcomes import Outcome
+
+
+class BasinStability(NamedTuple):
+    """The fraction of disturbances that a gait survives (Menck and others 2013)."""
+
+    value: Float[np.ndarray, "*walkers"]
+    """The fraction of the starts from which the walker comes back to its gait."""
+    low: Float[np.ndarray, "*walkers"]
+    high: Float[np.ndarray, "*walkers"]
+    """Wilson's confidence interval."""
+    fates: Int[np.ndarray, "*walkers outcomes"]
+    """Starts by the `Outcome` of their last stride; of those with `STRIDE`, `elsewhere` did not
+    come back, but still walk."""
+    elsewhere: Int[np.ndarray, "*walkers"]
+    median: Float[np.ndarray, "*walkers"]
+    """Strides to within a distance of the gait, of half of those that come back."""
+    slowest: Float[np.ndarray, "*walkers"]
+    """And of 95 of 100; infinite where they have not come that close, NaN where none come back."""
+
+
+@refuses_tracers()
+def basin_stability(
+    walker: Walker,
+    disturbances: float | Grid,
+    gait: Gait | None = None,
+    *,
+    scale: Sequence[Any] | ArrayLike | None = None,
+    along: Sequence[Any] | ArrayLike | None = None,
+    within: float = 1e-6,
+    samples: int = 10_000,
+    strides: int = 500,
+    confidence: float = 0.95,
+    seed: int = 0,
+    tolerance: float | None = None,
+) -> BasinStability:
+    """The fraction of random disturbances from which a walker comes back to its gait, and how soon.
+
+    **Arguments:**
+
+    - `walker`: its parameters are numbers, or arrays of n, as in `strides`; then the results are
+      arrays of n, and NaN where there is no stable gait.
+    - `disturbances`: the greatest length of disturbances of the gait's first state, of which all
+      are as likely, in the metric of `least_disturbance` with `scale` and `along`; or a grid, in
+      whose region of the section starts are as likely anywhere.
+    - `gait`: a stable one, of one walker; the most stable of period one, by default.
+    - `within`: distance of a state of the gait, in every coordinate, to which strides are counted.
+    - `samples`: starts for each walker, the same disturbances for all.
+    - `strides`: how many of them a walker may take to come so close to its gait, if not within
+      that distance, that all walkers come to it from there.
+    - `confidence`: of the interval.
+    - `seed`: of what is drawn.
+    - `tolerance`: of the integration, as in `stride`.
+
+    `ValueError` for a single walker without a stable gait, and for arguments out of range.
+    """
+    unit, basis = metric(walker, scale, along)
+    if isinstance(disturbances, Grid):
+        check_grid(walker, disturbances, "direct")
+        if scale is not None or along is not None:
+            raise WrongUse("scale and along are of no use where disturbances is a grid")
+    elif not is_number(disturbances) or not 0 < disturbances < np.inf:
+        raise WrongUse(
+            f"disturbances must be a positive number, or a grid, not {short(disturbances)}"
+        )
+    check_number("within", within)
+    check_number("confidence", confidence)
+    if not within > 0:
+        raise WrongUse(f"within must be positive, not {within}")
+    check_whole("samples", samples)
+    check_whole("seed", seed, 0)
+    if not 0 < confidence < 1:
+        raise WrongUse(f"confidence must be between 0 and 1, not {confidence}")
+    counts = {np.size(leaf) for leaf in jax.tree.leaves(walker) if np.ndim(leaf)}
+    if counts and gait is not None:
+        raise WrongUse("gait must be left out for walkers with arrays for parameters")
+    if counts:
+        check_parameters(walker, max(counts))
+    if 0 in counts:
+        raise WrongUse("walker must be one or more, and its parameters are arrays of none")
+    rng = np.random.default_rng(seed)
+    if isinstance(disturbances, Grid):
+        starts = disturbances.states(rng.uniform(size=(samples, len(disturbances.names))))
+        about = lambda state: starts
+    else:
+        inside = in_ball(rng, samples, len(basis)) @ basis * unit * disturbances
+        about = lambda state: state + inside
+
+    def one(walker: Walker, gait: Gait | None) -> tuple:
+        states, shared = returning(walker, gait, strides, tolerance)
+        starts = about(states[0]).astype(states.dtype)
+        found = map_cells(end_of_walk, (shared, starts))
+        fates = np.bincount(found.outcome, minlength=len(Outcome))
+        elsewhere = np.count_nonzero((found.outcome == Outcome.STRIDE) & ~found.back)
+        cubes = np.broadcast_to(np.eye(states.shape[1]) / within, shared[3].shape)
+        closer = map_cells(
+            end_of_walk, ((*shared[:3], cubes.astype(states.dtype), shared[4]), starts[found.back])
+        )
+        made = np.where(closer.back, closer.strides, np.inf)
+        back = len(made)
+        late = np.percentile(made, (50, 95), method="inverted_cdf") if back else (np.nan, np.nan)
+        return back / samples, *wilson(back, samples, confidence), fates, elsewhere, *late
+
+    if not counts:
+        return BasinStability(*map(np.asarray, one(walker, gait)))
+    rows = []
+    for i in range(max(counts)):
+        single = jax.tree.map(lambda leaf, i=i: leaf[i] if np.ndim(leaf) else leaf, walker)
+        gait = find_gait(single)
+        if gait.found and gait.stable:
+            rows.append(one(single, gait))
+        else:
+            rows.append((np.nan, np.nan, np.nan, np.zeros(len(Outcome), int), 0, np.nan, np.nan))
+    return BasinStability(*map(np.array, zip(*rows, strict=True)))
+
+
+def in_ball(rng: np.random.Generator, n: int, rank: int) -> Float[np.ndarray, "n rank"]:
+    """Points of the unit ball, all as likely."""
+    x = rng.normal(size=(n, rank))
+    radius = rng.uniform(size=(n, 1)) ** (1 / rank)
+    return radius * x / np.linalg.norm(x, axis=1, keepdims=True)
+
+
+def wilson(successes: int, n: int, confidence: float) -> tuple[float, float]:
+    """Wilson's interval for a probability, from a number of successes of n."""
+    z = NormalDist().inv_cdf((1 + confidence) / 2)
+    centre, spread = successes + z**2 / 2, z * np.sqrt(successes * (1 - successes / n) + z**2 / 4)
+    return float((centre - spread) / (n + z**2)), float((centre + spread) / (n + z**2))

@@ -1,0 +1,72 @@
+"""The least step down in the ground that a gait does not survive."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from walker_jax.checks import refuses_tracers
+from walker_jax.execution.tiles import map_cells
+from walker_jax.gaits.cycles import Gait
+from walker_jax.stability.disturbances import BEYOND
+from walker_jax.stability.rays import HALVINGS, first_failures, halved, scanned
+from walker_jax.stability.walks import end_after_step, returning, which_walks
+from walker_jax.walkers.model import Walker
+from walker_jax.walking.outcomes import Outcome
+from walker_jax.walking.stepping import step_down
+
+HEIGHTS = 4096
+"""Heights of a step down, up to the least found."""
+
+
+class LeastStepDown(NamedTuple):
+    """The least step down from which a walker does not come back to its gait, or falls."""
+
+    size: float
+    """Its height, at right angles to the slope, in the unit of length."""
+    state: Float[np.ndarray, " 4"]
+    """(theta, phi, thetadot, phidot) just after heel strike on the lower ground; NaN if none."""
+    phase: int
+    """The state of the gait from which the stride begins that ends there."""
+    failure: Outcome
+    """How the walker fails from just beyond it; `STRIDE` where it comes to another motion."""
+    strides: int
+    """Strides before that, the one down included, the failing one not."""
+
+
+@refuses_tracers()
+def least_step_down(
+    walker: Walker,
+    gait: Gait | None = None,
+    *,
+    fall: bool = False,
+    strides: int = 500,
+    tolerance: float | None = None,
+) -> LeastStepDown:
+    """The least height of a step down from which a walker does not return to its gait, or falls.
+
+    One heel strike is on ground that is lower (`step_down`), and so are all that follow. Arguments
+    and errors are those of `least_disturbance`. Heights are tried at some 4096 places up to the
+    least: failures in narrower ranges may be missed.
+    """
+    lost = which_walks(fall)
+    states, shared = returning(walker, gait, strides, tolerance)
+
+    def end(state, heights):
+        starts = np.broadcast_to(state, (len(heights), len(state)))
+        return map_cells(end_after_step, (shared, (starts, heights.astype(states.dtype))))
+
+    up = np.ones((1, 1))
+    found = []
+    for state in states:
+        fails = lambda heights, state=state: lost(end(state, heights[:, 0]))
+        reach = scanned(fails, up, HEIGHTS)[0]
+        first = first_failures(fails, up, 0.0, reach, HEIGHTS)
+        found.append(halved(fails, up, first, reach / HEIGHTS, HALVINGS[1])[0])
+    phase = int(np.argmin(found))
+    height = float(found[phase])
+    beyond = end(states[phase], BEYOND * height)
+    first = int(lost(beyond).argmax())
+    failure, made = Outcome(int(beyond.outcome[first])), int(beyond.strides[first])
+    down = step_down(walker, states[phase], height, tolerance=tolerance)
+    return LeastStepDown(height, np.asarray(down.state), phase, failure, made)

@@ -1,0 +1,224 @@
+"""All measures of robustness of a gait, and their table over a parameter."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+from jax.typing import ArrayLike
+from jaxtyping import Float
+
+from walker_jax.basins.refinement import refine
+from walker_jax.checks import WrongUse, check_kind, check_precision, numbers, refuses_tracers
+from walker_jax.execution.progress import tracked
+from walker_jax.gaits.search import find_gait
+from walker_jax.grids import Grid, around
+from walker_jax.stability.dimension import boundary_dimension
+from walker_jax.stability.disturbances import least_disturbance
+from walker_jax.stability.sampling import basin_stability
+from walker_jax.stability.steps_down import least_step_down
+from walker_jax.walkers.model import Walker, moves_like
+from walker_jax.walkers.parameters import check_parameter, with_parameter
+from walker_jax.walkers.point_feet import PointFeetWalker
+from walker_jax.walkers.simplest import SimplestWalker
+from walker_jax.walking.outcomes import Outcome
+
+
+@refuses_tracers()
+def robustness(
+    walker: Walker,
+    grid: Grid | None = None,
+    *,
+    levels: int = 4,
+    check: int = 500_000,
+    disturbances: float = 0.1,
+    strides: int = 500,
+    seed: int = 0,
+    tolerance: float | None = None,
+) -> xr.Dataset:
+    """How robust a walker's gait is: basin, least disturbance, basin stability, boundary.
+
+    **Arguments:**
+
+    - `walker`: as in `basin`.
+    - `grid`: what `refine` and `boundary_dimension` begin with; by default all feasible angles of a
+      walker on point feet, sum from -0.12 to 0.06 (-1.1 to 0.1 but for the simplest), and a slice
+      around the gait of any other.
+    - `levels`, `check`: of refinement.
+    - `disturbances`: for `basin_stability`, shares of the coordinates of the gait's own state.
+    - `strides`: how many of them a walker may take to come back.
+    - `seed`, `tolerance`: of what is drawn, and of the integration.
+
+    **Returns** what `refine` does, and of the gait, the attractor of the largest basin:
+    `gait_period`, `gait_state` (that from which the least disturbance is), `multiplier` (the
+    largest modulus), `step_time` (the mean); of the point that `least_disturbance` finds,
+    `least_disturbance`, `direction`, `failing_state`, `failure` (-1 for none) and
+    `failing_strides`; of the one that it finds with `fall`, which is the same unless the first
+    leads to another motion, `least_fall`, `fall_direction`, `fall_state`, `fall_failure` and
+    `fall_strides`; `step_down` and `step_down_failure`, and `step_down_fall`, the least one from
+    which the walker falls; `stability`, with `_low` and `_high`, `median_strides` and
+    `slowest_strides`; `dimension`, with `_low` and `_high`, of the boundary. NaN, or -1, where no
+    gait attracts.
+
+    `ValueError` as for `refine`, and for a walker that a grid is wanted for: without it, no gait of
+    period one is found.
+    """
+    check_kind("walker", walker, Walker)
+    check_precision(jnp.asarray(0.0).dtype, "robustness, which has the dimension of a boundary,")
+    grid = default_region(walker) if grid is None else grid
+    if grid is None:
+        raise WrongUse("grid is wanted where no gait of period one is found")
+    options: Any = {"check": check, "strides": strides, "seed": seed, "tolerance": tolerance}
+    data = refine(walker, grid, levels, **options)
+    data.attrs["disturbances"] = disturbances
+    cells = data["cells"].values * (data["period"].values > 0)
+    if cells.sum() == 0:
+        return data.assign(without_gait(walker))
+    largest = int(cells.argmax())
+    period = int(data["period"][largest])
+    gait = find_gait(walker, data["states"].values[largest, :period], period)
+    if not (gait.found and gait.stable):
+        return data.assign(without_gait(walker))
+    least = least_disturbance(walker, gait, strides=strides, tolerance=tolerance)
+    down = least_step_down(walker, gait, strides=strides, tolerance=tolerance)
+    fall, fall_down = least, down
+    unknown = (Outcome.STRIDE, Outcome.UNDECIDED)
+    if least.failure in unknown:
+        fall = least_disturbance(walker, gait, fall=True, strides=strides, tolerance=tolerance)
+    if down.failure in unknown:
+        fall_down = least_step_down(walker, gait, fall=True, strides=strides, tolerance=tolerance)
+    gait = gait._replace(states=np.roll(np.asarray(gait.states), -least.phase, axis=0))
+    stability = basin_stability(
+        walker,
+        disturbances,
+        gait,
+        scale=np.abs(np.asarray(gait.states[0])),
+        strides=strides,
+        seed=seed,
+        tolerance=tolerance,
+    )
+    boundary = boundary_dimension(walker, grid, strides=strides, seed=seed, tolerance=tolerance)
+    return data.assign(
+        {
+            "gait_period": period,
+            "gait_state": ("coordinate", np.asarray(gait.states[0])),
+            "multiplier": float(np.abs(gait.multipliers[0])),
+            "step_time": float(np.mean(gait.step_times)),
+            "least_disturbance": least.size,
+            "direction": ("coordinate", least.direction),
+            "failing_state": ("coordinate", least.state),
+            "failure": int(least.failure),
+            "failing_strides": least.strides,
+            "least_fall": fall.size,
+            "fall_direction": ("coordinate", fall.direction),
+            "fall_state": ("coordinate", fall.state),
+            "fall_failure": int(fall.failure),
+            "fall_strides": fall.strides,
+            "step_down": down.size,
+            "step_down_failure": int(down.failure),
+            "step_down_fall": fall_down.size,
+            "stability": float(stability.value),
+            "stability_low": float(stability.low),
+            "stability_high": float(stability.high),
+            "median_strides": float(stability.median),
+            "slowest_strides": float(stability.slowest),
+            "dimension": boundary.value,
+            "dimension_low": boundary.low,
+            "dimension_high": boundary.high,
+        }
+    )
+
+
+def without_gait(walker: Walker) -> dict:
+    """What `robustness` adds where no gait attracts."""
+    names = (
+        *("multiplier", "step_time", "least_disturbance", "least_fall"),
+        *("step_down", "step_down_fall"),
+        *("stability", "stability_low", "stability_high", "median_strides", "slowest_strides"),
+        *("dimension", "dimension_low", "dimension_high"),
+    )
+    nowhere = "coordinate", np.full(len(walker.section), np.nan)
+    vectors = ("gait_state", "direction", "failing_state", "fall_direction", "fall_state")
+    vectors = dict.fromkeys(vectors, nowhere)
+    none = ("failure", "failing_strides", "fall_failure", "fall_strides", "step_down_failure")
+    whole = {"gait_period": 0} | dict.fromkeys(none, -1)
+    return dict.fromkeys(names, np.nan) | vectors | whole
+
+
+@refuses_tracers()
+def robustness_table(
+    walker: Walker,
+    values: Sequence[Any] | ArrayLike,
+    parameter: str = "slope",
+    grid: Grid | None = None,
+    *,
+    levels: int = 4,
+    check: int = 500_000,
+    disturbances: float = 0.1,
+    strides: int = 500,
+    seed: int = 0,
+    tolerance: float | None = None,
+    progress: bool = False,
+) -> xr.Dataset:
+    """`robustness` over values of a parameter: all that is not of single cells or attractors.
+
+    Without a grid, the slices of walkers with mass on their legs are around the gait of each.
+    Arguments are those of `robustness`; `progress` shows a bar on a terminal. `ValueError` also for
+    values that the walker refuses.
+    """
+    values = numbers("values", values)
+    if values.ndim != 1 or len(values) == 0:
+        raise WrongUse(f"values must be one row of numbers, not of shape {values.shape}")
+    check_parameter(walker, parameter, *map(float, values))
+    check_precision(jnp.asarray(0.0).dtype, "robustness_table, as robustness does,")
+    rows = []
+    for value in tracked(values, parameter, progress):
+        there = with_parameter(walker, parameter, float(value))
+        region = default_region(there) if grid is None else grid
+        if region is None:
+            unknown = dict.fromkeys(("total_area", "total_area_error"), np.nan)
+            rows.append(xr.Dataset(unknown | without_gait(there)))
+            continue
+        one = robustness(
+            there,
+            region,
+            levels=levels,
+            check=check,
+            disturbances=disturbances,
+            strides=strides,
+            seed=seed,
+            tolerance=tolerance,
+        )
+        rows.append(one[[name for name in one if set(one[name].dims) <= {"coordinate"}]])
+    about = {"walker": type(walker).__name__, "disturbances": disturbances}
+    return joined(rows, values, parameter).assign_attrs(about | common(rows, parameter))
+
+
+def joined(rows: list[xr.Dataset], values: Float[np.ndarray, " n"], parameter: str) -> xr.Dataset:
+    """One table of rows. What a row lacks, of a walker without a gait, is NaN."""
+    where = xr.DataArray(values, dims=parameter, name=parameter)
+    plain = [row.reset_coords().drop_attrs() for row in rows]
+    return xr.concat(
+        plain, where, data_vars="all", coords="minimal", compat="override", join="outer"
+    )
+
+
+def common(rows: list[xr.Dataset], parameter: str) -> dict[str, Any]:
+    """The attributes that rows have, but those of a row's own."""
+    own = ("area", f"walker_{parameter}")
+    return {name: value for row in rows for name, value in row.attrs.items() if name not in own}
+
+
+def default_region(walker: Walker) -> Grid | None:
+    """All feasible angles of a walker on point feet, or a slice around a gait, if there is one.
+
+    The rates are those of the simplest walker's basins, and more for others.
+    """
+    if isinstance(walker, PointFeetWalker):
+        rates = (-0.12, 0.06, 200) if moves_like(walker, SimplestWalker) else (-1.1, 0.1, 800)
+        return Grid.sheared(theta=(0, np.pi / 4, 200), sum=rates)
+    gait = find_gait(walker)
+    if not gait.found:
+        return None
+    return Grid.sheared(**around(gait.states[0], ("theta", "sum", "phidot")))

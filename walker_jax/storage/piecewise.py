@@ -1,0 +1,219 @@
+"""Results written piece by piece, and resumed.
+
+Such a data set carries an attribute `unfinished` until all of it is there; the same request goes on
+with it. Each piece is a chunk of every array, and counts as written once its entry in the array
+`written` is 1, which comes last.
+"""
+
+import json
+import math
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from walker_jax.storage.places import (
+    ELSEWHERE,
+    RESUME,
+    Occupied,
+    followed,
+    group_at,
+    held,
+    put,
+    tidy,
+    writable,
+)
+from walker_jax.storage.requests import canonical, check_request
+
+if TYPE_CHECKING:
+    import xarray  # which takes half a second to load, and commands without a data set need not
+
+
+@contextmanager
+def resumable(
+    path: Path, begun: Callable[[], bool] = lambda: True, *, overwrite: bool = False
+) -> Iterator[None]:
+    """What interrupts the work within carries a note that the same again resumes from `path`.
+
+    `begun` is whether anything is there to resume from, `overwrite` whether that was given.
+    """
+    try:
+        yield
+    except Exception:
+        raise
+    except BaseException as interruption:
+        if begun():
+            how = ", without overwrite," if overwrite else ""
+            interruption.add_note(f"{RESUME}{how} to resume from {path}")
+        raise
+
+
+class Pieces(NamedTuple):
+    """A data set on disk whose arrays are written by pieces, blocks of their first axes."""
+
+    path: Path
+    folder: Path
+    """Beside it."""
+    group: Any
+    shape: tuple[int, ...]
+    """Of the axes that are cut."""
+    block: tuple[int, ...]
+    """How much of each is in a piece; less in the last ones."""
+    notes: Any
+    """What was noted when it was begun."""
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """How many pieces there are along each axis."""
+        return pieces_along(self.shape, self.block)
+
+    @property
+    def count(self) -> int:
+        """How many pieces there are."""
+        return math.prod(self.counts)
+
+    def place(self, piece: int) -> tuple[int, ...]:
+        """Which piece along each axis it is."""
+        return tuple(int(i) for i in np.unravel_index(piece, self.counts))
+
+    def at(self, piece: int) -> tuple[slice, ...]:
+        """Its part of the arrays."""
+        ends = zip(self.place(piece), self.block, self.shape, strict=True)
+        return tuple(slice(i * size, min((i + 1) * size, whole)) for i, size, whole in ends)
+
+    def missing(self) -> list[int]:
+        """Pieces that are not written yet."""
+        return np.flatnonzero(self.array("written")[...] == 0).tolist()
+
+    def array(self, name: str) -> Any:
+        """One of the arrays; all its chunks are written, so that it is known which are missing."""
+        return self.group[name].with_config({"write_empty_chunks": True})
+
+    def read(self, name: str, piece: int) -> np.ndarray:
+        """What an array holds of a piece."""
+        return np.asarray(self.array(name)[self.at(piece)])
+
+    def write(self, piece: int, values: Mapping[str, Any], *, done: bool = False) -> None:
+        """Write a piece's parts of some arrays; the piece is written if these are all, `done`."""
+        at, place = self.at(piece), self.place(piece)
+        for name, value in values.items():
+            array = self.array(name)
+            part = [one.stop - one.start for one in at]
+            array[at] = np.reshape(value, (*part, *array.shape[len(at) :]))
+            chunk = *place, *[0] * (array.ndim - len(place))
+            flush(self.path / name / array.metadata.encode_chunk_key(chunk))
+        if done:
+            self.array("written")[place] = 1
+
+    def finish(self, data: "xarray.Dataset") -> None:
+        """Add what is found at the end, and remove the arrays that were of use on the way."""
+        attributes = dict(self.group.attrs)
+        data.assign_attrs(attributes).to_zarr(
+            self.path, mode="a", consolidated=False, write_empty_chunks=True
+        )
+        final = data.attrs | {"request": attributes["request"]}
+        group_at(self.path, "r+").attrs.put(final)  # in one go: the data set is whole
+        tidy(self.path, self.folder)
+
+
+@contextmanager
+def pieces(
+    path: Path,
+    request: dict,
+    data: "xarray.Dataset",
+    arrays: "Mapping[str, xarray.Variable]",
+    block: tuple[int, ...],
+    notes: Callable[[], Any],
+    *,
+    aside: Sequence[str] = (),
+    overwrite: bool = False,
+) -> Iterator[Pieces]:
+    """A data set to be written piece by piece, begun, or gone on with where it is unfinished.
+
+    **Arguments:**
+
+    - `request`: by which it is known again.
+    - `data`: what there is besides the arrays, from the beginning.
+    - `arrays`: each the shape, and everywhere the value that it has where nothing is written yet.
+      Their first axes, the same in all, are cut into pieces.
+    - `block`: how much of each of these axes is in a piece; of one gone on with, as before.
+    - `notes`: called once, when it is begun; what it returns, in terms of JSON, is kept until the
+      end.
+    - `aside`: arrays that are of use on the way only.
+    - `overwrite`: whether to begin anew, in the place of what stands there.
+
+    Nobody else writes to it meanwhile: raises `Occupied` where another process does, or something
+    else stands there, and `ValueError` where nothing can be written.
+    """
+    path = followed(path)
+    writable(path)
+    with held(path) as folder:
+        if overwrite or not path.exists():
+            kept = {"request": canonical(request), "unfinished": 1, "notes": json.dumps(notes())}
+            begin(folder / "new", data.assign_attrs(kept), arrays, block, aside)
+            put(folder, path)
+        try:
+            group = group_at(path, "r+")
+        except Exception as error:  # whatever is wrong with a foreign or damaged store
+            raise Occupied(
+                f"{path} exists and is not a data set", ELSEWHERE.format("out")
+            ) from error
+        check_request(path, group.attrs, request)
+        if not group.attrs.get("unfinished"):
+            raise Occupied(f"{path} has just been finished by another run: ask again to have it")
+        name, array = next(iter(arrays.items()))
+        shape, block = array.shape[: len(block)], group[name].chunks[: len(block)]
+        with resumable(path, overwrite=overwrite):
+            yield Pieces(path, folder, group, shape, block, json.loads(str(group.attrs["notes"])))
+
+
+def begin(
+    path: Path,
+    data: "xarray.Dataset",
+    arrays: "Mapping[str, xarray.Variable]",
+    block: tuple[int, ...],
+    aside: Sequence[str],
+) -> None:
+    """Make a store of pieces, none of them written."""
+    data.to_zarr(path, consolidated=False, write_empty_chunks=True)
+    group = group_at(path, "r+")
+    for name, array in arrays.items():
+        group.create_array(
+            name,
+            shape=array.shape,
+            chunks=(*map(min, block, array.shape), *array.shape[len(block) :]),
+            dtype=array.dtype,
+            fill_value=array.values.flat[0],
+            dimension_names=[str(dim) for dim in array.dims],
+            attributes=dict(array.attrs),
+        )
+    count = pieces_along(next(iter(arrays.values())).shape, block)
+    group.create_array(
+        "written",
+        shape=count,
+        chunks=(1,) * len(count),
+        dtype="int8",
+        dimension_names=[f"piece{i}" for i in range(len(count))],
+        attributes={"aside": list(aside)},
+    )
+
+
+def pieces_along(shape: Sequence[int], block: Sequence[int]) -> tuple[int, ...]:
+    """How many blocks there are along each of the first axes of a shape."""
+    return tuple(-(-whole // size) for whole, size in zip(shape, block, strict=False))
+
+
+def flush(file: Path) -> None:
+    """Make sure that a file is on the disk, whatever happens next."""
+    for place in (file, file.parent):
+        try:
+            number = os.open(place, os.O_RDONLY if place.is_dir() else os.O_RDWR)
+        except PermissionError:  # folders cannot be opened on Windows
+            continue
+        try:
+            os.fsync(number)
+        finally:
+            os.close(number)

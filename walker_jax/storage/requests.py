@@ -1,0 +1,56 @@
+"""What was asked for, in words that are compared: the attribute `request` of a data set."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+from walker_jax.storage.places import REPLACE, Occupied, writable
+
+
+def check_request(path: Path, attributes: Mapping, request: dict) -> None:
+    """Raises `Occupied` for the attributes of another result, and says what is other."""
+    there = attributes.get("request")
+    if there == canonical(request):
+        return
+    try:
+        other = differences(json.loads(str(there)), json.loads(canonical(request)))
+    except (TypeError, ValueError):  # nothing that was written here
+        other = ""
+    raise Occupied(f"{path} holds another result{other}", REPLACE.format("out"))
+
+
+def differences(there: dict, wanted: dict, within: str = "") -> str:
+    """The first thing in which what stands somewhere is not what is wanted, in words."""
+    for name in sorted(there | wanted, key=lambda name: name != "command"):
+        old, new = there.get(name), wanted.get(name)
+        if isinstance(old, dict) and isinstance(new, dict) and old != new:
+            return differences(old, new, f"{within}{name} ")
+        if old != new:
+            said = json.dumps(old) if name in there else "none"
+            return f" ({within}{name}: {said}, not {json.dumps(new)})"
+    return ""
+
+
+def check_picture(
+    path: Path, request: dict, *, overwrite: bool = False, argument: str = "figure"
+) -> None:
+    """Raises as `find` does where a picture of `request` cannot go; one of it may stand there.
+
+    `argument` is the name of that by which the place was given.
+    """
+    writable(path)
+    if not path.exists():
+        return
+    known = path.is_file() and (overwrite or signature(request).encode() in path.read_bytes())
+    if not known:
+        raise Occupied(f"{path} is something else", REPLACE.format(argument))
+
+
+def signature(request: dict) -> str:
+    """What a picture of `request` carries as its title, by which it is known again."""
+    return f"walker-jax {hashlib.sha256(canonical(request).encode()).hexdigest()}"
+
+
+def canonical(request: dict) -> str:
+    return json.dumps(request, sort_keys=True)

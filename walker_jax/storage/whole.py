@@ -1,0 +1,131 @@
+"""Results on disk: labelled data sets as Zarr, written whole or not at all, or piece by piece.
+
+A data set carries, in its attribute `request`, what was asked for, as JSON. The same request finds
+its result again; any other is refused the place unless it is told to overwrite. One that is written
+piece by piece carries an attribute `unfinished` until all of it is there; the same request goes on
+with it. Each piece is a chunk of every array, and counts as written once its entry in the array
+`written` is 1, which comes last.
+"""
+
+import importlib.util
+import warnings
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from walker_jax.checks import WrongUse
+from walker_jax.storage.places import (
+    ELSEWHERE,
+    REPLACE,
+    Occupied,
+    beside,
+    draft_of,
+    followed,
+    group_at,
+    held,
+    put,
+    tidy,
+    writable,
+)
+from walker_jax.storage.requests import canonical, check_request
+
+if TYPE_CHECKING:
+    import xarray  # which takes half a second to load, and commands without a data set need not
+
+
+LARGE = 2**28
+"""Bytes from which on a data set is read when it is used, rather than at once."""
+
+
+def find(path: Path, request: dict, *, overwrite: bool = False) -> "xarray.Dataset | None":
+    """The result of `request` that stands at `path`, or None where it is still to be computed.
+
+    Raises `Occupied` where something else stands there, unless `overwrite` is given and it is a
+    data set; and `ValueError` where nothing can be written. What a killed run has left is put in
+    order; else nothing is changed.
+    """
+    path = followed(path)
+    with suppress(Occupied, OSError):  # of another run, or where one may only read
+        if beside(path).exists():
+            with held(path):
+                pass
+    data = standing(path)
+    if data is not None and not overwrite:
+        check_request(path, data.attrs, request)
+        if not data.attrs.get("unfinished"):
+            return data
+    writable(path)
+    if data is None and path.exists():
+        raise Occupied(f"{path} exists and is not a data set", ELSEWHERE.format("out"))
+    return None
+
+
+def standing(path: Path) -> "xarray.Dataset | None":
+    """The data set that stands at a place, if one does; of a whole one, nothing else."""
+    try:
+        if not (path / "zarr.json").is_file():
+            return None
+    except OSError:  # as of a name that is too long
+        return None
+    data = load(path)
+    if data is None:  # again, as a run that ends removes arrays
+        data = load(path)
+    if data is None or data.attrs.get("unfinished") or "written" not in data:
+        return data
+    # a run ended here but for the last thing that it had to do
+    with suppress(Occupied, OSError), held(path) as folder:
+        tidy(path, folder)
+    return data.drop_vars([*data["written"].attrs["aside"], "written"], errors="ignore")
+
+
+def save(data: "xarray.Dataset", path: Path, request: dict) -> "xarray.Dataset":
+    """Write a data set at `path`, in the place of any that stands there; returns it as written."""
+    path, data = followed(path), data.assign_attrs(request=canonical(request))
+    with held(path) as folder:
+        data.to_zarr(folder / "new", consolidated=False, write_empty_chunks=True)
+        put(folder, path)
+    return data
+
+
+def load(path: Path) -> "xarray.Dataset | None":
+    """The data set at `path`, or None where it cannot be read."""
+    try:
+        return opened(path)
+    except Exception:  # whatever is wrong with a foreign or damaged store
+        return None
+
+
+def opened(path: Path) -> "xarray.Dataset":
+    """The data set at `path`, in memory; but one that is large is read when it is used."""
+    import xarray
+
+    with warnings.catch_warnings():  # of arrays that a run is about to begin
+        warnings.filterwarnings("ignore", "Object at .* is not recognized")
+        data = xarray.open_zarr(path, consolidated=False, chunks=None)
+        if not data.attrs.get("unfinished"):
+            for name, array in group_at(path, "r").arrays():
+                if array.nchunks_initialized < array.nchunks:  # which would read as zeros
+                    raise OSError(f"{path} is damaged: chunks of {name} are missing")
+    return data if data.nbytes > LARGE else data.load()
+
+
+def export(path: Path, file: Path, *, overwrite: bool = False) -> "xarray.Dataset":
+    """Copy the data set at `path` to a NetCDF file; returns it.
+
+    Raises `Occupied` where another file stands there, or `path` is no data set or is unfinished;
+    `ValueError` where nothing can be written, or h5netcdf is not installed.
+    """
+    if None in map(importlib.util.find_spec, ("h5netcdf", "h5py")):
+        raise WrongUse("NetCDF takes h5netcdf and h5py: pip install 'walker_jax[netcdf]'")
+    writable(file)
+    if file.exists() and not (overwrite and file.is_file()):
+        raise Occupied(f"{file} exists", REPLACE.format("file"))
+    data = load(path) if path.is_dir() else None
+    if data is None:
+        raise Occupied(f"{path} is not a data set")
+    if data.attrs.get("unfinished"):
+        raise Occupied(f"{path} is unfinished: the command that began it goes on with it")
+    small = {name: {"zlib": True} for name in data.variables if data[name].dtype.kind in "iuf"}
+    with draft_of(file) as draft:
+        data.to_netcdf(draft, engine="h5netcdf", encoding=small)
+    return data

@@ -1,0 +1,1 @@
+"""The models of walkers, and what a model must provide."""

@@ -1,0 +1,16 @@
+"""The family of walkers, by the names that the command line has for them."""
+
+from walker_jax.walkers.model import Walker
+from walker_jax.walkers.point_foot import PointFootWalker
+from walker_jax.walkers.round_feet import RoundFootWalker, UpperBodyWalker
+from walker_jax.walkers.simplest import SimplestWalker
+from walker_jax.walkers.spring import SpringWalker
+
+WALKERS: dict[str, type[Walker]] = {
+    "simplest": SimplestWalker,
+    "spring": SpringWalker,
+    "point-foot": PointFootWalker,
+    "round-foot": RoundFootWalker,
+    "upper-body": UpperBodyWalker,
+}
+"""The walkers there are, by their names on the command line."""

@@ -1,0 +1,195 @@
+"""What a walker is: its state, its section, its equations, and what is known of it.
+
+Conventions, those of Schwab and Wisse (2001), whose equation numbers stand below. Gravity is 1.
+The unit of mass and that of length are the user's; where a walker has no parameter for them, they
+are the hip's mass and the leg's length. Times are in sqrt(unit of length / gravity), angles in rad:
+
+- `slope`: of the ground, downwards in the direction of walking;
+- `theta`: of the stance leg, from the normal of the slope, positive before mid-stance;
+- `phi`: between the legs, from the stance leg to the swing leg.
+
+A stride begins just after heel strike, on the Poincaré section, with both feet on the slope
+(phi = 2 theta), and ends at the next heel strike.
+"""
+
+import abc
+from typing import Any, ClassVar, NamedTuple, TypeGuard, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Bool, Float
+
+from walker_jax.grids import Grid
+
+Scalar = Float[Array, ""]
+
+
+class State(NamedTuple):
+    """Angles (rad) and rates (rad per unit of time) of the two legs, or their time derivatives."""
+
+    theta: Scalar
+    phi: Scalar
+    thetadot: Scalar
+    phidot: Scalar
+
+
+class Walker(eqx.Module):
+    """What a stride needs to know of a walker. Its fields are its parameters, scalars all."""
+
+    section: ClassVar[tuple[str, ...]]
+    """Names of the coordinates of the Poincaré section."""
+    force_least_at_ends: ClassVar[bool] = False
+    """Whether Q_v, over a stride, is least at the start or at heel strike, so that a stride need
+    not look at it in between."""
+    inverted_pendulum: ClassVar[bool] = False
+    """Whether thetaddot = sin(theta - slope): the hip does not feel the swing leg."""
+
+    def __init_subclass__(cls, **kwargs):
+        """Reset what is known of the walkers that this class derives from, but not of it.
+
+        What `KNOWN_OF` lists has been shown for the methods named there. Where a class defines one
+        of these anew, and does not say that it still holds, the default of `Walker` holds.
+        """
+        super().__init_subclass__(**kwargs)
+        for name, methods in KNOWN_OF.items():
+            said = next(i for i, base in enumerate(cls.__mro__) if name in vars(base))
+            if any(method in vars(base) for base in cls.__mro__[:said] for method in methods):
+                setattr(cls, name, vars(Walker)[name])
+
+    def __repr__(self):
+        """The parameters' values, as far as each is one number; else their types and shapes."""
+        shown = (f"{name}={displayed(value)}" for name, value in vars(self).items())
+        return f"{type(self).__name__}({', '.join(shown)})"
+
+    @abc.abstractmethod
+    def lift(self, x: Float[Array, " section"]) -> State:
+        """The full state of a point of the section."""
+
+    @abc.abstractmethod
+    def project(self, state: State) -> Float[Array, " section"]:
+        """The point of the section of a state just after heel strike."""
+
+    @abc.abstractmethod
+    def feasible(self, x: Float[Array, " section"]) -> Bool[Array, ""]:
+        """Whether a stride can begin at x."""
+
+    def gait_region(self) -> Grid:
+        """The part of the section where the states of gaits lie, in cells to search from.
+
+        By default starts with the speed that takes the stance leg about to its dead point. Rates
+        are counted in that of toppling. Along phidot, whatever legs may do.
+        """
+        dtype = jnp.asarray(0.0).dtype
+        walker = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), self)
+        rate, widest = float(toppling_rate(walker)), 0.6
+        if len(self.section) == 2:
+            axes = {"theta": (0, widest, 100), "sum": (-widest, 0.5 * widest, 600)}
+            return Grid(axes, np.array([[1, 0], [-rate, rate]]))
+        axes = {
+            "theta": (0, widest, 30),
+            "sum": (-widest, 0.5 * widest, 50),
+            "turn": (-widest, 0.5 * widest, 16),
+        }
+        return Grid(axes, np.array([[1, 0, 0], [-rate, rate, 0], [0, 0, rate]]))
+
+    @abc.abstractmethod
+    def vector_field(self, state: State) -> State:
+        """Time derivative of the state during a stride.
+
+        It may have kinks, such as the limits of a torque: a step of the integration ends where one
+        is. Where it jumps within a stride, or just behind its end, the outcome is `UNDECIDED`.
+        """
+
+    @abc.abstractmethod
+    def contact_force(self, state: State) -> tuple[Scalar, Scalar]:
+        """Force (Q_u, Q_v) of the ground on the stance foot, along and normal to the slope."""
+
+    def driven_by_gravity(self) -> bool:
+        """Whether gravity alone does work on the walker, so that a step loses what the slope gives.
+
+        By default that is not known.
+        """
+        return False
+
+    def past_contact(self, state: State) -> Bool[Array, ""]:
+        """Whether h > 0 can only grow from here, so that no heel strike follows.
+
+        It spares a walker that falls after a start on the section the rest of its fall: an outcome
+        may not depend on it. By default that is never known.
+        """
+        return jnp.zeros_like(state.theta, bool)
+
+    @abc.abstractmethod
+    def impact(self, state: State) -> tuple[tuple[Scalar, Scalar], State]:
+        """Velocity (u, v) of the trailing foot and the state, legs not yet exchanged, after impact.
+
+        The state is that at heel strike, before the impact.
+        """
+
+    def contact(self, state: State) -> Scalar:
+        """Contact coordinate h = phi - 2 theta: zero when both feet are on the slope.
+
+        It rises at heel strike. Ahead of the stance foot the swing foot is above the ground where
+        h < 0. A stride looks at it at the ends of integration steps, and takes it to turn once at
+        most within one.
+        """
+        return state.phi - 2 * state.theta
+
+    @abc.abstractmethod
+    def clearance(self, state: State) -> Scalar:
+        """Height of the swing foot above the slope, in the unit of length."""
+
+    @abc.abstractmethod
+    def reach(self, state: State) -> Scalar:
+        """How far the swing foot is ahead of the stance foot, along the slope, in that unit."""
+
+    def exchange_legs(self, state: State) -> State:
+        """The state with the swing leg as the new stance leg, (21) and its time derivative."""
+        theta, phi, thetadot, phidot = state
+        return State(theta - phi, -phi, thetadot - phidot, -phidot)
+
+
+Kind = TypeVar("Kind", bound=Walker)
+
+
+MOTION = ("vector_field", "system")
+
+
+KNOWN_OF = {
+    "force_least_at_ends": (*MOTION, "contact_force"),
+    "inverted_pendulum": MOTION,
+    "driven_by_gravity": ("vector_field", "impact"),
+    "past_contact": (*MOTION, "contact", "swing_foot"),
+    "gait_region": (*MOTION, "contact", "swing_foot", "impact", "lift", "project"),
+}
+"""What may be known of a walker beyond its equations, and the methods that it is known of."""
+
+
+def moves_like(walker: Walker, kind: type[Kind]) -> TypeGuard[Kind]:
+    """Whether a walker moves as one of some kind does, by the same equations."""
+    methods = {method for methods in KNOWN_OF.values() for method in methods}
+    same = lambda name: getattr(type(walker), name, None) is getattr(kind, name, None)
+    return isinstance(walker, kind) and all(map(same, methods))
+
+
+def displayed(value: Any) -> str:
+    """A number as it is; of arrays, and of what JAX traces, the type and shape."""
+    if not eqx.is_array_like(value):
+        return repr(value)
+    single = not isinstance(value, Tracer) and np.shape(value) == ()
+    return str(np.asarray(value)[()]) if single else eqx.tree_pformat(value)
+
+
+def toppling_rate(walker: Walker) -> Scalar:
+    """The rate at which a walker topples, legs together, from rest.
+
+    To first order thetaddot = rate^2 (theta - slope).
+    """
+    slope = vars(walker)["slope"]
+    zero, one = jnp.zeros_like(slope), jnp.ones_like(slope)
+    upright, falling = State(slope, zero, zero, zero), State(one, zero, zero, zero)
+    _, change = jax.jvp(walker.vector_field, (upright,), (falling,))
+    return jnp.sqrt(jnp.abs(change.thetadot))

@@ -1,0 +1,90 @@
+"""Parameters of walkers: their names, units, defaults and bounds."""
+
+import dataclasses
+import inspect
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jax.typing import ArrayLike
+
+from walker_jax.checks import WrongUse, check_kind, short
+from walker_jax.walkers.model import Scalar, Walker
+
+
+class Parameter(NamedTuple):
+    """What a parameter of a walker means, and the numbers it may be."""
+
+    name: str
+    meaning: str
+    unit: str
+    default: float
+    """Of the command line; and of the constructor, but for the slope."""
+    low: float = 0.0
+    high: float = np.inf
+    closed: bool = False
+    """Whether it may be equal to `low`."""
+
+    def checked(self, value: ArrayLike) -> Scalar:
+        """The number as an array; `ValueError` for what is none, or not within the bounds."""
+        refusal = f"{self.name} must be one real number, not {short(value)}"
+        try:
+            value = jnp.asarray(value)
+        except (TypeError, ValueError, OverflowError):
+            raise WrongUse(refusal) from None
+        real = jnp.issubdtype(value.dtype, jnp.number) and jnp.isrealobj(value)
+        if value.shape != () or not real:
+            raise WrongUse(refusal)
+        if not jnp.issubdtype(value.dtype, jnp.floating):
+            value = value.astype(float)
+        if isinstance(value, Tracer):
+            return value
+        number = np.asarray(value)
+        above = number >= self.low if self.closed else number > self.low
+        if not (above & (number < self.high)):
+            raise WrongUse(f"{self.name} must be {self.bounds()}, not {value}")
+        return value
+
+    def bounds(self) -> str:
+        """In words."""
+        if self.low > -np.inf and self.high < np.inf:
+            least = "at least" if self.closed else "above"
+            return f"{least} {self.low:g} and below {self.high:g}"
+        if self.low > -np.inf:
+            return f"finite and {'not negative' if self.closed else f'above {self.low:g}'}"
+        return "finite"
+
+
+def parameters(walker: type[Walker] | Walker) -> tuple[Parameter, ...]:
+    """Those of a kind of walker that it describes, in the order of its constructor's arguments."""
+    converters = (field.metadata.get("converter") for field in dataclasses.fields(walker))
+    described = (getattr(converter, "__self__", None) for converter in converters)
+    return tuple(one for one in described if isinstance(one, Parameter))
+
+
+SLOPE = Parameter("slope", "of the ground", "rad", 0.004, high=np.pi / 2)
+
+
+def check_parameter(walker: Walker, parameter: str, *values: float) -> None:
+    """Refuse a parameter that the walker does not have, and values that its constructor refuses."""
+    check_kind("walker", walker, Walker)
+    if not isinstance(parameter, str) or parameter not in vars(walker):
+        names = ", ".join(vars(walker))
+        raise WrongUse(f"parameter must be one of the walker's, {names}, not {short(parameter)}")
+    if set(vars(walker)) <= set(inspect.signature(type(walker)).parameters):
+        for value in values:
+            type(walker)(**{**vars(walker), parameter: value})
+
+
+def axis_of(walker: Walker, parameter: str | None, dtype) -> Walker:
+    """A walker with 1 for the parameter and 0 for all others: the direction of the parameter."""
+    zeros = jax.tree.map(lambda leaf: np.zeros((), dtype), walker)
+    return zeros if parameter is None else with_parameter(zeros, parameter, np.ones((), dtype))
+
+
+def with_parameter(walker: Walker, parameter: str, value) -> Walker:
+    """The walker with another value of one parameter, unchecked; an array makes many walkers."""
+    return eqx.tree_at(lambda walker: getattr(walker, parameter), walker, value)

@@ -1,0 +1,103 @@
+"""Walkers with feet that are points."""
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array, Bool
+
+from walker_jax.grids import Grid
+from walker_jax.walkers.model import Scalar, State, Walker
+
+
+class PointFeetWalker(Walker):
+    """Walkers on point feet, with no mass on the legs but at their ends.
+
+    A foot that stood does not move at once across its leg when it lifts, so phidot after heel
+    strike follows from theta and thetadot, and the section has two dimensions.
+    """
+
+    section: ClassVar = ("theta", "thetadot")
+
+    def lift(self, x):
+        """phi = 2 theta, phidot = (1 - cos 2theta) thetadot, from (22).
+
+        The trailing foot was at rest, and its leg pulls it along itself only: its velocity across
+        the leg stays zero. That of the hip across that leg is cos(2 theta) thetadot, so the leg
+        turns as fast, thetadot - phidot = cos(2 theta) thetadot, whatever the masses.
+        """
+        theta, thetadot = x[0], x[1]
+        return State(theta, 2 * theta, thetadot, (1 - jnp.cos(2 * theta)) * thetadot)
+
+    def project(self, state):
+        return jnp.stack([state.theta, state.thetadot])
+
+    def clearance(self, state):
+        return jnp.cos(state.theta) - jnp.cos(state.theta - state.phi)
+
+    def reach(self, state):
+        return jnp.sin(state.theta - state.phi) - jnp.sin(state.theta)
+
+    def feasible(self, x):
+        """0 < theta < pi/4 and thetadot < 0: beyond pi/4 no impact leaves the walker going on."""
+        theta, thetadot = x[0], x[1]
+        finite = jnp.isfinite(theta) & jnp.isfinite(thetadot)
+        return finite & (theta > 0) & (theta < np.pi / 4) & (thetadot < 0)
+
+
+class MasslessFeetWalker(PointFeetWalker):
+    """The limit of vanishing foot mass: the hip does not feel the swing leg."""
+
+    slope: Scalar
+
+    def contact_force(self, state):
+        """(8). Of an inverted pendulum, Q_v > 0 over a stride if it is at both its ends.
+
+        For thetadot^2 / 2 + cos(theta - slope) is some constant E, and Q_v has the sign of
+        3 cos(theta - slope) - 2 E, which is least at one end of any interval of theta.
+        """
+        tension = state.thetadot**2 - jnp.cos(state.theta - self.slope)
+        return jnp.sin(state.theta) * tension, -jnp.cos(state.theta) * tension
+
+    def impact(self, state):
+        """(18), which has 2 theta for phi: the feet may also be at different heights."""
+        theta, phi, thetadot, _ = state
+        c, s = jnp.cos(phi), jnp.sin(phi)
+        foot = -jnp.sin(theta) * c * s * thetadot, jnp.cos(theta) * c * s * thetadot
+        return foot, State(theta, phi, c**2 * thetadot, c * (c - 1) * thetadot)
+
+    def impulse(self, state: State) -> tuple[Scalar, Scalar]:
+        """Impulse (rho_x, rho_y) of the ground on the swing foot at heel strike, (19).
+
+        It is along the swing leg, as the paper says below (19), and changes the momentum of the
+        hip to that after the impact: so rho_x has the sign of sin(theta) thetadot sin(2 theta),
+        not the opposite one that is printed there.
+        """
+        s = jnp.sin(state.phi) * state.thetadot
+        swing = state.theta - state.phi
+        return -jnp.sin(swing) * s, jnp.cos(swing) * s
+
+
+def rises_past_contact(walker: MasslessFeetWalker, state: State) -> Bool[Array, ""]:
+    """h > 0 and rising, the swing leg ahead, the stance leg in compression.
+
+    Then h'' = sin(phi) (thetadot^2 - cos(theta - slope)) - sin(theta - slope) > 0, and a spring
+    between the legs adds to it: h goes on rising. It is too late to come down again once this has
+    ended, by tension or with phi > 0: an experience (tests), not a theorem.
+    """
+    theta, phi, thetadot, phidot = state
+    rising = (phi > 2 * theta) & (phidot > 2 * thetadot)
+    return rising & (phi < 0) & (thetadot**2 < jnp.cos(theta - walker.slope))
+
+
+def strip_of_gaits(slope: ArrayLike) -> Grid:
+    """A strip of the section that shrinks like slope^{1/3}, as gaits do (Garcia and others 1998).
+
+    Its upper edge is where walkers begin to fall backward, thetadot = -2 sin((theta - slope) / 2),
+    at its widest.
+    """
+    angle = float(np.asarray(slope))
+    widest = min(2 * angle ** (1 / 3), np.pi / 4)
+    edge = widest - 2 * np.sin((widest - angle) / 2)
+    return Grid.sheared(theta=(0, widest, 100), sum=(-0.15 * widest, edge, 1000))

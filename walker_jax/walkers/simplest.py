@@ -1,0 +1,43 @@
+"""The simplest walking model."""
+
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from walker_jax.walkers.model import Scalar, State
+from walker_jax.walkers.parameters import SLOPE
+from walker_jax.walkers.point_feet import MasslessFeetWalker, rises_past_contact, strip_of_gaits
+
+
+class SimplestWalker(MasslessFeetWalker):
+    """The simplest walking model: a mass at the hip, and feet of vanishing mass.
+
+    Garcia, Chatterjee, Ruina and Coleman (1998); Schwab and Wisse (2001).
+
+    **Arguments:**
+
+    - `slope`: of the ground (rad), above 0 and below pi/2. `ValueError` otherwise.
+    """
+
+    slope: Scalar = eqx.field(converter=SLOPE.checked)
+
+    force_least_at_ends: ClassVar = True
+    inverted_pendulum: ClassVar = True
+
+    def driven_by_gravity(self):
+        return True
+
+    def gait_region(self):
+        return strip_of_gaits(self.slope)
+
+    def past_contact(self, state):
+        return rises_past_contact(self, state)
+
+    def vector_field(self, state):
+        """(7): thetaddot = sin(theta - slope), an inverted pendulum that the swing leg follows."""
+        theta, phi, thetadot, phidot = state
+        angle = theta - self.slope
+        thetaddot = jnp.sin(angle)
+        phiddot = jnp.sin(phi) * (thetadot**2 - jnp.cos(angle)) + thetaddot
+        return State(thetadot, phidot, thetaddot, phiddot)

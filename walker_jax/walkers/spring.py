@@ -1,0 +1,60 @@
+"""The simplest walker with a spring in its hip."""
+
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from walker_jax.walkers.model import Scalar, State
+from walker_jax.walkers.parameters import SLOPE, Parameter
+from walker_jax.walkers.point_feet import MasslessFeetWalker, rises_past_contact, strip_of_gaits
+
+HIP_STIFFNESS = Parameter(
+    "hip_stiffness", "of a spring between the legs, to foot mass", "g l", 0.0, closed=True
+)
+
+
+class SpringWalker(MasslessFeetWalker):
+    """The simplest walker with a torsional spring between its legs, slack when they are parallel.
+
+    A spring of stiffness K exerts the torque -K phi on the swing leg, and the opposite one on the
+    stance leg. In the limit of vanishing foot mass m it has an effect on the swing leg alone, and
+    there only if K vanishes too, in proportion: with K = m g l hip_stiffness, (4) divided by m has
+    the limit phiddot = sin(phi) (thetadot^2 - cos(theta - slope)) + sin(theta - slope)
+    - hip_stiffness phi. The leg then swings like a pendulum whose gravity is larger by a factor
+    1 + hip_stiffness. The spring exerts no impulse, so impact and contact force are as without it.
+
+    Such a spring makes steps shorter and faster (Kuo 2002, J. Biomech. Eng. 124:113-120).
+
+    **Arguments:**
+
+    - `slope`: of the ground (rad), above 0 and below pi/2.
+    - `hip_stiffness`: K / (m g l), not negative.
+
+    `ValueError` otherwise.
+    """
+
+    slope: Scalar = eqx.field(converter=SLOPE.checked)
+    hip_stiffness: Scalar = eqx.field(
+        converter=HIP_STIFFNESS.checked, default=HIP_STIFFNESS.default
+    )
+
+    force_least_at_ends: ClassVar = True
+    inverted_pendulum: ClassVar = True
+
+    def driven_by_gravity(self):
+        return True
+
+    def gait_region(self):
+        return strip_of_gaits(self.slope)
+
+    def past_contact(self, state):
+        return rises_past_contact(self, state)
+
+    def vector_field(self, state):
+        """(7), and the spring."""
+        theta, phi, thetadot, phidot = state
+        angle = theta - self.slope
+        thetaddot = jnp.sin(angle)
+        swing = jnp.sin(phi) * (thetadot**2 - jnp.cos(angle)) - self.hip_stiffness * phi
+        return State(thetadot, phidot, thetaddot, swing + thetaddot)

@@ -1,0 +1,150 @@
+"""Walks as motions: angles and places at many times, over strides joined one to the next.
+
+For pictures and films. Places are along the slope and normal to it, from where the stance foot of
+the first stride is when its leg is upright.
+"""
+
+from importlib.metadata import version
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+from jax.typing import ArrayLike
+from jaxtyping import Bool, Float
+
+from walker_jax.checks import WrongUse, check_number, check_whole, refuses_tracers
+from walker_jax.walkers.model import State, Walker
+from walker_jax.walking.iteration import walk
+from walker_jax.walking.outcomes import Outcome
+from walker_jax.walking.stepping import trajectory
+from walker_jax.walking.swing import in_tension
+
+FALL = 40.0
+"""Time in which a walker that fails is on the ground, for legs of length 1."""
+
+
+@refuses_tracers()
+def motion(
+    walker: Walker,
+    x: Float[ArrayLike, " section"],
+    strides: int,
+    *,
+    step: float = 0.05,
+    tolerance: float | None = None,
+) -> xr.Dataset:
+    """A walk of some strides from x, and the fall in which it ends, at times about `step` apart.
+
+    Frames are evenly spaced within each stride, with its start and its end among them: so there are
+    two at every heel strike, before and after the legs exchange roles. A fall is shown to the
+    ground; one that runs to where its foot leaves the ground; one that stops on both feet to there.
+
+    **Arguments:**
+
+    - `walker`, `tolerance`: as in `stride`.
+    - `x`: a feasible start, on the section.
+    - `strides`: how many, at most.
+    - `step`: of time.
+
+    **Returns** a data set, over `frame`: `time`; `stride`, its number, from 0; `theta`, `phi`,
+    `thetadot` and `phidot`; and, over `axis` too, the places of the `hip`, and of the ends of the
+    legs, `stance` and `swing`, which are centres of the feet's arcs where the feet are round. Over
+    `start`: `states`, those on the section, the one after the last stride too. Over `made`:
+    `outcome` of each stride, a failure at most the last, and its `duration`, NaN if it failed.
+    Attributes `leg_length`, to the end of the leg, and `foot_radius` are the sizes in which to draw
+    these. `ValueError` for a start that is not feasible, and as for `walk`.
+    """
+    check_number("step", step)
+    if not 0 < step < np.inf:
+        raise WrongUse(f"step must be above 0, not {step}")
+    check_whole("strides", strides)
+    made = walk(walker, x, strides, tolerance=tolerance)
+    outcomes, durations = np.asarray(made.outcomes), np.asarray(made.times)
+    if outcomes[0] == Outcome.OUTSIDE:
+        raise WrongUse(f"x must be a feasible start, not {np.asarray(x).tolist()}")
+    failed = outcomes != Outcome.STRIDE
+    count = int(failed.argmax()) + 1 if failed.any() else len(outcomes)
+    outcomes, durations = outcomes[:count], durations[:count]
+    starts = np.asarray(made.states)[: count + (not failed.any())]
+
+    length, radius = shape_of_legs(walker)
+    fall = FALL * np.sqrt(length + radius)
+    steps = np.where(failed[:count], fall, durations) / step
+    frames = (1 + np.maximum(1, np.round(steps)).astype(int)).tolist()
+    parts, places, foot = [], [], 0.0
+    for k in range(count):
+        end = fall if failed[k] else durations[k]
+        times = np.linspace(0, end, frames[k])
+        states = trajectory(walker, starts[k], times, tolerance=tolerance)
+        states = jax.tree.map(np.asarray, states)
+        if failed[k]:
+            over = ended(walker, states, Outcome(int(outcomes[k])))
+            end = max(1, int(over.argmax())) if over.any() else len(over)
+            states = jax.tree.map(lambda values, end=end: values[:end], states)
+        parts.append(states)
+        places.append(ends_of_legs(states, foot, length, radius))
+        foot += float(walker.reach(jax.tree.map(lambda values: jnp.asarray(values[-1]), states)))
+
+    sizes = [len(states.theta) for states in parts]
+    begins = np.concatenate([[0.0], np.cumsum(durations[:-1])])
+    spread = [begins[k] + np.linspace(0, durations[k], n) for k, n in enumerate(sizes)]
+    if failed[count - 1]:
+        spread[-1] = begins[-1] + fall / (frames[count - 1] - 1) * np.arange(sizes[-1])
+    joined = {name: np.concatenate([getattr(s, name) for s in parts]) for name in State._fields}
+    return xr.Dataset(
+        {
+            "time": ("frame", np.concatenate(spread)),
+            "stride": ("frame", np.repeat(np.arange(count), sizes)),
+            **{name: ("frame", values) for name, values in joined.items()},
+            **{
+                name: (("frame", "axis"), np.concatenate([one[i] for one in places]))
+                for i, name in enumerate(("stance", "hip", "swing"))
+            },
+            "states": (("start", "coordinate"), starts),
+            "outcome": ("made", outcomes),
+            "duration": ("made", durations),
+        },
+        attrs={
+            "walker": type(walker).__name__,
+            **{f"walker_{name}": float(value) for name, value in vars(walker).items()},
+            "section": list(walker.section),
+            "leg_length": length,
+            "foot_radius": radius,
+            "version": f"walker-jax {version('walker-jax')}",
+        },
+    )
+
+
+def shape_of_legs(walker: Walker) -> tuple[float, float]:
+    """From the hip to the centre of the foot's arc, and its radius, 0 for point feet.
+
+    Told by how far the swing foot goes as legs turn by half a turn from being parallel, the stance
+    leg from upright: that is twice the length down, and half the arc's circumference along.
+    """
+    half, zero = jnp.asarray(np.pi), jnp.asarray(0.0)
+    turned = State(half, half, zero, zero)
+    length, radius = -walker.clearance(turned) / 2, -walker.reach(turned) / np.pi
+    return float(length), max(0.0, round(float(radius), 12))
+
+
+def ends_of_legs(
+    states: State, foot: float, length: float, radius: float
+) -> tuple[Float[np.ndarray, "frames 2"], ...]:
+    """Stance foot, hip and swing foot; of round feet, the arcs' centres."""
+    along = lambda angle: np.stack([-np.sin(angle), np.cos(angle)], axis=1)
+    theta, phi = np.asarray(states.theta), np.asarray(states.phi)
+    stance = np.stack([foot - radius * theta, np.full(len(theta), radius)], axis=1)
+    hip = stance + length * along(theta)
+    return stance, hip, hip - length * along(theta - phi)
+
+
+def ended(walker: Walker, states: State, outcome: Outcome) -> Bool[np.ndarray, " frames"]:
+    """Whether a stride that fails is over: on the ground, at heel strike, or in the air."""
+    each = jax.tree.map(jnp.asarray, states)
+    theta, phi, thetadot, _ = map(np.asarray, states)
+    h = np.asarray(jax.vmap(walker.contact)(each))
+    strikes = (h > 0) & (np.roll(h, 1) <= 0) & (theta < 0) & (phi < 0) & (thetadot < 0)
+    over = strikes | (np.abs(theta) >= np.pi / 2)
+    if outcome == Outcome.RUNNING:
+        over |= np.asarray(jax.vmap(lambda state: in_tension(walker, state))(each))
+    return over

@@ -1,0 +1,49 @@
+"""How a stride ends, and what it returns."""
+
+import enum
+from typing import NamedTuple
+
+from jaxtyping import Array, Float, Int
+
+
+class Outcome(enum.IntEnum):
+    """How a stride ends."""
+
+    STRIDE = 0
+    """Heel strike: the next stride begins."""
+    FORWARD = 1
+    """The stance leg reaches theta = -pi/2 without a heel strike."""
+    BACKWARD = 2
+    """The stance leg stops before a heel strike, or the heel strike turns the next one back."""
+    RUNNING = 3
+    """The contact force is tensile at the start, or during a stride that reaches heel strike."""
+    STOPPED = 4
+    """At heel strike the trailing foot does not lift: both feet stay down."""
+    OUTSIDE = 5
+    """The start is not feasible."""
+    UNDECIDED = 6
+    """The integration gave no answer."""
+    LEFT_GRID = 7
+    """Cell mapping only: the stride ended outside the grid."""
+
+
+class Stride(NamedTuple):
+    """What a stride leads to."""
+
+    state: Float[Array, "*cells section"]
+    """Start of the next stride, on the section; NaN unless the outcome is `STRIDE`."""
+    outcome: Int[Array, "*cells"]
+    """`Outcome` as int8."""
+    time: Float[Array, "*cells"]
+    """Duration; NaN unless the outcome is `STRIDE`."""
+
+
+class Walk(NamedTuple):
+    """What a number of strides leads to. Nothing follows a failure: later states are NaN."""
+
+    states: Float[Array, "strides+1 section"]
+    """Start of each stride, and of the one after the last."""
+    outcomes: Int[Array, " strides"]
+    """`Outcome` of each stride; that of the failure from there on."""
+    times: Float[Array, " strides"]
+    """Duration of each stride."""

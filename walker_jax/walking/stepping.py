@@ -1,0 +1,256 @@
+"""The stride function: from one heel strike to the next (Schwab and Wisse 2001, section 3.3)."""
+
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float, Int
+
+from walker_jax.checks import WrongUse, check_kind, check_number, short
+from walker_jax.integrators.solvers import (
+    AnySolver,
+    Method,
+    Real,
+    default_tolerance,
+    solved_by,
+    solver_for,
+)
+from walker_jax.integrators.taylor import fast_sines
+from walker_jax.kernels import by_kernel
+from walker_jax.walkers.masses import MultibodyWalker
+from walker_jax.walkers.model import Scalar, State, Walker
+from walker_jax.walking.outcomes import Outcome, Stride
+from walker_jax.walking.swing import equations, in_tension, swing
+
+
+def stride(
+    walker: Walker,
+    x: Float[ArrayLike, " coordinates"],
+    *,
+    tolerance: Real | None = None,
+    solver: AnySolver | None = None,
+) -> Stride:
+    """One stride, S(x), equation (20).
+
+    Works under JAX's transformations, in the dtype of x, float32 or float64: `jax.jit`, `jax.vmap`,
+    `jax.lax.scan`; `jax.jacfwd`, `jax.grad` and `jax.jacrev`, and derivatives of these. On a CPU
+    all of them call machine code (`kernels`), so a jitted `jax.vmap` is as fast as `strides`.
+
+    **Arguments:**
+
+    - `walker`: any walker; derivatives with respect to its parameters are right too.
+    - `x`: the start, on the walker's section just after heel strike; or a full state
+      (theta, phi, thetadot, phidot), for a launch or after a push. That is feasible where it is
+      finite and the stance leg stands, |theta| < pi/2.
+    - `tolerance`: of one step's last Taylor terms, relative to the state or its rate; of the error
+      that another solver estimates.
+    - `solver`: one of diffrax's explicit Runge-Kutta methods, such as `diffrax.Dopri8()`, in place
+      of the Taylor series. It does not know where a vector field has kinks.
+
+    **Returns** a `Stride`. A failure is an `Outcome`. `ValueError` for a wrong shape or dtype, and
+    for a tolerance that the dtype cannot hold.
+    """
+    with solved_by(solver):
+        return follow_stride(*prepared(walker, x, tolerance))
+
+
+def prepared(
+    walker: Walker, x: Float[ArrayLike, " coordinates"], tolerance: Real | None
+) -> tuple[Walker, Float[Array, " coordinates"], Float[Array, ""]]:
+    """Walker, start and tolerance, checked, in the dtype of the start."""
+    check_kind("walker", walker, Walker)
+    for name, value in vars(walker).items():
+        if np.shape(value):
+            raise WrongUse(f"{name} must be one number, not of shape {np.shape(value)}")
+    x = as_floating(x)
+    sizes = len(walker.section), len(State._fields)
+    if x.ndim != 1 or x.shape[0] not in sizes:
+        raise WrongUse(
+            f"x must have shape ({sizes[0]},), on the section {walker.section}, or ({sizes[1]},), "
+            f"a full state, not {x.shape}"
+        )
+    tolerance = default_tolerance(x.dtype, tolerance)
+    walker = jax.tree.map(lambda leaf: jnp.asarray(leaf, x.dtype), walker)
+    return walker, x, jnp.asarray(tolerance, x.dtype)
+
+
+@by_kernel
+def follow_stride(
+    walker: Walker,
+    x: Float[Array, " coordinates"],
+    tolerance: Float[Array, ""],
+) -> Stride:
+    start, verdict = fast_sines(begin)(walker, x)
+    launched = not on_section(walker, x)
+    arrival, time, verdict, pulled = swing(walker, start, verdict, tolerance, launched=launched)
+    return fast_sines(end)(walker, arrival, time, verdict, pulled)
+
+
+def on_section(walker: Walker, x: Float[Array, " coordinates"]) -> bool:
+    """Whether a start is a point of the section, and no full state."""
+    return x.shape == (len(walker.section),)
+
+
+def full_state(walker: Walker, x: Float[Array, " coordinates"]) -> State:
+    """The full state of a start, which may be one already."""
+    start = walker.lift(x) if on_section(walker, x) else State(*x)
+    check_field(walker, start)
+    return start
+
+
+def check_field(walker: Walker, start: State) -> None:
+    """Refuse a walker of a user's own whose vector field is none."""
+    if type(walker).vector_field is MultibodyWalker.vector_field:
+        return
+    rates = jax.eval_shape(walker.vector_field, start)
+    if not isinstance(rates, State) or any(np.shape(rate) for rate in rates):
+        found = " ".join(eqx.tree_pformat(rates, struct_as_array=True).split())
+        raise WrongUse(
+            f"vector_field of {type(walker).__name__} must return a State of four scalars, "
+            f"not {found}"
+        )
+
+
+def begin(walker: Walker, x: Float[Array, " coordinates"]) -> tuple[State, Int[Array, ""]]:
+    """The full state at the start, and the outcome where that settles it."""
+    start = full_state(walker, x)
+    if on_section(walker, x):
+        feasible = walker.feasible(x)
+    else:
+        feasible = jnp.all(jnp.isfinite(x)) & (jnp.abs(start.theta) < np.pi / 2)
+    verdict = jnp.where(start.thetadot >= 0, Outcome.BACKWARD, Outcome.UNDECIDED)
+    verdict = jnp.where(in_tension(walker, start), Outcome.RUNNING, verdict)
+    return start, jnp.where(feasible, verdict, Outcome.OUTSIDE).astype(jnp.int8)
+
+
+def end(
+    walker: Walker,
+    arrival: State,
+    time: Scalar,
+    verdict: Int[Array, ""],
+    pulled: Bool[Array, ""],
+) -> Stride:
+    """What a stride leads to whose swing ended with `verdict`, on the section."""
+    following, outcome = after_impact(walker, arrival, verdict, pulled)
+    return completed(walker.project(following), outcome, time)
+
+
+def completed(state: Float[Array, " coordinates"], outcome: Int[Array, ""], time: Scalar) -> Stride:
+    """A stride; its results are NaN unless it is one."""
+    success = outcome == Outcome.STRIDE
+    return Stride(jnp.where(success, state, jnp.nan), outcome, jnp.where(success, time, jnp.nan))
+
+
+def after_impact(
+    walker: Walker, arrival: State, verdict: Int[Array, ""], pulled: Bool[Array, ""]
+) -> tuple[State, Int[Array, ""]]:
+    """The state after a heel strike, legs exchanged, and the outcome of the stride."""
+    (_, lift), after = walker.impact(arrival)
+    following = walker.exchange_legs(after)
+    struck = jnp.where(following.thetadot < 0, Outcome.STRIDE, Outcome.BACKWARD)
+    struck = jnp.where(lift > 0, struck, Outcome.STOPPED)
+    struck = jnp.where(jnp.isfinite(lift), struck, Outcome.UNDECIDED)
+    struck = jnp.where(pulled | in_tension(walker, arrival), Outcome.RUNNING, struck)
+    return following, jnp.where(verdict == Outcome.STRIDE, struck, verdict).astype(jnp.int8)
+
+
+def step_down(
+    walker: Walker,
+    x: Float[ArrayLike, " coordinates"],
+    drop: Real,
+    *,
+    tolerance: Real | None = None,
+) -> Stride:
+    """One stride whose heel strike is on ground that is lower by `drop`.
+
+    The swing foot comes down to the slope, as in `stride`, and goes on until it is `drop` below,
+    measured at right angles to the slope, in the unit of length, not negative. Arguments and errors
+    are those of `stride` otherwise. The result's state is a full one, (theta, phi, thetadot,
+    phidot), just after heel strike, off the section: the foot that stood is higher. `stride` takes
+    it from there, on a slope through the foot that stands now.
+    """
+    walker, x, tolerance = prepared(walker, x, tolerance)
+    if not isinstance(drop, Tracer):
+        check_number("drop", drop)
+        if not 0 <= drop < np.inf:
+            raise WrongUse(f"drop must be one number, finite and not negative, not {short(drop)}")
+    height = jnp.asarray(drop, x.dtype)
+    return follow_step_down(walker, x, height, tolerance)
+
+
+@by_kernel
+def follow_step_down(
+    walker: Walker,
+    x: Float[Array, " coordinates"],
+    drop: Float[Array, ""],
+    tolerance: Float[Array, ""],
+) -> Stride:
+    start, verdict = fast_sines(begin)(walker, x)
+    launched = not on_section(walker, x)
+    level, time, verdict, pulled = swing(walker, start, verdict, tolerance, launched=launched)
+    pulled |= fast_sines(in_tension)(walker, level)
+    going = (verdict == Outcome.STRIDE) & (drop > 0)
+    verdict = jnp.where(going, Outcome.UNDECIDED, verdict).astype(jnp.int8)
+    arrival, longer, verdict, more = swing(walker, level, verdict, tolerance, drop)
+    following, outcome = fast_sines(after_impact)(walker, arrival, verdict, pulled | more)
+    return completed(jnp.stack(following), outcome, time + longer)
+
+
+def trajectory(
+    walker: Walker,
+    x: Float[ArrayLike, " coordinates"],
+    times: Float[ArrayLike, " times"],
+    *,
+    tolerance: Real | None = None,
+    solver: AnySolver | None = None,
+) -> State:
+    """Angles and rates at `times` after the start x of a stride, 0 or later, increasing.
+
+    The motion is that of the equations alone: it does not end at heel strike, whose time `stride`
+    gives. Returns a `State` of arrays; NaN where that takes more than `MAX_STEPS` of integration.
+    `ValueError` as for `stride`, and for times that decrease or are negative.
+    """
+    walker, x, tolerance = prepared(walker, x, tolerance)
+    if not isinstance(x, Tracer) and not jnp.isfinite(x).all():
+        raise WrongUse(f"x must be finite, not {x}")
+    times = as_floating(times, "times").astype(x.dtype)
+    if times.ndim != 1:
+        raise WrongUse(f"times must be a row of numbers, not of shape {times.shape}")
+    if not isinstance(times, Tracer):
+        listed = np.asarray(times)
+        steps = np.diff(listed, prepend=0.0)
+        if listed.size == 0 or not (np.isfinite(steps) & (steps >= 0)).all():
+            raise WrongUse(f"times must be finite, not negative and not decrease, unlike {times}")
+    with solved_by(solver):
+        return jax.vmap(state_after, (None, None, 0, None))(walker, x, times, tolerance)
+
+
+@by_kernel
+def state_after(
+    walker: Walker,
+    x: Float[Array, " coordinates"],
+    time: Scalar,
+    tolerance: Scalar,
+) -> State:
+    """The state a time after the start of a stride."""
+    start = full_state(walker, x)
+    method = Method(equations(walker), solver_for(start), tolerance)
+    solution = method.solve(start, jnp.zeros_like(time), time, method.controller())
+    arrived = solution.result == diffrax.RESULTS.successful
+    return jax.tree.map(lambda values: jnp.where(arrived, values[-1], jnp.nan), solution.ys)
+
+
+def as_floating(x: Any, name: str = "x") -> Float[Array, "..."]:
+    """x as an array, its dtype kept where it is a floating one."""
+    try:
+        values = jnp.asarray(x)
+    except (TypeError, ValueError, OverflowError):
+        raise WrongUse(f"{name} must be real numbers, not {short(x)}") from None
+    if jnp.iscomplexobj(values):
+        raise WrongUse(f"{name} must be real, not of type {values.dtype}")
+    return values if jnp.issubdtype(values.dtype, jnp.floating) else values.astype(float)

@@ -1,0 +1,199 @@
+"""The swing: from a heel strike to the next, or to a fall, and the contact force on the way.
+
+A stride is followed by its contact coordinate h. Whatever ends it shows at the ends of an
+integration step: h has risen through zero with the swing leg ahead, or may have in between, the
+stance leg has stopped, or is down. Then the step is looked at more closely, through its own
+polynomial; where nothing has happened after all, the stride goes on.
+"""
+
+from collections.abc import Callable
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Int
+
+from walker_jax.integrators.roots import first_rise, least, negative
+from walker_jax.integrators.solvers import MAX_STEPS, Method, Real, solver_for
+from walker_jax.integrators.taylor import fast_sines
+from walker_jax.walkers.masses import MultibodyWalker, SingleSupport
+from walker_jax.walkers.model import Scalar, State, Walker
+from walker_jax.walking.outcomes import Outcome
+
+
+def in_tension(walker: Walker, state: State) -> Bool[Array, ""]:
+    """Whether the ground would have to pull at the stance foot, Q_v < 0."""
+    return walker.contact_force(state)[1] < 0
+
+
+def equations(walker: Walker) -> Callable[[State], State]:
+    """What is integrated: the vector field, or what it follows from where that is faster."""
+    general = type(walker).vector_field is MultibodyWalker.vector_field
+    if general and isinstance(walker, MultibodyWalker):
+        return SingleSupport(walker)
+    return walker.vector_field
+
+
+def swing(
+    walker: Walker,
+    start: State,
+    verdict: Int[Array, ""],
+    tolerance: Real,
+    drop: Scalar | None = None,
+    *,
+    launched: bool = False,
+) -> tuple[State, Scalar, Int[Array, ""], Bool[Array, ""]]:
+    """Swing the leg until heel strike (`STRIDE`) or a fall; nothing to do unless `UNDECIDED`.
+
+    Or until the swing foot is lower than at the start by `drop`. Returns the state just before the
+    impact, its time, the verdict, and whether the ground would have had to pull at the stance foot
+    before that; its two ends are not looked at. What has been `launched`, and did not start on the
+    section, is followed to the end of its fall.
+    """
+
+    def contact(state: State) -> Scalar:
+        if drop is None:
+            return walker.contact(state)
+        return walker.clearance(start) - walker.clearance(state) - drop
+
+    def rate(state: State) -> Scalar:
+        """dh/dt along the motion."""
+        return jax.jvp(contact, (state,), (walker.vector_field(state),))[1]
+
+    def may_end(before: State, after: State, below: Bool[Array, ""], ends_below: Bool[Array, ""]):
+        """Whether a stride may end in a step: all that is wanted of it are its two ends."""
+        turns = (rate(before) < 0) & (rate(after) > 0)
+        rises = ~ends_below & (below | turns)
+        if drop is not None:  # a foot may come down and up again: the legs pass each other
+            rises |= (rate(before) > 0) & (rate(after) < 0)
+        return (rises & (after.theta < 0)) | has_fallen(after, ends_below)
+
+    def may_pull(before: State, after: State):
+        """Whether the ground may have had to pull by the end of a step."""
+        return in_tension(walker, after) | dips(walker, before, after)
+
+    def has_fallen(state: State, below: Bool[Array, ""]):
+        fallen = (state.thetadot >= 0) | (state.theta <= -np.pi / 2)
+        if launched or drop is not None:
+            return fallen
+        return fallen | (~below & walker.past_contact(state))
+
+    def undecided(carry):
+        *_, time, verdict, count, _, _ = carry
+        return (verdict == Outcome.UNDECIDED) & (count < MAX_STEPS) & jnp.isfinite(time)
+
+    def follow(carry):
+        now, _, time, verdict, count, pulled, below = carry
+
+        def stop(before: State, after: State, below: Bool[Array, ""]):
+            ends_below = contact(after) < 0
+            ends = may_end(before, after, below, ends_below)
+            if not walker.force_least_at_ends:
+                ends |= may_pull(before, after) & ~pulled
+            return ends, ends_below
+
+        last, steps = method.follow(now, stop, side=below, time=time)
+        look, until = method.look(contact, last), last.length
+        below, ends_below = last.sides
+        if drop is not None:
+            highest = least(negative(look), until)
+            until = jnp.where(highest.exists, highest.time, until)
+            ends_below = jnp.where(highest.exists, look(until)[0] < 0, ends_below)
+        rises, time = first_rise(look, until, (below, ends_below))
+        time = jnp.where(rises, method.sharpened(contact, last, time), last.length)
+        after = lambda time: method.within(last, time)
+        arrival = after(time)
+        if not walker.force_least_at_ends:
+            pulled |= pulls(walker, last.start, arrival, after, time)
+            pulled |= ~rises & fast_sines(in_tension)(walker, arrival)
+        arrival, delay = method.land(contact, arrival)
+        ahead = (arrival.theta < 0) & (arrival.theta > -np.pi / 2) & (arrival.thetadot < 0)
+        ahead &= arrival.phi < 0
+        fallen = jnp.where(last.end.thetadot >= 0, Outcome.BACKWARD, Outcome.FORWARD)
+        fallen = jnp.where(
+            fast_sines(has_fallen)(last.end, last.sides[1]), fallen, Outcome.UNDECIDED
+        )
+        verdict = jnp.where(rises & ahead, Outcome.STRIDE, fallen).astype(jnp.int8)
+        time = jnp.where(verdict == Outcome.STRIDE, time + delay, last.length)
+        time = last.time + time
+        below = last.sides[1]
+        return last.end, arrival, time, verdict, count + steps, pulled, below
+
+    method = Method(equations(walker), solver_for(start), tolerance, (contact,))
+    zero, never = jnp.zeros_like(start.theta), jnp.asarray(False)
+    below = jnp.asarray(fast_sines(contact)(start) < 0)
+    carry = (start, start, zero, verdict, jnp.asarray(0), never, below)
+    _, arrival, time, verdict, _, pulled, _ = lax.while_loop(undecided, follow, carry)
+    return arrival, time, verdict, pulled
+
+
+def normal_force(walker: Walker, state: State) -> tuple[Scalar, Scalar]:
+    """Q_v, and dQ_v/dt along the motion."""
+    force = lambda state: walker.contact_force(state)[1]
+    return jax.jvp(force, (state,), (walker.vector_field(state),))
+
+
+def dips(walker: Walker, before: State, after: State) -> Bool[Array, ""]:
+    """Whether Q_v is least in between two states of a motion."""
+    return (normal_force(walker, before)[1] < 0) & (normal_force(walker, after)[1] > 0)
+
+
+def pulls(
+    walker: Walker,
+    before: State,
+    after: State,
+    between: Callable[[Scalar], State],
+    time: Scalar,
+) -> Bool[Array, ""]:
+    """Whether Q_v is negative in between two states of a motion, `time` apart."""
+    _, least = least_force(walker, before, after, between, time, resolution=1e-6, above=0.0)
+    return least < 0
+
+
+def least_force(
+    walker: Walker,
+    before: State,
+    after: State,
+    between: Callable[[Scalar], State],
+    time: Scalar,
+    *,
+    resolution: float,
+    above: float = -np.inf,
+) -> tuple[Scalar, Scalar]:
+    """When Q_v is least in between two states of a motion, `time` apart, and its value.
+
+    That is at a root of its rate, bracketed by secants (Illinois), to a part of `time`, or until
+    the value is not `above` some number. It is infinite where Q_v has no least value in between.
+    The value is right to the square of what the time is right to. Constants to derivatives.
+    """
+    walker, before, after = lax.stop_gradient((walker, before, after))
+    look = fast_sines(partial(normal_force, walker))
+    below, beyond, time = look(before)[1], look(after)[1], lax.stop_gradient(time)
+    zero = jnp.zeros_like(time)
+
+    def unfinished(carry):
+        low, high, *_, least = carry
+        return (high - low > resolution * time) & (least > above)
+
+    def narrow(carry):
+        low, high, below, beyond, best, least = carry
+        t = low + (high - low) * jnp.clip(below / (below - beyond), 0.01, 0.99)
+        force, rate = look(lax.stop_gradient(between(t)))
+        falling = rate < 0
+        # An end that stays counts half as much the next time.
+        return (
+            jnp.where(falling, t, low),
+            jnp.where(falling, high, t),
+            jnp.where(falling, rate, below / 2),
+            jnp.where(falling, beyond / 2, rate),
+            jnp.where(force < least, t, best),
+            jnp.minimum(least, force),
+        )
+
+    active = (below < 0) & (beyond > 0)
+    high = jnp.where(active, time, zero)
+    carry = (zero, high, below, beyond, zero, jnp.full_like(time, jnp.inf))
+    *_, best, least = lax.while_loop(unfinished, narrow, carry)
+    return best, least
