@@ -53,7 +53,13 @@ def starting(folder: str) -> float:
     """Seconds that the command takes, with its cache in a folder."""
     start = time.perf_counter()
     subprocess.run(
-        [sys.executable, "-c", "from walker_jax.cli import main; main()", "basin", "--overwrite"],
+        [
+            sys.executable,
+            "-c",
+            "from walker_jax.cli.main import main; main()",
+            "basin",
+            "--overwrite",
+        ],
         cwd=folder,
         env={**os.environ, "XDG_CACHE_HOME": folder},
         check=True,

@@ -19,7 +19,8 @@ import xarray as xr
 from zarr.storage import LocalStore
 
 from walker_jax import storage
-from walker_jax.storage import requests, whole
+from walker_jax.storage import whole
+from walker_jax.storage.requests import canonical
 
 OLD, NEW = {"slope": 0.004}, {"slope": 0.005}
 ROWS = np.arange(12.0).reshape(6, 2)
@@ -65,9 +66,7 @@ def saved_again(path: Path) -> xr.Dataset:
     assert storage.find(path, {}, overwrite=True) is None
     there = storage.load(path)
     assert there is not None
-    wanted = {requests.canonical(OLD): OTHER, requests.canonical(NEW): WHOLE}[
-        there.attrs["request"]
-    ]
+    wanted = {canonical(OLD): OTHER, canonical(NEW): WHOLE}[there.attrs["request"]]
     assert there.drop_attrs(deep=False).identical(wanted)
     return storage.save(WHOLE, path, NEW)
 

@@ -312,7 +312,7 @@ def test_a_cycle_of_cells_on_an_attractor_without_a_period_belongs_to_that(monke
     """Beyond the cascade of doublings: walkers from both centres never come back to themselves."""
     monkeypatch.setattr("walker_jax.basins.attractor_search.PATIENCE", 2)
     monkeypatch.setattr("walker_jax.basins.attractor_search.ATTEMPTS", 1)
-    monkeypatch.setattr(module, "PATIENCE", 2)
+    monkeypatch.setattr("walker_jax.basins.methods.PATIENCE", 2)
     data = wj.basin(wj.SimplestWalker(0.0188), wj.Grid.sheared(**PAPER))
     assert data.period.values.tolist() == [0] and not data.artefact.any()
     assert data["cells"].values.tolist() == [(data.fate.values == 0).sum()] == [28]
@@ -362,7 +362,8 @@ def test_the_order_in_which_cells_are_computed_changes_nothing(monkeypatch):
         )
     ]
     wanted = compute()
-    monkeypatch.setattr(module, "order_of_cells", lambda shape: compact_order(shape, 64))
+    order = lambda shape: compact_order(shape, 64)
+    monkeypatch.setattr("walker_jax.basins.methods.order_of_cells", order)
     for found, values in zip(compute(), wanted, strict=True):
         np.testing.assert_array_equal(found, values)
     whole, cells = wanted[0], grid.size
@@ -428,11 +429,11 @@ KILLED = """
 import os
 import signal
 import sys
-from importlib import import_module
 from pathlib import Path
 import jax
 from zarr.storage import LocalStore
 import walker_jax as wj
+from walker_jax.basins import pieces
 jax.config.update("jax_enable_x64", True)
 pieces.PIECE = 2**12
 kind = pieces.MappedPieces if sys.argv[1] == "cell-map" else pieces.FollowedPieces

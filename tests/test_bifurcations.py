@@ -7,6 +7,7 @@ from maps import done_with
 
 import walker_jax as wj
 from walker_jax.gaits import diagrams, long_runs
+from walker_jax.gaits.continuation import Start
 
 VALUES = json.loads((Path(__file__).parent / "data" / "values.json").read_text())
 REGION = wj.Grid.sheared(theta=(0.1, 0.3, 40), sum=(-0.03, 0.018, 60))
@@ -97,16 +98,15 @@ def test_gaits_are_known_from_any_of_their_states(monkeypatch):
         return np.array([[r + 1 - root], [r + 1 + root]]) / (2 * r)
 
     logistic = lambda x, r: r * x * (1 - x)
-    monkeypatch.setattr(
-        module, "together", lambda *given: [done_with(logistic, task) for task in given[2]]
-    )
+    together = lambda *given: [done_with(logistic, task) for task in given[2]]
+    monkeypatch.setattr("walker_jax.gaits.diagrams.together", together)
     values = np.array([3.2, 3.4])
     two = branch_of(2, [0.5, 0.5], values, np.stack([cycle(r) for r in values]))
     look = lambda starts: diagrams.unknown(walker(), "slope", [two], starts, 1e-12)
     fixed = np.full((2, 1), 1 - 1 / 3.3)
-    starts = [module.Start(3.3, x) for x in (cycle(3.3), cycle(3.3)[::-1], fixed, fixed[:1])]
+    starts = [Start(3.3, x) for x in (cycle(3.3), cycle(3.3)[::-1], fixed, fixed[:1])]
     assert look(starts) == starts[2:]
-    assert look([module.Start(3.5, cycle(3.5))]) != []  # where there is no branch
+    assert look([Start(3.5, cycle(3.5))]) != []  # where there is no branch
 
 
 @pytest.mark.slow

@@ -19,7 +19,6 @@ from walker_jax import storage
 from walker_jax.cli import answers, basin_command, main, optimise_command, options, sweep_command
 from walker_jax.design import trace
 from walker_jax.paper import numbers
-from walker_jax.paper import reproduction as paper
 from walker_jax.stability.summary import without_gait
 from walker_jax.walkers.family import WALKERS
 from walker_jax.walkers.parameters import parameters
@@ -86,7 +85,7 @@ def test_reproduce_prints_what_differs(run, monkeypatch):
         numbers.Number("5.2", "slope", "0.022", "0.019", False, "No cells."),
         numbers.Number("5.1", "fate", "F", "F", True, ""),
     ]
-    monkeypatch.setattr(paper, "reproduce", lambda out, **_: found)
+    monkeypatch.setattr("walker_jax.paper.reproduction.reproduce", lambda out, **_: found)
     code, out, _ = run("reproduce", "--quick")
     assert code == 0 and "1 of 2 numbers agree" in out
     assert "5.2, slope: printed 0.022, ours 0.019. No cells." in out
@@ -638,7 +637,7 @@ def test_answers_on_robustness(run, tmp_path, monkeypatch):
     one = one.assign(nearer)
     for name in ("robustness.png", "t.png"):
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
-    monkeypatch.setattr("walker_jax.cli.basin_command.draw", lambda *_: None)
+    monkeypatch.setattr("walker_jax.cli.robustness_command.draw", lambda *_: None)
     answer = json.loads(run("robustness", "--json", "--overwrite")[1])
     assert answer["least_disturbance"]["size"] == 0.01 and answer["step_down"] == 0.03125
     assert answer["least_disturbance"]["failure"] == answer["step_down_failure"] == "STRIDE"
@@ -904,7 +903,7 @@ def test_importing_sets_no_flag_and_loads_no_drawing():
         "walker_jax.find_gait, walker_jax.SimplestWalker, walker_jax.strides\n"
         "late = {'matplotlib', 'dask', 'zarr', 'typer', 'xarray', 'scipy.stats'}\n"
         "assert not late & set(sys.modules)\n"
-        "import walker_jax.cli\n"
+        "import walker_jax.cli.main\n"
         "assert not late - {'typer'} & set(sys.modules)\n"
     )
     subprocess.run([sys.executable, "-c", program], check=True)
@@ -914,7 +913,7 @@ def test_public_names_are_what_they_name_whatever_is_loaded_first():
     """Some modules have the name of a function, and Python would put them in its place."""
     program = (
         "import types, walker_jax.sweep, walker_jax\n"  # which loads most of the others
-        "from walker_jax import basin, stride, store\n"
+        "from walker_jax import basin, stride, storage\n"
         "from walker_jax import *\n"
         "values = [getattr(walker_jax, name) for name in walker_jax.__all__]\n"
         "assert not any(isinstance(value, types.ModuleType) for value in values)\n"

@@ -10,11 +10,12 @@ from scipy.optimize import brentq, minimize_scalar
 
 import walker_jax as wj
 from walker_jax import storage
-from walker_jax.design import climbs, problem, trace
+from walker_jax.design import climbs, problem
 from walker_jax.design.climbs import allowed, along_limits
 from walker_jax.design.measures import Measure
 from walker_jax.design.optimisation import optimise
 from walker_jax.design.problem import starting_places, weights_of
+from walker_jax.design.trace import ENDS, Row, Slack, Trace, measured
 from walker_jax.stability.summary import default_region
 
 WALKER = wj.SimplestWalker(0.004)
@@ -53,7 +54,7 @@ def test_an_optimum_within_the_bounds(steepest):
     assert bool(steepest.found) and bool(steepest.converged)
     assert float(steepest.optimum[0]) == pytest.approx(at, abs=0.003 * 0.019)
     assert float(steepest.exact_optimum) == pytest.approx(least, abs=1e-4)
-    run = values(steepest, "run")[values(steepest, "stage").index(trace.ENDS)]
+    run = values(steepest, "run")[values(steepest, "stage").index(ENDS)]
     first = float(steepest.parameters[values(steepest, "run").index(run), 0])
     assert values(steepest, "start") == [first]
     assert float(steepest.exact_start) == pytest.approx(
@@ -218,7 +219,6 @@ def test_an_interrupted_run_goes_on(no_basins, tmp_path, monkeypatch):
     whole = optimise(WALKER, SLOPES, "speed", starts=2)
 
     made = []
-    measured = trace.measured
     monkeypatch.setattr(
         "walker_jax.design.trace.measured", lambda *all: made.append(all) or measured(*all)
     )
@@ -259,7 +259,7 @@ def test_limits_hold_at_a_loose_tolerance(no_basins):
 def test_parameters_that_the_walker_refuses_together_are_not_tried():
     walker = wj.RoundFootWalker(0.01, leg_length=0.6, foot_radius=0.3)
     bounds = {"foot_radius": (0.1, 0.5), "leg_length": (0.4, 1.0)}
-    trace = trace.Trace(problem_of(walker, bounds), None, None, False)
+    trace = Trace(problem_of(walker, bounds), None, None, False)
     assert allowed(trace, np.array([1.0, 0.0])) is None
     assert "foot_radius must be less than leg_length" in climbs.why_nowhere(
         trace, np.array([1.0, 0.0])
@@ -268,7 +268,6 @@ def test_parameters_that_the_walker_refuses_together_are_not_tried():
 
 
 def test_a_stage_that_cannot_begin_keeps_what_was_found(no_basins, monkeypatch):
-    measured = trace.measured
 
     def failing(problem, stage, values, gait_of):
         row = measured(problem, stage, values, gait_of)
@@ -304,7 +303,7 @@ def test_places_between_the_bounds():
 
 def test_steps_keep_to_bounds_and_limits(monkeypatch):
     problem = problem_of(WALKER, SLOPES, speed=(0.06, np.inf))
-    trace = trace.Trace(problem, None, None, False)
+    trace = Trace(problem, None, None, False)
     edge = brentq(lambda slope: measure("speed", slope) - 0.06, 0.001, 0.004)
     back = allowed(trace, np.array([0.0]))
     assert back is not None
@@ -313,8 +312,8 @@ def test_steps_keep_to_bounds_and_limits(monkeypatch):
     np.testing.assert_allclose(along_limits(trace, back, np.array([-1.0])), [0.0], atol=1e-12)
     assert along_limits(trace, back, np.array([1.0])).tolist() == [1.0]
     bounds = {**SLOPES, "hip_stiffness": (0.0, 1.0)}
-    both = trace.Trace(problem_of(wj.SpringWalker(0.004), bounds), None, None, False)
-    slant = trace.Slack("speed", 0.0, np.array([1.0, 2.0]))
+    both = Trace(problem_of(wj.SpringWalker(0.004), bounds), None, None, False)
+    slant = Slack("speed", 0.0, np.array([1.0, 2.0]))
     monkeypatch.setattr("walker_jax.design.climbs.slacks", lambda *_: [slant])
     # against a limit, and then against a bound as well: no way is left
     np.testing.assert_allclose(
@@ -324,7 +323,7 @@ def test_steps_keep_to_bounds_and_limits(monkeypatch):
         along_limits(both, np.array([0.5, 1.0]), np.array([-1.0, 0.0])), [0.0, 0.0], atol=1e-12
     )
     monkeypatch.undo()
-    free = trace.Trace(problem_of(WALKER, SLOPES), None, None, False)
+    free = Trace(problem_of(WALKER, SLOPES), None, None, False)
     assert along_limits(free, np.array([0.0]), np.array([-1.0])).tolist() == [0.0]
     assert along_limits(free, np.array([0.0]), np.array([1.0])).tolist() == [1.0]
 
@@ -332,7 +331,7 @@ def test_steps_keep_to_bounds_and_limits(monkeypatch):
 def test_within_their_errors_values_are_not_believed():
     def row(place, value, gradient, error=0.1):
         numbers = (np.array([place]), value, error, np.array([gradient]), np.zeros(1))
-        return trace.Row(0, 0, *numbers, np.zeros(1), 0)
+        return Row(0, 0, *numbers, np.zeros(1), 0)
 
     problem = problem_of(WALKER, SLOPES)
     here = row(0.010, 1.0, 1.0)
@@ -351,9 +350,7 @@ def test_within_their_errors_values_are_not_believed():
 def made_up(problem, stage, values, value, area=0.0):
     """A row of the trace."""
     none = np.zeros(len(values))
-    return trace.Row(
-        -1, stage, values, value, 0.0, none, none, np.full(len(problem.measures), area), 0
-    )
+    return Row(-1, stage, values, value, 0.0, none, none, np.full(len(problem.measures), area), 0)
 
 
 @pytest.mark.parametrize(("walking_below", "steps"), [(0.012, 4), (0.0, 8)])
@@ -364,8 +361,10 @@ def test_from_where_nothing_walks_steps_lead_to_where_the_gait_is_more_stable(
     bounds = {"slope": (0.001, 0.021), "hip_stiffness": (0.0, 2.0)}
     problem = problem_of(wj.SpringWalker(0.019, 0.4), bounds)._replace(weights={"area": 1.0})
     radius = Measure(1.5, np.array([2 / 0.02, -1 / 2]))
-    monkeypatch.setattr(design, "gait_measures", lambda *_, **__: {"spectral-radius": radius})
-    monkeypatch.setattr(trace.Trace, "gait", lambda *_: None)
+    monkeypatch.setattr(
+        "walker_jax.design.climbs.gait_measures", lambda *_, **__: {"spectral-radius": radius}
+    )
+    monkeypatch.setattr(Trace, "gait", lambda *_: None)
     asked = []
 
     def measured(problem, stage, values, gait_of):
@@ -374,13 +373,13 @@ def test_from_where_nothing_walks_steps_lead_to_where_the_gait_is_more_stable(
 
     monkeypatch.setattr("walker_jax.design.trace.measured", measured)
     begin = np.array([0.019, 0.4])
-    trace = trace.Trace(problem, None, None, False)
+    trace = Trace(problem, None, None, False)
     found = climbs.rescued(trace, 0, made_up(problem, 0, begin, 0.0))
     way = np.arange(1, 9)[:, None] * [-0.002, 0.1]
     np.testing.assert_allclose(asked, (begin + way)[:steps], rtol=1e-9)
     assert (found is not None) == (steps == 4)
     flat = {"spectral-radius": Measure(1.5, np.zeros(2))}
-    monkeypatch.setattr(design, "gait_measures", lambda *_, **__: flat)
+    monkeypatch.setattr("walker_jax.design.climbs.gait_measures", lambda *_, **__: flat)
     assert climbs.rescued(trace, 0, made_up(problem, 0, begin, 0.0)) is None
 
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import walker_jax as wj
+from walker_jax import storage
 from walker_jax.cli import answers, main
-from walker_jax.paper import reproduction as paper
-from walker_jax.storage import requests
+from walker_jax.storage.requests import canonical
 
 ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "walkers.md"
@@ -57,9 +57,8 @@ def test_the_commands_of_the_readme_run_one_after_the_other_in_one_folder(
     taken: dict[str, str] = {}
 
     def take(path, request):
-        assert taken.setdefault(str(path), requests.canonical(request)) == requests.canonical(
-            request
-        )
+        words = canonical(request)
+        assert taken.setdefault(str(path), words) == words
 
     def begin(*_, **__):
         raise Begun
@@ -80,10 +79,11 @@ def test_the_commands_of_the_readme_run_one_after_the_other_in_one_folder(
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("walker_jax.cli.main.keep_compiled", lambda: None)
-    monkeypatch.setattr("walker_jax.cli.basin_command.made_before", of_data)
-    monkeypatch.setattr(paper, "reproduce", of_report)
-    monkeypatch.setattr(store, "export", of_export)
-    monkeypatch.setattr(store, "check_picture", lambda path, request, **_: take(path, request))
+    for name in ("basin", "bifurcation", "optimise", "robustness", "sweep"):
+        monkeypatch.setattr(f"walker_jax.cli.{name}_command.made_before", of_data)
+    monkeypatch.setattr("walker_jax.paper.reproduction.reproduce", of_report)
+    monkeypatch.setattr(storage, "export", of_export)
+    monkeypatch.setattr(storage, "check_picture", lambda path, request, **_: take(path, request))
     for name in ("walk", "find_gait", "find_gaits"):
         monkeypatch.setattr(wj, name, begin)
     for command in commands:

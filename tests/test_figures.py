@@ -876,11 +876,9 @@ def optimum(basins=True, **changes):
     return xr.Dataset(found, coords, attrs | changes)
 
 
-def line(ax, **style):
+def line(ax, **look):
     """Points of the only line of this style."""
-    (only,) = (
-        one for one in ax.lines if all(getattr(one, f"get_{k}")() == style[k] for k in style)
-    )
+    (only,) = (one for one in ax.lines if all(getattr(one, f"get_{k}")() == look[k] for k in look))
     return np.asarray(only.get_xydata())
 
 
@@ -948,8 +946,8 @@ def test_the_run_to_the_optimum_is_joined_in_its_order_and_others_are_fainter():
     np.testing.assert_array_equal(line(ax, linewidth=0.8, alpha=style.FAINT), faint)
     shades, sizes, names = ([stage[i] for stage in optimum_plots.STAGES] for i in range(3))
     for stage, dots in enumerate([way[:2], way[2:3], [], way[3:]]):
-        style = {"marker": "o", "alpha": 1, "color": shades[stage]}
-        np.testing.assert_array_equal(line(ax, **style), np.reshape(dots, (-1, 2)))
+        look = {"marker": "o", "alpha": 1, "color": shades[stage]}
+        np.testing.assert_array_equal(line(ax, **look), np.reshape(dots, (-1, 2)))
     light = [lightness(255 * np.array(to_rgb(colour))) for colour, *_ in optimum_plots.STAGES]
     assert max(np.diff(light)) < -10 and max(np.diff(sizes)) < 0
     assert "other runs" in legend(ax) and legend(ax)[-4:-1] == [names[0], names[1], names[3]]

@@ -7,7 +7,6 @@ import shutil
 import subprocess
 import sys
 from collections import Counter
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -22,7 +21,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import walker_jax as wj
-from walker_jax import figures, storage
+from walker_jax import storage
 from walker_jax.basins.memory import check_grid
 from walker_jax.basins.refinement import finer
 from walker_jax.checks import WrongUse
@@ -32,7 +31,6 @@ from walker_jax.design.trace import Row
 from walker_jax.execution import tiles
 from walker_jax.execution.workers import computers
 from walker_jax.kernels import primitive
-from walker_jax.paper import reproduction as paper
 
 NUMBERS = ["0.004", "0.2", "-0.2", "0.01", "0.3", "1", "2", "3", "10", "0", "-1", "1.5", "1e-300"]
 NUMBERS += ["1e300", "1e400", "nan", "inf", "-inf", "abc", "", " ", "0x10", "1_0", "٣", "9" * 30]
@@ -172,28 +170,28 @@ def bench(tmp_path_factory):
             return answer if out is None else storage.save(answer, out, request or {})
 
     with contextlib.ExitStack() as stack:
-        patch = lambda *all: stack.enter_context(mock.patch.object(*all))
+        patch = lambda place, value: stack.enter_context(mock.patch(place, value))
         patch("walker_jax.cli.main.keep_compiled", lambda: None)
-        patch("walker_jax.cli.basin_command.draw", lambda axes, path, request: put(path, request))
+        for name in ("basin", "bifurcation", "gait", "optimise", "robustness", "sweep"):
+            place = f"walker_jax.cli.{name}_command.draw"
+            patch(place, lambda axes, path, request: put(path, request))
         for name in PICTURES:
-            patch(figures, name, lambda data: None)
-        patch(poses, "film", lambda *all, **more: all[1].write_bytes(more["signature"].encode()))
-        patch(paper, "reproduce", refuse)
+            patch(f"walker_jax.figures.{name}", lambda data: None)
+        film = lambda *all, **more: all[1].write_bytes(more["signature"].encode())
+        patch("walker_jax.figures.film", film)
+        patch("walker_jax.paper.reproduction.reproduce", refuse)
         patch("walker_jax.execution.workers.client_of", unreachable)
         patch("walker_jax.design.sweeps.measured", lambda *_: {"total_area": 0.001})
-        patch(wj, "basin", basin)
-        patch(wj, "bifurcation_diagram", refuse)
-        patch(wj, "find_gaits", lambda walker, period: [gait] if period == 1 else [])
+        patch("walker_jax.basin", basin)
+        patch("walker_jax.bifurcation_diagram", refuse)
+        patch("walker_jax.find_gaits", lambda walker, period: [gait] if period == 1 else [])
         patch("walker_jax.gaits.search.find_gaits", lambda *_, **__: [])
-        robustness, design = (
-            import_module(f"walker_jax.{name}") for name in ("robustness", "design")
-        )
         for name, found in ANSWERS.items():
-            patch(robustness, name, lambda *_, found=found, **__: found)
-        patch(robustness, "refine", refine)
-        patch(design, "climb", climb)
-        patch(design, "measured", measured)
-        patch(design, "compared", lambda *_: {})
+            patch(f"walker_jax.stability.summary.{name}", lambda *_, found=found, **__: found)
+        patch("walker_jax.stability.summary.refine", refine)
+        patch("walker_jax.design.optimisation.climb", climb)
+        patch("walker_jax.design.trace.measured", measured)
+        patch("walker_jax.design.optimisation.compared", lambda *_: {})
 
         def run(arguments):
             if not there.exists() or content(there) != before:

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
-from walker_jax.integrators.roots import first_zero
 
 import walker_jax as wj
 from walker_jax.gaits.derivatives import linearise
+from walker_jax.integrators.roots import first_zero
 from walker_jax.integrators.taylor import function_series, solution_series, switching_series
 from walker_jax.multibody import System
 from walker_jax.walkers.family import WALKERS

@@ -109,8 +109,8 @@ def disc(monkeypatch):
 
     cycle = Attractor(1, np.zeros((1, 2)))
     monkeypatch.setattr(refinement, "framed_attractors", lambda *_: (None, [cycle]))
-    for module in (refinement, objectives):
-        monkeypatch.setattr(module, "follow", follow)
+    for module in ("basins.refinement", "design.gradients"):
+        monkeypatch.setattr(f"walker_jax.{module}.follow", follow)
     monkeypatch.setattr("walker_jax.design.gradients.margin_changes", changes)
 
 
@@ -174,7 +174,7 @@ def test_the_least_disturbance_changes_as_its_boundary_and_its_gait_do(monkeypat
     walker, gait, u = wj.SimplestWalker(0.004), wj.find_gait(wj.SimplestWalker(0.004)), direction
     state = np.asarray(gait.states[0]) + SIZE(0.004) * np.array(u)
     found = wj.LeastDisturbance(SIZE(0.004), np.array(u), state, 0, wj.Outcome.FORWARD, 6)
-    monkeypatch.setattr(objectives, "least_disturbance", lambda *_, **__: found)
+    monkeypatch.setattr("walker_jax.design.gradients.least_disturbance", lambda *_, **__: found)
     moved = wj.gait_derivatives(walker, gait, "slope").states[0]
 
     def changes(walker, x, made, directions, parameters, tolerance):
@@ -198,7 +198,7 @@ def test_the_least_disturbance_without_a_margin_changes_by_its_average_over_a_ba
             SIZE(float(walker.slope)), np.array([1.0, 0.0]), x, 0, wj.Outcome.STRIDE, 6
         )
 
-    monkeypatch.setattr(objectives, "least_disturbance", least)
+    monkeypatch.setattr("walker_jax.design.gradients.least_disturbance", least)
     nan = lambda walker, x, *_: np.full((len(x), 3), np.nan)
     monkeypatch.setattr("walker_jax.design.gradients.margin_changes", nan)
     walker = wj.SimplestWalker(0.012)

@@ -12,7 +12,8 @@ import pytest
 
 import walker_jax as wj
 from walker_jax import storage
-from walker_jax.paper import calculations, numbers, pictures, reproduction
+from walker_jax.paper import calculations, pictures, reproduction
+from walker_jax.paper.numbers import close, compared
 
 TINY = calculations.Size(section=40, slopes=5, levels=None, strides=500, shifts=2)
 
@@ -70,7 +71,7 @@ def data():
 
 @pytest.fixture(scope="module")
 def numbers(data):
-    return {number.what: number for number in numbers.compared(data)}
+    return {number.what: number for number in compared(data)}
 
 
 def test_table_1_comes_out_in_every_digit(numbers):
@@ -188,11 +189,11 @@ def test_letters_in_a_caption_are_on_the_picture(data):
 
 
 def test_a_number_agrees_at_the_digits_that_are_printed():
-    assert numbers.close("", "", "0.15", 0.1549999).agrees
-    assert not numbers.close("", "", "0.15", 0.1550001).agrees
-    assert numbers.close("", "", "0.150", 0.1502).ours == "0.150200"
-    assert not numbers.close("", "", "0.150", 0.1506).agrees
-    assert numbers.close("", "", "1", 1 - 1e-7, 6).ours == "1.000000"
+    assert close("", "", "0.15", 0.1549999).agrees
+    assert not close("", "", "0.15", 0.1550001).agrees
+    assert close("", "", "0.150", 0.1502).ours == "0.150200"
+    assert not close("", "", "0.150", 0.1506).agrees
+    assert close("", "", "1", 1 - 1e-7, 6).ours == "1.000000"
 
 
 def stopping(name, data, computed):

@@ -2,20 +2,21 @@
 
 import io
 import re
-from importlib import import_module
 
 import pytest
 from rich.console import Console
 
 import walker_jax as wj
 from walker_jax import storage
+from walker_jax.basins import pieces
+from walker_jax.design import sweeps
 from walker_jax.execution import progress
 
 
 def test_a_bar_begins_with_what_was_done_before_and_ends_with_all(monkeypatch):
     shown = io.StringIO()
     terminal = Console(file=shown, force_terminal=True, width=80)
-    monkeypatch.setattr("walker_jax.design.trace.console", lambda wanted: terminal)
+    monkeypatch.setattr("walker_jax.execution.progress.console", lambda wanted: terminal)
     assert [*progress.tracked("ab", "pieces", True, 10, done=8)] == ["a", "b"]
     parts = [int(part) for part in re.findall(r"(\d+)%", shown.getvalue())]
     assert parts[0] == 80 and parts[-1] == 100 and parts == sorted(parts)
@@ -23,7 +24,7 @@ def test_a_bar_begins_with_what_was_done_before_and_ends_with_all(monkeypatch):
 
 @pytest.mark.parametrize("name", ["basin", "sweep"])
 def test_a_run_that_is_resumed_shows_what_is_there(name, tmp_path, monkeypatch):
-    module = import_module(f"walker_jax.{name}")
+    module = {"basin": pieces, "sweep": sweeps}[name]
     grid = wj.Grid.sheared(theta=(0.05, 0.35, 8), sum=(-0.03, 0.01, 6))
     walker, out = wj.SimplestWalker(0.004), tmp_path / "a.zarr"
     monkeypatch.setattr("walker_jax.basins.pieces.PIECE", 12)

@@ -390,7 +390,7 @@ def test_a_fall_is_searched_for_only_where_the_nearest_start_that_is_lost_does_n
 
     survived = BasinStability(*map(np.asarray, (0.5, 0.4, 0.6, np.zeros(8, int), 0, 5.0, 9.0)))
     dimension = Uncertainty(1.0, 1.0, 1.0, 1.0, np.zeros(0), np.zeros(0))
-    monkeypatch.setattr("walker_jax.design.gradients.least_disturbance", disturbed)
+    monkeypatch.setattr("walker_jax.stability.summary.least_disturbance", disturbed)
     monkeypatch.setattr("walker_jax.stability.summary.least_step_down", stepped)
     monkeypatch.setattr("walker_jax.stability.summary.basin_stability", lambda *_, **__: survived)
     monkeypatch.setattr(
@@ -443,8 +443,10 @@ def test_the_numbers_are_those_of_the_gait_of_the_largest_basin_where_it_is_weak
         "boundary_dimension": Uncertainty(1.25, 1.0, 1.5, 0.75, np.zeros(0), np.zeros(0)),
     }
     for name, answer in answers.items():
-        monkeypatch.setattr(robustness, name, lambda *_, answer=answer, **__: answer)
-    monkeypatch.setattr(robustness, "find_gait", found_gait)
+        monkeypatch.setattr(
+            f"walker_jax.stability.summary.{name}", lambda *_, answer=answer, **__: answer
+        )
+    monkeypatch.setattr("walker_jax.stability.summary.find_gait", found_gait)
     monkeypatch.setattr("walker_jax.stability.summary.basin_stability", survived)
     grid = wj.Grid.sheared(theta=(0.05, 0.4, 20), sum=(-0.04, 0.01, 20))
     found = summary.robustness(WALKER, grid, disturbances=0.25)
@@ -467,7 +469,9 @@ def test_of_the_states_of_a_gait_the_weakest_counts(gait, monkeypatch):
     """The searches from each are made up, and so is the second state."""
     (state,), shared = returning(WALKER, gait, 500, None)
     states = np.array([state, [0.16, -0.165]])
-    monkeypatch.setattr("walker_jax.stability.disturbances.returning", lambda *_: (states, shared))
+    for module in ("disturbances", "steps_down"):
+        place = f"walker_jax.stability.{module}.returning"
+        monkeypatch.setattr(place, lambda *_: (states, shared))
     steps = iter([[0.03, 0.0], [0.0, -0.02]])
     monkeypatch.setattr(
         "walker_jax.stability.disturbances.nearest_failure", lambda *_: np.array(next(steps))
@@ -476,7 +480,8 @@ def test_of_the_states_of_a_gait_the_weakest_counts(gait, monkeypatch):
     assert (found.size, found.phase, found.direction.tolist()) == (0.02, 1, [0.0, -1.0])
     np.testing.assert_allclose(found.state, [0.16, -0.175], rtol=1e-12)
     heights = iter([0.03, 0.02])
-    monkeypatch.setattr("walker_jax.stability.rays.halved", lambda *_: np.array([next(heights)]))
+    halved = lambda *_: np.array([next(heights)])
+    monkeypatch.setattr("walker_jax.stability.steps_down.halved", halved)
     down = least_step_down(WALKER, gait)
     assert (down.size, down.phase) == (0.02, 1)
     np.testing.assert_allclose(down.state, wj.step_down(WALKER, states[1], 0.02).state)

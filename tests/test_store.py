@@ -1,4 +1,5 @@
 import errno
+import importlib.util
 import os
 import subprocess
 import sys
@@ -64,7 +65,7 @@ def test_what_is_no_data_set_is_never_replaced(tmp_path, overwrite):
 def test_places_that_cannot_be_written(tmp_path, monkeypatch):
     with pytest.raises(ValueError, match="no folder"):
         storage.find(tmp_path / "none" / "a.zarr", REQUEST)
-    monkeypatch.setattr(storage.os, "access", lambda *_: False)
+    monkeypatch.setattr(os, "access", lambda *_: False)
     with pytest.raises(ValueError, match="no permission"):
         storage.find(tmp_path / "a.zarr", REQUEST)
 
@@ -278,7 +279,7 @@ def test_a_link_is_another_name_of_a_place(tmp_path, data):
 
 def test_a_result_may_be_read_where_nothing_can_be_written(tmp_path, data, monkeypatch):
     storage.save(data, tmp_path / "a.zarr", REQUEST)
-    monkeypatch.setattr(storage.os, "access", lambda *_: False)
+    monkeypatch.setattr(os, "access", lambda *_: False)
     assert storage.find(tmp_path / "a.zarr", REQUEST) is not None
     with pytest.raises(storage.Occupied, match="holds another result"):
         storage.find(tmp_path / "a.zarr", {})
@@ -473,7 +474,7 @@ def test_what_cannot_go_to_netcdf(tmp_path, data, monkeypatch):
     path = tmp_path / "b.zarr"
     with pytest.raises(ValueError, match="there is no folder"):
         storage.export(path, tmp_path / "none" / "a.nc")
-    monkeypatch.setattr(storage.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(ValueError, match="NetCDF takes h5netcdf"):
         storage.export(path, file)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.zarr", "b.zarr"]

@@ -319,8 +319,7 @@ def test_workers_compute_in_the_modes_of_the_process_that_asks(client, modes, mo
 
 
 DYING = """
-import os, sys
-from importlib import import_module
+import sys
 from pathlib import Path
 import jax
 import walker_jax as wj

@@ -11,11 +11,9 @@ Importing sets no JAX flag. Turn on float64 for numbers to quote:
 """
 
 import ast
-import sys
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 STUB = ast.parse(Path(__file__).with_suffix(".pyi").read_text())
@@ -28,26 +26,18 @@ MODULES = {
 """Where each public name is; type checkers read the same file."""
 
 
-class Package(ModuleType):
-    """The package, whose names are loaded when they are first used."""
-
-    def __getattr__(self, name: str) -> Any:
-        if name not in MODULES:
-            raise AttributeError(f"module {self.__name__!r} has no attribute {name!r}")
-        value = getattr(import_module(MODULES[name]), name)
-        setattr(self, name, value)
-        return value
-
-    def __setattr__(self, name: str, value: object) -> None:
-        # Python puts every submodule here, of which some have the name of a function.
-        if not (name in MODULES and isinstance(value, ModuleType)):
-            super().__setattr__(name, value)
-
-    def __dir__(self) -> list[str]:
-        return sorted({*super().__dir__(), *MODULES})
+def __getattr__(name: str) -> Any:
+    """Public names are loaded when they are first used."""
+    if name not in MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = globals()[name] = getattr(import_module(MODULES[name]), name)
+    return value
 
 
-sys.modules[__name__].__class__ = Package
+def __dir__() -> list[str]:
+    return sorted({*globals(), *MODULES})
+
+
 __version__ = version("walker-jax")
 # pyright reads the names in the stub, and knows no list that is computed.
 __all__ = sorted(MODULES)  # pyright: ignore[reportUnsupportedDunderAll]

@@ -4,6 +4,9 @@ A data set carries, in its attribute `request`, what was asked for, as JSON. The
 its result again; any other is refused the place unless it is told to overwrite.
 """
 
+from walker_jax.storage.piecewise import Pieces as Pieces
+from walker_jax.storage.piecewise import pieces as pieces
+from walker_jax.storage.piecewise import resumable as resumable
 from walker_jax.storage.places import ELSEWHERE as ELSEWHERE
 from walker_jax.storage.places import RESUME as RESUME
 from walker_jax.storage.places import Occupied as Occupied
@@ -17,6 +20,3 @@ from walker_jax.storage.whole import find as find
 from walker_jax.storage.whole import load as load
 from walker_jax.storage.whole import opened as opened
 from walker_jax.storage.whole import save as save
-from walker_jax.storage.piecewise import Pieces as Pieces
-from walker_jax.storage.piecewise import pieces as pieces
-from walker_jax.storage.piecewise import resumable as resumable
