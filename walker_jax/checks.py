@@ -18,11 +18,7 @@ from jax.core import Tracer
 from jaxtyping import Float, Shaped
 
 P = ParamSpec("P")
-
-
 T = TypeVar("T")
-
-
 MOST = 2**31 - 1
 """Strides, starts and cells are counted in 32 bits."""
 

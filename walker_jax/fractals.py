@@ -19,20 +19,12 @@ from walker_jax.checks import WrongUse, array, check_number, check_whole, number
 
 SMALLEST = 4
 """Cells along a side of the smallest box: detail finer than a cell is missing from smaller ones."""
-
-
 LARGEST = 1 / 4
 """Of the shortest axis, at most: the side of the largest box."""
-
-
 BOXES = 30
 """Boxes counted, at least, of the largest size."""
-
-
 POINTS = 10
 """Uncertain points, at least, at a distance that is used."""
-
-
 SCALES = 3
 """Sizes or distances, at least, for a fit: with two there is no scatter to tell the error from."""
 

@@ -20,15 +20,9 @@ from jaxtyping import Array, Bool, Float, Int, Int32
 from walker_jax.checks import WrongUse, check_kind, is_number, numbers, short
 
 ROOM_FOR_SINKS = 255
-
-
 MAX_SIZE = 2**31 - 1 - ROOM_FOR_SINKS
-
-
 PART = 2**16
 """Cells of a map that are worked on together."""
-
-
 Axis = Any
 """(low, high, count): the ends of an axis and the number of its cells; checked by `Grid`."""
 

@@ -26,11 +26,7 @@ from walker_jax.checks import WrongUse
 from walker_jax.kernels.scalars import unrolled
 
 Coordinates = Float[Array, " q"]
-
-
 Real = Float[Array, ""] | float
-
-
 WORST_PIVOT = {jnp.dtype("float64"): 1e-11, jnp.dtype("float32"): 1e-4}
 """How much of a coordinate's inertia must be left once the coordinates before it are given.
 

@@ -14,32 +14,18 @@ from walker_jax.walking.outcomes import Outcome
 
 SAMPLE = 2**14
 """Starts that are followed in search of attractors."""
-
-
 LONGEST_PERIOD = 64
 """Strides in the longest cycle that is recognised as one."""
-
-
 PATIENCE = 8
 """Times `LONGEST_PERIOD`: strides in which a walker is to settle into a cycle."""
-
-
 ATTEMPTS = 8
 """Walkers that have not, for which a cycle is solved for."""
-
-
 CUBES = 1e-5 * 1.5 ** np.arange(20)
 """Half edges of boxes about a cycle's states that are tried, for one from which walkers come."""
-
-
 STRETCHES = 1.5 ** np.arange(12)
 """How many times as long they are made in one direction."""
-
-
 AROUND = 1000
 """Starts in a box."""
-
-
 TURNS = 8
 """Periods after which walkers are left in the directions in which they come last."""
 

@@ -24,8 +24,6 @@ from walker_jax.integrators.solvers import AnySolver, default_tolerance, solved_
 from walker_jax.walkers.model import Walker
 
 METHODS = ("cell-map", "direct")
-
-
 BYTES_STORED = {"cell-map": 16, "direct": 0}
 """The same where the result goes into a store: of the cell map, when all of it is there."""
 

@@ -28,12 +28,8 @@ from walker_jax.walking.outcomes import Outcome
 
 BYTES_PER_CELL = 40
 """Memory at its peak, for each cell of the finest grid."""
-
-
 FINEST = 30
 """The most levels: there is a number for each cell, of 32 bits."""
-
-
 SPREAD = 1 / 12
 """Variance that a cell beside one of another fate brings to the area, in cells. A part f of it in
 the basin brings f (1 - f), 1/6 on average; half of these cells or more have no part in both."""

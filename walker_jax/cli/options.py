@@ -21,45 +21,27 @@ from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import Parameter, parameters
 
 Json = Annotated[bool, typer.Option("--json", help="Print the answer as JSON.")]
-
-
 Out = Annotated[Path, typer.Option(help="Where the data set goes (Zarr).")]
-
-
 PictureOfData = Annotated[
     Path | None,
     typer.Option(
         "--figure", help="Where the picture goes (default: the name of the data set with .png)."
     ),
 ]
-
-
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
-
-
 Workers = Annotated[
     int | None,
     typer.Option(min=1, help="Compute pieces in so many processes (Dask), which share the cores."),
 ]
-
-
 Scheduler = Annotated[
     str | None,
     typer.Option(metavar="ADDRESS", help="Compute pieces on the workers of a Dask scheduler."),
 ]
-
-
 Axis = tuple[float, float, int]
-
-
 PLACES = ("out", "figure", "animate", "overwrite")
 """Arguments of the library about places, which are options of the same names here."""
-
-
 WINDOW = {"theta": (0.0, 0.4, 200), "sum": (-0.04, 0.01, 250)}
 """That of Schwab and Wisse (2001), Figure 4."""
-
-
 PHIDOT_HELP = "Rate between the legs, for walkers whose section has it"
 
 

@@ -14,24 +14,14 @@ from walker_jax.design.trace import STEPS, Row, Slack, Trace
 TRIES = (1.0, -1.0, 0.5, -0.5, 0.25, -0.25)
 """Shares of a step, until one leads higher; if none does, the stage ends. Some objectives fall by
 jumps: where one does just ahead, a shorter step leads higher, or one back."""
-
-
 MOST = 40
 """Steps of a stage."""
-
-
 RESCUES = 8
 """Long steps that are made, from where nothing walks, to where the gait is more stable."""
-
-
 NEWTON = 20
 """Steps back to what constraints allow."""
-
-
 MET, BINDING = 1e-9, 1e-6
 """By how much, relatively, a limit may be missed, and kept where it holds an optimum."""
-
-
 SURE = 2
 """Standard errors from which on a difference of values is believed."""
 

@@ -37,16 +37,10 @@ from walker_jax.walkers.parameters import check_parameter, with_parameter
 
 HALVINGS = 8
 """Of the distance between two centres, on the way to the boundary between them."""
-
-
 SHARES = 4
 """Parts of the lines, each a grid of its own, by whose scatter the error is told."""
-
-
 NARROWINGS = 20
 """Times that a band is halved on a side on which the walker refuses it."""
-
-
 UNSURE = 0.05
 """Error of an integral along the boundary, to its value, from which on it is not trusted."""
 

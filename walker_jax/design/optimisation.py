@@ -27,8 +27,6 @@ from walker_jax.walkers.model import Walker
 
 ATTRACTED = -1
 """In the place of a fate, in those basins: the walker comes to an attractor."""
-
-
 VIEW = 300
 """Cells along each axis in which the basins at both ends are shown."""
 

@@ -32,8 +32,6 @@ from walker_jax.walkers.parameters import check_parameter, with_parameter
 
 OF_GAIT = ("step-length", "speed", "cost-of-transport")
 """What is measured of a gait beside its state, multiplier and time."""
-
-
 MOST = 2**20
 """Combinations of parameters, each of which is some twenty files of a store."""
 

@@ -19,21 +19,13 @@ from walker_jax.walkers.model import Walker
 
 STEPS = (0.1, 0.03, 0.01, 0.003)
 """Lengths of the steps of each stage, in places."""
-
-
 BANDS = (0.1, 0.05, 0.03, 0.03)
 """Half widths, in places, of the bands over which derivatives are averaged where there are none.
 They are wide enough for the errors of areas at their ends."""
-
-
 COARSER = (3, 2, 1, 1)
 """By how many levels areas are less refined in each stage than at the ends."""
-
-
 SCAN, ENDS = -1, -2
 """In place of a stage: for what is measured for a picture, and at the ends."""
-
-
 CHECK = 50_000, 500_000
 """Starts that correct an area on the way, and at the ends."""
 

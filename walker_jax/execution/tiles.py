@@ -28,12 +28,8 @@ from walker_jax.kernels.primitive import Program, program_of, settings_now, unde
 
 # Cells in a tile, and tiles in a call: a call should take much longer than it takes to make.
 TILE = {"cpu": (1024, 8), "gpu": (2**17, 1), "tpu": (2**17, 1)}
-
-
 FEW = (64, 8)
 """The same, where there are few cells for a CPU."""
-
-
 PIECE = (512, 2**15)
 """Cells that a core works on without a break, by a kernel, at least and at most."""
 

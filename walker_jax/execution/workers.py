@@ -20,20 +20,12 @@ from walker_jax.kernels.primitive import MODES
 
 AHEAD = 2
 """Pieces that each worker has been given, so that it need not wait for the next."""
-
-
 DEATHS = 10
 """Times that Dask may give a piece up, as it does when several workers have died over it."""
-
-
 MOST_HERE = 1024
 """Worker processes on this machine, at most."""
-
-
 PATIENCE = 10
 """Seconds to wait for a scheduler."""
-
-
 Each = Callable[[Callable[[Any], Any], Sequence[Any]], Iterator[tuple[Any, Any]]]
 
 

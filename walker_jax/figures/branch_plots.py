@@ -41,12 +41,8 @@ GAITS = (
     *("event_fold", "event_branch", "event_period", "event_value", "event_states"),
     *("event_multipliers", "cascade"),
 )
-
-
 ATTRACTORS = ("sample_value", "fate", "orbit", "lost")
 """What the pictures of bifurcations take from a data set."""
-
-
 LOSS = "#b3261e"
 """Colour of the value at which walking is lost."""
 

@@ -11,8 +11,6 @@ from matplotlib.axes import Axes
 from walker_jax.figures.style import DASHED, SOLID, first, look
 
 FOLD: dict[str, Any] = {"marker": "<", "ms": 6, "mfc": "white", "mew": 1, "ls": ""}
-
-
 DOUBLING: dict[str, Any] = {"marker": "o", "ms": 4.5, "mec": "white", "mew": 0.5, "ls": ""}
 """Signs of bifurcations."""
 

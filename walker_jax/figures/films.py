@@ -21,11 +21,7 @@ from walker_jax.figures.poses import PATH, draw_ground, draw_pose, leg_of, turne
 from walker_jax.figures.style import INK, title
 
 FILMS = (".gif", ".mp4")
-
-
 FRAMES_PER_SECOND = 20
-
-
 DOTS, COLOURS, PALETTE = 80, 256, Image.Quantize.FASTOCTREE
 """Of a GIF: dots per inch, colours at most, and how these are chosen."""
 

@@ -25,8 +25,6 @@ from walker_jax.gaits.cycles import Gait
 
 FRAME = 2.5
 """Largest real and imaginary part of a multiplier in the picture of the complex plane."""
-
-
 ROW, ROWS = 13, 8
 """Height (points) of a line on multipliers beyond the frame, and how many stand at one place."""
 

@@ -46,8 +46,6 @@ STAGES = (
     (BASINS[0], 4, "very short"),
 )
 """Colour, size and words of the evaluations in each stage of an optimisation."""
-
-
 SCAN, BARRED = "#9b9b9b", "#ebebeb"
 """Colours of the scan, and behind what limits do not allow."""
 

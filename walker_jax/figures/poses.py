@@ -33,15 +33,9 @@ from walker_jax.walking.outcomes import Outcome
 
 SWING = BASINS[1]
 """Colour of the swing leg; the stance leg is in ink."""
-
-
 GROUND, SOIL = "#6b6b6b", "#ececec"
-
-
 SHARES = (0, 0.2, 0.4, 0.6, 0.8, 1)
 """Of a stride, at which its poses are drawn."""
-
-
 PATH = "#f2b632"
 """Colour of the way over a basin, seen on dark and on pale ground."""
 

@@ -18,8 +18,6 @@ from walker_jax.checks import WrongUse
 from walker_jax.walking.outcomes import Outcome
 
 INK = "#1a1a1a"
-
-
 FAILURES = {
     Outcome.LEFT_GRID: ("#f7f7f7", "", "leaves the grid"),
     Outcome.BACKWARD: ("#fae0b5", "B", "falls backward"),
@@ -30,80 +28,48 @@ FAILURES = {
     Outcome.UNDECIDED: ("#d1361b", "", "undecided"),
 }
 """Colour, letter (Schwab and Wisse 2001, Figure 2) and words, from light to dark."""
-
-
 BASINS = ("#0d2c5e", "#8c2566", "#0f7a72")
-
-
 MARKERS = "os^"
 """Colours of the basins, from dark to light, and signs of their attractors; the largest first."""
-
-
 OTHERS, ASTRAY = "#4d4d4d", "#7a5c00"
 """Colours of what walks on to other attractors, and to none that is known."""
-
-
 ARTEFACTS = "#8a63b8"
 """Colour of what walks on in cycles that cell mapping makes up."""
-
-
 NOTABLE = 0.1
 """Share of the walking cells that a basin must have for a colour of its own."""
-
-
 AREA = "area of the basin (rad² / √(l/g))"
-
-
 AXIS_LABELS = {
     "theta": r"stance leg angle $\theta$ (rad)",
     "thetadot": r"stance leg rate $\dot{\theta}$ (rad, time in √(l/g))",
     "sum": r"$\theta + \dot{\theta}$ (rad, time in √(l/g))",
     "slope": "slope (rad)",
 }
-
-
 METHODS = {
     "cell-map": "cell mapping",
     "direct": "direct iteration",
     "direct, refined": "direct iteration, refined,",
 }
-
-
 MEASURES = {
     "total_area": (BASINS[0], "-o", "area of the basin"),
     "least_disturbance": (BASINS[1], "-s", "least disturbance"),
     "multiplier": (INK, "--", "modulus of the largest multiplier"),
 }
 """Colour, line and words of each measure of robustness."""
-
-
 OBJECTIVES = {
     "area": "area of the basin",
     "spectral-radius": "modulus of the largest multiplier",
 }
 """Words of the objectives whose own name is not as good."""
-
-
 FAINT = 0.45
 """Opacity of the runs that did not lead to the optimum."""
-
-
 WHOLE: dict[str, Any] = {"clip_on": False, "in_layout": False}
 """Signs that bounds do not cut; the layout must not count them, as it puts an empty line at 0."""
-
-
 WINDOW = 1.25
 """Half the width of the picture of the least disturbance, to the width of its curve."""
-
-
 LETTER, WORDS = 16, 9
 """Sizes of the two lines of a label (points)."""
-
-
 BELOW, LINE = 40, 17
 """How far the legend stands below the axes, and its lines below one another (points)."""
-
-
 PERIODS = (
     (INK, "o"),
     ("#4a1a86", "s"),
@@ -115,26 +81,14 @@ PERIODS = (
     ("#dfac02", "h"),
 )
 """Colours, from dark to light, and signs of gaits of period 1, 2, ..."""
-
-
 LONGER = ("#9b9b9b", "*")
 """Those of longer periods."""
-
-
 SOLID: dict[str, Any] = {"lw": 2, "ls": "-"}
-
-
 DASHED: dict[str, Any] = {"lw": 0.7, "ls": (0, (6, 3))}
 """Lines of stable and of unstable gaits."""
-
-
 TITLE: dict[str, Any] = {"loc": "left", "fontsize": 12, "fontweight": "bold", "pad": 18}
-
-
 HIGHEST = 2
 """Largest modulus of a multiplier in a picture of it against a parameter."""
-
-
 SYMBOLS = {"theta": r"$\theta$", "thetadot": r"$\dot{\theta}$", "phidot": r"$\dot{\varphi}$"}
 
 

@@ -12,16 +12,10 @@ from walker_jax.gaits.requests import Answer, Ask
 
 FIRST, LONGEST, SHORTEST = 0.005, 0.05, 1e-7
 """Distances along a branch: of the first step, of the longest, and of one too short to go on."""
-
-
 NEAR = 1e-3
 """Distance at which a branch ends that comes back to the gait from which it doubled."""
-
-
 POINTS = 2000
 """Points at most on each side of a branch."""
-
-
 BEND = 0.95
 """Least cosine of the angle between a branch's directions at the ends of a step."""
 

@@ -15,12 +15,8 @@ from walker_jax.walking.stepping import follow_stride
 
 RESIDUAL = {jnp.dtype("float64"): 1e-10, jnp.dtype("float32"): 1e-4}
 """By how much a stride of what is called a gait may miss the next state."""
-
-
 DISTINCT = {jnp.dtype("float64"): 1e-8, jnp.dtype("float32"): 1e-3}
 """States closer than this, in every coordinate, are one."""
-
-
 NEWTON_STEPS = 40
 
 

@@ -35,16 +35,10 @@ from walker_jax.walkers.parameters import with_parameter
 
 NO_START = -1
 """Fate where there are fewer starts than at other values."""
-
-
 SEARCHED = 6
 """Longest period of which gaits are searched that no doubling leads to."""
-
-
 SAMPLES = 16
 """Values of the parameter at which gaits are searched."""
-
-
 SPARSE = 32
 """One in how many cells of a gait region gaits are searched from there."""
 

@@ -25,20 +25,14 @@ from walker_jax.walking.stepping import follow_stride
 
 RECENT = 64
 """States of an orbit that are recorded, and the longest period that is recognised."""
-
-
 ROUND = 64
 """Strides in a call, after which walkers that fell are left behind."""
-
-
 BESIDE = 1e-6
 """Distance from a gait, in the first coordinate, at which walkers start.
 
 Stable ones draw them in: their basins are no wider than this where they are born. From unstable
 ones they leave for what attracts them.
 """
-
-
 SAME = 1e-6
 """Distance, in every coordinate, at which an orbit has come back."""
 

@@ -269,12 +269,8 @@ LINEAR = (
     "unstack"
 ).split()
 """Primitives that are linear in all their real operands together."""
-
-
 DISCRETE = "and ceil eq floor ge gt is_finite le lt ne not or round sign xor".split()
 """Those whose results do not change with time, but for jumps."""
-
-
 Expansion.rules = {
     **CALLS,
     **CALLS_WITH_DERIVATIVES,
@@ -301,8 +297,6 @@ Expansion.rules = {
     "square": by_coefficients(squared),
     "sub": by_coefficients(minus),
 }
-
-
 SWITCHES: dict[str, Callable[..., list[Series]]] = {
     **dict.fromkeys(("ge", "gt", "le", "lt", "max", "min"), lambda left, right: [left - right]),
     **dict.fromkeys(("abs", "sign"), lambda x: [x]),

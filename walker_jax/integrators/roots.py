@@ -14,8 +14,6 @@ from jaxtyping import Array, Bool, Float
 from walker_jax.integrators.series import evaluate
 
 Scalar = Float[Array, ""]
-
-
 Look = Callable[[Scalar], tuple[Scalar, Scalar, Scalar]]
 """Value, slope and curvature at a time since the start of a step."""
 

@@ -41,25 +41,15 @@ from walker_jax.integrators.taylor import (
 from walker_jax.kernels.primitive import contexts
 
 Scalar = Float[Array, ""]
-
-
 Real = Scalar | float
-
-
 VectorField = Callable[[PyTree], PyTree]
 
 
 # Order of the series. Higher orders take fewer steps of more work each; these are the fastest, or
 # nearly, at the default tolerances (benchmarks/README.md).
 ORDER = {jnp.dtype("float64"): 12, jnp.dtype("float32"): 8}
-
-
 TOLERANCE = {jnp.dtype("float64"): 1e-12, jnp.dtype("float32"): 1e-6}
-
-
 MAX_STEPS = 1000
-
-
 SHARPENINGS = 3
 """Of a time that an interpolation gives: its error is squared by each."""
 
@@ -161,11 +151,7 @@ def order_of(state: PyTree) -> int:
 
 
 AnySolver = diffrax.AbstractSolver
-
-
 Solver = diffrax.AbstractAdaptiveSolver
-
-
 solver_in_use = jax.make_user_context(None)
 contexts.append(solver_in_use)
 

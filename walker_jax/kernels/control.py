@@ -17,7 +17,6 @@ from walker_jax.kernels.scalars import is_number
 
 UNROLLED = 16
 """Turns of a loop that is unrolled, at most: the stages of a Runge-Kutta method, and some more."""
-
 LONG = 20
 """Equations of a branch that is worth a jump, at least."""
 

@@ -28,7 +28,6 @@ from walker_jax.kernels.substitutes import SUBSTITUTES
 
 BITS = 512
 """Of a vector; LLVM makes shorter ones of it where the processor has no such."""
-
 FLOATS = {np.dtype(np.float32): ir.FloatType(), np.dtype(np.float64): ir.DoubleType()}
 
 

@@ -114,7 +114,6 @@ def with_fields_loaded(text: str) -> str:
 
 
 WRONG = "a kernel was called with buffers of another type, rank or size"
-
 STUB = """
 define ptr @stub(ptr %frame) {{
   %handler = inttoptr i64 {handler} to ptr

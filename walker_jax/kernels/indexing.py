@@ -17,10 +17,8 @@ from walker_jax.kernels.rules import UnsupportedPrimitive
 from walker_jax.kernels.scalars import is_number, params_of
 
 BOOL = np.dtype(bool)
-
 LONGEST = 128
 """Entries of an array with computed indices, at most: with more, XLA is faster."""
-
 COMBINATIONS = {
     "scatter": None,
     "scatter-add": (lax.add, lax.add_p),

@@ -62,6 +62,5 @@ def enter(interpreter: Interpreter, equation: JaxprEqn, operands: list) -> list:
 
 CALLS = dict.fromkeys(("jit", "pjit", "closed_call", "checkpoint", "remat2"), enter)
 """Rules for primitives that only call a function."""
-
 CALLS_WITH_DERIVATIVES = dict.fromkeys(("custom_jvp_call", "custom_vjp_call"), enter)
 """Rules for those that also have one of their own for its derivatives, which is lost."""

@@ -37,7 +37,6 @@ PROGRAMS = 256
 TOGETHER = 4000
 """Operations of a derivative along several directions at once, at most: more take long to compile.
 Beyond, every direction is a cell of its own."""
-
 tracing_for_kernel = jax.make_user_context(False)
 """Whether a function is traced as part of a kernel, whose parts are not kernels themselves."""
 
@@ -125,7 +124,6 @@ def is_real(aval) -> bool:
 
 kernel_p = Primitive("kernel")
 kernel_p.multiple_results = True
-
 programs: OrderedDict = OrderedDict()
 MODES = "jax_enable_x64", "jax_numpy_dtype_promotion"
 """Settings of JAX on which it depends what a function does."""

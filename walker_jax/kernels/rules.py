@@ -341,7 +341,6 @@ REDUCTIONS = {
     "reduce_and": lax.and_p,
     "reduce_or": lax.or_p,
 }
-
 RULES: dict[str, Callable] = {
     "add": arithmetic("fadd", "add"),
     "add_any": arithmetic("fadd", "add"),

@@ -275,7 +275,6 @@ EXACT = {
 }
 """Functions of known numbers that NumPy computes alike, and for which XLA would compile a program.
 """
-
 SHORTCUTS = {
     "add": added,
     "add_any": added,

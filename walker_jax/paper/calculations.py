@@ -18,16 +18,10 @@ from walker_jax.walking.movement import motion
 
 SLOPE = 0.004
 """Of the paper's examples."""
-
-
 START = (0.2, -0.21645)
 """Of Table 1, whose theta + thetadot has one digit more than its thetadot."""
-
-
 CELL = 0.002, 0.0002
 """Widths of the paper's cells, along theta and theta + thetadot."""
-
-
 ROW = (0.004, 0.008, 0.012, 0.015, 0.018, 0.02)
 """Slopes of Figure 7, which the paper does not tell."""
 
@@ -48,8 +42,6 @@ class Size(NamedTuple):
 
 
 FULL = Size(section=1000, slopes=22, levels=3, strides=3000, shifts=4)
-
-
 QUICK = Size(section=400, slopes=15, levels=None, strides=1000, shifts=2)
 
 

@@ -30,8 +30,6 @@ from walker_jax.walking.outcomes import Outcome
 
 BEYOND = 1 + np.array([1e-8, 1e-10, 0.0])
 """Of the least disturbance, those of which the first that fails says how: rounding is less."""
-
-
 MEETING, OUTWARDS = 90, 0.1 * 0.5 ** np.arange(12.0)[:, None]
 """Directions and distances, of starts from which other gaits are met."""
 

@@ -10,44 +10,24 @@ from walker_jax.checks import ComputationFailed
 
 RAYS, RADII = 720, 128
 """Directions, of two dimensions, and distances along each, at which a walker is first tried."""
-
-
 DENSE, SHELL = 16, 64
 """How many times as many directions are then tried, at how many distances up to the least found."""
-
-
 KEPT = 0.01
 """By how much, relatively, a failure may be farther than the nearest for its ray to be kept."""
-
-
 ARC, CLOSER = 2000, 16
 """Directions, of those kept, about which more are tried, and how many about each."""
-
-
 FAN = 61
 """Directions that are tried at once around one of the nearest."""
-
-
 CANDIDATES = 128
 """Directions that are nearer than their neighbours, of which as many are looked at more closely."""
-
-
 ZOOMS = 3
 """How often fans are made narrower."""
-
-
 POLISHES = 4
 """Searches along the boundary's gradient that follow."""
-
-
 ALONG = 2.0 ** np.arange(-6, 3)
 """Parts of the way, to where the boundary would be nearest if it were flat, that each tries."""
-
-
 LAST = 512
 """Distances at which it is made sure that nothing nearer fails in the direction found."""
-
-
 HALVINGS = 12, 34
 """Of the distance between two points tried on a ray: to tell rays apart, and in the end."""
 

@@ -14,8 +14,6 @@ from walker_jax.checks import WrongUse
 
 LOCK = "lock"
 """The file by which a run keeps others out of a folder."""
-
-
 TRIES = 100
 """To take a lock that another run is just removing."""
 
@@ -28,11 +26,7 @@ class Occupied(WrongUse):
 
 
 ELSEWHERE = "give another {}"
-
-
 REPLACE = "give another {}, or overwrite to replace it"
-
-
 RESUME = "run the same again"
 """What a note on an interruption begins with that says how its work is resumed."""
 

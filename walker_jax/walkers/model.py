@@ -153,11 +153,7 @@ class Walker(eqx.Module):
 
 
 Kind = TypeVar("Kind", bound=Walker)
-
-
 MOTION = ("vector_field", "system")
-
-
 KNOWN_OF = {
     "force_least_at_ends": (*MOTION, "contact_force"),
     "inverted_pendulum": MOTION,

@@ -15,29 +15,17 @@ from walker_jax.walkers.parameters import SLOPE, Parameter
 
 # The parameters of the legs of all walkers with feet in the shape of an arc.
 HIP_MASS = Parameter("hip_mass", "at the hip", "mass", 1.0, closed=True)
-
-
 LEG_MASS = Parameter("leg_mass", "of each leg", "mass", 0.5)
-
-
 LEG_INERTIA = Parameter(
     "leg_inertia", "of each leg about its centre of mass", "mass length^2", 0.02, closed=True
 )
-
-
 LEG_LENGTH = Parameter("leg_length", "from the hip to the sole", "length", 1.0)
-
-
 COM_FROM_HIP = Parameter(
     "com_from_hip", "distance of a leg's centre of mass below the hip", "length", 0.5, low=-np.inf
 )
-
-
 COM_OFFSET = Parameter(
     "com_offset", "of a leg's centre of mass before the leg's line", "length", 0.0, low=-np.inf
 )
-
-
 FOOT_RADIUS = Parameter(
     "foot_radius", "of the foot's arc, centred on the leg", "length", 0.2, closed=True
 )
@@ -92,13 +80,9 @@ class RoundFootWalker(HeavyLegWalker):
 
 
 BODY_MASS = Parameter("body_mass", "of the upper body", "mass", 1.0)
-
-
 BODY_INERTIA = Parameter(
     "body_inertia", "of the upper body about its centre of mass", "mass length^2", 0.0, closed=True
 )
-
-
 BODY_COM = Parameter(
     "body_com", "distance of the upper body's centre of mass above the hip", "length", 0.1, -np.inf
 )
