@@ -15,6 +15,17 @@ import jax
 
 from walker_jax import storage
 from walker_jax.checks import ComputationFailed, WrongUse
+from walker_jax.cli import (  # noqa: F401 (each registers its command)
+    basin_command,
+    bifurcation_command,
+    export_command,
+    gait_command,
+    optimise_command,
+    reproduce_command,
+    robustness_command,
+    sweep_command,
+    walk_command,
+)
 from walker_jax.cli.app import Interrupted, Terminated, app, notes_of
 from walker_jax.cli.options import PLACES, with_options_named
 from walker_jax.kernels.object_cache import cache_folder
