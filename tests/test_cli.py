@@ -910,15 +910,15 @@ def test_importing_sets_no_flag_and_loads_no_drawing():
 
 
 def test_public_names_are_what_they_name_whatever_is_loaded_first():
-    """Some modules have the name of a function, and Python would put them in its place."""
+    """Python would put a module that has the name of a function in its place."""
     program = (
-        "import types, walker_jax.sweep, walker_jax\n"  # which loads most of the others
+        "import types, walker_jax.design.sweeps, walker_jax\n"  # which loads most of the others
         "from walker_jax import basin, stride, storage\n"
         "from walker_jax import *\n"
         "values = [getattr(walker_jax, name) for name in walker_jax.__all__]\n"
         "assert not any(isinstance(value, types.ModuleType) for value in values)\n"
         "assert basin.__name__ == walker_jax.basin.__name__ == 'basin' and callable(stride)\n"
-        "assert isinstance(store, types.ModuleType) and set(walker_jax.__all__) < set(globals())\n"
+        "assert isinstance(storage, types.ModuleType) and set(walker_jax.__all__) < set(globals())\n"
         "assert set(walker_jax.__all__) < set(dir(walker_jax))\n"
         "assert not hasattr(walker_jax, 'no_such_name')\n"
     )

@@ -355,7 +355,7 @@ EVENTS: list[tuple[bool, int, float, list[float], float, bool]] = [
 
 
 def diagram(branches=BRANCHES, events=EVENTS, walks=True, lost=(0.0180, 0.0182)):
-    """A data set of the form that `walker_jax.bifurcations.bifurcation_diagram` returns."""
+    """A data set of the form that `walker_jax.bifurcation_diagram` returns."""
     numbers = [i for i, branch in enumerate(branches.values()) for _ in branch]
     points = [point for branch in branches.values() for point in branch]
 

@@ -191,7 +191,7 @@ def test_a_run_that_was_killed_holds_nothing(tmp_path):
         pass
     program = (
         "import os, signal, sys, pathlib\n"
-        "from walker_jax import store\n"
+        "from walker_jax.storage import places\n"
         "path = pathlib.Path(sys.argv[1])\n"
         "with places.held(path):\n"
         "    print('locked', flush=True)\n"

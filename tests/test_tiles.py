@@ -140,7 +140,7 @@ import sys
 import jax
 import numpy as np
 import walker_jax as wj
-from walker_jax import tiles
+from walker_jax.execution import tiles
 from walker_jax.kernels import primitive
 jax.config.update("jax_enable_x64", True)
 primitive.Program.kernel = None  # so that it is XLA that computes, as on an accelerator

@@ -57,7 +57,7 @@ def gait_branches(data: xr.Dataset, ax: Axes | None = None) -> Axes:
 
     **Arguments:**
 
-    - `data`: what `walker_jax.bifurcations.bifurcation_diagram` returns.
+    - `data`: what `walker_jax.bifurcation_diagram` returns.
     - `ax`: where to draw; by default, on a new figure of 7 by 5.6 inches.
 
     **Returns** the axes. Raises `ValueError` for a data set without branches of gaits.
@@ -108,7 +108,7 @@ def largest_multiplier(data: xr.Dataset, ax: Axes | None = None) -> Axes:
 
     **Arguments:**
 
-    - `data`: what `walker_jax.bifurcations.bifurcation_diagram` returns.
+    - `data`: what `walker_jax.bifurcation_diagram` returns.
     - `ax`: where to draw; by default, on a new figure of 7 by 4.6 inches.
 
     **Returns** the axes. Raises `ValueError` for a data set without branches of gaits.
@@ -150,7 +150,7 @@ def bifurcation_diagram(data: xr.Dataset, ax: Axes | None = None) -> Axes:
 
     **Arguments:**
 
-    - `data`: what `walker_jax.bifurcations.bifurcation_diagram` returns.
+    - `data`: what `walker_jax.bifurcation_diagram` returns.
     - `ax`: where to draw; by default, on a new figure of 7 by 5 inches.
 
     **Returns** the axes. Raises `ValueError` for a data set without gaits and what walkers come to.
@@ -188,7 +188,7 @@ def bifurcations(data: xr.Dataset) -> Figure:
 
     **Arguments:**
 
-    - `data`: what `walker_jax.bifurcations.bifurcation_diagram` returns.
+    - `data`: what `walker_jax.bifurcation_diagram` returns.
 
     **Returns** the figure, of 13 by 9.4 inches: `figures.bifurcations(data).savefig("slope.png")`.
     Raises `ValueError` as these do.
