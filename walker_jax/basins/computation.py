@@ -60,7 +60,7 @@ def basin(
       it is used.
     - `request`: by what the result is known again there; by default, all that it depends on.
     - `overwrite`: whether to remove another result that stands there.
-    - `cluster`: who computes the pieces, as in `walker_jax.execution.workers.computers`: a number of worker
+    - `cluster`: who computes the pieces, as in `execution.workers.computers`: a number of worker
       processes on this machine, the address of a Dask scheduler, or a Dask client.
 
     **Returns** a data set over the grid's axes:
