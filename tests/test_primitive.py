@@ -359,6 +359,8 @@ total = lambda a, xs: (many(a, xs)[0] ** 2).sum()
 expected = jax.jit(many)(a, xs)
 gradient = jax.jit(jax.grad(total, (0, 1)))(a, xs)
 check = partial(jax.tree.map, partial(np.testing.assert_allclose, rtol=1e-12, atol=1e-14))
+other = jax.device_put((a, xs[0]), jax.devices()[1])
+assert all(x.devices() == {jax.devices()[1]} for x in function(*other))
 for n in 1, 2, 4:
     mesh = jax.make_mesh((n,), ("cells",), devices=jax.devices()[:n], axis_types=(AUTO,))
     sharded = jax.device_put(xs, NamedSharding(mesh, P("cells")))
@@ -387,6 +389,92 @@ def test_cells_on_several_devices():
         text=True,
     )
     assert done.returncode == 0, done.stderr
+
+
+# What is like the function itself
+
+COMPLEX = {
+    "operand": (lambda z: jnp.abs(z), 1 + 1j),
+    "within": (lambda x: jnp.exp(lax.complex(x, x)).real, 1.0),
+    "result": (lambda x: jnp.exp(lax.complex(x, x)), 1.0),
+}
+
+
+@pytest.mark.parametrize("name", COMPLEX)
+def test_derivatives_through_complex_numbers(name):
+    function, x = COMPLEX[name]
+    expected = jax.jvp(function, (x,), (x,))
+    np.testing.assert_allclose(jax.jvp(by_kernel(function), (x,), (x,)), expected, rtol=1e-14)
+
+
+def test_a_derivative_is_computed_in_the_modes_in_which_its_function_was_traced():
+    thirds = lambda x: (x * x * jnp.sin(jnp.arange(1.0, 4.0) / 3.0)).sum()
+    function = by_kernel(thirds)
+    value, pull = jax.vjp(function, 1.3)
+    one = jnp.ones_like(value)
+    with jax.enable_x64(False):
+        (change,) = pull(one)
+    expected = jax.grad(thirds)(1.3)
+    assert change.dtype == np.float64
+    np.testing.assert_allclose(change, expected, rtol=1e-15)
+    np.testing.assert_allclose(jax.grad(function)(1.3), expected, rtol=1e-15)
+
+
+def test_a_result_that_nobody_asks_for_leaves_gradients_alone():
+    """Though its own derivative is infinite."""
+    function = by_kernel(lambda x: jnp.stack([x[0] * x[1], jnp.sqrt(x[2])]))
+    change = jax.grad(lambda x: function(x)[0])(jnp.array([1.0, 2.0, 0.0]))
+    np.testing.assert_array_equal(change, [2.0, 1.0, 0.0])
+
+
+def test_a_number_of_python_takes_the_type_of_the_other_operand():
+    assert by_kernel(jnp.multiply)(2.0, np.float32(3)).dtype == np.float32
+
+
+def test_logarithms_of_denormal_numbers():
+    x = np.array([1e-40, 1e-44], np.float32)
+    found = jax.vmap(by_kernel(jnp.log))(x)
+    np.testing.assert_allclose(found, np.log(x.astype(float)), rtol=1e-6)
+
+
+def nested(x):
+    return by_loop(A, x)[0]
+
+
+BY_XLA = {
+    "a function of an entry": (lambda x: x.at[0].apply(jnp.sin), X),
+    "a loop without turns": (lambda x: lax.scan(lambda c, _: (2 * c, c), x, X[:0]), X),
+    "a key": (lambda key: jax.random.uniform(key), jax.random.key(0)),
+    "pivoting": (lambda x: lax.linalg.qr(jnp.outer(x, x) + jnp.eye(2), pivoting=True)[1], X),
+    "one of two numbers": (
+        lambda x: lax.while_loop(
+            lambda c: c < 3.0, lambda c: c + 1, lax.select_n(jnp.int32(x[0] > 0), 1.0, 2.0)
+        ),
+        X,
+    ),
+    "a primitive in a primitive": (
+        lambda x: jax.extend.core.jaxpr_as_fun(jax.make_jaxpr(nested)(X))(x)[0],
+        X,
+    ),
+    "many results": (lambda x: x[0] * jnp.arange(2000.0), X),
+}
+
+
+@pytest.mark.parametrize("name", BY_XLA)
+def test_what_has_no_kernel_or_an_unusual_one_is_the_same(name):
+    function, x = BY_XLA[name]
+    for found, expected in zip(
+        *map(jax.tree.leaves, (by_kernel(function)(x), function(x))), strict=True
+    ):
+        np.testing.assert_allclose(found, expected, rtol=1e-14)
+
+
+def test_what_is_printed_is_printed_at_every_call(capfd):
+    function = by_kernel(lambda x: (jax.debug.print("hey"), 2 * x)[1])
+    function(1.0)
+    function(2.0)
+    jax.effects_barrier()
+    assert capfd.readouterr().out == "hey\nhey\n"
 
 
 # The handler

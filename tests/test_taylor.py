@@ -3,6 +3,7 @@
 import inspect
 from fractions import Fraction
 from functools import partial
+from math import factorial
 
 import jax
 import jax.numpy as jnp
@@ -302,6 +303,21 @@ UNKNOWN = {
     "sort": lambda y: jnp.sort(jnp.stack([y, -y]))[0],
     "custom_linear_solve": lambda y: jnp.linalg.solve(jnp.eye(2) * y, jnp.ones(2))[0],
 }
+
+
+def test_series_at_places_out_of_bounds_are_constants():
+    places = jnp.array([5, 1])
+    field = lambda y: y * y.at[places].get(mode="fill", fill_value=7.0)
+    found = solution_series(field, jnp.array([0.1, 0.7]), 4)
+    # y0' = 7 y0, y1' = y1^2
+    expected = [[0.1 * 7**k / factorial(k), 0.7 ** (k + 1)] for k in range(5)]
+    np.testing.assert_allclose(np.stack(found), expected, rtol=1e-13)
+
+
+def test_what_puts_a_function_of_an_entry_in_its_place_has_no_series():
+    field = lambda y: y.at[0].apply(jnp.sin)
+    with pytest.raises(NotImplementedError, match="scatter with a function"):
+        solution_series(field, jnp.array([0.1, 0.7]), 4)
 
 
 @pytest.mark.parametrize("name", UNKNOWN)

@@ -148,7 +148,7 @@ devices = jax.local_devices()
 assert len(devices) == 8
 for n in map(int, sys.argv[2:]):
     jax.local_devices = lambda: devices[:n]
-    tiles._cache.clear()
+    tiles._compiled.cache_clear()
     found = wj.strides(wj.SimplestWalker(0.004), np.load(f"{sys.argv[1]}/starts.npy"))
     np.savez(f"{sys.argv[1]}/on{n}.npz", **found._asdict())
 """
@@ -164,6 +164,20 @@ def test_same_bits_on_one_device_and_on_eight(tmp_path, starts, counts):
     one, *others = (wj.Stride(**np.load(tmp_path / f"on{n}.npz")) for n in counts)
     for other in others:
         assert_same_bits(one, other)
+
+
+def sorted_sines(shared, x):
+    return jnp.sort(jnp.stack([x, jnp.sin(1e5 * x)]))
+
+
+def test_threads_compute_in_the_modes_of_the_caller():
+    """They belong to a thread; no kernel sorts, so that XLA computes, in several threads."""
+    with jax.enable_x64(False):
+        x = np.random.default_rng(0).random(CALL + 1).astype(np.float32)
+        found = map_cells(sorted_sines, (None, x))
+        expected = jax.vmap(lambda x: sorted_sines(None, x))(x)
+    assert found.dtype == np.float32
+    np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
 def test_a_bar_is_shown_on_a_terminal_only(capfd, monkeypatch):

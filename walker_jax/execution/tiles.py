@@ -7,6 +7,7 @@ large enough to fill the card. Either way the results are the same to the last b
 cores or devices share the work.
 """
 
+import functools
 import math
 import os
 from collections.abc import Callable
@@ -24,7 +25,7 @@ from rich.progress import Progress
 
 from walker_jax.checks import WrongUse
 from walker_jax.execution.progress import console
-from walker_jax.kernels.primitive import Program, program_of, settings_now, under
+from walker_jax.kernels.primitive import PROGRAMS, Program, program_of, settings_now, under
 
 # Cells in a tile, and tiles in a call: a call should take much longer than it takes to make.
 TILE = {"cpu": (1024, 8), "gpu": (2**17, 1), "tpu": (2**17, 1)}
@@ -192,41 +193,36 @@ def _filled(values: np.ndarray, size: int) -> np.ndarray:
     return np.concatenate([values, np.repeat(last, size - len(values), axis=0)])
 
 
-_cache: dict = {}
-
-
+@functools.lru_cache(PROGRAMS)
 def _compiled(
     function: Callable, mapped: tuple[bool, ...], platform: str, tile: int, tiles: int
 ) -> Callable:
     """The jitted function of (shared, cells of one call, how many tiles each device does of it)."""
-    key = function, mapped, platform, tile, tiles
-    if key not in _cache:
 
-        def run(shared, cells, count):
-            blocks = jax.tree.map(lambda leaf: leaf.reshape(tiles, tile, *leaf.shape[1:]), cells)
+    def run(shared, cells, count):
+        blocks = jax.tree.map(lambda leaf: leaf.reshape(tiles, tile, *leaf.shape[1:]), cells)
 
-            def of_cell(cell):
-                parts = {True: iter(cell), False: iter(shared)}
-                return function(*(next(parts[each]) for each in mapped))
+        def of_cell(cell):
+            parts = {True: iter(cell), False: iter(shared)}
+            return function(*(next(parts[each]) for each in mapped))
 
-            one = jax.vmap(of_cell)
-            like = jax.eval_shape(one, jax.tree.map(lambda leaf: leaf[0], blocks))
-            empty = jax.tree.map(lambda leaf: jnp.zeros((tiles, *leaf.shape), leaf.dtype), like)
+        one = jax.vmap(of_cell)
+        like = jax.eval_shape(one, jax.tree.map(lambda leaf: leaf[0], blocks))
+        empty = jax.tree.map(lambda leaf: jnp.zeros((tiles, *leaf.shape), leaf.dtype), like)
 
-            def advance(i, results):
-                result = one(jax.tree.map(lambda leaf: leaf[i], blocks))
-                return jax.tree.map(lambda all, new: all.at[i].set(new), results, result)
+        def advance(i, results):
+            result = one(jax.tree.map(lambda leaf: leaf[i], blocks))
+            return jax.tree.map(lambda all, new: all.at[i].set(new), results, result)
 
-            results = lax.fori_loop(0, count[0], advance, empty)
-            return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), results)
+        results = lax.fori_loop(0, count[0], advance, empty)
+        return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), results)
 
-        # One program for all devices, which need nothing of each other.
-        mesh, each = Mesh(np.array(jax.local_devices()), ("devices",)), P("devices")
-        shares = jax.shard_map(
-            run, mesh=mesh, in_specs=(P(), each, each), out_specs=each, check_vma=False
-        )
-        _cache[key] = jax.jit(shares, compiler_options=COMPILER_OPTIONS.get(platform))
-    return _cache[key]
+    # One program for all devices, which need nothing of each other.
+    mesh, each = Mesh(np.array(jax.local_devices()), ("devices",)), P("devices")
+    shares = jax.shard_map(
+        run, mesh=mesh, in_specs=(P(), each, each), out_specs=each, check_vma=False
+    )
+    return jax.jit(shares, compiler_options=COMPILER_OPTIONS.get(platform))
 
 
 def order_of_cells(shape: tuple[int, ...]) -> Int[np.ndarray, " n"]:

@@ -30,7 +30,7 @@ from walker_jax.integrators.series import (
     solution,
     times,
 )
-from walker_jax.kernels.jaxprs import CALLS, CALLS_WITH_DERIVATIVES, Interpreter
+from walker_jax.kernels.jaxprs import CALLS, CALLS_WITH_DERIVATIVES, Interpreter, changes_entries
 
 switches: ContextVar[list[Series] | None] = ContextVar("switches", default=None)
 """Where to note every switching function, if anywhere."""
@@ -154,6 +154,19 @@ def parts(series: Series, equation) -> list[Series]:
     return [part(i) for i in range(len(equation.outvars))]
 
 
+def gathered(expansion, equation, operands: list[Series]) -> list[Series]:
+    """Entries at computed places; where one is out of bounds, a constant."""
+    bind, (x, places) = binding(equation), operands
+    change = partial(bind, fill_value=0)
+    return [Series(lambda k: None if x[k] is None else (change if k else bind)(x[k], places[0]))]
+
+
+def scattered(expansion, equation, operands: list[Series]) -> list[Series]:
+    if changes_entries("scatter", equation.params):
+        raise no_series("scatter with a function of the entries")
+    return by_coefficients(linear)(expansion, equation, operands)
+
+
 def by_equation(name: str) -> Callable:
     def expand(expansion, equation, operands: list[Series]) -> list[Series]:
         return [solution(EQUATIONS[name], binding(equation), *operands)]
@@ -264,8 +277,8 @@ def cast_switches(x: Series) -> list[Series]:
 
 LINEAR = (
     "broadcast_in_dim complex concatenate conj copy copy_p cumsum dynamic_slice "
-    "dynamic_update_slice expand_dims fft gather imag neg pad real reduce_sum reduce_window_sum "
-    "reshape rev scatter scatter-add select_n slice split squeeze stack stop_gradient transpose "
+    "dynamic_update_slice expand_dims fft imag neg pad real reduce_sum reduce_window_sum "
+    "reshape rev scatter-add select_n slice split squeeze stack stop_gradient transpose "
     "unstack"
 ).split()
 """Primitives that are linear in all their real operands together."""
@@ -275,6 +288,8 @@ Expansion.rules = {
     **CALLS,
     **CALLS_WITH_DERIVATIVES,
     **dict.fromkeys(LINEAR, by_coefficients(linear)),
+    "gather": gathered,
+    "scatter": scattered,
     **dict.fromkeys(DISCRETE, by_coefficients(none)),
     **dict.fromkeys(("add", "add_any"), by_coefficients(plus)),
     **dict.fromkeys(("conv_general_dilated", "dot_general"), by_coefficients(bilinear)),

@@ -133,13 +133,15 @@ class LLVMEmitter(Unrolling):
         if name == "stop_gradient":
             return operands[0]
         result = super().term(primitive, params, operands, dtypes)
-        if name == "select_n" and all(map(is_number, operands[1:])) and len(operands) == 3:
+        flag = name == "select_n" and len(operands) == 3 and dtypes[0] == np.dtype(bool)
+        if flag and all(map(is_number, operands[1:])):
             self.alternatives[id(result)] = (result, *operands)
         return result
 
     def keep(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
         primitive = equation.primitive
-        if primitive.name.endswith("callback"):  # nothing of it happens while programs are written
+        if equation.effects or primitive.name.endswith("callback"):
+            # Nothing of it happens while programs are written.
             raise UnsupportedPrimitive(primitive.name)
         if primitive.name != "cond" and all(
             is_number(entry) for operand in operands for entry in operand.ravel()
@@ -156,6 +158,8 @@ class LLVMEmitter(Unrolling):
     def inner(self, equation) -> ClosedJaxpr | None:
         """The function that an equation stands for, if it stands for one."""
         primitive, params = equation.primitive, equation.params
+        if primitive.name == "kernel" and not any(params["mapped"]):
+            return params["program"].closed
         if primitive.name in SUBSTITUTES:
             function = SUBSTITUTES[primitive.name](params)
         elif implemented_in_jax(primitive):
@@ -236,6 +240,8 @@ def implemented_in_jax(primitive: Primitive) -> bool:
 
     Equinox and lineax have such, which say what a function of one cell is under transformations.
     """
+    if primitive.name == "kernel":
+        return False
     return inspect.isfunction(primitive.impl) and not primitive.impl.__module__.startswith("jax.")
 
 

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from walker_jax.kernels.jaxprs import changes_entries
 from walker_jax.kernels.rules import UnsupportedPrimitive
 from walker_jax.kernels.scalars import is_number, params_of
 
@@ -205,6 +206,8 @@ def filler(value, dtype) -> bool | int | float:
 @no_type_check
 def scatter(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
     array, indices, updates = operands
+    if changes_entries(equation.primitive.name, equation.params):
+        raise UnsupportedPrimitive("scatter with a function of the entries")
     numbers, kind = equation.params["dimension_numbers"], equation.invars[1].aval.dtype
     dtype = equation.outvars[0].aval.dtype
     clip = equation.params["mode"] == lax.GatherScatterMode.CLIP

@@ -64,3 +64,9 @@ CALLS = dict.fromkeys(("jit", "pjit", "closed_call", "checkpoint", "remat2"), en
 """Rules for primitives that only call a function."""
 CALLS_WITH_DERIVATIVES = dict.fromkeys(("custom_jvp_call", "custom_vjp_call"), enter)
 """Rules for those that also have one of their own for its derivatives, which is lost."""
+
+
+def changes_entries(name: str, params: dict) -> bool:
+    """Whether a scatter puts a function of an entry in its place, as `x.at[i].apply` does."""
+    update = params["update_jaxpr"]
+    return name == "scatter" and update is not None and update.outvars[0] is not update.invars[1]

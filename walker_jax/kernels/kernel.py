@@ -18,7 +18,7 @@ from walker_jax.kernels.machine import load_program
 from walker_jax.kernels.rules import UnsupportedPrimitive
 
 LARGEST = 1000
-"""Numbers that go into a program, all operands of one cell together."""
+"""Numbers that go into a program of one cell and come out of it, at most."""
 
 
 class Kernel:
@@ -27,9 +27,12 @@ class Kernel:
     def __init__(self, closed: ClosedJaxpr):
         """Compile it; `UnsupportedPrimitive` where that cannot be."""
         start = time.perf_counter()
+        avals = [*closed.in_avals, *closed.out_avals]
+        if any(jax.dtypes.issubdtype(aval.dtype, jax.dtypes.extended) for aval in avals):
+            raise UnsupportedPrimitive("a key to random numbers")
         described = lambda avals: [(aval.shape, np.dtype(aval.dtype)) for aval in avals]
         self.operands, self.results = described(closed.in_avals), described(closed.out_avals)
-        if sum(math.prod(shape) for shape, _ in self.operands) > LARGEST:
+        if sum(math.prod(shape) for shape, _ in (*self.operands, *self.results)) > LARGEST:
             raise UnsupportedPrimitive(f"more than {LARGEST} numbers")
         with without_garbage_collection():
             source = emit(closed, self.operands, self.results)

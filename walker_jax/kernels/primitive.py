@@ -37,6 +37,8 @@ PROGRAMS = 256
 TOGETHER = 4000
 """Operations of a derivative along several directions at once, at most: more take long to compile.
 Beyond, every direction is a cell of its own."""
+WIDEST = 32
+"""Directions at once, at most: each number of them is a program of its own."""
 tracing_for_kernel = jax.make_user_context(False)
 """Whether a function is traced as part of a kernel, whose parts are not kernels themselves."""
 
@@ -48,9 +50,12 @@ class Program:
         self,
         function: Callable[..., list],
         operands: Sequence,
+        settings: tuple,
         origin: "tuple[Program, tuple[int, ...], int] | None" = None,
     ):
-        with tracing_for_kernel(True), without_garbage_collection():
+        self.settings = settings
+        """Under which it, and all that follows from it, is traced and computed."""
+        with under(settings), tracing_for_kernel(True), without_garbage_collection():
             self.closed = jax.make_jaxpr(function)(*operands)
         self.function = function
         self.operands = self.closed.in_avals
@@ -103,7 +108,7 @@ class Program:
                 self.operands[i].update(shape=(directions, *self.operands[i].shape)) for i in by
             ]
             like = map(described, (*self.operands, *parts))
-            program = Program(along, list(like), (self, by, directions))
+            program = Program(along, list(like), self.settings, (self, by, directions))
             self.derivatives[by, directions] = program
         return self.derivatives[by, directions]
 
@@ -122,23 +127,31 @@ def is_real(aval) -> bool:
     return jnp.issubdtype(aval.dtype, jnp.floating)
 
 
+def is_complex(aval) -> bool:
+    return jnp.issubdtype(aval.dtype, jnp.complexfloating)
+
+
 kernel_p = Primitive("kernel")
 kernel_p.multiple_results = True
 programs: OrderedDict = OrderedDict()
-MODES = "jax_enable_x64", "jax_numpy_dtype_promotion"
-"""Settings of JAX on which it depends what a function does."""
+MODES = {
+    "jax_enable_x64": jax.enable_x64,
+    "jax_numpy_dtype_promotion": jax.numpy_dtype_promotion,
+}
+"""Settings of JAX on which the results of a function depend, and the contexts that set them."""
 contexts: list = []
-"""And settings of others, made by `jax.make_user_context`."""
+"""Contexts of other modules on which they depend, made by `jax.make_user_context`."""
 
 
 def settings_now() -> tuple[tuple[Any, Any], ...]:
-    """The contexts and their values, which are those of this thread alone."""
-    return tuple((context, context.value) for context in contexts)
+    """The contexts and their values, which belong to this thread alone."""
+    modes = ((context, getattr(jax.config, mode)) for mode, context in MODES.items())
+    return (*modes, *((context, context.value) for context in contexts))
 
 
 @contextlib.contextmanager
 def under(settings: tuple[tuple[Any, Any], ...]):
-    """With the contexts as they were elsewhere."""
+    """Enters the contexts with the values that they had elsewhere."""
     with contextlib.ExitStack() as now:
         for context, value in settings:
             now.enter_context(context(value))
@@ -147,9 +160,8 @@ def under(settings: tuple[tuple[Any, Any], ...]):
 
 def program_of(function: Callable, structure, avals: Sequence) -> tuple[Program, Any]:
     """The program of a function of operands of these shapes and types, and its results' tree."""
-    modes = tuple(getattr(jax.config, mode) for mode in MODES)
     settings = settings_now()
-    key = function, structure, modes, settings, *((x.shape, x.dtype, x.weak_type) for x in avals)
+    key = function, structure, settings, *((x.shape, x.dtype, x.weak_type) for x in avals)
     if key in programs:
         programs.move_to_end(key)
         return programs[key]
@@ -157,11 +169,10 @@ def program_of(function: Callable, structure, avals: Sequence) -> tuple[Program,
 
     def flat(*leaves):
         nonlocal results
-        with under(settings):
-            found, results = jax.tree.flatten(function(*jax.tree.unflatten(structure, leaves)))
+        found, results = jax.tree.flatten(function(*jax.tree.unflatten(structure, leaves)))
         return found
 
-    program = Program(flat, list(map(described, avals)))
+    program = Program(flat, list(map(described, avals)), settings)
     programs[key] = program, results
     while len(programs) > PROGRAMS:
         programs.popitem(last=False)
@@ -171,7 +182,9 @@ def program_of(function: Callable, structure, avals: Sequence) -> tuple[Program,
 def by_kernel(function: Callable) -> Callable:
     """The same pure function of arrays of one cell, as a primitive of JAX.
 
-    All that it depends on are its arguments, PyTrees of arrays or numbers.
+    It depends on its arguments alone, PyTrees of arrays or numbers, and on no named axis. A
+    function of complex numbers is left as it is: its derivatives are not linear in them. One with
+    a `jax.custom_vjp` has derivatives in forward mode only where JAX has them.
     """
 
     @functools.wraps(function)
@@ -179,8 +192,14 @@ def by_kernel(function: Callable) -> Callable:
         if tracing_for_kernel.value:
             return function(*args)
         leaves, structure = jax.tree.flatten(args)
+        leaves = list(map(jnp.asarray, leaves))
+        avals = list(map(jax.typeof, leaves))
+        if any(map(is_complex, avals)):
+            return function(*args)
+        program, results = program_of(call, structure, avals)
+        if any(map(is_complex, program.results)):
+            return function(*args)
         leaves = alike(list(map(strong, leaves)))
-        program, results = program_of(call, structure, list(map(jax.typeof, leaves)))
         outputs = kernel_p.bind(*leaves, program=program, mapped=(False,) * len(leaves))
         return jax.tree.unflatten(results, outputs)
 
@@ -194,18 +213,17 @@ def count_of(values: Sequence, mapped: Sequence[bool]) -> int | None:
 
 @kernel_p.def_impl
 def compute(*operands, program: Program, mapped: tuple[bool, ...]):
-    """At once, outside of jit: a call of the machine code."""
-    on_cpu = all(
-        device.platform == "cpu"
-        for x in operands
-        for device in (x.devices() if isinstance(x, jax.Array) else jax.local_devices()[:1])
-    )
-    if not on_cpu or program.kernel is None:
+    """At once, outside of jit: a call of the machine code, on one core."""
+    default = jnp.zeros(()).devices()
+    here = all(x.devices() == default for x in operands if isinstance(x, jax.Array))
+    on_cpu = all(device.platform == "cpu" for device in default)
+    if not (here and on_cpu) or program.kernel is None:
         return compiled(program, mapped)(*operands)
     n = count_of(operands, mapped)
     run, results = program.kernel.bind(operands, mapped, 1 if n is None else n)
     run(0, 1 if n is None else n)
-    return [jnp.asarray(result if n is not None else result[0]) for result in results]
+    with under(program.settings):
+        return [jnp.asarray(result if n is not None else result[0]) for result in results]
 
 
 @functools.lru_cache(PROGRAMS)
@@ -227,8 +245,7 @@ def shapes(*avals, program: Program, mapped: tuple[bool, ...]):
 
 
 def strong(leaf) -> jax.Array:
-    """A number or an array, of a type of its own."""
-    leaf = jnp.asarray(leaf)
+    """An array whose type is not weak."""
     return jax.lax.convert_element_type(leaf, leaf.dtype)
 
 
@@ -252,7 +269,7 @@ def by_xla(*operands, program: Program, mapped: tuple[bool, ...]):
     function = program.function
     if any(mapped):
         function = jax.vmap(function, [0 if each else None for each in mapped])
-    with tracing_for_kernel(True):
+    with under(program.settings), tracing_for_kernel(True):
         return function(*operands)
 
 
@@ -275,7 +292,7 @@ def batch(operands, axes, *, program: Program, mapped: tuple[bool, ...]):
     operands = [x if axis is None else jnp.moveaxis(x, axis, 0) for x, axis in pairs]
     if program.origin is not None and program.linear.issuperset(np.flatnonzero(batched)):
         origin, by, directions = program.origin
-        if origin.size * (directions * size + 1) <= TOGETHER:
+        if directions * size <= WIDEST and origin.size * (directions * size + 1) <= TOGETHER:
             more = origin.derivative(by, directions * size)
             return along_more(operands, batched, (size, directions), more, mapped)
     if not any(mapped):
@@ -354,6 +371,11 @@ ad.primitive_jvps[kernel_p] = push_forward
 
 def pull_back(cotangents, *operands, program: Program, mapped: tuple[bool, ...]):
     """Cotangents of operands in which it is linear: those of its results times its Jacobian."""
+    with under(program.settings):
+        return transposed(cotangents, operands, program, mapped)
+
+
+def transposed(cotangents, operands, program: Program, mapped: tuple[bool, ...]):
     wanted = [i for i, x in enumerate(operands) if ad.is_undefined_primal(x)]
     given = [i for i, ct in enumerate(cotangents) if not isinstance(ct, ad.Zero)]
     if not given:
@@ -395,7 +417,10 @@ def pull_back(cotangents, *operands, program: Program, mapped: tuple[bool, ...])
         result = math.prod(column.shape[1 + cells :])
         column = column.reshape(*column.shape[: 1 + cells], result)
         ct = ct.reshape(*ct.shape[: 1 + cells], result)
-        total = total + jnp.einsum("cnr,nkr->nkc" if cells else "cr,kr->kc", column, ct)
+        # What a result that nobody asks for has for a derivative, say NaN, counts for nothing.
+        column = jnp.where((ct == 0).all(axis=-2), 0, column)
+        sums = "cnr,nkr->nkc" if cells else "cr,kr->kc"
+        total = total + jnp.einsum(sums, column, ct, precision="highest")
     found: list[Any] = [None] * len(operands)
     ends = np.cumsum(sizes)
     for i, end, width, shape in zip(wanted, ends, sizes, shapes, strict=True):

@@ -287,8 +287,10 @@ def elementary(name: str, of_float32: Callable | None = None):
 
 
 def log_float32(x):
-    """log(x) of a normal number, right to about 1e-7 of the larger of it and 1."""
-    bits = lax.bitcast_convert_type(x, jnp.int32)
+    """log(x), right to about 1e-7 of the larger of it and 1."""
+    subnormal = x < jnp.float32(np.finfo(np.float32).tiny)
+    scaled = jnp.where(subnormal, x * jnp.float32(2**24), x)
+    bits = lax.bitcast_convert_type(scaled, jnp.int32)
     # x = 2^e m, with m between sqrt(1/2) and sqrt(2)
     e = lax.shift_right_arithmetic(bits - 0x3F3504F3, jnp.int32(23))
     m = lax.bitcast_convert_type(bits - lax.shift_left(e, jnp.int32(23)), jnp.float32)
@@ -296,6 +298,7 @@ def log_float32(x):
     s = (m - 1) / (m + 1)
     z = s * s
     series = 2 * s * (1 + z * (1 / 3 + z * (1 / 5 + z * (1 / 7 + z / 9))))
+    e = e - jnp.where(subnormal, 24, 0).astype(jnp.int32)
     value = e.astype(jnp.float32) * jnp.float32(np.log(2)) + series
     value = jnp.where(x == jnp.inf, x, value)
     value = jnp.where(x > 0, value, jnp.where(x == 0, -jnp.inf, jnp.nan)).astype(jnp.float32)

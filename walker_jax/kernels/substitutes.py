@@ -12,6 +12,8 @@ import jax.numpy as jnp
 from jax import lax
 from jax.extend.core import jaxpr_as_fun
 
+from walker_jax.kernels.rules import UnsupportedPrimitive
+
 
 def scan(params: dict) -> Callable:
     """As a loop that counts its turns."""
@@ -33,6 +35,8 @@ def scan(params: dict) -> Callable:
             return i + 1, results[:carried], outputs
 
         outputs = [jnp.zeros((length, *aval.shape), aval.dtype) for aval in stacked]
+        if length == 0:
+            return [*carry, *outputs]
         start = jnp.int32(0), list(carry), outputs
         _, carry, outputs = lax.while_loop(lambda state: state[0] < length, turn, start)
         return [*carry, *outputs]
@@ -161,7 +165,7 @@ def ormqr(left: bool, transpose: bool) -> Callable:
 def qr(*, full_matrices: bool, pivoting: bool, use_magma: bool | None) -> Callable:
     del use_magma
     if pivoting:
-        raise NotImplementedError
+        raise UnsupportedPrimitive("qr with pivoting")
 
     def function(a):
         m, n = a.shape
