@@ -15,15 +15,14 @@ import jax.numpy as jnp
 import xarray as xr
 
 from walker_jax.basins.memory import BYTES_PER_CELL, check_grid
-from walker_jax.basins.methods import cell_mapping, direct_iteration
-from walker_jax.basins.pieces import in_pieces
-from walker_jax.basins.schema import labelled
+from walker_jax.basins.methods import cell_mapping, direct_iteration, mapper_of_grid
+from walker_jax.basins.pieces import METHODS, compute_in_pieces
+from walker_jax.basins.schema import to_dataset
 from walker_jax.checks import WrongUse, check_precision, check_whole, refuses_tracers, short
 from walker_jax.grids import Grid
 from walker_jax.integrators.solvers import AnySolver, default_tolerance, solved_by
 from walker_jax.walkers.model import Walker
 
-METHODS = ("cell-map", "direct")
 BYTES_STORED = {"cell-map": 16, "direct": 0}
 """The same where the result goes into a store: of the cell map, when all of it is there."""
 
@@ -95,21 +94,29 @@ def basin(
     check_precision(dtype)
     tolerance = float(default_tolerance(dtype, tolerance))
     limit = {"strides": strides} if method == "direct" else {}
-    how = {"method": method, **limit, "tolerance": tolerance}
+    settings = {"method": method, **limit, "tolerance": tolerance}
     if solver is not None:
-        how["solver"] = repr(solver)
+        settings["solver"] = repr(solver)
         if cluster is not None:
             raise WrongUse(f"solver must not be given with a cluster, unlike {solver!r}")
     with solved_by(solver):
         if out is not None:
-            return in_pieces(walker, grid, how, Path(out), request, overwrite, cluster, progress)
+            return compute_in_pieces(
+                METHODS[method](walker, grid, settings),
+                Path(out),
+                request=request,
+                overwrite=overwrite,
+                cluster=cluster,
+                progress=progress,
+            )
         if cluster is not None:
             raise WrongUse(f"cluster={cluster!r} computes pieces of a store: out is wanted too")
         if method == "cell-map":
-            found = cell_mapping(walker, grid, tolerance, progress)
+            basins = cell_mapping(walker, grid, tolerance, progress)
         else:
-            found = direct_iteration(walker, grid, tolerance, strides, progress)
-    return labelled(walker, grid, found, how)
+            mapper = mapper_of_grid(walker, grid, tolerance, strides).with_sorted_attractors()
+            basins = direct_iteration(mapper, grid, progress)
+    return to_dataset(walker, grid, basins, settings)
 
 
 @refuses_tracers()

@@ -8,30 +8,23 @@ and Wisse 2001, section 5).
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Bool, Float
 
 from walker_jax.checks import refuses_tracers
-from walker_jax.execution.tiles import map_cells
 from walker_jax.gaits.cycles import Gait
+from walker_jax.stability.gait_mapper import failure_test, mapper_of_gait, with_other_gaits
+from walker_jax.stability.margin_changes import margin_changes
+from walker_jax.stability.metric import metric
 from walker_jax.stability.rays import directions, nearest_failure
-from walker_jax.stability.walks import (
-    change_of_margin,
-    end_of_walk,
-    metric,
-    returning,
-    until_settled,
-    which_walks,
-)
 from walker_jax.walkers.model import Walker
 from walker_jax.walking.outcomes import Outcome
 
 BEYOND = 1 + np.array([1e-8, 1e-10, 0.0])
 """Of the least disturbance, those of which the first that fails says how: rounding is less."""
-MEETING, OUTWARDS = 90, 0.1 * 0.5 ** np.arange(12.0)[:, None]
-"""Directions and distances, of starts from which other gaits are met."""
+OTHER_GAITS_DIRECTIONS, OTHER_GAITS_DISTANCES = 90, 0.1 * 0.5 ** np.arange(12.0)[:, None]
+"""Of starts from which walkers may converge to other gaits."""
 
 
 class LeastDisturbance(NamedTuple):
@@ -92,21 +85,20 @@ def least_disturbance(
     found from which the walker does not return.
     """
     unit, basis = metric(walker, scale, along)
-    size, lost = len(unit), which_walks(fall)
-    states, shared = returning(walker, gait, strides, tolerance)
+    lost = failure_test(fall)
+    mapper = mapper_of_gait(walker, gait, strides, tolerance)
+    states = mapper.attractors[0].states
     if fall:
-        rays = directions(len(basis), MEETING) @ basis * unit
-        shared = until_settled(shared, states[:, None, None] + OUTWARDS * rays[:, None])
+        rays = directions(len(basis), OTHER_GAITS_DIRECTIONS) @ basis * unit
+        starts = states[:, None, None] + OTHER_GAITS_DISTANCES * rays[:, None]
+        mapper = with_other_gaits(mapper, starts.reshape(-1, len(unit)))
 
     def fails(points: Float[np.ndarray, "n section"]) -> Bool[np.ndarray, " n"]:
-        return lost(map_cells(end_of_walk, (shared, points)))
+        return lost(mapper(points))
 
     def gradient(points: Float[np.ndarray, "n section"]) -> Float[np.ndarray, "n section"]:
-        count = map_cells(end_of_walk, (shared, points)).strides
-        still = jax.tree.map(lambda leaf: np.zeros(size * len(points), leaf.dtype), shared[0])
-        tangents = still, np.tile(np.eye(size, dtype=points.dtype), (len(points), 1))
-        cells = np.repeat(points, size, axis=0), np.repeat(count, size), tangents
-        return map_cells(change_of_margin, (shared[:2], cells)).reshape(-1, size)
+        count = mapper(points).strides
+        return margin_changes(walker, points, count, np.eye(len(unit)), (), mapper.tolerance)
 
     found = [
         nearest_failure(
@@ -118,7 +110,7 @@ def least_disturbance(
     step = found[phase]
     length = float(np.linalg.norm(step))
     state = states[phase] + step * unit
-    beyond = map_cells(end_of_walk, (shared, states[phase] + BEYOND[:, None] * step * unit))
+    beyond = mapper(states[phase] + BEYOND[:, None] * step * unit)
     first = int(lost(beyond).argmax())
-    failure, made = Outcome(int(beyond.outcome[first])), int(beyond.strides[first])
+    failure, made = Outcome(int(beyond.fate[first])), int(beyond.strides[first])
     return LeastDisturbance(length, step / length, state, phase, failure, made)

@@ -9,13 +9,14 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Float, Int
 
+from walker_jax.basins.attractor import cubes
 from walker_jax.basins.memory import check_grid
 from walker_jax.checks import WrongUse, check_number, check_whole, is_number, refuses_tracers, short
-from walker_jax.execution.tiles import map_cells
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import find_gait
 from walker_jax.grids import Grid
-from walker_jax.stability.walks import end_of_walk, metric, returning
+from walker_jax.stability.gait_mapper import mapper_of_gait
+from walker_jax.stability.metric import metric
 from walker_jax.walkers.model import Walker
 from walker_jax.walking.iteration import check_parameters
 from walker_jax.walking.outcomes import Outcome
@@ -107,16 +108,15 @@ def basin_stability(
         about = lambda state: state + inside
 
     def one(walker: Walker, gait: Gait | None) -> tuple:
-        states, shared = returning(walker, gait, strides, tolerance)
-        starts = about(states[0]).astype(states.dtype)
-        found = map_cells(end_of_walk, (shared, starts))
-        fates = np.bincount(found.outcome, minlength=len(Outcome))
-        elsewhere = np.count_nonzero((found.outcome == Outcome.STRIDE) & ~found.back)
-        cubes = np.broadcast_to(np.eye(states.shape[1]) / within, shared[3].shape)
-        closer = map_cells(
-            end_of_walk, ((*shared[:3], cubes.astype(states.dtype), shared[4]), starts[found.back])
-        )
-        made = np.where(closer.back, closer.strides, np.inf)
+        mapper = mapper_of_gait(walker, gait, strides, tolerance)
+        (own,) = mapper.attractors
+        starts = about(own.states[0]).astype(own.states.dtype)
+        labels = mapper(starts)
+        fates = np.bincount(labels.fate, minlength=len(Outcome))
+        elsewhere = len(labels.remaining)
+        close = mapper._replace(attractors=[own._replace(capture_boxes=cubes(own, within))])
+        closer = close(starts[labels.converged])
+        made = np.where(closer.converged, closer.strides, np.inf)
         back = len(made)
         late = np.percentile(made, (50, 95), method="inverted_cdf") if back else (np.nan, np.nan)
         return back / samples, *wilson(back, samples, confidence), fates, elsewhere, *late
