@@ -20,7 +20,7 @@ from walker_jax.walking.outcomes import Outcome
 
 
 class Labels(NamedTuple):
-    """What became of walkers from n starts."""
+    """The fates and attractors of walkers from n starts."""
 
     fate: Int[np.ndarray, " n"]
     """`Outcome` of the last stride; `STRIDE` where the walker did not fail."""

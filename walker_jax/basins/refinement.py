@@ -1,11 +1,10 @@
-"""The basin of attraction on fine grids, where only cells on a boundary are worked out.
+"""The basin of attraction on fine grids, of which only cells on a boundary are followed.
 
 A coarse grid is followed directly. Then every cell that has a neighbour of another fate is cut into
 2 x 2 (2 x 2 x 2), and the parts are followed; the parts of all others inherit. Where parts show a
-boundary to cells that inherited, those are followed too, and so on: a tail that has been met
-anywhere is followed to its end. What has not been met anywhere is looked for by starts drawn at
-random among the cells that inherited: the tails they meet are followed too; then others, drawn
-anew, correct the area, and say how far it can be trusted.
+boundary to cells that inherited, those are followed too, and so on: a tail that is found
+anywhere is followed to its end. Random starts among the cells that inherited find others, which are
+followed too. A second set of random starts corrects the area, and gives its standard error.
 """
 
 from typing import NamedTuple
@@ -29,7 +28,7 @@ from walker_jax.walking.outcomes import Outcome
 BYTES_PER_CELL = 40
 """Memory at its peak, for each cell of the finest grid."""
 FINEST = 30
-"""The most levels: there is a number for each cell, of 32 bits."""
+"""Levels, at most: cells are numbered in 32 bits."""
 SPREAD = 1 / 12
 """Variance that a cell beside one of another fate brings to the area, in cells. A part f of it in
 the basin brings f (1 - f), 1/6 on average; half of these cells or more have no part in both."""

@@ -37,8 +37,8 @@ def boundary_dimension(
     """The dimension of the boundary of the basins in a region, by the uncertainty exponent.
 
     A start is uncertain at a distance if a walker that starts that far from it, on either side, in
-    a random direction, comes to another attractor, or to none. Starts are drawn from the cells that
-    have a neighbour of another fate: elsewhere next to none are uncertain.
+    a random direction, converges to another attractor, or to none. Starts are drawn from the cells
+    that have a neighbour of another fate: elsewhere next to none are uncertain.
 
     **Arguments:**
 

@@ -1,8 +1,8 @@
 """How large a disturbance a gait survives.
 
 A disturbance moves the walker from its gait to another point of the Poincaré section. The least one
-from which it does not come back says more of a machine than the multipliers of its gait do (Schwab
-and Wisse 2001, section 5).
+from which it does not return, or falls (the minimal fatal shock), says more of a machine than the
+Floquet multipliers of its gait do (Schwab and Wisse 2001, section 5).
 """
 
 from collections.abc import Sequence
@@ -28,7 +28,7 @@ OTHER_GAITS_DIRECTIONS, OTHER_GAITS_DISTANCES = 90, 0.1 * 0.5 ** np.arange(12.0)
 
 
 class LeastDisturbance(NamedTuple):
-    """The nearest point to a gait from which the walker does not come back, or falls."""
+    """The nearest point to a gait from which the walker does not return, or falls."""
 
     size: float
     """Its distance from the gait, in the metric asked for."""
@@ -39,7 +39,7 @@ class LeastDisturbance(NamedTuple):
     phase: int
     """The state of the gait that it is nearest to."""
     failure: Outcome
-    """How the walker fails from just beyond it; `STRIDE` where it comes to another motion."""
+    """How the walker fails from just beyond it; `STRIDE` where it converges to another motion."""
     strides: int
     """Strides before that, the failing one not counted."""
 
@@ -57,7 +57,7 @@ def least_disturbance(
 ) -> LeastDisturbance:
     """The nearest point of the section from which a walker does not return to its gait, or falls.
 
-    From the nearest point at which it does not return it may come to another motion: the `failure`
+    From the nearest point at which it does not return it may converge to another: the `failure`
     is `STRIDE` then, and the nearest at which it falls, found with `fall`, is farther. Otherwise
     these are the same.
 
@@ -77,7 +77,7 @@ def least_disturbance(
     - `along`: vectors, one a row, that disturbances are made of, such as (0, 1) for a push that
       changes thetadot alone. By default they have any direction.
     - `fall`: whether the walker is to fall, and no other motion counts.
-    - `strides`: how many of them a walker may take to come back, or to fall.
+    - `strides`: how many of them a walker may take to return, or to fall.
     - `tolerance`: of the integration, as in `stride`.
 
     `ValueError` for a gait that is not stable, or not found, and for a scale or vectors that are

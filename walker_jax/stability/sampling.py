@@ -26,18 +26,18 @@ class BasinStability(NamedTuple):
     """The fraction of disturbances that a gait survives (Menck and others 2013)."""
 
     value: Float[np.ndarray, "*walkers"]
-    """The fraction of the starts from which the walker comes back to its gait."""
+    """The fraction of the starts from which the walker returns to its gait."""
     low: Float[np.ndarray, "*walkers"]
     high: Float[np.ndarray, "*walkers"]
     """Wilson's confidence interval."""
     fates: Int[np.ndarray, "*walkers outcomes"]
     """Starts by the `Outcome` of their last stride; of those with `STRIDE`, `elsewhere` did not
-    come back, but still walk."""
+    return, but still walk."""
     elsewhere: Int[np.ndarray, "*walkers"]
     median: Float[np.ndarray, "*walkers"]
-    """Strides to within a distance of the gait, of half of those that come back."""
+    """Strides to within a distance of the gait, of half of those that return."""
     slowest: Float[np.ndarray, "*walkers"]
-    """And of 95 of 100; infinite where they have not come that close, NaN where none come back."""
+    """And of 95 of 100; infinite where they have not come that close, NaN where none return."""
 
 
 @refuses_tracers()
@@ -55,7 +55,7 @@ def basin_stability(
     seed: int = 0,
     tolerance: float | None = None,
 ) -> BasinStability:
-    """The fraction of random disturbances from which a walker comes back to its gait, and how soon.
+    """The fraction of random disturbances from which a walker returns to its gait, and how soon.
 
     **Arguments:**
 
@@ -67,8 +67,8 @@ def basin_stability(
     - `gait`: a stable one, of one walker; the most stable of period one, by default.
     - `within`: distance of a state of the gait, in every coordinate, to which strides are counted.
     - `samples`: starts for each walker, the same disturbances for all.
-    - `strides`: how many of them a walker may take to come so close to its gait, if not within
-      that distance, that all walkers come to it from there.
+    - `strides`: how many of them a walker may take to that distance, or to the gait's capture box,
+      from which all walkers converge to it.
     - `confidence`: of the interval.
     - `seed`: of what is drawn.
     - `tolerance`: of the integration, as in `stride`.

@@ -12,7 +12,7 @@ from walker_jax.execution.tiles import map_cells
 from walker_jax.gaits.cycles import Gait
 from walker_jax.stability.disturbances import BEYOND
 from walker_jax.stability.gait_mapper import failure_test, mapper_of_gait
-from walker_jax.stability.rays import HALVINGS, first_failures, halved, scanned
+from walker_jax.stability.rays import FINE, bisect, first_failures, scan
 from walker_jax.walkers.model import Walker
 from walker_jax.walking.iteration import strides as take_strides
 from walker_jax.walking.outcomes import Outcome
@@ -23,7 +23,7 @@ HEIGHTS = 4096
 
 
 class LeastStepDown(NamedTuple):
-    """The least step down from which a walker does not come back to its gait, or falls."""
+    """The least step down from which a walker does not return to its gait, or falls."""
 
     size: float
     """Its height, at right angles to the slope, in the unit of length."""
@@ -32,7 +32,7 @@ class LeastStepDown(NamedTuple):
     phase: int
     """The state of the gait from which the stride begins that ends there."""
     failure: Outcome
-    """How the walker fails from just beyond it; `STRIDE` where it comes to another motion."""
+    """How the walker fails from just beyond it; `STRIDE` where it converges to another motion."""
     strides: int
     """Strides before that, the one down included, the failing one not."""
 
@@ -64,9 +64,9 @@ def least_step_down(
     found = []
     for state in states:
         fails = lambda heights, state=state: lost(end(state, heights[:, 0]))
-        reach = scanned(fails, up, HEIGHTS)[0]
+        reach = scan(fails, up, HEIGHTS)[0]
         first = first_failures(fails, up, 0.0, reach, HEIGHTS)
-        found.append(halved(fails, up, first, reach / HEIGHTS, HALVINGS[1])[0])
+        found.append(bisect(fails, up, first, reach / HEIGHTS, FINE)[0])
     phase = int(np.argmin(found))
     height = float(found[phase])
     beyond = end(states[phase], BEYOND * height)
