@@ -26,9 +26,8 @@ import numpy as np
 
 import walker_jax as wj
 from walker_jax.basins.attractor import Attractor
-from walker_jax.basins.attractor_search import with_frames
-from walker_jax.execution.tiles import map_cells
-from walker_jax.stability.walks import end_of_walk
+from walker_jax.basins.capture_boxes import with_capture_boxes
+from walker_jax.basins.mapper import Mapper
 
 SLOPES = 0.001, 0.0025, 0.004, 0.0055, 0.0067, 0.0076, 0.009, 0.0105, 0.012, 0.0145
 SCAN = np.arange(0.0068, 0.00841, 0.0001)
@@ -38,13 +37,11 @@ DIRECTIONS, RINGS = 20_000, 2e-4
 def brute_force(walker: wj.Walker, gait: wj.Gait, size: float) -> float:
     """The first distance on a fine polar grid at which a walker does not come back."""
     states = np.asarray(gait.states)
-    (cycle,) = with_frames(walker, [Attractor(1, states)], 1e-12, 500)
-    parameters = jax.tree.map(np.asarray, walker)
-    shared = parameters, np.float64(1e-12), states, cycle.boxes(), np.int32(500)
+    mapper = with_capture_boxes(Mapper(walker, [Attractor(1, states)], 1e-12, 500))
     angles = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
     rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     for radius in np.arange(0.9, 1.01, RINGS) * size:
-        if not map_cells(end_of_walk, (shared, states[0] + radius * rays)).back.all():
+        if not mapper(states[0] + radius * rays).converged.all():
             return radius
     return np.inf
 

@@ -78,7 +78,7 @@ class Search:
             return 0.0
         options = {"strides": 200, "check": 50_000, "seed": 0, "tolerance": None}
         found = refined(self.built(place), self.grid, LEVELS - 2, by_centres=True, **options)
-        self.left -= found.made
+        self.left -= found.total_strides
         if found.area > self.best[0]:
             self.best = found.area, place
         return -1000 * found.area
@@ -173,7 +173,7 @@ def cost(repeats: int = 5) -> None:
         found = wj.area_gradient(walker, SECTION, levels=3, check=50_000)
         plain.append(middle - begun)
         both.append(time.perf_counter() - middle)
-        made = area.made, found.strides
+        made = area.total_strides, found.strides
     ratio = np.median(np.array(both[1:]) / np.array(plain[1:]))
     for name, seconds, strides in (("area", plain, made[0]), ("and gradient", both, made[1])):
         middle = float(np.median(seconds[1:]))

@@ -13,7 +13,9 @@ import xarray as xr
 import walker_jax as wj
 from walker_jax import storage
 from walker_jax.basins import attractor, attractor_search, methods, pieces
-from walker_jax.basins.attractor import Attractor, Basins, sort_attractors
+from walker_jax.basins.attractor import Attractor
+from walker_jax.basins.mapper import Mapper
+from walker_jax.basins.schema import Basins
 from walker_jax.cellmaps import resolve
 from walker_jax.execution.tiles import compact_order
 from walker_jax.storage import whole
@@ -36,8 +38,8 @@ def test_a_point_within_reach_of_several_attractors_is_the_nearests():
     places = np.array([[0.1, 0.0], [0.2, 0.0], [0.3, 0.0]])
     cycles = [Attractor(1, place[None]) for place in places]
     points = np.array([[0.11, 0.01], [0.16, 0], [0.24, 0], [0.9, 0]])
-    assert attractor.nearest(points, cycles, within=0.5).tolist() == [0, 1, 1, -1]
-    assert attractor.nearest(points, cycles[::-1], within=0.5).tolist() == [2, 1, 1, -1]
+    assert attractor.match_attractor(points, cycles, within=0.5).tolist() == [0, 1, 1, -1]
+    assert attractor.match_attractor(points, cycles[::-1], within=0.5).tolist() == [2, 1, 1, -1]
 
 
 def test_direct_iteration_gives_the_reference_fates(direct):
@@ -58,7 +60,7 @@ def test_direct_iteration_finds_the_gait(direct):
 def test_strides_count_until_the_gait_is_reached(direct):
     """Until all coordinates are within 1e-6 of it."""
     cells = np.flatnonzero(direct.attractor.values.ravel() == 0)[::101]
-    states = [attractor_search.centres(wj.Grid.sheared(**PAPER), cells.astype(np.int32))]
+    states = [wj.Grid.sheared(**PAPER).centres(cells)]
     for _ in range(64):
         states.append(np.asarray(wj.strides(wj.SimplestWalker(0.004), states[-1]).state))
     distance = np.abs(np.stack(states, axis=1) - direct.states.values[0, 0]).max(axis=2)
@@ -156,7 +158,7 @@ def test_attractors_are_numbered_by_period_then_angle():
     wandering = Attractor(None, np.array([[0.05, -0.2]]))
     found = [cycle(0.1, 0.3), wandering, cycle(0.2), cycle(0.15)]
     cells = np.array([0, 1, 2, 3, -1, 0])
-    ordered = sort_attractors(Basins(cells * 0, cells, cells * 0, found))
+    ordered = Basins(cells * 0, cells, cells * 0, found).sorted()
     assert [one.period for one in ordered.attractors] == [1, 1, 2, None]
     assert [one.states[0, 0] for one in ordered.attractors] == [0.15, 0.2, 0.1, 0.05]
     assert ordered.attractor.tolist() == [2, 3, 1, 0, -1, 2]
@@ -188,7 +190,7 @@ def test_strides_and_cycles_in_float32_are_close(direct):
     outcome = REFERENCE["outcome"].ravel()[::97]
     assert (single.outcome == outcome).mean() > 0.99
     walking = xs[direct.fate.values.ravel()[::97] == 0].astype(np.float32)
-    found = attractor_search.settle(wj.SimplestWalker(0.004), walking, 1e-6, [])
+    found = attractor_search.find_attractors(wj.SimplestWalker(0.004), walking, 1e-6)
     assert [one.period for one in found] == [1]
     np.testing.assert_allclose(found[0].states, direct.states.values[0], atol=1e-4)
 
@@ -280,7 +282,7 @@ def test_a_cycle_of_cells_belongs_to_where_walkers_come_from_most_of_its_centres
     data = wj.basin(walker, grid)
     ends = resolve(methods.cell_map(walker, grid, 1e-12), sinks=len(wj.Outcome))
     lengths = [len(cycle) for cycle in ends.attractors]
-    starts = attractor_search.centres(grid, np.concatenate(ends.attractors))
+    starts = grid.centres(np.concatenate(ends.attractors))
     x = starts
     for _ in range(300):
         x = wj.strides(walker, x).state
@@ -352,31 +354,29 @@ def test_piece_by_piece_it_is_the_same(tmp_path, small_pieces, method):
 def test_the_order_in_which_cells_are_computed_changes_nothing(monkeypatch):
     """That of accelerators, over all of a grid or a part of it."""
     grid = wj.Grid.sheared(**COARSE)
-    parts = None, methods.Part(600, (20, 60))
-    compute = lambda: [
-        values
-        for part in parts
-        for values in (
-            methods.cell_map(STEEP, grid, 1e-12, part),
-            *methods.follow_part(STEEP, grid, 1e-12, [], 3, part),
-        )
-    ]
+    blocks, mapper = (None, methods.Block(600, (20, 60))), Mapper(STEEP, [], 1e-12, 3)
+
+    def compute():
+        maps = [methods.cell_map(STEEP, grid, 1e-12, block) for block in blocks]
+        labels = [methods.map_block(mapper, grid, block) for block in blocks]
+        return [*maps, *labels[0], *labels[1], *(one.remaining for one in labels)]
+
     wanted = compute()
     order = lambda shape: compact_order(shape, 64)
     monkeypatch.setattr("walker_jax.basins.methods.order_of_cells", order)
     for found, values in zip(compute(), wanted, strict=True):
         np.testing.assert_array_equal(found, values)
     whole, cells = wanted[0], grid.size
-    np.testing.assert_array_equal(wanted[6], whole[600:1800])
-    assert 100 < np.unique(whole[whole < cells]).size and 20 < len(wanted[4]) < cells
+    np.testing.assert_array_equal(wanted[1], whole[600:1800])
+    assert 100 < np.unique(whole[whole < cells]).size and 20 < len(wanted[-2]) < cells
 
 
 @pytest.mark.parametrize("shape", [(50, 60), (2, 2000), (3, 4, 1000), (1, 1, 5000), (7,), (900,)])
 def test_pieces_are_all_cells_one_after_the_other(small_pieces, shape):
-    block = pieces.block_of(shape)
+    block = pieces.block_shape(shape)
     place = storage.Pieces(Path(), Path(), None, shape[: len(block)], block, None)
     grid = wj.Grid({str(i): (0, 1, n) for i, n in enumerate(shape)}, np.eye(len(shape)))
-    parts = [pieces.part_of(grid, place, i) for i in range(place.count)]
+    parts = [pieces.block_at(grid, place, i) for i in range(place.count)]
     assert [i for part in parts for i in range(grid.size)[part.cells]] == [*range(grid.size)]
     sizes = [math.prod(part.shape) for part in parts]
     assert max(sizes) < 2 * 600 and (len(parts) == 1 or max(sizes) >= 600)

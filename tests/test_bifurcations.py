@@ -42,7 +42,7 @@ def test_what_attracts_beside_the_long_gait_is_seen():
     branch = wj.continue_gait(walker(0.01012), "slope", (0.01, 0.0102), gait)
     long = wj.continue_gait(walker(0.01012), "slope", (0.01, 0.0102))
     values = np.array([0.01008, 0.0101, 0.01012])
-    starts = long_runs.starts_near(walker(), "slope", [long, branch], values, 1e-12)
+    starts = long_runs.starts_near_gaits(walker(), "slope", [long, branch], values, 1e-12)
     data = wj.attractors(walker(), "slope", values, starts, strides=600)
     found = [
         set(row[fate == 0].tolist())

@@ -333,7 +333,7 @@ def test_descent_reaches_gaits_from_where_newton_diverges():
     """From the cells of the whole section that make a stride at all."""
     grid = wj.Grid.plain(theta=(0, np.pi / 4, 100), thetadot=(-1, 0, 100))
     starts = np.asarray(jax.vmap(grid.centre)(np.arange(grid.size, dtype=np.int32)))
-    _, cycles = search.walked(walker(), starts, 1, 1e-12)
+    _, cycles = search.cycle_guesses(walker(), starts, 1, 1e-12)
     newton = search.search(walker(), cycles, 1e-12)
     assert 0.6 < newton.found.mean() < 0.85
     lost = cycles[~newton.found]

@@ -5,7 +5,8 @@ import pytest
 
 import walker_jax as wj
 from walker_jax.basins import refinement
-from walker_jax.basins.attractor import Attractor, Basins
+from walker_jax.basins.attractor import Attractor
+from walker_jax.basins.mapper import Labels, Mapper
 from walker_jax.basins.refinement import refined
 from walker_jax.design.gradients import (
     along_boundary,
@@ -96,11 +97,11 @@ def radius(slope):
 def disc(monkeypatch):
     """Walkers walk from within a disc; beyond it the margin is a multiple of the distance."""
 
-    def follow(walker, x, attractors, tolerance, strides, progress=False):
-        walks = np.linalg.norm(x - CENTRE, axis=1) < radius(float(walker.slope))
+    def labels_of(mapper, x, *, progress=None):
+        walks = np.linalg.norm(x - CENTRE, axis=1) < radius(float(mapper.walker.slope))
         number = np.where(walks, 0, -1).astype(np.int32)
         fate = np.where(walks, 0, 1).astype(np.int8)
-        return Basins(fate, number, np.ones(len(x), np.int32), attractors)
+        return Labels(fate, number, np.ones(len(x), np.int32), x)
 
     def changes(walker, x, made, directions, parameters, tolerance):
         away = x - CENTRE
@@ -108,9 +109,10 @@ def disc(monkeypatch):
         return 7 * np.concatenate([along, np.full((len(x), len(parameters)), 10.0)], axis=1)
 
     cycle = Attractor(1, np.zeros((1, 2)))
-    monkeypatch.setattr(refinement, "framed_attractors", lambda *_: (None, [cycle]))
-    for module in ("basins.refinement", "design.gradients"):
-        monkeypatch.setattr(f"walker_jax.{module}.follow", follow)
+    mapper = lambda walker, grid, *limits: Mapper(walker, [cycle], *limits)
+    monkeypatch.setattr(Mapper, "__call__", labels_of)
+    monkeypatch.setattr(refinement, "mapper_of_grid", mapper)
+    monkeypatch.setattr(refinement, "with_capture_boxes", lambda mapper: mapper)
     monkeypatch.setattr("walker_jax.design.gradients.margin_changes", changes)
 
 
@@ -147,8 +149,10 @@ def test_the_error_of_an_integral_is_that_of_a_sum_of_independent_parts(disc, mo
     attractor = np.repeat([0, 0, -1, -1], 9).reshape(4, 9).astype(np.int16)
     fate = np.where(attractor < 0, 1, 0).astype(np.int8)
     counts = np.zeros((4, 9), np.int32)
+    walker = wj.SimplestWalker(0.004)
+    mapper = Mapper(walker, [], 1e-10, 10)
     found = refinement.Refined(
-        *(grid, fate, attractor, counts, [], 0.5, 0.0, [36], [18], 0, 0, 0, 1e-10)
+        *(grid, fate, attractor, counts, mapper, 0.5, 0.0, [36], [18], 0, 0, 0)
     )
 
     def changes(walker, x, *_):
@@ -157,7 +161,7 @@ def test_the_error_of_an_integral_is_that_of_a_sum_of_independent_parts(disc, mo
         return np.stack([np.full(len(x), -5.0), 0 * line, moves], axis=1)
 
     monkeypatch.setattr("walker_jax.design.gradients.margin_changes", changes)
-    integral = along_boundary(wj.SimplestWalker(0.004), found, ("slope",), 10)
+    integral = along_boundary(walker, found, ("slope",))
     # lines 0 to 7 move by their numbers: in four parts, by 0 + 4, 1 + 5, 2 + 6 and 3 + 7
     assert integral.gradient[0] == pytest.approx(28 / 36, rel=1e-12)
     assert integral.error[0] == pytest.approx(np.sqrt(4 * np.var([4, 6, 8, 10], ddof=1)) / 36)

@@ -6,7 +6,8 @@ import pytest
 import walker_jax as wj
 from walker_jax import Outcome, figures
 from walker_jax.basins import refinement
-from walker_jax.basins.attractor import Attractor, Basins
+from walker_jax.basins.attractor import Attractor
+from walker_jax.basins.mapper import Labels, Mapper
 from walker_jax.basins.refinement import cut, edge, finer, refine
 
 WALKER = wj.SimplestWalker(0.004)
@@ -133,15 +134,16 @@ def refined_by(number_of, monkeypatch, levels=2, check=4000):
     """Refine where the attractor's number is a function of the point; all points, by call."""
     asked = []
 
-    def follow(walker, x, attractors, tolerance, strides, progress=False):
+    def labels_of(mapper, x, *, progress=None):
         asked.append(x)
         number = number_of(x).astype(np.int32)
         fate = np.where(number >= 0, Outcome.STRIDE, Outcome.FORWARD).astype(np.int8)
-        return Basins(fate, number, np.ones(len(x), np.int32), attractors)
+        return Labels(fate, number, np.ones(len(x), np.int32), x)
 
-    cycle = Attractor(1, np.zeros((1, 2)))
-    monkeypatch.setattr(refinement, "follow", follow)
-    monkeypatch.setattr(refinement, "framed_attractors", lambda *_: (None, [cycle, cycle]))
+    mapper = Mapper(WALKER, [Attractor(1, np.zeros((1, 2)))] * 2, 1e-12, 10)
+    monkeypatch.setattr(Mapper, "__call__", labels_of)
+    monkeypatch.setattr(refinement, "mapper_of_grid", lambda *_: mapper)
+    monkeypatch.setattr(refinement, "with_capture_boxes", lambda mapper: mapper)
     options = {"strides": 10, "check": check, "seed": 0, "tolerance": None}
     return refinement.refined(WALKER, SQUARE, levels, **options), asked
 

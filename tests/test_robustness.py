@@ -8,18 +8,20 @@ import xarray as xr
 import walker_jax as wj
 from walker_jax import Outcome
 from walker_jax.basins.attractor import Attractor
-from walker_jax.basins.attractor_search import with_frames
+from walker_jax.basins.capture_boxes import with_capture_boxes
+from walker_jax.basins.mapper import Mapper
 from walker_jax.execution.tiles import map_cells
 from walker_jax.fractals import Uncertainty
 from walker_jax.gaits.cycles import Gait
 from walker_jax.stability import summary
 from walker_jax.stability.dimension import boundary_dimension
 from walker_jax.stability.disturbances import LeastDisturbance, least_disturbance
+from walker_jax.stability.gait_mapper import mapper_of_gait
+from walker_jax.stability.margin_changes import margin_changes
 from walker_jax.stability.rays import nearest_failure
 from walker_jax.stability.sampling import BasinStability, basin_stability, in_ball, wilson
-from walker_jax.stability.steps_down import LeastStepDown, least_step_down
+from walker_jax.stability.steps_down import LeastStepDown, labels_after_step, least_step_down
 from walker_jax.stability.summary import common, joined, robustness_table
-from walker_jax.stability.walks import change_of_margin, end_after_step, end_of_walk, returning
 from walker_jax.walking.stepping import follow_step_down
 
 
@@ -141,11 +143,9 @@ def test_a_push_that_changes_the_speed_alone(gait, least):
 
 def test_the_boundary_is_at_right_angles_to_the_least_disturbance(gait, least):
     """By the derivatives of the margin of the failure, that the search for it ends with."""
-    states, shared = returning(WALKER, gait, 500, None)
-    point = states[0] + (1 + 1e-8) * least.size * least.direction
-    tangents = jax.tree.map(lambda leaf: np.zeros(2), WALKER), np.eye(2)
-    cells = np.stack([point] * 2), np.repeat(np.int32(least.strides), 2), tangents
-    normal = map_cells(change_of_margin, (shared[:2], cells))
+    point = np.asarray(gait.states[0]) + (1 + 1e-8) * least.size * least.direction
+    count = np.array([least.strides], np.int32)
+    (normal,) = margin_changes(WALKER, point[None], count, np.eye(2), (), 1e-12)
     normal /= -np.linalg.norm(normal)  # margins fall where the walker comes to fail
     np.testing.assert_allclose(normal, least.direction, rtol=0, atol=1e-5)
     assert least.failure == Outcome.FORWARD and least.phase == 0
@@ -153,16 +153,14 @@ def test_the_boundary_is_at_right_angles_to_the_least_disturbance(gait, least):
 
 def test_walkers_come_to_their_gait_from_the_whole_of_its_box(gait):
     """Also from between the starts that the box was found by, and from twice as far off."""
-    (cycle,) = with_frames(WALKER, [Attractor(1, np.asarray(gait.states))], 1e-12, 300)
-    assert cycle.frames is not None
+    mapper = Mapper(WALKER, [Attractor(1, np.asarray(gait.states))], 1e-12, 300)
+    (cycle,) = with_capture_boxes(mapper).attractors
+    assert cycle.capture_boxes is not None
     rng = np.random.default_rng(5)
     u = rng.uniform(-2, 2, (20_000, 2))
-    starts = cycle.states[0] + u @ np.linalg.inv(cycle.frames[0]).T
+    starts = cycle.states[0] + u @ np.linalg.inv(cycle.capture_boxes[0]).T
     assert np.abs(starts - cycle.states[0]).max() > 1e-3
-    plain = cycle._replace(frames=None).boxes()
-    shared = jax.tree.map(np.asarray, (WALKER, 1e-12)), cycle.states, plain, np.int32(300)
-    found = map_cells(end_of_walk, ((*shared[0], *shared[1:]), starts))
-    assert found.back.all()
+    assert mapper(starts).converged.all()
     x = starts
     for _ in range(60):
         x = wj.strides(WALKER, x).state
@@ -273,13 +271,13 @@ def test_a_step_down_that_a_walker_survives_and_one_that_it_does_not(gait):
         assert after.outcome == Outcome.STRIDE
         assert wj.walk(WALKER, after.state, 200).outcomes[-1] == ends
     np.testing.assert_allclose(wj.step_down(WALKER, state, found.size).state, found.state)
-    states, shared = returning(WALKER, gait, 500, None)
+    mapper = mapper_of_gait(WALKER, gait, 500, None)
     heights = np.linspace(0, found.size, 20_001)[:-1]
-    starts = np.broadcast_to(states[0], (len(heights), 2))
-    assert map_cells(end_after_step, (shared, (starts, heights))).back.all()
+    starts = np.broadcast_to(state, (len(heights), 2))
+    assert labels_after_step(mapper, starts, heights).converged.all()
     # how a walk from higher ones ends, and how many strides it has, as it is made one by one
     heights = np.array([1 + 1e-8, 1.0001, 1.1, 1.5, 200]) * found.size
-    ends = map_cells(end_after_step, (shared, (starts[: len(heights)], heights)))
+    ends = labels_after_step(mapper, starts[: len(heights)], heights)
     for k, height in enumerate(heights):
         down = wj.step_down(WALKER, state, height)
         walk = [down, wj.stride(WALKER, down.state)]
@@ -287,8 +285,8 @@ def test_a_step_down_that_a_walker_survives_and_one_that_it_does_not(gait):
             walk.append(wj.stride(WALKER, walk[-1].state))
         outcomes = [int(one.outcome) for one in walk]
         failed = next(outcome for outcome in outcomes if outcome != Outcome.STRIDE)
-        assert ends.strides[k] == outcomes.index(failed) and ends.outcome[k] == failed
-        assert not ends.back[k]
+        assert ends.strides[k] == outcomes.index(failed) and ends.fate[k] == failed
+        assert not ends.converged[k]
     assert found.strides == ends.strides[0] > 10 and {0, 1, 2} < set(ends.strides.tolist())
 
 
@@ -299,15 +297,15 @@ BOXES: dict = {}
 
 @pytest.fixture
 def boxed(monkeypatch):
-    """What walks share that come back is found once for each gait."""
+    """The capture boxes of each gait are found once."""
 
     def once(walker, gait, strides, tolerance):
         key = float(walker.slope), strides
         if key not in BOXES:
-            BOXES[key] = returning(walker, gait, strides, tolerance)
+            BOXES[key] = mapper_of_gait(walker, gait, strides, tolerance)
         return BOXES[key]
 
-    monkeypatch.setattr("walker_jax.stability.disturbances.returning", once)
+    monkeypatch.setattr("walker_jax.stability.disturbances.mapper_of_gait", once)
 
 
 @pytest.fixture(scope="module")
@@ -340,7 +338,7 @@ def test_the_nearest_fall_is_farther_where_another_motion_is_nearer(steep, boxed
     assert fall.size == pytest.approx(falls, abs=2.1e-6) and falls > 1.2 * lost
     # and the same where no walk may end at the other gait
     monkeypatch.setattr(
-        "walker_jax.stability.disturbances.until_settled", lambda shared, starts: shared
+        "walker_jax.stability.disturbances.with_other_gaits", lambda mapper, starts: mapper
     )
     slow = least_disturbance(STEEP, steep, **options, fall=True)
     assert fall.size == slow.size and fall[3:] == slow[3:]
@@ -467,11 +465,14 @@ def test_the_numbers_are_those_of_the_gait_of_the_largest_basin_where_it_is_weak
 
 def test_of_the_states_of_a_gait_the_weakest_counts(gait, monkeypatch):
     """The searches from each are made up, and so is the second state."""
-    (state,), shared = returning(WALKER, gait, 500, None)
-    states = np.array([state, [0.16, -0.165]])
+    mapper = mapper_of_gait(WALKER, gait, 500, None)
+    (own,) = mapper.attractors
+    assert own.capture_boxes is not None
+    states = np.array([own.states[0], [0.16, -0.165]])
+    boxes = np.tile(own.capture_boxes, (2, 1, 1))
+    mapper = mapper._replace(attractors=[Attractor(2, states, boxes)])
     for module in ("disturbances", "steps_down"):
-        place = f"walker_jax.stability.{module}.returning"
-        monkeypatch.setattr(place, lambda *_: (states, shared))
+        monkeypatch.setattr(f"walker_jax.stability.{module}.mapper_of_gait", lambda *_: mapper)
     steps = iter([[0.03, 0.0], [0.0, -0.02]])
     monkeypatch.setattr(
         "walker_jax.stability.disturbances.nearest_failure", lambda *_: np.array(next(steps))
@@ -480,8 +481,8 @@ def test_of_the_states_of_a_gait_the_weakest_counts(gait, monkeypatch):
     assert (found.size, found.phase, found.direction.tolist()) == (0.02, 1, [0.0, -1.0])
     np.testing.assert_allclose(found.state, [0.16, -0.175], rtol=1e-12)
     heights = iter([0.03, 0.02])
-    halved = lambda *_: np.array([next(heights)])
-    monkeypatch.setattr("walker_jax.stability.steps_down.halved", halved)
+    bisect = lambda *_: np.array([next(heights)])
+    monkeypatch.setattr("walker_jax.stability.steps_down.bisect", bisect)
     down = least_step_down(WALKER, gait)
     assert (down.size, down.phase) == (0.02, 1)
     np.testing.assert_allclose(down.state, wj.step_down(WALKER, states[1], 0.02).state)
@@ -492,13 +493,13 @@ def test_the_nearest_fall_beyond_the_basin_of_another_gait_against_a_polar_grid(
     first, fall = (least_disturbance(STEEP, steep, fall=f) for f in (False, True))
     assert first.failure == Outcome.STRIDE and fall.failure == Outcome.FORWARD
     assert first.size == pytest.approx(0.001333, abs=1e-6)
-    states, shared = returning(STEEP, steep, 500, None)
+    mapper = mapper_of_gait(STEEP, steep, 500, None)
     angles = 2 * np.pi * np.arange(5000) / 5000
     rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     nearest = np.inf
     for radius in np.linspace(0.97, 1.005, 36) * fall.size:
-        ends = map_cells(end_of_walk, (shared, states[0] + radius * rays))
-        if (ends.outcome != Outcome.STRIDE).any():
+        labels = mapper(np.asarray(steep.states[0]) + radius * rays)
+        if (labels.fate != Outcome.STRIDE).any():
             nearest = radius
             break
     assert nearest == pytest.approx(fall.size, rel=2e-3)
@@ -541,12 +542,12 @@ def test_no_point_of_a_fine_polar_grid_is_nearer(slope):
     walker = wj.SimplestWalker(slope)
     gait = wj.find_gait(walker)
     found = least_disturbance(walker, gait)
-    states, shared = returning(walker, gait, 500, None)
+    mapper = mapper_of_gait(walker, gait, 500, None)
     angles = 2 * np.pi * np.arange(20_000) / 20_000
     rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     nearest = np.inf
     for radius in np.linspace(0.8, 1.002, 203) * found.size:
-        if not map_cells(end_of_walk, (shared, states[0] + radius * rays)).back.all():
+        if not mapper(np.asarray(gait.states[0]) + radius * rays).converged.all():
             nearest = radius
             break
     assert nearest == pytest.approx(found.size, rel=1e-3)

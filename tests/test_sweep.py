@@ -189,7 +189,7 @@ def test_what_is_overwritten_is_kept_until_the_next_is_begun(tmp_path):
 
 
 def test_a_cluster_needs_a_place():
-    with pytest.raises(ValueError, match="out is wanted"):
+    with pytest.raises(ValueError, match="out is required"):
         wj.basin(WALKER, GRID, cluster=2)
 
 

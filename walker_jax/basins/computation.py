@@ -3,9 +3,9 @@
 Two methods. Cell mapping (Hsu 1987; Schwab and Wisse 2001, section 4.3) makes one stride from the
 centre of every cell, sends each cell to the cell where that ends, and follows the cells. Direct
 iteration follows every centre itself, stride by stride. Direct iteration is exact up to its number
-of strides; cell mapping costs one stride a cell, and its errors are of the size of a cell. Among
-these are cycles of cells where there is no attractor, and several for one attractor. So walkers are
-followed from the centres of their cells, to see where each cycle leads.
+of strides; cell mapping costs one stride a cell, and its errors are of the size of a cell. It shows
+cycles of cells where no attractor is, and several for one attractor. So walkers are also followed
+from the centres of the cells of each cycle, to the attractor that they converge to.
 """
 
 from pathlib import Path
@@ -15,15 +15,14 @@ import jax.numpy as jnp
 import xarray as xr
 
 from walker_jax.basins.memory import BYTES_PER_CELL, check_grid
-from walker_jax.basins.methods import cell_mapping, direct_iteration
-from walker_jax.basins.pieces import in_pieces
-from walker_jax.basins.schema import labelled
+from walker_jax.basins.methods import cell_mapping, direct_iteration, mapper_of_grid
+from walker_jax.basins.pieces import METHODS, compute_in_pieces
+from walker_jax.basins.schema import to_dataset
 from walker_jax.checks import WrongUse, check_precision, check_whole, refuses_tracers, short
 from walker_jax.grids import Grid
 from walker_jax.integrators.solvers import AnySolver, default_tolerance, solved_by
 from walker_jax.walkers.model import Walker
 
-METHODS = ("cell-map", "direct")
 BYTES_STORED = {"cell-map": 16, "direct": 0}
 """The same where the result goes into a store: of the cell map, when all of it is there."""
 
@@ -55,19 +54,19 @@ def basin(
     - `progress`: whether to show a progress bar on a terminal.
     - `out`: a place on disk, a Zarr store, into which the result is written piece by piece, while
       memory holds a piece alone; but the cell map takes 12 bytes for each cell at the end.
-      A run that was interrupted is gone on with there, and gives the same to the last bit. Until it
-      has ended, cells of missing pieces have a fate of -1. What is returned is read from there when
-      it is used.
-    - `request`: by what the result is known again there; by default, all that it depends on.
+      A run that was interrupted is resumed from there, with the same result to the last bit. Until
+      it has ended, cells of missing pieces have a fate of -1. The data set that is returned reads
+      its arrays from there when they are used.
+    - `request`: by which the stored result is recognised; by default, all that it depends on.
     - `overwrite`: whether to remove another result that stands there.
     - `cluster`: who computes the pieces, as in `execution.workers.computers`: a number of worker
       processes on this machine, the address of a Dask scheduler, or a Dask client.
 
     **Returns** a data set over the grid's axes:
 
-    - `fate`: `Outcome` of the stride at which the walker fails; `STRIDE` where it walks for ever
-      (cell mapping) or to the last stride (direct);
-    - `attractor`: number of the attractor it comes to, -1 for none;
+    - `fate`: `Outcome` of the stride at which the walker fails; `STRIDE` where it converges to an
+      attractor, or walks to the last stride (direct);
+    - `attractor`: number of the attractor it converges to, -1 for none;
     - `strides`: strides completed before that, or before the failure;
 
     and over the attractors, numbered by period, then by the angle of their first state (the one
@@ -76,12 +75,12 @@ def basin(
     within the grid `cells` and `area` (rad^2 per unit of time; over three dimensions it is a
     volume). Its attributes say what was computed.
 
-    The attractors of a cell map are those to which walkers come that start at the centres of the
-    cells in its cycles. A cycle from most of whose centres they come to one attractor belongs to
+    The attractors of a cell map are those to which walkers converge from the centres of the cells
+    in its cycles. A cycle from most of whose centres they converge to one attractor belongs to
     that, with all cells that lead to it. Any other is an `artefact` of the cells: its period and
-    states are those of cells and their centres, its cells walk for ever by the map alone, and it
-    is numbered after all attractors. Beside `artefact` there are `cycles`, how many cycles of
-    cells belong to each, and `falling`, from how many centres of their cells a walker falls.
+    states are those of cells and their centres, and it is numbered after all attractors. Further
+    arrays are `cycles`, how many cycles of cells belong to each, and `falling`, from how many
+    centres of their cells a walker falls.
 
     Raises `ValueError` for an unknown method, for a grid that does not fit the section or that this
     machine has not the memory for, and for a place where something else stands, that cannot be
@@ -95,35 +94,43 @@ def basin(
     check_precision(dtype)
     tolerance = float(default_tolerance(dtype, tolerance))
     limit = {"strides": strides} if method == "direct" else {}
-    how = {"method": method, **limit, "tolerance": tolerance}
+    settings = {"method": method, **limit, "tolerance": tolerance}
     if solver is not None:
-        how["solver"] = repr(solver)
+        settings["solver"] = repr(solver)
         if cluster is not None:
             raise WrongUse(f"solver must not be given with a cluster, unlike {solver!r}")
     with solved_by(solver):
         if out is not None:
-            return in_pieces(walker, grid, how, Path(out), request, overwrite, cluster, progress)
+            return compute_in_pieces(
+                METHODS[method](walker, grid, settings),
+                Path(out),
+                request=request,
+                overwrite=overwrite,
+                cluster=cluster,
+                progress=progress,
+            )
         if cluster is not None:
-            raise WrongUse(f"cluster={cluster!r} computes pieces of a store: out is wanted too")
+            raise WrongUse(f"cluster={cluster!r} computes pieces of a store: out is required too")
         if method == "cell-map":
-            found = cell_mapping(walker, grid, tolerance, progress)
+            basins = cell_mapping(walker, grid, tolerance, progress)
         else:
-            found = direct_iteration(walker, grid, tolerance, strides, progress)
-    return labelled(walker, grid, found, how)
+            mapper = mapper_of_grid(walker, grid, tolerance, strides).with_sorted_attractors()
+            basins = direct_iteration(mapper, grid, progress)
+    return to_dataset(walker, grid, basins, settings)
 
 
 @refuses_tracers()
 def compare_methods(
     walker: Walker, grid: Grid, *, strides: int = 200, tolerance: float | None = None
 ) -> xr.Dataset:
-    """Cell mapping against direct iteration on one grid: where they differ, and what is made up.
+    """Cell mapping against direct iteration on one grid: where they differ, and the artefacts.
 
     Arguments and errors are those of `basin`.
 
-    **Returns** a data set over the grid's axes with `mapped` and `direct`, whether a cell walks for
-    ever by either method; and over the attractors of cell mapping `cells`, `period`, `cycles`,
-    `artefact` and `falling`, as `basin` gives them. `direct_attractors` is how many direct
-    iteration finds.
+    **Returns** a data set over the grid's axes with `mapped` and `direct`, whether a cell has an
+    attractor by either method; and over the attractors of cell mapping `cells`, `period`,
+    `cycles`, `artefact` and `falling`, as `basin` gives them. `direct_attractors` is how many
+    direct iteration finds.
     """
     mapped = basin(walker, grid, strides=strides, tolerance=tolerance)
     direct = basin(walker, grid, "direct", strides=strides, tolerance=tolerance)

@@ -1,47 +1,110 @@
-"""What attracts walkers, a cycle of strides or another set, and which walkers come to it."""
+"""The mapper: from the start of a walk to the attractor that it converges to, and how soon."""
+
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
-from walker_jax.basins.attractor import CLOSE, Attractor, Basins, nearest, until_near
-from walker_jax.basins.attractor_search import sample, settle
+from walker_jax.basins.attractor import (
+    CLOSE,
+    Attractor,
+    match_attractor,
+    owners,
+    sorted_numbers,
+    targets_of,
+)
+from walker_jax.basins.attractor_search import find_attractors, sample
 from walker_jax.walkers.model import Walker
+from walker_jax.walking.iteration import iterate
+from walker_jax.walking.outcomes import Outcome
 
 
-def follow(
-    walker: Walker,
-    starts: Float[np.ndarray, "n section"],
-    attractors: list[Attractor],
-    tolerance: float,
-    limit: int,
-    progress: bool = False,
-) -> Basins:
-    """Follow every start for a number of strides, until it fails or comes near an attractor.
+class Labels(NamedTuple):
+    """The fates and attractors of walkers from n starts."""
 
-    The attractors are those given, and those to which starts come that are left at the end.
+    fate: Int[np.ndarray, " n"]
+    """`Outcome` of the last stride; `STRIDE` where the walker did not fail."""
+    attractor: Int[np.ndarray, " n"]
+    """Number of the attractor that it converges to; -1 for none."""
+    strides: Int[np.ndarray, " n"]
+    """Strides completed before it has converged, or before the failure."""
+    states: Float[np.ndarray, "n section"]
+    """Where it was then; NaN after a failure."""
+
+    @property
+    def converged(self) -> Bool[np.ndarray, " n"]:
+        return self.attractor >= 0
+
+    @property
+    def fallen(self) -> Bool[np.ndarray, " n"]:
+        """Which are known to have failed."""
+        return ~np.isin(self.fate, (Outcome.STRIDE, Outcome.UNDECIDED))
+
+    @property
+    def remaining(self) -> Int[np.ndarray, " left"]:
+        """Indices of those that neither failed nor converged."""
+        return np.flatnonzero((self.fate == Outcome.STRIDE) & ~self.converged)
+
+    @property
+    def total_strides(self) -> int:
+        """Strides that were computed, the failing ones among them."""
+        return int(self.strides.sum() + np.sum(self.fate != Outcome.STRIDE))
+
+
+class Mapper(NamedTuple):
+    """Maps starts to the attractors that a walker converges to from there: labels = mapper(starts).
+
+    A walker has converged to a cycle once it is in one of its capture boxes.
     """
-    found = until_near(walker, starts, attractors, tolerance, limit, progress)
-    found.attractor[found.left], attractors = explain(walker, found.ends, attractors, tolerance)
-    return Basins(*found[:3], attractors)
 
+    walker: Walker
+    """Of one kind, with numbers for parameters."""
+    attractors: list[Attractor]
+    tolerance: float
+    """Of the integration."""
+    strides: int
+    """For which a walker is followed, at most."""
 
-def explain(
-    walker: Walker,
-    x: Float[np.ndarray, "left section"],
-    attractors: list[Attractor],
-    tolerance: float,
-) -> tuple[Int[np.ndarray, " left"], list[Attractor]]:
-    """The attractor of each walker that is left at the end, and all attractors.
+    def __call__(
+        self, starts: Float[np.ndarray, "n section"], *, progress: str | None = None
+    ) -> Labels:
+        """Follow walkers until they fail, or converge to one of the attractors."""
+        targets, owner = targets_of(self.attractors, starts.shape[1])
+        end = iterate(self.walker, starts, self.strides, self.tolerance, targets, progress=progress)
+        return Labels(end.outcome, owners(end.target, owner), end.strides, end.state)
 
-    That is the one it is `CLOSE` to, or one that is found by following it on. Close to a period
-    doubling walkers are slow to come near.
-    """
-    number = nearest(x, attractors, within=CLOSE)
-    lost = number < 0
-    if lost.any():
-        attractors = settle(walker, sample(x[lost]), tolerance, attractors)
-        number[lost] = nearest(x[lost], attractors, within=CLOSE)
-        for i, one in enumerate(attractors):
-            if one.period is None:
-                number[number < 0] = i
-    return number, attractors
+    def label_all(
+        self, starts: Float[np.ndarray, "n section"], *, progress: str | None = None
+    ) -> tuple[Labels, "Mapper"]:
+        """The same, and labels also for those that remain; the mapper to the attractors of all."""
+        labels = self(starts, progress=progress)
+        remaining = labels.remaining
+        labels.attractor[remaining], mapper = self.label_remaining(labels.states[remaining])
+        return labels, mapper
+
+    def label_remaining(
+        self, x: Float[np.ndarray, "n section"]
+    ) -> tuple[Int[np.ndarray, " n"], "Mapper"]:
+        """The attractors of walkers that have made all their strides, and the mapper to all.
+
+        That is the one they are `CLOSE` to, or one that is found by following them further.
+        """
+        number, mapper = match_attractor(x, self.attractors, CLOSE), self
+        unmatched = number < 0
+        if unmatched.any():
+            mapper = self.with_attractors_from(sample(x[unmatched]))
+            number[unmatched] = match_attractor(x[unmatched], mapper.attractors, CLOSE)
+            for i, one in enumerate(mapper.attractors):
+                if one.period is None:
+                    number[number < 0] = i
+        return number, mapper
+
+    def with_attractors_from(self, starts: Float[np.ndarray, "n section"]) -> "Mapper":
+        """The mapper that also knows the attractors to which walkers converge from some starts."""
+        found = find_attractors(self.walker, starts, self.tolerance, self.attractors)
+        return self._replace(attractors=found)
+
+    def with_sorted_attractors(self) -> "Mapper":
+        """The same, with the attractors in the order in which a basin numbers them."""
+        order = sorted_numbers(self.attractors)
+        return self._replace(attractors=[self.attractors[i] for i in order])

@@ -11,7 +11,7 @@ BYTES_PER_CELL = {"cell-map": 25, "direct": 100}
 
 
 class TooLarge(WrongUse, MemoryError):
-    """More is asked than this machine has the memory for."""
+    """A computation needs more memory than this machine has."""
 
 
 def check_grid(

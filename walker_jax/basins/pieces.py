@@ -13,22 +13,22 @@ from jaxtyping import Int
 
 from walker_jax import storage
 from walker_jax.basins.attractor import Attractor
-from walker_jax.basins.mapper import explain
+from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.methods import (
-    Part,
-    attractors_of,
-    attractors_of_map,
+    Block,
+    attractors_of_cycles,
     cell_map,
-    fates,
-    follow_part,
+    labels_of_cells,
+    map_block,
+    mapper_of_grid,
 )
 from walker_jax.basins.schema import (
-    ABOUT,
-    described,
-    not_yet,
-    over_grid,
+    ATTRIBUTES,
+    add_attractors,
+    arrays_to_compute,
+    constant_array,
+    describe,
     request_of,
-    with_attractors,
 )
 from walker_jax.cellmaps import resolve
 from walker_jax.execution.progress import tracked
@@ -41,11 +41,109 @@ PIECE = 2**20
 """Cells of a piece of a store, up to twice as many, or all of a smaller grid."""
 
 
-def in_pieces(
-    walker: Walker,
-    grid: Grid,
-    how: dict,
+class MappedPieces(NamedTuple):
+    """Cell mapping: pieces of the map, and the labels of all cells at the end."""
+
+    walker: Walker
+    grid: Grid
+    settings: dict
+
+    def arrays(self) -> dict[str, xr.Variable]:
+        """The arrays that are stored until the end, besides those of the result."""
+        return {"image": constant_array(self.grid, -1, np.int32)}
+
+    def notes(self) -> dict:
+        """What is computed before all pieces, and stored."""
+        return {}
+
+    def piece(self, notes: dict, block: Block) -> dict[str, np.ndarray]:
+        """Values of arrays over a piece."""
+        return {"image": cell_map(self.walker, self.grid, self.settings["tolerance"], block)}
+
+    def finish(
+        self, place: storage.Pieces
+    ) -> tuple[list[Attractor], Iterator[dict[str, np.ndarray]]]:
+        """The attractors, and the remaining values of each piece."""
+        ends = resolve(self.image(place), sinks=len(Outcome))
+        tolerance = self.settings["tolerance"]
+        attractors, number = attractors_of_cycles(self.walker, self.grid, ends, tolerance)
+
+        def piece(cells: slice) -> dict[str, np.ndarray]:
+            return dict(zip(ATTRIBUTES, labels_of_cells(ends.part(cells), number), strict=True))
+
+        pieces = (piece(block_at(self.grid, place, i).cells) for i in range(place.count))
+        return attractors, pieces
+
+    def image(self, place: storage.Pieces) -> Int[np.ndarray, " n"]:
+        """The cell, or the sink, to which each cell is sent."""
+        image = np.empty(self.grid.size, np.int32)
+        for i in range(place.count):
+            image[block_at(self.grid, place, i).cells] = place.read("image", i).ravel()
+        return image
+
+
+class FollowedPieces(NamedTuple):
+    """Direct iteration: attractors before all pieces, and at the end those of what remains."""
+
+    walker: Walker
+    grid: Grid
+    settings: dict
+
+    def arrays(self) -> dict[str, xr.Variable]:
+        """The arrays that are stored until the end, besides those of the result."""
+        dtype = jnp.asarray(0.0).dtype
+        return {"ends": constant_array(self.grid, np.nan, dtype, None, "coordinate")}
+
+    def notes(self) -> dict:
+        """What is computed before all pieces, and stored."""
+        tolerance, strides = self.settings["tolerance"], self.settings["strides"]
+        mapper = mapper_of_grid(self.walker, self.grid, tolerance, strides)
+        found = mapper.with_sorted_attractors().attractors
+        return {"attractors": [[one.period, one.states.tolist()] for one in found]}
+
+    def mapper(self, notes: dict) -> Mapper:
+        """The mapper to the attractors that are stored."""
+        dtype = jnp.asarray(0.0).dtype
+        known = [
+            Attractor(period, np.array(states, dtype)) for period, states in notes["attractors"]
+        ]
+        return Mapper(self.walker, known, self.settings["tolerance"], self.settings["strides"])
+
+    def piece(self, notes: dict, block: Block) -> dict[str, np.ndarray]:
+        """Values of arrays over a piece; ends are those of walkers that remain."""
+        labels = map_block(self.mapper(notes), self.grid, block)
+        ends, remaining = np.full_like(labels.states, np.nan), labels.remaining
+        ends[remaining] = labels.states[remaining]
+        return dict(zip(ATTRIBUTES, labels, strict=False)) | {"ends": ends}
+
+    def finish(
+        self, place: storage.Pieces
+    ) -> tuple[list[Attractor], Iterator[dict[str, np.ndarray]]]:
+        """The attractors, and the remaining values of each piece."""
+        remaining, ends = [], []
+        for i in range(place.count):
+            x = place.read("ends", i).reshape(-1, self.grid.coordinates)
+            remaining.append(np.flatnonzero(np.isfinite(x[:, 0])))
+            ends.append(x[remaining[-1]])
+        number, mapper = self.mapper(place.notes).label_remaining(np.concatenate(ends))
+        numbers = np.split(number, np.cumsum([len(cells) for cells in remaining])[:-1])
+
+        def pieces():
+            for i, (cells, mine) in enumerate(zip(remaining, numbers, strict=True)):
+                attractor = place.read("attractor", i).ravel()
+                attractor[cells] = mine
+                yield {"attractor": attractor}
+
+        return mapper.attractors, pieces()
+
+
+METHODS = {"cell-map": MappedPieces, "direct": FollowedPieces}
+
+
+def compute_in_pieces(
+    method: MappedPieces | FollowedPieces,
     out: Path,
+    *,
     request: dict | None,
     overwrite: bool,
     cluster: Any,
@@ -53,126 +151,38 @@ def in_pieces(
 ) -> xr.Dataset:
     """`basin`, computed piece by piece into a store.
 
-    A piece is a block of the grid. What is found of single cells is written at once; what takes
-    all of them, where the cell map leads and what walkers come to that are left at the end, follows
-    when all pieces are there. Either may be done again, with the same result.
+    A piece is a block of the grid. What is found of single cells is written at once. What takes
+    all of them follows when all pieces are there: where the cell map leads, and the attractors of
+    walkers that remain. Either may be repeated, with the same result.
     """
-    method = (MappedPieces if how["method"] == "cell-map" else FollowedPieces)(walker, grid, how)
-    about, work = described(walker, grid, how), method.arrays()
+    grid, work = method.grid, method.arrays()
+    about = describe(*method)
     request = request or request_of(about, grid) | {"command": "basin"}
     found = storage.find(out, request, overwrite=overwrite)
     if found is not None:
         return found
+    arrays, block = arrays_to_compute(grid) | work, block_shape(grid.shape)
     options: Any = {"aside": list(work), "overwrite": overwrite}
-    arrays, block = not_yet(grid) | work, block_of(grid.shape)
     with (
         computers(cluster) as each,  # first, as there may be none
         storage.pieces(out, request, about, arrays, block, method.notes, **options) as place,
     ):
         compute = partial(method.piece, place.notes)
-        number = {part_of(grid, place, i): i for i in place.missing()}
+        number = {block_at(grid, place, i): i for i in place.missing()}
         found, done = each(compute, [*number]), place.count - len(number)
-        for part, values in tracked(found, "pieces", progress, place.count, done):
-            place.write(number[part], values, done=True)
+        for piece, values in tracked(found, "pieces", progress, place.count, done):
+            place.write(number[piece], values, done=True)
         attractors, pieces = method.finish(place)
         cells = np.zeros(len(attractors), int)
         for i, values in enumerate(pieces):
             place.write(i, values)
             reached = values["attractor"]
             cells += np.bincount(reached[reached >= 0], minlength=len(cells))
-        place.finish(with_attractors(about, grid, attractors, cells))
+        place.finish(add_attractors(about, grid, attractors, cells))
     return storage.opened(out)
 
 
-class MappedPieces(NamedTuple):
-    """Cell mapping: pieces of the map, and the fates of all cells at the end."""
-
-    walker: Walker
-    grid: Grid
-    how: dict
-
-    def arrays(self) -> dict[str, xr.Variable]:
-        return {"image": over_grid(self.grid, -1, np.int32, {})}
-
-    def notes(self) -> dict:
-        return {}
-
-    def piece(self, notes: dict, part: Part) -> dict[str, np.ndarray]:
-        return {"image": cell_map(self.walker, self.grid, self.how["tolerance"], part)}
-
-    def finish(
-        self, place: storage.Pieces
-    ) -> tuple[list[Attractor], Iterator[dict[str, np.ndarray]]]:
-        """The attractors, and what is still to be written of each piece."""
-        ends = resolve(self.image(place), sinks=len(Outcome))
-        tolerance = self.how["tolerance"]
-        attractors, number = attractors_of_map(self.walker, self.grid, ends, tolerance)
-
-        def piece(cells: slice) -> dict[str, np.ndarray]:
-            return dict(zip(ABOUT, fates(ends.part(cells), number), strict=True))
-
-        pieces = (piece(part_of(self.grid, place, i).cells) for i in range(place.count))
-        return attractors, pieces
-
-    def image(self, place: storage.Pieces) -> Int[np.ndarray, " n"]:
-        """The cell, or the sink, to which each cell is sent."""
-        image = np.empty(self.grid.size, np.int32)
-        for i in range(place.count):
-            image[part_of(self.grid, place, i).cells] = place.read("image", i).ravel()
-        return image
-
-
-class FollowedPieces(NamedTuple):
-    """Direct iteration: attractors before all pieces, and at the end those of walkers left."""
-
-    walker: Walker
-    grid: Grid
-    how: dict
-
-    def arrays(self) -> dict[str, xr.Variable]:
-        dtype = jnp.asarray(0.0).dtype
-        return {"ends": over_grid(self.grid, np.nan, dtype, {}, "coordinate")}
-
-    def notes(self) -> dict:
-        found = attractors_of(self.walker, self.grid, self.how["tolerance"])
-        return {"attractors": [[one.period, one.states.tolist()] for one in found]}
-
-    def known(self, notes: dict) -> list[Attractor]:
-        dtype = jnp.asarray(0.0).dtype
-        return [
-            Attractor(period, np.array(states, dtype)) for period, states in notes["attractors"]
-        ]
-
-    def piece(self, notes: dict, part: Part) -> dict[str, np.ndarray]:
-        tolerance, limit = self.how["tolerance"], self.how["strides"]
-        found = follow_part(self.walker, self.grid, tolerance, self.known(notes), limit, part)
-        ends = np.full((len(found.fate), self.grid.coordinates), np.nan, found.ends.dtype)
-        ends[found.left] = found.ends
-        return dict(zip(ABOUT, found, strict=False)) | {"ends": ends}
-
-    def finish(
-        self, place: storage.Pieces
-    ) -> tuple[list[Attractor], Iterator[dict[str, np.ndarray]]]:
-        """The attractors, and what is still to be written of each piece."""
-        left, ends = [], []
-        for i in range(place.count):
-            x = place.read("ends", i).reshape(-1, self.grid.coordinates)
-            left.append(np.flatnonzero(np.isfinite(x[:, 0])))  # the others have no end
-            ends.append(x[left[-1]])
-        known, x = self.known(place.notes), np.concatenate(ends)
-        number, attractors = explain(self.walker, x, known, self.how["tolerance"])
-        numbers = np.split(number, np.cumsum([len(cells) for cells in left])[:-1])
-
-        def pieces():
-            for i, (cells, mine) in enumerate(zip(left, numbers, strict=True)):
-                attractor = place.read("attractor", i).ravel()
-                attractor[cells] = mine
-                yield {"attractor": attractor}
-
-        return attractors, pieces()
-
-
-def block_of(shape: tuple[int, ...]) -> tuple[int, ...]:
+def block_shape(shape: tuple[int, ...]) -> tuple[int, ...]:
     """How much of each of its first axes is in a piece of a grid, so that its cells are neighbours.
 
     One axis is cut into as many parts of the same length as have `PIECE` cells or more.
@@ -182,9 +192,9 @@ def block_of(shape: tuple[int, ...]) -> tuple[int, ...]:
     return (*[1] * axis, -(-shape[axis] // parts))
 
 
-def part_of(grid: Grid, place: storage.Pieces, piece: int) -> Part:
+def block_at(grid: Grid, place: storage.Pieces, piece: int) -> Block:
     """The cells of a piece."""
     at = place.at(piece)
     start = [one.start for one in at] + [0] * (len(grid.shape) - len(at))
     shape = *(one.stop - one.start for one in at), *grid.shape[len(at) :]
-    return Part(int(np.ravel_multi_index(start, grid.shape)), shape)
+    return Block(int(np.ravel_multi_index(start, grid.shape)), shape)

@@ -1,11 +1,10 @@
-"""The basin of attraction on fine grids, where only cells on a boundary are worked out.
+"""The basin of attraction on fine grids, of which only cells on a boundary are followed.
 
 A coarse grid is followed directly. Then every cell that has a neighbour of another fate is cut into
 2 x 2 (2 x 2 x 2), and the parts are followed; the parts of all others inherit. Where parts show a
-boundary to cells that inherited, those are followed too, and so on: a tail that has been met
-anywhere is followed to its end. What has not been met anywhere is looked for by starts drawn at
-random among the cells that inherited: the tails they meet are followed too; then others, drawn
-anew, correct the area, and say how far it can be trusted.
+boundary to cells that inherited, those are followed too, and so on: a tail that is found
+anywhere is followed to its end. Random starts among the cells that inherited find others, which are
+followed too. A second set of random starts corrects the area, and gives its standard error.
 """
 
 from typing import NamedTuple
@@ -15,11 +14,11 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float, Int
 
-from walker_jax.basins.attractor import Attractor, Basins, sort_attractors
-from walker_jax.basins.attractor_search import framed_attractors
-from walker_jax.basins.mapper import follow
+from walker_jax.basins.capture_boxes import with_capture_boxes
+from walker_jax.basins.mapper import Labels, Mapper
 from walker_jax.basins.memory import check_grid
-from walker_jax.basins.schema import labelled
+from walker_jax.basins.methods import mapper_of_grid
+from walker_jax.basins.schema import Basins, to_dataset
 from walker_jax.checks import check_precision, check_whole, refuses_tracers
 from walker_jax.grids import Grid
 from walker_jax.integrators.solvers import default_tolerance
@@ -29,7 +28,7 @@ from walker_jax.walking.outcomes import Outcome
 BYTES_PER_CELL = 40
 """Memory at its peak, for each cell of the finest grid."""
 FINEST = 30
-"""The most levels: there is a number for each cell, of 32 bits."""
+"""Levels, at most: cells are numbered in 32 bits."""
 SPREAD = 1 / 12
 """Variance that a cell beside one of another fate brings to the area, in cells. A part f of it in
 the basin brings f (1 - f), 1/6 on average; half of these cells or more have no part in both."""
@@ -86,21 +85,24 @@ def refine(
         tolerance=tolerance,
         progress=progress,
     )
-    how = {
+    settings = {
         "method": "direct, refined",
         "strides": strides,
-        "tolerance": found.tolerance,
+        "tolerance": found.mapper.tolerance,
         "seed": seed,
     }
     basins = Basins(
-        found.fate.ravel(), found.attractor.ravel(), found.count.ravel(), found.attractors
-    )
-    data = labelled(walker, found.grid, sort_attractors(basins), how)
+        found.fate.ravel(),
+        found.attractor.ravel(),
+        found.strides.ravel(),
+        found.mapper.attractors,
+    ).sorted()
+    data = to_dataset(walker, found.grid, basins, settings)
     data["total_area"], data["total_area_error"] = found.area, found.area_error
     data["followed"] = "level", np.array(found.followed)
     data["boundary"] = "level", np.array(found.boundary)
     data["checked"], data["mistaken"] = found.checked, found.mistaken
-    data["strides_made"] = found.made
+    data["strides_made"] = found.total_strides
     return data
 
 
@@ -110,16 +112,16 @@ class Refined(NamedTuple):
     grid: Grid
     fate: Int[np.ndarray, "*shape"]
     attractor: Int[np.ndarray, "*shape"]
-    count: Int[np.ndarray, "*shape"]
-    attractors: list[Attractor]
+    strides: Int[np.ndarray, "*shape"]
+    mapper: Mapper
+    """To the attractors that were found."""
     area: float
     area_error: float
     followed: list[int]
     boundary: list[int]
     checked: int
     mistaken: int
-    made: int
-    tolerance: float
+    total_strides: int
 
 
 def refined(
@@ -146,18 +148,17 @@ def refined(
     finest = finer(grid, levels)
     check_grid(walker, finest, "direct", BYTES_PER_CELL)
     rng = np.random.default_rng(seed)
-    _, attractors = framed_attractors(walker, grid, tolerance, strides)
-    made = 0
+    mapper = with_capture_boxes(mapper_of_grid(walker, grid, tolerance, strides))
+    total_strides = 0
 
-    def look(grid: Grid, cells: Int[np.ndarray, " n"], *, anywhere: bool) -> Basins:
-        """The fates of cells, by their centres or by points anywhere in them."""
-        nonlocal attractors, made
+    def label_cells(grid: Grid, cells: Int[np.ndarray, " n"], *, anywhere: bool) -> Labels:
+        """The labels of cells, by their centres or by points anywhere in them."""
+        nonlocal mapper, total_strides
         places = np.stack(np.unravel_index(cells, grid.shape), axis=1)
         within = rng.uniform(size=places.shape) if anywhere else 0.5
         x = grid.states((places + within) / np.array(grid.shape))
-        found = follow(walker, x, attractors, tolerance, strides, progress)
-        attractors = found.attractors
-        made += found.made
+        found, mapper = mapper.label_all(x, progress="cells" if progress else None)
+        total_strides += found.total_strides
         return found
 
     fate, attractor = np.zeros(grid.shape, np.int8), np.full(grid.shape, -1, np.int16)
@@ -170,7 +171,7 @@ def refined(
         """Follow cells, and then those beside them where that shows a boundary, until none is."""
         while cells.size:
             anywhere = level == levels and not by_centres
-            found = look(finer(grid, level), cells, anywhere=anywhere)
+            found = label_cells(finer(grid, level), cells, anywhere=anywhere)
             fate.ravel()[cells], attractor.ravel()[cells] = found.fate, found.attractor
             count.ravel()[cells], depth.ravel()[cells] = found.strides, level
             beside = neighbours(cells, depth.shape)
@@ -200,7 +201,7 @@ def refined(
         of_level = [np.flatnonzero(depth == level) for level in range(levels)]
         drawn = [rng.choice(cells, n) for cells, n in zip(of_level, counts, strict=True) if n]
         cells = np.concatenate([np.zeros(0, int), *drawn])
-        walks = look(finest, cells, anywhere=True).attractor >= 0
+        walks = label_cells(finest, cells, anywhere=True).attractor >= 0
         return cells, walks.astype(int) - (attractor.ravel()[cells] >= 0), counts
 
     # What a first check meets is followed to its end; a second one says how much is left. Shares
@@ -226,16 +227,15 @@ def refined(
         grid=finest,
         fate=fate,
         attractor=attractor,
-        count=count,
-        attractors=attractors,
+        strides=count,
+        mapper=mapper,
         area=float(area),
         area_error=float(np.sqrt(variance)),
         followed=followed,
         boundary=boundary,
         checked=len(cells),
         mistaken=int(wrong.sum()),
-        made=made,
-        tolerance=tolerance,
+        total_strides=total_strides,
     )
 
 

@@ -1,39 +1,21 @@
 """The data set of a basin: its arrays, their dimensions, types and attributes."""
 
 from importlib.metadata import version
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Int
 
-from walker_jax.basins.attractor import Attractor, Basins
+from walker_jax.basins.attractor import Attractor, sorted_numbers
 from walker_jax.grids import Grid
 from walker_jax.walkers.model import Walker
 from walker_jax.walking.outcomes import Outcome
 
-NOT_YET = -1
+NOT_COMPUTED = -1
 """The fate of a cell whose piece has not been computed."""
-
-
-def artefacts(data: xr.Dataset) -> Bool[np.ndarray, " number"]:
-    """Which attractors of a data set are artefacts of cells; none where it does not tell."""
-    return data["artefact"].values if "artefact" in data else np.zeros(data.sizes["number"], bool)
-
-
-def labelled(walker: Walker, grid: Grid, found: Basins, how: dict) -> xr.Dataset:
-    """The data set that `basin` returns; `how` it was made is among its attributes."""
-    cells = np.bincount(found.attractor[found.attractor >= 0], minlength=len(found.attractors))
-    over_grid = {
-        name: (grid.names, np.asarray(values).reshape(grid.shape), ABOUT[name])
-        for name, values in zip(ABOUT, found, strict=False)
-    }
-    data = described(walker, grid, how).assign(over_grid)
-    return with_attractors(data, grid, found.attractors, cells)
-
-
-ABOUT: dict[str, dict[str, Any]] = {
+ATTRIBUTES: dict[str, dict[str, Any]] = {
     "fate": {
         "flag_values": list(range(len(Outcome))),
         "flag_meanings": " ".join(Outcome.__members__),
@@ -41,25 +23,59 @@ ABOUT: dict[str, dict[str, Any]] = {
     "attractor": {"description": "-1 for none"},
     "strides": {"description": "before the attractor or the failure"},
 }
-"""Attributes of what there is over a grid."""
+"""Of the arrays over a grid."""
 
 
-def described(walker: Walker, grid: Grid, how: dict) -> xr.Dataset:
-    """The axes of a grid, and what is computed over it."""
+class Basins(NamedTuple):
+    """The label of each of a grid's cells, in the order of their indices, and the attractors."""
+
+    fate: Int[np.ndarray, " n"]
+    attractor: Int[np.ndarray, " n"]
+    strides: Int[np.ndarray, " n"]
+    attractors: list[Attractor]
+
+    def sorted(self) -> "Basins":
+        """The same, attractors numbered in order."""
+        order = sorted_numbers(self.attractors)
+        number = np.full(len(order) + 1, -1, np.int32)  # the last is that of no attractor
+        number[order] = np.arange(len(order))
+        attractors = [self.attractors[i] for i in order]
+        return self._replace(attractor=number[self.attractor], attractors=attractors)
+
+
+def artefacts(data: xr.Dataset) -> Bool[np.ndarray, " number"]:
+    """Which attractors of a data set are artefacts of cells; none where it does not tell."""
+    return data["artefact"].values if "artefact" in data else np.zeros(data.sizes["number"], bool)
+
+
+def to_dataset(walker: Walker, grid: Grid, basins: Basins, settings: dict) -> xr.Dataset:
+    """The data set that `basin` returns; the settings of the method are among its attributes."""
+    reached = basins.attractor[basins.attractor >= 0]
+    cells = np.bincount(reached, minlength=len(basins.attractors))
+    arrays = {
+        name: (grid.names, np.asarray(values).reshape(grid.shape), ATTRIBUTES[name])
+        for name, values in zip(ATTRIBUTES, basins, strict=False)
+    }
+    data = describe(walker, grid, settings).assign(arrays)
+    return add_attractors(data, grid, basins.attractors, cells)
+
+
+def describe(walker: Walker, grid: Grid, settings: dict) -> xr.Dataset:
+    """The axes of a grid; as attributes, the walker and how its basins are computed."""
     about = {
         "walker": type(walker).__name__,
         **{f"walker_{name}": float(value) for name, value in vars(walker).items()},
-        **how,
+        **settings,
         "section": list(walker.section),
         "version": f"walker-jax {version('walker-jax')}",
     }
     return xr.Dataset(coords=grid.axes | grid.held, attrs=about)
 
 
-def with_attractors(
+def add_attractors(
     data: xr.Dataset, grid: Grid, attractors: list[Attractor], cells: Int[np.ndarray, " number"]
 ) -> xr.Dataset:
-    """With the attractors, and how many cells come to each."""
+    """The same with the attractors, and how many cells belong to the basin of each."""
     longest = max((len(one.states) for one in attractors), default=0)
     states = np.full((len(attractors), longest, grid.coordinates), np.nan)
     for one, row in zip(attractors, states, strict=True):
@@ -82,7 +98,7 @@ def with_attractors(
 
 
 def request_of(about: xr.Dataset, grid: Grid) -> dict:
-    """All that a basin depends on, by which it is known again."""
+    """All that a basin depends on, by which a stored one is recognised."""
     return {
         **{str(name): value for name, value in about.attrs.items()},
         "axes": grid.box,
@@ -92,16 +108,19 @@ def request_of(about: xr.Dataset, grid: Grid) -> dict:
     }
 
 
-def not_yet(grid: Grid) -> dict[str, xr.Variable]:
-    """What there is over a grid before anything is computed."""
+def arrays_to_compute(grid: Grid) -> dict[str, xr.Variable]:
+    """The arrays over a grid before anything is computed."""
     return {
-        "fate": over_grid(grid, NOT_YET, np.int8, ABOUT["fate"]),
-        "attractor": over_grid(grid, -1, np.int32, ABOUT["attractor"]),
-        "strides": over_grid(grid, 0, np.int32, ABOUT["strides"]),
+        "fate": constant_array(grid, NOT_COMPUTED, np.int8, ATTRIBUTES["fate"]),
+        "attractor": constant_array(grid, -1, np.int32, ATTRIBUTES["attractor"]),
+        "strides": constant_array(grid, 0, np.int32, ATTRIBUTES["strides"]),
     }
 
 
-def over_grid(grid: Grid, value: Any, dtype: Any, about: dict, *more: str) -> xr.Variable:
-    """An array over a grid, and over the state too, with one value everywhere and no memory."""
-    shape = (*grid.shape, *(grid.coordinates for _ in more))
-    return xr.Variable((*grid.names, *more), np.broadcast_to(np.array(value, dtype), shape), about)
+def constant_array(
+    grid: Grid, value: Any, dtype: Any, attributes: dict | None = None, *coordinate: str
+) -> xr.Variable:
+    """An array over a grid, and over a state's coordinates too, of one value and no memory."""
+    shape = (*grid.shape, *(grid.coordinates for _ in coordinate))
+    values = np.broadcast_to(np.array(value, dtype), shape)
+    return xr.Variable((*grid.names, *coordinate), values, attributes)

@@ -16,22 +16,19 @@ so do the derivatives, by the implicit function.
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
-from walker_jax.basins.mapper import follow
 from walker_jax.basins.refinement import Refined, refined
 from walker_jax.checks import WrongUse, check_kind, numbers, refuses_tracers, short
-from walker_jax.execution.tiles import map_cells
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.derivatives import gait_derivatives
 from walker_jax.gaits.search import find_gait
 from walker_jax.grids import Grid
 from walker_jax.integrators.solvers import default_tolerance
 from walker_jax.stability.disturbances import BEYOND, least_disturbance
-from walker_jax.stability.walks import change_of_margin
+from walker_jax.stability.margin_changes import margin_changes
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 
@@ -125,8 +122,12 @@ def area_gradient(
         )
 
     found = basin_of(walker)
-    integral = along_boundary(walker, found, parameters, strides)
-    gradient, error, made = integral.gradient, integral.error, found.made + integral.strides
+    integral = along_boundary(walker, found, parameters)
+    gradient, error, made = (
+        integral.gradient,
+        integral.error,
+        found.total_strides + integral.strides,
+    )
     unsure = ~(error <= UNSURE * np.abs(gradient)) & (found.area > 0)
     averaged = unsure & (bands is not None)
     for k in map(int, np.flatnonzero(averaged)):
@@ -135,7 +136,7 @@ def area_gradient(
         width = float(getattr(high, parameters[k]) - getattr(low, parameters[k])) or np.nan
         gradient[k] = (above.area - below.area) / width
         error[k] = np.hypot(above.area_error, below.area_error) / width
-        made += below.made + above.made
+        made += below.total_strides + above.total_strides
     return AreaGradient(
         area=found.area,
         gradient=gradient,
@@ -189,25 +190,22 @@ class Integral(NamedTuple):
     strides: int
 
 
-def along_boundary(
-    walker: Walker, found: Refined, parameters: Sequence[str], strides: int
-) -> Integral:
+def along_boundary(walker: Walker, found: Refined, parameters: Sequence[str]) -> Integral:
     """The sum of v |n_i| over the points in which lines of a grid cross the boundary."""
     if not parameters:
         return Integral(np.zeros(0), np.zeros(0), 0, 0, 0)
     walks, fine = found.attractor >= 0, found.grid
-    attractors, tolerance = found.attractors, found.tolerance
     shape, count = np.array(fine.shape), len(parameters)
     tangents = np.asarray(fine.shear) * np.asarray(fine.spacing)  # columns: from cell to cell
     totals = np.zeros((SHARES, count))
     crossings = lost = made = 0
 
     def walk(places: Float[np.ndarray, "n axes"]) -> tuple[np.ndarray, np.ndarray]:
-        """Whether walkers come to an attractor, and after how many strides they do or fail."""
+        """Whether walkers converge to an attractor, and after how many strides they do or fail."""
         nonlocal made
-        end = follow(walker, fine.states(places / shape), attractors, tolerance, strides)
-        made += end.made
-        return end.attractor >= 0, end.strides
+        labels, _ = found.mapper.label_all(fine.states(places / shape))
+        made += labels.total_strides
+        return labels.converged, labels.strides
 
     for axis in range(len(shape)):
         inside, outside = crossings_along(walks, axis)
@@ -217,7 +215,7 @@ def along_boundary(
             inside, outside = np.where(stays, middle, inside), np.where(stays, outside, middle)
         x = fine.states(outside / shape)
         beyond = walk(outside)[1]
-        change = margin_changes(walker, x, beyond, tangents.T, parameters, tolerance)
+        change = margin_changes(walker, x, beyond, tangents.T, parameters, found.mapper.tolerance)
         made += int((beyond + 1).sum()) * change.shape[1]
         slopes, by_parameter = change[:, : len(shape)], change[:, len(shape) :]
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -244,32 +242,6 @@ def crossings_along(
     first, step = index + 0.5, np.eye(walks.ndim)[axis]
     ahead = rises[tuple(index.T)][:, None]
     return np.where(ahead, first + step, first), np.where(ahead, first, first + step)
-
-
-def margin_changes(
-    walker: Walker,
-    x: Float[np.ndarray, "n section"],
-    made: Int[np.ndarray, " n"],
-    directions: Float[np.ndarray, "axes section"],
-    parameters: Sequence[str],
-    tolerance: float,
-) -> Float[np.ndarray, "n columns"]:
-    """Derivatives of the margins of the failures of walks from x, along directions and parameters.
-
-    Each walk has `made` some strides when it fails. They are NaN where it does not.
-    """
-    dtype, n = x.dtype, len(x)
-    columns = len(directions) + len(parameters)
-    zero = np.zeros((len(parameters), x.shape[1]), dtype)
-    along = np.tile(np.concatenate([directions.astype(dtype), zero]), (n, 1))
-    names = [None] * len(directions) + list(parameters)
-    by = {name: np.array([name == one for one in names], dtype) for name in vars(walker)}
-    fields = jax.tree.unflatten(
-        jax.tree.structure(walker), [np.tile(by[name], n) for name in vars(walker)]
-    )
-    cells = np.repeat(x, columns, axis=0), np.repeat(made, columns), (fields, along)
-    shared = jax.tree.map(lambda leaf: np.asarray(leaf, dtype), (walker, tolerance))
-    return map_cells(change_of_margin, (shared, cells)).reshape(n, columns)
 
 
 class DisturbanceGradient(NamedTuple):

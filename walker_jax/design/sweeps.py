@@ -18,7 +18,7 @@ from walker_jax import storage
 from walker_jax.basins.computation import basin
 from walker_jax.basins.memory import check_grid
 from walker_jax.basins.refinement import FINEST, refine
-from walker_jax.basins.schema import ABOUT, described, not_yet, request_of
+from walker_jax.basins.schema import ATTRIBUTES, arrays_to_compute, describe, request_of
 from walker_jax.checks import WrongUse, check_kind, check_whole, numbers, refuses_tracers, short
 from walker_jax.design.measures import gait_measures
 from walker_jax.execution.progress import tracked
@@ -102,7 +102,7 @@ def sweep(
     tolerance = float(default_tolerance(jnp.asarray(0.0).dtype, tolerance))
     how = {"levels": levels, "check": check, "robust": int(robust), "strides": strides}
     how = {"method": "direct", **how, "seed": seed, "tolerance": tolerance}
-    about = described(walker, grid, how)
+    about = describe(walker, grid, how)
     for name in values:
         del about.attrs[f"walker_{name}"]
     own = {"command": "sweep", "over": {name: some.tolist() for name, some in values.items()}}
@@ -176,7 +176,9 @@ def blank(walker: Walker, grid: Grid, about: xr.Dataset) -> dict[str, xr.Variabl
     nowhere = "coordinate", np.full(grid.coordinates, np.nan)
     row = dict.fromkeys(single, np.nan) | {"gait_state": nowhere, "attractors": 0, "failed": 0}
     row |= without_gait(walker) if about.attrs["robust"] else {}
-    return not_yet(grid) | {str(name): one.variable for name, one in xr.Dataset(row).items()}
+    return arrays_to_compute(grid) | {
+        str(name): one.variable for name, one in xr.Dataset(row).items()
+    }
 
 
 def spread(value: xr.Variable, names: list[str], shape: list[int]) -> xr.Variable:
@@ -206,7 +208,7 @@ def measured(walker: Walker, grid: Grid, how: Mapping[str, Any]) -> dict[str, An
     """The basin of a walker, and the numbers that go with it."""
     options: Any = {name: how[name] for name in ("strides", "tolerance")}
     cells = basin(walker, grid, "direct", **options)
-    row = {name: cells[name].values for name in ABOUT}
+    row = {name: cells[name].values for name in ATTRIBUTES}
     row |= {"area": float(cells["area"].sum()), "attractors": cells.sizes["number"]}
     options |= {name: how[name] for name in ("levels", "check", "seed")}
     gait = find_gait(walker, tolerance=how["tolerance"])

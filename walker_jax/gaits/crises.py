@@ -1,4 +1,4 @@
-"""Where walking is lost: the parameter beyond which no walker stays up."""
+"""Where walking is lost, a boundary crisis: the parameter beyond which all walkers fall."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -7,10 +7,11 @@ import numpy as np
 
 from walker_jax.checks import WrongUse, check_kind, check_number, check_whole, refuses_tracers
 from walker_jax.gaits.branches import Branch, check_interval, double_tolerance
-from walker_jax.gaits.long_runs import persist, starts_near
+from walker_jax.gaits.long_runs import starts_near_gaits
 from walker_jax.integrators.solvers import Real
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import with_parameter
+from walker_jax.walking.iteration import iterate
 from walker_jax.walking.outcomes import Outcome
 
 PARTS = 32
@@ -63,14 +64,14 @@ def loss_of_walking(
     while True:
         parts = min(PARTS, int(np.ceil((above - below) / resolution)) + 1)
         values = np.linspace(below, above, parts + 1)
-        starts = starts_near(walker, parameter, branches, values, tolerance)
+        starts = starts_near_gaits(walker, parameter, branches, values, tolerance)
         keep = np.isfinite(starts).all(axis=2)
         where = np.nonzero(keep)[0]
         walks = np.zeros(len(values), bool)
         if len(where):
             walkers = with_parameter(walker, parameter, values[where])
-            _, fate, _ = persist(walkers, starts[keep], strides, tolerance, progress)
-            walks[where[fate == Outcome.STRIDE]] = True
+            end = iterate(walkers, starts[keep], strides, tolerance, progress=progress)
+            walks[where[end.outcome == Outcome.STRIDE]] = True
         if not walks.any():
             return Loss(np.nan, below, strides)
         last = int(np.flatnonzero(walks)[-1])

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Array, Complex, Float, Int
+from jaxtyping import Array, Complex, Float
 
 from walker_jax.checks import WrongUse, check_kind, refuses_tracers
 from walker_jax.execution.tiles import map_cells
@@ -186,8 +186,3 @@ def push_twice(shared: tuple[Real, Walker], cell):
 
     along = lambda walker, x: push(shared, (walker, x, first))
     return jax.jvp(along, (walker, x), tangent)
-
-
-def some(walker: Walker, indices: Int[np.ndarray, " m"]) -> Walker:
-    """Some of many walkers; the one, where all have it in common."""
-    return jax.tree.map(lambda leaf: leaf[indices] if np.ndim(leaf) else leaf, walker)

@@ -25,13 +25,13 @@ from walker_jax.gaits.branches import (
 from walker_jax.gaits.continuation import Start, doubled
 from walker_jax.gaits.crises import Loss, loss_of_walking
 from walker_jax.gaits.cycles import Gait, distinct
-from walker_jax.gaits.derivatives import some
-from walker_jax.gaits.long_runs import SAME, attractors, starts_near
+from walker_jax.gaits.long_runs import SAME, attractors, starts_near_gaits
 from walker_jax.gaits.requests import together
-from walker_jax.gaits.search import search, walked
+from walker_jax.gaits.search import cycle_guesses, search
 from walker_jax.integrators.solvers import Real
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import with_parameter
+from walker_jax.walking.iteration import select_walkers
 
 NO_START = -1
 """Fate where there are fewer starts than at other values."""
@@ -133,7 +133,7 @@ def bifurcation_diagram(
     doublings = [b.value for i in members for b in branches[i].doublings]
     if doublings and min(doublings) < loss.above:
         values = np.union1d(values, np.linspace(min(doublings), loss.above, scan))
-    starts = starts_near(walker, parameter, branches, values, tolerance)
+    starts = starts_near_gaits(walker, parameter, branches, values, tolerance)
     scanned = attractors(walker, parameter, values, starts, strides=strides, **options)
     scanned["fate"] = scanned["fate"].where(np.isfinite(starts).all(axis=2), NO_START)
     return diagram(walker, parameter, branches, members, scanned, loss)
@@ -193,8 +193,8 @@ def gaits_at(
         grid = with_parameter(walker, parameter, value).gait_region()
         points.append(grid.centres(np.arange(0, grid.size, SPARSE)))
     walkers = with_parameter(walker, parameter, np.repeat(values, [len(p) for p in points]))
-    left, cycles = walked(walkers, np.concatenate(points), period, tolerance)
-    walkers = some(walkers, left)
+    left, cycles = cycle_guesses(walkers, np.concatenate(points), period, tolerance)
+    walkers = select_walkers(walkers, left)
     found = search(walkers, cycles, tolerance)
     at = getattr(walkers, parameter)
     starts = []

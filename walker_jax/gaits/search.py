@@ -45,12 +45,12 @@ from walker_jax.gaits.cycles import (
     solve_cycle,
     uncertainty,
 )
-from walker_jax.gaits.derivatives import linearise, some
+from walker_jax.gaits.derivatives import linearise
 from walker_jax.grids import Grid
 from walker_jax.integrators.solvers import AnySolver, Real, solved_by
 from walker_jax.walkers.model import Walker, moves_like
 from walker_jax.walkers.simplest import SimplestWalker
-from walker_jax.walking.iteration import follow_walk, strides
+from walker_jax.walking.iteration import follow_walk, orbits, select_walkers, strides
 from walker_jax.walking.outcomes import Outcome
 from walker_jax.walking.stepping import as_floating, prepared
 
@@ -106,7 +106,7 @@ def gait_near(walker: Walker, guess: Any, period: int, tolerance: Real | None) -
     if len(cycle) < period and traced:
         cycle = follow_walk(walker, first, period - 1, tolerance).states
     elif len(cycle) < period:
-        _, cycles = walked(walker, np.asarray(cycle), period, tolerance)
+        _, cycles = cycle_guesses(walker, np.asarray(cycle), period, tolerance)
         cycle = cycles[0] if len(cycles) else np.full((period, size), np.nan, first.dtype)
     if traced:
         return solve_cycle(walker, cycle, tolerance)
@@ -187,7 +187,7 @@ def find_gaits(
         )
     starts = grid.centres(np.arange(grid.size))
     walker, _, tolerance = prepared(walker, starts[0], tolerance)
-    _, cycles = walked(walker, starts, period, tolerance)
+    _, cycles = cycle_guesses(walker, starts, period, tolerance)
     gaits = search(walker, cycles, tolerance)
     if descent and not gaits.found.all():
         nearer = descend(walker, cycles[~gaits.found], descent, tolerance=tolerance)
@@ -272,21 +272,16 @@ def confirmed(walker: Walker, gaits: Gait, tolerance: Real) -> Gait:
     return gaits._replace(found=found, stable=gaits.stable & found)
 
 
-def walked(
+def cycle_guesses(
     walker: Walker, starts: Float[np.ndarray, "n section"], period: int, tolerance: Real
 ) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m period section"]]:
-    """The starts of walks of `period` strides and more, and the states of those walks.
+    """The starts from which `period` strides can be made, and the states of these walks.
 
     The walker's parameters may be arrays of n.
     """
-    left = np.arange(len(starts))
-    states = [starts]
-    for _ in range(period):
-        ends = strides(some(walker, left), states[-1], tolerance=tolerance)
-        alive = ends.outcome == Outcome.STRIDE
-        left = left[alive]
-        states = [state[alive] for state in (*states, ends.state)]
-    return left, np.stack(states[:-1], axis=1)
+    states, outcome = orbits(walker, starts, period, tolerance)
+    walking = np.flatnonzero(outcome == Outcome.STRIDE)
+    return walking, states[walking, :period]
 
 
 def search(walker: Walker, cycles: Float[np.ndarray, "n period section"], tolerance: Real) -> Gait:
@@ -310,7 +305,7 @@ def search(walker: Walker, cycles: Float[np.ndarray, "n period section"], tolera
     left = np.flatnonzero(np.isfinite(cycles).all(axis=(1, 2)))
     rounding = 10 * float(np.finfo(cycles.dtype).eps)
     for _ in range(NEWTON_STEPS):
-        local = linearise(some(walker, left), cycles[left], tolerance)
+        local = linearise(select_walkers(walker, left), cycles[left], tolerance)
         miss = local.state - np.roll(cycles[left], -1, axis=1)
         residual = np.abs(miss).max(axis=(1, 2))
         # near rounding a step no longer helps

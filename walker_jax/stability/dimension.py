@@ -8,9 +8,9 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Float, Int
 
-from walker_jax.basins.attractor_search import framed_attractors
-from walker_jax.basins.mapper import follow
+from walker_jax.basins.capture_boxes import with_capture_boxes
 from walker_jax.basins.memory import check_grid
+from walker_jax.basins.methods import mapper_of_grid
 from walker_jax.basins.refinement import edge
 from walker_jax.checks import check_precision, check_whole, numbers, refuses_tracers
 from walker_jax.fractals import Uncertainty, checked_distances, uncertainty_exponent, upper_end
@@ -37,8 +37,8 @@ def boundary_dimension(
     """The dimension of the boundary of the basins in a region, by the uncertainty exponent.
 
     A start is uncertain at a distance if a walker that starts that far from it, on either side, in
-    a random direction, comes to another attractor, or to none. Starts are drawn from the cells that
-    have a neighbour of another fate: elsewhere next to none are uncertain.
+    a random direction, converges to another attractor, or to none. Starts are drawn from the cells
+    that have a neighbour of another fate: elsewhere next to none are uncertain.
 
     **Arguments:**
 
@@ -60,14 +60,15 @@ def boundary_dimension(
     dtype = jnp.asarray(0.0).dtype
     check_precision(dtype, "boundary_dimension, which compares starts 1e-6 apart,")
     finest = float(default_tolerance(dtype, tolerance))
-    starts, attractors = framed_attractors(walker, grid, finest, strides)
+    mapper = with_capture_boxes(mapper_of_grid(walker, grid, finest, strides))
 
     def label_of(share: Float[np.ndarray, "n axes"]) -> Int[np.ndarray, " n"]:
-        return follow(walker, grid.states(share), attractors, finest, strides).attractor
+        labels, _ = mapper.label_all(grid.states(share))
+        return labels.attractor
 
     shape = np.array(grid.shape)
-    label = follow(walker, starts, attractors, finest, strides).attractor.reshape(grid.shape)
-    on_edge = np.argwhere(edge(label))
+    labels, _ = mapper.label_all(grid.centres(np.arange(grid.size)))
+    on_edge = np.argwhere(edge(labels.attractor.reshape(grid.shape)))
     if len(on_edge) == 0:
         return Uncertainty(np.nan, np.nan, np.nan, np.nan, np.zeros(0), np.zeros(0))
 

@@ -1,41 +1,34 @@
 """How large a disturbance a gait survives.
 
 A disturbance moves the walker from its gait to another point of the Poincaré section. The least one
-from which it does not come back says more of a machine than the multipliers of its gait do (Schwab
-and Wisse 2001, section 5).
+from which it does not return, or falls (the minimal fatal shock), says more of a machine than the
+Floquet multipliers of its gait do (Schwab and Wisse 2001, section 5).
 """
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Bool, Float
 
 from walker_jax.checks import refuses_tracers
-from walker_jax.execution.tiles import map_cells
 from walker_jax.gaits.cycles import Gait
+from walker_jax.stability.gait_mapper import failure_test, mapper_of_gait, with_other_gaits
+from walker_jax.stability.margin_changes import margin_changes
+from walker_jax.stability.metric import metric
 from walker_jax.stability.rays import directions, nearest_failure
-from walker_jax.stability.walks import (
-    change_of_margin,
-    end_of_walk,
-    metric,
-    returning,
-    until_settled,
-    which_walks,
-)
 from walker_jax.walkers.model import Walker
 from walker_jax.walking.outcomes import Outcome
 
 BEYOND = 1 + np.array([1e-8, 1e-10, 0.0])
 """Of the least disturbance, those of which the first that fails says how: rounding is less."""
-MEETING, OUTWARDS = 90, 0.1 * 0.5 ** np.arange(12.0)[:, None]
-"""Directions and distances, of starts from which other gaits are met."""
+OTHER_GAITS_DIRECTIONS, OTHER_GAITS_DISTANCES = 90, 0.1 * 0.5 ** np.arange(12.0)[:, None]
+"""Of starts from which walkers may converge to other gaits."""
 
 
 class LeastDisturbance(NamedTuple):
-    """The nearest point to a gait from which the walker does not come back, or falls."""
+    """The nearest point to a gait from which the walker does not return, or falls."""
 
     size: float
     """Its distance from the gait, in the metric asked for."""
@@ -46,7 +39,7 @@ class LeastDisturbance(NamedTuple):
     phase: int
     """The state of the gait that it is nearest to."""
     failure: Outcome
-    """How the walker fails from just beyond it; `STRIDE` where it comes to another motion."""
+    """How the walker fails from just beyond it; `STRIDE` where it converges to another motion."""
     strides: int
     """Strides before that, the failing one not counted."""
 
@@ -64,7 +57,7 @@ def least_disturbance(
 ) -> LeastDisturbance:
     """The nearest point of the section from which a walker does not return to its gait, or falls.
 
-    From the nearest point at which it does not return it may come to another motion: the `failure`
+    From the nearest point at which it does not return it may converge to another: the `failure`
     is `STRIDE` then, and the nearest at which it falls, found with `fall`, is farther. Otherwise
     these are the same.
 
@@ -84,7 +77,7 @@ def least_disturbance(
     - `along`: vectors, one a row, that disturbances are made of, such as (0, 1) for a push that
       changes thetadot alone. By default they have any direction.
     - `fall`: whether the walker is to fall, and no other motion counts.
-    - `strides`: how many of them a walker may take to come back, or to fall.
+    - `strides`: how many of them a walker may take to return, or to fall.
     - `tolerance`: of the integration, as in `stride`.
 
     `ValueError` for a gait that is not stable, or not found, and for a scale or vectors that are
@@ -92,21 +85,20 @@ def least_disturbance(
     found from which the walker does not return.
     """
     unit, basis = metric(walker, scale, along)
-    size, lost = len(unit), which_walks(fall)
-    states, shared = returning(walker, gait, strides, tolerance)
+    lost = failure_test(fall)
+    mapper = mapper_of_gait(walker, gait, strides, tolerance)
+    states = mapper.attractors[0].states
     if fall:
-        rays = directions(len(basis), MEETING) @ basis * unit
-        shared = until_settled(shared, states[:, None, None] + OUTWARDS * rays[:, None])
+        rays = directions(len(basis), OTHER_GAITS_DIRECTIONS) @ basis * unit
+        starts = states[:, None, None] + OTHER_GAITS_DISTANCES * rays[:, None]
+        mapper = with_other_gaits(mapper, starts.reshape(-1, len(unit)))
 
     def fails(points: Float[np.ndarray, "n section"]) -> Bool[np.ndarray, " n"]:
-        return lost(map_cells(end_of_walk, (shared, points)))
+        return lost(mapper(points))
 
     def gradient(points: Float[np.ndarray, "n section"]) -> Float[np.ndarray, "n section"]:
-        count = map_cells(end_of_walk, (shared, points)).strides
-        still = jax.tree.map(lambda leaf: np.zeros(size * len(points), leaf.dtype), shared[0])
-        tangents = still, np.tile(np.eye(size, dtype=points.dtype), (len(points), 1))
-        cells = np.repeat(points, size, axis=0), np.repeat(count, size), tangents
-        return map_cells(change_of_margin, (shared[:2], cells)).reshape(-1, size)
+        count = mapper(points).strides
+        return margin_changes(walker, points, count, np.eye(len(unit)), (), mapper.tolerance)
 
     found = [
         nearest_failure(
@@ -118,7 +110,7 @@ def least_disturbance(
     step = found[phase]
     length = float(np.linalg.norm(step))
     state = states[phase] + step * unit
-    beyond = map_cells(end_of_walk, (shared, states[phase] + BEYOND[:, None] * step * unit))
+    beyond = mapper(states[phase] + BEYOND[:, None] * step * unit)
     first = int(lost(beyond).argmax())
-    failure, made = Outcome(int(beyond.outcome[first])), int(beyond.strides[first])
+    failure, made = Outcome(int(beyond.fate[first])), int(beyond.strides[first])
     return LeastDisturbance(length, step / length, state, phase, failure, made)

@@ -24,12 +24,12 @@ ZOOMS = 3
 """How often fans are made narrower."""
 POLISHES = 4
 """Searches along the boundary's gradient that follow."""
-ALONG = 2.0 ** np.arange(-6, 3)
-"""Parts of the way, to where the boundary would be nearest if it were flat, that each tries."""
-LAST = 512
-"""Distances at which it is made sure that nothing nearer fails in the direction found."""
-HALVINGS = 12, 34
-"""Of the distance between two points tried on a ray: to tell rays apart, and in the end."""
+STEP_SHARES = 2.0 ** np.arange(-6, 3)
+"""Of the step to where the boundary would be nearest if it were flat: those that each tries."""
+FINAL_DISTANCES = 512
+"""At which it is made sure that nothing nearer fails in the direction found."""
+COARSE, FINE = 12, 34
+"""Bisections between two points tried on a ray: to tell rays apart, and in the end."""
 
 
 def nearest_failure(
@@ -42,62 +42,80 @@ def nearest_failure(
     The origin does not. `gradient`, at points that fail just beyond the boundary, is at right
     angles to it, or NaN. `ComputationFailed` where nothing fails.
     """
+    best, lengths = nearest_rays(fails, basis)
+    gap = 1e-3 * lengths.min()
+    closer = first_failures(fails, best @ basis, lengths.min() - gap, lengths.min() + gap, 8)
+    closer = bisect(fails, best @ basis, closer, gap / 4, FINE)
+    lengths = np.minimum(lengths, closer)
+    for _ in range(POLISHES if len(basis) > 1 else 0):
+        best, lengths = polish(fails, gradient, basis, best, lengths, gap)
+    least = lengths.min()
+    ray = best[lengths.argmin()][None]
+    while True:  # the first failure on its ray
+        first = first_failures(fails, ray @ basis, 0.0, (1 - 1e-9) * least, FINAL_DISTANCES)
+        if np.isinf(first[0]):
+            return least * ray[0] @ basis
+        least = bisect(fails, ray @ basis, first, least / FINAL_DISTANCES, FINE)[0]
+
+
+def nearest_rays(
+    fails: Callable, basis: Float[np.ndarray, "rank size"]
+) -> tuple[Float[np.ndarray, "n rank"], Float[np.ndarray, " n"]]:
+    """Directions in which failures are nearer than in those around them, and their distances."""
     rank = len(basis)
     rays = directions(rank, RAYS)
-    first = scanned(fails, rays @ basis, RADII)
+    first = scan(fails, rays @ basis, RADII)
     # Closer rays, then closer distances too: between those a nearer failure may have been missed.
     # A finger that was met may be missed by the next distances: then what was known is kept.
     dense = directions(rank, DENSE * RAYS)
-    near = nearest_of(fails, dense, basis, 0.0, 1.01 * first.min(), SHELL)
+    near = keep_nearest(fails, dense, basis, 0.0, 1.01 * first.min(), SHELL)
     rays, first = near if near[1].size else (rays[np.isfinite(first)], first[np.isfinite(first)])
-    near = nearest_of(fails, dense, basis, 0.9 * first.min(), 1.01 * first.min(), SHELL)
+    near = keep_nearest(fails, dense, basis, 0.9 * first.min(), 1.01 * first.min(), SHELL)
     rays, first = near if near[1].size else (rays, first)
     width = spacing(rank, DENSE * RAYS)
     if rank > 1:  # and more of them wherever the boundary is about as near
         arc = np.concatenate([fan(ray, width, CLOSER) for ray in rays[first.argsort()[:ARC]]])
-        near = nearest_of(fails, arc, basis, 0.98 * first.min(), 1.003 * first.min(), 32)
+        near = keep_nearest(fails, arc, basis, 0.98 * first.min(), 1.003 * first.min(), 32)
         rays, first = near if near[1].size else (rays, first)
     width = 4 * width / CLOSER
-    lowest_ones = lowest(rays, first, width)
-    best, lengths = rays[lowest_ones], first[lowest_ones]
+    minima = local_minima(rays, first, width)
+    best, lengths = rays[minima], first[minima]
     for _ in range(ZOOMS if rank > 1 else 0):
         fans = np.concatenate([fan(ray, width, FAN) for ray in best])
         # The nearest failures of a fan lie a little before those of the wider one.
         least = lengths.min()
-        rays, first = nearest_of(fails, fans, basis, 0.95 * least, 1.01 * least, 24)
+        rays, first = keep_nearest(fails, fans, basis, 0.95 * least, 1.01 * least, 24)
         if first.size:
-            lowest_ones = lowest(rays, first, width)
-            best, lengths = rays[lowest_ones], first[lowest_ones]
+            minima = local_minima(rays, first, width)
+            best, lengths = rays[minima], first[minima]
         width *= 0.25
-
-    gap = 1e-3 * lengths.min()
-    closer = first_failures(fails, best @ basis, lengths.min() - gap, lengths.min() + gap, 8)
-    closer = halved(fails, best @ basis, closer, gap / 4, HALVINGS[1])
-    lengths = np.minimum(lengths, closer)
-    for _ in range(POLISHES if rank > 1 else 0):
-        with np.errstate(invalid="ignore", divide="ignore"):  # where there is no gradient
-            normal = gradient(lengths[:, None] * best @ basis) @ basis.T
-            along = normal / np.sum(normal * best, axis=1, keepdims=True) - best
-        tried = best[:, None] + np.concatenate([[0.0], ALONG])[:, None] * along[:, None]
-        tried = np.where(np.isfinite(tried), tried, best[:, None])
-        tried /= np.linalg.norm(tried, axis=2, keepdims=True)
-        flat, least = tried.reshape(-1, rank) @ basis, lengths.min()
-        reached = first_failures(fails, flat, least - gap, least + gap, 8)
-        reached = halved(fails, flat, reached, gap / 4, HALVINGS[1]).reshape(tried.shape[:2])
-        reached[:, 0] = np.minimum(reached[:, 0], lengths)  # that ray is the best one so far
-        best, lengths = tried[np.arange(len(best)), reached.argmin(axis=1)], reached.min(axis=1)
-    least = lengths.min()
-    ray = best[lengths.argmin()][None]
-    while True:  # the first failure on its ray
-        first = first_failures(fails, ray @ basis, 0.0, (1 - 1e-9) * least, LAST)
-        if np.isinf(first[0]):
-            return least * ray[0] @ basis
-        least = halved(fails, ray @ basis, first, least / LAST, HALVINGS[1])[0]
+    return best, lengths
 
 
-def scanned(
-    fails: Callable, rays: Float[np.ndarray, "n size"], count: int
-) -> Float[np.ndarray, " n"]:
+def polish(
+    fails: Callable,
+    gradient: Callable,
+    basis: Float[np.ndarray, "rank size"],
+    best: Float[np.ndarray, "n rank"],
+    lengths: Float[np.ndarray, " n"],
+    gap: float,
+) -> tuple[Float[np.ndarray, "n rank"], Float[np.ndarray, " n"]]:
+    """Turn rays towards where a flat boundary would be nearest; those along which it is, indeed."""
+    rank = len(basis)
+    with np.errstate(invalid="ignore", divide="ignore"):  # where there is no gradient
+        normal = gradient(lengths[:, None] * best @ basis) @ basis.T
+        along = normal / np.sum(normal * best, axis=1, keepdims=True) - best
+    tried = best[:, None] + np.concatenate([[0.0], STEP_SHARES])[:, None] * along[:, None]
+    tried = np.where(np.isfinite(tried), tried, best[:, None])
+    tried /= np.linalg.norm(tried, axis=2, keepdims=True)
+    flat, least = tried.reshape(-1, rank) @ basis, lengths.min()
+    reached = first_failures(fails, flat, least - gap, least + gap, 8)
+    reached = bisect(fails, flat, reached, gap / 4, FINE).reshape(tried.shape[:2])
+    reached[:, 0] = np.minimum(reached[:, 0], lengths)  # that ray is the best one so far
+    return tried[np.arange(len(best)), reached.argmin(axis=1)], reached.min(axis=1)
+
+
+def scan(fails: Callable, rays: Float[np.ndarray, "n size"], count: int) -> Float[np.ndarray, " n"]:
     """The first failure along each ray, up to where the nearest is between 1/4 and all of the way.
 
     `ComputationFailed` where nothing fails up to a length of a thousand.
@@ -118,7 +136,7 @@ def scanned(
             return first
 
 
-def nearest_of(
+def keep_nearest(
     fails: Callable, rays: np.ndarray, basis: np.ndarray, low: float, high: float, count: int
 ) -> tuple[Float[np.ndarray, "n rank"], Float[np.ndarray, " n"]]:
     """Those of some rays along which the first failure is among the nearest, and its distance."""
@@ -129,7 +147,7 @@ def nearest_of(
             break
         low, high = max(0.0, low - count * gap), low + gap  # there may be nearer ones
     near = first < max(first.min() + 1.5 * gap, (1 + KEPT) * first.min())
-    return rays[near], halved(fails, rays[near] @ basis, first[near], gap, HALVINGS[0])
+    return rays[near], bisect(fails, rays[near] @ basis, first[near], gap, COARSE)
 
 
 def first_failures(
@@ -142,14 +160,14 @@ def first_failures(
     return np.where(failed.any(axis=1), distances[failed.argmax(axis=1)], np.inf)
 
 
-def halved(
+def bisect(
     fails: Callable,
     rays: Float[np.ndarray, "n size"],
     high: Float[np.ndarray, " n"],
     gap: float,
     times: int,
 ) -> Float[np.ndarray, " n"]:
-    """Distances that fail, `gap` beyond ones that do not, brought down by halving."""
+    """Distances of the boundary, between those that fail and those a `gap` before, by bisection."""
     known = np.isfinite(high)
     below, above = high[known] - gap, high[known]
     for _ in range(times):
@@ -195,10 +213,10 @@ def fan(
     return rays / np.linalg.norm(rays, axis=1, keepdims=True)
 
 
-def lowest(
+def local_minima(
     rays: Float[np.ndarray, "n rank"], lengths: Float[np.ndarray, " n"], angle: float
 ) -> Int[np.ndarray, " m"]:
-    """Those of unit vectors that have a least length within an angle, the shortest first."""
+    """Indices of unit vectors that have the least length within an angle, the shortest first."""
     order = lengths.argsort()
     beside = rays[order] @ rays[order].T > np.cos(angle)
     shorter = np.tril(beside, -1).any(axis=1)

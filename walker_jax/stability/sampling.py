@@ -9,13 +9,14 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Float, Int
 
+from walker_jax.basins.attractor import cubes
 from walker_jax.basins.memory import check_grid
 from walker_jax.checks import WrongUse, check_number, check_whole, is_number, refuses_tracers, short
-from walker_jax.execution.tiles import map_cells
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import find_gait
 from walker_jax.grids import Grid
-from walker_jax.stability.walks import end_of_walk, metric, returning
+from walker_jax.stability.gait_mapper import mapper_of_gait
+from walker_jax.stability.metric import metric
 from walker_jax.walkers.model import Walker
 from walker_jax.walking.iteration import check_parameters
 from walker_jax.walking.outcomes import Outcome
@@ -25,18 +26,18 @@ class BasinStability(NamedTuple):
     """The fraction of disturbances that a gait survives (Menck and others 2013)."""
 
     value: Float[np.ndarray, "*walkers"]
-    """The fraction of the starts from which the walker comes back to its gait."""
+    """The fraction of the starts from which the walker returns to its gait."""
     low: Float[np.ndarray, "*walkers"]
     high: Float[np.ndarray, "*walkers"]
     """Wilson's confidence interval."""
     fates: Int[np.ndarray, "*walkers outcomes"]
     """Starts by the `Outcome` of their last stride; of those with `STRIDE`, `elsewhere` did not
-    come back, but still walk."""
+    return, but still walk."""
     elsewhere: Int[np.ndarray, "*walkers"]
     median: Float[np.ndarray, "*walkers"]
-    """Strides to within a distance of the gait, of half of those that come back."""
+    """Strides to within a distance of the gait, of half of those that return."""
     slowest: Float[np.ndarray, "*walkers"]
-    """And of 95 of 100; infinite where they have not come that close, NaN where none come back."""
+    """And of 95 of 100; infinite where they have not come that close, NaN where none return."""
 
 
 @refuses_tracers()
@@ -54,7 +55,7 @@ def basin_stability(
     seed: int = 0,
     tolerance: float | None = None,
 ) -> BasinStability:
-    """The fraction of random disturbances from which a walker comes back to its gait, and how soon.
+    """The fraction of random disturbances from which a walker returns to its gait, and how soon.
 
     **Arguments:**
 
@@ -66,8 +67,8 @@ def basin_stability(
     - `gait`: a stable one, of one walker; the most stable of period one, by default.
     - `within`: distance of a state of the gait, in every coordinate, to which strides are counted.
     - `samples`: starts for each walker, the same disturbances for all.
-    - `strides`: how many of them a walker may take to come so close to its gait, if not within
-      that distance, that all walkers come to it from there.
+    - `strides`: how many of them a walker may take to that distance, or to the gait's capture box,
+      from which all walkers converge to it.
     - `confidence`: of the interval.
     - `seed`: of what is drawn.
     - `tolerance`: of the integration, as in `stride`.
@@ -107,16 +108,15 @@ def basin_stability(
         about = lambda state: state + inside
 
     def one(walker: Walker, gait: Gait | None) -> tuple:
-        states, shared = returning(walker, gait, strides, tolerance)
-        starts = about(states[0]).astype(states.dtype)
-        found = map_cells(end_of_walk, (shared, starts))
-        fates = np.bincount(found.outcome, minlength=len(Outcome))
-        elsewhere = np.count_nonzero((found.outcome == Outcome.STRIDE) & ~found.back)
-        cubes = np.broadcast_to(np.eye(states.shape[1]) / within, shared[3].shape)
-        closer = map_cells(
-            end_of_walk, ((*shared[:3], cubes.astype(states.dtype), shared[4]), starts[found.back])
-        )
-        made = np.where(closer.back, closer.strides, np.inf)
+        mapper = mapper_of_gait(walker, gait, strides, tolerance)
+        (own,) = mapper.attractors
+        starts = about(own.states[0]).astype(own.states.dtype)
+        labels = mapper(starts)
+        fates = np.bincount(labels.fate, minlength=len(Outcome))
+        elsewhere = len(labels.remaining)
+        close = mapper._replace(attractors=[own._replace(capture_boxes=cubes(own, within))])
+        closer = close(starts[labels.converged])
+        made = np.where(closer.converged, closer.strides, np.inf)
         back = len(made)
         late = np.percentile(made, (50, 95), method="inverted_cdf") if back else (np.nan, np.nan)
         return back / samples, *wilson(back, samples, confidence), fates, elsewhere, *late

@@ -2,25 +2,28 @@
 
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
+from walker_jax.basins.mapper import Labels, Mapper
 from walker_jax.checks import refuses_tracers
 from walker_jax.execution.tiles import map_cells
 from walker_jax.gaits.cycles import Gait
 from walker_jax.stability.disturbances import BEYOND
-from walker_jax.stability.rays import HALVINGS, first_failures, halved, scanned
-from walker_jax.stability.walks import end_after_step, returning, which_walks
+from walker_jax.stability.gait_mapper import failure_test, mapper_of_gait
+from walker_jax.stability.rays import FINE, bisect, first_failures, scan
 from walker_jax.walkers.model import Walker
+from walker_jax.walking.iteration import strides as take_strides
 from walker_jax.walking.outcomes import Outcome
-from walker_jax.walking.stepping import step_down
+from walker_jax.walking.stepping import follow_step_down, step_down
 
 HEIGHTS = 4096
 """Heights of a step down, up to the least found."""
 
 
 class LeastStepDown(NamedTuple):
-    """The least step down from which a walker does not come back to its gait, or falls."""
+    """The least step down from which a walker does not return to its gait, or falls."""
 
     size: float
     """Its height, at right angles to the slope, in the unit of length."""
@@ -29,7 +32,7 @@ class LeastStepDown(NamedTuple):
     phase: int
     """The state of the gait from which the stride begins that ends there."""
     failure: Outcome
-    """How the walker fails from just beyond it; `STRIDE` where it comes to another motion."""
+    """How the walker fails from just beyond it; `STRIDE` where it converges to another motion."""
     strides: int
     """Strides before that, the one down included, the failing one not."""
 
@@ -49,24 +52,42 @@ def least_step_down(
     and errors are those of `least_disturbance`. Heights are tried at some 4096 places up to the
     least: failures in narrower ranges may be missed.
     """
-    lost = which_walks(fall)
-    states, shared = returning(walker, gait, strides, tolerance)
+    lost = failure_test(fall)
+    mapper = mapper_of_gait(walker, gait, strides, tolerance)
+    states = mapper.attractors[0].states
 
     def end(state, heights):
         starts = np.broadcast_to(state, (len(heights), len(state)))
-        return map_cells(end_after_step, (shared, (starts, heights.astype(states.dtype))))
+        return labels_after_step(mapper, starts, heights.astype(states.dtype))
 
     up = np.ones((1, 1))
     found = []
     for state in states:
         fails = lambda heights, state=state: lost(end(state, heights[:, 0]))
-        reach = scanned(fails, up, HEIGHTS)[0]
+        reach = scan(fails, up, HEIGHTS)[0]
         first = first_failures(fails, up, 0.0, reach, HEIGHTS)
-        found.append(halved(fails, up, first, reach / HEIGHTS, HALVINGS[1])[0])
+        found.append(bisect(fails, up, first, reach / HEIGHTS, FINE)[0])
     phase = int(np.argmin(found))
     height = float(found[phase])
     beyond = end(states[phase], BEYOND * height)
     first = int(lost(beyond).argmax())
-    failure, made = Outcome(int(beyond.outcome[first])), int(beyond.strides[first])
+    failure, made = Outcome(int(beyond.fate[first])), int(beyond.strides[first])
     down = step_down(walker, states[phase], height, tolerance=tolerance)
     return LeastStepDown(height, np.asarray(down.state), phase, failure, made)
+
+
+def labels_after_step(
+    mapper: Mapper, x: Float[np.ndarray, "n section"], drops: Float[np.ndarray, " n"]
+) -> Labels:
+    """Labels of walkers that step down by `drops` from x; the stride down is counted."""
+    walker, tolerance = mapper.walker, mapper.tolerance
+    finest = np.asarray(tolerance, x.dtype)
+    arguments = jax.tree.map(lambda leaf: np.asarray(leaf, x.dtype), walker), x, drops, finest
+    down = map_cells(follow_step_down, arguments, (False, True, True, False))
+    after = take_strides(walker, down.state, tolerance=tolerance)
+    rest = mapper(np.asarray(after.state))
+    fate = np.where(after.outcome == Outcome.STRIDE, rest.fate, after.outcome)
+    fate = np.where(down.outcome == Outcome.STRIDE, fate, down.outcome)
+    made = [(one.outcome == Outcome.STRIDE).astype(np.int32) for one in (down, after)]
+    attractor = np.where(fate == Outcome.STRIDE, rest.attractor, -1)
+    return Labels(fate, attractor, rest.strides + sum(made), rest.states)

@@ -47,7 +47,7 @@ def robustness(
       around the gait of any other.
     - `levels`, `check`: of refinement.
     - `disturbances`: for `basin_stability`, shares of the coordinates of the gait's own state.
-    - `strides`: how many of them a walker may take to come back.
+    - `strides`: how many of them a walker may take to return.
     - `seed`, `tolerance`: of what is drawn, and of the integration.
 
     **Returns** what `refine` does, and of the gait, the attractor of the largest basin:
@@ -61,14 +61,14 @@ def robustness(
     `slowest_strides`; `dimension`, with `_low` and `_high`, of the boundary. NaN, or -1, where no
     gait attracts.
 
-    `ValueError` as for `refine`, and for a walker that a grid is wanted for: without it, no gait of
-    period one is found.
+    `ValueError` as for `refine`, and where a grid is required: where no gait of period one is
+    found.
     """
     check_kind("walker", walker, Walker)
     check_precision(jnp.asarray(0.0).dtype, "robustness, which has the dimension of a boundary,")
     grid = default_region(walker) if grid is None else grid
     if grid is None:
-        raise WrongUse("grid is wanted where no gait of period one is found")
+        raise WrongUse("grid is required where no gait of period one is found")
     options: Any = {"check": check, "strides": strides, "seed": seed, "tolerance": tolerance}
     data = refine(walker, grid, levels, **options)
     data.attrs["disturbances"] = disturbances

@@ -1,15 +1,21 @@
-"""The stride function over many starts, and over many strides."""
+"""The stride function over many starts, and its iteration over many strides.
 
-from collections.abc import Callable
+A walk is iterated in one place, `walk_on`: until a failure, until it is within reach of a target,
+or for a number of strides. `iterate` does that for many starts at once. Two functions beside it
+return every state on the way: `orbits`, of many starts, and `walk`, of one that JAX may trace.
+"""
+
+import itertools
+from collections.abc import Callable, Iterator
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from walker_jax.checks import WrongUse, array, check_kind, check_whole, refuses_tracers
 from walker_jax.execution.tiles import map_cells
@@ -18,6 +24,33 @@ from walker_jax.walkers.model import State, Walker
 from walker_jax.walkers.parameters import parameters
 from walker_jax.walking.outcomes import Outcome, Stride, Walk
 from walker_jax.walking.stepping import follow_stride, prepared
+
+ROUNDS = 4, 16, 64
+"""Strides of the first rounds of an iteration, and of all later ones, after each of which the walks
+that have ended are left behind. Most starts on a grid about a basin fail within four strides."""
+MOST_TARGETS = 32
+"""Targets that a compiled walk looks for, at most: it takes 3 s to compile for 32, 18 s for 128.
+More are looked for by the host, after each stride."""
+
+
+class Targets(NamedTuple):
+    """Where walks end: the states x with |frame (x - state)| < 1 in all coordinates, of any one."""
+
+    states: Float[Any, "m section"]
+    frames: Float[Any, "m section section"]
+
+
+class WalkEnd(NamedTuple):
+    """Where a walk ends, and why: arrays of JAX or of NumPy."""
+
+    state: Float[Any, "*starts section"]
+    """NaN after a failure."""
+    outcome: Int[Any, "*starts"]
+    """`Outcome` of the last stride; `STRIDE` where none was made."""
+    strides: Int[Any, "*starts"]
+    """How many were completed."""
+    target: Int[Any, "*starts"]
+    """Number of the target that was reached, the nearest of several; -1 for none."""
 
 
 @refuses_tracers("within them use jax.vmap(lambda x: wj.stride(walker, x))(xs)")
@@ -62,19 +95,31 @@ def for_each_start(
         )
     dtype = xs.dtype if np.issubdtype(xs.dtype, np.floating) else float
     xs = xs.astype(jax.dtypes.canonicalize_dtype(dtype), copy=False)
-    # Of one dtype, whatever numbers they were given as: another would be compiled anew.
-    to_dtype = lambda leaf: np.asarray(leaf, xs.dtype)
-    walker, finest = jax.tree.map(to_dtype, (walker, default_tolerance(xs.dtype, tolerance)))
+    finest = np.asarray(default_tolerance(xs.dtype, tolerance), xs.dtype)
+    walker, many = as_arrays(walker, len(xs), xs.dtype)
+    return map_cells(function, (walker, xs, finest), (many, True, False), progress=progress)
+
+
+def as_arrays(walker: Walker, n: int, dtype) -> tuple[Walker, bool]:
+    """One walker, or n of them, with parameters of one dtype, and whether there are n.
+
+    Whatever numbers they were given as: parameters of another dtype would be compiled anew.
+    """
     many = any(np.ndim(leaf) for leaf in jax.tree.leaves(walker))
     if many:
-        check_parameters(walker, len(xs))
-        walker = stacked(walker, len(xs), xs.dtype)
-    return map_cells(function, (walker, xs, finest), (many, True, False), progress=progress)
+        check_parameters(walker, n)
+        return stacked(walker, n, dtype), many
+    return jax.tree.map(lambda leaf: np.asarray(leaf, dtype), walker), many
 
 
 def stacked(walker: Walker, n: int, dtype) -> Walker:
     """A walker, or n of them, with every parameter as an array of n."""
     return jax.tree.map(lambda leaf: np.broadcast_to(np.asarray(leaf, dtype), (n,)), walker)
+
+
+def select_walkers(walker: Walker, indices: Int[np.ndarray, " m"]) -> Walker:
+    """Some of many walkers; the one, where all starts have it in common."""
+    return jax.tree.map(lambda leaf: leaf[indices] if np.ndim(leaf) else leaf, walker)
 
 
 def check_parameters(walker: Walker, n: int) -> None:
@@ -118,3 +163,123 @@ def follow_walk(
     first = (x, jnp.asarray(Outcome.STRIDE, jnp.int8))
     _, (states, outcomes, times) = lax.scan(follow, first, length=n)
     return Walk(jnp.concatenate([x[None], states]), outcomes, times)
+
+
+def walk_on(
+    walker: Walker,
+    x: Float[Array, " section"],
+    targets: Targets | None,
+    limit: Int[Array, ""],
+    tolerance: Float[Array, ""],
+) -> WalkEnd:
+    """Walk on until a failure, until a target is reached, or for a number of strides."""
+
+    def reached(x):
+        if targets is None:
+            return jnp.asarray(-1, jnp.int32)
+        away = jnp.sum(targets.frames * (x - targets.states)[:, None], axis=2)
+        away = jnp.max(jnp.abs(away), axis=1)
+        return jnp.where(jnp.min(away) < 1, jnp.argmin(away).astype(jnp.int32), -1)
+
+    def going(end):
+        return (end.outcome == Outcome.STRIDE) & (end.strides < limit) & (end.target < 0)
+
+    def advance(end):
+        result = follow_stride(walker, end.state, tolerance)
+        made = (result.outcome == Outcome.STRIDE).astype(jnp.int32)
+        return WalkEnd(result.state, result.outcome, end.strides + made, reached(result.state))
+
+    first = jnp.asarray(Outcome.STRIDE, jnp.int8), jnp.zeros((), jnp.int32)
+    return lax.while_loop(going, advance, WalkEnd(x, *first, reached(x)))
+
+
+def iterate(
+    walker: Walker,
+    starts: Float[np.ndarray, "n section"],
+    limit: int,
+    tolerance: Real | None,
+    targets: Targets | None = None,
+    *,
+    progress: str | None = None,
+) -> WalkEnd:
+    """`walk_on` from each of n starts, on all devices and cores; NumPy arrays.
+
+    The walker's parameters may be arrays of n. Walks are continued in rounds, and those that have
+    ended are left behind after each. `progress` is what to call the work in a progress bar.
+    """
+    n, size = starts.shape
+    walker, many = as_arrays(walker, n, starts.dtype)
+    finest = np.asarray(default_tolerance(starts.dtype, tolerance), starts.dtype)
+    end = WalkEnd(
+        starts.copy(), np.zeros(n, np.int8), np.zeros(n, np.int32), np.full(n, -1, np.int32)
+    )
+    for_host = targets if targets and len(targets.states) > MOST_TARGETS else None
+    if for_host:
+        end.target[:] = nearest_target(starts, for_host)
+    compiled = power_of_two(None if for_host else targets, size, starts.dtype)
+    left, done = np.flatnonzero(end.target < 0), 0
+    for count in round_lengths(limit, (1,) if for_host else ROUNDS):
+        if len(left) == 0:
+            break
+        part = map_cells(
+            walk_on,
+            (select_walkers(walker, left), end.state[left], compiled, np.int32(count), finest),
+            (many, True, False, False, False),
+            progress=progress and f"{progress}: from stride {done + 1} on, {len(left)} walkers",
+        )
+        if for_host:
+            part = part._replace(target=nearest_target(part.state, for_host))
+        end.state[left], end.outcome[left], end.target[left] = part.state, part.outcome, part.target
+        end.strides[left] += part.strides
+        left, done = left[(part.outcome == Outcome.STRIDE) & (part.target < 0)], done + count
+    return end
+
+
+def round_lengths(limit: int, rounds: tuple[int, ...]) -> Iterator[int]:
+    """The strides of each round, `limit` in all: those given, and the last of them again."""
+    done = 0
+    for count in itertools.chain(rounds, itertools.repeat(rounds[-1])):
+        if done >= limit:
+            return
+        yield min(count, limit - done)
+        done += count
+
+
+def power_of_two(targets: Targets | None, size: int, dtype) -> Targets:
+    """The same targets, repeated to a power of two of them, so that few programs are compiled.
+
+    Of equals the first is the nearest. In place of none there is one that no state is near to.
+    """
+    if targets is None or len(targets.states) == 0:
+        return Targets(np.full((1, size), np.nan, dtype), np.zeros((1, size, size), dtype))
+    number = np.arange(1 << (len(targets.states) - 1).bit_length()) % len(targets.states)
+    return Targets(*(np.asarray(values, dtype)[number] for values in targets))
+
+
+def nearest_target(x: Float[np.ndarray, "n section"], targets: Targets) -> Int[np.ndarray, " n"]:
+    """Number of the target that each state is within reach of, the nearest of several, or -1."""
+    number, least = np.full(len(x), -1, np.int32), np.ones(len(x), x.dtype)
+    for i, (state, frame) in enumerate(zip(*targets, strict=True)):
+        away = np.abs((x - state) @ frame.T).max(axis=1)
+        number[away < least], least = i, np.fmin(away, least)
+    return number
+
+
+def orbits(
+    walker: Walker,
+    starts: Float[np.ndarray, "n section"],
+    count: int,
+    tolerance: Real | None,
+) -> tuple[Float[np.ndarray, "n states section"], Int[np.ndarray, " n"]]:
+    """All states of `count` strides from each of n starts, and the outcome of the last stride.
+
+    States that follow a failure are NaN. The walker's parameters may be arrays of n.
+    """
+    states = np.full((len(starts), count + 1, starts.shape[1]), np.nan, starts.dtype)
+    states[:, 0] = starts
+    outcome, left = np.zeros(len(starts), np.int8), np.arange(len(starts))
+    for i in range(count):
+        ends = strides(select_walkers(walker, left), states[left, i], tolerance=tolerance)
+        states[left, i + 1], outcome[left] = ends.state, ends.outcome
+        left = left[ends.outcome == Outcome.STRIDE]
+    return states, outcome

@@ -1,0 +1,69 @@
+"""Capture boxes: regions about the states of a cycle from which all walkers converge to it.
+
+Walkers need be followed only until they are in one. That all converge from there is seen on a
+sample of starts, and not proved: a box is half as large as the largest from which all of these do.
+"""
+
+import numpy as np
+from jaxtyping import Float
+
+from walker_jax.basins.attractor import Attractor
+from walker_jax.basins.mapper import Mapper
+from walker_jax.walking.iteration import iterate
+
+HALF_EDGES = 1e-5 * 1.5 ** np.arange(20)
+"""Of the cubes that are tried, in all coordinates, up to 0.022."""
+STRETCHES = 1.5 ** np.arange(12)
+"""How many times as long boxes are made in one direction."""
+STARTS = 1000
+"""Random starts in a box."""
+SETTLING_PERIODS = 8
+"""Periods after which walkers are left in the directions in which they approach a cycle last."""
+
+
+def with_capture_boxes(mapper: Mapper) -> Mapper:
+    """The mapper, with capture boxes for its cycles, each found with the others as they were."""
+    rng = np.random.default_rng(0)
+    boxed = [
+        find_capture_boxes(mapper, i, rng) if one.period else one
+        for i, one in enumerate(mapper.attractors)
+    ]
+    return mapper._replace(attractors=boxed)
+
+
+def find_capture_boxes(mapper: Mapper, number: int, rng: np.random.Generator) -> Attractor:
+    """An attractor with the largest of growing boxes from which all of a sample converge to it.
+
+    The boxes lie along the directions in which walkers approach the cycle last: first cubes, then
+    as long in each direction as may be. Half edges are the rows of a matrix.
+    """
+    attractors = list(mapper.attractors)
+    cycle = attractors[number].states
+    period, size = cycle.shape
+    u = rng.uniform(-1, 1, (period, STARTS, size))
+
+    def largest(boxes: Float[np.ndarray, "tried period section section"]) -> int:
+        """The last of growing boxes from which all converge, which the attractor is given."""
+        starts = (cycle[:, None] + u @ boxes).reshape(-1, size)
+        found = mapper._replace(attractors=attractors)(starts).attractor
+        converge = (found == number).reshape(len(boxes), -1).all(axis=1)
+        best = int(np.logical_and.accumulate(converge).sum()) - 1
+        if best >= 0:
+            frames = np.swapaxes(np.linalg.inv(boxes[best] / 2), 1, 2)
+            attractors[number] = attractors[number]._replace(capture_boxes=frames)
+        return best
+
+    cubes = HALF_EDGES[:, None, None, None] * np.tile(np.eye(size), (period, 1, 1))
+    best = largest(cubes)
+    if best < 0:
+        return attractors[number]
+    x = (cycle[:, None] + u @ cubes[best]).reshape(-1, size)
+    x = iterate(mapper.walker, x, SETTLING_PERIODS * period, mapper.tolerance).state
+    axes = np.linalg.svd(x.reshape(u.shape) - cycle[:, None], full_matrices=False)[2]
+    cubes = HALF_EDGES[:, None, None, None] * axes
+    box = cubes[max(largest(cubes), 0)]
+    for i in range(size):
+        stretch = np.ones((len(STRETCHES), 1, size, 1))
+        stretch[:, 0, i, 0] = STRETCHES
+        box = (stretch * box)[max(largest(stretch * box), 0)]
+    return attractors[number]

@@ -1,0 +1,58 @@
+"""The mapper to a stable gait, and what counts as the loss of it."""
+
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from walker_jax.basins.attractor import Attractor, capture_radius
+from walker_jax.basins.capture_boxes import with_capture_boxes
+from walker_jax.basins.mapper import Labels, Mapper
+from walker_jax.checks import WrongUse, check_kind, check_precision, check_whole
+from walker_jax.gaits.cycles import Gait
+from walker_jax.gaits.search import find_gait
+from walker_jax.integrators.solvers import default_tolerance
+from walker_jax.walkers.model import Walker
+from walker_jax.walking.iteration import strides as take_strides
+
+
+def mapper_of_gait(
+    walker: Walker, gait: Gait | None, strides: int, tolerance: float | None
+) -> Mapper:
+    """The mapper whose only attractor is a stable gait, with its capture boxes.
+
+    `ValueError` for a gait that is not stable, not found, or not one of this walker.
+    """
+    check_kind("walker", walker, Walker)
+    check_whole("strides", strides)
+    gait = find_gait(walker) if gait is None else gait
+    if not isinstance(gait, Gait) or not (gait.found and gait.stable):
+        raise WrongUse("gait must be a stable one, and found")
+    states = np.asarray(gait.states)
+    check_precision(states.dtype)
+    if states.shape[1:] != (len(walker.section),):
+        raise WrongUse(f"gait must be one of this walker, on {', '.join(walker.section)}")
+    ends = take_strides(walker, states, tolerance=tolerance).state
+    miss = np.abs(ends - np.roll(states, -1, axis=0)).max()
+    if not miss < capture_radius(states.dtype):
+        raise WrongUse(f"gait must be one of this walker, whose strides miss it by {miss:.2g}")
+    finest = float(default_tolerance(states.dtype, tolerance))
+    return with_capture_boxes(Mapper(walker, [Attractor(len(states), states)], finest, strides))
+
+
+def with_other_gaits(mapper: Mapper, starts: Float[np.ndarray, "n section"]) -> Mapper:
+    """The mapper also to the other gaits to which walkers converge from some starts.
+
+    Walkers that converge to one of these need not be followed to their last stride.
+    """
+    found = mapper.with_attractors_from(starts)
+    gaits = [one for one in found.attractors if one.period]
+    if len(gaits) == 1:
+        return mapper
+    return with_capture_boxes(found._replace(attractors=gaits))
+
+
+def failure_test(fall: bool) -> Callable[[Labels], Bool[np.ndarray, " n"]]:
+    """Tells which walkers fall, or, unless `fall`, which do not return to their gait."""
+    check_kind("fall", fall, bool)
+    return lambda labels: labels.fallen if fall else ~labels.converged

@@ -1,0 +1,55 @@
+"""How the margin of the failure that ends a walk changes with its start and with the walker."""
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from walker_jax.execution.tiles import map_cells
+from walker_jax.walkers.model import Scalar, Walker
+from walker_jax.walking.failure_margins import failed_by, follow_margins
+from walker_jax.walking.iteration import walk_on
+
+
+def margin_changes(
+    walker: Walker,
+    x: Float[np.ndarray, "n section"],
+    made: Int[np.ndarray, " n"],
+    directions: Float[np.ndarray, "axes section"],
+    parameters: Sequence[str],
+    tolerance: float,
+) -> Float[np.ndarray, "n columns"]:
+    """Derivatives of the margins of the failures of walks from x, along directions and parameters.
+
+    Each walk has `made` some strides when it fails. They are NaN where it does not.
+    """
+    dtype, n = x.dtype, len(x)
+    columns = len(directions) + len(parameters)
+    zero = np.zeros((len(parameters), x.shape[1]), dtype)
+    along = np.tile(np.concatenate([directions.astype(dtype), zero]), (n, 1))
+    names = [None] * len(directions) + list(parameters)
+    by = {name: np.array([name == one for one in names], dtype) for name in vars(walker)}
+    fields = jax.tree.unflatten(
+        jax.tree.structure(walker), [np.tile(by[name], n) for name in vars(walker)]
+    )
+    cells = np.repeat(x, columns, axis=0), np.repeat(made, columns), (fields, along)
+    shared = jax.tree.map(lambda leaf: np.asarray(leaf, dtype), (walker, tolerance))
+    return map_cells(margin_jvp, (shared, cells)).reshape(n, columns)
+
+
+def margin_jvp(shared: tuple, cell: tuple) -> Scalar:
+    """Derivative of the margin of the failure that ends a walk, after a number of strides.
+
+    It is along tangents of the walker and of the start; NaN where the walk does not end there.
+    """
+    walker, tolerance = shared
+    x, count, tangents = cell
+
+    def margin(walker, x):
+        end = walk_on(walker, x, None, count, tolerance)
+        return failed_by(follow_margins(walker, end.state, tolerance))
+
+    value, change = jax.jvp(margin, (walker, x), tangents)
+    return jnp.where(jnp.isnan(value), jnp.nan, change)
