@@ -1,6 +1,7 @@
 import functools
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -16,12 +17,16 @@ from PIL import Image, ImageSequence
 
 import walker_jax as wj
 from walker_jax import storage
-from walker_jax.cli import answers, basin_command, main, optimise_command, options, sweep_command
+from walker_jax.cli import app, basin_command, main, optimise_command, startup, sweep_command
+from walker_jax.cli.answers import Stopwatch
+from walker_jax.cli.app import COMMANDS
+from walker_jax.cli.rewording import option_of, with_options_named
 from walker_jax.design import trace
+from walker_jax.design.summary import summarise_optimum
 from walker_jax.paper import numbers
 from walker_jax.stability.summary import without_gait
 from walker_jax.walkers.family import WALKERS
-from walker_jax.walkers.parameters import parameters
+from walker_jax.walkers.parameters import describe, parameters
 
 RESUME = "run the same again to resume from"
 SMALL = ["--theta", "0.05", "0.35", "30", "--sum", "-0.03", "0.01", "20"]
@@ -31,7 +36,7 @@ SMALL = ["--theta", "0.05", "0.35", "30", "--sum", "-0.03", "0.01", "20"]
 def run(monkeypatch, capsys, tmp_path):
     """Run a command in an empty folder; returns exit code, standard output and error."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("walker_jax.cli.main.keep_compiled", lambda: None)
+    monkeypatch.setattr("walker_jax.cli.startup.keep_compiled", lambda: None)
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["walker-jax", *map(str, arguments)])
@@ -142,15 +147,15 @@ def test_a_cycle_of_cells_that_is_no_gait_is_said_to_be_an_artefact(run, tmp_pat
 
 
 def test_what_is_said_of_cycles_of_cells():
-    said = lambda artefact, cycles, falling, centres=2: basin_command.of_cells(
+    said = lambda artefact, cycles, falling, centres=2: basin_command.cycles_in_words(
         {"artefact": artefact, "cycles": cycles, "falling": falling, "states": [0] * centres}
     )
-    assert said(False, 1, 0) == basin_command.of_cells({"artefact": False}) == ""
+    assert said(False, 1, 0) == basin_command.cycles_in_words({"artefact": False}) == ""
     assert said(False, 3, 0) == ": 3 cycles of cells"
     told = ": 2 cycles of cells, a walker falls from 1 of their centres"
     assert said(False, 2, 1) == told
     assert said(True, 1, 1) == ": a walker falls from 1 of 2"
-    assert said(True, 1, 0) == ": walkers from there do not come to one attractor"
+    assert said(True, 1, 0) == ": walkers from there do not converge to one attractor"
 
 
 @pytest.mark.parametrize(
@@ -229,7 +234,7 @@ def test_the_same_command_goes_on_with_what_was_interrupted(run, tmp_path, monke
         signal.signal(signal.SIGTERM, before)
         assert (code, err) == (143, f"walker-jax: terminated: {again}\n")
     code, out, _ = run("basin", *SMALL)
-    assert code == 0 and "went on with basin.zarr" in out and "strides per second" not in out
+    assert code == 0 and "resumed basin.zarr" in out and "strides per second" not in out
     assert "computed before" in run("basin", *SMALL)[1]
 
 
@@ -644,13 +649,13 @@ def test_answers_on_robustness(run, tmp_path, monkeypatch):
     assert answer["least_fall"]["size"] == 0.03 and answer["least_fall"]["failure"] == "FORWARD"
     assert answer["least_fall"]["strides"] == 9 and answer["step_down_fall"] == 0.0625
     text = run("robustness")[1]
-    assert "least disturbance 0.01000000 along (0.0000, 1.0000): comes to another motion" in text
+    assert "least disturbance 0.01000000 along (0.0000, 1.0000): leads to another motion" in text
     assert "from which it falls 0.03000000 along (0.0000, 1.0000): FORWARD after 9 strides" in text
-    assert "step down 0.03125000: comes to another motion; falls from 0.06250000" in text
+    assert "step down 0.03125000: leads to another motion; falls from 0.06250000" in text
     one = one.drop_vars([name for name in one if "fall" in str(name)] + ["step_down_failure"])
     answer = json.loads(run("robustness", "--json", "--overwrite")[1])
     assert answer["least_fall"] is answer["step_down_fall"] is answer["step_down_failure"] is None
-    assert "comes to another motion" in run("robustness")[1]
+    assert "leads to another motion" in run("robustness")[1]
 
 
 @pytest.mark.parametrize(
@@ -742,7 +747,7 @@ def test_an_optimum_is_told_with_both_ends_as_they_were_measured(capsys):
         },
         {"parameter": ["slope", "hip_stiffness"], "measure": ["area", "speed"]},
     )
-    answer = optimise_command.optimum(found)
+    answer = summarise_optimum(found)
     assert answer == {
         "start": {"slope": 0.004, "hip_stiffness": 0.5},
         "optimum": {"slope": 0.012, "hip_stiffness": 0.25},
@@ -797,7 +802,7 @@ def test_an_optimisation_that_leads_nowhere_ends_with_1_and_a_reason(run, tmp_pa
         ),
         (
             ["--over", "slope", "--bound", "slope=0.1:0.2", "--bound", "foot_mass=1:2"],
-            "--bound is of foot_mass, which is not free: add --over foot_mass",
+            "--bound is of foot-mass, which is not free: add --over foot-mass",
         ),
         ([*FASTEST[1:5], "--objective", "beauty"], "--objective must be one of area"),
         ([*FASTEST[1:5], *["--objective", "speed"] * 2], "--objective must be one NAME, or NAME="),
@@ -878,6 +883,73 @@ def test_the_installed_command_starts(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def python(*arguments, **settings):
+    """Run Python; returns exit code, standard output and error."""
+    done = subprocess.run(
+        [sys.executable, *arguments], capture_output=True, text=True, env=os.environ | settings
+    )
+    return done.returncode, done.stdout, done.stderr
+
+
+@pytest.mark.parametrize("option", ["--help", "-h"])
+def test_the_help_loads_no_jax_and_no_command(option):
+    program = (
+        "import sys\n"
+        f"sys.argv = ['walker-jax', '{option}']\n"
+        "from walker_jax.cli.main import main\n"
+        "try:\n"
+        "    main()\n"
+        "finally:\n"
+        "    loaded = {name.split('.')[0] for name in sys.modules}\n"
+        "    assert not loaded & {'jax', 'numpy', 'equinox', 'matplotlib', 'xarray', 'zarr'}\n"
+        "    mine = {name for name in sys.modules if name.startswith('walker_jax')}\n"
+        "    assert not any('walkers' in name.split('.') or '_command' in name for name in mine)\n"
+    )
+    code, out, err = python("-c", program)
+    assert (code, err) == (0, "")
+    assert all(
+        name in out and first_line.split()[0] in out for name, first_line in COMMANDS.items()
+    )
+
+
+def test_the_help_of_a_command_flows_and_begins_as_the_list_of_commands_says(run):
+    for name, first_line in COMMANDS.items():
+        long, short = run(name, "--help"), run(name, "-h")
+        assert long == short and long[0] == 0
+        assert first_line in " ".join(long[1].split())
+        assert not any("\n" in paragraph for paragraph in str(app.load(name).help).split("\n\n"))
+
+
+def test_the_package_is_run_as_the_command():
+    code, out, err = python("-m", "walker_jax", "--help")
+    assert (code, err) == (0, "") and "basin" in out
+    code, out, err = python("-m", "walker_jax", "bassin")
+    assert (code, out) == (2, "") and err.startswith("walker-jax: No such command 'bassin'")
+
+
+@pytest.mark.parametrize(("settings", "coloured"), [({}, True), ({"NO_COLOR": "1"}, False)])
+def test_help_has_colours_unless_no_color_is_set(settings, coloured, monkeypatch):
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    monkeypatch.setenv("TERM", "xterm-256color")
+    code, out, _ = python("-m", "walker_jax", "--help", FORCE_COLOR="1", **settings)
+    codes = {number for found in re.findall(r"\x1b\[([\d;]*)m", out) for number in found.split(";")}
+    assert code == 0 and codes
+    assert any(30 <= int(number or 0) <= 48 for number in codes) == coloured
+
+
+def test_messages_name_options():
+    for message, named in (
+        ("objective must be one of area", "--objective must be one of area"),
+        ("--objective must be one of area", "--objective must be one of area"),
+        ("limits of speed must be finite", "--at-least and --at-most of speed must be finite"),
+        ("give another out, or overwrite", "give another --out, or --overwrite"),
+        ("a grid island", "a grid island"),
+    ):
+        assert with_options_named(message) == named
+    longer = {"leg_mass": "--leg-mass", "leg": "--leg"}
+    assert with_options_named("leg and leg_mass", longer) == "--leg and --leg-mass"
+
+
 def test_compiled_programs_are_kept_where_the_user_says(tmp_path, monkeypatch):
     settings = {}
     monkeypatch.setattr(jax.config, "update", settings.__setitem__)
@@ -889,7 +961,7 @@ def test_compiled_programs_are_kept_where_the_user_says(tmp_path, monkeypatch):
         monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
         monkeypatch.setenv(variable, str(place))
         settings.clear()
-        main.keep_compiled()
+        startup.keep_compiled()
         assert settings.get("jax_compilation_cache_dir") == (str(kept) if kept else None)
     assert [path.name for path in tmp_path.iterdir()] == ["here"]
 
@@ -903,14 +975,12 @@ def test_importing_sets_no_flag_and_loads_no_drawing():
         "walker_jax.find_gait, walker_jax.SimplestWalker, walker_jax.strides\n"
         "late = {'matplotlib', 'dask', 'zarr', 'typer', 'xarray', 'scipy.stats'}\n"
         "assert not late & set(sys.modules)\n"
-        "import walker_jax.cli.main\n"
-        "assert not late - {'typer'} & set(sys.modules)\n"
     )
     subprocess.run([sys.executable, "-c", program], check=True)
 
 
 def test_public_names_are_what_they_name_whatever_is_loaded_first():
-    """Python would put a module that has the name of a function in its place."""
+    """A module of that name would take its place."""
     program = (
         "import types, walker_jax.design.sweeps, walker_jax\n"  # which loads most of the others
         "from walker_jax import basin, stride, storage\n"
@@ -927,7 +997,7 @@ def test_public_names_are_what_they_name_whatever_is_loaded_first():
 
 
 def test_compile_time_counts_once():
-    clock = answers.Stopwatch()
+    clock = Stopwatch()
     start = clock.start
     clock.compiling = [(start + 1, start + 3), (start + 2, start + 4), (start + 6, start + 7)]
     assert clock.seconds()["compile"] == pytest.approx(4)
@@ -940,7 +1010,7 @@ def test_the_walkers_are_listed_with_parameters_units_and_defaults(run):
         for name, kind in WALKERS.items():
             assert f"{name}:" in out and ", ".join(kind.section) in out
             for one in parameters(kind):
-                row = next(line for line in out.splitlines() if options.option_of(one.name) in line)
+                row = next(line for line in out.splitlines() if option_of(one.name) in line)
                 assert f"{one.default:g}" in row and one.unit in row and one.meaning in row
 
 
@@ -970,7 +1040,7 @@ def test_a_walker_with_three_dimensions_has_a_gait_a_slice_and_a_basin(run, tmp_
     gait = answer["gaits"][0]
     assert answer["walker"] == {
         "name": "RoundFootWalker",
-        **answers.description(wj.RoundFootWalker(0.01)),
+        **describe(wj.RoundFootWalker(0.01)),
     }
     assert gait["stable"] and len(gait["multipliers"]) == 3
     guess = ["--guess", *gait["states"][0][:2], "--phidot", gait["states"][0][2]]
@@ -996,7 +1066,9 @@ def test_a_walker_with_three_dimensions_has_a_gait_a_slice_and_a_basin(run, tmp_
 
 
 def test_a_place_that_is_taken_is_refused_before_a_gait_is_searched_for(run, tmp_path, monkeypatch):
-    monkeypatch.setattr("walker_jax.cli.basin_command.gait_of", lambda *_: pytest.fail("a search"))
+    monkeypatch.setattr(
+        "walker_jax.basins.windows.require_gait", lambda *_: pytest.fail("a search")
+    )
     (tmp_path / "basin.png").write_bytes(b"mine")
     code, out, err = run("basin", "--walker", "round-foot")
     assert code == 2 and out == "" and "basin.png" in err and err.count("\n") == 1

@@ -65,7 +65,7 @@ def test_the_commands_of_the_readme_run_one_after_the_other_in_one_folder(
 
     def of_data(out, figure, request, *, overwrite):
         take(out, request)
-        take(answers.picture_of(out, figure), request)
+        take(answers.picture_path(out, figure), request)
         raise Begun
 
     def of_report(out, **_):
@@ -78,14 +78,14 @@ def test_the_commands_of_the_readme_run_one_after_the_other_in_one_folder(
         raise Begun
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("walker_jax.cli.main.keep_compiled", lambda: None)
+    monkeypatch.setattr("walker_jax.cli.startup.keep_compiled", lambda: None)
     for name in ("basin", "bifurcation", "optimise", "robustness", "sweep"):
-        monkeypatch.setattr(f"walker_jax.cli.{name}_command.made_before", of_data)
+        monkeypatch.setattr(f"walker_jax.cli.{name}_command.find_earlier", of_data)
     monkeypatch.setattr("walker_jax.paper.reproduction.reproduce", of_report)
     monkeypatch.setattr(storage, "export", of_export)
     monkeypatch.setattr(storage, "check_picture", lambda path, request, **_: take(path, request))
-    for name in ("walk", "find_gait", "find_gaits"):
-        monkeypatch.setattr(wj, name, begin)
+    monkeypatch.setattr(wj, "walk", begin)
+    monkeypatch.setattr("walker_jax.gaits.selection.select_gaits", begin)
     for command in commands:
         monkeypatch.setattr(sys, "argv", ["walker-jax", *command.split()])
         with pytest.raises(Begun):

@@ -15,7 +15,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import typer
 import xarray as xr
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -64,8 +63,7 @@ QUICK = settings(
     max_examples=120, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 LONG = settings(QUICK, max_examples=5000)
-GROUP = typer.main.get_group(app.app)
-COMMANDS = {name: command.params for name, command in GROUP.commands.items()}
+COMMANDS = {name: app.load(name).params for name in app.COMMANDS}
 
 
 @st.composite
@@ -171,7 +169,7 @@ def bench(tmp_path_factory):
 
     with contextlib.ExitStack() as stack:
         patch = lambda place, value: stack.enter_context(mock.patch(place, value))
-        patch("walker_jax.cli.main.keep_compiled", lambda: None)
+        patch("walker_jax.cli.startup.keep_compiled", lambda: None)
         for name in ("basin", "bifurcation", "gait", "optimise", "robustness", "sweep"):
             place = f"walker_jax.cli.{name}_command.draw"
             patch(place, lambda axes, path, request: put(path, request))
@@ -184,7 +182,8 @@ def bench(tmp_path_factory):
         patch("walker_jax.design.sweeps.measured", lambda *_: {"total_area": 0.001})
         patch("walker_jax.basin", basin)
         patch("walker_jax.bifurcation_diagram", refuse)
-        patch("walker_jax.find_gaits", lambda walker, period: [gait] if period == 1 else [])
+        one = lambda walker, period: [gait] if period == 1 else []
+        patch("walker_jax.gaits.selection.find_gaits", one)
         patch("walker_jax.gaits.search.find_gaits", lambda *_, **__: [])
         for name, found in ANSWERS.items():
             patch(f"walker_jax.stability.summary.{name}", lambda *_, found=found, **__: found)

@@ -1,1 +1,1 @@
-"""The command `walker-jax`: one file a command."""
+"""The command `walker-jax`: one file for each command, loaded when that command is asked for."""

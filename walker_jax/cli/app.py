@@ -1,45 +1,93 @@
-"""The application that the commands belong to."""
+"""The application: a group of commands, each loaded when it is run or its own help is asked for.
+
+So the group's help loads neither JAX nor the module of any command.
+"""
+
+import inspect
+from importlib import import_module
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
+from typer.main import get_command
 
-from walker_jax import storage
-from walker_jax.cli.options import ListWalkers
+from walker_jax.cli.list_walkers import ListWalkers
+from walker_jax.cli.rewording import with_options_named
+
+COMMANDS = {
+    "walk": "Walk from one start, stride by stride, until a failure.",
+    "gait": "Find the gaits of a walker: cycles of strides, and their stability.",
+    "bifurcation": "Follow the gaits over the slope: how each is born, doubles and ends.",
+    "basin": "Compute and draw the basin of attraction of a walker's gait.",
+    "robustness": "Measure how large a disturbance a gait survives, on one slope or over many.",
+    "optimise": "Design a walker: the parameters with the largest basin, or another objective, by "
+    "gradient.",
+    "sweep": "Compute basins, gaits and areas over one or more parameters, all combinations of "
+    "them.",
+    "export": "Copy a data set that another command has left to a NetCDF file.",
+    "reproduce": "Reproduce the paper of Schwab and Wisse (2001): every figure and number, in a "
+    "report.",
+}
+"""The commands and the first lines of their help; `basin` is a function in `basin_command.py`."""
+
+
+class Interrupted(BaseException):
+    """The command was interrupted; its arguments say how the work is resumed."""
 
 
 class Commands(TyperGroup):
-    """The commands; what interrupts them carries notes on what they leave."""
+    """The commands, of which only names and first lines of help are known until one is loaded."""
+
+    def __init__(self, **settings):
+        super().__init__(**settings)
+        for name, first_line in COMMANDS.items():
+            self.add_command(TyperCommand(name, help=first_line))
+
+    def resolve_command(self, ctx, args):
+        name, _, rest = super().resolve_command(ctx, args)
+        from walker_jax.cli.startup import configure_jax  # which loads JAX
+
+        configure_jax()
+        return name, load(str(name)), rest
 
     def invoke(self, ctx):
         try:
             return super().invoke(ctx)
-        except KeyboardInterrupt as interruption:  # of which typer would keep no more than a code
-            raise Interrupted(*notes_of(interruption)) from interruption
+        except KeyboardInterrupt as interruption:  # typer would keep the exit code alone
+            raise Interrupted(*resume_notes(interruption)) from interruption
+
+
+def load(name: str):
+    """The command of that name, with its options."""
+    function = getattr(import_module(f"walker_jax.cli.{name}_command"), name)
+    single = typer.Typer(add_completion=False)
+    single.command(name, help=flowing(inspect.cleandoc(function.__doc__)))(function)
+    return get_command(single)
+
+
+def flowing(text: str) -> str:
+    """The same paragraphs, each on one line."""
+    return "\n\n".join(" ".join(paragraph.split()) for paragraph in text.split("\n\n"))
+
+
+def resume_notes(interruption: BaseException) -> list[str]:
+    """How the work is resumed: notes that the library left on an interruption, reworded."""
+    notes = getattr(interruption, "__notes__", [])
+    if not notes:
+        return []
+    from walker_jax.storage import RESUME  # loaded already by what left the notes
+
+    return [with_options_named(note) for note in notes if note.startswith(RESUME)]
 
 
 app = typer.Typer(
     cls=Commands,
     add_completion=False,
     no_args_is_help=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
     help="Passive dynamic walkers: their gaits, and the basins of attraction of these.",
 )
 
 
-class Interrupted(BaseException):
-    """The command was interrupted, and what there is to say of what it leaves."""
-
-
-class Terminated(BaseException):
-    """The command is to end at once, what it has begun to write removed."""
-
-
 @app.callback()
-def common(list_walkers: ListWalkers = False) -> None:
-    """Passive dynamic walkers: their gaits, and the basins of attraction of these."""
-
-
-def notes_of(interruption: BaseException) -> list[str]:
-    """How the work is resumed, as the library says, with options as here."""
-    notes = getattr(interruption, "__notes__", [])
-    notes = [note for note in notes if note.startswith(storage.RESUME)]
-    return [note.replace("without overwrite", "without --overwrite", 1) for note in notes]
+def accept_options(list_walkers: ListWalkers = False) -> None:
+    """The options of the group act by their own callbacks."""

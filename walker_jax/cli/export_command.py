@@ -8,11 +8,9 @@ import typer
 from walker_jax import storage
 from walker_jax.checks import WrongUse
 from walker_jax.cli.answers import print_json
-from walker_jax.cli.app import app
 from walker_jax.cli.options import Json, Overwrite
 
 
-@app.command()
 def export(
     data: Annotated[Path, typer.Argument(metavar="DATA", help="A data set that a command left.")],
     file: Annotated[Path, typer.Argument(metavar="FILE.nc", help="Where it goes.")],

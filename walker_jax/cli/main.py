@@ -1,4 +1,4 @@
-"""The command `walker-jax`. Each command asks the library, prints a summary, and keeps the result.
+"""The command `walker-jax`. Each command calls the library, prints a summary, and saves the result.
 
 Answers go to standard output; progress, warnings and the one line that says what is wrong go to
 standard error. Exit code 0: done; 2: wrong usage; 1: the computation failed; 130: interrupted by
@@ -6,83 +6,57 @@ Ctrl-C; 143: terminated by SIGTERM.
 """
 
 import gc
-import os
 import signal
 import sys
 from typing import NoReturn
 
-import jax
-
-from walker_jax import storage
-from walker_jax.checks import ComputationFailed, WrongUse
-from walker_jax.cli import (  # noqa: F401 (each registers its command)
-    basin_command,
-    bifurcation_command,
-    export_command,
-    gait_command,
-    optimise_command,
-    reproduce_command,
-    robustness_command,
-    sweep_command,
-    walk_command,
-)
-from walker_jax.cli.app import Interrupted, Terminated, app, notes_of
-from walker_jax.cli.options import PLACES, with_options_named
-from walker_jax.kernels.object_cache import cache_folder
-
-
-def keep_compiled() -> None:
-    """Keep what XLA compiles where kernels are, so that the next start is fast."""
-    folder = cache_folder()
-    if folder is None or "JAX_COMPILATION_CACHE_DIR" in os.environ:
-        return
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        return
-    if os.access(folder, os.W_OK):
-        jax.config.update("jax_compilation_cache_dir", str(folder))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
-
+from walker_jax.cli.app import Interrupted, app, resume_notes
+from walker_jax.cli.rewording import with_options_named
 
 FEW_COLLECTIONS = 50_000
 """New objects after which Python looks for garbage: traces are many objects, of which most live on,
 and at its default of 700 a sixth of a short command is spent on looking."""
 
 
+class Terminated(BaseException):
+    """The process was told to end; what it has begun to write is removed on the way out."""
+
+
 def main() -> NoReturn:
     gc.set_threshold(FEW_COLLECTIONS)
-    jax.config.update("jax_enable_x64", True)
-    keep_compiled()
     signal.signal(signal.SIGTERM, terminate)
     try:
         code = app(standalone_mode=False)
-    except storage.Occupied as error:
-        what, *help_ = error.args
-        stop(2, ": ".join([what, *(with_options_named(words, PLACES) for words in help_)]))
-    except WrongUse as error:
-        stop(2, error)
-    except ComputationFailed as error:
-        stop(1, error)
     except Interrupted as error:
         stop(130, ": ".join(["interrupted", *error.args]))
     except Terminated as error:
-        stop(143, ": ".join(["terminated", *notes_of(error)]))
+        stop(143, ": ".join(["terminated", *resume_notes(error)]))
     except Exception as error:
-        # typer's own: wrong usage
-        message = getattr(error, "format_message", None)
-        stop(2, message() or "name a command, one of those above") if message else stop(
-            1, f"{type(error).__name__}: {error}"
-        )
+        stop(*verdict(error))
     if code == 130:  # what typer makes of Ctrl-C before a command begins
         stop(130, "interrupted")
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def verdict(error: Exception) -> tuple[int, str]:
+    """The exit code for an error, and the reason that is printed."""
+    format_message = getattr(error, "format_message", None)
+    if format_message is not None:  # an error of typer's own
+        return 2, format_message() or "name a command, one of those above"
+    from walker_jax.checks import ComputationFailed, WrongUse  # loaded already by what failed
+
+    if not isinstance(error, WrongUse | ComputationFailed):
+        return 1, f"{type(error).__name__}: {error}"
+    # What stands at a place comes first, and holds paths; what helps comes after it.
+    *stands, last = error.args or ("",)
+    reason = ": ".join([*stands, with_options_named(last)])
+    return (2 if isinstance(error, WrongUse) else 1), reason
 
 
 def terminate(signal_number: int, frame: object) -> NoReturn:
     raise Terminated
 
 
-def stop(code: int, reason) -> NoReturn:
-    print(f"walker-jax: {' '.join(str(reason).split())}", file=sys.stderr)
+def stop(code: int, reason: str) -> NoReturn:
+    print(f"walker-jax: {' '.join(reason.split())}", file=sys.stderr)
     sys.exit(code)

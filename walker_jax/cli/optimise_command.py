@@ -1,16 +1,14 @@
 """`walker-jax optimise`."""
 
-from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 import walker_jax as wj
 from walker_jax import storage
 from walker_jax.checks import ComputationFailed, WrongUse
-from walker_jax.cli.answers import description, draw, made_before, print_json, said
-from walker_jax.cli.app import app
+from walker_jax.cli.answers import draw, find_earlier, print_json, request_for
 from walker_jax.cli.options import (
     PHIDOT_HELP,
     Axis,
@@ -18,17 +16,20 @@ from walker_jax.cli.options import (
     Out,
     Overwrite,
     PictureOfData,
-    region_of,
-    takes_walker,
+    grid_from,
+    hyphenated,
+    read_numbers,
 )
+from walker_jax.cli.walker_options import takes_walker
+from walker_jax.design.summary import ENDS, summarise_optimum
 from walker_jax.walkers.model import Walker
+from walker_jax.walkers.parameters import check_parameter, describe, describe_in_words
 
 if TYPE_CHECKING:
     import xarray
 
 
-@app.command()
-@takes_walker
+@takes_walker()
 def optimise(
     walker: Walker,
     over: Annotated[
@@ -84,72 +85,42 @@ def optimise(
 
     For example: walker-jax optimise --over slope --bound slope=0.001:0.02 --at-least speed 0.06
 
-    What has been measured is kept as it goes: after an interruption the same command goes on. The
-    picture shows the climb over a scan of the objective, and the basins before and after.
+    Measurements are saved as they are made: the same command resumes an interrupted run. The
+    picture shows the ascent over a scan of the objective, and the basins before and after.
     """
     from walker_jax import figures
 
     bounds = bounds_of(walker, over or [], bound or [])
     wanted = objective_of(objective or ["area"])
-    least, most = (dict([one]) if one else {} for one in (at_least, at_most))
-    grid = region_of(walker, theta, sum_, at_phidot)
-    request = {
-        "command": "optimise",
-        "walker": description(walker),
-        "bounds": bounds,
-        "objective": wanted,
-        "at_least": least,
-        "at_most": most,
-        "axes": {} if grid is None else grid.box,
-        "starts": starts,
-        "levels": levels,
-        "strides": strides,
-        "scan": scan,
-        "seed": seed,
-        "version": version("walker-jax"),
-    }
-    figure, data = made_before(out, figure, request, overwrite=overwrite)
-    kept = data is not None
+    least, most = (
+        {hyphenated(one[0]): one[1]} if one is not None else {} for one in (at_least, at_most)
+    )
+    grid = grid_from(walker, theta, sum_, at_phidot)
+    about, limits = describe(walker), {"at_least": least, "at_most": most}
+    options: Any = {"starts": starts, "levels": levels, "strides": strides}
+    options |= {"scan": scan, "seed": seed}
+    asked = {"bounds": bounds, "objective": wanted, "axes": {} if grid is None else grid.box}
+    request = request_for("optimise", walker=about, **asked, **limits, **options)
+    figure, data = find_earlier(out, figure, request, overwrite=overwrite)
+    saved = data is not None
 
-    def keep(trace: "xarray.Dataset") -> None:
-        nonlocal kept
+    def save(trace: "xarray.Dataset") -> None:
+        nonlocal saved
         storage.save(trace, out, request)
-        kept = True
+        saved = True
 
     if data is None or "found" not in data:  # not begun, or interrupted
-        try:
-            with storage.resumable(out, lambda: kept, overwrite=overwrite):
-                data = wj.optimise(
-                    walker,
-                    bounds,
-                    wanted,
-                    at_least=least,
-                    at_most=most,
-                    grid=grid,
-                    starts=starts,
-                    levels=levels,
-                    strides=strides,
-                    scan=scan,
-                    seed=seed,
-                    known=data,
-                    keep=keep,
-                    progress=True,
-                )
-        except storage.Occupied:
-            raise
-        except WrongUse as error:
-            message = str(error)
-            for word, options in NAMED.items():
-                message = message.replace(f"{word} ", f"{options} ", 1)
-            raise WrongUse(message) from error
+        options |= {"grid": grid, "known": data, "keep": save}
+        with storage.resumable(out, lambda: saved, overwrite=overwrite):
+            data = wj.optimise(walker, bounds, wanted, progress=True, **limits, **options)
         data = storage.save(data, out, request)
     if not data["found"]:
         reasons = "; ".join(dict.fromkeys(data["note"].values.tolist()))
         raise ComputationFailed(f"no start leads anywhere: {reasons}")
     draw(figures.optimised(data), figure, request)
-    answer = optimum(data)
+    answer = summarise_optimum(data)
     if as_json:
-        print_json(answer | {"walker": request["walker"]})
+        print_json(answer | {"walker": about})
         return
     print_optimum(walker, answer, " + ".join(objective or ["area"]))
     for note in data["note"].values.tolist():
@@ -158,52 +129,37 @@ def optimise(
     print(f"  data set {out}, picture {figure}")
 
 
-NAMED = {
-    "limits of": "--at-least and --at-most of",
-    "limits must be": "--at-least and --at-most must be",
-    "bounds of": "--bound of",
-    "objective must": "--objective must",
-    "grid is": "--theta, --sum and --at-phidot are",
-}
-"""What the library calls arguments of `optimise`, and the options that set them."""
-
-
 def bounds_of(walker: Walker, over: list[str], bound: list[str]) -> dict[str, tuple[float, float]]:
     """The bounds of the parameters that are free."""
-    from walker_jax.walkers.parameters import check_parameter
-
     names = [name.replace("-", "_") for name in over]
     bounds: dict[str, tuple[float, float]] = {}
     for text in bound:
-        name, _, ends = text.partition("=")
-        low, _, high = ends.partition(":")
-        try:
-            pair = float(low), float(high)
-        except ValueError:
-            raise WrongUse(f"--bound must be NAME=LO:HI, not {text}") from None
-        name = name.replace("-", "_")
+        name, (low, high) = read_numbers("--bound", "NAME=LO:HI", (float, float), text)
         if name in bounds:
-            raise WrongUse(f"--bound is given twice for {name}")
-        bounds[name] = pair
+            raise WrongUse(f"--bound is given twice for {hyphenated(name)}")
+        bounds[name] = low, high
     if not names:
         raise WrongUse("--over is required: a parameter that is free, such as slope")
     for name in names:
         check_parameter(walker, name)
         if name not in bounds:
-            raise WrongUse(f"--bound is required for {name}: {name}=LO:HI")
+            typed = hyphenated(name)
+            raise WrongUse(f"--bound is required for {typed}: {typed}=LO:HI")
     for name in bounds:
         if name not in names:
-            raise WrongUse(f"--bound is of {name}, which is not free: add --over {name}")
+            typed = hyphenated(name)
+            raise WrongUse(f"--bound is of {typed}, which is not free: add --over {typed}")
     return {name: bounds[name] for name in names}
 
 
 def objective_of(texts: list[str]) -> str | dict[str, float]:
     """One objective by name, or the weights of several."""
     if len(texts) == 1 and "=" not in texts[0]:
-        return texts[0]
+        return hyphenated(texts[0])
     weights: dict[str, float] = {}
     for text in texts:
         name, _, weight = text.partition("=")
+        name = hyphenated(name)
         try:
             value = float(weight)
         except ValueError:
@@ -214,38 +170,20 @@ def objective_of(texts: list[str]) -> str | dict[str, float]:
     return weights
 
 
-def optimum(data) -> dict:
-    """The answer of `optimise`."""
-    names = data["parameter"].values.tolist()
-    named = lambda key: dict(zip(names, data[key].values.tolist(), strict=True))
-    both = lambda key: {end: float(data[f"{key}_{end}"]) for end in ("start", "optimum")}
-    held = data["measure"].values[data["binding"].values]
-    return {
-        "start": named("start"),
-        "optimum": named("optimum"),
-        "objective": both("objective"),
-        "exact": both("exact"),
-        "exact_error": {end: float(data[f"exact_{end}_error"]) for end in ("start", "optimum")},
-        "at_bound": [name for name, side in named("at_bound").items() if side],
-        "binding": held.tolist(),
-        "evaluations": data.sizes["evaluation"],
-        "converged": bool(data["converged"]),
-    }
-
-
 def print_optimum(walker: Walker, answer: dict, objective: str) -> None:
     """The answer of `optimise`, in words."""
-    print(f"{objective}, {said(walker)}")
-    for end in ("start", "optimum"):
+    print(f"{objective}, {describe_in_words(walker)}")
+    for end in ENDS:
         values = ", ".join(f"{name} {value:.8g}" for name, value in answer[end].items())
         exact, error = answer["exact"][end], answer["exact_error"][end]
         print(f"  {end:8} {values}: {exact:.7g}" + (f" +- {error:.1g}" if error else ""))
-    before, after = answer["exact"]["start"], answer["exact"]["optimum"]
+    before, after = (answer["exact"][end] for end in ENDS)
     factor = f", by a factor of {after / before:.3f}" if before > 0 else ""
-    change = f"{after - before:+.4g}{factor}"
-    print(f"  exactly, it changed by {change}")
-    inside = "inside the bounds" if not answer["at_bound"] else ""
-    place = inside or f"at a bound of {', '.join(answer['at_bound'])}"
-    limit = f", held by the limit of {', '.join(answer['binding'])}" * bool(answer["binding"])
+    print(f"  exactly, it changed by {after - before:+.4g}{factor}")
+    place = "inside the bounds"
+    if answer["at_bound"]:
+        place = f"at a bound of {', '.join(answer['at_bound'])}"
+    if answer["binding"]:
+        place += f", held by the limit of {', '.join(answer['binding'])}"
     end = "converged" if answer["converged"] else "not converged"
-    print(f"  {place}{limit}; {end}, {answer['evaluations']} evaluations")
+    print(f"  {place}; {end}, {answer['evaluations']} evaluations")

@@ -6,11 +6,9 @@ from typing import Annotated
 import typer
 
 from walker_jax.cli.answers import Stopwatch, print_json
-from walker_jax.cli.app import app
 from walker_jax.cli.options import Json, Overwrite
 
 
-@app.command()
 def reproduce(
     out: Annotated[Path, typer.Option(help="The folder of the report.")] = Path("report"),
     quick: Annotated[
@@ -21,12 +19,12 @@ def reproduce(
 ) -> None:
     """Reproduce the paper of Schwab and Wisse (2001): every figure and number, in a report.
 
-    An interrupted run goes on where it was.
+    The same command resumes an interrupted run.
     """
-    from walker_jax.paper import reproduction as paper
+    from walker_jax.paper import reproduction
 
     clock = Stopwatch()
-    numbers = paper.reproduce(out, quick=quick, overwrite=overwrite, progress=True)
+    numbers = reproduction.reproduce(out, quick=quick, overwrite=overwrite, progress=True)
     differ = [number for number in numbers if not number.agrees]
     if as_json:
         listed = [number._asdict() for number in numbers]

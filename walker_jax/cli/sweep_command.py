@@ -1,7 +1,6 @@
 """`walker-jax sweep`."""
 
 import math
-from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,8 +9,7 @@ import typer
 
 import walker_jax as wj
 from walker_jax.checks import WrongUse
-from walker_jax.cli.answers import description, draw, made_before, print_json
-from walker_jax.cli.app import app
+from walker_jax.cli.answers import draw, find_earlier, print_json, request_for
 from walker_jax.cli.options import (
     PHIDOT_HELP,
     Axis,
@@ -21,15 +19,23 @@ from walker_jax.cli.options import (
     PictureOfData,
     Scheduler,
     Workers,
-    cluster_of,
-    region_of,
-    takes_walker,
+    cluster_from,
+    grid_from,
+    hyphenated,
+    read_numbers,
 )
+from walker_jax.cli.walker_options import takes_walker
+from walker_jax.design.summary import tabulate_sweep
+from walker_jax.design.sweeps import MOST, check_values
 from walker_jax.walkers.model import Walker
+from walker_jax.walkers.parameters import describe, space_decimals
+
+SHOWN = ("total_area", "total_area_error", "multiplier", "speed", "failed", "least_disturbance")
+SHOWN += ("least_fall", "step_down", "step_down_fall")
+"""Columns that are printed; the data set has more."""
 
 
-@app.command()
-@takes_walker
+@takes_walker()
 def sweep(
     walker: Walker,
     over: Annotated[
@@ -62,70 +68,45 @@ def sweep(
 ) -> None:
     """Compute basins, gaits and areas over one or more parameters, all combinations of them.
 
-    What has been computed is kept as it goes: after an interruption the same command goes on. The
-    picture shows the area over the first two parameters.
+    Results are saved as they are computed: the same command resumes an interrupted run. The picture
+    shows the area over the first two parameters.
     """
     from walker_jax import figures
-    from walker_jax.design.sweeps import check_values
 
     values = values_of(over or [])
     if not values:
         raise WrongUse("--over is required: a parameter and its values, such as slope=0.002:0.01:5")
     check_values(walker, {name: np.array(some) for name, some in values.items()})
-    cluster = cluster_of(workers, scheduler)
-    grid = region_of(walker, theta, sum_, at_phidot)
-    about = {name: v for name, v in description(walker).items() if name not in values}
-    request = {
-        "command": "sweep",
-        "walker": about,
-        "over": values,
-        "axes": {} if grid is None else grid.box,
-        "levels": levels,
-        "check": check,
-        "robust": robust,
-        "strides": strides,
-        "version": version("walker-jax"),
-    }
-    figure, data = made_before(out, figure, request, overwrite=overwrite)
+    cluster = cluster_from(workers, scheduler)
+    grid = grid_from(walker, theta, sum_, at_phidot)
+    about = {name: v for name, v in describe(walker).items() if name not in values}
+    options: Any = {"levels": levels, "check": check, "robust": robust, "strides": strides}
+    asked = {"over": values, "axes": {} if grid is None else grid.box}
+    request = request_for("sweep", walker=about, **asked, **options)
+    figure, data = find_earlier(out, figure, request, overwrite=overwrite)
     if data is None:
-        options: Any = {"out": out, "request": request, "overwrite": overwrite}
-        options |= {"levels": levels, "check": check, "robust": robust, "strides": strides}
-        options |= {"cluster": cluster, "progress": True}
-        data = wj.sweep(walker, values, grid, **options)
+        options |= {"out": out, "request": request, "overwrite": overwrite}
+        data = wj.sweep(walker, values, grid, cluster=cluster, progress=True, **options)
     draw(figures.sweep(data), figure, request)
-    names = [*values]
-    table = data[[name for name in data if set(data[name].dims) == set(names)]].load()
-    rows = table.stack(point=names).to_dataframe()[[str(name) for name in table]].reset_index()
+    rows = tabulate_sweep(data, [*values])
     if as_json:
         print_json({"walker": about, "points": rows.to_dict(orient="records")})
         return
-    shown = [*names, "total_area", "total_area_error", "multiplier", "speed", "failed"]
-    shown += ["least_disturbance", "least_fall", "step_down", "step_down_fall"]
-    shown = [name for name in shown if name in rows]
+    shown = [name for name in (*values, *SHOWN) if name in rows]
     print(rows[shown].map("{:.6g}".format).to_string(index=False))
     print(f"  data set {out}, picture {figure}")
 
 
 def values_of(over: list[str]) -> dict[str, list[float]]:
     """The values of each parameter that --over names."""
-    from walker_jax.design.sweeps import MOST
-
     values: dict[str, list[float]] = {}
     for text in over:
-        name, _, span = text.partition("=")
-        try:
-            low, high, count = span.split(":")
-            ends = float(low), float(high)
-            number = int(count)
-        except ValueError:
-            raise WrongUse(f"--over must be NAME=LO:HI:N, not {text}") from None
-        if not ends[0] < ends[1] or number < 2 or not math.isfinite(ends[1] - ends[0]):
+        name, (low, high, count) = read_numbers("--over", "NAME=LO:HI:N", (float, float, int), text)
+        if not low < high or count < 2 or not math.isfinite(high - low):
             raise WrongUse(f"--over {text} must have LO below HI, both finite, and N of 2 or more")
-        name = name.replace("-", "_")
         if name in values:
-            raise WrongUse(f"--over is given twice for {name}")
-        if number > MOST:
+            raise WrongUse(f"--over is given twice for {hyphenated(name)}")
+        if count > MOST:
             raise WrongUse(f"--over {text} must have N of at most {MOST}")
-        spaced, least = np.linspace(*ends, number), 1e-12 * (ends[1] - ends[0])
-        values[name] = [float(f"{x:.12g}") if abs(x) > least else 0.0 for x in spaced]
+        values[name] = space_decimals(low, high, count)
     return values

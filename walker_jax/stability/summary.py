@@ -1,7 +1,7 @@
 """All measures of robustness of a gait, and their table over a parameter."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -130,20 +130,105 @@ def robustness(
     )
 
 
+class Field(NamedTuple):
+    """A variable of the data set that `robustness` returns."""
+
+    name: str
+    kind: str
+    """"number"; "vector" over the section's coordinates; or whole: "count" or "outcome"."""
+
+
+GAIT = {
+    "period": Field("gait_period", "count"),
+    "state": Field("gait_state", "vector"),
+    "multiplier": Field("multiplier", "number"),
+    "step_time": Field("step_time", "number"),
+}
+LEAST_DISTURBANCE = {
+    "size": Field("least_disturbance", "number"),
+    "direction": Field("direction", "vector"),
+    "state": Field("failing_state", "vector"),
+    "failure": Field("failure", "outcome"),
+    "strides": Field("failing_strides", "count"),
+}
+LEAST_FALL = {
+    "size": Field("least_fall", "number"),
+    "direction": Field("fall_direction", "vector"),
+    "state": Field("fall_state", "vector"),
+    "failure": Field("fall_failure", "outcome"),
+    "strides": Field("fall_strides", "count"),
+}
+STEP_DOWN = {
+    "step_down": Field("step_down", "number"),
+    "step_down_failure": Field("step_down_failure", "outcome"),
+    "step_down_fall": Field("step_down_fall", "number"),
+}
+STABILITY = {
+    "value": Field("stability", "number"),
+    "low": Field("stability_low", "number"),
+    "high": Field("stability_high", "number"),
+}
+RETURN = {
+    "median_strides": Field("median_strides", "number"),
+    "slowest_strides": Field("slowest_strides", "number"),
+}
+DIMENSION = {
+    "value": Field("dimension", "number"),
+    "low": Field("dimension_low", "number"),
+    "high": Field("dimension_high", "number"),
+}
+FIELDS = tuple(
+    field
+    for group in (GAIT, LEAST_DISTURBANCE, LEAST_FALL, STEP_DOWN, STABILITY, RETURN, DIMENSION)
+    for field in group.values()
+)
+"""All that `robustness` says of a gait; the groups have the keys of `summarise_robustness`."""
+WITHOUT_GAIT = {"gait_period": 0}
+"""Values where no gait attracts that are not those of their kind, NaN and -1."""
+
+
 def without_gait(walker: Walker) -> dict:
-    """What `robustness` adds where no gait attracts."""
-    names = (
-        *("multiplier", "step_time", "least_disturbance", "least_fall"),
-        *("step_down", "step_down_fall"),
-        *("stability", "stability_low", "stability_high", "median_strides", "slowest_strides"),
-        *("dimension", "dimension_low", "dimension_high"),
-    )
+    """The variables that `robustness` adds where no gait attracts."""
+    of_kind = lambda *kinds: [field.name for field in FIELDS if field.kind in kinds]
     nowhere = "coordinate", np.full(len(walker.section), np.nan)
-    vectors = ("gait_state", "direction", "failing_state", "fall_direction", "fall_state")
-    vectors = dict.fromkeys(vectors, nowhere)
-    none = ("failure", "failing_strides", "fall_failure", "fall_strides", "step_down_failure")
-    whole = {"gait_period": 0} | dict.fromkeys(none, -1)
-    return dict.fromkeys(names, np.nan) | vectors | whole
+    numbers = dict.fromkeys(of_kind("number"), np.nan)
+    vectors = dict.fromkeys(of_kind("vector"), nowhere)
+    return numbers | vectors | dict.fromkeys(of_kind("count", "outcome"), -1) | WITHOUT_GAIT
+
+
+def summarise_robustness(data: xr.Dataset, slope: float) -> dict:
+    """What `robustness` found on one slope, in what JSON can hold; None where no gait attracts."""
+    attracts = int(data["gait_period"]) > 0
+    values = lambda group: {
+        key: value_of(data, field) if attracts else None for key, field in group.items()
+    }
+    disturbances = {"disturbances": float(data.attrs["disturbances"])}
+    of_gait = {
+        "gait": values(GAIT),
+        "least_disturbance": values(LEAST_DISTURBANCE),
+        "least_fall": values(LEAST_FALL) if "least_fall" in data else None,
+        **values(STEP_DOWN),
+        "basin_stability": values(STABILITY) | disturbances | values(RETURN),
+        "boundary_dimension": values(DIMENSION),
+    }
+    return {
+        "slope": slope,
+        "area": float(data["total_area"]),
+        "area_error": float(data["total_area_error"]),
+        **(of_gait if attracts else dict.fromkeys(of_gait)),
+    }
+
+
+def value_of(data: xr.Dataset, field: Field) -> Any:
+    """The value of a field; None where a data set, of an earlier version, lacks it."""
+    if field.name not in data:
+        return None
+    value = data[field.name].values
+    if field.kind == "vector":
+        return value
+    if field.kind == "outcome":
+        return Outcome(int(value)).name
+    return float(value) if field.kind == "number" else int(value)
 
 
 @refuses_tracers()

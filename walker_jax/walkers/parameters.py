@@ -2,7 +2,7 @@
 
 import dataclasses
 import inspect
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -63,6 +63,35 @@ def parameters(walker: type[Walker] | Walker) -> tuple[Parameter, ...]:
     converters = (field.metadata.get("converter") for field in dataclasses.fields(walker))
     described = (getattr(converter, "__self__", None) for converter in converters)
     return tuple(one for one in described if isinstance(one, Parameter))
+
+
+def describe(walker: Walker) -> dict[str, Any]:
+    """The name and the parameters of a walker, for a request or an answer."""
+    values = {one.name: float(getattr(walker, one.name)) for one in parameters(walker)}
+    return {"name": type(walker).__name__, **values}
+
+
+def describe_in_words(walker: Walker) -> str:
+    """The same on one line: its name, then each parameter with its value."""
+    name, *values = describe(walker).items()
+    return ", ".join([name[1], *(f"{key} {value:g}" for key, value in values)])
+
+
+DIGITS = 12
+"""Significant digits of values spaced over an interval: all that a user has typed, and none of the
+rounding errors, which begin at the 16th digit."""
+
+
+def space_decimals(low: float, high: float, count: int) -> list[float]:
+    """Equally spaced values of a parameter, from low to high, rounded to `DIGITS`.
+
+    So 0.1, 0.2 and 0.3 are these, and not 0.30000000000000004.
+    """
+    zero = 10.0**-DIGITS * (high - low)
+    return [
+        float(f"{value:.{DIGITS}g}") if abs(value) > zero else 0.0
+        for value in np.linspace(low, high, count).tolist()
+    ]
 
 
 SLOPE = Parameter("slope", "of the ground", "rad", 0.004, high=np.pi / 2)

@@ -1,0 +1,64 @@
+"""A basin's data set summarised: cells by their fate, and its attractors."""
+
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Int
+
+from walker_jax.basins.schema import artefacts
+from walker_jax.walking.outcomes import Outcome
+
+CELLS_AT_ONCE = 2**22
+"""Cells that are counted together, some 40 MB: a large data set does not fit into memory."""
+
+
+class Tally(NamedTuple):
+    """Cells of a data set, counted."""
+
+    fates: Int[np.ndarray, " outcomes"]
+    """Cells of each `Outcome`."""
+    unlabelled: int
+    """Cells that walk on without coming near a known attractor."""
+    strides: int
+    """Strides made from all cells, the failing ones among them."""
+
+
+def tally(data: xr.Dataset) -> Tally:
+    """Count the cells of a basin's data set by their fate."""
+    fates, unlabelled, made = np.zeros(len(Outcome), int), 0, 0
+    row = data["fate"].dims[0]
+    rows = max(1, CELLS_AT_ONCE * data.sizes[row] // data["fate"].size)
+    for first in range(0, data.sizes[row], rows):
+        part = data[["fate", "attractor", "strides"]].isel({row: slice(first, first + rows)})
+        fate, attractor, strides = (part[name].values.ravel() for name in part)
+        fates += np.bincount(fate, minlength=len(fates))
+        unlabelled += int(((fate == Outcome.STRIDE) & (attractor < 0)).sum())
+        made += int(strides.sum(dtype=np.int64) + (fate != Outcome.STRIDE).sum())
+    return Tally(fates, unlabelled, made)
+
+
+def summarise_basin(data: xr.Dataset, counts: Tally) -> dict:
+    """Cells, area, attractors and fates of a basin's data set, in what JSON can hold."""
+    return {
+        "cells": int(data["fate"].size),
+        "area": float(data["area"].sum()),
+        "attractors": summarise_attractors(data),
+        "fates": dict(zip(Outcome.__members__, counts.fates.tolist(), strict=True)),
+    }
+
+
+def summarise_attractors(data: xr.Dataset) -> list[dict]:
+    """The attractors of a basin's data set; a motion that never repeats has the period None."""
+    mapped = [name for name in ("cycles", "falling") if name in data]
+    return [
+        {
+            "period": int(data["period"][i]) or None,
+            "states": data["states"].values[i][: max(1, int(data["period"][i]))],
+            "cells": int(data["cells"][i]),
+            "area": float(data["area"][i]),
+            "artefact": bool(artefact),
+            **{name: int(data[name][i]) for name in mapped},
+        }
+        for i, artefact in enumerate(artefacts(data))
+    ]

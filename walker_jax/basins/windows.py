@@ -1,0 +1,61 @@
+"""Windows of the section around the basin of a gait, where nothing else is asked for."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from jax.typing import ArrayLike
+from jaxtyping import Float
+
+from walker_jax.gaits.search import find_gait
+from walker_jax.gaits.selection import require_gait
+from walker_jax.grids import Grid, around
+from walker_jax.walkers.model import Walker
+from walker_jax.walkers.simplest import SimplestWalker
+
+PAPER_WINDOW = {"theta": (0.0, 0.4, 200), "sum": (-0.04, 0.01, 250)}
+"""The window of Schwab and Wisse (2001), Figure 4."""
+PLACEHOLDERS = {"phidot": 0.0}
+"""Of axes that a gait is still to give; any other may be `ANY_AXIS`."""
+ANY_AXIS = (0.0, 1.0, 2)
+
+
+def fill_from_paper(walker: Walker, axes: Mapping[str, Any]) -> dict[str, Any]:
+    """The axes; for the simplest walker, those that are None are those of the paper's window."""
+    known = PAPER_WINDOW if isinstance(walker, SimplestWalker) else {}
+    return {name: known.get(name) if axis is None else axis for name, axis in axes.items()}
+
+
+def fill_around_gait(walker: Walker, axes: Mapping[str, Any]) -> dict[str, Any]:
+    """The axes; those that are None lie around the walker's gait.
+
+    Raises `ComputationFailed` where such a gait is needed and not found.
+    """
+    missing = [name for name, axis in axes.items() if axis is None]
+    if not missing:
+        return dict(axes)
+    window = around(require_gait(walker, missing).states[0], tuple(axes))
+    return {name: window[name] if axis is None else axis for name, axis in axes.items()}
+
+
+def grid_along(axes: Mapping[str, Any]) -> Grid:
+    """A sheared grid, or a plain one where an axis is thetadot."""
+    return Grid.plain(**axes) if "thetadot" in axes else Grid.sheared(**axes)
+
+
+def outline(axes: Mapping[str, Any]) -> Grid:
+    """A grid of these axes, with arbitrary ones where they are None: it checks those given."""
+    return grid_along(
+        {
+            name: PLACEHOLDERS.get(name, ANY_AXIS) if axis is None else axis
+            for name, axis in axes.items()
+        }
+    )
+
+
+def film_window(walker: Walker, x: Float[ArrayLike, " section"]) -> Grid:
+    """The paper's window for the simplest walker; any other's around its gait, or around x."""
+    if isinstance(walker, SimplestWalker):
+        return grid_along(PAPER_WINDOW)
+    gait = find_gait(walker)
+    state = gait.states[0] if gait.found else x
+    return grid_along(around(state, ("theta", "sum", *walker.section[2:])))

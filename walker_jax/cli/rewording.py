@@ -1,0 +1,33 @@
+"""Messages of the library in the words of the command line."""
+
+import re
+from collections.abc import Mapping
+
+OPTIONS = {
+    "another out": "another --out",
+    "another figure": "another --figure",
+    "another animate": "another --animate",
+    "another guess": "another --guess",
+    "another slope": "another --slope",
+    "a guess": "--guess THETA THETADOT",
+    "or overwrite": "or --overwrite",
+    "without overwrite": "without --overwrite",
+    "limits of": "--at-least and --at-most of",
+    "limits must": "--at-least and --at-most must",
+    "bounds of": "--bound of",
+    "objective must": "--objective must",
+    "grid is": "--theta, --sum and --at-phidot are",
+}
+"""Arguments of the library, as its messages name them, and the options that set them."""
+
+
+def option_of(argument: str) -> str:
+    """The option that sets an argument of the same name."""
+    return f"--{argument.replace('_', '-')}"
+
+
+def with_options_named(message: str, options: Mapping[str, str] = OPTIONS) -> str:
+    """A message of the library that names options in the place of arguments."""
+    # \b and the look-behind leave options, and longer words, as they are.
+    pattern = rf"(?<![\w-])({'|'.join(options)})\b"
+    return re.sub(pattern, lambda found: options[found[0]], message)

@@ -1,0 +1,36 @@
+"""Results of optimisations and of sweeps, summarised."""
+
+from typing import TYPE_CHECKING
+
+import xarray as xr
+
+if TYPE_CHECKING:
+    import pandas
+
+ENDS = ("start", "optimum")
+
+
+def summarise_optimum(data: xr.Dataset) -> dict:
+    """The start and the optimum that `optimise` found, in what JSON can hold."""
+    names = data["parameter"].values.tolist()
+    by_name = lambda key: dict(zip(names, data[key].values.tolist(), strict=True))
+    at_ends = lambda key: {end: float(data[key.format(end)]) for end in ENDS}
+    binding = data["measure"].values[data["binding"].values]
+    return {
+        "start": by_name("start"),
+        "optimum": by_name("optimum"),
+        "objective": at_ends("objective_{}"),
+        "exact": at_ends("exact_{}"),
+        "exact_error": at_ends("exact_{}_error"),
+        "at_bound": [name for name, side in by_name("at_bound").items() if side],
+        "binding": binding.tolist(),
+        "evaluations": data.sizes["evaluation"],
+        "converged": bool(data["converged"]),
+    }
+
+
+def tabulate_sweep(data: xr.Dataset, names: list[str]) -> "pandas.DataFrame":
+    """A row for each combination of the parameters named, of all that is one number for each."""
+    single = [name for name in data if set(data[name].dims) == set(names)]
+    table = data[single].load()
+    return table.stack(point=names).to_dataframe()[[str(name) for name in single]].reset_index()

@@ -1,0 +1,66 @@
+"""Gaits and bifurcation diagrams, summarised in dictionaries that JSON can hold."""
+
+import numpy as np
+import xarray as xr
+
+from walker_jax.gaits.cycles import Gait
+
+
+def summarise_gait(gait: Gait) -> dict:
+    """A gait; each multiplier as its real and its imaginary part."""
+    return {
+        "period": len(gait.states),
+        "states": np.asarray(gait.states),
+        "multipliers": [
+            [value.real, value.imag] for value in np.asarray(gait.multipliers).tolist()
+        ],
+        "step_times": np.asarray(gait.step_times),
+        "stable": bool(gait.stable),
+        "residual": float(gait.residual),
+    }
+
+
+def summarise_bifurcations(data: xr.Dataset) -> dict:
+    """Where gaits bifurcate and where walking is lost, from a `bifurcation_diagram` over the slope.
+
+    **Returns** `doublings` of the cascade that starts from the long gait, `other_doublings` and
+    `folds`, each in ascending order of period, then of slope; `lost`, the slopes `below` and
+    `above` the loss of walking; and `stable_beyond`, the intervals of slope beyond it in which a
+    gait born at a fold is stable.
+    """
+    fold, cascade = data["event_fold"].values, data["cascade"].values
+    below, above = map(float, data["lost"].values)
+    return {
+        "doublings": list_events(data, ~fold & cascade),
+        "other_doublings": list_events(data, ~fold & ~cascade),
+        "folds": list_events(data, fold),
+        "lost": {"below": below, "above": above},
+        "stable_beyond": find_stable_intervals(data, above),
+    }
+
+
+def list_events(data: xr.Dataset, chosen: np.ndarray) -> list[dict]:
+    """The bifurcations chosen, in ascending order of period, then of slope."""
+    periods, slopes = data["event_period"].values, data["event_value"].values
+    order = [i for i in np.lexsort([slopes, periods]) if chosen[i]]
+    events = []
+    for i in order:
+        period = int(periods[i])
+        fold = bool(data["event_fold"].values[i])
+        kind = {"period": period} if fold else {"from": period, "to": 2 * period}
+        state = data["event_states"].values[i, 0]
+        events.append({**kind, "slope": float(slopes[i]), "state": state})
+    return events
+
+
+def find_stable_intervals(data: xr.Dataset, above: float) -> list[dict]:
+    """From the fold to the first doubling of branches that are born beyond the loss of walking."""
+    branches, slopes = data["event_branch"].values, data["event_value"].values
+    intervals = []
+    for branch in np.unique(branches[data["event_fold"].values]):
+        own = branches == branch
+        ends = np.sort(slopes[own])
+        if len(ends) > 1 and ends[0] > above:
+            period = int(data["event_period"].values[own][0])
+            intervals.append({"period": period, "from": float(ends[0]), "to": float(ends[1])})
+    return intervals
