@@ -44,6 +44,10 @@ def step(data: xr.Dataset) -> Figure:
     figure = Figure(figsize=(9, 6.4), layout="constrained")
     panels = figure.subplots(2, 3, sharex=True, sharey=True).flat
     last, size = own.sizes["frame"] - 1, leg_size(data)
+    shown = own.isel(frame=[round(share * last) for share in SHARES])
+    places = np.concatenate([shown[name].values[:, 0] for name in ("stance", "hip", "swing")])
+    left = min(-0.62 * size, places.min() - 0.1 * size)  # farther where the walker falls
+    right = max(0.62 * size, places.max() + 0.1 * size)
     strides = data["outcome"].values[0] == Outcome.STRIDE
     ending = "just before heel strike" if strides else FAILURES[Outcome(int(data["outcome"][0]))][2]
     for k, (ax, share) in enumerate(zip(panels, SHARES, strict=True)):
@@ -56,7 +60,7 @@ def step(data: xr.Dataset) -> Figure:
         note = {0: "just after heel strike", len(SHARES) - 1: ending}.get(k, "")
         ax.set_title(when, loc="left", fontsize=10, fontweight="bold")
         ax.set_title(note, loc="right", fontsize=SMALL)
-        ax.set(xlim=(-0.62 * size, 0.62 * size), ylim=(-0.16 * size, 1.22 * size), aspect="equal")
+        ax.set(xlim=(left, right), ylim=(-0.16 * size, 1.22 * size), aspect="equal")
         ax.set_axis_off()
     legs = [
         Line2D([], [], color=INK, lw=3, label="stance leg"),
@@ -119,8 +123,8 @@ def write_part_names(ax: Axes, pose: xr.Dataset) -> None:
     slope = float(pose.attrs["walker_slope"])
     foot, hip = (to_level(pose[name].values[None], slope)[0] for name in ("stance", "hip"))
     theta, phi = float(pose["theta"]), float(pose["phi"])
-    leg = leg_size(pose)
-    up = to_level(np.array([[0.0, 0.9 * leg]]), slope)[0]
+    leg, length, radius = leg_size(pose), pose.attrs["leg_length"], pose.attrs["foot_radius"]
+    up = to_level(np.array([[0.0, 0.9 * length]]), slope)[0]
     ax.plot(*np.stack([foot, foot + up]).T, color=GROUND, lw=0.8, ls=(0, (5, 4)), zorder=2)
     upright, down = 90 - np.degrees(slope), 270 - np.degrees(slope)
     hanging = down + np.degrees(theta - phi)
@@ -128,19 +132,19 @@ def write_part_names(ax: Axes, pose: xr.Dataset) -> None:
         (foot, 0.72, upright, upright + np.degrees(theta), r"$\theta$", (13, -3)),
         (hip, 0.5, hanging, down + np.degrees(theta), r"$\phi$", (2, -10)),
     ):
-        wide = 2 * size * leg
+        wide = 2 * size * length
         ax.add_patch(Arc(middle, wide, wide, theta1=begin, theta2=end, lw=1, zorder=8))
         half = np.radians((begin + end) / 2)
-        at = middle + size * leg * np.array([np.cos(half), np.sin(half)])
+        at = middle + size * length * np.array([np.cos(half), np.sin(half)])
         centred: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 12}
         ax.annotate(text, at, away, textcoords="offset points", **centred)
-    words = (
-        (hip, (13, 6), "hip, mass $M$"),
-        (foot, (9, -13), "foot, mass $m$"),
-        ((foot + hip) / 2, (10, 0), "leg, length $l$"),
-    )
+    words = [  # masses as in the paper, whose legs have none, and feet are points
+        (hip, (13, 6), "hip" + ", mass $M$" * (radius == 0)),
+        (foot - [0, radius], (9, -13), "foot" + ", mass $m$" * (radius == 0)),
+        ((foot + hip) / 2, (10, 0), "leg" + ", length $l$" * (radius == 0)),
+    ]
     for place, shift, text in words:
         ax.annotate(text, place, shift, textcoords="offset points", va="center", fontsize=SMALL)
     ax.annotate(f"slope $\\gamma$ = {slope:g}", (-0.6 * leg, -0.13 * leg), fontsize=SMALL)
-    head, tail = (0.5 * leg, 0.45 * leg), (0.5 * leg, 0.75 * leg)
-    ax.annotate("$g$", head, tail, ha="center", fontsize=12, arrowprops={"arrowstyle": "->"})
+    arrow: dict[str, Any] = {"arrowprops": {"arrowstyle": "->"}, "ha": "center", "fontsize": 12}
+    ax.annotate("$g$", (0.9, 0.45), (0.9, 0.67), "axes fraction", "axes fraction", **arrow)

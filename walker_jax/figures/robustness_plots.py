@@ -164,7 +164,7 @@ def robustness_measures(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     label = f"{words} (largest {area_scale:.4g})"
     handles = ax.plot(values, area, style, color=colour, label=label)
     band = 2 * data["total_area_error"].values / (area_scale or 1)
-    ax.fill_between(values, area - band, area + band, color=colour)
+    ax.fill_between(values, area - band, area + band, color=colour, alpha=0.25, lw=0)
     colour, style, words = MEASURES["least_disturbance"]
     label = f"{words} (largest {least_scale:.4g})"
     handles += ax.plot(values, least, style, color=colour, label=label)
