@@ -17,8 +17,9 @@ from matplotlib.patches import Circle
 from matplotlib.text import Annotation, Text
 
 from walker_jax import Grid, Outcome, figures
-from walker_jax.figures import optimum_plots, style
+from walker_jax.figures import optimum_plots, style, text
 from walker_jax.gaits.cycles import Gait
+from walker_jax.storage.schema import attributes_of, variables_of
 
 SHEARED = Grid.sheared(theta=(0, 0.4, 80), sum=(-0.04, 0.01, 60))
 PLAIN = Grid.plain(theta=(0, 0.8, 80), thetadot=(-1.2, 0, 60))
@@ -34,6 +35,24 @@ WORDS = {
 }
 
 
+def completed(data, kind, *parameters):
+    """With zeros for what else a data set of a kind holds, which pictures do not read."""
+    placeholders = {"*parameters": parameters, "?parameter": parameters, "*grid": ("theta", "sum")}
+    types = {"integer": int, "real": float, "boolean": bool, "text": object}
+    for name, one in variables_of(kind).items():
+        if name not in data and not one.when:
+            dims = [own for dim in one.dims.split() for own in placeholders.get(dim, (dim,))]
+            shape = [data.sizes.get(dim, 2) for dim in dims]
+            data = data.assign({name: (dims, np.zeros(shape, types[one.type]))})
+    return data.assign_attrs(dict.fromkeys(attributes_of(kind), "") | data.attrs)
+
+
+def deep(data):
+    """A basin over three dimensions, the same at each phidot."""
+    over = {name: data[name].expand_dims(phidot=3) for name in ("fate", "attractor", "strides")}
+    return data.assign(over)
+
+
 def data_set(grid, fate, attractor=None, cycles=()):
     """A data set of the form that `walker_jax.basin` returns."""
     attractor = np.where(fate == Outcome.STRIDE, 0, -1) if attractor is None else attractor
@@ -45,6 +64,7 @@ def data_set(grid, fate, attractor=None, cycles=()):
         {
             "fate": (grid.names, fate.astype(np.int8)),
             "attractor": (grid.names, attractor.astype(np.int32)),
+            "strides": (grid.names, np.zeros(grid.shape, np.int32)),
             "period": ("number", np.array([len(cycle) for cycle in cycles], np.int32)),
             "states": (("number", "phase", "coordinate"), states),
             "cells": ("number", cells),
@@ -188,7 +208,7 @@ def test_a_dot_marks_each_state_of_the_attractor(grid):
 
 def test_an_attractor_beyond_the_grid_is_said_to_be():
     ax = figures.basin(every_fate(cycle=[(0.5, -0.5)]))
-    assert any(text.endswith("(not in the picture)") for text in legend(ax))
+    assert any(text.endswith("(outside the picture)") for text in legend(ax))
     assert ax.get_xlim() == pytest.approx((0, 0.4))
 
 
@@ -210,7 +230,9 @@ def test_large_basins_have_their_own_colours_and_small_ones_share_one():
     assert abs(lightness(first) - lightness(second)) > 10
     assert len(ax.lines) == 2 and ax.lines[0].get_marker() != ax.lines[1].get_marker()
     assert ax.lines[0].get_xdata() == [0.01]  # the largest first
-    assert {"other attractors (52 cells)", "walks on, near no attractor (1 cell)"} < set(legend(ax))
+    assert {"other attractors (52 cells)", "converges to no known attractor (1 cell)"} < set(
+        legend(ax)
+    )
 
 
 def test_artefacts_of_cells_are_no_basin_however_large_they_are():
@@ -226,7 +248,7 @@ def test_artefacts_of_cells_are_no_basin_however_large_they_are():
     made_up, found = attractor > 0, colours(ax)
     assert len(np.unique(found[made_up], axis=0)) == len(np.unique(found[~made_up], axis=0)) == 1
     assert (found[0, 0] != found[0, 1]).any()
-    assert f"artefacts of cells ({made_up.sum():,} cells)" in legend(ax)
+    assert f"artefacts of cell mapping ({made_up.sum():,} cells)" in legend(ax)
     assert not any("other attractors" in text for text in legend(ax))
 
 
@@ -274,10 +296,9 @@ def test_a_data_set_read_from_a_file_gives_the_same_picture(tmp_path):
     [
         every_fate().isel(theta=0),
         every_fate().isel(theta=[0]),
-        every_fate().expand_dims(phidot=3),
-        every_fate().drop_vars("fate"),
+        deep(every_fate()),
     ],
-    ids=["one", "one-cell", "three", "no-fate"],
+    ids=["one", "one-cell", "three"],
 )
 def test_two_dimensions_are_drawn_and_nothing_else(data):
     with pytest.raises(
@@ -287,8 +308,14 @@ def test_two_dimensions_are_drawn_and_nothing_else(data):
     assert "\n" not in str(e.value)
 
 
+def test_a_data_set_without_fates_is_refused():
+    for draw in (figures.basin, figures.basin_slices, figures.robustness):
+        with pytest.raises(ValueError, match=r"^data must be .* without fate$"):
+            draw(every_fate().drop_vars("fate"))
+
+
 def test_a_refusal_of_three_dimensions_says_how_to_take_a_slice():
-    data = every_fate().expand_dims(phidot=3)
+    data = deep(every_fate())
     with pytest.raises(ValueError, match=r"take a slice, data\.isel\(phidot=0\), or") as error:
         figures.basin(data)
     (slicing,) = re.findall(r"data\.isel\(phidot=0\)", str(error.value))
@@ -303,7 +330,7 @@ def test_a_refusal_of_three_dimensions_says_how_to_take_a_slice():
 
 
 def test_a_slice_of_a_data_set_with_more_dimensions_is_drawn():
-    data = every_fate().expand_dims(phidot=3).isel(phidot=1)
+    data = deep(every_fate()).isel(phidot=1)
     np.testing.assert_array_equal(
         colours(figures.basin(data)), colours(figures.basin(every_fate()))
     )
@@ -491,7 +518,7 @@ def test_folds_and_period_doublings_are_marked_at_each_phase():
     kinds, periods = legend(ax)[:4], legend(ax)[4:]
     assert kinds == ["stable", "unstable", "fold", "period doubling"]
     assert periods == ["period 1", "period 2", "period 3"]
-    assert "4 branches with 1 fold and 2 period doublings" in words(ax)
+    assert "4 branches, 1 fold, 2 period doublings" in words(ax)
 
 
 def test_step_times_of_the_gaits_of_period_one_stand_beside_their_ends():
@@ -568,10 +595,10 @@ def test_pictures_of_a_parameter_have_names_units_and_its_range(draw):
     ax = draw(diagram())
     assert ax.get_xlabel() == "slope (rad)"
     assert ax.get_xlim() == pytest.approx((0.01, 0.02))
-    assert ax.get_ylabel() in (style.AXIS_LABELS["theta"], "modulus of the largest multiplier")
+    assert ax.get_ylabel() in (text.AXIS_LABELS["theta"], "modulus of the largest multiplier")
     assert ax.get_title(loc="left").startswith("SimplestWalker: ")
     other = diagram().assign_attrs(parameter="foot_radius", walker_slope=0.004)
-    assert draw(other).get_xlabel() == "foot_radius"
+    assert draw(other).get_xlabel() == "foot radius"
     assert draw(other).get_title(loc="left").startswith("SimplestWalker, slope 0.004 rad: ")
 
 
@@ -694,7 +721,8 @@ def robust(grid=SHEARED, **changes):
         "failure": int(Outcome.FORWARD),
         "failing_strides": 7,
     }
-    return data_set(grid, fate, cycles=[((0.2, -0.215),)]).assign(values | changes)
+    data = data_set(grid, fate, cycles=[((0.2, -0.215),)]).assign(values | changes)
+    return completed(data, "robustness")
 
 
 def table(slopes=(0.004, 0.008, 0.012), **changes):
@@ -709,7 +737,8 @@ def table(slopes=(0.004, 0.008, 0.012), **changes):
         "dimension_high": [1.1, 1.5, np.nan],
     }
     over = {name: ("slope", np.array(values)) for name, values in (over | changes).items()}
-    return xr.Dataset(over, {"slope": np.array(slopes)}, {"walker": "SimplestWalker"})
+    data = xr.Dataset(over, {"slope": np.array(slopes)}, {"walker": "SimplestWalker"})
+    return completed(data, "robustness table", "slope")
 
 
 def test_the_least_disturbance_is_drawn_to_where_it_touches_the_boundary():
@@ -725,7 +754,7 @@ def test_the_least_disturbance_is_drawn_to_where_it_touches_the_boundary():
     assert "nearest start that falls forward after 7 strides" in legend(ax)
     assert "basin of attraction" in legend(ax) and "0.05" in ax.texts[0].get_text()
     other = figures.disturbance(robust(failure=int(Outcome.STRIDE)))
-    assert "nearest start that comes to another motion" in legend(other)
+    assert "nearest start that converges to another attractor" in legend(other)
 
 
 def test_the_nearest_fall_is_drawn_too_where_another_motion_is_nearer():
@@ -745,9 +774,9 @@ def test_the_nearest_fall_is_drawn_too_where_another_motion_is_nearer():
     low, high = ax.get_xlim()
     assert low < outer[:, 0].min() and outer[:, 0].max() < high
     told = legend(ax)
-    assert "nearest start that comes to another motion" in told
+    assert "nearest start that converges to another attractor" in told
     assert "nearest start that falls backward after 3 strides" in told
-    assert "0.05 to another motion, 0.08 to a failure" in ax.texts[0].get_text()
+    assert "0.05 to another attractor, 0.08 to a failure" in ax.texts[0].get_text()
     figure_of(ax).canvas.draw()
     assert len(figures.disturbance(robust(**falls)).lines) == 3  # one point: it falls there
 
@@ -775,9 +804,10 @@ def test_a_basin_stands_alone_where_there_is_no_disturbance_to_draw():
     lost = robust(least_disturbance=np.nan, gait_period=0)
     assert len(figures.robustness(lost).axes) == 1
     assert len(figures.robustness(every_fate()).axes) == 1
-    for data in (lost, every_fate()):
-        with pytest.raises(ValueError, match="must hold the least disturbance"):
-            figures.disturbance(data)
+    with pytest.raises(ValueError, match="must hold the least disturbance"):
+        figures.disturbance(lost)
+    with pytest.raises(ValueError, match="must be of the kind 'robustness', not one without"):
+        figures.disturbance(every_fate())
 
 
 def test_measures_of_robustness_are_parts_of_their_largest_on_one_axis():
@@ -787,8 +817,8 @@ def test_measures_of_robustness_are_parts_of_their_largest_on_one_axis():
     np.testing.assert_array_equal(least, [[0.004, 0.5], [0.008, 1], [0.012, np.nan]])
     np.testing.assert_array_equal(multiplier[:2], [[0.004, 0.6], [0.008, 0.9]])
     assert legend(ax) == [
-        "area of the basin, of 0.002",
-        "least disturbance, of 0.002",
+        "area of the basin (largest 0.002)",
+        "least disturbance (largest 0.002)",
         "modulus of the largest multiplier",
     ]
     assert len({line.get_color() for line in ax.lines}) == 3
@@ -811,7 +841,7 @@ def test_the_dimension_is_drawn_with_its_interval_over_that_of_a_smooth_boundary
     assert {1.0, 1.1, 1.3, 1.5} <= set(np.round(corners[:, 1], 12).tolist())
     (low, high), smooth = ax.get_ylim(), ax.lines[1].get_ydata()
     assert low < 1 and high > 1.5 and set(np.asarray(smooth)) == {1}
-    with pytest.raises(ValueError, match="must be a table"):
+    with pytest.raises(ValueError, match="must be of the kind 'robustness table'"):
         figures.boundary_dimension(robust())
 
 
@@ -873,7 +903,7 @@ def optimum(basins=True, **changes):
         "region": '{"theta": [0.0, 0.4, 80], "sum": [-0.04, 0.01, 60]}',
     }
     coords = {"parameter": ["slope", "hip_stiffness"], "measure": ["area", "speed"]}
-    return xr.Dataset(found, coords, attrs | changes)
+    return completed(xr.Dataset(found, coords, attrs | changes), "optimum")
 
 
 def line(ax, **look):
@@ -943,7 +973,7 @@ def test_the_run_to_the_optimum_is_joined_in_its_order_and_others_are_fainter():
     way = [[0.010, 2], [0.006, 3], [0.0035, 3.8], [0.003, 4]]
     np.testing.assert_array_equal(line(ax, linewidth=0.8, alpha=1), way)
     faint = [[0.018, 1], [0.012, 1.5]]
-    np.testing.assert_array_equal(line(ax, linewidth=0.8, alpha=style.FAINT), faint)
+    np.testing.assert_array_equal(line(ax, linewidth=0.8, alpha=optimum_plots.FAINT), faint)
     shades, sizes, names = ([stage[i] for stage in optimum_plots.STAGES] for i in range(3))
     for stage, dots in enumerate([way[:2], way[2:3], [], way[3:]]):
         look = {"marker": "o", "alpha": 1, "color": shades[stage]}
@@ -995,7 +1025,7 @@ def test_an_optimisation_without_a_scan_and_of_one_evaluation_is_drawn():
     bare = optimum(basins=False).drop_vars(["scan_parameters", "scan_value", "scan_allowed"])
     one = bare.isel(evaluation=[2, -2, -1])
     for data in (bare, one):
-        figure = figures.optimised(data)
+        figure = figures.optimum(data)
         figure.draw_without_rendering()
         assert [len(ax.patches) for ax in figure.axes] == [0, 0]
         assert not any("scan" in text for text in legend(figure.axes[0]))
@@ -1003,12 +1033,12 @@ def test_an_optimisation_without_a_scan_and_of_one_evaluation_is_drawn():
 
 def test_the_basins_before_and_after_have_the_colours_of_a_basin():
     data = optimum()
-    figure = figures.basins_compared(data)
+    figure = figures.basins_before_and_after(data)
     start, best = figure.axes
     assert start.get_xlim() == best.get_xlim() == pytest.approx((0, 0.4))
     assert start.get_ylim() == best.get_ylim() == pytest.approx((-0.04, 0.01))
     expected = {outcome: colour for outcome, (colour, *_) in style.FAILURES.items()}
-    expected |= {-1: style.BASINS[0], 0: style.ASTRAY}
+    expected |= {-1: style.BASINS[0], 0: style.UNMATCHED}
     for ax, name in ((start, "fate_start"), (best, "fate_optimum")):
         for fate in FATES.tolist():
             (colour,) = np.unique(colours(ax)[data[name].values == fate], axis=0)
@@ -1017,22 +1047,22 @@ def test_the_basins_before_and_after_have_the_colours_of_a_basin():
     assert best.get_title(loc="left") == "Optimum: slope 0.003 rad, hip stiffness 2"
     (below,) = figure.legends
     told = [text.get_text() for text in below.get_texts()]
-    assert {"basin of attraction", "walks on, near no attractor", "runs"} < set(told)
+    assert {"basin of attraction", "converges to no known attractor", "runs"} < set(told)
     assert len(told) == 8
 
 
 def test_the_area_of_the_basins_is_told_where_it_alone_was_optimised():
-    first, second = figures.basins_compared(optimum(objective='{"area": 2.0}')).axes
+    first, second = figures.basins_before_and_after(optimum(objective='{"area": 2.0}')).axes
     assert "1.01 × 10$^{0}$" in words(first)[0] and "2.02 × 10$^{0}$" in words(second)[0]
     for objective in ('{"area": 1.0, "speed": 1.0}', '{"speed": 1.0}'):
-        assert words(figures.basins_compared(optimum(objective=objective)).axes[0]) == [""]
+        assert words(figures.basins_before_and_after(optimum(objective=objective)).axes[0]) == [""]
     region = '{"theta": [0, 0.4, 80], "sum": [-0.04, 0.01, 60], "phidot": -0.1}'
-    (note,) = words(figures.basins_compared(optimum(region=region)).axes[0])
+    (note,) = words(figures.basins_before_and_after(optimum(region=region)).axes[0])
     assert note.endswith("; in the slice at $\\dot{\\varphi}$ = −0.1")
 
 
 def test_an_optimisation_is_one_picture_in_which_nothing_overlaps(tmp_path):
-    figure = figures.optimised(optimum())
+    figure = figures.optimum(optimum())
     slope, stiffness, start, best = figure.axes
     assert slope.get_title(loc="left") == "Slope"
     assert stiffness.get_title(loc="left") == "Hip stiffness"
@@ -1048,7 +1078,7 @@ def test_an_optimisation_is_one_picture_in_which_nothing_overlaps(tmp_path):
     assert len(extents) == 4
     for one, other in combinations(extents, 2):
         assert not one.overlaps(other)
-    assert len(figures.optimised(optimum().isel(parameter=[0])).axes) == 3
+    assert len(figures.optimum(optimum().isel(parameter=[0])).axes) == 3
     assert plt.get_fignums() == []
 
 
@@ -1060,14 +1090,16 @@ def test_an_optimisation_is_drawn_where_it_is_told():
 
 def test_an_optimisation_that_led_nowhere_is_refused():
     nowhere = optimum().assign(found=False)
-    for draw in (figures.optimisation, figures.optimised):
-        for data in (nowhere, optimum().drop_vars("found"), robust()):
+    for draw in (figures.optimisation, figures.optimum):
+        for data in (nowhere, optimum().drop_vars("found")):
             with pytest.raises(ValueError, match="must be of an optimisation that found"):
                 draw(data)
+        with pytest.raises(ValueError, match="must be of the kind 'optimisation', not"):
+            draw(robust())
     with pytest.raises(ValueError, match="must be one of slope, hip_stiffness, not 'feet'"):
         figures.optimisation(optimum(), "feet")
     with pytest.raises(ValueError, match="must hold the basins at start and optimum"):
-        figures.basins_compared(optimum(basins=False))
+        figures.basins_before_and_after(optimum(basins=False))
 
 
 def swept(*shape):
@@ -1077,15 +1109,16 @@ def swept(*shape):
     area = 0.001 * (1 + np.arange(np.prod(shape))).reshape(shape)
     failed = np.zeros(shape, int)
     failed.flat[0] = 1
-    return xr.Dataset(
+    data = xr.Dataset(
         {
             "total_area": ((*over,), np.where(failed, np.nan, area)),
             "total_area_error": ((*over,), area / 10),
             "failed": ((*over,), failed),
         },
         over,
-        {"walker": "PointFootWalker", "walker_leg_length": 1.0},
+        {"walker": "PointFootWalker", "walker_leg_length": 1.0, "section": ["theta", "thetadot"]},
     )
+    return completed(data, "sweep", *over)
 
 
 def test_the_area_over_one_parameter_has_its_error():

@@ -120,7 +120,7 @@ ANSWERS = {
 }
 """What is measured of a walker's robustness."""
 PICTURES = ("basin", "basin_slices", "multipliers", "robustness", "robustness_table")
-PICTURES += ("optimised", "sweep")
+PICTURES += ("optimum", "sweep")
 
 
 def climb(trace, run, stage, place):

@@ -13,7 +13,8 @@ import pytest
 import walker_jax as wj
 from walker_jax import storage
 from walker_jax.paper import calculations, pictures, reproduction
-from walker_jax.paper.numbers import close, compared
+from walker_jax.paper.numbers import compare_numbers, compare_printed
+from walker_jax.storage.schema import check_dataset, variables_of
 
 TINY = calculations.Size(section=40, slopes=5, levels=None, strides=500, shifts=2)
 
@@ -71,7 +72,7 @@ def data():
 
 @pytest.fixture(scope="module")
 def numbers(data):
-    return {number.what: number for number in compared(data)}
+    return {number.what: number for number in compare_numbers(data)}
 
 
 def test_table_1_comes_out_in_every_digit(numbers):
@@ -149,7 +150,7 @@ def test_the_grid_is_that_of_the_paper():
 
 def test_few_cells_walk_where_the_paper_sees_the_basin_vanish(data):
     """Cells in single figures, on the paper's own grid, from 0.0205 on."""
-    cells = data["vanishing"].isel(shift=0)
+    cells = data["surviving_cells"].isel(shift=0)
     steep = cells["cells"].values[cells["slope"].values > 0.0205]
     assert 0 < steep.max() < 6
 
@@ -162,6 +163,19 @@ def test_the_most_stable_gait_is_where_multipliers_meet():
         assert np.all(np.imag(pair) != 0) == complex_
 
 
+@pytest.mark.parametrize(
+    "name, kind",
+    [
+        *(("stride", "walk"), ("walk", "walk"), ("gaits", "bifurcation diagram")),
+        *(("section", "basin"), ("cell_mapping", "basin"), ("direct_iteration", "basin")),
+        *(("basins", "basins over slopes"), ("areas", "areas over slopes")),
+    ],
+)
+def test_the_data_sets_are_of_the_kinds_that_pictures_draw(name, kind, data):
+    check_dataset(data[name], kind)
+    assert set(map(str, data[name].data_vars)) <= {*variables_of(kind)}
+
+
 def test_every_figure_is_drawn_of_the_data(data):
     for figure in pictures.FIGURES:
         drawn = figure.draw(data)
@@ -169,8 +183,8 @@ def test_every_figure_is_drawn_of_the_data(data):
         assert figure.title and figure.text and drawn.axes
     assert [figure.number for figure in pictures.FIGURES] == list(range(1, 9))
     panels = [ax for ax in pictures.FIGURES[6].draw(data).axes if ax.get_visible()]
-    assert len(panels) == len(calculations.ROW)
-    areas = data["slopes"]["area"].values
+    assert len(panels) == len(calculations.ROW_SLOPES)
+    areas = data["basins"]["area"].values
     assert np.all(np.diff(areas) < 0) and areas[-1] == 0
 
 
@@ -189,11 +203,11 @@ def test_letters_in_a_caption_are_on_the_picture(data):
 
 
 def test_a_number_agrees_at_the_digits_that_are_printed():
-    assert close("", "", "0.15", 0.1549999).agrees
-    assert not close("", "", "0.15", 0.1550001).agrees
-    assert close("", "", "0.150", 0.1502).ours == "0.150200"
-    assert not close("", "", "0.150", 0.1506).agrees
-    assert close("", "", "1", 1 - 1e-7, 6).ours == "1.000000"
+    assert compare_printed("", "", "0.15", 0.1549999).agrees
+    assert not compare_printed("", "", "0.15", 0.1550001).agrees
+    assert compare_printed("", "", "0.150", 0.1502).ours == "0.150200"
+    assert not compare_printed("", "", "0.150", 0.1506).agrees
+    assert compare_printed("", "", "1", 1 - 1e-7, 6).ours == "1.000000"
 
 
 def stopping(name, data, computed):
@@ -217,7 +231,9 @@ def report(tmp_path_factory, data, numbers):
     out, computed = tmp_path_factory.mktemp("reproduce") / "report", []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("walker_jax.paper.reproduction.PARTS", stopping("walk", data, computed))
-        patch.setattr("walker_jax.paper.reproduction.compared", lambda data: [*numbers.values()])
+        patch.setattr(
+            "walker_jax.paper.reproduction.compare_numbers", lambda data: [*numbers.values()]
+        )
         with pytest.raises(KeyboardInterrupt) as interruption:
             reproduction.reproduce(out, quick=True)
         assert interruption.value.__notes__ == [f"run the same again to resume from {out}"]
@@ -243,7 +259,7 @@ def test_a_report_holds_everything(report):
     assert all(number.ours in page for number in numbers)
     kept = json.loads((out / "numbers.json").read_text())
     assert kept["numbers"] == [number._asdict() for number in numbers]
-    assert storage.load(out / "data" / "mapped.zarr") is not None
+    assert storage.load(out / "data" / "cell_mapping.zarr") is not None
 
 
 def files_of(out):
@@ -267,7 +283,9 @@ def test_what_is_overwritten_is_begun_anew_and_can_be_gone_on_with(
     shutil.copytree(report[0], out)
     computed = []
     monkeypatch.setattr("walker_jax.paper.reproduction.PARTS", stopping("gaits", data, computed))
-    monkeypatch.setattr("walker_jax.paper.reproduction.compared", lambda data: [*numbers.values()])
+    monkeypatch.setattr(
+        "walker_jax.paper.reproduction.compare_numbers", lambda data: [*numbers.values()]
+    )
     with pytest.raises(KeyboardInterrupt):
         reproduction.reproduce(out, overwrite=True)
     reproduction.reproduce(out)

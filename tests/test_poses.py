@@ -88,13 +88,13 @@ def test_leg_angles_say_how_a_walk_ends():
     assert "0 strides, then falls forward" in [text.get_text() for text in ax.texts]
 
 
-def test_the_way_over_a_basin_is_that_of_the_walk(walk, data):
+def test_the_trajectory_in_a_basin_is_that_of_the_walk(walk, data):
     figure = figures.steps_over_basin(data, walk)
     theta, thetadot = walk["states"].values.T
     for ax in figure.axes:
         lines = [np.asarray(line.get_xydata()) for line in ax.lines]
-        way = next(line for line in lines if len(line) == 10)
-        np.testing.assert_allclose(way, np.stack([theta, theta + thetadot], axis=1))
+        trajectory = next(line for line in lines if len(line) == 10)
+        np.testing.assert_allclose(trajectory, np.stack([theta, theta + thetadot], axis=1))
     numbers = [text.get_text() for ax in figure.axes for text in ax.texts]
     assert [str(k) for k in range(1, 11)] == [text for text in numbers if text.isdigit()]
 

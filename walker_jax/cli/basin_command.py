@@ -128,7 +128,7 @@ def basin(
     seconds = clock.seconds()
     flat = data["fate"].ndim == 2
     draw_basin = figures.basin if flat else figures.basin_slices
-    draw(draw_basin(figures.thinned(data)), figure, request)
+    draw(draw_basin(figures.thin(data)), figure, request)
 
     counts = tally(data)
     answer = summarise_basin(data, counts)

@@ -117,7 +117,7 @@ def optimise(
     if not data["found"]:
         reasons = "; ".join(dict.fromkeys(data["note"].values.tolist()))
         raise ComputationFailed(f"no start leads anywhere: {reasons}")
-    draw(figures.optimised(data), figure, request)
+    draw(figures.optimum(data), figure, request)
     answer = summarise_optimum(data)
     if as_json:
         print_json(answer | {"walker": about})

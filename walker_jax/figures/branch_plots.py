@@ -1,50 +1,54 @@
 """Pictures of gaits over a parameter: branches, multipliers, bifurcation diagrams."""
 
+from itertools import pairwise
+from typing import Any
+
 import numpy as np
 import xarray as xr
+from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from walker_jax.figures.curves import (
-    DOUBLING,
-    FOLD,
-    cascade,
-    curves,
-    draw_curve,
-    draw_event,
-    refined,
+from walker_jax.figures.layout import (
+    BELOW,
+    LINE,
+    figure_title,
+    name_axes,
+    new_axes,
+    place_legend,
+    write_title,
 )
 from walker_jax.figures.style import (
     BASINS,
-    BELOW,
     DASHED,
-    HIGHEST,
     INK,
-    LINE,
+    SMALL,
     SOLID,
     TITLE,
-    WORDS,
-    check,
-    counted,
-    dots,
-    dress,
-    first,
-    first_label,
-    period_lines,
-    place_legend,
-    title,
+    period_style,
 )
+from walker_jax.figures.text import AREA, RADIUS, count_noun, walker_title
+from walker_jax.gaits.curves import (
+    Curve,
+    attractor_states,
+    cascade_curves,
+    cascade_interval,
+    curves,
+    final_gaits,
+    first_coordinate,
+    interpolate_multipliers,
+    loss_of_attractor,
+)
+from walker_jax.storage.schema import check_dataset
 
-GAITS = (
-    *("branch", "period", "value", "states", "step_times", "multipliers", "stable", "on_cascade"),
-    *("event_fold", "event_branch", "event_period", "event_value", "event_states"),
-    *("event_multipliers", "cascade"),
-)
-ATTRACTORS = ("sample_value", "fate", "orbit", "lost")
-"""What the pictures of bifurcations take from a data set."""
+FOLD: dict[str, Any] = {"marker": "<", "ms": 6, "mfc": "white", "mew": 1, "ls": ""}
+DOUBLING: dict[str, Any] = {"marker": "o", "ms": 4.5, "mec": "white", "mew": 0.5, "ls": ""}
+"""Signs of bifurcations."""
 LOSS = "#b3261e"
 """Colour of the value at which walking is lost."""
+HIGHEST = 2
+"""Largest modulus of a multiplier in a picture of it against a parameter."""
 
 
 def gait_branches(data: xr.Dataset, ax: Axes | None = None) -> Axes:
@@ -52,8 +56,8 @@ def gait_branches(data: xr.Dataset, ax: Axes | None = None) -> Axes:
 
     Figure 3 of Schwab and Wisse (2001), for gaits of every period. Colours tell periods. Lines are
     solid where a gait is stable and dashed where it is not. Triangles are folds, where two gaits
-    are born, and dots are period doublings. At the right stand the step times, at the end of the
-    range, of the gaits of period one.
+    are born, and dots are period doublings. Step times of the gaits of period one at the end of the
+    range are written at the right.
 
     **Arguments:**
 
@@ -62,26 +66,18 @@ def gait_branches(data: xr.Dataset, ax: Axes | None = None) -> Axes:
 
     **Returns** the axes. Raises `ValueError` for a data set without branches of gaits.
     """
-    check(data, GAITS)
-    if ax is None:
-        ax = Figure(figsize=(7, 5.6), layout="constrained").add_subplot()
+    check_dataset(data, "gait branches")
+    ax = new_axes(7, 5.6) if ax is None else ax
     drawn = curves(data)
     for curve in drawn:
         draw_curve(ax, curve, curve.states)
     folds, values = data["event_fold"].values, data["event_value"].values
-    periods, states = data["event_period"].values.tolist(), first(data["event_states"])
+    periods, states = data["event_period"].values.tolist(), first_coordinate(data["event_states"])
     for period, fold, value, cycle in zip(periods, folds, values, states, strict=True):
         draw_event(ax, np.full(period, value), cycle[:period], period, fold=bool(fold))
-    branches, fold, doubling = (
-        counted(count, word)
-        for count, word in (
-            (len(drawn), "branch"),
-            (int(folds.sum()), "fold"),
-            (int((~folds).sum()), "period doubling"),
-        )
-    )
-    dress(ax, data, "gaits", f"{branches} with {fold} and {doubling}")
-    ax.set_ylabel(first_label(data), fontsize=11)
+    counts = {"branch": len(drawn), "fold": folds.sum(), "period doubling": (~folds).sum()}
+    dress(ax, data, "gaits", ", ".join(count_noun(int(n), noun) for noun, n in counts.items() if n))
+    name_axes(ax, y=first_name(data))
     write_step_times(ax, data)
     kinds = []
     for name, found, style in (
@@ -92,19 +88,17 @@ def gait_branches(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     ):
         if found.any():
             kinds.append(Line2D([], [], color=INK, label=name, **style))
-    periods = period_lines({curve.period for curve in drawn})
     place_legend(ax, kinds, BELOW, columns=4)
-    place_legend(ax, periods, BELOW + LINE * bool(kinds), columns=4)
+    place_legend(ax, period_lines(drawn), BELOW + LINE * bool(kinds), columns=4)
     return ax
 
 
 def largest_multiplier(data: xr.Dataset, ax: Axes | None = None) -> Axes:
-    """Modulus of the largest multiplier against a parameter, along a cascade of period doublings.
+    """Modulus of the largest Floquet multiplier against a parameter, along the main cascade.
 
     The left axis of Figure 8 of Schwab and Wisse (2001), for the most stable gait of period one,
     the gaits of period two that leave it, and so on. A gait is stable, and its line solid, where
-    the modulus is below one. Between two points of a branch, the coefficients of the polynomial
-    whose roots the multipliers are change linearly.
+    the modulus is below one.
 
     **Arguments:**
 
@@ -113,58 +107,54 @@ def largest_multiplier(data: xr.Dataset, ax: Axes | None = None) -> Axes:
 
     **Returns** the axes. Raises `ValueError` for a data set without branches of gaits.
     """
-    check(data, GAITS)
-    if ax is None:
-        ax = Figure(figsize=(7, 4.6), layout="constrained").add_subplot()
+    check_dataset(data, "gait branches")
+    ax = new_axes(7, 4.6) if ax is None else ax
     ax.axhline(1, color=INK, lw=0.8, zorder=1)
-    family = cascade(data)
-    handles = period_lines({curve.period for curve in family})
-    doublings = ~data["event_fold"].values
+    family = cascade_curves(data)
+    handles = period_lines(family)
     for handle, period in zip(handles, sorted({c.period for c in family}), strict=True):
-        of_period = [curve for curve in family if curve.period == period]
-        for curve in map(refined, of_period):
-            draw_curve(ax, curve, np.abs(curve.multipliers).max(axis=1, keepdims=True))
-        ours = np.isin(data["event_branch"].values, [curve.number for curve in of_period])
-        values = data["event_value"].values[ours & doublings]
+        own = [curve for curve in family if curve.period == period]
+        for curve in own:
+            draw_multiplier(ax, curve)
+        values = np.concatenate([curve.doublings for curve in own])
         draw_event(ax, values, np.ones(len(values)), period, fold=False)
         if len(values):
             where = " and ".join(f"{value:.5f}" for value in values)
             handle.set_label(f"{handle.get_label()}, doubles at {where}")
     note = "of the most stable gait of period one and the gaits that double from it"
-    dress(ax, data, "largest multiplier", note)
+    dress(ax, data, "largest Floquet multiplier", note)
     ax.set_ylim(0, HIGHEST)
-    ax.set_ylabel(r"modulus of the largest multiplier", fontsize=11)
+    name_axes(ax, y=RADIUS)
     for words, rise, side in (("unstable", 3, "bottom"), ("stable", -4, "top")):
         place = ax.get_yaxis_transform()
-        ax.annotate(words, (0, 1), (5, rise), place, "offset points", va=side, fontsize=WORDS)
+        ax.annotate(words, (0, 1), (5, rise), place, "offset points", va=side, fontsize=SMALL)
     place_legend(ax, handles, BELOW, columns=2)
     return ax
 
 
 def bifurcation_diagram(data: xr.Dataset, ax: Axes | None = None) -> Axes:
-    """What walkers come to, against a parameter: the first coordinate at the start of each stride.
+    """The attractors against a parameter: the first coordinate at the start of each stride.
 
-    A dot is a recorded state of a walker that walks on. For orientation, dashed lines show where
-    the gait of period one is unstable from which the cascade of period doublings starts. A vertical
-    line stands in the middle of the interval in which walking is lost.
+    A dot is a recorded state of a walker that does not fall. Dashed lines show where the gait of
+    period one is unstable from which the cascade of period doublings starts. A vertical line stands
+    in the middle of the interval in which walking is lost.
 
     **Arguments:**
 
     - `data`: what `walker_jax.bifurcation_diagram` returns.
     - `ax`: where to draw; by default, on a new figure of 7 by 5 inches.
 
-    **Returns** the axes. Raises `ValueError` for a data set without gaits and what walkers come to.
+    **Returns** the axes. Raises `ValueError` for a data set without gaits and attractors.
     """
-    check(data, GAITS + ATTRACTORS)
-    if ax is None:
-        ax = Figure(figsize=(7, 5), layout="constrained").add_subplot()
-    value, state = dots(data)
+    check_dataset(data, "bifurcation diagram")
+    ax = new_axes(7, 5) if ax is None else ax
+    value, state = attractor_states(data)
     ax.plot(value, state, "o", color=BASINS[0], ms=1, mew=0, rasterized=True, zorder=4)
-    for curve in cascade(data)[:1]:
+    for curve in cascade_curves(data)[:1]:
         draw_curve(ax, curve, curve.states, stable=False)
     dress(ax, data, "attractors", "")
-    ax.set_ylabel(first_label(data), fontsize=11)
-    lost = float(data["lost"].values.mean())
+    name_axes(ax, y=first_name(data))
+    lost = loss_of_attractor(data)
     if np.isfinite(lost):
         ax.axvline(lost, color=LOSS, lw=1, zorder=3)
         ax.annotate(
@@ -175,13 +165,13 @@ def bifurcation_diagram(data: xr.Dataset, ax: Axes | None = None) -> Axes:
             "offset points",
             ha="center",
             color=LOSS,
-            fontsize=WORDS,
+            fontsize=SMALL,
         )
     return ax
 
 
 def bifurcations(data: xr.Dataset) -> Figure:
-    """Gaits, their largest multiplier and what walkers come to, over a range of a parameter.
+    """Gaits, their largest multiplier and the attractors, over a range of a parameter.
 
     The pictures `gait_branches`, above `largest_multiplier`, and `bifurcation_diagram`, above the
     part of it between the first period doubling of the cascade and the loss of walking, if any.
@@ -193,12 +183,12 @@ def bifurcations(data: xr.Dataset) -> Figure:
     **Returns** the figure, of 13 by 9.4 inches: `figures.bifurcations(data).savefig("slope.png")`.
     Raises `ValueError` as these do.
     """
-    check(data, GAITS + ATTRACTORS)
+    check_dataset(data, "bifurcation diagram")
     figure = Figure(figsize=(13, 9.4), layout="constrained")
     axes = figure.subplots(2, 2)
     gait_branches(data, axes[0, 0]).set_title("Gaits", **TITLE)
     bifurcation_diagram(data, axes[0, 1]).set_title("Attractors", **TITLE)
-    largest_multiplier(data, axes[1, 0]).set_title("Largest multiplier", **TITLE)
+    largest_multiplier(data, axes[1, 0]).set_title("Largest Floquet multiplier", **TITLE)
     window = cascade_window(data)
     if window is None:
         axes[1, 1].remove()
@@ -208,21 +198,101 @@ def bifurcations(data: xr.Dataset) -> Figure:
         zoom.lines[0].set(markersize=0.8, alpha=0.5)
         zoom.set(xlim=window[:2], ylim=window[2:])
         zoom.locator_params(axis="x", nbins=6)
-    figure.suptitle(title(data), x=0.01, ha="left", fontsize=14, fontweight="bold")
+    figure_title(figure, walker_title(data))
     return figure
 
 
-def cascade_window(data: xr.Dataset) -> tuple[float, float, float, float] | None:
-    """Limits of the picture from the first doubling of the cascade to the loss of walking.
+def stability_and_area(gaits: xr.Dataset, areas: xr.Dataset, ax: Axes | None = None) -> Axes:
+    """Modulus of the largest multiplier of the gait, and area of the basin, against the slope.
 
-    None where there is no such range, or no walker in it.
+    Figure 8 of Schwab and Wisse (2001).
+
+    **Arguments:**
+
+    - `gaits`: what `walker_jax.bifurcation_diagram` returns, over the slope.
+    - `areas`: of the kind "areas over slopes".
+    - `ax`: where to draw; by default, on a new figure of 8 by 4.8 inches.
+
+    **Returns** the axes, of the multiplier; those of the area share it. Raises `ValueError` for
+    other data sets.
     """
-    doublings = data["event_value"].values[data["cascade"].values & ~data["event_fold"].values]
-    low, high = float(doublings.min(initial=np.inf)), float(data["lost"].values.mean())
-    if not low < high:
+    check_dataset(gaits, "gait branches")
+    check_dataset(areas, "areas over slopes")
+    ax = new_axes(8, 4.8) if ax is None else ax
+    ax.axhline(1, color=INK, lw=0.8, zorder=1)
+    slopes = areas["slope"].values
+    for curve in cascade_curves(gaits)[:1]:
+        draw_multiplier(ax, curve)
+    ax.set(xlim=(0, 1.02 * slopes.max()), ylim=(0, HIGHEST))
+    name_axes(ax, "slope", RADIUS)
+    other = ax.twinx()
+    known = np.isfinite(areas["area"].values)
+    points = other.plot(
+        *(slopes, areas["mapped_area"], "s"),
+        color=BASINS[1],
+        ms=5,
+        mfc="none",
+        label="area, cell mapping",
+    )
+    if known.any():
+        points += other.plot(
+            *(slopes[known], areas["area"].values[known], "-o"),
+            color=BASINS[0],
+            ms=3,
+            label="area, refined (error below the width of the line)",
+        )
+    other.set_ylim(0)
+    name_axes(other, y=AREA)
+    other.yaxis.label.set_color(BASINS[0])
+    write_title(ax, "Stability of the gait, and area of its basin", "SimplestWalker")
+    line = Line2D([], [], color=INK, **SOLID, label=f"{RADIUS}; dashed: unstable")
+    place_legend(ax, [line], BELOW, columns=1)
+    place_legend(ax, points, BELOW + LINE, columns=2)
+    return ax
+
+
+def draw_curve(
+    ax: Axes, curve: Curve, heights: Float[np.ndarray, "n k"], *, stable: bool = True
+) -> None:
+    """Draw lines along a curve: dashed where it is unstable, and solid where it is `stable`."""
+    solid = curve.stable_pieces
+    changes = np.flatnonzero(solid[1:] != solid[:-1]) + 1
+    colour, _ = period_style(curve.period)
+    for start, stop in pairwise([0, *changes.tolist(), len(solid)]):
+        if start < stop and (stable or not solid[start]):
+            run = slice(start, stop + 1)
+            order = 3 * solid[start] + 1 / curve.period
+            style = SOLID if solid[start] else DASHED
+            ax.plot(curve.value[run], heights[run], color=colour, zorder=2 + order, **style)
+
+
+def draw_multiplier(ax: Axes, curve: Curve) -> None:
+    """Draw the modulus of the largest multiplier along a curve."""
+    fine = interpolate_multipliers(curve)
+    draw_curve(ax, fine, fine.spectral_radius[:, None])
+
+
+def draw_event(
+    ax: Axes,
+    values: Float[np.ndarray, " n"],
+    heights: Float[np.ndarray, " n"],
+    period: int,
+    *,
+    fold: bool,
+) -> None:
+    """Draw the signs of a bifurcation."""
+    colour, _ = period_style(period)
+    ax.plot(values, heights, color=colour, zorder=7, **(FOLD if fold else DOUBLING))
+
+
+def cascade_window(data: xr.Dataset) -> tuple[float, float, float, float] | None:
+    """Limits of the picture around the states of the cascade; none where there are none."""
+    interval = cascade_interval(data)
+    if interval is None:
         return None
+    low, high = interval
     low, high = low - 0.05 * (high - low), high + 0.05 * (high - low)
-    value, state = dots(data)
+    value, state = attractor_states(data)
     inside = state[(value >= low) & (value <= high)]
     if len(inside) == 0:
         return None
@@ -231,10 +301,8 @@ def cascade_window(data: xr.Dataset) -> tuple[float, float, float, float] | None
 
 
 def write_step_times(ax: Axes, data: xr.Dataset) -> None:
-    """Step times of the gaits of period one at the end of the range, beside the axes."""
-    value, period = data["value"].values, data["period"].values
-    last = np.flatnonzero((period == 1) & np.isclose(value, value.max(initial=-np.inf), rtol=1e-9))
-    heights, times = first(data["states"])[last, 0], data["step_times"].values[last, 0]
+    """Write the step times of the gaits of period one at the end of the range beside the axes."""
+    heights, times = final_gaits(data)
     at, room, free = ax.get_yaxis_transform(), 0.05 * np.ptp(ax.get_ylim()), -np.inf
     for height, time in sorted(zip(heights.tolist(), times.tolist(), strict=True)):
         free = max(height, free + room)
@@ -246,15 +314,38 @@ def write_step_times(ax: Axes, data: xr.Dataset) -> None:
             at,
             at,
             va="center",
-            fontsize=WORDS,
+            fontsize=SMALL,
             arrowprops=line,
         )
-    if len(last):
+    if len(heights):
         ax.annotate(
             "step time\n(√(l/g))",
             (1.03, 1),
             (0, 3),
             "axes fraction",
             "offset points",
-            fontsize=WORDS,
+            fontsize=SMALL,
         )
+
+
+def dress(ax: Axes, data: xr.Dataset, subject: str, note: str) -> None:
+    """Write the title and the name of the parameter, and set its range."""
+    write_title(ax, f"{walker_title(data)}: {subject}", note)
+    name_axes(ax, x=str(data.attrs["parameter"]))
+    samples = data["sample_value"].values if "sample_value" in data else []
+    values = np.concatenate([data["value"].values, samples])
+    if len(values) and np.ptp(values) > 0:
+        ax.set_xlim(values.min(), values.max())
+
+
+def first_name(data: xr.Dataset) -> str:
+    """The name of the first coordinate of the section."""
+    return str(data.attrs["section"][0])
+
+
+def period_lines(drawn: list[Curve]) -> list[Line2D]:
+    """The signs of periods in a legend, the shortest first."""
+    return [
+        Line2D([], [], color=period_style(period)[0], lw=3, label=f"period {period}")
+        for period in sorted({curve.period for curve in drawn})
+    ]

@@ -17,13 +17,18 @@ from PIL import Image
 from walker_jax.checks import WrongUse
 from walker_jax.execution.progress import tracked
 from walker_jax.figures.basin_maps import basin
-from walker_jax.figures.poses import PATH, draw_ground, draw_pose, leg_of, turned, way_over
-from walker_jax.figures.style import INK, title
+from walker_jax.figures.layout import figure_title
+from walker_jax.figures.poses import draw_ground, draw_pose, leg_size, to_level
+from walker_jax.figures.style import INK
+from walker_jax.figures.text import walker_title
+from walker_jax.figures.walk_plots import TRAJECTORY, trajectory_in
+from walker_jax.storage.schema import check_dataset
 
 FILMS = (".gif", ".mp4")
 FRAMES_PER_SECOND = 20
+"""Browsers show no GIF much faster."""
 DOTS, COLOURS, PALETTE = 80, 256, Image.Quantize.FASTOCTREE
-"""Of a GIF: dots per inch, colours at most, and how these are chosen."""
+"""Of a GIF: dots per inch, the most colours that one can have, and how Pillow chooses them."""
 
 
 def film(
@@ -34,33 +39,35 @@ def film(
     signature: str = "",
     progress: bool = False,
 ) -> None:
-    """A film of a walk: the walker on its slope, and beside it its way over the basin.
+    """A film of a walk: the walker on its slope, and beside it its trajectory in the basin.
 
     **Arguments:**
 
     - `walk`: what `walker_jax.motion` returns. Each of its frames is shown for 1/20 s.
-    - `path`: where it goes, .gif or .mp4, which takes the program ffmpeg.
-    - `data`: what `walker_jax.basin` returns, over two dimensions; without it there is the walker
-      alone.
-    - `signature`: kept in the file.
-    - `progress`: whether to show it on a terminal.
+    - `path`: of the file, .gif or .mp4, which needs the program ffmpeg.
+    - `data`: what `walker_jax.basin` returns, over two dimensions; without it the film shows the
+      walker alone.
+    - `signature`: text that is kept in the file.
+    - `progress`: whether to show progress on a terminal.
 
-    Raises `ValueError` for another ending, and for .mp4 where there is no ffmpeg. The file is
-    whole, or what it was before.
+    Raises `ValueError` for another ending, for .mp4 without ffmpeg, and for other data sets. An
+    interruption leaves the file as it was.
     """
     check_film(path)
+    check_dataset(walk, "walk")
     figure = Figure(figsize=(10.4, 4.8) if data is not None else (5, 4.8), layout="constrained")
     axes = figure.subplots(1, 1 if data is None else 2, squeeze=False)[0]
     draw_ground(axes[0], walk)
-    way, moving = None, [axes[0]]
+    path_in_basin, moving = None, [axes[0]]
     if data is not None:
         basin(data, axes[1]).set_title("", loc="left")
-        way = way_over(data, walk["states"].rename(start="phase"))
-        (line,) = axes[1].plot([], [], "o-", color=PATH, mec=INK, mew=0.8, ms=5, lw=1, zorder=6)
-        (now,) = axes[1].plot([], [], "o", color=PATH, mec=INK, mew=1.4, ms=10, zorder=7)
+        path_in_basin = trajectory_in(data, walk)
+        (line,) = axes[1].plot(
+            [], [], "o-", color=TRAJECTORY, mec=INK, mew=0.8, ms=5, lw=1, zorder=6
+        )
+        (now,) = axes[1].plot([], [], "o", color=TRAJECTORY, mec=INK, mew=1.4, ms=10, zorder=7)
         moving += [line, now]
-    words = title(walk, 45 if data is None else 90)
-    figure.suptitle(words, x=0.01, ha="left", fontsize=12, fontweight="bold")
+    figure_title(figure, walker_title(walk, 45 if data is None else 90), 12)
     axes[0].set_axis_off()
     axes[0].set_aspect("equal")
     heading = axes[0].set_title("", loc="left", fontsize=11, fontweight="bold")
@@ -69,35 +76,38 @@ def film(
 
     frames = tracked(range(walk.sizes["frame"]), "film", progress)
     slope, stride = float(walk.attrs["walker_slope"]), walk["stride"].values
-    tall = 1.2 * leg_of(walk)
-    with saved(figure, path, signature, moving) as grab:
+    tall = 1.2 * leg_size(walk)
+    with film_writer(figure, path, signature, moving) as grab:
         for k in frames:
             pose, number = walk.isel(frame=k), int(stride[k])
             lines = draw_pose(axes[0], pose)
-            x, y = turned(pose["hip"].values[None] * [[1, 0]], slope)[0]
+            x, y = to_level(pose["hip"].values[None] * [[1, 0]], slope)[0]
             axes[0].set(xlim=(x - 0.75 * tall, x + 0.75 * tall), ylim=(y - 0.25 * tall, y + tall))
             heading.set_text(f"stride {number + 1}, time {float(pose['time']):.1f}")
-            if way is not None:
-                line.set_data(way[0][: number + 1], way[1][: number + 1])
-                now.set_data(way[0][number : number + 1], way[1][number : number + 1])
+            if path_in_basin is not None:
+                line.set_data(*path_in_basin[: number + 1].T)
+                now.set_data(*path_in_basin[number : number + 1].T)
             grab()
             for one in lines:
                 one.remove()
 
 
 def check_film(path: Path) -> None:
-    """Refuse what no film can be written to."""
+    """Raise `ValueError` for a path to which no film can be written."""
     if path.suffix not in FILMS:
         raise WrongUse(f"a film must end in one of {', '.join(FILMS)}, not {path}")
     if path.suffix == ".mp4" and not FFMpegWriter.isAvailable():
-        raise WrongUse(f"{path} takes the program ffmpeg, which is not there: try .gif")
+        raise WrongUse(f"{path} takes the program ffmpeg, which is not installed: try .gif")
 
 
 @contextmanager
-def saved(
+def film_writer(
     figure: Figure, path: Path, signature: str, moving: list[Artist]
 ) -> Iterator[Callable[[], object]]:
-    """What adds a figure as it is to a film, which is at its place in the end."""
+    """Give a function that adds the figure to a film, which is put in its place at the end.
+
+    Of a GIF, only the `moving` artists are drawn anew for each frame.
+    """
     with tempfile.TemporaryDirectory(prefix=f".{path.stem}.", dir=path.absolute().parent) as folder:
         draft = Path(folder) / path.name
         if path.suffix == ".mp4":
@@ -114,7 +124,7 @@ def saved(
             still = canvas.copy_from_bbox(figure.bbox)
 
             def grab() -> None:
-                """What does not move is drawn once."""
+                """Draw what moves on the still background, and add that."""
                 canvas.restore_region(still)
                 for one in moving:
                     figure.draw_artist(one)

@@ -1,35 +1,34 @@
-"""Letters in the regions of a picture, each where there is most room."""
+"""Labels in the regions of a picture, each where there is most room."""
 
 import numpy as np
-import xarray as xr
 from jaxtyping import Bool, Float
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 
-from walker_jax.figures.regions import Region
-from walker_jax.figures.style import INK, LETTER, WORDS
+from walker_jax.figures.regions import Extent, Region
+from walker_jax.figures.style import INK, LETTER, SMALL
 
 
 def draw_label(
     ax: Axes,
     region: Region,
     free: Bool[np.ndarray, "nx ny"],
-    extent: tuple[float, float, float, float],
+    extent: Extent,
 ) -> bool:
     """Label a region inside itself, with letter and words, or the letter alone, as there is room.
 
     `free` is where labels may stand. Returns whether there was room for the words.
     """
     letter = [(region.letter, LETTER, "bold", 0)]
-    words = [(region.words, WORDS, "normal", 0)]
-    both = [(region.letter, LETTER, "bold", 5.5), (region.words, WORDS, "normal", -8.5)]
+    words = [(region.words, SMALL, "normal", 0)]
+    both = [(region.letter, LETTER, "bold", 5.5), (region.words, SMALL, "normal", -8.5)]
     colour = "white" if luminance(region.colour) < 0.2 else INK
     low, high = np.array(extent[::2]), np.array(extent[1::2])
     axes_size = np.array(ax.bbox.size) * 72 / ax.figure.dpi
     for lines in (both, letter) if region.letter else (words,):
         width = max(size * (0.6 * len(text) + 0.5) for text, size, *_ in lines)
         height = sum(1.15 * size for _, size, *_ in lines)
-        place = roomiest(region.cells & free, np.array([width, height]) / axes_size)
+        place = roomiest_place(region.cells & free, np.array([width, height]) / axes_size)
         if place is None:
             continue
         at_x, at_y = (low + place * (high - low)).tolist()
@@ -52,22 +51,22 @@ def draw_label(
 def keep_clear(
     free: Bool[np.ndarray, "nx ny"],
     dots: Float[np.ndarray, "n 2"],
-    extent: tuple[float, float, float, float],
+    extent: Extent,
 ) -> None:
-    """Mark, in `free`, that labels are not to stand on dots."""
+    """Mark in `free` that no label may stand on these dots."""
     shape, low = np.array(free.shape), np.array(extent[::2])
     for dot in np.nan_to_num((dots - low) / (np.array(extent[1::2]) - low), nan=-1):
         first, last = (np.clip(dot + side * 0.02, 0, 1) * shape for side in (-1, 1))
         free[int(first[0]) : int(last[0]) + 1, int(first[1]) : int(last[1]) + 1] = False
 
 
-def roomiest(
+def roomiest_place(
     cells: Bool[np.ndarray, "nx ny"], size: Float[np.ndarray, " 2"]
 ) -> Float[np.ndarray, " 2"] | None:
-    """Where, among the cells, a box has the most room around it; None where it does not fit.
+    """The place among the cells with the most room for a box; None where it does not fit.
 
-    Box and place are fractions of the axes. The box is grown in proportion while it fits. It fits
-    where one cell in fifty of it, at most, is not among `cells`.
+    Box and place are fractions of the axes. The box grows in proportion while it fits. It fits
+    where at most one cell in fifty of it is not among `cells`.
     """
     cells = cells[tuple(slice(None, None, -(-n // 400)) for n in cells.shape)]
     shape = np.array(cells.shape)
@@ -78,8 +77,8 @@ def roomiest(
         nx, ny = np.ceil(growth * size * shape).astype(int)
         if nx > shape[0] or ny > shape[1]:
             break
-        held = total[nx:, ny:] - total[:-nx, ny:] - total[nx:, :-ny] + total[:-nx, :-ny]
-        fits = np.argwhere(held >= 0.98 * nx * ny)
+        inside = total[nx:, ny:] - total[:-nx, ny:] - total[nx:, :-ny] + total[:-nx, :-ny]
+        fits = np.argwhere(inside >= 0.98 * nx * ny)
         if len(fits) == 0:
             break
         middle = fits[np.abs(fits - fits.mean(axis=0)).sum(axis=1).argmin()]
@@ -92,8 +91,3 @@ def luminance(colour: str) -> float:
     rgb = np.array(to_rgb(colour))
     linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
     return float(linear @ (0.2126, 0.7152, 0.0722))
-
-
-def free(data: xr.Dataset) -> list[str]:
-    """The parameters that were free in an optimisation."""
-    return data["parameter"].values.tolist()

@@ -1,26 +1,25 @@
-"""Multipliers in the complex plane."""
+"""Floquet multipliers in the complex plane."""
 
 from collections.abc import Sequence
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
 from matplotlib.transforms import offset_copy
 
-from walker_jax.figures.style import (
+from walker_jax.figures.layout import (
     BELOW,
-    INK,
     LINE,
-    WORDS,
-    counted,
-    number,
+    figure_of,
+    name_axes,
+    new_axes,
     place_legend,
-    sign,
     write_title,
 )
+from walker_jax.figures.style import INK, SMALL, gait_marker
+from walker_jax.figures.text import count_noun, short_number
 from walker_jax.gaits.cycles import Gait
 
 FRAME = 2.5
@@ -30,10 +29,10 @@ ROW, ROWS = 13, 8
 
 
 def multipliers(gaits: Sequence[Gait], ax: Axes | None = None) -> Axes:
-    """The multipliers of gaits in the complex plane, with the unit circle.
+    """The Floquet multipliers of gaits in the complex plane, with the unit circle.
 
-    Colours and signs tell periods; they are filled for stable gaits and open for unstable ones.
-    Multipliers beyond the frame are at its rim, where an arrow points to them, with their values.
+    Colours and signs tell periods; signs are filled for stable gaits and open for unstable ones.
+    An arrow at the rim of the frame points to each multiplier beyond it, with its value.
 
     **Arguments:**
 
@@ -42,8 +41,7 @@ def multipliers(gaits: Sequence[Gait], ax: Axes | None = None) -> Axes:
 
     **Returns** the axes.
     """
-    if ax is None:
-        ax = Figure(figsize=(6.2, 7.2), layout="compressed").add_subplot()
+    ax = new_axes(6.2, 7.2, "compressed") if ax is None else ax
     gaits = [gait for gait in gaits if gait.found]
     ax.add_patch(Circle((0, 0), 1, fc="#f2f2f2", ec=INK, lw=1, zorder=1))
     ax.axhline(0, color=INK, lw=0.4, zorder=1.5)
@@ -53,22 +51,23 @@ def multipliers(gaits: Sequence[Gait], ax: Axes | None = None) -> Axes:
         values = np.asarray(gait.multipliers)
         beyond = np.maximum(np.abs(np.real(values)), np.abs(np.imag(values))) > FRAME
         x, y = np.real(values[~beyond]), np.imag(values[~beyond])
-        ax.plot(x, y, zorder=3, **sign(len(gait.states), bool(gait.stable)))
+        ax.plot(x, y, zorder=3, **gait_marker(len(gait.states), bool(gait.stable)))
         far += [(complex(value), gait) for value in values[beyond]]
-    for rim in rims(far):
+    for rim in group_at_rim(far):
         draw_rim(ax, rim)
     ax.set(xlim=(-FRAME, FRAME), ylim=(-FRAME, FRAME), aspect="equal")
-    ax.set_xlabel("real part", fontsize=11)
-    ax.set_ylabel("imaginary part", fontsize=11)
+    name_axes(ax, "real part", "imaginary part")
     stable = sum(bool(gait.stable) for gait in gaits)
-    write_title(ax, "Multipliers", f"of {counted(len(gaits), 'gait')}, {stable} of them stable")
+    write_title(
+        ax, "Floquet multipliers", f"of {count_noun(len(gaits), 'gait')}, {stable} of them stable"
+    )
     kinds = [
-        Line2D([], [], label=name, **sign(1, stable))
+        Line2D([], [], label=name, **gait_marker(1, stable))
         for name, stable in (("stable", True), ("unstable", False))
         if any(bool(gait.stable) == stable for gait in gaits)
     ]
     periods = [
-        Line2D([], [], label=f"period {period}", **sign(period, True))
+        Line2D([], [], label=f"period {period}", **gait_marker(period, True))
         for period in sorted({len(gait.states) for gait in gaits})
     ]
     place_legend(ax, kinds, BELOW, columns=4)
@@ -85,8 +84,8 @@ class Rim(NamedTuple):
     """With their gaits; the smallest first."""
 
 
-def rims(far: list[tuple[complex, Gait]]) -> list[Rim]:
-    """The places at the rim of the frame of multipliers beyond it."""
+def group_at_rim(far: list[tuple[complex, Gait]]) -> list[Rim]:
+    """Multipliers beyond the frame, in groups whose places at its rim are close together."""
     found: list[Rim] = []
     for value, gait in sorted(far, key=lambda one: abs(one[0])):
         place = value * FRAME / max(abs(value.real), abs(value.imag))
@@ -100,32 +99,32 @@ def rims(far: list[tuple[complex, Gait]]) -> list[Rim]:
 
 
 def draw_rim(ax: Axes, rim: Rim) -> None:
-    """A row for each multiplier at a place of the rim: its value, its sign, and an arrow to it."""
-    figure = cast(Figure, ax.get_figure(root=True))
-    inward = -1 if (rim.x >= 0) == (abs(rim.x) > FRAME / 2) else 1
+    """Draw a row for each multiplier at a place of the rim: its value, its sign, and an arrow."""
+    figure = figure_of(ax)
+    inwards = -1 if (rim.x >= 0) == (abs(rim.x) > FRAME / 2) else 1
     up = 1 if (rim.y >= 0) == (abs(rim.y) < FRAME / 2) else -1
     shown = rim.members if len(rim.members) <= ROWS else rim.members[: ROWS - 1]
     for row, (value, gait) in enumerate(shown, 1):
         rise = up * ROW * row
-        way = value / abs(value) * 7
+        offset = value / abs(value) * 7
         tip = offset_copy(
-            ax.transData, figure, 11 * inward + way.real, rise + way.imag, units="points"
+            ax.transData, figure, 11 * inwards + offset.real, rise + offset.imag, units="points"
         )
-        spot = offset_copy(ax.transData, figure, 27 * inward, rise, units="points")
-        style = sign(len(gait.states), bool(gait.stable))
+        spot = offset_copy(ax.transData, figure, 27 * inwards, rise, units="points")
+        style = gait_marker(len(gait.states), bool(gait.stable))
         arrow = {"arrowstyle": "->", "color": style["color"], "shrinkA": 0, "shrinkB": 0}
-        tail = (-2 * way.real, -2 * way.imag)
+        tail = (-2 * offset.real, -2 * offset.imag)
         ax.annotate("", (rim.x, rim.y), tail, tip, "offset points", arrowprops=arrow)
         ax.add_line(Line2D([rim.x], [rim.y], transform=spot, zorder=4, **style))
-        write_row(ax, rim, 36 * inward, rise, number(value))
+        write_row(ax, rim, 36 * inwards, rise, short_number(value))
     if len(shown) < len(rim.members):
-        largest = number(rim.members[-1][0])
+        largest = short_number(rim.members[-1][0])
         words = f"and {len(rim.members) - len(shown)} more, up to {largest}"
-        write_row(ax, rim, 5 * inward, up * ROW * ROWS, words)
+        write_row(ax, rim, 5 * inwards, up * ROW * ROWS, words)
 
 
 def write_row(ax: Axes, rim: Rim, shift: int, rise: int, words: str) -> None:
-    """Words that stand off a place of the rim by so many points, on its inner side."""
+    """Write words on the inner side of a place of the rim, so many points aoffset."""
     ax.annotate(
         words,
         (rim.x, rim.y),
@@ -133,5 +132,5 @@ def write_row(ax: Axes, rim: Rim, shift: int, rise: int, words: str) -> None:
         textcoords="offset points",
         ha="left" if shift > 0 else "right",
         va="center_baseline",
-        fontsize=WORDS,
+        fontsize=SMALL,
     )

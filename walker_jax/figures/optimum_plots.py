@@ -1,8 +1,7 @@
 """Pictures of an optimisation."""
 
-import json
 from collections.abc import Sequence
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -13,30 +12,47 @@ from matplotlib.patches import Patch
 
 from walker_jax.checks import WrongUse
 from walker_jax.design.optimisation import ATTRACTED
-from walker_jax.design.trace import ENDS
-from walker_jax.figures.labels import free
-from walker_jax.figures.regions import Region, failures, painted, show
-from walker_jax.figures.style import (
-    ASTRAY,
-    AXIS_LABELS,
-    BASINS,
+from walker_jax.design.results import (
+    area_at,
+    binding_limits,
+    bounds,
+    free_parameters,
+    improvement,
+    is_optimum,
+    limits,
+    runs,
+    scan_of,
+    slice_coordinates,
+    weights,
+)
+from walker_jax.figures.layout import (
     BELOW,
-    FAINT,
-    INK,
     LINE,
-    OBJECTIVES,
-    WHOLE,
-    WORDS,
-    area_of_basin,
-    ends,
-    in_slice,
-    listed,
-    named,
+    figure_legend,
+    figure_of,
+    figure_title,
+    name_axes,
+    new_axes,
     place_legend,
-    title,
-    valued,
     write_title,
 )
+from walker_jax.figures.regions import (
+    extent_of,
+    paint,
+    patch_of,
+    regions_of_one_basin,
+    show_image,
+)
+from walker_jax.figures.style import BASINS, INK
+from walker_jax.figures.text import (
+    RADIUS,
+    area_phrase,
+    join_phrases,
+    parameter_values,
+    slice_phrase,
+    walker_title,
+)
+from walker_jax.storage.schema import check_dataset
 from walker_jax.walking.outcomes import Outcome
 
 STAGES = (
@@ -46,17 +62,23 @@ STAGES = (
     (BASINS[0], 4, "very short"),
 )
 """Colour, size and words of the evaluations in each stage of an optimisation."""
-SCAN, BARRED = "#9b9b9b", "#ebebeb"
-"""Colours of the scan, and behind what limits do not allow."""
+SCAN, FORBIDDEN = "#9b9b9b", "#ebebeb"
+"""Colours of the scan, and of the ground where limits forbid it."""
+FAINT = 0.45
+"""Opacity of the runs that did not lead to the optimum."""
+UNCLIPPED: dict[str, Any] = {"clip_on": False, "in_layout": False}
+"""Signs that bounds do not cut; the layout must not count them, as it puts an empty line at 0."""
+MEASURE_WORDS = {"area": "area of the basin", "spectral-radius": RADIUS}
+"""Words of the measures whose own name is not as good."""
 
 
 def optimisation(data: xr.Dataset, parameter: str | None = None, ax: Axes | None = None) -> Axes:
-    """What an optimisation tried of a parameter, over the objective between the bounds.
+    """The values of a parameter that an optimisation tried, and the objective between the bounds.
 
     Dots are evaluations, from light and large to dark and small as the steps become shorter, joined
     in their order; those of runs that did not lead to the optimum are faint. The broad line is the
     scan, other parameters as in the optimum, which is a point of it. It is dashed, on a shaded
-    ground, from where limits allow nothing to the next point that they allow.
+    ground, between points that the limits forbid.
 
     **Arguments:**
 
@@ -68,17 +90,16 @@ def optimisation(data: xr.Dataset, parameter: str | None = None, ax: Axes | None
     that was not free.
     """
     check_optimum(data)
-    names = free(data)
+    names = free_parameters(data)
     parameter = names[0] if parameter is None else parameter
     if parameter not in names:
         raise WrongUse(f"parameter must be one of {', '.join(names)}, not {parameter!r}")
-    if ax is None:
-        ax = Figure(figsize=(7, 5.6), layout="constrained").add_subplot()
-    draw_optimisation(ax, data, parameter, aim(data, 60))
+    ax = new_axes(7, 5.6) if ax is None else ax
+    draw_optimisation(ax, data, parameter, headline(data, 60))
     return ax
 
 
-def basins_compared(data: xr.Dataset) -> Figure:
+def basins_before_and_after(data: xr.Dataset) -> Figure:
     """The basins before and after an optimisation, side by side, with colours as in `basin`.
 
     **Arguments:**
@@ -87,16 +108,17 @@ def basins_compared(data: xr.Dataset) -> Figure:
 
     **Returns** the figure, of 11 by 5.2 inches. Raises `ValueError` for a data set without basins.
     """
+    check_optimum(data)
     figure = Figure(figsize=(11, 5.2), layout="constrained")
     draw_basins([*figure.subplots(1, 2)], data)
-    figure.suptitle(title(fixed(data), 80), x=0.01, ha="left", fontsize=14, fontweight="bold")
+    figure_title(figure, walker_title(fixed_attributes(data), 80))
     return figure
 
 
-def optimised(data: xr.Dataset) -> Figure:
-    """An optimisation: the way to the optimum, and the basins before and after, if there are any.
+def optimum(data: xr.Dataset) -> Figure:
+    """An optimisation: the steps to the optimum, and the basins before and after, if it has them.
 
-    The pictures `optimisation`, of each parameter, above that of `basins_compared`.
+    The pictures `optimisation`, of each parameter, above that of `basins_before_and_after`.
 
     **Arguments:**
 
@@ -105,56 +127,55 @@ def optimised(data: xr.Dataset) -> Figure:
     **Returns** the figure. Raises `ValueError` for a data set without an optimum.
     """
     check_optimum(data)
-    names, compared = free(data), "fate_start" in data
+    names, basins = free_parameters(data), "fate_start" in data
     columns = min(3, len(names))
     rows = -(-len(names) // columns)
-    size = max(5.6 * columns, 11 if compared else 7), 5.2 * (rows + compared) + 0.4
+    size = max(5.6 * columns, 11 if basins else 7), 5.2 * (rows + basins) + 0.4
     figure = Figure(figsize=size, layout="constrained")
     # Six columns can be shared by one panel, by two, and by three.
-    grid, wide = figure.add_gridspec(rows + compared, 6), 6 // columns
+    grid, wide = figure.add_gridspec(rows + basins, 6), 6 // columns
     for k, name in enumerate(names):
         row, column = divmod(k, columns)
         ax = figure.add_subplot(grid[row, column * wide : (column + 1) * wide])
         draw_optimisation(ax, data, name, name.replace("_", " ").capitalize())
-    if compared:
+    if basins:
         halves = [figure.add_subplot(grid[-1, half]) for half in (slice(3), slice(3, 6))]
         draw_basins(halves, data)
-    above = aim(data, int(8 * size[0]))
-    figure.suptitle(above, x=0.01, ha="left", fontsize=14, fontweight="bold")
+    figure_title(figure, headline(data, int(8 * size[0])))
     return figure
 
 
 def check_optimum(data: xr.Dataset) -> None:
     """Raise `ValueError` where no optimum was found."""
-    if "found" not in data or not data["found"]:
+    check_dataset(data, "optimisation")
+    if not is_optimum(data):
         raise WrongUse("data must be of an optimisation that found an optimum")
+    check_dataset(data, "optimum")
 
 
-def fixed(data: xr.Dataset) -> xr.Dataset:
+def fixed_attributes(data: xr.Dataset) -> xr.Dataset:
     """Only the attributes of an optimisation, without the parameters that were free."""
-    changed = {f"walker_{name}" for name in free(data)}
+    changed = {f"walker_{name}" for name in free_parameters(data)}
     return xr.Dataset(attrs={key: data.attrs[key] for key in data.attrs if key not in changed})
 
 
 def draw_optimisation(ax: Axes, data: xr.Dataset, parameter: str, subject: str) -> None:
-    """The picture `optimisation`."""
-    own = data.sel(parameter=parameter)
-    scan, barred = draw_scan(ax, own, others=data.sizes["parameter"] > 1)
-    stages, others = draw_runs(ax, own)
-    marks = [*draw_ends(ax, own), *scan, *others]
-    ax.set_xlim(*json.loads(data.attrs["bounds"])[parameter])
+    """Draw the picture `optimisation`."""
+    scan, ground = draw_scan(ax, data, parameter)
+    stages, others = draw_runs(ax, data, parameter)
+    marks = [*draw_ends(ax, data.sel(parameter=parameter)), *scan, *others]
+    ax.set_xlim(*bounds(data, parameter))
     ax.locator_params(axis="x", nbins=6)
-    ax.set_xlabel(named(parameter), fontsize=11)
-    ax.set_ylabel(objective(data), fontsize=11)
-    write_title(ax, subject, listed([gain(data), *ending(own)], 60))
+    name_axes(ax, parameter, objective_words(data))
+    write_title(ax, subject, join_phrases([gain(data), *ending(data, parameter)], 60))
     rows = -(-len(marks) // 2)
     place_legend(ax, marks, BELOW, columns=2)
     place_legend(ax, stages, BELOW + LINE * rows, columns=len(STAGES))
-    place_legend(ax, barred, BELOW + LINE * (rows + bool(stages)), columns=1)
+    place_legend(ax, ground, BELOW + LINE * (rows + bool(stages)), columns=1)
 
 
 def draw_ends(ax: Axes, own: xr.Dataset) -> list[Line2D]:
-    """Start and optimum, whole even at a bound. Returns what the legend tells of."""
+    """Draw start and optimum, whole even at a bound. Returns them for the legend."""
     marks = []
     for side, style in (
         ("start", {"marker": "o", "mfc": "none", "mec": INK, "mew": 1.4, "ms": 12}),
@@ -163,124 +184,106 @@ def draw_ends(ax: Axes, own: xr.Dataset) -> list[Line2D]:
         at = float(own[side])
         place = [at], [float(own[f"exact_{side}"])]
         label = f"{side}, at {at:.4g}"
-        marks += ax.plot(*place, ls="", label=label, zorder=6, **WHOLE, **style)
+        marks += ax.plot(*place, ls="", label=label, zorder=6, **UNCLIPPED, **style)
     return marks
 
 
-def draw_scan(ax: Axes, own: xr.Dataset, *, others: bool) -> tuple[list[Line2D], list[Patch]]:
-    """The scan, if there is one, and what limits do not allow. Returns what legends tell of."""
-    if "scan_value" not in own:
+def draw_scan(ax: Axes, data: xr.Dataset, parameter: str) -> tuple[list[Line2D], list[Patch]]:
+    """Draw the scan, if there is one, and the ground where limits forbid it.
+
+    Returns both for the legend.
+    """
+    scan = scan_of(data, parameter)
+    if scan is None:
         return [], []
-    at, value, allowed = (own[f"scan_{name}"].values for name in ("parameters", "value", "allowed"))
-    optimum = float(own["optimum"])
-    if optimum not in at:  # where a limit holds it, what that does not allow begins there
-        place = np.searchsorted(at, optimum)
-        at = np.insert(at, place, optimum)
-        value = np.insert(value, place, float(own["objective_optimum"]))
-        allowed = np.insert(allowed, place, True)
-    words = "scan, others as in the optimum" if others else "scan"
-    solid = np.where(allowed, value, np.nan)
-    scan = ax.plot(at, solid, color=SCAN, lw=2.5, label=words, zorder=2)
-    barred = ~(allowed[:-1] & allowed[1:])
-    if not barred.any():
-        return scan, []
-    ax.plot(at, value, color=SCAN, lw=1, ls=(0, (4, 3)), zorder=1)
-    turns = np.flatnonzero(np.diff(barred, prepend=False, append=False))
-    for left, right in at[turns].reshape(-1, 2).tolist():
-        ax.axvspan(left, right, color=BARRED, lw=0, zorder=0)
-    return scan, [Patch(fc=BARRED, ec=SCAN, lw=0.5, label=beyond_limits(own))]
+    words = "scan" + ", others as in the optimum" * (data.sizes["parameter"] > 1)
+    allowed = np.where(scan.allowed, scan.value, np.nan)
+    lines = ax.plot(scan.parameter, allowed, color=SCAN, lw=2.5, label=words, zorder=2)
+    if not scan.forbidden:
+        return lines, []
+    ax.plot(scan.parameter, scan.value, color=SCAN, lw=1, ls=(0, (4, 3)), zorder=1)
+    for low, high in scan.forbidden:
+        ax.axvspan(low, high, color=FORBIDDEN, lw=0, zorder=0)
+    return lines, [Patch(fc=FORBIDDEN, ec=SCAN, lw=0.5, label=limit_words(data))]
 
 
-def draw_runs(ax: Axes, own: xr.Dataset) -> tuple[list[Line2D], list[Line2D]]:
-    """The steps of all runs. Returns what legends tell of: stages, and other runs."""
-    run, stage, at, value = (own[name].values for name in ("run", "stage", "parameters", "value"))
-    best = run[stage == ENDS][0]
-    numbers = np.unique(run[stage >= 0]).tolist()
-    for number in numbers:
-        order, opacity = (4, 1) if number == best else (3, FAINT)
-        style: dict[str, Any] = {"zorder": order, "alpha": opacity, **WHOLE}
-        ours = (stage >= 0) & (run == number)
-        ax.plot(at[ours], value[ours], color=BASINS[0], lw=0.8, **style)
+def draw_runs(ax: Axes, data: xr.Dataset, parameter: str) -> tuple[list[Line2D], list[Line2D]]:
+    """Draw the steps of all runs. Returns stages and other runs for the legend."""
+    found = runs(data, parameter)
+    for run in found:
+        order, opacity = (4, 1) if run.best else (3, FAINT)
+        style: dict[str, Any] = {"zorder": order, "alpha": opacity, **UNCLIPPED}
+        ax.plot(run.parameter, run.value, color=BASINS[0], lw=0.8, **style)
         for k, (colour, size, _) in enumerate(STAGES):
-            dots = at[ours & (stage == k)], value[ours & (stage == k)]
+            dots = run.parameter[run.stage == k], run.value[run.stage == k]
             ax.plot(*dots, "o", color=colour, ms=size, mec="white", **style)
     stages = [
         Line2D([], [], marker="o", ls="", color=colour, ms=size, label=words)
         for k, (colour, size, words) in enumerate(STAGES)
-        if (stage == k).any()
+        if any(k in run.stage for run in found)
     ]
     faint = {"marker": "o", "mec": "white", "ms": 7, "lw": 0.8, "color": STAGES[0][0]}
     others = [Line2D([], [], alpha=FAINT, label="other runs", **faint)]
-    return stages, others if numbers != [best] else []
+    return stages, [] if all(run.best for run in found) else others
 
 
 def draw_basins(panels: Sequence[Axes], data: xr.Dataset) -> None:
-    """The basins at start and optimum, on two axes of a figure, whose legend is for both."""
+    """Draw the basins at start and optimum on two axes of a figure, with one legend for both."""
     if "fate_start" not in data or "fate_optimum" not in data:
         raise WrongUse("data must hold the basins at start and optimum of an optimisation")
     x, y = map(str, data["fate_start"].dims)
     fate = np.stack([data["fate_start"].values, data["fate_optimum"].values])
-    found = [
-        Region(fate == ATTRACTED, BASINS[0], "A", "basin of attraction"),
-        Region(fate == Outcome.STRIDE, ASTRAY, "", "walks on, near no attractor"),
-        *failures(fate),
-    ]
-    regions = [region for region in found if region.cells.any()]
-    extent = (*ends(data[x].values), *ends(data[y].values))
-    for ax, side, image in zip(
-        panels, ("start", "optimum"), painted(regions, fate.shape), strict=True
-    ):
-        show(ax, image, extent)
-        values = dict(zip(free(data), data[side].values.tolist(), strict=True))
-        words = f"{side.capitalize()}: {listed(valued(values), 42)}"
-        write_title(ax, words, about_basin(data, side))
-        ax.set_xlabel(AXIS_LABELS.get(x, x), fontsize=11)
-    panels[0].set_ylabel(AXIS_LABELS.get(y, y), fontsize=11)
+    regions = regions_of_one_basin(fate, fate == ATTRACTED, fate == Outcome.STRIDE)
+    images, extent = paint(regions, fate.shape), extent_of(data, x, y)
+    for ax, side, image in zip(panels, ("start", "optimum"), images, strict=True):
+        show_image(ax, image, extent)
+        values = dict(zip(free_parameters(data), data[side].values.tolist(), strict=True))
+        words = f"{side.capitalize()}: {join_phrases(parameter_values(values), 42)}"
+        write_title(ax, words, basin_note(data, side))
+        name_axes(ax, x)
+    name_axes(panels[0], y=y)
     panels[1].sharex(panels[0])
     panels[1].sharey(panels[0])
     panels[1].tick_params(labelleft=False)
-    patches = [Patch(fc=region.colour, ec=INK, lw=0.5, label=region.words) for region in regions]
-    figure = cast(Figure, panels[0].get_figure(root=True))
-    figure.legend(handles=patches, loc="outside lower left", ncols=5, frameon=False, fontsize=WORDS)
+    figure_legend(figure_of(panels[0]), [*map(patch_of, regions)], columns=5)
 
 
-def about_basin(data: xr.Dataset, side: str) -> str:
-    """Its area, where nothing else was optimised, and what slice it is in, if it is in one."""
-    weights, region = json.loads(data.attrs["objective"]), json.loads(data.attrs["region"])
-    area = float(data[f"exact_{side}"]) / weights["area"] if [*weights] == ["area"] else 0.0
-    slices = [in_slice(name, at) for name, at in region.items() if not isinstance(at, list)]
-    return "; ".join([*([area_of_basin(area)] if area else []), *slices])
+def basin_note(data: xr.Dataset, side: str) -> str:
+    """The area of a basin, if it is known, and the slice that it is in, if it is in one."""
+    area = area_at(data, side)
+    slices = [slice_phrase(name, at) for name, at in slice_coordinates(data).items()]
+    return "; ".join([*([area_phrase(area)] if area else []), *slices])
 
 
-def aim(data: xr.Dataset, width: int) -> str:
-    """The walker, what is fixed of it, and what was optimised, in lines of some width."""
-    walker, words = title(fixed(data), width), objective(data)
+def headline(data: xr.Dataset, width: int) -> str:
+    """The walker, its fixed parameters, and the objective, in lines of some width."""
+    walker, words = walker_title(fixed_attributes(data), width), objective_words(data)
     fits = len(walker.splitlines()[-1]) + len(words) < width
     return f"{walker}: {words}" if fits else f"{walker}:\n{words}"
 
 
-def objective(data: xr.Dataset) -> str:
-    """What was optimised, in words."""
-    weights = json.loads(data.attrs["objective"])
-    if [*weights.values()] == [1]:
-        return measure(*weights)
+def objective_words(data: xr.Dataset) -> str:
+    """The objective in words."""
+    given = weights(data)
+    if [*given.values()] == [1]:
+        return measure_words(*given)
     terms = (
         f"{'−' if weight < 0 else '+'} {abs(weight):g} {name.replace('-', ' ')}"
-        for name, weight in weights.items()
+        for name, weight in given.items()
     )
     return " ".join(terms).removeprefix("+ ")
 
 
-def measure(name: str) -> str:
-    """What is optimised or has limits, in words."""
-    return OBJECTIVES.get(name, name.replace("-", " "))
+def measure_words(name: str) -> str:
+    """A measure in words."""
+    return MEASURE_WORDS.get(name, name.replace("-", " "))
 
 
-def beyond_limits(data: xr.Dataset) -> str:
-    """What limits do not allow; without any, a walker is only missed where it has no gait."""
+def limit_words(data: xr.Dataset) -> str:
+    """What limits forbid; without any, a scan has gaps only where the walker has no gait."""
     sides = [
-        f"{measure(name)} {side} {limit:g}"
-        for name, pair in json.loads(data.attrs["limits"]).items()
+        f"{measure_words(name)} {side} {limit:g}"
+        for name, pair in limits(data).items()
         for side, limit in zip(("below", "above"), pair, strict=True)
         if limit is not None
     ]
@@ -288,18 +291,19 @@ def beyond_limits(data: xr.Dataset) -> str:
 
 
 def gain(data: xr.Dataset) -> str:
-    """From where the objective came, and to where."""
-    start, optimum = float(data["exact_start"]), float(data["exact_optimum"])
-    notes = [f"× {optimum / start:.3g}"] if start > 0 and optimum > 0 else []
+    """The objective at the start and at the optimum."""
+    factor = improvement(data)
+    notes = [f"× {factor:.3g}"] if factor is not None else []
     notes += ["small is better"] if data.attrs["sign"] < 0 else []
-    return f"{start:.4g} to {optimum:.4g}" + (f" ({'; '.join(notes)})" if notes else "")
+    ends = f"{float(data['exact_start']):.4g} to {float(data['exact_optimum']):.4g}"
+    return ends + (f" ({'; '.join(notes)})" if notes else "")
 
 
-def ending(own: xr.Dataset) -> list[str]:
-    """Where the way of one parameter ended, and whether too early."""
-    side, binding = int(own["at_bound"]), own["measure"].values[own["binding"].values]
+def ending(data: xr.Dataset, parameter: str) -> list[str]:
+    """Where the optimum lies along a parameter, and whether the run converged."""
+    side = int(data["at_bound"].sel(parameter=parameter))
     where = f"at the {'upper' if side > 0 else 'lower'} bound"
     if not side:
-        limits = " and ".join(map(measure, binding.tolist()))
-        where = f"held by a limit of {limits}" if limits else "inside the bounds"
-    return [where] if own["converged"] else [where, "not converged"]
+        binding = " and ".join(map(measure_words, binding_limits(data)))
+        where = f"held by a limit of {binding}" if binding else "inside the bounds"
+    return [where] if data["converged"] else [where, "not converged"]

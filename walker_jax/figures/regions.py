@@ -1,30 +1,36 @@
-"""Regions of a basin as colours: which are shown, and how they are called."""
+"""Regions of a grid in their colours: basins, failures, and how the legend names them."""
 
 from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Bool, Int8, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
-from walker_jax.basins.schema import artefacts
+from walker_jax.basins.cell_classes import CellClass, along_axis, failing_cells, walking_cells
+from walker_jax.figures.layout import cell_edges
 from walker_jax.figures.style import (
     ARTEFACTS,
-    ASTRAY,
     BASINS,
     FAILURES,
-    NOTABLE,
+    INK,
     OTHERS,
-    SYMBOLS,
+    UNMATCHED,
 )
+from walker_jax.figures.text import SYMBOLS
 from walker_jax.walking.outcomes import Outcome
+
+Extent = tuple[float, float, float, float]
+BASIN, ASTRAY = "basin of attraction", "converges to no known attractor"
 
 
 class Region(NamedTuple):
-    """Cells that share a colour."""
+    """A class of cells, and how it is shown."""
 
-    cells: Bool[np.ndarray, "*shape"]
+    of: CellClass
     colour: str
     letter: str
     """The first line of its label; empty where it has only one."""
@@ -33,54 +39,52 @@ class Region(NamedTuple):
     counted: bool = False
     """Whether the legend tells how many cells there are even where the label has room."""
 
-
-def slices_of(data: xr.Dataset) -> str:
-    """What to do with a basin of three dimensions where one of two is drawn."""
-    dimensions = data["fate"].dims if "fate" in data and "number" in data.dims else ()
-    others = [name for name in dimensions if name not in ("theta", "thetadot", "sum")]
-    if len(dimensions) != 3 or len(others) != 1:
-        return ""
-    return f": take a slice, data.isel({others[0]}=0), or draw several, basin_slices(data)"
+    @property
+    def cells(self) -> Bool[np.ndarray, "*shape"]:
+        """Whether each cell is in the region."""
+        return self.of.cells
 
 
-def notable_attractors(data: xr.Dataset) -> list[int]:
-    """Numbers of the attractors whose basins are drawn each in a colour, the largest first."""
-    walks = data["fate"].values == Outcome.STRIDE
-    numbers, cells = np.unique(data["attractor"].values[walks], return_counts=True)
-    real = np.isin(numbers, np.flatnonzero(~artefacts(data)))
-    large = real & (cells >= NOTABLE * walks.sum())
-    order = np.argsort(-cells[large], kind="stable")[: len(BASINS)]
-    return numbers[large][order].tolist()
-
-
-def regions_of(data: xr.Dataset, notable: list[int]) -> list[Region]:
-    """The regions that there are in a data set: basins, what else walks on, and failures."""
-    fate, attractor = data["fate"].values, data["attractor"].values
-    walks = fate == Outcome.STRIDE
+def regions_of(data: xr.Dataset, large: list[int]) -> list[Region]:
+    """The regions that there are in a data set, the basins of some attractors each on its own."""
+    walking = walking_cells(data, large)
     found = []
-    for number, colour in zip(notable, BASINS, strict=False):
+    for (number, cells), colour in zip(walking.large.items(), BASINS, strict=False):
         period = int(data["period"].sel(number=number))
         kind = f"basin of period {period}" if period else "basin without a period"
-        words = "basin of attraction" if len(notable) == 1 else kind
-        found.append(Region(walks & (attractor == number), colour, "A", words))
-    known = attractor >= 0
-    made_up = walks & np.isin(attractor, np.flatnonzero(artefacts(data)))
-    others = walks & known & ~made_up & ~np.isin(attractor, notable)
-    found.append(Region(others, OTHERS, "", "other attractors", counted=True))
-    found.append(Region(made_up, ARTEFACTS, "", "artefacts of cells", counted=True))
-    found.append(Region(walks & ~known, ASTRAY, "", "walks on, near no attractor", counted=True))
-    return [region for region in (*found, *failures(fate)) if region.cells.any()]
+        found.append(Region(cells, colour, "A", BASIN if len(large) == 1 else kind))
+    found += [
+        Region(walking.others, OTHERS, "", "other attractors", counted=True),
+        Region(walking.artefacts, ARTEFACTS, "", "artefacts of cell mapping", counted=True),
+        Region(walking.unmatched, UNMATCHED, "", ASTRAY, counted=True),
+    ]
+    return with_failures(found, data["fate"].values)
 
 
-def failures(fate: Int8[np.ndarray, "*shape"]) -> list[Region]:
-    """The regions of all failures, whether there are any or not."""
-    return [
-        Region(fate == outcome, colour, letter, words, counted=outcome == Outcome.UNDECIDED)
+def regions_of_one_basin(
+    fate: Int[np.ndarray, "*shape"],
+    basin: Bool[np.ndarray, "*shape"],
+    unmatched: Bool[np.ndarray, "*shape"],
+) -> list[Region]:
+    """The regions that there are where all basins have one colour."""
+    found = [
+        Region(CellClass(basin), BASINS[0], "A", BASIN),
+        Region(CellClass(unmatched), UNMATCHED, "", ASTRAY),
+    ]
+    return with_failures(found, fate)
+
+
+def with_failures(regions: list[Region], fate: Int[np.ndarray, "*shape"]) -> list[Region]:
+    """Regions and those of failures, without those that are empty."""
+    cells = failing_cells(fate)
+    failures = [
+        Region(cells[outcome], colour, letter, words, counted=outcome == Outcome.UNDECIDED)
         for outcome, (colour, letter, words) in FAILURES.items()
     ]
+    return [region for region in (*regions, *failures) if region.cells.any()]
 
 
-def painted(regions: list[Region], shape: tuple[int, ...]) -> UInt8[np.ndarray, "*shape 3"]:
+def paint(regions: list[Region], shape: tuple[int, ...]) -> UInt8[np.ndarray, "*shape 3"]:
     """Every cell in the colour of its region."""
     image = np.zeros((*shape, 3), np.uint8)
     for region in regions:
@@ -88,10 +92,13 @@ def painted(regions: list[Region], shape: tuple[int, ...]) -> UInt8[np.ndarray, 
     return image
 
 
-def show(
-    ax: Axes, image: UInt8[np.ndarray, "nx ny 3"], extent: tuple[float, float, float, float]
-) -> None:
-    """An image of cells, the first axis along x."""
+def extent_of(data: xr.Dataset, x: str, y: str) -> Extent:
+    """The edges of a grid: left, right, low and high."""
+    return (*cell_edges(data[x].values), *cell_edges(data[y].values))
+
+
+def show_image(ax: Axes, image: UInt8[np.ndarray, "nx ny 3"], extent: Extent) -> None:
+    """Draw an image of cells, the first axis along x."""
     ax.imshow(
         image.swapaxes(0, 1),
         origin="lower",
@@ -102,10 +109,23 @@ def show(
     )
 
 
-def attractor_name(period: int, cycle: xr.DataArray) -> str:
+def place_states(
+    data: xr.Dataset, states: Float[np.ndarray, "n section"], axes: tuple[str, ...]
+) -> Float[np.ndarray, "n axes"]:
+    """Where states are drawn on a picture of a data set with these axes."""
+    section = data.attrs["section"]
+    return np.stack([along_axis(states, section, axis) for axis in axes], axis=-1)
+
+
+def cycle_of(data: xr.Dataset, number: int) -> Float[np.ndarray, "n section"]:
+    """The states of an attractor."""
+    return data["states"].sel(number=number).dropna("phase").values
+
+
+def attractor_name(period: int, section: list[str], cycle: Float[np.ndarray, "n section"]) -> str:
     """What the legend says of an attractor: its period, and up to two of its states."""
-    names = [SYMBOLS.get(name, str(name)) for name in cycle["coordinate"].values.tolist()]
-    states = [", ".join(f"{value:.4f}" for value in state) for state in cycle.values.tolist()]
+    names = [SYMBOLS.get(name, name) for name in section]
+    states = [", ".join(f"{value:.4f}" for value in state) for state in cycle.tolist()]
     shown = ", ".join(f"({state})" for state in states[:2]).replace("-", "−")
     more = ", …" if len(states) > 2 else ""
     kind = {0: "a state of the attractor", 1: "attractor"}.get(
@@ -114,8 +134,21 @@ def attractor_name(period: int, cycle: xr.DataArray) -> str:
     return f"{kind}: ({', '.join(names)}) = {shown}{more}"
 
 
-def entry(region: Region, share: int) -> str:
-    """What the legend says of a region, of whose cells one in so many is drawn."""
-    count = int(region.cells.sum()) * share
+def attractor_mark(
+    ax: Axes, dots: Float[np.ndarray, "n 2"], marker: str, label: str = ""
+) -> Line2D:
+    """Draw the states of an attractor."""
+    style = {"color": INK, "mec": "white", "mew": 1.2, "ms": 7.5, "zorder": 5}
+    return ax.plot(*dots.T, marker, ls="", label=label, **style)[0]
+
+
+def patch_of(region: Region, label: str = "") -> Patch:
+    """The sign of a region in a legend."""
+    return Patch(fc=region.colour, ec=INK, lw=0.5, label=label or region.words)
+
+
+def counted_patch(region: Region, share: int) -> Patch:
+    """The sign of a region and the number of its cells, one in `share` of which is in the data."""
+    count = region.of.count * share
     about = "about " * (share > 1)
-    return f"{region.words} ({about}{count:,} cell{'s' * (count > 1)})"
+    return patch_of(region, f"{region.words} ({about}{count:,} cell{'s' * (count > 1)})")

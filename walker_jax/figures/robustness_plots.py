@@ -7,36 +7,54 @@ import xarray as xr
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
 
+from walker_jax.basins.cell_classes import large_basins
 from walker_jax.checks import WrongUse
 from walker_jax.figures.basin_maps import basin
-from walker_jax.figures.regions import attractor_name, notable_attractors, painted, regions_of, show
-from walker_jax.figures.style import (
-    AXIS_LABELS,
-    BASINS,
+from walker_jax.figures.layout import (
     BELOW,
-    FAILURES,
-    INK,
     LINE,
-    MEASURES,
-    WINDOW,
-    along,
-    counted,
-    ends,
-    margin,
+    name_axes,
+    new_axes,
+    padded_limits,
     place_legend,
-    title,
     write_title,
 )
+from walker_jax.figures.regions import (
+    attractor_name,
+    extent_of,
+    paint,
+    patch_of,
+    place_states,
+    regions_of,
+    show_image,
+)
+from walker_jax.figures.style import BASINS, FAILURES, INK
+from walker_jax.figures.text import RADIUS, count_noun, walker_title
+from walker_jax.stability.nearest_starts import (
+    NearestStart,
+    circle,
+    has_plane_disturbance,
+    nearest_starts,
+)
+from walker_jax.storage.schema import check_dataset
 from walker_jax.walking.outcomes import Outcome
+
+WINDOW = 1.25
+"""Half the width of the picture of the least disturbance, to the width of its curve."""
+MEASURES = {
+    "total_area": (BASINS[0], "-o", "area of the basin"),
+    "least_disturbance": (BASINS[1], "-s", "least disturbance"),
+    "multiplier": (INK, "--", RADIUS),
+}
+"""Colour, line and words of each measure of robustness."""
 
 
 def disturbance(data: xr.Dataset, ax: Axes | None = None) -> Axes:
-    """The basin close to its gait, and the nearest start from which the walker does not come back.
+    """The basin near its gait, and the nearest start from which the walker does not return to it.
 
-    All starts inside the curve, which are nearer, come back. Where that start leads to another
-    motion, the nearest one that falls is marked too: none inside the dashed curve does.
+    The walker returns from all starts inside the solid curve. Where the nearest start converges to
+    another attractor, the nearest one that falls is marked too: none inside the dashed curve falls.
 
     **Arguments:**
 
@@ -45,77 +63,62 @@ def disturbance(data: xr.Dataset, ax: Axes | None = None) -> Axes:
 
     **Returns** the axes. Raises `ValueError` for another data set.
     """
-    if not has_disturbance(data):
+    check_dataset(data, "robustness")
+    if not has_plane_disturbance(data):
         raise WrongUse("data must hold the least disturbance of a gait, over two dimensions")
-    data = data.assign_coords(coordinate=data.attrs["section"])
-    if ax is None:
-        ax = Figure(figsize=(5.4, 5.4), layout="constrained").add_subplot()
-    x, y = map(str, data["fate"].dims)
-    turn = np.linspace(0, 2 * np.pi, 400)
-    section, gait = data["coordinate"], data["gait_state"]
-
-    def circle(middle: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray]:
-        """The points at a distance from a state, in the plane of the picture."""
-        around = middle + size * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-        states = xr.DataArray(around, dims=("phase", "coordinate"), coords={"coordinate": section})
-        return along(states, x), along(states, y)
-
-    size, elsewhere = float(data["least_disturbance"]), int(data["failure"]) == Outcome.STRIDE
-    curves = [circle(gait.values, size)]
-    points = [(data["failing_state"], "X", disturbed(data, "failure", "failing_strides"))]
-    nearest = "nearest start that does not come back" if elsewhere else "nearest failure"
-    subject = f"{size:.4g}, from the gait to the {nearest}"
-    if elsewhere and "least_fall" in data:
-        farther = float(data["least_fall"])
-        from_state = data["fall_state"] - farther * data["fall_direction"]
-        curves.append(circle(from_state.values, farther))
-        points.append((data["fall_state"], "P", disturbed(data, "fall_failure", "fall_strides")))
-        subject = f"from the gait {size:.4g} to another motion, {farther:.4g} to a failure"
-    both = [np.concatenate(axis) for axis in zip(*curves, strict=True)]
-    middle, reach = [0.5 * (c.max() + c.min()) for c in both], [np.ptp(c) for c in both]
-    limits, window = [], {}
-    for name, centre, width in zip((x, y), middle, reach, strict=True):
-        axis = data[name].values
-        limits.append((centre - WINDOW * width, centre + WINDOW * width))
-        first, last = np.searchsorted(axis, limits[-1])
+    ax = new_axes(5.4, 5.4) if ax is None else ax
+    axes = x, y = str(data["fate"].dims[0]), str(data["fate"].dims[1])
+    starts = nearest_starts(data)
+    curves = [place_states(data, circle(one.gait_state, one.distance), axes) for one in starts]
+    low, high = np.min(curves, axis=(0, 1)), np.max(curves, axis=(0, 1))
+    middle, width = (low + high) / 2, high - low
+    limits = np.stack([middle - WINDOW * width, middle + WINDOW * width], axis=1)
+    window = {}
+    for name, ends in zip(axes, limits, strict=True):
+        first, last = np.searchsorted(data[name].values, ends)
         window[name] = slice(max(0, first - 2), last + 2)  # some cells, however large they are
     near = data.isel(window)
-    regions = regions_of(near, notable_attractors(data))
-    extent = (*ends(near[x].values), *ends(near[y].values))
-    show(ax, painted(regions, near["fate"].shape), extent)
+    regions = regions_of(near, large_basins(data, len(BASINS)))
+    show_image(ax, paint(regions, near["fate"].shape), extent_of(near, x, y))
     for curve, style in zip(curves, ("-", "--"), strict=False):
-        ax.plot(*curve, style, color="white", lw=1.6)
-    name = attractor_name(int(data["gait_period"]), gait.expand_dims("phase"))
+        ax.plot(*curve.T, style, color="white", lw=1.6)
+    gait = data["gait_state"].values
+    name = attractor_name(int(data["gait_period"]), data.attrs["section"], gait[None])
+    signs = [(gait, "o", name)]
+    signs += [(one.state, sign, start_phrase(one)) for one, sign in zip(starts, "XP", strict=False)]
     marks = []
     look: dict[str, Any] = {"ls": "", "mec": "white", "color": INK, "zorder": 3}
-    for state, sign, words in [(gait, "o", name), *points]:
-        at, ms = state.expand_dims("phase"), 7.5 if sign == "o" else 10
-        marks += ax.plot(along(at, x), along(at, y), sign, ms=ms, label=words, **look)
-    patches = [Patch(fc=region.colour, ec=INK, lw=0.5, label=region.words) for region in regions]
+    for state, sign, words in signs:
+        size = 7.5 if sign == "o" else 10
+        marks += ax.plot(
+            *place_states(data, state[None], axes).T, sign, ms=size, label=words, **look
+        )
     place_legend(ax, marks, BELOW, columns=1)
-    place_legend(ax, patches, BELOW + LINE * len(marks), columns=2)
+    place_legend(ax, [*map(patch_of, regions)], BELOW + LINE * len(marks), columns=2)
     ax.set(xlim=limits[0], ylim=limits[1])
-    ax.set_xlabel(AXIS_LABELS.get(x, x), fontsize=11)
-    ax.set_ylabel(AXIS_LABELS.get(y, y), fontsize=11)
+    name_axes(ax, x, y)
     ax.locator_params(nbins=6)
-    write_title(ax, "Least disturbance", subject)
+    write_title(ax, "Least disturbance", distance_phrase(starts))
     return ax
 
 
-def disturbed(data: xr.Dataset, failure: str, strides: str) -> str:
-    """What the legend says of the nearest start that is lost, given the names of how and when."""
-    how = Outcome(int(data[failure]))
-    if how == Outcome.STRIDE:
-        return "nearest start that comes to another motion"
-    return f"nearest start that {FAILURES[how][2]} after {counted(int(data[strides]), 'stride')}"
+def distance_phrase(starts: list[NearestStart]) -> str:
+    """The distances of the nearest starts from the gait."""
+    nearest, *fall = starts
+    if fall:
+        farther = f"{fall[0].distance:.4g} to a failure"
+        return f"from the gait {nearest.distance:.4g} to another attractor, {farther}"
+    elsewhere = nearest.outcome == Outcome.STRIDE
+    end = "start that does not return" if elsewhere else "failure"
+    return f"{nearest.distance:.4g}, from the gait to the nearest {end}"
 
 
-def has_disturbance(data: xr.Dataset) -> bool:
-    """Whether a data set holds what `disturbance` draws."""
-    known = {"fate", "least_disturbance", "failing_state", "gait_state"} <= set(data)
-    if not known or data["fate"].ndim != 2 or data["least_disturbance"].ndim:
-        return False
-    return len(data.attrs["section"]) == 2 and bool(np.isfinite(data["least_disturbance"]))
+def start_phrase(start: NearestStart) -> str:
+    """What the legend says of the nearest start that does not return."""
+    if start.outcome == Outcome.STRIDE:
+        return "nearest start that converges to another attractor"
+    fails, strides = FAILURES[start.outcome][2], count_noun(start.strides, "stride")
+    return f"nearest start that {fails} after {strides}"
 
 
 def robustness(data: xr.Dataset) -> Figure:
@@ -129,7 +132,8 @@ def robustness(data: xr.Dataset) -> Figure:
 
     **Returns** the figure, of 13 by 5.8 inches. Raises `ValueError` as these do.
     """
-    both = has_disturbance(data)
+    check_dataset(data, "basin")
+    both = has_plane_disturbance(data)
     figure = Figure(figsize=(13 if both else 7, 5.8), layout="constrained")
     axes = figure.subplots(1, 2 if both else 1, squeeze=False)[0]
     basin(data, axes[0])
@@ -142,7 +146,7 @@ def robustness_measures(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     """Area of the basin, least disturbance and largest multiplier against a parameter.
 
     Figure 8 of Schwab and Wisse (2001), and the least disturbance. Area and disturbance are drawn
-    as parts of their largest values, the multiplier as it is: where the one grows, the others need
+    as shares of their largest values, the multiplier as it is: where one grows, the others need
     not shrink.
 
     **Arguments:**
@@ -153,33 +157,29 @@ def robustness_measures(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     **Returns** the axes. Raises `ValueError` for another data set.
     """
     values, parameter = table_axis(data)
-    if ax is None:
-        ax = Figure(figsize=(7, 4.6), layout="constrained").add_subplot()
-    area, error = data["total_area"].values, data["total_area_error"].values
-    most, farthest = np.max(area), np.nanmax([0.0, *data["least_disturbance"].values])
-    kind = MEASURES["total_area"]
-    handles = ax.plot(
-        values, area / (most or 1), kind[1], color=kind[0], label=f"{kind[2]}, of {most:.4g}"
-    )
-    wide = 2 * error / (most or 1)
-    ax.fill_between(values, area / (most or 1) - wide, area / (most or 1) + wide, color=kind[0])
-    colour, sign, words = MEASURES["least_disturbance"]
-    part = data["least_disturbance"].values / (farthest or 1)
-    handles += ax.plot(values, part, sign, color=colour, label=f"{words}, of {farthest:.4g}")
-    falls = data.get("least_fall", data["least_disturbance"]).values
-    beyond = falls > data["least_disturbance"].values
-    highest = np.max(falls[beyond] / (farthest or 1), initial=1)
-    if beyond.any():
-        words = "least one from which it falls, where that comes to another motion"
-        part = falls[beyond] / farthest
-        handles += ax.plot(values[beyond], part, "s", color=colour, mfc="white", label=words)
-    colour, sign, words = MEASURES["multiplier"]
-    handles += ax.plot(values, data["multiplier"].values, sign, color=colour, label=words)
-    ax.set_xlabel(AXIS_LABELS.get(parameter, parameter), fontsize=11)
-    ax.set_ylabel("part of the largest; modulus", fontsize=11)
-    ax.set(xlim=margin(values), ylim=(0, 1.05 * highest))
-    note = "with twice the error of the area; the multiplier is that of the gait walkers come to"
-    write_title(ax, f"{title(data)}: robustness", note)
+    ax = new_axes(7, 4.6) if ax is None else ax
+    area, area_scale = scaled(data["total_area"])
+    least, least_scale = scaled(data["least_disturbance"])
+    colour, style, words = MEASURES["total_area"]
+    label = f"{words} (largest {area_scale:.4g})"
+    handles = ax.plot(values, area, style, color=colour, label=label)
+    band = 2 * data["total_area_error"].values / (area_scale or 1)
+    ax.fill_between(values, area - band, area + band, color=colour, alpha=0.25, lw=0)
+    colour, style, words = MEASURES["least_disturbance"]
+    label = f"{words} (largest {least_scale:.4g})"
+    handles += ax.plot(values, least, style, color=colour, label=label)
+    falls = data.get("least_fall", data["least_disturbance"]).values / (least_scale or 1)
+    farther = falls > least
+    if farther.any():
+        words = "least disturbance after which it falls, where that is larger"
+        look: dict[str, Any] = {"color": colour, "mfc": "white", "label": words}
+        handles += ax.plot(values[farther], falls[farther], "s", **look)
+    colour, style, words = MEASURES["multiplier"]
+    handles += ax.plot(values, data["multiplier"].values, style, color=colour, label=words)
+    name_axes(ax, parameter, "share of the largest; modulus")
+    ax.set(xlim=padded_limits(values), ylim=(0, 1.05 * np.max(falls[farther], initial=1)))
+    note = "band: twice the standard error of the area; multiplier of the attracting gait"
+    write_title(ax, f"{walker_title(data)}: robustness", note)
     place_legend(ax, handles, BELOW, columns=1)
     return ax
 
@@ -192,16 +192,14 @@ def boundary_dimension(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     **Arguments** and errors are those of `robustness_measures`.
     """
     values, parameter = table_axis(data)
-    if ax is None:
-        ax = Figure(figsize=(7, 4.6), layout="constrained").add_subplot()
+    ax = new_axes(7, 4.6) if ax is None else ax
     low, middle, high = (data[f"dimension{end}"].values for end in ("_low", "", "_high"))
     ax.fill_between(values, low, high, color=BASINS[0], alpha=0.25, lw=0)
     ax.plot(values, middle, "o-", color=BASINS[0], markersize=4)
     ax.axhline(1, color=INK, lw=0.8, zorder=1)
-    ax.set_xlabel(AXIS_LABELS.get(parameter, parameter), fontsize=11)
-    ax.set_ylabel("dimension", fontsize=11)
+    name_axes(ax, parameter, "dimension")
     top = np.nanmax([1.2, *high])
-    ax.set(xlim=margin(values), ylim=(0.9, 1.05 * top))
+    ax.set(xlim=padded_limits(values), ylim=(0.9, 1.05 * top))
     note = "by the uncertainty exponent, with its 95 % interval"
     write_title(ax, "Dimension of the basin's boundary", note)
     return ax
@@ -216,6 +214,7 @@ def robustness_table(data: xr.Dataset) -> Figure:
 
     **Returns** the figure, of 13 by 5 inches. Raises `ValueError` as these do.
     """
+    check_dataset(data, "robustness table")
     figure = Figure(figsize=(13, 5), layout="constrained")
     axes = figure.subplots(1, 2)
     robustness_measures(data, axes[0])
@@ -224,8 +223,13 @@ def robustness_table(data: xr.Dataset) -> Figure:
 
 
 def table_axis(data: xr.Dataset) -> tuple[Float[np.ndarray, " n"], str]:
-    """The values of a table's parameter, and its name; `ValueError` for what is no table."""
-    dims = data["total_area"].dims if "total_area" in data else ()
-    if len(dims) != 1 or "least_disturbance" not in data:
-        raise WrongUse("data must be a table of robustness over one parameter")
-    return data[dims[0]].values, str(dims[0])
+    """The values of a table's parameter, and its name; raises `ValueError` for another data set."""
+    check_dataset(data, "robustness table")
+    parameter = str(data["total_area"].dims[0])
+    return data[parameter].values, parameter
+
+
+def scaled(values: xr.DataArray) -> tuple[Float[np.ndarray, " n"], float]:
+    """Values as shares of the largest one, and that one; 0 where all are 0 or NaN."""
+    largest = float(np.nanmax([0.0, *values.values]))
+    return values.values / (largest or 1), largest

@@ -1,4 +1,4 @@
-"""What the paper computes, each part as a data set."""
+"""The calculations of the paper, each a function that returns a data set."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -17,28 +17,29 @@ from walker_jax.walkers.simplest import SimplestWalker
 from walker_jax.walking.movement import motion
 
 SLOPE = 0.004
-"""Of the paper's examples."""
+"""Slope of the examples in the paper."""
 START = (0.2, -0.21645)
-"""Of Table 1, whose theta + thetadot has one digit more than its thetadot."""
+"""The start in Table 1, whose theta + thetadot has one digit more than its thetadot."""
 CELL = 0.002, 0.0002
 """Widths of the paper's cells, along theta and theta + thetadot."""
-ROW = (0.004, 0.008, 0.012, 0.015, 0.018, 0.02)
-"""Slopes of Figure 7, which the paper does not tell."""
+ROW_SLOPES = (0.004, 0.008, 0.012, 0.015, 0.018, 0.02)
+"""Slopes of Figure 7. The paper does not print its own."""
 
 
 class Size(NamedTuple):
-    """How much is computed."""
+    """The extent of the calculations."""
 
     section: int
     """Cells along each axis of Figure 2."""
     slopes: int
-    """Of Figure 8."""
+    """Slopes of Figure 8."""
     levels: int | None
-    """Of refinement, for the exact areas of Figure 8; none for none."""
+    """Levels of refinement for the exact areas of Figure 8; without any, there are none."""
     strides: int
-    """After which a walker counts as walking for ever, where walking is lost."""
+    """Strides after which a walker counts as walking for ever, where walking is lost."""
     shifts: int
-    """Of the paper's grid along each axis, in search of where it shows nothing any more."""
+    """Shifts of the paper's grid along each axis, to see how the vanishing of the basin depends on
+    where cells lie."""
 
 
 FULL = Size(section=1000, slopes=22, levels=3, strides=3000, shifts=4)
@@ -46,7 +47,7 @@ QUICK = Size(section=400, slopes=15, levels=None, strides=1000, shifts=2)
 
 
 def paper_grid(shift: Sequence[float] | Float[np.ndarray, " 2"] = (0, 0)) -> Grid:
-    """That of Figure 4: 200 x 250 cells; shifted, by parts of a cell."""
+    """The grid of Figure 4, 200 x 250 cells, shifted by parts of a cell."""
     left, up = np.multiply(CELL, shift)
     return Grid.sheared(theta=(-left, 0.4 - left, 200), sum=(-0.04 + up, 0.01 + up, 250))
 
@@ -57,7 +58,7 @@ def stride_of_gait(size: Size) -> xr.Dataset:
     return motion(walker, find_gait(walker).states[0], 1, step=0.02)
 
 
-def section(size: Size) -> xr.Dataset:
+def whole_section(size: Size) -> xr.Dataset:
     """Figure 2: the whole section."""
     n = size.section
     grid = Grid.plain(theta=(0, np.pi / 4, n), thetadot=(-1.2, 0, n))
@@ -65,7 +66,7 @@ def section(size: Size) -> xr.Dataset:
 
 
 def gaits(size: Size) -> xr.Dataset:
-    """Figure 3: gaits of period one over the slope, where they double, and what is lost."""
+    """Figure 3: gaits of period one over the slope, and the loss of walking."""
     return bifurcation_diagram(
         SimplestWalker(SLOPE),
         "slope",
@@ -76,13 +77,13 @@ def gaits(size: Size) -> xr.Dataset:
     )
 
 
-def mapped(size: Size) -> xr.Dataset:
+def cell_mapping(size: Size) -> xr.Dataset:
     """Figure 4: cell mapping on the paper's own grid."""
     return basin(SimplestWalker(SLOPE), paper_grid())
 
 
-def followed(size: Size) -> xr.Dataset:
-    """Under Figure 5: the same cells, followed directly."""
+def direct_iteration(size: Size) -> xr.Dataset:
+    """The basin in Figure 5: the same cells by direct iteration."""
     return basin(SimplestWalker(SLOPE), paper_grid(), "direct")
 
 
@@ -91,19 +92,19 @@ def walk(size: Size) -> xr.Dataset:
     return motion(SimplestWalker(SLOPE), np.array(START), 9, step=0.02)
 
 
-def slopes(size: Size) -> xr.Dataset:
+def basins_over_slopes(size: Size) -> xr.Dataset:
     """Figure 7: basins at a row of slopes, in a window that is higher than that of Figure 4.
 
     The basin rises with the slope.
     """
     grid = Grid.sheared(theta=(0, 0.4, 200), sum=(-0.04, 0.02, 300))
-    found = [basin(SimplestWalker(slope), grid, "direct") for slope in ROW]
+    found = [basin(SimplestWalker(slope), grid, "direct") for slope in ROW_SLOPES]
     kept = [one[["fate", "attractor"]].assign(area=one["area"].sum()) for one in found]
     joined = xr.concat(kept, "slope", coords="minimal", compat="override", combine_attrs="drop")
-    return joined.assign_coords(slope=list(ROW)).assign_attrs(found[0].attrs)
+    return joined.assign_coords(slope=list(ROW_SLOPES)).assign_attrs(found[0].attrs)
 
 
-def sizes(size: Size) -> xr.Dataset:
+def areas_over_slopes(size: Size) -> xr.Dataset:
     """Figure 8: area of the whole basin over the slope, by the paper's cells and exactly."""
     theta, total = CELL
     grid = Grid.sheared(theta=(0, 392 * theta, 392), sum=(-600 * total, 150 * total, 750))
@@ -124,10 +125,10 @@ def sizes(size: Size) -> xr.Dataset:
     return xr.Dataset({name: ("slope", values) for name, values in over.items()}, {"slope": at})
 
 
-def vanishing(size: Size) -> xr.Dataset:
-    """Section 5.2: cells of the paper's own grid that walk for ever, over steep slopes.
+def surviving_cells(size: Size) -> xr.Dataset:
+    """Section 5.2: how many cells converge to an attractor by cell mapping, over steep slopes.
 
-    And of grids that are that one shifted by parts of a cell.
+    On the paper's own grid, and on grids shifted by parts of a cell.
     """
     at = np.arange(18, 28) / 1000
     shifts = np.stack(np.divmod(np.arange(size.shifts**2), size.shifts), axis=1) / size.shifts
@@ -141,7 +142,7 @@ def vanishing(size: Size) -> xr.Dataset:
     return xr.Dataset({"cells": (("shift", "slope"), cells)}, {"slope": at})
 
 
-def line(size: Size) -> xr.Dataset:
+def fates_along_line(size: Size) -> xr.Dataset:
     """Section 5.1: fates along the line theta = 0.2 of Figure 4."""
     half = 1e-9
     grid = Grid.sheared(theta=(0.2 - half, 0.2 + half, 1), sum=(-0.04, 0.01, 50_000))
@@ -150,14 +151,14 @@ def line(size: Size) -> xr.Dataset:
 
 PARTS: dict[str, Callable[[Size], xr.Dataset]] = {
     "stride": stride_of_gait,
-    "section": section,
+    "section": whole_section,
     "gaits": gaits,
-    "mapped": mapped,
-    "followed": followed,
+    "cell_mapping": cell_mapping,
+    "direct_iteration": direct_iteration,
     "walk": walk,
-    "slopes": slopes,
-    "sizes": sizes,
-    "vanishing": vanishing,
-    "line": line,
+    "basins": basins_over_slopes,
+    "areas": areas_over_slopes,
+    "surviving_cells": surviving_cells,
+    "line": fates_along_line,
 }
-"""What is computed, by the names of the data sets."""
+"""The calculations by the names of their data sets."""

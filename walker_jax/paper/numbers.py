@@ -31,19 +31,19 @@ FIXED_POINT = ("0.1534", "-0.1561", "-0.00269")
 
 
 class Number(NamedTuple):
-    """What the paper says, and what comes out."""
+    """A number in the paper, and the one computed here."""
 
     where: str
     what: str
     printed: str
     ours: str
     agrees: bool
-    """At the digits that are printed."""
+    """Whether both agree at the digits that are printed."""
     why: str
-    """It differs, or how it is to be read."""
+    """The reason of a difference, or how to read the number."""
 
 
-def compared(data: dict[str, xr.Dataset]) -> list[Number]:
+def compare_numbers(data: dict[str, xr.Dataset]) -> list[Number]:
     """Every number of the paper's text and table, with ours."""
     walker = SimplestWalker(SLOPE)
     gait = find_gait(walker)
@@ -51,25 +51,30 @@ def compared(data: dict[str, xr.Dataset]) -> list[Number]:
     states = data["walk"]["states"].values
     names = "θ", "θ̇", "θ + θ̇"
     found = [
-        close("Fig. 2", f"{name} of the cyclic motion", text, value)
+        compare_printed("Fig. 2", f"{name} of the cyclic motion", text, value)
         for name, text, value in zip(names, FIXED_POINT, (theta, thetadot), strict=False)
     ]
     for step, row in enumerate(TABLE_1, 1):
         values = *states[step - 1], states[step - 1].sum()
         found += [
-            close("Table 1", f"step {step}, {name}", text, float(value))
+            compare_printed("Table 1", f"step {step}, {name}", text, float(value))
             for name, text, value in zip(names, row, values, strict=True)
         ]
     found += [
-        close("Table 1", f"fixed point, {name}", text, value)
+        compare_printed("Table 1", f"fixed point, {name}", text, value)
         for name, text, value in zip(
             names, FIXED_POINT, (theta, thetadot, theta + thetadot), strict=True
         )
     ]
-    return [*found, *of_section_3(), *of_section_4(data, walker), *of_section_5(data, walker)]
+    return [
+        *found,
+        *numbers_of_section_3(),
+        *numbers_of_section_4(data, walker),
+        *numbers_of_section_5(data, walker),
+    ]
 
 
-def of_section_3() -> list[Number]:
+def numbers_of_section_3() -> list[Number]:
     """The impact, of a walker whose feet have next to no mass, by the general method."""
     theta, rate = -0.25, -0.3
     walker = PointFootWalker(SLOPE, 1e-9)
@@ -93,23 +98,23 @@ def of_section_3() -> list[Number]:
         ("3.2", "speed of the stance foot, to cos 2θ sin 2θ θ̇⁻", np.hypot(u, v), np.abs(c * s), ""),
     )
     return [
-        close(where, what, "1", float(ours) / float(printed), 6, why)
+        compare_printed(where, what, "1", float(ours) / float(printed), 6, why)
         for where, what, ours, printed, why in formulas
     ]
 
 
-def of_section_4(data: dict[str, xr.Dataset], walker: SimplestWalker) -> list[Number]:
+def numbers_of_section_4(data: dict[str, xr.Dataset], walker: SimplestWalker) -> list[Number]:
     """Step-to-step behaviour."""
     at = lambda *values: State(*map(jnp.asarray, values))
     force: Any = lambda rate: float(walker.contact_force(at(SLOPE, 0.0, rate, 0.0))[1])
     fastest: Any = brentq(force, -2.0, -0.1)
 
-    def following(angle: float) -> float:
+    def rate_after_strike(angle: float) -> float:
         """The rate of the stance leg after heel strike at an angle."""
         _, after = walker.impact(at(angle, 2 * angle, -1.0, 0.0))
         return float(walker.exchange_legs(after).thetadot)
 
-    turning: Any = following
+    turning: Any = rate_after_strike
     widest: Any = brentq(turning, -1.2, -0.4)
     edge = backward_edge(walker, np.array([0.1, 0.2, 0.3]))
     inclination = float(np.degrees(np.arctan((edge[2] - edge[0]) / 0.2)))
@@ -119,12 +124,16 @@ def of_section_4(data: dict[str, xr.Dataset], walker: SimplestWalker) -> list[Nu
     froude = "Froude number at which the contact force vanishes, leg upright"
     slower = "The long and the short gait, and slower ones whose leg swings to and fro once more."
     return [
-        close("4.1", "θ from which a heel strike turns the walker back, π/4", "0.7854", -widest),
-        close("4.1", froude, "1", fastest**2, 3),
-        close("4.1", "θ + θ̇ on the boundary to B, at θ = 0.2: γ", "0.004", float(edge[1]) + 0.2),
-        close("5.1", "inclination of that boundary, degrees", "-45", inclination),
-        close("4.2", "slope up to which the gait is stable", "0.015", doubling),
-        close("5.2", "the same, after Garcia and others (1998)", "0.0151", doubling),
+        compare_printed(
+            "4.1", "θ from which a heel strike turns the walker back, π/4", "0.7854", -widest
+        ),
+        compare_printed("4.1", froude, "1", fastest**2, 3),
+        compare_printed(
+            "4.1", "θ + θ̇ on the boundary to B, at θ = 0.2: γ", "0.004", float(edge[1]) + 0.2
+        ),
+        compare_printed("5.1", "inclination of that boundary, degrees", "-45", inclination),
+        compare_printed("4.2", "slope up to which the gait is stable", "0.015", doubling),
+        compare_printed("5.2", "the same, after Garcia and others (1998)", "0.0151", doubling),
         Number(
             where="4",
             what="cyclic solutions of period one",
@@ -136,20 +145,20 @@ def of_section_4(data: dict[str, xr.Dataset], walker: SimplestWalker) -> list[Nu
     ]
 
 
-def of_section_5(data: dict[str, xr.Dataset], walker: SimplestWalker) -> list[Number]:
+def numbers_of_section_5(data: dict[str, xr.Dataset], walker: SimplestWalker) -> list[Number]:
     """Results."""
     fate = Outcome(int(strides(walker, np.array([[0.2, -0.23]])).outcome[0])).name
     walks = data["line"]["attractor"].values >= 0
     crossings = int((np.diff(walks.astype(int), prepend=0) > 0).sum())
-    at = data["vanishing"]["slope"].values
-    empty = data["vanishing"]["cells"].values == 0
+    at = data["surviving_cells"]["slope"].values
+    empty = data["surviving_cells"]["cells"].values == 0
     gone = np.where(empty.any(axis=1), at[empty.argmax(axis=1)], np.inf)
     below, above = map(float, data["gaits"]["lost"].values)
     radius = lambda slope: float(np.abs(find_gait(SimplestWalker(slope)).multipliers[0]))
     best: Any = minimize_scalar(radius, bounds=(0.008, 0.015), method="bounded")
     coarse = min((0.008, 0.010, 0.012, 0.014, 0.016), key=radius)
-    areas = data["sizes"]["mapped_area"].values
-    largest = float(data["sizes"]["slope"].values[areas.argmax()])
+    areas = data["areas"]["mapped_area"].values
+    largest = float(data["areas"]["slope"].values[areas.argmax()])
     vanished = "slope at which the basin has vanished"
     return [
         Number(
@@ -168,12 +177,12 @@ def of_section_5(data: dict[str, xr.Dataset], walker: SimplestWalker) -> list[Nu
             agrees=crossings >= 4,
             why="",
         ),
-        close(
+        compare_printed(
             *("5.2", f"{vanished}, on the paper's grid", "0.022", float(gone[0])),
-            why="The first slope, in steps of 0.001, at which no cell walks for ever. It depends "
-            f"on where cells lie: from {gone.min():.3f} to {gone.max():.3f} on {len(gone)} grids, "
-            "this one and others shifted by parts of a cell. From 0.0205 on only a few are left, "
-            "each with an unstable gait that seems to stand still in it.",
+            why="The first slope, in steps of 0.001, at which no cell converges to an attractor. "
+            f"It depends on where cells lie: from {gone.min():.3f} to {gone.max():.3f} on "
+            f"{len(gone)} grids, this one and others shifted by parts of a cell. From 0.0205 on "
+            "only a few are left, each with an unstable gait that seems to stand still in it.",
         ),
         Number(
             where="5.2",
@@ -181,10 +190,10 @@ def of_section_5(data: dict[str, xr.Dataset], walker: SimplestWalker) -> list[Nu
             printed="0.022",
             ours=f"{np.floor(below * 1e5) / 1e5:.5f} to {np.ceil(above * 1e5) / 1e5:.5f}",
             agrees=bool(below <= 0.022 <= above),
-            why="No cells. Between these slopes the chaotic attractor, to which the gait has come "
-            "by doubling its period, is lost, and walkers fall after some hundred strides.",
+            why="No cells. Between these slopes the chaotic attractor at the end of the gait's "
+            "period doublings is lost, and walkers fall after some hundred strides.",
         ),
-        close(
+        compare_printed(
             *("5.2", "slope of the most stable gait", "0.012", float(best.x)),
             why="Two complex multipliers meet on the real axis there; their modulus shrinks up to "
             "that slope, and that of the larger one grows steeply beyond it. Of slopes that are "
@@ -212,10 +221,10 @@ def backward_edge(walker: SimplestWalker, theta: np.ndarray) -> np.ndarray:
     return (slow + fast) / 2
 
 
-def close(
+def compare_printed(
     where: str, what: str, printed: str, ours: float, digits: int | None = None, why: str = ""
 ) -> Number:
-    """A number that is printed to some digits, and ours with three more."""
+    """Compare a number, printed to some digits, with ours, which is written with three more."""
     places = -int(Decimal(printed).as_tuple().exponent)
     agrees = bool(abs(ours - float(printed)) <= 0.5 * 10.0**-places * (1 + 1e-9))
     digits = places + 3 if digits is None else digits

@@ -1,12 +1,13 @@
 """The paper's figures, each with its caption."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import xarray as xr
 from matplotlib.figure import Figure
 
 from walker_jax import figures
+from walker_jax.figures.layout import figure_of
 
 
 class PaperFigure(NamedTuple):
@@ -16,10 +17,6 @@ class PaperFigure(NamedTuple):
     title: str
     draw: Callable[[dict[str, xr.Dataset]], Figure]
     text: str
-
-
-def drawn(axes: Any) -> Figure:
-    return axes.get_figure(root=True)
 
 
 FIGURES = (
@@ -35,16 +32,16 @@ FIGURES = (
     PaperFigure(
         2,
         "The Poincaré section",
-        lambda data: drawn(figures.basin(data["section"])),
-        "The whole feasible section at a slope of 0.004, every cell followed until it fails or has "
-        "come to the gait: F falls forward, B backward, and R runs (its foot pulls at the ground). "
-        "The basin of attraction, which is too narrow for a letter, is dark; the dot is the gait. "
-        "At the right border, a few walkers stop on both feet.",
+        lambda data: figure_of(figures.basin(data["section"])),
+        "The whole feasible section at a slope of 0.004, every cell followed until it fails or "
+        "converges to the gait: F falls forward, B backward, and R runs (its foot pulls at the "
+        "ground). The basin of attraction, which is too narrow for a letter, is dark; the dot is "
+        "the gait. At the right border, a few walkers stop on both feet.",
     ),
     PaperFigure(
         3,
         "Fixed points over the slope",
-        lambda data: drawn(figures.gait_branches(data["gaits"])),
+        lambda data: figure_of(figures.gait_branches(data["gaits"])),
         "The long gait, the middle line, is stable up to a slope of 0.01509, where it doubles its "
         "period; the short one below it never is, nor is a slower one above, whose leg swings to "
         "and fro once more. A fourth gait differs from that by less than 0.00002.",
@@ -52,35 +49,35 @@ FIGURES = (
     PaperFigure(
         4,
         "The basin, enlarged and sheared",
-        lambda data: drawn(figures.basin(data["mapped"])),
+        lambda data: figure_of(figures.basin(data["cell_mapping"])),
         "Cell mapping on the paper's own grid: 200 × 250 cells, Δθ = 0.002, Δ(θ + θ̇) = 0.0002. A "
-        "walker that leaves this window is lost to cell mapping; in the figure below each is "
-        "followed to its end.",
+        "walker that leaves this window is lost to cell mapping; the figure below is by direct "
+        "iteration.",
     ),
     PaperFigure(
         5,
         "Nine steps towards the fixed point",
-        lambda data: figures.steps_over_basin(data["followed"], data["walk"]),
-        "From just inside the first tail of the basin. The basin is that of the same cells, each "
-        "followed directly.",
+        lambda data: figures.steps_over_basin(data["direct_iteration"], data["walk"]),
+        "From just inside the first tail of the basin. The basin is that of the same cells, by "
+        "direct iteration.",
     ),
     PaperFigure(
         6,
         "Leg angles on that walk",
-        lambda data: drawn(figures.leg_angles(data["walk"])),
+        lambda data: figure_of(figures.leg_angles(data["walk"])),
         "The legs exchange roles at every heel strike, the thin lines.",
     ),
     PaperFigure(
         7,
         "The basin at increasing slopes",
-        lambda data: figures.basins_in_a_row(data["slopes"]),
+        lambda data: figures.basins_in_a_row(data["basins"]),
         "The paper does not print its slopes. Where the basin is largest it has smooth edges; at "
         "steeper slopes fingers of failure reach into it; beyond 0.01905 it is lost.",
     ),
     PaperFigure(
         8,
         "Stability, and area of the basin",
-        lambda data: drawn(figures.stability_and_area(data["gaits"], data["sizes"])),
+        lambda data: figure_of(figures.stability_and_area(data["gaits"], data["areas"])),
         "The gait is most stable at a slope of 0.0138, and the basin is largest on the smallest "
         "slope: one says nothing about the other. Areas are those of the whole section up to "
         "θ = π/4, by cells of the paper's size, and by refinement.",

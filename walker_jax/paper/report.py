@@ -39,7 +39,7 @@ th { color: var(--faint); font-weight: 600; }
 def page(title: str, subtitle: str, intro: str, blocks: Sequence[str], signature: str = "") -> str:
     """A page with a heading, an introduction, and blocks of `picture` and `table`.
 
-    The signature is kept in it, unseen.
+    The page holds the signature, unseen.
     """
     return "\n".join(
         [

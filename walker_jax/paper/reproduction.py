@@ -1,8 +1,8 @@
 """The paper of Schwab and Wisse (2001), figure by figure and number by number.
 
-*Basin of attraction of the simplest walking model*, ASME DETC2001/VIB-21363. Each part of it is
-computed anew and kept as a data set; pictures and numbers follow from these. Where the paper's own
-cells show in what it says, its number is found on its own grid, and the exact one stands beside it.
+*Basin of attraction of the simplest walking model*, ASME DETC2001/VIB-21363. Each part
+is computed anew and kept as a data set, from which pictures and numbers follow. Where a number
+depends on the paper's own cells, it is computed on the paper's grid, and exactly as well.
 """
 
 import json
@@ -16,7 +16,7 @@ from walker_jax import storage
 from walker_jax.execution.progress import console
 from walker_jax.paper import report
 from walker_jax.paper.calculations import FULL, PARTS, QUICK
-from walker_jax.paper.numbers import Number, compared
+from walker_jax.paper.numbers import Number, compare_numbers
 from walker_jax.paper.pictures import FIGURES, PaperFigure
 
 
@@ -27,20 +27,20 @@ def reproduce(
 
     **Arguments:**
 
-    - `out`: a folder, which is made: `report.html`, a page with everything in it; the figures, as
-      PNG and SVG; `numbers.json`; and in `data` the data sets. Those that are there from an earlier
-      run, which may have been interrupted, are taken as they are.
+    - `out`: the folder of the report: `report.html`, a page with everything in it; the figures, as
+      PNG and SVG; `numbers.json`; and in `data` the data sets. Data sets of an earlier run of the
+      same, which may have been interrupted, are used again.
     - `quick`: with fewer cells, slopes and strides, and without exact areas.
-    - `overwrite`: whether to remove what is there of another run.
-    - `progress`: whether to show on a terminal what is being computed.
+    - `overwrite`: whether to remove the files of another run.
+    - `progress`: whether to show progress on a terminal.
 
-    **Returns** the numbers. `ValueError` where something else stands in the place.
+    **Returns** the numbers. Raises `ValueError` where the folder holds something else.
     """
     size = QUICK if quick else FULL
     request = {"command": "reproduce", "size": size._asdict(), "version": version("walker-jax")}
     places = {name: out / "data" / f"{name}.zarr" for name in PARTS}
     check_place(out, places, request, overwrite=overwrite)
-    if overwrite:  # all at once, so that the same run can be gone on with when interrupted
+    if overwrite:  # all at once, so that the same run can be resumed when interrupted
         for path in files_of(out):
             path.unlink(missing_ok=True)
         for path in places.values():
@@ -58,21 +58,21 @@ def reproduce(
                     found = storage.save(compute(size), places[name], own)
             data[name] = found
         with shown.status("numbers and figures"):
-            numbers = compared(data)
+            numbers = compare_numbers(data)
             title, images = storage.signature(request), []
             for one in FIGURES:
                 figure = one.draw(data)
-                for path in pictures(out, one):
+                for path in picture_paths(out, one):
                     figure.savefig(path, dpi=150, metadata={"Title": title})
-                images.append(pictures(out, one)[0].read_bytes())
+                images.append(picture_paths(out, one)[0].read_bytes())
         kept = {"signature": title, "numbers": [number._asdict() for number in numbers]}
         storage.write(out / "numbers.json", json.dumps(kept, indent=1))
-        storage.write(out / "report.html", html(numbers, images, title, quick=quick))
+        storage.write(out / "report.html", render_report(numbers, images, title, quick=quick))
     return numbers
 
 
 def check_place(out: Path, places: dict[str, Path], request: dict, *, overwrite: bool) -> None:
-    """Refuse a place in which something else would be lost, or that cannot be written to."""
+    """Raise `ValueError` where something else would be lost, or nothing can be written."""
     storage.writable(out)
     if not out.exists():
         return
@@ -87,18 +87,20 @@ def check_place(out: Path, places: dict[str, Path], request: dict, *, overwrite:
 
 
 def files_of(out: Path) -> list[Path]:
-    """What a report consists of, beside its data sets."""
-    figures = [path for one in FIGURES for path in pictures(out, one)]
+    """The files of a report beside its data sets."""
+    figures = [path for one in FIGURES for path in picture_paths(out, one)]
     return [*figures, out / "numbers.json", out / "report.html"]
 
 
-def pictures(out: Path, figure: "PaperFigure") -> tuple[Path, Path]:
-    """Where a figure goes, as PNG and as SVG."""
+def picture_paths(out: Path, figure: PaperFigure) -> tuple[Path, Path]:
+    """The paths of a figure, as PNG and as SVG."""
     return out / f"figure-{figure.number}.png", out / f"figure-{figure.number}.svg"
 
 
-def html(numbers: list[Number], images: list[bytes], signature: str, *, quick: bool) -> str:
-    """The report."""
+def render_report(
+    numbers: list[Number], images: list[bytes], signature: str, *, quick: bool
+) -> str:
+    """The page of the report."""
     differ = [number for number in numbers if not number.agrees]
     rows = lambda chosen: [
         (one.where, one.what, one.printed, one.ours, "✓" if one.agrees else "differs", one.why)
@@ -108,12 +110,12 @@ def html(numbers: list[Number], images: list[bytes], signature: str, *, quick: b
     size = "with fewer cells and slopes than in full" if quick else "in full"
     intro = (
         f"{len(numbers)} numbers of the paper's text and table are compared, at the digits that "
-        f"are printed: {len(numbers) - len(differ)} agree, {len(differ)} differ, and each of these "
-        "has its reason beside it. Computed "
+        f"are printed: {len(numbers) - len(differ)} agree, {len(differ)} differ, each for the "
+        "reason beside it. Computed "
         f"{size} by walker_jax {version('walker-jax')}. Lengths are in units of the leg, times in "
         "√(l/g), angles in rad."
     )
-    blocks = [report.table("What differs", head, rows(differ))]
+    blocks = [report.table("Numbers that differ", head, rows(differ))]
     blocks += [
         report.picture(f"Figure {one.number}. {one.title}", image, one.text)
         for one, image in zip(FIGURES, images, strict=True)

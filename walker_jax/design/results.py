@@ -1,0 +1,112 @@
+"""What a data set of an optimisation says: its runs, its scan, its gain, and why it ended."""
+
+import json
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Bool, Float
+
+from walker_jax.design.trace import ENDS
+
+
+class Run(NamedTuple):
+    """The evaluations of one run, over one parameter."""
+
+    best: bool
+    """Whether it led to the optimum."""
+    stage: np.ndarray
+    parameter: Float[np.ndarray, " n"]
+    value: Float[np.ndarray, " n"]
+
+
+class Scan(NamedTuple):
+    """The objective over one parameter, others as in the optimum, which is one of its points."""
+
+    parameter: Float[np.ndarray, " n"]
+    value: Float[np.ndarray, " n"]
+    allowed: Bool[np.ndarray, " n"]
+    """By the limits."""
+    forbidden: list[tuple[float, float]]
+    """Intervals from points that are not allowed to the next ones that are."""
+
+
+def is_optimum(data: xr.Dataset) -> bool:
+    """Whether an optimisation found an optimum."""
+    return "found" in data and bool(data["found"])
+
+
+def free_parameters(data: xr.Dataset) -> list[str]:
+    """The parameters that were free."""
+    return data["parameter"].values.tolist()
+
+
+def weights(data: xr.Dataset) -> dict[str, float]:
+    """The weights of the objective."""
+    return {name: float(one) for name, one in json.loads(data.attrs["objective"]).items()}
+
+
+def bounds(data: xr.Dataset, parameter: str) -> tuple[float, float]:
+    """The bounds of a parameter."""
+    low, high = json.loads(data.attrs["bounds"])[parameter]
+    return float(low), float(high)
+
+
+def limits(data: xr.Dataset) -> dict[str, tuple[float | None, float | None]]:
+    """The least and the greatest allowed value of measures."""
+    number = lambda end: None if end is None else float(end)
+    pairs = json.loads(data.attrs["limits"])
+    return {name: (number(low), number(high)) for name, (low, high) in pairs.items()}
+
+
+def slice_coordinates(data: xr.Dataset) -> dict[str, float]:
+    """Where the slice is in which areas were measured, by coordinate."""
+    region = json.loads(data.attrs["region"])
+    return {name: float(at) for name, at in region.items() if not isinstance(at, list)}
+
+
+def runs(data: xr.Dataset, parameter: str) -> list[Run]:
+    """All runs, over one parameter."""
+    at = data["parameters"].sel(parameter=parameter).values
+    run, stage, value = (data[name].values for name in ("run", "stage", "value"))
+    best = run[stage == ENDS][0]
+    found = []
+    for number in np.unique(run[stage >= 0]).tolist():
+        own = (stage >= 0) & (run == number)
+        found.append(Run(number == best, stage[own], at[own], value[own]))
+    return found
+
+
+def scan_of(data: xr.Dataset, parameter: str) -> Scan | None:
+    """The scan over a parameter, if there is one."""
+    if "scan_value" not in data:
+        return None
+    own = data.sel(parameter=parameter)
+    at, value, allowed = (own[f"scan_{name}"].values for name in ("parameters", "value", "allowed"))
+    allowed, optimum = allowed.astype(bool), float(own["optimum"])
+    if optimum not in at:  # where a limit holds it, what that does not allow begins there
+        place = np.searchsorted(at, optimum)
+        at = np.insert(at, place, optimum)
+        value = np.insert(value, place, float(own["objective_optimum"]))
+        allowed = np.insert(allowed, place, True)
+    forbidden = ~(allowed[:-1] & allowed[1:])
+    turns = np.flatnonzero(np.diff(forbidden, prepend=False, append=False))
+    intervals = [(low, high) for low, high in at[turns].reshape(-1, 2).tolist()]
+    return Scan(at, value, allowed, intervals)
+
+
+def improvement(data: xr.Dataset) -> float | None:
+    """The exact objective at the optimum over that at the start; none unless both are positive."""
+    start, optimum = float(data["exact_start"]), float(data["exact_optimum"])
+    return optimum / start if start > 0 and optimum > 0 else None
+
+
+def area_at(data: xr.Dataset, side: str) -> float | None:
+    """The area of the basin at the start or the optimum, if nothing else was optimised."""
+    given = weights(data)
+    return float(data[f"exact_{side}"]) / given["area"] if [*given] == ["area"] else None
+
+
+def binding_limits(data: xr.Dataset) -> list[str]:
+    """The measures whose limits hold the optimum."""
+    return data["measure"].values[data["binding"].values.astype(bool)].tolist()

@@ -1,0 +1,44 @@
+"""The area of the basin over parameters of a walker."""
+
+import xarray as xr
+from matplotlib.axes import Axes
+
+from walker_jax.figures.layout import figure_of, name_axes, new_axes, write_title
+from walker_jax.figures.style import AXIS, BASINS
+from walker_jax.figures.text import AREA, join_phrases, parameter_values, walker_title
+from walker_jax.storage.schema import check_dataset
+
+
+def sweep(data: xr.Dataset, ax: Axes | None = None) -> Axes:
+    """The area of the basin over one or two parameters, with its standard error over one.
+
+    **Arguments:**
+
+    - `data`: what `walker_jax.sweep` returns. Of three parameters and more, the others are at their
+      first values.
+    - `ax`: where to draw; by default, on a new figure of 7 by 4.8 inches.
+
+    **Returns** the axes. Raises `ValueError` for another data set.
+    """
+    check_dataset(data, "sweep")
+    ax = new_axes(7, 4.8) if ax is None else ax
+    area, error = data["total_area"], data["total_area_error"]
+    others = [str(name) for name in area.dims[2:]]
+    first = dict.fromkeys(others, 0)
+    area, error = area.isel(first), error.isel(first)
+    x = str(area.dims[0])
+    if area.ndim == 1:
+        ax.errorbar(data[x], area, error, fmt="o-", color=BASINS[0], capsize=3)
+        name_axes(ax, x, AREA)
+        ax.set_ylim(0, 1.1 * float(area.fillna(0).max()) or None)
+    else:
+        y = str(area.dims[1])
+        image = ax.pcolormesh(data[x], data[y], area.T, cmap="viridis", rasterized=True)
+        name_axes(ax, x, y)
+        figure_of(ax).colorbar(image, ax=ax).set_label(AREA, fontsize=AXIS)
+    fixed = parameter_values({name: float(data[name][0]) for name in others})
+    shape = " × ".join(map(str, data["total_area"].shape))
+    failed = int(data["failed"].sum())
+    failures = [f"{failed} failed"] if failed else []
+    write_title(ax, walker_title(data), join_phrases([f"{shape} basins", *fixed, *failures], 60))
+    return ax

@@ -1,0 +1,99 @@
+"""Words of pictures: names of axes, titles, numbers with their units."""
+
+import textwrap
+from collections.abc import Mapping, Sequence
+
+import xarray as xr
+
+from walker_jax.basins.cell_classes import total_area
+
+AREA = "area of the basin (rad² / √(l/g))"
+RADIUS = "modulus of the largest multiplier"
+SYMBOLS = {"theta": r"$\theta$", "thetadot": r"$\dot{\theta}$", "phidot": r"$\dot{\varphi}$"}
+AXIS_LABELS = {
+    "theta": r"stance leg angle $\theta$ (rad)",
+    "thetadot": r"stance leg rate $\dot{\theta}$ (rad, time in √(l/g))",
+    "sum": r"$\theta + \dot{\theta}$ (rad, time in √(l/g))",
+    "slope": "slope (rad)",
+}
+METHODS = {
+    "cell-map": "cell mapping",
+    "direct": "direct iteration",
+    "direct, refined": "direct iteration, refined,",
+}
+
+
+def axis_label(name: str) -> str:
+    """A coordinate or a parameter, as the label of an axis."""
+    return AXIS_LABELS.get(name, name.replace("_", " "))
+
+
+def walker_title(data: xr.Dataset, width: int = 60) -> str:
+    """The walker and its parameters, in lines of some width."""
+    name = str(data.attrs.get("walker", "Walker"))
+    parameters = {
+        str(key).removeprefix("walker_"): value
+        for key, value in data.attrs.items()
+        if str(key).startswith("walker_")
+    }
+    return join_phrases([name, *parameter_values(parameters)], width)
+
+
+def parameter_values(parameters: Mapping[str, float]) -> list[str]:
+    """Parameters with their values."""
+    return [
+        f"{name.replace('_', ' ')} {value:g}" + " rad" * (name == "slope")
+        for name, value in parameters.items()
+    ]
+
+
+def join_phrases(phrases: Sequence[str], width: int) -> str:
+    """Phrases with commas between them, in lines of some width, which break between them."""
+    whole = [words.replace(" ", "\u00a0") for words in phrases]
+    return textwrap.fill(", ".join(whole), width).replace("\u00a0", " ")
+
+
+def basin_note(data: xr.Dataset) -> str:
+    """The method, the number of cells, and the area of all basins together."""
+    method = data.attrs.get("method", "")
+    shape = data.attrs.get("shape", data["fate"].shape)
+    note = f"{METHODS.get(method, method)} on {' × '.join(map(str, shape))} cells"
+    fixed = [name for name in data.attrs["section"] if name in data.coords and not data[name].ndim]
+    for name in fixed:
+        note += f"\n{slice_phrase(name, float(data[name]))}"
+    area = total_area(data)
+    return note if data["fate"].ndim != 2 or area == 0 else f"{note}; {area_phrase(area)}"
+
+
+def slice_phrase(name: str, value: float) -> str:
+    """Where the plane of a picture is."""
+    return f"in the slice at {coordinate_value(name, value)}"
+
+
+def coordinate_value(name: str, value: float) -> str:
+    """A coordinate with its value."""
+    return f"{SYMBOLS.get(name, name)} = {value:.4g}".replace("-", "−")
+
+
+def area_phrase(area: float) -> str:
+    """An area, with its unit."""
+    mantissa, exponent = f"{area:.2e}".split("e")
+    return rf"basin area {mantissa} × 10$^{{{int(exponent)}}}$ rad² / √(l/g)"
+
+
+def count_noun(count: int, noun: str) -> str:
+    """A number of things."""
+    ending = "" if count == 1 else "es" if noun.endswith("ch") else "s"
+    return f"{count} {noun}{ending}"
+
+
+def short_number(value: complex) -> str:
+    """A number with few digits."""
+    real, imaginary = (
+        f"{part:.2e}" if part >= 1e6 else f"{part:,.0f}" if part >= 100 else f"{part:.1f}"
+        for part in (abs(value.real), abs(value.imag))
+    )
+    minus = "−" * (value.real < 0)
+    if value.imag == 0:
+        return minus + real
+    return f"{minus}{real} {'−' if value.imag < 0 else '+'} {imaginary}i"

@@ -1,0 +1,132 @@
+"""Pictures of walks: leg angles over time, and the trajectory in a basin."""
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from walker_jax.basins.cell_classes import large_basins
+from walker_jax.figures.basin_maps import basin
+from walker_jax.figures.layout import (
+    BELOW,
+    name_axes,
+    new_axes,
+    place_legend,
+    write_title,
+)
+from walker_jax.figures.poses import GROUND, SWING
+from walker_jax.figures.regions import (
+    attractor_mark,
+    cycle_of,
+    extent_of,
+    paint,
+    place_states,
+    regions_of,
+    show_image,
+)
+from walker_jax.figures.style import BASINS, FAILURES, INK, SMALL
+from walker_jax.figures.text import count_noun, walker_title
+from walker_jax.storage.schema import check_dataset
+from walker_jax.walking.outcomes import Outcome
+
+TRAJECTORY = "#f2b632"
+"""Colour of a trajectory in a basin, seen on dark and on pale ground."""
+
+
+def leg_angles(data: xr.Dataset, ax: Axes | None = None) -> Axes:
+    """Angles of both legs from the normal of the slope, over time.
+
+    Figure 6 of Schwab and Wisse (2001). Legs exchange roles at heel strikes, the thin lines.
+
+    **Arguments:**
+
+    - `data`: what `walker_jax.motion` returns.
+    - `ax`: where to draw; by default, on a new figure of 9 by 4.2 inches.
+
+    **Returns** the axes. Raises `ValueError` for another data set.
+    """
+    check_dataset(data, "walk")
+    ax = new_axes(9, 4.2) if ax is None else ax
+    stride, time = data["stride"].values, data["time"].values
+    theta = data["theta"].values
+    ax.axhline(0, color=GROUND, lw=0.6, zorder=1)
+    for number in np.unique(stride).tolist():
+        own = stride == number
+        if number:
+            ax.axvline(time[own][0], color=GROUND, lw=0.6, zorder=1)
+        ax.plot(time[own], theta[own], color=INK, lw=1.8)
+        ax.plot(time[own], (theta - data["phi"].values)[own], color=SWING, lw=1.8, ls=(0, (1, 1.2)))
+    if time[-1] > time[0]:
+        ax.set_xlim(time[0], time[-1])
+    name_axes(ax, "time (√(l/g))", "angle from the normal of the slope (rad)")
+    write_title(ax, f"{walker_title(data)}: leg angles", course(data))
+    legs = [
+        Line2D([], [], color=INK, lw=1.8, label="stance leg"),
+        Line2D([], [], color=SWING, lw=1.8, ls=(0, (1, 1.2)), label="swing leg"),
+    ]
+    place_legend(ax, legs, BELOW, columns=2)
+    return ax
+
+
+def course(data: xr.Dataset) -> str:
+    """How many strides a walk has, and how it fails, if it does."""
+    outcomes = data["outcome"].values
+    last = Outcome(int(outcomes[-1]))
+    strides = count_noun(len(outcomes) - (last != Outcome.STRIDE), "stride")
+    return strides if last == Outcome.STRIDE else f"{strides}, then {FAILURES[last][2]}"
+
+
+def steps_over_basin(data: xr.Dataset, walk: xr.Dataset) -> Figure:
+    """A walk's trajectory in a basin: the starts of its strides, joined in order.
+
+    Figure 5 of Schwab and Wisse (2001), with an enlargement around the last half of them.
+
+    **Arguments:**
+
+    - `data`: what `walker_jax.basin` returns, over two dimensions.
+    - `walk`: what `walker_jax.motion` returns, of the same walker.
+
+    **Returns** a figure of 12 by 5.4 inches. Raises `ValueError` as `figures.basin`.
+    """
+    check_dataset(walk, "walk")
+    figure = Figure(figsize=(12, 5.4), layout="constrained")
+    whole, close = figure.subplots(1, 2)
+    basin(data, whole)
+    x, y = trajectory_in(data, walk).T
+    half = len(x) // 2
+    window = [(values.min(), values.max()) for values in (x[half:], y[half:])]
+    window = [(low - 0.3 * (high - low), high + 0.3 * (high - low)) for low, high in window]
+    large, axes = large_basins(data, len(BASINS)), axes_of(data)
+    image = paint(regions_of(data, large), data["fate"].shape)
+    show_image(close, image, extent_of(data, *axes))
+    for number in large:
+        attractor_mark(close, place_states(data, cycle_of(data, number), axes), "o")
+    for ax, first, last in ((whole, 0, half), (close, half, len(x))):
+        ax.plot(x, y, "-", color=TRAJECTORY, lw=1.2, zorder=5)
+        ax.plot(x, y, "o", color=TRAJECTORY, mec=INK, mew=0.8, ms=6, zorder=6)
+        for k in range(first, last):
+            write_number(ax, k + 1, (x[k], y[k]))
+    close.set(xlim=window[0], ylim=window[1])
+    name_axes(close, axes[0])
+    write_title(close, "Enlarged", f"starts {half + 1} to {len(x)}, and the attractor")
+    return figure
+
+
+def axes_of(data: xr.Dataset) -> tuple[str, str]:
+    """The axes of a basin over two dimensions."""
+    x, y = map(str, data["fate"].dims)
+    return x, y
+
+
+def trajectory_in(data: xr.Dataset, walk: xr.Dataset) -> Float[np.ndarray, "n 2"]:
+    """The starts of the strides of a walk, along the axes of a basin."""
+    return place_states(data, walk["states"].values, axes_of(data))
+
+
+def write_number(ax: Axes, number: int, place: tuple[float, float]) -> None:
+    """Write a number beside a dot."""
+    frame = {"boxstyle": "circle,pad=0.15", "fc": "white", "ec": INK, "lw": 0.5}
+    style = {"textcoords": "offset points", "fontsize": SMALL, "bbox": frame, "zorder": 7}
+    ax.annotate(f"{number}", place, (8, 7), **style)

@@ -1,0 +1,156 @@
+"""Curves of gaits over a parameter, as a bifurcation diagram holds them, and its cascade.
+
+The cascade is the most stable gait of period one, the gaits that leave it at its period doublings,
+those that leave these, and so on.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Bool, Complex, Float
+
+from walker_jax.walking.outcomes import Outcome
+
+PARTS = 16
+"""Into which the interval between two points of a curve is cut for its multipliers: their modulus
+has kinks, where two of them meet, and looks smooth elsewhere."""
+
+
+class Curve(NamedTuple):
+    """A branch of gaits, with its bifurcations in their places among its points."""
+
+    number: int
+    """Of the branch."""
+    period: int
+    value: Float[np.ndarray, " n"]
+    """Of the parameter."""
+    states: Float[np.ndarray, "n period"]
+    """The first coordinate at the start of each stride."""
+    multipliers: Complex[np.ndarray, "n order"]
+    stable: Bool[np.ndarray, " n"]
+    """True for bifurcations too, at which both stable and unstable parts may end."""
+    doublings: Float[np.ndarray, " doublings"]
+    """Values of the parameter at its period doublings."""
+
+    @property
+    def spectral_radius(self) -> Float[np.ndarray, " n"]:
+        """Modulus of the largest multiplier."""
+        return np.abs(self.multipliers).max(axis=1)
+
+    @property
+    def stable_pieces(self) -> Bool[np.ndarray, " pieces"]:
+        """Whether the gaits between each point and the next are stable."""
+        return self.stable[:-1] & self.stable[1:]
+
+
+def curves(data: xr.Dataset) -> list[Curve]:
+    """The branches of a data set of the kind "gait branches"."""
+    branch, event_branch = data["branch"].values, data["event_branch"].values
+    states, event_states = (first_coordinate(data[name]) for name in ("states", "event_states"))
+    multipliers, event_multipliers = (
+        data[name].values[..., 0] + 1j * data[name].values[..., 1]
+        for name in ("multipliers", "event_multipliers")
+    )
+    values, doubles = data["event_value"].values, ~data["event_fold"].values.astype(bool)
+    found = []
+    for number in np.unique(branch).tolist():
+        own = branch == number
+        period = int(data["period"].values[own][0])
+        curve = Curve(
+            number,
+            period,
+            data["value"].values[own],
+            states[own, :period],
+            multipliers[own],
+            data["stable"].values[own].astype(bool),
+            values[(event_branch == number) & doubles],
+        )
+        for i in np.flatnonzero(event_branch == number):
+            cycle = event_states[i, :period]
+            curve = insert_event(curve, float(values[i]), cycle, event_multipliers[i])
+        found.append(curve)
+    return found
+
+
+def insert_event(
+    curve: Curve,
+    value: float,
+    states: Float[np.ndarray, " period"],
+    multipliers: Complex[np.ndarray, " order"],
+) -> Curve:
+    """A curve with a bifurcation between those two of its points where the detour is least."""
+    path = np.column_stack([curve.value, curve.states])
+    scale = np.maximum(np.ptp(path, axis=0), np.finfo(float).tiny)
+    legs = np.linalg.norm(np.diff(path, axis=0) / scale, axis=1)
+    away = np.linalg.norm((path - [value, *states]) / scale, axis=1)
+    at = int((away[:-1] + away[1:] - legs).argmin()) + 1 if len(legs) else 1
+    return curve._replace(
+        value=np.insert(curve.value, at, value),
+        states=np.insert(curve.states, at, states, axis=0),
+        multipliers=np.insert(curve.multipliers, at, multipliers, axis=0),
+        stable=np.insert(curve.stable, at, True),
+    )
+
+
+def cascade_curves(data: xr.Dataset) -> list[Curve]:
+    """The curves of the cascade, that of period one first."""
+    members = data["branch"].values[data["on_cascade"].values.astype(bool)]
+    return [curve for curve in curves(data) if curve.number in members]
+
+
+def interpolate_multipliers(curve: Curve) -> Curve:
+    """A curve with points between its own.
+
+    The coefficients of the polynomial whose roots are the multipliers change linearly there.
+    """
+    count = len(curve.value)
+    if count < 2:
+        return curve
+    at = np.linspace(0, count - 1, PARTS * (count - 1) + 1)
+    low = np.minimum(at.astype(int), count - 2)
+    share = (at - low)[:, None]
+    polynomials = np.array([np.poly(row) for row in curve.multipliers])
+    value, states, polynomials = (
+        (1 - share) * points[low] + share * points[low + 1]
+        for points in (curve.value[:, None], curve.states, polynomials)
+    )
+    between = share[:, 0] % 1 > 0
+    return curve._replace(
+        value=value[:, 0],
+        states=states,
+        multipliers=np.array([np.roots(row) for row in polynomials], complex),
+        stable=np.where(between, curve.stable_pieces[low], curve.stable[at.astype(int)]),
+    )
+
+
+def first_coordinate(states: xr.DataArray) -> Float[np.ndarray, "..."]:
+    """The first coordinate of states on the section."""
+    return states.isel(coordinate=0).values
+
+
+def attractor_states(data: xr.Dataset) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Values of the parameter, and first coordinates, of all recorded states of walkers that never
+    fall."""
+    orbit = first_coordinate(data["orbit"])
+    known = np.isfinite(orbit) & (data["fate"].values == Outcome.STRIDE)[..., None]
+    return data["sample_value"].values[np.nonzero(known)[0]], orbit[known]
+
+
+def loss_of_attractor(data: xr.Dataset) -> float:
+    """The middle of the interval in which walking is lost; NaN where it is not lost."""
+    return float(data["lost"].values.mean())
+
+
+def cascade_interval(data: xr.Dataset) -> tuple[float, float] | None:
+    """From the first period doubling of the cascade to the loss of walking, if both are known."""
+    doublings = [value for curve in cascade_curves(data) for value in curve.doublings.tolist()]
+    low, high = min(doublings, default=np.inf), loss_of_attractor(data)
+    return (low, high) if low < high else None
+
+
+def final_gaits(data: xr.Dataset) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """First coordinates and step times of the gaits of period one at the end of the range."""
+    value, period = data["value"].values, data["period"].values
+    last = (period == 1) & np.isclose(value, value.max(initial=-np.inf), rtol=1e-9)
+    return first_coordinate(data["states"])[last, 0], data["step_times"].values[last, 0]

@@ -1,0 +1,60 @@
+"""The nearest starts from which a walker does not return to its gait, by `robustness`."""
+
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float
+
+from walker_jax.walking.outcomes import Outcome
+
+
+class NearestStart(NamedTuple):
+    """The nearest start from which a walker does not return to its gait, or falls."""
+
+    gait_state: Float[np.ndarray, " section"]
+    """The state of the gait that it is nearest to."""
+    distance: float
+    state: Float[np.ndarray, " section"]
+    outcome: Outcome
+    """How the walker fails; `STRIDE` where it converges to another attractor."""
+    strides: int
+    """Before that."""
+
+
+def has_plane_disturbance(data: xr.Dataset) -> bool:
+    """Whether a data set holds a least disturbance, in the plane of a grid that is the section."""
+    known = {"fate", "least_disturbance", "failing_state", "gait_state"} <= set(data)
+    if not known or data["fate"].ndim != 2 or data["least_disturbance"].ndim:
+        return False
+    return len(data.attrs["section"]) == 2 and bool(np.isfinite(data["least_disturbance"]))
+
+
+def nearest_starts(data: xr.Dataset) -> list[NearestStart]:
+    """The nearest start that does not return, and the nearest one that falls where that differs."""
+    nearest = NearestStart(
+        data["gait_state"].values,
+        float(data["least_disturbance"]),
+        data["failing_state"].values,
+        Outcome(int(data["failure"])),
+        int(data["failing_strides"]),
+    )
+    if nearest.outcome != Outcome.STRIDE or "least_fall" not in data:
+        return [nearest]
+    distance, state = float(data["least_fall"]), data["fall_state"].values
+    fall = NearestStart(
+        state - distance * data["fall_direction"].values,
+        distance,
+        state,
+        Outcome(int(data["fall_failure"])),
+        int(data["fall_strides"]),
+    )
+    return [nearest, fall]
+
+
+def circle(
+    centre: Float[np.ndarray, " 2"], radius: float, points: int = 400
+) -> Float[np.ndarray, "points 2"]:
+    """States of a section of two coordinates at a distance from one of them."""
+    turn = np.linspace(0, 2 * np.pi, points)
+    return centre + radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)

@@ -1,0 +1,337 @@
+"""What each kind of data set holds: names, dimensions, types, units and attributes.
+
+One table per kind. A dimension `*name` stands for one or more dimensions, which are the same
+wherever that name stands, and `?name` for exactly one. States are those at the start of a stride,
+on the section. Angles are in rad, times in √(l/g), with leg length l and gravity g.
+"""
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from walker_jax.checks import WrongUse
+
+if TYPE_CHECKING:
+    import xarray  # which takes half a second to load
+
+TYPES = {"integer": "iub", "real": "fiu", "boolean": "biu", "text": "UOST"}
+"""The kinds of NumPy types, by their letters, that each type of variable may have."""
+STATE = "rad, rad/√(l/g)"
+AREA = "rad²/√(l/g)"
+TIME = "√(l/g)"
+NEW = "not in earlier data sets"
+FAILS = "the `Outcome` of its last stride; -1 for none"
+
+
+class Variable(NamedTuple):
+    """A variable of a data set."""
+
+    dims: str
+    """Its dimensions in their order."""
+    type: str
+    """One of `TYPES`."""
+    unit: str
+    about: str
+    when: str = ""
+    """Which data sets have it; empty for all."""
+
+
+class Kind(NamedTuple):
+    """A kind of data set."""
+
+    about: str
+    variables: dict[str, Variable]
+    attributes: dict[str, str]
+    """Those that every data set of this kind has, with their meaning."""
+    base: str = ""
+    """The kind whose variables and attributes it has too."""
+
+
+V = Variable
+WALKER = {"walker": "class of the walker; each parameter is an attribute `walker_` + its name"}
+SECTION = {"section": "names of the coordinates of a state"}
+KINDS = {
+    "basin": Kind(
+        "Fates over a grid, whose axes are its coordinates (`basin`).",
+        {
+            "fate": V("*grid", "integer", "", "`Outcome` of the last stride; -1 if not computed"),
+            "attractor": V("*grid", "integer", "", "number of the attractor; -1 for none"),
+            "strides": V("*grid", "integer", "", "before the attractor or the failure"),
+            "number": V("number", "integer", "", "of the attractor"),
+            "period": V("number", "integer", "strides", "0 for a motion without a period"),
+            "states": V("number phase coordinate", "real", STATE, "the cycle; NaN after it"),
+            "cells": V("number", "integer", "", "that converge to it"),
+            "area": V("number", "real", AREA, "of these cells"),
+            "artefact": V("number", "boolean", "", "cells alone, no attractor", "cell map; new"),
+            "cycles": V("number", "integer", "", "of cells that belong to it", "cell map; new"),
+            "falling": V("number", "integer", "", "centres that fall", "cell map; new"),
+        },
+        WALKER | SECTION | {"method": "`cell-map`, `direct` or `direct, refined`"},
+    ),
+    "refined basin": Kind(
+        "A basin over the finest grid of a refinement (`refine`).",
+        {
+            "total_area": V("", "real", AREA, "of all basins, corrected by a check"),
+            "total_area_error": V("", "real", AREA, "its standard error"),
+            "followed": V("level", "integer", "cells", "that were followed"),
+            "boundary": V("level", "integer", "cells", "with a neighbour of another fate"),
+            "checked": V("", "integer", "", "starts of the check"),
+            "mistaken": V("", "integer", "", "of these, starts that the grid has wrong"),
+            "strides_made": V("", "integer", "strides", "in all"),
+        },
+        {},
+        "basin",
+    ),
+    "robustness": Kind(
+        "A refined basin, and what its most attracting gait survives (`robustness`).",
+        {
+            "gait_period": V("", "integer", "strides", "0 where no gait attracts"),
+            "gait_state": V("coordinate", "real", STATE, "nearest to the failing state"),
+            "multiplier": V("", "real", "", "modulus of the largest Floquet multiplier"),
+            "step_time": V("", "real", TIME, "mean of the cycle"),
+            "least_disturbance": V("", "real", "", "after which the walker does not return"),
+            "direction": V("coordinate", "real", "", "of the least disturbance"),
+            "failing_state": V("coordinate", "real", STATE, "to which it leads"),
+            "failure": V("", "integer", "", FAILS),
+            "failing_strides": V("", "integer", "strides", "before that"),
+            "least_fall": V("", "real", "", "least disturbance after which it falls", NEW),
+            "fall_direction": V("coordinate", "real", "", "of that disturbance", NEW),
+            "fall_state": V("coordinate", "real", STATE, "to which it leads", NEW),
+            "fall_failure": V("", "integer", "", FAILS, NEW),
+            "fall_strides": V("", "integer", "strides", "before that", NEW),
+            "step_down": V("", "real", "leg length", "after which it does not return"),
+            "step_down_failure": V("", "integer", "", FAILS, NEW),
+            "step_down_fall": V("", "real", "leg length", "after which it falls", NEW),
+            "stability": V("", "real", "", "share of random disturbances that it survives"),
+            "stability_low": V("", "real", "", "end of its 95 % interval"),
+            "stability_high": V("", "real", "", "the other end"),
+            "median_strides": V("", "real", "strides", "until it has returned"),
+            "slowest_strides": V("", "real", "strides", "the most until then"),
+            "dimension": V("", "real", "", "of the boundary of the basin"),
+            "dimension_low": V("", "real", "", "end of its 95 % interval"),
+            "dimension_high": V("", "real", "", "the other end"),
+        },
+        {"disturbances": "size of random disturbances, as a share of the state of the gait"},
+        "refined basin",
+    ),
+    "robustness table": Kind(
+        "Robustness over values of a parameter, with its name as dimension (`robustness_table`).",
+        {},
+        {"walker": WALKER["walker"]},
+    ),
+    "sweep": Kind(
+        "Basins over all combinations of parameters, whose names are dimensions (`sweep`). With "
+        "`robust` it has the variables of a robustness table too.",
+        {
+            "total_area": V("*parameters", "real", AREA, "of all basins, by refinement"),
+            "total_area_error": V("*parameters", "real", AREA, "its standard error"),
+            "failed": V("*parameters", "integer", "", "1 where the computation failed"),
+            "fate": V("*parameters *grid", "integer", "", "as in a basin"),
+            "attractor": V("*parameters *grid", "integer", "", "as in a basin"),
+            "strides": V("*parameters *grid", "integer", "", "as in a basin"),
+            "attractors": V("*parameters", "integer", "", "how many there are"),
+            "area": V("*parameters", "real", AREA, "of the cells that converge to one"),
+            "gait_state": V("*parameters coordinate", "real", STATE, "NaN where no gait is found"),
+            "multiplier": V("*parameters", "real", "", "its largest modulus"),
+            "step_time": V("*parameters", "real", TIME, "of this gait"),
+            "step_length": V("*parameters", "real", "leg length", "of this gait"),
+            "speed": V("*parameters", "real", "√(gl)", "of this gait"),
+            "cost_of_transport": V("*parameters", "real", "", "of this gait"),
+        },
+        WALKER | SECTION,
+    ),
+    "gait branches": Kind(
+        "Gaits and their bifurcations over a parameter, in order along each branch.",
+        {
+            "branch": V("gait", "integer", "", "number of the branch"),
+            "period": V("gait", "integer", "strides", "of the gait"),
+            "value": V("gait", "real", "", "of the parameter"),
+            "states": V("gait phase coordinate", "real", STATE, "the cycle; NaN after it"),
+            "step_times": V("gait phase", "real", TIME, "of its strides"),
+            "multipliers": V("gait order part", "real", "", "Floquet; real and imaginary part"),
+            "stable": V("gait", "boolean", "", "all multipliers are within the unit circle"),
+            "on_cascade": V("gait", "boolean", "", "on the main cascade of period doublings"),
+            "event_fold": V("event", "boolean", "", "a fold, or else a period doubling"),
+            "event_branch": V("event", "integer", "", "its branch"),
+            "event_period": V("event", "integer", "strides", "of the gait there"),
+            "event_value": V("event", "real", "", "of the parameter"),
+            "event_states": V("event phase coordinate", "real", STATE, "the cycle there"),
+            "event_multipliers": V("event order part", "real", "", "there"),
+            "cascade": V("event", "boolean", "", "on the main cascade"),
+        },
+        {"parameter": "its name"} | WALKER | SECTION,
+    ),
+    "bifurcation diagram": Kind(
+        "Gait branches, and the attractors that long runs converge to (`bifurcation_diagram`).",
+        {
+            "sample_value": V("sample", "real", "", "of the parameter"),
+            "fate": V("sample start", "integer", "", "`Outcome` of the last stride; -1: no start"),
+            "strides": V("sample start", "integer", "", "before that"),
+            "attractor_period": V("sample start", "integer", "strides", "0 where none shows"),
+            "orbit": V("sample start recent coordinate", "real", STATE, "the last states"),
+            "lost": V("side", "real", "", "values between which walking is lost; NaN for none"),
+        },
+        {},
+        "gait branches",
+    ),
+    "optimisation": Kind(
+        "The trace of an optimisation (`optimise`).",
+        {
+            "parameter": V("parameter", "text", "", "those that are free"),
+            "measure": V("measure", "text", "", "those that are measured"),
+            "run": V("evaluation", "integer", "", "its number; -1 for the scan"),
+            "stage": V("evaluation", "integer", "", "its number; -1: scan, -2: start or optimum"),
+            "parameters": V("evaluation parameter", "real", "", "that were tried"),
+            "value": V("evaluation", "real", "", "of the objective"),
+            "value_error": V("evaluation", "real", "", "its standard error"),
+            "gradient": V("evaluation parameter", "real", "", "by the parameters"),
+            "gradient_error": V("evaluation parameter", "real", "", "its standard error"),
+            "measures": V("evaluation measure", "real", "", "all that is measured"),
+            "strides": V("evaluation", "integer", "strides", "made for areas"),
+            "note": V("start_number", "text", "", "why a run led nowhere", "finished"),
+            "found": V("", "boolean", "", "an optimum", "finished"),
+        },
+        WALKER
+        | SECTION
+        | {
+            "objective": "weights of its measures, as JSON",
+            "sign": "1 where a large objective is better, else -1",
+            "bounds": "of each parameter, as JSON",
+            "limits": "of each measure, as JSON",
+            "region": "axes of the grid for areas, as JSON",
+        },
+    ),
+    "optimum": Kind(
+        "An optimisation that found an optimum.",
+        {
+            "start": V("parameter", "real", "", "where the best run began"),
+            "optimum": V("parameter", "real", "", "where it ended"),
+            "objective_start": V("", "real", "", "as this run measured it"),
+            "objective_optimum": V("", "real", "", "as this run measured it"),
+            "exact_start": V("", "real", "", "objective on the finest grid"),
+            "exact_start_error": V("", "real", "", "its standard error"),
+            "exact_optimum": V("", "real", "", "objective on the finest grid"),
+            "exact_optimum_error": V("", "real", "", "its standard error"),
+            "at_bound": V("parameter", "integer", "", "-1: at the lower bound, 1: at the upper"),
+            "binding": V("measure", "boolean", "", "whether its limit holds the optimum"),
+            "converged": V("", "boolean", "", "no shorter step led higher"),
+            "scan_parameters": V("parameter point", "real", "", "of the scan", "scan"),
+            "scan_value": V("parameter point", "real", "", "objective of the scan", "scan"),
+            "scan_allowed": V("parameter point", "boolean", "", "by the limits", "scan"),
+            "fate_start": V("*grid", "integer", "", "`Outcome`; -1: an attractor", "plane grid"),
+            "fate_optimum": V("*grid", "integer", "", "`Outcome`; -1: an attractor", "plane grid"),
+        },
+        {},
+        "optimisation",
+    ),
+    "walk": Kind(
+        "Strides joined to a motion (`motion`). Places are along the slope and normal to it.",
+        {
+            "time": V("frame", "real", TIME, "since the first start"),
+            "stride": V("frame", "integer", "", "its number, from 0"),
+            "theta": V("frame", "real", "rad", "angle of the stance leg"),
+            "phi": V("frame", "real", "rad", "angle between the legs"),
+            "thetadot": V("frame", "real", "rad/√(l/g)", "rate of theta"),
+            "phidot": V("frame", "real", "rad/√(l/g)", "rate of phi"),
+            "stance": V("frame axis", "real", "leg length", "end of the stance leg"),
+            "hip": V("frame axis", "real", "leg length", "place of the hip"),
+            "swing": V("frame axis", "real", "leg length", "end of the swing leg"),
+            "states": V("start coordinate", "real", STATE, "at the start of each stride"),
+            "outcome": V("made", "integer", "", "`Outcome` of each stride"),
+            "duration": V("made", "real", TIME, "of each stride; NaN for a failure"),
+        },
+        WALKER
+        | SECTION
+        | {
+            "leg_length": "from the hip to the end of the leg",
+            "foot_radius": "of the arc of a foot; 0 for point feet",
+        },
+    ),
+    "basins over slopes": Kind(
+        "Basins at several slopes (Figure 7 of the paper).",
+        {
+            "slope": V("slope", "real", "rad", "of the ground"),
+            "fate": V("slope *grid", "integer", "", "as in a basin"),
+            "attractor": V("slope *grid", "integer", "", "as in a basin"),
+            "area": V("slope", "real", AREA, "of all basins"),
+        },
+        WALKER | SECTION,
+    ),
+    "areas over slopes": Kind(
+        "Area of the basin against the slope (Figure 8 of the paper).",
+        {
+            "slope": V("slope", "real", "rad", "of the ground"),
+            "mapped_area": V("slope", "real", AREA, "by cell mapping"),
+            "area": V("slope", "real", AREA, "by refinement; NaN where not computed"),
+            "area_error": V("slope", "real", AREA, "its standard error"),
+        },
+        {},
+    ),
+}
+"""The kinds of data sets by name."""
+COUNTS = ("checked", "mistaken", "strides_made")
+"""What a refined basin counts, which a walker without a gait lacks in a table."""
+KINDS["robustness table"].variables.update(
+    {
+        # Integers are reals in a table, which has NaN for a walker without a gait.
+        name: one._replace(
+            dims=f"?parameter {one.dims}".rstrip(),
+            type="real",
+            when="some walker has a gait" if name in COUNTS else one.when,
+        )
+        for kind in ("refined basin", "robustness")
+        for name, one in KINDS[kind].variables.items()
+        if "level" not in one.dims
+    }
+)
+
+
+def variables_of(kind: str) -> dict[str, Variable]:
+    """The variables of a kind, those of its base among them."""
+    base = KINDS[kind].base
+    return (variables_of(base) if base else {}) | KINDS[kind].variables
+
+
+def attributes_of(kind: str) -> dict[str, str]:
+    """The attributes of a kind, those of its base among them."""
+    base = KINDS[kind].base
+    return (attributes_of(base) if base else {}) | KINDS[kind].attributes
+
+
+def check_dataset(data: "xarray.Dataset", kind: str) -> None:
+    """Raise `WrongUse` for a data set that is not of a kind of `KINDS`, and say why in one line."""
+    variables, attributes = variables_of(kind), attributes_of(kind)
+    missing = [name for name, one in variables.items() if not one.when and name not in data]
+    missing += [f"attribute {name}" for name in attributes if name not in data.attrs]
+    if missing:
+        raise WrongUse(f"data must be of the kind {kind!r}, not one without {', '.join(missing)}")
+    bound: dict[str, tuple[str, ...]] = {}
+    for name, one in variables.items():
+        if name not in data:
+            continue
+        dims, letter = tuple(map(str, data[name].dims)), data[name].dtype.kind
+        if not matches(one.dims, dims, bound):
+            expected = f"over ({', '.join(one.dims.split())}), not ({', '.join(dims)})"
+            raise WrongUse(f"data must be of the kind {kind!r}, with {name} {expected}")
+        if letter not in TYPES[one.type]:
+            expected = f"of type {one.type}, not {data[name].dtype}"
+            raise WrongUse(f"data must be of the kind {kind!r}, with {name} {expected}")
+
+
+def matches(pattern: str, dims: tuple[str, ...], bound: dict[str, tuple[str, ...]]) -> bool:
+    """Whether dimensions fit a pattern; what its placeholders stand for is added to `bound`."""
+    before, placeholder, after = [], "", []
+    for name in pattern.split():
+        known = bound.get(name, () if name[0] in "*?" else (name,))
+        if known:
+            (after if placeholder else before).extend(known)
+        else:
+            placeholder = name
+    fixed = len(before) + len(after)
+    middle = dims[len(before) : len(dims) - len(after)]
+    if dims[: len(before)] != tuple(before) or dims[len(dims) - len(after) :] != tuple(after):
+        return False
+    if not placeholder:
+        return len(dims) == fixed
+    if len(dims) <= fixed or (placeholder[0] == "?" and len(middle) > 1):
+        return False
+    bound[placeholder] = middle
+    return True
