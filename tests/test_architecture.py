@@ -90,7 +90,9 @@ def test_no_files_import_each_other():
 
 
 def test_no_file_has_the_name_of_a_public_function():
-    functions = {name for name in wj.__all__ if inspect.isfunction(inspect.unwrap(getattr(wj, name)))}
+    functions = {
+        name for name in wj.__all__ if inspect.isfunction(inspect.unwrap(getattr(wj, name)))
+    }
     assert {"stride", "basin", "find_gait"} <= functions
     names = {part for module in MODULES for part in module.split(".")[1:]}
     assert not functions & names

@@ -32,7 +32,9 @@ def on_post_build(*, config):
         page.feed(path.read_text())
         found += [f"{path.relative_to(site)} loads {address}" for address in page.found]
     for path in site.rglob("*.css"):
-        addresses = re.findall(r"""(?:url\(|@import\s+)["']?((?:https?:)?//[^"')]+)""", path.read_text())
+        addresses = re.findall(
+            r"""(?:url\(|@import\s+)["']?((?:https?:)?//[^"')]+)""", path.read_text()
+        )
         found += [f"{path.relative_to(site)} loads {address}" for address in addresses]
     if found:
         raise PluginError("a page loads from another host:\n" + "\n".join(found))

@@ -1,7 +1,7 @@
 """The reference: every public name with its docstring, a page for each room of the package.
 
-Public are the names that `walker_jax/__init__.pyi` lists. On all other pages, a public name in code,
-such as `wj.stride`, becomes a link to its place in the reference.
+Public are the names that `walker_jax/__init__.pyi` lists. On all other pages, a public name in
+code, such as `wj.stride`, becomes a link to its place in the reference.
 """
 
 import ast
@@ -59,7 +59,11 @@ def page_of(room: str) -> str:
     if room in BESIDE:
         entries |= {f"{room}.{name}": place for name, place in names_beside(room).items()}
     title = TITLES.get(room, room).capitalize()
-    parts = [f"# {title}", lead_of(room), f"*In the room `{BESIDE.get(room, f'walker_jax.{room}')}`.*"]
+    parts = [
+        f"# {title}",
+        lead_of(room),
+        f"*In the room `{BESIDE.get(room, f'walker_jax.{room}')}`.*",
+    ]
     for shown, place in entries.items():
         parts.append(f"::: {place}\n    options:\n      heading: {shown}\n      toc_label: {shown}")
     return "\n\n".join(parts) + "\n"
