@@ -14,7 +14,12 @@ from walker_jax.cli import answers, main
 from walker_jax.storage.requests import canonical
 
 ROOT = Path(__file__).parent.parent
-PAGE = ROOT / "docs" / "walkers.md"
+PAGE = ROOT / "docs" / "write-your-own.md"
+
+
+def programs(page):
+    """The Python programs of a page."""
+    return re.findall(r"```python\n(.*?)```", page.read_text(), re.S)
 
 
 def program(title):
@@ -23,13 +28,14 @@ def program(title):
     return found
 
 
-def test_the_programs_of_the_readme_give_a_basin_and_a_derivative():
-    sources = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.S)
+def test_the_programs_of_the_quickstart_give_a_basin_and_a_derivative():
+    sources = programs(ROOT / "docs" / "quickstart.md")
     basin, derivative = sources
     assert len(basin.splitlines()) <= 6
+    assert programs(ROOT / "README.md") == [basin]
     names: dict[str, Any] = {}
     for source in sources:
-        exec(compile(source, "README.md", "exec"), names)
+        exec(compile(source, "quickstart.md", "exec"), names)
     assert 3000 < int((names["basin"].attractor >= 0).sum()) < 3100
     many = wj.strides(names["walker"], names["starts"])
     np.testing.assert_allclose(names["ends"].state, many.state, rtol=1e-13)
@@ -44,12 +50,13 @@ class Begun(BaseException):
 
 
 @pytest.mark.parametrize("first", ["the first command", "the table"])
-def test_the_commands_of_the_readme_run_one_after_the_other_in_one_folder(
+def test_the_commands_of_the_pages_run_one_after_the_other_in_one_folder(
     first, monkeypatch, tmp_path
 ):
     """No two of them want one place for different results, and none what is not there."""
-    page = (ROOT / "README.md").read_text()
-    beginning, table, rest = re.split(r"(^\| `walker-jax .*?\n\n)", page, flags=re.M | re.S)
+    beginning = (ROOT / "README.md").read_text() + (ROOT / "docs" / "quickstart.md").read_text()
+    page = (ROOT / "docs" / "cli.md").read_text()
+    _, table, rest = re.split(r"(^\| `walker-jax .*?\n\n)", page, flags=re.M | re.S)
     blocks = lambda text: re.findall(r"(?:^|&& )walker-jax ((?:[^#\n])*)", text, re.M)
     commands = blocks(beginning) if first == "the first command" else []
     commands += [*re.findall(r"^\| `(?!walker-jax)([a-z][^`]*)` \|", table, re.M), *blocks(rest)]
@@ -93,11 +100,33 @@ def test_the_commands_of_the_readme_run_one_after_the_other_in_one_folder(
 
 
 def test_links_within_the_pages_lead_somewhere():
-    pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "notebooks").glob("*.md")]
+    pages = [
+        path
+        for folder in (".", "docs", "notebooks", "benchmarks")
+        for path in (ROOT / folder).glob("*.md")
+    ]
     for page in pages:
         for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", page.read_text()):
             if "://" not in target:
                 assert (page.parent / target).exists(), (page.name, target)
+
+
+@pytest.mark.parametrize("title", ["a torque at the hip", "a push-off", "uneven ground"])
+def test_a_walker_of_the_page_gives_the_numbers_that_it_asserts(title):
+    source = program(title)
+    assert "\nassert " in source
+    exec(compile(source, PAGE.name, "exec"), {"__name__": "own"})
+
+
+def test_every_program_of_the_page_is_tested():
+    assert len(re.findall(r"<!-- .* -->\n```python", PAGE.read_text())) == len(programs(PAGE)) == 4
+
+
+def test_every_public_name_is_in_the_glossary_or_the_table_of_functions():
+    text = "".join((ROOT / "docs" / name).read_text() for name in ("quickstart.md", "glossary.md"))
+    text += (ROOT / "docs" / "walkers.md").read_text() + PAGE.read_text()
+    functions = {name for name in wj.__all__ if name[0].islower()}
+    assert {name for name in functions if f"wj.{name}" not in text} == set()
 
 
 def test_a_walker_of_your_own_takes_less_than_60_lines():

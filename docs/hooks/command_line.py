@@ -1,0 +1,37 @@
+"""The options of every command of walker-jax, from the program itself."""
+
+import typer
+
+PLACE = "<!-- the options of every command -->"
+WALKER = "Walker"
+"""The panel of the options that describe a walker, the same in every command that takes one."""
+
+
+def on_page_markdown(markdown, *, page, config, files):
+    if PLACE not in markdown:
+        return markdown
+    from walker_jax.cli import main  # which registers every command
+
+    commands = typer.main.get_command(main.app).commands.values()
+    walkers = {row: None for command in commands for row in rows(command, WALKER)}
+    parts = ["### Options of the walker", table(walkers)]
+    for command in commands:
+        own = rows(command, None)
+        parts += [f"### walker-jax {command.name}", command.help, table(own)]
+    return markdown.replace(PLACE, "\n\n".join(parts) + "\n")
+
+
+def rows(command, panel: str | None) -> list[str]:
+    """The rows of a command's arguments and options in one panel of its help."""
+    context = command.make_context(command.name, [], resilient_parsing=True)
+    records = [
+        one.get_help_record(context)
+        for one in command.params
+        if getattr(one, "rich_help_panel", None) == panel
+    ]
+    escaped = [[text.replace("|", "\\|") for text in record] for record in records if record]
+    return [f"| `{flag}` | {text} |" for flag, text in escaped]
+
+
+def table(lines) -> str:
+    return "\n".join(["| | |", "|---|---|", *lines])

@@ -1,0 +1,103 @@
+"""The reference: every public name with its docstring, a page for each room of the package.
+
+Public are the names that `walker_jax/__init__.pyi` lists. On all other pages, a public name in
+code, such as `wj.stride`, becomes a link to its place in the reference.
+"""
+
+import ast
+import re
+from pathlib import Path
+
+from mkdocs.structure.files import File
+
+PACKAGE = Path(__file__).parent.parent.parent / "walker_jax"
+BESIDE = {
+    "figures": "walker_jax.figures",
+    "multibody": "walker_jax.multibody",
+}
+"""Rooms that users import as they are: `from walker_jax import figures`."""
+TITLES = {"checks": "errors", "fractals": "fractal sets"}
+"""Titles of pages that are not the room's own name."""
+
+
+def public_names() -> dict[str, str]:
+    """The module of each public name."""
+    stub = ast.parse((PACKAGE / "__init__.pyi").read_text())
+    return {
+        name.name: statement.module or ""
+        for statement in stub.body
+        if isinstance(statement, ast.ImportFrom)
+        for name in statement.names
+    }
+
+
+NAMES = public_names()
+ROOM = {name: module.split(".")[1] for name, module in NAMES.items()}
+
+
+def names_beside(room: str) -> dict[str, str]:
+    """The names of a room that is imported as it is, and where each is defined."""
+    path = PACKAGE / room / "__init__.py" if (PACKAGE / room).is_dir() else PACKAGE / f"{room}.py"
+    found: dict[str, str] = {}
+    for statement in ast.parse(path.read_text()).body:
+        if isinstance(statement, ast.ImportFrom) and f"walker_jax.{room}" in str(statement.module):
+            found |= {name.name: f"{statement.module}.{name.name}" for name in statement.names}
+        if isinstance(statement, ast.FunctionDef | ast.ClassDef):
+            found[statement.name] = f"walker_jax.{room}.{statement.name}"
+    return found
+
+
+def lead_of(room: str) -> str:
+    """The first paragraph that the room says of itself."""
+    path = PACKAGE / room / "__init__.py" if (PACKAGE / room).is_dir() else PACKAGE / f"{room}.py"
+    return (ast.get_docstring(ast.parse(path.read_text())) or "").split("\n\n")[0]
+
+
+def page_of(room: str) -> str:
+    """The page of a room in Markdown."""
+    entries = {f"wj.{name}": f"{NAMES[name]}.{name}" for name in NAMES if ROOM[name] == room}
+    if room in BESIDE:
+        entries |= {f"{room}.{name}": place for name, place in names_beside(room).items()}
+    title = TITLES.get(room, room).capitalize()
+    parts = [
+        f"# {title}",
+        lead_of(room),
+        f"*In the room `{BESIDE.get(room, f'walker_jax.{room}')}`.*",
+    ]
+    for shown, place in entries.items():
+        parts.append(f"::: {place}\n    options:\n      heading: {shown}\n      toc_label: {shown}")
+    return "\n\n".join(parts) + "\n"
+
+
+def rooms() -> list[str]:
+    """Those with public names, in the order of the alphabet."""
+    return sorted({*ROOM.values(), *BESIDE})
+
+
+def on_config(config):
+    """Give each room its place in the navigation."""
+    for entry in config.nav:
+        if "Reference" in entry:
+            titles = {room: TITLES.get(room, room).capitalize() for room in rooms()}
+            entry["Reference"] = [{titles[room]: f"reference/{room}.md"} for room in rooms()]
+    return config
+
+
+def on_files(files, *, config):
+    for room in rooms():
+        files.append(File.generated(config, f"reference/{room}.md", content=page_of(room)))
+    return files
+
+
+def on_page_markdown(markdown, *, page, config, files):
+    """Link the public names of the package."""
+    if page.file.src_uri.startswith("reference/"):
+        return markdown
+
+    def link(found: re.Match) -> str:
+        name = found[1]
+        return f"[{found[0]}][{NAMES[name]}.{name}]" if name in NAMES else found[0]
+
+    parts = re.split(r"(^```.*?^```|^#.*?$)", markdown, flags=re.M | re.S)
+    parts[::2] = [re.sub(r"(?<!\[)`wj\.(\w+)(?:\([^`]*\))?`", link, part) for part in parts[::2]]
+    return "".join(parts)

@@ -1,0 +1,107 @@
+"""The package is laid out as docs/architecture.md says."""
+
+import ast
+import graphlib
+import inspect
+import re
+from pathlib import Path
+
+import pytest
+
+import walker_jax as wj
+
+ROOT = Path(__file__).parent.parent
+PACKAGE = ROOT / "walker_jax"
+PAGE = (ROOT / "docs" / "architecture.md").read_text()
+USUAL, MOST = 400, 600
+"""Lines that a file has at most; and one that the page lists."""
+
+PATHS = sorted(path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py")
+
+
+def name_of(path: Path) -> str:
+    """The module in a file."""
+    name = ".".join(path.relative_to(ROOT).with_suffix("").parts)
+    return name.removesuffix(".__init__")
+
+
+def room_of(module: str) -> str:
+    return module.split(".")[1]
+
+
+MODULES = {name_of(path): path for path in PATHS}
+
+
+def imported(path: Path) -> set[str]:
+    """The modules of the package that a file imports, anywhere in it."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            found |= {one.name for one in node.names}
+        if isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path.name} has a relative import"
+            parent = node.module or ""
+            inner = {f"{parent}.{one.name}" for one in node.names}
+            found |= {one if one in MODULES else parent for one in inner}
+    return {one for one in found if one in MODULES}
+
+
+IMPORTS = {name: imported(path) for name, path in MODULES.items()}
+
+
+def rooms_of_the_page() -> list[str]:
+    """From top to bottom."""
+    (picture,) = re.findall(r"<!-- the rooms -->\n```text\n(.*?)```", PAGE, re.S)
+    return re.findall(r"^ *(\w+) {2,}\S", picture, re.M)
+
+
+def longer_files_of_the_page() -> dict[str, str]:
+    """With the reason for each."""
+    (table,) = re.findall(r"<!-- longer files -->\n(.*?)\n\n", PAGE, re.S)
+    return dict(re.findall(r"^\| `(\S+)` \| (.+) \|$", table, re.M))
+
+
+def test_the_page_lists_every_room():
+    rooms = rooms_of_the_page()
+    assert len(rooms) > 10 and len(set(rooms)) == len(rooms)
+    assert set(rooms) == set(map(room_of, MODULES))
+
+
+def test_imports_lead_down_the_rooms():
+    rooms = rooms_of_the_page()
+    rank = {room: i for i, room in enumerate(rooms)}
+    checked = [
+        (name, other)
+        for name, others in IMPORTS.items()
+        for other in others
+        if room_of(name) != room_of(other)
+    ]
+    assert len(checked) > 100
+    up = [pair for pair in checked if rank[room_of(pair[0])] > rank[room_of(pair[1])]]
+    assert not up
+
+
+def test_no_files_import_each_other():
+    # A room's __init__.py collects names of its files, so a file may not import its own room.
+    try:
+        graphlib.TopologicalSorter(IMPORTS).prepare()
+    except graphlib.CycleError as error:
+        pytest.fail(" -> ".join(error.args[1]))
+
+
+def test_no_file_has_the_name_of_a_public_function():
+    functions = {
+        name for name in wj.__all__ if inspect.isfunction(inspect.unwrap(getattr(wj, name)))
+    }
+    assert {"stride", "basin", "find_gait"} <= functions
+    names = {part for module in MODULES for part in module.split(".")[1:]}
+    assert not functions & names
+
+
+def test_files_are_short_or_listed_with_a_reason():
+    lines = {
+        path.relative_to(PACKAGE).as_posix(): len(path.read_text().splitlines()) for path in PATHS
+    }
+    longer = {name for name, count in lines.items() if count > USUAL}
+    assert longer == set(longer_files_of_the_page())
+    assert max(lines.values()) <= MOST
