@@ -207,6 +207,8 @@ def test_a_sweep_answers_with_a_row_for_each_combination(run, tmp_path, monkeypa
     assert code == 0 and text.splitlines()[2].split() == [
         *("0.25", "0.5", "0.75", "0.5", "nan", "0.25", "0")
     ]
+    assert [point["reason"] for point in answer["points"]] == [*("", "", "FloatingPointError")] * 2
+    assert "  failed at slope 0.5, hip_stiffness 1: FloatingPointError\n" in text
     assert (tmp_path / "sweep.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -704,6 +706,24 @@ def test_optimise_answers_keeps_and_draws(run, tmp_path, monkeypatch):
     code, text, _ = run(*FASTEST)
     assert code == 0 and "held by the limit of spectral-radius; converged" in text
     assert run(*FASTEST, "--seed", "1")[0] == 2
+
+
+def test_two_optimisations_do_not_write_in_one_place(run, monkeypatch):
+    refused = []
+
+    def optimise(*_, keep, **__):
+        keep(xr.Dataset({"value": ("evaluation", [0.5])}))
+        refused.append(run(*FASTEST))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("walker_jax.optimise", optimise)
+    assert run(*FASTEST)[0] == 130
+    ((code, _, err),) = refused
+    way_out = "wait, or give another --out"
+    assert (code, err) == (
+        2,
+        f"walker-jax: optimum.zarr is being written by another run: {way_out}\n",
+    )
 
 
 @pytest.mark.slow

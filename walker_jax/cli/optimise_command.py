@@ -1,8 +1,10 @@
 """`walker-jax optimise`."""
 
+from collections.abc import Callable
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -109,40 +111,11 @@ def optimise(
         "version": version("walker-jax"),
     }
     figure, data = made_before(out, figure, request, overwrite=overwrite)
-    kept = data is not None
-
-    def keep(trace: "xarray.Dataset") -> None:
-        nonlocal kept
-        storage.save(trace, out, request)
-        kept = True
-
     if data is None or "found" not in data:  # not begun, or interrupted
-        try:
-            with storage.resumable(out, lambda: kept, overwrite=overwrite):
-                data = wj.optimise(
-                    walker,
-                    bounds,
-                    wanted,
-                    at_least=least,
-                    at_most=most,
-                    grid=grid,
-                    starts=starts,
-                    levels=levels,
-                    strides=strides,
-                    scan=scan,
-                    seed=seed,
-                    known=data,
-                    keep=keep,
-                    progress=True,
-                )
-        except storage.Occupied:
-            raise
-        except WrongUse as error:
-            message = str(error)
-            for word, options in NAMED.items():
-                message = message.replace(f"{word} ", f"{options} ", 1)
-            raise WrongUse(message) from error
-        data = storage.save(data, out, request)
+        options: dict[str, Any] = {"at_least": least, "at_most": most, "grid": grid}
+        options |= {"starts": starts, "levels": levels, "strides": strides, "scan": scan}
+        compute = partial(wj.optimise, walker, bounds, wanted, seed=seed, progress=True, **options)
+        data = computed(compute, out, request, overwrite=overwrite)
     if not data["found"]:
         reasons = "; ".join(dict.fromkeys(data["note"].values.tolist()))
         raise ComputationFailed(f"no start leads anywhere: {reasons}")
@@ -156,6 +129,33 @@ def optimise(
         if note:
             print(f"  a start led nowhere: {note}")
     print(f"  data set {out}, picture {figure}")
+
+
+def computed(
+    compute: "Callable[..., xarray.Dataset]", out: Path, request: dict, *, overwrite: bool
+) -> "xarray.Dataset":
+    """The optimum, its trace kept at `out` as it grows; nobody else writes there meanwhile."""
+    with storage.rewritable(out, request) as save:
+        known = storage.find(out, request, overwrite=overwrite)  # another run may just have ended
+        if known is not None and "found" in known:
+            return known
+        kept = known is not None
+
+        def keep(trace: "xarray.Dataset") -> None:
+            nonlocal kept
+            save(trace)
+            kept = True
+
+        try:
+            with storage.resumable(out, lambda: kept, overwrite=overwrite):
+                return save(compute(known=known, keep=keep))
+        except storage.Occupied:
+            raise
+        except WrongUse as error:
+            message = str(error)
+            for word, options in NAMED.items():
+                message = message.replace(f"{word} ", f"{options} ", 1)
+            raise WrongUse(message) from error
 
 
 NAMED = {

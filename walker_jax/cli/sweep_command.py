@@ -103,6 +103,10 @@ def sweep(
     shown += ["least_disturbance", "least_fall", "step_down", "step_down_fall"]
     shown = [name for name in shown if name in rows]
     print(rows[shown].map("{:.6g}".format).to_string(index=False))
+    for row in rows.to_dict(orient="records"):
+        if row["failed"]:
+            where = ", ".join(f"{name} {row[name]:.6g}" for name in names)
+            print(f"  failed at {where}: {row.get('reason') or 'no reason was kept'}")
     print(f"  data set {out}, picture {figure}")
 
 
