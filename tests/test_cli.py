@@ -17,7 +17,7 @@ from PIL import Image, ImageSequence
 import walker_jax as wj
 from walker_jax import storage
 from walker_jax.cli import answers, basin_command, main, optimise_command, options, sweep_command
-from walker_jax.design import trace
+from walker_jax.design import evaluation
 from walker_jax.paper import numbers
 from walker_jax.stability.summary import without_gait
 from walker_jax.walkers.family import WALKERS
@@ -728,7 +728,7 @@ def test_two_optimisations_do_not_write_in_one_place(run, monkeypatch):
 
 @pytest.mark.slow
 def test_an_interrupted_optimisation_goes_on(run, tmp_path, monkeypatch):
-    measured = trace.measured
+    measured = evaluation.measured
 
     def interrupted(problem, stage, values, gait_of):
         if stage == 1:

@@ -41,10 +41,10 @@ from walker_jax.walkers.heavy_legs import HeavyLegWalker as HeavyLegWalker
 from walker_jax.walkers.model import State as State
 from walker_jax.walkers.model import Walker as Walker
 from walker_jax.walkers.point_foot import PointFootWalker as PointFootWalker
-from walker_jax.walkers.round_feet import RoundFootWalker as RoundFootWalker
-from walker_jax.walkers.round_feet import UpperBodyWalker as UpperBodyWalker
+from walker_jax.walkers.round_foot import RoundFootWalker as RoundFootWalker
 from walker_jax.walkers.simplest import SimplestWalker as SimplestWalker
 from walker_jax.walkers.spring import SpringWalker as SpringWalker
+from walker_jax.walkers.upper_body import UpperBodyWalker as UpperBodyWalker
 from walker_jax.walking.failure_margins import Margins as Margins
 from walker_jax.walking.failure_margins import margins as margins
 from walker_jax.walking.failure_margins import margins_of_many as margins_of_many

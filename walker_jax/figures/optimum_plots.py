@@ -12,8 +12,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from walker_jax.checks import WrongUse
+from walker_jax.design.evaluation import ENDS
 from walker_jax.design.optimisation import ATTRACTED
-from walker_jax.design.trace import ENDS
 from walker_jax.figures.labels import free
 from walker_jax.figures.regions import Region, failures, painted, show
 from walker_jax.figures.style import (
