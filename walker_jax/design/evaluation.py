@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from walker_jax.checks import ComputationFailed, WrongUse
-from walker_jax.design.gradients import area_gradient, disturbance_gradient
+from walker_jax.design.area_gradients import area_gradient
+from walker_jax.design.disturbance_gradients import disturbance_gradient
 from walker_jax.design.measures import Measure, gait_measures
 from walker_jax.design.problem import Problem
 from walker_jax.gaits.cycles import Gait

@@ -1,0 +1,37 @@
+"""Derivatives of the margins by which walks fail, along states and parameters."""
+
+from collections.abc import Sequence
+
+import jax
+import numpy as np
+from jaxtyping import Float, Int
+
+from walker_jax.execution.tiles import map_cells
+from walker_jax.stability.walks import change_of_margin
+from walker_jax.walkers.model import Walker
+
+
+def margin_changes(
+    walker: Walker,
+    x: Float[np.ndarray, "n section"],
+    made: Int[np.ndarray, " n"],
+    directions: Float[np.ndarray, "axes section"],
+    parameters: Sequence[str],
+    tolerance: float,
+) -> Float[np.ndarray, "n columns"]:
+    """Derivatives of the margins of the failures of walks from x, along directions and parameters.
+
+    Each walk has `made` some strides when it fails. They are NaN where it does not.
+    """
+    dtype, n = x.dtype, len(x)
+    columns = len(directions) + len(parameters)
+    zero = np.zeros((len(parameters), x.shape[1]), dtype)
+    along = np.tile(np.concatenate([directions.astype(dtype), zero]), (n, 1))
+    names = [None] * len(directions) + list(parameters)
+    by = {name: np.array([name == one for one in names], dtype) for name in vars(walker)}
+    fields = jax.tree.unflatten(
+        jax.tree.structure(walker), [np.tile(by[name], n) for name in vars(walker)]
+    )
+    cells = np.repeat(x, columns, axis=0), np.repeat(made, columns), (fields, along)
+    shared = jax.tree.map(lambda leaf: np.asarray(leaf, dtype), (walker, tolerance))
+    return map_cells(change_of_margin, (shared, cells)).reshape(n, columns)
