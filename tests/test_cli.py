@@ -21,7 +21,7 @@ from walker_jax.cli import app, basin_command, main, optimise_command, startup, 
 from walker_jax.cli.answers import Stopwatch
 from walker_jax.cli.app import COMMANDS
 from walker_jax.cli.rewording import option_of, with_options_named
-from walker_jax.design import trace
+from walker_jax.design import evaluation
 from walker_jax.design.summary import summarise_optimum
 from walker_jax.paper import numbers
 from walker_jax.stability.summary import without_gait
@@ -212,6 +212,8 @@ def test_a_sweep_answers_with_a_row_for_each_combination(run, tmp_path, monkeypa
     assert code == 0 and text.splitlines()[2].split() == [
         *("0.25", "0.5", "0.75", "0.5", "nan", "0.25", "0")
     ]
+    assert [point["reason"] for point in answer["points"]] == [*("", "", "FloatingPointError")] * 2
+    assert "  failed at slope 0.5, hip_stiffness 1: FloatingPointError\n" in text
     assert (tmp_path / "sweep.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -711,9 +713,27 @@ def test_optimise_answers_keeps_and_draws(run, tmp_path, monkeypatch):
     assert run(*FASTEST, "--seed", "1")[0] == 2
 
 
+def test_two_optimisations_do_not_write_in_one_place(run, monkeypatch):
+    refused = []
+
+    def optimise(*_, keep, **__):
+        keep(xr.Dataset({"value": ("evaluation", [0.5])}))
+        refused.append(run(*FASTEST))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("walker_jax.optimise", optimise)
+    assert run(*FASTEST)[0] == 130
+    ((code, _, err),) = refused
+    way_out = "wait, or give another --out"
+    assert (code, err) == (
+        2,
+        f"walker-jax: optimum.zarr is being written by another run: {way_out}\n",
+    )
+
+
 @pytest.mark.slow
 def test_an_interrupted_optimisation_goes_on(run, tmp_path, monkeypatch):
-    measured = trace.measured
+    measured = evaluation.measured
 
     def interrupted(problem, stage, values, gait_of):
         if stage == 1:

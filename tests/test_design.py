@@ -11,11 +11,12 @@ from scipy.optimize import brentq, minimize_scalar
 import walker_jax as wj
 from walker_jax import storage
 from walker_jax.design import climbs, problem
-from walker_jax.design.climbs import allowed, along_limits
+from walker_jax.design.evaluation import ENDS, Row, measured
+from walker_jax.design.limits import Slack
 from walker_jax.design.measures import Measure
 from walker_jax.design.optimisation import optimise
 from walker_jax.design.problem import starting_places, weights_of
-from walker_jax.design.trace import ENDS, Row, Slack, Trace, measured
+from walker_jax.design.trace import Trace
 from walker_jax.stability.summary import default_region
 
 WALKER = wj.SimplestWalker(0.004)
@@ -260,11 +261,11 @@ def test_parameters_that_the_walker_refuses_together_are_not_tried():
     walker = wj.RoundFootWalker(0.01, leg_length=0.6, foot_radius=0.3)
     bounds = {"foot_radius": (0.1, 0.5), "leg_length": (0.4, 1.0)}
     trace = Trace(problem_of(walker, bounds), None, None, False)
-    assert allowed(trace, np.array([1.0, 0.0])) is None
+    assert trace.limits.nearest_allowed(np.array([1.0, 0.0])) is None
     assert "foot_radius must be less than leg_length" in climbs.why_nowhere(
         trace, np.array([1.0, 0.0])
     )
-    np.testing.assert_array_equal(allowed(trace, np.array([0.5, 0.5])), [0.5, 0.5])
+    np.testing.assert_array_equal(trace.limits.nearest_allowed(np.array([0.5, 0.5])), [0.5, 0.5])
 
 
 def test_a_stage_that_cannot_begin_keeps_what_was_found(no_basins, monkeypatch):
@@ -305,27 +306,31 @@ def test_steps_keep_to_bounds_and_limits(monkeypatch):
     problem = problem_of(WALKER, SLOPES, speed=(0.06, np.inf))
     trace = Trace(problem, None, None, False)
     edge = brentq(lambda slope: measure("speed", slope) - 0.06, 0.001, 0.004)
-    back = allowed(trace, np.array([0.0]))
+    back = trace.limits.nearest_allowed(np.array([0.0]))
     assert back is not None
     assert problem.values(back)[0] == pytest.approx(edge, rel=1e-8)
-    np.testing.assert_array_equal(allowed(trace, np.array([0.5])), [0.5])
-    np.testing.assert_allclose(along_limits(trace, back, np.array([-1.0])), [0.0], atol=1e-12)
-    assert along_limits(trace, back, np.array([1.0])).tolist() == [1.0]
+    np.testing.assert_array_equal(trace.limits.nearest_allowed(np.array([0.5])), [0.5])
+    np.testing.assert_allclose(
+        trace.limits.feasible_direction(back, np.array([-1.0])), [0.0], atol=1e-12
+    )
+    assert trace.limits.feasible_direction(back, np.array([1.0])).tolist() == [1.0]
     bounds = {**SLOPES, "hip_stiffness": (0.0, 1.0)}
     both = Trace(problem_of(wj.SpringWalker(0.004), bounds), None, None, False)
     slant = Slack("speed", 0.0, np.array([1.0, 2.0]))
-    monkeypatch.setattr("walker_jax.design.climbs.slacks", lambda *_: [slant])
+    monkeypatch.setattr(both.limits, "slacks", lambda *_: [slant])
     # against a limit, and then against a bound as well: no way is left
     np.testing.assert_allclose(
-        along_limits(both, np.array([0.5, 0.5]), np.array([-1.0, 0.0])), [-0.8, 0.4]
+        both.limits.feasible_direction(np.array([0.5, 0.5]), np.array([-1.0, 0.0])), [-0.8, 0.4]
     )
     np.testing.assert_allclose(
-        along_limits(both, np.array([0.5, 1.0]), np.array([-1.0, 0.0])), [0.0, 0.0], atol=1e-12
+        both.limits.feasible_direction(np.array([0.5, 1.0]), np.array([-1.0, 0.0])),
+        [0.0, 0.0],
+        atol=1e-12,
     )
     monkeypatch.undo()
     free = Trace(problem_of(WALKER, SLOPES), None, None, False)
-    assert along_limits(free, np.array([0.0]), np.array([-1.0])).tolist() == [0.0]
-    assert along_limits(free, np.array([0.0]), np.array([1.0])).tolist() == [1.0]
+    assert free.limits.feasible_direction(np.array([0.0]), np.array([-1.0])).tolist() == [0.0]
+    assert free.limits.feasible_direction(np.array([0.0]), np.array([1.0])).tolist() == [1.0]
 
 
 def test_within_their_errors_values_are_not_believed():

@@ -26,7 +26,7 @@ from walker_jax.basins.refinement import finer
 from walker_jax.checks import WrongUse
 from walker_jax.cli import app, main
 from walker_jax.design.climbs import Climb
-from walker_jax.design.trace import Row
+from walker_jax.design.evaluation import Row
 from walker_jax.execution import tiles
 from walker_jax.execution.workers import computers
 from walker_jax.kernels import primitive

@@ -8,13 +8,9 @@ from walker_jax.basins import refinement
 from walker_jax.basins.attractor import Attractor
 from walker_jax.basins.mapper import Labels, Mapper
 from walker_jax.basins.refinement import refined
-from walker_jax.design.gradients import (
-    along_boundary,
-    area_gradient,
-    crossings_along,
-    disturbance_gradient,
-    ends_of_band,
-)
+from walker_jax.design.area_gradients import along_boundary, area_gradient, crossings_along
+from walker_jax.design.bands import ends_of_band
+from walker_jax.design.disturbance_gradients import disturbance_gradient
 from walker_jax.design.measures import GAIT_MEASURES, gait_measures
 from walker_jax.walkers.parameters import with_parameter
 
@@ -113,7 +109,7 @@ def disc(monkeypatch):
     monkeypatch.setattr(Mapper, "__call__", labels_of)
     monkeypatch.setattr(refinement, "mapper_of_grid", mapper)
     monkeypatch.setattr(refinement, "with_capture_boxes", lambda mapper: mapper)
-    monkeypatch.setattr("walker_jax.design.gradients.margin_changes", changes)
+    monkeypatch.setattr("walker_jax.design.area_gradients.margin_changes", changes)
 
 
 @pytest.mark.parametrize("shear", [[[1.0, 0.0], [0.0, 1.0]], [[1.0, 0.0], [0.3, 2.0]]])
@@ -135,7 +131,7 @@ def test_the_area_of_a_disc_grows_by_its_circumference(disc, shear):
 def test_the_area_of_a_disc_over_a_band(disc, monkeypatch):
     """Where the integral is not to be trusted: pi ((r + 10 h)^2 - (r - 10 h)^2) / 2h."""
     grid = wj.Grid.plain(theta=(0, 1, 40), thetadot=(0, 1, 40))
-    monkeypatch.setattr("walker_jax.design.gradients.UNSURE", 0.0)
+    monkeypatch.setattr("walker_jax.design.area_gradients.UNSURE", 0.0)
     found = area_gradient(wj.SimplestWalker(0.008), grid, bands=(0.002,), levels=4)
     assert found.averaged.tolist() == [True]
     expected = 4 * np.pi * radius(0.008) * 10 / 2
@@ -160,7 +156,7 @@ def test_the_error_of_an_integral_is_that_of_a_sum_of_independent_parts(disc, mo
         moves = np.where(line == 8, np.nan, 5 * line)
         return np.stack([np.full(len(x), -5.0), 0 * line, moves], axis=1)
 
-    monkeypatch.setattr("walker_jax.design.gradients.margin_changes", changes)
+    monkeypatch.setattr("walker_jax.design.area_gradients.margin_changes", changes)
     integral = along_boundary(walker, found, ("slope",))
     # lines 0 to 7 move by their numbers: in four parts, by 0 + 4, 1 + 5, 2 + 6 and 3 + 7
     assert integral.gradient[0] == pytest.approx(28 / 36, rel=1e-12)
@@ -178,7 +174,9 @@ def test_the_least_disturbance_changes_as_its_boundary_and_its_gait_do(monkeypat
     walker, gait, u = wj.SimplestWalker(0.004), wj.find_gait(wj.SimplestWalker(0.004)), direction
     state = np.asarray(gait.states[0]) + SIZE(0.004) * np.array(u)
     found = wj.LeastDisturbance(SIZE(0.004), np.array(u), state, 0, wj.Outcome.FORWARD, 6)
-    monkeypatch.setattr("walker_jax.design.gradients.least_disturbance", lambda *_, **__: found)
+    monkeypatch.setattr(
+        "walker_jax.design.disturbance_gradients.least_disturbance", lambda *_, **__: found
+    )
     moved = wj.gait_derivatives(walker, gait, "slope").states[0]
 
     def changes(walker, x, made, directions, parameters, tolerance):
@@ -187,7 +185,7 @@ def test_the_least_disturbance_changes_as_its_boundary_and_its_gait_do(monkeypat
         row = 7 * np.array([*(-np.array(u)), 3 + moved @ u])
         return np.stack([np.full(3, np.nan), *[row] * (len(x) - 1)])  # the first is not known
 
-    monkeypatch.setattr("walker_jax.design.gradients.margin_changes", changes)
+    monkeypatch.setattr("walker_jax.design.disturbance_gradients.margin_changes", changes)
     gradient = disturbance_gradient(walker, ("slope",), gait)
     assert gradient.size == SIZE(0.004) and not gradient.averaged
     assert gradient.gradient == pytest.approx([3.0], rel=1e-9)
@@ -202,9 +200,9 @@ def test_the_least_disturbance_without_a_margin_changes_by_its_average_over_a_ba
             SIZE(float(walker.slope)), np.array([1.0, 0.0]), x, 0, wj.Outcome.STRIDE, 6
         )
 
-    monkeypatch.setattr("walker_jax.design.gradients.least_disturbance", least)
+    monkeypatch.setattr("walker_jax.design.disturbance_gradients.least_disturbance", least)
     nan = lambda walker, x, *_: np.full((len(x), 3), np.nan)
-    monkeypatch.setattr("walker_jax.design.gradients.margin_changes", nan)
+    monkeypatch.setattr("walker_jax.design.disturbance_gradients.margin_changes", nan)
     walker = wj.SimplestWalker(0.012)
     assert np.isnan(disturbance_gradient(walker).gradient).all()
     for width, low, high in ((0.002, 0.010, 0.014), (0.004, 0.008, 0.012)):

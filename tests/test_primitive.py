@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax import lax
+from jax.extend.core import jaxpr_as_fun
 
 from walker_jax.kernels import by_kernel, ffi, primitive
 from walker_jax.kernels.primitive import Program
@@ -453,7 +454,7 @@ BY_XLA = {
         X,
     ),
     "a primitive in a primitive": (
-        lambda x: jax.extend.core.jaxpr_as_fun(jax.make_jaxpr(nested)(X))(x)[0],
+        lambda x: jaxpr_as_fun(jax.make_jaxpr(nested)(X))(x)[0],
         X,
     ),
     "many results": (lambda x: x[0] * jnp.arange(2000.0), X),

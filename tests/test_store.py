@@ -115,7 +115,7 @@ def write(place, piece):
     place.write(piece, {"value": ROWS[rows], "half": half}, done=True)
 
 
-def test_pieces_are_written_one_by_one_and_make_a_whole(tmp_path):
+def test_pieces_are_written_one_by_one_and_make_a_whole(tmp_path, monkeypatch):
     path = tmp_path / "a.zarr"
     with begun(path) as place:
         assert (place.count, place.missing(), place.notes) == (2, [0, 1], {"a": 0.1})
@@ -127,7 +127,9 @@ def test_pieces_are_written_one_by_one_and_make_a_whole(tmp_path):
         seen = xr.open_zarr(path, consolidated=False)
         np.testing.assert_array_equal(seen["value"], np.r_[np.full((4, 2), -1), ROWS[4:]])
         assert seen.attrs["kind"] == "test" and seen["value"].attrs == {"unit": "m"}
-    assert storage.find(path, REQUEST) is None
+    with monkeypatch.context() as patch:  # nothing of an unfinished data set is read
+        patch.setattr(xr.Dataset, "load", lambda *_: 1 / 0)
+        assert storage.find(path, REQUEST) is None
     with begun(path, notes=lambda: 1 / 0) as place:
         assert place.missing() == [0] and place.notes == {"a": 0.1}
         write(place, 0)
@@ -334,6 +336,8 @@ def test_a_run_goes_on_with_the_blocks_that_it_was_begun_with(tmp_path, monkeypa
 HOLDING = """
 import os, sys
 from pathlib import Path
+from walker_jax import storage
+from walker_jax.storage import places
 path, mark, held = Path(sys.argv[1]), sys.argv[2], 0
 print("ready", flush=True)
 sys.stdin.readline()
@@ -363,6 +367,18 @@ def test_no_two_processes_hold_a_place_at_once(tmp_path):
         run.communicate()
     assert [run.returncode for run in runs] == [0, 0, 0]
     assert not [*tmp_path.iterdir()]
+
+
+def test_a_place_that_one_run_rewrites_is_refused_to_others(tmp_path, data):
+    path = tmp_path / "a.zarr"
+    with storage.rewritable(path, REQUEST) as save:
+        save(data)
+        with pytest.raises(storage.Occupied, match="is being written by another run"):
+            storage.save(data, path, REQUEST)
+        written = save(data * 2)
+        found = storage.find(path, REQUEST)
+        assert found is not None and found.identical(written)
+    assert [p.name for p in tmp_path.iterdir()] == ["a.zarr"]
 
 
 def test_what_a_killed_run_left_beside_a_store_goes_with_the_next(tmp_path, data):

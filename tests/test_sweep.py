@@ -1,6 +1,7 @@
 """Basins over parameters, and the cluster that may compute them."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -80,6 +81,7 @@ def test_a_combination_that_fails_costs_no_other(monkeypatch):
     monkeypatch.setattr("walker_jax.design.sweeps.measured", failing)
     found = wj.sweep(WALKER, {"slope": [0.004, 0.006]}, GRID, levels=0)
     assert found["failed"].values.tolist() == [0, 1]
+    assert found["reason"].values.tolist() == ["", "FloatingPointError: broken"]
     assert (found["fate"][1] == -1).all() and np.isnan(found["total_area"][1])
     assert found["total_area"][0] > 0
 
@@ -120,9 +122,11 @@ def test_what_the_machine_lacks_is_raised_and_what_a_walker_lacks_is_told(monkey
     combination = (WALKER, GRID, {}, ["slope"], (0.004,))
     with pytest.raises(type(lacking)):
         sweeps.point(*combination)
-    for _ in range(3):
-        assert sweeps.point(*combination) == {"failed": 1}
-    assert not broken and sweeps.point(WALKER, GRID, {}, ["slope"], (-1.0,)) == {"failed": 1}
+    for said in ("JaxRuntimeError: INTERNAL", "ValueError: gait", "RuntimeError: no step"):
+        assert sweeps.point(*combination) == {"failed": 1, "reason": said}
+    refused = sweeps.point(WALKER, GRID, {}, ["slope"], (-1.0,))
+    said = "slope must be above 0 and below 1.5708, not -1.0"
+    assert not broken and refused == {"failed": 1, "reason": said}
 
 
 def test_a_sweep_of_which_all_failed_has_a_picture(monkeypatch):
@@ -154,6 +158,24 @@ def test_an_interrupted_sweep_goes_on(tmp_path, swept, monkeypatch):
     assert found.drop_attrs(deep=False).identical(swept.drop_attrs(deep=False))
     assert wj.sweep(WALKER, OVER, GRID, levels=0, out=path).identical(found)
     assert len(computed) == 5
+
+
+def test_a_store_of_an_older_version_has_no_reasons_and_is_resumed(tmp_path, monkeypatch):
+    path, over, numbers = tmp_path / "a.zarr", {"slope": [0.004, 0.006]}, [1.5]
+
+    def measured(*_):
+        if not numbers:
+            raise KeyboardInterrupt
+        return {"total_area": numbers.pop()}
+
+    monkeypatch.setattr("walker_jax.design.sweeps.measured", measured)
+    with pytest.raises(KeyboardInterrupt):
+        wj.sweep(WALKER, over, GRID, levels=0, out=path)
+    shutil.rmtree(path / "reason")
+    monkeypatch.setattr("walker_jax.design.sweeps.measured", lambda *_: 1 / 0)
+    found = wj.sweep(WALKER, over, GRID, levels=0, out=path)
+    assert found["failed"].values.tolist() == [0, 1] and "reason" not in found
+    assert found["total_area"][0] == 1.5
 
 
 @pytest.mark.parametrize(

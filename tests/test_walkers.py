@@ -1,9 +1,11 @@
 """The simplest walker's equations against Newton's laws and the paper's general method."""
 
 import inspect
+import re
 from dataclasses import fields
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +14,9 @@ from scipy.integrate import solve_ivp
 
 import walker_jax as wj
 from walker_jax import State
+from walker_jax.checks import WrongUse
 from walker_jax.multibody import System
+from walker_jax.walkers.masses import gravity
 from walker_jax.walkers.model import Scalar, moves_like
 from walker_jax.walkers.parameters import SLOPE as SLOPE_PARAMETER
 
@@ -422,7 +426,7 @@ class PushOff:
 
     def impact(self: Any, state):
         foot, after = wj.SimplestWalker.impact(self, state)
-        return foot, after._replace(thetadot=1.1 * after.thetadot)
+        return foot, after._replace(thetadot=1.1 * after.thetadot, phidot=1.1 * after.phidot)
 
 
 class PushedWalker(PushOff, wj.SimplestWalker):
@@ -521,7 +525,8 @@ def test_an_impact_that_turns_the_leg_back_has_a_margin_of_that():
     class Turning(wj.SimplestWalker):
         def impact(self, state):
             foot, after = super().impact(state)
-            return foot, after._replace(thetadot=-0.1 + 0 * after.thetadot, phidot=-1.0)
+            c = jnp.cos(state.phi)  # 0.9 with the legs exchanged
+            return foot, after._replace(thetadot=0.9 * c, phidot=0.9 * (c - 1))
 
     found = wj.margins(Turning(0.004), jnp.array([0.2, -0.21]))
     assert found.stride.outcome == wj.Outcome.BACKWARD
@@ -534,3 +539,43 @@ def test_a_walker_of_another_motion_is_searched_for_gaits_where_these_may_be():
     found = wj.find_gaits(walker)
     expected = [wj.find_gait(wj.SimplestWalker(0.01)).states[0]]
     assert np.abs(np.array([gait.states[0] for gait in found]) - expected).max(1).min() < 1e-9
+
+
+# An impact of a user's own
+
+
+class SlidingWalker(wj.SimplestWalker):
+    """Its swing leg keeps a part of its rate at heel strike, which the section does not know of."""
+
+    kept: Scalar = eqx.field(converter=jnp.asarray)
+
+    def impact(self, state):
+        foot, after = super().impact(state)
+        return foot, after._replace(phidot=after.phidot + self.kept * state.phidot)
+
+
+class MassiveLegWalker(wj.PointFootWalker):
+    """Masses on the legs, not at their ends alone."""
+
+    def system(self):
+        system = super().system()
+
+        def transfer(q):
+            x = system.transfer(q)
+            return jnp.concatenate([x, (x[:4] + x[2:]) / 2])
+
+        masses = jnp.concatenate([system.masses, jnp.full(4, 0.1)])
+        return System(transfer, masses, gravity(self.slope, masses))
+
+
+def test_an_impact_that_leaves_the_section_is_refused_by_the_coordinate_that_does():
+    kept = 0.25 * -0.5 * (1 - np.cos(0.6))  # goes to both rates when the legs are exchanged
+    error = (1 - np.cos(0.6)) * kept - kept
+    said = f"impact of SlidingWalker must lead to its section: phidot is {error:.3g} off it"
+    with pytest.raises(WrongUse, match=re.escape(said)):
+        SlidingWalker(SLOPE, 0.25)
+    with pytest.raises(WrongUse, match=r"impact of MassiveLegWalker .* phidot is"):
+        MassiveLegWalker(SLOPE)
+    assert SlidingWalker(SLOPE, 0.0).kept == 0
+    shape = jax.eval_shape(lambda kept: SlidingWalker(SLOPE, kept), jnp.ones(()))
+    assert shape.kept.shape == ()  # nothing is looked at while JAX traces

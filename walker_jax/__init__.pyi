@@ -4,10 +4,10 @@ from walker_jax.basins.computation import basin as basin
 from walker_jax.basins.computation import compare_methods as compare_methods
 from walker_jax.basins.refinement import refine as refine
 from walker_jax.checks import ComputationFailed as ComputationFailed
-from walker_jax.design.gradients import AreaGradient as AreaGradient
-from walker_jax.design.gradients import DisturbanceGradient as DisturbanceGradient
-from walker_jax.design.gradients import area_gradient as area_gradient
-from walker_jax.design.gradients import disturbance_gradient as disturbance_gradient
+from walker_jax.design.area_gradients import AreaGradient as AreaGradient
+from walker_jax.design.area_gradients import area_gradient as area_gradient
+from walker_jax.design.disturbance_gradients import DisturbanceGradient as DisturbanceGradient
+from walker_jax.design.disturbance_gradients import disturbance_gradient as disturbance_gradient
 from walker_jax.design.measures import Measure as Measure
 from walker_jax.design.measures import gait_measures as gait_measures
 from walker_jax.design.optimisation import optimise as optimise
@@ -41,10 +41,10 @@ from walker_jax.walkers.heavy_legs import HeavyLegWalker as HeavyLegWalker
 from walker_jax.walkers.model import State as State
 from walker_jax.walkers.model import Walker as Walker
 from walker_jax.walkers.point_foot import PointFootWalker as PointFootWalker
-from walker_jax.walkers.round_feet import RoundFootWalker as RoundFootWalker
-from walker_jax.walkers.round_feet import UpperBodyWalker as UpperBodyWalker
+from walker_jax.walkers.round_foot import RoundFootWalker as RoundFootWalker
 from walker_jax.walkers.simplest import SimplestWalker as SimplestWalker
 from walker_jax.walkers.spring import SpringWalker as SpringWalker
+from walker_jax.walkers.upper_body import UpperBodyWalker as UpperBodyWalker
 from walker_jax.walking.failure_margins import Margins as Margins
 from walker_jax.walking.failure_margins import margins as margins
 from walker_jax.walking.failure_margins import margins_of_many as margins_of_many

@@ -1,5 +1,7 @@
 """`walker-jax optimise`."""
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -102,18 +104,11 @@ def optimise(
     asked = {"bounds": bounds, "objective": wanted, "axes": {} if grid is None else grid.box}
     request = request_for("optimise", walker=about, **asked, **limits, **options)
     figure, data = find_earlier(out, figure, request, overwrite=overwrite)
-    saved = data is not None
-
-    def save(trace: "xarray.Dataset") -> None:
-        nonlocal saved
-        storage.save(trace, out, request)
-        saved = True
-
     if data is None or "found" not in data:  # not begun, or interrupted
-        options |= {"grid": grid, "known": data, "keep": save}
-        with storage.resumable(out, lambda: saved, overwrite=overwrite):
-            data = wj.optimise(walker, bounds, wanted, progress=True, **limits, **options)
-        data = storage.save(data, out, request)
+        compute = partial(
+            wj.optimise, walker, bounds, wanted, grid=grid, progress=True, **limits, **options
+        )
+        data = computed(compute, out, request, overwrite=overwrite)
     if not data["found"]:
         reasons = "; ".join(dict.fromkeys(data["note"].values.tolist()))
         raise ComputationFailed(f"no start leads anywhere: {reasons}")
@@ -127,6 +122,25 @@ def optimise(
         if note:
             print(f"  a start led nowhere: {note}")
     print(f"  data set {out}, picture {figure}")
+
+
+def computed(
+    compute: "Callable[..., xarray.Dataset]", out: Path, request: dict, *, overwrite: bool
+) -> "xarray.Dataset":
+    """The optimum, its trace saved at `out` as it grows; nobody else writes there meanwhile."""
+    with storage.rewritable(out, request) as save:
+        known = storage.find(out, request, overwrite=overwrite)  # another run may just have ended
+        if known is not None and "found" in known:
+            return known
+        kept = known is not None
+
+        def keep(trace: "xarray.Dataset") -> None:
+            nonlocal kept
+            save(trace)
+            kept = True
+
+        with storage.resumable(out, lambda: kept, overwrite=overwrite):
+            return save(compute(known=known, keep=keep))
 
 
 def bounds_of(walker: Walker, over: list[str], bound: list[str]) -> dict[str, tuple[float, float]]:

@@ -94,6 +94,10 @@ def sweep(
         return
     shown = [name for name in (*values, *SHOWN) if name in rows]
     print(rows[shown].map("{:.6g}".format).to_string(index=False))
+    for row in rows.to_dict(orient="records"):
+        if row["failed"]:
+            where = ", ".join(f"{name} {row[name]:.6g}" for name in values)
+            print(f"  failed at {where}: {row.get('reason') or 'no reason was kept'}")
     print(f"  data set {out}, picture {figure}")
 
 

@@ -1,15 +1,16 @@
 """One climb along the gradient, within bounds and limits."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from walker_jax.design.evaluation import STEPS, Row
 from walker_jax.design.measures import gait_measures
 from walker_jax.design.problem import Problem
-from walker_jax.design.trace import STEPS, Row, Slack, Trace
+from walker_jax.design.trace import Trace
 
 TRIES = (1.0, -1.0, 0.5, -0.5, 0.25, -0.25)
 """Shares of a step, until one leads higher; if none does, the stage ends. Some objectives fall by
@@ -18,10 +19,6 @@ MOST = 40
 """Steps of a stage."""
 RESCUES = 8
 """Long steps that are made, from where nothing walks, to where the gait is more stable."""
-NEWTON = 20
-"""Steps back to what constraints allow."""
-MET, BINDING = 1e-9, 1e-6
-"""By how much, relatively, a limit may be missed, and kept where it holds an optimum."""
 SURE = 2
 """Standard errors from which on a difference of values is believed."""
 
@@ -39,7 +36,7 @@ def climb(trace: Trace, run: int, stage: int, place: Float[np.ndarray, " paramet
     """Go up from a place by the steps of one stage, until none leads higher."""
     import optax  # here alone: it takes a quarter of a second
 
-    problem, begin = trace.problem, allowed(trace, place)
+    problem, begin = trace.problem, trace.limits.nearest_allowed(place)
     if begin is None:
         return Climb(None, None, False, why_nowhere(trace, place))
     start = trace.measure(run, stage, begin)
@@ -56,11 +53,11 @@ def climb(trace: Trace, run: int, stage: int, place: Float[np.ndarray, " paramet
     for _ in range(MOST):
         place = problem.place(best.parameters)
         uphill = problem.sign * best.gradient * (problem.high - problem.low)
-        downhill = jnp.asarray(-along_limits(trace, place, uphill))
+        downhill = jnp.asarray(-trace.limits.feasible_direction(place, uphill))
         with standard():
             update, state = optimiser.update(downhill, state)
         for share in TRIES:
-            goal = allowed(trace, np.clip(place + share * np.asarray(update), 0, 1))
+            goal = trace.limits.nearest_allowed(np.clip(place + share * np.asarray(update), 0, 1))
             if goal is None:
                 continue
             held = share == 1 and np.abs(goal - place).max() < STEPS[stage] / 100
@@ -109,7 +106,7 @@ def rescued(trace: Trace, run: int, row: Row) -> Row | None:
         if not (np.isfinite(steepest) and steepest > 0):
             return None
         place = problem.place(row.parameters) - STEPS[0] * growth / steepest
-        goal = allowed(trace, np.clip(place, 0, 1))
+        goal = trace.limits.nearest_allowed(np.clip(place, 0, 1))
         if goal is None:
             return None
         row = trace.measure(run, 0, goal)
@@ -137,81 +134,3 @@ def why_nowhere(trace: Trace, place: Float[np.ndarray, " parameters"]) -> str:
         f"{where}: nothing walks, or nothing says which way is up; "
         f"the gait of period one has a multiplier of modulus {radius:.4g}"
     )
-
-
-def slacks(trace: Trace, place: Float[np.ndarray, " parameters"]) -> list[Slack]:
-    """Those of all limits; NaN where there is no gait."""
-    problem, values = trace.problem, trace.problem.values(place)
-    if not problem.limits:
-        return []
-    if values.tobytes() in trace.slacks:
-        return trace.slacks[values.tobytes()]
-    walker, gait = problem.built(values), trace.gait(values)
-    measures = gait_measures(walker, problem.names, gait, tolerance=problem.tolerance)
-    found = []
-    for name, ends in problem.limits.items():
-        for limit, side in zip(ends, (1, -1), strict=True):
-            if np.isfinite(limit):
-                scale = side / (abs(limit) or 1.0)
-                value, gradient = measures[name]
-                gradient = gradient * (problem.high - problem.low)
-                found.append(Slack(name, scale * (value - limit), scale * gradient))
-    trace.slacks[values.tobytes()] = found
-    return found
-
-
-def allowed(
-    trace: Trace, place: Float[np.ndarray, " parameters"]
-) -> Float[np.ndarray, " parameters"] | None:
-    """The place, or one near it that keeps all limits; none if that is not found."""
-    beyond = None
-    for _ in range(NEWTON):
-        if trace.problem.refusal(trace.problem.values(place)):
-            return None
-        found = slacks(trace, place)
-        broken = [one for one in found if not one.value >= -MET]
-        if not broken:
-            least = min((one.value for one in found), default=0.0)
-            if beyond is None or least < BINDING:
-                return place
-            return on_limit(trace, place, beyond)  # Newton's step was too long
-        beyond, worst = place, min(broken, key=lambda one: one.value)
-        held = ((place == 0) & (worst.gradient < 0)) | ((place == 1) & (worst.gradient > 0))
-        gradient = np.where(held, 0.0, worst.gradient)
-        if not (np.isfinite(worst.value) and np.sum(gradient**2) > 0):
-            return None
-        place = np.clip(place - worst.value * gradient / np.sum(gradient**2), 0, 1)
-    return None
-
-
-def on_limit(
-    trace: Trace,
-    within: Float[np.ndarray, " parameters"],
-    beyond: Float[np.ndarray, " parameters"],
-) -> Float[np.ndarray, " parameters"]:
-    """Where a limit is reached on the way from a place within it to one beyond."""
-
-    def least(share: float) -> float:
-        slack = min(one.value for one in slacks(trace, within + share * (beyond - within)))
-        return slack if np.isfinite(slack) else -1.0
-
-    from scipy.optimize import brentq
-
-    share: Any = brentq(least, 0.0, 1.0, xtol=1e-13)
-    return within + share * (beyond - within)
-
-
-def along_limits(
-    trace: Trace,
-    place: Float[np.ndarray, " parameters"],
-    uphill: Float[np.ndarray, " parameters"],
-) -> Float[np.ndarray, " parameters"]:
-    """A direction without what leads out of the bounds, and beyond limits that hold."""
-    holding = [one.gradient for one in slacks(trace, place) if one.value < BINDING]
-    for _ in range(1 + len(place)):
-        free = ~(((place == 0) & (uphill < 0)) | ((place == 1) & (uphill > 0)))
-        uphill = np.where(free, uphill, 0.0)
-        for gradient in (np.where(free, one, 0.0) for one in holding):
-            if uphill @ gradient < 0:
-                uphill = uphill - (uphill @ gradient) / np.sum(gradient**2) * gradient
-    return uphill

@@ -18,9 +18,10 @@ from walker_jax.basins.computation import basin
 from walker_jax.basins.memory import check_grid
 from walker_jax.basins.refinement import BYTES_PER_CELL, FINEST, finer, refined
 from walker_jax.checks import WrongUse, check_kind, check_whole, refuses_tracers
-from walker_jax.design.climbs import BINDING, climb, slacks
+from walker_jax.design.climbs import climb
+from walker_jax.design.evaluation import CHECK, ENDS, SCAN, STEPS, Row
 from walker_jax.design.problem import Problem, check_bounds, limits_of, starting_places, weights_of
-from walker_jax.design.trace import CHECK, ENDS, SCAN, STEPS, Row, Trace, strings
+from walker_jax.design.trace import Trace, strings
 from walker_jax.grids import Grid
 from walker_jax.stability.summary import default_region
 from walker_jax.walkers.model import Walker
@@ -158,7 +159,7 @@ def both_ends(trace: Trace, start: Row, best: Row) -> dict:
         found[f"exact_{name}"], found[f"exact_{name}_error"] = exact.value, exact.value_error
     place = problem.place(best.parameters)
     side = (place == 1).astype(np.int8) - (place == 0).astype(np.int8)
-    binding = {one.name for one in slacks(trace, place) if one.value < BINDING}
+    binding = trace.limits.binding(place)
     found["at_bound"] = "parameter", side
     found["binding"] = "measure", [name in binding for name in problem.measures]
     return found

@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float
 
-from walker_jax.design.trace import ENDS
+from walker_jax.design.evaluation import ENDS
 
 
 class Run(NamedTuple):

@@ -80,11 +80,12 @@ def sweep(
     - if `robust`, what `robustness` gives of the gait with the largest basin, of any period, whose
       `gait_state`, `multiplier` and `step_time` these are then.
 
-    A combination that cannot be computed, as one that the walker refuses, has `failed` 1, fates of
-    -1, and NaN; the others go on. Where memory or the like is wanting, the error is raised, and the
-    same call goes on with that combination. `ValueError` for a parameter or a value that the walker
-    does not have, for no values or more than a million combinations, and as for `basin` and
-    `refine`.
+    A combination that cannot be computed, as one that the walker refuses, has `failed` 1, a
+    `reason`, which is empty otherwise, fates of -1, and NaN; the others go on. Where memory or the
+    like is wanting, the error is raised, and the same call resumes with that combination.
+
+    Raises `ValueError` for a parameter or a value that the walker does not have, for no values or
+    more than a million combinations, and as `basin` and `refine` do.
     """
     check_kind("walker", walker, Walker)
     check_kind("over", over, Mapping)
@@ -164,7 +165,10 @@ def fill(
         label = " × ".join(names)
         found, done = each(compute, [*number]), place.count - len(number)
         for values, row in tracked(found, label, progress, place.count, done):
-            place.write(number[values], unknown | row, done=True)
+            row = unknown | row
+            if "reason" not in place.group:  # as in a store of an older version
+                del row["reason"]
+            place.write(number[values], row, done=True)
         place.finish(about)
     return storage.opened(out)
 
@@ -175,6 +179,7 @@ def blank(walker: Walker, grid: Grid, about: xr.Dataset) -> dict[str, xr.Variabl
     single += tuple(name.replace("-", "_") for name in OF_GAIT)
     nowhere = "coordinate", np.full(grid.coordinates, np.nan)
     row = dict.fromkeys(single, np.nan) | {"gait_state": nowhere, "attractors": 0, "failed": 0}
+    row |= {"reason": ""}
     row |= without_gait(walker) if about.attrs["robust"] else {}
     return arrays_to_compute(grid) | {
         str(name): one.variable for name, one in xr.Dataset(row).items()
@@ -201,7 +206,10 @@ def point(
         full = isinstance(error, JaxRuntimeError) and "RESOURCE_EXHAUSTED" in str(error)
         if full or isinstance(error, MemoryError | OSError | ImportError):
             raise  # of the machine, not of the combination
-        return {"failed": 1}
+        words = str(error).split()
+        if not isinstance(error, WrongUse):
+            words.insert(0, f"{type(error).__name__}{':' * bool(words)}")
+        return {"failed": 1, "reason": " ".join(words)}
 
 
 def measured(walker: Walker, grid: Grid, how: Mapping[str, Any]) -> dict[str, Any]:

@@ -2,49 +2,18 @@
 
 from collections.abc import Callable, Iterable
 from contextlib import nullcontext
-from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from walker_jax.checks import ComputationFailed, WrongUse
-from walker_jax.design.gradients import area_gradient, disturbance_gradient
-from walker_jax.design.measures import Measure, gait_measures
+from walker_jax.checks import WrongUse
+from walker_jax.design.evaluation import Row, measured
+from walker_jax.design.limits import Limits
 from walker_jax.design.problem import Problem, description
 from walker_jax.execution.progress import console
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import find_gait
-from walker_jax.walkers.model import Walker
-
-STEPS = (0.1, 0.03, 0.01, 0.003)
-"""Lengths of the steps of each stage, in places."""
-BANDS = (0.1, 0.05, 0.03, 0.03)
-"""Half widths, in places, of the bands over which derivatives are averaged where there are none.
-They are wide enough for the errors of areas at their ends."""
-COARSER = (3, 2, 1, 1)
-"""By how many levels areas are less refined in each stage than at the ends."""
-SCAN, ENDS = -1, -2
-"""In place of a stage: for what is measured for a picture, and at the ends."""
-CHECK = 50_000, 500_000
-"""Starts that correct an area on the way, and at the ends."""
-
-
-class Row(NamedTuple):
-    """What was measured of one walker."""
-
-    run: int
-    stage: int
-    parameters: Float[np.ndarray, " parameters"]
-    value: float
-    """Of the objective; NaN where there is none."""
-    value_error: float
-    gradient: Float[np.ndarray, " parameters"]
-    """By the parameters."""
-    gradient_error: Float[np.ndarray, " parameters"]
-    measures: Float[np.ndarray, " measures"]
-    strides: int
-    """That were made for areas."""
 
 
 class Trace:
@@ -63,7 +32,7 @@ class Trace:
             check_known(problem, known)
         self.known = {} if known is None else {key(row): row for row in rows_of(known)}
         self.gaits: dict[bytes, Gait] = {}
-        self.slacks: dict[bytes, list[Slack]] = {}
+        self.limits = Limits(problem, self.gait)
         self.console = console(progress)
 
     def gait(self, values: Float[np.ndarray, " parameters"]) -> Gait:
@@ -130,77 +99,3 @@ def check_known(problem: Problem, known: xr.Dataset) -> None:
             raise WrongUse(
                 f"known must be of the same {name}, {value!r}, not {known.attrs.get(name)!r}"
             )
-
-
-def measured(
-    problem: Problem,
-    stage: int,
-    values: Float[np.ndarray, " parameters"],
-    gait_of: Callable[[Float[np.ndarray, " parameters"]], Gait],
-) -> Row:
-    """Measure the objective, what has limits, and in a stage, the objective's gradient."""
-    walker, names = problem.built(values), problem.names if stage >= 0 else ()
-    bands = BANDS[max(stage, 0)] * (problem.high - problem.low)[: len(names)]
-    found: dict[str, Measure] = {}
-    value_error, gradient_error, made = 0.0, np.zeros(len(names)), 0
-    if "area" in problem.weights and problem.grid is not None:
-        area = area_gradient(
-            walker,
-            problem.grid,
-            names,
-            bands=bands,
-            levels=max(0, problem.levels - (0 if stage == ENDS else COARSER[stage])),
-            strides=problem.strides,
-            check=CHECK[stage == ENDS],
-            seed=problem.seed,
-            tolerance=problem.tolerance,
-        )
-        found["area"], made = Measure(area.area, area.gradient), area.strides
-        weight = abs(problem.weights["area"])
-        value_error, gradient_error = weight * area.area_error, weight * area.error
-    if set(problem.measures) - {"area"}:
-        gait = gait_of(values)
-        found |= gait_measures(walker, names, gait, tolerance=problem.tolerance)
-        if "least-disturbance" in problem.weights:
-            found["least-disturbance"] = Measure(0.0, np.zeros(len(names)))
-            if gait.found and gait.stable:
-                found["least-disturbance"] = least_disturbed(problem, walker, names, gait, bands)
-    weighted = [(weight, found[name]) for name, weight in problem.weights.items()]
-    gradient = np.sum([weight * one.gradient for weight, one in weighted], axis=0)
-    none = np.full(len(problem.names), np.nan)
-    return Row(
-        run=-1,
-        stage=stage,
-        parameters=values,
-        value=float(sum(weight * one.value for weight, one in weighted)),
-        value_error=value_error,
-        gradient=gradient if names else none,
-        gradient_error=gradient_error if names else none,
-        measures=np.array([found[name].value for name in problem.measures]),
-        strides=made,
-    )
-
-
-def least_disturbed(
-    problem: Problem,
-    walker: Walker,
-    names: tuple[str, ...],
-    gait: Gait,
-    bands: Float[np.ndarray, " bands"],
-) -> Measure:
-    """The least disturbance and its gradient; NaN where the search for it fails."""
-    options = {"strides": problem.strides, "tolerance": problem.tolerance}
-    try:
-        least = disturbance_gradient(walker, names, gait, bands=bands, **options)
-    except (WrongUse, ComputationFailed, np.linalg.LinAlgError):
-        # The walker returns from everywhere, or the gait is lost to rounding.
-        return Measure(np.nan, np.full(len(names), np.nan))
-    return Measure(least.size, least.gradient)
-
-
-class Slack(NamedTuple):
-    """By how much a limit is kept, relatively, and how that changes with the place."""
-
-    name: str
-    value: float
-    gradient: Float[np.ndarray, " parameters"]

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from contextlib import contextmanager
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr
 
@@ -28,7 +29,7 @@ class Kernel:
         """Compile it; `UnsupportedPrimitive` where that cannot be."""
         start = time.perf_counter()
         avals = [*closed.in_avals, *closed.out_avals]
-        if any(jax.dtypes.issubdtype(aval.dtype, jax.dtypes.extended) for aval in avals):
+        if any(jnp.issubdtype(aval.dtype, jax.dtypes.extended) for aval in avals):
             raise UnsupportedPrimitive("a key to random numbers")
         described = lambda avals: [(aval.shape, np.dtype(aval.dtype)) for aval in avals]
         self.operands, self.results = described(closed.in_avals), described(closed.out_avals)

@@ -19,4 +19,5 @@ from walker_jax.storage.whole import export as export
 from walker_jax.storage.whole import find as find
 from walker_jax.storage.whole import load as load
 from walker_jax.storage.whole import opened as opened
+from walker_jax.storage.whole import rewritable as rewritable
 from walker_jax.storage.whole import save as save

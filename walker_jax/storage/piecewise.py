@@ -185,7 +185,7 @@ def begin(
             name,
             shape=array.shape,
             chunks=(*map(min, block, array.shape), *array.shape[len(block) :]),
-            dtype=array.dtype,
+            dtype=str if array.dtype.kind == "U" else array.dtype,
             fill_value=array.values.flat[0],
             dimension_names=[str(dim) for dim in array.dims],
             attributes=dict(array.attrs),

@@ -9,7 +9,8 @@ with it. Each piece is a chunk of every array, and counts as written once its en
 
 import importlib.util
 import warnings
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -80,11 +81,26 @@ def standing(path: Path) -> "xarray.Dataset | None":
 
 def save(data: "xarray.Dataset", path: Path, request: dict) -> "xarray.Dataset":
     """Write a data set at `path`, in the place of any that stands there; returns it as written."""
-    path, data = followed(path), data.assign_attrs(request=canonical(request))
-    with held(path) as folder:
+    with rewritable(path, request) as save_again:
+        return save_again(data)
+
+
+@contextmanager
+def rewritable(path: Path, request: dict) -> "Iterator[Callable[[xarray.Dataset], xarray.Dataset]]":
+    """Reserve `path` for one run, and give its `save`, which may be called again and again.
+
+    Raises `Occupied` while another run writes there.
+    """
+    path = followed(path)
+
+    def save_again(data: "xarray.Dataset") -> "xarray.Dataset":
+        data = data.assign_attrs(request=canonical(request))
         data.to_zarr(folder / "new", consolidated=False, write_empty_chunks=True)
         put(folder, path)
-    return data
+        return data
+
+    with held(path) as folder:
+        yield save_again
 
 
 def load(path: Path) -> "xarray.Dataset | None":
@@ -96,16 +112,17 @@ def load(path: Path) -> "xarray.Dataset | None":
 
 
 def opened(path: Path) -> "xarray.Dataset":
-    """The data set at `path`, in memory; but one that is large is read when it is used."""
+    """The data set at `path`, in memory; a large or unfinished one is read when it is used."""
     import xarray
 
     with warnings.catch_warnings():  # of arrays that a run is about to begin
         warnings.filterwarnings("ignore", "Object at .* is not recognized")
         data = xarray.open_zarr(path, consolidated=False, chunks=None)
-        if not data.attrs.get("unfinished"):
-            for name, array in group_at(path, "r").arrays():
-                if array.nchunks_initialized < array.nchunks:  # which would read as zeros
-                    raise OSError(f"{path} is damaged: chunks of {name} are missing")
+        if data.attrs.get("unfinished"):
+            return data
+        for name, array in group_at(path, "r").arrays():
+            if array.nchunks_initialized < array.nchunks:  # which would read as zeros
+                raise OSError(f"{path} is damaged: chunks of {name} are missing")
     return data if data.nbytes > LARGE else data.load()
 
 

@@ -2,9 +2,10 @@
 
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.point_foot import PointFootWalker
-from walker_jax.walkers.round_feet import RoundFootWalker, UpperBodyWalker
+from walker_jax.walkers.round_foot import RoundFootWalker
 from walker_jax.walkers.simplest import SimplestWalker
 from walker_jax.walkers.spring import SpringWalker
+from walker_jax.walkers.upper_body import UpperBodyWalker
 
 WALKERS: dict[str, type[Walker]] = {
     "simplest": SimplestWalker,

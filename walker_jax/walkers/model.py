@@ -22,6 +22,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
+from walker_jax.checks import WrongUse
 from walker_jax.grids import Grid
 
 Scalar = Float[Array, ""]
@@ -58,6 +59,9 @@ class Walker(eqx.Module):
             said = next(i for i, base in enumerate(cls.__mro__) if name in vars(base))
             if any(method in vars(base) for base in cls.__mro__[:said] for method in methods):
                 setattr(cls, name, vars(Walker)[name])
+
+    def __check_init__(self):
+        check_lands_on_section(self)
 
     def __repr__(self):
         """The parameters' values, as far as each is one number; else their types and shapes."""
@@ -126,7 +130,8 @@ class Walker(eqx.Module):
     def impact(self, state: State) -> tuple[tuple[Scalar, Scalar], State]:
         """Velocity (u, v) of the trailing foot and the state, legs not yet exchanged, after impact.
 
-        The state is that at heel strike, before the impact.
+        The state is that at heel strike, before the impact. With the legs exchanged, the state
+        after it must be on the section: `WrongUse` at construction otherwise.
         """
 
     def contact(self, state: State) -> Scalar:
@@ -152,6 +157,12 @@ class Walker(eqx.Module):
         return State(theta - phi, -phi, thetadot - phidot, -phidot)
 
 
+TRIED = {"theta": 0.3, "thetadot": -0.5, "phidot": -0.2}
+"""A point of the section by which an impact is tried; any that has no symmetry would do."""
+LANDING_ERROR = 1e-4
+"""Distance from the section, to the largest of the coordinates, that rounding may make."""
+
+
 Kind = TypeVar("Kind", bound=Walker)
 MOTION = ("vector_field", "system")
 KNOWN_OF = {
@@ -169,6 +180,43 @@ def moves_like(walker: Walker, kind: type[Kind]) -> TypeGuard[Kind]:
     methods = {method for methods in KNOWN_OF.values() for method in methods}
     same = lambda name: getattr(type(walker), name, None) is getattr(kind, name, None)
     return isinstance(walker, kind) and all(map(same, methods))
+
+
+def check_lands_on_section(walker: Walker) -> None:
+    """Refuse a walker of a user's own whose impact leaves the section, as `project` hides that.
+
+    With two coordinates the projection drops phidot, so masses of a user's own matter too. Which of
+    several legs, or spokes, is the next swing leg is the user's affair: phi is not looked at.
+    """
+    methods = ("impact", "exchange_legs", "project", "lift")
+    methods += ("system", "swing_foot") if len(walker.section) == 2 else ()
+    bases = [next((b for b in type(walker).__mro__ if m in vars(b)), Walker) for m in methods]
+    if all(base.__module__.startswith("walker_jax.") for base in bases):
+        return
+    if any(np.shape(leaf) or isinstance(leaf, Tracer) for leaf in jax.tree.leaves(walker)):
+        return
+    arrival, after, on_section = landing(walker)
+    if isinstance(after.theta, Tracer):  # of a walker made in a function that JAX transforms
+        return
+    size = max(abs(float(value)) for value in after)
+    for name in ("theta", "thetadot", "phidot"):
+        error = float(getattr(after, name) - getattr(on_section, name))
+        if abs(error) > LANDING_ERROR * size:
+            raise WrongUse(
+                f"impact of {type(walker).__name__} must lead to its section: {name} is "
+                f"{error:.3g} off it after a heel strike at theta = {float(arrival.theta):.3g}"
+            )
+
+
+@jax.jit
+def landing(walker: Walker) -> tuple[State, State, State]:
+    """A heel strike, the state after it, legs exchanged, and that state's place on the section."""
+    to_array = lambda value: jnp.asarray(value, jnp.asarray(0.0).dtype)
+    walker = jax.tree.map(to_array, walker)
+    start = walker.lift(jnp.stack([to_array(TRIED.get(name, 0.1)) for name in walker.section]))
+    arrival = start._replace(theta=-start.theta, phi=-2 * start.theta)
+    after = walker.exchange_legs(walker.impact(arrival)[1])
+    return arrival, after, walker.lift(walker.project(after))
 
 
 def displayed(value: Any) -> str:

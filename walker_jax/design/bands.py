@@ -1,0 +1,45 @@
+"""Bands of parameters, over which derivatives are averaged."""
+
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from walker_jax.checks import WrongUse, check_kind, numbers, short
+from walker_jax.walkers.model import Walker
+from walker_jax.walkers.parameters import check_parameter, with_parameter
+
+NARROWINGS = 20
+"""Times that a band is halved on a side on which the walker refuses it."""
+
+
+def checked_bands(
+    walker: Walker,
+    parameters: Sequence[str],
+    bands: Sequence[float] | Float[np.ndarray, " parameters"] | None,
+) -> Float[np.ndarray, " parameters"]:
+    """The widths of bands, of any size where none are given; parameters and they are checked."""
+    check_kind("parameters", parameters, Sequence)
+    for name in parameters:
+        check_parameter(walker, name)
+    widths = np.ones(len(parameters)) if bands is None else numbers("bands", bands)
+    if widths.shape != (len(parameters),) or not np.all((widths > 0) & (widths < np.inf)):
+        raise WrongUse(f"bands must be a number above 0 for each parameter, not {short(bands)}")
+    return widths
+
+
+def ends_of_band(walker: Walker, parameter: str, width: float) -> tuple[Walker, Walker]:
+    """The walkers with a parameter lower and higher by a width, or less if they are none."""
+    value, ends = float(getattr(walker, parameter)), []
+    for step in (-width, width):
+        for _ in range(NARROWINGS):
+            try:
+                check_parameter(walker, parameter, value + step)
+                break
+            except ValueError:
+                step /= 2
+        else:
+            step = 0.0
+        ends.append(with_parameter(walker, parameter, jnp.asarray(value + step)))
+    return ends[0], ends[1]

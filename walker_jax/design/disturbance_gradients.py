@@ -1,0 +1,98 @@
+"""The least disturbance of a gait, and its derivatives by parameters of the walker.
+
+By the envelope theorem it changes as the nearest point of the boundary does.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from walker_jax.checks import refuses_tracers
+from walker_jax.design.bands import checked_bands, ends_of_band
+from walker_jax.gaits.cycles import Gait
+from walker_jax.gaits.derivatives import gait_derivatives
+from walker_jax.gaits.search import find_gait
+from walker_jax.integrators.solvers import default_tolerance
+from walker_jax.stability.disturbances import BEYOND, least_disturbance
+from walker_jax.stability.margin_changes import margin_changes
+from walker_jax.walkers.model import Walker
+
+
+class DisturbanceGradient(NamedTuple):
+    """The least disturbance of a gait, and how it changes with parameters of the walker."""
+
+    size: float
+    gradient: Float[np.ndarray, " parameters"]
+    averaged: bool
+    """Whether the derivatives are averages over bands."""
+
+
+@refuses_tracers("it gives derivatives itself, by the parameters named")
+def disturbance_gradient(
+    walker: Walker,
+    parameters: Sequence[str] = ("slope",),
+    gait: Gait | None = None,
+    *,
+    bands: Sequence[float] | Float[np.ndarray, " parameters"] | None = None,
+    fall: bool = False,
+    strides: int = 500,
+    tolerance: float | None = None,
+) -> DisturbanceGradient:
+    """The least disturbance, and its derivatives by parameters of the walker.
+
+    It is that from which the walker does not come back, or with `fall` that from which it falls.
+
+    At the nearest point of the boundary, x = g + r u with g the gait's state and u of length one,
+    the margin stays zero: dr/dp = -(dm/dp + grad m . dg/dp) / (grad m . u). That u turns matters to
+    second order only. Where two points are as near as each other, the size has a kink; this is the
+    derivative on the side of the one found.
+
+    Where the nearest point leads to another motion instead of a failure it has no margin. Then,
+    with `bands` given, as for `area_gradient`, derivatives are averages over these, as far as the
+    gait is stable there; NaN otherwise.
+
+    Other arguments and errors are those of `least_disturbance`, in its plain metric.
+    """
+    widths = checked_bands(walker, parameters, bands)
+    gait = find_gait(walker, tolerance=tolerance) if gait is None else gait
+    found = least_disturbance(walker, gait, fall=fall, strides=strides, tolerance=tolerance)
+    finest = float(default_tolerance(found.state.dtype, tolerance))
+    beyond = np.asarray(gait.states)[found.phase] + BEYOND[:, None] * found.size * found.direction
+    made, axes = np.full(len(beyond), found.strides, np.int32), np.eye(beyond.shape[1])
+    changes = margin_changes(walker, beyond, made, axes, parameters, finest)
+    changes_of_gait = [
+        gait_derivatives(walker, gait, name, tolerance=tolerance) for name in parameters
+    ]
+    moves = [change.states[found.phase] for change in changes_of_gait]
+    moves = np.array(moves).reshape(len(parameters), len(axes))
+    for change in changes[np.isfinite(changes).all(axis=1)]:
+        slopes, by_parameter = change[: len(axes)], change[len(axes) :]
+        gradient = -(by_parameter + moves @ slopes) / (slopes @ found.direction)
+        return DisturbanceGradient(found.size, gradient, False)
+    if bands is None:
+        return DisturbanceGradient(found.size, np.full(len(widths), np.nan), False)
+    pairs = zip(parameters, widths, strict=True)
+    gradient = [size_over_band(walker, gait, *pair, fall, strides, tolerance) for pair in pairs]
+    return DisturbanceGradient(found.size, np.array(gradient), True)
+
+
+def size_over_band(
+    walker: Walker,
+    gait: Gait,
+    parameter: str,
+    width: float,
+    fall: bool,
+    strides: int,
+    tolerance: float | None,
+) -> float:
+    """Average derivative of the least disturbance over a band, where its ends have the gait."""
+    ends = []
+    for one in ends_of_band(walker, parameter, width):
+        there = find_gait(one, gait.states, len(gait.states), tolerance=tolerance)
+        one, there = (one, there) if there.found and there.stable else (walker, gait)
+        found = least_disturbance(one, there, fall=fall, strides=strides, tolerance=tolerance)
+        ends.append((float(getattr(one, parameter)), found.size))
+    (low, below), (high, above) = ends
+    return (above - below) / (high - low) if high > low else np.nan

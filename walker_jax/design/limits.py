@@ -1,0 +1,114 @@
+"""Limits of measures of the gait: by how much a place keeps them, and the way back to them."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from walker_jax.design.measures import gait_measures
+from walker_jax.design.problem import Problem
+from walker_jax.gaits.cycles import Gait
+
+MAX_NEWTON_STEPS = 20
+"""Steps back to what the limits allow; each about squares the error, so few are taken."""
+MAX_VIOLATION = 1e-9
+"""By how much, relatively, a limit may be missed: what is left by Newton's last step."""
+BINDING_SLACK = 1e-6
+"""Relative distance from a limit below which it counts as reached, well above `MAX_VIOLATION`."""
+
+
+class Slack(NamedTuple):
+    """By how much a limit is kept, relatively, and how that changes with the place."""
+
+    name: str
+    value: float
+    gradient: Float[np.ndarray, " parameters"]
+
+
+class Limits:
+    """The limits of a problem, evaluated at places; what has been evaluated is kept."""
+
+    def __init__(
+        self, problem: Problem, gait_of: Callable[[Float[np.ndarray, " parameters"]], Gait]
+    ):
+        self.problem, self.gait_of = problem, gait_of
+        self.known: dict[bytes, list[Slack]] = {}
+
+    def slacks(self, place: Float[np.ndarray, " parameters"]) -> list[Slack]:
+        """Those of all limits; NaN where there is no gait."""
+        problem, values = self.problem, self.problem.values(place)
+        if not problem.limits:
+            return []
+        if values.tobytes() in self.known:
+            return self.known[values.tobytes()]
+        walker, gait = problem.built(values), self.gait_of(values)
+        measures = gait_measures(walker, problem.names, gait, tolerance=problem.tolerance)
+        found = []
+        for name, ends in problem.limits.items():
+            for limit, side in zip(ends, (1, -1), strict=True):
+                if np.isfinite(limit):
+                    scale = side / (abs(limit) or 1.0)
+                    value, gradient = measures[name]
+                    gradient = gradient * (problem.high - problem.low)
+                    found.append(Slack(name, scale * (value - limit), scale * gradient))
+        self.known[values.tobytes()] = found
+        return found
+
+    def nearest_allowed(
+        self, place: Float[np.ndarray, " parameters"]
+    ) -> Float[np.ndarray, " parameters"] | None:
+        """The place, or one near it that keeps all limits; none if that is not found."""
+        violating = None
+        for _ in range(MAX_NEWTON_STEPS):
+            if self.problem.refusal(self.problem.values(place)):
+                return None
+            found = self.slacks(place)
+            broken = [one for one in found if not one.value >= -MAX_VIOLATION]
+            if not broken:
+                smallest = min((one.value for one in found), default=0.0)
+                if violating is None or smallest < BINDING_SLACK:
+                    return place
+                return self.crossing(place, violating)  # Newton's step was too long
+            violating, worst = place, min(broken, key=lambda one: one.value)
+            at_bound = ((place == 0) & (worst.gradient < 0)) | ((place == 1) & (worst.gradient > 0))
+            gradient = np.where(at_bound, 0.0, worst.gradient)
+            if not (np.isfinite(worst.value) and np.sum(gradient**2) > 0):
+                return None
+            place = np.clip(place - worst.value * gradient / np.sum(gradient**2), 0, 1)
+        return None
+
+    def crossing(
+        self,
+        within: Float[np.ndarray, " parameters"],
+        violating: Float[np.ndarray, " parameters"],
+    ) -> Float[np.ndarray, " parameters"]:
+        """Where a limit is reached between a place that keeps it and one that violates it."""
+
+        def smallest_slack(share: float) -> float:
+            slack = min(one.value for one in self.slacks(within + share * (violating - within)))
+            return slack if np.isfinite(slack) else -1.0
+
+        from scipy.optimize import brentq
+
+        share: Any = brentq(smallest_slack, 0.0, 1.0, xtol=1e-13)
+        return within + share * (violating - within)
+
+    def feasible_direction(
+        self,
+        place: Float[np.ndarray, " parameters"],
+        direction: Float[np.ndarray, " parameters"],
+    ) -> Float[np.ndarray, " parameters"]:
+        """A direction without what leads out of the bounds, and beyond limits that hold."""
+        binding = [one.gradient for one in self.slacks(place) if one.value < BINDING_SLACK]
+        for _ in range(1 + len(place)):
+            leaves = ((place == 0) & (direction < 0)) | ((place == 1) & (direction > 0))
+            direction = np.where(leaves, 0.0, direction)
+            for gradient in (np.where(leaves, 0.0, one) for one in binding):
+                if direction @ gradient < 0:
+                    direction = direction - (direction @ gradient) / np.sum(gradient**2) * gradient
+        return direction
+
+    def binding(self, place: Float[np.ndarray, " parameters"]) -> set[str]:
+        """The measures whose limits hold a place."""
+        return {one.name for one in self.slacks(place) if one.value < BINDING_SLACK}

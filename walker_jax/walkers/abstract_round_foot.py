@@ -1,0 +1,76 @@
+"""Walkers with two rigid legs on round feet, whatever they carry."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Float
+
+from walker_jax.checks import WrongUse
+from walker_jax.walkers.heavy_legs import HeavyLegWalker
+from walker_jax.walkers.masses import leg
+from walker_jax.walkers.model import Scalar
+from walker_jax.walkers.parameters import Parameter
+
+LEG_MASS = Parameter("leg_mass", "of each leg", "mass", 0.5)
+LEG_INERTIA = Parameter(
+    "leg_inertia", "of each leg about its centre of mass", "mass length^2", 0.02, closed=True
+)
+LEG_LENGTH = Parameter("leg_length", "from the hip to the sole", "length", 1.0)
+COM_FROM_HIP = Parameter(
+    "com_from_hip", "distance of a leg's centre of mass below the hip", "length", 0.5, low=-np.inf
+)
+COM_OFFSET = Parameter(
+    "com_offset", "of a leg's centre of mass before the leg's line", "length", 0.0, low=-np.inf
+)
+FOOT_RADIUS = Parameter(
+    "foot_radius", "of the foot's arc, centred on the leg", "length", 0.2, closed=True
+)
+
+
+class AbstractRoundFootWalker(HeavyLegWalker):
+    """Two rigid legs, alike, on feet that roll: arcs of a circle, centred on the legs.
+
+    With the coordinate u of a foot that rolls held, its arc's centre is at u - foot_radius theta.
+    """
+
+    leg_mass: eqx.AbstractVar[Scalar]
+    leg_inertia: eqx.AbstractVar[Scalar]
+    leg_length: eqx.AbstractVar[Scalar]
+    com_from_hip: eqx.AbstractVar[Scalar]
+    com_offset: eqx.AbstractVar[Scalar]
+    foot_radius: eqx.AbstractVar[Scalar]
+
+    def __check_init__(self):
+        values = (self.foot_radius, self.leg_length, self.leg_inertia, self.com_from_hip)
+        if any(isinstance(value, Tracer) for value in (*values, self.com_offset)):
+            return
+        radius, length, inertia, down = map(float, values)
+        if radius >= length:
+            raise WrongUse(f"foot_radius must be less than leg_length {length:g}, not {radius:g}")
+        if inertia == 0 and down == 0 and float(self.com_offset) == 0:
+            raise WrongUse(
+                "leg_inertia must be above 0 where com_from_hip and com_offset are 0, not 0"
+            )
+
+    def hip_and_legs(self, q: Float[Array, " 4"]) -> tuple[Float[Array, " 2"], Float[Array, " 6"]]:
+        """The hip; and the legs' centres of mass and angles."""
+        u, v, theta, phi = q
+        radius = self.foot_radius
+        centre = jnp.stack([u - radius * theta, v + radius])
+        hip = centre + (self.leg_length - radius) * leg(theta)
+
+        def centre_of_mass(angle):
+            forward = jnp.stack([jnp.cos(angle), jnp.sin(angle)])
+            return hip - self.com_from_hip * leg(angle) + self.com_offset * forward
+
+        swing = theta - phi
+        angles = jnp.stack([theta, swing])
+        return hip, jnp.concatenate([centre_of_mass(theta), centre_of_mass(swing), angles])
+
+    def swing_foot(self, q):
+        """(u, v) of the swing foot: of the arc's centre, as if that foot had rolled there."""
+        hip, _ = self.hip_and_legs(q)
+        angle, radius = q[2] - q[3], self.foot_radius
+        centre = hip - (self.leg_length - radius) * leg(angle)
+        return centre + jnp.stack([radius * angle, -radius])

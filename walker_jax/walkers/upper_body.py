@@ -1,0 +1,69 @@
+"""The walker with an upper body, on round feet."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from walker_jax.multibody import System
+from walker_jax.walkers.abstract_round_foot import (
+    COM_FROM_HIP,
+    COM_OFFSET,
+    FOOT_RADIUS,
+    LEG_INERTIA,
+    LEG_LENGTH,
+    LEG_MASS,
+    AbstractRoundFootWalker,
+)
+from walker_jax.walkers.masses import gravity, leg, rises_ever_faster
+from walker_jax.walkers.model import Scalar
+from walker_jax.walkers.parameters import SLOPE, Parameter
+
+BODY_MASS = Parameter("body_mass", "of the upper body", "mass", 1.0)
+BODY_INERTIA = Parameter(
+    "body_inertia", "of the upper body about its centre of mass", "mass length^2", 0.0, closed=True
+)
+BODY_COM = Parameter(
+    "body_com", "distance of the upper body's centre of mass above the hip", "length", 0.1, -np.inf
+)
+
+
+class UpperBodyWalker(AbstractRoundFootWalker):
+    """A walker with an upper body that a mechanism at the hip holds midway between the legs.
+
+    The bisecting hip of Wisse, Schwab and van der Helm (2004, Robotica 22:681-688): the angle of
+    the body is the mean of those of the legs, theta - phi / 2, at heel strike too. So it adds no
+    degree of freedom. Legs and feet are those of the `RoundFootWalker`.
+
+    **Arguments:** units as there, and so are the parameters not listed.
+
+    - `body_mass`, `body_inertia`: of the upper body, about its centre of mass; above 0, and not
+      negative.
+    - `body_com`: distance of its centre of mass above the hip; below it where negative.
+
+    `ValueError` as there.
+    """
+
+    slope: Scalar = eqx.field(converter=SLOPE.checked)
+    body_mass: Scalar = eqx.field(converter=BODY_MASS.checked, default=BODY_MASS.default)
+    body_inertia: Scalar = eqx.field(converter=BODY_INERTIA.checked, default=BODY_INERTIA.default)
+    body_com: Scalar = eqx.field(converter=BODY_COM.checked, default=BODY_COM.default)
+    leg_mass: Scalar = eqx.field(converter=LEG_MASS.checked, default=LEG_MASS.default)
+    leg_inertia: Scalar = eqx.field(converter=LEG_INERTIA.checked, default=LEG_INERTIA.default)
+    leg_length: Scalar = eqx.field(converter=LEG_LENGTH.checked, default=LEG_LENGTH.default)
+    com_from_hip: Scalar = eqx.field(converter=COM_FROM_HIP.checked, default=COM_FROM_HIP.default)
+    com_offset: Scalar = eqx.field(converter=COM_OFFSET.checked, default=COM_OFFSET.default)
+    foot_radius: Scalar = eqx.field(converter=FOOT_RADIUS.checked, default=FOOT_RADIUS.default)
+
+    def past_contact(self, state):
+        return rises_ever_faster(self, state)
+
+    def system(self):
+        def transfer(q):
+            hip, legs = self.hip_and_legs(q)
+            angle = q[2] - q[3] / 2
+            return jnp.concatenate([hip + self.body_com * leg(angle), legs, jnp.stack([angle])])
+
+        M, m = self.body_mass, self.leg_mass
+        points = [M, M, m, m, m, m]
+        masses = jnp.stack([*points, self.leg_inertia, self.leg_inertia, self.body_inertia])
+        return System(transfer, masses, gravity(self.slope, masses, turns=3))
