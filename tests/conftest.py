@@ -5,6 +5,7 @@ those that they start, and the next run: `pytest --cache-clear` begins from noth
 tried on the same inputs in every run; `pytest --hypothesis-profile=explore` draws others.
 """
 
+import gc
 import os
 
 import jax
@@ -17,6 +18,8 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.register_profile("explore", deadline=None)
 settings.load_profile("repeatable")
+
+gc.set_threshold(50_000, 20, 50)  # tracing makes many objects that stay: looking often finds little
 
 WORTH_KEEPING = 0.1
 """Seconds of compilation from which on a program is kept."""

@@ -424,6 +424,10 @@ class Begun(BaseException):
     """Arguments have been taken."""
 
 
+def stop(*_, **__):
+    raise Begun
+
+
 def reaction(name: str, arguments: dict, *, begin: bool) -> str:
     """What becomes of a public function with its arguments; it may `begin` its work, or not."""
     function: Any = wj
@@ -432,7 +436,7 @@ def reaction(name: str, arguments: dict, *, begin: bool) -> str:
     try:
         with contextlib.ExitStack() as stopped:
             for module in () if begin else (tiles, primitive):
-                stopped.enter_context(mock.patch.object(module, "program_of", side_effect=Begun))
+                stopped.enter_context(mock.patch.object(module, "program_of", stop))
             function(**arguments)
     except WrongUse as error:
         assert str(error) and "\n" not in str(error), str(error)

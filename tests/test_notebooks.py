@@ -4,6 +4,7 @@ import sys
 from pathlib import Path
 
 import nbformat
+import numpy as np
 import pytest
 from jupyter_client.kernelspec import KernelSpecManager
 from jupyter_client.manager import AsyncKernelManager
@@ -51,6 +52,29 @@ def own_kernel() -> AsyncKernelManager:
     return AsyncKernelManager(kernel_spec_manager=KernelSpecManager(kernel_dirs=[]))
 
 
+AS_AT_FIRST = """
+%reset -f
+import os as _os
+import jax as _jax, matplotlib.pyplot as _plt, numpy as _np
+_jax.config.update("jax_enable_x64", False)
+_plt.close("all")
+_plt.rcdefaults()
+_np.set_printoptions(**PRINTING)
+_os.chdir(FOLDER)
+%reset -f
+"""
+"""A notebook finds a kernel in which others have run as if none had; what they compiled is kept."""
+
+
+@pytest.fixture(scope="module")
+def kernel():
+    """One for all notebooks, which have most of what they compile in common."""
+    manager = own_kernel()
+    yield manager
+    client = NotebookClient(nbformat.v4.new_notebook(), km=manager)
+    client.execute(cleanup_kc=True)  # as it does not where the manager is given
+
+
 def test_there_are_six_notebooks_each_in_the_table():
     table = (NOTEBOOKS / "README.md").read_text()
     assert [path.name[0] for path in PATHS] == list("123456")
@@ -62,16 +86,24 @@ def test_the_kernel_is_of_this_interpreter():
 
 
 @each_notebook
-def test_a_notebook_runs_and_gives_what_it_holds(path, tmp_path):
+def test_a_notebook_runs_and_gives_what_it_holds(path, tmp_path, kernel):
     notebook = read(path)
     held, drawn = printed(notebook), figures(notebook)
+    first = AS_AT_FIRST.replace("FOLDER", repr(str(tmp_path)))
+    first = first.replace("PRINTING", repr(np.get_printoptions()))
+    notebook.cells.insert(0, nbformat.v4.new_code_cell(first))
     client = NotebookClient(
         notebook,
-        km=own_kernel(),
-        resources={"metadata": {"path": str(tmp_path)}},
+        km=kernel,
         timeout=300,  # seconds for a cell: the slowest takes ten
     )
-    client.execute(cleanup_kc=True)  # as it does not where the manager is given
+    try:
+        client.execute()
+    finally:
+        if client.kc is not None:
+            client.kc.stop_channels()  # or its sockets stay open
+    assert outputs_of(notebook)[0] == []
+    del notebook.cells[0]
     assert printed(notebook) == held
     assert figures(notebook) == drawn and sum(drawn) > 0
     assert list(tmp_path.iterdir()) == []
