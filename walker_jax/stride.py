@@ -38,6 +38,7 @@ from walker_jax.integrate import (
     default_tolerance,
     solved_by,
     solver_for,
+    zero_at,
 )
 from walker_jax.kernels import by_kernel
 from walker_jax.roots import first_rise, least, negative
@@ -368,7 +369,7 @@ def swing(
         return last.end, arrival, time, verdict, count + steps, pulled, below
 
     method = Method(equations(walker), solver_for(start), tolerance, (contact,))
-    zero, never = jnp.zeros_like(start.theta), jnp.asarray(False)
+    zero, never = zero_at(start), jnp.asarray(False)
     below = jnp.asarray(fast_sines(contact)(start) < 0)
     carry = (start, start, zero, verdict, jnp.asarray(0), never, below)
     _, arrival, time, verdict, _, pulled, _ = lax.while_loop(undecided, follow, carry)

@@ -30,6 +30,7 @@ from jaxtyping import Array, Bool, Float
 from walker_jax import multibody
 from walker_jax.cells import Grid
 from walker_jax.checks import WrongUse, short
+from walker_jax.kernels import by_kernel
 from walker_jax.kernels.scalars import unrolled
 from walker_jax.multibody import System
 from walker_jax.taylor import VirtualPower
@@ -242,6 +243,7 @@ def parameters(walker: type[Walker] | Walker) -> tuple[Parameter, ...]:
 SLOPE = Parameter("slope", "of the ground", "rad", 0.004, high=np.pi / 2)
 
 
+@by_kernel
 def toppling_rate(walker: Walker) -> Scalar:
     """The rate at which a walker topples, legs together, from rest.
 

@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import ShapedArray
-from jax.extend.core import Primitive, jaxprs_in_params
+from jax.extend.core import Primitive, jaxpr_as_fun, jaxprs_in_params
 from jax.interpreters import ad, batching, mlir
 from jax.sharding import PartitionSpec
 
@@ -53,7 +53,6 @@ class Program:
     ):
         with tracing_for_kernel(True), without_garbage_collection():
             self.closed = jax.make_jaxpr(function)(*operands)
-        self.function = function
         self.operands = self.closed.in_avals
         self.results = self.closed.out_avals
         self.origin = origin
@@ -70,6 +69,11 @@ class Program:
             return Kernel(self.closed)
         except UnsupportedPrimitive:
             return None
+
+    @property
+    def function(self) -> Callable[..., list]:
+        """The same function of JAX's own primitives, read from its jaxpr."""
+        return jaxpr_as_fun(self.closed)
 
     @functools.cached_property
     def size(self) -> int:
@@ -127,6 +131,8 @@ kernel_p = Primitive("kernel")
 kernel_p.multiple_results = True
 
 programs: OrderedDict = OrderedDict()
+plain: dict[Callable, Callable] = {}
+"""What `by_kernel` was given, by what it made of that."""
 MODES = "jax_enable_x64", "jax_numpy_dtype_promotion"
 """Settings of JAX on which it depends what a function does."""
 contexts: list = []
@@ -149,6 +155,7 @@ def under(settings: tuple[tuple[Any, Any], ...]):
 
 def program_of(function: Callable, structure, avals: Sequence) -> tuple[Program, Any]:
     """The program of a function of operands of these shapes and types, and its results' tree."""
+    function = plain.get(function, function)
     modes = tuple(getattr(jax.config, mode) for mode in MODES)
     settings = settings_now()
     key = function, structure, modes, settings, *((x.shape, x.dtype, x.weak_type) for x in avals)
@@ -178,14 +185,15 @@ def by_kernel(function: Callable) -> Callable:
 
     @functools.wraps(function)
     def call(*args):
-        if tracing_for_kernel.value:
-            return function(*args)
         leaves, structure = jax.tree.flatten(args)
         leaves = alike(list(map(strong, leaves)))
-        program, results = program_of(call, structure, list(map(jax.typeof, leaves)))
+        program, results = program_of(function, structure, list(map(jax.typeof, leaves)))
+        if tracing_for_kernel.value:
+            return jax.tree.unflatten(results, program.function(*leaves))
         outputs = kernel_p.bind(*leaves, program=program, mapped=(False,) * len(leaves))
         return jax.tree.unflatten(results, outputs)
 
+    plain[call] = function
     return call
 
 
