@@ -585,7 +585,7 @@ def linearise(
     by[:, 0] = first
     walking = np.flatnonzero(np.isfinite(state).all(axis=1))
     _, (others, _) = along(directions[1:], walking)
-    by[walking, 1:] = others.reshape(len(walking), -1, size)
+    by[walking, 1:] = others.reshape(len(walking), len(directions) - 1, size)
     shaped = lambda values: values.reshape(*cycles.shape[:2], *values.shape[1:])
     return Linearised(
         state=shaped(state),

@@ -34,9 +34,12 @@ from walker_jax.kernels.rules import UnsupportedPrimitive
 
 PROGRAMS = 256
 """Functions that are kept compiled, those used last."""
-TOGETHER = 4000
-"""Operations of a derivative along several directions at once, at most: more take long to compile.
-Beyond, every direction is a cell of its own."""
+TOGETHER = 4000, 20000
+"""Operations of a derivative along two directions at once, and along more, at most.
+
+Larger programs take long to compile; then every direction is a cell of its own. Along three at once
+they take two thirds of the time to run, along two four fifths, which is seldom worth the wait.
+"""
 
 tracing_for_kernel = jax.make_user_context(False)
 """Whether a function is traced as part of a kernel, whose parts are not kernels themselves."""
@@ -285,8 +288,9 @@ def batch(operands, axes, *, program: Program, mapped: tuple[bool, ...]):
     operands = [x if axis is None else jnp.moveaxis(x, axis, 0) for x, axis in pairs]
     if program.origin is not None and program.linear.issuperset(np.flatnonzero(batched)):
         origin, by, directions = program.origin
-        if origin.size * (directions * size + 1) <= TOGETHER:
-            more = origin.derivative(by, directions * size)
+        count = directions * size
+        if origin.size * (count + 1) <= TOGETHER[count > 2]:
+            more = origin.derivative(by, count)
             return along_more(operands, batched, (size, directions), more, mapped)
     if not any(mapped):
         outputs = kernel_p.bind(*operands, program=program, mapped=tuple(batched))
