@@ -144,7 +144,7 @@ def transposed_of_many(f):
 @pytest.fixture(autouse=True)
 def few_together(monkeypatch):
     """Machine code of few directions at once compiles in no time; more are cells of their own."""
-    monkeypatch.setattr(primitive, "TOGETHER", 100)
+    monkeypatch.setattr(primitive, "TOGETHER", (100, 100))
 
 
 TRANSFORMED = {

@@ -99,21 +99,30 @@ def linearise(
 ) -> Linearised:
     """One stride from each state, with its derivatives, a cell for each of their columns.
 
-    The walker's parameters may be arrays of n.
+    The walker's parameters may be arrays of n. The first column shows which strides there are, and
+    the others are computed of these alone.
     """
-    n, period, size = cycles.shape
+    size, shared = cycles.shape[2], (tolerance, axis_of(walker, parameter, cycles.dtype))
     directions = np.eye(size + (parameter is not None), size + 1, dtype=cycles.dtype)
-    columns = len(directions)
-    cells = *repeated(walker, cycles, columns), np.tile(directions, (n * period, 1))
-    shared = tolerance, axis_of(walker, parameter, cycles.dtype)
-    (state, time), (dstate, _) = map_cells(push, (shared, cells))
-    by = dstate.reshape(n, period, columns, size)
-    first = lambda values: values.reshape(n, period, columns, *values.shape[1:])[:, :, 0]
+    walkers, starts = repeated(walker, cycles, 1)
+
+    def along(columns, which):
+        each = lambda leaf: np.repeat(leaf[which], len(columns), axis=0)
+        cells = *jax.tree.map(each, (walkers, starts)), np.tile(columns, (len(which), 1))
+        return map_cells(push, (shared, cells))
+
+    (state, time), (first, _) = along(directions[:1], np.arange(len(starts)))
+    by = np.full((len(starts), len(directions), size), np.nan, cycles.dtype)
+    by[:, 0] = first
+    walking = np.flatnonzero(np.isfinite(state).all(axis=1))
+    _, (others, _) = along(directions[1:], walking)
+    by[walking, 1:] = others.reshape(len(walking), len(directions) - 1, size)
+    shaped = lambda values: values.reshape(*cycles.shape[:2], *values.shape[1:])
     return Linearised(
-        state=first(state),
-        time=first(time),
-        jacobian=np.swapaxes(by[:, :, :size], 2, 3),
-        by_parameter=by[:, :, size] if parameter else np.zeros_like(cycles),
+        state=shaped(state),
+        time=shaped(time),
+        jacobian=np.swapaxes(shaped(by[:, :size]), 2, 3),
+        by_parameter=shaped(by[:, size]) if parameter else np.zeros_like(cycles),
     )
 
 

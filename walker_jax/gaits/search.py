@@ -187,10 +187,14 @@ def find_gaits(
         )
     starts = grid.centres(np.arange(grid.size))
     walker, _, tolerance = prepared(walker, starts[0], tolerance)
-    _, cycles = cycle_guesses(walker, starts, period, tolerance)
+    # Without `strides` for a period of one, which would be one more program to compile.
+    cycles = starts[:, None]
+    if period > 1:
+        _, cycles = cycle_guesses(walker, starts, period, tolerance)
     gaits = search(walker, cycles, tolerance)
-    if descent and not gaits.found.all():
-        nearer = descend(walker, cycles[~gaits.found], descent, tolerance=tolerance)
+    failed = ~gaits.found & np.isfinite(gaits.residual)
+    if descent and failed.any():
+        nearer = descend(walker, cycles[failed], descent, tolerance=tolerance)
         further = search(walker, nearer, tolerance)
         gaits = Gait(*map(np.concatenate, zip(gaits, further, strict=True)))
     gaits = confirmed(walker, distinct(gaits), tolerance)

@@ -337,6 +337,15 @@ class Until(diffrax.AbstractStepSizeController):
         return kept, following, end, made_jump, (state, last), result
 
 
+def zero_at(state: PyTree) -> Scalar:
+    """Zero, as a function of a state.
+
+    What a loop starts from, where it will come to depend on the state: JAX differentiates a loop
+    anew for each value of which it finds only then that it has derivatives.
+    """
+    return 0 * jnp.sum(jax.tree.leaves(state)[0])
+
+
 def fixed(tree: PyTree) -> PyTree:
     """The same, with all arrays as constants to derivatives."""
     return jax.tree.map(lambda x: lax.stop_gradient(x) if eqx.is_array(x) else x, tree)
@@ -394,7 +403,7 @@ class Method(eqx.Module):
         At least one is taken, `MAX_STEPS` at most. The state stops being finite where the field
         jumps, or `stop` holds for none.
         """
-        time, side = jnp.asarray(time, jax.tree.leaves(state)[0].dtype), jnp.asarray(side)
+        time, side = time + zero_at(state), jnp.asarray(side)
         if isinstance(self.solver, Taylor):
             order = self.solver.taylor_order
             return self.follow_series(state, fast_sines(stop), side, time, order)
@@ -423,7 +432,7 @@ class Method(eqx.Module):
             step = Step(last.end, end, last.time + last.length, length, (side, beyond))
             return step, count + 1, going
 
-        first = Step(state, state, time, jnp.zeros_like(time), (side, side))
+        first = Step(state, state, time, zero_at(state), (side, side))
         carry = first, jnp.asarray(0), jnp.asarray(True)
         last, count, _ = lax.while_loop(lambda carry: carry[-1], advance, carry)
         return last._replace(series=solution_series(self.field, last.start, order)), count

@@ -51,6 +51,7 @@ class VirtualPower(eqx.Module):
     def solve(self, factors: PyTree, right: list) -> list:
         """The solution of linear equations with that matrix."""
 
+    @eqx.filter_jit  # traced once for all its uses
     def __call__(self, state: PyTree) -> PyTree:
         """The time derivative of a state."""
         leaves, structure = jax.tree.flatten(state)

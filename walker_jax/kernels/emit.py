@@ -128,8 +128,6 @@ class LLVMEmitter(Unrolling):
 
     def term(self, primitive: Primitive, params: dict, operands: list, dtypes: list) -> Any:
         name = primitive.name
-        if name == "select_n" and is_number(operands[0]):
-            return operands[1 + int(operands[0])]
         if name == "stop_gradient":
             return operands[0]
         result = super().term(primitive, params, operands, dtypes)
@@ -247,7 +245,7 @@ def implemented_in_jax(primitive: Primitive) -> bool:
 
 LLVMEmitter.rules = {
     **Unrolling.rules,
-    **CALLS_WITH_DERIVATIVES,
+    **dict.fromkeys(CALLS_WITH_DERIVATIVES, LLVMEmitter.call),
     **dict.fromkeys(REDUCTIONS, LLVMEmitter.reduce),
 }
 

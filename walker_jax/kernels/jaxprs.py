@@ -52,12 +52,16 @@ def described(aval) -> jax.ShapeDtypeStruct:
     return jax.ShapeDtypeStruct(aval.shape, aval.dtype, weak_type=aval.weak_type)
 
 
-def enter(interpreter: Interpreter, equation: JaxprEqn, operands: list) -> list:
-    """The results of a call: its function is read in its place."""
+def called(equation: JaxprEqn) -> ClosedJaxpr:
+    """The function of a call."""
     params = equation.params
     inner = params["jaxpr"] if "jaxpr" in params else params["call_jaxpr"]
-    closed = inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ())
-    return interpreter.interpret(closed, operands)
+    return inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ())
+
+
+def enter(interpreter: Interpreter, equation: JaxprEqn, operands: list) -> list:
+    """The results of a call: its function is read in its place."""
+    return interpreter.interpret(called(equation), operands)
 
 
 CALLS = dict.fromkeys(("jit", "pjit", "closed_call", "checkpoint", "remat2"), enter)

@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import ShapedArray
-from jax.extend.core import Primitive, jaxprs_in_params
+from jax.extend.core import Primitive, jaxpr_as_fun, jaxprs_in_params
 from jax.interpreters import ad, batching, mlir
 from jax.sharding import PartitionSpec
 
@@ -34,9 +34,12 @@ from walker_jax.kernels.rules import UnsupportedPrimitive
 
 PROGRAMS = 256
 """Functions that are kept compiled, those used last."""
-TOGETHER = 4000
-"""Operations of a derivative along several directions at once, at most: more take long to compile.
-Beyond, every direction is a cell of its own."""
+TOGETHER = 4000, 20000
+"""Operations of a derivative along two directions at once, and along more, at most.
+
+Larger programs take long to compile; then every direction is a cell of its own. Along three at once
+they take two thirds of the time to run, along two four fifths, which is seldom worth the wait.
+"""
 WIDEST = 32
 """Directions at once, at most: each number of them is a program of its own."""
 tracing_for_kernel = jax.make_user_context(False)
@@ -57,7 +60,6 @@ class Program:
         """Under which it, and all that follows from it, is traced and computed."""
         with under(settings), tracing_for_kernel(True), without_garbage_collection():
             self.closed = jax.make_jaxpr(function)(*operands)
-        self.function = function
         self.operands = self.closed.in_avals
         self.results = self.closed.out_avals
         self.origin = origin
@@ -74,6 +76,11 @@ class Program:
             return Kernel(self.closed)
         except UnsupportedPrimitive:
             return None
+
+    @property
+    def function(self) -> Callable[..., list]:
+        """The same function of JAX's own primitives, read from its jaxpr."""
+        return jaxpr_as_fun(self.closed)
 
     @functools.cached_property
     def size(self) -> int:
@@ -160,6 +167,7 @@ def under(settings: tuple[tuple[Any, Any], ...]):
 
 def program_of(function: Callable, structure, avals: Sequence) -> tuple[Program, Any]:
     """The program of a function of operands of these shapes and types, and its results' tree."""
+    function = getattr(function, "of_one_cell", function)  # of what `by_kernel` made of it
     settings = settings_now()
     key = function, structure, settings, *((x.shape, x.dtype, x.weak_type) for x in avals)
     if key in programs:
@@ -189,20 +197,21 @@ def by_kernel(function: Callable) -> Callable:
 
     @functools.wraps(function)
     def call(*args):
-        if tracing_for_kernel.value:
-            return function(*args)
         leaves, structure = jax.tree.flatten(args)
         leaves = list(map(jnp.asarray, leaves))
         avals = list(map(jax.typeof, leaves))
         if any(map(is_complex, avals)):
             return function(*args)
-        program, results = program_of(call, structure, avals)
+        program, results = program_of(function, structure, avals)
         if any(map(is_complex, program.results)):
             return function(*args)
         leaves = alike(list(map(strong, leaves)))
+        if tracing_for_kernel.value:
+            return jax.tree.unflatten(results, program.function(*leaves))
         outputs = kernel_p.bind(*leaves, program=program, mapped=(False,) * len(leaves))
         return jax.tree.unflatten(results, outputs)
 
+    call.of_one_cell = function  # pyright: ignore[reportAttributeAccessIssue] (functions have them)
     return call
 
 
@@ -292,8 +301,9 @@ def batch(operands, axes, *, program: Program, mapped: tuple[bool, ...]):
     operands = [x if axis is None else jnp.moveaxis(x, axis, 0) for x, axis in pairs]
     if program.origin is not None and program.linear.issuperset(np.flatnonzero(batched)):
         origin, by, directions = program.origin
-        if directions * size <= WIDEST and origin.size * (directions * size + 1) <= TOGETHER:
-            more = origin.derivative(by, directions * size)
+        count = directions * size
+        if count <= WIDEST and origin.size * (count + 1) <= TOGETHER[count > 2]:
+            more = origin.derivative(by, count)
             return along_more(operands, batched, (size, directions), more, mapped)
     if not any(mapped):
         outputs = kernel_p.bind(*operands, program=program, mapped=tuple(batched))

@@ -20,7 +20,7 @@ from jax import lax
 from jax.extend.core import Primitive
 from jaxtyping import PyTree
 
-from walker_jax.kernels.jaxprs import CALLS, Interpreter
+from walker_jax.kernels.jaxprs import CALLS, Interpreter, called
 
 ENTRYWISE = frozenset(
     "abs acos acosh add add_any and asin asinh atan atan2 atanh bitcast_convert_type cbrt ceil "
@@ -95,6 +95,15 @@ class Unrolling(Interpreter):
         results = bound(equation.primitive, equation.params, arrays, now=known)
         return [self.split(result) for result in results]
 
+    def call(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
+        """The results of a function, read once for all its calls with the same operands."""
+        function = called(equation)
+        entries = [self.identity(entry) for operand in operands for entry in operand.ravel()]
+        key = "call", id(function), *entries
+        if key not in self.known:  # the function too, so that its identity stays its own
+            self.known[key] = function, self.interpret(function, operands)
+        return self.known[key][1]
+
     def entrywise(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
         primitive, params = equation.primitive, equation.params
         dtypes = [variable.aval.dtype for variable in equation.invars]
@@ -144,6 +153,8 @@ class Unrolling(Interpreter):
         if now and primitive.name in EXACT:
             with np.errstate(all="ignore"):
                 return EXACT[primitive.name](*map(np.asarray, operands, dtypes)).item()
+        if now and primitive.name == "convert_element_type" and np.dtype(dtypes[0]).kind in "biu":
+            return np.asarray(*operands, *dtypes).astype(params["new_dtype"]).item()
         scalars = [
             np.asarray(x, dtype) if is_number(x) else x
             for x, dtype in zip(operands, dtypes, strict=True)
@@ -260,17 +271,26 @@ def divided(a, b):
     return a if is_number(b) and b == 1 else None
 
 
+@no_type_check
+def selected(which, *cases):
+    return cases[int(which)] if is_number(which) else None
+
+
 EXACT = {
     "add": np.add,
     "add_any": np.add,
+    "and": np.bitwise_and,
     "eq": np.equal,
     "ge": np.greater_equal,
     "gt": np.greater,
+    "is_finite": np.isfinite,
     "le": np.less_equal,
     "lt": np.less,
     "mul": np.multiply,
     "ne": np.not_equal,
     "neg": np.negative,
+    "not": np.invert,
+    "or": np.bitwise_or,
     "sub": np.subtract,
 }
 """Functions of known numbers that NumPy computes alike, and for which XLA would compile a program.
@@ -281,6 +301,7 @@ SHORTCUTS = {
     "sub": subtracted,
     "mul": multiplied,
     "div": divided,
+    "select_n": selected,
 }
 """Results that are one of the operands."""
 
@@ -351,7 +372,7 @@ def unstack(unrolling, equation, operands):
 
 
 Unrolling.rules = {
-    **CALLS,
+    **dict.fromkeys(CALLS, Unrolling.call),
     **dict.fromkeys(ENTRYWISE, Unrolling.entrywise),
     **dict.fromkeys(("dynamic_slice", "gather"), Unrolling.index),
     **{name: moving(move) for name, move in MOVES.items()},

@@ -32,7 +32,7 @@ class HeavyLegWalker(MultibodyWalker):
         foot = swing_foot_at(self, 0.3)
         if isinstance(foot, Tracer):  # of a walker made in a function that JAX transforms
             return
-        along, above = foot
+        along, above = np.asarray(foot)
         if not abs(above) <= 1e-5 * abs(along):
             raise WrongUse(
                 f"swing_foot of {type(self).__name__} must be on the slope where phi = 2 theta, "

@@ -24,6 +24,7 @@ from jaxtyping import Array, Bool, Float
 
 from walker_jax.checks import WrongUse
 from walker_jax.grids import Grid
+from walker_jax.kernels import by_kernel
 
 Scalar = Float[Array, ""]
 
@@ -227,6 +228,7 @@ def displayed(value: Any) -> str:
     return str(np.asarray(value)[()]) if single else eqx.tree_pformat(value)
 
 
+@by_kernel
 def toppling_rate(walker: Walker) -> Scalar:
     """The rate at which a walker topples, legs together, from rest.
 

@@ -16,7 +16,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Int
 
 from walker_jax.integrators.roots import first_rise, least, negative
-from walker_jax.integrators.solvers import MAX_STEPS, Method, Real, solver_for
+from walker_jax.integrators.solvers import MAX_STEPS, Method, Real, solver_for, zero_at
 from walker_jax.integrators.taylor import fast_sines
 from walker_jax.walkers.masses import MultibodyWalker, SingleSupport
 from walker_jax.walkers.model import Scalar, State, Walker
@@ -122,7 +122,7 @@ def swing(
         return last.end, arrival, time, verdict, count + steps, pulled, below
 
     method = Method(equations(walker), solver_for(start), tolerance, (contact,))
-    zero, never = jnp.zeros_like(start.theta), jnp.asarray(False)
+    zero, never = zero_at(start), jnp.asarray(False)
     below = jnp.asarray(fast_sines(contact)(start) < 0)
     carry = (start, start, zero, verdict, jnp.asarray(0), never, below)
     _, arrival, time, verdict, _, pulled, _ = lax.while_loop(undecided, follow, carry)
