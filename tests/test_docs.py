@@ -122,9 +122,18 @@ def test_every_program_of_the_page_is_tested():
     assert len(re.findall(r"<!-- .* -->\n```python", PAGE.read_text())) == len(programs(PAGE)) == 4
 
 
-def test_every_public_name_is_in_the_glossary_or_the_table_of_functions():
+def test_the_pages_name_no_function_that_is_not_public():
+    for page in (
+        *(ROOT / "docs").glob("*.md"),
+        ROOT / "README.md",
+        ROOT / "notebooks" / "README.md",
+    ):
+        names = set(re.findall(r"\bwj\.(\w+)", page.read_text()))
+        assert names <= set(wj.__all__), page.name
+
+
+def test_every_public_function_is_in_the_table_of_functions_or_the_glossary():
     text = "".join((ROOT / "docs" / name).read_text() for name in ("quickstart.md", "glossary.md"))
-    text += (ROOT / "docs" / "walkers.md").read_text() + PAGE.read_text()
     functions = {name for name in wj.__all__ if name[0].islower()}
     assert {name for name in functions if f"wj.{name}" not in text} == set()
 

@@ -1,5 +1,7 @@
 """The options of every command of walker-jax, from the program itself."""
 
+import re
+
 import typer
 
 PLACE = "<!-- the options of every command -->"
@@ -19,6 +21,13 @@ def on_page_markdown(markdown, *, page, config, files):
         own = rows(command, None)
         parts += [f"### walker-jax {command.name}", command.help, table(own)]
     return markdown.replace(PLACE, "\n\n".join(parts) + "\n")
+
+
+def on_page_content(html, *, page, config, files):
+    """Mark options in the text, which a browser would break after their hyphens."""
+    option = lambda found: f'<span class="option">{found[0]}</span>'
+    inline = r"(?<!</span>)<code>[^<]*--[^<]*</code>"
+    return re.sub(inline, lambda code: re.sub(r"--[\w-]+", option, code[0]), html)
 
 
 def rows(command, panel: str | None) -> list[str]:

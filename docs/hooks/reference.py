@@ -53,6 +53,19 @@ def lead_of(room: str) -> str:
     return (ast.get_docstring(ast.parse(path.read_text())) or "").split("\n\n")[0]
 
 
+def is_bundle(place: str) -> bool:
+    """Whether a name is a class of results, a NamedTuple."""
+    module, _, name = place.rpartition(".")
+    path = (PACKAGE.parent / module.replace(".", "/")).with_suffix(".py")
+    statements = ast.parse(path.read_text()).body if path.exists() else []
+    classes = [one for one in statements if isinstance(one, ast.ClassDef) and one.name == name]
+    return any(
+        isinstance(base, ast.Name) and base.id == "NamedTuple"
+        for one in classes
+        for base in one.bases
+    )
+
+
 def page_of(room: str) -> str:
     """The page of a room in Markdown."""
     entries = {f"wj.{name}": f"{NAMES[name]}.{name}" for name in NAMES if ROOM[name] == room}
@@ -65,7 +78,11 @@ def page_of(room: str) -> str:
         f"*In the room `{BESIDE.get(room, f'walker_jax.{room}')}`.*",
     ]
     for shown, place in entries.items():
-        parts.append(f"::: {place}\n    options:\n      heading: {shown}\n      toc_label: {shown}")
+        options = {"heading": shown, "toc_label": shown}
+        if is_bundle(place):  # whose fields are all of interest, also those that need no sentence
+            options["show_if_no_docstring"] = "true"
+        lines = [f"::: {place}", "    options:", *(f"      {k}: {v}" for k, v in options.items())]
+        parts.append("\n".join(lines))
     return "\n\n".join(parts) + "\n"
 
 
