@@ -18,6 +18,7 @@ STATE = "rad, rad/√(l/g)"
 AREA = "rad²/√(l/g)"
 TIME = "√(l/g)"
 NEW = "not in earlier data sets"
+MAPPED = "cell map; not in earlier data sets"
 FAILS = "the `Outcome` of its last stride; -1 for none"
 
 
@@ -60,9 +61,9 @@ KINDS = {
             "states": V("number phase coordinate", "real", STATE, "the cycle; NaN after it"),
             "cells": V("number", "integer", "", "that converge to it"),
             "area": V("number", "real", AREA, "of these cells"),
-            "artefact": V("number", "boolean", "", "cells alone, no attractor", "cell map; new"),
-            "cycles": V("number", "integer", "", "of cells that belong to it", "cell map; new"),
-            "falling": V("number", "integer", "", "centres that fall", "cell map; new"),
+            "artefact": V("number", "boolean", "", "cells alone, no attractor", MAPPED),
+            "cycles": V("number", "integer", "", "of cells that belong to it", MAPPED),
+            "falling": V("number", "integer", "", "centres that fall", MAPPED),
         },
         WALKER | SECTION | {"method": "`cell-map`, `direct` or `direct, refined`"},
     ),
@@ -241,6 +242,7 @@ KINDS = {
         WALKER
         | SECTION
         | {
+            "walker_slope": "slope of the ground (rad)",
             "leg_length": "from the hip to the end of the leg",
             "foot_radius": "of the arc of a foot; 0 for point feet",
         },
