@@ -75,7 +75,7 @@ def refine(
     `strides` are counted for cells that were followed, and 0 for others. Memory is that of the
     finest grid; strides are made for its boundary alone. `ValueError` as for `basin`.
     """
-    found = refined(
+    found = refine_cells(
         walker,
         grid,
         levels,
@@ -124,7 +124,7 @@ class Refined(NamedTuple):
     total_strides: int
 
 
-def refined(
+def refine_cells(
     walker: Walker,
     grid: Grid,
     levels: int,

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from walker_jax.basins.refinement import Refined, refined
+from walker_jax.basins.refinement import Refined, refine_cells
 from walker_jax.checks import WrongUse, check_kind, numbers, refuses_tracers, short
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.derivatives import gait_derivatives
@@ -110,7 +110,7 @@ def area_gradient(
     widths = checked_bands(walker, parameters, bands)
 
     def basin_of(walker: Walker) -> Refined:
-        return refined(
+        return refine_cells(
             walker,
             grid,
             levels,
