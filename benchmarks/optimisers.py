@@ -30,7 +30,7 @@ import numpy as np
 from scipy.optimize import NonlinearConstraint, minimize
 
 import walker_jax as wj
-from walker_jax.basins.refinement import refined
+from walker_jax.basins.refinement import refine_cells
 from walker_jax.walkers.parameters import with_parameter
 
 SECTION = wj.Grid.sheared(theta=(0, np.pi / 4, 200), sum=(-0.12, 0.06, 200))
@@ -77,7 +77,7 @@ class Search:
         if min(self.slack(place)) < -1e-6:
             return 0.0
         options = {"strides": 200, "check": 50_000, "seed": 0, "tolerance": None}
-        found = refined(self.built(place), self.grid, LEVELS - 2, by_centres=True, **options)
+        found = refine_cells(self.built(place), self.grid, LEVELS - 2, by_centres=True, **options)
         self.left -= found.total_strides
         if found.area > self.best[0]:
             self.best = found.area, place
@@ -168,7 +168,7 @@ def cost(repeats: int = 5) -> None:
     made = 0, 0
     for _ in range(repeats + 1):  # the first compiles
         begun = time.perf_counter()
-        area = refined(walker, SECTION, 3, by_centres=True, **options)
+        area = refine_cells(walker, SECTION, 3, by_centres=True, **options)
         middle = time.perf_counter()
         found = wj.area_gradient(walker, SECTION, levels=3, check=50_000)
         plain.append(middle - begun)

@@ -7,7 +7,7 @@ import walker_jax as wj
 from walker_jax.basins import refinement
 from walker_jax.basins.attractor import Attractor
 from walker_jax.basins.mapper import Labels, Mapper
-from walker_jax.basins.refinement import refined
+from walker_jax.basins.refinement import refine_cells
 from walker_jax.design.area_gradients import along_boundary, area_gradient, crossings_along
 from walker_jax.design.bands import ends_of_band
 from walker_jax.design.disturbance_gradients import disturbance_gradient
@@ -265,9 +265,9 @@ def test_cells_may_have_the_fates_of_their_centres():
     fine = wj.Grid.sheared(theta=(0.1, 0.3, 160), sum=(-0.02, 0.01, 160))
     direct = (wj.basin(walker, fine, "direct").attractor >= 0).values
     options = {"strides": 200, "check": 0, "seed": 0, "tolerance": None}
-    walks = refined(walker, grid, 2, by_centres=True, **options).attractor >= 0
+    walks = refine_cells(walker, grid, 2, by_centres=True, **options).attractor >= 0
     assert walks.shape == direct.shape and np.mean(walks == direct) > 0.999
-    by_points = refined(walker, grid, 2, **options).attractor >= 0
+    by_points = refine_cells(walker, grid, 2, **options).attractor >= 0
     assert np.mean(by_points == direct) < 0.999
 
 

@@ -145,7 +145,7 @@ def refined_by(number_of, monkeypatch, levels=2, check=4000):
     monkeypatch.setattr(refinement, "mapper_of_grid", lambda *_: mapper)
     monkeypatch.setattr(refinement, "with_capture_boxes", lambda mapper: mapper)
     options = {"strides": 10, "check": check, "seed": 0, "tolerance": None}
-    return refinement.refined(WALKER, SQUARE, levels, **options), asked
+    return refinement.refine_cells(WALKER, SQUARE, levels, **options), asked
 
 
 def cells_of(x):

@@ -162,10 +162,18 @@ def compute_in_pieces(
     if found is not None:
         return found
     arrays, block = arrays_to_compute(grid) | work, block_shape(grid.shape)
-    options: Any = {"aside": list(work), "overwrite": overwrite}
     with (
         computers(cluster) as each,  # first, as there may be none
-        storage.pieces(out, request, about, arrays, block, method.notes, **options) as place,
+        storage.pieces(
+            out,
+            request,
+            about,
+            arrays,
+            block,
+            method.notes,
+            aside=list(work),
+            overwrite=overwrite,
+        ) as place,
     ):
         compute = partial(method.piece, place.notes)
         number = {block_at(grid, place, i): i for i in place.missing()}

@@ -75,7 +75,7 @@ def refine(
     `strides` are counted for cells that were followed, and 0 for others. Memory is that of the
     finest grid; strides are made for its boundary alone. `ValueError` as for `basin`.
     """
-    found = refined(
+    found = refine_cells(
         walker,
         grid,
         levels,
@@ -124,7 +124,7 @@ class Refined(NamedTuple):
     total_strides: int
 
 
-def refined(
+def refine_cells(
     walker: Walker,
     grid: Grid,
     levels: int,
@@ -147,96 +147,120 @@ def refined(
     tolerance = float(default_tolerance(dtype, tolerance))
     finest = finer(grid, levels)
     check_grid(walker, finest, "direct", BYTES_PER_CELL)
-    rng = np.random.default_rng(seed)
     mapper = with_capture_boxes(mapper_of_grid(walker, grid, tolerance, strides))
-    total_strides = 0
-
-    def label_cells(grid: Grid, cells: Int[np.ndarray, " n"], *, anywhere: bool) -> Labels:
-        """The labels of cells, by their centres or by points anywhere in them."""
-        nonlocal mapper, total_strides
-        places = np.stack(np.unravel_index(cells, grid.shape), axis=1)
-        within = rng.uniform(size=places.shape) if anywhere else 0.5
-        x = grid.states((places + within) / np.array(grid.shape))
-        found, mapper = mapper.label_all(x, progress="cells" if progress else None)
-        total_strides += found.total_strides
-        return found
-
-    fate, attractor = np.zeros(grid.shape, np.int8), np.full(grid.shape, -1, np.int16)
-    count, depth = np.zeros(grid.shape, np.int32), np.full(grid.shape, -1, np.int8)
-
-    def label(cells: Int[np.ndarray, "..."]) -> Int[np.ndarray, "..."]:
-        return labels(fate.ravel()[cells], attractor.ravel()[cells])
-
-    def flood(level: int, cells: Int[np.ndarray, " n"]) -> None:
-        """Follow cells, and then those beside them where that shows a boundary, until none is."""
-        while cells.size:
-            anywhere = level == levels and not by_centres
-            found = label_cells(finer(grid, level), cells, anywhere=anywhere)
-            fate.ravel()[cells], attractor.ravel()[cells] = found.fate, found.attractor
-            count.ravel()[cells], depth.ravel()[cells] = found.strides, level
-            beside = neighbours(cells, depth.shape)
-            unlike = label(beside) != label(cells)[:, None]
-            cells = np.unique(beside[unlike & (depth.ravel()[beside] < level)])
-
+    label = "cells" if progress else None
+    cells = RefinedCells(grid, levels, by_centres, mapper, np.random.default_rng(seed), label)
     followed, boundary = [], []
     on_edge = np.ones(grid.shape, bool)
     for level in range(levels + 1):
         if level:
-            on_edge, fate, attractor, depth = map(cut, (on_edge, fate, attractor, depth))
-            count = np.zeros(fate.shape, np.int32)
-        flood(level, np.flatnonzero(on_edge))
-        on_edge = edge(labels(fate, attractor))
-        followed.append(int(np.count_nonzero(depth == level)))
+            cells.subdivide()
+            on_edge = cut(on_edge)
+        cells.follow(level, np.flatnonzero(on_edge))
+        on_edge = edge(labels(cells.fate, cells.attractor))
+        followed.append(int(np.count_nonzero(cells.depth == level)))
         boundary.append(int(np.count_nonzero(on_edge)))
 
-    def sizes() -> Float[np.ndarray, " levels"]:
-        """How many cells inherited their fates from each level."""
-        return np.bincount(depth.ravel(), minlength=levels + 1)[:levels].astype(float)
-
-    def draw(shares: Float[np.ndarray, " levels"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Cells drawn among those that inherited, by how much a point in each walks more often, and
-        how many there are from each level."""
-        counts = np.floor(check * shares / max(shares.sum(), 1)).astype(int)
-        counts = np.maximum(counts, (shares > 0) & (check > 0))
-        of_level = [np.flatnonzero(depth == level) for level in range(levels)]
-        drawn = [rng.choice(cells, n) for cells, n in zip(of_level, counts, strict=True) if n]
-        cells = np.concatenate([np.zeros(0, int), *drawn])
-        walks = label_cells(finest, cells, anywhere=True).attractor >= 0
-        return cells, walks.astype(int) - (attractor.ravel()[cells] >= 0), counts
-
-    # What a first check meets is followed to its end; a second one says how much is left. Shares
+    # What a first check finds is followed to its end; a second one tells how much is left. Shares
     # are those of least variance, (mistakes + 1) (size / count)^2 summed over the levels.
-    cells, error, _ = draw(sizes() ** (2 / 3))
-    wrong = np.bincount(depth.ravel()[cells[error != 0]], minlength=levels)
-    flood(levels, np.unique(cells[error != 0]))
-    cells, error, counts = draw(sizes() ** (2 / 3) * (wrong + 1) ** (1 / 3))
-    of_level = depth.ravel()[cells]
-    wrong = np.bincount(of_level[error != 0], minlength=levels)
-    excess = np.bincount(of_level, error, minlength=levels)
+    drawn, excess, _ = cells.compare(cells.inherited() ** (2 / 3), check)
+    mistakes = np.bincount(cells.depth.ravel()[drawn[excess != 0]], minlength=levels)
+    cells.follow(levels, np.unique(drawn[excess != 0]))
+    shares = cells.inherited() ** (2 / 3) * (mistakes + 1) ** (1 / 3)
+    drawn, excess, counts = cells.compare(shares, check)
+    depth = cells.depth.ravel()[drawn]
+    mistakes = np.bincount(depth[excess != 0], minlength=levels)
 
-    cell = finest.cell_area
-    mixed = edge((attractor >= 0).astype(np.int8)).sum()
-    each = sizes() / np.maximum(counts, 1)
-    area = ((attractor >= 0).sum() + (each * excess).sum()) * cell
+    weight = cells.inherited() / np.maximum(counts, 1)
+    missing = (weight * np.bincount(depth, excess, minlength=levels)).sum()
+    area = ((cells.attractor >= 0).sum() + missing) * finest.cell_area
+    mixed = edge((cells.attractor >= 0).astype(np.int8)).sum()
     # as if there were one mistake more than were found, lest none be taken for certainty
-    variance = (mixed * SPREAD + ((wrong + 1) * each**2).sum()) * cell**2
-    if check == 0 and levels:
-        variance = np.nan
-
+    variance = mixed * SPREAD + ((mistakes + 1) * weight**2).sum()
+    variance = np.nan if check == 0 and levels else variance * finest.cell_area**2
     return Refined(
         grid=finest,
-        fate=fate,
-        attractor=attractor,
-        strides=count,
-        mapper=mapper,
+        fate=cells.fate,
+        attractor=cells.attractor,
+        strides=cells.strides,
+        mapper=cells.mapper,
         area=float(area),
         area_error=float(np.sqrt(variance)),
         followed=followed,
         boundary=boundary,
-        checked=len(cells),
-        mistaken=int(wrong.sum()),
-        total_strides=total_strides,
+        checked=len(drawn),
+        mistaken=int(mistakes.sum()),
+        total_strides=cells.total_strides,
     )
+
+
+class RefinedCells:
+    """The labels of all cells of ever finer grids, and on which level each cell was followed."""
+
+    def __init__(
+        self,
+        grid: Grid,
+        levels: int,
+        by_centres: bool,
+        mapper: Mapper,
+        rng: np.random.Generator,
+        progress: str | None,
+    ):
+        """On the finest of the levels a cell's label may be that of its centre, too."""
+        self.grid, self.levels, self.by_centres = grid, levels, by_centres
+        self.mapper, self.rng, self.progress = mapper, rng, progress
+        self.total_strides = 0
+        self.fate, self.attractor = np.zeros(grid.shape, np.int8), np.full(grid.shape, -1, np.int16)
+        self.strides, self.depth = np.zeros(grid.shape, np.int32), np.full(grid.shape, -1, np.int8)
+
+    def subdivide(self) -> None:
+        """Cut all cells in two along each axis; the parts inherit labels."""
+        self.fate, self.attractor, self.depth = map(cut, (self.fate, self.attractor, self.depth))
+        self.strides = np.zeros(self.fate.shape, np.int32)
+
+    def map(self, level: int, cells: Int[np.ndarray, " n"], *, anywhere: bool) -> Labels:
+        """The labels of cells of a level, by their centres or by points anywhere in them."""
+        grid = finer(self.grid, level)
+        places = np.stack(np.unravel_index(cells, grid.shape), axis=1)
+        within = self.rng.uniform(size=places.shape) if anywhere else 0.5
+        x = grid.states((places + within) / np.array(grid.shape))
+        found, self.mapper = self.mapper.label_all(x, progress=self.progress)
+        self.total_strides += found.total_strides
+        return found
+
+    def follow(self, level: int, cells: Int[np.ndarray, " n"]) -> None:
+        """Follow cells, and then those beside them where that shows a boundary, until none is."""
+        fate, attractor, depth = self.fate.ravel(), self.attractor.ravel(), self.depth.ravel()
+        while cells.size:
+            anywhere = level == self.levels and not self.by_centres
+            found = self.map(level, cells, anywhere=anywhere)
+            fate[cells], attractor[cells], depth[cells] = found.fate, found.attractor, level
+            self.strides.ravel()[cells] = found.strides
+            beside = neighbours(cells, self.depth.shape)
+            own = labels(fate[cells], attractor[cells])[:, None]
+            unlike = labels(fate[beside], attractor[beside]) != own
+            cells = np.unique(beside[unlike & (depth[beside] < level)])
+
+    def inherited(self) -> Float[np.ndarray, " levels"]:
+        """How many cells inherited their labels from each level."""
+        counts = np.bincount(self.depth.ravel(), minlength=self.levels + 1)
+        return counts[: self.levels].astype(float)
+
+    def compare(
+        self, shares: Float[np.ndarray, " levels"], check: int
+    ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"], Int[np.ndarray, " levels"]]:
+        """Random points in cells that inherited, against the labels of these.
+
+        Returns the cells; 1 where the point walks and the cell does not, -1 where the cell does
+        alone, else 0; and how many cells are of each level.
+        """
+        counts = np.floor(check * shares / max(shares.sum(), 1)).astype(int)
+        counts = np.maximum(counts, (shares > 0) & (check > 0))
+        of_level = [np.flatnonzero(self.depth == level) for level in range(self.levels)]
+        drawn = [self.rng.choice(cells, n) for cells, n in zip(of_level, counts, strict=True) if n]
+        cells = np.concatenate([np.zeros(0, int), *drawn])
+        walks = self.map(self.levels, cells, anywhere=True).converged
+        return cells, walks.astype(int) - (self.attractor.ravel()[cells] >= 0), counts
 
 
 def finer(grid: Grid, level: int) -> Grid:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from walker_jax.basins.refinement import Refined, refined
+from walker_jax.basins.refinement import Refined, refine_cells
 from walker_jax.checks import refuses_tracers
 from walker_jax.design.bands import checked_bands, ends_of_band
 from walker_jax.grids import Grid
@@ -97,7 +97,7 @@ def area_gradient(
     widths = checked_bands(walker, parameters, bands)
 
     def basin_of(walker: Walker) -> Refined:
-        return refined(
+        return refine_cells(
             walker,
             grid,
             levels,

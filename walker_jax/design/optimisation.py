@@ -16,7 +16,7 @@ import xarray as xr
 
 from walker_jax.basins.computation import basin
 from walker_jax.basins.memory import check_grid
-from walker_jax.basins.refinement import BYTES_PER_CELL, FINEST, finer, refined
+from walker_jax.basins.refinement import BYTES_PER_CELL, FINEST, finer, refine_cells
 from walker_jax.checks import WrongUse, check_kind, check_whole, refuses_tracers
 from walker_jax.design.climbs import climb
 from walker_jax.design.evaluation import CHECK, ENDS, SCAN, STEPS, Row
@@ -192,7 +192,7 @@ def compared(problem: Problem, start: Row, best: Row) -> dict:
         return {}
     walkers = [problem.built(row.parameters) for row in (start, best)]
     rough = [
-        refined(
+        refine_cells(
             walker,
             grid,
             min(1, problem.levels),

@@ -69,8 +69,9 @@ def robustness(
     grid = default_region(walker) if grid is None else grid
     if grid is None:
         raise WrongUse("grid is required where no gait of period one is found")
-    options: Any = {"check": check, "strides": strides, "seed": seed, "tolerance": tolerance}
-    data = refine(walker, grid, levels, **options)
+    data = refine(
+        walker, grid, levels, check=check, strides=strides, seed=seed, tolerance=tolerance
+    )
     data.attrs["disturbances"] = disturbances
     cells = data["cells"].values * (data["period"].values > 0)
     if cells.sum() == 0:

@@ -1,0 +1,107 @@
+"""The iteration of the stride map, and the mapper from starts to attractors."""
+
+import jax
+import numpy as np
+import pytest
+
+import walker_jax as wj
+from walker_jax import Outcome
+from walker_jax.basins.attractor import Attractor
+from walker_jax.basins.mapper import Mapper
+from walker_jax.walking import iteration
+from walker_jax.walking.iteration import Targets, iterate, orbits
+
+WALKER = wj.SimplestWalker(0.004)
+GAIT = np.array([[0.1533895648762, -0.1560801466757]])
+REGION = wj.Grid.sheared(theta=(0.1, 0.2, 6), sum=(-0.01, 0.005, 8))
+
+
+@pytest.fixture(scope="module")
+def starts():
+    x = REGION.centres(np.arange(REGION.size))
+    return np.concatenate([GAIT, x, [[-0.1, -0.1], [np.nan, -0.2]]])
+
+
+def walks_of(starts, count, walkers=WALKER):
+    """Stride by stride: all states, and the outcome of the last stride of each walk."""
+    states, outcome = [starts], np.zeros(len(starts), int)
+    for _ in range(count):
+        ends = wj.strides(walkers, states[-1])
+        outcome = np.where(outcome == Outcome.STRIDE, ends.outcome, outcome)
+        states.append(np.asarray(ends.state))
+    return np.stack(states, axis=1), outcome
+
+
+@pytest.mark.parametrize("count", [3, 30])
+def test_rounds_change_nothing(starts, count, monkeypatch):
+    """Against walks stride by stride, however the strides are divided into rounds."""
+    states, outcome = walks_of(starts, count)
+    assert {0, 1, 2, 5} <= set(outcome.tolist())
+    for rounds in ((4, 16, 64), (1,), (7, 2)):
+        monkeypatch.setattr(iteration, "ROUNDS", rounds)
+        end = iterate(WALKER, starts, count, None)
+        np.testing.assert_array_equal(end.outcome, outcome)
+        np.testing.assert_array_equal(end.strides, np.isfinite(states[:, 1:, 0]).sum(axis=1))
+        walking = outcome == Outcome.STRIDE
+        np.testing.assert_array_equal(end.state[walking], states[walking, -1])
+        assert np.isnan(end.state[~walking]).all() and (end.target == -1).all()
+    recorded, last = orbits(WALKER, starts, count, None)
+    np.testing.assert_array_equal(recorded, states)
+    np.testing.assert_array_equal(last, outcome)
+
+
+def test_each_start_may_have_a_walker_of_its_own(starts):
+    slopes = np.linspace(0.003, 0.015, len(starts))
+    walkers = jax.vmap(wj.SimplestWalker)(slopes)
+    states, outcome = walks_of(starts, 20, walkers)
+    end = iterate(walkers, starts, 20, None)
+    np.testing.assert_array_equal(end.outcome, outcome)
+    walking = outcome == Outcome.STRIDE
+    np.testing.assert_array_equal(end.state[walking], states[walking, -1])
+    np.testing.assert_array_equal(orbits(walkers, starts, 20, None)[0], states)
+
+
+@pytest.mark.parametrize("far", [0, 1, 40])
+def test_a_walk_ends_at_the_nearest_target_that_it_reaches_first(starts, far):
+    """Among others that none reaches, few enough for a kernel, or so many that the host looks."""
+    states, _ = walks_of(starts, 40)
+    near = GAIT + np.array([[0.0, 0.0], [4e-3, 0.0]])
+    centres = np.concatenate([near, np.full((far, 2), 0.7)])
+    end = iterate(
+        WALKER, starts, 40, None, Targets(centres, np.tile(np.eye(2) / 5e-3, (2 + far, 1, 1)))
+    )
+    away = np.abs(states[:, :, None] - near).max(axis=3)
+    inside = (away < 5e-3).any(axis=2)
+    reached = inside.any(axis=1)
+    first = inside.argmax(axis=1)
+    assert 5 < reached.sum() < len(starts) and (first[reached] > 0).any()
+    np.testing.assert_array_equal(end.target >= 0, reached)
+    np.testing.assert_array_equal(end.strides[reached], first[reached])
+    rows = np.flatnonzero(reached)
+    np.testing.assert_array_equal(end.state[rows], states[rows, first[rows]])
+    nearest = away[rows, first[rows]].argmin(axis=1)
+    np.testing.assert_array_equal(end.target[rows], nearest)
+    assert set(nearest.tolist()) == {0, 1}
+
+
+def test_the_mapper_labels_starts_by_the_attractor_that_they_converge_to(starts):
+    cycle = Attractor(1, GAIT)
+    wandering = Attractor(None, np.array([[0.2, -0.3]]))
+    labels = Mapper(WALKER, [wandering, cycle], 1e-12, 200)(starts)
+    _, outcome = walks_of(starts, 200)
+    np.testing.assert_array_equal(labels.converged, outcome == Outcome.STRIDE)
+    assert set(labels.attractor.tolist()) == {-1, 1} and labels.strides[0] == 0
+    np.testing.assert_array_equal(labels.fallen, outcome > 0)
+    assert labels.total_strides == labels.strides.sum() + (outcome > 0).sum()
+    assert len(labels.remaining) == 0
+
+
+def test_walkers_that_remain_are_given_attractors_that_are_found_from_them(starts):
+    mapper = Mapper(WALKER, [], 1e-12, 20)
+    labels = mapper(starts)
+    assert len(labels.remaining) > 5 and not labels.converged.any()
+    labels, mapper = mapper.label_all(starts)
+    (found,) = mapper.attractors
+    assert found.period == 1
+    np.testing.assert_allclose(found.states, GAIT, rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(labels.attractor, np.where(labels.fate == 0, 0, -1))
