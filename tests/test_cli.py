@@ -170,6 +170,21 @@ def test_values_are_as_written(over, values):
     assert found == values
 
 
+def test_names_of_parameters_have_hyphens_or_underscores():
+    hyphens, underscores = ["hip-stiffness"], ["hip_stiffness"]
+    walker = wj.SpringWalker(0.004)
+    for names in (hyphens, underscores):
+        assert [*sweep_command.values_of([f"{names[0]}=0:1:2"])] == underscores
+        for others in (hyphens, underscores):
+            bounds = optimise_command.bounds_of(walker, names, [f"{others[0]}=0:1"])
+            assert bounds == {"hip_stiffness": (0.0, 1.0)}
+    assert optimise_command.objective_of(["least_disturbance"]) == "least-disturbance"
+    assert optimise_command.objective_of(["step_length=2"]) == {"step-length": 2.0}
+    for names in (hyphens, underscores):
+        with pytest.raises(ValueError, match=r"^--bound is required for hip-stiffness: hip-stiff"):
+            optimise_command.bounds_of(walker, names, [])
+
+
 @pytest.mark.parametrize(
     ("over", "named"),
     [

@@ -1,56 +1,181 @@
-"""What data sets say, by the functions that read them, against other ways to compute it."""
+"""Summaries of results, and the gaits and windows that are taken where none is named."""
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import walker_jax as wj
-from walker_jax.basins.summary import (
-    along_axis,
-    failing_cells,
-    large_basins,
-    total_area,
-    walking_cells,
+from walker_jax import Outcome
+from walker_jax.basins import summary as basin_summary
+from walker_jax.basins import windows
+from walker_jax.gaits import selection
+from walker_jax.gaits.summary import summarise_bifurcations, summarise_gait
+from walker_jax.stability import summary
+from walker_jax.stability.summary import FIELDS, summarise_robustness, without_gait
+from walker_jax.walkers.parameters import describe, describe_in_words, space_decimals
+
+WALKER = wj.SimplestWalker(0.004)
+GRID = wj.Grid.sheared(theta=(0.05, 0.35, 30), sum=(-0.03, 0.01, 20))
+
+
+def test_walkers_are_described_by_name_and_parameters():
+    walker = wj.SpringWalker(0.005, 0.25)
+    about = {"name": "SpringWalker", "slope": 0.005, "hip_stiffness": 0.25}
+    assert describe(walker) == about
+    assert describe_in_words(walker) == "SpringWalker, slope 0.005, hip_stiffness 0.25"
+
+
+def test_spaced_values_are_those_that_one_would_type():
+    assert space_decimals(0.0, 0.3, 4) == [0.0, 0.1, 0.2, 0.3]
+    assert space_decimals(-0.3, 0.3, 7) == [-0.3, -0.2, -0.1, 0.0, 0.1, 0.2, 0.3]
+    assert space_decimals(0.001, 0.019, 19) == [i / 1000 for i in range(1, 20)]
+    np.testing.assert_allclose(space_decimals(1e-14, 4e-14, 10), np.linspace(1e-14, 4e-14, 10))
+
+
+def test_the_long_gait_comes_first_then_the_others_each_once():
+    (alone,) = selection.select_gaits(WALKER)
+    every = selection.select_gaits(WALKER, every=True)
+    np.testing.assert_array_equal(every[0].states, alone.states)
+    assert len(every) >= 2 and not np.allclose(every[1].states, every[0].states)
+    summarised = summarise_gait(every[0])
+    assert summarised["period"] == 1 and summarised["stable"] is True
+    values = [complex(*pair) for pair in summarised["multipliers"]]
+    np.testing.assert_array_equal(values, every[0].multipliers)
+
+
+def test_of_a_longer_period_the_gait_with_the_smallest_multiplier_is_taken(monkeypatch):
+    gait = wj.find_gait(WALKER)
+    made_up = [gait._replace(multipliers=np.array([m, 0j])) for m in (-1.5, 0.5j, 0.75)]
+    monkeypatch.setattr(selection, "find_gaits", lambda *_: list(made_up))
+    largest = lambda gaits: [one.multipliers[0] for one in gaits]
+    assert largest(selection.select_gaits(WALKER, 2)) == [0.5j]
+    assert largest(selection.select_gaits(WALKER, 2, every=True)) == [0.5j, 0.75, -1.5]
+
+
+@pytest.mark.parametrize(
+    ("residual", "period", "guessed", "reason"),
+    [
+        (None, 2, False, "none of the searches"),
+        (np.nan, 2, False, "none of the searches"),
+        (np.nan, 1, False, "no stride from the state where the search begins"),
+        (np.nan, 2, True, "no stride from the guess"),
+        (1e-3, 1, True, "misses the next state by 0.001"),
+        (1e-9, 2, True, "shorter period"),
+        (1e-9, 1, True, "too close to a bifurcation"),
+    ],
 )
-from walker_jax.stability.nearest_starts import circle
-
-WALKER = wj.SimplestWalker(0.0125)  # with attractors of period one and three
-GRID = wj.Grid.sheared(theta=(0.1, 0.3, 40), sum=(-0.02, 0.01, 30))
-
-
-@pytest.fixture(scope="module")
-def data():
-    return wj.basin(WALKER, GRID, "direct")
+def test_reasons_where_no_gait_is_found(residual, period, guessed, reason):
+    gait = wj.find_gait(WALKER)
+    search = None if residual is None else gait._replace(residual=np.array(residual))
+    assert reason in selection.reason_without_gait(WALKER, period, search, guessed=guessed)
 
 
-def test_states_along_an_axis_are_where_the_grid_has_them():
-    states = np.asarray(GRID.centres(np.arange(GRID.size))).reshape(*GRID.shape, 2)
-    section = ["theta", "thetadot"]
-    for name, expected in zip(
-        GRID.names, np.meshgrid(*GRID.axes.values(), indexing="ij"), strict=True
+def test_where_no_gait_is_found_what_makes_it_needless_is_named():
+    with pytest.raises(
+        wj.ComputationFailed, match=r"slope 0\.5: give theta, sum, or another slope$"
     ):
-        np.testing.assert_allclose(along_axis(states, section, name), expected, atol=1e-15)
-    assert np.isnan(along_axis(states, section, "phidot")).all()
+        selection.require_gait(wj.SimplestWalker(0.5), ("theta", "sum"))
+    with pytest.raises(wj.ComputationFailed, match=r"try another guess, or another slope$"):
+        selection.select_gaits(WALKER, 1, np.array([0.2, -0.4]))
 
 
-def test_every_cell_is_in_one_class(data):
-    large = large_basins(data, 3)
-    walking = walking_cells(data, large)
-    classes = [*walking.large.values(), walking.others, walking.artefacts, walking.unmatched]
-    classes += failing_cells(data["fate"].values).values()
-    np.testing.assert_array_equal(sum(one.cells.astype(int) for one in classes), 1)
-    assert [walking.large[number].count for number in large] == data["cells"].values[large].tolist()
-    assert total_area(data) == pytest.approx((data["attractor"].values >= 0).sum() * GRID.cell_area)
+def test_windows_lie_around_the_gait_or_are_those_of_the_paper():
+    axes = {"theta": None, "sum": (-0.1, 0.0, 10)}
+    assert windows.fill_from_paper(WALKER, axes) == {"theta": (0.0, 0.4, 200), "sum": axes["sum"]}
+    walker = wj.SpringWalker(0.004, 0.5)
+    assert windows.fill_from_paper(walker, axes) == axes
+    filled = windows.fill_around_gait(walker, axes)
+    gait = wj.find_gait(walker).states[0]
+    assert filled["theta"] == (0.0, pytest.approx(2.5 * float(gait[0])), 200)
+    assert filled["sum"] == axes["sum"]
+    assert windows.grid_along(filled).contains(np.asarray(gait)[None] + [[0, -0.05]]).all()
+    plain = windows.outline({"theta": None, "thetadot": (-1.0, 0.0, 3), "phidot": None})
+    assert plain.names == ("theta", "thetadot") and plain.fixed == ("phidot",)
+    with pytest.raises(ValueError, match="low must be below high"):
+        windows.outline({"theta": None, "sum": (0.0, -1.0, 3)})
+    assert windows.film_window(WALKER, gait).shape == (200, 250)
+    assert windows.film_window(walker, gait).contains(np.asarray(gait)[None]).all()
 
 
-def test_large_basins_are_a_tenth_of_the_cells_that_never_fall(data):
-    cells = data["cells"].values
-    expected = [i for i in np.argsort(-cells) if cells[i] >= 0.1 * (data["fate"].values == 0).sum()]
-    assert large_basins(data, 9) == expected
-    assert large_basins(data, 1) == expected[:1]
+def test_cells_are_counted_a_few_rows_at_a_time_as_all_at_once(monkeypatch):
+    data = wj.basin(WALKER, GRID, "direct", strides=5)
+    data["attractor"][:] = np.where(np.arange(20) % 2, data["attractor"], -1)
+    whole = basin_summary.tally(data)
+    assert whole.fates.sum() == GRID.size
+    fate, attractor = data["fate"].values, data["attractor"].values
+    assert whole.fates[Outcome.FORWARD] == (fate == Outcome.FORWARD).sum() > 0
+    assert whole.unlabelled == ((fate == 0) & (attractor < 0)).sum() > 0
+    assert whole.strides == data["strides"].values.sum() + (fate != 0).sum()
+    monkeypatch.setattr(basin_summary, "CELLS_AT_ONCE", 70)
+    for one, other in zip(whole, basin_summary.tally(data), strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
-def test_points_of_a_circle_are_equally_far_from_its_centre():
-    centre = np.array([0.2, -0.2])
-    points = circle(centre, 0.003, 50)
-    np.testing.assert_allclose(np.linalg.norm(points - centre, axis=1), 0.003, rtol=1e-12)
-    assert points.shape == (50, 2) and np.ptp(points[:, 0]) > 0.0059
+def test_bifurcations_are_listed_by_period_then_slope():
+    """One cascade, another doubling, and a fold beyond the loss of walking. All is made up."""
+    data = xr.Dataset(
+        {
+            "event_fold": ("event", [False, False, True, False, True, False]),
+            "event_branch": ("event", [1, 0, 2, 2, 3, 4]),
+            "event_period": ("event", [2, 1, 3, 3, 5, 1]),
+            "event_value": ("event", [0.0177, 0.0151, 0.02, 0.0201, 0.01, 0.003]),
+            "event_states": (("event", "phase", "coordinate"), np.arange(24.0).reshape(6, 2, 2)),
+            "cascade": ("event", [True, True, False, False, False, False]),
+            "lost": ("end", [0.019, 0.0191]),
+        }
+    )
+    found = summarise_bifurcations(data)
+    periods = [(one["from"], one["to"], one["slope"]) for one in found["doublings"]]
+    assert periods == [(1, 2, 0.0151), (2, 4, 0.0177)]
+    assert found["doublings"][0]["state"].tolist() == [4, 5]
+    assert [one["slope"] for one in found["other_doublings"]] == [0.003, 0.0201]
+    assert [(one["period"], one["slope"]) for one in found["folds"]] == [(3, 0.02), (5, 0.01)]
+    assert found["lost"] == {"below": 0.019, "above": 0.0191}
+    assert found["stable_beyond"] == [{"period": 3, "from": 0.02, "to": 0.0201}]
+
+
+def made_up_robustness(monkeypatch):
+    """What `robustness` returns for made-up measures of the gait, and after a fine basin."""
+    gait = wj.find_gait(WALKER)
+    point = (0.002, np.array([0.6, 0.8]), np.asarray(gait.states[0]), 0, Outcome.FORWARD, 6)
+    answers = {
+        "least_disturbance": wj.LeastDisturbance(*point),
+        "least_step_down": wj.LeastStepDown(0.001, np.zeros(4), 0, Outcome.FORWARD, 6),
+        "basin_stability": wj.BasinStability(
+            *map(np.asarray, (0.3, 0.2, 0.4, 8 * [0], 0, 20.0, np.inf))
+        ),
+        "boundary_dimension": wj.Uncertainty(1.25, 1.0, 1.5, 0.75, np.zeros(0), np.zeros(0)),
+    }
+    for name, answer in answers.items():
+        monkeypatch.setattr(summary, name, lambda *_, answer=answer, **__: answer)
+    return wj.robustness(WALKER, GRID, levels=0, check=0, strides=200)
+
+
+def test_the_schema_of_robustness_has_all_that_it_adds_to_the_basin(monkeypatch):
+    data = made_up_robustness(monkeypatch)
+    basin = wj.refine(WALKER, GRID, 0, check=0)
+    names = {field.name for field in FIELDS}
+    assert names == {*data} - {*basin} == {*without_gait(WALKER)}
+    for field in FIELDS:
+        whole = np.issubdtype(data[field.name].dtype, np.integer)
+        assert whole == (field.kind in ("count", "outcome"))
+        assert (data[field.name].dims == ("coordinate",)) == (field.kind == "vector")
+
+
+def test_a_summary_of_robustness_has_none_for_what_is_not_there(monkeypatch):
+    data = made_up_robustness(monkeypatch)
+    found = summarise_robustness(data, 0.004)
+    assert found["gait"]["period"] == 1 and found["slope"] == 0.004
+    least = found["least_disturbance"]
+    assert (least["size"], least["failure"], least["strides"]) == (0.002, "FORWARD", 6)
+    assert list(found["basin_stability"]) == [
+        *("value", "low", "high", "disturbances", "median_strides", "slowest_strides")
+    ]
+    assert found["boundary_dimension"] == {"value": 1.25, "low": 1.0, "high": 1.5}
+    earlier = data.drop_vars([name for name in data if "fall" in str(name)])
+    older = summarise_robustness(earlier, 0.004)
+    assert older["least_fall"] is older["step_down_fall"] is None
+    assert older["least_disturbance"]["size"] == 0.002
+    nowhere = summarise_robustness(data.assign(without_gait(WALKER)), 0.2)
+    assert list(nowhere) == list(found)
+    assert all(nowhere[name] is None for name in [*nowhere][3:])

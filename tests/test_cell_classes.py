@@ -1,0 +1,56 @@
+"""What data sets say, by the functions that read them, against other ways to compute it."""
+
+import numpy as np
+import pytest
+
+import walker_jax as wj
+from walker_jax.basins.cell_classes import (
+    along_axis,
+    failing_cells,
+    large_basins,
+    total_area,
+    walking_cells,
+)
+from walker_jax.stability.nearest_starts import circle
+
+WALKER = wj.SimplestWalker(0.0125)  # with attractors of period one and three
+GRID = wj.Grid.sheared(theta=(0.1, 0.3, 40), sum=(-0.02, 0.01, 30))
+
+
+@pytest.fixture(scope="module")
+def data():
+    return wj.basin(WALKER, GRID, "direct")
+
+
+def test_states_along_an_axis_are_where_the_grid_has_them():
+    states = np.asarray(GRID.centres(np.arange(GRID.size))).reshape(*GRID.shape, 2)
+    section = ["theta", "thetadot"]
+    for name, expected in zip(
+        GRID.names, np.meshgrid(*GRID.axes.values(), indexing="ij"), strict=True
+    ):
+        np.testing.assert_allclose(along_axis(states, section, name), expected, atol=1e-15)
+    assert np.isnan(along_axis(states, section, "phidot")).all()
+
+
+def test_every_cell_is_in_one_class(data):
+    large = large_basins(data, 3)
+    walking = walking_cells(data, large)
+    classes = [*walking.large.values(), walking.others, walking.artefacts, walking.unmatched]
+    classes += failing_cells(data["fate"].values).values()
+    np.testing.assert_array_equal(sum(one.cells.astype(int) for one in classes), 1)
+    assert [walking.large[number].count for number in large] == data["cells"].values[large].tolist()
+    assert total_area(data) == pytest.approx((data["attractor"].values >= 0).sum() * GRID.cell_area)
+
+
+def test_large_basins_are_a_tenth_of_the_cells_that_never_fall(data):
+    cells = data["cells"].values
+    expected = [i for i in np.argsort(-cells) if cells[i] >= 0.1 * (data["fate"].values == 0).sum()]
+    assert large_basins(data, 9) == expected
+    assert large_basins(data, 1) == expected[:1]
+
+
+def test_points_of_a_circle_are_equally_far_from_its_centre():
+    centre = np.array([0.2, -0.2])
+    points = circle(centre, 0.003, 50)
+    np.testing.assert_allclose(np.linalg.norm(points - centre, axis=1), 0.003, rtol=1e-12)
+    assert points.shape == (50, 2) and np.ptp(points[:, 0]) > 0.0059
