@@ -31,8 +31,8 @@ from walker_jax.basins.schema import (
     with_attractors,
 )
 from walker_jax.cellmaps import resolve
-from walker_jax.execution.progress import tracked
-from walker_jax.execution.workers import computers
+from walker_jax.execution.progress import track
+from walker_jax.execution.workers import open_workers
 from walker_jax.grids import Grid
 from walker_jax.walkers.model import Walker
 from walker_jax.walking.outcomes import Outcome
@@ -66,13 +66,13 @@ def in_pieces(
     options: Any = {"aside": list(work), "overwrite": overwrite}
     arrays, block = not_yet(grid) | work, block_of(grid.shape)
     with (
-        computers(cluster) as each,  # first, as there may be none
-        storage.pieces(out, request, about, arrays, block, method.notes, **options) as place,
+        open_workers(cluster) as each,  # first, as there may be none
+        storage.open_pieces(out, request, about, arrays, block, method.notes, **options) as place,
     ):
         compute = partial(method.piece, place.notes)
         number = {part_of(grid, place, i): i for i in place.missing()}
         found, done = each(compute, [*number]), place.count - len(number)
-        for part, values in tracked(found, "pieces", progress, place.count, done):
+        for part, values in track(found, "pieces", progress, place.count, done):
             place.write(number[part], values, done=True)
         attractors, pieces = method.finish(place)
         cells = np.zeros(len(attractors), int)
@@ -81,7 +81,7 @@ def in_pieces(
             reached = values["attractor"]
             cells += np.bincount(reached[reached >= 0], minlength=len(cells))
         place.finish(with_attractors(about, grid, attractors, cells))
-    return storage.opened(out)
+    return storage.open_dataset(out)
 
 
 class MappedPieces(NamedTuple):

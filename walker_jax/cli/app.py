@@ -41,5 +41,5 @@ def common(list_walkers: ListWalkers = False) -> None:
 def notes_of(interruption: BaseException) -> list[str]:
     """How the work is resumed, as the library says, with options as here."""
     notes = getattr(interruption, "__notes__", [])
-    notes = [note for note in notes if note.startswith(storage.RESUME)]
+    notes = [note for note in notes if note.startswith(storage.RESUME_HINT)]
     return [note.replace("without overwrite", "without --overwrite", 1) for note in notes]

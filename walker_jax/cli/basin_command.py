@@ -83,7 +83,7 @@ def basin(
     """
     from walker_jax import figures
     from walker_jax.basins.schema import artefacts
-    from walker_jax.grids import around
+    from walker_jax.grids import axes_around
 
     has_phidot = "phidot" in walker.section
     if not has_phidot and (phidot is not None or at_phidot is not None):
@@ -132,7 +132,7 @@ def basin(
     if data is None:
         if None in axes.values():
             needed = [name for name, axis in axes.items() if axis is None]
-            axes = filled(axes, around(gait_of(walker, needed).states[0], tuple(axes)))
+            axes = filled(axes, axes_around(gait_of(walker, needed).states[0], tuple(axes)))
         options: Any = {"out": out, "request": request, "overwrite": overwrite}
         options |= {"strides": strides, "cluster": cluster, "progress": True}
         data = wj.basin(walker, grid_of(**axes), method, **options)

@@ -57,7 +57,7 @@ def main() -> NoReturn:
     signal.signal(signal.SIGTERM, terminate)
     try:
         code = app(standalone_mode=False)
-    except storage.Occupied as error:
+    except storage.StoreConflict as error:
         what, *help_ = error.args
         stop(2, ": ".join([what, *(with_options_named(words, PLACES) for words in help_)]))
     except WrongUse as error:

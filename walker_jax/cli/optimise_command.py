@@ -149,7 +149,7 @@ def computed(
         try:
             with storage.resumable(out, lambda: kept, overwrite=overwrite):
                 return save(compute(known=known, keep=keep))
-        except storage.Occupied:
+        except storage.StoreConflict:
             raise
         except WrongUse as error:
             message = str(error)

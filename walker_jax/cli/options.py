@@ -140,13 +140,13 @@ def takes_walker(command: Callable[..., None], *, without: tuple[str, ...] = ())
 
 def window(walker: Walker, x: ArrayLike) -> Grid:
     """The part of the section, or of a slice through it, around the gait; around x if none is."""
-    from walker_jax.grids import around
+    from walker_jax.grids import axes_around
 
     if isinstance(walker, wj.SimplestWalker):
         return Grid.sheared(**WINDOW)
     gait = wj.find_gait(walker)
     state = gait.states[0] if gait.found else x
-    return Grid.sheared(**around(state, ("theta", "sum", *walker.section[2:])))
+    return Grid.sheared(**axes_around(state, ("theta", "sum", *walker.section[2:])))
 
 
 def start_of(walker: Walker, given: dict[str, float]) -> np.ndarray:

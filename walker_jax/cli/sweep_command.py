@@ -112,7 +112,7 @@ def sweep(
 
 def values_of(over: list[str]) -> dict[str, list[float]]:
     """The values of each parameter that --over names."""
-    from walker_jax.design.sweeps import MOST
+    from walker_jax.design.sweeps import MAX_COMBINATIONS
 
     values: dict[str, list[float]] = {}
     for text in over:
@@ -128,8 +128,8 @@ def values_of(over: list[str]) -> dict[str, list[float]]:
         name = name.replace("-", "_")
         if name in values:
             raise WrongUse(f"--over is given twice for {name}")
-        if number > MOST:
-            raise WrongUse(f"--over {text} must have N of at most {MOST}")
+        if number > MAX_COMBINATIONS:
+            raise WrongUse(f"--over {text} must have N of at most {MAX_COMBINATIONS}")
         spaced, least = np.linspace(*ends, number), 1e-12 * (ends[1] - ends[0])
         values[name] = [float(f"{x:.12g}") if abs(x) > least else 0.0 for x in spaced]
     return values

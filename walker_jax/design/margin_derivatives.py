@@ -11,7 +11,7 @@ from walker_jax.stability.walks import change_of_margin
 from walker_jax.walkers.model import Walker
 
 
-def margin_changes(
+def differentiate_margins(
     walker: Walker,
     x: Float[np.ndarray, "n section"],
     made: Int[np.ndarray, " n"],

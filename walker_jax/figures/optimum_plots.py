@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from walker_jax.checks import WrongUse
-from walker_jax.design.evaluation import ENDS
+from walker_jax.design.evaluation import ENDS_STAGE
 from walker_jax.design.optimisation import ATTRACTED
 from walker_jax.figures.labels import free
 from walker_jax.figures.regions import Region, failures, painted, show
@@ -194,7 +194,7 @@ def draw_scan(ax: Axes, own: xr.Dataset, *, others: bool) -> tuple[list[Line2D],
 def draw_runs(ax: Axes, own: xr.Dataset) -> tuple[list[Line2D], list[Line2D]]:
     """The steps of all runs. Returns what legends tell of: stages, and other runs."""
     run, stage, at, value = (own[name].values for name in ("run", "stage", "parameters", "value"))
-    best = run[stage == ENDS][0]
+    best = run[stage == ENDS_STAGE][0]
     numbers = np.unique(run[stage >= 0]).tolist()
     for number in numbers:
         order, opacity = (4, 1) if number == best else (3, FAINT)

@@ -12,9 +12,9 @@ from walker_jax.execution.tiles import map_cells
 from walker_jax.gaits.cycles import RESIDUAL, Gait, cyclic, largest_first, product, solve
 from walker_jax.integrators.solvers import Real
 from walker_jax.walkers.model import Walker
-from walker_jax.walkers.parameters import axis_of, check_parameter
+from walker_jax.walkers.parameters import check_parameter, parameter_direction
 from walker_jax.walking.iteration import stacked
-from walker_jax.walking.stepping import follow_stride, prepared
+from walker_jax.walking.stepping import follow_stride, prepare
 
 
 class GaitDerivatives(NamedTuple):
@@ -58,7 +58,7 @@ def gait_derivatives(
     if not gait.found:
         raise WrongUse(f"gait must be one, unlike the end of a failed search, {gait.states}")
     cycle = np.asarray(gait.states)[None]
-    walker, _, tolerance = prepared(walker, cycle[0, 0], tolerance)
+    walker, _, tolerance = prepare(walker, cycle[0, 0], tolerance)
     local = linearise(walker, cycle, tolerance, parameter)
     miss = np.abs(local.state - np.roll(cycle, -1, axis=1)).max()
     if not miss < RESIDUAL[cycle.dtype]:
@@ -105,7 +105,7 @@ def linearise(
     directions = np.eye(size + (parameter is not None), size + 1, dtype=cycles.dtype)
     columns = len(directions)
     cells = *repeated(walker, cycles, columns), np.tile(directions, (n * period, 1))
-    shared = tolerance, axis_of(walker, parameter, cycles.dtype)
+    shared = tolerance, parameter_direction(walker, parameter, cycles.dtype)
     (state, time), (dstate, _) = map_cells(push, (shared, cells))
     by = dstate.reshape(n, period, columns, size)
     first = lambda values: values.reshape(n, period, columns, *values.shape[1:])[:, :, 0]
@@ -143,7 +143,7 @@ def curve(
         np.repeat(directions.reshape(-1, columns), columns, axis=0),
         np.tile(np.eye(columns, dtype=cycles.dtype), (n * period, 1)),
     )
-    shared = tolerance, axis_of(walker, parameter, cycles.dtype)
+    shared = tolerance, parameter_direction(walker, parameter, cycles.dtype)
     (_, (along, time)), (_, (changes, _)) = map_cells(push_twice, (shared, cells))
     shape = n, period, columns
     return Curved(

@@ -17,7 +17,7 @@ from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import find_gait
 from walker_jax.integrators.solvers import default_tolerance
 from walker_jax.walkers.model import Scalar, Walker
-from walker_jax.walking.failure_margins import failed_by, follow_margins
+from walker_jax.walking.failure_margins import failure_margin, follow_margins
 from walker_jax.walking.iteration import strides as take_strides
 from walker_jax.walking.outcomes import Outcome
 from walker_jax.walking.stepping import follow_step_down, follow_stride
@@ -157,7 +157,7 @@ def change_of_margin(shared: tuple, cell: tuple) -> Scalar:
 
     def margin(walker, x):
         step = lambda _, x: follow_stride(walker, x, tolerance).state
-        return failed_by(follow_margins(walker, lax.fori_loop(0, count, step, x), tolerance))
+        return failure_margin(follow_margins(walker, lax.fori_loop(0, count, step, x), tolerance))
 
     value, change = jax.jvp(margin, (walker, x), tangents)
     return jnp.where(jnp.isnan(value), jnp.nan, change)
