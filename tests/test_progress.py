@@ -45,8 +45,8 @@ def test_a_run_that_is_resumed_shows_what_is_there(name, tmp_path, monkeypatch):
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(storage.Pieces, "write", interrupted)
         calls[name]()
-    track = module.tracked
+    track = module.track
     keep = lambda things, label, wanted, *counts: seen.append(counts) or track(things, label, False)
-    monkeypatch.setattr(module, "tracked", keep)
+    monkeypatch.setattr(module, "track", keep)
     calls[name]()
     assert seen == [(4, 3)]

@@ -149,7 +149,7 @@ devices = jax.local_devices()
 assert len(devices) == 8
 for n in map(int, sys.argv[2:]):
     jax.local_devices = lambda: devices[:n]
-    tiles._cache.clear()
+    tiles.compiled_calls.clear()
     found = wj.strides(wj.SimplestWalker(0.004), np.load(f"{sys.argv[1]}/starts.npy"))
     np.savez(f"{sys.argv[1]}/on{n}.npz", **found._asdict())
 """

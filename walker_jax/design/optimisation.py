@@ -135,7 +135,7 @@ def optimise(
         regions = (default_region(problem.built(problem.values(place))) for place in places)
         problem = problem._replace(grid=next((one for one in regions if one is not None), None))
     if problem.grid is None and "area" in weights:
-        raise WrongUse("grid is wanted: no start has a gait of period one to lay it around")
+        raise WrongUse("grid is required: no start has a gait of period one to lay it around")
     if problem.grid is not None:
         check_grid(walker, problem.grid, "direct")
         check_whole("levels", levels, 0, FINEST)

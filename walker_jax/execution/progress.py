@@ -1,4 +1,4 @@
-"""What a computation shows of its progress: on a terminal, where that is wanted."""
+"""What a computation shows of its progress: on a terminal, on request."""
 
 from collections.abc import Iterable, Iterator
 from operator import length_hint
@@ -11,7 +11,7 @@ T = TypeVar("T")
 
 
 def progress_console(wanted: bool) -> Console:
-    """Standard error, if it is a terminal and that is wanted; otherwise a quiet console."""
+    """Standard error, if it is a terminal and `wanted`; otherwise a quiet console."""
     terminal = Console(stderr=True)
     terminal.quiet = not (wanted and terminal.is_terminal)
     return terminal

@@ -51,7 +51,7 @@ class Walker(eqx.Module):
     def __init_subclass__(cls, **kwargs):
         """Reset what is known of the walkers that this class derives from, but not of it.
 
-        What `KNOWN_OF` lists has been shown for the methods named there. Where a class defines one
+        What `PREMISES` lists has been shown for the methods named there. Where a class defines one
         of these anew, and does not say that it still holds, the default of `Walker` holds.
         """
         super().__init_subclass__(**kwargs)
