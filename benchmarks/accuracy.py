@@ -46,7 +46,7 @@ from walker_jax.gaits.branches import continue_gaits
 from walker_jax.gaits.continuation import doubled
 from walker_jax.gaits.derivatives import linearise
 from walker_jax.kernels.scalars import unrolled
-from walker_jax.walkers.masses import coordinates
+from walker_jax.walkers.masses import coordinates_and_rates
 from walker_jax.walkers.model import State
 from walker_jax.walkers.parameters import parameters
 
@@ -288,7 +288,7 @@ class ExtraInertia(wj.RoundFootWalker):
 
     def impact(self, state):
         def equations(walker, state):
-            q, qdot = coordinates(state)
+            q, qdot = coordinates_and_rates(state)
             system = walker.system()
             matrix = multibody.block(multibody.mass_matrix(system, q), range(4))
             none = jnp.zeros_like(state.phidot)

@@ -62,11 +62,11 @@ import jax.numpy as jnp
 import numpy as np
 
 import walker_jax as wj
-from walker_jax.execution.tiles import COMPILER_OPTIONS, TILE, compact_order, map_cells
+from walker_jax.execution.tiles import CALL_SHAPES, COMPILER_OPTIONS, compact_order, map_cells
 from walker_jax.integrators.solvers import ORDER, Method, Taylor, Until
 from walker_jax.integrators.taylor import fast_sines
 from walker_jax.kernels import primitive
-from walker_jax.walking.stepping import follow_stride, prepared
+from walker_jax.walking.stepping import follow_stride, prepare
 
 DTYPE = jnp.dtype("float64")
 SWING = 3.0
@@ -118,13 +118,13 @@ def of_strides(repeats: int):
     """The paper's strides, by orders of the series and widths of the processor's vectors."""
     walker = wj.SimplestWalker(0.004)
     grid = wj.Grid.sheared(theta=(0, 0.4, 200), sum=(-0.04, 0.01, 250))
-    xs = np.asarray(jax.vmap(grid.centre)(compact_order(grid.shape, TILE["cpu"][0])))
+    xs = np.asarray(jax.vmap(grid.centre)(compact_order(grid.shape, CALL_SHAPES["cpu"][0])))
 
     unjitted = inspect.unwrap(follow_stride)  # or its trace would serve every order
 
     def way(order, width=None):
         def one(shared, x):
-            return unjitted(*prepared(shared[0], x, shared[1]))
+            return unjitted(*prepare(shared[0], x, shared[1]))
 
         def run(tolerance):
             # Looked at when `one` is compiled, that is in its first call.
@@ -151,7 +151,7 @@ def of_one_swing(repeats: int):
     """The swing alone, without events: the equations followed for a time of 3."""
     walker = wj.SimplestWalker(0.004)
     grid = wj.Grid.sheared(theta=(0.1, 0.3, 128), sum=(-0.03, 0.0, 64))
-    xs = np.asarray(jax.vmap(grid.centre)(compact_order(grid.shape, TILE["cpu"][0])))
+    xs = np.asarray(jax.vmap(grid.centre)(compact_order(grid.shape, CALL_SHAPES["cpu"][0])))
 
     def way(one, xla=True):
         def run(setting):

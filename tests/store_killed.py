@@ -19,8 +19,8 @@ import xarray as xr
 from zarr.storage import LocalStore
 
 from walker_jax import storage
-from walker_jax.storage import whole
-from walker_jax.storage.requests import canonical
+from walker_jax.storage import datasets
+from walker_jax.storage.requests import canonical_json
 
 OLD, NEW = {"slope": 0.004}, {"slope": 0.005}
 ROWS = np.arange(12.0).reshape(6, 2)
@@ -42,20 +42,20 @@ def run(path: Path, overwrite: bool = False) -> xr.Dataset:
         "half": xr.Variable(("x",), np.broadcast_to(np.int8(0), 6)),
     }
     options = {"aside": ["half"], "overwrite": overwrite}
-    with storage.pieces(path, NEW, AXES, arrays, (4,), dict, **options) as place:
+    with storage.open_pieces(path, NEW, AXES, arrays, (4,), dict, **options) as place:
         for i in place.missing():
             (rows,) = place.at(i)
             half = np.ones(rows.stop - rows.start, np.int8)
             place.write(i, {"value": ROWS[rows], "half": half}, done=True)
         place.finish(AXES.merge(FOUND))
-    return whole.opened(path)
+    return datasets.open_dataset(path)
 
 
 def go_on(path: Path) -> xr.Dataset:
     """The same run again; where the old data set is still there, told to overwrite it again."""
     try:
         return run(path)
-    except storage.Occupied:
+    except storage.StoreConflict:
         there = storage.load(path)
         assert there is not None and there.identical(OTHER.assign_attrs(there.attrs))
         return run(path, overwrite=True)
@@ -66,7 +66,7 @@ def saved_again(path: Path) -> xr.Dataset:
     assert storage.find(path, {}, overwrite=True) is None
     there = storage.load(path)
     assert there is not None
-    wanted = {canonical(OLD): OTHER, canonical(NEW): WHOLE}[there.attrs["request"]]
+    wanted = {canonical_json(OLD): OTHER, canonical_json(NEW): WHOLE}[there.attrs["request"]]
     assert there.drop_attrs(deep=False).identical(wanted)
     return storage.save(WHOLE, path, NEW)
 

@@ -18,7 +18,7 @@ from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.schema import Basins
 from walker_jax.cellmaps import resolve
 from walker_jax.execution.tiles import compact_order
-from walker_jax.storage import whole
+from walker_jax.storage import datasets
 
 REFERENCE = np.load(Path(__file__).parent / "data" / "strides_slope_0.004.npz")
 PAPER = {"theta": (0, 0.4, 200), "sum": (-0.04, 0.01, 250)}
@@ -347,7 +347,7 @@ def test_piece_by_piece_it_is_the_same(tmp_path, small_pieces, method):
     assert again.drop_attrs(deep=False).identical(wanted.drop_attrs(deep=False))
     if method == "direct":
         assert ((wanted.fate == 0) & (wanted.strides == 30)).sum() > 10
-    with pytest.raises(storage.Occupied, match="another result"):
+    with pytest.raises(storage.StoreConflict, match="another result"):
         wj.basin(STEEP, grid, method, strides=30, tolerance=1e-9, out=tmp_path / "a.zarr")
 
 
@@ -469,7 +469,9 @@ def test_killed_at_twenty_moments_it_is_the_same_to_the_last_bit(tmp_path, metho
         begun += [line for line in lines if line.startswith("begun")]
     grid = wj.Grid.sheared(theta=(0, 0.4, 400), sum=(-0.03, 0.02, 1000))
     wanted = wj.basin(wj.SimplestWalker(0.0151), grid, method)
-    assert whole.opened(path).drop_attrs(deep=False).identical(wanted.drop_attrs(deep=False))
+    assert (
+        datasets.open_dataset(path).drop_attrs(deep=False).identical(wanted.drop_attrs(deep=False))
+    )
     assert len(set(begun)) == 80
     assert len(begun) <= 80 + 20
     assert [place.name for place in tmp_path.iterdir()] == ["a.zarr"]

@@ -208,7 +208,7 @@ def test_a_sweep_answers_with_a_row_for_each_combination(run, tmp_path, monkeypa
             raise FloatingPointError
         return {"total_area": slope + stiffness, "total_area_error": 0.5, "speed": slope}
 
-    monkeypatch.setattr("walker_jax.design.sweeps.measured", measured)
+    monkeypatch.setattr("walker_jax.design.sweeps.measure_basin", measured)
     command = ["sweep", "--walker", "spring", "--over", "slope=0.25:0.5:2"]
     command += ["--over", "hip-stiffness=0:1:3", *SMALL]
     code, out, err = run(*command, "--json")
@@ -748,20 +748,20 @@ def test_two_optimisations_do_not_write_in_one_place(run, monkeypatch):
 
 @pytest.mark.slow
 def test_an_interrupted_optimisation_goes_on(run, tmp_path, monkeypatch):
-    measured = evaluation.measured
+    measured = evaluation.evaluate
 
     def interrupted(problem, stage, values, gait_of):
         if stage == 1:
             raise KeyboardInterrupt
         return measured(problem, stage, values, gait_of)
 
-    monkeypatch.setattr("walker_jax.design.trace.measured", interrupted)
+    monkeypatch.setattr("walker_jax.design.trace.evaluate", interrupted)
     code, _, err = run(*FASTEST)
     assert (code, err) == (130, f"walker-jax: interrupted: {RESUME} optimum.zarr\n")
     assert "found" not in xr.open_zarr(tmp_path / "optimum.zarr", consolidated=False)
     stages = []
     monkeypatch.setattr(
-        "walker_jax.design.trace.measured", lambda *all: stages.append(all[1]) or measured(*all)
+        "walker_jax.design.trace.evaluate", lambda *all: stages.append(all[1]) or measured(*all)
     )
     assert run(*FASTEST)[0] == 0
     assert 0 not in stages and {1, 2, 3} < set(stages)

@@ -11,11 +11,11 @@ from scipy.optimize import brentq, minimize_scalar
 import walker_jax as wj
 from walker_jax import storage
 from walker_jax.design import climbs, problem
-from walker_jax.design.evaluation import ENDS, Row, measured
+from walker_jax.design.evaluation import ENDS_STAGE, Evaluation, evaluate
 from walker_jax.design.limits import Slack
 from walker_jax.design.measures import Measure
 from walker_jax.design.optimisation import optimise
-from walker_jax.design.problem import starting_places, weights_of
+from walker_jax.design.problem import parse_objective, starting_places
 from walker_jax.design.trace import Trace
 from walker_jax.stability.summary import default_region
 
@@ -41,7 +41,7 @@ def values(data, name):
 @pytest.fixture
 def no_basins(monkeypatch):
     """Those at both ends take most of the time, and have a test of their own."""
-    monkeypatch.setattr("walker_jax.design.optimisation.compared", lambda *_: {})
+    monkeypatch.setattr("walker_jax.design.optimisation.compare_basins", lambda *_: {})
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +55,7 @@ def test_an_optimum_within_the_bounds(steepest):
     assert bool(steepest.found) and bool(steepest.converged)
     assert float(steepest.optimum[0]) == pytest.approx(at, abs=0.003 * 0.019)
     assert float(steepest.exact_optimum) == pytest.approx(least, abs=1e-4)
-    run = values(steepest, "run")[values(steepest, "stage").index(ENDS)]
+    run = values(steepest, "run")[values(steepest, "stage").index(ENDS_STAGE)]
     first = float(steepest.parameters[values(steepest, "run").index(run), 0])
     assert values(steepest, "start") == [first]
     assert float(steepest.exact_start) == pytest.approx(
@@ -158,8 +158,8 @@ def test_two_parameters_along_a_limit():
 @pytest.mark.slow
 def test_the_area_is_largest_on_the_gentlest_slope(no_basins, monkeypatch):
     """In one stage, of long steps."""
-    monkeypatch.setattr("walker_jax.design.climbs.STEPS", (0.4,))
-    monkeypatch.setattr("walker_jax.design.optimisation.CHECK", (20_000, 50_000))
+    monkeypatch.setattr("walker_jax.design.climbs.STEP_LENGTHS", (0.4,))
+    monkeypatch.setattr("walker_jax.design.optimisation.CHECK_STARTS", (20_000, 50_000))
     bounds, walker = {"slope": (0.003, 0.009)}, wj.SimplestWalker(0.007)
     found = optimise(walker, bounds, grid=GRID, starts=1, scan=3, levels=3)
     assert values(found, "optimum") == [0.003] and values(found, "at_bound") == [-1]
@@ -221,7 +221,7 @@ def test_an_interrupted_run_goes_on(no_basins, tmp_path, monkeypatch):
 
     made = []
     monkeypatch.setattr(
-        "walker_jax.design.trace.measured", lambda *all: made.append(all) or measured(*all)
+        "walker_jax.design.trace.evaluate", lambda *all: made.append(all) or evaluate(*all)
     )
     storage.save(kept[-1], tmp_path / "trace.zarr", {})
     known = storage.load(tmp_path / "trace.zarr")
@@ -262,7 +262,7 @@ def test_parameters_that_the_walker_refuses_together_are_not_tried():
     bounds = {"foot_radius": (0.1, 0.5), "leg_length": (0.4, 1.0)}
     trace = Trace(problem_of(walker, bounds), None, None, False)
     assert trace.limits.nearest_allowed(np.array([1.0, 0.0])) is None
-    assert "foot_radius must be less than leg_length" in climbs.why_nowhere(
+    assert "foot_radius must be less than leg_length" in climbs.explain_failure(
         trace, np.array([1.0, 0.0])
     )
     np.testing.assert_array_equal(trace.limits.nearest_allowed(np.array([0.5, 0.5])), [0.5, 0.5])
@@ -271,10 +271,10 @@ def test_parameters_that_the_walker_refuses_together_are_not_tried():
 def test_a_stage_that_cannot_begin_keeps_what_was_found(no_basins, monkeypatch):
 
     def failing(problem, stage, values, gait_of):
-        row = measured(problem, stage, values, gait_of)
+        row = evaluate(problem, stage, values, gait_of)
         return row._replace(gradient=row.gradient * np.nan) if stage >= 1 else row
 
-    monkeypatch.setattr("walker_jax.design.trace.measured", failing)
+    monkeypatch.setattr("walker_jax.design.trace.evaluate", failing)
     found = optimise(WALKER, {"slope": (0.019, 0.02)}, "speed", starts=1)
     assert bool(found.found) and not found.converged
     assert float(found.exact_optimum) == pytest.approx(measure("speed", 0.02), rel=1e-9)
@@ -336,26 +336,28 @@ def test_steps_keep_to_bounds_and_limits(monkeypatch):
 def test_within_their_errors_values_are_not_believed():
     def row(place, value, gradient, error=0.1):
         numbers = (np.array([place]), value, error, np.array([gradient]), np.zeros(1))
-        return Row(0, 0, *numbers, np.zeros(1), 0)
+        return Evaluation(0, 0, *numbers, np.zeros(1), 0)
 
     problem = problem_of(WALKER, SLOPES)
     here = row(0.010, 1.0, 1.0)
-    assert climbs.leads_up(problem, here, row(0.012, 1.5, -1.0))
-    assert not climbs.leads_up(problem, here, row(0.012, 0.5, 1.0))
-    assert climbs.leads_up(problem, here, row(0.012, 0.9, 1.0))
-    assert not climbs.leads_up(problem, here, row(0.012, 1.1, -1.0))  # beyond the top
-    assert not climbs.leads_up(problem, here, row(0.008, 1.1, 1.0))
+    assert climbs.is_better(problem, here, row(0.012, 1.5, -1.0))
+    assert not climbs.is_better(problem, here, row(0.012, 0.5, 1.0))
+    assert climbs.is_better(problem, here, row(0.012, 0.9, 1.0))
+    assert not climbs.is_better(problem, here, row(0.012, 1.1, -1.0))  # beyond the top
+    assert not climbs.is_better(problem, here, row(0.008, 1.1, 1.0))
     small = problem._replace(sign=-1.0)
-    assert climbs.leads_up(small, here, row(0.012, 0.5, 1.0))
-    assert climbs.leads_up(small, here, row(0.008, 1.1, 1.0))
+    assert climbs.is_better(small, here, row(0.012, 0.5, 1.0))
+    assert climbs.is_better(small, here, row(0.008, 1.1, 1.0))
     exact = row(0.010, 1.0, 1.0, 0.0)
-    assert climbs.leads_up(problem, exact, row(0.012, 1.0 + 1e-12, -1.0, 0.0))
+    assert climbs.is_better(problem, exact, row(0.012, 1.0 + 1e-12, -1.0, 0.0))
 
 
 def made_up(problem, stage, values, value, area=0.0):
     """A row of the trace."""
     none = np.zeros(len(values))
-    return Row(-1, stage, values, value, 0.0, none, none, np.full(len(problem.measures), area), 0)
+    return Evaluation(
+        -1, stage, values, value, 0.0, none, none, np.full(len(problem.measures), area), 0
+    )
 
 
 @pytest.mark.parametrize(("walking_below", "steps"), [(0.012, 4), (0.0, 8)])
@@ -372,20 +374,20 @@ def test_from_where_nothing_walks_steps_lead_to_where_the_gait_is_more_stable(
     monkeypatch.setattr(Trace, "gait", lambda *_: None)
     asked = []
 
-    def measured(problem, stage, values, gait_of):
+    def evaluate(problem, stage, values, gait_of):
         asked.append(values)
         return made_up(problem, stage, values, 1.0, area=float(values[0] < walking_below))
 
-    monkeypatch.setattr("walker_jax.design.trace.measured", measured)
+    monkeypatch.setattr("walker_jax.design.trace.evaluate", evaluate)
     begin = np.array([0.019, 0.4])
     trace = Trace(problem, None, None, False)
-    found = climbs.rescued(trace, 0, made_up(problem, 0, begin, 0.0))
+    found = climbs.rescue(trace, 0, made_up(problem, 0, begin, 0.0))
     way = np.arange(1, 9)[:, None] * [-0.002, 0.1]
     np.testing.assert_allclose(asked, (begin + way)[:steps], rtol=1e-9)
     assert (found is not None) == (steps == 4)
     flat = {"spectral-radius": Measure(1.5, np.zeros(2))}
     monkeypatch.setattr("walker_jax.design.climbs.gait_measures", lambda *_, **__: flat)
-    assert climbs.rescued(trace, 0, made_up(problem, 0, begin, 0.0)) is None
+    assert climbs.rescue(trace, 0, made_up(problem, 0, begin, 0.0)) is None
 
 
 @pytest.mark.parametrize(("objective", "best"), [("speed", 1), ("spectral-radius", 2)])
@@ -401,9 +403,9 @@ def test_the_best_of_the_first_climbs_goes_on(no_basins, monkeypatch, objective,
         start = made_up(trace.problem, stage, trace.problem.values(place), high)
         return climbs.Climb(start, start._replace(value=high + 0.005), True)
 
-    measured = lambda problem, stage, values, _: made_up(problem, stage, values, 0.125)
+    evaluate = lambda problem, stage, values, _: made_up(problem, stage, values, 0.125)
     monkeypatch.setattr("walker_jax.design.optimisation.climb", climb)
-    monkeypatch.setattr("walker_jax.design.trace.measured", measured)
+    monkeypatch.setattr("walker_jax.design.trace.evaluate", evaluate)
     found = optimise(WALKER, SLOPES, objective, starts=4)
     assert asked == [*((run, 0) for run in range(4)), *((best, stage) for stage in (1, 2, 3))]
     assert values(found, "note") == ["", "", "", "nothing there"]
@@ -413,9 +415,9 @@ def test_the_best_of_the_first_climbs_goes_on(no_basins, monkeypatch, objective,
 
 
 def test_objectives_have_their_senses():
-    assert weights_of("area") == ({"area": 1.0}, 1.0)
-    assert weights_of("spectral-radius") == ({"spectral-radius": 1.0}, -1.0)
-    assert weights_of({"speed": 2, "spectral-radius": -1}) == (
+    assert parse_objective("area") == ({"area": 1.0}, 1.0)
+    assert parse_objective("spectral-radius") == ({"spectral-radius": 1.0}, -1.0)
+    assert parse_objective({"speed": 2, "spectral-radius": -1}) == (
         {"speed": 2.0, "spectral-radius": -1.0},
         1.0,
     )
@@ -450,7 +452,7 @@ def test_objectives_have_their_senses():
     ],
 )
 def test_wrong_arguments_are_refused_before_any_work(given, message, monkeypatch):
-    monkeypatch.setattr("walker_jax.design.trace.measured", None)
+    monkeypatch.setattr("walker_jax.design.trace.evaluate", None)
     with pytest.raises(ValueError, match=message):
         optimise(WALKER, **{"bounds": SLOPES} | given)
 

@@ -11,7 +11,7 @@ import pytest
 import walker_jax as wj
 from walker_jax import storage
 from walker_jax.cli import answers, main
-from walker_jax.storage.requests import canonical
+from walker_jax.storage.requests import canonical_json
 
 ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "write-your-own.md"
@@ -64,7 +64,7 @@ def test_the_commands_of_the_pages_run_one_after_the_other_in_one_folder(
     taken: dict[str, str] = {}
 
     def take(path, request):
-        words = canonical(request)
+        words = canonical_json(request)
         assert taken.setdefault(str(path), words) == words
 
     def begin(*_, **__):

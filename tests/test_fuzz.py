@@ -26,9 +26,9 @@ from walker_jax.basins.refinement import finer
 from walker_jax.checks import WrongUse
 from walker_jax.cli import app, main
 from walker_jax.design.climbs import Climb
-from walker_jax.design.evaluation import Row
+from walker_jax.design.evaluation import Evaluation
 from walker_jax.execution import tiles
-from walker_jax.execution.workers import computers
+from walker_jax.execution.workers import open_workers
 from walker_jax.kernels import primitive
 
 NUMBERS = ["0.004", "0.2", "-0.2", "0.01", "0.3", "1", "2", "3", "10", "0", "-1", "1.5", "1e-300"]
@@ -130,7 +130,9 @@ def climb(trace, run, stage, place):
 
 def measured(problem, stage, values, gait_of):
     gradient, of_measures = np.ones(len(values)), np.zeros(len(problem.measures))
-    return Row(-1, stage, values, float(values.sum()), 0.0, gradient, 0 * gradient, of_measures, 0)
+    return Evaluation(
+        -1, stage, values, float(values.sum()), 0.0, gradient, 0 * gradient, of_measures, 0
+    )
 
 
 def put(path: Path, request: dict) -> None:
@@ -164,7 +166,7 @@ def bench(tmp_path_factory):
 
     def basin(walker, grid, method, *, out=None, request=None, cluster=None, **_):
         check_grid(walker, grid, method)
-        with computers(cluster):
+        with open_workers(cluster):
             return answer if out is None else storage.save(answer, out, request or {})
 
     with contextlib.ExitStack() as stack:
@@ -178,8 +180,8 @@ def bench(tmp_path_factory):
         film = lambda *all, **more: all[1].write_bytes(more["signature"].encode())
         patch("walker_jax.figures.film", film)
         patch("walker_jax.paper.reproduction.reproduce", refuse)
-        patch("walker_jax.execution.workers.client_of", unreachable)
-        patch("walker_jax.design.sweeps.measured", lambda *_: {"total_area": 0.001})
+        patch("walker_jax.execution.workers.connect", unreachable)
+        patch("walker_jax.design.sweeps.measure_basin", lambda *_: {"total_area": 0.001})
         patch("walker_jax.basin", basin)
         patch("walker_jax.bifurcation_diagram", refuse)
         one = lambda walker, period: [gait] if period == 1 else []
@@ -189,8 +191,8 @@ def bench(tmp_path_factory):
             patch(f"walker_jax.stability.summary.{name}", lambda *_, found=found, **__: found)
         patch("walker_jax.stability.summary.refine", refine)
         patch("walker_jax.design.optimisation.climb", climb)
-        patch("walker_jax.design.trace.measured", measured)
-        patch("walker_jax.design.optimisation.compared", lambda *_: {})
+        patch("walker_jax.design.trace.evaluate", measured)
+        patch("walker_jax.design.optimisation.compare_basins", lambda *_: {})
 
         def run(arguments):
             if not there.exists() or content(there) != before:

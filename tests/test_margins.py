@@ -11,7 +11,7 @@ import pytest
 import walker_jax as wj
 from walker_jax import Outcome
 from walker_jax.execution.tiles import map_cells
-from walker_jax.walkers.point_feet import PointFeetWalker
+from walker_jax.walkers.abstract_point_foot import AbstractPointFootWalker
 from walker_jax.walking.failure_margins import Margins, margins, margins_of_many
 
 DATA = Path(__file__).parent / "data"
@@ -281,7 +281,7 @@ def test_the_forward_margin_is_that_of_the_motion():
     assert set(kinds) == {(0, False), (0, True), (1, False), (1, True)}
 
 
-class HeavierWorld(PointFeetWalker):
+class HeavierWorld(AbstractPointFootWalker):
     """The simplest walker where gravity is another, and nothing is known of its feet or forces."""
 
     slope: jax.Array

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import walker_jax as wj
-from walker_jax.walkers.masses import coordinates
+from walker_jax.walkers.masses import coordinates_and_rates
 
 START = np.array([0.2, -0.21645])
 
@@ -75,13 +75,13 @@ def test_places_are_those_that_the_walker_is_made_of(walker):
         frame = data.isel(frame=k)
         names = "theta", "phi", "thetadot", "phidot"
         state = wj.State(*(jnp.asarray(float(frame[name])) for name in names))
-        points = np.asarray(walker.system().transfer(coordinates(state)[0]))
+        points = np.asarray(walker.system().transfer(coordinates_and_rates(state)[0]))
         hip = points[2:4] if isinstance(walker, wj.PointFootWalker) else points[:2]
         if isinstance(walker, wj.UpperBodyWalker):
             middle = float(state.theta - state.phi / 2)
             hip = hip - float(walker.body_com) * np.array([-np.sin(middle), np.cos(middle)])
         np.testing.assert_allclose(frame["hip"], hip, rtol=0, atol=1e-12)
-        foot = np.asarray(walker.swing_foot(coordinates(state)[0]))
+        foot = np.asarray(walker.swing_foot(coordinates_and_rates(state)[0]))
         sole = frame["swing"].values[1] - data.attrs["foot_radius"]
         assert sole == pytest.approx(foot[1], abs=1e-12)
     radius = float(getattr(walker, "foot_radius", 0.0))

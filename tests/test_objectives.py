@@ -8,8 +8,8 @@ from walker_jax.basins import refinement
 from walker_jax.basins.attractor import Attractor
 from walker_jax.basins.mapper import Labels, Mapper
 from walker_jax.basins.refinement import refine_cells
-from walker_jax.design.area_gradients import along_boundary, area_gradient, crossings_along
-from walker_jax.design.bands import ends_of_band
+from walker_jax.design.area_gradients import area_gradient, boundary_pairs, integrate_along_boundary
+from walker_jax.design.bands import walkers_at_band_ends
 from walker_jax.design.disturbance_gradients import disturbance_gradient
 from walker_jax.design.measures import GAIT_MEASURES, gait_measures
 from walker_jax.walkers.parameters import with_parameter
@@ -66,10 +66,10 @@ def test_where_the_edge_is_fractal_the_derivative_is_an_average_over_the_band():
 
 
 def test_bands_end_where_a_parameter_does():
-    low, high = ends_of_band(wj.SpringWalker(0.004, 0.1), "hip_stiffness", 0.5)
+    low, high = walkers_at_band_ends(wj.SpringWalker(0.004, 0.1), "hip_stiffness", 0.5)
     ends = [float(vars(one)["hip_stiffness"]) for one in (low, high)]
     assert ends == pytest.approx([0.1 - 0.5 / 8, 0.6])  # a quarter would be below 0
-    low, high = ends_of_band(wj.SpringWalker(0.004, 0.1), "slope", 0.001)
+    low, high = walkers_at_band_ends(wj.SpringWalker(0.004, 0.1), "slope", 0.001)
     assert [float(vars(one)["slope"]) for one in (low, high)] == pytest.approx([0.003, 0.005])
 
 
@@ -109,7 +109,7 @@ def disc(monkeypatch):
     monkeypatch.setattr(Mapper, "__call__", labels_of)
     monkeypatch.setattr(refinement, "mapper_of_grid", mapper)
     monkeypatch.setattr(refinement, "with_capture_boxes", lambda mapper: mapper)
-    monkeypatch.setattr("walker_jax.design.area_gradients.margin_changes", changes)
+    monkeypatch.setattr("walker_jax.design.area_gradients.differentiate_margins", changes)
 
 
 @pytest.mark.parametrize("shear", [[[1.0, 0.0], [0.0, 1.0]], [[1.0, 0.0], [0.3, 2.0]]])
@@ -131,7 +131,7 @@ def test_the_area_of_a_disc_grows_by_its_circumference(disc, shear):
 def test_the_area_of_a_disc_over_a_band(disc, monkeypatch):
     """Where the integral is not to be trusted: pi ((r + 10 h)^2 - (r - 10 h)^2) / 2h."""
     grid = wj.Grid.plain(theta=(0, 1, 40), thetadot=(0, 1, 40))
-    monkeypatch.setattr("walker_jax.design.area_gradients.UNSURE", 0.0)
+    monkeypatch.setattr("walker_jax.design.area_gradients.MAX_RELATIVE_ERROR", 0.0)
     found = area_gradient(wj.SimplestWalker(0.008), grid, bands=(0.002,), levels=4)
     assert found.averaged.tolist() == [True]
     expected = 4 * np.pi * radius(0.008) * 10 / 2
@@ -156,8 +156,8 @@ def test_the_error_of_an_integral_is_that_of_a_sum_of_independent_parts(disc, mo
         moves = np.where(line == 8, np.nan, 5 * line)
         return np.stack([np.full(len(x), -5.0), 0 * line, moves], axis=1)
 
-    monkeypatch.setattr("walker_jax.design.area_gradients.margin_changes", changes)
-    integral = along_boundary(walker, found, ("slope",))
+    monkeypatch.setattr("walker_jax.design.area_gradients.differentiate_margins", changes)
+    integral = integrate_along_boundary(walker, found, ("slope",))
     # lines 0 to 7 move by their numbers: in four parts, by 0 + 4, 1 + 5, 2 + 6 and 3 + 7
     assert integral.gradient[0] == pytest.approx(28 / 36, rel=1e-12)
     assert integral.error[0] == pytest.approx(np.sqrt(4 * np.var([4, 6, 8, 10], ddof=1)) / 36)
@@ -185,7 +185,7 @@ def test_the_least_disturbance_changes_as_its_boundary_and_its_gait_do(monkeypat
         row = 7 * np.array([*(-np.array(u)), 3 + moved @ u])
         return np.stack([np.full(3, np.nan), *[row] * (len(x) - 1)])  # the first is not known
 
-    monkeypatch.setattr("walker_jax.design.disturbance_gradients.margin_changes", changes)
+    monkeypatch.setattr("walker_jax.design.disturbance_gradients.differentiate_margins", changes)
     gradient = disturbance_gradient(walker, ("slope",), gait)
     assert gradient.size == SIZE(0.004) and not gradient.averaged
     assert gradient.gradient == pytest.approx([3.0], rel=1e-9)
@@ -202,7 +202,7 @@ def test_the_least_disturbance_without_a_margin_changes_by_its_average_over_a_ba
 
     monkeypatch.setattr("walker_jax.design.disturbance_gradients.least_disturbance", least)
     nan = lambda walker, x, *_: np.full((len(x), 3), np.nan)
-    monkeypatch.setattr("walker_jax.design.disturbance_gradients.margin_changes", nan)
+    monkeypatch.setattr("walker_jax.design.disturbance_gradients.differentiate_margins", nan)
     walker = wj.SimplestWalker(0.012)
     assert np.isnan(disturbance_gradient(walker).gradient).all()
     for width, low, high in ((0.002, 0.010, 0.014), (0.004, 0.008, 0.012)):
@@ -273,10 +273,10 @@ def test_cells_may_have_the_fates_of_their_centres():
 
 def test_crossings_are_between_neighbours_that_differ():
     walks = np.array([[0, 1, 1], [0, 0, 1]], bool)
-    inside, outside = crossings_along(walks, 1)
+    inside, outside = boundary_pairs(walks, 1)
     assert inside.tolist() == [[0.5, 1.5], [1.5, 2.5]]
     assert outside.tolist() == [[0.5, 0.5], [1.5, 1.5]]
-    inside, outside = crossings_along(walks, 0)
+    inside, outside = boundary_pairs(walks, 0)
     assert inside.tolist() == [[0.5, 1.5]] and outside.tolist() == [[1.5, 1.5]]
 
 

@@ -269,7 +269,7 @@ def files_of(out):
 def test_another_request_is_refused_and_changes_nothing(report):
     out, *_ = report
     before = files_of(out)
-    with pytest.raises(storage.Occupied, match=r"stride\.zarr holds another result \(size "):
+    with pytest.raises(storage.StoreConflict, match=r"stride\.zarr holds another result \(size "):
         reproduction.reproduce(out)
     assert files_of(out) == before
 
@@ -294,12 +294,12 @@ def test_what_is_overwritten_is_begun_anew_and_can_be_gone_on_with(
 
 def test_files_of_something_else_are_kept(tmp_path):
     (tmp_path / "letter.txt").write_text("dear")
-    with pytest.raises(storage.Occupied, match="is not a folder"):
+    with pytest.raises(storage.StoreConflict, match="is not a folder"):
         reproduction.reproduce(tmp_path / "letter.txt", overwrite=True)
     with pytest.raises(ValueError, match="there is no folder"):
         reproduction.reproduce(tmp_path / "none" / "report")
     (tmp_path / "report.html").write_text("of the year")
-    with pytest.raises(storage.Occupied, match=r"report\.html is something else"):
+    with pytest.raises(storage.StoreConflict, match=r"report\.html is something else"):
         reproduction.reproduce(tmp_path)
     assert (tmp_path / "report.html").read_text() == "of the year"
     assert not (tmp_path / "data").exists()

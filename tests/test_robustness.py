@@ -17,7 +17,7 @@ from walker_jax.stability import summary
 from walker_jax.stability.dimension import boundary_dimension
 from walker_jax.stability.disturbances import LeastDisturbance, least_disturbance
 from walker_jax.stability.gait_mapper import mapper_of_gait
-from walker_jax.stability.margin_changes import margin_changes
+from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.stability.rays import nearest_failure
 from walker_jax.stability.sampling import BasinStability, basin_stability, in_ball, wilson
 from walker_jax.stability.steps_down import LeastStepDown, labels_after_step, least_step_down
@@ -145,7 +145,7 @@ def test_the_boundary_is_at_right_angles_to_the_least_disturbance(gait, least):
     """By the derivatives of the margin of the failure, that the search for it ends with."""
     point = np.asarray(gait.states[0]) + (1 + 1e-8) * least.size * least.direction
     count = np.array([least.strides], np.int32)
-    (normal,) = margin_changes(WALKER, point[None], count, np.eye(2), (), 1e-12)
+    (normal,) = differentiate_margins(WALKER, point[None], count, np.eye(2), (), 1e-12)
     normal /= -np.linalg.norm(normal)  # margins fall where the walker comes to fail
     np.testing.assert_allclose(normal, least.direction, rtol=0, atol=1e-5)
     assert least.failure == Outcome.FORWARD and least.phase == 0

@@ -92,7 +92,7 @@ def test_a_gait_that_is_not_there_is_robustness_too():
 
 def test_a_data_set_from_disk_is_of_its_kind(data, tmp_path):
     storage.save(data, tmp_path / "basin.zarr", {})
-    check_dataset(storage.opened(tmp_path / "basin.zarr"), "basin")
+    check_dataset(storage.open_dataset(tmp_path / "basin.zarr"), "basin")
 
 
 @pytest.mark.parametrize(

@@ -37,7 +37,7 @@ def test_the_same_request_finds_its_result(tmp_path, data):
 def test_another_request_is_refused_unless_told_to_overwrite(tmp_path, data):
     path = tmp_path / "a.zarr"
     storage.save(data, path, REQUEST)
-    with pytest.raises(storage.Occupied, match=r"a\.zarr holds another result"):
+    with pytest.raises(storage.StoreConflict, match=r"a\.zarr holds another result"):
         storage.find(path, {**REQUEST, "slope": 0.005})
     assert storage.find(path, {**REQUEST, "slope": 0.005}, overwrite=True) is None
     assert storage.find(path, REQUEST) is not None  # nothing was touched
@@ -57,7 +57,7 @@ def test_what_is_no_data_set_is_never_replaced(tmp_path, overwrite):
             path.mkdir()
         if name == "damaged":
             (path / "zarr.json").write_text("{")
-        with pytest.raises(storage.Occupied, match="is not a data set"):
+        with pytest.raises(storage.StoreConflict, match="is not a data set"):
             storage.find(path, REQUEST, overwrite=overwrite)
         assert path.exists()
 
@@ -86,7 +86,7 @@ def test_a_picture_is_known_by_its_title(tmp_path):
     storage.check_picture(path, REQUEST)
     path.write_bytes(b"x" + storage.signature(REQUEST).encode() + b"y")
     storage.check_picture(path, REQUEST)
-    with pytest.raises(storage.Occupied, match=r"a\.png is something else"):
+    with pytest.raises(storage.StoreConflict, match=r"a\.png is something else"):
         storage.check_picture(path, {**REQUEST, "slope": 0.005})
     storage.check_picture(path, {**REQUEST, "slope": 0.005}, overwrite=True)
 
@@ -106,7 +106,9 @@ def begun(path, request=REQUEST, notes=lambda: {"a": 0.1}, **options):
         "value": xr.Variable(("x", "y"), np.broadcast_to(-1.0, (6, 2)), {"unit": "m"}),
         "half": xr.Variable(("x",), np.broadcast_to(np.int8(0), 6)),
     }
-    return storage.pieces(path, request, axes(), arrays, (4,), notes, aside=["half"], **options)
+    return storage.open_pieces(
+        path, request, axes(), arrays, (4,), notes, aside=["half"], **options
+    )
 
 
 def write(place, piece):
@@ -139,7 +141,7 @@ def test_pieces_are_written_one_by_one_and_make_a_whole(tmp_path, monkeypatch):
     assert found is not None and found.drop_attrs(deep=False).identical(
         wanted.drop_attrs(deep=False)
     )
-    assert found.attrs == {"kind": "test", "request": requests.canonical(REQUEST)}
+    assert found.attrs == {"kind": "test", "request": requests.canonical_json(REQUEST)}
     assert [p.name for p in tmp_path.iterdir()] == ["a.zarr"]
     assert sorted(p.name for p in path.iterdir() if p.is_dir()) == ["sum", "value", "x", "y"]
 
@@ -150,11 +152,11 @@ def test_another_request_may_not_go_on(tmp_path):
         write(place, 0)
     other = {**REQUEST, "slope": 0.005}
     with (
-        pytest.raises(storage.Occupied, match=r"another result \(slope: 0\.004, not 0\.005\)"),
+        pytest.raises(storage.StoreConflict, match=r"another result \(slope: 0\.004, not 0\.005\)"),
         begun(path, other),
     ):
         pass
-    with pytest.raises(storage.Occupied, match="another result"):
+    with pytest.raises(storage.StoreConflict, match="another result"):
         storage.find(path, other)
     with begun(path) as place:
         assert place.missing() == [1]
@@ -171,16 +173,19 @@ def test_another_request_may_not_go_on(tmp_path):
     ],
 )
 def test_what_is_other_is_said(there, wanted, said):
-    assert requests.differences(there, wanted) == said
+    assert requests.first_difference(there, wanted) == said
 
 
 def test_two_runs_may_not_write_at_once(tmp_path):
     path = tmp_path / "a.zarr"
     with begun(path) as place:
         write(place, 0)
-        with pytest.raises(storage.Occupied, match="is being written by another run"), begun(path):
+        with (
+            pytest.raises(storage.StoreConflict, match="is being written by another run"),
+            begun(path),
+        ):
             pass
-        with pytest.raises(storage.Occupied, match="is being written by another run"):
+        with pytest.raises(storage.StoreConflict, match="is being written by another run"):
             storage.save(axes(), path, REQUEST)
         assert storage.find(path, REQUEST) is None
     with begun(path) as place:
@@ -195,14 +200,14 @@ def test_a_run_that_was_killed_holds_nothing(tmp_path):
         "import os, signal, sys, pathlib\n"
         "from walker_jax.storage import places\n"
         "path = pathlib.Path(sys.argv[1])\n"
-        "with places.held(path):\n"
+        "with places.exclusive(path):\n"
         "    print('locked', flush=True)\n"
         "    sys.stdin.read()\n"
     )
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
     with subprocess.Popen([sys.executable, "-c", program, str(path)], **pipes) as other:
         assert other.stdout is not None and other.stdout.readline() == "locked\n"
-        with pytest.raises(storage.Occupied), begun(path):
+        with pytest.raises(storage.StoreConflict), begun(path):
             pass
         other.kill()
         other.wait()
@@ -251,7 +256,7 @@ def test_another_run_may_have_finished_it_in_between(tmp_path):
         for i in place.missing():
             write(place, i)
         place.finish(axes())
-    with pytest.raises(storage.Occupied, match="has just been finished"), begun(path):
+    with pytest.raises(storage.StoreConflict, match="has just been finished"), begun(path):
         pass
     assert storage.find(path, REQUEST) is not None
     assert sorted(p.name for p in path.iterdir() if p.is_dir()) == ["value", "x", "y"]
@@ -261,7 +266,7 @@ def test_another_run_may_have_finished_it_in_between(tmp_path):
 def test_a_data_set_of_others_may_have_a_request(tmp_path, data, request_):
     path = tmp_path / "a.zarr"
     data.assign_attrs(request=request_).to_zarr(path, consolidated=False)
-    with pytest.raises(storage.Occupied, match="holds another result"):
+    with pytest.raises(storage.StoreConflict, match="holds another result"):
         storage.find(path, REQUEST)
 
 
@@ -274,7 +279,10 @@ def test_a_link_is_another_name_of_a_place(tmp_path, data):
     found = storage.find(path, REQUEST)
     assert found is not None and found["fate"].values.tolist() == [0, 2, 4, 6, 8]
     with begun(path, overwrite=True):
-        with pytest.raises(storage.Occupied, match="is being written by another run"), begun(link):
+        with (
+            pytest.raises(storage.StoreConflict, match="is being written by another run"),
+            begun(link),
+        ):
             pass
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.zarr", "link.zarr"]
 
@@ -283,7 +291,7 @@ def test_a_result_may_be_read_where_nothing_can_be_written(tmp_path, data, monke
     storage.save(data, tmp_path / "a.zarr", REQUEST)
     monkeypatch.setattr(os, "access", lambda *_: False)
     assert storage.find(tmp_path / "a.zarr", REQUEST) is not None
-    with pytest.raises(storage.Occupied, match="holds another result"):
+    with pytest.raises(storage.StoreConflict, match="holds another result"):
         storage.find(tmp_path / "a.zarr", {})
     with pytest.raises(ValueError, match="no permission"):
         storage.find(tmp_path / "a.zarr", {}, overwrite=True)
@@ -313,7 +321,7 @@ def test_what_comes_in_the_way_is_left_and_so_is_what_was_to_go_there(tmp_path, 
         (path / "mine").touch()
 
     with between_the_old_and_the_new(monkeypatch, other):
-        with pytest.raises(storage.Occupied, match="came in the way"):
+        with pytest.raises(storage.StoreConflict, match="came in the way"):
             storage.save(data * 2, path, REQUEST)
     assert (path / "mine").exists()
     kept = [storage.load(tmp_path / ".a.zarr.walker-jax" / name) for name in ("old", "new")]
@@ -329,7 +337,7 @@ def test_a_run_goes_on_with_the_blocks_that_it_was_begun_with(tmp_path, monkeypa
     with begun(path) as place:
         write(place, 1)
     arrays = {"value": xr.Variable(("x", "y"), np.broadcast_to(-1.0, (6, 2)))}
-    with storage.pieces(path, REQUEST, axes(), arrays, (2,), dict) as place:
+    with storage.open_pieces(path, REQUEST, axes(), arrays, (2,), dict) as place:
         assert place.missing() == [0] and place.at(1) == (slice(4, 6),)
 
 
@@ -343,11 +351,11 @@ print("ready", flush=True)
 sys.stdin.readline()
 while held < 30:
     try:
-        with places.held(path):
+        with places.exclusive(path):
             os.close(os.open(mark, os.O_CREAT | os.O_EXCL))  # not if another one holds it too
             held += 1
             os.unlink(mark)
-    except storage.Occupied:
+    except storage.StoreConflict:
         pass
 """
 
@@ -373,7 +381,7 @@ def test_a_place_that_one_run_rewrites_is_refused_to_others(tmp_path, data):
     path = tmp_path / "a.zarr"
     with storage.rewritable(path, REQUEST) as save:
         save(data)
-        with pytest.raises(storage.Occupied, match="is being written by another run"):
+        with pytest.raises(storage.StoreConflict, match="is being written by another run"):
             storage.save(data, path, REQUEST)
         written = save(data * 2)
         found = storage.find(path, REQUEST)
@@ -391,10 +399,13 @@ def test_what_a_killed_run_left_beside_a_store_goes_with_the_next(tmp_path, data
 
 def test_two_runs_may_not_begin_at_once(tmp_path, data):
     path = tmp_path / "a.zarr"
-    with places.held(path):
-        with pytest.raises(storage.Occupied, match="is being written by another run"), begun(path):
+    with places.exclusive(path):
+        with (
+            pytest.raises(storage.StoreConflict, match="is being written by another run"),
+            begun(path),
+        ):
             pass
-        with pytest.raises(storage.Occupied, match="is being written by another run"):
+        with pytest.raises(storage.StoreConflict, match="is being written by another run"):
             storage.save(data, path, REQUEST)
     assert list(tmp_path.iterdir()) == []
 
@@ -429,7 +440,9 @@ def test_a_run_that_ended_but_for_tidying_is_tidied(tmp_path, monkeypatch):
         write(place, 0)
         write(place, 1)
         with monkeypatch.context() as patch:
-            patch.setattr("walker_jax.storage.piecewise.tidy", lambda path, folder: None)
+            patch.setattr(
+                "walker_jax.storage.pieces.remove_auxiliary_arrays", lambda path, folder: None
+            )
             place.finish(axes())
     assert (path / "half").exists()
     found = storage.find(path, REQUEST)
@@ -470,7 +483,7 @@ def test_a_data_set_goes_to_netcdf_as_it_is(tmp_path, data):
         assert there.equals(written) and there.attrs == written.attrs
         assert {name: there[name].dtype for name in there} == {"fate": "int8", "speed": "float64"}
         assert there["fate"].attrs["flag_values"].tolist() == [0, 1]
-    with pytest.raises(storage.Occupied, match=r"a\.nc exists"):
+    with pytest.raises(storage.StoreConflict, match=r"a\.nc exists"):
         storage.export(path, file)
     storage.save(data * 2, path, REQUEST)
     storage.export(path, file, overwrite=True)
@@ -484,7 +497,7 @@ def test_what_cannot_go_to_netcdf(tmp_path, data, monkeypatch):
     with begun(path):
         pass
     for place, message in ((path, "is unfinished"), (tmp_path / "b.zarr", "is not a data set")):
-        with pytest.raises(storage.Occupied, match=message):
+        with pytest.raises(storage.StoreConflict, match=message):
             storage.export(place, file)
     storage.save(data, tmp_path / "b.zarr", REQUEST)
     path = tmp_path / "b.zarr"
@@ -499,7 +512,7 @@ def test_what_cannot_go_to_netcdf(tmp_path, data, monkeypatch):
 @pytest.mark.parametrize("overwrite", [False, True])
 def test_a_pipe_is_no_picture(tmp_path, overwrite):
     os.mkfifo(tmp_path / "p.png")
-    with pytest.raises(storage.Occupied, match="is something else"):
+    with pytest.raises(storage.StoreConflict, match="is something else"):
         storage.check_picture(tmp_path / "p.png", REQUEST, overwrite=overwrite)
 
 
@@ -511,7 +524,7 @@ def test_a_store_cut_in_half_is_refused_as_it_is(tmp_path, data):
         file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
         before = file.read_bytes()
         for overwrite in (False, True):
-            with pytest.raises(storage.Occupied, match="is not a data set"):
+            with pytest.raises(storage.StoreConflict, match="is not a data set"):
                 storage.find(path, REQUEST, overwrite=overwrite)
         assert file.read_bytes() == before
 
@@ -523,5 +536,5 @@ def test_a_data_set_without_some_of_its_chunks_is_none(tmp_path):
     found = storage.find(path, REQUEST)
     assert found is not None and (found["count"] == 0).all()
     (path / "count" / "c" / "0").unlink()
-    with pytest.raises(storage.Occupied, match="is not a data set"):
+    with pytest.raises(storage.StoreConflict, match="is not a data set"):
         storage.find(path, REQUEST)

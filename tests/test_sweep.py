@@ -23,9 +23,9 @@ import walker_jax as wj
 from walker_jax import figures, storage
 from walker_jax.design import sweeps
 from walker_jax.execution import tiles, workers
-from walker_jax.execution.workers import computers
+from walker_jax.execution.workers import open_workers
 from walker_jax.kernels.primitive import MODES
-from walker_jax.storage import whole
+from walker_jax.storage import datasets
 
 WALKER = wj.SpringWalker(0.004, 0.0)
 GRID = wj.Grid.sheared(theta=(0, 0.4, 20), sum=(-0.2, 0.05, 25))
@@ -71,14 +71,14 @@ def test_attributes_say_what_does_not_vary(swept):
 
 
 def test_a_combination_that_fails_costs_no_other(monkeypatch):
-    measured = sweeps.measured
+    measured = sweeps.measure_basin
 
     def failing(walker, grid, how):
         if float(walker.slope) == 0.006:
             raise FloatingPointError("broken")
         return measured(walker, grid, how)
 
-    monkeypatch.setattr("walker_jax.design.sweeps.measured", failing)
+    monkeypatch.setattr("walker_jax.design.sweeps.measure_basin", failing)
     found = wj.sweep(WALKER, {"slope": [0.004, 0.006]}, GRID, levels=0)
     assert found["failed"].values.tolist() == [0, 1]
     assert found["reason"].values.tolist() == ["", "FloatingPointError: broken"]
@@ -88,14 +88,14 @@ def test_a_combination_that_fails_costs_no_other(monkeypatch):
 
 def test_what_the_machine_lacks_is_tried_again(tmp_path, monkeypatch):
     path, over, lacking = tmp_path / "a.zarr", {"slope": [0.004, 0.006]}, [MemoryError]
-    measured = sweeps.measured
+    measured = sweeps.measure_basin
 
     def failing(walker, grid, how):
         if float(walker.slope) == 0.006 and lacking:
             raise lacking.pop()
         return measured(walker, grid, how)
 
-    monkeypatch.setattr("walker_jax.design.sweeps.measured", failing)
+    monkeypatch.setattr("walker_jax.design.sweeps.measure_basin", failing)
     with pytest.raises(MemoryError):
         wj.sweep(WALKER, over, GRID, levels=0, out=path)
     found = wj.sweep(WALKER, over, GRID, levels=0, out=path)
@@ -118,19 +118,19 @@ def test_what_the_machine_lacks_is_raised_and_what_a_walker_lacks_is_told(monkey
     def failing(*_):
         raise broken.pop(0)
 
-    monkeypatch.setattr("walker_jax.design.sweeps.measured", failing)
+    monkeypatch.setattr("walker_jax.design.sweeps.measure_basin", failing)
     combination = (WALKER, GRID, {}, ["slope"], (0.004,))
     with pytest.raises(type(lacking)):
-        sweeps.point(*combination)
+        sweeps.compute_combination(*combination)
     for said in ("JaxRuntimeError: INTERNAL", "ValueError: gait", "RuntimeError: no step"):
-        assert sweeps.point(*combination) == {"failed": 1, "reason": said}
-    refused = sweeps.point(WALKER, GRID, {}, ["slope"], (-1.0,))
+        assert sweeps.compute_combination(*combination) == {"failed": 1, "reason": said}
+    refused = sweeps.compute_combination(WALKER, GRID, {}, ["slope"], (-1.0,))
     said = "slope must be above 0 and below 1.5708, not -1.0"
     assert not broken and refused == {"failed": 1, "reason": said}
 
 
 def test_a_sweep_of_which_all_failed_has_a_picture(monkeypatch):
-    monkeypatch.setattr("walker_jax.design.sweeps.measured", lambda *_: 1 / 0)
+    monkeypatch.setattr("walker_jax.design.sweeps.measure_basin", lambda *_: 1 / 0)
     found = wj.sweep(WALKER, {"slope": [0.004, 0.006]}, GRID, levels=0)
     assert found["failed"].values.tolist() == [1, 1]
     assert "2 failed" in figures.sweep(found).texts[0].get_text()
@@ -138,7 +138,7 @@ def test_a_sweep_of_which_all_failed_has_a_picture(monkeypatch):
 
 def test_an_interrupted_sweep_goes_on(tmp_path, swept, monkeypatch):
     computed, path = [], tmp_path / "a.zarr"
-    measured = sweeps.measured
+    measured = sweeps.measure_basin
 
     def counted(walker, grid, how):
         computed.append((float(walker.hip_stiffness), float(walker.slope)))
@@ -146,12 +146,12 @@ def test_an_interrupted_sweep_goes_on(tmp_path, swept, monkeypatch):
             raise KeyboardInterrupt
         return measured(walker, grid, how)
 
-    monkeypatch.setattr("walker_jax.design.sweeps.measured", counted)
+    monkeypatch.setattr("walker_jax.design.sweeps.measure_basin", counted)
     with pytest.raises(KeyboardInterrupt):
         wj.sweep(WALKER, OVER, GRID, levels=0, out=path)
     looked = xr.open_zarr(path, consolidated=False)
     assert looked["total_area"].notnull().sum() == 2
-    with pytest.raises(storage.Occupied, match=r"\(levels: 0, not 1\)"):
+    with pytest.raises(storage.StoreConflict, match=r"\(levels: 0, not 1\)"):
         wj.sweep(WALKER, OVER, GRID, levels=1, out=path)
     found = wj.sweep(WALKER, OVER, GRID, levels=0, out=path)
     assert len(computed) == 5 and len(set(computed)) == 4
@@ -168,11 +168,11 @@ def test_a_store_of_an_older_version_has_no_reasons_and_is_resumed(tmp_path, mon
             raise KeyboardInterrupt
         return {"total_area": numbers.pop()}
 
-    monkeypatch.setattr("walker_jax.design.sweeps.measured", measured)
+    monkeypatch.setattr("walker_jax.design.sweeps.measure_basin", measured)
     with pytest.raises(KeyboardInterrupt):
         wj.sweep(WALKER, over, GRID, levels=0, out=path)
     shutil.rmtree(path / "reason")
-    monkeypatch.setattr("walker_jax.design.sweeps.measured", lambda *_: 1 / 0)
+    monkeypatch.setattr("walker_jax.design.sweeps.measure_basin", lambda *_: 1 / 0)
     found = wj.sweep(WALKER, over, GRID, levels=0, out=path)
     assert found["failed"].values.tolist() == [0, 1] and "reason" not in found
     assert found["total_area"][0] == 1.5
@@ -205,7 +205,7 @@ def test_what_is_overwritten_is_kept_until_the_next_is_begun(tmp_path):
     slice_ = wj.Grid.plain(theta=(0, 0.4, 4))
     with pytest.raises(ValueError, match="grid must have"):
         wj.sweep(WALKER, over, slice_, levels=0, out=path, overwrite=True)
-    assert whole.opened(path).identical(first)
+    assert datasets.open_dataset(path).identical(first)
     second = wj.sweep(WALKER, {"slope": [0.006]}, GRID, levels=0, out=path, overwrite=True)
     assert second["slope"].values.tolist() == [0.006]
 
@@ -216,7 +216,7 @@ def test_a_cluster_needs_a_place():
 
 
 def test_here_things_are_computed_one_by_one():
-    with computers() as each:
+    with open_workers() as each:
         assert list(each(lambda x: 2 * x, [3, 1])) == [(3, 6), (1, 2)]
 
 
@@ -230,7 +230,7 @@ def test_here_things_are_computed_one_by_one():
     ],
 )
 def test_a_cluster_that_there_cannot_be_costs_nothing(tmp_path, monkeypatch, cluster_, message):
-    monkeypatch.setattr("walker_jax.execution.workers.PATIENCE", 1)
+    monkeypatch.setattr("walker_jax.execution.workers.CONNECT_SECONDS", 1)
     with pytest.raises(ValueError, match=message):
         wj.basin(WALKER, GRID, out=tmp_path / "a.zarr", cluster=cluster_)
     assert not [*tmp_path.iterdir()]
@@ -240,7 +240,7 @@ def test_a_cluster_that_there_cannot_be_costs_nothing(tmp_path, monkeypatch, clu
         wj.basin(WALKER, GRID, **options)
     with pytest.raises(ValueError, match=message):
         wj.sweep(WALKER, OVER, GRID, **options)
-    assert whole.opened(tmp_path / "a.zarr").identical(first)
+    assert datasets.open_dataset(tmp_path / "a.zarr").identical(first)
 
 
 @pytest.fixture(scope="module")
@@ -272,7 +272,7 @@ def together(thing):
 
 def test_workers_that_come_later_are_used(client):
     COUNT.clear()
-    with computers(client) as each:
+    with open_workers(client) as each:
         done = {}
         for thing, most in each(together, [*range(40)]):
             if not done:
@@ -302,11 +302,11 @@ def test_a_piece_over_which_workers_died_is_computed_by_others_but_not_for_ever(
     from distributed import KilledWorker
 
     TRIED.clear()
-    pieces = [("a", 0), ("b", workers.DEATHS), ("c", 1)]
-    with computers(client) as each:
+    pieces = [("a", 0), ("b", workers.MAX_DEATHS), ("c", 1)]
+    with open_workers(client) as each:
         assert dict(each(dying, pieces)) == {piece: piece[0].upper() for piece in pieces}
         with pytest.raises(KilledWorker):
-            list(each(dying, [("d", workers.DEATHS + 1)]))
+            list(each(dying, [("d", workers.MAX_DEATHS + 1)]))
 
 
 @pytest.fixture
@@ -324,7 +324,7 @@ def test_workers_compute_in_the_modes_of_the_process_that_asks(client, modes, mo
     asked = []
     keep = lambda self, setup: asked.append(setup)
     monkeypatch.setattr(type(client), "register_worker_callbacks", keep)
-    with computers(client if by == "client" else client.cluster.scheduler_address):
+    with open_workers(client if by == "client" else client.cluster.scheduler_address):
         (setup,) = asked
     others = {"jax_enable_x64": False, "jax_numpy_dtype_promotion": "standard"}
     assert set(others) == set(modes) and not set(others.items()) & set(modes.items())
@@ -336,7 +336,7 @@ def test_workers_compute_in_the_modes_of_the_process_that_asks(client, modes, mo
     setup(SimpleNamespace(periodic_callbacks=callbacks))
     assert {mode: getattr(jax.config, mode) for mode in modes} == modes
     assert stopped == ["profile", "profile-cycle"]
-    workers.as_here(modes, 1, SimpleNamespace(periodic_callbacks={}))
+    workers.configure_worker(modes, 1, SimpleNamespace(periodic_callbacks={}))
     assert tiles.cores() == 1
 
 
@@ -370,7 +370,7 @@ def test_workers_that_are_killed_cost_their_pieces_alone(tmp_path, swept):
                 os.kill(int(rng.choice(workers)), signal.SIGKILL)
                 kills += 1
     assert (run.returncode, kills) == (0, 2)
-    found = whole.opened(path)
+    found = datasets.open_dataset(path)
     assert found.drop_attrs(deep=False).identical(swept.drop_attrs(deep=False))
 
 

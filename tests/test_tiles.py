@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import walker_jax as wj
-from walker_jax.execution.tiles import TILE, compact_order, map_cells
+from walker_jax.execution.tiles import CALL_SHAPES, compact_order, map_cells
 from walker_jax.kernels import UnsupportedPrimitive, primitive
 
-CALL = TILE["cpu"][0] * TILE["cpu"][1]
+CALL = CALL_SHAPES["cpu"][0] * CALL_SHAPES["cpu"][1]
 
 
 def sum_and_norm(shared, cell):
@@ -26,7 +26,8 @@ def by_xla(shared, cell):
 
 
 @pytest.mark.parametrize(
-    "n", [0, 1, 2, 511, 512, 513, TILE["cpu"][0], CALL - 1, CALL, CALL + 1, 2 * CALL + 77, 2**18]
+    "n",
+    [0, 1, 2, 511, 512, 513, CALL_SHAPES["cpu"][0], CALL - 1, CALL, CALL + 1, 2 * CALL + 77, 2**18],
 )
 @pytest.mark.parametrize("function", [sum_and_norm, by_xla])
 def test_any_number_of_cells(function, n):
@@ -109,14 +110,14 @@ def test_cells_of_different_lengths_are_refused():
 
 @pytest.mark.parametrize("shape", [(7,), (5000,), (200, 250), (3, 10000), (33, 65), (20, 30, 40)])
 def test_compact_order_is_a_permutation_into_compact_tiles(shape):
-    order = compact_order(shape, TILE["cpu"][0])
+    order = compact_order(shape, CALL_SHAPES["cpu"][0])
     size = int(np.prod(shape))
     np.testing.assert_array_equal(np.sort(order), np.arange(size))
     places = np.stack(np.unravel_index(order, shape), axis=1)
-    tiles = np.array_split(places, range(TILE["cpu"][0], size, TILE["cpu"][0]))
+    tiles = np.array_split(places, range(CALL_SHAPES["cpu"][0], size, CALL_SHAPES["cpu"][0]))
     extents = np.array([np.ptp(tile, axis=0) + 1 for tile in tiles])
     # the side of a cube, or the length of a tile that is as wide as a narrow grid
-    side = max(TILE["cpu"][0] ** (1 / len(shape)), TILE["cpu"][0] / min(shape))
+    side = max(CALL_SHAPES["cpu"][0] ** (1 / len(shape)), CALL_SHAPES["cpu"][0] / min(shape))
     # blocks that do not divide the grid make tiles drift over two or three of them
     assert np.median(extents, axis=0).max() <= 3 * side
 
@@ -158,7 +159,7 @@ def until_near(rate, x):
 starts = np.load(f"{sys.argv[1]}/starts.npy")
 for n in map(int, sys.argv[2:]):
     jax.local_devices = lambda: devices[:n]
-    tiles._compiled.cache_clear()
+    tiles.compile_call.cache_clear()
     np.savez(f"{sys.argv[1]}/on{n}.npz", **tiles.map_cells(until_near, (0.3, starts)))
 """
 

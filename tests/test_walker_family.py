@@ -29,7 +29,7 @@ from walker_jax.kernels.primitive import programs
 from walker_jax.kernels.scalars import unrolled
 from walker_jax.multibody import System
 from walker_jax.walkers.family import WALKERS
-from walker_jax.walkers.masses import MultibodyWalker, of_feet
+from walker_jax.walkers.masses import MultibodyWalker, stance_coordinates
 from walker_jax.walkers.parameters import parameters
 
 DATA = Path(__file__).parent / "data"
@@ -149,7 +149,7 @@ def test_a_spring_is_the_limit_of_one_that_weakens_with_the_feet():
         plain = PointFootWalker(0.03, beta).system()
         torque = lambda q, qdot: -beta * stiffness * q * jnp.array([0.0, 0.0, 0.0, 1.0])
         system = System(plain.transfer, plain.masses, plain.forces, torque)
-        q, qdot = of_feet(list(state[:2])), of_feet(list(state[2:]))
+        q, qdot = stance_coordinates(list(state[:2])), stance_coordinates(list(state[2:]))
         motion = multibody.motion(system, q, qdot, held=(0, 1))
         return jnp.concatenate([motion.accelerations[2:], motion.forces[:2]])
 
@@ -271,8 +271,8 @@ def power(cls):
     def look(values, state):
         walker, state = cls(*values), State(*state)
         system, rates = system_of(walker), walker.vector_field(state)
-        q, qdot = of_feet(list(state[:2])), of_feet(list(state[2:]))
-        qddot = of_feet([rates.thetadot, rates.phidot])
+        q, qdot = stance_coordinates(list(state[:2])), stance_coordinates(list(state[2:]))
+        qddot = stance_coordinates([rates.thetadot, rates.phidot])
         velocity = lambda q, qdot: multibody.velocity(system.transfer, q, qdot)
         xdot, xddot = jax.jvp(velocity, (q, qdot), (qdot, qddot))
         gain, work = system.masses * xdot * xddot, system.forces * xdot
@@ -291,9 +291,12 @@ def collision(cls):
         theta, thetadot, phidot = strike
         state = State(theta, 2 * theta, thetadot, phidot)
         foot, after = walker.impact(state)
-        system, q = system_of(walker), of_feet(list(state[:2]))
+        system, q = system_of(walker), stance_coordinates(list(state[:2]))
         about = contact_point(walker, q)
-        rates = of_feet(list(state[2:])), jnp.stack([*foot, after.thetadot, after.phidot])
+        rates = (
+            stance_coordinates(list(state[2:])),
+            jnp.stack([*foot, after.thetadot, after.phidot]),
+        )
         x = system.transfer(q)
         found = {"kinetic": [multibody.kinetic_energy(system, q, qdot) for qdot in rates]}
         whole = [momenta(system, q, qdot, about) for qdot in rates]
@@ -366,8 +369,11 @@ def test_an_upper_body_takes_momentum_from_the_trailing_leg():
     """The bisecting hip is a mechanism between body and legs: only the whole is conserved."""
     walker, state = UpperBodyWalker(0.01), State(*map(jnp.asarray, (-0.2, -0.4, -0.3, 0.1)))
     (u, v), after = walker.impact(state)
-    q, system = of_feet(list(state[:2])), walker.system()
-    before, following = of_feet(list(state[2:])), jnp.stack([u, v, after.thetadot, after.phidot])
+    q, system = stance_coordinates(list(state[:2])), walker.system()
+    before, following = (
+        stance_coordinates(list(state[2:])),
+        jnp.stack([u, v, after.thetadot, after.phidot]),
+    )
     radius, theta = walker.foot_radius, state.theta
     straight = jnp.stack([-jnp.sin(theta), jnp.cos(theta)])
     hip = jnp.stack([-radius * theta, radius]) + (walker.leg_length - radius) * straight
@@ -899,7 +905,9 @@ class RimlessWheel(wj.Walker):
         """Accelerations and forces with u, v and the spokes held."""
 
         def solve(wheel, q, qdot):
-            return multibody.motion(wheel.system(), of_feet(q), of_feet(qdot), held=(0, 1, 3))
+            return multibody.motion(
+                wheel.system(), stance_coordinates(q), stance_coordinates(qdot), held=(0, 1, 3)
+            )
 
         return unrolled(solve)(self, list(state[:2]), list(state[2:]))
 
@@ -937,7 +945,7 @@ class RimlessWheel(wj.Walker):
             feet = [jnp.sin(q[2] - state.phi) - jnp.sin(q[2])]
             return q[:2] + jnp.stack([*feet, jnp.cos(q[2]) - jnp.cos(q[2] - state.phi)])
 
-        q, qdot = (of_feet([a, a])[:3] for a in (state.theta, state.thetadot))
+        q, qdot = (stance_coordinates([a, a])[:3] for a in (state.theta, state.thetadot))
         u, v, thetadot = multibody.impact(self.system(), spoke, q, qdot).velocities
         return (u, v), State(state.theta, state.phi, thetadot, jnp.zeros_like(thetadot))
 

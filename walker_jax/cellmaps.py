@@ -18,9 +18,9 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, Int32
 
 from walker_jax.checks import WrongUse
-from walker_jax.grids import MAX_SIZE, ROOM_FOR_SINKS, Grid, parts
+from walker_jax.grids import MAX_SINKS, MAX_SIZE, Grid, cell_slices
 
-FEW = 2**-10
+CANDIDATE_SHARE = 2**-10
 """A share of all cells that is quickly followed one by one."""
 
 
@@ -85,13 +85,13 @@ def resolve(image: ArrayLike, sinks: int) -> CellMap:
     image = np.asarray(image)
     check_image(image, sinks)
     image = image.astype(np.int32, copy=False)
-    attractors = cycles(image, late(image, sinks))
+    attractors = find_cycles(image, cycle_candidates(image, sinks))
     recurrent = np.concatenate([np.zeros(0, np.int32), *attractors])
-    end, steps = settle(image, sinks, recurrent)
+    end, steps = resolve_transients(image, sinks, recurrent)
 
     number = np.repeat(np.arange(len(attractors)), [len(cycle) for cycle in attractors])
     order = np.argsort(recurrent)
-    for part in parts(image.size):
+    for part in cell_slices(image.size):
         sunk = end[part] >= image.size
         place = np.searchsorted(recurrent, np.where(sunk, 0, end[part]), sorter=order)
         reached = number[order[place]] if len(order) else -1
@@ -106,8 +106,8 @@ def check_image(image: np.ndarray, sinks: Any) -> None:
         raise WrongUse(
             f"image of shape {image.shape} and type {image.dtype}: must be integers of shape (n,)"
         )
-    if not isinstance(sinks, int) or not 0 <= sinks <= ROOM_FOR_SINKS:
-        raise WrongUse(f"sinks={sinks!r}: must be 0 ... {ROOM_FOR_SINKS}")
+    if not isinstance(sinks, int) or not 0 <= sinks <= MAX_SINKS:
+        raise WrongUse(f"sinks={sinks!r}: must be 0 ... {MAX_SINKS}")
     if image.size > MAX_SIZE:
         raise WrongUse(f"image of {image.size} cells: must be at most {MAX_SIZE}")
     cells = image.size + sinks
@@ -116,7 +116,7 @@ def check_image(image: np.ndarray, sinks: Any) -> None:
         raise WrongUse(f"image[{cell}]={image[cell]}: must be 0 ... {cells - 1}")
 
 
-def late(image: Int32[np.ndarray, " n"], sinks: int) -> Bool[np.ndarray, " n"]:
+def cycle_candidates(image: Int32[np.ndarray, " n"], sinks: int) -> Bool[np.ndarray, " n"]:
     """Whether cells are reached after many steps. From these all cycles can be found.
 
     Each cell goes its own number of steps, for those before it in its part have gone already. That
@@ -125,10 +125,10 @@ def late(image: Int32[np.ndarray, " n"], sinks: int) -> Bool[np.ndarray, " n"]:
     n = image.size
     ahead = np.concatenate([image, np.arange(n, n + sinks, dtype=np.int32)])
     reached, count, before = np.empty(n + sinks, bool), n, 2 * n
-    while count > FEW * n and count <= before / 2:
+    while count > CANDIDATE_SHARE * n and count <= before / 2:
         before = count
         reached[:] = False
-        for part in parts(n):
+        for part in cell_slices(n):
             for _ in range(2):  # as marking takes as long
                 ahead[part] = ahead.take(ahead[part])
             reached[ahead[part]] = True
@@ -136,13 +136,13 @@ def late(image: Int32[np.ndarray, " n"], sinks: int) -> Bool[np.ndarray, " n"]:
     return reached[:n]
 
 
-def cycles(
+def find_cycles(
     image: Int32[np.ndarray, " n"], starts: Bool[np.ndarray, " n"]
 ) -> tuple[Int[np.ndarray, " _period"], ...]:
     """The cycles to which some cells come, one sequence after the other."""
     following = image.data  # a memoryview, whose items are read faster than an array's
     visited, found = bytearray(image.size), []
-    numbers = ((np.flatnonzero(starts[part]) + part.start).data for part in parts(image.size))
+    numbers = ((np.flatnonzero(starts[part]) + part.start).data for part in cell_slices(image.size))
     for here in itertools.chain.from_iterable(numbers):
         sequence = array("i")
         while here < image.size and not visited[here]:
@@ -155,7 +155,7 @@ def cycles(
     return tuple(sorted(found, key=lambda cycle: (len(cycle), cycle[0])))
 
 
-def settle(
+def resolve_transients(
     image: Int32[np.ndarray, " n"], sinks: int, recurrent: Int[np.ndarray, " m"]
 ) -> tuple[Int32[np.ndarray, " n"], Int32[np.ndarray, " n"]]:
     """The first recurrent cell, or the sink, that each cell comes to, and the steps to it."""
@@ -174,7 +174,7 @@ def settle(
         both[part] = there
         return not np.array_equal(there[:, 0], here)
 
-    moving = parts(n)
+    moving = cell_slices(n)
     while moving:
         moving = [part for part in moving if goes_on(part)]
     return ahead, steps

@@ -19,7 +19,7 @@ from jaxtyping import Float, Shaped
 
 P = ParamSpec("P")
 T = TypeVar("T")
-MOST = 2**31 - 1
+MAX_COUNT = 2**31 - 1
 """Strides, starts and cells are counted in 32 bits."""
 
 
@@ -34,7 +34,7 @@ class ComputationFailed(RuntimeError):
     """A computation came to no answer, for the reason given, though its arguments are right."""
 
 
-def check_whole(name: str, value: Any, least: int = 1, most: int = MOST) -> int:
+def check_whole(name: str, value: Any, least: int = 1, most: int = MAX_COUNT) -> int:
     """A whole number, as Python has it; what is none, or out of range, is refused."""
     try:
         number = operator.index(value)
@@ -122,7 +122,7 @@ class PrecisionWarning(UserWarning):
     """What is asked rests on many strides, and is computed in float32."""
 
 
-TURN_ON = 'turn on float64 first, by jax.config.update("jax_enable_x64", True)'
+FLOAT64_HINT = 'turn on float64 first, by jax.config.update("jax_enable_x64", True)'
 
 
 def check_precision(dtype: Any, needed_by: str | None = None) -> None:
@@ -130,7 +130,7 @@ def check_precision(dtype: Any, needed_by: str | None = None) -> None:
     if np.dtype(dtype) == np.float64:
         return
     if needed_by is not None:
-        raise WrongUse(f"{needed_by} needs float64, not {np.dtype(dtype)}: {TURN_ON}")
+        raise WrongUse(f"{needed_by} needs float64, not {np.dtype(dtype)}: {FLOAT64_HINT}")
     warn_of_float32()
 
 
@@ -141,7 +141,7 @@ def warn_of_float32() -> None:
         level, frame = level + 1, frame.f_back
     warnings.warn(
         "this rests on many strides, each in float32, which holds seven digits: starts near the "
-        f"boundary of a basin may have another fate. For results, {TURN_ON}",
+        f"boundary of a basin may have another fate. For results, {FLOAT64_HINT}",
         PrecisionWarning,
         stacklevel=level,
     )

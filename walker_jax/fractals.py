@@ -17,15 +17,15 @@ from jaxtyping import Array, Float, Int
 
 from walker_jax.checks import WrongUse, array, check_number, check_whole, numbers, refuses_tracers
 
-SMALLEST = 4
+SMALLEST_BOX = 4
 """Cells along a side of the smallest box: detail finer than a cell is missing from smaller ones."""
-LARGEST = 1 / 4
+LARGEST_BOX_SHARE = 1 / 4
 """Of the shortest axis, at most: the side of the largest box."""
-BOXES = 30
+MIN_BOXES = 30
 """Boxes counted, at least, of the largest size."""
-POINTS = 10
+MIN_UNCERTAIN = 10
 """Uncertain points, at least, at a distance that is used."""
-SCALES = 3
+MIN_SCALES = 3
 """Sizes or distances, at least, for a fit: with two there is no scatter to tell the error from."""
 
 
@@ -94,19 +94,19 @@ def box_counting(
     check_number("spacing", spacing)
     if not 0 < spacing < np.inf:
         raise WrongUse(f"spacing={spacing}: must be positive and finite")
-    upper = upper_end(confidence)
-    least = SMALLEST * 2 ** (SCALES - 1)
-    largest = int(min(labels.shape, default=0) * LARGEST)
+    upper = upper_probability(confidence)
+    least = SMALLEST_BOX * 2 ** (MIN_SCALES - 1)
+    largest = int(min(labels.shape, default=0) * LARGEST_BOX_SHARE)
     if largest < least:
-        needed = int(least / LARGEST)
+        needed = int(least / LARGEST_BOX_SHARE)
         raise WrongUse(f"labels: shape {labels.shape}, must be {needed} or more along every axis")
 
     largest = 2 ** (largest.bit_length() - 1)
-    while (fine := mean_counts(labels, largest))[-1] < BOXES:
+    while (fine := mean_box_counts(labels, largest))[-1] < MIN_BOXES:
         largest //= 2
         if largest < least:
             return Dimension(np.nan, np.nan, np.nan, np.zeros(0), np.zeros(0))
-    coarse = mean_counts(labels, largest, step=2)
+    coarse = mean_box_counts(labels, largest, step=2)
     coarse = np.maximum(coarse, fine / 2)  # a pattern of single cells would have none
     counts = fine**2 / coarse
     slopes = -np.diff(np.log2(counts))
@@ -114,11 +114,11 @@ def box_counting(
     from scipy.special import stdtrit
 
     half = stdtrit(len(slopes) - 1, upper) * slopes.std(ddof=1) / np.sqrt(len(slopes))
-    sizes = spacing * SMALLEST * 2.0 ** np.arange(len(counts))
+    sizes = spacing * SMALLEST_BOX * 2.0 ** np.arange(len(counts))
     return Dimension(float(value), float(value - half), float(value + half), sizes, counts)
 
 
-def mean_counts(
+def mean_box_counts(
     labels: Int[np.ndarray, "*cells"], largest: int, *, step: int = 1
 ) -> Float[np.ndarray, " k"]:
     """Boxes that hold several labels, of sides `SMALLEST`, twice that ... `largest` cells.
@@ -133,7 +133,7 @@ def mean_counts(
         for _ in labels.shape:  # each pass joins along the first axis, and puts that last
             low = np.moveaxis(np.minimum(low[:-shift], low[shift:]), 0, -1)
             high = np.moveaxis(np.maximum(high[:-shift], high[shift:]), 0, -1)
-        if size >= SMALLEST:
+        if size >= SMALLEST_BOX:
             first = (largest - size) // 2
             centred = tuple(slice(first, first + n - largest) for n in labels.shape)
             mixed = np.count_nonzero(low[centred] != high[centred])
@@ -174,12 +174,12 @@ def uncertainty_exponent(
 
     Raises ValueError if an argument is out of range, or the functions return wrong shapes.
     """
-    distances = checked_distances(distances, pairs)
+    distances = sort_distances(distances, pairs)
     check_whole("seed", seed, 0)
     for name, function in {"label_of": label_of, "draw": draw}.items():
         if not callable(function):
             raise WrongUse(f"{name} must be a function, not a {type(function).__name__}")
-    upper = upper_end(confidence)
+    upper = upper_probability(confidence)
 
     rng = np.random.default_rng(seed)
     hits = np.zeros(len(distances))
@@ -197,29 +197,30 @@ def uncertainty_exponent(
         here, *beside = np.split(labels, 3)
         hits[i] = np.count_nonzero((here != beside[0]) | (here != beside[1]))
 
-    used = hits >= POINTS
+    used = hits >= MIN_UNCERTAIN
     distances, hits = distances[used], hits[used]
     exponent = half = np.nan
-    if len(distances) >= SCALES:
+    if len(distances) >= MIN_SCALES:
         exponent, half = fit_power(distances, hits, pairs, upper)
     value = d - exponent
     return Uncertainty(value, value - half, value + half, exponent, distances, hits / pairs)
 
 
-def checked_distances(
+def sort_distances(
     distances: Float[np.ndarray | Array, " k"], pairs: int
 ) -> Float[np.ndarray, " k"]:
     """The distances, sorted; ValueError for what `uncertainty_exponent` cannot use."""
     distances = np.sort(np.atleast_1d(numbers("distances", distances)))
-    if distances.ndim != 1 or len(np.unique(distances)) < max(SCALES, distances.size):
-        raise WrongUse(f"distances={short(distances)}: must be at least {SCALES}, all different")
+    if distances.ndim != 1 or len(np.unique(distances)) < max(MIN_SCALES, distances.size):
+        shown = format_numbers(distances)
+        raise WrongUse(f"distances={shown}: must be at least {MIN_SCALES}, all different")
     if not (np.isfinite(distances) & (distances > 0)).all():
-        raise WrongUse(f"distances={short(distances)}: must be positive and finite")
-    check_whole("pairs", pairs, POINTS)
+        raise WrongUse(f"distances={format_numbers(distances)}: must be positive and finite")
+    check_whole("pairs", pairs, MIN_UNCERTAIN)
     return distances
 
 
-def short(values: Float[np.ndarray, "..."]) -> str:
+def format_numbers(values: Float[np.ndarray, "..."]) -> str:
     """Numbers on one line."""
     return np.array2string(values, threshold=6, edgeitems=3, max_line_width=200).replace("\n", " ")
 
@@ -246,7 +247,7 @@ def fit_power(
     return float(power), float(half)
 
 
-def upper_end(confidence: float) -> float:
+def upper_probability(confidence: float) -> float:
     """The probability below the upper end of a two-sided interval."""
     check_number("confidence", confidence)
     if not 0 < confidence < 1:

@@ -19,9 +19,9 @@ from jaxtyping import Array, Bool, Float, Int, Int32
 
 from walker_jax.checks import WrongUse, check_kind, is_number, numbers, short
 
-ROOM_FOR_SINKS = 255
-MAX_SIZE = 2**31 - 1 - ROOM_FOR_SINKS
-PART = 2**16
+MAX_SINKS = 255
+MAX_SIZE = 2**31 - 1 - MAX_SINKS
+CELLS_PER_PART = 2**16
 """Cells of a map that are worked on together."""
 Axis = Any
 """(low, high, count): the ends of an axis and the number of its cells; checked by `Grid`."""
@@ -66,7 +66,7 @@ class Grid(eqx.Module):
         check_kind("axes", axes, Mapping)
         if not axes:
             raise WrongUse(f"axes={axes!r}: a grid needs at least one axis")
-        lower, upper, counts = zip(*(_axis(*item) for item in axes.items()), strict=True)
+        lower, upper, counts = zip(*(check_axis(*item) for item in axes.items()), strict=True)
         if math.prod(counts) > MAX_SIZE:
             raise WrongUse(
                 f"counts={counts}: {math.prod(counts)} cells, of at most {MAX_SIZE} there can be"
@@ -101,7 +101,7 @@ class Grid(eqx.Module):
         Each axis is (low, high, count), for example `theta=(0, 0.4, 200)`. The last ones may be
         numbers: then the grid is a slice, on which those coordinates have these values.
         """
-        along, values = split(axes)
+        along, values = split_axes(axes)
         return cls(along, np.eye(len(axes), len(along)), values, tuple(axes)[len(along) :])
 
     @classmethod
@@ -112,7 +112,7 @@ class Grid(eqx.Module):
         coordinates of Schwab and Wisse (2001), Figure 4.
         """
         axes = {"theta": theta, "sum": sum, **others}
-        along, values = split(axes)
+        along, values = split_axes(axes)
         shear = np.eye(len(axes), len(along))
         shear[1, 0] = -1
         return cls(along, shear, values, tuple(axes)[len(along) :])
@@ -177,21 +177,21 @@ class Grid(eqx.Module):
             places.insert(0, place)
         lower, spacing = jnp.asarray(self.lower), jnp.asarray(self.spacing)
         u = lower + (jnp.stack(places).astype(lower.dtype) + 0.5) * spacing
-        return jnp.asarray(self.origin) + _multiply(self.shear, u)
+        return jnp.asarray(self.origin) + multiply(self.shear, u)
 
     def centres(self, indices: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n s"]:
         """Centres of many cells, as `centre` has them; on the host only."""
         dtype = jnp.asarray(0.0).dtype  # where nothing is compiled for so little
-        parts = (self.lower, self.spacing, self.shear, self.origin)
-        lower, spacing, shear, origin = (np.asarray(part, dtype) for part in parts)
+        cell_slices = (self.lower, self.spacing, self.shear, self.origin)
+        lower, spacing, shear, origin = (np.asarray(part, dtype) for part in cell_slices)
         places = np.stack(np.unravel_index(indices, self.counts), axis=1).astype(dtype)
         u = lower + (places + dtype.type(0.5)) * spacing
         return origin + np.sum(shear * u[:, None], axis=2)
 
     def contains(self, points: Float[np.ndarray, "*n s"]) -> Bool[np.ndarray, "*n"]:
         """Whether a cell holds a point; on the host only."""
-        parts = (self.lower, self.upper, self.unshear, self.origin)
-        lower, upper, unshear, origin = (np.asarray(part, points.dtype) for part in parts)
+        cell_slices = (self.lower, self.upper, self.unshear, self.origin)
+        lower, upper, unshear, origin = (np.asarray(part, points.dtype) for part in cell_slices)
         with np.errstate(invalid="ignore"):  # of a point that is not finite
             u = np.sum(unshear * (points - origin)[..., None, :], axis=-1)
         return ((lower <= u) & (u < upper)).all(axis=-1)
@@ -210,7 +210,7 @@ class Grid(eqx.Module):
         if self.coordinates != len(self.names):
             raise WrongUse(f"fixed={self.fixed}: a slice has no cell for a point")
         lower, upper, spacing = map(jnp.asarray, (self.lower, self.upper, self.spacing))
-        u = _multiply(self.unshear, point.astype(lower.dtype) - jnp.asarray(self.origin))
+        u = multiply(self.unshear, point.astype(lower.dtype) - jnp.asarray(self.origin))
         inside = jnp.all((lower <= u) & (u < upper))  # not so for NaN
         places = jnp.floor(jnp.where(inside, u - lower, 0) / spacing).astype(jnp.int32)
         places = jnp.minimum(places, self.counts - 1)  # the quotient may round up to the count
@@ -220,7 +220,7 @@ class Grid(eqx.Module):
         return jnp.where(inside, index, -1)
 
 
-def split(axes: Mapping[str, Axis]) -> tuple[dict[str, Axis], Float[np.ndarray, " s"]]:
+def split_axes(axes: Mapping[str, Axis]) -> tuple[dict[str, Axis], Float[np.ndarray, " s"]]:
     """The axes that are not numbers, and an origin with those that are, which must be the last."""
     single = [is_number(axis) for axis in axes.values()]
     count = len(axes) - sum(single)
@@ -233,7 +233,7 @@ def split(axes: Mapping[str, Axis]) -> tuple[dict[str, Axis], Float[np.ndarray, 
     return dict(list(axes.items())[:count]), np.array(values)
 
 
-def _axis(name: str, axis: Axis) -> tuple[float, float, int]:
+def check_axis(name: str, axis: Axis) -> tuple[float, float, int]:
     """The three parts of an axis, checked."""
     try:
         low, high, count = axis
@@ -253,19 +253,21 @@ def _axis(name: str, axis: Axis) -> tuple[float, float, int]:
     return low, high, count
 
 
-def _multiply(
+def multiply(
     matrix: Float[np.ndarray | Array, "m n"], vector: Float[Array, " n"]
 ) -> Float[Array, " m"]:
     """matrix @ vector, which some accelerators would round to a shorter type."""
     return jnp.sum(jnp.asarray(matrix) * vector, axis=1)
 
 
-def parts(size: int) -> list[slice]:
+def cell_slices(size: int) -> list[slice]:
     """All of an array, a part at a time, so that what is found of it stays in the cache."""
-    return [slice(start, min(start + PART, size)) for start in range(0, size, PART)]
+    return [
+        slice(start, min(start + CELLS_PER_PART, size)) for start in range(0, size, CELLS_PER_PART)
+    ]
 
 
-def around(state: Float[ArrayLike, " section"], names: tuple[str, ...]) -> dict:
+def axes_around(state: Float[ArrayLike, " section"], names: tuple[str, ...]) -> dict:
     """Axes of a window around a gait's state; with phidot among them, of a slice there."""
     theta, thetadot, *others = map(float, np.asarray(state))
     middle = theta + thetadot if names[1] == "sum" else thetadot

@@ -31,8 +31,8 @@ from walker_jax.basins.schema import (
     request_of,
 )
 from walker_jax.cellmaps import resolve
-from walker_jax.execution.progress import tracked
-from walker_jax.execution.workers import computers
+from walker_jax.execution.progress import track
+from walker_jax.execution.workers import open_workers
 from walker_jax.grids import Grid
 from walker_jax.walkers.model import Walker
 from walker_jax.walking.outcomes import Outcome
@@ -163,8 +163,8 @@ def compute_in_pieces(
         return found
     arrays, block = arrays_to_compute(grid) | work, block_shape(grid.shape)
     with (
-        computers(cluster) as each,  # first, as there may be none
-        storage.pieces(
+        open_workers(cluster) as each,  # first, as there may be none
+        storage.open_pieces(
             out,
             request,
             about,
@@ -178,7 +178,7 @@ def compute_in_pieces(
         compute = partial(method.piece, place.notes)
         number = {block_at(grid, place, i): i for i in place.missing()}
         found, done = each(compute, [*number]), place.count - len(number)
-        for piece, values in tracked(found, "pieces", progress, place.count, done):
+        for piece, values in track(found, "pieces", progress, place.count, done):
             place.write(number[piece], values, done=True)
         attractors, pieces = method.finish(place)
         cells = np.zeros(len(attractors), int)
@@ -187,7 +187,7 @@ def compute_in_pieces(
             reached = values["attractor"]
             cells += np.bincount(reached[reached >= 0], minlength=len(cells))
         place.finish(add_attractors(about, grid, attractors, cells))
-    return storage.opened(out)
+    return storage.open_dataset(out)
 
 
 def block_shape(shape: tuple[int, ...]) -> tuple[int, ...]:

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from walker_jax.gaits.search import find_gait
 from walker_jax.gaits.selection import require_gait
-from walker_jax.grids import Grid, around
+from walker_jax.grids import Grid, axes_around
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.simplest import SimplestWalker
 
@@ -33,7 +33,7 @@ def fill_around_gait(walker: Walker, axes: Mapping[str, Any]) -> dict[str, Any]:
     missing = [name for name, axis in axes.items() if axis is None]
     if not missing:
         return dict(axes)
-    window = around(require_gait(walker, missing).states[0], tuple(axes))
+    window = axes_around(require_gait(walker, missing).states[0], tuple(axes))
     return {name: window[name] if axis is None else axis for name, axis in axes.items()}
 
 
@@ -58,4 +58,4 @@ def film_window(walker: Walker, x: Float[ArrayLike, " section"]) -> Grid:
         return grid_along(PAPER_WINDOW)
     gait = find_gait(walker)
     state = gait.states[0] if gait.found else x
-    return grid_along(around(state, ("theta", "sum", *walker.section[2:])))
+    return grid_along(axes_around(state, ("theta", "sum", *walker.section[2:])))

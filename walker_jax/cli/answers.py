@@ -60,7 +60,7 @@ def check_suffix(figure: Path) -> None:
 def draw(axes, path: Path, request: dict) -> None:
     """Save the picture to which axes belong, signed with the request."""
     picture = axes.get_figure(root=True)
-    with storage.draft_of(path) as draft:
+    with storage.atomic_file(path) as draft:
         picture.savefig(draft, dpi=150, metadata={"Title": storage.signature(request)})
 
 

@@ -74,9 +74,9 @@ def resume_notes(interruption: BaseException) -> list[str]:
     notes = getattr(interruption, "__notes__", [])
     if not notes:
         return []
-    from walker_jax.storage import RESUME  # loaded already by what left the notes
+    from walker_jax.storage import RESUME_HINT  # loaded already by what left the notes
 
-    return [with_options_named(note) for note in notes if note.startswith(RESUME)]
+    return [with_options_named(note) for note in notes if note.startswith(RESUME_HINT)]
 
 
 app = typer.Typer(

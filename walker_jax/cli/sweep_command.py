@@ -26,7 +26,7 @@ from walker_jax.cli.options import (
 )
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.design.summary import tabulate_sweep
-from walker_jax.design.sweeps import MOST, check_values
+from walker_jax.design.sweeps import MAX_COMBINATIONS, check_values
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import describe, space_decimals
 
@@ -110,7 +110,7 @@ def values_of(over: list[str]) -> dict[str, list[float]]:
             raise WrongUse(f"--over {text} must have LO below HI, both finite, and N of 2 or more")
         if name in values:
             raise WrongUse(f"--over is given twice for {hyphenated(name)}")
-        if count > MOST:
-            raise WrongUse(f"--over {text} must have N of at most {MOST}")
+        if count > MAX_COMBINATIONS:
+            raise WrongUse(f"--over {text} must have N of at most {MAX_COMBINATIONS}")
         values[name] = space_decimals(low, high, count)
     return values

@@ -16,16 +16,16 @@ from jaxtyping import Bool, Float
 
 from walker_jax.basins.refinement import Refined, refine_cells
 from walker_jax.checks import refuses_tracers
-from walker_jax.design.bands import checked_bands, ends_of_band
+from walker_jax.design.bands import check_bands, walkers_at_band_ends
 from walker_jax.grids import Grid
-from walker_jax.stability.margin_changes import margin_changes
+from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.walkers.model import Walker
 
-HALVINGS = 8
+BISECTIONS = 8
 """Of the distance between two centres, on the way to the boundary between them."""
-SHARES = 4
+LINE_GROUPS = 4
 """Parts of the lines, each a grid of its own, by whose scatter the error is told."""
-UNSURE = 0.05
+MAX_RELATIVE_ERROR = 0.05
 """Error of an integral along the boundary, to its value, from which on it is not trusted."""
 
 
@@ -94,7 +94,7 @@ def area_gradient(
     Returns zeros where nothing walks. `ValueError` for parameters that the walker does not have,
     for bands that are not such numbers, and as for `refine`.
     """
-    widths = checked_bands(walker, parameters, bands)
+    widths = check_bands(walker, parameters, bands)
 
     def basin_of(walker: Walker) -> Refined:
         return refine_cells(
@@ -115,10 +115,10 @@ def area_gradient(
         integral.error,
         found.total_strides + integral.strides,
     )
-    unsure = ~(error <= UNSURE * np.abs(gradient)) & (found.area > 0)
+    unsure = ~(error <= MAX_RELATIVE_ERROR * np.abs(gradient)) & (found.area > 0)
     averaged = unsure & (bands is not None)
     for k in map(int, np.flatnonzero(averaged)):
-        low, high = ends_of_band(walker, parameters[k], widths[k])
+        low, high = walkers_at_band_ends(walker, parameters[k], widths[k])
         below, above = basin_of(low), basin_of(high)
         width = float(getattr(high, parameters[k]) - getattr(low, parameters[k])) or np.nan
         gradient[k] = (above.area - below.area) / width
@@ -153,7 +153,7 @@ def along_boundary(walker: Walker, found: Refined, parameters: Sequence[str]) ->
     walks, fine = found.attractor >= 0, found.grid
     shape, count = np.array(fine.shape), len(parameters)
     tangents = np.asarray(fine.shear) * np.asarray(fine.spacing)  # columns: from cell to cell
-    totals = np.zeros((SHARES, count))
+    totals = np.zeros((LINE_GROUPS, count))
     crossings = lost = made = 0
 
     def walk(places: Float[np.ndarray, "n axes"]) -> tuple[np.ndarray, np.ndarray]:
@@ -164,14 +164,16 @@ def along_boundary(walker: Walker, found: Refined, parameters: Sequence[str]) ->
         return labels.converged, labels.strides
 
     for axis in range(len(shape)):
-        inside, outside = crossings_along(walks, axis)
-        for _ in range(HALVINGS):
+        inside, outside = boundary_pairs(walks, axis)
+        for _ in range(BISECTIONS):
             middle = (inside + outside) / 2
             stays = walk(middle)[0][:, None]
             inside, outside = np.where(stays, middle, inside), np.where(stays, outside, middle)
         x = fine.states(outside / shape)
         beyond = walk(outside)[1]
-        change = margin_changes(walker, x, beyond, tangents.T, parameters, found.mapper.tolerance)
+        change = differentiate_margins(
+            walker, x, beyond, tangents.T, parameters, found.mapper.tolerance
+        )
         made += int((beyond + 1).sum()) * change.shape[1]
         slopes, by_parameter = change[:, : len(shape)], change[:, len(shape) :]
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -179,14 +181,14 @@ def along_boundary(walker: Walker, found: Refined, parameters: Sequence[str]) ->
             moves = by_parameter * (np.abs(slopes[:, axis]) / steepness)[:, None]
         known = np.isfinite(moves).all(axis=1)
         crossings, lost = crossings + len(x), lost + int(np.sum(~known))
-        line = np.delete(np.floor(outside).astype(int), axis, axis=1).sum(axis=1) % SHARES
+        line = np.delete(np.floor(outside).astype(int), axis, axis=1).sum(axis=1) % LINE_GROUPS
         np.add.at(totals, line[known], moves[known])
     cell = fine.cell_area
-    error = np.sqrt(SHARES) * np.std(totals, axis=0, ddof=1) * cell
+    error = np.sqrt(LINE_GROUPS) * np.std(totals, axis=0, ddof=1) * cell
     return Integral(totals.sum(axis=0) * cell, error, crossings, lost, made)
 
 
-def crossings_along(
+def boundary_pairs(
     walks: Bool[np.ndarray, "*shape"], axis: int
 ) -> tuple[Float[np.ndarray, "n axes"], Float[np.ndarray, "n axes"]]:
     """Neighbours along an axis of which one walks: that one, and the other.

@@ -10,11 +10,11 @@ from walker_jax.checks import WrongUse, check_kind, numbers, short
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 
-NARROWINGS = 20
+MAX_BAND_HALVINGS = 20
 """Times that a band is halved on a side on which the walker refuses it."""
 
 
-def checked_bands(
+def check_bands(
     walker: Walker,
     parameters: Sequence[str],
     bands: Sequence[float] | Float[np.ndarray, " parameters"] | None,
@@ -29,11 +29,11 @@ def checked_bands(
     return widths
 
 
-def ends_of_band(walker: Walker, parameter: str, width: float) -> tuple[Walker, Walker]:
+def walkers_at_band_ends(walker: Walker, parameter: str, width: float) -> tuple[Walker, Walker]:
     """The walkers with a parameter lower and higher by a width, or less if they are none."""
     value, ends = float(getattr(walker, parameter)), []
     for step in (-width, width):
-        for _ in range(NARROWINGS):
+        for _ in range(MAX_BAND_HALVINGS):
             try:
                 check_parameter(walker, parameter, value + step)
                 break

@@ -7,27 +7,27 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from walker_jax.design.evaluation import STEPS, Row
+from walker_jax.design.evaluation import STEP_LENGTHS, Evaluation
 from walker_jax.design.measures import gait_measures
 from walker_jax.design.problem import Problem
 from walker_jax.design.trace import Trace
 
-TRIES = (1.0, -1.0, 0.5, -0.5, 0.25, -0.25)
+STEP_SHARES = (1.0, -1.0, 0.5, -0.5, 0.25, -0.25)
 """Shares of a step, until one leads higher; if none does, the stage ends. Some objectives fall by
 jumps: where one does just ahead, a shorter step leads higher, or one back."""
-MOST = 40
+MAX_STAGE_STEPS = 40
 """Steps of a stage."""
-RESCUES = 8
+MAX_RESCUE_STEPS = 8
 """Long steps that are made, from where nothing walks, to where the gait is more stable."""
-SURE = 2
+SIGNIFICANT_ERRORS = 2
 """Standard errors from which on a difference of values is believed."""
 
 
 class Climb(NamedTuple):
     """From where to where; or why not."""
 
-    start: Row | None
-    best: Row | None
+    start: Evaluation | None
+    best: Evaluation | None
     converged: bool
     note: str = ""
 
@@ -38,33 +38,33 @@ def climb(trace: Trace, run: int, stage: int, place: Float[np.ndarray, " paramet
 
     problem, begin = trace.problem, trace.limits.nearest_allowed(place)
     if begin is None:
-        return Climb(None, None, False, why_nowhere(trace, place))
+        return Climb(None, None, False, explain_failure(trace, place))
     start = trace.measure(run, stage, begin)
-    here = start if walks(problem, start) else None
+    here = start if can_be_climbed(problem, start) else None
     if here is None and stage == 0:
-        here = rescued(trace, run, start)
+        here = rescue(trace, run, start)
     if here is None:
-        return Climb(start, None, False, why_nowhere(trace, begin))
-    optimiser = optax.adam(STEPS[stage], b1=0.5, b2=0.9, eps=1e-12)
+        return Climb(start, None, False, explain_failure(trace, begin))
+    optimiser = optax.adam(STEP_LENGTHS[stage], b1=0.5, b2=0.9, eps=1e-12)
     standard = lambda: jax.numpy_dtype_promotion("standard")  # as optax's own arithmetic needs
     with standard():
         state = optimiser.init(jnp.asarray(begin))
     best = here
-    for _ in range(MOST):
+    for _ in range(MAX_STAGE_STEPS):
         place = problem.place(best.parameters)
         uphill = problem.sign * best.gradient * (problem.high - problem.low)
         downhill = jnp.asarray(-trace.limits.feasible_direction(place, uphill))
         with standard():
             update, state = optimiser.update(downhill, state)
-        for share in TRIES:
+        for share in STEP_SHARES:
             goal = trace.limits.nearest_allowed(np.clip(place + share * np.asarray(update), 0, 1))
             if goal is None:
                 continue
-            held = share == 1 and np.abs(goal - place).max() < STEPS[stage] / 100
+            held = share == 1 and np.abs(goal - place).max() < STEP_LENGTHS[stage] / 100
             if held and np.array_equal(goal, place):
                 return Climb(start, best, True)
             there = trace.measure(run, stage, goal)
-            if walks(problem, there) and leads_up(problem, best, there):
+            if can_be_climbed(problem, there) and is_better(problem, best, there):
                 best = there
                 break
             if held:  # by bounds or limits
@@ -74,16 +74,16 @@ def climb(trace: Trace, run: int, stage: int, place: Float[np.ndarray, " paramet
     return Climb(start, best, False)
 
 
-def leads_up(problem: Problem, here: Row, there: Row) -> bool:
+def is_better(problem: Problem, here: Evaluation, there: Evaluation) -> bool:
     """Whether a value is higher; where errors do not tell, whether it is uphill at both ends."""
     gain = problem.sign * (there.value - here.value)
-    if np.abs(gain) > SURE * np.hypot(here.value_error, there.value_error):
+    if np.abs(gain) > SIGNIFICANT_ERRORS * np.hypot(here.value_error, there.value_error):
         return bool(gain > 0)
     step = problem.sign * (there.parameters - here.parameters)
     return bool(here.gradient @ step > 0 and there.gradient @ step > 0)
 
 
-def walks(problem: Problem, row: Row) -> bool:
+def can_be_climbed(problem: Problem, row: Evaluation) -> bool:
     """Whether something walks, where the objective is about that, and shows which way is up."""
     sizes = [
         size
@@ -94,10 +94,10 @@ def walks(problem: Problem, row: Row) -> bool:
     return bool(known) and (not sizes or any(size > 0 for size in sizes))
 
 
-def rescued(trace: Trace, run: int, row: Row) -> Row | None:
+def rescue(trace: Trace, run: int, row: Evaluation) -> Evaluation | None:
     """By long steps, from where nothing walks, to where the gait is more stable, until one does."""
     problem = trace.problem
-    for _ in range(RESCUES):
+    for _ in range(MAX_RESCUE_STEPS):
         gait = trace.gait(row.parameters)
         walker, tolerance = problem.built(row.parameters), problem.tolerance
         measures = gait_measures(walker, problem.names, gait, tolerance=tolerance)
@@ -105,17 +105,17 @@ def rescued(trace: Trace, run: int, row: Row) -> Row | None:
         steepest = np.abs(growth).max()
         if not (np.isfinite(steepest) and steepest > 0):
             return None
-        place = problem.place(row.parameters) - STEPS[0] * growth / steepest
+        place = problem.place(row.parameters) - STEP_LENGTHS[0] * growth / steepest
         goal = trace.limits.nearest_allowed(np.clip(place, 0, 1))
         if goal is None:
             return None
         row = trace.measure(run, 0, goal)
-        if walks(problem, row):
+        if can_be_climbed(problem, row):
             return row
     return None
 
 
-def why_nowhere(trace: Trace, place: Float[np.ndarray, " parameters"]) -> str:
+def explain_failure(trace: Trace, place: Float[np.ndarray, " parameters"]) -> str:
     """Why nothing can be climbed from a place."""
     problem, values = trace.problem, trace.problem.values(place)
     where, refusal = problem.named(values), problem.refusal(values)

@@ -10,13 +10,13 @@ import numpy as np
 from jaxtyping import Float
 
 from walker_jax.checks import refuses_tracers
-from walker_jax.design.bands import checked_bands, ends_of_band
+from walker_jax.design.bands import check_bands, walkers_at_band_ends
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.derivatives import gait_derivatives
 from walker_jax.gaits.search import find_gait
 from walker_jax.integrators.solvers import default_tolerance
 from walker_jax.stability.disturbances import BEYOND, least_disturbance
-from walker_jax.stability.margin_changes import margin_changes
+from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.walkers.model import Walker
 
 
@@ -55,13 +55,13 @@ def disturbance_gradient(
 
     Other arguments and errors are those of `least_disturbance`, in its plain metric.
     """
-    widths = checked_bands(walker, parameters, bands)
+    widths = check_bands(walker, parameters, bands)
     gait = find_gait(walker, tolerance=tolerance) if gait is None else gait
     found = least_disturbance(walker, gait, fall=fall, strides=strides, tolerance=tolerance)
     finest = float(default_tolerance(found.state.dtype, tolerance))
     beyond = np.asarray(gait.states)[found.phase] + BEYOND[:, None] * found.size * found.direction
     made, axes = np.full(len(beyond), found.strides, np.int32), np.eye(beyond.shape[1])
-    changes = margin_changes(walker, beyond, made, axes, parameters, finest)
+    changes = differentiate_margins(walker, beyond, made, axes, parameters, finest)
     changes_of_gait = [
         gait_derivatives(walker, gait, name, tolerance=tolerance) for name in parameters
     ]
@@ -74,11 +74,13 @@ def disturbance_gradient(
     if bands is None:
         return DisturbanceGradient(found.size, np.full(len(widths), np.nan), False)
     pairs = zip(parameters, widths, strict=True)
-    gradient = [size_over_band(walker, gait, *pair, fall, strides, tolerance) for pair in pairs]
+    gradient = [
+        mean_derivative_over_band(walker, gait, *pair, fall, strides, tolerance) for pair in pairs
+    ]
     return DisturbanceGradient(found.size, np.array(gradient), True)
 
 
-def size_over_band(
+def mean_derivative_over_band(
     walker: Walker,
     gait: Gait,
     parameter: str,
@@ -89,7 +91,7 @@ def size_over_band(
 ) -> float:
     """Average derivative of the least disturbance over a band, where its ends have the gait."""
     ends = []
-    for one in ends_of_band(walker, parameter, width):
+    for one in walkers_at_band_ends(walker, parameter, width):
         there = find_gait(one, gait.states, len(gait.states), tolerance=tolerance)
         one, there = (one, there) if there.found and there.stable else (walker, gait)
         found = least_disturbance(one, there, fall=fall, strides=strides, tolerance=tolerance)

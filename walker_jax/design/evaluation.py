@@ -14,20 +14,20 @@ from walker_jax.design.problem import Problem
 from walker_jax.gaits.cycles import Gait
 from walker_jax.walkers.model import Walker
 
-STEPS = (0.1, 0.03, 0.01, 0.003)
+STEP_LENGTHS = (0.1, 0.03, 0.01, 0.003)
 """Lengths of the steps of each stage, in places."""
-BANDS = (0.1, 0.05, 0.03, 0.03)
+BAND_HALF_WIDTHS = (0.1, 0.05, 0.03, 0.03)
 """Half widths, in places, of the bands over which derivatives are averaged where there are none.
 They are wide enough for the errors of areas at their ends."""
-COARSER = (3, 2, 1, 1)
+LEVELS_OMITTED = (3, 2, 1, 1)
 """By how many levels areas are less refined in each stage than at the ends."""
-SCAN, ENDS = -1, -2
+SCAN_STAGE, ENDS_STAGE = -1, -2
 """In place of a stage: for what is measured for a picture, and at the ends."""
-CHECK = 50_000, 500_000
+CHECK_STARTS = 50_000, 500_000
 """Starts that correct an area on the way, and at the ends."""
 
 
-class Row(NamedTuple):
+class Evaluation(NamedTuple):
     """What was measured of one walker."""
 
     run: int
@@ -44,15 +44,15 @@ class Row(NamedTuple):
     """That were made for areas."""
 
 
-def measured(
+def evaluate(
     problem: Problem,
     stage: int,
     values: Float[np.ndarray, " parameters"],
     gait_of: Callable[[Float[np.ndarray, " parameters"]], Gait],
-) -> Row:
+) -> Evaluation:
     """Measure the objective, what has limits, and in a stage, the objective's gradient."""
     walker, names = problem.built(values), problem.names if stage >= 0 else ()
-    bands = BANDS[max(stage, 0)] * (problem.high - problem.low)[: len(names)]
+    bands = BAND_HALF_WIDTHS[max(stage, 0)] * (problem.high - problem.low)[: len(names)]
     found: dict[str, Measure] = {}
     value_error, gradient_error, made = 0.0, np.zeros(len(names)), 0
     if "area" in problem.weights and problem.grid is not None:
@@ -61,9 +61,9 @@ def measured(
             problem.grid,
             names,
             bands=bands,
-            levels=max(0, problem.levels - (0 if stage == ENDS else COARSER[stage])),
+            levels=max(0, problem.levels - (0 if stage == ENDS_STAGE else LEVELS_OMITTED[stage])),
             strides=problem.strides,
-            check=CHECK[stage == ENDS],
+            check=CHECK_STARTS[stage == ENDS_STAGE],
             seed=problem.seed,
             tolerance=problem.tolerance,
         )
@@ -76,11 +76,13 @@ def measured(
         if "least-disturbance" in problem.weights:
             found["least-disturbance"] = Measure(0.0, np.zeros(len(names)))
             if gait.found and gait.stable:
-                found["least-disturbance"] = least_disturbed(problem, walker, names, gait, bands)
+                found["least-disturbance"] = evaluate_disturbance(
+                    problem, walker, names, gait, bands
+                )
     weighted = [(weight, found[name]) for name, weight in problem.weights.items()]
     gradient = np.sum([weight * one.gradient for weight, one in weighted], axis=0)
     none = np.full(len(problem.names), np.nan)
-    return Row(
+    return Evaluation(
         run=-1,
         stage=stage,
         parameters=values,
@@ -93,7 +95,7 @@ def measured(
     )
 
 
-def least_disturbed(
+def evaluate_disturbance(
     problem: Problem,
     walker: Walker,
     names: tuple[str, ...],

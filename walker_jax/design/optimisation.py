@@ -19,16 +19,28 @@ from walker_jax.basins.memory import check_grid
 from walker_jax.basins.refinement import BYTES_PER_CELL, FINEST, finer, refine_cells
 from walker_jax.checks import WrongUse, check_kind, check_whole, refuses_tracers
 from walker_jax.design.climbs import climb
-from walker_jax.design.evaluation import CHECK, ENDS, SCAN, STEPS, Row
-from walker_jax.design.problem import Problem, check_bounds, limits_of, starting_places, weights_of
-from walker_jax.design.trace import Trace, strings
+from walker_jax.design.evaluation import (
+    CHECK_STARTS,
+    ENDS_STAGE,
+    SCAN_STAGE,
+    STEP_LENGTHS,
+    Evaluation,
+)
+from walker_jax.design.problem import (
+    Problem,
+    check_bounds,
+    parse_limits,
+    parse_objective,
+    starting_places,
+)
+from walker_jax.design.trace import Trace, string_array
 from walker_jax.grids import Grid
 from walker_jax.stability.summary import default_region
 from walker_jax.walkers.model import Walker
 
 ATTRACTED = -1
 """In the place of a fate, in those basins: the walker comes to an attractor."""
-VIEW = 300
+VIEW_CELLS = 300
 """Cells along each axis in which the basins at both ends are shown."""
 
 
@@ -96,7 +108,7 @@ def optimise(
 
     `ValueError` for parameters, bounds, names and numbers that are not such, and as for `refine`.
     """
-    (weights, sign), limits = weights_of(objective), limits_of(at_least, at_most)
+    (weights, sign), limits = parse_objective(objective), parse_limits(at_least, at_most)
     check_kind("walker", walker, Walker)
     check_kind("bounds", bounds, Mapping)
     if known is not None:
@@ -123,7 +135,7 @@ def optimise(
         regions = (default_region(problem.built(problem.values(place))) for place in places)
         problem = problem._replace(grid=next((one for one in regions if one is not None), None))
     if problem.grid is None and "area" in weights:
-        raise WrongUse("grid is wanted: no start has a gait of period one to lay it around")
+        raise WrongUse("grid is required: no start has a gait of period one to lay it around")
     if problem.grid is not None:
         check_grid(walker, problem.grid, "direct")
         check_whole("levels", levels, 0, FINEST)
@@ -133,8 +145,8 @@ def optimise(
     first = [climb(trace, run, 0, place) for run, place in enumerate(places)]
     height = lambda one: -np.inf if one.best is None else sign * one.best.value
     run = max(range(starts), key=lambda i: height(first[i]))
-    last, notes = first[run], {"note": ("start_number", strings(one.note for one in first))}
-    for stage in range(1, len(STEPS)):
+    last, notes = first[run], {"note": ("start_number", string_array(one.note for one in first))}
+    for stage in range(1, len(STEP_LENGTHS)):
         if last.best is not None:
             further = climb(trace, run, stage, problem.place(last.best.parameters))
             # what walked on a coarse grid alone is still the best that is known
@@ -142,18 +154,18 @@ def optimise(
     start, best = first[run].start, last.best
     if start is None or best is None:
         return trace.data().assign(notes | {"found": False})
-    found = both_ends(trace, start, best) | {"converged": last.converged}
-    found |= scanned(trace, best, scan) if scan else {}
-    found |= {} if problem.grid is None else compared(problem, start, best)
+    found = measure_ends(trace, start, best) | {"converged": last.converged}
+    found |= scan_objective(trace, best, scan) if scan else {}
+    found |= {} if problem.grid is None else compare_basins(problem, start, best)
     return trace.data().assign(notes | found | {"found": True})
 
 
-def both_ends(trace: Trace, start: Row, best: Row) -> dict:
+def measure_ends(trace: Trace, start: Evaluation, best: Evaluation) -> dict:
     """What `optimise` says of the best climb's start and its end."""
     problem, sides = trace.problem, {"start": start, "optimum": best}
     found: dict = {}
     for name, row in sides.items():
-        exact = trace.measure(row.run, ENDS, problem.place(row.parameters))
+        exact = trace.measure(row.run, ENDS_STAGE, problem.place(row.parameters))
         found[name] = "parameter", row.parameters
         found[f"objective_{name}"] = row.value
         found[f"exact_{name}"], found[f"exact_{name}_error"] = exact.value, exact.value_error
@@ -165,13 +177,13 @@ def both_ends(trace: Trace, start: Row, best: Row) -> dict:
     return found
 
 
-def scanned(trace: Trace, best: Row, count: int) -> dict:
+def scan_objective(trace: Trace, best: Evaluation, count: int) -> dict:
     """The objective at values of each parameter, others as in the best row."""
     problem, middle = trace.problem, trace.problem.place(best.parameters)
     places = np.tile(middle, (len(middle), count, 1))
     for k in range(len(middle)):
         places[k, :, k] = np.linspace(0, 1, count)
-    rows = [[trace.measure(-1, SCAN, place) for place in line] for line in places]
+    rows = [[trace.measure(-1, SCAN_STAGE, place) for place in line] for line in places]
     low, high = np.array(
         [problem.limits.get(name, (-np.inf, np.inf)) for name in problem.measures]
     ).T
@@ -185,7 +197,7 @@ def scanned(trace: Trace, best: Row, count: int) -> dict:
     }
 
 
-def compared(problem: Problem, start: Row, best: Row) -> dict:
+def compare_basins(problem: Problem, start: Evaluation, best: Evaluation) -> dict:
     """The fates of a grid that holds both basins; none over three dimensions."""
     grid = problem.grid
     if grid is None or len(grid.names) != 2:
@@ -197,7 +209,7 @@ def compared(problem: Problem, start: Row, best: Row) -> dict:
             grid,
             min(1, problem.levels),
             strides=problem.strides,
-            check=CHECK[False],
+            check=CHECK_STARTS[False],
             seed=problem.seed,
             tolerance=problem.tolerance,
         )
@@ -210,7 +222,7 @@ def compared(problem: Problem, start: Row, best: Row) -> dict:
     low, high = np.maximum(low - margin, 0), np.minimum(high + margin, shape)
     spacing = np.asarray(rough[0].grid.spacing)
     axes = {
-        name: (float(start + first * width), float(start + last * width), VIEW)
+        name: (float(start + first * width), float(start + last * width), VIEW_CELLS)
         for name, start, first, last, width in zip(
             grid.names, grid.lower, low, high, spacing, strict=True
         )

@@ -78,7 +78,7 @@ class Problem(NamedTuple):
         return ", ".join(f"{name} {value:.6g}" for name, value in pairs)
 
 
-def weights_of(objective: str | Mapping[str, Any]) -> tuple[dict[str, float], float]:
+def parse_objective(objective: str | Mapping[str, Any]) -> tuple[dict[str, float], float]:
     """The weights of an objective, checked, and whether it is to be large, 1, or small, -1."""
     named = isinstance(objective, str)
     if not named:
@@ -95,7 +95,7 @@ def weights_of(objective: str | Mapping[str, Any]) -> tuple[dict[str, float], fl
     return weights, OBJECTIVES[objective] if named else 1.0
 
 
-def limits_of(
+def parse_limits(
     at_least: Mapping[str, Any] | None, at_most: Mapping[str, Any] | None
 ) -> dict[str, tuple[float, float]]:
     """The least and the greatest value of each measure that has limits, checked."""
@@ -139,7 +139,7 @@ def starting_places(problem: Problem, starts: int) -> list[Float[np.ndarray, " p
     return [*first, *sampler.random(starts - len(first))]
 
 
-def description(problem: Problem) -> dict:
+def describe_problem(problem: Problem) -> dict:
     """What was asked for, as attributes of a data set."""
     bounds = zip(problem.names, problem.low.tolist(), problem.high.tolist(), strict=True)
     limits = {

@@ -21,8 +21,8 @@ from walker_jax.basins.refinement import FINEST, refine
 from walker_jax.basins.schema import ATTRIBUTES, arrays_to_compute, describe, request_of
 from walker_jax.checks import WrongUse, check_kind, check_whole, numbers, refuses_tracers, short
 from walker_jax.design.measures import gait_measures
-from walker_jax.execution.progress import tracked
-from walker_jax.execution.workers import computers
+from walker_jax.execution.progress import track
+from walker_jax.execution.workers import open_workers
 from walker_jax.gaits.search import find_gait
 from walker_jax.grids import Grid
 from walker_jax.integrators.solvers import default_tolerance
@@ -30,9 +30,9 @@ from walker_jax.stability.summary import default_region, robustness, without_gai
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 
-OF_GAIT = ("step-length", "speed", "cost-of-transport")
+GAIT_NUMBERS = ("step-length", "speed", "cost-of-transport")
 """What is measured of a gait beside its state, multiplier and time."""
-MOST = 2**20
+MAX_COMBINATIONS = 2**20
 """Combinations of parameters, each of which is some twenty files of a store."""
 
 
@@ -98,7 +98,7 @@ def sweep(
     seed = check_whole("seed", seed, 0)
     grid = default_region(walker) if grid is None else grid
     if grid is None:
-        raise WrongUse("grid is wanted where no gait of period one is found")
+        raise WrongUse("grid is required where no gait of period one is found")
     check_grid(walker, grid, "direct")
     tolerance = float(default_tolerance(jnp.asarray(0.0).dtype, tolerance))
     how = {"levels": levels, "check": check, "robust": int(robust), "strides": strides}
@@ -110,7 +110,7 @@ def sweep(
     request = request or request_of(about, grid) | own
     about = about.assign_coords(values)
     names = [*values]
-    compute = partial(fill, request, about, walker, grid, names, cluster, progress)
+    compute = partial(compute_missing, request, about, walker, grid, names, cluster, progress)
     if out is None:  # nobody else sees it
         with tempfile.TemporaryDirectory() as folder:
             place = Path(folder) / "sweep.zarr"
@@ -129,13 +129,13 @@ def check_values(walker: Walker, values: Mapping[str, Float[np.ndarray, "..."]])
         if some.ndim != 1 or len(some) == 0 or len(np.unique(some)) < len(some):
             raise WrongUse(f"over {name} must be one row of different numbers, not {short(some)}")
     count = math.prod(map(len, values.values()))
-    if count > MOST:
-        raise WrongUse(f"over must have at most {MOST} combinations, not {count}")
+    if count > MAX_COMBINATIONS:
+        raise WrongUse(f"over must have at most {MAX_COMBINATIONS} combinations, not {count}")
     for name, some in values.items():
         check_parameter(walker, name, *some.tolist())
 
 
-def fill(
+def compute_missing(
     request: dict,
     about: xr.Dataset,
     walker: Walker,
@@ -149,14 +149,14 @@ def fill(
 ) -> xr.Dataset:
     """Compute what is missing of a sweep, and give all of it."""
     shape = [about.sizes[name] for name in names]
-    compute = partial(point, walker, grid, about.attrs, names)
-    before = blank(walker, grid, about)
-    fields = {name: spread(value, names, shape) for name, value in before.items()}
+    compute = partial(compute_combination, walker, grid, about.attrs, names)
+    before = empty_row(walker, grid, about)
+    fields = {name: broadcast(value, names, shape) for name, value in before.items()}
     unknown = {name: value.values for name, value in before.items()}
     block = (1,) * len(shape)
     with (
-        computers(cluster) as each,  # first, as there may be none
-        storage.pieces(out, request, about, fields, block, dict, overwrite=overwrite) as place,
+        open_workers(cluster) as each,  # first, as there may be none
+        storage.open_pieces(out, request, about, fields, block, dict, overwrite=overwrite) as place,
     ):
         number = {}
         for i in place.missing():
@@ -164,19 +164,19 @@ def fill(
             number[tuple(float(about[name][k]) for name, k in at)] = i
         label = " × ".join(names)
         found, done = each(compute, [*number]), place.count - len(number)
-        for values, row in tracked(found, label, progress, place.count, done):
+        for values, row in track(found, label, progress, place.count, done):
             row = unknown | row
             if "reason" not in place.group:  # as in a store of an older version
                 del row["reason"]
             place.write(number[values], row, done=True)
         place.finish(about)
-    return storage.opened(out)
+    return storage.open_dataset(out)
 
 
-def blank(walker: Walker, grid: Grid, about: xr.Dataset) -> dict[str, xr.Variable]:
+def empty_row(walker: Walker, grid: Grid, about: xr.Dataset) -> dict[str, xr.Variable]:
     """What there is of one combination, before it is computed."""
     single = ("area", "total_area", "total_area_error", "multiplier", "step_time")
-    single += tuple(name.replace("-", "_") for name in OF_GAIT)
+    single += tuple(name.replace("-", "_") for name in GAIT_NUMBERS)
     nowhere = "coordinate", np.full(grid.coordinates, np.nan)
     row = dict.fromkeys(single, np.nan) | {"gait_state": nowhere, "attractors": 0, "failed": 0}
     row |= {"reason": ""}
@@ -186,13 +186,13 @@ def blank(walker: Walker, grid: Grid, about: xr.Dataset) -> dict[str, xr.Variabl
     }
 
 
-def spread(value: xr.Variable, names: list[str], shape: list[int]) -> xr.Variable:
+def broadcast(value: xr.Variable, names: list[str], shape: list[int]) -> xr.Variable:
     """The same for every combination of parameters, without taking memory for it."""
     everywhere = np.broadcast_to(value.values, (*shape, *value.shape))
     return xr.Variable((*names, *value.dims), everywhere, value.attrs)
 
 
-def point(
+def compute_combination(
     walker: Walker, grid: Grid, how: Mapping[str, Any], names: list[str], values: tuple[float, ...]
 ) -> dict[str, Any]:
     """What a sweep holds of one combination of values."""
@@ -201,7 +201,7 @@ def point(
         for name, value in zip(names, values, strict=True):
             check_parameter(there, name, value)
             there = with_parameter(there, name, jnp.asarray(value, jnp.asarray(0.0).dtype))
-        return measured(there, grid, how)
+        return measure_basin(there, grid, how)
     except Exception as error:  # one bad combination must not cost the others
         full = isinstance(error, JaxRuntimeError) and "RESOURCE_EXHAUSTED" in str(error)
         if full or isinstance(error, MemoryError | OSError | ImportError):
@@ -212,7 +212,7 @@ def point(
         return {"failed": 1, "reason": " ".join(words)}
 
 
-def measured(walker: Walker, grid: Grid, how: Mapping[str, Any]) -> dict[str, Any]:
+def measure_basin(walker: Walker, grid: Grid, how: Mapping[str, Any]) -> dict[str, Any]:
     """The basin of a walker, and the numbers that go with it."""
     options: Any = {name: how[name] for name in ("strides", "tolerance")}
     cells = basin(walker, grid, "direct", **options)
@@ -224,7 +224,7 @@ def measured(walker: Walker, grid: Grid, how: Mapping[str, Any]) -> dict[str, An
         row |= {"gait_state": np.asarray(gait.states[0])}
         row |= {"multiplier": np.abs(gait.multipliers[0]), "step_time": np.mean(gait.step_times)}
         of_gait = gait_measures(walker, (), gait, tolerance=how["tolerance"])
-        row |= {name.replace("-", "_"): of_gait[name].value for name in OF_GAIT}
+        row |= {name.replace("-", "_"): of_gait[name].value for name in GAIT_NUMBERS}
     fine = robustness(walker, grid, **options) if how["robust"] else refine(walker, grid, **options)
     of_basin = ("total_area", "total_area_error", *(without_gait(walker) if how["robust"] else ()))
     return row | {name: fine[name].values for name in of_basin}

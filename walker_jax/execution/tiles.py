@@ -24,14 +24,14 @@ from jaxtyping import Int, PyTree
 from rich.progress import Progress
 
 from walker_jax.checks import WrongUse
-from walker_jax.execution.progress import console
+from walker_jax.execution.progress import progress_console
 from walker_jax.kernels.primitive import PROGRAMS, Program, program_of, settings_now, under
 
 # Cells in a tile, and tiles in a call: a call should take much longer than it takes to make.
-TILE = {"cpu": (1024, 8), "gpu": (2**17, 1), "tpu": (2**17, 1)}
-FEW = (64, 8)
+CALL_SHAPES = {"cpu": (1024, 8), "gpu": (2**17, 1), "tpu": (2**17, 1)}
+SMALL_CALL_SHAPE = (64, 8)
 """The same, where there are few cells for a CPU."""
-PIECE = (512, 2**15)
+KERNEL_CALL_CELLS = (512, 2**15)
 """Cells that a core works on without a break, by a kernel, at least and at most."""
 
 
@@ -83,19 +83,19 @@ def map_cells(
     if platform == "cpu":
         operands, structure = jax.tree.flatten(args)
         each = [each for arg, each in pairs for _ in jax.tree.leaves(arg)]
-        avals = [_described(x, one) for x, one in zip(operands, each, strict=True)]
+        avals = [abstract_value(x, one) for x, one in zip(operands, each, strict=True)]
         program, results = program_of(function, structure, avals)
         if program.kernel is not None:
-            found = _by_kernel(program, operands, each, n, progress)
+            found = run_kernel(program, operands, each, n, progress)
             return jax.tree.unflatten(results, found)
-    few = platform == "cpu" and n <= math.prod(FEW)
-    tile, tiles = FEW if few else TILE.get(platform, TILE["gpu"])
+    few = platform == "cpu" and n <= math.prod(SMALL_CALL_SHAPE)
+    tile, tiles = SMALL_CALL_SHAPE if few else CALL_SHAPES.get(platform, CALL_SHAPES["gpu"])
     call = tile * tiles * len(devices)
-    run = _compiled(function, mapped, platform, tile, tiles)
+    run = compile_call(function, mapped, platform, tile, tiles)
 
     def work(start: int, stop: int) -> PyTree[np.ndarray]:
         """The results of at most one call, in which each device has an equal share of the cells."""
-        chunk = jax.tree.map(lambda leaf: _filled(leaf[start:stop], call), cells)
+        chunk = jax.tree.map(lambda leaf: pad(leaf[start:stop], call), cells)
         left = stop - start - tile * tiles * np.arange(len(devices))
         done = run(shared, chunk, -(-np.clip(left, 0, tile * tiles) // tile))
         return jax.tree.map(lambda leaf: np.array(leaf[: stop - start]), jax.device_get(done))
@@ -110,11 +110,11 @@ def map_cells(
             result[start:stop] = leaf
 
     # Two calls at a time for an accelerator, so that it need not wait for the host.
-    _share_out(put, n, call, cores() if platform == "cpu" else 2, progress)
+    run_in_threads(put, n, call, cores() if platform == "cpu" else 2, progress)
     return results
 
 
-def _share_out(
+def run_in_threads(
     work: Callable[[int, int], None], n: int, call: int, workers: int, progress: str | None
 ) -> None:
     """work(start, stop) for n cells, `call` of them at a time, in as many threads."""
@@ -125,7 +125,7 @@ def _share_out(
         with under(settings):
             work(start, stop)
 
-    shown = console(progress is not None)
+    shown = progress_console(progress is not None)
     with (
         Progress(console=shown, disable=shown.quiet, transient=True) as bar,
         ThreadPoolExecutor(workers) as pool,
@@ -141,39 +141,39 @@ def _share_out(
             raise
 
 
-_limit: int | None = None
+core_limit: int | None = None
 
 
 def limit_cores(most: int | None) -> None:
     """Let `map_cells` use no more cores of a CPU than so many, in this process."""
-    global _limit
-    _limit = most
+    global core_limit
+    core_limit = most
 
 
 def cores() -> int:
     """Processor cores that this process may use."""
     number = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return min(number or 1, _limit or number or 1)
+    return min(number or 1, core_limit or number or 1)
 
 
-def _by_kernel(
+def run_kernel(
     program: Program, operands: list, mapped: list[bool], n: int, progress: str | None
 ) -> list[np.ndarray]:
     """The cells' results by a kernel, on all cores."""
     assert program.kernel is not None
     run, results = program.kernel.bind(operands, mapped, n)
     workers = cores()
-    least, most = PIECE
+    least, most = KERNEL_CALL_CELLS
     # Several for each core, so that all end at about the same time.
     call = min(most, max(least, -(-n // (4 * workers))))
     if n <= least and progress is None:
         run(0, n)
     else:
-        _share_out(run, n, call, workers, progress)
+        run_in_threads(run, n, call, workers, progress)
     return results
 
 
-def _described(leaf: Any, each: bool) -> jax.ShapeDtypeStruct:
+def abstract_value(leaf: Any, each: bool) -> jax.ShapeDtypeStruct:
     """Type of a leaf, and its shape in one cell."""
     plain = type(leaf) in (bool, int, float, complex)
     dtype = jax.dtypes.canonicalize_dtype(
@@ -185,7 +185,7 @@ def _described(leaf: Any, each: bool) -> jax.ShapeDtypeStruct:
     )
 
 
-def _filled(values: np.ndarray, size: int) -> np.ndarray:
+def pad(values: np.ndarray, size: int) -> np.ndarray:
     """values made up to `size` with copies of the last, which no tile waits for."""
     if len(values) == size:
         return values
@@ -194,7 +194,7 @@ def _filled(values: np.ndarray, size: int) -> np.ndarray:
 
 
 @functools.lru_cache(PROGRAMS)
-def _compiled(
+def compile_call(
     function: Callable, mapped: tuple[bool, ...], platform: str, tile: int, tiles: int
 ) -> Callable:
     """The jitted function of (shared, cells of one call, how many tiles each device does of it)."""
@@ -233,7 +233,9 @@ def order_of_cells(shape: tuple[int, ...]) -> Int[np.ndarray, " n"]:
     return np.arange(size, dtype=np.int32 if size < 2**31 else np.int64)
 
 
-def compact_order(shape: tuple[int, ...], tile: int = TILE["gpu"][0]) -> Int[np.ndarray, " n"]:
+def compact_order(
+    shape: tuple[int, ...], tile: int = CALL_SHAPES["gpu"][0]
+) -> Int[np.ndarray, " n"]:
     """Flat indices of a grid's cells, in an order in which a tile's cells lie close together.
 
     The grid is cut into cubes of about `tile` cells, one after the other.

@@ -18,19 +18,19 @@ from walker_jax.checks import WrongUse, check_whole
 from walker_jax.execution import tiles
 from walker_jax.kernels.primitive import MODES
 
-AHEAD = 2
+PIECES_PER_WORKER = 2
 """Pieces that each worker has been given, so that it need not wait for the next."""
-DEATHS = 10
+MAX_DEATHS = 10
 """Times that Dask may give a piece up, as it does when several workers have died over it."""
-MOST_HERE = 1024
+MAX_LOCAL_WORKERS = 1024
 """Worker processes on this machine, at most."""
-PATIENCE = 10
+CONNECT_SECONDS = 10
 """Seconds to wait for a scheduler."""
-Each = Callable[[Callable[[Any], Any], Sequence[Any]], Iterator[tuple[Any, Any]]]
+Compute = Callable[[Callable[[Any], Any], Sequence[Any]], Iterator[tuple[Any, Any]]]
 
 
 @contextmanager
-def computers(cluster: Any = None) -> Iterator[Each]:
+def open_workers(cluster: Any = None) -> Iterator[Compute]:
     """Something that computes function(thing) for each thing: gives both, as they are done.
 
     The function may be pickled, and gives the same wherever it is computed; things are hashable.
@@ -45,24 +45,26 @@ def computers(cluster: Any = None) -> Iterator[Each]:
     `ValueError` for a cluster that cannot be reached, or where Dask is not installed.
     """
     if cluster is None:
-        yield here
+        yield compute_here
         return
     asked: dict[Any, Any] = {}
-    with client_of(cluster) as client:
+    with connect(cluster) as client:
         try:
-            yield partial(on, client, asked)
+            yield partial(compute_on_cluster, client, asked)
         finally:
             if client is cluster:  # others end here
                 client.cancel([*asked])
 
 
-def here(function: Callable[[Any], Any], things: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
+def compute_here(
+    function: Callable[[Any], Any], things: Sequence[Any]
+) -> Iterator[tuple[Any, Any]]:
     """Each thing and its result, from this process."""
     for thing in things:
         yield thing, function(thing)
 
 
-def on(
+def compute_on_cluster(
     client: Any, asked: dict[Any, Any], function: Callable[[Any], Any], things: Sequence[Any]
 ) -> Iterator[tuple[Any, Any]]:
     """Each thing and its result, from the workers of a Dask client; those asked for meanwhile."""
@@ -74,7 +76,7 @@ def on(
     def ask_more() -> None:
         """As many as there are workers for by now."""
         workers = max(1, len(client.scheduler_info(n_workers=-1)["workers"]))
-        while waiting and len(asked) < AHEAD * workers:
+        while waiting and len(asked) < PIECES_PER_WORKER * workers:
             thing = waiting.pop()
             future = client.submit(function, thing, pure=False)
             asked[future] = thing
@@ -89,7 +91,7 @@ def on(
             found.append((thing, future.result()))
         except KilledWorker:
             deaths[thing] += 1
-            if deaths[thing] > DEATHS:
+            if deaths[thing] > MAX_DEATHS:
                 raise
             waiting.append(thing)
         ask_more()
@@ -97,7 +99,7 @@ def on(
 
 
 @contextmanager
-def client_of(cluster: Any) -> Iterator[Any]:
+def connect(cluster: Any) -> Iterator[Any]:
     """A client of a cluster, whose workers compute as this process does."""
     try:
         from distributed import Client, LocalCluster
@@ -105,12 +107,12 @@ def client_of(cluster: Any) -> Iterator[Any]:
         raise WrongUse("a cluster takes Dask: pip install 'walker_jax[distributed]'") from None
     modes = {mode: getattr(jax.config, mode) for mode in MODES}
     if isinstance(cluster, Client):
-        cluster.register_worker_callbacks(partial(as_here, modes, None))
+        cluster.register_worker_callbacks(partial(configure_worker, modes, None))
         yield cluster
         return
     local, cores, address = None, None, cluster
     if not isinstance(cluster, str):
-        workers = check_whole("cluster", cluster, most=MOST_HERE)
+        workers = check_whole("cluster", cluster, most=MAX_LOCAL_WORKERS)
         cores = max(1, tiles.cores() // workers)
         local = LocalCluster(
             n_workers=workers,
@@ -121,18 +123,18 @@ def client_of(cluster: Any) -> Iterator[Any]:
         address = local.scheduler_address
     try:
         try:
-            client = Client(address, timeout=PATIENCE)
+            client = Client(address, timeout=CONNECT_SECONDS)
         except (OSError, ValueError) as error:
             raise WrongUse(f"cluster {address} cannot be reached: {error}") from None
         with client:
-            client.register_worker_callbacks(partial(as_here, modes, cores))
+            client.register_worker_callbacks(partial(configure_worker, modes, cores))
             yield client
     finally:
         if local is not None:
             local.close()
 
 
-def as_here(modes: dict[str, Any], cores: int | None, dask_worker: Any) -> None:
+def configure_worker(modes: dict[str, Any], cores: int | None, dask_worker: Any) -> None:
     """Let a worker compute in the modes of another process, on so many cores."""
     for mode, value in modes.items():
         jax.config.update(mode, value)

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from walker_jax.checks import WrongUse
-from walker_jax.execution.progress import tracked
+from walker_jax.execution.progress import track
 from walker_jax.figures.basin_maps import basin
 from walker_jax.figures.layout import figure_title
 from walker_jax.figures.poses import draw_ground, draw_pose, leg_size, to_level
@@ -74,7 +74,7 @@ def film(
     figure.draw_without_rendering()
     figure.set_layout_engine("none")  # or panels shake
 
-    frames = tracked(range(walk.sizes["frame"]), "film", progress)
+    frames = track(range(walk.sizes["frame"]), "film", progress)
     slope, stride = float(walk.attrs["walker_slope"]), walk["stride"].values
     tall = 1.2 * leg_size(walk)
     with film_writer(figure, path, signature, moving) as grab:

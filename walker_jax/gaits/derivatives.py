@@ -12,9 +12,9 @@ from walker_jax.execution.tiles import map_cells
 from walker_jax.gaits.cycles import RESIDUAL, Gait, cyclic, largest_first, product, solve
 from walker_jax.integrators.solvers import Real
 from walker_jax.walkers.model import Walker
-from walker_jax.walkers.parameters import axis_of, check_parameter
+from walker_jax.walkers.parameters import check_parameter, parameter_direction
 from walker_jax.walking.iteration import stacked
-from walker_jax.walking.stepping import follow_stride, prepared
+from walker_jax.walking.stepping import follow_stride, prepare
 
 
 class GaitDerivatives(NamedTuple):
@@ -58,7 +58,7 @@ def gait_derivatives(
     if not gait.found:
         raise WrongUse(f"gait must be one, unlike the end of a failed search, {gait.states}")
     cycle = np.asarray(gait.states)[None]
-    walker, _, tolerance = prepared(walker, cycle[0, 0], tolerance)
+    walker, _, tolerance = prepare(walker, cycle[0, 0], tolerance)
     local = linearise(walker, cycle, tolerance, parameter)
     miss = np.abs(local.state - np.roll(cycle, -1, axis=1)).max()
     if not miss < RESIDUAL[cycle.dtype]:
@@ -102,7 +102,10 @@ def linearise(
     The walker's parameters may be arrays of n. The first column shows which strides there are, and
     the others are computed of these alone.
     """
-    size, shared = cycles.shape[2], (tolerance, axis_of(walker, parameter, cycles.dtype))
+    size, shared = (
+        cycles.shape[2],
+        (tolerance, parameter_direction(walker, parameter, cycles.dtype)),
+    )
     directions = np.eye(size + (parameter is not None), size + 1, dtype=cycles.dtype)
     walkers, starts = repeated(walker, cycles, 1)
 
@@ -152,7 +155,7 @@ def curve(
         np.repeat(directions.reshape(-1, columns), columns, axis=0),
         np.tile(np.eye(columns, dtype=cycles.dtype), (n * period, 1)),
     )
-    shared = tolerance, axis_of(walker, parameter, cycles.dtype)
+    shared = tolerance, parameter_direction(walker, parameter, cycles.dtype)
     (_, (along, time)), (_, (changes, _)) = map_cells(push_twice, (shared, cells))
     shape = n, period, columns
     return Curved(

@@ -15,7 +15,7 @@ from walker_jax.integrators.solvers import Real
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import with_parameter
 from walker_jax.walking.iteration import stacked
-from walker_jax.walking.stepping import prepared
+from walker_jax.walking.stepping import prepare
 
 # How a branch is followed. Each path is a generator that asks for strides and their derivatives
 # and is sent the answer, so that one call computes what all paths ask for.
@@ -68,7 +68,7 @@ def answer_all(
 ) -> list[Answer]:
     """What is asked for, every state of every cycle a cell of its own."""
     dtype = asks[0].cycle.dtype
-    walker, _, tolerance = prepared(walker, asks[0].cycle[0], tolerance)
+    walker, _, tolerance = prepare(walker, asks[0].cycle[0], tolerance)
     batch = lambda asks: cells_of(walker, parameter, asks, dtype)
     locals_ = split(linearise(*batch(asks), tolerance, parameter), asks)
     bent = [ask for ask in asks if ask.vectors is not None]

@@ -52,7 +52,7 @@ from walker_jax.walkers.model import Walker, moves_like
 from walker_jax.walkers.simplest import SimplestWalker
 from walker_jax.walking.iteration import follow_walk, orbits, select_walkers, strides
 from walker_jax.walking.outcomes import Outcome
-from walker_jax.walking.stepping import as_floating, prepared
+from walker_jax.walking.stepping import as_floating, prepare
 
 
 def find_gait(
@@ -100,7 +100,7 @@ def gait_near(walker: Walker, guess: Any, period: int, tolerance: Real | None) -
         raise WrongUse(f"guess must have shape ({size},) or {(period, size)}, not {guess.shape}")
     if given and not isinstance(guess, Tracer) and not np.isfinite(np.asarray(guess)).all():
         raise WrongUse(f"guess must be finite, not {guess.tolist()}")
-    walker, first, tolerance = prepared(walker, guess.reshape(-1, size)[0], tolerance)
+    walker, first, tolerance = prepare(walker, guess.reshape(-1, size)[0], tolerance)
     cycle = guess.reshape(-1, size).astype(first.dtype)
     traced = is_traced((walker, cycle, tolerance))
     if len(cycle) < period and traced:
@@ -186,7 +186,7 @@ def find_gaits(
             f"{', '.join(walker.section)}, not {', '.join(grid.names)}"
         )
     starts = grid.centres(np.arange(grid.size))
-    walker, _, tolerance = prepared(walker, starts[0], tolerance)
+    walker, _, tolerance = prepare(walker, starts[0], tolerance)
     # Without `strides` for a period of one, which would be one more program to compile.
     cycles = starts[:, None]
     if period > 1:
@@ -242,7 +242,7 @@ def descend(
     rate = float(rate)
     if not 0 < rate < np.inf:
         raise WrongUse(f"rate must be positive and finite, not {rate}")
-    walker, _, tolerance = prepared(walker, cycles[0, 0], tolerance)
+    walker, _, tolerance = prepare(walker, cycles[0, 0], tolerance)
     optimiser = optax.adam(optax.cosine_decay_schedule(rate, steps), b1=0.5, b2=0.9)
     x, scale = cycles, np.ones(len(cycles), cycles.dtype)
     local = linearise(walker, x, tolerance)

@@ -13,7 +13,7 @@ from pathlib import Path
 import xarray as xr
 
 from walker_jax import storage
-from walker_jax.execution.progress import console
+from walker_jax.execution.progress import progress_console
 from walker_jax.paper import report
 from walker_jax.paper.calculations import FULL, PARTS, QUICK
 from walker_jax.paper.numbers import Number, compare_numbers
@@ -46,7 +46,7 @@ def reproduce(
         for path in places.values():
             shutil.rmtree(path, ignore_errors=True)
     (out / "data").mkdir(parents=True, exist_ok=True)
-    shown = console(progress)
+    shown = progress_console(progress)
     data: dict[str, xr.Dataset] = {}
     begun = lambda: any(path.exists() for path in places.values())
     with storage.resumable(out, begun, overwrite=overwrite):
@@ -66,19 +66,21 @@ def reproduce(
                     figure.savefig(path, dpi=150, metadata={"Title": title})
                 images.append(picture_paths(out, one)[0].read_bytes())
         kept = {"signature": title, "numbers": [number._asdict() for number in numbers]}
-        storage.write(out / "numbers.json", json.dumps(kept, indent=1))
-        storage.write(out / "report.html", render_report(numbers, images, title, quick=quick))
+        storage.write_text(out / "numbers.json", json.dumps(kept, indent=1))
+        storage.write_text(out / "report.html", render_report(numbers, images, title, quick=quick))
     return numbers
 
 
 def check_place(out: Path, places: dict[str, Path], request: dict, *, overwrite: bool) -> None:
     """Raise `ValueError` where something else would be lost, or nothing can be written."""
-    storage.writable(out)
+    storage.check_writable(out)
     if not out.exists():
         return
     if not out.is_dir():
-        raise storage.Occupied(f"{out} exists and is not a folder", storage.ELSEWHERE.format("out"))
-    storage.writable(out / "data")
+        raise storage.StoreConflict(
+            f"{out} exists and is not a folder", storage.ANOTHER_PLACE.format("out")
+        )
+    storage.check_writable(out / "data")
     if (out / "data").exists():
         for name, path in places.items():
             storage.find(path, request | {"part": name}, overwrite=overwrite)

@@ -13,7 +13,7 @@ from walker_jax.basins.memory import check_grid
 from walker_jax.basins.methods import mapper_of_grid
 from walker_jax.basins.refinement import edge
 from walker_jax.checks import check_precision, check_whole, numbers, refuses_tracers
-from walker_jax.fractals import Uncertainty, checked_distances, uncertainty_exponent, upper_end
+from walker_jax.fractals import Uncertainty, sort_distances, uncertainty_exponent, upper_probability
 from walker_jax.grids import Grid
 from walker_jax.integrators.solvers import default_tolerance
 from walker_jax.walkers.model import Walker
@@ -54,8 +54,8 @@ def boundary_dimension(
     """
     check_grid(walker, grid, "direct")
     check_whole("seed", seed, 0)
-    apart = checked_distances(numbers("distances", distances), pairs)
-    upper_end(confidence)
+    apart = sort_distances(numbers("distances", distances), pairs)
+    upper_probability(confidence)
     check_whole("strides", strides)
     dtype = jnp.asarray(0.0).dtype
     check_precision(dtype, "boundary_dimension, which compares starts 1e-6 apart,")

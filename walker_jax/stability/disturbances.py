@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 from walker_jax.checks import refuses_tracers
 from walker_jax.gaits.cycles import Gait
 from walker_jax.stability.gait_mapper import failure_test, mapper_of_gait, with_other_gaits
-from walker_jax.stability.margin_changes import margin_changes
+from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.stability.metric import metric
 from walker_jax.stability.rays import directions, nearest_failure
 from walker_jax.walkers.model import Walker
@@ -98,7 +98,7 @@ def least_disturbance(
 
     def gradient(points: Float[np.ndarray, "n section"]) -> Float[np.ndarray, "n section"]:
         count = mapper(points).strides
-        return margin_changes(walker, points, count, np.eye(len(unit)), (), mapper.tolerance)
+        return differentiate_margins(walker, points, count, np.eye(len(unit)), (), mapper.tolerance)
 
     found = [
         nearest_failure(

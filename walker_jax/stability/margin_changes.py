@@ -9,11 +9,11 @@ from jaxtyping import Float, Int
 
 from walker_jax.execution.tiles import map_cells
 from walker_jax.walkers.model import Scalar, Walker
-from walker_jax.walking.failure_margins import failed_by, follow_margins
+from walker_jax.walking.failure_margins import failure_margin, follow_margins
 from walker_jax.walking.iteration import walk_on
 
 
-def margin_changes(
+def differentiate_margins(
     walker: Walker,
     x: Float[np.ndarray, "n section"],
     made: Int[np.ndarray, " n"],
@@ -49,7 +49,7 @@ def margin_jvp(shared: tuple, cell: tuple) -> Scalar:
 
     def margin(walker, x):
         end = walk_on(walker, x, None, count, tolerance)
-        return failed_by(follow_margins(walker, end.state, tolerance))
+        return failure_margin(follow_margins(walker, end.state, tolerance))
 
     value, change = jax.jvp(margin, (walker, x), tangents)
     return jnp.where(jnp.isnan(value), jnp.nan, change)

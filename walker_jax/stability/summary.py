@@ -11,16 +11,16 @@ from jaxtyping import Float
 
 from walker_jax.basins.refinement import refine
 from walker_jax.checks import WrongUse, check_kind, check_precision, numbers, refuses_tracers
-from walker_jax.execution.progress import tracked
+from walker_jax.execution.progress import track
 from walker_jax.gaits.search import find_gait
-from walker_jax.grids import Grid, around
+from walker_jax.grids import Grid, axes_around
 from walker_jax.stability.dimension import boundary_dimension
 from walker_jax.stability.disturbances import least_disturbance
 from walker_jax.stability.sampling import basin_stability
 from walker_jax.stability.steps_down import least_step_down
+from walker_jax.walkers.abstract_point_foot import AbstractPointFootWalker
 from walker_jax.walkers.model import Walker, moves_like
 from walker_jax.walkers.parameters import check_parameter, with_parameter
-from walker_jax.walkers.point_feet import PointFeetWalker
 from walker_jax.walkers.simplest import SimplestWalker
 from walker_jax.walking.outcomes import Outcome
 
@@ -259,7 +259,7 @@ def robustness_table(
     check_parameter(walker, parameter, *map(float, values))
     check_precision(jnp.asarray(0.0).dtype, "robustness_table, as robustness does,")
     rows = []
-    for value in tracked(values, parameter, progress):
+    for value in track(values, parameter, progress):
         there = with_parameter(walker, parameter, float(value))
         region = default_region(there) if grid is None else grid
         if region is None:
@@ -301,10 +301,10 @@ def default_region(walker: Walker) -> Grid | None:
 
     The rates are those of the simplest walker's basins, and more for others.
     """
-    if isinstance(walker, PointFeetWalker):
+    if isinstance(walker, AbstractPointFootWalker):
         rates = (-0.12, 0.06, 200) if moves_like(walker, SimplestWalker) else (-1.1, 0.1, 800)
         return Grid.sheared(theta=(0, np.pi / 4, 200), sum=rates)
     gait = find_gait(walker)
     if not gait.found:
         return None
-    return Grid.sheared(**around(gait.states[0], ("theta", "sum", "phidot")))
+    return Grid.sheared(**axes_around(gait.states[0], ("theta", "sum", "phidot")))

@@ -4,20 +4,20 @@ A data set carries, in its attribute `request`, what was asked for, as JSON. The
 its result again; any other is refused the place unless it is told to overwrite.
 """
 
-from walker_jax.storage.piecewise import Pieces as Pieces
-from walker_jax.storage.piecewise import pieces as pieces
-from walker_jax.storage.piecewise import resumable as resumable
-from walker_jax.storage.places import ELSEWHERE as ELSEWHERE
-from walker_jax.storage.places import RESUME as RESUME
-from walker_jax.storage.places import Occupied as Occupied
-from walker_jax.storage.places import draft_of as draft_of
-from walker_jax.storage.places import writable as writable
-from walker_jax.storage.places import write as write
+from walker_jax.storage.datasets import export as export
+from walker_jax.storage.datasets import find as find
+from walker_jax.storage.datasets import load as load
+from walker_jax.storage.datasets import open_dataset as open_dataset
+from walker_jax.storage.datasets import rewritable as rewritable
+from walker_jax.storage.datasets import save as save
+from walker_jax.storage.pieces import Pieces as Pieces
+from walker_jax.storage.pieces import open_pieces as open_pieces
+from walker_jax.storage.pieces import resumable as resumable
+from walker_jax.storage.places import ANOTHER_PLACE as ANOTHER_PLACE
+from walker_jax.storage.places import RESUME_HINT as RESUME_HINT
+from walker_jax.storage.places import StoreConflict as StoreConflict
+from walker_jax.storage.places import atomic_file as atomic_file
+from walker_jax.storage.places import check_writable as check_writable
+from walker_jax.storage.places import write_text as write_text
 from walker_jax.storage.requests import check_picture as check_picture
 from walker_jax.storage.requests import signature as signature
-from walker_jax.storage.whole import export as export
-from walker_jax.storage.whole import find as find
-from walker_jax.storage.whole import load as load
-from walker_jax.storage.whole import opened as opened
-from walker_jax.storage.whole import rewritable as rewritable
-from walker_jax.storage.whole import save as save

@@ -12,31 +12,31 @@ import filelock
 
 from walker_jax.checks import WrongUse
 
-LOCK = "lock"
+LOCK_FILE = "lock"
 """The file by which a run keeps others out of a folder."""
-TRIES = 100
+LOCK_ATTEMPTS = 100
 """To take a lock that another run is just removing."""
 
 
-class Occupied(WrongUse):
+class StoreConflict(WrongUse):
     """Something else stands where a result is to go: what it is, and the arguments that help."""
 
     def __str__(self):
         return ": ".join(self.args)
 
 
-ELSEWHERE = "give another {}"
-REPLACE = "give another {}, or overwrite to replace it"
-RESUME = "run the same again"
+ANOTHER_PLACE = "give another {}"
+ANOTHER_PLACE_OR_OVERWRITE = "give another {}, or overwrite to replace it"
+RESUME_HINT = "run the same again"
 """What a note on an interruption begins with that says how its work is resumed."""
 
 
-def followed(path: Path) -> Path:
+def resolve_link(path: Path) -> Path:
     """Where a link leads, so that one place has one name."""
     return path.resolve() if os.path.islink(path) else path
 
 
-def writable(path: Path) -> None:
+def check_writable(path: Path) -> None:
     """Raises `ValueError` where no file can be made beside `path`."""
     folder = path.absolute().parent
     try:
@@ -44,29 +44,29 @@ def writable(path: Path) -> None:
             raise WrongUse(f"{path} cannot be written: there is no folder {folder}")
         if not os.access(folder, os.W_OK | os.X_OK):
             raise WrongUse(f"{path} cannot be written: no permission for the folder {folder}")
-        beside(path).exists()  # refuses a name too long for that one's
+        scratch_folder(path).exists()  # refuses a name too long for that one's
         tempfile.TemporaryFile(dir=folder).close()  # refused on what is read only, also to root
     except OSError as error:
         raise WrongUse(f"{path} cannot be written: {error.strerror}") from None
 
 
-def beside(path: Path) -> Path:
+def scratch_folder(path: Path) -> Path:
     """The hidden folder of the run that writes at `path`."""
     return path.absolute().with_name(f".{path.name}.walker-jax")
 
 
 @contextmanager
-def held(path: Path) -> Iterator[Path]:
+def exclusive(path: Path) -> Iterator[Path]:
     """Nobody else writes at `path` meanwhile. Gives a hidden folder beside it, removed at the end.
 
-    What a killed run left there is put in order first. Raises `Occupied` while another run holds
+    Puts in order first what a killed run left there. Raises `StoreConflict` while another run holds
     the place, which ends with its process, however that ends.
     """
-    folder = beside(path)
-    lock = taken(folder, path)
+    folder = scratch_folder(path)
+    lock = acquire_lock(folder, path)
     try:
         restore(folder, path)
-        mend(path)
+        remove_partial_files(path)
         yield folder
     finally:
         try:
@@ -76,10 +76,10 @@ def held(path: Path) -> Iterator[Path]:
             lock.release()
 
 
-def taken(folder: Path, path: Path) -> filelock.BaseFileLock:
+def acquire_lock(folder: Path, path: Path) -> filelock.BaseFileLock:
     """The lock of the folder of `path`, which is made."""
-    lock = filelock.FileLock(folder / LOCK, blocking=False)
-    for _ in range(TRIES):
+    lock = filelock.FileLock(folder / LOCK_FILE, blocking=False)
+    for _ in range(LOCK_ATTEMPTS):
         try:
             folder.mkdir(exist_ok=True)
             lock.acquire()
@@ -87,13 +87,13 @@ def taken(folder: Path, path: Path) -> filelock.BaseFileLock:
         except (FileNotFoundError, FileExistsError):  # another run is just removing it
             continue
         except (filelock.Timeout, PermissionError):  # a run of this user, or of another one
-            raise Occupied(
-                f"{path} is being written by another run", f"wait, or {ELSEWHERE.format('out')}"
+            raise StoreConflict(
+                f"{path} is being written by another run", f"wait, or {ANOTHER_PLACE.format('out')}"
             ) from None
-    raise Occupied(f"{path} cannot be written: {folder} is in the way")
+    raise StoreConflict(f"{path} cannot be written: {folder} is in the way")
 
 
-def put(folder: Path, path: Path) -> None:
+def move_into_place(folder: Path, path: Path) -> None:
     """Put the new data set in the folder at `path`, in the place of what stands there."""
     if path.exists():
         path.rename(folder / "old")
@@ -107,15 +107,17 @@ def restore(folder: Path, path: Path) -> None:
     if old.exists() and not path.exists():
         old.rename(path)
     if old.exists() and new.exists():
-        raise Occupied(f"{path} came in the way of data sets that are in {folder}: move it away")
+        raise StoreConflict(
+            f"{path} came in the way of data sets that are in {folder}: move it away"
+        )
     for left in folder.iterdir():
         if left.is_dir() and not left.is_symlink():
             shutil.rmtree(left)
-        elif left.name != LOCK:
+        elif left.name != LOCK_FILE:
             left.unlink()
 
 
-def mend(path: Path) -> None:
+def remove_partial_files(path: Path) -> None:
     """Remove from a data set what Zarr was at when a run ended: files half written, no arrays."""
     if (path / "zarr.json").is_file():
         for left in [*path.rglob("*.partial")]:
@@ -126,7 +128,7 @@ def mend(path: Path) -> None:
 
 
 @contextmanager
-def draft_of(path: Path) -> Iterator[Path]:
+def atomic_file(path: Path) -> Iterator[Path]:
     """A file that takes the place of `path` at the end, if all goes well, or is removed."""
     draft = path.with_name(f".new.{path.name}")
     try:
@@ -136,24 +138,24 @@ def draft_of(path: Path) -> Iterator[Path]:
         draft.unlink(missing_ok=True)
 
 
-def write(path: Path, text: str) -> None:
+def write_text(path: Path, text: str) -> None:
     """Write a file at `path`, in the place of any that stands there, whole or not at all."""
-    with draft_of(path) as draft:
+    with atomic_file(path) as draft:
         draft.write_text(text, encoding="utf-8")
 
 
-def group_at(path: Path, mode: Literal["r", "r+"]) -> Any:
+def open_group(path: Path, mode: Literal["r", "r+"]) -> Any:
     """The Zarr group at `path`."""
     import zarr  # which takes long to load, and only runs with a place on disk need it
 
     return zarr.open_group(path, mode=mode)
 
 
-def tidy(path: Path, folder: Path) -> None:
+def remove_auxiliary_arrays(path: Path, folder: Path) -> None:
     """Remove from a data set that is whole what was of use on the way."""
     if not (path / "written").exists():  # another run was faster
         return
-    aside = group_at(path, "r")["written"].attrs["aside"]
+    aside = open_group(path, "r")["written"].attrs["aside"]
     for name in (*aside, "written"):  # this one last: it says that there is something to do
         if (path / name).exists():
             (path / name).rename(folder / name)

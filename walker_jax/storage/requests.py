@@ -5,27 +5,29 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 
-from walker_jax.storage.places import REPLACE, Occupied, writable
+from walker_jax.storage.places import ANOTHER_PLACE_OR_OVERWRITE, StoreConflict, check_writable
 
 
 def check_request(path: Path, attributes: Mapping, request: dict) -> None:
-    """Raises `Occupied` for the attributes of another result, and says what is other."""
+    """Raises `StoreConflict` for the attributes of another result, and says what is other."""
     there = attributes.get("request")
-    if there == canonical(request):
+    if there == canonical_json(request):
         return
     try:
-        other = differences(json.loads(str(there)), json.loads(canonical(request)))
+        other = first_difference(json.loads(str(there)), json.loads(canonical_json(request)))
     except (TypeError, ValueError):  # nothing that was written here
         other = ""
-    raise Occupied(f"{path} holds another result{other}", REPLACE.format("out"))
+    raise StoreConflict(
+        f"{path} holds another result{other}", ANOTHER_PLACE_OR_OVERWRITE.format("out")
+    )
 
 
-def differences(there: dict, wanted: dict, within: str = "") -> str:
+def first_difference(there: dict, wanted: dict, within: str = "") -> str:
     """The first thing in which what stands somewhere is not what is wanted, in words."""
     for name in sorted(there | wanted, key=lambda name: name != "command"):
         old, new = there.get(name), wanted.get(name)
         if isinstance(old, dict) and isinstance(new, dict) and old != new:
-            return differences(old, new, f"{within}{name} ")
+            return first_difference(old, new, f"{within}{name} ")
         if old != new:
             said = json.dumps(old) if name in there else "none"
             return f" ({within}{name}: {said}, not {json.dumps(new)})"
@@ -39,18 +41,20 @@ def check_picture(
 
     `argument` is the name of that by which the place was given.
     """
-    writable(path)
+    check_writable(path)
     if not path.exists():
         return
     known = path.is_file() and (overwrite or signature(request).encode() in path.read_bytes())
     if not known:
-        raise Occupied(f"{path} is something else", REPLACE.format(argument))
+        raise StoreConflict(
+            f"{path} is something else", ANOTHER_PLACE_OR_OVERWRITE.format(argument)
+        )
 
 
 def signature(request: dict) -> str:
     """What a picture of `request` carries as its title, by which it is known again."""
-    return f"walker-jax {hashlib.sha256(canonical(request).encode()).hexdigest()}"
+    return f"walker-jax {hashlib.sha256(canonical_json(request).encode()).hexdigest()}"
 
 
-def canonical(request: dict) -> str:
+def canonical_json(request: dict) -> str:
     return json.dumps(request, sort_keys=True)

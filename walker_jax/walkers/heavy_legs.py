@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from walker_jax.checks import WrongUse
 from walker_jax.kernels.scalars import unrolled
-from walker_jax.walkers.masses import MultibodyWalker, of_feet
+from walker_jax.walkers.masses import MultibodyWalker, stance_coordinates
 from walker_jax.walkers.model import Scalar, State
 
 
@@ -47,12 +47,12 @@ class HeavyLegWalker(MultibodyWalker):
         return jnp.stack([state.theta, state.thetadot, state.phidot])
 
     def clearance(self, state):
-        above = lambda walker, *legs: walker.swing_foot(of_feet([*legs]))[1]
+        above = lambda walker, *legs: walker.swing_foot(stance_coordinates([*legs]))[1]
         return unrolled(above)(self, state.theta, state.phi)
 
     def reach(self, state):
         """Of feet that roll, how far the walker gets by a step, rolling included."""
-        ahead = lambda walker, *legs: walker.swing_foot(of_feet([*legs]))[0]
+        ahead = lambda walker, *legs: walker.swing_foot(stance_coordinates([*legs]))[0]
         return unrolled(ahead)(self, state.theta, state.phi)
 
     def feasible(self, x):
@@ -67,4 +67,4 @@ class HeavyLegWalker(MultibodyWalker):
 def swing_foot_at(walker: HeavyLegWalker, theta: Scalar | float) -> Float[Array, " 2"]:
     """(u, v) of the swing foot with legs as at heel strike, phi = 2 theta."""
     theta = jnp.asarray(theta, walker.slope.dtype)
-    return walker.swing_foot(of_feet([theta, 2 * theta]))
+    return walker.swing_foot(stance_coordinates([theta, 2 * theta]))

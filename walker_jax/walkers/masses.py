@@ -49,22 +49,22 @@ class MultibodyWalker(Walker):
 
     def contact_force(self, state):
         """The forces dual to u and v that hold them, (4)."""
-        _, (Q_u, Q_v, _, _) = motion(self, state)
+        _, (Q_u, Q_v, _, _) = accelerations_and_forces(self, state)
         return Q_u, Q_v
 
     def impact(self, state):
         """(17), without restitution."""
-        (u, v, thetadot, phidot), _ = collision(self, state)
+        (u, v, thetadot, phidot), _ = rates_and_impulses(self, state)
         return (u, v), State(state.theta, state.phi, thetadot, phidot)
 
     def impulse(self, state: State) -> tuple[Scalar, Scalar]:
         """Impulse (rho_x, rho_y) of the ground on the swing foot at heel strike, (17)."""
-        _, (rho_x, rho_y) = collision(self, state)
+        _, (rho_x, rho_y) = rates_and_impulses(self, state)
         return rho_x, rho_y
 
     def energy(self, state: State) -> Scalar:
         """Kinetic energy, and potential energy of gravity, the stance foot at the origin."""
-        q, qdot = coordinates(state)
+        q, qdot = coordinates_and_rates(state)
         system = self.system()
         return multibody.kinetic_energy(system, q, qdot) + multibody.potential_energy(system, q)
 
@@ -74,7 +74,7 @@ def rises_ever_faster(walker: MultibodyWalker, state: State) -> Bool[Array, ""]:
 
     As for the simplest walker it is too late then to come down again: an experience (tests).
     """
-    (_, _, thetaddot, phiddot), (_, Q_v, _, _) = motion(walker, state)
+    (_, _, thetaddot, phiddot), (_, Q_v, _, _) = accelerations_and_forces(walker, state)
     rising = (state.phi > 2 * state.theta) & (state.phidot > 2 * state.thetadot)
     faster = phiddot > 2 * thetaddot
     return rising & faster & (state.phi < 0) & (thetaddot < 0) & (Q_v > 0)
@@ -86,14 +86,17 @@ class SingleSupport(VirtualPower):
     walker: MultibodyWalker
 
     def transfer(self, q):
-        flat = lambda walker, q: list(walker.system().transfer(of_feet(q)))
+        flat = lambda walker, q: list(walker.system().transfer(stance_coordinates(q)))
         return unrolled(flat)(self.walker, q)
 
     def power(self, q, qdot, acceleration):
         def flat(walker, q, qdot, acceleration):
             return list(
                 multibody.virtual_power(
-                    walker.system(), of_feet(q), of_feet(qdot), jnp.stack(acceleration)
+                    walker.system(),
+                    stance_coordinates(q),
+                    stance_coordinates(qdot),
+                    jnp.stack(acceleration),
                 )[2:]
             )
 
@@ -101,7 +104,7 @@ class SingleSupport(VirtualPower):
 
     def factorise(self, q):
         def flat(walker, q):
-            matrix = multibody.mass_matrix(walker.system(), of_feet(q))
+            matrix = multibody.mass_matrix(walker.system(), stance_coordinates(q))
             return multibody.factorise(multibody.block(matrix, (2, 3)))
 
         return unrolled(flat)(self.walker, q)
@@ -110,23 +113,25 @@ class SingleSupport(VirtualPower):
         return multibody.solve(factors, right)
 
 
-def of_feet(legs: list[Scalar]) -> Float[Array, " 4"]:
+def stance_coordinates(legs: list[Scalar]) -> Float[Array, " 4"]:
     """q = (u, v, theta, phi) from (theta, phi), the stance foot at the origin; or its rates."""
     zero = jnp.zeros_like(legs[0])
     return jnp.stack([zero, zero, *legs])
 
 
-def coordinates(state: State) -> tuple[Float[Array, " 4"], Float[Array, " 4"]]:
+def coordinates_and_rates(state: State) -> tuple[Float[Array, " 4"], Float[Array, " 4"]]:
     """q and its rates."""
-    return of_feet(list(state[:2])), of_feet(list(state[2:]))
+    return stance_coordinates(list(state[:2])), stance_coordinates(list(state[2:]))
 
 
 @jax.jit
-def motion(walker: MultibodyWalker, state: State) -> tuple[list[Scalar], list[Scalar]]:
+def accelerations_and_forces(
+    walker: MultibodyWalker, state: State
+) -> tuple[list[Scalar], list[Scalar]]:
     """Accelerations, and the forces that hold u and v, of a walker on its stance foot, (4)."""
 
     def equations(walker, state):
-        q, qdot = coordinates(state)
+        q, qdot = coordinates_and_rates(state)
         accelerations, forces = multibody.motion(walker.system(), q, qdot, held=(0, 1))
         return list(accelerations), list(forces)
 
@@ -134,11 +139,11 @@ def motion(walker: MultibodyWalker, state: State) -> tuple[list[Scalar], list[Sc
 
 
 @jax.jit
-def collision(walker: MultibodyWalker, state: State) -> tuple[list[Scalar], list[Scalar]]:
+def rates_and_impulses(walker: MultibodyWalker, state: State) -> tuple[list[Scalar], list[Scalar]]:
     """Rates after heel strike, and impulses, (17)."""
 
     def equations(walker, state):
-        q, qdot = coordinates(state)
+        q, qdot = coordinates_and_rates(state)
         after = multibody.impact(walker.system(), walker.swing_foot, q, qdot)
         return list(after.velocities), list(after.impulses)
 

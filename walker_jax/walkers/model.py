@@ -52,11 +52,11 @@ class Walker(eqx.Module):
     def __init_subclass__(cls, **kwargs):
         """Reset what is known of the walkers that this class derives from, but not of it.
 
-        What `KNOWN_OF` lists has been shown for the methods named there. Where a class defines one
+        What `PREMISES` lists has been shown for the methods named there. Where a class defines one
         of these anew, and does not say that it still holds, the default of `Walker` holds.
         """
         super().__init_subclass__(**kwargs)
-        for name, methods in KNOWN_OF.items():
+        for name, methods in PREMISES.items():
             said = next(i for i, base in enumerate(cls.__mro__) if name in vars(base))
             if any(method in vars(base) for base in cls.__mro__[:said] for method in methods):
                 setattr(cls, name, vars(Walker)[name])
@@ -66,7 +66,7 @@ class Walker(eqx.Module):
 
     def __repr__(self):
         """The parameters' values, as far as each is one number; else their types and shapes."""
-        shown = (f"{name}={displayed(value)}" for name, value in vars(self).items())
+        shown = (f"{name}={format_parameter(value)}" for name, value in vars(self).items())
         return f"{type(self).__name__}({', '.join(shown)})"
 
     @abc.abstractmethod
@@ -158,27 +158,27 @@ class Walker(eqx.Module):
         return State(theta - phi, -phi, thetadot - phidot, -phidot)
 
 
-TRIED = {"theta": 0.3, "thetadot": -0.5, "phidot": -0.2}
+SAMPLE_POINT = {"theta": 0.3, "thetadot": -0.5, "phidot": -0.2}
 """A point of the section by which an impact is tried; any that has no symmetry would do."""
-LANDING_ERROR = 1e-4
+MAX_LANDING_ERROR = 1e-4
 """Distance from the section, to the largest of the coordinates, that rounding may make."""
 
 
 Kind = TypeVar("Kind", bound=Walker)
-MOTION = ("vector_field", "system")
-KNOWN_OF = {
-    "force_least_at_ends": (*MOTION, "contact_force"),
-    "inverted_pendulum": MOTION,
+EQUATIONS_OF_MOTION = ("vector_field", "system")
+PREMISES = {
+    "force_least_at_ends": (*EQUATIONS_OF_MOTION, "contact_force"),
+    "inverted_pendulum": EQUATIONS_OF_MOTION,
     "driven_by_gravity": ("vector_field", "impact"),
-    "past_contact": (*MOTION, "contact", "swing_foot"),
-    "gait_region": (*MOTION, "contact", "swing_foot", "impact", "lift", "project"),
+    "past_contact": (*EQUATIONS_OF_MOTION, "contact", "swing_foot"),
+    "gait_region": (*EQUATIONS_OF_MOTION, "contact", "swing_foot", "impact", "lift", "project"),
 }
 """What may be known of a walker beyond its equations, and the methods that it is known of."""
 
 
 def moves_like(walker: Walker, kind: type[Kind]) -> TypeGuard[Kind]:
     """Whether a walker moves as one of some kind does, by the same equations."""
-    methods = {method for methods in KNOWN_OF.values() for method in methods}
+    methods = {method for methods in PREMISES.values() for method in methods}
     same = lambda name: getattr(type(walker), name, None) is getattr(kind, name, None)
     return isinstance(walker, kind) and all(map(same, methods))
 
@@ -202,7 +202,7 @@ def check_lands_on_section(walker: Walker) -> None:
     size = max(abs(float(value)) for value in after)
     for name in ("theta", "thetadot", "phidot"):
         error = float(getattr(after, name) - getattr(on_section, name))
-        if abs(error) > LANDING_ERROR * size:
+        if abs(error) > MAX_LANDING_ERROR * size:
             raise WrongUse(
                 f"impact of {type(walker).__name__} must lead to its section: {name} is "
                 f"{error:.3g} off it after a heel strike at theta = {float(arrival.theta):.3g}"
@@ -214,13 +214,15 @@ def landing(walker: Walker) -> tuple[State, State, State]:
     """A heel strike, the state after it, legs exchanged, and that state's place on the section."""
     to_array = lambda value: jnp.asarray(value, jnp.asarray(0.0).dtype)
     walker = jax.tree.map(to_array, walker)
-    start = walker.lift(jnp.stack([to_array(TRIED.get(name, 0.1)) for name in walker.section]))
+    start = walker.lift(
+        jnp.stack([to_array(SAMPLE_POINT.get(name, 0.1)) for name in walker.section])
+    )
     arrival = start._replace(theta=-start.theta, phi=-2 * start.theta)
     after = walker.exchange_legs(walker.impact(arrival)[1])
     return arrival, after, walker.lift(walker.project(after))
 
 
-def displayed(value: Any) -> str:
+def format_parameter(value: Any) -> str:
     """A number as it is; of arrays, and of what JAX traces, the type and shape."""
     if not eqx.is_array_like(value):
         return repr(value)

@@ -108,7 +108,7 @@ def check_parameter(walker: Walker, parameter: str, *values: float) -> None:
             type(walker)(**{**vars(walker), parameter: value})
 
 
-def axis_of(walker: Walker, parameter: str | None, dtype) -> Walker:
+def parameter_direction(walker: Walker, parameter: str | None, dtype) -> Walker:
     """A walker with 1 for the parameter and 0 for all others: the direction of the parameter."""
     zeros = jax.tree.map(lambda leaf: np.zeros((), dtype), walker)
     return zeros if parameter is None else with_parameter(zeros, parameter, np.ones((), dtype))

@@ -4,15 +4,15 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from walker_jax.multibody import System
+from walker_jax.walkers.abstract_point_foot import AbstractPointFootWalker, gait_strip
 from walker_jax.walkers.masses import MultibodyWalker, gravity, leg, rises_ever_faster
 from walker_jax.walkers.model import Scalar
 from walker_jax.walkers.parameters import SLOPE, Parameter
-from walker_jax.walkers.point_feet import PointFeetWalker, strip_of_gaits
 
 FOOT_MASS = Parameter("foot_mass", "of each foot, to that of the hip", "hip mass", 0.01)
 
 
-class PointFootWalker(PointFeetWalker, MultibodyWalker):
+class PointFootWalker(AbstractPointFootWalker, MultibodyWalker):
     """A mass at the hip, and one at each foot: the paper's own model before its limit.
 
     **Arguments:**
@@ -46,4 +46,4 @@ class PointFootWalker(PointFeetWalker, MultibodyWalker):
         return q[:2] + leg(q[2]) - leg(q[2] - q[3])
 
     def gait_region(self):
-        return strip_of_gaits(self.slope)
+        return gait_strip(self.slope)

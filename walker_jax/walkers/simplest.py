@@ -5,12 +5,16 @@ from typing import ClassVar
 import equinox as eqx
 import jax.numpy as jnp
 
+from walker_jax.walkers.abstract_point_foot import (
+    AbstractMasslessFootWalker,
+    gait_strip,
+    rises_past_contact,
+)
 from walker_jax.walkers.model import Scalar, State
 from walker_jax.walkers.parameters import SLOPE
-from walker_jax.walkers.point_feet import MasslessFeetWalker, rises_past_contact, strip_of_gaits
 
 
-class SimplestWalker(MasslessFeetWalker):
+class SimplestWalker(AbstractMasslessFootWalker):
     """The simplest walking model: a mass at the hip, and feet of vanishing mass.
 
     Garcia, Chatterjee, Ruina and Coleman (1998); Schwab and Wisse (2001).
@@ -29,7 +33,7 @@ class SimplestWalker(MasslessFeetWalker):
         return True
 
     def gait_region(self):
-        return strip_of_gaits(self.slope)
+        return gait_strip(self.slope)
 
     def past_contact(self, state):
         return rises_past_contact(self, state)

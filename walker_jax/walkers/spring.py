@@ -5,16 +5,20 @@ from typing import ClassVar
 import equinox as eqx
 import jax.numpy as jnp
 
+from walker_jax.walkers.abstract_point_foot import (
+    AbstractMasslessFootWalker,
+    gait_strip,
+    rises_past_contact,
+)
 from walker_jax.walkers.model import Scalar, State
 from walker_jax.walkers.parameters import SLOPE, Parameter
-from walker_jax.walkers.point_feet import MasslessFeetWalker, rises_past_contact, strip_of_gaits
 
 HIP_STIFFNESS = Parameter(
     "hip_stiffness", "of a spring between the legs, to foot mass", "g l", 0.0, closed=True
 )
 
 
-class SpringWalker(MasslessFeetWalker):
+class SpringWalker(AbstractMasslessFootWalker):
     """The simplest walker with a torsional spring between its legs, slack when they are parallel.
 
     A spring of stiffness K exerts the torque -K phi on the swing leg, and the opposite one on the
@@ -46,7 +50,7 @@ class SpringWalker(MasslessFeetWalker):
         return True
 
     def gait_region(self):
-        return strip_of_gaits(self.slope)
+        return gait_strip(self.slope)
 
     def past_contact(self, state):
         return rises_past_contact(self, state)

@@ -32,8 +32,8 @@ from walker_jax.kernels import by_kernel
 from walker_jax.walkers.model import Scalar, State, Walker, toppling_rate
 from walker_jax.walking.iteration import for_each_start
 from walker_jax.walking.outcomes import Outcome, Stride
-from walker_jax.walking.stepping import begin, end, on_section, prepared
-from walker_jax.walking.swing import equations, least_force
+from walker_jax.walking.stepping import begin_stride, end_stride, on_section, prepare
+from walker_jax.walking.swing import equations, minimum_force
 
 
 class Margins(NamedTuple):
@@ -66,7 +66,7 @@ def margins(
     Arguments and errors are those of `stride`. Derivatives of the first order are right.
     Margins are smooth but where another instant comes to be the one that counts.
     """
-    return follow_margins(*prepared(walker, x, tolerance))
+    return follow_margins(*prepare(walker, x, tolerance))
 
 
 @refuses_tracers("within them use jax.vmap(lambda x: wj.margins(walker, x))(xs)")
@@ -81,7 +81,7 @@ def margins_of_many(
     return for_each_start(follow_margins, walker, xs, tolerance, progress)
 
 
-def failed_by(found: Margins) -> Scalar:
+def failure_margin(found: Margins) -> Scalar:
     """The margin of the failure that ended a stride, NaN for none; no batch axis."""
     ways = {
         Outcome.BACKWARD: found.backward,
@@ -95,7 +95,7 @@ def failed_by(found: Margins) -> Scalar:
     return by
 
 
-class Following(NamedTuple):
+class MarginState(NamedTuple):
     """A stride on its way."""
 
     state: State
@@ -124,7 +124,7 @@ class Following(NamedTuple):
 def follow_margins(
     walker: Walker, x: Float[Array, " coordinates"], tolerance: Float[Array, ""]
 ) -> Margins:
-    start, verdict = fast_sines(begin)(walker, x)
+    start, verdict = fast_sines(begin_stride)(walker, x)
     field = equations(walker)
     order = order_of(start)
     rate = fast_sines(toppling_rate)(walker)
@@ -132,11 +132,11 @@ def follow_margins(
     def contact_force(state: State) -> Scalar:
         return fast_sines(lambda walker, state: walker.contact_force(state)[1])(walker, state)
 
-    def undecided(now: Following):
+    def undecided(now: MarginState):
         going = (now.verdict == Outcome.UNDECIDED) & (now.count < MAX_STEPS)
         return going & jnp.isfinite(now.time)
 
-    def advance(now: Following) -> Following:
+    def advance(now: MarginState) -> MarginState:
         series, length = taylor_step(field, now.state, order, tolerance, walker.contact)
         after = polynomial(series, length)
         h = function_series(walker.contact, series)
@@ -172,8 +172,8 @@ def follow_margins(
         rising &= evaluate(series.phi, when_slow) < 0
         slowest = jnp.maximum(now.slowest, -evaluate(h, when_slow))
         slowest = jnp.where(rising, slowest, now.slowest)
-        passes, passing = rise([-c for c in series.phi], length)
-        lands, landing = rise(
+        passes, passing = upcrossing([-c for c in series.phi], length)
+        lands, landing = upcrossing(
             [-np.pi / 2 - series.theta[0], *(-c for c in series.theta[1:])], length
         )
         unknown = now.otherwise == -jnp.inf
@@ -187,7 +187,7 @@ def follow_margins(
         counts = slowing.exists & (slowing.time < until)
         left = evaluate(speed, slowing.time) ** 2 / 2
         backward = jnp.where(counts, jnp.minimum(now.backward, left), now.backward)
-        _, stop = rise(speed, length)
+        _, stop = upcrossing(speed, length)
         missing = -((evaluate(derivative_of(speed), stop) / rate) ** 2) / 2
         backward = jnp.where(verdict == Outcome.BACKWARD, missing, backward)
 
@@ -195,7 +195,7 @@ def follow_margins(
         running = now.running
         if not walker.force_least_at_ends:
             other = jax.tree.map(lambda a, b: jnp.where(strikes, a, b), arrival, after)
-            at, value = least_force(
+            at, value = minimum_force(
                 walker,
                 now.state,
                 other,
@@ -205,7 +205,7 @@ def follow_margins(
             )
             value = jnp.where(jnp.isfinite(value), contact_force(polynomial(series, at)), value)
             running = jnp.minimum(running, value)
-        return Following(
+        return MarginState(
             after,
             now.time + jnp.where(strikes, when, length),
             verdict,
@@ -220,7 +220,7 @@ def follow_margins(
             below,
         )
 
-    first = Following(
+    first = MarginState(
         state=start,
         time=jnp.zeros_like(rate),
         verdict=verdict,
@@ -235,16 +235,16 @@ def follow_margins(
         below=fast_sines(is_below)(walker, start),
     )
     last = lax.while_loop(undecided, advance, first)
-    stride = fast_sines(end)(walker, last.arrival, last.time, last.verdict, last.running < 0)
-    return Margins(stride, *fast_sines(seen)(walker, first, last, stride.outcome))
+    stride = fast_sines(end_stride)(walker, last.arrival, last.time, last.verdict, last.running < 0)
+    return Margins(stride, *fast_sines(margins_from)(walker, first, last, stride.outcome))
 
 
 def is_below(walker: Walker, state: State) -> Bool[Array, ""]:
     return walker.contact(state) < 0
 
 
-def seen(
-    walker: Walker, first: Following, last: Following, outcome: Array
+def margins_from(
+    walker: Walker, first: MarginState, last: MarginState, outcome: Array
 ) -> tuple[Scalar, Scalar, Scalar, Scalar]:
     """The margins, in their order, from what was seen during a stride."""
     (_, lift), after = walker.impact(last.arrival)
@@ -286,7 +286,7 @@ def seen(
     )
 
 
-def rise(series: list[Scalar], length: Scalar) -> Instant:
+def upcrossing(series: list[Scalar], length: Scalar) -> Instant:
     """Where a polynomial is zero that is negative at the start of a step, and not at its end."""
     fixed, length = lax.stop_gradient((series, length))
     exists = (fixed[0] < 0) & (evaluate(fixed, length) >= 0)

@@ -23,7 +23,7 @@ from walker_jax.integrators.solvers import AnySolver, Real, default_tolerance, s
 from walker_jax.walkers.model import State, Walker
 from walker_jax.walkers.parameters import parameters
 from walker_jax.walking.outcomes import Outcome, Stride, Walk
-from walker_jax.walking.stepping import follow_stride, prepared
+from walker_jax.walking.stepping import follow_stride, prepare
 
 ROUNDS = 4, 16, 64
 """Strides of the first rounds of an iteration, and of all later ones, after each of which the walks
@@ -143,7 +143,7 @@ def walk(
 ) -> Walk:
     """n strides, one after the other, from x on the section. As `stride` otherwise."""
     check_whole("n", n)
-    walker, x, tolerance = prepared(walker, x, tolerance)
+    walker, x, tolerance = prepare(walker, x, tolerance)
     if x.shape != (len(walker.section),):
         raise WrongUse(f"x must be on the section {walker.section}, not of shape {x.shape}")
     with solved_by(solver):

@@ -20,7 +20,7 @@ from walker_jax.walking.outcomes import Outcome
 from walker_jax.walking.stepping import trajectory
 from walker_jax.walking.swing import in_tension
 
-FALL = 40.0
+FALL_TIME = 40.0
 """Time in which a walker that fails is on the ground, for legs of length 1."""
 
 
@@ -67,8 +67,8 @@ def motion(
     outcomes, durations = outcomes[:count], durations[:count]
     starts = np.asarray(made.states)[: count + (not failed.any())]
 
-    length, radius = shape_of_legs(walker)
-    fall = FALL * np.sqrt(length + radius)
+    length, radius = leg_shape(walker)
+    fall = FALL_TIME * np.sqrt(length + radius)
     steps = np.where(failed[:count], fall, durations) / step
     frames = (1 + np.maximum(1, np.round(steps)).astype(int)).tolist()
     parts, places, foot = [], [], 0.0
@@ -78,11 +78,11 @@ def motion(
         states = trajectory(walker, starts[k], times, tolerance=tolerance)
         states = jax.tree.map(np.asarray, states)
         if failed[k]:
-            over = ended(walker, states, Outcome(int(outcomes[k])))
+            over = is_over(walker, states, Outcome(int(outcomes[k])))
             end = max(1, int(over.argmax())) if over.any() else len(over)
             states = jax.tree.map(lambda values, end=end: values[:end], states)
         parts.append(states)
-        places.append(ends_of_legs(states, foot, length, radius))
+        places.append(leg_positions(states, foot, length, radius))
         foot += float(walker.reach(jax.tree.map(lambda values: jnp.asarray(values[-1]), states)))
 
     sizes = [len(states.theta) for states in parts]
@@ -115,7 +115,7 @@ def motion(
     )
 
 
-def shape_of_legs(walker: Walker) -> tuple[float, float]:
+def leg_shape(walker: Walker) -> tuple[float, float]:
     """From the hip to the centre of the foot's arc, and its radius, 0 for point feet.
 
     Told by how far the swing foot goes as legs turn by half a turn from being parallel, the stance
@@ -127,7 +127,7 @@ def shape_of_legs(walker: Walker) -> tuple[float, float]:
     return float(length), max(0.0, round(float(radius), 12))
 
 
-def ends_of_legs(
+def leg_positions(
     states: State, foot: float, length: float, radius: float
 ) -> tuple[Float[np.ndarray, "frames 2"], ...]:
     """Stance foot, hip and swing foot; of round feet, the arcs' centres."""
@@ -138,7 +138,7 @@ def ends_of_legs(
     return stance, hip, hip - length * along(theta - phi)
 
 
-def ended(walker: Walker, states: State, outcome: Outcome) -> Bool[np.ndarray, " frames"]:
+def is_over(walker: Walker, states: State, outcome: Outcome) -> Bool[np.ndarray, " frames"]:
     """Whether a stride that fails is over: on the ground, at heel strike, or in the air."""
     each = jax.tree.map(jnp.asarray, states)
     theta, phi, thetadot, _ = map(np.asarray, states)

@@ -56,10 +56,10 @@ def stride(
     for a tolerance that the dtype cannot hold.
     """
     with solved_by(solver):
-        return follow_stride(*prepared(walker, x, tolerance))
+        return follow_stride(*prepare(walker, x, tolerance))
 
 
-def prepared(
+def prepare(
     walker: Walker, x: Float[ArrayLike, " coordinates"], tolerance: Real | None
 ) -> tuple[Walker, Float[Array, " coordinates"], Float[Array, ""]]:
     """Walker, start and tolerance, checked, in the dtype of the start."""
@@ -85,10 +85,10 @@ def follow_stride(
     x: Float[Array, " coordinates"],
     tolerance: Float[Array, ""],
 ) -> Stride:
-    start, verdict = fast_sines(begin)(walker, x)
+    start, verdict = fast_sines(begin_stride)(walker, x)
     launched = not on_section(walker, x)
     arrival, time, verdict, pulled = swing(walker, start, verdict, tolerance, launched=launched)
-    return fast_sines(end)(walker, arrival, time, verdict, pulled)
+    return fast_sines(end_stride)(walker, arrival, time, verdict, pulled)
 
 
 def on_section(walker: Walker, x: Float[Array, " coordinates"]) -> bool:
@@ -99,11 +99,11 @@ def on_section(walker: Walker, x: Float[Array, " coordinates"]) -> bool:
 def full_state(walker: Walker, x: Float[Array, " coordinates"]) -> State:
     """The full state of a start, which may be one already."""
     start = walker.lift(x) if on_section(walker, x) else State(*x)
-    check_field(walker, start)
+    check_vector_field(walker, start)
     return start
 
 
-def check_field(walker: Walker, start: State) -> None:
+def check_vector_field(walker: Walker, start: State) -> None:
     """Refuse a walker of a user's own whose vector field is none."""
     if type(walker).vector_field is MultibodyWalker.vector_field:
         return
@@ -116,7 +116,7 @@ def check_field(walker: Walker, start: State) -> None:
         )
 
 
-def begin(walker: Walker, x: Float[Array, " coordinates"]) -> tuple[State, Int[Array, ""]]:
+def begin_stride(walker: Walker, x: Float[Array, " coordinates"]) -> tuple[State, Int[Array, ""]]:
     """The full state at the start, and the outcome where that settles it."""
     start = full_state(walker, x)
     if on_section(walker, x):
@@ -128,7 +128,7 @@ def begin(walker: Walker, x: Float[Array, " coordinates"]) -> tuple[State, Int[A
     return start, jnp.where(feasible, verdict, Outcome.OUTSIDE).astype(jnp.int8)
 
 
-def end(
+def end_stride(
     walker: Walker,
     arrival: State,
     time: Scalar,
@@ -136,17 +136,19 @@ def end(
     pulled: Bool[Array, ""],
 ) -> Stride:
     """What a stride leads to whose swing ended with `verdict`, on the section."""
-    following, outcome = after_impact(walker, arrival, verdict, pulled)
-    return completed(walker.project(following), outcome, time)
+    following, outcome = resolve_impact(walker, arrival, verdict, pulled)
+    return make_stride(walker.project(following), outcome, time)
 
 
-def completed(state: Float[Array, " coordinates"], outcome: Int[Array, ""], time: Scalar) -> Stride:
+def make_stride(
+    state: Float[Array, " coordinates"], outcome: Int[Array, ""], time: Scalar
+) -> Stride:
     """A stride; its results are NaN unless it is one."""
     success = outcome == Outcome.STRIDE
     return Stride(jnp.where(success, state, jnp.nan), outcome, jnp.where(success, time, jnp.nan))
 
 
-def after_impact(
+def resolve_impact(
     walker: Walker, arrival: State, verdict: Int[Array, ""], pulled: Bool[Array, ""]
 ) -> tuple[State, Int[Array, ""]]:
     """The state after a heel strike, legs exchanged, and the outcome of the stride."""
@@ -174,7 +176,7 @@ def step_down(
     phidot), just after heel strike, off the section: the foot that stood is higher. `stride` takes
     it from there, on a slope through the foot that stands now.
     """
-    walker, x, tolerance = prepared(walker, x, tolerance)
+    walker, x, tolerance = prepare(walker, x, tolerance)
     if not isinstance(drop, Tracer):
         check_number("drop", drop)
         if not 0 <= drop < np.inf:
@@ -190,15 +192,15 @@ def follow_step_down(
     drop: Float[Array, ""],
     tolerance: Float[Array, ""],
 ) -> Stride:
-    start, verdict = fast_sines(begin)(walker, x)
+    start, verdict = fast_sines(begin_stride)(walker, x)
     launched = not on_section(walker, x)
     level, time, verdict, pulled = swing(walker, start, verdict, tolerance, launched=launched)
     pulled |= fast_sines(in_tension)(walker, level)
     going = (verdict == Outcome.STRIDE) & (drop > 0)
     verdict = jnp.where(going, Outcome.UNDECIDED, verdict).astype(jnp.int8)
     arrival, longer, verdict, more = swing(walker, level, verdict, tolerance, drop)
-    following, outcome = fast_sines(after_impact)(walker, arrival, verdict, pulled | more)
-    return completed(jnp.stack(following), outcome, time + longer)
+    following, outcome = fast_sines(resolve_impact)(walker, arrival, verdict, pulled | more)
+    return make_stride(jnp.stack(following), outcome, time + longer)
 
 
 def trajectory(
@@ -215,7 +217,7 @@ def trajectory(
     gives. Returns a `State` of arrays; NaN where that takes more than `MAX_STEPS` of integration.
     `ValueError` as for `stride`, and for times that decrease or are negative.
     """
-    walker, x, tolerance = prepared(walker, x, tolerance)
+    walker, x, tolerance = prepare(walker, x, tolerance)
     if not isinstance(x, Tracer) and not jnp.isfinite(x).all():
         raise WrongUse(f"x must be finite, not {x}")
     times = as_floating(times, "times").astype(x.dtype)

@@ -72,7 +72,7 @@ def swing(
 
     def may_pull(before: State, after: State):
         """Whether the ground may have had to pull by the end of a step."""
-        return in_tension(walker, after) | dips(walker, before, after)
+        return in_tension(walker, after) | has_interior_minimum(walker, before, after)
 
     def has_fallen(state: State, below: Bool[Array, ""]):
         fallen = (state.thetadot >= 0) | (state.theta <= -np.pi / 2)
@@ -106,7 +106,7 @@ def swing(
         after = lambda time: method.within(last, time)
         arrival = after(time)
         if not walker.force_least_at_ends:
-            pulled |= pulls(walker, last.start, arrival, after, time)
+            pulled |= becomes_tensile(walker, last.start, arrival, after, time)
             pulled |= ~rises & fast_sines(in_tension)(walker, arrival)
         arrival, delay = method.land(contact, arrival)
         ahead = (arrival.theta < 0) & (arrival.theta > -np.pi / 2) & (arrival.thetadot < 0)
@@ -135,12 +135,12 @@ def normal_force(walker: Walker, state: State) -> tuple[Scalar, Scalar]:
     return jax.jvp(force, (state,), (walker.vector_field(state),))
 
 
-def dips(walker: Walker, before: State, after: State) -> Bool[Array, ""]:
+def has_interior_minimum(walker: Walker, before: State, after: State) -> Bool[Array, ""]:
     """Whether Q_v is least in between two states of a motion."""
     return (normal_force(walker, before)[1] < 0) & (normal_force(walker, after)[1] > 0)
 
 
-def pulls(
+def becomes_tensile(
     walker: Walker,
     before: State,
     after: State,
@@ -148,11 +148,11 @@ def pulls(
     time: Scalar,
 ) -> Bool[Array, ""]:
     """Whether Q_v is negative in between two states of a motion, `time` apart."""
-    _, least = least_force(walker, before, after, between, time, resolution=1e-6, above=0.0)
+    _, least = minimum_force(walker, before, after, between, time, resolution=1e-6, above=0.0)
     return least < 0
 
 
-def least_force(
+def minimum_force(
     walker: Walker,
     before: State,
     after: State,

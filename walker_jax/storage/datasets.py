@@ -16,52 +16,52 @@ from typing import TYPE_CHECKING
 
 from walker_jax.checks import WrongUse
 from walker_jax.storage.places import (
-    ELSEWHERE,
-    REPLACE,
-    Occupied,
-    beside,
-    draft_of,
-    followed,
-    group_at,
-    held,
-    put,
-    tidy,
-    writable,
+    ANOTHER_PLACE,
+    ANOTHER_PLACE_OR_OVERWRITE,
+    StoreConflict,
+    atomic_file,
+    check_writable,
+    exclusive,
+    move_into_place,
+    open_group,
+    remove_auxiliary_arrays,
+    resolve_link,
+    scratch_folder,
 )
-from walker_jax.storage.requests import canonical, check_request
+from walker_jax.storage.requests import canonical_json, check_request
 
 if TYPE_CHECKING:
     import xarray  # which takes half a second to load, and commands without a data set need not
 
 
-LARGE = 2**28
+LAZY_FROM_BYTES = 2**28
 """Bytes from which on a data set is read when it is used, rather than at once."""
 
 
 def find(path: Path, request: dict, *, overwrite: bool = False) -> "xarray.Dataset | None":
     """The result of `request` that stands at `path`, or None where it is still to be computed.
 
-    Raises `Occupied` where something else stands there, unless `overwrite` is given and it is a
-    data set; and `ValueError` where nothing can be written. What a killed run has left is put in
-    order; else nothing is changed.
+    Raises `StoreConflict` where something else stands there, unless `overwrite` is given and it is
+    a data set; and `ValueError` where nothing can be written. Puts in order what a killed run has
+    left; changes nothing else.
     """
-    path = followed(path)
-    with suppress(Occupied, OSError):  # of another run, or where one may only read
-        if beside(path).exists():
-            with held(path):
+    path = resolve_link(path)
+    with suppress(StoreConflict, OSError):  # of another run, or where one may only read
+        if scratch_folder(path).exists():
+            with exclusive(path):
                 pass
-    data = standing(path)
+    data = read_existing(path)
     if data is not None and not overwrite:
         check_request(path, data.attrs, request)
         if not data.attrs.get("unfinished"):
             return data
-    writable(path)
+    check_writable(path)
     if data is None and path.exists():
-        raise Occupied(f"{path} exists and is not a data set", ELSEWHERE.format("out"))
+        raise StoreConflict(f"{path} exists and is not a data set", ANOTHER_PLACE.format("out"))
     return None
 
 
-def standing(path: Path) -> "xarray.Dataset | None":
+def read_existing(path: Path) -> "xarray.Dataset | None":
     """The data set that stands at a place, if one does; of a whole one, nothing else."""
     try:
         if not (path / "zarr.json").is_file():
@@ -74,8 +74,8 @@ def standing(path: Path) -> "xarray.Dataset | None":
     if data is None or data.attrs.get("unfinished") or "written" not in data:
         return data
     # a run ended here but for the last thing that it had to do
-    with suppress(Occupied, OSError), held(path) as folder:
-        tidy(path, folder)
+    with suppress(StoreConflict, OSError), exclusive(path) as folder:
+        remove_auxiliary_arrays(path, folder)
     return data.drop_vars([*data["written"].attrs["aside"], "written"], errors="ignore")
 
 
@@ -89,29 +89,29 @@ def save(data: "xarray.Dataset", path: Path, request: dict) -> "xarray.Dataset":
 def rewritable(path: Path, request: dict) -> "Iterator[Callable[[xarray.Dataset], xarray.Dataset]]":
     """Reserve `path` for one run, and give its `save`, which may be called again and again.
 
-    Raises `Occupied` while another run writes there.
+    Raises `StoreConflict` while another run writes there.
     """
-    path = followed(path)
+    path = resolve_link(path)
 
     def save_again(data: "xarray.Dataset") -> "xarray.Dataset":
-        data = data.assign_attrs(request=canonical(request))
+        data = data.assign_attrs(request=canonical_json(request))
         data.to_zarr(folder / "new", consolidated=False, write_empty_chunks=True)
-        put(folder, path)
+        move_into_place(folder, path)
         return data
 
-    with held(path) as folder:
+    with exclusive(path) as folder:
         yield save_again
 
 
 def load(path: Path) -> "xarray.Dataset | None":
     """The data set at `path`, or None where it cannot be read."""
     try:
-        return opened(path)
+        return open_dataset(path)
     except Exception:  # whatever is wrong with a foreign or damaged store
         return None
 
 
-def opened(path: Path) -> "xarray.Dataset":
+def open_dataset(path: Path) -> "xarray.Dataset":
     """The data set at `path`, in memory; a large or unfinished one is read when it is used."""
     import xarray
 
@@ -120,29 +120,29 @@ def opened(path: Path) -> "xarray.Dataset":
         data = xarray.open_zarr(path, consolidated=False, chunks=None)
         if data.attrs.get("unfinished"):
             return data
-        for name, array in group_at(path, "r").arrays():
+        for name, array in open_group(path, "r").arrays():
             if array.nchunks_initialized < array.nchunks:  # which would read as zeros
                 raise OSError(f"{path} is damaged: chunks of {name} are missing")
-    return data if data.nbytes > LARGE else data.load()
+    return data if data.nbytes > LAZY_FROM_BYTES else data.load()
 
 
 def export(path: Path, file: Path, *, overwrite: bool = False) -> "xarray.Dataset":
     """Copy the data set at `path` to a NetCDF file; returns it.
 
-    Raises `Occupied` where another file stands there, or `path` is no data set or is unfinished;
-    `ValueError` where nothing can be written, or h5netcdf is not installed.
+    Raises `StoreConflict` where another file stands there, or `path` is no data set or is
+    unfinished; `ValueError` where nothing can be written, or h5netcdf is not installed.
     """
     if None in map(importlib.util.find_spec, ("h5netcdf", "h5py")):
         raise WrongUse("NetCDF takes h5netcdf and h5py: pip install 'walker_jax[netcdf]'")
-    writable(file)
+    check_writable(file)
     if file.exists() and not (overwrite and file.is_file()):
-        raise Occupied(f"{file} exists", REPLACE.format("file"))
+        raise StoreConflict(f"{file} exists", ANOTHER_PLACE_OR_OVERWRITE.format("file"))
     data = load(path) if path.is_dir() else None
     if data is None:
-        raise Occupied(f"{path} is not a data set")
+        raise StoreConflict(f"{path} is not a data set")
     if data.attrs.get("unfinished"):
-        raise Occupied(f"{path} is unfinished: the command that began it goes on with it")
+        raise StoreConflict(f"{path} is unfinished: the command that began it goes on with it")
     small = {name: {"zlib": True} for name in data.variables if data[name].dtype.kind in "iuf"}
-    with draft_of(file) as draft:
+    with atomic_file(file) as draft:
         data.to_netcdf(draft, engine="h5netcdf", encoding=small)
     return data

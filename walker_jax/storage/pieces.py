@@ -16,17 +16,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from walker_jax.storage.places import (
-    ELSEWHERE,
-    RESUME,
-    Occupied,
-    followed,
-    group_at,
-    held,
-    put,
-    tidy,
-    writable,
+    ANOTHER_PLACE,
+    RESUME_HINT,
+    StoreConflict,
+    check_writable,
+    exclusive,
+    move_into_place,
+    open_group,
+    remove_auxiliary_arrays,
+    resolve_link,
 )
-from walker_jax.storage.requests import canonical, check_request
+from walker_jax.storage.requests import canonical_json, check_request
 
 if TYPE_CHECKING:
     import xarray  # which takes half a second to load, and commands without a data set need not
@@ -47,7 +47,7 @@ def resumable(
     except BaseException as interruption:
         if begun():
             how = ", without overwrite," if overwrite else ""
-            interruption.add_note(f"{RESUME}{how} to resume from {path}")
+            interruption.add_note(f"{RESUME_HINT}{how} to resume from {path}")
         raise
 
 
@@ -68,7 +68,7 @@ class Pieces(NamedTuple):
     @property
     def counts(self) -> tuple[int, ...]:
         """How many pieces there are along each axis."""
-        return pieces_along(self.shape, self.block)
+        return piece_counts(self.shape, self.block)
 
     @property
     def count(self) -> int:
@@ -104,7 +104,7 @@ class Pieces(NamedTuple):
             part = [one.stop - one.start for one in at]
             array[at] = np.reshape(value, (*part, *array.shape[len(at) :]))
             chunk = *place, *[0] * (array.ndim - len(place))
-            flush(self.path / name / array.metadata.encode_chunk_key(chunk))
+            sync_to_disk(self.path / name / array.metadata.encode_chunk_key(chunk))
         if done:
             self.array("written")[place] = 1
 
@@ -115,12 +115,12 @@ class Pieces(NamedTuple):
             self.path, mode="a", consolidated=False, write_empty_chunks=True
         )
         final = data.attrs | {"request": attributes["request"]}
-        group_at(self.path, "r+").attrs.put(final)  # in one go: the data set is whole
-        tidy(self.path, self.folder)
+        open_group(self.path, "r+").attrs.put(final)  # in one go: the data set is whole
+        remove_auxiliary_arrays(self.path, self.folder)
 
 
 @contextmanager
-def pieces(
+def open_pieces(
     path: Path,
     request: dict,
     data: "xarray.Dataset",
@@ -145,32 +145,38 @@ def pieces(
     - `aside`: arrays that are of use on the way only.
     - `overwrite`: whether to begin anew, in the place of what stands there.
 
-    Nobody else writes to it meanwhile: raises `Occupied` where another process does, or something
-    else stands there, and `ValueError` where nothing can be written.
+    Nobody else writes to it meanwhile: raises `StoreConflict` where another process does, or
+    something else stands there, and `ValueError` where nothing can be written.
     """
-    path = followed(path)
-    writable(path)
-    with held(path) as folder:
+    path = resolve_link(path)
+    check_writable(path)
+    with exclusive(path) as folder:
         if overwrite or not path.exists():
-            kept = {"request": canonical(request), "unfinished": 1, "notes": json.dumps(notes())}
-            begin(folder / "new", data.assign_attrs(kept), arrays, block, aside)
-            put(folder, path)
+            kept = {
+                "request": canonical_json(request),
+                "unfinished": 1,
+                "notes": json.dumps(notes()),
+            }
+            create_store(folder / "new", data.assign_attrs(kept), arrays, block, aside)
+            move_into_place(folder, path)
         try:
-            group = group_at(path, "r+")
+            group = open_group(path, "r+")
         except Exception as error:  # whatever is wrong with a foreign or damaged store
-            raise Occupied(
-                f"{path} exists and is not a data set", ELSEWHERE.format("out")
+            raise StoreConflict(
+                f"{path} exists and is not a data set", ANOTHER_PLACE.format("out")
             ) from error
         check_request(path, group.attrs, request)
         if not group.attrs.get("unfinished"):
-            raise Occupied(f"{path} has just been finished by another run: ask again to have it")
+            raise StoreConflict(
+                f"{path} has just been finished by another run: ask again to have it"
+            )
         name, array = next(iter(arrays.items()))
         shape, block = array.shape[: len(block)], group[name].chunks[: len(block)]
         with resumable(path, overwrite=overwrite):
             yield Pieces(path, folder, group, shape, block, json.loads(str(group.attrs["notes"])))
 
 
-def begin(
+def create_store(
     path: Path,
     data: "xarray.Dataset",
     arrays: "Mapping[str, xarray.Variable]",
@@ -179,7 +185,7 @@ def begin(
 ) -> None:
     """Make a store of pieces, none of them written."""
     data.to_zarr(path, consolidated=False, write_empty_chunks=True)
-    group = group_at(path, "r+")
+    group = open_group(path, "r+")
     for name, array in arrays.items():
         group.create_array(
             name,
@@ -190,7 +196,7 @@ def begin(
             dimension_names=[str(dim) for dim in array.dims],
             attributes=dict(array.attrs),
         )
-    count = pieces_along(next(iter(arrays.values())).shape, block)
+    count = piece_counts(next(iter(arrays.values())).shape, block)
     group.create_array(
         "written",
         shape=count,
@@ -201,12 +207,12 @@ def begin(
     )
 
 
-def pieces_along(shape: Sequence[int], block: Sequence[int]) -> tuple[int, ...]:
+def piece_counts(shape: Sequence[int], block: Sequence[int]) -> tuple[int, ...]:
     """How many blocks there are along each of the first axes of a shape."""
     return tuple(-(-whole // size) for whole, size in zip(shape, block, strict=False))
 
 
-def flush(file: Path) -> None:
+def sync_to_disk(file: Path) -> None:
     """Make sure that a file is on the disk, whatever happens next."""
     for place in (file, file.parent):
         try:

@@ -11,7 +11,7 @@ from walker_jax.grids import Grid
 from walker_jax.walkers.model import Scalar, State, Walker
 
 
-class PointFeetWalker(Walker):
+class AbstractPointFootWalker(Walker):
     """Walkers on point feet, with no mass on the legs but at their ends.
 
     A foot that stood does not move at once across its leg when it lifts, so phidot after heel
@@ -46,7 +46,7 @@ class PointFeetWalker(Walker):
         return finite & (theta > 0) & (theta < np.pi / 4) & (thetadot < 0)
 
 
-class MasslessFeetWalker(PointFeetWalker):
+class AbstractMasslessFootWalker(AbstractPointFootWalker):
     """The limit of vanishing foot mass: the hip does not feel the swing leg."""
 
     slope: Scalar
@@ -79,7 +79,7 @@ class MasslessFeetWalker(PointFeetWalker):
         return -jnp.sin(swing) * s, jnp.cos(swing) * s
 
 
-def rises_past_contact(walker: MasslessFeetWalker, state: State) -> Bool[Array, ""]:
+def rises_past_contact(walker: AbstractMasslessFootWalker, state: State) -> Bool[Array, ""]:
     """h > 0 and rising, the swing leg ahead, the stance leg in compression.
 
     Then h'' = sin(phi) (thetadot^2 - cos(theta - slope)) - sin(theta - slope) > 0, and a spring
@@ -91,7 +91,7 @@ def rises_past_contact(walker: MasslessFeetWalker, state: State) -> Bool[Array, 
     return rising & (phi < 0) & (thetadot**2 < jnp.cos(theta - walker.slope))
 
 
-def strip_of_gaits(slope: ArrayLike) -> Grid:
+def gait_strip(slope: ArrayLike) -> Grid:
     """A strip of the section that shrinks like slope^{1/3}, as gaits do (Garcia and others 1998).
 
     Its upper edge is where walkers begin to fall backward, thetadot = -2 sin((theta - slope) / 2),
