@@ -16,9 +16,11 @@ import walker_jax as wj
 from walker_jax import State
 from walker_jax.checks import WrongUse
 from walker_jax.multibody import System
+from walker_jax.walkers.family import WALKERS
 from walker_jax.walkers.masses import gravity
 from walker_jax.walkers.model import Scalar, moves_like
 from walker_jax.walkers.parameters import SLOPE as SLOPE_PARAMETER
+from walker_jax.walkers.parameters import parameters
 
 SLOPE = 0.03
 WALKER = wj.SimplestWalker(SLOPE)
@@ -374,6 +376,15 @@ def test_slopes_of_all_kinds_of_numbers_are_taken(slope):
     walker = wj.SimplestWalker(slope)
     assert walker.slope == slope and walker.slope.shape == ()
     assert jnp.issubdtype(walker.slope.dtype, jnp.floating)
+
+
+def test_the_name_of_a_parameter_means_the_same_in_all_walkers():
+    """Commands offer one option for all walkers that have it."""
+    known: dict = {}
+    for kind in WALKERS.values():
+        for one in parameters(kind):
+            first = known.setdefault(one.name, one)
+            assert (one.meaning, one.unit) == (first.meaning, first.unit), (kind, one.name)
 
 
 def test_a_walker_is_a_pytree_of_its_parameters():

@@ -171,9 +171,8 @@ def along_boundary(walker: Walker, found: Refined, parameters: Sequence[str]) ->
             inside, outside = np.where(stays, middle, inside), np.where(stays, outside, middle)
         x = fine.states(outside / shape)
         beyond = walk(outside)[1]
-        change = differentiate_margins(
-            walker, x, beyond, tangents.T, parameters, found.mapper.tolerance
-        )
+        tolerance = found.mapper.tolerance
+        change = differentiate_margins(walker, x, beyond, tangents.T, parameters, tolerance)
         made += int((beyond + 1).sum()) * change.shape[1]
         slopes, by_parameter = change[:, : len(shape)], change[:, len(shape) :]
         with np.errstate(invalid="ignore", divide="ignore"):

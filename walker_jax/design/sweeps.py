@@ -166,8 +166,8 @@ def compute_missing(
         found, done = each(compute, [*number]), place.count - len(number)
         for values, row in track(found, label, progress, place.count, done):
             row = unknown | row
-            if "reason" not in place.group:  # as in a store of an older version
-                del row["reason"]
+            # A store that an older version began lacks some.
+            row = {name: value for name, value in row.items() if name in place.group}
             place.write(number[values], row, done=True)
         place.finish(about)
     return storage.open_dataset(out)

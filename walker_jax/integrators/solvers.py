@@ -55,7 +55,11 @@ SHARPENINGS = 3
 
 
 def default_tolerance(dtype, tolerance: Real | None = None) -> Real:
-    """The tolerance that a dtype holds, or the one given, where the dtype can hold it."""
+    """The tolerance given, or the default of a dtype.
+
+    It must lie between a quarter of the dtype's rounding error, below which no step can be told
+    from a shorter one, and 1. One that JAX traces is not checked.
+    """
     dtype = jnp.dtype(dtype)
     if dtype not in TOLERANCE:
         raise WrongUse(f"dtype must be float32 or float64, not {dtype}")

@@ -183,7 +183,11 @@ FIELDS = tuple(
     for group in (GAIT, LEAST_DISTURBANCE, LEAST_FALL, STEP_DOWN, STABILITY, RETURN, DIMENSION)
     for field in group.values()
 )
-"""All that `robustness` says of a gait; the groups have the keys of `summarise_robustness`."""
+"""All that `robustness` says of a gait.
+
+A new one is computed in `robustness`, has a place in a group here, by which it is in JSON and in
+sweeps, and a line in `storage.schema`, with the mark `NEW`, as earlier data sets lack it.
+"""
 WITHOUT_GAIT = {"gait_period": 0}
 """Values where no gait attracts that are not those of their kind, NaN and -1."""
 

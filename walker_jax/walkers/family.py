@@ -14,4 +14,9 @@ WALKERS: dict[str, type[Walker]] = {
     "round-foot": RoundFootWalker,
     "upper-body": UpperBodyWalker,
 }
-"""The walkers there are, by their names on the command line."""
+"""The walkers there are, by their names on the command line.
+
+A new one is named here and in `walker_jax/__init__.pyi`, and has its parameters described as
+`Parameter`s: options, `--list-walkers` and the reference follow. A parameter's name has one meaning
+and one unit in all walkers.
+"""

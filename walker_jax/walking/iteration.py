@@ -95,9 +95,9 @@ def for_each_start(
         )
     dtype = xs.dtype if np.issubdtype(xs.dtype, np.floating) else float
     xs = xs.astype(jax.dtypes.canonicalize_dtype(dtype), copy=False)
-    finest = np.asarray(default_tolerance(xs.dtype, tolerance), xs.dtype)
+    tolerance = np.asarray(default_tolerance(xs.dtype, tolerance), xs.dtype)
     walker, many = as_arrays(walker, len(xs), xs.dtype)
-    return map_cells(function, (walker, xs, finest), (many, True, False), progress=progress)
+    return map_cells(function, (walker, xs, tolerance), (many, True, False), progress=progress)
 
 
 def as_arrays(walker: Walker, n: int, dtype) -> tuple[Walker, bool]:
