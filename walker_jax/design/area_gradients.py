@@ -109,7 +109,7 @@ def area_gradient(
         )
 
     found = basin_of(walker)
-    integral = along_boundary(walker, found, parameters)
+    integral = integrate_along_boundary(walker, found, parameters)
     gradient, error, made = (
         integral.gradient,
         integral.error,
@@ -146,7 +146,7 @@ class Integral(NamedTuple):
     strides: int
 
 
-def along_boundary(walker: Walker, found: Refined, parameters: Sequence[str]) -> Integral:
+def integrate_along_boundary(walker: Walker, found: Refined, parameters: Sequence[str]) -> Integral:
     """The sum of v |n_i| over the points in which lines of a grid cross the boundary."""
     if not parameters:
         return Integral(np.zeros(0), np.zeros(0), 0, 0, 0)

@@ -119,12 +119,12 @@ KINDS = {
         {"walker": WALKER["walker"]},
     ),
     "sweep": Kind(
-        "Basins over all combinations of parameters, whose names are dimensions (`sweep`). With "
-        "`robust` it has the variables of a robustness table too.",
+        "Basins over all combinations of parameters, whose names are dimensions (`sweep`).",
         {
             "total_area": V("*parameters", "real", AREA, "of all basins, by refinement"),
             "total_area_error": V("*parameters", "real", AREA, "its standard error"),
             "failed": V("*parameters", "integer", "", "1 where the computation failed"),
+            "reason": V("*parameters", "text", "", "why it failed, otherwise empty", NEW),
             "fate": V("*parameters *grid", "integer", "", "as in a basin"),
             "attractor": V("*parameters *grid", "integer", "", "as in a basin"),
             "strides": V("*parameters *grid", "integer", "", "as in a basin"),
@@ -282,6 +282,16 @@ KINDS["robustness table"].variables.update(
         for kind in ("refined basin", "robustness")
         for name, one in KINDS[kind].variables.items()
         if "level" not in one.dims
+    }
+)
+KINDS["sweep"].variables.update(
+    {
+        name: one._replace(
+            dims=f"*parameters {one.dims}".rstrip(),
+            when="`robust`; " + NEW if one.when else "`robust`",
+        )
+        for name, one in KINDS["robustness"].variables.items()
+        if name not in KINDS["sweep"].variables
     }
 )
 
