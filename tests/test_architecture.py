@@ -106,3 +106,9 @@ def test_files_are_short_or_listed_with_a_reason():
     longer = {name for name, count in lines.items() if count > USUAL}
     assert longer == set(longer_files_of_the_page())
     assert max(lines.values()) <= MOST
+
+
+def test_signatures_are_checked_in_every_room_but_kernels(pytestconfig):
+    option = pytestconfig.getoption("--jaxtyping-packages")
+    checked = {name.removeprefix("walker_jax.") for name in option.split(",")[:-1]}
+    assert checked == {room_of(module) for module in MODULES} - {"kernels"}
