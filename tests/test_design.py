@@ -290,7 +290,7 @@ def problem_of(walker, bounds, **limits):
 def test_places_between_the_bounds():
     problem = problem_of(WALKER, {"slope": (0.1 + 0.2, 0.7)})
     assert problem.values(np.array([0.0])) == [0.1 + 0.2] and problem.values(np.array([1.0])) == 0.7
-    assert problem.place(np.array([0.5])) == pytest.approx([0.5])
+    assert problem.place_of(np.array([0.5])) == pytest.approx([0.5])
     problem = problem_of(wj.SpringWalker(0.004, 0.25), {**SLOPES, "hip_stiffness": (0.0, 1.0)})
     places = starting_places(problem, 4)
     np.testing.assert_allclose(places[0], [0.003 / 0.019, 0.25])

@@ -21,7 +21,7 @@ from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.stability.rays import nearest_failure
 from walker_jax.stability.sampling import BasinStability, basin_stability, in_ball, wilson
 from walker_jax.stability.steps_down import LeastStepDown, labels_after_step, least_step_down
-from walker_jax.stability.summary import common, joined, robustness_table
+from walker_jax.stability.summary import common_attributes, join_rows, robustness_table
 from walker_jax.walking.stepping import follow_step_down
 
 
@@ -190,7 +190,7 @@ def test_strides_to_come_back_are_those_of_walks_that_are_counted(gait):
     """One by one, of the starts that the seed gives."""
     region = wj.Grid.sheared(theta=(0.1, 0.3, 2), sum=(-0.02, 0.01, 3))
     found = basin_stability(WALKER, region, gait, samples=2001, seed=5, within=1e-5)
-    x = region.states(np.random.default_rng(5).uniform(size=(2001, 2)))
+    x = region.points_at(np.random.default_rng(5).uniform(size=(2001, 2)))
     fate, arrived = np.full(len(x), -1), np.full(len(x), np.inf)
     for k in range(80):
         close = np.abs(x - gait.states[0]).max(axis=1) < 1e-5
@@ -513,11 +513,11 @@ def test_rows_of_a_table_may_lack_what_others_have():
     )
     lacking = xr.Dataset({"total_area": np.nan, "direction": ("coordinate", np.full(2, np.nan))})
     other = full.assign_coords(phidot=-0.06)
-    table = joined([full, lacking, other], np.array([0.1, 0.2, 0.3]), "slope")
+    table = join_rows([full, lacking, other], np.array([0.1, 0.2, 0.3]), "slope")
     assert table.phidot.values.tolist()[::2] == [-0.05, -0.06] and np.isnan(table.phidot[1])
     assert np.isnan(table.checked[1]) and table.checked[2] == 7
     assert table.direction.dims == ("slope", "coordinate") and table.direction[2, 1] == 0.8
-    assert common([lacking, full], "slope") == {"walker_mass": 2.0, "seed": 0}
+    assert common_attributes([lacking, full], "slope") == {"walker_mass": 2.0, "seed": 0}
 
 
 @pytest.mark.slow

@@ -22,7 +22,7 @@ from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.walkers.model import Walker
 
 BISECTIONS = 8
-"""Of the distance between two centres, on the way to the boundary between them."""
+"""Bisections of the distance between two centres, to locate the boundary between them."""
 LINE_GROUPS = 4
 """Parts of the lines, each a grid of its own, by whose scatter the error is told."""
 MAX_RELATIVE_ERROR = 0.05
@@ -109,7 +109,7 @@ def area_gradient(
         )
 
     found = basin_of(walker)
-    integral = along_boundary(walker, found, parameters)
+    integral = integrate_along_boundary(walker, found, parameters)
     gradient, error, made = (
         integral.gradient,
         integral.error,
@@ -146,7 +146,7 @@ class Integral(NamedTuple):
     strides: int
 
 
-def along_boundary(walker: Walker, found: Refined, parameters: Sequence[str]) -> Integral:
+def integrate_along_boundary(walker: Walker, found: Refined, parameters: Sequence[str]) -> Integral:
     """The sum of v |n_i| over the points in which lines of a grid cross the boundary."""
     if not parameters:
         return Integral(np.zeros(0), np.zeros(0), 0, 0, 0)
@@ -156,10 +156,10 @@ def along_boundary(walker: Walker, found: Refined, parameters: Sequence[str]) ->
     totals = np.zeros((LINE_GROUPS, count))
     crossings = lost = made = 0
 
-    def walk(places: Float[np.ndarray, "n axes"]) -> tuple[np.ndarray, np.ndarray]:
+    def follow(places: Float[np.ndarray, "n axes"]) -> tuple[np.ndarray, np.ndarray]:
         """Whether walkers converge to an attractor, and after how many strides they do or fail."""
         nonlocal made
-        labels, _ = found.mapper.label_all(fine.states(places / shape))
+        labels, _ = found.mapper.label_all(fine.points_at(places / shape))
         made += labels.total_strides
         return labels.converged, labels.strides
 
@@ -167,10 +167,10 @@ def along_boundary(walker: Walker, found: Refined, parameters: Sequence[str]) ->
         inside, outside = boundary_pairs(walks, axis)
         for _ in range(BISECTIONS):
             middle = (inside + outside) / 2
-            stays = walk(middle)[0][:, None]
+            stays = follow(middle)[0][:, None]
             inside, outside = np.where(stays, middle, inside), np.where(stays, outside, middle)
-        x = fine.states(outside / shape)
-        beyond = walk(outside)[1]
+        x = fine.points_at(outside / shape)
+        beyond = follow(outside)[1]
         change = differentiate_margins(
             walker, x, beyond, tangents.T, parameters, found.mapper.tolerance
         )

@@ -24,7 +24,7 @@ LEVELS_OMITTED = (3, 2, 1, 1)
 SCAN_STAGE, ENDS_STAGE = -1, -2
 """In place of a stage: for what is measured for a picture, and at the ends."""
 CHECK_STARTS = 50_000, 500_000
-"""Starts that correct an area on the way, and at the ends."""
+"""Starts that correct an area during optimisation, and at the ends."""
 
 
 class Evaluation(NamedTuple):
@@ -51,7 +51,7 @@ def evaluate(
     gait_of: Callable[[Float[np.ndarray, " parameters"]], Gait],
 ) -> Evaluation:
     """Measure the objective, what has limits, and in a stage, the objective's gradient."""
-    walker, names = problem.built(values), problem.names if stage >= 0 else ()
+    walker, names = problem.build_walker(values), problem.names if stage >= 0 else ()
     bands = BAND_HALF_WIDTHS[max(stage, 0)] * (problem.high - problem.low)[: len(names)]
     found: dict[str, Measure] = {}
     value_error, gradient_error, made = 0.0, np.zeros(len(names)), 0

@@ -43,7 +43,7 @@ def gait_measures(
     - "speed": that per unit of time;
     - "spectral-radius": the modulus of the largest multiplier of one stride, the root of that of
       the gait;
-    - "cost-of-transport": the energy that is lost per unit of weight and of way, sin(slope) where
+    - "cost-of-transport": the energy lost per unit of weight and of distance, sin(slope) where
       gravity alone drives the walker (`Walker.driven_by_gravity`), and NaN where that is not known.
 
     Arguments are those of `gait_derivatives`; the gait is that of `find_gait` by default. All are
@@ -56,22 +56,27 @@ def gait_measures(
     gait = find_gait(walker, tolerance=tolerance) if gait is None else gait
     check_kind("gait", gait, Gait)
     if not gait.found:
-        nowhere = Measure(np.nan, np.full(len(parameters), np.nan))
-        return dict.fromkeys(GAIT_MEASURES, nowhere)
+        unknown = Measure(np.nan, np.full(len(parameters), np.nan))
+        return dict.fromkeys(GAIT_MEASURES, unknown)
     changes = [gait_derivatives(walker, gait, name, tolerance=tolerance) for name in parameters]
     states, period = np.asarray(gait.states), len(gait.states)
 
-    def way(walker: Walker, states: Float[Array, "period section"]) -> Scalar:
-        """The mean step, each seen at the heel strike that ends it."""
+    def mean_step_length(walker: Walker, states: Float[Array, "period section"]) -> Scalar:
+        """The mean length of the steps, each measured at the heel strike that ends it."""
         before = lambda x: walker.reach(walker.exchange_legs(walker.lift(x)))
         return jnp.mean(jnp.stack([before(x) for x in states]))
 
     def along(name: str, dx: Float[np.ndarray, "period section"]) -> float:
         by = jax.tree.map(jnp.zeros_like, walker)
         by = with_parameter(by, name, jnp.ones_like(getattr(walker, name)))
-        return float(jax.jvp(way, (walker, jnp.asarray(states)), (by, jnp.asarray(dx)))[1])
+        return float(
+            jax.jvp(mean_step_length, (walker, jnp.asarray(states)), (by, jnp.asarray(dx)))[1]
+        )
 
-    length, time = float(way(walker, jnp.asarray(states))), float(np.mean(gait.step_times))
+    length, time = (
+        float(mean_step_length(walker, jnp.asarray(states))),
+        float(np.mean(gait.step_times)),
+    )
     pairs = zip(parameters, changes, strict=True)
     longer = np.array([along(name, change.states) for name, change in pairs])
     slower = np.array([np.mean(change.step_times) for change in changes])

@@ -73,8 +73,8 @@ def sweep(
     - over the grid too: `fate`, `attractor` and `strides`, as `basin` gives them, by direct
       iteration from the cells' centres. Attractors are numbered in each basin on its own; there are
       so many `attractors`;
-    - `area` of the cells that come to one; `total_area` and its standard error `total_area_error`,
-      as `refine` gives them;
+    - `area` of the cells that converge to one; `total_area` and its standard error
+      `total_area_error`, as `refine` gives them;
     - of the gait of period one, NaN where none is found: `gait_state`, `multiplier` (the largest
       modulus), `step_time`, `step_length`, `speed` and `cost_of_transport`;
     - if `robust`, what `robustness` gives of the gait with the largest basin, of any period, whose
@@ -89,7 +89,7 @@ def sweep(
     """
     check_kind("walker", walker, Walker)
     check_kind("over", over, Mapping)
-    values = {name: np.atleast_1d(numbers(f"over {name}", some)) for name, some in over.items()}
+    values = {name: np.atleast_1d(numbers(f"over {name}", given)) for name, given in over.items()}
     check_values(walker, values)
     levels = check_whole("levels", levels, 0, FINEST)
     check = check_whole("check", check, 0)
@@ -106,7 +106,7 @@ def sweep(
     about = describe(walker, grid, how)
     for name in values:
         del about.attrs[f"walker_{name}"]
-    own = {"command": "sweep", "over": {name: some.tolist() for name, some in values.items()}}
+    own = {"command": "sweep", "over": {name: given.tolist() for name, given in values.items()}}
     request = request or request_of(about, grid) | own
     about = about.assign_coords(values)
     names = [*values]
@@ -125,14 +125,14 @@ def check_values(walker: Walker, values: Mapping[str, Float[np.ndarray, "..."]])
     """Refuse parameters that the walker does not have, and values."""
     if not values:
         raise WrongUse("over must name at least one parameter")
-    for name, some in values.items():
-        if some.ndim != 1 or len(some) == 0 or len(np.unique(some)) < len(some):
-            raise WrongUse(f"over {name} must be one row of different numbers, not {short(some)}")
+    for name, given in values.items():
+        if given.ndim != 1 or len(given) == 0 or len(np.unique(given)) < len(given):
+            raise WrongUse(f"over {name} must be one row of different numbers, not {short(given)}")
     count = math.prod(map(len, values.values()))
     if count > MAX_COMBINATIONS:
         raise WrongUse(f"over must have at most {MAX_COMBINATIONS} combinations, not {count}")
-    for name, some in values.items():
-        check_parameter(walker, name, *some.tolist())
+    for name, given in values.items():
+        check_parameter(walker, name, *given.tolist())
 
 
 def compute_missing(

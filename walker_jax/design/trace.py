@@ -38,7 +38,7 @@ class Trace:
     def gait(self, values: Float[np.ndarray, " parameters"]) -> Gait:
         """That of the walker with these parameters."""
         if values.tobytes() not in self.gaits:
-            walker, tolerance = self.problem.built(values), self.problem.tolerance
+            walker, tolerance = self.problem.build_walker(values), self.problem.tolerance
             self.gaits[values.tobytes()] = find_gait(walker, tolerance=tolerance)
         return self.gaits[values.tobytes()]
 
@@ -47,7 +47,9 @@ class Trace:
         values = self.problem.values(place)
         row = self.known.get((stage, values.tobytes()))
         if row is None:
-            status = self.console.status(f"{len(self.rows) + 1}: {self.problem.named(values)}")
+            status = self.console.status(
+                f"{len(self.rows) + 1}: {self.problem.describe_values(values)}"
+            )
             with nullcontext() if self.console.quiet else status:
                 row = evaluate(self.problem, stage, values, self.gait)
             self.known[key_of(row)] = row

@@ -63,7 +63,7 @@ def boundary_dimension(
     mapper = with_capture_boxes(mapper_of_grid(walker, grid, finest, strides))
 
     def label_of(share: Float[np.ndarray, "n axes"]) -> Int[np.ndarray, " n"]:
-        labels, _ = mapper.label_all(grid.states(share))
+        labels, _ = mapper.label_all(grid.points_at(share))
         return labels.attractor
 
     shape = np.array(grid.shape)

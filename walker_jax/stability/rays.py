@@ -24,8 +24,8 @@ ZOOMS = 3
 """How often fans are made narrower."""
 POLISHES = 4
 """Searches along the boundary's gradient that follow."""
-STEP_SHARES = 2.0 ** np.arange(-6, 3)
-"""Of the step to where the boundary would be nearest if it were flat: those that each tries."""
+POLISH_SHARES = 2.0 ** np.arange(-6, 3)
+"""Shares of the step to the nearest point of a flat boundary that each polish tries."""
 FINAL_DISTANCES = 512
 """At which it is made sure that nothing nearer fails in the direction found."""
 COARSE, FINE = 12, 34
@@ -49,13 +49,13 @@ def nearest_failure(
     lengths = np.minimum(lengths, closer)
     for _ in range(POLISHES if len(basis) > 1 else 0):
         best, lengths = polish(fails, gradient, basis, best, lengths, gap)
-    least = lengths.min()
+    nearest = lengths.min()
     ray = best[lengths.argmin()][None]
     while True:  # the first failure on its ray
-        first = first_failures(fails, ray @ basis, 0.0, (1 - 1e-9) * least, FINAL_DISTANCES)
+        first = first_failures(fails, ray @ basis, 0.0, (1 - 1e-9) * nearest, FINAL_DISTANCES)
         if np.isinf(first[0]):
-            return least * ray[0] @ basis
-        least = bisect(fails, ray @ basis, first, least / FINAL_DISTANCES, FINE)[0]
+            return nearest * ray[0] @ basis
+        nearest = bisect(fails, ray @ basis, first, nearest / FINAL_DISTANCES, FINE)[0]
 
 
 def nearest_rays(
@@ -83,8 +83,8 @@ def nearest_rays(
     for _ in range(ZOOMS if rank > 1 else 0):
         fans = np.concatenate([fan(ray, width, FAN) for ray in best])
         # The nearest failures of a fan lie a little before those of the wider one.
-        least = lengths.min()
-        rays, first = keep_nearest(fails, fans, basis, 0.95 * least, 1.01 * least, 24)
+        nearest = lengths.min()
+        rays, first = keep_nearest(fails, fans, basis, 0.95 * nearest, 1.01 * nearest, 24)
         if first.size:
             minima = local_minima(rays, first, width)
             best, lengths = rays[minima], first[minima]
@@ -105,11 +105,11 @@ def polish(
     with np.errstate(invalid="ignore", divide="ignore"):  # where there is no gradient
         normal = gradient(lengths[:, None] * best @ basis) @ basis.T
         along = normal / np.sum(normal * best, axis=1, keepdims=True) - best
-    tried = best[:, None] + np.concatenate([[0.0], STEP_SHARES])[:, None] * along[:, None]
+    tried = best[:, None] + np.concatenate([[0.0], POLISH_SHARES])[:, None] * along[:, None]
     tried = np.where(np.isfinite(tried), tried, best[:, None])
     tried /= np.linalg.norm(tried, axis=2, keepdims=True)
-    flat, least = tried.reshape(-1, rank) @ basis, lengths.min()
-    reached = first_failures(fails, flat, least - gap, least + gap, 8)
+    flat, nearest = tried.reshape(-1, rank) @ basis, lengths.min()
+    reached = first_failures(fails, flat, nearest - gap, nearest + gap, 8)
     reached = bisect(fails, flat, reached, gap / 4, FINE).reshape(tried.shape[:2])
     reached[:, 0] = np.minimum(reached[:, 0], lengths)  # that ray is the best one so far
     return tried[np.arange(len(best)), reached.argmin(axis=1)], reached.min(axis=1)

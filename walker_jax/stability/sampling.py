@@ -101,7 +101,7 @@ def basin_stability(
         raise WrongUse("walker must be one or more, and its parameters are arrays of none")
     rng = np.random.default_rng(seed)
     if isinstance(disturbances, Grid):
-        starts = disturbances.states(rng.uniform(size=(samples, len(disturbances.names))))
+        starts = disturbances.points_at(rng.uniform(size=(samples, len(disturbances.names))))
         about = lambda state: starts
     else:
         inside = in_ball(rng, samples, len(basis)) @ basis * unit * disturbances

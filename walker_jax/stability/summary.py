@@ -278,11 +278,15 @@ def robustness_table(
         )
         rows.append(one[[name for name in one if set(one[name].dims) <= {"coordinate"}]])
     about = {"walker": type(walker).__name__, "disturbances": disturbances}
-    return joined(rows, values, parameter).assign_attrs(about | common(rows, parameter))
+    return join_rows(rows, values, parameter).assign_attrs(
+        about | common_attributes(rows, parameter)
+    )
 
 
-def joined(rows: list[xr.Dataset], values: Float[np.ndarray, " n"], parameter: str) -> xr.Dataset:
-    """One table of rows. What a row lacks, of a walker without a gait, is NaN."""
+def join_rows(
+    rows: list[xr.Dataset], values: Float[np.ndarray, " n"], parameter: str
+) -> xr.Dataset:
+    """One table of all rows, with NaN where a row of a walker without a gait lacks a value."""
     where = xr.DataArray(values, dims=parameter, name=parameter)
     plain = [row.reset_coords().drop_attrs() for row in rows]
     return xr.concat(
@@ -290,8 +294,8 @@ def joined(rows: list[xr.Dataset], values: Float[np.ndarray, " n"], parameter: s
     )
 
 
-def common(rows: list[xr.Dataset], parameter: str) -> dict[str, Any]:
-    """The attributes that rows have, but those of a row's own."""
+def common_attributes(rows: list[xr.Dataset], parameter: str) -> dict[str, Any]:
+    """The attributes of the rows, except those that differ between rows."""
     own = ("area", f"walker_{parameter}")
     return {name: value for row in rows for name, value in row.attrs.items() if name not in own}
 

@@ -2,7 +2,7 @@
 
 A walk is iterated in one place, `walk_on`: until a failure, until it is within reach of a target,
 or for a number of strides. `iterate` does that for many starts at once. Two functions beside it
-return every state on the way: `orbits`, of many starts, and `walk`, of one that JAX may trace.
+return every state: `orbits`, of many starts, and `walk`, of one that JAX may trace.
 """
 
 import itertools
@@ -108,11 +108,11 @@ def as_arrays(walker: Walker, n: int, dtype) -> tuple[Walker, bool]:
     many = any(np.ndim(leaf) for leaf in jax.tree.leaves(walker))
     if many:
         check_parameters(walker, n)
-        return stacked(walker, n, dtype), many
+        return broadcast_parameters(walker, n, dtype), many
     return jax.tree.map(lambda leaf: np.asarray(leaf, dtype), walker), many
 
 
-def stacked(walker: Walker, n: int, dtype) -> Walker:
+def broadcast_parameters(walker: Walker, n: int, dtype) -> Walker:
     """A walker, or n of them, with every parameter as an array of n."""
     return jax.tree.map(lambda leaf: np.broadcast_to(np.asarray(leaf, dtype), (n,)), walker)
 
@@ -130,7 +130,7 @@ def check_parameters(walker: Walker, n: int) -> None:
     for one in parameters(walker):
         values = getattr(walker, one.name)
         for value in (np.min(values), np.max(values)) if np.size(values) else ():
-            one.checked(value)
+            one.convert(value)
 
 
 def walk(
@@ -258,10 +258,10 @@ def power_of_two(targets: Targets | None, size: int, dtype) -> Targets:
 
 def nearest_target(x: Float[np.ndarray, "n section"], targets: Targets) -> Int[np.ndarray, " n"]:
     """Number of the target that each state is within reach of, the nearest of several, or -1."""
-    number, least = np.full(len(x), -1, np.int32), np.ones(len(x), x.dtype)
+    number, smallest = np.full(len(x), -1, np.int32), np.ones(len(x), x.dtype)
     for i, (state, frame) in enumerate(zip(*targets, strict=True)):
         away = np.abs((x - state) @ frame.T).max(axis=1)
-        number[away < least], least = i, np.fmin(away, least)
+        number[away < smallest], smallest = i, np.fmin(away, smallest)
     return number
 
 
