@@ -748,20 +748,21 @@ def test_two_optimisations_do_not_write_in_one_place(run, monkeypatch):
 
 @pytest.mark.slow
 def test_an_interrupted_optimisation_goes_on(run, tmp_path, monkeypatch):
-    measured = evaluation.evaluate
+    measured = evaluation.evaluate_objective
 
     def interrupted(problem, stage, values, gait_of):
         if stage == 1:
             raise KeyboardInterrupt
         return measured(problem, stage, values, gait_of)
 
-    monkeypatch.setattr("walker_jax.design.trace.evaluate", interrupted)
+    monkeypatch.setattr("walker_jax.design.trace.evaluate_objective", interrupted)
     code, _, err = run(*FASTEST)
     assert (code, err) == (130, f"walker-jax: interrupted: {RESUME} optimum.zarr\n")
     assert "found" not in xr.open_zarr(tmp_path / "optimum.zarr", consolidated=False)
     stages = []
     monkeypatch.setattr(
-        "walker_jax.design.trace.evaluate", lambda *all: stages.append(all[1]) or measured(*all)
+        "walker_jax.design.trace.evaluate_objective",
+        lambda *all: stages.append(all[1]) or measured(*all),
     )
     assert run(*FASTEST)[0] == 0
     assert 0 not in stages and {1, 2, 3} < set(stages)

@@ -19,7 +19,12 @@ from walker_jax.stability.disturbances import LeastDisturbance, least_disturbanc
 from walker_jax.stability.gait_mapper import mapper_of_gait
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.stability.rays import nearest_failure
-from walker_jax.stability.sampling import BasinStability, basin_stability, in_ball, wilson
+from walker_jax.stability.sampling import (
+    BasinStability,
+    basin_stability,
+    draw_from_ball,
+    wilson_interval,
+)
 from walker_jax.stability.steps_down import LeastStepDown, labels_after_step, least_step_down
 from walker_jax.stability.summary import common_attributes, join_rows, robustness_table
 from walker_jax.walking.stepping import follow_step_down
@@ -241,14 +246,14 @@ def test_a_gait_of_period_two_is_disturbed_where_it_is_weakest():
 
 def test_points_of_a_ball_and_wilsons_interval():
     for rank in (1, 2, 3):
-        x = in_ball(np.random.default_rng(0), 20_000, rank)
+        x = draw_from_ball(np.random.default_rng(0), 20_000, rank)
         radius = np.linalg.norm(x, axis=1)
         assert radius.max() <= 1
         assert np.mean(radius < 0.5) == pytest.approx(0.5**rank, abs=0.01)
     # Newcombe (1998, Statistics in Medicine 17:857), Table I
     for successes, n, ends in ((81, 263, (0.2553, 0.3662)), (15, 148, (0.0624, 0.1605))):
-        np.testing.assert_allclose(wilson(successes, n, 0.95), ends, atol=5e-5)
-    np.testing.assert_allclose(wilson(0, 20, 0.95), (0, 0.1611), atol=5e-5)
+        np.testing.assert_allclose(wilson_interval(successes, n, 0.95), ends, atol=5e-5)
+    np.testing.assert_allclose(wilson_interval(0, 20, 0.95), (0, 0.1611), atol=5e-5)
 
 
 def test_a_smooth_boundary_has_dimension_one_and_a_fractal_one_more():

@@ -1,4 +1,4 @@
-"""One climb along the gradient, within bounds and limits."""
+"""One ascent along the gradient, within bounds and limits."""
 
 from typing import NamedTuple
 
@@ -17,15 +17,15 @@ TRIAL_STEPS = (1.0, -1.0, 0.5, -0.5, 0.25, -0.25)
 the stage ends. Some objectives are discontinuous: just before a jump a shorter step improves them,
 or one in the opposite direction."""
 MAX_STAGE_STEPS = 40
-"""Steps of a stage."""
+"""Largest number of steps of a stage."""
 MAX_RESCUE_STEPS = 8
-"""Long steps that are made, from where nothing walks, to where the gait is more stable."""
+"""Largest number of long steps from where nothing walks to a more stable gait."""
 SIGNIFICANT_ERRORS = 2
-"""Standard errors from which on a difference of values is believed."""
+"""Standard errors above which a difference of values is significant."""
 
 
 class Climb(NamedTuple):
-    """From where to where; or why not."""
+    """The start and the best evaluation of a climb, or the reason why it failed."""
 
     start: Evaluation | None
     best: Evaluation | None
@@ -34,7 +34,7 @@ class Climb(NamedTuple):
 
 
 def climb(trace: Trace, run: int, stage: int, place: Float[np.ndarray, " parameters"]) -> Climb:
-    """Go up from a place by the steps of one stage, until none leads higher."""
+    """Climb from a place by the steps of one stage, until none improves the objective."""
     import optax  # here alone: it takes a quarter of a second
 
     problem, begin = trace.problem, trace.limits.nearest_allowed(place)

@@ -23,7 +23,7 @@ GAIT_MEASURES = ("step-length", "speed", "spectral-radius", "cost-of-transport")
 
 
 class Measure(NamedTuple):
-    """A number that a walker may be designed for, and how it changes with its parameters."""
+    """A measure of a walker's gait, and its derivatives by parameters."""
 
     value: float
     gradient: Float[np.ndarray, " parameters"]
@@ -37,18 +37,20 @@ def gait_measures(
     *,
     tolerance: float | None = None,
 ) -> dict[str, Measure]:
-    """What follows from a gait, and its derivatives by parameters of the walker.
+    """Measures of a gait, and their derivatives by parameters of the walker.
 
-    - "step-length": how far the walker gets by a step, along the slope, on average over the gait;
-    - "speed": that per unit of time;
+    - "step-length": the length of a step along the slope, the mean over the gait;
+    - "speed": the step length over the mean step time;
     - "spectral-radius": the modulus of the largest multiplier of one stride, the root of that of
       the gait;
     - "cost-of-transport": the energy lost per unit of weight and of distance, sin(slope) where
-      gravity alone drives the walker (`Walker.driven_by_gravity`), and NaN where that is not known.
+      gravity alone drives the walker (`Walker.driven_by_gravity`), and NaN otherwise.
 
     Arguments are those of `gait_derivatives`; the gait is that of `find_gait` by default. All are
-    NaN where none is found. `ValueError` for parameters that the walker does not have, and, where
-    there are any, for what is no gait of this walker.
+    NaN where none is found.
+
+    Raises `ValueError` for parameters that the walker does not have, and, if any are given, for a
+    gait that is not one of this walker.
     """
     check_kind("parameters", parameters, Sequence)
     for name in parameters:

@@ -68,45 +68,45 @@ def optimise(
     **Arguments:**
 
     - `walker`: of one kind. Its own values are the first start, where they are within the bounds.
-    - `bounds`: the least and the greatest value of each parameter that is free.
+    - `bounds`: the lowest and the highest value of each free parameter.
     - `objective`: "area" (of the basin, all attractors together), "least-disturbance" (from which
-      the walker does not come back), "speed" or "step-length" to be large, "spectral-radius" or
-      "cost-of-transport" to be small; or weights of these by name, for a sum that is to be large.
+      the walker does not return), "speed" or "step-length", which are maximised, "spectral-radius"
+      or "cost-of-transport", which are minimised; or weights by name, for a sum to maximise.
     - `at_least`, `at_most`: limits of "speed", "step-length", "spectral-radius" and
       "cost-of-transport", by name.
     - `grid`: where the area is measured, the same for all parameters. By default as in
       `robustness`: of walkers with mass on their legs, the slice around the gait of the first start
       that has one. The slice stays where it is as gaits move away, so areas in it compare walkers
       whose gaits have about the same phidot.
-    - `starts`: how many. Those after the first are spread over the bounds.
+    - `starts`: number of starts. Those after the first are spread over the bounds.
     - `levels`: of refinement, for the areas at both ends.
-    - `strides`: how many of them a walker is followed for.
-    - `scan`: if above 0, at so many values of each parameter, others as in the optimum, the
+    - `strides`: number of strides for which a walker is followed.
+    - `scan`: number of values of each parameter, with the others as in the optimum, at which the
       objective is measured too.
     - `seed`: of the starts, and of `refine`.
     - `tolerance`: of the integration, as in `stride`.
     - `known`: an earlier result, or the trace of a run that was interrupted, whose measurements are
       taken as they are.
     - `keep`: called with the trace after each measurement.
-    - `progress`: whether to show on a terminal what is being measured.
+    - `progress`: whether to show progress on a terminal.
 
     **Returns** a data set: over the parameters, `start` and `optimum`, those of the best climb;
-    `objective_start` and `objective_optimum`, as this saw them; `exact_start` and `exact_optimum`,
-    with standard errors `exact_start_error` and `exact_optimum_error`, which are 0 but of areas;
-    `at_bound`, -1 or 1 for parameters that end at their lower or upper bound; `binding`, which
-    measures hold the optimum by their limits; and `converged`, whether it ended because no step
-    of the last stage, of those tried along the gradient, led higher. The trace, over evaluations:
-    `run`, `stage` (-1 for the scan, -2 for the ends), `parameters`, `value` and `value_error`,
-    `gradient` and `gradient_error` (by the parameters), `measures`, and the `strides` that were
-    made for areas; `note`, for each run, says why it led nowhere. `scan_parameters`, `scan_value`
-    and `scan_allowed`, by the limits. `fate_start` and `fate_optimum`: the basins at both ends, on
-    a grid that shows them; -1 where a walker converges to an attractor. Where `found` is false no
-    start led anywhere, and all but the trace is missing.
+    `objective_start` and `objective_optimum`, as that climb measured them; `exact_start` and
+    `exact_optimum`, with standard errors `exact_start_error` and `exact_optimum_error`, which are 0
+    except for areas; `at_bound`, -1 or 1 for parameters that end at their lower or upper bound;
+    `binding`, the measures whose limits bind at the optimum; and `converged`, whether it ended
+    because no step of the last stage along the gradient improved the objective. The trace, over
+    evaluations: `run`, `stage` (-1 for the scan, -2 for the ends), `parameters`, `value` and
+    `value_error`, `gradient` and `gradient_error` (by the parameters), `measures`, and the
+    `strides` that were made for areas; `note`, the reason why a run failed. `scan_parameters`,
+    `scan_value` and `scan_allowed`, by the limits. `fate_start` and `fate_optimum`: the basins at
+    both ends, on a grid that shows them; -1 where a walker converges to an attractor. Where `found`
+    is false all starts failed, and all but the trace is missing.
 
-    Where nothing walks, areas and disturbances are zero and have no gradient: a start there is led,
-    by up to eight long steps, to where its gait is more stable, if it has one.
+    Where nothing walks, areas and disturbances are zero and have no gradient: from such a start up
+    to eight long steps lead to a more stable gait, if it has one.
 
-    `ValueError` for parameters, bounds, names and numbers that are not such, and as for `refine`.
+    Raises `ValueError` for wrong parameters, bounds, names and numbers, and as `refine`.
     """
     (weights, sign), limits = parse_objective(objective), parse_limits(at_least, at_most)
     check_kind("walker", walker, Walker)

@@ -31,9 +31,9 @@ from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 
 GAIT_NUMBERS = ("step-length", "speed", "cost-of-transport")
-"""What is measured of a gait beside its state, multiplier and time."""
+"""Measures of a gait besides its state, multiplier and step time."""
 MAX_COMBINATIONS = 2**20
-"""Combinations of parameters, each of which is some twenty files of a store."""
+"""Combinations of parameters; each takes about twenty files of a store."""
 
 
 @refuses_tracers()
@@ -54,25 +54,25 @@ def sweep(
     cluster: Any = None,
     progress: bool = False,
 ) -> xr.Dataset:
-    """The basin of a walker, its gait and its area, for all combinations of some parameters.
+    """The basin of a walker, its area and its gait, for all combinations of parameter values.
 
     **Arguments:**
 
     - `walker`: gives the values of its other parameters.
     - `over`: values of each of the parameters.
-    - `grid`: of all basins; by default the region that `robustness` takes for this walker.
-    - `levels`, `check`: of the refinement by which areas are exact, as in `refine`.
+    - `grid`: of all basins; by default that of `robustness` for this walker.
+    - `levels`, `check`: of the refinement of areas, as in `refine`.
     - `robust`: whether to measure all that `robustness` does, which takes half a minute for each.
-    - `strides`: how many of them a walker is followed for.
-    - `seed`, `tolerance`: of what is drawn, and of the integration.
+    - `strides`: number of strides for which a walker is followed.
+    - `seed`, `tolerance`: of random numbers, and of the integration.
     - `out`, `request`, `overwrite`, `cluster`: as in `basin`; a piece is one combination.
     - `progress`: whether to show a progress bar on a terminal.
 
     **Returns** a data set with the parameters as dimensions, in the order given, of
 
     - over the grid too: `fate`, `attractor` and `strides`, as `basin` gives them, by direct
-      iteration from the cells' centres. Attractors are numbered in each basin on its own; there are
-      so many `attractors`;
+      iteration from the cells' centres. Attractors are numbered separately in each basin, which
+      has so many `attractors`;
     - `area` of the cells that converge to one; `total_area` and its standard error
       `total_area_error`, as `refine` gives them;
     - of the gait of period one, NaN where none is found: `gait_state`, `multiplier` (the largest
@@ -80,9 +80,9 @@ def sweep(
     - if `robust`, what `robustness` gives of the gait with the largest basin, of any period, whose
       `gait_state`, `multiplier` and `step_time` these are then.
 
-    A combination that cannot be computed, as one that the walker refuses, has `failed` 1, a
-    `reason`, which is empty otherwise, fates of -1, and NaN; the others go on. Where memory or the
-    like is wanting, the error is raised, and the same call resumes with that combination.
+    A combination that cannot be computed, such as one that the walker refuses, has `failed` 1, a
+    `reason` (empty otherwise), fates of -1, and NaN; the others are computed. Other errors, such as
+    a lack of memory, are raised, and the same call resumes with that combination.
 
     Raises `ValueError` for a parameter or a value that the walker does not have, for no values or
     more than a million combinations, and as `basin` and `refine` do.

@@ -19,7 +19,7 @@ two gaits."""
 SAME_STATE_DISTANCE = {jnp.dtype("float64"): 1e-8, jnp.dtype("float32"): 1e-3}
 """States closer than this in every coordinate count as one: a hundred times the largest residual
 in float64, ten times in float32."""
-MAX_NEWTON_STEPS = 40
+MAX_SEARCH_STEPS = 40
 """Newton steps of a search. Near a gait the iteration converges quadratically, in a few steps; one
 that takes more than this is far from any."""
 
@@ -63,7 +63,7 @@ def solve_cycle(
         optimistix.Newton(rtol=accuracy, atol=accuracy),
         states,
         args=(walker, tolerance),
-        max_steps=MAX_NEWTON_STEPS,
+        max_steps=MAX_SEARCH_STEPS,
         throw=False,
     )
     states = solution.value

@@ -30,8 +30,8 @@ from walker_jax.checks import (
     refuses_tracers,
 )
 from walker_jax.gaits.cycles import (
-    MAX_NEWTON_STEPS,
     MAX_RESIDUAL,
+    MAX_SEARCH_STEPS,
     SAME_STATE_DISTANCE,
     Gait,
     clear_values,
@@ -311,7 +311,7 @@ def iterate_newton(
     jacobians = np.full((n, period, size, size), np.nan, cycles.dtype)
     active = np.flatnonzero(np.isfinite(cycles).all(axis=(1, 2)))
     rounding = 10 * float(np.finfo(cycles.dtype).eps)
-    for _ in range(MAX_NEWTON_STEPS):
+    for _ in range(MAX_SEARCH_STEPS):
         local = linearise(select_walkers(walker, active), cycles[active], tolerance)
         mismatch = local.state - np.roll(cycles[active], -1, axis=1)
         residual = np.abs(mismatch).max(axis=(1, 2))
