@@ -43,7 +43,7 @@ import numpy as np
 import walker_jax as wj
 from walker_jax import multibody
 from walker_jax.gaits.branches import continue_gaits
-from walker_jax.gaits.continuation import doubled
+from walker_jax.gaits.continuation import start_at_doubling
 from walker_jax.gaits.derivatives import linearise
 from walker_jax.kernels.scalars import unrolled
 from walker_jax.walkers.masses import coordinates_and_rates
@@ -161,7 +161,7 @@ def doublings() -> None:
     found = []
     while branch.doublings and len(found) < 7:
         found.append(branch.doublings[0])
-        start = doubled(found[-1])
+        start = start_at_doubling(found[-1])
         (branch,) = continue_gaits(wj.SimplestWalker(start.value), "slope", interval, [start])
     known = VALUES["period_doublings"]
     rows = [
@@ -380,7 +380,7 @@ def published() -> None:
     walker, gait = compass["compass gait, 4 deg"]
     interval = np.deg2rad(3.9), np.deg2rad(4.95)
     first = wj.continue_gait(walker, "slope", interval, gait).doublings[0]
-    (branch,) = continue_gaits(walker, "slope", interval, [doubled(first)])
+    (branch,) = continue_gaits(walker, "slope", interval, [start_at_doubling(first)])
     slopes = np.rad2deg([first.value, branch.doublings[0].value])
     for which, slope in zip(("first", "second"), slopes, strict=True):
         printed = known[f"{which}_doubling_degrees"]

@@ -59,14 +59,14 @@ class Search:
         self.low, self.high = np.array(list(bounds.values())).T
         self.left, self.best = strides, (0.0, None)
 
-    def built(self, place):
+    def build_walker(self, place):
         walker = self.walker
         for name, value in zip(self.names, self.low + (self.high - self.low) * place, strict=True):
             walker = with_parameter(walker, name, np.asarray(value))
         return walker
 
     def slack(self, place):
-        found = wj.gait_measures(self.built(np.clip(place, 0, 1)), ())
+        found = wj.gait_measures(self.build_walker(np.clip(place, 0, 1)), ())
         return [np.nan_to_num(found[name].value, nan=-1) / x - 1 for name, x in self.limits.items()]
 
     def loss(self, place):
@@ -77,7 +77,9 @@ class Search:
         if min(self.slack(place)) < -1e-6:
             return 0.0
         options = {"strides": 200, "check": 50_000, "seed": 0, "tolerance": None}
-        found = refine_cells(self.built(place), self.grid, LEVELS - 2, by_centres=True, **options)
+        found = refine_cells(
+            self.build_walker(place), self.grid, LEVELS - 2, by_centres=True, **options
+        )
         self.left -= found.total_strides
         if found.area > self.best[0]:
             self.best = found.area, place
@@ -136,7 +138,7 @@ def compare(title: str) -> None:
             except Spent:
                 pass
             place = search.best[1]
-            reached.append(0.0 if place is None else exact(search.built(place), grid) / best)
+            reached.append(0.0 if place is None else exact(search.build_walker(place), grid) / best)
         name = one.__name__.replace("_", " ")
         parts = ", ".join(f"{part:.1%}" for part in sorted(reached))
         print(f"{name:18} {np.median(reached):.1%} of that ({parts})", flush=True)

@@ -8,24 +8,24 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from walker_jax.gaits.derivatives import Curved, Linearised
-from walker_jax.gaits.requests import Answer, Task
+from walker_jax.gaits.derivatives import Linearisation, SecondDerivatives
+from walker_jax.gaits.requests import Response, Task
 
 
 def done_with(stride: Callable, task: Task) -> Any:
     """What a task returns where a stride from x, the parameter being p, ends in stride(x, p)."""
-    answer = None
+    response = None
     while True:
         try:
-            ask = next(task) if answer is None else task.send(answer)
+            request = next(task) if response is None else task.send(response)
         except StopIteration as stop:
             return stop.value
-        vectors = np.zeros_like(ask.cycle) if ask.vectors is None else ask.vectors
-        found = looked_at(stride)(ask.cycle, float(ask.value), vectors)
+        vectors = np.zeros_like(request.cycle) if request.vectors is None else request.vectors
+        found = looked_at(stride)(request.cycle, float(request.value), vectors)
         state, jacobian, by_parameter, along, changes = (np.asarray(x)[None] for x in found)
-        times = np.ones((1, len(ask.cycle)))
-        curved = None if ask.vectors is None else Curved(along, 0 * times, changes)
-        answer = Answer(Linearised(state, times, jacobian, by_parameter), curved)
+        times = np.ones((1, len(request.cycle)))
+        second = None if request.vectors is None else SecondDerivatives(along, 0 * times, changes)
+        response = Response(Linearisation(state, times, jacobian, by_parameter), second)
 
 
 @cache

@@ -27,7 +27,9 @@ def name_of(path: Path) -> str:
 
 
 def room_of(module: str) -> str:
-    return module.split(".")[1]
+    """Its folder or file; `python -m walker_jax` is part of the command line."""
+    room = module.split(".")[1]
+    return "cli" if room == "__main__" else room
 
 
 MODULES = {name_of(path): path for path in PATHS}

@@ -26,7 +26,7 @@ def test_what_walkers_come_to():
     assert data.fate.values[:, 0].tolist() == [0, 0, 0, 0, wj.Outcome.FORWARD]
     assert (data.fate.values[:, 1] == wj.Outcome.FORWARD).all()
     assert data.period.values[:, 0].tolist() == [1, 2, 4, 0, 0]
-    assert data.strides.values[:4, 0].tolist() == [1000 + long_runs.RECENT] * 4
+    assert data.strides.values[:4, 0].tolist() == [1000 + long_runs.RECORDED_STATES] * 4
     assert np.isnan(data.orbit.values[:, 1]).all()
     np.testing.assert_allclose(
         data.orbit.values[0, 0, -1], wj.find_gait(walker(0.01)).states[0], atol=1e-9
@@ -86,8 +86,8 @@ def test_the_cascade_stems_from_the_most_stable_gait():
     short, long = branch_of(1, [1.5, 1.4, 1.6]), branch_of(1, [0.6, 0.9, 5.0])
     doubles = [branch_of(2, [0.3, 2.0]) for _ in range(3)]
     branches = [short, doubles[0], long, doubles[1], doubles[2], branch_of(4, [0.2, 3.0])]
-    assert sorted(diagrams.family(branches, [-1, 0, -1, 2, -1, 3])) == [2, 3, 5]
-    assert diagrams.family([doubles[0]], [-1]) == []
+    assert sorted(diagrams.find_descendants(branches, [-1, 0, -1, 2, -1, 3])) == [2, 3, 5]
+    assert diagrams.find_descendants([doubles[0]], [-1]) == []
 
 
 def test_gaits_are_known_from_any_of_their_states(monkeypatch):
@@ -98,11 +98,11 @@ def test_gaits_are_known_from_any_of_their_states(monkeypatch):
         return np.array([[r + 1 - root], [r + 1 + root]]) / (2 * r)
 
     logistic = lambda x, r: r * x * (1 - x)
-    together = lambda *given: [done_with(logistic, task) for task in given[2]]
-    monkeypatch.setattr("walker_jax.gaits.diagrams.together", together)
+    run_batched = lambda *given: [done_with(logistic, task) for task in given[2]]
+    monkeypatch.setattr("walker_jax.gaits.diagrams.run_batched", run_batched)
     values = np.array([3.2, 3.4])
     two = branch_of(2, [0.5, 0.5], values, np.stack([cycle(r) for r in values]))
-    look = lambda starts: diagrams.unknown(walker(), "slope", [two], starts, 1e-12)
+    look = lambda starts: diagrams.select_new_starts(walker(), "slope", [two], starts, 1e-12)
     fixed = np.full((2, 1), 1 - 1 / 3.3)
     starts = [Start(3.3, x) for x in (cycle(3.3), cycle(3.3)[::-1], fixed, fixed[:1])]
     assert look(starts) == starts[2:]

@@ -1,8 +1,11 @@
 """The dimensions of boundaries that are known: smooth ones, and fractals."""
 
+import inspect
+
 import numpy as np
 import pytest
 
+from walker_jax.checks import WrongUse
 from walker_jax.fractals import box_counting, uncertainty_exponent
 
 
@@ -177,6 +180,14 @@ def test_without_boundary_enough_there_is_no_dimension(corner):
 def test_box_counting_refuses(shape, options, message):
     with pytest.raises(ValueError, match=message):
         box_counting(np.zeros(shape, int), **options)
+
+
+@pytest.mark.parametrize(
+    "labels", [np.full((64, 64), "in"), np.full((64, 64), None), "in", [["a"]]]
+)
+def test_box_counting_refuses_labels_that_are_no_numbers(labels):
+    with pytest.raises(WrongUse, match=r"^labels must be numbers, not .*$"):
+        inspect.unwrap(box_counting)(labels)  # without the tests' own checks of types
 
 
 def box(low, high, d):

@@ -8,7 +8,7 @@ from maps import done_with
 
 import walker_jax as wj
 from walker_jax.gaits import arclength, branches, continuation, events
-from walker_jax.gaits.derivatives import Linearised
+from walker_jax.gaits.derivatives import Linearisation
 
 VALUES = json.loads((Path(__file__).parent / "data" / "values.json").read_text())
 REGION = wj.Grid.sheared(theta=(0.1, 0.3, 40), sum=(-0.03, 0.018, 60))
@@ -30,7 +30,7 @@ def cascade(long):
     """The branches that stem from it, one doubling after the other."""
     found = [long]
     while found[-1].period < 16:
-        start = continuation.doubled(found[-1].doublings[0])
+        start = continuation.start_at_doubling(found[-1].doublings[0])
         found += branches.continue_gaits(walker(), "slope", (0.001, 0.0185), [start])
     return found
 
@@ -158,39 +158,40 @@ def island(x, p):
     return x + 0.5 * (RADIUS**2 - x**2 - p**2)
 
 
-@pytest.mark.parametrize("way", [1.0, -1.0])
-def test_a_branch_that_closes_is_gone_round_once(way):
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_branch_that_closes_is_gone_round_once(sign):
     start = continuation.Start(0.0, np.array([[RADIUS]]))
-    path = done_with(island, continuation.follow(start, way, (-1.0, 1.0)))
+    path = done_with(island, continuation.follow_branch(start, sign, (-1.0, 1.0)))
     assert path.end == "the branch closes" and path.doublings == []
     values = np.array([point.value for point in path.points])
     states = np.array([point.cycle[0, 0] for point in path.points])
     np.testing.assert_allclose(values**2 + states**2, RADIUS**2, rtol=0, atol=1e-10)
     angles = np.unwrap(np.arctan2(states, values))
-    assert (way * np.diff(angles) < 0).all()
+    assert (sign * np.diff(angles) < 0).all()
     assert abs(angles[-1] - angles[0]) == pytest.approx(2 * np.pi, abs=0.3)
     assert [fold.kind for fold in path.folds] == ["fold", "fold"]
-    for fold, value in zip(path.folds, (way * RADIUS, -way * RADIUS), strict=True):
+    for fold, value in zip(path.folds, (sign * RADIUS, -sign * RADIUS), strict=True):
         assert fold.value == pytest.approx(value, abs=1e-12)
         assert abs(fold.states[0, 0]) < 1e-6 and abs(fold.multipliers[0] - 1) < 1e-6
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("of_tangent", [1.0, -1.0])
 @pytest.mark.parametrize("lean", [1.0, -1.0])
-@pytest.mark.parametrize("way", [1.0, -1.0])
-def test_a_branch_is_followed_the_way_that_is_wanted(way, lean, sign, monkeypatch):
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_branch_is_followed_the_way_that_is_wanted(sign, lean, of_tangent, monkeypatch):
     """Whether its states grow with the parameter, or fall, and whatever the sign of a tangent."""
     tangent = arclength.tangent
     monkeypatch.setattr(
-        "walker_jax.gaits.continuation.tangent", lambda *given: sign * tangent(*given)
+        "walker_jax.gaits.continuation.tangent", lambda *given: of_tangent * tangent(*given)
     )
     line = lambda x, p: x + 0.5 * (lean * p - x)
     path = done_with(
-        line, continuation.follow(continuation.Start(0.0, np.zeros((1, 1))), way, (-1.0, 2.0))
+        line,
+        continuation.follow_branch(continuation.Start(0.0, np.zeros((1, 1))), sign, (-1.0, 2.0)),
     )
     values = np.array([point.value for point in path.points])
-    assert path.end == "the end of the range" and (way * np.diff(values) > 0).all()
-    assert values[0] == 0 and values[-1] == (2.0 if way > 0 else -1.0)
+    assert path.end == "the end of the range" and (sign * np.diff(values) > 0).all()
+    assert values[0] == 0 and values[-1] == (2.0 if sign > 0 else -1.0)
     states = [point.cycle[0, 0] for point in path.points]
     np.testing.assert_allclose(states, lean * values, rtol=0, atol=1e-13)
 
@@ -200,7 +201,7 @@ def test_crossings_are_where_a_line_between_points_has_the_value():
     values, x = np.array([0.0, 1.0, 0.5]), np.array([[[2.0, 0.0]], [[4.0, 1.0]], [[0.0, 3.0]]])
     one = np.ones((3, 1))
     branch = branches.Branch("p", values, x, one, one, [], [], ("", ""))
-    at = lambda value: np.reshape(branches.crossings(branch, value), (-1, 2)).tolist()
+    at = lambda value: np.reshape(branches.interpolate_cycles(branch, value), (-1, 2)).tolist()
     assert at(0.25) == [[2.5, 0.25]]
     assert at(0.75) == [[3.5, 0.75], [2.0, 2.0]]
     assert at(-0.1) == at(1.1) == []
@@ -208,10 +209,10 @@ def test_crossings_are_where_a_line_between_points_has_the_value():
 
 
 def test_a_branch_that_passes_at_some_distance_from_its_start_does_not_close():
-    none = Linearised(*4 * [np.zeros(0)])
+    none = Linearisation(*4 * [np.zeros(0)])
     point = lambda value, x: arclength.Point(value, np.array([[x]]), none)
     one, other = point(0.0, 0.1), point(0.04, 0.1)
-    passes = lambda value, x: continuation.passes(one, other, point(value, x), 1.0)
+    passes = lambda value, x: continuation.passes_start(one, other, point(value, x), 1.0)
     assert all(passes(value, x) for value in (1e-6, 0.02, 0.0399) for x in (0.1, 0.1 + 1e-4))
     assert not any(passes(value, 0.1) for value in (-1e-3, 0.041))
     assert not any(passes(0.02, x) for x in (0.09, 0.11, -0.5))
@@ -223,10 +224,10 @@ def test_a_bifurcation_found_beyond_a_step_is_none_of_the_step():
     waves = lambda x, p: -x * (1 + 0.3 * jnp.sin(p))
 
     def look(first, last):
-        ends = [arclength.corrected(p, np.zeros((1, 1)), None, width) for p in (first, last)]
+        ends = [arclength.correct(p, np.zeros((1, 1)), None, width) for p in (first, last)]
         one, other = (done_with(waves, task) for task in ends)
         along = np.array([0.0, 1.0])
-        return done_with(waves, events.bifurcations_between(one, other, along, along, width))
+        return done_with(waves, events.find_bifurcations(one, other, along, along, width))
 
     (doubling,) = look(2.9, 3.6)
     assert doubling.kind == "doubling" and doubling.value == pytest.approx(np.pi, abs=1e-12)

@@ -77,7 +77,7 @@ def test_on_the_host_cells_are_the_same(dtype):
             centres = grid.centres(index)
             assert centres.dtype == dtype
             np.testing.assert_array_equal(centres, jax.vmap(grid.centre)(index.astype(np.int32)))
-            edges = grid.states(np.array([[0, 0], [1, 0.5], [0.5, 1], [1e-3, 0.999]]))
+            edges = grid.points_at(np.array([[0, 0], [1, 0.5], [0.5, 1], [1e-3, 0.999]]))
             beyond = [[np.nan, 0.1], [np.inf, 0.1]]
             points = np.concatenate([centres, 2 * centres, edges, beyond]).astype(dtype)
             cells = jax.vmap(grid.cell)(jnp.asarray(points))
@@ -434,11 +434,11 @@ def test_a_slice_has_its_last_coordinates_fixed():
     plain = Grid.plain(theta=(0, 1, 4), thetadot=(-1, 1, 2), phidot=0.25)
     sheared = Grid.sheared(theta=(0, 1, 4), sum=(-1, 1, 2), phidot=-0.5)
     assert plain.shape == sheared.shape == (4, 2) and plain.coordinates == 3
-    assert plain.held == {"phidot": 0.25} and sheared.held == {"phidot": -0.5}
+    assert plain.fixed_values == {"phidot": 0.25} and sheared.fixed_values == {"phidot": -0.5}
     np.testing.assert_array_equal(plain.centre(3), [0.375, 0.5, 0.25])
     np.testing.assert_array_equal(sheared.centre(3), [0.375, 0.5 - 0.375, -0.5])
     assert plain.cell_area == sheared.cell_area == pytest.approx(0.25)
-    assert Grid.plain(theta=(0, 1, 4)).held == {}
+    assert Grid.plain(theta=(0, 1, 4)).fixed_values == {}
 
 
 def test_a_slice_is_the_layer_of_cells_around_it():

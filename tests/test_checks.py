@@ -39,7 +39,7 @@ def test_what_is_no_number_is_refused(value):
 
 def test_the_package_raises_no_other_value_error_than_wrong_use():
     """So that one that comes from within a computation is not taken for wrong use."""
-    for path in Path(wj.__file__).parent.glob("*.py"):
+    for path in Path(wj.__file__).parent.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
                 name = ast.unparse(node.exc.func)
@@ -54,6 +54,10 @@ def test_numbers_and_kinds():
     assert numbers("values", [1, 2]).tolist() == [1.0, 2.0]
     with pytest.raises(WrongUse, match=r"^values must be real numbers, not \[\[1\], \[2, 3\]\]$"):
         numbers("values", [[1], [2, 3]])
+    for truth in (True, np.True_, np.zeros(3)[0] == 0):
+        check_kind("fall", truth, bool)
+    with pytest.raises(WrongUse, match=r"^fall must be a bool, not 1$"):
+        check_kind("fall", 1, bool)
     with pytest.raises(WrongUse, match=r"^grid must be a Grid, not None$"):
         check_kind("grid", None, wj.Grid)
     with pytest.raises(WrongUse, match=r"^grid must be a Grid, not array\(\[\[0\., 0\..{,60}$"):

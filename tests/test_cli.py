@@ -26,7 +26,7 @@ from walker_jax.design.summary import summarise_optimum
 from walker_jax.paper import numbers
 from walker_jax.stability.summary import without_gait
 from walker_jax.walkers.family import WALKERS
-from walker_jax.walkers.parameters import describe, parameters
+from walker_jax.walkers.parameters import describe_walker, parameters
 
 RESUME = "run the same again to resume from"
 SMALL = ["--theta", "0.05", "0.35", "30", "--sum", "-0.03", "0.01", "20"]
@@ -490,7 +490,7 @@ def test_gait_from_a_guess_and_of_a_longer_period(run):
         (["--guess", "0.2", "-0.5"], "no stride"),
         (["--period", "2", "--guess", "0.1534", "-0.1561"], "shorter period"),
         (["--slope", "0.5"], "no gait of period 1 found for SimplestWalker, slope 0.5: the walker"),
-        (["--slope", "0.5", "--period", "2"], "none of the searches all over the section"),
+        (["--slope", "0.5", "--period", "2"], "none of the searches over the section"),
         (["--guess", "0.2", "-0.4"], "another --guess, or another --slope"),
     ],
 )
@@ -748,20 +748,21 @@ def test_two_optimisations_do_not_write_in_one_place(run, monkeypatch):
 
 @pytest.mark.slow
 def test_an_interrupted_optimisation_goes_on(run, tmp_path, monkeypatch):
-    measured = evaluation.evaluate
+    measured = evaluation.evaluate_objective
 
     def interrupted(problem, stage, values, gait_of):
         if stage == 1:
             raise KeyboardInterrupt
         return measured(problem, stage, values, gait_of)
 
-    monkeypatch.setattr("walker_jax.design.trace.evaluate", interrupted)
+    monkeypatch.setattr("walker_jax.design.trace.evaluate_objective", interrupted)
     code, _, err = run(*FASTEST)
     assert (code, err) == (130, f"walker-jax: interrupted: {RESUME} optimum.zarr\n")
     assert "found" not in xr.open_zarr(tmp_path / "optimum.zarr", consolidated=False)
     stages = []
     monkeypatch.setattr(
-        "walker_jax.design.trace.evaluate", lambda *all: stages.append(all[1]) or measured(*all)
+        "walker_jax.design.trace.evaluate_objective",
+        lambda *all: stages.append(all[1]) or measured(*all),
     )
     assert run(*FASTEST)[0] == 0
     assert 0 not in stages and {1, 2, 3} < set(stages)
@@ -1075,7 +1076,7 @@ def test_a_walker_with_three_dimensions_has_a_gait_a_slice_and_a_basin(run, tmp_
     gait = answer["gaits"][0]
     assert answer["walker"] == {
         "name": "RoundFootWalker",
-        **describe(wj.RoundFootWalker(0.01)),
+        **describe_walker(wj.RoundFootWalker(0.01)),
     }
     assert gait["stable"] and len(gait["multipliers"]) == 3
     guess = ["--guess", *gait["states"][0][:2], "--phidot", gait["states"][0][2]]

@@ -11,7 +11,7 @@ from scipy.optimize import brentq, minimize_scalar
 import walker_jax as wj
 from walker_jax import storage
 from walker_jax.design import climbs, problem
-from walker_jax.design.evaluation import ENDS_STAGE, Evaluation, evaluate
+from walker_jax.design.evaluation import ENDS_STAGE, Evaluation, evaluate_objective
 from walker_jax.design.limits import Slack
 from walker_jax.design.measures import Measure
 from walker_jax.design.optimisation import optimise
@@ -221,7 +221,8 @@ def test_an_interrupted_run_goes_on(no_basins, tmp_path, monkeypatch):
 
     made = []
     monkeypatch.setattr(
-        "walker_jax.design.trace.evaluate", lambda *all: made.append(all) or evaluate(*all)
+        "walker_jax.design.trace.evaluate_objective",
+        lambda *all: made.append(all) or evaluate_objective(*all),
     )
     storage.save(kept[-1], tmp_path / "trace.zarr", {})
     known = storage.load(tmp_path / "trace.zarr")
@@ -271,10 +272,10 @@ def test_parameters_that_the_walker_refuses_together_are_not_tried():
 def test_a_stage_that_cannot_begin_keeps_what_was_found(no_basins, monkeypatch):
 
     def failing(problem, stage, values, gait_of):
-        row = evaluate(problem, stage, values, gait_of)
+        row = evaluate_objective(problem, stage, values, gait_of)
         return row._replace(gradient=row.gradient * np.nan) if stage >= 1 else row
 
-    monkeypatch.setattr("walker_jax.design.trace.evaluate", failing)
+    monkeypatch.setattr("walker_jax.design.trace.evaluate_objective", failing)
     found = optimise(WALKER, {"slope": (0.019, 0.02)}, "speed", starts=1)
     assert bool(found.found) and not found.converged
     assert float(found.exact_optimum) == pytest.approx(measure("speed", 0.02), rel=1e-9)
@@ -290,7 +291,7 @@ def problem_of(walker, bounds, **limits):
 def test_places_between_the_bounds():
     problem = problem_of(WALKER, {"slope": (0.1 + 0.2, 0.7)})
     assert problem.values(np.array([0.0])) == [0.1 + 0.2] and problem.values(np.array([1.0])) == 0.7
-    assert problem.place(np.array([0.5])) == pytest.approx([0.5])
+    assert problem.place_of(np.array([0.5])) == pytest.approx([0.5])
     problem = problem_of(wj.SpringWalker(0.004, 0.25), {**SLOPES, "hip_stiffness": (0.0, 1.0)})
     places = starting_places(problem, 4)
     np.testing.assert_allclose(places[0], [0.003 / 0.019, 0.25])
@@ -374,11 +375,11 @@ def test_from_where_nothing_walks_steps_lead_to_where_the_gait_is_more_stable(
     monkeypatch.setattr(Trace, "gait", lambda *_: None)
     asked = []
 
-    def evaluate(problem, stage, values, gait_of):
+    def evaluate_objective(problem, stage, values, gait_of):
         asked.append(values)
         return made_up(problem, stage, values, 1.0, area=float(values[0] < walking_below))
 
-    monkeypatch.setattr("walker_jax.design.trace.evaluate", evaluate)
+    monkeypatch.setattr("walker_jax.design.trace.evaluate_objective", evaluate_objective)
     begin = np.array([0.019, 0.4])
     trace = Trace(problem, None, None, False)
     found = climbs.rescue(trace, 0, made_up(problem, 0, begin, 0.0))
@@ -403,9 +404,9 @@ def test_the_best_of_the_first_climbs_goes_on(no_basins, monkeypatch, objective,
         start = made_up(trace.problem, stage, trace.problem.values(place), high)
         return climbs.Climb(start, start._replace(value=high + 0.005), True)
 
-    evaluate = lambda problem, stage, values, _: made_up(problem, stage, values, 0.125)
+    evaluate_objective = lambda problem, stage, values, _: made_up(problem, stage, values, 0.125)
     monkeypatch.setattr("walker_jax.design.optimisation.climb", climb)
-    monkeypatch.setattr("walker_jax.design.trace.evaluate", evaluate)
+    monkeypatch.setattr("walker_jax.design.trace.evaluate_objective", evaluate_objective)
     found = optimise(WALKER, SLOPES, objective, starts=4)
     assert asked == [*((run, 0) for run in range(4)), *((best, stage) for stage in (1, 2, 3))]
     assert values(found, "note") == ["", "", "", "nothing there"]
@@ -452,7 +453,7 @@ def test_objectives_have_their_senses():
     ],
 )
 def test_wrong_arguments_are_refused_before_any_work(given, message, monkeypatch):
-    monkeypatch.setattr("walker_jax.design.trace.evaluate", None)
+    monkeypatch.setattr("walker_jax.design.trace.evaluate_objective", None)
     with pytest.raises(ValueError, match=message):
         optimise(WALKER, **{"bounds": SLOPES} | given)
 

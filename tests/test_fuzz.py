@@ -191,7 +191,7 @@ def bench(tmp_path_factory):
             patch(f"walker_jax.stability.summary.{name}", lambda *_, found=found, **__: found)
         patch("walker_jax.stability.summary.refine", refine)
         patch("walker_jax.design.optimisation.climb", climb)
-        patch("walker_jax.design.trace.evaluate", measured)
+        patch("walker_jax.design.trace.evaluate_objective", measured)
         patch("walker_jax.design.optimisation.compare_basins", lambda *_: {})
 
         def run(arguments):

@@ -99,7 +99,7 @@ def test_next_to_a_bifurcation_no_gait_is_invented(period, bifurcation, before, 
 def test_the_long_gait_is_found_on_every_slope_that_has_it(slope):
     gait = wj.find_gait(walker(slope))
     assert gait.found and gait.step_times[0] > 3.8
-    guess = np.asarray(search.long_gait(slope))
+    guess = np.asarray(search.approximate_long_gait(slope))
     np.testing.assert_allclose(gait.states[0], guess, rtol=0, atol=2e-5)
 
 
@@ -264,7 +264,7 @@ def test_a_gait_that_a_walk_does_not_repeat_is_none():
     away = gait.states + np.array([[0.0, 0.0], [0.0, 1e-6]])
     both = cycles.Gait(*(np.stack([field, field]) for field in gait))
     both = both._replace(states=np.stack([gait.states, away]))
-    confirmed = search.confirmed(walker(0.016), both, 1e-12)
+    confirmed = search.confirm_gaits(walker(0.016), both, 1e-12)
     assert confirmed.found.tolist() == confirmed.stable.tolist() == [True, False]
 
 
@@ -291,7 +291,7 @@ def test_a_traced_search_invents_no_gait_next_to_a_bifurcation(monkeypatch):
         distance, (x, y) = walker.slope - 0.5, states.T
         return jnp.stack([x + distance - x**2, y / 2], axis=1), jnp.ones_like(x)
 
-    monkeypatch.setattr("walker_jax.gaits.cycles.advance", ends)
+    monkeypatch.setattr("walker_jax.gaits.cycles.apply_strides", ends)
     start, plain = jnp.array([[1e-4, 0.1]]), inspect.unwrap(cycles.solve_cycle)
     solve = jax.jit(lambda slope: plain(walker(slope), start, jnp.asarray(1e-12)))
     for distance, found in ((1e-4, True), (-1e-13, False), (-1e-4, False)):
@@ -315,7 +315,7 @@ def test_multipliers_of_a_traced_search_are_those_of_the_strides_in_their_order(
     def thrice(x):
         return bend(bend(bend(x)))
 
-    monkeypatch.setattr("walker_jax.gaits.cycles.advance", ends)
+    monkeypatch.setattr("walker_jax.gaits.cycles.apply_strides", ends)
     x = jnp.array([1.0, 0.0])
     for _ in range(999):
         x = bend(x)
@@ -334,11 +334,11 @@ def test_descent_reaches_gaits_from_where_newton_diverges():
     grid = wj.Grid.plain(theta=(0, np.pi / 4, 100), thetadot=(-1, 0, 100))
     starts = np.asarray(jax.vmap(grid.centre)(np.arange(grid.size, dtype=np.int32)))
     _, cycles = search.cycle_guesses(walker(), starts, 1, 1e-12)
-    newton = search.search(walker(), cycles, 1e-12)
+    newton = search.iterate_newton(walker(), cycles, 1e-12)
     assert 0.6 < newton.found.mean() < 0.85
     lost = cycles[~newton.found]
     nearer = wj.descend(walker(), lost)
-    rescued = search.search(walker(), nearer, 1e-12)
+    rescued = search.iterate_newton(walker(), nearer, 1e-12)
     assert rescued.found.mean() > 0.7
     before, after = (
         np.abs(wj.strides(walker(), x[:, 0]).state - x[:, 0]).max(axis=1) for x in (lost, nearer)
@@ -362,7 +362,7 @@ def test_each_search_may_have_its_own_walker():
         if (v["slope"], v["kind"]) == (s, "long")
     ]
     walkers = parameters.with_parameter(walker(), "slope", slopes)
-    found = search.search(walkers, np.array(states)[:, None] + 1e-3, 1e-12)
+    found = search.iterate_newton(walkers, np.array(states)[:, None] + 1e-3, 1e-12)
     np.testing.assert_allclose(found.states[:, 0], states, rtol=0, atol=1e-11)
     ends = wj.strides(walkers, np.array(states))
     np.testing.assert_allclose(ends.state, states, rtol=0, atol=1e-11)
@@ -372,17 +372,19 @@ def test_uncertainty_is_what_residual_and_rounding_move_a_solution():
     """By the smallest of the factors by which a matrix stretches; here a diagonal one, turned."""
     turn = np.array([[0.8, 0.6], [-0.6, 0.8]])
     matrices = np.stack([turn @ np.diag([3.0, small]) for small in (0.5, 1e-7)])
-    sure, unsure = cycles.uncertainty(np.array([1e-12, 0.0]), matrices)
+    sure, unsure = cycles.estimate_error(np.array([1e-12, 0.0]), matrices)
     assert sure == pytest.approx(2e-12, rel=0.01)
     assert np.finfo(float).eps / 1e-7 <= unsure < 1e-7  # though nothing is seen to be missed
 
 
 def test_one_singular_system_spoils_no_other():
     matrices = np.stack([np.eye(2), np.zeros((2, 2)), 2 * np.eye(2)])
-    solutions = cycles.solve(matrices, np.ones((3, 2)))
+    solutions = cycles.solve_linear_systems(matrices, np.ones((3, 2)))
     np.testing.assert_allclose(solutions, [[1, 1], [0, 0], [0.5, 0.5]])
     steep = np.stack([np.diag([1.0, 1e-17]), np.zeros((2, 2))])  # the first is not singular
-    np.testing.assert_allclose(cycles.solve(steep, np.ones((2, 2))), [[1, 1e17], [0, 0]])
+    np.testing.assert_allclose(
+        cycles.solve_linear_systems(steep, np.ones((2, 2))), [[1, 1e17], [0, 0]]
+    )
 
 
 def test_in_float32_a_gait_has_float32_digits():

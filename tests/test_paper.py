@@ -67,7 +67,7 @@ DIFFER = {
 
 @pytest.fixture(scope="module")
 def data():
-    return {name: compute(TINY) for name, compute in calculations.PARTS.items()}
+    return {name: compute(TINY) for name, compute in calculations.CALCULATIONS.items()}
 
 
 @pytest.fixture(scope="module")
@@ -230,7 +230,9 @@ def report(tmp_path_factory, data, numbers):
     """A report of the tiny data, interrupted and begun again; and the parts computed each time."""
     out, computed = tmp_path_factory.mktemp("reproduce") / "report", []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("walker_jax.paper.reproduction.PARTS", stopping("walk", data, computed))
+        patch.setattr(
+            "walker_jax.paper.reproduction.CALCULATIONS", stopping("walk", data, computed)
+        )
         patch.setattr(
             "walker_jax.paper.reproduction.compare_numbers", lambda data: [*numbers.values()]
         )
@@ -244,7 +246,7 @@ def report(tmp_path_factory, data, numbers):
 
 def test_an_interrupted_report_goes_on_where_it_was(report):
     *_, computed = report
-    names = list(calculations.PARTS)
+    names = list(calculations.CALCULATIONS)
     place = names.index("walk")
     assert computed == [*names[: place + 1], *names[place:]]
 
@@ -282,7 +284,9 @@ def test_what_is_overwritten_is_begun_anew_and_can_be_gone_on_with(
     out = tmp_path / "report"
     shutil.copytree(report[0], out)
     computed = []
-    monkeypatch.setattr("walker_jax.paper.reproduction.PARTS", stopping("gaits", data, computed))
+    monkeypatch.setattr(
+        "walker_jax.paper.reproduction.CALCULATIONS", stopping("gaits", data, computed)
+    )
     monkeypatch.setattr(
         "walker_jax.paper.reproduction.compare_numbers", lambda data: [*numbers.values()]
     )
@@ -307,7 +311,7 @@ def test_files_of_something_else_are_kept(tmp_path):
 
 def test_an_empty_folder_will_do(tmp_path, data, monkeypatch):
     monkeypatch.setattr(
-        "walker_jax.paper.reproduction.PARTS",
+        "walker_jax.paper.reproduction.CALCULATIONS",
         {name: lambda _, name=name: data[name] for name in data},
     )
     monkeypatch.setattr("walker_jax.paper.reproduction.FIGURES", pictures.FIGURES[5:6])

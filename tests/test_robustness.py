@@ -19,9 +19,14 @@ from walker_jax.stability.disturbances import LeastDisturbance, least_disturbanc
 from walker_jax.stability.gait_mapper import mapper_of_gait
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.stability.rays import nearest_failure
-from walker_jax.stability.sampling import BasinStability, basin_stability, in_ball, wilson
+from walker_jax.stability.sampling import (
+    BasinStability,
+    basin_stability,
+    draw_from_ball,
+    wilson_interval,
+)
 from walker_jax.stability.steps_down import LeastStepDown, labels_after_step, least_step_down
-from walker_jax.stability.summary import common, joined, robustness_table
+from walker_jax.stability.summary import common_attributes, join_rows, robustness_table
 from walker_jax.walking.stepping import follow_step_down
 
 
@@ -190,7 +195,7 @@ def test_strides_to_come_back_are_those_of_walks_that_are_counted(gait):
     """One by one, of the starts that the seed gives."""
     region = wj.Grid.sheared(theta=(0.1, 0.3, 2), sum=(-0.02, 0.01, 3))
     found = basin_stability(WALKER, region, gait, samples=2001, seed=5, within=1e-5)
-    x = region.states(np.random.default_rng(5).uniform(size=(2001, 2)))
+    x = region.points_at(np.random.default_rng(5).uniform(size=(2001, 2)))
     fate, arrived = np.full(len(x), -1), np.full(len(x), np.inf)
     for k in range(80):
         close = np.abs(x - gait.states[0]).max(axis=1) < 1e-5
@@ -241,14 +246,14 @@ def test_a_gait_of_period_two_is_disturbed_where_it_is_weakest():
 
 def test_points_of_a_ball_and_wilsons_interval():
     for rank in (1, 2, 3):
-        x = in_ball(np.random.default_rng(0), 20_000, rank)
+        x = draw_from_ball(np.random.default_rng(0), 20_000, rank)
         radius = np.linalg.norm(x, axis=1)
         assert radius.max() <= 1
         assert np.mean(radius < 0.5) == pytest.approx(0.5**rank, abs=0.01)
     # Newcombe (1998, Statistics in Medicine 17:857), Table I
     for successes, n, ends in ((81, 263, (0.2553, 0.3662)), (15, 148, (0.0624, 0.1605))):
-        np.testing.assert_allclose(wilson(successes, n, 0.95), ends, atol=5e-5)
-    np.testing.assert_allclose(wilson(0, 20, 0.95), (0, 0.1611), atol=5e-5)
+        np.testing.assert_allclose(wilson_interval(successes, n, 0.95), ends, atol=5e-5)
+    np.testing.assert_allclose(wilson_interval(0, 20, 0.95), (0, 0.1611), atol=5e-5)
 
 
 def test_a_smooth_boundary_has_dimension_one_and_a_fractal_one_more():
@@ -513,11 +518,11 @@ def test_rows_of_a_table_may_lack_what_others_have():
     )
     lacking = xr.Dataset({"total_area": np.nan, "direction": ("coordinate", np.full(2, np.nan))})
     other = full.assign_coords(phidot=-0.06)
-    table = joined([full, lacking, other], np.array([0.1, 0.2, 0.3]), "slope")
+    table = join_rows([full, lacking, other], np.array([0.1, 0.2, 0.3]), "slope")
     assert table.phidot.values.tolist()[::2] == [-0.05, -0.06] and np.isnan(table.phidot[1])
     assert np.isnan(table.checked[1]) and table.checked[2] == 7
     assert table.direction.dims == ("slope", "coordinate") and table.direction[2, 1] == 0.8
-    assert common([lacking, full], "slope") == {"walker_mass": 2.0, "seed": 0}
+    assert common_attributes([lacking, full], "slope") == {"walker_mass": 2.0, "seed": 0}
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from walker_jax.gaits import selection
 from walker_jax.gaits.summary import summarise_bifurcations, summarise_gait
 from walker_jax.stability import summary
 from walker_jax.stability.summary import FIELDS, summarise_robustness, without_gait
-from walker_jax.walkers.parameters import describe, describe_in_words, space_decimals
+from walker_jax.walkers.parameters import describe_in_words, describe_walker, space_decimals
 
 WALKER = wj.SimplestWalker(0.004)
 GRID = wj.Grid.sheared(theta=(0.05, 0.35, 30), sum=(-0.03, 0.01, 20))
@@ -21,7 +21,7 @@ GRID = wj.Grid.sheared(theta=(0.05, 0.35, 30), sum=(-0.03, 0.01, 20))
 def test_walkers_are_described_by_name_and_parameters():
     walker = wj.SpringWalker(0.005, 0.25)
     about = {"name": "SpringWalker", "slope": 0.005, "hip_stiffness": 0.25}
-    assert describe(walker) == about
+    assert describe_walker(walker) == about
     assert describe_in_words(walker) == "SpringWalker, slope 0.005, hip_stiffness 0.25"
 
 

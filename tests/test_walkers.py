@@ -365,7 +365,7 @@ def test_a_slope_that_is_none_is_refused_in_one_line(slope):
 
 @pytest.mark.parametrize("slope", ["0.004", "steep", None, 0.1 + 0.2j, np.ones((30, 30))])
 def test_what_is_no_real_number_is_refused_in_one_line(slope):
-    unchecked = inspect.unwrap(type(SLOPE_PARAMETER).checked)  # by the tests' own checks of types
+    unchecked = inspect.unwrap(type(SLOPE_PARAMETER).convert)  # by the tests' own checks of types
     with pytest.raises(ValueError, match="slope") as error:
         unchecked(SLOPE_PARAMETER, slope)
     assert "\n" not in str(error.value)

@@ -45,7 +45,7 @@ class CellMap(NamedTuple):
     """Where every cell of a simple cell map ends."""
 
     end: Int32[np.ndarray, " n"]
-    """Number of the attractor the cell comes to; -1 - s where it ends in sink s."""
+    """Number of the attractor the cell converges to; -1 - s where it ends in sink s."""
     steps: Int32[np.ndarray, " n"]
     """Steps until the cell is on its attractor, 0 if it is; or those before the one into a sink."""
     attractors: tuple[Int[np.ndarray, " _period"], ...]
@@ -54,12 +54,12 @@ class CellMap(NamedTuple):
 
     @property
     def attractor(self) -> Int32[np.ndarray, " n"]:
-        """Number of the attractor the cell comes to; -1 where it ends in a sink."""
+        """Number of the attractor the cell converges to; -1 where it ends in a sink."""
         return np.maximum(self.end, -1)
 
     @property
     def sink(self) -> Int32[np.ndarray, " n"]:
-        """Number of the sink the cell ends in; -1 where it comes to an attractor."""
+        """Number of the sink the cell ends in; -1 where it converges to an attractor."""
         return np.maximum(-1 - self.end, -1)
 
     def part(self, cells: slice) -> "CellMap":
@@ -139,7 +139,7 @@ def cycle_candidates(image: Int32[np.ndarray, " n"], sinks: int) -> Bool[np.ndar
 def find_cycles(
     image: Int32[np.ndarray, " n"], starts: Bool[np.ndarray, " n"]
 ) -> tuple[Int[np.ndarray, " _period"], ...]:
-    """The cycles to which some cells come, one sequence after the other."""
+    """The cycles to which cells converge, one sequence after the other."""
     following = image.data  # a memoryview, whose items are read faster than an array's
     visited, found = bytearray(image.size), []
     numbers = ((np.flatnonzero(starts[part]) + part.start).data for part in cell_slices(image.size))
@@ -158,12 +158,12 @@ def find_cycles(
 def resolve_transients(
     image: Int32[np.ndarray, " n"], sinks: int, recurrent: Int[np.ndarray, " m"]
 ) -> tuple[Int32[np.ndarray, " n"], Int32[np.ndarray, " n"]]:
-    """The first recurrent cell, or the sink, that each cell comes to, and the steps to it."""
+    """The first recurrent cell, or the sink, that each cell reaches, and the steps to it."""
     n = image.size
     both = np.empty((n + sinks, 2), np.int32)
     both[:n, 0], both[:, 1] = image, 1
-    for held in (recurrent, np.arange(n, n + sinks)):  # for all the others to come to
-        both[held, 0], both[held, 1] = held, 0
+    for ends in (recurrent, np.arange(n, n + sinks)):  # which the other cells reach
+        both[ends, 0], both[ends, 1] = ends, 0
     pairs = both.view(np.int64)[:, 0]  # fetched together
     ahead, steps = both[:n].T
 

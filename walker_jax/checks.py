@@ -48,8 +48,8 @@ def check_whole(name: str, value: Any, least: int = 1, most: int = MAX_COUNT) ->
 
 
 def check_kind(name: str, value: Any, kind: type) -> None:
-    """Refuse a value of another kind."""
-    if not isinstance(value, kind):
+    """Refuse a value of another kind; NumPy's booleans count as `bool`."""
+    if not isinstance(value, (bool, np.bool_) if kind is bool else kind):
         raise WrongUse(f"{name} must be a {kind.__name__}, not {short(value)}")
 
 

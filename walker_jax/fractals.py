@@ -15,7 +15,15 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from walker_jax.checks import WrongUse, array, check_number, check_whole, numbers, refuses_tracers
+from walker_jax.checks import (
+    WrongUse,
+    array,
+    check_number,
+    check_whole,
+    numbers,
+    refuses_tracers,
+    short,
+)
 
 SMALLEST_BOX = 4
 """Cells along a side of the smallest box: detail finer than a cell is missing from smaller ones."""
@@ -47,14 +55,14 @@ class Uncertainty(NamedTuple):
     """The dimension of a boundary from its uncertainty exponent, and what that was fitted to."""
 
     value: float
-    """The dimension, d - exponent; NaN if fewer than `SCALES` distances were used."""
+    """The dimension, d - exponent; NaN if fewer than `MIN_SCALES` distances were used."""
     low: float
     high: float
     """The confidence interval of the dimension; NaN as the value."""
     exponent: float
     """The slope of log(fractions) against log(distances); its interval is as wide."""
     distances: Float[np.ndarray, " k"]
-    """Those used: where at least `POINTS` points were uncertain."""
+    """Those used: where at least `MIN_UNCERTAIN` points were uncertain."""
     fractions: Float[np.ndarray, " k"]
     """Of the points, those that were uncertain."""
 
@@ -77,10 +85,10 @@ def box_counting(
     Detail between the points of the grid is missed: a fraction c / m of the boxes, for fractals.
     Grids of every second point miss 2 c / m; so counts are extrapolated to a spacing of zero.
 
-    Sizes go in octaves from `SMALLEST` cells to the largest of which `BOXES` are counted, at most
-    `LARGEST` of the shortest axis. The value is the mean of the slopes between successive octaves,
-    and the interval Student's t of these. They show noise, but also a slope that drifts or
-    oscillates with the size, which the scatter about one line would hide.
+    Sizes go in octaves from `SMALLEST_BOX` cells to the largest of which `MIN_BOXES` are counted,
+    at most `LARGEST_BOX_SHARE` of the shortest axis. The value is the mean of the slopes between
+    successive octaves, and the interval Student's t of these. They show noise, but also a slope
+    that drifts or oscillates with the size, which the scatter about one line would hide.
 
     **Arguments:**
 
@@ -88,23 +96,26 @@ def box_counting(
     - `spacing`: distance of two neighbouring points, the same along all axes.
     - `confidence`: that the dimension is in the interval.
 
-    Raises ValueError if the array is too small for `SCALES` sizes, or an option is out of range.
+    Raises ValueError if labels are not numbers, the array is too small for `MIN_SCALES` sizes, or
+    an option is out of range.
     """
     labels = array("labels", labels)
+    if labels.dtype.kind not in "biuf":
+        raise WrongUse(f"labels must be numbers, not {short(labels)}")
     check_number("spacing", spacing)
     if not 0 < spacing < np.inf:
         raise WrongUse(f"spacing={spacing}: must be positive and finite")
     upper = upper_probability(confidence)
-    least = SMALLEST_BOX * 2 ** (MIN_SCALES - 1)
+    smallest = SMALLEST_BOX * 2 ** (MIN_SCALES - 1)
     largest = int(min(labels.shape, default=0) * LARGEST_BOX_SHARE)
-    if largest < least:
-        needed = int(least / LARGEST_BOX_SHARE)
+    if largest < smallest:
+        needed = int(smallest / LARGEST_BOX_SHARE)
         raise WrongUse(f"labels: shape {labels.shape}, must be {needed} or more along every axis")
 
     largest = 2 ** (largest.bit_length() - 1)
     while (fine := mean_box_counts(labels, largest))[-1] < MIN_BOXES:
         largest //= 2
-        if largest < least:
+        if largest < smallest:
             return Dimension(np.nan, np.nan, np.nan, np.zeros(0), np.zeros(0))
     coarse = mean_box_counts(labels, largest, step=2)
     coarse = np.maximum(coarse, fine / 2)  # a pattern of single cells would have none
@@ -121,7 +132,7 @@ def box_counting(
 def mean_box_counts(
     labels: Int[np.ndarray, "*cells"], largest: int, *, step: int = 1
 ) -> Float[np.ndarray, " k"]:
-    """Boxes that hold several labels, of sides `SMALLEST`, twice that ... `largest` cells.
+    """Boxes that hold several labels, of sides `SMALLEST_BOX`, twice that ... `largest` cells.
 
     The mean over all origins of the boxes; of the labels in them, every step-th along each axis.
     """
@@ -167,7 +178,8 @@ def uncertainty_exponent(
     - `label_of`: labels of points; called once for each distance, with three times `pairs` points,
       of which some are outside the region, by up to the distance.
     - `draw`: that many uniformly random points of the region, from a generator.
-    - `distances`: at least `SCALES`, all different, small beside the region and its large features.
+    - `distances`: at least `MIN_SCALES`, all different, small beside the region and its large
+      features.
     - `pairs`: points x for each distance.
     - `seed`: of the generator.
     - `confidence`: that the dimension is in the interval.

@@ -22,9 +22,9 @@ from walker_jax.checks import WrongUse, check_kind, is_number, numbers, short
 MAX_SINKS = 255
 MAX_SIZE = 2**31 - 1 - MAX_SINKS
 CELLS_PER_PART = 2**16
-"""Cells of a map that are worked on together."""
+"""Cells of a map per part, so that a part stays in the cache."""
 Axis = Any
-"""(low, high, count): the ends of an axis and the number of its cells; checked by `Grid`."""
+"""(low, high, count): the ends of an axis and the number of its cells; `Grid` checks it."""
 
 
 class Grid(eqx.Module):
@@ -154,7 +154,7 @@ class Grid(eqx.Module):
         }
 
     @property
-    def held(self) -> dict[str, float]:
+    def fixed_values(self) -> dict[str, float]:
         """The fixed coordinates of a slice; on the host only."""
         values = self.origin[self.coordinates - len(self.fixed) :]
         return {name: float(value) for name, value in zip(self.fixed, values, strict=True)}
@@ -163,7 +163,9 @@ class Grid(eqx.Module):
     def box(self) -> dict[str, list[float | int] | float]:
         """[low, high, count] of each axis, and the fixed coordinates; on the host only."""
         ends = zip(self.names, self.lower, self.upper, self.shape, strict=True)
-        return {name: [float(low), float(high), n] for name, low, high, n in ends} | self.held
+        return {
+            name: [float(low), float(high), n] for name, low, high, n in ends
+        } | self.fixed_values
 
     def centre(self, index: Int[ArrayLike, ""]) -> Float[Array, " s"]:
         """Centre of a cell, x = origin + shear @ (lower + (i + 1/2) spacing).
@@ -196,10 +198,10 @@ class Grid(eqx.Module):
             u = np.sum(unshear * (points - origin)[..., None, :], axis=-1)
         return ((lower <= u) & (u < upper)).all(axis=-1)
 
-    def states(self, share: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n s"]:
-        """Points at shares, 0 to 1, of the way along each axis of the box; on the host only."""
+    def points_at(self, shares: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n s"]:
+        """Points at shares, from 0 to 1, of the length of each axis; on the host only."""
         lower, upper = np.asarray(self.lower), np.asarray(self.upper)
-        u = lower + (upper - lower) * share
+        u = lower + (upper - lower) * shares
         return np.asarray(self.origin) + u @ np.asarray(self.shear).T
 
     def cell(self, point: Float[Array, " s"]) -> Int32[Array, ""]:
@@ -261,7 +263,7 @@ def multiply(
 
 
 def cell_slices(size: int) -> list[slice]:
-    """All of an array, a part at a time, so that what is found of it stays in the cache."""
+    """Slices that cover an array, each of a part that stays in the cache."""
     return [
         slice(start, min(start + CELLS_PER_PART, size)) for start in range(0, size, CELLS_PER_PART)
     ]

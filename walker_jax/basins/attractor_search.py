@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 
 from walker_jax.basins.attractor import CLOSE, Attractor, capture_radius, match_attractor
 from walker_jax.gaits.cycles import gait_at
-from walker_jax.gaits.search import cycle_guesses, search
+from walker_jax.gaits.search import cycle_guesses, iterate_newton
 from walker_jax.walkers.model import Walker
 from walker_jax.walking.iteration import orbits
 from walker_jax.walking.outcomes import Outcome
@@ -79,7 +79,7 @@ def stable_cycle(
     _, cycles = cycle_guesses(walker, start[None], period, tolerance)
     if len(cycles) == 0:
         return None
-    gait = gait_at(search(walker, cycles, tolerance), 0)
+    gait = gait_at(iterate_newton(walker, cycles, tolerance), 0)
     states = np.asarray(gait.states)
     exact = gait.residual < 1e3 * np.finfo(start.dtype).eps
     stable = exact and np.abs(gait.multipliers[0]) < 1  # neither if NaN

@@ -25,7 +25,7 @@ from walker_jax.integrators.solvers import default_tolerance
 from walker_jax.walkers.model import Walker
 from walker_jax.walking.outcomes import Outcome
 
-BYTES_PER_CELL = 40
+BYTES_PER_REFINED_CELL = 40
 """Memory at its peak, for each cell of the finest grid."""
 FINEST = 30
 """Levels, at most: cells are numbered in 32 bits."""
@@ -146,7 +146,7 @@ def refine_cells(
     check_precision(dtype)
     tolerance = float(default_tolerance(dtype, tolerance))
     finest = finer(grid, levels)
-    check_grid(walker, finest, "direct", BYTES_PER_CELL)
+    check_grid(walker, finest, "direct", BYTES_PER_REFINED_CELL)
     mapper = with_capture_boxes(mapper_of_grid(walker, grid, tolerance, strides))
     label = "cells" if progress else None
     cells = RefinedCells(grid, levels, by_centres, mapper, np.random.default_rng(seed), label)
@@ -223,7 +223,7 @@ class RefinedCells:
         grid = finer(self.grid, level)
         places = np.stack(np.unravel_index(cells, grid.shape), axis=1)
         within = self.rng.uniform(size=places.shape) if anywhere else 0.5
-        x = grid.states((places + within) / np.array(grid.shape))
+        x = grid.points_at((places + within) / np.array(grid.shape))
         found, self.mapper = self.mapper.label_all(x, progress=self.progress)
         self.total_strides += found.total_strides
         return found

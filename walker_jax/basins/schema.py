@@ -69,7 +69,7 @@ def describe(walker: Walker, grid: Grid, settings: dict) -> xr.Dataset:
         "section": list(walker.section),
         "version": f"walker-jax {version('walker-jax')}",
     }
-    return xr.Dataset(coords=grid.axes | grid.held, attrs=about)
+    return xr.Dataset(coords=grid.axes | grid.fixed_values, attrs=about)
 
 
 def add_attractors(

@@ -19,7 +19,7 @@ from walker_jax.cli.answers import (
 )
 from walker_jax.cli.options import (
     PHIDOT_HELP,
-    Axis,
+    AxisOption,
     Json,
     Out,
     Overwrite,
@@ -32,28 +32,28 @@ from walker_jax.cli.options import (
 )
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.walkers.model import Walker
-from walker_jax.walkers.parameters import describe, describe_in_words
+from walker_jax.walkers.parameters import describe_in_words, describe_walker
 
 
 @takes_walker()
 def basin(
     walker: Walker,
     theta: Annotated[
-        Axis | None,
+        AxisOption | None,
         typer.Option(metavar="LO HI N", help="Stance angle, rad (default: 0 0.4 200)."),
     ] = None,
     sum_: Annotated[
-        Axis | None,
+        AxisOption | None,
         typer.Option(
             "--sum", metavar="LO HI N", help="theta + thetadot (default: -0.04 0.01 250)."
         ),
     ] = None,
     thetadot: Annotated[
-        Axis | None,
+        AxisOption | None,
         typer.Option(metavar="LO HI N", help="The plain section: thetadot in the place of --sum."),
     ] = None,
     phidot: Annotated[
-        Axis | None,
+        AxisOption | None,
         typer.Option(metavar="LO HI N", help=f"{PHIDOT_HELP}: a grid of three dimensions."),
     ] = None,
     at_phidot: Annotated[
@@ -116,7 +116,7 @@ def basin(
         "method": method,
         **({"strides": strides} if method == "direct" else {}),
     }
-    request = request_for("basin", walker=describe(walker), **asked)
+    request = request_for("basin", walker=describe_walker(walker), **asked)
     figure, data = find_earlier(out, figure, request, overwrite=overwrite)
     reused, resumed = data is not None, out.exists() and not overwrite
     clock = Stopwatch()

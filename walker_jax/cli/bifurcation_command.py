@@ -13,7 +13,7 @@ from walker_jax.cli.options import Json, Out, Overwrite, PictureOfData, check_sl
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.gaits.summary import summarise_bifurcations
 from walker_jax.walkers.model import Walker
-from walker_jax.walkers.parameters import describe, with_parameter
+from walker_jax.walkers.parameters import describe_walker, with_parameter
 
 
 @takes_walker(without=("slope",))
@@ -37,7 +37,7 @@ def bifurcation(
 
     check_slopes(walker, low, high)
     walker = with_parameter(walker, "slope", low)
-    about = {name: value for name, value in describe(walker).items() if name != "slope"}
+    about = {name: value for name, value in describe_walker(walker).items() if name != "slope"}
     asked = {"slope": [low, high], "period_max": period_max, "strides": strides}
     request = request_for("bifurcation", walker=about, **asked)
     figure, data = find_earlier(out, figure, request, overwrite=overwrite)

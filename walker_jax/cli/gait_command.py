@@ -14,7 +14,7 @@ from walker_jax.gaits import selection
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.summary import summarise_gait
 from walker_jax.walkers.model import Walker
-from walker_jax.walkers.parameters import describe
+from walker_jax.walkers.parameters import describe_walker
 
 
 @takes_walker()
@@ -46,7 +46,7 @@ def gait(
         start = state_from(walker, given)
     if guess is not None and all_:
         raise WrongUse("--guess and --all exclude each other: give one of them")
-    about = describe(walker)
+    about = describe_walker(walker)
     asked = {"period": period, "guess": None if start is None else start.tolist(), "all": all_}
     request = request_for("gait", walker=about, **asked)
     if figure is not None:
@@ -70,7 +70,7 @@ def gait(
 def print_gait(walker: Walker, gait: Gait) -> None:
     """A gait in words: its stability, and a line for each stride."""
     kind, period = "stable" if gait.stable else "unstable", len(gait.states)
-    slope, values = describe(walker)["slope"], listed(gait.multipliers, ".8g")
+    slope, values = describe_walker(walker)["slope"], listed(gait.multipliers, ".8g")
     print(f"{kind} gait of period {period} at slope {slope:g} rad, multipliers {values}")
     for state, duration in zip(gait.states, gait.step_times, strict=True):
         named = zip(walker.section, state, strict=True)

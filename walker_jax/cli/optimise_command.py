@@ -13,7 +13,7 @@ from walker_jax.checks import ComputationFailed, WrongUse
 from walker_jax.cli.answers import draw, find_earlier, print_json, request_for
 from walker_jax.cli.options import (
     PHIDOT_HELP,
-    Axis,
+    AxisOption,
     Json,
     Out,
     Overwrite,
@@ -25,7 +25,7 @@ from walker_jax.cli.options import (
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.design.summary import ENDS, summarise_optimum
 from walker_jax.walkers.model import Walker
-from walker_jax.walkers.parameters import check_parameter, describe, describe_in_words
+from walker_jax.walkers.parameters import check_parameter, describe_in_words, describe_walker
 
 if TYPE_CHECKING:
     import xarray
@@ -58,11 +58,11 @@ def optimise(
         typer.Option(metavar="NAME VALUE", help="Greatest value of one of them; one limit."),
     ] = None,
     theta: Annotated[
-        Axis | None,
+        AxisOption | None,
         typer.Option(metavar="LO HI N", help="Where the area is measured, as for robustness."),
     ] = None,
     sum_: Annotated[
-        Axis | None, typer.Option("--sum", metavar="LO HI N", help="theta + thetadot.")
+        AxisOption | None, typer.Option("--sum", metavar="LO HI N", help="theta + thetadot.")
     ] = None,
     at_phidot: Annotated[
         float | None, typer.Option(help=f"{PHIDOT_HELP}: a slice there (default: at the gait).")
@@ -93,20 +93,20 @@ def optimise(
     from walker_jax import figures
 
     bounds = bounds_of(walker, over or [], bound or [])
-    wanted = objective_of(objective or ["area"])
-    least, most = (
+    weights = objective_of(objective or ["area"])
+    lowest, highest = (
         {hyphenated(one[0]): one[1]} if one is not None else {} for one in (at_least, at_most)
     )
     grid = grid_from(walker, theta, sum_, at_phidot)
-    about, limits = describe(walker), {"at_least": least, "at_most": most}
+    about, limits = describe_walker(walker), {"at_least": lowest, "at_most": highest}
     options: Any = {"starts": starts, "levels": levels, "strides": strides}
     options |= {"scan": scan, "seed": seed}
-    asked = {"bounds": bounds, "objective": wanted, "axes": {} if grid is None else grid.box}
+    asked = {"bounds": bounds, "objective": weights, "axes": {} if grid is None else grid.box}
     request = request_for("optimise", walker=about, **asked, **limits, **options)
     figure, data = find_earlier(out, figure, request, overwrite=overwrite)
     if data is None or "found" not in data:  # not begun, or interrupted
         compute = partial(
-            wj.optimise, walker, bounds, wanted, grid=grid, progress=True, **limits, **options
+            wj.optimise, walker, bounds, weights, grid=grid, progress=True, **limits, **options
         )
         data = computed(compute, out, request, overwrite=overwrite)
     if not data["found"]:

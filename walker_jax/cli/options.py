@@ -31,7 +31,7 @@ Scheduler = Annotated[
     str | None,
     typer.Option(metavar="ADDRESS", help="Compute pieces on the workers of a Dask scheduler."),
 ]
-Axis = tuple[float, float, int]
+AxisOption = tuple[float, float, int]
 """The ends of an axis, and its number of cells."""
 PHIDOT_HELP = "Rate between the legs, for walkers whose section has it"
 
@@ -62,7 +62,7 @@ def state_from(walker: Walker, given: dict[str, float]) -> Float[np.ndarray, " s
 
 
 def grid_from(
-    walker: Walker, theta: Axis | None, sum_: Axis | None, at_phidot: float | None
+    walker: Walker, theta: AxisOption | None, sum_: AxisOption | None, at_phidot: float | None
 ) -> Grid | None:
     """The grid of these axes; None where none of them is given."""
     sliced = "phidot" in walker.section

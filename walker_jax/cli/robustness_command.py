@@ -11,7 +11,7 @@ from walker_jax.checks import WrongUse
 from walker_jax.cli.answers import draw, find_earlier, listed, print_json, request_for
 from walker_jax.cli.options import (
     PHIDOT_HELP,
-    Axis,
+    AxisOption,
     Json,
     Out,
     Overwrite,
@@ -23,18 +23,18 @@ from walker_jax.cli.options import (
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.stability.summary import summarise_robustness
 from walker_jax.walkers.model import Walker
-from walker_jax.walkers.parameters import describe, space_decimals
+from walker_jax.walkers.parameters import describe_walker, space_decimals
 
 
 @takes_walker()
 def robustness(
     walker: Walker,
     theta: Annotated[
-        Axis | None,
+        AxisOption | None,
         typer.Option(metavar="LO HI N", help="Stance angle, rad (default: 0 0.7854 200)."),
     ] = None,
     sum_: Annotated[
-        Axis | None,
+        AxisOption | None,
         typer.Option(
             "--sum",
             metavar="LO HI N",
@@ -91,7 +91,7 @@ def robustness(
     if low is not None and high is not None:
         check_slopes(walker, low, high)
         slopes = space_decimals(low, high, count or 20)
-    about = describe(walker)
+    about = describe_walker(walker)
     slope = about["slope"] if slopes is None else about.pop("slope")
     options: Any = {"levels": levels, "disturbances": disturbances, "strides": strides}
     asked = {"slopes": slopes, "axes": {} if grid is None else grid.box}
@@ -125,11 +125,11 @@ def print_measures(row: dict) -> None:
     if row["gait"] is None:
         print("    no gait attracts")
         return
-    gait, least = row["gait"], row["least_disturbance"]
+    gait, smallest = row["gait"], row["least_disturbance"]
     survived, dimension = row["basin_stability"], row["boundary_dimension"]
     print(f"    gait of period {gait['period']}, largest multiplier {gait['multiplier']:.6f}")
-    print(f"    least disturbance {disturbance_in_words(least)}")
-    if least["failure"] == "STRIDE" and row["least_fall"] is not None:
+    print(f"    least disturbance {disturbance_in_words(smallest)}")
+    if smallest["failure"] == "STRIDE" and row["least_fall"] is not None:
         print(f"    least one from which it falls {disturbance_in_words(row['least_fall'])}")
     down = f"{row['step_down']:.8f}"
     if row["step_down_failure"] == "STRIDE":

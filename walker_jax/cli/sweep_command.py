@@ -12,7 +12,7 @@ from walker_jax.checks import WrongUse
 from walker_jax.cli.answers import draw, find_earlier, print_json, request_for
 from walker_jax.cli.options import (
     PHIDOT_HELP,
-    Axis,
+    AxisOption,
     Json,
     Out,
     Overwrite,
@@ -28,7 +28,7 @@ from walker_jax.cli.walker_options import takes_walker
 from walker_jax.design.summary import tabulate_sweep
 from walker_jax.design.sweeps import MAX_COMBINATIONS, check_values
 from walker_jax.walkers.model import Walker
-from walker_jax.walkers.parameters import describe, space_decimals
+from walker_jax.walkers.parameters import describe_walker, space_decimals
 
 SHOWN = ("total_area", "total_area_error", "multiplier", "speed", "failed", "least_disturbance")
 SHOWN += ("least_fall", "step_down", "step_down_fall")
@@ -45,10 +45,10 @@ def sweep(
         ),
     ] = None,
     theta: Annotated[
-        Axis | None, typer.Option(metavar="LO HI N", help="Stance angle, rad (default: all).")
+        AxisOption | None, typer.Option(metavar="LO HI N", help="Stance angle, rad (default: all).")
     ] = None,
     sum_: Annotated[
-        Axis | None, typer.Option("--sum", metavar="LO HI N", help="theta + thetadot.")
+        AxisOption | None, typer.Option("--sum", metavar="LO HI N", help="theta + thetadot.")
     ] = None,
     at_phidot: Annotated[
         float | None, typer.Option(help=f"{PHIDOT_HELP}: where the slice is.")
@@ -76,10 +76,10 @@ def sweep(
     values = values_of(over or [])
     if not values:
         raise WrongUse("--over is required: a parameter and its values, such as slope=0.002:0.01:5")
-    check_values(walker, {name: np.array(some) for name, some in values.items()})
+    check_values(walker, {name: np.array(given) for name, given in values.items()})
     cluster = cluster_from(workers, scheduler)
     grid = grid_from(walker, theta, sum_, at_phidot)
-    about = {name: v for name, v in describe(walker).items() if name not in values}
+    about = {name: v for name, v in describe_walker(walker).items() if name not in values}
     options: Any = {"levels": levels, "check": check, "robust": robust, "strides": strides}
     asked = {"over": values, "axes": {} if grid is None else grid.box}
     request = request_for("sweep", walker=about, **asked, **options)

@@ -15,11 +15,11 @@ from walker_jax.cli.options import PHIDOT_HELP, Json, Overwrite, check_finite, s
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.gaits.selection import require_gait
 from walker_jax.walkers.model import Walker
-from walker_jax.walkers.parameters import describe
+from walker_jax.walkers.parameters import describe_walker
 
 PAPER_START = {"theta": 0.2, "thetadot": -0.21645}
 """The start of the walk in Table 1 of Schwab and Wisse (2001)."""
-FRAME = 0.15
+FRAME_INTERVAL = 0.15
 """Time between two frames of a film: 1/20 s for legs of one metre."""
 
 
@@ -50,7 +50,7 @@ def walk(
     check_finite(**given)
     if isinstance(walker, wj.SimplestWalker):
         given = PAPER_START | given
-    request = request_for("walk", walker=describe(walker), start=given, strides=strides)
+    request = request_for("walk", walker=describe_walker(walker), start=given, strides=strides)
     if animate is not None:
         from walker_jax import figures
 
@@ -69,7 +69,7 @@ def walk(
             raise WrongUse(
                 f"{options} must be a feasible start for a film, not {states[0].tolist()}"
             )
-        motion = wj.motion(walker, start, strides, step=FRAME)
+        motion = wj.motion(walker, start, strides, step=FRAME_INTERVAL)
         data = wj.basin(walker, film_window(walker, start), "direct", progress=True)
         signature = storage.signature(request)
         figures.film(motion, animate, data, signature=signature, progress=True)

@@ -22,15 +22,15 @@ from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.walkers.model import Walker
 
 BISECTIONS = 8
-"""Of the distance between two centres, on the way to the boundary between them."""
+"""Bisections of the distance between two centres, to locate the boundary between them."""
 LINE_GROUPS = 4
-"""Parts of the lines, each a grid of its own, by whose scatter the error is told."""
+"""Groups of lines, each a coarser grid, whose scatter gives the error."""
 MAX_RELATIVE_ERROR = 0.05
-"""Error of an integral along the boundary, to its value, from which on it is not trusted."""
+"""Relative error above which an integral along the boundary is not used where a band is given."""
 
 
 class AreaGradient(NamedTuple):
-    """The area of a basin, and how it changes with parameters of the walker."""
+    """The area of a basin, and its derivatives by parameters of the walker."""
 
     area: float
     """Within the grid, of all attractors together (rad^2 per unit of time); of a slice, in it."""
@@ -40,13 +40,13 @@ class AreaGradient(NamedTuple):
     error: Float[np.ndarray, " parameters"]
     """Standard errors; of the gradient, by the scatter between lines of the grid."""
     averaged: Bool[np.ndarray, " parameters"]
-    """Which derivatives are averages over a band."""
+    """Whether each derivative is an average over a band."""
     crossings: int
-    """Points of the boundary that were met."""
+    """Number of points in which lines cross the boundary."""
     lost: int
-    """Those among them beyond which no failure lies, but another motion: they count as fixed."""
+    """Crossings that border on another motion instead of a failure; they count as fixed."""
     strides: int
-    """That were made in all, those with derivatives once for each direction."""
+    """Strides made in all; those with derivatives count once for each direction."""
 
 
 @refuses_tracers("it gives derivatives itself, by the parameters named")
@@ -70,29 +70,31 @@ def area_gradient(
 
     and lines of the grid along axis i meet a piece ds of the boundary in proportion to |n_i| ds: so
     v |n_i| is summed over the points in which lines through the cells' centres cross the boundary.
-    Each is found by halving; beyond it the walker makes some number of strides and then fails, and
-    v follows from the forward-mode derivatives of that failure's margin. There is no smoothing.
+    Bisection locates each point; beyond it the walker fails after a number of strides, and v
+    follows from the forward-mode derivatives of that failure's margin. There is no smoothing.
 
-    Parts of the basin thinner than a cell are met too rarely for this. Where they matter, as where
-    the boundary is fractal, they have no derivative worth the name either: fingers of failure grow
-    into the basin like the square root of the distance in p from where each is born. Then, that is
-    where the error is more than 1/20 of the integral, and with `bands` given, the derivative is
-    the average over a band of half width h, (A(p + h) - A(p - h)) / 2h, of refined areas.
+    Lines miss most parts of the basin that are thinner than a cell. Where such parts matter, as at
+    a fractal boundary, the derivative of the area is of little use anyway: fingers of failure grow
+    into the basin like the square root of the distance in p from the value at which they are born.
+    There, if the error exceeds 1/20 of the integral and `bands` are given, the derivative is the
+    average over a band of half width h, (A(p + h) - A(p - h)) / 2h, of refined areas.
 
     **Arguments:**
 
     - `walker`: of one kind, with numbers for parameters.
-    - `grid`: as in `refine`, by which it is cut where the boundary is; its borders are fixed.
-    - `parameters`: names of the walker's.
-    - `bands`: a half width for each of them, above 0; less on a side on which the walker takes no
-      such value.
-    - `levels`: how many times cells on the boundary are cut in two.
-    - `strides`: how many of them a walker is followed for.
+    - `grid`: as in `refine`, which divides it at the boundary; its borders are fixed.
+    - `parameters`: names of parameters of the walker.
+    - `bands`: a half width for each of them, above 0; it is reduced on a side on which the walker
+      refuses the value.
+    - `levels`: number of times that cells on the boundary are halved.
+    - `strides`: number of strides for which a walker is followed.
     - `check`, `seed`: of the areas, as in `refine`.
     - `tolerance`: of the integration, as in `stride`.
 
-    Returns zeros where nothing walks. `ValueError` for parameters that the walker does not have,
-    for bands that are not such numbers, and as for `refine`.
+    **Returns** an `AreaGradient`, with zeros where nothing walks.
+
+    Raises `ValueError` for parameters that the walker does not have, for bands that are not such
+    numbers, and as `refine`.
     """
     widths = check_bands(walker, parameters, bands)
 
@@ -156,10 +158,10 @@ def integrate_along_boundary(walker: Walker, found: Refined, parameters: Sequenc
     totals = np.zeros((LINE_GROUPS, count))
     crossings = lost = made = 0
 
-    def walk(places: Float[np.ndarray, "n axes"]) -> tuple[np.ndarray, np.ndarray]:
+    def follow(places: Float[np.ndarray, "n axes"]) -> tuple[np.ndarray, np.ndarray]:
         """Whether walkers converge to an attractor, and after how many strides they do or fail."""
         nonlocal made
-        labels, _ = found.mapper.label_all(fine.states(places / shape))
+        labels, _ = found.mapper.label_all(fine.points_at(places / shape))
         made += labels.total_strides
         return labels.converged, labels.strides
 
@@ -167,10 +169,10 @@ def integrate_along_boundary(walker: Walker, found: Refined, parameters: Sequenc
         inside, outside = boundary_pairs(walks, axis)
         for _ in range(BISECTIONS):
             middle = (inside + outside) / 2
-            stays = walk(middle)[0][:, None]
+            stays = follow(middle)[0][:, None]
             inside, outside = np.where(stays, middle, inside), np.where(stays, outside, middle)
-        x = fine.states(outside / shape)
-        beyond = walk(outside)[1]
+        x = fine.points_at(outside / shape)
+        beyond = follow(outside)[1]
         tolerance = found.mapper.tolerance
         change = differentiate_margins(walker, x, beyond, tangents.T, parameters, tolerance)
         made += int((beyond + 1).sum()) * change.shape[1]

@@ -19,7 +19,7 @@ def check_bands(
     parameters: Sequence[str],
     bands: Sequence[float] | Float[np.ndarray, " parameters"] | None,
 ) -> Float[np.ndarray, " parameters"]:
-    """The widths of bands, of any size where none are given; parameters and they are checked."""
+    """The half widths of bands, 1 where none are given; refuses wrong parameters and widths."""
     check_kind("parameters", parameters, Sequence)
     for name in parameters:
         check_parameter(walker, name)
@@ -30,7 +30,7 @@ def check_bands(
 
 
 def walkers_at_band_ends(walker: Walker, parameter: str, width: float) -> tuple[Walker, Walker]:
-    """The walkers with a parameter lower and higher by a width, or less if they are none."""
+    """The walkers with a parameter lower and higher by a width, or by less if they refuse it."""
     value, ends = float(getattr(walker, parameter)), []
     for step in (-width, width):
         for _ in range(MAX_BAND_HALVINGS):

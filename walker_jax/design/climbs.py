@@ -1,4 +1,4 @@
-"""One climb along the gradient, within bounds and limits."""
+"""One ascent along the gradient, within bounds and limits."""
 
 from typing import NamedTuple
 
@@ -12,19 +12,20 @@ from walker_jax.design.measures import gait_measures
 from walker_jax.design.problem import Problem
 from walker_jax.design.trace import Trace
 
-STEP_SHARES = (1.0, -1.0, 0.5, -0.5, 0.25, -0.25)
-"""Shares of a step, until one leads higher; if none does, the stage ends. Some objectives fall by
-jumps: where one does just ahead, a shorter step leads higher, or one back."""
+TRIAL_STEPS = (1.0, -1.0, 0.5, -0.5, 0.25, -0.25)
+"""Multiples of an optimiser's step, tried in turn until one improves the objective; if none does,
+the stage ends. Some objectives are discontinuous: just before a jump a shorter step improves them,
+or one in the opposite direction."""
 MAX_STAGE_STEPS = 40
-"""Steps of a stage."""
+"""Largest number of steps of a stage."""
 MAX_RESCUE_STEPS = 8
-"""Long steps that are made, from where nothing walks, to where the gait is more stable."""
+"""Largest number of long steps from where nothing walks to a more stable gait."""
 SIGNIFICANT_ERRORS = 2
-"""Standard errors from which on a difference of values is believed."""
+"""Standard errors above which a difference of values is significant."""
 
 
 class Climb(NamedTuple):
-    """From where to where; or why not."""
+    """The start and the best evaluation of a climb, or the reason why it failed."""
 
     start: Evaluation | None
     best: Evaluation | None
@@ -33,7 +34,7 @@ class Climb(NamedTuple):
 
 
 def climb(trace: Trace, run: int, stage: int, place: Float[np.ndarray, " parameters"]) -> Climb:
-    """Go up from a place by the steps of one stage, until none leads higher."""
+    """Climb from a place by the steps of one stage, until none improves the objective."""
     import optax  # here alone: it takes a quarter of a second
 
     problem, begin = trace.problem, trace.limits.nearest_allowed(place)
@@ -51,23 +52,23 @@ def climb(trace: Trace, run: int, stage: int, place: Float[np.ndarray, " paramet
         state = optimiser.init(jnp.asarray(begin))
     best = here
     for _ in range(MAX_STAGE_STEPS):
-        place = problem.place(best.parameters)
+        place = problem.place_of(best.parameters)
         uphill = problem.sign * best.gradient * (problem.high - problem.low)
         downhill = jnp.asarray(-trace.limits.feasible_direction(place, uphill))
         with standard():
             update, state = optimiser.update(downhill, state)
-        for share in STEP_SHARES:
+        for share in TRIAL_STEPS:
             goal = trace.limits.nearest_allowed(np.clip(place + share * np.asarray(update), 0, 1))
             if goal is None:
                 continue
-            held = share == 1 and np.abs(goal - place).max() < STEP_LENGTHS[stage] / 100
-            if held and np.array_equal(goal, place):
+            blocked = share == 1 and np.abs(goal - place).max() < STEP_LENGTHS[stage] / 100
+            if blocked and np.array_equal(goal, place):
                 return Climb(start, best, True)
             there = trace.measure(run, stage, goal)
             if can_be_climbed(problem, there) and is_better(problem, best, there):
                 best = there
                 break
-            if held:  # by bounds or limits
+            if blocked:  # by bounds or limits
                 return Climb(start, best, True)
         else:
             return Climb(start, best, True)
@@ -84,7 +85,7 @@ def is_better(problem: Problem, here: Evaluation, there: Evaluation) -> bool:
 
 
 def can_be_climbed(problem: Problem, row: Evaluation) -> bool:
-    """Whether something walks, where the objective is about that, and shows which way is up."""
+    """Whether the objective has a gradient, and an area or disturbance in it is positive."""
     sizes = [
         size
         for name, size in zip(problem.measures, row.measures, strict=True)
@@ -95,17 +96,17 @@ def can_be_climbed(problem: Problem, row: Evaluation) -> bool:
 
 
 def rescue(trace: Trace, run: int, row: Evaluation) -> Evaluation | None:
-    """By long steps, from where nothing walks, to where the gait is more stable, until one does."""
+    """Move by long steps to more stable gaits, until an objective that was zero can be climbed."""
     problem = trace.problem
     for _ in range(MAX_RESCUE_STEPS):
         gait = trace.gait(row.parameters)
-        walker, tolerance = problem.built(row.parameters), problem.tolerance
+        walker, tolerance = problem.build_walker(row.parameters), problem.tolerance
         measures = gait_measures(walker, problem.names, gait, tolerance=tolerance)
         growth = measures["spectral-radius"].gradient * (problem.high - problem.low)
         steepest = np.abs(growth).max()
         if not (np.isfinite(steepest) and steepest > 0):
             return None
-        place = problem.place(row.parameters) - STEP_LENGTHS[0] * growth / steepest
+        place = problem.place_of(row.parameters) - STEP_LENGTHS[0] * growth / steepest
         goal = trace.limits.nearest_allowed(np.clip(place, 0, 1))
         if goal is None:
             return None
@@ -118,10 +119,10 @@ def rescue(trace: Trace, run: int, row: Evaluation) -> Evaluation | None:
 def explain_failure(trace: Trace, place: Float[np.ndarray, " parameters"]) -> str:
     """Why nothing can be climbed from a place."""
     problem, values = trace.problem, trace.problem.values(place)
-    where, refusal = problem.named(values), problem.refusal(values)
+    where, refusal = problem.describe_values(values), problem.refusal(values)
     if refusal:
         return f"{where}: {refusal}"
-    measures = gait_measures(problem.built(values), (), trace.gait(values))
+    measures = gait_measures(problem.build_walker(values), (), trace.gait(values))
     radius = measures["spectral-radius"].value
     if np.isnan(radius):
         return f"{where}: no gait is found"

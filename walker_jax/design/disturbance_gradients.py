@@ -21,7 +21,7 @@ from walker_jax.walkers.model import Walker
 
 
 class DisturbanceGradient(NamedTuple):
-    """The least disturbance of a gait, and how it changes with parameters of the walker."""
+    """The least disturbance of a gait, and its derivatives by parameters of the walker."""
 
     size: float
     gradient: Float[np.ndarray, " parameters"]
@@ -42,16 +42,16 @@ def disturbance_gradient(
 ) -> DisturbanceGradient:
     """The least disturbance, and its derivatives by parameters of the walker.
 
-    It is that from which the walker does not come back, or with `fall` that from which it falls.
+    It is the least from which the walker does not return or, with `fall`, from which it falls.
 
     At the nearest point of the boundary, x = g + r u with g the gait's state and u of length one,
-    the margin stays zero: dr/dp = -(dm/dp + grad m . dg/dp) / (grad m . u). That u turns matters to
-    second order only. Where two points are as near as each other, the size has a kink; this is the
-    derivative on the side of the one found.
+    the margin stays zero: dr/dp = -(dm/dp + grad m . dg/dp) / (grad m . u). The rotation of u is of
+    second order. Where two points are equally near, the size has a kink; this is the derivative on
+    the side of the point found.
 
-    Where the nearest point leads to another motion instead of a failure it has no margin. Then,
-    with `bands` given, as for `area_gradient`, derivatives are averages over these, as far as the
-    gait is stable there; NaN otherwise.
+    Where the nearest point leads to another motion instead of a failure it has no margin. Then
+    derivatives are averages over `bands`, as in `area_gradient`, as far as the gait is stable
+    there, or NaN without bands.
 
     Other arguments and errors are those of `least_disturbance`, in its plain metric.
     """

@@ -1,4 +1,4 @@
-"""What is measured of one walker of a problem: the objective, its limits, and their gradients."""
+"""Measurements of one walker of a problem: the objective, its gradient, and limited measures."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -20,38 +20,38 @@ BAND_HALF_WIDTHS = (0.1, 0.05, 0.03, 0.03)
 """Half widths, in places, of the bands over which derivatives are averaged where there are none.
 They are wide enough for the errors of areas at their ends."""
 LEVELS_OMITTED = (3, 2, 1, 1)
-"""By how many levels areas are less refined in each stage than at the ends."""
+"""Levels of refinement that areas have less in each stage than at the ends."""
 SCAN_STAGE, ENDS_STAGE = -1, -2
-"""In place of a stage: for what is measured for a picture, and at the ends."""
+"""Numbers in place of a stage: of the scan for a picture, and of the ends."""
 CHECK_STARTS = 50_000, 500_000
-"""Starts that correct an area on the way, and at the ends."""
+"""Starts that correct an area during optimisation, and at the ends."""
 
 
 class Evaluation(NamedTuple):
-    """What was measured of one walker."""
+    """Measurements of one walker."""
 
     run: int
     stage: int
     parameters: Float[np.ndarray, " parameters"]
     value: float
-    """Of the objective; NaN where there is none."""
+    """Value of the objective; NaN where it is not known."""
     value_error: float
     gradient: Float[np.ndarray, " parameters"]
-    """By the parameters."""
+    """Derivatives of the objective by the parameters."""
     gradient_error: Float[np.ndarray, " parameters"]
     measures: Float[np.ndarray, " measures"]
     strides: int
-    """That were made for areas."""
+    """Strides made for areas."""
 
 
-def evaluate(
+def evaluate_objective(
     problem: Problem,
     stage: int,
     values: Float[np.ndarray, " parameters"],
     gait_of: Callable[[Float[np.ndarray, " parameters"]], Gait],
 ) -> Evaluation:
-    """Measure the objective, what has limits, and in a stage, the objective's gradient."""
-    walker, names = problem.built(values), problem.names if stage >= 0 else ()
+    """Measure the objective, the limited measures and, in a stage, the objective's gradient."""
+    walker, names = problem.build_walker(values), problem.names if stage >= 0 else ()
     bands = BAND_HALF_WIDTHS[max(stage, 0)] * (problem.high - problem.low)[: len(names)]
     found: dict[str, Measure] = {}
     value_error, gradient_error, made = 0.0, np.zeros(len(names)), 0

@@ -1,4 +1,4 @@
-"""Limits of measures of the gait: by how much a place keeps them, and the way back to them."""
+"""Limits of measures of the gait: their slack at a place, and the nearest place that keeps them."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -11,15 +11,15 @@ from walker_jax.design.problem import Problem
 from walker_jax.gaits.cycles import Gait
 
 MAX_NEWTON_STEPS = 20
-"""Steps back to what the limits allow; each about squares the error, so few are taken."""
+"""Newton steps to a place that keeps the limits; each about squares the error."""
 MAX_VIOLATION = 1e-9
-"""By how much, relatively, a limit may be missed: what is left by Newton's last step."""
+"""Largest relative violation of a limit: the error that Newton's last step leaves."""
 BINDING_SLACK = 1e-6
 """Relative distance from a limit below which it counts as reached, well above `MAX_VIOLATION`."""
 
 
 class Slack(NamedTuple):
-    """By how much a limit is kept, relatively, and how that changes with the place."""
+    """Relative slack of a limit, negative where it is violated, and its gradient by the place."""
 
     name: str
     value: float
@@ -27,7 +27,7 @@ class Slack(NamedTuple):
 
 
 class Limits:
-    """The limits of a problem, evaluated at places; what has been evaluated is kept."""
+    """The limits of a problem, evaluated at places, with a cache of the results."""
 
     def __init__(
         self, problem: Problem, gait_of: Callable[[Float[np.ndarray, " parameters"]], Gait]
@@ -36,13 +36,13 @@ class Limits:
         self.known: dict[bytes, list[Slack]] = {}
 
     def slacks(self, place: Float[np.ndarray, " parameters"]) -> list[Slack]:
-        """Those of all limits; NaN where there is no gait."""
+        """Slacks of all limits at a place; NaN where there is no gait."""
         problem, values = self.problem, self.problem.values(place)
         if not problem.limits:
             return []
         if values.tobytes() in self.known:
             return self.known[values.tobytes()]
-        walker, gait = problem.built(values), self.gait_of(values)
+        walker, gait = problem.build_walker(values), self.gait_of(values)
         measures = gait_measures(walker, problem.names, gait, tolerance=problem.tolerance)
         found = []
         for name, ends in problem.limits.items():
@@ -58,7 +58,7 @@ class Limits:
     def nearest_allowed(
         self, place: Float[np.ndarray, " parameters"]
     ) -> Float[np.ndarray, " parameters"] | None:
-        """The place, or one near it that keeps all limits; none if that is not found."""
+        """The place, or one near it that keeps all limits; None where none is found."""
         violating = None
         for _ in range(MAX_NEWTON_STEPS):
             if self.problem.refusal(self.problem.values(place)):
@@ -83,7 +83,7 @@ class Limits:
         within: Float[np.ndarray, " parameters"],
         violating: Float[np.ndarray, " parameters"],
     ) -> Float[np.ndarray, " parameters"]:
-        """Where a limit is reached between a place that keeps it and one that violates it."""
+        """The place where a limit binds, between one that keeps it and one that violates it."""
 
         def smallest_slack(share: float) -> float:
             slack = min(one.value for one in self.slacks(within + share * (violating - within)))
@@ -99,7 +99,7 @@ class Limits:
         place: Float[np.ndarray, " parameters"],
         direction: Float[np.ndarray, " parameters"],
     ) -> Float[np.ndarray, " parameters"]:
-        """A direction without what leads out of the bounds, and beyond limits that hold."""
+        """A direction, projected so that it crosses neither bounds nor binding limits."""
         binding = [one.gradient for one in self.slacks(place) if one.value < BINDING_SLACK]
         for _ in range(1 + len(place)):
             leaves = ((place == 0) & (direction < 0)) | ((place == 1) & (direction > 0))
@@ -110,5 +110,5 @@ class Limits:
         return direction
 
     def binding(self, place: Float[np.ndarray, " parameters"]) -> set[str]:
-        """The measures whose limits hold a place."""
+        """The measures whose limits bind at a place."""
         return {one.name for one in self.slacks(place) if one.value < BINDING_SLACK}

@@ -23,7 +23,7 @@ GAIT_MEASURES = ("step-length", "speed", "spectral-radius", "cost-of-transport")
 
 
 class Measure(NamedTuple):
-    """A number that a walker may be designed for, and how it changes with its parameters."""
+    """A measure of a walker's gait, and its derivatives by parameters."""
 
     value: float
     gradient: Float[np.ndarray, " parameters"]
@@ -37,18 +37,20 @@ def gait_measures(
     *,
     tolerance: float | None = None,
 ) -> dict[str, Measure]:
-    """What follows from a gait, and its derivatives by parameters of the walker.
+    """Measures of a gait, and their derivatives by parameters of the walker.
 
-    - "step-length": how far the walker gets by a step, along the slope, on average over the gait;
-    - "speed": that per unit of time;
+    - "step-length": the length of a step along the slope, the mean over the gait;
+    - "speed": the step length over the mean step time;
     - "spectral-radius": the modulus of the largest multiplier of one stride, the root of that of
       the gait;
-    - "cost-of-transport": the energy that is lost per unit of weight and of way, sin(slope) where
-      gravity alone drives the walker (`Walker.driven_by_gravity`), and NaN where that is not known.
+    - "cost-of-transport": the energy lost per unit of weight and of distance, sin(slope) where
+      gravity alone drives the walker (`Walker.driven_by_gravity`), and NaN otherwise.
 
     Arguments are those of `gait_derivatives`; the gait is that of `find_gait` by default. All are
-    NaN where none is found. `ValueError` for parameters that the walker does not have, and, where
-    there are any, for what is no gait of this walker.
+    NaN where none is found.
+
+    Raises `ValueError` for parameters that the walker does not have, and, if any are given, for a
+    gait that is not one of this walker.
     """
     check_kind("parameters", parameters, Sequence)
     for name in parameters:
@@ -56,22 +58,27 @@ def gait_measures(
     gait = find_gait(walker, tolerance=tolerance) if gait is None else gait
     check_kind("gait", gait, Gait)
     if not gait.found:
-        nowhere = Measure(np.nan, np.full(len(parameters), np.nan))
-        return dict.fromkeys(GAIT_MEASURES, nowhere)
+        unknown = Measure(np.nan, np.full(len(parameters), np.nan))
+        return dict.fromkeys(GAIT_MEASURES, unknown)
     changes = [gait_derivatives(walker, gait, name, tolerance=tolerance) for name in parameters]
     states, period = np.asarray(gait.states), len(gait.states)
 
-    def way(walker: Walker, states: Float[Array, "period section"]) -> Scalar:
-        """The mean step, each seen at the heel strike that ends it."""
+    def mean_step_length(walker: Walker, states: Float[Array, "period section"]) -> Scalar:
+        """The mean length of the steps, each measured at the heel strike that ends it."""
         before = lambda x: walker.reach(walker.exchange_legs(walker.lift(x)))
         return jnp.mean(jnp.stack([before(x) for x in states]))
 
     def along(name: str, dx: Float[np.ndarray, "period section"]) -> float:
         by = jax.tree.map(jnp.zeros_like, walker)
         by = with_parameter(by, name, jnp.ones_like(getattr(walker, name)))
-        return float(jax.jvp(way, (walker, jnp.asarray(states)), (by, jnp.asarray(dx)))[1])
+        return float(
+            jax.jvp(mean_step_length, (walker, jnp.asarray(states)), (by, jnp.asarray(dx)))[1]
+        )
 
-    length, time = float(way(walker, jnp.asarray(states))), float(np.mean(gait.step_times))
+    length, time = (
+        float(mean_step_length(walker, jnp.asarray(states))),
+        float(np.mean(gait.step_times)),
+    )
     pairs = zip(parameters, changes, strict=True)
     longer = np.array([along(name, change.states) for name, change in pairs])
     slower = np.array([np.mean(change.step_times) for change in changes])

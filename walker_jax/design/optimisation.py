@@ -16,7 +16,7 @@ import xarray as xr
 
 from walker_jax.basins.computation import basin
 from walker_jax.basins.memory import check_grid
-from walker_jax.basins.refinement import BYTES_PER_CELL, FINEST, finer, refine_cells
+from walker_jax.basins.refinement import BYTES_PER_REFINED_CELL, FINEST, finer, refine_cells
 from walker_jax.checks import WrongUse, check_kind, check_whole, refuses_tracers
 from walker_jax.design.climbs import climb
 from walker_jax.design.evaluation import (
@@ -39,7 +39,7 @@ from walker_jax.stability.summary import default_region
 from walker_jax.walkers.model import Walker
 
 ATTRACTED = -1
-"""In the place of a fate, in those basins: the walker comes to an attractor."""
+"""Instead of a fate, in those basins, where the walker converges to an attractor."""
 VIEW_CELLS = 300
 """Cells along each axis in which the basins at both ends are shown."""
 
@@ -68,45 +68,45 @@ def optimise(
     **Arguments:**
 
     - `walker`: of one kind. Its own values are the first start, where they are within the bounds.
-    - `bounds`: the least and the greatest value of each parameter that is free.
+    - `bounds`: the lowest and the highest value of each free parameter.
     - `objective`: "area" (of the basin, all attractors together), "least-disturbance" (from which
-      the walker does not come back), "speed" or "step-length" to be large, "spectral-radius" or
-      "cost-of-transport" to be small; or weights of these by name, for a sum that is to be large.
+      the walker does not return), "speed" or "step-length", which are maximised, "spectral-radius"
+      or "cost-of-transport", which are minimised; or weights by name, for a sum to maximise.
     - `at_least`, `at_most`: limits of "speed", "step-length", "spectral-radius" and
       "cost-of-transport", by name.
     - `grid`: where the area is measured, the same for all parameters. By default as in
       `robustness`: of walkers with mass on their legs, the slice around the gait of the first start
       that has one. The slice stays where it is as gaits move away, so areas in it compare walkers
       whose gaits have about the same phidot.
-    - `starts`: how many. Those after the first are spread over the bounds.
+    - `starts`: number of starts. Those after the first are spread over the bounds.
     - `levels`: of refinement, for the areas at both ends.
-    - `strides`: how many of them a walker is followed for.
-    - `scan`: if above 0, at so many values of each parameter, others as in the optimum, the
+    - `strides`: number of strides for which a walker is followed.
+    - `scan`: number of values of each parameter, with the others as in the optimum, at which the
       objective is measured too.
     - `seed`: of the starts, and of `refine`.
     - `tolerance`: of the integration, as in `stride`.
     - `known`: an earlier result, or the trace of a run that was interrupted, whose measurements are
       taken as they are.
     - `keep`: called with the trace after each measurement.
-    - `progress`: whether to show on a terminal what is being measured.
+    - `progress`: whether to show progress on a terminal.
 
     **Returns** a data set: over the parameters, `start` and `optimum`, those of the best climb;
-    `objective_start` and `objective_optimum`, as this saw them; `exact_start` and `exact_optimum`,
-    with standard errors `exact_start_error` and `exact_optimum_error`, which are 0 but of areas;
-    `at_bound`, -1 or 1 for parameters that end at their lower or upper bound; `binding`, which
-    measures hold the optimum by their limits; and `converged`, whether it ended because no step
-    of the last stage, of those tried along the gradient, led higher. The trace, over evaluations:
-    `run`, `stage` (-1 for the scan, -2 for the ends), `parameters`, `value` and `value_error`,
-    `gradient` and `gradient_error` (by the parameters), `measures`, and the `strides` that were
-    made for areas; `note`, for each run, says why it led nowhere. `scan_parameters`, `scan_value`
-    and `scan_allowed`, by the limits. `fate_start` and `fate_optimum`: the basins at both ends, on
-    a grid that shows them; -1 where a walker comes to an attractor. Where `found` is false no start
-    led anywhere, and all but the trace is missing.
+    `objective_start` and `objective_optimum`, as that climb measured them; `exact_start` and
+    `exact_optimum`, with standard errors `exact_start_error` and `exact_optimum_error`, which are 0
+    except for areas; `at_bound`, -1 or 1 for parameters that end at their lower or upper bound;
+    `binding`, the measures whose limits bind at the optimum; and `converged`, whether it ended
+    because no step of the last stage along the gradient improved the objective. The trace, over
+    evaluations: `run`, `stage` (-1 for the scan, -2 for the ends), `parameters`, `value` and
+    `value_error`, `gradient` and `gradient_error` (by the parameters), `measures`, and the
+    `strides` that were made for areas; `note`, the reason why a run failed. `scan_parameters`,
+    `scan_value` and `scan_allowed`, by the limits. `fate_start` and `fate_optimum`: the basins at
+    both ends, on a grid that shows them; -1 where a walker converges to an attractor. Where `found`
+    is false all starts failed, and all but the trace is missing.
 
-    Where nothing walks, areas and disturbances are zero and have no gradient: a start there is led,
-    by up to eight long steps, to where its gait is more stable, if it has one.
+    Where nothing walks, areas and disturbances are zero and have no gradient: from such a start up
+    to eight long steps lead to a more stable gait, if it has one.
 
-    `ValueError` for parameters, bounds, names and numbers that are not such, and as for `refine`.
+    Raises `ValueError` for wrong parameters, bounds, names and numbers, and as `refine`.
     """
     (weights, sign), limits = parse_objective(objective), parse_limits(at_least, at_most)
     check_kind("walker", walker, Walker)
@@ -117,11 +117,11 @@ def optimise(
         raise WrongUse(f"bounds must name at least one parameter, not {dict(bounds)}")
     for name, ends in bounds.items():
         check_bounds(walker, name, ends)
-    for name, value, least in (
+    for name, value, lowest in (
         *(("starts", starts, 1), ("strides", strides, 1)),
         *(("levels", levels, 0), ("scan", scan, 0), ("seed", seed, 0)),
     ):
-        check_whole(name, value, least)
+        check_whole(name, value, lowest)
     if "cost-of-transport" in {*weights, *limits} and not walker.driven_by_gravity():
         raise WrongUse(
             f"cost-of-transport is not known of a {type(walker).__name__}, which more than gravity "
@@ -132,14 +132,14 @@ def optimise(
     problem = Problem(walker, tuple(bounds), low, high, weights, sign, limits, *how)
     places = starting_places(problem, starts)
     if grid is None:
-        regions = (default_region(problem.built(problem.values(place))) for place in places)
+        regions = (default_region(problem.build_walker(problem.values(place))) for place in places)
         problem = problem._replace(grid=next((one for one in regions if one is not None), None))
     if problem.grid is None and "area" in weights:
         raise WrongUse("grid is required: no start has a gait of period one to lay it around")
     if problem.grid is not None:
         check_grid(walker, problem.grid, "direct")
         check_whole("levels", levels, 0, FINEST)
-        check_grid(walker, finer(problem.grid, levels), "direct", each=BYTES_PER_CELL)
+        check_grid(walker, finer(problem.grid, levels), "direct", each=BYTES_PER_REFINED_CELL)
 
     trace = Trace(problem, known, keep, progress)
     first = [climb(trace, run, 0, place) for run, place in enumerate(places)]
@@ -148,7 +148,7 @@ def optimise(
     last, notes = first[run], {"note": ("start_number", string_array(one.note for one in first))}
     for stage in range(1, len(STEP_LENGTHS)):
         if last.best is not None:
-            further = climb(trace, run, stage, problem.place(last.best.parameters))
+            further = climb(trace, run, stage, problem.place_of(last.best.parameters))
             # what walked on a coarse grid alone is still the best that is known
             last = further if further.best is not None else last._replace(converged=False)
     start, best = first[run].start, last.best
@@ -165,11 +165,11 @@ def measure_ends(trace: Trace, start: Evaluation, best: Evaluation) -> dict:
     problem, sides = trace.problem, {"start": start, "optimum": best}
     found: dict = {}
     for name, row in sides.items():
-        exact = trace.measure(row.run, ENDS_STAGE, problem.place(row.parameters))
+        exact = trace.measure(row.run, ENDS_STAGE, problem.place_of(row.parameters))
         found[name] = "parameter", row.parameters
         found[f"objective_{name}"] = row.value
         found[f"exact_{name}"], found[f"exact_{name}_error"] = exact.value, exact.value_error
-    place = problem.place(best.parameters)
+    place = problem.place_of(best.parameters)
     side = (place == 1).astype(np.int8) - (place == 0).astype(np.int8)
     binding = trace.limits.binding(place)
     found["at_bound"] = "parameter", side
@@ -179,7 +179,7 @@ def measure_ends(trace: Trace, start: Evaluation, best: Evaluation) -> dict:
 
 def scan_objective(trace: Trace, best: Evaluation, count: int) -> dict:
     """The objective at values of each parameter, others as in the best row."""
-    problem, middle = trace.problem, trace.problem.place(best.parameters)
+    problem, middle = trace.problem, trace.problem.place_of(best.parameters)
     places = np.tile(middle, (len(middle), count, 1))
     for k in range(len(middle)):
         places[k, :, k] = np.linspace(0, 1, count)
@@ -202,7 +202,7 @@ def compare_basins(problem: Problem, start: Evaluation, best: Evaluation) -> dic
     grid = problem.grid
     if grid is None or len(grid.names) != 2:
         return {}
-    walkers = [problem.built(row.parameters) for row in (start, best)]
+    walkers = [problem.build_walker(row.parameters) for row in (start, best)]
     rough = [
         refine_cells(
             walker,

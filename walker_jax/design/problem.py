@@ -1,4 +1,4 @@
-"""A problem of design: the walker, what is free, what is sought, and its limits."""
+"""A design problem: the walker, its free parameters, the objective and the limits."""
 
 import json
 from collections.abc import Mapping
@@ -23,23 +23,23 @@ OBJECTIVES = {
     "spectral-radius": -1.0,
     "cost-of-transport": -1.0,
 }
-"""What a walker can be designed for: 1 where more of it is better, -1 where less is."""
+"""Objectives of design: 1 where more is better, -1 where less is."""
 
 
 class Problem(NamedTuple):
-    """What is to be optimised."""
+    """A walker, its free parameters, an objective and limits."""
 
     walker: Walker
     names: tuple[str, ...]
-    """Of the parameters that are free."""
+    """Names of the free parameters."""
     low: Float[np.ndarray, " parameters"]
     high: Float[np.ndarray, " parameters"]
     weights: dict[str, float]
-    """Of the measures in the objective."""
+    """Weights of the measures in the objective."""
     sign: float
-    """Whether that is to be large, 1, or small, -1."""
+    """1 where the objective is maximised, -1 where it is minimised."""
     limits: dict[str, tuple[float, float]]
-    """The least and the greatest value allowed of measures of the gait."""
+    """Lowest and highest value allowed of measures of the gait."""
     grid: Grid | None
     levels: int
     strides: int
@@ -48,38 +48,43 @@ class Problem(NamedTuple):
 
     @property
     def measures(self) -> tuple[str, ...]:
-        """What the objective is made of, and what has limits."""
+        """The measures in the objective, and those that have limits."""
         return tuple(dict.fromkeys([*self.weights, *self.limits]))
 
     def values(self, place: Float[np.ndarray, " parameters"]) -> Float[np.ndarray, " parameters"]:
-        """Parameters at a place; not rounded where they are at a bound."""
+        """Parameters at a place, of which 0 and 1 are the bounds; exact at a bound."""
         inner = self.low + (self.high - self.low) * place
         return np.where(place == 0, self.low, np.where(place == 1, self.high, inner))
 
-    def place(self, values: Float[np.ndarray, " parameters"]) -> Float[np.ndarray, " parameters"]:
+    def place_of(
+        self, values: Float[np.ndarray, " parameters"]
+    ) -> Float[np.ndarray, " parameters"]:
+        """The place of parameters between their bounds, from 0 to 1."""
         return (values - self.low) / (self.high - self.low)
 
-    def built(self, values: Float[np.ndarray, " parameters"]) -> Walker:
+    def build_walker(self, values: Float[np.ndarray, " parameters"]) -> Walker:
+        """The walker with these values of the free parameters."""
         walker = self.walker
         for name, value in zip(self.names, values, strict=True):
             walker = with_parameter(walker, name, jnp.asarray(float(value)))
         return walker
 
     def refusal(self, values: Float[np.ndarray, " parameters"]) -> str:
-        """What the walker's constructor says against these parameters together, if anything."""
+        """Why the walker's constructor refuses these parameters; empty where it accepts them."""
         try:
-            check_parameter(self.built(values), self.names[0], float(values[0]))
+            check_parameter(self.build_walker(values), self.names[0], float(values[0]))
         except ValueError as error:
             return str(error)
         return ""
 
-    def named(self, values: Float[np.ndarray, " parameters"]) -> str:
+    def describe_values(self, values: Float[np.ndarray, " parameters"]) -> str:
+        """The free parameters and their values, in words."""
         pairs = zip(self.names, values, strict=True)
         return ", ".join(f"{name} {value:.6g}" for name, value in pairs)
 
 
 def parse_objective(objective: str | Mapping[str, Any]) -> tuple[dict[str, float], float]:
-    """The weights of an objective, checked, and whether it is to be large, 1, or small, -1."""
+    """The weights of an objective, checked, and its sign as in `Problem`."""
     named = isinstance(objective, str)
     if not named:
         check_kind("objective", objective, Mapping)
@@ -98,7 +103,7 @@ def parse_objective(objective: str | Mapping[str, Any]) -> tuple[dict[str, float
 def parse_limits(
     at_least: Mapping[str, Any] | None, at_most: Mapping[str, Any] | None
 ) -> dict[str, tuple[float, float]]:
-    """The least and the greatest value of each measure that has limits, checked."""
+    """The lowest and the highest value of each measure that has limits, checked."""
     limits: dict[str, tuple[float, float]] = {}
     for side, given in enumerate((at_least, at_most)):
         given = {} if given is None else given
@@ -130,8 +135,10 @@ def check_bounds(walker: Walker, name: str, ends: Any) -> None:
 
 
 def starting_places(problem: Problem, starts: int) -> list[Float[np.ndarray, " parameters"]]:
-    """The walker's own place, if it is within the bounds, and others spread over these."""
-    own = problem.place(np.array([float(getattr(problem.walker, name)) for name in problem.names]))
+    """The walker's own place, if it is within the bounds, and a Latin hypercube of others."""
+    own = problem.place_of(
+        np.array([float(getattr(problem.walker, name)) for name in problem.names])
+    )
     first = [own] if np.all((own >= 0) & (own <= 1)) else []
     from scipy.stats import qmc
 
@@ -140,7 +147,7 @@ def starting_places(problem: Problem, starts: int) -> list[Float[np.ndarray, " p
 
 
 def describe_problem(problem: Problem) -> dict:
-    """What was asked for, as attributes of a data set."""
+    """The problem, as attributes of a data set."""
     bounds = zip(problem.names, problem.low.tolist(), problem.high.tolist(), strict=True)
     limits = {
         name: [end if np.isfinite(end) else None for end in ends]

@@ -1,4 +1,4 @@
-"""What a data set of an optimisation says: its runs, its scan, its gain, and why it ended."""
+"""Quantities read from the data set of an optimisation: its runs, scan, gain and limits."""
 
 import json
 from typing import NamedTuple
@@ -37,7 +37,7 @@ def is_optimum(data: xr.Dataset) -> bool:
 
 
 def free_parameters(data: xr.Dataset) -> list[str]:
-    """The parameters that were free."""
+    """The free parameters."""
     return data["parameter"].values.tolist()
 
 
@@ -53,14 +53,14 @@ def bounds(data: xr.Dataset, parameter: str) -> tuple[float, float]:
 
 
 def limits(data: xr.Dataset) -> dict[str, tuple[float | None, float | None]]:
-    """The least and the greatest allowed value of measures."""
+    """The lowest and the highest allowed value of measures."""
     number = lambda end: None if end is None else float(end)
     pairs = json.loads(data.attrs["limits"])
     return {name: (number(low), number(high)) for name, (low, high) in pairs.items()}
 
 
 def slice_coordinates(data: xr.Dataset) -> dict[str, float]:
-    """Where the slice is in which areas were measured, by coordinate."""
+    """Fixed coordinates of the slice in which areas were measured."""
     region = json.loads(data.attrs["region"])
     return {name: float(at) for name, at in region.items() if not isinstance(at, list)}
 
@@ -84,7 +84,7 @@ def scan_of(data: xr.Dataset, parameter: str) -> Scan | None:
     own = data.sel(parameter=parameter)
     at, value, allowed = (own[f"scan_{name}"].values for name in ("parameters", "value", "allowed"))
     allowed, optimum = allowed.astype(bool), float(own["optimum"])
-    if optimum not in at:  # where a limit holds it, what that does not allow begins there
+    if optimum not in at:  # where a limit binds, the forbidden interval begins at the optimum
         place = np.searchsorted(at, optimum)
         at = np.insert(at, place, optimum)
         value = np.insert(value, place, float(own["objective_optimum"]))
@@ -108,5 +108,5 @@ def area_at(data: xr.Dataset, side: str) -> float | None:
 
 
 def binding_limits(data: xr.Dataset) -> list[str]:
-    """The measures whose limits hold the optimum."""
+    """The measures whose limits bind at the optimum."""
     return data["measure"].values[data["binding"].values.astype(bool)].tolist()

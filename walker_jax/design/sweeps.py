@@ -31,9 +31,9 @@ from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 
 GAIT_NUMBERS = ("step-length", "speed", "cost-of-transport")
-"""What is measured of a gait beside its state, multiplier and time."""
+"""Measures of a gait besides its state, multiplier and step time."""
 MAX_COMBINATIONS = 2**20
-"""Combinations of parameters, each of which is some twenty files of a store."""
+"""Combinations of parameters; each takes about twenty files of a store."""
 
 
 @refuses_tracers()
@@ -54,42 +54,42 @@ def sweep(
     cluster: Any = None,
     progress: bool = False,
 ) -> xr.Dataset:
-    """The basin of a walker, its gait and its area, for all combinations of some parameters.
+    """The basin of a walker, its area and its gait, for all combinations of parameter values.
 
     **Arguments:**
 
     - `walker`: gives the values of its other parameters.
     - `over`: values of each of the parameters.
-    - `grid`: of all basins; by default the region that `robustness` takes for this walker.
-    - `levels`, `check`: of the refinement by which areas are exact, as in `refine`.
+    - `grid`: of all basins; by default that of `robustness` for this walker.
+    - `levels`, `check`: of the refinement of areas, as in `refine`.
     - `robust`: whether to measure all that `robustness` does, which takes half a minute for each.
-    - `strides`: how many of them a walker is followed for.
-    - `seed`, `tolerance`: of what is drawn, and of the integration.
+    - `strides`: number of strides for which a walker is followed.
+    - `seed`, `tolerance`: of random numbers, and of the integration.
     - `out`, `request`, `overwrite`, `cluster`: as in `basin`; a piece is one combination.
     - `progress`: whether to show a progress bar on a terminal.
 
     **Returns** a data set with the parameters as dimensions, in the order given, of
 
     - over the grid too: `fate`, `attractor` and `strides`, as `basin` gives them, by direct
-      iteration from the cells' centres. Attractors are numbered in each basin on its own; there are
-      so many `attractors`;
-    - `area` of the cells that come to one; `total_area` and its standard error `total_area_error`,
-      as `refine` gives them;
+      iteration from the cells' centres. Attractors are numbered separately in each basin, which
+      has so many `attractors`;
+    - `area` of the cells that converge to one; `total_area` and its standard error
+      `total_area_error`, as `refine` gives them;
     - of the gait of period one, NaN where none is found: `gait_state`, `multiplier` (the largest
       modulus), `step_time`, `step_length`, `speed` and `cost_of_transport`;
     - if `robust`, what `robustness` gives of the gait with the largest basin, of any period, whose
       `gait_state`, `multiplier` and `step_time` these are then.
 
-    A combination that cannot be computed, as one that the walker refuses, has `failed` 1, a
-    `reason`, which is empty otherwise, fates of -1, and NaN; the others go on. Where memory or the
-    like is wanting, the error is raised, and the same call resumes with that combination.
+    A combination that cannot be computed, such as one that the walker refuses, has `failed` 1, a
+    `reason` (empty otherwise), fates of -1, and NaN; the others are computed. Other errors, such as
+    a lack of memory, are raised, and the same call resumes with that combination.
 
     Raises `ValueError` for a parameter or a value that the walker does not have, for no values or
     more than a million combinations, and as `basin` and `refine` do.
     """
     check_kind("walker", walker, Walker)
     check_kind("over", over, Mapping)
-    values = {name: np.atleast_1d(numbers(f"over {name}", some)) for name, some in over.items()}
+    values = {name: np.atleast_1d(numbers(f"over {name}", given)) for name, given in over.items()}
     check_values(walker, values)
     levels = check_whole("levels", levels, 0, FINEST)
     check = check_whole("check", check, 0)
@@ -106,7 +106,7 @@ def sweep(
     about = describe(walker, grid, how)
     for name in values:
         del about.attrs[f"walker_{name}"]
-    own = {"command": "sweep", "over": {name: some.tolist() for name, some in values.items()}}
+    own = {"command": "sweep", "over": {name: given.tolist() for name, given in values.items()}}
     request = request or request_of(about, grid) | own
     about = about.assign_coords(values)
     names = [*values]
@@ -125,14 +125,14 @@ def check_values(walker: Walker, values: Mapping[str, Float[np.ndarray, "..."]])
     """Refuse parameters that the walker does not have, and values."""
     if not values:
         raise WrongUse("over must name at least one parameter")
-    for name, some in values.items():
-        if some.ndim != 1 or len(some) == 0 or len(np.unique(some)) < len(some):
-            raise WrongUse(f"over {name} must be one row of different numbers, not {short(some)}")
+    for name, given in values.items():
+        if given.ndim != 1 or len(given) == 0 or len(np.unique(given)) < len(given):
+            raise WrongUse(f"over {name} must be one row of different numbers, not {short(given)}")
     count = math.prod(map(len, values.values()))
     if count > MAX_COMBINATIONS:
         raise WrongUse(f"over must have at most {MAX_COMBINATIONS} combinations, not {count}")
-    for name, some in values.items():
-        check_parameter(walker, name, *some.tolist())
+    for name, given in values.items():
+        check_parameter(walker, name, *given.tolist())
 
 
 def compute_missing(

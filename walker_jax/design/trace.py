@@ -1,4 +1,4 @@
-"""The trace of an optimisation: what was measured at which place, kept on disk."""
+"""The trace of an optimisation: its measurements and their places, kept on disk."""
 
 from collections.abc import Callable, Iterable
 from contextlib import nullcontext
@@ -8,7 +8,7 @@ import xarray as xr
 from jaxtyping import Float
 
 from walker_jax.checks import WrongUse
-from walker_jax.design.evaluation import Evaluation, evaluate
+from walker_jax.design.evaluation import Evaluation, evaluate_objective
 from walker_jax.design.limits import Limits
 from walker_jax.design.problem import Problem, describe_problem
 from walker_jax.execution.progress import progress_console
@@ -17,7 +17,7 @@ from walker_jax.gaits.search import find_gait
 
 
 class Trace:
-    """What has been measured so far."""
+    """The measurements so far."""
 
     def __init__(
         self,
@@ -36,20 +36,22 @@ class Trace:
         self.console = progress_console(progress)
 
     def gait(self, values: Float[np.ndarray, " parameters"]) -> Gait:
-        """That of the walker with these parameters."""
+        """The gait of the walker with these parameters."""
         if values.tobytes() not in self.gaits:
-            walker, tolerance = self.problem.built(values), self.problem.tolerance
+            walker, tolerance = self.problem.build_walker(values), self.problem.tolerance
             self.gaits[values.tobytes()] = find_gait(walker, tolerance=tolerance)
         return self.gaits[values.tobytes()]
 
     def measure(self, run: int, stage: int, place: Float[np.ndarray, " parameters"]) -> Evaluation:
-        """Measure the walker at a place, unless that is known."""
+        """Measure the walker at a place, unless the measurement is known."""
         values = self.problem.values(place)
         row = self.known.get((stage, values.tobytes()))
         if row is None:
-            status = self.console.status(f"{len(self.rows) + 1}: {self.problem.named(values)}")
+            status = self.console.status(
+                f"{len(self.rows) + 1}: {self.problem.describe_values(values)}"
+            )
             with nullcontext() if self.console.quiet else status:
-                row = evaluate(self.problem, stage, values, self.gait)
+                row = evaluate_objective(self.problem, stage, values, self.gait)
             self.known[key_of(row)] = row
             self.rows.append(row._replace(run=run))
             if self.keep is not None:
@@ -80,12 +82,12 @@ class Trace:
 
 
 def string_array(values: Iterable[str]) -> np.ndarray:
-    """An array of them, of a type that has a place in a store."""
+    """An array of strings, of a type that a store can hold."""
     return np.array(list(values), dtype=object)
 
 
 def key_of(row: Evaluation) -> tuple[int, bytes]:
-    """By which a measurement is found again."""
+    """The key of a measurement: its stage and parameters."""
     return int(row.stage), row.parameters.tobytes()
 
 
@@ -98,7 +100,7 @@ def evaluations_in(data: xr.Dataset) -> list[Evaluation]:
 
 
 def check_known(problem: Problem, known: xr.Dataset) -> None:
-    """Refuse measurements that were made for something else."""
+    """Refuse measurements of another problem."""
     for name, value in describe_problem(problem).items():
         own = name.startswith("walker_") and name.removeprefix("walker_") in problem.names
         if not own and name != "version" and known.attrs.get(name) != value:

@@ -188,8 +188,8 @@ def basins_in_a_row(data: xr.Dataset) -> Figure:
 def thin(data: xr.Dataset, most: int = 2000) -> xr.Dataset:
     """Some rows and columns of a basin of many cells, `most` of each: enough for a picture."""
     over = {dim: -(-size // most) for dim, size in data["fate"].sizes.items()}
-    some = data.isel({dim: slice(step // 2, None, step) for dim, step in over.items()})
-    return some.assign_attrs(shape=list(data["fate"].shape), thinned=math.prod(over.values()))
+    thinned = data.isel({dim: slice(step // 2, None, step) for dim, step in over.items()})
+    return thinned.assign_attrs(shape=list(data["fate"].shape), thinned=math.prod(over.values()))
 
 
 def share_drawn(data: xr.Dataset) -> int:
@@ -198,7 +198,7 @@ def share_drawn(data: xr.Dataset) -> int:
 
 
 def evenly_spaced(count: int, most: int) -> np.ndarray:
-    """Indices of some of many things, without the first and the last; all of a few."""
+    """At most `most` equally spaced indices, without the first and the last; all, if so few."""
     if count <= most:
         return np.arange(count)
     return np.unique(np.round(np.linspace(0, count - 1, most + 2)[1:-1]).astype(int))

@@ -28,17 +28,17 @@ from walker_jax.figures.style import (
     TITLE,
     period_style,
 )
-from walker_jax.figures.text import AREA, RADIUS, count_noun, walker_title
+from walker_jax.figures.text import AREA_LABEL, RADIUS, count_noun, walker_title
 from walker_jax.gaits.curves import (
     Curve,
     attractor_states,
     cascade_curves,
     cascade_interval,
-    curves,
     final_gaits,
     first_coordinate,
     interpolate_multipliers,
     loss_of_attractor,
+    read_curves,
 )
 from walker_jax.storage.schema import check_dataset
 
@@ -68,7 +68,7 @@ def gait_branches(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     """
     check_dataset(data, "gait branches")
     ax = new_axes(7, 5.6) if ax is None else ax
-    drawn = curves(data)
+    drawn = read_curves(data)
     for curve in drawn:
         draw_curve(ax, curve, curve.states)
     folds, values = data["event_fold"].values, data["event_value"].values
@@ -242,7 +242,7 @@ def stability_and_area(gaits: xr.Dataset, areas: xr.Dataset, ax: Axes | None = N
             label="area, refined (error below the width of the line)",
         )
     other.set_ylim(0)
-    name_axes(other, y=AREA)
+    name_axes(other, y=AREA_LABEL)
     other.yaxis.label.set_color(BASINS[0])
     write_title(ax, "Stability of the gait, and area of its basin", "SimplestWalker")
     line = Line2D([], [], color=INK, **SOLID, label=f"{RADIUS}; dashed: unstable")
@@ -255,7 +255,7 @@ def draw_curve(
     ax: Axes, curve: Curve, heights: Float[np.ndarray, "n k"], *, stable: bool = True
 ) -> None:
     """Draw lines along a curve: dashed where it is unstable, and solid where it is `stable`."""
-    solid = curve.stable_pieces
+    solid = curve.stable_intervals
     changes = np.flatnonzero(solid[1:] != solid[:-1]) + 1
     colour, _ = period_style(curve.period)
     for start, stop in pairwise([0, *changes.tolist(), len(solid)]):

@@ -22,7 +22,7 @@ from walker_jax.figures.style import INK, SMALL, gait_marker
 from walker_jax.figures.text import count_noun, short_number
 from walker_jax.gaits.cycles import Gait
 
-FRAME = 2.5
+RIM = 2.5
 """Largest real and imaginary part of a multiplier in the picture of the complex plane."""
 ROW, ROWS = 13, 8
 """Height (points) of a line on multipliers beyond the frame, and how many stand at one place."""
@@ -49,13 +49,13 @@ def multipliers(gaits: Sequence[Gait], ax: Axes | None = None) -> Axes:
     far: list[tuple[complex, Gait]] = []
     for gait in sorted(gaits, key=lambda gait: len(gait.states)):
         values = np.asarray(gait.multipliers)
-        beyond = np.maximum(np.abs(np.real(values)), np.abs(np.imag(values))) > FRAME
+        beyond = np.maximum(np.abs(np.real(values)), np.abs(np.imag(values))) > RIM
         x, y = np.real(values[~beyond]), np.imag(values[~beyond])
         ax.plot(x, y, zorder=3, **gait_marker(len(gait.states), bool(gait.stable)))
         far += [(complex(value), gait) for value in values[beyond]]
     for rim in group_at_rim(far):
         draw_rim(ax, rim)
-    ax.set(xlim=(-FRAME, FRAME), ylim=(-FRAME, FRAME), aspect="equal")
+    ax.set(xlim=(-RIM, RIM), ylim=(-RIM, RIM), aspect="equal")
     name_axes(ax, "real part", "imaginary part")
     stable = sum(bool(gait.stable) for gait in gaits)
     write_title(
@@ -88,9 +88,9 @@ def group_at_rim(far: list[tuple[complex, Gait]]) -> list[Rim]:
     """Multipliers beyond the frame, in groups whose places at its rim are close together."""
     found: list[Rim] = []
     for value, gait in sorted(far, key=lambda one: abs(one[0])):
-        place = value * FRAME / max(abs(value.real), abs(value.imag))
+        place = value * RIM / max(abs(value.real), abs(value.imag))
         for rim in found:
-            if abs(complex(rim.x, rim.y) - place) < 0.2 * FRAME:
+            if abs(complex(rim.x, rim.y) - place) < 0.2 * RIM:
                 rim.members.append((value, gait))
                 break
         else:
@@ -101,8 +101,8 @@ def group_at_rim(far: list[tuple[complex, Gait]]) -> list[Rim]:
 def draw_rim(ax: Axes, rim: Rim) -> None:
     """Draw a row for each multiplier at a place of the rim: its value, its sign, and an arrow."""
     figure = figure_of(ax)
-    inwards = -1 if (rim.x >= 0) == (abs(rim.x) > FRAME / 2) else 1
-    up = 1 if (rim.y >= 0) == (abs(rim.y) < FRAME / 2) else -1
+    inwards = -1 if (rim.x >= 0) == (abs(rim.x) > RIM / 2) else 1
+    up = 1 if (rim.y >= 0) == (abs(rim.y) < RIM / 2) else -1
     shown = rim.members if len(rim.members) <= ROWS else rim.members[: ROWS - 1]
     for row, (value, gait) in enumerate(shown, 1):
         rise = up * ROW * row

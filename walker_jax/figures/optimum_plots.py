@@ -239,7 +239,7 @@ def draw_basins(panels: Sequence[Axes], data: xr.Dataset) -> None:
         show_image(ax, image, extent)
         values = dict(zip(free_parameters(data), data[side].values.tolist(), strict=True))
         words = f"{side.capitalize()}: {join_phrases(parameter_values(values), 42)}"
-        write_title(ax, words, basin_note(data, side))
+        write_title(ax, words, optimum_basin_note(data, side))
         name_axes(ax, x)
     name_axes(panels[0], y=y)
     panels[1].sharex(panels[0])
@@ -248,7 +248,7 @@ def draw_basins(panels: Sequence[Axes], data: xr.Dataset) -> None:
     figure_legend(figure_of(panels[0]), [*map(patch_of, regions)], columns=5)
 
 
-def basin_note(data: xr.Dataset, side: str) -> str:
+def optimum_basin_note(data: xr.Dataset, side: str) -> str:
     """The area of a basin, if it is known, and the slice that it is in, if it is in one."""
     area = area_at(data, side)
     slices = [slice_phrase(name, at) for name, at in slice_coordinates(data).items()]

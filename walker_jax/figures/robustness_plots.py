@@ -158,18 +158,18 @@ def robustness_measures(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     """
     values, parameter = table_axis(data)
     ax = new_axes(7, 4.6) if ax is None else ax
-    area, area_scale = scaled(data["total_area"])
-    least, least_scale = scaled(data["least_disturbance"])
+    area, area_scale = rescale(data["total_area"])
+    disturbances, disturbance_scale = rescale(data["least_disturbance"])
     colour, style, words = MEASURES["total_area"]
     label = f"{words} (largest {area_scale:.4g})"
     handles = ax.plot(values, area, style, color=colour, label=label)
     band = 2 * data["total_area_error"].values / (area_scale or 1)
     ax.fill_between(values, area - band, area + band, color=colour, alpha=0.25, lw=0)
     colour, style, words = MEASURES["least_disturbance"]
-    label = f"{words} (largest {least_scale:.4g})"
-    handles += ax.plot(values, least, style, color=colour, label=label)
-    falls = data.get("least_fall", data["least_disturbance"]).values / (least_scale or 1)
-    farther = falls > least
+    label = f"{words} (largest {disturbance_scale:.4g})"
+    handles += ax.plot(values, disturbances, style, color=colour, label=label)
+    falls = data.get("least_fall", data["least_disturbance"]).values / (disturbance_scale or 1)
+    farther = falls > disturbances
     if farther.any():
         words = "least disturbance after which it falls, where that is larger"
         look: dict[str, Any] = {"color": colour, "mfc": "white", "label": words}
@@ -229,7 +229,7 @@ def table_axis(data: xr.Dataset) -> tuple[Float[np.ndarray, " n"], str]:
     return data[parameter].values, parameter
 
 
-def scaled(values: xr.DataArray) -> tuple[Float[np.ndarray, " n"], float]:
+def rescale(values: xr.DataArray) -> tuple[Float[np.ndarray, " n"], float]:
     """Values as shares of the largest one, and that one; 0 where all are 0 or NaN."""
     largest = float(np.nanmax([0.0, *values.values]))
     return values.values / (largest or 1), largest

@@ -5,7 +5,7 @@ from matplotlib.axes import Axes
 
 from walker_jax.figures.layout import figure_of, name_axes, new_axes, write_title
 from walker_jax.figures.style import AXIS, BASINS
-from walker_jax.figures.text import AREA, join_phrases, parameter_values, walker_title
+from walker_jax.figures.text import AREA_LABEL, join_phrases, parameter_values, walker_title
 from walker_jax.storage.schema import check_dataset
 
 
@@ -29,13 +29,13 @@ def sweep(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     x = str(area.dims[0])
     if area.ndim == 1:
         ax.errorbar(data[x], area, error, fmt="o-", color=BASINS[0], capsize=3)
-        name_axes(ax, x, AREA)
+        name_axes(ax, x, AREA_LABEL)
         ax.set_ylim(0, 1.1 * float(area.fillna(0).max()) or None)
     else:
         y = str(area.dims[1])
         image = ax.pcolormesh(data[x], data[y], area.T, cmap="viridis", rasterized=True)
         name_axes(ax, x, y)
-        figure_of(ax).colorbar(image, ax=ax).set_label(AREA, fontsize=AXIS)
+        figure_of(ax).colorbar(image, ax=ax).set_label(AREA_LABEL, fontsize=AXIS)
     fixed = parameter_values({name: float(data[name][0]) for name in others})
     shape = " × ".join(map(str, data["total_area"].shape))
     failed = int(data["failed"].sum())

@@ -7,7 +7,7 @@ import xarray as xr
 
 from walker_jax.basins.cell_classes import total_area
 
-AREA = "area of the basin (rad² / √(l/g))"
+AREA_LABEL = "area of the basin (rad² / √(l/g))"
 RADIUS = "modulus of the largest multiplier"
 SYMBOLS = {"theta": r"$\theta$", "thetadot": r"$\dot{\theta}$", "phidot": r"$\dot{\varphi}$"}
 AXIS_LABELS = {
@@ -16,7 +16,7 @@ AXIS_LABELS = {
     "sum": r"$\theta + \dot{\theta}$ (rad, time in √(l/g))",
     "slope": "slope (rad)",
 }
-METHODS = {
+METHOD_NAMES = {
     "cell-map": "cell mapping",
     "direct": "direct iteration",
     "direct, refined": "direct iteration, refined,",
@@ -57,7 +57,7 @@ def basin_note(data: xr.Dataset) -> str:
     """The method, the number of cells, and the area of all basins together."""
     method = data.attrs.get("method", "")
     shape = data.attrs.get("shape", data["fate"].shape)
-    note = f"{METHODS.get(method, method)} on {' × '.join(map(str, shape))} cells"
+    note = f"{METHOD_NAMES.get(method, method)} on {' × '.join(map(str, shape))} cells"
     fixed = [name for name in data.attrs["section"] if name in data.coords and not data[name].ndim]
     for name in fixed:
         note += f"\n{slice_phrase(name, float(data[name]))}"
@@ -82,7 +82,7 @@ def area_phrase(area: float) -> str:
 
 
 def count_noun(count: int, noun: str) -> str:
-    """A number of things."""
+    """A count and its noun, in the plural where needed."""
     ending = "" if count == 1 else "es" if noun.endswith("ch") else "s"
     return f"{count} {noun}{ending}"
 

@@ -1,4 +1,8 @@
-"""Steps along a branch: the tangent, and the correction on a plane across it."""
+"""Pseudo-arclength steps along a branch: the tangent predicts, Newton's iteration corrects.
+
+Points are measured in scaled coordinates: states over sqrt(period), the parameter over the width of
+its range.
+"""
 
 from collections.abc import Generator
 from typing import NamedTuple
@@ -6,12 +10,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from walker_jax.gaits.cycles import RESIDUAL, cyclic, solve
-from walker_jax.gaits.derivatives import Linearised
-from walker_jax.gaits.requests import Answer, Ask
+from walker_jax.gaits.cycles import MAX_RESIDUAL, cycle_matrices, solve_linear_systems
+from walker_jax.gaits.derivatives import Linearisation
+from walker_jax.gaits.requests import Request, Response
 
-STEPS = 12
-"""Newton steps at most, for a point and for a bifurcation."""
+CORRECTOR_STEPS = 12
+"""Newton steps to a point or to a bifurcation. From a good prediction the corrector converges
+quadratically, in a few steps; where it takes more, the step along the branch is halved."""
 
 
 class Point(NamedTuple):
@@ -19,59 +24,62 @@ class Point(NamedTuple):
 
     value: float
     cycle: Float[np.ndarray, "period section"]
-    local: Linearised
+    local: Linearisation
 
 
-def corrected(
+def correct(
     value: float,
     cycle: Float[np.ndarray, "period section"],
     row: Float[np.ndarray, " size"] | None,
     width: float,
-) -> Generator[Ask, Answer, Point | None]:
-    """Newton's iteration to the branch, across `row`; with the parameter standing still if none."""
+) -> Generator[Request, Response, Point | None]:
+    """The corrector: Newton's iteration to the branch, on the plane across `row`.
+
+    Without a `row` the parameter keeps its value. Returns None where the iteration fails.
+    """
     row = np.append(np.zeros(cycle.size), 1.0) if row is None else row
     period, size = cycle.shape
     rounding = 10 * float(np.finfo(cycle.dtype).eps)
-    best, least = None, float(RESIDUAL[cycle.dtype])
-    for _ in range(STEPS):
-        local = (yield Ask(value, cycle)).local
-        miss = local.state[0] - np.roll(cycle, -1, axis=0)
-        residual = np.abs(miss).max()
+    best, smallest = None, float(MAX_RESIDUAL[cycle.dtype])
+    for _ in range(CORRECTOR_STEPS):
+        local = (yield Request(value, cycle)).local
+        mismatch = local.state[0] - np.roll(cycle, -1, axis=0)
+        residual = np.abs(mismatch).max()
         if not np.isfinite(residual):
             return None
-        settled = best is not None and residual >= least
-        if residual < least:
-            best, least = Point(float(value), cycle, local), residual
-        if settled or residual <= rounding:
+        converged = best is not None and residual >= smallest
+        if residual < smallest:
+            best, smallest = Point(float(value), cycle, local), residual
+        if converged or residual <= rounding:
             break
-        matrix = np.concatenate([derivatives(local, width), row[None]])
-        step = solve(matrix[None], np.append(-miss.ravel(), 0.0)[None])[0]
+        matrix = np.concatenate([scaled_jacobian(local, width), row[None]])
+        step = solve_linear_systems(matrix[None], np.append(-mismatch.ravel(), 0.0)[None])[0]
         cycle = cycle + step[:-1].reshape(period, size) * np.sqrt(period)
         value = value + step[-1] * width
     return best
 
 
-def derivatives(local: Linearised, width: float) -> Float[np.ndarray, "rows columns"]:
-    """Of x -> S(x_i) - x_{i+1}, by the scaled states and parameter."""
+def scaled_jacobian(local: Linearisation, width: float) -> Float[np.ndarray, "rows columns"]:
+    """Derivatives of S(x_i) - x_{i+1} by the scaled states and parameter."""
     period = local.state.shape[1]
-    by_states = cyclic(local.jacobian)[0] * np.sqrt(period)
+    by_states = cycle_matrices(local.jacobian)[0] * np.sqrt(period)
     return np.append(by_states, local.by_parameter.reshape(-1, 1) * width, axis=1)
 
 
 def tangent(point: Point, width: float) -> Float[np.ndarray, " size"]:
-    """Unit vector along the branch, in scaled states and parameter; of either sign."""
-    return np.linalg.svd(derivatives(point.local, width))[2][-1]
+    """Unit tangent of the branch, in scaled states and parameter; of either sign."""
+    return np.linalg.svd(scaled_jacobian(point.local, width))[2][-1]
 
 
-def moved(
+def displace(
     point: Point, step: Float[np.ndarray, " size"], width: float
 ) -> tuple[float, Float[np.ndarray, "period section"]]:
-    """Value of the parameter and states at a scaled step from a point."""
+    """The predictor: value of the parameter and states at a scaled step from a point."""
     change = step[:-1].reshape(point.cycle.shape) * np.sqrt(len(point.cycle))
     return point.value + float(step[-1]) * width, point.cycle + change
 
 
-def between(one: Point, other: Point, width: float) -> Float[np.ndarray, " size"]:
+def scaled_step(one: Point, other: Point, width: float) -> Float[np.ndarray, " size"]:
     """The scaled step from one point to another."""
     change = (other.cycle - one.cycle).ravel() / np.sqrt(len(one.cycle))
     return np.append(change, (other.value - one.value) / width)

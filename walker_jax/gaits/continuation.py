@@ -1,4 +1,4 @@
-"""One branch of gaits, followed from a point to an end."""
+"""Continuation of one branch of gaits, from a start to an end."""
 
 from collections.abc import Generator
 from typing import NamedTuple
@@ -6,38 +6,39 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from walker_jax.gaits.arclength import Point, between, corrected, moved, tangent
-from walker_jax.gaits.events import Bifurcation, bifurcations_between, crosses_half_period
-from walker_jax.gaits.requests import Answer, Ask
+from walker_jax.gaits.arclength import Point, correct, displace, scaled_step, tangent
+from walker_jax.gaits.events import Bifurcation, crosses_half_period, find_bifurcations
+from walker_jax.gaits.requests import Request, Response
 
-FIRST, LONGEST, SHORTEST = 0.005, 0.05, 1e-7
-"""Distances along a branch: of the first step, of the longest, and of one too short to go on."""
-NEAR = 1e-3
-"""Distance at which a branch ends that comes back to the gait from which it doubled."""
-POINTS = 2000
-"""Points at most on each side of a branch."""
-BEND = 0.95
-"""Least cosine of the angle between a branch's directions at the ends of a step."""
+FIRST_STEP, LONGEST_STEP, SHORTEST_STEP = 0.005, 0.05, 1e-7
+"""Lengths of the first step along a branch, of the longest, and of the shortest, below which the
+branch ends; in widths of the range. The longest takes at least 20 steps over the range."""
+HALF_PERIOD_RESOLUTION = 1e-3
+"""Length of the step at which a branch ends that returns to the gait from which it doubled."""
+MAX_POINTS = 2000
+"""Points on each side of a branch: with the longest steps, a hundred times the range."""
+MIN_COSINE = 0.95
+"""Smallest cosine of the angle between the tangents at the ends of a step, 18 degrees."""
 
 
 class Start(NamedTuple):
-    """A gait to continue from."""
+    """A gait from which continuation starts."""
 
     value: float
     """Value of the parameter."""
     states: Float[np.ndarray, "period section"]
     direction: Float[np.ndarray, "period section"] | None = None
-    """In which to leave, the parameter standing still; both ways along the branch if none."""
+    """Direction of the first step, at a constant parameter; without one, both along the branch."""
 
 
-def doubled(doubling: Bifurcation) -> Start:
-    """Where the gait of twice the period leaves a period doubling."""
+def start_at_doubling(doubling: Bifurcation) -> Start:
+    """The start of the branch of twice the period at a period doubling."""
     cycle = np.concatenate([doubling.states, doubling.states])
     return Start(doubling.value, cycle, np.concatenate([doubling.vectors, -doubling.vectors]))
 
 
 class Path(NamedTuple):
-    """What was found on one side of a start."""
+    """One side of a branch, from its start."""
 
     points: list[Point]
     folds: list[Bifurcation]
@@ -45,47 +46,49 @@ class Path(NamedTuple):
     end: str
 
 
-def follow(start: Start, way: float, bounds: tuple[float, float]) -> Generator[Ask, Answer, Path]:
-    """Follow a branch from a start, first with the parameter growing (way 1) or falling (-1)."""
+def follow_branch(
+    start: Start, sign: float, bounds: tuple[float, float]
+) -> Generator[Request, Response, Path]:
+    """Follow a branch from a start, at first with a growing (sign 1) or falling (-1) parameter."""
     width = bounds[1] - bounds[0]
     path = Path([], [], [], "no gait")
-    first = yield from corrected(start.value, start.states, None, width)
+    first = yield from correct(start.value, start.states, None, width)
     if first is None:
         return path
     path.points.append(first)
     if start.direction is None:
         direction = tangent(first, width)
-        direction *= way if direction[-1] >= 0 else -way
+        direction *= sign if direction[-1] >= 0 else -sign
     else:
         direction = np.append(start.direction.ravel() / np.sqrt(len(start.states)), 0.0)
         direction /= np.linalg.norm(direction)
-    point, length, end = first, FIRST, "too many points"
-    while len(path.points) < POINTS:
-        reach = ((bounds[1] if direction[-1] > 0 else bounds[0]) - point.value) / width
-        if reach * direction[-1] <= 0 and direction[-1] != 0:  # there already
+    point, length, end = first, FIRST_STEP, "too many points"
+    while len(path.points) < MAX_POINTS:
+        distance = ((bounds[1] if direction[-1] > 0 else bounds[0]) - point.value) / width
+        if distance * direction[-1] <= 0 and direction[-1] != 0:  # already at the end
             end = "the end of the range"
             break
-        last = length * abs(direction[-1]) >= abs(reach)
-        if last:
-            length = reach / direction[-1]
-        row = np.append(np.zeros(len(direction) - 1), 1.0) if last else direction
-        value, cycle = moved(point, direction * length, width)
-        new = yield from corrected(value, cycle, row, width)
+        at_end = length * abs(direction[-1]) >= abs(distance)
+        if at_end:
+            length = distance / direction[-1]
+        row = np.append(np.zeros(len(direction) - 1), 1.0) if at_end else direction
+        value, cycle = displace(point, direction * length, width)
+        new = yield from correct(value, cycle, row, width)
         found = None
         if new is not None:
-            onward = tangent(new, width)
-            onward *= np.sign(onward @ direction)
-            close = np.linalg.norm(between(point, new, width) - direction * length) < length / 2
-            if close and onward @ direction > BEND:
-                found = yield from bifurcations_between(point, new, direction, onward, width)
+            next_direction = tangent(new, width)
+            next_direction *= np.sign(next_direction @ direction)
+            error = np.linalg.norm(scaled_step(point, new, width) - direction * length)
+            if error < length / 2 and next_direction @ direction > MIN_COSINE:
+                found = yield from find_bifurcations(point, new, direction, next_direction, width)
         if new is None or found is None:
             length /= 2
-            if length < SHORTEST:
+            if length < SHORTEST_STEP:
                 end = "a state makes no stride" if new is None else "the branch bends too sharply"
                 break
             continue
         if crosses_half_period(point, new):
-            if length > NEAR:
+            if length > HALF_PERIOD_RESOLUTION:
                 length /= 2
                 continue
             end = f"the gait of period {len(cycle) // 2} that it doubles"
@@ -93,19 +96,19 @@ def follow(start: Start, way: float, bounds: tuple[float, float]) -> Generator[A
         path.folds.extend(b for b in found if b.kind == "fold")
         path.doublings.extend(b for b in found if b.kind == "doubling")
         path.points.append(new)
-        if last:
+        if at_end:
             end = "the end of the range"
             break
-        if len(path.points) > 4 and passes(point, new, first, width):
+        if len(path.points) > 4 and passes_start(point, new, first, width):
             end = "the branch closes"
             break
-        point, direction, length = new, onward, min(1.5 * length, LONGEST)
+        point, direction, length = new, next_direction, min(1.5 * length, LONGEST_STEP)
     return path._replace(end=end)
 
 
-def passes(one: Point, other: Point, start: Point, width: float) -> bool:
-    """Whether a branch comes by its start, between two points."""
-    step, offset = between(one, other, width), between(one, start, width)
+def passes_start(one: Point, other: Point, start: Point, width: float) -> bool:
+    """Whether a branch passes its start between two of its points."""
+    step, offset = scaled_step(one, other, width), scaled_step(one, start, width)
     length = np.linalg.norm(step)
     along = offset @ step / length
     across = np.linalg.norm(offset - along * step / length)

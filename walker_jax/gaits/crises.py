@@ -1,4 +1,4 @@
-"""Where walking is lost, a boundary crisis: the parameter beyond which all walkers fall."""
+"""The loss of walking, a boundary crisis: the parameter beyond which all walkers fall."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from walker_jax.checks import WrongUse, check_kind, check_number, check_whole, refuses_tracers
-from walker_jax.gaits.branches import Branch, check_interval, double_tolerance
+from walker_jax.gaits.branches import Branch, check_interval, float64_tolerance
 from walker_jax.gaits.long_runs import starts_near_gaits
 from walker_jax.integrators.solvers import Real
 from walker_jax.walkers.model import Walker
@@ -14,19 +14,20 @@ from walker_jax.walkers.parameters import with_parameter
 from walker_jax.walking.iteration import iterate
 from walker_jax.walking.outcomes import Outcome
 
-PARTS = 32
-"""In which an interval is divided, at once, in search of the loss of walking."""
+VALUES_PER_PASS = 32
+"""Parts into which one pass of the search for the loss of walking divides an interval: enough to
+fill the cores with walkers."""
 
 
 class Loss(NamedTuple):
-    """Between which two values of a parameter walkers stop walking on."""
+    """The two values of a parameter between which walking is lost."""
 
     below: float
-    """The highest value tried at which one walked to the end; NaN where none did at any."""
+    """The highest value tried at which a walker made all strides; NaN where none did at any."""
     above: float
-    """The next value tried, at which all fell; NaN where one walks on at the interval's end."""
+    """The next value tried, at which all fell; NaN where one walks at the end of the interval."""
     strides: int
-    """That a walker had to make."""
+    """Strides after which a walker counts as walking."""
 
 
 @refuses_tracers()
@@ -41,18 +42,18 @@ def loss_of_walking(
     tolerance: Real | None = None,
     progress: str | None = None,
 ) -> Loss:
-    """Where walking is lost: the value of a parameter above which walkers fall.
+    """The value of a parameter above which all walkers fall, at a boundary crisis.
 
-    At each of a row of values walkers start beside the gaits of the branches there, stable or not:
-    an attractor without a period has unstable gaits all through it. The interval between the
-    highest value at which one still walks after `strides` strides and the next is divided again,
-    until it is no wider than `resolution`. What attracts walkers between two values of a row only
-    is missed, such as a gait that doubles to chaos soon after the fold it was born in: beyond the
-    loss of the main attractor there may be such gaits, and the branches show them.
+    At each value of a row, walkers start near the gaits of the branches there, stable or not:
+    unstable gaits are dense in a chaotic attractor. The interval between the highest value at which
+    one still walks after `strides` strides and the next value is divided again, until it is no
+    wider than `resolution`. The search misses attractors that exist only between two values of a
+    row, such as a gait that doubles to chaos soon after the fold at which it was born. Beyond the
+    loss of the main attractor there may be such gaits; the branches show them.
 
-    **Returns** a `Loss`. As `attractors` otherwise.
+    **Returns** a `Loss`. Otherwise as `attractors`.
     """
-    tolerance = double_tolerance(tolerance)
+    tolerance = float64_tolerance(tolerance)
     below, above = check_interval(walker, parameter, interval)
     check_whole("strides", strides)
     check_kind("branches", branches, Sequence)
@@ -60,10 +61,12 @@ def loss_of_walking(
         check_kind("branches", branch, Branch)
     check_number("resolution", resolution)
     if not resolution > np.spacing(above):
-        raise WrongUse(f"resolution must be a distance, and wider than rounding, not {resolution}")
+        raise WrongUse(
+            f"resolution must be a distance, and larger than rounding errors, not {resolution}"
+        )
     while True:
-        parts = min(PARTS, int(np.ceil((above - below) / resolution)) + 1)
-        values = np.linspace(below, above, parts + 1)
+        count = min(VALUES_PER_PASS, int(np.ceil((above - below) / resolution)) + 1)
+        values = np.linspace(below, above, count + 1)
         starts = starts_near_gaits(walker, parameter, branches, values, tolerance)
         keep = np.isfinite(starts).all(axis=2)
         where = np.nonzero(keep)[0]

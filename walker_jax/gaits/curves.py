@@ -1,7 +1,7 @@
-"""Curves of gaits over a parameter, as a bifurcation diagram holds them, and its cascade.
+"""Curves of gaits over a parameter, read from a bifurcation diagram, and its cascade.
 
-The cascade is the most stable gait of period one, the gaits that leave it at its period doublings,
-those that leave these, and so on.
+The cascade is the most stable gait of period one, the gaits that branch off at its period
+doublings, those that branch off at theirs, and so on.
 """
 
 from typing import NamedTuple
@@ -12,24 +12,24 @@ from jaxtyping import Bool, Complex, Float
 
 from walker_jax.walking.outcomes import Outcome
 
-PARTS = 16
-"""Into which the interval between two points of a curve is cut for its multipliers: their modulus
-has kinks, where two of them meet, and looks smooth elsewhere."""
+PARTS_PER_INTERVAL = 16
+"""Parts of the interval between two points of a curve, for its multipliers: where two of them meet
+their modulus has a kink, and elsewhere it looks smooth."""
 
 
 class Curve(NamedTuple):
-    """A branch of gaits, with its bifurcations in their places among its points."""
+    """A branch of gaits, with its bifurcations among its points."""
 
     number: int
-    """Of the branch."""
+    """Number of the branch."""
     period: int
     value: Float[np.ndarray, " n"]
-    """Of the parameter."""
+    """Values of the parameter."""
     states: Float[np.ndarray, "n period"]
     """The first coordinate at the start of each stride."""
     multipliers: Complex[np.ndarray, "n order"]
     stable: Bool[np.ndarray, " n"]
-    """True for bifurcations too, at which both stable and unstable parts may end."""
+    """Also true at bifurcations, where stable and unstable parts meet."""
     doublings: Float[np.ndarray, " doublings"]
     """Values of the parameter at its period doublings."""
 
@@ -39,12 +39,12 @@ class Curve(NamedTuple):
         return np.abs(self.multipliers).max(axis=1)
 
     @property
-    def stable_pieces(self) -> Bool[np.ndarray, " pieces"]:
+    def stable_intervals(self) -> Bool[np.ndarray, " pieces"]:
         """Whether the gaits between each point and the next are stable."""
         return self.stable[:-1] & self.stable[1:]
 
 
-def curves(data: xr.Dataset) -> list[Curve]:
+def read_curves(data: xr.Dataset) -> list[Curve]:
     """The branches of a data set of the kind "gait branches"."""
     branch, event_branch = data["branch"].values, data["event_branch"].values
     states, event_states = (first_coordinate(data[name]) for name in ("states", "event_states"))
@@ -79,12 +79,12 @@ def insert_event(
     states: Float[np.ndarray, " period"],
     multipliers: Complex[np.ndarray, " order"],
 ) -> Curve:
-    """A curve with a bifurcation between those two of its points where the detour is least."""
+    """A curve with a bifurcation, between the two points where it lengthens the curve least."""
     path = np.column_stack([curve.value, curve.states])
     scale = np.maximum(np.ptp(path, axis=0), np.finfo(float).tiny)
-    legs = np.linalg.norm(np.diff(path, axis=0) / scale, axis=1)
-    away = np.linalg.norm((path - [value, *states]) / scale, axis=1)
-    at = int((away[:-1] + away[1:] - legs).argmin()) + 1 if len(legs) else 1
+    lengths = np.linalg.norm(np.diff(path, axis=0) / scale, axis=1)
+    distances = np.linalg.norm((path - [value, *states]) / scale, axis=1)
+    at = int((distances[:-1] + distances[1:] - lengths).argmin()) + 1 if len(lengths) else 1
     return curve._replace(
         value=np.insert(curve.value, at, value),
         states=np.insert(curve.states, at, states, axis=0),
@@ -96,18 +96,18 @@ def insert_event(
 def cascade_curves(data: xr.Dataset) -> list[Curve]:
     """The curves of the cascade, that of period one first."""
     members = data["branch"].values[data["on_cascade"].values.astype(bool)]
-    return [curve for curve in curves(data) if curve.number in members]
+    return [curve for curve in read_curves(data) if curve.number in members]
 
 
 def interpolate_multipliers(curve: Curve) -> Curve:
-    """A curve with points between its own.
+    """A curve with interpolated points between its own.
 
-    The coefficients of the polynomial whose roots are the multipliers change linearly there.
+    The coefficients of the polynomial whose roots are the multipliers are interpolated linearly.
     """
     count = len(curve.value)
     if count < 2:
         return curve
-    at = np.linspace(0, count - 1, PARTS * (count - 1) + 1)
+    at = np.linspace(0, count - 1, PARTS_PER_INTERVAL * (count - 1) + 1)
     low = np.minimum(at.astype(int), count - 2)
     share = (at - low)[:, None]
     polynomials = np.array([np.poly(row) for row in curve.multipliers])
@@ -115,12 +115,12 @@ def interpolate_multipliers(curve: Curve) -> Curve:
         (1 - share) * points[low] + share * points[low + 1]
         for points in (curve.value[:, None], curve.states, polynomials)
     )
-    between = share[:, 0] % 1 > 0
+    inside = share[:, 0] % 1 > 0
     return curve._replace(
         value=value[:, 0],
         states=states,
         multipliers=np.array([np.roots(row) for row in polynomials], complex),
-        stable=np.where(between, curve.stable_pieces[low], curve.stable[at.astype(int)]),
+        stable=np.where(inside, curve.stable_intervals[low], curve.stable[at.astype(int)]),
     )
 
 
@@ -130,15 +130,14 @@ def first_coordinate(states: xr.DataArray) -> Float[np.ndarray, "..."]:
 
 
 def attractor_states(data: xr.Dataset) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Values of the parameter, and first coordinates, of all recorded states of walkers that never
-    fall."""
+    """Values of the parameter and first coordinates of all recorded states on attractors."""
     orbit = first_coordinate(data["orbit"])
     known = np.isfinite(orbit) & (data["fate"].values == Outcome.STRIDE)[..., None]
     return data["sample_value"].values[np.nonzero(known)[0]], orbit[known]
 
 
 def loss_of_attractor(data: xr.Dataset) -> float:
-    """The middle of the interval in which walking is lost; NaN where it is not lost."""
+    """The middle of the interval in which walking is lost; NaN where it is not."""
     return float(data["lost"].values.mean())
 
 

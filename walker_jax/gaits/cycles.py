@@ -13,20 +13,24 @@ from walker_jax.integrators.series import evaluate
 from walker_jax.walkers.model import Walker
 from walker_jax.walking.stepping import follow_stride
 
-RESIDUAL = {jnp.dtype("float64"): 1e-10, jnp.dtype("float32"): 1e-4}
-"""By how much a stride of what is called a gait may miss the next state."""
-DISTINCT = {jnp.dtype("float64"): 1e-8, jnp.dtype("float32"): 1e-3}
-"""States closer than this, in every coordinate, are one."""
-NEWTON_STEPS = 40
+MAX_RESIDUAL = {jnp.dtype("float64"): 1e-10, jnp.dtype("float32"): 1e-4}
+"""Largest residual of a gait: above the rounding errors of a stride, and below the distance between
+two gaits."""
+SAME_STATE_DISTANCE = {jnp.dtype("float64"): 1e-8, jnp.dtype("float32"): 1e-3}
+"""States closer than this in every coordinate count as one: a hundred times the largest residual
+in float64, ten times in float32."""
+MAX_SEARCH_STEPS = 40
+"""Newton steps of a search. Near a gait the iteration converges quadratically, in a few steps; one
+that takes more than this is far from any."""
 
 
 class Gait(NamedTuple):
-    """A cycle of strides; or what a search that found none ended with."""
+    """A cycle of strides, or the end of a search that found none."""
 
     states: Float[Array | np.ndarray, "period section"]
     """Start of each stride."""
     multipliers: Complex[Array | np.ndarray, " section"]
-    """Eigenvalues of the Jacobian of the cycle, the largest first."""
+    """Floquet multipliers: eigenvalues of the Jacobian of the cycle, the largest first."""
     step_times: Float[Array | np.ndarray, " period"]
     """Duration of each stride."""
     stable: Bool[Array | np.ndarray, ""]
@@ -36,13 +40,13 @@ class Gait(NamedTuple):
     found: Bool[Array | np.ndarray, ""]
     """Whether this is a gait, of its period and no shorter one; a walk over the period repeats it.
 
-    The residual is rounding, and rounding does not move the states: within about 1e-9 of a
-    bifurcation with a multiplier of 1 it does, and nothing is found.
+    It is false where the residual exceeds rounding, or where rounding errors could move the states
+    noticeably: so within about 1e-9 of a bifurcation with a multiplier of 1.
     """
 
 
-def nowhere(gait: Gait) -> Gait:
-    """NaN for what only a gait has."""
+def clear_values(gait: Gait) -> Gait:
+    """A failed search, with NaN for its states, multipliers and step times."""
     states, multipliers, times = (np.full_like(x, np.nan) for x in gait[:3])
     return gait._replace(states=states, multipliers=multipliers, step_times=times)
 
@@ -51,32 +55,34 @@ def nowhere(gait: Gait) -> Gait:
 def solve_cycle(
     walker: Walker, states: Float[Array, "period section"], tolerance: Float[Array, ""]
 ) -> Gait:
-    """Newton's iteration on all states of a cycle, and what there is to know of the result."""
+    """The gait to which Newton's iteration on all states of a cycle converges."""
     dtype = states.dtype
     accuracy = 500 * float(jnp.finfo(dtype).eps)
     solution = optimistix.root_find(
-        mismatch,
+        cycle_mismatch,
         optimistix.Newton(rtol=accuracy, atol=accuracy),
         states,
         args=(walker, tolerance),
-        max_steps=NEWTON_STEPS,
+        max_steps=MAX_SEARCH_STEPS,
         throw=False,
     )
     states = solution.value
-    along = lambda states: advance(walker, states, tolerance)
-    (ends, times), derivative = jax.linearize(along, states)
+    apply = lambda states: apply_strides(walker, states, tolerance)
+    (ends, times), derivative = jax.linearize(apply, states)
     basis = jnp.eye(states.shape[1], dtype=dtype)
-    one_by_one = lambda direction: derivative(jnp.broadcast_to(direction, states.shape))[0]
+    apply_jacobian = lambda direction: derivative(jnp.broadcast_to(direction, states.shape))[0]
     jacobian = basis
-    for factor in jax.vmap(one_by_one, out_axes=2)(basis):
+    for factor in jax.vmap(apply_jacobian, out_axes=2)(basis):
         jacobian = factor @ jacobian
     multipliers = eigenvalues(jacobian)
     multipliers = multipliers[jnp.lexsort((-multipliers.imag, -jnp.abs(multipliers)))]
     residual = jnp.abs(ends - jnp.roll(states, -1, axis=0)).max()
-    found = (residual < RESIDUAL[dtype]) & ~repeats(states)
+    found = (residual < MAX_RESIDUAL[dtype]) & ~has_shorter_period(states)
     unit = jnp.eye(states.size, dtype=dtype).reshape(-1, *states.shape)
     rows = jax.vmap(lambda change: derivative(change)[0] - jnp.roll(change, -1, axis=0))(unit)
-    found &= uncertainty(residual, rows.reshape(states.size, -1)) < DISTINCT[dtype] / 10
+    found &= (
+        estimate_error(residual, rows.reshape(states.size, -1)) < SAME_STATE_DISTANCE[dtype] / 10
+    )
     # Multiplied, so that derivatives are NaN too.
     known = jnp.where(found, 1, jnp.nan).astype(dtype)
     return Gait(
@@ -92,8 +98,8 @@ def solve_cycle(
 def eigenvalues(matrix: Float[Array, "n n"]) -> Complex[Array, " n"]:
     """Eigenvalues of a matrix, with derivatives up to the third order where they are distinct.
 
-    Those that LAPACK finds are roots of the characteristic polynomial (Faddeev and LeVerrier), and
-    two steps of Newton's say how these depend on the matrix.
+    LAPACK finds them. They are the roots of the characteristic polynomial (Faddeev and LeVerrier),
+    and two of Newton's steps on it give their dependence on the matrix.
     """
     n = len(matrix)
     minors, coefficients = jnp.zeros_like(matrix), [jnp.ones_like(matrix[0, 0])]
@@ -105,21 +111,21 @@ def eigenvalues(matrix: Float[Array, "n n"]) -> Complex[Array, " n"]:
     lower = lambda terms: [c.astype(roots.dtype) for c in terms[::-1]]
     remainder = lax.stop_gradient(evaluate(lower(coefficients), roots))
     for _ in range(2):
-        miss = evaluate(lower(coefficients), roots) - remainder
-        roots = roots - miss / evaluate(lower(slopes), roots)
+        value = evaluate(lower(coefficients), roots) - remainder
+        roots = roots - value / evaluate(lower(slopes), roots)
     return roots
 
 
-def mismatch(
+def cycle_mismatch(
     states: Float[Array, "period section"], args: tuple[Walker, Float[Array, ""]]
 ) -> Float[Array, "period section"]:
     """S(x_i) - x_{i+1} for the states of a cycle; zero for a gait."""
     walker, tolerance = args
-    ends, _ = advance(walker, states, tolerance)
+    ends, _ = apply_strides(walker, states, tolerance)
     return ends - jnp.roll(states, -1, axis=0)
 
 
-def advance(
+def apply_strides(
     walker: Walker, states: Float[Array, "n section"], tolerance: Float[Array, ""]
 ) -> tuple[Float[Array, "n section"], Float[Array, " n"]]:
     """The ends of strides, and their durations."""
@@ -127,25 +133,25 @@ def advance(
     return ends.state, ends.time
 
 
-def uncertainty(residual, matrix):
-    """How far the states of a cycle may be from those of a gait.
+def estimate_error(residual, matrix):
+    """A bound on the distance from the states of a cycle to those of a gait.
 
-    As far as the residual, and rounding, move the solution of the linear equations that Newton's
-    iteration solves: divided by the smallest singular value of their matrix.
+    (residual + rounding) / (smallest singular value of the matrix), the change of the solution of
+    the linear equations of Newton's iteration.
     """
     linalg = jnp.linalg if isinstance(matrix, jax.Array) else np.linalg
     smallest = linalg.svd(matrix, compute_uv=False)[..., -1]
     return (residual + 4 * float(jnp.finfo(residual.dtype).eps)) / smallest
 
 
-def repeats(states) -> Bool[Array | np.ndarray, "..."]:
-    """Whether cycles, of shape (..., period, section), repeat themselves within their period."""
+def has_shorter_period(states) -> Bool[Array | np.ndarray, "..."]:
+    """Whether cycles, of shape (..., period, section), have a shorter period than theirs."""
     period, numpy = states.shape[-2], jnp if isinstance(states, jax.Array) else np
     shorter = numpy.zeros(states.shape[:-2], bool)
     for shift in range(1, period):
         if period % shift == 0:
-            moved = numpy.abs(states - numpy.roll(states, shift, axis=-2)).max(axis=(-2, -1))
-            shorter = shorter | (moved < DISTINCT[jnp.dtype(states.dtype)])
+            change = numpy.abs(states - numpy.roll(states, shift, axis=-2)).max(axis=(-2, -1))
+            shorter = shorter | (change < SAME_STATE_DISTANCE[jnp.dtype(states.dtype)])
     return shorter
 
 
@@ -154,7 +160,7 @@ def gait_at(gaits: Gait, index: int | np.integer | Bool[np.ndarray, " n"]) -> Ga
     return Gait(*(field[index] for field in gaits))
 
 
-def cyclic(
+def cycle_matrices(
     jacobians: Float[np.ndarray, "n period section section"], multiplier: float = 1.0
 ) -> Float[np.ndarray, "n size size"]:
     """The matrices of x -> (J_i x_i - x_{i+1}) over a cycle, with x_{k+1} = multiplier x_1."""
@@ -167,7 +173,7 @@ def cyclic(
     return matrix.reshape(n, period * size, period * size)
 
 
-def solve(
+def solve_linear_systems(
     matrices: Float[np.ndarray, "n size size"], vectors: Float[np.ndarray, "n size"]
 ) -> Float[np.ndarray, "n size"]:
     """Solutions of many linear systems; of each that is singular, by least squares."""
@@ -179,42 +185,46 @@ def solve(
     return solutions
 
 
-def product(
+def multiply_jacobians(
     jacobians: Float[np.ndarray, "n period section section"],
 ) -> Float[np.ndarray, "n section section"]:
-    """J_k ... J_1, the Jacobians of whole cycles."""
-    whole = jacobians[:, 0]
+    """The Jacobians of whole cycles, J_k ... J_1."""
+    cycle_jacobians = jacobians[:, 0]
     for i in range(1, jacobians.shape[1]):
-        whole = jacobians[:, i] @ whole
-    return whole
+        cycle_jacobians = jacobians[:, i] @ cycle_jacobians
+    return cycle_jacobians
 
 
-def multipliers_of(
-    whole: Float[np.ndarray, "n section section"],
+def find_multipliers(
+    cycle_jacobians: Float[np.ndarray, "n section section"],
 ) -> Complex[np.ndarray, "n section"]:
     """Eigenvalues of the Jacobians of whole cycles, the largest first."""
-    values = np.linalg.eigvals(whole)
-    values = values.astype(np.result_type(whole, np.complex64))
-    return np.take_along_axis(values, largest_first(values), axis=-1)
+    values = np.linalg.eigvals(cycle_jacobians)
+    values = values.astype(np.result_type(cycle_jacobians, np.complex64))
+    return np.take_along_axis(values, order_by_modulus(values), axis=-1)
 
 
-def largest_first(values: Complex[np.ndarray, "..."]) -> Int[np.ndarray, "..."]:
+def order_by_modulus(values: Complex[np.ndarray, "..."]) -> Int[np.ndarray, "..."]:
     """The order of multipliers along the last axis; of a conjugate pair, the upper one first."""
     return np.lexsort((-np.imag(values), -np.abs(values)), axis=-1)
 
 
-def distinct(gaits: Gait) -> Gait:
-    """The gaits found, each once, from its state of the smallest first coordinate on."""
-    chosen = gait_at(gaits, np.asarray(gaits.found))
-    states, times = np.asarray(chosen.states), np.asarray(chosen.step_times)
+def remove_duplicates(gaits: Gait) -> Gait:
+    """The gaits found, each once, from its state with the smallest first coordinate."""
+    found = gait_at(gaits, np.asarray(gaits.found))
+    states, times = np.asarray(found.states), np.asarray(found.step_times)
     first = states[..., 0].argmin(axis=1)
-    turns = (first[:, None] + np.arange(states.shape[1])) % states.shape[1]
-    turned = np.take_along_axis(states, turns[..., None], axis=1)
-    chosen = chosen._replace(states=turned, step_times=np.take_along_axis(times, turns, axis=1))
-    order = np.argsort(turned[:, 0, 0], kind="stable")
+    order_in_cycle = (first[:, None] + np.arange(states.shape[1])) % states.shape[1]
+    rotated = np.take_along_axis(states, order_in_cycle[..., None], axis=1)
+    times = np.take_along_axis(times, order_in_cycle, axis=1)
+    found = found._replace(states=rotated, step_times=times)
+    order = np.argsort(rotated[:, 0, 0], kind="stable")
     kept = []
     while len(order):
         kept.append(order[0])
-        far = np.abs(turned[order] - turned[order[0]]).max(axis=(1, 2)) > DISTINCT[states.dtype]
+        far = (
+            np.abs(rotated[order] - rotated[order[0]]).max(axis=(1, 2))
+            > SAME_STATE_DISTANCE[states.dtype]
+        )
         order = order[far]
-    return Gait(*(field[kept] for field in chosen))
+    return Gait(*(field[kept] for field in found))

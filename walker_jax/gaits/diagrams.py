@@ -1,8 +1,8 @@
-"""Bifurcation diagrams: all gaits over a parameter of the walker, and what walkers come to.
+"""Bifurcation diagrams: all gaits over a parameter of the walker, and its attractors.
 
-Gaits are searched for at some values of the parameter and followed from there (`branches`), which
-shows how each is born, loses its stability and ends. What walkers come to, gaits or motions that
-never repeat themselves, is seen by following walkers that start close to the gaits, stable or not.
+Searches find gaits at some values of the parameter. Continuation from these (`branches`) shows how
+each gait is born, loses its stability and ends. Walkers that start near the gaits, stable or not,
+converge to the attractors, which are gaits or aperiodic.
 """
 
 from collections.abc import Sequence
@@ -14,33 +14,35 @@ import xarray as xr
 from jaxtyping import Float
 
 from walker_jax.checks import check_whole, refuses_tracers
-from walker_jax.gaits.arclength import corrected
+from walker_jax.gaits.arclength import correct
 from walker_jax.gaits.branches import (
     Branch,
     check_interval,
     continue_gaits,
-    crossings,
-    double_tolerance,
+    float64_tolerance,
+    interpolate_cycles,
 )
-from walker_jax.gaits.continuation import Start, doubled
+from walker_jax.gaits.continuation import Start, start_at_doubling
 from walker_jax.gaits.crises import Loss, loss_of_walking
-from walker_jax.gaits.cycles import Gait, distinct
-from walker_jax.gaits.long_runs import SAME, attractors, starts_near_gaits
-from walker_jax.gaits.requests import together
-from walker_jax.gaits.search import cycle_guesses, search
+from walker_jax.gaits.cycles import Gait, remove_duplicates
+from walker_jax.gaits.long_runs import RECURRENCE_DISTANCE, attractors, starts_near_gaits
+from walker_jax.gaits.requests import run_batched
+from walker_jax.gaits.search import cycle_guesses, iterate_newton
 from walker_jax.integrators.solvers import Real
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import with_parameter
 from walker_jax.walking.iteration import select_walkers
 
 NO_START = -1
-"""Fate where there are fewer starts than at other values."""
-SEARCHED = 6
-"""Longest period of which gaits are searched that no doubling leads to."""
-SAMPLES = 16
-"""Values of the parameter at which gaits are searched."""
-SPARSE = 32
-"""One in how many cells of a gait region gaits are searched from there."""
+"""Fate of missing starts, where a value has fewer of them than others."""
+LONGEST_SEARCHED_PERIOD = 6
+"""Longest period for which gaits are searched; those of longer ones are reached by doublings only.
+Each stride more makes every search longer."""
+SEARCH_VALUES = 16
+"""Values of the parameter at which gaits are searched, equally spaced over the interval."""
+CELLS_PER_SEARCH = 32
+"""Cells of a gait region for each search: one in so many is a guess, as continuation needs one gait
+of a branch only."""
 
 
 @refuses_tracers()
@@ -55,13 +57,13 @@ def bifurcation_diagram(
     tolerance: Real | None = None,
     progress: bool = False,
 ) -> xr.Dataset:
-    """Every gait over a range of a parameter, how each is born and lost, and what walkers come to.
+    """The gaits over a range of a parameter, their bifurcations, and the attractors.
 
-    Gaits are searched at `SAMPLES` values in the range, from the walker's `gait_region`, for all
-    periods up to `period_max` or `SEARCHED`. Their branches are followed, and those that leave them
-    at period doublings, up to `period_max`. Then walkers start close to the gaits at `scan` values,
-    and at more where walking is lost. A branch that is shorter than the samples are apart may be
-    missed, and so may a gait that no search comes to.
+    Searches from the walker's `gait_region`, at `SEARCH_VALUES` values in the range, find gaits of
+    all periods up to `period_max` or `LONGEST_SEARCHED_PERIOD`. Their branches are followed, and
+    those that branch off at period doublings, up to `period_max`. Then walkers start near the gaits
+    at `scan` values, and at more where walking is lost. The diagram may miss a branch between two
+    neighbouring values, and a gait to which no search converges.
 
     **Arguments:**
 
@@ -69,9 +71,9 @@ def bifurcation_diagram(
     - `parameter`: name of one of its parameters.
     - `interval`: lowest and highest value of it.
     - `period_max`: longest period of the branches.
-    - `strides`: that a walker makes before it counts as walking for ever.
-    - `scan`: number of values at which the attractors are recorded, and once more that many
-      between the first doubling of the cascade and the loss of walking.
+    - `strides`: number that a walker makes before it counts as converging to an attractor.
+    - `scan`: number of values at which the attractors are recorded; as many again between the first
+      doubling of the cascade and the loss of walking.
     - `tolerance`: of the integration, as in `stride`.
     - `progress`: whether to show progress on a terminal.
 
@@ -83,50 +85,50 @@ def bifurcation_diagram(
     - `event`, the bifurcations: `event_fold` (a fold, or a doubling), `event_branch`,
       `event_period`, `event_value`, `event_states`, `event_multipliers`, and whether it belongs to
       the `cascade`: the doublings of the most stable period-one gait (the simplest walker's long
-      one), and of the gaits that stem from it;
+      one), and of its descendants;
     - `sample`, the values of the scan: `sample_value`, and what `attractors` gives: `fate`,
-      `strides`, `orbit` and `attractor_period`, each over `start` too; a fate of -1 fills up the
-      starts, one beside each gait;
+      `strides`, `orbit` and `attractor_period`, each over `start` too, with one start near each
+      gait; a fate of -1 marks missing starts;
     - `lost`: the values between which walking is lost, as `Loss`.
 
-    `ValueError` for a wrong parameter, range or number.
+    Raises `ValueError` for a wrong parameter, range or number.
     """
-    tolerance = double_tolerance(tolerance)
+    tolerance = float64_tolerance(tolerance)
     low, high = check_interval(walker, parameter, interval)
     for name, number in {"period_max": period_max, "strides": strides, "scan": scan}.items():
         check_whole(name, number)
     branches: list[Branch] = []
-    stems: list[int] = []
+    parents: list[int] = []
 
-    def follow_all(starts: list[Start], stem: int) -> None:
-        """Add the branches of starts to the known ones, each once."""
+    def follow_all(starts: list[Start], parent: int) -> None:
+        """Add the branches of starts to the known ones, each of them once."""
         for start, branch in zip(
             starts,
             continue_gaits(walker, parameter, (low, high), starts, tolerance=tolerance),
             strict=True,
         ):
-            own = start.direction is not None or unknown(
+            new = start.direction is not None or select_new_starts(
                 walker, parameter, branches, [start], tolerance
             )
-            if len(branch.values) > 1 and own:
+            if len(branch.values) > 1 and new:
                 branches.append(branch)
-                stems.append(stem)
+                parents.append(parent)
 
     for period in range(1, period_max + 1):
         for i, branch in enumerate(list(branches)):
             if 2 * branch.period == period:
-                follow_all([doubled(doubling) for doubling in branch.doublings], i)
-        if period > SEARCHED:
+                follow_all([start_at_doubling(doubling) for doubling in branch.doublings], i)
+        if period > LONGEST_SEARCHED_PERIOD:
             continue
-        for starts in gaits_at(
-            walker, parameter, np.linspace(low, high, SAMPLES), period, tolerance
+        for starts in find_starts(
+            walker, parameter, np.linspace(low, high, SEARCH_VALUES), period, tolerance
         ):
-            follow_all(unknown(walker, parameter, branches, starts, tolerance), -1)
+            follow_all(select_new_starts(walker, parameter, branches, starts, tolerance), -1)
 
     for i, branch in enumerate(branches):
-        if stems[i] < 0 and branch.period in (2, 4, 8, 16, 32, 64):
-            stems[i] = stem_outside(walker, parameter, branches, i, (low, high), tolerance)
-    members = family(branches, stems)
+        if parents[i] < 0 and branch.period in (2, 4, 8, 16, 32, 64):
+            parents[i] = find_parent_below(walker, parameter, branches, i, (low, high), tolerance)
+    members = find_descendants(branches, parents)
     options: Any = dict(tolerance=tolerance, progress="walkers" if progress else None)
     loss = loss_of_walking(walker, parameter, (low, high), branches, strides=strides, **options)
     values = np.linspace(low, high, scan)
@@ -136,10 +138,10 @@ def bifurcation_diagram(
     starts = starts_near_gaits(walker, parameter, branches, values, tolerance)
     scanned = attractors(walker, parameter, values, starts, strides=strides, **options)
     scanned["fate"] = scanned["fate"].where(np.isfinite(starts).all(axis=2), NO_START)
-    return diagram(walker, parameter, branches, members, scanned, loss)
+    return assemble_diagram(walker, parameter, branches, members, scanned, loss)
 
 
-def stem_outside(
+def find_parent_below(
     walker: Walker,
     parameter: str,
     branches: list[Branch],
@@ -147,9 +149,10 @@ def stem_outside(
     interval: tuple[float, float],
     tolerance: Real,
 ) -> int:
-    """The branch that a branch doubles at a value below the interval, or -1.
+    """The branch from which a branch doubles at a value below the interval, or -1.
 
-    It is followed down to its doubling, and the gait of half the period back up into the interval.
+    The branch is followed down to the doubling, and the gait of half the period back up into the
+    interval.
     """
     branch, (low, high) = branches[number], interval
     wider = (low / 2 if low > 0 else 2 * low - high, high)
@@ -160,76 +163,80 @@ def stem_outside(
     for end, reason in ((0, down.ends[0]), (-1, down.ends[1])):
         if reason.startswith("the gait of period"):
             states = (down.states[end][:half] + down.states[end][half:]) / 2
-            stem = Start(float(down.values[end]), states)
-            (up,) = continue_gaits(walker, parameter, wider, [stem], tolerance=tolerance)
+            parent = Start(float(down.values[end]), states)
+            (up,) = continue_gaits(walker, parameter, wider, [parent], tolerance=tolerance)
             inside = np.flatnonzero((up.values >= low) & (up.values <= high))
             for i, other in enumerate(branches):
                 if other.period == half and len(inside):
                     point = Start(float(up.values[inside[0]]), up.states[inside[0]])
-                    if not unknown(walker, parameter, [other], [point], tolerance):
+                    if not select_new_starts(walker, parameter, [other], [point], tolerance):
                         return i
     return -1
 
 
-def family(branches: list[Branch], stems: list[int]) -> list[int]:
-    """Numbers of the most stable period-one branch, of those that stem from it, and so on."""
-    singles = [i for i, branch in enumerate(branches) if branch.period == 1]
-    members = sorted(singles, key=lambda i: np.abs(branches[i].multipliers[:, 0]).min())[:1]
+def find_descendants(branches: list[Branch], parents: list[int]) -> list[int]:
+    """Numbers of the most stable branch of period one and of all its descendants."""
+    period_one = [i for i, branch in enumerate(branches) if branch.period == 1]
+    members = sorted(period_one, key=lambda i: np.abs(branches[i].multipliers[:, 0]).min())[:1]
     for member in members:
-        members += [i for i, stem in enumerate(stems) if stem == member]
+        members += [i for i, parent in enumerate(parents) if parent == member]
     return members
 
 
-def gaits_at(
+def find_starts(
     walker: Walker,
     parameter: str,
     values: Float[np.ndarray, " values"],
     period: int,
     tolerance: Real,
 ) -> list[list[Start]]:
-    """The gaits of a period that searches from some cells find, for each of many values."""
+    """The gaits of a period that searches find at each of many values."""
     points = []
     for value in values:
         grid = with_parameter(walker, parameter, value).gait_region()
-        points.append(grid.centres(np.arange(0, grid.size, SPARSE)))
+        points.append(grid.centres(np.arange(0, grid.size, CELLS_PER_SEARCH)))
     walkers = with_parameter(walker, parameter, np.repeat(values, [len(p) for p in points]))
-    left, cycles = cycle_guesses(walkers, np.concatenate(points), period, tolerance)
-    walkers = select_walkers(walkers, left)
-    found = search(walkers, cycles, tolerance)
+    walking, cycles = cycle_guesses(walkers, np.concatenate(points), period, tolerance)
+    walkers = select_walkers(walkers, walking)
+    found = iterate_newton(walkers, cycles, tolerance)
     at = getattr(walkers, parameter)
     starts = []
     for value in values:
-        gaits = distinct(Gait(*(field[at == value] for field in found)))
+        gaits = remove_duplicates(Gait(*(field[at == value] for field in found)))
         starts.append([Start(float(value), states) for states in gaits.states])
     return starts
 
 
-def unknown(
+def select_new_starts(
     walker: Walker,
     parameter: str,
     branches: Sequence[Branch],
     starts: Sequence[Start],
     tolerance: Real | None,
 ) -> list[Start]:
-    """Those of many starts that are on none of the branches."""
-    left = []
+    """The starts that lie on none of the branches."""
+    new = []
     for start in starts:
         period = len(start.states)
         guesses = [
             cycle
             for branch in branches
             if branch.period == period
-            for cycle in crossings(branch, start.value)
+            for cycle in interpolate_cycles(branch, start.value)
         ]
-        tasks = [corrected(start.value, cycle, None, 1.0) for cycle in guesses]
-        points = [point for point in together(walker, parameter, tasks, tolerance) if point]
-        turned = [np.roll(start.states, shift, axis=0) for shift in range(period)]
-        if all(np.abs(p.cycle - states).max() > SAME for p in points for states in turned):
-            left.append(start)
-    return left
+        tasks = [correct(start.value, cycle, None, 1.0) for cycle in guesses]
+        points = [point for point in run_batched(walker, parameter, tasks, tolerance) if point]
+        rotations = [np.roll(start.states, shift, axis=0) for shift in range(period)]
+        if all(
+            np.abs(p.cycle - states).max() > RECURRENCE_DISTANCE
+            for p in points
+            for states in rotations
+        ):
+            new.append(start)
+    return new
 
 
-def diagram(
+def assemble_diagram(
     walker: Walker,
     parameter: str,
     branches: list[Branch],
@@ -241,17 +248,17 @@ def diagram(
     size = len(walker.section)
     phases = max((branch.period for branch in branches), default=1)
 
-    def padded(arrays: list[np.ndarray], *shape: int) -> np.ndarray:
-        """Arrays over (points, period, ...) below each other, NaN after each period."""
+    def pad(arrays: list[np.ndarray], *shape: int) -> np.ndarray:
+        """Arrays over (points, period, ...), concatenated and padded with NaN after each period."""
         full = [np.full((len(a), phases, *shape), np.nan) for a in arrays]
-        for whole, a in zip(full, arrays, strict=True):
-            whole[:, : a.shape[1]] = a
+        for padded, a in zip(full, arrays, strict=True):
+            padded[:, : a.shape[1]] = a
         return np.concatenate([np.zeros((0, phases, *shape)), *full])
 
-    def flat(arrays: list[Any], dtype=float) -> np.ndarray:
+    def flatten(arrays: list[Any], dtype=float) -> np.ndarray:
         return np.concatenate([np.zeros(0, dtype), *arrays]).astype(dtype)
 
-    def parts(multipliers: list[np.ndarray]) -> np.ndarray:
+    def real_and_imaginary(multipliers: list[np.ndarray]) -> np.ndarray:
         whole = np.concatenate([np.zeros((0, size), complex), *multipliers])
         return np.stack([np.real(whole), np.imag(whole)], axis=-1)
 
@@ -262,14 +269,14 @@ def diagram(
         {
             "branch": ("gait", np.repeat(numbers, counts)),
             "period": ("gait", np.repeat([b.period for b in branches], counts).astype(int)),
-            "value": ("gait", flat([b.values for b in branches])),
-            "states": (("gait", "phase", "coordinate"), padded([b.states for b in branches], size)),
-            "step_times": (("gait", "phase"), padded([b.step_times for b in branches])),
+            "value": ("gait", flatten([b.values for b in branches])),
+            "states": (("gait", "phase", "coordinate"), pad([b.states for b in branches], size)),
+            "step_times": (("gait", "phase"), pad([b.step_times for b in branches])),
             "multipliers": (
                 ("gait", "order", "part"),
-                parts([b.multipliers for b in branches]),
+                real_and_imaginary([b.multipliers for b in branches]),
             ),
-            "stable": ("gait", flat([b.stable for b in branches], bool)),
+            "stable": ("gait", flatten([b.stable for b in branches], bool)),
             "on_cascade": ("gait", np.repeat(np.isin(numbers, members), counts)),
             "event_fold": ("event", np.array([b.kind == "fold" for _, b in events], bool)),
             "event_branch": ("event", np.array([i for i, _ in events], int)),
@@ -277,11 +284,11 @@ def diagram(
             "event_value": ("event", np.array([b.value for _, b in events], float)),
             "event_states": (
                 ("event", "phase", "coordinate"),
-                padded([b.states[None] for _, b in events], size),
+                pad([b.states[None] for _, b in events], size),
             ),
             "event_multipliers": (
                 ("event", "order", "part"),
-                parts([b.multipliers[None] for _, b in events]),
+                real_and_imaginary([b.multipliers[None] for _, b in events]),
             ),
             "cascade": ("event", np.array([i in members for i, _ in events], bool)),
             "sample_value": ("sample", scanned["value"].values),

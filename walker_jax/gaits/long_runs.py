@@ -8,25 +8,24 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from walker_jax.checks import WrongUse, check_whole, numbers, refuses_tracers
-from walker_jax.gaits.arclength import corrected
-from walker_jax.gaits.branches import Branch, crossings, double_tolerance
-from walker_jax.gaits.requests import together
+from walker_jax.gaits.arclength import correct
+from walker_jax.gaits.branches import Branch, float64_tolerance, interpolate_cycles
+from walker_jax.gaits.requests import run_batched
 from walker_jax.integrators.solvers import Real
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 from walker_jax.walking.iteration import iterate, orbits, select_walkers
 from walker_jax.walking.outcomes import Outcome
 
-RECENT = 64
-"""States of an orbit that are recorded, and the longest period that is recognised."""
+RECORDED_STATES = 64
+"""Recorded states of an orbit, which bound the periods that are recognised."""
 START_OFFSET = 1e-6
-"""Distance from a gait, in the first coordinate, at which walkers start.
-
-Walkers converge to stable ones: their basins are no wider than this where they are born. From
-unstable ones they leave for what attracts them.
-"""
-SAME = 1e-6
-"""Distance, in every coordinate, within which two states of an orbit count as the same."""
+"""Distance from a gait, in the first coordinate, at which walkers start: small, so that a walker
+converges to a stable gait with a narrow basin, and above rounding errors, so that it leaves an
+unstable gait and converges to an attractor."""
+RECURRENCE_DISTANCE = 1e-6
+"""Distance, in every coordinate, within which two states of an orbit count as the same; ten
+thousand times the largest residual of a gait."""
 
 
 @refuses_tracers()
@@ -45,22 +44,22 @@ def attractors(
     **Arguments:**
 
     - `walker`: gives the values of its other parameters.
-    - `parameter`: name of the one that changes.
-    - `values`: of the parameter.
+    - `parameter`: name of the parameter that changes.
+    - `values`: its values.
     - `starts`: points of the section for each value, of shape (values, starts, section).
-    - `strides`: for which every walker is followed before its states are recorded.
+    - `strides`: number that every walker makes before its states are recorded.
     - `tolerance`: of the integration, as in `stride`.
-    - `progress`: what to call the work in a progress bar, shown on a terminal only.
+    - `progress`: label of a progress bar, which is shown on a terminal only.
 
     **Returns** a data set over `value` and `start`: `fate`, the `Outcome` of the stride at which a
-    walker fails, `STRIDE` where it does not; `strides` before that; `orbit`, the `RECENT` states
-    that follow, NaN after a failure; and `period` of that orbit, 0 where none up to `RECENT` shows.
+    walker fails, `STRIDE` where it does not; `strides` before that; `orbit`, the `RECORDED_STATES`
+    states that follow, NaN after a failure; and its `period`, 0 where it has none that short.
     """
     values, starts = numbers("values", values), numbers("starts", starts)
     if values.ndim != 1:
         raise WrongUse(f"values must be one row of numbers, not of shape {values.shape}")
     check_parameter(walker, parameter, *values)
-    tolerance = double_tolerance(tolerance)
+    tolerance = float64_tolerance(tolerance)
     if starts.ndim != 3 or starts.shape[::2] != (len(values), len(walker.section)):
         shape = f"({len(values)}, starts, {len(walker.section)})"
         raise WrongUse(f"starts must have shape {shape}, not {starts.shape}")
@@ -69,20 +68,22 @@ def attractors(
     walkers = with_parameter(walker, parameter, np.repeat(values, m))
     end = iterate(walkers, starts.reshape(-1, size), strides, tolerance, progress=progress)
     fate, count = end.outcome, end.strides
-    orbit = np.full((n * m, RECENT, size), np.nan)
+    orbit = np.full((n * m, RECORDED_STATES, size), np.nan)
     left = np.flatnonzero(fate == Outcome.STRIDE)
-    states, fate[left] = orbits(select_walkers(walkers, left), end.state[left], RECENT, tolerance)
-    orbit[left] = states[:, :RECENT]
+    states, fate[left] = orbits(
+        select_walkers(walkers, left), end.state[left], RECORDED_STATES, tolerance
+    )
+    orbit[left] = states[:, :RECORDED_STATES]
     count[left] += np.isfinite(states[:, 1:, 0]).sum(axis=1, dtype=count.dtype)
-    misses = np.abs(orbit[:, :-1] - orbit[:, -1:]).max(axis=2)[:, ::-1] < SAME
-    period = np.where(misses.any(axis=1), misses.argmax(axis=1) + 1, 0)
+    recurs = np.abs(orbit[:, :-1] - orbit[:, -1:]).max(axis=2)[:, ::-1] < RECURRENCE_DISTANCE
+    period = np.where(recurs.any(axis=1), recurs.argmax(axis=1) + 1, 0)
     over = ("value", "start")
     return xr.Dataset(
         {
             "fate": (over, fate.reshape(n, m)),
             "strides": (over, count.reshape(n, m)),
             "period": (over, period.reshape(n, m)),
-            "orbit": ((*over, "recent", "coordinate"), orbit.reshape(n, m, RECENT, size)),
+            "orbit": ((*over, "recent", "coordinate"), orbit.reshape(n, m, RECORDED_STATES, size)),
         },
         coords={"value": values},
         attrs={"parameter": parameter, "section": list(walker.section), "strides": strides},
@@ -96,16 +97,18 @@ def starts_near_gaits(
     values: Float[np.ndarray, " values"],
     tolerance: Real,
 ) -> Float[np.ndarray, "values starts section"]:
-    """Starts near the gaits of branches, for each value, filled up with NaN to the most of any."""
+    """Starts near the gaits of branches, for each value, padded with NaN to a common number."""
     guesses = [
         (i, cycle)
         for i, value in enumerate(values)
         for branch in branches
-        for cycle in crossings(branch, value)
+        for cycle in interpolate_cycles(branch, value)
     ]
-    tasks = [corrected(float(values[i]), cycle, None, 1.0) for i, cycle in guesses]
+    tasks = [correct(float(values[i]), cycle, None, 1.0) for i, cycle in guesses]
     rows: list[list[np.ndarray]] = [[] for _ in values]
-    for (i, _), point in zip(guesses, together(walker, parameter, tasks, tolerance), strict=True):
+    for (i, _), point in zip(
+        guesses, run_batched(walker, parameter, tasks, tolerance), strict=True
+    ):
         if point is not None:
             rows[i].append(point.cycle[0] + START_OFFSET * np.eye(1, point.cycle.shape[1])[0])
     starts = np.full((len(values), max(map(len, rows)), len(walker.section)), np.nan)

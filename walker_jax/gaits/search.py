@@ -1,13 +1,13 @@
-"""Gaits: cycles of the stride function, how they are found, and their stability.
+"""Searches for gaits: cycles of the stride function, and their stability.
 
 A gait of period k is a cycle of k states, S(x_1) = x_2, ..., S(x_k) = x_1 (Schwab and Wisse 2001,
-section 4.2). All its states are unknowns at once, and Newton's iteration solves the k equations
-together: what one stride amplifies is not amplified again by the next. Its multipliers are the
-eigenvalues of the product of the strides' Jacobians, J_k ... J_1; it is stable where all are inside
-the unit circle. Jacobians come from automatic differentiation.
+section 4.2). Newton's iteration solves the k equations at once, with all states as unknowns, as in
+multiple shooting: errors do not grow from stride to stride. The Floquet multipliers of a gait are
+the eigenvalues of the product of the strides' Jacobians, J_k ... J_1; it is stable where all are
+inside the unit circle. Jacobians come from automatic differentiation.
 
-`find_gait` is one search, a pure function of the walker and the guess that can be differentiated.
-`find_gaits` is thousands of them at once.
+`find_gait` is one search, a differentiable function of the walker and the guess. `find_gaits` makes
+thousands of searches at once.
 """
 
 from collections.abc import Sequence
@@ -30,20 +30,20 @@ from walker_jax.checks import (
     refuses_tracers,
 )
 from walker_jax.gaits.cycles import (
-    DISTINCT,
-    NEWTON_STEPS,
-    RESIDUAL,
+    MAX_RESIDUAL,
+    MAX_SEARCH_STEPS,
+    SAME_STATE_DISTANCE,
     Gait,
-    cyclic,
-    distinct,
+    clear_values,
+    cycle_matrices,
+    estimate_error,
+    find_multipliers,
     gait_at,
-    multipliers_of,
-    nowhere,
-    product,
-    repeats,
-    solve,
+    has_shorter_period,
+    multiply_jacobians,
+    remove_duplicates,
     solve_cycle,
-    uncertainty,
+    solve_linear_systems,
 )
 from walker_jax.gaits.derivatives import linearise
 from walker_jax.grids import Grid
@@ -63,34 +63,36 @@ def find_gait(
     tolerance: Real | None = None,
     solver: AnySolver | None = None,
 ) -> Gait:
-    """The gait to which Newton's iteration (26) leads from a guess.
+    """The gait to which Newton's iteration (26) converges from a guess.
 
     Works under JAX's transformations. Derivatives with respect to the walker's parameters, in
-    forward and reverse mode, are those of the implicit function: d(state)/dp = (I - J)^{-1} dS/dp
-    for a period of one, and through it those of multipliers and step times. At a bifurcation with
-    a multiplier of 1 they do not exist, and grow without bound towards it, as the gait folds back
-    or others leave it; the derivatives of two multipliers do not exist where they are equal.
+    forward and reverse mode, follow from the implicit function theorem: d(state)/dp =
+    (I - J)^{-1} dS/dp for a period of one, and through it those of multipliers and step times.
+    Towards a bifurcation with a multiplier of 1 they grow without bound, and there they do not
+    exist; where two multipliers are equal, the derivatives of these do not exist.
 
     **Arguments:**
 
     - `walker`: any walker.
-    - `guess`: a point of the section, from which the other states of the cycle are walked; or all
-      states, of shape (period, section). By default one is made. For the simplest walker and a
-      period of one it is the long gait, the one that is stable at small slopes. Otherwise it is the
-      most stable gait that `find_gaits` finds, which cannot be done while JAX traces.
+    - `guess`: a point of the section, from which a walk gives the other states of the cycle; or all
+      states, of shape (period, section). The default for the simplest walker and a period of one
+      is the long gait, which is stable at small slopes. Otherwise the default is the most stable
+      gait that `find_gaits` finds; it is not available while JAX traces.
     - `period`: strides in a cycle.
     - `tolerance`, `solver`: of the integration, as in `stride`.
 
     **Returns** a `Gait`. Its `found` is false where the search fails, or ends in a gait of a
-    shorter period; then states, multipliers and step times are NaN. `ValueError` for a period
-    below 1, a guess of a wrong shape, one that is not finite, or none where one is needed.
+    shorter period; then states, multipliers and step times are NaN.
+
+    Raises `ValueError` for a period below 1, for a guess of a wrong shape or one that is not
+    finite, and for none where one is needed.
     """
     with solved_by(solver):
-        return gait_near(walker, guess, period, tolerance)
+        return find_gait_near(walker, guess, period, tolerance)
 
 
-def gait_near(walker: Walker, guess: Any, period: int, tolerance: Real | None) -> Gait:
-    """`find_gait` by the solver in use."""
+def find_gait_near(walker: Walker, guess: Any, period: int, tolerance: Real | None) -> Gait:
+    """`find_gait` with the solver in use."""
     check_kind("walker", walker, Walker)
     check_whole("period", period)
     given = guess is not None
@@ -110,10 +112,10 @@ def gait_near(walker: Walker, guess: Any, period: int, tolerance: Real | None) -
         cycle = cycles[0] if len(cycles) else np.full((period, size), np.nan, first.dtype)
     if traced:
         return solve_cycle(walker, cycle, tolerance)
-    # The same iteration, on what is compiled for all searches.
-    gaits = search(walker, np.asarray(cycle)[None], tolerance)
-    gait = gait_at(confirmed(walker, gaits, tolerance), 0)
-    return gait if gait.found else nowhere(gait)
+    # The same iteration, by the program that is compiled for all searches.
+    gaits = iterate_newton(walker, np.asarray(cycle)[None], tolerance)
+    gait = gait_at(confirm_gaits(walker, gaits, tolerance), 0)
+    return gait if gait.found else clear_values(gait)
 
 
 def first_guess(
@@ -121,7 +123,7 @@ def first_guess(
 ) -> Float[Array | np.ndarray, "..."]:
     """A guess of the most stable gait of a period."""
     if moves_like(walker, SimplestWalker) and period == 1:
-        return long_gait(walker.slope)
+        return approximate_long_gait(walker.slope)
     if is_traced((walker, tolerance)):
         raise WrongUse(
             f"guess must be given for a {type(walker).__name__}'s gait of period {period} where "
@@ -133,7 +135,7 @@ def first_guess(
     return min(found, key=lambda gait: np.abs(gait.multipliers[0])).states
 
 
-def long_gait(slope: Float[ArrayLike, ""]) -> Float[Array, " 2"]:
+def approximate_long_gait(slope: Float[ArrayLike, ""]) -> Float[Array, " 2"]:
     """The long period-one gait of the simplest walker to 1e-5, up to a slope of 0.2597.
 
     A fit to what continuation gives, in the powers of slope^{1/3} of the expansion for small slopes
@@ -155,25 +157,23 @@ def find_gaits(
     descent: int = 0,
     tolerance: Real | None = None,
 ) -> list[Gait]:
-    """All gaits of a period to which Newton's iteration leads from the cells of a region.
+    """All gaits of a period to which Newton's iteration converges from the cells of a region.
 
-    The searches run together, each from the states of a walk from the centre of a cell. A gait is
-    found if a search comes to it; a finer region finds more. Each is checked by a walk over its
-    period, which it must repeat to `RESIDUAL`: one so unstable that rounding grows larger within
-    a period is left out.
+    The searches run at once, each from the states of a walk from the centre of a cell. A finer
+    region finds more gaits. A walk over the period must repeat each gait to `MAX_RESIDUAL`: gaits
+    so unstable that rounding errors grow beyond it within a period are left out.
 
     **Arguments:**
 
     - `walker`: any walker.
     - `period`: strides in a cycle.
-    - `region`: of the section, a search from each of its cells; by default the walker's
+    - `region`: grid of the section, with a search from each cell; by default the walker's
       `gait_region`.
-    - `descent`: steps of `descend` for searches in which Newton's iteration fails, before it is
-      tried again.
+    - `descent`: steps of `descend` after which failed searches are repeated.
     - `tolerance`: of the integration, as in `stride`.
 
-    **Returns** the gaits that have a state in the region, each once, from its state of the
-    smallest first coordinate on, in ascending order of that.
+    **Returns** the gaits that have a state in the region, each once, from its state with the
+    smallest first coordinate, in ascending order of that.
     """
     check_kind("walker", walker, Walker)
     check_whole("period", period)
@@ -187,17 +187,17 @@ def find_gaits(
         )
     starts = grid.centres(np.arange(grid.size))
     walker, _, tolerance = prepare(walker, starts[0], tolerance)
-    # Without `strides` for a period of one, which would be one more program to compile.
+    # A period of one needs no walk, which would be one more program to compile.
     cycles = starts[:, None]
     if period > 1:
         _, cycles = cycle_guesses(walker, starts, period, tolerance)
-    gaits = search(walker, cycles, tolerance)
+    gaits = iterate_newton(walker, cycles, tolerance)
     failed = ~gaits.found & np.isfinite(gaits.residual)
     if descent and failed.any():
         nearer = descend(walker, cycles[failed], descent, tolerance=tolerance)
-        further = search(walker, nearer, tolerance)
+        further = iterate_newton(walker, nearer, tolerance)
         gaits = Gait(*map(np.concatenate, zip(gaits, further, strict=True)))
-    gaits = confirmed(walker, distinct(gaits), tolerance)
+    gaits = confirm_gaits(walker, remove_duplicates(gaits), tolerance)
     keep = gaits.found & grid.contains(np.asarray(gaits.states)).any(axis=1)
     return [gait_at(gaits, i) for i in np.flatnonzero(keep)]
 
@@ -214,20 +214,21 @@ def descend(
     """Guesses closer to gaits than the given ones: descent along the gradient of the mismatch.
 
     Minimises |S(x_1) - x_2|^2 + ... + |S(x_k) - x_1|^2 for each of n cycles by Adam, whose rate
-    falls to zero over the steps (optax). A step to where a state makes no stride is not made; that
-    search goes on half as fast. It reaches gaits from starts from which Newton's iteration
-    diverges; it may also end in a least mismatch above zero, where there is none.
+    falls to zero over the steps (optax). Where a step leads to a state that makes no stride it is
+    rejected, and the rate of that search is halved. Descent reaches gaits from guesses from which
+    Newton's iteration diverges; it may also end at a local minimum of the mismatch above zero.
 
     **Arguments:**
 
     - `walker`: any walker.
-    - `cycles`: guesses of all the states of cycles. They need not be walks.
-    - `steps`: how many.
-    - `rate`: length of the first steps, in each coordinate.
+    - `cycles`: guesses of all states of cycles; they need not be walks.
+    - `steps`: number of steps.
+    - `rate`: length of the first steps in each coordinate.
     - `tolerance`: of the integration, as in `stride`.
 
-    **Returns** cycles of the same shape; as given where a state of the guess makes no stride.
-    `ValueError` for another shape, and for numbers that are not above 0.
+    **Returns** cycles of the same shape; unchanged where a state of the guess makes no stride.
+
+    Raises `ValueError` for another shape, and for numbers that are not above 0.
     """
     import optax  # here alone: it takes a quarter of a second
 
@@ -249,37 +250,37 @@ def descend(
     with jax.numpy_dtype_promotion("standard"):  # as optax's own arithmetic needs
         state = optimiser.init(jnp.asarray(x))
     for _ in range(steps):
-        miss = local.state - np.roll(x, -1, axis=1)
-        gradient = 2 * np.einsum("...ji,...j->...i", local.jacobian, miss)
-        gradient -= 2 * np.roll(miss, 1, axis=1)
+        mismatch = local.state - np.roll(x, -1, axis=1)
+        gradient = 2 * np.einsum("...ji,...j->...i", local.jacobian, mismatch)
+        gradient -= 2 * np.roll(mismatch, 1, axis=1)
         with jax.numpy_dtype_promotion("standard"):
             update, state = optimiser.update(jnp.asarray(np.nan_to_num(gradient)), state)
-        tried = x + scale[:, None, None] * np.asarray(update)
-        there = linearise(walker, tried, tolerance)
-        good = np.isfinite(there.state).all(axis=(1, 2)).reshape(-1)
-        x = np.where(good[:, None, None], tried, x)
-        scale = np.where(good, scale, scale / 2)
-        for old, new in zip(local, there, strict=True):
-            old[good] = new[good]
+        trial = x + scale[:, None, None] * np.asarray(update)
+        trial_local = linearise(walker, trial, tolerance)
+        valid = np.isfinite(trial_local.state).all(axis=(1, 2)).reshape(-1)
+        x = np.where(valid[:, None, None], trial, x)
+        scale = np.where(valid, scale, scale / 2)
+        for old, new in zip(local, trial_local, strict=True):
+            old[valid] = new[valid]
     return x
 
 
-def confirmed(walker: Walker, gaits: Gait, tolerance: Real) -> Gait:
-    """The same gaits, but those not found that a walk over the period does not repeat."""
+def confirm_gaits(walker: Walker, gaits: Gait, tolerance: Real) -> Gait:
+    """The same gaits; those that a walk over the period does not repeat count as not found."""
     states, found = np.asarray(gaits.states), np.asarray(gaits.found)
     period = states.shape[1]
     last = states[:, 0]
     for i in range(period if period > 1 else 0):  # of one stride, the residual is that of the walk
         last = strides(walker, last, tolerance=tolerance).state
-        miss = np.abs(last - states[:, (i + 1) % period]).max(axis=1)
-        found = found & (miss < RESIDUAL[states.dtype])
+        mismatch = np.abs(last - states[:, (i + 1) % period]).max(axis=1)
+        found = found & (mismatch < MAX_RESIDUAL[states.dtype])
     return gaits._replace(found=found, stable=gaits.stable & found)
 
 
 def cycle_guesses(
     walker: Walker, starts: Float[np.ndarray, "n section"], period: int, tolerance: Real
 ) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m period section"]]:
-    """The starts from which `period` strides can be made, and the states of these walks.
+    """Indices of the starts that make `period` strides, and the states of these walks.
 
     The walker's parameters may be arrays of n.
     """
@@ -288,11 +289,13 @@ def cycle_guesses(
     return walking, states[walking, :period]
 
 
-def search(walker: Walker, cycles: Float[np.ndarray, "n period section"], tolerance: Real) -> Gait:
-    """Newton's iteration from many guesses of cycles at once; fields have the searches first.
+def iterate_newton(
+    walker: Walker, cycles: Float[np.ndarray, "n period section"], tolerance: Real
+) -> Gait:
+    """Newton's iteration from n guesses of cycles; the first axis of each field is n.
 
-    The walker's parameters may be arrays of n. A search ends when it has met the rounding errors,
-    or when a state makes no stride.
+    The walker's parameters may be arrays of n. A search ends where its residual is rounding, or
+    where a state makes no stride.
     """
     n, period, size = cycles.shape
     cycles = cycles.copy()
@@ -306,31 +309,33 @@ def search(walker: Walker, cycles: Float[np.ndarray, "n period section"], tolera
     )
     best.states[:] = cycles
     jacobians = np.full((n, period, size, size), np.nan, cycles.dtype)
-    left = np.flatnonzero(np.isfinite(cycles).all(axis=(1, 2)))
+    active = np.flatnonzero(np.isfinite(cycles).all(axis=(1, 2)))
     rounding = 10 * float(np.finfo(cycles.dtype).eps)
-    for _ in range(NEWTON_STEPS):
-        local = linearise(select_walkers(walker, left), cycles[left], tolerance)
-        miss = local.state - np.roll(cycles[left], -1, axis=1)
-        residual = np.abs(miss).max(axis=(1, 2))
-        # near rounding a step no longer helps
-        better = ~(residual >= best.residual[left]) & np.isfinite(residual)
-        improved = left[better]
+    for _ in range(MAX_SEARCH_STEPS):
+        local = linearise(select_walkers(walker, active), cycles[active], tolerance)
+        mismatch = local.state - np.roll(cycles[active], -1, axis=1)
+        residual = np.abs(mismatch).max(axis=(1, 2))
+        # near rounding errors a step no longer reduces the residual
+        better = ~(residual >= best.residual[active]) & np.isfinite(residual)
+        improved = active[better]
         best.states[improved] = cycles[improved]
         best.residual[improved] = residual[better]
         best.step_times[improved] = local.time[better]
         jacobians[improved] = local.jacobian[better]
-        ended = (residual <= rounding) | (~better & (best.residual[left] < RESIDUAL[cycles.dtype]))
+        ended = (residual <= rounding) | (
+            ~better & (best.residual[active] < MAX_RESIDUAL[cycles.dtype])
+        )
         going = np.isfinite(residual) & ~ended
-        left, miss, jacobian = left[going], miss[going], local.jacobian[going]
-        if len(left) == 0:
+        active, mismatch, jacobian = active[going], mismatch[going], local.jacobian[going]
+        if len(active) == 0:
             break
-        step = solve(cyclic(jacobian), -miss.reshape(len(left), -1))
-        cycles[left] += step.reshape(len(left), period, size)
+        step = solve_linear_systems(cycle_matrices(jacobian), -mismatch.reshape(len(active), -1))
+        cycles[active] += step.reshape(len(active), period, size)
     known = np.flatnonzero(np.isfinite(best.residual))
-    best.multipliers[known] = multipliers_of(product(jacobians[known]))
-    near = (best.residual < RESIDUAL[cycles.dtype]) & ~repeats(best.states)
+    best.multipliers[known] = find_multipliers(multiply_jacobians(jacobians[known]))
+    near = (best.residual < MAX_RESIDUAL[cycles.dtype]) & ~has_shorter_period(best.states)
     with np.errstate(divide="ignore"):
-        error = uncertainty(best.residual[near], cyclic(jacobians[near]))
-    best.found[near] = error < DISTINCT[cycles.dtype] / 10
+        error = estimate_error(best.residual[near], cycle_matrices(jacobians[near]))
+    best.found[near] = error < SAME_STATE_DISTANCE[cycles.dtype] / 10
     best.stable[:] = best.found & (np.abs(best.multipliers[:, 0]) < 1)
     return best

@@ -1,4 +1,4 @@
-"""The gaits that are taken where a command does not name one, and reasons where there are none."""
+"""Default gaits of commands, and reasons why a search finds none."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -13,14 +13,14 @@ from walker_jax.walkers.parameters import describe_in_words
 from walker_jax.walkers.simplest import SimplestWalker
 
 LARGE_RESIDUAL = 1e-6
-"""A search that ends with a residual above this has not come near a gait; one below that, at which
-no gait is found, ended at one of a shorter period or at a bifurcation."""
+"""Residual above which a failed search ended far from any gait. One that failed with a smaller
+residual ended at a gait of a shorter period or at a bifurcation."""
 
 
 def require_gait(walker: Walker, instead: Iterable[str]) -> Gait:
-    """The gait that `find_gait` takes by default.
+    """The gait that `find_gait` finds by default.
 
-    Raises `ComputationFailed` where it finds none; arguments `instead` make the gait needless.
+    Raises `ComputationFailed` where it finds none, and names the arguments `instead` of a gait.
     """
     gait = find_gait(walker)
     if not gait.found:
@@ -34,16 +34,17 @@ def require_gait(walker: Walker, instead: Iterable[str]) -> Gait:
 def select_gaits(
     walker: Walker, period: int = 1, guess: Any = None, *, every: bool = False
 ) -> list[Gait]:
-    """The gait of a period that is asked for: one, or every gait of that period.
+    """One gait of a period, or every gait of that period.
 
     **Arguments:**
 
     - `walker`, `period`, `guess`: as in `find_gait`.
-    - `every`: whether all gaits are asked for that searches from the walker's `gait_region` find.
+    - `every`: whether to return all gaits that searches from the walker's `gait_region` find.
 
-    **Returns** the gait to which the search leads from the guess, if there is one. Otherwise, for a
-    period of one, the gait that `find_gait` takes by default, and then, if `every`, the others; for
-    a longer period the gait with the smallest multiplier, or all of them, from that one on.
+    **Returns** the gait to which the search converges from the guess, if there is a guess.
+    Otherwise, for a period of one, the gait that `find_gait` finds by default, and after it, if
+    `every`, the others; for a longer period the gait with the smallest multiplier, and after it,
+    if `every`, the others.
 
     Raises `ComputationFailed` with the reason where none is found.
     """
@@ -68,10 +69,10 @@ def select_gaits(
 
 
 def reason_without_gait(walker: Walker, period: int, search: Gait | None, *, guessed: bool) -> str:
-    """Why no gait was found: by how one search ended, or None for searches from all over."""
+    """Why no gait was found: by the end of one `search`, or None for searches from all cells."""
     single = guessed or (isinstance(walker, SimplestWalker) and period == 1)
     if search is None or not (np.isfinite(search.residual) or single):
-        return "none of the searches all over the section led to one"
+        return "none of the searches over the section converged to one"
     if not np.isfinite(search.residual):
         start = "the guess" if guessed else "the state where the search begins"
         return f"the walker makes no stride from {start}"

@@ -1,4 +1,4 @@
-"""Gaits and bifurcation diagrams, summarised in dictionaries that JSON can hold."""
+"""Summaries of gaits and bifurcation diagrams, as dictionaries for JSON."""
 
 import numpy as np
 import xarray as xr
@@ -21,7 +21,7 @@ def summarise_gait(gait: Gait) -> dict:
 
 
 def summarise_bifurcations(data: xr.Dataset) -> dict:
-    """Where gaits bifurcate and where walking is lost, from a `bifurcation_diagram` over the slope.
+    """Bifurcations and the loss of walking, from a `bifurcation_diagram` over the slope.
 
     **Returns** `doublings` of the cascade that starts from the long gait, `other_doublings` and
     `folds`, each in ascending order of period, then of slope; `lost`, the slopes `below` and
@@ -54,7 +54,7 @@ def list_events(data: xr.Dataset, chosen: np.ndarray) -> list[dict]:
 
 
 def find_stable_intervals(data: xr.Dataset, above: float) -> list[dict]:
-    """From the fold to the first doubling of branches that are born beyond the loss of walking."""
+    """Intervals from the fold to the first doubling of branches born beyond the loss of walking."""
     branches, slopes = data["event_branch"].values, data["event_value"].values
     intervals = []
     for branch in np.unique(branches[data["event_fold"].values]):

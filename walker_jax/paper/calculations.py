@@ -16,7 +16,7 @@ from walker_jax.stability.summary import default_region
 from walker_jax.walkers.simplest import SimplestWalker
 from walker_jax.walking.movement import motion
 
-SLOPE = 0.004
+EXAMPLE_SLOPE = 0.004
 """Slope of the examples in the paper."""
 START = (0.2, -0.21645)
 """The start in Table 1, whose theta + thetadot has one digit more than its thetadot."""
@@ -62,13 +62,13 @@ def whole_section(size: Size) -> xr.Dataset:
     """Figure 2: the whole section."""
     n = size.section
     grid = Grid.plain(theta=(0, np.pi / 4, n), thetadot=(-1.2, 0, n))
-    return basin(SimplestWalker(SLOPE), grid, "direct")
+    return basin(SimplestWalker(EXAMPLE_SLOPE), grid, "direct")
 
 
 def gaits(size: Size) -> xr.Dataset:
     """Figure 3: gaits of period one over the slope, and the loss of walking."""
     return bifurcation_diagram(
-        SimplestWalker(SLOPE),
+        SimplestWalker(EXAMPLE_SLOPE),
         "slope",
         (0.0005, 0.0225),
         period_max=1,
@@ -77,19 +77,19 @@ def gaits(size: Size) -> xr.Dataset:
     )
 
 
-def cell_mapping(size: Size) -> xr.Dataset:
+def mapped_basin(size: Size) -> xr.Dataset:
     """Figure 4: cell mapping on the paper's own grid."""
-    return basin(SimplestWalker(SLOPE), paper_grid())
+    return basin(SimplestWalker(EXAMPLE_SLOPE), paper_grid())
 
 
-def direct_iteration(size: Size) -> xr.Dataset:
+def iterated_basin(size: Size) -> xr.Dataset:
     """The basin in Figure 5: the same cells by direct iteration."""
-    return basin(SimplestWalker(SLOPE), paper_grid(), "direct")
+    return basin(SimplestWalker(EXAMPLE_SLOPE), paper_grid(), "direct")
 
 
-def walk(size: Size) -> xr.Dataset:
+def nine_steps(size: Size) -> xr.Dataset:
     """Table 1 and Figures 5 and 6: nine steps from just inside the basin."""
-    return motion(SimplestWalker(SLOPE), np.array(START), 9, step=0.02)
+    return motion(SimplestWalker(EXAMPLE_SLOPE), np.array(START), 9, step=0.02)
 
 
 def basins_over_slopes(size: Size) -> xr.Dataset:
@@ -100,8 +100,8 @@ def basins_over_slopes(size: Size) -> xr.Dataset:
     grid = Grid.sheared(theta=(0, 0.4, 200), sum=(-0.04, 0.02, 300))
     found = [basin(SimplestWalker(slope), grid, "direct") for slope in ROW_SLOPES]
     kept = [one[["fate", "attractor"]].assign(area=one["area"].sum()) for one in found]
-    joined = xr.concat(kept, "slope", coords="minimal", compat="override", combine_attrs="drop")
-    return joined.assign_coords(slope=list(ROW_SLOPES)).assign_attrs(found[0].attrs)
+    table = xr.concat(kept, "slope", coords="minimal", compat="override", combine_attrs="drop")
+    return table.assign_coords(slope=list(ROW_SLOPES)).assign_attrs(found[0].attrs)
 
 
 def areas_over_slopes(size: Size) -> xr.Dataset:
@@ -146,16 +146,16 @@ def fates_along_line(size: Size) -> xr.Dataset:
     """Section 5.1: fates along the line theta = 0.2 of Figure 4."""
     half = 1e-9
     grid = Grid.sheared(theta=(0.2 - half, 0.2 + half, 1), sum=(-0.04, 0.01, 50_000))
-    return basin(SimplestWalker(SLOPE), grid, "direct").isel(theta=0)
+    return basin(SimplestWalker(EXAMPLE_SLOPE), grid, "direct").isel(theta=0)
 
 
-PARTS: dict[str, Callable[[Size], xr.Dataset]] = {
+CALCULATIONS: dict[str, Callable[[Size], xr.Dataset]] = {
     "stride": stride_of_gait,
     "section": whole_section,
     "gaits": gaits,
-    "cell_mapping": cell_mapping,
-    "direct_iteration": direct_iteration,
-    "walk": walk,
+    "cell_mapping": mapped_basin,
+    "direct_iteration": iterated_basin,
+    "walk": nine_steps,
     "basins": basins_over_slopes,
     "areas": areas_over_slopes,
     "surviving_cells": surviving_cells,

@@ -9,7 +9,7 @@ import xarray as xr
 from scipy.optimize import brentq, minimize_scalar
 
 from walker_jax.gaits.search import find_gait, find_gaits
-from walker_jax.paper.calculations import SLOPE
+from walker_jax.paper.calculations import EXAMPLE_SLOPE
 from walker_jax.walkers.model import State
 from walker_jax.walkers.point_foot import PointFootWalker
 from walker_jax.walkers.simplest import SimplestWalker
@@ -45,7 +45,7 @@ class Number(NamedTuple):
 
 def compare_numbers(data: dict[str, xr.Dataset]) -> list[Number]:
     """Every number of the paper's text and table, with ours."""
-    walker = SimplestWalker(SLOPE)
+    walker = SimplestWalker(EXAMPLE_SLOPE)
     gait = find_gait(walker)
     theta, thetadot = map(float, gait.states[0])
     states = data["walk"]["states"].values
@@ -77,7 +77,7 @@ def compare_numbers(data: dict[str, xr.Dataset]) -> list[Number]:
 def numbers_of_section_3() -> list[Number]:
     """The impact, of a walker whose feet have next to no mass, by the general method."""
     theta, rate = -0.25, -0.3
-    walker = PointFootWalker(SLOPE, 1e-9)
+    walker = PointFootWalker(EXAMPLE_SLOPE, 1e-9)
     strike = State(*map(jnp.asarray, (theta, 2 * theta, rate, 0.1)))
     (u, v), after = walker.impact(strike)
     along, above = walker.impulse(strike)
@@ -106,7 +106,7 @@ def numbers_of_section_3() -> list[Number]:
 def numbers_of_section_4(data: dict[str, xr.Dataset], walker: SimplestWalker) -> list[Number]:
     """Step-to-step behaviour."""
     at = lambda *values: State(*map(jnp.asarray, values))
-    force: Any = lambda rate: float(walker.contact_force(at(SLOPE, 0.0, rate, 0.0))[1])
+    force: Any = lambda rate: float(walker.contact_force(at(EXAMPLE_SLOPE, 0.0, rate, 0.0))[1])
     fastest: Any = brentq(force, -2.0, -0.1)
 
     def rate_after_strike(angle: float) -> float:

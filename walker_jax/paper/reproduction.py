@@ -15,7 +15,7 @@ import xarray as xr
 from walker_jax import storage
 from walker_jax.execution.progress import progress_console
 from walker_jax.paper import report
-from walker_jax.paper.calculations import FULL, PARTS, QUICK
+from walker_jax.paper.calculations import CALCULATIONS, FULL, QUICK
 from walker_jax.paper.numbers import Number, compare_numbers
 from walker_jax.paper.pictures import FIGURES, PaperFigure
 
@@ -38,7 +38,7 @@ def reproduce(
     """
     size = QUICK if quick else FULL
     request = {"command": "reproduce", "size": size._asdict(), "version": version("walker-jax")}
-    places = {name: out / "data" / f"{name}.zarr" for name in PARTS}
+    places = {name: out / "data" / f"{name}.zarr" for name in CALCULATIONS}
     check_place(out, places, request, overwrite=overwrite)
     if overwrite:  # all at once, so that the same run can be resumed when interrupted
         for path in files_of(out):
@@ -50,11 +50,11 @@ def reproduce(
     data: dict[str, xr.Dataset] = {}
     begun = lambda: any(path.exists() for path in places.values())
     with storage.resumable(out, begun, overwrite=overwrite):
-        for name, compute in PARTS.items():
+        for name, compute in CALCULATIONS.items():
             own = request | {"part": name}
             found = storage.find(places[name], own)
             if found is None:
-                with shown.status(f"{name} ({len(data) + 1} of {len(PARTS)})"):
+                with shown.status(f"{name} ({len(data) + 1} of {len(CALCULATIONS)})"):
                     found = storage.save(compute(size), places[name], own)
             data[name] = found
         with shown.status("numbers and figures"):

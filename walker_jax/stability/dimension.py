@@ -19,7 +19,7 @@ from walker_jax.integrators.solvers import default_tolerance
 from walker_jax.walkers.model import Walker
 
 DISTANCES = 10.0 ** np.linspace(-6, -3.5, 11)
-"""Between starts whose fates are compared, as shares of the lengths of a grid's axes."""
+"""Distances between starts whose fates are compared, as shares of the lengths of a grid's axes."""
 
 
 @refuses_tracers()
@@ -36,21 +36,23 @@ def boundary_dimension(
 ) -> Uncertainty:
     """The dimension of the boundary of the basins in a region, by the uncertainty exponent.
 
-    A start is uncertain at a distance if a walker that starts that far from it, on either side, in
-    a random direction, converges to another attractor, or to none. Starts are drawn from the cells
-    that have a neighbour of another fate: elsewhere next to none are uncertain.
+    A start is uncertain at a distance if a walker that starts at that distance, on either side in a
+    random direction, converges to another attractor, or to none. Starts are drawn from the cells
+    that have a neighbour of another fate; elsewhere hardly any are uncertain.
 
     **Arguments:**
 
     - `walker`: as in `basin`.
-    - `grid`: its region is meant, or slice, in cells larger than the distances.
+    - `grid`: region or slice, in cells larger than the distances.
     - `distances`: as shares of the lengths of the grid's axes.
     - `pairs`: starts for each distance.
-    - `strides`: how many of them a walker is followed for.
-    - `confidence`, `seed`: of the interval, and of what is drawn.
+    - `strides`: number of strides for which a walker is followed.
+    - `confidence`, `seed`: of the interval, and of random numbers.
     - `tolerance`: of the integration, as in `stride`.
 
-    It is NaN where all cells have one fate. `ValueError` as for `basin` and `uncertainty_exponent`.
+    **Returns** an `Uncertainty`, NaN where all cells have one fate.
+
+    Raises `ValueError` as `basin` and `uncertainty_exponent`.
     """
     check_grid(walker, grid, "direct")
     check_whole("seed", seed, 0)
@@ -63,7 +65,7 @@ def boundary_dimension(
     mapper = with_capture_boxes(mapper_of_grid(walker, grid, finest, strides))
 
     def label_of(share: Float[np.ndarray, "n axes"]) -> Int[np.ndarray, " n"]:
-        labels, _ = mapper.label_all(grid.states(share))
+        labels, _ = mapper.label_all(grid.points_at(share))
         return labels.attractor
 
     shape = np.array(grid.shape)

@@ -1,8 +1,8 @@
-"""How large a disturbance a gait survives.
+"""The least disturbance of a gait.
 
 A disturbance moves the walker from its gait to another point of the Poincaré section. The least one
-from which it does not return, or falls (the minimal fatal shock), says more of a machine than the
-Floquet multipliers of its gait do (Schwab and Wisse 2001, section 5).
+from which it does not return, or falls (the minimal fatal shock), tells more about a machine than
+the Floquet multipliers of its gait (Schwab and Wisse 2001, section 5).
 """
 
 from collections.abc import Sequence
@@ -22,26 +22,27 @@ from walker_jax.walkers.model import Walker
 from walker_jax.walking.outcomes import Outcome
 
 BEYOND = 1 + np.array([1e-8, 1e-10, 0.0])
-"""Of the least disturbance, those of which the first that fails says how: rounding is less."""
+"""Multiples of the least disturbance; the first that fails gives the failure. They exceed it by
+more than rounding errors, unless it fails itself."""
 OTHER_GAITS_DIRECTIONS, OTHER_GAITS_DISTANCES = 90, 0.1 * 0.5 ** np.arange(12.0)[:, None]
-"""Of starts from which walkers may converge to other gaits."""
+"""Directions and distances of starts from which walkers may converge to other gaits."""
 
 
 class LeastDisturbance(NamedTuple):
     """The nearest point to a gait from which the walker does not return, or falls."""
 
     size: float
-    """Its distance from the gait, in the metric asked for."""
+    """Its distance from the gait, in the given metric."""
     direction: Float[np.ndarray, " section"]
-    """Of it from the gait, of length one in that metric."""
+    """Its direction from the gait, of length one in that metric."""
     state: Float[np.ndarray, " section"]
     """The point."""
     phase: int
-    """The state of the gait that it is nearest to."""
+    """Number of the nearest state of the gait."""
     failure: Outcome
     """How the walker fails from just beyond it; `STRIDE` where it converges to another motion."""
     strides: int
-    """Strides before that, the failing one not counted."""
+    """Strides before the failing one."""
 
 
 @refuses_tracers("disturbance_gradient gives derivatives of the least disturbance")
@@ -57,32 +58,32 @@ def least_disturbance(
 ) -> LeastDisturbance:
     """The nearest point of the section from which a walker does not return to its gait, or falls.
 
-    From the nearest point at which it does not return it may converge to another: the `failure`
-    is `STRIDE` then, and the nearest at which it falls, found with `fall`, is farther. Otherwise
-    these are the same.
+    From the nearest point it may converge to another attractor: then the `failure` is `STRIDE`, and
+    the nearest point from which it falls, found with `fall`, is farther. Otherwise the two points
+    are the same.
 
-    Rays from the gait are followed outwards, all at once, to the first distance from which the
-    walker does not return; then closer rays, up to the least of these; then fans of rays around
-    those that are nearer than their neighbours, ever narrower, and along the boundary's gradient.
-    Fingers of failure may be missed that pass between the points tried, in 11,520 directions at
-    distances 1.6 % of the size apart, or 0.16 % close to it, where directions are 8 times as close
-    too: then the size found is too large by as much as such a finger comes nearer.
+    The search follows rays from the gait outwards, all at once, to the first distance from which
+    the walker does not return; then closer rays, up to the smallest of these distances; then
+    narrower and narrower fans around the rays that are nearer than their neighbours, and steps
+    along the boundary's gradient. It tries 11,520 directions at distances 1.6 % of the size apart,
+    or 0.16 % close to it, where directions are 8 times as close. It may miss a finger of failures
+    between these points; then the size is too large by as much as the finger is nearer.
 
     **Arguments:**
 
     - `walker`: of one kind, with numbers for parameters.
     - `gait`: a stable one; the most stable of period one, by default.
-    - `scale`: what counts as one unit along each coordinate of the section, positive. The size is
-      the length of the disturbance divided by it; by default it is plain length.
-    - `along`: vectors, one a row, that disturbances are made of, such as (0, 1) for a push that
-      changes thetadot alone. By default they have any direction.
-    - `fall`: whether the walker is to fall, and no other motion counts.
-    - `strides`: how many of them a walker may take to return, or to fall.
+    - `scale`: unit of length along each coordinate of the section, positive. The size is the length
+      of the disturbance in these units; by default they are 1.
+    - `along`: vectors, one a row, that span the disturbances, such as (0, 1) for a push that
+      changes thetadot alone. By default disturbances have any direction.
+    - `fall`: whether only falls count, and not the convergence to another attractor.
+    - `strides`: number of strides in which a walker may return, or fall.
     - `tolerance`: of the integration, as in `stride`.
 
-    `ValueError` for a gait that is not stable, or not found, and for a scale or vectors that are
-    not of the section; `ComputationFailed` where no disturbance up to a size of a thousand is
-    found from which the walker does not return.
+    Raises `ValueError` for a gait that is not stable, or not found, and for a scale or vectors that
+    do not fit the section; `ComputationFailed` where the walker returns from all disturbances up to
+    a size of a thousand.
     """
     unit, basis = metric(walker, scale, along)
     lost = failure_test(fall)

@@ -1,4 +1,4 @@
-"""The mapper to a stable gait, and what counts as the loss of it."""
+"""The mapper to a stable gait, and the test of its failures."""
 
 from collections.abc import Callable
 
@@ -21,7 +21,7 @@ def mapper_of_gait(
 ) -> Mapper:
     """The mapper whose only attractor is a stable gait, with its capture boxes.
 
-    `ValueError` for a gait that is not stable, not found, or not one of this walker.
+    Raises `ValueError` for a gait that is not stable, not found, or not one of this walker.
     """
     check_kind("walker", walker, Walker)
     check_whole("strides", strides)
@@ -41,7 +41,7 @@ def mapper_of_gait(
 
 
 def with_other_gaits(mapper: Mapper, starts: Float[np.ndarray, "n section"]) -> Mapper:
-    """The mapper also to the other gaits to which walkers converge from some starts.
+    """The mapper with the other gaits too to which walkers converge from some starts.
 
     Walkers that converge to one of these need not be followed to their last stride.
     """
@@ -53,6 +53,6 @@ def with_other_gaits(mapper: Mapper, starts: Float[np.ndarray, "n section"]) -> 
 
 
 def failure_test(fall: bool) -> Callable[[Labels], Bool[np.ndarray, " n"]]:
-    """Tells which walkers fall, or, unless `fall`, which do not return to their gait."""
+    """The test of which walkers fall or, unless `fall`, do not return to their gait."""
     check_kind("fall", fall, bool)
     return lambda labels: labels.fallen if fall else ~labels.converged

@@ -1,4 +1,4 @@
-"""How the margin of the failure that ends a walk changes with its start and with the walker."""
+"""Derivatives of the margin of the failure that ends a walk, by its start and by parameters."""
 
 from collections.abc import Sequence
 
@@ -23,7 +23,7 @@ def differentiate_margins(
 ) -> Float[np.ndarray, "n columns"]:
     """Derivatives of the margins of the failures of walks from x, along directions and parameters.
 
-    Each walk has `made` some strides when it fails. They are NaN where it does not.
+    Each walk fails after the strides that it has `made`. Derivatives are NaN where it does not.
     """
     dtype, n = x.dtype, len(x)
     columns = len(directions) + len(parameters)
@@ -42,7 +42,8 @@ def differentiate_margins(
 def margin_jvp(shared: tuple, cell: tuple) -> Scalar:
     """Derivative of the margin of the failure that ends a walk, after a number of strides.
 
-    It is along tangents of the walker and of the start; NaN where the walk does not end there.
+    The derivative is along tangents of the walker and of the start; NaN where the walk does not end
+    in that stride.
     """
     walker, tolerance = shared
     x, count, tangents = cell

@@ -14,9 +14,9 @@ from walker_jax.walkers.model import Walker
 def metric(
     walker: Walker, scale: Sequence[Any] | ArrayLike | None, along: Sequence[Any] | ArrayLike | None
 ) -> tuple[Float[np.ndarray, " section"], Float[np.ndarray, "rank section"]]:
-    """The units of a walker's section, and unit vectors at right angles in these that span `along`.
+    """The units of a walker's section, and an orthonormal basis, in these units, of `along`.
 
-    `ValueError` for what is not of the section.
+    Raises `ValueError` for a scale or vectors that do not fit the section.
     """
     check_kind("walker", walker, Walker)
     size = len(walker.section)
@@ -31,7 +31,7 @@ def metric(
 
 
 def numbers_or_none(values: Any) -> Float[np.ndarray, "..."]:
-    """An array of them; of NaN for what is none."""
+    """An array of the numbers; NaN for other values."""
     try:
         return np.asarray(values, float)
     except (TypeError, ValueError):

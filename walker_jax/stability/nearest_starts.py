@@ -1,4 +1,4 @@
-"""The nearest starts from which a walker does not return to its gait, by `robustness`."""
+"""The nearest starts from which a walker does not return to its gait, from `robustness`."""
 
 from typing import NamedTuple
 
@@ -13,17 +13,17 @@ class NearestStart(NamedTuple):
     """The nearest start from which a walker does not return to its gait, or falls."""
 
     gait_state: Float[np.ndarray, " section"]
-    """The state of the gait that it is nearest to."""
+    """The nearest state of the gait."""
     distance: float
     state: Float[np.ndarray, " section"]
     outcome: Outcome
     """How the walker fails; `STRIDE` where it converges to another attractor."""
     strides: int
-    """Before that."""
+    """Strides before the failing one."""
 
 
 def has_plane_disturbance(data: xr.Dataset) -> bool:
-    """Whether a data set holds a least disturbance, in the plane of a grid that is the section."""
+    """Whether a data set has a least disturbance and fates over the same section of two axes."""
     known = {"fate", "least_disturbance", "failing_state", "gait_state"} <= set(data)
     if not known or data["fate"].ndim != 2 or data["least_disturbance"].ndim:
         return False
@@ -31,7 +31,7 @@ def has_plane_disturbance(data: xr.Dataset) -> bool:
 
 
 def nearest_starts(data: xr.Dataset) -> list[NearestStart]:
-    """The nearest start that does not return, and the nearest one that falls where that differs."""
+    """The nearest start that does not return and, where it differs, the nearest that falls."""
     nearest = NearestStart(
         data["gait_state"].values,
         float(data["least_disturbance"]),
@@ -55,6 +55,6 @@ def nearest_starts(data: xr.Dataset) -> list[NearestStart]:
 def circle(
     centre: Float[np.ndarray, " 2"], radius: float, points: int = 400
 ) -> Float[np.ndarray, "points 2"]:
-    """States of a section of two coordinates at a distance from one of them."""
+    """States at a distance from another, on a section of two coordinates."""
     turn = np.linspace(0, 2 * np.pi, points)
     return centre + radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)

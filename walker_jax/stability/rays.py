@@ -9,27 +9,27 @@ from jaxtyping import Bool, Float, Int
 from walker_jax.checks import ComputationFailed
 
 RAYS, RADII = 720, 128
-"""Directions, of two dimensions, and distances along each, at which a walker is first tried."""
+"""Directions in two dimensions, and distances along each, of the first scan."""
 DENSE, SHELL = 16, 64
-"""How many times as many directions are then tried, at how many distances up to the least found."""
+"""Factor of the directions of the second scan, and its distances up to the nearest failure."""
 KEPT = 0.01
-"""By how much, relatively, a failure may be farther than the nearest for its ray to be kept."""
+"""Largest relative excess of a failure's distance over the nearest for which its ray is kept."""
 ARC, CLOSER = 2000, 16
-"""Directions, of those kept, about which more are tried, and how many about each."""
+"""Number of kept directions that get a fan of their own, and the directions of such a fan."""
 FAN = 61
-"""Directions that are tried at once around one of the nearest."""
+"""Directions of a fan around one of the nearest rays."""
 CANDIDATES = 128
-"""Directions that are nearer than their neighbours, of which as many are looked at more closely."""
+"""Largest number of local minima of the distance that are refined."""
 ZOOMS = 3
-"""How often fans are made narrower."""
+"""Number of times that fans are narrowed."""
 POLISHES = 4
-"""Searches along the boundary's gradient that follow."""
-STEP_SHARES = 2.0 ** np.arange(-6, 3)
-"""Of the step to where the boundary would be nearest if it were flat: those that each tries."""
+"""Number of steps along the boundary's gradient that follow."""
+POLISH_SHARES = 2.0 ** np.arange(-6, 3)
+"""Shares of the step to the nearest point of a flat boundary that each polish tries."""
 FINAL_DISTANCES = 512
-"""At which it is made sure that nothing nearer fails in the direction found."""
+"""Distances of the last check that nothing nearer fails in the direction found."""
 COARSE, FINE = 12, 34
-"""Bisections between two points tried on a ray: to tell rays apart, and in the end."""
+"""Bisections between two points on a ray: to compare rays, and for the final distance."""
 
 
 def nearest_failure(
@@ -37,10 +37,10 @@ def nearest_failure(
     basis: Float[np.ndarray, "rank size"],
     gradient: Callable[[Float[np.ndarray, "n size"]], Float[np.ndarray, "n size"]],
 ) -> Float[np.ndarray, " size"]:
-    """The shortest vector in the span of a basis, of unit vectors at right angles, that fails.
+    """The shortest vector that fails in the span of an orthonormal basis.
 
-    The origin does not. `gradient`, at points that fail just beyond the boundary, is at right
-    angles to it, or NaN. `ComputationFailed` where nothing fails.
+    The origin does not fail. `gradient`, at points that fail just beyond the boundary, is normal to
+    it, or NaN. Raises `ComputationFailed` where nothing fails.
     """
     best, lengths = nearest_rays(fails, basis)
     gap = 1e-3 * lengths.min()
@@ -49,24 +49,24 @@ def nearest_failure(
     lengths = np.minimum(lengths, closer)
     for _ in range(POLISHES if len(basis) > 1 else 0):
         best, lengths = polish(fails, gradient, basis, best, lengths, gap)
-    least = lengths.min()
+    nearest = lengths.min()
     ray = best[lengths.argmin()][None]
     while True:  # the first failure on its ray
-        first = first_failures(fails, ray @ basis, 0.0, (1 - 1e-9) * least, FINAL_DISTANCES)
+        first = first_failures(fails, ray @ basis, 0.0, (1 - 1e-9) * nearest, FINAL_DISTANCES)
         if np.isinf(first[0]):
-            return least * ray[0] @ basis
-        least = bisect(fails, ray @ basis, first, least / FINAL_DISTANCES, FINE)[0]
+            return nearest * ray[0] @ basis
+        nearest = bisect(fails, ray @ basis, first, nearest / FINAL_DISTANCES, FINE)[0]
 
 
 def nearest_rays(
     fails: Callable, basis: Float[np.ndarray, "rank size"]
 ) -> tuple[Float[np.ndarray, "n rank"], Float[np.ndarray, " n"]]:
-    """Directions in which failures are nearer than in those around them, and their distances."""
+    """Directions of the local minima of the distance to failures, and these distances."""
     rank = len(basis)
     rays = directions(rank, RAYS)
     first = scan(fails, rays @ basis, RADII)
-    # Closer rays, then closer distances too: between those a nearer failure may have been missed.
-    # A finger that was met may be missed by the next distances: then what was known is kept.
+    # Closer rays, then closer distances: a nearer failure may lie between those of the first scan.
+    # Where the next distances miss a finger that is already known, the known distance is kept.
     dense = directions(rank, DENSE * RAYS)
     near = keep_nearest(fails, dense, basis, 0.0, 1.01 * first.min(), SHELL)
     rays, first = near if near[1].size else (rays[np.isfinite(first)], first[np.isfinite(first)])
@@ -83,8 +83,8 @@ def nearest_rays(
     for _ in range(ZOOMS if rank > 1 else 0):
         fans = np.concatenate([fan(ray, width, FAN) for ray in best])
         # The nearest failures of a fan lie a little before those of the wider one.
-        least = lengths.min()
-        rays, first = keep_nearest(fails, fans, basis, 0.95 * least, 1.01 * least, 24)
+        nearest = lengths.min()
+        rays, first = keep_nearest(fails, fans, basis, 0.95 * nearest, 1.01 * nearest, 24)
         if first.size:
             minima = local_minima(rays, first, width)
             best, lengths = rays[minima], first[minima]
@@ -100,25 +100,25 @@ def polish(
     lengths: Float[np.ndarray, " n"],
     gap: float,
 ) -> tuple[Float[np.ndarray, "n rank"], Float[np.ndarray, " n"]]:
-    """Turn rays towards where a flat boundary would be nearest; those along which it is, indeed."""
+    """Turn rays towards the nearest point of a flat boundary, and keep those that are shorter."""
     rank = len(basis)
     with np.errstate(invalid="ignore", divide="ignore"):  # where there is no gradient
         normal = gradient(lengths[:, None] * best @ basis) @ basis.T
         along = normal / np.sum(normal * best, axis=1, keepdims=True) - best
-    tried = best[:, None] + np.concatenate([[0.0], STEP_SHARES])[:, None] * along[:, None]
+    tried = best[:, None] + np.concatenate([[0.0], POLISH_SHARES])[:, None] * along[:, None]
     tried = np.where(np.isfinite(tried), tried, best[:, None])
     tried /= np.linalg.norm(tried, axis=2, keepdims=True)
-    flat, least = tried.reshape(-1, rank) @ basis, lengths.min()
-    reached = first_failures(fails, flat, least - gap, least + gap, 8)
+    flat, nearest = tried.reshape(-1, rank) @ basis, lengths.min()
+    reached = first_failures(fails, flat, nearest - gap, nearest + gap, 8)
     reached = bisect(fails, flat, reached, gap / 4, FINE).reshape(tried.shape[:2])
     reached[:, 0] = np.minimum(reached[:, 0], lengths)  # that ray is the best one so far
     return tried[np.arange(len(best)), reached.argmin(axis=1)], reached.min(axis=1)
 
 
 def scan(fails: Callable, rays: Float[np.ndarray, "n size"], count: int) -> Float[np.ndarray, " n"]:
-    """The first failure along each ray, up to where the nearest is between 1/4 and all of the way.
+    """The first failure along each ray, within a reach of at most four times the nearest.
 
-    `ComputationFailed` where nothing fails up to a length of a thousand.
+    Raises `ComputationFailed` where nothing fails up to a length of a thousand.
     """
     reach = 0.1
     while True:
@@ -139,7 +139,7 @@ def scan(fails: Callable, rays: Float[np.ndarray, "n size"], count: int) -> Floa
 def keep_nearest(
     fails: Callable, rays: np.ndarray, basis: np.ndarray, low: float, high: float, count: int
 ) -> tuple[Float[np.ndarray, "n rank"], Float[np.ndarray, " n"]]:
-    """Those of some rays along which the first failure is among the nearest, and its distance."""
+    """The rays whose first failure is among the nearest, and its distance."""
     while True:
         gap = (high - low) / count
         first = first_failures(fails, rays @ basis, low, high, count)
@@ -153,7 +153,7 @@ def keep_nearest(
 def first_failures(
     fails: Callable, rays: Float[np.ndarray, "n size"], low: Any, high: Any, count: int
 ) -> Float[np.ndarray, " n"]:
-    """The first of some distances along each ray that fails; infinite where none does."""
+    """The first distance along each ray that fails; infinite where none does."""
     distances = np.linspace(low, high, count + 1)[1:]
     points = distances[:, None] * rays[:, None]
     failed = fails(points.reshape(-1, rays.shape[1])).reshape(len(rays), count)
@@ -180,7 +180,7 @@ def bisect(
 
 
 def directions(rank: int, count: int) -> Float[np.ndarray, "n rank"]:
-    """Unit vectors, evenly spread, in three dimensions four times as many as in two."""
+    """Evenly spread unit vectors; in three dimensions four times as many as in two."""
     if rank == 1:
         return np.array([[1.0], [-1.0]])
     if rank == 2:
@@ -194,14 +194,14 @@ def directions(rank: int, count: int) -> Float[np.ndarray, "n rank"]:
 
 
 def spacing(rank: int, count: int) -> float:
-    """The angle between neighbours among them."""
+    """The angle between neighbours among `directions`."""
     return 2 * np.pi / count if rank == 2 else float(np.sqrt(np.pi / count))
 
 
 def fan(
     direction: Float[np.ndarray, " rank"], width: float, count: int
 ) -> Float[np.ndarray, "n rank"]:
-    """Unit vectors within an angle of one, which is the first of them."""
+    """Unit vectors within an angle of a direction, which is the first of them."""
     across = np.linalg.svd(direction[None])[2][1:]
     if len(across) == 1:
         offsets = np.linspace(-1, 1, count - 1)[:, None]
@@ -216,7 +216,7 @@ def fan(
 def local_minima(
     rays: Float[np.ndarray, "n rank"], lengths: Float[np.ndarray, " n"], angle: float
 ) -> Int[np.ndarray, " m"]:
-    """Indices of unit vectors that have the least length within an angle, the shortest first."""
+    """Indices of the unit vectors with the smallest length within an angle, the shortest first."""
     order = lengths.argsort()
     beside = rays[order] @ rays[order].T > np.cos(angle)
     shorter = np.tril(beside, -1).any(axis=1)

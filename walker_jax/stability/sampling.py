@@ -1,4 +1,4 @@
-"""Basin stability: the share of disturbances, drawn at random, that a gait survives."""
+"""Basin stability: the fraction of random disturbances from which a walker returns to its gait."""
 
 from collections.abc import Sequence
 from statistics import NormalDist
@@ -23,7 +23,7 @@ from walker_jax.walking.outcomes import Outcome
 
 
 class BasinStability(NamedTuple):
-    """The fraction of disturbances that a gait survives (Menck and others 2013)."""
+    """Basin stability (Menck and others 2013)."""
 
     value: Float[np.ndarray, "*walkers"]
     """The fraction of the starts from which the walker returns to its gait."""
@@ -31,13 +31,13 @@ class BasinStability(NamedTuple):
     high: Float[np.ndarray, "*walkers"]
     """Wilson's confidence interval."""
     fates: Int[np.ndarray, "*walkers outcomes"]
-    """Starts by the `Outcome` of their last stride; of those with `STRIDE`, `elsewhere` did not
-    return, but still walk."""
+    """Starts by the `Outcome` of their last stride; of those with `STRIDE`, `elsewhere` still walk
+    but did not return."""
     elsewhere: Int[np.ndarray, "*walkers"]
     median: Float[np.ndarray, "*walkers"]
-    """Strides to within a distance of the gait, of half of those that return."""
+    """Strides in which half of those that return come within a distance of the gait."""
     slowest: Float[np.ndarray, "*walkers"]
-    """And of 95 of 100; infinite where they have not come that close, NaN where none return."""
+    """The same of 95 %; infinite where fewer come that close, NaN where none return."""
 
 
 @refuses_tracers()
@@ -55,25 +55,25 @@ def basin_stability(
     seed: int = 0,
     tolerance: float | None = None,
 ) -> BasinStability:
-    """The fraction of random disturbances from which a walker returns to its gait, and how soon.
+    """The fraction of random disturbances from which a walker returns to its gait, and its strides.
 
     **Arguments:**
 
     - `walker`: its parameters are numbers, or arrays of n, as in `strides`; then the results are
       arrays of n, and NaN where there is no stable gait.
-    - `disturbances`: the greatest length of disturbances of the gait's first state, of which all
-      are as likely, in the metric of `least_disturbance` with `scale` and `along`; or a grid, in
-      whose region of the section starts are as likely anywhere.
+    - `disturbances`: largest length of disturbances of the gait's first state, uniformly
+      distributed in the metric of `least_disturbance` with `scale` and `along`; or a grid, in whose
+      region of the section starts are uniformly distributed.
     - `gait`: a stable one, of one walker; the most stable of period one, by default.
     - `within`: distance of a state of the gait, in every coordinate, to which strides are counted.
     - `samples`: starts for each walker, the same disturbances for all.
-    - `strides`: how many of them a walker may take to that distance, or to the gait's capture box,
-      from which all walkers converge to it.
+    - `strides`: number of strides in which a walker may come that close, or enter the gait's
+      capture box, from which all walkers converge to it.
     - `confidence`: of the interval.
-    - `seed`: of what is drawn.
+    - `seed`: of random numbers.
     - `tolerance`: of the integration, as in `stride`.
 
-    `ValueError` for a single walker without a stable gait, and for arguments out of range.
+    Raises `ValueError` for a single walker without a stable gait, and for arguments out of range.
     """
     unit, basis = metric(walker, scale, along)
     if isinstance(disturbances, Grid):
@@ -101,13 +101,13 @@ def basin_stability(
         raise WrongUse("walker must be one or more, and its parameters are arrays of none")
     rng = np.random.default_rng(seed)
     if isinstance(disturbances, Grid):
-        starts = disturbances.states(rng.uniform(size=(samples, len(disturbances.names))))
+        starts = disturbances.points_at(rng.uniform(size=(samples, len(disturbances.names))))
         about = lambda state: starts
     else:
-        inside = in_ball(rng, samples, len(basis)) @ basis * unit * disturbances
+        inside = draw_from_ball(rng, samples, len(basis)) @ basis * unit * disturbances
         about = lambda state: state + inside
 
-    def one(walker: Walker, gait: Gait | None) -> tuple:
+    def measure(walker: Walker, gait: Gait | None) -> tuple:
         mapper = mapper_of_gait(walker, gait, strides, tolerance)
         (own,) = mapper.attractors
         starts = about(own.states[0]).astype(own.states.dtype)
@@ -117,31 +117,32 @@ def basin_stability(
         close = mapper._replace(attractors=[own._replace(capture_boxes=cubes(own, within))])
         closer = close(starts[labels.converged])
         made = np.where(closer.converged, closer.strides, np.inf)
-        back = len(made)
-        late = np.percentile(made, (50, 95), method="inverted_cdf") if back else (np.nan, np.nan)
-        return back / samples, *wilson(back, samples, confidence), fates, elsewhere, *late
+        returned = len(made)
+        late = np.percentile(made, (50, 95), method="inverted_cdf") if returned else 2 * (np.nan,)
+        interval = wilson_interval(returned, samples, confidence)
+        return returned / samples, *interval, fates, elsewhere, *late
 
     if not counts:
-        return BasinStability(*map(np.asarray, one(walker, gait)))
+        return BasinStability(*map(np.asarray, measure(walker, gait)))
     rows = []
     for i in range(max(counts)):
         single = jax.tree.map(lambda leaf, i=i: leaf[i] if np.ndim(leaf) else leaf, walker)
         gait = find_gait(single)
         if gait.found and gait.stable:
-            rows.append(one(single, gait))
+            rows.append(measure(single, gait))
         else:
             rows.append((np.nan, np.nan, np.nan, np.zeros(len(Outcome), int), 0, np.nan, np.nan))
     return BasinStability(*map(np.array, zip(*rows, strict=True)))
 
 
-def in_ball(rng: np.random.Generator, n: int, rank: int) -> Float[np.ndarray, "n rank"]:
-    """Points of the unit ball, all as likely."""
+def draw_from_ball(rng: np.random.Generator, n: int, rank: int) -> Float[np.ndarray, "n rank"]:
+    """Points uniformly distributed in the unit ball."""
     x = rng.normal(size=(n, rank))
     radius = rng.uniform(size=(n, 1)) ** (1 / rank)
     return radius * x / np.linalg.norm(x, axis=1, keepdims=True)
 
 
-def wilson(successes: int, n: int, confidence: float) -> tuple[float, float]:
+def wilson_interval(successes: int, n: int, confidence: float) -> tuple[float, float]:
     """Wilson's interval for a probability, from a number of successes of n."""
     z = NormalDist().inv_cdf((1 + confidence) / 2)
     centre, spread = successes + z**2 / 2, z * np.sqrt(successes * (1 - successes / n) + z**2 / 4)

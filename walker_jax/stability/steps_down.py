@@ -1,4 +1,4 @@
-"""The least step down in the ground that a gait does not survive."""
+"""The least step down of the ground from which a walker does not return to its gait."""
 
 from typing import NamedTuple
 
@@ -19,7 +19,7 @@ from walker_jax.walking.outcomes import Outcome
 from walker_jax.walking.stepping import follow_step_down, step_down
 
 HEIGHTS = 4096
-"""Heights of a step down, up to the least found."""
+"""Heights that are tried, up to the smallest from which the walker does not return."""
 
 
 class LeastStepDown(NamedTuple):
@@ -30,11 +30,11 @@ class LeastStepDown(NamedTuple):
     state: Float[np.ndarray, " 4"]
     """(theta, phi, thetadot, phidot) just after heel strike on the lower ground; NaN if none."""
     phase: int
-    """The state of the gait from which the stride begins that ends there."""
+    """Number of the state of the gait from which the stride down begins."""
     failure: Outcome
     """How the walker fails from just beyond it; `STRIDE` where it converges to another motion."""
     strides: int
-    """Strides before that, the one down included, the failing one not."""
+    """Strides before the failing one, including the stride down."""
 
 
 @refuses_tracers()
@@ -48,9 +48,9 @@ def least_step_down(
 ) -> LeastStepDown:
     """The least height of a step down from which a walker does not return to its gait, or falls.
 
-    One heel strike is on ground that is lower (`step_down`), and so are all that follow. Arguments
-    and errors are those of `least_disturbance`. Heights are tried at some 4096 places up to the
-    least: failures in narrower ranges may be missed.
+    One heel strike is on lower ground (`step_down`), and so are all that follow. Arguments and
+    errors are those of `least_disturbance`. The search tries `HEIGHTS` heights up to the least one:
+    it may miss failures in narrower ranges.
     """
     lost = failure_test(fall)
     mapper = mapper_of_gait(walker, gait, strides, tolerance)

@@ -37,21 +37,21 @@ def robustness(
     seed: int = 0,
     tolerance: float | None = None,
 ) -> xr.Dataset:
-    """How robust a walker's gait is: basin, least disturbance, basin stability, boundary.
+    """Measures of robustness of a walker's gait: basin, disturbances, basin stability, boundary.
 
     **Arguments:**
 
     - `walker`: as in `basin`.
-    - `grid`: what `refine` and `boundary_dimension` begin with; by default all feasible angles of a
-      walker on point feet, sum from -0.12 to 0.06 (-1.1 to 0.1 but for the simplest), and a slice
-      around the gait of any other.
+    - `grid`: grid for `refine` and `boundary_dimension`; by default all feasible angles of a walker
+      on point feet, sum from -0.12 to 0.06 for the simplest and -1.1 to 0.1 for others, and a
+      slice around the gait of any other walker.
     - `levels`, `check`: of refinement.
     - `disturbances`: for `basin_stability`, shares of the coordinates of the gait's own state.
-    - `strides`: how many of them a walker may take to return.
-    - `seed`, `tolerance`: of what is drawn, and of the integration.
+    - `strides`: number of strides in which a walker may return.
+    - `seed`, `tolerance`: of random numbers, and of the integration.
 
-    **Returns** what `refine` does, and of the gait, the attractor of the largest basin:
-    `gait_period`, `gait_state` (that from which the least disturbance is), `multiplier` (the
+    **Returns** what `refine` returns, and of the gait, the attractor of the largest basin:
+    `gait_period`, `gait_state` (the nearest to the least disturbance), `multiplier` (the
     largest modulus), `step_time` (the mean); of the point that `least_disturbance` finds,
     `least_disturbance`, `direction`, `failing_state`, `failure` (-1 for none) and
     `failing_strides`; of the one that it finds with `fall`, which is the same unless the first
@@ -61,8 +61,7 @@ def robustness(
     `slowest_strides`; `dimension`, with `_low` and `_high`, of the boundary. NaN, or -1, where no
     gait attracts.
 
-    `ValueError` as for `refine`, and where a grid is required: where no gait of period one is
-    found.
+    Raises `ValueError` as `refine`, and without a grid where no gait of period one is found.
     """
     check_kind("walker", walker, Walker)
     check_precision(jnp.asarray(0.0).dtype, "robustness, which has the dimension of a boundary,")
@@ -81,15 +80,15 @@ def robustness(
     gait = find_gait(walker, data["states"].values[largest, :period], period)
     if not (gait.found and gait.stable):
         return data.assign(without_gait(walker))
-    least = least_disturbance(walker, gait, strides=strides, tolerance=tolerance)
+    nearest = least_disturbance(walker, gait, strides=strides, tolerance=tolerance)
     down = least_step_down(walker, gait, strides=strides, tolerance=tolerance)
-    fall, fall_down = least, down
+    fall, fall_down = nearest, down
     unknown = (Outcome.STRIDE, Outcome.UNDECIDED)
-    if least.failure in unknown:
+    if nearest.failure in unknown:
         fall = least_disturbance(walker, gait, fall=True, strides=strides, tolerance=tolerance)
     if down.failure in unknown:
         fall_down = least_step_down(walker, gait, fall=True, strides=strides, tolerance=tolerance)
-    gait = gait._replace(states=np.roll(np.asarray(gait.states), -least.phase, axis=0))
+    gait = gait._replace(states=np.roll(np.asarray(gait.states), -nearest.phase, axis=0))
     stability = basin_stability(
         walker,
         disturbances,
@@ -106,11 +105,11 @@ def robustness(
             "gait_state": ("coordinate", np.asarray(gait.states[0])),
             "multiplier": float(np.abs(gait.multipliers[0])),
             "step_time": float(np.mean(gait.step_times)),
-            "least_disturbance": least.size,
-            "direction": ("coordinate", least.direction),
-            "failing_state": ("coordinate", least.state),
-            "failure": int(least.failure),
-            "failing_strides": least.strides,
+            "least_disturbance": nearest.size,
+            "direction": ("coordinate", nearest.direction),
+            "failing_state": ("coordinate", nearest.state),
+            "failure": int(nearest.failure),
+            "failing_strides": nearest.strides,
             "least_fall": fall.size,
             "fall_direction": ("coordinate", fall.direction),
             "fall_state": ("coordinate", fall.state),
@@ -183,13 +182,13 @@ FIELDS = tuple(
     for group in (GAIT, LEAST_DISTURBANCE, LEAST_FALL, STEP_DOWN, STABILITY, RETURN, DIMENSION)
     for field in group.values()
 )
-"""All that `robustness` says of a gait.
+"""The variables of a gait.
 
-A new one is computed in `robustness`, has a place in a group here, by which it is in JSON and in
-sweeps, and a line in `storage.schema`, with the mark `NEW`, as earlier data sets lack it.
+A new one is computed in `robustness`, stands in a group here, by which JSON and sweeps have it, and
+in `storage.schema` with the mark `NEW`, as earlier data sets lack it.
 """
 WITHOUT_GAIT = {"gait_period": 0}
-"""Values where no gait attracts that are not those of their kind, NaN and -1."""
+"""Values where no gait attracts, other than those of their kind, NaN and -1."""
 
 
 def without_gait(walker: Walker) -> dict:
@@ -202,7 +201,7 @@ def without_gait(walker: Walker) -> dict:
 
 
 def summarise_robustness(data: xr.Dataset, slope: float) -> dict:
-    """What `robustness` found on one slope, in what JSON can hold; None where no gait attracts."""
+    """The results of `robustness` on one slope, for JSON; None where no gait attracts."""
     attracts = int(data["gait_period"]) > 0
     values = lambda group: {
         key: value_of(data, field) if attracts else None for key, field in group.items()
@@ -251,11 +250,12 @@ def robustness_table(
     tolerance: float | None = None,
     progress: bool = False,
 ) -> xr.Dataset:
-    """`robustness` over values of a parameter: all that is not of single cells or attractors.
+    """`robustness` over values of a parameter, without what it gives by cell or attractor.
 
     Without a grid, the slices of walkers with mass on their legs are around the gait of each.
-    Arguments are those of `robustness`; `progress` shows a bar on a terminal. `ValueError` also for
-    values that the walker refuses.
+    Arguments are those of `robustness`; `progress` shows a bar on a terminal.
+
+    Raises `ValueError` also for values that the walker refuses.
     """
     values = numbers("values", values)
     if values.ndim != 1 or len(values) == 0:
@@ -282,11 +282,15 @@ def robustness_table(
         )
         rows.append(one[[name for name in one if set(one[name].dims) <= {"coordinate"}]])
     about = {"walker": type(walker).__name__, "disturbances": disturbances}
-    return joined(rows, values, parameter).assign_attrs(about | common(rows, parameter))
+    return join_rows(rows, values, parameter).assign_attrs(
+        about | common_attributes(rows, parameter)
+    )
 
 
-def joined(rows: list[xr.Dataset], values: Float[np.ndarray, " n"], parameter: str) -> xr.Dataset:
-    """One table of rows. What a row lacks, of a walker without a gait, is NaN."""
+def join_rows(
+    rows: list[xr.Dataset], values: Float[np.ndarray, " n"], parameter: str
+) -> xr.Dataset:
+    """One table of all rows, with NaN where a row of a walker without a gait lacks a value."""
     where = xr.DataArray(values, dims=parameter, name=parameter)
     plain = [row.reset_coords().drop_attrs() for row in rows]
     return xr.concat(
@@ -294,8 +298,8 @@ def joined(rows: list[xr.Dataset], values: Float[np.ndarray, " n"], parameter: s
     )
 
 
-def common(rows: list[xr.Dataset], parameter: str) -> dict[str, Any]:
-    """The attributes that rows have, but those of a row's own."""
+def common_attributes(rows: list[xr.Dataset], parameter: str) -> dict[str, Any]:
+    """The attributes of the rows, except those that differ between rows."""
     own = ("area", f"walker_{parameter}")
     return {name: value for row in rows for name, value in row.attrs.items() if name not in own}
 

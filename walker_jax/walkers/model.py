@@ -164,7 +164,7 @@ MAX_LANDING_ERROR = 1e-4
 """Distance from the section, to the largest of the coordinates, that rounding may make."""
 
 
-Kind = TypeVar("Kind", bound=Walker)
+WalkerKind = TypeVar("WalkerKind", bound=Walker)
 EQUATIONS_OF_MOTION = ("vector_field", "system")
 PREMISES = {
     "force_least_at_ends": (*EQUATIONS_OF_MOTION, "contact_force"),
@@ -176,7 +176,7 @@ PREMISES = {
 """What may be known of a walker beyond its equations, and the methods that it is known of."""
 
 
-def moves_like(walker: Walker, kind: type[Kind]) -> TypeGuard[Kind]:
+def moves_like(walker: Walker, kind: type[WalkerKind]) -> TypeGuard[WalkerKind]:
     """Whether a walker moves as one of some kind does, by the same equations."""
     methods = {method for methods in PREMISES.values() for method in methods}
     same = lambda name: getattr(type(walker), name, None) is getattr(kind, name, None)

@@ -16,7 +16,7 @@ from walker_jax.walkers.model import Scalar, Walker
 
 
 class Parameter(NamedTuple):
-    """What a parameter of a walker means, and the numbers it may be."""
+    """A parameter of a walker: its meaning and its bounds."""
 
     name: str
     meaning: str
@@ -28,8 +28,8 @@ class Parameter(NamedTuple):
     closed: bool = False
     """Whether it may be equal to `low`."""
 
-    def checked(self, value: ArrayLike) -> Scalar:
-        """The number as an array; `ValueError` for what is none, or not within the bounds."""
+    def convert(self, value: ArrayLike) -> Scalar:
+        """The number as an array. Raises `ValueError` for one that is not within the bounds."""
         refusal = f"{self.name} must be one real number, not {short(value)}"
         try:
             value = jnp.asarray(value)
@@ -49,23 +49,23 @@ class Parameter(NamedTuple):
         return value
 
     def bounds(self) -> str:
-        """In words."""
+        """The bounds in words."""
         if self.low > -np.inf and self.high < np.inf:
-            least = "at least" if self.closed else "above"
-            return f"{least} {self.low:g} and below {self.high:g}"
+            limit = "at least" if self.closed else "above"
+            return f"{limit} {self.low:g} and below {self.high:g}"
         if self.low > -np.inf:
             return f"finite and {'not negative' if self.closed else f'above {self.low:g}'}"
         return "finite"
 
 
 def parameters(walker: type[Walker] | Walker) -> tuple[Parameter, ...]:
-    """Those of a kind of walker that it describes, in the order of its constructor's arguments."""
+    """The described parameters of a walker, in the order of its constructor's arguments."""
     converters = (field.metadata.get("converter") for field in dataclasses.fields(walker))
     described = (getattr(converter, "__self__", None) for converter in converters)
     return tuple(one for one in described if isinstance(one, Parameter))
 
 
-def describe(walker: Walker) -> dict[str, Any]:
+def describe_walker(walker: Walker) -> dict[str, Any]:
     """The name and the parameters of a walker, for a request or an answer."""
     values = {one.name: float(getattr(walker, one.name)) for one in parameters(walker)}
     return {"name": type(walker).__name__, **values}
@@ -73,7 +73,7 @@ def describe(walker: Walker) -> dict[str, Any]:
 
 def describe_in_words(walker: Walker) -> str:
     """The same on one line: its name, then each parameter with its value."""
-    name, *values = describe(walker).items()
+    name, *values = describe_walker(walker).items()
     return ", ".join([name[1], *(f"{key} {value:g}" for key, value in values)])
 
 

@@ -23,8 +23,8 @@ class PointFootWalker(AbstractPointFootWalker, MultibodyWalker):
     `ValueError` otherwise.
     """
 
-    slope: Scalar = eqx.field(converter=SLOPE.checked)
-    foot_mass: Scalar = eqx.field(converter=FOOT_MASS.checked, default=FOOT_MASS.default)
+    slope: Scalar = eqx.field(converter=SLOPE.convert)
+    foot_mass: Scalar = eqx.field(converter=FOOT_MASS.convert, default=FOOT_MASS.default)
 
     def past_contact(self, state):
         return rises_ever_faster(self, state)

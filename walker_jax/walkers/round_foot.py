@@ -39,14 +39,14 @@ class RoundFootWalker(AbstractRoundFootWalker):
     of mass at the hip.
     """
 
-    slope: Scalar = eqx.field(converter=SLOPE.checked)
-    hip_mass: Scalar = eqx.field(converter=HIP_MASS.checked, default=HIP_MASS.default)
-    leg_mass: Scalar = eqx.field(converter=LEG_MASS.checked, default=LEG_MASS.default)
-    leg_inertia: Scalar = eqx.field(converter=LEG_INERTIA.checked, default=LEG_INERTIA.default)
-    leg_length: Scalar = eqx.field(converter=LEG_LENGTH.checked, default=LEG_LENGTH.default)
-    com_from_hip: Scalar = eqx.field(converter=COM_FROM_HIP.checked, default=COM_FROM_HIP.default)
-    com_offset: Scalar = eqx.field(converter=COM_OFFSET.checked, default=COM_OFFSET.default)
-    foot_radius: Scalar = eqx.field(converter=FOOT_RADIUS.checked, default=FOOT_RADIUS.default)
+    slope: Scalar = eqx.field(converter=SLOPE.convert)
+    hip_mass: Scalar = eqx.field(converter=HIP_MASS.convert, default=HIP_MASS.default)
+    leg_mass: Scalar = eqx.field(converter=LEG_MASS.convert, default=LEG_MASS.default)
+    leg_inertia: Scalar = eqx.field(converter=LEG_INERTIA.convert, default=LEG_INERTIA.default)
+    leg_length: Scalar = eqx.field(converter=LEG_LENGTH.convert, default=LEG_LENGTH.default)
+    com_from_hip: Scalar = eqx.field(converter=COM_FROM_HIP.convert, default=COM_FROM_HIP.default)
+    com_offset: Scalar = eqx.field(converter=COM_OFFSET.convert, default=COM_OFFSET.default)
+    foot_radius: Scalar = eqx.field(converter=FOOT_RADIUS.convert, default=FOOT_RADIUS.default)
 
     def past_contact(self, state):
         return rises_ever_faster(self, state)

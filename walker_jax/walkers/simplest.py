@@ -24,7 +24,7 @@ class SimplestWalker(AbstractMasslessFootWalker):
     - `slope`: of the ground (rad), above 0 and below pi/2. `ValueError` otherwise.
     """
 
-    slope: Scalar = eqx.field(converter=SLOPE.checked)
+    slope: Scalar = eqx.field(converter=SLOPE.convert)
 
     force_least_at_ends: ClassVar = True
     inverted_pendulum: ClassVar = True

@@ -38,9 +38,9 @@ class SpringWalker(AbstractMasslessFootWalker):
     `ValueError` otherwise.
     """
 
-    slope: Scalar = eqx.field(converter=SLOPE.checked)
+    slope: Scalar = eqx.field(converter=SLOPE.convert)
     hip_stiffness: Scalar = eqx.field(
-        converter=HIP_STIFFNESS.checked, default=HIP_STIFFNESS.default
+        converter=HIP_STIFFNESS.convert, default=HIP_STIFFNESS.default
     )
 
     force_least_at_ends: ClassVar = True

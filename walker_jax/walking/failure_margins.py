@@ -64,7 +64,7 @@ def margins(
     """One stride, as `stride` makes it, and its margins.
 
     Arguments and errors are those of `stride`. Derivatives of the first order are right.
-    Margins are smooth but where another instant comes to be the one that counts.
+    Margins are smooth except where the instant that determines them jumps.
     """
     return follow_margins(*prepare(walker, x, tolerance))
 
@@ -96,7 +96,7 @@ def failure_margin(found: Margins) -> Scalar:
 
 
 class MarginState(NamedTuple):
-    """A stride on its way."""
+    """An unfinished stride, with its margins so far."""
 
     state: State
     time: Scalar

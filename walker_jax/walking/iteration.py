@@ -1,8 +1,8 @@
 """The stride function over many starts, and its iteration over many strides.
 
 A walk is iterated in one place, `walk_on`: until a failure, until it is within reach of a target,
-or for a number of strides. `iterate` does that for many starts at once. Two functions beside it
-return every state on the way: `orbits`, of many starts, and `walk`, of one that JAX may trace.
+or for a number of strides. `iterate` does that for many starts at once. Two other functions
+return every state: `orbits`, of many starts, and `walk`, of one that JAX may trace.
 """
 
 import itertools
@@ -26,11 +26,11 @@ from walker_jax.walking.outcomes import Outcome, Stride, Walk
 from walker_jax.walking.stepping import follow_stride, prepare
 
 ROUNDS = 4, 16, 64
-"""Strides of the first rounds of an iteration, and of all later ones, after each of which the walks
-that have ended are left behind. Most starts on a grid about a basin fail within four strides."""
-MOST_TARGETS = 32
-"""Targets that a compiled walk looks for, at most: it takes 3 s to compile for 32, 18 s for 128.
-More are looked for by the host, after each stride."""
+"""Strides of the first rounds of an iteration, and of all later ones; only unfinished walks enter
+the next. Most starts on a grid around a basin fail within four strides."""
+MAX_COMPILED_TARGETS = 32
+"""Largest number of targets of a compiled walk: it takes 3 s to compile for 32, 18 s for 128. The
+host tests more of them after each stride."""
 
 
 class Targets(NamedTuple):
@@ -48,7 +48,7 @@ class WalkEnd(NamedTuple):
     outcome: Int[Any, "*starts"]
     """`Outcome` of the last stride; `STRIDE` where none was made."""
     strides: Int[Any, "*starts"]
-    """How many were completed."""
+    """Number of completed strides."""
     target: Int[Any, "*starts"]
     """Number of the target that was reached, the nearest of several; -1 for none."""
 
@@ -108,11 +108,11 @@ def as_arrays(walker: Walker, n: int, dtype) -> tuple[Walker, bool]:
     many = any(np.ndim(leaf) for leaf in jax.tree.leaves(walker))
     if many:
         check_parameters(walker, n)
-        return stacked(walker, n, dtype), many
+        return broadcast_parameters(walker, n, dtype), many
     return jax.tree.map(lambda leaf: np.asarray(leaf, dtype), walker), many
 
 
-def stacked(walker: Walker, n: int, dtype) -> Walker:
+def broadcast_parameters(walker: Walker, n: int, dtype) -> Walker:
     """A walker, or n of them, with every parameter as an array of n."""
     return jax.tree.map(lambda leaf: np.broadcast_to(np.asarray(leaf, dtype), (n,)), walker)
 
@@ -130,7 +130,7 @@ def check_parameters(walker: Walker, n: int) -> None:
     for one in parameters(walker):
         values = getattr(walker, one.name)
         for value in (np.min(values), np.max(values)) if np.size(values) else ():
-            one.checked(value)
+            one.convert(value)
 
 
 def walk(
@@ -177,11 +177,11 @@ def walk_on(
     def reached(x):
         if targets is None:
             return jnp.asarray(-1, jnp.int32)
-        away = jnp.sum(targets.frames * (x - targets.states)[:, None], axis=2)
-        away = jnp.max(jnp.abs(away), axis=1)
-        return jnp.where(jnp.min(away) < 1, jnp.argmin(away).astype(jnp.int32), -1)
+        distance = jnp.sum(targets.frames * (x - targets.states)[:, None], axis=2)
+        distance = jnp.max(jnp.abs(distance), axis=1)
+        return jnp.where(jnp.min(distance) < 1, jnp.argmin(distance).astype(jnp.int32), -1)
 
-    def going(end):
+    def unfinished(end):
         return (end.outcome == Outcome.STRIDE) & (end.strides < limit) & (end.target < 0)
 
     def advance(end):
@@ -190,7 +190,7 @@ def walk_on(
         return WalkEnd(result.state, result.outcome, end.strides + made, reached(result.state))
 
     first = jnp.asarray(Outcome.STRIDE, jnp.int8), jnp.zeros((), jnp.int32)
-    return lax.while_loop(going, advance, WalkEnd(x, *first, reached(x)))
+    return lax.while_loop(unfinished, advance, WalkEnd(x, *first, reached(x)))
 
 
 def iterate(
@@ -204,8 +204,8 @@ def iterate(
 ) -> WalkEnd:
     """`walk_on` from each of n starts, on all devices and cores; NumPy arrays.
 
-    The walker's parameters may be arrays of n. Walks are continued in rounds, and those that have
-    ended are left behind after each. `progress` is what to call the work in a progress bar.
+    The walker's parameters may be arrays of n. Walks continue in rounds, each of the walks that
+    have not ended yet. `progress` is the label of a progress bar.
     """
     n, size = starts.shape
     walker, many = as_arrays(walker, n, starts.dtype)
@@ -213,30 +213,34 @@ def iterate(
     end = WalkEnd(
         starts.copy(), np.zeros(n, np.int8), np.zeros(n, np.int32), np.full(n, -1, np.int32)
     )
-    for_host = targets if targets and len(targets.states) > MOST_TARGETS else None
+    for_host = targets if targets and len(targets.states) > MAX_COMPILED_TARGETS else None
     if for_host:
         end.target[:] = nearest_target(starts, for_host)
-    compiled = power_of_two(None if for_host else targets, size, starts.dtype)
-    left, done = np.flatnonzero(end.target < 0), 0
+    compiled = pad_to_power_of_two(None if for_host else targets, size, starts.dtype)
+    active, done = np.flatnonzero(end.target < 0), 0
     for count in round_lengths(limit, (1,) if for_host else ROUNDS):
-        if len(left) == 0:
+        if len(active) == 0:
             break
         part = map_cells(
             walk_on,
-            (select_walkers(walker, left), end.state[left], compiled, np.int32(count), finest),
+            (select_walkers(walker, active), end.state[active], compiled, np.int32(count), finest),
             (many, True, False, False, False),
-            progress=progress and f"{progress}: from stride {done + 1} on, {len(left)} walkers",
+            progress=progress and f"{progress}: from stride {done + 1} on, {len(active)} walkers",
         )
         if for_host:
             part = part._replace(target=nearest_target(part.state, for_host))
-        end.state[left], end.outcome[left], end.target[left] = part.state, part.outcome, part.target
-        end.strides[left] += part.strides
-        left, done = left[(part.outcome == Outcome.STRIDE) & (part.target < 0)], done + count
+        end.state[active], end.outcome[active], end.target[active] = (
+            part.state,
+            part.outcome,
+            part.target,
+        )
+        end.strides[active] += part.strides
+        active, done = active[(part.outcome == Outcome.STRIDE) & (part.target < 0)], done + count
     return end
 
 
 def round_lengths(limit: int, rounds: tuple[int, ...]) -> Iterator[int]:
-    """The strides of each round, `limit` in all: those given, and the last of them again."""
+    """The strides of each round, `limit` in all; the last of `rounds` is repeated."""
     done = 0
     for count in itertools.chain(rounds, itertools.repeat(rounds[-1])):
         if done >= limit:
@@ -245,10 +249,11 @@ def round_lengths(limit: int, rounds: tuple[int, ...]) -> Iterator[int]:
         done += count
 
 
-def power_of_two(targets: Targets | None, size: int, dtype) -> Targets:
-    """The same targets, repeated to a power of two of them, so that few programs are compiled.
+def pad_to_power_of_two(targets: Targets | None, size: int, dtype) -> Targets:
+    """The same targets, repeated up to a power of two, so that few programs are compiled.
 
-    Of equals the first is the nearest. In place of none there is one that no state is near to.
+    Of equal targets the first is the nearest. Without targets the result is one that no state
+    reaches.
     """
     if targets is None or len(targets.states) == 0:
         return Targets(np.full((1, size), np.nan, dtype), np.zeros((1, size, size), dtype))
@@ -258,10 +263,10 @@ def power_of_two(targets: Targets | None, size: int, dtype) -> Targets:
 
 def nearest_target(x: Float[np.ndarray, "n section"], targets: Targets) -> Int[np.ndarray, " n"]:
     """Number of the target that each state is within reach of, the nearest of several, or -1."""
-    number, least = np.full(len(x), -1, np.int32), np.ones(len(x), x.dtype)
+    number, smallest = np.full(len(x), -1, np.int32), np.ones(len(x), x.dtype)
     for i, (state, frame) in enumerate(zip(*targets, strict=True)):
-        away = np.abs((x - state) @ frame.T).max(axis=1)
-        number[away < least], least = i, np.fmin(away, least)
+        distance = np.abs((x - state) @ frame.T).max(axis=1)
+        number[distance < smallest], smallest = i, np.fmin(distance, smallest)
     return number
 
 
@@ -277,9 +282,9 @@ def orbits(
     """
     states = np.full((len(starts), count + 1, starts.shape[1]), np.nan, starts.dtype)
     states[:, 0] = starts
-    outcome, left = np.zeros(len(starts), np.int8), np.arange(len(starts))
+    outcome, active = np.zeros(len(starts), np.int8), np.arange(len(starts))
     for i in range(count):
-        ends = strides(select_walkers(walker, left), states[left, i], tolerance=tolerance)
-        states[left, i + 1], outcome[left] = ends.state, ends.outcome
-        left = left[ends.outcome == Outcome.STRIDE]
+        ends = strides(select_walkers(walker, active), states[active, i], tolerance=tolerance)
+        states[active, i + 1], outcome[active] = ends.state, ends.outcome
+        active = active[ends.outcome == Outcome.STRIDE]
     return states, outcome

@@ -63,7 +63,7 @@ def swing(
         return jax.jvp(contact, (state,), (walker.vector_field(state),))[1]
 
     def may_end(before: State, after: State, below: Bool[Array, ""], ends_below: Bool[Array, ""]):
-        """Whether a stride may end in a step: all that is wanted of it are its two ends."""
+        """Whether a stride may end in a step, from the two ends of the step alone."""
         turns = (rate(before) < 0) & (rate(after) > 0)
         rises = ~ends_below & (below | turns)
         if drop is not None:  # a foot may come down and up again: the legs pass each other
