@@ -47,7 +47,7 @@ from walker_jax.gaits.cycles import (
 )
 from walker_jax.gaits.derivatives import linearise
 from walker_jax.grids import Grid
-from walker_jax.integrators.solvers import AnySolver, Real, solved_by
+from walker_jax.integrators.solvers import AnySolver, Real, using_solver
 from walker_jax.walkers.model import Walker, moves_like
 from walker_jax.walkers.simplest import SimplestWalker
 from walker_jax.walking.iteration import follow_walk, orbits, select_walkers, strides
@@ -85,7 +85,7 @@ def find_gait(
     shorter period; then states, multipliers and step times are NaN. `ValueError` for a period
     below 1, a guess of a wrong shape, one that is not finite, or none where one is needed.
     """
-    with solved_by(solver):
+    with using_solver(solver):
         return gait_near(walker, guess, period, tolerance)
 
 

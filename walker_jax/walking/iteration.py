@@ -19,7 +19,7 @@ from jaxtyping import Array, Float, Int
 
 from walker_jax.checks import WrongUse, array, check_kind, check_whole, refuses_tracers
 from walker_jax.execution.tiles import map_cells
-from walker_jax.integrators.solvers import AnySolver, Real, default_tolerance, solved_by
+from walker_jax.integrators.solvers import AnySolver, Real, default_tolerance, using_solver
 from walker_jax.walkers.model import State, Walker
 from walker_jax.walkers.parameters import parameters
 from walker_jax.walking.outcomes import Outcome, Stride, Walk
@@ -69,7 +69,7 @@ def strides(
     It is fastest where neighbours in `xs` are close on the section.
     `progress` is what to call the work in a progress bar, shown on a terminal only.
     """
-    with solved_by(solver):
+    with using_solver(solver):
         return for_each_start(follow_stride, walker, xs, tolerance, progress)
 
 
@@ -146,7 +146,7 @@ def walk(
     walker, x, tolerance = prepare(walker, x, tolerance)
     if x.shape != (len(walker.section),):
         raise WrongUse(f"x must be on the section {walker.section}, not of shape {x.shape}")
-    with solved_by(solver):
+    with using_solver(solver):
         return follow_walk(walker, x, n, tolerance)
 
 
