@@ -45,7 +45,7 @@ from walker_jax import multibody
 from walker_jax.gaits.branches import continue_gaits
 from walker_jax.gaits.continuation import start_at_doubling
 from walker_jax.gaits.derivatives import linearise
-from walker_jax.kernels.scalars import unrolled
+from walker_jax.kernels.scalars import unroll
 from walker_jax.walkers.masses import coordinates_and_rates
 from walker_jax.walkers.model import State
 from walker_jax.walkers.parameters import parameters
@@ -293,10 +293,10 @@ class ExtraInertia(wj.RoundFootWalker):
             matrix = multibody.block(multibody.mass_matrix(system, q), range(4))
             none = jnp.zeros_like(state.phidot)
             momentum = [none, none, none, -walker.leg_inertia * state.phidot]
-            kick = jnp.stack(multibody.solve(multibody.factorise(matrix), momentum))
+            kick = jnp.stack(multibody.solve_factored(multibody.factorise(matrix), momentum))
             return list(multibody.impact(system, walker.swing_foot, q, qdot + kick).velocities)
 
-        u, v, thetadot, phidot = unrolled(equations)(self, state)
+        u, v, thetadot, phidot = unroll(equations)(self, state)
         return (u, v), State(state.theta, state.phi, thetadot, phidot)
 
 

@@ -63,8 +63,8 @@ import numpy as np
 
 import walker_jax as wj
 from walker_jax.execution.tiles import CALL_SHAPES, COMPILER_OPTIONS, compact_order, map_cells
-from walker_jax.integrators.solvers import ORDER, Method, Taylor, Until
-from walker_jax.integrators.taylor import fast_sines
+from walker_jax.integrators.solvers import SERIES_ORDER, Method, Taylor, Until
+from walker_jax.integrators.taylor import with_fast_sincos
 from walker_jax.kernels import primitive
 from walker_jax.walking.stepping import follow_stride, prepare
 
@@ -128,14 +128,14 @@ def of_strides(repeats: int):
 
         def run(tolerance):
             # Looked at when `one` is compiled, that is in its first call.
-            ORDER[DTYPE] = order
+            SERIES_ORDER[DTYPE] = order
             COMPILER_OPTIONS["cpu"] = options | {"xla_cpu_prefer_vector_width": width}
             with by_xla() if width else nullcontext():
                 return map_cells(one, ((walker, tolerance), xs))
 
         return run
 
-    usual, options = ORDER[DTYPE], COMPILER_OPTIONS["cpu"]
+    usual, options = SERIES_ORDER[DTYPE], COMPILER_OPTIONS["cpu"]
     tolerances = [1e-9, 1e-10, 1e-11, 1e-12, 1e-13]
     exact = way(16)(1e-15).state
     orders = 8, 10, 12, 14, 16
@@ -144,7 +144,7 @@ def of_strides(repeats: int):
     targets = [1e-8, 1e-9, 1e-10]
     print("Strides, by Taylor series: us each")
     compare(ways, lambda result: np.nanmax(np.abs(result.state - exact)), len(xs), repeats, targets)
-    ORDER[DTYPE], COMPILER_OPTIONS["cpu"] = usual, options
+    SERIES_ORDER[DTYPE], COMPILER_OPTIONS["cpu"] = usual, options
 
 
 def of_one_swing(repeats: int):
@@ -165,7 +165,7 @@ def of_one_swing(repeats: int):
 
     def landed(walker, state, rest):  # from the end of a step, which is not at a time of 3
         short = diffrax.ODETerm(lambda t, y, args: walker.vector_field(y))
-        taylor = Taylor(ORDER[DTYPE])
+        taylor = Taylor(SERIES_ORDER[DTYPE])
         return jnp.stack(taylor.step(short, 0.0, rest, state, None, None, False)[0])
 
     def loop(shared, x, diffrax_loop=False):
@@ -177,7 +177,7 @@ def of_one_swing(repeats: int):
         def stop(_, end, side):
             return (end[1] >= SWING / 64) & finite(end[0]), side
 
-        method = Method(field, Taylor(ORDER[DTYPE]), tolerance)
+        method = Method(field, Taylor(SERIES_ORDER[DTYPE]), tolerance)
         start, none = (walker.lift(x), jnp.zeros(())), jnp.asarray(False)
         if diffrax_loop:  # as `follow` has other solvers go
             until = Until(method.controller(), stop, none)
@@ -191,7 +191,7 @@ def of_one_swing(repeats: int):
     def by_diffrax(solver, adaptive=True, sines=False, event=False, xla=True):
         def one(shared, x):
             walker, setting = shared
-            field = fast_sines(walker.vector_field) if sines else walker.vector_field
+            field = with_fast_sincos(walker.vector_field) if sines else walker.vector_field
             if adaptive:
                 controller = diffrax.PIDController(rtol=setting, atol=setting)
             else:
@@ -220,7 +220,7 @@ def of_one_swing(repeats: int):
         return way(one, xla)
 
     exact = by_diffrax(diffrax.Dopri8(), adaptive=False)(400.0)
-    taylor, tolerances = Taylor(ORDER[DTYPE]), [10.0**-k for k in range(6, 14)]
+    taylor, tolerances = Taylor(SERIES_ORDER[DTYPE]), [10.0**-k for k in range(6, 14)]
     tsit5, dopri8 = diffrax.Tsit5(), diffrax.Dopri8()
     ways = {
         "follow, kernel": (way(partial(loop), xla=False), tolerances),

@@ -97,7 +97,7 @@ CASES = [
 def test_derivatives_in_either_mode_are_those_of_differences(cls, quantity, monkeypatch):
     """By the start and all parameters."""
     if (cls, quantity) in QUICK:  # directions are cells, so that there is one program
-        monkeypatch.setattr(primitive, "TOGETHER", (0, 0))
+        monkeypatch.setattr(primitive, "MAX_OPERATIONS", (0, 0))
     function = of_numbers(cls, quantity)
     z, steps = point(cls)
     forward = np.asarray(jax.jit(jax.jacfwd(function))(z))
@@ -117,7 +117,7 @@ def test_derivatives_in_either_mode_are_those_of_differences(cls, quantity, monk
 @pytest.mark.parametrize("quantity", ["stride", pytest.param("gait", marks=SLOW)])
 def test_hessians_are_differences_of_gradients(quantity, monkeypatch):
     """Of the simplest walker, in three of the four modes."""
-    monkeypatch.setattr(primitive, "TOGETHER", (0, 0))
+    monkeypatch.setattr(primitive, "MAX_OPERATIONS", (0, 0))
     function = of_numbers(SimplestWalker, quantity)
     z, steps = point(SimplestWalker)
     weights = jnp.cos(jnp.arange(len(function(z))))

@@ -1,4 +1,4 @@
-"""The Taylor solver, integration up to a condition, roots of polynomials, and landing."""
+"""The Taylor solver, integration up to a condition, roots of polynomials, refinement of events."""
 
 import diffrax
 import jax
@@ -10,15 +10,20 @@ from hypothesis import strategies as st
 from jax import lax
 from scipy.integrate import solve_ivp
 
-from walker_jax.integrators.roots import first_rise, of_function, of_polynomial, rising_root
+from walker_jax.integrators.roots import (
+    bracketed_newton,
+    first_upcrossing,
+    function_jet,
+    polynomial_jet,
+)
 from walker_jax.integrators.solvers import (
-    ORDER,
+    SERIES_ORDER,
     Method,
     SeriesSteps,
     Taylor,
     TaylorInterpolation,
     default_tolerance,
-    polynomial,
+    evaluate_series,
     step_length,
 )
 from walker_jax.integrators.taylor import solution_series
@@ -217,7 +222,7 @@ def oscillator(state):
 def follow(field, start, stop, tolerance=TOLERANCE, **options):
     """The last step, and how many there were."""
     dtype = jax.tree.leaves(start)[0].dtype
-    return Method(field, Taylor(ORDER[dtype]), tolerance).follow(start, stop, **options)
+    return Method(field, Taylor(SERIES_ORDER[dtype]), tolerance).follow(start, stop, **options)
 
 
 def below_zero(before, after, side):
@@ -302,7 +307,7 @@ def test_steps_equal_those_of_diffeqsolve_at_the_same_times(single_steps):
     times, states = single_steps
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(lambda t, y, args: three_body_like(y)),
-        Taylor(ORDER[jnp.dtype("float64")]),
+        Taylor(SERIES_ORDER[jnp.dtype("float64")]),
         t0=times[0],
         t1=times[-1],
         dt0=None,
@@ -362,7 +367,7 @@ def test_derivative_of_the_flow_is_a_rotation():
 def test_steps_of_a_series_in_diffeqsolve_are_those_of_the_loop(single_steps):
     """None is rejected, and none of their lengths is guessed."""
     times, states = single_steps
-    order = ORDER[jnp.dtype("float64")]
+    order = SERIES_ORDER[jnp.dtype("float64")]
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(lambda t, y, args: three_body_like(y)),
         Taylor(order),
@@ -392,9 +397,9 @@ def test_runge_kutta_steps_stop_where_they_should_and_land(solver):
         start = jnp.cos(phase), jnp.sin(phase)
         stop = lambda before, after, side: ((before[0] > 0) & (after[0] <= 0), side)
         last, _ = method.follow(start, stop)
-        exists, time = first_rise(method.look(event, last), last.length)
-        time = method.sharpened(event, last, time)
-        state, delay = method.land(event, method.within(last, time))
+        exists, time = first_upcrossing(method.jet(event, last), last.length)
+        time = method.refine_time(event, last, time)
+        state, delay = method.refine_event(event, method.state_at(last, time))
         return last.time + time + delay, (state, exists)
 
     (time, (state, exists)), (change, _) = jax.jvp(run, (jnp.array(0.4),), (jnp.array(1.0),))
@@ -405,8 +410,8 @@ def test_runge_kutta_steps_stop_where_they_should_and_land(solver):
 
 def test_value_slope_and_curvature_of_a_function_of_time():
     t = jnp.array(0.7)
-    np.testing.assert_allclose(of_function(jnp.sin)(t), (np.sin(t), np.cos(t), -np.sin(t)))
-    np.testing.assert_allclose(of_polynomial([t, t, t])(jnp.array(2.0)), (4.9, 3.5, 1.4))
+    np.testing.assert_allclose(function_jet(jnp.sin)(t), (np.sin(t), np.cos(t), -np.sin(t)))
+    np.testing.assert_allclose(polynomial_jet([t, t, t])(jnp.array(2.0)), (4.9, 3.5, 1.4))
 
 
 def test_integrates_in_float32():
@@ -423,11 +428,13 @@ def test_integrates_in_float32():
 
 @pytest.fixture(scope="module")
 def rise():
-    """first_rise of a batch of polynomials of degree 6, (n, 7), in steps of lengths (n,)."""
+    """Upcrossings of a batch of polynomials of degree 6, (n, 7), in steps of lengths (n,)."""
 
     @jax.jit
     def run(polynomials, lengths):
-        return jax.vmap(lambda p, t: first_rise(of_polynomial(list(p)), t))(polynomials, lengths)
+        return jax.vmap(lambda p, t: first_upcrossing(polynomial_jet(list(p)), t))(
+            polynomials, lengths
+        )
 
     def padded(polynomials, lengths):
         count = len(polynomials)
@@ -518,7 +525,7 @@ def test_first_rise_ends_for_every_polynomial_and_is_right_for_those_it_is_for(r
 
 def test_rising_root_of_functions_that_are_not_polynomials():
     def root(function, low, high):
-        return rising_root(function, jnp.array(low), jnp.array(high))
+        return bracketed_newton(function, jnp.array(low), jnp.array(high))
 
     def atan(t):  # from so far Newton's iteration runs away
         return jnp.arctan(t - 2), 1 / (1 + (t - 2) ** 2)
@@ -536,7 +543,7 @@ def test_rising_root_of_functions_that_are_not_polynomials():
 
 def test_first_rise_is_a_constant_to_derivatives():
     def root(a):
-        return first_rise(of_polynomial([-a, jnp.ones_like(a)]), jnp.array(1.0))[1]
+        return first_upcrossing(polynomial_jet([-a, jnp.ones_like(a)]), jnp.array(1.0))[1]
 
     value, derivative = jax.jvp(root, (jnp.array(0.3),), (jnp.array(1.0),))
     assert value == pytest.approx(0.3, rel=1e-15) and derivative == 0
@@ -560,8 +567,8 @@ def assert_same_derivatives(function, expected, p, order):
 
 def landing(vector_field, event, start, time):
     """(z, v) and time where the event is zero, `time` being what is known of the latter."""
-    near = polynomial(solution_series(vector_field, start, 16), lax.stop_gradient(time))
-    state, delay = Method(vector_field, Taylor(16), TOLERANCE).land(event, near)
+    near = evaluate_series(solution_series(vector_field, start, 16), lax.stop_gradient(time))
+    state, delay = Method(vector_field, Taylor(16), TOLERANCE).refine_event(event, near)
     return jnp.stack([*state, lax.stop_gradient(time) + delay])
 
 

@@ -15,7 +15,7 @@ from hypothesis.extra.numpy import arrays
 from sympy.physics import mechanics
 
 from walker_jax import multibody
-from walker_jax.multibody import System, impact, kinetic_energy, motion, potential_energy
+from walker_jax.multibody import System, impact, kinetic_energy, potential_energy, solve_motion
 
 GRAVITY = 9.81
 COUNT = 30
@@ -109,7 +109,7 @@ def frames(*angles):
 
 
 def assert_accelerations(system, expected, q, qdot):
-    found = each(lambda q, qdot: motion(system, q, qdot).accelerations, q, qdot)
+    found = each(lambda q, qdot: solve_motion(system, q, qdot).accelerations, q, qdot)
     exact = np.array([expected(*pair) for pair in zip(np.array(q), np.array(qdot), strict=True)])
     assert np.ptp(exact) > 1
     close(found, exact)
@@ -199,7 +199,7 @@ def test_spatial_pendulum_keeps_its_energy_and_angular_momentum():
     system = spatial_pendulum()
 
     def rates(t, state, args):
-        return state[1], motion(system, *state).accelerations
+        return state[1], solve_motion(system, *state).accelerations
 
     @jax.jit
     def conserved_along(start):
@@ -253,7 +253,7 @@ def wheel(mass, inertia, radius, slope, offset=0.0):
 
 def rolling(mass, inertia, radius, slope, angle, rate, offset=0.0):
     q, qdot = (jnp.stack([jnp.zeros(()), jnp.zeros(()), x]) for x in (angle, rate))
-    return motion(wheel(mass, inertia, radius, slope, offset), q, qdot, held=(0, 1))
+    return solve_motion(wheel(mass, inertia, radius, slope, offset), q, qdot, held=(0, 1))
 
 
 def wheels(seed):
@@ -318,10 +318,10 @@ def test_forces_that_hold_a_pivot_are_what_newton_demands():
     still = jnp.zeros_like(q)
 
     def look(q, qdot, q_all, qdot_all):
-        alone = motion(bars, q, qdot).accelerations
-        accelerations, forces = motion(on_a_pivot(bars), q_all, qdot_all, held=(0, 1))
+        alone = solve_motion(bars, q, qdot).accelerations
+        accelerations, forces = solve_motion(on_a_pivot(bars), q_all, qdot_all, held=(0, 1))
         acceleration = multibody.velocity(bars.transfer, q, alone)
-        acceleration += multibody.convective(bars.transfer, q, qdot)
+        acceleration += multibody.convective_acceleration(bars.transfer, q, qdot)
         demanded = bars.masses * acceleration - bars.forces
         return accelerations[2:], alone, forces, demanded[0:2] + demanded[2:4]
 
@@ -342,7 +342,7 @@ def test_tension_of_a_pendulum_on_its_pivot():
     system = System(transfer, masses, weights(masses))
     (angle, *_), (rate, *_) = (s.T for s in states(17, 2))
     q, qdot = (jnp.stack([0 * x, 0 * x, x], 1) for x in (angle, rate))
-    _, forces = each(lambda q, qdot: motion(system, q, qdot, held=(0, 1)), q, qdot)
+    _, forces = each(lambda q, qdot: solve_motion(system, q, qdot, held=(0, 1)), q, qdot)
     tension = 0.6 * (GRAVITY * np.cos(angle) + LENGTH * rate**2)
     close(forces[:, 0], -tension * np.sin(angle))
     close(forces[:, 1], tension * np.cos(angle))
@@ -354,7 +354,7 @@ def test_a_locked_hinge_makes_one_body_of_two_and_takes_a_torque():
     q = jnp.stack([uniform(19, COUNT, low=-3, high=3), jnp.zeros(COUNT)], 1)
     qdot = jnp.stack([uniform(20, COUNT), jnp.zeros(COUNT)], 1)
     accelerations, forces = each(
-        lambda q, qdot: motion(two_bars(**bars), q, qdot, held=(1,)), q, qdot
+        lambda q, qdot: solve_motion(two_bars(**bars), q, qdot, held=(1,)), q, qdot
     )
     reach = bars["l1"] + bars["c2"]
     first = bars["m1"] * bars["c1"] ** 2 + bars["I1"]
@@ -373,8 +373,12 @@ def test_held_coordinates_are_counted_from_either_end_in_any_order_and_once():
 
     @jax.jit
     def results(q, qdot):
-        some = motion(bars, q, qdot, held=(1,)), motion(bars, q, qdot, held=[-1, 1, 1])
-        return some, motion(bars, q, qdot, held=[1, -2]), multibody.reduced_force(bars, q, qdot)
+        some = solve_motion(bars, q, qdot, held=(1,)), solve_motion(bars, q, qdot, held=[-1, 1, 1])
+        return (
+            some,
+            solve_motion(bars, q, qdot, held=[1, -2]),
+            multibody.reduced_force(bars, q, qdot),
+        )
 
     q, qdot = states(21, 2)
     (first, second), everything, force = results(q[0], qdot[0])
@@ -395,10 +399,10 @@ def test_spring_and_damper_on_a_mass():
 
     system = System(lambda q: q, jnp.array([m]), jnp.array([m * GRAVITY]), damped)
     x, v = states(23, 1)
-    accelerations, forces = each(lambda q, qdot: motion(system, q, qdot), x, v)
+    accelerations, forces = each(lambda q, qdot: solve_motion(system, q, qdot), x, v)
     close(accelerations, GRAVITY - (k * x + c * v) / m)
     np.testing.assert_array_equal(forces, 0)
-    accelerations, forces = each(lambda q, qdot: motion(system, q, qdot, held=(0,)), x, v)
+    accelerations, forces = each(lambda q, qdot: solve_motion(system, q, qdot, held=(0,)), x, v)
     np.testing.assert_array_equal(accelerations, 0)
     close(forces, k * x + c * v - m * GRAVITY)
 
@@ -413,7 +417,7 @@ def test_power_of_a_damper_is_what_the_energy_loses():
 
     def power(q, qdot):
         energy = lambda q, qdot: kinetic_energy(system, q, qdot) + potential_energy(system, q)
-        accelerations, _ = motion(system, q, qdot)
+        accelerations, _ = solve_motion(system, q, qdot)
         change = jax.jvp(energy, (q, qdot), (qdot, accelerations))[1]
         return change, damped(q, qdot) @ qdot
 
@@ -430,9 +434,9 @@ def test_virtual_power_of_the_motion_is_zero_but_for_what_is_held():
 
     def look(q, qdot):
         for held in choices:
-            accelerations, forces = motion(system, q, qdot, held=held)
+            accelerations, forces = solve_motion(system, q, qdot, held=held)
             acceleration = multibody.velocity(system.transfer, q, accelerations)
-            acceleration += multibody.convective(system.transfer, q, qdot)
+            acceleration += multibody.convective_acceleration(system.transfer, q, qdot)
             yield multibody.virtual_power(system, q, qdot, acceleration), forces
 
     results = each(lambda q, qdot: list(look(q, qdot)), *states(27, 2))
@@ -647,7 +651,9 @@ def test_masses_that_are_none_give_nan_where_jax_traces(mass):
     def results(mass):
         system = System(plain, jnp.stack([jnp.ones(()), mass]), jnp.zeros(2))
         q = jnp.ones(2)
-        return motion(system, q, q).accelerations, impact(system, lambda q: q[1:], q, q).velocities
+        return solve_motion(system, q, q).accelerations, impact(
+            system, lambda q: q[1:], q, q
+        ).velocities
 
     acceleration, velocity = results(mass)
     assert np.isnan(acceleration[1]) and np.isnan(velocity).all()
@@ -657,7 +663,7 @@ def test_masses_that_are_none_give_nan_where_jax_traces(mass):
 @pytest.mark.parametrize("count", [1, 3])
 def test_masses_and_forces_not_of_the_shape_of_the_transfer_function_are_refused(count):
     system = System(plain, jnp.ones(count), jnp.zeros(count))
-    for use in (motion, functools.partial(impact, contact=plain)):
+    for use in (solve_motion, functools.partial(impact, contact=plain)):
         with pytest.raises(ValueError) as error:
             use(system, q=jnp.ones(2), qdot=jnp.ones(2))
         assert_one_line(error, "masses", "(2,)", f"({count},)")
@@ -677,7 +683,7 @@ def test_generalised_forces_not_of_the_shape_of_the_coordinates_are_refused(shap
     forces = lambda q, qdot: jnp.zeros(shape)
     system = System(plain, jnp.ones(2), jnp.zeros(2), forces)
     with pytest.raises(ValueError) as error:
-        motion(system, jnp.ones(2), jnp.ones(2))
+        solve_motion(system, jnp.ones(2), jnp.ones(2))
     assert_one_line(error, "generalised forces", "(2,)", str(shape))
 
 
@@ -685,7 +691,7 @@ def test_generalised_forces_not_of_the_shape_of_the_coordinates_are_refused(shap
 def test_coordinates_that_there_are_not_cannot_be_held(held):
     system = System(plain, jnp.ones(2), jnp.zeros(2))
     with pytest.raises(ValueError) as error:
-        motion(system, jnp.ones(2), jnp.ones(2), held=held)
+        solve_motion(system, jnp.ones(2), jnp.ones(2), held=held)
     assert_one_line(error, "held", "2 coordinates", str(sorted(held)))
 
 
@@ -741,14 +747,14 @@ def test_singular_and_ill_conditioned_mass_matrices_are_refused_by_coordinate(
     transfer, masses, words
 ):
     system, q = System(transfer, jnp.array(masses), jnp.ones(2)), jnp.array([0.5, 0.25])
-    for use in (motion, functools.partial(impact, contact=lambda q: q[:1])):
+    for use in (solve_motion, functools.partial(impact, contact=lambda q: q[:1])):
         with pytest.raises(ValueError) as error:
             use(system, q=q, qdot=q)
         assert_one_line(error, "mass matrix", "[0.5, 0.25]", *words)
         results = jax.jit(lambda q, use=use: use(system, q=q, qdot=q))(q)
         assert np.isnan(results[0]).any()
     worst = words[-1][2]
-    with_it_held = motion(system, q, q, held=(int(worst),))
+    with_it_held = solve_motion(system, q, q, held=(int(worst),))
     assert np.isfinite(np.concatenate(with_it_held)).all()
 
 
@@ -762,7 +768,7 @@ def test_what_is_scaled_badly_but_conditioned_well_is_taken():
         shape = jnp.array([[1.0, 0.5, 0.2], [0.3, -1.0, 0.4], [0.1, 0.6, 1.0]])
         system = System(lambda q: jnp.sin(shape @ (q * scales)), jnp.ones(3), jnp.ones(3))
         q_scaled, qdot_scaled = (x[0] / scales for x in (q, qdot))
-        return scales * motion(system, q_scaled, qdot_scaled).accelerations
+        return scales * solve_motion(system, q_scaled, qdot_scaled).accelerations
 
     expected = accelerations(jnp.ones(3))
     assert np.isfinite(expected).all()
@@ -791,7 +797,7 @@ def test_results_are_the_same_compiled_and_mapped():
 
     def both(q, qdot):
         tip = lambda q: system.transfer(q)[3:]
-        return *motion(system, q, qdot, held=(0,)), *impact(system, tip, q, qdot)
+        return *solve_motion(system, q, qdot, held=(0,)), *impact(system, tip, q, qdot)
 
     for one, many in zip(both(q[0], qdot[0]), each(both, q, qdot), strict=True):
         close(one, many[0])
@@ -804,7 +810,7 @@ def test_derivatives_by_a_mass_and_a_state_agree_with_central_differences():
         system, start = double_pendulum(m2=mass), jnp.stack([angle, q[0, 1]])
         tip = lambda q: system.transfer(q)[2:3]
         after = impact(system, tip, start, qdot[0], restitution=0.4)
-        return jnp.concatenate([*motion(system, start, qdot[0]), *after])
+        return jnp.concatenate([*solve_motion(system, start, qdot[0]), *after])
 
     @jax.jit
     def look(*at):
@@ -830,7 +836,7 @@ def test_float32_gives_float32():
         contact = lambda q: q[1:]
         after = impact(system, contact, q, qdot, restitution=0.5)
         energies = kinetic_energy(system, q, qdot), potential_energy(system, q)
-        return motion(system, q, qdot, held=(0,)), after, energies
+        return solve_motion(system, q, qdot, held=(0,)), after, energies
 
     masses = two_bars(**BARS).masses
     double = both(masses, q[0], qdot[0])
@@ -845,6 +851,6 @@ def test_float32_refuses_sooner():
     q = jnp.ones(2, jnp.float32)
     system = System(tilted(1e-3), jnp.ones(2, jnp.float32), jnp.ones(2, jnp.float32))
     with pytest.raises(ValueError, match=r"ill-conditioned.*q\[1\]"):
-        motion(system, q, q)
+        solve_motion(system, q, q)
     double = System(tilted(1e-3), jnp.ones(2), jnp.ones(2))
-    assert np.isfinite(motion(double, jnp.ones(2), jnp.ones(2)).accelerations).all()
+    assert np.isfinite(solve_motion(double, jnp.ones(2), jnp.ones(2)).accelerations).all()

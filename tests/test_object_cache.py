@@ -76,7 +76,7 @@ DAMAGE = {
     "empty": lambda content: b"",
     "shorter than its hash": lambda content: content[:5],
     "one bit": lambda content: content[:200] + bytes([content[200] ^ 1]) + content[201:],
-    "no hash": lambda content: content[object_cache.DIGEST :],
+    "no hash": lambda content: content[object_cache.CHECKSUM_BYTES :],
 }
 
 
@@ -87,7 +87,9 @@ def test_a_broken_file_is_compiled_anew(folder, compilations, how):
     content = entry.read_bytes()
     entry.write_bytes(DAMAGE[how](content))
     assert square() == 9 and len(compilations) == 2
-    assert entry.read_bytes()[: object_cache.DIGEST] == content[: object_cache.DIGEST]
+    assert (
+        entry.read_bytes()[: object_cache.CHECKSUM_BYTES] == content[: object_cache.CHECKSUM_BYTES]
+    )
     assert square() == 9 and len(compilations) == 2
 
 
@@ -150,8 +152,8 @@ def test_code_is_of_its_processor_versions_and_optimisation(folder, compilations
 
 
 def test_what_was_used_last_stays(folder, monkeypatch):
-    monkeypatch.setattr(object_cache, "LARGEST", 3 * (100 + object_cache.DIGEST))
-    keep = lambda name: object_cache.cached(name, lambda: name.encode() * 100)
+    monkeypatch.setattr(object_cache, "MAX_BYTES", 3 * (100 + object_cache.CHECKSUM_BYTES))
+    keep = lambda name: object_cache.load_or_compile(name, lambda: name.encode() * 100)
     folder.mkdir()
     others = folder / "of another program"
     others.write_bytes(b"x" * 1000)
@@ -174,8 +176,8 @@ def test_a_write_that_does_not_end_leaves_nothing(folder, monkeypatch, error):
 
     monkeypatch.setattr(object_cache.os, "replace", replace)
     if error is OSError:
-        assert object_cache.cached("name", lambda: b"code") == b"code"
+        assert object_cache.load_or_compile("name", lambda: b"code") == b"code"
     else:
         with pytest.raises(KeyboardInterrupt):
-            object_cache.cached("name", lambda: b"code")
+            object_cache.load_or_compile("name", lambda: b"code")
     assert list(folder.iterdir()) == []

@@ -7,7 +7,7 @@ import pytest
 
 import walker_jax as wj
 from walker_jax.checks import PrecisionWarning, warn_of_float32
-from walker_jax.integrators.roots import first_rise, of_polynomial
+from walker_jax.integrators.roots import first_upcrossing, polynomial_jet
 from walker_jax.walking.outcomes import Outcome
 
 SLOPE = 0.004
@@ -35,12 +35,12 @@ def test_a_heel_strike_at_the_end_of_a_step_is_not_lost_to_rounding():
 def test_the_side_that_was_seen_decides_whether_a_polynomial_has_risen(end):
     """The end of a step is above zero, or below: once said, rounding has no say in it."""
     length = jnp.array(1.0)
-    rising = of_polynomial([jnp.array(-1.0 + end), jnp.array(1.0)])
+    rising = polynomial_jet([jnp.array(-1.0 + end), jnp.array(1.0)])
     for ends_below in (True, False):
-        found, time = first_rise(rising, length, (jnp.array(True), jnp.array(ends_below)))
+        found, time = first_upcrossing(rising, length, (jnp.array(True), jnp.array(ends_below)))
         assert found != ends_below and time == pytest.approx(1.0, abs=1e-15)
-    leaving = of_polynomial([jnp.array(end), jnp.array(1.0)])
-    found, _ = first_rise(leaving, length, (jnp.array(False), jnp.array(False)))
+    leaving = polynomial_jet([jnp.array(end), jnp.array(1.0)])
+    found, _ = first_upcrossing(leaving, length, (jnp.array(False), jnp.array(False)))
     assert not found
 
 

@@ -144,7 +144,7 @@ def transposed_of_many(f):
 @pytest.fixture(autouse=True)
 def few_together(monkeypatch):
     """Machine code of few directions at once compiles in no time; more are cells of their own."""
-    monkeypatch.setattr(primitive, "TOGETHER", (100, 100))
+    monkeypatch.setattr(primitive, "MAX_OPERATIONS", (100, 100))
 
 
 TRANSFORMED = {
@@ -518,7 +518,7 @@ WRONG = {
 
 @pytest.mark.parametrize("name", WRONG)
 def test_other_buffers_are_refused(name):
-    with pytest.raises(jax.errors.JaxRuntimeError, match=ffi.WRONG):
+    with pytest.raises(jax.errors.JaxRuntimeError, match=ffi.BUFFER_MISMATCH):
         jax.block_until_ready(call(*WRONG[name]))
 
 

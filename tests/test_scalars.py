@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from jax import lax
 
-from walker_jax.kernels.scalars import EXACT, unrolled
+from walker_jax.kernels.scalars import EXACT, unroll
 
 SYMMETRIC = np.array([[3.0, 1.0, 0.5], [1.0, 4.0, -1.0], [0.5, -1.0, 5.0]])
 V = jnp.array([0.3, -1.2, 0.8])
@@ -103,7 +103,7 @@ def together(names):
 def of_both(transformed, names):
     """A transformed function, and the same of the unrolled one, mapped over two arguments."""
     function = together(names)
-    both = lambda v, A: (transformed(function)(v, A), transformed(unrolled(function))(v, A))
+    both = lambda v, A: (transformed(function)(v, A), transformed(unroll(function))(v, A))
     return jax.jit(jax.vmap(both))(jnp.stack([V, -V[::-1]]), jnp.stack([A, A.T + 0.1]))
 
 
@@ -155,14 +155,14 @@ def test_derivatives_are_those_of_the_functions_themselves(names):
 
 @pytest.mark.parametrize("name", ["matmul", "at-set", "jax-index", "scan"])
 def test_value_is_that_of_the_function_itself_without_compilation(name):
-    assert_equal(unrolled(FUNCTIONS[name])(V, A), FUNCTIONS[name](V, A))
+    assert_equal(unroll(FUNCTIONS[name])(V, A), FUNCTIONS[name](V, A))
 
 
 def test_a_function_with_its_own_transpose_keeps_it():
     function = lambda x: with_its_own_transpose(x[0]) + x[1]
     x = jnp.array([2.0, 3.0])
-    assert_equal(unrolled(function)(x), function(x))
-    assert_equal(jax.grad(unrolled(function))(x), jnp.array([20.0, 1.0]))
+    assert_equal(unroll(function)(x), function(x))
+    assert_equal(jax.grad(unroll(function))(x), jnp.array([20.0, 1.0]))
 
 
 SMALL = st.integers(1, 3)
@@ -190,7 +190,7 @@ def test_products_of_random_matrices_known_or_not(matrices, first_known, second_
         product = jnp.asarray(given["left"]) @ jnp.asarray(given["right"])
         return product @ given["v"], {"sum": product.sum(0), "T": jnp.asarray(given["left"]).T}
 
-    plain, scalar = function(unknown), unrolled(function)(unknown)
+    plain, scalar = function(unknown), unroll(function)(unknown)
     assert_equal(scalar, plain, rtol=1e-12)
     expected = left @ right @ v
     np.testing.assert_allclose(scalar[0], expected, rtol=1e-12, atol=1e-11)
@@ -201,15 +201,15 @@ def test_pytrees_go_in_and_come_out():
         return {"a": [first["x"] + second[0], None], "b": (second[1].T, first["x"][0])}
 
     args = {"x": jnp.arange(2.0), "none": None}, (jnp.array(3.0), jnp.ones((2, 3)))
-    assert_equal(unrolled(function)(*args), function(*args))
-    assert unrolled(lambda: jnp.ones(2))().tolist() == [1, 1]
-    assert unrolled(lambda x: None)(1.0) is None
+    assert_equal(unroll(function)(*args), function(*args))
+    assert unroll(lambda: jnp.ones(2))().tolist() == [1, 1]
+    assert unroll(lambda x: None)(1.0) is None
 
 
 def test_python_numbers_and_numpy_arrays_are_arguments_too():
     function = lambda x, y, n: (x * y, x[0] + y, n + 1)
     args = np.arange(3.0), 2.0, 3
-    assert_equal(unrolled(function)(*args), tuple(map(jnp.asarray, function(*args))))
+    assert_equal(unroll(function)(*args), tuple(map(jnp.asarray, function(*args))))
 
 
 # What is left
@@ -233,7 +233,7 @@ def equations(function, *args):
 
 def names(function, *args):
     """Of what an unrolled function of scalars computes: nothing but scalars."""
-    left = equations(unrolled(function), *(jnp.array(x, float) for x in args))
+    left = equations(unroll(function), *(jnp.array(x, float) for x in args))
     assert all(shape == () for _, shape in left), left
     return sorted(name for name, _ in left)
 
@@ -253,7 +253,7 @@ def test_no_arrays_are_left_between_scalars_and_fewer_operations():
     assert few.count("sin") == few.count("cos") == 1
     assert few.count("mul") == 8 and few.count("add") == 4
     assert len(few) < 20 < plain / 3
-    assert_equal(jnp.stack(unrolled(function)(0.5, 1.0, 2.0)), jnp.array([1.0, 2.0, 1.0]))
+    assert_equal(jnp.stack(unroll(function)(0.5, 1.0, 2.0)), jnp.array([1.0, 2.0, 1.0]))
 
 
 def test_known_zeros_and_ones_drop_out():
@@ -277,12 +277,12 @@ def test_what_is_known_is_computed_while_tracing():
         return x * jnp.cos(jnp.asarray(angle)) * 2.0 + jnp.linalg.solve(jnp.eye(2), jnp.ones(2))[0]
 
     assert names(function, 2.0) == ["add", "mul", "mul"]
-    assert unrolled(function)(2.0) == pytest.approx(3.0, rel=1e-15)
+    assert unroll(function)(2.0) == pytest.approx(3.0, rel=1e-15)
 
 
 def test_a_product_with_a_known_zero_is_zero_also_where_the_other_factor_is_not_finite():
     function = lambda x: (jnp.zeros(2) @ jnp.stack([x, x]), jnp.eye(2) @ jnp.stack([x, 1 + 0 * x]))
-    zero, row = jax.jit(unrolled(function))(np.inf)
+    zero, row = jax.jit(unroll(function))(np.inf)
     np.testing.assert_array_equal(zero, 0)
     np.testing.assert_array_equal(row, [np.inf, 1])
 
@@ -301,16 +301,16 @@ def test_equal_terms_are_computed_once():
 
 
 def test_operations_without_meaning_entry_by_entry_are_kept():
-    left = equations(unrolled(lambda v, A: jnp.linalg.solve(A, v)), V, A)
+    left = equations(unroll(lambda v, A: jnp.linalg.solve(A, v)), V, A)
     assert {"lu", "custom_linear_solve"} & {name for name, _ in left}
-    left = equations(unrolled(FUNCTIONS["map"]), V, A)
+    left = equations(unroll(FUNCTIONS["map"]), V, A)
     assert any(shape == (3,) for _, shape in left)
 
 
 def test_effects_are_kept():
     seen = []
     function = lambda x: (jax.debug.callback(lambda y: seen.append(float(y)), x[1]), 2 * x)[1]
-    np.testing.assert_array_equal(jax.jit(unrolled(function))(V), 2 * V)
+    np.testing.assert_array_equal(jax.jit(unroll(function))(V), 2 * V)
     jax.effects_barrier()
     assert seen == [-1.2]
 
@@ -321,7 +321,7 @@ def test_effects_are_kept():
 def test_float32_gives_float32():
     """Also where known numbers of both kinds would be the same."""
     function = lambda v: (v @ v, jnp.eye(3, dtype=v.dtype) @ v * 2.0 + 1, jnp.linalg.norm(v))
-    low, high = jax.jit(unrolled(function))(V.astype(jnp.float32)), function(V)
+    low, high = jax.jit(unroll(function))(V.astype(jnp.float32)), function(V)
     assert {x.dtype for x in low} == {jnp.dtype("float32")}
     for a, b in zip(low, high, strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-6)
@@ -330,7 +330,7 @@ def test_float32_gives_float32():
         known = jnp.full((), 0.3, jnp.float32), jnp.full((), 0.3, jnp.float32).astype(float)
         return jnp.sin(known[0]), jnp.sin(known[1]), known[0] * known[0], known[1] * known[1], x
 
-    assert_equal(unrolled(both)(1.0), both(1.0), rtol=1e-16)
+    assert_equal(unroll(both)(1.0), both(1.0), rtol=1e-16)
 
 
 def test_whole_numbers_and_truth_values():
@@ -344,7 +344,7 @@ def test_whole_numbers_and_truth_values():
         }
 
     args = jnp.array([1, 2, 3]), jnp.array([True, False, True]), jnp.array(0.5)
-    for scalar in (unrolled(function), jax.jit(unrolled(function))):
+    for scalar in (unroll(function), jax.jit(unroll(function))):
         assert_equal(scalar(*args), function(*args), rtol=0)
 
 
@@ -357,7 +357,7 @@ def test_known_numbers_are_those_of_their_kind():
         third = jnp.full((), 1 / 3, jnp.float32)
         return -byte, word + word, word * word, large * large, third * third + third - 1, x
 
-    assert_equal(jax.jit(unrolled(function))(1.0), function(jnp.asarray(1.0)), rtol=0)
+    assert_equal(jax.jit(unroll(function))(1.0), function(jnp.asarray(1.0)), rtol=0)
 
 
 def test_products_that_widen_are_as_wide():
@@ -365,12 +365,12 @@ def test_products_that_widen_are_as_wide():
         return jnp.matmul(x, x, preferred_element_type=jnp.float64)
 
     x = (V / 3).astype(jnp.float32)
-    assert_equal(unrolled(function)(x), function(x), rtol=1e-15)
+    assert_equal(unroll(function)(x), function(x), rtol=1e-15)
 
 
 def test_complex_numbers():
     function = lambda x: (lax.complex(x, 2 * x) * (1 + 2j), jnp.abs(lax.complex(x, x)))
-    assert_equal(unrolled(function)(V), function(V))
+    assert_equal(unroll(function)(V), function(V))
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32, np.int32, np.uint8, np.bool_])

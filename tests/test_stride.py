@@ -527,6 +527,13 @@ def test_walk_is_nan_after_a_failure():
         assert np.isnan(found.states[1:]).all() and np.isnan(found.times).all()
 
 
+def test_trajectory_takes_times_in_any_order(swing):
+    """Each state is integrated on its own."""
+    walker, times = SimplestWalker(GAIT["slope"]), swing[0][[7, 2, 2, 0]]
+    path = wj.trajectory(walker, np.array(GAIT["state"]), times)
+    np.testing.assert_allclose(np.stack(path, axis=1), swing[1][[7, 2, 2, 0]], rtol=0, atol=2e-12)
+
+
 def test_trajectory_keeps_the_energy_of_the_stance_leg(swing):
     theta, _, thetadot, _ = swing[1].T
     energy = thetadot**2 / 2 + np.cos(theta - GAIT["slope"])

@@ -16,9 +16,14 @@ from jax import lax
 
 import walker_jax as wj
 from walker_jax import multibody
-from walker_jax.integrators.series import evaluate, sincos
-from walker_jax.integrators.taylor import VirtualPower, fast_sines, function_series, solution_series
-from walker_jax.kernels.scalars import unrolled
+from walker_jax.integrators.series import evaluate_polynomial, sincos
+from walker_jax.integrators.taylor import (
+    VirtualPower,
+    function_series,
+    solution_series,
+    with_fast_sincos,
+)
+from walker_jax.kernels.scalars import unroll
 from walker_jax.walkers.masses import SingleSupport
 
 ORDER = 7
@@ -484,8 +489,8 @@ def test_evaluate_is_the_polynomial():
     coefficients = [3.0, -1.0, 0.5, 2.0]
     t = jnp.linspace(-2, 2, 9)
     expected = np.polyval(coefficients[::-1], t)
-    np.testing.assert_allclose(evaluate(coefficients, t), expected, rtol=1e-15)
-    np.testing.assert_array_equal(evaluate([2.0], t), 2.0)
+    np.testing.assert_allclose(evaluate_polynomial(coefficients, t), expected, rtol=1e-15)
+    np.testing.assert_array_equal(evaluate_polynomial([2.0], t), 2.0)
 
 
 # Sines
@@ -501,7 +506,7 @@ def with_sines(x, y):
 def test_fast_sines_equal_the_plain_function_and_its_derivatives():
     x = jnp.linspace(-5.0, 5.0, 51)
     y = x[::-1] + 0.3
-    faster = fast_sines(with_sines)
+    faster = with_fast_sincos(with_sines)
     assert "sin " not in str(jax.make_jaxpr(faster)(x, y)) + " "
     plain, fast = with_sines(x, y), jax.jit(faster)(x, y)
     assert plain.keys() == fast.keys()
@@ -516,7 +521,7 @@ def test_fast_sines_keep_whole_numbers_and_loops():
     def function(n, x):
         return n + 1, lax.fori_loop(0, 3, lambda i, v: jnp.sin(v), x)
 
-    n, x = map(jnp.asarray, fast_sines(function)(jnp.array(3), jnp.array(0.5)))
+    n, x = map(jnp.asarray, with_fast_sincos(function)(jnp.array(3), jnp.array(0.5)))
     assert n == 4 and n.dtype == jnp.int64
     assert x == pytest.approx(np.sin(np.sin(np.sin(0.5))), rel=1e-15)
 
@@ -524,7 +529,7 @@ def test_fast_sines_keep_whole_numbers_and_loops():
 def test_series_go_through_stop_gradient():
     series = solution_series(lambda y: jax.lax.stop_gradient(y), jnp.array(1.0), 4)
     np.testing.assert_allclose(np.array(series), [1, 1, 1 / 2, 1 / 6, 1 / 24], rtol=1e-15)
-    assert fast_sines(lambda x: jnp.array(True))(jnp.array(1.0)).dtype == bool
+    assert with_fast_sincos(lambda x: jnp.array(True))(jnp.array(1.0)).dtype == bool
 
 
 # Series of motions by their virtual power
@@ -545,33 +550,33 @@ class Chain(VirtualPower):
         return multibody.System(transfer, masses, masses * down, lambda q, qdot: -0.1 * qdot)
 
     def transfer(self, q):
-        return unrolled(lambda chain, q: list(chain.system().transfer(jnp.stack(q))))(self, q)
+        return unroll(lambda chain, q: list(chain.system().transfer(jnp.stack(q))))(self, q)
 
     def power(self, q, qdot, acceleration):
         def flat(chain, *vectors):
             return list(multibody.virtual_power(chain.system(), *map(jnp.stack, vectors)))
 
-        return unrolled(flat)(self, q, qdot, acceleration)
+        return unroll(flat)(self, q, qdot, acceleration)
 
     def factorise(self, q):
         def flat(chain, q):
             matrix = multibody.mass_matrix(chain.system(), jnp.stack(q))
             return multibody.factorise(multibody.block(matrix, range(len(q))))
 
-        return unrolled(flat)(self, q)
+        return unroll(flat)(self, q)
 
     def solve(self, factors, right):
-        return multibody.solve(factors, right)
+        return multibody.solve_factored(factors, right)
 
     def explicit(self, state):
         """The time derivative of a state by the accelerations, as any vector field."""
 
         def flat(chain, q, qdot):
             system, q, qdot = chain.system(), jnp.stack(q), jnp.stack(qdot)
-            return list(multibody.motion(system, q, qdot).accelerations)
+            return list(multibody.solve_motion(system, q, qdot).accelerations)
 
         q, qdot = state
-        return qdot, unrolled(flat)(self, q, qdot)
+        return qdot, unroll(flat)(self, q, qdot)
 
 
 def chain(n, dtype=jnp.float64):
@@ -619,10 +624,12 @@ class OfMotion(SingleSupport):
             zero = jnp.zeros_like(state.theta)
             q = jnp.stack([zero, zero, state.theta, state.phi])
             qdot = jnp.stack([zero, zero, state.thetadot, state.phidot])
-            accelerations = multibody.motion(walker.system(), q, qdot, held=(0, 1)).accelerations
+            accelerations = multibody.solve_motion(
+                walker.system(), q, qdot, held=(0, 1)
+            ).accelerations
             return wj.State(state.thetadot, state.phidot, accelerations[2], accelerations[3])
 
-        return unrolled(flat)(self.walker, state)
+        return unroll(flat)(self.walker, state)
 
 
 def test_series_by_virtual_power_of_a_walker_is_that_of_its_accelerations():

@@ -26,7 +26,7 @@ from walker_jax import (
 )
 from walker_jax.gaits.derivatives import linearise
 from walker_jax.kernels.primitive import programs
-from walker_jax.kernels.scalars import unrolled
+from walker_jax.kernels.scalars import unroll
 from walker_jax.multibody import System
 from walker_jax.walkers.family import WALKERS
 from walker_jax.walkers.masses import MultibodyWalker, stance_coordinates
@@ -150,7 +150,7 @@ def test_a_spring_is_the_limit_of_one_that_weakens_with_the_feet():
         torque = lambda q, qdot: -beta * stiffness * q * jnp.array([0.0, 0.0, 0.0, 1.0])
         system = System(plain.transfer, plain.masses, plain.forces, torque)
         q, qdot = stance_coordinates(list(state[:2])), stance_coordinates(list(state[2:]))
-        motion = multibody.motion(system, q, qdot, held=(0, 1))
+        motion = multibody.solve_motion(system, q, qdot, held=(0, 1))
         return jnp.concatenate([motion.accelerations[2:], motion.forces[:2]])
 
     def limit(state):
@@ -905,11 +905,11 @@ class RimlessWheel(wj.Walker):
         """Accelerations and forces with u, v and the spokes held."""
 
         def solve(wheel, q, qdot):
-            return multibody.motion(
+            return multibody.solve_motion(
                 wheel.system(), stance_coordinates(q), stance_coordinates(qdot), held=(0, 1, 3)
             )
 
-        return unrolled(solve)(self, list(state[:2]), list(state[2:]))
+        return unroll(solve)(self, list(state[:2]), list(state[2:]))
 
     def lift(self, x):
         return State(self.alpha, -2 * self.alpha, x[0], jnp.zeros_like(x[0]))

@@ -1,14 +1,13 @@
-"""Equations of motion and of impact of a multibody system, from where its masses are.
+"""Equations of motion and of impact of a multibody system, from the positions of its masses.
 
-The general method of Schwab and Wisse (2001, sections 3.1 and 3.2), whose equation numbers stand
-below. All there is to know of a system is the transfer function x = F(q), from generalised
-coordinates q to the coordinates x of its masses: of point masses in the plane or in space, and of
-the angles of rigid bodies in the plane, whose masses are moments of inertia. Derivatives of F are
-those of JAX.
+The method is that of Schwab and Wisse (2001, sections 3.1 and 3.2), whose equation numbers are
+cited. A system is given by its transfer function x = F(q), from generalised coordinates q to the
+coordinates x of its masses: those of point masses in the plane or in space, and the angles of rigid
+bodies in the plane, whose masses are moments of inertia. JAX differentiates F.
 
-q, its rates and what is dual to them are arrays of one number for each generalised coordinate.
-Units are the user's own. Everything is a pure function of one configuration, to be mapped by
-`jax.vmap`; over thousands it is fastest when mapped as `scalars.unrolled` writes it.
+q, its rates and their dual forces are arrays with one number for each generalised coordinate. Units
+are the user's own. Every function is pure and takes one configuration, to be mapped by `jax.vmap`;
+over thousands of configurations, `scalars.unroll` makes it fastest.
 """
 
 import operator
@@ -23,19 +22,20 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from walker_jax.checks import WrongUse
-from walker_jax.kernels.scalars import unrolled
+from walker_jax.integrators.solvers import Real
+from walker_jax.kernels.scalars import unroll
 
 Coordinates = Float[Array, " q"]
-Real = Float[Array, ""] | float
 WORST_PIVOT = {jnp.dtype("float64"): 1e-11, jnp.dtype("float32"): 1e-4}
-"""How much of a coordinate's inertia must be left once the coordinates before it are given.
+"""Smallest pivot of a mass matrix, relative to its diagonal entry.
 
-Below that, a result would have some five digits right, or fewer.
+The pivot is what is left of a coordinate's inertia once those before it are eliminated. Below this
+bound a result would have at most some five correct digits.
 """
 
 
 class System(eqx.Module):
-    """Masses, where they are, and the forces on them.
+    """Masses, their positions, and the forces on them.
 
     **Arguments:**
 
@@ -60,21 +60,21 @@ class System(eqx.Module):
 
 
 class Motion(NamedTuple):
-    """What the equations of motion say of one state."""
+    """The solution of the equations of motion for one state."""
 
     accelerations: Coordinates
-    """Second time derivatives of q, zero where it is held."""
+    """Second time derivatives of q, zero for held coordinates."""
     forces: Coordinates
-    """The forces Q that hold coordinates, dual to them; zero where they are free."""
+    """Constraint forces Q of the held coordinates, dual to q; zero for free ones."""
 
 
 class Impact(NamedTuple):
-    """What an impact leads to."""
+    """Velocities after an impact, and its impulses."""
 
     velocities: Coordinates
     """Time derivative of q after the impact."""
     impulses: Float[Array, " g"]
-    """Of the contact on the system, dual to the contact function."""
+    """Impulses of the contact on the system, dual to the contact function."""
 
 
 def mass_matrix(system: System, q: Coordinates) -> Float[Array, "q q"]:
@@ -85,15 +85,15 @@ def mass_matrix(system: System, q: Coordinates) -> Float[Array, "q q"]:
 
 def reduced_force(system: System, q: Coordinates, qdot: Coordinates) -> Coordinates:
     """The reduced force, F,q^T (f - M F,qq qdot qdot) + Q, (10)."""
-    return virtual_power(system, q, qdot, convective(system.transfer, q, qdot))
+    return virtual_power(system, q, qdot, convective_acceleration(system.transfer, q, qdot))
 
 
 def virtual_power(
     system: System, q: Coordinates, qdot: Coordinates, acceleration: Float[Array, " x"]
 ) -> Coordinates:
     """F,q^T [f - M xddot] + Q, (2): zero for every coordinate that is free to move."""
-    # Unrolled, what F holds twice is there once, and so is its product with the balance.
-    _, transposed = jax.vjp(unrolled(system.transfer), q)
+    # Unrolling computes equal terms of F once, and their products with the balance too.
+    _, transposed = jax.vjp(unroll(system.transfer), q)
     masses, forces = system.masses.astype(q.dtype), system.forces.astype(q.dtype)
     (power,) = transposed(forces - masses * acceleration)
     if system.generalised_forces is not None:
@@ -112,35 +112,37 @@ def velocity(function: Callable, q: Coordinates, qdot) -> Float[Array, " x"]:
     return jax.jvp(function, (q,), (jnp.asarray(qdot),))[1]
 
 
-def convective(function: Callable, q: Coordinates, qdot: Coordinates) -> Float[Array, " x"]:
+def convective_acceleration(
+    function: Callable, q: Coordinates, qdot: Coordinates
+) -> Float[Array, " x"]:
     """The part F,qq qdot qdot of the acceleration that velocities alone cause, (3)."""
     return jax.jvp(lambda q: velocity(function, q, qdot), (q,), (qdot,))[1]
 
 
-def motion(
+def solve_motion(
     system: System, q: Coordinates, qdot: Coordinates, *, held: Sequence[int] = ()
 ) -> Motion:
-    """Accelerations, and the forces that hold some coordinates, from (4).
+    """Solves (4) for the accelerations, and for the forces that hold some coordinates.
 
-    [F,q^T M F,q] qddot = F,q^T [f - M F,qq qdot qdot] + Q, where the coordinates that are held do
-    not accelerate, and Q is what that takes.
+    [F,q^T M F,q] qddot = F,q^T [f - M F,qq qdot qdot] + Q, where held coordinates do not accelerate
+    and Q are their constraint forces.
 
     **Arguments:**
 
     - `system`: any.
     - `q`, `qdot`: coordinates and rates.
-    - `held`: numbers of the coordinates that are held, such as those of a foot on the ground.
+    - `held`: indices of the held coordinates, such as those of a foot on the ground.
 
-    `ValueError` where the mass matrix of the free coordinates is singular or ill-conditioned
-    (`WORST_PIVOT`), which names the coordinate; NaN where JAX traces, as nothing can be raised
-    there.
+    Raises `ValueError`, which names the coordinate, if the mass matrix of the free coordinates is
+    singular or ill-conditioned (`WORST_PIVOT`). Under a JAX transformation, which cannot raise, the
+    results are NaN instead.
     """
     check_state(system, q, qdot)
-    held = numbers_held(held, len(q))
+    held = held_coordinates(held, len(q))
     free = [i for i in range(len(q)) if i not in held]
     matrix, force = mass_matrix(system, q), reduced_force(system, q, qdot)
     accelerations = [jnp.zeros((), q.dtype)] * len(q)
-    solution = solve(factorise(block(matrix, free)), [force[i] for i in free])
+    solution = solve_factored(factorise(block(matrix, free)), [force[i] for i in free])
     for i, value in zip(free, solution, strict=True):
         accelerations[i] = value
     accelerations = jnp.stack(accelerations)
@@ -166,18 +168,18 @@ def impact(
         [F,q^T M F,q] qdot+ = [F,q^T M F,q] qdot- + g,q^T rho,    (15)
         g,q qdot+ = -e g,q qdot-.                                 (16)
 
-    (15) is printed with the opposite sign of rho; this is that of (19). With qdot+ from the first
-    put into the second, g,q [F,q^T M F,q]^-1 g,q^T rho = -(1 + e) g,q qdot-.
+    (15) is printed with the opposite sign of rho; the sign here is that of (19). Inserting qdot+
+    from the first in the second gives g,q [F,q^T M F,q]^-1 g,q^T rho = -(1 + e) g,q qdot-.
 
     **Arguments:**
 
-    - `system`: any. The forces on it play no part.
-    - `contact`: g, from q to shape (g,): what meets the ground together.
+    - `system`: any. The forces on it have no effect.
+    - `contact`: g, from q to shape (g,): all contacts that close at the same time.
     - `q`, `qdot`: coordinates, and rates before the impact.
     - `restitution`: e, from 0, no bounce, to 1, no loss of energy.
 
-    `ValueError` as for `motion`, also where contacts are not independent of each other, and for a
-    restitution that is not between 0 and 1. NaN where JAX traces.
+    Raises `ValueError` as `solve_motion` does, also if contacts depend on each other, and for a
+    restitution that is not between 0 and 1. Under a JAX transformation, results are NaN instead.
     """
     check_state(system, q, qdot)
     if len(shape := jax.eval_shape(contact, q).shape) != 1:
@@ -186,12 +188,12 @@ def impact(
         raise WrongUse(f"restitution must lie between 0 and 1, not be {restitution}")
     matrix, directions = mass_matrix(system, q), jacobian(contact, q)
     factors, count = factorise(block(matrix, range(len(q)))), len(directions)
-    # What a unit impulse at each contact does to the rates, [F,q^T M F,q]^-1 g,q^T.
-    responses = jnp.stack([jnp.stack(solve(factors, list(one))) for one in directions])
+    # Changes of the rates by a unit impulse at each contact, [F,q^T M F,q]^-1 g,q^T.
+    responses = jnp.stack([jnp.stack(solve_factored(factors, list(one))) for one in directions])
     inertia = directions @ responses.T
     e = jnp.asarray(restitution, q.dtype)
     closing = (1 + jnp.where((e >= 0) & (e <= 1), e, jnp.nan)) * (directions @ qdot)
-    impulses = jnp.stack(solve(factorise(block(inertia, range(count))), list(-closing)))
+    impulses = jnp.stack(solve_factored(factorise(block(inertia, range(count))), list(-closing)))
     check_pivots("mass matrix", matrix, range(len(q)), "coordinate q", q)
     check_pivots("inverse inertia of the contacts", inertia, range(count), "contact g", q)
     return Impact(qdot + responses.T @ impulses, impulses)
@@ -208,7 +210,7 @@ def potential_energy(system: System, q: Coordinates) -> Float[Array, ""]:
 
 
 def block(matrix: Float[Array, "n n"], places: Iterable[int]) -> list[list[Array]]:
-    """Some rows of a matrix, and the columns of the same numbers."""
+    """The submatrix of rows and columns with the same indices."""
     places = list(places)
     return [[matrix[i, j] for j in places] for i in places]
 
@@ -221,13 +223,13 @@ class Factors(NamedTuple):
     V: list[list[Array]]
     """Below the diagonal."""
     inverse: list[Array]
-    """1 / D. Divisions are few: XLA computes anew what many of them have in common."""
+    """1 / D, so that divisions are few: XLA repeats the computation of a shared divisor."""
 
 
 def factorise(matrix: list[list[Array]]) -> Factors:
-    """Factors of a symmetric positive definite matrix, entry by entry: no pivoting is needed.
+    """Factors of a symmetric positive definite matrix, which needs no pivoting.
 
-    NaN where a pivot is too small (`WORST_PIVOT`).
+    NaN if a pivot is too small (`WORST_PIVOT`).
     """
     n = len(matrix)
     factors = Factors([[] for _ in range(n)], [[] for _ in range(n)], [])
@@ -242,7 +244,7 @@ def factorise(matrix: list[list[Array]]) -> Factors:
     return factors
 
 
-def solve(factors: Factors, right: list[Array]) -> list[Array]:
+def solve_factored(factors: Factors, right: list[Array]) -> list[Array]:
     """A^-1 b: for two unknowns, two divisions and seven products in all."""
     L, V, inverse = factors
     n, y = len(inverse), []
@@ -255,13 +257,13 @@ def solve(factors: Factors, right: list[Array]) -> list[Array]:
 
 
 def dot(a: list[Array], b: list[Array]):
-    """a b, as far as the shorter goes."""
+    """The inner product of two lists, up to the length of the shorter one."""
     terms = [x * y for x, y in zip(a, b, strict=False)]
     return sum(terms[1:], terms[0]) if terms else 0.0
 
 
 def check_pivots(name: str, matrix: Array, places: Iterable[int], what: str, q) -> None:
-    """Raise ValueError for a matrix that `solve` refuses, unless it is being traced."""
+    """Raises `WrongUse` for a matrix with too small a pivot, unless it is traced."""
     if isinstance(matrix, Tracer) or not np.isfinite(matrix).all():
         return
     places = list(places)
@@ -292,8 +294,8 @@ def check_state(system: System, q: Coordinates, qdot: Coordinates) -> None:
             raise WrongUse(f"generalised forces must have the shape of q, {q.shape}, not {Q.shape}")
 
 
-def numbers_held(held: Sequence[int], count: int) -> list[int]:
-    """Numbers of coordinates from 0 on, in order and each once."""
+def held_coordinates(held: Sequence[int], count: int) -> list[int]:
+    """Indices of the held coordinates, counted from 0, sorted and each once."""
     numbers = {operator.index(i) for i in held}
     if any(not -count <= i < count for i in numbers):
         raise WrongUse(f"held must be numbers of {count} coordinates, not {sorted(numbers)}")

@@ -20,7 +20,7 @@ from walker_jax.basins.pieces import METHODS, compute_in_pieces
 from walker_jax.basins.schema import to_dataset
 from walker_jax.checks import WrongUse, check_precision, check_whole, refuses_tracers, short
 from walker_jax.grids import Grid
-from walker_jax.integrators.solvers import AnySolver, default_tolerance, solved_by
+from walker_jax.integrators.solvers import AnySolver, default_tolerance, using_solver
 from walker_jax.walkers.model import Walker
 
 BYTES_STORED = {"cell-map": 16, "direct": 0}
@@ -99,7 +99,7 @@ def basin(
         settings["solver"] = repr(solver)
         if cluster is not None:
             raise WrongUse(f"solver must not be given with a cluster, unlike {solver!r}")
-    with solved_by(solver):
+    with using_solver(solver):
         if out is not None:
             return compute_in_pieces(
                 METHODS[method](walker, grid, settings),

@@ -25,7 +25,13 @@ from rich.progress import Progress
 
 from walker_jax.checks import WrongUse
 from walker_jax.execution.progress import progress_console
-from walker_jax.kernels.primitive import PROGRAMS, Program, program_of, settings_now, under
+from walker_jax.kernels.primitive import (
+    MAX_PROGRAMS,
+    Program,
+    apply_settings,
+    current_settings,
+    program_of,
+)
 
 # Cells in a tile, and tiles in a call: a call should take much longer than it takes to make.
 CALL_SHAPES = {"cpu": (1024, 8), "gpu": (2**17, 1), "tpu": (2**17, 1)}
@@ -119,10 +125,10 @@ def run_in_threads(
 ) -> None:
     """work(start, stop) for n cells, `call` of them at a time, in as many threads."""
     starts = range(0, n, call)
-    settings = settings_now()
+    settings = current_settings()
 
     def work_as_here(start: int, stop: int) -> None:
-        with under(settings):
+        with apply_settings(settings):
             work(start, stop)
 
     shown = progress_console(progress is not None)
@@ -193,7 +199,7 @@ def pad(values: np.ndarray, size: int) -> np.ndarray:
     return np.concatenate([values, np.repeat(last, size - len(values), axis=0)])
 
 
-@functools.lru_cache(PROGRAMS)
+@functools.lru_cache(MAX_PROGRAMS)
 def compile_call(
     function: Callable, mapped: tuple[bool, ...], platform: str, tile: int, tiles: int
 ) -> Callable:

@@ -9,7 +9,7 @@ import optimistix
 from jax import lax
 from jaxtyping import Array, Bool, Complex, Float, Int
 
-from walker_jax.integrators.series import evaluate
+from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.walkers.model import Walker
 from walker_jax.walking.stepping import follow_stride
 
@@ -109,10 +109,10 @@ def eigenvalues(matrix: Float[Array, "n n"]) -> Complex[Array, " n"]:
     slopes = [(n - k) * c for k, c in enumerate(coefficients[:-1])]
     roots = jnp.linalg.eigvals(lax.stop_gradient(matrix))
     lower = lambda terms: [c.astype(roots.dtype) for c in terms[::-1]]
-    remainder = lax.stop_gradient(evaluate(lower(coefficients), roots))
+    remainder = lax.stop_gradient(evaluate_polynomial(lower(coefficients), roots))
     for _ in range(2):
-        value = evaluate(lower(coefficients), roots) - remainder
-        roots = roots - value / evaluate(lower(slopes), roots)
+        value = evaluate_polynomial(lower(coefficients), roots) - remainder
+        roots = roots - value / evaluate_polynomial(lower(slopes), roots)
     return roots
 
 

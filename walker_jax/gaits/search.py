@@ -47,7 +47,7 @@ from walker_jax.gaits.cycles import (
 )
 from walker_jax.gaits.derivatives import linearise
 from walker_jax.grids import Grid
-from walker_jax.integrators.solvers import AnySolver, Real, solved_by
+from walker_jax.integrators.solvers import AnySolver, Real, using_solver
 from walker_jax.walkers.model import Walker, moves_like
 from walker_jax.walkers.simplest import SimplestWalker
 from walker_jax.walking.iteration import follow_walk, orbits, select_walkers, strides
@@ -87,7 +87,7 @@ def find_gait(
     Raises `ValueError` for a period below 1, for a guess of a wrong shape or one that is not
     finite, and for none where one is needed.
     """
-    with solved_by(solver):
+    with using_solver(solver):
         return find_gait_near(walker, guess, period, tolerance)
 
 

@@ -1,7 +1,7 @@
-"""Series of functions of series: a rule for each of JAX's primitives.
+"""Power series of functions of power series: a rule for each of JAX's primitives.
 
-Where a function has a kink, as |x| at zero, its series continues the branch on which it starts. It
-holds until a switching function changes its sign, x for |x|, and a - b for max(a, b).
+If a function has a kink, as |x| has at zero, its series continues the branch on which it starts. It
+is valid until a switching function changes sign: x for |x|, a - b for max(a, b).
 """
 
 import operator
@@ -24,7 +24,7 @@ from walker_jax.integrators.series import (
     minus,
     plus,
     quotient,
-    scaled,
+    scale,
     sincos,
     sine_and_cosine,
     solution,
@@ -33,11 +33,11 @@ from walker_jax.integrators.series import (
 from walker_jax.kernels.jaxprs import CALLS, CALLS_WITH_DERIVATIVES, Interpreter, changes_entries
 
 switches: ContextVar[list[Series] | None] = ContextVar("switches", default=None)
-"""Where to note every switching function, if anywhere."""
+"""The list that collects switching functions, while there is one."""
 
 
 def compose(function: Callable, series: PyTree[Series], start: PyTree) -> PyTree[Series]:
-    """The series of function(y(t)), given those of y(t), which is `start` at t = 0."""
+    """The series of function(y(t)), given those of y(t), where `start` is y(0)."""
     structure = jax.tree.structure(start)
     flat = lambda *leaves: function(jax.tree.unflatten(structure, leaves))
     closed, shapes = jax.make_jaxpr(flat, return_shape=True)(*jax.tree.leaves(start))
@@ -50,13 +50,13 @@ class Expansion(Interpreter):
 
     def __init__(self):
         self.pairs: dict = {}
-        """Sine and cosine of every series of which either was asked for, also hyperbolic ones."""
+        """By argument: its sine and cosine, circular or hyperbolic, which are computed together."""
 
     def constant(self, value) -> Series:
         return constant(value)
 
     def keep(self, equation, operands: list[Series]) -> list[Series]:
-        """Results of a primitive whose series is not known: constants, or they are refused."""
+        """Results of a primitive without a rule; raises if an operand varies with time."""
 
         def rule(k, operands, bind):
             if any(operand[j] is not None for operand in operands for j in range(1, k + 1)):
@@ -72,65 +72,65 @@ def no_series(name: str) -> NotImplementedError:
     )
 
 
-# Rules: the k-th coefficient of a result, k > 0, given its operands and the primitive itself.
+# Rules: the k-th coefficient of a result, k > 0, given the operands and the bound primitive.
 
 
-def squared(k: int, operands: list[Series], bind: Callable) -> Any:
+def square_operand(k: int, operands: list[Series], bind: Callable) -> Any:
     return times(k, operands * 2)
 
 
 def linear(k: int, operands: list[Series], bind: Callable) -> Any:
-    """Of all real operands together; others, as indices and choices, stay as they are."""
-    if all(value is None for value in [x[k] for x in operands]):  # all asked for: one may refuse
+    """A result linear in all its real operands jointly; indices and flags are constant."""
+    if all(value is None for value in [x[k] for x in operands]):  # evaluates all: one may raise
         return None
-    return bind(*(filled(k, x) if varies(x) else x[0] for x in operands))
+    return bind(*(dense_coefficient(k, x) if varies(x) else x[0] for x in operands))
 
 
 def varies(x: Series) -> Any:
-    """Whether a series is of real or complex numbers: others are constant but for jumps."""
+    """Whether a series is of real or complex numbers: others are constant between jumps."""
     return jnp.issubdtype(jnp.result_type(x[0]), jnp.inexact)
 
 
-def filled(k: int, x: Series) -> Any:
-    """The k-th coefficient as an array."""
+def dense_coefficient(k: int, x: Series) -> Any:
+    """The k-th coefficient as an array, zeros for None."""
     return jnp.zeros_like(x[0]) if x[k] is None else x[k]
 
 
-def greater(k: int, operands: list[Series], bind: Callable) -> Any:
+def larger_operand(k: int, operands: list[Series], bind: Callable) -> Any:
     left, right = operands
-    return branch(k, left[0] >= right[0], left, right)
+    return select_branch(k, left[0] >= right[0], left, right)
 
 
-def lesser(k: int, operands: list[Series], bind: Callable) -> Any:
+def smaller_operand(k: int, operands: list[Series], bind: Callable) -> Any:
     left, right = operands
-    return branch(k, left[0] <= right[0], left, right)
+    return select_branch(k, left[0] <= right[0], left, right)
 
 
-def branch(k: int, which, one: Series, other: Series) -> Any:
-    """The k-th coefficient of one series or another."""
+def select_branch(k: int, which, one: Series, other: Series) -> Any:
+    """The k-th coefficient of one series where a flag is true, else of another."""
     if one[k] is None and other[k] is None:
         return None
-    return jnp.where(which, filled(k, one), filled(k, other))
+    return jnp.where(which, dense_coefficient(k, one), dense_coefficient(k, other))
 
 
-def clamped(k: int, operands: list[Series], bind: Callable) -> Any:
+def clamped_operand(k: int, operands: list[Series], bind: Callable) -> Any:
     if all(operand[k] is None for operand in operands):
         return None
     low, x, high = (operand[0] for operand in operands)
-    below, inside, above = (filled(k, operand) for operand in operands)
+    below, inside, above = (dense_coefficient(k, operand) for operand in operands)
     return jnp.where(x < low, below, jnp.where(x > high, above, inside))
 
 
-def absolute(k: int, operands: list[Series], bind: Callable) -> Any:
+def absolute_value(k: int, operands: list[Series], bind: Callable) -> Any:
     (x,) = operands
     return None if x[k] is None else jnp.where(x[0] < 0, -x[k], x[k])
 
 
-# How they are applied to an equation.
+# Application of the rules to an equation.
 
 
 def by_coefficients(rule: Callable) -> Callable:
-    """c_0 by the primitive itself, the others by a rule for the k-th one."""
+    """c_0 by the primitive itself, the other coefficients by a rule."""
 
     def expand(expansion, equation, operands: list[Series]) -> list[Series]:
         bind = binding(equation)
@@ -141,27 +141,27 @@ def by_coefficients(rule: Callable) -> Callable:
 
 
 def binding(equation) -> Callable:
-    """A function of a primitive's operands."""
+    """The primitive of an equation, with its parameters, as a function of operands."""
     primitive = equation.primitive
     return partial(primitive.bind, **primitive.get_bind_params(equation.params))
 
 
 def parts(series: Series, equation) -> list[Series]:
-    """The series of an equation's results; where there are several, `series` has lists of them."""
+    """The series of an equation's results; if it has several, coefficients are lists of them."""
     if not equation.primitive.multiple_results:
         return [series]
     part = lambda i: Series(lambda k: None if (all := series[k]) is None else all[i])
     return [part(i) for i in range(len(equation.outvars))]
 
 
-def gathered(expansion, equation, operands: list[Series]) -> list[Series]:
-    """Entries at computed places; where one is out of bounds, a constant."""
+def gather_rule(expansion, equation, operands: list[Series]) -> list[Series]:
+    """Entries at computed indices; an entry out of bounds is constant."""
     bind, (x, places) = binding(equation), operands
     change = partial(bind, fill_value=0)
     return [Series(lambda k: None if x[k] is None else (change if k else bind)(x[k], places[0]))]
 
 
-def scattered(expansion, equation, operands: list[Series]) -> list[Series]:
+def scatter_rule(expansion, equation, operands: list[Series]) -> list[Series]:
     if changes_entries("scatter", equation.params):
         raise no_series("scatter with a function of the entries")
     return by_coefficients(linear)(expansion, equation, operands)
@@ -175,7 +175,7 @@ def by_equation(name: str) -> Callable:
 
 
 def by_definition(function: Callable) -> Callable:
-    """A primitive as a function of others."""
+    """The series of a primitive by those of a function that defines it."""
 
     def expand(expansion, equation, operands: list[Series]) -> list[Series]:
         start = [x[0] for x in operands]
@@ -186,7 +186,7 @@ def by_definition(function: Callable) -> Callable:
 
 
 def by_pair(values: Callable, sign: int, which: int) -> Callable:
-    """Sine or cosine: the other one is asked for too."""
+    """Sine or cosine, from one recurrence for both."""
 
     def expand(expansion, equation, operands: list[Series]) -> list[Series]:
         (x,) = operands
@@ -197,13 +197,13 @@ def by_pair(values: Callable, sign: int, which: int) -> Callable:
     return expand
 
 
-def divided(expansion, equation, operands: list[Series]) -> list[Series]:
+def division_rule(expansion, equation, operands: list[Series]) -> list[Series]:
     numerator, denominator = operands
     return [quotient(numerator, denominator, binding(equation))]
 
 
-def power(expansion, equation, operands: list[Series]) -> list[Series]:
-    """x^p for a real p; where that stands there as a whole number, x may be zero."""
+def power_rule(expansion, equation, operands: list[Series]) -> list[Series]:
+    """x^p for a real p; if p is a literal integer, p >= 0, x may be zero."""
     x, p = operands
     exponent = equation.invars[1]
     rule = by_equation("pow")
@@ -214,7 +214,7 @@ def power(expansion, equation, operands: list[Series]) -> list[Series]:
     return rule(expansion, equation, [x, p])
 
 
-def whole_power(expansion, equation, operands: list[Series]) -> list[Series]:
+def integer_power_rule(expansion, equation, operands: list[Series]) -> list[Series]:
     p = equation.params["y"]
     if p >= 0:
         return by_definition(by_squaring)(expansion, equation, operands)
@@ -222,7 +222,7 @@ def whole_power(expansion, equation, operands: list[Series]) -> list[Series]:
 
 
 def by_squaring(x, y: int):
-    """x^y for a whole number y."""
+    """x^y for an integer y >= 0."""
     if y < 2:
         return x if y else jnp.ones_like(x)
     half = by_squaring(x, y // 2)
@@ -233,14 +233,14 @@ def cumulative_product(x, axis: int, reverse: bool):
     return lax.associative_scan(lax.mul, x, axis=axis, reverse=reverse)
 
 
-def product_over(x, axes, **_):
+def reduce_product(x, axes, **_):
     rows = jnp.moveaxis(x, axes, range(len(axes)))
     rows = rows.reshape(-1, *rows.shape[len(axes) :])
     return reduce(operator.mul, rows, jnp.ones_like(x, shape=rows.shape[1:]))
 
 
-def noting(switch: Callable[..., list[Series]], rule: Callable) -> Callable:
-    """A rule that notes the primitive's switching functions."""
+def record_switches(switch: Callable[..., list[Series]], rule: Callable) -> Callable:
+    """Extends a rule so that it records the primitive's switching functions."""
 
     def expand(expansion, equation, operands: list[Series]) -> list[Series]:
         if (found := switches.get()) is not None and varies(operands[0]):
@@ -250,29 +250,33 @@ def noting(switch: Callable[..., list[Series]], rule: Callable) -> Callable:
     return expand
 
 
-def converted(expansion, equation, operands: list[Series]) -> list[Series]:
-    """To another type; a real number that becomes whole, or a truth value, jumps."""
+def conversion_rule(expansion, equation, operands: list[Series]) -> list[Series]:
+    """Conversion to another type; from a real to an integer or a flag, the result jumps."""
     kept = jnp.issubdtype(equation.params["new_dtype"], jnp.inexact)
-    rule = by_coefficients(linear) if kept else noting(cast_switches, by_coefficients(none))
+    rule = (
+        by_coefficients(linear)
+        if kept
+        else record_switches(cast_switches, by_coefficients(piecewise_constant))
+    )
     return rule(expansion, equation, operands)
 
 
-def none(k: int, operands: list[Series], bind: Callable) -> None:
-    """A result that does not change with time, but for jumps."""
+def piecewise_constant(k: int, operands: list[Series], bind: Callable) -> None:
+    """A result that is constant in time between its jumps."""
     for x in operands:
         if not varies(x):
-            x[k]  # which may refuse, as what has jumps that are not known does
+            x[k]  # raises if its jumps are not known
 
 
-def to_rounding(x: Series, whole: Callable) -> list[Series]:
-    """How far x is from the two ends of the interval in which it is rounded to one number."""
+def distances_to_rounding(x: Series, whole: Callable) -> list[Series]:
+    """Distances of x to both ends of the interval that is rounded to the same number."""
     below = lambda k: x[0] - whole(x[0]) if k == 0 else x[k]
-    above = lambda k: whole(x[0]) + 1 - x[0] if k == 0 else scaled(x[k], -1)
+    above = lambda k: whole(x[0]) + 1 - x[0] if k == 0 else scale(x[k], -1)
     return [Series(below), Series(above)]
 
 
 def cast_switches(x: Series) -> list[Series]:
-    return [x, *to_rounding(x, jnp.floor)]
+    return [x, *distances_to_rounding(x, jnp.floor)]
 
 
 LINEAR = (
@@ -281,46 +285,48 @@ LINEAR = (
     "reshape rev scatter-add select_n slice split squeeze stack stop_gradient transpose "
     "unstack"
 ).split()
-"""Primitives that are linear in all their real operands together."""
+"""Primitives that are linear in all their real operands jointly."""
 DISCRETE = "and ceil eq floor ge gt is_finite le lt ne not or round sign xor".split()
-"""Those whose results do not change with time, but for jumps."""
+"""Primitives whose results are constant in time between jumps."""
 Expansion.rules = {
     **CALLS,
     **CALLS_WITH_DERIVATIVES,
     **dict.fromkeys(LINEAR, by_coefficients(linear)),
-    "gather": gathered,
-    "scatter": scattered,
-    **dict.fromkeys(DISCRETE, by_coefficients(none)),
+    "gather": gather_rule,
+    "scatter": scatter_rule,
+    **dict.fromkeys(DISCRETE, by_coefficients(piecewise_constant)),
     **dict.fromkeys(("add", "add_any"), by_coefficients(plus)),
     **dict.fromkeys(("conv_general_dilated", "dot_general"), by_coefficients(bilinear)),
     **{name: by_equation(name) for name in EQUATIONS},
-    "abs": by_coefficients(absolute),
-    "clamp": by_coefficients(clamped),
-    "convert_element_type": converted,
+    "abs": by_coefficients(absolute_value),
+    "clamp": by_coefficients(clamped_operand),
+    "convert_element_type": conversion_rule,
     "cos": by_pair(sincos, -1, 1),
     "cosh": by_pair(lambda x: (jnp.sinh(x), jnp.cosh(x)), 1, 1),
     "cumprod": by_definition(cumulative_product),
-    "div": divided,
-    "integer_pow": whole_power,
-    "max": by_coefficients(greater),
-    "min": by_coefficients(lesser),
+    "div": division_rule,
+    "integer_pow": integer_power_rule,
+    "max": by_coefficients(larger_operand),
+    "min": by_coefficients(smaller_operand),
     "mul": by_coefficients(times),
-    "pow": power,
-    "reduce_prod": by_definition(product_over),
+    "pow": power_rule,
+    "reduce_prod": by_definition(reduce_product),
     "sin": by_pair(sincos, -1, 0),
     "sinh": by_pair(lambda x: (jnp.sinh(x), jnp.cosh(x)), 1, 0),
-    "square": by_coefficients(squared),
+    "square": by_coefficients(square_operand),
     "sub": by_coefficients(minus),
 }
 SWITCHES: dict[str, Callable[..., list[Series]]] = {
     **dict.fromkeys(("ge", "gt", "le", "lt", "max", "min"), lambda left, right: [left - right]),
     **dict.fromkeys(("abs", "sign"), lambda x: [x]),
     "atan2": lambda y, x: [y],
-    "ceil": lambda x: to_rounding(x, lambda value: jnp.ceil(value) - 1),
+    "ceil": lambda x: distances_to_rounding(x, lambda value: jnp.ceil(value) - 1),
     "clamp": lambda low, x, high: [x - low, high - x],
-    "floor": lambda x: to_rounding(x, jnp.floor),
-    "round": lambda x: to_rounding(x, lambda value: jnp.round(value) - 0.5),
+    "floor": lambda x: distances_to_rounding(x, jnp.floor),
+    "round": lambda x: distances_to_rounding(x, lambda value: jnp.round(value) - 0.5),
 }
-"""Switching functions of primitives, whose results have a kink or a jump where one is zero."""
+"""By primitive: functions of the operands at whose zeros the result has a kink or a jump."""
 
-Expansion.rules |= {name: noting(SWITCHES[name], Expansion.rules[name]) for name in SWITCHES}
+Expansion.rules |= {
+    name: record_switches(SWITCHES[name], Expansion.rules[name]) for name in SWITCHES
+}

@@ -1,6 +1,6 @@
-"""Roots and turning points of functions within a step of integration.
+"""Roots and extrema of functions of time within one step of integration.
 
-All are constants to derivatives, unless said otherwise. None jumps over a root.
+JAX sees the results as constants, unless the docstring says otherwise. No search jumps over a root.
 """
 
 from collections.abc import Callable
@@ -11,18 +11,18 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from walker_jax.integrators.series import evaluate
+from walker_jax.integrators.series import evaluate_polynomial
 
 Scalar = Float[Array, ""]
-Look = Callable[[Scalar], tuple[Scalar, Scalar, Scalar]]
-"""Value, slope and curvature at a time since the start of a step."""
+Jet = Callable[[Scalar], tuple[Scalar, Scalar, Scalar]]
+"""A function of the time since the start of a step: its value, slope and curvature."""
 
 
-def of_polynomial(series: list[Scalar]) -> Look:
-    """Those of a polynomial, given by its coefficients."""
+def polynomial_jet(series: list[Scalar]) -> Jet:
+    """The value, slope and curvature of a polynomial, given by its coefficients."""
     series = lax.stop_gradient(series)
 
-    def look(t):
+    def jet(t):
         value, slope, curvature = series[-1], jnp.zeros_like(t), jnp.zeros_like(t)
         for coefficient in series[-2::-1]:
             curvature = curvature * t + slope
@@ -30,71 +30,71 @@ def of_polynomial(series: list[Scalar]) -> Look:
             value = value * t + coefficient
         return value, slope, 2 * curvature
 
-    return look
+    return jet
 
 
-def of_function(function: Callable[[Scalar], Scalar]) -> Look:
-    """Those of any function of time."""
+def function_jet(function: Callable[[Scalar], Scalar]) -> Jet:
+    """The value, slope and curvature of any function of time."""
 
-    def look(t):
+    def jet(t):
         slope = lambda t: jax.jvp(function, (t,), (jnp.ones_like(t),))
         (value, first), (_, second) = jax.jvp(slope, (t,), (jnp.ones_like(t),))
         return lax.stop_gradient((value, first, second))
 
-    return look
+    return jet
 
 
-def first_rise(
-    look: Look,
+def first_upcrossing(
+    jet: Jet,
     length: Scalar,
     sides: tuple[Bool[Array, ""], Bool[Array, ""]] | None = None,
 ) -> tuple[Bool[Array, ""], Scalar]:
-    """Where a function rises through zero in a step 0 <= t <= length, if it does.
+    """The first upcrossing of zero in a step 0 <= t <= length, if there is one.
 
-    The step is short enough for it to have one minimum in it at most. It rises through zero if it
-    is not negative at the end, but is at the start or at that minimum. `sides` says whether it is
-    negative at start and end, where that has been decided; rounding may have the function differ.
+    The step must be so short that the function has at most one minimum in it. The function crosses
+    upwards if it is not negative at the end, but negative at the start or at that minimum. `sides`
+    overrides whether it is negative at start and end, where its own sign may be wrong by rounding.
 
-    Returns whether it does, and the time (`length` if not).
+    Returns whether there is an upcrossing, and its time (`length` if there is none).
     """
     length = lax.stop_gradient(length)
     zero = jnp.zeros_like(length)
-    (start, start_slope, _), (end, end_slope, _) = look(zero), look(length)
+    (start, start_slope, _), (end, end_slope, _) = jet(zero), jet(length)
     below, ends_below = (start < 0, end < 0) if sides is None else sides
     turns = ~below & (start_slope < 0) & (end_slope > 0)
-    turn = rising_root(lambda t: look(t)[1:], zero, jnp.where(turns, length, zero))
-    rises = (below | (turns & (look(turn)[0] < 0))) & ~ends_below
-    root = rising_root(lambda t: look(t)[:2], jnp.where(rises, turn, length), length)
+    turn = bracketed_newton(lambda t: jet(t)[1:], zero, jnp.where(turns, length, zero))
+    rises = (below | (turns & (jet(turn)[0] < 0))) & ~ends_below
+    root = bracketed_newton(lambda t: jet(t)[:2], jnp.where(rises, turn, length), length)
     return rises, root
 
 
 class Instant(NamedTuple):
-    """When something happens within a step, if it does."""
+    """The time of an event within a step, and whether there is one."""
 
     exists: Bool[Array, ""]
     time: Scalar
 
 
-def least(look: Look, length: Scalar) -> Instant:
-    """Where a function that falls at first in a step, and rises at its end, is least.
+def interior_minimum(jet: Jet, length: Scalar) -> Instant:
+    """The minimum inside a step of a function that falls at its start and rises at its end.
 
-    To first order the least value does not depend on it.
+    The minimal value does not depend on this time to first order, so the time may be constant.
     """
     length = lax.stop_gradient(length)
     zero = jnp.zeros_like(length)
-    exists = (look(zero)[1] < 0) & (look(length)[1] > 0)
+    exists = (jet(zero)[1] < 0) & (jet(length)[1] > 0)
     high = jnp.where(exists, length, zero)
-    return Instant(exists, rising_root(lambda t: look(t)[1:], zero, high))
+    return Instant(exists, bracketed_newton(lambda t: jet(t)[1:], zero, high))
 
 
-def negative(look: Look) -> Look:
-    """Of minus a function."""
+def negate(jet: Jet) -> Jet:
+    """Minus a function."""
 
-    def opposite(t):
-        value, slope, curvature = look(t)
+    def negated(t):
+        value, slope, curvature = jet(t)
         return -value, -slope, -curvature
 
-    return opposite
+    return negated
 
 
 def derivative_of(series: list[Scalar]) -> list[Scalar]:
@@ -102,21 +102,25 @@ def derivative_of(series: list[Scalar]) -> list[Scalar]:
     return [k * c for k, c in enumerate(series)][1:]
 
 
-def when_zero(series: list[Scalar], time: Scalar) -> Scalar:
-    """The time at which a polynomial is zero, with its derivatives: a step of Newton's."""
+def differentiable_zero(series: list[Scalar], time: Scalar) -> Scalar:
+    """The time of a polynomial's zero, with its derivatives, by one step of Newton's iteration."""
     time = lax.stop_gradient(time)
-    value, slope = evaluate(series, time), evaluate(derivative_of(series), time)
+    value, slope = (
+        evaluate_polynomial(series, time),
+        evaluate_polynomial(derivative_of(series), time),
+    )
     slope = lax.stop_gradient(jnp.where(slope == 0, 1.0, slope))
     return time - (value - lax.stop_gradient(value)) / slope
 
 
-def rising_root(
+def bracketed_newton(
     function: Callable[[Scalar], tuple[Scalar, Scalar]], low: Scalar, high: Scalar
 ) -> Scalar:
-    """Root of a function that is negative at `low` and not at `high`; either where they are equal.
+    """The root of a function that is negative at `low` and not at `high`.
 
-    Newton's iteration from `high` on (value, slope), kept inside the bracket by halving; every
-    turn shrinks the bracket, so it ends.
+    Newton's iteration from `high`, on (value, slope); a step that leaves the bracket is replaced by
+    bisection. Every turn shrinks the bracket, so the iteration ends. Returns `high` if it equals
+    `low`.
     """
     resolution = 2 * float(jnp.finfo(high.dtype).eps) * jnp.abs(high)
 
@@ -136,11 +140,12 @@ def rising_root(
 
 
 def first_zero(series: list[Scalar], length: Scalar, resolution: Scalar) -> Scalar:
-    """The first zero of a polynomial in 0 <= t <= length; that, or more, where there is none.
+    """The first zero of a polynomial in 0 <= t <= length; `length` or more if there is none.
 
-    The polynomial is expanded anew, about points that approach the zero from the left by as much as
-    is certain to hold none, until that is less than the resolution. It converges as Newton's
-    iteration does, but passes no zero. One that is zero at 0 has that zero, unless it vanishes.
+    The polynomial is expanded about points that approach the zero from the left. Each advances by a
+    length that certainly holds no zero, until that is less than the resolution. The convergence is
+    that of Newton's iteration, but no zero is passed. Zero itself counts as a zero of a polynomial
+    that starts there, unless it vanishes identically.
     """
 
     def certain(series: list[Scalar], most: Scalar) -> Scalar:
@@ -150,7 +155,7 @@ def first_zero(series: list[Scalar], length: Scalar, resolution: Scalar) -> Scal
         at t = most.
         """
         value, rate = series[:2]
-        later = evaluate([jnp.abs(c) for c in series[2:]], most)
+        later = evaluate_polynomial([jnp.abs(c) for c in series[2:]], most)
         all_of_it = value + (rate - later * most) * most >= 0
         root = jnp.sqrt(rate**2 + 4 * later * value)
         rising = (rate + root) / (2 * jnp.where(later > 0, later, 1))

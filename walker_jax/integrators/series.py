@@ -1,4 +1,4 @@
-"""Power series in t, their arithmetic, and the elementary functions of them.
+"""Power series in t: arithmetic and elementary functions.
 
 The k-th coefficient of a product is sum_j a_j b_{k-j}. Any other smooth function solves a
 differential equation: with D = t d/dt, which multiplies the k-th coefficient by k, y = exp(x)
@@ -21,12 +21,12 @@ from jax import lax
 from jaxtyping import Array, Float
 
 
-@jax.jit  # traced once for all its uses
+@jax.jit  # traced once for all calls
 def sincos(angle: Float[Array, "..."]) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
     """Sine and cosine of one angle, off by less than the dtype's epsilon up to 1e5 rad.
 
-    The angle is reduced to [-pi/4, pi/4] by a multiple of pi/2 held in three parts (Cody and
-    Waite), then both are polynomials. XLA's own float64 sine serves every argument and costs
+    The angle is reduced to [-pi/4, pi/4] by a multiple of pi/2 in three parts (Cody and Waite);
+    there sine and cosine are polynomials. XLA's own float64 sine serves every argument, and costs
     seven times as much as this pair on a CPU.
     """
     return sincos_and_derivative(angle)
@@ -49,8 +49,8 @@ def sincos_and_derivative(angle):
     while (math.pi / 4) ** (2 * terms) / math.factorial(2 * terms) > eps / 16:
         terms += 1
     z = x * x
-    sine = x * evaluate([(-1) ** i / math.factorial(2 * i + 1) for i in range(terms)], z)
-    cosine = evaluate([(-1) ** i / math.factorial(2 * i) for i in range(terms)], z)
+    sine = x * evaluate_polynomial([(-1) ** i / math.factorial(2 * i + 1) for i in range(terms)], z)
+    cosine = evaluate_polynomial([(-1) ** i / math.factorial(2 * i) for i in range(terms)], z)
     turn = quadrant.astype(jnp.int32)
     odd = (turn & 1) == 1
     sine, cosine = lax.select(odd, cosine, sine), lax.select(odd, sine, cosine)
@@ -67,7 +67,7 @@ def _sincos_jvp(primals, tangents):
     return (sine, cosine), (cosine * dangle, -sine * dangle)
 
 
-def evaluate(coefficients: list, t):
+def evaluate_polynomial(coefficients: list, t):
     """The polynomial c_0 + c_1 t + c_2 t^2 + ... by Horner's rule."""
     value = coefficients[-1] + jnp.zeros_like(t)
     for coefficient in coefficients[-2::-1]:
@@ -76,15 +76,15 @@ def evaluate(coefficients: list, t):
 
 
 class Series:
-    """A power series whose coefficients are computed when first asked for.
+    """A power series whose coefficients are computed when first read.
 
-    A coefficient may be `None`: it is zero. The first of an argument or a result is never `None`.
+    A coefficient of `None` is zero. The first one of an argument or a result is never `None`.
     """
 
     def __init__(self, rule: Callable[[int], Any], coefficients: Iterable = ()):
         self.rule = rule
         self.coefficients: list = list(coefficients)
-        if (made := recorded.get()) is not None:
+        if (made := series_log.get()) is not None:
             made.append(self)
 
     def __getitem__(self, k: int):
@@ -93,41 +93,41 @@ class Series:
         return self.coefficients[k]
 
     def __neg__(self):
-        return Series(lambda k: scaled(self[k], -1))
+        return Series(lambda k: scale(self[k], -1))
 
     def __add__(self, other):
-        return combined(plus, self, other)
+        return combine(plus, self, other)
 
     def __sub__(self, other):
-        return combined(minus, self, other)
+        return combine(minus, self, other)
 
     def __mul__(self, other):
-        return combined(times, self, other)
+        return combine(times, self, other)
 
     def __truediv__(self, other):
         return quotient(self, other)
 
     def __radd__(self, other):
-        return combined(plus, constant(other), self)
+        return combine(plus, constant(other), self)
 
     def __rsub__(self, other):
-        return combined(minus, constant(other), self)
+        return combine(minus, constant(other), self)
 
     def __rmul__(self, other):
-        return combined(times, constant(other), self)
+        return combine(times, constant(other), self)
 
 
-recorded: ContextVar[list[Series] | None] = ContextVar("recorded", default=None)
-"""Where to note every series that is made, if anywhere."""
+series_log: ContextVar[list[Series] | None] = ContextVar("series_log", default=None)
+"""The list that collects every new series, while there is one."""
 
 
 @contextmanager
 def recording(where: ContextVar[list[Series] | None]):
-    """A list of the series that are noted there meanwhile."""
-    noted: list[Series] = []
-    token = where.set(noted)
+    """Collects series in a new list of a context variable, inside a `with` block."""
+    collected: list[Series] = []
+    token = where.set(collected)
     try:
-        yield noted
+        yield collected
     finally:
         where.reset(token)
 
@@ -139,36 +139,38 @@ def constant(value) -> Series:
     return Series(lambda k: value if k == 0 else None)
 
 
-def scaled(value, factor):
+def scale(value, factor):
     if value is None:
         return None
     return lax.mul(value, np.asarray(factor, jnp.result_type(value)))  # traced faster than *
 
 
-def total(terms):
+def add_terms(terms):
     terms = [term for term in terms if term is not None]
     return reduce(lax.add, terms) if terms else None
 
 
-def product(left: Series, i: int, right: Series, j: int, multiply: Callable = operator.mul):
-    """That of two coefficients; the right one is not asked for if the left one is zero."""
+def coefficient_product(
+    left: Series, i: int, right: Series, j: int, multiply: Callable = operator.mul
+):
+    """The product of two coefficients; the right one is not read if the left one is zero."""
     if (one := left[i]) is None or (other := right[j]) is None:
         return None
     return multiply(one, other)
 
 
 def newest_last(first: int, last: int) -> list[int]:
-    """first ... last, with those two, whose terms are known last, at the end.
+    """first ... last, with these two at the end, whose terms are known last.
 
-    A processor can then add up the other terms while it waits for these.
+    A processor can then sum the other terms while it waits for them.
     """
     return [*range(first + 1, last), *dict.fromkeys((first, last))]
 
 
-# Rules: the k-th coefficient of a result, given its operands and a function of theirs.
+# Rules: the k-th coefficient of a result, given the operands and the operation on coefficients.
 
 
-def combined(rule: Callable, left: Series, right) -> Series:
+def combine(rule: Callable, left: Series, right) -> Series:
     operands = [left, right if isinstance(right, Series) else constant(right)]
     return Series(lambda k: rule(k, operands))
 
@@ -187,7 +189,7 @@ def minus(k: int, operands: list[Series], bind: Callable = operator.sub) -> Any:
 
 def bilinear(k: int, operands: list[Series], bind: Callable) -> Any:
     left, right = operands
-    return total(product(left, j, right, k - j, bind) for j in newest_last(0, k))
+    return add_terms(coefficient_product(left, j, right, k - j, bind) for j in newest_last(0, k))
 
 
 def times(k: int, operands: list[Series], bind: Callable = operator.mul) -> Any:
@@ -197,22 +199,22 @@ def times(k: int, operands: list[Series], bind: Callable = operator.mul) -> Any:
 
 def square(k: int, x: Series, multiply: Callable) -> Any:
     """The k-th coefficient of a square, each product of two coefficients computed once."""
-    pairs = (product(x, j, x, k - j, multiply) for j in newest_last(0, (k - 1) // 2))
-    double = scaled(total(pairs), 2) if k else None
-    middle = product(x, k // 2, x, k // 2, multiply) if k % 2 == 0 else None
-    return total([middle, double])
+    pairs = (coefficient_product(x, j, x, k - j, multiply) for j in newest_last(0, (k - 1) // 2))
+    double = scale(add_terms(pairs), 2) if k else None
+    middle = coefficient_product(x, k // 2, x, k // 2, multiply) if k % 2 == 0 else None
+    return add_terms([middle, double])
 
 
 def quotient(numerator: Series, denominator: Series, divide: Callable | None = None) -> Series:
     """r = n / d, from n = r d."""
-    # One division for all orders: XLA computes an expression anew for each division of its parts.
+    # One division for all orders: XLA would repeat the computation of the divisor for each.
     reciprocal = Series(lambda k: 1 / denominator[0])
 
     def rule(k):
         if k == 0 and divide is not None:
             return divide(numerator[0], denominator[0])
-        known = total(product(result, j, denominator, k - j) for j in range(k))
-        difference = total([numerator[k], scaled(known, -1)])
+        known = add_terms(coefficient_product(result, j, denominator, k - j) for j in range(k))
+        difference = add_terms([numerator[k], scale(known, -1)])
         return None if difference is None else difference * reciprocal[0]
 
     result = Series(rule)
@@ -220,27 +222,27 @@ def quotient(numerator: Series, denominator: Series, divide: Callable | None = N
 
 
 # Functions that solve a differential equation: D y of a result y, given each operand x and D x,
-# where D = t d/dt. What multiplies D x stands right of it: D x is zero at t = 0, so that y_k is not
-# asked for in the k-th coefficient of D y.
+# where D = t d/dt. The factor of D x stands right of it: D x is zero at t = 0, so the k-th
+# coefficient of D y does not read y_k.
 EQUATIONS: dict[str, Callable[..., Series]] = {
-    "acos": lambda y, x, Dx: -Dx / root((1 - x) * (1 + x)),
-    "acosh": lambda y, x, Dx: Dx / root((x - 1) * (x + 1)),
-    "asin": lambda y, x, Dx: Dx / root((1 - x) * (1 + x)),
-    "asinh": lambda y, x, Dx: Dx / root(1 + x * x),
+    "acos": lambda y, x, Dx: -Dx / sqrt_series((1 - x) * (1 + x)),
+    "acosh": lambda y, x, Dx: Dx / sqrt_series((x - 1) * (x + 1)),
+    "asin": lambda y, x, Dx: Dx / sqrt_series((1 - x) * (1 + x)),
+    "asinh": lambda y, x, Dx: Dx / sqrt_series(1 + x * x),
     "atan": lambda y, x, Dx: Dx / (1 + x * x),
     "atan2": lambda angle, y, Dy, x, Dx: (Dy * x - Dx * y) / (x * x + y * y),
     "atanh": lambda y, x, Dx: Dx / ((1 - x) * (1 + x)),
     "cbrt": lambda y, x, Dx: Dx * y / (x * 3),
-    "erf": lambda y, x, Dx: Dx * exponential(-(x * x)) * (2 / math.sqrt(math.pi)),
-    "erf_inv": lambda y, x, Dx: Dx * exponential(y * y) * (math.sqrt(math.pi) / 2),
-    "erfc": lambda y, x, Dx: Dx * exponential(-(x * x)) * (-2 / math.sqrt(math.pi)),
+    "erf": lambda y, x, Dx: Dx * exp_series(-(x * x)) * (2 / math.sqrt(math.pi)),
+    "erf_inv": lambda y, x, Dx: Dx * exp_series(y * y) * (math.sqrt(math.pi) / 2),
+    "erfc": lambda y, x, Dx: Dx * exp_series(-(x * x)) * (-2 / math.sqrt(math.pi)),
     "exp": lambda y, x, Dx: Dx * y,
     "exp2": lambda y, x, Dx: Dx * y * math.log(2),
     "expm1": lambda y, x, Dx: Dx * (y + 1),
     "log": lambda y, x, Dx: Dx / x,
     "log1p": lambda y, x, Dx: Dx / (1 + x),
     "logistic": lambda y, x, Dx: Dx * (y - y * y),
-    "pow": lambda y, x, Dx, p, Dp: Dx * (p * y) / x + Dp * (logarithm(x) * y),
+    "pow": lambda y, x, Dx, p, Dp: Dx * (p * y) / x + Dp * (log_series(x) * y),
     "rsqrt": lambda y, x, Dx: Dx * y / (x * -2),
     "sqrt": lambda y, x, Dx: Dx / (y * 2),
     "tan": lambda y, x, Dx: Dx * (1 + y * y),
@@ -249,34 +251,34 @@ EQUATIONS: dict[str, Callable[..., Series]] = {
 
 
 def solution(equation: Callable[..., Series], bind: Callable, *operands: Series) -> Series:
-    """The series y that solves one of these equations and starts from the primitive's value."""
+    """The series y that solves one of these equations, with the primitive's value at t = 0."""
     first = lambda: bind(*(x[0] for x in operands))
-    y = Series(lambda k: scaled(Dy[k], 1 / k) if k else first())
+    y = Series(lambda k: scale(Dy[k], 1 / k) if k else first())
     Dy = equation(y, *(each for x in operands for each in (x, times_order(x))))
     return y
 
 
 def times_order(x: Series) -> Series:
     """D x = t dx/dt."""
-    return Series(lambda k: scaled(x[k], k) if k else None)
+    return Series(lambda k: scale(x[k], k) if k else None)
 
 
-def exponential(x: Series) -> Series:
+def exp_series(x: Series) -> Series:
     return solution(EQUATIONS["exp"], jnp.exp, x)
 
 
-def logarithm(x: Series) -> Series:
+def log_series(x: Series) -> Series:
     return solution(EQUATIONS["log"], jnp.log, x)
 
 
-def root(x: Series) -> Series:
+def sqrt_series(x: Series) -> Series:
     return solution(EQUATIONS["sqrt"], jnp.sqrt, x)
 
 
 def sine_and_cosine(x: Series, values: Callable, sign: int) -> tuple[Series, Series]:
-    """s and c together, from s' = c x' and c' = sign s x'; both at t = 0 are values(x)."""
-    sine = Series(lambda k: scaled(Dsine[k], 1 / k) if k else values(x[0])[0])
-    cosine = Series(lambda k: scaled(Dcosine[k], sign / k) if k else values(x[0])[1])
+    """s and c from s' = c x' and c' = sign s x'; their values at t = 0 are values(x)."""
+    sine = Series(lambda k: scale(Dsine[k], 1 / k) if k else values(x[0])[0])
+    cosine = Series(lambda k: scale(Dcosine[k], sign / k) if k else values(x[0])[1])
     Dx = times_order(x)
     Dsine, Dcosine = Dx * cosine, Dx * sine
     return sine, cosine

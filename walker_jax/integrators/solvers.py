@@ -1,11 +1,11 @@
-"""Integration by diffrax: a solver by Taylor series, integration up to a condition, and landing.
+"""Integration by diffrax: a solver by Taylor series, and integration up to an event.
 
 `Taylor` is a solver for `diffrax.diffeqsolve`, and `SeriesSteps` the step size controller that
-suits it, which needs no steps to be rejected. `Method` follows a solution until a condition holds
-for the two ends of a step, by these or by an explicit Runge-Kutta method of diffrax's.
+suits it, which never rejects a step. `Method` integrates until a condition holds for the two ends
+of a step, by these or by one of diffrax's explicit Runge-Kutta methods.
 
-Nothing here knows what is integrated. Derivatives are forward mode; `kernels.by_kernel`
-makes those of reverse mode of them.
+Nothing here knows what is integrated. Derivatives are taken in forward mode; `kernels.by_kernel`
+derives reverse mode from them.
 """
 
 import math
@@ -19,39 +19,43 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.core import Tracer
-from jaxtyping import Array, Bool, Float, Int, PyTree
+from jaxtyping import Array, Bool, Int, PyTree
 
 from walker_jax.checks import WrongUse, check_number, short
 from walker_jax.integrators.roots import (
-    Look,
+    Jet,
+    Scalar,
     derivative_of,
+    differentiable_zero,
     first_zero,
-    of_function,
-    of_polynomial,
-    when_zero,
+    function_jet,
+    polynomial_jet,
 )
-from walker_jax.integrators.series import evaluate
+from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.integrators.taylor import (
-    fast_sines,
     function_series,
     is_list,
     solution_series,
     switching_series,
+    with_fast_sincos,
 )
 from walker_jax.kernels.primitive import contexts
 
-Scalar = Float[Array, ""]
 Real = Scalar | float
 VectorField = Callable[[PyTree], PyTree]
 
 
-# Order of the series. Higher orders take fewer steps of more work each; these are the fastest, or
-# nearly, at the default tolerances (benchmarks/README.md).
-ORDER = {jnp.dtype("float64"): 12, jnp.dtype("float32"): 8}
+SERIES_ORDER = {jnp.dtype("float64"): 12, jnp.dtype("float32"): 8}
+"""Order of the series: the fastest, or nearly, at the default tolerance (benchmarks/README.md).
+
+A higher order takes fewer steps of more work each.
+"""
 TOLERANCE = {jnp.dtype("float64"): 1e-12, jnp.dtype("float32"): 1e-6}
+"""Default tolerance of a step: 4500 and 8 times the epsilon of the dtype."""
 MAX_STEPS = 1000
-SHARPENINGS = 3
-"""Of a time that an interpolation gives: its error is squared by each."""
+"""Most steps of one integration, so that each ends."""
+TIME_REFINEMENTS = 3
+"""Newton's iterations on a time that interpolation gives; each squares its error."""
 
 
 def default_tolerance(dtype, tolerance: Real | None = None) -> Real:
@@ -80,16 +84,17 @@ def step_length(series: PyTree, tolerance: Real) -> Scalar:
     """Length of a step in which the last terms of the series stay below the tolerance.
 
     h = min over k = n-1, n of (tolerance |y| / |c_k|)^(1/k), in the largest norm over all
-    variables (Jorba and Zou 2005), where |y| is the larger of |c_0| and |c_1|. It is not finite
-    for the series of a rest position. The length needs few digits, and powers are cheap in
-    float32.
+    variables (Jorba and Zou 2005), where |y| is the larger of |c_0| and |c_1|. The length is not
+    finite at a rest position. It needs few digits, and powers are cheap in float32.
     """
     leaves = jax.tree.leaves(series, is_leaf=is_list)
     order, scale = len(leaves[0]) - 1, scale_of(series)
     log_tolerance = jnp.log(jnp.asarray(tolerance, jnp.float32))
 
     def log_length(k):
-        return (log_tolerance - jnp.log((largest(series, k) / scale).astype(jnp.float32))) / k
+        return (
+            log_tolerance - jnp.log((largest_coefficient(series, k) / scale).astype(jnp.float32))
+        ) / k
 
     shortest = jnp.exp(jnp.minimum(log_length(order - 1), log_length(order)))
     return shortest.astype(leaves[0][0].dtype)
@@ -97,11 +102,11 @@ def step_length(series: PyTree, tolerance: Real) -> Scalar:
 
 def scale_of(series: PyTree) -> Scalar:
     """The larger of |y| and |y'| at the start of a step."""
-    return jnp.maximum(largest(series, 0), largest(series, 1))
+    return jnp.maximum(largest_coefficient(series, 0), largest_coefficient(series, 1))
 
 
-def largest(series: PyTree, k: int) -> Scalar:
-    """The largest of all variables' k-th coefficients, in size. A constant to derivatives."""
+def largest_coefficient(series: PyTree, k: int) -> Scalar:
+    """The largest absolute value of all variables' k-th coefficients; constant to derivatives."""
     leaves = jax.tree.leaves(series, is_leaf=is_list)
     size = jnp.zeros((), leaves[0][0].dtype)
     for leaf in leaves:
@@ -116,42 +121,46 @@ def taylor_step(
     tolerance: Real,
     *others: Callable[[PyTree], PyTree],
 ) -> tuple[PyTree[list], Scalar]:
-    """The series of y' = f(y) from a state, and how long a step it may be used for.
+    """The series of the solution of y' = f(y) from a state, and the length of its step.
 
-    That is the length at which its last terms reach the tolerance; or where f, or one of the
-    others, has a kink, that up to the kink and just beyond it, by `tolerance` of the length. It is
-    NaN where f jumps by more than the root of the tolerance, relative to |y| or |y'|.
+    At that length the last terms of the series reach the tolerance. If f, or one of the others, has
+    a kink before, the step ends just behind the kink, by `tolerance` times the length. The length
+    is NaN if f jumps by more than the root of the tolerance, relative to |y| or |y'|.
     """
     series = solution_series(vector_field, state, order)
     length = step_length(series, tolerance)
     if not (switches := [s for f in (vector_field, *others) for s in switching_series(f, series)]):
         return series, length
     least = jnp.asarray(tolerance, length.dtype) * length
-    length = up_to_switches(switches, length, least)
-    fixed, end = lax.stop_gradient((series, length))
-    rates = vector_field(polynomial(fixed, end))
-    expected = jax.tree.map(lambda c: evaluate(derivative_of(c), end), fixed, is_leaf=is_list)
+    length = cut_at_switches(switches, length, least)
+    constant, end = lax.stop_gradient((series, length))
+    rates = vector_field(evaluate_series(constant, end))
+    expected = jax.tree.map(
+        lambda c: evaluate_polynomial(derivative_of(c), end), constant, is_leaf=is_list
+    )
     defects = jax.tree.map(lambda a, b: jnp.max(jnp.abs(a - b)), rates, expected)
     defect = jnp.max(jnp.stack(jax.tree.leaves(defects)))
     steady = defect <= jnp.sqrt(jnp.asarray(tolerance, length.dtype)) * scale_of(series)
     return series, jnp.where(steady, length, jnp.nan)
 
 
-def up_to_switches(switches: list[list[Scalar]], length: Scalar, behind: Scalar) -> Scalar:
-    """A step's length, cut just past the first zero of functions given by their series.
+def cut_at_switches(switches: list[list[Scalar]], length: Scalar, behind: Scalar) -> Scalar:
+    """Cuts a step just behind the first zero of functions given by their series.
 
-    How that zero depends on everything is part of the result: where a step ends at a kink matters
-    to second derivatives.
+    The length keeps the derivatives of that zero, since second derivatives depend on where a step
+    ends at a kink.
     """
     for switch in switches:
         zero = first_zero(lax.stop_gradient(switch), lax.stop_gradient(length), behind)
-        length = jnp.where(zero + behind < length, when_zero(switch, zero) + behind, length)
+        length = jnp.where(
+            zero + behind < length, differentiable_zero(switch, zero) + behind, length
+        )
     return length
 
 
-def order_of(state: PyTree) -> int:
+def series_order(state: PyTree) -> int:
     """Order of the series in a step from a state."""
-    return ORDER[jax.tree.leaves(state)[0].dtype]
+    return SERIES_ORDER[jax.tree.leaves(state)[0].dtype]
 
 
 AnySolver = diffrax.AbstractSolver
@@ -160,8 +169,11 @@ solver_in_use = jax.make_user_context(None)
 contexts.append(solver_in_use)
 
 
-def solved_by(solver: AnySolver | None) -> AbstractContextManager:
-    """Let strides be followed by a solver meanwhile; None leaves it as it is. Refuses most."""
+def using_solver(solver: AnySolver | None) -> AbstractContextManager:
+    """Makes `Method` use a solver inside a `with` block; None changes nothing.
+
+    Raises `WrongUse` for a solver that is neither a `Taylor` nor an explicit Runge-Kutta method.
+    """
     if solver is None:
         return nullcontext()
     explicit = isinstance(solver, (diffrax.AbstractERK, Taylor))
@@ -174,12 +186,12 @@ def solved_by(solver: AnySolver | None) -> AbstractContextManager:
 
 
 def solver_for(state: PyTree) -> Solver:
-    """The solver in use: unless one is given, a series of the order that suits the dtype."""
-    return solver_in_use.value or Taylor(order_of(state))
+    """The solver in use; by default `Taylor`, of the order that suits the dtype."""
+    return solver_in_use.value or Taylor(series_order(state))
 
 
-def polynomial(series: PyTree, t) -> PyTree:
-    return jax.tree.map(lambda c: evaluate(c, t), series, is_leaf=is_list)
+def evaluate_series(series: PyTree, t) -> PyTree:
+    return jax.tree.map(lambda c: evaluate_polynomial(c, t), series, is_leaf=is_list)
 
 
 class TaylorInterpolation(diffrax.AbstractLocalInterpolation):
@@ -193,20 +205,19 @@ class TaylorInterpolation(diffrax.AbstractLocalInterpolation):
         del left
         if t1 is not None:
             return jax.tree.map(lambda a, b: a - b, self.evaluate(t1), self.evaluate(t0))
-        return polynomial(self.series, t0 - self.t0)
+        return evaluate_series(self.series, t0 - self.t0)
 
 
 class Taylor(diffrax.AbstractAdaptiveSolver):
     """Explicit Taylor method for `diffrax.diffeqsolve`, of any order.
 
     The error estimate is the last term of the series, so adaptive steps keep that term below the
-    tolerance. Dense output is the series itself, of the full order. Equations that depend on time
-    are taken as they are.
+    tolerance. Dense output is the series itself, of the full order. Equations may depend on time.
     """
 
-    taylor_order: int = eqx.field(static=True, default=14)
+    taylor_order: int = eqx.field(static=True, default=SERIES_ORDER[jnp.dtype("float64")])
     field: VectorField | None = None
-    """f, where it depends on the state alone. Then it may be a `VirtualPower`."""
+    """f, if it depends on the state alone; then it may be a `VirtualPower`."""
 
     term_structure: ClassVar = diffrax.ODETerm
     interpolation_cls: ClassVar = TaylorInterpolation
@@ -243,13 +254,14 @@ class Taylor(diffrax.AbstractAdaptiveSolver):
         power = length**self.taylor_order
         error = jax.tree.map(lambda c: c[-1] * power, series, is_leaf=is_list)
         if switches:
-            # A step over a kink has an error that no controller takes; one just behind it has not.
+            # A step over a kink gets an error that every controller rejects; a step to just behind
+            # it does not.
             eps = float(jnp.finfo(length.dtype).eps)
             least = 1e3 * eps * jnp.maximum(step_length(series, eps), jnp.abs(t1))
-            over = length > up_to_switches(switches, length, least)
+            over = length > cut_at_switches(switches, length, least)
             error = jax.tree.map(lambda e: jnp.where(over, scale_of(series), e), error)
         return (
-            polynomial(series, length),
+            evaluate_series(series, length),
             error,
             dict(series=series),
             None,
@@ -258,9 +270,9 @@ class Taylor(diffrax.AbstractAdaptiveSolver):
 
 
 class SeriesSteps(diffrax.AbstractStepSizeController):
-    """Steps as long as the series of the solution allows: none is rejected.
+    """Steps as long as the series of the solution allows, so that none is rejected.
 
-    They are those of `taylor_step`, which has the arguments' meaning.
+    The steps and the arguments are those of `taylor_step`.
     """
 
     field: VectorField
@@ -288,26 +300,26 @@ class Step(NamedTuple):
     """One step of a solution."""
 
     start: PyTree
-    """State where it begins."""
+    """State at its start."""
     end: PyTree
-    """State where it ends."""
+    """State at its end."""
     time: Scalar
-    """Time at which it begins."""
+    """Time at its start."""
     length: Scalar
     """Its duration."""
     sides: tuple[Bool[Array, ""], Bool[Array, ""]]
-    """The sides of the event on which it begins and ends."""
+    """The side of the event at its start and at its end."""
     series: PyTree[list] | None = None
-    """The solution's from where it begins, if that is how it was solved."""
+    """The series of the solution from its start, if a series solved it."""
 
 
 class Until(diffrax.AbstractStepSizeController):
-    """Another controller's steps, until a condition holds for the two ends of one.
+    """The steps of another controller, until a condition holds for the two ends of a step.
 
-    `stop(start, end, side)` is whether it does, and the side of an event on which the end is; the
-    side of the start is that of the step before its end. So a step that an event has missed by
-    rounding and the next one cannot disagree on where they meet, and miss it both. An
-    `diffrax.Event` sees the end alone.
+    `stop(start, end, side)` returns whether the condition holds, and the side of the event on which
+    the end lies; `side` is that of the start, which the step before has returned. So two successive
+    steps always agree on the side of the state between them, and no event falls between the two by
+    rounding. A `diffrax.Event` sees the end of a step alone.
     """
 
     controller: diffrax.AbstractStepSizeController
@@ -344,29 +356,29 @@ class Until(diffrax.AbstractStepSizeController):
 def zero_at(state: PyTree) -> Scalar:
     """Zero, as a function of a state.
 
-    What a loop starts from, where it will come to depend on the state: JAX differentiates a loop
-    anew for each value of which it finds only then that it has derivatives.
+    A loop should start its values from this if they depend on the state in later turns. For a value
+    that has no derivative at first, JAX differentiates the whole loop once more.
     """
     return 0 * jnp.sum(jax.tree.leaves(state)[0])
 
 
-def fixed(tree: PyTree) -> PyTree:
-    """The same, with all arrays as constants to derivatives."""
+def stop_gradients(tree: PyTree) -> PyTree:
+    """A tree with all arrays constant to derivatives."""
     return jax.tree.map(lambda x: lax.stop_gradient(x) if eqx.is_array(x) else x, tree)
 
 
 class Method(eqx.Module):
-    """How equations y' = f(y) are solved: a solver of diffrax's, and its tolerance."""
+    """Equations y' = f(y), with the diffrax solver and the tolerance that solve them."""
 
     field: VectorField
     solver: Solver
     tolerance: Real
     others: tuple[Callable[[PyTree], PyTree], ...] = ()
-    """Functions of the state at whose kinks steps of the Taylor solver end, as at the field's."""
+    """Functions of the state; the Taylor solver ends steps at their kinks, as at those of f."""
 
     @property
     def terms(self):
-        field = self.field if isinstance(self.solver, Taylor) else fast_sines(self.field)
+        field = self.field if isinstance(self.solver, Taylor) else with_fast_sincos(self.field)
         return diffrax.ODETerm(lambda t, y, args: field(y))
 
     def controller(self) -> diffrax.AbstractStepSizeController:
@@ -376,7 +388,7 @@ class Method(eqx.Module):
         return diffrax.PIDController(rtol=self.tolerance, atol=self.tolerance)
 
     def solve(self, state: PyTree, t0, t1, controller, **saved) -> diffrax.Solution:
-        """From `state` at t0 to t1, or until the controller ends it."""
+        """Integrates from `state` at t0 to t1, or until the controller stops."""
         solver = self.solver
         if isinstance(solver, Taylor):
             solver = Taylor(solver.taylor_order, self.field)
@@ -402,35 +414,35 @@ class Method(eqx.Module):
         side: Bool[Array, ""] | bool = False,
         time: Real = 0.0,
     ) -> tuple[Step, Int[Array, ""]]:
-        """The first step for whose two ends `stop` holds (`Until`), and how many there were.
+        """The first step for whose two ends `stop` holds (`Until`), and the number of steps.
 
-        At least one is taken, `MAX_STEPS` at most. The state stops being finite where the field
-        jumps, or `stop` holds for none.
+        There are at least one and at most `MAX_STEPS` steps, in which `stop` need not hold. The end
+        is not finite if the field jumps.
         """
         time, side = time + zero_at(state), jnp.asarray(side)
         if isinstance(self.solver, Taylor):
             order = self.solver.taylor_order
-            return self.follow_series(state, fast_sines(stop), side, time, order)
-        controller = Until(self.controller(), fast_sines(stop), side)
+            return self.follow_taylor(state, with_fast_sincos(stop), side, time, order)
+        controller = Until(self.controller(), with_fast_sincos(stop), side)
         end = jnp.full_like(time, jnp.inf)
         solution = self.solve(state, time, end, controller, controller_state=True)
         assert solution.controller_state is not None
         _, last = solution.controller_state
         return last, solution.stats["num_steps"]
 
-    def follow_series(
+    def follow_taylor(
         self, state: PyTree, stop: Callable, side: Bool[Array, ""], time: Scalar, order: int
     ) -> tuple[Step, Int[Array, ""]]:
-        """The same with the steps of a series, by a loop that expands it once in each.
+        """`follow` for the Taylor solver, by a loop that expands one series in each step.
 
-        A step size controller of diffrax's has to know the next step when one ends, and so the next
-        series: then each is carried on to the next turn, which takes longer.
+        A step size controller of diffrax has to return the length of the next step when one ends,
+        which needs the next series; to carry that to the next turn takes longer.
         """
 
         def advance(carry):
             last, count, _ = carry
             series, length = taylor_step(self.field, last.end, order, self.tolerance, *self.others)
-            end, (_, side) = polynomial(series, length), last.sides
+            end, (_, side) = evaluate_series(series, length), last.sides
             stops, beyond = stop(last.end, end, side)
             going = jnp.isfinite(length) & (count + 1 < MAX_STEPS) & ~stops
             step = Step(last.end, end, last.time + last.length, length, (side, beyond))
@@ -441,40 +453,42 @@ class Method(eqx.Module):
         last, count, _ = lax.while_loop(lambda carry: carry[-1], advance, carry)
         return last._replace(series=solution_series(self.field, last.start, order)), count
 
-    def begin(self, state: PyTree, length: Scalar) -> tuple[PyTree, Callable[[Scalar], PyTree]]:
-        """A Runge-Kutta step of some length: its end, and the solver's interpolation."""
+    def runge_kutta_step(
+        self, state: PyTree, length: Scalar
+    ) -> tuple[PyTree, Callable[[Scalar], PyTree]]:
+        """One Runge-Kutta step of a given length: its end, and the solver's interpolation."""
         zero, solver = jnp.zeros_like(length), self.solver
-        if isinstance(solver, diffrax.AbstractRungeKutta):  # one that has derivatives forward
+        if isinstance(solver, diffrax.AbstractRungeKutta):  # "lax" has derivatives in forward mode
             solver = eqx.tree_at(lambda s: s.scan_kind, solver, "lax", is_leaf=lambda x: x is None)
         first = solver.init(self.terms, zero, length, state, None)
         end, _, dense, _, _ = solver.step(self.terms, zero, length, state, None, first, False)
         return end, solver.interpolation_cls(t0=zero, t1=length, **dense).evaluate
 
-    def within(self, step: Step, time: Scalar) -> PyTree:
-        """The state a time after a step began, by one step."""
+    def state_at(self, step: Step, time: Scalar) -> PyTree:
+        """The state at a time after the start of a step, by its series or by one shorter step."""
         if step.series is not None:
-            return polynomial(step.series, time)
-        return self.begin(step.start, time)[0]
+            return evaluate_series(step.series, time)
+        return self.runge_kutta_step(step.start, time)[0]
 
-    def look(self, function: Callable[[PyTree], Scalar], step: Step) -> Look:
-        """A function of the state along a step. A constant to derivatives."""
-        method, step = fixed((self, step))
+    def jet(self, function: Callable[[PyTree], Scalar], step: Step) -> Jet:
+        """A function of the state, as a function of time in a step; constant to derivatives."""
+        method, step = stop_gradients((self, step))
         if step.series is not None:
-            return of_polynomial(function_series(function, step.series))
-        _, inside = method.begin(step.start, step.length)
-        return of_function(lambda t: function(inside(t)))
+            return polynomial_jet(function_series(function, step.series))
+        _, inside = method.runge_kutta_step(step.start, step.length)
+        return function_jet(lambda t: function(inside(t)))
 
-    def sharpened(self, event: Callable[[PyTree], Scalar], step: Step, time: Scalar) -> Scalar:
-        """When an event is zero in a step, given that by interpolation. A constant to derivatives.
+    def refine_time(self, event: Callable[[PyTree], Scalar], step: Step, time: Scalar) -> Scalar:
+        """Refines the time of an event in a step by Newton's iteration; constant to derivatives.
 
-        An interpolation is less exact than the steps that it is made of, but for a series: Newton's
-        iteration goes on, with a step of its own to each time.
+        The interpolation of a Runge-Kutta method is less accurate than its steps. So each iteration
+        takes a step to the latest time. A series needs no refinement.
         """
         if isinstance(self.solver, Taylor):
             return time
-        method, step, time = fixed((self, step, time))
-        for _ in range(SHARPENINGS):
-            state = method.within(step, time)
+        method, step, time = stop_gradients((self, step, time))
+        for _ in range(TIME_REFINEMENTS):
+            state = method.state_at(step, time)
             value, rate = jax.jvp(event, (state,), (method.field(state),))
             time = time - value / rate
         return time
@@ -491,16 +505,18 @@ class Method(eqx.Module):
             function = along
         return jax.tree.map(lambda *coefficients: list(coefficients), *values)
 
-    def land(self, event: Callable[[PyTree], Scalar], state: PyTree) -> tuple[PyTree, Scalar]:
-        """The state at which `event` is zero, and the time to it from `state`: that state, and 0.
+    def refine_event(
+        self, event: Callable[[PyTree], Scalar], state: PyTree
+    ) -> tuple[PyTree, Scalar]:
+        """The state at which `event` is zero, and the time to it, with their derivatives.
 
-        `state` is there to rounding, found for a time that was constant to derivatives. What this
-        adds is how state and time depend on everything, to third order: two of Newton's
-        iterations, dt = -event / (d event / dt), on a series of as many terms.
+        `state` is that state to rounding, at a time that is constant to derivatives, so the values
+        returned are `state` and 0. Two of Newton's iterations, dt = -event / (d event / dt), on a
+        series of third order make their derivatives exact to third order.
         """
         values = self.series(event, state, 3)
         values[0] -= lax.stop_gradient(values[0])
         slopes = derivative_of(values)
         time = -values[0] / values[1]
-        time = time - evaluate(values, time) / evaluate(slopes, time)
-        return polynomial(self.series(lambda state: state, state, 3), time), time
+        time = time - evaluate_polynomial(values, time) / evaluate_polynomial(slopes, time)
+        return evaluate_series(self.series(lambda state: state, state, 3), time), time

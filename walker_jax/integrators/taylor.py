@@ -5,13 +5,13 @@ Along a solution y(t) = y_0 + y_1 t + y_2 t^2 + ..., the equation y' = f(y) says
     (k + 1) y_{k+1} = f_k,
 
 where f_k, the k-th coefficient of f(y(t)), needs y_0 ... y_k only. So the series grows order by
-order, each coefficient of each intermediate result computed once (Jorba and Zou 2005). f is any
-function of JAX primitives that `expansion` has a rule for.
+order, and each coefficient of each intermediate result is computed once (Jorba and Zou 2005). f is
+any function of JAX primitives that `expansion` has a rule for.
 
 Coefficients are Taylor coefficients, derivatives divided by k!.
 
-Where f has a kink, its series continues the branch on which it starts, until a switching function
-changes its sign; `switching_series` has these.
+If f has a kink, its series continues the branch on which it starts, and is valid until a switching
+function changes sign. `switching_series` returns the series of these functions.
 """
 
 import abc
@@ -24,15 +24,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, PyTree
 
 from walker_jax.integrators.expansion import compose, switches
-from walker_jax.integrators.series import Series, constant, recorded, recording, scaled
+from walker_jax.integrators.series import Series, constant, recording, scale, series_log
 
 
 class VirtualPower(eqx.Module):
     """Equations of motion as a balance of virtual power, without a formula for accelerations.
 
-    With x = F(q), they are p(q, q', x'') = 0 for some p that is linear in x'', which is F(q(t))''.
-    Of the series q(t) that is a series like any other: neither derivatives of F nor the solution
-    of linear equations need be expanded. A state holds the coordinates q first, then their rates.
+    With x = F(q), they are p(q, q', x'') = 0, where p is linear in x'' = F(q(t))''. The series of
+    F(q(t)) follows from that of q(t), so neither derivatives of F nor the solution of linear
+    equations are expanded. A state holds the coordinates q first, then their rates.
     """
 
     @abc.abstractmethod
@@ -49,9 +49,9 @@ class VirtualPower(eqx.Module):
 
     @abc.abstractmethod
     def solve(self, factors: PyTree, right: list) -> list:
-        """The solution of linear equations with that matrix."""
+        """The solution of linear equations with the matrix of `factorise`."""
 
-    @eqx.filter_jit  # traced once for all its uses
+    @eqx.filter_jit  # traced once for all calls
     def __call__(self, state: PyTree) -> PyTree:
         """The time derivative of a state."""
         leaves, structure = jax.tree.flatten(state)
@@ -64,14 +64,14 @@ class VirtualPower(eqx.Module):
     def series(self, state: PyTree, order: int) -> PyTree[list]:
         """Taylor coefficients of the solution.
 
-        q_{k+2} is in the k-th coefficient of p in one place, the top coefficient of F(q(t)), where
-        its factor is the derivative of F at t = 0. So p is computed as if q_{k+2} were zero, and
-        q_{k+2} then has to supply what is missing for balance.
+        The k-th coefficient of p contains q_{k+2} only through the top coefficient of F(q(t)), with
+        the derivative of F at t = 0 as its factor. So p is first computed with q_{k+2} = 0; then
+        q_{k+2} is the solution of a linear equation whose right-hand side is that p.
         """
         leaves, structure = jax.tree.flatten(state)
         start, rates = leaves[: len(leaves) // 2], leaves[len(leaves) // 2 :]
-        factors = fast_sines(self.factorise)(start)
-        # zero, as long as they are not known
+        factors = with_fast_sincos(self.factorise)(start)
+        # unknown coefficients are zero
         q = [Series(lambda k: None, pair) for pair in zip(start, rates, strict=True)]
         qdot = [derivative(series) for series in q]
         p, of_transfer, of_power = self.balance([*q, *qdot], leaves)
@@ -83,17 +83,19 @@ class VirtualPower(eqx.Module):
                 del series.coefficients[k + 2 :]
             for series, value in zip(q, self.solve(factors, missing), strict=True):
                 series.coefficients.append(value * (1 / ((k + 1) * (k + 2))))
-        return jax.tree.unflatten(structure, [listed(series, order) for series in (*q, *qdot)])
+        return jax.tree.unflatten(
+            structure, [coefficients_up_to(series, order) for series in (*q, *qdot)]
+        )
 
     def balance(
         self, state: list[Series], start: list
     ) -> tuple[list[Series], list[Series], list[Series]]:
-        """The series of p along q(t), and all that were made for F, and for p itself."""
+        """The series of p along q(t), the list of all series of F, and that of all others of p."""
         half = len(state) // 2
         q, qdot = state[:half], state[half:]
-        with recording(recorded) as of_transfer:
+        with recording(series_log) as of_transfer:
             x = compose(self.transfer, q, start[:half])
-        with recording(recorded) as of_power:
+        with recording(series_log) as of_power:
             acceleration = [derivative(series, times=2) for series in x]
             like = [jnp.zeros_like(start[0])] * len(x)
             p = compose(
@@ -105,10 +107,10 @@ class VirtualPower(eqx.Module):
 
 
 def derivative(series: Series, times: int = 1) -> Series:
-    """That of a series by time."""
+    """The derivative of a series by time, of order `times`."""
 
     def rule(k):
-        coefficient = scaled(series[k + times], math.perm(k + times, times))
+        coefficient = scale(series[k + times], math.perm(k + times, times))
         return jnp.zeros_like(series[0]) if coefficient is None and k == 0 else coefficient
 
     return Series(rule)
@@ -123,13 +125,13 @@ def solution_series(
     **Arguments:**
 
     - `vector_field`: f, from the state to its time derivative, of the same structure, or a
-      `VirtualPower`. Where it is a method of an `equinox.Module`, the expansion is traced once for
-      all its uses.
+      `VirtualPower`. If it is a method of an `equinox.Module`, the expansion is traced once for
+      all calls.
     - `state`: y_0, a PyTree of floating-point arrays.
     - `order`: of the last coefficient.
 
     **Returns** a PyTree of the structure of the state with a list of `order + 1` coefficients at
-    each leaf. Raises `NotImplementedError` where f holds a primitive of which no series is known.
+    each leaf. Raises `NotImplementedError` if f holds a primitive whose series is not known.
     """
     if isinstance(vector_field, VirtualPower):
         return vector_field.series(state, order)
@@ -137,11 +139,11 @@ def solution_series(
     rates: list[Series] = []
 
     def solution(i):
-        return Series(lambda k: leaves[i] if k == 0 else scaled(rates[i][k - 1], 1 / k))
+        return Series(lambda k: leaves[i] if k == 0 else scale(rates[i][k - 1], 1 / k))
 
     solutions = jax.tree.unflatten(structure, [solution(i) for i in range(len(leaves))])
     rates += jax.tree.leaves(compose(vector_field, solutions, state))
-    return jax.tree.map(lambda series: listed(series, order), solutions)
+    return jax.tree.map(lambda series: coefficients_up_to(series, order), solutions)
 
 
 def function_series(function: Callable[[PyTree], PyTree], series: PyTree[list]) -> PyTree[list]:
@@ -149,14 +151,16 @@ def function_series(function: Callable[[PyTree], PyTree], series: PyTree[list]) 
     known = jax.tree.map(lambda c: Series(c.__getitem__), series, is_leaf=is_list)
     order = len(jax.tree.leaves(series, is_leaf=is_list)[0]) - 1
     start = jax.tree.map(lambda c: c[0], series, is_leaf=is_list)
-    return jax.tree.map(lambda result: listed(result, order), compose(function, known, start))
+    return jax.tree.map(
+        lambda result: coefficients_up_to(result, order), compose(function, known, start)
+    )
 
 
 @eqx.filter_jit
 def switching_series(
     function: Callable[[PyTree], PyTree], series: PyTree[list]
 ) -> list[list[Array]]:
-    """Taylor coefficients of the functions whose zeros are the kinks of function(y(t)), and jumps.
+    """Taylor coefficients of the functions whose zeros are the kinks and jumps of function(y(t)).
 
     **Arguments:**
 
@@ -164,7 +168,7 @@ def switching_series(
     - `series`: the coefficients of y(t), to some order.
 
     **Returns** a list of coefficients for each scalar whose sign selects a branch and changes with
-    time; none where `function` is smooth. Its order is that of the series, and less by two for a
+    time; an empty list if `function` is smooth. Their order is that of the series, less two for a
     `VirtualPower`.
     """
     known = jax.tree.map(lambda c: Series(c.__getitem__), series, is_leaf=is_list)
@@ -178,7 +182,7 @@ def switching_series(
             compose(function, known, start)
     varying = [one for one in found if any(one[k] is not None for k in range(1, order + 1))]
     return [
-        [coefficient.ravel()[i] for coefficient in listed(one, order)]
+        [coefficient.ravel()[i] for coefficient in coefficients_up_to(one, order)]
         for one in varying
         for i in range(one[0].size)
     ]
@@ -188,8 +192,8 @@ def is_series(x) -> bool:
     return isinstance(x, Series)
 
 
-def fast_sines(function: Callable) -> Callable:
-    """The same function, with every sine and cosine in it computed by `sincos`."""
+def with_fast_sincos(function: Callable) -> Callable:
+    """A function with every sine and cosine in it computed by `sincos`."""
 
     def faster(*args):
         constants = jax.tree.map(constant, args)
@@ -203,6 +207,7 @@ def is_list(x) -> bool:
     return isinstance(x, list)
 
 
-def listed(series: Series, order: int) -> list:
+def coefficients_up_to(series: Series, order: int) -> list:
+    """The coefficients of a series as arrays, to an order."""
     zero = jnp.zeros_like(series[0])
     return [zero if series[k] is None else series[k] for k in range(order + 1)]

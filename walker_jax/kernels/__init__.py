@@ -1,23 +1,25 @@
 """Functions of one cell as machine code that works on several cells at once.
 
-XLA makes of a function that is mapped over a tile of cells a loop over the tile for each part that
-it sees as a whole. There, all wait for the slowest cell of the tile, a loop gives one result, and
-what several have in common is computed again for each. Here the jaxpr of the same function is read
-number by number (`scalars`) and written as one program for LLVM, in which a number is a vector of
-as many cells as one of 512 bits holds. A loop goes on until it has ended for all of these; those
-for which it has keep their values. So a slow cell holds up seven others, nothing is computed
-twice, and what lies between start and end of a cell never leaves the core.
+XLA compiles a function that is mapped over a tile of cells into one loop over the tile for each
+fusion of operations. A while loop then runs until the slowest cell of the tile has ended, and an
+intermediate result that several fusions use is computed again in each. Kernels avoid both. The
+jaxpr of the function is read number by number (`scalars`) and written as one LLVM program, in which
+every number is a vector of as many cells as 512 bits hold. A loop runs until all cells of the
+vector have ended; a cell that has ended keeps its values. So a slow cell delays at most seven
+others in float64, equal terms are computed once, and intermediate results stay in the registers and
+the cache of one core.
 
-What comes out is what XLA computes, to rounding; but a product with a number known to be zero is
-zero, whatever the other factor. A loop of few turns, whose number is known, is unrolled. Primitives
-of Equinox and lineax are those of one cell: each lane goes its own way in their loops. So a whole
-`diffrax.diffeqsolve` has a kernel, with `adjoint=ForwardMode()` and `throw=False`.
+Results equal XLA's to rounding, with two exceptions. The product with a number known to be zero is
+zero, even where the other factor is not finite. Subnormal numbers are kept, where XLA on a CPU
+flushes them to zero. A loop of few turns whose number is known is unrolled. Primitives of Equinox
+and lineax are supported as they act on one cell, so a whole `diffrax.diffeqsolve` has a kernel,
+with `adjoint=ForwardMode()` and `throw=False`.
 
-No kernel has a function with sorting, eigenvalues or singular values; types of 16 bits or
-arithmetic of complex numbers; computed indices of arrays of more than `indexing.LONGEST` entries,
-such as results of many times; random numbers; callbacks, and so checks at run time that may fail
-(`equinox.error_if`: where `optimistix.Bisection` is to detect the bracket's sign, where a root is
-differentiated, in reverse mode). Programs are compiled for the processor at hand,
+A function has no kernel if it holds sorting, eigenvalues or singular values; floating-point types
+of 16 bits or complex arithmetic; computed indices into arrays of more than `indexing.MAX_ENTRIES`
+entries, such as results at many times; random numbers; callbacks, and so checks at run time that
+may fail (`equinox.error_if`: `optimistix.Bisection` with the bracket's sign to be detected, a
+differentiated root search, reverse mode). Programs are compiled for the processor of this machine
 and kept on disk (`object_cache`).
 """
 

@@ -1,9 +1,10 @@
-"""Loops and branches of which each lane takes its own turns.
+"""Loops and branches whose course may differ from lane to lane.
 
-A loop whose number of turns is known before it begins, and small, is unrolled: what counts its
-turns is then known in each, and so are the indices and coefficients that hang on it. One that
-begins at either of two numbers, as the stages of a Runge-Kutta method do that may have the first
-from the step before, is unrolled for both. What is long, and wanted by no lane, is skipped.
+A loop is unrolled if its number of turns is small and known before it begins. The loop counter is
+then a known number in each turn, and so are the indices and coefficients that depend on it. The
+loop over the stages of a Runge-Kutta method starts at the first or the second stage, as the step
+before may supply the first; such a loop is unrolled for both starts. A jump skips a long branch
+that no lane takes.
 """
 
 from collections.abc import Callable, Iterator
@@ -15,15 +16,15 @@ from llvmlite import ir
 
 from walker_jax.kernels.scalars import is_number
 
-UNROLLED = 16
-"""Turns of a loop that is unrolled, at most: the stages of a Runge-Kutta method, and some more."""
-LONG = 20
-"""Equations of a branch that is worth a jump, at least."""
+MAX_UNROLLED_TURNS = 16
+"""Most turns of an unrolled loop: the 14 stages of Dopri8 and a few more."""
+MIN_EQUATIONS_TO_SKIP = 20
+"""Fewest equations of a branch for a jump over it: a shorter one costs less than the jump."""
 
 
 @no_type_check  # as the emitter
 def loop(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
-    """A while loop. Lanes that have ended keep their values until the last one has."""
+    """A while loop, which runs until all lanes have ended; lanes that have keep their values."""
     params, builder = equation.params, emitter.builder
     condition, body = params["cond_jaxpr"], params["body_jaxpr"]
     count, more = params["cond_nconsts"], params["body_nconsts"]
@@ -37,7 +38,7 @@ def loop(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
         return carry
 
     avals = [variable.aval for variable in body.jaxpr.outvars]
-    for which, cases in starts_known_to_be_one_of_two(emitter, carry):
+    for which, cases in alternative_starts(emitter, carry):
         started = [case(carry) for case in cases]
         turns = [
             known_turns(emitter, condition, body, of_condition, of_body, start) for start in started
@@ -48,9 +49,9 @@ def loop(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
                 lambda start=s: loop(emitter, equation, [*operands[: count + more], *start])
                 for s in started
             ]
-            return joined(emitter, flags, runs, avals)
+            return merge_lanes(emitter, flags, runs, avals)
 
-    flat, kinds = emitter.flattened(carry, avals)
+    flat, kinds = emitter.flatten(carry, avals)
     initial = [emitter.vector(x, dtype) for x, dtype in zip(flat, kinds, strict=True)]
     before = builder.block
     head = builder.append_basic_block("head")
@@ -63,7 +64,7 @@ def loop(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
         phi.add_incoming(value, before)
 
     known, lanes = len(emitter.known), emitter.active
-    values = emitter.gathered(phis, avals)
+    values = emitter.unflatten(phis, avals)
     ((going,),) = map(np.ravel, emitter.interpret(condition, [*of_condition, *values]))
     going = emitter.vector(going, bool)
     if lanes is not None:
@@ -72,15 +73,15 @@ def loop(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
 
     builder.position_at_end(turn)
     emitter.active = going
-    results, _ = emitter.flattened(emitter.interpret(body, [*of_body, *values]), avals)
+    results, _ = emitter.flatten(emitter.interpret(body, [*of_body, *values]), avals)
     for phi, result, dtype in zip(phis, results, kinds, strict=True):
         new = builder.select(going, emitter.vector(result, dtype), phi)
         phi.add_incoming(new, builder.block)
     builder.branch(head)
     builder.position_at_end(done)
     emitter.active = lanes
-    forget(emitter, known)
-    return emitter.gathered(phis, avals)
+    forget_terms(emitter, known)
+    return emitter.unflatten(phis, avals)
 
 
 @no_type_check
@@ -91,8 +92,8 @@ def any_lane(emitter, flags) -> Any:
 
 
 @no_type_check
-def forget(emitter, known: int) -> None:
-    """Of terms known to a block that may not have run, none is known behind it."""
+def forget_terms(emitter, known: int) -> None:
+    """Forget the terms that a block computed: behind it they are undefined if it was skipped."""
     while len(emitter.known) > known:
         emitter.known.popitem()
 
@@ -101,8 +102,8 @@ def forget(emitter, known: int) -> None:
 def known_turns(
     emitter, condition: ClosedJaxpr, body: ClosedJaxpr, of_condition, of_body, carry
 ) -> int | None:
-    """How many turns a loop takes, if what its condition hangs on is known in each, and few."""
-    for turn in range(UNROLLED + 1):
+    """The number of turns of a loop, None if it is large or not known before the loop runs."""
+    for turn in range(MAX_UNROLLED_TURNS + 1):
         (going,) = known_part(emitter, condition, [*of_condition, *carry])
         if going is None:
             return None
@@ -114,11 +115,13 @@ def known_turns(
 
 @no_type_check
 def known_part(emitter, closed: ClosedJaxpr, inputs: list) -> list:
-    """Those results of a function that are numbers, of inputs that are; None for all others."""
+    """The results of a function that follow from known inputs alone; None for all others."""
     known = lambda x: x is not None and all(map(is_number, x.ravel()))
-    values: dict = dict(zip(closed.jaxpr.constvars, map(emitter.split, closed.consts), strict=True))
+    values: dict = dict(
+        zip(closed.jaxpr.constvars, map(emitter.entries_of, closed.consts), strict=True)
+    )
     values |= zip(closed.jaxpr.invars, inputs, strict=True)
-    read = lambda v: emitter.split(np.asarray(v.val)) if isinstance(v, Literal) else values[v]
+    read = lambda v: emitter.entries_of(np.asarray(v.val)) if isinstance(v, Literal) else values[v]
     for equation in closed.jaxpr.eqns:
         operands = [read(variable) for variable in equation.invars]
         if all(map(known, operands)):
@@ -133,10 +136,10 @@ def known_part(emitter, closed: ClosedJaxpr, inputs: list) -> list:
 
 
 @no_type_check
-def starts_known_to_be_one_of_two(emitter, carry: list[np.ndarray]) -> Iterator:
-    """Flags that choose an entry of the carry between two numbers; the carry with either."""
+def alternative_starts(emitter, carry: list[np.ndarray]) -> Iterator:
+    """Entries of the carry that are one of two numbers: their flag, and the carry with either."""
 
-    def replaced(entry, number):
+    def replace(entry, number):
         def case(carry):
             new = [array.copy() for array in carry]
             for array in new:
@@ -149,12 +152,12 @@ def starts_known_to_be_one_of_two(emitter, carry: list[np.ndarray]) -> Iterator:
     for entry in (array[()] for array in carry if array.shape == ()):
         if id(entry) in emitter.alternatives:
             _, which, *numbers = emitter.alternatives[id(entry)]
-            yield which, [replaced(entry, number) for number in numbers]
+            yield which, [replace(entry, number) for number in numbers]
 
 
 @no_type_check
 def choice(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
-    """One of several functions: that of a known index, or for each lane its own."""
+    """One of several functions: the same for all lanes if the index is known, else one per lane."""
     branches, (which, *inputs) = equation.params["branches"], operands
     builder, index, last = emitter.builder, which[()], len(branches) - 1
     if is_number(index) or last == 0:
@@ -164,23 +167,25 @@ def choice(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
     compared = ["<=", *["=="] * (last - 1), ">="]
     flags = [builder.icmp_signed(sign, index, number(i)) for i, sign in enumerate(compared)]
     runs = [lambda branch=branch: emitter.interpret(branch, inputs) for branch in branches]
-    jumps = [length(branch.jaxpr) >= LONG for branch in branches]
-    return joined(emitter, flags, runs, avals, jumps)
+    jumps = [count_equations(branch.jaxpr) >= MIN_EQUATIONS_TO_SKIP for branch in branches]
+    return merge_lanes(emitter, flags, runs, avals, jumps)
 
 
-def length(jaxpr: Jaxpr) -> int:
-    """Equations, also of functions in them; a loop has many."""
-    inner = sum(map(length, subjaxprs(jaxpr)))
-    return inner + sum(LONG if e.primitive.name == "while" else 1 for e in jaxpr.eqns)
+def count_equations(jaxpr: Jaxpr) -> int:
+    """The number of equations, those of inner functions included; a loop counts as long."""
+    inner = sum(map(count_equations, subjaxprs(jaxpr)))
+    return inner + sum(
+        MIN_EQUATIONS_TO_SKIP if e.primitive.name == "while" else 1 for e in jaxpr.eqns
+    )
 
 
 @no_type_check
-def joined(
+def merge_lanes(
     emitter, flags, functions: list[Callable], avals, jumps: list[bool] | None = None
 ) -> list[np.ndarray]:
-    """The values, in each lane, of that function whose flag is set there.
+    """In each lane, the values of the function whose flag is set there.
 
-    Those that jump are not computed where no lane at work has their flag.
+    A function with a jump is skipped where no active lane has its flag.
     """
     builder, lanes, chosen = emitter.builder, emitter.active, None
     for i, (mine, function) in enumerate(zip(flags, functions, strict=True)):
@@ -191,8 +196,8 @@ def joined(
             builder.cbranch(any_lane(emitter, at_work), taken, done)
             builder.position_at_end(taken)
         emitter.active = at_work
-        flat, kinds = emitter.flattened(function(), avals)
-        if chosen is None:  # numbers, since a lane at work in none must not stop the others
+        flat, kinds = emitter.flatten(function(), avals)
+        if chosen is None:  # zeros: an inactive lane must not trap or keep a loop running
             chosen = [emitter.vector(0, dtype) for dtype in kinds] if jump else flat
         pairs = zip(flat, chosen, kinds, strict=True)
         new = [
@@ -210,6 +215,6 @@ def joined(
                 phi.add_incoming(emitter.vector(one, dtype), after)
                 phi.add_incoming(emitter.vector(other, dtype), before)
             new = phis
-            forget(emitter, known)
+            forget_terms(emitter, known)
         emitter.active, chosen = lanes, new
-    return emitter.gathered(chosen, avals)
+    return emitter.unflatten(chosen, avals)

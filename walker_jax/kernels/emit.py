@@ -1,4 +1,4 @@
-"""A jaxpr of one cell as a program for LLVM, whose every number is a vector, one for each cell."""
+"""A jaxpr of one cell as an LLVM program, in which each number is a vector with a lane per cell."""
 
 import contextlib
 import inspect
@@ -13,7 +13,7 @@ from jax.extend.core import ClosedJaxpr, Primitive
 from llvmlite import ir
 
 from walker_jax.kernels import control, indexing
-from walker_jax.kernels.jaxprs import CALLS_WITH_DERIVATIVES, described
+from walker_jax.kernels.jaxprs import CALLS_WITH_DERIVATIVES, shape_dtype
 from walker_jax.kernels.rules import (
     FAST,
     REDUCTIONS,
@@ -26,32 +26,33 @@ from walker_jax.kernels.rules import (
 from walker_jax.kernels.scalars import Unrolling, is_number
 from walker_jax.kernels.substitutes import SUBSTITUTES
 
-BITS = 512
-"""Of a vector; LLVM makes shorter ones of it where the processor has no such."""
+VECTOR_BITS = 512
+"""Size of a vector, the widest of x86 (AVX-512); LLVM splits it where registers are shorter."""
 FLOATS = {np.dtype(np.float32): ir.FloatType(), np.dtype(np.float64): ir.DoubleType()}
+"""The floating-point types that kernels support, as LLVM's."""
 
 
 @no_type_check  # as its base
 class LLVMEmitter(Unrolling):
-    """A jaxpr written as LLVM instructions: an entry is a number, or a vector of one."""
+    """Emits LLVM instructions of a jaxpr: an entry is a known number, or a vector of all lanes."""
 
     def __init__(self, builder: ir.IRBuilder, lanes: int):
         super().__init__()
         self.builder = builder
         self.lanes = lanes
         self.active: Any = None
-        """Which lanes are at work, where not all are."""
+        """A flag for each lane, true where it is active; None where all are."""
         self.functions: dict[int, tuple] = {}
-        """Of equations, by identity: with the function that each stands for."""
+        """By identity of an equation: the equation, and the function that it stands for."""
         self.alternatives: dict[int, tuple] = {}
-        """Entries that are one of two numbers, by identity: with the flag, and the numbers."""
+        """By identity of an entry that is one of two numbers: itself, its flag, the numbers."""
 
     # Types and constants.
 
     def scalar_type(self, dtype):
         try:
             dtype = np.dtype(dtype)
-        except TypeError:  # one of JAX's own
+        except TypeError:  # one of JAX's own, which NumPy does not know
             raise UnsupportedPrimitive(str(dtype)) from None
         if dtype.kind == "b":
             return ir.IntType(1)
@@ -87,7 +88,7 @@ class LLVMEmitter(Unrolling):
         return self.builder.call(function, operands, fastmath=FAST if is_float(kind) else ())
 
     def by_library(self, name: str, dtype, *operands: Any):
-        """A function of the C library, one cell after the other."""
+        """A function of the C library, called for one lane after the other."""
         kind, builder = self.scalar_type(dtype), self.builder
         full = name + ("f" if dtype == np.float32 else "")
         if not in_library(full):
@@ -112,14 +113,16 @@ class LLVMEmitter(Unrolling):
 
     # Values.
 
-    def split(self, value) -> np.ndarray:
+    def entries_of(self, value) -> np.ndarray:
         if isinstance(value, jax.Array):
             value = np.asarray(value)
-        return super().split(value)
+        return super().entries_of(value)
 
-    def evaluate(self, primitive: Primitive, params: dict, operands: list, dtypes: list) -> Any:
+    def evaluate_term(
+        self, primitive: Primitive, params: dict, operands: list, dtypes: list
+    ) -> Any:
         if all(map(is_number, operands)):
-            return super().evaluate(primitive, params, operands, dtypes)
+            return super().evaluate_term(primitive, params, operands, dtypes)
         rule = RULES.get(primitive.name)
         if rule is None:
             raise UnsupportedPrimitive(primitive.name)
@@ -139,15 +142,15 @@ class LLVMEmitter(Unrolling):
     def keep(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
         primitive = equation.primitive
         if equation.effects or primitive.name.endswith("callback"):
-            # Nothing of it happens while programs are written.
+            # An effect would happen once, while the program is emitted.
             raise UnsupportedPrimitive(primitive.name)
         if primitive.name != "cond" and all(
             is_number(entry) for operand in operands for entry in operand.ravel()
         ):
-            with contextlib.suppress(TypeError):  # a key to random numbers, which has no digits
+            with contextlib.suppress(TypeError):  # a random key has no numerical value
                 return super().keep(equation, operands)
-        if primitive.name in OF_ARRAYS:
-            return OF_ARRAYS[primitive.name](self, equation, operands)
+        if primitive.name in ARRAY_RULES:
+            return ARRAY_RULES[primitive.name](self, equation, operands)
         inner = self.inner(equation)
         if inner is None:
             raise UnsupportedPrimitive(primitive.name)
@@ -165,7 +168,7 @@ class LLVMEmitter(Unrolling):
         else:
             return None
         if id(equation) not in self.functions:
-            like = [described(variable.aval) for variable in equation.invars]
+            like = [shape_dtype(variable.aval) for variable in equation.invars]
             closed = jax.make_jaxpr(function)(*like)
             self.functions[id(equation)] = equation, closed
         return self.functions[id(equation)][1]
@@ -186,13 +189,13 @@ class LLVMEmitter(Unrolling):
 
     # Arrays and entries.
 
-    def flattened(self, arrays: list[np.ndarray], avals) -> tuple[list, list]:
+    def flatten(self, arrays: list[np.ndarray], avals) -> tuple[list, list]:
         """All entries of arrays, and their types."""
         entries = [entry for array in arrays for entry in array.ravel()]
         return entries, [aval.dtype for aval in avals for _ in range(math.prod(aval.shape))]
 
-    def gathered(self, flat: list, avals) -> list[np.ndarray]:
-        """The arrays of such a list."""
+    def unflatten(self, flat: list, avals) -> list[np.ndarray]:
+        """Arrays from a flat list of their entries: the inverse of `flatten`."""
         remaining = iter(flat)
         arrays = [np.empty(aval.shape, object) for aval in avals]
         for array in arrays:
@@ -201,7 +204,7 @@ class LLVMEmitter(Unrolling):
         return arrays
 
     def inline(self, function: Callable, *vectors: Any, dtype) -> Any:
-        """A function of JAX scalars."""
+        """The instructions of a function of JAX scalars."""
         like = [jax.ShapeDtypeStruct((), dtype)] * len(vectors)
         closed = jax.make_jaxpr(function)(*like)
         inputs = []
@@ -214,14 +217,14 @@ class LLVMEmitter(Unrolling):
 
 
 def custom_linear_solve(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
-    """As its author solves it."""
+    """The solution by the solver that the equation holds."""
     lengths, jaxprs = equation.params["const_lengths"], equation.params["jaxprs"]
     first = lengths.matvec + lengths.vecmat
     inputs = [*operands[first : first + lengths.solve], *operands[sum(lengths) :]]
     return emitter.interpret(jaxprs.solve, inputs)
 
 
-OF_ARRAYS: dict[str, Callable] = {
+ARRAY_RULES: dict[str, Callable] = {
     "while": control.loop,
     "cond": control.choice,
     "custom_linear_solve": custom_linear_solve,
@@ -234,9 +237,9 @@ OF_ARRAYS: dict[str, Callable] = {
 
 
 def implemented_in_jax(primitive: Primitive) -> bool:
-    """Whether a primitive is not one of JAX's own: then its implementation is a JAX function.
+    """Whether a primitive is implemented by a JAX function, as those of Equinox and lineax are.
 
-    Equinox and lineax have such, which say what a function of one cell is under transformations.
+    Such primitives only add rules for transformations to that function.
     """
     if primitive.name == "kernel":
         return False
@@ -251,13 +254,14 @@ LLVMEmitter.rules = {
 
 
 def emit(closed: ClosedJaxpr, operands: list, results: list) -> str:
-    """A program of results[start:stop]: void kernel(start, stop, addresses, strides).
+    """The source of a program that computes results[start:stop].
 
-    The addresses are of the arrays of the operands, then of those of the results. The entries of an
-    operand are as far apart from cell to cell as its stride says, 0 for one that cells share.
+    Its signature is void kernel(start, stop, addresses, strides). The addresses point to the arrays
+    of the operands, then to those of the results. A stride is the distance between the entries of
+    two successive cells in an operand, 0 for an operand that all cells share.
     """
     floats = [dtype.itemsize for _, dtype in (*operands, *results) if is_floating(dtype)]
-    lanes = BITS // 8 // max(floats, default=8)
+    lanes = VECTOR_BITS // 8 // max(floats, default=8)
     module = ir.Module("kernel")
     number, pointer = ir.IntType(64), ir.IntType(8).as_pointer()
     arguments = [number, number, pointer.as_pointer(), number.as_pointer()]
@@ -287,14 +291,14 @@ def emit(closed: ClosedJaxpr, operands: list, results: list) -> str:
     builder.cbranch(builder.icmp_signed("<", first, stop), turn, done)
 
     builder.position_at_end(turn)
-    # Lanes beyond the last cell work on that one too, and write the same results.
+    # Lanes beyond the last cell compute that cell again, and write the same results.
     cells = []
     for i in range(lanes):
         mine = builder.add(first, long(i))
         cells.append(builder.select(builder.icmp_signed("<", mine, last), mine, last))
 
-    def loaded(array, step, shape, dtype) -> np.ndarray:
-        """The entries of an operand, each a vector of what stands at the place of each lane."""
+    def load_operand(array, step, shape, dtype) -> np.ndarray:
+        """The entries of an operand, each a vector with the value of each lane's cell."""
         begins = [builder.mul(cell, step) for cell in cells]
         values = np.empty(shape, object)
         for i, place in enumerate(np.ndindex(*shape)):
@@ -308,7 +312,7 @@ def emit(closed: ClosedJaxpr, operands: list, results: list) -> str:
         return values
 
     inputs = [
-        loaded(array, step, shape, dtype)
+        load_operand(array, step, shape, dtype)
         for array, step, (shape, dtype) in zip(arrays, steps, operands, strict=False)
     ]
     outputs = emitter.interpret(closed, inputs)

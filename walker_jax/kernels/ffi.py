@@ -1,13 +1,15 @@
 """Kernels as custom calls of XLA, through its foreign function interface (FFI).
 
 XLA calls a handler with a frame that holds the buffers of operands and results. The handler here is
-written in LLVM's language, so that no compiler is needed and Python's lock is not. It serves every
-kernel: it checks type, rank and size of each buffer against the kernel's description, then has the
-cells computed by all threads of XLA's own pool, piece by piece. The calling thread works too, so
-that it ends even where the pool is busy, and a task of the pool that comes late finds nothing left.
+written in LLVM's language: it needs no compiler, and does not take Python's global lock. It serves
+every kernel. It checks the type, rank and size of each buffer against the kernel's description;
+then all threads of XLA's own pool compute the cells, piece by piece. The calling thread takes
+pieces too, so the call completes even if the pool is busy; a task of the pool that starts late
+finds no piece left and returns.
 
 Offsets are those of the structures in `xla/ffi/api/c_api.h`, version 0.3, on 64-bit machines. Minor
-versions only add to these; where the version is another, or unknown, there are no custom calls.
+versions only add to these. No custom calls are made if XLA has an older or unknown version, or
+another major one.
 """
 
 import ctypes
@@ -30,63 +32,69 @@ from walker_jax.kernels.kernel import Kernel
 from walker_jax.kernels.machine import load_program
 
 VERSION = 0, 3
-"""Of the interface: the major one, and the least minor one."""
-PIECE = 64, 2**15
-"""Cells that a thread works on without a break, at least and at most."""
+"""Major version of the interface, and the smallest minor version, that the offsets hold for."""
+CELLS_PER_PIECE = 64, 2**15
+"""Fewest and most cells of a piece, which one thread computes without a break.
+
+64 cells are eight vectors of float64. `execution.tiles` has the same upper bound for its calls.
+"""
 
 # xla::PrimitiveType
-TYPES = {"bool": 1, "int8": 2, "int16": 3, "int32": 4, "int64": 5}
-TYPES |= {"uint8": 6, "uint16": 7, "uint32": 8, "uint64": 9, "float32": 11, "float64": 12}
+XLA_TYPE_CODES = {"bool": 1, "int8": 2, "int16": 3, "int32": 4, "int64": 5}
+XLA_TYPE_CODES |= {"uint8": 6, "uint16": 7, "uint32": 8, "uint64": 9, "float32": 11, "float64": 12}
 
 
 @functools.cache
 def available() -> bool:
-    """Whether XLA's interface is one that the handler is made for; warns if it is not."""
+    """Whether the handler fits XLA's interface; warns if it does not."""
     found: tuple[int, ...] | None = None
     header = Path(jax.ffi.include_dir()) / "xla/ffi/api/c_api.h"
     if header.exists():
         text = header.read_text()
-        parts = (re.search(rf"#define XLA_FFI_API_{part} (\d+)", text) for part in PARTS)
+        parts = (re.search(rf"#define XLA_FFI_API_{part} (\d+)", text) for part in VERSION_PARTS)
         found = tuple(int(part[1]) for part in parts if part)
     known = found is not None and found[:1] == VERSION[:1] and found >= VERSION
     if known and sys.maxsize > 2**32:
         return True
     warnings.warn(
         f"XLA's foreign function interface is of version {found}, and kernels know {VERSION}: "
-        "strides under jax.jit are computed by XLA alone, more slowly",
+        "functions under jax.jit are computed by XLA alone, more slowly",
         RuntimeWarning,
         stacklevel=2,
     )
     return False
 
 
-PARTS = "MAJOR", "MINOR"
-lock = threading.Lock()
-registered: dict[str, Any] = {}
-"""What XLA may call at any time, by its name, and all that this needs. A program is there once,
-however often it is made; it cannot be known when XLA's own programs no longer call it."""
+VERSION_PARTS = "MAJOR", "MINOR"
+"""Suffixes of the macros that hold the version."""
+registration_lock = threading.Lock()
+registrations: dict[str, Any] = {}
+"""By name, the targets that XLA may call at any time, with all memory that these use.
+
+Equal kernels share one. None is ever removed, as it is unknown whether a program of XLA calls it.
+"""
 
 
 def target(kernel: Kernel) -> str:
-    """The name under which XLA knows a kernel, which is registered when first asked for."""
-    described = [
-        (TYPES[dtype.name], len(shape), math.prod(shape))
+    """The name under which XLA knows a kernel; registers the kernel on the first call."""
+    buffers = [
+        (XLA_TYPE_CODES[dtype.name], len(shape), math.prod(shape))
         for shape, dtype in (*kernel.operands, *kernel.results)
     ]
-    # The same in every process, as the programs that XLA keeps on disk hold the name.
-    digest = hashlib.sha256(repr((kernel.digest, described)).encode()).hexdigest()
+    # The name is the same in every process: programs that XLA keeps on disk refer to it.
+    digest = hashlib.sha256(repr((kernel.digest, buffers)).encode()).hexdigest()
     name = f"walker_jax_{digest[:32]}"
-    with lock:
-        if name not in registered:
-            registered[name] = register(name, kernel, described)
+    with registration_lock:
+        if name not in registrations:
+            registrations[name] = register(name, kernel, buffers)
     return name
 
 
-def register(name: str, kernel: Kernel, described: list[tuple[int, int, int]]) -> Any:
+def register(name: str, kernel: Kernel, buffers: list[tuple[int, int, int]]) -> Any:
     address = ctypes.cast(kernel.run, ctypes.c_void_p).value
-    head = [address, len(kernel.operands), len(kernel.results), *PIECE]
-    description = np.array([*head, *itertools.chain(*described)], np.int64)
-    handler = ctypes.cast(handlers().get_function_address("handle"), ctypes.c_void_p).value
+    head = [address, len(kernel.operands), len(kernel.results), *CELLS_PER_PIECE]
+    description = np.array([*head, *itertools.chain(*buffers)], np.int64)
+    handler = ctypes.cast(load_handler().get_function_address("handle"), ctypes.c_void_p).value
     stub = STUB.format(handler=handler, description=description.ctypes.data)
     program = load_program(stub, keep=False)
     call = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p)(program.get_function_address("stub"))
@@ -95,17 +103,19 @@ def register(name: str, kernel: Kernel, described: list[tuple[int, int, int]]) -
 
 
 @functools.cache
-def handlers() -> Any:
-    """The machine code of the handler that all kernels share."""
+def load_handler() -> Any:
+    """Compiles the handler that all kernels share."""
     x86 = platform.machine().lower() in ("x86_64", "amd64")
     rounding = {part: text if x86 else "" for part, text in ROUNDING.items()}
     pause = "" if sys.platform == "win32" else "  %yielded = call i32 @sched_yield()"
-    text = HANDLER.format(pause=pause, message=WRONG, length=len(WRONG) + 1, **rounding)
-    return load_program(with_fields_loaded(text))
+    text = HANDLER.format(
+        pause=pause, message=BUFFER_MISMATCH, length=len(BUFFER_MISMATCH) + 1, **rounding
+    )
+    return load_program(expand_field_loads(text))
 
 
-def with_fields_loaded(text: str) -> str:
-    """A program whose lines `%x = field TYPE, ptr %s, i64 N` load what stands N bytes into %s."""
+def expand_field_loads(text: str) -> str:
+    """Expands each line `%x = field TYPE, ptr %s, i64 N`, which loads a value N bytes into %s."""
     return re.sub(
         r"  %(\w+) = field (\w+), ptr %(\w+), i64 (\d+)",
         r"  %\1_at = getelementptr i8, ptr %\3, i64 \4\n  %\1 = load \2, ptr %\1_at",
@@ -113,7 +123,7 @@ def with_fields_loaded(text: str) -> str:
     )
 
 
-WRONG = "a kernel was called with buffers of another type, rank or size"
+BUFFER_MISMATCH = "a kernel was called with buffers of another type, rank or size"
 STUB = """
 define ptr @stub(ptr %frame) {{
   %handler = inttoptr i64 {handler} to ptr
@@ -123,7 +133,8 @@ define ptr @stub(ptr %frame) {{
 }}
 """
 
-# XLA's threads take denormal numbers for zero, as no other part of a kernel's users does.
+# XLA's threads flush subnormal numbers to zero; calls of a kernel outside of XLA do not. So that
+# both give the same results, a kernel turns that off while it works.
 ROUNDING = {
     "declare_rounding": """
 declare void @llvm.x86.sse.ldmxcsr(ptr)
@@ -139,8 +150,8 @@ declare void @llvm.x86.sse.stmxcsr(ptr)
     "reset_rounding": "  call void @llvm.x86.sse.ldmxcsr(ptr %mode)",
 }
 
-# The work of one call, in eight bytes each: 0 the next piece; 1 cells done; 2 threads that may
-# still look here; 3 cells; 4 cells of a piece; 5 the kernel; 6 its strides; 7 addresses, strides.
+# The job of one call, in words of eight bytes: 0 the next piece; 1 cells done; 2 threads that still
+# use the job; 3 cells; 4 cells of a piece; 5 the kernel; 6 its strides; 7 addresses, strides.
 HANDLER = """
 declare ptr @malloc(i64)
 declare void @free(ptr)
@@ -236,7 +247,7 @@ run:
 prepare:
   %arg_list = field ptr, ptr %frame, i64 72
   %ret_list = field ptr, ptr %frame, i64 112
-  ; as many cells as the first result has
+  ; the first result gives the number of cells
   %first = load ptr, ptr %ret_list
   %first_rank = field i64, ptr %first, i64 32
   %first_place = mul i64 %args, 3
@@ -297,7 +308,7 @@ cellwise:
   %own_good = icmp eq i64 %own, %cells
   br label %sizes
 common:
-  ; what is the same for all cells may be read by all, and written by one
+  ; all cells may read a shared buffer, but only one may write it
   %single = icmp eq i64 %cells, 1
   %common_good = or i1 %is_arg, %single
   br label %sizes

@@ -1,9 +1,9 @@
-"""Parts of arrays at computed indices, read and written by choosing among all places.
+"""Slices of arrays at computed indices, read and written by selection among all places.
 
-An index is an entry of its own for each lane. A part that begins at it is chosen from all parts
-of its shape, by halves, so an axis of length n costs n selections an entry. A part written takes
-the place of all whose index it is. Where indices lie out of bounds, parts are what JAX says:
-those nearest by, or, for `FILL_OR_DROP`, a number made up, and nothing written.
+An index may differ from lane to lane. Reading selects among all slices of the same shape, by
+bisection of the index, so an axis of length n costs n selections for each entry. Writing selects,
+at every place, between the old entry and the new one. Indices out of bounds have JAX's meaning:
+they are clipped, or, for `FILL_OR_DROP`, reading returns a fill value and writing does nothing.
 """
 
 from itertools import product
@@ -18,8 +18,8 @@ from walker_jax.kernels.rules import UnsupportedPrimitive
 from walker_jax.kernels.scalars import is_number, params_of
 
 BOOL = np.dtype(bool)
-LONGEST = 128
-"""Entries of an array with computed indices, at most: with more, XLA is faster."""
+MAX_ENTRIES = 128
+"""Most entries of an array with computed indices: with more, XLA is faster."""
 COMBINATIONS = {
     "scatter": None,
     "scatter-add": (lax.add, lax.add_p),
@@ -28,11 +28,11 @@ COMBINATIONS = {
     "scatter-min": (lax.min, lax.min_p),
     "scatter-max": (lax.max, lax.max_p),
 }
-"""What scattering makes of an entry and an update; it replaces the entry where there is none."""
+"""How a scatter combines an entry with an update; None where the update replaces the entry."""
 
 
 @no_type_check  # as the emitter
-def select(emitter, which, one: np.ndarray, other: np.ndarray, dtype) -> np.ndarray:
+def select_entries(emitter, which, one: np.ndarray, other: np.ndarray, dtype) -> np.ndarray:
     """The entries of one array where a flag is true, otherwise those of another."""
     if is_number(which):
         return one if which else other
@@ -68,8 +68,8 @@ def conjunction(emitter, flags) -> Any:
 
 
 @no_type_check
-def part(emitter, array: np.ndarray, axis: int, index, size: int, kind, dtype) -> np.ndarray:
-    """array[index : index + size] along an axis, the nearest there is."""
+def slice_at(emitter, array: np.ndarray, axis: int, index, size: int, kind, dtype) -> np.ndarray:
+    """array[index : index + size] along an axis, with the index clipped to its bounds."""
     last = array.shape[axis] - size
 
     def beginning(at: int):
@@ -80,7 +80,7 @@ def part(emitter, array: np.ndarray, axis: int, index, size: int, kind, dtype) -
             return beginning(low)
         middle = (low + high) // 2
         left = compare(emitter, lax.le_p, index, middle, kind)
-        return select(emitter, left, between(low, middle), between(middle + 1, high), dtype)
+        return select_entries(emitter, left, between(low, middle), between(middle + 1, high), dtype)
 
     if is_number(index):
         return beginning(min(max(int(index), 0), last))
@@ -90,22 +90,22 @@ def part(emitter, array: np.ndarray, axis: int, index, size: int, kind, dtype) -
 
 @no_type_check
 def check_size(array: np.ndarray) -> None:
-    if array.size > LONGEST:
+    if array.size > MAX_ENTRIES:
         raise UnsupportedPrimitive(f"computed indices of an array of {array.size}")
 
 
 @no_type_check
-def updated(
+def update_at(
     emitter, array: np.ndarray, window: np.ndarray, starts: list, kind, clip: bool, name: str, dtype
 ) -> np.ndarray:
-    """An array with a window of updates in it that starts at computed indices."""
+    """A copy of an array, updated in a window that starts at computed indices."""
     if not all(map(is_number, starts)):
         check_size(array)
     combine = COMBINATIONS[name]
     lasts = [length - size for length, size in zip(array.shape, window.shape, strict=True)]
 
     def begins(index, at: int, last: int):
-        """Whether a part begins there, given its index."""
+        """Whether the window begins at a place, given its index."""
         if is_number(index):
             return (min(max(int(index), 0), last) if clip else int(index)) == at
         if clip and last == 0:
@@ -133,7 +133,7 @@ def updated(
                     [array[where][place], window[place]],
                     [dtype, dtype],
                 )
-        result[where] = select(emitter, here, new, result[where], dtype)
+        result[where] = select_entries(emitter, here, new, result[where], dtype)
     return result
 
 
@@ -143,7 +143,7 @@ def dynamic_slice(emitter, equation, operands: list[np.ndarray]) -> list[np.ndar
     dtype = equation.outvars[0].aval.dtype
     for axis, size in enumerate(equation.params["slice_sizes"]):
         kind = equation.invars[1 + axis].aval.dtype
-        result = part(emitter, result, axis, starts[axis][()], size, kind, dtype)
+        result = slice_at(emitter, result, axis, starts[axis][()], size, kind, dtype)
     return [result]
 
 
@@ -153,7 +153,7 @@ def dynamic_update_slice(emitter, equation, operands: list[np.ndarray]) -> list[
     dtype = equation.outvars[0].aval.dtype
     starts = [start[()] for start in starts]
     kind = equation.invars[-1].aval.dtype
-    return [updated(emitter, array, window, starts, kind, True, "scatter", dtype)]
+    return [update_at(emitter, array, window, starts, kind, True, "scatter", dtype)]
 
 
 @no_type_check
@@ -178,10 +178,14 @@ def gather(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
                     compare(emitter, lax.ge_p, index, 0, kind),
                     compare(emitter, lax.le_p, index, last, kind),
                 ]
-            chosen = part(emitter, chosen, axis, index, sizes[axis], kind, like.dtype)
+            chosen = slice_at(emitter, chosen, axis, index, sizes[axis], kind, like.dtype)
         if filling:
-            made_up = np.full(chosen.shape, filler(params["fill_value"], like.dtype), object)
-            chosen = select(emitter, conjunction(emitter, inside), chosen, made_up, like.dtype)
+            filler = np.full(
+                chosen.shape, out_of_bounds_value(params["fill_value"], like.dtype), object
+            )
+            chosen = select_entries(
+                emitter, conjunction(emitter, inside), chosen, filler, like.dtype
+            )
         chosen = np.squeeze(chosen, dropped)
         batch = iter(place)
         where = [
@@ -192,8 +196,8 @@ def gather(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
     return [result]
 
 
-def filler(value, dtype) -> bool | int | float:
-    """What stands for an entry that is out of bounds."""
+def out_of_bounds_value(value, dtype) -> bool | int | float:
+    """The value that a gather returns for an entry that is out of bounds."""
     if value is not None:
         return np.asarray(value, dtype).item()
     if jnp.issubdtype(dtype, jnp.inexact):
@@ -227,5 +231,5 @@ def scatter(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
         for k, axis in enumerate(numbers.scatter_dims_to_operand_dims):
             starts[axis] = indices[(*place, k)]
         name = equation.primitive.name
-        array = updated(emitter, array, window, starts, kind, clip, name, dtype)
+        array = update_at(emitter, array, window, starts, kind, clip, name, dtype)
     return [array]

@@ -1,6 +1,6 @@
 """One walk over jaxprs: equation after equation, by a rule looked up by the primitive's name.
 
-What a value is, is the interpreter's own business: entries of an array, instructions, or a series.
+Each interpreter has its own kind of values: entries of an array, instructions, or series.
 """
 
 import abc
@@ -11,17 +11,16 @@ import jax
 from jax.extend.core import ClosedJaxpr, JaxprEqn, Literal
 
 
-@no_type_check  # what is called for every equation of a program
+@no_type_check  # called for every equation of a program: checks would take minutes
 class Interpreter(abc.ABC):
-    """Results of a jaxpr, given what its arguments are."""
+    """Computes the results of a jaxpr from values of its arguments."""
 
     rules: ClassVar[Mapping[str, Callable[[Any, JaxprEqn, list], list]]]
-    """By primitive: results of an equation, given the interpreter, the equation and its operands.
-    """
+    """By primitive: (interpreter, equation, operands) -> results."""
 
     @abc.abstractmethod
     def constant(self, value) -> Any:
-        """What a number or an array is that stands in the jaxpr."""
+        """The value of a constant of the jaxpr."""
 
     @abc.abstractmethod
     def keep(self, equation: JaxprEqn, operands: list) -> list:
@@ -47,12 +46,12 @@ class Interpreter(abc.ABC):
         return rule(self, equation, operands)
 
 
-def described(aval) -> jax.ShapeDtypeStruct:
-    """An abstract value without what depends on where it is."""
+def shape_dtype(aval) -> jax.ShapeDtypeStruct:
+    """Shape and type of an abstract value, without its sharding."""
     return jax.ShapeDtypeStruct(aval.shape, aval.dtype, weak_type=aval.weak_type)
 
 
-def called(equation: JaxprEqn) -> ClosedJaxpr:
+def called_function(equation: JaxprEqn) -> ClosedJaxpr:
     """The function of a call."""
     params = equation.params
     inner = params["jaxpr"] if "jaxpr" in params else params["call_jaxpr"]
@@ -60,17 +59,17 @@ def called(equation: JaxprEqn) -> ClosedJaxpr:
 
 
 def enter(interpreter: Interpreter, equation: JaxprEqn, operands: list) -> list:
-    """The results of a call: its function is read in its place."""
-    return interpreter.interpret(called(equation), operands)
+    """The results of a call, by interpreting the function that it calls."""
+    return interpreter.interpret(called_function(equation), operands)
 
 
 CALLS = dict.fromkeys(("jit", "pjit", "closed_call", "checkpoint", "remat2"), enter)
 """Rules for primitives that only call a function."""
 CALLS_WITH_DERIVATIVES = dict.fromkeys(("custom_jvp_call", "custom_vjp_call"), enter)
-"""Rules for those that also have one of their own for its derivatives, which is lost."""
+"""Rules for calls with custom derivatives, which interpretation loses."""
 
 
 def changes_entries(name: str, params: dict) -> bool:
-    """Whether a scatter puts a function of an entry in its place, as `x.at[i].apply` does."""
+    """Whether a scatter replaces an entry by a function of it, as `x.at[i].apply` does."""
     update = params["update_jaxpr"]
     return name == "scatter" and update is not None and update.outvars[0] is not update.invars[1]

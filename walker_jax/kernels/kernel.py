@@ -18,23 +18,26 @@ from walker_jax.kernels.emit import emit
 from walker_jax.kernels.machine import load_program
 from walker_jax.kernels.rules import UnsupportedPrimitive
 
-LARGEST = 1000
-"""Numbers that go into a program of one cell and come out of it, at most."""
+MAX_NUMBERS = 1000
+"""Most numbers in the operands and results of one cell: the program has code for each of them."""
 
 
 class Kernel:
     """A compiled function of some operands, for arrays of cells."""
 
     def __init__(self, closed: ClosedJaxpr):
-        """Compile it; `UnsupportedPrimitive` where that cannot be."""
+        """Compiles the jaxpr. Raises `UnsupportedPrimitive` for what kernels do not support."""
         start = time.perf_counter()
         avals = [*closed.in_avals, *closed.out_avals]
         if any(jnp.issubdtype(aval.dtype, jax.dtypes.extended) for aval in avals):
             raise UnsupportedPrimitive("a key to random numbers")
-        described = lambda avals: [(aval.shape, np.dtype(aval.dtype)) for aval in avals]
-        self.operands, self.results = described(closed.in_avals), described(closed.out_avals)
-        if sum(math.prod(shape) for shape, _ in (*self.operands, *self.results)) > LARGEST:
-            raise UnsupportedPrimitive(f"more than {LARGEST} numbers")
+        shapes_and_types = lambda avals: [(aval.shape, np.dtype(aval.dtype)) for aval in avals]
+        self.operands, self.results = (
+            shapes_and_types(closed.in_avals),
+            shapes_and_types(closed.out_avals),
+        )
+        if sum(math.prod(shape) for shape, _ in (*self.operands, *self.results)) > MAX_NUMBERS:
+            raise UnsupportedPrimitive(f"more than {MAX_NUMBERS} numbers")
         with without_garbage_collection():
             source = emit(closed, self.operands, self.results)
         self.digest = hashlib.sha256(source.encode()).hexdigest()
@@ -47,10 +50,10 @@ class Kernel:
     def bind(
         self, operands: Sequence, mapped: Sequence[bool], n: int
     ) -> tuple[Callable[[int, int], None], list[np.ndarray]]:
-        """A function that computes results[start:stop] of n cells, and the results, still empty.
+        """A function (start, stop) that computes results[start:stop], and the empty results.
 
-        `mapped` says which operands have the cells along their first axis; others are shared. The
-        function may run in several threads at once.
+        `mapped` says which operands have the n cells along their first axis; all cells share the
+        others. Several threads may call the function at once.
         """
         results = [np.empty((n, *shape), dtype) for shape, dtype in self.results]
         given, steps = [], []
@@ -63,14 +66,14 @@ class Kernel:
         arrays = [*given, *results]
         pointers = (ctypes.c_void_p * len(arrays))(*(array.ctypes.data for array in arrays))
         strides = (ctypes.c_int64 * len(steps))(*steps)
-        # The arrays must live as long as it does.
+        # The default argument keeps the arrays alive as long as the function.
         compute = lambda start, stop, _=arrays: self.run(start, stop, pointers, strides)
         return compute, results
 
 
 @contextmanager
 def without_garbage_collection():
-    """Traces are made of many small objects that live on; to look through them takes a fifth."""
+    """Tracing makes many small objects that live on; collections would add a fifth to its time."""
     enabled = gc.isenabled()
     gc.disable()
     try:

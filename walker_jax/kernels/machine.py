@@ -1,33 +1,41 @@
-"""Programs of LLVM as machine code for the processor at hand, compiled once and kept on disk."""
+"""LLVM programs as machine code for the processor of this machine, compiled once, kept on disk."""
 
 import hashlib
 
 import llvmlite
 import llvmlite.binding as llvm
 
-from walker_jax.kernels.object_cache import cached
+from walker_jax.kernels.object_cache import load_or_compile
 
-LEVEL = 2
-"""Of the effort that LLVM spends on machine code, as in `clang -O2`."""
+OPTIMISATION_LEVEL = 2
+"""Of LLVM's code generation, 0 to 3, as in `clang -O2`."""
 PASSES = ()
-"""Over the program before that: none. The emitter computes nothing twice; with those of `clang -O2`
-programs take half as long again to compile, and run no faster."""
+"""LLVM's passes over the program before code generation: none.
+
+The emitter computes nothing twice. With the passes of `clang -O2`, compilation takes half as long
+again, and the programs run no faster.
+"""
 
 
 def load_program(source: str, *, keep: bool = True) -> llvm.ExecutionEngine:
-    """What holds the machine code of a program, for this processor; `keep` it on disk too."""
+    """Compiles a program for this processor, or loads its machine code from disk.
+
+    `keep` says whether the code is stored on disk.
+    """
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     triple, processor = llvm.get_process_triple(), llvm.get_host_cpu_name()
     features = llvm.get_host_cpu_features().flatten()
     machine = llvm.Target.from_triple(triple).create_target_machine(
-        cpu=processor, features=features, opt=LEVEL, jit=True
+        cpu=processor, features=features, opt=OPTIMISATION_LEVEL, jit=True
     )
     versions = llvmlite.__version__, *llvm.llvm_version_info
-    all_it_depends_on = repr((versions, triple, processor, features, LEVEL, PASSES, source))
+    all_it_depends_on = repr(
+        (versions, triple, processor, features, OPTIMISATION_LEVEL, PASSES, source)
+    )
     name = hashlib.sha256(all_it_depends_on.encode()).hexdigest()
-    compile_it = lambda: object_code(source, machine)
-    code = cached(name, compile_it) if keep else compile_it()
+    compile = lambda: object_code(source, machine)
+    code = load_or_compile(name, compile) if keep else compile()
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
     engine.add_object_file(llvm.ObjectFileRef.from_data(code))
     engine.finalize_object()
@@ -35,7 +43,7 @@ def load_program(source: str, *, keep: bool = True) -> llvm.ExecutionEngine:
 
 
 def object_code(source: str, machine: llvm.TargetMachine) -> bytes:
-    """A program, compiled, with the C library's functions still to be linked."""
+    """The object code of a program, in which the C library's functions are not linked yet."""
     module = llvm.parse_assembly(source)
     module.verify()
     return machine.emit_object(module)

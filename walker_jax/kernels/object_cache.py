@@ -1,9 +1,9 @@
-"""Machine code on disk, so that a process need not compile what another one has.
+"""Machine code on disk, so that a process need not compile what another one has compiled.
 
-A file holds the code of one program, and is named by the hash of all that the code depends on. It
-begins with a hash of name and code, so that a file that is truncated, broken or another program's
-is not loaded. Files are written whole under another name and then renamed: any number of processes
-may share the folder. A folder that cannot be read or written costs no more than the compilation.
+A file holds the code of one program; its name is a hash of all that the code depends on. It begins
+with a checksum of name and code, so that a truncated, damaged or misnamed file is not loaded. Files
+are written under a temporary name and then renamed, so any number of processes may share the
+folder. If the folder cannot be read or written, programs are compiled in each process.
 """
 
 import contextlib
@@ -16,21 +16,23 @@ from pathlib import Path
 import platformdirs
 
 VARIABLE = "WALKER_JAX_CACHE_DIR"
-"""The environment variable that names the folder; nothing is kept where it is empty."""
-LARGEST = 2**28
-"""Bytes that the folder may hold, some thousand programs; the ones not used for longest go."""
+"""The environment variable that names the folder; if it is empty, no code is kept."""
+MAX_BYTES = 2**28
+"""Most bytes in the folder, some thousand programs; those used least recently are removed."""
 SUFFIX = ".kernel"
-DIGEST = 32  # bytes
+"""Of every file of the folder, temporary ones included."""
+CHECKSUM_BYTES = 32
+"""Length of the checksum at the start of a file: 256 bits, as for SHA-256."""
 
 
 def cache_folder() -> Path | None:
-    """Where compiled programs are kept: the user's cache folder, unless `VARIABLE` says another."""
+    """The folder of compiled programs: the user's cache folder, unless `VARIABLE` names another."""
     folder = os.environ.get(VARIABLE, platformdirs.user_cache_dir("walker-jax"))
     return Path(folder) if folder else None
 
 
-def cached(name: str, compile: Callable[[], bytes]) -> bytes:
-    """The code of that name, from disk or compiled; a name stands for one code only."""
+def load_or_compile(name: str, compile: Callable[[], bytes]) -> bytes:
+    """The code of a name, from disk or compiled; a name stands for one code only."""
     folder = cache_folder()
     path = folder / "kernels" / f"{name}{SUFFIX}" if folder else None
     code = read(path) if path else None
@@ -43,20 +45,20 @@ def cached(name: str, compile: Callable[[], bytes]) -> bytes:
 
 
 def checksum(path: Path, code: bytes) -> bytes:
-    return hashlib.blake2b(path.name.encode() + code, digest_size=DIGEST).digest()
+    return hashlib.blake2b(path.name.encode() + code, digest_size=CHECKSUM_BYTES).digest()
 
 
 def read(path: Path) -> bytes | None:
-    """The code in a file, None if there is none or it is not what was written."""
+    """The code in a file, None if there is no file or its checksum is wrong."""
     try:
         content = path.read_bytes()
     except OSError:
         return None
-    code = content[DIGEST:]
-    if content[:DIGEST] != checksum(path, code):
+    code = content[CHECKSUM_BYTES:]
+    if content[:CHECKSUM_BYTES] != checksum(path, code):
         return None
     with contextlib.suppress(OSError):
-        os.utime(path)  # it is in use
+        os.utime(path)  # marks it as used now
     return code
 
 
@@ -74,7 +76,7 @@ def write(path: Path, code: bytes) -> None:
 
 
 def remove_oldest(folder: Path) -> None:
-    """Keep the files used last, what a killed process left among them, within `LARGEST` bytes."""
+    """Removes the files used least recently, temporary ones included, beyond `MAX_BYTES`."""
     files = []
     for path in folder.glob(f"*{SUFFIX}"):
         with contextlib.suppress(FileNotFoundError):  # another process removed it
@@ -83,5 +85,5 @@ def remove_oldest(folder: Path) -> None:
     total = 0
     for _, size, path in sorted(files, reverse=True):
         total += size
-        if total > LARGEST:
+        if total > MAX_BYTES:
             path.unlink(missing_ok=True)

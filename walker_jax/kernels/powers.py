@@ -1,7 +1,8 @@
-"""Powers of a known exponent, of vectors: x^a = exp(a log(x)), right to about one unit in 2^52.
+"""Powers of vectors with a known exponent, x^a = exp(a log(x)), exact to about one unit in 2^52.
 
-The product is as large as 700, and its error is the relative one of the power. So the logarithm,
-and the product, are sums of two numbers, of which the second holds what the first rounds off.
+The product a log(x) is as large as 700, and its absolute error is the relative error of the power.
+So the logarithm and the product are sums of two numbers: the second is the rounding error of the
+first (double-double arithmetic).
 """
 
 import math
@@ -11,18 +12,20 @@ import numpy as np
 from llvmlite import ir
 
 LN2_HIGH = float(np.float32(math.log(2)))
-"""So few digits that its product with an exponent is exact."""
+"""The high part of log(2), with 24 bits: its product with a binary exponent is exact."""
 LN2_LOW = float(np.longdouble("0.693147180559945309417232121458176568") - np.longdouble(LN2_HIGH))
+"""log(2) less its high part, rounded to float64."""
 SQRT_HALF = int(np.float64(math.sqrt(0.5)).view(np.int64))
+"""The bits of sqrt(1/2) as an integer: the lower bound of mantissas in `log_as_sum`."""
 ODD_TERMS = 13
-"""Of artanh(s) = s + s^3 / 3 + ..., for s up to 0.172."""
+"""Terms of artanh(s) = s + s^3 / 3 + ...; m in log_as_sum gives s up to 0.172."""
 EXPONENTIAL_TERMS = 14
-"""Of exp(r), for r up to 0.347."""
+"""Terms of exp(r) for r up to log(2) / 2 = 0.347."""
 
 
 @no_type_check  # as the emitter
 class Arithmetic:
-    """Instructions on vectors of float64 that round once each, in the order written."""
+    """Instructions on vectors of float64, each rounded once and not reordered."""
 
     def __init__(self, emitter):
         self.emitter, self.builder = emitter, emitter.builder
@@ -71,7 +74,7 @@ class Arithmetic:
         return self.builder.bitcast(x, self.float)
 
     def two_to(self, n):
-        """2^n of integers that are exponents of normal numbers."""
+        """2^n for integers n that are exponents of normal numbers."""
         return self.from_bits(
             self.builder.shl(self.builder.add(n, self.integer(1023)), self.integer(52))
         )
@@ -79,7 +82,7 @@ class Arithmetic:
 
 @no_type_check
 def known_exponent(y) -> float | None:
-    """The number of which a vector is made, if that is known, and no integer."""
+    """The number in all lanes of a constant vector; None if it is an integer, or not constant."""
     if not isinstance(y, ir.Constant):
         return None
     value = y.constant[0].constant
@@ -90,10 +93,10 @@ def known_exponent(y) -> float | None:
 def power_of_known(emitter, x, exponent: float):
     """x^exponent, for a vector of float64."""
     calc = Arithmetic(emitter)
-    high, low = logarithm(calc, calc.emitter.intrinsic("fabs", x))
+    high, low = log_as_sum(calc, calc.emitter.intrinsic("fabs", x))
     product = calc.mul(high, exponent)
     rest = calc.fma(low, exponent, calc.fma(high, exponent, calc.sub(-0.0, product)))
-    result = exponential(calc, product, rest)
+    result = exp_of_sum(calc, product, rest)
     ends = (0.0, math.inf) if exponent > 0 else (math.inf, 0.0)
     size = emitter.intrinsic("fabs", x)
     result = calc.select(calc.less(x, 0.0), math.nan, result)
@@ -103,8 +106,8 @@ def power_of_known(emitter, x, exponent: float):
 
 
 @no_type_check
-def logarithm(calc, x):
-    """log(x) of positive numbers, as a sum of two."""
+def log_as_sum(calc, x):
+    """log(x) for x > 0, as a sum of two numbers."""
     builder = calc.builder
     subnormal = calc.less(x, float(np.finfo(np.float64).tiny))
     x = calc.select(subnormal, calc.mul(x, 2.0**54), x)
@@ -130,7 +133,7 @@ def logarithm(calc, x):
 
 
 @no_type_check
-def exponential(calc, x, rest):
+def exp_of_sum(calc, x, rest):
     """exp(x + rest), where rest is small."""
     emitter, builder = calc.emitter, calc.builder
     x = emitter.intrinsic(

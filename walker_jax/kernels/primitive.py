@@ -1,14 +1,14 @@
 """Functions of one cell as a JAX primitive, which is a kernel on a CPU.
 
-`by_kernel` makes of a function one primitive of JAX: it is compiled apart, and called like any
-other from `jit`, `vmap`, `scan` and the like. On a CPU that is a call of machine code (`ffi`);
-elsewhere, and for what has no kernel, the same function by XLA.
+`by_kernel` turns a function into one primitive of JAX. It is compiled separately, and works under
+`jit`, `vmap`, `scan` and every other transformation. On a CPU the primitive calls machine code
+(`ffi`). On other devices, and for a function without a kernel, XLA compiles the same function.
 
-Every `vmap` is one more axis of cells; an operand over which none maps is shared by all cells. The
-derivative along directions is a function of one cell too, and so a kernel of its own, linear in the
-directions; that of it is one again, and so on. Reverse mode takes the derivative along every
-direction that is asked for, and multiplies: so no loop need be gone through backwards. That suits
-functions of few numbers, as a stride is.
+Each `vmap` adds an axis of cells; all cells share an operand that no `vmap` maps over. The
+derivative of a function of one cell along directions is again a function of one cell, linear in the
+directions. It has a kernel of its own, and so have derivatives of any higher order. Reverse mode
+computes the Jacobian in forward mode, column by column, and multiplies it by the cotangents, so no
+loop runs backwards. That suits functions of few numbers.
 """
 
 import contextlib
@@ -28,26 +28,27 @@ from jax.interpreters import ad, batching, mlir
 from jax.sharding import PartitionSpec
 
 from walker_jax.kernels import ffi
-from walker_jax.kernels.jaxprs import described
+from walker_jax.kernels.jaxprs import shape_dtype
 from walker_jax.kernels.kernel import Kernel, without_garbage_collection
 from walker_jax.kernels.rules import UnsupportedPrimitive
 
-PROGRAMS = 256
-"""Functions that are kept compiled, those used last."""
-TOGETHER = 4000, 20000
-"""Operations of a derivative along two directions at once, and along more, at most.
+MAX_PROGRAMS = 256
+"""Most functions that are kept compiled; those used least recently are dropped."""
+MAX_OPERATIONS = 4000, 20000
+"""Most operations in a derivative along two directions at once, and along more than two.
 
-Larger programs take long to compile; then every direction is a cell of its own. Along three at once
-they take two thirds of the time to run, along two four fifths, which is seldom worth the wait.
+Larger programs take too long to compile; then every direction becomes a cell of its own. A
+derivative along three directions at once takes two thirds of the time of three separate ones, along
+two four fifths, which seldom repays the compilation.
 """
-WIDEST = 32
-"""Directions at once, at most: each number of them is a program of its own."""
+MAX_DIRECTIONS = 32
+"""Most directions at once: each number of directions needs a program of its own."""
 tracing_for_kernel = jax.make_user_context(False)
-"""Whether a function is traced as part of a kernel, whose parts are not kernels themselves."""
+"""True while a function is traced for a kernel: the functions it calls become part of it."""
 
 
 class Program:
-    """A pure function of arrays of one cell, and what follows from it when it is needed."""
+    """A pure function of arrays of one cell; its kernel and derivatives are made when needed."""
 
     def __init__(
         self,
@@ -57,21 +58,21 @@ class Program:
         origin: "tuple[Program, tuple[int, ...], int] | None" = None,
     ):
         self.settings = settings
-        """Under which it, and all that follows from it, is traced and computed."""
-        with under(settings), tracing_for_kernel(True), without_garbage_collection():
+        """Contexts and their values, under which the function and its derivatives are traced."""
+        with apply_settings(settings), tracing_for_kernel(True), without_garbage_collection():
             self.closed = jax.make_jaxpr(function)(*operands)
         self.operands = self.closed.in_avals
         self.results = self.closed.out_avals
         self.origin = origin
-        """Of which program this is the derivative, by which operands, along how many directions."""
+        """Of a derivative: its program, the operands it is taken by, the number of directions."""
         first = len(self.operands) if origin is None else len(origin[0].operands)
         self.linear = frozenset(range(first, len(self.operands)))
-        """Operands in which it is linear, all together: directions of a derivative."""
+        """Operands in which the function is jointly linear: the directions of a derivative."""
         self.derivatives: dict[tuple, Program] = {}
 
     @functools.cached_property
     def kernel(self) -> Kernel | None:
-        """Its machine code, None where it holds what no kernel can do."""
+        """Its machine code; None if it holds something that kernels do not support."""
         try:
             return Kernel(self.closed)
         except UnsupportedPrimitive:
@@ -79,19 +80,19 @@ class Program:
 
     @property
     def function(self) -> Callable[..., list]:
-        """The same function of JAX's own primitives, read from its jaxpr."""
+        """The function in JAX's own primitives, evaluated from its jaxpr."""
         return jaxpr_as_fun(self.closed)
 
     @functools.cached_property
     def size(self) -> int:
-        """Operations in it."""
+        """The number of operations of one cell."""
         return operations(self.closed.jaxpr)
 
     def derivative(self, by: tuple[int, ...], directions: int = 1) -> "Program":
-        """That of all results that are real, along directions of some operands.
+        """The derivative of all real results along directions of the operands `by`.
 
-        Its operands are those of this program, then, for each of `by`, its part of the directions,
-        along one more axis in front. So have its results.
+        Its operands are those of this program, followed by the tangents of each of `by`. Tangents
+        and results have a leading axis of directions.
         """
         if (by, directions) not in self.derivatives:
             real = list(map(is_real, self.results))
@@ -108,20 +109,20 @@ class Program:
                 one = lambda *tangents: jax.jvp(of_some, some, tangents)[1]
                 if directions != 1:
                     return jax.vmap(one)(*tangents)
-                # The same, which takes half as long to trace.
+                # Equal to the line above with one direction, and traced in half the time.
                 return [change[None] for change in one(*(tangent[0] for tangent in tangents))]
 
             parts = [
                 self.operands[i].update(shape=(directions, *self.operands[i].shape)) for i in by
             ]
-            like = map(described, (*self.operands, *parts))
+            like = map(shape_dtype, (*self.operands, *parts))
             program = Program(along, list(like), self.settings, (self, by, directions))
             self.derivatives[by, directions] = program
         return self.derivatives[by, directions]
 
 
 def operations(jaxpr) -> int:
-    """How many numbers a jaxpr computes, in one turn of its loops."""
+    """The number of scalars that a jaxpr computes, each loop counted for one turn."""
     total = 0
     for equation in jaxpr.eqns:
         inner = list(jaxprs_in_params(equation.params))
@@ -141,24 +142,25 @@ def is_complex(aval) -> bool:
 kernel_p = Primitive("kernel")
 kernel_p.multiple_results = True
 programs: OrderedDict = OrderedDict()
+"""By function, shapes, types and settings: its program and the tree of its results."""
 MODES = {
     "jax_enable_x64": jax.enable_x64,
     "jax_numpy_dtype_promotion": jax.numpy_dtype_promotion,
 }
 """Settings of JAX on which the results of a function depend, and the contexts that set them."""
 contexts: list = []
-"""Contexts of other modules on which they depend, made by `jax.make_user_context`."""
+"""Contexts of other modules on which results depend, made by `jax.make_user_context`."""
 
 
-def settings_now() -> tuple[tuple[Any, Any], ...]:
-    """The contexts and their values, which belong to this thread alone."""
+def current_settings() -> tuple[tuple[Any, Any], ...]:
+    """The contexts and their values in this thread."""
     modes = ((context, getattr(jax.config, mode)) for mode, context in MODES.items())
     return (*modes, *((context, context.value) for context in contexts))
 
 
 @contextlib.contextmanager
-def under(settings: tuple[tuple[Any, Any], ...]):
-    """Enters the contexts with the values that they had elsewhere."""
+def apply_settings(settings: tuple[tuple[Any, Any], ...]):
+    """Enters the contexts with these values, recorded at another time or in another thread."""
     with contextlib.ExitStack() as now:
         for context, value in settings:
             now.enter_context(context(value))
@@ -166,9 +168,9 @@ def under(settings: tuple[tuple[Any, Any], ...]):
 
 
 def program_of(function: Callable, structure, avals: Sequence) -> tuple[Program, Any]:
-    """The program of a function of operands of these shapes and types, and its results' tree."""
-    function = getattr(function, "of_one_cell", function)  # of what `by_kernel` made of it
-    settings = settings_now()
+    """The program of a function for these shapes and types, and the tree of its results."""
+    function = getattr(function, "of_one_cell", function)  # undoes `by_kernel`
+    settings = current_settings()
     key = function, structure, settings, *((x.shape, x.dtype, x.weak_type) for x in avals)
     if key in programs:
         programs.move_to_end(key)
@@ -180,19 +182,20 @@ def program_of(function: Callable, structure, avals: Sequence) -> tuple[Program,
         found, results = jax.tree.flatten(function(*jax.tree.unflatten(structure, leaves)))
         return found
 
-    program = Program(flat, list(map(described, avals)), settings)
+    program = Program(flat, list(map(shape_dtype, avals)), settings)
     programs[key] = program, results
-    while len(programs) > PROGRAMS:
+    while len(programs) > MAX_PROGRAMS:
         programs.popitem(last=False)
     return programs[key]
 
 
 def by_kernel(function: Callable) -> Callable:
-    """The same pure function of arrays of one cell, as a primitive of JAX.
+    """Turns a pure function of arrays of one cell into a JAX primitive.
 
-    It depends on its arguments alone, PyTrees of arrays or numbers, and on no named axis. A
-    function of complex numbers is left as it is: its derivatives are not linear in them. One with
-    a `jax.custom_vjp` has derivatives in forward mode only where JAX has them.
+    The function may depend on its arguments alone, PyTrees of arrays or numbers, and on no named
+    axis. A function of complex numbers is returned unchanged, since its real derivatives are not
+    linear over them. A function with a `jax.custom_vjp` has forward-mode derivatives only where JAX
+    has them.
     """
 
     @functools.wraps(function)
@@ -205,7 +208,7 @@ def by_kernel(function: Callable) -> Callable:
         program, results = program_of(function, structure, avals)
         if any(map(is_complex, program.results)):
             return function(*args)
-        leaves = alike(list(map(strong, leaves)))
+        leaves = vary_alike(list(map(without_weak_type, leaves)))
         if tracing_for_kernel.value:
             return jax.tree.unflatten(results, program.function(*leaves))
         outputs = kernel_p.bind(*leaves, program=program, mapped=(False,) * len(leaves))
@@ -215,34 +218,36 @@ def by_kernel(function: Callable) -> Callable:
     return call
 
 
-def count_of(values: Sequence, mapped: Sequence[bool]) -> int | None:
-    """How many cells there are, None for a single one."""
+def count_cells(values: Sequence, mapped: Sequence[bool]) -> int | None:
+    """The number of cells; None for a single cell without an axis."""
     return next((np.shape(x)[0] for x, each in zip(values, mapped, strict=True) if each), None)
 
 
 @kernel_p.def_impl
 def compute(*operands, program: Program, mapped: tuple[bool, ...]):
-    """At once, outside of jit: a call of the machine code, on one core."""
+    """Evaluates the primitive outside of `jit`: calls the machine code, on one core."""
     default = jnp.zeros(()).devices()
     here = all(x.devices() == default for x in operands if isinstance(x, jax.Array))
     on_cpu = all(device.platform == "cpu" for device in default)
     if not (here and on_cpu) or program.kernel is None:
-        return compiled(program, mapped)(*operands)
-    n = count_of(operands, mapped)
+        return jit_call(program, mapped)(*operands)
+    n = count_cells(operands, mapped)
     run, results = program.kernel.bind(operands, mapped, 1 if n is None else n)
     run(0, 1 if n is None else n)
-    with under(program.settings):
+    with apply_settings(program.settings):
         return [jnp.asarray(result if n is not None else result[0]) for result in results]
 
 
-@functools.lru_cache(PROGRAMS)
-def compiled(program: Program, mapped: tuple[bool, ...]) -> Callable:
+@functools.lru_cache(MAX_PROGRAMS)
+def jit_call(program: Program, mapped: tuple[bool, ...]) -> Callable:
+    """The primitive under `jax.jit`."""
     return jax.jit(lambda *operands: kernel_p.bind(*operands, program=program, mapped=mapped))
 
 
 @kernel_p.def_abstract_eval
-def shapes(*avals, program: Program, mapped: tuple[bool, ...]):
-    n = count_of(avals, mapped)
+def abstract_results(*avals, program: Program, mapped: tuple[bool, ...]):
+    """Shapes, types and sharding of the results."""
+    n = count_cells(avals, mapped)
     lead = () if n is None else (n,)
     like = max(avals, key=lambda aval: len(axes_of(aval)), default=ShapedArray((), np.dtype(bool)))
 
@@ -253,18 +258,18 @@ def shapes(*avals, program: Program, mapped: tuple[bool, ...]):
     return [array((*lead, *x.shape), x.dtype) for x in program.results]
 
 
-def strong(leaf) -> jax.Array:
-    """An array whose type is not weak."""
+def without_weak_type(leaf) -> jax.Array:
+    """An array of the same dtype, not weakly typed."""
     return jax.lax.convert_element_type(leaf, leaf.dtype)
 
 
 def axes_of(aval) -> frozenset:
-    """Axes of a mesh along which a value differs, within `jax.shard_map`."""
+    """Mesh axes along which a value varies, within `jax.shard_map`."""
     return aval.manual_axis_type.varying
 
 
-def alike(leaves: list) -> list:
-    """Values that all differ along every axis of a mesh along which one of them does."""
+def vary_alike(leaves: list) -> list:
+    """Casts all values to vary along every mesh axis along which one of them varies."""
     axes = frozenset().union(*(axes_of(jax.typeof(leaf)) for leaf in leaves))
     missing = [tuple(axes - axes_of(jax.typeof(leaf))) for leaf in leaves]
     return [
@@ -273,28 +278,28 @@ def alike(leaves: list) -> list:
     ]
 
 
-def by_xla(*operands, program: Program, mapped: tuple[bool, ...]):
-    """The same, of JAX's own primitives."""
+def compute_by_xla(*operands, program: Program, mapped: tuple[bool, ...]):
+    """The results by JAX's own primitives."""
     function = program.function
     if any(mapped):
         function = jax.vmap(function, [0 if each else None for each in mapped])
-    with under(program.settings), tracing_for_kernel(True):
+    with apply_settings(program.settings), tracing_for_kernel(True):
         return function(*operands)
 
 
-def on_cpu(ctx, *operands, program: Program, mapped: tuple[bool, ...]):
+def lower_on_cpu(ctx, *operands, program: Program, mapped: tuple[bool, ...]):
     if program.kernel is None or not ffi.available():
-        return elsewhere(ctx, *operands, program=program, mapped=mapped)
+        return lower_to_xla(ctx, *operands, program=program, mapped=mapped)
     return jax.ffi.ffi_lowering(ffi.target(program.kernel))(ctx, *operands)
 
 
-elsewhere = mlir.lower_fun(by_xla, multiple_results=True)
-mlir.register_lowering(kernel_p, elsewhere)
-mlir.register_lowering(kernel_p, on_cpu, platform="cpu")
+lower_to_xla = mlir.lower_fun(compute_by_xla, multiple_results=True)
+mlir.register_lowering(kernel_p, lower_to_xla)
+mlir.register_lowering(kernel_p, lower_on_cpu, platform="cpu")
 
 
 def batch(operands, axes, *, program: Program, mapped: tuple[bool, ...]):
-    """One more axis of cells, or of directions."""
+    """Adds an axis of cells; to a derivative mapped over its tangents alone, directions."""
     batched = [axis is not None for axis in axes]
     pairs = list(zip(operands, axes, strict=True))
     size = next(np.shape(x)[axis] for x, axis in pairs if axis is not None)
@@ -302,16 +307,16 @@ def batch(operands, axes, *, program: Program, mapped: tuple[bool, ...]):
     if program.origin is not None and program.linear.issuperset(np.flatnonzero(batched)):
         origin, by, directions = program.origin
         count = directions * size
-        if count <= WIDEST and origin.size * (count + 1) <= TOGETHER[count > 2]:
+        if count <= MAX_DIRECTIONS and origin.size * (count + 1) <= MAX_OPERATIONS[count > 2]:
             more = origin.derivative(by, count)
-            return along_more(operands, batched, (size, directions), more, mapped)
+            return batch_directions(operands, batched, (size, directions), more, mapped)
     if not any(mapped):
         outputs = kernel_p.bind(*operands, program=program, mapped=tuple(batched))
         return outputs, [0] * len(outputs)
     n = next(x.shape[over] for x, each, over in zip(operands, mapped, batched, strict=True) if each)
 
     def flat(x, each, over):
-        """With the cells of both axes along the first one."""
+        """Merges the two axes of cells into the first one."""
         if not each and not over:
             return x
         x = x if over else x[None]
@@ -325,18 +330,18 @@ def batch(operands, axes, *, program: Program, mapped: tuple[bool, ...]):
     return [x.reshape(size, n, *x.shape[1:]) for x in outputs], [0] * len(outputs)
 
 
-def along_more(operands, batched, sizes: tuple[int, int], program: Program, mapped):
-    """A derivative along more directions at once: a further axis of some joins that of theirs."""
+def batch_directions(operands, batched, sizes: tuple[int, int], program: Program, mapped):
+    """A derivative along more directions at once: a new axis of tangents is merged with theirs."""
     cells = any(mapped)
 
-    def joined(i, x):
+    def merge_axes(i, x):
         if i not in program.linear:
             return x
         x = x if batched[i] else jnp.broadcast_to(x, (sizes[0], *x.shape))
-        x = jnp.moveaxis(x, 0, 1) if mapped[i] else x  # behind the axis of cells
+        x = jnp.moveaxis(x, 0, 1) if mapped[i] else x  # after the axis of cells
         return x.reshape(*x.shape[: mapped[i]], math.prod(sizes), *x.shape[mapped[i] + 2 :])
 
-    operands = [joined(i, x) for i, x in enumerate(operands)]
+    operands = [merge_axes(i, x) for i, x in enumerate(operands)]
     outputs = kernel_p.bind(*operands, program=program, mapped=mapped)
     parted = [x.reshape(*x.shape[:cells], *sizes, *x.shape[cells + 1 :]) for x in outputs]
     return parted, [int(cells)] * len(outputs)
@@ -346,12 +351,12 @@ batching.primitive_batchers[kernel_p] = batch
 
 
 def push_forward(primals, tangents, *, program: Program, mapped: tuple[bool, ...]):
-    """Results, and their derivatives along tangents: a call each, the second linear in these."""
+    """The rule of forward mode: one call for the results, one for their tangents."""
     results = kernel_p.bind(*primals, program=program, mapped=mapped)
     along = [i for i, t in enumerate(tangents) if not isinstance(t, ad.Zero) and is_real(t)]
     total: list[Any] = [None] * sum(map(is_real, results))
 
-    # What it is linear in changes as its value does, along the change.
+    # In its linear operands the function is its own derivative.
     if any(i in program.linear for i in along):
         changed = [
             ad.instantiate_zeros(t) if i in program.linear else x
@@ -380,12 +385,13 @@ ad.primitive_jvps[kernel_p] = push_forward
 
 
 def pull_back(cotangents, *operands, program: Program, mapped: tuple[bool, ...]):
-    """Cotangents of operands in which it is linear: those of its results times its Jacobian."""
-    with under(program.settings):
-        return transposed(cotangents, operands, program, mapped)
+    """The rule of reverse mode: cotangents of the linear operands, those of results times J."""
+    with apply_settings(program.settings):
+        return pull_back_derivative(cotangents, operands, program, mapped)
 
 
-def transposed(cotangents, operands, program: Program, mapped: tuple[bool, ...]):
+def pull_back_derivative(cotangents, operands, program: Program, mapped: tuple[bool, ...]):
+    """Cotangents of the directions of a derivative, from the Jacobian of its program."""
     wanted = [i for i, x in enumerate(operands) if ad.is_undefined_primal(x)]
     given = [i for i, ct in enumerate(cotangents) if not isinstance(ct, ad.Zero)]
     if not given:
@@ -401,7 +407,7 @@ def transposed(cotangents, operands, program: Program, mapped: tuple[bool, ...])
     sizes = [math.prod(shape) for shape in shapes]
 
     def along(direction):
-        """The derivatives of the results, of each cell, along one direction of all operands."""
+        """The derivatives of the results of each cell along one direction of all operands."""
         parts = jnp.split(direction, np.cumsum(sizes)[:-1])
         changes = kernel_p.bind(
             *point,
@@ -427,7 +433,7 @@ def transposed(cotangents, operands, program: Program, mapped: tuple[bool, ...])
         result = math.prod(column.shape[1 + cells :])
         column = column.reshape(*column.shape[: 1 + cells], result)
         ct = ct.reshape(*ct.shape[: 1 + cells], result)
-        # What a result that nobody asks for has for a derivative, say NaN, counts for nothing.
+        # A derivative with a zero cotangent is ignored, even if it is NaN.
         column = jnp.where((ct == 0).all(axis=-2), 0, column)
         sums = "cnr,nkr->nkc" if cells else "cr,kr->kc"
         total = total + jnp.einsum(sums, column, ct, precision="highest")
@@ -443,7 +449,7 @@ def transposed(cotangents, operands, program: Program, mapped: tuple[bool, ...])
 
 
 def pull_back_linear(cotangents, operands, wanted: list[int], program: Program, mapped):
-    """The same where it is not as a derivative that it is linear: then it is its own, anywhere."""
+    """Cotangents for a linear function that is not a derivative: it is its own derivative."""
     point = [
         jnp.zeros(aval.shape, aval.dtype) if i in wanted else x
         for i, (x, aval) in enumerate(zip(operands, program.operands, strict=True))

@@ -1,4 +1,4 @@
-"""Primitives of scalars as LLVM instructions, each of a vector with one number for every cell."""
+"""Primitives of scalars as LLVM instructions on vectors, which hold one number for each cell."""
 
 import contextlib
 import functools
@@ -15,10 +15,10 @@ from walker_jax.kernels.powers import known_exponent, power_of_known
 
 
 class UnsupportedPrimitive(NotImplementedError):
-    """A function holds a primitive or a type, which the error names, that no kernel can do."""
+    """A function holds a primitive or a type that kernels do not support; the error names it."""
 
 
-# Where the C library has its mathematics.
+# The file of the C library that has the mathematical functions.
 LIBRARY = {"linux": "libm.so.6", "darwin": "/usr/lib/libSystem.B.dylib", "win32": "ucrtbase"}
 
 
@@ -26,13 +26,13 @@ LIBRARY = {"linux": "libm.so.6", "darwin": "/usr/lib/libSystem.B.dylib", "win32"
 def in_library(name: str) -> bool:
     """Whether the C library has a function that programs can call."""
     if llvm.address_of_symbol(name) is None and sys.platform in LIBRARY:
-        with contextlib.suppress(RuntimeError):  # it is not there
+        with contextlib.suppress(RuntimeError):  # there is no such file
             llvm.load_library_permanently(LIBRARY[sys.platform])
     return llvm.address_of_symbol(name) is not None
 
 
 FAST = ("contract",)
-"""Multiply and add at once, as XLA does; nothing else that IEEE arithmetic forbids."""
+"""Allow fused multiply-add, as XLA does, and no other departure from IEEE arithmetic."""
 
 
 def is_float(kind) -> bool:
@@ -60,12 +60,12 @@ def extremum(of_float: str, of_int: str):
     def rule(emitter, params, dtypes, a, b):
         if is_floating(dtypes[0]):
             return emitter.intrinsic(of_float, a, b)
-        return emitter.intrinsic(of_int.replace("?", signed(dtypes[0])), a, b)
+        return emitter.intrinsic(of_int.replace("?", signedness(dtypes[0])), a, b)
 
     return rule
 
 
-def signed(dtype) -> str:
+def signedness(dtype) -> str:
     return "s" if np.dtype(dtype).kind == "i" else "u"
 
 
@@ -75,14 +75,14 @@ def comparison(sign: str):
         if is_floating(dtypes[0]):
             ordered = builder.fcmp_unordered if sign == "!=" else builder.fcmp_ordered
             return ordered(sign, a, b)
-        compare = builder.icmp_signed if signed(dtypes[0]) == "s" else builder.icmp_unsigned
+        compare = builder.icmp_signed if signedness(dtypes[0]) == "s" else builder.icmp_unsigned
         return compare(sign, a, b)
 
     return rule
 
 
 def total_order(sign: str):
-    """A comparison in which -0 comes before 0, and NaN beyond infinity."""
+    """Comparison in the total order of IEEE 754: -0 is below 0, and NaN beyond infinity."""
 
     def rule(emitter, params, dtypes, *operands):
         if not is_floating(dtypes[0]):
@@ -125,21 +125,21 @@ def remainder(emitter, params, dtypes, a, b):
 
 
 def integer_division(emitter, dtype, name: str, a, b):
-    """A quotient or remainder of integers, which are what XLA has where there is none.
+    """A quotient or remainder of integers, with XLA's values where none is defined.
 
-    The processor must not come to divide by zero, or the least integer by -1, in any lane.
+    Division by zero, and of the smallest integer by -1, would trap: no lane may execute it.
     """
     builder, equal = emitter.builder, lambda x, value: emitter.builder.icmp_signed("==", x, value)
     zero, one, ones = (
         emitter.vector(value, dtype)
-        for value in (0, 1, -1 if signed(dtype) == "s" else np.iinfo(dtype).max)
+        for value in (0, 1, -1 if signedness(dtype) == "s" else np.iinfo(dtype).max)
     )
     none = equal(b, zero)
     wrong = none
-    if signed(dtype) == "s":
+    if signedness(dtype) == "s":
         least = emitter.vector(np.iinfo(dtype).min, dtype)
         wrong = builder.or_(none, builder.and_(equal(a, least), equal(b, ones)))
-    result = getattr(builder, f"{signed(dtype)}{name}")(a, builder.select(wrong, one, b))
+    result = getattr(builder, f"{signedness(dtype)}{name}")(a, builder.select(wrong, one, b))
     return builder.select(none, ones if name == "div" else a, result)
 
 
@@ -177,7 +177,7 @@ def power(emitter, params, dtypes, x, y):
 
 
 def selection(emitter, params, dtypes, which, *cases):
-    """The case of a number, or for a flag the second where it is true."""
+    """The case with the number `which`; a flag selects the second case where it is true."""
     builder = emitter.builder
     if np.dtype(dtypes[0]).kind == "b":
         return builder.select(which, cases[1], cases[0])
@@ -201,7 +201,7 @@ def conversion(emitter, params, dtypes, x):
     if is_floating(old):
         if is_floating(new):
             return (builder.fpext if new.itemsize > old.itemsize else builder.fptrunc)(x, kind)
-        return saturated(emitter, old, new, x)
+        return saturate(emitter, old, new, x)
     if is_floating(new):
         return (builder.sitofp if old.kind == "i" else builder.uitofp)(x, kind)
     if new.itemsize > old.itemsize or old.kind == "b":
@@ -209,13 +209,13 @@ def conversion(emitter, params, dtypes, x):
     return builder.trunc(x, kind) if new.itemsize < old.itemsize else x
 
 
-def saturated(emitter, old, new, x):
-    """The nearest integer of a type that is not beyond x; zero for NaN."""
+def saturate(emitter, old, new, x):
+    """x truncated to an integer, clipped to the bounds of its type; zero for NaN."""
     builder, info = emitter.builder, np.iinfo(new)
     low, high = float(info.min), -float(info.min) if info.min else float(info.max) + 1
     low, high = emitter.vector(low, old), emitter.vector(high, old)
     inside = builder.and_(builder.fcmp_ordered(">=", x, low), builder.fcmp_ordered("<", x, high))
-    convert = builder.fptosi if signed(new) == "s" else builder.fptoui
+    convert = builder.fptosi if signedness(new) == "s" else builder.fptoui
     value = convert(builder.select(inside, x, emitter.vector(0, old)), emitter.type(new))
     value = builder.select(
         builder.fcmp_ordered(">=", x, high), emitter.vector(info.max, new), value
@@ -223,7 +223,7 @@ def saturated(emitter, old, new, x):
     return builder.select(builder.fcmp_ordered("<", x, low), emitter.vector(info.min, new), value)
 
 
-def finite(emitter, params, dtypes, x):
+def is_finite(emitter, params, dtypes, x):
     size = emitter.intrinsic("fabs", x)
     return emitter.builder.fcmp_ordered("<", size, emitter.vector(np.inf, dtypes[0]))
 
@@ -236,7 +236,7 @@ def sign(emitter, params, dtypes, x):
             builder.fcmp_ordered("!=", x, zero), emitter.intrinsic("copysign", one, x), x
         )
     unit = one
-    if signed(dtypes[0]) == "s":
+    if signedness(dtypes[0]) == "s":
         unit = builder.select(builder.icmp_signed("<", x, zero), emitter.vector(-1, dtypes[0]), one)
     return builder.select(builder.icmp_unsigned("==", x, zero), zero, unit)
 
@@ -255,7 +255,7 @@ def clamp(emitter, params, dtypes, low, x, high):
 
 
 def shift(name: str):
-    """By as many bits as there are, or more, nothing but the sign is left."""
+    """A shift; one by all bits or more leaves zeros, or the sign for an arithmetic shift."""
 
     def rule(emitter, params, dtypes, x, by):
         builder, last = emitter.builder, 8 * np.dtype(dtypes[0]).itemsize - 1
@@ -276,7 +276,7 @@ def bits(emitter, params, dtypes, x):
 
 
 def elementary(name: str, of_float32: Callable | None = None):
-    """A function of the C library, cell by cell; or one of JAX's primitives, for float32."""
+    """A function of the C library, lane by lane; for float32, one written in JAX if given."""
 
     def rule(emitter, params, dtypes, *operands):
         if of_float32 is not None and dtypes[0] == np.float32:
@@ -287,7 +287,7 @@ def elementary(name: str, of_float32: Callable | None = None):
 
 
 def log_float32(x):
-    """log(x), right to about 1e-7 of the larger of it and 1."""
+    """log(x), with an error of about 1e-7 max(|log(x)|, 1)."""
     subnormal = x < jnp.float32(np.finfo(np.float32).tiny)
     scaled = jnp.where(subnormal, x * jnp.float32(2**24), x)
     bits = lax.bitcast_convert_type(scaled, jnp.int32)
@@ -301,12 +301,11 @@ def log_float32(x):
     e = e - jnp.where(subnormal, 24, 0).astype(jnp.int32)
     value = e.astype(jnp.float32) * jnp.float32(np.log(2)) + series
     value = jnp.where(x == jnp.inf, x, value)
-    value = jnp.where(x > 0, value, jnp.where(x == 0, -jnp.inf, jnp.nan)).astype(jnp.float32)
-    return value
+    return jnp.where(x > 0, value, jnp.where(x == 0, -jnp.inf, jnp.nan)).astype(jnp.float32)
 
 
 def exp_float32(x):
-    """exp(x), right to about 1e-7 of it."""
+    """exp(x), with a relative error of about 1e-7."""
     x = jnp.minimum(jnp.maximum(x, jnp.float32(-104)), jnp.float32(89))
     n = lax.round(x * jnp.float32(1 / np.log(2)), lax.RoundingMethod.TO_NEAREST_EVEN)
     r = x - n * jnp.float32(0.693359375) + n * jnp.float32(2.12194440e-4)
@@ -322,7 +321,7 @@ def exp_float32(x):
 
 
 def next_after(x, y):
-    """The number of the type that follows x, towards y: its bits, counted as an integer."""
+    """The floating-point number next to x towards y: its bits are an integer one away."""
     dtype = np.dtype(x.dtype)
     integer = np.dtype(f"int{8 * dtype.itemsize}")
     bits = lax.bitcast_convert_type(x, integer)
@@ -333,7 +332,7 @@ def next_after(x, y):
     return jnp.where((x != x) | (y != y), x + y, jnp.where(x == y, y, moved))
 
 
-def in_jax(function: Callable):
+def inline_jax(function: Callable):
     return lambda emitter, params, dtypes, *x: emitter.inline(function, *x, dtype=dtypes[0])
 
 
@@ -365,7 +364,7 @@ RULES: dict[str, Callable] = {
     "sign": sign,
     "integer_pow": integer_power,
     "square": lambda emitter, params, dtypes, x: integer_power(emitter, {"y": 2}, dtypes, x),
-    "is_finite": finite,
+    "is_finite": is_finite,
     "eq": comparison("=="),
     "ne": comparison("!="),
     "lt": comparison("<"),
@@ -385,8 +384,8 @@ RULES: dict[str, Callable] = {
     "clamp": clamp,
     "convert_element_type": conversion,
     "bitcast_convert_type": bits,
-    "nextafter": in_jax(next_after),
-    "logistic": in_jax(lambda x: 1 / (1 + jnp.exp(-x))),
+    "nextafter": inline_jax(next_after),
+    "logistic": inline_jax(lambda x: 1 / (1 + jnp.exp(-x))),
     "pow": power,
     "log": elementary("log", log_float32),
     "exp": elementary("exp", exp_float32),
@@ -398,4 +397,4 @@ RULES: dict[str, Callable] = {
         )
     },
 }
-"""Primitives of real scalars, as instructions."""
+"""By primitive: (emitter, parameters, types of operands, *vectors) -> vector."""

@@ -1,10 +1,10 @@
 """Functions of small arrays, computed as functions of scalars.
 
-Equations are best written with vectors and matrices of two or four entries; they are best computed
-one number at a time, since most entries are zero, one, or the same as another, and since a tile of
-a thousand cells fills a processor's vectors only where a cell's numbers are not vectors
-themselves. `unrolled` reads the jaxpr of a function and keeps, for every array, its entries: known
-zeros and ones drop out, equal terms are computed once, and what moves entries about costs nothing.
+Equations are best written with vectors and matrices of two or four entries, but computed one number
+at a time. Most of their entries are zero, one, or equal to another entry. Also, XLA vectorises over
+the cells of a tile only if the numbers of one cell are not vectors themselves. `unroll` interprets
+the jaxpr of a function with the entries of every array: known zeros and ones drop out, equal terms
+are computed once, and operations that only move entries cost nothing.
 """
 
 import functools
@@ -20,7 +20,7 @@ from jax import lax
 from jax.extend.core import Primitive
 from jaxtyping import PyTree
 
-from walker_jax.kernels.jaxprs import CALLS, Interpreter, called
+from walker_jax.kernels.jaxprs import CALLS, Interpreter, called_function
 
 ENTRYWISE = frozenset(
     "abs acos acosh add add_any and asin asinh atan atan2 atanh bitcast_convert_type cbrt ceil "
@@ -29,15 +29,15 @@ ENTRYWISE = frozenset(
     "or pow rem round rsqrt select_n shift_left shift_right_arithmetic shift_right_logical "
     "sign sin sinh sqrt square stop_gradient sub tan tanh xor".split()
 )
+"""Primitives that act entry by entry."""
 
 
-def unrolled(function: Callable[..., PyTree]) -> Callable[..., PyTree]:
-    """The same function of a few numbers, without arrays of them in between.
+def unroll(function: Callable[..., PyTree]) -> Callable[..., PyTree]:
+    """Rewrites a function of small arrays as operations on scalars.
 
-    What comes out is equal to rounding, derivatives included, but for zeros: the product with an
-    entry known to be zero is zero, also where the other factor is not finite. Operations that have
-    no meaning entry by entry, such as a factorisation or a loop, are kept as they are, and so are
-    functions with a rule of their own for derivatives.
+    Results and derivatives agree to rounding, with one exception: the product with an entry known
+    to be zero is zero, even where the other factor is not finite. Operations that do not act entry
+    by entry, such as factorisations and loops, are kept; so are functions with custom derivatives.
     """
 
     def scalar(*args):
@@ -46,26 +46,26 @@ def unrolled(function: Callable[..., PyTree]) -> Callable[..., PyTree]:
         flat = lambda *leaves: function(*jax.tree.unflatten(structure, leaves))
         closed, shapes = jax.make_jaxpr(flat, return_shape=True)(*leaves)
         entries = Unrolling()
-        inputs = [entries.split(leaf) for leaf in leaves]
+        inputs = [entries.entries_of(leaf) for leaf in leaves]
         results = entries.interpret(closed, inputs)
         pairs = zip(results, jax.tree.leaves(shapes), strict=True)
-        outputs = [jnp.asarray(joined(x, like)) for x, like in pairs]
+        outputs = [jnp.asarray(assemble(x, like)) for x, like in pairs]
         return jax.tree.unflatten(jax.tree.structure(shapes), outputs)
 
     return scalar
 
 
-def joined(entries: np.ndarray, like) -> jax.Array | np.ndarray:
-    """An array of its entries, of NumPy where they are known."""
+def assemble(entries: np.ndarray, like) -> jax.Array | np.ndarray:
+    """An array from its entries; a NumPy array if all of them are known."""
     if all(map(is_number, entries.ravel())):
         return np.asarray(entries.tolist(), like.dtype).reshape(like.shape)
     scalars = [jnp.asarray(entry, like.dtype) for entry in entries.ravel()]
     return jnp.stack(scalars).reshape(like.shape) if like.shape else scalars[0]
 
 
-@no_type_check  # what is called for every number of a program: checks would take minutes
+@no_type_check  # called for every number of a program: checks would take minutes
 class Unrolling(Interpreter):
-    """A jaxpr read entry by entry: every value is a NumPy array of objects.
+    """Interprets a jaxpr entry by entry: every value is a NumPy array of objects.
 
     An entry is a Python number where it is known, otherwise a JAX scalar.
     """
@@ -74,9 +74,9 @@ class Unrolling(Interpreter):
         self.known: dict = {}
         """Results by primitive, parameters and operands: equal terms are computed once."""
         self.numbers: dict[int, tuple[tuple, Any]] = {}
-        """Every JAX scalar met, and its identity in the order in which they came."""
+        """By identity of a JAX scalar: its number in the order of appearance, and the scalar."""
 
-    def split(self, value) -> np.ndarray:
+    def entries_of(self, value) -> np.ndarray:
         entries = np.empty(np.shape(value), object)
         if isinstance(value, (np.ndarray, np.generic, int, float, bool)):
             entries[...] = np.asarray(value).astype(object)
@@ -86,21 +86,21 @@ class Unrolling(Interpreter):
         return entries
 
     def constant(self, value) -> np.ndarray:
-        return self.split(value if isinstance(value, jax.Array) else np.asarray(value))
+        return self.entries_of(value if isinstance(value, jax.Array) else np.asarray(value))
 
     def keep(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
-        """The results of a primitive of arrays, as it is."""
+        """The results of a primitive of arrays, applied to whole arrays."""
         known = all(is_number(entry) for operand in operands for entry in operand.ravel())
-        arrays = [joined(x, v.aval) for x, v in zip(operands, equation.invars, strict=True)]
-        results = bound(equation.primitive, equation.params, arrays, now=known)
-        return [self.split(result) for result in results]
+        arrays = [assemble(x, v.aval) for x, v in zip(operands, equation.invars, strict=True)]
+        results = bind_primitive(equation.primitive, equation.params, arrays, now=known)
+        return [self.entries_of(result) for result in results]
 
     def call(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
-        """The results of a function, read once for all its calls with the same operands."""
-        function = called(equation)
+        """The results of a function, interpreted once for all calls with the same operands."""
+        function = called_function(equation)
         entries = [self.identity(entry) for operand in operands for entry in operand.ravel()]
         key = "call", id(function), *entries
-        if key not in self.known:  # the function too, so that its identity stays its own
+        if key not in self.known:  # keeps the function alive, so that no other has its id
             self.known[key] = function, self.interpret(function, operands)
         return self.known[key][1]
 
@@ -132,13 +132,13 @@ class Unrolling(Interpreter):
         key = name, *identities, *dtypes, *params.values()
         result = self.known.get(key)
         if result is None:
-            result = self.known[key] = self.evaluate(primitive, params, operands, dtypes)
+            result = self.known[key] = self.evaluate_term(primitive, params, operands, dtypes)
         return result
 
     def identity(self, entry) -> tuple:
-        """What makes an entry the same as another, and sorts entries alike in every process.
+        """A key that equal entries share, and that sorts entries alike in every process.
 
-        For the last bit of a sum of products depends on the order of its terms.
+        The order matters: the last bit of a sum of products depends on the order of its terms.
         """
         if is_number(entry):
             return 0, type(entry).__name__, repr(entry)
@@ -147,8 +147,10 @@ class Unrolling(Interpreter):
             found = self.numbers[id(entry)] = (1, "", len(self.numbers)), entry
         return found[0]
 
-    def evaluate(self, primitive: Primitive, params: dict, operands: list, dtypes: list) -> Any:
-        """The primitive itself, of scalars: a number where all of them are."""
+    def evaluate_term(
+        self, primitive: Primitive, params: dict, operands: list, dtypes: list
+    ) -> Any:
+        """The primitive applied to scalars; a number if all operands are numbers."""
         now = all(map(is_number, operands))
         if now and primitive.name in EXACT:
             with np.errstate(all="ignore"):
@@ -159,7 +161,7 @@ class Unrolling(Interpreter):
             np.asarray(x, dtype) if is_number(x) else x
             for x, dtype in zip(operands, dtypes, strict=True)
         ]
-        (result,) = bound(primitive, params, scalars, now=now)
+        (result,) = bind_primitive(primitive, params, scalars, now=now)
         return result.item() if now else result
 
     def multiply(self, a, b, dtype):
@@ -180,7 +182,7 @@ class Unrolling(Interpreter):
         return [result]
 
     def contract(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
-        """A product of matrices: batch axes first, then the free ones of either side."""
+        """A product of matrices, with batch axes first, then the free axes of either side."""
         dtypes = {variable.aval.dtype for variable in (*equation.invars, *equation.outvars)}
         if len(dtypes) > 1:
             return self.keep(equation, operands)
@@ -188,14 +190,14 @@ class Unrolling(Interpreter):
         dimensions = equation.params["dimension_numbers"]
         (over_left, over_right), (batch_left, batch_right) = dimensions
 
-        def arranged(x, over, batch):
+        def arrange(x, over, batch):
             free = [axis for axis in range(x.ndim) if axis not in (*over, *batch)]
             sizes = [[x.shape[axis] for axis in axes] for axes in (batch, free, over)]
             matrices = x.transpose(*batch, *free, *over)
             return matrices.reshape(*map(math.prod, sizes)), sizes
 
-        left, (batch, rows, _) = arranged(left, over_left, batch_left)
-        right, (_, columns, _) = arranged(right, over_right, batch_right)
+        left, (batch, rows, _) = arrange(left, over_left, batch_left)
+        right, (_, columns, _) = arrange(right, over_right, batch_right)
         result = np.empty((len(left), left.shape[1], right.shape[1]), object)
         for b, i, j in product(*map(range, result.shape)):
             pairs = zip(left[b, i], right[b, j], strict=True)
@@ -203,9 +205,9 @@ class Unrolling(Interpreter):
         return [result.reshape((*batch, *rows, *columns))]
 
     def index(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
-        """Entries of an array at places that are known; others are left to the primitive.
+        """Entries of an array at known places, all within bounds.
 
-        So are those out of bounds, for which the primitive makes up an entry.
+        If a place is computed or out of bounds, the primitive itself is applied.
         """
         entries, *indices = operands
         if not all(is_number(entry) for index in indices for entry in index.ravel()):
@@ -213,20 +215,21 @@ class Unrolling(Interpreter):
         params = equation.params
         numbers = np.arange(1, entries.size + 1).reshape(entries.shape)
         avals = [variable.aval for variable in equation.invars[1:]]
-        indices = [joined(x, like) for x, like in zip(indices, avals, strict=True)]
+        indices = [assemble(x, like) for x, like in zip(indices, avals, strict=True)]
         params = params | {"fill_value": 0} if "fill_value" in params else params
-        (places,) = bound(equation.primitive, params, [numbers, *indices], now=True)
+        (places,) = bind_primitive(equation.primitive, params, [numbers, *indices], now=True)
         if not places.all():
             return self.keep(equation, operands)
         return [entries.ravel()[places.ravel() - 1].reshape(places.shape)]
 
 
 COMMUTATIVE = frozenset(["mul", "add", "add_any"])
+"""Primitives whose two operands may be exchanged without a change of the result."""
 
 
 @functools.cache
 def params_of(function: Callable) -> dict:
-    """Those that a function of two numbers gives to its primitive."""
+    """The parameters with which a JAX function of two numbers binds its primitive."""
     number = jax.ShapeDtypeStruct((), np.float32)
     return jax.make_jaxpr(function)(number, number).eqns[0].params
 
@@ -236,30 +239,30 @@ def is_number(entry) -> bool:
     return isinstance(entry, (bool, int, float, complex))
 
 
-def bound(primitive: Primitive, params: dict, operands, *, now: bool) -> list:
-    """A primitive's results; `now`, as NumPy arrays, where they do not depend on a tracer."""
+def bind_primitive(primitive: Primitive, params: dict, operands, *, now: bool) -> list:
+    """The results of a primitive; with `now`, evaluated at once, as NumPy arrays."""
     if not now:
         results = primitive.bind(*operands, **primitive.get_bind_params(params))
         return list(results) if primitive.multiple_results else [results]
     with jax.ensure_compile_time_eval():
-        results = bound(primitive, params, list(map(jnp.asarray, operands)), now=False)
+        results = bind_primitive(primitive, params, list(map(jnp.asarray, operands)), now=False)
         return list(map(np.asarray, results))
 
 
 @no_type_check
-def added(a, b):
+def simplify_sum(a, b):
     if is_number(a) and a == 0:
         return b
     return a if is_number(b) and b == 0 else None
 
 
 @no_type_check
-def subtracted(a, b):
+def simplify_difference(a, b):
     return a if is_number(b) and b == 0 else None
 
 
 @no_type_check
-def multiplied(a, b):
+def simplify_product(a, b):
     for one, other in ((a, b), (b, a)):
         if is_number(one) and one in (0, 1):
             return other if one == 1 else one
@@ -267,12 +270,12 @@ def multiplied(a, b):
 
 
 @no_type_check
-def divided(a, b):
+def simplify_quotient(a, b):
     return a if is_number(b) and b == 1 else None
 
 
 @no_type_check
-def selected(which, *cases):
+def simplify_selection(which, *cases):
     return cases[int(which)] if is_number(which) else None
 
 
@@ -293,20 +296,19 @@ EXACT = {
     "or": np.bitwise_or,
     "sub": np.subtract,
 }
-"""Functions of known numbers that NumPy computes alike, and for which XLA would compile a program.
-"""
+"""NumPy functions with the same results on known numbers, for which XLA would compile a program."""
 SHORTCUTS = {
-    "add": added,
-    "add_any": added,
-    "sub": subtracted,
-    "mul": multiplied,
-    "div": divided,
-    "select_n": selected,
+    "add": simplify_sum,
+    "add_any": simplify_sum,
+    "sub": simplify_difference,
+    "mul": simplify_product,
+    "div": simplify_quotient,
+    "select_n": simplify_selection,
 }
-"""Results that are one of the operands."""
+"""By primitive: the operand that equals the result, or None."""
 
 
-def broadcast(operands, params, shape):
+def broadcast_entries(operands, params, shape):
     (operand, *_), dimensions = operands, params["broadcast_dimensions"]
     sizes = [1] * len(shape)
     for axis, size in zip(dimensions, operand.shape, strict=True):
@@ -314,27 +316,27 @@ def broadcast(operands, params, shape):
     return np.broadcast_to(operand.reshape(sizes), shape)
 
 
-def sliced(operands, params, shape):
+def slice_entries(operands, params, shape):
     strides = params["strides"] or (1,) * len(shape)
     limits = zip(params["start_indices"], params["limit_indices"], strides, strict=True)
     return operands[0][tuple(slice(*one) for one in limits)]
 
 
 MOVES = {
-    "broadcast_in_dim": broadcast,
+    "broadcast_in_dim": broadcast_entries,
     "concatenate": lambda xs, params, shape: np.concatenate(xs, axis=params["dimension"]),
     "expand_dims": lambda xs, params, shape: xs[0].reshape(shape),
     "reshape": lambda xs, params, shape: xs[0].reshape(shape),
     "rev": lambda xs, params, shape: np.flip(xs[0], params["dimensions"]),
-    "slice": sliced,
+    "slice": slice_entries,
     "stack": lambda xs, params, shape: np.stack(xs, axis=params["axis"]),
     "squeeze": lambda xs, params, shape: xs[0].reshape(shape),
     "transpose": lambda xs, params, shape: xs[0].transpose(params["permutation"]),
 }
-"""Primitives that only move entries about, to one array."""
+"""Primitives that only move entries: (operands, parameters, shape) -> result."""
 
 
-def moving(move: Callable) -> Callable:
+def entry_move(move: Callable) -> Callable:
     """The rule of a primitive that only moves entries."""
 
     def rule(unrolling, equation, operands):
@@ -343,8 +345,8 @@ def moving(move: Callable) -> Callable:
     return rule
 
 
-def pad(unrolling, equation, operands):
-    """Entries with a value around them and in between; less than none around cuts some off."""
+def pad_entries(unrolling, equation, operands):
+    """Entries with a value around and between them; negative padding removes entries."""
     entries, padding = operands
     for axis, (low, high, between) in enumerate(equation.params["padding_config"]):
         moved = np.moveaxis(entries, axis, 0)
@@ -360,7 +362,7 @@ def pad(unrolling, equation, operands):
     return [entries]
 
 
-def split(unrolling, equation, operands):
+def split_axis(unrolling, equation, operands):
     ends = np.cumsum(equation.params["sizes"])[:-1]
     return np.split(operands[0], ends, axis=equation.params["axis"])
 
@@ -375,10 +377,10 @@ Unrolling.rules = {
     **dict.fromkeys(CALLS, Unrolling.call),
     **dict.fromkeys(ENTRYWISE, Unrolling.entrywise),
     **dict.fromkeys(("dynamic_slice", "gather"), Unrolling.index),
-    **{name: moving(move) for name, move in MOVES.items()},
+    **{name: entry_move(move) for name, move in MOVES.items()},
     "dot_general": Unrolling.contract,
-    "pad": pad,
+    "pad": pad_entries,
     "reduce_sum": Unrolling.sum,
-    "split": split,
+    "split": split_axis,
     "unstack": unstack,
 }

@@ -1,7 +1,7 @@
-"""Primitives of small arrays as JAX functions of scalars, unrolled: linear algebra, scans, sums.
+"""JAX functions in place of primitives of small arrays: linear algebra, scans, cumulative sums.
 
-Each takes the primitive's parameters, and gives the function of its operands. Factorisations have
-LAPACK's conventions. Batches of matrices are mapped over.
+Each takes the parameters of a primitive and returns a function of its operands, to be unrolled into
+scalars. Factorisations have LAPACK's conventions. Batches of matrices are mapped over.
 """
 
 from collections.abc import Callable
@@ -15,8 +15,8 @@ from jax.extend.core import jaxpr_as_fun
 from walker_jax.kernels.rules import UnsupportedPrimitive
 
 
-def scan(params: dict) -> Callable:
-    """As a loop that counts its turns."""
+def scan_as_while(params: dict) -> Callable:
+    """A scan as a while loop with a counter."""
     body, length, reverse = jaxpr_as_fun(params["jaxpr"]), params["length"], params["reverse"]
     constants, carried = params["num_consts"], params["num_carry"]
     stacked = params["jaxpr"].out_avals[carried:]
@@ -44,7 +44,7 @@ def scan(params: dict) -> Callable:
     return function
 
 
-def cumulative(combine: Callable) -> Callable:
+def cumulate(combine: Callable) -> Callable:
     def substitute(params: dict) -> Callable:
         axis, reverse = params["axis"], params["reverse"]
 
@@ -61,8 +61,8 @@ def cumulative(combine: Callable) -> Callable:
     return substitute
 
 
-def extreme_place(beyond: Callable) -> Callable:
-    """The first place of the largest entry, or the least; NaN is beyond all."""
+def index_of_extremum(beyond: Callable) -> Callable:
+    """The first index of the largest or smallest entry; NaN is beyond all others."""
 
     def substitute(params: dict) -> Callable:
         (axis,), dtype = params["axes"], params["index_dtype"]
@@ -85,8 +85,8 @@ def extreme_place(beyond: Callable) -> Callable:
 # Linear algebra
 
 
-def of_matrices(substitute: Callable[..., Callable], ranks: tuple[int, ...]) -> Callable:
-    """The same for batches: operands have these ranks but for leading axes, mapped over."""
+def map_batches(substitute: Callable[..., Callable], ranks: tuple[int, ...]) -> Callable:
+    """Maps a substitute for operands of these ranks over their leading axes."""
 
     def batched(params: dict) -> Callable:
         single = substitute(**params)
@@ -102,7 +102,7 @@ def of_matrices(substitute: Callable[..., Callable], ranks: tuple[int, ...]) -> 
     return batched
 
 
-def reflected(c, v, tau):
+def reflect(c, v, tau):
     """(1 - tau v v^T) c."""
     return c - tau * v * jnp.sum(v * c)
 
@@ -113,7 +113,7 @@ def unit_vectors(a, k: int):
 
 
 def geqrf() -> Callable:
-    """Householder's factorisation: R, below it the vectors of the reflections; their factors."""
+    """QR by Householder's reflections: R with their vectors below the diagonal; their factors."""
 
     def function(a):
         m, n = a.shape
@@ -127,7 +127,7 @@ def geqrf() -> Callable:
             rest = rest / jnp.where(turns, x - end, 1)
             v = jnp.concatenate([jnp.ones(1, a.dtype), rest])
             for j in range(k + 1, n):
-                new = reflected(columns[j][k:], v, tau)
+                new = reflect(columns[j][k:], v, tau)
                 columns[j] = jnp.concatenate([columns[j][:k], new])
             columns[k] = jnp.concatenate([above, end[None], rest])
             taus.append(tau)
@@ -137,26 +137,26 @@ def geqrf() -> Callable:
 
 
 def householder_product() -> Callable:
-    """The first columns of a product of reflections."""
+    """The first columns of Q, a product of reflections."""
 
     def function(a, taus):
         m, n = a.shape
         columns = list(jnp.eye(m, n, dtype=a.dtype).T)
         for k in reversed(range(taus.shape[0])):
-            columns = [reflected(c, unit_vectors(a, k), taus[k]) for c in columns]
+            columns = [reflect(c, unit_vectors(a, k), taus[k]) for c in columns]
         return [jnp.stack(columns, 1)]
 
     return function
 
 
 def ormqr(left: bool, transpose: bool) -> Callable:
-    """A product of reflections by a matrix, or a matrix by it."""
+    """The product of Q or its transpose with a matrix, from the left or the right."""
 
     def function(a, taus, c):
         lines = list(c.T if left else c)
         order = range(taus.shape[0])
         for k in order if left == transpose else reversed(order):
-            lines = [reflected(line, unit_vectors(a, k), taus[k]) for line in lines]
+            lines = [reflect(line, unit_vectors(a, k), taus[k]) for line in lines]
         return [jnp.stack(lines, 1 if left else 0)]
 
     return function
@@ -182,7 +182,7 @@ def qr(*, full_matrices: bool, pivoting: bool, use_magma: bool | None) -> Callab
 def triangular_solve(
     *, left_side: bool, lower: bool, transpose_a: bool, conjugate_a: bool, unit_diagonal: bool
 ) -> Callable:
-    """By substitution."""
+    """The solution of a triangular system by substitution."""
     del conjugate_a
 
     def function(a, b):
@@ -210,8 +210,8 @@ def lu() -> Callable:
         for k in range(min(m, n)):
             pivot = (k + jnp.argmax(jnp.abs(a[k:, k]))).astype(jnp.int32)
             pivots.append(pivot)
-            order = swapped(order, k, pivot)
-            a = swapped(a, k, pivot)
+            order = swap(order, k, pivot)
+            a = swap(a, k, pivot)
             factors = a[k + 1 :, k] / jnp.where(a[k, k] == 0, 1, a[k, k])
             rest = a[k + 1 :, k + 1 :] - factors[:, None] * a[k, k + 1 :]
             below = jnp.concatenate([a[k + 1 :, :k], factors[:, None], rest], 1)
@@ -221,8 +221,8 @@ def lu() -> Callable:
     return function
 
 
-def swapped(a, i: int, j):
-    """An array with two of its parts in each other's place, where j >= i."""
+def swap(a, i: int, j):
+    """An array with rows i and j >= i exchanged."""
     first, other = a[i], lax.dynamic_index_in_dim(a, j, keepdims=False)
     a = lax.dynamic_update_index_in_dim(a, first, j, 0)
     return jnp.concatenate([a[:i], other[None], a[i + 1 :]])
@@ -231,7 +231,7 @@ def swapped(a, i: int, j):
 def lu_pivots_to_permutation(*, permutation_size: int) -> Callable:
     def function(pivots):
         order = jnp.arange(permutation_size, dtype=jnp.int32)
-        return [reduce(lambda order, k: swapped(order, k, pivots[k]), range(len(pivots)), order)]
+        return [reduce(lambda order, k: swap(order, k, pivots[k]), range(len(pivots)), order)]
 
     return function
 
@@ -256,21 +256,21 @@ def cholesky(**_) -> Callable:
 
 
 SUBSTITUTES: dict[str, Callable[[dict], Callable]] = {
-    "scan": scan,
-    "cumsum": cumulative(lambda a, b: a + b),
-    "cumprod": cumulative(lambda a, b: a * b),
-    "cummax": cumulative(jnp.maximum),
-    "cummin": cumulative(jnp.minimum),
-    "cumlogsumexp": cumulative(jnp.logaddexp),
-    "argmax": extreme_place(lambda a, b: a > b),
-    "argmin": extreme_place(lambda a, b: a < b),
-    "geqrf": of_matrices(geqrf, (2,)),
-    "householder_product": of_matrices(householder_product, (2, 1)),
-    "ormqr": of_matrices(ormqr, (2, 1, 2)),
-    "qr": of_matrices(qr, (2,)),
-    "triangular_solve": of_matrices(triangular_solve, (2, 2)),
-    "lu": of_matrices(lu, (2,)),
-    "lu_pivots_to_permutation": of_matrices(lu_pivots_to_permutation, (1,)),
-    "cholesky": of_matrices(cholesky, (2,)),
+    "scan": scan_as_while,
+    "cumsum": cumulate(lambda a, b: a + b),
+    "cumprod": cumulate(lambda a, b: a * b),
+    "cummax": cumulate(jnp.maximum),
+    "cummin": cumulate(jnp.minimum),
+    "cumlogsumexp": cumulate(jnp.logaddexp),
+    "argmax": index_of_extremum(lambda a, b: a > b),
+    "argmin": index_of_extremum(lambda a, b: a < b),
+    "geqrf": map_batches(geqrf, (2,)),
+    "householder_product": map_batches(householder_product, (2, 1)),
+    "ormqr": map_batches(ormqr, (2, 1, 2)),
+    "qr": map_batches(qr, (2,)),
+    "triangular_solve": map_batches(triangular_solve, (2, 2)),
+    "lu": map_batches(lu, (2,)),
+    "lu_pivots_to_permutation": map_batches(lu_pivots_to_permutation, (1,)),
+    "cholesky": map_batches(cholesky, (2,)),
 }
-"""By primitive, a function of its parameters that gives one of its operands."""
+"""By primitive: parameters -> function of the operands."""

@@ -9,7 +9,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from walker_jax.checks import WrongUse
-from walker_jax.kernels.scalars import unrolled
+from walker_jax.kernels.scalars import unroll
 from walker_jax.walkers.masses import MultibodyWalker, stance_coordinates
 from walker_jax.walkers.model import Scalar, State
 
@@ -48,12 +48,12 @@ class HeavyLegWalker(MultibodyWalker):
 
     def clearance(self, state):
         above = lambda walker, *legs: walker.swing_foot(stance_coordinates([*legs]))[1]
-        return unrolled(above)(self, state.theta, state.phi)
+        return unroll(above)(self, state.theta, state.phi)
 
     def reach(self, state):
         """Of feet that roll, how far the walker gets by a step, rolling included."""
         ahead = lambda walker, *legs: walker.swing_foot(stance_coordinates([*legs]))[0]
-        return unrolled(ahead)(self, state.theta, state.phi)
+        return unroll(ahead)(self, state.theta, state.phi)
 
     def feasible(self, x):
         """0 < theta < pi/2, thetadot < 0, and the trailing foot lifts: phidot > 2 thetadot."""

@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float
 
 from walker_jax import multibody
 from walker_jax.integrators.taylor import VirtualPower
-from walker_jax.kernels.scalars import unrolled
+from walker_jax.kernels.scalars import unroll
 from walker_jax.multibody import System
 from walker_jax.walkers.model import Scalar, State, Walker
 
@@ -87,7 +87,7 @@ class SingleSupport(VirtualPower):
 
     def transfer(self, q):
         flat = lambda walker, q: list(walker.system().transfer(stance_coordinates(q)))
-        return unrolled(flat)(self.walker, q)
+        return unroll(flat)(self.walker, q)
 
     def power(self, q, qdot, acceleration):
         def flat(walker, q, qdot, acceleration):
@@ -100,17 +100,17 @@ class SingleSupport(VirtualPower):
                 )[2:]
             )
 
-        return unrolled(flat)(self.walker, q, qdot, acceleration)
+        return unroll(flat)(self.walker, q, qdot, acceleration)
 
     def factorise(self, q):
         def flat(walker, q):
             matrix = multibody.mass_matrix(walker.system(), stance_coordinates(q))
             return multibody.factorise(multibody.block(matrix, (2, 3)))
 
-        return unrolled(flat)(self.walker, q)
+        return unroll(flat)(self.walker, q)
 
     def solve(self, factors, right):
-        return multibody.solve(factors, right)
+        return multibody.solve_factored(factors, right)
 
 
 def stance_coordinates(legs: list[Scalar]) -> Float[Array, " 4"]:
@@ -132,10 +132,10 @@ def accelerations_and_forces(
 
     def equations(walker, state):
         q, qdot = coordinates_and_rates(state)
-        accelerations, forces = multibody.motion(walker.system(), q, qdot, held=(0, 1))
+        accelerations, forces = multibody.solve_motion(walker.system(), q, qdot, held=(0, 1))
         return list(accelerations), list(forces)
 
-    return unrolled(equations)(walker, state)
+    return unroll(equations)(walker, state)
 
 
 @jax.jit
@@ -147,7 +147,7 @@ def rates_and_impulses(walker: MultibodyWalker, state: State) -> tuple[list[Scal
         after = multibody.impact(walker.system(), walker.swing_foot, q, qdot)
         return list(after.velocities), list(after.impulses)
 
-    return unrolled(equations)(walker, state)
+    return unroll(equations)(walker, state)
 
 
 def gravity(slope: Scalar, masses: Float[Array, " x"], turns: int = 0) -> Float[Array, " x"]:

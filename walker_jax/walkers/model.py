@@ -24,9 +24,8 @@ from jaxtyping import Array, Bool, Float
 
 from walker_jax.checks import WrongUse
 from walker_jax.grids import Grid
+from walker_jax.integrators.roots import Scalar
 from walker_jax.kernels import by_kernel
-
-Scalar = Float[Array, ""]
 
 
 class State(NamedTuple):

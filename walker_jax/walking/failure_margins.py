@@ -17,17 +17,23 @@ from jaxtyping import Array, Bool, Float
 from walker_jax.checks import refuses_tracers
 from walker_jax.integrators.roots import (
     Instant,
+    bracketed_newton,
     derivative_of,
-    first_rise,
-    least,
-    negative,
-    of_polynomial,
-    rising_root,
-    when_zero,
+    differentiable_zero,
+    first_upcrossing,
+    interior_minimum,
+    negate,
+    polynomial_jet,
 )
-from walker_jax.integrators.series import evaluate
-from walker_jax.integrators.solvers import MAX_STEPS, Real, order_of, polynomial, taylor_step
-from walker_jax.integrators.taylor import fast_sines, function_series
+from walker_jax.integrators.series import evaluate_polynomial
+from walker_jax.integrators.solvers import (
+    MAX_STEPS,
+    Real,
+    evaluate_series,
+    series_order,
+    taylor_step,
+)
+from walker_jax.integrators.taylor import function_series, with_fast_sincos
 from walker_jax.kernels import by_kernel
 from walker_jax.walkers.model import Scalar, State, Walker, toppling_rate
 from walker_jax.walking.iteration import for_each_start
@@ -124,13 +130,13 @@ class MarginState(NamedTuple):
 def follow_margins(
     walker: Walker, x: Float[Array, " coordinates"], tolerance: Float[Array, ""]
 ) -> Margins:
-    start, verdict = fast_sines(begin_stride)(walker, x)
+    start, verdict = with_fast_sincos(begin_stride)(walker, x)
     field = equations(walker)
-    order = order_of(start)
-    rate = fast_sines(toppling_rate)(walker)
+    order = series_order(start)
+    rate = with_fast_sincos(toppling_rate)(walker)
 
     def contact_force(state: State) -> Scalar:
-        return fast_sines(lambda walker, state: walker.contact_force(state)[1])(walker, state)
+        return with_fast_sincos(lambda walker, state: walker.contact_force(state)[1])(walker, state)
 
     def undecided(now: MarginState):
         going = (now.verdict == Outcome.UNDECIDED) & (now.count < MAX_STEPS)
@@ -138,27 +144,27 @@ def follow_margins(
 
     def advance(now: MarginState) -> MarginState:
         series, length = taylor_step(field, now.state, order, tolerance, walker.contact)
-        after = polynomial(series, length)
+        after = evaluate_series(series, length)
         h = function_series(walker.contact, series)
-        look = of_polynomial(h)
-        turn = least(look, length)
-        below = fast_sines(is_below)(walker, after)
-        crossed, when = first_rise(look, length, (now.below, below))
-        when = when_zero(h, when)
-        arrival = polynomial(series, when)
+        look = polynomial_jet(h)
+        turn = interior_minimum(look, length)
+        below = with_fast_sincos(is_below)(walker, after)
+        crossed, when = first_upcrossing(look, length, (now.below, below))
+        when = differentiable_zero(h, when)
+        arrival = evaluate_series(series, when)
         ahead = (arrival.theta < 0) & (arrival.theta > -np.pi / 2) & (arrival.thetadot < 0)
         strikes = crossed & ahead
         stopped, down = after.thetadot >= 0, after.theta <= -np.pi / 2
         fallen = stopped | down
         if on_section(walker, x):
-            fallen |= ~below & fast_sines(lambda w, s: w.past_contact(s))(walker, after)
+            fallen |= ~below & with_fast_sincos(lambda w, s: w.past_contact(s))(walker, after)
         verdict = jnp.where(stopped, Outcome.BACKWARD, Outcome.FORWARD)
         verdict = jnp.where(fallen, verdict, Outcome.UNDECIDED)
         verdict = jnp.where(strikes, Outcome.STRIDE, verdict).astype(jnp.int8)
 
         # the foot
-        depth = -evaluate(h, turn.time)
-        is_ahead = evaluate(series.phi, turn.time) < 0
+        depth = -evaluate_polynomial(h, turn.time)
+        is_ahead = evaluate_polynomial(series.phi, turn.time) < 0
         dip = jnp.where(turn.exists & (depth > 0), jnp.maximum(now.dip, depth), now.dip)
         missed = jnp.where(
             turn.exists & (depth <= 0) & is_ahead, jnp.maximum(now.missed, depth), now.missed
@@ -166,29 +172,31 @@ def follow_margins(
         scuffs = crossed & (arrival.theta >= 0)
         missed = jnp.where(scuffs, jnp.maximum(missed, -arrival.theta), missed)
         hdot = derivative_of(h)
-        slow = least(of_polynomial(hdot), length)
-        when_slow = when_zero(derivative_of(hdot), slow.time)  # where h itself goes on changing
-        rising = slow.exists & (evaluate(hdot, when_slow) > 0)
-        rising &= evaluate(series.phi, when_slow) < 0
-        slowest = jnp.maximum(now.slowest, -evaluate(h, when_slow))
+        slow = interior_minimum(polynomial_jet(hdot), length)
+        when_slow = differentiable_zero(
+            derivative_of(hdot), slow.time
+        )  # where h itself goes on changing
+        rising = slow.exists & (evaluate_polynomial(hdot, when_slow) > 0)
+        rising &= evaluate_polynomial(series.phi, when_slow) < 0
+        slowest = jnp.maximum(now.slowest, -evaluate_polynomial(h, when_slow))
         slowest = jnp.where(rising, slowest, now.slowest)
         passes, passing = upcrossing([-c for c in series.phi], length)
         lands, landing = upcrossing(
             [-np.pi / 2 - series.theta[0], *(-c for c in series.theta[1:])], length
         )
         unknown = now.otherwise == -jnp.inf
-        otherwise = jnp.where(lands & unknown, -evaluate(h, landing), now.otherwise)
-        otherwise = jnp.where(passes & unknown, -evaluate(h, passing), otherwise)
+        otherwise = jnp.where(lands & unknown, -evaluate_polynomial(h, landing), now.otherwise)
+        otherwise = jnp.where(passes & unknown, -evaluate_polynomial(h, passing), otherwise)
 
         # the stance leg
         speed = derivative_of(series.theta)
-        slowing = least(negative(of_polynomial(speed)), length)
+        slowing = interior_minimum(negate(polynomial_jet(speed)), length)
         until = jnp.where(strikes, when, length)
         counts = slowing.exists & (slowing.time < until)
-        left = evaluate(speed, slowing.time) ** 2 / 2
+        left = evaluate_polynomial(speed, slowing.time) ** 2 / 2
         backward = jnp.where(counts, jnp.minimum(now.backward, left), now.backward)
         _, stop = upcrossing(speed, length)
-        missing = -((evaluate(derivative_of(speed), stop) / rate) ** 2) / 2
+        missing = -((evaluate_polynomial(derivative_of(speed), stop) / rate) ** 2) / 2
         backward = jnp.where(verdict == Outcome.BACKWARD, missing, backward)
 
         # the force
@@ -199,11 +207,13 @@ def follow_margins(
                 walker,
                 now.state,
                 other,
-                lambda t: polynomial(series, t),
+                lambda t: evaluate_series(series, t),
                 until,
                 resolution=1e-9,
             )
-            value = jnp.where(jnp.isfinite(value), contact_force(polynomial(series, at)), value)
+            value = jnp.where(
+                jnp.isfinite(value), contact_force(evaluate_series(series, at)), value
+            )
             running = jnp.minimum(running, value)
         return MarginState(
             after,
@@ -232,11 +242,13 @@ def follow_margins(
         otherwise=jnp.full_like(rate, -jnp.inf),
         running=contact_force(start),
         arrival=start,
-        below=fast_sines(is_below)(walker, start),
+        below=with_fast_sincos(is_below)(walker, start),
     )
     last = lax.while_loop(undecided, advance, first)
-    stride = fast_sines(end_stride)(walker, last.arrival, last.time, last.verdict, last.running < 0)
-    return Margins(stride, *fast_sines(margins_from)(walker, first, last, stride.outcome))
+    stride = with_fast_sincos(end_stride)(
+        walker, last.arrival, last.time, last.verdict, last.running < 0
+    )
+    return Margins(stride, *with_fast_sincos(margins_from)(walker, first, last, stride.outcome))
 
 
 def is_below(walker: Walker, state: State) -> Bool[Array, ""]:
@@ -289,10 +301,11 @@ def margins_from(
 def upcrossing(series: list[Scalar], length: Scalar) -> Instant:
     """Where a polynomial is zero that is negative at the start of a step, and not at its end."""
     fixed, length = lax.stop_gradient((series, length))
-    exists = (fixed[0] < 0) & (evaluate(fixed, length) >= 0)
+    exists = (fixed[0] < 0) & (evaluate_polynomial(fixed, length) >= 0)
     slope = derivative_of(fixed)
-    look = lambda t: (evaluate(fixed, t), evaluate(slope, t))
+    look = lambda t: (evaluate_polynomial(fixed, t), evaluate_polynomial(slope, t))
     zero = jnp.zeros_like(length)
     return Instant(
-        exists, when_zero(series, rising_root(look, zero, jnp.where(exists, length, zero)))
+        exists,
+        differentiable_zero(series, bracketed_newton(look, zero, jnp.where(exists, length, zero))),
     )

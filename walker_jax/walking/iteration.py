@@ -19,7 +19,7 @@ from jaxtyping import Array, Float, Int
 
 from walker_jax.checks import WrongUse, array, check_kind, check_whole, refuses_tracers
 from walker_jax.execution.tiles import map_cells
-from walker_jax.integrators.solvers import AnySolver, Real, default_tolerance, solved_by
+from walker_jax.integrators.solvers import AnySolver, Real, default_tolerance, using_solver
 from walker_jax.walkers.model import State, Walker
 from walker_jax.walkers.parameters import parameters
 from walker_jax.walking.outcomes import Outcome, Stride, Walk
@@ -69,7 +69,7 @@ def strides(
     It is fastest where neighbours in `xs` are close on the section.
     `progress` is what to call the work in a progress bar, shown on a terminal only.
     """
-    with solved_by(solver):
+    with using_solver(solver):
         return for_each_start(follow_stride, walker, xs, tolerance, progress)
 
 
@@ -95,9 +95,9 @@ def for_each_start(
         )
     dtype = xs.dtype if np.issubdtype(xs.dtype, np.floating) else float
     xs = xs.astype(jax.dtypes.canonicalize_dtype(dtype), copy=False)
-    tolerance = np.asarray(default_tolerance(xs.dtype, tolerance), xs.dtype)
+    checked = np.asarray(default_tolerance(xs.dtype, tolerance), xs.dtype)
     walker, many = as_arrays(walker, len(xs), xs.dtype)
-    return map_cells(function, (walker, xs, tolerance), (many, True, False), progress=progress)
+    return map_cells(function, (walker, xs, checked), (many, True, False), progress=progress)
 
 
 def as_arrays(walker: Walker, n: int, dtype) -> tuple[Walker, bool]:
@@ -146,7 +146,7 @@ def walk(
     walker, x, tolerance = prepare(walker, x, tolerance)
     if x.shape != (len(walker.section),):
         raise WrongUse(f"x must be on the section {walker.section}, not of shape {x.shape}")
-    with solved_by(solver):
+    with using_solver(solver):
         return follow_walk(walker, x, n, tolerance)
 
 

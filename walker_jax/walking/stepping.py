@@ -17,10 +17,10 @@ from walker_jax.integrators.solvers import (
     Method,
     Real,
     default_tolerance,
-    solved_by,
     solver_for,
+    using_solver,
 )
-from walker_jax.integrators.taylor import fast_sines
+from walker_jax.integrators.taylor import with_fast_sincos
 from walker_jax.kernels import by_kernel
 from walker_jax.walkers.masses import MultibodyWalker
 from walker_jax.walkers.model import Scalar, State, Walker
@@ -57,7 +57,7 @@ def stride(
     **Returns** a `Stride`. A failure is an `Outcome`. `ValueError` for a wrong shape or dtype, and
     for a tolerance that the dtype cannot hold.
     """
-    with solved_by(solver):
+    with using_solver(solver):
         return follow_stride(*prepare(walker, x, tolerance))
 
 
@@ -87,10 +87,10 @@ def follow_stride(
     x: Float[Array, " coordinates"],
     tolerance: Float[Array, ""],
 ) -> Stride:
-    start, verdict = fast_sines(begin_stride)(walker, x)
+    start, verdict = with_fast_sincos(begin_stride)(walker, x)
     launched = not on_section(walker, x)
     arrival, time, verdict, pulled = swing(walker, start, verdict, tolerance, launched=launched)
-    return fast_sines(end_stride)(walker, arrival, time, verdict, pulled)
+    return with_fast_sincos(end_stride)(walker, arrival, time, verdict, pulled)
 
 
 def on_section(walker: Walker, x: Float[Array, " coordinates"]) -> bool:
@@ -194,14 +194,14 @@ def follow_step_down(
     drop: Float[Array, ""],
     tolerance: Float[Array, ""],
 ) -> Stride:
-    start, verdict = fast_sines(begin_stride)(walker, x)
+    start, verdict = with_fast_sincos(begin_stride)(walker, x)
     launched = not on_section(walker, x)
     level, time, verdict, pulled = swing(walker, start, verdict, tolerance, launched=launched)
-    pulled |= fast_sines(in_tension)(walker, level)
+    pulled |= with_fast_sincos(in_tension)(walker, level)
     going = (verdict == Outcome.STRIDE) & (drop > 0)
     verdict = jnp.where(going, Outcome.UNDECIDED, verdict).astype(jnp.int8)
     arrival, longer, verdict, more = swing(walker, level, verdict, tolerance, drop)
-    following, outcome = fast_sines(resolve_impact)(walker, arrival, verdict, pulled | more)
+    following, outcome = with_fast_sincos(resolve_impact)(walker, arrival, verdict, pulled | more)
     return make_stride(jnp.stack(following), outcome, time + longer)
 
 
@@ -213,11 +213,11 @@ def trajectory(
     tolerance: Real | None = None,
     solver: AnySolver | None = None,
 ) -> State:
-    """Angles and rates at `times` after the start x of a stride, 0 or later, increasing.
+    """Angles and rates at `times` after the start x of a stride, 0 or later, in any order.
 
     The motion is that of the equations alone: it does not end at heel strike, whose time `stride`
     gives. Returns a `State` of arrays; NaN where that takes more than `MAX_STEPS` of integration.
-    `ValueError` as for `stride`, and for times that decrease or are negative.
+    `ValueError` as for `stride`, and for times that are not finite or negative.
     """
     walker, x, tolerance = prepare(walker, x, tolerance)
     if not isinstance(x, Tracer) and not jnp.isfinite(x).all():
@@ -226,11 +226,10 @@ def trajectory(
     if times.ndim != 1:
         raise WrongUse(f"times must be a row of numbers, not of shape {times.shape}")
     if not isinstance(times, Tracer):
-        listed = np.asarray(times)
-        steps = np.diff(listed, prepend=0.0)
-        if listed.size == 0 or not (np.isfinite(steps) & (steps >= 0)).all():
-            raise WrongUse(f"times must be finite, not negative and not decrease, unlike {times}")
-    with solved_by(solver):
+        values = np.asarray(times)
+        if values.size == 0 or not (np.isfinite(values) & (values >= 0)).all():
+            raise WrongUse(f"times must be one or more, finite and not negative, unlike {times}")
+    with using_solver(solver):
         return jax.vmap(state_after, (None, None, 0, None))(walker, x, times, tolerance)
 
 

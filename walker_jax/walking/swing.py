@@ -15,9 +15,9 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Int
 
-from walker_jax.integrators.roots import first_rise, least, negative
+from walker_jax.integrators.roots import first_upcrossing, interior_minimum, negate
 from walker_jax.integrators.solvers import MAX_STEPS, Method, Real, solver_for, zero_at
-from walker_jax.integrators.taylor import fast_sines
+from walker_jax.integrators.taylor import with_fast_sincos
 from walker_jax.walkers.masses import MultibodyWalker, SingleSupport
 from walker_jax.walkers.model import Scalar, State, Walker
 from walker_jax.walking.outcomes import Outcome
@@ -95,25 +95,25 @@ def swing(
             return ends, ends_below
 
         last, steps = method.follow(now, stop, side=below, time=time)
-        look, until = method.look(contact, last), last.length
+        look, until = method.jet(contact, last), last.length
         below, ends_below = last.sides
         if drop is not None:
-            highest = least(negative(look), until)
+            highest = interior_minimum(negate(look), until)
             until = jnp.where(highest.exists, highest.time, until)
             ends_below = jnp.where(highest.exists, look(until)[0] < 0, ends_below)
-        rises, time = first_rise(look, until, (below, ends_below))
-        time = jnp.where(rises, method.sharpened(contact, last, time), last.length)
-        after = lambda time: method.within(last, time)
+        rises, time = first_upcrossing(look, until, (below, ends_below))
+        time = jnp.where(rises, method.refine_time(contact, last, time), last.length)
+        after = lambda time: method.state_at(last, time)
         arrival = after(time)
         if not walker.force_least_at_ends:
             pulled |= becomes_tensile(walker, last.start, arrival, after, time)
-            pulled |= ~rises & fast_sines(in_tension)(walker, arrival)
-        arrival, delay = method.land(contact, arrival)
+            pulled |= ~rises & with_fast_sincos(in_tension)(walker, arrival)
+        arrival, delay = method.refine_event(contact, arrival)
         ahead = (arrival.theta < 0) & (arrival.theta > -np.pi / 2) & (arrival.thetadot < 0)
         ahead &= arrival.phi < 0
         fallen = jnp.where(last.end.thetadot >= 0, Outcome.BACKWARD, Outcome.FORWARD)
         fallen = jnp.where(
-            fast_sines(has_fallen)(last.end, last.sides[1]), fallen, Outcome.UNDECIDED
+            with_fast_sincos(has_fallen)(last.end, last.sides[1]), fallen, Outcome.UNDECIDED
         )
         verdict = jnp.where(rises & ahead, Outcome.STRIDE, fallen).astype(jnp.int8)
         time = jnp.where(verdict == Outcome.STRIDE, time + delay, last.length)
@@ -123,7 +123,7 @@ def swing(
 
     method = Method(equations(walker), solver_for(start), tolerance, (contact,))
     zero, never = zero_at(start), jnp.asarray(False)
-    below = jnp.asarray(fast_sines(contact)(start) < 0)
+    below = jnp.asarray(with_fast_sincos(contact)(start) < 0)
     carry = (start, start, zero, verdict, jnp.asarray(0), never, below)
     _, arrival, time, verdict, _, pulled, _ = lax.while_loop(undecided, follow, carry)
     return arrival, time, verdict, pulled
@@ -169,7 +169,7 @@ def minimum_force(
     The value is right to the square of what the time is right to. Constants to derivatives.
     """
     walker, before, after = lax.stop_gradient((walker, before, after))
-    look = fast_sines(partial(normal_force, walker))
+    look = with_fast_sincos(partial(normal_force, walker))
     below, beyond, time = look(before)[1], look(after)[1], lax.stop_gradient(time)
     zero = jnp.zeros_like(time)
 
