@@ -135,7 +135,7 @@ def test_code_is_of_its_processor_versions_and_optimisation(folder, compilations
             return ""
 
     changes = [
-        (machine, "LEVEL", 1),
+        (machine, "OPTIMISATION_LEVEL", 1),
         (machine.llvmlite, "__version__", "0"),
         (machine.llvm, "llvm_version_info", (0, 0, 0)),
         (machine.llvm, "get_host_cpu_name", lambda: "generic"),

@@ -552,7 +552,7 @@ class Chain(VirtualPower):
     def transfer(self, q):
         return unroll(lambda chain, q: list(chain.system().transfer(jnp.stack(q))))(self, q)
 
-    def power(self, q, qdot, acceleration):
+    def virtual_power(self, q, qdot, acceleration):
         def flat(chain, *vectors):
             return list(multibody.virtual_power(chain.system(), *map(jnp.stack, vectors)))
 

@@ -40,7 +40,7 @@ class VirtualPower(eqx.Module):
         """F, from scalars q to scalars x."""
 
     @abc.abstractmethod
-    def power(self, q: list, qdot: list, acceleration: list) -> list:
+    def virtual_power(self, q: list, qdot: list, acceleration: list) -> list:
         """p, of q, q' and x'': one scalar for each of q."""
 
     @abc.abstractmethod
@@ -58,7 +58,7 @@ class VirtualPower(eqx.Module):
         q, rates = leaves[: len(leaves) // 2], leaves[len(leaves) // 2 :]
         velocity = lambda q: jax.jvp(self.transfer, (q,), (rates,))[1]
         convective = jax.jvp(velocity, (q,), (rates,))[1]
-        accelerations = self.solve(self.factorise(q), self.power(q, rates, convective))
+        accelerations = self.solve(self.factorise(q), self.virtual_power(q, rates, convective))
         return jax.tree.unflatten(structure, rates + accelerations)
 
     def series(self, state: PyTree, order: int) -> PyTree[list]:
@@ -99,7 +99,7 @@ class VirtualPower(eqx.Module):
             acceleration = [derivative(series, times=2) for series in x]
             like = [jnp.zeros_like(start[0])] * len(x)
             p = compose(
-                lambda args: self.power(*args),
+                lambda args: self.virtual_power(*args),
                 (q, qdot, acceleration),
                 (start[:half], start[half:], like),
             )

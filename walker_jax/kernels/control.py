@@ -14,7 +14,7 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, subjaxprs
 from llvmlite import ir
 
-from walker_jax.kernels.scalars import is_number
+from walker_jax.kernels.scalars import is_known
 
 MAX_UNROLLED_TURNS = 16
 """Most turns of an unrolled loop: the 14 stages of Dopri8 and a few more."""
@@ -116,7 +116,7 @@ def known_turns(
 @no_type_check
 def known_part(emitter, closed: ClosedJaxpr, inputs: list) -> list:
     """The results of a function that follow from known inputs alone; None for all others."""
-    known = lambda x: x is not None and all(map(is_number, x.ravel()))
+    known = lambda x: x is not None and all(map(is_known, x.ravel()))
     values: dict = dict(
         zip(closed.jaxpr.constvars, map(emitter.entries_of, closed.consts), strict=True)
     )
@@ -160,7 +160,7 @@ def choice(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
     """One of several functions: the same for all lanes if the index is known, else one per lane."""
     branches, (which, *inputs) = equation.params["branches"], operands
     builder, index, last = emitter.builder, which[()], len(branches) - 1
-    if is_number(index) or last == 0:
+    if is_known(index) or last == 0:
         return emitter.interpret(branches[min(max(int(index), 0), last) if last else 0], inputs)
     avals = [variable.aval for variable in branches[0].jaxpr.outvars]
     number = lambda i: emitter.vector(i, np.int32)

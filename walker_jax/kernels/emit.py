@@ -23,7 +23,7 @@ from walker_jax.kernels.rules import (
     is_float,
     is_floating,
 )
-from walker_jax.kernels.scalars import Unrolling, is_number
+from walker_jax.kernels.scalars import Unrolling, is_known
 from walker_jax.kernels.substitutes import SUBSTITUTES
 
 VECTOR_BITS = 512
@@ -67,7 +67,7 @@ class LLVMEmitter(Unrolling):
 
     def vector(self, entry, dtype) -> Any:
         """An entry as a vector."""
-        if not is_number(entry):
+        if not is_known(entry):
             return entry
         kind = self.scalar_type(dtype)
         value = np.asarray(entry, dtype).item()
@@ -121,7 +121,7 @@ class LLVMEmitter(Unrolling):
     def evaluate_term(
         self, primitive: Primitive, params: dict, operands: list, dtypes: list
     ) -> Any:
-        if all(map(is_number, operands)):
+        if all(map(is_known, operands)):
             return super().evaluate_term(primitive, params, operands, dtypes)
         rule = RULES.get(primitive.name)
         if rule is None:
@@ -135,7 +135,7 @@ class LLVMEmitter(Unrolling):
             return operands[0]
         result = super().term(primitive, params, operands, dtypes)
         flag = name == "select_n" and len(operands) == 3 and dtypes[0] == np.dtype(bool)
-        if flag and all(map(is_number, operands[1:])):
+        if flag and all(map(is_known, operands[1:])):
             self.alternatives[id(result)] = (result, *operands)
         return result
 
@@ -145,7 +145,7 @@ class LLVMEmitter(Unrolling):
             # An effect would happen once, while the program is emitted.
             raise UnsupportedPrimitive(primitive.name)
         if primitive.name != "cond" and all(
-            is_number(entry) for operand in operands for entry in operand.ravel()
+            is_known(entry) for operand in operands for entry in operand.ravel()
         ):
             with contextlib.suppress(TypeError):  # a random key has no numerical value
                 return super().keep(equation, operands)

@@ -95,7 +95,7 @@ def register(name: str, kernel: Kernel, buffers: list[tuple[int, int, int]]) -> 
     head = [address, len(kernel.operands), len(kernel.results), *CELLS_PER_PIECE]
     description = np.array([*head, *itertools.chain(*buffers)], np.int64)
     handler = ctypes.cast(load_handler().get_function_address("handle"), ctypes.c_void_p).value
-    stub = STUB.format(handler=handler, description=description.ctypes.data)
+    stub = STUB_PROGRAM.format(handler=handler, description=description.ctypes.data)
     program = load_program(stub, keep=False)
     call = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p)(program.get_function_address("stub"))
     jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(call), platform="cpu")
@@ -124,7 +124,7 @@ def expand_field_loads(text: str) -> str:
 
 
 BUFFER_MISMATCH = "a kernel was called with buffers of another type, rank or size"
-STUB = """
+STUB_PROGRAM = """
 define ptr @stub(ptr %frame) {{
   %handler = inttoptr i64 {handler} to ptr
   %description = inttoptr i64 {description} to ptr

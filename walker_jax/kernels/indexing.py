@@ -15,7 +15,7 @@ from jax import lax
 
 from walker_jax.kernels.jaxprs import changes_entries
 from walker_jax.kernels.rules import UnsupportedPrimitive
-from walker_jax.kernels.scalars import is_number, params_of
+from walker_jax.kernels.scalars import is_known, params_of
 
 BOOL = np.dtype(bool)
 MAX_ENTRIES = 128
@@ -34,7 +34,7 @@ COMBINATIONS = {
 @no_type_check  # as the emitter
 def select_entries(emitter, which, one: np.ndarray, other: np.ndarray, dtype) -> np.ndarray:
     """The entries of one array where a flag is true, otherwise those of another."""
-    if is_number(which):
+    if is_known(which):
         return one if which else other
     result = np.empty(one.shape, object)
     for place in np.ndindex(one.shape):
@@ -58,7 +58,7 @@ def conjunction(emitter, flags) -> Any:
     """Whether all flags are true."""
     result = True
     for flag in flags:
-        if is_number(flag):
+        if is_known(flag):
             result = result if flag else False
         elif result is True:
             result = flag
@@ -82,7 +82,7 @@ def slice_at(emitter, array: np.ndarray, axis: int, index, size: int, kind, dtyp
         left = compare(emitter, lax.le_p, index, middle, kind)
         return select_entries(emitter, left, between(low, middle), between(middle + 1, high), dtype)
 
-    if is_number(index):
+    if is_known(index):
         return beginning(min(max(int(index), 0), last))
     check_size(array)
     return between(0, last)
@@ -99,14 +99,14 @@ def update_at(
     emitter, array: np.ndarray, window: np.ndarray, starts: list, kind, clip: bool, name: str, dtype
 ) -> np.ndarray:
     """A copy of an array, updated in a window that starts at computed indices."""
-    if not all(map(is_number, starts)):
+    if not all(map(is_known, starts)):
         check_size(array)
     combine = COMBINATIONS[name]
     lasts = [length - size for length, size in zip(array.shape, window.shape, strict=True)]
 
     def begins(index, at: int, last: int):
         """Whether the window begins at a place, given its index."""
-        if is_number(index):
+        if is_known(index):
             return (min(max(int(index), 0), last) if clip else int(index)) == at
         if clip and last == 0:
             return True

@@ -86,7 +86,7 @@ class Program:
     @functools.cached_property
     def size(self) -> int:
         """The number of operations of one cell."""
-        return operations(self.closed.jaxpr)
+        return count_operations(self.closed.jaxpr)
 
     def derivative(self, by: tuple[int, ...], directions: int = 1) -> "Program":
         """The derivative of all real results along directions of the operands `by`.
@@ -121,12 +121,12 @@ class Program:
         return self.derivatives[by, directions]
 
 
-def operations(jaxpr) -> int:
+def count_operations(jaxpr) -> int:
     """The number of scalars that a jaxpr computes, each loop counted for one turn."""
     total = 0
     for equation in jaxpr.eqns:
         inner = list(jaxprs_in_params(equation.params))
-        total += sum(map(operations, inner))
+        total += sum(map(count_operations, inner))
         total += 0 if inner else sum(math.prod(v.aval.shape) for v in equation.outvars)
     return total
 
@@ -249,7 +249,9 @@ def abstract_results(*avals, program: Program, mapped: tuple[bool, ...]):
     """Shapes, types and sharding of the results."""
     n = count_cells(avals, mapped)
     lead = () if n is None else (n,)
-    like = max(avals, key=lambda aval: len(axes_of(aval)), default=ShapedArray((), np.dtype(bool)))
+    like = max(
+        avals, key=lambda aval: len(varying_axes(aval)), default=ShapedArray((), np.dtype(bool))
+    )
 
     def array(shape, dtype):
         sharding = like.sharding.update(spec=PartitionSpec(*[None] * len(shape)))
@@ -263,15 +265,15 @@ def without_weak_type(leaf) -> jax.Array:
     return jax.lax.convert_element_type(leaf, leaf.dtype)
 
 
-def axes_of(aval) -> frozenset:
+def varying_axes(aval) -> frozenset:
     """Mesh axes along which a value varies, within `jax.shard_map`."""
     return aval.manual_axis_type.varying
 
 
 def vary_alike(leaves: list) -> list:
     """Casts all values to vary along every mesh axis along which one of them varies."""
-    axes = frozenset().union(*(axes_of(jax.typeof(leaf)) for leaf in leaves))
-    missing = [tuple(axes - axes_of(jax.typeof(leaf))) for leaf in leaves]
+    axes = frozenset().union(*(varying_axes(jax.typeof(leaf)) for leaf in leaves))
+    missing = [tuple(axes - varying_axes(jax.typeof(leaf))) for leaf in leaves]
     return [
         jax.lax.pcast(leaf, more, to="varying") if more else leaf
         for leaf, more in zip(leaves, missing, strict=True)

@@ -57,7 +57,7 @@ def unroll(function: Callable[..., PyTree]) -> Callable[..., PyTree]:
 
 def assemble(entries: np.ndarray, like) -> jax.Array | np.ndarray:
     """An array from its entries; a NumPy array if all of them are known."""
-    if all(map(is_number, entries.ravel())):
+    if all(map(is_known, entries.ravel())):
         return np.asarray(entries.tolist(), like.dtype).reshape(like.shape)
     scalars = [jnp.asarray(entry, like.dtype) for entry in entries.ravel()]
     return jnp.stack(scalars).reshape(like.shape) if like.shape else scalars[0]
@@ -90,7 +90,7 @@ class Unrolling(Interpreter):
 
     def keep(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
         """The results of a primitive of arrays, applied to whole arrays."""
-        known = all(is_number(entry) for operand in operands for entry in operand.ravel())
+        known = all(is_known(entry) for operand in operands for entry in operand.ravel())
         arrays = [assemble(x, v.aval) for x, v in zip(operands, equation.invars, strict=True)]
         results = bind_primitive(equation.primitive, equation.params, arrays, now=known)
         return [self.entries_of(result) for result in results]
@@ -140,7 +140,7 @@ class Unrolling(Interpreter):
 
         The order matters: the last bit of a sum of products depends on the order of its terms.
         """
-        if is_number(entry):
+        if is_known(entry):
             return 0, type(entry).__name__, repr(entry)
         found = self.numbers.get(id(entry))
         if found is None:
@@ -151,14 +151,14 @@ class Unrolling(Interpreter):
         self, primitive: Primitive, params: dict, operands: list, dtypes: list
     ) -> Any:
         """The primitive applied to scalars; a number if all operands are numbers."""
-        now = all(map(is_number, operands))
+        now = all(map(is_known, operands))
         if now and primitive.name in EXACT:
             with np.errstate(all="ignore"):
                 return EXACT[primitive.name](*map(np.asarray, operands, dtypes)).item()
         if now and primitive.name == "convert_element_type" and np.dtype(dtypes[0]).kind in "biu":
             return np.asarray(*operands, *dtypes).astype(params["new_dtype"]).item()
         scalars = [
-            np.asarray(x, dtype) if is_number(x) else x
+            np.asarray(x, dtype) if is_known(x) else x
             for x, dtype in zip(operands, dtypes, strict=True)
         ]
         (result,) = bind_primitive(primitive, params, scalars, now=now)
@@ -210,7 +210,7 @@ class Unrolling(Interpreter):
         If a place is computed or out of bounds, the primitive itself is applied.
         """
         entries, *indices = operands
-        if not all(is_number(entry) for index in indices for entry in index.ravel()):
+        if not all(is_known(entry) for index in indices for entry in index.ravel()):
             return self.keep(equation, operands)
         params = equation.params
         numbers = np.arange(1, entries.size + 1).reshape(entries.shape)
@@ -235,7 +235,8 @@ def params_of(function: Callable) -> dict:
 
 
 @no_type_check
-def is_number(entry) -> bool:
+def is_known(entry) -> bool:
+    """Whether an entry is a known number."""
     return isinstance(entry, (bool, int, float, complex))
 
 
@@ -251,32 +252,32 @@ def bind_primitive(primitive: Primitive, params: dict, operands, *, now: bool) -
 
 @no_type_check
 def simplify_sum(a, b):
-    if is_number(a) and a == 0:
+    if is_known(a) and a == 0:
         return b
-    return a if is_number(b) and b == 0 else None
+    return a if is_known(b) and b == 0 else None
 
 
 @no_type_check
 def simplify_difference(a, b):
-    return a if is_number(b) and b == 0 else None
+    return a if is_known(b) and b == 0 else None
 
 
 @no_type_check
 def simplify_product(a, b):
     for one, other in ((a, b), (b, a)):
-        if is_number(one) and one in (0, 1):
+        if is_known(one) and one in (0, 1):
             return other if one == 1 else one
     return None
 
 
 @no_type_check
 def simplify_quotient(a, b):
-    return a if is_number(b) and b == 1 else None
+    return a if is_known(b) and b == 1 else None
 
 
 @no_type_check
 def simplify_selection(which, *cases):
-    return cases[int(which)] if is_number(which) else None
+    return cases[int(which)] if is_known(which) else None
 
 
 EXACT = {

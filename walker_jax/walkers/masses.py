@@ -89,7 +89,7 @@ class SingleSupport(VirtualPower):
         flat = lambda walker, q: list(walker.system().transfer(stance_coordinates(q)))
         return unroll(flat)(self.walker, q)
 
-    def power(self, q, qdot, acceleration):
+    def virtual_power(self, q, qdot, acceleration):
         def flat(walker, q, qdot, acceleration):
             return list(
                 multibody.virtual_power(
