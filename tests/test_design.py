@@ -202,7 +202,7 @@ def test_where_nothing_leads_anywhere_that_is_said(slopes, reason):
 def test_a_limit_out_of_reach_is_named():
     found = optimise(WALKER, SLOPES, "spectral-radius", at_least={"speed": 0.2}, starts=1)
     assert not found.found
-    reason = "slope 0.004: speed is 0.07932, and no way was found to at least 0.2"
+    reason = "slope 0.004: speed is 0.07932, and the search found no place with at least 0.2"
     assert values(found, "note") == [reason]
 
 

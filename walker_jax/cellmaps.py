@@ -164,7 +164,7 @@ def resolve_transients(
     both[:n, 0], both[:, 1] = image, 1
     for ends in (recurrent, np.arange(n, n + sinks)):  # which the other cells reach
         both[ends, 0], both[ends, 1] = ends, 0
-    pairs = both.view(np.int64)[:, 0]  # fetched together
+    pairs = both.view(np.int64)[:, 0]  # both in one read
     ahead, steps = both[:n].T
 
     def goes_on(part: slice) -> bool:

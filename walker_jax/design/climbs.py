@@ -117,7 +117,7 @@ def rescue(trace: Trace, run: int, row: Evaluation) -> Evaluation | None:
 
 
 def explain_failure(trace: Trace, place: Float[np.ndarray, " parameters"]) -> str:
-    """Why nothing can be climbed from a place."""
+    """The reason why a climb from a place fails."""
     problem, values = trace.problem, trace.problem.values(place)
     where, refusal = problem.describe_values(values), problem.refusal(values)
     if refusal:
@@ -130,8 +130,8 @@ def explain_failure(trace: Trace, place: Float[np.ndarray, " parameters"]) -> st
         value = measures[name].value
         if not low <= value <= high:
             limit = f"at least {low:g}" if value < low else f"at most {high:g}"
-            return f"{where}: {name} is {value:.4g}, and no way was found to {limit}"
+            return f"{where}: {name} is {value:.4g}, and the search found no place with {limit}"
     return (
-        f"{where}: nothing walks, or nothing says which way is up; "
+        f"{where}: nothing walks, or the objective has no gradient; "
         f"the gait of period one has a multiplier of modulus {radius:.4g}"
     )

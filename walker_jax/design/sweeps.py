@@ -177,8 +177,12 @@ def empty_row(walker: Walker, grid: Grid, about: xr.Dataset) -> dict[str, xr.Var
     """What there is of one combination, before it is computed."""
     single = ("area", "total_area", "total_area_error", "multiplier", "step_time")
     single += tuple(name.replace("-", "_") for name in GAIT_NUMBERS)
-    nowhere = "coordinate", np.full(grid.coordinates, np.nan)
-    row = dict.fromkeys(single, np.nan) | {"gait_state": nowhere, "attractors": 0, "failed": 0}
+    unknown_state = "coordinate", np.full(grid.coordinates, np.nan)
+    row = dict.fromkeys(single, np.nan) | {
+        "gait_state": unknown_state,
+        "attractors": 0,
+        "failed": 0,
+    }
     row |= {"reason": ""}
     row |= without_gait(walker) if about.attrs["robust"] else {}
     return arrays_to_compute(grid) | {

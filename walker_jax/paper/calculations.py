@@ -36,7 +36,7 @@ class Size(NamedTuple):
     levels: int | None
     """Levels of refinement for the exact areas of Figure 8; without any, there are none."""
     strides: int
-    """Strides after which a walker counts as walking for ever, where walking is lost."""
+    """Strides after which a walker counts as walking, in the search for the loss of walking."""
     shifts: int
     """Shifts of the paper's grid along each axis, to see how the vanishing of the basin depends on
     where cells lie."""

@@ -1,4 +1,4 @@
-"""The paper's numbers, each beside the one computed here."""
+"""The paper's numbers, compared with those computed here."""
 
 from decimal import Decimal
 from typing import Any, NamedTuple

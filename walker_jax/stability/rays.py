@@ -218,6 +218,6 @@ def local_minima(
 ) -> Int[np.ndarray, " m"]:
     """Indices of the unit vectors with the smallest length within an angle, the shortest first."""
     order = lengths.argsort()
-    beside = rays[order] @ rays[order].T > np.cos(angle)
-    shorter = np.tril(beside, -1).any(axis=1)
+    neighbours = rays[order] @ rays[order].T > np.cos(angle)
+    shorter = np.tril(neighbours, -1).any(axis=1)
     return order[~shorter][:CANDIDATES]

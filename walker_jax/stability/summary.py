@@ -194,9 +194,9 @@ WITHOUT_GAIT = {"gait_period": 0}
 def without_gait(walker: Walker) -> dict:
     """The variables that `robustness` adds where no gait attracts."""
     of_kind = lambda *kinds: [field.name for field in FIELDS if field.kind in kinds]
-    nowhere = "coordinate", np.full(len(walker.section), np.nan)
+    unknown_state = "coordinate", np.full(len(walker.section), np.nan)
     numbers = dict.fromkeys(of_kind("number"), np.nan)
-    vectors = dict.fromkeys(of_kind("vector"), nowhere)
+    vectors = dict.fromkeys(of_kind("vector"), unknown_state)
     return numbers | vectors | dict.fromkeys(of_kind("count", "outcome"), -1) | WITHOUT_GAIT
 
 
