@@ -114,3 +114,10 @@ def test_signatures_are_checked_in_every_room_but_kernels(pytestconfig):
     option = pytestconfig.getoption("--jaxtyping-packages")
     checked = {name.removeprefix("walker_jax.") for name in option.split(",")[:-1]}
     assert checked == {room_of(module) for module in MODULES} - {"kernels"}
+
+
+def test_only_the_command_line_imports_the_package_itself():
+    """Its public names are of all rooms, and lead up from most of them."""
+    own = re.compile(r"^\s*(import walker_jax\b(?!\.)|from walker_jax import \w*[A-Z])", re.M)
+    users = {room_of(name) for name, path in MODULES.items() if own.search(path.read_text())}
+    assert users <= {"cli"}

@@ -150,3 +150,13 @@ def test_a_walker_of_your_own_has_a_gait_and_a_picture(tmp_path, monkeypatch):
     assert names["gait"].stable and np.abs(names["gait"].multipliers[0]) < 1
     assert int((names["data"].fate == 0).sum()) > 500
     assert (tmp_path / "shank.png").stat().st_size > 20_000
+
+
+def test_the_page_of_the_command_line_lists_the_options_of_every_command():
+    """It is made by the site's own hook, from the program."""
+    hooks = Path(__file__).parent.parent / "docs" / "hooks" / "command_line.py"
+    place: dict[str, Any] = {"__name__": "hooks"}
+    exec(compile(hooks.read_text(), str(hooks), "exec"), place)
+    page = place["on_page_markdown"](place["PLACE"], page=None, config=None, files=None)
+    for option in ("--foot-radius", "--hip-stiffness", "--period-max", "--at-least", "--scheduler"):
+        assert f"`{option}" in page or f"{option} " in page, option

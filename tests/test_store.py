@@ -256,7 +256,7 @@ def test_another_run_may_have_finished_it_in_between(tmp_path):
         for i in place.missing():
             write(place, i)
         place.finish(axes())
-    with pytest.raises(storage.StoreConflict, match="has just been finished"), begun(path):
+    with pytest.raises(storage.StoreConflict, match="another run has just completed"), begun(path):
         pass
     assert storage.find(path, REQUEST) is not None
     assert sorted(p.name for p in path.iterdir() if p.is_dir()) == ["value", "x", "y"]

@@ -79,6 +79,14 @@ def test_where_no_gait_is_found_what_makes_it_needless_is_named():
         selection.select_gaits(WALKER, 1, np.array([0.2, -0.4]))
 
 
+def test_a_command_names_the_options_that_make_a_gait_needless():
+    from walker_jax.cli.rewording import with_options_named
+
+    with pytest.raises(wj.ComputationFailed) as error:
+        selection.require_gait(wj.SimplestWalker(0.5), ("theta", "sum"))
+    assert with_options_named(str(error.value)).endswith("give --theta, --sum, or another --slope")
+
+
 def test_windows_lie_around_the_gait_or_are_those_of_the_paper():
     axes = {"theta": None, "sum": (-0.1, 0.0, 10)}
     assert windows.fill_from_paper(WALKER, axes) == {"theta": (0.0, 0.4, 200), "sum": axes["sum"]}

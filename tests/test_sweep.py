@@ -73,10 +73,10 @@ def test_attributes_say_what_does_not_vary(swept):
 def test_a_combination_that_fails_costs_no_other(monkeypatch):
     measured = sweeps.measure_basin
 
-    def failing(walker, grid, how):
+    def failing(walker, plan):
         if float(walker.slope) == 0.006:
             raise FloatingPointError("broken")
-        return measured(walker, grid, how)
+        return measured(walker, plan)
 
     monkeypatch.setattr("walker_jax.design.sweeps.measure_basin", failing)
     found = wj.sweep(WALKER, {"slope": [0.004, 0.006]}, GRID, levels=0)
@@ -90,10 +90,10 @@ def test_what_the_machine_lacks_is_tried_again(tmp_path, monkeypatch):
     path, over, lacking = tmp_path / "a.zarr", {"slope": [0.004, 0.006]}, [MemoryError]
     measured = sweeps.measure_basin
 
-    def failing(walker, grid, how):
+    def failing(walker, plan):
         if float(walker.slope) == 0.006 and lacking:
             raise lacking.pop()
-        return measured(walker, grid, how)
+        return measured(walker, plan)
 
     monkeypatch.setattr("walker_jax.design.sweeps.measure_basin", failing)
     with pytest.raises(MemoryError):
@@ -119,12 +119,12 @@ def test_what_the_machine_lacks_is_raised_and_what_a_walker_lacks_is_told(monkey
         raise broken.pop(0)
 
     monkeypatch.setattr("walker_jax.design.sweeps.measure_basin", failing)
-    combination = (WALKER, GRID, {}, ["slope"], (0.004,))
+    plan = sweeps.Measurement(WALKER, GRID, ("slope",), 0, 0, False, 10, 0, 1e-12)
     with pytest.raises(type(lacking)):
-        sweeps.compute_combination(*combination)
+        sweeps.compute_combination(plan, (0.004,))
     for said in ("JaxRuntimeError: INTERNAL", "ValueError: gait", "RuntimeError: no step"):
-        assert sweeps.compute_combination(*combination) == {"failed": 1, "reason": said}
-    refused = sweeps.compute_combination(WALKER, GRID, {}, ["slope"], (-1.0,))
+        assert sweeps.compute_combination(plan, (0.004,)) == {"failed": 1, "reason": said}
+    refused = sweeps.compute_combination(plan, (-1.0,))
     said = "slope must be above 0 and below 1.5708, not -1.0"
     assert not broken and refused == {"failed": 1, "reason": said}
 
@@ -140,11 +140,11 @@ def test_an_interrupted_sweep_goes_on(tmp_path, swept, monkeypatch):
     computed, path = [], tmp_path / "a.zarr"
     measured = sweeps.measure_basin
 
-    def counted(walker, grid, how):
+    def counted(walker, plan):
         computed.append((float(walker.hip_stiffness), float(walker.slope)))
         if len(computed) == 3:
             raise KeyboardInterrupt
-        return measured(walker, grid, how)
+        return measured(walker, plan)
 
     monkeypatch.setattr("walker_jax.design.sweeps.measure_basin", counted)
     with pytest.raises(KeyboardInterrupt):

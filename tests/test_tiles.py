@@ -178,6 +178,24 @@ def test_same_bits_on_one_device_and_on_eight(tmp_path, starts, counts):
             np.testing.assert_array_equal(other[name], one[name])
 
 
+WALKERS_ON_DEVICES = DEVICES.replace(
+    "tiles.map_cells(until_near, (0.3, starts))",
+    "wj.strides(wj.SimplestWalker(0.004), starts)._asdict()",
+).replace("import jax\n", "import jax\nimport walker_jax as wj\n", 1)
+
+
+@pytest.mark.slow
+def test_strides_have_the_same_bits_on_one_device_and_on_eight(tmp_path, starts):
+    np.save(tmp_path / "starts.npy", starts)
+    flags = {"XLA_FLAGS": "--xla_force_host_platform_device_count=8"}
+    command = [sys.executable, "-c", WALKERS_ON_DEVICES, str(tmp_path), "1", "2", "8"]
+    subprocess.run(command, check=True, env={**os.environ, **flags})
+    one, *others = (wj.Stride(**np.load(tmp_path / f"on{n}.npz")) for n in (1, 2, 8))
+    assert len(np.unique(one.outcome)) > 1
+    for other in others:
+        assert_same_bits(one, other)
+
+
 def sorted_sines(shared, x):
     return jnp.sort(jnp.stack([x, jnp.sin(1e5 * x)]))
 

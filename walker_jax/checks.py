@@ -35,7 +35,7 @@ class ComputationFailed(RuntimeError):
 
 
 def check_whole(name: str, value: Any, least: int = 1, most: int = MAX_COUNT) -> int:
-    """A whole number, as Python has it; what is none, or out of range, is refused."""
+    """The value as an `int`; raises `WrongUse` unless it is a whole number in the range."""
     try:
         number = operator.index(value)
     except TypeError:
@@ -48,13 +48,13 @@ def check_whole(name: str, value: Any, least: int = 1, most: int = MAX_COUNT) ->
 
 
 def check_kind(name: str, value: Any, kind: type) -> None:
-    """Refuse a value of another kind; NumPy's booleans count as `bool`."""
+    """Raises `WrongUse` for a value of another kind; NumPy's booleans count as `bool`."""
     if not isinstance(value, (bool, np.bool_) if kind is bool else kind):
         raise WrongUse(f"{name} must be a {kind.__name__}, not {short(value)}")
 
 
 def check_number(name: str, value: Any) -> None:
-    """Refuse what is no real number; it may be NaN or infinite."""
+    """Raises `WrongUse` unless the value is a real number, NaN and infinity included."""
     try:
         float(value)
         single = np.shape(value) == () and not isinstance(value, str | bytes)
@@ -70,7 +70,7 @@ def is_number(value: Any) -> bool:
 
 
 def numbers(name: str, values: Any) -> Float[np.ndarray, "..."]:
-    """An array of numbers; what is none is refused."""
+    """The values as an array of float64; raises `WrongUse` unless they are real numbers."""
     try:
         return np.asarray(values, float)
     except (TypeError, ValueError, OverflowError):

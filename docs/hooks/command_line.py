@@ -2,8 +2,6 @@
 
 import re
 
-import typer
-
 PLACE = "<!-- the options of every command -->"
 WALKER = "Walker"
 """The panel of the options that describe a walker, the same in every command that takes one."""
@@ -12,9 +10,9 @@ WALKER = "Walker"
 def on_page_markdown(markdown, *, page, config, files):
     if PLACE not in markdown:
         return markdown
-    from walker_jax.cli import main  # which registers every command
+    from walker_jax.cli.app import COMMANDS, load
 
-    commands = typer.main.get_command(main.app).commands.values()
+    commands = [load(name) for name in COMMANDS]
     walkers = {row: None for command in commands for row in rows(command, WALKER)}
     parts = ["### Options of the walker", table(walkers)]
     for command in commands:

@@ -24,7 +24,7 @@ from walker_jax.integrators.solvers import AnySolver, default_tolerance, using_s
 from walker_jax.walkers.model import Walker
 
 BYTES_STORED = {"cell-map": 16, "direct": 0}
-"""The same where the result goes into a store: of the cell map, when all of it is there."""
+"""Peak memory in bytes for each cell, as `BYTES_PER_CELL`, where the result goes into a store."""
 
 
 @refuses_tracers("area_gradient gives derivatives of a basin's area")
@@ -59,8 +59,8 @@ def basin(
       its arrays from there when they are used.
     - `request`: by which the stored result is recognised; by default, all that it depends on.
     - `overwrite`: whether to remove another result that stands there.
-    - `cluster`: who computes the pieces, as in `execution.workers.computers`: a number of worker
-      processes on this machine, the address of a Dask scheduler, or a Dask client.
+    - `cluster`: who computes the pieces, as in `execution.workers.open_workers`: a number of
+      worker processes on this machine, the address of a Dask scheduler, or a Dask client.
 
     **Returns** a data set over the grid's axes:
 

@@ -171,7 +171,7 @@ def print_basin(answer: dict, measure: str) -> None:
 
 
 def cycles_in_words(attractor: dict) -> str:
-    """The cycles of a cell map that stand for an attractor, unless that is one that leads there."""
+    """Describes the cycles of a cell map that belong to an attractor; empty for a single one."""
     cycles, falling = attractor.get("cycles", 1), attractor.get("falling", 0)
     if attractor["artefact"]:
         centres = len(attractor["states"])

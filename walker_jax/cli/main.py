@@ -43,14 +43,13 @@ def verdict(error: Exception) -> tuple[int, str]:
     format_message = getattr(error, "format_message", None)
     if format_message is not None:  # an error of typer's own
         return 2, format_message() or "name a command, one of those above"
-    from walker_jax.checks import ComputationFailed, WrongUse  # loaded already by what failed
-
-    if not isinstance(error, WrongUse | ComputationFailed):
+    checks = sys.modules.get("walker_jax.checks")  # it loads JAX, and that may be what failed
+    if checks is None or not isinstance(error, checks.WrongUse | checks.ComputationFailed):
         return 1, f"{type(error).__name__}: {error}"
     # What stands at a place comes first, and holds paths; what helps comes after it.
     *stands, last = error.args or ("",)
     reason = ": ".join([*stands, with_options_named(last)])
-    return (2 if isinstance(error, WrongUse) else 1), reason
+    return (2 if isinstance(error, checks.WrongUse) else 1), reason
 
 
 def terminate(signal_number: int, frame: object) -> NoReturn:

@@ -10,6 +10,7 @@ OPTIONS = {
     "another guess": "another --guess",
     "another slope": "another --slope",
     "a guess": "--guess THETA THETADOT",
+    "the guess": "--guess",
     "or overwrite": "or --overwrite",
     "without overwrite": "without --overwrite",
     "limits of": "--at-least and --at-most of",
@@ -19,6 +20,8 @@ OPTIONS = {
     "grid is": "--theta, --sum and --at-phidot are",
 }
 """Arguments of the library, as its messages name them, and the options that set them."""
+GIVE = re.compile(r"(?<=: give )((?:\w+, )+)(?=or )")
+"""Arguments of which a message of `gaits.selection.require_gait` lists some."""
 
 
 def option_of(argument: str) -> str:
@@ -29,5 +32,8 @@ def option_of(argument: str) -> str:
 def with_options_named(message: str, options: Mapping[str, str] = OPTIONS) -> str:
     """A message of the library that names options in the place of arguments."""
     # \b and the look-behind leave options, and longer words, as they are.
+    message = GIVE.sub(
+        lambda found: re.sub(r"\w+", lambda one: option_of(one[0]), found[0]), message
+    )
     pattern = rf"(?<![\w-])({'|'.join(options)})\b"
     return re.sub(pattern, lambda found: options[found[0]], message)

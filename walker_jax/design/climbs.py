@@ -100,7 +100,7 @@ def rescue(trace: Trace, run: int, row: Evaluation) -> Evaluation | None:
     problem = trace.problem
     for _ in range(MAX_RESCUE_STEPS):
         gait = trace.gait(row.parameters)
-        walker, tolerance = problem.build_walker(row.parameters), problem.tolerance
+        walker, tolerance = problem.walker_at(row.parameters), problem.tolerance
         measures = gait_measures(walker, problem.names, gait, tolerance=tolerance)
         growth = measures["spectral-radius"].gradient * (problem.high - problem.low)
         steepest = np.abs(growth).max()
@@ -122,7 +122,7 @@ def explain_failure(trace: Trace, place: Float[np.ndarray, " parameters"]) -> st
     where, refusal = problem.describe_values(values), problem.refusal(values)
     if refusal:
         return f"{where}: {refusal}"
-    measures = gait_measures(problem.build_walker(values), (), trace.gait(values))
+    measures = gait_measures(problem.walker_at(values), (), trace.gait(values))
     radius = measures["spectral-radius"].value
     if np.isnan(radius):
         return f"{where}: no gait is found"

@@ -51,7 +51,7 @@ def evaluate_objective(
     gait_of: Callable[[Float[np.ndarray, " parameters"]], Gait],
 ) -> Evaluation:
     """Measure the objective, the limited measures and, in a stage, the objective's gradient."""
-    walker, names = problem.build_walker(values), problem.names if stage >= 0 else ()
+    walker, names = problem.walker_at(values), problem.names if stage >= 0 else ()
     bands = BAND_HALF_WIDTHS[max(stage, 0)] * (problem.high - problem.low)[: len(names)]
     found: dict[str, Measure] = {}
     value_error, gradient_error, made = 0.0, np.zeros(len(names)), 0

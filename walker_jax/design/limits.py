@@ -42,7 +42,7 @@ class Limits:
             return []
         if values.tobytes() in self.known:
             return self.known[values.tobytes()]
-        walker, gait = problem.build_walker(values), self.gait_of(values)
+        walker, gait = problem.walker_at(values), self.gait_of(values)
         measures = gait_measures(walker, problem.names, gait, tolerance=problem.tolerance)
         found = []
         for name, ends in problem.limits.items():

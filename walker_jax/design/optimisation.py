@@ -132,7 +132,7 @@ def optimise(
     problem = Problem(walker, tuple(bounds), low, high, weights, sign, limits, *how)
     places = starting_places(problem, starts)
     if grid is None:
-        regions = (default_region(problem.build_walker(problem.values(place))) for place in places)
+        regions = (default_region(problem.walker_at(problem.values(place))) for place in places)
         problem = problem._replace(grid=next((one for one in regions if one is not None), None))
     if problem.grid is None and "area" in weights:
         raise WrongUse("grid is required: no start has a gait of period one to lay it around")
@@ -202,7 +202,7 @@ def compare_basins(problem: Problem, start: Evaluation, best: Evaluation) -> dic
     grid = problem.grid
     if grid is None or len(grid.names) != 2:
         return {}
-    walkers = [problem.build_walker(row.parameters) for row in (start, best)]
+    walkers = [problem.walker_at(row.parameters) for row in (start, best)]
     rough = [
         refine_cells(
             walker,

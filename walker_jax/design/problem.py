@@ -62,7 +62,7 @@ class Problem(NamedTuple):
         """The place of parameters between their bounds, from 0 to 1."""
         return (values - self.low) / (self.high - self.low)
 
-    def build_walker(self, values: Float[np.ndarray, " parameters"]) -> Walker:
+    def walker_at(self, values: Float[np.ndarray, " parameters"]) -> Walker:
         """The walker with these values of the free parameters."""
         walker = self.walker
         for name, value in zip(self.names, values, strict=True):
@@ -72,7 +72,7 @@ class Problem(NamedTuple):
     def refusal(self, values: Float[np.ndarray, " parameters"]) -> str:
         """Why the walker's constructor refuses these parameters; empty where it accepts them."""
         try:
-            check_parameter(self.build_walker(values), self.names[0], float(values[0]))
+            check_parameter(self.walker_at(values), self.names[0], float(values[0]))
         except ValueError as error:
             return str(error)
         return ""

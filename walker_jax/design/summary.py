@@ -30,7 +30,7 @@ def summarise_optimum(data: xr.Dataset) -> dict:
 
 
 def tabulate_sweep(data: xr.Dataset, names: list[str]) -> "pandas.DataFrame":
-    """A row for each combination of the parameters named, of all that is one number for each."""
+    """A table of the scalar variables, with a row for each combination of the parameters."""
     single = [name for name in data if set(data[name].dims) == set(names)]
     table = data[single].load()
     return table.stack(point=names).to_dataframe()[[str(name) for name in single]].reset_index()

@@ -5,7 +5,7 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -34,6 +34,21 @@ GAIT_NUMBERS = ("step-length", "speed", "cost-of-transport")
 """Measures of a gait besides its state, multiplier and step time."""
 MAX_COMBINATIONS = 2**20
 """Combinations of parameters; each takes about twenty files of a store."""
+
+
+class Measurement(NamedTuple):
+    """What is measured of every combination, and how; as the arguments of `sweep`."""
+
+    walker: Walker
+    grid: Grid
+    names: tuple[str, ...]
+    """The parameters that change, in the order of the dimensions."""
+    levels: int
+    check: int
+    robust: bool
+    strides: int
+    seed: int
+    tolerance: float
 
 
 @refuses_tracers()
@@ -109,8 +124,8 @@ def sweep(
     own = {"command": "sweep", "over": {name: given.tolist() for name, given in values.items()}}
     request = request or request_of(about, grid) | own
     about = about.assign_coords(values)
-    names = [*values]
-    compute = partial(compute_missing, request, about, walker, grid, names, cluster, progress)
+    plan = Measurement(walker, grid, (*values,), levels, check, robust, strides, seed, tolerance)
+    compute = partial(compute_missing, plan, about, request, cluster=cluster, progress=progress)
     if out is None:  # nobody else sees it
         with tempfile.TemporaryDirectory() as folder:
             place = Path(folder) / "sweep.zarr"
@@ -136,22 +151,20 @@ def check_values(walker: Walker, values: Mapping[str, Float[np.ndarray, "..."]])
 
 
 def compute_missing(
-    request: dict,
+    plan: Measurement,
     about: xr.Dataset,
-    walker: Walker,
-    grid: Grid,
-    names: list[str],
-    cluster: Any,
-    progress: bool,
+    request: dict,
     out: Path,
     *,
     overwrite: bool,
+    cluster: Any,
+    progress: bool,
 ) -> xr.Dataset:
-    """Compute what is missing of a sweep, and give all of it."""
-    shape = [about.sizes[name] for name in names]
-    compute = partial(compute_combination, walker, grid, about.attrs, names)
-    before = empty_row(walker, grid, about)
-    fields = {name: broadcast(value, names, shape) for name, value in before.items()}
+    """Compute what is missing of a sweep, and return all of it."""
+    shape = [about.sizes[name] for name in plan.names]
+    compute = partial(compute_combination, plan)
+    before = empty_row(plan)
+    fields = {name: broadcast(value, plan.names, shape) for name, value in before.items()}
     unknown = {name: value.values for name, value in before.items()}
     block = (1,) * len(shape)
     with (
@@ -160,9 +173,9 @@ def compute_missing(
     ):
         number = {}
         for i in place.missing():
-            at = zip(names, place.place(i), strict=True)
+            at = zip(plan.names, place.place(i), strict=True)
             number[tuple(float(about[name][k]) for name, k in at)] = i
-        label = " × ".join(names)
+        label = " × ".join(plan.names)
         found, done = each(compute, [*number]), place.count - len(number)
         for values, row in track(found, label, progress, place.count, done):
             row = unknown | row
@@ -173,39 +186,37 @@ def compute_missing(
     return storage.open_dataset(out)
 
 
-def empty_row(walker: Walker, grid: Grid, about: xr.Dataset) -> dict[str, xr.Variable]:
-    """What there is of one combination, before it is computed."""
+def empty_row(plan: Measurement) -> dict[str, xr.Variable]:
+    """The variables of one combination before it is computed."""
     single = ("area", "total_area", "total_area_error", "multiplier", "step_time")
     single += tuple(name.replace("-", "_") for name in GAIT_NUMBERS)
-    unknown_state = "coordinate", np.full(grid.coordinates, np.nan)
+    unknown_state = "coordinate", np.full(plan.grid.coordinates, np.nan)
     row = dict.fromkeys(single, np.nan) | {
         "gait_state": unknown_state,
         "attractors": 0,
         "failed": 0,
     }
     row |= {"reason": ""}
-    row |= without_gait(walker) if about.attrs["robust"] else {}
-    return arrays_to_compute(grid) | {
+    row |= without_gait(plan.walker) if plan.robust else {}
+    return arrays_to_compute(plan.grid) | {
         str(name): one.variable for name, one in xr.Dataset(row).items()
     }
 
 
-def broadcast(value: xr.Variable, names: list[str], shape: list[int]) -> xr.Variable:
+def broadcast(value: xr.Variable, names: Sequence[str], shape: list[int]) -> xr.Variable:
     """The same for every combination of parameters, without taking memory for it."""
     everywhere = np.broadcast_to(value.values, (*shape, *value.shape))
     return xr.Variable((*names, *value.dims), everywhere, value.attrs)
 
 
-def compute_combination(
-    walker: Walker, grid: Grid, how: Mapping[str, Any], names: list[str], values: tuple[float, ...]
-) -> dict[str, Any]:
-    """What a sweep holds of one combination of values."""
+def compute_combination(plan: Measurement, values: tuple[float, ...]) -> dict[str, Any]:
+    """The variables of one combination of values; why it failed, where it did."""
     try:
-        there = walker
-        for name, value in zip(names, values, strict=True):
+        there = plan.walker
+        for name, value in zip(plan.names, values, strict=True):
             check_parameter(there, name, value)
             there = with_parameter(there, name, jnp.asarray(value, jnp.asarray(0.0).dtype))
-        return measure_basin(there, grid, how)
+        return measure_basin(there, plan)
     except Exception as error:  # one bad combination must not cost the others
         full = isinstance(error, JaxRuntimeError) and "RESOURCE_EXHAUSTED" in str(error)
         if full or isinstance(error, MemoryError | OSError | ImportError):
@@ -216,19 +227,27 @@ def compute_combination(
         return {"failed": 1, "reason": " ".join(words)}
 
 
-def measure_basin(walker: Walker, grid: Grid, how: Mapping[str, Any]) -> dict[str, Any]:
-    """The basin of a walker, and the numbers that go with it."""
-    options: Any = {name: how[name] for name in ("strides", "tolerance")}
-    cells = basin(walker, grid, "direct", **options)
+def measure_basin(walker: Walker, plan: Measurement) -> dict[str, Any]:
+    """The basin of a walker, its area, and its gait."""
+    grid, strides, tolerance = plan.grid, plan.strides, plan.tolerance
+    cells = basin(walker, grid, "direct", strides=strides, tolerance=tolerance)
     row = {name: cells[name].values for name in ATTRIBUTES}
     row |= {"area": float(cells["area"].sum()), "attractors": cells.sizes["number"]}
-    options |= {name: how[name] for name in ("levels", "check", "seed")}
-    gait = find_gait(walker, tolerance=how["tolerance"])
+    gait = find_gait(walker, tolerance=tolerance)
     if gait.found:
         row |= {"gait_state": np.asarray(gait.states[0])}
         row |= {"multiplier": np.abs(gait.multipliers[0]), "step_time": np.mean(gait.step_times)}
-        of_gait = gait_measures(walker, (), gait, tolerance=how["tolerance"])
+        of_gait = gait_measures(walker, (), gait, tolerance=tolerance)
         row |= {name.replace("-", "_"): of_gait[name].value for name in GAIT_NUMBERS}
-    fine = robustness(walker, grid, **options) if how["robust"] else refine(walker, grid, **options)
-    of_basin = ("total_area", "total_area_error", *(without_gait(walker) if how["robust"] else ()))
+    measure = robustness if plan.robust else refine
+    fine = measure(
+        walker,
+        grid,
+        levels=plan.levels,
+        check=plan.check,
+        strides=strides,
+        seed=plan.seed,
+        tolerance=tolerance,
+    )
+    of_basin = ("total_area", "total_area_error", *(without_gait(walker) if plan.robust else ()))
     return row | {name: fine[name].values for name in of_basin}

@@ -38,7 +38,7 @@ class Trace:
     def gait(self, values: Float[np.ndarray, " parameters"]) -> Gait:
         """The gait of the walker with these parameters."""
         if values.tobytes() not in self.gaits:
-            walker, tolerance = self.problem.build_walker(values), self.problem.tolerance
+            walker, tolerance = self.problem.walker_at(values), self.problem.tolerance
             self.gaits[values.tobytes()] = find_gait(walker, tolerance=tolerance)
         return self.gaits[values.tobytes()]
 

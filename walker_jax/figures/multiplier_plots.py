@@ -36,7 +36,7 @@ def multipliers(gaits: Sequence[Gait], ax: Axes | None = None) -> Axes:
 
     **Arguments:**
 
-    - `gaits`: such as `walker_jax.gaits.find_gaits` returns. Failed searches are left out.
+    - `gaits`: such as `walker_jax.find_gaits` returns. Failed searches are left out.
     - `ax`: where to draw; by default, on a new figure of 6.2 by 7.2 inches.
 
     **Returns** the axes.
@@ -124,7 +124,7 @@ def draw_rim(ax: Axes, rim: Rim) -> None:
 
 
 def write_row(ax: Axes, rim: Rim, shift: int, rise: int, words: str) -> None:
-    """Write words on the inner side of a place of the rim, so many points aoffset."""
+    """Write words on the inner side of a place of the rim, at an offset in points."""
     ax.annotate(
         words,
         (rim.x, rim.y),

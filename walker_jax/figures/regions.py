@@ -24,7 +24,7 @@ from walker_jax.figures.text import SYMBOLS
 from walker_jax.walking.outcomes import Outcome
 
 Extent = tuple[float, float, float, float]
-BASIN, ASTRAY = "basin of attraction", "converges to no known attractor"
+BASIN, UNMATCHED_WORDS = "basin of attraction", "converges to no known attractor"
 
 
 class Region(NamedTuple):
@@ -56,7 +56,7 @@ def regions_of(data: xr.Dataset, large: list[int]) -> list[Region]:
     found += [
         Region(walking.others, OTHERS, "", "other attractors", counted=True),
         Region(walking.artefacts, ARTEFACTS, "", "artefacts of cell mapping", counted=True),
-        Region(walking.unmatched, UNMATCHED, "", ASTRAY, counted=True),
+        Region(walking.unmatched, UNMATCHED, "", UNMATCHED_WORDS, counted=True),
     ]
     return with_failures(found, data["fate"].values)
 
@@ -69,7 +69,7 @@ def regions_of_one_basin(
     """The regions that there are where all basins have one colour."""
     found = [
         Region(CellClass(basin), BASINS[0], "A", BASIN),
-        Region(CellClass(unmatched), UNMATCHED, "", ASTRAY),
+        Region(CellClass(unmatched), UNMATCHED, "", UNMATCHED_WORDS),
     ]
     return with_failures(found, fate)
 

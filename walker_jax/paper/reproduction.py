@@ -15,7 +15,7 @@ import xarray as xr
 from walker_jax import storage
 from walker_jax.execution.progress import progress_console
 from walker_jax.paper import report
-from walker_jax.paper.calculations import CALCULATIONS, FULL, QUICK
+from walker_jax.paper.calculations import CALCULATIONS, FULL, QUICK, STORED_NAMES
 from walker_jax.paper.numbers import Number, compare_numbers
 from walker_jax.paper.pictures import FIGURES, PaperFigure
 
@@ -38,7 +38,8 @@ def reproduce(
     """
     size = QUICK if quick else FULL
     request = {"command": "reproduce", "size": size._asdict(), "version": version("walker-jax")}
-    places = {name: out / "data" / f"{name}.zarr" for name in CALCULATIONS}
+    stored = {name: STORED_NAMES.get(name, name) for name in CALCULATIONS}
+    places = {name: out / "data" / f"{stored[name]}.zarr" for name in CALCULATIONS}
     check_place(out, places, request, overwrite=overwrite)
     if overwrite:  # all at once, so that the same run can be resumed when interrupted
         for path in files_of(out):
@@ -51,7 +52,7 @@ def reproduce(
     begun = lambda: any(path.exists() for path in places.values())
     with storage.resumable(out, begun, overwrite=overwrite):
         for name, compute in CALCULATIONS.items():
-            own = request | {"part": name}
+            own = request | {"part": stored[name]}
             found = storage.find(places[name], own)
             if found is None:
                 with shown.status(f"{name} ({len(data) + 1} of {len(CALCULATIONS)})"):

@@ -18,7 +18,7 @@ from walker_jax.grids import Grid
 from walker_jax.stability.gait_mapper import mapper_of_gait
 from walker_jax.stability.metric import metric
 from walker_jax.walkers.model import Walker
-from walker_jax.walking.iteration import check_parameters
+from walker_jax.walking.iteration import check_parameter_arrays
 from walker_jax.walking.outcomes import Outcome
 
 
@@ -96,7 +96,7 @@ def basin_stability(
     if counts and gait is not None:
         raise WrongUse("gait must be left out for walkers with arrays for parameters")
     if counts:
-        check_parameters(walker, max(counts))
+        check_parameter_arrays(walker, max(counts))
     if 0 in counts:
         raise WrongUse("walker must be one or more, and its parameters are arrays of none")
     rng = np.random.default_rng(seed)

@@ -2,8 +2,8 @@
 
 A data set carries, in its attribute `request`, what was asked for, as JSON. The same request finds
 its result again; any other is refused the place unless it is told to overwrite. One that is written
-piece by piece carries an attribute `unfinished` until all of it is there; the same request goes on
-with it. Each piece is a chunk of every array, and counts as written once its entry in the array
+piece by piece carries an attribute `unfinished` until all of it is there; the same request
+resumes it. Each piece is a chunk of every array, and counts as written once its entry in the array
 `written` is 1, which comes last.
 """
 
@@ -141,7 +141,7 @@ def export(path: Path, file: Path, *, overwrite: bool = False) -> "xarray.Datase
     if data is None:
         raise StoreConflict(f"{path} is not a data set")
     if data.attrs.get("unfinished"):
-        raise StoreConflict(f"{path} is unfinished: the command that began it goes on with it")
+        raise StoreConflict(f"{path} is unfinished: the command that began it resumes it")
     small = {name: {"zlib": True} for name in data.variables if data[name].dtype.kind in "iuf"}
     with atomic_file(file) as draft:
         data.to_netcdf(draft, engine="h5netcdf", encoding=small)

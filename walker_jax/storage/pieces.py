@@ -1,7 +1,7 @@
 """Results written piece by piece, and resumed.
 
-Such a data set carries an attribute `unfinished` until all of it is there; the same request goes on
-with it. Each piece is a chunk of every array, and counts as written once its entry in the array
+Such a data set carries an attribute `unfinished` until all of it is there; the same request
+resumes it. Each piece is a chunk of every array, and counts as written once its entry in the array
 `written` is 1, which comes last.
 """
 
@@ -109,7 +109,7 @@ class Pieces(NamedTuple):
             self.array("written")[place] = 1
 
     def finish(self, data: "xarray.Dataset") -> None:
-        """Add what is found at the end, and remove the arrays that were of use on the way."""
+        """Adds what is known at the end, and removes the auxiliary arrays."""
         attributes = dict(self.group.attrs)
         data.assign_attrs(attributes).to_zarr(
             self.path, mode="a", consolidated=False, write_empty_chunks=True
@@ -131,7 +131,7 @@ def open_pieces(
     aside: Sequence[str] = (),
     overwrite: bool = False,
 ) -> Iterator[Pieces]:
-    """A data set to be written piece by piece, begun, or gone on with where it is unfinished.
+    """A data set to be written piece by piece: begun, or resumed if it is unfinished.
 
     **Arguments:**
 
@@ -139,10 +139,10 @@ def open_pieces(
     - `data`: what there is besides the arrays, from the beginning.
     - `arrays`: each the shape, and everywhere the value that it has where nothing is written yet.
       Their first axes, the same in all, are cut into pieces.
-    - `block`: how much of each of these axes is in a piece; of one gone on with, as before.
+    - `block`: how much of each of these axes is in a piece; a resumed data set keeps its own.
     - `notes`: called once, when it is begun; what it returns, in terms of JSON, is kept until the
       end.
-    - `aside`: arrays that are of use on the way only.
+    - `aside`: auxiliary arrays, which `finish` removes.
     - `overwrite`: whether to begin anew, in the place of what stands there.
 
     Nobody else writes to it meanwhile: raises `StoreConflict` where another process does, or
@@ -167,9 +167,7 @@ def open_pieces(
             ) from error
         check_request(path, group.attrs, request)
         if not group.attrs.get("unfinished"):
-            raise StoreConflict(
-                f"{path} has just been finished by another run: ask again to have it"
-            )
+            raise StoreConflict(f"another run has just completed {path}: run again to read it")
         name, array = next(iter(arrays.items()))
         shape, block = array.shape[: len(block)], group[name].chunks[: len(block)]
         with resumable(path, overwrite=overwrite):

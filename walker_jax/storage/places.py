@@ -152,7 +152,7 @@ def open_group(path: Path, mode: Literal["r", "r+"]) -> Any:
 
 
 def remove_auxiliary_arrays(path: Path, folder: Path) -> None:
-    """Remove from a data set that is whole what was of use on the way."""
+    """Removes the auxiliary arrays of a complete data set."""
     if not (path / "written").exists():  # another run was faster
         return
     aside = open_group(path, "r")["written"].attrs["aside"]

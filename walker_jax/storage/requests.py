@@ -23,7 +23,7 @@ def check_request(path: Path, attributes: Mapping, request: dict) -> None:
 
 
 def first_difference(there: dict, wanted: dict, within: str = "") -> str:
-    """The first thing in which what stands somewhere is not what is wanted, in words."""
+    """Describes the first difference between the request that is stored and the one made."""
     for name in sorted(there | wanted, key=lambda name: name != "command"):
         old, new = there.get(name), wanted.get(name)
         if isinstance(old, dict) and isinstance(new, dict) and old != new:

@@ -107,7 +107,7 @@ def as_arrays(walker: Walker, n: int, dtype) -> tuple[Walker, bool]:
     """
     many = any(np.ndim(leaf) for leaf in jax.tree.leaves(walker))
     if many:
-        check_parameters(walker, n)
+        check_parameter_arrays(walker, n)
         return broadcast_parameters(walker, n, dtype), many
     return jax.tree.map(lambda leaf: np.asarray(leaf, dtype), walker), many
 
@@ -122,7 +122,7 @@ def select_walkers(walker: Walker, indices: Int[np.ndarray, " m"]) -> Walker:
     return jax.tree.map(lambda leaf: leaf[indices] if np.ndim(leaf) else leaf, walker)
 
 
-def check_parameters(walker: Walker, n: int) -> None:
+def check_parameter_arrays(walker: Walker, n: int) -> None:
     """Refuse parameters that are neither one number nor n, or that a constructor refuses."""
     for name, values in vars(walker).items():
         if np.shape(values) not in ((), (n,)):

@@ -29,7 +29,7 @@ def in_tension(walker: Walker, state: State) -> Bool[Array, ""]:
 
 
 def equations(walker: Walker) -> Callable[[State], State]:
-    """What is integrated: the vector field, or what it follows from where that is faster."""
+    """The equations of motion: the vector field, or virtual power for walkers with masses."""
     general = type(walker).vector_field is MultibodyWalker.vector_field
     if general and isinstance(walker, MultibodyWalker):
         return SingleSupport(walker)
@@ -49,7 +49,7 @@ def swing(
 
     Or until the swing foot is lower than at the start by `drop`. Returns the state just before the
     impact, its time, the verdict, and whether the ground would have had to pull at the stance foot
-    before that; its two ends are not looked at. What has been `launched`, and did not start on the
+    before that, its two ends excluded. A walker that was `launched`, and did not start on the
     section, is followed to the end of its fall.
     """
 
