@@ -202,7 +202,7 @@ def test_a_sweep_of_too_much_is_refused_at_once(run, tmp_path, over, named):
 def test_a_sweep_answers_with_a_row_for_each_combination(run, tmp_path, monkeypatch):
     """The numbers are made up, by the walker's parameters."""
 
-    def measured(walker, grid, how):
+    def measured(walker, plan):
         slope, stiffness = float(walker.slope), float(walker.hip_stiffness)
         if stiffness == 1:
             raise FloatingPointError

@@ -18,7 +18,8 @@ FAILURES = {
 BASINS = ("#0d2c5e", "#8c2566", "#0f7a72")
 MARKERS = "os^"
 """Colours of the basins, from dark to light, and signs of their attractors; the largest first."""
-OTHERS, UNMATCHED, ARTEFACTS = "#4d4d4d", "#7a5c00", "#8a63b8"
+OTHERS = "#4d4d4d"
+UNMATCHED, ARTEFACTS = "#7a5c00", "#8a63b8"
 """Colours of cells that converge to other attractors, to none that is known, and in cycles that
 cell mapping makes up."""
 PERIODS = (

@@ -38,8 +38,9 @@ def reproduce(
     """
     size = QUICK if quick else FULL
     request = {"command": "reproduce", "size": size._asdict(), "version": version("walker-jax")}
-    stored = {name: STORED_NAMES.get(name, name) for name in CALCULATIONS}
-    places = {name: out / "data" / f"{stored[name]}.zarr" for name in CALCULATIONS}
+    places = {
+        name: out / "data" / f"{STORED_NAMES.get(name, name)}.zarr" for name in CALCULATIONS
+    }
     check_place(out, places, request, overwrite=overwrite)
     if overwrite:  # all at once, so that the same run can be resumed when interrupted
         for path in files_of(out):
@@ -52,7 +53,7 @@ def reproduce(
     begun = lambda: any(path.exists() for path in places.values())
     with storage.resumable(out, begun, overwrite=overwrite):
         for name, compute in CALCULATIONS.items():
-            own = request | {"part": stored[name]}
+            own = request | {"part": places[name].stem}
             found = storage.find(places[name], own)
             if found is None:
                 with shown.status(f"{name} ({len(data) + 1} of {len(CALCULATIONS)})"):
@@ -84,7 +85,7 @@ def check_place(out: Path, places: dict[str, Path], request: dict, *, overwrite:
     storage.check_writable(out / "data")
     if (out / "data").exists():
         for name, path in places.items():
-            storage.find(path, request | {"part": name}, overwrite=overwrite)
+            storage.find(path, request | {"part": path.stem}, overwrite=overwrite)
     for path in files_of(out):
         storage.check_picture(path, request, overwrite=overwrite, argument="out")
 
