@@ -38,9 +38,7 @@ def reproduce(
     """
     size = QUICK if quick else FULL
     request = {"command": "reproduce", "size": size._asdict(), "version": version("walker-jax")}
-    places = {
-        name: out / "data" / f"{STORED_NAMES.get(name, name)}.zarr" for name in CALCULATIONS
-    }
+    places = {name: out / "data" / f"{STORED_NAMES.get(name, name)}.zarr" for name in CALCULATIONS}
     check_place(out, places, request, overwrite=overwrite)
     if overwrite:  # all at once, so that the same run can be resumed when interrupted
         for path in files_of(out):
