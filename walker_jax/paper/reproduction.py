@@ -82,7 +82,7 @@ def check_place(out: Path, places: dict[str, Path], request: dict, *, overwrite:
         )
     storage.check_writable(out / "data")
     if (out / "data").exists():
-        for name, path in places.items():
+        for path in places.values():
             storage.find(path, request | {"part": path.stem}, overwrite=overwrite)
     for path in files_of(out):
         storage.check_picture(path, request, overwrite=overwrite, argument="out")
