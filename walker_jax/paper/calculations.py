@@ -43,7 +43,7 @@ class Size(NamedTuple):
 
 
 FULL = Size(section=1000, slopes=22, levels=3, strides=3000, shifts=4)
-QUICK = Size(section=400, slopes=15, levels=None, strides=1000, shifts=2)
+QUICK = Size(section=400, slopes=15, levels=None, strides=3000, shifts=2)
 
 
 def paper_grid(shift: Sequence[float] | Float[np.ndarray, " 2"] = (0, 0)) -> Grid:
