@@ -39,5 +39,4 @@ def __dir__() -> list[str]:
 
 
 __version__ = version("walker-jax")
-# pyright reads the names in the stub, and knows no list that is computed.
-__all__ = sorted(MODULES)  # pyright: ignore[reportUnsupportedDunderAll]
+__all__ = sorted(MODULES)  # pyright: ignore[reportUnsupportedDunderAll] (computed from the stub)

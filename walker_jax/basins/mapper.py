@@ -77,7 +77,10 @@ class Mapper(NamedTuple):
         self, starts: Float[np.ndarray, "n section"], *, progress: str | None = None
     ) -> tuple[Labels, "Mapper"]:
         """The same, and labels also for those that remain; the mapper to the attractors of all."""
-        labels = self(starts, progress=progress)
+        return self.complete_labels(self(starts, progress=progress))
+
+    def complete_labels(self, labels: Labels) -> tuple[Labels, "Mapper"]:
+        """Label the walkers that remain too; returns the mapper to the attractors of all."""
         remaining = labels.remaining
         labels.attractor[remaining], mapper = self.label_remaining(labels.states[remaining])
         return labels, mapper

@@ -117,9 +117,7 @@ def direct_iteration(mapper: Mapper, grid: Grid, progress: bool = False) -> Basi
 
     The attractors are those of the mapper, and then of cells that remain at the end.
     """
-    labels = map_block(mapper, grid, progress=progress)
-    remaining = labels.remaining
-    labels.attractor[remaining], mapper = mapper.label_remaining(labels.states[remaining])
+    labels, mapper = mapper.complete_labels(map_block(mapper, grid, progress=progress))
     return Basins(*labels[:3], mapper.attractors)
 
 

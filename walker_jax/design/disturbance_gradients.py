@@ -58,10 +58,10 @@ def disturbance_gradient(
     widths = check_bands(walker, parameters, bands)
     gait = find_gait(walker, tolerance=tolerance) if gait is None else gait
     found = least_disturbance(walker, gait, fall=fall, strides=strides, tolerance=tolerance)
-    finest = float(default_tolerance(found.state.dtype, tolerance))
+    checked_tolerance = float(default_tolerance(found.state.dtype, tolerance))
     beyond = np.asarray(gait.states)[found.phase] + BEYOND[:, None] * found.size * found.direction
     made, axes = np.full(len(beyond), found.strides, np.int32), np.eye(beyond.shape[1])
-    changes = differentiate_margins(walker, beyond, made, axes, parameters, finest)
+    changes = differentiate_margins(walker, beyond, made, axes, parameters, checked_tolerance)
     changes_of_gait = [
         gait_derivatives(walker, gait, name, tolerance=tolerance) for name in parameters
     ]

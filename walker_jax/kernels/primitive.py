@@ -214,7 +214,7 @@ def by_kernel(function: Callable) -> Callable:
         outputs = kernel_p.bind(*leaves, program=program, mapped=(False,) * len(leaves))
         return jax.tree.unflatten(results, outputs)
 
-    call.of_one_cell = function  # pyright: ignore[reportAttributeAccessIssue] (functions have them)
+    vars(call)["of_one_cell"] = function  # by which `program_of` knows it
     return call
 
 

@@ -61,8 +61,8 @@ def boundary_dimension(
     check_whole("strides", strides)
     dtype = jnp.asarray(0.0).dtype
     check_precision(dtype, "boundary_dimension, which compares starts 1e-6 apart,")
-    finest = float(default_tolerance(dtype, tolerance))
-    mapper = with_capture_boxes(mapper_of_grid(walker, grid, finest, strides))
+    checked_tolerance = float(default_tolerance(dtype, tolerance))
+    mapper = with_capture_boxes(mapper_of_grid(walker, grid, checked_tolerance, strides))
 
     def label_of(share: Float[np.ndarray, "n axes"]) -> Int[np.ndarray, " n"]:
         labels, _ = mapper.label_all(grid.points_at(share))

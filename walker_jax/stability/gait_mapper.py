@@ -36,8 +36,10 @@ def mapper_of_gait(
     miss = np.abs(ends - np.roll(states, -1, axis=0)).max()
     if not miss < capture_radius(states.dtype):
         raise WrongUse(f"gait must be one of this walker, whose strides miss it by {miss:.2g}")
-    finest = float(default_tolerance(states.dtype, tolerance))
-    return with_capture_boxes(Mapper(walker, [Attractor(len(states), states)], finest, strides))
+    checked_tolerance = float(default_tolerance(states.dtype, tolerance))
+    return with_capture_boxes(
+        Mapper(walker, [Attractor(len(states), states)], checked_tolerance, strides)
+    )
 
 
 def with_other_gaits(mapper: Mapper, starts: Float[np.ndarray, "n section"]) -> Mapper:

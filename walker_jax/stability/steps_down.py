@@ -81,8 +81,13 @@ def labels_after_step(
 ) -> Labels:
     """Labels of walkers that step down by `drops` from x; the stride down is counted."""
     walker, tolerance = mapper.walker, mapper.tolerance
-    finest = np.asarray(tolerance, x.dtype)
-    arguments = jax.tree.map(lambda leaf: np.asarray(leaf, x.dtype), walker), x, drops, finest
+    checked_tolerance = np.asarray(tolerance, x.dtype)
+    arguments = (
+        jax.tree.map(lambda leaf: np.asarray(leaf, x.dtype), walker),
+        x,
+        drops,
+        checked_tolerance,
+    )
     down = map_cells(follow_step_down, arguments, (False, True, True, False))
     after = take_strides(walker, down.state, tolerance=tolerance)
     rest = mapper(np.asarray(after.state))

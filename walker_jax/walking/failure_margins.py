@@ -146,10 +146,10 @@ def follow_margins(
         series, length = taylor_step(field, now.state, order, tolerance, walker.contact)
         after = evaluate_series(series, length)
         h = function_series(walker.contact, series)
-        look = polynomial_jet(h)
-        turn = interior_minimum(look, length)
+        jet = polynomial_jet(h)
+        turn = interior_minimum(jet, length)
         below = with_fast_sincos(is_below)(walker, after)
-        crossed, when = first_upcrossing(look, length, (now.below, below))
+        crossed, when = first_upcrossing(jet, length, (now.below, below))
         when = differentiable_zero(h, when)
         arrival = evaluate_series(series, when)
         ahead = (arrival.theta < 0) & (arrival.theta > -np.pi / 2) & (arrival.thetadot < 0)
@@ -303,9 +303,9 @@ def upcrossing(series: list[Scalar], length: Scalar) -> Instant:
     fixed, length = lax.stop_gradient((series, length))
     exists = (fixed[0] < 0) & (evaluate_polynomial(fixed, length) >= 0)
     slope = derivative_of(fixed)
-    look = lambda t: (evaluate_polynomial(fixed, t), evaluate_polynomial(slope, t))
+    jet = lambda t: (evaluate_polynomial(fixed, t), evaluate_polynomial(slope, t))
     zero = jnp.zeros_like(length)
     return Instant(
         exists,
-        differentiable_zero(series, bracketed_newton(look, zero, jnp.where(exists, length, zero))),
+        differentiable_zero(series, bracketed_newton(jet, zero, jnp.where(exists, length, zero))),
     )

@@ -95,9 +95,11 @@ def for_each_start(
         )
     dtype = xs.dtype if np.issubdtype(xs.dtype, np.floating) else float
     xs = xs.astype(jax.dtypes.canonicalize_dtype(dtype), copy=False)
-    checked = np.asarray(default_tolerance(xs.dtype, tolerance), xs.dtype)
+    checked_tolerance = np.asarray(default_tolerance(xs.dtype, tolerance), xs.dtype)
     walker, many = as_arrays(walker, len(xs), xs.dtype)
-    return map_cells(function, (walker, xs, checked), (many, True, False), progress=progress)
+    return map_cells(
+        function, (walker, xs, checked_tolerance), (many, True, False), progress=progress
+    )
 
 
 def as_arrays(walker: Walker, n: int, dtype) -> tuple[Walker, bool]:
@@ -209,7 +211,7 @@ def iterate(
     """
     n, size = starts.shape
     walker, many = as_arrays(walker, n, starts.dtype)
-    finest = np.asarray(default_tolerance(starts.dtype, tolerance), starts.dtype)
+    checked_tolerance = np.asarray(default_tolerance(starts.dtype, tolerance), starts.dtype)
     end = WalkEnd(
         starts.copy(), np.zeros(n, np.int8), np.zeros(n, np.int32), np.full(n, -1, np.int32)
     )
@@ -223,7 +225,13 @@ def iterate(
             break
         part = map_cells(
             walk_on,
-            (select_walkers(walker, active), end.state[active], compiled, np.int32(count), finest),
+            (
+                select_walkers(walker, active),
+                end.state[active],
+                compiled,
+                np.int32(count),
+                checked_tolerance,
+            ),
             (many, True, False, False, False),
             progress=progress and f"{progress}: from stride {done + 1} on, {len(active)} walkers",
         )

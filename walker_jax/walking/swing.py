@@ -95,13 +95,13 @@ def swing(
             return ends, ends_below
 
         last, steps = method.follow(now, stop, side=below, time=time)
-        look, until = method.jet(contact, last), last.length
+        jet, until = method.jet(contact, last), last.length
         below, ends_below = last.sides
         if drop is not None:
-            highest = interior_minimum(negate(look), until)
+            highest = interior_minimum(negate(jet), until)
             until = jnp.where(highest.exists, highest.time, until)
-            ends_below = jnp.where(highest.exists, look(until)[0] < 0, ends_below)
-        rises, time = first_upcrossing(look, until, (below, ends_below))
+            ends_below = jnp.where(highest.exists, jet(until)[0] < 0, ends_below)
+        rises, time = first_upcrossing(jet, until, (below, ends_below))
         time = jnp.where(rises, method.refine_time(contact, last, time), last.length)
         after = lambda time: method.state_at(last, time)
         arrival = after(time)
@@ -169,8 +169,8 @@ def minimum_force(
     The value is right to the square of what the time is right to. Constants to derivatives.
     """
     walker, before, after = lax.stop_gradient((walker, before, after))
-    look = with_fast_sincos(partial(normal_force, walker))
-    below, beyond, time = look(before)[1], look(after)[1], lax.stop_gradient(time)
+    jet = with_fast_sincos(partial(normal_force, walker))
+    below, beyond, time = jet(before)[1], jet(after)[1], lax.stop_gradient(time)
     zero = jnp.zeros_like(time)
 
     def unfinished(carry):
@@ -180,7 +180,7 @@ def minimum_force(
     def narrow(carry):
         low, high, below, beyond, best, least = carry
         t = low + (high - low) * jnp.clip(below / (below - beyond), 0.01, 0.99)
-        force, rate = look(lax.stop_gradient(between(t)))
+        force, rate = jet(lax.stop_gradient(between(t)))
         falling = rate < 0
         # An end that stays counts half as much the next time.
         return (
