@@ -14,7 +14,7 @@ values of a parameter that are worth a row of basins."""
 
 
 def cycle_distance(
-    one: Float[np.ndarray, "period section"], other: Float[np.ndarray, "period section"]
+    one: Float[np.ndarray, "period section"], other: Float[np.ndarray, "other section"]
 ) -> float:
     """Largest difference of any coordinate of two cycles; infinite where their periods differ.
 
@@ -27,8 +27,8 @@ def cycle_distance(
 
 
 def match_cycles(
-    cycles: Sequence[Float[np.ndarray, "period section"]],
-    known: Sequence[Float[np.ndarray, "period section"]],
+    cycles: Sequence[Float[np.ndarray, "_ section"]],
+    known: Sequence[Float[np.ndarray, "_ section"]],
     within: float,
 ) -> list[int]:
     """Of each cycle, the index of the known one that is nearest, each taken once; -1 for none."""

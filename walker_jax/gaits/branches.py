@@ -177,9 +177,9 @@ def join_paths(parameter: str, backward: Path, forward: Path, size: int) -> Bran
 def solve_at(
     walker: Walker,
     parameter: str,
-    guesses: Sequence[tuple[float, Float[np.ndarray, "period section"]]],
+    guesses: Sequence[tuple[float, Float[np.ndarray, "_ section"]]],
     tolerance: Real,
-) -> list[Float[np.ndarray, "period section"] | None]:
+) -> list[Float[np.ndarray, "_ section"] | None]:
     """The cycles to which Newton's iteration converges at values of the parameter, from guesses.
 
     None where it fails. The parameter keeps its value, unlike along a branch.

@@ -7,6 +7,7 @@ computes the requests of all branches.
 from collections.abc import Generator, Sequence
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -69,7 +70,7 @@ def compute_responses(
 ) -> list[Response]:
     """The responses to requests; every state of every cycle is a cell of its own."""
     dtype = requests[0].cycle.dtype
-    checked_tolerance = np.asarray(default_tolerance(dtype, tolerance), dtype)
+    checked_tolerance = jnp.asarray(default_tolerance(dtype, tolerance), dtype)
     batch = lambda requests: batch_cells(walker, parameter, requests, dtype)
     linear = split_by_cycle(linearise(*batch(requests), checked_tolerance, parameter), requests)
     with_vectors = [request for request in requests if request.vectors is not None]

@@ -37,6 +37,7 @@ from walker_jax.stability.sampling import wilson_interval
 from walker_jax.stability.summary import default_region
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import check_parameter, with_parameter
+from walker_jax.walking.iteration import orbits
 from walker_jax.walking.outcomes import Outcome
 
 SAME_CYCLE = 1e-6
@@ -44,6 +45,10 @@ SAME_CYCLE = 1e-6
 walker that converges slowly still lacks."""
 CONFIDENCE = 0.95
 """Of the intervals of fractions."""
+
+
+STATES = 64
+"""States that are kept of a motion without a period."""
 
 
 class Found(NamedTuple):
@@ -62,7 +67,7 @@ def continue_basins(
     values: Sequence[Any] | ArrayLike,
     region: Grid | None = None,
     *,
-    samples: int = 10_000,
+    samples: int = 100_000,
     strides: int = 500,
     seed: int = 0,
     tolerance: float | None = None,
@@ -86,10 +91,10 @@ def continue_basins(
 
     **Returns** a data set over the `value` and the `attractor`: `fraction` of the starts that
     converge to it, with the ends `fraction_low` and `fraction_high` of Wilson's 95 % interval, NaN
-    where it is none; its `states` there; `period`, 0 for a motion without one, and the `first` and
-    the `last` value at which it attracts. `failed` is the fraction that fails, by `Outcome`. Over
-    the bifurcations of the gaits' branches: `event_attractor`, `event_value`, and `event_fold`,
-    whether it is a fold or a period doubling.
+    where it is none; its `states` there, or `STATES` of a motion without a period; `period`, 0 for
+    such a motion; and the `first` and the `last` value at which it attracts. `failed` is the
+    fraction that fails, by `Outcome`. Over the bifurcations of the gaits' branches:
+    `event_attractor`, `event_value`, and `event_fold`, whether it is a fold or a period doubling.
 
     Raises `ValueError` for a wrong parameter, values that are not in order, and a region that does
     not fit the walker.
@@ -157,9 +162,15 @@ class Family:
         names += self.names_of(value, mapper.attractors[len(known) :], names)
         periods = [one.period for one in mapper.attractors]
         self.without_period = names[periods.index(None)] if None in periods else NONE
-        return Found(names, mapper.attractors, labels)
+        shown = [
+            one
+            if one.period
+            else one._replace(states=orbits(there, one.states, STATES - 1, self.tolerance)[0][0])
+            for one in mapper.attractors
+        ]
+        return Found(names, shown, labels)
 
-    def cycles_at(self, value: float) -> list[tuple[int, Float[np.ndarray, "period section"]]]:
+    def cycles_at(self, value: float) -> list[tuple[int, Float[np.ndarray, "_ section"]]]:
         """The gaits of all branches at a value, stable or not, with their numbers."""
         guesses = [
             (name, cycle)
@@ -208,7 +219,7 @@ def assemble(
 ) -> xr.Dataset:
     """The data set that `continue_basins` returns."""
     count, size = len(branches), found[0].labels.states.shape[1]
-    longest = max((one.period or 1 for each in found for one in each.attractors), default=1)
+    longest = max((len(one.states) for each in found for one in each.attractors), default=1)
     period = np.zeros(count, int)
     states = np.full((len(values), count, longest, size), np.nan)
     shares = np.full((3, len(values), count), np.nan)
