@@ -18,6 +18,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from walker_jax.basins.attractor import Attractor
+from walker_jax.basins.attractor_search import sample
 from walker_jax.basins.mapper import Labels, Mapper
 from walker_jax.basins.matching import NONE, match_cycles
 from walker_jax.basins.memory import check_grid
@@ -158,7 +159,11 @@ class Family:
                 states = np.roll(states, -int(states[:, 0].argmin()), axis=0)
                 known.append(Attractor(len(states), states))
         mapper = Mapper(there, known, self.tolerance, strides)
-        labels, mapper = mapper.label_all(starts)
+        labels = mapper(starts)
+        left = labels.states[labels.remaining]
+        if len(left):  # first, as a cycle that is new may pass close to one that is known
+            mapper = mapper.with_attractors_from(sample(left))
+        labels, mapper = mapper.complete_labels(labels)
         names += self.names_of(value, mapper.attractors[len(known) :], names)
         periods = [one.period for one in mapper.attractors]
         self.without_period = names[periods.index(None)] if None in periods else NONE
