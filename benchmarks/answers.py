@@ -54,8 +54,8 @@ def main() -> None:
                 ]
                 (old, old_wall), (new, new_wall) = rows
                 print(
-                    f"{name:12} {state:7} {old:7.1f} {old_wall:7.1f}   {new:7.1f} {new_wall:7.1f}   "
-                    f"{old / new:.2f} times as long",
+                    f"{name:12} {state:7} {old:7.1f} {old_wall:7.1f}   {new:7.1f} {new_wall:7.1f}"
+                    f"   {old / new:.2f} times as long",
                     flush=True,
                 )
 

@@ -61,8 +61,8 @@ def test_motions_without_a_period_have_one_number_on_a_grid_of_walkers():
 
 @pytest.fixture(scope="module")
 def followed():
-    slopes = [0.0122, 0.0125, 0.0145, 0.0155, 0.0183, 0.0195]
-    return wj.continue_basins(wj.SimplestWalker(0.004), "slope", slopes, REGION, samples=3000)
+    slopes = [0.0122, 0.0125, 0.0145, 0.0155, 0.0195]
+    return wj.continue_basins(wj.SimplestWalker(0.004), "slope", slopes, REGION, samples=2000)
 
 
 def test_attractors_are_born_and_end_at_the_bifurcations_of_their_branches(followed):
