@@ -152,7 +152,7 @@ def integrate_along_boundary(walker: Walker, found: Refined, parameters: Sequenc
     """The sum of v |n_i| over the points in which lines of a grid cross the boundary."""
     if not parameters:
         return Integral(np.zeros(0), np.zeros(0), 0, 0, 0)
-    walks, fine = found.attractor >= 0, found.grid
+    fine = found.grid
     shape, count = np.array(fine.shape), len(parameters)
     tangents = np.asarray(fine.shear) * np.asarray(fine.spacing)  # columns: from cell to cell
     totals = np.zeros((LINE_GROUPS, count))
@@ -166,7 +166,7 @@ def integrate_along_boundary(walker: Walker, found: Refined, parameters: Sequenc
         return labels.converged, labels.strides
 
     for axis in range(len(shape)):
-        inside, outside = boundary_pairs(walks, axis)
+        inside, outside = boundary_pairs(found, axis)
         for _ in range(BISECTIONS):
             middle = (inside + outside) / 2
             stays = follow(middle)[0][:, None]
@@ -190,14 +190,21 @@ def integrate_along_boundary(walker: Walker, found: Refined, parameters: Sequenc
 
 
 def boundary_pairs(
-    walks: Bool[np.ndarray, "*shape"], axis: int
+    found: Refined, axis: int
 ) -> tuple[Float[np.ndarray, "n axes"], Float[np.ndarray, "n axes"]]:
     """Neighbours along an axis of which one walks: that one, and the other.
 
-    As places in the grid, in cells; centres are at halves.
+    As places in the grid, in cells; centres are at halves. Both have been followed.
     """
-    rises = np.delete(walks, 0, axis=axis)
-    index = np.argwhere(rises != np.delete(walks, -1, axis=axis))
-    first, step = index + 0.5, np.eye(walks.ndim)[axis]
-    ahead = rises[tuple(index.T)][:, None]
+    runs, shape = found.runs, found.grid.shape
+    walks = runs.attractor >= 0
+    index = np.stack(np.unravel_index(found.cells, shape), axis=1)
+    index = index[index[:, axis] + 1 < shape[axis]]
+    step = np.eye(len(shape), dtype=int)[axis]
+    here, ahead = (
+        walks[runs.of_cells(np.ravel_multi_index(tuple(places.T), shape))]
+        for places in (index, index + step)
+    )
+    differ = here != ahead
+    first, ahead = index[differ] + 0.5, ahead[differ][:, None]
     return np.where(ahead, first + step, first), np.where(ahead, first, first + step)
