@@ -6,11 +6,11 @@ A run never goes on from one row to the next. Cells are numbered as in `Grid`, b
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 
 from walker_jax.walking.outcomes import Outcome
 
@@ -82,7 +82,7 @@ class Runs(NamedTuple):
         places = 2 * np.stack(np.unravel_index(self.first, self.shape))
         steps = np.indices((*[2] * (len(shape) - 1), 1)).reshape(len(shape), -1)
         parts = places[:, :, None] + steps[:, None]
-        first = np.asarray(np.ravel_multi_index(tuple(parts), shape)).ravel()
+        first = flat_index(parts, shape).ravel()
         order = np.argsort(first)
         run = order // steps.shape[1]
         return Runs(shape, first[order], self.label[run], self.level[run])
@@ -91,6 +91,16 @@ class Runs(NamedTuple):
         """How many cells were followed on each of the first levels."""
         counts = [self.lengths[self.level == level].sum() for level in range(levels)]
         return np.array(counts, int)
+
+    def count_at_border(self, chosen: Bool[np.ndarray, " runs"]) -> int:
+        """How many cells of some runs are at the border of the grid."""
+        *places, begins = np.unravel_index(self.first[chosen], self.shape)
+        lengths = self.lengths[chosen]
+        ends = 1 * (begins == 0) + (begins + lengths == self.shape[-1])
+        outer = np.zeros(len(begins), bool)
+        for place, count in zip(places, self.shape, strict=False):
+            outer |= (place == 0) | (place == count - 1)
+        return int(np.where(outer, lengths, np.minimum(ends, lengths)).sum())
 
     def cells_of_level(self, level: int, number: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
         """Those of the cells of a level, in ascending order, that have these numbers from 0 on."""
@@ -124,5 +134,12 @@ def neighbours(
     places = np.unravel_index(cells, shape)
     for step in np.ndindex((3,) * len(shape)):
         if step != (1,) * len(shape):
-            beside = tuple(place + one - 1 for place, one in zip(places, step, strict=True))
-            yield np.asarray(np.ravel_multi_index(beside, shape, mode="clip"))
+            beside = [place + one - 1 for place, one in zip(places, step, strict=True)]
+            yield flat_index(beside, shape)
+
+
+def flat_index(
+    places: Sequence[Int[np.ndarray, "..."]] | Int[np.ndarray, "..."], shape: tuple[int, ...]
+) -> Int[np.ndarray, "..."]:
+    """Numbers of the cells at these places on each axis, or of those at the border next to them."""
+    return np.asarray(np.ravel_multi_index(tuple(places), shape, mode="clip"))

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from walker_jax.basins.refinement import Refined, refine_cells
+from walker_jax.basins.runs import flat_index
 from walker_jax.checks import refuses_tracers
 from walker_jax.design.bands import check_bands, walkers_at_band_ends
 from walker_jax.grids import Grid
@@ -202,8 +203,7 @@ def boundary_pairs(
     index = index[index[:, axis] + 1 < shape[axis]]
     step = np.eye(len(shape), dtype=int)[axis]
     here, ahead = (
-        walks[runs.of_cells(np.ravel_multi_index(tuple(places.T), shape))]
-        for places in (index, index + step)
+        walks[runs.of_cells(flat_index(places.T, shape))] for places in (index, index + step)
     )
     differ = here != ahead
     first, ahead = index[differ] + 0.5, ahead[differ][:, None]
