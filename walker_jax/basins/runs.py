@@ -122,7 +122,9 @@ def join_runs(
     return Runs(shape, first[begins], label[begins].astype(np.int32), level[begins].astype(np.int8))
 
 
-def label_of(fate: Int[np.ndarray, " n"], attractor: Int[np.ndarray, " n"]) -> np.ndarray:
+def label_of(
+    fate: Int[np.ndarray, "*n"], attractor: Int[np.ndarray, "*n"]
+) -> Int[np.ndarray, "*n"]:
     """One number for the fate and the attractor of each cell, which converges if it has one."""
     return np.where(attractor >= 0, len(Outcome) + attractor, fate)
 
