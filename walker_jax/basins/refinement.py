@@ -1,7 +1,7 @@
 """The basin of attraction on fine grids, of which only cells on a boundary are followed.
 
 A coarse grid is followed directly. Then every cell that has a neighbour of another fate is cut into
-2 x 2 (2 x 2 x 2), and the parts are followed; the parts of all others inherit. Where parts show a
+2 x 2, or 2 x 2 x 2, and the parts are followed; the parts of all others inherit. Where parts show a
 boundary to cells that inherited, those are followed too, and so on: a tail that is found
 anywhere is followed to its end. Random starts among the cells that inherited find others, which are
 followed too. A second set of random starts corrects the area, and gives its standard error.
@@ -77,8 +77,15 @@ def refine(
     - `checked`, `mistaken`: starts of the second check, and those that fall where their cell
       walks, or the other way round; `strides_made`: in all.
 
-    `strides` are counted for cells that were followed, and 0 for others. Memory is that of the
-    finest grid; strides are made for its boundary alone. `ValueError` as for `basin`.
+    `strides` are counted for cells that were followed, and 0 for others. Strides are made for the
+    boundary alone; the arrays that are returned take the memory of the finest grid.
+
+    Over three dimensions areas are volumes, and memory follows the boundary too: in place of arrays
+    over the grid the data set has runs of cells that are alike, of which `slice_basin` makes arrays
+    in two dimensions, and `at_border`, how many cells of basins are at the border of the grid. How
+    much cells at the boundary bring to the error is measured by up to 20,000 more starts.
+
+    `ValueError` as for `basin`, and where a level needs more memory than there is.
     """
     found = refine_cells(
         walker,

@@ -45,11 +45,11 @@ def whole_section(walker: Walker) -> dict[str, Any]:
 
     It is `WHOLE_SECTION`, with rates in units of 1 / sqrt(leg length).
     """
-    angle = 1e-3  # so small that a step is 2 angle leg lengths long, on round feet too
+    angle = 1e-4  # so small that a step is 2 angle leg lengths long, on round feet too
     start = walker.lift(jnp.array([angle, -angle, 0.0]))
-    unit = float(2 * angle / walker.reach(walker.exchange_legs(start))) ** 0.5
+    unit = round(float(2 * angle / walker.reach(walker.exchange_legs(start))) ** 0.5, 6)
     (narrowest, widest, _), (low, high, count) = WHOLE_SECTION["theta"], WHOLE_SECTION["sum"]
-    ends = [a + unit * (end - a) for a in (narrowest, widest) for end in (low, high)]
+    ends = [unit * end + (1 - unit) * a for a in (narrowest, widest) for end in (low, high)]
     backward, forward, turns = WHOLE_SECTION["phidot"]
     return {
         "theta": WHOLE_SECTION["theta"],

@@ -1,9 +1,10 @@
-"""The area of a basin, and its derivatives by parameters of the walker.
+"""The area or volume of a basin, and its derivatives by parameters of the walker.
 
 An area is the integral of an indicator, which has no derivative; but the basin's boundary is where
 the margin m of some failure is zero, and moves outwards, at right angles to itself, by
 v = (dm/dp) / |grad m| for each unit of a parameter p. So dA/dp is the integral of v along the
-boundary, by derivatives of strides and margins alone. Where the boundary is fractal the area falls
+boundary, by derivatives of strides and margins alone. A volume is that of a surface in the same
+way. Where the boundary is fractal the area falls
 by jumps, whose sum that integral misses; there a derivative means something only as its average
 over a band of the parameter, which is the change of the area over the band.
 """
@@ -34,7 +35,8 @@ class AreaGradient(NamedTuple):
     """The area of a basin, and its derivatives by parameters of the walker."""
 
     area: float
-    """Within the grid, of all attractors together (rad^2 per unit of time); of a slice, in it."""
+    """Within the grid, of all attractors together (rad^2 per unit of time; of a slice, in it); over
+    three dimensions a volume (rad^3 per unit of time squared)."""
     gradient: Float[np.ndarray, " parameters"]
     """Its derivatives."""
     area_error: float
@@ -45,7 +47,8 @@ class AreaGradient(NamedTuple):
     crossings: int
     """Number of points in which lines cross the boundary."""
     lost: int
-    """Crossings that border on another motion instead of a failure; they count as fixed."""
+    """Crossings that border on another motion, or on starts that are not feasible, instead of a
+    failure; they count as fixed, which of feasible starts they are."""
     strides: int
     """Strides made in all; those with derivatives count once for each direction."""
 
@@ -79,6 +82,8 @@ def area_gradient(
     into the basin like the square root of the distance in p from the value at which they are born.
     There, if the error exceeds 1/20 of the integral and `bands` are given, the derivative is the
     average over a band of half width h, (A(p + h) - A(p - h)) / 2h, of refined areas.
+
+    Over three dimensions the same is true of the surface of the basin and of its volume.
 
     **Arguments:**
 

@@ -105,8 +105,8 @@ def optimise(
     upper bound; `binding`, the measures whose limits bind at the optimum; and `converged`, whether
     it ended because no step of the last stage along the gradient improved the objective. The
     trace, over evaluations: `run`, `stage` (-1 for the scan, -2 for the ends), `parameters`,
-    `value` and `value_error`, `gradient` and `gradient_error` (by the parameters), `measures`, and the
-    `strides` that were made for them; `note`, the reason why a run failed. `scan_parameters`,
+    `value` and `value_error`, `gradient` and `gradient_error` (by the parameters), `measures`, and
+    the `strides` that were made for them; `note`, the reason why a run failed. `scan_parameters`,
     `scan_value` and `scan_allowed`, by the limits. `fate_start` and `fate_optimum`: the basins at
     both ends, on a grid that shows them; -1 where a walker converges to an attractor. Where `found`
     is false all starts failed, and all but the trace is missing.

@@ -9,6 +9,7 @@ import xarray as xr
 from walker_jax.basins.cell_classes import total_area
 
 AREA_LABEL = "area of the basin (rad² / √(l/g))"
+VOLUME_LABEL = "volume of the basin (rad³·g/l)"
 RADIUS = "modulus of the largest multiplier"
 SYMBOLS = {
     "sum": r"$\theta + \dot{\theta}$",

@@ -152,7 +152,12 @@ KINDS = {
     "sweep": Kind(
         "Basins over all combinations of parameters, whose names are dimensions (`sweep`).",
         {
-            "total_area": V("*parameters", "real", AREA, "of all basins, by refinement"),
+            "total_area": V(
+                "*parameters",
+                "real",
+                AREA,
+                "of all basins, by refinement; over three dimensions a volume, rad³·g/l",
+            ),
             "total_area_error": V("*parameters", "real", AREA, "its standard error"),
             "failed": V("*parameters", "integer", "", "1 where the computation failed"),
             "reason": V("*parameters", "text", "", "why it failed, otherwise empty", NEW),
