@@ -4,7 +4,7 @@ The whole basin of the default walkers on round feet and with an upper body, in 
 First, volumes of one walker by ever finer grids, each in a process of its own: processor seconds
 and peak memory grow as the cells that are followed, about fourfold a level, not eightfold. Then
 volumes over slopes against the same volume by random starts (basin stability), with its 95 %
-interval, and by direct iteration of every cell of a uniform grid.
+interval.
 
 PRINTOUT
 """
@@ -18,12 +18,12 @@ import jax
 import numpy as np
 
 import walker_jax as wj
-from walker_jax.basins.refinement import finer
 from walker_jax.basins.windows import grid_along, whole_section
 
 WALKERS = {"round-foot": wj.RoundFootWalker, "upper-body": wj.UpperBodyWalker}
 SLOPES = 0.005, 0.01, 0.02
-LEVELS, STARTS = 2, 4_000_000
+NODES = 4
+LEVELS, STARTS = 2, 2_000_000
 
 
 def main(step: str = "all", levels: int = 3) -> None:
@@ -31,15 +31,41 @@ def main(step: str = "all", levels: int = 3) -> None:
     if step == "level":
         measure_level(levels)
         return
-    print("level      volume +- error      followed      runs    cpu s  wall s  peak MB (before)")
-    for level in range(levels + 1):
-        subprocess.run([sys.executable, __file__, "level", str(level)], check=True)
+    if step in ("all", "levels"):
+        print(
+            "level      volume +- error      followed      runs    cpu s  wall s  peak MB (before)"
+        )
+        for level in range(levels + 1):
+            subprocess.run([sys.executable, __file__, "level", str(level)], check=True)
+    if step in ("all", "slopes"):
+        print("walker     slope  volume +- error       by random starts (95 %)       apart")
+        for name, kind in WALKERS.items():
+            for slope in SLOPES:
+                compare(name, kind(slope))
+    if step in ("all", "gradient"):
+        print("walker     change of the volume over these slopes; integral of its derivative")
+        for name, kind in WALKERS.items():
+            integrate_gradient(name, kind)
+
+
+def integrate_gradient(name: str, kind: type) -> None:
+    """Print the change of a volume over the slopes, and the integral of its derivative."""
+    low, high = SLOPES[0], SLOPES[-1]
+    nodes, weights = np.polynomial.legendre.leggauss(NODES)
+    slopes = (low + high) / 2 + (high - low) / 2 * nodes
+    grid = grid_along(whole_section(kind(low)))
+    found = [wj.area_gradient(kind(slope), grid, levels=1, check=50_000) for slope in slopes]
+    rates = np.array([one.gradient[0] for one in found])
+    errors = np.array([one.error[0] for one in found])
+    share = weights * (high - low) / 2
+    ends = [wj.refine(kind(slope), grid, LEVELS) for slope in (low, high)]
+    change = float(ends[1].total_area - ends[0].total_area)
+    error = np.linalg.norm([float(one.total_area_error) for one in ends])
     print(
-        "walker     slope  volume +- error       by random starts (95 %)       apart   uniform grid"
+        f"{name:10} {change:.6f} +- {error:.6f}; {share @ rates:.6f} +- "
+        f"{np.linalg.norm(share * errors):.6f}, rates {np.round(rates, 4).tolist()}",
+        flush=True,
     )
-    for name, kind in WALKERS.items():
-        for slope in SLOPES:
-            compare(name, kind(slope))
 
 
 def measure_level(level: int) -> None:
@@ -69,11 +95,10 @@ def compare(name: str, walker: wj.Walker) -> None:
     whole = grid.size * grid.cell_area
     share, low, high = (float(one) for one in (found.value, found.low, found.high))
     own = np.hypot(error, whole * (high - low) / 2 / 1.96)
-    uniform = wj.basin(walker, finer(grid, 1), "direct")
     print(
         f"{name:10} {float(vars(walker)['slope']):.3f}  {volume:.6f} +- {error:.6f}  "
         f"{whole * share:.6f} ({whole * low:.6f} to {whole * high:.6f})  "
-        f"{(whole * share - volume) / own:+.2f}  {float(uniform.area.sum()):.6f}  "
+        f"{(whole * share - volume) / own:+.2f}  "
         f"periods {data.period.values.tolist()}, at border {int(data.at_border)}, "
         f"mistaken {int(data.mistaken)} of {int(data.checked)}",
         flush=True,

@@ -158,8 +158,8 @@ def refined(walks_in):
 def test_slices_are_those_of_the_whole_grid(refined):
     volume, error = float(refined.total_area), float(refined.total_area_error)
     assert abs(volume - VOLUMES[ellipsoid]) < 4 * error < 0.03 * volume
-    runs = np.repeat(refined.run_fate, np.diff(refined.first_cell, append=48 * 56 * 44))
-    fate = runs.values.reshape(48, 56, 44)
+    lengths = np.diff(refined.first_cell.values, append=48 * 56 * 44)
+    fate = np.repeat(refined.run_fate.values, lengths).reshape(48, 56, 44)
     for k, (name, width) in enumerate({"theta": 1, "sum": np.sqrt(2), "phidot": 1}.items()):
         place = 20
         plane = wj.slice_basin(refined, **{name: float(refined[name][place])})
@@ -206,8 +206,9 @@ def test_the_picture_has_three_slices_and_the_surface(refined):
         ((left, right), (low, high)) = ax.get_xlim(), ax.get_ylim()
         assert right - left < 1 and high - low < 1.2  # of the basin, not of the grid
         (dot,) = ax.get_lines()
-        assert left < dot.get_xdata()[0] < right and low < dot.get_ydata()[0] < high
-    seen = surface.get_images()[0].get_array()
+        ((x, y),) = np.asarray(dot.get_xydata()).tolist()
+        assert left < x < right and low < y < high
+    seen = np.asarray(surface.get_images()[0].get_array())
     assert 0.05 < np.mean(seen[..., 3] > 0.5) < 0.7  # an ellipsoid within the box's outline
     lit = seen[..., :3][seen[..., 3] > 0.9].sum(axis=-1)
     assert lit.max() > 1.5 * lit.min()
@@ -333,5 +334,5 @@ def test_the_volume_of_a_walker_on_round_feet():
     rate = area_gradient(WALKER, grid, ("foot_radius",), levels=1)
     near = [wj.refine(wj.RoundFootWalker(0.01, foot_radius=r), grid, 2) for r in (0.19, 0.21)]
     low, high = (float(one.total_area) for one in near)
-    spread = np.hypot(*(float(one.total_area_error) for one in near)) / 0.02
+    spread = np.linalg.norm([float(one.total_area_error) for one in near]) / 0.02
     assert abs(rate.gradient[0] - (high - low) / 0.02) < 4 * np.hypot(spread, rate.error[0])

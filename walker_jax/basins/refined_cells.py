@@ -13,7 +13,7 @@ from walker_jax.basins.memory import TooLarge, memory_of_machine
 from walker_jax.basins.runs import Runs, flat_index, label_of, neighbours
 from walker_jax.grids import Grid
 
-BYTES_PER_FOLLOWED_CELL = 250
+BYTES_PER_FOLLOWED_CELL = 150
 """Memory at its peak, for each cell that is followed on one level (benchmarks/volumes.py)."""
 CELLS_TOGETHER = 2**21
 """Cells that are followed in one call, which bounds what their states take of memory."""
