@@ -5,44 +5,43 @@ import xarray as xr
 
 from walker_jax.basins.runs import Runs, flat_index
 from walker_jax.basins.schema import ATTRIBUTES
-from walker_jax.checks import WrongUse, check_number, refuses_tracers
+from walker_jax.checks import WrongUse, check_kind, check_number, refuses_tracers, short
 from walker_jax.grids import Grid
 from walker_jax.storage.schema import check_dataset
 
 
 @refuses_tracers()
-def slice_basin(data: xr.Dataset, **at: float) -> xr.Dataset:
+def slice_basin(data: xr.Dataset, axis: str, value: float) -> xr.Dataset:
     """The slice of a refined basin of three dimensions at one value of one axis.
 
     **Arguments:**
 
     - `data`: what `refine` returns over three dimensions.
-    - `at`: the name of an axis of its grid, and a value on it, as `phidot=-0.05`. The slice is that
-      of the finest cells that hold the value.
+    - `axis`: the name of an axis of its grid, such as "phidot".
+    - `value`: on it; the slice is that of the finest cells that hold the value.
 
     **Returns** a data set like that of `basin` over the other two axes; all its `strides` are 0.
     `cells` and `area` are those of the slice.
 
-    Raises `ValueError` for another data set, and for anything but one axis and a value within it.
+    Raises `ValueError` for another data set, for an axis that it does not have, and for a value
+    that is not on the axis.
     """
+    check_kind("data", data, xr.Dataset)
     check_dataset(data, "refined volume")
     grid, runs = grid_of(data), runs_of(data)
-    if len(at) != 1 or next(iter(at)) not in grid.names:
-        raise WrongUse(
-            f"at must be one of {', '.join(grid.names)}, not {', '.join(at) or 'nothing'}"
-        )
-    ((name, value),) = at.items()
-    check_number(name, value)
-    axis = grid.names.index(name)
-    low, high, count = (float(ends[axis]) for ends in (grid.lower, grid.upper, grid.counts))
+    if not isinstance(axis, str) or axis not in grid.names:
+        raise WrongUse(f"axis must be one of {', '.join(grid.names)}, not {short(axis)}")
+    check_number("value", value)
+    hidden = grid.names.index(axis)
+    low, high, count = (float(ends[hidden]) for ends in (grid.lower, grid.upper, grid.counts))
     if not low <= value < high:
-        raise WrongUse(f"{name}={value:g} must be in the grid, from {low:g} to {high:g}")
+        raise WrongUse(f"value must be on {axis}, from {low:g} to {high:g}, not {value:g}")
     place = min(int((value - low) / (high - low) * count), int(count) - 1)
-    others = [k for k in range(len(grid.names)) if k != axis]
+    others = [k for k in range(len(grid.names)) if k != hidden]
     axes = {grid.names[k]: list(grid.box.values())[k] for k in others}
-    centre = float(data[name][place])
-    plane = Grid(axes, grid.shear[:, others], grid.origin + grid.shear[:, axis] * centre)
-    cells = np.insert(np.indices(plane.shape), axis, place, axis=0)
+    centre = float(data[axis][place])
+    plane = Grid(axes, grid.shear[:, others], grid.origin + grid.shear[:, hidden] * centre)
+    cells = np.insert(np.indices(plane.shape), hidden, place, axis=0)
     run = runs.of_cells(flat_index(cells, grid.shape))
     arrays = {
         "fate": data["run_fate"].values[run],
@@ -53,7 +52,7 @@ def slice_basin(data: xr.Dataset, **at: float) -> xr.Dataset:
     counts = np.bincount(reached, minlength=data.sizes["number"])
     found = xr.Dataset(
         {key: (plane.names, values, ATTRIBUTES[key]) for key, values in arrays.items()},
-        coords=plane.axes | {name: centre},
+        coords=plane.axes | {axis: centre},
         attrs=data.attrs | {"area": (counts * plane.cell_area).tolist()},
     )
     return found.merge(data[["period", "states"]]).assign(

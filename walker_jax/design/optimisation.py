@@ -146,12 +146,12 @@ def optimise(
     if problem.grid is None and problem.size:
         raise WrongUse("grid is required: no start has a gait of period one to lay it around")
     if problem.grid is not None:
+        check_grid(walker, problem.grid, "direct")
         axes, needed = len(problem.grid.names), SIZES.get(problem.size)
         if (needed == 3 and axes != 3) or (needed == 2 and axes > 2):
             raise WrongUse(
                 f"objective {problem.size} must have a grid of {needed} axes, not {axes}"
             )
-        check_grid(walker, problem.grid, "direct")
         check_whole("levels", levels, 0, FINEST)
         check_finest(walker, problem.grid, levels)
 

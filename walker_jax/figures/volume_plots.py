@@ -76,7 +76,7 @@ def volume(data: xr.Dataset) -> Figure:
     for ax, hidden in zip(panels.flat, (2, 1, 0), strict=False):
         low, high = (float(data[names[hidden]][end]) for end in (0, -1))
         at = float(np.clip(centre[hidden], low, high))
-        plane = slice_basin(data, **{names[hidden]: at})
+        plane = slice_basin(data, names[hidden], at)
         x, y = (name for name in names if name != names[hidden])
         regions = regions_of(plane, large)
         patches |= {region.words: patch_of(region) for region in regions}
