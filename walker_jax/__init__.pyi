@@ -3,6 +3,7 @@
 from walker_jax.basins.computation import basin as basin
 from walker_jax.basins.computation import compare_methods as compare_methods
 from walker_jax.basins.refinement import refine as refine
+from walker_jax.basins.volumes import slice_basin as slice_basin
 from walker_jax.checks import ComputationFailed as ComputationFailed
 from walker_jax.design.area_gradients import AreaGradient as AreaGradient
 from walker_jax.design.area_gradients import area_gradient as area_gradient
