@@ -37,10 +37,15 @@ from walker_jax.stability.steps_down import LeastStepDown as LeastStepDown
 from walker_jax.stability.steps_down import least_step_down as least_step_down
 from walker_jax.stability.summary import robustness as robustness
 from walker_jax.stability.summary import robustness_table as robustness_table
+from walker_jax.walkers.feedback import Feedback as Feedback
 from walker_jax.walkers.heavy_legs import HeavyLegWalker as HeavyLegWalker
 from walker_jax.walkers.model import State as State
 from walker_jax.walkers.model import Walker as Walker
 from walker_jax.walkers.point_foot import PointFootWalker as PointFootWalker
+from walker_jax.walkers.powered import PoweredWalker as PoweredWalker
+from walker_jax.walkers.powered_masses import PoweredPointFootWalker as PoweredPointFootWalker
+from walker_jax.walkers.powered_masses import PoweredRoundFootWalker as PoweredRoundFootWalker
+from walker_jax.walkers.powered_masses import PoweredUpperBodyWalker as PoweredUpperBodyWalker
 from walker_jax.walkers.round_foot import RoundFootWalker as RoundFootWalker
 from walker_jax.walkers.simplest import SimplestWalker as SimplestWalker
 from walker_jax.walkers.spring import SpringWalker as SpringWalker

@@ -2,6 +2,12 @@
 
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.point_foot import PointFootWalker
+from walker_jax.walkers.powered import PoweredWalker
+from walker_jax.walkers.powered_masses import (
+    PoweredPointFootWalker,
+    PoweredRoundFootWalker,
+    PoweredUpperBodyWalker,
+)
 from walker_jax.walkers.round_foot import RoundFootWalker
 from walker_jax.walkers.simplest import SimplestWalker
 from walker_jax.walkers.spring import SpringWalker
@@ -13,6 +19,10 @@ WALKERS: dict[str, type[Walker]] = {
     "point-foot": PointFootWalker,
     "round-foot": RoundFootWalker,
     "upper-body": UpperBodyWalker,
+    "powered": PoweredWalker,
+    "powered-point-foot": PoweredPointFootWalker,
+    "powered-round-foot": PoweredRoundFootWalker,
+    "powered-upper-body": PoweredUpperBodyWalker,
 }
 """The walkers there are, by their names on the command line.
 

@@ -35,6 +35,10 @@ class MultibodyWalker(Walker):
     def swing_foot(self, q: Float[Array, " 4"]) -> Float[Array, " 2"]:
         """The swing foot's coordinates, those that (u, v) are for the stance foot, (11)."""
 
+    def push_off_impulse(self, q: Float[Array, " 4"]) -> Float[Array, " 4"] | None:
+        """Impulse dual to q on the walker just before heel strike; by default there is none."""
+        return None
+
     def driven_by_gravity(self):
         """As long as there are no generalised forces, and `forces` are those of gravity."""
         system, slope = self.system(), vars(self)["slope"]
@@ -144,6 +148,8 @@ def rates_and_impulses(walker: MultibodyWalker, state: State) -> tuple[list[Scal
 
     def equations(walker, state):
         q, qdot = coordinates_and_rates(state)
+        if (impulse := walker.push_off_impulse(q)) is not None:
+            qdot = multibody.push(walker.system(), q, qdot, impulse)
         after = multibody.impact(walker.system(), walker.swing_foot, q, qdot)
         return list(after.velocities), list(after.impulses)
 

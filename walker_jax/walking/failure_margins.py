@@ -38,7 +38,7 @@ from walker_jax.kernels import by_kernel
 from walker_jax.walkers.model import Scalar, State, Walker, toppling_rate
 from walker_jax.walking.iteration import for_each_start
 from walker_jax.walking.outcomes import Outcome, Stride
-from walker_jax.walking.stepping import begin_stride, end_stride, on_section, prepare
+from walker_jax.walking.stepping import begin_stride, during_stride, end_stride, on_section, prepare
 from walker_jax.walking.swing import equations, minimum_force
 
 
@@ -130,6 +130,7 @@ class MarginState(NamedTuple):
 def follow_margins(
     walker: Walker, x: Float[Array, " coordinates"], tolerance: Float[Array, ""]
 ) -> Margins:
+    walker = during_stride(walker, x)
     start, verdict = with_fast_sincos(begin_stride)(walker, x)
     field = equations(walker)
     order = series_order(start)

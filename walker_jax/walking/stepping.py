@@ -32,6 +32,7 @@ def stride(
     walker: Walker,
     x: Float[ArrayLike, " coordinates"],
     *,
+    step: Real | None = None,
     tolerance: Real | None = None,
     solver: AnySolver | None = None,
 ) -> Stride:
@@ -47,6 +48,12 @@ def stride(
     - `x`: the start, on the walker's section just after heel strike; or a full state
       (theta, phi, thetadot, phidot), for a launch or after a push. That is feasible where it is
       finite and the stance leg stands, |theta| < pi/2.
+    - `step`: height of the next foothold above the present one, normal to the slope, in the unit of
+      length; negative for a step down. The swing foot comes down there ahead of the other; where it
+      does not rise as high, the walker falls. The result's state is then a full one, just after
+      heel strike and off the section, as the foot that stood is lower or higher. `stride` takes it
+      from there, on a slope through the foot that stands now, with a `step` or without. By default
+      the ground is even.
     - `tolerance`: of one integration step: of its last Taylor terms, relative to the state or its
       rate (`integrators.solvers.step_length`), or of the error that another solver estimates. By
       default 1e-12 in float64 and 1e-6 in float32. The error of a stride is larger by as much as
@@ -57,8 +64,20 @@ def stride(
     **Returns** a `Stride`. A failure is an `Outcome`. `ValueError` for a wrong shape or dtype, and
     for a tolerance that the dtype cannot hold.
     """
+    walker, x, tolerance = prepare(walker, x, tolerance)
     with using_solver(solver):
-        return follow_stride(*prepare(walker, x, tolerance))
+        if step is None:
+            return follow_stride(walker, x, tolerance)
+        return follow_step(walker, x, height_of_step(step, x.dtype), tolerance)
+
+
+def height_of_step(step: Any, dtype) -> Float[Array, ""]:
+    """A step's height, checked."""
+    if not isinstance(step, Tracer):
+        check_number("step", step)
+        if not np.isfinite(step):
+            raise WrongUse(f"step must be one finite number, not {short(step)}")
+    return jnp.asarray(step, dtype)
 
 
 def prepare(
@@ -87,6 +106,7 @@ def follow_stride(
     x: Float[Array, " coordinates"],
     tolerance: Float[Array, ""],
 ) -> Stride:
+    walker = during_stride(walker, x)
     start, verdict = with_fast_sincos(begin_stride)(walker, x)
     launched = not on_section(walker, x)
     arrival, time, verdict, pulled = swing(walker, start, verdict, tolerance, launched=launched)
@@ -96,6 +116,11 @@ def follow_stride(
 def on_section(walker: Walker, x: Float[Array, " coordinates"]) -> bool:
     """Whether a start is a point of the section, and no full state."""
     return x.shape == (len(walker.section),)
+
+
+def during_stride(walker: Walker, x: Float[Array, " coordinates"]) -> Walker:
+    """The walker as it is during the stride from x."""
+    return walker.during_stride(x) if on_section(walker, x) else walker
 
 
 def full_state(walker: Walker, x: Float[Array, " coordinates"]) -> State:
@@ -170,37 +195,37 @@ def step_down(
     *,
     tolerance: Real | None = None,
 ) -> Stride:
-    """One stride whose heel strike is on ground that is lower by `drop`.
+    """One stride whose heel strike is on ground that is lower by `drop`, not negative.
 
-    The swing foot comes down to the slope, as in `stride`, and goes on until it is `drop` below,
-    measured at right angles to the slope, in the unit of length, not negative. Arguments and errors
-    are those of `stride` otherwise. The result's state is a full one, (theta, phi, thetadot,
-    phidot), just after heel strike, off the section: the foot that stood is higher. `stride` takes
-    it from there, on a slope through the foot that stands now.
+    `stride(walker, x, step=-drop)`.
     """
-    walker, x, tolerance = prepare(walker, x, tolerance)
     if not isinstance(drop, Tracer):
         check_number("drop", drop)
         if not 0 <= drop < np.inf:
             raise WrongUse(f"drop must be one number, finite and not negative, not {short(drop)}")
-    height = jnp.asarray(drop, x.dtype)
-    return follow_step_down(walker, x, height, tolerance)
+    return stride(walker, x, step=-drop, tolerance=tolerance)
 
 
 @by_kernel
-def follow_step_down(
+def follow_step(
     walker: Walker,
     x: Float[Array, " coordinates"],
-    drop: Float[Array, ""],
+    step: Float[Array, ""],
     tolerance: Float[Array, ""],
 ) -> Stride:
-    start, verdict = with_fast_sincos(begin_stride)(walker, x)
+    """One stride to ground that is higher by `step`; the result's state is a full one."""
+    walker = walker.during_stride(walker.project(full_state(walker, x)))
+    start, begun = with_fast_sincos(begin_stride)(walker, x)
     launched = not on_section(walker, x)
+    # A foot that goes below the ground has passed its level first, ahead of the other: the legs may
+    # pass each other below the level, and that is no heel strike.
+    higher = (begun == Outcome.UNDECIDED) & (step > 0)
+    verdict = jnp.where(higher, Outcome.STRIDE, begun).astype(jnp.int8)
     level, time, verdict, pulled = swing(walker, start, verdict, tolerance, launched=launched)
     pulled |= with_fast_sincos(in_tension)(walker, level)
-    going = (verdict == Outcome.STRIDE) & (drop > 0)
-    verdict = jnp.where(going, Outcome.UNDECIDED, verdict).astype(jnp.int8)
-    arrival, longer, verdict, more = swing(walker, level, verdict, tolerance, drop)
+    lower = (verdict == Outcome.STRIDE) & (step < 0)
+    verdict = jnp.where(higher | lower, Outcome.UNDECIDED, verdict).astype(jnp.int8)
+    arrival, longer, verdict, more = swing(walker, level, verdict, tolerance, step)
     following, outcome = with_fast_sincos(resolve_impact)(walker, arrival, verdict, pulled | more)
     return make_stride(jnp.stack(following), outcome, time + longer)
 
@@ -241,6 +266,7 @@ def state_after(
     tolerance: Scalar,
 ) -> State:
     """The state a time after the start of a stride."""
+    walker = during_stride(walker, x)
     start = full_state(walker, x)
     method = Method(equations(walker), solver_for(start), tolerance)
     solution = method.solve(start, jnp.zeros_like(time), time, method.controller())
