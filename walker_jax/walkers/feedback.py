@@ -46,7 +46,7 @@ class FeedbackWalker(Walker):
         return partial(remake, self.kind, self.controlled, self.limited, vars(self)), ()
 
 
-def Feedback(  # noqa: N802, as it makes a walker and reads like the other walkers
+def Feedback(
     walker: Walker,
     gait: Any,
     gains: Mapping[str, Sequence[Any] | Float[ArrayLike, " section"]],

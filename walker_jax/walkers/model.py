@@ -142,6 +142,13 @@ class Walker(eqx.Module):
         after it must be on the section: `WrongUse` at construction otherwise.
         """
 
+    def push(self, state: State, change: Scalar) -> State:
+        """The state just after heel strike with thetadot changed by a push forward or back.
+
+        The section's other coordinates stay as they are.
+        """
+        return state._replace(thetadot=state.thetadot + change)
+
     def contact(self, state: State) -> Scalar:
         """Contact coordinate h = phi - 2 theta: zero when both feet are on the slope.
 

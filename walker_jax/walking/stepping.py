@@ -226,8 +226,12 @@ def follow_step(
     lower = (verdict == Outcome.STRIDE) & (step < 0)
     verdict = jnp.where(higher | lower, Outcome.UNDECIDED, verdict).astype(jnp.int8)
     arrival, longer, verdict, more = swing(walker, level, verdict, tolerance, step)
+    # On even ground nothing is left to swing, but the derivative with respect to the step is.
+    method = Method(equations(walker), solver_for(start), tolerance)
+    contact = lambda state: step - walker.clearance(state)
+    arrival, delay = method.refine_event(contact, arrival)
     following, outcome = with_fast_sincos(resolve_impact)(walker, arrival, verdict, pulled | more)
-    return make_stride(jnp.stack(following), outcome, time + longer)
+    return make_stride(jnp.stack(following), outcome, time + longer + delay)
 
 
 def trajectory(
