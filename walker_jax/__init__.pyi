@@ -31,8 +31,14 @@ from walker_jax.grids import Grid as Grid
 from walker_jax.stability.dimension import boundary_dimension as boundary_dimension
 from walker_jax.stability.disturbances import LeastDisturbance as LeastDisturbance
 from walker_jax.stability.disturbances import least_disturbance as least_disturbance
+from walker_jax.stability.stochastic_map import Metastability as Metastability
+from walker_jax.stability.stochastic_map import metastability as metastability
+from walker_jax.stability.rough_ground import StepsToFall as StepsToFall
+from walker_jax.stability.rough_ground import steps_to_fall as steps_to_fall
 from walker_jax.stability.sampling import BasinStability as BasinStability
 from walker_jax.stability.sampling import basin_stability as basin_stability
+from walker_jax.stability.sensitivity import GaitSensitivity as GaitSensitivity
+from walker_jax.stability.sensitivity import gait_sensitivity as gait_sensitivity
 from walker_jax.stability.steps_down import LeastStepDown as LeastStepDown
 from walker_jax.stability.steps_down import least_step_down as least_step_down
 from walker_jax.stability.summary import robustness as robustness
@@ -50,6 +56,7 @@ from walker_jax.walkers.round_foot import RoundFootWalker as RoundFootWalker
 from walker_jax.walkers.simplest import SimplestWalker as SimplestWalker
 from walker_jax.walkers.spring import SpringWalker as SpringWalker
 from walker_jax.walkers.upper_body import UpperBodyWalker as UpperBodyWalker
+from walker_jax.walking.disturbed import Disturbance as Disturbance
 from walker_jax.walking.failure_margins import Margins as Margins
 from walker_jax.walking.failure_margins import margins as margins
 from walker_jax.walking.failure_margins import margins_of_many as margins_of_many

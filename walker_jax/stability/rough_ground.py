@@ -6,12 +6,13 @@ what matters (Byl and Tedrake 2009, Int. J. Robot. Res. 28:1040-1064).
 
 from collections.abc import Callable
 from functools import partial
+from statistics import NormalDist
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 from scipy.special import gammaincinv
 
 from walker_jax.checks import (
@@ -49,7 +50,7 @@ class StepsToFall(NamedTuple):
     """Its confidence interval."""
     strides: Int[np.ndarray, " n"]
     """Completed strides of each walk."""
-    ended: np.ndarray
+    ended: Bool[np.ndarray, " n"]
     """Whether each walk ended in a failure; the others were left off at the limit."""
     outcomes: Int[np.ndarray, " n"]
     """`Outcome` of the failure, or `STRIDE`."""
@@ -143,7 +144,7 @@ def pad_to_power_of_two(indices: Int[np.ndarray, " m"]) -> Int[np.ndarray, " n"]
 
 @partial(jax.jit, static_argnums=(0, 3))
 def draw(
-    ground: RandomDisturbance, keys: Array, first: int, count: int
+    ground: RandomDisturbance, keys: Array, first: int | Int[Array, ""], count: int
 ) -> Float[Array, "n strides 3"]:
     """Disturbances of `count` strides of n walks, from stride `first` on."""
 
@@ -169,7 +170,12 @@ def read_ground(ground: float | RandomDisturbance) -> RandomDisturbance:
         return NormalSteps(deviation)
     if not callable(ground):
         raise WrongUse(f"ground must be a number or a function of a key, not {short(ground)}")
-    drawn = jax.eval_shape(ground, jax.random.key(0))
+    try:
+        drawn = jax.eval_shape(ground, jax.random.key(0))
+    except TypeError as error:
+        raise WrongUse(
+            f"ground must return a height or a Disturbance: {str(error).splitlines()[0]}"
+        ) from None
     shapes = {np.shape(value) for value in jax.tree.leaves(drawn)}
     if not isinstance(drawn, Disturbance | jax.ShapeDtypeStruct) or shapes - {()}:
         raise WrongUse(f"ground must return a height or a Disturbance, not {short(drawn)}")
@@ -204,7 +210,7 @@ def start_of_walks(walker: Walker, gait: Gait | None, tolerance: Any) -> Float[n
 
 
 def mean_life(
-    strides: Int[np.ndarray, " n"], ended: np.ndarray, confidence: float
+    strides: Int[np.ndarray, " n"], ended: Bool[np.ndarray, " n"], confidence: float
 ) -> tuple[float, float, float]:
     """The mean number of strides until a fall, and its confidence interval.
 
@@ -217,7 +223,5 @@ def mean_life(
     low = 2 * total / chi_squared(above, 2 * falls + 2)
     if falls < n or n < 2:
         return (total / falls if falls else np.inf), low, high
-    from statistics import NormalDist
-
     spread = NormalDist().inv_cdf(above) * float(strides.std(ddof=1)) / np.sqrt(n)
     return total / n, total / n - spread, total / n + spread

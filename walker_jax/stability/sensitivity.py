@@ -11,13 +11,14 @@ The norm is that of the response of g to a unit of each disturbance during one s
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from walker_jax.checks import WrongUse, check_kind, is_traced, short
+from walker_jax.checks import WrongUse, check_kind, short
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import find_gait
 from walker_jax.walkers.model import Scalar, State, Walker
@@ -94,11 +95,11 @@ def gait_sensitivity(
     check_kind("gait", gait, Gait)
     if len(gait.states) != 1:
         raise WrongUse(f"gait must be of period one, not {len(gait.states)}")
-    walker, state, tolerance = prepare(walker, gait.states[0], tolerance)
-    respond = respond_to if is_traced((walker, state)) else jax.jit(respond_to, static_argnums=(3,))
-    return respond(walker, state, tolerance, (tuple(numbers), tuple(looks)))
+    walker, state, checked = prepare(walker, gait.states[0], tolerance)
+    return respond_to(walker, state, checked, (tuple(numbers), tuple(looks)))
 
 
+@partial(jax.jit, static_argnums=3)
 def respond_to(
     walker: Walker,
     state: Float[Array, " section"],

@@ -122,7 +122,7 @@ def read_reference(gait: Any, section: tuple[str, ...]) -> Float[Array, " sectio
 
 def read_row(what: str, name: str, row: Any, size: int) -> Float[Array, " n"]:
     """Gains or bounds of a parameter."""
-    values = jnp.asarray(row)
+    values = jnp.asarray(row, float)
     if values.shape != (size,):
         raise WrongUse(f"{what} of {name} must be {size} numbers, not {short(row)}")
     return values
@@ -160,4 +160,5 @@ def feedback_class(
         **fields,
         **names,
     }
-    return type(kind)(f"Feedback{kind.__name__}", (FeedbackWalker, kind), namespace)
+    metaclass: Any = type(kind)
+    return metaclass(f"Feedback{kind.__name__}", (FeedbackWalker, kind), namespace)

@@ -4,7 +4,7 @@ States are full ones, (theta, phi, thetadot, phidot) just after heel strike, as 
 different heights on rough ground.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import lax
@@ -29,13 +29,13 @@ class Disturbance(NamedTuple):
 
 
 class DisturbedWalk(NamedTuple):
-    """Where a number of disturbed strides leads."""
+    """Where a number of disturbed strides leads: arrays of JAX or of NumPy."""
 
-    state: Float[Array, " 4"]
+    state: Float[Any, "*walks 4"]
     """The full state after the last one; NaN after a failure."""
-    outcome: Int[Array, ""]
+    outcome: Int[Any, "*walks"]
     """`Outcome` of the last stride."""
-    strides: Int[Array, ""]
+    strides: Int[Any, "*walks"]
     """Number of completed strides."""
 
 
