@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.optimize import fsolve
+from scipy.optimize import root
 
 import walker_jax as wj
 from walker_jax.gaits.derivatives import linearise
@@ -88,7 +88,8 @@ def test_gaits_of_powered_walkers_by_an_independent_integration(walker):
     found = wj.find_gaits(walker)
     assert found
     for gait in found[:2]:
-        other = fsolve(lambda x: independent_stride(walker, x)[0] - x, gait.states[0], xtol=1e-13)
+        mismatch = lambda x: independent_stride(walker, x)[0] - x
+        other = root(mismatch, gait.states[0], options={"xtol": 1e-13}).x
         np.testing.assert_allclose(other, gait.states[0], rtol=0, atol=1e-9)
         time = independent_stride(walker, other)[1]
         assert gait.step_times[0] == pytest.approx(time, abs=1e-8)

@@ -10,7 +10,6 @@ from scipy.sparse import csr_array
 
 import walker_jax as wj
 from walker_jax import Disturbance, Outcome, SimplestWalker
-from walker_jax.stability.stochastic_map import solve_chain
 from walker_jax.stability.rough_ground import (
     NormalSteps,
     draw,
@@ -18,6 +17,7 @@ from walker_jax.stability.rough_ground import (
     start_of_walks,
     walk_disturbed,
 )
+from walker_jax.stability.stochastic_map import solve_chain
 from walker_jax.walking.disturbed import follow_disturbed
 
 SLOPE = 0.009
@@ -72,6 +72,23 @@ def test_a_step_of_no_height_is_a_stride_with_the_derivative_of_both_sides():
 def test_a_step_that_is_none_is_refused(step):
     with pytest.raises(ValueError, match="step"):
         wj.stride(WALKER, FULL[[0, 2]], step=step)
+
+
+def test_a_walk_on_rough_ground_is_strides_of_given_heights(gait):
+    heights = jnp.array([1e-4, -3e-4, 0.0, 2e-4])
+    made = wj.walk(WALKER, gait.states[0], 4, ground=heights)
+    state = jnp.asarray(gait.states[0])
+    for number, height in enumerate(heights):
+        result = wj.stride(WALKER, state, step=float(height))
+        np.testing.assert_allclose(made.states[number + 1], result.state, rtol=0, atol=1e-11)
+        assert made.times[number] == pytest.approx(float(result.time), abs=1e-10)
+        state = result.state
+    even = wj.walk(WALKER, gait.states[0], 4, ground=np.zeros(4))
+    expected = wj.walk(WALKER, gait.states[0], 4)
+    np.testing.assert_allclose(even.states[:, [0, 2]], expected.states, rtol=0, atol=1e-11)
+    assert (wj.walk(WALKER, np.array([1.0, -0.2]), 2, ground=np.zeros(2)).outcomes == 5).all()
+    with pytest.raises(ValueError, match="ground"):
+        wj.walk(WALKER, gait.states[0], 4, ground=np.zeros(3))
 
 
 def test_disturbed_walks_are_strides_one_after_the_other(gait):

@@ -31,8 +31,6 @@ from walker_jax.grids import Grid as Grid
 from walker_jax.stability.dimension import boundary_dimension as boundary_dimension
 from walker_jax.stability.disturbances import LeastDisturbance as LeastDisturbance
 from walker_jax.stability.disturbances import least_disturbance as least_disturbance
-from walker_jax.stability.stochastic_map import Metastability as Metastability
-from walker_jax.stability.stochastic_map import metastability as metastability
 from walker_jax.stability.rough_ground import StepsToFall as StepsToFall
 from walker_jax.stability.rough_ground import steps_to_fall as steps_to_fall
 from walker_jax.stability.sampling import BasinStability as BasinStability
@@ -41,6 +39,8 @@ from walker_jax.stability.sensitivity import GaitSensitivity as GaitSensitivity
 from walker_jax.stability.sensitivity import gait_sensitivity as gait_sensitivity
 from walker_jax.stability.steps_down import LeastStepDown as LeastStepDown
 from walker_jax.stability.steps_down import least_step_down as least_step_down
+from walker_jax.stability.stochastic_map import Metastability as Metastability
+from walker_jax.stability.stochastic_map import metastability as metastability
 from walker_jax.stability.summary import robustness as robustness
 from walker_jax.stability.summary import robustness_table as robustness_table
 from walker_jax.walkers.feedback import Feedback as Feedback
