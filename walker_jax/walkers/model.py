@@ -13,6 +13,7 @@ A stride begins just after heel strike, on the Poincaré section, with both feet
 """
 
 import abc
+from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple, TypeGuard, TypeVar
 
 import equinox as eqx
@@ -35,6 +36,58 @@ class State(NamedTuple):
     phi: Scalar
     thetadot: Scalar
     phidot: Scalar
+
+
+Conditions = dict[int, Callable[[Any], Scalar]]
+"""Functions of the state, by the `Outcome` of a stride over which they are negative anywhere."""
+
+
+class Phase(eqx.Module):
+    """A part of a stride before the swing: with constraints, and a state, of its own.
+
+    A state is a `NamedTuple` of scalars: the coordinates, then their rates in the same order. The
+    angle of the stance leg and its rate are called `theta` and `thetadot` in all of them.
+    """
+
+    walker: "Walker"
+
+    @abc.abstractmethod
+    def begin(self, state: State) -> Any:
+        """Its own state, from the `State` at the start of a stride: what it releases is at rest."""
+
+    @abc.abstractmethod
+    def vector_field(self, state: Any) -> Any:
+        """Time derivative of the state."""
+
+    @abc.abstractmethod
+    def contact_force(self, state: Any) -> tuple[Scalar, Scalar]:
+        """Force (Q_u, Q_v) of the ground on the stance foot, along and normal to the slope."""
+
+    @abc.abstractmethod
+    def event(self, state: Any) -> Scalar:
+        """What rises through zero where the phase ends, and is negative before."""
+
+    @abc.abstractmethod
+    def end(self, state: Any) -> Any:
+        """The state in which the next phase begins: a `State` if that is the swing.
+
+        It follows the impact in which constraints are made, or the release of others.
+        """
+
+    def clearance(self, state: Any) -> Scalar | None:
+        """Height of the swing foot above the slope, if it must not come down in this phase.
+
+        By default it may.
+        """
+        return None
+
+    def reach(self, state: Any) -> Scalar:
+        """How far the swing foot is ahead of the stance foot, along the slope."""
+        raise NotImplementedError
+
+    def conditions(self) -> Conditions:
+        """As those of the walker, which hold in the swing alone. By default there is none."""
+        return {}
 
 
 class Walker(eqx.Module):
@@ -99,9 +152,13 @@ class Walker(eqx.Module):
         }
         return Grid(axes, np.array([[1, 0, 0], [-rate, rate, 0], [0, 0, rate]]))
 
+    def phases(self) -> tuple[Phase, ...]:
+        """The phases of a stride before its last, the swing, in order. By default there is none."""
+        return ()
+
     @abc.abstractmethod
     def vector_field(self, state: State) -> State:
-        """Time derivative of the state during a stride.
+        """Time derivative of the state during a stride, or its last phase.
 
         It may have kinks, such as the limits of a torque: a step of the integration ends where one
         is. Where it jumps within a stride, or just behind its end, the outcome is `UNDECIDED`.
@@ -125,6 +182,10 @@ class Walker(eqx.Module):
         may not depend on it. By default that is never known.
         """
         return jnp.zeros_like(state.theta, bool)
+
+    def conditions(self) -> Conditions:
+        """What else must not be negative up to heel strike: by default only the force Q_v."""
+        return {}
 
     @abc.abstractmethod
     def impact(self, state: State) -> tuple[tuple[Scalar, Scalar], State]:

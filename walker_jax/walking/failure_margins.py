@@ -39,7 +39,7 @@ from walker_jax.walkers.model import Scalar, State, Walker, toppling_rate
 from walker_jax.walking.iteration import for_each_start
 from walker_jax.walking.outcomes import Outcome, Stride
 from walker_jax.walking.stepping import begin_stride, end_stride, on_section, prepare
-from walker_jax.walking.swing import equations, minimum_force
+from walker_jax.walking.swing import equations, minimum_of, normal_force
 
 
 class Margins(NamedTuple):
@@ -203,7 +203,8 @@ def follow_margins(
         running = now.running
         if not walker.force_least_at_ends:
             other = jax.tree.map(lambda a, b: jnp.where(strikes, a, b), arrival, after)
-            at, value = minimum_force(
+            at, value = minimum_of(
+                normal_force,
                 walker,
                 now.state,
                 other,
@@ -246,7 +247,7 @@ def follow_margins(
     )
     last = lax.while_loop(undecided, advance, first)
     stride = with_fast_sincos(end_stride)(
-        walker, last.arrival, last.time, last.verdict, last.running < 0
+        walker, last.arrival, last.time, last.verdict, {int(Outcome.RUNNING): last.running < 0}
     )
     return Margins(stride, *with_fast_sincos(margins_from)(walker, first, last, stride.outcome))
 

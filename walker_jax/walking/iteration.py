@@ -20,10 +20,10 @@ from jaxtyping import Array, Float, Int
 from walker_jax.checks import WrongUse, array, check_kind, check_whole, refuses_tracers
 from walker_jax.execution.tiles import map_cells
 from walker_jax.integrators.solvers import AnySolver, Real, default_tolerance, using_solver
-from walker_jax.walkers.model import State, Walker
+from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import parameters
 from walker_jax.walking.outcomes import Outcome, Stride, Walk
-from walker_jax.walking.stepping import follow_stride, prepare
+from walker_jax.walking.stepping import follow_stride, prepare, state_kinds
 
 ROUNDS = 4, 16, 64
 """Strides of the first rounds of an iteration, and of all later ones; only unfinished walks enter
@@ -87,11 +87,12 @@ def for_each_start(
         raise WrongUse(f"xs must be real numbers, not of type {xs.dtype}")
     if xs.ndim != 2:
         raise WrongUse(f"xs must have shape (n, coordinates), not {xs.shape}")
-    sizes = len(walker.section), len(State._fields)
+    sizes = len(walker.section), *(len(kind._fields) for kind in state_kinds(walker))
     if xs.shape[1] not in sizes:
+        full = " or ".join(f"(n, {size})" for size in sizes[1:])
         raise WrongUse(
             f"xs must have shape (n, {sizes[0]}), on the section {walker.section}, or "
-            f"(n, {sizes[1]}), full states, not {xs.shape}"
+            f"{full}, full states, not {xs.shape}"
         )
     dtype = xs.dtype if np.issubdtype(xs.dtype, np.floating) else float
     xs = xs.astype(jax.dtypes.canonicalize_dtype(dtype), copy=False)
