@@ -1,13 +1,16 @@
 """The walker with knees."""
 
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from walker_jax import multibody
 from walker_jax.checks import WrongUse
 from walker_jax.kernels.scalars import unroll
 from walker_jax.multibody import System
@@ -21,7 +24,7 @@ from walker_jax.walkers.masses import (
     stance_coordinates,
 )
 from walker_jax.walkers.model import Scalar, State
-from walker_jax.walkers.parameters import SLOPE, Parameter
+from walker_jax.walkers.parameters import SLOPE, Option, Parameter
 from walker_jax.walkers.round_foot import HIP_MASS
 
 THIGH_MASS = Parameter("thigh_mass", "of each thigh", "mass", 1.0, closed=True)
@@ -49,6 +52,12 @@ SHANK_INERTIA = Parameter(
     closed=True,
 )
 POINT_FOOT = FOOT_RADIUS._replace(default=0.0)
+
+
+CHECK_LOCK = Option("check_lock", "a stance knee that its stop alone does not hold is a failure")
+CHECK_SCUFFING = Option("check_scuffing", "a bent leg's foot below the ground is a failure")
+LEAST_SCUFF = 1e-9
+"""Depth, in legs, from which on a foot is below the ground: less is the rounding of its start."""
 
 
 class BentState(NamedTuple):
@@ -85,6 +94,10 @@ class KneedWalker(HeavyLegWalker):
     - `thigh_com`, `shank_com`: distances of their centres of mass below the hip and the knee.
     - `thigh_inertia`, `shank_inertia`: about these centres, not negative.
     - `foot_radius`: not negative, and less than the length of the leg; 0 for point feet.
+    - `check_lock`: whether a stride fails (`BUCKLED`) where the stance knee is not pressed on its
+      stop, so that only a lock keeps it from bending. By default the lock holds it.
+    - `check_scuffing`: whether a stride fails (`SCUFFED`) where the foot is below the ground while
+      the knee is bent, or as it strikes. By default scuffing is ignored.
 
     `ValueError` otherwise, and for shanks that nothing keeps from turning: no inertia, and a centre
     of mass at the knee.
@@ -105,6 +118,8 @@ class KneedWalker(HeavyLegWalker):
         converter=SHANK_INERTIA.convert, default=SHANK_INERTIA.default
     )
     foot_radius: Scalar = eqx.field(converter=POINT_FOOT.convert, default=POINT_FOOT.default)
+    check_lock: bool = eqx.field(static=True, converter=CHECK_LOCK.convert, default=False)
+    check_scuffing: bool = eqx.field(static=True, converter=CHECK_SCUFFING.convert, default=False)
 
     def __check_init__(self):
         values = (self.foot_radius, self.thigh_length, self.shank_length)
@@ -126,26 +141,45 @@ class KneedWalker(HeavyLegWalker):
     def past_contact(self, state):
         return rises_ever_faster(self, state)
 
-    def joints(self, q: Float[Array, " 5"]) -> tuple[Float[Array, " 2"], ...]:
-        """The hip, the swing knee, and the centre of the swing foot's arc."""
-        u, v, theta, phi, knee = q
+    def conditions(self):
+        if not self.check_lock:
+            return {}
+        return {"BUCKLED": lambda state: stance_knee_moment(self, begin_bent(state), (4,))}
+
+    def joints(self, q: Float[Array, " q"]) -> tuple[Float[Array, " 2"], ...]:
+        """The hip, the stance knee and the swing knee, and the centre of the swing foot's arc.
+
+        Of q = (u, v, theta, phi, knee), or with the angle of a bent stance knee at its end: theta
+        is of the thigh then.
+        """
+        u, v, theta, phi, knee = q[:5]
         radius, thigh = self.foot_radius, theta - phi
-        length = self.thigh_length + self.shank_length
-        hip = jnp.stack([u - radius * theta, v + radius]) + (length - radius) * leg(theta)
+        shank = theta - q[5] if len(q) > 5 else theta
+        below = self.shank_length - radius
+        centre = jnp.stack([u - radius * shank, v + radius])
+        stance_knee = centre + below * leg(shank)
+        # In one term where the stance leg is straight: a stride takes a twentieth less time.
+        hip = stance_knee + self.thigh_length * leg(theta)
+        if len(q) == 5:
+            hip = centre + (below + self.thigh_length) * leg(theta)
         swing_knee = hip - self.thigh_length * leg(thigh)
-        return hip, swing_knee, swing_knee - (self.shank_length - radius) * leg(thigh - knee)
+        foot = swing_knee - below * leg(thigh - knee)
+        return hip, stance_knee, swing_knee, foot
 
     def bent_system(self) -> System:
-        """The masses while the knee is free, q = (u, v, theta, phi, knee)."""
+        """The masses where knees are free, of q as `joints` takes it."""
 
         def transfer(q):
-            hip, swing_knee, _ = self.joints(q)
-            theta, thigh, shank = q[2], q[2] - q[3], q[2] - q[3] - q[4]
-            stance_shank = hip - (self.thigh_length + self.shank_com) * leg(theta)
+            hip, stance_knee, swing_knee, _ = self.joints(q)
+            theta, thigh, swing_shank = q[2], q[2] - q[3], q[2] - q[3] - q[4]
+            stance_shank = theta - q[5] if len(q) > 5 else theta
             thighs = [hip - self.thigh_com * leg(angle) for angle in (theta, thigh)]
-            swing_shank = swing_knee - self.shank_com * leg(shank)
-            angles = jnp.stack([theta, theta, thigh, shank])
-            return jnp.concatenate([hip, *thighs, stance_shank, swing_shank, angles])
+            shanks = [
+                stance_knee - self.shank_com * leg(stance_shank),
+                swing_knee - self.shank_com * leg(swing_shank),
+            ]
+            angles = jnp.stack([theta, stance_shank, thigh, swing_shank])
+            return jnp.concatenate([hip, *thighs, *shanks, angles])
 
         M, m, n = self.hip_mass, self.thigh_mass, self.shank_mass
         turning = [self.thigh_inertia, self.shank_inertia]
@@ -167,6 +201,31 @@ class KneedWalker(HeavyLegWalker):
         return self.bent_swing_foot(straight(q))
 
 
+def begin_bent(state: State) -> BentState:
+    """The same state with the angle and the rate of a straight knee."""
+    theta, phi, thetadot, phidot = state
+    zero = jnp.zeros_like(theta)
+    return BentState(theta, phi, zero, thetadot, phidot, zero)
+
+
+@partial(jax.jit, static_argnums=2)
+def stance_knee_moment(
+    walker: KneedWalker, state: BentState, locked: tuple[int, ...] = ()
+) -> Scalar:
+    """The moment that presses the stance knee on its stop; where it is negative, the knee bends.
+
+    The constraint force dual to the angle of the stance knee, (4). Other coordinates may be locked.
+    """
+
+    def moment(walker, state):
+        zero = jnp.zeros_like(state.theta)
+        q, qdot = (stance_coordinates([*half, zero]) for half in (state[:3], state[3:]))
+        held = (0, 1, *locked, 5)
+        return multibody.solve_motion(walker.bent_system(), q, qdot, held=held).forces[5]
+
+    return unroll(moment)(walker, state)
+
+
 def straight(q: Float[Array, " 4"]) -> Float[Array, " 5"]:
     """q of straight legs, with the angle of the knee."""
     return jnp.concatenate([q, jnp.zeros_like(q[:1])])
@@ -181,12 +240,20 @@ class FreeKnee(MultibodyPhase):
     walker: KneedWalker
 
     def begin(self, state):
-        theta, phi, thetadot, phidot = state
-        zero = jnp.zeros_like(theta)
-        return BentState(theta, phi, zero, thetadot, phidot, zero)
+        return begin_bent(state)
 
     def system(self):
         return self.walker.bent_system()
+
+    def conditions(self):
+        """The moment of the stance knee, and the height of the foot, if these are checked."""
+        walker, found = self.walker, {}
+        if walker.check_lock:
+            found["BUCKLED"] = lambda state: stance_knee_moment(walker, state)
+        if walker.check_scuffing:
+            length = walker.thigh_length + walker.shank_length
+            found["SCUFFED"] = lambda state: self.clearance(state) + LEAST_SCUFF * length
+        return found
 
     def event(self, state):
         return -state.knee

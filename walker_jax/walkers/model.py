@@ -13,6 +13,7 @@ A stride begins just after heel strike, on the Poincaré section, with both feet
 """
 
 import abc
+import dataclasses
 from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple, TypeGuard, TypeVar
 
@@ -38,8 +39,8 @@ class State(NamedTuple):
     phidot: Scalar
 
 
-Conditions = dict[int, Callable[[Any], Scalar]]
-"""Functions of the state, by the `Outcome` of a stride over which they are negative anywhere."""
+Conditions = dict[str, Callable[[Any], Scalar]]
+"""Functions of the state, by the name of the `Outcome` of a stride in which one is negative."""
 
 
 class Phase(eqx.Module):
@@ -91,7 +92,10 @@ class Phase(eqx.Module):
 
 
 class Walker(eqx.Module):
-    """What a stride needs to know of a walker. Its fields are its parameters, scalars all."""
+    """What a stride needs to know of a walker. Its fields are its parameters, scalars all.
+
+    But for options, which are static.
+    """
 
     section: ClassVar[tuple[str, ...]]
     """Names of the coordinates of the Poincaré section."""
@@ -216,6 +220,12 @@ class Walker(eqx.Module):
         """The state with the swing leg as the new stance leg, (21) and its time derivative."""
         theta, phi, thetadot, phidot = state
         return State(theta - phi, -phi, thetadot - phidot, -phidot)
+
+
+def numbers_of(walker: Walker) -> dict[str, Any]:
+    """The parameters of a walker, by name: its fields but for options, which are static."""
+    options = {one.name for one in dataclasses.fields(walker) if one.metadata.get("static")}
+    return {name: value for name, value in vars(walker).items() if name not in options}
 
 
 SAMPLE_POINT = {"theta": 0.3, "thetadot": -0.5, "phidot": -0.2}

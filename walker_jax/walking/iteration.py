@@ -20,7 +20,7 @@ from jaxtyping import Array, Float, Int
 from walker_jax.checks import WrongUse, array, check_kind, check_whole, refuses_tracers
 from walker_jax.execution.tiles import map_cells
 from walker_jax.integrators.solvers import AnySolver, Real, default_tolerance, using_solver
-from walker_jax.walkers.model import Walker
+from walker_jax.walkers.model import Walker, numbers_of
 from walker_jax.walkers.parameters import parameters
 from walker_jax.walking.outcomes import Outcome, Stride, Walk
 from walker_jax.walking.stepping import follow_stride, prepare, state_kinds
@@ -127,7 +127,7 @@ def select_walkers(walker: Walker, indices: Int[np.ndarray, " m"]) -> Walker:
 
 def check_parameter_arrays(walker: Walker, n: int) -> None:
     """Refuse parameters that are neither one number nor n, or that a constructor refuses."""
-    for name, values in vars(walker).items():
+    for name, values in numbers_of(walker).items():
         if np.shape(values) not in ((), (n,)):
             raise WrongUse(f"{name} must be one number or {n}, not of shape {np.shape(values)}")
     for one in parameters(walker):

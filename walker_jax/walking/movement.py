@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float
 
 from walker_jax.checks import WrongUse, check_number, check_whole, refuses_tracers
 from walker_jax.walkers.model import State, Walker
+from walker_jax.walkers.parameters import attributes_of
 from walker_jax.walking.iteration import walk
 from walker_jax.walking.outcomes import Outcome
 from walker_jax.walking.stepping import trajectory
@@ -106,7 +107,7 @@ def motion(
         },
         attrs={
             "walker": type(walker).__name__,
-            **{f"walker_{name}": float(value) for name, value in vars(walker).items()},
+            **attributes_of(walker),
             "section": list(walker.section),
             "leg_length": length,
             "foot_radius": radius,

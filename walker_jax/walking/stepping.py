@@ -24,7 +24,7 @@ from walker_jax.integrators.solvers import (
 from walker_jax.integrators.taylor import with_fast_sincos
 from walker_jax.kernels import by_kernel
 from walker_jax.walkers.masses import MultibodyMotion
-from walker_jax.walkers.model import Phase, Scalar, State, Walker
+from walker_jax.walkers.model import Phase, Scalar, State, Walker, numbers_of
 from walker_jax.walking.outcomes import Outcome, Stride
 from walker_jax.walking.phases import (
     follow_phase,
@@ -82,7 +82,7 @@ def prepare(
 ) -> tuple[Walker, Float[Array, " coordinates"], Float[Array, ""]]:
     """Walker, start and tolerance, checked, in the dtype of the start."""
     check_kind("walker", walker, Walker)
-    for name, value in vars(walker).items():
+    for name, value in numbers_of(walker).items():
         if np.shape(value):
             raise WrongUse(f"{name} must be one number, not of shape {np.shape(value)}")
     x = as_floating(x)

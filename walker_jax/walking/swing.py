@@ -36,10 +36,9 @@ def normal_force(walker: Walker | Phase, state: Any) -> Scalar:
 
 def conditions_of(walker: Walker | Phase) -> dict[int, Condition]:
     """Its conditions, the contact force among them, by the outcome where one is broken."""
-    other = lambda outcome: lambda walker, state: walker.conditions()[outcome](state)
-    return {int(Outcome.RUNNING): normal_force} | {
-        int(one): other(one) for one in walker.conditions()
-    }
+    other = lambda name: lambda walker, state: walker.conditions()[name](state)
+    others = {int(Outcome[name]): other(name) for name in walker.conditions()}
+    return {int(Outcome.RUNNING): normal_force} | others
 
 
 def equations(walker: Walker | Phase) -> Callable[[Any], Any]:
