@@ -186,6 +186,10 @@ class KneedWalker(HeavyLegWalker):
         masses = jnp.stack([M, M, *[m] * 4, *[n] * 4, *turning, *turning])
         return System(transfer, masses, gravity(self.slope, masses, turns=4))
 
+    def bent_leg(self, state):
+        hip, _, *leg_below = self.joints(stance_coordinates(list(state[:3])))
+        return jnp.stack(leg_below) - hip
+
     def system(self):
         """That of straight legs."""
         bent = self.bent_system()

@@ -216,6 +216,13 @@ class Walker(eqx.Module):
     def reach(self, state: State) -> Scalar:
         """How far the swing foot is ahead of the stance foot, along the slope, in that unit."""
 
+    def bent_leg(self, state: Any) -> Float[Array, "2 2"] | None:
+        """Places of the swing knee and of the leg's end, from the hip, for pictures.
+
+        The state is one of the first phase. By default legs are drawn straight.
+        """
+        return None
+
     def exchange_legs(self, state: State) -> State:
         """The state with the swing leg as the new stance leg, (21) and its time derivative."""
         theta, phi, thetadot, phidot = state
