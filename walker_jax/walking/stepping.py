@@ -256,11 +256,12 @@ def trajectory(
     *,
     tolerance: Real | None = None,
     solver: AnySolver | None = None,
-) -> State:
+) -> Any:
     """Angles and rates at `times` after the start x of a stride, 0 or later, in any order.
 
     The motion is that of the equations alone: it does not end at heel strike, whose time `stride`
-    gives. Returns a `State` of arrays; NaN where that takes more than `MAX_STEPS` of integration.
+    gives. Phases end with their events, at `phase_times`; a walker that falls before goes on.
+    Returns a `State` of arrays, or a state of the stride's first phase, such as `BentState`; NaN where that takes more than `MAX_STEPS` of integration.
     `ValueError` as for `stride`, and for times that are not finite or negative.
     """
     walker, x, tolerance = prepare(walker, x, tolerance)
