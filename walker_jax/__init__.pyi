@@ -45,6 +45,9 @@ from walker_jax.stability.summary import robustness as robustness
 from walker_jax.stability.summary import robustness_table as robustness_table
 from walker_jax.walkers.feedback import Feedback as Feedback
 from walker_jax.walkers.heavy_legs import HeavyLegWalker as HeavyLegWalker
+from walker_jax.walkers.kneed import BentState as BentState
+from walker_jax.walkers.kneed import KneedWalker as KneedWalker
+from walker_jax.walkers.model import Phase as Phase
 from walker_jax.walkers.model import State as State
 from walker_jax.walkers.model import Walker as Walker
 from walker_jax.walkers.point_foot import PointFootWalker as PointFootWalker
@@ -66,6 +69,7 @@ from walker_jax.walking.movement import motion as motion
 from walker_jax.walking.outcomes import Outcome as Outcome
 from walker_jax.walking.outcomes import Stride as Stride
 from walker_jax.walking.outcomes import Walk as Walk
+from walker_jax.walking.stepping import phase_times as phase_times
 from walker_jax.walking.stepping import step_down as step_down
 from walker_jax.walking.stepping import stride as stride
 from walker_jax.walking.stepping import trajectory as trajectory

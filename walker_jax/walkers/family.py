@@ -1,5 +1,6 @@
 """The family of walkers, by the names that the command line has for them."""
 
+from walker_jax.walkers.kneed import KneedWalker
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.point_foot import PointFootWalker
 from walker_jax.walkers.powered import PoweredWalker
@@ -19,6 +20,7 @@ WALKERS: dict[str, type[Walker]] = {
     "point-foot": PointFootWalker,
     "round-foot": RoundFootWalker,
     "upper-body": UpperBodyWalker,
+    "kneed": KneedWalker,
     "powered": PoweredWalker,
     "powered-point-foot": PoweredPointFootWalker,
     "powered-round-foot": PoweredRoundFootWalker,

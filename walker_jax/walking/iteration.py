@@ -21,7 +21,7 @@ from jaxtyping import Array, Float, Int
 from walker_jax.checks import WrongUse, array, check_kind, check_whole, refuses_tracers
 from walker_jax.execution.tiles import map_cells
 from walker_jax.integrators.solvers import AnySolver, Real, default_tolerance, using_solver
-from walker_jax.walkers.model import State, Walker
+from walker_jax.walkers.model import Walker, numbers_of
 from walker_jax.walkers.parameters import parameters
 from walker_jax.walking.outcomes import Outcome, Stride, Walk
 from walker_jax.walking.stepping import (
@@ -30,6 +30,7 @@ from walker_jax.walking.stepping import (
     follow_stride,
     full_state,
     prepare,
+    state_kinds,
 )
 
 ROUNDS = 4, 16, 64
@@ -94,11 +95,12 @@ def for_each_start(
         raise WrongUse(f"xs must be real numbers, not of type {xs.dtype}")
     if xs.ndim != 2:
         raise WrongUse(f"xs must have shape (n, coordinates), not {xs.shape}")
-    sizes = len(walker.section), len(State._fields)
+    sizes = len(walker.section), *(len(kind._fields) for kind in state_kinds(walker))
     if xs.shape[1] not in sizes:
+        full = " or ".join(f"(n, {size})" for size in sizes[1:])
         raise WrongUse(
             f"xs must have shape (n, {sizes[0]}), on the section {walker.section}, or "
-            f"(n, {sizes[1]}), full states, not {xs.shape}"
+            f"{full}, full states, not {xs.shape}"
         )
     dtype = xs.dtype if np.issubdtype(xs.dtype, np.floating) else float
     xs = xs.astype(jax.dtypes.canonicalize_dtype(dtype), copy=False)
@@ -133,7 +135,7 @@ def select_walkers(walker: Walker, indices: Int[np.ndarray, " m"]) -> Walker:
 
 def check_parameter_arrays(walker: Walker, n: int) -> None:
     """Refuse parameters that are neither one number nor n, or that a constructor refuses."""
-    for name, values in vars(walker).items():
+    for name, values in numbers_of(walker).items():
         if np.shape(values) not in ((), (n,)):
             raise WrongUse(f"{name} must be one number or {n}, not of shape {np.shape(values)}")
     for one in parameters(walker):
