@@ -19,6 +19,7 @@ AREA = "rad²/√(l/g)"
 VOLUME = "rad³·g/l"
 TIME = "√(l/g)"
 NEW = "not in earlier data sets"
+KNEES = "walkers with knees"
 MAPPED = "cell map; not in earlier data sets"
 FAILS = "the `Outcome` of its last stride; -1 for none"
 
@@ -269,6 +270,9 @@ KINDS = {
             "phi": V("frame", "real", "rad", "angle between the legs"),
             "thetadot": V("frame", "real", "rad/√(l/g)", "rate of theta"),
             "phidot": V("frame", "real", "rad/√(l/g)", "rate of phi"),
+            "knee": V("frame", "real", "rad", "angle of the swing knee, above 0 where bent", KNEES),
+            "kneedot": V("frame", "real", "rad/√(l/g)", "rate of knee", KNEES),
+            "swing_knee": V("frame axis", "real", "leg length", "place of the swing knee", KNEES),
             "stance": V("frame axis", "real", "leg length", "end of the stance leg"),
             "hip": V("frame axis", "real", "leg length", "place of the hip"),
             "swing": V("frame axis", "real", "leg length", "end of the swing leg"),
