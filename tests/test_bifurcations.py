@@ -101,7 +101,7 @@ def test_gaits_are_known_from_any_of_their_states(monkeypatch):
     logistic = lambda x, r: r * x * (1 - x)
 
     def solve_at(walker, parameter, guesses, tolerance):
-        points = [done_with(logistic, correct(*guess, None, 1.0)) for guess in guesses]
+        points = [done_with(logistic, correct(r, x, None, 1.0)) for r, x in guesses]
         return [point and point.cycle for point in points]
 
     monkeypatch.setattr("walker_jax.gaits.diagrams.solve_at", solve_at)

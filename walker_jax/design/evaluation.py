@@ -22,7 +22,7 @@ BAND_HALF_WIDTHS = (0.1, 0.05, 0.03, 0.03)
 """Half widths, in places, of the bands over which derivatives are averaged where there are none.
 They are wide enough for the errors of areas at their ends."""
 LEVELS_OMITTED = (3, 2, 1, 1)
-"""Levels of refinement that areas have less in each stage than at the ends."""
+"""Levels of refinement that areas and volumes have less in each stage than at the ends."""
 SCAN_STAGE, ENDS_STAGE = -1, -2
 """Numbers in place of a stage: of the scan for a picture, and of the ends."""
 CHECK_STARTS = 50_000, 500_000
@@ -46,7 +46,7 @@ class Evaluation(NamedTuple):
     gradient_error: Float[np.ndarray, " parameters"]
     measures: Float[np.ndarray, " measures"]
     strides: int
-    """Strides made for areas."""
+    """Strides made for areas or volumes."""
 
 
 def evaluate_objective(
@@ -62,7 +62,7 @@ def evaluate_objective(
     value_error, gradient_error, made = 0.0, np.zeros(len(names)), 0
     exact = stage == ENDS_STAGE
     tolerance = problem.tolerance if exact or problem.tolerance else SEARCH_TOLERANCE
-    if "area" in problem.weights and problem.grid is not None:
+    if problem.size and problem.grid is not None:
         area = area_gradient(
             walker,
             problem.grid,
@@ -74,10 +74,10 @@ def evaluate_objective(
             seed=problem.seed,
             tolerance=tolerance,
         )
-        found["area"], made = Measure(area.area, area.gradient), area.strides
-        weight = abs(problem.weights["area"])
+        found[problem.size], made = Measure(area.area, area.gradient), area.strides
+        weight = abs(problem.weights[problem.size])
         value_error, gradient_error = weight * area.area_error, weight * area.error
-    if set(problem.measures) - {"area"}:
+    if set(problem.measures) - {problem.size}:
         gait = gait_of(values)
         found |= gait_measures(walker, names, gait, tolerance=problem.tolerance)
         if "least-disturbance" in problem.weights:
