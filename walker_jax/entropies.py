@@ -53,7 +53,8 @@ def basin_entropy(labels: Int[np.ndarray | Array, "*cells"], side: int = BOX) ->
 
     **Arguments:**
 
-    - `labels`: at regularly spaced points, in any number of dimensions.
+    - `labels`: at regularly spaced points, in any number of dimensions; a box that holds a negative
+      one is not counted.
     - `side`: cells along each side of a box.
 
     Raises ValueError for labels that are not numbers, and for a box that does not fit.
@@ -65,18 +66,24 @@ def basin_entropy(labels: Int[np.ndarray | Array, "*cells"], side: int = BOX) ->
     if min(labels.shape) < side:
         raise WrongUse(f"side={side}: labels of shape {labels.shape} have no such box")
     entropy = np.zeros(tuple(n - side + 1 for n in labels.shape))
-    for label in np.unique(labels):
+    entropy[box_means((labels < 0).astype(float), side) > 0] = np.nan
+    for label in np.unique(labels[labels >= 0]):
         share = box_means((labels == label).astype(float), side)
         held = share > 0
         entropy[held] -= share[held] * np.log(share[held])
     entropy = np.maximum(entropy, 0)  # of a box of one label, minus zero
-    mixed = entropy[entropy > 0]
+    known = entropy[np.isfinite(entropy)]
+    mixed = known[known > 0]
     apart = entropy[(slice(None, None, side),) * labels.ndim]
     apart = apart[apart > 0]
     error = apart.std(ddof=1) / np.sqrt(apart.size) if apart.size > 1 else np.nan
     boundary = mixed.mean() if mixed.size else np.nan
     return BasinEntropy(
-        float(entropy.mean()), float(boundary), float(error), entropy.size, mixed.size
+        float(known.mean()) if known.size else np.nan,
+        float(boundary),
+        float(error),
+        known.size,
+        mixed.size,
     )
 
 

@@ -16,7 +16,7 @@ from walker_jax.checks import WrongUse, array, check_number, check_whole, refuse
 
 MIN_REGIONS = 3
 """Regions that a boundary can be common to in the sense of Wada: two always have theirs."""
-RADIUS = 3
+RADIUS = 5
 """Cells within which two boundaries count as one by default."""
 HALVINGS = 3
 """Coarser grids that are compared by default."""
@@ -56,13 +56,14 @@ def merge_regions(
 ) -> Wada:
     """The boundaries of regions, each against all others merged: are they one, as Wada's are?
 
-    A point of the grid is on the boundary of a region if it or a neighbour, corners included, is in
-    the region, but not both. Distances are Chebyshev's, the largest of the axes. The grids of every
+    A point of the grid is on the boundary of a region if of it and its neighbours, corners included,
+    one is in the region and one is in another. Distances are Chebyshev's, the largest of the axes. The grids of every
     second, fourth ... point show how distances and shares go with the resolution.
 
     **Arguments:**
 
-    - `labels`: of `MIN_REGIONS` regions or more, at regularly spaced points.
+    - `labels`: of `MIN_REGIONS` regions or more, at regularly spaced points; negative where a point
+      is in no region.
     - `radius`: distance, in points of a grid, at which boundaries still count as one.
     - `halvings`: how many coarser grids are compared too.
 
@@ -76,6 +77,7 @@ def merge_regions(
         raise WrongUse(f"radius={radius}: must be zero or more, and finite")
     check_whole("halvings", halvings, 0)
     found = np.unique(labels)
+    found = found[found >= 0]
     if len(found) < MIN_REGIONS:
         raise WrongUse(f"labels must be of {MIN_REGIONS} regions or more, not of {len(found)}")
     if min(labels.shape) < 3 * 2**halvings:
@@ -85,7 +87,7 @@ def merge_regions(
     distances, beyond = np.zeros(shape), np.zeros(shape)
     for grid, spacing in enumerate(spacings):
         coarse = labels[(slice(None, None, spacing),) * labels.ndim]
-        edges = [boundary_of(coarse == label) for label in found]
+        edges = [boundary_of(coarse == label, (coarse >= 0) & (coarse != label)) for label in found]
         for k, edge in enumerate(edges):
             away = distance_from(edge)
             for j, other in enumerate(edges):
@@ -95,11 +97,13 @@ def merge_regions(
     return Wada(found.astype(float), spacings, distances, beyond)
 
 
-def boundary_of(inside: Bool[np.ndarray, "*cells"]) -> Bool[np.ndarray, "*cells"]:
-    """The points of which, and of their neighbours, some are inside and some are not."""
-    from scipy.ndimage import maximum_filter, minimum_filter
+def boundary_of(
+    inside: Bool[np.ndarray, "*cells"], outside: Bool[np.ndarray, "*cells"]
+) -> Bool[np.ndarray, "*cells"]:
+    """The points of which, and of their neighbours, some are inside and some outside."""
+    from scipy.ndimage import maximum_filter
 
-    return maximum_filter(inside, 3) != minimum_filter(inside, 3)
+    return maximum_filter(inside, 3) & maximum_filter(outside, 3)
 
 
 def distance_from(points: Bool[np.ndarray, "*cells"]) -> Float[np.ndarray, "*cells"]:

@@ -79,9 +79,7 @@ def widths(shear: Float[np.ndarray, "s d"], half: Float[np.ndarray, " d"]) -> np
     return 2 * np.abs(shear) @ half
 
 
-def check_width(
-    grid: Grid, centre: Float[np.ndarray, " s"], half: Float[np.ndarray, " d"]
-) -> None:
+def check_width(grid: Grid, centre: Float[np.ndarray, " s"], half: Float[np.ndarray, " d"]) -> None:
     """Refuse a window in which its own centre, or its axes, have no digits."""
     least = NARROWEST * np.spacing(np.abs(centre[: len(grid.names)]).max())
     narrow = widths(np.asarray(grid.shear, float), half)[: len(grid.names)].min()

@@ -29,8 +29,6 @@ STEPS = 12
 """Newton steps to a preimage: quadratic, from a guess beside it, they need three or four."""
 EXACT = 1e-11
 """Residual of a preimage, at most."""
-JUMP = 4.0
-"""Times the spacing: a preimage that is farther from its guess is one on another branch."""
 
 
 @refuses_tracers()
@@ -142,7 +140,9 @@ class Preimages:
         return np.array(found)
 
 
-def spread(points: Float[np.ndarray, "n section"], spacing: float) -> Float[np.ndarray, "m section"]:
+def spread(
+    points: Float[np.ndarray, "n section"], spacing: float
+) -> Float[np.ndarray, "m section"]:
     """The same polygon with further points on its sides, at most a spacing apart."""
     gaps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     parts = np.maximum(1, np.ceil(gaps / spacing)).astype(int)

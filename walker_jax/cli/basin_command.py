@@ -3,9 +3,12 @@
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 import typer
+from jaxtyping import Float
 
 import walker_jax as wj
+from walker_jax import storage
 from walker_jax.basins.summary import summarise_basin, tally
 from walker_jax.basins.windows import fill_around_gait, fill_from_paper, grid_along, outline
 from walker_jax.checks import WrongUse
@@ -31,6 +34,7 @@ from walker_jax.cli.options import (
     cluster_from,
 )
 from walker_jax.cli.walker_options import takes_walker
+from walker_jax.grids import Grid
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import describe_in_words, describe_walker
 
@@ -69,6 +73,26 @@ def basin(
     strides: Annotated[
         int | None, typer.Option(min=1, help="Strides at most, direct only (default: 200).")
     ] = None,
+    zoom: Annotated[
+        float | None,
+        typer.Option(
+            min=1,
+            help="Zoom in on the boundary between fates: a window so many times as narrow, around "
+            "a point of it (direct; up to about 1e14).",
+        ),
+    ] = None,
+    near: Annotated[
+        tuple[float, float] | None,
+        typer.Option(
+            metavar="X Y",
+            help="Of the boundary, the point nearest to this one, along the first two axes "
+            "(default: their middle).",
+        ),
+    ] = None,
+    animate: Annotated[
+        Path | None, typer.Option(help="Where a film of the zoom goes, .gif or .mp4.")
+    ] = None,
+    frames: Annotated[int, typer.Option(min=2, help="Pictures of the film.")] = 120,
     workers: Workers = None,
     scheduler: Scheduler = None,
     out: Out = Path("basin.zarr"),
@@ -80,7 +104,8 @@ def basin(
 
     The default is the basin of the simplest walker in the window of Schwab and Wisse (2001), Figure
     4. For another walker the window is around its gait. The data set is written piece by piece: the
-    same command resumes an interrupted run.
+    same command resumes an interrupted run. With --zoom 1e12 the window is one in which float64
+    hardly tells starts apart; its digits are kept.
     """
     from walker_jax import figures
 
@@ -95,7 +120,15 @@ def basin(
         raise WrongUse("--sum and --thetadot exclude each other: give one of them")
     cluster = cluster_from(workers, scheduler)
     sliced = has_phidot and phidot is None
-    method = method or ("direct" if sliced else "cell-map")
+    if zoom is None and (near is not None or animate is not None):
+        raise WrongUse(f"{'--near' if near is not None else '--animate'} is for a --zoom")
+    if zoom is not None and method == "cell-map":
+        raise WrongUse("--method cell-map is not for a --zoom, whose window walkers leave")
+    if phidot is not None and (near is not None or animate is not None):
+        raise WrongUse(
+            "--near and --animate are for a window of two dimensions: leave out --phidot"
+        )
+    method = method or ("direct" if sliced or zoom is not None else "cell-map")
     if sliced and method == "cell-map":
         raise WrongUse("--method cell-map is not for a slice, which walkers leave: give --phidot")
     if strides is not None and method != "direct":
@@ -115,13 +148,27 @@ def basin(
         },
         "method": method,
         **({"strides": strides} if method == "direct" else {}),
+        **({} if zoom is None else {"zoom": zoom, "near": near and list(near)}),
     }
     request = request_for("basin", walker=describe_walker(walker), **asked)
+    if animate is not None:
+        figures.check_film(animate)
+        shots = request | {"frames": frames}
+        storage.check_picture(animate, shots, overwrite=overwrite, argument="animate")
     figure, data = find_earlier(out, figure, request, overwrite=overwrite)
     reused, resumed = data is not None, out.exists() and not overwrite
     clock = Stopwatch()
+    grid = grid_along(fill_around_gait(walker, axes)) if data is None or animate else None
+    if grid is not None and zoom is not None:
+        centre = zoom_centre(walker, grid, near, strides) if data is None else data.attrs["origin"]
+        if animate is not None:
+            shown = wj.zoom(
+                walker, grid, zoom, centre, frames=frames, strides=strides, progress=True
+            )
+            signature = storage.signature(request | {"frames": frames})
+            figures.zoom_film(shown, animate, signature=signature, progress=True)
+        grid = grid.zoom(centre, zoom)
     if data is None:
-        grid = grid_along(fill_around_gait(walker, axes))
         options: Any = {"out": out, "request": request, "overwrite": overwrite}
         options |= {"strides": strides, "cluster": cluster, "progress": True}
         data = wj.basin(walker, grid, method, **options)
@@ -138,6 +185,8 @@ def basin(
         print_json(answer | {"seconds": seconds, "walker": about})
         return
     print(f"Basin of attraction, {describe_in_words(walker)}, {method}")
+    if zoom is not None:
+        print(f"  window {zoom:g} times as narrow, around ({listed(data.attrs['origin'], '.17g')})")
     if sliced:
         print(f"  slice at phidot {float(data['phidot']):.10g}")
     print_basin(answer, "area" if flat else "volume")
@@ -153,7 +202,20 @@ def basin(
             f"  {made / max(seconds['run'], 1e-9):,.0f} strides per second; "
             f"{seconds['compile']:.1f} s to compile, {seconds['run']:.2f} s to run"
         )
-    print(f"  data set {out}, picture {figure}")
+    film = f", film {animate}" if animate is not None else ""
+    print(f"  data set {out}, picture {figure}{film}")
+
+
+def zoom_centre(
+    walker: Walker, grid: Grid, near: tuple[float, float] | None, strides: int
+) -> Float[np.ndarray, " section"]:
+    """The point of the boundary to zoom in on."""
+    point = None
+    if near is not None:
+        check_finite(near=near[0])
+        check_finite(near=near[1])
+        point = np.asarray(grid.origin) + np.asarray(grid.shear) @ np.array(near)
+    return wj.boundary_point(walker, grid, point, strides=strides)
 
 
 def print_basin(answer: dict, measure: str) -> None:

@@ -26,7 +26,6 @@ from walker_jax.walkers.model import Walker
 from walker_jax.walking.iteration import check_parameter_arrays
 from walker_jax.walking.outcomes import Outcome
 
-
 NOT_MEASURED = np.array(np.nan)
 Sampler = Callable[[np.random.Generator, int], Float[np.ndarray, "n section"]]
 """Draws so many starts on the section, of any distribution, by a generator."""

@@ -173,7 +173,7 @@ def transition_counts(
     rows: Int[np.ndarray, " r"],
     columns: Int[np.ndarray, " c"],
 ) -> Int[np.ndarray, "r c"]:
-    """[i, j]: how many have the first label rows[i] and the second label columns[j]; sorted both."""
+    """[i, j]: how many have the labels rows[i] and columns[j], which are sorted."""
     counts = np.zeros((len(rows), len(columns)), int)
     np.add.at(counts, (np.searchsorted(rows, first), np.searchsorted(columns, second)), 1)
     return counts

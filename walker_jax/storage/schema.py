@@ -81,6 +81,27 @@ KINDS = {
         {},
         "basin",
     ),
+    "boundary": Kind(
+        "A basin, and what the boundary between its fates is like (`boundary`).",
+        {
+            "basin_entropy": V("", "real", "", "mean over all boxes"),
+            "boundary_entropy": V("", "real", "", "mean over boxes with several fates"),
+            "boundary_entropy_error": V("", "real", "", "its standard error"),
+            "region": V("region_number", "integer", "", "`Outcome` of the walkers in a region"),
+            "spacing": V("spacing", "integer", "cells", "of the points that are compared"),
+            "wada_share": V("spacing", "real", "", "of a boundary, that another one lacks"),
+            "edge_fates": V("edge beside", "integer", "", "`Outcome` of regions that touch"),
+            "edge_between": V("edge beside", "integer", "", "`Outcome` beside the path's end"),
+            "edge_kind": V("edge", "text", "", "`saddle`, the margin that is zero, or empty"),
+            "edge_period": V("edge", "integer", "strides", "of the saddle; 0 for none"),
+            "edge_saddle": V("edge saddle_phase coordinate", "real", STATE, "its cycle, or NaN"),
+            "edge_multipliers": V("edge order part", "real", "", "real and imaginary part"),
+            "edge_path": V("edge point coordinate", "real", STATE, "stride by stride; then NaN"),
+            "stable_manifold": V("edge branch vertex coordinate", "real", STATE, "then NaN"),
+        },
+        {"side": "cells along a side of a box", "radius": "cells within which boundaries are one"},
+        "basin",
+    ),
     "robustness": Kind(
         "A refined basin, and what its most attracting gait survives (`robustness`).",
         {
@@ -246,6 +267,16 @@ KINDS = {
             "leg_length": "from the hip to the end of the leg",
             "foot_radius": "of the arc of a foot; 0 for point feet",
         },
+    ),
+    "zoom": Kind(
+        "Basins in ever narrower windows around a point (`zoom`). Axes are offsets in the widest.",
+        {
+            "fate": V("frame *grid", "integer", "", "as in a basin"),
+            "attractor": V("frame *grid", "integer", "", "as in a basin"),
+            "factor": V("frame", "real", "", "by which the window is narrower"),
+            "ahead": V("frame", "integer", "strides", "of the centre alone, before all starts"),
+        },
+        WALKER | SECTION | {"origin": "the point, on the section"},
     ),
     "basins over slopes": Kind(
         "Basins at several slopes (Figure 7 of the paper).",
