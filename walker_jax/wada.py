@@ -56,9 +56,10 @@ def merge_regions(
 ) -> Wada:
     """The boundaries of regions, each against all others merged: are they one, as Wada's are?
 
-    A point of the grid is on the boundary of a region if of it and its neighbours, corners included,
-    one is in the region and one is in another. Distances are Chebyshev's, the largest of the axes. The grids of every
-    second, fourth ... point show how distances and shares go with the resolution.
+    A point of the grid is on the boundary of a region if of it and its neighbours, corners
+    included, one is in the region and one is in another. Distances are Chebyshev's, the largest of
+    the axes. The grids of every second, fourth ... point show how distances and shares go with the
+    resolution.
 
     **Arguments:**
 

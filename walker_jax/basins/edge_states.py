@@ -71,12 +71,13 @@ def edge_state(
     strides: int = 500,
     tolerance: float | None = None,
 ) -> EdgeState:
-    """The state to which the boundary between two starts of different fates leads, by edge tracking.
+    """The state to which the boundary between two starts of different fates leads.
 
-    Bisection finds a point of the boundary between a and b, to 1e-13; a stride moves the two starts
-    beside it, and bisection brings these together again; and so on, until the path repeats itself,
-    or a stride tears the two apart. Where the path repeats itself, Newton's iteration finds the
-    gait.
+    By edge tracking: bisection finds a point of the boundary between a and b, to 1e-13; a stride
+    moves the two starts beside it, and bisection brings these together again; and so on, until the
+    path repeats itself, or a stride tears the two apart. Where the path repeats itself, Newton's
+    iteration finds the gait. A boundary that is fractal has many edge states, and the path comes
+    to one of them, or to none.
 
     **Arguments:**
 

@@ -25,7 +25,7 @@ from walker_jax.figures.regions import (
     show_image,
 )
 from walker_jax.figures.style import BASINS, FAILURES, INK
-from walker_jax.figures.text import short_number, walker_title
+from walker_jax.figures.text import walker_title
 from walker_jax.storage.schema import check_dataset
 from walker_jax.walking.outcomes import Outcome
 
@@ -104,15 +104,14 @@ def saddle_phrase(one: xr.Dataset) -> str:
     period = int(one["edge_period"])
     values = one["edge_multipliers"].values
     numbers = [complex(*value) for value in values[np.isfinite(values).all(axis=1)]]
-    words = ", ".join(short_number(value) for value in numbers)
+    words = ", ".join(f"{value.real:.3g}" for value in numbers)
     return f"saddle of period {period}, multipliers {words}"
 
 
 def entropy_phrase(data: xr.Dataset) -> str:
     """The entropies of a basin, and the log 2 test."""
     value, error = float(data["boundary_entropy"]), float(data["boundary_entropy_error"])
-    fractal = "above log 2: fractal" if value - 2 * error > np.log(2) else "not above log 2"
-    return (
-        f"basin entropy {float(data['basin_entropy']):.4f}, of the boundary "
-        f"{value:.3f} ± {error:.3f} ({fractal}); curves: stable manifolds"
-    )
+    fractal = "above log 2, fractal" if value - 2 * error > np.log(2) else "not above log 2"
+    value_phrase = f"of the boundary {value:.3f} ± {error:.3f} ({fractal})"
+    first = f"basin entropy {float(data['basin_entropy']):.4f}, {value_phrase};"
+    return f"{first}\ncurves are stable manifolds of the saddles"

@@ -19,10 +19,10 @@ from walker_jax.walking.outcomes import Outcome
 NO_REGION = (Outcome.OUTSIDE, Outcome.UNDECIDED, Outcome.LEFT_GRID)
 """Fates of cells that are in no region: no walk begins there, or none is known."""
 HALVINGS = 3
-"""Coarser grids on which the boundaries of merged regions are compared, if the grid is fine enough."""
+"""Coarser grids on which boundaries of merged regions are compared, if the grid is so fine."""
 LONGEST_CURVED = 4
-"""Period of a saddle, at most, whose stable manifold is drawn: those of longer ones contract so much
-along it that one preimage leads all over the section."""
+"""Period of a saddle, at most, whose stable manifold is drawn: those of longer ones contract so
+much along it that one preimage leads all over the section."""
 
 
 @refuses_tracers()
@@ -96,7 +96,7 @@ def boundary(
 
 
 def nearest_to(data: xr.Dataset, grid: Grid) -> Float[np.ndarray, " axes"]:
-    """The place, in cells, of the first attractor's first state; the middle, if it is not inside."""
+    """The place, in cells, of the first attractor's first state; the middle if that is outside."""
     middle = (np.array(grid.shape) - 1) / 2
     if data.sizes["number"] == 0 or len(grid.names) < grid.coordinates:
         return middle

@@ -100,7 +100,10 @@ class CurvedMetric(NamedTuple):
         y: Float[np.ndarray, "n section"],
         gradient: Float[np.ndarray, "n section"],
     ) -> Float[np.ndarray, "n section"]:
-        """Gradients along y: of r u, dr = (|dy| along u - r f' du) / (f' u), du = dy_across / |y|."""
+        """Gradients along y, of r u with |u| = 1 and f(r u) = |y|.
+
+        dr = (d|y| - r f' du) / (f' u), and du is the part of dy across u, over |y|.
+        """
         size = np.linalg.norm(y, axis=1, keepdims=True)
         unit, d = y / size, self.disturbance(state, y)
         length = np.linalg.norm(d, axis=1, keepdims=True)
