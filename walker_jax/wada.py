@@ -104,7 +104,7 @@ def boundary_of(
     """The points of which, and of their neighbours, some are inside and some outside."""
     from scipy.ndimage import maximum_filter
 
-    return maximum_filter(inside, 3) & maximum_filter(outside, 3)
+    return np.logical_and(maximum_filter(inside, 3), maximum_filter(outside, 3))
 
 
 def distance_from(points: Bool[np.ndarray, "*cells"]) -> Float[np.ndarray, "*cells"]:
@@ -113,4 +113,4 @@ def distance_from(points: Bool[np.ndarray, "*cells"]) -> Float[np.ndarray, "*cel
 
     if not points.any():
         return np.full(points.shape, np.inf)
-    return distance_transform_cdt(~points, "chessboard").astype(float)
+    return np.asarray(distance_transform_cdt(~points, "chessboard"), float)

@@ -108,7 +108,7 @@ def edge_state(
     first, second = label_of(np.stack(ends)).tolist()
     if first == second:
         raise WrongUse(f"a and b must have different fates, not both {fate_of(first).name}")
-    image = lambda x: take_strides(walker, x, tolerance=checked_tolerance).state
+    image = lambda x: np.asarray(take_strides(walker, x, tolerance=checked_tolerance).state)
     track = follow_edge(image, label_of, *ends, rounds=rounds, longest=LONGEST_PERIOD)
     fates = fate_of(track.labels[0]), fate_of(track.labels[1])
     if track.torn:

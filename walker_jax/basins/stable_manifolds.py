@@ -83,9 +83,9 @@ def stable_manifold(
     jacobian = multiply_jacobians(linearise(walker, states[None], checked_tolerance).jacobian)[0]
     values, vectors = np.linalg.eig(jacobian)
     at = int(np.abs(values).argmin())
-    direction = vectors[:, at].real
+    direction = np.real(vectors[:, at])
     # twice round where the two halves of the manifold change places
-    strides = len(states) * (1 if values[at].real > 0 else 2)
+    strides = len(states) * (1 if np.real(values[at]) > 0 else 2)
     image = Image(walker, strides, checked_tolerance)
     return [
         follow_manifold(image, states[0], side * direction, spacing, points) for side in (1, -1)

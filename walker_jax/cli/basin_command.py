@@ -151,24 +151,17 @@ def basin(
         **({} if zoom is None else {"zoom": zoom, "near": near and list(near)}),
     }
     request = request_for("basin", walker=describe_walker(walker), **asked)
+    shots = request | {"frames": frames}
     if animate is not None:
         figures.check_film(animate)
-        shots = request | {"frames": frames}
         storage.check_picture(animate, shots, overwrite=overwrite, argument="animate")
     figure, data = find_earlier(out, figure, request, overwrite=overwrite)
     reused, resumed = data is not None, out.exists() and not overwrite
     clock = Stopwatch()
-    grid = grid_along(fill_around_gait(walker, axes)) if data is None or animate else None
-    if grid is not None and zoom is not None:
-        centre = zoom_centre(walker, grid, near, strides) if data is None else data.attrs["origin"]
-        if animate is not None:
-            shown = wj.zoom(
-                walker, grid, zoom, centre, frames=frames, strides=strides, progress=True
-            )
-            signature = storage.signature(request | {"frames": frames})
-            figures.zoom_film(shown, animate, signature=signature, progress=True)
-        grid = grid.zoom(centre, zoom)
     if data is None:
+        grid = grid_along(fill_around_gait(walker, axes))
+        if zoom is not None:
+            grid = grid.zoom(zoom_centre(walker, grid, near, strides), zoom)
         options: Any = {"out": out, "request": request, "overwrite": overwrite}
         options |= {"strides": strides, "cluster": cluster, "progress": True}
         data = wj.basin(walker, grid, method, **options)
@@ -176,6 +169,10 @@ def basin(
     flat = data["fate"].ndim == 2
     draw_basin = figures.basin if flat else figures.basin_slices
     draw(draw_basin(figures.thin(data)), figure, request)
+    if animate is not None and zoom is not None:
+        first, centre = grid_along(fill_around_gait(walker, axes)), data.attrs["origin"]
+        shown = wj.zoom(walker, first, zoom, centre, frames=frames, strides=strides, progress=True)
+        figures.zoom_film(shown, animate, signature=storage.signature(shots), progress=True)
 
     counts = tally(data)
     answer = summarise_basin(data, counts)

@@ -76,7 +76,7 @@ def boundary(
         cells = touching_cells(label, (first, second), nearest_to(data, grid))
         if cells is None:
             continue
-        ends = grid.centres(np.ravel_multi_index(tuple(cells.T), grid.shape))
+        ends = grid.points_at((cells + 0.5) / np.array(grid.shape))
         try:
             edges.append(edge_state(walker, *ends, strides=strides, tolerance=tolerance))
         except ComputationFailed:  # rounding lost this boundary: the other pairs count
@@ -144,7 +144,7 @@ def edge_arrays(
     return {
         "edge_fates": (("edge", "beside"), np.array(pairs, int).reshape(-1, 2)),
         "edge_between": (("edge", "beside"), np.array([one.fates for one in edges]).reshape(-1, 2)),
-        "edge_kind": ("edge", np.array([one.kind for one in edges], str)),
+        "edge_kind": ("edge", np.array([one.kind for one in edges], object)),
         "edge_period": (
             "edge",
             np.array([0 if one is None else len(one.states) for one in saddles]),
@@ -155,7 +155,7 @@ def edge_arrays(
         ),
         "edge_multipliers": (
             ("edge", "order", "part"),
-            padded([np.stack([one.real, one.imag], axis=1) for one in multipliers], 2),
+            padded([np.stack([np.real(one), np.imag(one)], axis=1) for one in multipliers], 2),
         ),
         "edge_path": (("edge", "point", "coordinate"), padded([one.path for one in edges], size)),
         "stable_manifold": (
@@ -171,3 +171,35 @@ def padded(rows: list, size: int) -> Float[np.ndarray, "n most size"]:
     for one, row in zip(values, rows, strict=True):
         one[: len(row)] = row
     return values
+
+
+def summarise_boundary(data: xr.Dataset) -> dict:
+    """The results of `boundary` for JSON; fates by their names."""
+    names = lambda codes: [Outcome(int(code)).name for code in codes.values]
+    value, error = float(data["boundary_entropy"]), float(data["boundary_entropy_error"])
+    shares = zip(data["spacing"].values.tolist(), data["wada_share"].values.tolist(), strict=True)
+    edges = []
+    for i in range(data.sizes["edge"]):
+        one = data.isel(edge=i)
+        known = lambda name, one=one: one[name].values[np.isfinite(one[name].values).all(axis=1)]
+        edges.append(
+            {
+                "regions": names(one["edge_fates"]),
+                "between": names(one["edge_between"]),
+                "kind": str(one["edge_kind"].values),
+                "period": int(one["edge_period"]),
+                "states": known("edge_saddle"),
+                "multipliers": known("edge_multipliers"),
+            }
+        )
+    return {
+        "basin_entropy": float(data["basin_entropy"]),
+        "boundary_entropy": {
+            "value": value if np.isfinite(value) else None,
+            "error": error,
+            "fractal": bool(value - 2 * error > np.log(2)),
+        },
+        "regions": names(data["region"]),
+        "wada": [{"spacing": spacing, "share": share} for spacing, share in shares],
+        "edges": edges,
+    }

@@ -130,7 +130,7 @@ def tipping_probability(
         jumped.append(ends_of(labels))
     ends = [ends_of(labels_before), ends_of(labels_after)]
     before, after = np.unique(ends[0]), np.unique(np.concatenate([ends[1], *jumped]))
-    counts = transition_counts(*ends, before, after)
+    counts = transition_counts(ends[0], ends[1], before, after)
     total = counts.sum(axis=1, keepdims=True)
     intervals = np.array(
         [
