@@ -16,7 +16,7 @@ from walker_jax.checks import WrongUse, array, check_number, check_whole, refuse
 
 MIN_REGIONS = 3
 """Regions that a boundary can be common to in the sense of Wada: two always have theirs."""
-RADIUS = 5
+RADIUS = 5.0
 """Cells within which two boundaries count as one by default."""
 HALVINGS = 3
 """Coarser grids that are compared by default."""
@@ -73,9 +73,7 @@ def merge_regions(
     labels = array("labels", labels)
     if labels.dtype.kind not in "biuf" or labels.ndim == 0:
         raise WrongUse(f"labels must be numbers on a grid, not {short(labels)}")
-    check_number("radius", radius)
-    if not 0 <= radius < np.inf:
-        raise WrongUse(f"radius={radius}: must be zero or more, and finite")
+    check_radius(radius)
     check_whole("halvings", halvings, 0)
     found = np.unique(labels)
     found = found[found >= 0]
@@ -96,6 +94,13 @@ def merge_regions(
                 distances[grid, j, k] = spacing * apart.max(initial=0)
                 beyond[grid, j, k] = (apart > radius).mean() if apart.size else 0
     return Wada(found.astype(float), spacings, distances, beyond)
+
+
+def check_radius(radius: float) -> None:
+    """Refuse what is no distance."""
+    check_number("radius", radius)
+    if not 0 <= radius < np.inf:
+        raise WrongUse(f"radius={radius}: must be zero or more, and finite")
 
 
 def boundary_of(

@@ -6,7 +6,7 @@ the starts that lead there. Walkers on that balance, as it were: the stance leg 
 upright, or the swing foot only grazes the ground.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,13 +16,13 @@ from jaxtyping import Float, Int
 from walker_jax.basins.capture_boxes import with_capture_boxes
 from walker_jax.basins.edge_tracking import follow_edge
 from walker_jax.basins.mapper import Mapper
+from walker_jax.basins.memory import check_state
 from walker_jax.basins.refinement import labels
 from walker_jax.checks import (
     WrongUse,
     check_kind,
     check_precision,
     check_whole,
-    numbers,
     refuses_tracers,
 )
 from walker_jax.gaits.cycles import Gait
@@ -94,7 +94,7 @@ def edge_state(
     check_precision(jnp.asarray(0.0).dtype, "edge_state, which brings starts 1e-13 together,")
     check_whole("rounds", rounds)
     check_whole("strides", strides)
-    ends = [check_start(walker, name, x) for name, x in (("a", a), ("b", b))]
+    ends = [check_state(walker, "a", a), check_state(walker, "b", b)]
     checked_tolerance = float(default_tolerance(np.dtype(float), tolerance))
     share = np.linspace(0, 1, SAMPLE)[:, None]
     mapper = Mapper(walker, [], checked_tolerance, strides)
@@ -120,15 +120,6 @@ def edge_state(
         if gait.found and near and not gait.stable:
             return EdgeState("saddle", gait, track.path, fates, np.nan)
     return EdgeState("", None, track.path, fates, np.nan)
-
-
-def check_start(walker: Walker, name: str, x: Any) -> Float[np.ndarray, " section"]:
-    """A start on the section, as float64."""
-    values = numbers(name, x)
-    if values.shape != (len(walker.section),) or not np.isfinite(values).all():
-        section = ", ".join(walker.section)
-        raise WrongUse(f"{name} must be finite numbers on the section, {section}, not {x}")
-    return values
 
 
 def fate_of(label: int) -> Outcome:

@@ -1,17 +1,17 @@
 """Zooms into the boundary between fates: ever narrower windows around one of its points."""
 
-from typing import Any
+from collections.abc import Callable
 
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 from jax.typing import ArrayLike
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from walker_jax.basins.capture_boxes import with_capture_boxes
 from walker_jax.basins.edge_tracking import POINTS
 from walker_jax.basins.mapper import Mapper
-from walker_jax.basins.memory import check_grid
+from walker_jax.basins.memory import check_grid, check_state
 from walker_jax.basins.methods import mapper_of_grid
 from walker_jax.basins.narrow_windows import follow_window
 from walker_jax.basins.refinement import edge, labels
@@ -22,7 +22,6 @@ from walker_jax.checks import (
     check_number,
     check_precision,
     check_whole,
-    numbers,
     refuses_tracers,
 )
 from walker_jax.execution.progress import track
@@ -53,8 +52,10 @@ def boundary_point(
 
     Raises `ValueError` as `basin` does; `ComputationFailed` where all cells have one fate.
     """
+    check_grid(walker, grid, "direct")
+    point = None if near is None else check_state(walker, "near", near)
     mapper = checked_mapper(walker, grid, strides, tolerance, "boundary_point, to the last digit,")
-    return find_boundary_point(mapper, grid, near)
+    return find_boundary_point(mapper, grid, point)
 
 
 def checked_mapper(
@@ -71,7 +72,7 @@ def checked_mapper(
 
 
 def find_boundary_point(
-    mapper: Mapper, grid: Grid, near: Any = None
+    mapper: Mapper, grid: Grid, near: Float[np.ndarray, " section"] | None = None
 ) -> Float[np.ndarray, " section"]:
     """`boundary_point`, by a mapper."""
     label_of = lambda x: labels(*mapper(x)[:2])
@@ -82,10 +83,7 @@ def find_boundary_point(
     shape = np.array(grid.shape)
     middle = (shape - 1) / 2
     if near is not None:
-        point = numbers("near", near)
-        if point.shape != (grid.coordinates,) or not np.isfinite(point).all():
-            raise WrongUse(f"near must be {grid.coordinates} finite numbers, not {near}")
-        box = np.asarray(grid.unshear) @ (point - np.asarray(grid.origin))
+        box = np.asarray(grid.unshear) @ (near - np.asarray(grid.origin))
         middle = (box - np.asarray(grid.lower)) / np.asarray(grid.spacing) - 0.5
     cell = on_edge[np.linalg.norm(on_edge - middle, axis=1).argmin()]
     beside = cell + np.stack(np.meshgrid(*[(-1, 0, 1)] * len(cell), indexing="ij"), -1).reshape(
@@ -96,7 +94,10 @@ def find_boundary_point(
     return bisect_to_last_digit(label_of, grid.points_at((np.stack([cell, other]) + 0.5) / shape))
 
 
-def bisect_to_last_digit(label_of, ends: Float[np.ndarray, "2 section"]) -> np.ndarray:
+def bisect_to_last_digit(
+    label_of: Callable[[Float[np.ndarray, "n section"]], Int[np.ndarray, " n"]],
+    ends: Float[np.ndarray, "2 section"],
+) -> Float[np.ndarray, " section"]:
     """The point at which the label of the first end is lost, on a segment: one rounding beside."""
     while True:
         share = np.linspace(0, 1, POINTS)[:, None]
@@ -143,8 +144,10 @@ def zoom(
     if not 1 <= factor < np.inf:
         raise WrongUse(f"factor must be 1 or more, and finite, not {factor}")
     check_whole("frames", frames, 2)
+    check_grid(walker, grid, "direct")
+    middle = None if centre is None else check_state(walker, "centre", centre)
     mapper = checked_mapper(walker, grid, strides, tolerance, "zoom, into the last digits,")
-    middle = find_boundary_point(mapper, grid) if centre is None else numbers("centre", centre)
+    middle = find_boundary_point(mapper, grid) if middle is None else middle
     factors = factor ** np.linspace(0, 1, frames)
     windows = [grid.zoom(middle, one) for one in factors.tolist()]
     follow_window(

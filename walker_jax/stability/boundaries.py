@@ -8,11 +8,12 @@ from jaxtyping import Float, Int
 
 from walker_jax.basins.computation import basin
 from walker_jax.basins.edge_states import EdgeState, edge_state
+from walker_jax.basins.memory import check_grid
 from walker_jax.basins.stable_manifolds import stable_manifold
 from walker_jax.checks import ComputationFailed, check_whole, refuses_tracers
 from walker_jax.entropies import BOX, basin_entropy
 from walker_jax.grids import Grid
-from walker_jax.wada import MIN_REGIONS, RADIUS, merge_regions
+from walker_jax.wada import MIN_REGIONS, RADIUS, check_radius, merge_regions
 from walker_jax.walkers.model import Walker
 from walker_jax.walking.outcomes import Outcome
 
@@ -60,7 +61,9 @@ def boundary(
 
     Raises `ValueError` as `basin`, `basin_entropy` and `merge_regions`.
     """
-    check_whole("side", side, 2)
+    check_grid(walker, grid, "direct")
+    check_whole("side", side, 2, min(grid.shape))
+    check_radius(radius)
     data = basin(walker, grid, "direct", strides=strides, tolerance=tolerance)
     fate = data["fate"].values
     label = np.where(np.isin(fate, NO_REGION), -1, fate)
