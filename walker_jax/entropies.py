@@ -39,7 +39,7 @@ class BasinEntropy(NamedTuple):
         The test is sufficient, and not necessary: where two smooth pieces at most meet, no box has
         more than log 2 on average. A fractal boundary may have less.
         """
-        return self.boundary - 2 * self.boundary_error > np.log(2)
+        return bool(self.boundary - 2 * self.boundary_error > np.log(2))
 
 
 @refuses_tracers()

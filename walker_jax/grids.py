@@ -117,7 +117,7 @@ class Grid(eqx.Module):
         shear[1, 0] = -1
         return cls(along, shear, values, tuple(axes)[len(along) :])
 
-    def zoom(self, centre: Float[ArrayLike, " s"], factor: float) -> "Grid":
+    def zoom(self, centre: Float[ArrayLike, " s"], factor: float | int) -> "Grid":
         """The grid of as many cells in a window `factor` times as narrow, around a point.
 
         Its box coordinates are offsets from that point, which is its origin: they stay exact where

@@ -52,7 +52,10 @@ class Wada(NamedTuple):
 
 @refuses_tracers()
 def merge_regions(
-    labels: Int[np.ndarray | Array, "*cells"], radius: float = RADIUS, *, halvings: int = HALVINGS
+    labels: Int[np.ndarray | Array, "*cells"],
+    radius: float | int = RADIUS,
+    *,
+    halvings: int = HALVINGS,
 ) -> Wada:
     """The boundaries of regions, each against all others merged: are they one, as Wada's are?
 
@@ -96,7 +99,7 @@ def merge_regions(
     return Wada(found.astype(float), spacings, distances, beyond)
 
 
-def check_radius(radius: float) -> None:
+def check_radius(radius: float | int) -> None:
     """Refuse what is no distance."""
     check_number("radius", radius)
     if not 0 <= radius < np.inf:

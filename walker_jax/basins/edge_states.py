@@ -128,10 +128,10 @@ def fate_of(label: int) -> Outcome:
 
 
 def failing_margin(
-    walker: Walker, sides: Float[np.ndarray, "2 section"], tolerance: float
+    walker: Walker, x: Float[np.ndarray, "n section"], tolerance: float
 ) -> tuple[str, float]:
-    """The margin that is nearest to zero in the stride from two starts, and its size."""
-    found = margins_of_many(walker, sides, tolerance=tolerance)
+    """The margin that is nearest to zero in the strides from some starts, and its size."""
+    found = margins_of_many(walker, x, tolerance=tolerance)
     sizes = np.array([np.abs(getattr(found, name)) for name in WAYS])
     sizes = np.nanmin(np.where(np.isnan(sizes), np.inf, sizes), axis=1)
     return WAYS[int(sizes.argmin())], float(sizes.min())

@@ -87,7 +87,7 @@ def bring_together(
     while True:
         points = (1 - share) * pair[0] + share * pair[1]
         labels = label_of(points)
-        first, last = labels[0], labels[-1]
+        first, last = int(labels[0]), int(labels[-1])
         if first == last:
             raise ComputationFailed(
                 f"both ends have one label, {first}: no boundary to follow at {pair[0].tolist()}"

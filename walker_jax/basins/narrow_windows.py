@@ -11,8 +11,9 @@ and the orbit of the centre has rounding errors, as if it had begun some 1e-16 b
 """
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
+from walker_jax.basins.edge_states import failing_margin
 from walker_jax.checks import ComputationFailed, WrongUse
 from walker_jax.gaits.derivatives import linearise
 from walker_jax.grids import Grid
@@ -26,6 +27,8 @@ LINEAR = 1e-9
 NARROWEST = 32
 """Rounding units of the centre across a window, at least: with less, float64 does not say where the
 window is."""
+BLUR = 1e-14
+"""Size of a margin that rounding errors of a stride may turn over."""
 CURVED = 1e-4
 """Share of a window by which a stride may differ from a linear one, at most."""
 ROUNDING = 1e-13
@@ -55,23 +58,36 @@ def follow_window(walker: Walker, grid: Grid, tolerance: float, limit: int) -> t
     for made in range(limit):
         points = centre + samples @ shear.T
         ends = take_strides(walker, points, tolerance=tolerance)
-        passed = ends.outcome == Outcome.STRIDE
-        wide = widths(shear, half).max()
+        passed = np.asarray(ends.outcome) == Outcome.STRIDE
+        wide = float(widths(shear, half).max())
+        if wide < LINEAR * CURVED:
+            refuse_torn(walker, points, passed, tolerance, f"after {made} strides")
         if wide >= LINEAR or made == limit - 1 or not passed.any():
             return Grid(axes, shear, centre, grid.fixed), made
         local = linearise(walker, centre[None, None], tolerance)
         next_centre, next_shear = local.state[0, 0], local.jacobian[0, 0] @ shear
         bent = np.abs(ends.state - next_centre - samples @ next_shear.T).max()
         if not passed.all() or not bent < ROUNDING + CURVED * widths(next_shear, half).max():
-            if wide < LINEAR * CURVED:
-                raise ComputationFailed(
-                    f"the window is torn apart after {made} strides, where it is {wide:.1g} wide, "
-                    "by the boundary of a failure in that stride: float64 has too few digits for "
-                    "starts so close to it. Take a wider window, or another centre"
-                )
             return Grid(axes, shear, centre, grid.fixed), made
         centre, shear = next_centre, next_shear
     raise AssertionError("unreachable")
+
+
+def refuse_torn(
+    walker: Walker,
+    points: Float[np.ndarray, "n s"],
+    passed: Bool[np.ndarray, " n"],
+    tolerance: float,
+    when: str,
+) -> None:
+    """Refuse a window that the boundary of a failure in the next stride passes, so near as this."""
+    name, margin = failing_margin(walker, points, tolerance)
+    if margin < BLUR or passed.any() != passed.all():
+        raise ComputationFailed(
+            f"the window is torn apart {when}, by the boundary of a failure in the next stride "
+            f"({name}, margin {margin:.1g}), so close to which float64 tells no starts apart: "
+            "take a wider window, or another centre"
+        )
 
 
 def widths(shear: Float[np.ndarray, "s d"], half: Float[np.ndarray, " d"]) -> np.ndarray:

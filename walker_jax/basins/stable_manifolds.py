@@ -8,6 +8,8 @@ Applied Dynamical Systems 3, 161). It goes on where the stride function folds th
 turns back, as it does for walkers.
 """
 
+from bisect import bisect_right
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -51,9 +53,8 @@ def stable_manifold(
 ) -> list[Float[np.ndarray, "n section"]]:
     """The stable manifold of an unstable gait on a section of two coordinates: two curves.
 
-    Each goes out from the gait's first state, and ends where the stride function does. Between its
-    points a curve is a straight line, which errs by the square of the spacing, times
-    the curvature over eight.
+    Each goes out from the gait's first state, and ends where the stride function does, or where it
+    leads to the other curve. Between its points a curve is taken for a cubic.
 
     **Arguments:**
 
@@ -112,64 +113,80 @@ class Image(NamedTuple):
         return x, jacobian
 
 
+ImageOf = Callable[
+    [Float[np.ndarray, " 2"]], tuple[Float[np.ndarray, " 2"], Float[np.ndarray, "2 2"]]
+]
+"""A map with its derivatives, as `Image` is."""
+
+
+class Curve:
+    """A curve that grows point by point: cubics between them, by their tangents."""
+
+    def __init__(self, first: Float[np.ndarray, " 2"], tangent: Float[np.ndarray, " 2"]):
+        self.points, self.tangents, self.lengths = [first], [tangent], [0.0]
+
+    def add(self, point: Float[np.ndarray, " 2"], tangent: Float[np.ndarray, " 2"]) -> None:
+        """Add a point at the end."""
+        gap = float(np.linalg.norm(point - self.points[-1]))
+        self.points.append(point)
+        self.tangents.append(tangent)
+        self.lengths.append(self.lengths[-1] + gap)
+
+    def at(self, t: float) -> tuple[Float[np.ndarray, " 2"], Float[np.ndarray, " 2"]]:
+        """The point at a length t, and its derivative by t (Hermite's interpolation)."""
+        i = min(max(bisect_right(self.lengths, t) - 1, 0), len(self.points) - 2)
+        h = self.lengths[i + 1] - self.lengths[i]
+        u = (t - self.lengths[i]) / h
+        ends = np.stack([*self.points[i : i + 2], *(h * one for one in self.tangents[i : i + 2])])
+        values = [1 - u * u * (3 - 2 * u), u * u * (3 - 2 * u), u * (1 - u) ** 2, u * u * (u - 1)]
+        slopes = [-6 * u * (1 - u), 6 * u * (1 - u), (1 - u) * (1 - 3 * u), u * (3 * u - 2)]
+        return np.array(values) @ ends, np.array(slopes) @ ends / h
+
+
 def follow_manifold(
-    image: Image,
+    image: ImageOf,
     saddle: Float[np.ndarray, " 2"],
     direction: Float[np.ndarray, " 2"],
     spacing: float,
     points: int,
 ) -> Float[np.ndarray, "n 2"]:
     """One half of the stable manifold of a fixed point of a map, from the saddle on."""
-    curve = np.zeros((points, 2))
-    curve[:2] = saddle, saddle + FIRST * direction
-    lengths = np.zeros(points)
-    lengths[1] = FIRST
-    count, step = 2, FIRST
-    along = direction
-    x = curve[1]
+    curve = Curve(saddle, direction)
+    x, along, step = saddle + FIRST * direction, direction, FIRST
+    curve.add(x, along)
     end, jacobian = image(x)
     t = float(np.dot(end - saddle, direction))
-    while count < points and step > SHORTEST:
-        tangent, rate = tangent_of(jacobian, slope_at(curve, lengths, count, t))
-        if tangent @ along < 0:
-            tangent, rate = -tangent, -rate
-        found = correct(image, curve, lengths, count, x + step * tangent, t + step * rate, tangent)
+    while len(curve.points) < points and step > SHORTEST:
+        tangent, rate = tangent_of(jacobian, curve.at(t)[1], along)
+        found = correct(image, curve, x + step * tangent, t + step * rate, tangent)
         if found is not None:
             new_x, new_t, new_jacobian = found
             gap = float(np.linalg.norm(new_x - x))
-            turned = (new_x - x) @ tangent < SHARPEST * gap or tangent @ along < SHARPEST
-            if gap <= 2 * step and (not turned or step < 4 * SHORTEST):
-                along, x, t, jacobian = tangent, new_x, new_t, new_jacobian
-                curve[count], lengths[count] = x, lengths[count - 1] + gap
-                count, step = count + 1, min(GROWTH * step, spacing)
+            new_tangent, _ = tangent_of(new_jacobian, curve.at(new_t)[1], tangent)
+            if gap <= 2 * step and new_tangent @ tangent > SHARPEST:
+                along, x, t, jacobian = new_tangent, new_x, new_t, new_jacobian
+                curve.add(x, along)
+                step = min(GROWTH * step, spacing)
                 continue
         step /= 2
-    return curve[:count]
+    return np.array(curve.points)
 
 
 def tangent_of(
-    jacobian: Float[np.ndarray, "2 2"], slope: Float[np.ndarray, " 2"]
+    jacobian: Float[np.ndarray, "2 2"],
+    slope: Float[np.ndarray, " 2"],
+    along: Float[np.ndarray, " 2"],
 ) -> tuple[Float[np.ndarray, " 2"], float]:
-    """The direction dx, of length one, and dt, for which J dx = slope dt."""
-    first, second = np.column_stack([jacobian, -slope])
-    null = np.cross(first, second)
-    null /= np.linalg.norm(null[:2])
+    """The direction dx, of length one and not against `along`, and dt with J dx = slope dt."""
+    null = np.cross(*np.column_stack([jacobian, -slope]))
+    null = null / np.linalg.norm(null[:2])
+    null = null if null[:2] @ along >= 0 else -null
     return null[:2], float(null[2])
 
 
-def slope_at(
-    curve: Float[np.ndarray, "n 2"], lengths: Float[np.ndarray, " n"], count: int, t: float
-) -> Float[np.ndarray, " 2"]:
-    """The direction of the side of a polygon at a length."""
-    i = int(np.clip(np.searchsorted(lengths[:count], t, "right") - 1, 0, count - 2))
-    return (curve[i + 1] - curve[i]) / (lengths[i + 1] - lengths[i])
-
-
 def correct(
-    image: Image,
-    curve: Float[np.ndarray, "n 2"],
-    lengths: Float[np.ndarray, " n"],
-    count: int,
+    image: ImageOf,
+    curve: Curve,
     x: Float[np.ndarray, " 2"],
     t: float,
     tangent: Float[np.ndarray, " 2"],
@@ -177,13 +194,12 @@ def correct(
     """The point across the tangent at x that is mapped to the curve, at a length; None for none."""
     start = x
     for _ in range(CORRECTIONS):
-        if not 0 <= t <= lengths[count - 1]:
+        if not 0 <= t <= curve.lengths[-1]:
             return None
         end, jacobian = image(x)
         if not np.isfinite(jacobian).all():
             return None
-        slope = slope_at(curve, lengths, count, t)
-        at = np.array([np.interp(t, lengths[:count], one) for one in curve[:count].T])
+        at, slope = curve.at(t)
         miss = end - at
         if np.abs(miss).max() < EXACT:
             return x, t, jacobian

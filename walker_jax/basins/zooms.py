@@ -114,7 +114,7 @@ def bisect_to_last_digit(
 def zoom(
     walker: Walker,
     grid: Grid,
-    factor: float,
+    factor: float | int,
     centre: Float[ArrayLike, " section"] | None = None,
     *,
     frames: int = 120,

@@ -21,6 +21,8 @@ NO_REGION = (Outcome.OUTSIDE, Outcome.UNDECIDED, Outcome.LEFT_GRID)
 """Fates of cells that are in no region: no walk begins there, or none is known."""
 HALVINGS = 3
 """Coarser grids on which boundaries of merged regions are compared, if the grid is so fine."""
+SPACING = 5e-3
+"""Of the points of a stable manifold: a cubic between them errs by less than a picture shows."""
 LONGEST_CURVED = 4
 """Period of a saddle, at most, whose stable manifold is drawn: those of longer ones contract so
 much along it that one preimage leads all over the section."""
@@ -32,7 +34,7 @@ def boundary(
     grid: Grid,
     *,
     side: int = BOX,
-    radius: float = RADIUS,
+    radius: float | int = RADIUS,
     strides: int = 500,
     tolerance: float | None = None,
 ) -> xr.Dataset:
@@ -137,7 +139,7 @@ def edge_arrays(
     saddles = [one.saddle for one in edges]
     multipliers = [np.zeros(0) if one is None else np.asarray(one.multipliers) for one in saddles]
     curves = [
-        stable_manifold(walker, one, tolerance=tolerance)
+        stable_manifold(walker, one, spacing=SPACING, tolerance=tolerance)
         if one is not None and size == 2 and len(one.states) <= LONGEST_CURVED
         else []
         for one in saddles
