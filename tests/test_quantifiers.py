@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from matplotlib.legend import Legend
 
 import walker_jax as wj
 from walker_jax import Outcome
@@ -115,10 +116,8 @@ def test_the_least_disturbance_in_a_metric_of_the_walker(gait):
     d = by_matrix.state - np.asarray(gait.states[0])
     assert d @ MATRIX @ d == pytest.approx(by_matrix.size**2)
     np.testing.assert_allclose(by_matrix.direction, d / by_matrix.size, rtol=1e-12)
-    plain, scaled = (
-        wj.least_disturbance(WALKER, gait, **one)
-        for one in ({"scale": [0.5, 2.0]}, {"metric": np.diag([4.0, 0.25])})
-    )
+    plain = wj.least_disturbance(WALKER, gait, scale=[0.5, 2.0])
+    scaled = wj.least_disturbance(WALKER, gait, metric=np.diag([4.0, 0.25]))
     assert plain.size == scaled.size
     np.testing.assert_array_equal(plain.state, scaled.state)
 
@@ -252,12 +251,8 @@ def test_the_data_set_of_a_boundary_its_picture_and_its_answer(monkeypatch):
     shares = [one["share"] for one in answer["wada"]]
     np.testing.assert_allclose(shares, wj.merge_regions(labels).share)
     axes = figures.boundary(data)
-    words = [
-        text.get_text()
-        for legend in axes.findobj()
-        if hasattr(legend, "get_texts")
-        for text in legend.get_texts()
-    ]
+    legends = [one for one in axes.get_children() if isinstance(one, Legend)]
+    words = [text.get_text() for one in legends for text in one.get_texts()]
     assert any("saddle of period 1, multipliers 3.21, 0.592" in one for one in words)
     with pytest.raises(ValueError, match="boundary"):
         figures.boundary(wj.basin(WALKER, grid))
