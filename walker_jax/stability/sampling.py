@@ -1,8 +1,8 @@
 """Basin stability: the fraction of random disturbances from which a walker returns to its gait.
 
 With the same starts, what else is known of the way back: how many strides it takes, for each unit
-of the disturbance too, and how large the disturbances are that the walker survives (Morr, Datseris
-and others 2026 collect such measures of stability).
+of the disturbance too, and how large the disturbances are that the walker survives. The words are
+those of the stability quantifiers of Attractors.jl.
 """
 
 from collections.abc import Callable, Sequence
