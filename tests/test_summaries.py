@@ -177,7 +177,8 @@ def test_a_summary_of_robustness_has_none_for_what_is_not_there(monkeypatch):
     least = found["least_disturbance"]
     assert (least["size"], least["failure"], least["strides"]) == (0.002, "FORWARD", 6)
     assert list(found["basin_stability"]) == [
-        *("value", "low", "high", "disturbances", "median_strides", "slowest_strides")
+        *("value", "low", "high", "in_time", "disturbances", "median_strides", "slowest_strides"),
+        *("mean_strides", "pace", "median_pace", "mean_shock", "largest_shock"),
     ]
     assert found["boundary_dimension"] == {"value": 1.25, "low": 1.0, "high": 1.5}
     earlier = data.drop_vars([name for name in data if "fall" in str(name)])

@@ -18,6 +18,7 @@ COMMANDS = {
     "gait": "Find the gaits of a walker: cycles of strides, and their stability.",
     "bifurcation": "Follow the gaits over the slope: how each is born, doubles and ends.",
     "basin": "Compute and draw the basin of attraction of a walker's gait.",
+    "boundary": "Measure the boundary between walking and falling: its entropy, its saddles, Wada.",
     "robustness": "Measure how large a disturbance a gait survives, on one slope or over many.",
     "continuation": "Follow the attractors over a parameter, and the fractions of a region that "
     "converge to each.",

@@ -141,6 +141,13 @@ def print_measures(row: dict) -> None:
         f"half of them are over in {survived['median_strides']:g} strides, "
         f"95 of 100 in {survived['slowest_strides']:g}"
     )
+    if survived["mean_strides"] is not None:  # a data set of an earlier version lacks it
+        print(
+            f"    {survived['in_time']:.1%} are over in 10 strides; on average they take "
+            f"{survived['mean_strides']:.4g}, and small ones shrink by a factor of e in "
+            f"{gait['return_strides']:.3g}; the largest that is survived is "
+            f"{survived['largest_shock']:.3g}"
+        )
     print(
         f"    dimension of the boundary {dimension['value']:.3f} "
         f"({dimension['low']:.3f} to {dimension['high']:.3f})"

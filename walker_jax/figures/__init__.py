@@ -11,6 +11,7 @@ from walker_jax.figures.basin_maps import basin as basin
 from walker_jax.figures.basin_maps import basin_slices as basin_slices
 from walker_jax.figures.basin_maps import basins_in_a_row as basins_in_a_row
 from walker_jax.figures.basin_maps import thin as thin
+from walker_jax.figures.boundary_plots import boundary as boundary
 from walker_jax.figures.branch_plots import bifurcation_diagram as bifurcation_diagram
 from walker_jax.figures.branch_plots import bifurcations as bifurcations
 from walker_jax.figures.branch_plots import gait_branches as gait_branches
@@ -18,6 +19,7 @@ from walker_jax.figures.branch_plots import largest_multiplier as largest_multip
 from walker_jax.figures.branch_plots import stability_and_area as stability_and_area
 from walker_jax.figures.films import check_film as check_film
 from walker_jax.figures.films import film as film
+from walker_jax.figures.films import zoom_film as zoom_film
 from walker_jax.figures.fraction_plots import basin_fractions as basin_fractions
 from walker_jax.figures.multiplier_plots import multipliers as multipliers
 from walker_jax.figures.optimum_plots import basins_before_and_after as basins_before_and_after

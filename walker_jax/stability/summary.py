@@ -52,13 +52,16 @@ def robustness(
 
     **Returns** what `refine` returns, and of the gait, the attractor of the largest basin:
     `gait_period`, `gait_state` (the nearest to the least disturbance), `multiplier` (the
-    largest modulus), `step_time` (the mean); of the point that `least_disturbance` finds,
+    largest modulus), `step_time` (the mean), `return_strides` (the characteristic return time); of
+    the point that `least_disturbance` finds,
     `least_disturbance`, `direction`, `failing_state`, `failure` (-1 for none) and
     `failing_strides`; of the one that it finds with `fall`, which is the same unless the first
     leads to another motion, `least_fall`, `fall_direction`, `fall_state`, `fall_failure` and
     `fall_strides`; `step_down` and `step_down_failure`, and `step_down_fall`, the least one from
-    which the walker falls; `stability`, with `_low` and `_high`, `median_strides` and
-    `slowest_strides`; `dimension`, with `_low` and `_high`, of the boundary. NaN, or -1, where no
+    which the walker falls; `stability`, with `_low` and `_high`, `in_time`,
+    `median_strides`, `slowest_strides`, `mean_strides`, `pace`, `median_pace`, `mean_shock` and
+    `largest_shock`, as `basin_stability` has them, sizes being shares of the gait's state;
+    `dimension`, with `_low` and `_high`, of the boundary. NaN, or -1, where no
     gait attracts.
 
     Raises `ValueError` as `refine`, and without a grid where no gait of period one is found.
@@ -105,6 +108,7 @@ def robustness(
             "gait_state": ("coordinate", np.asarray(gait.states[0])),
             "multiplier": float(np.abs(gait.multipliers[0])),
             "step_time": float(np.mean(gait.step_times)),
+            "return_strides": float(gait.return_strides),
             "least_disturbance": nearest.size,
             "direction": ("coordinate", nearest.direction),
             "failing_state": ("coordinate", nearest.state),
@@ -121,8 +125,14 @@ def robustness(
             "stability": float(stability.value),
             "stability_low": float(stability.low),
             "stability_high": float(stability.high),
+            "in_time": float(stability.in_time),
             "median_strides": float(stability.median),
             "slowest_strides": float(stability.slowest),
+            "mean_strides": float(stability.mean),
+            "pace": float(stability.pace),
+            "median_pace": float(stability.median_pace),
+            "mean_shock": float(stability.mean_shock),
+            "largest_shock": float(stability.largest_shock),
             "dimension": boundary.value,
             "dimension_low": boundary.low,
             "dimension_high": boundary.high,
@@ -143,6 +153,7 @@ GAIT = {
     "state": Field("gait_state", "vector"),
     "multiplier": Field("multiplier", "number"),
     "step_time": Field("step_time", "number"),
+    "return_strides": Field("return_strides", "number"),
 }
 LEAST_DISTURBANCE = {
     "size": Field("least_disturbance", "number"),
@@ -167,10 +178,16 @@ STABILITY = {
     "value": Field("stability", "number"),
     "low": Field("stability_low", "number"),
     "high": Field("stability_high", "number"),
+    "in_time": Field("in_time", "number"),
 }
 RETURN = {
     "median_strides": Field("median_strides", "number"),
     "slowest_strides": Field("slowest_strides", "number"),
+    "mean_strides": Field("mean_strides", "number"),
+    "pace": Field("pace", "number"),
+    "median_pace": Field("median_pace", "number"),
+    "mean_shock": Field("mean_shock", "number"),
+    "largest_shock": Field("largest_shock", "number"),
 }
 DIMENSION = {
     "value": Field("dimension", "number"),
