@@ -30,6 +30,13 @@ class WrongUse(ValueError):
     """
 
 
+class WrongPlace(WrongUse):
+    """A place on disk is refused: what is wrong there, and perhaps the arguments that help."""
+
+    def __str__(self):
+        return ": ".join(self.args)
+
+
 class ComputationFailed(RuntimeError):
     """A computation came to no answer, for the reason given, though its arguments are right."""
 

@@ -4,6 +4,7 @@ So the group's help loads neither JAX nor the module of any command.
 """
 
 import inspect
+from collections.abc import Sequence
 from importlib import import_module
 
 import typer
@@ -47,7 +48,7 @@ class Commands(TyperGroup):
         from walker_jax.cli.startup import configure_jax  # which loads JAX
 
         configure_jax()
-        return name, load(str(name)), rest
+        return name, load(str(name), rest), rest
 
     def invoke(self, ctx):
         try:
@@ -56,11 +57,15 @@ class Commands(TyperGroup):
             raise Interrupted(*resume_notes(interruption)) from interruption
 
 
-def load(name: str):
-    """The command of that name, with its options."""
+def load(name: str, args: Sequence[str] = ()):
+    """The command of that name, with its options, and those of the walker that `args` name."""
     function = getattr(import_module(f"walker_jax.cli.{name}_command"), name)
+    if "without" in vars(function):  # a walker is its first argument
+        from walker_jax.cli.walker_options import offered_walkers, with_walker_options
+
+        function = with_walker_options(function, offered_walkers(args))
     single = typer.Typer(add_completion=False)
-    single.command(name, help=flowing(inspect.cleandoc(function.__doc__)))(function)
+    single.command(name, help=flowing(inspect.cleandoc(function.__doc__ or "")))(function)
     return get_command(single)
 
 

@@ -116,7 +116,7 @@ def basin(
         "method": method,
         **({"strides": strides} if method == "direct" else {}),
     }
-    request = request_for("basin", walker=describe_walker(walker), **asked)
+    request = request_for("basin", type(walker), walker=describe_walker(walker), **asked)
     figure, data = find_earlier(out, figure, request, overwrite=overwrite)
     reused, resumed = data is not None, out.exists() and not overwrite
     clock = Stopwatch()

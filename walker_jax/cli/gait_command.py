@@ -48,7 +48,7 @@ def gait(
         raise WrongUse("--guess and --all exclude each other: give one of them")
     about = describe_walker(walker)
     asked = {"period": period, "guess": None if start is None else start.tolist(), "all": all_}
-    request = request_for("gait", walker=about, **asked)
+    request = request_for("gait", type(walker), walker=about, **asked)
     if figure is not None:
         check_suffix(figure)
         storage.check_picture(figure, request, overwrite=overwrite)

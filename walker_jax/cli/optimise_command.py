@@ -102,7 +102,7 @@ def optimise(
     options: Any = {"starts": starts, "levels": levels, "strides": strides}
     options |= {"scan": scan, "seed": seed}
     asked = {"bounds": bounds, "objective": weights, "axes": {} if grid is None else grid.box}
-    request = request_for("optimise", walker=about, **asked, **limits, **options)
+    request = request_for("optimise", type(walker), walker=about, **asked, **limits, **options)
     figure, data = find_earlier(out, figure, request, overwrite=overwrite)
     if data is None or "found" not in data:  # not begun, or interrupted
         compute = partial(

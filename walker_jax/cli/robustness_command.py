@@ -95,7 +95,7 @@ def robustness(
     slope = about["slope"] if slopes is None else about.pop("slope")
     options: Any = {"levels": levels, "disturbances": disturbances, "strides": strides}
     asked = {"slopes": slopes, "axes": {} if grid is None else grid.box}
-    request = request_for("robustness", walker=about, **asked, **options)
+    request = request_for("robustness", type(walker), walker=about, **asked, **options)
     figure, data = find_earlier(out, figure, request, overwrite=overwrite)
     if data is None:
         if slopes is None:

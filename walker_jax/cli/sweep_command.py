@@ -82,7 +82,7 @@ def sweep(
     about = {name: v for name, v in describe_walker(walker).items() if name not in values}
     options: Any = {"levels": levels, "check": check, "robust": robust, "strides": strides}
     asked = {"over": values, "axes": {} if grid is None else grid.box}
-    request = request_for("sweep", walker=about, **asked, **options)
+    request = request_for("sweep", type(walker), walker=about, **asked, **options)
     figure, data = find_earlier(out, figure, request, overwrite=overwrite)
     if data is None:
         options |= {"out": out, "request": request, "overwrite": overwrite}

@@ -50,7 +50,9 @@ def walk(
     check_finite(**given)
     if isinstance(walker, wj.SimplestWalker):
         given = PAPER_START | given
-    request = request_for("walk", walker=describe_walker(walker), start=given, strides=strides)
+    request = request_for(
+        "walk", type(walker), walker=describe_walker(walker), start=given, strides=strides
+    )
     if animate is not None:
         from walker_jax import figures
 

@@ -13,7 +13,7 @@ from walker_jax.checks import WrongUse, check_kind, is_number
 from walker_jax.design.measures import GAIT_MEASURES
 from walker_jax.grids import Grid
 from walker_jax.walkers.model import Walker
-from walker_jax.walkers.parameters import check_parameter, with_parameter
+from walker_jax.walkers.parameters import check_parameter, walker_attributes, with_parameter
 
 OBJECTIVES = {
     "area": 1.0,
@@ -154,8 +154,7 @@ def describe_problem(problem: Problem) -> dict:
         for name, ends in problem.limits.items()
     }
     return {
-        "walker": type(problem.walker).__name__,
-        **{f"walker_{name}": float(value) for name, value in vars(problem.walker).items()},
+        **walker_attributes(problem.walker),
         "section": list(problem.walker.section),
         "objective": json.dumps(problem.weights),
         "sign": problem.sign,

@@ -12,6 +12,7 @@ from jax.core import Tracer
 from jax.typing import ArrayLike
 
 from walker_jax.checks import WrongUse, check_kind, short
+from walker_jax.walkers.fingerprints import code_fingerprint
 from walker_jax.walkers.model import Scalar, Walker
 
 
@@ -21,8 +22,8 @@ class Parameter(NamedTuple):
     name: str
     meaning: str
     unit: str
-    default: float
-    """Of the command line; and of the constructor, but for the slope."""
+    default: float = np.nan
+    """Of the command line; and of the constructor, but for the slope. NaN where it has none."""
     low: float = 0.0
     high: float = np.inf
     closed: bool = False
@@ -59,16 +60,42 @@ class Parameter(NamedTuple):
 
 
 def parameters(walker: type[Walker] | Walker) -> tuple[Parameter, ...]:
-    """The described parameters of a walker, in the order of its constructor's arguments."""
-    converters = (field.metadata.get("converter") for field in dataclasses.fields(walker))
-    described = (getattr(converter, "__self__", None) for converter in converters)
-    return tuple(one for one in described if isinstance(one, Parameter))
+    """The parameters of a walker, in the order of its constructor's arguments.
+
+    A class of a user's own need not describe its fields: any real number is accepted then.
+    """
+    found = []
+    for field in dataclasses.fields(walker):
+        one = description(field) or (SLOPE if field.name == "slope" else UNDESCRIBED)
+        default = one.default if field.default is dataclasses.MISSING else float(field.default)
+        found.append(one._replace(name=field.name, default=default))
+    return tuple(found)
+
+
+def described_parameters(walker: Walker) -> tuple[Parameter, ...]:
+    """Those parameters of a walker whose bounds are known."""
+    return tuple(one for field in dataclasses.fields(walker) if (one := description(field)))
+
+
+def description(field: dataclasses.Field) -> Parameter | None:
+    """The `Parameter` whose `convert` is the converter of a field, if one is."""
+    one = getattr(field.metadata.get("converter"), "__self__", None)
+    return one if isinstance(one, Parameter) else None
 
 
 def describe_walker(walker: Walker) -> dict[str, Any]:
     """The name and the parameters of a walker, for a request or an answer."""
     values = {one.name: float(getattr(walker, one.name)) for one in parameters(walker)}
     return {"name": type(walker).__name__, **values}
+
+
+def walker_attributes(walker: Walker, *without: str) -> dict[str, Any]:
+    """A walker as attributes of a data set, `without` parameters that are dimensions of it."""
+    values = {name: float(value) for name, value in vars(walker).items() if name not in without}
+    about = {"walker": type(walker).__name__}
+    about |= {f"walker_{name}": value for name, value in values.items()}
+    code = code_fingerprint(type(walker))
+    return about | ({"code": code} if code else {})
 
 
 def describe_in_words(walker: Walker) -> str:
@@ -95,6 +122,7 @@ def space_decimals(low: float, high: float, count: int) -> list[float]:
 
 
 SLOPE = Parameter("slope", "of the ground", "rad", 0.004, high=np.pi / 2)
+UNDESCRIBED = Parameter("", "", "", low=-np.inf)
 
 
 def check_parameter(walker: Walker, parameter: str, *values: float) -> None:

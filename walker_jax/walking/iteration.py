@@ -21,7 +21,7 @@ from walker_jax.checks import WrongUse, array, check_kind, check_whole, refuses_
 from walker_jax.execution.tiles import map_cells
 from walker_jax.integrators.solvers import AnySolver, Real, default_tolerance, using_solver
 from walker_jax.walkers.model import State, Walker
-from walker_jax.walkers.parameters import parameters
+from walker_jax.walkers.parameters import described_parameters
 from walker_jax.walking.outcomes import Outcome, Stride, Walk
 from walker_jax.walking.stepping import follow_stride, prepare
 
@@ -129,7 +129,7 @@ def check_parameter_arrays(walker: Walker, n: int) -> None:
     for name, values in vars(walker).items():
         if np.shape(values) not in ((), (n,)):
             raise WrongUse(f"{name} must be one number or {n}, not of shape {np.shape(values)}")
-    for one in parameters(walker):
+    for one in described_parameters(walker):
         values = getattr(walker, one.name)
         for value in (np.min(values), np.max(values)) if np.size(values) else ():
             one.convert(value)

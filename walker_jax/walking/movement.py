@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float
 
 from walker_jax.checks import WrongUse, check_number, check_whole, refuses_tracers
 from walker_jax.walkers.model import State, Walker
+from walker_jax.walkers.parameters import walker_attributes
 from walker_jax.walking.iteration import walk
 from walker_jax.walking.outcomes import Outcome
 from walker_jax.walking.stepping import trajectory
@@ -105,8 +106,7 @@ def motion(
             "duration": ("made", durations),
         },
         attrs={
-            "walker": type(walker).__name__,
-            **{f"walker_{name}": float(value) for name, value in vars(walker).items()},
+            **walker_attributes(walker),
             "section": list(walker.section),
             "leg_length": length,
             "foot_radius": radius,
