@@ -99,7 +99,7 @@ def robustness(
     figure, data = find_earlier(out, figure, request, overwrite=overwrite)
     if data is None:
         if slopes is None:
-            data = wj.robustness(walker, grid, **options)
+            data = wj.robustness(walker, grid, progress=True, **options)
         else:
             data = wj.robustness_table(walker, slopes, "slope", grid, progress=True, **options)
         data = storage.save(data, out, request)
