@@ -2,6 +2,7 @@
 
 import json
 import math
+import sys
 import time
 from collections.abc import Iterable
 from importlib.metadata import version
@@ -51,7 +52,10 @@ def find_earlier(
     """
     figure = picture_path(out, figure)
     found = storage.find(out, request, overwrite=overwrite)  # first: it says what differs
-    storage.check_picture(figure, request, overwrite=overwrite)
+    earlier = request if found is None else storage.request_in(found.attrs)
+    storage.check_picture(figure, request, earlier, overwrite=overwrite)
+    if earlier["version"] != request["version"]:
+        print(f"{out} was computed by version {earlier['version']}", file=sys.stderr)
     return figure, found
 
 
