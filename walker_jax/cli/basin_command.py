@@ -31,6 +31,7 @@ from walker_jax.cli.options import (
     cluster_from,
 )
 from walker_jax.cli.walker_options import takes_walker
+from walker_jax.execution.progress import bar
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import describe_in_words, describe_walker
 
@@ -121,10 +122,12 @@ def basin(
     reused, resumed = data is not None, out.exists() and not overwrite
     clock = Stopwatch()
     if data is None:
-        grid = grid_along(fill_around_gait(walker, axes))
+        with bar("search for a gait", True):
+            grid = grid_along(fill_around_gait(walker, axes))
         options: Any = {"out": out, "request": request, "overwrite": overwrite}
         options |= {"strides": strides, "cluster": cluster, "progress": True}
-        data = wj.basin(walker, grid, method, **options)
+        with bar("basin", True):
+            data = wj.basin(walker, grid, method, **options)
     seconds = clock.seconds()
     flat = data["fate"].ndim == 2
     draw_basin = figures.basin if flat else figures.basin_slices
@@ -141,8 +144,8 @@ def basin(
     if sliced:
         print(f"  slice at phidot {float(data['phidot']):.10g}")
     print_basin(answer, "area" if flat else "volume")
-    if counts.unlabelled:
-        print(f"  {counts.unlabelled} cells walk on without coming near a known attractor")
+    if counts.unmatched:
+        print(f"  {counts.unmatched} cells walk on without coming near a known attractor")
     if reused:
         print(f"  taken from {out}, computed before")
     elif resumed:

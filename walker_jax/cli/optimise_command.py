@@ -24,6 +24,7 @@ from walker_jax.cli.options import (
 )
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.design.summary import ENDS, summarise_optimum
+from walker_jax.execution.progress import bar
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import check_parameter, describe_in_words, describe_walker
 
@@ -140,7 +141,8 @@ def computed(
             kept = True
 
         with storage.resumable(out, lambda: kept, overwrite=overwrite):
-            return save(compute(known=known, keep=keep))
+            with bar("optimise", True):
+                return save(compute(known=known, keep=keep))
 
 
 def bounds_of(walker: Walker, over: list[str], bound: list[str]) -> dict[str, tuple[float, float]]:
