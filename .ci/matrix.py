@@ -100,7 +100,9 @@ def install_uv(place: Path) -> str:
 def constraints(uv: str, name: str, python: str, place: Path) -> Path:
     """A file with the versions of a set, for a Python."""
     path = place / f"{name}.txt"
+    # Some of the oldest have no wheel for a newer Python: then it is the oldest that has one.
     how = ["--resolution", SETS[name], "--extra", "test", "--python", python]
+    how += ["--only-binary", ":all:"]
     plain = ["--no-header", "--no-annotate", "--quiet", "--output-file", path]
     run([uv, "pip", "compile", ROOT / "pyproject.toml", *how, *plain])
     return path

@@ -2,7 +2,7 @@
 
 A name is one of `family.WALKERS`, one that an installed package gives to the entry points
 `walker_jax.walkers`, `FILE.py:CLASS` or `PACKAGE.MODULE:CLASS`. The last three run code: see
-docs/security.md.
+SECURITY.md.
 """
 
 import importlib
