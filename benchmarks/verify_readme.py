@@ -176,6 +176,7 @@ GIVEN = {
     "3.11": "the oldest Python, of pyproject.toml",
     "64": "float64",
     "0.01, 1.2": "values of an example",
+    "0.004": "the slope of the paper's basin",
     "0.022": "printed in the paper, where `walker-jax reproduce` compares it",
     "512, 50,000, 1e-8": "the conditions of the table of speeds",
     "1e8": "a size of large runs",
