@@ -14,7 +14,7 @@ from walker_jax.cli.list_walkers import ListWalkers
 from walker_jax.cli.rewording import option_of, with_options_named
 from walker_jax.walkers.family import WALKERS
 from walker_jax.walkers.model import Walker
-from walker_jax.walkers.parameters import Parameter, parameters
+from walker_jax.walkers.parameters import Option, Parameter, options, parameters
 from walker_jax.walkers.references import find_walker
 
 PANEL = "Walker"
@@ -70,12 +70,14 @@ def with_walker_options(command: Callable[..., None], kinds: Kinds) -> Callable[
         given.pop("list_walkers")
         values = {parameter: given.pop(parameter) for parameter in offered}
         values = {one: value for one, value in values.items() if value is not None}
-        return command(build_walker(kinds, name, values), **given)
+        checks = {one.name: given.pop(one.name) for one in offered_options(kinds)}
+        chosen = [one for one, chosen in checks.items() if chosen]
+        return command(build_walker(kinds, name, values, chosen), **given)
 
-    options = walker_options(offered, owners, kinds)
+    accepted = walker_options(offered, owners, kinds)
     own = [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in own]
-    vars(with_options)["__signature__"] = inspect.Signature([*options, *own])  # which typer reads
-    with_options.__annotations__ = {one.name: one.annotation for one in (*options, *own)}
+    vars(with_options)["__signature__"] = inspect.Signature([*accepted, *own])  # which typer reads
+    with_options.__annotations__ = {one.name: one.annotation for one in (*accepted, *own)}
     return with_options
 
 
@@ -99,10 +101,13 @@ def walker_options(
     """`--walker`, an option for each parameter, and `--list-walkers`."""
 
     def help_of(one: Parameter) -> str:
-        whose = "" if len(owners[one.name]) == len(kinds) else f"{', '.join(owners[one.name])}: "
         about = "; ".join(filter(None, (one.meaning, one.unit)))
-        default = "required" if math.isnan(one.default) else f"default: {one.default:g}"
-        return f"{whose}{about} ({default})".strip()
+        defaults = "required" if math.isnan(one.default) else f"default: {one.default:g}"
+        for name in owners[one.name]:
+            own = next(each.default for each in parameters(kinds[name]) if each.name == one.name)
+            if own != one.default and not math.isnan(own):
+                defaults += f", {name}: {own:g}"
+        return f"{whose_option(owners[one.name], kinds)}{about} ({defaults})".strip()
 
     def option(name: str, annotation: object, default: object) -> inspect.Parameter:
         keyword = inspect.Parameter.KEYWORD_ONLY
@@ -110,29 +115,51 @@ def walker_options(
 
     names = f"Its model: {' | '.join(WALKERS)}, or one's own, FILE.py:CLASS."
     model = typer.Option(help=names, rich_help_panel=PANEL, metavar="NAME")
-    options = [option("walker", Annotated[str, model], DEFAULT)]
+    accepted = [option("walker", Annotated[str, model], DEFAULT)]
     for one in offered.values():
         number = typer.Option(
             option_of(one.name), help=help_of(one), rich_help_panel=PANEL, show_default=False
         )
-        options.append(option(one.name, Annotated[float | None, number], None))
-    return [*options, option("list_walkers", ListWalkers, False)]
+        accepted.append(option(one.name, Annotated[float | None, number], None))
+    for one, whose in offered_options(kinds).items():
+        about = f"{whose_option(whose, kinds)}{one.meaning}."
+        flag = typer.Option(option_of(one.name), help=about, rich_help_panel=PANEL)
+        accepted.append(option(one.name, Annotated[bool, flag], False))
+    return [*accepted, option("list_walkers", ListWalkers, False)]
 
 
-def build_walker(kinds: Kinds, name: str, values: dict[str, float]) -> Walker:
+def whose_option(owners: list[str], kinds: Kinds) -> str:
+    """The walkers that have an option, unless all do."""
+    return "" if len(owners) == len(kinds) else f"{', '.join(owners)}: "
+
+
+def offered_options(kinds: Kinds) -> dict[Option, list[str]]:
+    """What strides may be checked for, and the names of the walkers that have it."""
+    offered: dict[Option, list[str]] = {}
+    for name, kind in kinds.items():
+        for one in options(kind):
+            offered.setdefault(one, []).append(name)
+    return offered
+
+
+def build_walker(kinds: Kinds, name: str, values: dict[str, float], checks: list[str]) -> Walker:
     """The walker of that name, with default values for parameters that are not given."""
     described = {one.name: one for one in parameters(kinds[name])}
-    options = {parameter: option_of(parameter) for parameter in described}
+    named = {parameter: option_of(parameter) for parameter in described}
     for parameter in values:
         if parameter not in described:
-            has = ", ".join(options.values())
+            has = ", ".join(named.values())
             raise WrongUse(f"{option_of(parameter)} is not a parameter of {name}, which has {has}")
+    own = [one.name for one in options(kinds[name])]
+    for check in checks:
+        if check not in own:
+            raise WrongUse(f"{option_of(check)} is not an option of {name}")
     values = {one.name: one.default for one in described.values()} | values
     for parameter, value in values.items():
         if math.isnan(value) and math.isnan(described[parameter].default):
             raise WrongUse(f"{option_of(parameter)} is required: {name} has no default for it")
     try:
         numbers = {parameter: described[parameter].convert(v) for parameter, v in values.items()}
-        return kinds[name](**numbers)
+        return kinds[name](**numbers, **dict.fromkeys(checks, True))
     except WrongUse as error:
-        raise WrongUse(with_options_named(str(error), options)) from error
+        raise WrongUse(with_options_named(str(error), named)) from error

@@ -31,7 +31,7 @@ from walker_jax.gaits.requests import run_batched
 from walker_jax.gaits.search import cycle_guesses, iterate_newton
 from walker_jax.integrators.solvers import Real
 from walker_jax.walkers.model import Walker
-from walker_jax.walkers.parameters import walker_attributes, with_parameter
+from walker_jax.walkers.parameters import attributes_of, with_parameter
 from walker_jax.walking.iteration import select_walkers
 
 NO_START = -1
@@ -304,7 +304,8 @@ def assemble_diagram(
         },
         attrs={
             "section": list(walker.section),
-            **walker_attributes(walker, parameter),
+            "walker": type(walker).__name__,
+            **attributes_of(walker, without=parameter),
             "parameter": parameter,
             "lost_strides": loss.strides,
             "scan_strides": scanned.attrs["strides"],

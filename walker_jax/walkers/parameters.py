@@ -2,7 +2,7 @@
 
 import dataclasses
 import inspect
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -13,7 +13,9 @@ from jax.typing import ArrayLike
 
 from walker_jax.checks import WrongUse, check_kind, short
 from walker_jax.walkers.fingerprints import code_fingerprint
-from walker_jax.walkers.model import Scalar, Walker
+from walker_jax.walkers.model import Scalar, Walker, numbers_of
+
+Described = TypeVar("Described")
 
 
 class Parameter(NamedTuple):
@@ -66,35 +68,64 @@ def parameters(walker: type[Walker] | Walker) -> tuple[Parameter, ...]:
     """
     found = []
     for field in dataclasses.fields(walker):
-        one = description(field) or (SLOPE if field.name == "slope" else UNDESCRIBED)
+        if field.metadata.get("static"):
+            continue
+        one = description(field, Parameter)
+        one = one or (SLOPE if field.name == "slope" else UNDESCRIBED)
         default = one.default if field.default is dataclasses.MISSING else float(field.default)
         found.append(one._replace(name=field.name, default=default))
     return tuple(found)
 
 
-def described_parameters(walker: Walker) -> tuple[Parameter, ...]:
-    """Those parameters of a walker whose bounds are known."""
-    return tuple(one for field in dataclasses.fields(walker) if (one := description(field)))
+def described_by(walker: type[Walker] | Walker, kind: type[Described]) -> tuple[Described, ...]:
+    """What describes the fields of a walker, of one kind: those parameters have bounds."""
+    described = (description(field, kind) for field in dataclasses.fields(walker))
+    return tuple(one for one in described if one is not None)
 
 
-def description(field: dataclasses.Field) -> Parameter | None:
-    """The `Parameter` whose `convert` is the converter of a field, if one is."""
+def description(field: dataclasses.Field, kind: type[Described]) -> Described | None:
+    """What describes a field, if it is of the kind: its converter is a method of that."""
     one = getattr(field.metadata.get("converter"), "__self__", None)
-    return one if isinstance(one, Parameter) else None
+    return one if isinstance(one, kind) else None
+
+
+class Option(NamedTuple):
+    """What a walker's strides are checked for, or not: a static field."""
+
+    name: str
+    meaning: str
+
+    def convert(self, value: bool) -> bool:
+        """The value. Raises `ValueError` for one that is not true or false."""
+        check_kind(self.name, value, bool)
+        return bool(value)
+
+
+def options(walker: type[Walker] | Walker) -> tuple[Option, ...]:
+    """The options of a walker, in the order of its constructor's arguments."""
+    return described_by(walker, Option)
+
+
+def chosen_options(walker: Walker) -> tuple[str, ...]:
+    """The names of the options of a walker that are on."""
+    return tuple(one.name for one in options(walker) if getattr(walker, one.name))
 
 
 def describe_walker(walker: Walker) -> dict[str, Any]:
-    """The name and the parameters of a walker, for a request or an answer."""
+    """The name and the parameters of a walker, and its options that are on, for a request."""
     values = {one.name: float(getattr(walker, one.name)) for one in parameters(walker)}
-    return {"name": type(walker).__name__, **values}
+    return {"name": type(walker).__name__, **values, **dict.fromkeys(chosen_options(walker), True)}
 
 
-def walker_attributes(walker: Walker, *without: str) -> dict[str, Any]:
-    """A walker as attributes of a data set, `without` parameters that are dimensions of it."""
-    values = {name: float(value) for name, value in vars(walker).items() if name not in without}
-    about = {"walker": type(walker).__name__}
-    about |= {f"walker_{name}": value for name, value in values.items()}
+def attributes_of(walker: Walker, *, without: str | None = None) -> dict[str, Any]:
+    """The parameters of a walker, and its options that are on, as attributes of a data set.
+
+    Of a class that is not of the package, a fingerprint of its code too.
+    """
+    values = {name: float(value) for name, value in numbers_of(walker).items() if name != without}
+    values |= dict.fromkeys(chosen_options(walker), 1)
     code = code_fingerprint(type(walker))
+    about: dict[str, Any] = {f"walker_{name}": value for name, value in values.items()}
     return about | ({"code": code} if code else {})
 
 
@@ -128,8 +159,8 @@ UNDESCRIBED = Parameter("", "", "", low=-np.inf)
 def check_parameter(walker: Walker, parameter: str, *values: float) -> None:
     """Refuse a parameter that the walker does not have, and values that its constructor refuses."""
     check_kind("walker", walker, Walker)
-    if not isinstance(parameter, str) or parameter not in vars(walker):
-        names = ", ".join(vars(walker))
+    if not isinstance(parameter, str) or parameter not in numbers_of(walker):
+        names = ", ".join(numbers_of(walker))
         raise WrongUse(f"parameter must be one of the walker's, {names}, not {short(parameter)}")
     if set(vars(walker)) <= set(inspect.signature(type(walker)).parameters):
         for value in values:
