@@ -41,7 +41,8 @@ def check_writable(path: Path) -> None:
             raise WrongPlace(f"{path} cannot be written: there is no folder {folder}")
         if not os.access(folder, os.W_OK | os.X_OK):
             raise WrongPlace(f"{path} cannot be written: no permission for the folder {folder}")
-        scratch_folder(path).exists()  # refuses a name too long for that one's
+        with suppress(FileNotFoundError):
+            scratch_folder(path).stat()  # refuses a name too long for that one's
         tempfile.TemporaryFile(dir=folder).close()  # refused on what is read only, also to root
     except OSError as error:
         raise WrongPlace(f"{path} cannot be written: {error.strerror}") from None
