@@ -112,7 +112,7 @@ def test_cells_are_counted_a_few_rows_at_a_time_as_all_at_once(monkeypatch):
     assert whole.fates.sum() == GRID.size
     fate, attractor = data["fate"].values, data["attractor"].values
     assert whole.fates[Outcome.FORWARD] == (fate == Outcome.FORWARD).sum() > 0
-    assert whole.unlabelled == ((fate == 0) & (attractor < 0)).sum() > 0
+    assert whole.unmatched == ((fate == 0) & (attractor < 0)).sum() > 0
     assert whole.strides == data["strides"].values.sum() + (fate != 0).sum()
     monkeypatch.setattr(basin_summary, "CELLS_AT_ONCE", 70)
     for one, other in zip(whole, basin_summary.tally(data), strict=True):

@@ -9,7 +9,7 @@ numbered from 0 with the last axis fastest (C order), by int32; -1 stands for no
 import math
 import operator
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -17,7 +17,15 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, Int32
 
-from walker_jax.checks import WrongUse, check_kind, check_number, is_number, numbers, short
+from walker_jax.checks import (
+    WrongUse,
+    check_kind,
+    check_number,
+    current_name,
+    is_number,
+    numbers,
+    short,
+)
 
 MAX_SINKS = 255
 MAX_SIZE = 2**31 - 1 - MAX_SINKS
@@ -39,6 +47,9 @@ class Grid(eqx.Module):
     numbers, or more than `MAX_SIZE` cells.
     """
 
+    RENAMED: ClassVar = {"states": "points_at", "held": "fixed_values"}
+    """Former names, and what they are called now."""
+
     names: tuple[str, ...] = eqx.field(static=True)
     """Names of the box coordinates u."""
     fixed: tuple[str, ...] = eqx.field(static=True)
@@ -55,6 +66,11 @@ class Grid(eqx.Module):
     """Its inverse, u = unshear @ (x - origin); of a slice, for points in it."""
     origin: Float[np.ndarray | Array, " s"]
     """The point of the state where u is zero."""
+
+    if not TYPE_CHECKING:  # to which any name would be known
+
+        def __getattr__(self, name: str) -> Any:
+            return getattr(self, current_name("Grid", self.RENAMED, name))
 
     def __init__(
         self,

@@ -40,6 +40,7 @@ from walker_jax.cli.options import (
     cluster_from,
 )
 from walker_jax.cli.walker_options import takes_walker
+from walker_jax.execution.progress import bar
 from walker_jax.grids import Grid
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import describe_in_words, describe_walker
@@ -181,7 +182,7 @@ def basin(
         **({} if levels is None else {"levels": levels}),
         **({} if zoom is None else {"zoom": zoom, "near": near and list(near)}),
     }
-    request = request_for("basin", walker=describe_walker(walker), **asked)
+    request = request_for("basin", type(walker), walker=describe_walker(walker), **asked)
     shots = request | {"frames": frames}
     if animate is not None:
         from walker_jax import figures
@@ -192,15 +193,17 @@ def basin(
     reused, resumed = data is not None, out.exists() and not overwrite
     clock = Stopwatch()
     if data is None:
-        grid = grid_along(fill_around_gait(walker, axes))
+        with bar("search for a gait", True):
+            grid = grid_along(fill_around_gait(walker, axes))
         if levels is None:
             if zoom is not None:
                 grid = grid.zoom(zoom_centre(walker, grid, near, strides), zoom)
             options: Any = {"out": out, "request": request, "overwrite": overwrite}
             options |= {"strides": strides, "cluster": cluster, "progress": True}
-            data = wj.basin(walker, grid, method, **options)
+            with bar("basin", True):
+                data = wj.basin(walker, grid, method, **options)
         else:
-            with storage.rewritable(out, request) as save:
+            with storage.rewritable(out, request) as save, bar("basin", True):
                 data = save(wj.refine(walker, grid, levels, strides=strides, progress=True))
     seconds = clock.seconds()
     draw(draw_basin(data), figure, request)
@@ -224,8 +227,8 @@ def basin(
     if sliced:
         print(f"  slice at phidot {float(data['phidot']):.10g}")
     print_basin(answer, "volume" if has_phidot and not sliced else "area")
-    if counts.unlabelled:
-        print(f"  {counts.unlabelled} cells walk on without coming near a known attractor")
+    if counts.unmatched:
+        print(f"  {counts.unmatched} cells walk on without coming near a known attractor")
     if reused:
         print(f"  taken from {out}, computed before")
     elif resumed:

@@ -16,6 +16,7 @@ from walker_jax.cli.options import (
     Out,
     Overwrite,
     PictureOfData,
+    Seed,
     check_finite,
     check_slopes,
     grid_from,
@@ -57,6 +58,7 @@ def robustness(
     strides: Annotated[
         int, typer.Option(min=1, help="Strides in which a walker may come back.")
     ] = 500,
+    seed: Seed = 0,
     low: Annotated[
         float | None, typer.Option("--from", help="Lowest slope of a table over slopes, rad.")
     ] = None,
@@ -93,13 +95,18 @@ def robustness(
         slopes = space_decimals(low, high, count or 20)
     about = describe_walker(walker)
     slope = about["slope"] if slopes is None else about.pop("slope")
-    options: Any = {"levels": levels, "disturbances": disturbances, "strides": strides}
+    options: Any = {
+        "levels": levels,
+        "disturbances": disturbances,
+        "strides": strides,
+        "seed": seed,
+    }
     asked = {"slopes": slopes, "axes": {} if grid is None else grid.box}
-    request = request_for("robustness", walker=about, **asked, **options)
+    request = request_for("robustness", type(walker), walker=about, **asked, **options)
     figure, data = find_earlier(out, figure, request, overwrite=overwrite)
     if data is None:
         if slopes is None:
-            data = wj.robustness(walker, grid, **options)
+            data = wj.robustness(walker, grid, progress=True, **options)
         else:
             data = wj.robustness_table(walker, slopes, "slope", grid, progress=True, **options)
         data = storage.save(data, out, request)

@@ -14,7 +14,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from walker_jax.checks import WrongUse
+from walker_jax.checks import WrongPlace
 from walker_jax.execution.progress import track
 from walker_jax.figures.basin_maps import basin
 from walker_jax.figures.layout import cell_edges, figure_legend, figure_title, name_axes
@@ -136,9 +136,9 @@ def zoom_film(data: xr.Dataset, path: Path, *, signature: str = "", progress: bo
 def check_film(path: Path) -> None:
     """Raise `ValueError` for a path to which no film can be written."""
     if path.suffix not in FILMS:
-        raise WrongUse(f"a film must end in one of {', '.join(FILMS)}, not {path}")
+        raise WrongPlace(f"a film must end in one of {', '.join(FILMS)}, not {path}")
     if path.suffix == ".mp4" and not FFMpegWriter.isAvailable():
-        raise WrongUse(f"{path} takes the program ffmpeg, which is not installed: try .gif")
+        raise WrongPlace(f"{path} takes the program ffmpeg, which is not installed: try .gif")
 
 
 @contextmanager

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from walker_jax.basins.refinement import refine
 from walker_jax.checks import WrongUse, check_kind, check_precision, numbers, refuses_tracers
-from walker_jax.execution.progress import track
+from walker_jax.execution.progress import bar, track
 from walker_jax.gaits.search import find_gait
 from walker_jax.grids import Grid, axes_around
 from walker_jax.stability.dimension import boundary_dimension
@@ -36,6 +36,7 @@ def robustness(
     strides: int = 500,
     seed: int = 0,
     tolerance: float | None = None,
+    progress: bool = False,
 ) -> xr.Dataset:
     """Measures of robustness of a walker's gait: basin, disturbances, basin stability, boundary.
 
@@ -49,6 +50,7 @@ def robustness(
     - `disturbances`: for `basin_stability`, shares of the coordinates of the gait's own state.
     - `strides`: number of strides in which a walker may return.
     - `seed`, `tolerance`: of random numbers, and of the integration.
+    - `progress`: whether to show progress on a terminal.
 
     **Returns** what `refine` returns, and of the gait, the attractor of the largest basin:
     `gait_period`, `gait_state` (the nearest to the least disturbance), `multiplier` (the
@@ -68,12 +70,21 @@ def robustness(
     """
     check_kind("walker", walker, Walker)
     check_precision(jnp.asarray(0.0).dtype, "robustness, which has the dimension of a boundary,")
-    grid = default_region(walker) if grid is None else grid
+    with bar("search for a gait", progress):
+        grid = default_region(walker) if grid is None else grid
     if grid is None:
         raise WrongUse("grid is required where no gait of period one is found")
-    data = refine(
-        walker, grid, levels, check=check, strides=strides, seed=seed, tolerance=tolerance
-    )
+    with bar("basin", progress):
+        data = refine(
+            walker,
+            grid,
+            levels,
+            check=check,
+            strides=strides,
+            seed=seed,
+            tolerance=tolerance,
+            progress=progress,
+        )
     data.attrs["disturbances"] = disturbances
     cells = data["cells"].values * (data["period"].values > 0)
     if cells.sum() == 0:
@@ -83,25 +94,33 @@ def robustness(
     gait = find_gait(walker, data["states"].values[largest, :period], period)
     if not (gait.found and gait.stable):
         return data.assign(without_gait(walker))
-    nearest = least_disturbance(walker, gait, strides=strides, tolerance=tolerance)
-    down = least_step_down(walker, gait, strides=strides, tolerance=tolerance)
+    with bar("least disturbance", progress):
+        nearest = least_disturbance(walker, gait, strides=strides, tolerance=tolerance)
+    with bar("least step down", progress):
+        down = least_step_down(walker, gait, strides=strides, tolerance=tolerance)
     fall, fall_down = nearest, down
     unknown = (Outcome.STRIDE, Outcome.UNDECIDED)
     if nearest.failure in unknown:
-        fall = least_disturbance(walker, gait, fall=True, strides=strides, tolerance=tolerance)
+        with bar("least disturbance after which it falls", progress):
+            fall = least_disturbance(walker, gait, fall=True, strides=strides, tolerance=tolerance)
     if down.failure in unknown:
-        fall_down = least_step_down(walker, gait, fall=True, strides=strides, tolerance=tolerance)
+        with bar("least step down after which it falls", progress):
+            fall_down = least_step_down(
+                walker, gait, fall=True, strides=strides, tolerance=tolerance
+            )
     gait = gait._replace(states=np.roll(np.asarray(gait.states), -nearest.phase, axis=0))
-    stability = basin_stability(
-        walker,
-        disturbances,
-        gait,
-        scale=np.abs(np.asarray(gait.states[0])),
-        strides=strides,
-        seed=seed,
-        tolerance=tolerance,
-    )
-    boundary = boundary_dimension(walker, grid, strides=strides, seed=seed, tolerance=tolerance)
+    with bar("basin stability", progress):
+        stability = basin_stability(
+            walker,
+            disturbances,
+            gait,
+            scale=np.abs(np.asarray(gait.states[0])),
+            strides=strides,
+            seed=seed,
+            tolerance=tolerance,
+        )
+    with bar("dimension of the boundary", progress):
+        boundary = boundary_dimension(walker, grid, strides=strides, seed=seed, tolerance=tolerance)
     return data.assign(
         {
             "gait_period": period,
@@ -296,6 +315,7 @@ def robustness_table(
             strides=strides,
             seed=seed,
             tolerance=tolerance,
+            progress=progress,
         )
         rows.append(one[[name for name in one if set(one[name].dims) <= {"coordinate"}]])
     about = {"walker": type(walker).__name__, "disturbances": disturbances}

@@ -49,7 +49,10 @@ class Kind(NamedTuple):
 
 
 V = Variable
-WALKER = {"walker": "class of the walker; each parameter is an attribute `walker_` + its name"}
+WALKER = {
+    "walker": "class of the walker; each parameter is an attribute `walker_` + its name, and "
+    "`code` is a fingerprint of a class that is not of the package"
+}
 SECTION = {"section": "names of the coordinates of a state"}
 KINDS = {
     "basin": Kind(
