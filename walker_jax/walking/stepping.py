@@ -261,8 +261,9 @@ def trajectory(
 
     The motion is that of the equations alone: it does not end at heel strike, whose time `stride`
     gives. Phases end with their events, at `phase_times`; a walker that falls before goes on.
-    Returns a `State` of arrays, or a state of the stride's first phase, such as `BentState`; NaN where that takes more than `MAX_STEPS` of integration.
-    `ValueError` as for `stride`, and for times that are not finite or negative.
+    Returns a `State` of arrays, or a state of the stride's first phase, such as `BentState`; NaN
+    where that takes more than `MAX_STEPS` of integration. `ValueError` as for `stride`, and for
+    times that are not finite or negative.
     """
     walker, x, tolerance = prepare(walker, x, tolerance)
     if not isinstance(x, Tracer) and not jnp.isfinite(x).all():
