@@ -39,7 +39,8 @@ GAIT = VALUES["gaits"][0]  # of the simplest walker: long, slope 0.009
 FINITE = {gait["name"]: gait for gait in VALUES["finite_mass"]}
 PUBLISHED = json.loads((DATA / "published_gaits.json").read_text())
 
-CLASSES = tuple(WALKERS.values())
+CLASSES = tuple(cls for cls in WALKERS.values() if not cls.__name__.startswith("Powered"))
+"""Walkers without motors; those with motors have tests of their own (test_powered.py)."""
 MASSLESS = SimplestWalker, SpringWalker
 GENERAL = PointFootWalker, RoundFootWalker, UpperBodyWalker
 SLOW = pytest.mark.slow

@@ -66,6 +66,10 @@ class MultibodyWalker(MultibodyMotion, Walker):
     def contacts(self, q):
         return self.swing_foot(q)
 
+    def push_off_impulse(self, q: Float[Array, " 4"]) -> Float[Array, " 4"] | None:
+        """Impulse dual to q on the walker just before heel strike; by default there is none."""
+        return None
+
     def driven_by_gravity(self):
         """As long as there are no generalised forces, and `forces` are those of gravity."""
         system, slope = self.system(), vars(self)["slope"]
@@ -181,6 +185,8 @@ def rates_and_impulses(walker: MultibodyMotion, state: Any) -> tuple[list[Scalar
 
     def equations(walker, state):
         q, qdot = coordinates_and_rates(state)
+        if (impulse := walker.push_off_impulse(q)) is not None:
+            qdot = multibody.push(walker.system(), q, qdot, impulse)
         after = multibody.impact(walker.system(), walker.contacts, q, qdot)
         return list(after.velocities), list(after.impulses)
 

@@ -172,6 +172,14 @@ class Walker(eqx.Module):
     def contact_force(self, state: State) -> tuple[Scalar, Scalar]:
         """Force (Q_u, Q_v) of the ground on the stance foot, along and normal to the slope."""
 
+    def during_stride(self, x: Float[Array, " section"]) -> "Walker":
+        """The walker as it is during the stride from x: its parameters may depend on the start.
+
+        That is feedback from stride to stride. By default a walker stays as it is. A stride from a
+        full state crosses no section, and is made with the parameters as they stand.
+        """
+        return self
+
     def driven_by_gravity(self) -> bool:
         """Whether gravity alone does work on the walker, so that a step loses what the slope gives.
 
@@ -198,6 +206,13 @@ class Walker(eqx.Module):
         The state is that at heel strike, before the impact. With the legs exchanged, the state
         after it must be on the section: `WrongUse` at construction otherwise.
         """
+
+    def push(self, state: State, change: Scalar) -> State:
+        """The state just after heel strike with thetadot changed by a push forward or back.
+
+        The section's other coordinates stay as they are.
+        """
+        return state._replace(thetadot=state.thetadot + change)
 
     def contact(self, state: State) -> Scalar:
         """Contact coordinate h = phi - 2 theta: zero when both feet are on the slope.
@@ -246,7 +261,7 @@ EQUATIONS_OF_MOTION = ("vector_field", "system")
 PREMISES = {
     "force_least_at_ends": (*EQUATIONS_OF_MOTION, "contact_force"),
     "inverted_pendulum": EQUATIONS_OF_MOTION,
-    "driven_by_gravity": ("vector_field", "impact"),
+    "driven_by_gravity": ("vector_field", "impact", "during_stride"),
     "past_contact": (*EQUATIONS_OF_MOTION, "contact", "swing_foot"),
     "gait_region": (*EQUATIONS_OF_MOTION, "contact", "swing_foot", "impact", "lift", "project"),
 }

@@ -44,7 +44,7 @@ from walker_jax.walking.phase_margins import (
     missing_speed,
     upcrossing,
 )
-from walker_jax.walking.stepping import begin_stride, end_stride, on_section, prepare
+from walker_jax.walking.stepping import begin_stride, during_stride, end_stride, on_section, prepare
 from walker_jax.walking.swing import conditions_of, equations, minimum_of, normal_force
 
 
@@ -148,6 +148,7 @@ class MarginState(NamedTuple):
 def follow_margins(
     walker: Walker, x: Float[Array, " coordinates"], tolerance: Float[Array, ""]
 ) -> Margins:
+    walker = during_stride(walker, x)
     start, verdict = with_fast_sincos(begin_stride)(walker, x)
     field = equations(walker)
     order = series_order(start)

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.core import Tracer
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
@@ -23,7 +24,14 @@ from walker_jax.integrators.solvers import AnySolver, Real, default_tolerance, u
 from walker_jax.walkers.model import Walker, numbers_of
 from walker_jax.walkers.parameters import parameters
 from walker_jax.walking.outcomes import Outcome, Stride, Walk
-from walker_jax.walking.stepping import follow_stride, prepare, state_kinds
+from walker_jax.walking.stepping import (
+    as_floating,
+    follow_step,
+    follow_stride,
+    full_state,
+    prepare,
+    state_kinds,
+)
 
 ROUNDS = 4, 16, 64
 """Strides of the first rounds of an iteration, and of all later ones; only unfinished walks enter
@@ -141,16 +149,29 @@ def walk(
     x: Float[ArrayLike, " section"],
     n: int,
     *,
+    ground: Float[ArrayLike, " n"] | None = None,
     tolerance: Real | None = None,
     solver: AnySolver | None = None,
 ) -> Walk:
-    """n strides, one after the other, from x on the section. As `stride` otherwise."""
+    """n strides, one after the other, from x on the section. As `stride` otherwise.
+
+    `ground` makes it rough: the `step` of each stride, the height of its foothold above the one
+    before. Then states are full ones, just after heel strike.
+    """
     check_whole("n", n)
     walker, x, tolerance = prepare(walker, x, tolerance)
     if x.shape != (len(walker.section),):
         raise WrongUse(f"x must be on the section {walker.section}, not of shape {x.shape}")
+    if ground is None:
+        with using_solver(solver):
+            return follow_walk(walker, x, n, tolerance)
+    steps = as_floating(ground, "ground").astype(x.dtype)
+    if steps.shape != (n,):
+        raise WrongUse(f"ground must be {n} heights, of shape ({n},), not {steps.shape}")
+    if not isinstance(steps, Tracer) and not np.isfinite(np.asarray(steps)).all():
+        raise WrongUse("ground must be finite heights")
     with using_solver(solver):
-        return follow_walk(walker, x, n, tolerance)
+        return follow_rough_walk(walker, x, steps, tolerance)
 
 
 @partial(jax.jit, static_argnums=2)
@@ -166,6 +187,28 @@ def follow_walk(
     first = (x, jnp.asarray(Outcome.STRIDE, jnp.int8))
     _, (states, outcomes, times) = lax.scan(follow, first, length=n)
     return Walk(jnp.concatenate([x[None], states]), outcomes, times)
+
+
+@jax.jit
+def follow_rough_walk(
+    walker: Walker,
+    x: Float[Array, " section"],
+    ground: Float[Array, " n"],
+    tolerance: Float[Array, ""],
+) -> Walk:
+    """Strides, each onto its own height above the last."""
+
+    def follow(carry, step):
+        x, fate = carry
+        result = follow_step(walker, x, step, tolerance)
+        fate = jnp.where(fate == Outcome.STRIDE, result.outcome, fate)
+        return (result.state, fate), (result.state, fate, result.time)
+
+    start = jnp.stack(full_state(walker, x))
+    feasible = jnp.where(walker.feasible(x), Outcome.STRIDE, Outcome.OUTSIDE).astype(jnp.int8)
+    begun = jnp.where(feasible == Outcome.STRIDE, start, jnp.nan)
+    _, (states, outcomes, times) = lax.scan(follow, (begun, feasible), ground)
+    return Walk(jnp.concatenate([start[None], states]), outcomes, times)
 
 
 def walk_on(

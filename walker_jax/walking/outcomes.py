@@ -49,8 +49,8 @@ class Stride(NamedTuple):
 class Walk(NamedTuple):
     """What a number of strides leads to. Nothing follows a failure: later states are NaN."""
 
-    states: Float[Array, "strides+1 section"]
-    """Start of each stride, and of the one after the last."""
+    states: Float[Array, "strides+1 coordinates"]
+    """Start of each stride, and of the one after the last; full states on rough ground."""
     outcomes: Int[Array, " strides"]
     """`Outcome` of each stride; that of the failure from there on."""
     times: Float[Array, " strides"]

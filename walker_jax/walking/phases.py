@@ -60,13 +60,20 @@ def follow_to_heel_strike(
     launched: bool = False,
 ) -> Arrival:
     """All phases of a stride, from a state of the first one; nothing to do unless `UNDECIDED`."""
-    if not walker.phases():
-        return Arrival(*swing(walker, start, verdict, tolerance, launched=launched))
-    *_, last = follow_phases(walker, start, verdict, tolerance)
+    last = follow_to_swing(walker, start, verdict, tolerance)
     state, time, verdict, broken = swing(
         walker, last.state, last.verdict, tolerance, launched=launched
     )
     return Arrival(state, last.time + time, verdict, merge_broken(last.broken, broken))
+
+
+def follow_to_swing(
+    walker: Walker, start: Any, verdict: Int[Array, ""], tolerance: Real
+) -> Arrival:
+    """All phases of a stride before the swing, if there are any."""
+    if not walker.phases():
+        return Arrival(start, zero_at(start), verdict, {})
+    return follow_phases(walker, start, verdict, tolerance)[-1]
 
 
 def follow_phases(

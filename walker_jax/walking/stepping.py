@@ -30,6 +30,7 @@ from walker_jax.walking.phases import (
     follow_phase,
     follow_phases,
     follow_to_heel_strike,
+    follow_to_swing,
     is_over,
     merge_broken,
 )
@@ -48,6 +49,7 @@ def stride(
     walker: Walker,
     x: Float[ArrayLike, " coordinates"],
     *,
+    step: Real | None = None,
     tolerance: Real | None = None,
     solver: AnySolver | None = None,
 ) -> Stride:
@@ -63,6 +65,12 @@ def stride(
     - `x`: the start, on the walker's section just after heel strike; or a full state
       (theta, phi, thetadot, phidot), for a launch or after a push. That is feasible where it is
       finite and the stance leg stands, |theta| < pi/2.
+    - `step`: height of the next foothold above the present one, normal to the slope, in the unit of
+      length; negative for a step down. The swing foot comes down there ahead of the other; where it
+      does not rise as high, the walker falls. The result's state is then a full one, just after
+      heel strike and off the section, as the foot that stood is lower or higher. `stride` takes it
+      from there, on a slope through the foot that stands now, with a `step` or without. By default
+      the ground is even.
     - `tolerance`: of one integration step: of its last Taylor terms, relative to the state or its
       rate (`integrators.solvers.step_length`), or of the error that another solver estimates. By
       default 1e-12 in float64 and 1e-6 in float32. The error of a stride is larger by as much as
@@ -73,8 +81,20 @@ def stride(
     **Returns** a `Stride`. A failure is an `Outcome`. `ValueError` for a wrong shape or dtype, and
     for a tolerance that the dtype cannot hold.
     """
+    walker, x, tolerance = prepare(walker, x, tolerance)
     with using_solver(solver):
-        return follow_stride(*prepare(walker, x, tolerance))
+        if step is None:
+            return follow_stride(walker, x, tolerance)
+        return follow_step(walker, x, height_of_step(step, x.dtype), tolerance)
+
+
+def height_of_step(step: Any, dtype) -> Float[Array, ""]:
+    """A step's height, checked."""
+    if not isinstance(step, Tracer):
+        check_number("step", step)
+        if not np.isfinite(step):
+            raise WrongUse(f"step must be one finite number, not {short(step)}")
+    return jnp.asarray(step, dtype)
 
 
 def prepare(
@@ -104,6 +124,7 @@ def follow_stride(
     x: Float[Array, " coordinates"],
     tolerance: Float[Array, ""],
 ) -> Stride:
+    walker = during_stride(walker, x)
     start, verdict = with_fast_sincos(begin_stride)(walker, x)
     launched = not on_section(walker, x)
     end = follow_to_heel_strike(walker, start, verdict, tolerance, launched=launched)
@@ -113,6 +134,11 @@ def follow_stride(
 def on_section(walker: Walker, x: Float[Array, " coordinates"]) -> bool:
     """Whether a start is a point of the section, and no full state."""
     return x.shape == (len(walker.section),)
+
+
+def during_stride(walker: Walker, x: Float[Array, " coordinates"]) -> Walker:
+    """The walker as it is during the stride from x."""
+    return walker.during_stride(x) if on_section(walker, x) else walker
 
 
 def state_kinds(walker: Walker) -> list[type]:
@@ -211,42 +237,47 @@ def step_down(
     *,
     tolerance: Real | None = None,
 ) -> Stride:
-    """One stride whose heel strike is on ground that is lower by `drop`.
+    """One stride whose heel strike is on ground that is lower by `drop`, not negative.
 
-    The swing foot comes down to the slope, as in `stride`, and goes on until it is `drop` below,
-    measured at right angles to the slope, in the unit of length, not negative. Arguments and errors
-    are those of `stride` otherwise. The result's state is a full one, (theta, phi, thetadot,
-    phidot), just after heel strike, off the section: the foot that stood is higher. `stride` takes
-    it from there, on a slope through the foot that stands now.
+    `stride(walker, x, step=-drop)`.
     """
-    walker, x, tolerance = prepare(walker, x, tolerance)
     if not isinstance(drop, Tracer):
         check_number("drop", drop)
         if not 0 <= drop < np.inf:
             raise WrongUse(f"drop must be one number, finite and not negative, not {short(drop)}")
-    height = jnp.asarray(drop, x.dtype)
-    return follow_step_down(walker, x, height, tolerance)
+    return stride(walker, x, step=-drop, tolerance=tolerance)
 
 
 @by_kernel
-def follow_step_down(
+def follow_step(
     walker: Walker,
     x: Float[Array, " coordinates"],
-    drop: Float[Array, ""],
+    step: Float[Array, ""],
     tolerance: Float[Array, ""],
 ) -> Stride:
+    """One stride to ground that is higher by `step`; the result's state is a full one."""
+    walker = walker.during_stride(walker.project(full_state(walker, x)))
     start, verdict = with_fast_sincos(begin_stride)(walker, x)
     launched = not on_section(walker, x)
-    level, time, verdict, broken = follow_to_heel_strike(
-        walker, start, verdict, tolerance, launched=launched
+    # A foot that goes below the ground has passed its level first, ahead of the other: the legs may
+    # pass each other below the level, and that is no heel strike.
+    begun = follow_to_swing(walker, start, verdict, tolerance)
+    higher = (begun.verdict == Outcome.UNDECIDED) & (step > 0)
+    verdict = jnp.where(higher, Outcome.STRIDE, begun.verdict).astype(jnp.int8)
+    level, lasts, verdict, broken = swing(
+        walker, begun.state, verdict, tolerance, launched=launched
     )
-    broken = merge_broken(broken, broken_at(walker, level))
-    going = (verdict == Outcome.STRIDE) & (drop > 0)
-    verdict = jnp.where(going, Outcome.UNDECIDED, verdict).astype(jnp.int8)
-    arrival, longer, verdict, more = swing(walker, level, verdict, tolerance, drop)
+    broken = merge_broken(begun.broken, merge_broken(broken, broken_at(walker, level)))
+    lower = (verdict == Outcome.STRIDE) & (step < 0)
+    verdict = jnp.where(higher | lower, Outcome.UNDECIDED, verdict).astype(jnp.int8)
+    arrival, longer, verdict, more = swing(walker, level, verdict, tolerance, step)
+    # On even ground nothing is left to swing, but the derivative with respect to the step is.
+    method = Method(equations(walker), solver_for(level), tolerance)
+    contact = lambda state: step - walker.clearance(state)
+    arrival, delay = method.refine_event(contact, arrival)
     broken = merge_broken(broken, more)
     following, outcome = with_fast_sincos(resolve_impact)(walker, arrival, verdict, broken)
-    return make_stride(jnp.stack(following), outcome, time + longer)
+    return make_stride(jnp.stack(following), outcome, begun.time + lasts + longer + delay)
 
 
 def trajectory(
@@ -287,6 +318,7 @@ def state_after(
     tolerance: Scalar,
 ) -> Any:
     """The state a time after the start of a stride; of the first phase, if there are any."""
+    walker = during_stride(walker, x)
     start = full_state(walker, x)
     if not (phases := walker.phases()):
         return state_of_motion(walker, start, time, tolerance)
@@ -334,6 +366,7 @@ def phase_times(
 def follow_phase_times(
     walker: Walker, x: Float[Array, " coordinates"], tolerance: Float[Array, ""]
 ) -> Float[Array, " phases"]:
+    walker = during_stride(walker, x)
     start, verdict = with_fast_sincos(begin_stride)(walker, x)
     phases = follow_phases(walker, start, verdict, tolerance)
     ended = [one.verdict == Outcome.UNDECIDED for one in phases]

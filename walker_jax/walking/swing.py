@@ -54,22 +54,25 @@ def swing(
     start: State,
     verdict: Int[Array, ""],
     tolerance: Real,
-    drop: Scalar | None = None,
+    step: Scalar | None = None,
     *,
     launched: bool = False,
 ) -> tuple[State, Scalar, Int[Array, ""], Broken]:
     """Swing the leg until heel strike (`STRIDE`) or a fall; nothing to do unless `UNDECIDED`.
 
-    Or until the swing foot is lower than at the start by `drop`. Returns the state just before the
-    impact, its time, the verdict, and which conditions were broken before that, its two ends
-    excluded; first, whether the ground would have had to pull at the stance foot. A walker that was
-    `launched`, and did not start on the section, is followed to the end of its fall.
+    Or until the swing foot comes down, ahead of the other, to ground that is higher by `step`.
+    Returns the state just before the impact, its time, the verdict, and which conditions were
+    broken before that, its two ends excluded; first, whether the ground would have had to pull at
+    the stance foot. A walker that was `launched`, and did not start on the section, is followed to
+    the end of its fall.
     """
 
     def contact(state: State) -> Scalar:
-        if drop is None:
-            return walker.contact(state)
-        return walker.clearance(start) - walker.clearance(state) - drop
+        return walker.contact(state) if step is None else step - walker.clearance(state)
+
+    def is_ahead(state: State) -> Bool[Array, ""]:
+        """Whether the swing foot is ahead. On level ground phi = 2 theta at heel strike."""
+        return state.theta < 0 if step is None else state.phi < 0
 
     def rate(state: State) -> Scalar:
         """dh/dt along the motion."""
@@ -79,13 +82,13 @@ def swing(
         """Whether a stride may end in a step, from the two ends of the step alone."""
         turns = (rate(before) < 0) & (rate(after) > 0)
         rises = ~ends_below & (below | turns)
-        if drop is not None:  # a foot may come down and up again: the legs pass each other
+        if step is not None:  # a foot may come down and up again: the legs pass each other
             rises |= (rate(before) > 0) & (rate(after) < 0)
-        return (rises & (after.theta < 0)) | has_fallen(after, ends_below)
+        return (rises & (is_ahead(before) | is_ahead(after))) | has_fallen(after, ends_below)
 
     def has_fallen(state: State, below: Bool[Array, ""]):
         fallen = (state.thetadot >= 0) | (state.theta <= -np.pi / 2)
-        if launched or drop is not None:
+        if launched or step is not None:
             return fallen
         return fallen | (~below & walker.past_contact(state))
 
@@ -106,7 +109,7 @@ def swing(
         last, steps = method.follow(now, stop, side=below, time=time)
         jet, until = method.jet(contact, last), last.length
         below, ends_below = last.sides
-        if drop is not None:
+        if step is not None:
             highest = interior_minimum(negate(jet), until)
             until = jnp.where(highest.exists, highest.time, until)
             ends_below = jnp.where(highest.exists, jet(until)[0] < 0, ends_below)
@@ -119,7 +122,7 @@ def swing(
             more |= ~rises & with_fast_sincos(partial(is_broken, condition))(walker, arrival)
             broken = broken | {outcome: broken[outcome] | more}
         arrival, delay = method.refine_event(contact, arrival)
-        ahead = (arrival.theta < 0) & (arrival.theta > -np.pi / 2) & (arrival.thetadot < 0)
+        ahead = is_ahead(arrival) & (arrival.theta > -np.pi / 2) & (arrival.thetadot < 0)
         ahead &= arrival.phi < 0
         fallen = jnp.where(last.end.thetadot >= 0, Outcome.BACKWARD, Outcome.FORWARD)
         fallen = jnp.where(
