@@ -368,7 +368,7 @@ def follow_phase_times(
 ) -> Float[Array, " phases"]:
     walker = during_stride(walker, x)
     start, verdict = with_fast_sincos(begin_stride)(walker, x)
-    phases = follow_phases(walker, start, verdict, tolerance)
+    phases = follow_phases(walker, start, verdict, tolerance) if walker.phases() else []
     ended = [one.verdict == Outcome.UNDECIDED for one in phases]
     times = [jnp.where(good, one.time, jnp.nan) for one, good in zip(phases, ended, strict=True)]
     return jnp.stack([*times, follow_stride(walker, x, tolerance).time])
