@@ -69,7 +69,9 @@ def boundary(
     axes = fill_from_paper(walker, axes)
     check_drawable(outline(axes))
     asked = {name: list(axis) if isinstance(axis, tuple) else axis for name, axis in axes.items()}
-    request = request_for("boundary", walker=describe_walker(walker), axes=asked, strides=strides)
+    request = request_for(
+        "boundary", type(walker), walker=describe_walker(walker), axes=asked, strides=strides
+    )
     figure, data = find_earlier(out, figure, request, overwrite=overwrite)
     if data is None:
         grid = grid_along(fill_around_gait(walker, axes))

@@ -14,7 +14,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from walker_jax.checks import WrongPlace
+from walker_jax.checks import WrongPlace, WrongUse
 from walker_jax.execution.progress import track
 from walker_jax.figures.basin_maps import basin
 from walker_jax.figures.layout import cell_edges, figure_legend, figure_title, name_axes
