@@ -12,6 +12,7 @@ from walker_jax.design.measures import Measure as Measure
 from walker_jax.design.measures import gait_measures as gait_measures
 from walker_jax.design.optimisation import optimise as optimise
 from walker_jax.design.sweeps import sweep as sweep
+from walker_jax.explorer.notebook import explore as explore
 from walker_jax.fractals import Dimension as Dimension
 from walker_jax.fractals import Uncertainty as Uncertainty
 from walker_jax.fractals import box_counting as box_counting
