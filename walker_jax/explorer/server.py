@@ -19,7 +19,7 @@ TOKEN_VARIABLE = "WALKER_JAX_TOKEN"
 """The environment variable that sets the token, so that links outlive the server; else random."""
 MAX_CONNECTIONS = 256
 """Connections at once; more are refused."""
-CLOSING_SECONDS = 2
+CLOSING_SECONDS = 1
 """Seconds that answers under way have when the server ends."""
 
 
@@ -53,15 +53,12 @@ def link_to(host: str, port: int, token: str, state: dict[str, Any]) -> str:
     return f"http://{shown}:{port}/?{urlencode({'token': token})}{fragment}"
 
 
-def run_server(host: str, port: int, state: dict[str, Any], *, browser: bool) -> None:
-    """Print the link, open the browser, and serve the page until an interrupt."""
-    listener = listen(host, port)
-    port = listener.getsockname()[1]
-    token = os.environ.get(TOKEN_VARIABLE) or secrets.token_urlsafe(24)
+def make_server(listener: socket.socket, token: str) -> Server:
+    """The server of the page on a socket, to be run with it."""
+    host, port = listener.getsockname()[:2]
     names = (*LOOPBACK, f"[{host}]" if ":" in host else host)
-    app = Guard(make_app(), token=token, hosts=names, port=port)
     config = uvicorn.Config(
-        app,
+        Guard(make_app(), token=token, hosts=names, port=port),
         log_level="warning",
         access_log=False,
         server_header=False,
@@ -69,14 +66,22 @@ def run_server(host: str, port: int, state: dict[str, Any], *, browser: bool) ->
         limit_concurrency=MAX_CONNECTIONS,
         timeout_graceful_shutdown=CLOSING_SECONDS,
     )
-    link = link_to(host, port, token, state)
+    return Server(config)
+
+
+def run_server(host: str, port: int, state: dict[str, Any], *, browser: bool) -> None:
+    """Print the link, open the browser, and serve the page until an interrupt."""
+    listener = listen(host, port)
+    token = os.environ.get(TOKEN_VARIABLE) or secrets.token_urlsafe(24)
+    server = make_server(listener, token)
     if host not in LOOPBACK:
         print(
             f"walker-jax: listening on {host}, which other machines may reach: "
             "whoever has the link can compute here, and the link is sent in the clear",
             file=sys.stderr,
         )
+    link = link_to(host, listener.getsockname()[1], token, state)
     print(link, flush=True)
     if browser:
         webbrowser.open(link)
-    Server(config).run(sockets=[listener])
+    server.run(sockets=[listener])

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
@@ -292,10 +293,15 @@ def refused(request: Request, error: Exception) -> Response:
         return refuse(413, "the request is too long")
     if isinstance(error, TimeoutError):
         return refuse(408, "the request did not come")
+    if isinstance(error, HTTPException):
+        return refuse(error.status_code, error.detail.lower())
     return Response(status_code=499)  # gone
 
 
-HANDLED = (WrongUse, ComputationFailed, Failure, Busy, TooLong, TimeoutError, ClientDisconnect)
+HANDLED = (
+    *(WrongUse, ComputationFailed, Failure, Busy),
+    *(TooLong, TimeoutError, ClientDisconnect, HTTPException),
+)
 
 
 def make_app() -> Starlette:

@@ -54,17 +54,25 @@ class Failure(Exception):
 def serve(connection: Connection, settings: dict[str, Any]) -> None:
     """Work on jobs until the other end closes: the main function of a worker."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    hold_interrupts(False)
     sys.unraisablehook = quiet  # of an interrupt that comes while Python collects garbage
     if hasattr(os, "nice"):
         os.nice(NICENESS)
     for name, value in settings.items():
         jax.config.update(name, value)
+    connection.send("ready")
     while True:
         try:
             function, arguments = connection.recv()
         except (EOFError, OSError):
             return
         connection.send(answer(function, arguments))
+
+
+def hold_interrupts(held: bool) -> None:
+    """Keep interrupts from this thread and the processes that it starts, or let them come."""
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_BLOCK if held else signal.SIG_UNBLOCK, {signal.SIGINT})
 
 
 def quiet(unraisable: Any) -> None:
@@ -98,6 +106,7 @@ class Worker:
         self.thread = ThreadPoolExecutor(1, "worker")
         self.process: Any = None
         self.connection: Connection | None = None
+        self.at_work = False
 
     async def run(self, function: Callable, *arguments: Any) -> Any:
         """function(*arguments) in the process; a cancelled task interrupts it."""
@@ -115,12 +124,12 @@ class Worker:
     async def give_up(self, job: asyncio.Future) -> None:
         """End the job, by an interrupt if the worker heeds it."""
         waited, step = 0.0, 0.1
-        while not job.done() and waited < GRACE:  # again, as the job may not have begun
-            if self.process is not None and self.process.pid is not None:
+        while not job.done() and waited < GRACE:  # again and again, as one may come too soon
+            if self.at_work:  # and not while the process starts
                 with suppress(ProcessLookupError):
                     os.kill(self.process.pid, signal.SIGINT)
+                waited += step
             await asyncio.wait([job], timeout=step)
-            waited += step
         if not job.done():
             self.stop_process()
         with suppress(Exception):
@@ -128,24 +137,32 @@ class Worker:
 
     def call(self, function: Callable, arguments: tuple) -> tuple[str, Any]:
         """Send the job and wait; in the worker's thread."""
-        if self.process is None or not self.process.is_alive():
-            self.start()
-        assert self.connection is not None
         try:
+            if self.process is None or not self.process.is_alive():
+                self.start()
+            assert self.connection is not None
             self.connection.send((function, arguments))
+            self.at_work = True
             return self.connection.recv()
         except (EOFError, OSError):
             self.process = None
             return "died", "the process that computed this has died"
+        finally:
+            self.at_work = False
 
     def start(self) -> None:
-        """Start the process, with this one's settings of JAX."""
+        """Start the process, with this one's settings of JAX, and wait until it is ready."""
         context = multiprocessing.get_context("spawn")
         self.connection, other = context.Pipe()
         settings = {name: getattr(jax.config, name) for name in SETTINGS}
         self.process = context.Process(target=serve, args=(other, settings), daemon=True)
-        self.process.start()
+        hold_interrupts(True)  # also those of a terminal, until the process can heed them
+        try:
+            self.process.start()
+        finally:
+            hold_interrupts(False)
         other.close()
+        self.connection.recv()  # that it is ready
 
     def stop_process(self) -> None:
         """End the process, whatever it is at."""

@@ -318,13 +318,13 @@ async function begin() {
     update();
   });
 
+  // for the curious, and for tests
+  window.explorer = { state, picture, map, walk, stage, facts, get lattice() { return lattice; } };
+
   showTheme();
   showTab();
   await update();
-  if (state.start) {
-    await startWalk(state.start);
-  }
-  Object.assign(window, { explorer: { state, picture, map, walk, facts, get lattice() { return lattice; } } }); // for the curious
+  if (state.start) await startWalk(state.start);
 }
 
 let saying = 0;

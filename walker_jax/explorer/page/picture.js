@@ -41,9 +41,9 @@ export class Picture extends EventTarget {
     this.palette = palette;
     this.below = null;
     this.layer = null;
-    this.progress = 1;
+    this.progress = 0;
     this.cost = 1; // ms a cell, as measured
-    this.stats = { pictures: 0, cells: 0, strides: 0 };
+    this.stats = { pictures: 0, cells: 0 };
   }
 
   /** Show a subject in a view of so many device pixels; ask for what is missing. */
@@ -94,6 +94,7 @@ export class Picture extends EventTarget {
       body = { ...layer.body, tiles: wanted };
     }
     this.abort?.abort();
+    this.progress = 0;
     const abort = (this.abort = new AbortController());
     const first = wanted.filter((one) => one[0] === wanted[0][0]).length;
     const empty = layer.empty;
