@@ -33,4 +33,4 @@ def explore(
     values = describe_walker(walker)
     kind = values.pop("name")
     (name,) = (one for one, its in WALKERS.items() if its.__name__ == kind)
-    run_server(host, port, {"walker": name, **values}, browser=browser)
+    run_server(host, port, name, values, browser=browser)

@@ -53,12 +53,12 @@ def link_to(host: str, port: int, token: str, state: dict[str, Any]) -> str:
     return f"http://{shown}:{port}/?{urlencode({'token': token})}{fragment}"
 
 
-def make_server(listener: socket.socket, token: str) -> Server:
-    """The server of the page on a socket, to be run with it."""
+def make_server(listener: socket.socket, token: str, first: dict | None = None) -> Server:
+    """The server of the page on a socket, to be run with it; see `make_app` for `first`."""
     host, port = listener.getsockname()[:2]
     names = (*LOOPBACK, f"[{host}]" if ":" in host else host)
     config = uvicorn.Config(
-        Guard(make_app(), token=token, hosts=names, port=port),
+        Guard(make_app(first), token=token, hosts=names, port=port),
         log_level="warning",
         access_log=False,
         server_header=False,
@@ -69,18 +69,23 @@ def make_server(listener: socket.socket, token: str) -> Server:
     return Server(config)
 
 
-def run_server(host: str, port: int, state: dict[str, Any], *, browser: bool) -> None:
-    """Print the link, open the browser, and serve the page until an interrupt."""
+def run_server(
+    host: str, port: int, walker: str, values: dict[str, float], *, browser: bool
+) -> None:
+    """Print the link, open the browser, and serve the page until an interrupt.
+
+    The page shows a walker, by its name on the command line, with these parameters.
+    """
     listener = listen(host, port)
     token = os.environ.get(TOKEN_VARIABLE) or secrets.token_urlsafe(24)
-    server = make_server(listener, token)
+    server = make_server(listener, token, {"walker": walker, "parameters": values})
     if host not in LOOPBACK:
         print(
             f"walker-jax: listening on {host}, which other machines may reach: "
             "whoever has the link can compute here, and the link is sent in the clear",
             file=sys.stderr,
         )
-    link = link_to(host, listener.getsockname()[1], token, state)
+    link = link_to(host, listener.getsockname()[1], token, {"walker": walker} | values)
     print(link, flush=True)
     if browser:
         webbrowser.open(link)

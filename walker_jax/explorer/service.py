@@ -304,8 +304,11 @@ HANDLED = (
 )
 
 
-def make_app() -> Starlette:
-    """The application, with the page and all answers."""
+def make_app(first: dict | None = None) -> Starlette:
+    """The application, with the page and all answers.
+
+    What it is likely to be asked for `first` is compiled while the browser opens.
+    """
     service, files = Service(), page_files()
 
     async def page(request: Request) -> Response:
@@ -317,6 +320,8 @@ def make_app() -> Starlette:
 
     @asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
+        if first is not None:
+            app.state.preparing = asyncio.create_task(service.ready(read_subject(first)))
         yield
         await run_in_threadpool(service.workers.stop)
 
