@@ -16,6 +16,7 @@ import { SYMBOLS, count, decimals, number } from "./words.js";
 
 const $ = (selector) => document.querySelector(selector);
 const OUTSIDE = 5; // the outcome of a start that is not feasible
+const MOVED_REST = 50; // ms between two requests while the view moves
 const MAPPED_REST = 160; // ms without a change of view, after which cells are mapped anew
 
 async function begin() {
@@ -29,7 +30,7 @@ async function begin() {
   const diagram = new Diagram($("#diagram"), palette);
   const facts = new Facts(document, about);
   const controls = new Controls($(".controls"), state);
-  let lattice = null, home = null, homeKey = "", mapping = 0;
+  let lattice = null, home = null, homeKey = "", asking = 0;
 
   // ---------------------------------------------------------------- the picture
 
@@ -91,12 +92,20 @@ async function begin() {
     facts.estimate(picture.cells(map.view), lattice, state, picture.layer.attractors);
     showLegend();
   });
+  /** Ask for what a moved view is missing; what there is has been drawn already. */
+  function askForView() {
+    asking = 0;
+    showPicture();
+    facts.want(state, viewCells());
+  }
   map.addEventListener("moved", () => {
     state.change("view", { view: map.view });
-    clearTimeout(mapping);
-    if (state.method === "cell-map") mapping = setTimeout(showPicture, MAPPED_REST);
-    else showPicture();
-    facts.want(state, viewCells());
+    if (state.method === "cell-map") {
+      clearTimeout(asking);
+      asking = setTimeout(askForView, MAPPED_REST);
+    } else {
+      asking ||= setTimeout(askForView, MOVED_REST);
+    }
   });
 
   // ---------------------------------------------------------------- marks and words

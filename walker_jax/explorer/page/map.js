@@ -317,6 +317,7 @@ export class BasinMap extends EventTarget {
 
   setView(view) {
     this.view = view;
+    this.picture.progress = 0; // until it is known what is missing
     this.redraw();
     this.moved();
   }
