@@ -23,7 +23,9 @@ import jax
 import numpy as np
 
 import walker_jax as wj
-from walker_jax.basins.refinement import SPREAD, edge, finer
+from walker_jax.basins.refined_cells import SPREAD
+from walker_jax.basins.refinement import finer
+from walker_jax.grids import edge
 
 SLOPES = 0.002, 0.004, 0.009, 0.015
 CHECKS = 500_000, 500_000, 500_000, 2_000_000

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import walker_jax as wj
-from walker_jax.explorer.guard import TOKEN_HEADER
+from walker_jax.explorer.guard import TOKEN_HEADER, Bucket
 from walker_jax.explorer.server import Server, listen, make_server
 
 TOKEN = "a-token-for-tests"
@@ -111,6 +111,8 @@ def running(port: int = 0) -> Iterator[Running]:
     """A server on a free port, or on a given one, in a thread."""
     listener = listen("127.0.0.1", port)
     server = make_server(listener, TOKEN)
+    guard: Any = server.config.app
+    guard.bucket = Bucket(1e9, 1e9)  # tests are faster than hands
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
     thread.start()
     found = Running(server, listener.getsockname()[1], [])

@@ -7,6 +7,7 @@ import pytest
 
 import walker_jax as wj
 from walker_jax import (
+    KneedWalker,
     PointFootWalker,
     RoundFootWalker,
     SimplestWalker,
@@ -23,6 +24,10 @@ STARTS = {
     PointFootWalker: (PointFootWalker(0.009, 1e-3), [0.200161, -0.199906]),
     RoundFootWalker: (RoundFootWalker(0.01, leg_length=1.2), [0.18944, -0.23901, -0.0514]),
     UpperBodyWalker: (UpperBodyWalker(0.01), [0.196, -0.2434, -0.033]),
+    KneedWalker: (
+        KneedWalker(0.05, thigh_inertia=0.01, shank_inertia=0.001, foot_radius=0.05),
+        [0.2482, -0.3581, -0.2933],
+    ),
 }
 """A walker of each kind and a start close to a gait of it."""
 TIMES = np.array([0.4, 1.1])

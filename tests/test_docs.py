@@ -120,7 +120,7 @@ def test_a_walker_of_the_page_gives_the_numbers_that_it_asserts(title):
 
 
 def test_every_program_of_the_page_is_tested():
-    assert len(re.findall(r"<!-- .* -->\n```python", PAGE.read_text())) == len(programs(PAGE)) == 4
+    assert len(re.findall(r"<!-- .* -->\n```python", PAGE.read_text())) == len(programs(PAGE)) == 5
 
 
 def test_the_pages_name_no_function_that_is_not_public():
@@ -141,6 +141,17 @@ def test_every_public_function_is_in_the_table_of_functions_or_the_glossary():
 
 def test_a_walker_of_your_own_takes_less_than_60_lines():
     assert len(program("a walker of your own").splitlines()) < 60
+
+
+def test_one_with_phases_takes_less_than_80_lines():
+    assert len(program("phases of your own").splitlines()) < 80
+
+
+@pytest.mark.slow
+def test_one_with_phases_has_the_gait_of_the_walker_with_knees():
+    names: dict[str, Any] = {"__name__": "own"}
+    exec(compile(program("phases of your own"), PAGE.name, "exec"), names)
+    assert 0.4 < names["knee_strike"] / names["heel_strike"] < 0.8
 
 
 @pytest.mark.slow

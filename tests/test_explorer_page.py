@@ -14,12 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray as xr
-import zarr
 from playwright.sync_api import sync_playwright
+from zarr.storage import ZipStore
 
 import walker_jax as wj
 from walker_jax.explorer import pictures
-from walker_jax.explorer.guard import Bucket
 
 CHROMIUM = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
@@ -47,7 +46,6 @@ MEASURED = {
 @pytest.fixture(scope="module")
 def running():
     with explorer_server.running() as server:
-        server.server.config.app.bucket = Bucket(1e9, 1e9)
         yield server
 
 
@@ -298,7 +296,7 @@ def test_the_link_and_what_is_taken_away(opened, tmp_path):
         assert download.value.suggested_filename.endswith(name)
         download.value.save_as(tmp_path / f"taken{name}")
     assert (tmp_path / "taken.png").read_bytes().startswith(b"\x89PNG")
-    with zarr.storage.ZipStore(tmp_path / "taken.zarr.zip", mode="r") as place:
+    with ZipStore(tmp_path / "taken.zarr.zip", mode="r") as place:
         data = xr.open_zarr(place, consolidated=False).load()
     np.testing.assert_array_equal(data["fate"], basin["fate"])
     page.wait("location.hash.includes('view=')")
@@ -398,12 +396,12 @@ def test_the_bifurcation_tab_has_the_slope_in_it(opened):
         ],
         "points": [[0.001 + 0.0001 * k, 0.1 + 0.001 * k] for k in range(150)],
         "lost": [0.019, 0.0191],
-        "events": [{"slope": 0.0151, "fold": False, "theta": 0.23}],
+        "events": [{"slope": 0.0151, "fold": False, "theta": 0.23, "cascade": True}],
     }
     page = opened("walker=simplest&slope=0.004")
     page.page.route("**/api/measure/bifurcation", lambda route: route.fulfill(json=made_up))
     page.page.click("#tab-bifurcation")
-    page.wait("document.querySelector('#diagram-note').textContent.includes('lost at 0.019')")
+    page.wait("document.querySelector('#diagram-note').textContent.includes('lost near 0.019')")
     box = page.box("#diagram")
     page.page.mouse.click(box["x"] + 70 + 0.5 * (box["width"] - 84), box["y"] + 100)
     slope = page.value("explorer.state.parameters.slope")

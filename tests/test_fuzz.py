@@ -21,8 +21,10 @@ from hypothesis import strategies as st
 
 import walker_jax as wj
 from walker_jax import storage
+from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.memory import check_grid
-from walker_jax.basins.refinement import finer
+from walker_jax.basins.refinement import Refined, dataset_of_runs, finer
+from walker_jax.basins.runs import Runs
 from walker_jax.checks import WrongUse
 from walker_jax.cli import app, main
 from walker_jax.design.climbs import Climb
@@ -336,6 +338,14 @@ def calls() -> dict[str, dict]:
     draw = lambda rng, n: rng.normal(size=(n, 2))
     fit = {"confidence": 0.9, "seed": 0}
     of_gait = {**of_walker, "gait": gait}
+    box = wj.Grid.sheared(theta=(0, 1, 2), sum=(0, 1, 2), phidot=(0, 1, 2))
+    runs = Runs.from_cells(np.zeros((2, 2, 2), int), np.zeros((2, 2, 2), int))
+    rolling = wj.RoundFootWalker(0.01)
+    cells = np.arange(8), np.ones(8, int), Mapper(rolling, [], 1e-10, 10)
+    volume = dataset_of_runs(
+        rolling, Refined(box, runs, *cells, 0.0, 0.0, [8], [0], 0, 0, 8), {"method": ""}
+    ).assign(dict.fromkeys(("total_area", "total_area_error", "strides_made"), 0))
+    volume = volume.assign(checked=0, mistaken=0, followed=("level", [8]), boundary=("level", [0]))
     axis = (0.05, 0.35, 4)
     optimum = {
         "bounds": {"slope": (0.003, 0.005)},
@@ -370,6 +380,7 @@ def calls() -> dict[str, dict]:
         "basin": {**on_grid, "method": "direct"},
         "compare_methods": on_grid,
         "refine": refined,
+        "slice_basin": {"data": volume, "axis": "phidot", "value": 0.1},
         "area_gradient": {**refined, "parameters": ("slope",), "bands": None},
         "boundary_dimension": {**on_grid, **fit, "distances": [0.1, 0.01, 0.001], "pairs": 20},
         "basin_stability": {
@@ -499,6 +510,7 @@ TRACEABLE = {"stride", "margins", "walk", "trajectory", "step_down", "find_gait"
 
 def test_what_jax_cannot_trace_says_so():
     others = {"box_counting": "labels", "uncertainty_exponent": "distances"}
+    others |= {"slice_basin": "value"}
     for name, good in calls().items():
         if name[0].isupper() or name in TRACEABLE:
             continue

@@ -8,6 +8,7 @@ from walker_jax.basins import refinement
 from walker_jax.basins.attractor import Attractor
 from walker_jax.basins.mapper import Labels, Mapper
 from walker_jax.basins.refinement import refine_cells
+from walker_jax.basins.runs import Runs, label_of
 from walker_jax.design.area_gradients import area_gradient, boundary_pairs, integrate_along_boundary
 from walker_jax.design.bands import walkers_at_band_ends
 from walker_jax.design.disturbance_gradients import disturbance_gradient
@@ -143,12 +144,12 @@ def test_the_error_of_an_integral_is_that_of_a_sum_of_independent_parts(disc, mo
     """A straight edge that moves by a rate of each line's own, but one of which none is known."""
     grid = wj.Grid.plain(theta=(0, 1, 4), thetadot=(0, 1, 9))
     attractor = np.repeat([0, 0, -1, -1], 9).reshape(4, 9).astype(np.int16)
-    fate = np.where(attractor < 0, 1, 0).astype(np.int8)
-    counts = np.zeros((4, 9), np.int32)
+    label = label_of(np.where(attractor < 0, 1, 0), attractor)
+    runs = Runs.from_cells(label, np.zeros_like(label))
     walker = wj.SimplestWalker(0.004)
     mapper = Mapper(walker, [], 1e-10, 10)
     found = refinement.Refined(
-        *(grid, fate, attractor, counts, mapper, 0.5, 0.0, [36], [18], 0, 0, 0)
+        *(grid, runs, np.arange(36), np.zeros(36, int), mapper, 0.5, 0.0, [36], [18], 0, 0, 0)
     )
 
     def changes(walker, x, *_):
@@ -272,11 +273,18 @@ def test_cells_may_have_the_fates_of_their_centres():
 
 
 def test_crossings_are_between_neighbours_that_differ():
-    walks = np.array([[0, 1, 1], [0, 0, 1]], bool)
-    inside, outside = boundary_pairs(walks, 1)
+    attractor = np.array([[-1, 0, 0], [-1, -1, 0]])
+    label = label_of(np.where(attractor < 0, 1, 0), attractor)
+    runs = Runs.from_cells(label, np.zeros_like(label))
+    grid = wj.Grid.plain(theta=(0, 1, 2), thetadot=(0, 1, 3))
+    mapper = Mapper(wj.SimplestWalker(0.004), [], 1e-10, 10)
+    found = refinement.Refined(
+        *(grid, runs, np.arange(6), np.zeros(6, int), mapper, 0.5, 0.0, [6], [6], 0, 0, 0)
+    )
+    inside, outside = boundary_pairs(found, 1)
     assert inside.tolist() == [[0.5, 1.5], [1.5, 2.5]]
     assert outside.tolist() == [[0.5, 0.5], [1.5, 1.5]]
-    inside, outside = boundary_pairs(walks, 0)
+    inside, outside = boundary_pairs(found, 0)
     assert inside.tolist() == [[0.5, 1.5]] and outside.tolist() == [[1.5, 1.5]]
 
 

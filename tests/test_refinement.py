@@ -8,7 +8,8 @@ from walker_jax import Outcome, figures
 from walker_jax.basins import refinement
 from walker_jax.basins.attractor import Attractor
 from walker_jax.basins.mapper import Labels, Mapper
-from walker_jax.basins.refinement import cut, edge, finer, refine
+from walker_jax.basins.refinement import finer, refine
+from walker_jax.grids import edge
 
 WALKER = wj.SimplestWalker(0.004)
 GRID = wj.Grid.sheared(theta=(0, 0.4, 100), sum=(-0.04, 0.01, 60))
@@ -239,4 +240,3 @@ def test_edges_are_cells_beside_others():
     expected[1:4, 2:5] = True
     np.testing.assert_array_equal(edge(label), expected)
     np.testing.assert_array_equal(edge(np.ones((3, 4, 2), int)), np.zeros((3, 4, 2), bool))
-    np.testing.assert_array_equal(cut(np.array([[1, 2]])), [[1, 1, 2, 2]] * 2)

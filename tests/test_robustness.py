@@ -27,7 +27,7 @@ from walker_jax.stability.sampling import (
 )
 from walker_jax.stability.steps_down import LeastStepDown, labels_after_step, least_step_down
 from walker_jax.stability.summary import common_attributes, join_rows, robustness_table
-from walker_jax.walking.stepping import follow_step_down
+from walker_jax.walking.stepping import follow_step
 
 
 @pytest.mark.parametrize("size", [2, 3])
@@ -356,8 +356,8 @@ def test_the_least_step_down_that_ends_in_a_fall_is_higher(steep, boxed):
     heights = np.arange(0.001, 1.01, 0.001) * fall.size
     state = np.broadcast_to(steep.states[0], (len(heights), 2))
     down = map_cells(
-        follow_step_down,
-        (STEEP, state, heights, np.float64(1e-12)),
+        follow_step,
+        (STEEP, state, -heights, np.float64(1e-12)),
         (False, True, True, False),
     )
     back, fallen = ends_of(wj.strides(STEEP, down.state).state, steep)

@@ -18,7 +18,7 @@ from scipy.optimize import brentq
 import walker_jax as wj
 from walker_jax import Outcome, SimplestWalker, State, Walker
 from walker_jax.execution.tiles import map_cells
-from walker_jax.walking.stepping import follow_step_down
+from walker_jax.walking.stepping import follow_step
 
 DATA = Path(__file__).parent / "data"
 VALUES = json.loads((DATA / "values.json").read_text())
@@ -387,9 +387,9 @@ LAUNCH = [0.2, 0.4, -0.2, -0.25]
 def steps_down(starts, drop, at, width, jumps=0.0, tolerance=1e-12):
     """Steps down of such walkers, each pulled at a place of its own."""
     pulled = lambda at: PulledWalker(0.009, at, jnp.asarray(width), jnp.asarray(jumps))
-    cells = jax.vmap(pulled)(jnp.asarray(at)), np.array(starts), np.full(len(starts), drop)
+    cells = jax.vmap(pulled)(jnp.asarray(at)), np.array(starts), np.full(len(starts), -drop)
     args = *cells, np.float64(tolerance)
-    return map_cells(follow_step_down, args, (True, True, True, False))
+    return map_cells(follow_step, args, (True, True, True, False))
 
 
 @pytest.mark.parametrize("tolerance", [1e-12, 1e-5])
@@ -946,8 +946,8 @@ def test_a_step_down_by_nothing_is_a_stride_from_anywhere():
     for drop in (0.0, 1e-9):
         drops = np.full(len(starts), drop)
         down = map_cells(
-            follow_step_down,
-            (walker, starts, drops, np.float64(1e-12)),
+            follow_step,
+            (walker, starts, -drops, np.float64(1e-12)),
             (False, True, True, False),
         )
         np.testing.assert_array_equal(down.outcome, level.outcome)

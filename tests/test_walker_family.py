@@ -15,6 +15,7 @@ from scipy.integrate import solve_ivp
 
 import walker_jax as wj
 from walker_jax import (
+    KneedWalker,
     Outcome,
     PointFootWalker,
     RoundFootWalker,
@@ -38,7 +39,8 @@ GAIT = VALUES["gaits"][0]  # of the simplest walker: long, slope 0.009
 FINITE = {gait["name"]: gait for gait in VALUES["finite_mass"]}
 PUBLISHED = json.loads((DATA / "published_gaits.json").read_text())
 
-CLASSES = tuple(WALKERS.values())
+CLASSES = tuple(cls for cls in WALKERS.values() if not cls.__name__.startswith("Powered"))
+"""Walkers without motors; those with motors have tests of their own (test_powered.py)."""
 MASSLESS = SimplestWalker, SpringWalker
 GENERAL = PointFootWalker, RoundFootWalker, UpperBodyWalker
 SLOW = pytest.mark.slow
@@ -50,6 +52,7 @@ GAITS = {
     PointFootWalker: (PointFootWalker(0.009, 1e-3), [0.200161, -0.199906], 3.88),
     RoundFootWalker: (RoundFootWalker(0.01, leg_length=1.2), [0.18944, -0.23901, -0.0514], 2.428),
     UpperBodyWalker: (UpperBodyWalker(0.01), [0.196, -0.2434, -0.033], 2.36),
+    KneedWalker: (KneedWalker(0.05), [0.23793, -0.35396, -0.33328], 1.77),
 }
 """A walker of each kind, a start close to a gait of it, and about how long a stride then takes."""
 
@@ -218,6 +221,14 @@ RANGES = {
     "body_mass": (0.01, 10),
     "body_inertia": (0, 2),
     "body_com": (-0.5, 1),
+    "thigh_mass": (0.05, 10),
+    "shank_mass": (0.05, 10),
+    "thigh_length": (0.3, 1),
+    "shank_length": (0.3, 1),
+    "thigh_com": (-0.2, 0.8),
+    "shank_com": (-0.2, 0.8),
+    "thigh_inertia": (1e-3, 1),
+    "shank_inertia": (1e-3, 1),
 }
 FREE = [(-1.3, 1.3), (-1.3, 1.3), (-2, 2), (-2, 2)]
 STRIKE = [(-1.3, -1e-3), (-2, 2), (-2, 2)]
@@ -258,9 +269,10 @@ def contact_point(walker, q):
 def momenta(system, q, qdot, about):
     """Angular momentum about a point, of each point mass and each body that turns."""
     x, xdot = jax.jvp(system.transfer, (q,), (qdot,))
-    arm, velocity = x[:6].reshape(3, 2) - about, xdot[:6].reshape(3, 2)
+    points = 10 if len(x) == 14 else 6  # five of a walker with knees, three of the others
+    arm, velocity = x[:points].reshape(-1, 2) - about, xdot[:points].reshape(-1, 2)
     cross = arm[:, 0] * velocity[:, 1] - arm[:, 1] * velocity[:, 0]
-    return system.masses[:6:2] * cross, system.masses[6:] * xdot[6:]
+    return system.masses[:points:2] * cross, system.masses[points:] * xdot[points:]
 
 
 @cache
@@ -393,6 +405,8 @@ def test_an_upper_body_takes_momentum_from_the_trailing_leg():
 def test_energy_is_conserved_along_a_stride(cls):
     walker, x, time = GAITS[cls]
     path = wj.trajectory(walker, np.array(x), np.linspace(0, time, 30))
+    if cls is KneedWalker:  # a State has no knee: the straight leg's energy, after knee strike
+        path = State(*(getattr(path, one)[path.knee == 0][1:] for one in State._fields))
     if issubclass(cls, MultibodyWalker):
         energy = jax.jit(jax.vmap(walker.energy))(path)
     else:
@@ -1212,9 +1226,11 @@ def test_bad_parameters_are_refused_in_one_line(cls, parameter):
 def test_the_bounds_of_masses_and_lengths():
     """What may be zero, and what may be negative."""
     closed = {parameter.name for _, parameter in EVERY if parameter.closed}
-    assert closed == {"hip_stiffness", "hip_mass", "leg_inertia", "foot_radius", "body_inertia"}
+    of_knees = {"thigh_mass", "thigh_inertia", "shank_inertia"}
+    others = {"hip_stiffness", "hip_mass", "leg_inertia", "foot_radius", "body_inertia"}
+    assert closed == others | of_knees
     signed = {parameter.name for _, parameter in EVERY if parameter.low < 0}
-    assert signed == {"com_from_hip", "com_offset", "body_com"}
+    assert signed == {"com_from_hip", "com_offset", "body_com", "thigh_com", "shank_com"}
 
 
 @pytest.mark.parametrize("cls", [RoundFootWalker, UpperBodyWalker], ids=name)

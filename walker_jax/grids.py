@@ -269,6 +269,24 @@ def cell_slices(size: int) -> list[slice]:
     ]
 
 
+def edge(label: Int[np.ndarray, "*shape"]) -> Bool[np.ndarray, "*shape"]:
+    """Whether a cell has a neighbour, corners included, with another label."""
+    most, least = label, label
+    for axis in range(label.ndim):
+        most = among_neighbours(np.maximum, most, axis)
+        least = among_neighbours(np.minimum, least, axis)
+    return most != least
+
+
+def among_neighbours(pick: np.ufunc, values: np.ndarray, axis: int) -> np.ndarray:
+    """The largest, or least, of each value and its two neighbours along an axis."""
+    picked = values.copy()
+    here, there = (np.moveaxis(array, axis, 0) for array in (picked, values))
+    pick(here[1:], there[:-1], out=here[1:])
+    pick(here[:-1], there[1:], out=here[:-1])
+    return picked
+
+
 def axes_around(state: Float[ArrayLike, " section"], names: tuple[str, ...]) -> dict:
     """Axes of a window around a gait's state; with phidot among them, of a slice there."""
     theta, thetadot, *others = map(float, np.asarray(state))

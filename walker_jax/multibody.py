@@ -199,6 +199,16 @@ def impact(
     return Impact(qdot + responses.T @ impulses, impulses)
 
 
+def push(system: System, q: Coordinates, qdot: Coordinates, impulse: Coordinates) -> Coordinates:
+    """Rates after an impulse dual to q, (15): [F,q^T M F,q] (qdot+ - qdot-) = impulse.
+
+    All coordinates are free. NaN where the mass matrix is singular or ill-conditioned
+    (`WORST_PIVOT`).
+    """
+    factors = factorise(block(mass_matrix(system, q), range(len(q))))
+    return qdot + jnp.stack(solve_factored(factors, list(impulse)))
+
+
 def kinetic_energy(system: System, q: Coordinates, qdot: Coordinates) -> Float[Array, ""]:
     """xdot^T M xdot / 2."""
     return jnp.sum(system.masses.astype(q.dtype) * velocity(system.transfer, q, qdot) ** 2) / 2

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Int
 from walker_jax.basins.attractor import Attractor, sorted_numbers
 from walker_jax.grids import Grid
 from walker_jax.walkers.model import Walker
+from walker_jax.walkers.parameters import attributes_of
 from walker_jax.walking.outcomes import Outcome
 
 NOT_COMPUTED = -1
@@ -64,7 +65,7 @@ def describe(walker: Walker, grid: Grid, settings: dict) -> xr.Dataset:
     """The axes of a grid; as attributes, the walker and how its basins are computed."""
     about = {
         "walker": type(walker).__name__,
-        **{f"walker_{name}": float(value) for name, value in vars(walker).items()},
+        **attributes_of(walker),
         **settings,
         "section": list(walker.section),
         "version": f"walker-jax {version('walker-jax')}",

@@ -7,6 +7,7 @@ import xarray as xr
 from jaxtyping import Int
 
 from walker_jax.basins.schema import artefacts
+from walker_jax.basins.volumes import runs_of
 from walker_jax.walking.outcomes import Outcome
 
 CELLS_AT_ONCE = 2**22
@@ -26,6 +27,11 @@ class Tally(NamedTuple):
 
 def tally(data: xr.Dataset) -> Tally:
     """Count the cells of a basin's data set by their fate."""
+    if "run_fate" in data:
+        fate, lengths = data["run_fate"].values, runs_of(data).lengths
+        fates = np.bincount(fate, lengths, minlength=len(Outcome)).astype(int)
+        unmatched = (fate == Outcome.STRIDE) & (data["run_attractor"].values < 0)
+        return Tally(fates, int(lengths[unmatched].sum()), int(data["strides_made"]))
     fates, unlabelled, made = np.zeros(len(Outcome), int), 0, 0
     row = data["fate"].dims[0]
     rows = max(1, CELLS_AT_ONCE * data.sizes[row] // data["fate"].size)
@@ -39,10 +45,18 @@ def tally(data: xr.Dataset) -> Tally:
 
 
 def summarise_basin(data: xr.Dataset, counts: Tally) -> dict:
-    """Cells, area, attractors and fates of a basin's data set, in what JSON can hold."""
+    """Cells, area, attractors and fates of a basin's data set, in what JSON can hold.
+
+    A refined basin has the error of its area too; over three dimensions both are of its `volume`.
+    """
+    size = {"area": float(data["area"].sum())}
+    if "total_area" in data:
+        name = "volume" if "run_fate" in data else "area"
+        size = {name: float(data["total_area"]), f"{name}_error": float(data["total_area_error"])}
+        size |= {"at_border": int(data["at_border"])} if "at_border" in data else {}
     return {
-        "cells": int(data["fate"].size),
-        "area": float(data["area"].sum()),
+        "cells": int(counts.fates.sum()),
+        **size,
         "attractors": summarise_attractors(data),
         "fates": dict(zip(Outcome.__members__, counts.fates.tolist(), strict=True)),
     }

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
@@ -14,6 +15,8 @@ from walker_jax.walkers.simplest import SimplestWalker
 
 PAPER_WINDOW = {"theta": (0.0, 0.4, 200), "sum": (-0.04, 0.01, 250)}
 """The window of Schwab and Wisse (2001), Figure 4."""
+WHOLE_SECTION = {"theta": (0.0, 1.4, 84), "sum": (-1.0, 0.2, 72), "phidot": (-2.5, 1.0, 84)}
+"""A window that holds the basin of walkers like the default ones, with legs of length 1."""
 PLACEHOLDERS = {"phidot": 0.0}
 """Of axes that a gait is still to give; any other may be `ANY_AXIS`."""
 ANY_AXIS = (0.0, 1.0, 2)
@@ -35,6 +38,24 @@ def fill_around_gait(walker: Walker, axes: Mapping[str, Any]) -> dict[str, Any]:
         return dict(axes)
     window = axes_around(require_gait(walker, missing).states[0], tuple(axes))
     return {name: window[name] if axis is None else axis for name, axis in axes.items()}
+
+
+def whole_section(walker: Walker) -> dict[str, Any]:
+    """The axes of a window of three dimensions that holds the whole basin of a walker, or most.
+
+    It is `WHOLE_SECTION`, with rates in units of 1 / sqrt(leg length).
+    """
+    angle = 1e-4  # so small that a step is 2 angle leg lengths long, on round feet too
+    start = walker.lift(jnp.array([angle, -angle, 0.0]))
+    unit = round(float(2 * angle / walker.reach(walker.exchange_legs(start))) ** 0.5, 6)
+    (narrowest, widest, _), (low, high, count) = WHOLE_SECTION["theta"], WHOLE_SECTION["sum"]
+    ends = [unit * end + (1 - unit) * a for a in (narrowest, widest) for end in (low, high)]
+    backward, forward, turns = WHOLE_SECTION["phidot"]
+    return {
+        "theta": WHOLE_SECTION["theta"],
+        "sum": (min(ends), max(ends), count),
+        "phidot": (unit * backward, unit * forward, turns),
+    }
 
 
 def grid_along(axes: Mapping[str, Any]) -> Grid:

@@ -1,13 +1,20 @@
 """`walker-jax basin`."""
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 import walker_jax as wj
+from walker_jax import storage
 from walker_jax.basins.summary import summarise_basin, tally
-from walker_jax.basins.windows import fill_around_gait, fill_from_paper, grid_along, outline
+from walker_jax.basins.windows import (
+    fill_around_gait,
+    fill_from_paper,
+    grid_along,
+    outline,
+    whole_section,
+)
 from walker_jax.checks import WrongUse
 from walker_jax.cli.answers import (
     Stopwatch,
@@ -33,6 +40,12 @@ from walker_jax.cli.options import (
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import describe_in_words, describe_walker
+
+if TYPE_CHECKING:
+    import xarray
+
+UNITS = {"area": "rad^2/sqrt(l/g)", "volume": "rad^3 g/l"}
+"""Of the sizes of basins."""
 
 
 @takes_walker()
@@ -69,6 +82,15 @@ def basin(
     strides: Annotated[
         int | None, typer.Option(min=1, help="Strides at most, direct only (default: 200).")
     ] = None,
+    levels: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            max=8,
+            help="Cut cells on a boundary in two so many times: the area, or volume, with its "
+            "error. A section of three dimensions is then taken whole, without --at-phidot.",
+        ),
+    ] = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
     out: Out = Path("basin.zarr"),
@@ -82,8 +104,6 @@ def basin(
     4. For another walker the window is around its gait. The data set is written piece by piece: the
     same command resumes an interrupted run.
     """
-    from walker_jax import figures
-
     has_phidot = "phidot" in walker.section
     if not has_phidot and (phidot is not None or at_phidot is not None):
         option = "--phidot" if phidot is not None else "--at-phidot"
@@ -94,7 +114,13 @@ def basin(
     if thetadot is not None and sum_ is not None:
         raise WrongUse("--sum and --thetadot exclude each other: give one of them")
     cluster = cluster_from(workers, scheduler)
-    sliced = has_phidot and phidot is None
+    if levels is not None and cluster is not None:
+        raise WrongUse("--workers and --scheduler are for pieces, not for --levels")
+    if levels is not None and method == "cell-map":
+        raise WrongUse("--method must be direct with --levels, not cell-map")
+    whole = has_phidot and levels is not None and at_phidot is None
+    sliced = has_phidot and phidot is None and not whole
+    method = "direct" if levels is not None else method
     method = method or ("direct" if sliced else "cell-map")
     if sliced and method == "cell-map":
         raise WrongUse("--method cell-map is not for a slice, which walkers leave: give --phidot")
@@ -108,6 +134,9 @@ def basin(
     if has_phidot:
         axes["phidot"] = at_phidot if phidot is None else phidot
     axes = fill_from_paper(walker, axes)
+    if whole:
+        known = whole_section(walker)
+        axes = {name: known[name] if axis is None else axis for name, axis in axes.items()}
     check_drawable(outline(axes))
     asked = {
         "axes": {
@@ -115,6 +144,7 @@ def basin(
         },
         "method": method,
         **({"strides": strides} if method == "direct" else {}),
+        **({} if levels is None else {"levels": levels}),
     }
     request = request_for("basin", walker=describe_walker(walker), **asked)
     figure, data = find_earlier(out, figure, request, overwrite=overwrite)
@@ -122,25 +152,27 @@ def basin(
     clock = Stopwatch()
     if data is None:
         grid = grid_along(fill_around_gait(walker, axes))
-        options: Any = {"out": out, "request": request, "overwrite": overwrite}
-        options |= {"strides": strides, "cluster": cluster, "progress": True}
-        data = wj.basin(walker, grid, method, **options)
+        if levels is None:
+            options: Any = {"out": out, "request": request, "overwrite": overwrite}
+            options |= {"strides": strides, "cluster": cluster, "progress": True}
+            data = wj.basin(walker, grid, method, **options)
+        else:
+            with storage.rewritable(out, request) as save:
+                data = save(wj.refine(walker, grid, levels, strides=strides, progress=True))
     seconds = clock.seconds()
-    flat = data["fate"].ndim == 2
-    draw_basin = figures.basin if flat else figures.basin_slices
-    draw(draw_basin(figures.thin(data)), figure, request)
+    draw(draw_basin(data), figure, request)
 
     counts = tally(data)
     answer = summarise_basin(data, counts)
     if as_json:
         about = request["walker"]
-        answer = {"slope": about["slope"], "method": method} | answer
+        answer = {"slope": about["slope"], "method": data.attrs["method"]} | answer
         print_json(answer | {"seconds": seconds, "walker": about})
         return
-    print(f"Basin of attraction, {describe_in_words(walker)}, {method}")
+    print(f"Basin of attraction, {describe_in_words(walker)}, {data.attrs['method']}")
     if sliced:
         print(f"  slice at phidot {float(data['phidot']):.10g}")
-    print_basin(answer, "area" if flat else "volume")
+    print_basin(answer, "volume" if has_phidot and not sliced else "area")
     if counts.unlabelled:
         print(f"  {counts.unlabelled} cells walk on without coming near a known attractor")
     if reused:
@@ -149,11 +181,22 @@ def basin(
         print(f"  resumed {out}; {seconds['run']:.2f} s to run")
     else:
         made = answer["cells"] if method == "cell-map" else counts.strides
+        made = made if levels is None else int(data["strides_made"])
         print(
             f"  {made / max(seconds['run'], 1e-9):,.0f} strides per second; "
             f"{seconds['compile']:.1f} s to compile, {seconds['run']:.2f} s to run"
         )
     print(f"  data set {out}, picture {figure}")
+
+
+def draw_basin(data: "xarray.Dataset"):
+    """The picture of a basin, in two dimensions or three."""
+    from walker_jax import figures
+
+    if "run_fate" in data:
+        return figures.volume(data)
+    draw_cells = figures.basin if data["fate"].ndim == 2 else figures.basin_slices
+    return draw_cells(figures.thin(data))
 
 
 def print_basin(answer: dict, measure: str) -> None:
@@ -165,7 +208,13 @@ def print_basin(answer: dict, measure: str) -> None:
         size = f"{one['cells']} cell{'s' * (one['cells'] != 1)}, {measure} {one['area']:.6g}"
         kind = "artefact" if one["artefact"] else "attractor"
         print(f"  {kind} {i}: {period}, {size}, at {states}{more}{cycles_in_words(one)}")
-    print(f"  {measure} {answer['area']:.6g} in all")
+    if f"{measure}_error" in answer:
+        size, error = answer[measure], answer[f"{measure}_error"]
+        print(f"  {measure} {size:.7g} +- {error:.1g} {UNITS[measure]} in all")
+    else:
+        print(f"  {measure} {answer['area']:.6g} in all")
+    if answer.get("at_border"):
+        print(f"  the basin reaches the border of the grid, in {answer['at_border']} cells")
     fates = [f"{n} {name}" for name, n in answer["fates"].items() if n or name == "UNDECIDED"]
     print(f"  cells: {', '.join(fates)}")
 

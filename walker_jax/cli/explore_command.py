@@ -4,10 +4,12 @@ from typing import Annotated
 
 import typer
 
+from walker_jax.checks import WrongUse
+from walker_jax.cli.rewording import option_of
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.walkers.family import WALKERS
 from walker_jax.walkers.model import Walker
-from walker_jax.walkers.parameters import describe_walker
+from walker_jax.walkers.parameters import chosen_options, parameters
 
 
 @takes_walker()
@@ -30,7 +32,8 @@ def explore(
     """
     from walker_jax.explorer.server import run_server
 
-    values = describe_walker(walker)
-    kind = values.pop("name")
-    (name,) = (one for one, its in WALKERS.items() if its.__name__ == kind)
+    for option in chosen_options(walker):
+        raise WrongUse(f"{option_of(option)} is not for the page, which knows parameters alone")
+    values = {one.name: float(getattr(walker, one.name)) for one in parameters(walker)}
+    (name,) = (one for one, kind in WALKERS.items() if type(walker) is kind)
     run_server(host, port, name, values, browser=browser)

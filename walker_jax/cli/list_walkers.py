@@ -12,7 +12,7 @@ def list_walkers(requested: bool) -> bool:
     if not requested:
         return False
     from walker_jax.walkers.family import WALKERS  # which loads JAX
-    from walker_jax.walkers.parameters import parameters
+    from walker_jax.walkers.parameters import options, parameters
 
     for name, kind in WALKERS.items():
         print(f"{name}: {(kind.__doc__ or '').splitlines()[0]}")
@@ -20,6 +20,8 @@ def list_walkers(requested: bool) -> bool:
         for one in parameters(kind):
             meaning = f"{one.meaning}, {one.bounds()}"
             print(f"  {option_of(one.name):18} {one.unit:17} {one.default:<8g} {meaning}")
+        for one in options(kind):
+            print(f"  {option_of(one.name):44} {one.meaning}")
     raise typer.Exit
 
 

@@ -23,6 +23,7 @@ from walker_jax.cli.options import (
     read_numbers,
 )
 from walker_jax.cli.walker_options import takes_walker
+from walker_jax.design.problem import default_levels
 from walker_jax.design.summary import ENDS, summarise_optimum
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import check_parameter, describe_in_words, describe_walker
@@ -45,8 +46,8 @@ def optimise(
         list[str] | None,
         typer.Option(
             metavar="NAME",
-            help="area (default), least-disturbance, speed, step-length, spectral-radius or "
-            "cost-of-transport; NAME=WEIGHT, repeated, for a weighted sum, to be large.",
+            help="area (default), volume, least-disturbance, speed, step-length, spectral-radius "
+            "or cost-of-transport; NAME=WEIGHT, repeated, for a weighted sum, to be large.",
         ),
     ] = None,
     at_least: Annotated[
@@ -67,12 +68,19 @@ def optimise(
     at_phidot: Annotated[
         float | None, typer.Option(help=f"{PHIDOT_HELP}: a slice there (default: at the gait).")
     ] = None,
+    phidot: Annotated[
+        AxisOption | None,
+        typer.Option(metavar="LO HI N", help="The same for a volume (default: the whole section)."),
+    ] = None,
     starts: Annotated[
         int, typer.Option(min=1, help="Starts: the walker given, and others within the bounds.")
     ] = 3,
     levels: Annotated[
-        int, typer.Option(min=0, max=8, help="Refinement of the areas at both ends.")
-    ] = 4,
+        int | None,
+        typer.Option(
+            min=0, max=8, help="Refinement of areas at both ends (default: 4; of volumes 2)."
+        ),
+    ] = None,
     strides: Annotated[int, typer.Option(min=1, help="Strides a walker is followed for.")] = 200,
     scan: Annotated[
         int, typer.Option(min=0, help="Values of each parameter at which the objective is drawn.")
@@ -97,7 +105,8 @@ def optimise(
     lowest, highest = (
         {hyphenated(one[0]): one[1]} if one is not None else {} for one in (at_least, at_most)
     )
-    grid = grid_from(walker, theta, sum_, at_phidot)
+    levels = default_levels(weights) if levels is None else levels
+    grid = grid_from(walker, theta, sum_, at_phidot, phidot)
     about, limits = describe_walker(walker), {"at_least": lowest, "at_most": highest}
     options: Any = {"starts": starts, "levels": levels, "strides": strides}
     options |= {"scan": scan, "seed": seed}

@@ -62,14 +62,21 @@ def state_from(walker: Walker, given: dict[str, float]) -> Float[np.ndarray, " s
 
 
 def grid_from(
-    walker: Walker, theta: AxisOption | None, sum_: AxisOption | None, at_phidot: float | None
+    walker: Walker,
+    theta: AxisOption | None,
+    sum_: AxisOption | None,
+    at_phidot: float | None,
+    phidot: AxisOption | None = None,
 ) -> Grid | None:
-    """The grid of these axes; None where none of them is given."""
+    """The grid of these axes, with phidot at one value or over a range; None for no axes."""
+    if at_phidot is not None and phidot is not None:
+        raise WrongUse("--phidot and --at-phidot exclude each other: give one of them")
     sliced = "phidot" in walker.section
-    if at_phidot is not None and not sliced:
+    last = {"--at-phidot": at_phidot} if phidot is None else {"--phidot": phidot}
+    if not sliced and [*last.values()] != [None]:
         section = ", ".join(walker.section)
-        raise WrongUse(f"--at-phidot is for walkers whose section has it, not {section}")
-    options = {"--theta": theta, "--sum": sum_} | ({"--at-phidot": at_phidot} if sliced else {})
+        raise WrongUse(f"{next(iter(last))} is for walkers whose section has it, not {section}")
+    options = {"--theta": theta, "--sum": sum_} | (last if sliced else {})
     if all(axis is None for axis in options.values()):
         return None
     if None in options.values():

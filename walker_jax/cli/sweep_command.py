@@ -53,6 +53,9 @@ def sweep(
     at_phidot: Annotated[
         float | None, typer.Option(help=f"{PHIDOT_HELP}: where the slice is.")
     ] = None,
+    phidot: Annotated[
+        AxisOption | None, typer.Option(metavar="LO HI N", help="The same for volumes, not areas.")
+    ] = None,
     levels: Annotated[int, typer.Option(min=0, help="Of refinement of the areas.")] = 2,
     check: Annotated[int, typer.Option(min=0, help="Starts that check each area.")] = 500_000,
     robust: Annotated[
@@ -78,7 +81,7 @@ def sweep(
         raise WrongUse("--over is required: a parameter and its values, such as slope=0.002:0.01:5")
     check_values(walker, {name: np.array(given) for name, given in values.items()})
     cluster = cluster_from(workers, scheduler)
-    grid = grid_from(walker, theta, sum_, at_phidot)
+    grid = grid_from(walker, theta, sum_, at_phidot, phidot)
     about = {name: v for name, v in describe_walker(walker).items() if name not in values}
     options: Any = {"levels": levels, "check": check, "robust": robust, "strides": strides}
     asked = {"over": values, "axes": {} if grid is None else grid.box}

@@ -1,9 +1,10 @@
-"""The area of a basin, and its derivatives by parameters of the walker.
+"""The area or volume of a basin, and its derivatives by parameters of the walker.
 
 An area is the integral of an indicator, which has no derivative; but the basin's boundary is where
 the margin m of some failure is zero, and moves outwards, at right angles to itself, by
 v = (dm/dp) / |grad m| for each unit of a parameter p. So dA/dp is the integral of v along the
-boundary, by derivatives of strides and margins alone. Where the boundary is fractal the area falls
+boundary, by derivatives of strides and margins alone. A volume is that of a surface in the same
+way. Where the boundary is fractal the area falls
 by jumps, whose sum that integral misses; there a derivative means something only as its average
 over a band of the parameter, which is the change of the area over the band.
 """
@@ -15,6 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from walker_jax.basins.refinement import Refined, refine_cells
+from walker_jax.basins.runs import flat_index
 from walker_jax.checks import refuses_tracers
 from walker_jax.design.bands import check_bands, walkers_at_band_ends
 from walker_jax.grids import Grid
@@ -33,7 +35,8 @@ class AreaGradient(NamedTuple):
     """The area of a basin, and its derivatives by parameters of the walker."""
 
     area: float
-    """Within the grid, of all attractors together (rad^2 per unit of time); of a slice, in it."""
+    """Within the grid, of all attractors together (rad^2 per unit of time; of a slice, in it); over
+    three dimensions a volume (rad^3 per unit of time squared)."""
     gradient: Float[np.ndarray, " parameters"]
     """Its derivatives."""
     area_error: float
@@ -44,7 +47,8 @@ class AreaGradient(NamedTuple):
     crossings: int
     """Number of points in which lines cross the boundary."""
     lost: int
-    """Crossings that border on another motion instead of a failure; they count as fixed."""
+    """Crossings that border on another motion, or on starts that are not feasible, instead of a
+    failure; they count as fixed, which of feasible starts they are."""
     strides: int
     """Strides made in all; those with derivatives count once for each direction."""
 
@@ -78,6 +82,8 @@ def area_gradient(
     into the basin like the square root of the distance in p from the value at which they are born.
     There, if the error exceeds 1/20 of the integral and `bands` are given, the derivative is the
     average over a band of half width h, (A(p + h) - A(p - h)) / 2h, of refined areas.
+
+    Over three dimensions the same is true of the surface of the basin and of its volume.
 
     **Arguments:**
 
@@ -152,7 +158,7 @@ def integrate_along_boundary(walker: Walker, found: Refined, parameters: Sequenc
     """The sum of v |n_i| over the points in which lines of a grid cross the boundary."""
     if not parameters:
         return Integral(np.zeros(0), np.zeros(0), 0, 0, 0)
-    walks, fine = found.attractor >= 0, found.grid
+    fine = found.grid
     shape, count = np.array(fine.shape), len(parameters)
     tangents = np.asarray(fine.shear) * np.asarray(fine.spacing)  # columns: from cell to cell
     totals = np.zeros((LINE_GROUPS, count))
@@ -166,7 +172,7 @@ def integrate_along_boundary(walker: Walker, found: Refined, parameters: Sequenc
         return labels.converged, labels.strides
 
     for axis in range(len(shape)):
-        inside, outside = boundary_pairs(walks, axis)
+        inside, outside = boundary_pairs(found, axis)
         for _ in range(BISECTIONS):
             middle = (inside + outside) / 2
             stays = follow(middle)[0][:, None]
@@ -190,14 +196,20 @@ def integrate_along_boundary(walker: Walker, found: Refined, parameters: Sequenc
 
 
 def boundary_pairs(
-    walks: Bool[np.ndarray, "*shape"], axis: int
+    found: Refined, axis: int
 ) -> tuple[Float[np.ndarray, "n axes"], Float[np.ndarray, "n axes"]]:
     """Neighbours along an axis of which one walks: that one, and the other.
 
-    As places in the grid, in cells; centres are at halves.
+    As places in the grid, in cells; centres are at halves. Both have been followed.
     """
-    rises = np.delete(walks, 0, axis=axis)
-    index = np.argwhere(rises != np.delete(walks, -1, axis=axis))
-    first, step = index + 0.5, np.eye(walks.ndim)[axis]
-    ahead = rises[tuple(index.T)][:, None]
+    runs, shape = found.runs, found.grid.shape
+    walks = runs.attractor >= 0
+    index = np.stack(np.unravel_index(found.cells, shape), axis=1)
+    index = index[index[:, axis] + 1 < shape[axis]]
+    step = np.eye(len(shape), dtype=int)[axis]
+    here, ahead = (
+        walks[runs.of_cells(flat_index(places.T, shape))] for places in (index, index + step)
+    )
+    differ = here != ahead
+    first, ahead = index[differ] + 0.5, ahead[differ][:, None]
     return np.where(ahead, first + step, first), np.where(ahead, first, first + step)

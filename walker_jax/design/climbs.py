@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from walker_jax.design.evaluation import STEP_LENGTHS, Evaluation
 from walker_jax.design.measures import gait_measures
-from walker_jax.design.problem import Problem
+from walker_jax.design.problem import SIZES, Problem
 from walker_jax.design.trace import Trace
 
 TRIAL_STEPS = (1.0, -1.0, 0.5, -0.5, 0.25, -0.25)
@@ -85,11 +85,11 @@ def is_better(problem: Problem, here: Evaluation, there: Evaluation) -> bool:
 
 
 def can_be_climbed(problem: Problem, row: Evaluation) -> bool:
-    """Whether the objective has a gradient, and an area or disturbance in it is positive."""
+    """Whether the objective has a gradient, and a basin or disturbance in it is positive."""
     sizes = [
         size
         for name, size in zip(problem.measures, row.measures, strict=True)
-        if name in ("area", "least-disturbance")
+        if name in (*SIZES, "least-disturbance")
     ]
     known = np.isfinite(row.value) and np.isfinite(row.gradient).all()
     return bool(known) and (not sizes or any(size > 0 for size in sizes))

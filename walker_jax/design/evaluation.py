@@ -20,7 +20,7 @@ BAND_HALF_WIDTHS = (0.1, 0.05, 0.03, 0.03)
 """Half widths, in places, of the bands over which derivatives are averaged where there are none.
 They are wide enough for the errors of areas at their ends."""
 LEVELS_OMITTED = (3, 2, 1, 1)
-"""Levels of refinement that areas have less in each stage than at the ends."""
+"""Levels of refinement that areas and volumes have less in each stage than at the ends."""
 SCAN_STAGE, ENDS_STAGE = -1, -2
 """Numbers in place of a stage: of the scan for a picture, and of the ends."""
 CHECK_STARTS = 50_000, 500_000
@@ -41,7 +41,7 @@ class Evaluation(NamedTuple):
     gradient_error: Float[np.ndarray, " parameters"]
     measures: Float[np.ndarray, " measures"]
     strides: int
-    """Strides made for areas."""
+    """Strides made for areas or volumes."""
 
 
 def evaluate_objective(
@@ -55,7 +55,7 @@ def evaluate_objective(
     bands = BAND_HALF_WIDTHS[max(stage, 0)] * (problem.high - problem.low)[: len(names)]
     found: dict[str, Measure] = {}
     value_error, gradient_error, made = 0.0, np.zeros(len(names)), 0
-    if "area" in problem.weights and problem.grid is not None:
+    if problem.size and problem.grid is not None:
         area = area_gradient(
             walker,
             problem.grid,
@@ -67,10 +67,10 @@ def evaluate_objective(
             seed=problem.seed,
             tolerance=problem.tolerance,
         )
-        found["area"], made = Measure(area.area, area.gradient), area.strides
-        weight = abs(problem.weights["area"])
+        found[problem.size], made = Measure(area.area, area.gradient), area.strides
+        weight = abs(problem.weights[problem.size])
         value_error, gradient_error = weight * area.area_error, weight * area.error
-    if set(problem.measures) - {"area"}:
+    if set(problem.measures) - {problem.size}:
         gait = gait_of(values)
         found |= gait_measures(walker, names, gait, tolerance=problem.tolerance)
         if "least-disturbance" in problem.weights:

@@ -13,10 +13,12 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from jaxtyping import Float
 
 from walker_jax.basins.computation import basin
 from walker_jax.basins.memory import check_grid
-from walker_jax.basins.refinement import BYTES_PER_REFINED_CELL, FINEST, finer, refine_cells
+from walker_jax.basins.refinement import FINEST, check_finest, refine_cells
+from walker_jax.basins.windows import grid_along, whole_section
 from walker_jax.checks import WrongUse, check_kind, check_whole, refuses_tracers
 from walker_jax.design.climbs import climb
 from walker_jax.design.evaluation import (
@@ -27,8 +29,10 @@ from walker_jax.design.evaluation import (
     Evaluation,
 )
 from walker_jax.design.problem import (
+    SIZES,
     Problem,
     check_bounds,
+    default_levels,
     parse_limits,
     parse_objective,
     starting_places,
@@ -54,7 +58,7 @@ def optimise(
     at_most: Mapping[str, Any] | None = None,
     grid: Grid | None = None,
     starts: int = 3,
-    levels: int = 4,
+    levels: int | None = None,
     strides: int = 200,
     scan: int = 0,
     seed: int = 0,
@@ -69,17 +73,21 @@ def optimise(
 
     - `walker`: of one kind. Its own values are the first start, where they are within the bounds.
     - `bounds`: the lowest and the highest value of each free parameter.
-    - `objective`: "area" (of the basin, all attractors together), "least-disturbance" (from which
-      the walker does not return), "speed" or "step-length", which are maximised, "spectral-radius"
-      or "cost-of-transport", which are minimised; or weights by name, for a sum to maximise.
+    - `objective`: "area" (of the basin, all attractors together; of walkers with mass on their
+      legs, in a slice), "volume" (the same in the three dimensions of the section of such walkers),
+      "least-disturbance" (from which the walker does not return), "speed" or "step-length", which
+      are maximised, "spectral-radius" or "cost-of-transport", which are minimised; or weights by
+      name, for a sum to maximise.
     - `at_least`, `at_most`: limits of "speed", "step-length", "spectral-radius" and
       "cost-of-transport", by name.
-    - `grid`: where the area is measured, the same for all parameters. By default as in
+    - `grid`: where the area or volume is measured, the same for all parameters. By default that of
+      `basins.windows.whole_section` for volumes; for areas as in
       `robustness`: of walkers with mass on their legs, the slice around the gait of the first start
       that has one. The slice stays where it is as gaits move away, so areas in it compare walkers
       whose gaits have about the same phidot.
     - `starts`: number of starts. Those after the first are spread over the bounds.
-    - `levels`: of refinement, for the areas at both ends.
+    - `levels`: of refinement, for the areas or volumes at both ends; by default 4 for areas, and 2
+      for volumes.
     - `strides`: number of strides for which a walker is followed.
     - `scan`: number of values of each parameter, with the others as in the optimum, at which the
       objective is measured too.
@@ -93,18 +101,18 @@ def optimise(
     **Returns** a data set: over the parameters, `start` and `optimum`, those of the best climb;
     `objective_start` and `objective_optimum`, as that climb measured them; `exact_start` and
     `exact_optimum`, with standard errors `exact_start_error` and `exact_optimum_error`, which are 0
-    except for areas; `at_bound`, -1 or 1 for parameters that end at their lower or upper bound;
-    `binding`, the measures whose limits bind at the optimum; and `converged`, whether it ended
-    because no step of the last stage along the gradient improved the objective. The trace, over
-    evaluations: `run`, `stage` (-1 for the scan, -2 for the ends), `parameters`, `value` and
-    `value_error`, `gradient` and `gradient_error` (by the parameters), `measures`, and the
-    `strides` that were made for areas; `note`, the reason why a run failed. `scan_parameters`,
+    except for areas and volumes; `at_bound`, -1 or 1 for parameters that end at their lower or
+    upper bound; `binding`, the measures whose limits bind at the optimum; and `converged`, whether
+    it ended because no step of the last stage along the gradient improved the objective. The
+    trace, over evaluations: `run`, `stage` (-1 for the scan, -2 for the ends), `parameters`,
+    `value` and `value_error`, `gradient` and `gradient_error` (by the parameters), `measures`, and
+    the `strides` that were made for them; `note`, the reason why a run failed. `scan_parameters`,
     `scan_value` and `scan_allowed`, by the limits. `fate_start` and `fate_optimum`: the basins at
     both ends, on a grid that shows them; -1 where a walker converges to an attractor. Where `found`
     is false all starts failed, and all but the trace is missing.
 
-    Where nothing walks, areas and disturbances are zero and have no gradient: from such a start up
-    to eight long steps lead to a more stable gait, if it has one.
+    Where nothing walks, areas, volumes and disturbances are zero and have no gradient: from such a
+    start up to eight long steps lead to a more stable gait, if it has one.
 
     Raises `ValueError` for wrong parameters, bounds, names and numbers, and as `refine`.
     """
@@ -117,6 +125,8 @@ def optimise(
         raise WrongUse(f"bounds must name at least one parameter, not {dict(bounds)}")
     for name, ends in bounds.items():
         check_bounds(walker, name, ends)
+    if levels is None:
+        levels = default_levels(weights)
     for name, value, lowest in (
         *(("starts", starts, 1), ("strides", strides, 1)),
         *(("levels", levels, 0), ("scan", scan, 0), ("seed", seed, 0)),
@@ -132,14 +142,18 @@ def optimise(
     problem = Problem(walker, tuple(bounds), low, high, weights, sign, limits, *how)
     places = starting_places(problem, starts)
     if grid is None:
-        regions = (default_region(problem.walker_at(problem.values(place))) for place in places)
-        problem = problem._replace(grid=next((one for one in regions if one is not None), None))
-    if problem.grid is None and "area" in weights:
+        problem = problem._replace(grid=grid_for(problem, places))
+    if problem.grid is None and problem.size:
         raise WrongUse("grid is required: no start has a gait of period one to lay it around")
     if problem.grid is not None:
         check_grid(walker, problem.grid, "direct")
+        axes, needed = len(problem.grid.names), SIZES.get(problem.size)
+        if (needed == 3 and axes != 3) or (needed == 2 and axes > 2):
+            raise WrongUse(
+                f"objective {problem.size} must have a grid of {needed} axes, not {axes}"
+            )
         check_whole("levels", levels, 0, FINEST)
-        check_grid(walker, finer(problem.grid, levels), "direct", each=BYTES_PER_REFINED_CELL)
+        check_finest(walker, problem.grid, levels)
 
     trace = Trace(problem, known, keep, progress)
     first = [climb(trace, run, 0, place) for run, place in enumerate(places)]
@@ -158,6 +172,20 @@ def optimise(
     found |= scan_objective(trace, best, scan) if scan else {}
     found |= {} if problem.grid is None else compare_basins(problem, start, best)
     return trace.data().assign(notes | found | {"found": True})
+
+
+def grid_for(problem: Problem, places: list[Float[np.ndarray, " parameters"]]) -> Grid | None:
+    """The grid for a problem without one: the whole section for a volume, or the first region."""
+    walkers = (problem.walker_at(problem.values(place)) for place in places)
+    if problem.size == "volume":
+        first = next(walkers)
+        if len(first.section) != 3:
+            raise WrongUse(
+                f"objective must be area for a {type(first).__name__}, whose section has "
+                f"{len(first.section)} coordinates, not volume"
+            )
+        return grid_along(whole_section(first))
+    return next((one for one in map(default_region, walkers) if one is not None), None)
 
 
 def measure_ends(trace: Trace, start: Evaluation, best: Evaluation) -> dict:
@@ -198,8 +226,11 @@ def scan_objective(trace: Trace, best: Evaluation, count: int) -> dict:
 
 
 def compare_basins(problem: Problem, start: Evaluation, best: Evaluation) -> dict:
-    """The fates of a grid that holds both basins; none over three dimensions."""
+    """The fates of a grid that holds both basins; for a volume, of the slice at the gait of one."""
     grid = problem.grid
+    if problem.size == "volume":
+        ends = (problem.walker_at(row.parameters) for row in (start, best))
+        grid = next((one for one in map(default_region, ends) if one is not None), None)
     if grid is None or len(grid.names) != 2:
         return {}
     walkers = [problem.walker_at(row.parameters) for row in (start, best)]
@@ -233,4 +264,5 @@ def compare_basins(problem: Problem, start: Evaluation, best: Evaluation) -> dic
         data = basin(walker, view, "direct", strides=problem.strides, tolerance=problem.tolerance)
         fate = np.where(data["attractor"] >= 0, ATTRACTED, data["fate"]).astype(np.int8)
         fates[f"fate_{name}"] = tuple(grid.names), fate
-    return fates | {name: (name, values) for name, values in view.axes.items()}
+    shown = view.fixed_values if problem.size == "volume" else {}
+    return fates | shown | {name: (name, values) for name, values in view.axes.items()}

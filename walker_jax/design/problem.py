@@ -13,10 +13,11 @@ from walker_jax.checks import WrongUse, check_kind, is_number
 from walker_jax.design.measures import GAIT_MEASURES
 from walker_jax.grids import Grid
 from walker_jax.walkers.model import Walker
-from walker_jax.walkers.parameters import check_parameter, with_parameter
+from walker_jax.walkers.parameters import attributes_of, check_parameter, with_parameter
 
 OBJECTIVES = {
     "area": 1.0,
+    "volume": 1.0,
     "least-disturbance": 1.0,
     "speed": 1.0,
     "step-length": 1.0,
@@ -24,6 +25,8 @@ OBJECTIVES = {
     "cost-of-transport": -1.0,
 }
 """Objectives of design: 1 where more is better, -1 where less is."""
+SIZES = {"area": 2, "volume": 3}
+"""Objectives that are the size of the basin in a grid, and how many axes that has."""
 
 
 class Problem(NamedTuple):
@@ -50,6 +53,11 @@ class Problem(NamedTuple):
     def measures(self) -> tuple[str, ...]:
         """The measures in the objective, and those that have limits."""
         return tuple(dict.fromkeys([*self.weights, *self.limits]))
+
+    @property
+    def size(self) -> str:
+        """The objective that is the size of the basin, if one is; otherwise empty."""
+        return next((name for name in SIZES if name in self.weights), "")
 
     def values(self, place: Float[np.ndarray, " parameters"]) -> Float[np.ndarray, " parameters"]:
         """Parameters at a place, of which 0 and 1 are the bounds; exact at a bound."""
@@ -96,8 +104,15 @@ def parse_objective(objective: str | Mapping[str, Any]) -> tuple[dict[str, float
             raise WrongUse(f"objective must be one of {', '.join(OBJECTIVES)}, not {name!r}")
         if not (is_number(weight) and np.isfinite(weight) and weight != 0):
             raise WrongUse(f"objective must give {name} a weight other than 0, not {weight}")
+    if {*SIZES} <= {*given}:
+        raise WrongUse("objective must have an area or a volume, as there is one grid, not both")
     weights = {name: float(weight) for name, weight in given.items()}
     return weights, OBJECTIVES[objective] if named else 1.0
+
+
+def default_levels(objective: str | Mapping[str, Any]) -> int:
+    """Levels of refinement at both ends; each takes four times as long for a volume, else two."""
+    return 2 if "volume" in objective else 4
 
 
 def parse_limits(
@@ -155,7 +170,7 @@ def describe_problem(problem: Problem) -> dict:
     }
     return {
         "walker": type(problem.walker).__name__,
-        **{f"walker_{name}": float(value) for name, value in vars(problem.walker).items()},
+        **attributes_of(problem.walker),
         "section": list(problem.walker.section),
         "objective": json.dumps(problem.weights),
         "sign": problem.sign,

@@ -60,9 +60,12 @@ def limits(data: xr.Dataset) -> dict[str, tuple[float | None, float | None]]:
 
 
 def slice_coordinates(data: xr.Dataset) -> dict[str, float]:
-    """Fixed coordinates of the slice in which areas were measured."""
+    """Fixed coordinates of the slice in which areas were measured, or in which basins are shown."""
     region = json.loads(data.attrs["region"])
-    return {name: float(at) for name, at in region.items() if not isinstance(at, list)}
+    shown = {name: data[name] for name in data.attrs["section"] if name in data}
+    return {name: float(at) for name, at in region.items() if not isinstance(at, list)} | {
+        name: float(at) for name, at in shown.items() if at.ndim == 0
+    }
 
 
 def runs(data: xr.Dataset, parameter: str) -> list[Run]:

@@ -89,7 +89,7 @@ def sweep(
       iteration from the cells' centres. Attractors are numbered separately in each basin, which
       has so many `attractors`;
     - `area` of the cells that converge to one; `total_area` and its standard error
-      `total_area_error`, as `refine` gives them;
+      `total_area_error`, as `refine` gives them; volumes where the grid has three dimensions;
     - of the gait of period one, NaN where none is found: `gait_state`, `multiplier` (the largest
       modulus), `step_time`, `step_length`, `speed` and `cost_of_transport`;
     - if `robust`, what `robustness` gives of the gait with the largest basin, of any period, whose

@@ -56,7 +56,7 @@ def describe_parameter(one: Parameter) -> dict:
         "meaning": one.meaning,
         "unit": one.unit,
         "default": one.default,
-        "low": low if one.closed or low > one.low else step,
+        "low": low if one.closed or low > one.low else low + step,
         "high": high,
         "step": step,
         "bounds": one.bounds(),

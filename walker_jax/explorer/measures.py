@@ -110,13 +110,13 @@ def bifurcation(subject: Subject) -> dict:
         "points": points.tolist(),
         "lost": [finite(value) for value in data["lost"].values.tolist()],
         "events": [
-            {"slope": float(value), "fold": bool(fold), "theta": float(states[0, 0])}
-            for value, fold, states in zip(
-                data["event_value"].values,
-                data["event_fold"].values,
-                data["event_states"].values,
-                strict=True,
-            )
+            {
+                "slope": float(one["event_value"]),
+                "theta": float(one["event_states"][0, 0]),
+                "fold": bool(one["event_fold"]),
+                "cascade": bool(one["cascade"]),
+            }
+            for one in (data.isel(event=i) for i in range(data.sizes["event"]))
         ],
     }
 

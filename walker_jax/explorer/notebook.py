@@ -8,7 +8,7 @@ import sys
 from walker_jax.checks import ComputationFailed, WrongUse, check_kind, check_whole
 from walker_jax.walkers.family import WALKERS
 from walker_jax.walkers.model import Walker
-from walker_jax.walkers.parameters import parameters
+from walker_jax.walkers.parameters import chosen_options, parameters
 
 HEIGHT = 760
 """Pixels in which walker, basin and sliders have room."""
@@ -63,6 +63,8 @@ def explore(walker: Walker, *, height: int = HEIGHT) -> Explorer:
     if not names:
         known = ", ".join(kind.__name__ for kind in WALKERS.values())
         raise WrongUse(f"walker must be one of {known}, not a {type(walker).__name__}")
+    for option in chosen_options(walker):
+        raise WrongUse(f"walker must have no {option}, unlike {walker}")
     command = [sys.executable, "-m", "walker_jax", "explore", "--no-browser", "--walker", names[0]]
     for one in parameters(walker):
         command += [f"--{one.name.replace('_', '-')}", repr(float(getattr(walker, one.name)))]

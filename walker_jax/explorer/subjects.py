@@ -141,9 +141,11 @@ def numbers(name: str, value: Any, lengths: tuple[int, ...]) -> list[float]:
 def slider_range(parameter: Parameter) -> tuple[float, float]:
     """The ends of a parameter's slider; a value beyond them may be typed.
 
-    From its lower bound to a few times its default, or about zero where there is neither.
+    From zero, or a little below its default where it may be negative, to a few times its default.
     """
     scale = 5 * abs(parameter.default) or 1.0
-    low = parameter.low if math.isfinite(parameter.low) else parameter.default - scale / 5
-    high = min(parameter.default + 0.8 * scale if parameter.default else scale, parameter.high)
-    return low, high if math.isfinite(parameter.low) else parameter.default + scale / 5
+    above = 0.2 * scale if parameter.low == -math.inf or not parameter.default else 0.8 * scale
+    if parameter.low == 0 and not parameter.default:
+        above = scale
+    low = parameter.low if parameter.low >= 0 else parameter.default - 0.2 * scale
+    return max(low, parameter.low), min(parameter.default + above, parameter.high)

@@ -4,20 +4,21 @@ A frame is a full state, and frames are evenly spaced over each stride, its star
 them. The page draws the walker between them, so it needs few.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from walker_jax.checks import WrongUse
 from walker_jax.execution.tiles import map_cells
 from walker_jax.explorer.subjects import Subject
 from walker_jax.multibody import block, factorise, mass_matrix, solve_factored
 from walker_jax.walkers.masses import MultibodyWalker, stance_coordinates
-from walker_jax.walkers.model import State, Walker
+from walker_jax.walkers.model import Walker
 from walker_jax.walking.iteration import strides
-from walker_jax.walking.movement import FALL_TIME, is_over, leg_shape
+from walker_jax.walking.movement import FALL_TIME, is_over, leg_shape, legs, swing_begins
 from walker_jax.walking.outcomes import Outcome
 from walker_jax.walking.stepping import full_state, state_after
 
@@ -51,14 +52,14 @@ def follow(subject: Subject, start: Float[np.ndarray, " coordinates"], count: in
         stride = strides(walker, start[None])
         outcome = Outcome(int(stride.outcome[0]))
         if outcome == Outcome.OUTSIDE:
-            made.append(end(start, outcome, 0.0, np.zeros((0, 4))))
+            made.append(end(walker, start, outcome, 0.0, None))
             return {"strides": made, "next": None}
         if outcome != Outcome.STRIDE:
             made.append(fall(walker, start, outcome))
             return {"strides": made, "next": None}
         duration = float(stride.time[0])
         times = np.linspace(0, duration, 1 + max(8, round(duration / FRAME)))
-        made.append(end(start, outcome, duration, states_at(walker, start, times)))
+        made.append(end(walker, start, outcome, duration, states_at(walker, start, times)))
         start = np.asarray(stride.state[0])
     return {"strides": made, "next": start.tolist()}
 
@@ -67,37 +68,46 @@ def fall(walker: Walker, start: Float[np.ndarray, " coordinates"], outcome: Outc
     """The stride in which a walker fails: to the ground, or to where it runs or stops."""
     length, radius = leg_shape(walker)
     times = np.arange(0, FALL_TIME * np.sqrt(length + radius), FRAME)
-    frames = states_at(walker, start, times)
-    finite = np.isfinite(frames).all(axis=1)
-    frames = frames[: len(frames) if finite.all() else max(1, int(finite.argmin()))]
-    over = is_over(walker, State(*frames.T), outcome)
-    frames = frames[: max(2, int(over.argmax())) if over.any() else len(frames)]
-    return end(start, outcome, (len(frames) - 1) * FRAME, frames)
+    states = states_at(walker, start, times)
+    finite = np.isfinite(states.theta)
+    count = len(times) if finite.all() else max(1, int(finite.argmin()))
+    states = jax.tree.map(lambda values: values[:count], states)
+    begins = swing_begins(walker, start, None) if walker.phases() else 0.0
+    swings = times[:count] >= begins
+    over = is_over(walker, states, swings, outcome)
+    count = max(2, int(over.argmax())) if over.any() else count
+    states = jax.tree.map(lambda values: values[:count], states)
+    return end(walker, start, outcome, (len(states.theta) - 1) * FRAME, states)
 
 
 def end(
+    walker: Walker,
     start: Float[np.ndarray, " coordinates"],
     outcome: Outcome,
     duration: float,
-    frames: Float[np.ndarray, "frames 4"],
+    states: Any,
 ) -> dict:
-    """A stride for the page."""
-    return {
+    """A stride for the page; with `bent`, where a leg has a knee: its place and the leg's end."""
+    rows = np.zeros((0, 4)) if states is None else np.stack(legs(states), axis=1)
+    found = {
         "start": start.tolist(),
         "outcome": int(outcome),
         "duration": duration,
-        "frames": np.round(frames, 7).tolist(),
+        "frames": np.round(rows, 7).tolist(),
     }
+    if walker.phases() and len(rows):
+        bent = jax.vmap(walker.bent_leg)(jax.tree.map(jnp.asarray, states))
+        found["bent"] = np.round(np.asarray(bent).reshape(-1, 4), 6).tolist()
+    return found
 
 
 def states_at(
     walker: Walker, start: Float[np.ndarray, " coordinates"], times: Float[np.ndarray, " n"]
-) -> Float[np.ndarray, "n 4"]:
-    """Full states at times after a start, each followed from there: one program for all counts."""
+) -> Any:
+    """States at times after a start, each followed from there: one program for all counts."""
     walker = jax.tree.map(lambda leaf: np.asarray(leaf, float), walker)
     arguments = (walker, start, times, np.asarray(1e-12))
-    found = map_cells(state_after, arguments, (False, False, True, False))
-    return np.stack(found, axis=1)
+    return map_cells(state_after, arguments, (False, False, True, False))
 
 
 def push(
@@ -105,8 +115,11 @@ def push(
 ) -> Float[np.ndarray, " 4"]:
     """The full state after a push at the hip: an impulse along the slope and normal to it.
 
-    In units of the walker's mass at the hip, or of mass, times speed.
+    In units of the walker's mass at the hip, or of mass, times speed. `WrongUse` for a walker with
+    knees, of whose state in mid-stride the angles of two straight legs are not all.
     """
+    if subject.walker.phases():
+        raise WrongUse("walkers with knees cannot be pushed in mid-stride")
     walker = jax.tree.map(lambda leaf: np.asarray(leaf, float), subject.walker)
     arguments = (walker, start[None], impulse[None], np.asarray(leg_shape(subject.walker)))
     return map_cells(after_push, arguments, (False, True, True, False))[0]

@@ -68,7 +68,11 @@ FAINT = 0.45
 """Opacity of the runs that did not lead to the optimum."""
 UNCLIPPED: dict[str, Any] = {"clip_on": False, "in_layout": False}
 """Signs that bounds do not cut; the layout must not count them, as it puts an empty line at 0."""
-MEASURE_WORDS = {"area": "area of the basin", "spectral-radius": RADIUS}
+MEASURE_WORDS = {
+    "area": "area of the basin",
+    "volume": "volume of the basin",
+    "spectral-radius": RADIUS,
+}
 """Words of the measures whose own name is not as good."""
 
 

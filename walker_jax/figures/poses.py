@@ -94,9 +94,13 @@ def draw_pose(ax: Axes, pose: xr.Dataset) -> list[Line2D]:
     hip = pose["hip"].values
     lines: list[Line2D] = []
     angles = {"stance": float(pose["theta"]), "swing": float(pose["theta"] - pose["phi"])}
+    bent = "swing_knee" in pose
+    if bent and "knee" in pose:
+        angles["swing"] -= float(pose["knee"])
     for name, colour, order in (("stance", INK, 3), ("swing", SWING, 4)):
         end = pose[name].values
-        leg = to_level(np.stack([hip, end]), slope)
+        joints = [hip, pose["swing_knee"].values] if bent and name == "swing" else [hip]
+        leg = to_level(np.stack([*joints, end]), slope)
         lines += ax.plot(*leg.T, color=colour, lw=3, solid_capstyle="round", zorder=order)
         if radius:
             turn = angles[name] + np.linspace(-0.6, 0.6, 40)
@@ -107,7 +111,8 @@ def draw_pose(ax: Axes, pose: xr.Dataset) -> list[Line2D]:
             )
             lines += ax.plot(*to_level(sole, slope).T, color=colour, lw=3, zorder=order)
         else:
-            lines += ax.plot(*leg[1:].T, "o", color=colour, mec="white", ms=6, zorder=order + 2)
+            lines += ax.plot(*leg[-1:].T, "o", color=colour, mec="white", ms=6, zorder=order + 2)
+        lines += ax.plot(*leg[1:-1].T, "o", color=colour, mec="white", ms=7, zorder=order + 2)
     at = to_level(hip[None], slope)
     return [*lines, *ax.plot(*at.T, "o", color=INK, mec="white", mew=1.2, ms=14, zorder=7)]
 
@@ -138,10 +143,11 @@ def write_part_names(ax: Axes, pose: xr.Dataset) -> None:
         at = middle + size * length * np.array([np.cos(half), np.sin(half)])
         centred: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 12}
         ax.annotate(text, at, away, textcoords="offset points", **centred)
-    words = [  # masses as in the paper, whose legs have none, and feet are points
-        (hip, (13, 6), "hip" + ", mass $M$" * (radius == 0)),
-        (foot - [0, radius], (9, -13), "foot" + ", mass $m$" * (radius == 0)),
-        ((foot + hip) / 2, (10, 0), "leg" + ", length $l$" * (radius == 0)),
+    paper = radius == 0 and "swing_knee" not in pose  # whose legs have no mass, and feet are points
+    words = [
+        (hip, (13, 6), "hip" + ", mass $M$" * paper),
+        (foot - [0, radius], (9, -13), "foot" + ", mass $m$" * paper),
+        ((foot + hip) / 2, (10, 0), "leg" + ", length $l$" * paper),
     ]
     for place, shift, text in words:
         ax.annotate(text, place, shift, textcoords="offset points", va="center", fontsize=SMALL)

@@ -12,6 +12,9 @@ FAILURES = {
     Outcome.RUNNING: ("#dea5b2", "R", "runs"),
     Outcome.OUTSIDE: ("#9b9b9b", "", "not a feasible start"),
     Outcome.STOPPED: ("#648f4b", "", "stops on both feet"),
+    Outcome.BENT_KNEE: ("#cfc3e6", "K", "lands on a bent knee"),
+    Outcome.BUCKLED: ("#c9a27e", "", "buckles"),
+    Outcome.SCUFFED: ("#7fa8a3", "", "scuffs"),
     Outcome.UNDECIDED: ("#d1361b", "", "undecided"),
 }
 """Colour, letter (Schwab and Wisse 2001, Figure 2) and words, from light to dark."""

@@ -5,12 +5,18 @@ from matplotlib.axes import Axes
 
 from walker_jax.figures.layout import figure_of, name_axes, new_axes, write_title
 from walker_jax.figures.style import AXIS, BASINS
-from walker_jax.figures.text import AREA_LABEL, join_phrases, parameter_values, walker_title
+from walker_jax.figures.text import (
+    AREA_LABEL,
+    VOLUME_LABEL,
+    join_phrases,
+    parameter_values,
+    walker_title,
+)
 from walker_jax.storage.schema import check_dataset
 
 
 def sweep(data: xr.Dataset, ax: Axes | None = None) -> Axes:
-    """The area of the basin over one or two parameters, with its standard error over one.
+    """The area or volume of the basin over one or two parameters, with its error over one.
 
     **Arguments:**
 
@@ -27,15 +33,16 @@ def sweep(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     first = dict.fromkeys(others, 0)
     area, error = area.isel(first), error.isel(first)
     x = str(area.dims[0])
+    words = VOLUME_LABEL if data["fate"].ndim == data["total_area"].ndim + 3 else AREA_LABEL
     if area.ndim == 1:
         ax.errorbar(data[x], area, error, fmt="o-", color=BASINS[0], capsize=3)
-        name_axes(ax, x, AREA_LABEL)
+        name_axes(ax, x, words)
         ax.set_ylim(0, 1.1 * float(area.fillna(0).max()) or None)
     else:
         y = str(area.dims[1])
         image = ax.pcolormesh(data[x], data[y], area.T, cmap="viridis", rasterized=True)
         name_axes(ax, x, y)
-        figure_of(ax).colorbar(image, ax=ax).set_label(AREA_LABEL, fontsize=AXIS)
+        figure_of(ax).colorbar(image, ax=ax).set_label(words, fontsize=AXIS)
     fixed = parameter_values({name: float(data[name][0]) for name in others})
     shape = " × ".join(map(str, data["total_area"].shape))
     failed = int(data["failed"].sum())

@@ -1,5 +1,6 @@
 """Words of pictures: names of axes, titles, numbers with their units."""
 
+import math
 import textwrap
 from collections.abc import Mapping, Sequence
 
@@ -8,12 +9,19 @@ import xarray as xr
 from walker_jax.basins.cell_classes import total_area
 
 AREA_LABEL = "area of the basin (rad² / √(l/g))"
+VOLUME_LABEL = "volume of the basin (rad³·g/l)"
 RADIUS = "modulus of the largest multiplier"
-SYMBOLS = {"theta": r"$\theta$", "thetadot": r"$\dot{\theta}$", "phidot": r"$\dot{\varphi}$"}
+SYMBOLS = {
+    "sum": r"$\theta + \dot{\theta}$",
+    "theta": r"$\theta$",
+    "thetadot": r"$\dot{\theta}$",
+    "phidot": r"$\dot{\varphi}$",
+}
 AXIS_LABELS = {
     "theta": r"stance leg angle $\theta$ (rad)",
     "thetadot": r"stance leg rate $\dot{\theta}$ (rad, time in √(l/g))",
     "sum": r"$\theta + \dot{\theta}$ (rad, time in √(l/g))",
+    "phidot": r"rate between the legs $\dot{\varphi}$ (rad, time in √(l/g))",
     "slope": "slope (rad)",
 }
 METHOD_NAMES = {
@@ -63,6 +71,22 @@ def basin_note(data: xr.Dataset) -> str:
         note += f"\n{slice_phrase(name, float(data[name]))}"
     area = total_area(data)
     return note if data["fate"].ndim != 2 or area == 0 else f"{note}; {area_phrase(area)}"
+
+
+def volume_note(data: xr.Dataset) -> str:
+    """How the volume of a basin was computed, and what it is, with its error."""
+    shape = " × ".join(str(data.sizes[name]) for name in data["axis"].values.tolist())
+    size, error = float(data["total_area"]), float(data["total_area_error"])
+    note = f"{METHOD_NAMES['direct, refined'].rstrip(',')}, on {shape} cells"
+    return f"{note}; basin volume {with_error(size, error)} rad³·g/l"
+
+
+def with_error(value: float, error: float) -> str:
+    """A number to the digits that its standard error leaves, and that error."""
+    if not error > 0:
+        return f"{value:.4g}"
+    digits = max(0, 1 - math.floor(math.log10(error)))
+    return f"{value:.{digits}f} ± {error:.{digits}f}"
 
 
 def slice_phrase(name: str, value: float) -> str:

@@ -58,6 +58,9 @@ def leg_angles(data: xr.Dataset, ax: Axes | None = None) -> Axes:
             ax.axvline(time[own][0], color=GROUND, lw=0.6, zorder=1)
         ax.plot(time[own], theta[own], color=INK, lw=1.8)
         ax.plot(time[own], (theta - data["phi"].values)[own], color=SWING, lw=1.8, ls=(0, (1, 1.2)))
+        if "knee" in data:
+            shank = (theta - data["phi"].values - data["knee"].values)[own]
+            ax.plot(time[own], shank, color=SWING, lw=0.9)
     if time[-1] > time[0]:
         ax.set_xlim(time[0], time[-1])
     name_axes(ax, "time (√(l/g))", "angle from the normal of the slope (rad)")
@@ -66,7 +69,10 @@ def leg_angles(data: xr.Dataset, ax: Axes | None = None) -> Axes:
         Line2D([], [], color=INK, lw=1.8, label="stance leg"),
         Line2D([], [], color=SWING, lw=1.8, ls=(0, (1, 1.2)), label="swing leg"),
     ]
-    place_legend(ax, legs, BELOW, columns=2)
+    if "knee" in data:
+        legs[1].set_label("swing thigh")
+        legs.append(Line2D([], [], color=SWING, lw=0.9, label="swing shank"))
+    place_legend(ax, legs, BELOW, columns=len(legs))
     return ax
 
 

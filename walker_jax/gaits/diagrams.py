@@ -30,7 +30,7 @@ from walker_jax.gaits.requests import run_batched
 from walker_jax.gaits.search import cycle_guesses, iterate_newton
 from walker_jax.integrators.solvers import Real
 from walker_jax.walkers.model import Walker
-from walker_jax.walkers.parameters import with_parameter
+from walker_jax.walkers.parameters import attributes_of, with_parameter
 from walker_jax.walking.iteration import select_walkers
 
 NO_START = -1
@@ -301,7 +301,7 @@ def assemble_diagram(
         attrs={
             "section": list(walker.section),
             "walker": type(walker).__name__,
-            **{f"walker_{k}": float(v) for k, v in vars(walker).items() if k != parameter},
+            **attributes_of(walker, without=parameter),
             "parameter": parameter,
             "lost_strides": loss.strides,
             "scan_strides": scanned.attrs["strides"],

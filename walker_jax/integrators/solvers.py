@@ -307,8 +307,8 @@ class Step(NamedTuple):
     """Time at its start."""
     length: Scalar
     """Its duration."""
-    sides: tuple[Bool[Array, ""], Bool[Array, ""]]
-    """The side of the event at its start and at its end."""
+    sides: tuple[Bool[Array, "*events"], Bool[Array, "*events"]]
+    """The side of the event, or of each of several, at its start and at its end."""
     series: PyTree[list] | None = None
     """The series of the solution from its start, if a series solved it."""
 
@@ -323,8 +323,8 @@ class Until(diffrax.AbstractStepSizeController):
     """
 
     controller: diffrax.AbstractStepSizeController
-    stop: Callable[..., tuple[Bool[Array, ""], Bool[Array, ""]]]
-    side: Bool[Array, ""]
+    stop: Callable[..., tuple[Bool[Array, ""], Bool[Array, "*events"]]]
+    side: Bool[Array, "*events"]
 
     def wrap(self, direction):
         return Until(self.controller.wrap(direction), self.stop, self.side)
@@ -409,9 +409,9 @@ class Method(eqx.Module):
     def follow(
         self,
         state: PyTree,
-        stop: Callable[..., tuple[Bool[Array, ""], Bool[Array, ""]]],
+        stop: Callable[..., tuple[Bool[Array, ""], Bool[Array, "*events"]]],
         *,
-        side: Bool[Array, ""] | bool = False,
+        side: Bool[Array, "*events"] | bool = False,
         time: Real = 0.0,
     ) -> tuple[Step, Int[Array, ""]]:
         """The first step for whose two ends `stop` holds (`Until`), and the number of steps.
@@ -431,7 +431,7 @@ class Method(eqx.Module):
         return last, solution.stats["num_steps"]
 
     def follow_taylor(
-        self, state: PyTree, stop: Callable, side: Bool[Array, ""], time: Scalar, order: int
+        self, state: PyTree, stop: Callable, side: Bool[Array, "*events"], time: Scalar, order: int
     ) -> tuple[Step, Int[Array, ""]]:
         """`follow` for the Taylor solver, by a loop that expands one series in each step.
 

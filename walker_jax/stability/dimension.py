@@ -11,10 +11,9 @@ from jaxtyping import Float, Int
 from walker_jax.basins.capture_boxes import with_capture_boxes
 from walker_jax.basins.memory import check_grid
 from walker_jax.basins.methods import mapper_of_grid
-from walker_jax.basins.refinement import edge
 from walker_jax.checks import check_precision, check_whole, numbers, refuses_tracers
 from walker_jax.fractals import Uncertainty, sort_distances, uncertainty_exponent, upper_probability
-from walker_jax.grids import Grid
+from walker_jax.grids import Grid, edge
 from walker_jax.integrators.solvers import default_tolerance
 from walker_jax.walkers.model import Walker
 

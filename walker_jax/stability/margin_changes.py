@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from walker_jax.execution.tiles import map_cells
-from walker_jax.walkers.model import Scalar, Walker
+from walker_jax.walkers.model import Scalar, Walker, numbers_of
 from walker_jax.walking.failure_margins import failure_margin, follow_margins
 from walker_jax.walking.iteration import walk_on
 
@@ -30,9 +30,9 @@ def differentiate_margins(
     zero = np.zeros((len(parameters), x.shape[1]), dtype)
     along = np.tile(np.concatenate([directions.astype(dtype), zero]), (n, 1))
     names = [None] * len(directions) + list(parameters)
-    by = {name: np.array([name == one for one in names], dtype) for name in vars(walker)}
+    by = {name: np.array([name == one for one in names], dtype) for name in numbers_of(walker)}
     fields = jax.tree.unflatten(
-        jax.tree.structure(walker), [np.tile(by[name], n) for name in vars(walker)]
+        jax.tree.structure(walker), [np.tile(by[name], n) for name in numbers_of(walker)]
     )
     cells = np.repeat(x, columns, axis=0), np.repeat(made, columns), (fields, along)
     shared = jax.tree.map(lambda leaf: np.asarray(leaf, dtype), (walker, tolerance))

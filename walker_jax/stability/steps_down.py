@@ -16,7 +16,7 @@ from walker_jax.stability.rays import FINE, bisect, first_failures, scan
 from walker_jax.walkers.model import Walker
 from walker_jax.walking.iteration import strides as take_strides
 from walker_jax.walking.outcomes import Outcome
-from walker_jax.walking.stepping import follow_step_down, step_down
+from walker_jax.walking.stepping import follow_step, step_down
 
 HEIGHTS = 4096
 """Heights that are tried, up to the smallest from which the walker does not return."""
@@ -85,10 +85,10 @@ def labels_after_step(
     arguments = (
         jax.tree.map(lambda leaf: np.asarray(leaf, x.dtype), walker),
         x,
-        drops,
+        -drops,
         checked_tolerance,
     )
-    down = map_cells(follow_step_down, arguments, (False, True, True, False))
+    down = map_cells(follow_step, arguments, (False, True, True, False))
     after = take_strides(walker, down.state, tolerance=tolerance)
     rest = mapper(np.asarray(after.state))
     fate = np.where(after.outcome == Outcome.STRIDE, rest.fate, after.outcome)

@@ -16,8 +16,10 @@ TYPES = {"integer": "iub", "real": "fiu", "boolean": "biu", "text": "UOST"}
 """The kinds of NumPy types, by their letters, that each type of variable may have."""
 STATE = "rad, rad/√(l/g)"
 AREA = "rad²/√(l/g)"
+VOLUME = "rad³·g/l"
 TIME = "√(l/g)"
 NEW = "not in earlier data sets"
+KNEES = "walkers with knees"
 MAPPED = "cell map; not in earlier data sets"
 FAILS = "the `Outcome` of its last stride; -1 for none"
 
@@ -81,6 +83,36 @@ KINDS = {
         {},
         "basin",
     ),
+    "refined volume": Kind(
+        "A refined basin over three dimensions, where an area is a volume (`refine`). In place of "
+        "an array over all cells of the finest grid it has runs: of cells that follow one on "
+        "another along the last axis, and are alike. `slice_basin` makes basins of two dimensions "
+        "of it.",
+        {
+            "first_cell": V("run", "integer", "", "first cell of a run, in C order over the grid"),
+            "run_fate": V("run", "integer", "", "`Outcome` of the last stride from its cells"),
+            "run_attractor": V("run", "integer", "", "number of the attractor; -1 for none"),
+            "axis": V("axis", "text", "", "names of the grid's axes, whose centres it has too"),
+            "lower": V("axis", "real", "", "the grid's lower ends"),
+            "upper": V("axis", "real", "", "the grid's upper ends"),
+            "shear": V("coordinate axis", "real", "", "a state is origin + shear · place"),
+            "origin": V("coordinate", "real", STATE, "the state where all axes are 0"),
+            "number": V("number", "integer", "", "of the attractor"),
+            "period": V("number", "integer", "strides", "0 for a motion without a period"),
+            "states": V("number phase coordinate", "real", STATE, "the cycle; NaN after it"),
+            "cells": V("number", "integer", "", "that converge to it"),
+            "area": V("number", "real", VOLUME, "volume of these cells"),
+            "total_area": V("", "real", VOLUME, "volume of all basins, corrected by a check"),
+            "total_area_error": V("", "real", VOLUME, "its standard error"),
+            "at_border": V("", "integer", "cells", "of basins that are at the border of the grid"),
+            "followed": V("level", "integer", "cells", "that were followed"),
+            "boundary": V("level", "integer", "cells", "with a neighbour of another fate"),
+            "checked": V("", "integer", "", "starts of the check"),
+            "mistaken": V("", "integer", "", "of these, starts that the grid has wrong"),
+            "strides_made": V("", "integer", "strides", "in all"),
+        },
+        WALKER | SECTION | {"method": "`direct, refined`"},
+    ),
     "robustness": Kind(
         "A refined basin, and what its most attracting gait survives (`robustness`).",
         {
@@ -121,7 +153,12 @@ KINDS = {
     "sweep": Kind(
         "Basins over all combinations of parameters, whose names are dimensions (`sweep`).",
         {
-            "total_area": V("*parameters", "real", AREA, "of all basins, by refinement"),
+            "total_area": V(
+                "*parameters",
+                "real",
+                AREA,
+                "of all basins, by refinement; over three dimensions a volume, rad³·g/l",
+            ),
             "total_area_error": V("*parameters", "real", AREA, "its standard error"),
             "failed": V("*parameters", "integer", "", "1 where the computation failed"),
             "reason": V("*parameters", "text", "", "why it failed, otherwise empty", NEW),
@@ -212,6 +249,7 @@ KINDS = {
             "exact_optimum": V("", "real", "", "objective on the finest grid"),
             "exact_optimum_error": V("", "real", "", "its standard error"),
             "at_bound": V("parameter", "integer", "", "-1: at the lower bound, 1: at the upper"),
+            "phidot": V("", "real", "rad/√(l/g)", "of the slice that is shown", f"volume; {NEW}"),
             "binding": V("measure", "boolean", "", "whether its limit holds the optimum"),
             "converged": V("", "boolean", "", "no shorter step led higher"),
             "scan_parameters": V("parameter point", "real", "", "of the scan", "scan"),
@@ -232,6 +270,9 @@ KINDS = {
             "phi": V("frame", "real", "rad", "angle between the legs"),
             "thetadot": V("frame", "real", "rad/√(l/g)", "rate of theta"),
             "phidot": V("frame", "real", "rad/√(l/g)", "rate of phi"),
+            "knee": V("frame", "real", "rad", "angle of the swing knee, above 0 where bent", KNEES),
+            "kneedot": V("frame", "real", "rad/√(l/g)", "rate of knee", KNEES),
+            "swing_knee": V("frame axis", "real", "leg length", "place of the swing knee", KNEES),
             "stance": V("frame axis", "real", "leg length", "end of the stance leg"),
             "hip": V("frame axis", "real", "leg length", "place of the hip"),
             "swing": V("frame axis", "real", "leg length", "end of the swing leg"),

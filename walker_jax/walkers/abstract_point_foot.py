@@ -33,6 +33,11 @@ class AbstractPointFootWalker(Walker):
     def project(self, state):
         return jnp.stack([state.theta, state.thetadot])
 
+    def push(self, state, change):
+        """phidot follows thetadot as in `lift`, also where the feet are at different heights."""
+        turn = (1 - jnp.cos(state.phi)) * change
+        return state._replace(thetadot=state.thetadot + change, phidot=state.phidot + turn)
+
     def clearance(self, state):
         return jnp.cos(state.theta) - jnp.cos(state.theta - state.phi)
 

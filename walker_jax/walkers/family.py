@@ -1,7 +1,14 @@
 """The family of walkers, by the names that the command line has for them."""
 
+from walker_jax.walkers.kneed import KneedWalker
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.point_foot import PointFootWalker
+from walker_jax.walkers.powered import PoweredWalker
+from walker_jax.walkers.powered_masses import (
+    PoweredPointFootWalker,
+    PoweredRoundFootWalker,
+    PoweredUpperBodyWalker,
+)
 from walker_jax.walkers.round_foot import RoundFootWalker
 from walker_jax.walkers.simplest import SimplestWalker
 from walker_jax.walkers.spring import SpringWalker
@@ -13,6 +20,11 @@ WALKERS: dict[str, type[Walker]] = {
     "point-foot": PointFootWalker,
     "round-foot": RoundFootWalker,
     "upper-body": UpperBodyWalker,
+    "kneed": KneedWalker,
+    "powered": PoweredWalker,
+    "powered-point-foot": PoweredPointFootWalker,
+    "powered-round-foot": PoweredRoundFootWalker,
+    "powered-upper-body": PoweredUpperBodyWalker,
 }
 """The walkers there are, by their names on the command line.
 

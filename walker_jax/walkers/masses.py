@@ -6,7 +6,9 @@ follow.
 """
 
 import abc
+from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,15 +18,15 @@ from walker_jax import multibody
 from walker_jax.integrators.taylor import VirtualPower
 from walker_jax.kernels.scalars import unroll
 from walker_jax.multibody import System
-from walker_jax.walkers.model import Scalar, State, Walker
+from walker_jax.walkers.model import Phase, Scalar, State, Walker
 
 
-class MultibodyWalker(Walker):
-    """Walkers whose equations follow from where their masses are, by the general method.
+class MultibodyMotion(eqx.Module):
+    """Motion on the stance foot of a system of masses, by the general method.
 
-    The generalised coordinates are q = (u, v, theta, phi), with u and v those of the stance foot
-    along and normal to the slope: zero on the ground, held there between heel strikes, and free at
-    heel strike.
+    The generalised coordinates are q = (u, v, theta, phi), or (u, v) and those of a phase's state,
+    with u and v those of the stance foot along and normal to the slope: zero on the ground, and
+    held there.
     """
 
     @abc.abstractmethod
@@ -32,8 +34,41 @@ class MultibodyWalker(Walker):
         """Masses, the transfer function x = F(q) that says where they are, (1), and forces, (6)."""
 
     @abc.abstractmethod
+    def contacts(self, q: Float[Array, " q"]) -> Float[Array, " g"]:
+        """The contact function g(q), (11), of the impact at the end of the motion."""
+
+    def vector_field(self, state):
+        """(4), with u and v held."""
+        return SingleSupport(self)(state)
+
+    def contact_force(self, state):
+        """The forces dual to u and v that hold them, (4)."""
+        _, forces = accelerations_and_forces(self, state)
+        return forces[0], forces[1]
+
+    def energy(self, state: Any) -> Scalar:
+        """Kinetic energy, and potential energy of gravity, the stance foot at the origin."""
+        q, qdot = coordinates_and_rates(state)
+        system = self.system()
+        return multibody.kinetic_energy(system, q, qdot) + multibody.potential_energy(system, q)
+
+
+class MultibodyWalker(MultibodyMotion, Walker):
+    """Walkers whose equations follow from where their masses are, by the general method.
+
+    The foot that stood is free at heel strike.
+    """
+
+    @abc.abstractmethod
     def swing_foot(self, q: Float[Array, " 4"]) -> Float[Array, " 2"]:
         """The swing foot's coordinates, those that (u, v) are for the stance foot, (11)."""
+
+    def contacts(self, q):
+        return self.swing_foot(q)
+
+    def push_off_impulse(self, q: Float[Array, " 4"]) -> Float[Array, " 4"] | None:
+        """Impulse dual to q on the walker just before heel strike; by default there is none."""
+        return None
 
     def driven_by_gravity(self):
         """As long as there are no generalised forces, and `forces` are those of gravity."""
@@ -42,15 +77,6 @@ class MultibodyWalker(Walker):
         weights = (gravity(slope, system.masses, turns) for turns in range(count % 2, count + 1, 2))
         falls = any(np.allclose(system.forces, weight, rtol=1e-6, atol=0) for weight in weights)
         return system.generalised_forces is None and falls
-
-    def vector_field(self, state):
-        """(4), with u and v held."""
-        return SingleSupport(self)(state)
-
-    def contact_force(self, state):
-        """The forces dual to u and v that hold them, (4)."""
-        _, (Q_u, Q_v, _, _) = accelerations_and_forces(self, state)
-        return Q_u, Q_v
 
     def impact(self, state):
         """(17), without restitution."""
@@ -62,11 +88,22 @@ class MultibodyWalker(Walker):
         _, (rho_x, rho_y) = rates_and_impulses(self, state)
         return rho_x, rho_y
 
-    def energy(self, state: State) -> Scalar:
-        """Kinetic energy, and potential energy of gravity, the stance foot at the origin."""
-        q, qdot = coordinates_and_rates(state)
-        system = self.system()
-        return multibody.kinetic_energy(system, q, qdot) + multibody.potential_energy(system, q)
+
+class MultibodyPhase(MultibodyMotion, Phase):
+    """Phases whose equations follow from where the masses are, by the general method."""
+
+    @abc.abstractmethod
+    def closing(self, q: Float[Array, " q"]) -> Float[Array, " g"]:
+        """What is zero where the phase ends, and stays zero from then on."""
+
+    def contacts(self, q):
+        """The stance foot stays where it is."""
+        return jnp.concatenate([q[:2], self.closing(q)])
+
+    def rates_after(self, state: Any) -> list[Scalar]:
+        """Rates of the state's coordinates after the impact at its end, (17)."""
+        rates, _ = rates_and_impulses(self, state)
+        return rates[2:]
 
 
 def rises_ever_faster(walker: MultibodyWalker, state: State) -> Bool[Array, ""]:
@@ -83,7 +120,7 @@ def rises_ever_faster(walker: MultibodyWalker, state: State) -> Bool[Array, ""]:
 class SingleSupport(VirtualPower):
     """The equations of motion (2) of a walker whose stance foot is on the ground: u = v = 0."""
 
-    walker: MultibodyWalker
+    walker: MultibodyMotion
 
     def transfer(self, q):
         flat = lambda walker, q: list(walker.system().transfer(stance_coordinates(q)))
@@ -105,7 +142,7 @@ class SingleSupport(VirtualPower):
     def factorise(self, q):
         def flat(walker, q):
             matrix = multibody.mass_matrix(walker.system(), stance_coordinates(q))
-            return multibody.factorise(multibody.block(matrix, (2, 3)))
+            return multibody.factorise(multibody.block(matrix, range(2, 2 + len(q))))
 
         return unroll(flat)(self.walker, q)
 
@@ -113,20 +150,24 @@ class SingleSupport(VirtualPower):
         return multibody.solve_factored(factors, right)
 
 
-def stance_coordinates(legs: list[Scalar]) -> Float[Array, " 4"]:
-    """q = (u, v, theta, phi) from (theta, phi), the stance foot at the origin; or its rates."""
+def stance_coordinates(legs: list[Scalar]) -> Float[Array, " q"]:
+    """q = (u, v, theta, phi) from (theta, phi), the stance foot at the origin; or its rates.
+
+    Or q of a phase, from its coordinates.
+    """
     zero = jnp.zeros_like(legs[0])
     return jnp.stack([zero, zero, *legs])
 
 
-def coordinates_and_rates(state: State) -> tuple[Float[Array, " 4"], Float[Array, " 4"]]:
+def coordinates_and_rates(state: Any) -> tuple[Float[Array, " q"], Float[Array, " q"]]:
     """q and its rates."""
-    return stance_coordinates(list(state[:2])), stance_coordinates(list(state[2:]))
+    half = len(state) // 2
+    return stance_coordinates(list(state[:half])), stance_coordinates(list(state[half:]))
 
 
 @jax.jit
 def accelerations_and_forces(
-    walker: MultibodyWalker, state: State
+    walker: MultibodyMotion, state: Any
 ) -> tuple[list[Scalar], list[Scalar]]:
     """Accelerations, and the forces that hold u and v, of a walker on its stance foot, (4)."""
 
@@ -139,12 +180,14 @@ def accelerations_and_forces(
 
 
 @jax.jit
-def rates_and_impulses(walker: MultibodyWalker, state: State) -> tuple[list[Scalar], list[Scalar]]:
-    """Rates after heel strike, and impulses, (17)."""
+def rates_and_impulses(walker: MultibodyMotion, state: Any) -> tuple[list[Scalar], list[Scalar]]:
+    """Rates after the impact in which contacts close, and its impulses, (17)."""
 
     def equations(walker, state):
         q, qdot = coordinates_and_rates(state)
-        after = multibody.impact(walker.system(), walker.swing_foot, q, qdot)
+        if (impulse := walker.push_off_impulse(q)) is not None:
+            qdot = multibody.push(walker.system(), q, qdot, impulse)
+        after = multibody.impact(walker.system(), walker.contacts, q, qdot)
         return list(after.velocities), list(after.impulses)
 
     return unroll(equations)(walker, state)

@@ -13,6 +13,8 @@ A stride begins just after heel strike, on the Poincaré section, with both feet
 """
 
 import abc
+import dataclasses
+from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple, TypeGuard, TypeVar
 
 import equinox as eqx
@@ -37,8 +39,63 @@ class State(NamedTuple):
     phidot: Scalar
 
 
+Conditions = dict[str, Callable[[Any], Scalar]]
+"""Functions of the state, by the name of the `Outcome` of a stride in which one is negative."""
+
+
+class Phase(eqx.Module):
+    """A part of a stride before the swing: with constraints, and a state, of its own.
+
+    A state is a `NamedTuple` of scalars: the coordinates, then their rates in the same order. The
+    angle of the stance leg and its rate are called `theta` and `thetadot` in all of them.
+    """
+
+    walker: "Walker"
+
+    @abc.abstractmethod
+    def begin(self, state: State) -> Any:
+        """Its own state, from the `State` at the start of a stride: what it releases is at rest."""
+
+    @abc.abstractmethod
+    def vector_field(self, state: Any) -> Any:
+        """Time derivative of the state."""
+
+    @abc.abstractmethod
+    def contact_force(self, state: Any) -> tuple[Scalar, Scalar]:
+        """Force (Q_u, Q_v) of the ground on the stance foot, along and normal to the slope."""
+
+    @abc.abstractmethod
+    def event(self, state: Any) -> Scalar:
+        """What rises through zero where the phase ends, and is negative before."""
+
+    @abc.abstractmethod
+    def end(self, state: Any) -> Any:
+        """The state in which the next phase begins: a `State` if that is the swing.
+
+        It follows the impact in which constraints are made, or the release of others.
+        """
+
+    def clearance(self, state: Any) -> Scalar | None:
+        """Height of the swing foot above the slope, if it must not come down in this phase.
+
+        By default it may.
+        """
+        return None
+
+    def reach(self, state: Any) -> Scalar:
+        """How far the swing foot is ahead of the stance foot, along the slope."""
+        raise NotImplementedError
+
+    def conditions(self) -> Conditions:
+        """As those of the walker, which hold in the swing alone. By default there is none."""
+        return {}
+
+
 class Walker(eqx.Module):
-    """What a stride needs to know of a walker. Its fields are its parameters, scalars all."""
+    """What a stride needs to know of a walker. Its fields are its parameters, scalars all.
+
+    But for options, which are static.
+    """
 
     section: ClassVar[tuple[str, ...]]
     """Names of the coordinates of the Poincaré section."""
@@ -99,9 +156,13 @@ class Walker(eqx.Module):
         }
         return Grid(axes, np.array([[1, 0, 0], [-rate, rate, 0], [0, 0, rate]]))
 
+    def phases(self) -> tuple[Phase, ...]:
+        """The phases of a stride before its last, the swing, in order. By default there is none."""
+        return ()
+
     @abc.abstractmethod
     def vector_field(self, state: State) -> State:
-        """Time derivative of the state during a stride.
+        """Time derivative of the state during a stride, or its last phase.
 
         It may have kinks, such as the limits of a torque: a step of the integration ends where one
         is. Where it jumps within a stride, or just behind its end, the outcome is `UNDECIDED`.
@@ -110,6 +171,14 @@ class Walker(eqx.Module):
     @abc.abstractmethod
     def contact_force(self, state: State) -> tuple[Scalar, Scalar]:
         """Force (Q_u, Q_v) of the ground on the stance foot, along and normal to the slope."""
+
+    def during_stride(self, x: Float[Array, " section"]) -> "Walker":
+        """The walker as it is during the stride from x: its parameters may depend on the start.
+
+        That is feedback from stride to stride. By default a walker stays as it is. A stride from a
+        full state crosses no section, and is made with the parameters as they stand.
+        """
+        return self
 
     def driven_by_gravity(self) -> bool:
         """Whether gravity alone does work on the walker, so that a step loses what the slope gives.
@@ -126,6 +195,10 @@ class Walker(eqx.Module):
         """
         return jnp.zeros_like(state.theta, bool)
 
+    def conditions(self) -> Conditions:
+        """What else must not be negative up to heel strike: by default only the force Q_v."""
+        return {}
+
     @abc.abstractmethod
     def impact(self, state: State) -> tuple[tuple[Scalar, Scalar], State]:
         """Velocity (u, v) of the trailing foot and the state, legs not yet exchanged, after impact.
@@ -133,6 +206,13 @@ class Walker(eqx.Module):
         The state is that at heel strike, before the impact. With the legs exchanged, the state
         after it must be on the section: `WrongUse` at construction otherwise.
         """
+
+    def push(self, state: State, change: Scalar) -> State:
+        """The state just after heel strike with thetadot changed by a push forward or back.
+
+        The section's other coordinates stay as they are.
+        """
+        return state._replace(thetadot=state.thetadot + change)
 
     def contact(self, state: State) -> Scalar:
         """Contact coordinate h = phi - 2 theta: zero when both feet are on the slope.
@@ -151,10 +231,23 @@ class Walker(eqx.Module):
     def reach(self, state: State) -> Scalar:
         """How far the swing foot is ahead of the stance foot, along the slope, in that unit."""
 
+    def bent_leg(self, state: Any) -> Float[Array, "2 2"] | None:
+        """Places of the swing knee and of the leg's end, from the hip, for pictures.
+
+        The state is one of the first phase. By default legs are drawn straight.
+        """
+        return None
+
     def exchange_legs(self, state: State) -> State:
         """The state with the swing leg as the new stance leg, (21) and its time derivative."""
         theta, phi, thetadot, phidot = state
         return State(theta - phi, -phi, thetadot - phidot, -phidot)
+
+
+def numbers_of(walker: Walker) -> dict[str, Any]:
+    """The parameters of a walker, by name: its fields but for options, which are static."""
+    options = {one.name for one in dataclasses.fields(walker) if one.metadata.get("static")}
+    return {name: value for name, value in vars(walker).items() if name not in options}
 
 
 SAMPLE_POINT = {"theta": 0.3, "thetadot": -0.5, "phidot": -0.2}
@@ -168,7 +261,7 @@ EQUATIONS_OF_MOTION = ("vector_field", "system")
 PREMISES = {
     "force_least_at_ends": (*EQUATIONS_OF_MOTION, "contact_force"),
     "inverted_pendulum": EQUATIONS_OF_MOTION,
-    "driven_by_gravity": ("vector_field", "impact"),
+    "driven_by_gravity": ("vector_field", "impact", "during_stride"),
     "past_contact": (*EQUATIONS_OF_MOTION, "contact", "swing_foot"),
     "gait_region": (*EQUATIONS_OF_MOTION, "contact", "swing_foot", "impact", "lift", "project"),
 }

@@ -2,7 +2,7 @@
 
 import dataclasses
 import inspect
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -12,7 +12,9 @@ from jax.core import Tracer
 from jax.typing import ArrayLike
 
 from walker_jax.checks import WrongUse, check_kind, short
-from walker_jax.walkers.model import Scalar, Walker
+from walker_jax.walkers.model import Scalar, Walker, numbers_of
+
+Described = TypeVar("Described")
 
 
 class Parameter(NamedTuple):
@@ -60,15 +62,49 @@ class Parameter(NamedTuple):
 
 def parameters(walker: type[Walker] | Walker) -> tuple[Parameter, ...]:
     """The described parameters of a walker, in the order of its constructor's arguments."""
+    return described_by(walker, Parameter)
+
+
+def described_by(walker: type[Walker] | Walker, kind: type[Described]) -> tuple[Described, ...]:
+    """What describes the fields of a walker, of one kind."""
     converters = (field.metadata.get("converter") for field in dataclasses.fields(walker))
     described = (getattr(converter, "__self__", None) for converter in converters)
-    return tuple(one for one in described if isinstance(one, Parameter))
+    return tuple(one for one in described if isinstance(one, kind))
+
+
+class Option(NamedTuple):
+    """What a walker's strides are checked for, or not: a static field."""
+
+    name: str
+    meaning: str
+
+    def convert(self, value: bool) -> bool:
+        """The value. Raises `ValueError` for one that is not true or false."""
+        check_kind(self.name, value, bool)
+        return bool(value)
+
+
+def options(walker: type[Walker] | Walker) -> tuple[Option, ...]:
+    """The options of a walker, in the order of its constructor's arguments."""
+    return described_by(walker, Option)
+
+
+def chosen_options(walker: Walker) -> tuple[str, ...]:
+    """The names of the options of a walker that are on."""
+    return tuple(one.name for one in options(walker) if getattr(walker, one.name))
 
 
 def describe_walker(walker: Walker) -> dict[str, Any]:
-    """The name and the parameters of a walker, for a request or an answer."""
+    """The name and the parameters of a walker, and its options that are on, for a request."""
     values = {one.name: float(getattr(walker, one.name)) for one in parameters(walker)}
-    return {"name": type(walker).__name__, **values}
+    return {"name": type(walker).__name__, **values, **dict.fromkeys(chosen_options(walker), True)}
+
+
+def attributes_of(walker: Walker, *, without: str | None = None) -> dict[str, Any]:
+    """The parameters of a walker, and its options that are on, as attributes of a data set."""
+    values = {name: float(value) for name, value in numbers_of(walker).items() if name != without}
+    values |= dict.fromkeys(chosen_options(walker), 1)
+    return {f"walker_{name}": value for name, value in values.items()}
 
 
 def describe_in_words(walker: Walker) -> str:
@@ -100,8 +136,8 @@ SLOPE = Parameter("slope", "of the ground", "rad", 0.004, high=np.pi / 2)
 def check_parameter(walker: Walker, parameter: str, *values: float) -> None:
     """Refuse a parameter that the walker does not have, and values that its constructor refuses."""
     check_kind("walker", walker, Walker)
-    if not isinstance(parameter, str) or parameter not in vars(walker):
-        names = ", ".join(vars(walker))
+    if not isinstance(parameter, str) or parameter not in numbers_of(walker):
+        names = ", ".join(numbers_of(walker))
         raise WrongUse(f"parameter must be one of the walker's, {names}, not {short(parameter)}")
     if set(vars(walker)) <= set(inspect.signature(type(walker)).parameters):
         for value in values:

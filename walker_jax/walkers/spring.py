@@ -60,5 +60,5 @@ class SpringWalker(AbstractMasslessFootWalker):
         theta, phi, thetadot, phidot = state
         angle = theta - self.slope
         thetaddot = jnp.sin(angle)
-        swing = jnp.sin(phi) * (thetadot**2 - jnp.cos(angle)) - self.hip_stiffness * phi
-        return State(thetadot, phidot, thetaddot, swing + thetaddot)
+        phiddot = jnp.sin(phi) * (thetadot**2 - jnp.cos(angle)) + thetaddot
+        return State(thetadot, phidot, thetaddot, phiddot - self.hip_stiffness * phi)

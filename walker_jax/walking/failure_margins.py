@@ -5,7 +5,7 @@ zero on the boundary to a failure. The first failure on a stride's way decides i
 margin is negative; those of what was passed before are positive; what never came up has NaN.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,13 +16,10 @@ from jaxtyping import Array, Bool, Float
 
 from walker_jax.checks import refuses_tracers
 from walker_jax.integrators.roots import (
-    Instant,
-    bracketed_newton,
     derivative_of,
     differentiable_zero,
     first_upcrossing,
     interior_minimum,
-    negate,
     polynomial_jet,
 )
 from walker_jax.integrators.series import evaluate_polynomial
@@ -38,8 +35,17 @@ from walker_jax.kernels import by_kernel
 from walker_jax.walkers.model import Scalar, State, Walker, toppling_rate
 from walker_jax.walking.iteration import for_each_start
 from walker_jax.walking.outcomes import Outcome, Stride
-from walker_jax.walking.stepping import begin_stride, end_stride, on_section, prepare
-from walker_jax.walking.swing import equations, minimum_force
+from walker_jax.walking.phase_margins import (
+    Least,
+    PhaseMargins,
+    follow_phase_margins,
+    least_speed,
+    least_with,
+    missing_speed,
+    upcrossing,
+)
+from walker_jax.walking.stepping import begin_stride, during_stride, end_stride, on_section, prepare
+from walker_jax.walking.swing import conditions_of, equations, minimum_of, normal_force
 
 
 class Margins(NamedTuple):
@@ -62,6 +68,14 @@ class Margins(NamedTuple):
     """The least contact force Q_v up to heel strike; or that at the start, where it is negative."""
     stopping: Float[Array, "*cells"]
     """Velocity v of the trailing foot after the impact."""
+    landing: Float[Array, "*cells"]
+    """Least height of a foot that must not come down, in front while the knee is bent, and where
+    the knee strikes. Where it comes down, minus its depth where it turns, or where the knee
+    strikes; or minus by how much it came down in front or past theta = 0, where that is less."""
+    buckling: Float[Array, "*cells"]
+    """The least moment that presses the stance knee on its stop, up to heel strike."""
+    scuffing: Float[Array, "*cells"]
+    """The least height of the bent leg's foot, up to heel strike."""
 
 
 def margins(
@@ -94,6 +108,9 @@ def failure_margin(found: Margins) -> Scalar:
         Outcome.FORWARD: found.forward,
         Outcome.RUNNING: found.running,
         Outcome.STOPPED: found.stopping,
+        Outcome.BENT_KNEE: found.landing,
+        Outcome.BUCKLED: found.buckling,
+        Outcome.SCUFFED: found.scuffing,
     }
     by = jnp.full_like(found.backward, jnp.nan)
     for outcome, margin in ways.items():
@@ -119,7 +136,8 @@ class MarginState(NamedTuple):
     otherwise: Scalar
     """-h where the legs first passed each other, or the stance leg was down before that; minus
     infinity if neither has been."""
-    running: Scalar
+    least: Least
+    """Of the conditions, the contact force the first, by outcomes."""
     arrival: State
     """That at heel strike, if there is one."""
     below: Array
@@ -130,13 +148,15 @@ class MarginState(NamedTuple):
 def follow_margins(
     walker: Walker, x: Float[Array, " coordinates"], tolerance: Float[Array, ""]
 ) -> Margins:
+    walker = during_stride(walker, x)
     start, verdict = with_fast_sincos(begin_stride)(walker, x)
     field = equations(walker)
     order = series_order(start)
     rate = with_fast_sincos(toppling_rate)(walker)
-
-    def contact_force(state: State) -> Scalar:
-        return with_fast_sincos(lambda walker, state: walker.contact_force(state)[1])(walker, state)
+    before = first_margins(walker, start, verdict, tolerance)
+    watched = conditions_of(walker)
+    if walker.force_least_at_ends:
+        del watched[Outcome.RUNNING]
 
     def undecided(now: MarginState):
         going = (now.verdict == Outcome.UNDECIDED) & (now.count < MAX_STEPS)
@@ -189,21 +209,17 @@ def follow_margins(
         otherwise = jnp.where(passes & unknown, -evaluate_polynomial(h, passing), otherwise)
 
         # the stance leg
-        speed = derivative_of(series.theta)
-        slowing = interior_minimum(negate(polynomial_jet(speed)), length)
         until = jnp.where(strikes, when, length)
-        counts = slowing.exists & (slowing.time < until)
-        left = evaluate_polynomial(speed, slowing.time) ** 2 / 2
-        backward = jnp.where(counts, jnp.minimum(now.backward, left), now.backward)
-        _, stop = upcrossing(speed, length)
-        missing = -((evaluate_polynomial(derivative_of(speed), stop) / rate) ** 2) / 2
+        backward = least_speed(series.theta, length, until, now.backward)
+        missing = missing_speed(series.theta, length, rate)
         backward = jnp.where(verdict == Outcome.BACKWARD, missing, backward)
 
         # the force
-        running = now.running
-        if not walker.force_least_at_ends:
-            other = jax.tree.map(lambda a, b: jnp.where(strikes, a, b), arrival, after)
-            at, value = minimum_force(
+        least = dict(now.least)
+        other = jax.tree.map(lambda a, b: jnp.where(strikes, a, b), arrival, after)
+        for outcome, condition in watched.items():
+            at, value = minimum_of(
+                condition,
                 walker,
                 now.state,
                 other,
@@ -211,10 +227,9 @@ def follow_margins(
                 until,
                 resolution=1e-9,
             )
-            value = jnp.where(
-                jnp.isfinite(value), contact_force(evaluate_series(series, at)), value
-            )
-            running = jnp.minimum(running, value)
+            there = with_fast_sincos(condition)(walker, evaluate_series(series, at))
+            value = jnp.where(jnp.isfinite(value), there, value)
+            least[outcome] = jnp.minimum(least[outcome], value)
         return MarginState(
             after,
             now.time + jnp.where(strikes, when, length),
@@ -225,30 +240,44 @@ def follow_margins(
             missed,
             slowest,
             otherwise,
-            running,
+            least,
             arrival,
             below,
         )
 
+    infinite = jnp.full_like(rate, jnp.inf)
     first = MarginState(
-        state=start,
-        time=jnp.zeros_like(rate),
-        verdict=verdict,
+        state=before.state,
+        time=before.time,
+        verdict=before.verdict,
         count=jnp.asarray(0),
-        backward=jnp.full_like(rate, jnp.inf),
-        dip=jnp.full_like(rate, -jnp.inf),
-        missed=jnp.full_like(rate, -jnp.inf),
-        slowest=jnp.full_like(rate, -jnp.inf),
-        otherwise=jnp.full_like(rate, -jnp.inf),
-        running=contact_force(start),
-        arrival=start,
-        below=with_fast_sincos(is_below)(walker, start),
+        backward=before.backward,
+        dip=-infinite,
+        missed=-infinite,
+        slowest=-infinite,
+        otherwise=-infinite,
+        least=before.least,
+        arrival=before.state,
+        below=with_fast_sincos(is_below)(walker, before.state),
     )
     last = lax.while_loop(undecided, advance, first)
-    stride = with_fast_sincos(end_stride)(
-        walker, last.arrival, last.time, last.verdict, last.running < 0
+    broken = {outcome: least < 0 for outcome, least in last.least.items()}
+    stride = with_fast_sincos(end_stride)(walker, last.arrival, last.time, last.verdict, broken)
+    found = with_fast_sincos(margins_from)(walker, before, last, stride.outcome)
+    return Margins(stride, *found)
+
+
+def first_margins(walker: Walker, start: Any, verdict: Array, tolerance: Scalar) -> PhaseMargins:
+    """The margins of all phases before the swing; those at the start, where there is none."""
+    if walker.phases():
+        return follow_phase_margins(walker, start, verdict, tolerance)
+    infinite = jnp.full_like(start.theta, jnp.inf)
+    force = with_fast_sincos(normal_force)(walker, start)
+    least = {int(Outcome.RUNNING): force} | least_with(walker, start, {}, jnp.asarray(True))
+    stopped = jnp.where(verdict == Outcome.BACKWARD, -(start.thetadot**2) / 2, infinite)
+    return PhaseMargins(
+        start, jnp.zeros_like(infinite), verdict, stopped, -infinite, infinite, least
     )
-    return Margins(stride, *with_fast_sincos(margins_from)(walker, first, last, stride.outcome))
 
 
 def is_below(walker: Walker, state: State) -> Bool[Array, ""]:
@@ -256,16 +285,16 @@ def is_below(walker: Walker, state: State) -> Bool[Array, ""]:
 
 
 def margins_from(
-    walker: Walker, first: MarginState, last: MarginState, outcome: Array
-) -> tuple[Scalar, Scalar, Scalar, Scalar]:
-    """The margins, in their order, from what was seen during a stride."""
+    walker: Walker, before: PhaseMargins, last: MarginState, outcome: Array
+) -> tuple[Scalar, ...]:
+    """The margins, in their order, from what was seen before the swing and in it."""
     (_, lift), after = walker.impact(last.arrival)
     following = walker.exchange_legs(after).thetadot
     struck = last.verdict == Outcome.STRIDE
     strode, none = outcome == Outcome.STRIDE, jnp.full_like(lift, jnp.nan)
-    start = first.state
+    start = before.state
 
-    if walker.inverted_pendulum:
+    if walker.inverted_pendulum and not walker.phases():
         slope = vars(walker)["slope"]
         energy = start.thetadot**2 / 2 + jnp.cos(start.theta - slope) - 1
         backward = jnp.where(start.theta > slope, energy, none)
@@ -274,19 +303,29 @@ def margins_from(
         backward = jnp.where(jnp.isfinite(backward), backward, none)
     turned_back = struck & (outcome == Outcome.BACKWARD)
     backward = jnp.where(turned_back, -(following**2) / 2, backward)
-    backward = jnp.where(first.verdict == Outcome.BACKWARD, -(start.thetadot**2) / 2, backward)
+    backward = jnp.where(before.verdict == Outcome.BACKWARD, before.backward, backward)
 
     ahead = -last.arrival.theta
     passed = jnp.where(last.dip > 0, jnp.minimum(last.dip, ahead), ahead)
     otherwise = jnp.where(last.slowest > -jnp.inf, last.slowest, last.otherwise)
     missed = jnp.where(last.missed > -jnp.inf, last.missed, -jnp.abs(otherwise))
+    missed = jnp.where(before.verdict == Outcome.FORWARD, before.forward, missed)
     forward = jnp.where(struck, passed, jnp.where(outcome == Outcome.FORWARD, missed, none))
 
-    pulled = first.verdict == Outcome.RUNNING
-    force = jnp.minimum(last.running, walker.contact_force(last.arrival)[1])
-    running = jnp.where(struck, force, jnp.where(pulled, first.running, none))
+    pulled = before.verdict == Outcome.RUNNING
+    at_strike = {key: each(walker, last.arrival) for key, each in conditions_of(walker).items()}
+
+    def least(of: Outcome) -> Scalar:
+        """The least value of a condition, where it counts."""
+        if of not in last.least:
+            return none
+        value = jnp.minimum(last.least[of], at_strike.get(of, jnp.inf))
+        return jnp.where(struck & jnp.isfinite(value), value, none)
+
+    running = jnp.where(pulled, before.least[Outcome.RUNNING], least(Outcome.RUNNING))
     landed = struck & (outcome != Outcome.RUNNING)
     stopping = jnp.where(landed, lift, none)
+    landing = jnp.where(jnp.isfinite(before.landing), before.landing, none)
 
     began = (outcome != Outcome.OUTSIDE) & (outcome != Outcome.UNDECIDED)
     keep = lambda margin, came: jnp.where(began & came, margin, none)
@@ -295,17 +334,7 @@ def margins_from(
         keep(forward, ~pulled),
         keep(running, True),
         keep(stopping, True),
-    )
-
-
-def upcrossing(series: list[Scalar], length: Scalar) -> Instant:
-    """Where a polynomial is zero that is negative at the start of a step, and not at its end."""
-    fixed, length = lax.stop_gradient((series, length))
-    exists = (fixed[0] < 0) & (evaluate_polynomial(fixed, length) >= 0)
-    slope = derivative_of(fixed)
-    jet = lambda t: (evaluate_polynomial(fixed, t), evaluate_polynomial(slope, t))
-    zero = jnp.zeros_like(length)
-    return Instant(
-        exists,
-        differentiable_zero(series, bracketed_newton(jet, zero, jnp.where(exists, length, zero))),
+        keep(landing, True),
+        keep(least(Outcome.BUCKLED), True),
+        keep(least(Outcome.SCUFFED), True),
     )

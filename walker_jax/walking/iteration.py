@@ -14,16 +14,24 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.core import Tracer
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
 from walker_jax.checks import WrongUse, array, check_kind, check_whole, refuses_tracers
 from walker_jax.execution.tiles import map_cells
 from walker_jax.integrators.solvers import AnySolver, Real, default_tolerance, using_solver
-from walker_jax.walkers.model import State, Walker
+from walker_jax.walkers.model import Walker, numbers_of
 from walker_jax.walkers.parameters import parameters
 from walker_jax.walking.outcomes import Outcome, Stride, Walk
-from walker_jax.walking.stepping import follow_stride, prepare
+from walker_jax.walking.stepping import (
+    as_floating,
+    follow_step,
+    follow_stride,
+    full_state,
+    prepare,
+    state_kinds,
+)
 
 ROUNDS = 4, 16, 64
 """Strides of the first rounds of an iteration, and of all later ones; only unfinished walks enter
@@ -87,11 +95,12 @@ def for_each_start(
         raise WrongUse(f"xs must be real numbers, not of type {xs.dtype}")
     if xs.ndim != 2:
         raise WrongUse(f"xs must have shape (n, coordinates), not {xs.shape}")
-    sizes = len(walker.section), len(State._fields)
+    sizes = len(walker.section), *(len(kind._fields) for kind in state_kinds(walker))
     if xs.shape[1] not in sizes:
+        full = " or ".join(f"(n, {size})" for size in sizes[1:])
         raise WrongUse(
             f"xs must have shape (n, {sizes[0]}), on the section {walker.section}, or "
-            f"(n, {sizes[1]}), full states, not {xs.shape}"
+            f"{full}, full states, not {xs.shape}"
         )
     dtype = xs.dtype if np.issubdtype(xs.dtype, np.floating) else float
     xs = xs.astype(jax.dtypes.canonicalize_dtype(dtype), copy=False)
@@ -126,7 +135,7 @@ def select_walkers(walker: Walker, indices: Int[np.ndarray, " m"]) -> Walker:
 
 def check_parameter_arrays(walker: Walker, n: int) -> None:
     """Refuse parameters that are neither one number nor n, or that a constructor refuses."""
-    for name, values in vars(walker).items():
+    for name, values in numbers_of(walker).items():
         if np.shape(values) not in ((), (n,)):
             raise WrongUse(f"{name} must be one number or {n}, not of shape {np.shape(values)}")
     for one in parameters(walker):
@@ -140,16 +149,29 @@ def walk(
     x: Float[ArrayLike, " section"],
     n: int,
     *,
+    ground: Float[ArrayLike, " n"] | None = None,
     tolerance: Real | None = None,
     solver: AnySolver | None = None,
 ) -> Walk:
-    """n strides, one after the other, from x on the section. As `stride` otherwise."""
+    """n strides, one after the other, from x on the section. As `stride` otherwise.
+
+    `ground` makes it rough: the `step` of each stride, the height of its foothold above the one
+    before. Then states are full ones, just after heel strike.
+    """
     check_whole("n", n)
     walker, x, tolerance = prepare(walker, x, tolerance)
     if x.shape != (len(walker.section),):
         raise WrongUse(f"x must be on the section {walker.section}, not of shape {x.shape}")
+    if ground is None:
+        with using_solver(solver):
+            return follow_walk(walker, x, n, tolerance)
+    steps = as_floating(ground, "ground").astype(x.dtype)
+    if steps.shape != (n,):
+        raise WrongUse(f"ground must be {n} heights, of shape ({n},), not {steps.shape}")
+    if not isinstance(steps, Tracer) and not np.isfinite(np.asarray(steps)).all():
+        raise WrongUse("ground must be finite heights")
     with using_solver(solver):
-        return follow_walk(walker, x, n, tolerance)
+        return follow_rough_walk(walker, x, steps, tolerance)
 
 
 @partial(jax.jit, static_argnums=2)
@@ -165,6 +187,28 @@ def follow_walk(
     first = (x, jnp.asarray(Outcome.STRIDE, jnp.int8))
     _, (states, outcomes, times) = lax.scan(follow, first, length=n)
     return Walk(jnp.concatenate([x[None], states]), outcomes, times)
+
+
+@jax.jit
+def follow_rough_walk(
+    walker: Walker,
+    x: Float[Array, " section"],
+    ground: Float[Array, " n"],
+    tolerance: Float[Array, ""],
+) -> Walk:
+    """Strides, each onto its own height above the last."""
+
+    def follow(carry, step):
+        x, fate = carry
+        result = follow_step(walker, x, step, tolerance)
+        fate = jnp.where(fate == Outcome.STRIDE, result.outcome, fate)
+        return (result.state, fate), (result.state, fate, result.time)
+
+    start = jnp.stack(full_state(walker, x))
+    feasible = jnp.where(walker.feasible(x), Outcome.STRIDE, Outcome.OUTSIDE).astype(jnp.int8)
+    begun = jnp.where(feasible == Outcome.STRIDE, start, jnp.nan)
+    _, (states, outcomes, times) = lax.scan(follow, (begun, feasible), ground)
+    return Walk(jnp.concatenate([start[None], states]), outcomes, times)
 
 
 def walk_on(

@@ -4,7 +4,9 @@ For pictures and films. Places are along the slope and normal to it, from where 
 the first stride is when its leg is upright.
 """
 
+from functools import partial
 from importlib.metadata import version
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,9 +17,11 @@ from jaxtyping import Bool, Float
 
 from walker_jax.checks import WrongUse, check_number, check_whole, refuses_tracers
 from walker_jax.walkers.model import State, Walker
+from walker_jax.walkers.parameters import attributes_of
 from walker_jax.walking.iteration import walk
 from walker_jax.walking.outcomes import Outcome
-from walker_jax.walking.stepping import trajectory
+from walker_jax.walking.phases import in_front, starts_under
+from walker_jax.walking.stepping import phase_times, trajectory
 from walker_jax.walking.swing import in_tension
 
 FALL_TIME = 40.0
@@ -47,8 +51,9 @@ def motion(
     - `step`: of time.
 
     **Returns** a data set, over `frame`: `time`; `stride`, its number, from 0; `theta`, `phi`,
-    `thetadot` and `phidot`; and, over `axis` too, the places of the `hip`, and of the ends of the
-    legs, `stance` and `swing`, which are centres of the feet's arcs where the feet are round. Over
+    `thetadot` and `phidot`, and what else a state of the stride's first phase has, such as `knee`;
+    and, over `axis` too, the places of the `hip`, of the ends of the legs, `stance` and `swing`,
+    which are centres of the feet's arcs where the feet are round, and of a `swing_knee`. Over
     `start`: `states`, those on the section, the one after the last stride too. Over `made`:
     `outcome` of each stride, a failure at most the last, and its `duration`, NaN if it failed.
     Attributes `leg_length`, to the end of the leg, and `foot_radius` are the sizes in which to draw
@@ -78,19 +83,22 @@ def motion(
         states = trajectory(walker, starts[k], times, tolerance=tolerance)
         states = jax.tree.map(np.asarray, states)
         if failed[k]:
-            over = is_over(walker, states, Outcome(int(outcomes[k])))
+            swings = times >= swing_begins(walker, starts[k], tolerance)
+            over = is_over(walker, states, swings, Outcome(int(outcomes[k])))
             end = max(1, int(over.argmax())) if over.any() else len(over)
             states = jax.tree.map(lambda values, end=end: values[:end], states)
         parts.append(states)
-        places.append(leg_positions(states, foot, length, radius))
-        foot += float(walker.reach(jax.tree.map(lambda values: jnp.asarray(values[-1]), states)))
+        places.append(leg_positions(walker, states, foot, length, radius))
+        last = jax.tree.map(lambda values: jnp.asarray(values[-1]), legs(states))
+        foot += float(walker.reach(last))
 
     sizes = [len(states.theta) for states in parts]
     begins = np.concatenate([[0.0], np.cumsum(durations[:-1])])
     spread = [begins[k] + np.linspace(0, durations[k], n) for k, n in enumerate(sizes)]
     if failed[count - 1]:
         spread[-1] = begins[-1] + fall / (frames[count - 1] - 1) * np.arange(sizes[-1])
-    joined = {name: np.concatenate([getattr(s, name) for s in parts]) for name in State._fields}
+    joined = {name: np.concatenate([getattr(s, name) for s in parts]) for name in parts[0]._fields}
+    joints = ("stance", "hip", "swing", "swing_knee")[: len(places[0])]
     return xr.Dataset(
         {
             "time": ("frame", np.concatenate(spread)),
@@ -98,7 +106,7 @@ def motion(
             **{name: ("frame", values) for name, values in joined.items()},
             **{
                 name: (("frame", "axis"), np.concatenate([one[i] for one in places]))
-                for i, name in enumerate(("stance", "hip", "swing"))
+                for i, name in enumerate(joints)
             },
             "states": (("start", "coordinate"), starts),
             "outcome": ("made", outcomes),
@@ -106,7 +114,7 @@ def motion(
         },
         attrs={
             "walker": type(walker).__name__,
-            **{f"walker_{name}": float(value) for name, value in vars(walker).items()},
+            **attributes_of(walker),
             "section": list(walker.section),
             "leg_length": length,
             "foot_radius": radius,
@@ -127,24 +135,51 @@ def leg_shape(walker: Walker) -> tuple[float, float]:
     return float(length), max(0.0, round(float(radius), 12))
 
 
+def legs(states: Any) -> State:
+    """Angles and rates of the legs, of states of any phase."""
+    return State(*(getattr(states, name) for name in State._fields))
+
+
 def leg_positions(
-    states: State, foot: float, length: float, radius: float
+    walker: Walker, states: Any, foot: float, length: float, radius: float
 ) -> tuple[Float[np.ndarray, "frames 2"], ...]:
-    """Stance foot, hip and swing foot; of round feet, the arcs' centres."""
+    """Stance foot, hip and swing foot; of round feet, the arcs' centres. And a swing knee."""
     along = lambda angle: np.stack([-np.sin(angle), np.cos(angle)], axis=1)
     theta, phi = np.asarray(states.theta), np.asarray(states.phi)
     stance = np.stack([foot - radius * theta, np.full(len(theta), radius)], axis=1)
     hip = stance + length * along(theta)
-    return stance, hip, hip - length * along(theta - phi)
+    bent = jax.vmap(walker.bent_leg)(jax.tree.map(jnp.asarray, states))
+    if bent is None:
+        return stance, hip, hip - length * along(theta - phi)
+    knee, end = np.moveaxis(np.asarray(bent), 1, 0)
+    return stance, hip, hip + end, hip + knee
 
 
-def is_over(walker: Walker, states: State, outcome: Outcome) -> Bool[np.ndarray, " frames"]:
+def swing_begins(
+    walker: Walker, x: Float[np.ndarray, " section"], tolerance: float | None
+) -> float:
+    """When the swing begins in a stride; infinity if the walker falls before."""
+    times = np.asarray(phase_times(walker, x, tolerance=tolerance))
+    if len(times) == 1:
+        return 0.0
+    return float(np.nan_to_num(times[-2], nan=np.inf))
+
+
+def is_over(
+    walker: Walker, states: Any, swings: Bool[np.ndarray, " frames"], outcome: Outcome
+) -> Bool[np.ndarray, " frames"]:
     """Whether a stride that fails is over: on the ground, at heel strike, or in the air."""
-    each = jax.tree.map(jnp.asarray, states)
-    theta, phi, thetadot, _ = map(np.asarray, states)
-    h = np.asarray(jax.vmap(walker.contact)(each))
+    phases = walker.phases()
+    swing, each = (jax.tree.map(jnp.asarray, one) for one in (legs(states), states))
+    theta, phi, thetadot, _ = map(np.asarray, swing)
+    h = np.asarray(jax.vmap(walker.contact)(swing))
     strikes = (h > 0) & (np.roll(h, 1) <= 0) & (theta < 0) & (phi < 0) & (thetadot < 0)
-    over = strikes | (np.abs(theta) >= np.pi / 2)
+    over = (strikes & swings) | (np.abs(theta) >= np.pi / 2)
     if outcome == Outcome.RUNNING:
-        over |= np.asarray(jax.vmap(lambda state: in_tension(walker, state))(each))
+        over |= swings & np.asarray(jax.vmap(partial(in_tension, walker))(swing))
+        if phases:
+            over |= ~swings & np.asarray(jax.vmap(partial(in_tension, phases[0]))(each))
+    if outcome == Outcome.BENT_KNEE:
+        lands = lambda state: starts_under(phases[0], state) & in_front(phases[0], state)
+        over |= ~swings & np.asarray(jax.vmap(lands)(each))
     return over

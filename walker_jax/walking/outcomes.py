@@ -25,6 +25,14 @@ class Outcome(enum.IntEnum):
     """The integration gave no answer."""
     LEFT_GRID = 7
     """Cell mapping only: the stride ended outside the grid."""
+    BENT_KNEE = 8
+    """The swing foot comes down in front of the stance foot while the knee is bent."""
+    BUCKLED = 9
+    """The stance knee would have had to push against bending, in a stride that reaches heel strike;
+    only where that is checked."""
+    SCUFFED = 10
+    """The bent leg's foot was below the ground, in a stride that reaches heel strike; only where
+    that is checked."""
 
 
 class Stride(NamedTuple):
@@ -41,8 +49,8 @@ class Stride(NamedTuple):
 class Walk(NamedTuple):
     """What a number of strides leads to. Nothing follows a failure: later states are NaN."""
 
-    states: Float[Array, "strides+1 section"]
-    """Start of each stride, and of the one after the last."""
+    states: Float[Array, "strides+1 coordinates"]
+    """Start of each stride, and of the one after the last; full states on rough ground."""
     outcomes: Int[Array, " strides"]
     """`Outcome` of each stride; that of the failure from there on."""
     times: Float[Array, " strides"]

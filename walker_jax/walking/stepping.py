@@ -1,5 +1,6 @@
 """The stride function: from one heel strike to the next (Schwab and Wisse 2001, section 3.3)."""
 
+from functools import partial
 from typing import Any
 
 import diffrax
@@ -9,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jax.typing import ArrayLike
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from walker_jax.checks import WrongUse, check_kind, check_number, short
 from walker_jax.integrators.solvers import (
@@ -22,16 +23,33 @@ from walker_jax.integrators.solvers import (
 )
 from walker_jax.integrators.taylor import with_fast_sincos
 from walker_jax.kernels import by_kernel
-from walker_jax.walkers.masses import MultibodyWalker
-from walker_jax.walkers.model import Scalar, State, Walker
+from walker_jax.walkers.masses import MultibodyMotion
+from walker_jax.walkers.model import Phase, Scalar, State, Walker, numbers_of
 from walker_jax.walking.outcomes import Outcome, Stride
-from walker_jax.walking.swing import equations, in_tension, swing
+from walker_jax.walking.phases import (
+    follow_phase,
+    follow_phases,
+    follow_to_heel_strike,
+    follow_to_swing,
+    is_over,
+    merge_broken,
+)
+from walker_jax.walking.swing import (
+    Broken,
+    broken_at,
+    conditions_of,
+    equations,
+    in_tension,
+    is_broken,
+    swing,
+)
 
 
 def stride(
     walker: Walker,
     x: Float[ArrayLike, " coordinates"],
     *,
+    step: Real | None = None,
     tolerance: Real | None = None,
     solver: AnySolver | None = None,
 ) -> Stride:
@@ -47,6 +65,12 @@ def stride(
     - `x`: the start, on the walker's section just after heel strike; or a full state
       (theta, phi, thetadot, phidot), for a launch or after a push. That is feasible where it is
       finite and the stance leg stands, |theta| < pi/2.
+    - `step`: height of the next foothold above the present one, normal to the slope, in the unit of
+      length; negative for a step down. The swing foot comes down there ahead of the other; where it
+      does not rise as high, the walker falls. The result's state is then a full one, just after
+      heel strike and off the section, as the foot that stood is lower or higher. `stride` takes it
+      from there, on a slope through the foot that stands now, with a `step` or without. By default
+      the ground is even.
     - `tolerance`: of one integration step: of its last Taylor terms, relative to the state or its
       rate (`integrators.solvers.step_length`), or of the error that another solver estimates. By
       default 1e-12 in float64 and 1e-6 in float32. The error of a stride is larger by as much as
@@ -57,8 +81,20 @@ def stride(
     **Returns** a `Stride`. A failure is an `Outcome`. `ValueError` for a wrong shape or dtype, and
     for a tolerance that the dtype cannot hold.
     """
+    walker, x, tolerance = prepare(walker, x, tolerance)
     with using_solver(solver):
-        return follow_stride(*prepare(walker, x, tolerance))
+        if step is None:
+            return follow_stride(walker, x, tolerance)
+        return follow_step(walker, x, height_of_step(step, x.dtype), tolerance)
+
+
+def height_of_step(step: Any, dtype) -> Float[Array, ""]:
+    """A step's height, checked."""
+    if not isinstance(step, Tracer):
+        check_number("step", step)
+        if not np.isfinite(step):
+            raise WrongUse(f"step must be one finite number, not {short(step)}")
+    return jnp.asarray(step, dtype)
 
 
 def prepare(
@@ -66,14 +102,15 @@ def prepare(
 ) -> tuple[Walker, Float[Array, " coordinates"], Float[Array, ""]]:
     """Walker, start and tolerance, checked, in the dtype of the start."""
     check_kind("walker", walker, Walker)
-    for name, value in vars(walker).items():
+    for name, value in numbers_of(walker).items():
         if np.shape(value):
             raise WrongUse(f"{name} must be one number, not of shape {np.shape(value)}")
     x = as_floating(x)
-    sizes = len(walker.section), len(State._fields)
+    sizes = len(walker.section), *(len(kind._fields) for kind in state_kinds(walker))
     if x.ndim != 1 or x.shape[0] not in sizes:
+        full = " or ".join(f"({size},)" for size in sizes[1:])
         raise WrongUse(
-            f"x must have shape ({sizes[0]},), on the section {walker.section}, or ({sizes[1]},), "
+            f"x must have shape ({sizes[0]},), on the section {walker.section}, or {full}, "
             f"a full state, not {x.shape}"
         )
     tolerance = default_tolerance(x.dtype, tolerance)
@@ -87,10 +124,11 @@ def follow_stride(
     x: Float[Array, " coordinates"],
     tolerance: Float[Array, ""],
 ) -> Stride:
+    walker = during_stride(walker, x)
     start, verdict = with_fast_sincos(begin_stride)(walker, x)
     launched = not on_section(walker, x)
-    arrival, time, verdict, pulled = swing(walker, start, verdict, tolerance, launched=launched)
-    return with_fast_sincos(end_stride)(walker, arrival, time, verdict, pulled)
+    end = follow_to_heel_strike(walker, start, verdict, tolerance, launched=launched)
+    return with_fast_sincos(end_stride)(walker, *end)
 
 
 def on_section(walker: Walker, x: Float[Array, " coordinates"]) -> bool:
@@ -98,16 +136,34 @@ def on_section(walker: Walker, x: Float[Array, " coordinates"]) -> bool:
     return x.shape == (len(walker.section),)
 
 
-def full_state(walker: Walker, x: Float[Array, " coordinates"]) -> State:
-    """The full state of a start, which may be one already."""
-    start = walker.lift(x) if on_section(walker, x) else State(*x)
-    check_vector_field(walker, start)
+def during_stride(walker: Walker, x: Float[Array, " coordinates"]) -> Walker:
+    """The walker as it is during the stride from x."""
+    return walker.during_stride(x) if on_section(walker, x) else walker
+
+
+def state_kinds(walker: Walker) -> list[type]:
+    """Kinds of full states that a stride may start from: `State`, and that of its first phase."""
+    if not (phases := walker.phases()):
+        return [State]
+    number: Any = jax.ShapeDtypeStruct((), jnp.asarray(0.0).dtype)
+    return [State, type(jax.eval_shape(phases[0].begin, State(number, number, number, number)))]
+
+
+def full_state(walker: Walker, x: Float[Array, " coordinates"]) -> Any:
+    """The full state of a start, which may be one already; of the first phase, if there are any."""
+    if on_section(walker, x):
+        start = walker.lift(x)
+    else:
+        start = next(kind for kind in state_kinds(walker) if len(kind._fields) == len(x))(*x)
+    if isinstance(start, State):
+        check_vector_field(walker, start)
+        return walker.phases()[0].begin(start) if walker.phases() else start
     return start
 
 
 def check_vector_field(walker: Walker, start: State) -> None:
     """Refuse a walker of a user's own whose vector field is none."""
-    if type(walker).vector_field is MultibodyWalker.vector_field:
+    if type(walker).vector_field is MultibodyMotion.vector_field:
         return
     rates = jax.eval_shape(walker.vector_field, start)
     if not isinstance(rates, State) or any(np.shape(rate) for rate in rates):
@@ -118,15 +174,21 @@ def check_vector_field(walker: Walker, start: State) -> None:
         )
 
 
-def begin_stride(walker: Walker, x: Float[Array, " coordinates"]) -> tuple[State, Int[Array, ""]]:
-    """The full state at the start, and the outcome where that settles it."""
-    start = full_state(walker, x)
+def begin_stride(walker: Walker, x: Float[Array, " coordinates"]) -> tuple[Any, Int[Array, ""]]:
+    """The full state at the start, and the outcome where that settles it.
+
+    Where there are phases, these look at the contact force themselves.
+    """
+    start, phases = full_state(walker, x), walker.phases()
     if on_section(walker, x):
         feasible = walker.feasible(x)
     else:
         feasible = jnp.all(jnp.isfinite(x)) & (jnp.abs(start.theta) < np.pi / 2)
+        if phases:
+            feasible &= phases[0].event(start) <= 0
     verdict = jnp.where(start.thetadot >= 0, Outcome.BACKWARD, Outcome.UNDECIDED)
-    verdict = jnp.where(in_tension(walker, start), Outcome.RUNNING, verdict)
+    if not phases:
+        verdict = jnp.where(in_tension(walker, start), Outcome.RUNNING, verdict)
     return start, jnp.where(feasible, verdict, Outcome.OUTSIDE).astype(jnp.int8)
 
 
@@ -135,10 +197,10 @@ def end_stride(
     arrival: State,
     time: Scalar,
     verdict: Int[Array, ""],
-    pulled: Bool[Array, ""],
+    broken: Broken,
 ) -> Stride:
     """What a stride leads to whose swing ended with `verdict`, on the section."""
-    following, outcome = resolve_impact(walker, arrival, verdict, pulled)
+    following, outcome = resolve_impact(walker, arrival, verdict, broken)
     return make_stride(walker.project(following), outcome, time)
 
 
@@ -151,7 +213,7 @@ def make_stride(
 
 
 def resolve_impact(
-    walker: Walker, arrival: State, verdict: Int[Array, ""], pulled: Bool[Array, ""]
+    walker: Walker, arrival: State, verdict: Int[Array, ""], broken: Broken
 ) -> tuple[State, Int[Array, ""]]:
     """The state after a heel strike, legs exchanged, and the outcome of the stride."""
     (_, lift), after = walker.impact(arrival)
@@ -159,7 +221,12 @@ def resolve_impact(
     struck = jnp.where(following.thetadot < 0, Outcome.STRIDE, Outcome.BACKWARD)
     struck = jnp.where(lift > 0, struck, Outcome.STOPPED)
     struck = jnp.where(jnp.isfinite(lift), struck, Outcome.UNDECIDED)
-    struck = jnp.where(pulled | in_tension(walker, arrival), Outcome.RUNNING, struck)
+    at_strike = conditions_of(walker)
+    for outcome in sorted(broken, reverse=True):
+        breaks = broken[outcome]
+        if outcome in at_strike:
+            breaks |= is_broken(at_strike[outcome], walker, arrival)
+        struck = jnp.where(breaks, outcome, struck)
     return following, jnp.where(verdict == Outcome.STRIDE, struck, verdict).astype(jnp.int8)
 
 
@@ -170,39 +237,47 @@ def step_down(
     *,
     tolerance: Real | None = None,
 ) -> Stride:
-    """One stride whose heel strike is on ground that is lower by `drop`.
+    """One stride whose heel strike is on ground that is lower by `drop`, not negative.
 
-    The swing foot comes down to the slope, as in `stride`, and goes on until it is `drop` below,
-    measured at right angles to the slope, in the unit of length, not negative. Arguments and errors
-    are those of `stride` otherwise. The result's state is a full one, (theta, phi, thetadot,
-    phidot), just after heel strike, off the section: the foot that stood is higher. `stride` takes
-    it from there, on a slope through the foot that stands now.
+    `stride(walker, x, step=-drop)`.
     """
-    walker, x, tolerance = prepare(walker, x, tolerance)
     if not isinstance(drop, Tracer):
         check_number("drop", drop)
         if not 0 <= drop < np.inf:
             raise WrongUse(f"drop must be one number, finite and not negative, not {short(drop)}")
-    height = jnp.asarray(drop, x.dtype)
-    return follow_step_down(walker, x, height, tolerance)
+    return stride(walker, x, step=-drop, tolerance=tolerance)
 
 
 @by_kernel
-def follow_step_down(
+def follow_step(
     walker: Walker,
     x: Float[Array, " coordinates"],
-    drop: Float[Array, ""],
+    step: Float[Array, ""],
     tolerance: Float[Array, ""],
 ) -> Stride:
+    """One stride to ground that is higher by `step`; the result's state is a full one."""
+    walker = walker.during_stride(walker.project(full_state(walker, x)))
     start, verdict = with_fast_sincos(begin_stride)(walker, x)
     launched = not on_section(walker, x)
-    level, time, verdict, pulled = swing(walker, start, verdict, tolerance, launched=launched)
-    pulled |= with_fast_sincos(in_tension)(walker, level)
-    going = (verdict == Outcome.STRIDE) & (drop > 0)
-    verdict = jnp.where(going, Outcome.UNDECIDED, verdict).astype(jnp.int8)
-    arrival, longer, verdict, more = swing(walker, level, verdict, tolerance, drop)
-    following, outcome = with_fast_sincos(resolve_impact)(walker, arrival, verdict, pulled | more)
-    return make_stride(jnp.stack(following), outcome, time + longer)
+    # A foot that goes below the ground has passed its level first, ahead of the other: the legs may
+    # pass each other below the level, and that is no heel strike.
+    begun = follow_to_swing(walker, start, verdict, tolerance)
+    higher = (begun.verdict == Outcome.UNDECIDED) & (step > 0)
+    verdict = jnp.where(higher, Outcome.STRIDE, begun.verdict).astype(jnp.int8)
+    level, lasts, verdict, broken = swing(
+        walker, begun.state, verdict, tolerance, launched=launched
+    )
+    broken = merge_broken(begun.broken, merge_broken(broken, broken_at(walker, level)))
+    lower = (verdict == Outcome.STRIDE) & (step < 0)
+    verdict = jnp.where(higher | lower, Outcome.UNDECIDED, verdict).astype(jnp.int8)
+    arrival, longer, verdict, more = swing(walker, level, verdict, tolerance, step)
+    # On even ground nothing is left to swing, but the derivative with respect to the step is.
+    method = Method(equations(walker), solver_for(level), tolerance)
+    contact = lambda state: step - walker.clearance(state)
+    arrival, delay = method.refine_event(contact, arrival)
+    broken = merge_broken(broken, more)
+    following, outcome = with_fast_sincos(resolve_impact)(walker, arrival, verdict, broken)
+    return make_stride(jnp.stack(following), outcome, begun.time + lasts + longer + delay)
 
 
 def trajectory(
@@ -212,11 +287,12 @@ def trajectory(
     *,
     tolerance: Real | None = None,
     solver: AnySolver | None = None,
-) -> State:
+) -> Any:
     """Angles and rates at `times` after the start x of a stride, 0 or later, in any order.
 
     The motion is that of the equations alone: it does not end at heel strike, whose time `stride`
-    gives. Returns a `State` of arrays; NaN where that takes more than `MAX_STEPS` of integration.
+    gives. Phases end with their events, at `phase_times`; a walker that falls before goes on.
+    Returns a `State` of arrays, or a state of the stride's first phase, such as `BentState`; NaN where that takes more than `MAX_STEPS` of integration.
     `ValueError` as for `stride`, and for times that are not finite or negative.
     """
     walker, x, tolerance = prepare(walker, x, tolerance)
@@ -239,13 +315,62 @@ def state_after(
     x: Float[Array, " coordinates"],
     time: Scalar,
     tolerance: Scalar,
-) -> State:
-    """The state a time after the start of a stride."""
+) -> Any:
+    """The state a time after the start of a stride; of the first phase, if there are any."""
+    walker = during_stride(walker, x)
     start = full_state(walker, x)
+    if not (phases := walker.phases()):
+        return state_of_motion(walker, start, time, tolerance)
+    result, begins = state_of_motion(phases[0], start, time, tolerance), jnp.zeros_like(time)
+    for phase, following in zip(phases, (*phases[1:], walker), strict=True):
+        verdict = jnp.where(is_over(phase, start, tolerance), Outcome.STRIDE, Outcome.UNDECIDED)
+        arrival, lasts, verdict, _ = follow_phase(
+            phase, start, verdict.astype(jnp.int8), tolerance, failing=False
+        )
+        begins = jnp.where(verdict == Outcome.STRIDE, begins + lasts, jnp.inf)
+        start = with_fast_sincos(lambda phase, s: phase.end(s))(phase, arrival)
+        left = time - begins
+        later = state_of_motion(following, start, jnp.maximum(left, 0), tolerance)
+        if following is walker:
+            later = phases[0].begin(later)
+        result = jax.tree.map(partial(jnp.where, left >= 0), later, result)
+    return result
+
+
+def state_of_motion(walker: Walker | Phase, start: Any, time: Scalar, tolerance: Scalar) -> Any:
+    """The state a time after another, by the equations of one phase."""
     method = Method(equations(walker), solver_for(start), tolerance)
     solution = method.solve(start, jnp.zeros_like(time), time, method.controller())
     arrived = solution.result == diffrax.RESULTS.successful
     return jax.tree.map(lambda values: jnp.where(arrived, values[-1], jnp.nan), solution.ys)
+
+
+def phase_times(
+    walker: Walker,
+    x: Float[ArrayLike, " coordinates"],
+    *,
+    tolerance: Real | None = None,
+    solver: AnySolver | None = None,
+) -> Float[Array, " phases"]:
+    """When each phase of a stride ends, since its start; the last is the time of `stride`.
+
+    Of a kneed walker: the times of knee strike, 0 where the knee locks at once, and of heel strike.
+    NaN for phases that do not end with their event. Arguments and errors are those of `stride`.
+    """
+    with using_solver(solver):
+        return follow_phase_times(*prepare(walker, x, tolerance))
+
+
+@by_kernel
+def follow_phase_times(
+    walker: Walker, x: Float[Array, " coordinates"], tolerance: Float[Array, ""]
+) -> Float[Array, " phases"]:
+    walker = during_stride(walker, x)
+    start, verdict = with_fast_sincos(begin_stride)(walker, x)
+    phases = follow_phases(walker, start, verdict, tolerance)
+    ended = [one.verdict == Outcome.UNDECIDED for one in phases]
+    times = [jnp.where(good, one.time, jnp.nan) for one, good in zip(phases, ended, strict=True)]
+    return jnp.stack([*times, follow_stride(walker, x, tolerance).time])
 
 
 def as_floating(x: Any, name: str = "x") -> Float[Array, "..."]:

@@ -8,6 +8,7 @@ polynomial; where nothing has happened after all, the stride goes on.
 
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -18,20 +19,32 @@ from jaxtyping import Array, Bool, Int
 from walker_jax.integrators.roots import first_upcrossing, interior_minimum, negate
 from walker_jax.integrators.solvers import MAX_STEPS, Method, Real, solver_for, zero_at
 from walker_jax.integrators.taylor import with_fast_sincos
-from walker_jax.walkers.masses import MultibodyWalker, SingleSupport
-from walker_jax.walkers.model import Scalar, State, Walker
+from walker_jax.walkers.masses import MultibodyMotion, SingleSupport
+from walker_jax.walkers.model import Phase, Scalar, State, Walker
 from walker_jax.walking.outcomes import Outcome
 
+Condition = Callable[[Any, Any], Scalar]
+"""What must not be negative up to heel strike, of a walker or a phase, and its state."""
+Broken = dict[int, Bool[Array, ""]]
+"""Whether each condition was broken, by the outcome that this has: the lower number first."""
 
-def in_tension(walker: Walker, state: State) -> Bool[Array, ""]:
-    """Whether the ground would have to pull at the stance foot, Q_v < 0."""
-    return walker.contact_force(state)[1] < 0
+
+def normal_force(walker: Walker | Phase, state: Any) -> Scalar:
+    """Q_v."""
+    return walker.contact_force(state)[1]
 
 
-def equations(walker: Walker) -> Callable[[State], State]:
+def conditions_of(walker: Walker | Phase) -> dict[int, Condition]:
+    """Its conditions, the contact force among them, by the outcome where one is broken."""
+    other = lambda name: lambda walker, state: walker.conditions()[name](state)
+    others = {int(Outcome[name]): other(name) for name in walker.conditions()}
+    return {int(Outcome.RUNNING): normal_force} | others
+
+
+def equations(walker: Walker | Phase) -> Callable[[Any], Any]:
     """The equations of motion: the vector field, or virtual power for walkers with masses."""
-    general = type(walker).vector_field is MultibodyWalker.vector_field
-    if general and isinstance(walker, MultibodyWalker):
+    general = type(walker).vector_field is MultibodyMotion.vector_field
+    if general and isinstance(walker, MultibodyMotion):
         return SingleSupport(walker)
     return walker.vector_field
 
@@ -41,22 +54,25 @@ def swing(
     start: State,
     verdict: Int[Array, ""],
     tolerance: Real,
-    drop: Scalar | None = None,
+    step: Scalar | None = None,
     *,
     launched: bool = False,
-) -> tuple[State, Scalar, Int[Array, ""], Bool[Array, ""]]:
+) -> tuple[State, Scalar, Int[Array, ""], Broken]:
     """Swing the leg until heel strike (`STRIDE`) or a fall; nothing to do unless `UNDECIDED`.
 
-    Or until the swing foot is lower than at the start by `drop`. Returns the state just before the
-    impact, its time, the verdict, and whether the ground would have had to pull at the stance foot
-    before that, its two ends excluded. A walker that was `launched`, and did not start on the
-    section, is followed to the end of its fall.
+    Or until the swing foot comes down, ahead of the other, to ground that is higher by `step`.
+    Returns the state just before the impact, its time, the verdict, and which conditions were
+    broken before that, its two ends excluded; first, whether the ground would have had to pull at
+    the stance foot. A walker that was `launched`, and did not start on the section, is followed to
+    the end of its fall.
     """
 
     def contact(state: State) -> Scalar:
-        if drop is None:
-            return walker.contact(state)
-        return walker.clearance(start) - walker.clearance(state) - drop
+        return walker.contact(state) if step is None else step - walker.clearance(state)
+
+    def is_ahead(state: State) -> Bool[Array, ""]:
+        """Whether the swing foot is ahead. On level ground phi = 2 theta at heel strike."""
+        return state.theta < 0 if step is None else state.phi < 0
 
     def rate(state: State) -> Scalar:
         """dh/dt along the motion."""
@@ -66,17 +82,13 @@ def swing(
         """Whether a stride may end in a step, from the two ends of the step alone."""
         turns = (rate(before) < 0) & (rate(after) > 0)
         rises = ~ends_below & (below | turns)
-        if drop is not None:  # a foot may come down and up again: the legs pass each other
+        if step is not None:  # a foot may come down and up again: the legs pass each other
             rises |= (rate(before) > 0) & (rate(after) < 0)
-        return (rises & (after.theta < 0)) | has_fallen(after, ends_below)
-
-    def may_pull(before: State, after: State):
-        """Whether the ground may have had to pull by the end of a step."""
-        return in_tension(walker, after) | has_interior_minimum(walker, before, after)
+        return (rises & (is_ahead(before) | is_ahead(after))) | has_fallen(after, ends_below)
 
     def has_fallen(state: State, below: Bool[Array, ""]):
         fallen = (state.thetadot >= 0) | (state.theta <= -np.pi / 2)
-        if launched or drop is not None:
+        if launched or step is not None:
             return fallen
         return fallen | (~below & walker.past_contact(state))
 
@@ -85,19 +97,19 @@ def swing(
         return (verdict == Outcome.UNDECIDED) & (count < MAX_STEPS) & jnp.isfinite(time)
 
     def follow(carry):
-        now, _, time, verdict, count, pulled, below = carry
+        now, _, time, verdict, count, broken, below = carry
 
         def stop(before: State, after: State, below: Bool[Array, ""]):
             ends_below = contact(after) < 0
             ends = may_end(before, after, below, ends_below)
-            if not walker.force_least_at_ends:
-                ends |= may_pull(before, after) & ~pulled
+            for outcome, condition in watched.items():
+                ends |= may_break(condition, walker, before, after) & ~broken[outcome]
             return ends, ends_below
 
         last, steps = method.follow(now, stop, side=below, time=time)
         jet, until = method.jet(contact, last), last.length
         below, ends_below = last.sides
-        if drop is not None:
+        if step is not None:
             highest = interior_minimum(negate(jet), until)
             until = jnp.where(highest.exists, highest.time, until)
             ends_below = jnp.where(highest.exists, jet(until)[0] < 0, ends_below)
@@ -105,11 +117,12 @@ def swing(
         time = jnp.where(rises, method.refine_time(contact, last, time), last.length)
         after = lambda time: method.state_at(last, time)
         arrival = after(time)
-        if not walker.force_least_at_ends:
-            pulled |= becomes_tensile(walker, last.start, arrival, after, time)
-            pulled |= ~rises & with_fast_sincos(in_tension)(walker, arrival)
+        for outcome, condition in watched.items():
+            more = breaks(condition, walker, last.start, arrival, after, time)
+            more |= ~rises & with_fast_sincos(partial(is_broken, condition))(walker, arrival)
+            broken = broken | {outcome: broken[outcome] | more}
         arrival, delay = method.refine_event(contact, arrival)
-        ahead = (arrival.theta < 0) & (arrival.theta > -np.pi / 2) & (arrival.thetadot < 0)
+        ahead = is_ahead(arrival) & (arrival.theta > -np.pi / 2) & (arrival.thetadot < 0)
         ahead &= arrival.phi < 0
         fallen = jnp.where(last.end.thetadot >= 0, Outcome.BACKWARD, Outcome.FORWARD)
         fallen = jnp.where(
@@ -119,57 +132,84 @@ def swing(
         time = jnp.where(verdict == Outcome.STRIDE, time + delay, last.length)
         time = last.time + time
         below = last.sides[1]
-        return last.end, arrival, time, verdict, count + steps, pulled, below
+        return last.end, arrival, time, verdict, count + steps, broken, below
 
+    watched = conditions_of(walker)
+    broken = {outcome: jnp.asarray(False) for outcome in watched}
+    if walker.force_least_at_ends:
+        del watched[Outcome.RUNNING]
     method = Method(equations(walker), solver_for(start), tolerance, (contact,))
-    zero, never = zero_at(start), jnp.asarray(False)
+    zero = zero_at(start)
     below = jnp.asarray(with_fast_sincos(contact)(start) < 0)
-    carry = (start, start, zero, verdict, jnp.asarray(0), never, below)
-    _, arrival, time, verdict, _, pulled, _ = lax.while_loop(undecided, follow, carry)
-    return arrival, time, verdict, pulled
+    carry = (start, start, zero, verdict, jnp.asarray(0), broken, below)
+    _, arrival, time, verdict, _, broken, _ = lax.while_loop(undecided, follow, carry)
+    return arrival, time, verdict, broken
 
 
-def normal_force(walker: Walker, state: State) -> tuple[Scalar, Scalar]:
-    """Q_v, and dQ_v/dt along the motion."""
-    force = lambda state: walker.contact_force(state)[1]
-    return jax.jvp(force, (state,), (walker.vector_field(state),))
+def in_tension(walker: Walker | Phase, state: Any) -> Bool[Array, ""]:
+    """Whether the ground would have to pull at the stance foot, Q_v < 0."""
+    return is_broken(normal_force, walker, state)
 
 
-def has_interior_minimum(walker: Walker, before: State, after: State) -> Bool[Array, ""]:
-    """Whether Q_v is least in between two states of a motion."""
-    return (normal_force(walker, before)[1] < 0) & (normal_force(walker, after)[1] > 0)
+def is_broken(condition: Condition, walker: Walker | Phase, state: Any) -> Bool[Array, ""]:
+    return condition(walker, state) < 0
 
 
-def becomes_tensile(
-    walker: Walker,
-    before: State,
-    after: State,
-    between: Callable[[Scalar], State],
+def broken_at(walker: Walker | Phase, state: Any) -> Broken:
+    """Which conditions are broken in a state."""
+    each = lambda condition: with_fast_sincos(partial(is_broken, condition))(walker, state)
+    return {outcome: each(condition) for outcome, condition in conditions_of(walker).items()}
+
+
+def with_rate(condition: Condition, walker: Walker | Phase, state: Any) -> tuple[Scalar, Scalar]:
+    """The value of a condition, such as Q_v, and its rate along the motion."""
+    at = lambda state: condition(walker, state)
+    return jax.jvp(at, (state,), (walker.vector_field(state),))
+
+
+def may_break(
+    condition: Condition, walker: Walker | Phase, before: Any, after: Any
+) -> Bool[Array, ""]:
+    """Whether a condition may be broken by the end of a step, from the two ends alone."""
+    least = with_rate(condition, walker, before)[1] < 0
+    least &= with_rate(condition, walker, after)[1] > 0
+    return is_broken(condition, walker, after) | least
+
+
+def breaks(
+    condition: Condition,
+    walker: Walker | Phase,
+    before: Any,
+    after: Any,
+    between: Callable[[Scalar], Any],
     time: Scalar,
 ) -> Bool[Array, ""]:
-    """Whether Q_v is negative in between two states of a motion, `time` apart."""
-    _, least = minimum_force(walker, before, after, between, time, resolution=1e-6, above=0.0)
+    """Whether a condition is broken in between two states of a motion, `time` apart."""
+    _, least = minimum_of(
+        condition, walker, before, after, between, time, resolution=1e-6, above=0.0
+    )
     return least < 0
 
 
-def minimum_force(
-    walker: Walker,
-    before: State,
-    after: State,
-    between: Callable[[Scalar], State],
+def minimum_of(
+    condition: Condition,
+    walker: Walker | Phase,
+    before: Any,
+    after: Any,
+    between: Callable[[Scalar], Any],
     time: Scalar,
     *,
     resolution: float,
     above: float = -np.inf,
 ) -> tuple[Scalar, Scalar]:
-    """When Q_v is least in between two states of a motion, `time` apart, and its value.
+    """When a condition's value is least between two states of a motion, `time` apart, and that.
 
     That is at a root of its rate, bracketed by secants (Illinois), to a part of `time`, or until
-    the value is not `above` some number. It is infinite where Q_v has no least value in between.
+    the value is not `above` some number. It is infinite where there is no least one in between.
     The value is right to the square of what the time is right to. Constants to derivatives.
     """
     walker, before, after = lax.stop_gradient((walker, before, after))
-    jet = with_fast_sincos(partial(normal_force, walker))
+    jet = with_fast_sincos(partial(with_rate, condition, walker))
     below, beyond, time = jet(before)[1], jet(after)[1], lax.stop_gradient(time)
     zero = jnp.zeros_like(time)
 

@@ -158,8 +158,8 @@ export class Diagram extends EventTarget {
   note() {
     if (!this.data) return "";
     const [below] = this.data.lost;
-    const doublings = this.data.events.filter((one) => !one.fold).map((one) => one.slope);
+    const doublings = this.data.events.filter((one) => one.cascade && !one.fold).map((one) => one.slope);
     const first = doublings.length ? `the gait first doubles its period at ${number(Math.min(...doublings), 5)}` : "no period doubling";
-    return `Solid: stable gaits; dashed: unstable ones; dots: attractors. ${first[0].toUpperCase()}${first.slice(1)}${below ? `; walking is lost at ${number(below, 5)}` : ""}.`;
+    return `Solid: stable gaits; dashed: unstable ones; dots: attractors. ${first[0].toUpperCase()}${first.slice(1)}${below ? `; walking is lost near ${number(below, 3)}` : ""}.`;
   }
 }

@@ -52,7 +52,7 @@ export class Stage extends EventTarget {
     const state = walk.state();
     const tall = walk.leg ? walk.leg.length + walk.leg.radius : 1;
     this.scale = Math.min(size[1] / (1.38 * tall), size[0] / (1.7 * tall));
-    const places = state ? walk.places(state, walk.current.foot) : null;
+    const places = state ? walk.places(state, walk.current.foot, walk.bent()) : null;
     const target = places ? places.hip[0] : 0;
     this.camera = this.smooth(this.camera, target, tall);
     const [cos, sin] = [Math.cos(this.slope), Math.sin(this.slope)];
@@ -110,14 +110,15 @@ export class Stage extends EventTarget {
     c.stroke();
   }
 
-  drawPose(c, { hip, stance, swing, angles }, ink, other, width, edge) {
+  drawPose(c, { hip, stance, swing, knee, angles }, ink, other, width, edge) {
     const { radius } = this.walk.leg;
     c.lineCap = "round";
-    for (const [end, angle, colour] of [[stance, angles[0], ink], [swing, angles[1], other]]) {
+    for (const [end, angle, colour, joint] of [[stance, angles[0], ink], [swing, angles[1], other, knee]]) {
       c.strokeStyle = colour;
       c.lineWidth = width;
       c.beginPath();
       c.moveTo(...this.toScreen(hip));
+      if (joint) c.lineTo(...this.toScreen(joint));
       const sole = [end[0] + radius * Math.sin(angle), end[1] - radius * Math.cos(angle)];
       c.lineTo(...this.toScreen(radius ? sole : end));
       c.stroke();

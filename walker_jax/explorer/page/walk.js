@@ -69,18 +69,31 @@ export class Walk extends EventTarget {
   }
 
   /** Hip and feet, along the slope and normal to it; of round feet the centres of their arcs. */
-  places([theta, phi], foot) {
+  places([theta, phi], foot, bent) {
     const { length, radius } = this.leg;
     const along = (angle) => [-Math.sin(angle) * length, Math.cos(angle) * length];
     const stance = [foot - radius * theta, radius];
     const up = along(theta), down = along(theta - phi);
     const hip = [stance[0] + up[0], stance[1] + up[1]];
-    return { stance, hip, swing: [hip[0] - down[0], hip[1] - down[1]], angles: [theta, theta - phi] };
+    const swing = [hip[0] - down[0], hip[1] - down[1]], angles = [theta, theta - phi];
+    if (!bent) return { stance, hip, swing, angles };
+    const [kneeX, kneeY, endX, endY] = bent; // from the hip; the shank has an angle of its own
+    const shank = Math.atan2(endX - kneeX, kneeY - endY);
+    return { stance, hip, knee: [hip[0] + kneeX, hip[1] + kneeY], swing: [hip[0] + endX, hip[1] + endY], angles: [theta, shank] };
   }
 
   /** The stride at the time that is shown. */
   get current() {
     return this.strides.find((one) => this.time < one.ends) ?? this.strides.at(-1);
+  }
+
+  /** Where knee and end of the swing leg are at the time that is shown, of a walker with knees. */
+  bent() {
+    const { bent, frames, duration, begins } = this.current;
+    if (!bent) return undefined;
+    const at = Math.min(1, Math.max(0, (this.time - begins) / duration || 0)) * (frames.length - 1);
+    const k = Math.min(frames.length - 2, Math.floor(at));
+    return bent[k].map((value, i) => value + (at - k) * (bent[k + 1][i] - value));
   }
 
   /** The full state at the time that is shown: cubics through frames and their rates. */

@@ -1,0 +1,538 @@
+"""The walker with knees: published gaits, mechanics, limits, and every way to fail."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import walker_jax as wj
+from walker_jax import BentState, KneedWalker, Outcome, RoundFootWalker, State
+from walker_jax.gaits.derivatives import linearise
+from walker_jax.walkers.kneed import begin_bent, stance_knee_moment
+from walker_jax.walkers.parameters import parameters
+
+PUBLISHED = json.loads((Path(__file__).parent / "data" / "kneed_walkers.json").read_text())
+HSU_CHEN, HUMAN_LIKE = PUBLISHED["hsu_chen_2007"], PUBLISHED["human_like"]
+
+
+def published(entry, slope=None):
+    """The walker of an entry; lengths in m, times in sqrt(1 m / g)."""
+    return KneedWalker(
+        slope or entry.get("slope") or np.radians(entry["slope_degrees"]),
+        hip_mass=entry["hip_mass"],
+        thigh_mass=entry["thigh_mass"],
+        shank_mass=entry["shank_mass"],
+        thigh_length=entry["thigh_length"],
+        shank_length=entry["shank_length"],
+        thigh_com=entry["thigh_length"] - entry["thigh_mass_above_knee"],
+        shank_com=entry["shank_length"] - entry["shank_mass_above_foot"],
+    )
+
+
+def section_of(entry):
+    """The state of its gait, on the section."""
+    walker, exact = published(entry), entry["exact"]
+    first, second = (exact[name] / np.sqrt(entry["gravity"]) for name in ("q1dot", "q2dot"))
+    return np.array([exact["q1"] + float(walker.slope), first, first - second])
+
+
+WALKER = KneedWalker(0.05, thigh_inertia=0.01, shank_inertia=0.001, foot_radius=0.05)
+START = np.array([0.2482, -0.3581, -0.2933])
+"""A walker with feet that roll and all that a walker may have, and a state close to its gait."""
+
+
+def changed(walker, **values):
+    return KneedWalker(
+        **{one.name: getattr(walker, one.name) for one in dataclasses.fields(walker)} | values
+    )
+
+
+def starts(count, seed=0):
+    """Starts all over the section."""
+    rng = np.random.default_rng(seed)
+    ranges = (0.02, 0.7), (-1.2, -0.02), (-1.5, 1.0)
+    return np.stack([rng.uniform(*one, count) for one in ranges], axis=1)
+
+
+# Gaits
+
+
+@pytest.mark.parametrize("entry", [HSU_CHEN, HUMAN_LIKE], ids=["Hsu Chen", "human-like"])
+def test_gaits_of_published_walkers(entry):
+    walker, x, exact = published(entry), section_of(entry), entry["exact"]
+    gait = wj.find_gait(walker, np.round(x, 3))
+    np.testing.assert_allclose(gait.states[0], x, rtol=0, atol=1e-9)
+    expected = np.array(exact["multipliers"]) @ [1, 1j]
+    np.testing.assert_allclose(
+        np.sort_complex(gait.multipliers), np.sort_complex(expected), atol=1e-7
+    )
+    times = np.asarray(wj.phase_times(walker, gait.states[0])) / np.sqrt(entry["gravity"])
+    np.testing.assert_allclose(times, [exact["knee_strike"], exact["heel_strike"]], atol=1e-8)
+
+
+@pytest.mark.slow
+def test_the_human_like_gait_doubles_its_period_on_its_branch():
+    """From 2 to 5 degrees along one branch."""
+    walker = published(HUMAN_LIKE)
+    gait = wj.find_gait(walker, section_of(HUMAN_LIKE))
+    branch = wj.continue_gait(walker, gait, "slope", to=float(np.radians(5)))
+    assert branch.values[0] == walker.slope and branch.values[-1] >= np.radians(5)
+    (doubling,) = [one for one in branch.bifurcations if one.kind == "period-doubling"]
+    assert 4.8 < np.degrees(doubling.value) < 4.9
+    for sign in (-1, 1):  # the multiplier passes -1 within 1e-9 of it
+        there = changed(walker, slope=doubling.value + sign * 1e-9)
+        least = np.min(wj.find_gait(there, doubling.state).multipliers.real)
+        assert np.sign(-1 - least) == sign
+
+
+def test_jacobians_are_differences():
+    """By the start and by every parameter, through both impacts, with the time of heel strike."""
+    cycle, tolerance = START[None, None], 1e-14
+    names = [one.name for one in parameters(KneedWalker)]
+    steps = {name: 1e-3 * max(float(getattr(WALKER, name)), 0.05) for name in names}
+    columns = [("start", i, 1e-4) for i in range(3)] + [("walker", n, h) for n, h in steps.items()]
+    walkers, xs = [], []
+    for kind, which, step in columns:
+        for scale in (1, 0.5, 0.25):
+            for sign in (1, -1):
+                move = sign * scale * step
+                there = (
+                    WALKER
+                    if kind == "start"
+                    else changed(WALKER, **{which: getattr(WALKER, which) + move})
+                )
+                walkers.append(there)
+                xs.append(START + move * np.eye(3)[which] if kind == "start" else START)
+    many = jax.tree.map(lambda *leaves: np.stack(leaves), *walkers)
+    ends = wj.strides(many, np.array(xs), tolerance=tolerance)
+    assert (ends.outcome == Outcome.STRIDE).all()
+    values = ends.state.reshape(len(columns), 3, 2, 3)
+    table = (values[:, :, 0] - values[:, :, 1]) / 2
+    table /= np.array([[step, step / 2, step / 4] for *_, step in columns])[:, :, None]
+    for factor in (4, 16):
+        table = (factor * table[:, 1:] - table[:, :-1]) / (factor - 1)
+    differences = table[:, 0]
+    for i, name in enumerate(names):
+        found = linearise(WALKER, cycle, tolerance, name)
+        scale = np.abs(differences).max()
+        np.testing.assert_allclose(found.jacobian[0, 0].T, differences[:3], atol=1e-7 * scale)
+        np.testing.assert_allclose(found.by_parameter[0, 0], differences[3 + i], atol=1e-7 * scale)
+
+
+# Mechanics
+
+
+def places(walker, q):
+    """The five masses, from the stance foot on the ground, and the angles of thighs and shanks."""
+    theta, phi, knee = q
+    get = lambda name: float(getattr(walker, name))
+    up = lambda angle: np.array([-np.sin(angle), np.cos(angle)])
+    radius, thigh, shank = get("foot_radius"), get("thigh_length"), get("shank_length")
+    hip = np.array([-radius * theta, radius]) + (thigh + shank - radius) * up(theta)
+    swing = theta - phi
+    swing_knee = hip - thigh * up(swing)
+    points = [
+        hip,
+        hip - get("thigh_com") * up(theta),
+        hip - get("thigh_com") * up(swing),
+        hip - (thigh + get("shank_com")) * up(theta),
+        swing_knee - get("shank_com") * up(swing - knee),
+    ]
+    return np.array(points), np.array([theta, swing, theta, swing - knee])
+
+
+def masses(walker):
+    M, m, n, j, k = (float(getattr(walker, name)) for name in MASSES)
+    return np.array([M, m, m, n, n]), np.array([j, j, k, k])
+
+
+MASSES = "hip_mass", "thigh_mass", "shank_mass", "thigh_inertia", "shank_inertia"
+
+
+def velocities(walker, q, rates):
+    """By complex steps: right to rounding."""
+    moved = lambda i: (
+        np.imag(complex_places(walker, np.array(q) + 1e-30j * np.array(rates))[i]) / 1e-30
+    )
+    return moved(0), moved(1)
+
+
+def complex_places(walker, q):
+    return places(walker, q)
+
+
+def energy(walker, q, rates):
+    points, _ = places(walker, q)
+    v, turn = velocities(walker, q, rates)
+    m, inertia = masses(walker)
+    slope = float(walker.slope)
+    height = points @ [-np.sin(slope), np.cos(slope)]
+    return (m @ (v**2).sum(axis=1) + inertia @ turn**2) / 2 + m @ height
+
+
+def momentum(walker, q, rates, about, points=slice(None), bodies=slice(None), foot=(0, 0)):
+    """Angular momentum of some masses; the stance foot may move."""
+    r, _ = places(walker, q)
+    v, turn = velocities(walker, q, rates)
+    v = v + np.array(foot)
+    m, inertia = masses(walker)
+    arm = r - about
+    cross = arm[:, 0] * v[:, 1] - arm[:, 1] * v[:, 0]
+    return (m * cross)[points].sum() + (inertia * turn)[bodies].sum()
+
+
+@pytest.fixture(scope="module")
+def path():
+    """A stride of the walker: times, states, when its phases end."""
+    knee, heel = np.asarray(wj.phase_times(WALKER, START))
+    times = np.concatenate([np.linspace(0, knee * (1 - 1e-12), 12), np.linspace(knee, heel, 12)])
+    return times, jax.tree.map(np.asarray, wj.trajectory(WALKER, START, times)), knee, heel
+
+
+def test_energy_is_constant_in_each_phase_and_falls_at_each_impact(path):
+    times, states, knee, _ = path
+    every = np.array([energy(WALKER, s[:3], s[3:]) for s in np.stack(states, axis=1)])
+    free, locked = every[times < knee], every[times >= knee]
+    assert np.ptp(free) < 1e-11 * free[0] and np.ptp(locked) < 1e-11 * locked[0]
+    assert free[0] - locked[0] > 1e-4
+    following = np.asarray(wj.stride(WALKER, START).state)
+    after = energy(WALKER, [following[0], 2 * following[0], 0], [*following[1:], 0])
+    lower = (
+        after
+        - 2
+        * np.sin(following[0])
+        * (1 - 0.05)
+        * np.sin(float(WALKER.slope))
+        * masses(WALKER)[0].sum()
+    )
+    lower -= 2 * 0.05 * following[0] * np.sin(float(WALKER.slope)) * masses(WALKER)[0].sum()
+    assert lower < locked[0] - 1e-3  # counted from where the stance foot was
+
+
+def test_each_impact_keeps_the_momenta_that_it_must(path):
+    """Knee strike: the whole about the stance contact, the swing leg about the hip. Heel strike:
+    the whole about the new contact, the trailing leg about the hip."""
+    rng = np.random.default_rng(0)
+    phase = WALKER.phases()[0]
+    strike, heel = jax.jit(lambda s: phase.end(s)), jax.jit(lambda s: WALKER.impact(s))
+    swing_points, swing_bodies = [2, 4], [1, 3]
+    for _ in range(20):
+        theta, phi, *rates = rng.uniform(-1, 1, 5)
+        q = [theta, phi, 0.0]
+        hip = places(WALKER, q)[0][0]
+        contact = np.array([-0.05 * theta, 0.0])
+        after = strike(BentState(*map(jnp.asarray, [*q, *rates])))
+        later = [float(after.thetadot), float(after.phidot), 0.0]
+        for part in ((contact,), (hip, swing_points, swing_bodies)):
+            kept = [momentum(WALKER, q, one, *part) for one in (rates, later)]
+            assert abs(kept[1] - kept[0]) < 1e-12 * (1 + abs(kept[0]))
+        assert energy(WALKER, q, later) <= energy(WALKER, q, rates) + 1e-14
+
+        theta = -abs(theta)
+        q, rates = [theta, 2 * theta, 0.0], [*rates[:2], 0.0]
+        foot, after = heel(State(*map(jnp.asarray, [*q[:2], *rates[:2]])))
+        later = [float(after.thetadot), float(after.phidot), 0.0]
+        moving = np.array([float(one) for one in foot])
+        hip = places(WALKER, q)[0][0]
+        swing_end = hip - 0.95 * np.array([-np.sin(-theta), np.cos(-theta)])
+        contact = np.array([swing_end[0], 0.0])
+        for part in ((contact,), (hip, [1, 3], [0, 2])):
+            before = momentum(WALKER, q, rates, *part)
+            kept = momentum(WALKER, q, later, *part, foot=moving)
+            assert abs(kept - before) < 1e-12 * (1 + abs(before))
+
+
+def test_equations_are_those_of_lagrange():
+    """By sympy, of both phases, for a walker whose feet roll."""
+    import sympy as sp
+
+    theta, phi, knee, *rates = symbols = sp.symbols("theta phi knee thetadot phidot kneedot")
+    q, rates = sp.Matrix([theta, phi, knee]), sp.Matrix(rates)
+    number = lambda name: sp.nsimplify(round(float(getattr(WALKER, name)), 12))
+    up = lambda angle: sp.Matrix([-sp.sin(angle), sp.cos(angle)])
+    radius, thigh, shank = map(number, ("foot_radius", "thigh_length", "shank_length"))
+    hip = sp.Matrix([-radius * theta, radius]) + (thigh + shank - radius) * up(theta)
+    swing = theta - phi
+    bodies = [  # place, angle, mass, inertia
+        (hip, 0, "hip_mass", None),
+        (hip - number("thigh_com") * up(theta), theta, "thigh_mass", "thigh_inertia"),
+        (hip - number("thigh_com") * up(swing), swing, "thigh_mass", "thigh_inertia"),
+        (hip - (thigh + number("shank_com")) * up(theta), theta, "shank_mass", "shank_inertia"),
+        (
+            hip - thigh * up(swing) - number("shank_com") * up(swing - knee),
+            swing - knee,
+            "shank_mass",
+            "shank_inertia",
+        ),
+    ]
+    slope, lagrangian = number("slope"), 0
+    for place, angle, mass, inertia in bodies:
+        speed = place.jacobian(q) * rates
+        turn = (sp.Matrix([angle]).jacobian(q) * rates)[0]
+        kinetic = number(mass) * speed.dot(speed) + (number(inertia) if inertia else 0) * turn**2
+        height = -sp.sin(slope) * place[0] + sp.cos(slope) * place[1]
+        lagrangian += kinetic / 2 - number(mass) * height
+    momenta = sp.Matrix([lagrangian]).jacobian(rates)
+    matrix = momenta.jacobian(rates)
+    force = sp.Matrix([lagrangian]).jacobian(q).T - momenta.jacobian(q) * rates
+    look = sp.lambdify(symbols, (matrix, force), "numpy")
+    phase = WALKER.phases()[0]
+    bent, straight = jax.jit(phase.vector_field), jax.jit(WALKER.vector_field)
+    for state in np.random.default_rng(1).uniform(-1, 1, (10, 6)):
+        M, f = map(np.asarray, look(*state))
+        found = bent(BentState(*map(jnp.asarray, state)))
+        np.testing.assert_allclose(found[3:], np.linalg.solve(M, f)[:, 0], rtol=1e-11)
+        state[[2, 5]] = 0
+        M, f = map(np.asarray, look(*state))
+        found = straight(State(*map(jnp.asarray, state[[0, 1, 3, 4]])))
+        np.testing.assert_allclose(found[2:], np.linalg.solve(M[:2, :2], f[:2])[:, 0], rtol=1e-11)
+
+
+# Limits
+
+
+def straight_legged(walker):
+    """The walker with the same legs, without knees."""
+    get = lambda name: float(getattr(walker, name))
+    m, n, down = get("thigh_mass"), get("shank_mass"), get("thigh_length") + get("shank_com")
+    com = (m * get("thigh_com") + n * down) / (m + n)
+    inertia = get("thigh_inertia") + get("shank_inertia")
+    inertia += m * (get("thigh_com") - com) ** 2 + n * (down - com) ** 2
+    length = get("thigh_length") + get("shank_length")
+    return RoundFootWalker(
+        get("slope"), get("hip_mass"), m + n, inertia, length, com, 0.0, get("foot_radius")
+    )
+
+
+def test_shanks_that_lock_at_once_make_a_straight_legged_walker():
+    """A shank whose mass is above the knee does not bend it: the trailing leg leans forward."""
+    walker = changed(WALKER, shank_com=-0.3, shank_inertia=1e-3)
+    xs = starts(400)
+    bent = jax.vmap(lambda x: walker.phases()[0].vector_field(begin_bent(walker.lift(x))).kneedot)(
+        xs
+    )
+    found, expected = wj.strides(walker, xs), wj.strides(straight_legged(walker), xs)
+    at_once = np.asarray(bent) <= 0
+    assert at_once.sum() > 100
+    np.testing.assert_array_equal(found.outcome[at_once], expected.outcome[at_once])
+    assert {0, 1, 2} <= set(expected.outcome[at_once].tolist())
+    np.testing.assert_allclose(found.state[at_once], expected.state[at_once], rtol=0, atol=1e-10)
+    walks = at_once & (found.outcome == Outcome.STRIDE)
+    times = np.asarray(wj.phase_times(walker, xs[walks][0]))
+    assert times[0] == 0 and times[1] == pytest.approx(expected.time[walks][0], rel=1e-12)
+
+
+def test_feet_of_vanishing_radius_are_points():
+    ends = [
+        np.asarray(wj.stride(changed(WALKER, foot_radius=r), START).state) for r in (1e-3, 1e-4, 0)
+    ]
+    first, second = (np.abs(one - ends[2]).max() for one in ends[:2])
+    assert second < 1e-3 and first / second == pytest.approx(10, rel=0.05)
+
+
+# Outcomes
+
+
+def simulate(walker, x):
+    """A stride by scipy's integrator, with its own logic of events: outcome, state, times."""
+    phase = walker.phases()[0]
+    field = jax.jit(lambda s: jnp.stack(phase.vector_field(BentState(*s))))
+    locked = jax.jit(lambda s: jnp.stack(walker.vector_field(State(*s))))
+    force = jax.jit(lambda s: phase.contact_force(BentState(*s))[1])
+    locked_force = jax.jit(lambda s: walker.contact_force(State(*s))[1])
+    clearance = jax.jit(lambda s: phase.clearance(BentState(*s)))
+    reach = jax.jit(lambda s: phase.reach(BentState(*s)))
+    event = lambda function, direction, terminal=True: mark(function, direction, terminal)
+
+    def mark(function, direction, terminal):
+        call = lambda t, y: float(function(y))
+        call.direction, call.terminal = direction, terminal
+        return call
+
+    options = dict(rtol=1e-10, atol=1e-12, dense_output=True)
+    start = np.array([x[0], 2 * x[0], 0, x[1], x[2], 0])
+    pulled = float(force(start)) < 0
+    over = float(field(start)[5]) <= 0
+    time = 0.0
+    if over:
+        state = np.delete(start, [2, 5])
+        if float(locked_force(state)) < 0:
+            return Outcome.RUNNING, None
+    else:
+        if pulled:
+            return Outcome.RUNNING, None
+        # a little later, so that the knee's zero at the start is no event
+        knee = event(lambda y: y[2] if y[2] > 0 else -1e-3, -1)
+        events = [
+            event(lambda y: -1.0 if y[2] <= 0 else 1.0, -1),
+            event(lambda y: y[3], 1),
+            event(lambda y: y[0] + np.pi / 2, -1),
+            event(clearance, -1, False),
+        ]
+        del knee
+        first = solve_ivp(lambda t, y: np.asarray(field(y)), (0, 1e-4), start, **options)
+        run = solve_ivp(
+            lambda t, y: np.asarray(field(y)), (1e-4, 60), first.y[:, -1], events=events, **options
+        )
+        for y in run.y_events[3]:
+            if y[0] < 0 and float(reach(y)) > 0 and y[3] < 0 and y[2] > 1e-9:
+                return Outcome.BENT_KNEE, None
+        if len(run.t_events[1]):
+            return Outcome.BACKWARD, None
+        if len(run.t_events[2]):
+            return Outcome.FORWARD, None
+        pulled = min(float(force(y)) for y in run.sol(np.linspace(1e-4, run.t[-1], 200)).T) < 0
+        time, at = run.t[-1], run.y[:, -1]
+        state = np.array(phase.end(BentState(*map(jnp.asarray, [*at[:2], 0.0, *at[3:]]))))
+        if state[2] >= 0:
+            return Outcome.BACKWARD, None
+    h = lambda y: y[1] - 2 * y[0]
+    events = [event(h, 1, False), event(lambda y: y[2], 1), event(lambda y: y[0] + np.pi / 2, -1)]
+    run = solve_ivp(
+        lambda t, y: np.asarray(locked(y)), (time, time + 60), state, events=events, **options
+    )
+    strikes = [
+        (t, y)
+        for t, y in zip(run.t_events[0], run.y_events[0], strict=True)
+        if y[0] < 0 and y[1] < 0 and y[2] < 0 and t > time
+    ]
+    if not strikes:
+        return (Outcome.BACKWARD if len(run.t_events[1]) else Outcome.FORWARD), None
+    t, y = strikes[0]
+    pulled |= min(float(locked_force(s)) for s in run.sol(np.linspace(time, t, 200)).T) < 0
+    (_, lift), after = walker.impact(State(*map(jnp.asarray, y)))
+    following = walker.exchange_legs(after)
+    if pulled:
+        return Outcome.RUNNING, None
+    if lift <= 0:
+        return Outcome.STOPPED, None
+    if following.thetadot >= 0:
+        return Outcome.BACKWARD, None
+    return Outcome.STRIDE, (np.asarray(walker.project(following)), t)
+
+
+@pytest.mark.slow
+def test_outcomes_and_states_are_those_of_another_integrator():
+    xs = starts(160, seed=3)
+    xs = np.concatenate([xs, START + np.random.default_rng(4).uniform(-0.15, 0.15, (40, 3))])
+    for walker in (WALKER, changed(WALKER, foot_radius=0.0)):
+        found, agree, ways = wj.strides(walker, xs), 0, set()
+        for x, outcome, state, time in zip(xs, found.outcome, found.state, found.time, strict=True):
+            if outcome == Outcome.OUTSIDE:
+                continue
+            expected, end = simulate(walker, x)
+            agree += expected == outcome
+            ways.add(int(outcome))
+            if end is not None and outcome == Outcome.STRIDE:
+                np.testing.assert_allclose(state, end[0], rtol=0, atol=2e-6)
+                assert time == pytest.approx(end[1], abs=2e-6)
+        assert agree == (found.outcome != Outcome.OUTSIDE).sum()
+        assert {0, 1, 2, 8} <= ways
+
+
+def test_margins_have_the_sign_that_the_outcome_says():
+    xs = starts(3000)
+    found = wj.margins_of_many(WALKER, xs)
+    ends = wj.strides(WALKER, xs)
+    np.testing.assert_array_equal(found.stride.outcome, ends.outcome)
+    ways = {
+        "FORWARD": "forward",
+        "BACKWARD": "backward",
+        "STOPPED": "stopping",
+        "BENT_KNEE": "landing",
+    }
+    for outcome, name in ways.items():
+        values = getattr(found, name)[ends.outcome == Outcome[outcome]]
+        assert len(values) > 20 and (values < 0).all()
+        passed = getattr(found, name)[ends.outcome == Outcome.STRIDE]
+        assert (passed[np.isfinite(passed)] > 0).all()
+    assert np.isfinite(found.landing[ends.outcome == Outcome.STRIDE]).mean() > 0.3
+
+
+def test_a_start_in_mid_stride_goes_on_with_the_same_stride(path):
+    times, states, _, _ = path
+    whole = wj.stride(WALKER, START)
+    for k in (4, 8):
+        rest = wj.stride(WALKER, np.stack(states, axis=1)[k])
+        np.testing.assert_allclose(rest.state, whole.state, rtol=0, atol=1e-11)
+        assert float(rest.time) == pytest.approx(float(whole.time) - times[k], abs=1e-11)
+    upright = wj.stride(WALKER, [START[0], 2 * START[0], *START[1:]])
+    np.testing.assert_allclose(upright.state, whole.state, rtol=0, atol=1e-14)
+    backward = np.stack(states, axis=1)[4] * [1, 1, -1, 1, 1, 1]
+    assert wj.stride(WALKER, backward).outcome == Outcome.OUTSIDE
+    with pytest.raises(
+        ValueError, match=r"\(3,\), on the section .* \(4,\) or \(6,\), a full state"
+    ):
+        wj.stride(WALKER, np.zeros(5))
+
+
+def test_a_step_down_takes_longer_and_comes_from_the_same_phases():
+    level, down = wj.stride(WALKER, START), wj.step_down(WALKER, START, 0.0)
+    np.testing.assert_allclose(WALKER.project(State(*down.state)), level.state, rtol=0, atol=1e-12)
+    lower = wj.step_down(WALKER, START, 0.005)
+    assert lower.outcome == Outcome.STRIDE and lower.time > level.time
+    assert wj.stride(WALKER, lower.state).outcome == Outcome.STRIDE
+
+
+# What may be checked
+
+
+def test_a_stance_knee_bends_if_freed_where_its_moment_is_negative():
+    """The moment that holds it straight, against the acceleration of a walker that is not held."""
+    from walker_jax import multibody
+
+    moment = jax.jit(lambda s: stance_knee_moment(WALKER, s))
+    system, signs = WALKER.bent_system(), set()
+    for state in np.random.default_rng(5).uniform(-0.6, 0.6, (12, 6)):
+        q, qdot = (np.array([0, 0, *half, 0.0]) for half in (state[:3], state[3:]))
+        free = multibody.solve_motion(system, q, qdot, held=(0, 1)).accelerations[5]
+        held = moment(BentState(*map(jnp.asarray, state)))
+        assert np.sign(free) == -np.sign(held)
+        signs.add(float(np.sign(held)))
+    assert signs == {-1.0, 1.0}
+
+
+@pytest.mark.slow
+def test_what_is_checked_fails_at_heel_strike():
+    """The human-like walker's foot scuffs at 4 degrees, and only its lock holds its stance knee."""
+    x = np.array([0.33277583, -0.39853603, -0.29937231])
+    walker = published(HUMAN_LIKE, np.radians(4))
+    assert wj.stride(walker, x).outcome == Outcome.STRIDE
+    for options, outcome, margin in (
+        ({"check_scuffing": True}, Outcome.SCUFFED, "scuffing"),
+        ({"check_lock": True}, Outcome.BUCKLED, "buckling"),
+        ({"check_lock": True, "check_scuffing": True}, Outcome.BUCKLED, "buckling"),
+    ):
+        checked = changed(walker, **options)
+        assert wj.stride(checked, x).outcome == outcome
+        found = wj.margins(checked, x)
+        assert found.stride.outcome == outcome and getattr(found, margin) < 0
+    clean = changed(published(HSU_CHEN), check_scuffing=True)
+    assert wj.stride(clean, section_of(HSU_CHEN)).outcome == Outcome.STRIDE
+    with pytest.raises(ValueError, match="check_lock must be a bool, not 1"):
+        changed(walker, check_lock=1)
+
+
+def test_a_motion_has_the_knee():
+    data = wj.motion(WALKER, START, 2, step=0.2)
+    assert data["knee"].max() > 0.3 and data["outcome"].values.tolist() == [0, 0]
+    length = np.linalg.norm(data["swing_knee"] - data["hip"], axis=1)
+    np.testing.assert_allclose(length, 0.5, rtol=1e-12)
+    below = np.linalg.norm(data["swing"] - data["swing_knee"], axis=1)
+    np.testing.assert_allclose(below, 0.45, rtol=1e-12)
+    lands = starts(400)[wj.strides(WALKER, starts(400)).outcome == Outcome.BENT_KNEE][0]
+    ending = wj.motion(WALKER, lands, 1, step=0.02).isel(frame=-1)
+    lowest = ending["swing"][1] - WALKER.foot_radius
+    assert ending["knee"] > 0 and abs(float(lowest)) < 0.05
+
+
+def test_walkers_with_impossible_shanks_are_refused():
+    with pytest.raises(ValueError, match="foot_radius must be less than thigh_length and shank"):
+        KneedWalker(0.05, foot_radius=1.0)
+    with pytest.raises(ValueError, match="shank_inertia must be above 0 where shank_com is 0"):
+        KneedWalker(0.05, shank_com=0.0)

@@ -1,0 +1,191 @@
+"""Walkers with motors, and feedback from stride to stride."""
+
+import pickle
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import root
+
+import walker_jax as wj
+from walker_jax.gaits.derivatives import linearise
+
+GRID = wj.Grid.sheared(theta=(0, 0.6, 40), sum=(-0.1, 0.05, 40))
+STARTS = GRID.centres(np.arange(GRID.size))
+LEVEL = wj.PoweredWalker(0.0, push_off=0.05)
+
+
+@pytest.fixture(scope="module")
+def level_gait():
+    return wj.find_gait(LEVEL, [0.217, -0.2265])
+
+
+@pytest.mark.parametrize(
+    ("plain", "powered"),
+    [
+        (wj.SimplestWalker(0.009), wj.PoweredWalker(0.009)),
+        (wj.SpringWalker(0.009, 1.5), wj.PoweredWalker(0.009, 1.5)),
+    ],
+)
+def test_without_motors_a_powered_walker_is_the_plain_one_bit_for_bit(plain, powered):
+    for one, other in zip(wj.strides(plain, STARTS), wj.strides(powered, STARTS), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("push_off", [0.01, 0.05, 0.1])
+def test_on_level_ground_push_off_makes_up_for_the_loss_at_heel_strike(push_off):
+    gaits = wj.find_gaits(wj.PoweredWalker(0.0, push_off=push_off))
+    assert len(gaits) == 2 and sum(gait.stable for gait in gaits) == 1
+    for gait in gaits:
+        theta, thetadot = gait.states[0]
+        assert abs(thetadot) * np.tan(theta) == pytest.approx(push_off, abs=1e-11)
+
+
+def test_a_walker_climbs():
+    gait = wj.find_gait(wj.PoweredWalker(-0.02, push_off=0.15))
+    assert gait.found and gait.stable
+
+
+def independent_stride(walker, x):
+    """By Runge-Kutta, and velocities of the hip and the feet in the plane."""
+    slope, stiffness, damping, angle, push_off = map(float, vars(walker).values())
+    theta, thetadot = x
+
+    def field(t, y):
+        theta, phi, thetadot, phidot = y
+        swing = np.sin(phi) * (thetadot**2 - np.cos(theta - slope)) + np.sin(theta - slope)
+        swing += -stiffness * (phi - angle) - damping * phidot
+        return [thetadot, phidot, np.sin(theta - slope), swing]
+
+    def contact(t, y):
+        return y[1] - 2 * y[0]
+
+    contact.direction = 1
+    start = [theta, 2 * theta, thetadot, (1 - np.cos(2 * theta)) * thetadot]
+    way = {"rtol": 1e-13, "atol": 1e-13, "method": "DOP853"}
+    solution = solve_ivp(field, (0, 6), start, events=contact, **way)
+    ahead = (solution.y_events[0][:, 0] < 0) & (solution.y_events[0][:, 1] < 0)
+    first = int(ahead.argmax())
+    theta, phi, thetadot, _ = solution.y_events[0][first]
+    along = lambda angle: np.array([-np.sin(angle), np.cos(angle)])
+    across = lambda angle: np.array([-np.cos(angle), -np.sin(angle)])
+    hip = thetadot * across(theta) + push_off * along(theta)
+    return np.array([theta - phi, hip @ across(theta - phi)]), solution.t_events[0][first]
+
+
+@pytest.mark.parametrize(
+    "walker",
+    [
+        wj.PoweredWalker(0.0, 2.0, 0.2, -0.3, 0.08),
+        wj.PoweredWalker(0.009, 0.5, 0.1, -0.2, 0.01),
+        wj.PoweredWalker(-0.01, 4.0, 1.0, -0.5, 0.1),
+    ],
+    ids=str,
+)
+def test_gaits_of_powered_walkers_by_an_independent_integration(walker):
+    found = wj.find_gaits(walker)
+    assert found
+    for gait in found[:2]:
+        mismatch = lambda x: independent_stride(walker, x)[0] - x
+        other = root(mismatch, gait.states[0], options={"xtol": 1e-13}).x
+        np.testing.assert_allclose(other, gait.states[0], rtol=0, atol=1e-9)
+        time = independent_stride(walker, other)[1]
+        assert gait.step_times[0] == pytest.approx(time, abs=1e-8)
+
+
+def test_motors_of_walkers_with_masses_have_the_limit_of_the_massless_foot():
+    x = np.array([0.25, -0.27])
+    limit = wj.stride(wj.PoweredWalker(0.004, 1.5, 0.2, -0.3, 0.03), x)
+    assert limit.outcome == wj.Outcome.STRIDE
+    errors = []
+    for mass in (1e-3, 1e-4, 1e-5):
+        motors = {"hip_spring": 1.5 * mass, "hip_damper": 0.2 * mass, "hip_angle": -0.3}
+        walker = wj.PoweredPointFootWalker(0.004, mass, push_off=0.03, **motors)
+        errors.append(np.abs(wj.stride(walker, x).state - limit.state).max())
+    ratios = np.array(errors[:-1]) / errors[1:]
+    np.testing.assert_allclose(ratios, 10, rtol=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("plain", "powered"),
+    [
+        (wj.RoundFootWalker, wj.PoweredRoundFootWalker),
+        (wj.UpperBodyWalker, wj.PoweredUpperBodyWalker),
+    ],
+)
+def test_masses_with_idle_motors_move_as_without(plain, powered):
+    rng = np.random.default_rng(0)
+    starts = rng.uniform([0.15, -0.3, -0.1], [0.25, -0.2, 0.0], (8, 3))
+    idle = powered(0.01)
+    one, other = wj.strides(plain(0.01), starts), wj.strides(idle, starts)
+    np.testing.assert_array_equal(one.outcome, other.outcome)
+    np.testing.assert_allclose(one.state, other.state, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("bad", [{"slope": -1.6}, {"push_off": -0.1}, {"hip_damping": np.nan}])
+def test_bad_motors_are_refused(bad):
+    with pytest.raises(ValueError, match=next(iter(bad))):
+        wj.PoweredWalker(**{"slope": 0.01, **bad})
+
+
+# Feedback
+
+
+def test_feedback_changes_the_jacobian_by_the_gains(level_gait):
+    """dS/dx = S_x + S_p K, and the gait stays."""
+    gains = np.array([0.5, 0.2])
+    fed = wj.Feedback(LEVEL, level_gait, {"push_off": gains})
+    gait = wj.find_gait(fed, level_gait.states[0])
+    np.testing.assert_allclose(gait.states, level_gait.states, rtol=0, atol=1e-14)
+    cycle = np.asarray(level_gait.states)[None]
+    arrays = lambda walker: jax.tree.map(np.asarray, walker)
+    plain = linearise(arrays(LEVEL), cycle, 1e-12, "push_off")
+    expected = plain.jacobian[0, 0] + np.outer(plain.by_parameter[0, 0], gains)
+    found = linearise(arrays(fed), cycle, 1e-12).jacobian[0, 0]
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11)
+
+
+def test_parameters_stay_within_their_bounds(level_gait):
+    """Below the least push-off, which is 0 by itself, it is the least one."""
+    strong = {"push_off": [-5.0, 0.0]}
+    x = np.add(level_gait.states[0], [0.02, -0.03])
+    for bounds, least in (({}, 0.0), ({"push_off": (0.03, 0.06)}, 0.03)):
+        fed = wj.Feedback(LEVEL, level_gait, strong, bounds)
+        expected = wj.stride(wj.PoweredWalker(0.0, push_off=least), x)
+        np.testing.assert_array_equal(wj.stride(fed, x).state, expected.state)
+
+
+def test_feedback_is_a_walker_like_any_other(level_gait):
+    gains = {"push_off": [0.4, 0.2], "hip_angle": [0.0, 0.1]}
+    fed = wj.Feedback(LEVEL, level_gait, gains, {"push_off": (0.0, 0.2)})
+    assert repr(pickle.loads(pickle.dumps(fed))) == repr(fed)
+    assert not fed.driven_by_gravity()
+    state = lambda gain: (
+        wj.stride(
+            wj.Feedback(LEVEL, level_gait, {"push_off": jnp.stack([gain, gain])}),
+            np.array([0.22, -0.24]),
+        ).state
+    )
+    rate, h = jax.jacfwd(state)(0.3), 1e-4
+    central = (state(0.3 + h) - state(0.3 - h)) / (2 * h)
+    np.testing.assert_allclose(rate, central, rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("gait", "gains", "bounds", "named"),
+    [
+        (None, {}, None, "gains"),
+        (None, {"colour": [0, 0]}, None, "colour"),
+        (None, {"push_off": [0.0]}, None, "push_off"),
+        (None, {"push_off": [0, 0]}, {"slope": (0, 1)}, "bounds"),
+        (None, {"push_off": [0, 0]}, {"push_off": (1, 0)}, "bounds"),
+        ([np.nan, 0.0], {"push_off": [0, 0]}, None, "gait"),
+        (np.zeros((2, 2)), {"push_off": [0, 0]}, None, "gait"),
+    ],
+)
+def test_bad_feedback_is_refused(level_gait, gait, gains, bounds, named):
+    with pytest.raises(ValueError, match=named):
+        wj.Feedback(LEVEL, level_gait if gait is None else gait, gains, bounds)

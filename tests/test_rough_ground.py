@@ -1,0 +1,227 @@
+"""Strides on uneven ground, steps to a fall, metastable walking, and the gait sensitivity norm."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import solve_discrete_lyapunov
+from scipy.sparse import csr_array
+
+import walker_jax as wj
+from walker_jax import Disturbance, Outcome, SimplestWalker
+from walker_jax.stability.rough_ground import (
+    NormalSteps,
+    draw,
+    mean_life,
+    start_of_walks,
+    walk_disturbed,
+)
+from walker_jax.stability.stochastic_map import solve_chain
+from walker_jax.walking.disturbed import follow_disturbed
+
+SLOPE = 0.009
+WALKER = SimplestWalker(SLOPE)
+FULL = np.array([0.2, 0.4, -0.2, (1 - np.cos(0.4)) * -0.2])
+
+
+@pytest.fixture(scope="module")
+def gait():
+    return wj.find_gait(WALKER)
+
+
+def field(t, y):
+    theta, phi, thetadot, phidot = y
+    swing = np.sin(phi) * (thetadot**2 - np.cos(theta - SLOPE)) + np.sin(theta - SLOPE)
+    return [thetadot, phidot, np.sin(theta - SLOPE), swing]
+
+
+def test_a_step_up_ends_where_the_foot_comes_down_to_its_height():
+    """By Runge-Kutta, which sees the foot rise above the step and come down to it."""
+    for step in (1e-5, 1e-3, 4e-3):
+        found = wj.stride(WALKER, FULL[[0, 2]], step=step)
+        assert found.outcome == Outcome.STRIDE
+        height = lambda t, y, step=step: np.cos(y[0]) - np.cos(y[0] - y[1]) - step
+        height.direction = -1
+        way = {"rtol": 1e-13, "atol": 1e-13, "method": "DOP853"}
+        solution = solve_ivp(field, (0, 6), FULL, events=height, **way)
+        ahead = solution.y_events[0][:, 1] < 0
+        assert ahead.any()
+        time = solution.t_events[0][ahead][0]
+        theta, phi, thetadot, _ = solution.y_events[0][ahead][0]
+        assert float(found.time) == pytest.approx(time, abs=1e-9)
+        rate = np.cos(phi) * thetadot
+        expected = theta - phi, -phi, rate, rate * (1 - np.cos(phi))
+        np.testing.assert_allclose(found.state, expected, rtol=0, atol=1e-9)
+    too_high = wj.stride(WALKER, FULL[[0, 2]], step=0.2)
+    assert too_high.outcome == Outcome.FORWARD and np.isnan(too_high.state).all()
+
+
+def test_a_step_of_no_height_is_a_stride_with_the_derivative_of_both_sides():
+    """The strike's place does not jump: differences agree from above, below, and across."""
+    state = lambda step: wj.stride(WALKER, FULL[[0, 2]], step=step).state
+    even = wj.stride(WALKER, FULL[[0, 2]])
+    np.testing.assert_allclose(state(0.0)[jnp.array([0, 2])], even.state, rtol=0, atol=1e-14)
+    rate, h = jax.jacfwd(state)(0.0), 1e-5
+    for side in (-1, 1):
+        one, two = ((state(side * k * h) - state(0.0)) / (side * k * h) for k in (1, 2))
+        np.testing.assert_allclose(2 * one - two, rate, rtol=0, atol=2e-6)
+
+
+@pytest.mark.parametrize("step", [np.nan, np.inf, -np.inf])
+def test_a_step_that_is_none_is_refused(step):
+    with pytest.raises(ValueError, match="step"):
+        wj.stride(WALKER, FULL[[0, 2]], step=step)
+
+
+def test_a_walk_on_rough_ground_is_strides_of_given_heights(gait):
+    heights = jnp.array([1e-4, -3e-4, 0.0, 2e-4])
+    made = wj.walk(WALKER, gait.states[0], 4, ground=heights)
+    state = jnp.asarray(gait.states[0])
+    for number, height in enumerate(heights):
+        result = wj.stride(WALKER, state, step=float(height))
+        np.testing.assert_allclose(made.states[number + 1], result.state, rtol=0, atol=1e-11)
+        assert made.times[number] == pytest.approx(float(result.time), abs=1e-10)
+        state = result.state
+    even = wj.walk(WALKER, gait.states[0], 4, ground=np.zeros(4))
+    expected = wj.walk(WALKER, gait.states[0], 4)
+    np.testing.assert_allclose(even.states[:, [0, 2]], expected.states, rtol=0, atol=1e-11)
+    assert (wj.walk(WALKER, np.array([1.0, -0.2]), 2, ground=np.zeros(2)).outcomes == 5).all()
+    with pytest.raises(ValueError, match="ground"):
+        wj.walk(WALKER, gait.states[0], 4, ground=np.zeros(3))
+
+
+def test_disturbed_walks_are_strides_one_after_the_other(gait):
+    draw_one = lambda key: Disturbance(*(1e-3 * jax.random.normal(key, (3,), float)))
+    keys = jax.random.split(jax.random.key(3), 20)
+    start = start_of_walks(WALKER, gait, None)
+    ends = walk_disturbed(WALKER, np.tile(start, (20, 1)), draw_one, keys, 40, None)
+    drawn = np.asarray(draw(draw_one, keys, 0, 40))
+    assert len(set(ends.strides.tolist())) > 2
+    for number in range(3):
+        state, made = jnp.asarray(start), 0
+        for step, slope, push in drawn[number]:
+            theta, phi, thetadot, phidot = state
+            pushed = [theta, phi, thetadot + push, phidot + (1 - jnp.cos(phi)) * push]
+            result = wj.stride(SimplestWalker(SLOPE + slope), jnp.stack(pushed), step=step)
+            if result.outcome != Outcome.STRIDE:
+                break
+            state, made = result.state, made + 1
+        assert made == ends.strides[number]
+        if made == 40:
+            np.testing.assert_allclose(ends.state[number], state, rtol=0, atol=1e-9)
+        else:
+            assert result.outcome == ends.outcome[number]
+
+
+def test_the_mean_life_of_geometric_walks_lies_within_its_interval():
+    """Nineteen times of twenty, censored or not; 400 experiments of 50 walks."""
+    rng = np.random.default_rng(0)
+    for chance, limit in ((0.02, 10**9), (0.02, 60), (0.001, 100)):
+        hits = 0
+        for _ in range(400):
+            lives = rng.geometric(chance, 50) - 1
+            ended = lives < limit
+            mean, low, high = mean_life(np.minimum(lives, limit), ended, 0.95)
+            assert low <= mean <= high
+            hits += low <= (1 - chance) / chance <= high
+        assert 365 <= hits <= 400
+    assert mean_life(np.array([100, 100]), np.zeros(2, bool), 0.95)[0] == np.inf
+
+
+def test_a_chain_whose_mean_life_is_known():
+    """Two cells: m = P (1 + m) has a closed form."""
+    P = np.array([[0.9, 0.05], [0.3, 0.6]])
+    expected = np.linalg.solve(np.eye(2) - P, P.sum(axis=1))
+    for start in (0, 1):
+        survival, distribution, mean = solve_chain(csr_array(P), 2, start)
+        assert mean == pytest.approx(expected[start], rel=1e-10)
+        assert survival == pytest.approx(np.linalg.eigvals(P).max(), rel=1e-12)
+        np.testing.assert_allclose(distribution @ P, survival * distribution, rtol=0, atol=1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("ground", "limit"),
+    [
+        (lambda key: Disturbance(push=8e-4 * jax.random.normal(key, dtype=float)), 4000),
+        (lambda key: Disturbance(push=1.5e-3 * jax.random.normal(key, dtype=float)), 1000),
+        (lambda key: Disturbance(slope=5e-4 * jax.random.normal(key, dtype=float)), 1000),
+        (NormalSteps(3e-4), 1000),
+    ],
+    ids=["push", "strong push", "slope", "step"],
+)
+def test_walks_last_as_long_as_the_stochastic_cell_map_says(gait, ground, limit):
+    walks = wj.steps_to_fall(WALKER, ground, 2000, jax.random.key(1), gait=gait, limit=limit)
+    chain = wj.metastability(WALKER, ground, jax.random.key(2), gait=gait)
+    low, high = chain.mean - 1.96 * chain.error, chain.mean + 1.96 * chain.error
+    assert low < walks.high and walks.low < high
+    assert chain.error < 0.1 * chain.mean
+
+
+def test_steps_to_fall_refuses_bad_arguments_in_one_line(gait):
+    for name, arguments in {
+        "ground": (-1.0,),
+        "ground must return": (lambda key: "rough",),
+        "n must": (0.001, 0),
+        "key": (0.001, 10, 7),
+    }.items():
+        with pytest.raises(ValueError, match=name):
+            wj.steps_to_fall(WALKER, *arguments, gait=gait)
+    with pytest.raises(ValueError, match="limit"):
+        wj.steps_to_fall(WALKER, 0.001, gait=gait, limit=0)
+
+
+# The gait sensitivity norm
+
+
+def test_the_norm_is_that_of_the_matrices(gait):
+    found = wj.gait_sensitivity(WALKER, gait)
+    A, B, C, D = (np.asarray(one) for one in found[1:5])
+    x, h = jnp.stack(WALKER.lift(jnp.asarray(gait.states[0]))), 1e-5
+    response = jax.jit(lambda e: follow_disturbed(WALKER, x, Disturbance(*e), jnp.asarray(1e-12)))
+    for column, unit in zip(B.T, np.eye(3), strict=True):
+        step = lambda k, unit=unit: response(k * h * unit).state - response(-k * h * unit).state
+        central = (8 * step(1) - step(2)) / (12 * h)
+        np.testing.assert_allclose(column, central, rtol=0, atol=1e-7)
+    moduli = np.sort(np.abs(np.linalg.eigvals(A)))[::-1]
+    np.testing.assert_allclose(moduli, [*np.abs(gait.multipliers), 0, 0], rtol=0, atol=1e-9)
+    X = solve_discrete_lyapunov(A.T, C.T @ C)
+    assert float(found.norm) == pytest.approx(np.sqrt(np.trace(D.T @ D + B.T @ X @ B)), rel=1e-12)
+    series, power = np.trace(D.T @ D), np.eye(4)
+    for _ in range(200):
+        series, power = series + np.linalg.norm(C @ power @ B) ** 2, power @ A
+    assert float(found.norm) ** 2 == pytest.approx(series, rel=1e-10)
+    assert float(found.terms.sum()) == pytest.approx(series, rel=1e-10)
+
+
+def test_speed_is_length_over_time_and_indicators_may_be_ones_own(gait):
+    own = lambda walker, start, end, time: -2 * time
+    found = wj.gait_sensitivity(WALKER, gait, ("push",), ("time", "length", "speed", own))
+    time, length = float(gait.step_times[0]), 2 * np.sin(gait.states[0][0])
+    rates = np.concatenate([found.C, found.D], axis=1)
+    np.testing.assert_allclose(rates[3], -2 * rates[0], rtol=1e-13)
+    speed = rates[1] / time - length / time**2 * rates[0]
+    np.testing.assert_allclose(rates[2], speed, rtol=0, atol=1e-9)
+
+
+def test_an_unstable_gait_has_no_norm_and_bad_names_are_refused(gait):
+    short = min(wj.find_gaits(WALKER), key=lambda one: one.states[0][0])
+    assert wj.gait_sensitivity(WALKER, short).norm == np.inf
+    with pytest.raises(ValueError, match="wind"):
+        wj.gait_sensitivity(WALKER, gait, ("wind",))
+    with pytest.raises(ValueError, match="colour"):
+        wj.gait_sensitivity(WALKER, gait, ("step",), ("colour",))
+    with pytest.raises(ValueError, match="none"):
+        wj.gait_sensitivity(WALKER, gait, ())
+
+
+@pytest.mark.slow
+def test_the_norm_has_a_gradient(gait):
+    def norm(slope):
+        walker = SimplestWalker(slope)
+        return wj.gait_sensitivity(walker, wj.find_gait(walker, gait.states[0])).norm
+
+    rate, h = jax.grad(norm)(SLOPE), 2e-5
+    step = lambda k: (norm(SLOPE + k * h) - norm(SLOPE - k * h)) / (2 * k * h)
+    assert float(rate) == pytest.approx(float((4 * step(1) - step(2)) / 3), rel=1e-5)

@@ -1,0 +1,336 @@
+"""Basins in three dimensions: their cells, volumes, errors, slices and pictures."""
+
+import json
+
+import numpy as np
+import pytest
+
+import walker_jax as wj
+from walker_jax import Outcome, figures
+from walker_jax.basins import refinement
+from walker_jax.basins.attractor import Attractor
+from walker_jax.basins.mapper import Labels, Mapper
+from walker_jax.basins.memory import TooLarge
+from walker_jax.basins.runs import Runs, neighbours
+from walker_jax.basins.summary import summarise_basin, tally
+from walker_jax.basins.windows import WHOLE_SECTION, grid_along, whole_section
+from walker_jax.cli import main
+from walker_jax.design.area_gradients import AreaGradient, area_gradient
+from walker_jax.grids import edge
+
+WALKER = wj.RoundFootWalker(0.01)
+CENTRE, HALF_AXES = np.array([0.52, 0.47, 0.51]), np.array([0.31, 0.23, 0.17])
+
+
+def cube(count):
+    return wj.Grid.plain(**{name: (0, 1, count) for name in WALKER.section})
+
+
+def ellipsoid(x):
+    return (((x - CENTRE) / HALF_AXES) ** 2).sum(axis=1) < 1
+
+
+def torus(x):
+    along, across, up = (x - CENTRE).T
+    return (np.hypot(along, across) - 0.27) ** 2 + up**2 < 0.09**2
+
+
+def comb(x):
+    """Fingers much thinner than a cell: the boundary fills a slab."""
+    return x[:, 2] < 0.35 + 0.2 * np.modf(1e4 * x[:, 0])[0]
+
+
+VOLUMES = {
+    ellipsoid: 4 / 3 * np.pi * HALF_AXES.prod(),
+    torus: 2 * np.pi**2 * 0.27 * 0.09**2,
+    comb: 0.45,
+}
+
+
+@pytest.fixture
+def walks_in(monkeypatch):
+    """Let walkers walk from a set alone; gives all points that were asked for."""
+
+    def use(inside):
+        asked = []
+
+        def labels_of(mapper, x, *, progress=None):
+            asked.append(x)
+            number = np.where(inside(x), 0, -1).astype(np.int32)
+            fate = np.where(number >= 0, Outcome.STRIDE, Outcome.FORWARD).astype(np.int8)
+            return Labels(fate, number, np.ones(len(x), np.int32), x)
+
+        cycle = Attractor(1, CENTRE[None])
+        monkeypatch.setattr(Mapper, "__call__", labels_of)
+        mapper = lambda walker, grid, *limits: Mapper(walker, [cycle], *limits)
+        monkeypatch.setattr(refinement, "mapper_of_grid", mapper)
+        monkeypatch.setattr(refinement, "with_capture_boxes", lambda mapper: mapper)
+        return asked
+
+    return use
+
+
+@pytest.mark.parametrize("shape", [(7,), (3, 5), (4, 3, 5)])
+def test_runs_are_what_arrays_over_the_grid_are(shape):
+    rng = np.random.default_rng(len(shape))
+    label, level = rng.integers(0, 2, shape), np.zeros(shape, int)
+    runs = Runs.from_cells(label, level)
+    for depth in (1, 2):
+        runs = runs.subdivide()
+        for axis in range(len(shape)):
+            label, level = (np.repeat(values, 2, axis) for values in (label, level))
+        cells = np.unique(rng.integers(0, label.size, label.size // 5))
+        new = rng.integers(0, 3, len(cells))
+        runs = runs.with_cells(cells, new, depth)
+        label.ravel()[cells], level.ravel()[cells] = new, depth
+        assert runs.shape == label.shape and runs.size == label.size
+        np.testing.assert_array_equal(runs.spread(runs.label), label)
+        np.testing.assert_array_equal(runs.spread(runs.level), level)
+        np.testing.assert_array_equal(runs.levels_of(cells), depth)
+        assert runs.count_levels(3).tolist() == np.bincount(level.ravel(), minlength=3).tolist()
+        own = np.flatnonzero(level == 0)
+        number = rng.integers(0, len(own), 50)
+        np.testing.assert_array_equal(runs.cells_of_level(0, number), own[number])
+        outer = np.ones(label.shape, bool)
+        outer[(slice(1, -1),) * len(shape)] = False
+        assert runs.count_at_border(runs.label == 1) == (outer & (label == 1)).sum()
+        # no two runs of a row that follow one on another are alike
+        alike = (np.diff(runs.label) == 0) & (np.diff(runs.level) == 0)
+        assert not (alike & (runs.first[1:] % label.shape[-1] > 0)).any()
+
+
+def test_neighbours_are_those_that_an_edge_has():
+    label = np.random.default_rng(0).integers(0, 2, (4, 5, 6))
+    cells = np.arange(label.size)
+    beside = list(neighbours(cells, label.shape))
+    assert len(beside) == 26
+    unlike = np.any([label.ravel()[one] != label.ravel() for one in beside], axis=0)
+    np.testing.assert_array_equal(unlike.reshape(label.shape), edge(label))
+
+
+@pytest.mark.parametrize("inside", [ellipsoid, torus])
+def test_cells_are_those_of_the_whole_grid_at_the_cost_of_its_boundary(walks_in, inside):
+    asked = walks_in(inside)
+    options = {"strides": 10, "check": 0, "seed": 0, "tolerance": None, "by_centres": True}
+    found = refinement.refine_cells(WALKER, cube(12), 3, **options)
+    fine = refinement.finer(cube(12), 3)
+    expected = inside(fine.centres(np.arange(fine.size))).reshape(fine.shape)
+    np.testing.assert_array_equal(found.attractor >= 0, expected)
+    assert found.boundary[-1] == edge(expected.astype(int)).sum()
+    assert sum(map(len, asked)) == sum(found.followed) < fine.size / 6
+    # four times as many cells a level, as of a surface, and not eight times
+    followed, boundary = np.array(found.followed[1:]), np.array(found.boundary)
+    assert np.all(followed[1:] < 4.8 * followed[:-1]) and np.all(boundary[1:] < 5 * boundary[:-1])
+    assert len(found.runs.first) < 2 * 96**2 + 2 * found.boundary[-1]
+
+
+@pytest.mark.parametrize("inside", VOLUMES)
+def test_volumes_are_right_within_errors_that_are_as_large_as_is_said(walks_in, inside):
+    walks_in(inside)
+    options = {"strides": 10, "check": 5000, "tolerance": None}
+    found = [
+        refinement.refine_cells(WALKER, cube(10), 1, seed=seed, **options) for seed in range(16)
+    ]
+    error = np.array([one.area_error for one in found])
+    deviation = (np.array([one.area for one in found]) - VOLUMES[inside]) / error
+    assert abs(deviation.mean()) < 3 / np.sqrt(16)
+    assert 0.6 < np.sqrt(np.mean(deviation**2)) < 1.5
+    assert np.all(error < 0.04 * VOLUMES[inside])
+
+
+def test_a_volume_that_needs_too_much_memory_is_refused_before_its_cells_are_followed(
+    walks_in, monkeypatch
+):
+    asked = walks_in(ellipsoid)
+    monkeypatch.setattr("walker_jax.basins.refined_cells.memory_of_machine", lambda: 1e6)
+    with pytest.raises(TooLarge, match=r"levels=3: level 2 follows \d+ cells, which need .* GiB"):
+        wj.refine(WALKER, cube(12), 3)
+    assert len(asked) == 2
+
+
+@pytest.fixture
+def refined(walks_in):
+    walks_in(ellipsoid)
+    axes = {"theta": (0, 1, 12), "sum": (0.4, 1.6, 14), "phidot": (0, 1, 11)}
+    return wj.refine(WALKER, wj.Grid.sheared(**axes), 2, check=20_000)
+
+
+def test_slices_are_those_of_the_whole_grid(refined):
+    volume, error = float(refined.total_area), float(refined.total_area_error)
+    assert abs(volume - VOLUMES[ellipsoid]) < 4 * error < 0.03 * volume
+    lengths = np.diff(refined.first_cell.values, append=48 * 56 * 44)
+    fate = np.repeat(refined.run_fate.values, lengths).reshape(48, 56, 44)
+    for k, (name, width) in enumerate({"theta": 1, "sum": np.sqrt(2), "phidot": 1}.items()):
+        place = 20
+        plane = wj.slice_basin(refined, name, float(refined[name][place]))
+        np.testing.assert_array_equal(plane.fate, np.take(fate, place, axis=k))
+        assert float(plane[name]) == float(refined[name][place])
+        others = [one for one in ("theta", "sum", "phidot") if one != name]
+        spacing = np.prod([float(refined[one][1] - refined[one][0]) for one in others])
+        cells = (plane.fate == 0).sum()
+        assert float(plane.area[0]) == pytest.approx(float(cells * spacing * width))
+        assert plane.attrs["area"] == plane.area.values.tolist()
+    assert len(figures.basin(wj.slice_basin(refined, "phidot", 0.5)).get_images()) == 1
+    assert int(refined.at_border) == 0
+
+
+def test_what_a_volume_has_of_each_fate(refined):
+    counts = tally(refined)
+    assert counts.fates.sum() == 48 * 56 * 44 and counts.unlabelled == 0
+    assert counts.fates[Outcome.STRIDE] == refined.cells.sum()
+    answer = summarise_basin(refined, counts)
+    assert answer["volume"] == float(refined.total_area) and answer["cells"] == 48 * 56 * 44
+    assert answer["volume_error"] == float(refined.total_area_error) and "area" not in answer
+
+
+@pytest.mark.parametrize(
+    "at, message",
+    [
+        (("thetadot", 0.1), "axis must be one of theta, sum, phidot, not 'thetadot'"),
+        (("theta", 1.0), "value must be on theta, from 0 to 1, not 1"),
+        (("phidot", float("nan")), "value must be on phidot, from 0 to 1, not nan"),
+    ],
+)
+def test_a_slice_is_at_one_value_of_one_axis(refined, at, message):
+    with pytest.raises(ValueError, match=message):
+        wj.slice_basin(refined, *at)
+
+
+def test_the_picture_has_three_slices_and_the_surface(refined):
+    figure = figures.volume(refined)
+    *slices, surface = figure.axes
+    assert [len(ax.get_images()) for ax in figure.axes] == [1, 1, 1, 1]
+    for ax in slices:
+        ((left, right), (low, high)) = ax.get_xlim(), ax.get_ylim()
+        assert right - left < 1 and high - low < 1.2  # of the basin, not of the grid
+        (dot,) = ax.get_lines()
+        ((x, y),) = np.asarray(dot.get_xydata()).tolist()
+        assert left < x < right and low < y < high
+    seen = np.asarray(surface.get_images()[0].get_array())
+    assert 0.05 < np.mean(seen[..., 3] > 0.5) < 0.7  # an ellipsoid within the box's outline
+    lit = seen[..., :3][seen[..., 3] > 0.9].sum(axis=-1)
+    assert lit.max() > 1.5 * lit.min()
+
+
+def test_a_volume_without_a_basin_is_drawn_too(walks_in):
+    walks_in(lambda x: np.zeros(len(x), bool))
+    data = wj.refine(WALKER, cube(6), 1, check=100)
+    assert float(data.total_area) == 0 < float(data.total_area_error)
+    assert "no basin" in figures.volume(data).axes[3].get_title()
+
+
+@pytest.mark.parametrize("shear", [np.eye(3), [[1, 0, 0], [-1, 1, 0], [0, 0.3, 2.0]]])
+def test_the_volume_of_a_ball_grows_by_its_surface(monkeypatch, walks_in, shear):
+    """In any coordinates: 4 pi r^2 dr/dp, with dr/dp = 10."""
+
+    def changes(walker, x, made, directions, parameters, tolerance):
+        away = x - CENTRE
+        along = -(away @ directions.T) / np.linalg.norm(away, axis=1, keepdims=True)
+        return 7 * np.concatenate([along, np.full((len(x), len(parameters)), 10.0)], axis=1)
+
+    monkeypatch.setattr("walker_jax.design.area_gradients.differentiate_margins", changes)
+    walks_in(lambda x: np.linalg.norm(x - CENTRE, axis=1) < 0.23)
+    axes = {name: (-1.01, 1.02, 25) for name in "uvw"}
+    found = area_gradient(WALKER, wj.Grid(axes, np.array(shear), CENTRE), levels=2, check=500_000)
+    assert abs(found.area - 4 / 3 * np.pi * 0.23**3) < 4 * found.area_error < 0.03 * found.area
+    assert found.gradient[0] == pytest.approx(4 * np.pi * 0.23**2 * 10, rel=4e-3)
+    assert 0 < found.error[0] < 0.02 * found.gradient[0]
+    assert found.lost == 0 and not found.averaged.any()
+
+
+def test_the_whole_section_is_in_units_of_the_leg():
+    assert whole_section(WALKER)["phidot"][:2] == pytest.approx(WHOLE_SECTION["phidot"][:2])
+    short = wj.RoundFootWalker(0.01, leg_length=0.25, com_from_hip=0.1, foot_radius=0.05)
+    axes = whole_section(short)
+    assert axes["phidot"] == (pytest.approx(-5), pytest.approx(2), WHOLE_SECTION["phidot"][2])
+    # the same rates, twice as high, at either end of theta
+    low, high = (rate - 1.4 for rate in WHOLE_SECTION["sum"][:2])
+    assert axes["sum"][0] == pytest.approx(1.4 + 2 * low) and axes["sum"][1] >= 1.4 + 2 * high
+
+
+def test_the_volume_is_optimised(monkeypatch):
+    """Of a size that is made up, with its maximum at a foot radius of 0.3."""
+
+    def gradient(walker, grid, parameters, **options):
+        assert len(grid.names) == 3 and grid.shape == (84, 72, 84)
+        radius = float(walker.foot_radius)
+        slope = np.array([-2 * (radius - 0.3)] * len(parameters))
+        none = np.zeros(len(parameters))
+        return AreaGradient(1 - (radius - 0.3) ** 2, slope, 1e-9, none, none > 0, 1, 0, 1)
+
+    monkeypatch.setattr("walker_jax.design.evaluation.area_gradient", gradient)
+    monkeypatch.setattr("walker_jax.design.optimisation.compare_basins", lambda *_: {})
+    found = wj.optimise(WALKER, {"foot_radius": (0.05, 0.7)}, "volume", starts=1)
+    assert float(found.optimum[0]) == pytest.approx(0.3, abs=2e-3)
+    assert float(found.exact_optimum) == pytest.approx(1) and found.attrs["levels"] == 2
+    assert json.loads(found.attrs["objective"]) == {"volume": 1.0}
+    assert json.loads(found.attrs["region"])["theta"] == [0.0, 1.4, 84]
+    assert "volume of the basin" in figures.optimum(found).axes[0].get_ylabel()
+
+
+def test_areas_and_volumes_take_the_grids_that_they_are_of():
+    flat = wj.Grid.sheared(theta=(0, 1, 5), sum=(0, 1, 5), phidot=0.0)
+    bounds = {"foot_radius": (0.1, 0.3)}
+    with pytest.raises(ValueError, match="objective volume must have a grid of 3 axes, not 2"):
+        wj.optimise(WALKER, bounds, "volume", grid=flat)
+    with pytest.raises(ValueError, match="objective area must have a grid of 2 axes, not 3"):
+        wj.optimise(WALKER, bounds, "area", grid=cube(4))
+    with pytest.raises(ValueError, match="objective must be area for a SimplestWalker"):
+        wj.optimise(wj.SimplestWalker(0.01), {"slope": (0.001, 0.01)}, "volume")
+    with pytest.raises(ValueError, match="not both"):
+        wj.optimise(WALKER, bounds, {"area": 1.0, "volume": 1.0})
+
+
+@pytest.fixture
+def run(monkeypatch, capsys, tmp_path):
+    """Run a command in an empty folder; returns exit code, standard output and error."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("walker_jax.cli.startup.keep_compiled", lambda: None)
+
+    def run(*arguments):
+        monkeypatch.setattr("sys.argv", ["walker-jax", *arguments])
+        with pytest.raises(SystemExit) as stop:
+            main.main()
+        return (stop.value.code, *capsys.readouterr())
+
+    return run
+
+
+def test_the_command_says_volume_with_its_unit(walks_in, run, tmp_path):
+    walks_in(ellipsoid)
+    axes = "--theta 0 1 12 --sum 0.4 1.6 12 --phidot 0 1 12 --levels 1".split()
+    command = ["basin", "--walker", "round-foot", "--slope", "0.01", *axes]
+    code, printed, err = run(*command)
+    assert (code, err) == (0, "")
+    assert "direct, refined" in printed and "rad^3 g/l in all" in printed
+    assert (tmp_path / "basin.png").exists()
+    answer = json.loads(run(*command, "--json")[1])  # reads what was saved
+    assert abs(answer["volume"] - VOLUMES[ellipsoid]) < 4 * answer["volume_error"]
+    assert answer["at_border"] == 0 and f"volume {answer['volume']:.7g} +-" in printed
+
+
+def test_levels_are_followed_directly_and_here(run):
+    for option in ("--workers=2", "--method=cell-map"):
+        walker = ("--walker", "round-foot", "--slope", "0.01")
+        code, _, err = run("basin", *walker, "--levels", "1", option)
+        assert code == 2 and "--levels" in err
+
+
+@pytest.mark.slow
+def test_the_volume_of_a_walker_on_round_feet():
+    """Against every cell of a uniform grid, and random starts; and its change with the radius."""
+    grid = grid_along(whole_section(WALKER))
+    found = wj.refine(WALKER, grid, 1)
+    volume, error = float(found.total_area), float(found.total_area_error)
+    uniform = wj.basin(WALKER, refinement.finer(grid, 1), "direct")
+    assert abs(float(uniform.area.sum()) - volume) < 4 * error < 0.02 * volume
+    whole, chance = (
+        grid.size * grid.cell_area,
+        wj.basin_stability(WALKER, grid, samples=1_000_000, strides=200),
+    )
+    assert whole * chance.low - 2 * error < volume < whole * chance.high + 2 * error
+    rate = area_gradient(WALKER, grid, ("foot_radius",), levels=1)
+    near = [wj.refine(wj.RoundFootWalker(0.01, foot_radius=r), grid, 2) for r in (0.19, 0.21)]
+    low, high = (float(one.total_area) for one in near)
+    spread = np.linalg.norm([float(one.total_area_error) for one in near]) / 0.02
+    assert abs(rate.gradient[0] - (high - low) / 0.02) < 4 * np.hypot(spread, rate.error[0])

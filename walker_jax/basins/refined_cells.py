@@ -1,0 +1,147 @@
+"""The cells of ever finer grids, of which only those on a boundary are followed.
+
+What is not followed inherits the label of the cell that it is a part of. All that is kept is the
+runs of equal labels and the cells that were followed on the last level, so memory follows the
+boundary, in two dimensions as in three.
+"""
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, Shaped
+
+from walker_jax.basins.mapper import Labels, Mapper
+from walker_jax.basins.memory import TooLarge, memory_of_machine
+from walker_jax.basins.runs import Runs, flat_index, label_of, neighbours
+from walker_jax.grids import Grid
+
+BYTES_PER_FOLLOWED_CELL = 150
+"""Memory at its peak, for each cell that is followed on one level (benchmarks/volumes.py)."""
+CELLS_TOGETHER = 2**21
+"""Cells that are followed in one call, which bounds what their states take of memory."""
+
+SPREAD = 1 / 12
+"""Variance that a cell beside one of another fate brings to the area, in cells. A part f of it in
+the basin brings f (1 - f), 1/6 on average; half of these cells or more have no part in both. Right
+of a line, and up to three times too small where a boundary fills cells: over three dimensions the
+mean of f (1 - f) is measured."""
+REDRAWN = 20_000
+"""Starts by which that mean is measured, at most: it has an error of some 2 % then."""
+
+
+class RefinedCells:
+    """The labels of all cells of ever finer grids, and on which level each cell was followed."""
+
+    def __init__(
+        self,
+        grid: Grid,
+        levels: int,
+        by_centres: bool,
+        mapper: Mapper,
+        rng: np.random.Generator,
+        progress: str | None,
+    ):
+        """On the finest of the levels a cell's label may be that of its centre, too."""
+        self.grid, self.levels, self.by_centres = grid, levels, by_centres
+        self.mapper, self.rng, self.progress = mapper, rng, progress
+        self.total_strides = 0
+        none = np.full(grid.shape, -1)
+        self.runs = Runs.from_cells(none, none)
+        self.cells, self.strides = np.zeros(0, int), np.zeros(0, np.int32)
+
+    def subdivide(self) -> None:
+        """Cut all cells in two along each axis; the parts inherit labels."""
+        self.runs = self.runs.subdivide()
+        self.cells, self.strides = np.zeros(0, int), np.zeros(0, np.int32)
+
+    def map(self, cells: Int[np.ndarray, " n"], *, anywhere: bool) -> Labels:
+        """The labels of cells, by their centres or by points anywhere in them."""
+        parts = []
+        for first in range(0, max(1, len(cells)), CELLS_TOGETHER):
+            part = cells[first : first + CELLS_TOGETHER]
+            places = np.stack(np.unravel_index(part, self.runs.shape), axis=1)
+            within = self.rng.uniform(size=places.shape) if anywhere else 0.5
+            x = self.grid.points_at((places + within) / np.array(self.runs.shape))
+            found, self.mapper = self.mapper.label_all(x, progress=self.progress)
+            self.total_strides += found.total_strides
+            parts.append(found._replace(states=found.states[:0]))  # nobody asks for them
+        return Labels(*(np.concatenate(values) for values in zip(*parts, strict=True)))
+
+    def follow(self, level: int, cells: Int[np.ndarray, " n"]) -> None:
+        """Follow cells, and then those beside them where that shows a boundary, until none is."""
+        while cells.size:
+            self.check_memory(level, len(cells))
+            found = self.map(cells, anywhere=level == self.levels and not self.by_centres)
+            self.runs = self.runs.with_cells(cells, label_of(found.fate, found.attractor), level)
+            order = np.argsort(np.concatenate([self.cells, cells]))
+            self.cells = np.concatenate([self.cells, cells])[order]
+            self.strides = np.concatenate([self.strides, found.strides])[order]
+            own, unlike = self.runs.label[self.runs.of_cells(cells)], [np.zeros(0, int)]
+            for beside in neighbours(cells, self.runs.shape):
+                run = self.runs.of_cells(beside)
+                met = (self.runs.label[run] != own) & (self.runs.level[run] < level)
+                unlike.append(beside[met])
+            cells = np.unique(np.concatenate(unlike))
+
+    def check_memory(self, level: int, count: int) -> None:
+        """Refuse to follow more cells on a level than this machine has memory for."""
+        needed, memory = (len(self.cells) + count) * BYTES_PER_FOLLOWED_CELL, memory_of_machine()
+        if needed > memory:
+            raise TooLarge(
+                f"levels={self.levels}: level {level} follows {len(self.cells) + count} cells, "
+                f"which need {needed / 2**30:.1f} GiB of memory, "
+                f"and this machine has {memory / 2**30:.1f} GiB"
+            )
+
+    def on_boundary(self, values: Shaped[np.ndarray, " runs"]) -> Bool[np.ndarray, " n"]:
+        """Which of the cells followed on this level have a neighbour, in a run of another value.
+
+        Others have none: where labels differ, both cells have been followed.
+        """
+        own, found = values[self.runs.of_cells(self.cells)], np.zeros(len(self.cells), bool)
+        for beside in neighbours(self.cells, self.runs.shape):
+            found |= values[self.runs.of_cells(beside)] != own
+        return found
+
+    def children(self, cells: Int[np.ndarray, " n"]) -> Int[np.ndarray, " m"]:
+        """The parts of cells of the level before, in ascending order."""
+        shape = self.runs.shape
+        places = 2 * np.stack(np.unravel_index(cells, tuple(count // 2 for count in shape)))
+        steps = np.indices((2,) * len(shape)).reshape(len(shape), -1)
+        parts = places[:, :, None] + steps[:, None]
+        return np.sort(flat_index(parts, shape), axis=None)
+
+    def inherited(self) -> Float[np.ndarray, " levels"]:
+        """How many cells inherited their labels from each level."""
+        return self.runs.count_levels(self.levels).astype(float)
+
+    def compare(
+        self, shares: Float[np.ndarray, " levels"], check: int
+    ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"], Int[np.ndarray, " levels"]]:
+        """Random points in cells that inherited, against the labels of these.
+
+        Returns the cells; 1 where the point walks and the cell does not, -1 where the cell does
+        alone, else 0; and how many cells are of each level.
+        """
+        counts = np.floor(check * shares / max(shares.sum(), 1)).astype(int)
+        counts = np.maximum(counts, (shares > 0) & (check > 0))
+        sizes = self.runs.count_levels(self.levels)
+        drawn = [
+            self.runs.cells_of_level(level, self.rng.integers(0, size, n))
+            for level, (size, n) in enumerate(zip(sizes, counts, strict=True))
+            if n
+        ]
+        cells = np.concatenate([np.zeros(0, int), *drawn])
+        walks = self.map(cells, anywhere=True).converged
+        cell_walks = self.runs.attractor[self.runs.of_cells(cells)] >= 0
+        return cells, walks.astype(int) - cell_walks, counts
+
+    def measure_spread(self, cells: Int[np.ndarray, " n"], count: int) -> float:
+        """The mean of f (1 - f) over cells: half the chance that two points of one differ.
+
+        Each cell has the label of a random point in it; further points are drawn in some cells.
+        """
+        if count == 0 or len(cells) == 0:
+            return SPREAD
+        drawn = np.sort(self.rng.choice(cells, count))
+        walks = self.map(drawn, anywhere=True).converged
+        differ = np.count_nonzero(walks != (self.runs.attractor[self.runs.of_cells(drawn)] >= 0))
+        return (differ + 1) / (2 * count)

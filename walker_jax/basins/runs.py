@@ -1,0 +1,147 @@
+"""The labels of a grid's cells, stored as runs of neighbours along the last axis that are alike.
+
+A label is one number for the fate and the attractor of a cell. Rows of cells that all have one
+label cost one run each, so memory follows the boundary between labels, not the volume of the grid.
+A run never goes on from one row to the next. Cells are numbered as in `Grid`, but by 64 bits.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Int
+
+from walker_jax.walking.outcomes import Outcome
+
+
+class Runs(NamedTuple):
+    """The label of each cell, and the level of refinement on which it was followed."""
+
+    shape: tuple[int, ...]
+    """Of the grid."""
+    first: Int[np.ndarray, " runs"]
+    """The first cell of each run; the run ends before the next one."""
+    label: Int[np.ndarray, " runs"]
+    level: Int[np.ndarray, " runs"]
+
+    @classmethod
+    def from_cells(
+        cls, label: Int[np.ndarray, "*shape"], level: Int[np.ndarray, "*shape"]
+    ) -> "Runs":
+        """The runs of cells that all have a label and a level."""
+        first = np.arange(label.size)
+        return join_runs(label.shape, first, label.ravel(), level.ravel())
+
+    @property
+    def size(self) -> int:
+        """Number of cells."""
+        return math.prod(self.shape)
+
+    @property
+    def lengths(self) -> Int[np.ndarray, " runs"]:
+        """Number of cells of each run."""
+        return np.diff(self.first, append=self.size)
+
+    @property
+    def fate(self) -> Int[np.ndarray, " runs"]:
+        """Fates of the cells of each run."""
+        return np.where(self.label < len(Outcome), self.label, Outcome.STRIDE).astype(np.int8)
+
+    @property
+    def attractor(self) -> Int[np.ndarray, " runs"]:
+        """Attractors of the cells of each run; -1 for none."""
+        return np.where(self.label < len(Outcome), -1, self.label - len(Outcome)).astype(np.int32)
+
+    def of_cells(self, cells: Int[np.ndarray, "*n"]) -> Int[np.ndarray, "*n"]:
+        """Numbers of the runs that cells are in."""
+        return np.searchsorted(self.first, cells, "right") - 1
+
+    def levels_of(self, cells: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
+        """The levels on which cells were followed, or what they inherited was."""
+        return self.level[self.of_cells(cells)]
+
+    def spread(self, values: np.ndarray) -> np.ndarray:
+        """An array over the grid with the value of each run in all of its cells."""
+        return np.repeat(values, self.lengths).reshape(self.shape)
+
+    def with_cells(
+        self, cells: Int[np.ndarray, " n"], label: Int[np.ndarray, " n"], level: int
+    ) -> "Runs":
+        """The same with labels of some cells, in ascending order, that were followed on a level."""
+        ends = cells[cells + 1 < self.size] + 1
+        first = np.union1d(self.first, np.concatenate([cells, ends]))
+        before, place = self.of_cells(first), np.searchsorted(first, cells)
+        labels, levels = self.label[before], self.level[before]
+        labels[place], levels[place] = label, level
+        return join_runs(self.shape, first, labels, levels)
+
+    def subdivide(self) -> "Runs":
+        """The runs of the cells cut in two along each axis."""
+        shape = tuple(2 * count for count in self.shape)
+        places = 2 * np.stack(np.unravel_index(self.first, self.shape))
+        steps = np.indices((*[2] * (len(shape) - 1), 1)).reshape(len(shape), -1)
+        parts = places[:, :, None] + steps[:, None]
+        first = flat_index(parts, shape).ravel()
+        order = np.argsort(first)
+        run = order // steps.shape[1]
+        return Runs(shape, first[order], self.label[run], self.level[run])
+
+    def count_levels(self, levels: int) -> Int[np.ndarray, " levels"]:
+        """How many cells were followed on each of the first levels."""
+        counts = [self.lengths[self.level == level].sum() for level in range(levels)]
+        return np.array(counts, int)
+
+    def count_at_border(self, chosen: Bool[np.ndarray, " runs"]) -> int:
+        """How many cells of some runs are at the border of the grid."""
+        *places, begins = np.unravel_index(self.first[chosen], self.shape)
+        lengths = self.lengths[chosen]
+        ends = 1 * (begins == 0) + (begins + lengths == self.shape[-1])
+        outer = np.zeros(len(begins), bool)
+        for place, count in zip(places, self.shape, strict=False):
+            outer |= (place == 0) | (place == count - 1)
+        return int(np.where(outer, lengths, np.minimum(ends, lengths)).sum())
+
+    def cells_of_level(self, level: int, number: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
+        """Those of the cells of a level, in ascending order, that have these numbers from 0 on."""
+        own = np.flatnonzero(self.level == level)
+        ends = np.cumsum(self.lengths[own])
+        place = np.searchsorted(ends, number, "right")
+        return self.first[own[place]] + self.lengths[own[place]] - (ends[place] - number)
+
+
+def join_runs(
+    shape: tuple[int, ...],
+    first: Int[np.ndarray, " n"],
+    label: Int[np.ndarray, " n"],
+    level: Int[np.ndarray, " n"],
+) -> Runs:
+    """Runs, those joined that are alike and in the same row."""
+    begins = first % shape[-1] == 0
+    begins[1:] |= (label[1:] != label[:-1]) | (level[1:] != level[:-1])
+    return Runs(shape, first[begins], label[begins].astype(np.int32), level[begins].astype(np.int8))
+
+
+def label_of(
+    fate: Int[np.ndarray, "*n"], attractor: Int[np.ndarray, "*n"]
+) -> Int[np.ndarray, "*n"]:
+    """One number for the fate and the attractor of each cell, which converges if it has one."""
+    return np.where(attractor >= 0, len(Outcome) + attractor, fate)
+
+
+def neighbours(
+    cells: Int[np.ndarray, " n"], shape: tuple[int, ...]
+) -> Iterator[Int[np.ndarray, " n"]]:
+    """The neighbours of cells in each direction, corners included, which the border repeats."""
+    places = np.unravel_index(cells, shape)
+    for step in np.ndindex((3,) * len(shape)):
+        if step != (1,) * len(shape):
+            beside = [place + one - 1 for place, one in zip(places, step, strict=True)]
+            yield flat_index(beside, shape)
+
+
+def flat_index(
+    places: Sequence[Int[np.ndarray, "..."]] | Int[np.ndarray, "..."], shape: tuple[int, ...]
+) -> Int[np.ndarray, "..."]:
+    """Numbers of the cells at these places on each axis, or of those at the border next to them."""
+    return np.asarray(np.ravel_multi_index(tuple(places), shape, mode="clip"))

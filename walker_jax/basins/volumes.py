@@ -1,0 +1,79 @@
+"""A refined basin of three dimensions, and its slices along the axes of the grid."""
+
+import numpy as np
+import xarray as xr
+
+from walker_jax.basins.runs import Runs, flat_index
+from walker_jax.basins.schema import ATTRIBUTES
+from walker_jax.checks import WrongUse, check_kind, check_number, refuses_tracers, short
+from walker_jax.grids import Grid
+from walker_jax.storage.schema import check_dataset
+
+
+@refuses_tracers()
+def slice_basin(data: xr.Dataset, axis: str, value: float) -> xr.Dataset:
+    """The slice of a refined basin of three dimensions at one value of one axis.
+
+    **Arguments:**
+
+    - `data`: what `refine` returns over three dimensions.
+    - `axis`: the name of an axis of its grid, such as "phidot".
+    - `value`: on it; the slice is that of the finest cells that hold the value.
+
+    **Returns** a data set like that of `basin` over the other two axes; all its `strides` are 0.
+    `cells` and `area` are those of the slice.
+
+    Raises `ValueError` for another data set, for an axis that it does not have, and for a value
+    that is not on the axis.
+    """
+    check_kind("data", data, xr.Dataset)
+    check_dataset(data, "refined volume")
+    grid, runs = grid_of(data), runs_of(data)
+    if not isinstance(axis, str) or axis not in grid.names:
+        raise WrongUse(f"axis must be one of {', '.join(grid.names)}, not {short(axis)}")
+    check_number("value", value)
+    hidden = grid.names.index(axis)
+    low, high, count = (float(ends[hidden]) for ends in (grid.lower, grid.upper, grid.counts))
+    if not low <= value < high:
+        raise WrongUse(f"value must be on {axis}, from {low:g} to {high:g}, not {value:g}")
+    place = min(int((value - low) / (high - low) * count), int(count) - 1)
+    others = [k for k in range(len(grid.names)) if k != hidden]
+    axes = {grid.names[k]: list(grid.box.values())[k] for k in others}
+    centre = float(data[axis][place])
+    plane = Grid(axes, grid.shear[:, others], grid.origin + grid.shear[:, hidden] * centre)
+    cells = np.insert(np.indices(plane.shape), hidden, place, axis=0)
+    run = runs.of_cells(flat_index(cells, grid.shape))
+    arrays = {
+        "fate": data["run_fate"].values[run],
+        "attractor": data["run_attractor"].values[run],
+        "strides": np.zeros(plane.shape, np.int32),
+    }
+    reached = arrays["attractor"][arrays["attractor"] >= 0]
+    counts = np.bincount(reached, minlength=data.sizes["number"])
+    found = xr.Dataset(
+        {key: (plane.names, values, ATTRIBUTES[key]) for key, values in arrays.items()},
+        coords=plane.axes | {axis: centre},
+        attrs=data.attrs | {"area": (counts * plane.cell_area).tolist()},
+    )
+    return found.merge(data[["period", "states"]]).assign(
+        cells=("number", counts), area=("number", counts * plane.cell_area)
+    )
+
+
+def grid_of(data: xr.Dataset) -> Grid:
+    """The finest grid of a refined basin of three dimensions."""
+    names = data["axis"].values.tolist()
+    ends = zip(data["lower"].values, data["upper"].values, strict=True)
+    axes = {
+        name: (float(low), float(high), data.sizes[name])
+        for name, (low, high) in zip(names, ends, strict=True)
+    }
+    return Grid(axes, data["shear"].values, data["origin"].values)
+
+
+def runs_of(data: xr.Dataset) -> Runs:
+    """The runs of its cells: labels are those of the data set, levels are not kept."""
+    shape = tuple(data.sizes[name] for name in data["axis"].values.tolist())
+    first = data["first_cell"].values
+    label = np.zeros(len(first), np.int32)
+    return Runs(shape, first, label, label.astype(np.int8))

@@ -1,0 +1,227 @@
+"""Steps to a fall: how long a walker walks on rough ground, or under other random disturbances.
+
+Every stride is disturbed at random, so every walker falls in the end. How many strides it makes is
+what matters (Byl and Tedrake 2009, Int. J. Robot. Res. 28:1040-1064).
+"""
+
+from collections.abc import Callable
+from functools import partial
+from statistics import NormalDist
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+from scipy.special import gammaincinv
+
+from walker_jax.checks import (
+    WrongUse,
+    check_kind,
+    check_number,
+    check_whole,
+    is_number,
+    refuses_tracers,
+    short,
+)
+from walker_jax.execution.tiles import map_cells
+from walker_jax.gaits.cycles import Gait
+from walker_jax.gaits.search import find_gait
+from walker_jax.integrators.solvers import default_tolerance
+from walker_jax.walkers.model import Walker
+from walker_jax.walking.disturbed import Disturbance, DisturbedWalk, follow_disturbed_walk
+from walker_jax.walking.outcomes import Outcome
+
+RandomDisturbance = Callable[[Any], Any]
+"""A JAX function of a random key: the height of one step, or a `Disturbance`."""
+STRIDES_PER_CALL = 32
+"""Strides that walks make before those that have fallen are left out. Three numbers for each are
+within the 128 entries of an array that a kernel can hold."""
+
+
+class StepsToFall(NamedTuple):
+    """Numbers of strides that walkers make until they fall."""
+
+    mean: float
+    """Maximum likelihood estimate of the mean, if walks that did not fall were left off (`ended`):
+    strides in all over falls. Infinite without a fall."""
+    low: float
+    high: float
+    """Its confidence interval."""
+    strides: Int[np.ndarray, " n"]
+    """Completed strides of each walk."""
+    ended: Bool[np.ndarray, " n"]
+    """Whether each walk ended in a failure; the others were left off at the limit."""
+    outcomes: Int[np.ndarray, " n"]
+    """`Outcome` of the failure, or `STRIDE`."""
+
+
+@refuses_tracers()
+def steps_to_fall(
+    walker: Walker,
+    ground: float | RandomDisturbance,
+    n: int = 1000,
+    key: Any = None,
+    *,
+    gait: Gait | None = None,
+    limit: int = 10_000,
+    confidence: float = 0.95,
+    tolerance: float | None = None,
+) -> StepsToFall:
+    """How many strides walkers make on rough ground until they fall, from a gait on.
+
+    Walks that have made `limit` strides are left off. Their part of the mean is that of a constant
+    chance to fall in each stride, which holds once a walk has forgotten where it began: then a
+    stride's chance does not depend on how many there were before. The interval is that of the
+    exponential distribution, by the chi-squared distribution with twice the number of falls; if all
+    walks fall, that of the sample mean.
+
+    **Arguments:**
+
+    - `walker`: any walker.
+    - `ground`: a function of a JAX random key, which returns the height of the next foothold above
+      the present one, `lambda key: 0.001 * jax.random.normal(key)`, or a `Disturbance` in steps,
+      slope and pushes; or a number, the standard deviation of normally distributed heights.
+    - `n`: number of walks.
+    - `key`: a JAX random key, `jax.random.key(0)` by default. Each stride of each walk has its own.
+    - `gait`: where walks begin, from its first state; the most stable of period one, by default.
+    - `limit`: strides of a walk, at most.
+    - `confidence`: of the interval.
+    - `tolerance`: of the integration, as in `stride`.
+
+    Raises `ValueError` for a walker without a gait, and for arguments out of range.
+    """
+    check_kind("walker", walker, Walker)
+    check_whole("n", n)
+    check_whole("limit", limit)
+    check_number("confidence", confidence)
+    if not 0 < confidence < 1:
+        raise WrongUse(f"confidence must be between 0 and 1, not {confidence}")
+    draw_one = read_ground(ground)
+    keys = jax.random.split(read_key(key), n)
+    start = start_of_walks(walker, gait, tolerance)
+    states = np.broadcast_to(start, (n, len(start)))
+    walks = walk_disturbed(walker, states, draw_one, keys, limit, tolerance)
+    ended = walks.outcome != Outcome.STRIDE
+    mean, low, high = mean_life(walks.strides, ended, confidence)
+    return StepsToFall(mean, low, high, walks.strides, ended, walks.outcome)
+
+
+def walk_disturbed(
+    walker: Walker,
+    states: Float[np.ndarray, "n 4"],
+    ground: RandomDisturbance,
+    keys: Array,
+    limit: int,
+    tolerance: float | None,
+) -> DisturbedWalk:
+    """Disturbed walks from n full states, each with a random key, until they fail; NumPy arrays."""
+    walker = jax.tree.map(lambda leaf: np.asarray(leaf, states.dtype), walker)
+    checked_tolerance = np.asarray(default_tolerance(states.dtype, tolerance), states.dtype)
+    n = len(states)
+    end = DisturbedWalk(states.copy(), np.zeros(n, np.int8), np.zeros(n, np.int32))
+    active, done = np.arange(n), 0
+    while len(active) and done < limit:
+        count = min(STRIDES_PER_CALL, limit - done)
+        own = keys[pad_to_power_of_two(active)]
+        drawn = np.asarray(draw(ground, own, done, count))[: len(active)]
+        part = map_cells(
+            follow_disturbed_walk,
+            (walker, end.state[active], drawn.astype(states.dtype), checked_tolerance),
+            (False, True, True, False),
+        )
+        end.state[active], end.outcome[active] = part.state, part.outcome
+        end.strides[active] += part.strides
+        active, done = active[part.outcome == Outcome.STRIDE], done + count
+    return end
+
+
+def pad_to_power_of_two(indices: Int[np.ndarray, " m"]) -> Int[np.ndarray, " n"]:
+    """The indices, the last repeated, so that few programs are compiled."""
+    size = 1 << (len(indices) - 1).bit_length()
+    return np.concatenate([indices, np.repeat(indices[-1:], size - len(indices))])
+
+
+@partial(jax.jit, static_argnums=(0, 3))
+def draw(
+    ground: RandomDisturbance, keys: Array, first: int | Int[Array, ""], count: int
+) -> Float[Array, "n strides 3"]:
+    """Disturbances of `count` strides of n walks, from stride `first` on."""
+
+    def one(key, number):
+        return as_row(ground(jax.random.fold_in(key, number)))
+
+    numbers = first + jnp.arange(count)
+    return jax.vmap(jax.vmap(one, (None, 0)), (0, None))(keys, numbers)
+
+
+def as_row(drawn: Any) -> Float[Array, " 3"]:
+    """Step, slope and push of what a random function gives."""
+    disturbance = drawn if isinstance(drawn, Disturbance) else Disturbance(step=drawn)
+    return jnp.stack([jnp.asarray(value, float) for value in disturbance])
+
+
+def read_ground(ground: float | RandomDisturbance) -> RandomDisturbance:
+    """The random function that is meant, checked."""
+    if is_number(ground):
+        deviation = float(ground)  # pyright: ignore[reportArgumentType] a number, as is_number says
+        if not 0 <= deviation < np.inf:
+            raise WrongUse(f"ground must be finite and not negative, not {short(ground)}")
+        return NormalSteps(deviation)
+    if not callable(ground):
+        raise WrongUse(f"ground must be a number or a function of a key, not {short(ground)}")
+    try:
+        drawn = jax.eval_shape(ground, jax.random.key(0))
+    except TypeError as error:
+        raise WrongUse(
+            f"ground must return a height or a Disturbance: {str(error).splitlines()[0]}"
+        ) from None
+    shapes = {np.shape(value) for value in jax.tree.leaves(drawn)}
+    if not isinstance(drawn, Disturbance | jax.ShapeDtypeStruct) or shapes - {()}:
+        raise WrongUse(f"ground must return a height or a Disturbance, not {short(drawn)}")
+    return ground
+
+
+class NormalSteps(NamedTuple):
+    """Normally distributed heights of steps."""
+
+    deviation: float
+
+    def __call__(self, key):
+        return self.deviation * jax.random.normal(key, dtype=float)
+
+
+def read_key(key: Any) -> Array:
+    """A random key, new or old style."""
+    if key is None:
+        return jax.random.key(0)
+    if not isinstance(key, jax.Array):
+        raise WrongUse(f"key must be a random key of JAX, not {short(key)}")
+    return key
+
+
+def start_of_walks(walker: Walker, gait: Gait | None, tolerance: Any) -> Float[np.ndarray, " 4"]:
+    """The full state of a gait just after heel strike."""
+    gait = find_gait(walker, tolerance=tolerance) if gait is None else gait
+    check_kind("gait", gait, Gait)
+    if not gait.found:
+        raise WrongUse("walker must have a gait: none was found; give gait")
+    return np.stack(walker.lift(jnp.asarray(gait.states[0])))
+
+
+def mean_life(
+    strides: Int[np.ndarray, " n"], ended: Bool[np.ndarray, " n"], confidence: float
+) -> tuple[float, float, float]:
+    """The mean number of strides until a fall, and its confidence interval.
+
+    The stride in which a walker falls is not counted, as `Walk`s do not.
+    """
+    total, falls, n = float(strides.sum()), int(ended.sum()), len(strides)
+    below, above = (1 - confidence) / 2, (1 + confidence) / 2
+    chi_squared = lambda p, degrees: 2 * float(gammaincinv(degrees / 2, p))
+    high = 2 * total / chi_squared(below, 2 * falls) if falls else np.inf
+    low = 2 * total / chi_squared(above, 2 * falls + 2)
+    if falls < n or n < 2:
+        return (total / falls if falls else np.inf), low, high
+    spread = NormalDist().inv_cdf(above) * float(strides.std(ddof=1)) / np.sqrt(n)
+    return total / n, total / n - spread, total / n + spread

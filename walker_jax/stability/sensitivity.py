@@ -1,0 +1,135 @@
+"""The gait sensitivity norm: how much disturbances show in what matters of a gait.
+
+Hobbelen and Wisse 2007, IEEE Trans. Robot. 23:1213-1224. To first order, with x the deviation of
+the state just after heel strike, e what disturbs a stride and g what is looked at,
+
+    x' = A x + B e,    g = C x + D e.
+
+The norm is that of the response of g to a unit of each disturbance during one stride,
+
+    sqrt(tr D'D + sum over k >= 0 of tr(B' A'^k C'C A^k B)).
+"""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from walker_jax.checks import WrongUse, check_kind, short
+from walker_jax.gaits.cycles import Gait
+from walker_jax.gaits.search import find_gait
+from walker_jax.walkers.model import Scalar, State, Walker
+from walker_jax.walking.disturbed import Disturbance, follow_disturbed
+from walker_jax.walking.stepping import prepare
+
+Indicator = Callable[[Walker, State, State, Scalar], Scalar]
+"""What is looked at, of a stride: from the walker, the full states just after the heel strikes at
+its start and its end, and its duration."""
+
+
+def step_length(walker: Walker, start: State, end: State, time: Scalar) -> Scalar:
+    """How far the swing foot is ahead at heel strike, along the slope."""
+    return walker.reach(walker.exchange_legs(end))
+
+
+INDICATORS: dict[str, Indicator] = {
+    "time": lambda walker, start, end, time: time,
+    "length": step_length,
+    "speed": lambda walker, start, end, time: step_length(walker, start, end, time) / time,
+}
+
+
+class GaitSensitivity(NamedTuple):
+    """The response of a gait to disturbances, and its norm."""
+
+    norm: Float[Array, ""]
+    """Infinite for a gait that is not stable; NaN for one that was not found."""
+    A: Float[Array, "4 4"]
+    """dx'/dx, of full states (theta, phi, thetadot, phidot)."""
+    B: Float[Array, "4 disturbances"]
+    C: Float[Array, "indicators 4"]
+    D: Float[Array, "indicators disturbances"]
+    terms: Float[Array, "indicators disturbances"]
+    """What each pair adds to the square of the norm."""
+
+
+def gait_sensitivity(
+    walker: Walker,
+    gait: Gait | None = None,
+    disturbances: Sequence[str] = ("step", "slope", "push"),
+    indicators: Sequence[str | Indicator] = ("time", "length", "speed"),
+    *,
+    tolerance: float | None = None,
+) -> GaitSensitivity:
+    """The gait sensitivity norm of a gait of period one, and the matrices that it is made of.
+
+    Works under JAX's transformations; derivatives by parameters of the walker are right where the
+    gait is differentiated too, `gait=wj.find_gait(walker, guess)`.
+
+    **Arguments:**
+
+    - `walker`: any walker.
+    - `gait`: of this walker; by default that of `find_gait`.
+    - `disturbances`: of one stride, the fields of a `Disturbance`: "step", the height of the next
+      foothold above the present one; "slope"; "push", a change of thetadot at the start.
+    - `indicators`: "time", of the stride; "length", of the step along the slope; "speed", one over
+      the other; or functions of (walker, start, end, time), `State`s just after heel strike.
+    - `tolerance`: of the integration, as in `stride`.
+
+    Raises `ValueError` for other names, and for a gait of another period than one.
+    """
+    check_kind("walker", walker, Walker)
+    numbers = [find_name("disturbances", name, Disturbance._fields) for name in disturbances]
+    looks = [
+        one
+        if callable(one)
+        else list(INDICATORS.values())[find_name("indicators", one, tuple(INDICATORS))]
+        for one in indicators
+    ]
+    if not numbers or not looks:
+        raise WrongUse("disturbances and indicators must be one or more each, not none")
+    gait = find_gait(walker, tolerance=tolerance) if gait is None else gait
+    check_kind("gait", gait, Gait)
+    if len(gait.states) != 1:
+        raise WrongUse(f"gait must be of period one, not {len(gait.states)}")
+    walker, state, checked = prepare(walker, gait.states[0], tolerance)
+    return respond_to(walker, state, checked, (tuple(numbers), tuple(looks)))
+
+
+@partial(jax.jit, static_argnums=3)
+def respond_to(
+    walker: Walker,
+    state: Float[Array, " section"],
+    tolerance: Float[Array, ""],
+    what: tuple[tuple[int, ...], tuple[Indicator, ...]],
+) -> GaitSensitivity:
+    """The matrices and the norm, of disturbances by number and of indicators."""
+    numbers, looks = what
+
+    def disturbed(x, e):
+        values = jnp.zeros(len(Disturbance._fields), x.dtype).at[jnp.array(numbers)].set(e)
+        made = follow_disturbed(walker, x, Disturbance(*values), tolerance)
+        ends = State(*made.state)
+        return made.state, jnp.stack([look(walker, State(*x), ends, made.time) for look in looks])
+
+    x, e = jnp.stack(walker.lift(state)), jnp.zeros(len(numbers), state.dtype)
+    (A, B), (C, D) = jax.jacfwd(disturbed, (0, 1))(x, e)
+    # X_i = sum of A'^k c c' A^k, for c' each row of C: the discrete Lyapunov equation.
+    n = len(x)
+    operator = jnp.eye(n * n, dtype=x.dtype) - jnp.kron(A.T, A.T)
+    rows = jnp.stack([jnp.outer(c, c).reshape(-1) for c in C], axis=1)
+    X = jnp.linalg.solve(operator, rows).T.reshape(len(looks), n, n)
+    terms = D**2 + jnp.einsum("ab,iac,cb->ib", B, X, B)
+    size = jnp.abs(jnp.linalg.eigvals(jax.lax.stop_gradient(A))).max()
+    square = jnp.where(size < 1, jnp.sum(terms), jnp.where(size >= 1, jnp.inf, jnp.nan))
+    return GaitSensitivity(jnp.sqrt(square), A, B, C, D, terms)
+
+
+def find_name(what: str, name: Any, names: tuple[str, ...]) -> int:
+    """The number of a name."""
+    if name not in names:
+        raise WrongUse(f"{what} must be of {', '.join(names)}, not {short(name)}")
+    return names.index(name)

@@ -1,0 +1,164 @@
+"""Feedback from stride to stride: parameters that depend on where a stride begins."""
+
+from collections.abc import Mapping, Sequence
+from functools import cache, partial
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float
+
+from walker_jax.checks import WrongUse, check_kind, short
+from walker_jax.walkers.model import Walker
+from walker_jax.walkers.parameters import Parameter, check_parameter, parameters, with_parameter
+
+UNBOUNDED = {"low": -np.inf, "high": np.inf}
+
+
+class FeedbackWalker(Walker):
+    """What the walkers that `Feedback` makes have in common."""
+
+    controlled: eqx.AbstractClassVar[tuple[str, ...]]
+    """Names of the parameters that are set at each heel strike."""
+    limited: eqx.AbstractClassVar[tuple[str, ...]]
+    """Names of those whose bounds are parameters of the walker too."""
+    kind: eqx.AbstractClassVar[type[Walker]]
+    """The walker without feedback."""
+
+    def during_stride(self, x):
+        """p = p* + K (x - x*), within its bounds."""
+        walker, values = self, vars(self)
+        away = [x[i] - values[f"reference_{name}"] for i, name in enumerate(self.section)]
+        described = {one.name: one for one in parameters(self.kind)}
+        for name in self.controlled:
+            gains = [values[f"{name}_per_{coordinate}"] for coordinate in self.section]
+            value = values[name] + sum(gain * d for gain, d in zip(gains, away, strict=True))
+            low, high = described[name].low, described[name].high
+            if name in self.limited:
+                low, high = values[f"least_{name}"], values[f"largest_{name}"]
+            walker = with_parameter(walker, name, jnp.clip(value, low, high))
+        return walker
+
+    def __reduce__(self):
+        return partial(remake, self.kind, self.controlled, self.limited, vars(self)), ()
+
+
+def Feedback(
+    walker: Walker,
+    gait: Any,
+    gains: Mapping[str, Sequence[Any] | Float[ArrayLike, " section"]],
+    bounds: Mapping[str, tuple[Any, Any]] | None = None,
+) -> Walker:
+    """The walker with parameters that are set anew at each heel strike.
+
+    A parameter p is p* + K (x - x*) during the stride from x on the section, where p* is its value
+    in `walker` and x* the state of the gait. So the gait stays a gait, whatever the gains. On rough
+    ground x holds those coordinates of the state just after heel strike that the section has. A
+    stride from any other full state has the parameters of `walker`.
+
+    The result is a walker like any other. Its parameters are those of `walker`; `reference_theta`
+    and the like, x*; and the gains, `push_off_per_theta` and the like. All can be differentiated,
+    optimised and swept over.
+
+    **Arguments:**
+
+    - `walker`: any walker.
+    - `gait`: a gait of period one (`find_gait`), or its state, of shape (section,).
+    - `gains`: the row of K for each parameter by name, of shape (section,).
+    - `bounds`: the least and the largest value of some of these parameters; by default those that
+      the parameter has itself. They are parameters too, `least_push_off` and `largest_push_off`.
+
+    `ValueError` for parameters that the walker does not have, and for a wrong shape.
+    """
+    check_kind("walker", walker, Walker)
+    check_kind("gains", gains, Mapping)
+    bounds = {} if bounds is None else bounds
+    check_kind("bounds", bounds, Mapping)
+    if not gains:
+        raise WrongUse("gains must name one parameter of the walker or more, not {}")
+    section = type(walker).section
+    state = read_reference(gait, section)
+    values = dict(vars(walker))
+    values |= {f"reference_{name}": state[i] for i, name in enumerate(section)}
+    for name, row in gains.items():
+        check_parameter(walker, name)
+        row = read_row("gains", name, row, len(section))
+        values |= {f"{name}_per_{one}": row[i] for i, one in enumerate(section)}
+    for name, pair in bounds.items():
+        if name not in gains:
+            raise WrongUse(f"bounds must be of parameters with gains, not of {short(name)}")
+        low, high = read_row("bounds", name, pair, 2)
+        traced = isinstance(low, Tracer) or isinstance(high, Tracer)
+        if not traced and not float(low) <= float(high):
+            raise WrongUse(f"bounds of {name} must ascend, not be {float(low)}, {float(high)}")
+        values |= {f"least_{name}": low, f"largest_{name}": high}
+    return remake(type(walker), tuple(gains), tuple(bounds), values)
+
+
+def remake(
+    kind: type[Walker], controlled: tuple[str, ...], limited: tuple[str, ...], values: dict
+) -> Walker:
+    """The walker with feedback, of these parameters."""
+    return feedback_class(kind, controlled, limited)(**values)
+
+
+def read_reference(gait: Any, section: tuple[str, ...]) -> Float[Array, " section"]:
+    """The state of a gait of period one."""
+    state = jnp.asarray(getattr(gait, "states", gait))
+    if state.ndim == 2 and len(state) == 1:
+        state = state[0]
+    if state.shape != (len(section),):
+        raise WrongUse(
+            f"gait must be of period one, or its state of shape ({len(section)},), not one of "
+            f"shape {state.shape}"
+        )
+    if not isinstance(state, Tracer) and not np.isfinite(np.asarray(state)).all():
+        raise WrongUse(f"gait must be one that was found, not {np.asarray(state).tolist()}")
+    return state
+
+
+def read_row(what: str, name: str, row: Any, size: int) -> Float[Array, " n"]:
+    """Gains or bounds of a parameter."""
+    values = jnp.asarray(row, float)
+    if values.shape != (size,):
+        raise WrongUse(f"{what} of {name} must be {size} numbers, not {short(row)}")
+    return values
+
+
+@cache
+def feedback_class(
+    kind: type[Walker], controlled: tuple[str, ...], limited: tuple[str, ...]
+) -> type[Walker]:
+    """The class of walkers of a kind with feedback on some parameters."""
+    units = {one.name: one.unit for one in parameters(kind)}
+    added = [
+        Parameter(f"reference_{name}", f"{name} of the gait that feedback keeps", "", 0.0)
+        for name in kind.section
+    ]
+    for name in controlled:
+        added += [
+            Parameter(f"{name}_per_{one}", f"gain of {name} on {one}", units.get(name, ""), 0.0)
+            for one in kind.section
+        ]
+    for name in limited:
+        added += [
+            Parameter(f"{end}_{name}", f"{end} {name} that feedback sets", units.get(name, ""), 0.0)
+            for end in ("least", "largest")
+        ]
+    fields = {
+        one.name: eqx.field(converter=one._replace(**UNBOUNDED).convert, default=one.default)
+        for one in added
+    }
+    names = {"controlled": controlled, "limited": limited, "kind": kind}
+    namespace = {
+        "__annotations__": dict.fromkeys(fields, Any),
+        "__module__": __name__,
+        "__doc__": f"A `{kind.__name__}` with feedback on {', '.join(controlled)}.",
+        **fields,
+        **names,
+    }
+    metaclass: Any = type(kind)
+    return metaclass(f"Feedback{kind.__name__}", (FeedbackWalker, kind), namespace)

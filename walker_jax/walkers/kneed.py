@@ -1,0 +1,280 @@
+"""The walker with knees."""
+
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Float
+
+from walker_jax import multibody
+from walker_jax.checks import WrongUse
+from walker_jax.kernels.scalars import unroll
+from walker_jax.multibody import System
+from walker_jax.walkers.abstract_round_foot import FOOT_RADIUS
+from walker_jax.walkers.heavy_legs import HeavyLegWalker
+from walker_jax.walkers.masses import (
+    MultibodyPhase,
+    gravity,
+    leg,
+    rises_ever_faster,
+    stance_coordinates,
+)
+from walker_jax.walkers.model import Scalar, State
+from walker_jax.walkers.parameters import SLOPE, Option, Parameter
+from walker_jax.walkers.round_foot import HIP_MASS
+
+THIGH_MASS = Parameter("thigh_mass", "of each thigh", "mass", 1.0, closed=True)
+SHANK_MASS = Parameter("shank_mass", "of each shank", "mass", 0.1)
+THIGH_LENGTH = Parameter("thigh_length", "from the hip to the knee", "length", 0.5)
+SHANK_LENGTH = Parameter("shank_length", "from the knee to the sole", "length", 0.5)
+THIGH_COM = Parameter(
+    "thigh_com", "distance of a thigh's centre of mass below the hip", "length", 0.325, -np.inf
+)
+SHANK_COM = Parameter(
+    "shank_com", "distance of a shank's centre of mass below the knee", "length", 0.125, -np.inf
+)
+THIGH_INERTIA = Parameter(
+    "thigh_inertia",
+    "of each thigh about its centre of mass",
+    "mass length^2",
+    0.0,
+    closed=True,
+)
+SHANK_INERTIA = Parameter(
+    "shank_inertia",
+    "of each shank about its centre of mass",
+    "mass length^2",
+    0.0,
+    closed=True,
+)
+POINT_FOOT = FOOT_RADIUS._replace(default=0.0)
+
+
+CHECK_LOCK = Option("check_lock", "a stance knee that its stop alone does not hold is a failure")
+CHECK_SCUFFING = Option("check_scuffing", "a bent leg's foot below the ground is a failure")
+LEAST_SCUFF = 1e-9
+"""Depth, in legs, from which on a foot is below the ground: less is the rounding of its start."""
+
+
+class BentState(NamedTuple):
+    """Angles (rad) and rates of the legs while the swing knee is free, or their derivatives.
+
+    `phi` is between the stance leg and the swing thigh, `knee` from the shank to the thigh: above 0
+    where the knee is bent.
+    """
+
+    theta: Scalar
+    phi: Scalar
+    knee: Scalar
+    thetadot: Scalar
+    phidot: Scalar
+    kneedot: Scalar
+
+
+class KneedWalker(HeavyLegWalker):
+    """A walker with knees: a hip, two thighs and two shanks, on feet that are points or roll.
+
+    A stride has two phases. From heel strike to knee strike the knee of the swing leg is free.
+    There it locks, by a plastic impact, and stays locked: the leg swings straight until heel
+    strike, and then stands. If the knee, released at heel strike, does not bend but presses on its
+    stop, it locks at once. Feet are arcs centred on the shanks' lines.
+
+    Mochon and McMahon (1980), McGeer (1990), Hsu Chen (2007).
+
+    **Arguments:** masses in any unit, lengths in any unit L, times then in sqrt(L / gravity).
+
+    - `slope`: of the ground (rad), above 0 and below pi/2.
+    - `hip_mass`: a point mass at the hip, not negative.
+    - `thigh_mass`, `shank_mass`: of each thigh, not negative, and of each shank, above 0.
+    - `thigh_length`, `shank_length`: from the hip to the knee, and from there to the sole; above 0.
+    - `thigh_com`, `shank_com`: distances of their centres of mass below the hip and the knee.
+    - `thigh_inertia`, `shank_inertia`: about these centres, not negative.
+    - `foot_radius`: not negative, and less than the length of the leg; 0 for point feet.
+    - `check_lock`: whether a stride fails (`BUCKLED`) where the stance knee is not pressed on its
+      stop, so that only a lock keeps it from bending. By default the lock holds it.
+    - `check_scuffing`: whether a stride fails (`SCUFFED`) where the foot is below the ground while
+      the knee is bent, or as it strikes. By default scuffing is ignored.
+
+    `ValueError` otherwise, and for shanks that nothing keeps from turning: no inertia, and a centre
+    of mass at the knee.
+    """
+
+    slope: Scalar = eqx.field(converter=SLOPE.convert)
+    hip_mass: Scalar = eqx.field(converter=HIP_MASS.convert, default=HIP_MASS.default)
+    thigh_mass: Scalar = eqx.field(converter=THIGH_MASS.convert, default=THIGH_MASS.default)
+    shank_mass: Scalar = eqx.field(converter=SHANK_MASS.convert, default=SHANK_MASS.default)
+    thigh_length: Scalar = eqx.field(converter=THIGH_LENGTH.convert, default=THIGH_LENGTH.default)
+    shank_length: Scalar = eqx.field(converter=SHANK_LENGTH.convert, default=SHANK_LENGTH.default)
+    thigh_com: Scalar = eqx.field(converter=THIGH_COM.convert, default=THIGH_COM.default)
+    shank_com: Scalar = eqx.field(converter=SHANK_COM.convert, default=SHANK_COM.default)
+    thigh_inertia: Scalar = eqx.field(
+        converter=THIGH_INERTIA.convert, default=THIGH_INERTIA.default
+    )
+    shank_inertia: Scalar = eqx.field(
+        converter=SHANK_INERTIA.convert, default=SHANK_INERTIA.default
+    )
+    foot_radius: Scalar = eqx.field(converter=POINT_FOOT.convert, default=POINT_FOOT.default)
+    check_lock: bool = eqx.field(static=True, converter=CHECK_LOCK.convert, default=False)
+    check_scuffing: bool = eqx.field(static=True, converter=CHECK_SCUFFING.convert, default=False)
+
+    def __check_init__(self):
+        values = (self.foot_radius, self.thigh_length, self.shank_length)
+        values += (self.shank_inertia, self.shank_com)
+        if any(isinstance(value, Tracer) for value in values):
+            return
+        radius, thigh, shank, inertia, down = map(float, values)
+        if radius >= thigh + shank:
+            raise WrongUse(
+                "foot_radius must be less than thigh_length and shank_length together, "
+                f"{thigh + shank:g}, not {radius:g}"
+            )
+        if inertia == 0 and down == 0:
+            raise WrongUse("shank_inertia must be above 0 where shank_com is 0, not 0")
+
+    def phases(self):
+        return (FreeKnee(self),)
+
+    def past_contact(self, state):
+        return rises_ever_faster(self, state)
+
+    def conditions(self):
+        if not self.check_lock:
+            return {}
+        return {"BUCKLED": lambda state: stance_knee_moment(self, begin_bent(state), (4,))}
+
+    def joints(self, q: Float[Array, " q"]) -> tuple[Float[Array, " 2"], ...]:
+        """The hip, the stance knee and the swing knee, and the centre of the swing foot's arc.
+
+        Of q = (u, v, theta, phi, knee), or with the angle of a bent stance knee at its end: theta
+        is of the thigh then.
+        """
+        u, v, theta, phi, knee = q[:5]
+        radius, thigh = self.foot_radius, theta - phi
+        shank = theta - q[5] if len(q) > 5 else theta
+        below = self.shank_length - radius
+        centre = jnp.stack([u - radius * shank, v + radius])
+        stance_knee = centre + below * leg(shank)
+        # In one term where the stance leg is straight: a stride takes a twentieth less time.
+        hip = stance_knee + self.thigh_length * leg(theta)
+        if len(q) == 5:
+            hip = centre + (below + self.thigh_length) * leg(theta)
+        swing_knee = hip - self.thigh_length * leg(thigh)
+        foot = swing_knee - below * leg(thigh - knee)
+        return hip, stance_knee, swing_knee, foot
+
+    def bent_system(self) -> System:
+        """The masses where knees are free, of q as `joints` takes it."""
+
+        def transfer(q):
+            hip, stance_knee, swing_knee, _ = self.joints(q)
+            theta, thigh, swing_shank = q[2], q[2] - q[3], q[2] - q[3] - q[4]
+            stance_shank = theta - q[5] if len(q) > 5 else theta
+            thighs = [hip - self.thigh_com * leg(angle) for angle in (theta, thigh)]
+            shanks = [
+                stance_knee - self.shank_com * leg(stance_shank),
+                swing_knee - self.shank_com * leg(swing_shank),
+            ]
+            angles = jnp.stack([theta, stance_shank, thigh, swing_shank])
+            return jnp.concatenate([hip, *thighs, *shanks, angles])
+
+        M, m, n = self.hip_mass, self.thigh_mass, self.shank_mass
+        turning = [self.thigh_inertia, self.shank_inertia]
+        masses = jnp.stack([M, M, *[m] * 4, *[n] * 4, *turning, *turning])
+        return System(transfer, masses, gravity(self.slope, masses, turns=4))
+
+    def bent_leg(self, state):
+        hip, _, *leg_below = self.joints(stance_coordinates(list(state[:3])))
+        return jnp.stack(leg_below) - hip
+
+    def system(self):
+        """That of straight legs."""
+        bent = self.bent_system()
+        return System(lambda q: bent.transfer(straight(q)), bent.masses, bent.forces)
+
+    def bent_swing_foot(self, q: Float[Array, " 5"]) -> Float[Array, " 2"]:
+        """(u, v) of the swing foot: of the arc's centre, as if that foot had rolled there."""
+        *_, centre = self.joints(q)
+        angle, radius = q[2] - q[3] - q[4], self.foot_radius
+        return centre + jnp.stack([radius * angle, -radius])
+
+    def swing_foot(self, q):
+        return self.bent_swing_foot(straight(q))
+
+
+def begin_bent(state: State) -> BentState:
+    """The same state with the angle and the rate of a straight knee."""
+    theta, phi, thetadot, phidot = state
+    zero = jnp.zeros_like(theta)
+    return BentState(theta, phi, zero, thetadot, phidot, zero)
+
+
+@partial(jax.jit, static_argnums=2)
+def stance_knee_moment(
+    walker: KneedWalker, state: BentState, locked: tuple[int, ...] = ()
+) -> Scalar:
+    """The moment that presses the stance knee on its stop; where it is negative, the knee bends.
+
+    The constraint force dual to the angle of the stance knee, (4). Other coordinates may be locked.
+    """
+
+    def moment(walker, state):
+        zero = jnp.zeros_like(state.theta)
+        q, qdot = (stance_coordinates([*half, zero]) for half in (state[:3], state[3:]))
+        held = (0, 1, *locked, 5)
+        return multibody.solve_motion(walker.bent_system(), q, qdot, held=held).forces[5]
+
+    return unroll(moment)(walker, state)
+
+
+def straight(q: Float[Array, " 4"]) -> Float[Array, " 5"]:
+    """q of straight legs, with the angle of the knee."""
+    return jnp.concatenate([q, jnp.zeros_like(q[:1])])
+
+
+class FreeKnee(MultibodyPhase):
+    """From heel strike to knee strike: the knee of the swing leg is free.
+
+    The swing foot must not come down in front: a foot that lands on a bent knee does not stand.
+    """
+
+    walker: KneedWalker
+
+    def begin(self, state):
+        return begin_bent(state)
+
+    def system(self):
+        return self.walker.bent_system()
+
+    def conditions(self):
+        """The moment of the stance knee, and the height of the foot, if these are checked."""
+        walker, found = self.walker, {}
+        if walker.check_lock:
+            found["BUCKLED"] = lambda state: stance_knee_moment(walker, state)
+        if walker.check_scuffing:
+            length = walker.thigh_length + walker.shank_length
+            found["SCUFFED"] = lambda state: self.clearance(state) + LEAST_SCUFF * length
+        return found
+
+    def event(self, state):
+        return -state.knee
+
+    def closing(self, q):
+        return q[4:]
+
+    def end(self, state):
+        """The knee locks: the whole keeps its angular momentum about the stance foot, and the swing
+        leg its own about the hip."""
+        thetadot, phidot, _ = self.rates_after(state)
+        return State(state.theta, state.phi, thetadot, phidot)
+
+    def clearance(self, state):
+        above = lambda walker, *q: walker.bent_swing_foot(stance_coordinates([*q]))[1]
+        return unroll(above)(self.walker, *state[:3])
+
+    def reach(self, state):
+        ahead = lambda walker, *q: walker.bent_swing_foot(stance_coordinates([*q]))[0]
+        return unroll(ahead)(self.walker, *state[:3])

@@ -1,0 +1,73 @@
+"""Walks on which something is amiss at every stride: the ground, the slope, or a push.
+
+States are full ones, (theta, phi, thetadot, phidot) just after heel strike, as the feet stand at
+different heights on rough ground.
+"""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+from walker_jax.kernels import by_kernel
+from walker_jax.walkers.model import Scalar, State, Walker
+from walker_jax.walkers.parameters import with_parameter
+from walker_jax.walking.outcomes import Outcome, Stride
+from walker_jax.walking.stepping import follow_step
+
+
+class Disturbance(NamedTuple):
+    """What is amiss during one stride."""
+
+    step: Scalar | float = 0.0
+    """Height of the next foothold above the present one, in the unit of length."""
+    slope: Scalar | float = 0.0
+    """Change of the ground's slope, for this stride (rad)."""
+    push: Scalar | float = 0.0
+    """Change of thetadot at the stride's start (`Walker.push`)."""
+
+
+class DisturbedWalk(NamedTuple):
+    """Where a number of disturbed strides leads: arrays of JAX or of NumPy."""
+
+    state: Float[Any, "*walks 4"]
+    """The full state after the last one; NaN after a failure."""
+    outcome: Int[Any, "*walks"]
+    """`Outcome` of the last stride."""
+    strides: Int[Any, "*walks"]
+    """Number of completed strides."""
+
+
+@by_kernel
+def follow_disturbed(
+    walker: Walker,
+    x: Float[Array, " coordinates"],
+    disturbance: Disturbance,
+    tolerance: Float[Array, ""],
+) -> Stride:
+    """One disturbed stride; the result's state is a full one."""
+    slope = vars(walker)["slope"] + disturbance.slope
+    steeper = with_parameter(walker, "slope", slope)
+    start = walker.lift(x) if x.shape == (len(walker.section),) else State(*x)
+    pushed = jnp.stack(walker.push(start, jnp.asarray(disturbance.push)))
+    return follow_step(steeper, pushed, jnp.asarray(disturbance.step), tolerance)
+
+
+def follow_disturbed_walk(
+    walker: Walker,
+    x: Float[Array, " 4"],
+    disturbances: Float[Array, "strides 3"],
+    tolerance: Float[Array, ""],
+) -> DisturbedWalk:
+    """Strides, each with its disturbance, until a failure or to the last."""
+
+    def advance(walk, disturbance):
+        result = follow_disturbed(walker, walk.state, Disturbance(*disturbance), tolerance)
+        going = walk.outcome == Outcome.STRIDE
+        outcome = jnp.where(going, result.outcome, walk.outcome)
+        made = (outcome == Outcome.STRIDE).astype(jnp.int32)
+        return DisturbedWalk(result.state, outcome, walk.strides + made), None
+
+    first = DisturbedWalk(x, jnp.asarray(Outcome.STRIDE, jnp.int8), jnp.zeros((), jnp.int32))
+    return lax.scan(advance, first, disturbances)[0]

@@ -1,0 +1,240 @@
+"""The phases of a stride before its last, the swing.
+
+A phase ends with its event. The next one begins after the impact, or the release, that belongs to
+it. What may happen before the event is, in this order:
+
+- the stance leg stops (`BACKWARD`) or is down (`FORWARD`), or the swing foot comes down in front of
+  the stance foot with theta < 0, where it must not (`BENT_KNEE`): whichever is first, as in the
+  swing; an event before all of them counts;
+- at the event, the stance leg stops by the impact (`BACKWARD`).
+
+The ground would have to pull (`RUNNING`) at the start, or in any phase of a stride that reaches
+heel strike, as in strides of one phase. A phase whose event is due as it begins is over at once.
+"""
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Int
+
+from walker_jax.integrators.roots import first_upcrossing, negate
+from walker_jax.integrators.solvers import MAX_STEPS, Method, Real, solver_for, zero_at
+from walker_jax.integrators.taylor import with_fast_sincos
+from walker_jax.walkers.model import Phase, Scalar, Walker
+from walker_jax.walking.outcomes import Outcome
+from walker_jax.walking.swing import (
+    Broken,
+    breaks,
+    broken_at,
+    conditions_of,
+    equations,
+    is_broken,
+    may_break,
+    swing,
+)
+
+
+class Arrival(NamedTuple):
+    """Where the phases of a stride, or all of its motion, have led."""
+
+    state: Any
+    """The state in which the next phase begins; after the swing, that before heel strike."""
+    time: Scalar
+    """Since the start of the stride."""
+    verdict: Int[Array, ""]
+    """Before the swing `UNDECIDED`, after it `STRIDE`, unless the walker falls."""
+    broken: Broken
+    """Which conditions have been broken; first, whether the ground would have had to pull."""
+
+
+def follow_to_heel_strike(
+    walker: Walker,
+    start: Any,
+    verdict: Int[Array, ""],
+    tolerance: Real,
+    *,
+    launched: bool = False,
+) -> Arrival:
+    """All phases of a stride, from a state of the first one; nothing to do unless `UNDECIDED`."""
+    last = follow_to_swing(walker, start, verdict, tolerance)
+    state, time, verdict, broken = swing(
+        walker, last.state, last.verdict, tolerance, launched=launched
+    )
+    return Arrival(state, last.time + time, verdict, merge_broken(last.broken, broken))
+
+
+def follow_to_swing(
+    walker: Walker, start: Any, verdict: Int[Array, ""], tolerance: Real
+) -> Arrival:
+    """All phases of a stride before the swing, if there are any."""
+    if not walker.phases():
+        return Arrival(start, zero_at(start), verdict, {})
+    return follow_phases(walker, start, verdict, tolerance)[-1]
+
+
+def follow_phases(
+    walker: Walker, start: Any, verdict: Int[Array, ""], tolerance: Real
+) -> list[Arrival]:
+    """The end of each phase before the swing, after its impact."""
+    phases = walker.phases()
+    state, time, ends = start, zero_at(start), []
+    over = is_over(phases[0], start, tolerance)
+    verdict, broken = begin_phase(phases[0], state, time, over, verdict)
+    for phase, following in zip(phases, (*phases[1:], walker), strict=True):
+        verdict = jnp.where((verdict == Outcome.UNDECIDED) & over, Outcome.STRIDE, verdict)
+        arrival, lasted, verdict, more = follow_phase(
+            phase, state, verdict.astype(jnp.int8), tolerance
+        )
+        ended = verdict == Outcome.STRIDE
+        at_end = jax.tree.map(lambda flag, o=~over & ended: flag & o, broken_at(phase, arrival))
+        broken = merge_broken(broken, merge_broken(more, at_end))
+        state, time = with_fast_sincos(lambda phase, s: phase.end(s))(phase, arrival), time + lasted
+        turned = jnp.where(state.thetadot >= 0, Outcome.BACKWARD, Outcome.UNDECIDED)
+        verdict = jnp.where(ended, turned, verdict)
+        over = jnp.asarray(False)
+        if isinstance(following, Phase):
+            over = is_over(following, state, tolerance)
+        verdict, more = begin_phase(following, state, time, over, verdict)
+        broken = merge_broken(broken, more)
+        ends.append(Arrival(state, time, verdict, broken))
+    return ends
+
+
+def begin_phase(
+    phase: Phase | Walker,
+    state: Any,
+    time: Scalar,
+    over: Bool[Array, ""],
+    verdict: Int[Array, ""],
+) -> tuple[Int[Array, ""], Broken]:
+    """The verdict, and the conditions that are broken, as a phase begins that is not `over`.
+
+    Tension at the start of the stride ends it. Later on the walker may yet fall otherwise.
+    """
+    starts = (verdict == Outcome.UNDECIDED) & ~over
+    broken = jax.tree.map(lambda flag: flag & starts, broken_at(phase, state))
+    pulled = broken[Outcome.RUNNING] & (time == 0)
+    return jnp.where(pulled, Outcome.RUNNING, verdict).astype(jnp.int8), broken
+
+
+def merge_broken(one: Broken, other: Broken) -> Broken:
+    """Conditions broken in either of two parts of a stride."""
+    never = jnp.asarray(False)
+    return {key: one.get(key, never) | other.get(key, never) for key in sorted({*one, *other})}
+
+
+def is_over(phase: Phase, state: Any, tolerance: Real) -> Bool[Array, ""]:
+    """Whether a phase's event is due as it begins: it does not fall below zero first."""
+    method = Method(equations(phase), solver_for(state), tolerance)
+    value, rate, curvature = method.series(phase.event, state, 2)
+    falls = (rate < 0) | ((rate == 0) & (curvature < 0))
+    return (value > 0) | ((value == 0) & ~falls)
+
+
+def follow_phase(
+    phase: Phase,
+    start: Any,
+    verdict: Int[Array, ""],
+    tolerance: Real,
+    *,
+    failing: bool = True,
+) -> tuple[Any, Scalar, Int[Array, ""], Broken]:
+    """A phase until its event (`STRIDE`) or a fall; nothing to do unless `UNDECIDED`.
+
+    Returns the state at the event, the time since the start of the phase, the verdict, and which
+    conditions were broken before the event, the two ends excluded. Unless it is
+    `failing`, nothing but the event ends the phase.
+    """
+    watched = failing and phase.clearance(start) is not None
+
+    def height(state: Any) -> Scalar:
+        above = phase.clearance(state)
+        assert above is not None
+        return above
+
+    def rate(function, state: Any) -> Scalar:
+        return jax.jvp(function, (state,), (phase.vector_field(state),))[1]
+
+    def turns(function, before: Any, after: Any) -> Bool[Array, ""]:
+        """Whether a function may have a minimum in a step."""
+        return (rate(function, before) < 0) & (rate(function, after) > 0)
+
+    def has_fallen(state: Any) -> Bool[Array, ""]:
+        return (state.thetadot >= 0) | (state.theta <= -np.pi / 2) if failing else jnp.array(False)
+
+    def may_end(before: Any, after: Any, side: Bool[Array, " 2"]):
+        """Whether a phase may end in a step, from the two ends of the step alone."""
+        ends_below, ends_under = phase.event(after) < 0, jnp.asarray(False)
+        ends = ~ends_below & (side[0] | turns(phase.event, before, after))
+        if failing:
+            ends |= has_fallen(after)
+        if watched:
+            ends_under = height(after) < 0
+            ends |= (after.theta < 0) & ~side[1] & (ends_under | turns(height, before, after))
+        return ends, jnp.stack([ends_below, ends_under])
+
+    def undecided(carry):
+        *_, time, verdict, count, _, _ = carry
+        return (verdict == Outcome.UNDECIDED) & (count < MAX_STEPS) & jnp.isfinite(time)
+
+    def follow(carry):
+        now, _, time, verdict, count, broken, side = carry
+
+        def stop(before: Any, after: Any, side: Bool[Array, " 2"]):
+            ends, sides = may_end(before, after, side)
+            for outcome, condition in conditions.items():
+                ends |= may_break(condition, phase, before, after) & ~broken[outcome]
+            return ends, sides
+
+        last, steps = method.follow(now, stop, side=side, time=time)
+        (below, under), (ends_below, ends_under) = last.sides
+        rises, when = first_upcrossing(
+            method.jet(phase.event, last), last.length, (below, ends_below)
+        )
+        when = jnp.where(rises, method.refine_time(phase.event, last, when), last.length)
+        after = lambda time: method.state_at(last, time)
+        arrival = after(when)
+        lands = jnp.asarray(False)
+        if watched:
+            ends_above = with_fast_sincos(lambda s: height(s) > 0)(arrival)
+            ends_above = jnp.where(rises, ends_above, ~ends_under)
+            falling = negate(method.jet(height, last))
+            touches, landing = first_upcrossing(falling, when, (~under, ends_above))
+            on_ground = after(landing)
+            lands = touches & with_fast_sincos(in_front)(phase, on_ground)
+        for outcome, condition in conditions.items():
+            more = breaks(condition, phase, last.start, arrival, after, when)
+            more |= ~rises & with_fast_sincos(partial(is_broken, condition))(phase, arrival)
+            broken = broken | {outcome: broken[outcome] | more}
+        arrival, delay = method.refine_event(phase.event, arrival)
+        stands = ~has_fallen(arrival)
+        fallen = jnp.where(last.end.thetadot >= 0, Outcome.BACKWARD, Outcome.FORWARD)
+        fallen = jnp.where(has_fallen(last.end), fallen, Outcome.UNDECIDED)
+        verdict = jnp.where(rises & stands, Outcome.STRIDE, fallen)
+        verdict = jnp.where(lands, Outcome.BENT_KNEE, verdict).astype(jnp.int8)
+        when = jnp.where(verdict == Outcome.STRIDE, when + delay, last.length)
+        return last.end, arrival, last.time + when, verdict, count + steps, broken, last.sides[1]
+
+    method = Method(equations(phase), solver_for(start), tolerance, (phase.event,))
+    conditions = conditions_of(phase) if failing else {}
+    broken = {outcome: jnp.asarray(False) for outcome in conditions}
+    # It has been negative from the first, where it begins at zero.
+    side = jnp.stack([jnp.asarray(True), with_fast_sincos(starts_under)(phase, start)])
+    carry = (start, start, zero_at(start), verdict, jnp.asarray(0), broken, side)
+    _, arrival, time, verdict, _, broken, _ = lax.while_loop(undecided, follow, carry)
+    return arrival, time, verdict, broken
+
+
+def starts_under(phase: Phase, state: Any) -> Bool[Array, ""]:
+    """Whether the swing foot is below the ground."""
+    above = phase.clearance(state)
+    return jnp.asarray(False) if above is None else above < 0
+
+
+def in_front(phase: Phase, state: Any) -> Bool[Array, ""]:
+    """Whether a foot that comes down would take a step: in front, as the walker falls forward."""
+    return (state.theta < 0) & (state.thetadot < 0) & (phase.reach(state) > 0)
