@@ -2,7 +2,7 @@
 
 import { AXES, decimals, ticks } from "./words.js";
 
-const MARGIN = { left: 70, right: 12, top: 12, bottom: 44 };
+const MARGIN = { left: 78, right: 12, top: 12, bottom: 44 };
 const FONT = "12px system-ui, sans-serif";
 const CLICK = 5; // CSS pixels that a click may move
 const WHEEL = 0.0022; // of zoom for each pixel of a wheel
