@@ -86,7 +86,7 @@ def test_the_commands_of_the_pages_run_one_after_the_other_in_one_folder(
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("walker_jax.cli.startup.keep_compiled", lambda: None)
-    for name in ("basin", "bifurcation", "optimise", "robustness", "sweep"):
+    for name in ("basin", "bifurcation", "continuation", "optimise", "robustness", "sweep"):
         monkeypatch.setattr(f"walker_jax.cli.{name}_command.find_earlier", of_data)
     monkeypatch.setattr("walker_jax.paper.reproduction.reproduce", of_report)
     monkeypatch.setattr(storage, "export", of_export)

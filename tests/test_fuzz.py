@@ -174,7 +174,15 @@ def bench(tmp_path_factory):
     with contextlib.ExitStack() as stack:
         patch = lambda place, value: stack.enter_context(mock.patch(place, value))
         patch("walker_jax.cli.startup.keep_compiled", lambda: None)
-        for name in ("basin", "bifurcation", "gait", "optimise", "robustness", "sweep"):
+        for name in (
+            "basin",
+            "bifurcation",
+            "continuation",
+            "gait",
+            "optimise",
+            "robustness",
+            "sweep",
+        ):
             place = f"walker_jax.cli.{name}_command.draw"
             patch(place, lambda axes, path, request: put(path, request))
         for name in PICTURES:
@@ -186,6 +194,7 @@ def bench(tmp_path_factory):
         patch("walker_jax.design.sweeps.measure_basin", lambda *_: {"total_area": 0.001})
         patch("walker_jax.basin", basin)
         patch("walker_jax.bifurcation_diagram", refuse)
+        patch("walker_jax.continue_basins", refuse)
         one = lambda walker, period: [gait] if period == 1 else []
         patch("walker_jax.gaits.selection.find_gaits", one)
         patch("walker_jax.gaits.search.find_gaits", lambda *_, **__: [])
@@ -422,6 +431,15 @@ def calls() -> dict[str, dict]:
             "check": 0,
             "seed": 0,
         },
+        "continue_basins": {
+            **of_walker,
+            "parameter": "slope",
+            "values": [0.004, 0.005],
+            "region": grid,
+            "samples": 10,
+            "strides": 20,
+            "seed": 0,
+        },
         "sweep": {**of_walker, "over": {"slope": [0.004]}, "grid": grid, "strides": 20, "seed": 0}
         | {"levels": 0, "check": 0, "robust": False},
         "optimise": {**of_walker, **optimum, "strides": 20, "grid": grid},
@@ -429,7 +447,7 @@ def calls() -> dict[str, dict]:
 
 
 HEAVY = {"bifurcation_diagram", "least_disturbance", "disturbance_gradient", "optimise"}
-HEAVY |= {"robustness", "robustness_table"}
+HEAVY |= {"continue_basins", "robustness", "robustness_table"}
 """Always stopped where their work begins: where a bad value is a default, they take minutes."""
 
 

@@ -30,6 +30,7 @@ from walker_jax.gaits.search import descend as descend
 from walker_jax.gaits.search import find_gait as find_gait
 from walker_jax.gaits.search import find_gaits as find_gaits
 from walker_jax.grids import Grid as Grid
+from walker_jax.stability.basin_fractions import continue_basins as continue_basins
 from walker_jax.stability.dimension import boundary_dimension as boundary_dimension
 from walker_jax.stability.disturbances import LeastDisturbance as LeastDisturbance
 from walker_jax.stability.disturbances import least_disturbance as least_disturbance

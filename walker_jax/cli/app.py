@@ -21,6 +21,8 @@ COMMANDS = {
     "it walk.",
     "basin": "Compute and draw the basin of attraction of a walker's gait.",
     "robustness": "Measure how large a disturbance a gait survives, on one slope or over many.",
+    "continuation": "Follow the attractors over a parameter, and the fractions of a region that "
+    "converge to each.",
     "optimise": "Design a walker: the parameters with the largest basin, or another objective, by "
     "gradient.",
     "sweep": "Compute basins, gaits and areas over one or more parameters, all combinations of "

@@ -12,18 +12,22 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Bool, Float
 
-from walker_jax.checks import refuses_tracers
+from walker_jax.basins.mapper import Mapper
+from walker_jax.checks import check_whole, refuses_tracers
 from walker_jax.gaits.cycles import Gait
 from walker_jax.stability.gait_mapper import failure_test, mapper_of_gait, with_other_gaits
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.stability.metric import metric
-from walker_jax.stability.rays import directions, nearest_failure
+from walker_jax.stability.rays import DENSE, nearest_failure, spread_directions
 from walker_jax.walkers.model import Walker
 from walker_jax.walking.outcomes import Outcome
 
 BEYOND = 1 + np.array([1e-8, 1e-10, 0.0])
 """Multiples of the least disturbance; the first that fails gives the failure. They exceed it by
 more than rounding errors, unless it fails itself."""
+SEARCH_TOLERANCE = 1e-9
+"""Tolerance of the integration in searches, which then measure what they find: it takes half as
+long as the default, and moves a boundary by far less than the distances that searches try."""
 OTHER_GAITS_DIRECTIONS, OTHER_GAITS_DISTANCES = 90, 0.1 * 0.5 ** np.arange(12.0)[:, None]
 """Directions and distances of starts from which walkers may converge to other gaits."""
 
@@ -53,6 +57,7 @@ def least_disturbance(
     scale: Sequence[Any] | ArrayLike | None = None,
     along: Sequence[Any] | ArrayLike | None = None,
     fall: bool = False,
+    directions: int = DENSE,
     strides: int = 500,
     tolerance: float | None = None,
 ) -> LeastDisturbance:
@@ -65,7 +70,7 @@ def least_disturbance(
     The search follows rays from the gait outwards, all at once, to the first distance from which
     the walker does not return; then closer rays, up to the smallest of these distances; then
     narrower and narrower fans around the rays that are nearer than their neighbours, and steps
-    along the boundary's gradient. It tries 11,520 directions at distances 1.6 % of the size apart,
+    along the boundary's gradient. It tries all directions at distances 1.6 % of the size apart,
     or 0.16 % close to it, where directions are 8 times as close. It may miss a finger of failures
     between these points; then the size is too large by as much as the finger is nearer.
 
@@ -78,6 +83,7 @@ def least_disturbance(
     - `along`: vectors, one a row, that span the disturbances, such as (0, 1) for a push that
       changes thetadot alone. By default disturbances have any direction.
     - `fall`: whether only falls count, and not the convergence to another attractor.
+    - `directions`: number of directions in a plane; in space there are four times as many.
     - `strides`: number of strides in which a walker may return, or fall.
     - `tolerance`: of the integration, as in `stride`.
 
@@ -87,23 +93,30 @@ def least_disturbance(
     """
     unit, basis = metric(walker, scale, along)
     lost = failure_test(fall)
+    check_whole("directions", directions)
     mapper = mapper_of_gait(walker, gait, strides, tolerance)
     states = mapper.attractors[0].states
-    if fall:
-        rays = directions(len(basis), OTHER_GAITS_DIRECTIONS) @ basis * unit
-        starts = states[:, None, None] + OTHER_GAITS_DISTANCES * rays[:, None]
-        mapper = with_other_gaits(mapper, starts.reshape(-1, len(unit)))
+    rays = spread_directions(len(basis), OTHER_GAITS_DIRECTIONS) @ basis * unit
+    around = states[:, None, None] + OTHER_GAITS_DISTANCES * rays[:, None]
+    all_gaits = with_other_gaits(mapper, around.reshape(-1, len(unit)))
+    loose = all_gaits._replace(tolerance=max(mapper.tolerance, SEARCH_TOLERANCE))
 
-    def fails(points: Float[np.ndarray, "n section"]) -> Bool[np.ndarray, " n"]:
+    def fails(
+        points: Float[np.ndarray, "n section"], mapper: Mapper = all_gaits
+    ) -> Bool[np.ndarray, " n"]:
         return lost(mapper(points))
 
     def gradient(points: Float[np.ndarray, "n section"]) -> Float[np.ndarray, "n section"]:
-        count = mapper(points).strides
+        count = all_gaits(points).strides
         return differentiate_margins(walker, points, count, np.eye(len(unit)), (), mapper.tolerance)
 
     found = [
         nearest_failure(
-            lambda y, x=x: fails(x + y * unit), basis, lambda y, x=x: gradient(x + y * unit) * unit
+            lambda y, x=x: fails(x + y * unit),
+            basis,
+            lambda y, x=x: gradient(x + y * unit) * unit,
+            directions,
+            lambda y, x=x: fails(x + y * unit, loose),
         )
         for x in states
     ]
@@ -111,7 +124,7 @@ def least_disturbance(
     step = found[phase]
     length = float(np.linalg.norm(step))
     state = states[phase] + step * unit
-    beyond = mapper(states[phase] + BEYOND[:, None] * step * unit)
+    beyond = (all_gaits if fall else mapper)(states[phase] + BEYOND[:, None] * step * unit)
     first = int(lost(beyond).argmax())
     failure, made = Outcome(int(beyond.fate[first])), int(beyond.strides[first])
     return LeastDisturbance(length, step / length, state, phase, failure, made)

@@ -166,6 +166,15 @@ KINDS = {
             "attractor": V("*parameters *grid", "integer", "", "as in a basin"),
             "strides": V("*parameters *grid", "integer", "", "as in a basin"),
             "attractors": V("*parameters", "integer", "", "how many there are"),
+            "attractor_number": V(
+                "*parameters own", "integer", "", "of each, alike in all basins; -1 for none", NEW
+            ),
+            "attractor_period": V(
+                "*parameters own", "integer", "strides", "0 without a period; -1 for none", NEW
+            ),
+            "attractor_states": V(
+                "*parameters own phase coordinate", "real", STATE, "the cycle; NaN after it", NEW
+            ),
             "area": V("*parameters", "real", AREA, "of the cells that converge to one"),
             "gait_state": V("*parameters coordinate", "real", STATE, "NaN where no gait is found"),
             "multiplier": V("*parameters", "real", "", "its largest modulus"),
@@ -209,6 +218,25 @@ KINDS = {
         },
         {},
         "gait branches",
+    ),
+    "basin fractions": Kind(
+        "Attractors over a parameter, and fractions of their basins (`continue_basins`).",
+        {
+            "value": V("value", "real", "", "of the parameter"),
+            "attractor": V("attractor", "integer", "", "its number, the same at all values"),
+            "fraction": V("value attractor", "real", "", "of the starts; NaN where it is none"),
+            "fraction_low": V("value attractor", "real", "", "end of its 95 % interval"),
+            "fraction_high": V("value attractor", "real", "", "the other end"),
+            "failed": V("value outcome", "real", "", "fraction of the starts, by `Outcome`"),
+            "states": V("value attractor phase coordinate", "real", STATE, "NaN where it is none"),
+            "period": V("attractor", "integer", "strides", "0 for a motion without a period"),
+            "first": V("attractor", "real", "", "lowest value at which it attracts"),
+            "last": V("attractor", "real", "", "highest value at which it attracts"),
+            "event_attractor": V("event", "integer", "", "whose branch has the bifurcation"),
+            "event_value": V("event", "real", "", "of the parameter"),
+            "event_fold": V("event", "boolean", "", "a fold, or else a period doubling"),
+        },
+        {"parameter": "its name", "samples": "number of starts"} | WALKER | SECTION,
     ),
     "optimisation": Kind(
         "The trace of an optimisation (`optimise`).",
