@@ -94,6 +94,7 @@ def test_the_commands_of_the_pages_run_one_after_the_other_in_one_folder(
     monkeypatch.setattr("walker_jax.paper.reproduction.reproduce", of_report)
     monkeypatch.setattr(storage, "export", of_export)
     monkeypatch.setattr(storage, "check_picture", lambda path, request, **_: take(path, request))
+    monkeypatch.setattr("walker_jax.explorer.server.run_server", begin)
     monkeypatch.setattr(wj, "walk", begin)
     monkeypatch.setattr("walker_jax.gaits.selection.select_gaits", begin)
     for command in commands:

@@ -20,6 +20,7 @@ from walker_jax.design.optimisation import optimise as optimise
 from walker_jax.design.sweeps import sweep as sweep
 from walker_jax.entropies import BasinEntropy as BasinEntropy
 from walker_jax.entropies import basin_entropy as basin_entropy
+from walker_jax.explorer.notebook import explore as explore
 from walker_jax.fractals import Dimension as Dimension
 from walker_jax.fractals import Uncertainty as Uncertainty
 from walker_jax.fractals import box_counting as box_counting

@@ -22,6 +22,8 @@ COMMANDS = {
     "walk": "Walk from one start, stride by stride, until a failure.",
     "gait": "Find the gaits of a walker: cycles of strides, and their stability.",
     "bifurcation": "Follow the gaits over the slope: how each is born, doubles and ends.",
+    "explore": "Explore basins in a browser: drag the slope, watch the basin; click a start, watch "
+    "it walk.",
     "basin": "Compute and draw the basin of attraction of a walker's gait.",
     "boundary": "Measure the boundary between walking and falling: its entropy, its saddles, Wada.",
     "robustness": "Measure how large a disturbance a gait survives, on one slope or over many.",
