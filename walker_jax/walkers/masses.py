@@ -37,6 +37,10 @@ class MultibodyMotion(eqx.Module):
     def contacts(self, q: Float[Array, " q"]) -> Float[Array, " g"]:
         """The contact function g(q), (11), of the impact at the end of the motion."""
 
+    def push_off_impulse(self, q: Float[Array, " q"]) -> Float[Array, " q"] | None:
+        """Impulse dual to q just before the impact at the end; by default there is none."""
+        return None
+
     def vector_field(self, state):
         """(4), with u and v held."""
         return SingleSupport(self)(state)
@@ -65,10 +69,6 @@ class MultibodyWalker(MultibodyMotion, Walker):
 
     def contacts(self, q):
         return self.swing_foot(q)
-
-    def push_off_impulse(self, q: Float[Array, " 4"]) -> Float[Array, " 4"] | None:
-        """Impulse dual to q on the walker just before heel strike; by default there is none."""
-        return None
 
     def driven_by_gravity(self):
         """As long as there are no generalised forces, and `forces` are those of gravity."""
