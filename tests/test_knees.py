@@ -80,13 +80,15 @@ def test_the_human_like_gait_doubles_its_period_on_its_branch():
     """From 2 to 5 degrees along one branch."""
     walker = published(HUMAN_LIKE)
     gait = wj.find_gait(walker, section_of(HUMAN_LIKE))
-    branch = wj.continue_gait(walker, gait, "slope", to=float(np.radians(5)))
-    assert branch.values[0] == walker.slope and branch.values[-1] >= np.radians(5)
-    (doubling,) = [one for one in branch.bifurcations if one.kind == "period-doubling"]
+    ends = np.radians([2.0, 5.0])
+    branch = wj.continue_gait(walker, "slope", (float(ends[0]), float(ends[1])), gait)
+    np.testing.assert_allclose(branch.values[[0, -1]], ends, rtol=1e-12)
+    assert not branch.folds
+    (doubling,) = branch.doublings
     assert 4.8 < np.degrees(doubling.value) < 4.9
     for sign in (-1, 1):  # the multiplier passes -1 within 1e-9 of it
         there = changed(walker, slope=doubling.value + sign * 1e-9)
-        least = np.min(wj.find_gait(there, doubling.state).multipliers.real)
+        least = np.min(wj.find_gait(there, doubling.states[0]).multipliers.real)
         assert np.sign(-1 - least) == sign
 
 
