@@ -14,9 +14,8 @@ distances of 0.000125, so an upper bound.
     python benchmarks/knees.py PLACE [STEP ...]
 
 writes what it computes to the JSON file PLACE, takes from there what it has, and prints the tables;
-`knees.png` beside it is their picture. Steps are gaits, volumes, disturbances, slices and starts;
-without any, all. On two busy cores a volume takes some 6 processor seconds, a disturbance 5; the first
-of each kind of walker 20 more.
+a picture of the same name lies beside it. Steps are gaits, volumes, disturbances, slices and
+starts; without any, all. On two busy cores a volume takes 3 to 10 processor seconds.
 """
 
 import json
@@ -83,7 +82,7 @@ def straight_legs(walker: wj.KneedWalker) -> wj.RoundFootWalker:
     )
 
 
-def make(masses: str, legs: str, radius: float, slope: float) -> wj.Walker:
+def make(masses: str, legs: str, radius: float, slope: float) -> wj.HeavyLegWalker:
     kneed = wj.KneedWalker(slope, **MASSES[masses], foot_radius=radius)
     return kneed if legs == "knees" else straight_legs(kneed)
 
@@ -150,7 +149,7 @@ def measure_gaits(kept: dict) -> None:
             print(key(case), kept[key(case)], flush=True)
 
 
-def describe(walker: wj.Walker, gait: wj.Gait) -> dict[str, float]:
+def describe(walker: wj.HeavyLegWalker, gait: wj.Gait) -> dict[str, float]:
     """Its largest multiplier, speed, step length, and what impacts take of its kinetic energy."""
     measures = wj.gait_measures(walker, (), gait)
     start, total = gait.states[0], float(gait.step_times[0])
