@@ -14,8 +14,8 @@ distances of 0.000125, so an upper bound.
     python benchmarks/knees.py PLACE [STEP ...]
 
 writes what it computes to the JSON file PLACE, takes from there what it has, and prints the tables;
-a picture of the same name lies beside it. Steps are gaits, volumes, disturbances, slices and
-starts; without any, all. On two busy cores a volume takes 3 to 10 processor seconds.
+a picture of the same name lies beside it. Steps are gaits, branches, volumes, disturbances,
+slices and starts; without any, all. On two busy cores a volume takes 3 to 10 processor seconds.
 """
 
 import json
@@ -51,6 +51,7 @@ MASSES = {
 LEGS = "straight", "knees"
 ROUND = 0.25
 SLOPES = {"default": (0.05, 0.06, 0.07, 0.08, 0.09), "human-like": (0.04, 0.06, 0.08)}
+SPAN = 0.002, 0.12
 RADII = 0.0, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.75
 GENTLE, STEEP = 0.02, 0.09
 """Slopes on which the radius of the feet varies; only straight legs walk on the first."""
@@ -149,6 +150,24 @@ def measure_gaits(kept: dict) -> None:
             print(key(case), kept[key(case)], flush=True)
 
 
+def follow_branches(kept: dict) -> None:
+    """Print where gaits begin in a fold and where they double their period, over the slope."""
+    for masses in MASSES:
+        for radius in (0.0, ROUND):
+            for legs in LEGS:
+                case = (masses, legs, radius, 0.06)
+                walker = make(*case)
+                gait = wj.find_gait(walker, kept[key(case)]["state"])
+                branch = wj.continue_gait(walker, "slope", SPAN, gait)
+                folds, doublings = (
+                    [round(one.value, 5) for one in found]
+                    for found in (branch.folds, branch.doublings)
+                )
+                print(
+                    f"{masses} {legs} {radius:g}: folds {folds}, doublings {doublings}", flush=True
+                )
+
+
 def describe(walker: wj.HeavyLegWalker, gait: wj.Gait) -> dict[str, float]:
     """Its largest multiplier, speed, step length, and what impacts take of its kinetic energy."""
     measures = wj.gait_measures(walker, (), gait)
@@ -238,10 +257,12 @@ def main(place: str, *steps: str) -> None:
     jax.config.update("jax_enable_x64", True)
     path = Path(place)
     kept = json.loads(path.read_text()) if path.exists() else {}
-    chosen = steps or ("gaits", "volumes", "disturbances", "slices", "starts")
+    chosen = steps or ("gaits", "branches", "volumes", "disturbances", "slices", "starts")
     if "gaits" in chosen:
         measure_gaits(kept)
         path.write_text(json.dumps(kept))
+    if "branches" in chosen:
+        follow_branches(kept)
     work = {
         "volumes": ("volume", lambda walker, _: measure_volume(walker), cases()),
         "disturbances": ("size", measure_disturbance, cases()),
@@ -269,27 +290,30 @@ SLICED = [case for case in SLICED if case[3] in (0.05, 0.07, 0.09)]
 
 def print_tables(kept: dict) -> None:
     """Print each table as Markdown."""
-    print(
-        "\n| masses | slope | feet | legs | multiplier | speed | step | lost at heel strike | ",
-        end="",
-    )
-    print("at knee strike, of all | volume | least disturbance |")
-    print("|---|---:|---|---|" + "---:|" * 7)
+    show = lambda names, *case: " | ".join(column(kept.get(key(case)), name) for name in names)
+    names = "volume", "size", "multiplier"
+    heads = [f"{what}, {legs}" for what in ("volume", "disturbance", "multiplier") for legs in LEGS]
+    print("\n| masses | slope | feet | " + " | ".join(heads) + " |")
+    print("|---|---:|---|" + "---:|" * len(heads))
     for masses, slopes in SLOPES.items():
         for slope in slopes:
             for radius in (0.0, ROUND):
-                for legs in LEGS:
-                    feet = "round" if radius else "points"
-                    row = row_of(kept.get(key((masses, legs, radius, slope))))
-                    print(f"| {masses} | {slope:g} | {feet} | {legs} | {row} |")
-    print("\n| slope | legs | radius | multiplier | speed | step | lost at heel strike | ", end="")
-    print("at knee strike, of all | volume | least disturbance |")
-    print("|---:|---|---:|" + "---:|" * 7)
+                both = [show([n], masses, legs, radius, slope) for n in names for legs in LEGS]
+                feet = "round" if radius else "points"
+                print(f"| {masses} | {slope:g} | {feet} | {' | '.join(both)} |")
+    names = "volume", "size", "multiplier", "heel", "knee", "speed", "step"
+    print(
+        "\n| slope | legs | radius | volume | disturbance | multiplier | lost at heel strike | ",
+        end="",
+    )
+    print("of all, at knee strike | speed | step |")
+    print("|---:|---|---:|" + "---:|" * len(names))
     for slope, *chosen in SERIES:
         for legs in chosen:
             for radius in RADII:
-                row = row_of(kept.get(key(("default", legs, radius, slope))))
-                print(f"| {slope:g} | {legs} | {radius:g} | {row} |")
+                if key(("default", legs, radius, slope)) in kept:
+                    row = show(names, "default", legs, radius, slope)
+                    print(f"| {slope:g} | {legs} | {radius:g} | {row} |")
     for case in SLICED:
         one = kept.get(key(case), {})
         if "slice" in one:
@@ -303,15 +327,16 @@ def print_tables(kept: dict) -> None:
             )
 
 
-def row_of(one: dict | None) -> str:
-    """The columns that all tables have."""
+def column(one: dict | None, name: str) -> str:
+    """One number of a table, with its error where it has one."""
     if one is None:
-        return "no gait found | | | | | |"
-    text = f"{one['multiplier']:.3f} | {one['speed']:.3f} | {one['step']:.3f} | "
-    text += f"{one['heel']:.3f} | {abs(one['knee']):.3f} | "
-    volume, size = one.get("volume"), one.get("size")
-    text += f"{volume:.4f} ± {one['error']:.4f} | " if volume else "unstable | "
-    return text + (f"{size:.4f}" if size else "")
+        return "no gait"
+    if name == "volume" and name in one:
+        return f"{one[name]:.4f} ± {one['error']:.4f}"
+    if name == "size" and name in one:
+        return f"{one[name]:.4f}"
+    unknown = "unstable" if one["multiplier"] >= 1 else ""
+    return f"{abs(one[name]):.3f}" if name in one else unknown
 
 
 def draw(kept: dict, place: Path) -> None:
@@ -340,10 +365,11 @@ def draw(kept: dict, place: Path) -> None:
             ax.set_yscale("log")
         ax.set_xlabel("radius of the feet (legs)")
         ax.set_ylabel(title)
-    axes[0, 0].set(xlabel="slope (rad)", ylabel="volume of the basin", ylim=(0, None))
+    axes[0, 0].set(xlabel="slope (rad)", ylabel="volume of the basin", ylim=(0, 0.1))
+    axes[0, 0].set_xticks(SLOPES["default"])
     for ax in axes.flat:
         ax.spines[["top", "right"]].set_visible(False)
-    axes[0, 0].legend(frameon=False, loc="center right")
+    axes[0, 0].legend(frameon=False, loc="upper left")
     axes[0, 1].legend(frameon=False)
     figure.savefig(place, dpi=150)
 
