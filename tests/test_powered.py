@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import root
 
 import walker_jax as wj
+from walker_jax.checks import WrongUse
 from walker_jax.gaits.derivatives import linearise
 
 GRID = wj.Grid.sheared(theta=(0, 0.6, 40), sum=(-0.1, 0.05, 40))
@@ -189,3 +190,29 @@ def test_feedback_is_a_walker_like_any_other(level_gait):
 def test_bad_feedback_is_refused(level_gait, gait, gains, bounds, named):
     with pytest.raises(ValueError, match=named):
         wj.Feedback(LEVEL, level_gait if gait is None else gait, gains, bounds)
+
+
+def test_feedback_acts_once_and_from_full_states_too(level_gait):
+    gains = {"hip_angle": [3.0, 1.0], "push_off": [0.5, 0.2]}
+    fed = wj.Feedback(LEVEL, level_gait, gains)
+    x = np.add(level_gait.states[0], [0.003, -0.004])
+    made = wj.stride(fed, x)
+    np.testing.assert_array_equal(wj.phase_times(fed, x), [made.time])
+    full = np.stack(fed.lift(jnp.asarray(x)))
+    np.testing.assert_allclose(wj.stride(fed, full).state, made.state, rtol=0, atol=1e-13)
+    stepped = wj.stride(fed, full, step=0.0).state
+    np.testing.assert_allclose(stepped[jnp.array([0, 2])], made.state, rtol=0, atol=1e-13)
+
+
+def test_feedback_refuses_what_it_cannot_be_of(level_gait):
+    fed = wj.Feedback(LEVEL, level_gait, {"push_off": [0.5, 0.2]})
+    with pytest.raises(WrongUse, match="walker must be one without feedback"):
+        wj.Feedback(fed, level_gait, {"slope": [0.1, 0.0]})
+    for gait, gains, bounds, named in (
+        (level_gait, {"push_off": "ab"}, None, "gains of push_off"),
+        ("gait", {"push_off": [0, 0]}, None, "gait must be"),
+        (None, {"push_off": [0, 0]}, None, "gait must be"),
+        (level_gait, {"push_off": [0, 0]}, {"push_off": (-1, 1)}, "least_push_off must be"),
+    ):
+        with pytest.raises(WrongUse, match=named):
+            wj.Feedback(LEVEL, gait, gains, bounds)

@@ -175,8 +175,8 @@ class Walker(eqx.Module):
     def during_stride(self, x: Float[Array, " section"]) -> "Walker":
         """The walker as it is during the stride from x: its parameters may depend on the start.
 
-        That is feedback from stride to stride. By default a walker stays as it is. A stride from a
-        full state crosses no section, and is made with the parameters as they stand.
+        That is feedback from stride to stride. By default a walker stays as it is. Of a full state
+        it is given the section's coordinates (`project`).
         """
         return self
 
@@ -261,7 +261,7 @@ EQUATIONS_OF_MOTION = ("vector_field", "system")
 PREMISES = {
     "force_least_at_ends": (*EQUATIONS_OF_MOTION, "contact_force"),
     "inverted_pendulum": EQUATIONS_OF_MOTION,
-    "driven_by_gravity": ("vector_field", "impact", "during_stride"),
+    "driven_by_gravity": ("vector_field", "impact", "push_off_impulse", "during_stride"),
     "past_contact": (*EQUATIONS_OF_MOTION, "contact", "swing_foot"),
     "gait_region": (*EQUATIONS_OF_MOTION, "contact", "swing_foot", "impact", "lift", "project"),
 }
