@@ -49,6 +49,8 @@ FEWEST_SURVIVORS = 200
 """Of the pilot, below which there is too little to tell where states are."""
 CELLS = {2: 256, 3: 80}
 """Cells along each direction: some 1 % of the scatter of states, and 8 %."""
+SCATTER_OF_ROUNDING = 1e-11
+"""Standard deviation of states that rounding and the tolerance of a stride make, at most."""
 SETTLED = 1e-13
 """Change of an eigenvector, relative, at which power iteration ends."""
 MAX_ITERATIONS = 10_000
@@ -192,6 +194,8 @@ def draw_chart(
     y = y if rough else y[:, :2]
     centre = y.mean(axis=0)
     variances, directions = np.linalg.eigh(np.cov(y.T))
+    if not variances[0] > SCATTER_OF_ROUNDING**2:
+        raise ComputationFailed("ground is too even for a result: states hardly scatter")
     axes = (directions * np.sqrt(variances)).T
     reach = MARGIN * float(np.abs((y - centre) @ np.linalg.inv(axes)).max())
     return Chart(centre, axes, reach)
@@ -277,5 +281,5 @@ def largest_eigenvector(matrix: csr_array, count: int) -> tuple[float, Float[np.
         settled = np.abs(following - vector).max() <= SETTLED * following.max()
         vector = following
         if settled:
-            break
-    return value, vector
+            return value, vector
+    raise ComputationFailed(f"the eigenvector is not found in {MAX_ITERATIONS} iterations")
