@@ -44,6 +44,29 @@ def test_on_level_ground_push_off_makes_up_for_the_loss_at_heel_strike(push_off)
         assert abs(thetadot) * np.tan(theta) == pytest.approx(push_off, abs=1e-11)
 
 
+@pytest.mark.parametrize("slope", [0.0, -0.02, 0.004])
+def test_cost_of_transport_is_the_energy_lost_at_heel_strike(slope):
+    """Kinetic energy of the hip before push-off and after the strike, over the step's length."""
+    push_off = 0.15 if slope < 0 else 0.05
+    kind = lambda push: wj.PoweredWalker(slope, push_off=push)
+    gait = wj.find_gait(kind(push_off))
+    theta, thetadot = gait.states[0]
+    before = thetadot**2 / 2 + np.cos(theta - slope) - np.cos(theta + slope)
+    gained = push_off**2 / 2 + before - thetadot**2 / 2  # and lost again at heel strike
+    found = wj.gait_measures(kind(push_off), ["slope", "push_off"], gait)["cost-of-transport"]
+    assert found.value == pytest.approx(gained / (2 * np.sin(theta)), rel=1e-11)
+    h = 1e-5
+    for number, step in enumerate(np.eye(2) * h):
+        cost = lambda k, step=step: (
+            wj.gait_measures(
+                walker := wj.PoweredWalker(slope + k * step[0], push_off=push_off + k * step[1]),
+                (),
+                wj.find_gait(walker, gait.states[0]),
+            )["cost-of-transport"].value
+        )
+        assert found.gradient[number] == pytest.approx((cost(1) - cost(-1)) / (2 * h), rel=1e-5)
+
+
 def test_a_walker_climbs():
     gait = wj.find_gait(wj.PoweredWalker(-0.02, push_off=0.15))
     assert gait.found and gait.stable

@@ -187,6 +187,13 @@ class Walker(eqx.Module):
         """
         return False
 
+    def motor_work(self) -> Scalar | None:
+        """Work of motors in a step, per unit of the walker's weight, in the unit of length.
+
+        It is asked for where `driven_by_gravity` does not hold. None, the default: it is not known.
+        """
+        return None
+
     def past_contact(self, state: State) -> Bool[Array, ""]:
         """Whether h > 0 can only grow from here, so that no heel strike follows.
 
@@ -262,6 +269,7 @@ PREMISES = {
     "force_least_at_ends": (*EQUATIONS_OF_MOTION, "contact_force"),
     "inverted_pendulum": EQUATIONS_OF_MOTION,
     "driven_by_gravity": ("vector_field", "impact", "push_off_impulse", "during_stride"),
+    "motor_work": ("vector_field", "impact"),
     "past_contact": (*EQUATIONS_OF_MOTION, "contact", "swing_foot"),
     "gait_region": (*EQUATIONS_OF_MOTION, "contact", "swing_foot", "impact", "lift", "project"),
 }
