@@ -53,6 +53,7 @@ PLACES += [
 AXES = [("0.05", "0.35", "6"), ("-0.03", "0.01", "6"), ("0", "0.4", "46000"), ("0.4", "0", "6")]
 
 GOOD = {
+    "boundary": ["--theta", *AXES[0], "--sum", *AXES[1]],
     "basin": ["--theta", *AXES[0], "--sum", *AXES[1]],
     "optimise": ["--over", "slope", "--bound", "slope=0.001:0.02", "--scan", "3"],
     "robustness": ["--theta", *AXES[0], "--sum", *AXES[1]],
@@ -400,7 +401,17 @@ def calls() -> dict[str, dict]:
             "samples": 5,
             "strides": 20,
         }
-        | {"scale": None, "along": None},
+        | {"scale": None, "along": None, "metric": None, "horizon": 3},
+        "tipping_probability": {**of_walker, "parameter": "slope", "value": 0.005, "region": grid}
+        | {"samples": 5, "strides": 20, "seed": 0, "confidence": 0.9},
+        "boundary": {**on_grid, "side": 2, "radius": 1.0},
+        "boundary_point": {**on_grid, "near": X},
+        "zoom": {**on_grid, "factor": 10.0, "centre": X, "frames": 2},
+        "edge_state": {**of_walker, "a": X, "b": [0.15, -0.2], "rounds": 2, "strides": 20},
+        "stable_manifold": {**of_gait, "spacing": 0.01, "points": 3},
+        "basin_entropy": {"labels": np.eye(64) > 0, "side": 5},
+        "merge_regions": {"labels": np.arange(4096).reshape(64, 64) % 3}
+        | {"radius": 1.0, "halvings": 1},
         "box_counting": {"labels": np.eye(64) > 0, "spacing": 1.0, "confidence": 0.9},
         "uncertainty_exponent": {
             **fit,
@@ -419,7 +430,8 @@ def calls() -> dict[str, dict]:
         "loss_of_walking": {**of_walker, "parameter": "slope", "interval": interval, "branches": []}
         | {"strides": 5, "resolution": 1e-4},
         "bifurcation_diagram": {**of_walker, "parameter": "slope", "interval": interval},
-        "least_disturbance": {**of_gait, "scale": None, "along": None, "fall": True, "strides": 20},
+        "least_disturbance": {**of_gait, "scale": None, "along": None, "fall": True, "strides": 20}
+        | {"metric": None},
         "least_step_down": {**of_gait, "fall": True, "strides": 20},
         "disturbance_gradient": {**of_gait, "parameters": ("slope",), "bands": None, "fall": True},
         "robustness": {**on_grid, "levels": 0, "check": 0, "disturbances": 0.1, "seed": 0},
@@ -529,6 +541,7 @@ TRACEABLE = {"stride", "margins", "walk", "trajectory", "step_down", "find_gait"
 def test_what_jax_cannot_trace_says_so():
     others = {"box_counting": "labels", "uncertainty_exponent": "distances"}
     others |= {"slice_basin": "value"}
+    others |= {"basin_entropy": "labels", "merge_regions": "labels"}
     for name, good in calls().items():
         if name[0].isupper() or name in TRACEABLE:
             continue

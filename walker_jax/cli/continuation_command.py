@@ -60,7 +60,7 @@ def continuation(
     about = {key: value for key, value in describe_walker(walker).items() if key != name}
     options = {"samples": samples, "strides": strides, "seed": seed}
     asked = {"over": {name: values}, "axes": {} if region is None else region.box}
-    request = request_for("continuation", walker=about, **asked, **options)
+    request = request_for("continuation", type(walker), walker=about, **asked, **options)
     figure, data = find_earlier(out, figure, request, overwrite=overwrite)
     if data is None:
         data = wj.continue_basins(walker, name, values, region, progress=True, **options)

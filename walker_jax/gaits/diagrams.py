@@ -14,6 +14,7 @@ import xarray as xr
 from jaxtyping import Float
 
 from walker_jax.checks import check_whole, refuses_tracers
+from walker_jax.execution.progress import bar, track
 from walker_jax.gaits.branches import (
     Branch,
     check_interval,
@@ -113,7 +114,7 @@ def bifurcation_diagram(
                 branches.append(branch)
                 parents.append(parent)
 
-    for period in range(1, period_max + 1):
+    for period in track(range(1, period_max + 1), "gaits and branches, by period", progress):
         for i, branch in enumerate(list(branches)):
             if 2 * branch.period == period:
                 follow_all([start_at_doubling(doubling) for doubling in branch.doublings], i)
@@ -131,13 +132,16 @@ def bifurcation_diagram(
             parents[i] = find_parent_below(walker, parameter, branches, i, (low, high), tolerance)
     members = find_descendants(branches, parents)
     options: Any = dict(tolerance=tolerance, progress="walkers" if progress else None)
-    loss = loss_of_walking(walker, parameter, (low, high), branches, strides=strides, **options)
+    with bar("where walking is lost", progress):
+        loss = loss_of_walking(walker, parameter, (low, high), branches, strides=strides, **options)
     values = np.linspace(low, high, scan)
     doublings = [b.value for i in members for b in branches[i].doublings]
     if doublings and min(doublings) < loss.above:
         values = np.union1d(values, np.linspace(min(doublings), loss.above, scan))
-    starts = starts_near_gaits(walker, parameter, branches, values, tolerance)
-    scanned = attractors(walker, parameter, values, starts, strides=strides, **options)
+    with bar("gaits at each value", progress):
+        starts = starts_near_gaits(walker, parameter, branches, values, tolerance)
+    with bar("attractors", progress):
+        scanned = attractors(walker, parameter, values, starts, strides=strides, **options)
     scanned["fate"] = scanned["fate"].where(np.isfinite(starts).all(axis=2), NO_START)
     return assemble_diagram(walker, parameter, branches, members, scanned, loss)
 

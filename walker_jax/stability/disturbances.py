@@ -17,7 +17,7 @@ from walker_jax.checks import check_whole, refuses_tracers
 from walker_jax.gaits.cycles import Gait
 from walker_jax.stability.gait_mapper import failure_test, mapper_of_gait, with_other_gaits
 from walker_jax.stability.margin_changes import differentiate_margins
-from walker_jax.stability.metric import metric
+from walker_jax.stability.metric import DistanceFunction, metric_of
 from walker_jax.stability.rays import DENSE, nearest_failure, spread_directions
 from walker_jax.walkers.model import Walker
 from walker_jax.walking.outcomes import Outcome
@@ -38,7 +38,8 @@ class LeastDisturbance(NamedTuple):
     size: float
     """Its distance from the gait, in the given metric."""
     direction: Float[np.ndarray, " section"]
-    """Its direction from the gait, of length one in that metric."""
+    """Its direction from the gait: the disturbance divided by its size; with `scale`, in the units
+    of that, in which it is of length one."""
     state: Float[np.ndarray, " section"]
     """The point."""
     phase: int
@@ -55,6 +56,7 @@ def least_disturbance(
     gait: Gait | None = None,
     *,
     scale: Sequence[Any] | ArrayLike | None = None,
+    metric: Sequence[Any] | ArrayLike | DistanceFunction | None = None,
     along: Sequence[Any] | ArrayLike | None = None,
     fall: bool = False,
     directions: int = DENSE,
@@ -80,6 +82,9 @@ def least_disturbance(
     - `gait`: a stable one; the most stable of period one, by default.
     - `scale`: unit of length along each coordinate of the section, positive. The size is the length
       of the disturbance in these units; by default they are 1.
+    - `metric`: in the place of a scale, a symmetric positive definite matrix M, for which the size
+      of a disturbance d is sqrt(d^T M d); or a function, written with JAX, of a state of the gait
+      and a disturbance of it, which is zero for none and grows along every ray.
     - `along`: vectors, one a row, that span the disturbances, such as (0, 1) for a push that
       changes thetadot alone. By default disturbances have any direction.
     - `fall`: whether only falls count, and not the convergence to another attractor.
@@ -91,14 +96,15 @@ def least_disturbance(
     do not fit the section; `ComputationFailed` where the walker returns from all disturbances up to
     a size of a thousand.
     """
-    unit, basis = metric(walker, scale, along)
+    sizes = metric_of(walker, scale, along, metric)
     lost = failure_test(fall)
     check_whole("directions", directions)
     mapper = mapper_of_gait(walker, gait, strides, tolerance)
     states = mapper.attractors[0].states
-    rays = spread_directions(len(basis), OTHER_GAITS_DIRECTIONS) @ basis * unit
-    around = states[:, None, None] + OTHER_GAITS_DISTANCES * rays[:, None]
-    all_gaits = with_other_gaits(mapper, around.reshape(-1, len(unit)))
+    rays = spread_directions(len(sizes.basis), OTHER_GAITS_DIRECTIONS) @ sizes.basis
+    y = (OTHER_GAITS_DISTANCES * rays[:, None]).reshape(-1, rays.shape[1])
+    around = [x + sizes.disturbance(x, y) for x in states]
+    all_gaits = with_other_gaits(mapper, np.concatenate(around))
     loose = all_gaits._replace(tolerance=max(mapper.tolerance, SEARCH_TOLERANCE))
 
     def fails(
@@ -108,23 +114,29 @@ def least_disturbance(
 
     def gradient(points: Float[np.ndarray, "n section"]) -> Float[np.ndarray, "n section"]:
         count = all_gaits(points).strides
-        return differentiate_margins(walker, points, count, np.eye(len(unit)), (), mapper.tolerance)
+        axes = np.eye(points.shape[1])
+        return differentiate_margins(walker, points, count, axes, (), mapper.tolerance)
 
-    found = [
-        nearest_failure(
-            lambda y, x=x: fails(x + y * unit),
-            basis,
-            lambda y, x=x: gradient(x + y * unit) * unit,
+    def nearest(x: Float[np.ndarray, " section"]) -> Float[np.ndarray, " section"]:
+        def gradient_along(y: Float[np.ndarray, "n section"]) -> Float[np.ndarray, "n section"]:
+            return sizes.pull_back(x, y, gradient(x + sizes.disturbance(x, y)))
+
+        return nearest_failure(
+            lambda y: fails(x + sizes.disturbance(x, y)),
+            sizes.basis,
+            gradient_along,
             directions,
-            lambda y, x=x: fails(x + y * unit, loose),
+            lambda y: fails(x + sizes.disturbance(x, y), loose),
         )
-        for x in states
-    ]
+
+    found = [nearest(x) for x in states]
     phase = int(np.argmin([np.linalg.norm(one) for one in found]))
-    step = found[phase]
+    x, step = states[phase], found[phase]
     length = float(np.linalg.norm(step))
-    state = states[phase] + step * unit
-    beyond = (all_gaits if fall else mapper)(states[phase] + BEYOND[:, None] * step * unit)
+    tried = sizes.disturbance(x, BEYOND[:, None] * step)
+    beyond = (all_gaits if fall else mapper)(x + tried)
     first = int(lost(beyond).argmax())
     failure, made = Outcome(int(beyond.fate[first])), int(beyond.strides[first])
-    return LeastDisturbance(length, step / length, state, phase, failure, made)
+    disturbance = tried[-1]
+    direction = (disturbance if scale is None else step) / length
+    return LeastDisturbance(length, direction, x + disturbance, phase, failure, made)

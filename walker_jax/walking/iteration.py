@@ -22,7 +22,7 @@ from walker_jax.checks import WrongUse, array, check_kind, check_whole, refuses_
 from walker_jax.execution.tiles import map_cells
 from walker_jax.integrators.solvers import AnySolver, Real, default_tolerance, using_solver
 from walker_jax.walkers.model import Walker, numbers_of
-from walker_jax.walkers.parameters import parameters
+from walker_jax.walkers.parameters import Parameter, described_by
 from walker_jax.walking.outcomes import Outcome, Stride, Walk
 from walker_jax.walking.stepping import (
     as_floating,
@@ -137,7 +137,7 @@ def check_parameter_arrays(walker: Walker, n: int) -> None:
     for name, values in numbers_of(walker).items():
         if np.shape(values) not in ((), (n,)):
             raise WrongUse(f"{name} must be one number or {n}, not of shape {np.shape(values)}")
-    for one in parameters(walker):
+    for one in described_by(walker, Parameter):
         values = getattr(walker, one.name)
         for value in (np.min(values), np.max(values)) if np.size(values) else ():
             one.convert(value)

@@ -302,8 +302,8 @@ def trajectory(
     The motion is that of the equations alone: it does not end at heel strike, whose time `stride`
     gives. Phases end with their events, at `phase_times`; a walker that falls before goes on.
     Returns a `State` of arrays, or a state of the stride's first phase, such as `BentState`; NaN
-    where that takes more than `MAX_STEPS` of integration.
-    `ValueError` as for `stride`, and for times that are not finite or negative.
+    where that takes more than `MAX_STEPS` of integration. `ValueError` as for `stride`, and for
+    times that are not finite or negative.
     """
     walker, x, tolerance = prepare(walker, x, tolerance)
     if not isinstance(x, Tracer) and not jnp.isfinite(x).all():
@@ -376,11 +376,9 @@ def follow_phase_times(
     walker: Walker, x: Float[Array, " coordinates"], tolerance: Float[Array, ""]
 ) -> Float[Array, " phases"]:
     ends = follow_stride(walker, x, tolerance).time
-    if not walker.phases():
-        return ends[None]
     walker = during_stride(walker, x)
     start, verdict = with_fast_sincos(begin_stride)(walker, x)
-    phases = follow_phases(walker, start, verdict, tolerance)
+    phases = follow_phases(walker, start, verdict, tolerance) if walker.phases() else []
     ended = [one.verdict == Outcome.UNDECIDED for one in phases]
     times = [jnp.where(good, one.time, jnp.nan) for one, good in zip(phases, ended, strict=True)]
     return jnp.stack([*times, ends])
