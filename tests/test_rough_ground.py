@@ -158,6 +158,12 @@ def test_walks_last_as_long_as_the_stochastic_cell_map_says(gait, ground, limit)
     low, high = chain.mean - 1.96 * chain.error, chain.mean + 1.96 * chain.error
     assert low < walks.high and walks.low < high
     assert chain.error < 0.1 * chain.mean
+    # Once it has forgotten where it began, a walk makes survival / (1 - survival) more.
+    late = walks.strides >= 20
+    falls = np.count_nonzero(walks.ended[late])
+    more = (walks.strides[late] - 20).sum() / falls
+    relative = 1.96 * (1 / np.sqrt(falls) + chain.error / chain.mean)
+    assert chain.survival / (1 - chain.survival) == pytest.approx(more, rel=relative)
 
 
 def test_steps_to_fall_refuses_bad_arguments_in_one_line(gait):
