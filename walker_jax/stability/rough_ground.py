@@ -176,7 +176,7 @@ def read_ground(ground: float | RandomDisturbance) -> RandomDisturbance:
     if not isinstance(ground, Hashable):
         raise WrongUse(f"ground must be hashable, as functions are, not {short(ground)}")
     try:
-        drawn = jax.eval_shape(ground, jax.random.key(0))
+        drawn = jax.eval_shape(lambda key: ground(key), jax.random.key(0))
     except TypeError as error:
         raise WrongUse(
             f"ground must return a height or a Disturbance: {str(error).splitlines()[0]}"
