@@ -157,7 +157,7 @@ def test_walks_last_as_long_as_the_stochastic_cell_map_says(gait, ground, limit)
     chain = wj.metastability(WALKER, ground, jax.random.key(2), gait=gait)
     low, high = chain.mean - 1.96 * chain.error, chain.mean + 1.96 * chain.error
     assert low < walks.high and walks.low < high
-    assert chain.error < 0.1 * chain.mean
+    assert chain.error < 0.2 * chain.mean
     # Once it has forgotten where it began, a walk makes survival / (1 - survival) more.
     late = walks.strides >= 20
     falls = np.count_nonzero(walks.ended[late])
