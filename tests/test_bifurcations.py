@@ -7,6 +7,7 @@ from maps import done_with
 
 import walker_jax as wj
 from walker_jax.gaits import diagrams, long_runs
+from walker_jax.gaits.arclength import correct
 from walker_jax.gaits.continuation import Start
 
 VALUES = json.loads((Path(__file__).parent / "data" / "values.json").read_text())
@@ -98,8 +99,12 @@ def test_gaits_are_known_from_any_of_their_states(monkeypatch):
         return np.array([[r + 1 - root], [r + 1 + root]]) / (2 * r)
 
     logistic = lambda x, r: r * x * (1 - x)
-    run_batched = lambda *given: [done_with(logistic, task) for task in given[2]]
-    monkeypatch.setattr("walker_jax.gaits.diagrams.run_batched", run_batched)
+
+    def solve_at(walker, parameter, guesses, tolerance):
+        points = [done_with(logistic, correct(r, x, None, 1.0)) for r, x in guesses]
+        return [point and point.cycle for point in points]
+
+    monkeypatch.setattr("walker_jax.gaits.diagrams.solve_at", solve_at)
     values = np.array([3.2, 3.4])
     two = branch_of(2, [0.5, 0.5], values, np.stack([cycle(r) for r in values]))
     look = lambda starts: diagrams.select_new_starts(walker(), "slope", [two], starts, 1e-12)

@@ -602,6 +602,8 @@ def test_answers_on_robustness(run, tmp_path, monkeypatch):
         **{"stability": 0.25, "stability_low": 0.2, "stability_high": 0.375},
         **{"dimension": 1.5, "dimension_low": 1.4, "dimension_high": 1.75},
         **{"multiplier": 0.625, "step_time": 3.75, "step_down": 0.03125},
+        **{"return_strides": 2.125, "in_time": 0.125, "mean_strides": 13.0, "pace": 90.0},
+        **{"median_pace": 80.0, "mean_shock": 0.0625, "largest_shock": 0.09375},
         "gait_period": 1,
         "gait_state": ("coordinate", data["states"].values[0, 0]),
         "failing_state": ("coordinate", data["states"].values[0, 0] + [0.0, 0.01]),
@@ -631,11 +633,13 @@ def test_answers_on_robustness(run, tmp_path, monkeypatch):
     state, failing = answer["gait"]["state"], answer["least_disturbance"]["state"]
     np.testing.assert_allclose(np.subtract(failing, state), [0, 0.01], atol=1e-15)
     assert answer["gait"] == {
-        **{"period": 1, "state": state, "multiplier": 0.625, "step_time": 3.75}
+        **{"period": 1, "state": state, "multiplier": 0.625, "step_time": 3.75},
+        "return_strides": 2.125,
     }
     assert answer["basin_stability"] == {
-        **{"value": 0.25, "low": 0.2, "high": 0.375, "disturbances": 0.1},
-        **{"median_strides": 12.0, "slowest_strides": None},
+        **{"value": 0.25, "low": 0.2, "high": 0.375, "disturbances": 0.1, "in_time": 0.125},
+        **{"median_strides": 12.0, "slowest_strides": None, "mean_strides": 13.0, "pace": 90.0},
+        **{"median_pace": 80.0, "mean_shock": 0.0625, "largest_shock": 0.09375},
     }
     assert answer["boundary_dimension"] == {"value": 1.5, "low": 1.4, "high": 1.75}
     text = run("robustness")[1]
@@ -643,6 +647,8 @@ def test_answers_on_robustness(run, tmp_path, monkeypatch):
     assert "25.0% (20.0% to 37.5%)" in text and "1.500 (1.400 to 1.750)" in text
     assert "falls" not in text
     assert "in 12 strides" in text and "95 of 100 in inf" in text
+    assert "12.5% are over in 10 strides; on average they take 13, and" in text
+    assert "a factor of e in 2.12; the largest that is survived is 0.0938" in text
     arguments = ["robustness", "--from", "0.004", "--to", "0.2", "--count", "2", "--out", "t.zarr"]
     code, out, err = run(*arguments, "--json")
     assert (code, err) == (0, "")

@@ -261,7 +261,7 @@ def test_limits_hold_at_a_loose_tolerance(no_basins):
 def test_parameters_that_the_walker_refuses_together_are_not_tried():
     walker = wj.RoundFootWalker(0.01, leg_length=0.6, foot_radius=0.3)
     bounds = {"foot_radius": (0.1, 0.5), "leg_length": (0.4, 1.0)}
-    trace = Trace(problem_of(walker, bounds), None, None, False)
+    trace = Trace(problem_of(walker, bounds), None, None, False, 1)
     assert trace.limits.nearest_allowed(np.array([1.0, 0.0])) is None
     assert "foot_radius must be less than leg_length" in climbs.explain_failure(
         trace, np.array([1.0, 0.0])
@@ -305,7 +305,7 @@ def test_places_between_the_bounds():
 
 def test_steps_keep_to_bounds_and_limits(monkeypatch):
     problem = problem_of(WALKER, SLOPES, speed=(0.06, np.inf))
-    trace = Trace(problem, None, None, False)
+    trace = Trace(problem, None, None, False, 1)
     edge = brentq(lambda slope: measure("speed", slope) - 0.06, 0.001, 0.004)
     back = trace.limits.nearest_allowed(np.array([0.0]))
     assert back is not None
@@ -316,7 +316,7 @@ def test_steps_keep_to_bounds_and_limits(monkeypatch):
     )
     assert trace.limits.feasible_direction(back, np.array([1.0])).tolist() == [1.0]
     bounds = {**SLOPES, "hip_stiffness": (0.0, 1.0)}
-    both = Trace(problem_of(wj.SpringWalker(0.004), bounds), None, None, False)
+    both = Trace(problem_of(wj.SpringWalker(0.004), bounds), None, None, False, 1)
     slant = Slack("speed", 0.0, np.array([1.0, 2.0]))
     monkeypatch.setattr(both.limits, "slacks", lambda *_: [slant])
     # against a limit, and then against a bound as well: no way is left
@@ -329,7 +329,7 @@ def test_steps_keep_to_bounds_and_limits(monkeypatch):
         atol=1e-12,
     )
     monkeypatch.undo()
-    free = Trace(problem_of(WALKER, SLOPES), None, None, False)
+    free = Trace(problem_of(WALKER, SLOPES), None, None, False, 1)
     assert free.limits.feasible_direction(np.array([0.0]), np.array([-1.0])).tolist() == [0.0]
     assert free.limits.feasible_direction(np.array([0.0]), np.array([1.0])).tolist() == [1.0]
 
@@ -381,7 +381,7 @@ def test_from_where_nothing_walks_steps_lead_to_where_the_gait_is_more_stable(
 
     monkeypatch.setattr("walker_jax.design.trace.evaluate_objective", evaluate_objective)
     begin = np.array([0.019, 0.4])
-    trace = Trace(problem, None, None, False)
+    trace = Trace(problem, None, None, False, 1)
     found = climbs.rescue(trace, 0, made_up(problem, 0, begin, 0.0))
     way = np.arange(1, 9)[:, None] * [-0.002, 0.1]
     np.testing.assert_allclose(asked, (begin + way)[:steps], rtol=1e-9)

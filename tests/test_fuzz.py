@@ -53,6 +53,7 @@ PLACES += [
 AXES = [("0.05", "0.35", "6"), ("-0.03", "0.01", "6"), ("0", "0.4", "46000"), ("0.4", "0", "6")]
 
 GOOD = {
+    "boundary": ["--theta", *AXES[0], "--sum", *AXES[1]],
     "basin": ["--theta", *AXES[0], "--sum", *AXES[1]],
     "optimise": ["--over", "slope", "--bound", "slope=0.001:0.02", "--scan", "3"],
     "robustness": ["--theta", *AXES[0], "--sum", *AXES[1]],
@@ -174,7 +175,15 @@ def bench(tmp_path_factory):
     with contextlib.ExitStack() as stack:
         patch = lambda place, value: stack.enter_context(mock.patch(place, value))
         patch("walker_jax.cli.startup.keep_compiled", lambda: None)
-        for name in ("basin", "bifurcation", "gait", "optimise", "robustness", "sweep"):
+        for name in (
+            "basin",
+            "bifurcation",
+            "continuation",
+            "gait",
+            "optimise",
+            "robustness",
+            "sweep",
+        ):
             place = f"walker_jax.cli.{name}_command.draw"
             patch(place, lambda axes, path, request: put(path, request))
         for name in PICTURES:
@@ -186,6 +195,7 @@ def bench(tmp_path_factory):
         patch("walker_jax.design.sweeps.measure_basin", lambda *_: {"total_area": 0.001})
         patch("walker_jax.basin", basin)
         patch("walker_jax.bifurcation_diagram", refuse)
+        patch("walker_jax.continue_basins", refuse)
         one = lambda walker, period: [gait] if period == 1 else []
         patch("walker_jax.gaits.selection.find_gaits", one)
         patch("walker_jax.gaits.search.find_gaits", lambda *_, **__: [])
@@ -391,7 +401,17 @@ def calls() -> dict[str, dict]:
             "samples": 5,
             "strides": 20,
         }
-        | {"scale": None, "along": None},
+        | {"scale": None, "along": None, "metric": None, "horizon": 3},
+        "tipping_probability": {**of_walker, "parameter": "slope", "value": 0.005, "region": grid}
+        | {"samples": 5, "strides": 20, "seed": 0, "confidence": 0.9},
+        "boundary": {**on_grid, "side": 2, "radius": 1.0},
+        "boundary_point": {**on_grid, "near": X},
+        "zoom": {**on_grid, "factor": 10.0, "centre": X, "frames": 2},
+        "edge_state": {**of_walker, "a": X, "b": [0.15, -0.2], "rounds": 2, "strides": 20},
+        "stable_manifold": {**of_gait, "spacing": 0.01, "points": 3},
+        "basin_entropy": {"labels": np.eye(64) > 0, "side": 5},
+        "merge_regions": {"labels": np.arange(4096).reshape(64, 64) % 3}
+        | {"radius": 1.0, "halvings": 1},
         "box_counting": {"labels": np.eye(64) > 0, "spacing": 1.0, "confidence": 0.9},
         "uncertainty_exponent": {
             **fit,
@@ -410,7 +430,8 @@ def calls() -> dict[str, dict]:
         "loss_of_walking": {**of_walker, "parameter": "slope", "interval": interval, "branches": []}
         | {"strides": 5, "resolution": 1e-4},
         "bifurcation_diagram": {**of_walker, "parameter": "slope", "interval": interval},
-        "least_disturbance": {**of_gait, "scale": None, "along": None, "fall": True, "strides": 20},
+        "least_disturbance": {**of_gait, "scale": None, "along": None, "fall": True, "strides": 20}
+        | {"metric": None},
         "least_step_down": {**of_gait, "fall": True, "strides": 20},
         "disturbance_gradient": {**of_gait, "parameters": ("slope",), "bands": None, "fall": True},
         "robustness": {**on_grid, "levels": 0, "check": 0, "disturbances": 0.1, "seed": 0},
@@ -422,6 +443,15 @@ def calls() -> dict[str, dict]:
             "check": 0,
             "seed": 0,
         },
+        "continue_basins": {
+            **of_walker,
+            "parameter": "slope",
+            "values": [0.004, 0.005],
+            "region": grid,
+            "samples": 10,
+            "strides": 20,
+            "seed": 0,
+        },
         "sweep": {**of_walker, "over": {"slope": [0.004]}, "grid": grid, "strides": 20, "seed": 0}
         | {"levels": 0, "check": 0, "robust": False},
         "optimise": {**of_walker, **optimum, "strides": 20, "grid": grid},
@@ -429,7 +459,7 @@ def calls() -> dict[str, dict]:
 
 
 HEAVY = {"bifurcation_diagram", "least_disturbance", "disturbance_gradient", "optimise"}
-HEAVY |= {"robustness", "robustness_table"}
+HEAVY |= {"continue_basins", "robustness", "robustness_table"}
 """Always stopped where their work begins: where a bad value is a default, they take minutes."""
 
 
@@ -511,6 +541,7 @@ TRACEABLE = {"stride", "margins", "walk", "trajectory", "step_down", "find_gait"
 def test_what_jax_cannot_trace_says_so():
     others = {"box_counting": "labels", "uncertainty_exponent": "distances"}
     others |= {"slice_basin": "value"}
+    others |= {"basin_entropy": "labels", "merge_regions": "labels"}
     for name, good in calls().items():
         if name[0].isupper() or name in TRACEABLE:
             continue

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -80,16 +81,16 @@ def test_the_human_like_gait_doubles_its_period_on_its_branch():
     """From 2 to 5 degrees along one branch."""
     walker = published(HUMAN_LIKE)
     gait = wj.find_gait(walker, section_of(HUMAN_LIKE))
-    ends = np.radians([2.0, 5.0])
-    branch = wj.continue_gait(walker, "slope", (float(ends[0]), float(ends[1])), gait)
-    np.testing.assert_allclose(branch.values[[0, -1]], ends, rtol=1e-12)
+    low, high = np.radians([2.0, 5.0]).tolist()
+    branch = wj.continue_gait(walker, "slope", (low, high), gait)
+    assert min(branch.values) == pytest.approx(low) and max(branch.values) == pytest.approx(high)
     assert not branch.folds
     (doubling,) = branch.doublings
-    assert 4.8 < np.degrees(doubling.value) < 4.9
+    assert 4.8 < np.degrees(doubling.value) < 4.9 and doubling.residual < 1e-9
     for sign in (-1, 1):  # the multiplier passes -1 within 1e-9 of it
-        there = changed(walker, slope=doubling.value + sign * 1e-9)
-        least = np.min(wj.find_gait(there, doubling.states[0]).multipliers.real)
-        assert np.sign(-1 - least) == sign
+        there = published(HUMAN_LIKE, doubling.value + sign * 1e-9)
+        near = wj.find_gait(there, doubling.states, tolerance=1e-14)
+        assert np.sign(np.abs(near.multipliers[0]) - 1) == sign
 
 
 def test_jacobians_are_differences():
@@ -97,7 +98,9 @@ def test_jacobians_are_differences():
     cycle, tolerance = START[None, None], 1e-14
     names = [one.name for one in parameters(KneedWalker)]
     steps = {name: 1e-3 * max(float(getattr(WALKER, name)), 0.05) for name in names}
-    columns = [("start", i, 1e-4) for i in range(3)] + [("walker", n, h) for n, h in steps.items()]
+    columns: Any = [("start", i, 1e-4) for i in range(3)] + [
+        ("walker", n, h) for n, h in steps.items()
+    ]
     walkers, xs = [], []
     for kind, which, step in columns:
         for scale in (1, 0.5, 0.25):
@@ -177,7 +180,15 @@ def energy(walker, q, rates):
     return (m @ (v**2).sum(axis=1) + inertia @ turn**2) / 2 + m @ height
 
 
-def momentum(walker, q, rates, about, points=slice(None), bodies=slice(None), foot=(0, 0)):
+def momentum(
+    walker,
+    q,
+    rates,
+    about,
+    points: Any = slice(None),
+    bodies: Any = slice(None),
+    foot: Any = (0, 0),
+):
     """Angular momentum of some masses; the stance foot may move."""
     r, _ = places(walker, q)
     v, turn = velocities(walker, q, rates)
@@ -284,7 +295,8 @@ def test_equations_are_those_of_lagrange():
     force = sp.Matrix([lagrangian]).jacobian(q).T - momenta.jacobian(q) * rates
     look = sp.lambdify(symbols, (matrix, force), "numpy")
     phase = WALKER.phases()[0]
-    bent, straight = jax.jit(phase.vector_field), jax.jit(WALKER.vector_field)
+    bent = jax.jit(lambda state: phase.vector_field(state))
+    straight = jax.jit(lambda state: WALKER.vector_field(state))
     for state in np.random.default_rng(1).uniform(-1, 1, (10, 6)):
         M, f = map(np.asarray, look(*state))
         found = bent(BentState(*map(jnp.asarray, state)))
@@ -312,21 +324,21 @@ def straight_legged(walker):
 
 
 def test_shanks_that_lock_at_once_make_a_straight_legged_walker():
-    """A shank whose mass is above the knee does not bend it: the trailing leg leans forward."""
-    walker = changed(WALKER, shank_com=-0.3, shank_inertia=1e-3)
-    xs = starts(400)
-    bent = jax.vmap(lambda x: walker.phases()[0].vector_field(begin_bent(walker.lift(x))).kneedot)(
-        xs
-    )
-    found, expected = wj.strides(walker, xs), wj.strides(straight_legged(walker), xs)
-    at_once = np.asarray(bent) <= 0
-    assert at_once.sum() > 100
-    np.testing.assert_array_equal(found.outcome[at_once], expected.outcome[at_once])
-    assert {0, 1, 2} <= set(expected.outcome[at_once].tolist())
-    np.testing.assert_allclose(found.state[at_once], expected.state[at_once], rtol=0, atol=1e-10)
-    walks = at_once & (found.outcome == Outcome.STRIDE)
-    times = np.asarray(wj.phase_times(walker, xs[walks][0]))
-    assert times[0] == 0 and times[1] == pytest.approx(expected.time[walks][0], rel=1e-12)
+    """On the section they lock at once in falls alone; launched late in a swing, in strides too."""
+    straight, xs = straight_legged(WALKER), starts(400)
+    late = wj.trajectory(straight, START, np.linspace(0.3, 1.6, 40))
+    bends = jax.jit(lambda s: WALKER.phases()[0].vector_field(begin_bent(s)).kneedot)
+    on_section = jax.vmap(lambda x: bends(WALKER.lift(x)))(xs) <= 0
+    at_once = np.asarray(jax.vmap(bends)(late) <= 0)
+    launches = np.stack(late, axis=1)[at_once]
+    for some in (xs[np.asarray(on_section)], launches):
+        found, expected = wj.strides(WALKER, some), wj.strides(straight, some)
+        np.testing.assert_array_equal(found.outcome, expected.outcome)
+        np.testing.assert_allclose(found.state, expected.state, rtol=0, atol=1e-10)
+        assert len(some) > 10
+    assert (found.outcome == Outcome.STRIDE).sum() > 10
+    times = np.asarray(wj.phase_times(WALKER, launches[0]))
+    assert times[0] == 0 and times[1] == pytest.approx(expected.time[0], rel=1e-12)
 
 
 def test_feet_of_vanishing_radius_are_points():
@@ -356,7 +368,7 @@ def simulate(walker, x):
         call.direction, call.terminal = direction, terminal
         return call
 
-    options = dict(rtol=1e-10, atol=1e-12, dense_output=True)
+    options: Any = dict(rtol=1e-10, atol=1e-12, dense_output=True, max_step=0.02)
     start = np.array([x[0], 2 * x[0], 0, x[1], x[2], 0])
     pulled = float(force(start)) < 0
     over = float(field(start)[5]) <= 0
@@ -368,15 +380,13 @@ def simulate(walker, x):
     else:
         if pulled:
             return Outcome.RUNNING, None
-        # a little later, so that the knee's zero at the start is no event
-        knee = event(lambda y: y[2] if y[2] > 0 else -1e-3, -1)
         events = [
-            event(lambda y: -1.0 if y[2] <= 0 else 1.0, -1),
+            event(lambda y: y[2], -1),
             event(lambda y: y[3], 1),
             event(lambda y: y[0] + np.pi / 2, -1),
             event(clearance, -1, False),
         ]
-        del knee
+        # The knee is zero at the start, which is no event: a little later it is bent.
         first = solve_ivp(lambda t, y: np.asarray(field(y)), (0, 1e-4), start, **options)
         run = solve_ivp(
             lambda t, y: np.asarray(field(y)), (1e-4, 60), first.y[:, -1], events=events, **options
@@ -420,8 +430,8 @@ def simulate(walker, x):
 
 @pytest.mark.slow
 def test_outcomes_and_states_are_those_of_another_integrator():
-    xs = starts(160, seed=3)
-    xs = np.concatenate([xs, START + np.random.default_rng(4).uniform(-0.15, 0.15, (40, 3))])
+    xs = starts(60, seed=3)
+    xs = np.concatenate([xs, START + np.random.default_rng(4).uniform(-0.15, 0.15, (20, 3))])
     for walker in (WALKER, changed(WALKER, foot_radius=0.0)):
         found, agree, ways = wj.strides(walker, xs), 0, set()
         for x, outcome, state, time in zip(xs, found.outcome, found.state, found.time, strict=True):
@@ -456,6 +466,7 @@ def test_margins_have_the_sign_that_the_outcome_says():
     assert np.isfinite(found.landing[ends.outcome == Outcome.STRIDE]).mean() > 0.3
 
 
+@pytest.mark.slow
 def test_a_start_in_mid_stride_goes_on_with_the_same_stride(path):
     times, states, _, _ = path
     whole = wj.stride(WALKER, START)
@@ -463,7 +474,7 @@ def test_a_start_in_mid_stride_goes_on_with_the_same_stride(path):
         rest = wj.stride(WALKER, np.stack(states, axis=1)[k])
         np.testing.assert_allclose(rest.state, whole.state, rtol=0, atol=1e-11)
         assert float(rest.time) == pytest.approx(float(whole.time) - times[k], abs=1e-11)
-    upright = wj.stride(WALKER, [START[0], 2 * START[0], *START[1:]])
+    upright = wj.stride(WALKER, np.array([START[0], 2 * START[0], *START[1:]]))
     np.testing.assert_allclose(upright.state, whole.state, rtol=0, atol=1e-14)
     backward = np.stack(states, axis=1)[4] * [1, 1, -1, 1, 1, 1]
     assert wj.stride(WALKER, backward).outcome == Outcome.OUTSIDE
@@ -473,6 +484,7 @@ def test_a_start_in_mid_stride_goes_on_with_the_same_stride(path):
         wj.stride(WALKER, np.zeros(5))
 
 
+@pytest.mark.slow
 def test_a_step_down_takes_longer_and_comes_from_the_same_phases():
     level, down = wj.stride(WALKER, START), wj.step_down(WALKER, START, 0.0)
     np.testing.assert_allclose(WALKER.project(State(*down.state)), level.state, rtol=0, atol=1e-12)
@@ -491,7 +503,7 @@ def test_a_stance_knee_bends_if_freed_where_its_moment_is_negative():
     moment = jax.jit(lambda s: stance_knee_moment(WALKER, s))
     system, signs = WALKER.bent_system(), set()
     for state in np.random.default_rng(5).uniform(-0.6, 0.6, (12, 6)):
-        q, qdot = (np.array([0, 0, *half, 0.0]) for half in (state[:3], state[3:]))
+        q, qdot = (jnp.array([0, 0, *half, 0.0]) for half in (state[:3], state[3:]))
         free = multibody.solve_motion(system, q, qdot, held=(0, 1)).accelerations[5]
         held = moment(BentState(*map(jnp.asarray, state)))
         assert np.sign(free) == -np.sign(held)
@@ -520,6 +532,7 @@ def test_what_is_checked_fails_at_heel_strike():
         changed(walker, check_lock=1)
 
 
+@pytest.mark.slow
 def test_a_motion_has_the_knee():
     data = wj.motion(WALKER, START, 2, step=0.2)
     assert data["knee"].max() > 0.3 and data["outcome"].values.tolist() == [0, 0]
@@ -538,3 +551,14 @@ def test_walkers_with_impossible_shanks_are_refused():
         KneedWalker(0.05, foot_radius=1.0)
     with pytest.raises(ValueError, match="shank_inertia must be above 0 where shank_com is 0"):
         KneedWalker(0.05, shank_com=0.0)
+
+
+def test_a_kneed_walk_on_rough_ground_is_strides_of_given_heights():
+    heights = np.array([1e-4, 0.0])
+    made = wj.walk(WALKER, START, 2, ground=heights)
+    state = START
+    for number, height in enumerate(heights):
+        result = wj.stride(WALKER, state, step=height)
+        assert result.outcome == Outcome.STRIDE
+        np.testing.assert_allclose(made.states[number + 1], result.state, rtol=0, atol=1e-11)
+        state = result.state

@@ -11,6 +11,7 @@ from walker_jax import storage
 from walker_jax.basins import pieces
 from walker_jax.design import sweeps
 from walker_jax.execution import progress
+from walker_jax.stability import summary
 
 
 def test_a_bar_begins_with_what_was_done_before_and_ends_with_all(monkeypatch):
@@ -50,3 +51,47 @@ def test_a_run_that_is_resumed_shows_what_is_there(name, tmp_path, monkeypatch):
     monkeypatch.setattr(module, "track", keep)
     calls[name]()
     assert seen == [(4, 3)]
+
+
+def test_a_computation_within_another_adds_a_line_and_leaves_the_rest(monkeypatch):
+    shown = io.StringIO()
+    terminal = Console(file=shown, force_terminal=True, width=100)
+    monkeypatch.setattr("walker_jax.execution.progress.progress_console", lambda wanted: terminal)
+    with progress.bar("basin", True):
+        outer = progress.current
+        assert outer is not None
+        with progress.bar("cells", True, 4) as update:
+            update(3)
+            assert progress.current is outer and len(outer.tasks) == 2
+            outer.refresh()
+        assert len(outer.tasks) == 1
+    assert progress.current is None
+    text = re.sub(r"\x1b\[[\d;?]*[a-zA-Z]", "", shown.getvalue())
+    assert "basin" in text and "75%" in text and " s" in text
+
+
+def test_times_are_said_in_the_unit_that_suits_them():
+    assert [*map(progress.in_words, (4.4, 89.0, 91.0, 3000.0, 7200.0))] == [
+        *("4 s", "89 s", "2 min", "50 min", "2.0 h")
+    ]
+
+
+def test_nothing_is_shown_where_that_is_asked(monkeypatch):
+    monkeypatch.setattr(progress, "quiet", False)
+    monkeypatch.setattr(Console, "is_terminal", True)
+    assert not progress.progress_console(True).quiet
+    assert progress.progress_console(False).quiet
+    progress.be_quiet()
+    assert progress.progress_console(True).quiet
+
+
+def test_robustness_says_what_it_is_at(monkeypatch):
+    """Where there is nothing to measure: what comes first is enough to see."""
+    labels = []
+    bar = summary.bar
+    monkeypatch.setattr(
+        summary, "bar", lambda label, wanted: labels.append((label, wanted)) or bar(label, False)
+    )
+    grid = wj.Grid.sheared(theta=(0.05, 0.06, 3), sum=(-0.5, -0.45, 3))
+    wj.robustness(wj.SimplestWalker(0.004), grid, levels=0, check=10, strides=3, progress=True)
+    assert labels == [("search for a gait", True), ("basin", True)]

@@ -112,7 +112,7 @@ def test_cells_are_counted_a_few_rows_at_a_time_as_all_at_once(monkeypatch):
     assert whole.fates.sum() == GRID.size
     fate, attractor = data["fate"].values, data["attractor"].values
     assert whole.fates[Outcome.FORWARD] == (fate == Outcome.FORWARD).sum() > 0
-    assert whole.unlabelled == ((fate == 0) & (attractor < 0)).sum() > 0
+    assert whole.unmatched == ((fate == 0) & (attractor < 0)).sum() > 0
     assert whole.strides == data["strides"].values.sum() + (fate != 0).sum()
     monkeypatch.setattr(basin_summary, "CELLS_AT_ONCE", 70)
     for one, other in zip(whole, basin_summary.tally(data), strict=True):
@@ -177,7 +177,8 @@ def test_a_summary_of_robustness_has_none_for_what_is_not_there(monkeypatch):
     least = found["least_disturbance"]
     assert (least["size"], least["failure"], least["strides"]) == (0.002, "FORWARD", 6)
     assert list(found["basin_stability"]) == [
-        *("value", "low", "high", "disturbances", "median_strides", "slowest_strides")
+        *("value", "low", "high", "in_time", "disturbances", "median_strides", "slowest_strides"),
+        *("mean_strides", "pace", "median_pace", "mean_shock", "largest_shock"),
     ]
     assert found["boundary_dimension"] == {"value": 1.25, "low": 1.0, "high": 1.5}
     earlier = data.drop_vars([name for name in data if "fall" in str(name)])

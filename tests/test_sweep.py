@@ -25,6 +25,7 @@ from walker_jax.design import sweeps
 from walker_jax.execution import tiles, workers
 from walker_jax.execution.workers import open_workers
 from walker_jax.kernels.primitive import MODES
+from walker_jax.stability.summary import without_gait
 from walker_jax.storage import datasets
 
 WALKER = wj.SpringWalker(0.004, 0.0)
@@ -56,6 +57,20 @@ def test_every_combination_is_as_computed_alone(swept):
         np.testing.assert_array_equal(there["gait_state"], gait.states[0])
         assert float(there["multiplier"]) == np.abs(gait.multipliers[0])
         assert float(there["speed"]) == wj.gait_measures(walker, (), gait)["speed"].value
+
+
+@pytest.mark.slow
+def test_a_robust_sweep_has_what_robustness_gives_each_combination():
+    walker, small = (
+        wj.SimplestWalker(0.004),
+        wj.Grid.sheared(theta=(0.1, 0.2, 8), sum=(-0.02, 0.01, 6)),
+    )
+    options: Any = {"levels": 0, "check": 100, "strides": 60, "seed": 3}
+    found = wj.sweep(walker, {"slope": [0.004]}, small, robust=True, **options).isel(slope=0)
+    alone = wj.robustness(walker, small, **options)
+    for name in ("total_area", *without_gait(walker)):
+        np.testing.assert_array_equal(found[name], alone[name])
+    assert 0 < float(found["least_disturbance"]) < 0.1 and float(found["failed"]) == 0
 
 
 def test_where_nothing_walks_there_is_no_area_and_no_gait(swept):

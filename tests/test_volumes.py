@@ -176,7 +176,7 @@ def test_slices_are_those_of_the_whole_grid(refined):
 
 def test_what_a_volume_has_of_each_fate(refined):
     counts = tally(refined)
-    assert counts.fates.sum() == 48 * 56 * 44 and counts.unlabelled == 0
+    assert counts.fates.sum() == 48 * 56 * 44 and counts.unmatched == 0
     assert counts.fates[Outcome.STRIDE] == refined.cells.sum()
     answer = summarise_basin(refined, counts)
     assert answer["volume"] == float(refined.total_area) and answer["cells"] == 48 * 56 * 44

@@ -2,8 +2,13 @@
 
 from walker_jax.basins.computation import basin as basin
 from walker_jax.basins.computation import compare_methods as compare_methods
+from walker_jax.basins.edge_states import EdgeState as EdgeState
+from walker_jax.basins.edge_states import edge_state as edge_state
 from walker_jax.basins.refinement import refine as refine
+from walker_jax.basins.stable_manifolds import stable_manifold as stable_manifold
 from walker_jax.basins.volumes import slice_basin as slice_basin
+from walker_jax.basins.zooms import boundary_point as boundary_point
+from walker_jax.basins.zooms import zoom as zoom
 from walker_jax.checks import ComputationFailed as ComputationFailed
 from walker_jax.design.area_gradients import AreaGradient as AreaGradient
 from walker_jax.design.area_gradients import area_gradient as area_gradient
@@ -13,6 +18,9 @@ from walker_jax.design.measures import Measure as Measure
 from walker_jax.design.measures import gait_measures as gait_measures
 from walker_jax.design.optimisation import optimise as optimise
 from walker_jax.design.sweeps import sweep as sweep
+from walker_jax.entropies import BasinEntropy as BasinEntropy
+from walker_jax.entropies import basin_entropy as basin_entropy
+from walker_jax.explorer.notebook import explore as explore
 from walker_jax.fractals import Dimension as Dimension
 from walker_jax.fractals import Uncertainty as Uncertainty
 from walker_jax.fractals import box_counting as box_counting
@@ -29,6 +37,8 @@ from walker_jax.gaits.search import descend as descend
 from walker_jax.gaits.search import find_gait as find_gait
 from walker_jax.gaits.search import find_gaits as find_gaits
 from walker_jax.grids import Grid as Grid
+from walker_jax.stability.basin_fractions import continue_basins as continue_basins
+from walker_jax.stability.boundaries import boundary as boundary
 from walker_jax.stability.dimension import boundary_dimension as boundary_dimension
 from walker_jax.stability.disturbances import LeastDisturbance as LeastDisturbance
 from walker_jax.stability.disturbances import least_disturbance as least_disturbance
@@ -44,6 +54,10 @@ from walker_jax.stability.stochastic_map import Metastability as Metastability
 from walker_jax.stability.stochastic_map import metastability as metastability
 from walker_jax.stability.summary import robustness as robustness
 from walker_jax.stability.summary import robustness_table as robustness_table
+from walker_jax.stability.tipping import Tipping as Tipping
+from walker_jax.stability.tipping import tipping_probability as tipping_probability
+from walker_jax.wada import Wada as Wada
+from walker_jax.wada import merge_regions as merge_regions
 from walker_jax.walkers.feedback import Feedback as Feedback
 from walker_jax.walkers.heavy_legs import HeavyLegWalker as HeavyLegWalker
 from walker_jax.walkers.kneed import BentState as BentState

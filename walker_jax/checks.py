@@ -30,8 +30,28 @@ class WrongUse(ValueError):
     """
 
 
+class WrongPlace(WrongUse):
+    """A place on disk is refused: what is wrong there, and perhaps the arguments that help."""
+
+    def __str__(self):
+        return ": ".join(self.args)
+
+
 class ComputationFailed(RuntimeError):
     """A computation came to no answer, for the reason given, though its arguments are right."""
+
+
+def current_name(owner: str, renamed: Mapping[str, str], name: str) -> str:
+    """The name that `name` of `owner` has now, with a warning; `AttributeError` if it has none."""
+    if name not in renamed:
+        raise AttributeError(f"{owner} has no attribute {name!r}")
+    warnings.warn(
+        f"{owner}.{name} is now called {renamed[name]}, and will not be found by its old name in "
+        "the version after next",
+        DeprecationWarning,
+        stacklevel=3,
+    )
+    return renamed[name]
 
 
 def check_whole(name: str, value: Any, least: int = 1, most: int = MAX_COUNT) -> int:

@@ -9,7 +9,7 @@ numbered from 0 with the last axis fastest (C order), by int32; -1 stands for no
 import math
 import operator
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -17,7 +17,15 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, Int32
 
-from walker_jax.checks import WrongUse, check_kind, is_number, numbers, short
+from walker_jax.checks import (
+    WrongUse,
+    check_kind,
+    check_number,
+    current_name,
+    is_number,
+    numbers,
+    short,
+)
 
 MAX_SINKS = 255
 MAX_SIZE = 2**31 - 1 - MAX_SINKS
@@ -39,6 +47,9 @@ class Grid(eqx.Module):
     numbers, or more than `MAX_SIZE` cells.
     """
 
+    RENAMED: ClassVar = {"states": "points_at", "held": "fixed_values"}
+    """Former names, and what they are called now."""
+
     names: tuple[str, ...] = eqx.field(static=True)
     """Names of the box coordinates u."""
     fixed: tuple[str, ...] = eqx.field(static=True)
@@ -55,6 +66,11 @@ class Grid(eqx.Module):
     """Its inverse, u = unshear @ (x - origin); of a slice, for points in it."""
     origin: Float[np.ndarray | Array, " s"]
     """The point of the state where u is zero."""
+
+    if not TYPE_CHECKING:  # to which any name would be known
+
+        def __getattr__(self, name: str) -> Any:
+            return getattr(self, current_name("Grid", self.RENAMED, name))
 
     def __init__(
         self,
@@ -116,6 +132,23 @@ class Grid(eqx.Module):
         shear = np.eye(len(axes), len(along))
         shear[1, 0] = -1
         return cls(along, shear, values, tuple(axes)[len(along) :])
+
+    def zoom(self, centre: Float[ArrayLike, " s"], factor: float | int) -> "Grid":
+        """The grid of as many cells in a window `factor` times as narrow, around a point.
+
+        Its box coordinates are offsets from that point, which is its origin: they stay exact where
+        those of the point have no digits left.
+
+        Raises ValueError for a centre that is not s finite numbers, or a factor that is not
+        positive.
+        """
+        check_number("factor", factor)
+        if not 0 < factor < math.inf:
+            raise WrongUse(f"factor={factor}: must be positive and finite")
+        half = (np.asarray(self.upper) - np.asarray(self.lower)) / 2 / factor
+        counts = zip(self.names, half.tolist(), self.shape, strict=True)
+        axes = {name: (-width, width, count) for name, width, count in counts}
+        return Grid(axes, self.shear, numbers("centre", centre), self.fixed)
 
     @property
     def coordinates(self) -> int:

@@ -8,6 +8,8 @@ from mkdocs.structure.files import File
 ROOT = Path(__file__).parent.parent.parent
 PAGES = {
     "changelog.md": "CHANGELOG.md",
+    "contributing.md": "CONTRIBUTING.md",
+    "security.md": "SECURITY.md",
     "notebooks/index.md": "notebooks/README.md",
     "speed.md": "benchmarks/README.md",
 }

@@ -20,6 +20,10 @@ PATIENCE = 8
 """Times `LONGEST_PERIOD`: strides in which a walker is to converge to a cycle."""
 ATTEMPTS = 8
 """Walkers that have not, for which a cycle is solved for."""
+NEARLY = 1e-4
+"""Distance to which a walker has come back by then if it approaches a cycle, however slowly: at a
+period doubling it approaches like the inverse square root of the strides, and after n of them
+comes back to n^-3/2. On a motion without a period it comes back to a 64th of that, some 1e-3."""
 
 
 def sample(x: Float[np.ndarray, "n section"]) -> Float[np.ndarray, "m section"]:
@@ -45,7 +49,7 @@ def find_attractors(
     Where there is none they are on an attractor without a period; one is added for them all.
     """
     found, exact = list(known), 1e3 * np.finfo(x.dtype).eps
-    period = np.ones(len(x), int)
+    period, nearest = np.ones(len(x), int), np.zeros(len(x))
     for _ in range(PATIENCE):
         states, outcome = orbits(walker, x, LONGEST_PERIOD, tolerance)
         back = states[outcome == Outcome.STRIDE, ::-1]  # (walkers, strides back, coordinates)
@@ -57,12 +61,13 @@ def find_attractors(
             add_cycle(found, path[:count][::-1])
         x = back[:, 0]
         left = ~repeated & (match_attractor(x, found) < 0)
-        x, period = x[left], misses[left].argmin(axis=1) + 1
+        x, period, nearest = x[left], misses[left].argmin(axis=1) + 1, misses[left].min(axis=1)
         if len(x) == 0:
             return found
+    slow = np.flatnonzero(nearest < NEARLY)[:ATTEMPTS]
     solved = [
         cycle
-        for start, count in zip(x[:ATTEMPTS], period[:ATTEMPTS], strict=True)
+        for start, count in zip(x[slow], period[slow], strict=True)
         if (cycle := stable_cycle(walker, start, int(count), tolerance)) is not None
     ]
     for cycle in solved:

@@ -15,8 +15,8 @@ HALF_EDGES = 1e-5 * 1.5 ** np.arange(20)
 """Of the cubes that are tried, in all coordinates, up to 0.022."""
 STRETCHES = 1.5 ** np.arange(12)
 """How many times as long boxes are made in one direction."""
-STARTS = 1000
-"""Random starts in a box."""
+STARTS, FEWEST_STARTS = 1000, 100
+"""Random starts in the boxes of a cycle, and at least in each of them."""
 SETTLING_PERIODS = 8
 """Periods after which walkers are left in the directions in which they approach a cycle last."""
 
@@ -40,7 +40,7 @@ def find_capture_boxes(mapper: Mapper, number: int, rng: np.random.Generator) ->
     attractors = list(mapper.attractors)
     cycle = attractors[number].states
     period, size = cycle.shape
-    u = rng.uniform(-1, 1, (period, STARTS, size))
+    u = rng.uniform(-1, 1, (period, max(STARTS // period, FEWEST_STARTS), size))
 
     def largest(boxes: Float[np.ndarray, "tried period section section"]) -> int:
         """The last of growing boxes from which all converge, which the attractor is given."""

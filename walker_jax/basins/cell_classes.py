@@ -64,8 +64,15 @@ def walking_cells(data: xr.Dataset, large: Sequence[int]) -> WalkingCells:
         large={number: CellClass(walks & (attractor == number)) for number in large},
         others=CellClass(walks & (attractor >= 0) & ~made_up & ~np.isin(attractor, large)),
         artefacts=CellClass(made_up),
-        unmatched=CellClass(walks & (attractor < 0)),
+        unmatched=CellClass(unmatched_cells(data["fate"].values, attractor)),
     )
+
+
+def unmatched_cells(
+    fate: Int[np.ndarray, "*shape"], attractor: Int[np.ndarray, "*shape"]
+) -> Bool[np.ndarray, "*shape"]:
+    """The cells that walk on without coming near a known attractor."""
+    return (fate == Outcome.STRIDE) & (attractor < 0)
 
 
 def failing_cells(fate: Int[np.ndarray, "*shape"]) -> dict[Outcome, CellClass]:

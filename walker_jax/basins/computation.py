@@ -12,10 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 import xarray as xr
 
 from walker_jax.basins.memory import BYTES_PER_CELL, check_grid
 from walker_jax.basins.methods import cell_mapping, direct_iteration, mapper_of_grid
+from walker_jax.basins.narrow_windows import follow_window
 from walker_jax.basins.pieces import METHODS, compute_in_pieces
 from walker_jax.basins.schema import to_dataset
 from walker_jax.checks import WrongUse, check_precision, check_whole, refuses_tracers, short
@@ -47,7 +49,9 @@ def basin(
     **Arguments:**
 
     - `walker`: its parameters are used in float64 if JAX has that turned on.
-    - `grid`: its state coordinates are those of the section. It may be a slice.
+    - `grid`: its state coordinates are those of the section. It may be a slice. A window narrower
+      than 1e-9, down to 1e-15, keeps its digits by direct iteration: its centre is followed, with
+      the Jacobian, until the window is wide enough (`Grid.zoom` makes one).
     - `method`: "cell-map" or "direct"; for a slice, "direct" only.
     - `strides`: how many of them direct iteration follows a walker for.
     - `tolerance`, `solver`: of the integration, as in `stride`. A cluster takes no other solver.
@@ -114,8 +118,10 @@ def basin(
         if method == "cell-map":
             basins = cell_mapping(walker, grid, tolerance, progress)
         else:
-            mapper = mapper_of_grid(walker, grid, tolerance, strides).with_sorted_attractors()
-            basins = direct_iteration(mapper, grid, progress)
+            window, made = follow_window(walker, grid, tolerance, strides)
+            mapper = mapper_of_grid(walker, window, tolerance, strides - made)
+            basins = direct_iteration(mapper.with_sorted_attractors(), window, progress)
+            basins = basins._replace(strides=basins.strides + np.int32(made))
     return to_dataset(walker, grid, basins, settings)
 
 

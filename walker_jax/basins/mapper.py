@@ -90,16 +90,17 @@ class Mapper(NamedTuple):
     ) -> tuple[Int[np.ndarray, " n"], "Mapper"]:
         """The attractors of walkers that have made all their strides, and the mapper to all.
 
-        That is the one they are `CLOSE` to, or one that is found by following them further.
+        That is the one they are `CLOSE` to, or the one without a period, if there is one, or one
+        that is found by following them further.
         """
         number, mapper = match_attractor(x, self.attractors, CLOSE), self
         unmatched = number < 0
-        if unmatched.any():
+        if unmatched.any() and all(one.period for one in self.attractors):
             mapper = self.with_attractors_from(sample(x[unmatched]))
             number[unmatched] = match_attractor(x[unmatched], mapper.attractors, CLOSE)
-            for i, one in enumerate(mapper.attractors):
-                if one.period is None:
-                    number[number < 0] = i
+        for i, one in enumerate(mapper.attractors):
+            if one.period is None:
+                number[number < 0] = i
         return number, mapper
 
     def with_attractors_from(self, starts: Float[np.ndarray, "n section"]) -> "Mapper":

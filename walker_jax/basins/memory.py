@@ -1,8 +1,12 @@
-"""Whether a grid fits into the memory of the machine."""
+"""Whether a grid or a state fits a walker's section, and a grid the memory of the machine."""
 
 import os
+from typing import Any
 
-from walker_jax.checks import WrongUse, check_kind
+import numpy as np
+from jaxtyping import Float
+
+from walker_jax.checks import WrongUse, check_kind, numbers, short
 from walker_jax.grids import Grid
 from walker_jax.walkers.model import Walker
 
@@ -43,6 +47,15 @@ def check_grid(
             f"grid of {grid.size} cells needs {needed / 2**30:.1f} GiB of memory, "
             f"and this machine has {memory / 2**30:.1f} GiB"
         )
+
+
+def check_state(walker: Walker, name: str, x: Any) -> Float[np.ndarray, " section"]:
+    """A state on the walker's section, as float64; refuses any other argument of that name."""
+    values = numbers(name, x)
+    if values.shape != (len(walker.section),) or not np.isfinite(values).all():
+        section = ", ".join(walker.section)
+        raise WrongUse(f"{name} must be finite numbers on the section, {section}, not {short(x)}")
+    return values
 
 
 def memory_of_machine() -> float:

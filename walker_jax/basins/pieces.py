@@ -22,6 +22,7 @@ from walker_jax.basins.methods import (
     map_block,
     mapper_of_grid,
 )
+from walker_jax.basins.narrow_windows import follow_window
 from walker_jax.basins.schema import (
     ATTRIBUTES,
     add_attractors,
@@ -97,21 +98,30 @@ class FollowedPieces(NamedTuple):
     def notes(self) -> dict:
         """What is computed before all pieces, and stored."""
         tolerance, strides = self.settings["tolerance"], self.settings["strides"]
-        mapper = mapper_of_grid(self.walker, self.grid, tolerance, strides)
+        window, made = self.window()
+        mapper = mapper_of_grid(self.walker, window, tolerance, strides - made)
         found = mapper.with_sorted_attractors().attractors
         return {"attractors": [[one.period, one.states.tolist()] for one in found]}
 
-    def mapper(self, notes: dict) -> Mapper:
-        """The mapper to the attractors that are stored."""
+    def window(self) -> tuple[Grid, int]:
+        """The grid that is followed, and the strides made up to there."""
+        tolerance, strides = self.settings["tolerance"], self.settings["strides"]
+        return follow_window(self.walker, self.grid, tolerance, strides)
+
+    def mapper(self, notes: dict, made: int = 0) -> Mapper:
+        """The mapper to the attractors that are stored, for walkers that have made some strides."""
         dtype = jnp.asarray(0.0).dtype
         known = [
             Attractor(period, np.array(states, dtype)) for period, states in notes["attractors"]
         ]
-        return Mapper(self.walker, known, self.settings["tolerance"], self.settings["strides"])
+        strides = self.settings["strides"] - made
+        return Mapper(self.walker, known, self.settings["tolerance"], strides)
 
     def piece(self, notes: dict, block: Block) -> dict[str, np.ndarray]:
         """Values of arrays over a piece; ends are those of walkers that remain."""
-        labels = map_block(self.mapper(notes), self.grid, block)
+        window, made = self.window()
+        labels = map_block(self.mapper(notes, made), window, block)
+        labels = labels._replace(strides=labels.strides + np.int32(made))
         ends, remaining = np.full_like(labels.states, np.nan), labels.remaining
         ends[remaining] = labels.states[remaining]
         return dict(zip(ATTRIBUTES, labels, strict=False)) | {"ends": ends}

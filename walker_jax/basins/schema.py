@@ -68,9 +68,15 @@ def describe(walker: Walker, grid: Grid, settings: dict) -> xr.Dataset:
         **attributes_of(walker),
         **settings,
         "section": list(walker.section),
+        **({"origin": grid.origin.tolist()} if is_centred(grid) else {}),
         "version": f"walker-jax {version('walker-jax')}",
     }
     return xr.Dataset(coords=grid.axes | grid.fixed_values, attrs=about)
+
+
+def is_centred(grid: Grid) -> bool:
+    """Whether the box coordinates of a grid are offsets from its origin."""
+    return bool(np.any(np.asarray(grid.origin)[: grid.coordinates - len(grid.fixed)]))
 
 
 def add_attractors(

@@ -6,6 +6,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Int
 
+from walker_jax.basins.cell_classes import unmatched_cells
 from walker_jax.basins.schema import artefacts
 from walker_jax.basins.volumes import runs_of
 from walker_jax.walking.outcomes import Outcome
@@ -19,7 +20,7 @@ class Tally(NamedTuple):
 
     fates: Int[np.ndarray, " outcomes"]
     """Cells of each `Outcome`."""
-    unlabelled: int
+    unmatched: int
     """Cells that walk on without coming near a known attractor."""
     strides: int
     """Strides made from all cells, the failing ones among them."""
@@ -30,18 +31,18 @@ def tally(data: xr.Dataset) -> Tally:
     if "run_fate" in data:
         fate, lengths = data["run_fate"].values, runs_of(data).lengths
         fates = np.bincount(fate, lengths, minlength=len(Outcome)).astype(int)
-        unmatched = (fate == Outcome.STRIDE) & (data["run_attractor"].values < 0)
-        return Tally(fates, int(lengths[unmatched].sum()), int(data["strides_made"]))
-    fates, unlabelled, made = np.zeros(len(Outcome), int), 0, 0
+        lost = unmatched_cells(fate, data["run_attractor"].values)
+        return Tally(fates, int(lengths[lost].sum()), int(data["strides_made"]))
+    fates, unmatched, made = np.zeros(len(Outcome), int), 0, 0
     row = data["fate"].dims[0]
     rows = max(1, CELLS_AT_ONCE * data.sizes[row] // data["fate"].size)
     for first in range(0, data.sizes[row], rows):
         part = data[["fate", "attractor", "strides"]].isel({row: slice(first, first + rows)})
         fate, attractor, strides = (part[name].values.ravel() for name in part)
         fates += np.bincount(fate, minlength=len(fates))
-        unlabelled += int(((fate == Outcome.STRIDE) & (attractor < 0)).sum())
+        unmatched += int(unmatched_cells(fate, attractor).sum())
         made += int(strides.sum(dtype=np.int64) + (fate != Outcome.STRIDE).sum())
-    return Tally(fates, unlabelled, made)
+    return Tally(fates, unmatched, made)
 
 
 def summarise_basin(data: xr.Dataset, counts: Tally) -> dict:

@@ -2,6 +2,7 @@
 
 import json
 import math
+import sys
 import time
 from collections.abc import Iterable
 from importlib.metadata import version
@@ -12,7 +13,9 @@ import jax
 import numpy as np
 
 from walker_jax import storage
-from walker_jax.checks import WrongUse
+from walker_jax.checks import WrongPlace
+from walker_jax.walkers.fingerprints import code_fingerprint
+from walker_jax.walkers.model import Walker
 
 if TYPE_CHECKING:
     import xarray
@@ -22,19 +25,21 @@ PICTURES = (".png", ".svg", ".pdf")
 """Formats that carry a title, which tells whether a picture is of the same request."""
 
 
-def request_for(command: str, **asked: Any) -> dict[str, Any]:
-    """All that the answer of a command depends on."""
+def request_for(command: str, kind: type[Walker], **asked: Any) -> dict[str, Any]:
+    """All that the answer of a command about a kind of walker depends on."""
+    code = code_fingerprint(kind)
+    asked |= {"code": code} if code else {}
     return {"command": command, **asked, "version": version("walker-jax")}
 
 
 def picture_path(out: Path, figure: Path | None) -> Path:
     """Where the picture of a data set goes; both places are checked."""
     if not out.name:
-        raise WrongUse(f"--out {out} is not the name of a data set")
+        raise WrongPlace(f"--out {out} is not the name of a data set")
     figure = figure or out.with_suffix(".png")
     check_suffix(figure)
     if out.absolute() in (figure.absolute(), *figure.absolute().parents):
-        raise WrongUse(f"--figure {figure} must be another place than --out {out}")
+        raise WrongPlace(f"--figure {figure} must be another place than --out {out}")
     return figure
 
 
@@ -47,14 +52,17 @@ def find_earlier(
     """
     figure = picture_path(out, figure)
     found = storage.find(out, request, overwrite=overwrite)  # first: it says what differs
-    storage.check_picture(figure, request, overwrite=overwrite)
+    earlier = request if found is None else storage.request_in(found.attrs)
+    storage.check_picture(figure, request, earlier, overwrite=overwrite)
+    if earlier["version"] != request["version"]:
+        print(f"{out} was computed by version {earlier['version']}", file=sys.stderr)
     return figure, found
 
 
 def check_suffix(figure: Path) -> None:
     """Refuse a name of a picture that is not of one of the `PICTURES`."""
     if figure.suffix not in PICTURES:
-        raise WrongUse(f"--figure {figure} must end in one of {', '.join(PICTURES)}")
+        raise WrongPlace(f"--figure {figure} must end in one of {', '.join(PICTURES)}")
 
 
 def draw(axes, path: Path, request: dict) -> None:

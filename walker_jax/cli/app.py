@@ -3,22 +3,32 @@
 So the group's help loads neither JAX nor the module of any command.
 """
 
+import functools
 import inspect
+from collections.abc import Callable, Sequence
 from importlib import import_module
+from typing import Annotated
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
+from walker_jax.cli.examples import epilog
 from walker_jax.cli.list_walkers import ListWalkers
 from walker_jax.cli.rewording import with_options_named
+from walker_jax.cli.version import Version
 
 COMMANDS = {
     "walk": "Walk from one start, stride by stride, until a failure.",
     "gait": "Find the gaits of a walker: cycles of strides, and their stability.",
     "bifurcation": "Follow the gaits over the slope: how each is born, doubles and ends.",
+    "explore": "Explore basins in a browser: drag the slope, watch the basin; click a start, watch "
+    "it walk.",
     "basin": "Compute and draw the basin of attraction of a walker's gait.",
+    "boundary": "Measure the boundary between walking and falling: its entropy, its saddles, Wada.",
     "robustness": "Measure how large a disturbance a gait survives, on one slope or over many.",
+    "continuation": "Follow the attractors over a parameter, and the fractions of a region that "
+    "converge to each.",
     "optimise": "Design a walker: the parameters with the largest basin, or another objective, by "
     "gradient.",
     "sweep": "Compute basins, gaits and areas over one or more parameters, all combinations of "
@@ -47,7 +57,7 @@ class Commands(TyperGroup):
         from walker_jax.cli.startup import configure_jax  # which loads JAX
 
         configure_jax()
-        return name, load(str(name)), rest
+        return name, load(str(name), rest), rest
 
     def invoke(self, ctx):
         try:
@@ -56,12 +66,50 @@ class Commands(TyperGroup):
             raise Interrupted(*resume_notes(interruption)) from interruption
 
 
-def load(name: str):
-    """The command of that name, with its options."""
+def load(name: str, args: Sequence[str] = ()):
+    """The command of that name, with its options, and those of the walker that `args` name."""
     function = getattr(import_module(f"walker_jax.cli.{name}_command"), name)
+    if "without" in vars(function):  # a walker is its first argument
+        from walker_jax.cli.walker_options import offered_walkers, with_walker_options
+
+        function = with_walker_options(function, offered_walkers(args))
     single = typer.Typer(add_completion=False)
-    single.command(name, help=flowing(inspect.cleandoc(function.__doc__)))(function)
+    text = flowing(inspect.cleandoc(function.__doc__ or ""))
+    single.command(name, help=text, epilog=epilog(name))(with_quiet(function))
     return get_command(single)
+
+
+def with_quiet(command: Callable[..., None]) -> Callable[..., None]:
+    """The command with the option `--quiet`, which acts by its callback."""
+
+    @functools.wraps(command)
+    def with_option(**given):
+        del given["quiet"]
+        return command(**given)
+
+    keyword = inspect.Parameter.KEYWORD_ONLY
+    option = inspect.Parameter("quiet", keyword, default=False, annotation=Quiet)
+    own = [one.replace(kind=keyword) for one in inspect.signature(command).parameters.values()]
+    vars(with_option)["__signature__"] = inspect.Signature([*own, option])  # which typer reads
+    with_option.__annotations__ = {one.name: one.annotation for one in (*own, option)}
+    return with_option
+
+
+def silence(requested: bool) -> bool:
+    """Show no progress from now on, if that is requested."""
+    if requested:
+        from walker_jax.execution.progress import be_quiet
+
+        be_quiet()
+    return requested
+
+
+Quiet = Annotated[
+    bool,
+    typer.Option(
+        "--quiet", callback=silence, help="Show no progress: print the answer, or the error, alone."
+    ),
+]
 
 
 def flowing(text: str) -> str:
@@ -81,7 +129,6 @@ def resume_notes(interruption: BaseException) -> list[str]:
 
 app = typer.Typer(
     cls=Commands,
-    add_completion=False,
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Passive dynamic walkers: their gaits, and the basins of attraction of these.",
@@ -89,5 +136,9 @@ app = typer.Typer(
 
 
 @app.callback()
-def accept_options(list_walkers: ListWalkers = False) -> None:
+def accept_options(
+    list_walkers: ListWalkers = False,
+    version: Version = False,
+    quiet: Quiet = False,
+) -> None:
     """The options of the group act by their own callbacks."""

@@ -3,7 +3,9 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+import numpy as np
 import typer
+from jaxtyping import Float
 
 import walker_jax as wj
 from walker_jax import storage
@@ -38,6 +40,8 @@ from walker_jax.cli.options import (
     cluster_from,
 )
 from walker_jax.cli.walker_options import takes_walker
+from walker_jax.execution.progress import bar
+from walker_jax.grids import Grid
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import describe_in_words, describe_walker
 
@@ -91,6 +95,26 @@ def basin(
             "error. A section of three dimensions is then taken whole, without --at-phidot.",
         ),
     ] = None,
+    zoom: Annotated[
+        float | None,
+        typer.Option(
+            min=1,
+            help="Zoom in on the boundary between fates: a window so many times as narrow, around "
+            "a point of it (direct; up to about 1e14).",
+        ),
+    ] = None,
+    near: Annotated[
+        tuple[float, float] | None,
+        typer.Option(
+            metavar="X Y",
+            help="Of the boundary, the point nearest to this one, along the first two axes "
+            "(default: their middle).",
+        ),
+    ] = None,
+    animate: Annotated[
+        Path | None, typer.Option(help="Where a film of the zoom goes, .gif or .mp4.")
+    ] = None,
+    frames: Annotated[int, typer.Option(min=2, help="Pictures of the film.")] = 120,
     workers: Workers = None,
     scheduler: Scheduler = None,
     out: Out = Path("basin.zarr"),
@@ -102,7 +126,8 @@ def basin(
 
     The default is the basin of the simplest walker in the window of Schwab and Wisse (2001), Figure
     4. For another walker the window is around its gait. The data set is written piece by piece: the
-    same command resumes an interrupted run.
+    same command resumes an interrupted run. With --zoom 1e12 the window is one in which float64
+    hardly tells starts apart; its digits are kept.
     """
     has_phidot = "phidot" in walker.section
     if not has_phidot and (phidot is not None or at_phidot is not None):
@@ -118,9 +143,19 @@ def basin(
         raise WrongUse("--workers and --scheduler are for pieces, not for --levels")
     if levels is not None and method == "cell-map":
         raise WrongUse("--method must be direct with --levels, not cell-map")
+    if levels is not None and zoom is not None:
+        raise WrongUse("--zoom and --levels exclude each other: give one of them")
     whole = has_phidot and levels is not None and at_phidot is None
     sliced = has_phidot and phidot is None and not whole
-    method = "direct" if levels is not None else method
+    if zoom is None and (near is not None or animate is not None):
+        raise WrongUse(f"{'--near' if near is not None else '--animate'} is for a --zoom")
+    if zoom is not None and method == "cell-map":
+        raise WrongUse("--method cell-map is not for a --zoom, whose window walkers leave")
+    if phidot is not None and (near is not None or animate is not None):
+        raise WrongUse(
+            "--near and --animate are for a window of two dimensions: leave out --phidot"
+        )
+    method = "direct" if levels is not None or zoom is not None else method
     method = method or ("direct" if sliced else "cell-map")
     if sliced and method == "cell-map":
         raise WrongUse("--method cell-map is not for a slice, which walkers leave: give --phidot")
@@ -145,22 +180,39 @@ def basin(
         "method": method,
         **({"strides": strides} if method == "direct" else {}),
         **({} if levels is None else {"levels": levels}),
+        **({} if zoom is None else {"zoom": zoom, "near": near and list(near)}),
     }
-    request = request_for("basin", walker=describe_walker(walker), **asked)
+    request = request_for("basin", type(walker), walker=describe_walker(walker), **asked)
+    shots = request | {"frames": frames}
+    if animate is not None:
+        from walker_jax import figures
+
+        figures.check_film(animate)
+        storage.check_picture(animate, shots, overwrite=overwrite, argument="animate")
     figure, data = find_earlier(out, figure, request, overwrite=overwrite)
     reused, resumed = data is not None, out.exists() and not overwrite
     clock = Stopwatch()
     if data is None:
-        grid = grid_along(fill_around_gait(walker, axes))
+        with bar("search for a gait", True):
+            grid = grid_along(fill_around_gait(walker, axes))
         if levels is None:
+            if zoom is not None:
+                grid = grid.zoom(zoom_centre(walker, grid, near, strides), zoom)
             options: Any = {"out": out, "request": request, "overwrite": overwrite}
             options |= {"strides": strides, "cluster": cluster, "progress": True}
-            data = wj.basin(walker, grid, method, **options)
+            with bar("basin", True):
+                data = wj.basin(walker, grid, method, **options)
         else:
-            with storage.rewritable(out, request) as save:
+            with storage.rewritable(out, request) as save, bar("basin", True):
                 data = save(wj.refine(walker, grid, levels, strides=strides, progress=True))
     seconds = clock.seconds()
     draw(draw_basin(data), figure, request)
+    if animate is not None and zoom is not None:
+        from walker_jax import figures
+
+        first, centre = grid_along(fill_around_gait(walker, axes)), data.attrs["origin"]
+        shown = wj.zoom(walker, first, zoom, centre, frames=frames, strides=strides, progress=True)
+        figures.zoom_film(shown, animate, signature=storage.signature(shots), progress=True)
 
     counts = tally(data)
     answer = summarise_basin(data, counts)
@@ -170,11 +222,13 @@ def basin(
         print_json(answer | {"seconds": seconds, "walker": about})
         return
     print(f"Basin of attraction, {describe_in_words(walker)}, {data.attrs['method']}")
+    if zoom is not None:
+        print(f"  window {zoom:g} times as narrow, around ({listed(data.attrs['origin'], '.17g')})")
     if sliced:
         print(f"  slice at phidot {float(data['phidot']):.10g}")
     print_basin(answer, "volume" if has_phidot and not sliced else "area")
-    if counts.unlabelled:
-        print(f"  {counts.unlabelled} cells walk on without coming near a known attractor")
+    if counts.unmatched:
+        print(f"  {counts.unmatched} cells walk on without coming near a known attractor")
     if reused:
         print(f"  taken from {out}, computed before")
     elif resumed:
@@ -186,7 +240,20 @@ def basin(
             f"  {made / max(seconds['run'], 1e-9):,.0f} strides per second; "
             f"{seconds['compile']:.1f} s to compile, {seconds['run']:.2f} s to run"
         )
-    print(f"  data set {out}, picture {figure}")
+    film = f", film {animate}" if animate is not None else ""
+    print(f"  data set {out}, picture {figure}{film}")
+
+
+def zoom_centre(
+    walker: Walker, grid: Grid, near: tuple[float, float] | None, strides: int
+) -> Float[np.ndarray, " section"]:
+    """The point of the boundary to zoom in on."""
+    point = None
+    if near is not None:
+        check_finite(near=near[0])
+        check_finite(near=near[1])
+        point = np.asarray(grid.origin) + np.asarray(grid.shear) @ np.array(near)
+    return wj.boundary_point(walker, grid, point, strides=strides)
 
 
 def draw_basin(data: "xarray.Dataset"):

@@ -11,6 +11,7 @@ from walker_jax import storage
 from walker_jax.cli.answers import draw, find_earlier, listed, print_json, request_for
 from walker_jax.cli.options import Json, Out, Overwrite, PictureOfData, check_slopes
 from walker_jax.cli.walker_options import takes_walker
+from walker_jax.execution.progress import bar
 from walker_jax.gaits.summary import summarise_bifurcations
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import describe_walker, with_parameter
@@ -39,12 +40,13 @@ def bifurcation(
     walker = with_parameter(walker, "slope", low)
     about = {name: value for name, value in describe_walker(walker).items() if name != "slope"}
     asked = {"slope": [low, high], "period_max": period_max, "strides": strides}
-    request = request_for("bifurcation", walker=about, **asked)
+    request = request_for("bifurcation", type(walker), walker=about, **asked)
     figure, data = find_earlier(out, figure, request, overwrite=overwrite)
     if data is None:
-        data = wj.bifurcation_diagram(
-            walker, "slope", (low, high), period_max=period_max, strides=strides, progress=True
-        )
+        with bar("bifurcations", True):
+            data = wj.bifurcation_diagram(
+                walker, "slope", (low, high), period_max=period_max, strides=strides, progress=True
+            )
         data = storage.save(data, out, request)
     draw(figures.bifurcations(data), figure, request)
     answer = summarise_bifurcations(data)

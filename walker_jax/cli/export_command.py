@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from walker_jax import storage
-from walker_jax.checks import WrongUse
+from walker_jax.checks import WrongPlace
 from walker_jax.cli.answers import print_json
 from walker_jax.cli.options import Json, Overwrite
 
@@ -19,7 +19,7 @@ def export(
 ) -> None:
     """Copy a data set that another command has left to a NetCDF file."""
     if file.suffix != ".nc":
-        raise WrongUse(f"FILE.nc must end in .nc, not {file}")
+        raise WrongPlace(f"FILE.nc must end in .nc, not {file}")
     copied = storage.export(data, file, overwrite=overwrite)
     answer = {"data": str(data), "file": str(file), "variables": sorted(map(str, copied.variables))}
     if as_json:

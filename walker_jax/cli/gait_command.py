@@ -10,6 +10,7 @@ from walker_jax.checks import WrongUse
 from walker_jax.cli.answers import check_suffix, draw, listed, print_json, request_for
 from walker_jax.cli.options import PHIDOT_HELP, Json, Overwrite, check_finite, state_from
 from walker_jax.cli.walker_options import takes_walker
+from walker_jax.execution.progress import bar
 from walker_jax.gaits import selection
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.summary import summarise_gait
@@ -48,11 +49,12 @@ def gait(
         raise WrongUse("--guess and --all exclude each other: give one of them")
     about = describe_walker(walker)
     asked = {"period": period, "guess": None if start is None else start.tolist(), "all": all_}
-    request = request_for("gait", walker=about, **asked)
+    request = request_for("gait", type(walker), walker=about, **asked)
     if figure is not None:
         check_suffix(figure)
         storage.check_picture(figure, request, overwrite=overwrite)
-    found = selection.select_gaits(walker, period, start, every=all_)
+    with bar("search for gaits", True):
+        found = selection.select_gaits(walker, period, start, every=all_)
     if figure is not None:
         from walker_jax import figures
 

@@ -1,5 +1,6 @@
 """The option `--list-walkers`."""
 
+import math
 from typing import Annotated
 
 import typer
@@ -8,21 +9,37 @@ from walker_jax.cli.rewording import option_of
 
 
 def list_walkers(requested: bool) -> bool:
-    """Print all walkers with their parameters, and end."""
+    """Print all walkers with their parameters, those of other packages too, and end."""
     if not requested:
         return False
-    from walker_jax.walkers.family import WALKERS  # which loads JAX
-    from walker_jax.walkers.parameters import options, parameters
+    from walker_jax.checks import WrongUse  # which loads JAX, as what follows
+    from walker_jax.walkers.family import WALKERS
+    from walker_jax.walkers.references import installed_walkers, load_installed
 
     for name, kind in WALKERS.items():
-        print(f"{name}: {(kind.__doc__ or '').splitlines()[0]}")
-        print(f"  section ({', '.join(kind.section)})")
-        for one in parameters(kind):
-            meaning = f"{one.meaning}, {one.bounds()}"
-            print(f"  {option_of(one.name):18} {one.unit:17} {one.default:<8g} {meaning}")
-        for one in options(kind):
-            print(f"  {option_of(one.name):44} {one.meaning}")
+        print_walker(name, kind)
+    for name, point in installed_walkers().items():
+        package = point.dist.name if point.dist else point.module
+        try:
+            print_walker(f"{name} (of {package})", load_installed(point))
+        except WrongUse as error:
+            print(f"{name} (of {package}): {error}")
     raise typer.Exit
+
+
+def print_walker(name: str, kind: type) -> None:
+    """A walker, its section and its parameters."""
+    from walker_jax.walkers.parameters import options, parameters
+
+    lines = (kind.__doc__ or kind.__name__).strip().splitlines()
+    print(f"{name}: {lines[0]}")
+    print(f"  section ({', '.join(kind.section)})")
+    for one in parameters(kind):
+        about = ", ".join(filter(None, (one.meaning, one.bounds())))
+        default = "required" if math.isnan(one.default) else f"{one.default:g}"
+        print(f"  {option_of(one.name):18} {one.unit:17} {default:<8} {about}")
+    for one in options(kind):
+        print(f"  {option_of(one.name):44} {one.meaning}")
 
 
 ListWalkers = Annotated[

@@ -46,9 +46,9 @@ def verdict(error: Exception) -> tuple[int, str]:
     checks = sys.modules.get("walker_jax.checks")  # it loads JAX, and that may be what failed
     if checks is None or not isinstance(error, checks.WrongUse | checks.ComputationFailed):
         return 1, f"{type(error).__name__}: {error}"
-    # What stands at a place comes first, and holds paths; what helps comes after it.
-    *stands, last = error.args or ("",)
-    reason = ": ".join([*stands, with_options_named(last)])
+    said, place = [*map(str, error.args)], isinstance(error, checks.WrongPlace)
+    verbatim = said[:1] if place else []  # it holds paths
+    reason = ": ".join([*verbatim, *map(with_options_named, said[len(verbatim) :])])
     return (2 if isinstance(error, checks.WrongUse) else 1), reason
 
 

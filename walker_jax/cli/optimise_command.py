@@ -25,6 +25,7 @@ from walker_jax.cli.options import (
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.design.problem import default_levels
 from walker_jax.design.summary import ENDS, summarise_optimum
+from walker_jax.execution.progress import bar
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import check_parameter, describe_in_words, describe_walker
 
@@ -111,7 +112,7 @@ def optimise(
     options: Any = {"starts": starts, "levels": levels, "strides": strides}
     options |= {"scan": scan, "seed": seed}
     asked = {"bounds": bounds, "objective": weights, "axes": {} if grid is None else grid.box}
-    request = request_for("optimise", walker=about, **asked, **limits, **options)
+    request = request_for("optimise", type(walker), walker=about, **asked, **limits, **options)
     figure, data = find_earlier(out, figure, request, overwrite=overwrite)
     if data is None or "found" not in data:  # not begun, or interrupted
         compute = partial(
@@ -149,7 +150,8 @@ def computed(
             kept = True
 
         with storage.resumable(out, lambda: kept, overwrite=overwrite):
-            return save(compute(known=known, keep=keep))
+            with bar("optimise", True):
+                return save(compute(known=known, keep=keep))
 
 
 def bounds_of(walker: Walker, over: list[str], bound: list[str]) -> dict[str, tuple[float, float]]:

@@ -16,6 +16,7 @@ from walker_jax.cli.options import (
     Out,
     Overwrite,
     PictureOfData,
+    Seed,
     check_finite,
     check_slopes,
     grid_from,
@@ -57,6 +58,7 @@ def robustness(
     strides: Annotated[
         int, typer.Option(min=1, help="Strides in which a walker may come back.")
     ] = 500,
+    seed: Seed = 0,
     low: Annotated[
         float | None, typer.Option("--from", help="Lowest slope of a table over slopes, rad.")
     ] = None,
@@ -93,13 +95,18 @@ def robustness(
         slopes = space_decimals(low, high, count or 20)
     about = describe_walker(walker)
     slope = about["slope"] if slopes is None else about.pop("slope")
-    options: Any = {"levels": levels, "disturbances": disturbances, "strides": strides}
+    options: Any = {
+        "levels": levels,
+        "disturbances": disturbances,
+        "strides": strides,
+        "seed": seed,
+    }
     asked = {"slopes": slopes, "axes": {} if grid is None else grid.box}
-    request = request_for("robustness", walker=about, **asked, **options)
+    request = request_for("robustness", type(walker), walker=about, **asked, **options)
     figure, data = find_earlier(out, figure, request, overwrite=overwrite)
     if data is None:
         if slopes is None:
-            data = wj.robustness(walker, grid, **options)
+            data = wj.robustness(walker, grid, progress=True, **options)
         else:
             data = wj.robustness_table(walker, slopes, "slope", grid, progress=True, **options)
         data = storage.save(data, out, request)
@@ -141,6 +148,13 @@ def print_measures(row: dict) -> None:
         f"half of them are over in {survived['median_strides']:g} strides, "
         f"95 of 100 in {survived['slowest_strides']:g}"
     )
+    if survived["mean_strides"] is not None:  # a data set of an earlier version lacks it
+        print(
+            f"    {survived['in_time']:.1%} are over in 10 strides; on average they take "
+            f"{survived['mean_strides']:.4g}, and small ones shrink by a factor of e in "
+            f"{gait['return_strides']:.3g}; the largest that is survived is "
+            f"{survived['largest_shock']:.3g}"
+        )
     print(
         f"    dimension of the boundary {dimension['value']:.3f} "
         f"({dimension['low']:.3f} to {dimension['high']:.3f})"

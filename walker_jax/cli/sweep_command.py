@@ -18,6 +18,7 @@ from walker_jax.cli.options import (
     Overwrite,
     PictureOfData,
     Scheduler,
+    Seed,
     Workers,
     cluster_from,
     grid_from,
@@ -62,6 +63,7 @@ def sweep(
         bool, typer.Option("--robust", help="All numbers of `robustness` too; half a minute each.")
     ] = False,
     strides: Annotated[int, typer.Option(min=1, help="Strides at most.")] = 200,
+    seed: Seed = 0,
     workers: Workers = None,
     scheduler: Scheduler = None,
     out: Out = Path("sweep.zarr"),
@@ -84,8 +86,9 @@ def sweep(
     grid = grid_from(walker, theta, sum_, at_phidot, phidot)
     about = {name: v for name, v in describe_walker(walker).items() if name not in values}
     options: Any = {"levels": levels, "check": check, "robust": robust, "strides": strides}
+    options |= {"seed": seed}
     asked = {"over": values, "axes": {} if grid is None else grid.box}
-    request = request_for("sweep", walker=about, **asked, **options)
+    request = request_for("sweep", type(walker), walker=about, **asked, **options)
     figure, data = find_earlier(out, figure, request, overwrite=overwrite)
     if data is None:
         options |= {"out": out, "request": request, "overwrite": overwrite}

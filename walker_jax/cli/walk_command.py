@@ -13,6 +13,7 @@ from walker_jax.checks import WrongUse
 from walker_jax.cli.answers import print_json, request_for
 from walker_jax.cli.options import PHIDOT_HELP, Json, Overwrite, check_finite, state_from
 from walker_jax.cli.walker_options import takes_walker
+from walker_jax.execution.progress import bar
 from walker_jax.gaits.selection import require_gait
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import describe_walker
@@ -50,14 +51,19 @@ def walk(
     check_finite(**given)
     if isinstance(walker, wj.SimplestWalker):
         given = PAPER_START | given
-    request = request_for("walk", walker=describe_walker(walker), start=given, strides=strides)
+    request = request_for(
+        "walk", type(walker), walker=describe_walker(walker), start=given, strides=strides
+    )
     if animate is not None:
         from walker_jax import figures
 
         figures.check_film(animate)
         storage.check_picture(animate, request, overwrite=overwrite, argument="animate")
-    start = state_from(walker, given) if given else require_gait(walker, walker.section).states[0]
-    made = wj.walk(walker, start, strides)
+    with bar("walk", True):
+        start = (
+            state_from(walker, given) if given else require_gait(walker, walker.section).states[0]
+        )
+        made = wj.walk(walker, start, strides)
     outcomes = np.asarray(made.outcomes)
     completed = int((outcomes == wj.Outcome.STRIDE).sum())
     count = min(completed + 1, strides)

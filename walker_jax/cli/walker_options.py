@@ -2,58 +2,92 @@
 
 import functools
 import inspect
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
 from typing import Annotated
 
 import typer
 
-from walker_jax.checks import WrongUse
+from walker_jax.checks import WrongPlace, WrongUse
 from walker_jax.cli.list_walkers import ListWalkers
 from walker_jax.cli.rewording import option_of, with_options_named
 from walker_jax.walkers.family import WALKERS
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import Option, Parameter, options, parameters
+from walker_jax.walkers.references import find_walker
 
 PANEL = "Walker"
 """The panel of the help that holds these options."""
+DEFAULT = "simplest"
+"""The walker of a command that names none."""
+Kinds = Mapping[str, type[Walker]]
+"""The walkers that a command offers, by their names."""
 
 
 def takes_walker(*, without: tuple[str, ...] = ()) -> Callable:
-    """Decorate a command whose first argument is a walker: it gets options for the walker instead.
+    """Decorate a command whose first argument is a walker: `with_walker_options` replaces it.
 
     `without` are parameters that the command sets itself, from options of its own.
     """
-    offered, owners = offered_parameters(without)
-    accepted = walker_options(offered, owners)
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        @functools.wraps(command)
-        def with_options(**given):
-            name = given.pop("walker")
-            given.pop("list_walkers")
-            values = {parameter: given.pop(parameter) for parameter in offered}
-            values = {one: value for one, value in values.items() if value is not None}
-            checks = {one.name: given.pop(one.name) for one in offered_options()}
-            chosen = [one for one, chosen in checks.items() if chosen]
-            return command(build_walker(name, values, chosen), **given)
-
-        own = list(inspect.signature(command).parameters.values())[1:]
-        own = [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in own]
-        signature = inspect.Signature([*accepted, *own])
-        vars(with_options)["__signature__"] = signature  # which typer reads
-        with_options.__annotations__ = {one.name: one.annotation for one in (*accepted, *own)}
-        return with_options
+        vars(command)["without"] = without
+        return command
 
     return decorate
 
 
+def offered_walkers(args: Sequence[str]) -> Kinds:
+    """The package's walkers, or the one that these arguments of a command name beside them."""
+    name = DEFAULT
+    for one, following in pairwise([*args, DEFAULT]):
+        if one == "--walker":
+            name = following
+        elif one.startswith("--walker="):
+            name = one.partition("=")[2]
+    if name in WALKERS:
+        return WALKERS
+    try:
+        return {name: find_walker(name)}
+    except WrongUse as error:
+        raise WrongPlace(f"--{error}") from error
+
+
+def with_walker_options(command: Callable[..., None], kinds: Kinds) -> Callable[..., None]:
+    """The command with options for the walkers that it offers, in the place of its walker."""
+    without: tuple[str, ...] = vars(command)["without"]
+    offered, owners = offered_parameters(kinds, without)
+    own = list(inspect.signature(command).parameters.values())[1:]
+    for name in offered:
+        if name in ("walker", "list_walkers", *(one.name for one in own)):
+            option = option_of(name)
+            raise WrongUse(f"{option} is an option of the command: rename the parameter {name}")
+
+    @functools.wraps(command)
+    def with_options(**given):
+        name = given.pop("walker")
+        given.pop("list_walkers")
+        values = {parameter: given.pop(parameter) for parameter in offered}
+        values = {one: value for one, value in values.items() if value is not None}
+        checks = {one.name: given.pop(one.name) for one in offered_options(kinds)}
+        chosen = [one for one, chosen in checks.items() if chosen]
+        return command(build_walker(kinds, name, values, chosen), **given)
+
+    accepted = walker_options(offered, owners, kinds)
+    own = [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in own]
+    vars(with_options)["__signature__"] = inspect.Signature([*accepted, *own])  # which typer reads
+    with_options.__annotations__ = {one.name: one.annotation for one in (*accepted, *own)}
+    return with_options
+
+
 def offered_parameters(
-    without: tuple[str, ...],
+    kinds: Kinds, without: tuple[str, ...]
 ) -> tuple[dict[str, Parameter], dict[str, list[str]]]:
     """The parameters of all walkers, but `without`, and the names of the walkers that have them."""
     offered: dict[str, Parameter] = {}
     owners: dict[str, list[str]] = {}
-    for name, kind in WALKERS.items():
+    for name, kind in kinds.items():
         for one in parameters(kind):
             if one.name not in without:
                 offered.setdefault(one.name, one)
@@ -62,68 +96,70 @@ def offered_parameters(
 
 
 def walker_options(
-    offered: dict[str, Parameter], owners: dict[str, list[str]]
+    offered: dict[str, Parameter], owners: dict[str, list[str]], kinds: Kinds
 ) -> list[inspect.Parameter]:
     """`--walker`, an option for each parameter, and `--list-walkers`."""
 
     def help_of(one: Parameter) -> str:
-        defaults = f"default: {one.default:g}"
+        about = "; ".join(filter(None, (one.meaning, one.unit)))
+        defaults = "required" if math.isnan(one.default) else f"default: {one.default:g}"
         for name in owners[one.name]:
-            if (own := default_of(name, one.name)) != one.default:
+            own = next(each.default for each in parameters(kinds[name]) if each.name == one.name)
+            if own != one.default and not math.isnan(own):
                 defaults += f", {name}: {own:g}"
-        return f"{whose_option(owners[one.name])}{one.meaning}; {one.unit} ({defaults})"
+        return f"{whose_option(owners[one.name], kinds)}{about} ({defaults})".strip()
 
     def option(name: str, annotation: object, default: object) -> inspect.Parameter:
         keyword = inspect.Parameter.KEYWORD_ONLY
         return inspect.Parameter(name, keyword, default=default, annotation=annotation)
 
-    names = " | ".join(WALKERS)
-    model = typer.Option(help=f"Its model: {names}.", rich_help_panel=PANEL, metavar="NAME")
-    accepted = [option("walker", Annotated[str, model], "simplest")]
+    names = f"Its model: {' | '.join(WALKERS)}, or one's own, FILE.py:CLASS."
+    model = typer.Option(help=names, rich_help_panel=PANEL, metavar="NAME")
+    accepted = [option("walker", Annotated[str, model], DEFAULT)]
     for one in offered.values():
-        number = typer.Option(help=help_of(one), rich_help_panel=PANEL, show_default=False)
+        number = typer.Option(
+            option_of(one.name), help=help_of(one), rich_help_panel=PANEL, show_default=False
+        )
         accepted.append(option(one.name, Annotated[float | None, number], None))
-    for one, names in offered_options().items():
-        about = f"{whose_option(names)}{one.meaning}."
+    for one, whose in offered_options(kinds).items():
+        about = f"{whose_option(whose, kinds)}{one.meaning}."
         flag = typer.Option(option_of(one.name), help=about, rich_help_panel=PANEL)
         accepted.append(option(one.name, Annotated[bool, flag], False))
     return [*accepted, option("list_walkers", ListWalkers, False)]
 
 
-def whose_option(owners: list[str]) -> str:
+def whose_option(owners: list[str], kinds: Kinds) -> str:
     """The walkers that have an option, unless all do."""
-    return "" if len(owners) == len(WALKERS) else f"{', '.join(owners)}: "
+    return "" if len(owners) == len(kinds) else f"{', '.join(owners)}: "
 
 
-def default_of(walker: str, parameter: str) -> float:
-    """The default of a parameter of the walker with that name."""
-    return next(one.default for one in parameters(WALKERS[walker]) if one.name == parameter)
-
-
-def offered_options() -> dict[Option, list[str]]:
+def offered_options(kinds: Kinds) -> dict[Option, list[str]]:
     """What strides may be checked for, and the names of the walkers that have it."""
     offered: dict[Option, list[str]] = {}
-    for name, kind in WALKERS.items():
+    for name, kind in kinds.items():
         for one in options(kind):
             offered.setdefault(one, []).append(name)
     return offered
 
 
-def build_walker(name: str, values: dict[str, float], checks: list[str]) -> Walker:
+def build_walker(kinds: Kinds, name: str, values: dict[str, float], checks: list[str]) -> Walker:
     """The walker of that name, with default values for parameters that are not given."""
-    if name not in WALKERS:
-        raise WrongUse(f"--walker must be one of {', '.join(WALKERS)}, not {name}")
-    defaults = {one.name: one.default for one in parameters(WALKERS[name])}
-    named = {parameter: option_of(parameter) for parameter in defaults}
+    described = {one.name: one for one in parameters(kinds[name])}
+    named = {parameter: option_of(parameter) for parameter in described}
     for parameter in values:
-        if parameter not in defaults:
+        if parameter not in described:
             has = ", ".join(named.values())
             raise WrongUse(f"{option_of(parameter)} is not a parameter of {name}, which has {has}")
-    own = [one.name for one in options(WALKERS[name])]
+    own = [one.name for one in options(kinds[name])]
     for check in checks:
         if check not in own:
             raise WrongUse(f"{option_of(check)} is not an option of {name}")
+    values = {one.name: one.default for one in described.values()} | values
+    for parameter, value in values.items():
+        if math.isnan(value) and math.isnan(described[parameter].default):
+            raise WrongUse(f"{option_of(parameter)} is required: {name} has no default for it")
     try:
-        return WALKERS[name](**(defaults | values), **dict.fromkeys(checks, True))
+        numbers = {parameter: described[parameter].convert(v) for parameter, v in values.items()}
+        return kinds[name](**numbers, **dict.fromkeys(checks, True))
     except WrongUse as error:
         raise WrongUse(with_options_named(str(error), named)) from error

@@ -3,7 +3,8 @@
 By the envelope theorem it changes as the nearest point of the boundary does.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -15,8 +16,9 @@ from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.derivatives import gait_derivatives
 from walker_jax.gaits.search import find_gait
 from walker_jax.integrators.solvers import default_tolerance
-from walker_jax.stability.disturbances import BEYOND, least_disturbance
+from walker_jax.stability.disturbances import BEYOND, LeastDisturbance, least_disturbance
 from walker_jax.stability.margin_changes import differentiate_margins
+from walker_jax.stability.rays import DENSE
 from walker_jax.walkers.model import Walker
 
 
@@ -37,6 +39,7 @@ def disturbance_gradient(
     *,
     bands: Sequence[float] | Float[np.ndarray, " parameters"] | None = None,
     fall: bool = False,
+    directions: int = DENSE,
     strides: int = 500,
     tolerance: float | None = None,
 ) -> DisturbanceGradient:
@@ -57,7 +60,10 @@ def disturbance_gradient(
     """
     widths = check_bands(walker, parameters, bands)
     gait = find_gait(walker, tolerance=tolerance) if gait is None else gait
-    found = least_disturbance(walker, gait, fall=fall, strides=strides, tolerance=tolerance)
+    search = partial(
+        least_disturbance, fall=fall, directions=directions, strides=strides, tolerance=tolerance
+    )
+    found = search(walker, gait)
     checked_tolerance = float(default_tolerance(found.state.dtype, tolerance))
     beyond = np.asarray(gait.states)[found.phase] + BEYOND[:, None] * found.size * found.direction
     made, axes = np.full(len(beyond), found.strides, np.int32), np.eye(beyond.shape[1])
@@ -74,19 +80,16 @@ def disturbance_gradient(
     if bands is None:
         return DisturbanceGradient(found.size, np.full(len(widths), np.nan), False)
     pairs = zip(parameters, widths, strict=True)
-    gradient = [
-        mean_derivative_over_band(walker, gait, *pair, fall, strides, tolerance) for pair in pairs
-    ]
+    gradient = [mean_derivative_over_band(search, walker, gait, *pair, tolerance) for pair in pairs]
     return DisturbanceGradient(found.size, np.array(gradient), True)
 
 
 def mean_derivative_over_band(
+    search: Callable[[Walker, Gait], LeastDisturbance],
     walker: Walker,
     gait: Gait,
     parameter: str,
     width: float,
-    fall: bool,
-    strides: int,
     tolerance: float | None,
 ) -> float:
     """Average derivative of the least disturbance over a band, where its ends have the gait."""
@@ -94,7 +97,6 @@ def mean_derivative_over_band(
     for one in walkers_at_band_ends(walker, parameter, width):
         there = find_gait(one, gait.states, len(gait.states), tolerance=tolerance)
         one, there = (one, there) if there.found and there.stable else (walker, gait)
-        found = least_disturbance(one, there, fall=fall, strides=strides, tolerance=tolerance)
-        ends.append((float(getattr(one, parameter)), found.size))
+        ends.append((float(getattr(one, parameter)), search(one, there).size))
     (low, below), (high, above) = ends
     return (above - below) / (high - low) if high > low else np.nan

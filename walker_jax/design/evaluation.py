@@ -1,7 +1,7 @@
 """Measurements of one walker of a problem: the objective, its gradient, and limited measures."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -12,6 +12,8 @@ from walker_jax.design.disturbance_gradients import disturbance_gradient
 from walker_jax.design.measures import Measure, gait_measures
 from walker_jax.design.problem import Problem
 from walker_jax.gaits.cycles import Gait
+from walker_jax.stability.disturbances import SEARCH_TOLERANCE
+from walker_jax.stability.rays import DENSE
 from walker_jax.walkers.model import Walker
 
 STEP_LENGTHS = (0.1, 0.03, 0.01, 0.003)
@@ -25,6 +27,9 @@ SCAN_STAGE, ENDS_STAGE = -1, -2
 """Numbers in place of a stage: of the scan for a picture, and of the ends."""
 CHECK_STARTS = 50_000, 500_000
 """Starts that correct an area during optimisation, and at the ends."""
+DIRECTIONS = DENSE // 8, DENSE
+"""Directions in which the least disturbance is searched for during optimisation, and at the ends.
+An eighth finds it to 1e-3 or better, except at fractal boundaries."""
 
 
 class Evaluation(NamedTuple):
@@ -55,17 +60,19 @@ def evaluate_objective(
     bands = BAND_HALF_WIDTHS[max(stage, 0)] * (problem.high - problem.low)[: len(names)]
     found: dict[str, Measure] = {}
     value_error, gradient_error, made = 0.0, np.zeros(len(names)), 0
+    exact = stage == ENDS_STAGE
+    tolerance = problem.tolerance if exact or problem.tolerance else SEARCH_TOLERANCE
     if problem.size and problem.grid is not None:
         area = area_gradient(
             walker,
             problem.grid,
             names,
             bands=bands,
-            levels=max(0, problem.levels - (0 if stage == ENDS_STAGE else LEVELS_OMITTED[stage])),
+            levels=max(0, problem.levels - (0 if exact else LEVELS_OMITTED[stage])),
             strides=problem.strides,
-            check=CHECK_STARTS[stage == ENDS_STAGE],
+            check=CHECK_STARTS[exact],
             seed=problem.seed,
-            tolerance=problem.tolerance,
+            tolerance=tolerance,
         )
         found[problem.size], made = Measure(area.area, area.gradient), area.strides
         weight = abs(problem.weights[problem.size])
@@ -77,7 +84,7 @@ def evaluate_objective(
             found["least-disturbance"] = Measure(0.0, np.zeros(len(names)))
             if gait.found and gait.stable:
                 found["least-disturbance"] = evaluate_disturbance(
-                    problem, walker, names, gait, bands
+                    problem, walker, names, gait, bands, DIRECTIONS[exact]
                 )
     weighted = [(weight, found[name]) for name, weight in problem.weights.items()]
     gradient = np.sum([weight * one.gradient for weight, one in weighted], axis=0)
@@ -101,11 +108,13 @@ def evaluate_disturbance(
     names: tuple[str, ...],
     gait: Gait,
     bands: Float[np.ndarray, " bands"],
+    directions: int,
 ) -> Measure:
     """The least disturbance and its gradient; NaN where the search for it fails."""
-    options = {"strides": problem.strides, "tolerance": problem.tolerance}
+    options: Any = {"strides": problem.strides, "tolerance": problem.tolerance}
+    options |= {"bands": bands, "directions": directions}
     try:
-        least = disturbance_gradient(walker, names, gait, bands=bands, **options)
+        least = disturbance_gradient(walker, names, gait, **options)
     except (WrongUse, ComputationFailed, np.linalg.LinAlgError):
         # The walker returns from everywhere, or the gait is lost to rounding.
         return Measure(np.nan, np.full(len(names), np.nan))

@@ -28,6 +28,7 @@ from walker_jax.design.evaluation import (
     STEP_LENGTHS,
     Evaluation,
 )
+from walker_jax.design.measures import cost_is_known
 from walker_jax.design.problem import (
     SIZES,
     Problem,
@@ -44,6 +45,8 @@ from walker_jax.walkers.model import Walker
 
 ATTRACTED = -1
 """Instead of a fate, in those basins, where the walker converges to an attractor."""
+USUAL_MEASUREMENTS = 10
+"""Of one climb, for a guess of how long an optimisation takes."""
 VIEW_CELLS = 300
 """Cells along each axis in which the basins at both ends are shown."""
 
@@ -132,10 +135,10 @@ def optimise(
         *(("levels", levels, 0), ("scan", scan, 0), ("seed", seed, 0)),
     ):
         check_whole(name, value, lowest)
-    if "cost-of-transport" in {*weights, *limits} and not walker.driven_by_gravity():
+    if "cost-of-transport" in {*weights, *limits} and not cost_is_known(walker):
         raise WrongUse(
             f"cost-of-transport is not known of a {type(walker).__name__}, which more than gravity "
-            "may drive (driven_by_gravity)"
+            "may drive (driven_by_gravity, motor_work)"
         )
     low, high = np.array([tuple(map(float, ends)) for ends in bounds.values()]).T
     how = (grid, levels, strides, seed, tolerance)
@@ -155,7 +158,9 @@ def optimise(
         check_whole("levels", levels, 0, FINEST)
         check_finest(walker, problem.grid, levels)
 
-    trace = Trace(problem, known, keep, progress)
+    climbs = starts + len(STEP_LENGTHS) - 1
+    expected = climbs * USUAL_MEASUREMENTS + 2 + scan * len(bounds)  # 2 ends
+    trace = Trace(problem, known, keep, progress, expected)
     first = [climb(trace, run, 0, place) for run, place in enumerate(places)]
     height = lambda one: -np.inf if one.best is None else sign * one.best.value
     run = max(range(starts), key=lambda i: height(first[i]))

@@ -15,7 +15,9 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from walker_jax import storage
+from walker_jax.basins.attractor_search import LONGEST_PERIOD
 from walker_jax.basins.computation import basin
+from walker_jax.basins.matching import number_alike
 from walker_jax.basins.memory import check_grid
 from walker_jax.basins.refinement import FINEST, refine
 from walker_jax.basins.schema import ATTRIBUTES, arrays_to_compute, describe, request_of
@@ -32,6 +34,10 @@ from walker_jax.walkers.parameters import check_parameter, with_parameter
 
 GAIT_NUMBERS = ("step-length", "speed", "cost-of-transport")
 """Measures of a gait besides its state, multiplier and step time."""
+OF_OWN = ("attractor_period", "attractor_states")
+"""What is kept of the attractors of each basin."""
+OWN = 8
+"""Attractors of a basin whose states are kept: more than any walker's so far."""
 MAX_COMBINATIONS = 2**20
 """Combinations of parameters; each takes about twenty files of a store."""
 
@@ -88,6 +94,9 @@ def sweep(
     - over the grid too: `fate`, `attractor` and `strides`, as `basin` gives them, by direct
       iteration from the cells' centres. Attractors are numbered separately in each basin, which
       has so many `attractors`;
+    - of each of these, up to `OWN`: `attractor_period`, `attractor_states`, and its common number
+      `attractor_number`, which is that of the gait of the same period in neighbouring combinations
+      (`basins.matching.number_alike`);
     - `area` of the cells that converge to one; `total_area` and its standard error
       `total_area_error`, as `refine` gives them; volumes where the grid has three dimensions;
     - of the gait of period one, NaN where none is found: `gait_state`, `multiplier` (the largest
@@ -182,7 +191,11 @@ def compute_missing(
             # A store that an older version began lacks some.
             row = {name: value for name, value in row.items() if name in place.group}
             place.write(number[values], row, done=True)
-        place.finish(about)
+        numbered = {}
+        if "attractor_states" in place.group:
+            period, states = (np.asarray(place.array(name)[...]) for name in OF_OWN)
+            numbered = {"attractor_number": ((*plan.names, "own"), number_alike(period, states))}
+        place.finish(about.assign(numbered))
     return storage.open_dataset(out)
 
 
@@ -196,7 +209,9 @@ def empty_row(plan: Measurement) -> dict[str, xr.Variable]:
         "attractors": 0,
         "failed": 0,
     }
-    row |= {"reason": ""}
+    row |= {"reason": "", "attractor_period": ("own", np.full(OWN, -1))}
+    shape = OWN, LONGEST_PERIOD, plan.grid.coordinates
+    row |= {"attractor_states": (("own", "phase", "coordinate"), np.full(shape, np.nan))}
     row |= without_gait(plan.walker) if plan.robust else {}
     return arrays_to_compute(plan.grid) | {
         str(name): one.variable for name, one in xr.Dataset(row).items()
@@ -231,8 +246,13 @@ def measure_basin(walker: Walker, plan: Measurement) -> dict[str, Any]:
     """The basin of a walker, its area, and its gait."""
     grid, strides, tolerance = plan.grid, plan.strides, plan.tolerance
     cells = basin(walker, grid, "direct", strides=strides, tolerance=tolerance)
-    row = {name: cells[name].values for name in ATTRIBUTES}
+    row: dict[str, Any] = {name: cells[name].values for name in ATTRIBUTES}
     row |= {"area": float(cells["area"].sum()), "attractors": cells.sizes["number"]}
+    period, states = (empty_row(plan)[name].values.copy() for name in OF_OWN)
+    kept = cells.isel(number=slice(OWN))
+    period[: kept.sizes["number"]] = kept["period"]
+    states[: kept.sizes["number"], : kept.sizes["phase"]] = kept["states"]
+    row |= {"attractor_period": period, "attractor_states": states}
     gait = find_gait(walker, tolerance=tolerance)
     if gait.found:
         row |= {"gait_state": np.asarray(gait.states[0])}

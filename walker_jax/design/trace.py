@@ -1,7 +1,7 @@
 """The trace of an optimisation: its measurements and their places, kept on disk."""
 
+import time
 from collections.abc import Callable, Iterable
-from contextlib import nullcontext
 
 import numpy as np
 import xarray as xr
@@ -11,13 +11,13 @@ from walker_jax.checks import WrongUse
 from walker_jax.design.evaluation import Evaluation, evaluate_objective
 from walker_jax.design.limits import Limits
 from walker_jax.design.problem import Problem, describe_problem
-from walker_jax.execution.progress import progress_console
+from walker_jax.execution.progress import bar, in_words
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import find_gait
 
 
 class Trace:
-    """The measurements so far."""
+    """The measurements so far, and about how many are `expected`."""
 
     def __init__(
         self,
@@ -25,6 +25,7 @@ class Trace:
         known: xr.Dataset | None,
         keep: Callable[[xr.Dataset], object] | None,
         progress: bool,
+        expected: int,
     ):
         self.problem, self.keep = problem, keep
         self.rows: list[Evaluation] = []
@@ -33,7 +34,7 @@ class Trace:
         self.known = {} if known is None else {key_of(row): row for row in evaluations_in(known)}
         self.gaits: dict[bytes, Gait] = {}
         self.limits = Limits(problem, self.gait)
-        self.console = progress_console(progress)
+        self.progress, self.expected, self.began = progress, expected, time.perf_counter()
 
     def gait(self, values: Float[np.ndarray, " parameters"]) -> Gait:
         """The gait of the walker with these parameters."""
@@ -47,10 +48,7 @@ class Trace:
         values = self.problem.values(place)
         row = self.known.get((stage, values.tobytes()))
         if row is None:
-            status = self.console.status(
-                f"{len(self.rows) + 1}: {self.problem.describe_values(values)}"
-            )
-            with nullcontext() if self.console.quiet else status:
+            with bar(self.label(values), self.progress):
                 row = evaluate_objective(self.problem, stage, values, self.gait)
             self.known[key_of(row)] = row
             self.rows.append(row._replace(run=run))
@@ -61,6 +59,14 @@ class Trace:
         else:
             self.rows.append(row._replace(run=run))
         return self.rows[-1]
+
+    def label(self, values: Float[np.ndarray, " parameters"]) -> str:
+        """What progress shows of a measurement: which one it is, and how much time is left."""
+        done = len(self.rows)
+        each = (time.perf_counter() - self.began) / max(done, 1)
+        left = f", {in_words(each * max(self.expected - done, 1))} left" if done else ""
+        number = f"measurement {done + 1} of about {max(self.expected, done + 1)}{left}"
+        return f"{number}: {self.problem.describe_values(values)}"
 
     def data(self, rows: list[Evaluation] | None = None) -> xr.Dataset:
         """The measurements, as `optimise` returns them."""

@@ -21,10 +21,9 @@ from jax import lax
 from jax.sharding import Mesh
 from jax.sharding import PartitionSpec as P
 from jaxtyping import Int, PyTree
-from rich.progress import Progress
 
 from walker_jax.checks import WrongUse
-from walker_jax.execution.progress import progress_console
+from walker_jax.execution.progress import bar
 from walker_jax.kernels.primitive import (
     MAX_PROGRAMS,
     Program,
@@ -131,17 +130,15 @@ def run_in_threads(
         with apply_settings(settings):
             work(start, stop)
 
-    shown = progress_console(progress is not None)
     with (
-        Progress(console=shown, disable=shown.quiet, transient=True) as bar,
+        bar(progress or "", progress is not None, n) as update,
         ThreadPoolExecutor(workers) as pool,
     ):
-        task = bar.add_task(progress or "", total=n)
         pending = [pool.submit(work_as_here, start, min(start + call, n)) for start in starts]
         try:
             for start, future in zip(starts, pending, strict=True):
                 future.result()
-                bar.update(task, completed=min(start + call, n))
+                update(min(start + call, n))
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise

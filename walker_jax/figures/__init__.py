@@ -7,10 +7,14 @@ sqrt(l / g), with leg length l and gravity g. Colours differ in lightness as wel
 they are told apart in grey print and by the colour-blind.
 """
 
+from typing import TYPE_CHECKING, Any
+
+from walker_jax.checks import current_name
 from walker_jax.figures.basin_maps import basin as basin
 from walker_jax.figures.basin_maps import basin_slices as basin_slices
 from walker_jax.figures.basin_maps import basins_in_a_row as basins_in_a_row
 from walker_jax.figures.basin_maps import thin as thin
+from walker_jax.figures.boundary_plots import boundary as boundary
 from walker_jax.figures.branch_plots import bifurcation_diagram as bifurcation_diagram
 from walker_jax.figures.branch_plots import bifurcations as bifurcations
 from walker_jax.figures.branch_plots import gait_branches as gait_branches
@@ -18,6 +22,8 @@ from walker_jax.figures.branch_plots import largest_multiplier as largest_multip
 from walker_jax.figures.branch_plots import stability_and_area as stability_and_area
 from walker_jax.figures.films import check_film as check_film
 from walker_jax.figures.films import film as film
+from walker_jax.figures.films import zoom_film as zoom_film
+from walker_jax.figures.fraction_plots import basin_fractions as basin_fractions
 from walker_jax.figures.multiplier_plots import multipliers as multipliers
 from walker_jax.figures.optimum_plots import basins_before_and_after as basins_before_and_after
 from walker_jax.figures.optimum_plots import optimisation as optimisation
@@ -36,3 +42,16 @@ from walker_jax.figures.sweep_plots import sweep as sweep
 from walker_jax.figures.volume_plots import volume as volume
 from walker_jax.figures.walk_plots import leg_angles as leg_angles
 from walker_jax.figures.walk_plots import steps_over_basin as steps_over_basin
+
+RENAMED = {
+    "thinned": "thin",
+    "optimised": "optimum",
+    "basins_compared": "basins_before_and_after",
+}
+"""Former names, and what they are called now."""
+
+
+if not TYPE_CHECKING:  # to which any name would be known
+
+    def __getattr__(name: str) -> Any:
+        return globals()[current_name("walker_jax.figures", RENAMED, name)]

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from walker_jax.basins.cell_classes import large_basins
+from walker_jax.basins.cell_classes import along_axis, large_basins
 from walker_jax.checks import WrongUse
 from walker_jax.figures.labels import draw_label, keep_clear
 from walker_jax.figures.layout import (
@@ -33,7 +33,13 @@ from walker_jax.figures.regions import (
     show_image,
 )
 from walker_jax.figures.style import BASINS, MARKERS, NOTE, SMALL, TITLE
-from walker_jax.figures.text import area_phrase, basin_note, coordinate_value, walker_title
+from walker_jax.figures.text import (
+    area_phrase,
+    axis_label,
+    basin_note,
+    coordinate_value,
+    walker_title,
+)
 from walker_jax.storage.schema import check_dataset
 from walker_jax.walking.outcomes import Outcome
 
@@ -88,6 +94,9 @@ def basin(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     place_legend(ax, patches, BELOW + LINE * len(marks), columns=2)
     ax.set(xlim=extent[:2], ylim=extent[2:])
     name_axes(ax, x, y)
+    if "origin" in data.attrs:
+        ax.set(xlabel=offset_label(data, x), ylabel=offset_label(data, y))
+        ax.yaxis.get_offset_text().set_x(-0.1)  # the note stands at its usual place
     note, title = basin_note(data), walker_title(data)
     size, pad = (10.5 if "\n" in title else 12), 22 + 12 * note.count("\n")
     ax.set_title(title, **TITLE | {"fontsize": size, "pad": pad})
@@ -190,6 +199,14 @@ def thin(data: xr.Dataset, most: int = 2000) -> xr.Dataset:
     over = {dim: -(-size // most) for dim, size in data["fate"].sizes.items()}
     thinned = data.isel({dim: slice(step // 2, None, step) for dim, step in over.items()})
     return thinned.assign_attrs(shape=list(data["fate"].shape), thinned=math.prod(over.values()))
+
+
+def offset_label(data: xr.Dataset, axis: str) -> str:
+    """The label of an axis of offsets from an origin, all digits of which are told."""
+    origin = np.asarray(data.attrs["origin"])
+    value = float(along_axis(origin, data.attrs["section"], axis))
+    sign = "+" if value < 0 else "−"
+    return f"{axis_label(axis)} {sign} {abs(value):.17g}"
 
 
 def share_drawn(data: xr.Dataset) -> int:

@@ -14,15 +14,17 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from walker_jax.checks import WrongUse
+from walker_jax.checks import WrongPlace, WrongUse
 from walker_jax.execution.progress import track
 from walker_jax.figures.basin_maps import basin
-from walker_jax.figures.layout import figure_title
+from walker_jax.figures.layout import cell_edges, figure_legend, figure_title, name_axes
 from walker_jax.figures.poses import draw_ground, draw_pose, leg_size, to_level
+from walker_jax.figures.regions import paint, patch_of, regions_of_one_basin
 from walker_jax.figures.style import INK
 from walker_jax.figures.text import walker_title
 from walker_jax.figures.walk_plots import TRAJECTORY, trajectory_in
 from walker_jax.storage.schema import check_dataset
+from walker_jax.walking.outcomes import Outcome
 
 FILMS = (".gif", ".mp4")
 FRAMES_PER_SECOND = 20
@@ -92,12 +94,51 @@ def film(
                 one.remove()
 
 
+def zoom_film(data: xr.Dataset, path: Path, *, signature: str = "", progress: bool = False) -> None:
+    """A film of ever narrower windows around a point of a boundary, with colours as in `basin`.
+
+    **Arguments:**
+
+    - `data`: what `walker_jax.zoom` returns, over two dimensions. Each frame is shown for 1/20 s.
+    - `path`, `signature`, `progress`: as in `film`.
+
+    Raises `ValueError` as `film` does.
+    """
+    check_film(path)
+    check_dataset(data, "zoom")
+    if data["fate"].ndim != 3:
+        raise WrongUse(f"data must have a fate over two axes, not {dict(data['fate'].sizes)}")
+    fate = data["fate"].values
+    walks = fate == Outcome.STRIDE
+    known = data["attractor"].values >= 0
+    regions = regions_of_one_basin(fate, walks & known, walks & ~known)
+    images = paint(regions, fate.shape).swapaxes(1, 2)
+    figure = Figure(figsize=(6.4, 6.6), layout="constrained")
+    ax = figure.subplots()
+    shown = ax.imshow(images[0], origin="lower", aspect="auto", interpolation="nearest")
+    ax.set(xticks=[], yticks=[])
+    x, y = map(str, data["fate"].dims[1:])
+    name_axes(ax, x, y)
+    figure_title(figure, walker_title(data), 12)
+    figure_legend(figure, [*map(patch_of, regions)], columns=2)
+    heading = ax.set_title("window 0.000e+00 wide, 0.000e+00 high", loc="left", fontsize=11)
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")
+    sizes = [float(cell_edges(data[name].values)[1]) * 2 for name in (x, y)]
+    with film_writer(figure, path, signature, [shown, heading]) as grab:
+        for k in track(range(data.sizes["frame"]), "film", progress):
+            wide, high = (size / float(data["factor"][k]) for size in sizes)
+            heading.set_text(f"window {wide:.1e} wide, {high:.1e} high")
+            shown.set_data(images[k])
+            grab()
+
+
 def check_film(path: Path) -> None:
     """Raise `ValueError` for a path to which no film can be written."""
     if path.suffix not in FILMS:
-        raise WrongUse(f"a film must end in one of {', '.join(FILMS)}, not {path}")
+        raise WrongPlace(f"a film must end in one of {', '.join(FILMS)}, not {path}")
     if path.suffix == ".mp4" and not FFMpegWriter.isAvailable():
-        raise WrongUse(f"{path} takes the program ffmpeg, which is not installed: try .gif")
+        raise WrongPlace(f"{path} takes the program ffmpeg, which is not installed: try .gif")
 
 
 @contextmanager

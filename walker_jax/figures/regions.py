@@ -114,7 +114,8 @@ def place_states(
 ) -> Float[np.ndarray, "n axes"]:
     """Where states are drawn on a picture of a data set with these axes."""
     section = data.attrs["section"]
-    return np.stack([along_axis(states, section, axis) for axis in axes], axis=-1)
+    offsets = states - np.asarray(data.attrs.get("origin", 0.0))
+    return np.stack([along_axis(offsets, section, axis) for axis in axes], axis=-1)
 
 
 def cycle_of(data: xr.Dataset, number: int) -> Float[np.ndarray, "n section"]:

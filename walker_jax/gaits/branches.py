@@ -18,14 +18,15 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from walker_jax.checks import WrongUse, check_kind, check_precision, numbers, refuses_tracers, short
+from walker_jax.gaits.arclength import CORRECTOR_STEPS
 from walker_jax.gaits.continuation import Path, Start, follow_branch
-from walker_jax.gaits.cycles import Gait, find_multipliers, multiply_jacobians
+from walker_jax.gaits.cycles import MAX_RESIDUAL, Gait, find_multipliers, multiply_jacobians
 from walker_jax.gaits.events import Bifurcation
 from walker_jax.gaits.requests import run_batched
-from walker_jax.gaits.search import find_gait
+from walker_jax.gaits.search import find_gait, iterate_newton
 from walker_jax.integrators.solvers import Real, default_tolerance
 from walker_jax.walkers.model import Walker
-from walker_jax.walkers.parameters import check_parameter
+from walker_jax.walkers.parameters import check_parameter, with_parameter
 
 
 class Branch(NamedTuple):
@@ -171,6 +172,28 @@ def join_paths(parameter: str, backward: Path, forward: Path, size: int) -> Bran
         doublings=[*reversed(backward.doublings), *forward.doublings],
         ends=(backward.end, forward.end),
     )
+
+
+def solve_at(
+    walker: Walker,
+    parameter: str,
+    guesses: Sequence[tuple[float, Float[np.ndarray, "_ section"]]],
+    tolerance: Real,
+) -> list[Float[np.ndarray, "_ section"] | None]:
+    """The cycles to which Newton's iteration converges at values of the parameter, from guesses.
+
+    None where it fails. The parameter keeps its value, unlike along a branch.
+    """
+    found: list[np.ndarray | None] = [None] * len(guesses)
+    for period in {len(cycle) for _, cycle in guesses}:
+        which = [i for i, (_, cycle) in enumerate(guesses) if len(cycle) == period]
+        walkers = with_parameter(walker, parameter, np.array([guesses[i][0] for i in which]))
+        cycles = np.stack([guesses[i][1] for i in which])
+        ends = iterate_newton(walkers, cycles, tolerance, CORRECTOR_STEPS)
+        for i, states, residual in zip(which, ends.states, ends.residual, strict=True):
+            if residual < MAX_RESIDUAL[states.dtype]:
+                found[i] = states
+    return found
 
 
 def interpolate_cycles(branch: Branch, value: float) -> list[Float[np.ndarray, "period section"]]:

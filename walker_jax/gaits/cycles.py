@@ -44,6 +44,15 @@ class Gait(NamedTuple):
     noticeably: so within about 1e-9 of a bifurcation with a multiplier of 1.
     """
 
+    @property
+    def return_strides(self) -> Float[Array, ""]:
+        """Characteristic return time, in strides: small disturbances shrink by a factor of e in it.
+
+        -period / log |largest multiplier|; infinite where the gait is not stable, NaN if not found.
+        """
+        rate = -jnp.log(jnp.abs(self.multipliers[0])) / len(self.states)
+        return jnp.where(rate <= 0, jnp.inf, 1 / jnp.where(rate <= 0, 1, rate))
+
 
 def clear_values(gait: Gait) -> Gait:
     """A failed search, with NaN for its states, multipliers and step times."""

@@ -23,6 +23,9 @@ from walker_jax.walkers.parameters import check_parameter, parameter_direction
 from walker_jax.walking.iteration import broadcast_parameters
 from walker_jax.walking.stepping import follow_stride, prepare
 
+FEW_STRIDES = 128
+"""Strides whose derivatives take longer to ask for than to compute."""
+
 
 class GaitDerivatives(NamedTuple):
     """Derivatives of a gait by a parameter p of its walker, along its branch."""
@@ -114,7 +117,7 @@ def linearise(
     """One stride from each state, with its derivatives; a cell for each of their columns.
 
     The walker's parameters may be arrays of n. The first column shows which states make a stride;
-    the others are computed for these alone.
+    unless they are few, the others are computed for these alone.
     """
     size, shared = (
         cycles.shape[2],
@@ -128,12 +131,17 @@ def linearise(
         cells = *jax.tree.map(each, (walkers, starts)), np.tile(columns, (len(which), 1))
         return map_cells(jvp, (shared, cells))
 
-    (state, time), (first, _) = differentiate(directions[:1], np.arange(len(starts)))
+    everything = np.arange(len(starts))
     by = np.full((len(starts), len(directions), size), np.nan, cycles.dtype)
-    by[:, 0] = first
-    walking = np.flatnonzero(np.isfinite(state).all(axis=1))
-    _, (others, _) = differentiate(directions[1:], walking)
-    by[walking, 1:] = others.reshape(len(walking), len(directions) - 1, size)
+    few = len(starts) <= FEW_STRIDES
+    first = len(directions) if few else 1
+    (state, time), (changes, _) = differentiate(directions[:first], everything)
+    state, time = state[::first], time[::first]
+    by[:, :first] = changes.reshape(len(starts), first, size)
+    if not few:
+        walking = np.flatnonzero(np.isfinite(state).all(axis=1))
+        _, (others, _) = differentiate(directions[1:], walking)
+        by[walking, 1:] = others.reshape(len(walking), len(directions) - 1, size)
     shaped = lambda values: values.reshape(*cycles.shape[:2], *values.shape[1:])
     return Linearisation(
         state=shaped(state),

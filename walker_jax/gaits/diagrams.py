@@ -14,19 +14,19 @@ import xarray as xr
 from jaxtyping import Float
 
 from walker_jax.checks import check_whole, refuses_tracers
-from walker_jax.gaits.arclength import correct
+from walker_jax.execution.progress import bar, track
 from walker_jax.gaits.branches import (
     Branch,
     check_interval,
     continue_gaits,
     float64_tolerance,
     interpolate_cycles,
+    solve_at,
 )
 from walker_jax.gaits.continuation import Start, start_at_doubling
 from walker_jax.gaits.crises import Loss, loss_of_walking
 from walker_jax.gaits.cycles import Gait, remove_duplicates
 from walker_jax.gaits.long_runs import RECURRENCE_DISTANCE, attractors, starts_near_gaits
-from walker_jax.gaits.requests import run_batched
 from walker_jax.gaits.search import cycle_guesses, iterate_newton
 from walker_jax.integrators.solvers import Real
 from walker_jax.walkers.model import Walker
@@ -114,29 +114,34 @@ def bifurcation_diagram(
                 branches.append(branch)
                 parents.append(parent)
 
-    for period in range(1, period_max + 1):
+    for period in track(range(1, period_max + 1), "gaits and branches, by period", progress):
         for i, branch in enumerate(list(branches)):
             if 2 * branch.period == period:
                 follow_all([start_at_doubling(doubling) for doubling in branch.doublings], i)
         if period > LONGEST_SEARCHED_PERIOD:
             continue
-        for starts in find_starts(
-            walker, parameter, np.linspace(low, high, SEARCH_VALUES), period, tolerance
-        ):
-            follow_all(select_new_starts(walker, parameter, branches, starts, tolerance), -1)
+        values = np.linspace(low, high, SEARCH_VALUES)
+        starts = find_starts(walker, parameter, values, period, tolerance)
+        while starts := select_new_starts(walker, parameter, branches, starts, tolerance):
+            first = starts[0].value
+            follow_all([start for start in starts if start.value == first], -1)
+            starts = [start for start in starts if start.value != first]
 
     for i, branch in enumerate(branches):
         if parents[i] < 0 and branch.period in (2, 4, 8, 16, 32, 64):
             parents[i] = find_parent_below(walker, parameter, branches, i, (low, high), tolerance)
     members = find_descendants(branches, parents)
     options: Any = dict(tolerance=tolerance, progress="walkers" if progress else None)
-    loss = loss_of_walking(walker, parameter, (low, high), branches, strides=strides, **options)
+    with bar("where walking is lost", progress):
+        loss = loss_of_walking(walker, parameter, (low, high), branches, strides=strides, **options)
     values = np.linspace(low, high, scan)
     doublings = [b.value for i in members for b in branches[i].doublings]
     if doublings and min(doublings) < loss.above:
         values = np.union1d(values, np.linspace(min(doublings), loss.above, scan))
-    starts = starts_near_gaits(walker, parameter, branches, values, tolerance)
-    scanned = attractors(walker, parameter, values, starts, strides=strides, **options)
+    with bar("gaits at each value", progress):
+        starts = starts_near_gaits(walker, parameter, branches, values, tolerance)
+    with bar("attractors", progress):
+        scanned = attractors(walker, parameter, values, starts, strides=strides, **options)
     scanned["fate"] = scanned["fate"].where(np.isfinite(starts).all(axis=2), NO_START)
     return assemble_diagram(walker, parameter, branches, members, scanned, loss)
 
@@ -189,8 +194,8 @@ def find_starts(
     values: Float[np.ndarray, " values"],
     period: int,
     tolerance: Real,
-) -> list[list[Start]]:
-    """The gaits of a period that searches find at each of many values."""
+) -> list[Start]:
+    """The gaits of a period that searches find at many values, in the order of these."""
     points = []
     for value in values:
         grid = with_parameter(walker, parameter, value).gait_region()
@@ -203,7 +208,7 @@ def find_starts(
     starts = []
     for value in values:
         gaits = remove_duplicates(Gait(*(field[at == value] for field in found)))
-        starts.append([Start(float(value), states) for states in gaits.states])
+        starts += [Start(float(value), states) for states in gaits.states]
     return starts
 
 
@@ -212,28 +217,24 @@ def select_new_starts(
     parameter: str,
     branches: Sequence[Branch],
     starts: Sequence[Start],
-    tolerance: Real | None,
+    tolerance: Real,
 ) -> list[Start]:
     """The starts that lie on none of the branches."""
-    new = []
-    for start in starts:
-        period = len(start.states)
-        guesses = [
-            cycle
-            for branch in branches
-            if branch.period == period
-            for cycle in interpolate_cycles(branch, start.value)
-        ]
-        tasks = [correct(start.value, cycle, None, 1.0) for cycle in guesses]
-        points = [point for point in run_batched(walker, parameter, tasks, tolerance) if point]
-        rotations = [np.roll(start.states, shift, axis=0) for shift in range(period)]
-        if all(
-            np.abs(p.cycle - states).max() > RECURRENCE_DISTANCE
-            for p in points
-            for states in rotations
-        ):
-            new.append(start)
-    return new
+    guesses = [
+        (i, start.value, cycle)
+        for i, start in enumerate(starts)
+        for branch in branches
+        if branch.period == len(start.states)
+        for cycle in interpolate_cycles(branch, start.value)
+    ]
+    cycles = solve_at(walker, parameter, [guess[1:] for guess in guesses], tolerance)
+    new = np.ones(len(starts), bool)
+    for (i, *_), cycle in zip(guesses, cycles, strict=True):
+        states = np.asarray(starts[i].states)
+        rotations = (np.roll(states, shift, axis=0) for shift in range(len(states)))
+        if cycle is not None:
+            new[i] &= all(np.abs(cycle - one).max() > RECURRENCE_DISTANCE for one in rotations)
+    return [start for start, keep in zip(starts, new, strict=True) if keep]
 
 
 def assemble_diagram(

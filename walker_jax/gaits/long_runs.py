@@ -8,13 +8,11 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from walker_jax.checks import WrongUse, check_whole, numbers, refuses_tracers
-from walker_jax.gaits.arclength import correct
-from walker_jax.gaits.branches import Branch, float64_tolerance, interpolate_cycles
-from walker_jax.gaits.requests import run_batched
+from walker_jax.gaits.branches import Branch, float64_tolerance, interpolate_cycles, solve_at
 from walker_jax.integrators.solvers import Real
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import check_parameter, with_parameter
-from walker_jax.walking.iteration import iterate, orbits, select_walkers
+from walker_jax.walking.iteration import WalkEnd, iterate, orbits, select_walkers
 from walker_jax.walking.outcomes import Outcome
 
 RECORDED_STATES = 64
@@ -23,6 +21,12 @@ START_OFFSET = 1e-6
 """Distance from a gait, in the first coordinate, at which walkers start: small, so that a walker
 converges to a stable gait with a narrow basin, and above rounding errors, so that it leaves an
 unstable gait and converges to an attractor."""
+SETTLED = 1e-11
+"""Distance, in every coordinate, within which a walk that returns to a state has converged to a
+cycle, up to rounding errors. From `START_OFFSET` of an unstable gait it does not return that close,
+unless a multiplier is nearer to 1 than 1e-5."""
+SETTLING_STRIDES = 200
+"""Strides before a walk is first tested for that; then after twice as many, and so on."""
 RECURRENCE_DISTANCE = 1e-6
 """Distance, in every coordinate, within which two states of an orbit count as the same; ten
 thousand times the largest residual of a gait."""
@@ -66,7 +70,7 @@ def attractors(
     check_whole("strides", strides)
     n, m, size = starts.shape
     walkers = with_parameter(walker, parameter, np.repeat(values, m))
-    end = iterate(walkers, starts.reshape(-1, size), strides, tolerance, progress=progress)
+    end = iterate_to_cycles(walkers, starts.reshape(-1, size), strides, tolerance, progress)
     fate, count = end.outcome, end.strides
     orbit = np.full((n * m, RECORDED_STATES, size), np.nan)
     left = np.flatnonzero(fate == Outcome.STRIDE)
@@ -90,6 +94,39 @@ def attractors(
     )
 
 
+def iterate_to_cycles(
+    walker: Walker,
+    starts: Float[np.ndarray, "n section"],
+    limit: int,
+    tolerance: Real,
+    progress: str | None = None,
+) -> WalkEnd:
+    """`iterate` without targets; of walks that settle on a cycle, the rest is not computed."""
+    n = len(starts)
+    end = WalkEnd(
+        starts.copy(), np.zeros(n, np.int8), np.zeros(n, np.int32), np.full(n, -1, np.int32)
+    )
+    active, made = np.arange(n), 0
+    while len(active) and made < limit:
+        count = min(max(made, SETTLING_STRIDES), limit - made)
+        part = iterate(
+            select_walkers(walker, active), end.state[active], count, tolerance, progress=progress
+        )
+        end.state[active], end.outcome[active] = part.state, part.outcome
+        end.strides[active] += part.strides
+        active, made = active[part.outcome == Outcome.STRIDE], made + count
+        if made < limit:
+            walkers, states = select_walkers(walker, active), end.state[active]
+            states, _ = orbits(walkers, states, RECORDED_STATES, tolerance)
+            returns = np.abs(states[:, 1:] - states[:, :1]).max(axis=2) < SETTLED
+            settled = np.flatnonzero(returns.any(axis=1))
+            phase = (limit - made) % (returns[settled].argmax(axis=1) + 1)
+            end.state[active[settled]] = states[settled, phase]
+            end.strides[active[settled]] = limit
+            active = np.delete(active, settled)
+    return end
+
+
 def starts_near_gaits(
     walker: Walker,
     parameter: str,
@@ -104,13 +141,13 @@ def starts_near_gaits(
         for branch in branches
         for cycle in interpolate_cycles(branch, value)
     ]
-    tasks = [correct(float(values[i]), cycle, None, 1.0) for i, cycle in guesses]
+    cycles = solve_at(
+        walker, parameter, [(float(values[i]), cycle) for i, cycle in guesses], tolerance
+    )
     rows: list[list[np.ndarray]] = [[] for _ in values]
-    for (i, _), point in zip(
-        guesses, run_batched(walker, parameter, tasks, tolerance), strict=True
-    ):
-        if point is not None:
-            rows[i].append(point.cycle[0] + START_OFFSET * np.eye(1, point.cycle.shape[1])[0])
+    for (i, _), cycle in zip(guesses, cycles, strict=True):
+        if cycle is not None:
+            rows[i].append(cycle[0] + START_OFFSET * np.eye(1, cycle.shape[1])[0])
     starts = np.full((len(values), max(map(len, rows)), len(walker.section)), np.nan)
     for i, row in enumerate(rows):
         if row:

@@ -290,7 +290,10 @@ def cycle_guesses(
 
 
 def iterate_newton(
-    walker: Walker, cycles: Float[np.ndarray, "n period section"], tolerance: Real
+    walker: Walker,
+    cycles: Float[np.ndarray, "n period section"],
+    tolerance: Real,
+    steps: int = MAX_SEARCH_STEPS,
 ) -> Gait:
     """Newton's iteration from n guesses of cycles; the first axis of each field is n.
 
@@ -311,7 +314,7 @@ def iterate_newton(
     jacobians = np.full((n, period, size, size), np.nan, cycles.dtype)
     active = np.flatnonzero(np.isfinite(cycles).all(axis=(1, 2)))
     rounding = 10 * float(np.finfo(cycles.dtype).eps)
-    for _ in range(MAX_SEARCH_STEPS):
+    for _ in range(steps):
         local = linearise(select_walkers(walker, active), cycles[active], tolerance)
         mismatch = local.state - np.roll(cycles[active], -1, axis=1)
         residual = np.abs(mismatch).max(axis=(1, 2))

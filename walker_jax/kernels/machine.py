@@ -1,6 +1,7 @@
 """LLVM programs as machine code for the processor of this machine, compiled once, kept on disk."""
 
 import hashlib
+import os
 
 import llvmlite
 import llvmlite.binding as llvm
@@ -10,6 +11,24 @@ from walker_jax.kernels.object_cache import load_or_compile
 OPTIMISATION_LEVEL = 2
 """Of LLVM's code generation, 0 to 3, as in `clang -O2`."""
 
+VARIABLE = "WALKER_JAX_KERNELS"
+"""The environment variable that turns kernels off, by the value `off`, or names the processor that
+they are compiled for as LLVM does (`haswell` has no AVX-512, `x86-64` no AVX), in the place of this
+machine's own."""
+
+
+def switched_off() -> bool:
+    """Whether XLA alone is to compute everything."""
+    return os.environ.get(VARIABLE, "").lower() == "off"
+
+
+def processor() -> tuple[str, str]:
+    """LLVM's name of the processor that kernels are compiled for, and its features."""
+    named = os.environ.get(VARIABLE)
+    if named:
+        return named, ""
+    return llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
+
 
 def load_program(source: str, *, keep: bool = True) -> llvm.ExecutionEngine:
     """Compiles a program for this processor, or loads its machine code from disk.
@@ -18,17 +37,16 @@ def load_program(source: str, *, keep: bool = True) -> llvm.ExecutionEngine:
     """
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
-    triple, processor = llvm.get_process_triple(), llvm.get_host_cpu_name()
-    features = llvm.get_host_cpu_features().flatten()
+    triple, (name, features) = llvm.get_process_triple(), processor()
     machine = llvm.Target.from_triple(triple).create_target_machine(
-        cpu=processor, features=features, opt=OPTIMISATION_LEVEL, jit=True
+        cpu=name, features=features, opt=OPTIMISATION_LEVEL, jit=True
     )
     versions = llvmlite.__version__, *llvm.llvm_version_info
-    processor_code = triple, processor, features, OPTIMISATION_LEVEL, "no passes"
+    processor_code = triple, name, features, OPTIMISATION_LEVEL, "no passes"
     all_it_depends_on = repr((versions, *processor_code, source))
-    name = hashlib.sha256(all_it_depends_on.encode()).hexdigest()
+    digest = hashlib.sha256(all_it_depends_on.encode()).hexdigest()
     compile = lambda: object_code(source, machine)
-    code = load_or_compile(name, compile) if keep else compile()
+    code = load_or_compile(digest, compile) if keep else compile()
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
     engine.add_object_file(llvm.ObjectFileRef.from_data(code))
     engine.finalize_object()

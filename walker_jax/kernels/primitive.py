@@ -27,7 +27,7 @@ from jax.extend.core import Primitive, jaxpr_as_fun, jaxprs_in_params
 from jax.interpreters import ad, batching, mlir
 from jax.sharding import PartitionSpec
 
-from walker_jax.kernels import ffi
+from walker_jax.kernels import ffi, machine
 from walker_jax.kernels.jaxprs import shape_dtype
 from walker_jax.kernels.kernel import Kernel, without_garbage_collection
 from walker_jax.kernels.rules import UnsupportedPrimitive
@@ -72,7 +72,9 @@ class Program:
 
     @functools.cached_property
     def kernel(self) -> Kernel | None:
-        """Its machine code; None if it holds something that kernels do not support."""
+        """Its machine code; None if it holds what kernels do not support, or they are off."""
+        if machine.switched_off():
+            return None
         try:
             return Kernel(self.closed)
         except UnsupportedPrimitive:

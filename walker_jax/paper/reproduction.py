@@ -13,7 +13,7 @@ from pathlib import Path
 import xarray as xr
 
 from walker_jax import storage
-from walker_jax.execution.progress import progress_console
+from walker_jax.execution.progress import bar
 from walker_jax.paper import report
 from walker_jax.paper.calculations import CALCULATIONS, FULL, QUICK, STORED_NAMES
 from walker_jax.paper.numbers import Number, compare_numbers
@@ -46,7 +46,6 @@ def reproduce(
         for path in places.values():
             shutil.rmtree(path, ignore_errors=True)
     (out / "data").mkdir(parents=True, exist_ok=True)
-    shown = progress_console(progress)
     data: dict[str, xr.Dataset] = {}
     begun = lambda: any(path.exists() for path in places.values())
     with storage.resumable(out, begun, overwrite=overwrite):
@@ -54,10 +53,10 @@ def reproduce(
             own = request | {"part": places[name].stem}
             found = storage.find(places[name], own)
             if found is None:
-                with shown.status(f"{name} ({len(data) + 1} of {len(CALCULATIONS)})"):
+                with bar(f"{name} ({len(data) + 1} of {len(CALCULATIONS)})", progress):
                     found = storage.save(compute(size), places[name], own)
             data[name] = found
-        with shown.status("numbers and figures"):
+        with bar("numbers and figures", progress):
             numbers = compare_numbers(data)
             title, images = storage.signature(request), []
             for one in FIGURES:

@@ -12,18 +12,22 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Bool, Float
 
-from walker_jax.checks import refuses_tracers
+from walker_jax.basins.mapper import Mapper
+from walker_jax.checks import check_whole, refuses_tracers
 from walker_jax.gaits.cycles import Gait
 from walker_jax.stability.gait_mapper import failure_test, mapper_of_gait, with_other_gaits
 from walker_jax.stability.margin_changes import differentiate_margins
-from walker_jax.stability.metric import metric
-from walker_jax.stability.rays import directions, nearest_failure
+from walker_jax.stability.metric import DistanceFunction, metric_of
+from walker_jax.stability.rays import DENSE, nearest_failure, spread_directions
 from walker_jax.walkers.model import Walker
 from walker_jax.walking.outcomes import Outcome
 
 BEYOND = 1 + np.array([1e-8, 1e-10, 0.0])
 """Multiples of the least disturbance; the first that fails gives the failure. They exceed it by
 more than rounding errors, unless it fails itself."""
+SEARCH_TOLERANCE = 1e-9
+"""Tolerance of the integration in searches, which then measure what they find: it takes half as
+long as the default, and moves a boundary by far less than the distances that searches try."""
 OTHER_GAITS_DIRECTIONS, OTHER_GAITS_DISTANCES = 90, 0.1 * 0.5 ** np.arange(12.0)[:, None]
 """Directions and distances of starts from which walkers may converge to other gaits."""
 
@@ -34,7 +38,8 @@ class LeastDisturbance(NamedTuple):
     size: float
     """Its distance from the gait, in the given metric."""
     direction: Float[np.ndarray, " section"]
-    """Its direction from the gait, of length one in that metric."""
+    """Its direction from the gait: the disturbance divided by its size; with `scale`, in the units
+    of that, in which it is of length one."""
     state: Float[np.ndarray, " section"]
     """The point."""
     phase: int
@@ -51,8 +56,10 @@ def least_disturbance(
     gait: Gait | None = None,
     *,
     scale: Sequence[Any] | ArrayLike | None = None,
+    metric: Sequence[Any] | ArrayLike | DistanceFunction | None = None,
     along: Sequence[Any] | ArrayLike | None = None,
     fall: bool = False,
+    directions: int = DENSE,
     strides: int = 500,
     tolerance: float | None = None,
 ) -> LeastDisturbance:
@@ -65,7 +72,7 @@ def least_disturbance(
     The search follows rays from the gait outwards, all at once, to the first distance from which
     the walker does not return; then closer rays, up to the smallest of these distances; then
     narrower and narrower fans around the rays that are nearer than their neighbours, and steps
-    along the boundary's gradient. It tries 11,520 directions at distances 1.6 % of the size apart,
+    along the boundary's gradient. It tries all directions at distances 1.6 % of the size apart,
     or 0.16 % close to it, where directions are 8 times as close. It may miss a finger of failures
     between these points; then the size is too large by as much as the finger is nearer.
 
@@ -75,9 +82,13 @@ def least_disturbance(
     - `gait`: a stable one; the most stable of period one, by default.
     - `scale`: unit of length along each coordinate of the section, positive. The size is the length
       of the disturbance in these units; by default they are 1.
+    - `metric`: in the place of a scale, a symmetric positive definite matrix M, for which the size
+      of a disturbance d is sqrt(d^T M d); or a function, written with JAX, of a state of the gait
+      and a disturbance of it, which is zero for none and grows along every ray.
     - `along`: vectors, one a row, that span the disturbances, such as (0, 1) for a push that
       changes thetadot alone. By default disturbances have any direction.
     - `fall`: whether only falls count, and not the convergence to another attractor.
+    - `directions`: number of directions in a plane; in space there are four times as many.
     - `strides`: number of strides in which a walker may return, or fall.
     - `tolerance`: of the integration, as in `stride`.
 
@@ -85,33 +96,47 @@ def least_disturbance(
     do not fit the section; `ComputationFailed` where the walker returns from all disturbances up to
     a size of a thousand.
     """
-    unit, basis = metric(walker, scale, along)
+    sizes = metric_of(walker, scale, along, metric)
     lost = failure_test(fall)
+    check_whole("directions", directions)
     mapper = mapper_of_gait(walker, gait, strides, tolerance)
     states = mapper.attractors[0].states
-    if fall:
-        rays = directions(len(basis), OTHER_GAITS_DIRECTIONS) @ basis * unit
-        starts = states[:, None, None] + OTHER_GAITS_DISTANCES * rays[:, None]
-        mapper = with_other_gaits(mapper, starts.reshape(-1, len(unit)))
+    rays = spread_directions(len(sizes.basis), OTHER_GAITS_DIRECTIONS) @ sizes.basis
+    y = (OTHER_GAITS_DISTANCES * rays[:, None]).reshape(-1, rays.shape[1])
+    around = [x + sizes.disturbance(x, y) for x in states]
+    all_gaits = with_other_gaits(mapper, np.concatenate(around))
+    loose = all_gaits._replace(tolerance=max(mapper.tolerance, SEARCH_TOLERANCE))
 
-    def fails(points: Float[np.ndarray, "n section"]) -> Bool[np.ndarray, " n"]:
+    def fails(
+        points: Float[np.ndarray, "n section"], mapper: Mapper = all_gaits
+    ) -> Bool[np.ndarray, " n"]:
         return lost(mapper(points))
 
     def gradient(points: Float[np.ndarray, "n section"]) -> Float[np.ndarray, "n section"]:
-        count = mapper(points).strides
-        return differentiate_margins(walker, points, count, np.eye(len(unit)), (), mapper.tolerance)
+        count = all_gaits(points).strides
+        axes = np.eye(points.shape[1])
+        return differentiate_margins(walker, points, count, axes, (), mapper.tolerance)
 
-    found = [
-        nearest_failure(
-            lambda y, x=x: fails(x + y * unit), basis, lambda y, x=x: gradient(x + y * unit) * unit
+    def nearest(x: Float[np.ndarray, " section"]) -> Float[np.ndarray, " section"]:
+        def gradient_along(y: Float[np.ndarray, "n section"]) -> Float[np.ndarray, "n section"]:
+            return sizes.pull_back(x, y, gradient(x + sizes.disturbance(x, y)))
+
+        return nearest_failure(
+            lambda y: fails(x + sizes.disturbance(x, y)),
+            sizes.basis,
+            gradient_along,
+            directions,
+            lambda y: fails(x + sizes.disturbance(x, y), loose),
         )
-        for x in states
-    ]
+
+    found = [nearest(x) for x in states]
     phase = int(np.argmin([np.linalg.norm(one) for one in found]))
-    step = found[phase]
+    x, step = states[phase], found[phase]
     length = float(np.linalg.norm(step))
-    state = states[phase] + step * unit
-    beyond = mapper(states[phase] + BEYOND[:, None] * step * unit)
+    tried = sizes.disturbance(x, BEYOND[:, None] * step)
+    beyond = (all_gaits if fall else mapper)(x + tried)
     first = int(lost(beyond).argmax())
     failure, made = Outcome(int(beyond.fate[first])), int(beyond.strides[first])
-    return LeastDisturbance(length, step / length, state, phase, failure, made)
+    disturbance = tried[-1]
+    direction = (disturbance if scale is None else step) / length
+    return LeastDisturbance(length, direction, x + disturbance, phase, failure, made)

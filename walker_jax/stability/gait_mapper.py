@@ -55,6 +55,6 @@ def with_other_gaits(mapper: Mapper, starts: Float[np.ndarray, "n section"]) -> 
 
 
 def failure_test(fall: bool) -> Callable[[Labels], Bool[np.ndarray, " n"]]:
-    """The test of which walkers fall or, unless `fall`, do not return to their gait."""
+    """The test of which walkers fall or, unless `fall`, do not return to their gait, number 0."""
     check_kind("fall", fall, bool)
-    return lambda labels: labels.fallen if fall else ~labels.converged
+    return lambda labels: labels.fallen if fall else labels.attractor != 0

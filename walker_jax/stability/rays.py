@@ -1,6 +1,8 @@
 """The nearest failure along rays from a state."""
 
+import math
 from collections.abc import Callable
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -10,20 +12,22 @@ from walker_jax.checks import ComputationFailed
 
 RAYS, RADII = 720, 128
 """Directions in two dimensions, and distances along each, of the first scan."""
-DENSE, SHELL = 16, 64
-"""Factor of the directions of the second scan, and its distances up to the nearest failure."""
+DENSE, SHELL = 16 * RAYS, 64
+"""Directions of the second scan, and its distances up to the nearest failure."""
 KEPT = 0.01
 """Largest relative excess of a failure's distance over the nearest for which its ray is kept."""
-ARC, CLOSER = 2000, 16
-"""Number of kept directions that get a fan of their own, and the directions of such a fan."""
+ARC, CLOSER = 2000 / DENSE, 16
+"""Share of directions that get a fan of their own, and the directions of such a fan."""
 FAN = 61
 """Directions of a fan around one of the nearest rays."""
-CANDIDATES = 128
-"""Largest number of local minima of the distance that are refined."""
+CANDIDATES = 128 / DENSE
+"""Largest number of local minima of the distance that are refined, as a share of directions."""
 ZOOMS = 3
 """Number of times that fans are narrowed."""
 POLISHES = 4
 """Number of steps along the boundary's gradient that follow."""
+FINALISTS = 32
+"""Rays for which that is done: the nearest."""
 POLISH_SHARES = 2.0 ** np.arange(-6, 3)
 """Shares of the step to the nearest point of a flat boundary that each polish tries."""
 FINAL_DISTANCES = 512
@@ -36,13 +40,18 @@ def nearest_failure(
     fails: Callable[[Float[np.ndarray, "n size"]], Bool[np.ndarray, " n"]],
     basis: Float[np.ndarray, "rank size"],
     gradient: Callable[[Float[np.ndarray, "n size"]], Float[np.ndarray, "n size"]],
+    count: int = DENSE,
+    roughly_fails: Callable[[Float[np.ndarray, "n size"]], Bool[np.ndarray, " n"]] | None = None,
 ) -> Float[np.ndarray, " size"]:
     """The shortest vector that fails in the span of an orthonormal basis.
 
     The origin does not fail. `gradient`, at points that fail just beyond the boundary, is normal to
-    it, or NaN. Raises `ComputationFailed` where nothing fails.
+    it, or NaN. The rays that are measured are found by a scan of `count` directions in a plane, and
+    by `roughly_fails`, if given, which may be faster than `fails`. Raises `ComputationFailed` where
+    nothing fails.
     """
-    best, lengths = nearest_rays(fails, basis)
+    best, lengths = nearest_rays(roughly_fails or fails, basis, count)
+    best, lengths = best[:FINALISTS], lengths[:FINALISTS]
     gap = 1e-3 * lengths.min()
     closer = first_failures(fails, best @ basis, lengths.min() - gap, lengths.min() + gap, 8)
     closer = bisect(fails, best @ basis, closer, gap / 4, FINE)
@@ -59,26 +68,27 @@ def nearest_failure(
 
 
 def nearest_rays(
-    fails: Callable, basis: Float[np.ndarray, "rank size"]
+    fails: Callable, basis: Float[np.ndarray, "rank size"], count: int
 ) -> tuple[Float[np.ndarray, "n rank"], Float[np.ndarray, " n"]]:
     """Directions of the local minima of the distance to failures, and these distances."""
     rank = len(basis)
-    rays = directions(rank, RAYS)
+    rays = spread_directions(rank, RAYS)
     first = scan(fails, rays @ basis, RADII)
     # Closer rays, then closer distances: a nearer failure may lie between those of the first scan.
     # Where the next distances miss a finger that is already known, the known distance is kept.
-    dense = directions(rank, DENSE * RAYS)
+    dense = spread_directions(rank, count)
     near = keep_nearest(fails, dense, basis, 0.0, 1.01 * first.min(), SHELL)
     rays, first = near if near[1].size else (rays[np.isfinite(first)], first[np.isfinite(first)])
     near = keep_nearest(fails, dense, basis, 0.9 * first.min(), 1.01 * first.min(), SHELL)
     rays, first = near if near[1].size else (rays, first)
-    width = spacing(rank, DENSE * RAYS)
+    width, candidates = spacing(rank, count), math.ceil(CANDIDATES * count)
     if rank > 1:  # and more of them wherever the boundary is about as near
-        arc = np.concatenate([fan(ray, width, CLOSER) for ray in rays[first.argsort()[:ARC]]])
+        arc = rays[first.argsort()[: math.ceil(ARC * count)]]
+        arc = np.concatenate([fan(ray, width, CLOSER) for ray in arc])
         near = keep_nearest(fails, arc, basis, 0.98 * first.min(), 1.003 * first.min(), 32)
         rays, first = near if near[1].size else (rays, first)
     width = 4 * width / CLOSER
-    minima = local_minima(rays, first, width)
+    minima = local_minima(rays, first, width, candidates)
     best, lengths = rays[minima], first[minima]
     for _ in range(ZOOMS if rank > 1 else 0):
         fans = np.concatenate([fan(ray, width, FAN) for ray in best])
@@ -86,7 +96,7 @@ def nearest_rays(
         nearest = lengths.min()
         rays, first = keep_nearest(fails, fans, basis, 0.95 * nearest, 1.01 * nearest, 24)
         if first.size:
-            minima = local_minima(rays, first, width)
+            minima = local_minima(rays, first, width, candidates)
             best, lengths = rays[minima], first[minima]
         width *= 0.25
     return best, lengths
@@ -179,7 +189,7 @@ def bisect(
     return result
 
 
-def directions(rank: int, count: int) -> Float[np.ndarray, "n rank"]:
+def spread_directions(rank: int, count: int) -> Float[np.ndarray, "n rank"]:
     """Evenly spread unit vectors; in three dimensions four times as many as in two."""
     if rank == 1:
         return np.array([[1.0], [-1.0]])
@@ -194,7 +204,7 @@ def directions(rank: int, count: int) -> Float[np.ndarray, "n rank"]:
 
 
 def spacing(rank: int, count: int) -> float:
-    """The angle between neighbours among `directions`."""
+    """The angle between neighbours among `spread_directions`."""
     return 2 * np.pi / count if rank == 2 else float(np.sqrt(np.pi / count))
 
 
@@ -214,10 +224,10 @@ def fan(
 
 
 def local_minima(
-    rays: Float[np.ndarray, "n rank"], lengths: Float[np.ndarray, " n"], angle: float
+    rays: Float[np.ndarray, "n rank"], lengths: Float[np.ndarray, " n"], angle: float, most: int
 ) -> Int[np.ndarray, " m"]:
     """Indices of the unit vectors with the smallest length within an angle, the shortest first."""
     order = lengths.argsort()
-    neighbours = rays[order] @ rays[order].T > np.cos(angle)
-    shorter = np.tril(neighbours, -1).any(axis=1)
-    return order[~shorter][:CANDIDATES]
+    rays = rays[order]
+    minima = (i for i in range(len(order)) if (rays[:i] @ rays[i] <= np.cos(angle)).all())
+    return order[list(islice(minima, most))]

@@ -1,6 +1,11 @@
-"""Basin stability: the fraction of random disturbances from which a walker returns to its gait."""
+"""Basin stability: the fraction of random disturbances from which a walker returns to its gait.
 
-from collections.abc import Sequence
+With the same starts, what else is known of the way back: how many strides it takes, for each unit
+of the disturbance too, and how large the disturbances are that the walker survives. The words are
+those of the stability quantifiers of Attractors.jl.
+"""
+
+from collections.abc import Callable, Sequence
 from statistics import NormalDist
 from typing import Any, NamedTuple
 
@@ -16,10 +21,14 @@ from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import find_gait
 from walker_jax.grids import Grid
 from walker_jax.stability.gait_mapper import mapper_of_gait
-from walker_jax.stability.metric import metric
+from walker_jax.stability.metric import CurvedMetric, DistanceFunction, metric_of
 from walker_jax.walkers.model import Walker
 from walker_jax.walking.iteration import check_parameter_arrays
 from walker_jax.walking.outcomes import Outcome
+
+NOT_MEASURED = np.array(np.nan)
+Sampler = Callable[[np.random.Generator, int], Float[np.ndarray, "n section"]]
+"""Draws so many starts on the section, of any distribution, by a generator."""
 
 
 class BasinStability(NamedTuple):
@@ -38,17 +47,31 @@ class BasinStability(NamedTuple):
     """Strides in which half of those that return come within a distance of the gait."""
     slowest: Float[np.ndarray, "*walkers"]
     """The same of 95 %; infinite where fewer come that close, NaN where none return."""
+    mean: Float[np.ndarray, "*walkers"] = NOT_MEASURED
+    """Mean strides of those that return; infinite where one does not come that close."""
+    pace: Float[np.ndarray, "*walkers"] = NOT_MEASURED
+    """Mean strides for each unit of the disturbance, from which those that return come back."""
+    median_pace: Float[np.ndarray, "*walkers"] = NOT_MEASURED
+    """The median of the same."""
+    in_time: Float[np.ndarray, "*walkers"] = NOT_MEASURED
+    """The fraction of the starts from which the walker is that close within `horizon` strides."""
+    mean_shock: Float[np.ndarray, "*walkers"] = NOT_MEASURED
+    """Mean size of the disturbances from which the walker returns: noncritical shocks."""
+    largest_shock: Float[np.ndarray, "*walkers"] = NOT_MEASURED
+    """The largest of these. It grows with the samples, up to the reach of the basin."""
 
 
 @refuses_tracers()
 def basin_stability(
     walker: Walker,
-    disturbances: float | Grid,
+    disturbances: float | Grid | Sampler,
     gait: Gait | None = None,
     *,
     scale: Sequence[Any] | ArrayLike | None = None,
+    metric: Sequence[Any] | ArrayLike | DistanceFunction | None = None,
     along: Sequence[Any] | ArrayLike | None = None,
     within: float = 1e-6,
+    horizon: int = 10,
     samples: int = 10_000,
     strides: int = 500,
     confidence: float = 0.95,
@@ -62,10 +85,14 @@ def basin_stability(
     - `walker`: its parameters are numbers, or arrays of n, as in `strides`; then the results are
       arrays of n, and NaN where there is no stable gait.
     - `disturbances`: largest length of disturbances of the gait's first state, uniformly
-      distributed in the metric of `least_disturbance` with `scale` and `along`; or a grid, in whose
-      region of the section starts are uniformly distributed.
+      distributed in the metric of `least_disturbance` with `scale` and `along`, or with a matrix
+      as `metric`; or a grid, in whose region of the section starts are uniformly distributed; or a
+      function of a NumPy generator and a number, which draws so many starts of any distribution.
     - `gait`: a stable one, of one walker; the most stable of period one, by default.
+    - `metric`: as in `least_disturbance`; for a grid and a function, of the sizes of disturbances
+      alone, which are those from the nearest state of the gait.
     - `within`: distance of a state of the gait, in every coordinate, to which strides are counted.
+    - `horizon`: strides in which a walker is `in_time`.
     - `samples`: starts for each walker, the same disturbances for all.
     - `strides`: number of strides in which a walker may come that close, or enter the gait's
       capture box, from which all walkers converge to it.
@@ -75,20 +102,27 @@ def basin_stability(
 
     Raises `ValueError` for a single walker without a stable gait, and for arguments out of range.
     """
-    unit, basis = metric(walker, scale, along)
+    sizes = metric_of(walker, scale, along, metric)
     if isinstance(disturbances, Grid):
         check_grid(walker, disturbances, "direct")
-        if scale is not None or along is not None:
-            raise WrongUse("scale and along are of no use where disturbances is a grid")
-    elif not is_number(disturbances) or not 0 < disturbances < np.inf:
+    elif not callable(disturbances) and (
+        not is_number(disturbances) or not 0 < disturbances < np.inf
+    ):
         raise WrongUse(
-            f"disturbances must be a positive number, or a grid, not {short(disturbances)}"
+            "disturbances must be a positive number, a grid, or a function that draws starts, not "
+            f"{short(disturbances)}"
         )
+    if not is_number(disturbances):
+        if scale is not None or along is not None:
+            raise WrongUse("scale and along are of no use where disturbances is not a number")
+    elif isinstance(sizes, CurvedMetric):
+        raise WrongUse("metric must be a matrix where disturbances is a number, not a function")
     check_number("within", within)
     check_number("confidence", confidence)
     if not within > 0:
         raise WrongUse(f"within must be positive, not {within}")
     check_whole("samples", samples)
+    check_whole("horizon", horizon)
     check_whole("seed", seed, 0)
     if not 0 < confidence < 1:
         raise WrongUse(f"confidence must be between 0 and 1, not {confidence}")
@@ -103,9 +137,12 @@ def basin_stability(
     if isinstance(disturbances, Grid):
         starts = disturbances.points_at(rng.uniform(size=(samples, len(disturbances.names))))
         about = lambda state: starts
+    elif callable(disturbances):
+        starts = draw_starts(walker, disturbances, rng, samples)
+        about = lambda state: starts
     else:
-        inside = draw_from_ball(rng, samples, len(basis)) @ basis * unit * disturbances
-        about = lambda state: state + inside
+        y = draw_from_ball(rng, samples, len(sizes.basis)) @ sizes.basis
+        about = lambda state: state + sizes.disturbance(state, y) * disturbances
 
     def measure(walker: Walker, gait: Gait | None) -> tuple:
         mapper = mapper_of_gait(walker, gait, strides, tolerance)
@@ -120,7 +157,12 @@ def basin_stability(
         returned = len(made)
         late = np.percentile(made, (50, 95), method="inverted_cdf") if returned else 2 * (np.nan,)
         interval = wilson_interval(returned, samples, confidence)
-        return returned / samples, *interval, fates, elsewhere, *late
+        shocks = np.min([sizes.size(x, starts[labels.converged]) for x in own.states], axis=0)
+        beyond = shocks > 0  # a start at the gait itself has no pace
+        paces = made[beyond] / shocks[beyond]
+        ways = mean_of(made), mean_of(paces), median_of(paces), np.sum(made <= horizon) / samples
+        shock = mean_of(shocks), np.max(shocks) if returned else np.nan
+        return returned / samples, *interval, fates, elsewhere, *late, *ways, *shock
 
     if not counts:
         return BasinStability(*map(np.asarray, measure(walker, gait)))
@@ -131,8 +173,31 @@ def basin_stability(
         if gait.found and gait.stable:
             rows.append(measure(single, gait))
         else:
-            rows.append((np.nan, np.nan, np.nan, np.zeros(len(Outcome), int), 0, np.nan, np.nan))
+            rows.append((*3 * (np.nan,), np.zeros(len(Outcome), int), 0, *8 * (np.nan,)))
     return BasinStability(*map(np.array, zip(*rows, strict=True)))
+
+
+def draw_starts(
+    walker: Walker, draw: Sampler, rng: np.random.Generator, samples: int
+) -> Float[np.ndarray, "n section"]:
+    """Starts that a function draws, checked."""
+    starts = np.asarray(draw(rng, samples), float)
+    if starts.shape != (samples, len(walker.section)) or not np.isfinite(starts).all():
+        raise WrongUse(
+            f"disturbances: must return {samples} finite starts on the section "
+            f"{', '.join(walker.section)}, not an array of shape {starts.shape}"
+        )
+    return starts
+
+
+def mean_of(values: Float[np.ndarray, " n"]) -> float:
+    """The mean; NaN of none."""
+    return float(values.mean()) if values.size else np.nan
+
+
+def median_of(values: Float[np.ndarray, " n"]) -> float:
+    """The lower median; NaN of none."""
+    return float(np.percentile(values, 50, method="inverted_cdf")) if values.size else np.nan
 
 
 def draw_from_ball(rng: np.random.Generator, n: int, rank: int) -> Float[np.ndarray, "n rank"]:

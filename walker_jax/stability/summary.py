@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from walker_jax.basins.refinement import refine
 from walker_jax.checks import WrongUse, check_kind, check_precision, numbers, refuses_tracers
-from walker_jax.execution.progress import track
+from walker_jax.execution.progress import bar, track
 from walker_jax.gaits.search import find_gait
 from walker_jax.grids import Grid, axes_around
 from walker_jax.stability.dimension import boundary_dimension
@@ -36,6 +36,7 @@ def robustness(
     strides: int = 500,
     seed: int = 0,
     tolerance: float | None = None,
+    progress: bool = False,
 ) -> xr.Dataset:
     """Measures of robustness of a walker's gait: basin, disturbances, basin stability, boundary.
 
@@ -49,28 +50,41 @@ def robustness(
     - `disturbances`: for `basin_stability`, shares of the coordinates of the gait's own state.
     - `strides`: number of strides in which a walker may return.
     - `seed`, `tolerance`: of random numbers, and of the integration.
+    - `progress`: whether to show progress on a terminal.
 
     **Returns** what `refine` returns, and of the gait, the attractor of the largest basin:
     `gait_period`, `gait_state` (the nearest to the least disturbance), `multiplier` (the
-    largest modulus), `step_time` (the mean); of the point that `least_disturbance` finds,
+    largest modulus), `step_time` (the mean), `return_strides` (the characteristic return time); of
+    the point that `least_disturbance` finds,
     `least_disturbance`, `direction`, `failing_state`, `failure` (-1 for none) and
     `failing_strides`; of the one that it finds with `fall`, which is the same unless the first
     leads to another motion, `least_fall`, `fall_direction`, `fall_state`, `fall_failure` and
     `fall_strides`; `step_down` and `step_down_failure`, and `step_down_fall`, the least one from
-    which the walker falls; `stability`, with `_low` and `_high`, `median_strides` and
-    `slowest_strides`; `dimension`, with `_low` and `_high`, of the boundary. NaN, or -1, where no
+    which the walker falls; `stability`, with `_low` and `_high`, `in_time`,
+    `median_strides`, `slowest_strides`, `mean_strides`, `pace`, `median_pace`, `mean_shock` and
+    `largest_shock`, as `basin_stability` has them, sizes being shares of the gait's state;
+    `dimension`, with `_low` and `_high`, of the boundary. NaN, or -1, where no
     gait attracts.
 
     Raises `ValueError` as `refine`, and without a grid where no gait of period one is found.
     """
     check_kind("walker", walker, Walker)
     check_precision(jnp.asarray(0.0).dtype, "robustness, which has the dimension of a boundary,")
-    grid = default_region(walker) if grid is None else grid
+    with bar("search for a gait", progress):
+        grid = default_region(walker) if grid is None else grid
     if grid is None:
         raise WrongUse("grid is required where no gait of period one is found")
-    data = refine(
-        walker, grid, levels, check=check, strides=strides, seed=seed, tolerance=tolerance
-    )
+    with bar("basin", progress):
+        data = refine(
+            walker,
+            grid,
+            levels,
+            check=check,
+            strides=strides,
+            seed=seed,
+            tolerance=tolerance,
+            progress=progress,
+        )
     data.attrs["disturbances"] = disturbances
     cells = data["cells"].values * (data["period"].values > 0)
     if cells.sum() == 0:
@@ -80,31 +94,40 @@ def robustness(
     gait = find_gait(walker, data["states"].values[largest, :period], period)
     if not (gait.found and gait.stable):
         return data.assign(without_gait(walker))
-    nearest = least_disturbance(walker, gait, strides=strides, tolerance=tolerance)
-    down = least_step_down(walker, gait, strides=strides, tolerance=tolerance)
+    with bar("least disturbance", progress):
+        nearest = least_disturbance(walker, gait, strides=strides, tolerance=tolerance)
+    with bar("least step down", progress):
+        down = least_step_down(walker, gait, strides=strides, tolerance=tolerance)
     fall, fall_down = nearest, down
     unknown = (Outcome.STRIDE, Outcome.UNDECIDED)
     if nearest.failure in unknown:
-        fall = least_disturbance(walker, gait, fall=True, strides=strides, tolerance=tolerance)
+        with bar("least disturbance after which it falls", progress):
+            fall = least_disturbance(walker, gait, fall=True, strides=strides, tolerance=tolerance)
     if down.failure in unknown:
-        fall_down = least_step_down(walker, gait, fall=True, strides=strides, tolerance=tolerance)
+        with bar("least step down after which it falls", progress):
+            fall_down = least_step_down(
+                walker, gait, fall=True, strides=strides, tolerance=tolerance
+            )
     gait = gait._replace(states=np.roll(np.asarray(gait.states), -nearest.phase, axis=0))
-    stability = basin_stability(
-        walker,
-        disturbances,
-        gait,
-        scale=np.abs(np.asarray(gait.states[0])),
-        strides=strides,
-        seed=seed,
-        tolerance=tolerance,
-    )
-    boundary = boundary_dimension(walker, grid, strides=strides, seed=seed, tolerance=tolerance)
+    with bar("basin stability", progress):
+        stability = basin_stability(
+            walker,
+            disturbances,
+            gait,
+            scale=np.abs(np.asarray(gait.states[0])),
+            strides=strides,
+            seed=seed,
+            tolerance=tolerance,
+        )
+    with bar("dimension of the boundary", progress):
+        boundary = boundary_dimension(walker, grid, strides=strides, seed=seed, tolerance=tolerance)
     return data.assign(
         {
             "gait_period": period,
             "gait_state": ("coordinate", np.asarray(gait.states[0])),
             "multiplier": float(np.abs(gait.multipliers[0])),
             "step_time": float(np.mean(gait.step_times)),
+            "return_strides": float(gait.return_strides),
             "least_disturbance": nearest.size,
             "direction": ("coordinate", nearest.direction),
             "failing_state": ("coordinate", nearest.state),
@@ -121,8 +144,14 @@ def robustness(
             "stability": float(stability.value),
             "stability_low": float(stability.low),
             "stability_high": float(stability.high),
+            "in_time": float(stability.in_time),
             "median_strides": float(stability.median),
             "slowest_strides": float(stability.slowest),
+            "mean_strides": float(stability.mean),
+            "pace": float(stability.pace),
+            "median_pace": float(stability.median_pace),
+            "mean_shock": float(stability.mean_shock),
+            "largest_shock": float(stability.largest_shock),
             "dimension": boundary.value,
             "dimension_low": boundary.low,
             "dimension_high": boundary.high,
@@ -143,6 +172,7 @@ GAIT = {
     "state": Field("gait_state", "vector"),
     "multiplier": Field("multiplier", "number"),
     "step_time": Field("step_time", "number"),
+    "return_strides": Field("return_strides", "number"),
 }
 LEAST_DISTURBANCE = {
     "size": Field("least_disturbance", "number"),
@@ -167,10 +197,16 @@ STABILITY = {
     "value": Field("stability", "number"),
     "low": Field("stability_low", "number"),
     "high": Field("stability_high", "number"),
+    "in_time": Field("in_time", "number"),
 }
 RETURN = {
     "median_strides": Field("median_strides", "number"),
     "slowest_strides": Field("slowest_strides", "number"),
+    "mean_strides": Field("mean_strides", "number"),
+    "pace": Field("pace", "number"),
+    "median_pace": Field("median_pace", "number"),
+    "mean_shock": Field("mean_shock", "number"),
+    "largest_shock": Field("largest_shock", "number"),
 }
 DIMENSION = {
     "value": Field("dimension", "number"),
@@ -279,6 +315,7 @@ def robustness_table(
             strides=strides,
             seed=seed,
             tolerance=tolerance,
+            progress=progress,
         )
         rows.append(one[[name for name in one if set(one[name].dims) <= {"coordinate"}]])
     about = {"walker": type(walker).__name__, "disturbances": disturbances}

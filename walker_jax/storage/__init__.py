@@ -20,4 +20,5 @@ from walker_jax.storage.places import atomic_file as atomic_file
 from walker_jax.storage.places import check_writable as check_writable
 from walker_jax.storage.places import write_text as write_text
 from walker_jax.storage.requests import check_picture as check_picture
+from walker_jax.storage.requests import request_in as request_in
 from walker_jax.storage.requests import signature as signature

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import filelock
 
-from walker_jax.checks import WrongUse
+from walker_jax.checks import WrongPlace
 
 LOCK_FILE = "lock"
 """The file by which a run keeps others out of a folder."""
@@ -18,11 +18,8 @@ LOCK_ATTEMPTS = 100
 """To take a lock that another run is just removing."""
 
 
-class StoreConflict(WrongUse):
+class StoreConflict(WrongPlace):
     """Something else stands where a result is to go: what it is, and the arguments that help."""
-
-    def __str__(self):
-        return ": ".join(self.args)
 
 
 ANOTHER_PLACE = "give another {}"
@@ -37,17 +34,18 @@ def resolve_link(path: Path) -> Path:
 
 
 def check_writable(path: Path) -> None:
-    """Raises `ValueError` where no file can be made beside `path`."""
+    """Raises `WrongPlace` where no file can be made beside `path`."""
     folder = path.absolute().parent
     try:
         if not folder.is_dir():
-            raise WrongUse(f"{path} cannot be written: there is no folder {folder}")
+            raise WrongPlace(f"{path} cannot be written: there is no folder {folder}")
         if not os.access(folder, os.W_OK | os.X_OK):
-            raise WrongUse(f"{path} cannot be written: no permission for the folder {folder}")
-        scratch_folder(path).exists()  # refuses a name too long for that one's
+            raise WrongPlace(f"{path} cannot be written: no permission for the folder {folder}")
+        with suppress(FileNotFoundError):
+            scratch_folder(path).stat()  # refuses a name too long for that one's
         tempfile.TemporaryFile(dir=folder).close()  # refused on what is read only, also to root
     except OSError as error:
-        raise WrongUse(f"{path} cannot be written: {error.strerror}") from None
+        raise WrongPlace(f"{path} cannot be written: {error.strerror}") from None
 
 
 def scratch_folder(path: Path) -> Path:

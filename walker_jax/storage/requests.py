@@ -7,19 +7,36 @@ from pathlib import Path
 
 from walker_jax.storage.places import ANOTHER_PLACE_OR_OVERWRITE, StoreConflict, check_writable
 
+ADDED = {"seed": 0}
+"""What requests of earlier versions lack, with the values that their results were computed with."""
+
 
 def check_request(path: Path, attributes: Mapping, request: dict) -> None:
-    """Raises `StoreConflict` for the attributes of another result, and says what is other."""
-    there = attributes.get("request")
-    if there == canonical_json(request):
-        return
+    """Raises `StoreConflict` for the attributes of another result, and says what is other.
+
+    A whole result may be of another version of the package; one is not resumed by another version.
+    """
+    wanted = json.loads(canonical_json(request))
     try:
-        other = first_difference(json.loads(str(there)), json.loads(canonical_json(request)))
+        there = request_in(attributes)
+        there |= {name: value for name, value in ADDED.items() if name in wanted.keys() - there}
+        ours = {} if attributes.get("unfinished") else {"version": wanted.get("version")}
+        other = first_difference(there | ours, wanted)
+        if not other:
+            return
     except (TypeError, ValueError):  # nothing that was written here
         other = ""
     raise StoreConflict(
         f"{path} holds another result{other}", ANOTHER_PLACE_OR_OVERWRITE.format("out")
     )
+
+
+def request_in(attributes: Mapping) -> dict:
+    """The request that the attributes of a data set hold."""
+    there = json.loads(str(attributes.get("request")))
+    if not isinstance(there, dict):
+        raise TypeError
+    return there
 
 
 def first_difference(there: dict, wanted: dict, within: str = "") -> str:
@@ -35,17 +52,18 @@ def first_difference(there: dict, wanted: dict, within: str = "") -> str:
 
 
 def check_picture(
-    path: Path, request: dict, *, overwrite: bool = False, argument: str = "figure"
+    path: Path, *requests: dict, overwrite: bool = False, argument: str = "figure"
 ) -> None:
-    """Raises as `find` does where a picture of `request` cannot go; one of it may stand there.
+    """Raises as `find` does where a picture cannot go; one of any of the requests may stand there.
 
     `argument` is the name of that by which the place was given.
     """
     check_writable(path)
     if not path.exists():
         return
-    known = path.is_file() and (overwrite or signature(request).encode() in path.read_bytes())
-    if not known:
+    signatures = [signature(request).encode() for request in requests]
+    known = lambda: overwrite or any(one in path.read_bytes() for one in signatures)
+    if not (path.is_file() and known()):
         raise StoreConflict(
             f"{path} is something else", ANOTHER_PLACE_OR_OVERWRITE.format(argument)
         )

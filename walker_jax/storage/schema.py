@@ -49,7 +49,10 @@ class Kind(NamedTuple):
 
 
 V = Variable
-WALKER = {"walker": "class of the walker; each parameter is an attribute `walker_` + its name"}
+WALKER = {
+    "walker": "class of the walker; each parameter is an attribute `walker_` + its name, and "
+    "`code` is a fingerprint of a class that is not of the package"
+}
 SECTION = {"section": "names of the coordinates of a state"}
 KINDS = {
     "basin": Kind(
@@ -113,6 +116,27 @@ KINDS = {
         },
         WALKER | SECTION | {"method": "`direct, refined`"},
     ),
+    "boundary": Kind(
+        "A basin, and what the boundary between its fates is like (`boundary`).",
+        {
+            "basin_entropy": V("", "real", "", "mean over all boxes"),
+            "boundary_entropy": V("", "real", "", "mean over boxes with several fates"),
+            "boundary_entropy_error": V("", "real", "", "its standard error"),
+            "region": V("region_number", "integer", "", "`Outcome` of the walkers in a region"),
+            "spacing": V("spacing", "integer", "cells", "of the points that are compared"),
+            "wada_share": V("spacing", "real", "", "of a boundary, that another one lacks"),
+            "edge_fates": V("edge beside", "integer", "", "`Outcome` of regions that touch"),
+            "edge_between": V("edge beside", "integer", "", "`Outcome` beside the path's end"),
+            "edge_kind": V("edge", "text", "", "`saddle`, the margin that is zero, or empty"),
+            "edge_period": V("edge", "integer", "strides", "of the saddle; 0 for none"),
+            "edge_saddle": V("edge saddle_phase coordinate", "real", STATE, "its cycle, or NaN"),
+            "edge_multipliers": V("edge order part", "real", "", "real and imaginary part"),
+            "edge_path": V("edge point coordinate", "real", STATE, "stride by stride; then NaN"),
+            "stable_manifold": V("edge branch vertex coordinate", "real", STATE, "then NaN"),
+        },
+        {"side": "cells along a side of a box", "radius": "cells within which boundaries are one"},
+        "basin",
+    ),
     "robustness": Kind(
         "A refined basin, and what its most attracting gait survives (`robustness`).",
         {
@@ -120,6 +144,7 @@ KINDS = {
             "gait_state": V("coordinate", "real", STATE, "nearest to the failing state"),
             "multiplier": V("", "real", "", "modulus of the largest Floquet multiplier"),
             "step_time": V("", "real", TIME, "mean of the cycle"),
+            "return_strides": V("", "real", "strides", "characteristic return time", NEW),
             "least_disturbance": V("", "real", "", "after which the walker does not return"),
             "direction": V("coordinate", "real", "", "of the least disturbance"),
             "failing_state": V("coordinate", "real", STATE, "to which it leads"),
@@ -138,6 +163,12 @@ KINDS = {
             "stability_high": V("", "real", "", "the other end"),
             "median_strides": V("", "real", "strides", "until it has returned"),
             "slowest_strides": V("", "real", "strides", "the most until then"),
+            "in_time": V("", "real", "", "share of disturbances over in 10 strides", NEW),
+            "mean_strides": V("", "real", "strides", "mean until then", NEW),
+            "pace": V("", "real", "strides", "mean, for each unit of the disturbance", NEW),
+            "median_pace": V("", "real", "strides", "the median of that", NEW),
+            "mean_shock": V("", "real", "", "mean size of the disturbances survived", NEW),
+            "largest_shock": V("", "real", "", "the largest of them", NEW),
             "dimension": V("", "real", "", "of the boundary of the basin"),
             "dimension_low": V("", "real", "", "end of its 95 % interval"),
             "dimension_high": V("", "real", "", "the other end"),
@@ -166,6 +197,15 @@ KINDS = {
             "attractor": V("*parameters *grid", "integer", "", "as in a basin"),
             "strides": V("*parameters *grid", "integer", "", "as in a basin"),
             "attractors": V("*parameters", "integer", "", "how many there are"),
+            "attractor_number": V(
+                "*parameters own", "integer", "", "of each, alike in all basins; -1 for none", NEW
+            ),
+            "attractor_period": V(
+                "*parameters own", "integer", "strides", "0 without a period; -1 for none", NEW
+            ),
+            "attractor_states": V(
+                "*parameters own phase coordinate", "real", STATE, "the cycle; NaN after it", NEW
+            ),
             "area": V("*parameters", "real", AREA, "of the cells that converge to one"),
             "gait_state": V("*parameters coordinate", "real", STATE, "NaN where no gait is found"),
             "multiplier": V("*parameters", "real", "", "its largest modulus"),
@@ -209,6 +249,25 @@ KINDS = {
         },
         {},
         "gait branches",
+    ),
+    "basin fractions": Kind(
+        "Attractors over a parameter, and fractions of their basins (`continue_basins`).",
+        {
+            "value": V("value", "real", "", "of the parameter"),
+            "attractor": V("attractor", "integer", "", "its number, the same at all values"),
+            "fraction": V("value attractor", "real", "", "of the starts; NaN where it is none"),
+            "fraction_low": V("value attractor", "real", "", "end of its 95 % interval"),
+            "fraction_high": V("value attractor", "real", "", "the other end"),
+            "failed": V("value outcome", "real", "", "fraction of the starts, by `Outcome`"),
+            "states": V("value attractor phase coordinate", "real", STATE, "NaN where it is none"),
+            "period": V("attractor", "integer", "strides", "0 for a motion without a period"),
+            "first": V("attractor", "real", "", "lowest value at which it attracts"),
+            "last": V("attractor", "real", "", "highest value at which it attracts"),
+            "event_attractor": V("event", "integer", "", "whose branch has the bifurcation"),
+            "event_value": V("event", "real", "", "of the parameter"),
+            "event_fold": V("event", "boolean", "", "a fold, or else a period doubling"),
+        },
+        {"parameter": "its name", "samples": "number of starts"} | WALKER | SECTION,
     ),
     "optimisation": Kind(
         "The trace of an optimisation (`optimise`).",
@@ -287,6 +346,16 @@ KINDS = {
             "leg_length": "from the hip to the end of the leg",
             "foot_radius": "of the arc of a foot; 0 for point feet",
         },
+    ),
+    "zoom": Kind(
+        "Basins in ever narrower windows around a point (`zoom`). Axes are offsets in the widest.",
+        {
+            "fate": V("frame *grid", "integer", "", "as in a basin"),
+            "attractor": V("frame *grid", "integer", "", "as in a basin"),
+            "factor": V("frame", "real", "", "by which the window is narrower"),
+            "ahead": V("frame", "integer", "strides", "of the centre alone, before all starts"),
+        },
+        WALKER | SECTION | {"origin": "the point, on the section"},
     ),
     "basins over slopes": Kind(
         "Basins at several slopes (Figure 7 of the paper).",

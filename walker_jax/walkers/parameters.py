@@ -12,6 +12,7 @@ from jax.core import Tracer
 from jax.typing import ArrayLike
 
 from walker_jax.checks import WrongUse, check_kind, short
+from walker_jax.walkers.fingerprints import code_fingerprint
 from walker_jax.walkers.model import Scalar, Walker, numbers_of
 
 Described = TypeVar("Described")
@@ -23,8 +24,8 @@ class Parameter(NamedTuple):
     name: str
     meaning: str
     unit: str
-    default: float
-    """Of the command line; and of the constructor, but for the slope."""
+    default: float = np.nan
+    """Of the command line; and of the constructor, but for the slope. NaN where it has none."""
     low: float = 0.0
     high: float = np.inf
     closed: bool = False
@@ -61,15 +62,31 @@ class Parameter(NamedTuple):
 
 
 def parameters(walker: type[Walker] | Walker) -> tuple[Parameter, ...]:
-    """The described parameters of a walker, in the order of its constructor's arguments."""
-    return described_by(walker, Parameter)
+    """The parameters of a walker, in the order of its constructor's arguments.
+
+    A class of a user's own need not describe its fields: any real number is accepted then.
+    """
+    found = []
+    for field in dataclasses.fields(walker):
+        if field.metadata.get("static"):
+            continue
+        one = description(field, Parameter)
+        one = one or (SLOPE if field.name == "slope" else UNDESCRIBED)
+        default = one.default if field.default is dataclasses.MISSING else float(field.default)
+        found.append(one._replace(name=field.name, default=default))
+    return tuple(found)
 
 
 def described_by(walker: type[Walker] | Walker, kind: type[Described]) -> tuple[Described, ...]:
-    """What describes the fields of a walker, of one kind."""
-    converters = (field.metadata.get("converter") for field in dataclasses.fields(walker))
-    described = (getattr(converter, "__self__", None) for converter in converters)
-    return tuple(one for one in described if isinstance(one, kind))
+    """What describes the fields of a walker, of one kind: those parameters have bounds."""
+    described = (description(field, kind) for field in dataclasses.fields(walker))
+    return tuple(one for one in described if one is not None)
+
+
+def description(field: dataclasses.Field, kind: type[Described]) -> Described | None:
+    """What describes a field, if it is of the kind: its converter is a method of that."""
+    one = getattr(field.metadata.get("converter"), "__self__", None)
+    return one if isinstance(one, kind) else None
 
 
 class Option(NamedTuple):
@@ -101,10 +118,15 @@ def describe_walker(walker: Walker) -> dict[str, Any]:
 
 
 def attributes_of(walker: Walker, *, without: str | None = None) -> dict[str, Any]:
-    """The parameters of a walker, and its options that are on, as attributes of a data set."""
+    """The parameters of a walker, and its options that are on, as attributes of a data set.
+
+    Of a class that is not of the package, a fingerprint of its code too.
+    """
     values = {name: float(value) for name, value in numbers_of(walker).items() if name != without}
     values |= dict.fromkeys(chosen_options(walker), 1)
-    return {f"walker_{name}": value for name, value in values.items()}
+    code = code_fingerprint(type(walker))
+    about: dict[str, Any] = {f"walker_{name}": value for name, value in values.items()}
+    return about | ({"code": code} if code else {})
 
 
 def describe_in_words(walker: Walker) -> str:
@@ -131,6 +153,7 @@ def space_decimals(low: float, high: float, count: int) -> list[float]:
 
 
 SLOPE = Parameter("slope", "of the ground", "rad", 0.004, high=np.pi / 2)
+UNDESCRIBED = Parameter("", "", "", low=-np.inf)
 
 
 def check_parameter(walker: Walker, parameter: str, *values: float) -> None:

@@ -22,13 +22,12 @@ from walker_jax.checks import WrongUse, array, check_kind, check_whole, refuses_
 from walker_jax.execution.tiles import map_cells
 from walker_jax.integrators.solvers import AnySolver, Real, default_tolerance, using_solver
 from walker_jax.walkers.model import Walker, numbers_of
-from walker_jax.walkers.parameters import parameters
+from walker_jax.walkers.parameters import Parameter, described_by
 from walker_jax.walking.outcomes import Outcome, Stride, Walk
 from walker_jax.walking.stepping import (
     as_floating,
     follow_step,
     follow_stride,
-    full_state,
     prepare,
     state_kinds,
 )
@@ -138,7 +137,7 @@ def check_parameter_arrays(walker: Walker, n: int) -> None:
     for name, values in numbers_of(walker).items():
         if np.shape(values) not in ((), (n,)):
             raise WrongUse(f"{name} must be one number or {n}, not of shape {np.shape(values)}")
-    for one in parameters(walker):
+    for one in described_by(walker, Parameter):
         values = getattr(walker, one.name)
         for value in (np.min(values), np.max(values)) if np.size(values) else ():
             one.convert(value)
@@ -204,7 +203,7 @@ def follow_rough_walk(
         fate = jnp.where(fate == Outcome.STRIDE, result.outcome, fate)
         return (result.state, fate), (result.state, fate, result.time)
 
-    start = jnp.stack(full_state(walker, x))
+    start = jnp.stack(walker.lift(x))
     feasible = jnp.where(walker.feasible(x), Outcome.STRIDE, Outcome.OUTSIDE).astype(jnp.int8)
     begun = jnp.where(feasible == Outcome.STRIDE, start, jnp.nan)
     _, (states, outcomes, times) = lax.scan(follow, (begun, feasible), ground)

@@ -159,9 +159,9 @@ def swing_begins(
     walker: Walker, x: Float[np.ndarray, " section"], tolerance: float | None
 ) -> float:
     """When the swing begins in a stride; infinity if the walker falls before."""
-    times = np.asarray(phase_times(walker, x, tolerance=tolerance))
-    if len(times) == 1:
+    if not walker.phases():
         return 0.0
+    times = np.asarray(phase_times(walker, x, tolerance=tolerance))
     return float(np.nan_to_num(times[-2], nan=np.inf))
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Int
 
-from walker_jax.integrators.roots import first_upcrossing, negate
+from walker_jax.integrators.roots import first_upcrossing, interior_minimum, negate
 from walker_jax.integrators.solvers import MAX_STEPS, Method, Real, solver_for, zero_at
 from walker_jax.integrators.taylor import with_fast_sincos
 from walker_jax.walkers.model import Phase, Scalar, Walker
@@ -174,7 +174,9 @@ def follow_phase(
             ends |= has_fallen(after)
         if watched:
             ends_under = height(after) < 0
-            ends |= (after.theta < 0) & ~side[1] & (ends_under | turns(height, before, after))
+            dips = turns(height, before, after)
+            rises = turns(lambda state: -height(state), before, after)
+            ends |= (after.theta < 0) & jnp.where(side[1], ends_under & rises, ends_under | dips)
         return ends, jnp.stack([ends_below, ends_under])
 
     def undecided(carry):
@@ -200,10 +202,12 @@ def follow_phase(
         arrival = after(when)
         lands = jnp.asarray(False)
         if watched:
-            ends_above = with_fast_sincos(lambda s: height(s) > 0)(arrival)
-            ends_above = jnp.where(rises, ends_above, ~ends_under)
-            falling = negate(method.jet(height, last))
-            touches, landing = first_upcrossing(falling, when, (~under, ends_above))
+            above = method.jet(height, last)
+            ends_above = jnp.where(rises, above(when)[0] > 0, ~ends_under)
+            lowest = interior_minimum(above, when)  # it may come down and up again
+            down = jnp.where(lowest.exists, lowest.time, when)
+            ends_above = jnp.where(lowest.exists, above(down)[0] > 0, ends_above)
+            touches, landing = first_upcrossing(negate(above), down, (~under, ends_above))
             on_ground = after(landing)
             lands = touches & with_fast_sincos(in_front)(phase, on_ground)
         for outcome, condition in conditions.items():

@@ -1,0 +1,269 @@
+"""Is every number that the README quotes still what its command gives?
+
+    python benchmarks/verify_readme.py            # all, half an hour
+    python benchmarks/verify_readme.py --quick    # without the slow ones
+    python benchmarks/verify_readme.py --only 75  # those whose quotation has this in it
+    python benchmarks/verify_readme.py --page     # writes docs/numbers.md anew, and ends
+
+Each command runs once, and what it prints is searched for the number. What differs is marked, and
+the exit code is 1. Times are of another machine: they may be three times as long here.
+"""
+
+import argparse
+import json
+import re
+import shlex
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+ROOT = Path(__file__).resolve().parent.parent
+README = ROOT / "README.md"
+PAGE = ROOT / "docs" / "numbers.md"
+SLOW_SECONDS = 180
+"""Commands that take longer are left out by --quick."""
+TIMES = 3.0
+"""Factor by which a time, or a ratio of times, may differ on another machine."""
+
+
+class Run(NamedTuple):
+    """What a command printed, and how long it took."""
+
+    out: str
+    seconds: float
+
+    @property
+    def answer(self) -> dict[str, Any]:
+        return json.loads(self.out)
+
+
+class Claim(NamedTuple):
+    """A number of the README, and where it comes from."""
+
+    quotation: str
+    """The README's own words."""
+    command: str
+    seconds: int
+    """How long the command takes, about."""
+    number: Callable[[Run], float]
+    """The number, from what the command printed or left."""
+    low: float
+    high: float
+    """Between which the number must be."""
+
+
+def within(value: float, factor: float) -> tuple[float, float]:
+    """The range of a time."""
+    return value / factor, value * factor
+
+
+def found(pattern: str, last: bool = False) -> Callable[[Run], float]:
+    """The number that a pattern finds in what a command prints."""
+
+    def number(run: Run) -> float:
+        hits = re.findall(pattern, run.out, re.M)
+        return float(str(hits[-1 if last else 0]).replace(",", "")) if hits else float("nan")
+
+    return number
+
+
+def area_ratio(run: Run) -> float:
+    areas = [point["total_area"] for point in run.answer["points"]]
+    return areas[-1] / areas[0]
+
+
+def slope_of_least_multiplier(run: Run) -> float:
+    return min(run.answer["points"], key=lambda point: point["multiplier"])["slope"]
+
+
+def slope_of_largest_shock(run: Run) -> float:
+    rows = run.answer["slopes"]
+    return max(rows, key=lambda row: row["least_disturbance"]["size"])["slope"]
+
+
+SPRING = (
+    "walker-jax sweep --walker spring --slope 0.004 --over hip-stiffness=0:11.24:2 --levels 4 "
+    "--out spring.zarr --json"
+)
+MULTIPLIERS = (
+    "walker-jax sweep --over slope=0.0134:0.0142:9 --theta 0 0.4 20 --sum -0.04 0.01 20 "
+    "--levels 0 --check 0 --out multipliers.zarr --json"
+)
+BIFURCATION = "walker-jax bifurcation --from 0.001 --to 0.022 --json"
+SHOCKS = (
+    "walker-jax robustness --from 0.0074 --to 0.008 --count 7 --levels 1 --out shocks.zarr --json"
+)
+REPRODUCE = "walker-jax reproduce --out report"
+STRIDES = "python benchmarks/strides.py"
+ACCURACY = "python benchmarks/accuracy.py"
+REFINEMENT = "python benchmarks/refinement.py"
+HEYOKA = "heyoka, batches of 16 or 32, a process for each core"
+CLAIMS = [
+    Claim("in about five seconds", "walker-jax basin", 5, lambda run: run.seconds, 0, 5 * TIMES),
+    Claim("makes the basin 75 times as large", SPRING, 120, area_ratio, 74.5, 76),
+    Claim(
+        *("shrinks up to 0.0138", MULTIPLIERS, 60, slope_of_least_multiplier),
+        *(0.01375, 0.01385),
+    ),
+    Claim("peaks at 0.0077", SHOCKS, 300, slope_of_largest_shock, 0.00765, 0.00785),
+    Claim("48 of its 53 numbers", REPRODUCE, 400, found(r"^(\d+) of \d+ numbers"), 48, 48),
+    Claim("48 of its 53 numbers", REPRODUCE, 400, found(r"^\d+ of (\d+) numbers"), 53, 53),
+    Claim(
+        *("between slopes of 0.01904 and 0.01905", BIFURCATION, 80),
+        *(lambda run: run.answer["lost"]["below"], 0.019035, 0.01905),
+    ),
+    Claim(
+        *("between slopes of 0.01904 and 0.01905", BIFURCATION, 80),
+        *(lambda run: run.answer["lost"]["above"], 0.01904, 0.019055),
+    ),
+    Claim(
+        *("| walker_jax | 0.016 | 1 |", STRIDES, 540),
+        *(found(r"^walker_jax, 1e-11 +([\d.]+)"), *within(0.016, TIMES)),
+    ),
+    Claim(
+        *(f"| {HEYOKA} | 0.15 | 10 (7 to 11) |", STRIDES, 540),
+        *(found(r"^heyoka, batches of 16.*?([\d.]+) \("), 7, 11),
+    ),
+    Claim(
+        *("| 3.1 | 190 (140 to 220) |", STRIDES, 540),
+        *(found(r"^the same, batches of 1000.*?([\d.]+) \("), 140, 220),
+    ),
+    Claim(
+        *("| 7.0 | 430 (380 to 590) |", STRIDES, 540),
+        *(found(r"^vmap\(diffeqsolve\), Dopri8.*?([\d.]+) \("), 380, 590),
+    ),
+    Claim(
+        *("| 84 | 5,300 (3,900 to 8,300) |", STRIDES, 540),
+        *(found(r"^scipy.*?([\d,.]+) \("), 3900, 8300),
+    ),
+    Claim(
+        *("A basin of a million cells, followed directly, takes one second", STRIDES, 540),
+        *(found(r"^walker_jax, 1e-11 +([\d.]+)", last=True), *within(1, TIMES)),
+    ),
+    Claim(
+        *("outcomes of 68,000 strides", ACCURACY, 120),
+        *(lambda run: sum(numbers_of(run, "strides")), 68000, 68000),
+    ),
+    Claim(
+        *("outcomes of 68,000 strides", ACCURACY, 120),
+        *(lambda run: sum(numbers_of(run, "outcomes that differ")), 0, 0),
+    ),
+    Claim(
+        *("median error 1e-14", ACCURACY, 120),
+        *(lambda run: numbers_of(run, "median error of a next state")[0], 0.7e-14, 1.5e-14),
+    ),
+    Claim(
+        *("largest 2e-10", ACCURACY, 120),
+        *(lambda run: numbers_of(run, "largest error")[0], 1.5e-10, 2.5e-10),
+    ),
+    Claim(
+        *("0.0016744 ± 4e-7", REFINEMENT, 300),
+        *(found(r"^0\.004: refined ([\d.]+)"), 0.0016740, 0.0016748),
+    ),
+    Claim(
+        *("0.4 standard errors apart", REFINEMENT, 300),
+        *(found(r"^0\.004: .* apart by ([\d.]+)"), 0, 2),
+    ),
+]
+"""Every number that a change of the code could change."""
+GIVEN = {
+    "2001": "the year of the paper, here and below",
+    "21363": "the number of the paper",
+    "3.11": "the oldest Python, of pyproject.toml",
+    "64": "float64",
+    "0.01, 1.2": "values of an example",
+    "0.004": "the slope of the paper's basin",
+    "0.022": "printed in the paper, where `walker-jax reproduce` compares it",
+    "512, 50,000, 1e-8": "the conditions of the table of speeds",
+    "1e8": "a size of large runs",
+    "40": "the digits of the reference values: tests/data/README.md",
+    "80,000": "the largest derivative of a stride among those: docs/accuracy.md",
+    "6400": "the cells of the comparison in benchmarks/refinement.py",
+    "2.0": "of the licence",
+}
+"""Numbers of the README that no command makes, and what they are."""
+
+
+def numbers_of(run: Run, quantity: str) -> list[float]:
+    """The numbers of a row of a table in Markdown."""
+    rows = re.findall(rf"^\| {quantity} \| (.+) \|$", run.out, re.M)
+    return [float(cell.split()[0]) for cell in rows[0].split(" | ")] if rows else [float("nan")]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help=f"commands below {SLOW_SECONDS} s")
+    parser.add_argument("--only", default="", help="part of quotations")
+    parser.add_argument("--page", action="store_true", help=f"write {PAGE.name} and end")
+    arguments = parser.parse_args()
+    if arguments.page:
+        PAGE.write_text(page())
+        return
+    words, runs, wrong = plain(README.read_text()), {}, 0
+    with tempfile.TemporaryDirectory() as folder:
+        for claim in CLAIMS:
+            slow = arguments.quick and claim.seconds > SLOW_SECONDS
+            if slow or arguments.only not in claim.quotation:
+                continue
+            if claim.command not in runs:
+                runs[claim.command] = run_command(claim.command, Path(folder))
+            run = runs[claim.command]
+            number = float("nan") if run is None else claim.number(run)
+            agrees = claim.low <= number <= claim.high and plain(claim.quotation) in words
+            wrong += not agrees
+            mark = "ok     " if agrees else "DIFFERS"
+            print(f"{mark} {claim.quotation}: {number:.6g}, by {claim.command}", flush=True)
+    sys.exit(wrong > 0)
+
+
+def run_command(command: str, folder: Path) -> Run | None:
+    """Run a command in a folder; None where it fails, with the reason on standard error."""
+    program, *arguments = shlex.split(command)
+    if program == "python":
+        arguments = [str(ROOT / arguments[0]), *arguments[1:]]
+    else:
+        arguments = ["-m", "walker_jax", *arguments]
+    began = time.monotonic()
+    done = subprocess.run(
+        [sys.executable, *arguments], cwd=folder, text=True, stdout=subprocess.PIPE, check=False
+    )
+    seconds = time.monotonic() - began
+    print(f"        {command}: {seconds:.0f} s", file=sys.stderr, flush=True)
+    return None if done.returncode else Run(done.stdout, seconds)
+
+
+def plain(text: str) -> str:
+    """Text without marks of emphasis, on one line."""
+    return " ".join(text.replace("**", "").split())
+
+
+def page() -> str:
+    """The page that lists every number with its command."""
+    lines = [
+        "# Numbers of the README",
+        "",
+        "The README quotes these numbers; each stands beside the command that makes it, and the",
+        "range in which the check before a release accepts it. The script",
+        "`python benchmarks/verify_readme.py` runs them all and marks what differs; with `--page`",
+        "it writes this page. Seconds are those of two cores.",
+        "",
+        "| the README says | accepted | command | seconds |",
+        "|---|---|---|---:|",
+    ]
+    for claim in CLAIMS:
+        accepted = (
+            f"{claim.low:g} to {claim.high:g}" if claim.low < claim.high else f"{claim.low:g}"
+        )
+        quotation = claim.quotation.strip("| ").replace(" | ", "; ")
+        lines.append(f"| {quotation} | {accepted} | `{claim.command}` | {claim.seconds} |")
+    lines += ["", "These numbers no command makes:", "", "| number | what it is |", "|---|---|"]
+    lines += [f"| {number} | {what} |" for number, what in GIVEN.items()]
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    main()

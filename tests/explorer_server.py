@@ -1,0 +1,126 @@
+"""A server of the explorer's page in this process, and clients that ask it."""
+
+import http.client
+import json
+import struct
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import walker_jax as wj
+from walker_jax.explorer.guard import TOKEN_HEADER, Bucket
+from walker_jax.explorer.server import Server, listen, make_server
+
+TOKEN = "a-token-for-tests"
+
+
+class Answer(NamedTuple):
+    status: int
+    body: bytes
+
+    def json(self) -> Any:
+        return json.loads(self.body)
+
+
+class Frame(NamedTuple):
+    kind: int
+    content: bytes
+
+
+class Client:
+    """One connection to the server, as of one page."""
+
+    def __init__(self, port: int):
+        self.port = port
+        self.connection = http.client.HTTPConnection("127.0.0.1", port, timeout=120)
+
+    def send(
+        self, path: str, body: bytes | None = None, method: str = "", **headers: str
+    ) -> Answer:
+        """One request, with headers in the place of the page's own."""
+        own = {"content-type": "application/json", TOKEN_HEADER: TOKEN} | {
+            name.replace("_", "-"): value for name, value in headers.items()
+        }
+        method = method or ("GET" if body is None else "POST")
+        try:
+            self.connection.request(method, path, body, own)
+            answer = self.connection.getresponse()
+        except (ConnectionError, http.client.RemoteDisconnected):  # idle for long: once again
+            self.connection.close()
+            self.connection.request(method, path, body, own)
+            answer = self.connection.getresponse()
+        return Answer(answer.status, answer.read())
+
+    def ask(self, path: str, asked: Any = None, **headers: str) -> Answer:
+        return self.send(path, None if asked is None else json.dumps(asked).encode(), **headers)
+
+    def frames(self, asked: dict) -> list[Frame]:
+        """The frames of a picture."""
+        answer = self.ask("/api/picture", asked)
+        assert answer.status == 200, answer
+        return split(answer.body)
+
+    def tiles(self, asked: dict) -> tuple[list[dict], list[bytes]]:
+        """The attractors of a picture that were told last, and its tiles in their order."""
+        told, tiles = {}, {}
+        for kind, content in self.frames(asked):
+            if kind == 0:
+                told = json.loads(content)
+            else:
+                tiles[struct.unpack("<I", content[:4])[0]] = content[4:]
+        return told["attractors"], [tiles[i] for i in range(len(tiles))]
+
+
+def split(stream: bytes) -> list[Frame]:
+    """The frames of a stream."""
+    found = []
+    while stream:
+        length, kind = struct.unpack("<IB", stream[:5])
+        found.append(Frame(kind, stream[5 : 5 + length]))
+        stream = stream[5 + length :]
+    return found
+
+
+def follow(walker: wj.Walker, states: np.ndarray, strides: int) -> tuple[np.ndarray, np.ndarray]:
+    """Fates of starts, 0 where a walker makes all strides, and strides made."""
+    states, fate, count = states.copy(), np.zeros(len(states), int), np.zeros(len(states), int)
+    for _ in range(strides):
+        active = np.flatnonzero(fate == 0)
+        ends = wj.strides(walker, states[active])
+        states[active], fate[active] = ends.state, ends.outcome
+        count[active] += ends.outcome == 0
+    return fate, count
+
+
+class Running(NamedTuple):
+    server: Server
+    port: int
+    clients: list[Client]
+
+    def client(self) -> Client:
+        """A new connection, which is closed with the server, or before."""
+        self.clients.append(Client(self.port))
+        return self.clients[-1]
+
+
+@contextmanager
+def running(port: int = 0) -> Iterator[Running]:
+    """A server on a free port, or on a given one, in a thread."""
+    listener = listen("127.0.0.1", port)
+    server = make_server(listener, TOKEN)
+    guard: Any = server.config.app
+    guard.bucket = Bucket(1e9, 1e9)  # tests are faster than hands
+    thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
+    thread.start()
+    found = Running(server, listener.getsockname()[1], [])
+    try:
+        yield found
+    finally:
+        for client in found.clients:
+            client.connection.close()
+        server.should_exit = True
+        thread.join()
+        listener.close()

@@ -1,0 +1,257 @@
+"""Edge tracking, stable manifolds and narrow windows."""
+
+import numpy as np
+import pytest
+
+import walker_jax as wj
+from walker_jax import Outcome
+from walker_jax.basins.capture_boxes import with_capture_boxes
+from walker_jax.basins.edge_tracking import bring_together, follow_edge
+from walker_jax.basins.methods import mapper_of_grid
+from walker_jax.basins.narrow_windows import follow_window
+from walker_jax.basins.stable_manifolds import follow_manifold
+
+WALKER = wj.SimplestWalker(0.004)
+GRID = wj.Grid.sheared(theta=(0.01, 0.4, 60), sum=(-0.05, 0.03, 60))
+
+
+@pytest.fixture(scope="module")
+def mapper():
+    return with_capture_boxes(mapper_of_grid(WALKER, GRID, 1e-12, 300))
+
+
+@pytest.fixture(scope="module")
+def gait():
+    return wj.find_gait(WALKER)
+
+
+@pytest.fixture(scope="module")
+def short():
+    """The short gait, as Newton's iteration finds it from its neighbourhood."""
+    return wj.find_gait(WALKER, [0.1488, -0.1588])
+
+
+def bend(y):
+    return 0.3 * np.sin(y)
+
+
+def pitchfork(x):
+    """u -> 1.8 u - 0.8 u^3, y -> y / 2, with u = x - 0.3 sin y: a saddle at 0, its manifold u = 0.
+
+    Points with u > 0 go to u = 1, others to u = -1.
+    """
+    u, y = x[:, 0] - bend(x[:, 1]), x[:, 1]
+    return np.stack([1.8 * u - 0.8 * u**3 + bend(y / 2), y / 2], axis=1)
+
+
+def side(x):
+    for _ in range(80):
+        x = pitchfork(x)
+    return (x[:, 0] > 0).astype(int)
+
+
+def test_the_edge_of_a_map_with_a_known_saddle_leads_to_it():
+    track = follow_edge(
+        pitchfork, side, np.array([0.9, 1.3]), np.array([-0.8, 0.9]), rounds=60, longest=4
+    )
+    assert track.period == 1 and not track.torn and track.labels == (1, 0)
+    np.testing.assert_allclose(track.path[:, 0], bend(track.path[:, 1]), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(np.diff(np.log(track.path[:, 1])), -np.log(2), atol=1e-6)
+    np.testing.assert_allclose(track.path[-1], 0, atol=3e-6)
+
+
+def test_the_edge_of_a_saddle_of_period_two_repeats_itself_after_two_points():
+    """The same map, but its boundary point alternates between two that attract along it."""
+
+    def flip(x):
+        u, y = x[:, 0] - bend(x[:, 1]), x[:, 1]
+        new = -y * (1.5 - 0.5 * y**2)  # y = 1 and -1 change places, and attract: slope 0
+        return np.stack([1.8 * u - 0.8 * u**3 + bend(new), new], axis=1)
+
+    label = lambda x: (x[:, 0] > bend(x[:, 1])).astype(int)
+    track = follow_edge(
+        flip, label, np.array([0.9, 0.8]), np.array([-0.8, 0.7]), rounds=60, longest=4
+    )
+    assert track.period == 2
+    np.testing.assert_allclose(np.abs(track.path[-2:, 1]), 1, atol=1e-6)
+
+
+def test_an_edge_that_the_map_tears_ends_there():
+    image = lambda x: np.where(x > 0, x + 1, x - 1)
+    track = follow_edge(
+        image, lambda x: (x[:, 0] > 0).astype(int), np.ones(1), -np.ones(1), rounds=9, longest=4
+    )
+    assert track.torn and len(track.path) == 1 and abs(track.path[0, 0]) < 1e-12
+
+
+def test_a_third_label_is_told_and_a_direct_change_preferred():
+    three = lambda x: np.digitize(x[:, 0], [0.3, 0.31])
+    pair, labels = bring_together(three, np.array([[0.0], [1.0]]))
+    assert labels == (0, 1) and pair[0, 0] == pytest.approx(0.3, abs=1e-12)
+    # 0 to 1 to 0 to 2: the last change is a direct one
+    several = lambda x: np.array([0, 1, 0, 2])[np.digitize(x[:, 0], [0.3, 0.5, 0.8])]
+    pair, labels = bring_together(several, np.array([[0.0], [1.0]]))
+    assert labels == (0, 2) and pair[0, 0] == pytest.approx(0.8, abs=1e-12)
+    with pytest.raises(wj.ComputationFailed, match="both ends have one label"):
+        bring_together(three, np.array([[0.0], [0.2]]))
+
+
+@pytest.mark.parametrize(("push", "fall"), [(-0.02, Outcome.FORWARD), (0.02, Outcome.BACKWARD)])
+def test_the_boundary_of_walking_leads_to_the_short_gait_on_a_gentle_slope(push, fall, gait, short):
+    """From a push that lets it fall backward, too: there is a layer of falls forward between."""
+    state = np.asarray(gait.states[0])
+    assert fall in wj.walk(WALKER, state + np.array([0, push]), 30).outcomes
+    found = wj.edge_state(WALKER, state, state + np.array([0, push]))
+    assert found.kind == "saddle" and found.saddle is not None
+    assert found.fates == (Outcome.STRIDE, Outcome.FORWARD)
+    np.testing.assert_allclose(found.saddle.states, short.states, rtol=0, atol=1e-11)
+    assert found.saddle.multipliers[0].real > 1 > abs(found.saddle.multipliers[1])
+    # each point of the path is the image of the one before
+    ends = wj.strides(WALKER, found.path[:-1]).state
+    np.testing.assert_allclose(ends, found.path[1:], rtol=0, atol=1e-10)
+
+
+def test_the_boundary_between_the_falls_is_that_of_a_stride_that_stops_upright():
+    """On it the energy is that of the stance leg at rest at the top."""
+    found = wj.edge_state(WALKER, np.array([0.09, -0.14]), np.array([0.09, -0.04]))
+    assert found.kind == "backward" and found.saddle is None and found.margin < 1e-12
+    theta, rate = found.path[-1]
+    assert rate**2 / 2 + np.cos(theta - 0.004) == pytest.approx(1, abs=1e-12)
+    assert found.fates == (Outcome.FORWARD, Outcome.BACKWARD)
+    with pytest.raises(ValueError, match="different fates, not both BACKWARD"):
+        wj.edge_state(WALKER, np.array([0.09, -0.04]), np.array([0.09, -0.03]))
+    with pytest.raises(ValueError, match="a must be finite numbers on the section"):
+        wj.edge_state(WALKER, np.array([0.09, np.nan]), np.array([0.09, -0.03]))
+
+
+def test_the_manifold_of_a_known_saddle_is_followed_through_the_folds_of_its_map():
+    """y -> (y - 0.3 y^3) / 2 folds at y = 1 / sqrt(0.9): u = 0 goes on beyond."""
+
+    def image(x):
+        u, y = x[0] - bend(x[1]), x[1]
+        new = (y - 0.3 * y**3) / 2
+        end = np.array([1.8 * u + bend(new), new])
+        du, dy = np.array([1, -0.3 * np.cos(y)]), np.array([0, (1 - 0.9 * y**2) / 2])
+        return end, np.stack([1.8 * du + 0.3 * np.cos(new) * dy, dy])
+
+    direction = np.array([0.3, 1.0]) / np.hypot(0.3, 1)
+    curve = follow_manifold(image, np.zeros(2), direction, 2e-3, 1200)
+    # to where the map leads to the other half of the manifold, y < 0
+    assert curve[-1, 1] == pytest.approx(1 / np.sqrt(0.3), abs=1e-5) and 1 / np.sqrt(0.9) < 1.1
+    np.testing.assert_allclose(curve[:, 0], bend(curve[:, 1]), rtol=0, atol=1e-9)
+    assert (np.diff(curve[:, 1]) > 0).all()
+    assert np.linalg.norm(np.diff(curve, axis=0), axis=1).max() <= 2.01e-3
+
+
+def test_the_stable_manifold_of_the_short_gait_is_the_boundary_of_walking(short, mapper):
+    curves = wj.stable_manifold(WALKER, short, spacing=1e-3, points=120)
+    assert len(curves) == 2
+    for curve in curves:
+        np.testing.assert_array_equal(curve[0], short.states[0])
+        inner, along = curve[40:-1:8], curve[41::8] - curve[39:-2:8]
+        across = np.stack([-along[:, 1], along[:, 0]], axis=1)
+        across *= 2e-6 / np.linalg.norm(across, axis=1, keepdims=True)
+        fates = np.stack([mapper(inner + across).fate, mapper(inner - across).fate])
+        assert (np.sort(fates, axis=0).T == [Outcome.STRIDE, Outcome.FORWARD]).all()
+        ends = inner
+        for _ in range(7):
+            ends = wj.strides(WALKER, ends).state
+        assert np.abs(ends - short.states[0]).max() < 2e-3
+    with pytest.raises(ValueError, match="gait must be a saddle"):
+        wj.stable_manifold(WALKER, wj.find_gait(WALKER))
+
+
+@pytest.mark.slow
+def test_the_whole_boundary_of_walking_leads_to_the_short_gait(short, mapper):
+    """On gentle slopes: of points of it, to the last digits, anywhere on the section."""
+    ends = [curve[-1, 0] for curve in wj.stable_manifold(WALKER, short)]
+    assert max(ends) == pytest.approx(np.pi / 4, abs=1e-6)  # where the section ends
+    n = 400
+    grid = wj.Grid.sheared(theta=(0.01, 0.7, n), sum=(-0.05, 0.03, n))
+    walks = (mapper(grid.centres(np.arange(grid.size))).fate == Outcome.STRIDE).reshape(n, n)
+    first = np.argwhere(walks[:, :-1] != walks[:, 1:])[::7]
+    share = (np.stack([first, first + np.array([0, 1])]) + 0.5) / n
+    for _ in range(35):
+        middle = share.mean(axis=0)
+        same = (mapper(grid.points_at(middle)).fate == Outcome.STRIDE) == walks[tuple(first.T)]
+        share = np.where(np.stack([same, ~same])[..., None], middle, share)
+    x, nearest = grid.points_at(share[0]), np.full(len(first), np.inf)
+    for _ in range(40):
+        nearest = np.fmin(nearest, np.abs(x - short.states[0]).max(axis=1))
+        x = wj.strides(WALKER, np.nan_to_num(x, nan=-1.0)).state
+    assert len(first) > 100 and (nearest < 1e-3).all()
+
+
+def test_a_boundary_point_is_one_rounding_from_another_fate(mapper, gait):
+    state = np.asarray(gait.states[0])
+    point = wj.boundary_point(WALKER, GRID, state, strides=300)
+    beside = point + np.stack(np.meshgrid(*[[-1, 0, 1]] * 2), -1).reshape(-1, 2) * np.spacing(point)
+    assert len(set(mapper(beside).fate)) > 1
+    with pytest.raises(wj.ComputationFailed, match="one fate"):
+        wj.boundary_point(WALKER, wj.Grid.sheared(theta=(0.05, 0.06, 3), sum=(-0.03, -0.02, 3)))
+
+
+STEEP = wj.SimplestWalker(0.009)
+CENTRE = np.array([0.20093538234311084, -0.21084184410879986])
+"""Of the fractal boundary, to the last digit."""
+
+
+def test_a_window_followed_by_its_centre_has_the_fates_of_its_starts():
+    """Where float64 still tells starts apart: 5e-10 wide, on the fractal boundary at 0.009."""
+    window = wj.Grid.sheared(theta=(0, 0.4, 60), sum=(-0.03, 0.02, 60)).zoom(CENTRE, 8e8)
+    steep = with_capture_boxes(mapper_of_grid(STEEP, GRID, 1e-12, 300))
+    followed, made = follow_window(STEEP, window, 1e-12, 300)
+    assert made >= 1 and followed.shape == window.shape
+    cells = np.arange(window.size)
+    plain = steep(window.centres(cells))
+    moved = steep._replace(strides=300 - made)(followed.centres(cells))
+    assert len(np.unique(plain.fate)) > 1
+    assert (plain.fate != moved.fate).mean() < 2e-3
+    same = (plain.fate == moved.fate) & (plain.fate != Outcome.STRIDE)
+    np.testing.assert_array_equal(plain.strides[same], moved.strides[same] + made)
+    wide, none = follow_window(STEEP, GRID, 1e-12, 300)
+    assert wide is GRID and none == 0
+
+
+def test_a_window_of_1e_12_of_the_section_is_the_same_whole_and_in_pieces(tmp_path, monkeypatch):
+    window = wj.Grid.sheared(theta=(0, 0.4, 24), sum=(-0.03, 0.02, 24)).zoom(CENTRE, 1e12)
+    whole = wj.basin(STEEP, window, "direct")
+    monkeypatch.setattr("walker_jax.basins.pieces.PIECE", 100)
+    stored = wj.basin(STEEP, window, "direct", out=tmp_path / "w.zarr")
+    for name in ("fate", "attractor", "strides"):
+        np.testing.assert_array_equal(whole[name], stored[name])
+    assert len(np.unique(whole["fate"])) > 1 and whole.attrs["origin"] == CENTRE.tolist()
+
+
+def test_where_float64_ends_one_line_says_so():
+    grid = wj.Grid.sheared(theta=(0, 0.4, 24), sum=(-0.03, 0.02, 24))
+    with pytest.raises(
+        ValueError, match="at least 9e-16 wide, not 4e-16: float64 holds its centre"
+    ):
+        wj.basin(STEEP, grid.zoom(CENTRE, 1e15), "direct")
+    plain = wj.Grid.plain(theta=(0.2, 0.2 + 1e-14, 900), thetadot=(-0.21, -0.21 + 1e-14, 900))
+    with pytest.raises(ValueError, match=r"wider than numbers near 0.2.* grid.zoom\(centre"):
+        wj.basin(STEEP, plain, "direct")
+    # the boundary of falling backward in this stride, to the last digit
+    upright = np.array([0.15, -np.sqrt(2 * (1 - np.cos(0.15 - 0.009)))])
+    with pytest.raises(wj.ComputationFailed, match="torn apart after 0 strides"):
+        wj.basin(STEEP, grid.zoom(upright, 2e13), "direct")
+    with pytest.raises(ValueError, match="factor=0"):
+        grid.zoom(CENTRE, 0)
+
+
+def test_a_zoom_has_every_window_and_makes_a_film(tmp_path):
+    from walker_jax import figures
+
+    grid = wj.Grid.sheared(theta=(0, 0.4, 20), sum=(-0.03, 0.02, 20))
+    data = wj.zoom(STEEP, grid, 1e10, CENTRE, frames=2, strides=100)
+    assert data["fate"].shape == (2, 20, 20)
+    np.testing.assert_allclose(data["factor"], [1, 1e10])
+    assert data["ahead"].values[0] == 0 < data["ahead"].values[-1]
+    first = wj.basin(STEEP, grid.zoom(CENTRE, 1), "direct", strides=100)
+    np.testing.assert_array_equal(data["fate"][0], first["fate"])
+    figures.zoom_film(data, tmp_path / "z.gif", signature="s")
+    from PIL import Image, ImageSequence
+
+    with Image.open(tmp_path / "z.gif") as film:
+        assert len(list(ImageSequence.Iterator(film))) == 2

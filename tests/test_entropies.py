@@ -1,0 +1,144 @@
+"""Basin entropy and the Wada property, of labels whose boundary is known."""
+
+import numpy as np
+import pytest
+
+import walker_jax as wj
+from walker_jax.wada import boundary_of
+
+SEVENTH = 7
+
+
+def cantor(generations):
+    """Which of three gaps each of 7^generations cells is in: 0, 1 and 2 in turn.
+
+    Of seven parts of a cell the second, fourth and sixth are gaps; the others repeat the whole. The
+    centres of the cells that are left fall into the middle gap.
+    """
+    labels = np.array([1])
+    for _ in range(generations):
+        rest = len(labels)
+        gaps = [np.full(rest, gap) for gap in range(3)]
+        labels = np.concatenate([labels, gaps[0], labels, gaps[1], labels, gaps[2], labels])
+    return labels
+
+
+def newton(n, side=4.0):
+    """Which root of z^3 = 1 Newton's method goes to, on an n x n grid."""
+    t = ((np.arange(n) + 0.5) / n - 0.5) * side
+    z = t[:, None] + 1j * t
+    for _ in range(60):
+        z = z - (z**3 - 1) / (3 * z**2)
+    roots = np.exp(2j * np.pi * np.arange(3) / 3)
+    return np.abs(z[..., None] - roots).argmin(axis=-1)
+
+
+def test_the_entropy_of_a_cantor_set_of_three_gaps_is_log_3_in_every_box_on_it():
+    """Of 7^k boxes 4^k hold the whole again, with a third of each label but for what is not told.
+
+    That is by arithmetic: gaps of all generations up to m make (1 - (4/7)^m) / 3 of each label.
+    """
+    inner, outer = 4, 2
+    labels, side = cantor(inner + outer), SEVENTH**inner
+    left = (4 / 7) ** inner
+    p = np.array([(1 - left) / 3, (1 - left) / 3 + left, (1 - left) / 3])
+    each = -np.sum(p * np.log(p))
+    # of boxes at their own places, not at all places: those are what the arithmetic is of
+    boxes = labels.reshape(-1, side)
+    found = [wj.basin_entropy(box, side) for box in boxes]
+    assert {one.boxes for one in found} == {1}
+    mixed = np.array([one.value for one in found])
+    np.testing.assert_allclose(mixed[mixed > 0], each, rtol=1e-12)
+    assert (mixed > 0).sum() == 4**outer
+    assert np.log(2) < each < np.log(3)
+
+
+@pytest.mark.parametrize("side", [2, 5, 20])
+def test_the_entropy_of_a_straight_boundary(side):
+    """At all places of a box the shares are 1, 2 ... of side: their mean tends to a half."""
+    labels = np.zeros((80, 60), int)
+    labels[33:] = 7
+    p = np.arange(1, side) / side
+    expected = np.mean(-p * np.log(p) - (1 - p) * np.log(1 - p))
+    found = wj.basin_entropy(labels, side)
+    assert found.boundary == pytest.approx(expected, rel=1e-12)
+    places = (80 - side + 1) * (60 - side + 1)
+    assert (found.boxes, found.mixed) == (places, (side - 1) * (60 - side + 1))
+    assert found.value == pytest.approx(expected * found.mixed / places, rel=1e-12)
+    assert not found.fractal and abs(found.boundary - 0.5) < 0.5 * 1.6 / side
+    assert wj.basin_entropy(np.ones((9, 9), int), 3)[:1] == (0,)
+
+
+def test_the_entropy_is_that_of_a_loop_over_boxes_and_skips_cells_without_a_label():
+    labels = np.random.default_rng(0).integers(0, 4, (17, 13))
+    labels[3, 4] = -1
+    values = []
+    for i in range(17 - 3):
+        for j in range(13 - 3):
+            box = labels[i : i + 4, j : j + 4]
+            if (box >= 0).all():
+                p = np.unique(box, return_counts=True)[1] / 16
+                values.append(-(p * np.log(p)).sum())
+    found = wj.basin_entropy(labels, 4)
+    assert found.boxes == len(values) and found.value == pytest.approx(np.mean(values))
+
+
+def test_newton_s_method_is_fractal_by_log_2_and_its_entropy_goes_with_its_dimension():
+    """Sb goes like the box's side to the power 2 - D (Daza and others 2016), with D = 1.4445 by
+    inverse iteration, as in test_boundaries."""
+    coarse, fine = (wj.basin_entropy(newton(n)) for n in (400, 800))
+    assert coarse.fractal and fine.fractal
+    assert np.log(2) < fine.boundary < np.log(3)
+    assert coarse.boundary == pytest.approx(fine.boundary, abs=0.02)
+    assert 2 - np.log2(coarse.value / fine.value) == pytest.approx(1.4445, abs=0.02)
+
+
+def test_newton_s_basins_are_wada():
+    """All three have the Julia set for their boundary: it is one, in cells, on every grid."""
+    found = wj.merge_regions(newton(400))
+    assert found.wada and (found.share == 0).all()
+    assert found.distances.shape == (4, 3, 3) and found.spacings.tolist() == [1, 2, 4, 8]
+    # the same few cells on every grid: half the distance on one twice as fine
+    farthest = found.distances.max(axis=(1, 2))
+    assert (farthest <= 5 * found.spacings).all() and farthest[0] < 0.5 * farthest[-1]
+
+
+def test_a_cantor_set_of_three_gaps_is_wada_and_with_a_fourth_region_aside_is_not():
+    labels = cantor(5)
+    found = wj.merge_regions(labels, 21, halvings=0)
+    assert found.wada
+    beside = np.concatenate([labels, np.full(4000, 3)])
+    found = wj.merge_regions(beside, 21, halvings=0)
+    assert not found.wada
+    # the boundary of the fourth is one point; all others' reach to the other end
+    assert found.distances[0, :3, 3].min() > 10_000 and found.distances[0, 3, :3].max() < 7**4
+
+
+def test_three_stripes_are_not_wada_whatever_the_resolution():
+    """Two boundaries, 40 apart: that of the middle is both, those of the others are one each."""
+    labels = np.repeat([0, 1, 2], 40)[:, None] * np.ones(60, int)
+    found = wj.merge_regions(labels, 3, halvings=2)
+    assert not found.wada and (found.share > 0).all()
+    assert found.distances[0, 0, 2] == found.distances[0, 2, 0] == found.distances[0, 1, 0] == 40
+    assert found.distances[0, 0, 1] == 0
+    np.testing.assert_array_equal(found.beyond[0], [[0, 0, 1], [0.5, 0, 0.5], [1, 0, 0]])
+    # thin stripes are, within their width
+    assert wj.merge_regions(np.arange(60)[:, None] % 3 * np.ones(60, int), 1, halvings=0).wada
+
+
+def test_a_boundary_is_between_regions_and_not_at_points_of_none():
+    inside, outside = np.zeros((6, 6), bool), np.zeros((6, 6), bool)
+    inside[:2], outside[3:] = True, True  # a row of none is between
+    assert boundary_of(inside, outside)[2].all() and boundary_of(inside, outside).sum() == 6
+    labels = np.where(inside, 0, np.where(outside, 1, -1))
+    labels[3:, 3:] = 2
+    assert wj.merge_regions(labels, 1, halvings=0).labels.tolist() == [0, 1, 2]
+
+
+def test_what_has_no_such_measure_is_refused():
+    with pytest.raises(ValueError, match="side=5"):
+        wj.basin_entropy(np.zeros((2, 2), int))
+    with pytest.raises(ValueError, match="3 regions or more, not of 2"):
+        wj.merge_regions(np.eye(64, dtype=int))
+    with pytest.raises(ValueError, match="halvings=9"):
+        wj.merge_regions(np.arange(4096).reshape(64, 64) % 3, halvings=9)

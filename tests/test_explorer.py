@@ -1,0 +1,600 @@
+"""The explorer's server, without a browser."""
+
+import asyncio
+import html
+import io
+import json
+import math
+import os
+import random
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import explorer_server
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import xarray as xr
+from zarr.storage import ZipStore
+
+import walker_jax as wj
+from walker_jax.cli import main
+from walker_jax.explorer import measures, pictures, service, walks, workers
+from walker_jax.explorer.family import describe_family
+from walker_jax.explorer.guard import MAX_BODY, Bucket
+from walker_jax.explorer.lattice import HOME_CELLS, TILE, Rectangle
+from walker_jax.explorer.subjects import Subject, read_subject
+from walker_jax.walkers.family import WALKERS
+from walker_jax.walkers.parameters import parameters
+
+WHOLE = [[0, i, j] for i in range(HOME_CELLS[0] // TILE) for j in range(HOME_CELLS[1] // TILE)]
+SIMPLEST = {"walker": "simplest", "parameters": {"slope": 0.004}}
+GRID = wj.Grid.sheared(theta=(0, 0.4, 200), sum=(-0.04, 0.01, 250))
+
+
+@pytest.fixture(scope="module")
+def running():
+    with explorer_server.running() as server:
+        yield server
+
+
+@pytest.fixture
+def client(running):
+    return running.client()
+
+
+def subject(name="simplest", section="sheared", **values):
+    return read_subject({"walker": name, "parameters": values, "section": section})
+
+
+def joined(tiles, shape=HOME_CELLS):
+    """Labels and strides of tiles, in the order of `WHOLE`, over the whole grid."""
+    cells = np.stack([np.frombuffer(one, np.uint8).reshape(2, TILE, TILE) for one in tiles])
+    rows = shape[1] // TILE
+    cells = cells.reshape(-1, rows, 2, TILE, TILE).transpose(2, 0, 3, 1, 4)
+    return cells.reshape(2, *shape)
+
+
+# ---------------------------------------------------------------------------- pictures
+
+
+def test_a_picture_is_the_basin(client):
+    attractors, tiles = client.tiles(SIMPLEST | {"tiles": WHOLE})
+    label, strides = joined(tiles)
+    basin = wj.basin(wj.SimplestWalker(0.004), GRID, "direct")
+    fate = basin["fate"].values
+    walks = label >= pictures.FIRST_ATTRACTOR
+    np.testing.assert_array_equal(walks, basin["attractor"].values >= 0)
+    np.testing.assert_array_equal(label[~walks], fate[~walks])
+    # attractors known to the last digit or the last but one: few are a stride sooner there
+    off = np.abs(strides.astype(int) - np.minimum(basin["strides"].values, 255))
+    assert off.max() <= 1 and (off > 0).mean() < 1e-3
+    assert [one["period"] for one in attractors] == [1]
+    np.testing.assert_allclose(attractors[0]["states"], basin["states"].values[0], atol=1e-9)
+    assert (walks.sum() * GRID.cell_area) == pytest.approx(float(basin["area"].sum()), rel=1e-12)
+
+
+@pytest.mark.parametrize("section", ["sheared", "plain"])
+def test_far_in_a_picture_shows_what_strides_do(client, section):
+    """2^14 times as close, where the boundary is fractal: cells followed stride by stride."""
+    level = 14
+    at = np.array([0.19313, 0.01085 - 0.02])
+    home = service.home_of("simplest", section)
+    x = at if section == "sheared" else np.array([at[0], at[1] - at[0]])
+    share = (x - home.lower) / (np.array(home.upper) - home.lower)
+    first = np.floor(share * np.array(HOME_CELLS) * 2.0**level / TILE).astype(int)
+    asked = {"tiles": [[level, *first.tolist()]], "section": section}
+    _, (tile,) = client.tiles(SIMPLEST | asked)
+    label, strides = np.frombuffer(tile, np.uint8).reshape(2, TILE, TILE)
+    width = (np.array(home.upper) - home.lower) / HOME_CELLS / 2.0**level
+    i, j = np.indices((TILE, TILE))
+    places = home.lower + (first * TILE + np.stack([i, j], -1) + 0.5) * width
+    theta = places[..., 0]
+    rate = places[..., 1] - theta if section == "sheared" else places[..., 1]
+    states = np.stack([theta, rate], -1).reshape(-1, 2)
+    fate, count = explorer_server.follow(wj.SimplestWalker(0.004), states, 60)
+    falls = fate > 0
+    # where a rounding error decides, far out on its way, a cell in some hundreds differs
+    same = (label.ravel()[falls] == fate[falls]) & (strides.ravel()[falls] == count[falls])
+    assert same.mean() > 0.995
+    assert (label.ravel()[~falls] >= pictures.FIRST_ATTRACTOR).all()
+
+
+def test_a_cell_map_is_that_of_the_library(client):
+    frames = client.frames(SIMPLEST | {"method": "cell-map", "rectangles": [[0, 0, 0, 200, 250]]})
+    assert [one.kind for one in frames] == [0, 1]
+    attractors = json.loads(frames[0].content)["attractors"]
+    label, strides = np.frombuffer(frames[1].content[4:], np.uint8).reshape(2, 200, 250)
+    basin = wj.basin(wj.SimplestWalker(0.004), GRID)
+    assert [one["artefact"] for one in attractors] == basin["artefact"].values.tolist()
+    number = np.where(label >= 16, label.astype(int) - 16, -1)
+    np.testing.assert_array_equal(number, basin["attractor"].values)
+    np.testing.assert_array_equal(label[label < 16], basin["fate"].values[label < 16])
+    np.testing.assert_array_equal(strides, np.minimum(basin["strides"].values, 255))
+
+
+@pytest.mark.parametrize(
+    ("slope", "periods"),
+    [(0.017, [2]), pytest.param(0.0189, [None], marks=pytest.mark.slow)],
+)
+def test_attractors_without_a_gait_of_period_one(slope, periods):
+    """Past the first doubling, and past the cascade, where one takes all that remain."""
+    about = subject(slope=slope)
+    pictures.label_tiles(about, [pictures.Tile(-2, 0, 0)])
+    assert [one.period for one in pictures.known[about].mapper.attractors] == periods
+
+
+def test_a_picture_that_nobody_waits_for_is_not_computed(running, monkeypatch):
+    asked = threading.Event()
+    computed = []
+
+    def slow(about, tiles):
+        computed.append(len(tiles))
+        asked.set()
+        time.sleep(0.1)
+        return [bytes(2 * TILE * TILE)] * len(tiles)
+
+    running.client().tiles(SIMPLEST | {"tiles": [[0, 0, 0]]})
+    monkeypatch.setattr(pictures, "label_tiles", slow)
+    client = running.client()
+    body = json.dumps(SIMPLEST | {"tiles": [[4, i, 0] for i in range(600)]})
+    headers = {
+        "content-type": "application/json",
+        explorer_server.TOKEN_HEADER: explorer_server.TOKEN,
+    }
+    client.connection.request("POST", "/api/picture", body, headers)
+    assert asked.wait(20)
+    client.connection.close()
+    time.sleep(0.5)
+    before = len(computed)
+    time.sleep(0.5)
+    assert len(computed) == before < 8
+
+
+# ---------------------------------------------------------------------------- walks
+
+
+def test_a_walk_is_that_of_the_library(client):
+    answer = client.ask("/api/walk", SIMPLEST | {"start": [0.2, -0.21645], "strides": 9}).json()
+    made = wj.walk(wj.SimplestWalker(0.004), jnp.array([0.2, -0.21645]), 9)
+    assert [one["outcome"] for one in answer["strides"]] == [0] * 9
+    starts = [one["start"] for one in answer["strides"]]
+    np.testing.assert_allclose(starts, made.states[:-1], rtol=1e-12)
+    np.testing.assert_allclose(answer["next"], made.states[-1], rtol=1e-12)
+    one = answer["strides"][3]
+    times = np.linspace(0, one["duration"], len(one["frames"]))
+    whole = wj.trajectory(wj.SimplestWalker(0.004), jnp.array(one["start"]), times)
+    np.testing.assert_allclose(one["frames"], np.stack(whole, axis=1), atol=1e-7)
+
+
+@pytest.mark.parametrize(("x", "outcome"), [([0.3, -0.5], 1), ([0.3, -0.1], 2), ([-0.1, -0.1], 5)])
+def test_a_fall_is_shown_as_it_happens(client, x, outcome):
+    answer = client.ask("/api/walk", SIMPLEST | {"start": x}).json()
+    last = answer["strides"][-1]
+    assert last["outcome"] == outcome and answer["next"] is None
+    if outcome == 1:
+        assert last["frames"][-1][0] == pytest.approx(-np.pi / 2, abs=0.05)
+    assert np.isfinite(np.array(last["frames"])).all()
+
+
+def hip_velocity(walker, state):
+    """By automatic differentiation of the hip's place."""
+    length, radius = walks.leg_shape(walker)
+
+    def hip(q):
+        return jnp.stack([-radius * q[0] - length * jnp.sin(q[0]), length * jnp.cos(q[0]) + radius])
+
+    q, rates = jnp.asarray(state[:2]), jnp.asarray(state[2:])
+    return jax.jvp(hip, (q,), (rates,))[1]
+
+
+@pytest.mark.parametrize("name", ["point-foot", "round-foot"])
+def test_a_push_does_the_work_of_its_impulse(name):
+    """The kinetic energy grows by the impulse times the mean of the hip's speeds."""
+    walker: Any = subject(name, slope=0.01).walker
+    state, impulse = np.array([0.11, -0.23, -0.2, 0.35]), np.array([0.03, -0.02])
+    after = walks.push(subject(name, slope=0.01), state, impulse)
+    np.testing.assert_array_equal(after[:2], state[:2])
+    energy = lambda values: float(walker.energy(wj.State(*map(jnp.asarray, values))))
+    mean = (hip_velocity(walker, state) + hip_velocity(walker, after)) / 2
+    assert energy(after) - energy(state) == pytest.approx(
+        float(impulse @ np.asarray(mean)), rel=1e-9
+    )
+
+
+def test_a_push_of_a_leg_without_mass_is_the_limit():
+    state, impulse = np.array([0.11, -0.23, -0.2, 0.35]), np.array([0.03, -0.02])
+    limit = walks.push(subject(), state, impulse)
+    near = [walks.push(subject("point-foot", foot_mass=m), state, impulse) for m in (1e-5, 1e-6)]
+    errors = [np.abs(one - limit).max() for one in near]
+    assert errors[0] < 1e-5 and errors[1] == pytest.approx(errors[0] / 10, rel=0.01)
+
+
+@pytest.mark.slow  # a walker with knees takes long to compile
+def test_a_walker_with_knees_bends_them():
+    about = subject("kneed")
+    gait = np.array(service.home_of("kneed", "sheared").gait)
+    (made,) = walks.follow(about, gait, 1)["strides"]
+    motion = wj.motion(about.walker, gait, 1)
+    bent, frames = np.array(made["bent"]), np.array(made["frames"])
+    assert made["outcome"] == 0 and len(bent) == len(frames)
+    knee = (motion["swing_knee"] - motion["hip"]).values
+    np.testing.assert_allclose(bent[[0, -1], :2], knee[[0, -1]], atol=1e-6)
+    assert bent[:, 3].max() > -0.95 * motion.attrs["leg_length"]  # it is bent in between
+    with pytest.raises(ValueError, match="knees cannot be pushed"):
+        walks.push(about, frames[5], np.array([0.01, 0.0]))
+
+
+def test_a_pushed_walker_goes_on(client):
+    asked = SIMPLEST | {"start": [0.05, -0.1, -0.15, -0.5], "push": [0.001, 0.0], "strides": 3}
+    answer = client.ask("/api/walk", asked).json()
+    pushed = walks.push(subject(), np.array(asked["start"]), np.array(asked["push"]))
+    np.testing.assert_allclose(answer["strides"][0]["start"], pushed, rtol=1e-12)
+    ends = wj.stride(wj.SimplestWalker(0.004), jnp.asarray(pushed))
+    assert answer["strides"][0]["outcome"] == int(ends.outcome)
+
+
+# ---------------------------------------------------------------------------- measures, copies
+
+
+def test_gaits_and_area_for_the_page():
+    found = measures.gaits(subject())
+    stable = [one for one in found if one["stable"]]
+    assert [one["period"] for one in stable] == [1]
+    gait = wj.find_gait(wj.SimplestWalker(0.004))
+    np.testing.assert_allclose(stable[0]["states"], gait.states, atol=1e-10)
+    values = [complex(*one) for one in stable[0]["multipliers"]]
+    np.testing.assert_allclose(values, gait.multipliers, atol=1e-7)
+    area = measures.area(subject(), Rectangle(-1, (0, 0), (100, 125)))
+    assert abs(area["area"] - 0.0012073) < 5 * area["error"] + 1e-6  # of every cell of 800 x 1000
+    assert json.dumps([found, area], allow_nan=False)
+
+
+@pytest.mark.slow
+def test_the_measures_that_take_long():
+    found = measures.disturbance(subject())
+    exact = wj.least_disturbance(wj.SimplestWalker(0.004))
+    assert found["size"] == exact.size and found["failure"] == int(exact.failure)
+    np.testing.assert_allclose(found["gait"], exact.state - exact.size * exact.direction)
+    diagram = measures.bifurcation(subject())
+    assert json.dumps(diagram, allow_nan=False)
+    cascade = [one["slope"] for one in diagram["events"] if one["cascade"] and not one["fold"]]
+    assert min(cascade) == pytest.approx(0.01508843794, abs=1e-9)
+    assert diagram["lost"][0] == pytest.approx(
+        0.01904, abs=1e-4
+    )  # of walkers that make 600 strides
+
+
+@pytest.mark.parametrize("method", ["direct", "cell-map"])
+def test_the_copied_words_give_the_data_of_the_picture(
+    client, method, tmp_path, monkeypatch, capsys
+):
+    """The command, the program and the download, of a window off the home one."""
+    cells = [1, 130, 300, 60, 40]
+    asked = SIMPLEST | {"method": method, "cells": cells}
+    words = client.ask("/api/words", asked).json()
+    names = {}
+    exec(compile(words["python"], "copied", "exec"), names)
+    basin = names["basin"]
+    assert basin["fate"].shape == (60, 40)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("walker_jax.cli.startup.keep_compiled", lambda: None)
+    monkeypatch.setattr("walker_jax.cli.basin_command.draw", lambda *_: None)
+    monkeypatch.setattr(sys, "argv", words["command"].split())
+    with pytest.raises(SystemExit) as stop:
+        main.main()
+    assert stop.value.code == 0, capsys.readouterr()
+    (store,) = tmp_path.glob("basin-*.zarr")
+    with xr.open_zarr(store, consolidated=False) as data:
+        for name in ("fate", "attractor", "strides"):
+            np.testing.assert_array_equal(data[name], basin[name])
+    packed = measures.data(subject(), Rectangle(1, (130, 300), (60, 40)), method)
+    (tmp_path / "data.zip").write_bytes(packed)
+    with ZipStore(tmp_path / "data.zip", mode="r") as place:
+        data = xr.open_zarr(place, consolidated=False).load()
+    assert data.identical(basin.assign_attrs(data.attrs)) and data.attrs == basin.attrs
+    # and the picture itself
+    if method == "direct":
+        _, tiles = client.tiles(SIMPLEST | {"tiles": [[1, i, j] for i in (2, 3) for j in (6,)]})
+        label = np.concatenate([np.frombuffer(t, np.uint8).reshape(2, 50, 50)[0] for t in tiles])
+        shown = label[30:90, 0:40]
+    else:
+        frames = client.frames(SIMPLEST | {"method": method, "rectangles": [cells]})
+        shown = np.frombuffer(frames[1].content[4:], np.uint8).reshape(2, 60, 40)[0]
+    number = np.where(shown >= 16, shown.astype(int) - 16, -1)
+    np.testing.assert_array_equal(number >= 0, basin["attractor"] >= 0)
+    np.testing.assert_array_equal(shown[number < 0], basin["fate"].values[number < 0])
+
+
+@pytest.mark.slow  # the gait of a walker with heavy legs takes long to compile
+def test_the_command_of_a_slice_names_its_plane():
+    asked = {"walker": "round-foot", "at": {"phidot": -0.02}, "cells": [0, 0, 0, 20, 20]}
+    about = read_subject(asked)
+    words = service.copies.describe(about, Rectangle(0, (0, 0), (20, 20)), "direct")
+    assert " --at-phidot -0.02 " in words["command"] and "phidot=-0.02" in words["python"]
+
+
+def test_the_page_knows_every_walker_and_parameter():
+    told = describe_family()
+    assert json.dumps(told, allow_nan=False)
+    for name, kind in WALKERS.items():
+        shown = told["walkers"][name]["parameters"]
+        assert [one["name"] for one in shown] == [one.name for one in parameters(kind)]
+        for one, parameter in zip(shown, parameters(kind), strict=True):
+            assert one["low"] <= one["default"] <= one["high"] and one["low"] < one["high"]
+            parameter.convert(one["low"])
+            parameter.convert(one["high"])
+
+
+# ---------------------------------------------------------------------------- workers
+
+
+def test_a_worker_is_interrupted_and_stays():
+    async def use():
+        crew = workers.Workers(1)
+        try:
+            assert await crew.ask(math.sqrt, 4.0) == 2.0
+            pid = crew.all[0].process.pid
+            sleep = asyncio.create_task(crew.ask(time.sleep, 60.0))
+            second = asyncio.create_task(crew.ask(time.sleep, 60.0))
+            await asyncio.sleep(0.3)
+            sleep.cancel()
+            await asyncio.sleep(0.3)
+            assert crew.idle == []  # the other one still waits for the same
+            second.cancel()
+            start = time.monotonic()
+            assert await crew.ask(math.sqrt, 9.0) == 3.0
+            assert time.monotonic() - start < 30 and crew.all[0].process.pid == pid
+            with pytest.raises(workers.Failure, match="math domain error"):
+                await crew.ask(math.sqrt, -1.0)
+            with pytest.raises(workers.Failure, match="has died"):
+                await crew.ask(os._exit, 1)
+            assert await crew.ask(math.sqrt, 16.0) == 4.0
+        finally:
+            crew.stop()
+
+    asyncio.run(use())
+
+
+# ---------------------------------------------------------------------------- strangers
+
+
+def test_strangers_are_refused(running, client):
+    host = f"127.0.0.1:{running.port}"
+    refused = lambda **headers: client.ask("/api/about", **headers).status
+    assert refused() == 200
+    assert refused(x_walker_token="wrong") == refused(x_walker_token="") == 403
+    assert refused(host="evil.example") == refused(host=f"evil.example:{running.port}") == 403
+    assert refused(host="127.0.0.1:1") == refused(host="") == 403
+    assert refused(origin="http://evil.example") == refused(origin="null") == 403
+    assert refused(origin=f"https://{host}") == 403
+    assert refused(origin=f"http://{host}") == refused(host=f"localhost:{running.port}") == 200
+    assert client.ask("/", host="evil.example").status == 403
+    assert client.ask("/", x_walker_token="").status == 200  # the page itself holds no secret
+    long = json.dumps({"walker": "x" * MAX_BODY}).encode()
+    assert client.send("/api/home", long).status == 413
+    assert running.client().send("/api/home", b"{}", content_type="text/plain").status == 400
+    for path in ("/page/../service.py", "/page/%2e%2e%2fservice.py", "/etc/passwd", "/api/x"):
+        assert client.send(path).status == 404
+    answer = client.ask("/api/home", {"walker": "simplest", "parameters": {"slope": -1.0}})
+    assert answer.status == 400 and answer.json()["parameter"] == "slope"
+    assert answer.json()["error"] == "slope must be above 0 and below 1.5708, not -1.0"
+    crossed = {"walker": "round-foot", "parameters": {"foot_radius": 1.2}}
+    assert client.ask("/api/home", crossed).json()["parameter"] == "foot_radius"
+
+
+def test_a_body_that_does_not_tell_its_length_is_bounded_too(running):
+    client = running.client()
+    chunks = iter([b" " * 40_000] * 3)
+    headers = {
+        "content-type": "application/json",
+        explorer_server.TOKEN_HEADER: explorer_server.TOKEN,
+    }
+    client.connection.request("POST", "/api/home", chunks, headers, encode_chunked=True)
+    assert client.connection.getresponse().status == 413
+
+
+def test_the_rate_of_requests_is_bounded():
+    now = [0.0]
+    bucket = Bucket(10.0, 3.0, lambda: now[0])
+    assert [bucket.take() for _ in range(4)] == [True, True, True, False]
+    now[0] += 0.1
+    assert [bucket.take() for _ in range(2)] == [True, False]
+    now[0] += 1e9
+    assert sum(bucket.take() for _ in range(10)) == 3
+
+
+def test_every_file_of_the_page_is_served_and_names_no_other_host(client):
+    files = service.page_files()
+    assert {"index.html", "style.css", "main.js", "icon.svg"} <= set(files)
+    for name, (content, _) in files.items():
+        assert client.send(f"/page/{name}").body == content
+        addresses = re.findall(rb"https?://[^\s\"'`)]+", content)
+        assert set(addresses) <= {b"http://www.w3.org/2000/svg"}, name
+        imported = re.findall(rb'(?:from|import) "\./([\w.]+)"', content)
+        assert {one.decode() for one in imported} <= set(files)
+
+
+# ---------------------------------------------------------------------------- fuzz and load
+
+SENSELESS = [
+    *(None, True, -1, 0, 1.5, 1e308, 2**70, float("nan"), float("inf")),
+    *("", "simplest", "\ud800", "../x", "__import__('os')"),
+    *([], [[]], {}, {"slope": "x"}, [1] * 50, [[0, 0, 0]], [[99, 0, 0]], [[0, 2**60, 0]]),
+]
+PATHS = [
+    "home",
+    "picture",
+    "walk",
+    "words",
+    "data",
+    "measure/area",
+    "measure/x",
+    "about",
+    "nothing",
+]
+ALLOWED = {200, 400, 403, 404, 405, 413, 422}
+
+
+def malformed(rng):
+    """A request that is wrong in some way, or in none by chance."""
+    asked = {
+        "walker": "simplest",
+        "parameters": {"slope": 0.004},
+        "tiles": [[-3, 0, 0]],
+        "start": [0.2, -0.21],
+        "cells": [0, 0, 0, 3, 3],
+    }
+    for _ in range(rng.randint(1, 3)):
+        name = rng.choice([*asked, "section", "method", "at", "push", "strides", "rectangles"])
+        asked[name] = rng.choice(SENSELESS)
+    body = json.dumps(asked).encode()
+    kind = rng.random()
+    if kind < 0.1:
+        return body[: rng.randint(0, len(body))]
+    if kind < 0.2:
+        return bytes(rng.randrange(256) for _ in range(rng.randint(0, 200)))
+    if kind < 0.25:
+        return b"[" * 30_000
+    return json.dumps(rng.choice(SENSELESS)).encode() if kind < 0.35 else body
+
+
+def fuzz(running, count, seed):
+    client, rng = running.client(), random.Random(seed)
+    statuses = {}
+    for _ in range(count):
+        path, body = rng.choice(PATHS), malformed(rng)
+        if path in ("data", "measure/area") and b'"cells": [0, 0, 0, 3, 3]' in body:
+            continue  # right by chance, and a worker's
+        answer = client.send(
+            f"/api/{path}", body, rng.choice(["POST", "POST", "POST", "PUT", "GET"])
+        )
+        assert answer.status in ALLOWED, (path, body, answer)
+        if answer.status != 200 and answer.status != 405:
+            reason = answer.json()["error"]
+            assert reason and "Traceback" not in reason and "\n" not in reason
+        statuses[answer.status] = statuses.get(answer.status, 0) + 1
+    assert client.ask("/api/alive").json() == {"alive": True}
+    assert statuses[400] > count / 4
+    return statuses
+
+
+def test_malformed_requests_are_refused_in_one_sentence(running, caplog):
+    fuzz(running, 500, 0)
+    assert not caplog.records
+
+
+@pytest.mark.slow
+def test_thousands_of_malformed_requests(running, caplog):
+    fuzz(running, 20_000, 1)
+    assert not caplog.records
+
+
+def drag(running, seconds, clients=8):
+    """Clients that drag at once, each with a picture of its own at the end."""
+    ends, failures, pictures_made = {}, [], []
+
+    def hand(number):
+        rng, client = random.Random(number), running.client()
+        stop = time.monotonic() + seconds
+        try:
+            while time.monotonic() < stop:
+                slope = round(rng.uniform(0.003, 0.012), 5)
+                client.tiles(
+                    {"walker": "simplest", "parameters": {"slope": slope}, "tiles": WHOLE[:4]}
+                )
+                pictures_made.append(1)
+            slope = 0.004 + 0.0005 * number
+            asked = {"walker": "simplest", "parameters": {"slope": slope}, "tiles": WHOLE}
+            ends[slope] = client.tiles(asked)[1]
+        except Exception as error:
+            failures.append(error)
+
+    threads = [threading.Thread(target=hand, args=(i,)) for i in range(clients)]
+    for one in threads:
+        one.start()
+    for one in threads:
+        one.join()
+    assert not failures and len(ends) == clients
+    for slope, tiles in ends.items():
+        fate = wj.basin(wj.SimplestWalker(slope), GRID, "direct")["fate"].values
+        label, _ = joined(tiles)
+        walks = label >= pictures.FIRST_ATTRACTOR
+        np.testing.assert_array_equal(np.where(walks, 0, label), fate)
+    return len(pictures_made)
+
+
+def test_clients_that_drag_at_once_all_get_their_pictures(running):
+    assert drag(running, 1.0, clients=3) >= 3
+
+
+def resident() -> int:
+    """Bytes of memory of this process."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="the memory is read from /proc")
+def test_eight_clients_drag_for_a_minute_in_flat_memory(running):
+    drag(running, 10)
+    before = resident()
+    drag(running, 60)
+    assert resident() - before < 60e6
+
+
+# ---------------------------------------------------------------------------- the command
+
+
+def test_help_and_import_load_no_server():
+    program = (
+        "import sys, walker_jax\n"
+        "from walker_jax.cli.app import app\n"
+        "loaded = [name for name in ('starlette', 'uvicorn', 'jax') if name in sys.modules]\n"
+        "assert not loaded, loaded\n"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)
+
+
+def test_only_a_walker_of_the_family_is_explored():
+    class Own(wj.SimplestWalker):
+        pass
+
+    with pytest.raises(ValueError, match=r"walker must be one of SimplestWalker, .* not a Own"):
+        wj.explore(Own(0.004))
+    with pytest.raises(ValueError, match="height must be at least 100"):
+        wj.explore(wj.SimplestWalker(0.004), height=1)
+
+
+def test_a_notebook_shows_the_page_of_the_command_in_a_frame(monkeypatch):
+    """The command prints its link, serves, and ends on an interrupt."""
+    monkeypatch.setenv("WALKER_JAX_TOKEN", explorer_server.TOKEN)
+    shown = wj.explore(wj.SpringWalker(0.005, 1.5), height=500)
+    try:
+        link = r"http://127\.0\.0\.1:(\d+)/\?token=(.*)#walker=spring&slope=0.005&hip_stiffness=1.5"
+        found = re.fullmatch(link, shown.link)
+        assert found and found[2] == explorer_server.TOKEN
+        frame = shown._repr_html_()
+        assert 'height="500"' in frame and html.escape(shown.link) in frame
+        client = explorer_server.Client(int(found[1]))
+        assert client.ask("/api/alive").json() == {"alive": True}
+        client.connection.close()
+        shown.process.send_signal(signal.SIGINT)
+        assert shown.process.wait(60) == 130
+    finally:
+        shown.close()
+    with pytest.raises(ConnectionError):
+        client.ask("/api/alive")
+
+
+def test_a_subject_is_one_key():
+    assert subject(slope=0.004) == subject() and hash(subject()) == hash(subject())
+    assert isinstance(subject(), Subject) and subject().parameters == {"slope": 0.004}
+    assert zipfile.is_zipfile(io.BytesIO(measures.zipped(xr.Dataset({"x": 1}))))

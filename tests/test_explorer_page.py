@@ -1,0 +1,412 @@
+"""The explorer's page in a browser, Debian's Chromium, by Playwright.
+
+Without a browser these tests are skipped, with the reason; where `WALKER_JAX_REQUIRE_BROWSER` is
+set, as `.ci/run` does, they fail.
+"""
+
+import os
+import shutil
+import time
+from functools import partial
+
+import explorer_server
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import xarray as xr
+from playwright.sync_api import sync_playwright
+from zarr.storage import ZipStore
+
+import walker_jax as wj
+from walker_jax.explorer import pictures
+
+CHROMIUM = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
+REQUIRED = "WALKER_JAX_REQUIRE_BROWSER"
+WIDE, NARROW = {"width": 1280, "height": 800}, {"width": 400, "height": 860}
+SECONDS = 90
+"""For which a page may take, on a machine that others use."""
+AREA = 0.0012073
+"""Of the basin at slope 0.004 in the home window, by `refine` on 4 levels."""
+MEASURED = {
+    "gaits": [],
+    "area": {"area": AREA, "error": 1e-6},
+    "disturbance": {
+        "size": 0.002256,
+        "gait": [0.15338956, -0.15608015],
+        "failure": 1,
+        "strides": 18,
+    }
+    | {"state": [0.15496238, -0.15446256]},
+}
+"""What workers would compute in the time that a page is open: some seconds of two processors."""
+
+
+@pytest.fixture(scope="module")
+def running():
+    with explorer_server.running() as server:
+        yield server
+
+
+@pytest.fixture(scope="module")
+def browser():
+    if CHROMIUM is None:
+        reason = "the page is tested in Chromium, which is not installed: apt-get install chromium"
+        if os.environ.get(REQUIRED):
+            pytest.fail(reason)
+        pytest.skip(reason)
+    with sync_playwright() as playwright:
+        # --no-sandbox: Chromium refuses to run as root, as in a container, with it
+        found = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield found
+        found.close()
+
+
+def fulfil(found, route):
+    """Answer a request in the server's place."""
+    route.fulfill(json=found)
+
+
+class Page:
+    """The page, and all that it has said and asked for."""
+
+    def __init__(self, browser, port, state="", *, measured=MEASURED, **options):
+        self.context = browser.new_context(**{"viewport": WIDE, "accept_downloads": True} | options)
+        self.context.grant_permissions(["clipboard-read", "clipboard-write"])
+        self.page = self.context.new_page()
+        self.said, self.addresses = [], []
+        self.page.on("console", lambda message: self.said.append(message.text))
+        self.page.on("pageerror", lambda error: self.said.append(str(error)))
+        self.page.on("request", lambda request: self.addresses.append(request.url))
+        self.port = port
+        for kind, found in measured.items():
+            self.page.route(f"**/api/measure/{kind}", partial(fulfil, found))
+        self.page.goto(f"http://127.0.0.1:{port}/?token={explorer_server.TOKEN}#{state}")
+        self.finished()
+
+    def value(self, expression):
+        return self.page.evaluate(expression)
+
+    def wait(self, expression, seconds=SECONDS):
+        """Wait until an expression holds; the page's policy lets Playwright's own wait not run."""
+        stop = time.monotonic() + seconds
+        while time.monotonic() < stop:
+            if self.value(expression):
+                return
+            self.page.wait_for_timeout(20)
+        raise AssertionError(f"not within {seconds} s: {expression}; {self.said}")
+
+    def finished(self):
+        """Wait for the whole picture."""
+        self.wait("Boolean(window.explorer?.picture.layer) && explorer.picture.progress === 1")
+
+    def shown(self, selector):
+        return self.page.locator(selector).inner_text()
+
+    def box(self, selector="#map"):
+        return self.page.locator(selector).bounding_box()
+
+    def screen(self, theta, total):
+        """Where a point of the sheared section is on the screen."""
+        at = self.value(f"explorer.map.toScreen(...explorer.map.places([{theta}, {total}]))")
+        box = self.box()
+        return box["x"] + at[0], box["y"] + at[1]
+
+    def set_slope(self, slope):
+        self.page.fill("#parameters .typed", str(slope))
+        self.wait(f"JSON.parse(explorer.picture.layer.key).parameters.slope === {slope}")
+        self.finished()
+
+    def close(self):
+        assert not self.said
+        own = (f"http://127.0.0.1:{self.port}/", "blob:", "data:")
+        assert all(address.startswith(own) for address in self.addresses)
+        self.context.close()
+
+
+@pytest.fixture
+def opened(browser, running):
+    pages = []
+
+    def open_page(state="", **options):
+        pages.append(Page(browser, running.port, state, **options))
+        return pages[-1]
+
+    yield open_page
+    for one in pages:
+        one.close()
+
+
+CELLS = """(() => {
+  const {picture, map} = explorer, found = picture.cells(map.view);
+  return {level: found.level, all: found.all, area: explorer.lattice.cellArea(found.level)};
+})()"""
+
+
+def area_of(page):
+    found = page.value(CELLS)
+    walking = sum(label >= pictures.UNMATCHED for _, _, label in found["all"])
+    return walking * found["area"], len(found["all"])
+
+
+def test_the_basin_follows_the_slope(opened):
+    page = opened("walker=simplest&slope=0.004")
+    area, cells = area_of(page)
+    assert cells == 50_000
+    basin = lambda slope: wj.basin(
+        wj.SimplestWalker(slope),
+        wj.Grid.sheared(theta=(0, 0.4, 200), sum=(-0.04, 0.01, 250)),
+        "direct",
+    )
+    assert area == pytest.approx(float(basin(0.004)["area"].sum()), rel=1e-12)
+    assert area == pytest.approx(AREA, rel=0.01)
+    # drag the slider, and let go: the picture is that of the value it has then
+    box = page.box("#parameters [type=range]")
+    middle = box["y"] + box["height"] / 2
+    page.page.mouse.move(box["x"] + 0.21 * box["width"], middle)
+    page.page.mouse.down()
+    for share in np.linspace(0.22, 0.5, 12):
+        page.page.mouse.move(box["x"] + share * box["width"], middle)
+    page.page.mouse.up()
+    slope = page.value("explorer.state.parameters.slope")
+    assert slope > 0.008
+    page.wait(f"JSON.parse(explorer.picture.layer.key).parameters.slope === {slope}")
+    page.finished()
+    assert area_of(page)[0] == pytest.approx(float(basin(slope)["area"].sum()), rel=1e-12)
+    page.wait("location.hash.includes('slope=' + explorer.state.parameters.slope)")
+    # what it says, and a wrong value: a sentence, and the last good picture
+    page.page.fill("#parameters .typed", "-1")
+    page.wait("document.querySelector('.error').textContent !== ''")
+    assert page.shown(".error") == "slope must be above 0 and below 1.5708, not -1.0"
+    assert area_of(page)[0] == pytest.approx(float(basin(slope)["area"].sum()), rel=1e-12)
+    page.said.clear()  # Chromium's own words on the status 400
+
+
+def test_a_start_walks_or_falls_as_it_must(opened):
+    page = opened("walker=simplest&slope=0.004")
+    gait = wj.find_gait(wj.SimplestWalker(0.004)).states[0]
+    page.page.mouse.move(*page.screen(0.16, -0.004))
+    page.wait(
+        "document.querySelector('#hover').textContent.includes('walks: at the gait of period 1')"
+    )
+    page.page.select_option("#speed", "5")
+    page.page.mouse.click(*page.screen(0.16, -0.004))
+    page.wait("explorer.walk.current?.number >= 6")  # it walks on, and more strides are asked for
+    start = page.value("explorer.walk.start")
+    page.wait("explorer.walk.strides.length > 12")
+    strides = page.value("explorer.walk.strides.map((one) => one.start)")
+    made = wj.walk(wj.SimplestWalker(0.004), jnp.array(start), 12)
+    np.testing.assert_allclose(strides[:12], made.states[:12], rtol=1e-9)
+    assert np.abs(np.array(strides[12]) - gait).max() < 0.01
+    # pause, and push it over by its hip
+    page.page.click("#play")
+    page.wait("!explorer.walk.playing")
+    hip = page.value("explorer.stage.hip")
+    box = page.box("#stage")
+    x, y = box["x"] + hip[0], box["y"] + hip[1]
+    page.page.mouse.move(x, y)
+    page.page.mouse.down()
+    page.page.mouse.move(x - 150, y, steps=4)
+    page.page.mouse.up()
+    page.wait("explorer.walk.pushes === 1")
+    page.wait("explorer.walk.over && !explorer.walk.playing")
+    assert page.shown("#walk-note").lower().startswith("falls backward")
+    # a start from which it falls forward, after as many strides as the hover says
+    page.page.mouse.move(*page.screen(0.3, -0.035))
+    page.wait("document.querySelector('#hover').textContent.includes('falls forward')")
+    page.page.mouse.click(*page.screen(0.3, -0.035))
+    page.wait("explorer.walk.start[0] > 0.29")
+    page.wait("explorer.walk.over && explorer.walk.time >= explorer.walk.strides.at(-1)?.ends")
+    page.wait("!explorer.walk.playing")
+    assert page.shown("#walk-note").lower().startswith("falls forward")
+    start = page.value("explorer.walk.start")
+    assert int(wj.stride(wj.SimplestWalker(0.004), jnp.array(start)).outcome) == wj.Outcome.FORWARD
+    page.page.keyboard.press("Tab")
+
+
+def test_zooming_in_ten_thousand_times_and_panning(opened):
+    page = opened("walker=simplest&slope=0.004")
+    at = page.screen(0.193, -0.0138)
+    page.page.mouse.move(*at)
+    while page.value("explorer.map.view.zoom") < np.log2(1e4):
+        page.page.mouse.wheel(0, -400)
+        page.page.wait_for_timeout(15)
+    page.finished()
+    found = page.value(CELLS)
+    assert found["level"] >= 13
+    lattice = page.value("({lower: explorer.lattice.lower, upper: explorer.lattice.upper})")
+    low, high = np.array(lattice["lower"]), np.array(lattice["upper"])
+    cells = np.array(found["all"], float)
+    cells = cells[np.random.default_rng(0).choice(len(cells), 400, replace=False)]
+    places = low + (cells[:, :2] + 0.5) * (high - low) / (200, 250) / 2.0 ** found["level"]
+    assert np.abs(places - (0.193, -0.0138)).max() < 1e-3
+    states = np.stack([places[:, 0], places[:, 1] - places[:, 0]], axis=1)
+    labels, _ = explorer_server.follow(wj.SimplestWalker(0.004), states, 60)
+    shown = np.where(cells[:, 2] >= pictures.UNMATCHED, 0, cells[:, 2])
+    assert (shown == labels).mean() > 0.99
+    # pan by a drag: a place follows the hand
+    before = page.value("explorer.map.view.centre")
+    page.page.mouse.down()
+    page.page.mouse.move(at[0] + 80, at[1] + 30, steps=5)
+    page.page.mouse.up()
+    after = page.value("explorer.map.view.centre")
+    width = page.value("2 * explorer.lattice.half(explorer.map.view, 0) / explorer.map.box.width")
+    assert before[0] - after[0] == pytest.approx(80 * width, rel=1e-6)
+    assert page.value("explorer.walk.strides.length") == 0  # a drag is no click
+    page.finished()
+    page.page.click("#zoom-home")
+    page.finished()
+    assert page.value("explorer.map.view.zoom") == 0
+
+
+@pytest.mark.slow
+def test_facts_come_in(opened):
+    page = opened("walker=simplest&slope=0.004", measured={})
+    page.wait(
+        "document.querySelector('#fact-disturbance').textContent.startsWith('0.0022562')", 300
+    )
+    assert page.shown("#fact-disturbance").endswith("falls forward after 18 strides")
+    page.wait("document.querySelector('#fact-area').textContent.includes('±')")
+    assert page.shown("#fact-area").startswith("(1.206")
+    page.wait("document.querySelector('#fact-multipliers').textContent.includes('0.6339')")
+
+
+def test_the_link_and_what_is_taken_away(opened, tmp_path):
+    page = opened("walker=simplest&slope=0.006&method=cell-map&view=120,130,1")
+    page.page.click("#copy-python")
+    page.wait("document.querySelector('#toast').textContent === 'Python copied'")
+    names = {}
+    exec(compile(page.value("navigator.clipboard.readText()"), "copied", "exec"), names)
+    basin = names["basin"]
+    assert basin.attrs["walker_slope"] == 0.006 and basin.attrs["method"] == "cell-map"
+    found = page.value(CELLS)
+    shown = np.array([label for _, _, label in found["all"]])
+    columns, rows = (len({cell[k] for cell in found["all"]}) for k in (0, 1))
+    if basin["fate"].shape == (columns, rows):
+        walks = basin["attractor"].values.ravel() >= 0
+        np.testing.assert_array_equal(shown >= pictures.FIRST_ATTRACTOR, walks)
+    page.page.click("#copy-command")
+    page.wait("document.querySelector('#toast').textContent === 'Command copied'")
+    command = page.value("navigator.clipboard.readText()")
+    assert command.startswith("walker-jax basin --walker simplest --slope 0.006 --theta ")
+    for button, name in (("#save-picture", ".png"), ("#save-data", ".zarr.zip")):
+        with page.page.expect_download(timeout=1000 * SECONDS) as download:
+            page.page.click(button)
+        assert download.value.suggested_filename.endswith(name)
+        download.value.save_as(tmp_path / f"taken{name}")
+    assert (tmp_path / "taken.png").read_bytes().startswith(b"\x89PNG")
+    with ZipStore(tmp_path / "taken.zarr.zip", mode="r") as place:
+        data = xr.open_zarr(place, consolidated=False).load()
+    np.testing.assert_array_equal(data["fate"], basin["fate"])
+    page.wait("location.hash.includes('view=')")
+    other = opened(page.value("location.hash.slice(1)"))
+    assert other.value("explorer.map.view") == page.value("explorer.map.view")
+    assert other.value(CELLS) == found
+
+
+def test_hands_on_keys_alone(opened):
+    page = opened("walker=simplest&slope=0.004")
+    page.page.focus("#map")
+    for key in ("ArrowLeft", "ArrowLeft", "ArrowUp", "+"):
+        page.page.keyboard.press(key)
+    assert page.value("explorer.map.view.zoom") == 0.5
+    assert "θ" in page.shown("#hover")
+    page.page.keyboard.press("Enter")
+    page.wait("explorer.walk.strides.length > 0")
+    page.page.keyboard.press("0")
+    assert page.value("explorer.map.view.zoom") == 0
+    playing = page.value("explorer.walk.playing")
+    page.page.keyboard.press(" ")
+    page.wait(f"explorer.walk.playing !== {str(playing).lower()}")
+    controls = "button, input, select, canvas"
+    unnamed = page.value(f"""[...document.querySelectorAll("{controls}")].filter((one) =>
+      !one.getAttribute("aria-label") && !one.textContent.trim() && !one.labels?.length).length""")
+    assert unnamed == 0
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_every_width_and_theme(opened, theme, tmp_path):
+    page = opened("walker=simplest&slope=0.004", color_scheme=theme)
+    ground = page.value("getComputedStyle(document.body).backgroundColor")
+    light = sum(map(int, ground[4:-1].split(","))) / 3
+    assert (light > 128) == (theme == "light")
+    for viewport in (WIDE, NARROW):
+        page.page.set_viewport_size(viewport)
+        page.page.wait_for_timeout(100)
+        page.finished()
+        assert page.value("document.documentElement.scrollWidth") <= viewport["width"]
+        for one in page.page.locator("button:visible, select:visible").all():
+            box = one.bounding_box()
+            assert box["x"] >= 0 and box["x"] + box["width"] <= viewport["width"] + 0.5
+        page.page.screenshot(path=tmp_path / "page.png", full_page=True)
+        assert (tmp_path / "page.png").stat().st_size > 20_000
+
+
+def test_fingers_zoom_and_pan(opened):
+    page = opened("walker=simplest&slope=0.004", viewport=NARROW, has_touch=True, is_mobile=True)
+    session = page.context.new_cdp_session(page.page)
+    box = page.box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+    def touch(kind, *points):
+        fingers = [{"x": a, "y": b, "id": i} for i, (a, b) in enumerate(points)]
+        session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": fingers})
+
+    touch("touchStart", (x - 30, y), (x + 30, y))
+    for d in range(35, 65, 5):
+        touch("touchMove", (x - d, y), (x + d, y))
+    touch("touchEnd")
+    assert page.value("explorer.map.view.zoom") == pytest.approx(1, abs=0.1)
+    assert page.value("explorer.walk.strides.length") == 0
+    page.finished()
+    page.page.touchscreen.tap(x, y)
+    page.wait("explorer.walk.strides.length > 0")
+
+
+def test_a_server_that_goes_and_comes_back(browser):
+    with explorer_server.running() as first:
+        page = Page(browser, first.port, "walker=simplest&slope=0.004")
+    page.page.fill("#parameters .typed", "0.005")
+    page.wait("!document.querySelector('#gone').hidden")
+    assert page.shown("#gone").startswith("The server does not answer.")
+    with explorer_server.running(first.port):
+        page.wait("document.querySelector('#gone').hidden")
+        page.wait("JSON.parse(explorer.picture.layer.key).parameters.slope === 0.005")
+        page.finished()
+        page.said.clear()  # Chromium's own words on refused connections
+        page.close()
+
+
+def test_a_link_of_another_server_is_told_apart(browser, running):
+    context = browser.new_context()
+    page = context.new_page()
+    page.goto(f"http://127.0.0.1:{running.port}/?token=another")
+    page.wait_for_selector("#gone:not([hidden])")
+    assert "the token is not that of this server" in page.locator("#gone").inner_text()
+    context.close()
+
+
+def test_the_bifurcation_tab_has_the_slope_in_it(opened):
+    """The diagram itself is tested without a browser."""
+    made_up = {
+        "range": [0.001, 0.022],
+        "branches": [
+            {"period": 1, "slope": [0.001, 0.02], "theta": [[0.1, 0.25]], "stable": [1, 0]}
+        ],
+        "points": [[0.001 + 0.0001 * k, 0.1 + 0.001 * k] for k in range(150)],
+        "lost": [0.019, 0.0191],
+        "events": [{"slope": 0.0151, "fold": False, "theta": 0.23, "cascade": True}],
+    }
+    page = opened("walker=simplest&slope=0.004")
+    page.page.route("**/api/measure/bifurcation", lambda route: route.fulfill(json=made_up))
+    page.page.click("#tab-bifurcation")
+    page.wait("document.querySelector('#diagram-note').textContent.includes('lost near 0.019')")
+    box = page.box("#diagram")
+    page.page.mouse.click(box["x"] + 70 + 0.5 * (box["width"] - 84), box["y"] + 100)
+    slope = page.value("explorer.state.parameters.slope")
+    assert slope == pytest.approx(0.0115, abs=1e-4)
+    page.wait("location.hash.includes('tab=bifurcation')")
+    page.page.click("#tab-basin")
+    page.wait(f"JSON.parse(explorer.picture.layer.key).parameters.slope === {slope}")
+    page.finished()

@@ -1,0 +1,41 @@
+"""Kernels that are switched off, or compiled for another processor, give the same answers."""
+
+import jax
+import llvmlite.binding as llvm
+import numpy as np
+import pytest
+
+from walker_jax.execution.tiles import map_cells
+from walker_jax.kernels import machine
+from walker_jax.kernels.primitive import program_of
+
+XS = np.stack([np.linspace(0.05, 0.3, 64), np.linspace(-0.05, -0.31, 64)], axis=1)
+
+
+def compute(shift: float):
+    """A function that no other test has compiled, and its results."""
+
+    def function(shared, x):
+        return jax.numpy.sin(x[0]) * x[1] + shared, x[0] > 0.1
+
+    return function, map_cells(function, (np.float64(shift), XS))
+
+
+@pytest.mark.skipif(jax.default_backend() != "cpu", reason="kernels are for processors")
+@pytest.mark.parametrize("value", ["off", "OFF", "haswell", "nehalem", ""])
+def test_answers_do_not_depend_on_kernels(value, monkeypatch):
+    monkeypatch.delenv(machine.VARIABLE, raising=False)
+    expected = compute(0.5)[1]
+    monkeypatch.setenv(machine.VARIABLE, value)
+    monkeypatch.setenv("WALKER_JAX_CACHE_DIR", "")
+    if value in ("haswell", "nehalem") and not llvm.get_process_triple().startswith("x86_64"):
+        pytest.skip("the processor is another one")
+    function, found = compute(0.5)
+    np.testing.assert_allclose(found[0], expected[0], rtol=4e-16)
+    np.testing.assert_array_equal(found[1], expected[1])
+    operands, structure = jax.tree.flatten((np.float64(0.5), XS[0]))
+    avals = [jax.ShapeDtypeStruct(np.shape(one), np.float64) for one in operands]
+    program, _ = program_of(function, structure, avals)
+    assert (program.kernel is None) == (value.lower() == "off")
+    if value in ("haswell", "nehalem"):
+        assert machine.processor() == (value, "")

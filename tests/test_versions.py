@@ -1,0 +1,58 @@
+"""What earlier versions have left: their results, and the names that users know from them."""
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import walker_jax as wj
+from walker_jax import figures, storage
+from walker_jax.storage.requests import check_request
+
+
+@pytest.fixture
+def earlier(tmp_path):
+    """A basin that version 0.1.0 has computed, in a folder of its own."""
+    there = Path(__file__).parent / "data" / "basin-0.1.0.zarr"
+    return Path(shutil.copytree(there, tmp_path / "basin.zarr"))
+
+
+def test_a_whole_result_of_an_earlier_version_is_read(earlier, monkeypatch, tmp_path):
+    data = storage.load(earlier)
+    assert data is not None
+    request = storage.request_in(data.attrs)
+    assert request["version"] == "0.1.0"
+    found = storage.find(earlier, request | {"version": "0.2.0"})
+    assert found is not None and found.equals(data)
+    grid = wj.Grid.sheared(theta=(0.05, 0.35, 30), sum=(-0.03, 0.01, 20))
+    now = wj.basin(wj.SimplestWalker(0.004), grid)
+    np.testing.assert_array_equal(data["fate"], now["fate"])
+    np.testing.assert_allclose(data["states"], now["states"], rtol=1e-12)
+    assert storage.find(earlier, request | {"version": "0.2.0", "seed": 0}) is not None
+    with pytest.raises(storage.StoreConflict, match="seed: 0, not 1"):
+        storage.find(earlier, request | {"version": "0.2.0", "seed": 1})
+    with pytest.raises(storage.StoreConflict, match="method"):
+        storage.find(earlier, request | {"version": "0.2.0", "method": "direct"})
+
+
+def test_an_unfinished_result_of_an_earlier_version_is_not_resumed(earlier):
+    data = storage.load(earlier)
+    assert data is not None
+    attributes = data.attrs | {"unfinished": "basin"}
+    request = storage.request_in(attributes)
+    check_request(earlier, attributes, request)
+    with pytest.raises(storage.StoreConflict, match=r'version: "0\.1\.0", not "0\.2\.0"'):
+        check_request(earlier, attributes, request | {"version": "0.2.0"})
+
+
+def test_former_names_warn_and_say_what_to_use():
+    grid: Any = wj.Grid.sheared(theta=(0.05, 0.35, 30), sum=(-0.03, 0.01, 20))
+    pictures: Any = figures
+    with pytest.warns(DeprecationWarning, match="Grid.held is now called fixed_values"):
+        assert grid.held == grid.fixed_values
+    with pytest.warns(DeprecationWarning, match="figures.thinned is now called thin"):
+        assert pictures.thinned is pictures.thin
+    with pytest.raises(AttributeError, match="Grid has no attribute 'no_such_name'"):
+        assert grid.no_such_name

@@ -1,0 +1,112 @@
+"""Windows so narrow that float64 hardly tells their starts apart.
+
+Starts in such a window differ in their last digits, which a stride's rounding errors blur. But as
+long as the window is narrow, a stride is linear in it: the starts are c + d with one centre c, and
+after a stride they are S(c) + J d. So only the centre is followed, with the product P of the
+Jacobians, up to where the window P d is wide enough; from there each start is followed itself. Two
+starts then differ by P d, all digits of which are right.
+
+What the picture shows is exact up to its place: the centre of the window is one that float64 holds,
+and the orbit of the centre has rounding errors, as if it had begun some 1e-16 beside.
+"""
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from walker_jax.basins.edge_states import failing_margin
+from walker_jax.checks import ComputationFailed, WrongUse
+from walker_jax.gaits.derivatives import linearise
+from walker_jax.grids import Grid
+from walker_jax.walkers.model import Walker
+from walker_jax.walking.iteration import strides as take_strides
+from walker_jax.walking.outcomes import Outcome
+
+LINEAR = 1e-9
+"""Width, in the largest coordinate, from which on starts are followed themselves. Rounding errors,
+1e-15, are then a millionth of it; and a stride is linear to the second derivative times 1e-9."""
+NARROWEST = 32
+"""Rounding units of the centre across a window, at least: with less, float64 does not say where the
+window is."""
+BLUR = 1e-14
+"""Size of a margin that rounding errors of a stride may turn over."""
+CURVED = 1e-4
+"""Share of a window by which a stride may differ from a linear one, at most."""
+ROUNDING = 1e-13
+"""Error of the end of a stride, that a test of linearity allows for."""
+
+
+def follow_window(walker: Walker, grid: Grid, tolerance: float, limit: int) -> tuple[Grid, int]:
+    """The grid that a narrow window has become after some strides, and how many they are.
+
+    It is the same grid, and none, for a window that is not narrow. At most `limit` - 1 strides are
+    made. Raises `WrongUse` for a window too narrow for its centre to be known in it;
+    `ComputationFailed` where the window is torn apart before it is wide enough.
+    """
+    half = np.asarray(grid.upper - grid.lower, float) / 2
+    middle = np.asarray(grid.lower, float) + half
+    shear = np.asarray(grid.shear, float)
+    if widths(shear, half).max() >= LINEAR:
+        return grid, 0
+    centre = np.asarray(grid.origin, float) + shear @ middle
+    check_width(grid, centre, half)
+    axes = {
+        name: (-width, width, count)
+        for name, width, count in zip(grid.names, half.tolist(), grid.shape, strict=True)
+    }
+    samples = np.stack(np.meshgrid(*[(-1, 0, 1)] * len(half), indexing="ij"), -1)
+    samples = samples.reshape(-1, len(half)) * half
+    for made in range(limit):
+        points = centre + samples @ shear.T
+        ends = take_strides(walker, points, tolerance=tolerance)
+        passed = np.asarray(ends.outcome) == Outcome.STRIDE
+        wide = float(widths(shear, half).max())
+        if wide < LINEAR * CURVED:
+            refuse_torn(walker, points, passed, tolerance, f"after {made} strides")
+        if wide >= LINEAR or made == limit - 1 or not passed.any():
+            return Grid(axes, shear, centre, grid.fixed), made
+        local = linearise(walker, centre[None, None], tolerance)
+        next_centre, next_shear = local.state[0, 0], local.jacobian[0, 0] @ shear
+        bent = np.abs(ends.state - next_centre - samples @ next_shear.T).max()
+        if not passed.all() or not bent < ROUNDING + CURVED * widths(next_shear, half).max():
+            return Grid(axes, shear, centre, grid.fixed), made
+        centre, shear = next_centre, next_shear
+    raise AssertionError("unreachable")
+
+
+def refuse_torn(
+    walker: Walker,
+    points: Float[np.ndarray, "n s"],
+    passed: Bool[np.ndarray, " n"],
+    tolerance: float,
+    when: str,
+) -> None:
+    """Refuse a window that the boundary of a failure in the next stride passes, so near as this."""
+    name, margin = failing_margin(walker, points, tolerance)
+    if margin < BLUR or passed.any() != passed.all():
+        raise ComputationFailed(
+            f"the window is torn apart {when}, by the boundary of a failure in the next stride "
+            f"({name}, margin {margin:.1g}), so close to which float64 tells no starts apart: "
+            "take a wider window, or another centre"
+        )
+
+
+def widths(shear: Float[np.ndarray, "s d"], half: Float[np.ndarray, " d"]) -> np.ndarray:
+    """The width of a window along each coordinate of the state."""
+    return 2 * np.abs(shear) @ half
+
+
+def check_width(grid: Grid, centre: Float[np.ndarray, " s"], half: Float[np.ndarray, " d"]) -> None:
+    """Refuse a window in which its own centre, or its axes, have no digits."""
+    least = NARROWEST * np.spacing(np.abs(centre[: len(grid.names)]).max())
+    narrow = widths(np.asarray(grid.shear, float), half)[: len(grid.names)].min()
+    if narrow < least:
+        raise WrongUse(
+            f"grid must be at least {least:.1g} wide, not {narrow:.1g}: float64 holds its centre "
+            f"to {least / NARROWEST:.1g} only"
+        )
+    for name, low, high, count in zip(grid.names, grid.lower, grid.upper, grid.shape, strict=True):
+        if (high - low) / count < 2 * np.spacing(max(abs(low), abs(high))):
+            raise WrongUse(
+                f"grid must have cells along {name} wider than numbers near {float(low)} are "
+                "apart: give offsets from an origin, grid.zoom(centre, factor)"
+            )

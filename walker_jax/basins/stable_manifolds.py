@@ -1,0 +1,210 @@
+"""The stable manifold of a saddle: the starts that converge to an unstable gait.
+
+It begins along the stable direction of the saddle, and is a curve that the stride function maps
+into itself: S(x) = c(t) for every point x of the curve c, with c(t) nearer to the saddle, along the
+curve. So what is known of the curve determines its next point: this is the pseudo-arclength
+continuation of x and t together (the idea of England, Krauskopf and Osinga 2004, SIAM Journal on
+Applied Dynamical Systems 3, 161). It goes on where the stride function folds the section and t
+turns back, as it does for walkers.
+"""
+
+from bisect import bisect_right
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from walker_jax.checks import (
+    WrongUse,
+    check_kind,
+    check_number,
+    check_precision,
+    check_whole,
+    refuses_tracers,
+)
+from walker_jax.gaits.cycles import Gait, multiply_jacobians
+from walker_jax.gaits.derivatives import linearise
+from walker_jax.integrators.solvers import default_tolerance
+from walker_jax.walkers.model import Walker
+
+FIRST = 1e-5
+"""Distance from the saddle up to which the manifold is taken for straight: it bends by 1e-10."""
+CORRECTIONS = 8
+"""Newton steps to a point of the curve, from one beside it; a shorter step is tried after them."""
+EXACT = 1e-10
+"""Residual of a point, at most, along the curve that it is mapped to and across."""
+SHORTEST = 1e-7
+"""Length of a step, at least: where none so short succeeds the curve ends."""
+GROWTH = 1.5
+"""Of a step after one that succeeds."""
+SHARPEST = 0.9
+"""Cosine of the angle between two steps, at least."""
+
+
+@refuses_tracers()
+def stable_manifold(
+    walker: Walker,
+    gait: Gait,
+    *,
+    spacing: float = 2e-3,
+    points: int = 1000,
+    tolerance: float | None = None,
+) -> list[Float[np.ndarray, "n section"]]:
+    """The stable manifold of an unstable gait on a section of two coordinates: two curves.
+
+    Each goes out from the gait's first state, and ends where the stride function does, or where it
+    leads to the other curve. Between its points a curve is taken for a cubic.
+
+    **Arguments:**
+
+    - `walker`: that of the gait.
+    - `gait`: a saddle, with one multiplier outside the unit circle and one inside.
+    - `spacing`: of the points of a curve, at most, in the coordinates of the section.
+    - `points`: of a curve, at most.
+    - `tolerance`: of the integration, as in `stride`.
+
+    Raises `ValueError` for another gait or section, and in float32.
+    """
+    check_kind("walker", walker, Walker)
+    check_kind("gait", gait, Gait)
+    check_whole("points", points, 2)
+    check_number("spacing", spacing)
+    if not FIRST <= spacing < np.inf:
+        raise WrongUse(f"spacing must be at least {FIRST:g} and finite, not {spacing}")
+    states = np.asarray(gait.states)
+    check_precision(states.dtype, "stable_manifold, which inverts strides to 1e-10,")
+    sizes = np.abs(np.asarray(gait.multipliers))
+    if not gait.found or len(sizes) != 2 or not sizes[0] > 1 > sizes[1]:
+        raise WrongUse(
+            "gait must be a saddle on a section of two coordinates, not one with multipliers "
+            f"{np.asarray(gait.multipliers).tolist()}"
+        )
+    checked_tolerance = float(default_tolerance(states.dtype, tolerance))
+    jacobian = multiply_jacobians(linearise(walker, states[None], checked_tolerance).jacobian)[0]
+    values, vectors = np.linalg.eig(jacobian)
+    at = int(np.abs(values).argmin())
+    direction = np.real(vectors[:, at])
+    # twice round where the two halves of the manifold change places
+    strides = len(states) * (1 if np.real(values[at]) > 0 else 2)
+    image = Image(walker, strides, checked_tolerance)
+    return [
+        follow_manifold(image, states[0], side * direction, spacing, points) for side in (1, -1)
+    ]
+
+
+class Image(NamedTuple):
+    """A number of strides, as a map with derivatives."""
+
+    walker: Walker
+    strides: int
+    tolerance: float
+
+    def __call__(
+        self, x: Float[np.ndarray, " section"]
+    ) -> tuple[Float[np.ndarray, " section"], Float[np.ndarray, "section section"]]:
+        """The end of the strides from x, and its derivatives by x; NaN where one fails."""
+        jacobian = np.eye(len(x))
+        for _ in range(self.strides):
+            if not np.isfinite(x).all():
+                break
+            local = linearise(self.walker, x[None, None], self.tolerance)
+            x, jacobian = local.state[0, 0], local.jacobian[0, 0] @ jacobian
+        return x, jacobian
+
+
+ImageOf = Callable[
+    [Float[np.ndarray, " 2"]], tuple[Float[np.ndarray, " 2"], Float[np.ndarray, "2 2"]]
+]
+"""A map with its derivatives, as `Image` is."""
+
+
+class Curve:
+    """A curve that grows point by point: cubics between them, by their tangents."""
+
+    def __init__(self, first: Float[np.ndarray, " 2"], tangent: Float[np.ndarray, " 2"]):
+        self.points, self.tangents, self.lengths = [first], [tangent], [0.0]
+
+    def add(self, point: Float[np.ndarray, " 2"], tangent: Float[np.ndarray, " 2"]) -> None:
+        """Add a point at the end."""
+        gap = float(np.linalg.norm(point - self.points[-1]))
+        self.points.append(point)
+        self.tangents.append(tangent)
+        self.lengths.append(self.lengths[-1] + gap)
+
+    def at(self, t: float) -> tuple[Float[np.ndarray, " 2"], Float[np.ndarray, " 2"]]:
+        """The point at a length t, and its derivative by t (Hermite's interpolation)."""
+        i = min(max(bisect_right(self.lengths, t) - 1, 0), len(self.points) - 2)
+        h = self.lengths[i + 1] - self.lengths[i]
+        u = (t - self.lengths[i]) / h
+        ends = np.stack([*self.points[i : i + 2], *(h * one for one in self.tangents[i : i + 2])])
+        values = [1 - u * u * (3 - 2 * u), u * u * (3 - 2 * u), u * (1 - u) ** 2, u * u * (u - 1)]
+        slopes = [-6 * u * (1 - u), 6 * u * (1 - u), (1 - u) * (1 - 3 * u), u * (3 * u - 2)]
+        return np.array(values) @ ends, np.array(slopes) @ ends / h
+
+
+def follow_manifold(
+    image: ImageOf,
+    saddle: Float[np.ndarray, " 2"],
+    direction: Float[np.ndarray, " 2"],
+    spacing: float,
+    points: int,
+) -> Float[np.ndarray, "n 2"]:
+    """One half of the stable manifold of a fixed point of a map, from the saddle on."""
+    curve = Curve(saddle, direction)
+    x, along, step = saddle + FIRST * direction, direction, FIRST
+    curve.add(x, along)
+    end, jacobian = image(x)
+    t = float(np.dot(end - saddle, direction))
+    while len(curve.points) < points and step > SHORTEST:
+        tangent, rate = tangent_of(jacobian, curve.at(t)[1], along)
+        found = correct(image, curve, x + step * tangent, t + step * rate, tangent)
+        if found is not None:
+            new_x, new_t, new_jacobian = found
+            gap = float(np.linalg.norm(new_x - x))
+            new_tangent, _ = tangent_of(new_jacobian, curve.at(new_t)[1], tangent)
+            if gap <= 2 * step and new_tangent @ tangent > SHARPEST:
+                along, x, t, jacobian = new_tangent, new_x, new_t, new_jacobian
+                curve.add(x, along)
+                step = min(GROWTH * step, spacing)
+                continue
+        step /= 2
+    return np.array(curve.points)
+
+
+def tangent_of(
+    jacobian: Float[np.ndarray, "2 2"],
+    slope: Float[np.ndarray, " 2"],
+    along: Float[np.ndarray, " 2"],
+) -> tuple[Float[np.ndarray, " 2"], float]:
+    """The direction dx, of length one and not against `along`, and dt with J dx = slope dt."""
+    null = np.cross(*np.column_stack([jacobian, -slope]))
+    null = null / np.linalg.norm(null[:2])
+    null = null if null[:2] @ along >= 0 else -null
+    return null[:2], float(null[2])
+
+
+def correct(
+    image: ImageOf,
+    curve: Curve,
+    x: Float[np.ndarray, " 2"],
+    t: float,
+    tangent: Float[np.ndarray, " 2"],
+) -> tuple[Float[np.ndarray, " 2"], float, Float[np.ndarray, "2 2"]] | None:
+    """The point across the tangent at x that is mapped to the curve, at a length; None for none."""
+    start = x
+    for _ in range(CORRECTIONS):
+        if not 0 <= t <= curve.lengths[-1]:
+            return None
+        end, jacobian = image(x)
+        if not np.isfinite(jacobian).all():
+            return None
+        at, slope = curve.at(t)
+        miss = end - at
+        if np.abs(miss).max() < EXACT:
+            return x, t, jacobian
+        matrix = np.zeros((3, 3))
+        matrix[:2, :2], matrix[:2, 2], matrix[2, :2] = jacobian, -slope, tangent
+        change = np.linalg.solve(matrix, -np.append(miss, tangent @ (x - start)))
+        x, t = x + change[:2], t + float(change[2])
+    return None

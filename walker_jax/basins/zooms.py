@@ -1,0 +1,174 @@
+"""Zooms into the boundary between fates: ever narrower windows around one of its points."""
+
+from collections.abc import Callable
+
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+from jax.typing import ArrayLike
+from jaxtyping import Float, Int
+
+from walker_jax.basins.capture_boxes import with_capture_boxes
+from walker_jax.basins.edge_tracking import POINTS
+from walker_jax.basins.mapper import Mapper
+from walker_jax.basins.memory import check_grid, check_state
+from walker_jax.basins.methods import mapper_of_grid
+from walker_jax.basins.narrow_windows import follow_window
+from walker_jax.basins.runs import label_of
+from walker_jax.basins.schema import describe
+from walker_jax.checks import (
+    ComputationFailed,
+    WrongUse,
+    check_number,
+    check_precision,
+    check_whole,
+    refuses_tracers,
+)
+from walker_jax.execution.progress import track
+from walker_jax.grids import Grid, edge
+from walker_jax.integrators.solvers import default_tolerance
+from walker_jax.walkers.model import Walker
+
+
+@refuses_tracers()
+def boundary_point(
+    walker: Walker,
+    grid: Grid,
+    near: Float[ArrayLike, " section"] | None = None,
+    *,
+    strides: int = 500,
+    tolerance: float | None = None,
+) -> Float[np.ndarray, " section"]:
+    """A point of the boundary between two fates, to the last digit of float64.
+
+    The grid is followed directly. Of its cells beside one of another fate or attractor, the nearest
+    to a point is taken, and bisection goes on between the two centres until no number is between.
+
+    **Arguments:**
+
+    - `walker`, `grid`: as in `basin`, by direct iteration.
+    - `near`: a point of the section, by default the middle of the grid; distances are in cells.
+    - `strides`, `tolerance`: as in `basin`.
+
+    Raises `ValueError` as `basin` does; `ComputationFailed` where all cells have one fate.
+    """
+    check_grid(walker, grid, "direct")
+    point = None if near is None else check_state(walker, "near", near)
+    mapper = checked_mapper(walker, grid, strides, tolerance, "boundary_point, to the last digit,")
+    return find_boundary_point(mapper, grid, point)
+
+
+def checked_mapper(
+    walker: Walker, grid: Grid, strides: int, tolerance: float | None, needed_by: str
+) -> Mapper:
+    """The mapper to the attractors of a grid, with their capture boxes; arguments are checked."""
+    check_grid(walker, grid, "direct")
+    check_whole("strides", strides)
+    dtype = jnp.asarray(0.0).dtype
+    check_precision(dtype, needed_by)
+    checked_tolerance = float(default_tolerance(dtype, tolerance))
+    mapper = mapper_of_grid(walker, grid, checked_tolerance, strides)
+    return with_capture_boxes(mapper.with_sorted_attractors())
+
+
+def find_boundary_point(
+    mapper: Mapper, grid: Grid, near: Float[np.ndarray, " section"] | None = None
+) -> Float[np.ndarray, " section"]:
+    """`boundary_point`, by a mapper."""
+    label_starts = lambda x: label_of(*mapper(x)[:2])
+    label = label_starts(grid.centres(np.arange(grid.size))).reshape(grid.shape)
+    on_edge = np.argwhere(edge(label))
+    if len(on_edge) == 0:
+        raise ComputationFailed("all cells of the grid have one fate: it holds no boundary")
+    shape = np.array(grid.shape)
+    middle = (shape - 1) / 2
+    if near is not None:
+        box = np.asarray(grid.unshear) @ (near - np.asarray(grid.origin))
+        middle = (box - np.asarray(grid.lower)) / np.asarray(grid.spacing) - 0.5
+    cell = on_edge[np.linalg.norm(on_edge - middle, axis=1).argmin()]
+    beside = cell + np.stack(np.meshgrid(*[(-1, 0, 1)] * len(cell), indexing="ij"), -1).reshape(
+        -1, len(cell)
+    )
+    beside = beside[((beside >= 0) & (beside < shape)).all(axis=1)]
+    other = beside[(label[tuple(beside.T)] != label[tuple(cell)]).argmax()]
+    return bisect_to_last_digit(
+        label_starts, grid.points_at((np.stack([cell, other]) + 0.5) / shape)
+    )
+
+
+def bisect_to_last_digit(
+    label_starts: Callable[[Float[np.ndarray, "n section"]], Int[np.ndarray, " n"]],
+    ends: Float[np.ndarray, "2 section"],
+) -> Float[np.ndarray, " section"]:
+    """The point at which the label of the first end is lost, on a segment: one rounding beside."""
+    while True:
+        share = np.linspace(0, 1, POINTS)[:, None]
+        points = np.unique((1 - share) * ends[0] + share * ends[1], axis=0)
+        points = points[np.argsort(np.abs(points - ends[0]).sum(axis=1), kind="stable")]
+        label = label_starts(points)
+        at = int((label != label[0]).argmax())
+        if len(points) < POINTS:
+            return points[at]
+        ends = points[at - 1 : at + 1]
+
+
+@refuses_tracers()
+def zoom(
+    walker: Walker,
+    grid: Grid,
+    factor: float | int,
+    centre: Float[ArrayLike, " section"] | None = None,
+    *,
+    frames: int = 120,
+    strides: int = 500,
+    tolerance: float | None = None,
+    progress: bool = False,
+) -> xr.Dataset:
+    """Fates in windows from a grid's own down to one `factor` times as narrow, for a film.
+
+    **Arguments:**
+
+    - `walker`: as in `basin`.
+    - `grid`: the first window, of two dimensions or more, and the cells of each.
+    - `factor`: of the last window; each window is narrower than the one before by the same ratio.
+    - `centre`: point of the section in the middle of all windows, by default a `boundary_point`.
+    - `frames`: number of windows.
+    - `strides`, `tolerance`: as in `basin`.
+    - `progress`: whether to show a progress bar on a terminal.
+
+    **Returns** a data set over `frame` and the grid's axes, whose coordinates are those of the last
+    window times its factor: `fate`, and `attractor`; over `frame` alone, `factor`, and `ahead`, the
+    strides by which the centre was followed before all starts were.
+
+    Raises `ValueError` as `basin` does, also for windows narrower than float64 tells.
+    """
+    check_number("factor", factor)
+    if not 1 <= factor < np.inf:
+        raise WrongUse(f"factor must be 1 or more, and finite, not {factor}")
+    check_whole("frames", frames, 2)
+    check_grid(walker, grid, "direct")
+    middle = None if centre is None else check_state(walker, "centre", centre)
+    mapper = checked_mapper(walker, grid, strides, tolerance, "zoom, into the last digits,")
+    middle = find_boundary_point(mapper, grid) if middle is None else middle
+    factors = factor ** np.linspace(0, 1, frames)
+    windows = [grid.zoom(middle, one) for one in factors.tolist()]
+    follow_window(
+        walker, windows[-1], mapper.tolerance, strides
+    )  # refuses first what is too narrow
+    cells = np.arange(grid.size)
+    fate, attractor, ahead = [], [], []
+    for window in track(windows, "windows", progress):
+        followed, made = follow_window(walker, window, mapper.tolerance, strides)
+        found, _ = mapper._replace(strides=strides - made).label_all(followed.centres(cells))
+        fate.append(found.fate.reshape(grid.shape))
+        attractor.append(found.attractor.reshape(grid.shape))
+        ahead.append(made)
+    settings = {"method": "direct", "strides": strides, "tolerance": mapper.tolerance}
+    about = describe(walker, windows[0], settings)
+    dims = "frame", *grid.names
+    return about.assign(
+        fate=(dims, np.array(fate)),
+        attractor=(dims, np.array(attractor, np.int32)),
+        factor=("frame", factors),
+        ahead=("frame", np.array(ahead, np.int32)),
+    ).assign_attrs(origin=middle.tolist())

@@ -1,0 +1,108 @@
+"""`walker-jax boundary`."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+import walker_jax as wj
+from walker_jax import storage
+from walker_jax.basins.windows import fill_around_gait, fill_from_paper, grid_along, outline
+from walker_jax.checks import WrongUse
+from walker_jax.cli.answers import draw, find_earlier, listed, print_json, request_for
+from walker_jax.cli.options import (
+    PHIDOT_HELP,
+    AxisOption,
+    Json,
+    Out,
+    Overwrite,
+    PictureOfData,
+    check_drawable,
+    check_finite,
+)
+from walker_jax.cli.walker_options import takes_walker
+from walker_jax.stability.boundaries import summarise_boundary
+from walker_jax.walkers.model import Walker
+from walker_jax.walkers.parameters import describe_in_words, describe_walker
+
+
+@takes_walker()
+def boundary(
+    walker: Walker,
+    theta: Annotated[
+        AxisOption | None,
+        typer.Option(metavar="LO HI N", help="Stance angle, rad (default: 0 0.4 200)."),
+    ] = None,
+    sum_: Annotated[
+        AxisOption | None,
+        typer.Option(
+            "--sum", metavar="LO HI N", help="theta + thetadot (default: -0.04 0.01 250)."
+        ),
+    ] = None,
+    at_phidot: Annotated[
+        float | None,
+        typer.Option(help=f"{PHIDOT_HELP}: a slice there (default: at the gait)."),
+    ] = None,
+    strides: Annotated[int, typer.Option(min=1, help="Strides at most.")] = 500,
+    out: Out = Path("boundary.zarr"),
+    figure: PictureOfData = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Measure the boundary between walking and falling: its entropy, its saddles, Wada.
+
+    The measures are the basin entropy, over all boxes of 5 x 5 cells and over those on the boundary
+    (above log 2 it is fractal); the share of a region's boundary that another region's lacks (none
+    if it is Wada); and the edge states, such as a saddle, to which the boundary leads. The picture
+    has the stable manifolds of the saddles. The default window is that of the command basin.
+    """
+    from walker_jax import figures
+
+    sliced = "phidot" in walker.section
+    if at_phidot is not None:
+        check_finite(**{"at-phidot": at_phidot})
+        if not sliced:
+            section = ", ".join(walker.section)
+            raise WrongUse(f"--at-phidot is for walkers whose section has it, not {section}")
+    axes: dict[str, Any] = {"theta": theta, "sum": sum_}
+    axes |= {"phidot": at_phidot} if sliced else {}
+    axes = fill_from_paper(walker, axes)
+    check_drawable(outline(axes))
+    asked = {name: list(axis) if isinstance(axis, tuple) else axis for name, axis in axes.items()}
+    request = request_for(
+        "boundary", type(walker), walker=describe_walker(walker), axes=asked, strides=strides
+    )
+    figure, data = find_earlier(out, figure, request, overwrite=overwrite)
+    if data is None:
+        grid = grid_along(fill_around_gait(walker, axes))
+        data = storage.save(wj.boundary(walker, grid, strides=strides), out, request)
+    draw(figures.boundary(data), figure, request)
+    answer = summarise_boundary(data)
+    if as_json:
+        print_json({"walker": request["walker"]} | answer)
+        return
+    print(f"Boundary between fates, {describe_in_words(walker)}")
+    entropy = answer["boundary_entropy"]
+    fractal = "above log 2: fractal" if entropy["fractal"] else "not above log 2"
+    print(f"  basin entropy {answer['basin_entropy']:.5f}")
+    if entropy["value"] is not None:
+        print(f"  of the boundary {entropy['value']:.4f} +- {entropy['error']:.4f}, {fractal}")
+    if answer["wada"]:
+        shares = ", ".join(f"{one['share']:.1%} at {one['spacing']}" for one in answer["wada"])
+        print(f"  boundaries that another region lacks, by spacing in cells: {shares}")
+    for one in answer["edges"]:
+        print(f"  {edge_in_words(one)}")
+    print(f"  data set {out}, picture {figure}")
+
+
+def edge_in_words(edge: dict) -> str:
+    """An edge state in words."""
+    pair, between = " / ".join(edge["regions"]), " / ".join(edge["between"])
+    third = "" if edge["between"] == edge["regions"] else f" (between {between})"
+    if edge["kind"] != "saddle":
+        return f"{pair}{third}: {edge['kind'] or 'no cycle found'}"
+    states = ", ".join(f"({listed(state)})" for state in edge["states"][:4])
+    more = ", ..." if len(edge["states"]) > 4 else ""
+    multipliers = ", ".join(f"{real:.6g}" for real, _ in edge["multipliers"])
+    period = f"saddle of period {edge['period']}"
+    return f"{pair}{third}: {period} at {states}{more}, multipliers {multipliers}"

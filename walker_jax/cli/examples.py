@@ -1,0 +1,53 @@
+"""Examples for the help of each command, and how long it takes."""
+
+EXAMPLES = {
+    "walk": ("walk", "walk --theta 0.16 --thetadot -0.17 --strides 20", "walk --animate walk.gif"),
+    "gait": (
+        "gait --slope 0.009",
+        "gait --walker round-foot --foot-radius 0.3 --figure multipliers.png",
+        "gait --slope 0.0125 --period 3 --all",
+    ),
+    "bifurcation": (
+        "bifurcation --from 0.001 --to 0.022",
+        "bifurcation --walker spring --hip-stiffness 1 --to 0.02 --out spring.zarr",
+    ),
+    "basin": (
+        "basin",
+        "basin --method direct --slope 0.009 --out steep.zarr",
+        "basin --walker round-foot --theta 0.05 0.45 200 --sum -0.15 -0.02 160 --out slice.zarr",
+    ),
+    "robustness": (
+        "robustness --slope 0.009",
+        "robustness --from 0.002 --to 0.018 --count 17 --out slopes.zarr",
+    ),
+    "optimise": (
+        "optimise --over slope --bound slope=0.001:0.02 --at-least speed 0.06",
+        "optimise --walker spring --over hip-stiffness --bound hip-stiffness=0:20",
+    ),
+    "sweep": (
+        "sweep --over slope=0.002:0.01:5",
+        "sweep --walker spring --over slope=0.002:0.01:5 --over hip-stiffness=0:9:4 --workers 2",
+    ),
+    "export": ("export basin.zarr basin.nc",),
+    "reproduce": ("reproduce --quick --out quick", "reproduce --out report"),
+}
+"""Some lines to type for each command, without the name of the program."""
+DURATIONS = {
+    "walk": "A few seconds; a film half a minute.",
+    "gait": "A few seconds; twenty for walkers with mass on their legs, when they are compiled.",
+    "bifurcation": "About a minute.",
+    "basin": "Five seconds for the paper's grid, and a second for each further million cells.",
+    "robustness": "Half a minute to a minute for each slope.",
+    "optimise": "Ten minutes to an hour, with some 50 measurements and the scan; fewer starts, "
+    "a coarser grid (--theta, --sum) or --scan 0 shorten it. Progress shows what is left.",
+    "sweep": "Some seconds for each combination, half a minute with --robust.",
+    "export": "A second.",
+    "reproduce": "Several minutes; with --quick one or two.",
+}
+"""How long each takes on two cores, as its help says."""
+
+
+def epilog(name: str) -> str:
+    """What the help of a command ends with."""
+    lines = [f"Takes on two cores: {DURATIONS[name]}", "Examples:"]
+    return "\n\n".join([*lines, *(f"  walker-jax {line}" for line in EXAMPLES[name])])

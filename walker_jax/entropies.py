@@ -1,0 +1,96 @@
+"""How unpredictable labels are on a small scale: the basin entropy, and that of the boundary.
+
+Labels say, for instance, which attractor each point of a region goes to. The region is covered with
+boxes; in each the labels of the points are drawn at random, and their entropy is the uncertainty
+about a point of which only the box is known (Daza, Wagemakers, Georgeot, Guery-Odelin and Sanjuan
+2016, Scientific Reports 6, 31416). Entropies are in nats: a box with two labels, half of each, has
+log 2.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from walker_jax.checks import WrongUse, array, check_whole, refuses_tracers, short
+
+BOX = 5
+"""Cells along a side of a box: 25 points in two dimensions, which the authors recommend or more."""
+
+
+class BasinEntropy(NamedTuple):
+    """The entropy of labels in boxes: the mean over all, and over those on the boundary."""
+
+    value: float
+    """Mean over all boxes: 0 where all labels are the same, log of their number at most."""
+    boundary: float
+    """Mean over the boxes with more than one label; NaN without any."""
+    boundary_error: float
+    """Its standard error, from boxes that have no cell in common; NaN with less than two."""
+    boxes: int
+    """Boxes, one at each place where one fits."""
+    mixed: int
+    """Those with more than one label."""
+
+    @property
+    def fractal(self) -> bool:
+        """Whether the boundary is fractal by the log 2 test, by two standard errors or more.
+
+        The test is sufficient, and not necessary: where two smooth pieces at most meet, no box has
+        more than log 2 on average. A fractal boundary may have less.
+        """
+        return bool(self.boundary - 2 * self.boundary_error > np.log(2))
+
+
+@refuses_tracers()
+def basin_entropy(labels: Int[np.ndarray | Array, "*cells"], side: int = BOX) -> BasinEntropy:
+    """The basin entropy of labels on a grid, and that of their boundary.
+
+    S = -sum_k p_k log p_k, averaged over boxes
+
+    with p_k the share of label k among the cells of a box. The mean is over the boxes at all
+    places, so that it does not depend on where the first one begins.
+
+    **Arguments:**
+
+    - `labels`: at regularly spaced points, in any number of dimensions; a box that holds a negative
+      one is not counted.
+    - `side`: cells along each side of a box.
+
+    Raises ValueError for labels that are not numbers, and for a box that does not fit.
+    """
+    labels = array("labels", labels)
+    if labels.dtype.kind not in "biuf" or labels.ndim == 0:
+        raise WrongUse(f"labels must be numbers on a grid, not {short(labels)}")
+    check_whole("side", side, 2)
+    if min(labels.shape) < side:
+        raise WrongUse(f"side={side}: labels of shape {labels.shape} have no such box")
+    entropy = np.zeros(tuple(n - side + 1 for n in labels.shape))
+    entropy[box_means((labels < 0).astype(float), side) > 0] = np.nan
+    for label in np.unique(labels[labels >= 0]):
+        share = box_means((labels == label).astype(float), side)
+        held = share > 0
+        entropy[held] -= share[held] * np.log(share[held])
+    entropy = np.maximum(entropy, 0)  # of a box of one label, minus zero
+    known = entropy[np.isfinite(entropy)]
+    mixed = known[known > 0]
+    apart = entropy[(slice(None, None, side),) * labels.ndim]
+    apart = apart[apart > 0]
+    error = apart.std(ddof=1) / np.sqrt(apart.size) if apart.size > 1 else np.nan
+    boundary = mixed.mean() if mixed.size else np.nan
+    return BasinEntropy(
+        float(known.mean()) if known.size else np.nan,
+        float(boundary),
+        float(error),
+        known.size,
+        mixed.size,
+    )
+
+
+def box_means(values: Float[np.ndarray, "*cells"], side: int) -> Float[np.ndarray, "*places"]:
+    """The mean of whole numbers over each box of `side` cells, exact before the division."""
+    for axis in range(values.ndim):
+        values = np.moveaxis(values, axis, 0)
+        total = np.concatenate([np.zeros_like(values[:1]), np.cumsum(values, axis=0)])
+        values = np.moveaxis(total[side:] - total[:-side], 0, axis)
+    return values / side**values.ndim

@@ -1,0 +1,63 @@
+"""The walkers for the page: parameters, units and ranges; and words and colours of fates."""
+
+import math
+
+from walker_jax.explorer.lattice import HOME_CELLS, LEVELS, TILE
+from walker_jax.explorer.pictures import FIRST_ATTRACTOR, UNMATCHED
+from walker_jax.explorer.subjects import SECTIONS, slider_range
+from walker_jax.figures.style import (
+    ARTEFACTS,
+    BASINS,
+    FAILURES,
+    OTHERS,
+)
+from walker_jax.figures.style import (
+    UNMATCHED as UNMATCHED_COLOUR,
+)
+from walker_jax.walkers.family import WALKERS
+from walker_jax.walkers.parameters import Parameter, parameters
+from walker_jax.walking.outcomes import Outcome
+
+
+def describe_family() -> dict:
+    """All that the page shows and does not compute, from where it is defined."""
+    return {
+        "walkers": {name: describe_kind(name) for name in WALKERS},
+        "fates": {
+            int(outcome): {"name": outcome.name, "words": words, "colour": colour}
+            for outcome, (colour, _, words) in FAILURES.items()
+        },
+        "basins": list(BASINS),
+        "others": OTHERS,
+        "unmatched": UNMATCHED_COLOUR,
+        "artefacts": ARTEFACTS,
+        "labels": {"unmatched": UNMATCHED, "first": FIRST_ATTRACTOR, "stride": int(Outcome.STRIDE)},
+        "lattice": {"tile": TILE, "home": HOME_CELLS, "levels": LEVELS},
+        "sections": SECTIONS,
+    }
+
+
+def describe_kind(name: str) -> dict:
+    """A walker: what it is, its section and its parameters."""
+    kind = WALKERS[name]
+    return {
+        "about": (kind.__doc__ or "").splitlines()[0],
+        "section": kind.section,
+        "parameters": list(map(describe_parameter, parameters(kind))),
+    }
+
+
+def describe_parameter(one: Parameter) -> dict:
+    """A parameter with the ends of its slider and the step between its values."""
+    low, high = slider_range(one)
+    step = 10.0 ** math.floor(math.log10((high - low) / 150))
+    return {
+        "name": one.name,
+        "meaning": one.meaning,
+        "unit": one.unit,
+        "default": one.default,
+        "low": low if one.closed or low > one.low else low + step,
+        "high": high,
+        "step": step,
+        "bounds": one.bounds(),
+    }

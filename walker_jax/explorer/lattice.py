@@ -1,0 +1,120 @@
+"""The lattice of cells that pictures are made of: levels, each twice as fine, and square tiles.
+
+At level 0 the home window of a walker has `HOME_CELLS` cells. At level k cells are 2^k times as
+small. Tile (k, i, j) has the cells i * TILE ... (i + 1) * TILE - 1 along the first axis, counted
+from the lower corner of the home window, and likewise j along the second.
+"""
+
+import functools
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from walker_jax.basins.windows import PAPER_WINDOW, grid_along
+from walker_jax.checks import WrongUse, short
+from walker_jax.explorer.subjects import Subject, whole
+from walker_jax.gaits.selection import require_gait
+from walker_jax.grids import Grid, axes_around
+from walker_jax.walkers.family import WALKERS
+from walker_jax.walkers.parameters import parameters
+from walker_jax.walkers.simplest import SimplestWalker
+
+HOME_CELLS = (200, 250)
+"""Those of the paper's grid."""
+TILE = 50
+"""Cells along an edge of a tile: 2500 take some 7 ms."""
+LEVELS = (-3, 34)
+"""Coarsest and finest level; beyond, cells would be narrower than float64 tells states apart."""
+FARTHEST = 2**20
+"""Home windows to either side that can be shown."""
+MAX_TILES = 600
+"""Tiles in a request, more than a large screen has."""
+MAX_CELLS = 2**20
+"""Cells in a rectangle."""
+
+
+class Tile(NamedTuple):
+    level: int
+    i: int
+    j: int
+
+
+class Rectangle(NamedTuple):
+    """A rectangle of cells of one level."""
+
+    level: int
+    first: tuple[int, int]
+    """Number of its first cell along each axis."""
+    shape: tuple[int, int]
+
+
+class Home(NamedTuple):
+    """The window in which a walker is first shown."""
+
+    lower: tuple[float, float]
+    upper: tuple[float, float]
+    gait: tuple[float, ...]
+    """The first state of its gait there."""
+
+    def grid(self, subject: Subject, cells: Rectangle, at: tuple[float, ...]) -> Grid:
+        """The grid of a rectangle of cells, in the plane at the other coordinates."""
+        axes: dict[str, Any] = {}
+        for k, name in enumerate(subject.axes):
+            first, across = cells.first[k], HOME_CELLS[k] * 2.0**cells.level
+            shares = (end / across for end in (first, first + cells.shape[k]))
+            low, high = (self.lower[k] * (1 - one) + self.upper[k] * one for one in shares)
+            axes[name] = (float(low), float(high), cells.shape[k])
+        return grid_along(axes | dict(zip(subject.kind.section[2:], at, strict=True)))
+
+
+@functools.cache
+def home_of(name: str, section: str) -> Home:
+    """The paper's window for the simplest walker; around the default gait of any other."""
+    kind = WALKERS[name]
+    walker = kind(**{one.name: one.default for one in parameters(kind)})
+    gait = np.asarray(require_gait(walker, ["another walker"]).states[0])
+    if section == "plain":
+        x, y = (0.0, 2.5 * gait[0]), (2.5 * gait[1], 0.0)
+    elif kind is SimplestWalker:
+        x, y = (axis[:2] for axis in PAPER_WINDOW.values())
+    else:
+        axes = axes_around(gait, ("theta", "sum", *kind.section[2:]))
+        x, y = axes["theta"][:2], axes["sum"][:2]
+    (x0, x1), (y0, y1) = ([float(f"{end:.2g}") for end in ends] for ends in (x, y))
+    return Home((x0, y0), (x1, y1), tuple(gait.tolist()))
+
+
+def read_tiles(asked: Any) -> list[Tile]:
+    """The tiles of a request."""
+    if not isinstance(asked, list) or not 1 <= len(asked) <= MAX_TILES:
+        raise WrongUse(f"tiles must be a list of 1 to {MAX_TILES}, not {short(asked)}")
+    tiles = []
+    for one in asked:
+        if not isinstance(one, list) or len(one) != 3:
+            raise WrongUse(f"a tile must be [level, i, j], not {short(one)}")
+        level = whole("level", one[0], *LEVELS)
+        tiles.append(Tile(level, *(read_place(value, level, TILE) for value in one[1:])))
+    return tiles
+
+
+def read_rectangle(asked: Any) -> Rectangle:
+    """The rectangle of a request, [level, i, j, cells along i, cells along j]."""
+    if not isinstance(asked, list) or len(asked) != 5:
+        raise WrongUse(f"cells must be [level, i, j, columns, rows], not {short(asked)}")
+    level = whole("level", asked[0], *LEVELS)
+    i, j = (read_place(value, level, 1) for value in asked[1:3])
+    columns, rows = (whole("cells", value, 2, MAX_CELLS // 2) for value in asked[3:])
+    if columns * rows > MAX_CELLS:
+        raise WrongUse(f"cells must be at most {MAX_CELLS}, not {columns} x {rows}: zoom out less")
+    return Rectangle(level, (i, j), (columns, rows))
+
+
+def read_place(value: Any, level: int, cells: int) -> int:
+    """The number of a cell, or of a tile of so many, along an axis."""
+    most = int(FARTHEST * max(HOME_CELLS) * 2.0**level) // cells
+    return whole("place", value, -most, most)
+
+
+def cells_of(tile: Tile) -> Rectangle:
+    """The cells of a tile."""
+    return Rectangle(tile.level, (tile.i * TILE, tile.j * TILE), (TILE, TILE))

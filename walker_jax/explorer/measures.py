@@ -1,0 +1,151 @@
+"""What takes longer than a picture: gaits, area, least disturbance, bifurcation diagram, data.
+
+A worker computes these, in a process of its own (`workers`). Answers are what JSON holds, or bytes.
+"""
+
+import io
+import math
+import tempfile
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from walker_jax.basins.computation import basin
+from walker_jax.basins.refinement import refine
+from walker_jax.explorer.lattice import Rectangle, home_of
+from walker_jax.explorer.pictures import plane_of
+from walker_jax.explorer.subjects import Subject
+from walker_jax.gaits.cycles import Gait
+from walker_jax.gaits.diagrams import bifurcation_diagram
+from walker_jax.gaits.search import find_gait, find_gaits
+from walker_jax.grids import Grid
+from walker_jax.stability.disturbances import least_disturbance
+
+PERIODS = (1, 2)
+"""Periods of which all gaits are searched."""
+AREA_LEVELS, AREA_CHECKS = 2, 50_000
+"""Levels and checks of `refine` for an area: 2 s, and a standard error of 0.1 % of the basin."""
+SLOPES = (0.001, 0.022)
+"""The range of a diagram, that of `walker-jax bifurcation`."""
+DIAGRAM: dict[str, Any] = {"period_max": 4, "strides": 600, "scan": 160}
+"""Of a diagram on a screen."""
+SHOWN_STATES = 24
+"""States of each orbit in a diagram."""
+
+
+def prepare(subject: Subject) -> dict:
+    """The home window of a walker, and its gait there: what the first picture needs."""
+    home = home_of(subject.name, subject.section)
+    return {"lower": home.lower, "upper": home.upper, "gait": home.gait}
+
+
+def gaits(subject: Subject) -> list[dict]:
+    """The gaits of the first periods, the most stable first, with their multipliers."""
+    walker = subject.walker
+    found = [gait for period in PERIODS for gait in find_gaits(walker, period)]
+    main = find_gait(walker)
+    if main.found and not any(np.allclose(one.states, main.states) for one in found):
+        found.append(main)
+    found.sort(key=lambda gait: (len(gait.states), abs(complex(gait.multipliers[0]))))
+    return list(map(describe_gait, found))
+
+
+def describe_gait(gait: Gait) -> dict:
+    """A gait for the page; each multiplier as its real and its imaginary part."""
+    return {
+        "period": len(gait.states),
+        "states": np.asarray(gait.states).tolist(),
+        "multipliers": [[one.real, one.imag] for one in np.asarray(gait.multipliers).tolist()],
+        "times": np.asarray(gait.step_times).tolist(),
+        "stable": bool(gait.stable),
+    }
+
+
+def area(subject: Subject, cells: Rectangle) -> dict:
+    """The area of the basins in a rectangle, and its standard error, by `refine`."""
+    found = refine(subject.walker, grid_of(subject, cells), AREA_LEVELS, check=AREA_CHECKS)
+    return {
+        "area": float(found["total_area"]),
+        "error": finite(float(found["total_area_error"])),
+    }
+
+
+def disturbance(subject: Subject) -> dict:
+    """The least disturbance of the stable gait."""
+    found = least_disturbance(subject.walker)
+    return {
+        "size": found.size,
+        "gait": (found.state - found.size * found.direction).tolist(),
+        "state": found.state.tolist(),
+        "failure": int(found.failure),
+        "strides": found.strides,
+    }
+
+
+def bifurcation(subject: Subject) -> dict:
+    """Gaits and attractors over the slope: their stance angles at the start of a stride."""
+    data = bifurcation_diagram(subject.walker, "slope", SLOPES, **DIAGRAM)
+    branches = []
+    for number in np.unique(data["branch"].values).tolist():
+        own = data.isel(gait=np.flatnonzero(data["branch"].values == number))
+        period = int(own["period"][0])
+        branches.append(
+            {
+                "period": period,
+                "slope": own["value"].values.tolist(),
+                "theta": own["states"].values[:, :period, 0].T.tolist(),
+                "stable": own["stable"].values.astype(int).tolist(),
+            }
+        )
+    orbit = data["orbit"].values[:, :, :SHOWN_STATES, 0]
+    where = np.isfinite(orbit)
+    slopes = np.broadcast_to(data["sample_value"].values[:, None, None], orbit.shape)[where]
+    points = np.unique(np.round(np.stack([slopes, orbit[where]], axis=1), 6), axis=0)
+    return {
+        "range": SLOPES,
+        "branches": branches,
+        "points": points.tolist(),
+        "lost": [finite(value) for value in data["lost"].values.tolist()],
+        "events": [
+            {
+                "slope": float(one["event_value"]),
+                "theta": float(one["event_states"][0, 0]),
+                "fold": bool(one["event_fold"]),
+                "cascade": bool(one["cascade"]),
+            }
+            for one in (data.isel(event=i) for i in range(data.sizes["event"]))
+        ],
+    }
+
+
+def finite(value: float) -> float | None:
+    """The number; none for NaN and infinities, which JSON has no words for."""
+    return value if math.isfinite(value) else None
+
+
+def data(subject: Subject, cells: Rectangle, method: str) -> bytes:
+    """The data set of a rectangle, as `wj.basin` returns it: a Zarr store in a zip archive."""
+    found = basin(subject.walker, grid_of(subject, cells), method)
+    return zipped(found)
+
+
+def zipped(found: xr.Dataset) -> bytes:
+    """A data set as a Zarr store in a zip archive, which `xarray.open_zarr` reads as it is."""
+    packed = io.BytesIO()
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder) / "basin.zarr"
+        found.to_zarr(place, consolidated=False)
+        with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+            for file in sorted(place.rglob("*")):
+                if file.is_file():
+                    archive.write(file, file.relative_to(place))
+    return packed.getvalue()
+
+
+def grid_of(subject: Subject, cells: Rectangle) -> Grid:
+    """The grid of a rectangle of cells."""
+    home = home_of(subject.name, subject.section)
+    return home.grid(subject, cells, plane_of(subject))

@@ -1,0 +1,108 @@
+// Requests to the server: the token, frames of a stream, and what to do when the server is gone.
+
+const token = new URLSearchParams(location.search).get("token") ?? "";
+const HEADERS = { "content-type": "application/json", "x-walker-token": token };
+const WORDS = 0, CELLS = 1;
+const PAUSE = 700; // ms between two looks whether the server is back
+
+export class Refused extends Error {
+  constructor(answer, status) {
+    super(answer.error ?? `the server answered ${status}`);
+    this.parameter = answer.parameter;
+    this.status = status;
+  }
+}
+
+export const connection = new EventTarget(); // "gone", "back"
+let gone = false;
+
+async function send(path, body, signal) {
+  const options = body === undefined ? { method: "GET" } : { method: "POST", body: JSON.stringify(body) };
+  for (;;) {
+    let answer;
+    try {
+      answer = await fetch(path, { ...options, headers: HEADERS, signal });
+    } catch (error) {
+      if (error.name !== "AbortError") lose();
+      throw error;
+    }
+    if (answer.ok) return answer;
+    if (answer.status !== 429 && answer.status !== 503) {
+      const words = await answer.json().catch(() => ({}));
+      throw new Refused(words, answer.status);
+    }
+    await wait(300 + 700 * Math.random(), signal); // too many at once: again, a little later
+  }
+}
+
+export async function ask(path, body, signal) {
+  return (await send(path, body, signal)).json();
+}
+
+export async function fetchBytes(path, body, signal) {
+  return (await send(path, body, signal)).arrayBuffer();
+}
+
+/** The frames of a picture as they come: {words} or {index, bytes}. */
+export async function* frames(path, body, signal) {
+  const reader = (await send(path, body, signal)).body.getReader();
+  let held = new Uint8Array(0);
+  try {
+    for (;;) {
+      const { done, value } = await reader.read();
+      if (done) return;
+      held = joined(held, value);
+      let start = 0;
+      while (held.length - start >= 5) {
+        const view = new DataView(held.buffer, held.byteOffset + start);
+        const length = view.getUint32(0, true), kind = view.getUint8(4);
+        if (held.length - start < 5 + length) break;
+        const content = held.slice(start + 5, start + 5 + length);
+        start += 5 + length;
+        if (kind === CELLS) {
+          yield { index: new DataView(content.buffer).getUint32(0, true), bytes: content.subarray(4) };
+        } else {
+          const words = JSON.parse(new TextDecoder().decode(content));
+          if (kind !== WORDS) throw new Refused(words, 422);
+          yield { words };
+        }
+      }
+      held = held.slice(start);
+    }
+  } catch (error) {
+    if (error.name !== "AbortError" && !(error instanceof Refused)) lose();
+    throw error;
+  } finally {
+    reader.cancel().catch(() => {});
+  }
+}
+
+function joined(a, b) {
+  if (a.length === 0) return b;
+  const both = new Uint8Array(a.length + b.length);
+  both.set(a);
+  both.set(b, a.length);
+  return both;
+}
+
+function wait(time, signal) {
+  return new Promise((done, fail) => {
+    setTimeout(done, time);
+    signal?.addEventListener("abort", () => fail(new DOMException("given up", "AbortError")));
+  });
+}
+
+/** Say that the server is gone, and look until it is back. */
+async function lose() {
+  if (gone) return;
+  gone = true;
+  connection.dispatchEvent(new Event("gone"));
+  for (;;) {
+    await wait(PAUSE);
+    const answer = await fetch("/api/alive", { headers: HEADERS }).catch(() => null);
+    if (answer === null) continue;
+    gone = !answer.ok;
+    connection.dispatchEvent(new Event(answer.ok ? "back" : "other"));
+    if (answer.ok) return;
+  }
+}

@@ -1,0 +1,123 @@
+// The walker's controls, from what the server says of its parameters.
+
+import { SYMBOLS, spaced } from "./words.js";
+
+export class Controls {
+  constructor(form, state) {
+    this.form = form;
+    this.state = state;
+    this.select = form.querySelector("#walker");
+    for (const name of Object.keys(state.about.walkers)) {
+      this.select.add(new Option(spaced(name.replaceAll("-", " ")), name));
+    }
+    this.select.addEventListener("change", () => state.change("walker", { walker: this.select.value }));
+    for (const kind of ["section", "method"]) {
+      form.querySelector(`#${kind}`).addEventListener("change", (event) => state.change(kind, { [kind]: event.target.value }));
+    }
+    form.addEventListener("submit", (event) => event.preventDefault());
+    this.build();
+  }
+
+  /** All controls anew, for another walker. */
+  build() {
+    const { state, form } = this;
+    this.select.value = state.walker;
+    form.querySelector("#about-walker").textContent = state.kind.about;
+    this.sliders = new Map();
+    form.querySelector("#parameters").replaceChildren(...state.kind.parameters.map((one) => this.slider(one, {
+      title: spaced(one.name),
+      value: () => state.parameters[one.name],
+      set: (value) => state.change("parameters", { parameters: { ...state.parameters, [one.name]: value } }),
+    })));
+    const others = state.kind.section.slice(2);
+    form.querySelector("#slice").replaceChildren(...others.map((name) => this.sliceSlider(name)));
+    const mapped = form.querySelector("#method input[value=cell-map]");
+    mapped.disabled = state.sliced;
+    mapped.parentElement.title = state.sliced ? "Not for a slice, which walkers leave" : "";
+    this.update();
+  }
+
+  /** A slider with a number beside it, and room for a sentence about a wrong value. */
+  slider(one, { title, value, set }) {
+    const row = document.createElement("div");
+    row.className = "field";
+    const id = `p-${one.name}`;
+    row.innerHTML = `<label for="${id}"><span class="name"></span> <span class="unit"></span></label>
+      <input type="number" class="typed" step="any" aria-describedby="${id}-error">
+      <input type="range" id="${id}" aria-describedby="${id}-error">
+      <p class="error" id="${id}-error" role="alert"></p>`;
+    const [name, unit, error] = [".name", ".unit", ".error"].map((which) => row.querySelector(which));
+    const range = row.querySelector("[type=range]"), typed = row.querySelector("[type=number]");
+    name.textContent = title;
+    unit.textContent = one.unit.replace("^2", "²");
+    row.title = `${one.meaning}${one.bounds ? `; ${one.bounds}` : ""}`;
+    typed.setAttribute("aria-label", `${title}, ${one.unit}`);
+    Object.assign(range, { min: one.low, max: one.high, step: one.step });
+    range.addEventListener("input", () => set(Number(range.value)));
+    typed.addEventListener("input", () => {
+      if (typed.value !== "" && Number.isFinite(typed.valueAsNumber)) set(typed.valueAsNumber);
+    });
+    const show = () => {
+      const now = value();
+      if (now > Number(range.max)) range.max = now;
+      if (now < Number(range.min)) range.min = now;
+      range.value = now;
+      if (document.activeElement !== typed) typed.value = Number(now.toPrecision(8));
+      range.setAttribute("aria-valuetext", `${now} ${one.unit}`);
+      error.textContent = "";
+      row.classList.remove("wrong");
+    };
+    const fail = (reason) => {
+      error.textContent = reason;
+      row.classList.add("wrong");
+    };
+    this.sliders.set(one.name, { show, fail });
+    return row;
+  }
+
+  /** The slider of a coordinate of the slice; at the gait unless it is moved. */
+  sliceSlider(name) {
+    const { state } = this;
+    const span = 0.3;
+    const one = { name: `at_${name}`, unit: "rad / √(l/g)", low: -span, high: span, step: 0.001, meaning: "where the slice is" };
+    const row = this.slider(one, {
+      title: `slice at ${SYMBOLS[name] ?? spaced(name)}`,
+      value: () => state.at[name] ?? this.gait?.[name] ?? 0,
+      set: (value) => state.change("slice", { at: { ...state.at, [name]: value } }),
+    });
+    const button = document.createElement("button");
+    button.type = "button";
+    button.className = "quiet at-gait";
+    button.textContent = "at the gait";
+    button.setAttribute("aria-pressed", "true");
+    button.addEventListener("click", () => {
+      const { [name]: _, ...rest } = state.at;
+      state.change("slice", { at: rest });
+    });
+    row.querySelector("label").append(" ", button);
+    return row;
+  }
+
+  /** Where the gait is, for slices that follow it. */
+  setPlane(values) {
+    const names = this.state.kind.section.slice(2);
+    this.gait = Object.fromEntries(names.map((name, k) => [name, values[k] ?? 0]));
+    for (const name of names) this.sliders.get(`at_${name}`)?.show();
+  }
+
+  update() {
+    const { state, form } = this;
+    for (const { show } of this.sliders.values()) show();
+    for (const kind of ["section", "method"]) form.querySelector(`#${kind} [value=${state[kind]}]`).checked = true;
+    form.querySelectorAll(".at-gait").forEach((button, k) => {
+      button.setAttribute("aria-pressed", String(!(state.kind.section[2 + k] in state.at)));
+    });
+  }
+
+  /** A sentence beside the slider that is wrong; false if it is none of these. */
+  fail(error) {
+    const one = this.sliders.get(error.parameter);
+    one?.fail(spaced(error.message));
+    return Boolean(one);
+  }
+}

@@ -1,0 +1,73 @@
+// Numbers and names as a reader expects them.
+
+export const SYMBOLS = { theta: "θ", thetadot: "θ̇", phidot: "φ̇", sum: "θ + θ̇" };
+
+export const AXES = {
+  theta: "stance leg angle θ (rad)",
+  sum: "θ + θ̇ (rad, time in √(l/g))",
+  thetadot: "stance leg rate θ̇ (rad, time in √(l/g))",
+};
+
+/** A number with some significant digits, and a minus sign that is one. */
+export function number(value, digits = 4) {
+  if (!Number.isFinite(value)) return "–";
+  const size = Math.abs(value);
+  const text = size !== 0 && (size < 1e-4 || size >= 1e6) ? power(value, digits) : trim(value.toPrecision(digits));
+  return text.replace(/-/g, "−");
+}
+
+/** A number with so many decimals. */
+export function decimals(value, count) {
+  return value.toFixed(Math.max(0, Math.min(15, count))).replace("-", "−");
+}
+
+function trim(text) {
+  return text.includes("e") ? String(Number(text)) : text;
+}
+
+const RAISED = "⁰¹²³⁴⁵⁶⁷⁸⁹";
+
+/** A number as a mantissa times a power of ten. */
+export function power(value, digits = 3) {
+  const [mantissa, exponent] = value.toExponential(digits - 1).split("e");
+  const raised = [...exponent.replace("+", "")].map((c) => (c === "-" ? "⁻" : RAISED[c])).join("");
+  return `${mantissa.replace("-", "−")} × 10${raised}`;
+}
+
+/** A value and its error, at the digits that the error leaves. */
+export function withError(value, error) {
+  if (!(error > 0)) return power(value, 3);
+  const exponent = Math.floor(Math.log10(Math.abs(value) || error));
+  const places = Math.max(0, Math.min(9, exponent - Math.floor(Math.log10(error)) + 1));
+  const scale = 10 ** exponent;
+  const raised = power(scale, 1).split("× ")[1];
+  return `(${decimals(value / scale, places)} ± ${decimals(error / scale, places)}) × ${raised}`;
+}
+
+/** A complex number, or a pair of conjugates as one. */
+export function multiplier([real, imaginary]) {
+  if (imaginary === 0) return number(real, 3);
+  return `${number(real, 3)} ± ${number(Math.abs(imaginary), 3)} i`;
+}
+
+export function count(n, noun) {
+  return `${n} ${noun}${n === 1 ? "" : "s"}`;
+}
+
+/** The name of a parameter, as people write it. */
+export function spaced(name) {
+  return name.replaceAll("_", " ");
+}
+
+/** Round steps of an axis: ticks between two ends, and the decimals that tell them apart. */
+export function ticks(low, high, most) {
+  const rough = (high - low) / most;
+  const unit = 10 ** Math.floor(Math.log10(rough));
+  const step = unit * [1, 2, 5, 10].find((m) => m * unit >= rough);
+  const places = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
+  const first = Math.ceil(low / step - 1e-9);
+  const last = Math.floor(high / step + 1e-9);
+  const values = [];
+  for (let k = first; k <= last && values.length < 50; k++) values.push(k * step);
+  return { values, places };
+}

@@ -1,0 +1,162 @@
+"""Pictures: the fates of the cells of tiles, in bytes for the page.
+
+A cell has two bytes. The first is its label: the `Outcome` of a failure; `UNMATCHED` where it walks
+on without coming near a known attractor; or `FIRST_ATTRACTOR` and the number of its attractor. The
+second is its number of strides, up to `MOST_STRIDES`.
+
+The attractors of a walker are those to which walkers converge from a sample of its home window, in
+the order in which `wj.basin` numbers them, and then those of walkers that remain. One thread alone
+calls these functions.
+"""
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from walker_jax.basins.attractor import CLOSE, Attractor, match_attractor
+from walker_jax.basins.mapper import Labels, Mapper
+from walker_jax.basins.methods import cell_mapping
+from walker_jax.explorer.lattice import (
+    HOME_CELLS,
+    TILE,
+    Rectangle,
+    Tile,
+    cells_of,
+    home_of,
+)
+from walker_jax.explorer.subjects import Subject
+from walker_jax.gaits.search import find_gait
+from walker_jax.integrators.solvers import default_tolerance
+from walker_jax.walking.outcomes import Outcome
+
+UNMATCHED, FIRST_ATTRACTOR = 8, 16
+MOST_STRIDES = 255
+STRIDES = 200
+"""Strides for which a walker is followed, as by `wj.basin`."""
+TOLERANCE = float(default_tolerance(np.dtype(float), None))
+SAMPLE = (30, 40)
+"""Starts in the home window from which attractors are found first: these take some 20 ms."""
+LATER_SAMPLE = 64
+"""Remaining walkers of a batch from which more attractors are found."""
+MAX_ATTRACTORS = 32
+"""Attractors that are told apart; one that has no period takes all that remain."""
+REMEMBERED = 256
+"""Subjects whose attractors are remembered."""
+
+
+class Known(NamedTuple):
+    """What is known of a subject."""
+
+    mapper: Mapper
+    at: tuple[float, ...]
+    """The other coordinates of the plane that is shown."""
+
+
+known: OrderedDict[Subject, Known] = OrderedDict()
+last_gaits: dict[str, Float[np.ndarray, " section"]] = {}
+"""The gait that was found last, for each walker by name: a guess of the next one."""
+
+
+def recall(subject: Subject) -> Known:
+    """What is known of a subject; found when it is first asked for."""
+    if subject not in known:
+        at = plane_of(subject)
+        grid = home_of(subject.name, subject.section).grid(
+            subject, Rectangle(0, (0, 0), HOME_CELLS), at
+        )
+        shares = (np.indices(SAMPLE).reshape(2, -1).T + 0.5) / SAMPLE
+        mapper = Mapper(subject.walker, [], TOLERANCE, STRIDES)
+        mapper = mapper.with_attractors_from(grid.points_at(shares))
+        known[subject] = Known(mapper.with_sorted_attractors(), at)
+    known.move_to_end(subject)
+    while len(known) > REMEMBERED:
+        known.popitem(last=False)
+    return known[subject]
+
+
+def plane_of(subject: Subject) -> tuple[float, ...]:
+    """The coordinates of the section beyond the second; those of the gait where none are given.
+
+    Where no gait is found, those of the one that was found last.
+    """
+    if None in subject.at:
+        state = gait_state(subject)
+        given = zip(subject.at, state[2:].tolist(), strict=True)
+        return tuple(own if value is None else value for value, own in given)
+    return tuple(value for value in subject.at if value is not None)
+
+
+def gait_state(subject: Subject) -> Float[np.ndarray, " section"]:
+    """The first state of the gait, by a search from the gait that was found last."""
+    guess = last_gaits.get(subject.name)
+    if guess is None:
+        guess = np.array(home_of(subject.name, subject.section).gait)
+    found = find_gait(subject.walker, guess)
+    if not found.found:
+        found = find_gait(subject.walker)
+    if found.found:
+        last_gaits[subject.name] = np.asarray(found.states[0])
+    return last_gaits.get(subject.name, guess)
+
+
+def label_tiles(subject: Subject, tiles: Sequence[Tile]) -> list[bytes]:
+    """The labels of the cells of tiles, then their strides, by direct iteration.
+
+    The last axis is the fastest.
+    """
+    home, (mapper, at) = home_of(subject.name, subject.section), recall(subject)
+    grids = [home.grid(subject, cells_of(tile), at) for tile in tiles]
+    indices = np.arange(TILE * TILE)
+    labels = mapper(np.concatenate([grid.centres(indices) for grid in grids]))
+    mapper = match_remaining(mapper, labels)
+    known[subject] = Known(mapper, at)
+    label, strides = in_bytes(labels.fate, labels.attractor, labels.strides)
+    pairs = zip(np.split(label, len(tiles)), np.split(strides, len(tiles)), strict=True)
+    return [one.tobytes() + its_strides.tobytes() for one, its_strides in pairs]
+
+
+def match_remaining(mapper: Mapper, labels: Labels) -> Mapper:
+    """Label walkers that remain, as `Mapper.complete_labels`, but by few of them."""
+    remaining = labels.remaining
+    x = labels.states[remaining]
+    number = match_attractor(x, mapper.attractors, CLOSE)
+    left, attractors = x[number < 0], mapper.attractors
+    aperiodic = [i for i, one in enumerate(attractors) if one.period is None]
+    if len(left) and not aperiodic and len(attractors) < MAX_ATTRACTORS:
+        few = left[np.linspace(0, len(left) - 1, min(len(left), LATER_SAMPLE)).astype(int)]
+        mapper = mapper.with_attractors_from(few)
+        number = match_attractor(x, mapper.attractors, CLOSE)
+        aperiodic = [i for i, one in enumerate(mapper.attractors) if one.period is None]
+    if aperiodic:
+        number[number < 0] = aperiodic[0]
+    labels.attractor[remaining] = number
+    return mapper
+
+
+def map_rectangle(subject: Subject, cells: Rectangle) -> tuple[bytes, list[Attractor]]:
+    """The same bytes of a rectangle of cells, by cell mapping, and its attractors."""
+    home, at = home_of(subject.name, subject.section), plane_of(subject)
+    found = cell_mapping(subject.walker, home.grid(subject, cells, at), TOLERANCE)
+    label, strides = in_bytes(found.fate, found.attractor, found.strides)
+    return label.tobytes() + strides.tobytes(), found.attractors
+
+
+def in_bytes(
+    fate: Int[np.ndarray, " n"], attractor: Int[np.ndarray, " n"], strides: Int[np.ndarray, " n"]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Labels and strides of cells, a byte each."""
+    last = MAX_ATTRACTORS - 1
+    walks = np.where(attractor < 0, UNMATCHED, FIRST_ATTRACTOR + np.minimum(attractor, last))
+    label = np.where(fate == Outcome.STRIDE, walks, fate)
+    return label.astype(np.uint8), np.minimum(strides, MOST_STRIDES).astype(np.uint8)
+
+
+def describe_attractors(attractors: Sequence[Attractor]) -> list[dict]:
+    """The attractors for the page; a motion without a period has one state."""
+    return [
+        {"period": one.period, "states": one.states.tolist(), "artefact": one.artefact}
+        for one in attractors[:MAX_ATTRACTORS]
+    ]

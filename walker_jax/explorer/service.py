@@ -1,0 +1,345 @@
+"""The answers to the page's requests, as an ASGI application (Starlette).
+
+Pictures and walks are computed in one thread, a batch of cells at a time, so that all who ask take
+turns; what takes longer is left to workers. A request whose page has gone, or has asked for
+something newer, is cancelled: between two batches, or by an interrupt of the worker.
+"""
+
+import asyncio
+import json
+import struct
+import time
+from collections.abc import AsyncIterator, Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import asynccontextmanager
+from functools import partial
+from importlib import resources
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import JSONResponse, Response, StreamingResponse
+from starlette.routing import Route
+
+from walker_jax.checks import ComputationFailed, WrongUse
+from walker_jax.explorer import copies, measures, pictures, walks
+from walker_jax.explorer.family import describe_family
+from walker_jax.explorer.guard import TooLong, refuse
+from walker_jax.explorer.lattice import (
+    Tile,
+    home_of,
+    read_rectangle,
+    read_tiles,
+)
+from walker_jax.explorer.subjects import (
+    METHODS,
+    Subject,
+    WrongParameter,
+    choice,
+    mapping,
+    numbers,
+    read_start,
+    read_subject,
+    whole,
+)
+from walker_jax.explorer.workers import Busy, Failure, Workers
+
+BODY_SECONDS = 10.0
+"""Seconds in which a request must have come."""
+FIRST_BATCH, LARGEST_BATCH = 4, 24
+"""Tiles that are computed together: those of the first batch of a picture, and of any."""
+BATCH_SECONDS = 0.06
+"""Seconds that a batch should take: others wait as long, and larger ones fill two cores better."""
+MAX_PICTURES = 64
+"""Pictures at once; more are refused."""
+MAX_RECTANGLES = 4
+"""Grids of cell mapping in a request, coarse ones first."""
+TYPES = {
+    "html": "text/html; charset=utf-8",
+    "css": "text/css; charset=utf-8",
+    "js": "text/javascript; charset=utf-8",
+    "svg": "image/svg+xml",
+}
+WORDS, CELLS, FAILED = 0, 1, 2
+"""Kinds of frames of a picture: JSON, the bytes of a tile, the reason of a failure."""
+
+
+def page_files() -> dict[str, tuple[bytes, str]]:
+    """The files of the page by name, with their types. No other name is ever looked for."""
+    folder = resources.files("walker_jax.explorer") / "page"
+    return {
+        file.name: (file.read_bytes(), TYPES[file.name.rpartition(".")[2]])
+        for file in folder.iterdir()
+    }
+
+
+class Lane:
+    """One thread, which does one thing after the other, in the order of asking."""
+
+    def __init__(self, name: str) -> None:
+        self.thread = ThreadPoolExecutor(1, name)
+
+    async def run(self, function: Callable, *arguments: Any) -> Any:
+        """function(*arguments); never begun if it is cancelled before."""
+        loop = asyncio.get_running_loop()
+        return await loop.run_in_executor(self.thread, function, *arguments)
+
+
+class Service:
+    """What answers requests: threads, workers, and which walkers are compiled."""
+
+    def __init__(self) -> None:
+        self.quick, self.compiling = Lane("pictures"), Lane("compiling")
+        self.workers = Workers()
+        self.compiled: dict[tuple[str, str], asyncio.Task] = {}
+        self.pictures = 0
+
+    async def ready(self, subject: Subject) -> None:
+        """Wait until the programs of a kind of walker are compiled, while others go on."""
+        key = subject.name, subject.section
+        if key not in self.compiled:
+            work = self.compiling.run(compile_programs, subject)
+            self.compiled[key] = asyncio.create_task(work)
+        try:
+            await asyncio.shield(self.compiled[key])
+        except Exception:  # of parameters that compile nothing: the next one tries again
+            self.compiled.pop(key, None)
+            raise
+
+    async def about(self, request: Request) -> Response:
+        """All walkers, and words and colours."""
+        return JSONResponse(describe_family() | {"version": version("walker-jax")})
+
+    async def home(self, request: Request) -> Response:
+        """The home window of a walker on a section, and the sizes in which it is drawn."""
+        subject = read_subject(await read_json(request))
+        await self.ready(subject)
+        home = home_of(subject.name, subject.section)
+        leg = await self.quick.run(walks.leg_of, subject)
+        return JSONResponse({**home._asdict(), "leg": leg._asdict()})
+
+    async def picture(self, request: Request) -> Response:
+        """A stream of frames: the attractors, then tiles, in the order of asking."""
+        asked = mapping("request", await read_json(request))
+        subject = read_subject(asked)
+        method = choice("method", asked.get("method", METHODS[0]), METHODS)
+        if method == "direct":
+            work = self.tiles(subject, read_tiles(asked.get("tiles")))
+        else:
+            if len(subject.kind.section) > 2:
+                raise WrongUse("cell mapping is not for a slice, which walkers leave")
+            rectangles = asked.get("rectangles")
+            if not isinstance(rectangles, list) or not 1 <= len(rectangles) <= MAX_RECTANGLES:
+                raise WrongUse(f"rectangles must be a list of 1 to {MAX_RECTANGLES}")
+            work = self.rectangles(subject, list(map(read_rectangle, rectangles)))
+        if self.pictures >= MAX_PICTURES:
+            raise Busy
+        await self.ready(subject)
+        return StreamingResponse(self.counted(work), media_type="application/octet-stream")
+
+    async def counted(self, frames: AsyncIterator[bytes]) -> AsyncIterator[bytes]:
+        """The same frames, while the picture counts as one; a failure becomes a frame."""
+        self.pictures += 1
+        try:
+            async for one in frames:
+                yield one
+        except (ComputationFailed, WrongUse) as error:
+            yield frame(FAILED, {"error": str(error)})
+        finally:
+            self.pictures -= 1
+
+    async def tiles(self, subject: Subject, tiles: list[Tile]) -> AsyncIterator[bytes]:
+        """Frames of a picture by direct iteration."""
+        told, done, size = -1, 0, FIRST_BATCH
+        while done < len(tiles):
+            batch = tiles[done : done + size]
+            start = time.monotonic()
+            found = await self.quick.run(pictures.label_tiles, subject, batch)
+            spent = max(time.monotonic() - start, 1e-3)
+            known = pictures.known.get(subject)
+            if known is not None and len(known.mapper.attractors) != told:
+                told = len(known.mapper.attractors)
+                attractors = pictures.describe_attractors(known.mapper.attractors)
+                yield frame(WORDS, {"attractors": attractors, "at": known.at})
+            for i, cells in enumerate(found, start=done):
+                yield frame(CELLS, struct.pack("<I", i) + cells)
+            done += len(batch)
+            size = int(np.clip(len(batch) * BATCH_SECONDS / spent, 1, LARGEST_BATCH))
+
+    async def rectangles(self, subject: Subject, rectangles: list) -> AsyncIterator[bytes]:
+        """Frames of a picture by cell mapping."""
+        for i, cells in enumerate(rectangles):
+            found, attractors = await self.quick.run(pictures.map_rectangle, subject, cells)
+            yield frame(WORDS, {"attractors": pictures.describe_attractors(attractors), "at": []})
+            yield frame(CELLS, struct.pack("<I", i) + found)
+
+    async def walk(self, request: Request) -> Response:
+        """Strides from a start, or from a state in mid-stride after a push."""
+        asked = mapping("request", await read_json(request))
+        subject = read_subject(asked)
+        start = read_start(subject, asked.get("start"))
+        count = whole("strides", asked.get("strides", 20), 1, walks.MAX_STRIDES)
+        impulse = asked.get("push")
+        await self.ready(subject)
+        if impulse is not None:
+            given = np.array(numbers("push", impulse, (2,)))
+            start = await self.quick.run(walks.push, subject, start, given)
+        return JSONResponse(await self.quick.run(walks.follow, subject, start, count))
+
+    async def measure(self, request: Request) -> Response:
+        """What takes longer than a picture; see `measures`."""
+        asked = mapping("request", await read_json(request))
+        subject = read_subject(asked)
+        kind = request.path_params["kind"]
+        if kind == "gaits":
+            work = self.workers.ask(measures.gaits, subject)
+        elif kind == "area":
+            cells = read_rectangle(asked.get("cells"))
+            work = self.workers.ask(measures.area, subject, cells)
+        elif kind == "disturbance":
+            work = self.workers.ask(measures.disturbance, subject, long=True)
+        elif kind == "bifurcation":
+            work = self.workers.ask(measures.bifurcation, subject, long=True)
+        else:
+            return refuse(404, "there is no such measure")
+        return JSONResponse(await unless_gone(request, work))
+
+    async def words(self, request: Request) -> Response:
+        """The command line and the program that give the data of a rectangle."""
+        subject, cells, method = await self.wanted(request)
+        make = partial(copies.describe, subject, cells, method)
+        return JSONResponse(await self.quick.run(make))
+
+    async def data(self, request: Request) -> Response:
+        """The data of a rectangle, a Zarr store in a zip archive."""
+        subject, cells, method = await self.wanted(request)
+        work = self.workers.ask(measures.data, subject, cells, method, keep=False)
+        return Response(await unless_gone(request, work), media_type="application/zip")
+
+    async def wanted(self, request: Request) -> tuple[Subject, Any, str]:
+        """What a request takes away."""
+        asked = mapping("request", await read_json(request))
+        subject = read_subject(asked)
+        method = choice("method", asked.get("method", METHODS[0]), METHODS)
+        cells = read_rectangle(asked.get("cells"))
+        await self.ready(subject)
+        return subject, cells, method
+
+    async def alive(self, request: Request) -> Response:
+        """That the server is there."""
+        return JSONResponse({"alive": True})
+
+
+def compile_programs(subject: Subject) -> None:
+    """Do once what pictures and walks need, so that they need not wait for a compiler."""
+    gait = np.array(home_of(subject.name, subject.section).gait)
+    pictures.label_tiles(subject, [Tile(-3, 0, 0)])
+    walks.follow(subject, gait, 1)
+
+
+async def unless_gone(request: Request, work: Any) -> Any:
+    """The result of a coroutine, which is cancelled if whoever asked for it has gone."""
+    task = asyncio.ensure_future(work)
+
+    async def gone() -> None:
+        while (await request.receive())["type"] != "http.disconnect":
+            pass
+
+    watch = asyncio.ensure_future(gone())
+    try:
+        await asyncio.wait([task, watch], return_when=asyncio.FIRST_COMPLETED)
+        if not task.done():
+            raise ClientDisconnect
+        return task.result()
+    finally:
+        task.cancel()
+        watch.cancel()
+
+
+async def read_json(request: Request) -> Any:
+    """The JSON of a request."""
+    if request.headers.get("content-type", "").partition(";")[0].strip() != "application/json":
+        raise WrongUse("a request must be of the type application/json")
+    body = await asyncio.wait_for(request.body(), BODY_SECONDS)
+    try:
+        return json.loads(body)
+    except (ValueError, RecursionError):
+        raise WrongUse("a request must be JSON") from None
+
+
+def frame(kind: int, content: dict | bytes) -> bytes:
+    """A frame: its length, its kind and its content."""
+    body = content if isinstance(content, bytes) else json.dumps(content).encode()
+    return struct.pack("<IB", len(body), kind) + body
+
+
+def refused(request: Request, error: Exception) -> Response:
+    """The answer where a request is wrong, or a computation fails."""
+    if isinstance(error, WrongParameter):
+        return JSONResponse({"error": str(error), "parameter": error.args[1]}, 400)
+    if isinstance(error, WrongUse):
+        return refuse(400, str(error))
+    if isinstance(error, ComputationFailed):
+        return refuse(422, str(error))
+    if isinstance(error, Failure):
+        return refuse(422, str(error.args[1]))
+    if isinstance(error, Busy):
+        return refuse(503, "too much is waiting: try again in a moment", {"retry-after": "1"})
+    if isinstance(error, TooLong):
+        return refuse(413, "the request is too long")
+    if isinstance(error, TimeoutError):
+        return refuse(408, "the request did not come")
+    if isinstance(error, HTTPException):
+        return refuse(error.status_code, error.detail.lower())
+    return Response(status_code=499)  # gone
+
+
+HANDLED = (
+    *(WrongUse, ComputationFailed, Failure, Busy),
+    *(TooLong, TimeoutError, ClientDisconnect, HTTPException),
+)
+
+
+def make_app(first: dict | None = None) -> Starlette:
+    """The application, with the page and all answers.
+
+    What it is likely to be asked for `first` is compiled while the browser opens.
+    """
+    service, files = Service(), page_files()
+
+    async def page(request: Request) -> Response:
+        name = request.path_params.get("name", "index.html")
+        if name not in files:
+            return refuse(404, "there is no such page")
+        content, kind = files[name]
+        return Response(content, media_type=kind)
+
+    @asynccontextmanager
+    async def lifespan(app: Starlette) -> AsyncIterator[None]:
+        if first is not None:
+            app.state.preparing = asyncio.create_task(service.ready(read_subject(first)))
+        yield
+        await run_in_threadpool(service.workers.stop)
+
+    post = lambda path, answer: Route(path, answer, methods=["POST"])
+    routes = [
+        Route("/", page),
+        Route("/page/{name}", page),
+        Route("/api/alive", service.alive),
+        Route("/api/about", service.about),
+        post("/api/home", service.home),
+        post("/api/picture", service.picture),
+        post("/api/walk", service.walk),
+        post("/api/measure/{kind}", service.measure),
+        post("/api/words", service.words),
+        post("/api/data", service.data),
+    ]
+    app = Starlette(
+        routes=routes, lifespan=lifespan, exception_handlers=dict.fromkeys(HANDLED, refused)
+    )
+    app.state.service = service
+    return app

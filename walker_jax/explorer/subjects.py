@@ -1,0 +1,151 @@
+"""What a request is about, checked: a walker, its section, places on it.
+
+A request is JSON from a stranger. Every number in it is bounded, every name is looked up among
+those that there are, and `WrongUse` says in one sentence what is wrong.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from walker_jax.checks import WrongUse, is_number, short
+from walker_jax.walkers.family import WALKERS
+from walker_jax.walkers.model import State, Walker
+from walker_jax.walkers.parameters import Parameter, parameters
+
+SECTIONS = ("sheared", "plain")
+METHODS = ("direct", "cell-map")
+LARGEST = 1e6
+"""Largest absolute value of a number in a request, far beyond any that a walker walks with."""
+
+
+class Subject(NamedTuple):
+    """The walker that a request is about, and the plane of its section that is shown."""
+
+    name: str
+    """On the command line."""
+    values: tuple[float, ...]
+    """Of its parameters, in the order of `parameters`."""
+    section: str
+    """One of `SECTIONS`."""
+    at: tuple[float | None, ...]
+    """Coordinates of the plane beyond the second; None for that of the gait."""
+
+    @property
+    def kind(self) -> type[Walker]:
+        """The class of the walker."""
+        return WALKERS[self.name]
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """The parameters by name."""
+        names = (one.name for one in parameters(self.kind))
+        return dict(zip(names, self.values, strict=True))
+
+    @property
+    def walker(self) -> Walker:
+        """The walker itself."""
+        return self.kind(**self.parameters)
+
+    @property
+    def axes(self) -> tuple[str, str]:
+        """The names of the two axes of the picture."""
+        return "theta", "sum" if self.section == "sheared" else "thetadot"
+
+
+class WrongParameter(WrongUse):
+    """A value that a walker refuses; the second argument is the name of its parameter."""
+
+    def __str__(self):
+        return str(self.args[0])
+
+
+def read_subject(asked: Any) -> Subject:
+    """The subject of a request; raises `WrongUse` for one that there is not."""
+    asked = mapping("request", asked)
+    name = choice("walker", asked.get("walker"), tuple(WALKERS))
+    kind = WALKERS[name]
+    given = mapping("parameters", asked.get("parameters", {}))
+    known = {one.name: one for one in parameters(kind)}
+    for parameter in given:
+        if parameter not in known:
+            raise WrongUse(f"{short(parameter)} is not a parameter of {name}")
+    values = {one: number(one, given.get(one, known[one].default)) for one in known}
+    try:
+        kind(**values)
+    except WrongUse as error:
+        reason = str(error)
+        named = [one for one in known if reason.startswith(f"{one} ")]
+        raise WrongParameter(reason, named[0] if named else next(iter(known))) from None
+    section = choice("section", asked.get("section", SECTIONS[0]), SECTIONS)
+    return Subject(name, tuple(values.values()), section, read_slice(kind, asked.get("at", {})))
+
+
+def read_slice(kind: type[Walker], asked: Any) -> tuple[float | None, ...]:
+    """The coordinates beyond the second; None where the gait's are asked for."""
+    given, others = mapping("at", asked), kind.section[2:]
+    for name in given:
+        if name not in others:
+            raise WrongUse(f"at must name coordinates among {others}, not {short(name)}")
+    values = ((name, given.get(name)) for name in others)
+    return tuple(None if value is None else number(name, value) for name, value in values)
+
+
+def read_start(subject: Subject, asked: Any) -> Float[np.ndarray, " coordinates"]:
+    """A start on the section, or a full state."""
+    section = len(subject.kind.section)
+    values = numbers("start", asked, (section, len(State._fields)))
+    return np.array(values)
+
+
+def mapping(name: str, value: Any) -> Mapping[str, Any]:
+    """The value, where it is a JSON object."""
+    if not isinstance(value, dict):
+        raise WrongUse(f"{name} must be an object, not {short(value)}")
+    return value
+
+
+def choice(name: str, value: Any, among: tuple[str, ...]) -> str:
+    """The value, where it is one of some words."""
+    if not isinstance(value, str) or value not in among:
+        raise WrongUse(f"{name} must be one of {', '.join(among)}, not {short(value)}")
+    return value
+
+
+def number(name: str, value: Any) -> float:
+    """The value, where it is a number of a reasonable size."""
+    if not is_number(value) or not abs(value) <= LARGEST:  # nor so for NaN
+        raise WrongUse(f"{name} must be a number of at most {LARGEST:g}, not {short(value)}")
+    return float(value)
+
+
+def whole(name: str, value: Any, least: int, most: int) -> int:
+    """The value, where it is a whole number between two others."""
+    if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
+        raise WrongUse(f"{name} must be a whole number from {least} to {most}, not {short(value)}")
+    return value
+
+
+def numbers(name: str, value: Any, lengths: tuple[int, ...]) -> list[float]:
+    """The values of a list of one of some lengths."""
+    if not isinstance(value, list) or len(value) not in lengths:
+        raise WrongUse(
+            f"{name} must be {' or '.join(map(str, lengths))} numbers, not {short(value)}"
+        )
+    return [number(name, one) for one in value]
+
+
+def slider_range(parameter: Parameter) -> tuple[float, float]:
+    """The ends of a parameter's slider; a value beyond them may be typed.
+
+    From zero, or a little below its default where it may be negative, to a few times its default.
+    """
+    scale = 5 * abs(parameter.default) or 1.0
+    above = 0.2 * scale if parameter.low == -math.inf or not parameter.default else 0.8 * scale
+    if parameter.low == 0 and not parameter.default:
+        above = scale
+    low = parameter.low if parameter.low >= 0 else parameter.default - 0.2 * scale
+    return max(low, parameter.low), min(parameter.default + above, parameter.high)

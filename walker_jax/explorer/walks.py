@@ -1,0 +1,152 @@
+"""Walks for the page: every frame of some strides, and pushes.
+
+A frame is a full state, and frames are evenly spaced over each stride, its start and its end among
+them. The page draws the walker between them, so it needs few.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from walker_jax.checks import WrongUse
+from walker_jax.execution.tiles import map_cells
+from walker_jax.explorer.subjects import Subject
+from walker_jax.multibody import block, factorise, mass_matrix, solve_factored
+from walker_jax.walkers.masses import MultibodyWalker, stance_coordinates
+from walker_jax.walkers.model import Walker
+from walker_jax.walking.iteration import strides
+from walker_jax.walking.movement import FALL_TIME, is_over, leg_shape, legs, swing_begins
+from walker_jax.walking.outcomes import Outcome
+from walker_jax.walking.stepping import full_state, state_after
+
+MAX_STRIDES = 60
+"""Strides of one answer."""
+FRAME = 0.06
+"""Time between frames, 60 in a stride: a cubic through states and rates is exact enough between."""
+
+
+class Leg(NamedTuple):
+    """Sizes in which to draw a walker."""
+
+    length: float
+    """From the hip to the centre of the foot's arc."""
+    radius: float
+
+
+def leg_of(subject: Subject) -> Leg:
+    """The sizes of a walker's legs."""
+    return Leg(*leg_shape(subject.walker))
+
+
+def follow(subject: Subject, start: Float[np.ndarray, " coordinates"], count: int) -> dict:
+    """Strides from a start on the section, or from a full state, and the start of the next one.
+
+    There is no next one after a failure. Each stride has its `start`, `outcome`, `duration` (of a
+    failure, of what there is to see) and `frames`, rows of theta, phi, thetadot and phidot.
+    """
+    walker, made = subject.walker, []
+    for _ in range(count):
+        stride = strides(walker, start[None])
+        outcome = Outcome(int(stride.outcome[0]))
+        if outcome == Outcome.OUTSIDE:
+            made.append(end(walker, start, outcome, 0.0, None))
+            return {"strides": made, "next": None}
+        if outcome != Outcome.STRIDE:
+            made.append(fall(walker, start, outcome))
+            return {"strides": made, "next": None}
+        duration = float(stride.time[0])
+        times = np.linspace(0, duration, 1 + max(8, round(duration / FRAME)))
+        made.append(end(walker, start, outcome, duration, states_at(walker, start, times)))
+        start = np.asarray(stride.state[0])
+    return {"strides": made, "next": start.tolist()}
+
+
+def fall(walker: Walker, start: Float[np.ndarray, " coordinates"], outcome: Outcome) -> dict:
+    """The stride in which a walker fails: to the ground, or to where it runs or stops."""
+    length, radius = leg_shape(walker)
+    times = np.arange(0, FALL_TIME * np.sqrt(length + radius), FRAME)
+    states = states_at(walker, start, times)
+    finite = np.isfinite(states.theta)
+    count = len(times) if finite.all() else max(1, int(finite.argmin()))
+    states = jax.tree.map(lambda values: values[:count], states)
+    begins = swing_begins(walker, start, None) if walker.phases() else 0.0
+    swings = times[:count] >= begins
+    over = is_over(walker, states, swings, outcome)
+    count = max(2, int(over.argmax())) if over.any() else count
+    states = jax.tree.map(lambda values: values[:count], states)
+    return end(walker, start, outcome, (len(states.theta) - 1) * FRAME, states)
+
+
+def end(
+    walker: Walker,
+    start: Float[np.ndarray, " coordinates"],
+    outcome: Outcome,
+    duration: float,
+    states: Any,
+) -> dict:
+    """A stride for the page; with `bent`, where a leg has a knee: its place and the leg's end."""
+    rows = np.zeros((0, 4)) if states is None else np.stack(legs(states), axis=1)
+    found = {
+        "start": start.tolist(),
+        "outcome": int(outcome),
+        "duration": duration,
+        "frames": np.round(rows, 7).tolist(),
+    }
+    if walker.phases() and len(rows):
+        bent = jax.vmap(walker.bent_leg)(jax.tree.map(jnp.asarray, states))
+        found["bent"] = np.round(np.asarray(bent).reshape(-1, 4), 6).tolist()
+    return found
+
+
+def states_at(
+    walker: Walker, start: Float[np.ndarray, " coordinates"], times: Float[np.ndarray, " n"]
+) -> Any:
+    """States at times after a start, each followed from there: one program for all counts."""
+    walker = jax.tree.map(lambda leaf: np.asarray(leaf, float), walker)
+    arguments = (walker, start, times, np.asarray(1e-12))
+    return map_cells(state_after, arguments, (False, False, True, False))
+
+
+def push(
+    subject: Subject, start: Float[np.ndarray, " coordinates"], impulse: Float[np.ndarray, " 2"]
+) -> Float[np.ndarray, " 4"]:
+    """The full state after a push at the hip: an impulse along the slope and normal to it.
+
+    In units of the walker's mass at the hip, or of mass, times speed. `WrongUse` for a walker with
+    knees, of whose state in mid-stride the angles of two straight legs are not all.
+    """
+    if subject.walker.phases():
+        raise WrongUse("walkers with knees cannot be pushed in mid-stride")
+    walker = jax.tree.map(lambda leaf: np.asarray(leaf, float), subject.walker)
+    arguments = (walker, start[None], impulse[None], np.asarray(leg_shape(subject.walker)))
+    return map_cells(after_push, arguments, (False, True, True, False))[0]
+
+
+def after_push(
+    walker: Walker,
+    start: Float[Array, " coordinates"],
+    impulse: Float[Array, " 2"],
+    leg: Float[Array, " 2"],
+) -> Float[Array, " 4"]:
+    """The state after an impulse P at the hip, which changes rates by M^{-1} (d hip / dq)^T P.
+
+    The hip of a leg of length l on a foot of radius r is at (-r theta - l sin theta, l cos theta).
+    A leg that carries a vanishing mass at its foot alone turns so that the foot's speed across it
+    stays: then thetadot changes by P . (d hip / d theta) / l^2, and phidot by 1 - cos(phi) times
+    that.
+    """
+    state = full_state(walker, start)
+    theta, phi, thetadot, phidot = state
+    length, radius = leg[0], leg[1]
+    torque = -(radius + length * jnp.cos(theta)) * impulse[0] - length * jnp.sin(theta) * impulse[1]
+    if isinstance(walker, MultibodyWalker):
+        q = stance_coordinates([theta, phi])
+        factors = factorise(block(mass_matrix(walker.system(), q), (2, 3)))
+        first, second = solve_factored(factors, [torque, jnp.zeros_like(torque)])
+    else:
+        first = torque / length**2
+        second = (1 - jnp.cos(phi)) * first
+    return jnp.stack([theta, phi, thetadot + first, phidot + second])

@@ -1,0 +1,117 @@
+"""Pictures of the boundary between fates."""
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+
+from walker_jax.basins.cell_classes import large_basins
+from walker_jax.checks import WrongUse
+from walker_jax.figures.layout import (
+    BELOW,
+    LINE,
+    name_axes,
+    new_axes,
+    place_legend,
+    write_title,
+)
+from walker_jax.figures.regions import (
+    extent_of,
+    paint,
+    patch_of,
+    place_states,
+    regions_of,
+    show_image,
+)
+from walker_jax.figures.style import BASINS, FAILURES, INK
+from walker_jax.figures.text import walker_title
+from walker_jax.storage.schema import check_dataset
+from walker_jax.walking.outcomes import Outcome
+
+CURVES = ("#e4572e", "#17a398", "#f2c14e")
+"""Colours of stable manifolds, unlike those of regions."""
+ENDS = {
+    "backward": "leads to the stance leg at rest upright",
+    "forward": "leads to a foot that grazes the ground",
+    "running": "leads to a contact force of zero",
+    "stopping": "leads to a foot that just lifts",
+    "": "comes to no cycle",
+}
+"""What an edge leads to that is no saddle."""
+
+
+def boundary(data: xr.Dataset, ax: Axes | None = None) -> Axes:
+    """The basin, the saddles on its boundary, and the stable manifolds of these.
+
+    **Arguments:**
+
+    - `data`: what `walker_jax.boundary` returns, over two dimensions.
+    - `ax`: where to draw; by default, on a new figure of 7 by 6.2 inches.
+
+    **Returns** the axes. Raises `ValueError` for another data set.
+    """
+    check_dataset(data, "boundary")
+    fate = data["fate"]
+    if fate.ndim != 2 or min(fate.shape) < 2:
+        raise WrongUse(f"data must have a fate over 2 x 2 cells or more, not {dict(fate.sizes)}")
+    ax = new_axes(7, 6.2) if ax is None else ax
+    x, y = map(str, fate.dims)
+    extent = extent_of(data, x, y)
+    regions = regions_of(data, large_basins(data, len(BASINS)))
+    show_image(ax, paint(regions, fate.shape), extent)
+    marks = []
+    seen: dict[bytes, str] = {}
+    for i in range(data.sizes["edge"]):
+        one = data.isel(edge=i)
+        pair = " / ".join(name_of(Outcome(int(code))) for code in one["edge_fates"].values)
+        colour = CURVES[len(seen) % len(CURVES)]
+        states = one["edge_saddle"].values
+        states = states[np.isfinite(states).all(axis=1)]
+        known = np.sort(states.round(8), axis=0).tobytes()
+        if len(states) and known in seen:
+            marks += ax.plot([], [], "o", color=seen[known], mec=INK, label=f"{pair}: the same")
+            continue
+        look: dict[str, Any] = {"color": colour, "mec": INK, "mew": 0.8, "ls": "", "zorder": 4}
+        if len(states):
+            seen[known] = colour
+            for curve in one["stable_manifold"].values:
+                points = place_states(data, curve, (x, y))
+                ax.plot(*points.T, "-", color=colour, lw=1.4, zorder=3)
+            label = f"{pair}: {saddle_phrase(one)}"
+            marks += ax.plot(*place_states(data, states, (x, y)).T, "o", label=label, **look)
+        else:
+            path = one["edge_path"].values
+            path = path[np.isfinite(path).all(axis=1)]
+            label = f"{pair}: {ENDS[str(one['edge_kind'].values)]}"
+            look |= {"color": "white"}
+            marks += ax.plot(*place_states(data, path[-1:], (x, y)).T, "D", label=label, **look)
+    place_legend(ax, marks, BELOW, columns=1)
+    place_legend(ax, [*map(patch_of, regions)], BELOW + LINE * len(marks), columns=2)
+    ax.set(xlim=extent[:2], ylim=extent[2:])
+    name_axes(ax, x, y)
+    write_title(ax, walker_title(data), entropy_phrase(data))
+    return ax
+
+
+def name_of(outcome: Outcome) -> str:
+    """A region in a word or two."""
+    return "walks" if outcome == Outcome.STRIDE else FAILURES[outcome][2]
+
+
+def saddle_phrase(one: xr.Dataset) -> str:
+    """A saddle with its multipliers."""
+    period = int(one["edge_period"])
+    values = one["edge_multipliers"].values
+    numbers = [complex(*value) for value in values[np.isfinite(values).all(axis=1)]]
+    words = ", ".join(f"{value.real:.3g}" for value in numbers)
+    return f"saddle of period {period}, multipliers {words}"
+
+
+def entropy_phrase(data: xr.Dataset) -> str:
+    """The entropies of a basin, and the log 2 test."""
+    value, error = float(data["boundary_entropy"]), float(data["boundary_entropy_error"])
+    fractal = "above log 2, fractal" if value - 2 * error > np.log(2) else "not above log 2"
+    value_phrase = f"of the boundary {value:.3f} ± {error:.3f} ({fractal})"
+    first = f"basin entropy {float(data['basin_entropy']):.4f}, {value_phrase};"
+    return f"{first}\ncurves are stable manifolds of the saddles"

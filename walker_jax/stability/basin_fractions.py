@@ -1,0 +1,292 @@
+"""Attractors and their basins over a parameter: fractions of a region, with attractors matched.
+
+Random starts in the region, the same for all values, show which share of it converges to each
+attractor. A gait that attracts is followed over the whole range (`gaits.branches`), as far as it
+exists: at every value it is known beforehand, however small its basin, and it keeps its number. A
+walker that converges to none that is known leads to a new attractor. So an attractor is born where
+its branch becomes stable, as at a fold or a period doubling, and ends where it becomes unstable.
+"""
+
+from collections.abc import Sequence
+from importlib.metadata import version
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+from jax.typing import ArrayLike
+from jaxtyping import Float
+
+from walker_jax.basins.attractor import Attractor
+from walker_jax.basins.attractor_search import sample
+from walker_jax.basins.mapper import Labels, Mapper
+from walker_jax.basins.matching import NONE, match_cycles
+from walker_jax.basins.memory import check_grid
+from walker_jax.checks import WrongUse, check_kind, check_whole, numbers, refuses_tracers
+from walker_jax.execution.progress import track
+from walker_jax.gaits.branches import (
+    Branch,
+    continue_gaits,
+    float64_tolerance,
+    interpolate_cycles,
+    solve_at,
+)
+from walker_jax.gaits.continuation import Start
+from walker_jax.gaits.search import find_gait
+from walker_jax.grids import Grid
+from walker_jax.stability.sampling import wilson_interval
+from walker_jax.stability.summary import default_region
+from walker_jax.walkers.model import Walker
+from walker_jax.walkers.parameters import check_parameter, with_parameter
+from walker_jax.walking.iteration import orbits
+from walker_jax.walking.outcomes import Outcome
+
+SAME_CYCLE = 1e-6
+"""Distance within which a cycle is the one that its branch has there: rounding errors, and what a
+walker that converges slowly still lacks."""
+CONFIDENCE = 0.95
+"""Of the intervals of fractions."""
+
+
+STATES = 64
+"""States that are kept of a motion without a period."""
+
+
+class Found(NamedTuple):
+    """The attractors at one value, and what the starts converge to."""
+
+    names: list[int]
+    """Number of each attractor, the same over all values."""
+    attractors: list[Attractor]
+    labels: Labels
+
+
+@refuses_tracers()
+def continue_basins(
+    walker: Walker,
+    parameter: str,
+    values: Sequence[Any] | ArrayLike,
+    region: Grid | None = None,
+    *,
+    samples: int = 100_000,
+    strides: int = 500,
+    seed: int = 0,
+    tolerance: float | None = None,
+    progress: bool = False,
+) -> xr.Dataset:
+    """The attractors over a parameter, matched from value to value, and fractions of their basins.
+
+    A gait keeps its number along its branch, and one of twice the period that branches off has
+    another. A motion without a period keeps its number from one value to the next.
+
+    **Arguments:**
+
+    - `walker`: gives the values of its other parameters.
+    - `parameter`: name of one of its parameters.
+    - `values`: two or more of it, in ascending order.
+    - `region`: grid or slice whose region holds the starts; by default that of `robustness`.
+    - `samples`: number of starts, uniformly distributed in the region, the same for all values.
+    - `strides`: number of strides for which a walker is followed.
+    - `seed`, `tolerance`: of random numbers, and of the integration.
+    - `progress`: whether to show a progress bar on a terminal.
+
+    **Returns** a data set over the `value` and the `attractor`: `fraction` of the starts that
+    converge to it, with the ends `fraction_low` and `fraction_high` of Wilson's 95 % interval, NaN
+    where it is none; its `states` there, or `STATES` of a motion without a period; `period`, 0 for
+    such a motion; and the `first` and the `last` value at which it attracts. `failed` is the
+    fraction that fails, by `Outcome`. Over the bifurcations of the gaits' branches:
+    `event_attractor`, `event_value`, and `event_fold`, whether it is a fold or a period doubling.
+
+    Raises `ValueError` for a wrong parameter, values that are not in order, and a region that does
+    not fit the walker.
+    """
+    check_kind("walker", walker, Walker)
+    values = numbers("values", values).astype(float)
+    if values.ndim != 1 or len(values) < 2 or not (np.diff(values) > 0).all():
+        raise WrongUse(f"values must be two or more in ascending order, not {values.tolist()}")
+    check_parameter(walker, parameter, *values.tolist())
+    tolerance = float(float64_tolerance(tolerance))
+    samples, strides = check_whole("samples", samples), check_whole("strides", strides)
+    seed = check_whole("seed", seed, 0)
+    first = with_parameter(walker, parameter, float(values[0]))
+    region = default_region(first) if region is None else region
+    if region is None:
+        raise WrongUse("region is required where no gait of period one is found")
+    check_grid(walker, region, "direct")
+    shares = np.random.default_rng(seed).uniform(size=(samples, len(region.names)))
+    starts = region.points_at(shares).astype(jnp.asarray(0.0).dtype)
+    family = Family(walker, parameter, (float(values[0]), float(values[-1])), tolerance)
+    found = [
+        family.attractors_at(value, starts, strides) for value in track(values, parameter, progress)
+    ]
+    about = {
+        "parameter": parameter,
+        "walker": type(walker).__name__,
+        **{f"walker_{k}": float(v) for k, v in vars(walker).items() if k != parameter},
+        "section": list(walker.section),
+        "samples": samples,
+        "strides": strides,
+        "seed": seed,
+        "tolerance": tolerance,
+        "version": f"walker-jax {version('walker-jax')}",
+    }
+    return assemble(values, found, family.branches, samples).assign_attrs(about)
+
+
+class Family:
+    """The attractors over a parameter so far: a branch for each number, none without a period."""
+
+    def __init__(
+        self, walker: Walker, parameter: str, interval: tuple[float, float], tolerance: float
+    ):
+        self.walker, self.parameter, self.interval = walker, parameter, interval
+        self.tolerance = tolerance
+        self.branches: list[Branch | None] = []
+        self.without_period = NONE
+        """Number of the motion without a period at the last value."""
+
+    def attractors_at(
+        self, value: float, starts: Float[np.ndarray, "n section"], strides: int
+    ) -> Found:
+        """The attractors at a value, which is higher than any before, and the labels of starts."""
+        there = with_parameter(self.walker, self.parameter, float(value))
+        names, known = [], []
+        for name, cycle in self.cycles_at(value):
+            gait = find_gait(there, cycle, len(cycle), tolerance=self.tolerance)
+            if gait.found and gait.stable:
+                states = np.asarray(gait.states)
+                names.append(name)
+                states = np.roll(states, -int(states[:, 0].argmin()), axis=0)
+                known.append(Attractor(len(states), states))
+        mapper = Mapper(there, known, self.tolerance, strides)
+        labels = mapper(starts)
+        left = labels.states[labels.remaining]
+        if len(left):  # first, as a cycle that is new may pass close to one that is known
+            mapper = mapper.with_attractors_from(sample(left))
+        labels, mapper = mapper.complete_labels(labels)
+        names += self.names_of(value, mapper.attractors[len(known) :], names)
+        periods = [one.period for one in mapper.attractors]
+        self.without_period = names[periods.index(None)] if None in periods else NONE
+        shown = [
+            one
+            if one.period
+            else one._replace(states=orbits(there, one.states, STATES - 1, self.tolerance)[0][0])
+            for one in mapper.attractors
+        ]
+        return Found(names, shown, labels)
+
+    def cycles_at(self, value: float) -> list[tuple[int, Float[np.ndarray, "_ section"]]]:
+        """The gaits of all branches at a value, stable or not, with their numbers."""
+        guesses = [
+            (name, cycle)
+            for name, branch in enumerate(self.branches)
+            if branch is not None
+            for cycle in interpolate_cycles(branch, value)
+        ]
+        at = [(float(value), cycle) for _, cycle in guesses]
+        cycles = solve_at(self.walker, self.parameter, at, self.tolerance)
+        return [
+            (name, cycle)
+            for (name, _), cycle in zip(guesses, cycles, strict=True)
+            if cycle is not None
+        ]
+
+    def names_of(self, value: float, found: list[Attractor], taken: list[int]) -> list[int]:
+        """The numbers of attractors that were not known beforehand at a value."""
+        names: list[int] = []
+        for one in found:
+            branch, name = None, self.without_period
+            if one.period is not None:
+                others = self.cycles_at(value)
+                (match,) = match_cycles([one.states], [cycle for _, cycle in others], SAME_CYCLE)
+                name = NONE if match == NONE else others[match][0]
+                if name == NONE or name in (*taken, *names):
+                    name, start = NONE, Start(float(value), one.states)
+                    (branch,) = continue_gaits(
+                        self.walker,
+                        self.parameter,
+                        self.interval,
+                        [start],
+                        tolerance=self.tolerance,
+                    )
+            if name == NONE:
+                name = len(self.branches)
+                self.branches.append(branch)
+            names.append(name)
+        return names
+
+
+def assemble(
+    values: Float[np.ndarray, " values"],
+    found: list[Found],
+    branches: list[Branch | None],
+    samples: int,
+) -> xr.Dataset:
+    """The data set that `continue_basins` returns."""
+    count, size = len(branches), found[0].labels.states.shape[1]
+    longest = max((len(one.states) for each in found for one in each.attractors), default=1)
+    period = np.zeros(count, int)
+    states = np.full((len(values), count, longest, size), np.nan)
+    shares = np.full((3, len(values), count), np.nan)
+    failed = np.zeros((len(values), len(Outcome)))
+    for i, (names, attractors, labels) in enumerate(found):
+        fates = np.where(labels.converged, Outcome.STRIDE, labels.fate)
+        lost = fates[~labels.converged]
+        failed[i] = np.bincount(lost, minlength=len(Outcome)) / samples
+        for number, (name, one) in enumerate(zip(names, attractors, strict=True)):
+            reached = int((labels.attractor == number).sum())
+            shares[:, i, name] = reached / samples, *wilson_interval(reached, samples, CONFIDENCE)
+            states[i, name, : len(one.states)] = one.states
+            period[name] = one.period or 0
+    present = np.isfinite(shares[0])
+    ends = [(values[there[[0]]], values[there[[-1]]]) for there in map(np.flatnonzero, present.T)]
+    events = [
+        (name, event)
+        for name, branch in enumerate(branches)
+        if branch is not None
+        for event in (*branch.folds, *branch.doublings)
+    ]
+    over = ("value", "attractor")
+    return xr.Dataset(
+        {
+            **{
+                name: (over, share)
+                for name, share in zip(
+                    ("fraction", "fraction_low", "fraction_high"), shares, strict=True
+                )
+            },
+            "failed": (("value", "outcome"), failed),
+            "states": ((*over, "phase", "coordinate"), states),
+            "period": ("attractor", period),
+            "first": ("attractor", np.array([low[0] for low, _ in ends], float)),
+            "last": ("attractor", np.array([high[0] for _, high in ends], float)),
+            "event_attractor": ("event", np.array([name for name, _ in events], int)),
+            "event_value": ("event", np.array([event.value for _, event in events], float)),
+            "event_fold": ("event", np.array([event.kind == "fold" for _, event in events], bool)),
+        },
+        coords={"value": values, "attractor": np.arange(count)},
+    )
+
+
+def summarise_fractions(data: xr.Dataset) -> dict:
+    """The attractors of `continue_basins` and the bifurcations of their branches, for JSON."""
+    fraction = data["fraction"].values
+    attractors = [
+        {
+            "number": i,
+            "period": int(data["period"][i]) or None,
+            "first": float(data["first"][i]),
+            "last": float(data["last"][i]),
+            "largest_fraction": float(np.nanmax(fraction[:, i])),
+        }
+        for i in range(data.sizes["attractor"])
+    ]
+    events = [
+        {
+            "attractor": int(data["event_attractor"][i]),
+            "kind": "fold" if data["event_fold"][i] else "doubling",
+            "value": float(data["event_value"][i]),
+        }
+        for i in range(data.sizes["event"])
+    ]
+    return {"attractors": attractors, "bifurcations": events}

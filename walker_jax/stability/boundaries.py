@@ -1,0 +1,210 @@
+"""The boundary between fates: how fractal it is, whether it is Wada, and what it leads to."""
+
+from itertools import combinations
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float, Int
+
+from walker_jax.basins.computation import basin
+from walker_jax.basins.edge_states import EdgeState, edge_state
+from walker_jax.basins.memory import check_grid
+from walker_jax.basins.stable_manifolds import stable_manifold
+from walker_jax.checks import ComputationFailed, check_whole, refuses_tracers
+from walker_jax.entropies import BOX, basin_entropy
+from walker_jax.grids import Grid
+from walker_jax.wada import MIN_REGIONS, RADIUS, check_radius, merge_regions
+from walker_jax.walkers.model import Walker
+from walker_jax.walking.outcomes import Outcome
+
+NO_REGION = (Outcome.OUTSIDE, Outcome.UNDECIDED, Outcome.LEFT_GRID)
+"""Fates of cells that are in no region: no walk begins there, or none is known."""
+HALVINGS = 3
+"""Coarser grids on which boundaries of merged regions are compared, if the grid is so fine."""
+SPACING = 5e-3
+"""Of the points of a stable manifold: a cubic between them errs by less than a picture shows."""
+LONGEST_CURVED = 4
+"""Period of a saddle, at most, whose stable manifold is drawn: those of longer ones contract so
+much along it that one preimage leads all over the section."""
+
+
+@refuses_tracers()
+def boundary(
+    walker: Walker,
+    grid: Grid,
+    *,
+    side: int = BOX,
+    radius: float | int = RADIUS,
+    strides: int = 500,
+    tolerance: float | None = None,
+) -> xr.Dataset:
+    """The boundary between the fates in a region: entropy, the Wada property, edge states.
+
+    Regions are the fates: all walkers that converge to an attractor are in one. Cells that are not
+    feasible starts are in none.
+
+    **Arguments:**
+
+    - `walker`: as in `basin`.
+    - `grid`: region or slice, and its cells, which are followed directly.
+    - `side`: cells along a side of the boxes of `basin_entropy`.
+    - `radius`: as in `merge_regions`, in cells.
+    - `strides`: number of strides for which a walker is followed.
+    - `tolerance`: of the integration, as in `stride`.
+
+    **Returns** what `basin` returns, and `basin_entropy`, `boundary_entropy` and its standard error
+    `boundary_entropy_error`; the regions' fates `region`, and `wada_share`, the largest share of a
+    region's boundary that the boundary of another region lacks, over the `spacing` of the grid's
+    points, none with less than three regions. And over the pairs of regions that touch on the grid
+    (`edge`), from the two cells nearest to the first attractor, or to the middle of the grid: their
+    fates `edge_fates`; what `edge_state` finds there, `edge_kind`, `edge_between`, `edge_path`, and
+    of a saddle `edge_period`, `edge_saddle`, `edge_multipliers` and, of a section of two
+    coordinates, its `stable_manifold`.
+
+    Raises `ValueError` as `basin`, `basin_entropy` and `merge_regions`.
+    """
+    check_grid(walker, grid, "direct")
+    check_whole("side", side, 2, min(grid.shape))
+    check_radius(radius)
+    data = basin(walker, grid, "direct", strides=strides, tolerance=tolerance)
+    fate = data["fate"].values
+    label = np.where(np.isin(fate, NO_REGION), -1, fate)
+    entropy = basin_entropy(label, side)
+    regions = np.unique(label[label >= 0])
+    spacings, shares = np.zeros(0, int), np.zeros(0)
+    if len(regions) >= MIN_REGIONS:
+        halvings = min(HALVINGS, int(np.log2(min(label.shape) / 3)))
+        found = merge_regions(label, radius, halvings=halvings)
+        spacings, shares = found.spacings, found.share
+    pairs, edges = [], []
+    for first, second in combinations(regions.tolist(), 2):
+        cells = touching_cells(label, (first, second), nearest_to(data, grid))
+        if cells is None:
+            continue
+        ends = grid.points_at((cells + 0.5) / np.array(grid.shape))
+        try:
+            edges.append(edge_state(walker, *ends, strides=strides, tolerance=tolerance))
+        except ComputationFailed:  # rounding lost this boundary: the other pairs count
+            edges.append(EdgeState("", None, ends[:1], (Outcome(first), Outcome(second)), np.nan))
+        pairs.append((first, second))
+    return data.assign(
+        {
+            "basin_entropy": entropy.value,
+            "boundary_entropy": entropy.boundary,
+            "boundary_entropy_error": entropy.boundary_error,
+            "region": ("region_number", regions),
+            "spacing": ("spacing", spacings),
+            "wada_share": ("spacing", shares),
+            **edge_arrays(walker, pairs, edges, tolerance),
+        }
+    ).assign_attrs(side=side, radius=float(radius))
+
+
+def nearest_to(data: xr.Dataset, grid: Grid) -> Float[np.ndarray, " axes"]:
+    """The place, in cells, of the first attractor's first state; the middle if that is outside."""
+    middle = (np.array(grid.shape) - 1) / 2
+    if data.sizes["number"] == 0 or len(grid.names) < grid.coordinates:
+        return middle
+    box = np.asarray(grid.unshear) @ (data["states"].values[0, 0] - np.asarray(grid.origin))
+    place = (box - np.asarray(grid.lower)) / np.asarray(grid.spacing) - 0.5
+    return place if ((place >= 0) & (place <= 2 * middle)).all() else middle
+
+
+def touching_cells(
+    label: Int[np.ndarray, "*cells"], pair: tuple[int, int], near: Float[np.ndarray, " axes"]
+) -> Int[np.ndarray, "2 axes"] | None:
+    """Two neighbouring cells with these labels, the nearest to a place; None without any."""
+    found = []
+    for axis in range(label.ndim):
+        swapped = np.moveaxis(label, axis, 0)
+        for first, second, step in ((0, 1, 1), (1, 0, -1)):
+            lower, upper = swapped[:-1], swapped[1:]
+            hits = np.argwhere((lower == pair[first]) & (upper == pair[second]))
+            cells = np.stack([hits, hits + np.eye(label.ndim, dtype=int)[0]], axis=1)
+            found.append(np.insert(cells[..., 1:], axis, cells[..., 0], axis=2)[:, ::step])
+    cells = np.concatenate(found)
+    if len(cells) == 0:
+        return None
+    return cells[np.linalg.norm(cells.mean(axis=1) - near, axis=1).argmin()]
+
+
+def edge_arrays(
+    walker: Walker,
+    pairs: list[tuple[int, int]],
+    edges: list[EdgeState],
+    tolerance: float | None,
+) -> dict[str, tuple]:
+    """The variables over the pairs of regions that touch."""
+    size = len(walker.section)
+    saddles = [one.saddle for one in edges]
+    multipliers = [np.zeros(0) if one is None else np.asarray(one.multipliers) for one in saddles]
+    curves = [
+        stable_manifold(walker, one, spacing=SPACING, tolerance=tolerance)
+        if one is not None and size == 2 and len(one.states) <= LONGEST_CURVED
+        else []
+        for one in saddles
+    ]
+    both = [curve for pair in curves for curve in (*pair, *[np.zeros((0, size))] * (2 - len(pair)))]
+    vertices = padded(both, size)
+    return {
+        "edge_fates": (("edge", "beside"), np.array(pairs, int).reshape(-1, 2)),
+        "edge_between": (("edge", "beside"), np.array([one.fates for one in edges]).reshape(-1, 2)),
+        "edge_kind": ("edge", np.array([one.kind for one in edges], object)),
+        "edge_period": (
+            "edge",
+            np.array([0 if one is None else len(one.states) for one in saddles]),
+        ),
+        "edge_saddle": (
+            ("edge", "saddle_phase", "coordinate"),
+            padded([np.zeros((0, size)) if one is None else one.states for one in saddles], size),
+        ),
+        "edge_multipliers": (
+            ("edge", "order", "part"),
+            padded([np.stack([np.real(one), np.imag(one)], axis=1) for one in multipliers], 2),
+        ),
+        "edge_path": (("edge", "point", "coordinate"), padded([one.path for one in edges], size)),
+        "stable_manifold": (
+            ("edge", "branch", "vertex", "coordinate"),
+            vertices.reshape(len(edges), 2, vertices.shape[1], size),
+        ),
+    }
+
+
+def padded(rows: list, size: int) -> Float[np.ndarray, "n most size"]:
+    """Arrays of several lengths as one, with NaN after the shorter ones."""
+    values = np.full((len(rows), max(map(len, rows), default=0), size), np.nan)
+    for one, row in zip(values, rows, strict=True):
+        one[: len(row)] = row
+    return values
+
+
+def summarise_boundary(data: xr.Dataset) -> dict:
+    """The results of `boundary` for JSON; fates by their names."""
+    names = lambda codes: [Outcome(int(code)).name for code in codes.values]
+    value, error = float(data["boundary_entropy"]), float(data["boundary_entropy_error"])
+    shares = zip(data["spacing"].values.tolist(), data["wada_share"].values.tolist(), strict=True)
+    edges = []
+    for i in range(data.sizes["edge"]):
+        one = data.isel(edge=i)
+        known = lambda name, one=one: one[name].values[np.isfinite(one[name].values).all(axis=1)]
+        edges.append(
+            {
+                "regions": names(one["edge_fates"]),
+                "between": names(one["edge_between"]),
+                "kind": str(one["edge_kind"].values),
+                "period": int(one["edge_period"]),
+                "states": known("edge_saddle"),
+                "multipliers": known("edge_multipliers"),
+            }
+        )
+    return {
+        "basin_entropy": float(data["basin_entropy"]),
+        "boundary_entropy": {
+            "value": value if np.isfinite(value) else None,
+            "error": error,
+            "fractal": bool(value - 2 * error > np.log(2)),
+        },
+        "regions": names(data["region"]),
+        "wada": [{"spacing": spacing, "share": share} for spacing, share in shares],
+        "edges": edges,
+    }

@@ -1,0 +1,187 @@
+"""Tipping: which walkers end elsewhere when a parameter jumps from one value to another.
+
+Of the walkers that converge to one attractor before the jump, some converge to another after it, or
+fall: the share of their basin that another basin covers at the new value (Kaszas, Feudel and Tel
+2019, Scientific Reports 9, 8654). Walkers that are on the attractor itself when the parameter jumps
+are followed too.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from walker_jax.basins.attractor import Attractor
+from walker_jax.basins.capture_boxes import with_capture_boxes
+from walker_jax.basins.mapper import Labels, Mapper
+from walker_jax.basins.memory import check_grid
+from walker_jax.checks import (
+    WrongUse,
+    check_kind,
+    check_number,
+    check_precision,
+    check_whole,
+    refuses_tracers,
+    short,
+)
+from walker_jax.grids import Grid
+from walker_jax.integrators.solvers import default_tolerance
+from walker_jax.stability.sampling import Sampler, draw_starts, wilson_interval
+from walker_jax.walkers.model import Walker
+from walker_jax.walkers.parameters import check_parameter, with_parameter
+from walker_jax.walking.iteration import orbits
+from walker_jax.walking.outcomes import Outcome
+
+FAILURES = 2**20
+"""Added to an `Outcome`, the number of an end without an attractor: above those of attractors."""
+RUN = 2000
+"""Strides of a motion without a period: as many of its states are followed after the jump."""
+
+
+class Tipping(NamedTuple):
+    """Where walkers end after a jump of a parameter, by where they would have ended before it."""
+
+    probability: Float[np.ndarray, "n m"]
+    """[i, j]: share of the starts with end i before the jump that have end j after it."""
+    low: Float[np.ndarray, "n m"]
+    high: Float[np.ndarray, "n m"]
+    """Wilson's confidence interval of each."""
+    starts: Int[np.ndarray, "n m"]
+    """Of which all this is."""
+    on_attractor: Float[np.ndarray, "n m"]
+    """[i, j]: share of the states of attractor i from which a walker has end j after the jump; NaN
+    for ends that are failures."""
+    before: tuple[str, ...]
+    after: tuple[str, ...]
+    """Names of the ends that occur: "attractor 0" ..., or of an `Outcome`; "unknown attractor" for
+    walkers that walk on to the last stride without coming near one."""
+    attractors_before: list[Float[np.ndarray, "period section"]]
+    attractors_after: list[Float[np.ndarray, "period section"]]
+    """Their states, by number; one state of a motion that does not repeat itself."""
+
+
+@refuses_tracers()
+def tipping_probability(
+    walker: Walker,
+    parameter: str,
+    value: float,
+    region: Grid | Sampler,
+    *,
+    samples: int = 10_000,
+    strides: int = 500,
+    confidence: float = 0.95,
+    seed: int = 0,
+    tolerance: float | None = None,
+) -> Tipping:
+    """The chance to end elsewhere after a parameter jumps from the walker's own value to another.
+
+    P(i -> j) = |B_i(p-) and B_j(p+)| / |B_i(p-)|
+
+    with B_i(p-) the basin of attractor i before the jump, within a region, and B_j(p+) that of j
+    after it. Failures count as ends, too.
+
+    **Arguments:**
+
+    - `walker`: before the jump.
+    - `parameter`, `value`: which parameter jumps, and its value after that.
+    - `region`: a grid, in whose region starts are uniformly distributed; or a function that draws
+      starts, as in `basin_stability`.
+    - `samples`: starts, followed before and after the jump.
+    - `strides`: number of strides for which a walker is followed.
+    - `confidence`: of the intervals.
+    - `seed`: of random numbers.
+    - `tolerance`: of the integration, as in `stride`.
+
+    Raises `ValueError` for arguments out of range, and for values that the walker refuses.
+    """
+    check_kind("walker", walker, Walker)
+    check_number("value", value)
+    check_parameter(walker, parameter, float(value))
+    for name, count in {"samples": samples, "strides": strides}.items():
+        check_whole(name, count)
+    check_whole("seed", seed, 0)
+    check_number("confidence", confidence)
+    if not 0 < confidence < 1:
+        raise WrongUse(f"confidence must be between 0 and 1, not {confidence}")
+    dtype = jnp.asarray(0.0).dtype
+    check_precision(dtype)
+    checked_tolerance = float(default_tolerance(dtype, tolerance))
+    rng = np.random.default_rng(seed)
+    if isinstance(region, Grid):
+        check_grid(walker, region, "direct")
+        starts = region.points_at(rng.uniform(size=(samples, len(region.names))))
+    elif callable(region):
+        starts = draw_starts(walker, region, rng, samples)
+    else:
+        raise WrongUse(
+            f"region must be a grid, or a function that draws starts, not {short(region)}"
+        )
+    starts = starts.astype(dtype)
+    found = []
+    for one in (walker, with_parameter(walker, parameter, float(value))):
+        mapper = Mapper(one, [], checked_tolerance, strides).with_attractors_from(starts)
+        mapper = with_capture_boxes(mapper.with_sorted_attractors())
+        found.append(mapper.label_all(starts))
+    (labels_before, mapper_before), (labels_after, mapper_after) = found
+    jumped = []
+    for attractor in mapper_before.attractors:
+        labels, mapper_after = mapper_after.label_all(states_of(mapper_before, attractor))
+        jumped.append(ends_of(labels))
+    ends = [ends_of(labels_before), ends_of(labels_after)]
+    before, after = np.unique(ends[0]), np.unique(np.concatenate([ends[1], *jumped]))
+    counts = transition_counts(ends[0], ends[1], before, after)
+    total = counts.sum(axis=1, keepdims=True)
+    intervals = np.array(
+        [
+            [wilson_interval(hits, n, confidence) for hits in row]
+            for row, n in zip(counts.tolist(), total[:, 0].tolist(), strict=True)
+        ]
+    )
+    share = lambda ends: (ends[:, None] == after).mean(axis=0)
+    nowhere = np.full(len(after), np.nan)
+    of_end = lambda end: share(jumped[end]) if end < FAILURES else nowhere
+    return Tipping(
+        probability=counts / total,
+        low=intervals[..., 0],
+        high=intervals[..., 1],
+        starts=counts,
+        on_attractor=np.array([of_end(end) for end in before]),
+        before=tuple(map(name_of, before.tolist())),
+        after=tuple(map(name_of, after.tolist())),
+        attractors_before=[one.states for one in mapper_before.attractors],
+        attractors_after=[one.states for one in mapper_after.attractors],
+    )
+
+
+def ends_of(labels: Labels) -> Int[np.ndarray, " n"]:
+    """Where walks end: the number of an attractor, or `FAILURES` + `Outcome` for none."""
+    return np.where(labels.converged, labels.attractor, FAILURES + labels.fate.astype(int))
+
+
+def name_of(end: int) -> str:
+    """The name of an end."""
+    if end < FAILURES:
+        return f"attractor {end}"
+    outcome = Outcome(end - FAILURES)
+    return "unknown attractor" if outcome == Outcome.STRIDE else outcome.name
+
+
+def transition_counts(
+    first: Int[np.ndarray, " n"],
+    second: Int[np.ndarray, " n"],
+    rows: Int[np.ndarray, " r"],
+    columns: Int[np.ndarray, " c"],
+) -> Int[np.ndarray, "r c"]:
+    """[i, j]: how many have the labels rows[i] and columns[j], which are sorted."""
+    counts = np.zeros((len(rows), len(columns)), int)
+    np.add.at(counts, (np.searchsorted(rows, first), np.searchsorted(columns, second)), 1)
+    return counts
+
+
+def states_of(mapper: Mapper, attractor: Attractor) -> Float[np.ndarray, "n section"]:
+    """The states of a cycle, or many of a motion that does not repeat itself."""
+    if attractor.period:
+        return attractor.states
+    states, _ = orbits(mapper.walker, attractor.states[:1], RUN, mapper.tolerance)
+    return states[0][np.isfinite(states[0]).all(axis=1)]

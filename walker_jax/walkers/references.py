@@ -1,0 +1,132 @@
+"""Walkers by name: those of the package, of other packages, and of a user's own files.
+
+A name is one of `family.WALKERS`, one that an installed package gives to the entry points
+`walker_jax.walkers`, `FILE.py:CLASS` or `PACKAGE.MODULE:CLASS`. The last three run code: see
+SECURITY.md.
+"""
+
+import importlib
+import importlib.util
+import inspect
+import sys
+from collections.abc import Sequence
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from walker_jax.checks import WrongPlace, WrongUse
+from walker_jax.walkers.family import WALKERS
+from walker_jax.walkers.model import Walker
+
+GROUP = "walker_jax.walkers"
+"""The entry points by which other packages add walkers."""
+
+
+def find_walker(name: str) -> type[Walker]:
+    """The class of walkers that a name stands for. Raises `WrongUse` where there is none."""
+    if name in WALKERS:
+        return WALKERS[name]
+    if ":" in name:
+        place, _, attribute = name.rpartition(":")
+        module = load_file(Path(place)) if place.endswith(".py") else load_module(place)
+        return check_walker(name, vars(module).get(attribute), walkers_in(module))
+    if name.endswith(".py") and Path(name).is_file():
+        choice = choose_from(walkers_in(load_file(Path(name))), name)
+        raise WrongUse(f"walker {name} must name a class: {choice}")
+    installed = installed_walkers()
+    if name in installed:
+        return load_installed(installed[name])
+    known = ", ".join((*WALKERS, *installed))
+    raise WrongUse(f"walker must be one of {known}, or FILE.py:CLASS, not {name}")
+
+
+def installed_walkers() -> dict[str, EntryPoint]:
+    """The walkers of other packages, by their names; those of the package keep theirs."""
+    return {one.name: one for one in entry_points(group=GROUP) if one.name not in WALKERS}
+
+
+def load_installed(point: EntryPoint) -> type[Walker]:
+    """The class that another package gives. Raises `WrongUse` where it gives none."""
+    try:
+        value = point.load()
+    except Exception as error:  # whatever code of others raises
+        raise WrongUse(f"walker {point.name} ({point.value}) {cannot_be_loaded(error)}") from error
+    return check_walker(f"{point.name} ({point.value})", value, ())
+
+
+def load_file(path: Path) -> ModuleType:
+    """A Python file, run as a module of its name; what stands beside it can be imported."""
+    if not path.is_file():
+        raise WrongPlace(f"walker {path}: there is no such file")
+    path, name = path.resolve(), path.stem
+    known = sys.modules.get(name)
+    if known is not None and getattr(known, "__file__", None) != str(path):
+        raise WrongPlace(f"walker {path}: another module is named {name}: rename the file")
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    make_importable(path.parent)
+    sys.modules[name] = module  # by which worker processes find the class
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:  # whatever a user's code raises
+        del sys.modules[name]
+        raise WrongPlace(f"walker {path} {cannot_be_loaded(error, path)}") from error
+    return module
+
+
+def load_module(name: str) -> ModuleType:
+    """A module, of this folder or installed."""
+    make_importable(Path.cwd())
+    try:
+        return importlib.import_module(name)
+    except Exception as error:  # whatever a user's code raises
+        raise WrongUse(f"walker {name} {cannot_be_loaded(error)}") from error
+
+
+def make_importable(folder: Path) -> None:
+    if str(folder) not in sys.path:
+        sys.path.insert(0, str(folder))
+
+
+def cannot_be_loaded(error: Exception, path: Path | None = None) -> str:
+    """Why code cannot be loaded, with the line of the file where it failed."""
+    line, step = "", error.__traceback__
+    while step is not None:
+        if path is not None and step.tb_frame.f_code.co_filename == str(path):
+            line = f" (line {step.tb_lineno})"
+        step = step.tb_next
+    return f"cannot be loaded: {type(error).__name__}: {error}{line}"
+
+
+def walkers_in(module: ModuleType) -> list[str]:
+    """The names of the walkers that a module defines."""
+    return [
+        name
+        for name, value in vars(module).items()
+        if is_walker(value) and value.__module__ == module.__name__
+    ]
+
+
+def is_walker(value: Any) -> bool:
+    return isinstance(value, type) and issubclass(value, Walker)
+
+
+def check_walker(name: str, value: Any, others: Sequence[str]) -> type[Walker]:
+    """The class, if it is a complete one of walkers. Raises `WrongUse` otherwise."""
+    if not is_walker(value):
+        place = name.rpartition(":")[0]
+        raise WrongUse(f"walker {name} must be a class of walkers: {choose_from(others, place)}")
+    missing = sorted(getattr(value, "__abstractmethods__", ()))
+    missing += [] if hasattr(value, "section") else ["section"]
+    if missing or inspect.isabstract(value):
+        raise WrongUse(f"walker {name} must define {', '.join(missing)} too")
+    return value
+
+
+def choose_from(walkers: Sequence[str], place: str) -> str:
+    """What to give for one of the walkers of a place."""
+    if not walkers:
+        return "there is none"
+    return "give " + " or ".join(f"{place}:{name}" for name in walkers)
