@@ -46,9 +46,9 @@ DURATIONS = {
     "bifurcation": "About a minute.",
     "explore": "A few seconds until the page opens.",
     "basin": "Five seconds for the paper's grid, and a second for each further million cells.",
-    "boundary": "A quarter of a minute for walkers on point feet without mass.",
+    "boundary": "Half a minute.",
     "robustness": "Half a minute to a minute for each slope.",
-    "continuation": "Some seconds for each value of the parameter.",
+    "continuation": "A minute or two for the example.",
     "optimise": "Ten minutes to an hour, with some 50 measurements and the scan; fewer starts, "
     "a coarser grid (--theta, --sum) or --scan 0 shorten it. Progress shows what is left.",
     "sweep": "Some seconds for each combination, half a minute with --robust.",
