@@ -20,6 +20,7 @@ from walker_jax import storage
 from walker_jax.cli import app, basin_command, main, optimise_command, startup, sweep_command
 from walker_jax.cli.answers import Stopwatch
 from walker_jax.cli.app import COMMANDS
+from walker_jax.cli.examples import DURATIONS, EXAMPLES
 from walker_jax.cli.rewording import option_of, with_options_named
 from walker_jax.design import evaluation
 from walker_jax.design.summary import summarise_optimum
@@ -960,6 +961,18 @@ def test_the_help_of_a_command_flows_and_begins_as_the_list_of_commands_says(run
         assert long == short and long[0] == 0
         assert first_line in " ".join(long[1].split())
         assert not any("\n" in paragraph for paragraph in str(app.load(name).help).split("\n\n"))
+
+
+def test_every_command_has_examples_and_says_how_long_it_takes():
+    assert {*EXAMPLES} == {*DURATIONS} == {*COMMANDS}
+
+
+def test_the_page_takes_no_walker_of_a_file(run, tmp_path):
+    file = tmp_path / "far.py"
+    file.write_text("import walker_jax as wj\n\n\nclass Far(wj.SimplestWalker):\n    pass\n")
+    code, out, err = run("explore", "--no-browser", "--walker", f"{file}:Far")
+    assert (code, out) == (2, "")
+    assert err.startswith("walker-jax: --walker must be one of simplest, ")
 
 
 def test_the_package_is_run_as_the_command():

@@ -9,7 +9,7 @@ from walker_jax.basins.capture_boxes import with_capture_boxes
 from walker_jax.basins.edge_tracking import bring_together, follow_edge
 from walker_jax.basins.methods import mapper_of_grid
 from walker_jax.basins.narrow_windows import follow_window
-from walker_jax.basins.stable_manifolds import follow_manifold
+from walker_jax.basins.stable_manifolds import Image, follow_manifold
 
 WALKER = wj.SimplestWalker(0.004)
 GRID = wj.Grid.sheared(theta=(0.01, 0.4, 60), sum=(-0.05, 0.03, 60))
@@ -29,6 +29,12 @@ def gait():
 def short():
     """The short gait, as Newton's iteration finds it from its neighbourhood."""
     return wj.find_gait(WALKER, [0.1488, -0.1588])
+
+
+def test_the_derivatives_of_an_image_are_nan_where_a_stride_fails():
+    for strides in (1, 2):
+        image, jacobian = Image(WALKER, strides, 1e-12)(np.array([0.3, -0.05]))
+        assert np.isnan(image).all() and np.isnan(jacobian).all()
 
 
 def bend(y):

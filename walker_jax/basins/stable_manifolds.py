@@ -110,7 +110,7 @@ class Image(NamedTuple):
                 break
             local = linearise(self.walker, x[None, None], self.tolerance)
             x, jacobian = local.state[0, 0], local.jacobian[0, 0] @ jacobian
-        return x, jacobian
+        return x, jacobian if np.isfinite(x).all() else np.full_like(jacobian, np.nan)
 
 
 ImageOf = Callable[

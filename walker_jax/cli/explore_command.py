@@ -32,8 +32,10 @@ def explore(
     """
     from walker_jax.explorer.server import run_server
 
+    names = [one for one, kind in WALKERS.items() if type(walker) is kind]
+    if not names:
+        raise WrongUse(f"--walker must be one of {', '.join(WALKERS)}: the page knows no others")
     for option in chosen_options(walker):
         raise WrongUse(f"{option_of(option)} is not for the page, which knows parameters alone")
     values = {one.name: float(getattr(walker, one.name)) for one in parameters(walker)}
-    (name,) = (one for one, kind in WALKERS.items() if type(walker) is kind)
-    run_server(host, port, name, values, browser=browser)
+    run_server(host, port, names[0], values, browser=browser)

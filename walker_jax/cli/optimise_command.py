@@ -67,7 +67,7 @@ def optimise(
         AxisOption | None, typer.Option("--sum", metavar="LO HI N", help="theta + thetadot.")
     ] = None,
     at_phidot: Annotated[
-        float | None, typer.Option(help=f"{PHIDOT_HELP}: a slice there (default: at the gait).")
+        float | None, typer.Option(help=f"{PHIDOT_HELP}: a slice there (else at the gait).")
     ] = None,
     phidot: Annotated[
         AxisOption | None,

@@ -44,7 +44,7 @@ def robustness(
     ] = None,
     at_phidot: Annotated[
         float | None,
-        typer.Option(help=f"{PHIDOT_HELP}: a slice there (default: at the gait)."),
+        typer.Option(help=f"{PHIDOT_HELP}: a slice there (else at the gait)."),
     ] = None,
     levels: Annotated[
         int, typer.Option(min=0, max=8, help="Times that cells on a boundary are cut in two.")
