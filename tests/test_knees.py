@@ -64,7 +64,13 @@ def starts(count, seed=0):
 # Gaits
 
 
-@pytest.mark.parametrize("entry", [HSU_CHEN, HUMAN_LIKE], ids=["Hsu Chen", "human-like"])
+@pytest.mark.parametrize(
+    "entry",
+    [
+        pytest.param(HSU_CHEN, id="Hsu Chen"),
+        pytest.param(HUMAN_LIKE, id="human-like", marks=pytest.mark.slow),
+    ],
+)
 def test_gaits_of_published_walkers(entry):
     walker, x, exact = published(entry), section_of(entry), entry["exact"]
     gait = wj.find_gait(walker, np.round(x, 3))
@@ -77,6 +83,7 @@ def test_gaits_of_published_walkers(entry):
     np.testing.assert_allclose(times, [exact["knee_strike"], exact["heel_strike"]], atol=1e-8)
 
 
+@pytest.mark.slow
 def test_a_gait_on_round_feet_is_that_of_another_program():
     """McGeer's walker of 1990 with its masses at points."""
     entry = PUBLISHED["mcgeer_point_masses"]
@@ -108,6 +115,7 @@ def test_the_human_like_gait_doubles_its_period_on_its_branch():
         assert np.sign(np.abs(near.multipliers[0]) - 1) == sign
 
 
+@pytest.mark.slow
 def test_jacobians_are_differences():
     """By the start and by every parameter, through both impacts, with the time of heel strike."""
     cycle, tolerance = START[None, None], 1e-14
