@@ -42,7 +42,7 @@ QUANTITIES = {
     "stride": lambda walker, x: (wj.stride(walker, x).state, wj.stride(walker, x).time),
     "walk": lambda walker, x: (wj.walk(walker, x, 3).states[1:], wj.walk(walker, x, 3).times),
     "trajectory": lambda walker, x: tuple(wj.trajectory(walker, x, TIMES)),
-    "margins": lambda walker, x: wj.margins(walker, x)[1:],
+    "margins": lambda walker, x: wj.margins(walker, x)[1 : 6 if walker.phases() else 5],
     "gait": lambda walker, x: found(wj.find_gait(walker, x)),
 }
 

@@ -272,6 +272,7 @@ def test_facts_come_in(opened):
     page.wait("document.querySelector('#fact-multipliers').textContent.includes('0.6339')")
 
 
+@pytest.mark.slow
 def test_the_link_and_what_is_taken_away(opened, tmp_path):
     page = opened("walker=simplest&slope=0.006&method=cell-map&view=120,130,1")
     page.page.click("#copy-python")

@@ -83,10 +83,11 @@ def data_set(grid, fate, attractor=None, cycles=()):
     )
 
 
-def every_fate(grid=SHEARED, cycle=((0.17, -0.18), (0.19, -0.21))):
-    """Eight bands across the picture, one of each fate."""
-    bands = np.repeat(np.array([7, 0, 1, 2, 3, 4, 5, 6]), -(-grid.shape[1] // 8))
-    return data_set(grid, np.tile(bands[: grid.shape[1]], (grid.shape[0], 1)), cycles=[cycle])
+def every_fate(grid=SHEARED, cycle=((0.17, -0.18), (0.19, -0.21)), fates=(7, 0, 1, 2, 3, 4, 5, 6)):
+    """Bands across the picture, one of each fate; eight are wide enough for their labels."""
+    width = grid.shape[1]
+    bands = np.array(fates)[np.arange(width) * len(fates) // width]
+    return data_set(grid, np.tile(bands, (grid.shape[0], 1)), cycles=[cycle])
 
 
 def colours(ax):
@@ -131,7 +132,7 @@ def fate_at(data, place):
 
 
 def test_every_fate_is_told_from_the_others_even_in_grey():
-    data = every_fate()
+    data = every_fate(fates=range(len(Outcome)))
     found = colours(figures.basin(data))
     colour = {}
     for outcome in Outcome:

@@ -574,3 +574,14 @@ def test_walkers_with_impossible_shanks_are_refused():
         KneedWalker(0.05, foot_radius=1.0)
     with pytest.raises(ValueError, match="shank_inertia must be above 0 where shank_com is 0"):
         KneedWalker(0.05, shank_com=0.0)
+
+
+def test_a_kneed_walk_on_rough_ground_is_strides_of_given_heights():
+    heights = np.array([1e-4, 0.0])
+    made = wj.walk(WALKER, START, 2, ground=heights)
+    state = START
+    for number, height in enumerate(heights):
+        result = wj.stride(WALKER, state, step=height)
+        assert result.outcome == Outcome.STRIDE
+        np.testing.assert_allclose(made.states[number + 1], result.state, rtol=0, atol=1e-11)
+        state = result.state

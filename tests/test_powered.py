@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import root
 
 import walker_jax as wj
+from walker_jax.checks import WrongUse
 from walker_jax.gaits.derivatives import linearise
 
 GRID = wj.Grid.sheared(theta=(0, 0.6, 40), sum=(-0.1, 0.05, 40))
@@ -41,6 +42,29 @@ def test_on_level_ground_push_off_makes_up_for_the_loss_at_heel_strike(push_off)
     for gait in gaits:
         theta, thetadot = gait.states[0]
         assert abs(thetadot) * np.tan(theta) == pytest.approx(push_off, abs=1e-11)
+
+
+@pytest.mark.parametrize("slope", [0.0, -0.02, 0.004])
+def test_cost_of_transport_is_the_energy_lost_at_heel_strike(slope):
+    """Kinetic energy of the hip before push-off and after the strike, over the step's length."""
+    push_off = 0.15 if slope < 0 else 0.05
+    kind = lambda push: wj.PoweredWalker(slope, push_off=push)
+    gait = wj.find_gait(kind(push_off))
+    theta, thetadot = gait.states[0]
+    before = thetadot**2 / 2 + np.cos(theta - slope) - np.cos(theta + slope)
+    gained = push_off**2 / 2 + before - thetadot**2 / 2  # and lost again at heel strike
+    found = wj.gait_measures(kind(push_off), ["slope", "push_off"], gait)["cost-of-transport"]
+    assert found.value == pytest.approx(gained / (2 * np.sin(theta)), rel=1e-11)
+    h = 1e-5
+    for number, step in enumerate(np.eye(2) * h):
+        cost = lambda k, step=step: (
+            wj.gait_measures(
+                walker := wj.PoweredWalker(slope + k * step[0], push_off=push_off + k * step[1]),
+                (),
+                wj.find_gait(walker, gait.states[0]),
+            )["cost-of-transport"].value
+        )
+        assert found.gradient[number] == pytest.approx((cost(1) - cost(-1)) / (2 * h), rel=1e-5)
 
 
 def test_a_walker_climbs():
@@ -189,3 +213,29 @@ def test_feedback_is_a_walker_like_any_other(level_gait):
 def test_bad_feedback_is_refused(level_gait, gait, gains, bounds, named):
     with pytest.raises(ValueError, match=named):
         wj.Feedback(LEVEL, level_gait if gait is None else gait, gains, bounds)
+
+
+def test_feedback_acts_once_and_from_full_states_too(level_gait):
+    gains = {"hip_angle": [3.0, 1.0], "push_off": [0.5, 0.2]}
+    fed = wj.Feedback(LEVEL, level_gait, gains)
+    x = np.add(level_gait.states[0], [0.003, -0.004])
+    made = wj.stride(fed, x)
+    np.testing.assert_array_equal(wj.phase_times(fed, x), [made.time])
+    full = np.stack(fed.lift(jnp.asarray(x)))
+    np.testing.assert_allclose(wj.stride(fed, full).state, made.state, rtol=0, atol=1e-13)
+    stepped = wj.stride(fed, full, step=0.0).state
+    np.testing.assert_allclose(stepped[jnp.array([0, 2])], made.state, rtol=0, atol=1e-13)
+
+
+def test_feedback_refuses_what_it_cannot_be_of(level_gait):
+    fed = wj.Feedback(LEVEL, level_gait, {"push_off": [0.5, 0.2]})
+    with pytest.raises(WrongUse, match="walker must be one without feedback"):
+        wj.Feedback(fed, level_gait, {"slope": [0.1, 0.0]})
+    for gait, gains, bounds, named in (
+        (level_gait, {"push_off": "ab"}, None, "gains of push_off"),
+        ("gait", {"push_off": [0, 0]}, None, "gait must be"),
+        (None, {"push_off": [0, 0]}, None, "gait must be"),
+        (level_gait, {"push_off": [0, 0]}, {"push_off": (-1, 1)}, "least_push_off must be"),
+    ):
+        with pytest.raises(WrongUse, match=named):
+            wj.Feedback(LEVEL, gait, gains, bounds)

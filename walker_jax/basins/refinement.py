@@ -18,7 +18,7 @@ from walker_jax.basins.capture_boxes import with_capture_boxes
 from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.memory import check_grid
 from walker_jax.basins.methods import mapper_of_grid
-from walker_jax.basins.refined_cells import RefinedCells
+from walker_jax.basins.refined_cells import REDRAWN, SPREAD, RefinedCells
 from walker_jax.basins.runs import Runs
 from walker_jax.basins.schema import ATTRIBUTES, Basins, add_attractors, describe, to_dataset
 from walker_jax.checks import check_precision, check_whole, refuses_tracers
@@ -29,14 +29,7 @@ from walker_jax.walkers.model import Walker
 BYTES_PER_REFINED_CELL = 40
 """Memory at its peak, for each cell of the finest grid."""
 FINEST = 30
-"""Levels, at most: cells are numbered in 32 bits."""
-SPREAD = 1 / 12
-"""Variance that a cell beside one of another fate brings to the area, in cells. A part f of it in
-the basin brings f (1 - f), 1/6 on average; half of these cells or more have no part in both. Right
-of a line, and up to three times too small where a boundary fills cells: over three dimensions the
-mean of f (1 - f) is measured."""
-REDRAWN = 20_000
-"""Starts by which that mean is measured, at most: it has an error of some 2 % then."""
+"""Levels, at most: memory ends far below."""
 
 
 @refuses_tracers("area_gradient gives derivatives of a basin's area")

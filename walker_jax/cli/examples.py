@@ -5,20 +5,28 @@ EXAMPLES = {
     "gait": (
         "gait --slope 0.009",
         "gait --walker round-foot --foot-radius 0.3 --figure multipliers.png",
+        "gait --walker kneed --slope 0.05",
+        "gait --walker powered --slope 0 --push-off 0.05",
         "gait --slope 0.0125 --period 3 --all",
     ),
     "bifurcation": (
         "bifurcation --from 0.001 --to 0.022",
         "bifurcation --walker spring --hip-stiffness 1 --to 0.02 --out spring.zarr",
     ),
+    "explore": ("explore", "explore --walker spring --hip-stiffness 1", "explore --no-browser"),
     "basin": (
         "basin",
         "basin --method direct --slope 0.009 --out steep.zarr",
         "basin --walker round-foot --theta 0.05 0.45 200 --sum -0.15 -0.02 160 --out slice.zarr",
     ),
+    "boundary": ("boundary", "boundary --slope 0.009 --out steep.zarr"),
     "robustness": (
         "robustness --slope 0.009",
         "robustness --from 0.002 --to 0.018 --count 17 --out slopes.zarr",
+    ),
+    "continuation": (
+        "continuation --over slope=0.002:0.02:37",
+        "continuation --walker powered --slope 0 --over push-off=0.02:0.1:17 --out powered.zarr",
     ),
     "optimise": (
         "optimise --over slope --bound slope=0.001:0.02 --at-least speed 0.06",
@@ -36,8 +44,11 @@ DURATIONS = {
     "walk": "A few seconds; a film half a minute.",
     "gait": "A few seconds; twenty for walkers with mass on their legs, when they are compiled.",
     "bifurcation": "About a minute.",
+    "explore": "A few seconds until the page opens.",
     "basin": "Five seconds for the paper's grid, and a second for each further million cells.",
+    "boundary": "Half a minute.",
     "robustness": "Half a minute to a minute for each slope.",
+    "continuation": "A minute or two for the example.",
     "optimise": "Ten minutes to an hour, with some 50 measurements and the scan; fewer starts, "
     "a coarser grid (--theta, --sum) or --scan 0 shorten it. Progress shows what is left.",
     "sweep": "Some seconds for each combination, half a minute with --robust.",

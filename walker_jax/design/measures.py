@@ -43,8 +43,10 @@ def gait_measures(
     - "speed": the step length over the mean step time;
     - "spectral-radius": the modulus of the largest multiplier of one stride, the root of that of
       the gait;
-    - "cost-of-transport": the energy lost per unit of weight and of distance, sin(slope) where
-      gravity alone drives the walker (`Walker.driven_by_gravity`), and NaN otherwise.
+    - "cost-of-transport": the energy lost per unit of weight and of distance along the slope:
+      sin(slope), and what motors give in a step over its length (`Walker.motor_work`); NaN where
+      that is not known. On level ground it is the motors' work alone, and uphill what gravity does
+      not take of it.
 
     Arguments are those of `gait_derivatives`; the gait is that of `find_gait` by default. All are
     NaN where none is found.
@@ -68,28 +70,47 @@ def gait_measures(
         before = lambda x: walker.reach(walker.exchange_legs(walker.lift(x)))
         return jnp.mean(jnp.stack([before(x) for x in states]))
 
-    def along(name: str, dx: Float[np.ndarray, "period section"]) -> float:
+    def work_per_length(walker: Walker, states: Float[Array, "period section"]) -> Scalar:
+        """Work of motors per unit of weight and of distance."""
+        works = [walker.during_stride(x).motor_work() for x in states]
+        known = jnp.stack([work for work in works if work is not None])
+        return jnp.mean(known) / mean_step_length(walker, states)
+
+    def along(measure, name: str, dx: Float[np.ndarray, "period section"]) -> float:
         by = jax.tree.map(jnp.zeros_like, walker)
         by = with_parameter(by, name, jnp.ones_like(getattr(walker, name)))
-        return float(
-            jax.jvp(mean_step_length, (walker, jnp.asarray(states)), (by, jnp.asarray(dx)))[1]
-        )
+        return float(jax.jvp(measure, (walker, jnp.asarray(states)), (by, jnp.asarray(dx)))[1])
 
     length, time = (
         float(mean_step_length(walker, jnp.asarray(states))),
         float(np.mean(gait.step_times)),
     )
-    pairs = zip(parameters, changes, strict=True)
-    longer = np.array([along(name, change.states) for name, change in pairs])
+
+    def changes_of(measure) -> Float[np.ndarray, " parameters"]:
+        pairs = zip(parameters, changes, strict=True)
+        return np.array([along(measure, name, change.states) for name, change in pairs])
+
+    longer = changes_of(mean_step_length)
     slower = np.array([np.mean(change.step_times) for change in changes])
     largest = complex(gait.multipliers[0])
     radius = abs(largest) ** (1 / period)
     growth = np.array([(np.conj(largest) * change.multipliers[0]).real for change in changes])
-    slope = float(vars(walker)["slope"]) if walker.driven_by_gravity() else np.nan
-    steeper = np.array([float(name == "slope") for name in parameters])
+    cost = Measure(np.nan, np.full(len(parameters), np.nan))
+    if cost_is_known(walker):
+        slope, steeper = float(vars(walker)["slope"]), [float(n == "slope") for n in parameters]
+        work, by = 0.0, np.cos(slope) * np.array(steeper)
+        if not walker.driven_by_gravity():
+            work = float(work_per_length(walker, jnp.asarray(states)))
+            by = by + changes_of(work_per_length)
+        cost = Measure(float(np.sin(slope)) + work, by)
     return {
         "step-length": Measure(length, longer),
         "speed": Measure(length / time, (longer - slower * length / time) / time),
         "spectral-radius": Measure(radius, radius * growth / abs(largest) ** 2 / period),
-        "cost-of-transport": Measure(np.sin(slope), np.cos(slope) * steeper),
+        "cost-of-transport": cost,
     }
+
+
+def cost_is_known(walker: Walker) -> bool:
+    """Whether the energy that a step loses is known."""
+    return walker.driven_by_gravity() or walker.motor_work() is not None

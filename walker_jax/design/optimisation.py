@@ -28,6 +28,7 @@ from walker_jax.design.evaluation import (
     STEP_LENGTHS,
     Evaluation,
 )
+from walker_jax.design.measures import cost_is_known
 from walker_jax.design.problem import (
     SIZES,
     Problem,
@@ -134,10 +135,10 @@ def optimise(
         *(("levels", levels, 0), ("scan", scan, 0), ("seed", seed, 0)),
     ):
         check_whole(name, value, lowest)
-    if "cost-of-transport" in {*weights, *limits} and not walker.driven_by_gravity():
+    if "cost-of-transport" in {*weights, *limits} and not cost_is_known(walker):
         raise WrongUse(
             f"cost-of-transport is not known of a {type(walker).__name__}, which more than gravity "
-            "may drive (driven_by_gravity)"
+            "may drive (driven_by_gravity, motor_work)"
         )
     low, high = np.array([tuple(map(float, ends)) for ends in bounds.values()]).T
     how = (grid, levels, strides, seed, tolerance)

@@ -12,10 +12,10 @@ FAILURES = {
     Outcome.RUNNING: ("#dea5b2", "R", "runs"),
     Outcome.OUTSIDE: ("#9b9b9b", "", "not a feasible start"),
     Outcome.STOPPED: ("#648f4b", "", "stops on both feet"),
-    Outcome.BENT_KNEE: ("#cfc3e6", "K", "lands on a bent knee"),
-    Outcome.BUCKLED: ("#c9a27e", "", "buckles"),
-    Outcome.SCUFFED: ("#7fa8a3", "", "scuffs"),
     Outcome.UNDECIDED: ("#d1361b", "", "undecided"),
+    Outcome.BENT_KNEE: ("#6e51a0", "K", "lands on a bent knee"),
+    Outcome.BUCKLED: ("#6b4828", "", "buckles"),
+    Outcome.SCUFFED: ("#1d4843", "", "scuffs"),
 }
 """Colour, letter (Schwab and Wisse 2001, Figure 2) and words, from light to dark."""
 BASINS = ("#0d2c5e", "#8c2566", "#0f7a72")

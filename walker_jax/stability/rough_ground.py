@@ -4,7 +4,7 @@ Every stride is disturbed at random, so every walker falls in the end. How many 
 what matters (Byl and Tedrake 2009, Int. J. Robot. Res. 28:1040-1064).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from functools import partial
 from statistics import NormalDist
 from typing import Any, NamedTuple
@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
-from scipy.special import gammaincinv
+from scipy.special import betaincinv
 
 from walker_jax.checks import (
     WrongUse,
@@ -31,12 +31,15 @@ from walker_jax.integrators.solvers import default_tolerance
 from walker_jax.walkers.model import Walker
 from walker_jax.walking.disturbed import Disturbance, DisturbedWalk, follow_disturbed_walk
 from walker_jax.walking.outcomes import Outcome
+from walker_jax.walking.stepping import check_single
 
 RandomDisturbance = Callable[[Any], Any]
 """A JAX function of a random key: the height of one step, or a `Disturbance`."""
 STRIDES_PER_CALL = 32
 """Strides that walks make before those that have fallen are left out. Three numbers for each are
 within the 128 entries of an array that a kernel can hold."""
+FEWEST_FALLS = 30
+"""Walks whose mean number of strides is normally distributed, about: the usual rule."""
 
 
 class StepsToFall(NamedTuple):
@@ -72,9 +75,9 @@ def steps_to_fall(
 
     Walks that have made `limit` strides are left off. Their part of the mean is that of a constant
     chance to fall in each stride, which holds once a walk has forgotten where it began: then a
-    stride's chance does not depend on how many there were before. The interval is that of the
-    exponential distribution, by the chi-squared distribution with twice the number of falls; if all
-    walks fall, that of the sample mean.
+    stride's chance does not depend on how many there were before. The interval is that of such a
+    chance, of Clopper and Pearson (1934, Biometrika 26:404-413); if all walks fall and are 30 or
+    more, that of the sample mean, whatever the distribution.
 
     **Arguments:**
 
@@ -170,8 +173,10 @@ def read_ground(ground: float | RandomDisturbance) -> RandomDisturbance:
         return NormalSteps(deviation)
     if not callable(ground):
         raise WrongUse(f"ground must be a number or a function of a key, not {short(ground)}")
+    if not isinstance(ground, Hashable):
+        raise WrongUse(f"ground must be hashable, as functions are, not {short(ground)}")
     try:
-        drawn = jax.eval_shape(ground, jax.random.key(0))
+        drawn = jax.eval_shape(lambda key: ground(key), jax.random.key(0))
     except TypeError as error:
         raise WrongUse(
             f"ground must return a height or a Disturbance: {str(error).splitlines()[0]}"
@@ -195,17 +200,29 @@ def read_key(key: Any) -> Array:
     """A random key, new or old style."""
     if key is None:
         return jax.random.key(0)
+    refusal = f"key must be one random key of JAX, not {short(key)}"
     if not isinstance(key, jax.Array):
-        raise WrongUse(f"key must be a random key of JAX, not {short(key)}")
+        raise WrongUse(refusal)
+    try:
+        key = (
+            key if jnp.issubdtype(key.dtype, jax.dtypes.prng_key) else jax.random.wrap_key_data(key)
+        )
+    except (TypeError, ValueError):
+        raise WrongUse(refusal) from None
+    if key.shape:
+        raise WrongUse(refusal)
     return key
 
 
 def start_of_walks(walker: Walker, gait: Gait | None, tolerance: Any) -> Float[np.ndarray, " 4"]:
     """The full state of a gait just after heel strike."""
+    check_single(walker)
     gait = find_gait(walker, tolerance=tolerance) if gait is None else gait
     check_kind("gait", gait, Gait)
     if not gait.found:
         raise WrongUse("walker must have a gait: none was found; give gait")
+    if gait.states.shape[1] != len(walker.section):
+        raise WrongUse(f"gait must be on the section {walker.section}, not of another walker")
     return np.stack(walker.lift(jnp.asarray(gait.states[0])))
 
 
@@ -218,10 +235,12 @@ def mean_life(
     """
     total, falls, n = float(strides.sum()), int(ended.sum()), len(strides)
     below, above = (1 - confidence) / 2, (1 + confidence) / 2
-    chi_squared = lambda p, degrees: 2 * float(gammaincinv(degrees / 2, p))
-    high = 2 * total / chi_squared(below, 2 * falls) if falls else np.inf
-    low = 2 * total / chi_squared(above, 2 * falls + 2)
-    if falls < n or n < 2:
-        return (total / falls if falls else np.inf), low, high
-    spread = NormalDist().inv_cdf(above) * float(strides.std(ddof=1)) / np.sqrt(n)
-    return total / n, total / n - spread, total / n + spread
+    if falls == n and n >= FEWEST_FALLS:
+        mean = total / n
+        spread = NormalDist().inv_cdf(above) * float(strides.std(ddof=1)) / np.sqrt(n)
+        return mean, max(0.0, mean - spread), mean + spread
+    # Of a chance p to fall in each of `total + falls` strides, a walk makes (1 - p) / p on average.
+    least = float(betaincinv(falls, total + 1, below)) if falls else 0.0
+    most = float(betaincinv(falls + 1, total, above)) if total else 1.0
+    low, high = ((1 - p) / p if p > 0 else np.inf for p in (most, least))
+    return total / falls if falls else np.inf, low, high

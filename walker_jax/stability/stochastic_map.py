@@ -49,6 +49,8 @@ FEWEST_SURVIVORS = 200
 """Of the pilot, below which there is too little to tell where states are."""
 CELLS = {2: 256, 3: 80}
 """Cells along each direction: some 1 % of the scatter of states, and 8 %."""
+SCATTER_OF_ROUNDING = 1e-11
+"""Standard deviation of states that rounding and the tolerance of a stride make, at most."""
 SETTLED = 1e-13
 """Change of an eigenvector, relative, at which power iteration ends."""
 MAX_ITERATIONS = 10_000
@@ -58,7 +60,8 @@ class Metastability(NamedTuple):
     """How long walks last, by a stochastic cell map."""
 
     survival: float
-    """The chance not to fall in a stride, of walks that have lasted long: the eigenvalue."""
+    """The chance not to fall in a stride, of walks that have lasted long: the eigenvalue, its odds
+    extrapolated as `mean` is."""
     mean: float
     """The mean number of strides until a fall, from the gait on, as `StepsToFall` has it."""
     error: float
@@ -71,7 +74,7 @@ class Metastability(NamedTuple):
     edges: Float[np.ndarray, " cells+1"]
     """Edges of the cells along each direction."""
     density: Float[np.ndarray, "..."]
-    """The quasi-stationary distribution, the chance of each cell."""
+    """The quasi-stationary distribution, the chance of each cell: that of the last repetition."""
 
 
 @refuses_tracers()
@@ -115,31 +118,45 @@ def metastability(
         cells = CELLS[len(chart.centre)]
     check_whole("cells", cells, 4)
     means: list[list[float]] = []
-    survival, distribution = 1.0, np.ones(0)
+    lasting: list[list[float]] = []
+    distribution = np.ones(0)
     for number in range(repetitions):
         own = jax.random.fold_in(key, number)
         means.append([])
+        lasting.append([])
         for size in (cells // 2, cells):
             shape = (size,) * len(chart.centre)
             chain = transition_matrix(walker, draw_one, own, chart, shape, samples, tolerance)
             cell = chart.cell_of(start[None], shape)
             survival, distribution, mean = solve_chain(chain, size ** len(shape), int(cell[0]))
             means[-1].append(mean)
+            lasting[-1].append(survival / (1 - survival) if survival < 1 else np.inf)
     if not np.isfinite(means).all():
         raise ComputationFailed(
             f"no walker fell in {samples} strides from each cell: ground is too even for a result"
         )
-    coarse, fine = np.log(np.array(means)).T
-    extrapolated = fine + (fine - coarse) / 3  # what cells spread is of second order in their size
+    fine, extrapolated = extrapolate(means)
     log_mean = float(extrapolated.mean())
+    odds = float(np.exp(extrapolate(lasting)[1].mean()))
     scatter = float(extrapolated.std(ddof=1)) / np.sqrt(repetitions)
     mean = float(np.exp(log_mean))
     error = mean * float(np.hypot(scatter, (log_mean - fine.mean()) / 2))
     shape = (cells,) * len(chart.centre)
     edges = np.linspace(-chart.reach, chart.reach, cells + 1)
     return Metastability(
-        survival, mean, error, chart.axes, chart.centre, edges, distribution.reshape(shape)
+        odds / (1 + odds), mean, error, chart.axes, chart.centre, edges, distribution.reshape(shape)
     )
+
+
+def extrapolate(
+    lives: list[list[float]],
+) -> tuple[Float[np.ndarray, " repetitions"], Float[np.ndarray, " repetitions"]]:
+    """Logarithms of lives with the small cells, and with infinitely small ones.
+
+    What cells spread is of second order in their size.
+    """
+    coarse, fine = np.log(np.array(lives)).T
+    return fine, fine + (fine - coarse) / 3
 
 
 class Chart(NamedTuple):
@@ -192,6 +209,8 @@ def draw_chart(
     y = y if rough else y[:, :2]
     centre = y.mean(axis=0)
     variances, directions = np.linalg.eigh(np.cov(y.T))
+    if not variances[0] > SCATTER_OF_ROUNDING**2:
+        raise ComputationFailed("ground is too even for a result: states hardly scatter")
     axes = (directions * np.sqrt(variances)).T
     reach = MARGIN * float(np.abs((y - centre) @ np.linalg.inv(axes)).max())
     return Chart(centre, axes, reach)
@@ -277,5 +296,5 @@ def largest_eigenvector(matrix: csr_array, count: int) -> tuple[float, Float[np.
         settled = np.abs(following - vector).max() <= SETTLED * following.max()
         vector = following
         if settled:
-            break
-    return value, vector
+            return value, vector
+    raise ComputationFailed(f"the eigenvector is not found in {MAX_ITERATIONS} iterations")

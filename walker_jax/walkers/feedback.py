@@ -36,7 +36,8 @@ class FeedbackWalker(Walker):
         for name in self.controlled:
             gains = [values[f"{name}_per_{coordinate}"] for coordinate in self.section]
             value = values[name] + sum(gain * d for gain, d in zip(gains, away, strict=True))
-            low, high = described[name].low, described[name].high
+            one = described.get(name)
+            low, high = (one.low, one.high) if one else (-np.inf, np.inf)
             if name in self.limited:
                 low, high = values[f"least_{name}"], values[f"largest_{name}"]
             walker = with_parameter(walker, name, jnp.clip(value, low, high))
@@ -55,9 +56,10 @@ def Feedback(
     """The walker with parameters that are set anew at each heel strike.
 
     A parameter p is p* + K (x - x*) during the stride from x on the section, where p* is its value
-    in `walker` and x* the state of the gait. So the gait stays a gait, whatever the gains. On rough
-    ground x holds those coordinates of the state just after heel strike that the section has. A
-    stride from any other full state has the parameters of `walker`.
+    in `walker` and x* the state of the gait. So the gait stays a gait, whatever the gains. Of a
+    full state, x holds those coordinates that the section has. A parameter stays within its bounds.
+    Where p* is at one, as a push-off of 0 is, the stride function has a kink at the gait, and
+    derivatives there, and multipliers, are means of those of both sides.
 
     The result is a walker like any other. Its parameters are those of `walker`; `reference_theta`
     and the like, x*; and the gains, `push_off_per_theta` and the like. All can be differentiated,
@@ -65,15 +67,19 @@ def Feedback(
 
     **Arguments:**
 
-    - `walker`: any walker.
+    - `walker`: any walker without feedback.
     - `gait`: a gait of period one (`find_gait`), or its state, of shape (section,).
     - `gains`: the row of K for each parameter by name, of shape (section,).
-    - `bounds`: the least and the largest value of some of these parameters; by default those that
-      the parameter has itself. They are parameters too, `least_push_off` and `largest_push_off`.
+    - `bounds`: the least and the largest value of some of these parameters, within those that the
+      parameter has itself, which hold by default. They are parameters too, `least_push_off` and
+      `largest_push_off`.
 
-    `ValueError` for parameters that the walker does not have, and for a wrong shape.
+    `ValueError` for parameters that the walker does not have, for what are no finite numbers of
+    that shape, for bounds beyond those of a parameter, and for a walker that has feedback.
     """
     check_kind("walker", walker, Walker)
+    if isinstance(walker, FeedbackWalker):
+        raise WrongUse(f"walker must be one without feedback, not a {type(walker).__name__}")
     check_kind("gains", gains, Mapping)
     bounds = {} if bounds is None else bounds
     check_kind("bounds", bounds, Mapping)
@@ -107,7 +113,7 @@ def remake(
 
 def read_reference(gait: Any, section: tuple[str, ...]) -> Float[Array, " section"]:
     """The state of a gait of period one."""
-    state = jnp.asarray(getattr(gait, "states", gait))
+    state = read_numbers("gait", getattr(gait, "states", gait))
     if state.ndim == 2 and len(state) == 1:
         state = state[0]
     if state.shape != (len(section),):
@@ -122,10 +128,18 @@ def read_reference(gait: Any, section: tuple[str, ...]) -> Float[Array, " sectio
 
 def read_row(what: str, name: str, row: Any, size: int) -> Float[Array, " n"]:
     """Gains or bounds of a parameter."""
-    values = jnp.asarray(row, float)
+    values = read_numbers(f"{what} of {name}", row)
     if values.shape != (size,):
         raise WrongUse(f"{what} of {name} must be {size} numbers, not {short(row)}")
     return values
+
+
+def read_numbers(what: str, given: Any) -> Float[Array, "..."]:
+    """Real numbers, as an array."""
+    try:
+        return jnp.asarray(given, float)
+    except (TypeError, ValueError, OverflowError):
+        raise WrongUse(f"{what} must be real numbers, not {short(given)}") from None
 
 
 @cache
@@ -133,7 +147,8 @@ def feedback_class(
     kind: type[Walker], controlled: tuple[str, ...], limited: tuple[str, ...]
 ) -> type[Walker]:
     """The class of walkers of a kind with feedback on some parameters."""
-    units = {one.name: one.unit for one in parameters(kind)}
+    known = {one.name: one for one in parameters(kind)}
+    units = {name: one.unit for name, one in known.items()}
     added = [
         Parameter(f"reference_{name}", f"{name} of the gait that feedback keeps", "", 0.0)
         for name in kind.section
@@ -143,15 +158,14 @@ def feedback_class(
             Parameter(f"{name}_per_{one}", f"gain of {name} on {one}", units.get(name, ""), 0.0)
             for one in kind.section
         ]
+    added = [one._replace(**UNBOUNDED) for one in added]
     for name in limited:
+        own = known.get(name, Parameter(name, "", "", 0.0, -np.inf, np.inf))
         added += [
-            Parameter(f"{end}_{name}", f"{end} {name} that feedback sets", units.get(name, ""), 0.0)
+            own._replace(name=f"{end}_{name}", meaning=f"{end} {name} that feedback sets")
             for end in ("least", "largest")
         ]
-    fields = {
-        one.name: eqx.field(converter=one._replace(**UNBOUNDED).convert, default=one.default)
-        for one in added
-    }
+    fields = {one.name: eqx.field(converter=one.convert, default=one.default) for one in added}
     names = {"controlled": controlled, "limited": limited, "kind": kind}
     namespace = {
         "__annotations__": dict.fromkeys(fields, Any),

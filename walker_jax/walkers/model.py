@@ -175,8 +175,8 @@ class Walker(eqx.Module):
     def during_stride(self, x: Float[Array, " section"]) -> "Walker":
         """The walker as it is during the stride from x: its parameters may depend on the start.
 
-        That is feedback from stride to stride. By default a walker stays as it is. A stride from a
-        full state crosses no section, and is made with the parameters as they stand.
+        That is feedback from stride to stride. By default a walker stays as it is. Of a full state
+        it is given the section's coordinates (`project`).
         """
         return self
 
@@ -186,6 +186,13 @@ class Walker(eqx.Module):
         By default that is not known.
         """
         return False
+
+    def motor_work(self) -> Scalar | None:
+        """Work of motors in a step, per unit of the walker's weight, in the unit of length.
+
+        It is asked for where `driven_by_gravity` does not hold. None, the default: it is not known.
+        """
+        return None
 
     def past_contact(self, state: State) -> Bool[Array, ""]:
         """Whether h > 0 can only grow from here, so that no heel strike follows.
@@ -261,7 +268,8 @@ EQUATIONS_OF_MOTION = ("vector_field", "system")
 PREMISES = {
     "force_least_at_ends": (*EQUATIONS_OF_MOTION, "contact_force"),
     "inverted_pendulum": EQUATIONS_OF_MOTION,
-    "driven_by_gravity": ("vector_field", "impact", "during_stride"),
+    "driven_by_gravity": ("vector_field", "impact", "push_off_impulse", "during_stride"),
+    "motor_work": ("vector_field", "impact"),
     "past_contact": (*EQUATIONS_OF_MOTION, "contact", "swing_foot"),
     "gait_region": (*EQUATIONS_OF_MOTION, "contact", "swing_foot", "impact", "lift", "project"),
 }

@@ -75,6 +75,10 @@ class PoweredWalker(AbstractMasslessFootWalker):
         """Without push-off: the hip's torque does work of the order of the foot's mass."""
         return bool(np.all(np.asarray(self.push_off) == 0))
 
+    def motor_work(self):
+        """P^2 / 2: the impulse is along the leg, at right angles to the hip's velocity."""
+        return self.push_off**2 / 2
+
     def vector_field(self, state):
         """(7), and the hip's torque."""
         theta, phi, thetadot, phidot = state

@@ -28,7 +28,6 @@ from walker_jax.walking.stepping import (
     as_floating,
     follow_step,
     follow_stride,
-    full_state,
     prepare,
     state_kinds,
 )
@@ -204,7 +203,7 @@ def follow_rough_walk(
         fate = jnp.where(fate == Outcome.STRIDE, result.outcome, fate)
         return (result.state, fate), (result.state, fate, result.time)
 
-    start = jnp.stack(full_state(walker, x))
+    start = jnp.stack(walker.lift(x))
     feasible = jnp.where(walker.feasible(x), Outcome.STRIDE, Outcome.OUTSIDE).astype(jnp.int8)
     begun = jnp.where(feasible == Outcome.STRIDE, start, jnp.nan)
     _, (states, outcomes, times) = lax.scan(follow, (begun, feasible), ground)

@@ -102,9 +102,7 @@ def prepare(
 ) -> tuple[Walker, Float[Array, " coordinates"], Float[Array, ""]]:
     """Walker, start and tolerance, checked, in the dtype of the start."""
     check_kind("walker", walker, Walker)
-    for name, value in numbers_of(walker).items():
-        if np.shape(value):
-            raise WrongUse(f"{name} must be one number, not of shape {np.shape(value)}")
+    check_single(walker)
     x = as_floating(x)
     sizes = len(walker.section), *(len(kind._fields) for kind in state_kinds(walker))
     if x.ndim != 1 or x.shape[0] not in sizes:
@@ -116,6 +114,13 @@ def prepare(
     tolerance = default_tolerance(x.dtype, tolerance)
     walker = jax.tree.map(lambda leaf: jnp.asarray(leaf, x.dtype), walker)
     return walker, x, jnp.asarray(tolerance, x.dtype)
+
+
+def check_single(walker: Walker) -> None:
+    """Refuse many walkers, with arrays for parameters."""
+    for name, value in numbers_of(walker).items():
+        if np.shape(value):
+            raise WrongUse(f"{name} must be one number, not of shape {np.shape(value)}")
 
 
 @by_kernel
@@ -137,8 +142,12 @@ def on_section(walker: Walker, x: Float[Array, " coordinates"]) -> bool:
 
 
 def during_stride(walker: Walker, x: Float[Array, " coordinates"]) -> Walker:
-    """The walker as it is during the stride from x."""
-    return walker.during_stride(x) if on_section(walker, x) else walker
+    """The walker as it is during the stride from x; of a full state, the section's coordinates."""
+    if type(walker).during_stride is Walker.during_stride:
+        return walker
+    return walker.during_stride(
+        x if on_section(walker, x) else walker.project(full_state(walker, x))
+    )
 
 
 def state_kinds(walker: Walker) -> list[type]:
@@ -256,7 +265,7 @@ def follow_step(
     tolerance: Float[Array, ""],
 ) -> Stride:
     """One stride to ground that is higher by `step`; the result's state is a full one."""
-    walker = walker.during_stride(walker.project(full_state(walker, x)))
+    walker = during_stride(walker, x)
     start, verdict = with_fast_sincos(begin_stride)(walker, x)
     launched = not on_section(walker, x)
     # A foot that goes below the ground has passed its level first, ahead of the other: the legs may
@@ -366,12 +375,13 @@ def phase_times(
 def follow_phase_times(
     walker: Walker, x: Float[Array, " coordinates"], tolerance: Float[Array, ""]
 ) -> Float[Array, " phases"]:
+    ends = follow_stride(walker, x, tolerance).time
     walker = during_stride(walker, x)
     start, verdict = with_fast_sincos(begin_stride)(walker, x)
     phases = follow_phases(walker, start, verdict, tolerance) if walker.phases() else []
     ended = [one.verdict == Outcome.UNDECIDED for one in phases]
     times = [jnp.where(good, one.time, jnp.nan) for one, good in zip(phases, ended, strict=True)]
-    return jnp.stack([*times, follow_stride(walker, x, tolerance).time])
+    return jnp.stack([*times, ends])
 
 
 def as_floating(x: Any, name: str = "x") -> Float[Array, "..."]:
