@@ -53,6 +53,7 @@ from walker_jax.walkers.parameters import parameters
 DATA = Path(__file__).parents[1] / "tests" / "data"
 VALUES = json.loads((DATA / "values.json").read_text())
 PUBLISHED = json.loads((DATA / "published_gaits.json").read_text())
+KNEED = json.loads((DATA / "kneed_walkers.json").read_text())
 
 DRIVER = {  # by Garcia and by Bhounsule, of the simplest walker at 0.009; VALUES has them in words
     "long": [0.20031090049483, -0.19983247291764],
@@ -395,6 +396,59 @@ def published() -> None:
     table("Goswami, Thuilot and Espiau (1996)", header, rows)
 
 
+def kneed_walker(entry: dict) -> wj.KneedWalker:
+    """Lengths are in m, so times are in 1 / sqrt(gravity)."""
+    same = "hip_mass", "thigh_mass", "shank_mass", "thigh_length", "shank_length"
+    return wj.KneedWalker(
+        slope_of(entry),
+        thigh_com=entry["thigh_length"] - entry["thigh_mass_above_knee"],
+        shank_com=entry["shank_length"] - entry["shank_mass_above_foot"],
+        foot_radius=entry.get("foot_radius", 0.0),
+        **{name: entry[name] for name in same},
+    )
+
+
+def knees() -> None:
+    """Gaits of kneed walkers in the units and angles of their sources, and a period doubling."""
+    names = {
+        "hsu_chen_2007": "Hsu Chen, 0.0504 rad",
+        "human_like": "human-like, 2 deg",
+        "mcgeer_point_masses": "point masses on round feet, 0.0456 rad",
+    }
+    rows, found = [], {}
+    for key, name in names.items():
+        entry, walker = KNEED[key], kneed_walker(KNEED[key])
+        known, unit = entry.get("exact") or entry["printed"], np.sqrt(entry["gravity"])
+        theta = known["theta"] if "theta" in known else known["q1"] + slope_of(entry)
+        first = known.get("q1dot") or known["stance_rate"]
+        second = known.get("q2dot") or known["swing_rate"]
+        gait = wj.find_gait(walker, [theta, first / unit, (first - second) / unit])
+        found[key] = walker, gait
+        (theta, thetadot, phidot), times = gait.states[0], wj.phase_times(walker, gait.states[0])
+        ours = {
+            "q1": theta - slope_of(entry),
+            "theta": theta,
+            "q1dot": thetadot * unit,
+            "stance_rate": thetadot * unit,
+            "q2dot": (thetadot - phidot) * unit,
+            "swing_rate": (thetadot - phidot) * unit,
+            "knee_strike": times[0] / unit,
+            "heel_strike": times[1] / unit,
+            "step_time": gait.step_times[0] / unit,
+        } | parts(gait.multipliers)
+        plain = {what: value for what, value in known.items() if what != "multipliers"}
+        for what, value in (plain | known_multipliers(known)).items():
+            rows.append([name, what.replace("_", " "), *compared(value, ours[what])])
+    header = "walker | quantity | reference: | walker_jax: | difference:"
+    table("Gaits of walkers with knees", header, rows)
+
+    walker, gait = found["human_like"]
+    branch = wj.continue_gait(walker, "slope", (np.deg2rad(2), np.deg2rad(5)), gait)
+    (doubling,) = branch.doublings
+    rows = [["period 1 to 2 (deg)", "4.8 to 4.9", f"{np.rad2deg(doubling.value):.12f}"]]
+    table("Of the human-like walker", "period doubling | reference: | walker_jax:", rows)
+
+
 def areas() -> None:
     walker = wj.SimplestWalker(0.004)
     with np.load(DATA / "strides_slope_0.004.npz") as data:
@@ -418,7 +472,7 @@ def areas() -> None:
 def main() -> None:
     jax.config.update("jax_enable_x64", True)
     first = stride_maps, gaits, derivatives, doublings, small_slopes
-    for part in (*first, finite_masses, round_feet, published, areas):
+    for part in (*first, finite_masses, round_feet, published, knees, areas):
         begun = time.perf_counter()
         part()
         print(f"{part.__name__}: {time.perf_counter() - begun:.1f} s", file=sys.stderr)

@@ -32,6 +32,7 @@ def published(entry, slope=None):
         shank_length=entry["shank_length"],
         thigh_com=entry["thigh_length"] - entry["thigh_mass_above_knee"],
         shank_com=entry["shank_length"] - entry["shank_mass_above_foot"],
+        foot_radius=entry.get("foot_radius", 0.0),
     )
 
 
@@ -63,7 +64,13 @@ def starts(count, seed=0):
 # Gaits
 
 
-@pytest.mark.parametrize("entry", [HSU_CHEN, HUMAN_LIKE], ids=["Hsu Chen", "human-like"])
+@pytest.mark.parametrize(
+    "entry",
+    [
+        pytest.param(HSU_CHEN, id="Hsu Chen"),
+        pytest.param(HUMAN_LIKE, id="human-like", marks=pytest.mark.slow),
+    ],
+)
 def test_gaits_of_published_walkers(entry):
     walker, x, exact = published(entry), section_of(entry), entry["exact"]
     gait = wj.find_gait(walker, np.round(x, 3))
@@ -74,6 +81,21 @@ def test_gaits_of_published_walkers(entry):
     )
     times = np.asarray(wj.phase_times(walker, gait.states[0])) / np.sqrt(entry["gravity"])
     np.testing.assert_allclose(times, [exact["knee_strike"], exact["heel_strike"]], atol=1e-8)
+
+
+@pytest.mark.slow
+def test_a_gait_on_round_feet_is_that_of_another_program():
+    """McGeer's walker of 1990 with its masses at points."""
+    entry = PUBLISHED["mcgeer_point_masses"]
+    printed, unit = entry["printed"], np.sqrt(entry["gravity"])
+    rates = np.array([printed["stance_rate"], printed["stance_rate"] - printed["swing_rate"]])
+    x = np.array([printed["theta"], *rates / unit])
+    gait = wj.find_gait(published(entry), np.round(x, 2))
+    np.testing.assert_allclose(gait.states[0], x, rtol=0, atol=1e-5)
+    np.testing.assert_allclose(
+        gait.multipliers, np.array(printed["multipliers"]) @ [1, 1j], atol=1e-5
+    )
+    assert gait.step_times[0] / unit == pytest.approx(printed["step_time"], abs=5e-5)
 
 
 @pytest.mark.slow
@@ -93,6 +115,7 @@ def test_the_human_like_gait_doubles_its_period_on_its_branch():
         assert np.sign(np.abs(near.multipliers[0]) - 1) == sign
 
 
+@pytest.mark.slow
 def test_jacobians_are_differences():
     """By the start and by every parameter, through both impacts, with the time of heel strike."""
     cycle, tolerance = START[None, None], 1e-14
