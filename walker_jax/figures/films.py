@@ -72,7 +72,7 @@ def film(
     figure_title(figure, walker_title(walk, 45 if data is None else 90), 12)
     axes[0].set_axis_off()
     axes[0].set_aspect("equal")
-    heading = axes[0].set_title("", loc="left", fontsize=11, fontweight="bold")
+    heading = axes[0].set_title("stride 1, time 0.0", loc="left", fontsize=11, fontweight="bold")
     figure.draw_without_rendering()
     figure.set_layout_engine("none")  # or panels shake
 
