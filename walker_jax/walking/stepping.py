@@ -92,7 +92,7 @@ def height_of_step(step: Any, dtype) -> Float[Array, ""]:
     """A step's height, checked."""
     if not isinstance(step, Tracer):
         check_number("step", step)
-        if not np.isfinite(step):
+        if not abs(step) <= np.finfo(float).max:
             raise WrongUse(f"step must be one finite number, not {short(step)}")
     return jnp.asarray(step, dtype)
 
