@@ -265,7 +265,7 @@ def test_any_command_line_ends_in_order(bench, arguments):
     check(bench, arguments, Counter())
 
 
-STOPPED = {"reproduce", "bifurcation", "explore"}
+STOPPED = {"reproduce", "bifurcation", "continuation", "explore"}
 """For which nothing stands in, and the page, which gives no answer."""
 
 

@@ -346,6 +346,7 @@ def straight_legged(walker):
     )
 
 
+@pytest.mark.slow
 def test_shanks_that_lock_at_once_make_a_straight_legged_walker():
     """On the section they lock at once in falls alone; launched late in a swing, in strides too."""
     straight, xs = straight_legged(WALKER), starts(400)
@@ -576,6 +577,7 @@ def test_walkers_with_impossible_shanks_are_refused():
         KneedWalker(0.05, shank_com=0.0)
 
 
+@pytest.mark.slow
 def test_a_kneed_walk_on_rough_ground_is_strides_of_given_heights():
     heights = np.array([1e-4, 0.0])
     made = wj.walk(WALKER, START, 2, ground=heights)

@@ -591,7 +591,7 @@ def test_wrong_arguments_are_refused():
     with pytest.raises(ValueError, match="gait must be one of this walker, on theta, thetadot, ph"):
         least_disturbance(wj.RoundFootWalker(0.01), gait)
     with pytest.raises(
-        ValueError, match="disturbances must be a positive number, or a grid, not -"
+        ValueError, match=r"disturbances must be a positive number, a grid, or a function .*, not -"
     ):
         basin_stability(walker, -1.0, gait)
     for scale in ("ab", [[1.0], [1.0, 2.0]]):

@@ -112,7 +112,8 @@ def draw_pose(ax: Axes, pose: xr.Dataset) -> list[Line2D]:
             lines += ax.plot(*to_level(sole, slope).T, color=colour, lw=3, zorder=order)
         else:
             lines += ax.plot(*leg[-1:].T, "o", color=colour, mec="white", ms=6, zorder=order + 2)
-        lines += ax.plot(*leg[1:-1].T, "o", color=colour, mec="white", ms=7, zorder=order + 2)
+        if len(leg) > 2:
+            lines += ax.plot(*leg[1:-1].T, "o", color=colour, mec="white", ms=7, zorder=order + 2)
     at = to_level(hip[None], slope)
     return [*lines, *ax.plot(*at.T, "o", color=INK, mec="white", mew=1.2, ms=14, zorder=7)]
 

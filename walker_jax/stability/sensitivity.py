@@ -82,6 +82,8 @@ def gait_sensitivity(
     Raises `ValueError` for other names, and for a gait of another period than one.
     """
     check_kind("walker", walker, Walker)
+    check_kind("disturbances", disturbances, Sequence)
+    check_kind("indicators", indicators, Sequence)
     numbers = [find_name("disturbances", name, Disturbance._fields) for name in disturbances]
     looks = [
         one
@@ -130,6 +132,6 @@ def respond_to(
 
 def find_name(what: str, name: Any, names: tuple[str, ...]) -> int:
     """The number of a name."""
-    if name not in names:
+    if not isinstance(name, str) or name not in names:
         raise WrongUse(f"{what} must be of {', '.join(names)}, not {short(name)}")
     return names.index(name)

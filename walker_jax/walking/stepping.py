@@ -254,7 +254,8 @@ def step_down(
         check_number("drop", drop)
         if not 0 <= drop < np.inf:
             raise WrongUse(f"drop must be one number, finite and not negative, not {short(drop)}")
-    return stride(walker, x, step=-drop, tolerance=tolerance)
+    step = -drop if isinstance(drop, Tracer) else -float(drop)
+    return stride(walker, x, step=step, tolerance=tolerance)
 
 
 @by_kernel
