@@ -34,9 +34,12 @@ from walker_jax.cli.options import (
     Overwrite,
     PictureOfData,
     Scheduler,
+    WindowSum,
+    WindowTheta,
     Workers,
     check_drawable,
     check_finite,
+    check_phidot,
     cluster_from,
 )
 from walker_jax.cli.walker_options import takes_walker
@@ -55,16 +58,8 @@ UNITS = {"area": "rad^2/sqrt(l/g)", "volume": "rad^3 g/l"}
 @takes_walker()
 def basin(
     walker: Walker,
-    theta: Annotated[
-        AxisOption | None,
-        typer.Option(metavar="LO HI N", help="Stance angle, rad (default: 0 0.4 200)."),
-    ] = None,
-    sum_: Annotated[
-        AxisOption | None,
-        typer.Option(
-            "--sum", metavar="LO HI N", help="theta + thetadot (default: -0.04 0.01 250)."
-        ),
-    ] = None,
+    theta: WindowTheta = None,
+    sum_: WindowSum = None,
     thetadot: Annotated[
         AxisOption | None,
         typer.Option(metavar="LO HI N", help="The plain section: thetadot in the place of --sum."),
@@ -130,12 +125,7 @@ def basin(
     hardly tells starts apart; its digits are kept.
     """
     has_phidot = "phidot" in walker.section
-    if not has_phidot and (phidot is not None or at_phidot is not None):
-        option = "--phidot" if phidot is not None else "--at-phidot"
-        section = ", ".join(walker.section)
-        raise WrongUse(f"{option} is for walkers whose section has it, not {section}")
-    if phidot is not None and at_phidot is not None:
-        raise WrongUse("--phidot and --at-phidot exclude each other: give one of them")
+    check_phidot(walker, at_phidot, phidot)
     if thetadot is not None and sum_ is not None:
         raise WrongUse("--sum and --thetadot exclude each other: give one of them")
     cluster = cluster_from(workers, scheduler)

@@ -8,17 +8,18 @@ import typer
 import walker_jax as wj
 from walker_jax import storage
 from walker_jax.basins.windows import fill_around_gait, fill_from_paper, grid_along, outline
-from walker_jax.checks import WrongUse
 from walker_jax.cli.answers import draw, find_earlier, listed, print_json, request_for
 from walker_jax.cli.options import (
     PHIDOT_HELP,
-    AxisOption,
     Json,
     Out,
     Overwrite,
     PictureOfData,
+    WindowSum,
+    WindowTheta,
     check_drawable,
     check_finite,
+    check_phidot,
 )
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.stability.boundaries import summarise_boundary
@@ -29,16 +30,8 @@ from walker_jax.walkers.parameters import describe_in_words, describe_walker
 @takes_walker()
 def boundary(
     walker: Walker,
-    theta: Annotated[
-        AxisOption | None,
-        typer.Option(metavar="LO HI N", help="Stance angle, rad (default: 0 0.4 200)."),
-    ] = None,
-    sum_: Annotated[
-        AxisOption | None,
-        typer.Option(
-            "--sum", metavar="LO HI N", help="theta + thetadot (default: -0.04 0.01 250)."
-        ),
-    ] = None,
+    theta: WindowTheta = None,
+    sum_: WindowSum = None,
     at_phidot: Annotated[
         float | None,
         typer.Option(help=f"{PHIDOT_HELP}: a slice there (default: at the gait)."),
@@ -61,9 +54,7 @@ def boundary(
     sliced = "phidot" in walker.section
     if at_phidot is not None:
         check_finite(**{"at-phidot": at_phidot})
-        if not sliced:
-            section = ", ".join(walker.section)
-            raise WrongUse(f"--at-phidot is for walkers whose section has it, not {section}")
+    check_phidot(walker, at_phidot)
     axes: dict[str, Any] = {"theta": theta, "sum": sum_}
     axes |= {"phidot": at_phidot} if sliced else {}
     axes = fill_from_paper(walker, axes)

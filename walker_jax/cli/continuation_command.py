@@ -9,12 +9,13 @@ import walker_jax as wj
 from walker_jax import storage
 from walker_jax.cli.answers import draw, find_earlier, print_json, request_for
 from walker_jax.cli.options import (
-    PHIDOT_HELP,
-    AxisOption,
     Json,
     Out,
     Overwrite,
     PictureOfData,
+    RegionSum,
+    RegionTheta,
+    SlicePlace,
     grid_from,
     hyphenated,
 )
@@ -31,15 +32,9 @@ def continuation(
     over: Annotated[
         str, typer.Option(metavar="NAME=LO:HI:N", help="Values of a parameter.")
     ] = "slope=0.002:0.02:37",
-    theta: Annotated[
-        AxisOption | None, typer.Option(metavar="LO HI N", help="Stance angle, rad (default: all).")
-    ] = None,
-    sum_: Annotated[
-        AxisOption | None, typer.Option("--sum", metavar="LO HI N", help="theta + thetadot.")
-    ] = None,
-    at_phidot: Annotated[
-        float | None, typer.Option(help=f"{PHIDOT_HELP}: where the slice is.")
-    ] = None,
+    theta: RegionTheta = None,
+    sum_: RegionSum = None,
+    at_phidot: SlicePlace = None,
     samples: Annotated[int, typer.Option(min=1, help="Starts in the region.")] = 100_000,
     strides: Annotated[int, typer.Option(min=1, help="Strides at most.")] = 500,
     seed: Annotated[int, typer.Option(min=0, help="Of the starts.")] = 0,

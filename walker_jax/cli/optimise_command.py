@@ -18,6 +18,7 @@ from walker_jax.cli.options import (
     Out,
     Overwrite,
     PictureOfData,
+    RegionSum,
     grid_from,
     hyphenated,
     read_numbers,
@@ -63,9 +64,7 @@ def optimise(
         AxisOption | None,
         typer.Option(metavar="LO HI N", help="Where the area is measured, as for robustness."),
     ] = None,
-    sum_: Annotated[
-        AxisOption | None, typer.Option("--sum", metavar="LO HI N", help="theta + thetadot.")
-    ] = None,
+    sum_: RegionSum = None,
     at_phidot: Annotated[
         float | None, typer.Option(help=f"{PHIDOT_HELP}: a slice there (else at the gait).")
     ] = None,

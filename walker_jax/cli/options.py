@@ -34,7 +34,24 @@ Scheduler = Annotated[
 Seed = Annotated[int, typer.Option(min=0, help="Of random numbers.")]
 AxisOption = tuple[float, float, int]
 """The ends of an axis, and its number of cells."""
+WindowTheta = Annotated[
+    AxisOption | None,
+    typer.Option(metavar="LO HI N", help="Stance angle, rad (default: 0 0.4 200)."),
+]
+WindowSum = Annotated[
+    AxisOption | None,
+    typer.Option("--sum", metavar="LO HI N", help="theta + thetadot (default: -0.04 0.01 250)."),
+]
+"""The window of a picture, by default that of the paper."""
+RegionTheta = Annotated[
+    AxisOption | None, typer.Option(metavar="LO HI N", help="Stance angle, rad (default: all).")
+]
+RegionSum = Annotated[
+    AxisOption | None, typer.Option("--sum", metavar="LO HI N", help="theta + thetadot.")
+]
+"""The region in which areas are measured, by default all of the section."""
 PHIDOT_HELP = "Rate between the legs, for walkers whose section has it"
+SlicePlace = Annotated[float | None, typer.Option(help=f"{PHIDOT_HELP}: where the slice is.")]
 
 
 def check_finite(**values: float) -> None:
@@ -62,6 +79,16 @@ def state_from(walker: Walker, given: dict[str, float]) -> Float[np.ndarray, " s
     return np.array([given[name] for name in walker.section])
 
 
+def check_phidot(walker: Walker, at_phidot: float | None, phidot: AxisOption | None = None) -> None:
+    """Refuse phidot for a walker whose section lacks it, and two ways to give it."""
+    given = "--at-phidot" if phidot is None else "--phidot"
+    if "phidot" not in walker.section and (phidot is not None or at_phidot is not None):
+        section = ", ".join(walker.section)
+        raise WrongUse(f"{given} is for walkers whose section has it, not {section}")
+    if phidot is not None and at_phidot is not None:
+        raise WrongUse("--phidot and --at-phidot exclude each other: give one of them")
+
+
 def grid_from(
     walker: Walker,
     theta: AxisOption | None,
@@ -70,14 +97,9 @@ def grid_from(
     phidot: AxisOption | None = None,
 ) -> Grid | None:
     """The grid of these axes, with phidot at one value or over a range; None for no axes."""
-    if at_phidot is not None and phidot is not None:
-        raise WrongUse("--phidot and --at-phidot exclude each other: give one of them")
-    sliced = "phidot" in walker.section
+    check_phidot(walker, at_phidot, phidot)
     last = {"--at-phidot": at_phidot} if phidot is None else {"--phidot": phidot}
-    if not sliced and [*last.values()] != [None]:
-        section = ", ".join(walker.section)
-        raise WrongUse(f"{next(iter(last))} is for walkers whose section has it, not {section}")
-    options = {"--theta": theta, "--sum": sum_} | (last if sliced else {})
+    options = {"--theta": theta, "--sum": sum_} | (last if "phidot" in walker.section else {})
     if all(axis is None for axis in options.values()):
         return None
     if None in options.values():

@@ -11,14 +11,16 @@ import walker_jax as wj
 from walker_jax.checks import WrongUse
 from walker_jax.cli.answers import draw, find_earlier, print_json, request_for
 from walker_jax.cli.options import (
-    PHIDOT_HELP,
     AxisOption,
     Json,
     Out,
     Overwrite,
     PictureOfData,
+    RegionSum,
+    RegionTheta,
     Scheduler,
     Seed,
+    SlicePlace,
     Workers,
     cluster_from,
     grid_from,
@@ -45,15 +47,9 @@ def sweep(
             metavar="NAME=LO:HI:N", help="Values of a parameter; give it again for others."
         ),
     ] = None,
-    theta: Annotated[
-        AxisOption | None, typer.Option(metavar="LO HI N", help="Stance angle, rad (default: all).")
-    ] = None,
-    sum_: Annotated[
-        AxisOption | None, typer.Option("--sum", metavar="LO HI N", help="theta + thetadot.")
-    ] = None,
-    at_phidot: Annotated[
-        float | None, typer.Option(help=f"{PHIDOT_HELP}: where the slice is.")
-    ] = None,
+    theta: RegionTheta = None,
+    sum_: RegionSum = None,
+    at_phidot: SlicePlace = None,
     phidot: Annotated[
         AxisOption | None, typer.Option(metavar="LO HI N", help="The same for volumes, not areas.")
     ] = None,
