@@ -30,10 +30,11 @@ class AbstractPoweredWalker(MultibodyWalker):
     the mass of a foot.
     """
 
-    hip_spring: eqx.AbstractVar[Scalar]
-    hip_damper: eqx.AbstractVar[Scalar]
-    hip_angle: eqx.AbstractVar[Scalar]
-    push_off: eqx.AbstractVar[Scalar]
+    slope: Scalar = eqx.field(converter=ANY_SLOPE.convert)
+    hip_spring: Scalar = eqx.field(converter=HIP_SPRING.convert, default=HIP_SPRING.default)
+    hip_damper: Scalar = eqx.field(converter=HIP_DAMPER.convert, default=HIP_DAMPER.default)
+    hip_angle: Scalar = eqx.field(converter=HIP_ANGLE.convert, default=HIP_ANGLE.default)
+    push_off: Scalar = eqx.field(converter=PUSH_OFF.convert, default=PUSH_OFF.default)
 
     def system(self):
         passive = super().system()
@@ -64,12 +65,6 @@ class PoweredPointFootWalker(AbstractPoweredWalker, PointFootWalker):
     `ValueError` otherwise.
     """
 
-    slope: Scalar = eqx.field(converter=ANY_SLOPE.convert)
-    hip_spring: Scalar = eqx.field(converter=HIP_SPRING.convert, default=HIP_SPRING.default)
-    hip_damper: Scalar = eqx.field(converter=HIP_DAMPER.convert, default=HIP_DAMPER.default)
-    hip_angle: Scalar = eqx.field(converter=HIP_ANGLE.convert, default=HIP_ANGLE.default)
-    push_off: Scalar = eqx.field(converter=PUSH_OFF.convert, default=PUSH_OFF.default)
-
 
 class PoweredRoundFootWalker(AbstractPoweredWalker, RoundFootWalker):
     """The `RoundFootWalker` with a torque in its hip and push-off.
@@ -77,21 +72,9 @@ class PoweredRoundFootWalker(AbstractPoweredWalker, RoundFootWalker):
     **Arguments:** those of the `RoundFootWalker`, and those of the `PoweredPointFootWalker`.
     """
 
-    slope: Scalar = eqx.field(converter=ANY_SLOPE.convert)
-    hip_spring: Scalar = eqx.field(converter=HIP_SPRING.convert, default=HIP_SPRING.default)
-    hip_damper: Scalar = eqx.field(converter=HIP_DAMPER.convert, default=HIP_DAMPER.default)
-    hip_angle: Scalar = eqx.field(converter=HIP_ANGLE.convert, default=HIP_ANGLE.default)
-    push_off: Scalar = eqx.field(converter=PUSH_OFF.convert, default=PUSH_OFF.default)
-
 
 class PoweredUpperBodyWalker(AbstractPoweredWalker, UpperBodyWalker):
     """The `UpperBodyWalker` with a torque in its hip and push-off.
 
     **Arguments:** those of the `UpperBodyWalker`, and those of the `PoweredPointFootWalker`.
     """
-
-    slope: Scalar = eqx.field(converter=ANY_SLOPE.convert)
-    hip_spring: Scalar = eqx.field(converter=HIP_SPRING.convert, default=HIP_SPRING.default)
-    hip_damper: Scalar = eqx.field(converter=HIP_DAMPER.convert, default=HIP_DAMPER.default)
-    hip_angle: Scalar = eqx.field(converter=HIP_ANGLE.convert, default=HIP_ANGLE.default)
-    push_off: Scalar = eqx.field(converter=PUSH_OFF.convert, default=PUSH_OFF.default)
