@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
-from playwright.sync_api import Page, sync_playwright
+from playwright.sync_api import Page, ViewportSize, sync_playwright
 
-SIZE = {"width": 1200, "height": 680}
+SIZE: ViewportSize = {"width": 1200, "height": 680}
 WIDTH = 900
 """Pixels of the film."""
 COLOURS = 208
@@ -113,7 +113,7 @@ def main() -> None:
             browser = playwright.chromium.launch(
                 executable_path=shutil.which("chromium"), args=["--no-sandbox"]
             )
-            page = browser.new_page(viewport=SIZE)  # pyright: ignore[reportArgumentType] (a dict)
+            page = browser.new_page(viewport=SIZE)
             page.goto(server.stdout.readline().strip())
             while not page.evaluate("Boolean(window.explorer?.picture.layer)"):
                 page.wait_for_timeout(50)

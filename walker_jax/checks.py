@@ -10,7 +10,7 @@ import operator
 import sys
 import warnings
 from collections.abc import Callable, Mapping
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeGuard, TypeVar
 
 import jax
 import numpy as np
@@ -84,7 +84,7 @@ def check_number(name: str, value: Any) -> None:
         raise WrongUse(f"{name} must be a real number, not {short(value)}")
 
 
-def is_number(value: Any) -> bool:
+def is_number(value: Any) -> TypeGuard[float]:
     """Whether a value is one number, and no truth value."""
     return isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
 

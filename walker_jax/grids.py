@@ -257,7 +257,7 @@ class Grid(eqx.Module):
 
 def split_axes(axes: Mapping[str, Axis]) -> tuple[dict[str, Axis], Float[np.ndarray, " s"]]:
     """The axes that are not numbers, and an origin with those that are, which must be the last."""
-    single = [is_number(axis) for axis in axes.values()]
+    single: list[bool] = [is_number(axis) for axis in axes.values()]
     count = len(axes) - sum(single)
     if count == 0:
         raise WrongUse(f"axes={dict(axes)!r}: a grid needs at least one axis, (low, high, count)")

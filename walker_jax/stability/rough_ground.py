@@ -167,7 +167,7 @@ def as_row(drawn: Any) -> Float[Array, " 3"]:
 def read_ground(ground: float | RandomDisturbance) -> RandomDisturbance:
     """The random function that is meant, checked."""
     if is_number(ground):
-        deviation = float(ground)  # pyright: ignore[reportArgumentType] a number, as is_number says
+        deviation = float(ground)
         if not 0 <= deviation < np.inf:
             raise WrongUse(f"ground must be finite and not negative, not {short(ground)}")
         return NormalSteps(deviation)

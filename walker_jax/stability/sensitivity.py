@@ -84,13 +84,9 @@ def gait_sensitivity(
     check_kind("walker", walker, Walker)
     check_kind("disturbances", disturbances, Sequence)
     check_kind("indicators", indicators, Sequence)
-    numbers = [find_name("disturbances", name, Disturbance._fields) for name in disturbances]
-    looks = [
-        one
-        if callable(one)
-        else list(INDICATORS.values())[find_name("indicators", one, tuple(INDICATORS))]
-        for one in indicators
-    ]
+    disturbance_of = {name: number for number, name in enumerate(Disturbance._fields)}
+    numbers = [look_up("disturbances", disturbance_of, name) for name in disturbances]
+    looks = [one if callable(one) else look_up("indicators", INDICATORS, one) for one in indicators]
     if not numbers or not looks:
         raise WrongUse("disturbances and indicators must be one or more each, not none")
     gait = find_gait(walker, tolerance=tolerance) if gait is None else gait
@@ -130,8 +126,8 @@ def respond_to(
     return GaitSensitivity(jnp.sqrt(square), A, B, C, D, terms)
 
 
-def find_name(what: str, name: Any, names: tuple[str, ...]) -> int:
-    """The number of a name."""
-    if not isinstance(name, str) or name not in names:
-        raise WrongUse(f"{what} must be of {', '.join(names)}, not {short(name)}")
-    return names.index(name)
+def look_up(what: str, table: dict[str, Any], name: Any) -> Any:
+    """What a name stands for."""
+    if not isinstance(name, str) or name not in table:
+        raise WrongUse(f"{what} must be of {', '.join(table)}, not {short(name)}")
+    return table[name]
