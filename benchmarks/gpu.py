@@ -39,6 +39,7 @@ import statistics
 import time
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import jax
 import numpy as np
@@ -75,7 +76,7 @@ def jacobian(walker: wj.Walker, x: jax.Array) -> jax.Array:
     return jax.jacfwd(lambda x: one_stride(walker, x)[0])(x)
 
 
-def time_on(device: jax.Device, function: Callable, xs: np.ndarray, repeats: int):
+def time_on(device: Any, function: Callable, xs: np.ndarray, repeats: int):
     """Seconds of compiling and of a call (median), and the result as NumPy arrays."""
     xs_there = jax.device_put(xs, device)
     begin = time.perf_counter()

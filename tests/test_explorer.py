@@ -221,7 +221,7 @@ def test_a_push_of_a_leg_without_mass_is_the_limit():
 @pytest.mark.slow  # a walker with knees takes long to compile
 def test_a_walker_with_knees_bends_them_and_is_pushed():
     about = subject("kneed", slope=0.05)
-    gait = wj.find_gait(about.walker).states[0]
+    gait = np.asarray(wj.find_gait(about.walker).states[0])
     (made,) = walks.follow(about, gait, 1)["strides"]
     motion = wj.motion(about.walker, gait, 1)
     bent, frames = np.array(made["bent"]), np.array(made["frames"])

@@ -158,7 +158,7 @@ def after_push(
     theta, phi, length, radius = state.theta, state.phi, leg[0], leg[1]
     torque = -(radius + length * jnp.cos(theta)) * impulse[0] - length * jnp.sin(theta) * impulse[1]
     if isinstance(walker, MultibodyWalker):
-        first_phase = (*walker.phases(), walker)[0]
+        first_phase: Any = (*walker.phases(), walker)[0]
         q = stance_coordinates([*angles])
         legs = tuple(range(2, 2 + count))
         factors = factorise(block(mass_matrix(first_phase.system(), q), legs))
