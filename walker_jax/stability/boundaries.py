@@ -53,7 +53,9 @@ def boundary(
     - `tolerance`: of the integration, as in `stride`.
 
     **Returns** what `basin` returns, and `basin_entropy`, `boundary_entropy` and its standard error
-    `boundary_entropy_error`; the regions' fates `region`, and `wada_share`, the largest share of a
+    `boundary_entropy_error`; `boundary_crowded`, the share of the boxes on the boundary with three
+    fates or more, and `boundary_fractal`, whether the entropy shows that the boundary is fractal,
+    as in `BasinEntropy`; the regions' fates `region`, and `wada_share`, the largest share of a
     region's boundary that the boundary of another region lacks, over the `spacing` of the grid's
     points, none with less than three regions. And over the pairs of regions that touch on the grid
     (`edge`), from the two cells nearest to the first attractor, or to the middle of the grid: their
@@ -92,6 +94,8 @@ def boundary(
             "basin_entropy": entropy.value,
             "boundary_entropy": entropy.boundary,
             "boundary_entropy_error": entropy.boundary_error,
+            "boundary_crowded": entropy.crowded / entropy.mixed if entropy.mixed else np.nan,
+            "boundary_fractal": entropy.fractal,
             "region": ("region_number", regions),
             "spacing": ("spacing", spacings),
             "wada_share": ("spacing", shares),
@@ -181,7 +185,7 @@ def padded(rows: list, size: int) -> Float[np.ndarray, "n most size"]:
 def summarise_boundary(data: xr.Dataset) -> dict:
     """The results of `boundary` for JSON; fates by their names."""
     names = lambda codes: [Outcome(int(code)).name for code in codes.values]
-    value, error = float(data["boundary_entropy"]), float(data["boundary_entropy_error"])
+    value, crowded = float(data["boundary_entropy"]), float(data["boundary_crowded"])
     shares = zip(data["spacing"].values.tolist(), data["wada_share"].values.tolist(), strict=True)
     edges = []
     for i in range(data.sizes["edge"]):
@@ -201,8 +205,9 @@ def summarise_boundary(data: xr.Dataset) -> dict:
         "basin_entropy": float(data["basin_entropy"]),
         "boundary_entropy": {
             "value": value if np.isfinite(value) else None,
-            "error": error,
-            "fractal": bool(value - 2 * error > np.log(2)),
+            "error": float(data["boundary_entropy_error"]),
+            "fractal": bool(data["boundary_fractal"]),
+            "crowded": crowded if np.isfinite(crowded) else None,
         },
         "regions": names(data["region"]),
         "wada": [{"spacing": spacing, "share": share} for spacing, share in shares],

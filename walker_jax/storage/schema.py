@@ -122,6 +122,8 @@ KINDS = {
             "basin_entropy": V("", "real", "", "mean over all boxes"),
             "boundary_entropy": V("", "real", "", "mean over boxes with several fates"),
             "boundary_entropy_error": V("", "real", "", "its standard error"),
+            "boundary_crowded": V("", "real", "", "share of these boxes with three fates or more"),
+            "boundary_fractal": V("", "boolean", "", "above log 2 in boxes of two sizes"),
             "region": V("region_number", "integer", "", "`Outcome` of the walkers in a region"),
             "spacing": V("spacing", "integer", "cells", "of the points that are compared"),
             "wada_share": V("spacing", "real", "", "of a boundary, that another one lacks"),
