@@ -165,6 +165,9 @@ def test_the_stable_manifold_of_the_short_gait_is_the_boundary_of_walking(short,
         assert np.abs(ends - short.states[0]).max() < 2e-3
     with pytest.raises(ValueError, match="gait must be a saddle"):
         wj.stable_manifold(WALKER, wj.find_gait(WALKER))
+    for slope in (0.0045, 0.03):
+        with pytest.raises(ValueError, match="gait must be one of this walker"):
+            wj.stable_manifold(wj.SimplestWalker(slope), short)
 
 
 @pytest.mark.slow
@@ -238,6 +241,9 @@ def test_where_float64_ends_one_line_says_so():
     plain = wj.Grid.plain(theta=(0.2, 0.2 + 1e-14, 900), thetadot=(-0.21, -0.21 + 1e-14, 900))
     with pytest.raises(ValueError, match=r"wider than numbers near 0.2.* grid.zoom\(centre"):
         wj.basin(STEEP, plain, "direct")
+    thin = wj.Grid({"theta": (-0.01, 0.01, 4), "sum": (-2e-16, 2e-16, 50)}, grid.shear, CENTRE)
+    with pytest.raises(ValueError, match=r"cells along sum wider .*, not 8e-18, in a window so"):
+        wj.basin(STEEP, thin, "direct")
     # the boundary of falling backward in this stride, to the last digit
     upright = np.array([0.15, -np.sqrt(2 * (1 - np.cos(0.15 - 0.009)))])
     with pytest.raises(wj.ComputationFailed, match="torn apart after 0 strides"):
