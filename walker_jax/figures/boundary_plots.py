@@ -36,6 +36,9 @@ ENDS = {
     "forward": "leads to a foot that grazes the ground",
     "running": "leads to a contact force of zero",
     "stopping": "leads to a foot that just lifts",
+    "landing": "leads to a bent leg's foot that grazes the ground",
+    "buckling": "leads to a knee that is not pressed on its stop",
+    "scuffing": "leads to a bent leg's foot that scuffs",
     "": "comes to no cycle",
 }
 """What an edge leads to that is no saddle."""
