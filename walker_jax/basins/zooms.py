@@ -28,6 +28,7 @@ from walker_jax.execution.progress import track
 from walker_jax.grids import Grid, edge
 from walker_jax.integrators.solvers import default_tolerance
 from walker_jax.walkers.model import Walker
+from walker_jax.walking.stepping import check_single
 
 
 @refuses_tracers()
@@ -63,6 +64,7 @@ def checked_mapper(
 ) -> Mapper:
     """The mapper to the attractors of a grid, with their capture boxes; arguments are checked."""
     check_grid(walker, grid, "direct")
+    check_single(walker)
     check_whole("strides", strides)
     dtype = jnp.asarray(0.0).dtype
     check_precision(dtype, needed_by)

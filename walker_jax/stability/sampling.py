@@ -16,7 +16,15 @@ from jaxtyping import Float, Int
 
 from walker_jax.basins.attractor import cubes
 from walker_jax.basins.memory import check_grid
-from walker_jax.checks import WrongUse, check_number, check_whole, is_number, refuses_tracers, short
+from walker_jax.checks import (
+    WrongUse,
+    check_number,
+    check_whole,
+    is_number,
+    numbers,
+    refuses_tracers,
+    short,
+)
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import find_gait
 from walker_jax.grids import Grid
@@ -138,7 +146,7 @@ def basin_stability(
         starts = disturbances.points_at(rng.uniform(size=(samples, len(disturbances.names))))
         about = lambda state: starts
     elif callable(disturbances):
-        starts = draw_starts(walker, disturbances, rng, samples)
+        starts = draw_starts(walker, "disturbances", disturbances, rng, samples)
         about = lambda state: starts
     else:
         y = draw_from_ball(rng, samples, len(sizes.basis)) @ sizes.basis
@@ -178,13 +186,13 @@ def basin_stability(
 
 
 def draw_starts(
-    walker: Walker, draw: Sampler, rng: np.random.Generator, samples: int
+    walker: Walker, name: str, draw: Sampler, rng: np.random.Generator, samples: int
 ) -> Float[np.ndarray, "n section"]:
-    """Starts that a function draws, checked."""
-    starts = np.asarray(draw(rng, samples), float)
+    """Starts that a function draws, the argument of a name, checked."""
+    starts = numbers(f"starts that {name} returns", draw(rng, samples))
     if starts.shape != (samples, len(walker.section)) or not np.isfinite(starts).all():
         raise WrongUse(
-            f"disturbances: must return {samples} finite starts on the section "
+            f"{name} must return {samples} finite starts on the section "
             f"{', '.join(walker.section)}, not an array of shape {starts.shape}"
         )
     return starts

@@ -32,6 +32,7 @@ from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 from walker_jax.walking.iteration import orbits
 from walker_jax.walking.outcomes import Outcome
+from walker_jax.walking.stepping import check_single
 
 FAILURES = 2**20
 """Added to an `Outcome`, the number of an end without an attractor: above those of attractors."""
@@ -96,6 +97,7 @@ def tipping_probability(
     Raises `ValueError` for arguments out of range, and for values that the walker refuses.
     """
     check_kind("walker", walker, Walker)
+    check_single(walker)
     check_number("value", value)
     check_parameter(walker, parameter, float(value))
     for name, count in {"samples": samples, "strides": strides}.items():
@@ -112,7 +114,7 @@ def tipping_probability(
         check_grid(walker, region, "direct")
         starts = region.points_at(rng.uniform(size=(samples, len(region.names))))
     elif callable(region):
-        starts = draw_starts(walker, region, rng, samples)
+        starts = draw_starts(walker, "region", region, rng, samples)
     else:
         raise WrongUse(
             f"region must be a grid, or a function that draws starts, not {short(region)}"

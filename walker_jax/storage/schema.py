@@ -134,7 +134,9 @@ KINDS = {
             "edge_saddle": V("edge saddle_phase coordinate", "real", STATE, "its cycle, or NaN"),
             "edge_multipliers": V("edge order part", "real", "", "real and imaginary part"),
             "edge_path": V("edge point coordinate", "real", STATE, "stride by stride; then NaN"),
-            "stable_manifold": V("edge branch vertex coordinate", "real", STATE, "then NaN"),
+            "stable_manifold": V(
+                "edge branch vertex coordinate", "real", STATE, "of its first state; then NaN"
+            ),
         },
         {"side": "cells along a side of a box", "radius": "cells within which boundaries are one"},
         "basin",
@@ -260,7 +262,12 @@ KINDS = {
             "fraction": V("value attractor", "real", "", "of the starts; NaN where it is none"),
             "fraction_low": V("value attractor", "real", "", "end of its 95 % interval"),
             "fraction_high": V("value attractor", "real", "", "the other end"),
-            "failed": V("value outcome", "real", "", "fraction of the starts, by `Outcome`"),
+            "failed": V(
+                "value outcome",
+                "real",
+                "",
+                "fraction of the starts, by `Outcome`; `STRIDE`: near no attractor",
+            ),
             "states": V("value attractor phase coordinate", "real", STATE, "NaN where it is none"),
             "period": V("attractor", "integer", "strides", "0 for a motion without a period"),
             "first": V("attractor", "real", "", "lowest value at which it attracts"),
