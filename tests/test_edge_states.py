@@ -13,6 +13,7 @@ from walker_jax.basins.edge_tracking import bring_together, follow_edge
 from walker_jax.basins.methods import mapper_of_grid
 from walker_jax.basins.narrow_windows import follow_window
 from walker_jax.basins.stable_manifolds import Image, follow_manifold
+from walker_jax.basins.zooms import bisect_to_last_digit
 
 WALKER = wj.SimplestWalker(0.004)
 GRID = wj.Grid.sheared(theta=(0.01, 0.4, 60), sum=(-0.05, 0.03, 60))
@@ -224,6 +225,11 @@ def test_a_boundary_point_is_one_rounding_from_another_fate(mapper, gait):
     assert len(set(mapper(beside).fate)) > 1
     with pytest.raises(wj.ComputationFailed, match="one fate"):
         wj.boundary_point(WALKER, wj.Grid.sheared(theta=(0.05, 0.06, 3), sum=(-0.03, -0.02, 3)))
+
+
+def test_a_boundary_that_rounding_loses_is_told():
+    with pytest.raises(wj.ComputationFailed, match="rounding loses the boundary"):
+        bisect_to_last_digit(lambda x: np.zeros(len(x), int), np.array([[0.1, 0.2], [0.2, 0.2]]))
 
 
 STEEP = wj.SimplestWalker(0.009)

@@ -119,8 +119,7 @@ def nearest_to(data: xr.Dataset, grid: Grid) -> Float[np.ndarray, " axes"]:
     middle = (np.array(grid.shape) - 1) / 2
     if data.sizes["number"] == 0 or len(grid.names) < grid.coordinates:
         return middle
-    box = np.asarray(grid.unshear) @ (data["states"].values[0, 0] - np.asarray(grid.origin))
-    place = (box - np.asarray(grid.lower)) / np.asarray(grid.spacing) - 0.5
+    place = grid.place(data["states"].values[0, 0])
     return place if ((place >= 0) & (place <= 2 * middle)).all() else middle
 
 

@@ -18,6 +18,7 @@ from walker_jax.basins.attractor import cubes
 from walker_jax.basins.memory import check_grid
 from walker_jax.checks import (
     WrongUse,
+    check_confidence,
     check_number,
     check_whole,
     is_number,
@@ -126,14 +127,12 @@ def basin_stability(
     elif isinstance(sizes, CurvedMetric):
         raise WrongUse("metric must be a matrix where disturbances is a number, not a function")
     check_number("within", within)
-    check_number("confidence", confidence)
     if not within > 0:
         raise WrongUse(f"within must be positive, not {within}")
     check_whole("samples", samples)
     check_whole("horizon", horizon)
     check_whole("seed", seed, 0)
-    if not 0 < confidence < 1:
-        raise WrongUse(f"confidence must be between 0 and 1, not {confidence}")
+    check_confidence(confidence)
     counts = {np.size(leaf) for leaf in jax.tree.leaves(walker) if np.ndim(leaf)}
     if counts and gait is not None:
         raise WrongUse("gait must be left out for walkers with arrays for parameters")

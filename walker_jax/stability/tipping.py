@@ -18,6 +18,7 @@ from walker_jax.basins.mapper import Labels, Mapper
 from walker_jax.basins.memory import check_grid
 from walker_jax.checks import (
     WrongUse,
+    check_confidence,
     check_kind,
     check_number,
     check_precision,
@@ -103,9 +104,7 @@ def tipping_probability(
     for name, count in {"samples": samples, "strides": strides}.items():
         check_whole(name, count)
     check_whole("seed", seed, 0)
-    check_number("confidence", confidence)
-    if not 0 < confidence < 1:
-        raise WrongUse(f"confidence must be between 0 and 1, not {confidence}")
+    check_confidence(confidence)
     dtype = jnp.asarray(0.0).dtype
     check_precision(dtype)
     checked_tolerance = float(default_tolerance(dtype, tolerance))
