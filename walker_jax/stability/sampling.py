@@ -2,7 +2,10 @@
 
 With the same starts, what else is known of the way back: how many strides it takes, for each unit
 of the disturbance too, and how large the disturbances are that the walker survives. The words are
-those of the stability quantifiers of Attractors.jl.
+those of the stability quantifiers of Attractors.jl, the numbers not all: means here are of the
+starts that return, there sums over these divided by the weight of all starts; the size of a
+disturbance here is its distance from the nearest state of the gait, there by default from their
+centroid; and a start at the gait has no pace here, and there, up to a distance, a pace of zero.
 """
 
 from collections.abc import Callable, Sequence
