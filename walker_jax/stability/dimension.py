@@ -37,7 +37,8 @@ def boundary_dimension(
 
     A start is uncertain at a distance if a walker that starts at that distance, on either side in a
     random direction, converges to another attractor, or to none. Starts are drawn from the cells
-    with a neighbour that converges to another attractor, or to none; elsewhere hardly any are uncertain.
+    with a neighbour that converges to another attractor, or to none; elsewhere hardly any are
+    uncertain.
 
     **Arguments:**
 
