@@ -19,6 +19,7 @@ from walker_jax.basins.refinement import Refined, refine_cells
 from walker_jax.basins.runs import flat_index
 from walker_jax.checks import refuses_tracers
 from walker_jax.design.bands import check_bands, walkers_at_band_ends
+from walker_jax.execution.threads import side_by_side
 from walker_jax.grids import Grid
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.walkers.model import Walker
@@ -127,7 +128,7 @@ def area_gradient(
     averaged = unsure & (bands is not None)
     for k in map(int, np.flatnonzero(averaged)):
         low, high = walkers_at_band_ends(walker, parameters[k], widths[k])
-        below, above = basin_of(low), basin_of(high)
+        below, above = side_by_side(basin_of, (low, high))
         width = float(getattr(high, parameters[k]) - getattr(low, parameters[k])) or np.nan
         gradient[k] = (above.area - below.area) / width
         error[k] = np.hypot(above.area_error, below.area_error) / width
