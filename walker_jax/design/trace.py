@@ -9,7 +9,7 @@ import xarray as xr
 from jaxtyping import Float
 
 from walker_jax.checks import WrongUse
-from walker_jax.design.evaluation import Evaluation, evaluate_objective
+from walker_jax.design.evaluation import HOW_MEASURED, Evaluation, evaluate_objective
 from walker_jax.design.limits import Limits
 from walker_jax.design.problem import Problem, describe_problem
 from walker_jax.execution.progress import bar, in_words
@@ -59,7 +59,7 @@ class Trace:
         evaluate = lambda values: evaluate_objective(self.problem, stage, values, self.gait)
         with closing(side_by_side(evaluate, new.values())) as evaluated:
             for values in all_values:
-                row = self.known.get((stage, values.tobytes()))
+                row = self.known.get(key_at(stage, values))
                 if row is None:
                     with bar(self.label(values), self.progress):
                         row = next(evaluated)
@@ -67,7 +67,7 @@ class Trace:
                     self.rows.append(row._replace(run=run))
                     self.keep_all()
                 else:
-                    self.rows.append(row._replace(run=run))
+                    self.rows.append(row._replace(run=run, stage=stage))
         return self.rows[-len(all_values) :]
 
     def keep_all(self) -> None:
@@ -109,9 +109,15 @@ def string_array(values: Iterable[str]) -> np.ndarray:
     return np.array(list(values), dtype=object)
 
 
+def key_at(stage: int, values: Float[np.ndarray, " parameters"]) -> tuple[int, bytes]:
+    """The key of a measurement: the first stage that measures alike, and the parameters."""
+    alike = stage if stage < 0 else HOW_MEASURED.index(HOW_MEASURED[stage])
+    return alike, values.tobytes()
+
+
 def key_of(row: Evaluation) -> tuple[int, bytes]:
-    """The key of a measurement: its stage and parameters."""
-    return int(row.stage), row.parameters.tobytes()
+    """The key of a measurement."""
+    return key_at(int(row.stage), row.parameters)
 
 
 def evaluations_in(data: xr.Dataset) -> list[Evaluation]:
