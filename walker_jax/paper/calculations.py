@@ -13,7 +13,6 @@ from walker_jax.execution.threads import side_by_side
 from walker_jax.gaits.diagrams import bifurcation_diagram
 from walker_jax.gaits.search import find_gait
 from walker_jax.grids import Grid
-from walker_jax.stability.disturbances import SEARCH_TOLERANCE
 from walker_jax.stability.summary import default_region
 from walker_jax.walkers.simplest import SimplestWalker
 from walker_jax.walking.movement import motion
@@ -119,7 +118,7 @@ def areas_over_slopes(size: Size) -> xr.Dataset:
         region = default_region(walker)
         if size.levels is None or region is None:
             return mapped_area, np.nan, np.nan
-        fine = refine(walker, region, size.levels, tolerance=SEARCH_TOLERANCE)
+        fine = refine(walker, region, size.levels)
         return mapped_area, float(fine["total_area"]), float(fine["total_area_error"])
 
     found = zip(*side_by_side(areas_at, at.tolist()), strict=True)
