@@ -4,7 +4,8 @@ The whole basin of the default walkers on round feet and with an upper body, in 
 First, volumes of one walker by ever finer grids, each in a process of its own: processor seconds
 and peak memory grow as the cells that are followed, about fourfold a level, not eightfold. Then
 volumes over slopes against the same volume by random starts (basin stability), with its 95 %
-interval. Then the derivative of a volume on ever finer grids against a difference. Last, the change of the volume over the slopes against the integral of its derivative.
+interval. Then the derivative of a volume on ever finer grids against a difference. Last, the change
+of the volume over the slopes against the integral of its derivative.
 
 On two busy cores (a volume takes 4.5 times as many followed cells a level; docs/accuracy.md):
 
@@ -76,7 +77,7 @@ def differentiate_by_radius() -> None:
     for level in range(LEVELS + 1):
         found = wj.area_gradient(walker, grid, ("foot_radius",), levels=level)
         print(f"level {level}: {found.gradient[0]:.4f} +- {found.error[0]:.4f}", flush=True)
-    ends = [wj.refine(wj.RoundFootWalker(0.01, foot_radius=r), grid, LEVELS) for r in RADII]
+    ends = [wj.refine(wj.RoundFootWalker(0.01, foot_radius=r), grid, LEVELS, seed=5) for r in RADII]
     low, high = (float(one.total_area) for one in ends)
     width = RADII[1] - RADII[0]
     error = np.linalg.norm([float(one.total_area_error) for one in ends]) / width
