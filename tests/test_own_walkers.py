@@ -171,6 +171,21 @@ def test_what_is_no_walker_is_refused_in_one_line(run, place, arguments, said):
     sys.modules.pop("strides", None)
 
 
+@pytest.mark.parametrize("name", ["quiet", "json", "sum", "help", "walker", "list_walkers", "low"])
+def test_options_of_a_command_are_no_parameters_of_a_walker(run, place, name):
+    source = "import jax, walker_jax as wj\nclass W(wj.SimplestWalker):\n    {}: jax.Array = 1.0\n"
+    (place / "torque_walker.py").write_text(source.format(name))
+    given = ["--walker", "torque_walker.py:W"]
+    option = f"--{name.replace('_', '-')}"
+    if name == "low":  # no option, but a name within the program
+        words = " ".join(run("bifurcation", "--help", *given)[1].split())
+        assert "--low" in words and "--from" in words
+        return
+    code, out, err = run("basin", "--help", *given)
+    said = f"{option} is an option of the command: rename the parameter {name}\n"
+    assert (code, out, err) == (2, "", f"walker-jax: {said}")
+
+
 def test_packages_add_walkers_which_are_listed(run, monkeypatch):
     points = [
         EntryPoint("torque", "torque_walker:TorqueWalker", references.GROUP),
