@@ -1,6 +1,8 @@
 """What earlier versions have left: their results, and the names that users know from them."""
 
+import re
 import shutil
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -56,3 +58,17 @@ def test_former_names_warn_and_say_what_to_use():
         assert pictures.thinned is pictures.thin
     with pytest.raises(AttributeError, match="Grid has no attribute 'no_such_name'"):
         assert grid.no_such_name
+
+
+def test_the_version_and_the_pythons_are_the_same_everywhere():
+    root = Path(__file__).parent.parent
+    project = tomllib.loads((root / "pyproject.toml").read_text())["project"]
+    assert f"\nversion: {project['version']}\n" in (root / "CITATION.cff").read_text()
+    matrix = (root / ".ci" / "matrix.py").read_text()
+    tried = re.findall(r'"(3\.\d+)"', matrix.partition("\nSETS")[0])
+    known = re.findall(r"Python :: (3\.\d+)", " ".join(project["classifiers"]))
+    assert known == tried and project["requires-python"] == f">={tried[0]}"
+    workflow = (root / ".github" / "workflows" / "ci.yml").read_text()
+    assert sorted(re.findall(r"^ +(3\.\d+)$", workflow, re.M)) == tried
+    actions = re.findall(r"uses: (?!actions/)\S+@(\S+)", workflow)  # of others than the host
+    assert actions and all(re.fullmatch(r"[0-9a-f]{40}", one) for one in actions)
