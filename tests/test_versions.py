@@ -2,6 +2,7 @@
 
 import re
 import shutil
+import sys
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -72,3 +73,21 @@ def test_the_version_and_the_pythons_are_the_same_everywhere():
     assert sorted(re.findall(r"^ +(3\.\d+)$", workflow, re.M)) == tried
     actions = re.findall(r"uses: (?!actions/)\S+@(\S+)", workflow)  # of others than the host
     assert actions and all(re.fullmatch(r"[0-9a-f]{40}", one) for one in actions)
+
+
+@pytest.mark.parametrize(
+    ("answer", "said"),
+    [("", "JSONDecodeError: "), ("{}", "KeyError: "), ('{"attractors": []}', "other cells: []")],
+)
+def test_the_matrix_marks_an_answer_that_lacks_something(answer, said, tmp_path):
+    script = Path(__file__).parent.parent / ".ci" / "matrix.py"
+    names: dict[str, Any] = {"__name__": "matrix", "__file__": str(script)}
+    exec(compile(script.read_text(), str(script), "exec"), names)
+    names["JOB"] = ("-c", f"print({answer!r})")
+    rows: list[tuple[str, str, str]] = []
+    environment = names["own_cache"](tmp_path, "empty")
+    names["report"](
+        rows, "here", lambda: names["check_job"](Path(sys.executable), tmp_path, environment)
+    )
+    ((title, outcome, reason),) = rows
+    assert (title, outcome) == ("here", "FAILED") and reason.startswith(said)
