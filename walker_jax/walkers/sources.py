@@ -9,6 +9,7 @@ import functools
 import os
 import sys
 from collections.abc import Iterator
+from importlib.machinery import all_suffixes
 from pathlib import Path
 from types import ModuleType
 
@@ -20,7 +21,7 @@ KNOWN = Path(__file__).parents[1], Path(eqx.__file__).parent
 """The folders of this package and of Equinox: versions tell their code apart."""
 Sources = dict[str, bytes]
 """Contents of files, by their paths from the folder in which their module or package is."""
-read: dict[Path, tuple[object, bytes]] = {}
+kept: dict[Path, tuple[object, bytes]] = {}
 """Contents of the files that have been read, and what stood for their module then."""
 
 
@@ -41,10 +42,11 @@ def home_of(name: str | None) -> ModuleType | None:
 
 
 def file_of(module: ModuleType | None) -> Path | None:
-    """The file of a module, if there is one."""
+    """The file of a module's code, if there is one."""
     name = getattr(module, "__file__", None)
-    path = Path(name) if name else None
-    return path if path is not None and path.is_file() else None
+    if not name or not name.endswith((*all_suffixes(),)):
+        return None
+    return path if (path := Path(name)).is_file() else None
 
 
 def is_known(path: Path) -> bool:
@@ -64,7 +66,8 @@ def root_of(module: ModuleType, path: Path) -> Path:
     """The folder in which a module of this file is, or the package that it is in."""
     spec = getattr(module, "__spec__", None)
     name = module.__name__ if spec is None else spec.name  # that of a program is __main__
-    return path.parents[name.count(".") + (path.name == "__init__.py")]
+    depth = name.count(".") + (path.name == "__init__.py")
+    return path.parents[min(depth, len(path.parents) - 1)]
 
 
 def add_sources(path: Path, root: Path, sources: Sources) -> None:
@@ -97,9 +100,9 @@ def read_loaded(path: Path, name: str) -> bytes:
         main = sys.modules.get("__main__")
         module = main if file_of(main) == path else None
     loaded = getattr(module, "__spec__", None) or module  # to load it anew makes another
-    if loaded is None or path not in read or read[path][0] is not loaded:
-        read[path] = loaded, path.read_bytes()
-    return read[path][1]
+    if loaded is None or path not in kept or kept[path][0] is not loaded:
+        kept[path] = loaded, path.read_bytes()
+    return kept[path][1]
 
 
 @functools.cache
