@@ -975,6 +975,30 @@ def test_the_page_takes_no_walker_of_a_file(run, tmp_path):
     assert err.startswith("walker-jax: --walker must be one of simplest, ")
 
 
+def test_a_host_that_cannot_be_one_is_refused(run):
+    said = "walker-jax: --host must be a name or an address, not a..b\n"
+    assert run("explore", "--no-browser", "--host", "a..b") == (2, "", said)
+
+
+def test_the_seed_of_a_refined_basin_is_part_of_it(run, monkeypatch):
+    asked, find_earlier = [], basin_command.find_earlier
+
+    def refine(*_, seed, **__):
+        raise wj.ComputationFailed(f"this was seed {seed}")
+
+    def find(out, figure, request, *, overwrite):
+        asked.append(request["seed"])
+        return find_earlier(out, figure, request, overwrite=overwrite)
+
+    monkeypatch.setattr("walker_jax.refine", refine)
+    monkeypatch.setattr(basin_command, "find_earlier", find)
+    for given, seed in (([], 0), (["--seed", "3"], 3)):
+        said = f"walker-jax: this was seed {seed}\n"
+        assert run("basin", *SMALL, "--levels", "1", *given) == (1, "", said)
+    assert asked == [0, 3]
+    assert run("basin", "--seed", "1") == (2, "", "walker-jax: --seed is for --levels alone\n")
+
+
 def test_the_package_is_run_as_the_command():
     code, out, err = python("-m", "walker_jax", "--help")
     assert (code, err) == (0, "") and "basin" in out
