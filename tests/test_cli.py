@@ -812,7 +812,7 @@ def test_an_optimum_after_a_start_where_nothing_walks_is_told(capsys):
     ends = {"start": 0.0, "optimum": 0.002}
     answer = {
         "exact": ends,
-        "exact_error": {"start": 0.0, "optimum": 1e-6},
+        "exact_error": {"start": np.nan, "optimum": 1e-6},
         "at_bound": ["slope"],
         "binding": [],
         "converged": False,
@@ -821,6 +821,7 @@ def test_an_optimum_after_a_start_where_nothing_walks_is_told(capsys):
     answer |= {end: {"slope": 0.01} for end in ends}
     optimise_command.print_optimum(wj.SimplestWalker(0.03), answer, "area")
     told = capsys.readouterr().out
+    assert "slope 0.01: 0\n" in told and "slope 0.01: 0.002 +- 1e-06\n" in told
     assert "changed by +0.002\n" in told and "at a bound of slope; not converged" in told
 
 
