@@ -22,6 +22,7 @@ from walker_jax.cli.options import (
     check_phidot,
 )
 from walker_jax.cli.walker_options import takes_walker
+from walker_jax.execution.progress import bar
 from walker_jax.stability.boundaries import summarise_boundary
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import describe_in_words, describe_walker
@@ -67,8 +68,10 @@ def boundary(
     )
     figure, data = find_earlier(out, figure, request, overwrite=overwrite)
     if data is None:
-        grid = grid_along(fill_around_gait(walker, axes))
-        data = storage.save(wj.boundary(walker, grid, strides=strides), out, request)
+        with bar("boundary", True):
+            grid = grid_along(fill_around_gait(walker, axes))
+            data = wj.boundary(walker, grid, strides=strides, progress=True)
+        data = storage.save(data, out, request)
     draw(figures.boundary(data), figure, request)
     answer = summarise_boundary(data)
     if as_json:

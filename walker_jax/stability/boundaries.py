@@ -12,6 +12,7 @@ from walker_jax.basins.memory import check_grid
 from walker_jax.basins.stable_manifolds import stable_manifold
 from walker_jax.checks import ComputationFailed, WrongUse, check_whole, refuses_tracers
 from walker_jax.entropies import BOX, basin_entropy
+from walker_jax.execution.progress import bar, track
 from walker_jax.gaits.cycles import Gait
 from walker_jax.grids import Grid
 from walker_jax.wada import MIN_REGIONS, RADIUS, check_radius, merge_regions
@@ -41,6 +42,7 @@ def boundary(
     radius: float | int = RADIUS,
     strides: int = 500,
     tolerance: float | None = None,
+    progress: bool = False,
 ) -> xr.Dataset:
     """The boundary between the fates in a region: entropy, the Wada property, edge states.
 
@@ -55,6 +57,7 @@ def boundary(
     - `radius`: as in `merge_regions`, in cells.
     - `strides`: number of strides for which a walker is followed.
     - `tolerance`: of the integration, as in `stride`.
+    - `progress`: whether to show progress on a terminal.
 
     **Returns** what `basin` returns, and `basin_entropy`, `boundary_entropy` and its standard error
     `boundary_entropy_error`; `boundary_crowded`, the share of the boxes on the boundary with three
@@ -78,7 +81,10 @@ def boundary(
         )
     check_whole("side", side, 2, min(grid.shape))
     check_radius(radius)
-    data = basin(walker, grid, "direct", strides=strides, tolerance=tolerance)
+    with bar("basin", progress):
+        data = basin(
+            walker, grid, "direct", strides=strides, tolerance=tolerance, progress=progress
+        )
     fate = data["fate"].values
     label = np.where(np.isin(fate, NO_REGION), -1, fate)
     entropy = basin_entropy(label, side)
@@ -89,7 +95,7 @@ def boundary(
         found = merge_regions(label, radius, halvings=halvings)
         spacings, shares = found.spacings, found.share
     pairs, edges = [], []
-    for first, second in combinations(regions.tolist(), 2):
+    for first, second in track([*combinations(regions.tolist(), 2)], "edge states", progress):
         cells = touching_cells(label, (first, second), nearest_to(data, grid))
         if cells is None:
             continue
@@ -109,7 +115,7 @@ def boundary(
             "region": ("region_number", regions),
             "spacing": ("spacing", spacings),
             "wada_share": ("spacing", shares),
-            **edge_arrays(walker, pairs, edges, tolerance),
+            **edge_arrays(walker, pairs, edges, tolerance, progress),
         }
     ).assign_attrs(side=side, radius=float(radius))
 
@@ -146,12 +152,14 @@ def edge_arrays(
     pairs: list[tuple[int, int]],
     edges: list[EdgeState],
     tolerance: float | None,
+    progress: bool,
 ) -> dict[str, tuple]:
     """The variables over the pairs of regions that touch."""
     size = len(walker.section)
     saddles = [one.saddle for one in edges]
     multipliers = [np.zeros(0) if one is None else np.asarray(one.multipliers) for one in saddles]
-    curves = [curves_of(walker, one, tolerance) for one in saddles]
+    followed = track(saddles, "stable manifolds", progress)
+    curves = [curves_of(walker, one, tolerance) for one in followed]
     both = [curve for pair in curves for curve in (*pair, *[np.zeros((0, size))] * (2 - len(pair)))]
     vertices = padded(both, size)
     return {
