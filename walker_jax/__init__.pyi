@@ -50,7 +50,6 @@ from walker_jax.stability.sensitivity import GaitSensitivity as GaitSensitivity
 from walker_jax.stability.sensitivity import gait_sensitivity as gait_sensitivity
 from walker_jax.stability.steps_down import LeastStepDown as LeastStepDown
 from walker_jax.stability.steps_down import least_step_down as least_step_down
-from walker_jax.stability.stochastic_map import Metastability as Metastability
 from walker_jax.stability.stochastic_map import metastability as metastability
 from walker_jax.stability.summary import robustness as robustness
 from walker_jax.stability.summary import robustness_table as robustness_table

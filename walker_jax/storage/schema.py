@@ -176,6 +176,18 @@ KINDS = {
         {"disturbances": "size of random disturbances, as a share of the state of the gait"},
         "refined basin",
     ),
+    "metastable walking": Kind(
+        "How long walks last on rough ground, and where in the section they are (`metastability`).",
+        {
+            "survival": V("", "real", "", "chance not to fall in a stride, after many"),
+            "mean_strides": V("", "real", "strides", "until a fall, from the gait on"),
+            "mean_strides_error": V("", "real", "strides", "its standard error"),
+            "chance": V("cell", "real", "", "of each cell, of walks that still last"),
+            "centre": V("cell direction", "real", STATE, "of each; and phi - 2 theta, in rad"),
+            "direction": V("direction", "text", "", "`theta`, `thetadot` and, if rough, `gap`"),
+        },
+        WALKER | SECTION | {"side": "of a cell, in standard deviations of the states"},
+    ),
     "robustness table": Kind(
         "Robustness over values of a parameter, with its name as dimension (`robustness_table`).",
         {},
