@@ -17,6 +17,8 @@ from walker_jax.design.disturbance_gradients import disturbance_gradient as dist
 from walker_jax.design.measures import Measure as Measure
 from walker_jax.design.measures import gait_measures as gait_measures
 from walker_jax.design.optimisation import optimise as optimise
+from walker_jax.design.sensitivity_gradients import SensitivityGradient as SensitivityGradient
+from walker_jax.design.sensitivity_gradients import sensitivity_gradient as sensitivity_gradient
 from walker_jax.design.sweeps import sweep as sweep
 from walker_jax.entropies import BasinEntropy as BasinEntropy
 from walker_jax.entropies import basin_entropy as basin_entropy
