@@ -172,6 +172,9 @@ KINDS = {
             "dimension": V("", "real", "", "of the boundary of the basin"),
             "dimension_low": V("", "real", "", "end of its 95 % interval"),
             "dimension_high": V("", "real", "", "the other end"),
+            "steps_to_fall": V("", "real", "strides", "mean on rough ground", f"`ground`; {NEW}"),
+            "steps_to_fall_low": V("", "real", "strides", "end of its 95 % interval", "`ground`"),
+            "steps_to_fall_high": V("", "real", "strides", "the other end", "`ground`"),
         },
         {"disturbances": "size of random disturbances, as a share of the state of the gait"},
         "refined basin",
@@ -350,6 +353,7 @@ KINDS = {
             "states": V("start coordinate", "real", STATE, "at the start of each stride"),
             "outcome": V("made", "integer", "", "`Outcome` of each stride"),
             "duration": V("made", "real", TIME, "of each stride; NaN for a failure"),
+            "footholds": V("foothold axis", "real", "leg length", "of feet", f"rough; {NEW}"),
         },
         WALKER
         | SECTION
