@@ -19,7 +19,7 @@ from walker_jax.stability.rough_ground import (
     walk_disturbed,
 )
 from walker_jax.stability.stochastic_map import choose_walkers, solve_chain
-from walker_jax.walking.disturbed import follow_disturbed
+from walker_jax.walking.disturbed import DisturbedWalk, follow_disturbed
 
 SLOPE = 0.009
 WALKER = SimplestWalker(SLOPE)
@@ -178,6 +178,17 @@ def test_walks_last_as_long_as_the_stochastic_cell_map_says(gait, ground, limit)
     relative = 1.96 * (1 / np.sqrt(falls) + error / mean)
     survival = float(chain["survival"])
     assert survival / (1 - survival) == pytest.approx(more, rel=relative)
+
+
+def test_a_walk_without_an_answer_is_no_fall(gait, monkeypatch):
+    """It counts with the strides that it made, as one that is left off."""
+    outcomes = np.array([Outcome.FORWARD, Outcome.UNDECIDED, Outcome.STRIDE], np.int8)
+    walks = DisturbedWalk(np.zeros((3, 4)), outcomes, np.array([5, 7, 10]))
+    module = "walker_jax.stability.rough_ground.walk_disturbed"
+    monkeypatch.setattr(module, lambda *_: walks)
+    found = wj.steps_to_fall(WALKER, 1e-3, 3, gait=gait, limit=10)
+    assert found.ended.tolist() == [True, False, False] and found.mean == 22
+    assert found.outcomes.tolist() == outcomes.tolist()
 
 
 def test_steps_to_fall_refuses_bad_arguments_in_one_line(gait):

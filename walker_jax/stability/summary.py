@@ -140,7 +140,7 @@ def robustness(
             walks = steps_to_fall(
                 walker, ground, WALKS, key, gait=gait, limit=WALK_LIMIT, tolerance=tolerance
             )
-        data = data.assign(zip(GROUND_NAMES, walks[:3], strict=True))
+        data = data.assign(dict(zip(GROUND_NAMES, walks[:3], strict=True)))
     return data.assign(
         {
             "gait_period": period,
