@@ -32,6 +32,7 @@ from walker_jax.basins.windows import grid_along, whole_section
 WALKERS = {"round-foot": wj.RoundFootWalker, "upper-body": wj.UpperBodyWalker}
 SLOPES = 0.005, 0.01, 0.02
 NODES = 4
+RADII = 0.18, 0.22
 LEVELS, STARTS = 2, 2_000_000
 
 
@@ -51,10 +52,27 @@ def main(step: str = "all", levels: int = 3) -> None:
         for name, kind in WALKERS.items():
             for slope in SLOPES:
                 compare(name, kind(slope))
+    if step in ("all", "radius"):
+        print("derivative by the foot radius")
+        differentiate_by_radius()
     if step in ("all", "gradient"):
         print("walker     change of the volume over these slopes; integral of its derivative")
         for name, kind in WALKERS.items():
             integrate_gradient(name, kind)
+
+
+def differentiate_by_radius() -> None:
+    """Print the derivative of a volume on ever finer grids, and a difference of volumes."""
+    walker = wj.RoundFootWalker(0.01)
+    grid = grid_along(whole_section(walker))
+    for level in range(LEVELS + 1):
+        found = wj.area_gradient(walker, grid, ("foot_radius",), levels=level)
+        print(f"level {level}: {found.gradient[0]:.4f} +- {found.error[0]:.4f}", flush=True)
+    ends = [wj.refine(wj.RoundFootWalker(0.01, foot_radius=r), grid, LEVELS) for r in RADII]
+    low, high = (float(one.total_area) for one in ends)
+    width = RADII[1] - RADII[0]
+    error = np.linalg.norm([float(one.total_area_error) for one in ends]) / width
+    print(f"by a difference: {(high - low) / width:.4f} +- {error:.4f}", flush=True)
 
 
 def integrate_gradient(name: str, kind: type) -> None:

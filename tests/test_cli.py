@@ -1064,9 +1064,18 @@ def test_the_walkers_are_listed_with_parameters_units_and_defaults(run):
         assert (code, err) == (0, "")
         for name, kind in WALKERS.items():
             assert f"{name}:" in out and ", ".join(kind.section) in out
+            own = out[out.index(f"{name}:") :].splitlines()
             for one in parameters(kind):
-                row = next(line for line in out.splitlines() if option_of(one.name) in line)
+                row = next(line for line in own if f"{option_of(one.name)} " in line)
                 assert f"{one.default:g}" in row and one.unit in row and one.meaning in row
+
+
+def test_help_has_the_slopes_that_a_walker_has_by_default(run):
+    words = lambda *arguments: " ".join(run(*arguments)[1].replace("│", " ").split())
+    assert "of the ground; rad (default: 0.004, kneed: 0.05)" in words("walk", "--help")
+    said = words("bifurcation", "--help")
+    assert "Lowest slope, rad (default: 0.001, kneed: 0.03)" in said
+    assert "Highest slope, rad (default: 0.022, kneed: 0.12)" in said
 
 
 def test_help_names_the_parameters_of_walkers(run):
