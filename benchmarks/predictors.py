@@ -160,6 +160,7 @@ def with_interval(statistic, x: np.ndarray, y: np.ndarray) -> str:
 def draw(rows: list[dict], path: Path) -> None:
     """The roughness that is borne against each number."""
     from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator, NullFormatter
 
     figure = Figure(figsize=(10.5, 6.2), layout="constrained")
     panels = figure.subplots(2, 3, sharey=True).flat
@@ -171,6 +172,10 @@ def draw(rows: list[dict], path: Path) -> None:
             x, y = ([row[key] for row in own] for key in (name, "roughness"))
             ax.plot(x, y, mark, color=colour, mec="white", ms=7, label=words[family])
         ax.set(xscale="log", yscale="log", xlabel=about)
+        for axis in (ax.xaxis, ax.yaxis):
+            axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+            axis.set_major_formatter("{x:g}")
+            axis.set_minor_formatter(NullFormatter())
         ax.grid(alpha=0.3)
     for ax in list(figure.axes)[::3]:
         ax.set_ylabel("roughness borne (leg length)")
