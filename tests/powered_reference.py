@@ -40,7 +40,8 @@ def follow(parameters, full, step=0.0, slope=0.0, push=0.0):
 
     height.direction = -1
     solution = solve_ivp(field, (0, LONGEST), start, events=height, **WAY)
-    ahead = (solution.y_events[0][:, 0] < 0) & (solution.y_events[0][:, 1] < 0)
+    # On even ground the height is zero, too, where the legs pass each other.
+    ahead = (solution.y_events[0][:, 0] < 0) & (solution.y_events[0][:, 1] < -1e-6)
     first = int(ahead.argmax())
     theta, phi, thetadot, _ = solution.y_events[0][first]
     hip = thetadot * across(theta) + push_off * along(theta)
