@@ -61,7 +61,7 @@ def walks_in(monkeypatch):
             return Labels(fate, number, np.ones(len(x), np.int32), x)
 
         cycle = Attractor(1, CENTRE[None])
-        monkeypatch.setattr(Mapper, "__call__", labels_of)
+        monkeypatch.setattr(Mapper, "follow", labels_of)
         mapper = lambda walker, grid, *limits: Mapper(walker, [cycle], *limits)
         monkeypatch.setattr(refinement, "mapper_of_grid", mapper)
         monkeypatch.setattr(refinement, "with_capture_boxes", lambda mapper: mapper)

@@ -216,7 +216,7 @@ def print_optimum(walker: Walker, answer: dict, objective: str) -> None:
     for end in ENDS:
         values = ", ".join(f"{name} {value:.8g}" for name, value in answer[end].items())
         exact, error = answer["exact"][end], answer["exact_error"][end]
-        print(f"  {end:8} {values}: {exact:.7g}" + (f" +- {error:.1g}" if error else ""))
+        print(f"  {end:8} {values}: {exact:.7g}" + (f" +- {error:.1g}" if error > 0 else ""))
     before, after = (answer["exact"][end] for end in ENDS)
     factor = f", by a factor of {after / before:.3f}" if before > 0 else ""
     print(f"  exactly, it changed by {after - before:+.4g}{factor}")

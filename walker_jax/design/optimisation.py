@@ -112,7 +112,8 @@ def optimise(
     **Returns** a data set: over the parameters, `start` and `optimum`, those of the best climb;
     `objective_start` and `objective_optimum`, as that climb measured them; `exact_start` and
     `exact_optimum`, with standard errors `exact_start_error` and `exact_optimum_error`, which are 0
-    except for areas and volumes; `at_bound`, -1 or 1 for parameters that end at their lower or
+    except for areas and volumes, and NaN with the least disturbance, of which the search gives an
+    upper bound; `at_bound`, -1 or 1 for parameters that end at their lower or
     upper bound; `binding`, the measures whose limits bind at the optimum; and `converged`, whether
     it ended because no step of the last stage along the gradient improved the objective. The
     trace, over evaluations: `run`, `stage` (-1 for the scan, -2 for the ends), `parameters`,
@@ -215,7 +216,8 @@ def measure_ends(trace: Trace, start: Evaluation, best: Evaluation) -> dict:
     for (name, row), exact in zip(sides.items(), exactly, strict=True):
         found[name] = "parameter", row.parameters
         found[f"objective_{name}"] = row.value
-        found[f"exact_{name}"], found[f"exact_{name}_error"] = exact.value, exact.value_error
+        error = np.nan if "least-disturbance" in problem.weights else exact.value_error
+        found[f"exact_{name}"], found[f"exact_{name}_error"] = exact.value, error
     place = problem.place_of(best.parameters)
     side = (place == 1).astype(np.int8) - (place == 0).astype(np.int8)
     binding = trace.limits.binding(place)

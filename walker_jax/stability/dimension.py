@@ -38,7 +38,8 @@ def boundary_dimension(
 
     A start is uncertain at a distance if a walker that starts at that distance, on either side in a
     random direction, converges to another attractor, or to none. Starts are drawn from the cells
-    that have a neighbour of another fate; elsewhere hardly any are uncertain.
+    with a neighbour that converges to another attractor, or to none; elsewhere hardly any are
+    uncertain.
 
     **Arguments:**
 
@@ -50,7 +51,8 @@ def boundary_dimension(
     - `confidence`, `seed`: of the interval, and of random numbers.
     - `tolerance`: of the integration, as in `stride`.
 
-    **Returns** an `Uncertainty`, NaN where all cells have one fate.
+    **Returns** an `Uncertainty`, NaN where all cells converge to one attractor, or none: all
+    failures are alike here.
 
     Raises `ValueError` as `basin` and `uncertainty_exponent`.
     """
