@@ -13,7 +13,10 @@ import numpy as np
 import walker_jax as wj
 
 sys.path.append(str(Path(__file__).parent.parent / "tests"))
-from powered_reference import find_gait, sensitivity_norm
+from powered_reference import (  # pyright: ignore[reportMissingImports] which is in tests
+    find_gait,
+    sensitivity_norm,
+)
 
 WALKERS = (
     (0.009, 0.0, 0.0, 0.0, 0.0),
