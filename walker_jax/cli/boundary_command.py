@@ -79,7 +79,7 @@ def boundary(
         return
     print(f"Boundary between fates, {describe_in_words(walker)}")
     entropy = answer["boundary_entropy"]
-    fractal = "fractal by the log 2 test" if entropy["fractal"] else "not fractal by the log 2 test"
+    fractal = "fractal by the log 2 test" if entropy["fractal"] else "log 2 test not passed"
     print(f"  basin entropy {answer['basin_entropy']:.5f}")
     if entropy["value"] is not None:
         print(f"  of the boundary {entropy['value']:.4f} +- {entropy['error']:.4f}, {fractal}")

@@ -114,7 +114,7 @@ def saddle_phrase(one: xr.Dataset) -> str:
 def entropy_phrase(data: xr.Dataset) -> str:
     """The entropies of a basin, and the log 2 test."""
     value, error = float(data["boundary_entropy"]), float(data["boundary_entropy_error"])
-    fractal = "fractal by log 2" if data["boundary_fractal"] else "not fractal by log 2"
+    fractal = "fractal by log 2" if data["boundary_fractal"] else "log 2 test not passed"
     value_phrase = f"of the boundary {value:.3f} ± {error:.3f} ({fractal})"
     first = f"basin entropy {float(data['basin_entropy']):.4f}, {value_phrase};"
     return f"{first}\ncurves are stable manifolds of the saddles"
