@@ -11,6 +11,7 @@ from walker_jax.walkers.powered_masses import (
 )
 from walker_jax.walkers.round_foot import RoundFootWalker
 from walker_jax.walkers.simplest import SimplestWalker
+from walker_jax.walkers.spatial import SpatialWalker
 from walker_jax.walkers.spring import SpringWalker
 from walker_jax.walkers.upper_body import UpperBodyWalker
 
@@ -21,6 +22,7 @@ WALKERS: dict[str, type[Walker]] = {
     "round-foot": RoundFootWalker,
     "upper-body": UpperBodyWalker,
     "kneed": KneedWalker,
+    "spatial": SpatialWalker,
     "powered": PoweredWalker,
     "powered-point-foot": PoweredPointFootWalker,
     "powered-round-foot": PoweredRoundFootWalker,

@@ -99,6 +99,8 @@ class Walker(eqx.Module):
 
     section: ClassVar[tuple[str, ...]]
     """Names of the coordinates of the Poincaré section."""
+    state: ClassVar[type] = State
+    """The `NamedTuple` of full states during the swing, with the fields of `State` at least."""
     force_least_at_ends: ClassVar[bool] = False
     """Whether Q_v, over a stride, is least at the start or at heel strike, so that a stride need
     not look at it in between."""
@@ -229,6 +231,20 @@ class Walker(eqx.Module):
         most within one.
         """
         return state.phi - 2 * state.theta
+
+    def is_ahead(self, state: State) -> Bool[Array, ""]:
+        """Whether the swing foot is ahead of the other, so that coming down is heel strike.
+
+        Elsewhere that is scuffing, which a stride ignores. By default past mid-stance.
+        """
+        return state.theta < 0
+
+    def falls(self, state: State) -> dict[str, Bool[Array, ""]]:
+        """Whether the walker has fallen, by the name of each `Outcome` of a fall.
+
+        The first that is true counts. By default as in the plane.
+        """
+        return {"BACKWARD": state.thetadot >= 0, "FORWARD": state.theta <= -np.pi / 2}
 
     @abc.abstractmethod
     def clearance(self, state: State) -> Scalar:
