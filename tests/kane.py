@@ -9,6 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 import sympy
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 from sympy.physics import mechanics
 
 SIZES = "slope mass length width radius forward outward height xx yy zz xy xz yz"
@@ -117,6 +119,7 @@ class Rolling:
 
     def __init__(self, sizes: Values, legs: int):
         self.sizes, self.angles = [sizes[name] for name in SIZES.split()], legs + 2
+        self.radius = sizes["radius"]
         self.equations = equations(legs)
 
     def look(self, name: str, z: np.ndarray) -> np.ndarray:
@@ -133,3 +136,69 @@ class Rolling:
         z = self.state(z[:n], z[n + 2 : 2 * n + 2], z[n : n + 2])
         change = np.linalg.solve(self.look("matrix", z), self.look("forcing", z))
         return np.concatenate([z[n + 2 :], change])
+
+
+class Toy(Rolling):
+    """The walker of two legs: one step, by scipy's integration and by its momenta at heel strike.
+
+    States on the section are yaw, lean, pitch, swing and their rates, as published.
+    """
+
+    def __init__(self, sizes: Values):
+        super().__init__(sizes, 2)
+
+    def clearance(self, z: np.ndarray) -> float:
+        places = self.look("places", z)
+        return places[5] - self.radius * places[14]
+
+    def on_section(self, free: np.ndarray) -> np.ndarray:
+        """The lean at which both discs touch, from the seven coordinates that are free."""
+        yaw, pitch, swing, *rates = free
+        touches = lambda lean: self.clearance(self.state([yaw, lean, pitch, swing], [0] * 4))
+        lean = brentq(touches, -1, 1, xtol=1e-15, rtol=1e-14)
+        return self.state([yaw, lean, pitch, swing], rates)
+
+    def step(self, free: np.ndarray) -> tuple[np.ndarray, float]:
+        """The free coordinates after the next heel strike, in a mirror, and the time of that."""
+        start = self.on_section(free)
+
+        def strikes(t, z):
+            return self.clearance(z) if z[3] < -0.05 else 1.0
+
+        strikes.terminal, strikes.direction = True, -1
+        found = solve_ivp(
+            lambda t, z: self.rates_of(z),
+            (0, 5),
+            start,
+            method="DOP853",
+            rtol=1e-12,
+            atol=1e-13,
+            events=strikes,
+        )
+        (time,), (z,) = found.t_events[0], found.y_events[0]
+        yaw, lean, pitch, swing = z[:4]
+        angles = -yaw, -lean, pitch + swing, -swing
+        z = self.state(z[:4], z[6:10], z[4:6])
+        places, before = self.look("places", z), self.look("momentum", z)
+        contact = places[3:6] - self.radius * places[12:15]
+        about = before[3:6] - np.cross(contact, before[:3])
+        kept = np.array([-about[0], about[1], -about[2], before[6]])
+        columns = np.stack([self.kept_after(self.state(angles, one)) for one in np.eye(4)], axis=1)
+        rates = np.linalg.solve(columns, kept)
+        return np.array([angles[0], *angles[2:], *rates]), time
+
+    def kept_after(self, z: np.ndarray) -> np.ndarray:
+        momentum = self.look("momentum", z)
+        return np.append(momentum[3:6], momentum[7])
+
+    def jacobian(self, free: np.ndarray) -> np.ndarray:
+        """By central differences, extrapolated twice."""
+
+        def difference(direction, h):
+            return (self.step(free + h * direction)[0] - self.step(free - h * direction)[0]) / h / 2
+
+        columns = []
+        for direction in np.eye(7):
+            coarse, fine = (difference(direction, h) for h in (2e-3, 1e-3))
+            columns.append((4 * fine - coarse) / 3)
+        return np.stack(columns, axis=1)

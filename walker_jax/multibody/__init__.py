@@ -16,6 +16,8 @@ from walker_jax.multibody.constraints import ConstrainedSolution as ConstrainedS
 from walker_jax.multibody.constraints import RateConstraints as RateConstraints
 from walker_jax.multibody.constraints import rate_matrix as rate_matrix
 from walker_jax.multibody.constraints import solve_constrained as solve_constrained
+from walker_jax.multibody.equations import Motion as Motion
+from walker_jax.multibody.equations import solve_motion as solve_motion
 from walker_jax.multibody.impacts import Impact as Impact
 from walker_jax.multibody.impacts import impact as impact
 from walker_jax.multibody.impacts import push as push
@@ -24,8 +26,6 @@ from walker_jax.multibody.linear import WORST_PIVOT as WORST_PIVOT
 from walker_jax.multibody.linear import block as block
 from walker_jax.multibody.linear import factorise as factorise
 from walker_jax.multibody.linear import solve_factored as solve_factored
-from walker_jax.multibody.motion import Motion as Motion
-from walker_jax.multibody.motion import solve_motion as solve_motion
 from walker_jax.multibody.system import Coordinates as Coordinates
 from walker_jax.multibody.system import System as System
 from walker_jax.multibody.system import convective_acceleration as convective_acceleration

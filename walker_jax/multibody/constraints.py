@@ -20,8 +20,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from walker_jax.checks import WrongUse
+from walker_jax.multibody.equations import held_coordinates
 from walker_jax.multibody.linear import block, check_pivots, factorise, solve_factored
-from walker_jax.multibody.motion import held_coordinates
 from walker_jax.multibody.system import (
     Coordinates,
     System,
