@@ -24,7 +24,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
-from walker_jax.checks import WrongUse
+from walker_jax.checks import WrongUse, check_kind
 from walker_jax.grids import Grid
 from walker_jax.integrators.roots import Scalar
 from walker_jax.kernels import by_kernel
@@ -265,6 +265,13 @@ class Walker(eqx.Module):
         """The state with the swing leg as the new stance leg, (21) and its time derivative."""
         theta, phi, thetadot, phidot = state
         return State(theta - phi, -phi, thetadot - phidot, -phidot)
+
+
+def check_planar(walker: Walker) -> None:
+    """Refuse walkers in space, where what is computed is known of walkers in the plane alone."""
+    check_kind("walker", walker, Walker)
+    if walker.state is not State:
+        raise WrongUse(f"walker must be one in the plane, not a {type(walker).__name__}")
 
 
 def numbers_of(walker: Walker) -> dict[str, Any]:

@@ -24,7 +24,7 @@ from walker_jax.integrators.solvers import (
 from walker_jax.integrators.taylor import with_fast_sincos
 from walker_jax.kernels import by_kernel
 from walker_jax.walkers.masses import MultibodyMotion
-from walker_jax.walkers.model import Phase, Scalar, State, Walker, numbers_of
+from walker_jax.walkers.model import Phase, Scalar, State, Walker, check_planar, numbers_of
 from walker_jax.walking.outcomes import Outcome, Stride
 from walker_jax.walking.phases import (
     follow_phase,
@@ -86,6 +86,7 @@ def stride(
     with using_solver(solver):
         if step is None:
             return follow_stride(walker, x, tolerance)
+        check_planar(walker)
         return follow_step(walker, x, height_of_step(step, x.dtype), tolerance)
 
 
