@@ -6,14 +6,14 @@ over what is computed already: frames drawn a second, of the 60 that a browser m
 the times stand the strides that a picture takes, and what the server spends on it: processor time,
 which does not depend on who else is busy.
 
-The answer: 131 ms of processor time for a picture of 130,000 strides, in which the attractors are
-found too. On two cores for which twice as many processes competed, a slider was followed after
-0.3 s (0.55 s where seven times as many did), and panning kept 59 frames a second:
+The answer: 140 ms of processor time for a picture of 130,000 strides, in which the attractors are
+found too, and a slider is followed within 0.2 s on two free cores. Where twice as many processes
+competed for them it took 0.3 s, and panning kept 59 frames a second:
 
-    load 3.6 on 2 cores
-    slider to whole picture: median 298 ms, 266 to 393 ms, of 20 moves
-    panning: 59 frames a second
-    the server: 131 ms of processor time a picture,
+    load 0.3 on 2 cores
+    slider to whole picture: median 191 ms, 177 to 214 ms, of 20 moves
+    panning: 60 frames a second
+    the server: 143 ms of processor time a picture,
     of 129,797 strides at slope 0.0079
 """
 

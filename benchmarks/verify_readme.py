@@ -179,6 +179,7 @@ GIVEN = {
     "0.004": "the slope of the paper's basin",
     "0.022": "printed in the paper, where `walker-jax reproduce` compares it",
     "512, 50,000, 1e-8": "the conditions of the table of speeds",
+    "57, 186, 16": "strides and cores of a machine with an H100: `python benchmarks/gpu.py`, there",
     "1e8": "a size of large runs",
     "40": "the digits of the reference values: tests/data/README.md",
     "80,000": "the largest derivative of a stride among those: docs/accuracy.md",

@@ -219,9 +219,9 @@ def test_a_push_of_a_leg_without_mass_is_the_limit():
 
 
 @pytest.mark.slow  # a walker with knees takes long to compile
-def test_a_walker_with_knees_bends_them():
-    about = subject("kneed")
-    gait = np.array(service.home_of("kneed", "sheared").gait)
+def test_a_walker_with_knees_bends_them_and_is_pushed():
+    about = subject("kneed", slope=0.05)
+    gait = np.asarray(wj.find_gait(about.walker).states[0])
     (made,) = walks.follow(about, gait, 1)["strides"]
     motion = wj.motion(about.walker, gait, 1)
     bent, frames = np.array(made["bent"]), np.array(made["frames"])
@@ -229,8 +229,29 @@ def test_a_walker_with_knees_bends_them():
     knee = (motion["swing_knee"] - motion["hip"]).values
     np.testing.assert_allclose(bent[[0, -1], :2], knee[[0, -1]], atol=1e-6)
     assert bent[:, 3].max() > -0.95 * motion.attrs["leg_length"]  # it is bent in between
-    with pytest.raises(ValueError, match="knees cannot be pushed"):
-        walks.push(about, frames[5], np.array([0.01, 0.0]))
+
+    # A push of no size changes nothing, while the knee bends or once it is locked.
+    locks, count = made["locks"], len(frames) - 1
+    assert locks == pytest.approx(float(wj.phase_times(about.walker, gait)[0]), rel=1e-12)
+    for k, state in ((4, frames[4]), (count - 3, frames[count - 3][[0, 1, 3, 4]])):
+        time = k * made["duration"] / count
+        assert (time > locks) == (len(state) == 4)
+        same = walks.push(about, state, np.zeros(2))
+        np.testing.assert_allclose(same, state, rtol=0, atol=1e-15)
+        first, second = walks.follow(about, same, 2)["strides"]
+        assert first["duration"] == pytest.approx(made["duration"] - time, abs=1e-6)
+        np.testing.assert_allclose(second["start"], gait, atol=1e-5)
+        # Its work is the impulse times the mean of the hip's speeds.
+        after, impulse = walks.push(about, state, np.array([0.03, -0.02])), np.array([0.03, -0.02])
+        walker: Any = walks.walker_from(about, state)
+        phase, kind = (walker, wj.State) if len(state) == 4 else (walker.phases()[0], wj.BentState)
+        energy = lambda values, p=phase, k=kind: float(p.energy(k(*map(jnp.asarray, values))))
+        legs = [
+            values[[0, 1, -len(values) // 2, 1 - len(values) // 2]] for values in (state, after)
+        ]
+        mean = sum(hip_velocity(about.walker, values) for values in legs) / 2
+        work = float(impulse @ np.asarray(mean))
+        assert energy(after) - energy(state) == pytest.approx(work, rel=1e-9)
 
 
 def test_a_pushed_walker_goes_on(client):

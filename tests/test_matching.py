@@ -65,6 +65,19 @@ def followed():
     return wj.continue_basins(wj.SimplestWalker(0.004), "slope", slopes, REGION, samples=2000)
 
 
+@pytest.mark.slow
+def test_fractions_are_those_of_refined_areas():
+    """Of the paper's window, through two period doublings; 3.5 standard errors of the starts."""
+    slopes, window = [0.004, 0.012, 0.016, 0.018], 0.4 * 0.05
+    region = wj.Grid.sheared(theta=(0.0, 0.4, 200), sum=(-0.04, 0.01, 250))
+    found = wj.continue_basins(wj.SimplestWalker(0.004), "slope", slopes, region, samples=200_000)
+    for i, slope in enumerate(slopes):
+        share = float(found["fraction"][i].sum())
+        error = float((found["fraction_high"] - found["fraction_low"])[i].sum()) / (2 * 1.96)
+        area = float(wj.refine(wj.SimplestWalker(slope), region, levels=4)["area"].sum())
+        assert abs(share - area / window) < 3.5 * error
+
+
 def test_attractors_are_born_and_end_at_the_bifurcations_of_their_branches(followed):
     check_dataset(followed, "basin fractions")
     period, first, last = (followed[name].values for name in ("period", "first", "last"))

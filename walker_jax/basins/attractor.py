@@ -9,10 +9,8 @@ from jaxtyping import Float, Int
 from walker_jax.walking.iteration import Targets, nearest_target
 
 CLOSE = 0.01
-"""Distance from a cycle at which a walker that has made all its strides counts as attracted by it.
-
-Close to a period doubling walkers approach a cycle too slowly to come within `capture_radius`.
-"""
+"""Distance from a cycle at which a walker that has made all its strides may be one that approaches
+it: close to a period doubling too slowly to come within `capture_radius`."""
 
 
 class Attractor(NamedTuple):

@@ -102,7 +102,8 @@ def edge_state(
     mapper = with_capture_boxes(mapper)
 
     def label_starts(x: Float[np.ndarray, "n section"]) -> Int[np.ndarray, " n"]:
-        found = mapper(x)
+        nonlocal mapper
+        found, mapper = mapper.label_all(x)
         return label_of(found.fate, found.attractor)
 
     first, second = label_starts(np.stack(ends)).tolist()

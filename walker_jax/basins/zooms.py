@@ -75,8 +75,9 @@ def find_boundary_point(
     mapper: Mapper, grid: Grid, near: Float[np.ndarray, " section"] | None = None
 ) -> Float[np.ndarray, " section"]:
     """`boundary_point`, by a mapper."""
-    label_starts = lambda x: label_of(*mapper(x)[:2])
-    label = label_starts(grid.centres(np.arange(grid.size))).reshape(grid.shape)
+    labels, mapper = mapper.label_all(grid.centres(np.arange(grid.size)))
+    label_starts = lambda x: label_of(*mapper.label_all(x)[0][:2])
+    label = label_of(*labels[:2]).reshape(grid.shape)
     on_edge = np.argwhere(edge(label))
     if len(on_edge) == 0:
         raise ComputationFailed("all cells of the grid have one fate: it holds no boundary")

@@ -13,8 +13,9 @@ from jaxtyping import Float
 
 from walker_jax.checks import WrongUse, is_number, short
 from walker_jax.walkers.family import PLANAR_WALKERS
-from walker_jax.walkers.model import State, Walker
+from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import Parameter, parameters
+from walker_jax.walking.stepping import state_kinds
 
 SECTIONS = ("sheared", "plain")
 METHODS = ("direct", "cell-map")
@@ -97,7 +98,8 @@ def read_slice(kind: type[Walker], asked: Any) -> tuple[float | None, ...]:
 def read_start(subject: Subject, asked: Any) -> Float[np.ndarray, " coordinates"]:
     """A start on the section, or a full state."""
     section = len(subject.kind.section)
-    values = numbers("start", asked, (section, len(State._fields)))
+    kinds = state_kinds(subject.walker)
+    values = numbers("start", asked, (section, *(len(kind._fields) for kind in kinds)))
     return np.array(values)
 
 

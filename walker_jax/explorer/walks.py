@@ -1,7 +1,7 @@
 """Walks for the page: every frame of some strides, and pushes.
 
-A frame is a full state, and frames are evenly spaced over each stride, its start and its end among
-them. The page draws the walker between them, so it needs few.
+A frame is a full state, of angles and then their rates, and frames are evenly spaced over each
+stride, its start and its end among them. The page draws the walker between them, so it needs few.
 """
 
 from typing import Any, NamedTuple
@@ -11,14 +11,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from walker_jax.checks import WrongUse
 from walker_jax.execution.tiles import map_cells
 from walker_jax.explorer.subjects import Subject
 from walker_jax.multibody import block, factorise, mass_matrix, solve_factored
+from walker_jax.walkers.kneed import KneedWalker, lock_knees
 from walker_jax.walkers.masses import MultibodyWalker, stance_coordinates
-from walker_jax.walkers.model import Walker
+from walker_jax.walkers.model import State, Walker
 from walker_jax.walking.iteration import strides
-from walker_jax.walking.movement import FALL_TIME, is_over, leg_shape, legs, swing_begins
+from walker_jax.walking.movement import FALL_TIME, is_over, leg_shape, swing_begins
 from walker_jax.walking.outcomes import Outcome
 from walker_jax.walking.stepping import full_state, state_after
 
@@ -45,10 +45,12 @@ def follow(subject: Subject, start: Float[np.ndarray, " coordinates"], count: in
     """Strides from a start on the section, or from a full state, and the start of the next one.
 
     There is no next one after a failure. Each stride has its `start`, `outcome`, `duration` (of a
-    failure, of what there is to see) and `frames`, rows of theta, phi, thetadot and phidot.
+    failure, of what there is to see) and `frames`, rows of theta, phi, thetadot and phidot. Those
+    of a walker with knees are of a `BentState`; a state of the legs alone has its knees locked.
     """
-    walker, made = subject.walker, []
+    made = []
     for _ in range(count):
+        walker = walker_from(subject, start)
         stride = strides(walker, start[None])
         outcome = Outcome(int(stride.outcome[0]))
         if outcome == Outcome.OUTSIDE:
@@ -62,6 +64,14 @@ def follow(subject: Subject, start: Float[np.ndarray, " coordinates"], count: in
         made.append(end(walker, start, outcome, duration, states_at(walker, start, times)))
         start = np.asarray(stride.state[0])
     return {"strides": made, "next": start.tolist()}
+
+
+def walker_from(subject: Subject, start: Float[np.ndarray, " coordinates"]) -> Walker:
+    """The walker whose stride begins at a start: with its knees locked, where these are."""
+    walker = subject.walker
+    if isinstance(walker, KneedWalker) and len(start) == len(State._fields):
+        return lock_knees(walker)
+    return walker
 
 
 def fall(walker: Walker, start: Float[np.ndarray, " coordinates"], outcome: Outcome) -> dict:
@@ -87,8 +97,12 @@ def end(
     duration: float,
     states: Any,
 ) -> dict:
-    """A stride for the page; with `bent`, where a leg has a knee: its place and the leg's end."""
-    rows = np.zeros((0, 4)) if states is None else np.stack(legs(states), axis=1)
+    """A stride for the page.
+
+    Where a leg has a knee: `bent`, the places of the knee and of the leg's end from the hip, and
+    `locks`, the time of knee strike.
+    """
+    rows = np.zeros((0, 4)) if states is None else np.stack(states, axis=1)
     found = {
         "start": start.tolist(),
         "outcome": int(outcome),
@@ -98,6 +112,8 @@ def end(
     if walker.phases() and len(rows):
         bent = jax.vmap(walker.bent_leg)(jax.tree.map(jnp.asarray, states))
         found["bent"] = np.round(np.asarray(bent).reshape(-1, 4), 6).tolist()
+        locks = swing_begins(walker, start, None)
+        found["locks"] = locks if np.isfinite(locks) else None
     return found
 
 
@@ -112,15 +128,13 @@ def states_at(
 
 def push(
     subject: Subject, start: Float[np.ndarray, " coordinates"], impulse: Float[np.ndarray, " 2"]
-) -> Float[np.ndarray, " 4"]:
+) -> Float[np.ndarray, " state"]:
     """The full state after a push at the hip: an impulse along the slope and normal to it.
 
-    In units of the walker's mass at the hip, or of mass, times speed. `WrongUse` for a walker with
-    knees, of whose state in mid-stride the angles of two straight legs are not all.
+    In units of the walker's mass at the hip, or of mass, times speed.
     """
-    if subject.walker.phases():
-        raise WrongUse("walkers with knees cannot be pushed in mid-stride")
-    walker = jax.tree.map(lambda leaf: np.asarray(leaf, float), subject.walker)
+    walker = walker_from(subject, start)
+    walker = jax.tree.map(lambda leaf: np.asarray(leaf, float), walker)
     arguments = (walker, start[None], impulse[None], np.asarray(leg_shape(subject.walker)))
     return map_cells(after_push, arguments, (False, True, True, False))[0]
 
@@ -130,7 +144,7 @@ def after_push(
     start: Float[Array, " coordinates"],
     impulse: Float[Array, " 2"],
     leg: Float[Array, " 2"],
-) -> Float[Array, " 4"]:
+) -> Float[Array, " state"]:
     """The state after an impulse P at the hip, which changes rates by M^{-1} (d hip / dq)^T P.
 
     The hip of a leg of length l on a foot of radius r is at (-r theta - l sin theta, l cos theta).
@@ -139,14 +153,16 @@ def after_push(
     that.
     """
     state = full_state(walker, start)
-    theta, phi, thetadot, phidot = state
-    length, radius = leg[0], leg[1]
+    count = len(state) // 2
+    angles, rates = state[:count], state[count:]
+    theta, phi, length, radius = state.theta, state.phi, leg[0], leg[1]
     torque = -(radius + length * jnp.cos(theta)) * impulse[0] - length * jnp.sin(theta) * impulse[1]
     if isinstance(walker, MultibodyWalker):
-        q = stance_coordinates([theta, phi])
-        factors = factorise(block(mass_matrix(walker.system(), q), (2, 3)))
-        first, second = solve_factored(factors, [torque, jnp.zeros_like(torque)])
+        first_phase: Any = (*walker.phases(), walker)[0]
+        q = stance_coordinates([*angles])
+        legs = tuple(range(2, 2 + count))
+        factors = factorise(block(mass_matrix(first_phase.system(), q), legs))
+        changes = solve_factored(factors, [torque, *[jnp.zeros_like(torque)] * (count - 1)])
     else:
-        first = torque / length**2
-        second = (1 - jnp.cos(phi)) * first
-    return jnp.stack([theta, phi, thetadot + first, phidot + second])
+        changes = [torque / length**2, (1 - jnp.cos(phi)) * torque / length**2]
+    return jnp.stack([*angles, *(rate + by for rate, by in zip(rates, changes, strict=True))])

@@ -20,7 +20,7 @@ of 16 bits or complex arithmetic; computed indices into arrays of more than `ind
 entries, such as results at many times; random numbers; callbacks, and so checks at run time that
 may fail (`equinox.error_if`: `optimistix.Bisection` with the bracket's sign to be detected, a
 differentiated root search, reverse mode). Programs are compiled for the processor of this machine
-and kept on disk (`object_cache`).
+and kept on disk (`object_cache`), and so is what tracing led to (`program_cache`).
 """
 
 from walker_jax.kernels.kernel import Kernel

@@ -2,11 +2,11 @@
 
 import ctypes
 import gc
-import hashlib
 import math
 import time
 from collections.abc import Callable, Sequence
 from contextlib import contextmanager
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +15,7 @@ from jax.extend.core import ClosedJaxpr
 
 from walker_jax.checks import WrongUse
 from walker_jax.kernels.emit import emit
-from walker_jax.kernels.machine import load_program
+from walker_jax.kernels.machine import digest_of, load_program, recall_program
 from walker_jax.kernels.rules import UnsupportedPrimitive
 
 MAX_NUMBERS = 1000
@@ -31,21 +31,34 @@ class Kernel:
         avals = [*closed.in_avals, *closed.out_avals]
         if any(jnp.issubdtype(aval.dtype, jax.dtypes.extended) for aval in avals):
             raise UnsupportedPrimitive("a key to random numbers")
-        shapes_and_types = lambda avals: [(aval.shape, np.dtype(aval.dtype)) for aval in avals]
-        self.operands, self.results = (
-            shapes_and_types(closed.in_avals),
-            shapes_and_types(closed.out_avals),
-        )
+        self.operands = shapes_and_types(closed.in_avals)
+        self.results = shapes_and_types(closed.out_avals)
         if sum(math.prod(shape) for shape, _ in (*self.operands, *self.results)) > MAX_NUMBERS:
             raise UnsupportedPrimitive(f"more than {MAX_NUMBERS} numbers")
         with without_garbage_collection():
             source = emit(closed, self.operands, self.results)
-        self.digest = hashlib.sha256(source.encode()).hexdigest()
-        self.engine = load_program(source)
-        kind = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 2, *[ctypes.c_void_p] * 2)
-        self.run = kind(self.engine.get_function_address("kernel"))
+        self.digest = digest_of(source)
+        self.begin(load_program(source))
         seconds = time.perf_counter() - start
         jax.monitoring.record_event_duration_secs("/walker_jax/compile_kernel", seconds)
+
+    @classmethod
+    def recall(cls, operands: Sequence, results: Sequence, digest: str) -> "Kernel | None":
+        """A kernel of these abstract values whose machine code is on disk, else None."""
+        engine = recall_program(digest)
+        if engine is None:
+            return None
+        kernel = object.__new__(cls)
+        kernel.operands, kernel.results = shapes_and_types(operands), shapes_and_types(results)
+        kernel.digest = digest
+        kernel.begin(engine)
+        return kernel
+
+    def begin(self, engine: Any) -> None:
+        """Keep a program in memory, and find its entry."""
+        self.engine = engine
+        kind = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 2, *[ctypes.c_void_p] * 2)
+        self.run = kind(engine.get_function_address("kernel"))
 
     def bind(
         self, operands: Sequence, mapped: Sequence[bool], n: int
@@ -69,6 +82,10 @@ class Kernel:
         # The default argument keeps the arrays alive as long as the function.
         compute = lambda start, stop, _=arrays: self.run(start, stop, pointers, strides)
         return compute, results
+
+
+def shapes_and_types(avals: Sequence) -> list[tuple[tuple[int, ...], np.dtype]]:
+    return [(aval.shape, np.dtype(aval.dtype)) for aval in avals]
 
 
 @contextmanager

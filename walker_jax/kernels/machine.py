@@ -6,7 +6,7 @@ import os
 import llvmlite
 import llvmlite.binding as llvm
 
-from walker_jax.kernels.object_cache import load_or_compile
+from walker_jax.kernels.object_cache import load_or_compile, recall
 
 OPTIMISATION_LEVEL = 2
 """Of LLVM's code generation, 0 to 3, as in `clang -O2`."""
@@ -35,18 +35,42 @@ def load_program(source: str, *, keep: bool = True) -> llvm.ExecutionEngine:
 
     `keep` says whether the code is stored on disk.
     """
+    machine = target_machine()
+    compile = lambda: object_code(source, machine)
+    code = load_or_compile(code_name(digest_of(source)), compile) if keep else compile()
+    return link(code, machine)
+
+
+def recall_program(digest: str) -> llvm.ExecutionEngine | None:
+    """The program whose source has this digest, if its machine code is on disk."""
+    code = recall(code_name(digest))
+    return None if code is None else link(code, target_machine())
+
+
+def digest_of(source: str) -> str:
+    return hashlib.sha256(source.encode()).hexdigest()
+
+
+def code_name(digest: str) -> str:
+    """The name on disk of the code of a program, for this processor and these versions."""
+    versions = llvmlite.__version__, *llvm.llvm_version_info
+    processor_code = llvm.get_process_triple(), *processor(), OPTIMISATION_LEVEL, "no passes"
+    all_it_depends_on = repr((versions, *processor_code, digest))
+    return hashlib.sha256(all_it_depends_on.encode()).hexdigest()
+
+
+def target_machine() -> llvm.TargetMachine:
+    """LLVM's description of this processor."""
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
-    triple, (name, features) = llvm.get_process_triple(), processor()
-    machine = llvm.Target.from_triple(triple).create_target_machine(
+    name, features = processor()
+    return llvm.Target.from_triple(llvm.get_process_triple()).create_target_machine(
         cpu=name, features=features, opt=OPTIMISATION_LEVEL, jit=True
     )
-    versions = llvmlite.__version__, *llvm.llvm_version_info
-    processor_code = triple, name, features, OPTIMISATION_LEVEL, "no passes"
-    all_it_depends_on = repr((versions, *processor_code, source))
-    digest = hashlib.sha256(all_it_depends_on.encode()).hexdigest()
-    compile = lambda: object_code(source, machine)
-    code = load_or_compile(digest, compile) if keep else compile()
+
+
+def link(code: bytes, machine: llvm.TargetMachine) -> llvm.ExecutionEngine:
+    """Loads object code into this process."""
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
     engine.add_object_file(llvm.ObjectFileRef.from_data(code))
     engine.finalize_object()

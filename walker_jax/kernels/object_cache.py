@@ -33,15 +33,30 @@ def cache_folder() -> Path | None:
 
 def load_or_compile(name: str, compile: Callable[[], bytes]) -> bytes:
     """The code of a name, from disk or compiled; a name stands for one code only."""
-    folder = cache_folder()
-    path = folder / "kernels" / f"{name}{SUFFIX}" if folder else None
-    code = read(path) if path else None
+    code = recall(name)
     if code is None:
         code = compile()
-        if path:
-            with contextlib.suppress(OSError):
-                write(path, code)
+        store(name, code)
     return code
+
+
+def recall(name: str) -> bytes | None:
+    """What is on disk under a name, if it is whole."""
+    path = path_of(name)
+    return read(path) if path else None
+
+
+def store(name: str, code: bytes) -> None:
+    """Write to disk, where that can be done."""
+    path = path_of(name)
+    if path:
+        with contextlib.suppress(OSError):
+            write(path, code)
+
+
+def path_of(name: str) -> Path | None:
+    folder = cache_folder()
+    return folder / "kernels" / f"{name}{SUFFIX}" if folder else None
 
 
 def checksum(path: Path, code: bytes) -> bytes:

@@ -30,6 +30,7 @@ from jax.sharding import PartitionSpec
 from walker_jax.kernels import ffi, machine
 from walker_jax.kernels.jaxprs import shape_dtype
 from walker_jax.kernels.kernel import Kernel, without_garbage_collection
+from walker_jax.kernels.program_cache import Traced, digest_of, keep_trace, name_of, recall_trace
 from walker_jax.kernels.rules import UnsupportedPrimitive
 
 MAX_PROGRAMS = 256
@@ -56,29 +57,50 @@ class Program:
         operands: Sequence,
         settings: tuple,
         origin: "tuple[Program, tuple[int, ...], int] | None" = None,
+        name: str | None = None,
     ):
         self.settings = settings
         """Contexts and their values, under which the function and its derivatives are traced."""
-        with apply_settings(settings), tracing_for_kernel(True), without_garbage_collection():
-            self.closed = jax.make_jaxpr(function)(*operands)
-        self.operands = self.closed.in_avals
-        self.results = self.closed.out_avals
+        self.trace = lambda: jax.make_jaxpr(function)(*operands)
+        self.name = name
+        """Under which its trace is on disk, or will be; None if it cannot be."""
+        self.traced = recall_trace(name)
+        """What is known of the function without a trace."""
+        known = self.traced
+        self.operands = known.operands if known else self.closed.in_avals
+        self.results = known.results if known else self.closed.out_avals
         self.origin = origin
         """Of a derivative: its program, the operands it is taken by, the number of directions."""
         first = len(self.operands) if origin is None else len(origin[0].operands)
         self.linear = frozenset(range(first, len(self.operands)))
         """Operands in which the function is jointly linear: the directions of a derivative."""
         self.derivatives: dict[tuple, Program] = {}
+        self.tree: Any = self.traced.tree if self.traced else None
+        """The tree of the results; None of a derivative."""
+
+    @functools.cached_property
+    def closed(self):
+        """The jaxpr."""
+        settings = apply_settings(self.settings)
+        with settings, tracing_for_kernel(True), without_garbage_collection():
+            return self.trace()
 
     @functools.cached_property
     def kernel(self) -> Kernel | None:
         """Its machine code; None if it holds what kernels do not support, or they are off."""
         if machine.switched_off():
             return None
+        if self.traced is not None:
+            kernel = Kernel.recall(self.operands, self.results, self.traced.digest)
+            if kernel is not None:
+                return kernel
         try:
-            return Kernel(self.closed)
+            kernel = Kernel(self.closed)
         except UnsupportedPrimitive:
             return None
+        found = Traced(self.operands, self.results, self.tree, self.size, kernel.digest)
+        keep_trace(self.name, found)
+        return kernel
 
     @property
     def function(self) -> Callable[..., list]:
@@ -88,7 +110,7 @@ class Program:
     @functools.cached_property
     def size(self) -> int:
         """The number of operations of one cell."""
-        return count_operations(self.closed.jaxpr)
+        return self.traced.size if self.traced else count_operations(self.closed.jaxpr)
 
     def derivative(self, by: tuple[int, ...], directions: int = 1) -> "Program":
         """The derivative of all real results along directions of the operands `by`.
@@ -118,7 +140,8 @@ class Program:
                 self.operands[i].update(shape=(directions, *self.operands[i].shape)) for i in by
             ]
             like = map(shape_dtype, (*self.operands, *parts))
-            program = Program(along, list(like), self.settings, (self, by, directions))
+            name = digest_of((self.name, by, directions)) if self.name else None
+            program = Program(along, list(like), self.settings, (self, by, directions), name)
             self.derivatives[by, directions] = program
         return self.derivatives[by, directions]
 
@@ -184,8 +207,11 @@ def program_of(function: Callable, structure, avals: Sequence) -> tuple[Program,
         found, results = jax.tree.flatten(function(*jax.tree.unflatten(structure, leaves)))
         return found
 
-    program = Program(flat, list(map(shape_dtype, avals)), settings)
-    programs[key] = program, results
+    name = name_of(function, structure, avals, settings)
+    program = Program(flat, list(map(shape_dtype, avals)), settings, name=name)
+    if program.tree is None:
+        program.tree = results
+    programs[key] = program, program.tree
     while len(programs) > MAX_PROGRAMS:
         programs.popitem(last=False)
     return programs[key]

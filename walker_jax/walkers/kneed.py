@@ -1,5 +1,6 @@
 """The walker with knees."""
 
+from dataclasses import fields
 from functools import partial
 from typing import NamedTuple
 
@@ -203,6 +204,18 @@ class KneedWalker(HeavyLegWalker):
 
     def swing_foot(self, q):
         return self.bent_swing_foot(straight(q))
+
+
+class LockedWalker(KneedWalker):
+    """A walker with knees that stay straight: what a `KneedWalker` is from knee strike on."""
+
+    def phases(self):
+        return ()
+
+
+def lock_knees(walker: KneedWalker) -> LockedWalker:
+    """The same walker after knee strike."""
+    return LockedWalker(**{one.name: getattr(walker, one.name) for one in fields(walker)})
 
 
 def begin_bent(state: State) -> BentState:

@@ -104,13 +104,13 @@ export class Walk extends EventTarget {
     const step = duration / (frames.length - 1);
     const at = Math.min(frames.length - 1, Math.max(0, (this.time - begins) / step || 0));
     const k = Math.min(frames.length - 2, Math.floor(at)), t = at - k;
-    const [a, b] = [frames[k], frames[k + 1]];
+    const [a, b] = [frames[k], frames[k + 1]], n = a.length / 2; // angles, and then their rates
     const cubic = (i) => {
-      const [p, q, u, v] = [a[i], b[i], a[i + 2] * step, b[i + 2] * step];
+      const [p, q, u, v] = [a[i], b[i], a[i + n] * step, b[i + n] * step];
       return p + t * (u + t * (3 * (q - p) - 2 * u - v + t * (2 * (p - q) + u + v)));
     };
     const linear = (i) => a[i] + t * (b[i] - a[i]);
-    return [cubic(0), cubic(1), linear(2), linear(3)];
+    return a.map((_, i) => (i < n ? cubic(i) : linear(i)));
   }
 
   /** Let time pass, in seconds of a clock. */
@@ -168,7 +168,7 @@ export class Walk extends EventTarget {
     const strides = this.strides.slice(0, this.strides.indexOf(one));
     this.abort?.abort();
     const time = this.time;
-    const body = { ...this.subject, start: state, push: impulse, strides: STRIDES };
+    const body = { ...this.subject, start: fullState(state, one, time), push: impulse, strides: STRIDES };
     try {
       const answer = await ask("/api/walk", body);
       this.strides = [...strides, { ...one, ends: time }]; // the stride that the push has cut short
@@ -184,4 +184,12 @@ export class Walk extends EventTarget {
   tell() {
     this.dispatchEvent(new Event("changed"));
   }
+}
+
+/** The state as the server takes it: of a walker with knees all angles while one bends, and those of the legs after. */
+function fullState(state, { bent, locks, begins }, time) {
+  if (!bent) return state;
+  const [theta, phi, knee, thetadot, phidot, kneedot] = state;
+  if (locks !== null && time - begins >= locks) return [theta, phi, thetadot, phidot];
+  return [theta, phi, Math.max(0, knee), thetadot, phidot, kneedot];
 }

@@ -1,0 +1,163 @@
+"""How many strides a second does an accelerator make, and are they those of a processor?
+
+One program each, `jax.jit(jax.vmap(wj.stride))`, is given the same starts on the first device that
+JAX finds and on the processor, where it becomes a kernel. Starts are resident on the device, and
+results stay there. Compared are outcomes, next states of those that stride, and derivatives by the
+start, `jax.jacfwd`. Then `wj.basin`, followed directly, of a million cells, on the first device
+alone: run the script again with `JAX_PLATFORMS=cpu` for the processor.
+
+The answer: the same strides, five times as many as 16 cores make for the simplest walker, and no
+more than they make for walkers with mass on their legs, whose programs XLA splits into many passes
+over the card's memory. XLA compiles for a GPU in 10 s to a minute, and a kneed walker in more than
+6 minutes; the programs of a basin in 24 s. `outcomes` counts those that differ; then come the
+median and the largest difference of the next states, where strides amplify rounding most.
+
+    16 cores; NVIDIA H100 80GB HBM3; jax 0.11.2; 1048576 strides, cpu | gpu
+    walker      dtype    what         compile s              per second   ratio  outcomes   largest
+    simplest    float64  stride      0.8 | 12.4  9,450,714 |  56,920,981     6.0         0    3e-12
+    simplest    float64  jacobian    1.4 | 31.7  2,521,806 |   4,305,693     1.7         0    1e-08
+    simplest    float32  stride      0.3 |  5.3 44,277,454 | 185,764,442     4.2         3    4e-03
+    simplest    float32  jacobian    0.8 | 13.7 12,632,603 |  69,900,859     5.5         0    3e+00
+    point feet  float64  stride      1.4 | 43.2  3,976,423 |   9,258,137     2.3         0    1e-12
+    point feet  float32  stride      1.6 | 27.3 13,667,213 |  16,724,686     1.2         1    5e-04
+    round feet  float64  stride      1.6 | 35.9  2,766,044 |   2,429,279     0.9         0    2e-14
+    round feet  float64  jacobian    5.7 | 73.1    564,546 |     191,973     0.3         0    4e-11
+    round feet  float32  stride      1.8 | 36.6 11,303,861 |  22,994,560     2.0         0    7e-06
+    upper body  float64  stride      2.1 | 53.0  1,718,532 |   1,405,916     0.8         0    3e-13
+    upper body  float32  stride      3.2 | 57.4  6,850,280 |  10,426,695     1.5         0    5e-04
+    basin, 1000 x 1000 cells on gpu: first 26.6 s, then 0.65 s
+    basin, 1000 x 1000 cells on cpu: first 2.2 s, then 0.42 s; the same tally
+
+A basin is followed in rounds of a few strides, between which the host sorts the cells: that, and
+not the strides, takes the time on a GPU. Calls of 32,768 or 131,072 cells took 0.65 s, 262,144
+cells 0.72 s, a million 1.7 s.
+"""
+
+import argparse
+import os
+import statistics
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import numpy as np
+
+import walker_jax as wj
+from walker_jax.execution import tiles
+from walker_jax.walking.outcomes import Outcome
+
+WALKERS = {
+    "simplest": wj.SimplestWalker(0.004),
+    "spring": wj.SpringWalker(0.004, 1.0),
+    "point feet": wj.PointFootWalker(0.004, 0.1),
+    "round feet": wj.RoundFootWalker(0.01),
+    "upper body": wj.UpperBodyWalker(0.02),
+    "knees": wj.KneedWalker(0.05),
+}
+"""Each at a slope where it walks."""
+
+
+def starts_about(walker: wj.Walker, count: int) -> np.ndarray:
+    """So many starts, up to a tenth of each coordinate away from a gait: (count, d)."""
+    with jax.default_device(jax.devices("cpu")[0]):
+        gait = np.asarray(wj.find_gait(walker).states)[0]
+    away = np.random.default_rng(0).uniform(-0.1, 0.1, (count, len(gait)))
+    return gait * (1 + away)
+
+
+def one_stride(walker: wj.Walker, x: jax.Array):
+    result = wj.stride(walker, x)
+    return result[0], result[1]
+
+
+def jacobian(walker: wj.Walker, x: jax.Array) -> jax.Array:
+    return jax.jacfwd(lambda x: one_stride(walker, x)[0])(x)
+
+
+def time_on(device: Any, function: Callable, xs: np.ndarray, repeats: int):
+    """Seconds of compiling and of a call (median), and the result as NumPy arrays."""
+    xs_there = jax.device_put(xs, device)
+    begin = time.perf_counter()
+    run = jax.jit(jax.vmap(function)).lower(xs_there).compile()
+    result = jax.block_until_ready(run(xs_there))
+    compiling = time.perf_counter() - begin
+    seconds = []
+    for _ in range(repeats):
+        begin = time.perf_counter()
+        result = jax.block_until_ready(run(xs_there))
+        seconds.append(time.perf_counter() - begin)
+    return compiling, statistics.median(seconds), jax.tree.map(np.asarray, result)
+
+
+def compare_strides(
+    names: list[str], jacobians: list[str], count: int, repeats: int, dtypes: list[str]
+) -> None:
+    here, there = jax.devices("cpu")[0], jax.devices()[0]
+    print(f"{count} strides, {here.platform} | {there.platform}")
+    print(f"{'walker':12}{'dtype':9}{'what':11}{'compile s':>15}{'per second':>24}", end="")
+    print(f"{'ratio':>8}{'outcomes':>10}{'median':>9}{'largest':>9}")
+    for name in names:
+        walker = WALKERS[name]
+        found = starts_about(walker, count)
+        for dtype in dtypes:
+            xs = found.astype(dtype)
+            for what, function in (("stride", one_stride), ("jacobian", jacobian)):
+                if what == "jacobian" and name not in jacobians:
+                    continue
+                one = partial(function, walker)
+                results = [time_on(device, one, xs, repeats) for device in (here, there)]
+                (slow, seconds, of_here), (fast, seconds_there, of_there) = results
+                differ = 0
+                if what == "stride":
+                    (of_here, outcomes), (of_there, others) = of_here, of_there
+                    differ = int((outcomes != others).sum())
+                    going = (outcomes == Outcome.STRIDE) & (others == Outcome.STRIDE)
+                size = 1 if what == "stride" else np.maximum(1, abs(of_here[going]))
+                error = (abs(of_here[going] - of_there[going]) / size).reshape(going.sum(), -1)
+                worst = error.max(axis=1)
+                rates = f"{count / seconds:,.0f} | {count / seconds_there:,.0f}"
+                print(f"{name:12}{dtype:9}{what:11}{slow:6.1f} | {fast:6.1f}{rates:>24}", end="")
+                print(f"{seconds / seconds_there:8.1f}{differ:10}", end="")
+                print(f"{np.median(worst):9.0e}{worst.max():9.0e}", flush=True)
+
+
+def time_basin(side: int, repeats: int) -> None:
+    walker = WALKERS["simplest"]
+    grid = wj.Grid.sheared(theta=(0.0, 0.7854, side), sum=(-0.7, 0.05, side))
+    seconds = []
+    for _ in range(repeats + 1):
+        begin = time.perf_counter()
+        found = wj.basin(walker, grid, method="direct")
+        seconds.append(time.perf_counter() - begin)
+    platform = jax.devices()[0].platform
+    fates, counts = np.unique(np.asarray(found.fate), return_counts=True)
+    tally = dict(zip(fates.tolist(), counts.tolist(), strict=True))
+    first, later = seconds[0], statistics.median(seconds[1:])
+    print(f"{side} x {side} cells on {platform}: first {first:.1f} s, then {later:.2f} s; {tally}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Strides on an accelerator.")
+    parser.add_argument("--count", type=int, default=2**20, help="starts of each walker")
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--side", type=int, default=1000, help="cells along a side of the basin")
+    parser.add_argument("--tile", type=int, nargs="*", help="cells of a call, instead of ours")
+    parser.add_argument("--walkers", nargs="*", default=list(WALKERS), choices=list(WALKERS))
+    parser.add_argument("--jacobians", nargs="*", default=["simplest"], choices=list(WALKERS))
+    parser.add_argument("--dtypes", nargs="*", default=["float64", "float32"])
+    args = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    device = jax.devices()[0]
+    print(f"{os.cpu_count()} cores; {device.device_kind}; jax {jax.__version__}", flush=True)
+    if args.side:
+        for tile in args.tile or [tiles.CALL_SHAPES["gpu"][0]]:
+            tiles.CALL_SHAPES["gpu"] = tile, 1
+            print(f"basin, calls of {tile} cells: ", end="")
+            time_basin(args.side, args.repeats)
+    compare_strides(args.walkers, args.jacobians, args.count, args.repeats, args.dtypes)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,164 @@
+"""What tracing led to is found on disk by all that it depends on, and by nothing less."""
+
+import functools
+import json
+from typing import Any
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import walker_jax as wj
+from walker_jax.checks import WrongUse
+from walker_jax.integrators import roots, solvers
+from walker_jax.kernels import object_cache, primitive, program_cache
+from walker_jax.walkers.simplest import SimplestWalker
+from walker_jax.walking import stepping
+
+START = np.array([0.2, -0.2])
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.setenv(object_cache.VARIABLE, str(tmp_path))
+    return tmp_path / "kernels"
+
+
+@pytest.fixture
+def traces(monkeypatch):
+    """What is traced."""
+    made, closed = [], vars(primitive.Program)["closed"]
+    trace = closed.func
+    monkeypatch.setattr(closed, "func", lambda program: made.append(program) or trace(program))
+    return made
+
+
+def stride_and_jacobian(x=START, **options):
+    """As another process would find them, which has nothing in memory."""
+    primitive.programs.clear()
+    one = lambda x: wj.stride(SimplestWalker(0.004), x, **options).state
+    return np.asarray(one(x)), np.asarray(jax.jacfwd(one)(jnp.asarray(x)))
+
+
+def name_of(walker=None, dtype=float, function=stepping.follow_stride):
+    arguments = (
+        walker or SimplestWalker(0.004),
+        jnp.asarray(START, dtype),
+        jnp.asarray(1e-12, dtype),
+    )
+    leaves, structure = jax.tree.flatten(arguments)
+    avals = [jax.typeof(jnp.asarray(leaf, dtype)) for leaf in leaves]
+    function = getattr(function, "of_one_cell", function)
+    return program_cache.name_of(function, structure, avals, primitive.current_settings())
+
+
+def test_another_process_need_not_trace(folder, traces):
+    first = stride_and_jacobian()
+    count = len(traces)
+    assert count >= 2  # the stride and its derivative
+    second = stride_and_jacobian()
+    assert len(traces) == count
+    for a, b in zip(first, second, strict=True):
+        assert a.tobytes() == b.tobytes()
+    # Where XLA, or a derivative that is not on disk, takes the trace itself it is made then.
+    hessian = jax.hessian(lambda x: wj.stride(SimplestWalker(0.004), x).state)(jnp.asarray(START))
+    assert len(traces) > count and np.isfinite(hessian).all()
+
+
+@pytest.mark.parametrize(
+    "damage", [b"", b"{}", b"[]", b'{"tree": ["os:system", 0]}', b'{"tree": 1}', b"\xff"]
+)
+def test_a_broken_or_foreign_entry_is_traced_anew(folder, traces, damage):
+    name = "a" * 64
+    object_cache.store(name, damage)
+    assert program_cache.recall_trace(name) is None
+
+
+def test_code_that_is_gone_is_traced_and_compiled_anew(folder, traces):
+    expected, _ = stride_and_jacobian()
+    for path in folder.iterdir():
+        content = path.read_bytes()[object_cache.CHECKSUM_BYTES :]
+        if not content.startswith(b"{"):
+            path.unlink()
+    count = len(traces)
+    found, _ = stride_and_jacobian()
+    assert len(traces) > count and found.tobytes() == expected.tobytes()
+
+
+def test_what_is_replaced_at_run_time_is_traced(folder, traces, monkeypatch):
+    first, _ = stride_and_jacobian()
+    impact = SimplestWalker.impact
+    heavier = lambda self, state: jax.tree.map(lambda value: 0.9 * value, impact(self, state))
+    with monkeypatch.context() as patch:
+        patch.setattr(SimplestWalker, "impact", heavier)
+        changed, _ = stride_and_jacobian()
+    assert abs(changed - first).max() > 1e-3
+    again, _ = stride_and_jacobian()
+    assert again.tobytes() == first.tobytes()
+
+
+def test_a_name_stands_for_all_that_a_trace_depends_on(monkeypatch):
+    names = [
+        name_of(),
+        name_of(dtype=jnp.float32),
+        name_of(wj.SpringWalker(0.004, 1.0)),
+        name_of(wj.KneedWalker(0.05)),
+        name_of(wj.KneedWalker(0.05, check_lock=True)),
+        name_of(function=stepping.follow_phase_times),
+    ]
+    with solvers.using_solver(diffrax.Dopri8()):
+        names.append(name_of())
+    with solvers.using_solver(diffrax.Tsit5()):
+        names.append(name_of())
+    with jax.numpy_dtype_promotion("standard"):
+        names.append(name_of())
+    plain: Any = roots.first_upcrossing
+    replaced = functools.wraps(plain)(lambda *args: plain(*args))
+    changes = [
+        (solvers, "MAX_STEPS", 7),
+        (roots, "first_upcrossing", replaced),
+        (roots, "first_upcrossing", roots.interior_minimum),
+        (wj.Walker, "contact_force", lambda self, state: (0.0, 0.0)),
+        (SimplestWalker, "vector_field", lambda self, state: state),
+        (program_cache, "environment", lambda: ("another version",)),
+    ]
+    for place, attribute, value in changes:
+        with monkeypatch.context() as patch:
+            patch.setattr(place, attribute, value)
+            names.append(name_of())
+    assert len({*names}) == len(names) and None not in names
+    assert name_of() == names[0]
+
+
+def test_what_is_defined_elsewhere_has_no_name():
+    class SimplestWalker(wj.SimplestWalker):
+        pass
+
+    class Mine(diffrax.Dopri8):
+        pass
+
+    assert name_of(SimplestWalker(0.004)) is None
+    assert name_of(function=lambda walker, x, tolerance: x) is None
+    with solvers.using_solver(Mine()):
+        assert name_of() is None
+
+
+def test_results_that_are_no_tuples_are_not_kept(folder):
+    avals = [jax.typeof(jnp.zeros(2))]
+    traced = program_cache.Traced(avals, avals, jax.tree.structure({"a": 0}), 1, "digest")
+    program_cache.keep_trace("b" * 64, traced)
+    assert not folder.exists()
+    like: Any = (0, (1, 2), 3)
+    kept = traced._replace(tree=jax.tree.structure(wj.Stride(*like)))
+    program_cache.keep_trace("b" * 64, kept)
+    assert program_cache.recall_trace("b" * 64) == kept
+    content = json.loads(object_cache.recall("b" * 64) or b"")
+    assert content["tree"] == ["walker_jax.walking.outcomes:Stride", 0, ["builtins:tuple", 0, 0], 0]
+
+
+def test_wrong_use_is_still_refused(folder):
+    stride_and_jacobian()
+    with pytest.raises(WrongUse, match="x must have shape"):
+        stride_and_jacobian(np.zeros(7))
