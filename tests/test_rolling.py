@@ -129,6 +129,7 @@ def test_multipliers_give_the_same_motion_and_the_force_of_friction():
     assert not np.any(found.forces)
 
 
+@pytest.mark.slow
 def test_energy_is_kept_and_the_disc_does_not_slip():
     """Over some turns of a disc that wobbles: to rounding, by the series of the motion."""
     motion = rolling(BODY)

@@ -28,6 +28,7 @@ from walker_jax.multibody.linear import factorise as factorise
 from walker_jax.multibody.linear import solve_factored as solve_factored
 from walker_jax.multibody.system import Coordinates as Coordinates
 from walker_jax.multibody.system import System as System
+from walker_jax.multibody.system import check_state as check_state
 from walker_jax.multibody.system import convective_acceleration as convective_acceleration
 from walker_jax.multibody.system import jacobian as jacobian
 from walker_jax.multibody.system import kinetic_energy as kinetic_energy

@@ -197,11 +197,10 @@ def begin_stride(walker: Walker, x: Float[Array, " coordinates"]) -> tuple[Any, 
         feasible = jnp.all(jnp.isfinite(x)) & (jnp.abs(start.theta) < np.pi / 2)
         if phases:
             feasible &= phases[0].event(start) <= 0
-    if phases:
-        verdict = jnp.where(start.thetadot >= 0, Outcome.BACKWARD, Outcome.UNDECIDED)
-    else:
-        verdict = fall_of(walker, start)
-        verdict = jnp.where(in_tension(walker, start), Outcome.RUNNING, verdict)
+    verdict = jnp.where(start.thetadot >= 0, Outcome.BACKWARD, Outcome.UNDECIDED)
+    if not phases:
+        fallen = fall_of(walker, start)
+        verdict = jnp.where(in_tension(walker, start), Outcome.RUNNING, fallen)
     return start, jnp.where(feasible, verdict, Outcome.OUTSIDE).astype(jnp.int8)
 
 
