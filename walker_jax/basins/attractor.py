@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from walker_jax.checks import WrongUse
 from walker_jax.walking.iteration import Targets, nearest_target
 
 CLOSE = 0.01
@@ -35,6 +36,15 @@ class Attractor(NamedTuple):
 def capture_radius(dtype) -> float:
     """Distance, in every coordinate of the section, at which a walker has reached an attractor."""
     return max(1e-6, 1e4 * float(np.finfo(dtype).eps))
+
+
+def check_cycle(
+    states: Float[np.ndarray, "period section"], ends: Float[np.ndarray, "period section"]
+) -> None:
+    """Refuse the states of a gait from which strides end elsewhere: the gait of another walker."""
+    miss = np.abs(ends - np.roll(states, -1, axis=0)).max()
+    if not miss < capture_radius(states.dtype):
+        raise WrongUse(f"gait must be one of this walker, whose strides miss it by {miss:.2g}")
 
 
 def cubes(attractor: Attractor, radius: float) -> Float[np.ndarray, "period section section"]:
