@@ -28,10 +28,9 @@ from walker_jax.execution.tiles import map_cells
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import find_gait
 from walker_jax.integrators.solvers import default_tolerance
-from walker_jax.walkers.model import Walker, check_planar
+from walker_jax.walkers.model import Walker, check_planar, check_single
 from walker_jax.walking.disturbed import Disturbance, DisturbedWalk, follow_disturbed_walk
 from walker_jax.walking.outcomes import Outcome
-from walker_jax.walking.stepping import check_single
 
 RandomDisturbance = Callable[[Any], Any]
 """A JAX function of a random key: the height of one step, or a `Disturbance`."""

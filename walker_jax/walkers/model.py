@@ -276,6 +276,13 @@ def check_planar(walker: Walker) -> None:
         raise WrongUse(f"walker must be one in the plane, not a {type(walker).__name__}")
 
 
+def check_single(walker: Walker) -> None:
+    """Refuse many walkers, with arrays for parameters."""
+    for name, value in numbers_of(walker).items():
+        if np.shape(value):
+            raise WrongUse(f"{name} must be one number, not of shape {np.shape(value)}")
+
+
 def numbers_of(walker: Walker) -> dict[str, Any]:
     """The parameters of a walker, by name: its fields but for options, which are static."""
     options = {one.name for one in dataclasses.fields(walker) if one.metadata.get("static")}

@@ -24,7 +24,7 @@ from walker_jax.integrators.solvers import (
 from walker_jax.integrators.taylor import with_fast_sincos
 from walker_jax.kernels import by_kernel
 from walker_jax.walkers.masses import MultibodyMotion
-from walker_jax.walkers.model import Phase, Scalar, State, Walker, check_planar, numbers_of
+from walker_jax.walkers.model import Phase, Scalar, State, Walker, check_planar, check_single
 from walker_jax.walking.outcomes import Outcome, Stride
 from walker_jax.walking.phases import (
     follow_phase,
@@ -118,13 +118,6 @@ def prepare(
     tolerance = default_tolerance(x.dtype, tolerance)
     walker = jax.tree.map(lambda leaf: jnp.asarray(leaf, x.dtype), walker)
     return walker, x, jnp.asarray(tolerance, x.dtype)
-
-
-def check_single(walker: Walker) -> None:
-    """Refuse many walkers, with arrays for parameters."""
-    for name, value in numbers_of(walker).items():
-        if np.shape(value):
-            raise WrongUse(f"{name} must be one number, not of shape {np.shape(value)}")
 
 
 @by_kernel
