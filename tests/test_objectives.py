@@ -1,5 +1,7 @@
 """Areas, least disturbances and gaits change with parameters as their derivatives say."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
@@ -87,7 +89,8 @@ def test_a_band_that_ends_where_the_slope_does():
 def test_the_chance_of_starts_of_a_density_to_walk_and_its_derivative():
     """Against random starts of the same distribution, and a central difference."""
     mean, covariance = [0.2, -0.2], np.array([[4e-4, -3e-4], [-3e-4, 2.6e-4]])
-    density = multivariate_normal(mean, covariance).pdf
+    distribution: Any = multivariate_normal
+    density = distribution(mean, covariance).pdf
     chance = lambda slope, levels, names=(): area_gradient(
         wj.SimplestWalker(slope), SECTION, names, levels=levels, density=density
     )

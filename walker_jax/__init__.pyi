@@ -73,6 +73,8 @@ from walker_jax.walkers.powered_masses import PoweredRoundFootWalker as PoweredR
 from walker_jax.walkers.powered_masses import PoweredUpperBodyWalker as PoweredUpperBodyWalker
 from walker_jax.walkers.round_foot import RoundFootWalker as RoundFootWalker
 from walker_jax.walkers.simplest import SimplestWalker as SimplestWalker
+from walker_jax.walkers.spatial import SpatialState as SpatialState
+from walker_jax.walkers.spatial import SpatialWalker as SpatialWalker
 from walker_jax.walkers.spring import SpringWalker as SpringWalker
 from walker_jax.walkers.upper_body import UpperBodyWalker as UpperBodyWalker
 from walker_jax.walking.disturbed import Disturbance as Disturbance

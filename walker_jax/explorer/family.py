@@ -14,7 +14,7 @@ from walker_jax.figures.style import (
 from walker_jax.figures.style import (
     UNMATCHED as UNMATCHED_COLOUR,
 )
-from walker_jax.walkers.family import WALKERS
+from walker_jax.walkers.family import PLANAR_WALKERS
 from walker_jax.walkers.parameters import Parameter, parameters
 from walker_jax.walking.outcomes import Outcome
 
@@ -22,7 +22,7 @@ from walker_jax.walking.outcomes import Outcome
 def describe_family() -> dict:
     """All that the page shows and does not compute, from where it is defined."""
     return {
-        "walkers": {name: describe_kind(name) for name in WALKERS},
+        "walkers": {name: describe_kind(name) for name in PLANAR_WALKERS},
         "fates": {
             int(outcome): {"name": outcome.name, "words": words, "colour": colour}
             for outcome, (colour, _, words) in FAILURES.items()
@@ -39,7 +39,7 @@ def describe_family() -> dict:
 
 def describe_kind(name: str) -> dict:
     """A walker: what it is, its section and its parameters."""
-    kind = WALKERS[name]
+    kind = PLANAR_WALKERS[name]
     return {
         "about": (kind.__doc__ or "").splitlines()[0],
         "section": kind.section,

@@ -28,10 +28,9 @@ from walker_jax.execution.tiles import map_cells
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import find_gait
 from walker_jax.integrators.solvers import default_tolerance
-from walker_jax.walkers.model import Walker
+from walker_jax.walkers.model import Walker, check_planar, check_single
 from walker_jax.walking.disturbed import Disturbance, DisturbedWalk, follow_disturbed_walk
 from walker_jax.walking.outcomes import Outcome
-from walker_jax.walking.stepping import check_single
 
 RandomDisturbance = Callable[[Any], Any]
 """A JAX function of a random key: the height of one step, or a `Disturbance`."""
@@ -96,6 +95,7 @@ def steps_to_fall(
 
     Raises `ValueError` for a walker without a gait, and for arguments out of range.
     """
+    check_planar(walker)
     check_kind("walker", walker, Walker)
     check_whole("n", n)
     check_whole("limit", limit)

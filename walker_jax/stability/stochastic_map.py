@@ -44,7 +44,7 @@ from walker_jax.stability.rough_ground import (
     start_of_walks,
     walk_disturbed,
 )
-from walker_jax.walkers.model import Walker
+from walker_jax.walkers.model import Walker, check_planar
 from walker_jax.walkers.parameters import attributes_of
 from walker_jax.walking.disturbed import Disturbance, follow_disturbed
 from walker_jax.walking.outcomes import Outcome
@@ -109,6 +109,7 @@ def metastability(
     Raises `ValueError` for arguments out of range, and `ComputationFailed` where walks end too
     early to be called metastable, or so rarely that there are more than MOST_CELLS cells.
     """
+    check_planar(walker)
     check_kind("walker", walker, Walker)
     if len(walker.section) != 2:
         raise WrongUse(f"walker must have two section coordinates, not {walker.section}")

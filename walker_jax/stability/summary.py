@@ -24,7 +24,7 @@ from walker_jax.stability.rough_ground import steps_to_fall
 from walker_jax.stability.sampling import BasinStability, basin_stability
 from walker_jax.stability.steps_down import LeastStepDown, least_step_down
 from walker_jax.walkers.abstract_point_foot import AbstractPointFootWalker
-from walker_jax.walkers.model import Walker, moves_like
+from walker_jax.walkers.model import Walker, check_planar, moves_like
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 from walker_jax.walkers.simplest import SimplestWalker
 from walker_jax.walking.outcomes import Outcome
@@ -83,6 +83,7 @@ def robustness(
 
     Raises `ValueError` as `refine`, and without a grid where no gait of period one is found.
     """
+    check_planar(walker)
     check_kind("walker", walker, Walker)
     check_precision(jnp.asarray(0.0).dtype, "robustness, which has the dimension of a boundary,")
     with bar("search for a gait", progress):
@@ -383,6 +384,7 @@ def default_region(walker: Walker) -> Grid | None:
     if isinstance(walker, AbstractPointFootWalker):
         rates = (-0.12, 0.06, 200) if moves_like(walker, SimplestWalker) else (-1.1, 0.1, 800)
         return Grid.sheared(theta=(0, np.pi / 4, 200), sum=rates)
+    check_planar(walker)
     gait = find_gait(walker)
     if not gait.found:
         return None

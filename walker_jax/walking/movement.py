@@ -16,7 +16,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Bool, Float
 
 from walker_jax.checks import WrongUse, check_number, check_whole, refuses_tracers
-from walker_jax.walkers.model import State, Walker
+from walker_jax.walkers.model import State, Walker, check_planar
 from walker_jax.walkers.parameters import attributes_of
 from walker_jax.walking.iteration import walk
 from walker_jax.walking.outcomes import Outcome
@@ -63,6 +63,7 @@ def motion(
     Attributes `leg_length`, to the end of the leg, and `foot_radius` are the sizes in which to draw
     these. `ValueError` for a start that is not feasible, and as for `walk`.
     """
+    check_planar(walker)
     check_number("step", step)
     if not 0 < step < np.inf:
         raise WrongUse(f"step must be above 0, not {step}")
