@@ -12,7 +12,7 @@ import numpy as np
 
 import walker_jax as wj
 from walker_jax.explorer.guard import TOKEN_HEADER, Bucket
-from walker_jax.explorer.server import Server, listen, make_server
+from walker_jax.explorer.server import Server, listen, make_server, names_of
 
 TOKEN = "a-token-for-tests"
 
@@ -107,12 +107,12 @@ class Running(NamedTuple):
 
 
 @contextmanager
-def running(port: int = 0) -> Iterator[Running]:
+def running(port: int = 0, host: str = "127.0.0.1") -> Iterator[Running]:
     """A server on a free port, or on a given one, in a thread."""
-    listener = listen("127.0.0.1", port)
-    server = make_server(listener, TOKEN)
+    listener = listen(host, port)
+    server = make_server(listener, TOKEN, names_of(host, listener))
     guard: Any = server.config.app
-    guard.bucket = Bucket(1e9, 1e9)  # tests are faster than hands
+    guard.requests = guard.files = Bucket(1e9, 1e9)  # tests are faster than hands
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
     thread.start()
     found = Running(server, listener.getsockname()[1], [])

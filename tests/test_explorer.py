@@ -36,6 +36,7 @@ from walker_jax.walkers.family import WALKERS
 from walker_jax.walkers.parameters import parameters
 
 WHOLE = [[0, i, j] for i in range(HOME_CELLS[0] // TILE) for j in range(HOME_CELLS[1] // TILE)]
+FIRST = pictures.FIRST_ATTRACTOR
 SIMPLEST = {"walker": "simplest", "parameters": {"slope": 0.004}}
 GRID = wj.Grid.sheared(theta=(0, 0.4, 200), sum=(-0.04, 0.01, 250))
 
@@ -71,7 +72,7 @@ def test_a_picture_is_the_basin(client):
     label, strides = joined(tiles)
     basin = wj.basin(wj.SimplestWalker(0.004), GRID, "direct")
     fate = basin["fate"].values
-    walks = label >= pictures.FIRST_ATTRACTOR
+    walks = label >= FIRST
     np.testing.assert_array_equal(walks, basin["attractor"].values >= 0)
     np.testing.assert_array_equal(label[~walks], fate[~walks])
     # attractors known to the last digit or the last but one: few are a stride sooner there
@@ -105,7 +106,7 @@ def test_far_in_a_picture_shows_what_strides_do(client, section):
     # where a rounding error decides, far out on its way, a cell in some hundreds differs
     same = (label.ravel()[falls] == fate[falls]) & (strides.ravel()[falls] == count[falls])
     assert same.mean() > 0.995
-    assert (label.ravel()[~falls] >= pictures.FIRST_ATTRACTOR).all()
+    assert (label.ravel()[~falls] >= FIRST).all()
 
 
 def test_a_cell_map_is_that_of_the_library(client):
@@ -115,9 +116,9 @@ def test_a_cell_map_is_that_of_the_library(client):
     label, strides = np.frombuffer(frames[1].content[4:], np.uint8).reshape(2, 200, 250)
     basin = wj.basin(wj.SimplestWalker(0.004), GRID)
     assert [one["artefact"] for one in attractors] == basin["artefact"].values.tolist()
-    number = np.where(label >= 16, label.astype(int) - 16, -1)
+    number = np.where(label >= FIRST, label.astype(int) - FIRST, -1)
     np.testing.assert_array_equal(number, basin["attractor"].values)
-    np.testing.assert_array_equal(label[label < 16], basin["fate"].values[label < 16])
+    np.testing.assert_array_equal(label[label < FIRST], basin["fate"].values[label < FIRST])
     np.testing.assert_array_equal(strides, np.minimum(basin["strides"].values, 255))
 
 
@@ -330,7 +331,7 @@ def test_the_copied_words_give_the_data_of_the_picture(
     else:
         frames = client.frames(SIMPLEST | {"method": method, "rectangles": [cells]})
         shown = np.frombuffer(frames[1].content[4:], np.uint8).reshape(2, 60, 40)[0]
-    number = np.where(shown >= 16, shown.astype(int) - 16, -1)
+    number = np.where(shown >= FIRST, shown.astype(int) - FIRST, -1)
     np.testing.assert_array_equal(number >= 0, basin["attractor"] >= 0)
     np.testing.assert_array_equal(shown[number < 0], basin["fate"].values[number < 0])
 
@@ -548,7 +549,7 @@ def drag(running, seconds, clients=8):
     for slope, tiles in ends.items():
         fate = wj.basin(wj.SimplestWalker(slope), GRID, "direct")["fate"].values
         label, _ = joined(tiles)
-        walks = label >= pictures.FIRST_ATTRACTOR
+        walks = label >= FIRST
         np.testing.assert_array_equal(np.where(walks, 0, label), fate)
     return len(pictures_made)
 
@@ -602,17 +603,26 @@ def test_a_notebook_shows_the_page_of_the_command_in_a_frame(monkeypatch):
         link = r"http://127\.0\.0\.1:(\d+)/\?token=(.*)#walker=spring&slope=0.005&hip_stiffness=1.5"
         found = re.fullmatch(link, shown.link)
         assert found and found[2] == explorer_server.TOKEN
+        again = wj.explore(wj.SimplestWalker(0.006))  # by the same server
+        assert (
+            again.link
+            == f"http://127.0.0.1:{found[1]}/?token={found[2]}#walker=simplest&slope=0.006"
+        )
         frame = shown._repr_html_()
         assert 'height="500"' in frame and html.escape(shown.link) in frame
         client = explorer_server.Client(int(found[1]))
         assert client.ask("/api/alive").json() == {"alive": True}
         client.connection.close()
-        shown.process.send_signal(signal.SIGINT)
-        assert shown.process.wait(60) == 130
+        shown.server.process.send_signal(signal.SIGINT)
+        assert shown.server.process.wait(60) == 130
     finally:
         shown.close()
     with pytest.raises(ConnectionError):
         client.ask("/api/alive")
+    # a server that does not start says why
+    monkeypatch.setattr("sys.executable", "/bin/false" if Path("/bin/false").exists() else "false")
+    with pytest.raises(wj.ComputationFailed, match="the server ended with code 1"):
+        wj.explore(wj.SimplestWalker(0.004))
 
 
 def test_a_subject_is_one_key():

@@ -146,7 +146,7 @@ CELLS = """(() => {
 
 def area_of(page):
     found = page.value(CELLS)
-    walking = sum(label >= pictures.UNMATCHED for _, _, label in found["all"])
+    walking = sum(label >= pictures.FIRST_ATTRACTOR for _, _, label in found["all"])
     return walking * found["area"], len(found["all"])
 
 
@@ -284,9 +284,9 @@ def test_the_link_and_what_is_taken_away(opened, tmp_path):
     found = page.value(CELLS)
     shown = np.array([label for _, _, label in found["all"]])
     columns, rows = (len({cell[k] for cell in found["all"]}) for k in (0, 1))
-    if basin["fate"].shape == (columns, rows):
-        walks = basin["attractor"].values.ravel() >= 0
-        np.testing.assert_array_equal(shown >= pictures.FIRST_ATTRACTOR, walks)
+    assert basin["fate"].shape == (columns, rows)
+    walks = basin["attractor"].values.ravel() >= 0
+    np.testing.assert_array_equal(shown >= pictures.FIRST_ATTRACTOR, walks)
     page.page.click("#copy-command")
     page.wait("document.querySelector('#toast').textContent === 'Command copied'")
     command = page.value("navigator.clipboard.readText()")

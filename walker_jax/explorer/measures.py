@@ -36,12 +36,6 @@ SHOWN_STATES = 24
 """States of each orbit in a diagram."""
 
 
-def prepare(subject: Subject) -> dict:
-    """The home window of a walker, and its gait there: what the first picture needs."""
-    home = home_of(subject.name, subject.section)
-    return {"lower": home.lower, "upper": home.upper, "gait": home.gait}
-
-
 def gaits(subject: Subject) -> list[dict]:
     """The gaits of the first periods, the most stable first, with their multipliers."""
     walker = subject.walker
@@ -73,9 +67,12 @@ def area(subject: Subject, cells: Rectangle) -> dict:
     }
 
 
-def disturbance(subject: Subject) -> dict:
-    """The least disturbance of the stable gait."""
-    found = least_disturbance(subject.walker)
+def disturbance(subject: Subject) -> dict | None:
+    """The least disturbance of the stable gait of period one; none where there is no such gait."""
+    gait = find_gait(subject.walker)
+    if not (gait.found and gait.stable):
+        return None
+    found = least_disturbance(subject.walker, gait)
     return {
         "size": found.size,
         "gait": (found.state - found.size * found.direction).tolist(),
