@@ -4,7 +4,7 @@ import http.client
 import json
 import struct
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
@@ -56,6 +56,13 @@ class Client:
 
     def ask(self, path: str, asked: Any = None, **headers: str) -> Answer:
         return self.send(path, None if asked is None else json.dumps(asked).encode(), **headers)
+
+    def give_up(self, path: str, asked: Any, wait: Callable[[], Any] = lambda: None) -> None:
+        """Ask, wait for something else, and go."""
+        headers = {"content-type": "application/json", TOKEN_HEADER: TOKEN}
+        self.connection.request("POST", path, json.dumps(asked), headers)
+        wait()
+        self.connection.close()
 
     def frames(self, asked: dict) -> list[Frame]:
         """The frames of a picture."""

@@ -145,19 +145,52 @@ def test_a_picture_that_nobody_waits_for_is_not_computed(running, monkeypatch):
 
     running.client().tiles(SIMPLEST | {"tiles": [[0, 0, 0]]})
     monkeypatch.setattr(pictures, "label_tiles", slow)
-    client = running.client()
-    body = json.dumps(SIMPLEST | {"tiles": [[4, i, 0] for i in range(600)]})
-    headers = {
-        "content-type": "application/json",
-        explorer_server.TOKEN_HEADER: explorer_server.TOKEN,
-    }
-    client.connection.request("POST", "/api/picture", body, headers)
-    assert asked.wait(20)
-    client.connection.close()
+    many = SIMPLEST | {"tiles": [[4, i, 0] for i in range(600)]}
+    running.client().give_up("/api/picture", many, lambda: asked.wait(20))
     time.sleep(0.5)
     before = len(computed)
     time.sleep(0.5)
     assert len(computed) == before < 8
+
+
+def test_a_walk_that_nobody_waits_for_is_not_computed(running, monkeypatch):
+    asked, computed = threading.Event(), []
+
+    def slow(about, start, count):
+        computed.append(count)
+        asked.set()
+        time.sleep(0.1)
+        return {"strides": [{}] * count, "next": start.tolist(), "leg": {}}
+
+    asked_for = SIMPLEST | {"start": [0.2, -0.2], "strides": 60}
+    running.client().ask("/api/walk", asked_for)
+    monkeypatch.setattr(walks, "follow", slow)
+    running.client().give_up("/api/walk", asked_for, lambda: asked.wait(20))
+    time.sleep(0.3)
+    before = len(computed)
+    time.sleep(0.3)
+    assert len(computed) == before < 60 / walks.STRIDES_AT_ONCE
+
+
+@pytest.mark.slow  # most walkers take long to compile
+@pytest.mark.parametrize("name", WALKERS)
+def test_every_walker_has_a_home(client, name):
+    """At its default parameters, with its gait inside."""
+    answer = client.ask("/api/home", {"walker": name})
+    assert answer.status == 200, answer
+    home = answer.json()
+    x = np.array([home["gait"][0], home["gait"][0] + home["gait"][1]])
+    assert (np.array(home["lower"]) < x).all() and (x < home["upper"]).all()
+
+
+@pytest.mark.slow  # a worker starts, and compiles
+def test_a_cell_map_of_many_cells_is_a_workers(running, client, monkeypatch):
+    asked = SIMPLEST | {"method": "cell-map", "rectangles": [[0, 0, 0, 200, 250]]}
+    quick = client.frames(asked)
+    monkeypatch.setattr(service, "MANY_CELLS", 1000)
+    assert client.frames(asked) == quick
+    crew = running.server.config.app.app.state.service.workers
+    assert crew.all[0].process is not None and crew.all[1].process is None
 
 
 # ---------------------------------------------------------------------------- walks
@@ -165,6 +198,7 @@ def test_a_picture_that_nobody_waits_for_is_not_computed(running, monkeypatch):
 
 def test_a_walk_is_that_of_the_library(client):
     answer = client.ask("/api/walk", SIMPLEST | {"start": [0.2, -0.21645], "strides": 9}).json()
+    assert answer["leg"] == {"length": 1.0, "radius": 0.0}
     made = wj.walk(wj.SimplestWalker(0.004), jnp.array([0.2, -0.21645]), 9)
     assert [one["outcome"] for one in answer["strides"]] == [0] * 9
     starts = [one["start"] for one in answer["strides"]]
@@ -278,6 +312,7 @@ def test_gaits_and_area_for_the_page():
     area = measures.area(subject(), Rectangle(-1, (0, 0), (100, 125)))
     assert abs(area["area"] - 0.0012073) < 5 * area["error"] + 1e-6  # of every cell of 800 x 1000
     assert json.dumps([found, area], allow_nan=False)
+    assert measures.disturbance(subject(slope=0.03)) is None  # its gait is not stable
 
 
 @pytest.mark.slow
@@ -342,6 +377,14 @@ def test_the_command_of_a_slice_names_its_plane():
     about = read_subject(asked)
     words = service.copies.describe(about, Rectangle(0, (0, 0), (20, 20)), "direct")
     assert " --at-phidot -0.02 " in words["command"] and "phidot=-0.02" in words["python"]
+    # that of the gait, whatever others have asked for
+    about = read_subject({"walker": "round-foot"})
+    (at,) = pictures.plane_of(about)
+    gait = wj.find_gait(about.walker)
+    assert at == pytest.approx(float(gait.states[0, 2]), rel=1e-9)
+    pictures.plane_of(read_subject({"walker": "round-foot", "parameters": {"slope": 0.012}}))
+    words = service.copies.describe(about, Rectangle(0, (0, 0), (20, 20)), "direct")
+    assert f" --at-phidot {at!r} " in words["command"]
 
 
 def test_the_page_knows_every_walker_and_parameter():
@@ -411,6 +454,14 @@ def test_strangers_are_refused(running, client):
     assert answer.json()["error"] == "slope must be above 0 and below 1.5708, not -1.0"
     crossed = {"walker": "round-foot", "parameters": {"foot_radius": 1.2}}
     assert client.ask("/api/home", crossed).json()["parameter"] == "foot_radius"
+    for asked, named in (
+        ({"parameters": {"slope": 1e7}}, "slope"),
+        ({"parameters": {"foot_radius": "wide"}}, "foot_radius"),
+        ({"at": {"phidot": 1e7}}, "at_phidot"),
+    ):
+        answer = client.ask("/api/home", {"walker": "round-foot"} | asked).json()
+        assert answer["parameter"] == named and answer["error"].startswith(f"{named} must be ")
+    assert "parameter" not in client.ask("/api/home", {"walker": "x"}).json()
 
 
 def test_a_body_that_does_not_tell_its_length_is_bounded_too(running):
@@ -459,6 +510,9 @@ PATHS = [
     "words",
     "data",
     "measure/area",
+    "measure/gaits",
+    "measure/disturbance",
+    "measure/bifurcation",
     "measure/x",
     "about",
     "nothing",
@@ -489,16 +543,23 @@ def malformed(rng):
     return json.dumps(rng.choice(SENSELESS)).encode() if kind < 0.35 else body
 
 
-def fuzz(running, count, seed):
+HEADERS = ["origin", "host", "content_type", "sec_fetch_site", "x_walker_token", "accept", "range"]
+VALUES = ["", "null", "x", "cross-site", "text/html", "http://[", "\xff", "a" * 9000, "bytes=-1"]
+
+
+def fuzz(running, monkeypatch, count, seed):
+    async def ask(function, *arguments, **options):  # right by chance: a worker would compute it
+        return b"" if function is measures.data else {}
+
+    crew = running.server.config.app.app.state.service.workers
+    monkeypatch.setattr(crew, "ask", ask)
     client, rng = running.client(), random.Random(seed)
     statuses = {}
     for _ in range(count):
         path, body = rng.choice(PATHS), malformed(rng)
-        if path in ("data", "measure/area") and b'"cells": [0, 0, 0, 3, 3]' in body:
-            continue  # right by chance, and a worker's
-        answer = client.send(
-            f"/api/{path}", body, rng.choice(["POST", "POST", "POST", "PUT", "GET"])
-        )
+        headers = {rng.choice(HEADERS): rng.choice(VALUES)} if rng.random() < 0.2 else {}
+        method = rng.choice(["POST", "POST", "POST", "PUT", "GET"])
+        answer = client.send(f"/api/{path}", body, method, **headers)
         assert answer.status in ALLOWED, (path, body, answer)
         if answer.status != 200 and answer.status != 405:
             reason = answer.json()["error"]
@@ -509,19 +570,19 @@ def fuzz(running, count, seed):
     return statuses
 
 
-def test_malformed_requests_are_refused_in_one_sentence(running, caplog):
-    fuzz(running, 500, 0)
+def test_malformed_requests_are_refused_in_one_sentence(running, caplog, monkeypatch):
+    fuzz(running, monkeypatch, 500, 0)
     assert not caplog.records
 
 
 @pytest.mark.slow
-def test_thousands_of_malformed_requests(running, caplog):
-    fuzz(running, 20_000, 1)
+def test_thousands_of_malformed_requests(running, caplog, monkeypatch):
+    fuzz(running, monkeypatch, 20_000, 1)
     assert not caplog.records
 
 
 def drag(running, seconds, clients=8):
-    """Clients that drag at once, each with a picture of its own at the end."""
+    """Clients that drag at once, walk and give up, each with a picture of its own at the end."""
     ends, failures, pictures_made = {}, [], []
 
     def hand(number):
@@ -530,10 +591,12 @@ def drag(running, seconds, clients=8):
         try:
             while time.monotonic() < stop:
                 slope = round(rng.uniform(0.003, 0.012), 5)
-                client.tiles(
-                    {"walker": "simplest", "parameters": {"slope": slope}, "tiles": WHOLE[:4]}
-                )
+                asked = {"walker": "simplest", "parameters": {"slope": slope}}
+                client.tiles(asked | {"tiles": WHOLE[:4]})
                 pictures_made.append(1)
+                client.give_up("/api/picture", asked | {"tiles": WHOLE})
+                answer = client.ask("/api/walk", asked | {"start": [0.2, -0.21], "strides": 20})
+                assert answer.status == 200, answer
             slope = 0.004 + 0.0005 * number
             asked = {"walker": "simplest", "parameters": {"slope": slope}, "tiles": WHOLE}
             ends[slope] = client.tiles(asked)[1]
