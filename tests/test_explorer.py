@@ -318,6 +318,7 @@ def test_gaits_and_area_for_the_page():
 @pytest.mark.slow
 def test_the_measures_that_take_long():
     found = measures.disturbance(subject())
+    assert found is not None
     exact = wj.least_disturbance(wj.SimplestWalker(0.004))
     assert found["size"] == exact.size and found["failure"] == int(exact.failure)
     np.testing.assert_allclose(found["gait"], exact.state - exact.size * exact.direction)

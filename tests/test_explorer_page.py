@@ -8,7 +8,9 @@ import os
 import shutil
 import time
 from functools import partial
+from http.server import BaseHTTPRequestHandler, HTTPServer
 from itertools import combinations
+from threading import Thread
 
 import explorer_server
 import jax.numpy as jnp
@@ -38,6 +40,9 @@ GAIT = {
     "times": [3.88],
     "stable": True,
 }
+NO_STORAGE = """Object.defineProperty(window, "localStorage", {
+  get() { throw new DOMException("storage is refused", "SecurityError"); }
+})"""
 LEAST_CONTRAST = 6.0
 """In lightness between the colours of two fates, as in the figures."""
 MEASURED = {
@@ -86,8 +91,9 @@ def fulfil_as(answer, route):
 class Page:
     """The page, and all that it has said and asked for."""
 
-    def __init__(self, browser, port, state="", *, measured=MEASURED, **options):
+    def __init__(self, browser, port, state="", *, measured=MEASURED, before="", **options):
         self.context = browser.new_context(**{"viewport": WIDE, "accept_downloads": True} | options)
+        self.context.add_init_script(before)
         self.context.grant_permissions(["clipboard-read", "clipboard-write"])
         self.page = self.context.new_page()
         self.said, self.addresses = [], []
@@ -343,10 +349,17 @@ def test_hands_on_keys_alone(opened):
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
 def test_every_width_and_theme(opened, theme, tmp_path):
-    page = opened("walker=simplest&slope=0.004", color_scheme=theme)
-    ground = page.value("getComputedStyle(document.body).backgroundColor")
-    light = sum(map(int, ground[4:-1].split(","))) / 3
-    assert (light > 128) == (theme == "light")
+    # also where nothing may be stored, as in a frame of another site
+    page = opened("walker=simplest&slope=0.004", color_scheme=theme, before=NO_STORAGE)
+    other = {"light": "dark", "dark": "light"}
+    for chosen in (theme, other[theme], theme):
+        ground = page.value("getComputedStyle(document.body).backgroundColor")
+        light = sum(map(int, ground[4:-1].split(","))) / 3
+        assert (light > 128) == (chosen == "light")
+        pressed = page.page.get_attribute("#theme", "aria-pressed")
+        assert pressed == str(chosen == "dark").lower()
+        page.page.click("#theme")
+    page.page.click("#theme")
     for viewport in (WIDE, NARROW):
         page.page.set_viewport_size(viewport)
         page.page.wait_for_timeout(100)
@@ -559,7 +572,7 @@ def test_a_walker_with_round_feet_and_a_slice(opened):
     page.finished()
     assert page.value("explorer.map.view.zoom") == 0
     at = page.value("explorer.picture.layer.at")
-    gait = wj.find_gait(wj.RoundFootWalker()).states[0]
+    gait = wj.find_gait(wj.RoundFootWalker(0.004)).states[0]
     assert at == pytest.approx([float(gait[2])], rel=1e-9)
     page.page.click("#copy-command")
     page.wait("document.querySelector('#toast').textContent === 'Command copied'")
@@ -637,6 +650,43 @@ def test_a_link_of_another_server_is_told_apart(browser, running):
     page.wait_for_selector("#gone:not([hidden])")
     assert "the token is not that of this server" in page.locator("#gone").inner_text()
     context.close()
+
+
+class Empty(BaseHTTPRequestHandler):
+    """An empty page."""
+
+    def do_GET(self):
+        self.send_response(200)
+        self.send_header("content-type", "text/html")
+        self.send_header("content-length", "0")
+        self.end_headers()
+
+    def log_message(self, *_):
+        pass
+
+
+def test_a_notebook_frames_the_page_and_others_do_not(browser, running):
+    """A frame in a page of another site on this machine, with the token and without."""
+    context = browser.new_context(viewport=WIDE)
+    page = context.new_page()
+    notebook = HTTPServer(("127.0.0.1", 0), Empty)
+    thread = Thread(target=notebook.serve_forever, daemon=True)
+    thread.start()
+    page.goto(f"http://localhost:{notebook.server_port}/")
+    for token, shown in ((explorer_server.TOKEN, True), ("another", False)):
+        link = f"http://127.0.0.1:{running.port}/?token={token}#walker=simplest&slope=0.004"
+        frame = f'<iframe src="{link}"></iframe>'
+        page.evaluate("(frame) => (document.body.innerHTML = frame)", frame)
+        stop, there = time.monotonic() + (SECONDS if shown else 2), False
+        while time.monotonic() < stop and not there:
+            page.wait_for_timeout(50)
+            there = any(one.evaluate("Boolean(window.explorer)") for one in page.frames[1:])
+        assert there == shown
+    assert not any(one.evaluate("document.querySelector('#map') !== null") for one in page.frames)
+    context.close()
+    notebook.shutdown()
+    thread.join()
+    notebook.server_close()
 
 
 DIAGRAM = {
