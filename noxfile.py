@@ -62,7 +62,7 @@ def matrix(session: nox.Session) -> None:
 
 @nox.session
 def readme(session: nox.Session) -> None:
-    """Compute every number that the README quotes: an hour."""
+    """Compute every number that the README quotes: half an hour."""
     session.install(".[bench]")
     session.run("python", "benchmarks/verify_readme.py", *session.posargs)
 

@@ -86,6 +86,8 @@ def report(rows: list[tuple[str, str, str]], title: str, attempt: Callable[[], s
         row = title, "FAILED", (said.splitlines() or [str(error)])[-1]
     except AssertionError as error:
         row = title, "FAILED", str(error)
+    except (LookupError, TypeError, ValueError) as error:  # the answer is none, or lacks something
+        row = title, "FAILED", f"{type(error).__name__}: {error}"
     print(*row, sep=": ", flush=True)
     rows.append(row)
 
@@ -168,20 +170,20 @@ def own_cache(place: Path, name: str) -> dict[str, str]:
 def check_job(python: Path, place: Path, variables: dict[str, str]) -> str:
     """Run the main job, and compare its answer; says how much time and memory it took."""
     began = time.monotonic()
-    with tempfile.TemporaryDirectory(dir=place) as folder:
-        done = subprocess.Popen(
-            [python, *JOB],
-            cwd=folder,
-            env=variables,
-            text=True,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-        )
-        assert done.stdout is not None and done.stderr is not None
-        out, err = done.stdout.read(), done.stderr.read()
+    with (
+        tempfile.TemporaryDirectory(dir=place) as folder,
+        tempfile.TemporaryFile("w+", dir=place) as output,
+        tempfile.TemporaryFile("w+", dir=place) as errors,
+    ):
+        command = [python, *JOB]
+        done = subprocess.Popen(command, cwd=folder, env=variables, stdout=output, stderr=errors)
         _, status, usage = os.wait4(done.pid, 0)
-    if status:
-        raise subprocess.CalledProcessError(status, JOB, out, err)
+        done.returncode = os.waitstatus_to_exitcode(status)
+        output.seek(0)
+        errors.seek(0)
+        out, err = output.read(), errors.read()
+    if done.returncode:
+        raise subprocess.CalledProcessError(done.returncode, JOB, out, err)
     answer = json.loads(out)
     found = answer["attractors"]
     assert [one["cells"] for one in found] == EXPECTED["cells"], f"other cells: {found}"

@@ -10,10 +10,10 @@ area           1.24 s, 434,462 strides, 349,183 a second
 and gradient   2.98 s, 1,206,947 strides, 405,194 a second
 the gradient takes 2.27 times as long as the area alone
  slope         by area_gradient      by a difference   apart  averaged
- 0.003       -0.09792 +- 0.00041   -0.09739 +- 0.00072    0.5%  False
- 0.006       -0.04064 +- 0.00040   -0.04205 +- 0.00036   -3.4%  False
+ 0.003       -0.09792 +- 0.00094   -0.09739 +- 0.00072    0.5%  False
+ 0.006       -0.04064 +- 0.00042   -0.04205 +- 0.00036   -3.4%  False
   0.01       -0.06630 +- 0.00270   -0.06677 +- 0.00037   -0.7%  True
- 0.013       -0.13540 +- 0.00323   -0.13289 +- 0.00054    1.9%  True
+ 0.013       -0.13538 +- 0.00323   -0.13289 +- 0.00054    1.9%  True
 
 slope, speed at least 0.06: from 0.001492; 5.6 million strides
 by the gradient    0.001931  at (0.00168807), 5 places

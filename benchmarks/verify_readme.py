@@ -3,10 +3,12 @@
     python benchmarks/verify_readme.py            # all, half an hour
     python benchmarks/verify_readme.py --quick    # without the slow ones
     python benchmarks/verify_readme.py --only 75  # those whose quotation has this in it
+    python benchmarks/verify_readme.py --gpu      # and those of a GPU, on a machine that has one
     python benchmarks/verify_readme.py --page     # writes docs/numbers.md anew, and ends
 
-Each command runs once, and what it prints is searched for the number. What differs is marked, and
-the exit code is 1. Times are of another machine: they may be three times as long here.
+Each command runs once, and what it prints is searched for the number. What differs, or is not
+there, is marked, and the exit code is 1. Times are of another machine: they may be three times as
+long here.
 """
 
 import argparse
@@ -85,6 +87,17 @@ def slope_of_largest_shock(run: Run) -> float:
     return max(rows, key=lambda row: row["least_disturbance"]["size"])["slope"]
 
 
+def compared(
+    quotation: str, row: str, seconds: float, low: float, high: float
+) -> tuple[Claim, Claim]:
+    """A row of the table of speeds: its seconds, and how many times as long it takes."""
+    columns = rf"^{row}.*? ([\d.]+) +[\d,]+ +[\d,.]+ \("
+    return (
+        Claim(quotation, STRIDES, 540, found(columns), *within(seconds, TIMES)),
+        Claim(quotation, STRIDES, 540, found(rf"^{row}.*?([\d,.]+) \("), low, high),
+    )
+
+
 SPRING = (
     "walker-jax sweep --walker spring --slope 0.004 --over hip-stiffness=0:11.24:2 --levels 4 "
     "--out spring.zarr --json"
@@ -101,6 +114,9 @@ REPRODUCE = "walker-jax reproduce --out report"
 STRIDES = "python benchmarks/strides.py"
 ACCURACY = "python benchmarks/accuracy.py"
 REFINEMENT = "python benchmarks/refinement.py"
+GPU = "python benchmarks/gpu.py"
+"""What takes an NVIDIA GPU."""
+GPU_ROW = r"^simplest +{} +stride .*\| +"
 HEYOKA = "heyoka, batches of 16 or 32, a process for each core"
 CLAIMS = [
     Claim("in about five seconds", "walker-jax basin", 5, lambda run: run.seconds, 0, 5 * TIMES),
@@ -124,22 +140,10 @@ CLAIMS = [
         *("| walker_jax | 0.016 | 1 |", STRIDES, 540),
         *(found(r"^walker_jax, 1e-11 +([\d.]+)"), *within(0.016, TIMES)),
     ),
-    Claim(
-        *(f"| {HEYOKA} | 0.15 | 10 (7 to 11) |", STRIDES, 540),
-        *(found(r"^heyoka, batches of 16.*?([\d.]+) \("), 7, 11),
-    ),
-    Claim(
-        *("| 3.1 | 190 (140 to 220) |", STRIDES, 540),
-        *(found(r"^the same, batches of 1000.*?([\d.]+) \("), 140, 220),
-    ),
-    Claim(
-        *("| 7.0 | 430 (380 to 590) |", STRIDES, 540),
-        *(found(r"^vmap\(diffeqsolve\), Dopri8.*?([\d.]+) \("), 380, 590),
-    ),
-    Claim(
-        *("| 84 | 5,300 (3,900 to 8,300) |", STRIDES, 540),
-        *(found(r"^scipy.*?([\d,.]+) \("), 3900, 8300),
-    ),
+    *compared(f"| {HEYOKA} | 0.15 | 10 (7 to 11) |", "heyoka, batches of 16", 0.15, 7, 11),
+    *compared("| 3.1 | 190 (140 to 220) |", "the same, batches of 1000", 3.1, 140, 220),
+    *compared("| 7.0 | 430 (380 to 590) |", r"vmap\(diffeqsolve\), Dopri8", 7.0, 380, 590),
+    *compared("| 84 | 5,300 (3,900 to 8,300) |", "scipy", 84, 3900, 8300),
     Claim(
         *("A basin of a million cells, followed directly, takes one second", STRIDES, 540),
         *(found(r"^walker_jax, 1e-11 +([\d.]+)", last=True), *within(1, TIMES)),
@@ -168,6 +172,22 @@ CLAIMS = [
         *("0.4 standard errors apart", REFINEMENT, 300),
         *(found(r"^0\.004: .* apart by ([\d.]+)"), 0, 2),
     ),
+    Claim(
+        *("57 million a second in float64", GPU, 300),
+        *(found(GPU_ROW.format("float64") + r"([\d,]+)"), *within(57e6, TIMES)),
+    ),
+    Claim(
+        *("186 million in float32", GPU, 300),
+        *(found(GPU_ROW.format("float32") + r"([\d,]+)"), *within(186e6, TIMES)),
+    ),
+    Claim(
+        *("six and four times as many", GPU, 300),
+        *(found(GPU_ROW.format("float64") + r"[\d,]+ +([\d.]+)"), *within(6, TIMES)),
+    ),
+    Claim(
+        *("six and four times as many", GPU, 300),
+        *(found(GPU_ROW.format("float32") + r"[\d,]+ +([\d.]+)"), *within(4, TIMES)),
+    ),
 ]
 """Every number that a change of the code could change."""
 GIVEN = {
@@ -179,7 +199,7 @@ GIVEN = {
     "0.004": "the slope of the paper's basin",
     "0.022": "printed in the paper, where `walker-jax reproduce` compares it",
     "512, 50,000, 1e-8": "the conditions of the table of speeds",
-    "57, 186, 16": "strides and cores of a machine with an H100: `python benchmarks/gpu.py`, there",
+    "16": "the cores beside the H100",
     "1e8": "a size of large runs",
     "40": "the digits of the reference values: tests/data/README.md",
     "80,000": "the largest derivative of a stride among those: docs/accuracy.md",
@@ -195,10 +215,22 @@ def numbers_of(run: Run, quantity: str) -> list[float]:
     return [float(cell.split()[0]) for cell in rows[0].split(" | ")] if rows else [float("nan")]
 
 
+def measure(claim: Claim, run: Run | None) -> float:
+    """The number of a claim; NaN where its command has failed, or what it printed lacks it."""
+    if run is None:
+        return float("nan")
+    try:
+        return claim.number(run)
+    except (LookupError, TypeError, ValueError, ZeroDivisionError) as error:
+        print(f"        {type(error).__name__}: {error}", file=sys.stderr)
+        return float("nan")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help=f"commands below {SLOW_SECONDS} s")
     parser.add_argument("--only", default="", help="part of quotations")
+    parser.add_argument("--gpu", action="store_true", help="those that take an NVIDIA GPU too")
     parser.add_argument("--page", action="store_true", help=f"write {PAGE.name} and end")
     arguments = parser.parse_args()
     if arguments.page:
@@ -207,13 +239,14 @@ def main() -> None:
     words, runs, wrong = plain(README.read_text()), {}, 0
     with tempfile.TemporaryDirectory() as folder:
         for claim in CLAIMS:
-            slow = arguments.quick and claim.seconds > SLOW_SECONDS
-            if slow or arguments.only not in claim.quotation:
+            left = arguments.quick and claim.seconds > SLOW_SECONDS
+            left |= claim.command == GPU and not arguments.gpu
+            if left or arguments.only not in claim.quotation:
                 continue
             if claim.command not in runs:
                 runs[claim.command] = run_command(claim.command, Path(folder))
             run = runs[claim.command]
-            number = float("nan") if run is None else claim.number(run)
+            number = measure(claim, run)
             agrees = claim.low <= number <= claim.high and plain(claim.quotation) in words
             wrong += not agrees
             mark = "ok     " if agrees else "DIFFERS"
@@ -250,7 +283,8 @@ def page() -> str:
         "The README quotes these numbers; each stands beside the command that makes it, and the",
         "range in which the check before a release accepts it. The script",
         "`python benchmarks/verify_readme.py` runs them all and marks what differs; with `--page`",
-        "it writes this page. Seconds are those of two cores.",
+        "it writes this page. Seconds are those of two cores. With `--gpu`, on a machine with an",
+        f"NVIDIA GPU, it checks those of `{GPU}` too.",
         "",
         "| the README says | accepted | command | seconds |",
         "|---|---|---|---:|",

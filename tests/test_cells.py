@@ -84,6 +84,9 @@ def test_on_the_host_cells_are_the_same(dtype):
             np.testing.assert_array_equal(grid.contains(points), cells >= 0)
             pairs = points[: len(points) // 2 * 2].reshape(-1, 2, 2)
             assert grid.contains(pairs).shape == pairs.shape[:2]
+            places = np.stack([grid.place(x) for x in centres])
+            expected = np.stack(np.unravel_index(index, grid.shape), axis=1)
+            np.testing.assert_allclose(places, expected, atol=1e-3 if dtype == np.float32 else 1e-9)
 
 
 def test_cells_are_half_open():

@@ -812,7 +812,7 @@ def test_an_optimum_after_a_start_where_nothing_walks_is_told(capsys):
     ends = {"start": 0.0, "optimum": 0.002}
     answer = {
         "exact": ends,
-        "exact_error": {"start": 0.0, "optimum": 1e-6},
+        "exact_error": {"start": np.nan, "optimum": 1e-6},
         "at_bound": ["slope"],
         "binding": [],
         "converged": False,
@@ -821,6 +821,7 @@ def test_an_optimum_after_a_start_where_nothing_walks_is_told(capsys):
     answer |= {end: {"slope": 0.01} for end in ends}
     optimise_command.print_optimum(wj.SimplestWalker(0.03), answer, "area")
     told = capsys.readouterr().out
+    assert "slope 0.01: 0\n" in told and "slope 0.01: 0.002 +- 1e-06\n" in told
     assert "changed by +0.002\n" in told and "at a bound of slope; not converged" in told
 
 
@@ -975,6 +976,30 @@ def test_the_page_takes_no_walker_of_a_file(run, tmp_path):
     assert err.startswith("walker-jax: --walker must be one of simplest, ")
 
 
+def test_a_host_that_cannot_be_one_is_refused(run):
+    said = "walker-jax: --host must be a name or an address, not a..b\n"
+    assert run("explore", "--no-browser", "--host", "a..b") == (2, "", said)
+
+
+def test_the_seed_of_a_refined_basin_is_part_of_it(run, monkeypatch):
+    asked, find_earlier = [], basin_command.find_earlier
+
+    def refine(*_, seed, **__):
+        raise wj.ComputationFailed(f"this was seed {seed}")
+
+    def find(out, figure, request, *, overwrite):
+        asked.append(request["seed"])
+        return find_earlier(out, figure, request, overwrite=overwrite)
+
+    monkeypatch.setattr("walker_jax.refine", refine)
+    monkeypatch.setattr(basin_command, "find_earlier", find)
+    for given, seed in (([], 0), (["--seed", "3"], 3)):
+        said = f"walker-jax: this was seed {seed}\n"
+        assert run("basin", *SMALL, "--levels", "1", *given) == (1, "", said)
+    assert asked == [0, 3]
+    assert run("basin", "--seed", "1") == (2, "", "walker-jax: --seed is for --levels alone\n")
+
+
 def test_the_package_is_run_as_the_command():
     code, out, err = python("-m", "walker_jax", "--help")
     assert (code, err) == (0, "") and "basin" in out
@@ -1064,9 +1089,18 @@ def test_the_walkers_are_listed_with_parameters_units_and_defaults(run):
         assert (code, err) == (0, "")
         for name, kind in WALKERS.items():
             assert f"{name}:" in out and ", ".join(kind.section) in out
+            own = out[out.index(f"{name}:") :].splitlines()
             for one in parameters(kind):
-                row = next(line for line in out.splitlines() if option_of(one.name) in line)
+                row = next(line for line in own if f"{option_of(one.name)} " in line)
                 assert f"{one.default:g}" in row and one.unit in row and one.meaning in row
+
+
+def test_help_has_the_slopes_that_a_walker_has_by_default(run):
+    words = lambda *arguments: " ".join(run(*arguments)[1].replace("│", " ").split())
+    assert "of the ground; rad (default: 0.004, kneed: 0.05)" in words("walk", "--help")
+    said = words("bifurcation", "--help")
+    assert "Lowest slope, rad (default: 0.001, kneed: 0.03)" in said
+    assert "Highest slope, rad (default: 0.022, kneed: 0.12)" in said
 
 
 def test_help_names_the_parameters_of_walkers(run):

@@ -229,8 +229,12 @@ def test_an_interrupted_run_goes_on(no_basins, tmp_path, monkeypatch):
     assert known is not None
     again = optimise(WALKER, SLOPES, "speed", starts=2, known=known)
     xr.testing.assert_identical(again, whole)
+    # the last two stages measure alike
     distinct, before = (
-        set(zip(data.stage.values, data.parameters.values[:, 0], strict=True))
+        {
+            (min(stage, 2), at)
+            for stage, at in zip(data.stage.values, data.parameters.values[:, 0], strict=True)
+        }
         for data in (whole, known)
     )
     assert len(made) == len(distinct - before) < len(distinct)

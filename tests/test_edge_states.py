@@ -1,15 +1,19 @@
 """Edge tracking, stable manifolds and narrow windows."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 import walker_jax as wj
 from walker_jax import Outcome
+from walker_jax.basins import edge_states
 from walker_jax.basins.capture_boxes import with_capture_boxes
 from walker_jax.basins.edge_tracking import bring_together, follow_edge
 from walker_jax.basins.methods import mapper_of_grid
 from walker_jax.basins.narrow_windows import follow_window
 from walker_jax.basins.stable_manifolds import Image, follow_manifold
+from walker_jax.basins.zooms import bisect_to_last_digit
 
 WALKER = wj.SimplestWalker(0.004)
 GRID = wj.Grid.sheared(theta=(0.01, 0.4, 60), sum=(-0.05, 0.03, 60))
@@ -82,6 +86,19 @@ def test_the_edge_of_a_saddle_of_period_two_repeats_itself_after_two_points():
     np.testing.assert_allclose(np.abs(track.path[-2:, 1]), 1, atol=1e-6)
 
 
+def test_an_edge_goes_on_to_a_cycle_that_attracts_slowly_along_it():
+    """y -> 0.995 y: two points are 1e-6 apart at 2e-4 from the cycle, and 1e-7 at 2e-5."""
+    image = lambda x: np.stack([2 * x[:, 0], 0.995 * x[:, 1]], axis=1)
+    ends = np.array([0.9, 0.001]), np.array([-0.8, 0.001])
+    label = lambda x: (x[:, 0] > 0).astype(int)
+    follow = lambda **test: follow_edge(image, label, *ends, rounds=900, longest=4, **test)
+    first, last = follow(), follow(is_cycle=lambda points: np.abs(points).max() < 1e-4)
+    assert first.period == last.period == 1
+    assert 1.5e-4 < first.path[-1, 1] < 2e-4 and 1.5e-5 < last.path[-1, 1] < 2e-5
+    never = follow(is_cycle=lambda points: False)
+    assert never.period == 0 and len(never.path) == 900
+
+
 def test_an_edge_that_the_map_tears_ends_there():
     image = lambda x: np.where(x > 0, x + 1, x - 1)
     track = follow_edge(
@@ -126,8 +143,18 @@ def test_the_boundary_between_the_falls_is_that_of_a_stride_that_stops_upright()
     assert found.fates == (Outcome.FORWARD, Outcome.BACKWARD)
     with pytest.raises(ValueError, match="different fates, not both BACKWARD"):
         wj.edge_state(WALKER, np.array([0.09, -0.04]), np.array([0.09, -0.03]))
+    with pytest.raises(ValueError, match="b must be a feasible start"):
+        wj.edge_state(WALKER, np.array([0.09, -0.04]), np.array([0.09, 0.01]))
     with pytest.raises(ValueError, match="a must be finite numbers on the section"):
         wj.edge_state(WALKER, np.array([0.09, np.nan]), np.array([0.09, -0.03]))
+
+
+def test_of_all_margins_that_nearest_to_zero_is_named(monkeypatch):
+    made_up = np.full((7, 2), np.nan)
+    made_up[1], made_up[4, 0] = (-0.3, 0.2), 1e-12
+    found = SimpleNamespace(**dict(zip(edge_states.WAYS, made_up, strict=True)))
+    monkeypatch.setattr(edge_states, "margins_of_many", lambda *args, **options: found)
+    assert edge_states.failing_margin(WALKER, np.zeros((2, 2)), 1e-12) == ("landing", 1e-12)
 
 
 def test_the_manifold_of_a_known_saddle_is_followed_through_the_folds_of_its_map():
@@ -165,6 +192,9 @@ def test_the_stable_manifold_of_the_short_gait_is_the_boundary_of_walking(short,
         assert np.abs(ends - short.states[0]).max() < 2e-3
     with pytest.raises(ValueError, match="gait must be a saddle"):
         wj.stable_manifold(WALKER, wj.find_gait(WALKER))
+    for slope in (0.0045, 0.03):
+        with pytest.raises(ValueError, match="gait must be one of this walker"):
+            wj.stable_manifold(wj.SimplestWalker(slope), short)
 
 
 @pytest.mark.slow
@@ -195,6 +225,11 @@ def test_a_boundary_point_is_one_rounding_from_another_fate(mapper, gait):
     assert len(set(mapper(beside).fate)) > 1
     with pytest.raises(wj.ComputationFailed, match="one fate"):
         wj.boundary_point(WALKER, wj.Grid.sheared(theta=(0.05, 0.06, 3), sum=(-0.03, -0.02, 3)))
+
+
+def test_a_boundary_that_rounding_loses_is_told():
+    with pytest.raises(wj.ComputationFailed, match="rounding loses the boundary"):
+        bisect_to_last_digit(lambda x: np.zeros(len(x), int), np.array([[0.1, 0.2], [0.2, 0.2]]))
 
 
 STEEP = wj.SimplestWalker(0.009)
@@ -238,6 +273,9 @@ def test_where_float64_ends_one_line_says_so():
     plain = wj.Grid.plain(theta=(0.2, 0.2 + 1e-14, 900), thetadot=(-0.21, -0.21 + 1e-14, 900))
     with pytest.raises(ValueError, match=r"wider than numbers near 0.2.* grid.zoom\(centre"):
         wj.basin(STEEP, plain, "direct")
+    thin = wj.Grid({"theta": (-0.01, 0.01, 4), "sum": (-2e-16, 2e-16, 50)}, grid.shear, CENTRE)
+    with pytest.raises(ValueError, match=r"cells along sum wider .*, not 8e-18, in a window so"):
+        wj.basin(STEEP, thin, "direct")
     # the boundary of falling backward in this stride, to the last digit
     upright = np.array([0.15, -np.sqrt(2 * (1 - np.cos(0.15 - 0.009)))])
     with pytest.raises(wj.ComputationFailed, match="torn apart after 0 strides"):

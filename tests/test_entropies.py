@@ -67,20 +67,33 @@ def test_the_entropy_of_a_straight_boundary(side):
     assert found.value == pytest.approx(expected * found.mixed / places, rel=1e-12)
     assert not found.fractal and abs(found.boundary - 0.5) < 0.5 * 1.6 / side
     assert wj.basin_entropy(np.ones((9, 9), int), 3)[:1] == (0,)
+    assert found.crowded == 0
 
 
 def test_the_entropy_is_that_of_a_loop_over_boxes_and_skips_cells_without_a_label():
     labels = np.random.default_rng(0).integers(0, 4, (17, 13))
     labels[3, 4] = -1
-    values = []
+    values, crowded = [], 0
     for i in range(17 - 3):
         for j in range(13 - 3):
             box = labels[i : i + 4, j : j + 4]
             if (box >= 0).all():
                 p = np.unique(box, return_counts=True)[1] / 16
                 values.append(-(p * np.log(p)).sum())
+                crowded += len(p) > 2
     found = wj.basin_entropy(labels, 4)
     assert found.boxes == len(values) and found.value == pytest.approx(np.mean(values))
+    assert found.crowded == crowded > 0
+    assert wj.basin_entropy(np.where(labels < 0, np.nan, labels), 4) == found
+
+
+def test_smooth_stripes_wider_than_a_cell_are_not_fractal():
+    """Boxes of five cells hold three of them, and exceed log 2; smaller boxes do not."""
+    for width in (2, 3, 4):
+        found = wj.basin_entropy(np.arange(400)[:, None] // width % 3 * np.ones(400, int))
+        assert not found.fractal
+        assert (found.boundary - 2 * found.boundary_error > np.log(2)) == (width < 4)
+        assert (found.crowded > 0) == (width < 4)
 
 
 def test_newton_s_method_is_fractal_by_log_2_and_its_entropy_goes_with_its_dimension():
@@ -101,12 +114,14 @@ def test_newton_s_basins_are_wada():
     # the same few cells on every grid: half the distance on one twice as fine
     farthest = found.distances.max(axis=(1, 2))
     assert (farthest <= 5 * found.spacings).all() and farthest[0] < 0.5 * farthest[-1]
+    assert (found.mean_distances <= found.distances).all()
 
 
 def test_a_cantor_set_of_three_gaps_is_wada_and_with_a_fourth_region_aside_is_not():
     labels = cantor(5)
+    assert wj.merge_regions(labels, 21, halvings=1).wada
     found = wj.merge_regions(labels, 21, halvings=0)
-    assert found.wada
+    assert (found.share == 0).all() and not found.wada  # with nothing to compare it to
     beside = np.concatenate([labels, np.full(4000, 3)])
     found = wj.merge_regions(beside, 21, halvings=0)
     assert not found.wada
@@ -122,8 +137,33 @@ def test_three_stripes_are_not_wada_whatever_the_resolution():
     assert found.distances[0, 0, 2] == found.distances[0, 2, 0] == found.distances[0, 1, 0] == 40
     assert found.distances[0, 0, 1] == 0
     np.testing.assert_array_equal(found.beyond[0], [[0, 0, 1], [0.5, 0, 0.5], [1, 0, 0]])
-    # thin stripes are, within their width
-    assert wj.merge_regions(np.arange(60)[:, None] % 3 * np.ones(60, int), 1, halvings=0).wada
+    # of a cell each, they are like Wada's on the grid
+    assert wj.merge_regions(np.arange(60)[:, None] % 3 * np.ones(60, int), 1, halvings=1).wada
+    assert not wj.merge_regions(np.arange(60)[:, None] // 2 % 3 * np.ones(60, int)).wada
+
+
+@pytest.mark.parametrize("width", [1, 1.5, 2, 3, 5])
+def test_two_curves_within_the_radius_are_not_wada(width):
+    """Every point of a boundary is near each other one, but no nearer on finer grids."""
+    x, y = np.indices((400, 400))
+    beyond = x - 150 - 40 * np.sin(y / 60)
+    found = wj.merge_regions(np.digitize(beyond, [0, width]))
+    assert (found.share[0] == 0) and not found.wada
+
+
+def test_regions_without_a_boundary_are_not_wada():
+    labels = np.full((48, 48), -1)
+    labels[2:10], labels[20:28], labels[36:44] = 0, 1, 2
+    found = wj.merge_regions(labels, halvings=2)
+    assert not found.wada and np.isnan(found.share).all() and np.isnan(found.distances).all()
+    # a region that only the finest grid sees is left out of the others
+    labels = np.zeros((64, 64), int)
+    labels[:, 32:] = 1
+    labels[31, 31] = 2
+    found = wj.merge_regions(labels)
+    assert found.share[0] > 0.5 and not found.wada
+    np.testing.assert_array_equal(found.share[1:], 0)
+    assert np.isnan(found.distances[1:, 2]).all() and np.isnan(found.distances[1:, :, 2]).all()
 
 
 def test_a_boundary_is_between_regions_and_not_at_points_of_none():

@@ -98,6 +98,48 @@ def test_a_gait_on_round_feet_is_that_of_another_program():
     assert gait.step_times[0] / unit == pytest.approx(printed["step_time"], abs=5e-5)
 
 
+@jax.jit
+def euler_stride(walker, x, dt):
+    """A stride by Euler's method; steps are halved until they end in knee strike or heel strike."""
+    (phase,) = walker.phases()
+    add = lambda state, h, rates: jax.tree.map(lambda a, b: a + h * b, state, rates)
+
+    def follow(field, struck, state):
+        go = lambda state: add(state, dt, field(state))
+        state = jax.lax.while_loop(lambda state: ~struck(go(state)), go, state)
+
+        def halve(_, now):
+            state, h = now
+            later = add(state, h / 2, field(state))
+            keep = lambda a, b: jnp.where(struck(later), a, b)
+            return jax.tree.map(keep, state, later), h / 2
+
+        return jax.lax.fori_loop(0, 60, halve, (state, dt))[0]
+
+    bent = follow(phase.vector_field, lambda s: s.knee < 0, phase.begin(walker.lift(x)))
+    heel = lambda s: (s.theta < 0) & (s.phi >= 2 * s.theta)
+    swung = follow(walker.vector_field, heel, phase.end(bent))
+    return walker.project(walker.exchange_legs(walker.impact(swung)[1]))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("k", [0, 1])
+def test_printed_fixed_points_of_eulers_method_are_those_of_our_equations(k):
+    entry = PUBLISHED["hsu_chen_by_euler"]
+    unit = np.sqrt(entry["gravity"])
+    walker = changed(
+        published(HSU_CHEN),
+        slope=np.arcsin(entry["sine_of_slope"]),
+        shank_mass=entry["shank_mass"][k],
+    )
+    first, second = (entry[name][k] / unit for name in ("q1dot", "q2dot"))
+    x = np.array([entry["q1"][k] + float(walker.slope), first, first - second])
+    found = euler_stride(walker, x, jnp.asarray(entry["time_step"] * unit))
+    np.testing.assert_allclose(found, x, rtol=0, atol=1e-10)
+    gait = wj.find_gait(walker, x)
+    assert gait.found and 1e-4 < np.abs(gait.states[0] - x).max() < 0.01  # by Euler's steps
+
+
 @pytest.mark.slow
 def test_the_human_like_gait_doubles_its_period_on_its_branch():
     """From 2 to 5 degrees along one branch."""
@@ -515,6 +557,30 @@ def test_a_step_down_takes_longer_and_comes_from_the_same_phases():
     lower = wj.step_down(WALKER, START, 0.005)
     assert lower.outcome == Outcome.STRIDE and lower.time > level.time
     assert wj.stride(WALKER, lower.state).outcome == Outcome.STRIDE
+
+
+@pytest.mark.slow
+def test_a_foot_lands_on_a_bent_knee_where_the_ground_is():
+    """Where it is above the lowest place of the foot in front, by its motion alone."""
+    xs = START + np.random.default_rng(2).normal(size=(60, 3)) * [0.08, 0.08, 0.3]
+    xs = xs[np.isin(wj.strides(WALKER, xs).outcome, (Outcome.STRIDE, Outcome.BENT_KNEE))]
+    (phase,) = WALKER.phases()
+    heights = jax.jit(jax.vmap(lambda s: jnp.stack([phase.clearance(s), phase.reach(s)])))
+    times, signs = np.linspace(0, 2.5, 5001), []
+    for x in xs[:24]:
+        motion = wj.trajectory(WALKER, x, times)
+        height, ahead = np.asarray(heights(motion)).T
+        bent, falls = np.asarray(motion.knee) > 0, np.asarray(motion.thetadot) < 0
+        until = 1 + np.argmin(bent[1:] & falls[1:])  # knee strike, or the stance leg stops
+        front = np.flatnonzero((np.asarray(motion.theta) < 0) & (ahead > 0))
+        front = front[front < until]
+        if len(front) == 0 or height[front[0]] < height[front].min() + 0.01:
+            continue
+        lowest = height[front].min()
+        higher, lower = (wj.stride(WALKER, x, step=lowest + by).outcome for by in (2e-3, -2e-3))
+        assert higher == Outcome.BENT_KNEE != lower
+        signs.append(np.sign(lowest))
+    assert signs.count(-1) > 5 and signs.count(1) > 0
 
 
 # What may be checked

@@ -6,7 +6,8 @@ import pytest
 
 import walker_jax as wj
 from walker_jax import Outcome
-from walker_jax.basins.attractor import Attractor
+from walker_jax.basins.attractor import CLOSE, Attractor
+from walker_jax.basins.attractor_search import find_attractors
 from walker_jax.basins.mapper import Mapper
 from walker_jax.walking import iteration
 from walker_jax.walking.iteration import Targets, iterate, orbits
@@ -105,3 +106,52 @@ def test_walkers_that_remain_are_given_attractors_that_are_found_from_them(start
     assert found.period == 1
     np.testing.assert_allclose(found.states, GAIT, rtol=0, atol=1e-9)
     np.testing.assert_array_equal(labels.attractor, np.where(labels.fate == 0, 0, -1))
+
+
+CHAOTIC = 0.01017
+"""A slope with a stable gait of period one, and a motion without a period that passes close by."""
+
+
+def test_a_motion_that_passes_close_to_a_gait_is_not_the_gait():
+    walker = wj.SimplestWalker(CHAOTIC)
+    gait = np.asarray(wj.find_gait(walker).states)
+    mapper = Mapper(walker, [Attractor(1, gait)], 1e-12, 200)
+    grid = wj.Grid.sheared(theta=(0.1, 0.35, 120), sum=(-0.04, 0.01, 120))
+    labels = mapper(grid.centres(np.arange(grid.size)))
+    remaining = labels.states[labels.remaining]
+    assert len(remaining) > 3
+    # One that passes by, seen at all times of its way: close to the gait, and never on it.
+    states = orbits(walker, remaining[:1], 2000, 1e-12)[0][0]
+    near = states[np.abs(states - gait).max(axis=1) < CLOSE]
+    assert len(near) > 100
+    np.testing.assert_array_equal(mapper.match_approaching(near[:64]), -1)
+
+
+def test_a_slow_approach_is_one():
+    """Just before the period doubling, and just after: walkers alternate for a long time."""
+    for slope in (0.01508, 0.0151):
+        walker = wj.SimplestWalker(slope)
+        start = np.asarray(wj.find_gait(walker).states)[:1] + 1e-4
+        (found,) = find_attractors(walker, start, 1e-12)
+        assert found.period == (1 if slope < 0.01509 else 2)
+        mapper = Mapper(walker, [found], 1e-12, 50)
+        np.testing.assert_array_equal(mapper(found.states + 2e-4).attractor, 0)
+
+
+def test_an_unstable_gait_attracts_nothing_though_it_repeats_itself():
+    walker = wj.SimplestWalker(0.0152)
+    gait = wj.find_gait(walker)
+    assert gait.found and not gait.stable
+    assert find_attractors(walker, np.asarray(gait.states), 1e-12) == []
+
+
+def test_a_transient_is_no_attractor():
+    """Above the crisis walkers take some hundred strides to fall, below it they go on."""
+    grid = wj.Grid.sheared(theta=(0.15, 0.3, 60), sum=(-0.02, 0.005, 60))
+    x = grid.centres(np.arange(grid.size))
+    (chaos,) = find_attractors(wj.SimplestWalker(0.0189), x, 1e-12)
+    assert chaos.period is None
+    walker = wj.SimplestWalker(0.0191)
+    assert find_attractors(walker, x, 1e-12) == []
+    labels, mapper = Mapper(walker, [], 1e-12, 200).label_all(x)
+    assert len(labels.remaining) > 0 and mapper.attractors == []

@@ -107,7 +107,7 @@ def disc(monkeypatch):
 
     cycle = Attractor(1, np.zeros((1, 2)))
     mapper = lambda walker, grid, *limits: Mapper(walker, [cycle], *limits)
-    monkeypatch.setattr(Mapper, "__call__", labels_of)
+    monkeypatch.setattr(Mapper, "follow", labels_of)
     monkeypatch.setattr(refinement, "mapper_of_grid", mapper)
     monkeypatch.setattr(refinement, "with_capture_boxes", lambda mapper: mapper)
     monkeypatch.setattr("walker_jax.design.area_gradients.differentiate_margins", changes)

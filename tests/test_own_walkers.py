@@ -1,8 +1,13 @@
 """Walkers that are not of the package, by the names that the command line takes."""
 
+import importlib
 import json
+import os
+import subprocess
 import sys
 from importlib.metadata import EntryPoint
+from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -15,6 +20,7 @@ from walker_jax.walkers import references
 from walker_jax.walkers.fingerprints import code_fingerprint
 from walker_jax.walkers.parameters import describe_walker, parameters
 from walker_jax.walkers.references import find_walker
+from walker_jax.walkers.sources import holds_packages
 
 TORQUE = '''
 import equinox as eqx
@@ -138,6 +144,9 @@ def test_a_result_is_not_resumed_or_reused_by_changed_code(run, place):
         (["--walker", "torque_walker.py:Unfinished"], "must define clearance, contact_force, fea"),
         (["--walker", "bad.py:W"], "bad.py cannot be loaded: ZeroDivisionError: division by ze"),
         (["--walker", "numpy.py:W"], "numpy.py: another module is named numpy: rename the file"),
+        (["--walker", "tabnanny.py:W"], "tabnanny.py: another module is named tabnanny: rename"),
+        (["--walker", "my.walker.py:W"], "no module is named my.walker: rename the file"),
+        (["--walker", "leaves.py:W"], "leaves.py cannot be loaded: SystemExit: 0 (line 1)"),
         (["--walker", "no_such_module:W"], "--walker no_such_module cannot be loaded: ModuleNot"),
         (["--walker", "giraffe"], "--walker must be one of simplest, spring, "),
         (GIVEN[:2], "--stiffness is required: torque_walker.py:TorqueWalker has no default"),
@@ -148,7 +157,9 @@ def test_a_result_is_not_resumed_or_reused_by_changed_code(run, place):
 )
 def test_what_is_no_walker_is_refused_in_one_line(run, place, arguments, said):
     (place / "bad.py").write_text("x = 1\ny = 1 / 0\n")
-    (place / "numpy.py").write_text("")
+    (place / "leaves.py").write_text("raise SystemExit(0)")
+    for name in ("numpy", "tabnanny", "my.walker"):
+        (place / f"{name}.py").write_text("")
     clash = (
         "import jax, walker_jax as wj\nclass W(wj.SimplestWalker):\n    strides: jax.Array = 1.0\n"
     )
@@ -158,6 +169,21 @@ def test_what_is_no_walker_is_refused_in_one_line(run, place, arguments, said):
     if "bad.py" in said:
         assert "(line 2)" in err
     sys.modules.pop("strides", None)
+
+
+@pytest.mark.parametrize("name", ["quiet", "json", "sum", "help", "walker", "list_walkers", "low"])
+def test_options_of_a_command_are_no_parameters_of_a_walker(run, place, name):
+    source = "import jax, walker_jax as wj\nclass W(wj.SimplestWalker):\n    {}: jax.Array = 1.0\n"
+    (place / "torque_walker.py").write_text(source.format(name))
+    given = ["--walker", "torque_walker.py:W"]
+    option = f"--{name.replace('_', '-')}"
+    if name == "low":  # no option, but a name within the program
+        words = " ".join(run("bifurcation", "--help", *given)[1].split())
+        assert "--low" in words and "--from" in words
+        return
+    code, out, err = run("basin", "--help", *given)
+    said = f"{option} is an option of the command: rename the parameter {name}\n"
+    assert (code, out, err) == (2, "", f"walker-jax: {said}")
 
 
 def test_packages_add_walkers_which_are_listed(run, monkeypatch):
@@ -192,22 +218,229 @@ def test_packages_add_walkers_which_are_listed(run, monkeypatch):
         find_walker("broken")
 
 
-def test_fingerprints_tell_code_apart_where_there_is_no_file():
-    assert code_fingerprint(wj.SpringWalker) == ""
+OWN = {
+    "own/walker.py": """
+import walker_jax as wj
+from constants import MASS
+from tools.helper import push
+import deep.inner.far
 
+
+class W(wj.SimplestWalker):
+    def impact(self, state):
+        from lazy import late
+        return super().impact(state)
+""",
+    "own/constants.py": "MASS = 1.0",
+    "own/tools/helper.py": "def push(): return 1",
+    "own/deep/__init__.py": "",
+    "own/deep/inner/far.py": "TABLE = [1, 2]",
+    "own/lazy.py": "import constants\ndef late(): return 1",
+    "own/beside.py": "",
+    "pack/__init__.py": "",
+    "pack/inner/__init__.py": "from .. import numbers",
+    "pack/inner/walker.py": """
+import beside_the_package
+from pack.mixins import Mixin
+import walker_jax as wj
+
+
+class W(Mixin, wj.SimplestWalker):
+    pass
+""",
+    "pack/mixins.py": "class Mixin: pass",
+    "pack/numbers.py": "ONE = 1",
+    "pack/unused.py": "",
+    "beside_the_package.py": "",
+}
+
+
+@pytest.fixture
+def fingerprint(tmp_path, monkeypatch):
+    """Fingerprints of the walkers of these files, each as of a process of its own."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    for name, text in OWN.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+
+    def forget():
+        holds_packages.cache_clear()
+        tops = {Path(name.removeprefix("own/")).parts[0].removesuffix(".py") for name in OWN}
+        for name in [one for one in sys.modules if one.partition(".")[0] in tops]:
+            del sys.modules[name]
+        importlib.invalidate_caches()
+
+    def fingerprint(name):
+        forget()
+        return code_fingerprint(find_walker(name))
+
+    yield fingerprint
+    forget()
+
+
+@pytest.mark.parametrize(
+    ("name", "without"),
+    [
+        ("own/walker.py:W", {"own/beside.py", *(one for one in OWN if not one.startswith("own"))}),
+        ("pack.inner.walker:W", {"pack/unused.py", *(one for one in OWN if one.startswith("own"))}),
+    ],
+)
+def test_a_fingerprint_covers_every_file_that_is_imported_from_the_folder(
+    fingerprint, name, without, tmp_path
+):
+    found = fingerprint(name)
+    assert len(found) == 16 and fingerprint(name) == found
+    same = set()
+    for one, before in OWN.items():
+        (tmp_path / one).write_text(before + "\nmore = 1\n")
+        same |= {one} if fingerprint(name) == found else set()
+        (tmp_path / one).write_text(before)
+    assert same == without
+
+
+def test_a_fingerprint_is_of_the_code_that_was_loaded(fingerprint, tmp_path):
+    name = "own/walker.py:W"
+    before = fingerprint(name)
+    kind = find_walker(name)
+    path = tmp_path / "own" / "constants.py"
+    path.write_text("MASS = 2.0")
+    assert code_fingerprint(kind) == before
+    importlib.reload(sys.modules["constants"])
+    assert code_fingerprint(kind) not in ("", before)
+
+
+def test_a_package_that_is_installed_is_covered_without_what_is_installed_beside_it(
+    fingerprint, tmp_path
+):
+    (tmp_path / "pack-1.0.dist-info").mkdir()
+    found = fingerprint("pack.inner.walker:W")
+    for name, changes in (("beside_the_package.py", False), ("pack/mixins.py", True)):
+        (tmp_path / name).write_text(OWN[name] + "\nmore = 1\n")
+        assert (fingerprint("pack.inner.walker:W") != found) == changes
+
+
+def test_a_file_that_another_one_hides_is_refused(fingerprint, tmp_path):
+    sys.path.insert(0, str(tmp_path / "own"))
+    (tmp_path / "walker.py").write_text(OWN["own/walker.py"])
+    with pytest.raises(WrongUse, match="another module is named walker: rename the file"):
+        fingerprint("walker.py:W")
+
+
+SESSION = """
+import jax, jax.numpy as jnp, equinox as eqx, numpy as np, threading
+from typing import NamedTuple
+
+MASS = 1.0
+TABLE = jnp.array([1.0, 2.0])
+
+
+class Inner(NamedTuple):
+    x: float
+    y: float = 0.0
+
+
+@jax.jit
+def helper(x, more=3.0):
+    return x * more * MASS
+
+
+def made(factor):
+    def times(x):
+        return x * factor
+    return times
+
+
+double = made(2.0)
+
+
+class W(wj.SimplestWalker):
+    size: jax.Array = eqx.field(converter=lambda x: x + 0, default=1.0)
+    {attribute}
+
+    @eqx.filter_jit
+    def impact(self, state):  # a comment
+        from beside_the_package import late
+        return helper(double(TABLE)), Inner(1.0), state[:1]
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "same"),
+    [
+        ("# a comment", "# another", True),
+        ("MASS = 1.0", "MASS = 1.0\nsomething = 2", True),
+        ("MASS = 1.0", "MASS = 2.0", False),
+        ("[1.0, 2.0]", "[1.0, 3.0]", False),
+        ("x * more", "x + more", False),
+        ("more=3.0", "more=4.0", False),
+        ("made(2.0)", "made(3.0)", False),
+        ("y: float = 0.0", "y: float = 1.0", False),
+        ("x + 0", "x - 0", False),
+        ("default=1.0", "default=2.0", False),
+        ("{attribute}", "kind = 'other'", False),
+        ("state[:1]", "state[:2]", False),
+        ("TABLE = jnp.array([1.0, 2.0])", "TABLE = threading.Lock()", False),
+    ],
+)
+def test_fingerprints_tell_code_apart_where_there_is_no_file(fingerprint, old, new, same):
     def defined(source):
-        names = {"__name__": "console", "wj": wj}
-        exec(
-            compile(
-                f"class W(wj.SimplestWalker):\n    def impact(self, s):\n{source}", "<cell>", "exec"
-            ),
-            names,
-        )
+        names: dict[str, Any] = {
+            "__name__": "tabnanny",
+            "wj": wj,
+        }  # of the standard library, and not loaded
+        exec(compile(source, "<cell>", "exec"), names)
         return code_fingerprint(names["W"])
 
-    one, other = "        return s, 1", "        return s, 2"
-    assert defined(one) == defined(f"        # the same\n{one}") != defined(other)
-    assert len(defined(one)) == 16
+    source = SESSION.replace(old, new).replace("{attribute}", "kind = 'one'")
+    found = defined(SESSION.replace("{attribute}", "kind = 'one'"))
+    assert len(found) == 16
+    assert (defined(source) == found) == same
+    if "Lock" in new:  # nobody can tell one from another
+        assert defined(source) != defined(source)
+
+
+def test_files_and_closures_of_classes_in_sessions_are_covered(fingerprint, tmp_path):
+    names: dict[str, Any] = {"__name__": "console", "wj": wj}
+    exec(SESSION.replace("{attribute}", ""), names)
+    found = code_fingerprint(names["W"])
+    (tmp_path / "beside_the_package.py").write_text("def late(): return 2")
+    assert code_fingerprint(names["W"]) != found
+
+    def made(factor):
+        class W(wj.SimplestWalker):
+            def impact(self, state):
+                return super().impact(state * factor)
+
+        return code_fingerprint(W)
+
+    assert made(1.0) == made(1.0) != made(2.0)
+    assert code_fingerprint(wj.SpringWalker) == ""
+
+
+def test_a_session_is_described_alike_in_another_process(fingerprint):
+    source = SESSION.replace("{attribute}", "").replace(
+        "MASS = 1.0", "MASS = {'one', 'two', 'three'}"
+    )
+    program = f"""
+import walker_jax as wj
+from walker_jax.walkers.live_code import Description
+names = {{"__name__": "console", "wj": wj}}
+exec({source!r}, names)
+found = Description({{}}).describe([names["helper"], names["Inner"], names["W"].impact])
+"""
+    names: dict[str, Any] = {}
+    given = {"PYTHONPATH": os.pathsep.join(sys.path), "JAX_ENABLE_X64": "1", "PYTHONHASHSEED": "1"}
+    said = subprocess.run(
+        [sys.executable, "-c", f"{program}print(found)"],
+        env={**os.environ, **given},
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+    exec(program, names)
+    assert said.strip() == str(names["found"]) and "three" in said
 
 
 def test_parameters_that_are_not_described_are_real_numbers():

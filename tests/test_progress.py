@@ -3,6 +3,7 @@
 import io
 import re
 
+import numpy as np
 import pytest
 from rich.console import Console
 
@@ -11,7 +12,8 @@ from walker_jax import storage
 from walker_jax.basins import pieces
 from walker_jax.design import sweeps
 from walker_jax.execution import progress
-from walker_jax.stability import summary
+from walker_jax.stability import boundaries, summary
+from walker_jax.walking.outcomes import Outcome
 
 
 def test_a_bar_begins_with_what_was_done_before_and_ends_with_all(monkeypatch):
@@ -95,3 +97,29 @@ def test_robustness_says_what_it_is_at(monkeypatch):
     grid = wj.Grid.sheared(theta=(0.05, 0.06, 3), sum=(-0.5, -0.45, 3))
     wj.robustness(wj.SimplestWalker(0.004), grid, levels=0, check=10, strides=3, progress=True)
     assert labels == [("search for a gait", True), ("basin", True)]
+
+
+def test_a_boundary_says_what_it_is_at(monkeypatch):
+    """Between regions whose edge states are given, as their search takes seconds."""
+    seen = []
+    fates = Outcome.FORWARD, Outcome.FORWARD
+    state = boundaries.EdgeState("", None, np.zeros((1, 2)), fates, np.nan)
+    monkeypatch.setattr(boundaries, "edge_state", lambda *_, **__: state)
+    bar, track = boundaries.bar, boundaries.track
+    monkeypatch.setattr(
+        boundaries, "bar", lambda label, wanted: seen.append((label, wanted)) or bar(label, False)
+    )
+    monkeypatch.setattr(
+        boundaries,
+        "track",
+        lambda things, label, wanted: (
+            seen.append((label, wanted, len(things))) or track(things, label, False)
+        ),
+    )
+    grid = wj.Grid.sheared(theta=(0.05, 0.35, 12), sum=(-0.04, 0.02, 10))
+    data = wj.boundary(wj.SimplestWalker(0.004), grid, side=2, strides=20, progress=True)
+    pairs = data.sizes["region_number"] * (data.sizes["region_number"] - 1) // 2
+    edges = data.sizes["edge"]
+    assert pairs >= edges > 0
+    named = [("basin", True), ("edge states", True, pairs), ("stable manifolds", True, edges)]
+    assert seen == named

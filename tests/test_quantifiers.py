@@ -10,11 +10,12 @@ from matplotlib.legend import Legend
 
 import walker_jax as wj
 from walker_jax import Outcome
+from walker_jax.checks import WrongUse
 from walker_jax.gaits.cycles import Gait
-from walker_jax.stability.boundaries import summarise_boundary, touching_cells
+from walker_jax.stability.boundaries import curves_of, summarise_boundary, touching_cells
 from walker_jax.stability.metric import metric_of
 from walker_jax.stability.rays import nearest_failure
-from walker_jax.stability.sampling import draw_from_ball
+from walker_jax.stability.sampling import draw_from_ball, draw_starts
 from walker_jax.stability.tipping import transition_counts
 
 WALKER = wj.SimplestWalker(0.004)
@@ -104,6 +105,7 @@ def test_a_matrix_along_some_directions_and_metrics_that_are_refused():
     falling = metric_of(WALKER, None, None, lambda state, d: 1 / (1 + jnp.sum(d**2)))
     with pytest.raises(wj.ComputationFailed, match="must grow from zero along every ray"):
         falling.disturbance(STATE, np.ones((3, 2)))
+    assert falling.disturbance(STATE, np.zeros((0, 2))).shape == (0, 2)
 
 
 @pytest.mark.slow
@@ -177,9 +179,36 @@ def test_the_characteristic_return_time_is_that_of_a_decay_and_has_a_derivative(
     rate = jax.jit(jax.grad(time))(jnp.asarray(0.4))
     assert rate == pytest.approx(3 / (0.4 * np.log(0.4) ** 2))
     assert jax.vmap(time)(jnp.array([0.4, 0.6])).shape == (2,)
-    # the long gait's spiral: the distance after n strides, on average, shrinks as it says
-    modulus = float(np.abs(gait.multipliers[0]))
-    assert float(gait.return_strides) == pytest.approx(-1 / np.log(modulus))
+    # the spiral of a walk into the long gait, d_2 = a d_1 + b d_0: what it shrinks by in a stride
+    state = np.asarray(gait.states[0])
+    d = np.asarray(wj.walk(WALKER, state + np.array([1e-7, 0]), 60).states)[:12] - state
+    (a, b), *_ = np.linalg.lstsq(np.stack([d[1:-1], d[:-2]], -1).reshape(-1, 2), d[2:].ravel())
+    assert a**2 + 4 * b < 0
+    assert float(gait.return_strides) == pytest.approx(-1 / np.log(np.sqrt(-b)), rel=1e-4)
+
+
+def test_walkers_with_arrays_for_parameters_are_refused_by_name():
+    many, one = jax.vmap(wj.SimplestWalker)(jnp.array([0.004, 0.005])), np.array([0.2, -0.2])
+    grid = wj.Grid.sheared(theta=(0, 0.4, 9), sum=(-0.04, 0.02, 9))
+    for call in (
+        lambda: wj.boundary(many, grid),
+        lambda: wj.boundary_point(many, grid),
+        lambda: wj.zoom(many, grid, 2, one),
+        lambda: wj.edge_state(many, one, one / 2),
+        lambda: wj.tipping_probability(many, "slope", 0.005, grid),
+        lambda: wj.least_disturbance(many),
+        lambda: wj.continue_basins(many, "slope", [0.004, 0.005], grid),
+    ):
+        with pytest.raises(WrongUse, match="slope must be one number, not of shape"):
+            call()
+
+
+def test_what_a_sampler_returns_is_refused_by_name():
+    rng = np.random.default_rng(0)
+    with pytest.raises(WrongUse, match="region must return 3 finite starts"):
+        draw_starts(WALKER, "region", lambda rng, n: np.zeros((n, 3)), rng, 3)
+    with pytest.raises(WrongUse, match="starts that region returns must be real numbers"):
+        draw_starts(WALKER, "region", lambda rng, n: np.array("text"), rng, 3)
 
 
 def test_transitions_of_a_map_whose_basins_are_known():
@@ -256,6 +285,14 @@ def test_the_data_set_of_a_boundary_its_picture_and_its_answer(monkeypatch):
     assert any("saddle of period 1, multipliers 3.21, 0.592" in one for one in words)
     with pytest.raises(ValueError, match="boundary"):
         figures.boundary(wj.basin(WALKER, grid))
+
+
+def test_a_boundary_is_refused_or_drawn_without_a_manifold_where_there_is_none(gait):
+    region = wj.Grid.sheared(theta=(0, 0.4, 60), sum=(-0.08, 0.04, 2))
+    with pytest.raises(WrongUse, match=r"3 cells or more along each axis, not \(60, 2\)"):
+        wj.boundary(WALKER, region, side=2)
+    twice = gait._replace(multipliers=np.array([3.0, 2.0]))
+    assert curves_of(WALKER, twice, None) == curves_of(WALKER, None, None) == []
 
 
 def test_cells_that_touch_are_the_nearest_pair_of_neighbours():

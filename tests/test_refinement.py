@@ -142,7 +142,7 @@ def refined_by(number_of, monkeypatch, levels=2, check=4000):
         return Labels(fate, number, np.ones(len(x), np.int32), x)
 
     mapper = Mapper(WALKER, [Attractor(1, np.zeros((1, 2)))] * 2, 1e-12, 10)
-    monkeypatch.setattr(Mapper, "__call__", labels_of)
+    monkeypatch.setattr(Mapper, "follow", labels_of)
     monkeypatch.setattr(refinement, "mapper_of_grid", lambda *_: mapper)
     monkeypatch.setattr(refinement, "with_capture_boxes", lambda mapper: mapper)
     options = {"strides": 10, "check": check, "seed": 0, "tolerance": None}

@@ -18,7 +18,7 @@ from walker_jax.stability.dimension import boundary_dimension
 from walker_jax.stability.disturbances import LeastDisturbance, least_disturbance
 from walker_jax.stability.gait_mapper import mapper_of_gait
 from walker_jax.stability.margin_changes import differentiate_margins
-from walker_jax.stability.rays import nearest_failure
+from walker_jax.stability.rays import FINE, bisect, bisect_nearest, nearest_failure
 from walker_jax.stability.sampling import (
     BasinStability,
     basin_stability,
@@ -402,8 +402,8 @@ def test_a_fall_is_searched_for_only_where_the_nearest_start_that_is_lost_does_n
     grid = wj.Grid.sheared(theta=(0.05, 0.4, 20), sum=(-0.04, 0.01, 20))
     found = summary.robustness(WALKER, grid, levels=0, check=0, strides=100)
     twice = failure == Outcome.STRIDE
-    both = [("disturbance", False), ("step", False)], [("disturbance", True), ("step", True)]
-    assert asked == [*both[0], *both[1] * twice]
+    for name in ("disturbance", "step"):  # these two are measured side by side
+        assert [fall for one, fall in asked if one == name] == [False, True][: 1 + twice]
     assert float(found.least_disturbance) == 0.01 and float(found.step_down) == 0.1
     assert int(found.failure) == int(found.step_down_failure) == failure
     assert float(found.least_fall) == (0.02 if twice else 0.01)
@@ -620,3 +620,29 @@ def test_wrong_arguments_are_refused():
             robustness_table(walker, values)
     with pytest.raises(ValueError, match="parameter must be one of"):
         robustness_table(walker, np.array([0.1]), "mass")
+
+
+def test_the_nearest_of_several_rays_is_found_as_if_all_were_followed():
+    rng = np.random.default_rng(0)
+    rays = rng.normal(size=(40, 9, 2))
+    rays /= np.linalg.norm(rays, axis=2, keepdims=True)
+    radius = lambda x: 1 + 1e-4 * np.sin(7 * np.arctan2(x[:, 1], x[:, 0]))
+    followed = []
+
+    def fails(x):
+        followed.append(len(x))
+        return np.linalg.norm(x, axis=1) > radius(x)
+
+    flat = rays.reshape(-1, 2)
+    high = np.ceil(radius(flat) * 1e3) / 1e3
+    high[::7] = np.inf
+    every = bisect(fails, flat, high, 1e-3, FINE).reshape(40, 9)
+    all_of_them = sum(followed)
+    least = np.where(np.arange(40) % 2, np.inf, every.min(axis=1) + 1e-5)
+    followed.clear()
+    nearest = bisect_nearest(fails, rays, high.reshape(40, 9), 1e-3, least)
+    np.testing.assert_array_equal(nearest.min(axis=1), every.min(axis=1))
+    np.testing.assert_array_equal(nearest.argmin(axis=1), every.argmin(axis=1))
+    exact = np.where(np.isfinite(high), radius(flat), np.inf).reshape(40, 9)
+    np.testing.assert_allclose(nearest.min(axis=1), exact.min(axis=1), rtol=1e-12)
+    assert sum(followed) < all_of_them / 2

@@ -1,6 +1,9 @@
 """What earlier versions have left: their results, and the names that users know from them."""
 
+import re
 import shutil
+import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -56,3 +59,35 @@ def test_former_names_warn_and_say_what_to_use():
         assert pictures.thinned is pictures.thin
     with pytest.raises(AttributeError, match="Grid has no attribute 'no_such_name'"):
         assert grid.no_such_name
+
+
+def test_the_version_and_the_pythons_are_the_same_everywhere():
+    root = Path(__file__).parent.parent
+    project = tomllib.loads((root / "pyproject.toml").read_text())["project"]
+    assert f"\nversion: {project['version']}\n" in (root / "CITATION.cff").read_text()
+    matrix = (root / ".ci" / "matrix.py").read_text()
+    tried = re.findall(r'"(3\.\d+)"', matrix.partition("\nSETS")[0])
+    known = re.findall(r"Python :: (3\.\d+)", " ".join(project["classifiers"]))
+    assert known == tried and project["requires-python"] == f">={tried[0]}"
+    workflow = (root / ".github" / "workflows" / "ci.yml").read_text()
+    assert sorted(re.findall(r"^ +(3\.\d+)$", workflow, re.M)) == tried
+    actions = re.findall(r"uses: (?!actions/)\S+@(\S+)", workflow)  # of others than the host
+    assert actions and all(re.fullmatch(r"[0-9a-f]{40}", one) for one in actions)
+
+
+@pytest.mark.parametrize(
+    ("answer", "said"),
+    [("", "JSONDecodeError: "), ("{}", "KeyError: "), ('{"attractors": []}', "other cells: []")],
+)
+def test_the_matrix_marks_an_answer_that_lacks_something(answer, said, tmp_path):
+    script = Path(__file__).parent.parent / ".ci" / "matrix.py"
+    names: dict[str, Any] = {"__name__": "matrix", "__file__": str(script)}
+    exec(compile(script.read_text(), str(script), "exec"), names)
+    names["JOB"] = ("-c", f"print({answer!r})")
+    rows: list[tuple[str, str, str]] = []
+    environment = names["own_cache"](tmp_path, "empty")
+    names["report"](
+        rows, "here", lambda: names["check_job"](Path(sys.executable), tmp_path, environment)
+    )
+    ((title, outcome, reason),) = rows
+    assert (title, outcome) == ("here", "FAILED") and reason.startswith(said)

@@ -84,6 +84,13 @@ def check_number(name: str, value: Any) -> None:
         raise WrongUse(f"{name} must be a real number, not {short(value)}")
 
 
+def check_confidence(value: Any) -> None:
+    """Raises `WrongUse` unless the value can be the confidence of an interval."""
+    check_number("confidence", value)
+    if not 0 < value < 1:
+        raise WrongUse(f"confidence must be between 0 and 1, not {value}")
+
+
 def is_number(value: Any) -> TypeGuard[float]:
     """Whether a value is one number, and no truth value."""
     return isinstance(value, (int, float, np.number)) and not isinstance(value, bool)

@@ -10,7 +10,7 @@ log 2.
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, Real, Shaped
 
 from walker_jax.checks import WrongUse, array, check_whole, refuses_tracers, short
 
@@ -31,19 +31,21 @@ class BasinEntropy(NamedTuple):
     """Boxes, one at each place where one fits."""
     mixed: int
     """Those with more than one label."""
+    crowded: int
+    """Those with more than two labels."""
+    fractal: bool
+    """Whether the boundary exceeds log 2 by two standard errors, in these boxes and in smaller ones
+    of about half the side.
 
-    @property
-    def fractal(self) -> bool:
-        """Whether the boundary is fractal by the log 2 test, by two standard errors or more.
-
-        The test is sufficient, and not necessary: where two smooth pieces at most meet, no box has
-        more than log 2 on average. A fractal boundary may have less.
-        """
-        return bool(self.boundary - 2 * self.boundary_error > np.log(2))
+    Where two smooth pieces at most meet in a box, boxes have log 2 at most on average. So what
+    exceeds it is fractal, if its smooth pieces are wide beside the boxes: stripes of a cell or less
+    exceed it too, and the smaller boxes show those that are wider. A fractal boundary may have
+    less.
+    """
 
 
 @refuses_tracers()
-def basin_entropy(labels: Int[np.ndarray | Array, "*cells"], side: int = BOX) -> BasinEntropy:
+def basin_entropy(labels: Real[np.ndarray | Array, "*cells"], side: int = BOX) -> BasinEntropy:
     """The basin entropy of labels on a grid, and that of their boundary.
 
     S = -sum_k p_k log p_k, averaged over boxes
@@ -54,7 +56,7 @@ def basin_entropy(labels: Int[np.ndarray | Array, "*cells"], side: int = BOX) ->
     **Arguments:**
 
     - `labels`: at regularly spaced points, in any number of dimensions; a box that holds a negative
-      one is not counted.
+      one, or NaN, is not counted.
     - `side`: cells along each side of a box.
 
     Raises ValueError for labels that are not numbers, and for a box that does not fit.
@@ -65,26 +67,44 @@ def basin_entropy(labels: Int[np.ndarray | Array, "*cells"], side: int = BOX) ->
     check_whole("side", side, 2)
     if min(labels.shape) < side:
         raise WrongUse(f"side={side}: labels of shape {labels.shape} have no such box")
-    entropy = np.zeros(tuple(n - side + 1 for n in labels.shape))
-    entropy[box_means((labels < 0).astype(float), side) > 0] = np.nan
-    for label in np.unique(labels[labels >= 0]):
-        share = box_means((labels == label).astype(float), side)
-        held = share > 0
-        entropy[held] -= share[held] * np.log(share[held])
-    entropy = np.maximum(entropy, 0)  # of a box of one label, minus zero
-    known = entropy[np.isfinite(entropy)]
-    mixed = known[known > 0]
-    apart = entropy[(slice(None, None, side),) * labels.ndim]
-    apart = apart[apart > 0]
-    error = apart.std(ddof=1) / np.sqrt(apart.size) if apart.size > 1 else np.nan
-    boundary = mixed.mean() if mixed.size else np.nan
+    entropy, count = entropy_of_boxes(labels, side)
+    known, mixed = entropy[count > 0], entropy[count > 1]
+    boundary, error = boundary_entropy(entropy, side)
+    half = max(2, (side + 1) // 2)
+    smaller = boundary_entropy(entropy_of_boxes(labels, half)[0], half)
     return BasinEntropy(
         float(known.mean()) if known.size else np.nan,
-        float(boundary),
-        float(error),
+        boundary,
+        error,
         known.size,
         mixed.size,
+        int((count > 2).sum()),
+        all(mean - 2 * spread > np.log(2) for mean, spread in ((boundary, error), smaller)),
     )
+
+
+def entropy_of_boxes(
+    labels: Shaped[np.ndarray, "*cells"], side: int
+) -> tuple[Float[np.ndarray, "*places"], Int[np.ndarray, "*places"]]:
+    """The entropy of the labels in each box, and their number; 0 where a cell has no label."""
+    none = ~(labels >= 0)  # NaN is no label either
+    whole = box_means(none.astype(float), side) == 0
+    entropy, count = np.zeros(whole.shape), np.zeros(whole.shape, int)
+    for label in np.unique(labels[~none]):
+        share = box_means((labels == label).astype(float), side)
+        held = whole & (share > 0)
+        entropy[held] -= share[held] * np.log(share[held])
+        count += held
+    return entropy, count
+
+
+def boundary_entropy(entropy: Float[np.ndarray, "*places"], side: int) -> tuple[float, float]:
+    """The mean over boxes with more than one label, and its standard error; NaN for too few."""
+    mixed = entropy[entropy > 0]
+    apart = entropy[(slice(None, None, side),) * entropy.ndim]
+    apart = apart[apart > 0]
+    error = apart.std(ddof=1) / np.sqrt(apart.size) if apart.size > 1 else np.nan
+    return float(mixed.mean()) if mixed.size else np.nan, float(error)
 
 
 def box_means(values: Float[np.ndarray, "*cells"], side: int) -> Float[np.ndarray, "*places"]:

@@ -18,6 +18,7 @@ from jaxtyping import Array, Float, Int
 from walker_jax.checks import (
     WrongUse,
     array,
+    check_confidence,
     check_number,
     check_whole,
     numbers,
@@ -261,7 +262,5 @@ def fit_power(
 
 def upper_probability(confidence: float) -> float:
     """The probability below the upper end of a two-sided interval."""
-    check_number("confidence", confidence)
-    if not 0 < confidence < 1:
-        raise WrongUse(f"confidence={confidence}: must be between 0 and 1")
+    check_confidence(confidence)
     return (1 + confidence) / 2

@@ -237,6 +237,11 @@ class Grid(eqx.Module):
         u = lower + (upper - lower) * shares
         return np.asarray(self.origin) + u @ np.asarray(self.shear).T
 
+    def place(self, point: Float[np.ndarray, " s"]) -> Float[np.ndarray, " d"]:
+        """The place of a point on each axis, in cells from the first centre; on the host only."""
+        u = np.asarray(self.unshear) @ (point - np.asarray(self.origin))
+        return (u - np.asarray(self.lower)) / np.asarray(self.spacing) - 0.5
+
     def cell(self, point: Float[Array, " s"]) -> Int32[Array, ""]:
         """Index of the cell that holds a point x, -1 where none does or x is not finite.
 

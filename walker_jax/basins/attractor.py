@@ -6,13 +6,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from walker_jax.checks import WrongUse
 from walker_jax.walking.iteration import Targets, nearest_target
 
 CLOSE = 0.01
-"""Distance from a cycle at which a walker that has made all its strides counts as attracted by it.
-
-Close to a period doubling walkers approach a cycle too slowly to come within `capture_radius`.
-"""
+"""Distance from a cycle at which a walker that has made all its strides may be one that approaches
+it: close to a period doubling too slowly to come within `capture_radius`."""
 
 
 class Attractor(NamedTuple):
@@ -37,6 +36,15 @@ class Attractor(NamedTuple):
 def capture_radius(dtype) -> float:
     """Distance, in every coordinate of the section, at which a walker has reached an attractor."""
     return max(1e-6, 1e4 * float(np.finfo(dtype).eps))
+
+
+def check_cycle(
+    states: Float[np.ndarray, "period section"], ends: Float[np.ndarray, "period section"]
+) -> None:
+    """Refuse the states of a gait from which strides end elsewhere: the gait of another walker."""
+    miss = np.abs(ends - np.roll(states, -1, axis=0)).max()
+    if not miss < capture_radius(states.dtype):
+        raise WrongUse(f"gait must be one of this walker, whose strides miss it by {miss:.2g}")
 
 
 def cubes(attractor: Attractor, radius: float) -> Float[np.ndarray, "period section section"]:

@@ -3,13 +3,13 @@
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from walker_jax.basins.attractor import CLOSE, Attractor, capture_radius, match_attractor
 from walker_jax.gaits.cycles import gait_at
 from walker_jax.gaits.search import cycle_guesses, iterate_newton
 from walker_jax.walkers.model import Walker
-from walker_jax.walking.iteration import orbits
+from walker_jax.walking.iteration import iterate, orbits
 from walker_jax.walking.outcomes import Outcome
 
 SAMPLE = 2**14
@@ -24,6 +24,17 @@ NEARLY = 1e-4
 """Distance to which a walker has come back by then if it approaches a cycle, however slowly: at a
 period doubling it approaches like the inverse square root of the strides, and after n of them
 comes back to n^-3/2. On a motion without a period it comes back to a 64th of that, some 1e-3."""
+
+
+BLOCKS = 4
+"""Stretches of `LONGEST_PERIOD` strides, over which walkers come nearer to a cycle or leave it."""
+MAX_DISTANCES = 2**24
+"""Most distances from the states of a cycle at once, an eighth of a gigabyte."""
+WITNESSES = 128
+"""Walkers that are followed to see whether a motion without a period goes on."""
+SURVIVAL = 1000, 2000
+"""Strides after which all of them are on it, and strides in which none may fall then: a transient
+with a mean life of less than some 85,000 strides is told from an attractor."""
 
 
 def sample(x: Float[np.ndarray, "n section"]) -> Float[np.ndarray, "m section"]:
@@ -46,7 +57,8 @@ def find_attractors(
 
     Walkers are followed until each has failed, or repeats itself to rounding. For those that do
     neither in some hundred strides, as close to a period doubling, a stable cycle is solved for.
-    Where there is none they are on an attractor without a period; one is added for them all.
+    Where there is none, and none of them falls for long, they are on an attractor without a period;
+    one is added for them all.
     """
     found, exact = list(known), 1e3 * np.finfo(x.dtype).eps
     period, nearest = np.ones(len(x), int), np.zeros(len(x))
@@ -58,7 +70,7 @@ def find_attractors(
         for path, miss in zip(back[repeated], misses[repeated], strict=True):
             # a slow approach that alternates comes close to itself after two strides before one
             count = first_period(miss, capture_radius(x.dtype))
-            add_cycle(found, path[:count][::-1])
+            add_cycle(found, path[:count][::-1], walker, tolerance)
         x = back[:, 0]
         left = ~repeated & (match_attractor(x, found) < 0)
         x, period, nearest = x[left], misses[left].argmin(axis=1) + 1, misses[left].min(axis=1)
@@ -72,9 +84,52 @@ def find_attractors(
     ]
     for cycle in solved:
         add_cycle(found, cycle)
-    if not solved and all(one.period for one in found):
+    if not solved and all(one.period for one in found) and persists(walker, x, tolerance):
         found.append(Attractor(None, x[:1]))
     return found
+
+
+def persists(walker: Walker, x: Float[np.ndarray, "n section"], tolerance: float) -> bool:
+    """Whether a motion goes on: of its walkers that have not fallen for long, none falls later."""
+    early, late = SURVIVAL
+    end = iterate(walker, x[:WITNESSES], early, tolerance)
+    left = end.state[end.outcome == Outcome.STRIDE]
+    if len(left) == 0:
+        return False
+    return bool((iterate(walker, left, late, tolerance).outcome == Outcome.STRIDE).all())
+
+
+def approaches(
+    walker: Walker,
+    x: Float[np.ndarray, "n section"],
+    cycle: Float[np.ndarray, "period section"],
+    tolerance: float,
+) -> Bool[np.ndarray, " n"]:
+    """Whether walkers that are `CLOSE` to a cycle come ever nearer to it.
+
+    The largest distance from the cycle falls from one stretch of strides to the next, or they
+    arrive. A walker on another motion, which passes by, goes away again.
+    """
+    found = np.zeros(len(x), bool)
+    size = max(1, MAX_DISTANCES // (BLOCKS * LONGEST_PERIOD * cycle.size))
+    for start in range(0, len(x), size):
+        states, _ = orbits(walker, x[start : start + size], BLOCKS * LONGEST_PERIOD, tolerance)
+        distance = np.abs(states[:, 1:, None] - cycle).max(axis=3).min(axis=2)
+        largest = distance.reshape(-1, BLOCKS, LONGEST_PERIOD).max(axis=2)
+        nearer = (largest[:, 0] < 2 * CLOSE) & (np.diff(largest, axis=1) < 0).all(axis=1)
+        nearer |= largest[:, -1] < capture_radius(x.dtype)
+        found[start : start + size] = nearer
+    return found
+
+
+def attracts(walker: Walker, cycle: Float[np.ndarray, "period section"], tolerance: float) -> bool:
+    """Whether walkers that start beside a cycle stay there: they do not go ever farther away."""
+    radius = capture_radius(cycle.dtype)
+    beside = cycle[0] + radius * np.concatenate([np.eye(len(cycle[0])), -np.eye(len(cycle[0]))])
+    states, _ = orbits(walker, beside, BLOCKS * LONGEST_PERIOD, tolerance)
+    distance = np.abs(states[:, 1:, None] - cycle).max(axis=3).min(axis=2)
+    largest = distance.reshape(-1, BLOCKS, LONGEST_PERIOD).max(axis=(0, 2))
+    return bool(largest[-1] < max(radius, 1.5 * largest[1]))  # else NaN: one has failed
 
 
 def stable_cycle(
@@ -99,8 +154,18 @@ def first_period(misses: Float[np.ndarray, " strides"], within: float) -> int:
     return int(np.flatnonzero(misses < within)[0]) + 1
 
 
-def add_cycle(found: list[Attractor], states: Float[np.ndarray, "period section"]) -> None:
-    """Add a cycle, from its state of the smallest angle on, unless it is known."""
+def add_cycle(
+    found: list[Attractor],
+    states: Float[np.ndarray, "period section"],
+    walker: Walker | None = None,
+    tolerance: float = 0.0,
+) -> None:
+    """Add a cycle, from its state of the smallest angle on, unless it is known.
+
+    With a walker, only if the cycle attracts it: a start on an unstable cycle repeats itself too.
+    """
     states = np.roll(states, -int(states[:, 0].argmin()), axis=0)
-    if match_attractor(states[:1], found)[0] < 0:
+    if match_attractor(states[:1], found)[0] >= 0:
+        return
+    if walker is None or attracts(walker, states, tolerance):
         found.append(Attractor(len(states), states))

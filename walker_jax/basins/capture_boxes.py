@@ -42,28 +42,41 @@ def find_capture_boxes(mapper: Mapper, number: int, rng: np.random.Generator) ->
     period, size = cycle.shape
     u = rng.uniform(-1, 1, (period, max(STARTS // period, FEWEST_STARTS), size))
 
-    def largest(boxes: Float[np.ndarray, "tried period section section"]) -> int:
-        """The last of growing boxes from which all converge, which the attractor is given."""
-        starts = (cycle[:, None] + u @ boxes).reshape(-1, size)
-        found = mapper._replace(attractors=attractors)(starts).attractor
-        converge = (found == number).reshape(len(boxes), -1).all(axis=1)
-        best = int(np.logical_and.accumulate(converge).sum()) - 1
+    def capture_in(boxes: Float[np.ndarray, "period section section"]) -> None:
+        frames = np.swapaxes(np.linalg.inv(boxes), 1, 2)
+        attractors[number] = attractors[number]._replace(capture_boxes=frames)
+
+    def largest(boxes: Float[np.ndarray, "tried period section section"], small: int) -> int:
+        """The last of growing boxes from which all converge, of which the attractor is given half.
+
+        A number of small ones are tried at once, the others in turn: walks end in the one before.
+        """
+        best = -1
+        for tried in (boxes[:small], *boxes[small:, None]):
+            starts = (cycle[:, None] + u @ tried).reshape(-1, size)
+            found = mapper._replace(attractors=attractors)(starts).attractor
+            converge = (found == number).reshape(len(tried), -1).all(axis=1)
+            count = int(np.logical_and.accumulate(converge).sum())
+            best += count
+            if count:
+                capture_in(boxes[best])
+            if count < len(tried):
+                break
         if best >= 0:
-            frames = np.swapaxes(np.linalg.inv(boxes[best] / 2), 1, 2)
-            attractors[number] = attractors[number]._replace(capture_boxes=frames)
+            capture_in(boxes[best] / 2)
         return best
 
     cubes = HALF_EDGES[:, None, None, None] * np.tile(np.eye(size), (period, 1, 1))
-    best = largest(cubes)
+    best = largest(cubes, 1)
     if best < 0:
         return attractors[number]
     x = (cycle[:, None] + u @ cubes[best]).reshape(-1, size)
     x = iterate(mapper.walker, x, SETTLING_PERIODS * period, mapper.tolerance).state
     axes = np.linalg.svd(x.reshape(u.shape) - cycle[:, None], full_matrices=False)[2]
     cubes = HALF_EDGES[:, None, None, None] * axes
-    box = cubes[max(largest(cubes), 0)]
+    box = cubes[max(largest(cubes, best + 1), 0)]
     for i in range(size):
         stretch = np.ones((len(STRETCHES), 1, size, 1))
         stretch[:, 0, i, 0] = STRETCHES
-        box = (stretch * box)[max(largest(stretch * box), 0)]
+        box = (stretch * box)[max(largest(stretch * box, 1), 0)]
     return attractors[number]

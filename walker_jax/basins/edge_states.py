@@ -29,16 +29,20 @@ from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import find_gait
 from walker_jax.integrators.solvers import default_tolerance
 from walker_jax.walkers.model import Walker
-from walker_jax.walking.failure_margins import margins_of_many
+from walker_jax.walking.failure_margins import Margins, margins_of_many
 from walker_jax.walking.iteration import strides as take_strides
 from walker_jax.walking.outcomes import Outcome
+from walker_jax.walking.stepping import check_single
 
 LONGEST_PERIOD = 16
 """Strides of the longest cycle that is recognised as one."""
 NEAR = 1e-4
 """Distance from the end of the path, at most, of the saddle that Newton's iteration finds there."""
-WAYS = ("backward", "forward", "running", "stopping")
+WAYS = Margins._fields[1:]
 """The margins of a stride, in the order in which ties are decided."""
+ZERO = 1e-8
+"""Size of a margin, at most, that is zero where the path is torn apart: starts 1e-13 beside the
+boundary have about 1e-13 of it, or more where its slope is steep."""
 SAMPLE = 257
 """Starts between the two, to whose attractors walkers are followed."""
 
@@ -49,7 +53,7 @@ class EdgeState(NamedTuple):
     kind: str
     """"saddle", an unstable gait; the name of a margin that is zero there, for the boundary of a
     stride's own failure: "backward" (the stance leg comes to rest upright), "forward" (the swing
-    foot grazes the ground), "running" or "stopping"; or "" where neither shows in the rounds."""
+    foot grazes the ground), or another one of `Margins`; or "" where neither shows."""
     saddle: Gait | None
     """The gait, with its multipliers; None unless `kind` is "saddle"."""
     path: Float[np.ndarray, "n section"]
@@ -87,10 +91,11 @@ def edge_state(
     - `strides`: number of strides for which a walker is followed to its fate.
     - `tolerance`: of the integration, as in `stride`.
 
-    Raises `ValueError` for starts of one fate, or not on the section, and in float32;
+    Raises `ValueError` for starts of one fate, or that are not feasible, and in float32;
     `ComputationFailed` where rounding loses the boundary.
     """
     check_kind("walker", walker, Walker)
+    check_single(walker)
     check_precision(jnp.asarray(0.0).dtype, "edge_state, which brings starts 1e-13 together,")
     check_whole("rounds", rounds)
     check_whole("strides", strides)
@@ -102,24 +107,37 @@ def edge_state(
     mapper = with_capture_boxes(mapper)
 
     def label_starts(x: Float[np.ndarray, "n section"]) -> Int[np.ndarray, " n"]:
-        found = mapper(x)
+        nonlocal mapper
+        found, mapper = mapper.label_all(x)
         return label_of(found.fate, found.attractor)
 
     first, second = label_starts(np.stack(ends)).tolist()
+    if Outcome.OUTSIDE in (first, second):
+        name, end = ("a", ends[0]) if first == Outcome.OUTSIDE else ("b", ends[1])
+        raise WrongUse(f"{name} must be a feasible start, not {end.tolist()}")
     if first == second:
         raise WrongUse(f"a and b must have different fates, not both {fate_of(first).name}")
     image = lambda x: np.asarray(take_strides(walker, x, tolerance=checked_tolerance).state)
-    track = follow_edge(image, label_starts, *ends, rounds=rounds, longest=LONGEST_PERIOD)
+
+    def saddle_near(states: Float[np.ndarray, "period section"]) -> Gait | None:
+        gait = find_gait(walker, states, len(states), tolerance=tolerance)
+        near = np.abs(np.asarray(gait.states[0]) - states[0]).max() < NEAR
+        return gait if gait.found and near and not gait.stable else None
+
+    track = follow_edge(
+        image,
+        label_starts,
+        *ends,
+        rounds=rounds,
+        longest=LONGEST_PERIOD,
+        is_cycle=lambda states: saddle_near(states) is not None,
+    )
     fates = fate_of(track.labels[0]), fate_of(track.labels[1])
     if track.torn:
-        kind, margin = failing_margin(walker, track.sides, checked_tolerance)
-        return EdgeState(kind, None, track.path, fates, margin)
-    if track.period:
-        gait = find_gait(walker, track.path[-track.period :], track.period, tolerance=tolerance)
-        near = np.abs(np.asarray(gait.states[0]) - track.path[-track.period]).max() < NEAR
-        if gait.found and near and not gait.stable:
-            return EdgeState("saddle", gait, track.path, fates, np.nan)
-    return EdgeState("", None, track.path, fates, np.nan)
+        name, margin = failing_margin(walker, track.sides, checked_tolerance)
+        return EdgeState(name if margin < ZERO else "", None, track.path, fates, margin)
+    saddle = saddle_near(track.path[-track.period :]) if track.period else None
+    return EdgeState("" if saddle is None else "saddle", saddle, track.path, fates, np.nan)
 
 
 def fate_of(label: int) -> Outcome:

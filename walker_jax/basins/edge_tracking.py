@@ -22,8 +22,8 @@ TORN = 1e-4
 """Distance of their images from which on the map has torn them apart: it amplifies a billion times,
 as it does only where it is not continuous."""
 REPEATED = 1e-6
-"""Distance at which an edge that repeats itself has come to a cycle, from which Newton's iteration
-converges."""
+"""Distance at which an edge that repeats itself may have come to a cycle, from which Newton's
+iteration converges; a tenth of it each time that it had not."""
 
 LabelOf = Callable[[Float[np.ndarray, "n d"]], Int[np.ndarray, " n"]]
 Map = Callable[[Float[np.ndarray, "n d"]], Float[np.ndarray, "n d"]]
@@ -52,21 +52,26 @@ def follow_edge(
     *,
     rounds: int,
     longest: int,
+    is_cycle: Callable[[Float[np.ndarray, "period d"]], bool] = lambda points: True,
 ) -> Track:
     """Follow the boundary between two points of different labels.
 
-    Ends where the path repeats itself after at most `longest` points, where the map tears the two
-    apart, or after a number of rounds. Raises `ComputationFailed` where rounding gives both
-    images one label.
+    Ends where the path repeats itself after at most `longest` points, if `is_cycle` of these: it
+    repeats itself far from a cycle that attracts slowly along the boundary. Else ends where the map
+    tears the two apart, or after a number of rounds. Raises `ComputationFailed` where rounding
+    gives both images one label.
     """
-    path, pair = [], np.stack([a, b])
+    path, pair, within = [], np.stack([a, b]), REPEATED
     for _ in range(rounds):
         pair, labels = bring_together(label_of, pair)
         path.append(pair.mean(axis=0))
         back = [np.abs(path[-1] - one).max() for one in path[-2 : -2 - longest : -1]]
-        repeated = np.flatnonzero(np.array(back) < REPEATED)
+        repeated = np.flatnonzero(np.array(back) < within)
         if repeated.size:
-            return Track(np.array(path), pair, labels, int(repeated[0]) + 1, torn=False)
+            period = int(repeated[0]) + 1
+            if is_cycle(np.array(path[-period:])):
+                return Track(np.array(path), pair, labels, period, torn=False)
+            within /= 10
         images = image(pair)
         if not np.abs(images[1] - images[0]).max() < TORN:  # nor where one is NaN
             return Track(np.array(path), pair, labels, 0, torn=True)

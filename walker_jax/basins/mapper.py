@@ -13,7 +13,7 @@ from walker_jax.basins.attractor import (
     sorted_numbers,
     targets_of,
 )
-from walker_jax.basins.attractor_search import find_attractors, sample
+from walker_jax.basins.attractor_search import approaches, find_attractors, sample
 from walker_jax.walkers.model import Walker
 from walker_jax.walking.iteration import iterate
 from walker_jax.walking.outcomes import Outcome
@@ -54,7 +54,8 @@ class Labels(NamedTuple):
 class Mapper(NamedTuple):
     """Maps starts to the attractors that a walker converges to from there: labels = mapper(starts).
 
-    A walker has converged to a cycle once it is in one of its capture boxes.
+    A walker has converged to a cycle once it is in one of its capture boxes, or where it has made
+    all its strides and comes ever nearer to the cycle (`attractor_search.approaches`).
     """
 
     walker: Walker
@@ -69,15 +70,33 @@ class Mapper(NamedTuple):
         self, starts: Float[np.ndarray, "n section"], *, progress: str | None = None
     ) -> Labels:
         """Follow walkers until they fail, or converge to one of the attractors."""
+        labels = self.follow(starts, progress=progress)
+        remaining = labels.remaining
+        labels.attractor[remaining] = self.match_approaching(labels.states[remaining])
+        return labels
+
+    def follow(
+        self, starts: Float[np.ndarray, "n section"], *, progress: str | None = None
+    ) -> Labels:
+        """Follow walkers until they fail, or are in a capture box."""
         targets, owner = targets_of(self.attractors, starts.shape[1])
         end = iterate(self.walker, starts, self.strides, self.tolerance, targets, progress=progress)
         return Labels(end.outcome, owners(end.target, owner), end.strides, end.state)
+
+    def match_approaching(self, x: Float[np.ndarray, "n section"]) -> Int[np.ndarray, " n"]:
+        """Numbers of the cycles that walkers come ever nearer to, -1 for none."""
+        number = match_attractor(x, self.attractors, CLOSE)
+        for i in np.unique(number[number >= 0]).tolist():
+            near = np.flatnonzero(number == i)
+            nearer = approaches(self.walker, x[near], self.attractors[i].states, self.tolerance)
+            number[near[~nearer]] = -1
+        return number
 
     def label_all(
         self, starts: Float[np.ndarray, "n section"], *, progress: str | None = None
     ) -> tuple[Labels, "Mapper"]:
         """The same, and labels also for those that remain; the mapper to the attractors of all."""
-        return self.complete_labels(self(starts, progress=progress))
+        return self.complete_labels(self.follow(starts, progress=progress))
 
     def complete_labels(self, labels: Labels) -> tuple[Labels, "Mapper"]:
         """Label the walkers that remain too; returns the mapper to the attractors of all."""
@@ -90,14 +109,15 @@ class Mapper(NamedTuple):
     ) -> tuple[Int[np.ndarray, " n"], "Mapper"]:
         """The attractors of walkers that have made all their strides, and the mapper to all.
 
-        That is the one they are `CLOSE` to, or the one without a period, if there is one, or one
-        that is found by following them further.
+        That is the cycle that they approach, or the one without a period, if there is one, or one
+        that is found by following them further; -1 for those that have yet to fall or to converge.
         """
-        number, mapper = match_attractor(x, self.attractors, CLOSE), self
+        number, mapper = self.match_approaching(x), self
         unmatched = number < 0
         if unmatched.any() and all(one.period for one in self.attractors):
             mapper = self.with_attractors_from(sample(x[unmatched]))
-            number[unmatched] = match_attractor(x[unmatched], mapper.attractors, CLOSE)
+            if len(mapper.attractors) > len(self.attractors):
+                number[unmatched] = mapper.match_approaching(x[unmatched])
         for i, one in enumerate(mapper.attractors):
             if one.period is None:
                 number[number < 0] = i

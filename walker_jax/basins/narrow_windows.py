@@ -4,10 +4,13 @@ Starts in such a window differ in their last digits, which a stride's rounding e
 long as the window is narrow, a stride is linear in it: the starts are c + d with one centre c, and
 after a stride they are S(c) + J d. So only the centre is followed, with the product P of the
 Jacobians, up to where the window P d is wide enough; from there each start is followed itself. Two
-starts then differ by P d, all digits of which are right.
+starts then differ by P d, which has no rounding errors but those of the Jacobians.
 
 What the picture shows is exact up to its place: the centre of the window is one that float64 holds,
-and the orbit of the centre has rounding errors, as if it had begun some 1e-16 beside.
+and the orbit of the centre has rounding errors, as if it had begun some 1e-16 beside. Where the
+window ends on the boundary of a failure in the next stride, before it is `LINEAR` wide, starts are
+followed from there on all the same, and rounding errors show: in windows 2e-13 wide on such a
+boundary 1.2 % of the cells had another fate than in arithmetic of 60 digits.
 """
 
 import numpy as np
@@ -45,9 +48,10 @@ def follow_window(walker: Walker, grid: Grid, tolerance: float, limit: int) -> t
     half = np.asarray(grid.upper - grid.lower, float) / 2
     middle = np.asarray(grid.lower, float) + half
     shear = np.asarray(grid.shear, float)
-    if widths(shear, half).max() >= LINEAR:
-        return grid, 0
     centre = np.asarray(grid.origin, float) + shear @ middle
+    if widths(shear, half).max() >= LINEAR:
+        check_cells(grid, centre, half)
+        return grid, 0
     check_width(grid, centre, half)
     axes = {
         name: (-width, width, count)
@@ -93,6 +97,20 @@ def refuse_torn(
 def widths(shear: Float[np.ndarray, "s d"], half: Float[np.ndarray, " d"]) -> np.ndarray:
     """The width of a window along each coordinate of the state."""
     return 2 * np.abs(shear) @ half
+
+
+def check_cells(grid: Grid, centre: Float[np.ndarray, " s"], half: Float[np.ndarray, " d"]) -> None:
+    """Refuse a window that is wide along one axis, and along another too narrow to tell cells."""
+    shear = np.asarray(grid.shear, float)
+    reach = np.abs(centre) + widths(shear, half) / 2
+    cells = 2 * np.abs(shear) * half / np.array(grid.shape)
+    for name, one in zip(grid.names, cells.T, strict=True):
+        if (one < 2 * np.spacing(reach)).all():
+            raise WrongUse(
+                f"grid must have cells along {name} wider than states of float64 are apart, "
+                f"{np.spacing(reach.max()):.1g}, not {one.max():.1g}, in a window so wide along "
+                "another axis"
+            )
 
 
 def check_width(grid: Grid, centre: Float[np.ndarray, " s"], half: Float[np.ndarray, " d"]) -> None:

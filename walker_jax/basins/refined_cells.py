@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 
 from walker_jax.basins.mapper import Labels, Mapper
 from walker_jax.basins.memory import TooLarge, memory_of_machine
-from walker_jax.basins.runs import Runs, flat_index, label_of, neighbours
+from walker_jax.basins.runs import Runs, flat_index, label_of, merge, neighbours
 from walker_jax.grids import Grid
 
 BYTES_PER_FOLLOWED_CELL = 150
@@ -52,14 +52,20 @@ class RefinedCells:
         self.runs = self.runs.subdivide()
         self.cells, self.strides = np.zeros(0, int), np.zeros(0, np.int32)
 
-    def map(self, cells: Int[np.ndarray, " n"], *, anywhere: bool) -> Labels:
-        """The labels of cells, by their centres or by points anywhere in them."""
+    def random_places(self, count: int) -> Float[np.ndarray, "n axes"]:
+        """Random places within cells, from 0 to 1 along each axis."""
+        return self.rng.uniform(size=(count, len(self.runs.shape)))
+
+    def map(
+        self, cells: Int[np.ndarray, " n"], within: Float[np.ndarray, "n axes"] | None = None
+    ) -> Labels:
+        """The labels of cells, by points at some places within them, or by their centres."""
         parts = []
         for first in range(0, max(1, len(cells)), CELLS_TOGETHER):
-            part = cells[first : first + CELLS_TOGETHER]
-            places = np.stack(np.unravel_index(part, self.runs.shape), axis=1)
-            within = self.rng.uniform(size=places.shape) if anywhere else 0.5
-            x = self.grid.points_at((places + within) / np.array(self.runs.shape))
+            part = slice(first, first + CELLS_TOGETHER)
+            places = np.stack(np.unravel_index(cells[part], self.runs.shape), axis=1)
+            places = places + (0.5 if within is None else within[part])
+            x = self.grid.points_at(places / np.array(self.runs.shape))
             found, self.mapper = self.mapper.label_all(x, progress=self.progress)
             self.total_strides += found.total_strides
             parts.append(found._replace(states=found.states[:0]))  # nobody asks for them
@@ -69,9 +75,10 @@ class RefinedCells:
         """Follow cells, and then those beside them where that shows a boundary, until none is."""
         while cells.size:
             self.check_memory(level, len(cells))
-            found = self.map(cells, anywhere=level == self.levels and not self.by_centres)
+            anywhere = level == self.levels and not self.by_centres
+            found = self.map(cells, self.random_places(len(cells)) if anywhere else None)
             self.runs = self.runs.with_cells(cells, label_of(found.fate, found.attractor), level)
-            order = np.argsort(np.concatenate([self.cells, cells]))
+            order = np.argsort(np.concatenate([self.cells, cells]), kind="stable")
             self.cells = np.concatenate([self.cells, cells])[order]
             self.strides = np.concatenate([self.strides, found.strides])[order]
             own, unlike = self.runs.label[self.runs.of_cells(cells)], [np.zeros(0, int)]
@@ -79,7 +86,7 @@ class RefinedCells:
                 run = self.runs.of_cells(beside)
                 met = (self.runs.label[run] != own) & (self.runs.level[run] < level)
                 unlike.append(beside[met])
-            cells = np.unique(np.concatenate(unlike))
+            cells = merge(unlike)
 
     def check_memory(self, level: int, count: int) -> None:
         """Refuse to follow more cells on a level than this machine has memory for."""
@@ -106,8 +113,8 @@ class RefinedCells:
         shape = self.runs.shape
         places = 2 * np.stack(np.unravel_index(cells, tuple(count // 2 for count in shape)))
         steps = np.indices((2,) * len(shape)).reshape(len(shape), -1)
-        parts = places[:, :, None] + steps[:, None]
-        return np.sort(flat_index(parts, shape), axis=None)
+        parts = places[:, None] + steps[:, :, None]
+        return np.sort(flat_index(parts, shape), axis=None, kind="stable")
 
     def inherited(self) -> Float[np.ndarray, " levels"]:
         """How many cells inherited their labels from each level."""
@@ -118,8 +125,8 @@ class RefinedCells:
     ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"], Int[np.ndarray, " levels"]]:
         """Random points in cells that inherited, against the labels of these.
 
-        Returns the cells; 1 where the point walks and the cell does not, -1 where the cell does
-        alone, else 0; and how many cells are of each level.
+        Returns the cells, in ascending order; 1 where the point walks and the cell does not, -1
+        where the cell does alone, else 0; and how many cells are of each level.
         """
         counts = np.floor(check * shares / max(shares.sum(), 1)).astype(int)
         counts = np.maximum(counts, (shares > 0) & (check > 0))
@@ -130,7 +137,9 @@ class RefinedCells:
             if n
         ]
         cells = np.concatenate([np.zeros(0, int), *drawn])
-        walks = self.map(cells, anywhere=True).converged
+        within, order = self.random_places(len(cells)), np.argsort(cells)
+        cells = cells[order]  # neighbours make about as many strides
+        walks = self.map(cells, within[order]).converged
         cell_walks = self.runs.attractor[self.runs.of_cells(cells)] >= 0
         return cells, walks.astype(int) - cell_walks, counts
 
@@ -142,6 +151,6 @@ class RefinedCells:
         if count == 0 or len(cells) == 0:
             return SPREAD
         drawn = np.sort(self.rng.choice(cells, count))
-        walks = self.map(drawn, anywhere=True).converged
+        walks = self.map(drawn, self.random_places(count)).converged
         differ = np.count_nonzero(walks != (self.runs.attractor[self.runs.of_cells(drawn)] >= 0))
         return (differ + 1) / (2 * count)

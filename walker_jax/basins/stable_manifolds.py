@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from walker_jax.basins.attractor import check_cycle
 from walker_jax.checks import (
     WrongUse,
     check_kind,
@@ -64,7 +65,7 @@ def stable_manifold(
     - `points`: of a curve, at most.
     - `tolerance`: of the integration, as in `stride`.
 
-    Raises `ValueError` for another gait or section, and in float32.
+    Raises `ValueError` for another gait or section, a gait of another walker, and in float32.
     """
     check_kind("walker", walker, Walker)
     check_kind("gait", gait, Gait)
@@ -81,7 +82,9 @@ def stable_manifold(
             f"{np.asarray(gait.multipliers).tolist()}"
         )
     checked_tolerance = float(default_tolerance(states.dtype, tolerance))
-    jacobian = multiply_jacobians(linearise(walker, states[None], checked_tolerance).jacobian)[0]
+    local = linearise(walker, states[None], checked_tolerance)
+    check_cycle(states, local.state[0])
+    jacobian = multiply_jacobians(local.jacobian)[0]
     values, vectors = np.linalg.eig(jacobian)
     at = int(np.abs(values).argmin())
     direction = np.real(vectors[:, at])
@@ -106,11 +109,9 @@ class Image(NamedTuple):
         """The end of the strides from x, and its derivatives by x; NaN where one fails."""
         jacobian = np.eye(len(x))
         for _ in range(self.strides):
-            if not np.isfinite(x).all():
-                break
             local = linearise(self.walker, x[None, None], self.tolerance)
             x, jacobian = local.state[0, 0], local.jacobian[0, 0] @ jacobian
-        return x, jacobian if np.isfinite(x).all() else np.full_like(jacobian, np.nan)
+        return x, jacobian
 
 
 ImageOf = Callable[

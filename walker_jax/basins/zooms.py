@@ -28,6 +28,7 @@ from walker_jax.execution.progress import track
 from walker_jax.grids import Grid, edge
 from walker_jax.integrators.solvers import default_tolerance
 from walker_jax.walkers.model import Walker
+from walker_jax.walking.stepping import check_single
 
 
 @refuses_tracers()
@@ -63,6 +64,7 @@ def checked_mapper(
 ) -> Mapper:
     """The mapper to the attractors of a grid, with their capture boxes; arguments are checked."""
     check_grid(walker, grid, "direct")
+    check_single(walker)
     check_whole("strides", strides)
     dtype = jnp.asarray(0.0).dtype
     check_precision(dtype, needed_by)
@@ -75,16 +77,14 @@ def find_boundary_point(
     mapper: Mapper, grid: Grid, near: Float[np.ndarray, " section"] | None = None
 ) -> Float[np.ndarray, " section"]:
     """`boundary_point`, by a mapper."""
-    label_starts = lambda x: label_of(*mapper(x)[:2])
-    label = label_starts(grid.centres(np.arange(grid.size))).reshape(grid.shape)
+    labels, mapper = mapper.label_all(grid.centres(np.arange(grid.size)))
+    label_starts = lambda x: label_of(*mapper.label_all(x)[0][:2])
+    label = label_of(*labels[:2]).reshape(grid.shape)
     on_edge = np.argwhere(edge(label))
     if len(on_edge) == 0:
         raise ComputationFailed("all cells of the grid have one fate: it holds no boundary")
     shape = np.array(grid.shape)
-    middle = (shape - 1) / 2
-    if near is not None:
-        box = np.asarray(grid.unshear) @ (near - np.asarray(grid.origin))
-        middle = (box - np.asarray(grid.lower)) / np.asarray(grid.spacing) - 0.5
+    middle = (shape - 1) / 2 if near is None else grid.place(near)
     cell = on_edge[np.linalg.norm(on_edge - middle, axis=1).argmin()]
     beside = cell + np.stack(np.meshgrid(*[(-1, 0, 1)] * len(cell), indexing="ij"), -1).reshape(
         -1, len(cell)
@@ -100,13 +100,21 @@ def bisect_to_last_digit(
     label_starts: Callable[[Float[np.ndarray, "n section"]], Int[np.ndarray, " n"]],
     ends: Float[np.ndarray, "2 section"],
 ) -> Float[np.ndarray, " section"]:
-    """The point at which the label of the first end is lost, on a segment: one rounding beside."""
+    """The point at which the label of the first end is lost, on a segment: one rounding beside.
+
+    Raises `ComputationFailed` where both ends have one label, and all between.
+    """
     while True:
         share = np.linspace(0, 1, POINTS)[:, None]
         points = np.unique((1 - share) * ends[0] + share * ends[1], axis=0)
         points = points[np.argsort(np.abs(points - ends[0]).sum(axis=1), kind="stable")]
         label = label_starts(points)
         at = int((label != label[0]).argmax())
+        if at == 0:
+            raise ComputationFailed(
+                f"rounding loses the boundary: all points between {ends[0].tolist()} and "
+                f"{ends[1].tolist()} have one label"
+            )
         if len(points) < POINTS:
             return points[at]
         ends = points[at - 1 : at + 1]
@@ -129,7 +137,7 @@ def zoom(
     **Arguments:**
 
     - `walker`: as in `basin`.
-    - `grid`: the first window, of two dimensions or more, and the cells of each.
+    - `grid`: the size of the first window, of two dimensions or more, and the cells of each.
     - `factor`: of the last window; each window is narrower than the one before by the same ratio.
     - `centre`: point of the section in the middle of all windows, by default a `boundary_point`.
     - `frames`: number of windows.
@@ -152,14 +160,13 @@ def zoom(
     middle = find_boundary_point(mapper, grid) if middle is None else middle
     factors = factor ** np.linspace(0, 1, frames)
     windows = [grid.zoom(middle, one) for one in factors.tolist()]
-    follow_window(
-        walker, windows[-1], mapper.tolerance, strides
-    )  # refuses first what is too narrow
+    # the last window first, as it may be too narrow
+    ahead_of = [follow_window(walker, one, mapper.tolerance, strides) for one in windows[::-1]]
     cells = np.arange(grid.size)
     fate, attractor, ahead = [], [], []
-    for window in track(windows, "windows", progress):
-        followed, made = follow_window(walker, window, mapper.tolerance, strides)
-        found, _ = mapper._replace(strides=strides - made).label_all(followed.centres(cells))
+    for followed, made in track(ahead_of[::-1], "windows", progress):
+        left = mapper._replace(strides=strides - made)
+        found, mapper = left.label_all(followed.centres(cells))  # all frames have its numbers
         fate.append(found.fate.reshape(grid.shape))
         attractor.append(found.attractor.reshape(grid.shape))
         ahead.append(made)

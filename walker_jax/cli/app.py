@@ -76,7 +76,23 @@ def load(name: str, args: Sequence[str] = ()):
     single = typer.Typer(add_completion=False)
     text = flowing(inspect.cleandoc(function.__doc__ or ""))
     single.command(name, help=text, epilog=epilog(name))(with_quiet(function))
-    return get_command(single)
+    command = get_command(single)
+    assert isinstance(command, TyperCommand)  # as it holds one command
+    check_flags(command)
+    return command
+
+
+def check_flags(command: TyperCommand) -> None:
+    """Refuse a walker with a parameter whose option the command has for something else."""
+    taken = {"--help"}
+    for one in command.params:
+        for flag in (*one.opts, *one.secondary_opts):
+            if flag in taken:
+                from walker_jax.checks import WrongUse  # which loads JAX
+
+                name = flag.removeprefix("--").replace("-", "_")
+                raise WrongUse(f"{flag} is an option of the command: rename the parameter {name}")
+            taken.add(flag)
 
 
 def with_quiet(command: Callable[..., None]) -> Callable[..., None]:

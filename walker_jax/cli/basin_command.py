@@ -90,6 +90,9 @@ def basin(
             "error. A section of three dimensions is then taken whole, without --at-phidot.",
         ),
     ] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Of random numbers, --levels only (default: 0).")
+    ] = None,
     zoom: Annotated[
         float | None,
         typer.Option(
@@ -151,7 +154,9 @@ def basin(
         raise WrongUse("--method cell-map is not for a slice, which walkers leave: give --phidot")
     if strides is not None and method != "direct":
         raise WrongUse("--strides is for --method direct alone")
-    strides = strides or 200
+    if seed is not None and levels is None:
+        raise WrongUse("--seed is for --levels alone")
+    strides, seed = strides or 200, seed or 0
     if at_phidot is not None:
         check_finite(**{"at-phidot": at_phidot})
     axes: dict[str, Any] = {"theta": theta}
@@ -169,7 +174,7 @@ def basin(
         },
         "method": method,
         **({"strides": strides} if method == "direct" else {}),
-        **({} if levels is None else {"levels": levels}),
+        **({} if levels is None else {"levels": levels, "seed": seed}),
         **({} if zoom is None else {"zoom": zoom, "near": near and list(near)}),
     }
     request = request_for("basin", type(walker), walker=describe_walker(walker), **asked)
@@ -194,7 +199,8 @@ def basin(
                 data = wj.basin(walker, grid, method, **options)
         else:
             with storage.rewritable(out, request) as save, bar("basin", True):
-                data = save(wj.refine(walker, grid, levels, strides=strides, progress=True))
+                refined = wj.refine(walker, grid, levels, strides=strides, seed=seed, progress=True)
+                data = save(refined)
     seconds = clock.seconds()
     draw(draw_basin(data), figure, request)
     if animate is not None and zoom is not None:

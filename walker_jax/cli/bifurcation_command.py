@@ -13,15 +13,35 @@ from walker_jax.cli.options import Json, Out, Overwrite, PictureOfData, check_sl
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.execution.progress import bar
 from walker_jax.gaits.summary import summarise_bifurcations
+from walker_jax.walkers.family import WALKERS
 from walker_jax.walkers.model import Walker
-from walker_jax.walkers.parameters import describe_walker, with_parameter
+from walker_jax.walkers.parameters import (
+    SLOPE,
+    describe_walker,
+    parameters,
+    with_parameter,
+)
+
+
+def slopes_of(kind: type[Walker]) -> tuple[float, float]:
+    """The ends of the slopes that are followed unless others are given."""
+    ends = next(one.span for one in parameters(kind) if one.name == "slope")
+    return SLOPE.span if math.isnan(ends[0]) else ends
+
+
+def help_of_end(which: str, end: int) -> str:
+    """The help of an option for one end of the slopes, with its default values."""
+    usual = SLOPE.span[end]
+    own = {name: slopes_of(kind)[end] for name, kind in WALKERS.items()}
+    others = [f", {name}: {value:g}" for name, value in own.items() if value != usual]
+    return f"{which} slope, rad (default: {usual:g}{''.join(others)})."
 
 
 @takes_walker(without=("slope",))
 def bifurcation(
     walker: Walker,
-    low: Annotated[float, typer.Option("--from", help="Lowest slope, rad.")] = 0.001,
-    high: Annotated[float, typer.Option("--to", help="Highest slope, rad.")] = 0.022,
+    low: Annotated[float | None, typer.Option("--from", help=help_of_end("Lowest", 0))] = None,
+    high: Annotated[float | None, typer.Option("--to", help=help_of_end("Highest", 1))] = None,
     period_max: Annotated[
         int, typer.Option(min=1, max=64, help="Longest period of the gaits that are followed.")
     ] = 8,
@@ -36,6 +56,10 @@ def bifurcation(
     """Follow the gaits over the slope: how each is born, doubles and ends."""
     from walker_jax import figures
 
+    low, high = (
+        end if given is None else given
+        for given, end in zip((low, high), slopes_of(type(walker)), strict=True)
+    )
     check_slopes(walker, low, high)
     walker = with_parameter(walker, "slope", low)
     about = {name: value for name, value in describe_walker(walker).items() if name != "slope"}

@@ -22,6 +22,7 @@ from walker_jax.cli.options import (
     check_phidot,
 )
 from walker_jax.cli.walker_options import takes_walker
+from walker_jax.execution.progress import bar
 from walker_jax.stability.boundaries import summarise_boundary
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import describe_in_words, describe_walker
@@ -45,9 +46,11 @@ def boundary(
     """Measure the boundary between walking and falling: its entropy, its saddles, Wada.
 
     The measures are the basin entropy, over all boxes of 5 x 5 cells and over those on the boundary
-    (above log 2 it is fractal); the share of a region's boundary that another region's lacks (none
-    if it is Wada); and the edge states, such as a saddle, to which the boundary leads. The picture
-    has the stable manifolds of the saddles. The default window is that of the command basin.
+    (above log 2, and in boxes of 3 x 3 cells too, it is fractal where its smooth pieces are wide
+    beside the boxes); the share of a region's boundary that another region's lacks (none if it is
+    Wada, but also if the boundaries are merely close); and the edge states, such as a saddle, to
+    which the boundary leads. The picture has the stable manifolds of the saddles. The default
+    window is that of the command basin.
     """
     from walker_jax import figures
 
@@ -65,8 +68,10 @@ def boundary(
     )
     figure, data = find_earlier(out, figure, request, overwrite=overwrite)
     if data is None:
-        grid = grid_along(fill_around_gait(walker, axes))
-        data = storage.save(wj.boundary(walker, grid, strides=strides), out, request)
+        with bar("boundary", True):
+            grid = grid_along(fill_around_gait(walker, axes))
+            data = wj.boundary(walker, grid, strides=strides, progress=True)
+        data = storage.save(data, out, request)
     draw(figures.boundary(data), figure, request)
     answer = summarise_boundary(data)
     if as_json:
@@ -74,10 +79,11 @@ def boundary(
         return
     print(f"Boundary between fates, {describe_in_words(walker)}")
     entropy = answer["boundary_entropy"]
-    fractal = "above log 2: fractal" if entropy["fractal"] else "not above log 2"
+    fractal = "fractal by the log 2 test" if entropy["fractal"] else "not fractal by the log 2 test"
     print(f"  basin entropy {answer['basin_entropy']:.5f}")
     if entropy["value"] is not None:
         print(f"  of the boundary {entropy['value']:.4f} +- {entropy['error']:.4f}, {fractal}")
+        print(f"  boxes on the boundary with three fates or more: {entropy['crowded']:.2%}")
     if answer["wada"]:
         shares = ", ".join(f"{one['share']:.1%} at {one['spacing']}" for one in answer["wada"])
         print(f"  boundaries that another region lacks, by spacing in cells: {shares}")

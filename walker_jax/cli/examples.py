@@ -5,7 +5,7 @@ EXAMPLES = {
     "gait": (
         "gait --slope 0.009",
         "gait --walker round-foot --foot-radius 0.3 --figure multipliers.png",
-        "gait --walker kneed --slope 0.05",
+        "gait --walker kneed",
         "gait --walker powered --slope 0 --push-off 0.05",
         "gait --slope 0.0125 --period 3 --all",
     ),

@@ -32,6 +32,10 @@ def explore(
     """
     from walker_jax.explorer.server import run_server
 
+    try:
+        host.encode("idna")  # as the network does
+    except UnicodeError:
+        raise WrongUse(f"--host must be a name or an address, not {host}") from None
     names = [one for one, kind in WALKERS.items() if type(walker) is kind]
     if not names:
         raise WrongUse(f"--walker must be one of {', '.join(WALKERS)}: the page knows no others")

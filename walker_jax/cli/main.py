@@ -6,6 +6,7 @@ Ctrl-C; 143: terminated by SIGTERM.
 """
 
 import gc
+import os
 import signal
 import sys
 from typing import NoReturn
@@ -24,6 +25,8 @@ class Terminated(BaseException):
 
 def main() -> NoReturn:
     gc.set_threshold(FEW_COLLECTIONS)
+    # Before NumPy is loaded. Matrices are small here: more threads only wait for each other.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     signal.signal(signal.SIGTERM, terminate)
     try:
         code = app(standalone_mode=False)

@@ -1,5 +1,7 @@
 """`walker-jax optimise`."""
 
+import math
+import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -32,6 +34,9 @@ from walker_jax.walkers.parameters import check_parameter, describe_in_words, de
 
 if TYPE_CHECKING:
     import xarray
+
+SAVED_EVERY = 2.0
+"""Seconds after which the trace is saved again, at a tenth of a second each; also at the end."""
 
 
 @takes_walker()
@@ -141,16 +146,27 @@ def computed(
         known = storage.find(out, request, overwrite=overwrite)  # another run may just have ended
         if known is not None and "found" in known:
             return known
-        kept = known is not None
+        kept, latest, saved = known is not None, None, -math.inf
 
         def keep(trace: "xarray.Dataset") -> None:
-            nonlocal kept
-            save(trace)
-            kept = True
+            nonlocal latest
+            latest = trace
+            if time.monotonic() - saved > SAVED_EVERY:
+                save_latest()
+
+        def save_latest() -> None:
+            nonlocal kept, latest, saved
+            if latest is not None:
+                save(latest)
+                kept, latest, saved = True, None, time.monotonic()
 
         with storage.resumable(out, lambda: kept, overwrite=overwrite):
             with bar("optimise", True):
-                return save(compute(known=known, keep=keep))
+                try:
+                    return save(compute(known=known, keep=keep))
+                except BaseException:
+                    save_latest()
+                    raise
 
 
 def bounds_of(walker: Walker, over: list[str], bound: list[str]) -> dict[str, tuple[float, float]]:
@@ -200,7 +216,7 @@ def print_optimum(walker: Walker, answer: dict, objective: str) -> None:
     for end in ENDS:
         values = ", ".join(f"{name} {value:.8g}" for name, value in answer[end].items())
         exact, error = answer["exact"][end], answer["exact_error"][end]
-        print(f"  {end:8} {values}: {exact:.7g}" + (f" +- {error:.1g}" if error else ""))
+        print(f"  {end:8} {values}: {exact:.7g}" + (f" +- {error:.1g}" if error > 0 else ""))
     before, after = (answer["exact"][end] for end in ENDS)
     factor = f", by a factor of {after / before:.3f}" if before > 0 else ""
     print(f"  exactly, it changed by {after - before:+.4g}{factor}")

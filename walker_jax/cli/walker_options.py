@@ -21,6 +21,8 @@ PANEL = "Walker"
 """The panel of the help that holds these options."""
 DEFAULT = "simplest"
 """The walker of a command that names none."""
+PREFIX = "walker_"
+"""Of the arguments for a walker's parameters: those of commands may have the same names."""
 Kinds = Mapping[str, type[Walker]]
 """The walkers that a command offers, by their names."""
 
@@ -59,18 +61,14 @@ def with_walker_options(command: Callable[..., None], kinds: Kinds) -> Callable[
     without: tuple[str, ...] = vars(command)["without"]
     offered, owners = offered_parameters(kinds, without)
     own = list(inspect.signature(command).parameters.values())[1:]
-    for name in offered:
-        if name in ("walker", "list_walkers", *(one.name for one in own)):
-            option = option_of(name)
-            raise WrongUse(f"{option} is an option of the command: rename the parameter {name}")
 
     @functools.wraps(command)
     def with_options(**given):
         name = given.pop("walker")
         given.pop("list_walkers")
-        values = {parameter: given.pop(parameter) for parameter in offered}
+        values = {parameter: given.pop(PREFIX + parameter) for parameter in offered}
         values = {one: value for one, value in values.items() if value is not None}
-        checks = {one.name: given.pop(one.name) for one in offered_options(kinds)}
+        checks = {one.name: given.pop(PREFIX + one.name) for one in offered_options(kinds)}
         chosen = [one for one, chosen in checks.items() if chosen]
         return command(build_walker(kinds, name, values, chosen), **given)
 
@@ -120,11 +118,11 @@ def walker_options(
         number = typer.Option(
             option_of(one.name), help=help_of(one), rich_help_panel=PANEL, show_default=False
         )
-        accepted.append(option(one.name, Annotated[float | None, number], None))
+        accepted.append(option(PREFIX + one.name, Annotated[float | None, number], None))
     for one, whose in offered_options(kinds).items():
         about = f"{whose_option(whose, kinds)}{one.meaning}."
         flag = typer.Option(option_of(one.name), help=about, rich_help_panel=PANEL)
-        accepted.append(option(one.name, Annotated[bool, flag], False))
+        accepted.append(option(PREFIX + one.name, Annotated[bool, flag], False))
     return [*accepted, option("list_walkers", ListWalkers, False)]
 
 

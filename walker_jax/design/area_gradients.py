@@ -3,10 +3,10 @@
 An area is the integral of an indicator, which has no derivative; but the basin's boundary is where
 the margin m of some failure is zero, and moves outwards, at right angles to itself, by
 v = (dm/dp) / |grad m| for each unit of a parameter p. So dA/dp is the integral of v along the
-boundary, by derivatives of strides and margins alone. A volume is that of a surface in the same
-way. Where the boundary is fractal the area falls
-by jumps, whose sum that integral misses; there a derivative means something only as its average
-over a band of the parameter, which is the change of the area over the band.
+boundary, by derivatives of strides and margins alone. A volume's derivative is an integral over a
+surface in the same way. Where the boundary is fractal the area falls by jumps, whose sum that
+integral misses; there a derivative means something only as its average over a band of the
+parameter, which is the change of the area over the band.
 """
 
 from collections.abc import Sequence
@@ -19,6 +19,7 @@ from walker_jax.basins.refinement import Refined, refine_cells
 from walker_jax.basins.runs import flat_index
 from walker_jax.checks import refuses_tracers
 from walker_jax.design.bands import check_bands, walkers_at_band_ends
+from walker_jax.execution.threads import side_by_side
 from walker_jax.grids import Grid
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.walkers.model import Walker
@@ -26,7 +27,11 @@ from walker_jax.walkers.model import Walker
 BISECTIONS = 8
 """Bisections of the distance between two centres, to locate the boundary between them."""
 LINE_GROUPS = 4
-"""Groups of lines, each a coarser grid, whose scatter gives the error."""
+"""Groups of lines, each a coarser grid, whose scatter gives the error of sampling."""
+MAX_WEIGHTS = {2: (2, 1), 3: (4, 2)}
+"""The most that a crossing counts for those that are not found, in two sums, by the dimensions.
+Without a limit there is no bias, but few crossings decide the sum. Two dimensions afford grids on
+which weights bring more noise than they take bias: there all count once."""
 MAX_RELATIVE_ERROR = 0.05
 """Relative error above which an integral along the boundary is not used where a band is given."""
 
@@ -41,7 +46,8 @@ class AreaGradient(NamedTuple):
     """Its derivatives."""
     area_error: float
     error: Float[np.ndarray, " parameters"]
-    """Standard errors; of the gradient, by the scatter between lines of the grid."""
+    """Standard errors; of the gradient, by the scatter between lines of the grid, and by an
+    estimate of what parts thinner than its cells bring."""
     averaged: Bool[np.ndarray, " parameters"]
     """Whether each derivative is an average over a band."""
     crossings: int
@@ -77,8 +83,14 @@ def area_gradient(
     Bisection locates each point; beyond it the walker fails after a number of strides, and v
     follows from the forward-mode derivatives of that failure's margin. There is no smoothing.
 
-    Lines miss most parts of the basin that are thinner than a cell. Where such parts matter, as at
-    a fractal boundary, the derivative of the area is of little use anyway: fingers of failure grow
+    Lines miss parts of the basin, or gaps in it, that are thinner than a cell. A part of a line of
+    length l < 1, in cells, holds a centre with probability l; so its ends count 1 / l times
+    (Horvitz and Thompson 1952), but c times at most. Over three dimensions the sums S(c) of c = 2
+    and 4 are extrapolated to those without a limit, 2 S(4) - S(2), which is right where all lengths
+    below 1/2 are as likely, and S(4) - S(2) counts as an error. Over two, grids are fine enough
+    for S(1), whose noise is less, and S(2) - S(1) counts as an error.
+
+    At a fractal boundary the derivative of the area is of little use: fingers of failure grow
     into the basin like the square root of the distance in p from the value at which they are born.
     There, if the error exceeds 1/20 of the integral and `bands` are given, the derivative is the
     average over a band of half width h, (A(p + h) - A(p - h)) / 2h, of refined areas.
@@ -127,7 +139,7 @@ def area_gradient(
     averaged = unsure & (bands is not None)
     for k in map(int, np.flatnonzero(averaged)):
         low, high = walkers_at_band_ends(walker, parameters[k], widths[k])
-        below, above = basin_of(low), basin_of(high)
+        below, above = side_by_side(basin_of, (low, high))
         width = float(getattr(high, parameters[k]) - getattr(low, parameters[k])) or np.nan
         gradient[k] = (above.area - below.area) / width
         error[k] = np.hypot(above.area_error, below.area_error) / width
@@ -161,8 +173,9 @@ def integrate_along_boundary(walker: Walker, found: Refined, parameters: Sequenc
     fine = found.grid
     shape, count = np.array(fine.shape), len(parameters)
     tangents = np.asarray(fine.shear) * np.asarray(fine.spacing)  # columns: from cell to cell
-    totals = np.zeros((LINE_GROUPS, count))
+    totals, extrapolated = np.zeros((LINE_GROUPS, count)), np.zeros(count)
     crossings = lost = made = 0
+    limits = MAX_WEIGHTS[len(shape)]
 
     def follow(places: Float[np.ndarray, "n axes"]) -> tuple[np.ndarray, np.ndarray]:
         """Whether walkers converge to an attractor, and after how many strides they do or fail."""
@@ -188,11 +201,31 @@ def integrate_along_boundary(walker: Walker, found: Refined, parameters: Sequenc
             moves = by_parameter * (np.abs(slopes[:, axis]) / steepness)[:, None]
         known = np.isfinite(moves).all(axis=1)
         crossings, lost = crossings + len(x), lost + int(np.sum(~known))
-        line = np.delete(np.floor(outside).astype(int), axis, axis=1).sum(axis=1) % LINE_GROUPS
-        np.add.at(totals, line[known], moves[known])
+        most, half = (inverse_chances(outside, axis, c)[known, None] for c in limits)
+        weight = 2 * most - half if len(shape) == 3 else half
+        group = np.delete(np.floor(outside).astype(int), axis, axis=1).sum(axis=1) % LINE_GROUPS
+        np.add.at(totals, group[known], moves[known] * weight)
+        extrapolated += np.sum(moves[known] * (most - half), axis=0)
     cell = fine.cell_area
-    error = np.sqrt(LINE_GROUPS) * np.std(totals, axis=0, ddof=1) * cell
+    error = np.hypot(np.sqrt(LINE_GROUPS) * np.std(totals, axis=0, ddof=1), extrapolated) * cell
     return Integral(totals.sum(axis=0) * cell, error, crossings, lost, made)
+
+
+def inverse_chances(
+    places: Float[np.ndarray, "n axes"], axis: int, most: int
+) -> Float[np.ndarray, " n"]:
+    """How many crossings of lines along an axis each of these counts for, found between centres.
+
+    One that is a length l < 1, in cells, from the next on its line is found with probability l.
+    """
+    lines = np.floor(np.delete(places, axis, axis=1))
+    order = np.lexsort([places[:, axis], *lines.T])
+    lines, along = lines[order], places[order, axis]
+    apart = np.where(np.any(lines[1:] != lines[:-1], axis=1), np.inf, np.diff(along))
+    nearest = np.minimum(np.append(np.inf, apart), np.append(apart, np.inf))
+    weights = np.empty(len(places))
+    weights[order] = 1 / np.clip(nearest, 1 / most, 1)
+    return weights
 
 
 def boundary_pairs(

@@ -23,6 +23,8 @@ BAND_HALF_WIDTHS = (0.1, 0.05, 0.03, 0.03)
 They are wide enough for the errors of areas at their ends."""
 LEVELS_OMITTED = (3, 2, 1, 1)
 """Levels of refinement that areas and volumes have less in each stage than at the ends."""
+HOW_MEASURED = tuple(zip(LEVELS_OMITTED, BAND_HALF_WIDTHS, strict=True))
+"""On what the measurements of each stage depend, beside the parameters."""
 SCAN_STAGE, ENDS_STAGE = -1, -2
 """Numbers in place of a stage: of the scan for a picture, and of the ends."""
 CHECK_STARTS = 50_000, 500_000

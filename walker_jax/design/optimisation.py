@@ -9,6 +9,8 @@ on a grid finer than any before.
 """
 
 from collections.abc import Callable, Mapping
+from functools import partial
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -39,6 +41,7 @@ from walker_jax.design.problem import (
     starting_places,
 )
 from walker_jax.design.trace import Trace, string_array
+from walker_jax.execution.threads import side_by_side
 from walker_jax.grids import Grid
 from walker_jax.stability.summary import default_region
 from walker_jax.walkers.model import Walker
@@ -104,7 +107,8 @@ def optimise(
     **Returns** a data set: over the parameters, `start` and `optimum`, those of the best climb;
     `objective_start` and `objective_optimum`, as that climb measured them; `exact_start` and
     `exact_optimum`, with standard errors `exact_start_error` and `exact_optimum_error`, which are 0
-    except for areas and volumes; `at_bound`, -1 or 1 for parameters that end at their lower or
+    except for areas and volumes, and NaN with the least disturbance, of which the search gives an
+    upper bound; `at_bound`, -1 or 1 for parameters that end at their lower or
     upper bound; `binding`, the measures whose limits bind at the optimum; and `converged`, whether
     it ended because no step of the last stage along the gradient improved the objective. The
     trace, over evaluations: `run`, `stage` (-1 for the scan, -2 for the ends), `parameters`,
@@ -197,11 +201,13 @@ def measure_ends(trace: Trace, start: Evaluation, best: Evaluation) -> dict:
     """What `optimise` says of the best climb's start and its end."""
     problem, sides = trace.problem, {"start": start, "optimum": best}
     found: dict = {}
-    for name, row in sides.items():
-        exact = trace.measure(row.run, ENDS_STAGE, problem.place_of(row.parameters))
+    ends = [problem.place_of(row.parameters) for row in sides.values()]
+    exactly = trace.measure_all(best.run, ENDS_STAGE, ends)
+    for (name, row), exact in zip(sides.items(), exactly, strict=True):
         found[name] = "parameter", row.parameters
         found[f"objective_{name}"] = row.value
-        found[f"exact_{name}"], found[f"exact_{name}_error"] = exact.value, exact.value_error
+        error = np.nan if "least-disturbance" in problem.weights else exact.value_error
+        found[f"exact_{name}"], found[f"exact_{name}_error"] = exact.value, error
     place = problem.place_of(best.parameters)
     side = (place == 1).astype(np.int8) - (place == 0).astype(np.int8)
     binding = trace.limits.binding(place)
@@ -216,7 +222,8 @@ def scan_objective(trace: Trace, best: Evaluation, count: int) -> dict:
     places = np.tile(middle, (len(middle), count, 1))
     for k in range(len(middle)):
         places[k, :, k] = np.linspace(0, 1, count)
-    rows = [[trace.measure(-1, SCAN_STAGE, place) for place in line] for line in places]
+    measured = iter(trace.measure_all(-1, SCAN_STAGE, places.reshape(-1, len(middle))))
+    rows = [list(islice(measured, count)) for _ in middle]
     low, high = np.array(
         [problem.limits.get(name, (-np.inf, np.inf)) for name in problem.measures]
     ).T
@@ -239,18 +246,16 @@ def compare_basins(problem: Problem, start: Evaluation, best: Evaluation) -> dic
     if grid is None or len(grid.names) != 2:
         return {}
     walkers = [problem.walker_at(row.parameters) for row in (start, best)]
-    rough = [
-        refine_cells(
-            walker,
-            grid,
-            min(1, problem.levels),
-            strides=problem.strides,
-            check=CHECK_STARTS[False],
-            seed=problem.seed,
-            tolerance=problem.tolerance,
-        )
-        for walker in walkers
-    ]
+    refine_roughly = partial(
+        refine_cells,
+        grid=grid,
+        levels=min(1, problem.levels),
+        strides=problem.strides,
+        check=CHECK_STARTS[False],
+        seed=problem.seed,
+        tolerance=problem.tolerance,
+    )
+    rough = list(side_by_side(refine_roughly, walkers))
     cells = np.concatenate([np.argwhere(one.attractor >= 0) for one in rough])
     shape = np.array(rough[0].grid.shape)
     low, high = (cells.min(axis=0), cells.max(axis=0) + 1) if len(cells) else (0 * shape, shape)
@@ -264,9 +269,11 @@ def compare_basins(problem: Problem, start: Evaluation, best: Evaluation) -> dic
         )
     }
     view = Grid(axes, grid.shear, grid.origin, grid.fixed)
+    follow = partial(
+        basin, grid=view, method="direct", strides=problem.strides, tolerance=problem.tolerance
+    )
     fates = {}
-    for name, walker in zip(("start", "optimum"), walkers, strict=True):
-        data = basin(walker, view, "direct", strides=problem.strides, tolerance=problem.tolerance)
+    for name, data in zip(("start", "optimum"), side_by_side(follow, walkers), strict=True):
         fate = np.where(data["attractor"] >= 0, ATTRACTED, data["fate"]).astype(np.int8)
         fates[f"fate_{name}"] = tuple(grid.names), fate
     shown = view.fixed_values if problem.size == "volume" else {}

@@ -2,16 +2,18 @@
 
 import time
 from collections.abc import Callable, Iterable
+from contextlib import closing
 
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
 from walker_jax.checks import WrongUse
-from walker_jax.design.evaluation import Evaluation, evaluate_objective
+from walker_jax.design.evaluation import HOW_MEASURED, Evaluation, evaluate_objective
 from walker_jax.design.limits import Limits
 from walker_jax.design.problem import Problem, describe_problem
 from walker_jax.execution.progress import bar, in_words
+from walker_jax.execution.threads import side_by_side
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import find_gait
 
@@ -45,20 +47,35 @@ class Trace:
 
     def measure(self, run: int, stage: int, place: Float[np.ndarray, " parameters"]) -> Evaluation:
         """Measure the walker at a place, unless the measurement is known."""
-        values = self.problem.values(place)
-        row = self.known.get((stage, values.tobytes()))
-        if row is None:
-            with bar(self.label(values), self.progress):
-                row = evaluate_objective(self.problem, stage, values, self.gait)
-            self.known[key_of(row)] = row
-            self.rows.append(row._replace(run=run))
-            if self.keep is not None:
-                visited = {key_of(one) for one in self.rows}
-                left = [one for place, one in self.known.items() if place not in visited]
-                self.keep(self.data([*self.rows, *left]))
-        else:
-            self.rows.append(row._replace(run=run))
-        return self.rows[-1]
+        (row,) = self.measure_all(run, stage, [place])
+        return row
+
+    def measure_all(
+        self, run: int, stage: int, places: Iterable[Float[np.ndarray, " parameters"]]
+    ) -> list[Evaluation]:
+        """Measure the walker at several places, side by side, unless a measurement is known."""
+        all_values = [self.problem.values(place) for place in places]
+        new = {one.tobytes(): one for one in all_values if (stage, one.tobytes()) not in self.known}
+        evaluate = lambda values: evaluate_objective(self.problem, stage, values, self.gait)
+        with closing(side_by_side(evaluate, new.values())) as evaluated:
+            for values in all_values:
+                row = self.known.get(key_at(stage, values))
+                if row is None:
+                    with bar(self.label(values), self.progress):
+                        row = next(evaluated)
+                    self.known[key_of(row)] = row
+                    self.rows.append(row._replace(run=run))
+                    self.keep_all()
+                else:
+                    self.rows.append(row._replace(run=run, stage=stage))
+        return self.rows[-len(all_values) :]
+
+    def keep_all(self) -> None:
+        """Keep the trace, with what is known beside it."""
+        if self.keep is not None:
+            visited = {key_of(one) for one in self.rows}
+            left = [one for place, one in self.known.items() if place not in visited]
+            self.keep(self.data([*self.rows, *left]))
 
     def label(self, values: Float[np.ndarray, " parameters"]) -> str:
         """What progress shows of a measurement: which one it is, and how much time is left."""
@@ -92,9 +109,15 @@ def string_array(values: Iterable[str]) -> np.ndarray:
     return np.array(list(values), dtype=object)
 
 
+def key_at(stage: int, values: Float[np.ndarray, " parameters"]) -> tuple[int, bytes]:
+    """The key of a measurement: the first stage that measures alike, and the parameters."""
+    alike = stage if stage < 0 else HOW_MEASURED.index(HOW_MEASURED[stage])
+    return alike, values.tobytes()
+
+
 def key_of(row: Evaluation) -> tuple[int, bytes]:
-    """The key of a measurement: its stage and parameters."""
-    return int(row.stage), row.parameters.tobytes()
+    """The key of a measurement."""
+    return key_at(int(row.stage), row.parameters)
 
 
 def evaluations_in(data: xr.Dataset) -> list[Evaluation]:

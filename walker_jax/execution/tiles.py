@@ -11,7 +11,9 @@ import functools
 import math
 import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import CancelledError, ThreadPoolExecutor
+from contextvars import ContextVar
+from threading import Event
 from typing import Any
 
 import jax
@@ -83,6 +85,8 @@ def map_cells(
     if len(sizes) != 1:
         raise WrongUse(f"cells must hold arrays of one length, not of {sorted(sizes)}")
     (n,) = sizes
+    if any(stop.is_set() for stop in stopping.get()):
+        raise CancelledError
     devices = jax.local_devices()
     platform = devices[0].platform
     if platform == "cpu":
@@ -145,6 +149,8 @@ def run_in_threads(
 
 
 core_limit: int | None = None
+stopping: ContextVar[tuple[Event, ...]] = ContextVar("stopping", default=())
+"""Any of these stops the computation of this thread, before its next kernel."""
 
 
 def limit_cores(most: int | None) -> None:

@@ -36,6 +36,9 @@ ENDS = {
     "forward": "leads to a foot that grazes the ground",
     "running": "leads to a contact force of zero",
     "stopping": "leads to a foot that just lifts",
+    "landing": "leads to a bent leg's foot that grazes the ground",
+    "buckling": "leads to a knee that is not pressed on its stop",
+    "scuffing": "leads to a bent leg's foot that scuffs",
     "": "comes to no cycle",
 }
 """What an edge leads to that is no saddle."""
@@ -111,7 +114,7 @@ def saddle_phrase(one: xr.Dataset) -> str:
 def entropy_phrase(data: xr.Dataset) -> str:
     """The entropies of a basin, and the log 2 test."""
     value, error = float(data["boundary_entropy"]), float(data["boundary_entropy_error"])
-    fractal = "above log 2, fractal" if value - 2 * error > np.log(2) else "not above log 2"
+    fractal = "fractal by log 2" if data["boundary_fractal"] else "not fractal by log 2"
     value_phrase = f"of the boundary {value:.3f} ± {error:.3f} ({fractal})"
     first = f"basin entropy {float(data['basin_entropy']):.4f}, {value_phrase};"
     return f"{first}\ncurves are stable manifolds of the saddles"

@@ -198,7 +198,7 @@ def bifurcations(data: xr.Dataset) -> Figure:
         zoom.lines[0].set(markersize=0.8, alpha=0.5)
         zoom.set(xlim=window[:2], ylim=window[2:])
         zoom.locator_params(axis="x", nbins=6)
-    figure_title(figure, walker_title(data))
+    figure_title(figure, walker_title(data, 110))
     return figure
 
 

@@ -103,7 +103,7 @@ class Linearisation(NamedTuple):
     time: Float[np.ndarray, "n period"]
     """Durations of the strides."""
     jacobian: Float[np.ndarray, "n period section section"]
-    """Derivatives of the ends by the starts, a matrix J for each stride."""
+    """Derivatives of the ends by the starts, a matrix J for each stride; NaN where it fails."""
     by_parameter: Float[np.ndarray, "n period section"]
     """Derivatives of the ends by the parameter; zero where none is given."""
 
@@ -138,8 +138,10 @@ def linearise(
     (state, time), (changes, _) = differentiate(directions[:first], everything)
     state, time = state[::first], time[::first]
     by[:, :first] = changes.reshape(len(starts), first, size)
+    walks = np.isfinite(state).all(axis=1)
+    by[~walks] = np.nan  # a failing stride has derivatives of zero
     if not few:
-        walking = np.flatnonzero(np.isfinite(state).all(axis=1))
+        walking = np.flatnonzero(walks)
         _, (others, _) = differentiate(directions[1:], walking)
         by[walking, 1:] = others.reshape(len(walking), len(directions) - 1, size)
     shaped = lambda values: values.reshape(*cycles.shape[:2], *values.shape[1:])

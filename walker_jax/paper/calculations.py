@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from walker_jax.basins.computation import basin
 from walker_jax.basins.refinement import refine
+from walker_jax.execution.threads import side_by_side
 from walker_jax.gaits.diagrams import bifurcation_diagram
 from walker_jax.gaits.search import find_gait
 from walker_jax.grids import Grid
@@ -98,7 +99,8 @@ def basins_over_slopes(size: Size) -> xr.Dataset:
     The basin rises with the slope.
     """
     grid = Grid.sheared(theta=(0, 0.4, 200), sum=(-0.04, 0.02, 300))
-    found = [basin(SimplestWalker(slope), grid, "direct") for slope in ROW_SLOPES]
+    basin_at = lambda slope: basin(SimplestWalker(slope), grid, "direct")
+    found = list(side_by_side(basin_at, ROW_SLOPES))
     kept = [one[["fate", "attractor"]].assign(area=one["area"].sum()) for one in found]
     table = xr.concat(kept, "slope", coords="minimal", compat="override", combine_attrs="drop")
     return table.assign_coords(slope=list(ROW_SLOPES)).assign_attrs(found[0].attrs)
@@ -109,20 +111,21 @@ def areas_over_slopes(size: Size) -> xr.Dataset:
     theta, total = CELL
     grid = Grid.sheared(theta=(0, 392 * theta, 392), sum=(-600 * total, 150 * total, 750))
     at = np.linspace(0.0005, 0.0215, size.slopes).round(6)
-    mapped_area, area, error = [], [], []
-    for slope in at.tolist():
+
+    def areas_at(slope: float) -> tuple[float, float, float]:
         walker = SimplestWalker(slope)
-        mapped_area.append(float(basin(walker, grid)["area"].sum()))
+        mapped_area = float(basin(walker, grid)["area"].sum())
         region = default_region(walker)
         if size.levels is None or region is None:
-            area.append(np.nan)
-            error.append(np.nan)
-        else:
-            fine = refine(walker, region, size.levels)
-            area.append(float(fine["total_area"]))
-            error.append(float(fine["total_area_error"]))
-    over = {"mapped_area": mapped_area, "area": area, "area_error": error}
-    return xr.Dataset({name: ("slope", values) for name, values in over.items()}, {"slope": at})
+            return mapped_area, np.nan, np.nan
+        fine = refine(walker, region, size.levels)
+        return mapped_area, float(fine["total_area"]), float(fine["total_area_error"])
+
+    found = zip(*side_by_side(areas_at, at.tolist()), strict=True)
+    over = dict(zip(("mapped_area", "area", "area_error"), found, strict=True))
+    return xr.Dataset(
+        {name: ("slope", np.array(values)) for name, values in over.items()}, {"slope": at}
+    )
 
 
 def surviving_cells(size: Size) -> xr.Dataset:
@@ -132,13 +135,12 @@ def surviving_cells(size: Size) -> xr.Dataset:
     """
     at = np.arange(18, 28) / 1000
     shifts = np.stack(np.divmod(np.arange(size.shifts**2), size.shifts), axis=1) / size.shifts
-    cells = [
-        [
-            int((basin(SimplestWalker(slope), paper_grid(shift))["attractor"] >= 0).sum())
-            for slope in at.tolist()
-        ]
-        for shift in shifts
-    ]
+
+    def count_at(shift: Float[np.ndarray, " 2"]) -> list[int]:
+        basins = [basin(SimplestWalker(slope), paper_grid(shift)) for slope in at.tolist()]
+        return [int((one["attractor"] >= 0).sum()) for one in basins]
+
+    cells = list(side_by_side(count_at, shifts))
     return xr.Dataset({"cells": (("shift", "slope"), cells)}, {"slope": at})
 
 

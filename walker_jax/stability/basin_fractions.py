@@ -40,6 +40,7 @@ from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 from walker_jax.walking.iteration import orbits
 from walker_jax.walking.outcomes import Outcome
+from walker_jax.walking.stepping import check_single
 
 SAME_CYCLE = 1e-6
 """Distance within which a cycle is the one that its branch has there: rounding errors, and what a
@@ -94,13 +95,15 @@ def continue_basins(
     converge to it, with the ends `fraction_low` and `fraction_high` of Wilson's 95 % interval, NaN
     where it is none; its `states` there, or `STATES` of a motion without a period; `period`, 0 for
     such a motion; and the `first` and the `last` value at which it attracts. `failed` is the
-    fraction that fails, by `Outcome`. Over the bifurcations of the gaits' branches:
+    fraction that converges to none of these, by the `Outcome` of the last stride: `STRIDE` for
+    those that still walk then. Over the bifurcations of the gaits' branches:
     `event_attractor`, `event_value`, and `event_fold`, whether it is a fold or a period doubling.
 
     Raises `ValueError` for a wrong parameter, values that are not in order, and a region that does
     not fit the walker.
     """
     check_kind("walker", walker, Walker)
+    check_single(walker)
     values = numbers("values", values).astype(float)
     if values.ndim != 1 or len(values) < 2 or not (np.diff(values) > 0).all():
         raise WrongUse(f"values must be two or more in ascending order, not {values.tolist()}")
@@ -230,8 +233,7 @@ def assemble(
     shares = np.full((3, len(values), count), np.nan)
     failed = np.zeros((len(values), len(Outcome)))
     for i, (names, attractors, labels) in enumerate(found):
-        fates = np.where(labels.converged, Outcome.STRIDE, labels.fate)
-        lost = fates[~labels.converged]
+        lost = labels.fate[~labels.converged]
         failed[i] = np.bincount(lost, minlength=len(Outcome)) / samples
         for number, (name, one) in enumerate(zip(names, attractors, strict=True)):
             reached = int((labels.attractor == number).sum())

@@ -10,17 +10,22 @@ from walker_jax.basins.computation import basin
 from walker_jax.basins.edge_states import EdgeState, edge_state
 from walker_jax.basins.memory import check_grid
 from walker_jax.basins.stable_manifolds import stable_manifold
-from walker_jax.checks import ComputationFailed, check_whole, refuses_tracers
+from walker_jax.checks import ComputationFailed, WrongUse, check_whole, refuses_tracers
 from walker_jax.entropies import BOX, basin_entropy
+from walker_jax.execution.progress import bar, track
+from walker_jax.gaits.cycles import Gait
 from walker_jax.grids import Grid
 from walker_jax.wada import MIN_REGIONS, RADIUS, check_radius, merge_regions
 from walker_jax.walkers.model import Walker
 from walker_jax.walking.outcomes import Outcome
+from walker_jax.walking.stepping import check_single
 
 NO_REGION = (Outcome.OUTSIDE, Outcome.UNDECIDED, Outcome.LEFT_GRID)
 """Fates of cells that are in no region: no walk begins there, or none is known."""
 HALVINGS = 3
 """Coarser grids on which boundaries of merged regions are compared, if the grid is so fine."""
+MIN_CELLS = 3
+"""Cells along an axis: a cell and its neighbours, as `merge_regions` requires."""
 SPACING = 5e-3
 """Of the points of a stable manifold: a cubic between them errs by less than a picture shows."""
 LONGEST_CURVED = 4
@@ -37,6 +42,7 @@ def boundary(
     radius: float | int = RADIUS,
     strides: int = 500,
     tolerance: float | None = None,
+    progress: bool = False,
 ) -> xr.Dataset:
     """The boundary between the fates in a region: entropy, the Wada property, edge states.
 
@@ -51,40 +57,52 @@ def boundary(
     - `radius`: as in `merge_regions`, in cells.
     - `strides`: number of strides for which a walker is followed.
     - `tolerance`: of the integration, as in `stride`.
+    - `progress`: whether to show progress on a terminal.
 
     **Returns** what `basin` returns, and `basin_entropy`, `boundary_entropy` and its standard error
-    `boundary_entropy_error`; the regions' fates `region`, and `wada_share`, the largest share of a
+    `boundary_entropy_error`; `boundary_crowded`, the share of the boxes on the boundary with three
+    fates or more, and `boundary_fractal`, whether the entropy shows that the boundary is fractal,
+    as in `BasinEntropy`; the regions' fates `region`, and `wada_share`, the largest share of a
     region's boundary that the boundary of another region lacks, over the `spacing` of the grid's
     points, none with less than three regions. And over the pairs of regions that touch on the grid
     (`edge`), from the two cells nearest to the first attractor, or to the middle of the grid: their
     fates `edge_fates`; what `edge_state` finds there, `edge_kind`, `edge_between`, `edge_path`, and
     of a saddle `edge_period`, `edge_saddle`, `edge_multipliers` and, of a section of two
-    coordinates, its `stable_manifold`.
+    coordinates, its `stable_manifold`: the two curves from its first state, also where the saddle
+    has a longer period, and none where that is longer than `LONGEST_CURVED`.
 
     Raises `ValueError` as `basin`, `basin_entropy` and `merge_regions`.
     """
     check_grid(walker, grid, "direct")
+    check_single(walker)
+    if min(grid.shape) < MIN_CELLS:
+        raise WrongUse(
+            f"grid must have {MIN_CELLS} cells or more along each axis, not {grid.shape}"
+        )
     check_whole("side", side, 2, min(grid.shape))
     check_radius(radius)
-    data = basin(walker, grid, "direct", strides=strides, tolerance=tolerance)
+    with bar("basin", progress):
+        data = basin(
+            walker, grid, "direct", strides=strides, tolerance=tolerance, progress=progress
+        )
     fate = data["fate"].values
     label = np.where(np.isin(fate, NO_REGION), -1, fate)
     entropy = basin_entropy(label, side)
     regions = np.unique(label[label >= 0])
     spacings, shares = np.zeros(0, int), np.zeros(0)
     if len(regions) >= MIN_REGIONS:
-        halvings = min(HALVINGS, int(np.log2(min(label.shape) / 3)))
+        halvings = min(HALVINGS, int(np.log2(min(label.shape) / MIN_CELLS)))
         found = merge_regions(label, radius, halvings=halvings)
         spacings, shares = found.spacings, found.share
     pairs, edges = [], []
-    for first, second in combinations(regions.tolist(), 2):
+    for first, second in track([*combinations(regions.tolist(), 2)], "edge states", progress):
         cells = touching_cells(label, (first, second), nearest_to(data, grid))
         if cells is None:
             continue
         ends = grid.points_at((cells + 0.5) / np.array(grid.shape))
         try:
             edges.append(edge_state(walker, *ends, strides=strides, tolerance=tolerance))
-        except ComputationFailed:  # rounding lost this boundary: the other pairs count
+        except (ComputationFailed, WrongUse):  # rounding lost this boundary: the others count
             edges.append(EdgeState("", None, ends[:1], (Outcome(first), Outcome(second)), np.nan))
         pairs.append((first, second))
     return data.assign(
@@ -92,10 +110,12 @@ def boundary(
             "basin_entropy": entropy.value,
             "boundary_entropy": entropy.boundary,
             "boundary_entropy_error": entropy.boundary_error,
+            "boundary_crowded": entropy.crowded / entropy.mixed if entropy.mixed else np.nan,
+            "boundary_fractal": entropy.fractal,
             "region": ("region_number", regions),
             "spacing": ("spacing", spacings),
             "wada_share": ("spacing", shares),
-            **edge_arrays(walker, pairs, edges, tolerance),
+            **edge_arrays(walker, pairs, edges, tolerance, progress),
         }
     ).assign_attrs(side=side, radius=float(radius))
 
@@ -105,8 +125,7 @@ def nearest_to(data: xr.Dataset, grid: Grid) -> Float[np.ndarray, " axes"]:
     middle = (np.array(grid.shape) - 1) / 2
     if data.sizes["number"] == 0 or len(grid.names) < grid.coordinates:
         return middle
-    box = np.asarray(grid.unshear) @ (data["states"].values[0, 0] - np.asarray(grid.origin))
-    place = (box - np.asarray(grid.lower)) / np.asarray(grid.spacing) - 0.5
+    place = grid.place(data["states"].values[0, 0])
     return place if ((place >= 0) & (place <= 2 * middle)).all() else middle
 
 
@@ -133,17 +152,14 @@ def edge_arrays(
     pairs: list[tuple[int, int]],
     edges: list[EdgeState],
     tolerance: float | None,
+    progress: bool,
 ) -> dict[str, tuple]:
     """The variables over the pairs of regions that touch."""
     size = len(walker.section)
     saddles = [one.saddle for one in edges]
     multipliers = [np.zeros(0) if one is None else np.asarray(one.multipliers) for one in saddles]
-    curves = [
-        stable_manifold(walker, one, spacing=SPACING, tolerance=tolerance)
-        if one is not None and size == 2 and len(one.states) <= LONGEST_CURVED
-        else []
-        for one in saddles
-    ]
+    followed = track(saddles, "stable manifolds", progress)
+    curves = [curves_of(walker, one, tolerance) for one in followed]
     both = [curve for pair in curves for curve in (*pair, *[np.zeros((0, size))] * (2 - len(pair)))]
     vertices = padded(both, size)
     return {
@@ -170,6 +186,18 @@ def edge_arrays(
     }
 
 
+def curves_of(
+    walker: Walker, saddle: Gait | None, tolerance: float | None
+) -> list[Float[np.ndarray, "n section"]]:
+    """The stable manifold of a saddle; no curves where none is drawn, or has two."""
+    if saddle is None or len(walker.section) != 2 or len(saddle.states) > LONGEST_CURVED:
+        return []
+    try:
+        return stable_manifold(walker, saddle, spacing=SPACING, tolerance=tolerance)
+    except (WrongUse, np.linalg.LinAlgError):  # two multipliers beyond 1, or a singular Jacobian
+        return []
+
+
 def padded(rows: list, size: int) -> Float[np.ndarray, "n most size"]:
     """Arrays of several lengths as one, with NaN after the shorter ones."""
     values = np.full((len(rows), max(map(len, rows), default=0), size), np.nan)
@@ -181,7 +209,7 @@ def padded(rows: list, size: int) -> Float[np.ndarray, "n most size"]:
 def summarise_boundary(data: xr.Dataset) -> dict:
     """The results of `boundary` for JSON; fates by their names."""
     names = lambda codes: [Outcome(int(code)).name for code in codes.values]
-    value, error = float(data["boundary_entropy"]), float(data["boundary_entropy_error"])
+    value, crowded = float(data["boundary_entropy"]), float(data["boundary_crowded"])
     shares = zip(data["spacing"].values.tolist(), data["wada_share"].values.tolist(), strict=True)
     edges = []
     for i in range(data.sizes["edge"]):
@@ -201,8 +229,9 @@ def summarise_boundary(data: xr.Dataset) -> dict:
         "basin_entropy": float(data["basin_entropy"]),
         "boundary_entropy": {
             "value": value if np.isfinite(value) else None,
-            "error": error,
-            "fractal": bool(value - 2 * error > np.log(2)),
+            "error": float(data["boundary_entropy_error"]),
+            "fractal": bool(data["boundary_fractal"]),
+            "crowded": crowded if np.isfinite(crowded) else None,
         },
         "regions": names(data["region"]),
         "wada": [{"spacing": spacing, "share": share} for spacing, share in shares],

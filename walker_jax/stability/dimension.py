@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 from walker_jax.basins.capture_boxes import with_capture_boxes
 from walker_jax.basins.memory import check_grid
 from walker_jax.basins.methods import mapper_of_grid
+from walker_jax.basins.runs import flat_index
 from walker_jax.checks import check_precision, check_whole, numbers, refuses_tracers
 from walker_jax.fractals import Uncertainty, sort_distances, uncertainty_exponent, upper_probability
 from walker_jax.grids import Grid, edge
@@ -37,7 +38,8 @@ def boundary_dimension(
 
     A start is uncertain at a distance if a walker that starts at that distance, on either side in a
     random direction, converges to another attractor, or to none. Starts are drawn from the cells
-    that have a neighbour of another fate; elsewhere hardly any are uncertain.
+    with a neighbour that converges to another attractor, or to none; elsewhere hardly any are
+    uncertain.
 
     **Arguments:**
 
@@ -49,7 +51,8 @@ def boundary_dimension(
     - `confidence`, `seed`: of the interval, and of random numbers.
     - `tolerance`: of the integration, as in `stride`.
 
-    **Returns** an `Uncertainty`, NaN where all cells have one fate.
+    **Returns** an `Uncertainty`, NaN where all cells converge to one attractor, or none: all
+    failures are alike here.
 
     Raises `ValueError` as `basin` and `uncertainty_exponent`.
     """
@@ -64,8 +67,11 @@ def boundary_dimension(
     mapper = with_capture_boxes(mapper_of_grid(walker, grid, checked_tolerance, strides))
 
     def label_of(share: Float[np.ndarray, "n axes"]) -> Int[np.ndarray, " n"]:
-        labels, _ = mapper.label_all(grid.points_at(share))
-        return labels.attractor
+        order = np.argsort(flat_index((share * shape).astype(int).T, grid.shape))
+        labels, _ = mapper.label_all(grid.points_at(share[order]))  # fastest among neighbours
+        found = np.empty_like(labels.attractor)
+        found[order] = labels.attractor
+        return found
 
     shape = np.array(grid.shape)
     labels, _ = mapper.label_all(grid.centres(np.arange(grid.size)))

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Bool, Float
 
-from walker_jax.basins.attractor import Attractor, capture_radius
+from walker_jax.basins.attractor import Attractor, check_cycle
 from walker_jax.basins.capture_boxes import with_capture_boxes
 from walker_jax.basins.mapper import Labels, Mapper
 from walker_jax.checks import WrongUse, check_kind, check_precision, check_whole
@@ -14,6 +14,7 @@ from walker_jax.gaits.search import find_gait
 from walker_jax.integrators.solvers import default_tolerance
 from walker_jax.walkers.model import Walker
 from walker_jax.walking.iteration import strides as take_strides
+from walker_jax.walking.stepping import check_single
 
 
 def mapper_of_gait(
@@ -24,6 +25,7 @@ def mapper_of_gait(
     Raises `ValueError` for a gait that is not stable, not found, or not one of this walker.
     """
     check_kind("walker", walker, Walker)
+    check_single(walker)
     check_whole("strides", strides)
     gait = find_gait(walker) if gait is None else gait
     if not isinstance(gait, Gait) or not (gait.found and gait.stable):
@@ -32,10 +34,8 @@ def mapper_of_gait(
     check_precision(states.dtype)
     if states.shape[1:] != (len(walker.section),):
         raise WrongUse(f"gait must be one of this walker, on {', '.join(walker.section)}")
-    ends = take_strides(walker, states, tolerance=tolerance).state
-    miss = np.abs(ends - np.roll(states, -1, axis=0)).max()
-    if not miss < capture_radius(states.dtype):
-        raise WrongUse(f"gait must be one of this walker, whose strides miss it by {miss:.2g}")
+    ends = np.asarray(take_strides(walker, states, tolerance=tolerance).state)
+    check_cycle(states, ends)
     checked_tolerance = float(default_tolerance(states.dtype, tolerance))
     return with_capture_boxes(
         Mapper(walker, [Attractor(len(states), states)], checked_tolerance, strides)

@@ -71,6 +71,8 @@ class CurvedMetric(NamedTuple):
 
         Raises `ComputationFailed` where the function does not grow along a ray.
         """
+        if len(y) == 0:
+            return y
         size = np.linalg.norm(y, axis=1)
         unit = y / np.where(size > 0, size, 1)[:, None]
         length, error = self.lengths(state, unit, np.where(size > 0, size, 1))

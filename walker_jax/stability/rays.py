@@ -120,7 +120,13 @@ def polish(
     tried /= np.linalg.norm(tried, axis=2, keepdims=True)
     flat, nearest = tried.reshape(-1, rank) @ basis, lengths.min()
     reached = first_failures(fails, flat, nearest - gap, nearest + gap, 8)
-    reached = bisect(fails, flat, reached, gap / 4, FINE).reshape(tried.shape[:2])
+    reached = bisect_nearest(
+        fails,
+        flat.reshape(*tried.shape[:2], -1),
+        reached.reshape(tried.shape[:2]),
+        gap / 4,
+        lengths,
+    )
     reached[:, 0] = np.minimum(reached[:, 0], lengths)  # that ray is the best one so far
     return tried[np.arange(len(best)), reached.argmin(axis=1)], reached.min(axis=1)
 
@@ -187,6 +193,27 @@ def bisect(
     result = np.full(len(high), np.inf)
     result[known] = above
     return result
+
+
+def bisect_nearest(
+    fails: Callable,
+    rays: Float[np.ndarray, "n m size"],
+    high: Float[np.ndarray, "n m"],
+    gap: float,
+    least: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, "n m"]:
+    """The same as `bisect` does `FINE` times, of n times m rays, as far as the nearest of m needs.
+
+    Rays that are known to be longer than another of the m, or than the `least`, are left.
+    """
+    below, above = high - gap, high.copy()
+    for _ in range(FINE):
+        going = below < np.minimum(above.min(axis=1), least)[:, None]
+        middle = (below[going] + above[going]) / 2
+        failed = fails(middle[:, None] * rays[going])
+        below[going] = np.where(failed, below[going], middle)
+        above[going] = np.where(failed, middle, above[going])
+    return above
 
 
 def spread_directions(rank: int, count: int) -> Float[np.ndarray, "n rank"]:

@@ -17,8 +17,8 @@ from scipy.special import betaincinv
 
 from walker_jax.checks import (
     WrongUse,
+    check_confidence,
     check_kind,
-    check_number,
     check_whole,
     is_number,
     refuses_tracers,
@@ -97,9 +97,7 @@ def steps_to_fall(
     check_kind("walker", walker, Walker)
     check_whole("n", n)
     check_whole("limit", limit)
-    check_number("confidence", confidence)
-    if not 0 < confidence < 1:
-        raise WrongUse(f"confidence must be between 0 and 1, not {confidence}")
+    check_confidence(confidence)
     draw_one = read_ground(ground)
     keys = jax.random.split(read_key(key), n)
     start = start_of_walks(walker, gait, tolerance)

@@ -2,7 +2,10 @@
 
 With the same starts, what else is known of the way back: how many strides it takes, for each unit
 of the disturbance too, and how large the disturbances are that the walker survives. The words are
-those of the stability quantifiers of Attractors.jl.
+those of the stability quantifiers of Attractors.jl, the numbers not all: means here are of the
+starts that return, there sums over these divided by the weight of all starts; the size of a
+disturbance here is its distance from the nearest state of the gait, there by default from their
+centroid; and a start at the gait has no pace here, and there, up to a distance, a pace of zero.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,7 +19,16 @@ from jaxtyping import Float, Int
 
 from walker_jax.basins.attractor import cubes
 from walker_jax.basins.memory import check_grid
-from walker_jax.checks import WrongUse, check_number, check_whole, is_number, refuses_tracers, short
+from walker_jax.checks import (
+    WrongUse,
+    check_confidence,
+    check_number,
+    check_whole,
+    is_number,
+    numbers,
+    refuses_tracers,
+    short,
+)
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import find_gait
 from walker_jax.grids import Grid
@@ -118,14 +130,12 @@ def basin_stability(
     elif isinstance(sizes, CurvedMetric):
         raise WrongUse("metric must be a matrix where disturbances is a number, not a function")
     check_number("within", within)
-    check_number("confidence", confidence)
     if not within > 0:
         raise WrongUse(f"within must be positive, not {within}")
     check_whole("samples", samples)
     check_whole("horizon", horizon)
     check_whole("seed", seed, 0)
-    if not 0 < confidence < 1:
-        raise WrongUse(f"confidence must be between 0 and 1, not {confidence}")
+    check_confidence(confidence)
     counts = {np.size(leaf) for leaf in jax.tree.leaves(walker) if np.ndim(leaf)}
     if counts and gait is not None:
         raise WrongUse("gait must be left out for walkers with arrays for parameters")
@@ -138,7 +148,7 @@ def basin_stability(
         starts = disturbances.points_at(rng.uniform(size=(samples, len(disturbances.names))))
         about = lambda state: starts
     elif callable(disturbances):
-        starts = draw_starts(walker, disturbances, rng, samples)
+        starts = draw_starts(walker, "disturbances", disturbances, rng, samples)
         about = lambda state: starts
     else:
         y = draw_from_ball(rng, samples, len(sizes.basis)) @ sizes.basis
@@ -178,13 +188,13 @@ def basin_stability(
 
 
 def draw_starts(
-    walker: Walker, draw: Sampler, rng: np.random.Generator, samples: int
+    walker: Walker, name: str, draw: Sampler, rng: np.random.Generator, samples: int
 ) -> Float[np.ndarray, "n section"]:
-    """Starts that a function draws, checked."""
-    starts = np.asarray(draw(rng, samples), float)
+    """Starts that a function draws, the argument of a name, checked."""
+    starts = numbers(f"starts that {name} returns", draw(rng, samples))
     if starts.shape != (samples, len(walker.section)) or not np.isfinite(starts).all():
         raise WrongUse(
-            f"disturbances: must return {samples} finite starts on the section "
+            f"{name} must return {samples} finite starts on the section "
             f"{', '.join(walker.section)}, not an array of shape {starts.shape}"
         )
     return starts

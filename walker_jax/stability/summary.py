@@ -1,6 +1,6 @@
 """All measures of robustness of a gait, and their table over a parameter."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -12,17 +12,23 @@ from jaxtyping import Float
 from walker_jax.basins.refinement import refine
 from walker_jax.checks import WrongUse, check_kind, check_precision, numbers, refuses_tracers
 from walker_jax.execution.progress import bar, track
+from walker_jax.execution.threads import side_by_side
+from walker_jax.fractals import Uncertainty
+from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import find_gait
 from walker_jax.grids import Grid, axes_around
 from walker_jax.stability.dimension import boundary_dimension
-from walker_jax.stability.disturbances import least_disturbance
-from walker_jax.stability.sampling import basin_stability
-from walker_jax.stability.steps_down import least_step_down
+from walker_jax.stability.disturbances import LeastDisturbance, least_disturbance
+from walker_jax.stability.sampling import BasinStability, basin_stability
+from walker_jax.stability.steps_down import LeastStepDown, least_step_down
 from walker_jax.walkers.abstract_point_foot import AbstractPointFootWalker
 from walker_jax.walkers.model import Walker, moves_like
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 from walker_jax.walkers.simplest import SimplestWalker
 from walker_jax.walking.outcomes import Outcome
+
+LEADS_ELSEWHERE = Outcome.STRIDE, Outcome.UNDECIDED
+"""Instead of a failure, where the walker does not return to its gait and does not fall either."""
 
 
 @refuses_tracers()
@@ -94,33 +100,31 @@ def robustness(
     gait = find_gait(walker, data["states"].values[largest, :period], period)
     if not (gait.found and gait.stable):
         return data.assign(without_gait(walker))
-    with bar("least disturbance", progress):
-        nearest = least_disturbance(walker, gait, strides=strides, tolerance=tolerance)
-    with bar("least step down", progress):
-        down = least_step_down(walker, gait, strides=strides, tolerance=tolerance)
-    fall, fall_down = nearest, down
-    unknown = (Outcome.STRIDE, Outcome.UNDECIDED)
-    if nearest.failure in unknown:
-        with bar("least disturbance after which it falls", progress):
-            fall = least_disturbance(walker, gait, fall=True, strides=strides, tolerance=tolerance)
-    if down.failure in unknown:
-        with bar("least step down after which it falls", progress):
-            fall_down = least_step_down(
-                walker, gait, fall=True, strides=strides, tolerance=tolerance
-            )
-    gait = gait._replace(states=np.roll(np.asarray(gait.states), -nearest.phase, axis=0))
-    with bar("basin stability", progress):
-        stability = basin_stability(
-            walker,
-            disturbances,
-            gait,
-            scale=np.abs(np.asarray(gait.states[0])),
-            strides=strides,
-            seed=seed,
-            tolerance=tolerance,
-        )
-    with bar("dimension of the boundary", progress):
-        boundary = boundary_dimension(walker, grid, strides=strides, seed=seed, tolerance=tolerance)
+    about: Any = {"strides": strides, "tolerance": tolerance}
+
+    def by_boundary() -> Uncertainty:
+        return boundary_dimension(walker, grid, seed=seed, **about)
+
+    def by_disturbances() -> tuple[Gait, LeastDisturbance, LeastDisturbance, BasinStability]:
+        nearest = fall = least_disturbance(walker, gait, **about)
+        if nearest.failure in LEADS_ELSEWHERE:
+            fall = least_disturbance(walker, gait, fall=True, **about)
+        rolled = gait._replace(states=np.roll(np.asarray(gait.states), -nearest.phase, axis=0))
+        scale = np.abs(np.asarray(rolled.states[0]))
+        stability = basin_stability(walker, disturbances, rolled, scale=scale, seed=seed, **about)
+        return rolled, nearest, fall, stability
+
+    def by_steps_down() -> tuple[LeastStepDown, LeastStepDown]:
+        down = fall = least_step_down(walker, gait, **about)
+        if down.failure in LEADS_ELSEWHERE:
+            fall = least_step_down(walker, gait, fall=True, **about)
+        return down, fall
+
+    measures: list[Callable[[], Any]] = [by_boundary, by_disturbances, by_steps_down]
+    with bar("disturbances, steps down, and the boundary", progress):
+        boundary, of_disturbances, of_steps_down = side_by_side(lambda one: one(), measures)
+    gait, nearest, fall, stability = of_disturbances
+    down, fall_down = of_steps_down
     return data.assign(
         {
             "gait_period": period,

@@ -18,6 +18,7 @@ from walker_jax.basins.mapper import Labels, Mapper
 from walker_jax.basins.memory import check_grid
 from walker_jax.checks import (
     WrongUse,
+    check_confidence,
     check_kind,
     check_number,
     check_precision,
@@ -32,6 +33,7 @@ from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 from walker_jax.walking.iteration import orbits
 from walker_jax.walking.outcomes import Outcome
+from walker_jax.walking.stepping import check_single
 
 FAILURES = 2**20
 """Added to an `Outcome`, the number of an end without an attractor: above those of attractors."""
@@ -96,14 +98,13 @@ def tipping_probability(
     Raises `ValueError` for arguments out of range, and for values that the walker refuses.
     """
     check_kind("walker", walker, Walker)
+    check_single(walker)
     check_number("value", value)
     check_parameter(walker, parameter, float(value))
     for name, count in {"samples": samples, "strides": strides}.items():
         check_whole(name, count)
     check_whole("seed", seed, 0)
-    check_number("confidence", confidence)
-    if not 0 < confidence < 1:
-        raise WrongUse(f"confidence must be between 0 and 1, not {confidence}")
+    check_confidence(confidence)
     dtype = jnp.asarray(0.0).dtype
     check_precision(dtype)
     checked_tolerance = float(default_tolerance(dtype, tolerance))
@@ -112,7 +113,7 @@ def tipping_probability(
         check_grid(walker, region, "direct")
         starts = region.points_at(rng.uniform(size=(samples, len(region.names))))
     elif callable(region):
-        starts = draw_starts(walker, region, rng, samples)
+        starts = draw_starts(walker, "region", region, rng, samples)
     else:
         raise WrongUse(
             f"region must be a grid, or a function that draws starts, not {short(region)}"

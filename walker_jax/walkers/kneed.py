@@ -28,6 +28,8 @@ from walker_jax.walkers.model import Scalar, State
 from walker_jax.walkers.parameters import SLOPE, Option, Parameter
 from walker_jax.walkers.round_foot import HIP_MASS
 
+KNEED_SLOPE = SLOPE._replace(default=0.05, span=(0.03, 0.12))
+"""On gentle slopes no gait bends its knees: with default masses on point feet, below 0.0318."""
 THIGH_MASS = Parameter("thigh_mass", "of each thigh", "mass", 1.0, closed=True)
 SHANK_MASS = Parameter("shank_mass", "of each shank", "mass", 0.1)
 THIGH_LENGTH = Parameter("thigh_length", "from the hip to the knee", "length", 0.5)
@@ -104,7 +106,7 @@ class KneedWalker(HeavyLegWalker):
     of mass at the knee.
     """
 
-    slope: Scalar = eqx.field(converter=SLOPE.convert)
+    slope: Scalar = eqx.field(converter=KNEED_SLOPE.convert)
     hip_mass: Scalar = eqx.field(converter=HIP_MASS.convert, default=HIP_MASS.default)
     thigh_mass: Scalar = eqx.field(converter=THIGH_MASS.convert, default=THIGH_MASS.default)
     shank_mass: Scalar = eqx.field(converter=SHANK_MASS.convert, default=SHANK_MASS.default)

@@ -28,6 +28,7 @@ from walker_jax.checks import WrongUse
 from walker_jax.grids import Grid
 from walker_jax.integrators.roots import Scalar
 from walker_jax.kernels import by_kernel
+from walker_jax.walkers.sources import sources_of
 
 
 class State(NamedTuple):
@@ -116,6 +117,7 @@ class Walker(eqx.Module):
             said = next(i for i, base in enumerate(cls.__mro__) if name in vars(base))
             if any(method in vars(base) for base in cls.__mro__[:said] for method in methods):
                 setattr(cls, name, vars(Walker)[name])
+        sources_of(cls)  # which keeps them: a file may be edited while its code is in use
 
     def __check_init__(self):
         check_lands_on_section(self)

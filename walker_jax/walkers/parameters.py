@@ -30,6 +30,8 @@ class Parameter(NamedTuple):
     high: float = np.inf
     closed: bool = False
     """Whether it may be equal to `low`."""
+    span: tuple[float, float] = (np.nan, np.nan)
+    """Values between which the command line follows gaits unless others are given; of the slope."""
 
     def convert(self, value: ArrayLike) -> Scalar:
         """The number as an array. Raises `ValueError` for one that is not within the bounds."""
@@ -152,7 +154,7 @@ def space_decimals(low: float, high: float, count: int) -> list[float]:
     ]
 
 
-SLOPE = Parameter("slope", "of the ground", "rad", 0.004, high=np.pi / 2)
+SLOPE = Parameter("slope", "of the ground", "rad", 0.004, high=np.pi / 2, span=(0.001, 0.022))
 UNDESCRIBED = Parameter("", "", "", low=-np.inf)
 
 

@@ -50,7 +50,7 @@ def load_installed(point: EntryPoint) -> type[Walker]:
     """The class that another package gives. Raises `WrongUse` where it gives none."""
     try:
         value = point.load()
-    except Exception as error:  # whatever code of others raises
+    except (Exception, SystemExit) as error:  # whatever code of others raises
         raise WrongUse(f"walker {point.name} ({point.value}) {cannot_be_loaded(error)}") from error
     return check_walker(f"{point.name} ({point.value})", value, ())
 
@@ -60,8 +60,9 @@ def load_file(path: Path) -> ModuleType:
     if not path.is_file():
         raise WrongPlace(f"walker {path}: there is no such file")
     path, name = path.resolve(), path.stem
-    known = sys.modules.get(name)
-    if known is not None and getattr(known, "__file__", None) != str(path):
+    if "." in name:
+        raise WrongPlace(f"walker {path}: no module is named {name}: rename the file")
+    if is_taken(name, path):
         raise WrongPlace(f"walker {path}: another module is named {name}: rename the file")
     spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None and spec.loader is not None
@@ -70,10 +71,21 @@ def load_file(path: Path) -> ModuleType:
     sys.modules[name] = module  # by which worker processes find the class
     try:
         spec.loader.exec_module(module)
-    except Exception as error:  # whatever a user's code raises
+    except (Exception, SystemExit) as error:  # whatever a user's code raises
         del sys.modules[name]
         raise WrongPlace(f"walker {path} {cannot_be_loaded(error, path)}") from error
     return module
+
+
+def is_taken(name: str, path: Path) -> bool:
+    """Whether a module of that name is another one than this file, loaded or not."""
+    if name in sys.stdlib_module_names:
+        return True
+    try:
+        spec = importlib.util.find_spec(name)
+    except ValueError:  # it is loaded, and has no specification
+        return True
+    return spec is not None and bool(spec.origin) and Path(spec.origin).resolve() != path
 
 
 def load_module(name: str) -> ModuleType:
@@ -81,7 +93,7 @@ def load_module(name: str) -> ModuleType:
     make_importable(Path.cwd())
     try:
         return importlib.import_module(name)
-    except Exception as error:  # whatever a user's code raises
+    except (Exception, SystemExit) as error:  # whatever a user's code raises
         raise WrongUse(f"walker {name} {cannot_be_loaded(error)}") from error
 
 
@@ -90,7 +102,7 @@ def make_importable(folder: Path) -> None:
         sys.path.insert(0, str(folder))
 
 
-def cannot_be_loaded(error: Exception, path: Path | None = None) -> str:
+def cannot_be_loaded(error: BaseException, path: Path | None = None) -> str:
     """Why code cannot be loaded, with the line of the file where it failed."""
     line, step = "", error.__traceback__
     while step is not None:

@@ -4,8 +4,8 @@ A phase ends with its event. The next one begins after the impact, or the releas
 it. What may happen before the event is, in this order:
 
 - the stance leg stops (`BACKWARD`) or is down (`FORWARD`), or the swing foot comes down in front of
-  the stance foot with theta < 0, where it must not (`BENT_KNEE`): whichever is first, as in the
-  swing; an event before all of them counts;
+  the stance foot with theta < 0, where it must not (`BENT_KNEE`), on ground that may be higher by a
+  step: whichever is first, as in the swing; an event before all of them counts;
 - at the event, the stance leg stops by the impact (`BACKWARD`).
 
 The ground would have to pull (`RUNNING`) at the start, or in any phase of a stride that reaches
@@ -68,16 +68,24 @@ def follow_to_heel_strike(
 
 
 def follow_to_swing(
-    walker: Walker, start: Any, verdict: Int[Array, ""], tolerance: Real
+    walker: Walker,
+    start: Any,
+    verdict: Int[Array, ""],
+    tolerance: Real,
+    step: Scalar | None = None,
 ) -> Arrival:
     """All phases of a stride before the swing, if there are any."""
     if not walker.phases():
         return Arrival(start, zero_at(start), verdict, {})
-    return follow_phases(walker, start, verdict, tolerance)[-1]
+    return follow_phases(walker, start, verdict, tolerance, step)[-1]
 
 
 def follow_phases(
-    walker: Walker, start: Any, verdict: Int[Array, ""], tolerance: Real
+    walker: Walker,
+    start: Any,
+    verdict: Int[Array, ""],
+    tolerance: Real,
+    step: Scalar | None = None,
 ) -> list[Arrival]:
     """The end of each phase before the swing, after its impact."""
     phases = walker.phases()
@@ -87,7 +95,7 @@ def follow_phases(
     for phase, following in zip(phases, (*phases[1:], walker), strict=True):
         verdict = jnp.where((verdict == Outcome.UNDECIDED) & over, Outcome.STRIDE, verdict)
         arrival, lasted, verdict, more = follow_phase(
-            phase, state, verdict.astype(jnp.int8), tolerance
+            phase, state, verdict.astype(jnp.int8), tolerance, step
         )
         ended = verdict == Outcome.STRIDE
         at_end = jax.tree.map(lambda flag, o=~over & ended: flag & o, broken_at(phase, arrival))
@@ -140,6 +148,7 @@ def follow_phase(
     start: Any,
     verdict: Int[Array, ""],
     tolerance: Real,
+    step: Scalar | None = None,
     *,
     failing: bool = True,
 ) -> tuple[Any, Scalar, Int[Array, ""], Broken]:
@@ -149,12 +158,15 @@ def follow_phase(
     conditions were broken before the event, the two ends excluded. Unless it is
     `failing`, nothing but the event ends the phase.
     """
-    watched = failing and phase.clearance(start) is not None
+    watched, ground = (
+        failing and phase.clearance(start) is not None,
+        () if step is None else (step,),
+    )
 
     def height(state: Any) -> Scalar:
         above = phase.clearance(state)
         assert above is not None
-        return above
+        return above if step is None else above - step
 
     def rate(function, state: Any) -> Scalar:
         return jax.jvp(function, (state,), (phase.vector_field(state),))[1]
@@ -227,16 +239,18 @@ def follow_phase(
     conditions = conditions_of(phase) if failing else {}
     broken = {outcome: jnp.asarray(False) for outcome in conditions}
     # It has been negative from the first, where it begins at zero.
-    side = jnp.stack([jnp.asarray(True), with_fast_sincos(starts_under)(phase, start)])
+    side = jnp.stack([jnp.asarray(True), with_fast_sincos(starts_under)(phase, start, *ground)])
     carry = (start, start, zero_at(start), verdict, jnp.asarray(0), broken, side)
     _, arrival, time, verdict, _, broken, _ = lax.while_loop(undecided, follow, carry)
     return arrival, time, verdict, broken
 
 
-def starts_under(phase: Phase, state: Any) -> Bool[Array, ""]:
-    """Whether the swing foot is below the ground."""
+def starts_under(
+    phase: Phase | Walker, state: Any, ground: Scalar | float = 0.0
+) -> Bool[Array, ""]:
+    """Whether the swing foot is below the ground, of some height."""
     above = phase.clearance(state)
-    return jnp.asarray(False) if above is None else above < 0
+    return jnp.asarray(False) if above is None else above < ground
 
 
 def in_front(phase: Phase, state: Any) -> Bool[Array, ""]:

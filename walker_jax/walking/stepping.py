@@ -33,6 +33,7 @@ from walker_jax.walking.phases import (
     follow_to_swing,
     is_over,
     merge_broken,
+    starts_under,
 )
 from walker_jax.walking.swing import (
     Broken,
@@ -67,10 +68,11 @@ def stride(
       finite and the stance leg stands, |theta| < pi/2.
     - `step`: height of the next foothold above the present one, normal to the slope, in the unit of
       length; negative for a step down. The swing foot comes down there ahead of the other; where it
-      does not rise as high, the walker falls. The result's state is then a full one, just after
-      heel strike and off the section, as the foot that stood is lower or higher. `stride` takes it
-      from there, on a slope through the foot that stands now, with a `step` or without. By default
-      the ground is even.
+      does not rise as high, the walker falls. A knee must not be bent where its foot comes down
+      there; scuffing is judged by the present level. The result's state is then a full one, just
+      after heel strike and off the section, as the foot that stood is lower or higher. `stride`
+      takes it from there, on a slope through the foot that stands now, with a `step` or without.
+      By default the ground is even.
     - `tolerance`: of one integration step: of its last Taylor terms, relative to the state or its
       rate (`integrators.solvers.step_length`), or of the error that another solver estimates. By
       default 1e-12 in float64 and 1e-6 in float32. The error of a stride is larger by as much as
@@ -271,15 +273,19 @@ def follow_step(
     launched = not on_section(walker, x)
     # A foot that goes below the ground has passed its level first, ahead of the other: the legs may
     # pass each other below the level, and that is no heel strike.
-    begun = follow_to_swing(walker, start, verdict, tolerance)
-    higher = (begun.verdict == Outcome.UNDECIDED) & (step > 0)
-    verdict = jnp.where(higher, Outcome.STRIDE, begun.verdict).astype(jnp.int8)
+    begun = follow_to_swing(walker, start, verdict, tolerance, step)
+    passed = step > 0
+    if walker.phases():  # a foot in front may be below the level as a knee strikes
+        ahead = (begun.state.phi < 0) & (begun.state.theta < 0)
+        passed |= (step < 0) & ahead & with_fast_sincos(starts_under)(walker, begun.state)
+    passed &= begun.verdict == Outcome.UNDECIDED
+    verdict = jnp.where(passed, Outcome.STRIDE, begun.verdict).astype(jnp.int8)
     level, lasts, verdict, broken = swing(
         walker, begun.state, verdict, tolerance, launched=launched
     )
     broken = merge_broken(begun.broken, merge_broken(broken, broken_at(walker, level)))
     lower = (verdict == Outcome.STRIDE) & (step < 0)
-    verdict = jnp.where(higher | lower, Outcome.UNDECIDED, verdict).astype(jnp.int8)
+    verdict = jnp.where(passed | lower, Outcome.UNDECIDED, verdict).astype(jnp.int8)
     arrival, longer, verdict, more = swing(walker, level, verdict, tolerance, step)
     # On even ground nothing is left to swing, but the derivative with respect to the step is.
     method = Method(equations(walker), solver_for(level), tolerance)
