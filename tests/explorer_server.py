@@ -35,7 +35,7 @@ class Client:
 
     def __init__(self, port: int):
         self.port = port
-        self.connection = http.client.HTTPConnection("127.0.0.1", port, timeout=120)
+        self.connection = http.client.HTTPConnection("127.0.0.1", port, timeout=600)
 
     def send(
         self, path: str, body: bytes | None = None, method: str = "", **headers: str

@@ -331,6 +331,17 @@ def test_the_measures_that_take_long():
     )  # of walkers that make 600 strides
 
 
+@pytest.mark.parametrize(
+    ("name", "slopes"), [("simplest", (0.001, 0.022)), ("kneed", (0.03, 0.12))]
+)
+def test_a_diagram_is_of_the_walkers_own_slopes(monkeypatch, name, slopes):
+    asked = []
+    monkeypatch.setattr(measures, "bifurcation_diagram", lambda *words, **_: asked.extend(words))
+    with pytest.raises(TypeError):  # of what is no diagram
+        measures.bifurcation(subject(name))
+    assert asked[1:] == ["slope", slopes]
+
+
 @pytest.mark.parametrize("method", ["direct", "cell-map"])
 def test_the_copied_words_give_the_data_of_the_picture(
     client, method, tmp_path, monkeypatch, capsys
