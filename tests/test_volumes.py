@@ -277,8 +277,6 @@ def test_the_volume_of_a_blade_thinner_than_a_cell_grows_within_the_error_stated
             found.append(area_gradient(WALKER, grid, levels=levels, check=1000))
         away = np.array([one.gradient[0] for one in found]) - exact
         error = np.array([one.error[0] for one in found])
-        print(levels, away.mean() / exact, away.std() / exact, error.mean() / exact)
-        print("rms", np.sqrt(np.mean((away / error) ** 2)), np.abs(away / error).max())
         assert np.all(np.abs(away) < 4 * error) and error.mean() < share * exact
         assert abs(away.mean()) < share * exact / 2
         assert np.sqrt(np.mean((away / error) ** 2)) < 1.5

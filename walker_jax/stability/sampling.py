@@ -162,7 +162,7 @@ def basin_stability(
         fates = np.bincount(labels.fate, minlength=len(Outcome))
         elsewhere = len(labels.remaining)
         close = mapper._replace(attractors=[own._replace(capture_boxes=cubes(own, within))])
-        closer = close(starts[labels.converged])
+        closer = close.follow(starts[labels.converged])
         made = np.where(closer.converged, closer.strides, np.inf)
         returned = len(made)
         late = np.percentile(made, (50, 95), method="inverted_cdf") if returned else 2 * (np.nan,)

@@ -67,12 +67,10 @@ def stride(
       (theta, phi, thetadot, phidot), for a launch or after a push. That is feasible where it is
       finite and the stance leg stands, |theta| < pi/2.
     - `step`: height of the next foothold above the present one, normal to the slope, in the unit of
-      length; negative for a step down. The swing foot comes down there ahead of the other; where it
-      does not rise as high, the walker falls. A knee must not be bent where its foot comes down
-      there; scuffing is judged by the present level. The result's state is then a full one, just
-      after heel strike and off the section, as the foot that stood is lower or higher. `stride`
-      takes it from there, on a slope through the foot that stands now, with a `step` or without.
-      By default the ground is even.
+      length; by default 0. The swing foot comes down there ahead of the other, with a straight
+      knee; if it does not rise as high, the walker falls. Scuffing is judged by the present level.
+      The result's state is then a full one, just after heel strike and off the section, as one foot
+      is lower. `stride` takes it from there, on a slope through the foot that stands now.
     - `tolerance`: of one integration step: of its last Taylor terms, relative to the state or its
       rate (`integrators.solvers.step_length`), or of the error that another solver estimates. By
       default 1e-12 in float64 and 1e-6 in float32. The error of a stride is larger by as much as
