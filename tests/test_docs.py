@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 
@@ -120,6 +121,13 @@ def test_a_walker_of_the_page_gives_the_numbers_that_it_asserts(title):
     source = program(title)
     assert "\nassert " in source
     exec(compile(source, PAGE.name, "exec"), {"__name__": "own"})
+
+
+def test_an_objective_of_ones_own_is_made_small_by_an_optimiser():
+    page = (ROOT / "docs" / "powered.md").read_text()
+    (found,) = re.findall(r"<!-- your own objective -->\n```python\n(.*?)```", page, re.S)
+    with jax.numpy_dtype_promotion("standard"):  # as optax's own arithmetic needs
+        exec(compile(found, "powered.md", "exec"), {"__name__": "own"})
 
 
 def test_every_program_of_the_page_is_tested():

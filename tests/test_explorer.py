@@ -32,7 +32,7 @@ from walker_jax.explorer.family import describe_family
 from walker_jax.explorer.guard import MAX_BODY, Bucket
 from walker_jax.explorer.lattice import HOME_CELLS, TILE, Rectangle
 from walker_jax.explorer.subjects import Subject, read_subject
-from walker_jax.walkers.family import WALKERS
+from walker_jax.walkers.family import PLANAR_WALKERS
 from walker_jax.walkers.parameters import parameters
 
 WHOLE = [[0, i, j] for i in range(HOME_CELLS[0] // TILE) for j in range(HOME_CELLS[1] // TILE)]
@@ -402,7 +402,7 @@ def test_the_command_of_a_slice_names_its_plane():
 def test_the_page_knows_every_walker_and_parameter():
     told = describe_family()
     assert json.dumps(told, allow_nan=False)
-    for name, kind in WALKERS.items():
+    for name, kind in PLANAR_WALKERS.items():
         shown = told["walkers"][name]["parameters"]
         assert [one["name"] for one in shown] == [one.name for one in parameters(kind)]
         for one, parameter in zip(shown, parameters(kind), strict=True):

@@ -1,7 +1,10 @@
 """Areas, least disturbances and gaits change with parameters as their derivatives say."""
 
+from typing import Any
+
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 
 import walker_jax as wj
 from walker_jax.basins import refinement
@@ -81,6 +84,26 @@ def test_a_band_that_ends_where_the_slope_does():
         wj.SimplestWalker(0.013), grid, levels=0, bands=(2.0,), strides=20, check=0
     )
     assert np.isfinite(found.gradient).all()
+
+
+def test_the_chance_of_starts_of_a_density_to_walk_and_its_derivative():
+    """Against random starts of the same distribution, and a central difference."""
+    mean, covariance = [0.2, -0.2], np.array([[4e-4, -3e-4], [-3e-4, 2.6e-4]])
+    distribution: Any = multivariate_normal
+    density = distribution(mean, covariance).pdf
+    chance = lambda slope, levels, names=(): area_gradient(
+        wj.SimplestWalker(slope), SECTION, names, levels=levels, density=density
+    )
+    found = chance(0.006, 1, ("slope",))
+    draw = lambda rng, n: rng.multivariate_normal(mean, covariance, n) * [1, 1]
+    starts = wj.basin_stability(wj.SimplestWalker(0.006), draw, samples=4000)
+    assert starts.low < found.area < starts.high
+    low, high = (chance(0.006 + step, 3) for step in (-2e-4, 2e-4))
+    difference = (high.area - low.area) / 4e-4
+    error = np.hypot(found.error[0], np.hypot(low.area_error, high.area_error) / 4e-4)
+    assert abs(found.gradient[0] - difference) < 3 * error < 0.15 * abs(difference)
+    with pytest.raises(ValueError, match="density must return"):
+        area_gradient(wj.SimplestWalker(0.006), SECTION, (), levels=0, density=lambda x: x)
 
 
 CENTRE = np.array([0.52, 0.47])

@@ -5,6 +5,7 @@ import pickle
 import jax
 import jax.numpy as jnp
 import numpy as np
+import powered_reference
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import root
@@ -117,6 +118,32 @@ def test_gaits_of_powered_walkers_by_an_independent_integration(walker):
         np.testing.assert_allclose(other, gait.states[0], rtol=0, atol=1e-9)
         time = independent_stride(walker, other)[1]
         assert gait.step_times[0] == pytest.approx(time, abs=1e-8)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [(0.009, 0.5, 0.1, -0.2, 0.01), (0.0, 0.0, 0.0, 0.0, 0.05), (-0.01, 4.0, 1.0, -0.5, 0.1)],
+)
+def test_gaits_and_sensitivity_norms_by_scipy_alone(values):
+    walker = wj.PoweredWalker(*values)
+    gait = wj.find_gait(walker)
+    expected = powered_reference.find_gait(values, gait.states[0])
+    np.testing.assert_allclose(gait.states[0], expected, rtol=0, atol=1e-11)
+    norm = powered_reference.sensitivity_norm(values, gait.states[0])
+    assert wj.gait_sensitivity(walker, gait).norm == pytest.approx(norm, rel=1e-8)
+
+
+def test_the_sensitivity_norm_changes_as_its_gradient_says():
+    values = np.array([0.009, 0.5, 0.1, -0.2, 0.01])
+    names = ("slope", "hip_stiffness", "hip_damping", "hip_angle", "push_off")
+    at = lambda values: wj.sensitivity_gradient(wj.PoweredWalker(*values), ()).norm
+    found = wj.sensitivity_gradient(wj.PoweredWalker(*values), names)
+    assert found.norm == pytest.approx(at(values), rel=1e-12)
+    for k, width in ((0, 1e-5), (2, 1e-4), (4, 1e-4)):
+        step = np.eye(5)[k] * width
+        change = lambda n, step=step: (at(values + n * step) - at(values - n * step)) / (2 * n)
+        expected = (4 * change(1) - change(2)) / 3 / width
+        assert found.gradient[k] == pytest.approx(expected, rel=1e-5)
 
 
 def test_motors_of_walkers_with_masses_have_the_limit_of_the_massless_foot():

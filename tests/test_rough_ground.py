@@ -18,8 +18,8 @@ from walker_jax.stability.rough_ground import (
     start_of_walks,
     walk_disturbed,
 )
-from walker_jax.stability.stochastic_map import solve_chain
-from walker_jax.walking.disturbed import follow_disturbed
+from walker_jax.stability.stochastic_map import choose_walkers, solve_chain
+from walker_jax.walking.disturbed import DisturbedWalk, follow_disturbed
 
 SLOPE = 0.009
 WALKER = SimplestWalker(SLOPE)
@@ -134,11 +134,23 @@ def test_a_chain_whose_mean_life_is_known():
     """Two cells: m = P (1 + m) has a closed form."""
     P = np.array([[0.9, 0.05], [0.3, 0.6]])
     expected = np.linalg.solve(np.eye(2) - P, P.sum(axis=1))
-    for start in (0, 1):
-        survival, distribution, mean = solve_chain(csr_array(P), 2, start)
-        assert mean == pytest.approx(expected[start], rel=1e-10)
-        assert survival == pytest.approx(np.linalg.eigvals(P).max(), rel=1e-12)
-        np.testing.assert_allclose(distribution @ P, survival * distribution, rtol=0, atol=1e-12)
+    survival, distribution, means = solve_chain(csr_array(P))
+    np.testing.assert_allclose(means, expected, rtol=1e-10)
+    assert survival == pytest.approx(np.linalg.eigvals(P).max(), rel=1e-12)
+    np.testing.assert_allclose(distribution @ P, survival * distribution, rtol=0, atol=1e-12)
+
+
+def test_walkers_are_chosen_by_their_chances():
+    """As many from each cell, each walker as often as its share of the cell's chance says."""
+    rng = np.random.default_rng(0)
+    numbers = rng.integers(0, 5, 200)
+    chances = rng.uniform(size=200)
+    cells, chance, chosen = choose_walkers(rng, numbers, chances, 5 * 10_000)
+    np.testing.assert_array_equal(cells, np.arange(5))
+    np.testing.assert_allclose(chance, np.bincount(numbers, chances), rtol=1e-12)
+    np.testing.assert_array_equal(numbers[chosen], np.repeat(cells, 10_000))
+    often = np.bincount(chosen, minlength=200) / 10_000
+    np.testing.assert_allclose(often, chances / chance[numbers], rtol=0, atol=1.01e-4)
 
 
 @pytest.mark.slow
@@ -155,15 +167,28 @@ def test_a_chain_whose_mean_life_is_known():
 def test_walks_last_as_long_as_the_stochastic_cell_map_says(gait, ground, limit):
     walks = wj.steps_to_fall(WALKER, ground, 2000, jax.random.key(1), gait=gait, limit=limit)
     chain = wj.metastability(WALKER, ground, jax.random.key(2), gait=gait)
-    low, high = chain.mean - 1.96 * chain.error, chain.mean + 1.96 * chain.error
-    assert low < walks.high and walks.low < high
-    assert chain.error < 0.2 * chain.mean
+    mean, error = float(chain["mean_strides"]), float(chain["mean_strides_error"])
+    assert mean - 1.96 * error < walks.high and walks.low < mean + 1.96 * error
+    assert error < 0.2 * mean
+    assert float(chain["chance"].sum()) == pytest.approx(1, abs=1e-12)
     # Once it has forgotten where it began, a walk makes survival / (1 - survival) more.
     late = walks.strides >= 20
     falls = np.count_nonzero(walks.ended[late])
     more = (walks.strides[late] - 20).sum() / falls
-    relative = 1.96 * (1 / np.sqrt(falls) + chain.error / chain.mean)
-    assert chain.survival / (1 - chain.survival) == pytest.approx(more, rel=relative)
+    relative = 1.96 * (1 / np.sqrt(falls) + error / mean)
+    survival = float(chain["survival"])
+    assert survival / (1 - survival) == pytest.approx(more, rel=relative)
+
+
+def test_a_walk_without_an_answer_is_no_fall(gait, monkeypatch):
+    """It counts with the strides that it made, as one that is left off."""
+    outcomes = np.array([Outcome.FORWARD, Outcome.UNDECIDED, Outcome.STRIDE], np.int8)
+    walks = DisturbedWalk(np.zeros((3, 4)), outcomes, np.array([5, 7, 10]))
+    module = "walker_jax.stability.rough_ground.walk_disturbed"
+    monkeypatch.setattr(module, lambda *_: walks)
+    found = wj.steps_to_fall(WALKER, 1e-3, 3, gait=gait, limit=10)
+    assert found.ended.tolist() == [True, False, False] and found.mean == 22
+    assert found.outcomes.tolist() == outcomes.tolist()
 
 
 def test_steps_to_fall_refuses_bad_arguments_in_one_line(gait):

@@ -29,7 +29,7 @@ from walker_jax.gaits.derivatives import linearise
 from walker_jax.kernels.primitive import programs
 from walker_jax.kernels.scalars import unroll
 from walker_jax.multibody import System
-from walker_jax.walkers.family import WALKERS
+from walker_jax.walkers.family import PLANAR_WALKERS
 from walker_jax.walkers.masses import MultibodyWalker, stance_coordinates
 from walker_jax.walkers.parameters import parameters
 
@@ -39,7 +39,7 @@ GAIT = VALUES["gaits"][0]  # of the simplest walker: long, slope 0.009
 FINITE = {gait["name"]: gait for gait in VALUES["finite_mass"]}
 PUBLISHED = json.loads((DATA / "published_gaits.json").read_text())
 
-CLASSES = tuple(cls for cls in WALKERS.values() if not cls.__name__.startswith("Powered"))
+CLASSES = tuple(cls for cls in PLANAR_WALKERS.values() if not cls.__name__.startswith("Powered"))
 """Walkers without motors; those with motors have tests of their own (test_powered.py)."""
 MASSLESS = SimplestWalker, SpringWalker
 GENERAL = PointFootWalker, RoundFootWalker, UpperBodyWalker

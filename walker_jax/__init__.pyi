@@ -17,6 +17,8 @@ from walker_jax.design.disturbance_gradients import disturbance_gradient as dist
 from walker_jax.design.measures import Measure as Measure
 from walker_jax.design.measures import gait_measures as gait_measures
 from walker_jax.design.optimisation import optimise as optimise
+from walker_jax.design.sensitivity_gradients import SensitivityGradient as SensitivityGradient
+from walker_jax.design.sensitivity_gradients import sensitivity_gradient as sensitivity_gradient
 from walker_jax.design.sweeps import sweep as sweep
 from walker_jax.entropies import BasinEntropy as BasinEntropy
 from walker_jax.entropies import basin_entropy as basin_entropy
@@ -50,7 +52,6 @@ from walker_jax.stability.sensitivity import GaitSensitivity as GaitSensitivity
 from walker_jax.stability.sensitivity import gait_sensitivity as gait_sensitivity
 from walker_jax.stability.steps_down import LeastStepDown as LeastStepDown
 from walker_jax.stability.steps_down import least_step_down as least_step_down
-from walker_jax.stability.stochastic_map import Metastability as Metastability
 from walker_jax.stability.stochastic_map import metastability as metastability
 from walker_jax.stability.summary import robustness as robustness
 from walker_jax.stability.summary import robustness_table as robustness_table
@@ -72,6 +73,8 @@ from walker_jax.walkers.powered_masses import PoweredRoundFootWalker as PoweredR
 from walker_jax.walkers.powered_masses import PoweredUpperBodyWalker as PoweredUpperBodyWalker
 from walker_jax.walkers.round_foot import RoundFootWalker as RoundFootWalker
 from walker_jax.walkers.simplest import SimplestWalker as SimplestWalker
+from walker_jax.walkers.spatial import SpatialState as SpatialState
+from walker_jax.walkers.spatial import SpatialWalker as SpatialWalker
 from walker_jax.walkers.spring import SpringWalker as SpringWalker
 from walker_jax.walkers.upper_body import UpperBodyWalker as UpperBodyWalker
 from walker_jax.walking.disturbed import Disturbance as Disturbance

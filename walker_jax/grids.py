@@ -133,6 +133,25 @@ class Grid(eqx.Module):
         shear[1, 0] = -1
         return cls(along, shear, values, tuple(axes)[len(along) :])
 
+    @classmethod
+    def through(cls, point: Mapping[str, float], **axes: Axis) -> "Grid":
+        """A slice along any coordinates of the state, through a point that has the others' values.
+
+        `point` names all coordinates in their order, as `dict(zip(walker.section, state))` does;
+        each axis is (low, high, count) of one of them.
+        """
+        check_kind("point", point, Mapping)
+        unknown = [name for name in axes if name not in point]
+        if unknown or not axes:
+            raise WrongUse(
+                f"axes must be of {', '.join(point)}, not {', '.join(unknown) or 'none'}"
+            )
+        names = list(point)
+        shear = np.zeros((len(names), len(axes)))
+        shear[[names.index(name) for name in axes], range(len(axes))] = 1
+        values = numbers("point", list(point.values())).astype(float)
+        return cls(axes, shear, np.where(shear.any(axis=1), 0.0, values))
+
     def zoom(self, centre: Float[ArrayLike, " s"], factor: float | int) -> "Grid":
         """The grid of as many cells in a window `factor` times as narrow, around a point.
 

@@ -28,11 +28,10 @@ from walker_jax.checks import (
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import find_gait
 from walker_jax.integrators.solvers import default_tolerance
-from walker_jax.walkers.model import Walker
+from walker_jax.walkers.model import Walker, check_single
 from walker_jax.walking.failure_margins import Margins, margins_of_many
 from walker_jax.walking.iteration import strides as take_strides
 from walker_jax.walking.outcomes import Outcome
-from walker_jax.walking.stepping import check_single
 
 LONGEST_PERIOD = 16
 """Strides of the longest cycle that is recognised as one."""

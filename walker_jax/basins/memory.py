@@ -18,6 +18,16 @@ class TooLarge(WrongUse, MemoryError):
     """A computation needs more memory than this machine has."""
 
 
+def lies_along(grid: Grid, place: int, coordinate: int) -> bool:
+    """Whether an axis of a grid is where its coordinate is, or is that coordinate alone."""
+    if place == coordinate:
+        return True
+    if place >= len(grid.names):
+        return False
+    alone = np.eye(grid.coordinates)[coordinate]
+    return bool((np.asarray(grid.shear)[:, place] == alone).all())
+
+
 def check_grid(
     walker: Walker, grid: Grid, method: str, each: int = BYTES_PER_CELL["direct"]
 ) -> None:
@@ -35,7 +45,7 @@ def check_grid(
             "leave, not 'cell-map'"
         )
     for place, name in enumerate((*grid.names, *grid.fixed)):
-        wrong = name in walker.section and walker.section.index(name) != place
+        wrong = name in walker.section and not lies_along(grid, place, walker.section.index(name))
         if wrong or (name in grid.fixed and name not in walker.section):
             raise WrongUse(
                 f"grid must name coordinates in the order of the section, {walker.section}, "

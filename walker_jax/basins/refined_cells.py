@@ -19,12 +19,11 @@ CELLS_TOGETHER = 2**21
 """Cells that are followed in one call, which bounds what their states take of memory."""
 
 SPREAD = 1 / 12
-"""Variance that a cell beside one of another fate brings to the area, in cells. A part f of it in
-the basin brings f (1 - f), 1/6 on average; half of these cells or more have no part in both. Right
-of a line, and up to three times too small where a boundary fills cells: over three dimensions the
-mean of f (1 - f) is measured."""
+"""Variance that a cell beside one of another fate brings to the area, in cells, where it is not
+measured. A part f of it in the basin brings f (1 - f), 1/6 on average; half of these cells or more
+have no part in both. Right of a line; where a boundary fills cells it may be three times more."""
 REDRAWN = 20_000
-"""Starts by which that mean is measured, at most: it has an error of some 2 % then."""
+"""Starts by which the mean of f (1 - f) is measured, at most: it has an error of some 2 % then."""
 
 
 class RefinedCells:

@@ -56,7 +56,8 @@ def refine(
       basin's parts are apart.
     - `levels`: how many times cells are cut; none gives the coarse grid.
     - `strides`: how many of them a walker is followed for.
-    - `check`: starts drawn among the cells that inherited their fate, twice.
+    - `check`: starts drawn among the cells that inherited their fate, twice; and once, up to
+      20,000, among those on the boundary, for the error that these bring.
     - `seed`: of what is drawn.
     - `tolerance`: of the integration, as in `stride`.
     - `progress`: whether to show progress bars on a terminal.
@@ -75,8 +76,7 @@ def refine(
 
     Over three dimensions areas are volumes, and memory follows the boundary too: in place of arrays
     over the grid the data set has runs of cells that are alike, of which `slice_basin` makes arrays
-    in two dimensions, and `at_border`, how many cells of basins are at the border of the grid. How
-    much cells at the boundary bring to the error is measured by up to 20,000 more starts.
+    in two dimensions, and `at_border`, how many cells of basins are at the border of the grid.
 
     `ValueError` as for `basin`, and where a level needs more memory than there is.
     """
@@ -216,7 +216,9 @@ def refine_cells(
     walks = cells.runs.attractor >= 0
     area = (cells.runs.lengths[walks].sum() + missing) * finest.cell_area
     mixed = cells.cells[cells.on_boundary(walks)]
-    spread = SPREAD if len(grid.names) < 3 else cells.measure_spread(mixed, min(check, REDRAWN))
+    spread = SPREAD
+    if not by_centres or len(grid.names) > 2:
+        spread = cells.measure_spread(mixed, min(check, REDRAWN))
     # as if there were one mistake more than were found, lest none be taken for certainty
     variance = len(mixed) * spread + ((mistakes + 1) * weight**2).sum()
     variance = np.nan if check == 0 and levels else variance * finest.cell_area**2

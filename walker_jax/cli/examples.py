@@ -1,7 +1,12 @@
 """Examples for the help of each command, and how long it takes."""
 
 EXAMPLES = {
-    "walk": ("walk", "walk --theta 0.16 --thetadot -0.17 --strides 20", "walk --animate walk.gif"),
+    "walk": (
+        "walk",
+        "walk --theta 0.16 --thetadot -0.17 --strides 20",
+        "walk --animate walk.gif",
+        "walk --slope 0.009 --ground 0.0005 --seed 1 --strides 100 --animate rough.gif",
+    ),
     "gait": (
         "gait --slope 0.009",
         "gait --walker round-foot --foot-radius 0.3 --figure multipliers.png",
@@ -22,6 +27,7 @@ EXAMPLES = {
     "boundary": ("boundary", "boundary --slope 0.009 --out steep.zarr"),
     "robustness": (
         "robustness --slope 0.009",
+        "robustness --slope 0.009 --ground 0.0002",
         "robustness --from 0.002 --to 0.018 --count 17 --out slopes.zarr",
     ),
     "continuation": (

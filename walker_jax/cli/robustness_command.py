@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 
 import walker_jax as wj
@@ -58,6 +59,12 @@ def robustness(
     strides: Annotated[
         int, typer.Option(min=1, help="Strides in which a walker may come back.")
     ] = 500,
+    ground: Annotated[
+        float | None,
+        typer.Option(
+            min=0, help="Standard deviation of steps of rough ground: how long walks last there."
+        ),
+    ] = None,
     seed: Seed = 0,
     low: Annotated[
         float | None, typer.Option("--from", help="Lowest slope of a table over slopes, rad.")
@@ -76,7 +83,8 @@ def robustness(
     The measures are the area of the basin with its error; the least disturbance (minimal fatal
     shock) from which the walker does not return to its gait and, where that leads to another
     motion, the least one from which it falls; the least step down; the fraction of random
-    disturbances that it survives; and the dimension of the boundary. The default region has all
+    disturbances that it survives; the dimension of the boundary; and with --ground the mean number
+    of strides until it falls there. The default region has all
     angles of a walker on point feet, and is a slice around the gait of any other.
     """
     from walker_jax import figures
@@ -85,7 +93,7 @@ def robustness(
         raise WrongUse("--from and --to are for a table over slopes: give both or none")
     if low is None and count is not None:
         raise WrongUse("--count is for a table over slopes: give --from and --to too")
-    check_finite(disturbances=disturbances)
+    check_finite(disturbances=disturbances, ground=0.0 if ground is None else ground)
     if disturbances <= 0:
         raise WrongUse(f"--disturbances must be above 0, not {disturbances}")
     grid = grid_from(walker, theta, sum_, at_phidot)
@@ -100,7 +108,7 @@ def robustness(
         "disturbances": disturbances,
         "strides": strides,
         "seed": seed,
-    }
+    } | ({} if ground is None else {"ground": ground})
     asked = {"slopes": slopes, "axes": {} if grid is None else grid.box}
     request = request_for("robustness", type(walker), walker=about, **asked, **options)
     figure, data = find_earlier(out, figure, request, overwrite=overwrite)
@@ -158,6 +166,20 @@ def print_measures(row: dict) -> None:
     print(
         f"    dimension of the boundary {dimension['value']:.3f} "
         f"({dimension['low']:.3f} to {dimension['high']:.3f})"
+    )
+    if "steps_to_fall" in row:
+        print_walks(row["steps_to_fall"])
+
+
+def print_walks(walks: dict) -> None:
+    """How long walks last on rough ground, in words."""
+    mean, low, high = (
+        "inf" if value is None or not np.isfinite(value) else f"{value:.4g}"
+        for value in (walks["mean"], walks["low"], walks["high"])
+    )
+    print(
+        f"    on ground with steps of standard deviation {walks['ground']:g} it falls after {mean} "
+        f"strides on average ({low} to {high})"
     )
 
 

@@ -11,11 +11,18 @@ from walker_jax import storage
 from walker_jax.basins.windows import film_window
 from walker_jax.checks import WrongUse
 from walker_jax.cli.answers import print_json, request_for
-from walker_jax.cli.options import PHIDOT_HELP, Json, Overwrite, check_finite, state_from
+from walker_jax.cli.options import (
+    PHIDOT_HELP,
+    Json,
+    Overwrite,
+    Seed,
+    check_finite,
+    state_from,
+)
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.execution.progress import bar
 from walker_jax.gaits.selection import require_gait
-from walker_jax.walkers.model import Walker
+from walker_jax.walkers.model import State, Walker
 from walker_jax.walkers.parameters import describe_walker
 
 PAPER_START = {"theta": 0.2, "thetadot": -0.21645}
@@ -33,6 +40,11 @@ def walk(
     thetadot: Annotated[float | None, typer.Option(help="Its rate, rad per unit of time.")] = None,
     phidot: Annotated[float | None, typer.Option(help=f"{PHIDOT_HELP}.")] = None,
     strides: Annotated[int, typer.Option(min=1, max=1_000_000, help="Strides at most.")] = 9,
+    ground: Annotated[
+        float | None,
+        typer.Option(min=0, help="Standard deviation of the steps of rough ground."),
+    ] = None,
+    seed: Seed = 0,
     animate: Annotated[
         Path | None,
         typer.Option(help="Where a film goes, .gif, or .mp4 if the program ffmpeg is installed."),
@@ -42,17 +54,21 @@ def walk(
 ) -> None:
     """Walk from one start, stride by stride, until a failure.
 
+    With --ground each foothold is higher or lower than the one before, at random. States are full
+    ones then: the legs' angles and their rates.
+
     By default the simplest walker starts at theta 0.2, thetadot -0.21645, any other in its gait. A
     film shows the walker, about as fast as one with legs of one metre, and its trajectory in the
     basin.
     """
     given = {"theta": theta, "thetadot": thetadot, "phidot": phidot}
     given = {name: value for name, value in given.items() if value is not None}
-    check_finite(**given)
+    check_finite(**given, ground=0.0 if ground is None else ground)
     if isinstance(walker, wj.SimplestWalker):
         given = PAPER_START | given
+    rough = {} if ground is None else {"ground": ground, "seed": seed}
     request = request_for(
-        "walk", type(walker), walker=describe_walker(walker), start=given, strides=strides
+        "walk", type(walker), walker=describe_walker(walker), start=given, strides=strides, **rough
     )
     if animate is not None:
         from walker_jax import figures
@@ -63,19 +79,23 @@ def walk(
         start = (
             state_from(walker, given) if given else require_gait(walker, walker.section).states[0]
         )
-        made = wj.walk(walker, start, strides)
+        heights = None
+        if ground is not None:
+            heights = ground * np.random.default_rng(seed).normal(size=strides)
+        made = wj.walk(walker, start, strides, ground=heights)
     outcomes = np.asarray(made.outcomes)
     completed = int((outcomes == wj.Outcome.STRIDE).sum())
     count = min(completed + 1, strides)
     names = [wj.Outcome(code).name for code in outcomes[:count].tolist()]
     states, times = np.asarray(made.states)[: completed + 1], np.asarray(made.times)[:count]
+    coordinates = walker.section if ground is None else State._fields
     if animate is not None:
         if names[0] == "OUTSIDE":
             options = " and ".join(f"--{name}" for name in walker.section)
             raise WrongUse(
                 f"{options} must be a feasible start for a film, not {states[0].tolist()}"
             )
-        motion = wj.motion(walker, start, strides, step=FRAME_INTERVAL)
+        motion = wj.motion(walker, start, strides, step=FRAME_INTERVAL, ground=heights)
         data = wj.basin(walker, film_window(walker, start), "direct", progress=True)
         signature = storage.signature(request)
         figures.film(motion, animate, data, signature=signature, progress=True)
@@ -83,7 +103,7 @@ def walk(
         print_json({"states": states, "outcomes": names, "times": times})
         return
     row = lambda values: "  ".join(f"{value:10.6f}" for value in values)
-    heads = "  ".join(f"{name:>10}" for name in walker.section)
+    heads = "  ".join(f"{name:>10}" for name in coordinates)
     print(f"{'stride':>6}  {heads}  {'time':>8}  outcome")
     for i, (state, name, duration) in enumerate(zip(states, names, times, strict=False), start=1):
         print(f"{i:6}  {row(state)}  {duration:8.4f}  {name}")

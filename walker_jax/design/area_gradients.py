@@ -9,7 +9,7 @@ integral misses; there a derivative means something only as its average over a b
 parameter, which is the change of the area over the band.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -17,12 +17,12 @@ from jaxtyping import Bool, Float
 
 from walker_jax.basins.refinement import Refined, refine_cells
 from walker_jax.basins.runs import flat_index
-from walker_jax.checks import refuses_tracers
+from walker_jax.checks import WrongUse, refuses_tracers
 from walker_jax.design.bands import check_bands, walkers_at_band_ends
 from walker_jax.execution.threads import side_by_side
-from walker_jax.grids import Grid
+from walker_jax.grids import Grid, cell_slices
 from walker_jax.stability.margin_changes import differentiate_margins
-from walker_jax.walkers.model import Walker
+from walker_jax.walkers.model import Walker, check_planar
 
 BISECTIONS = 8
 """Bisections of the distance between two centres, to locate the boundary between them."""
@@ -34,6 +34,10 @@ Without a limit there is no bias, but few crossings decide the sum. Two dimensio
 which weights bring more noise than they take bias: there all count once."""
 MAX_RELATIVE_ERROR = 0.05
 """Relative error above which an integral along the boundary is not used where a band is given."""
+
+
+Density = Callable[[Float[np.ndarray, "n section"]], Float[np.ndarray, " n"]]
+"""A density of starts on the section."""
 
 
 class AreaGradient(NamedTuple):
@@ -71,6 +75,7 @@ def area_gradient(
     check: int = 100_000,
     seed: int = 0,
     tolerance: float | None = None,
+    density: Density | None = None,
 ) -> AreaGradient:
     """The area of the basin within a grid, and its derivatives by parameters of the walker.
 
@@ -95,7 +100,9 @@ def area_gradient(
     There, if the error exceeds 1/20 of the integral and `bands` are given, the derivative is the
     average over a band of half width h, (A(p + h) - A(p - h)) / 2h, of refined areas.
 
-    Over three dimensions the same is true of the surface of the basin and of its volume.
+    Over three dimensions the same is true of the surface of the basin and of its volume; and of the
+    integral of a `density` over the basin, basin stability, whose derivative is that of density
+    times v along the boundary.
 
     **Arguments:**
 
@@ -108,12 +115,15 @@ def area_gradient(
     - `strides`: number of strides for which a walker is followed.
     - `check`, `seed`: of the areas, as in `refine`.
     - `tolerance`: of the integration, as in `stride`.
+    - `density`: of starts, a function of states of shape (n, section), which returns n numbers and
+      does not depend on parameters. Then all areas are the chances of such starts to converge.
 
     **Returns** an `AreaGradient`, with zeros where nothing walks.
 
     Raises `ValueError` for parameters that the walker does not have, for bands that are not such
     numbers, and as `refine`.
     """
+    check_planar(walker)
     widths = check_bands(walker, parameters, bands)
 
     def basin_of(walker: Walker) -> Refined:
@@ -128,8 +138,12 @@ def area_gradient(
             by_centres=True,
         )
 
+    def size_of(walker: Walker) -> Size:
+        return integrate_over_basin(basin_of(walker), density)
+
     found = basin_of(walker)
-    integral = integrate_along_boundary(walker, found, parameters)
+    size = integrate_over_basin(found, density)
+    integral = integrate_along_boundary(walker, found, parameters, density)
     gradient, error, made = (
         integral.gradient,
         integral.error,
@@ -139,15 +153,15 @@ def area_gradient(
     averaged = unsure & (bands is not None)
     for k in map(int, np.flatnonzero(averaged)):
         low, high = walkers_at_band_ends(walker, parameters[k], widths[k])
-        below, above = side_by_side(basin_of, (low, high))
+        below, above = side_by_side(size_of, (low, high))
         width = float(getattr(high, parameters[k]) - getattr(low, parameters[k])) or np.nan
         gradient[k] = (above.area - below.area) / width
         error[k] = np.hypot(above.area_error, below.area_error) / width
-        made += below.total_strides + above.total_strides
+        made += below.strides + above.strides
     return AreaGradient(
-        area=found.area,
+        area=size.area,
         gradient=gradient,
-        area_error=found.area_error,
+        area_error=size.area_error,
         error=error,
         averaged=averaged,
         crossings=integral.crossings,
@@ -166,8 +180,53 @@ class Integral(NamedTuple):
     strides: int
 
 
-def integrate_along_boundary(walker: Walker, found: Refined, parameters: Sequence[str]) -> Integral:
-    """The sum of v |n_i| over the points in which lines of a grid cross the boundary."""
+class Size(NamedTuple):
+    """The area of a basin, or the chance of starts in it, with its error; and strides made."""
+
+    area: float
+    area_error: float
+    strides: int
+
+
+def integrate_over_basin(found: Refined, density: Density | None) -> Size:
+    """The area, or the integral of a density by the centres of cells.
+
+    Where cells are wrong, they are at the boundary; so its error is that of the area, at the mean
+    density of the cells that were followed.
+    """
+    if density is None:
+        return Size(found.area, found.area_error, found.total_strides)
+    runs, grid = found.runs, found.grid
+    walks = runs.attractor >= 0
+    first, lengths = runs.first[walks], runs.lengths[walks]
+    cells = np.repeat(first - np.cumsum(lengths) + lengths, lengths) + np.arange(lengths.sum())
+    total = sum(
+        float(density_at(density, grid.centres(cells[part])).sum())
+        for part in cell_slices(len(cells))
+    )
+    near = density_at(density, grid.centres(found.cells)) if len(found.cells) else np.zeros(1)
+    error = found.area_error * float(near.mean())
+    return Size(total * grid.cell_area, error, found.total_strides)
+
+
+def density_at(density: Density, x: Float[np.ndarray, "n section"]) -> Float[np.ndarray, " n"]:
+    """The density of states, checked."""
+    values = np.asarray(density(x), float)
+    if values.shape != (len(x),) or not (np.isfinite(values) & (values >= 0)).all():
+        raise WrongUse(
+            f"density must return {len(x)} numbers, finite and not negative, not an array of shape "
+            f"{values.shape}"
+        )
+    return values
+
+
+def integrate_along_boundary(
+    walker: Walker, found: Refined, parameters: Sequence[str], density: Density | None = None
+) -> Integral:
+    """The sum of v |n_i| over the points in which lines of a grid cross the boundary.
+
+    Each times the density there, if one is given.
+    """
     if not parameters:
         return Integral(np.zeros(0), np.zeros(0), 0, 0, 0)
     fine = found.grid
@@ -199,6 +258,8 @@ def integrate_along_boundary(walker: Walker, found: Refined, parameters: Sequenc
         with np.errstate(invalid="ignore", divide="ignore"):
             steepness = np.sum(slopes**2, axis=1)
             moves = by_parameter * (np.abs(slopes[:, axis]) / steepness)[:, None]
+        if density is not None and len(x):
+            moves = moves * density_at(density, x)[:, None]
         known = np.isfinite(moves).all(axis=1)
         crossings, lost = crossings + len(x), lost + int(np.sum(~known))
         most, half = (inverse_chances(outside, axis, c)[known, None] for c in limits)

@@ -11,6 +11,7 @@ from walker_jax.design.area_gradients import area_gradient
 from walker_jax.design.disturbance_gradients import disturbance_gradient
 from walker_jax.design.measures import Measure, gait_measures
 from walker_jax.design.problem import Problem
+from walker_jax.design.sensitivity_gradients import sensitivity_gradient
 from walker_jax.gaits.cycles import Gait
 from walker_jax.stability.disturbances import SEARCH_TOLERANCE
 from walker_jax.stability.rays import DENSE
@@ -75,6 +76,7 @@ def evaluate_objective(
             check=CHECK_STARTS[exact],
             seed=problem.seed,
             tolerance=tolerance,
+            density=problem.density,
         )
         found[problem.size], made = Measure(area.area, area.gradient), area.strides
         weight = abs(problem.weights[problem.size])
@@ -82,6 +84,10 @@ def evaluate_objective(
     if set(problem.measures) - {problem.size}:
         gait = gait_of(values)
         found |= gait_measures(walker, names, gait, tolerance=problem.tolerance)
+        if "sensitivity-norm" in problem.weights:
+            found["sensitivity-norm"] = Measure(
+                *sensitivity_gradient(walker, names, gait, tolerance=problem.tolerance)
+            )
         if "least-disturbance" in problem.weights:
             found["least-disturbance"] = Measure(0.0, np.zeros(len(names)))
             if gait.found and gait.stable:

@@ -21,7 +21,8 @@ from walker_jax.basins.computation import basin
 from walker_jax.basins.memory import check_grid
 from walker_jax.basins.refinement import FINEST, check_finest, refine_cells
 from walker_jax.basins.windows import grid_along, whole_section
-from walker_jax.checks import WrongUse, check_kind, check_whole, refuses_tracers
+from walker_jax.checks import WrongUse, check_kind, check_whole, refuses_tracers, short
+from walker_jax.design.area_gradients import Density
 from walker_jax.design.climbs import climb
 from walker_jax.design.evaluation import (
     CHECK_STARTS,
@@ -69,6 +70,7 @@ def optimise(
     scan: int = 0,
     seed: int = 0,
     tolerance: float | None = None,
+    density: Density | None = None,
     known: xr.Dataset | None = None,
     keep: Callable[[xr.Dataset], object] | None = None,
     progress: bool = False,
@@ -81,9 +83,10 @@ def optimise(
     - `bounds`: the lowest and the highest value of each free parameter.
     - `objective`: "area" (of the basin, all attractors together; of walkers with mass on their
       legs, in a slice), "volume" (the same in the three dimensions of the section of such walkers),
+      "basin-stability" (the chance that starts of a given `density` converge to an attractor),
       "least-disturbance" (from which the walker does not return), "speed" or "step-length", which
-      are maximised, "spectral-radius" or "cost-of-transport", which are minimised; or weights by
-      name, for a sum to maximise.
+      are maximised, "spectral-radius", "sensitivity-norm" (`gait_sensitivity`) or
+      "cost-of-transport", which are minimised; or weights by name, for a sum to maximise.
     - `at_least`, `at_most`: limits of "speed", "step-length", "spectral-radius" and
       "cost-of-transport", by name.
     - `grid`: where the area or volume is measured, the same for all parameters. By default that of
@@ -99,6 +102,8 @@ def optimise(
       objective is measured too.
     - `seed`: of the starts, and of `refine`.
     - `tolerance`: of the integration, as in `stride`.
+    - `density`: for basin stability, the density of starts: a function of states, of shape
+      (n, section), which returns n numbers, the same for all parameters; 0 beyond the grid.
     - `known`: an earlier result, or the trace of a run that was interrupted, whose measurements are
       taken as they are.
     - `keep`: called with the trace after each measurement.
@@ -144,8 +149,13 @@ def optimise(
             f"cost-of-transport is not known of a {type(walker).__name__}, which more than gravity "
             "may drive (driven_by_gravity, motor_work)"
         )
+    if ("basin-stability" in weights) != callable(density):
+        raise WrongUse(
+            f"density must be a function of states for basin-stability, and for that alone, not "
+            f"{short(density)}"
+        )
     low, high = np.array([tuple(map(float, ends)) for ends in bounds.values()]).T
-    how = (grid, levels, strides, seed, tolerance)
+    how = (grid, levels, strides, seed, tolerance, density)
     problem = Problem(walker, tuple(bounds), low, high, weights, sign, limits, *how)
     places = starting_places(problem, starts)
     if grid is None:

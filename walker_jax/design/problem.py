@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from walker_jax.checks import WrongUse, check_kind, is_number
+from walker_jax.design.area_gradients import Density
 from walker_jax.design.measures import GAIT_MEASURES
 from walker_jax.grids import Grid
 from walker_jax.walkers.model import Walker
@@ -18,14 +19,16 @@ from walker_jax.walkers.parameters import attributes_of, check_parameter, with_p
 OBJECTIVES = {
     "area": 1.0,
     "volume": 1.0,
+    "basin-stability": 1.0,
     "least-disturbance": 1.0,
     "speed": 1.0,
     "step-length": 1.0,
     "spectral-radius": -1.0,
+    "sensitivity-norm": -1.0,
     "cost-of-transport": -1.0,
 }
 """Objectives of design: 1 where more is better, -1 where less is."""
-SIZES = {"area": 2, "volume": 3}
+SIZES = {"area": 2, "volume": 3, "basin-stability": 2}
 """Objectives that are the size of the basin in a grid, and how many axes that has."""
 
 
@@ -48,6 +51,8 @@ class Problem(NamedTuple):
     strides: int
     seed: int
     tolerance: float | None
+    density: Density | None = None
+    """Of starts, for basin stability."""
 
     @property
     def measures(self) -> tuple[str, ...]:
@@ -104,8 +109,11 @@ def parse_objective(objective: str | Mapping[str, Any]) -> tuple[dict[str, float
             raise WrongUse(f"objective must be one of {', '.join(OBJECTIVES)}, not {name!r}")
         if not (is_number(weight) and np.isfinite(weight) and weight != 0):
             raise WrongUse(f"objective must give {name} a weight other than 0, not {weight}")
-    if {*SIZES} <= {*given}:
-        raise WrongUse("objective must have an area or a volume, as there is one grid, not both")
+    if len({*SIZES} & {*given}) > 1:
+        raise WrongUse(
+            "objective must have an area, a volume or basin-stability, as there is one grid, not "
+            "several"
+        )
     weights = {name: float(weight) for name, weight in given.items()}
     return weights, OBJECTIVES[objective] if named else 1.0
 

@@ -14,7 +14,7 @@ from walker_jax.figures.style import (
 from walker_jax.figures.style import (
     UNMATCHED as UNMATCHED_COLOUR,
 )
-from walker_jax.walkers.family import WALKERS
+from walker_jax.walkers.family import PLANAR_WALKERS
 from walker_jax.walkers.parameters import Parameter, parameters
 from walker_jax.walking.outcomes import Outcome
 
@@ -25,7 +25,7 @@ NOT_LOST = (Outcome.STRIDE, Outcome.OUTSIDE, Outcome.UNDECIDED, Outcome.LEFT_GRI
 def describe_family() -> dict:
     """All that the page shows and does not compute, from where it is defined."""
     return {
-        "walkers": {name: describe_kind(name) for name in WALKERS},
+        "walkers": {name: describe_kind(name) for name in PLANAR_WALKERS},
         "fates": {
             int(outcome): {
                 "name": outcome.name,
@@ -53,7 +53,7 @@ def describe_family() -> dict:
 
 def describe_kind(name: str) -> dict:
     """A walker: what it is, its section and its parameters."""
-    kind = WALKERS[name]
+    kind = PLANAR_WALKERS[name]
     return {
         "about": (kind.__doc__ or "").splitlines()[0],
         "section": kind.section,

@@ -15,7 +15,7 @@ from walker_jax.checks import WrongUse, short
 from walker_jax.explorer.subjects import Subject, whole
 from walker_jax.gaits.selection import require_gait
 from walker_jax.grids import Grid, axes_around
-from walker_jax.walkers.family import WALKERS
+from walker_jax.walkers.family import PLANAR_WALKERS
 from walker_jax.walkers.parameters import parameters
 from walker_jax.walkers.simplest import SimplestWalker
 
@@ -70,7 +70,7 @@ class Home(NamedTuple):
 @functools.cache
 def home_of(name: str, section: str) -> Home:
     """The paper's window for the simplest walker; around the default gait of any other."""
-    kind = WALKERS[name]
+    kind = PLANAR_WALKERS[name]
     walker = kind(**{one.name: one.default for one in parameters(kind)})
     gait = np.asarray(require_gait(walker, ["another walker"]).states[0])
     if section == "plain":

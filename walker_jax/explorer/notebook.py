@@ -8,7 +8,7 @@ import tempfile
 from urllib.parse import urlencode
 
 from walker_jax.checks import ComputationFailed, WrongUse, check_kind, check_whole
-from walker_jax.walkers.family import WALKERS
+from walker_jax.walkers.family import PLANAR_WALKERS
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import chosen_options, parameters
 
@@ -89,9 +89,9 @@ def explore(walker: Walker, *, height: int = HEIGHT) -> Explorer:
     """
     check_kind("walker", walker, Walker)
     check_whole("height", height, 100, 10_000)
-    names = [name for name, kind in WALKERS.items() if type(walker) is kind]
+    names = [name for name, kind in PLANAR_WALKERS.items() if type(walker) is kind]
     if not names:
-        known = ", ".join(kind.__name__ for kind in WALKERS.values())
+        known = ", ".join(kind.__name__ for kind in PLANAR_WALKERS.values())
         raise WrongUse(f"walker must be one of {known}, not a {type(walker).__name__}")
     for option in chosen_options(walker):
         raise WrongUse(f"walker must have no {option}, unlike {walker}")

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from walker_jax.checks import WrongUse, is_number, short
-from walker_jax.walkers.family import WALKERS
+from walker_jax.walkers.family import PLANAR_WALKERS
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import Parameter, parameters
 from walker_jax.walking.stepping import state_kinds
@@ -38,7 +38,7 @@ class Subject(NamedTuple):
     @property
     def kind(self) -> type[Walker]:
         """The class of the walker."""
-        return WALKERS[self.name]
+        return PLANAR_WALKERS[self.name]
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -67,8 +67,8 @@ class WrongParameter(WrongUse):
 def read_subject(asked: Any) -> Subject:
     """The subject of a request; raises `WrongUse` for one that there is not."""
     asked = mapping("request", asked)
-    name = choice("walker", asked.get("walker"), tuple(WALKERS))
-    kind = WALKERS[name]
+    name = choice("walker", asked.get("walker"), tuple(PLANAR_WALKERS))
+    kind = PLANAR_WALKERS[name]
     given = mapping("parameters", asked.get("parameters", {}))
     known = {one.name: one for one in parameters(kind)}
     for parameter in given:

@@ -87,7 +87,7 @@ def fall(walker: Walker, start: Float[np.ndarray, " coordinates"], outcome: Outc
     states = jax.tree.map(lambda values: values[:count], states)
     begins = swing_begins(walker, start, None) if walker.phases() else 0.0
     swings = times[:count] >= begins
-    over = is_over(walker, states, swings, outcome)
+    over = is_over(walker, states, swings, outcome, 0.0)
     count = max(2, int(over.argmax())) if over.any() else count
     states = jax.tree.map(lambda values: values[:count], states)
     return end(walker, start, outcome, (len(states.theta) - 1) * FRAME, states)

@@ -84,6 +84,8 @@ def film(
             pose, number = walk.isel(frame=k), int(stride[k])
             lines = draw_pose(axes[0], pose)
             x, y = to_level(pose["hip"].values[None] * [[1, 0]], slope)[0]
+            if "footholds" in walk:
+                y += float(walk["footholds"][min(number, walk.sizes["foothold"] - 1), 1])
             axes[0].set(xlim=(x - 0.75 * tall, x + 0.75 * tall), ylim=(y - 0.25 * tall, y + tall))
             heading.set_text(f"stride {number + 1}, time {float(pose['time']):.1f}")
             if path_in_basin is not None:

@@ -75,11 +75,33 @@ def draw_ground(ax: Axes, data: xr.Dataset) -> None:
     """Draw the slope, as far as can be seen, with a mark at every half of a leg."""
     slope, size = float(data.attrs["walker_slope"]), leg_size(data)
     far = np.ceil(2 + np.abs(data["hip"].values[:, 0]).max() / size)
+    if "footholds" in data:
+        draw_steps(ax, data, far * size)
+        return
     away = size * np.array([[-far, 0.0], [far, 0.0], [far, -far], [-far, -far]])
     ax.add_patch(Polygon(to_level(away, slope), fc=SOIL, ec="none", zorder=0))
     ax.plot(*to_level(away[:2], slope).T, color=GROUND, lw=1.2, zorder=1)
     marks = [[[at, 0.0], [at, -0.05 * size]] for at in np.arange(-far, far, 0.5) * size]
     marks = [to_level(np.array(mark), slope) for mark in marks]
+    ax.add_collection(LineCollection(marks, colors=GROUND, lw=1, zorder=1))
+
+
+def draw_steps(ax: Axes, data: xr.Dataset, far: float) -> None:
+    """Draw rough ground as steps, which change their height half way between footholds: marks."""
+    slope = float(data.attrs["walker_slope"])
+    along, height = data["footholds"].values.T
+    turns = (along[1:] + along[:-1]) / 2
+    x = np.concatenate([[-far], np.repeat(turns, 2), [far]])
+    line = np.stack([x, np.repeat(height, 2)], axis=1)
+    deep = [[far, height.min() - far], [-far, height.min() - far]]
+    ax.add_patch(Polygon(to_level(np.concatenate([line, deep]), slope), fc=SOIL, ec="none"))
+    ax.plot(*to_level(line, slope).T, color=GROUND, lw=1.2, zorder=1)
+    deep = 0.05 * leg_size(data)
+    tops = np.maximum(height[1:], height[:-1])
+    marks = [
+        to_level(np.array([[at, top], [at, top - deep]]), slope)
+        for at, top in zip(turns, tops, strict=True)
+    ]
     ax.add_collection(LineCollection(marks, colors=GROUND, lw=1, zorder=1))
 
 

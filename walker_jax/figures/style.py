@@ -9,13 +9,14 @@ FAILURES = {
     Outcome.LEFT_GRID: ("#f7f7f7", "", "leaves the grid"),
     Outcome.BACKWARD: ("#fae0b5", "B", "falls backward"),
     Outcome.FORWARD: ("#b4d1e9", "F", "falls forward"),
-    Outcome.RUNNING: ("#dea5b2", "R", "runs"),
-    Outcome.OUTSIDE: ("#9b9b9b", "", "not a feasible start"),
+    Outcome.RUNNING: ("#e1abb8", "R", "runs"),
+    Outcome.OUTSIDE: ("#a7a7a7", "", "not a feasible start"),
     Outcome.STOPPED: ("#648f4b", "", "stops on both feet"),
     Outcome.UNDECIDED: ("#d1361b", "", "undecided"),
     Outcome.BENT_KNEE: ("#6e51a0", "K", "lands on a bent knee"),
     Outcome.BUCKLED: ("#6b4828", "", "buckles"),
     Outcome.SCUFFED: ("#1d4843", "", "scuffs"),
+    Outcome.SIDEWAYS: ("#c68739", "S", "falls sideways"),
 }
 """Colour, letter (Schwab and Wisse 2001, Figure 2) and words, from light to dark."""
 BASINS = ("#0d2c5e", "#8c2566", "#0f7a72")

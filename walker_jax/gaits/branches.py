@@ -1,11 +1,13 @@
-"""Branches of gaits over a parameter of the walker: continuation, folds, period doublings.
+"""Branches of gaits over a parameter of the walker: continuation and bifurcations.
 
 Pseudo-arclength continuation (Keller 1977): the cycle's states and the parameter p are unknowns
 together, and the next point is where the branch meets a plane across its tangent. So continuation
 passes folds. At a fold a Floquet multiplier is 1, and two branches of gaits meet and end; at a
-period doubling one is -1, and a gait of twice the period branches off. Newton's iteration locates
-both: its unknowns are the states, the parameter and the vector v that the cycle's Jacobian maps to
-v or to -v. It takes second derivatives of the stride function by automatic differentiation.
+period doubling one is -1, and a gait of twice the period branches off. At a Neimark-Sacker point
+a pair of conjugate ones is on the unit circle, and motions without a period branch off. Newton's
+iteration locates all: its unknowns are the states, the parameter, the vector v that the cycle's
+Jacobian maps to v, to -v or to exp(i angle) v, and that angle. It takes second derivatives of the
+stride function by automatic differentiation.
 
 Distances along a branch are sqrt(mean |dx|^2 + (dp / width of the range)^2).
 """
@@ -43,6 +45,7 @@ class Branch(NamedTuple):
     doublings: list[Bifurcation]
     ends: tuple[str, str]
     """The reasons why the branch ends, at its first point and at its last."""
+    neimark_sackers: tuple[Bifurcation, ...] = ()
 
     @property
     def period(self) -> int:
@@ -171,6 +174,7 @@ def join_paths(parameter: str, backward: Path, forward: Path, size: int) -> Bran
         folds=[*reversed(backward.folds), *forward.folds],
         doublings=[*reversed(backward.doublings), *forward.doublings],
         ends=(backward.end, forward.end),
+        neimark_sackers=(*reversed(backward.neimark_sackers), *forward.neimark_sackers),
     )
 
 

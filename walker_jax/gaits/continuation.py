@@ -44,6 +44,7 @@ class Path(NamedTuple):
     folds: list[Bifurcation]
     doublings: list[Bifurcation]
     end: str
+    neimark_sackers: tuple[Bifurcation, ...] = ()
 
 
 def follow_branch(
@@ -95,6 +96,8 @@ def follow_branch(
             break
         path.folds.extend(b for b in found if b.kind == "fold")
         path.doublings.extend(b for b in found if b.kind == "doubling")
+        tori = tuple(b for b in found if b.kind == "neimark-sacker")
+        path = path._replace(neimark_sackers=path.neimark_sackers + tori)
         path.points.append(new)
         if at_end:
             end = "the end of the range"

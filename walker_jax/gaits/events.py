@@ -1,4 +1,4 @@
-"""Location of folds and period doublings on a branch."""
+"""Location of folds, period doublings and Neimark-Sacker points on a branch."""
 
 from collections.abc import Generator
 from typing import NamedTuple
@@ -18,16 +18,21 @@ from walker_jax.gaits.requests import Request, Response
 
 
 class Bifurcation(NamedTuple):
-    """A point of a branch at which a Floquet multiplier is 1 (fold) or -1 (period doubling)."""
+    """A point of a branch at which a Floquet multiplier is 1 (fold) or -1 (period doubling).
+
+    Or at which a pair of them, exp(+-i angle), is on the unit circle (Neimark-Sacker): there
+    motions without a period, on closed curves of the section, branch off.
+    """
 
     kind: str
-    """"fold" or "doubling"."""
+    """"fold", "doubling" or "neimark-sacker"."""
     value: float
     """Value of the parameter."""
     states: Float[np.ndarray, "period section"]
     multipliers: Complex[np.ndarray, " section"]
-    vectors: Float[np.ndarray, "period section"]
-    """v_1, ..., v_k with J_i v_i = v_{i+1}, and J_k v_k = v_1 (fold) or -v_1 (doubling)."""
+    vectors: Float[np.ndarray, "period section"] | Complex[np.ndarray, "period section"]
+    """v_1, ..., v_k with J_i v_i = v_{i+1}, and J_k v_k = v_1 (fold), -v_1 (doubling) or
+    exp(i angle) v_1, with an angle from 0 to pi (Neimark-Sacker)."""
     residual: float
     """Largest error in these equations and in those of the cycle."""
 
@@ -60,10 +65,13 @@ def find_bifurcations(
         kinds.append("fold")
     if doubling_test_function(one) * doubling_test_function(other) < 0:
         kinds.append("doubling")
+    if pair_test_function(one) * pair_test_function(other) < 0 and has_close_pair(one, other):
+        kinds.append("neimark-sacker")
     found = []
     for kind in kinds:
         nearer = min(one, other, key=lambda point: multiplier_distance(kind, point))
-        bifurcation = yield from locate_bifurcation(kind, nearer, width)
+        locate = locate_neimark_sacker if kind == "neimark-sacker" else locate_bifurcation
+        bifurcation = yield from locate(kind, nearer, width)
         if bifurcation is None:
             return None
         located = Point(bifurcation.value, bifurcation.states, nearer.local)
@@ -82,10 +90,44 @@ def doubling_test_function(point: Point) -> float:
     return float(np.linalg.det(jacobian + np.eye(len(jacobian))))
 
 
+def pair_test_function(point: Point) -> float:
+    """The product of l_i l_j - 1 over all pairs of multipliers.
+
+    Its sign changes where a pair of conjugate ones passes the unit circle; and where the product of
+    two real ones passes 1, which is no bifurcation.
+    """
+    return float(np.real(np.prod(pair_products(multipliers_at(point)) - 1)))
+
+
+def pair_products(multipliers: Complex[np.ndarray, " n"]) -> Complex[np.ndarray, " pairs"]:
+    """l_i l_j of all pairs."""
+    first, second = np.triu_indices(len(multipliers), 1)
+    return multipliers[first] * multipliers[second]
+
+
+def has_close_pair(one: Point, other: Point) -> bool:
+    """Whether the pair that passes 1 is one of conjugates, at the end where its product is nearer
+    to 1."""
+    ends = []
+    for point in (one, other):
+        multipliers = multipliers_at(point)
+        first, second = np.triu_indices(len(multipliers), 1)
+        distances = np.abs(pair_products(multipliers) - 1)
+        pair = multipliers[[first[distances.argmin()], second[distances.argmin()]]]
+        ends.append((distances.min(), pair[0].imag != 0 and pair[0] == np.conj(pair[1])))
+    return bool(min(ends)[1])
+
+
+def multipliers_at(point: Point) -> Complex[np.ndarray, " section"]:
+    return find_multipliers(multiply_jacobians(point.local.jacobian))[0]
+
+
 def multiplier_distance(kind: str, point: Point) -> float:
-    """Distance of the nearest multiplier from 1 (fold) or -1 (doubling)."""
+    """Distance of the nearest multiplier from 1 (fold) or -1 (doubling), or from the circle."""
+    multipliers = multipliers_at(point)
+    if kind == "neimark-sacker":
+        return float(np.abs(np.abs(multipliers[np.imag(multipliers) != 0]) - 1).min(initial=np.inf))
     multiplier = 1 if kind == "fold" else -1
-    multipliers = find_multipliers(multiply_jacobians(point.local.jacobian))[0]
     return float(np.abs(multipliers - multiplier).min())
 
 
@@ -142,4 +184,76 @@ def locate_bifurcation(
         cycle = cycle + step[:count].reshape(period, size)
         v = v + step[count:-1].reshape(period, size)
         value = value + float(step[-1]) * width
+    return best
+
+
+def locate_neimark_sacker(
+    kind: str, point: Point, width: float
+) -> Generator[Request, Response, Bifurcation | None]:
+    """Newton's iteration to a Neimark-Sacker point near a point of the branch.
+
+    Unknowns are the states, the parameter, the angle and the complex v_i = a_i + i b_i. It solves
+    S(x_i) = x_{i+1}; J_i v_i = v_{i+1}, with J_k v_k = exp(i angle) v_1; and the product of v with
+    the conjugate of its first guess is 1. Returns None where the iteration fails.
+    """
+    period, size = point.cycle.shape
+    count = period * size
+    values, eigenvectors = np.linalg.eig(multiply_jacobians(point.local.jacobian)[0])
+    above = np.flatnonzero(np.imag(values) > 0)
+    if len(above) == 0:
+        return None
+    number = above[np.abs(np.abs(values[above]) - 1).argmin()]
+    angle, vectors = float(np.angle(values[number])), [eigenvectors[:, number]]
+    for jacobian in point.local.jacobian[0][:-1]:
+        vectors.append(jacobian @ vectors[-1])
+    v = np.array(vectors) / np.linalg.norm(vectors)
+    guess, value, cycle = v.copy(), point.value, point.cycle
+    first, last = slice(0, size), slice(count - size, count)
+    best = None
+    for _ in range(CORRECTOR_STEPS):
+        local, real = yield Request(value, cycle, np.ascontiguousarray(v.real))
+        _, imaginary = yield Request(value, cycle, np.ascontiguousarray(v.imag))
+        assert real is not None and imaginary is not None
+        onward = np.roll(v, -1, axis=0)
+        onward[-1] *= np.exp(1j * angle)
+        along = real.along[0] + 1j * imaginary.along[0] - onward
+        length = np.vdot(guess, v) - 1
+        mismatch = np.concatenate(
+            [
+                (local.state[0] - np.roll(cycle, -1, axis=0)).ravel(),
+                along.real.ravel(),
+                along.imag.ravel(),
+                [length.real, length.imag],
+            ]
+        )
+        residual = float(np.abs(mismatch).max())
+        if not np.isfinite(residual):
+            return None
+        converged = best is not None and residual >= best.residual
+        if residual < (best.residual if best else MAX_RESIDUAL[cycle.dtype]):
+            multipliers = find_multipliers(multiply_jacobians(local.jacobian))[0]
+            best = Bifurcation(kind, float(value), cycle, multipliers, v, residual)
+        if converged:
+            break
+        c, s = np.cos(angle), np.sin(angle)
+        matrix = np.zeros((3 * count + 2, 3 * count + 2))
+        of_states, of_real, of_imaginary = (slice(i * count, (i + 1) * count) for i in range(3))
+        matrix[of_states, of_states] = cycle_matrices(local.jacobian)[0]
+        matrix[of_states, -2] = local.by_parameter.ravel() * width
+        for part, second in ((of_real, real), (of_imaginary, imaginary)):
+            for i in range(period):
+                rows = slice(part.start + i * size, part.start + (i + 1) * size)
+                matrix[rows, i * size : (i + 1) * size] = second.changes[0, i, :, :size]
+            matrix[part, part] = cycle_matrices(local.jacobian, c)[0]
+            matrix[part, -2] = second.changes[0, :, :, size].ravel() * width
+        matrix[of_real, of_imaginary][last, first] += s * np.eye(size)
+        matrix[of_imaginary, of_real][last, first] -= s * np.eye(size)
+        turned = 1j * np.exp(1j * angle) * v[0]
+        matrix[of_real, -1][last], matrix[of_imaginary, -1][last] = -turned.real, -turned.imag
+        matrix[-2, of_real], matrix[-2, of_imaginary] = guess.real.ravel(), guess.imag.ravel()
+        matrix[-1, of_real], matrix[-1, of_imaginary] = -guess.imag.ravel(), guess.real.ravel()
+        step = solve_linear_systems(matrix[None], -mismatch[None])[0]
+        cycle = cycle + step[of_states].reshape(period, size)
+        v = v + (step[of_real] + 1j * step[of_imaginary]).reshape(period, size)
+        value, angle = value + float(step[-2]) * width, angle + float(step[-1])
     return best

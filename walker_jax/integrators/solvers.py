@@ -54,6 +54,9 @@ TOLERANCE = {jnp.dtype("float64"): 1e-12, jnp.dtype("float32"): 1e-6}
 """Default tolerance of a step: 4500 and 8 times the epsilon of the dtype."""
 MAX_STEPS = 1000
 """Most steps of one integration, so that each ends."""
+MOST_EXPANDED_AGAIN = 6
+"""Variables of a state whose series is expanded once more for the last step of an integration. To
+carry the series of more of them from step to step takes less than that."""
 TIME_REFINEMENTS = 3
 """Newton's iterations on a time that interpolation gives; each squares its error."""
 
@@ -217,7 +220,7 @@ class Taylor(diffrax.AbstractAdaptiveSolver):
 
     taylor_order: int = eqx.field(static=True, default=SERIES_ORDER[jnp.dtype("float64")])
     field: VectorField | None = None
-    """f, if it depends on the state alone; then it may be a `VirtualPower`."""
+    """f, if it depends on the state alone; then it may be a `PowerBalance`."""
 
     term_structure: ClassVar = diffrax.ODETerm
     interpolation_cls: ClassVar = TaylorInterpolation
@@ -439,6 +442,8 @@ class Method(eqx.Module):
         which needs the next series; to carry that to the next turn takes longer.
         """
 
+        carried = len(jax.tree.leaves(state)) > MOST_EXPANDED_AGAIN
+
         def advance(carry):
             last, count, _ = carry
             series, length = taylor_step(self.field, last.end, order, self.tolerance, *self.others)
@@ -446,11 +451,16 @@ class Method(eqx.Module):
             stops, beyond = stop(last.end, end, side)
             going = jnp.isfinite(length) & (count + 1 < MAX_STEPS) & ~stops
             step = Step(last.end, end, last.time + last.length, length, (side, beyond))
-            return step, count + 1, going
+            return step._replace(series=series if carried else None), count + 1, going
 
         first = Step(state, state, time, zero_at(state), (side, side))
+        if carried:
+            constant = jax.tree.map(lambda x: [x, *[0 * x] * order], state)
+            first = first._replace(series=constant)
         carry = first, jnp.asarray(0), jnp.asarray(True)
         last, count, _ = lax.while_loop(lambda carry: carry[-1], advance, carry)
+        if carried:
+            return last, count
         return last._replace(series=solution_series(self.field, last.start, order)), count
 
     def runge_kutta_step(

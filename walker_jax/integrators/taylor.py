@@ -27,7 +27,27 @@ from walker_jax.integrators.expansion import compose, switches
 from walker_jax.integrators.series import Series, constant, recording, scale, series_log
 
 
-class VirtualPower(eqx.Module):
+class PowerBalance(eqx.Module):
+    """Equations of motion as a balance of power, whose series needs no formula for accelerations.
+
+    A state holds coordinates first, then rates.
+    """
+
+    @abc.abstractmethod
+    def series(self, state: PyTree, order: int) -> PyTree[list]:
+        """Taylor coefficients of the solution."""
+
+    @abc.abstractmethod
+    def balance(
+        self, state: list[Series], start: list
+    ) -> tuple[list[Series], list[Series], list[Series]]:
+        """The series of the balance, and the lists of all series before and of it.
+
+        Those before depend on the unknown coefficient through their own of one order more.
+        """
+
+
+class VirtualPower(PowerBalance):
     """Equations of motion as a balance of virtual power, without a formula for accelerations.
 
     With x = F(q), they are p(q, q', x'') = 0, where p is linear in x'' = F(q(t))''. The series of
@@ -106,6 +126,96 @@ class VirtualPower(eqx.Module):
         return p, of_transfer, of_power
 
 
+class ConstrainedPower(PowerBalance):
+    """Equations of motion of independent rates u, to which q' = T(q) u gives those of all q.
+
+    With momenta m = P(q) u they are p(q, u, m') = 0, one for each of u, where p is linear in m'. A
+    state holds the coordinates q first, then u.
+    """
+
+    @property
+    @abc.abstractmethod
+    def independent(self) -> tuple[int, ...]:
+        """Indices of the coordinates whose rates u are."""
+
+    @abc.abstractmethod
+    def rates(self, q: list, u: list) -> list:
+        """T(q) u: one scalar for each of q."""
+
+    @abc.abstractmethod
+    def momentum(self, q: list, u: list) -> list:
+        """P(q) u, to scalars m."""
+
+    @abc.abstractmethod
+    def power(self, q: list, u: list, momentum_rates: list) -> list:
+        """p: one scalar for each of u."""
+
+    @abc.abstractmethod
+    def factorise(self, q: list) -> PyTree:
+        """The matrix -dp/dm' P, which multiplies u' in -p, in a form for `solve`."""
+
+    @abc.abstractmethod
+    def solve(self, factors: PyTree, right: list) -> list:
+        """The solution of linear equations with the matrix of `factorise`."""
+
+    def halves(self, leaves: list) -> tuple[list, list]:
+        """Coordinates, and independent rates."""
+        count = len(leaves) - len(self.independent)
+        return leaves[:count], leaves[count:]
+
+    @eqx.filter_jit  # traced once for all calls
+    def __call__(self, state: PyTree) -> PyTree:
+        """The time derivative of a state."""
+        leaves, structure = jax.tree.flatten(state)
+        q, u = self.halves(leaves)
+        qdot = self.rates(q, u)
+        convective = jax.jvp(lambda q: self.momentum(q, u), (q,), (qdot,))[1]
+        udot = self.solve(self.factorise(q), self.power(q, u, convective))
+        return jax.tree.unflatten(structure, qdot + udot)
+
+    def series(self, state: PyTree, order: int) -> PyTree[list]:
+        """Taylor coefficients of the solution.
+
+        The k-th coefficient of p contains u_{k+1} only through the top coefficient of the momenta,
+        linearly, with P at t = 0 as its factor. So p is first computed with u_{k+1} = 0, and
+        u_{k+1} solves a linear equation whose right-hand side is that p.
+        """
+        leaves, structure = jax.tree.flatten(state)
+        at, start = self.halves(leaves)
+        factors = with_fast_sincos(self.factorise)(at)
+        # unknown coefficients are zero
+        u = [Series(lambda k: None, [value]) for value in start]
+        qdot: list[Series] = []
+
+        def coordinate(i):
+            return Series(lambda k: at[i] if k == 0 else scale(qdot[i][k - 1], 1 / k))
+
+        q = [coordinate(i) for i in range(len(at))]
+        qdot += compose(lambda both: self.rates(*both), (q, u), (at, start))
+        p, of_momentum, of_power = self.balance([*q, *u], leaves)
+        for k in range(order):
+            missing = [jnp.zeros_like(leaves[0]) if c is None else c for c in (s[k] for s in p)]
+            for series in of_power:
+                del series.coefficients[k:]
+            for series in (*of_momentum, *u):
+                del series.coefficients[k + 1 :]
+            for series, value in zip(u, self.solve(factors, missing), strict=True):
+                series.coefficients.append(value * (1 / (k + 1)))
+        return jax.tree.unflatten(
+            structure, [coefficients_up_to(series, order) for series in (*q, *u)]
+        )
+
+    def balance(self, state, start):
+        both, at = self.halves(state), self.halves(start)
+        with recording(series_log) as of_momentum:
+            momentum = compose(lambda both: self.momentum(*both), both, at)
+        with recording(series_log) as of_power:
+            changes = [derivative(series) for series in momentum]
+            like = [jnp.zeros_like(start[0])] * len(momentum)
+            p = compose(lambda args: self.power(*args), (*both, changes), (*at, like))
+        return p, of_momentum, of_power
+
+
 def derivative(series: Series, times: int = 1) -> Series:
     """The derivative of a series by time, of order `times`."""
 
@@ -125,7 +235,7 @@ def solution_series(
     **Arguments:**
 
     - `vector_field`: f, from the state to its time derivative, of the same structure, or a
-      `VirtualPower`. If it is a method of an `equinox.Module`, the expansion is traced once for
+      `PowerBalance`. If it is a method of an `equinox.Module`, the expansion is traced once for
       all calls.
     - `state`: y_0, a PyTree of floating-point arrays.
     - `order`: of the last coefficient.
@@ -133,7 +243,7 @@ def solution_series(
     **Returns** a PyTree of the structure of the state with a list of `order + 1` coefficients at
     each leaf. Raises `NotImplementedError` if f holds a primitive whose series is not known.
     """
-    if isinstance(vector_field, VirtualPower):
+    if isinstance(vector_field, PowerBalance):
         return vector_field.series(state, order)
     leaves, structure = jax.tree.flatten(state)
     rates: list[Series] = []
@@ -164,18 +274,18 @@ def switching_series(
 
     **Arguments:**
 
-    - `function`: of the state, or a `VirtualPower`.
+    - `function`: of the state, or a `PowerBalance`.
     - `series`: the coefficients of y(t), to some order.
 
     **Returns** a list of coefficients for each scalar whose sign selects a branch and changes with
     time; an empty list if `function` is smooth. Their order is that of the series, less two for a
-    `VirtualPower`.
+    `PowerBalance`.
     """
     known = jax.tree.map(lambda c: Series(c.__getitem__), series, is_leaf=is_list)
     start = jax.tree.map(lambda c: c[0], series, is_leaf=is_list)
     order = len(jax.tree.leaves(series, is_leaf=is_list)[0]) - 1
     with recording(switches) as found:
-        if isinstance(function, VirtualPower):
+        if isinstance(function, PowerBalance):
             function.balance(jax.tree.leaves(known, is_leaf=is_series), jax.tree.leaves(start))
             order -= 2
         else:

@@ -13,13 +13,13 @@ from jax.typing import ArrayLike
 from jaxtyping import Bool, Float
 
 from walker_jax.basins.mapper import Mapper
-from walker_jax.checks import check_whole, refuses_tracers
+from walker_jax.checks import WrongUse, check_whole, refuses_tracers
 from walker_jax.gaits.cycles import Gait
 from walker_jax.stability.gait_mapper import failure_test, mapper_of_gait, with_other_gaits
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.stability.metric import DistanceFunction, metric_of
 from walker_jax.stability.rays import DENSE, nearest_failure, spread_directions
-from walker_jax.walkers.model import Walker
+from walker_jax.walkers.model import State, Walker
 from walker_jax.walking.outcomes import Outcome
 
 BEYOND = 1 + np.array([1e-8, 1e-10, 0.0])
@@ -30,6 +30,10 @@ SEARCH_TOLERANCE = 1e-9
 long as the default, and moves a boundary by far less than the distances that searches try."""
 OTHER_GAITS_DIRECTIONS, OTHER_GAITS_DISTANCES = 90, 0.1 * 0.5 ** np.arange(12.0)[:, None]
 """Directions and distances of starts from which walkers may converge to other gaits."""
+
+
+LARGEST_SPAN = 3
+"""Dimensions in which directions are spread evenly (`rays`)."""
 
 
 class LeastDisturbance(NamedTuple):
@@ -92,11 +96,16 @@ def least_disturbance(
     - `strides`: number of strides in which a walker may return, or fall.
     - `tolerance`: of the integration, as in `stride`.
 
-    Raises `ValueError` for a gait that is not stable, or not found, and for a scale or vectors that
-    do not fit the section; `ComputationFailed` where the walker returns from all disturbances up to
-    a size of a thousand.
+    Raises `ValueError` for a gait that is not stable, or not found, for a scale or vectors that do
+    not fit the section, and for disturbances of more than three dimensions; `ComputationFailed`
+    where the walker returns from all disturbances up to a size of a thousand.
     """
     sizes = metric_of(walker, scale, along, metric)
+    if len(sizes.basis) > LARGEST_SPAN:
+        raise WrongUse(
+            f"along must span {LARGEST_SPAN} dimensions at most, not {len(sizes.basis)}: the "
+            "nearest failure is searched for in a line, a plane or space"
+        )
     lost = failure_test(fall)
     check_whole("directions", directions)
     mapper = mapper_of_gait(walker, gait, strides, tolerance)
@@ -113,6 +122,8 @@ def least_disturbance(
         return lost(mapper(points))
 
     def gradient(points: Float[np.ndarray, "n section"]) -> Float[np.ndarray, "n section"]:
+        if walker.state is not State:  # no margins are known: nearest points are not polished
+            return np.full_like(points, np.nan)
         count = all_gaits(points).strides
         axes = np.eye(points.shape[1])
         return differentiate_margins(walker, points, count, axes, (), mapper.tolerance)

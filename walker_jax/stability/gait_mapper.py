@@ -12,9 +12,8 @@ from walker_jax.checks import WrongUse, check_kind, check_precision, check_whole
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import find_gait
 from walker_jax.integrators.solvers import default_tolerance
-from walker_jax.walkers.model import Walker
+from walker_jax.walkers.model import Walker, check_single
 from walker_jax.walking.iteration import strides as take_strides
-from walker_jax.walking.stepping import check_single
 
 
 def mapper_of_gait(

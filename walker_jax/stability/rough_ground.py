@@ -28,10 +28,9 @@ from walker_jax.execution.tiles import map_cells
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import find_gait
 from walker_jax.integrators.solvers import default_tolerance
-from walker_jax.walkers.model import Walker
+from walker_jax.walkers.model import Walker, check_planar, check_single
 from walker_jax.walking.disturbed import Disturbance, DisturbedWalk, follow_disturbed_walk
 from walker_jax.walking.outcomes import Outcome
-from walker_jax.walking.stepping import check_single
 
 RandomDisturbance = Callable[[Any], Any]
 """A JAX function of a random key: the height of one step, or a `Disturbance`."""
@@ -54,9 +53,10 @@ class StepsToFall(NamedTuple):
     strides: Int[np.ndarray, " n"]
     """Completed strides of each walk."""
     ended: Bool[np.ndarray, " n"]
-    """Whether each walk ended in a failure; the others were left off at the limit."""
+    """Whether each walk ended in a failure; the others were left off, at the limit or where the
+    integration gave no answer."""
     outcomes: Int[np.ndarray, " n"]
-    """`Outcome` of the failure, or `STRIDE`."""
+    """`Outcome` of the failure, `STRIDE`, or `UNDECIDED`."""
 
 
 @refuses_tracers()
@@ -73,7 +73,8 @@ def steps_to_fall(
 ) -> StepsToFall:
     """How many strides walkers make on rough ground until they fall, from a gait on.
 
-    Walks that have made `limit` strides are left off. Their part of the mean is that of a constant
+    Walks that have made `limit` strides are left off, and so are those that are `UNDECIDED`: no
+    walker is said to fall where that is not known. Their part of the mean is that of a constant
     chance to fall in each stride, which holds once a walk has forgotten where it began: then a
     stride's chance does not depend on how many there were before. The interval is that of such a
     chance, of Clopper and Pearson (1934, Biometrika 26:404-413); if all walks fall and are 30 or
@@ -94,6 +95,7 @@ def steps_to_fall(
 
     Raises `ValueError` for a walker without a gait, and for arguments out of range.
     """
+    check_planar(walker)
     check_kind("walker", walker, Walker)
     check_whole("n", n)
     check_whole("limit", limit)
@@ -103,7 +105,7 @@ def steps_to_fall(
     start = start_of_walks(walker, gait, tolerance)
     states = np.broadcast_to(start, (n, len(start)))
     walks = walk_disturbed(walker, states, draw_one, keys, limit, tolerance)
-    ended = walks.outcome != Outcome.STRIDE
+    ended = ~np.isin(walks.outcome, (Outcome.STRIDE, Outcome.UNDECIDED))
     mean, low, high = mean_life(walks.strides, ended, confidence)
     return StepsToFall(mean, low, high, walks.strides, ended, walks.outcome)
 

@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 from walker_jax.checks import WrongUse, check_kind, short
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import find_gait
-from walker_jax.walkers.model import Scalar, State, Walker
+from walker_jax.walkers.model import Scalar, State, Walker, check_planar
 from walker_jax.walking.disturbed import Disturbance, follow_disturbed
 from walker_jax.walking.stepping import prepare
 
@@ -81,6 +81,7 @@ def gait_sensitivity(
 
     Raises `ValueError` for other names, and for a gait of another period than one.
     """
+    check_planar(walker)
     check_kind("walker", walker, Walker)
     check_kind("disturbances", disturbances, Sequence)
     check_kind("indicators", indicators, Sequence)

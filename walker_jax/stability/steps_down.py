@@ -13,7 +13,7 @@ from walker_jax.gaits.cycles import Gait
 from walker_jax.stability.disturbances import BEYOND
 from walker_jax.stability.gait_mapper import failure_test, mapper_of_gait
 from walker_jax.stability.rays import FINE, bisect, first_failures, scan
-from walker_jax.walkers.model import Walker
+from walker_jax.walkers.model import Walker, check_planar
 from walker_jax.walking.iteration import strides as take_strides
 from walker_jax.walking.outcomes import Outcome
 from walker_jax.walking.stepping import follow_step, step_down
@@ -52,6 +52,7 @@ def least_step_down(
     errors are those of `least_disturbance`. The search tries `HEIGHTS` heights up to the least one:
     it may miss failures in narrower ranges.
     """
+    check_planar(walker)
     lost = failure_test(fall)
     mapper = mapper_of_gait(walker, gait, strides, tolerance)
     states = mapper.attractors[0].states

@@ -3,18 +3,25 @@
 On rough ground walking is metastable (Byl and Tedrake 2009, Int. J. Robot. Res. 28:1040-1064): a
 walker forgets where it began in a few strides, and falls after many. Ulam's method makes that a
 Markov chain: the states just after heel strike are divided into cells, and P_ij is the chance that
-a stride from a random point of cell i ends in cell j; rows fall short of 1 by the chance to fall.
-The largest eigenvalue of P is the chance not to fall, and its left eigenvector the quasi-stationary
+a stride from cell i ends in cell j; rows fall short of 1 by the chance to fall. The largest
+eigenvalue of P is the chance not to fall, and its left eigenvector the quasi-stationary
 distribution, that of the states of all walks that still last. (As a state of its own that is never
 left, a fall has the eigenvalue 1, and this one is the second.)
+
+Where strides begin within a cell matters: uniformly distributed starts spread states, so that walks
+seem shorter by as much as a half. So all cells have as many walkers, which stand where walkers
+arrived, each with the chance of its arrival: a weighted ensemble (Huber and Kim 1996, Biophys. J.
+70:97-110). What remains of the size of cells is that a walker forgets where in its cell it was.
 """
 
+from functools import partial
+from importlib.metadata import version
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+import xarray as xr
+from jaxtyping import Array, Bool, Float, Int
 from scipy.sparse import csr_array
 
 from walker_jax.checks import (
@@ -22,7 +29,9 @@ from walker_jax.checks import (
     WrongUse,
     check_kind,
     check_whole,
+    is_number,
     refuses_tracers,
+    short,
 )
 from walker_jax.execution.tiles import map_cells
 from walker_jax.gaits.cycles import Gait
@@ -35,46 +44,33 @@ from walker_jax.stability.rough_ground import (
     start_of_walks,
     walk_disturbed,
 )
-from walker_jax.walkers.model import State, Walker
+from walker_jax.walkers.model import Walker, check_planar
+from walker_jax.walkers.parameters import attributes_of
 from walker_jax.walking.disturbed import Disturbance, follow_disturbed
 from walker_jax.walking.outcomes import Outcome
 
 PILOT_WALKS, PILOT_STRIDES = 20_000, 8
 """Walks that show where states are, and the strides after which they are looked at: a few
 multiples of the time in which a stable gait forgets a disturbance."""
-MARGIN = 1.25
-"""How far the cells reach, as a multiple of the distance of the farthest of these states, by which
-walks that last are still inside. What leaves the cells counts as in the nearest one."""
 FEWEST_SURVIVORS = 200
 """Of the pilot, below which there is too little to tell where states are."""
-CELLS = {2: 256, 3: 80}
-"""Cells along each direction: some 1 % of the scatter of states, and 8 %."""
+CELLS = 40_000
+"""Small cells, about, where no side is given: a repetition takes some ten seconds on two cores."""
+PROBE = 0.8
+"""Side of cells by which that side is found, in standard deviations of the states."""
+FORGOTTEN, ROUNDS = 4, 12
+"""Strides in which the ensemble forgets how it began, and those that it makes in all."""
+MOST_CELLS, FEWEST_IN_CELL = 1_000_000, 12
+"""Most cells, which take some GB of memory, and fewest walkers in each."""
+BITS = 20
+"""Of the number of a cell along each direction: three of them are within an integer of 64."""
+FALLEN = -1
+"""Instead of the number of a cell."""
 SCATTER_OF_ROUNDING = 1e-11
 """Standard deviation of states that rounding and the tolerance of a stride make, at most."""
 SETTLED = 1e-13
 """Change of an eigenvector, relative, at which power iteration ends."""
 MAX_ITERATIONS = 10_000
-
-
-class Metastability(NamedTuple):
-    """How long walks last, by a stochastic cell map."""
-
-    survival: float
-    """The chance not to fall in a stride, of walks that have lasted long: the eigenvalue, its odds
-    extrapolated as `mean` is."""
-    mean: float
-    """The mean number of strides until a fall, from the gait on, as `StepsToFall` has it."""
-    error: float
-    """Standard error of `mean`: of the samples, and of the size of cells."""
-    axes: Float[np.ndarray, "d d"]
-    """Rows: the directions of the grid of cells, in the coordinates (theta, thetadot, and, if the
-    ground is rough, phi - 2 theta), each as long as the standard deviation of states along it."""
-    centre: Float[np.ndarray, " d"]
-    """The mean of these states."""
-    edges: Float[np.ndarray, " cells+1"]
-    """Edges of the cells along each direction."""
-    density: Float[np.ndarray, "..."]
-    """The quasi-stationary distribution, the chance of each cell: that of the last repetition."""
 
 
 @refuses_tracers()
@@ -84,79 +80,96 @@ def metastability(
     key: Any = None,
     *,
     gait: Gait | None = None,
-    cells: int | None = None,
-    samples: int = 12,
+    side: float | None = None,
+    walkers: int = 200_000,
     repetitions: int = 4,
     tolerance: float | None = None,
-) -> Metastability:
+) -> xr.Dataset:
     """How long a walker walks on rough ground, by a stochastic cell map (Ulam's method).
 
-    It costs the same however rare falls are, and is independent of `steps_to_fall`, which follows
-    walks. Cells spread states; the result is extrapolated from two sizes of cells.
+    It costs about the same however rare falls are, and is independent of `steps_to_fall`, which
+    follows walks. The result is extrapolated from cells of two sizes, and what that adds counts as
+    its error.
 
     **Arguments:**
 
     - `walker`: one whose section has two coordinates.
     - `ground`, `key`, `gait`, `tolerance`: as in `steps_to_fall`.
-    - `cells`: number of cells along each direction, even; 256 by default, and 80 on rough ground,
-      where there are three directions.
-    - `samples`: strides from each cell.
-    - `repetitions`: of the whole with other random numbers, whose scatter gives the error.
+    - `side`: of the small cells, in standard deviations of states along each direction; by default
+      so that there are about CELLS of them.
+    - `walkers`: in all cells together, 12 or more in each, which make 12 strides.
+    - `repetitions`: of the whole with other random numbers, whose scatter gives the other error.
+
+    **Returns** a data set: `survival`, the chance not to fall in a stride of walks that have lasted
+    long; `mean_strides`, the mean number of strides until a fall, from the gait on, as
+    `StepsToFall` has it, and its standard error `mean_strides_error`; and the quasi-stationary
+    distribution, over the small cells of the last repetition: `chance` of each, and its `centre`
+    in theta, thetadot and, if the ground is rough, the gap phi - 2 theta.
 
     Raises `ValueError` for arguments out of range, and `ComputationFailed` where walks end too
-    early to be called metastable.
+    early to be called metastable, or so rarely that there are more than MOST_CELLS cells.
     """
+    check_planar(walker)
     check_kind("walker", walker, Walker)
     if len(walker.section) != 2:
         raise WrongUse(f"walker must have two section coordinates, not {walker.section}")
-    check_whole("samples", samples)
+    check_whole("walkers", walkers)
     check_whole("repetitions", repetitions, 2)
+    if side is not None and not (is_number(side) and 0 < side < np.inf):
+        raise WrongUse(f"side must be a number above 0, not {short(side)}")
     draw_one, key = read_ground(ground), read_key(key)
     start = start_of_walks(walker, gait, tolerance)
-    chart = draw_chart(walker, draw_one, key, start, tolerance)
-    if cells is None:
-        cells = CELLS[len(chart.centre)]
-    check_whole("cells", cells, 4)
-    means: list[list[float]] = []
-    lasting: list[list[float]] = []
-    distribution = np.ones(0)
+    chart, lasting = draw_chart(walker, draw_one, key, start, tolerance)
+    step = partial(transition_matrix, walker, draw_one, chart, lasting, walkers, tolerance)
+    if side is None:
+        _, cells = step(key, PROBE)
+        size = PROBE * (len(cells) / CELLS) ** (1 / len(chart.centre))
+    else:
+        size = float(side)
+    starts = np.broadcast_to(start, (PILOT_WALKS, len(start)))
+    logs: list[list[list[float]]] = []
+    distribution, cells = np.zeros(0), np.zeros(0, np.int64)
     for number in range(repetitions):
-        own = jax.random.fold_in(key, number)
-        means.append([])
-        lasting.append([])
-        for size in (cells // 2, cells):
-            shape = (size,) * len(chart.centre)
-            chain = transition_matrix(walker, draw_one, own, chart, shape, samples, tolerance)
-            cell = chart.cell_of(start[None], shape)
-            survival, distribution, mean = solve_chain(chain, size ** len(shape), int(cell[0]))
-            means[-1].append(mean)
-            lasting[-1].append(survival / (1 - survival) if survival < 1 else np.inf)
-    if not np.isfinite(means).all():
-        raise ComputationFailed(
-            f"no walker fell in {samples} strides from each cell: ground is too even for a result"
-        )
-    fine, extrapolated = extrapolate(means)
-    log_mean = float(extrapolated.mean())
-    odds = float(np.exp(extrapolate(lasting)[1].mean()))
-    scatter = float(extrapolated.std(ddof=1)) / np.sqrt(repetitions)
-    mean = float(np.exp(log_mean))
-    error = mean * float(np.hypot(scatter, (log_mean - fine.mean()) / 2))
-    shape = (cells,) * len(chart.centre)
-    edges = np.linspace(-chart.reach, chart.reach, cells + 1)
-    return Metastability(
-        odds / (1 + odds), mean, error, chart.axes, chart.centre, edges, distribution.reshape(shape)
+        own, also = jax.random.split(jax.random.fold_in(key, number))
+        keys = jax.random.split(also, PILOT_WALKS)
+        first = walk_disturbed(walker, starts, draw_one, keys, 1, tolerance)
+        made = first.state[first.outcome == Outcome.STRIDE]
+        logs.append([])
+        for one in (2 * size, size):
+            chain, cells = step(own, one)
+            survival, distribution, means = solve_chain(chain)
+            if survival >= 1:
+                raise ComputationFailed(
+                    f"no walker fell from any of {len(cells):,} cells: ground is too even for a "
+                    "result"
+                )
+            place, known = places_of(chart.cell_of(made, one), cells)
+            mean = len(made) / PILOT_WALKS * (1 + means[place[known]].mean())
+            logs[-1].append([np.log(mean), np.log(survival / (1 - survival))])
+    coarse, fine = np.moveaxis(np.array(logs), 1, 0)
+    extrapolated = fine + (fine - coarse) / 3  # of second order in the size of cells
+    log_mean, log_odds = extrapolated.mean(axis=0)
+    scatter = extrapolated[:, 0].std(ddof=1) / np.sqrt(repetitions)
+    error = np.hypot(scatter, log_mean - fine[:, 0].mean())
+    centres = chart.points_in(cells, np.full((len(cells), len(chart.centre)), 0.5), size)
+    coordinates = [*walker.section, "gap"][: len(chart.centre)]
+    return xr.Dataset(
+        {
+            "survival": 1 / (1 + np.exp(-log_odds)),
+            "mean_strides": np.exp(log_mean),
+            "mean_strides_error": np.exp(log_mean) * error,
+            "chance": ("cell", distribution),
+            "centre": (("cell", "direction"), centres),
+        },
+        coords={"direction": np.array(coordinates, object)},
+        attrs={
+            "walker": type(walker).__name__,
+            **attributes_of(walker),
+            "section": list(walker.section),
+            "side": float(size),
+            "version": f"walker-jax {version('walker-jax')}",
+        },
     )
-
-
-def extrapolate(
-    lives: list[list[float]],
-) -> tuple[Float[np.ndarray, " repetitions"], Float[np.ndarray, " repetitions"]]:
-    """Logarithms of lives with the small cells, and with infinitely small ones.
-
-    What cells spread is of second order in their size.
-    """
-    coarse, fine = np.log(np.array(lives)).T
-    return fine, fine + (fine - coarse) / 3
 
 
 class Chart(NamedTuple):
@@ -164,25 +177,27 @@ class Chart(NamedTuple):
 
     centre: Float[np.ndarray, " d"]
     axes: Float[np.ndarray, "d d"]
-    reach: float
-    """Largest coordinate of the cells."""
+    """Rows: directions, each as long as the standard deviation of states along it."""
 
-    def cell_of(
-        self, states: Float[np.ndarray, "n 4"], shape: tuple[int, ...]
-    ) -> Int[np.ndarray, " n"]:
-        """Number of the cell of each state, the nearest cell for those outside."""
+    def cell_of(self, states: Float[np.ndarray, "n 4"], side: float) -> Int[np.ndarray, " n"]:
+        """Number of the cell of each state."""
         y = section_and_gap(states, len(self.centre))
-        z = (y - self.centre) @ np.linalg.inv(self.axes)
-        place = np.floor((z / self.reach + 1) / 2 * np.array(shape)).astype(int)
-        place = np.clip(place, 0, np.array(shape) - 1)
-        return np.array(np.ravel_multi_index(tuple(place.T), shape))
+        place = np.floor((y - self.centre) @ np.linalg.inv(self.axes) / side)
+        half = 2 ** (BITS - 1)
+        place = np.clip(place, -half, half - 1).astype(np.int64) + half
+        number = place[:, 0]
+        for column in place.T[1:]:
+            number = (number << BITS) | column
+        return number
 
     def points_in(
-        self, numbers: Int[np.ndarray, " n"], within: Float[np.ndarray, "n d"], shape
+        self, cells: Int[np.ndarray, " n"], within: Float[np.ndarray, "n d"], side: float
     ) -> Float[np.ndarray, "n d"]:
         """Points of cells, `within` from 0 to 1 in each."""
-        place = np.stack(np.unravel_index(numbers, shape), axis=1) + within
-        return self.centre + (2 * place / np.array(shape) - 1) * self.reach @ self.axes
+        d = len(self.centre)
+        shifts = BITS * np.arange(d - 1, -1, -1)
+        place = ((cells[:, None] >> shifts) & (2**BITS - 1)) - 2 ** (BITS - 1)
+        return self.centre + (place + within) * side @ self.axes
 
 
 def section_and_gap(states: Float[np.ndarray, "n 4"], size: int) -> Float[np.ndarray, "n d"]:
@@ -193,8 +208,8 @@ def section_and_gap(states: Float[np.ndarray, "n 4"], size: int) -> Float[np.nda
 
 def draw_chart(
     walker: Walker, ground: RandomDisturbance, key: Array, start: Any, tolerance: float | None
-) -> Chart:
-    """The chart of the states of walks that have lasted a few strides."""
+) -> tuple[Chart, Float[np.ndarray, "n 4"]]:
+    """The states of walks that have lasted a few strides, and their chart."""
     keys = jax.random.split(key, PILOT_WALKS)
     starts = np.broadcast_to(start, (PILOT_WALKS, len(start)))
     ends = walk_disturbed(walker, starts, ground, keys, PILOT_STRIDES, tolerance)
@@ -212,66 +227,108 @@ def draw_chart(
     if not variances[0] > SCATTER_OF_ROUNDING**2:
         raise ComputationFailed("ground is too even for a result: states hardly scatter")
     axes = (directions * np.sqrt(variances)).T
-    reach = MARGIN * float(np.abs((y - centre) @ np.linalg.inv(axes)).max())
-    return Chart(centre, axes, reach)
+    return Chart(centre, axes), lasting
 
 
 def transition_matrix(
     walker: Walker,
     ground: RandomDisturbance,
-    key: Array,
     chart: Chart,
-    shape: tuple[int, ...],
-    samples: int,
+    states: Float[np.ndarray, "n 4"],
+    walkers: int,
     tolerance: float | None,
-) -> csr_array:
-    """P, from one stride from each of `samples` random points of every cell."""
-    count = int(np.prod(shape))
+    key: Array,
+    side: float,
+) -> tuple[csr_array, Int[np.ndarray, " cells"]]:
+    """P, and the numbers of its cells, in ascending order, from walks that last, in their states.
+
+    What ends in a cell where no walker has started has no part in it: that is about as rare as
+    what has not happened at all.
+    """
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).astype(np.uint32))
-    numbers = np.repeat(np.arange(count), samples)
-    points = chart.points_in(numbers, rng.uniform(size=(len(numbers), len(shape))), shape)
-    states = lift_all(walker, points)
     checked_tolerance = np.asarray(default_tolerance(states.dtype, tolerance), states.dtype)
-    drawn = draw(ground, jax.random.split(key, count), 0, samples).reshape(-1, 3)
-    disturbances = Disturbance(*map(np.asarray, drawn.T))  # pyright: ignore[reportArgumentType] of NumPy, for many strides
-    walker = jax.tree.map(lambda leaf: np.asarray(leaf, states.dtype), walker)
-    made = map_cells(
-        follow_disturbed,
-        (walker, states, disturbances, checked_tolerance),
-        (False, True, True, False),
-    )
-    going = made.outcome == Outcome.STRIDE
-    ends = chart.cell_of(made.state[going], shape)
-    weights = np.full(len(ends), 1 / samples)
-    return csr_array((weights, (numbers[going], ends)), shape=(count, count))
+    arrays = jax.tree.map(lambda leaf: np.asarray(leaf, states.dtype), walker)
+    chances, pairs = np.full(len(states), 1 / len(states)), []
+    for number in range(ROUNDS):
+        cells, chance, chosen = choose_walkers(rng, chart.cell_of(states, side), chances, walkers)
+        if len(cells) > MOST_CELLS:
+            raise ComputationFailed(
+                f"walks reach more than {MOST_CELLS:,} cells: side must be above {side:g}"
+            )
+        padded = 1 << (len(chosen) - 1).bit_length()  # so that few programs are compiled
+        own = jax.random.split(jax.random.fold_in(key, number), padded)
+        drawn = np.asarray(draw(ground, own, 0, 1))[: len(chosen), 0]
+        disturbances: Any = Disturbance(*np.ascontiguousarray(drawn.T))
+        made = map_cells(
+            follow_disturbed,
+            (arrays, states[chosen], disturbances, checked_tolerance),
+            (False, True, True, False),
+        )
+        going = made.outcome == Outcome.STRIDE
+        if not going.any():
+            raise ComputationFailed("no cell leads to another: walks end at once")
+        states = made.state[going]
+        each = len(chosen) // len(cells)
+        chances = np.repeat(chance / each, each)[going]
+        chances /= chances.sum()
+        if number >= FORGOTTEN:
+            ends = np.full(len(going), FALLEN)
+            ends[going] = chart.cell_of(states, side)
+            pairs.append(np.stack([np.repeat(cells, each), ends]))
+    starts, ends = np.concatenate(pairs, axis=1)
+    cells = np.unique(starts)
+    here, (there, known) = np.searchsorted(cells, starts), places_of(ends, cells)
+    counts = np.bincount(here[known | (ends == FALLEN)], minlength=len(cells))
+    counted = csr_array((1 / counts[here[known]], (here[known], there[known])), (len(cells),) * 2)
+    return counted, cells
 
 
-def lift_all(walker: Walker, points: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n 4"]:
-    """Full states of section coordinates, and of the difference phi - 2 theta."""
+def choose_walkers(
+    rng: np.random.Generator,
+    numbers: Int[np.ndarray, " n"],
+    chances: Float[np.ndarray, " n"],
+    walkers: int,
+) -> tuple[Int[np.ndarray, " cells"], Float[np.ndarray, " cells"], Int[np.ndarray, " m"]]:
+    """The cells of walkers, the chance of each, and as many walkers of each, by their chances.
 
-    def lift(walker, y):
-        gap = y[2] if len(y) > 2 else jnp.zeros_like(y[0])
-        zero = jnp.zeros_like(y[0])
-        return jnp.stack(walker.push(State(y[0], 2 * y[0] + gap, zero, zero), y[1]))
+    By systematic resampling: at equal distances along the walkers' chances, joined.
+    """
+    order = np.argsort(numbers, kind="stable")
+    cells, first = np.unique(numbers[order], return_index=True)
+    joined = np.cumsum(chances[order])
+    chance = np.add.reduceat(chances[order], first)
+    samples = max(FEWEST_IN_CELL, walkers // len(cells))
+    begin = joined[first] - chances[order][first]
+    shares = (np.arange(samples) + rng.uniform(size=(len(cells), 1))) / samples
+    chosen = np.searchsorted(joined, (begin[:, None] + shares * chance[:, None]).ravel())
+    last = np.append(first[1:], len(order)) - 1
+    low, high = (np.repeat(end, samples) for end in (first, last))
+    return cells, chance, order[np.clip(chosen, low, high)]
 
-    walker = jax.tree.map(lambda leaf: np.asarray(leaf, points.dtype), walker)
-    return map_cells(lift, (walker, points))
+
+def places_of(
+    numbers: Int[np.ndarray, " n"], cells: Int[np.ndarray, " cells"]
+) -> tuple[Int[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+    """Places of cells among others in ascending order, and whether they are there."""
+    place = np.minimum(np.searchsorted(cells, numbers), len(cells) - 1)
+    return place, cells[place] == numbers
 
 
 def solve_chain(
-    chain: csr_array, count: int, start: int
-) -> tuple[float, Float[np.ndarray, " cells"], float]:
-    """The largest eigenvalue, its left eigenvector, and the mean life from a cell.
+    chain: csr_array,
+) -> tuple[float, Float[np.ndarray, " cells"], Float[np.ndarray, " cells"]]:
+    """The largest eigenvalue, its left eigenvector, and the mean life from each cell.
 
     The mean number m of strides until a fall is P (1 + m). Along the eigenvector it is large,
     survival / (1 - survival); what is left of it converges as fast as walks forget.
     """
+    count = len(chain.indptr) - 1
     backward = chain.T.tocsr()
     survival, distribution = largest_eigenvector(backward, count)
     _, promise = largest_eigenvector(chain, count)
     promise = promise / (distribution @ promise)
     if survival >= 1:
-        return 1.0, distribution, np.inf
+        return 1.0, distribution, np.full(count, np.inf)
     life = survival / (1 - survival)
     source = chain @ np.ones(len(promise)) - survival * promise
     rest = np.zeros_like(promise)
@@ -280,7 +337,7 @@ def solve_chain(
         rest = rest - (distribution @ rest) * promise
         if np.abs(rest - former).max() <= SETTLED * life:
             break
-    return survival, distribution, float(life * promise[start] + rest[start])
+    return survival, distribution, life * promise + rest
 
 
 def largest_eigenvector(matrix: csr_array, count: int) -> tuple[float, Float[np.ndarray, " cells"]]:

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
@@ -19,14 +20,18 @@ from walker_jax.gaits.search import find_gait
 from walker_jax.grids import Grid, axes_around
 from walker_jax.stability.dimension import boundary_dimension
 from walker_jax.stability.disturbances import LeastDisturbance, least_disturbance
+from walker_jax.stability.rough_ground import steps_to_fall
 from walker_jax.stability.sampling import BasinStability, basin_stability
 from walker_jax.stability.steps_down import LeastStepDown, least_step_down
 from walker_jax.walkers.abstract_point_foot import AbstractPointFootWalker
-from walker_jax.walkers.model import Walker, moves_like
+from walker_jax.walkers.model import Walker, check_planar, moves_like
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 from walker_jax.walkers.simplest import SimplestWalker
 from walker_jax.walking.outcomes import Outcome
 
+WALKS, WALK_LIMIT = 1000, 2000
+"""Walks on rough ground and strides of each at most: some seconds on two cores, and an interval of
+some 6 % where all fall."""
 LEADS_ELSEWHERE = Outcome.STRIDE, Outcome.UNDECIDED
 """Instead of a failure, where the walker does not return to its gait and does not fall either."""
 
@@ -41,6 +46,7 @@ def robustness(
     disturbances: float = 0.1,
     strides: int = 500,
     seed: int = 0,
+    ground: float | None = None,
     tolerance: float | None = None,
     progress: bool = False,
 ) -> xr.Dataset:
@@ -56,6 +62,8 @@ def robustness(
     - `disturbances`: for `basin_stability`, shares of the coordinates of the gait's own state.
     - `strides`: number of strides in which a walker may return.
     - `seed`, `tolerance`: of random numbers, and of the integration.
+    - `ground`: standard deviation of normally distributed heights of steps, for `steps_to_fall`;
+      without it walks on rough ground are left out.
     - `progress`: whether to show progress on a terminal.
 
     **Returns** what `refine` returns, and of the gait, the attractor of the largest basin:
@@ -69,11 +77,13 @@ def robustness(
     which the walker falls; `stability`, with `_low` and `_high`, `in_time`,
     `median_strides`, `slowest_strides`, `mean_strides`, `pace`, `median_pace`, `mean_shock` and
     `largest_shock`, as `basin_stability` has them, sizes being shares of the gait's state;
-    `dimension`, with `_low` and `_high`, of the boundary. NaN, or -1, where no
+    `dimension`, with `_low` and `_high`, of the boundary; and with a `ground` the mean
+    `steps_to_fall`, with `_low` and `_high`. NaN, or -1, where no
     gait attracts.
 
     Raises `ValueError` as `refine`, and without a grid where no gait of period one is found.
     """
+    check_planar(walker)
     check_kind("walker", walker, Walker)
     check_precision(jnp.asarray(0.0).dtype, "robustness, which has the dimension of a boundary,")
     with bar("search for a gait", progress):
@@ -92,6 +102,9 @@ def robustness(
             progress=progress,
         )
     data.attrs["disturbances"] = disturbances
+    if ground is not None:
+        data.attrs["ground"] = float(ground)
+        data = data.assign(dict.fromkeys(GROUND_NAMES, np.nan))
     cells = data["cells"].values * (data["period"].values > 0)
     if cells.sum() == 0:
         return data.assign(without_gait(walker))
@@ -125,6 +138,13 @@ def robustness(
         boundary, of_disturbances, of_steps_down = side_by_side(lambda one: one(), measures)
     gait, nearest, fall, stability = of_disturbances
     down, fall_down = of_steps_down
+    if ground is not None:
+        with bar("walks on rough ground", progress):
+            key = jax.random.key(seed)
+            walks = steps_to_fall(
+                walker, ground, WALKS, key, gait=gait, limit=WALK_LIMIT, tolerance=tolerance
+            )
+        data = data.assign(dict(zip(GROUND_NAMES, walks[:3], strict=True)))
     return data.assign(
         {
             "gait_period": period,
@@ -217,6 +237,13 @@ DIMENSION = {
     "low": Field("dimension_low", "number"),
     "high": Field("dimension_high", "number"),
 }
+GROUND = {
+    "mean": Field("steps_to_fall", "number"),
+    "low": Field("steps_to_fall_low", "number"),
+    "high": Field("steps_to_fall_high", "number"),
+}
+"""What is known with a ground alone."""
+GROUND_NAMES = tuple(field.name for field in GROUND.values())
 FIELDS = tuple(
     field
     for group in (GAIT, LEAST_DISTURBANCE, LEAST_FALL, STEP_DOWN, STABILITY, RETURN, DIMENSION)
@@ -255,6 +282,8 @@ def summarise_robustness(data: xr.Dataset, slope: float) -> dict:
         "basin_stability": values(STABILITY) | disturbances | values(RETURN),
         "boundary_dimension": values(DIMENSION),
     }
+    if "steps_to_fall" in data:
+        of_gait["steps_to_fall"] = values(GROUND) | {"ground": float(data.attrs["ground"])}
     return {
         "slope": slope,
         "area": float(data["total_area"]),
@@ -287,6 +316,7 @@ def robustness_table(
     disturbances: float = 0.1,
     strides: int = 500,
     seed: int = 0,
+    ground: float | None = None,
     tolerance: float | None = None,
     progress: bool = False,
 ) -> xr.Dataset:
@@ -318,6 +348,7 @@ def robustness_table(
             disturbances=disturbances,
             strides=strides,
             seed=seed,
+            ground=ground,
             tolerance=tolerance,
             progress=progress,
         )
@@ -353,6 +384,7 @@ def default_region(walker: Walker) -> Grid | None:
     if isinstance(walker, AbstractPointFootWalker):
         rates = (-0.12, 0.06, 200) if moves_like(walker, SimplestWalker) else (-1.1, 0.1, 800)
         return Grid.sheared(theta=(0, np.pi / 4, 200), sum=rates)
+    check_planar(walker)
     gait = find_gait(walker)
     if not gait.found:
         return None

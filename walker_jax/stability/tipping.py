@@ -29,11 +29,10 @@ from walker_jax.checks import (
 from walker_jax.grids import Grid
 from walker_jax.integrators.solvers import default_tolerance
 from walker_jax.stability.sampling import Sampler, draw_starts, wilson_interval
-from walker_jax.walkers.model import Walker
+from walker_jax.walkers.model import Walker, check_single
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 from walker_jax.walking.iteration import orbits
 from walker_jax.walking.outcomes import Outcome
-from walker_jax.walking.stepping import check_single
 
 FAILURES = 2**20
 """Added to an `Outcome`, the number of an end without an attractor: above those of attractors."""

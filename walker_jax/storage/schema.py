@@ -176,9 +176,24 @@ KINDS = {
             "dimension": V("", "real", "", "of the boundary of the basin"),
             "dimension_low": V("", "real", "", "end of its 95 % interval"),
             "dimension_high": V("", "real", "", "the other end"),
+            "steps_to_fall": V("", "real", "strides", "mean on rough ground", f"`ground`; {NEW}"),
+            "steps_to_fall_low": V("", "real", "strides", "end of its 95 % interval", "`ground`"),
+            "steps_to_fall_high": V("", "real", "strides", "the other end", "`ground`"),
         },
         {"disturbances": "size of random disturbances, as a share of the state of the gait"},
         "refined basin",
+    ),
+    "metastable walking": Kind(
+        "How long walks last on rough ground, and where in the section they are (`metastability`).",
+        {
+            "survival": V("", "real", "", "chance not to fall in a stride, after many"),
+            "mean_strides": V("", "real", "strides", "until a fall, from the gait on"),
+            "mean_strides_error": V("", "real", "strides", "its standard error"),
+            "chance": V("cell", "real", "", "of each cell, of walks that still last"),
+            "centre": V("cell direction", "real", STATE, "of each; and phi - 2 theta, in rad"),
+            "direction": V("direction", "text", "", "`theta`, `thetadot` and, if rough, `gap`"),
+        },
+        WALKER | SECTION | {"side": "of a cell, in standard deviations of the states"},
     ),
     "robustness table": Kind(
         "Robustness over values of a parameter, with its name as dimension (`robustness_table`).",
@@ -347,6 +362,7 @@ KINDS = {
             "states": V("start coordinate", "real", STATE, "at the start of each stride"),
             "outcome": V("made", "integer", "", "`Outcome` of each stride"),
             "duration": V("made", "real", TIME, "of each stride; NaN for a failure"),
+            "footholds": V("foothold axis", "real", "leg length", "of feet", f"rough; {NEW}"),
         },
         WALKER
         | SECTION

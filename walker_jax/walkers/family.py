@@ -1,7 +1,7 @@
 """The family of walkers, by the names that the command line has for them."""
 
 from walker_jax.walkers.kneed import KneedWalker
-from walker_jax.walkers.model import Walker
+from walker_jax.walkers.model import State, Walker
 from walker_jax.walkers.point_foot import PointFootWalker
 from walker_jax.walkers.powered import PoweredWalker
 from walker_jax.walkers.powered_masses import (
@@ -11,6 +11,7 @@ from walker_jax.walkers.powered_masses import (
 )
 from walker_jax.walkers.round_foot import RoundFootWalker
 from walker_jax.walkers.simplest import SimplestWalker
+from walker_jax.walkers.spatial import SpatialWalker
 from walker_jax.walkers.spring import SpringWalker
 from walker_jax.walkers.upper_body import UpperBodyWalker
 
@@ -21,6 +22,7 @@ WALKERS: dict[str, type[Walker]] = {
     "round-foot": RoundFootWalker,
     "upper-body": UpperBodyWalker,
     "kneed": KneedWalker,
+    "spatial": SpatialWalker,
     "powered": PoweredWalker,
     "powered-point-foot": PoweredPointFootWalker,
     "powered-round-foot": PoweredRoundFootWalker,
@@ -32,3 +34,6 @@ A new one is named here and in `walker_jax/__init__.pyi`, and has its parameters
 `Parameter`s: options, `--list-walkers` and the reference follow. A parameter's name has one meaning
 and one unit in all walkers.
 """
+
+PLANAR_WALKERS = {name: kind for name, kind in WALKERS.items() if kind.state is State}
+"""Those that move in the plane."""

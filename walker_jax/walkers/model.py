@@ -24,7 +24,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
-from walker_jax.checks import WrongUse
+from walker_jax.checks import WrongUse, check_kind
 from walker_jax.grids import Grid
 from walker_jax.integrators.roots import Scalar
 from walker_jax.kernels import by_kernel
@@ -100,6 +100,8 @@ class Walker(eqx.Module):
 
     section: ClassVar[tuple[str, ...]]
     """Names of the coordinates of the Poincaré section."""
+    state: ClassVar[type] = State
+    """The `NamedTuple` of full states during the swing, with the fields of `State` at least."""
     force_least_at_ends: ClassVar[bool] = False
     """Whether Q_v, over a stride, is least at the start or at heel strike, so that a stride need
     not look at it in between."""
@@ -232,6 +234,20 @@ class Walker(eqx.Module):
         """
         return state.phi - 2 * state.theta
 
+    def is_ahead(self, state: State) -> Bool[Array, ""]:
+        """Whether the swing foot is ahead of the other, so that coming down is heel strike.
+
+        Elsewhere that is scuffing, which a stride ignores. By default past mid-stance.
+        """
+        return state.theta < 0
+
+    def falls(self, state: State) -> dict[str, Bool[Array, ""]]:
+        """Whether the walker has fallen, by the name of each `Outcome` of a fall.
+
+        The first that is true counts. By default as in the plane.
+        """
+        return {"BACKWARD": state.thetadot >= 0, "FORWARD": state.theta <= -np.pi / 2}
+
     @abc.abstractmethod
     def clearance(self, state: State) -> Scalar:
         """Height of the swing foot above the slope, in the unit of length."""
@@ -251,6 +267,20 @@ class Walker(eqx.Module):
         """The state with the swing leg as the new stance leg, (21) and its time derivative."""
         theta, phi, thetadot, phidot = state
         return State(theta - phi, -phi, thetadot - phidot, -phidot)
+
+
+def check_planar(walker: Walker) -> None:
+    """Refuse walkers in space, where what is computed is known of walkers in the plane alone."""
+    check_kind("walker", walker, Walker)
+    if walker.state is not State:
+        raise WrongUse(f"walker must be one in the plane, not a {type(walker).__name__}")
+
+
+def check_single(walker: Walker) -> None:
+    """Refuse many walkers, with arrays for parameters."""
+    for name, value in numbers_of(walker).items():
+        if np.shape(value):
+            raise WrongUse(f"{name} must be one number, not of shape {np.shape(value)}")
 
 
 def numbers_of(walker: Walker) -> dict[str, Any]:

@@ -32,7 +32,7 @@ from walker_jax.integrators.solvers import (
 )
 from walker_jax.integrators.taylor import function_series, with_fast_sincos
 from walker_jax.kernels import by_kernel
-from walker_jax.walkers.model import Scalar, State, Walker, toppling_rate
+from walker_jax.walkers.model import Scalar, State, Walker, check_planar, toppling_rate
 from walker_jax.walking.iteration import for_each_start
 from walker_jax.walking.outcomes import Outcome, Stride
 from walker_jax.walking.phase_margins import (
@@ -86,6 +86,7 @@ def margins(
     Arguments and errors are those of `stride`. Derivatives of the first order are right.
     Margins are smooth except where the instant that determines them jumps.
     """
+    check_planar(walker)
     return follow_margins(*prepare(walker, x, tolerance))
 
 
@@ -98,6 +99,7 @@ def margins_of_many(
     progress: str | None = None,
 ) -> Margins:
     """`margins` for each of n starts, and one walker or n, as in `strides`; NumPy arrays."""
+    check_planar(walker)
     return for_each_start(follow_margins, walker, xs, tolerance, progress)
 
 

@@ -21,7 +21,7 @@ from jaxtyping import Array, Float, Int
 from walker_jax.checks import WrongUse, array, check_kind, check_whole, refuses_tracers
 from walker_jax.execution.tiles import map_cells
 from walker_jax.integrators.solvers import AnySolver, Real, default_tolerance, using_solver
-from walker_jax.walkers.model import Walker, numbers_of
+from walker_jax.walkers.model import Walker, check_planar, numbers_of
 from walker_jax.walkers.parameters import Parameter, described_by
 from walker_jax.walking.outcomes import Outcome, Stride, Walk
 from walker_jax.walking.stepping import (
@@ -164,6 +164,7 @@ def walk(
     if ground is None:
         with using_solver(solver):
             return follow_walk(walker, x, n, tolerance)
+    check_planar(walker)
     steps = as_floating(ground, "ground").astype(x.dtype)
     if steps.shape != (n,):
         raise WrongUse(f"ground must be {n} heights, of shape ({n},), not {steps.shape}")

@@ -16,7 +16,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Bool, Float
 
 from walker_jax.checks import WrongUse, check_number, check_whole, refuses_tracers
-from walker_jax.walkers.model import State, Walker
+from walker_jax.walkers.model import State, Walker, check_planar
 from walker_jax.walkers.parameters import attributes_of
 from walker_jax.walking.iteration import walk
 from walker_jax.walking.outcomes import Outcome
@@ -35,6 +35,7 @@ def motion(
     strides: int,
     *,
     step: float = 0.05,
+    ground: Float[ArrayLike, " strides"] | None = None,
     tolerance: float | None = None,
 ) -> xr.Dataset:
     """A walk of some strides from x, and the fall in which it ends, at times about `step` apart.
@@ -49,6 +50,7 @@ def motion(
     - `x`: a feasible start, on the section.
     - `strides`: how many, at most.
     - `step`: of time.
+    - `ground`: heights of footholds, each above the one before, as in `walk`.
 
     **Returns** a data set, over `frame`: `time`; `stride`, its number, from 0; `theta`, `phi`,
     `thetadot` and `phidot`, and what else a state of the stride's first phase has, such as `knee`;
@@ -56,14 +58,17 @@ def motion(
     which are centres of the feet's arcs where the feet are round, and of a `swing_knee`. Over
     `start`: `states`, those on the section, the one after the last stride too. Over `made`:
     `outcome` of each stride, a failure at most the last, and its `duration`, NaN if it failed.
+    On rough ground also, over `foothold` and `axis`, `footholds`: places on the ground where feet
+    stand, one after the other; where a stride fails the next one is a step's length ahead.
     Attributes `leg_length`, to the end of the leg, and `foot_radius` are the sizes in which to draw
     these. `ValueError` for a start that is not feasible, and as for `walk`.
     """
+    check_planar(walker)
     check_number("step", step)
     if not 0 < step < np.inf:
         raise WrongUse(f"step must be above 0, not {step}")
     check_whole("strides", strides)
-    made = walk(walker, x, strides, tolerance=tolerance)
+    made = walk(walker, x, strides, ground=ground, tolerance=tolerance)
     outcomes, durations = np.asarray(made.outcomes), np.asarray(made.times)
     if outcomes[0] == Outcome.OUTSIDE:
         raise WrongUse(f"x must be a feasible start, not {np.asarray(x).tolist()}")
@@ -76,7 +81,8 @@ def motion(
     fall = FALL_TIME * np.sqrt(length + radius)
     steps = np.where(failed[:count], fall, durations) / step
     frames = (1 + np.maximum(1, np.round(steps)).astype(int)).tolist()
-    parts, places, foot = [], [], 0.0
+    steps_up = np.zeros(count) if ground is None else np.asarray(ground, float)[:count]
+    parts, places, foot, feet = [], [], np.zeros(2), []
     for k in range(count):
         end = fall if failed[k] else durations[k]
         times = np.linspace(0, end, frames[k])
@@ -84,13 +90,17 @@ def motion(
         states = jax.tree.map(np.asarray, states)
         if failed[k]:
             swings = times >= swing_begins(walker, starts[k], tolerance)
-            over = is_over(walker, states, swings, Outcome(int(outcomes[k])))
+            over = is_over(walker, states, swings, Outcome(int(outcomes[k])), float(steps_up[k]))
             end = max(1, int(over.argmax())) if over.any() else len(over)
             states = jax.tree.map(lambda values, end=end: values[:end], states)
         parts.append(states)
         places.append(leg_positions(walker, states, foot, length, radius))
         last = jax.tree.map(lambda values: jnp.asarray(values[-1]), legs(states))
-        foot += float(walker.reach(last))
+        feet.append(foot)
+        ahead = float(walker.reach(last))
+        if failed[k] and ground is not None:
+            ahead = abs(float(walker.reach(walker.exchange_legs(State(*lift(walker, starts[k]))))))
+        foot = foot + np.array([ahead, steps_up[k]])
 
     sizes = [len(states.theta) for states in parts]
     begins = np.concatenate([[0.0], np.cumsum(durations[:-1])])
@@ -99,8 +109,13 @@ def motion(
         spread[-1] = begins[-1] + fall / (frames[count - 1] - 1) * np.arange(sizes[-1])
     joined = {name: np.concatenate([getattr(s, name) for s in parts]) for name in parts[0]._fields}
     joints = ("stance", "hip", "swing", "swing_knee")[: len(places[0])]
+    rough = {}
+    if ground is not None:
+        rough["footholds"] = ("foothold", "axis"), np.array([*feet, foot])
+        starts = np.array([walker.project(State(*row)) for row in starts])
     return xr.Dataset(
         {
+            **rough,
             "time": ("frame", np.concatenate(spread)),
             "stride": ("frame", np.repeat(np.arange(count), sizes)),
             **{name: ("frame", values) for name, values in joined.items()},
@@ -140,13 +155,18 @@ def legs(states: Any) -> State:
     return State(*(getattr(states, name) for name in State._fields))
 
 
+def lift(walker: Walker, x: Float[np.ndarray, " coordinates"]) -> Any:
+    """The full state of a start, which may be one already."""
+    return walker.lift(jnp.asarray(x)) if len(x) == len(walker.section) else x
+
+
 def leg_positions(
-    walker: Walker, states: Any, foot: float, length: float, radius: float
+    walker: Walker, states: Any, foot: Float[np.ndarray, "2"], length: float, radius: float
 ) -> tuple[Float[np.ndarray, "frames 2"], ...]:
     """Stance foot, hip and swing foot; of round feet, the arcs' centres. And a swing knee."""
     along = lambda angle: np.stack([-np.sin(angle), np.cos(angle)], axis=1)
     theta, phi = np.asarray(states.theta), np.asarray(states.phi)
-    stance = np.stack([foot - radius * theta, np.full(len(theta), radius)], axis=1)
+    stance = foot + np.stack([-radius * theta, np.full(len(theta), radius)], axis=1)
     hip = stance + length * along(theta)
     bent = jax.vmap(walker.bent_leg)(jax.tree.map(jnp.asarray, states))
     if bent is None:
@@ -166,15 +186,23 @@ def swing_begins(
 
 
 def is_over(
-    walker: Walker, states: Any, swings: Bool[np.ndarray, " frames"], outcome: Outcome
+    walker: Walker,
+    states: Any,
+    swings: Bool[np.ndarray, " frames"],
+    outcome: Outcome,
+    step: float,
 ) -> Bool[np.ndarray, " frames"]:
     """Whether a stride that fails is over: on the ground, at heel strike, or in the air."""
     phases = walker.phases()
     swing, each = (jax.tree.map(jnp.asarray, one) for one in (legs(states), states))
     theta, phi, thetadot, _ = map(np.asarray, swing)
     h = np.asarray(jax.vmap(walker.contact)(swing))
+    if step:
+        h = step - np.asarray(jax.vmap(walker.clearance)(swing))
     strikes = (h > 0) & (np.roll(h, 1) <= 0) & (theta < 0) & (phi < 0) & (thetadot < 0)
-    over = (strikes & swings) | (np.abs(theta) >= np.pi / 2)
+    # Where the ground is rough the legs may pass each other below the next foothold.
+    falls = step != 0 and outcome in (Outcome.FORWARD, Outcome.BACKWARD)
+    over = (strikes & swings & (not falls)) | (np.abs(theta) >= np.pi / 2)
     if outcome == Outcome.RUNNING:
         over |= swings & np.asarray(jax.vmap(partial(in_tension, walker))(swing))
         if phases:

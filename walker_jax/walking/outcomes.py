@@ -32,7 +32,9 @@ class Outcome(enum.IntEnum):
     only where that is checked."""
     SCUFFED = 10
     """The bent leg's foot was below the ground, in a stride that reaches heel strike; only where
-    that is checked."""
+    that is checked. Or the swing disc of a walker in space."""
+    SIDEWAYS = 11
+    """A walker in space leans so far to a side that it is down."""
 
 
 class Stride(NamedTuple):

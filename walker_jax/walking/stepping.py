@@ -24,7 +24,7 @@ from walker_jax.integrators.solvers import (
 from walker_jax.integrators.taylor import with_fast_sincos
 from walker_jax.kernels import by_kernel
 from walker_jax.walkers.masses import MultibodyMotion
-from walker_jax.walkers.model import Phase, Scalar, State, Walker, numbers_of
+from walker_jax.walkers.model import Phase, Scalar, State, Walker, check_planar, check_single
 from walker_jax.walking.outcomes import Outcome, Stride
 from walker_jax.walking.phases import (
     follow_phase,
@@ -40,6 +40,7 @@ from walker_jax.walking.swing import (
     broken_at,
     conditions_of,
     equations,
+    fall_of,
     in_tension,
     is_broken,
     swing,
@@ -85,6 +86,7 @@ def stride(
     with using_solver(solver):
         if step is None:
             return follow_stride(walker, x, tolerance)
+        check_planar(walker)
         return follow_step(walker, x, height_of_step(step, x.dtype), tolerance)
 
 
@@ -116,13 +118,6 @@ def prepare(
     return walker, x, jnp.asarray(tolerance, x.dtype)
 
 
-def check_single(walker: Walker) -> None:
-    """Refuse many walkers, with arrays for parameters."""
-    for name, value in numbers_of(walker).items():
-        if np.shape(value):
-            raise WrongUse(f"{name} must be one number, not of shape {np.shape(value)}")
-
-
 @by_kernel
 def follow_stride(
     walker: Walker,
@@ -151,9 +146,9 @@ def during_stride(walker: Walker, x: Float[Array, " coordinates"]) -> Walker:
 
 
 def state_kinds(walker: Walker) -> list[type]:
-    """Kinds of full states that a stride may start from: `State`, and that of its first phase."""
+    """Kinds of full states that a stride may start from: its own, and that of its first phase."""
     if not (phases := walker.phases()):
-        return [State]
+        return [walker.state]
     number: Any = jax.ShapeDtypeStruct((), jnp.asarray(0.0).dtype)
     return [State, type(jax.eval_shape(phases[0].begin, State(number, number, number, number)))]
 
@@ -164,18 +159,18 @@ def full_state(walker: Walker, x: Float[Array, " coordinates"]) -> Any:
         start = walker.lift(x)
     else:
         start = next(kind for kind in state_kinds(walker) if len(kind._fields) == len(x))(*x)
-    if isinstance(start, State):
+    if isinstance(start, walker.state):
         check_vector_field(walker, start)
         return walker.phases()[0].begin(start) if walker.phases() else start
     return start
 
 
-def check_vector_field(walker: Walker, start: State) -> None:
+def check_vector_field(walker: Walker, start: Any) -> None:
     """Refuse a walker of a user's own whose vector field is none."""
     if type(walker).vector_field is MultibodyMotion.vector_field:
         return
     rates = jax.eval_shape(walker.vector_field, start)
-    if not isinstance(rates, State) or any(np.shape(rate) for rate in rates):
+    if not isinstance(rates, walker.state) or any(np.shape(rate) for rate in rates):
         found = " ".join(eqx.tree_pformat(rates, struct_as_array=True).split())
         raise WrongUse(
             f"vector_field of {type(walker).__name__} must return a State of four scalars, "
@@ -197,13 +192,14 @@ def begin_stride(walker: Walker, x: Float[Array, " coordinates"]) -> tuple[Any, 
             feasible &= phases[0].event(start) <= 0
     verdict = jnp.where(start.thetadot >= 0, Outcome.BACKWARD, Outcome.UNDECIDED)
     if not phases:
-        verdict = jnp.where(in_tension(walker, start), Outcome.RUNNING, verdict)
+        fallen = fall_of(walker, start)
+        verdict = jnp.where(in_tension(walker, start), Outcome.RUNNING, fallen)
     return start, jnp.where(feasible, verdict, Outcome.OUTSIDE).astype(jnp.int8)
 
 
 def end_stride(
     walker: Walker,
-    arrival: State,
+    arrival: Any,
     time: Scalar,
     verdict: Int[Array, ""],
     broken: Broken,
@@ -222,12 +218,13 @@ def make_stride(
 
 
 def resolve_impact(
-    walker: Walker, arrival: State, verdict: Int[Array, ""], broken: Broken
-) -> tuple[State, Int[Array, ""]]:
+    walker: Walker, arrival: Any, verdict: Int[Array, ""], broken: Broken
+) -> tuple[Any, Int[Array, ""]]:
     """The state after a heel strike, legs exchanged, and the outcome of the stride."""
     (_, lift), after = walker.impact(arrival)
     following = walker.exchange_legs(after)
-    struck = jnp.where(following.thetadot < 0, Outcome.STRIDE, Outcome.BACKWARD)
+    fallen = fall_of(walker, following)
+    struck = jnp.where(fallen == Outcome.UNDECIDED, Outcome.STRIDE, fallen)
     struck = jnp.where(lift > 0, struck, Outcome.STOPPED)
     struck = jnp.where(jnp.isfinite(lift), struck, Outcome.UNDECIDED)
     at_strike = conditions_of(walker)

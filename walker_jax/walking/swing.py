@@ -20,7 +20,7 @@ from walker_jax.integrators.roots import first_upcrossing, interior_minimum, neg
 from walker_jax.integrators.solvers import MAX_STEPS, Method, Real, solver_for, zero_at
 from walker_jax.integrators.taylor import with_fast_sincos
 from walker_jax.walkers.masses import MultibodyMotion, SingleSupport
-from walker_jax.walkers.model import Phase, Scalar, State, Walker
+from walker_jax.walkers.model import Phase, Scalar, Walker
 from walker_jax.walking.outcomes import Outcome
 
 Condition = Callable[[Any, Any], Scalar]
@@ -51,13 +51,13 @@ def equations(walker: Walker | Phase) -> Callable[[Any], Any]:
 
 def swing(
     walker: Walker,
-    start: State,
+    start: Any,
     verdict: Int[Array, ""],
     tolerance: Real,
     step: Scalar | None = None,
     *,
     launched: bool = False,
-) -> tuple[State, Scalar, Int[Array, ""], Broken]:
+) -> tuple[Any, Scalar, Int[Array, ""], Broken]:
     """Swing the leg until heel strike (`STRIDE`) or a fall; nothing to do unless `UNDECIDED`.
 
     Or until the swing foot comes down, ahead of the other, to ground that is higher by `step`.
@@ -67,18 +67,18 @@ def swing(
     the end of its fall.
     """
 
-    def contact(state: State) -> Scalar:
+    def contact(state: Any) -> Scalar:
         return walker.contact(state) if step is None else step - walker.clearance(state)
 
-    def is_ahead(state: State) -> Bool[Array, ""]:
+    def is_ahead(state: Any) -> Bool[Array, ""]:
         """Whether the swing foot is ahead. On level ground phi = 2 theta at heel strike."""
-        return state.theta < 0 if step is None else state.phi < 0
+        return walker.is_ahead(state) if step is None else state.phi < 0
 
-    def rate(state: State) -> Scalar:
+    def rate(state: Any) -> Scalar:
         """dh/dt along the motion."""
         return jax.jvp(contact, (state,), (walker.vector_field(state),))[1]
 
-    def may_end(before: State, after: State, below: Bool[Array, ""], ends_below: Bool[Array, ""]):
+    def may_end(before: Any, after: Any, below: Bool[Array, ""], ends_below: Bool[Array, ""]):
         """Whether a stride may end in a step, from the two ends of the step alone."""
         turns = (rate(before) < 0) & (rate(after) > 0)
         rises = ~ends_below & (below | turns)
@@ -86,8 +86,8 @@ def swing(
             rises |= (rate(before) > 0) & (rate(after) < 0)
         return (rises & (is_ahead(before) | is_ahead(after))) | has_fallen(after, ends_below)
 
-    def has_fallen(state: State, below: Bool[Array, ""]):
-        fallen = (state.thetadot >= 0) | (state.theta <= -np.pi / 2)
+    def has_fallen(state: Any, below: Bool[Array, ""]):
+        fallen = fall_of(walker, state) != Outcome.UNDECIDED
         if launched or step is not None:
             return fallen
         return fallen | (~below & walker.past_contact(state))
@@ -99,7 +99,7 @@ def swing(
     def follow(carry):
         now, _, time, verdict, count, broken, below = carry
 
-        def stop(before: State, after: State, below: Bool[Array, ""]):
+        def stop(before: Any, after: Any, below: Bool[Array, ""]):
             ends_below = contact(after) < 0
             ends = may_end(before, after, below, ends_below)
             for outcome, condition in watched.items():
@@ -122,9 +122,10 @@ def swing(
             more |= ~rises & with_fast_sincos(partial(is_broken, condition))(walker, arrival)
             broken = broken | {outcome: broken[outcome] | more}
         arrival, delay = method.refine_event(contact, arrival)
-        ahead = is_ahead(arrival) & (arrival.theta > -np.pi / 2) & (arrival.thetadot < 0)
+        ahead = is_ahead(arrival) & (fall_of(walker, arrival) == Outcome.UNDECIDED)
         ahead &= arrival.phi < 0
-        fallen = jnp.where(last.end.thetadot >= 0, Outcome.BACKWARD, Outcome.FORWARD)
+        fallen = fall_of(walker, last.end)
+        fallen = jnp.where(fallen == Outcome.UNDECIDED, Outcome.FORWARD, fallen)
         fallen = jnp.where(
             with_fast_sincos(has_fallen)(last.end, last.sides[1]), fallen, Outcome.UNDECIDED
         )
@@ -144,6 +145,14 @@ def swing(
     carry = (start, start, zero, verdict, jnp.asarray(0), broken, below)
     _, arrival, time, verdict, _, broken, _ = lax.while_loop(undecided, follow, carry)
     return arrival, time, verdict, broken
+
+
+def fall_of(walker: Walker, state: Any) -> Int[Array, ""]:
+    """The outcome of a walker that has fallen; `UNDECIDED` of one that has not."""
+    outcome = jnp.asarray(Outcome.UNDECIDED, jnp.int8)
+    for name, fallen in reversed(walker.falls(state).items()):
+        outcome = jnp.where(fallen, Outcome[name], outcome).astype(jnp.int8)
+    return outcome
 
 
 def in_tension(walker: Walker | Phase, state: Any) -> Bool[Array, ""]:

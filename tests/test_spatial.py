@@ -1,0 +1,229 @@
+"""The walker in space: its equations, one stride, its gait, and what follows from them."""
+
+import json
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from kane import SIZES, Toy
+
+import walker_jax as wj
+from walker_jax import multibody
+from walker_jax.kernels import by_kernel
+from walker_jax.multibody import ConstrainedMotion, System, space
+from walker_jax.walkers.spatial import all_coordinates, on_ground
+from walker_jax.walking.outcomes import Outcome
+
+TOY = json.loads((Path(__file__).parent / "data" / "toy_in_space.json").read_text())
+WALKER = wj.SpatialWalker()
+FIELDS = ["slope", "leg_mass", "leg_length", "hip_width", "disc_radius", "com_forward"]
+FIELDS += ["com_outward", "com_height"]
+ENTRIES = ["inertia_xx", "inertia_yy", "inertia_zz", "inertia_xy", "inertia_xz", "inertia_yz"]
+MIRROR = np.array([1, -1, 1, 1, 1, -1, 1.0])
+"""From published coordinates, in which the leg's pitch grows, to those of the walker."""
+OTHER = wj.SpatialWalker(0.05, 1.4, 0.9, 0.3, 0.2, 0.04, 0.5, 0.4, 0.2, 0.15, 0.1, 0.01, 0.02, 0.03)
+
+
+def sizes_of(walker) -> dict[str, float]:
+    sizes = (float(getattr(walker, name)) for name in FIELDS + ENTRIES)
+    return dict(zip(map(str, SIZES.split()), sizes, strict=True))
+
+
+def published():
+    """The gait, as a point of the section."""
+    gait = TOY["gait"]
+    free = [gait["yaw"], gait["stance_pitch"], gait["swing_angle"] - np.pi, gait["yaw_rate"]]
+    free += [gait["lean_rate"], gait["stance_pitch_rate"], gait["swing_rate"]]
+    return MIRROR * free
+
+
+def states(seed, count=10):
+    """Full states of walkers about to step, of any yaw and lean."""
+    rng = np.random.default_rng(seed)
+    low = np.array([-1, -1, -2, -0.5, -0.4, -0.6, -1, -1, -1, -1.0])
+    return rng.uniform(low, -low, (count, 10))
+
+
+def in_kanes_order(toy, state):
+    """Of a full state: angles with the leg's pitch, and their rates, the contact between."""
+    x, y, yaw, lean, theta, phi, yawdot, leandot, thetadot, phidot = state
+    return toy.state([yaw, lean, -theta, phi], [yawdot, leandot, -thetadot, phidot], [x, y])
+
+
+class General(ConstrainedMotion):
+    """The equations on the stance disc by the general method."""
+
+    walker: wj.SpatialWalker
+
+    @property
+    def independent(self):
+        return 2, 3, 4, 5
+
+    def system(self):
+        whole = self.walker.system()
+        return System(lambda q: whole.transfer(on_ground(q)), whole.masses, whole.forces)
+
+    def constraints(self, q, qdot):
+        return self.walker.contact_velocity(on_ground(q), on_ground(qdot), swing=False)[:2]
+
+
+def test_the_defaults_are_those_of_the_toy():
+    assert sizes_of(WALKER) == TOY["sizes"]
+
+
+@by_kernel
+def look(walker, state):
+    """The motion by the two methods, and the forces of the ground by the constraints on rates."""
+    start = wj.SpatialState(*state)
+    q, qdot = all_coordinates(walker, start)
+    held = lambda q, qdot: walker.contact_velocity(q, qdot, swing=False)
+    found = multibody.solve_constrained(walker.system(), held, q, qdot)
+    along, normal = walker.contact_force(start)
+    return (
+        jnp.stack(walker.vector_field(start)),
+        jnp.stack(General(walker)(start)),
+        jnp.stack([along, normal]),
+        found.multipliers,
+        found.accelerations,
+        walker.energy(start),
+        walker.clearance(start),
+        held(q, qdot),
+    )
+
+
+@pytest.mark.parametrize("walker", [WALKER, OTHER], ids=["toy", "other"])
+def test_it_moves_as_the_general_method_and_kanes_say(walker):
+    """Forces of the ground are those of the general method with all three contact constraints."""
+    toy = Toy(sizes_of(walker))
+    for state in states(1):
+        field, general, force, multipliers, accelerations, energy, clearance, slides = map(
+            np.asarray, jax.jit(look)(walker, jnp.asarray(state))
+        )
+        np.testing.assert_allclose(field, general, rtol=1e-11, atol=1e-11)
+        np.testing.assert_allclose(accelerations[3:], field[6:], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(multipliers[[0, 2]], force, rtol=1e-9, atol=1e-9)
+        assert np.abs(slides).max() < 1e-14
+        z = in_kanes_order(toy, state)
+        rates = toy.rates_of(z)
+        expected = np.concatenate([rates[4:6], rates[:4], rates[6:10]]) * SIGNS
+        np.testing.assert_allclose(field, expected, rtol=1e-10, atol=1e-10)
+        np.testing.assert_allclose(energy, toy.look("energy", z), rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(clearance, toy.clearance(z), rtol=1e-12, atol=1e-14)
+
+
+SIGNS = np.array([1, 1, 1, 1, -1, 1, 1, 1, -1, 1.0])
+
+
+@by_kernel
+def strike(walker, state):
+    (along, up), after = walker.impact(wj.SpatialState(*state))
+    return along, up, jnp.stack(after), jnp.stack(walker.exchange_legs(after))
+
+
+@pytest.mark.parametrize("walker", [WALKER, OTHER], ids=["toy", "other"])
+def test_heel_strike_keeps_the_momenta_about_the_new_contact_and_the_axle(walker):
+    """Of Kane's model, before and, in a mirror, after."""
+    toy = Toy(sizes_of(walker))
+    for state in states(2):
+        angles = state.copy()
+        angles[:2] = 0
+        _, _, after, mirrored = map(np.asarray, jax.jit(strike)(walker, jnp.asarray(angles)))
+        np.testing.assert_array_equal(after[:6], angles[:6])
+        before = in_kanes_order(toy, angles)
+        places, momentum = toy.look("places", before), toy.look("momentum", before)
+        contact = places[3:6] - toy.radius * places[12:15]
+        about = momentum[3:6] - np.cross(contact, momentum[:3])
+        kept = np.array([-about[0], about[1], -about[2], momentum[6]])
+        later = toy.kept_after(in_kanes_order(toy, mirrored))
+        np.testing.assert_allclose(later, kept, rtol=1e-10, atol=1e-10)
+
+
+def test_bodies_have_the_angular_momentum_of_kanes_model():
+    q, qdot = all_coordinates(OTHER, wj.SpatialState(*map(jnp.asarray, states(3)[0])))
+    found = space.angular_momentum(OTHER.system(), q, qdot, jnp.zeros(3))
+    linear = space.momentum(OTHER.system(), q, qdot)
+    toy = Toy(sizes_of(OTHER))
+    expected = toy.look("momentum", in_kanes_order(toy, states(3)[0]))[:6]
+    np.testing.assert_allclose(jnp.concatenate([linear, found]), expected, rtol=1e-11, atol=1e-12)
+
+
+def test_both_discs_touch_on_the_section():
+    xs = published() * np.random.default_rng(4).uniform(0.5, 1.5, (20, 7))
+    for x in jnp.asarray(xs):
+        state = WALKER.lift(x)
+        assert abs(WALKER.clearance(state)) < 1e-15
+        np.testing.assert_array_equal(WALKER.project(state), x)
+    assert abs(float(WALKER.lift(jnp.asarray(published())).lean) - TOY["gait"]["lean"]) < 1e-13
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"disc_radius": 1.0}, "disc_radius must be less than leg_length 1, not 1"),
+        ({"hip_width": 0.0}, "hip_width must be finite and above 0"),
+        ({"inertia_yz": 0.06}, "inertia must be positive definite"),
+    ],
+)
+def test_wrong_parameters_are_refused(wrong, words):
+    with pytest.raises(ValueError, match=words):
+        wj.SpatialWalker(**wrong)
+
+
+# What needs whole strides
+
+
+@pytest.fixture(scope="module")
+def gait():
+    return wj.find_gait(WALKER)
+
+
+@pytest.mark.slow
+def test_its_gait_is_found_without_a_guess(gait):
+    assert gait.found and gait.stable
+    np.testing.assert_allclose(gait.states[0], published(), rtol=0, atol=5e-14)
+    again = wj.strides(WALKER, gait.states)
+    np.testing.assert_allclose(again.state, gait.states, rtol=0, atol=1e-12)
+    assert abs(gait.step_times[0] - TOY["step_time"]) < 5e-12
+    moduli = [0.839156, 0.839156, 0.831396, 0.831396, 0.707961, 0.707961, 0.218395]
+    np.testing.assert_allclose(np.abs(gait.multipliers), moduli, rtol=0, atol=5e-7)
+
+
+@pytest.mark.slow
+def test_its_multipliers_are_those_of_an_independent_integration(gait):
+    """By Kane's equations and scipy, with differences extrapolated."""
+    toy = Toy(sizes_of(WALKER))
+    end, time = toy.step(MIRROR * gait.states[0])
+    np.testing.assert_allclose(MIRROR * end, gait.states[0], rtol=0, atol=1e-10)
+    assert abs(time - gait.step_times[0]) < 1e-10
+    jacobian = toy.jacobian(MIRROR * gait.states[0])
+    moduli = np.sort(np.abs(np.linalg.eigvals(jacobian)))[::-1]
+    np.testing.assert_allclose(moduli, np.abs(gait.multipliers), rtol=0, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_jacobians_agree_with_extrapolated_differences(gait):
+    """Through the impact and the mirror."""
+    x = published() * (1 + 0.02 * np.random.default_rng(5).uniform(-1, 1, 7))
+    jacobian = jax.jit(jax.jacfwd(lambda x: wj.stride(WALKER, x).state))(jnp.asarray(x))
+    steps = np.array([1e-3, 5e-4, 2.5e-4])
+    starts = x + np.eye(7)[:, None, None] * np.array([1, -1])[:, None] * steps[:, None, None, None]
+    starts = np.moveaxis(starts, 0, 2)
+    ends = wj.strides(WALKER, starts.reshape(-1, 7)).state.reshape(starts.shape)
+    first, second, third = (ends[:, 0] - ends[:, 1]) / (2 * steps[:, None, None])
+    fourth, again = (4 * second - first) / 3, (4 * third - second) / 3
+    expected = (16 * again - fourth) / 15
+    np.testing.assert_allclose(jacobian, expected.T, rtol=0, atol=1e-7)
+
+
+@pytest.mark.slow
+def test_it_falls_to_each_side(gait):
+    """A push to a side topples it there; forward and back too."""
+    x = np.asarray(gait.states[0])
+    pushes = np.zeros((4, 7))
+    pushes[0, 4], pushes[1, 4] = -2.0, 2.0
+    pushes[2, 5], pushes[3, 5] = -3.0, 2.0
+    fates = wj.strides(WALKER, x + pushes).outcome
+    assert Outcome.SIDEWAYS in fates
+    assert not np.isin(fates, [Outcome.UNDECIDED]).any()

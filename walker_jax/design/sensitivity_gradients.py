@@ -1,0 +1,66 @@
+"""The gait sensitivity norm, and its derivatives by parameters of the walker."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from walker_jax.checks import check_kind, refuses_tracers
+from walker_jax.gaits.cycles import Gait
+from walker_jax.gaits.derivatives import gait_derivatives
+from walker_jax.gaits.search import find_gait
+from walker_jax.stability.sensitivity import INDICATORS, respond_to
+from walker_jax.walkers.model import Walker
+from walker_jax.walkers.parameters import check_parameter, with_parameter
+from walker_jax.walking.disturbed import Disturbance
+from walker_jax.walking.stepping import prepare
+
+ALL = tuple(range(len(Disturbance._fields))), tuple(INDICATORS.values())
+"""All disturbances and indicators that have names, as `gait_sensitivity` has by default."""
+
+
+class SensitivityGradient(NamedTuple):
+    """The gait sensitivity norm, and its derivatives by parameters of the walker."""
+
+    norm: float
+    """NaN without a gait of period one, infinite if that is not stable."""
+    gradient: Float[np.ndarray, " parameters"]
+
+
+@refuses_tracers("it gives derivatives itself, by the parameters named")
+def sensitivity_gradient(
+    walker: Walker,
+    parameters: Sequence[str] = ("slope",),
+    gait: Gait | None = None,
+    *,
+    tolerance: float | None = None,
+) -> SensitivityGradient:
+    """The gait sensitivity norm, and its derivatives by parameters of the walker.
+
+    d norm / dp is that at a fixed state, and that by the state times the change of the gait's.
+    Disturbances and indicators are those of `gait_sensitivity` by default, of each unit size.
+
+    Arguments and errors are those of `gait_measures`.
+    """
+    check_kind("parameters", parameters, Sequence)
+    for name in parameters:
+        check_parameter(walker, name)
+    gait = find_gait(walker, tolerance=tolerance) if gait is None else gait
+    check_kind("gait", gait, Gait)
+    if not gait.found or len(gait.states) != 1:
+        return SensitivityGradient(np.nan, np.full(len(parameters), np.nan))
+    checked, state, precision = prepare(walker, gait.states[0], tolerance)
+    norm = lambda walker, x: respond_to(walker, x, precision, ALL).norm
+    if not gait.stable:
+        return SensitivityGradient(np.inf, np.full(len(parameters), np.nan))
+    value, gradient = float(norm(checked, state)), []
+    for name in parameters:
+        change = gait_derivatives(walker, gait, name, tolerance=tolerance)
+        by = jax.tree.map(jnp.zeros_like, checked)
+        by = with_parameter(by, name, jnp.ones_like(vars(checked)[name]))
+        moves = jnp.asarray(change.states[0], state.dtype)
+        gradient.append(float(jax.jvp(norm, (checked, state), (by, moves))[1]))
+    return SensitivityGradient(value, np.array(gradient))
