@@ -173,7 +173,7 @@ def test_a_walk_that_nobody_waits_for_is_not_computed(running, monkeypatch):
 
 
 @pytest.mark.slow  # most walkers take long to compile
-@pytest.mark.parametrize("name", WALKERS)
+@pytest.mark.parametrize("name", PLANAR_WALKERS)
 def test_every_walker_has_a_home(client, name):
     """At its default parameters, with its gait inside."""
     answer = client.ask("/api/home", {"walker": name})
