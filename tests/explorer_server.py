@@ -4,7 +4,7 @@ import http.client
 import json
 import struct
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
@@ -12,7 +12,7 @@ import numpy as np
 
 import walker_jax as wj
 from walker_jax.explorer.guard import TOKEN_HEADER, Bucket
-from walker_jax.explorer.server import Server, listen, make_server
+from walker_jax.explorer.server import Server, listen, make_server, names_of
 
 TOKEN = "a-token-for-tests"
 
@@ -35,7 +35,7 @@ class Client:
 
     def __init__(self, port: int):
         self.port = port
-        self.connection = http.client.HTTPConnection("127.0.0.1", port, timeout=120)
+        self.connection = http.client.HTTPConnection("127.0.0.1", port, timeout=600)
 
     def send(
         self, path: str, body: bytes | None = None, method: str = "", **headers: str
@@ -56,6 +56,13 @@ class Client:
 
     def ask(self, path: str, asked: Any = None, **headers: str) -> Answer:
         return self.send(path, None if asked is None else json.dumps(asked).encode(), **headers)
+
+    def give_up(self, path: str, asked: Any, wait: Callable[[], Any] = lambda: None) -> None:
+        """Ask, wait for something else, and go."""
+        headers = {"content-type": "application/json", TOKEN_HEADER: TOKEN}
+        self.connection.request("POST", path, json.dumps(asked), headers)
+        wait()
+        self.connection.close()
 
     def frames(self, asked: dict) -> list[Frame]:
         """The frames of a picture."""
@@ -107,12 +114,12 @@ class Running(NamedTuple):
 
 
 @contextmanager
-def running(port: int = 0) -> Iterator[Running]:
+def running(port: int = 0, host: str = "127.0.0.1") -> Iterator[Running]:
     """A server on a free port, or on a given one, in a thread."""
-    listener = listen("127.0.0.1", port)
-    server = make_server(listener, TOKEN)
+    listener = listen(host, port)
+    server = make_server(listener, TOKEN, names_of(host, listener))
     guard: Any = server.config.app
-    guard.bucket = Bucket(1e9, 1e9)  # tests are faster than hands
+    guard.requests = guard.files = Bucket(1e9, 1e9)  # tests are faster than hands
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
     thread.start()
     found = Running(server, listener.getsockname()[1], [])

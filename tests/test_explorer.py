@@ -36,6 +36,7 @@ from walker_jax.walkers.family import PLANAR_WALKERS
 from walker_jax.walkers.parameters import parameters
 
 WHOLE = [[0, i, j] for i in range(HOME_CELLS[0] // TILE) for j in range(HOME_CELLS[1] // TILE)]
+FIRST = pictures.FIRST_ATTRACTOR
 SIMPLEST = {"walker": "simplest", "parameters": {"slope": 0.004}}
 GRID = wj.Grid.sheared(theta=(0, 0.4, 200), sum=(-0.04, 0.01, 250))
 
@@ -71,7 +72,7 @@ def test_a_picture_is_the_basin(client):
     label, strides = joined(tiles)
     basin = wj.basin(wj.SimplestWalker(0.004), GRID, "direct")
     fate = basin["fate"].values
-    walks = label >= pictures.FIRST_ATTRACTOR
+    walks = label >= FIRST
     np.testing.assert_array_equal(walks, basin["attractor"].values >= 0)
     np.testing.assert_array_equal(label[~walks], fate[~walks])
     # attractors known to the last digit or the last but one: few are a stride sooner there
@@ -105,7 +106,7 @@ def test_far_in_a_picture_shows_what_strides_do(client, section):
     # where a rounding error decides, far out on its way, a cell in some hundreds differs
     same = (label.ravel()[falls] == fate[falls]) & (strides.ravel()[falls] == count[falls])
     assert same.mean() > 0.995
-    assert (label.ravel()[~falls] >= pictures.FIRST_ATTRACTOR).all()
+    assert (label.ravel()[~falls] >= FIRST).all()
 
 
 def test_a_cell_map_is_that_of_the_library(client):
@@ -115,9 +116,9 @@ def test_a_cell_map_is_that_of_the_library(client):
     label, strides = np.frombuffer(frames[1].content[4:], np.uint8).reshape(2, 200, 250)
     basin = wj.basin(wj.SimplestWalker(0.004), GRID)
     assert [one["artefact"] for one in attractors] == basin["artefact"].values.tolist()
-    number = np.where(label >= 16, label.astype(int) - 16, -1)
+    number = np.where(label >= FIRST, label.astype(int) - FIRST, -1)
     np.testing.assert_array_equal(number, basin["attractor"].values)
-    np.testing.assert_array_equal(label[label < 16], basin["fate"].values[label < 16])
+    np.testing.assert_array_equal(label[label < FIRST], basin["fate"].values[label < FIRST])
     np.testing.assert_array_equal(strides, np.minimum(basin["strides"].values, 255))
 
 
@@ -144,19 +145,52 @@ def test_a_picture_that_nobody_waits_for_is_not_computed(running, monkeypatch):
 
     running.client().tiles(SIMPLEST | {"tiles": [[0, 0, 0]]})
     monkeypatch.setattr(pictures, "label_tiles", slow)
-    client = running.client()
-    body = json.dumps(SIMPLEST | {"tiles": [[4, i, 0] for i in range(600)]})
-    headers = {
-        "content-type": "application/json",
-        explorer_server.TOKEN_HEADER: explorer_server.TOKEN,
-    }
-    client.connection.request("POST", "/api/picture", body, headers)
-    assert asked.wait(20)
-    client.connection.close()
+    many = SIMPLEST | {"tiles": [[4, i, 0] for i in range(600)]}
+    running.client().give_up("/api/picture", many, lambda: asked.wait(20))
     time.sleep(0.5)
     before = len(computed)
     time.sleep(0.5)
     assert len(computed) == before < 8
+
+
+def test_a_walk_that_nobody_waits_for_is_not_computed(running, monkeypatch):
+    asked, computed = threading.Event(), []
+
+    def slow(about, start, count):
+        computed.append(count)
+        asked.set()
+        time.sleep(0.1)
+        return {"strides": [{}] * count, "next": start.tolist(), "leg": {}}
+
+    asked_for = SIMPLEST | {"start": [0.2, -0.2], "strides": 60}
+    running.client().ask("/api/walk", asked_for)
+    monkeypatch.setattr(walks, "follow", slow)
+    running.client().give_up("/api/walk", asked_for, lambda: asked.wait(20))
+    time.sleep(0.3)
+    before = len(computed)
+    time.sleep(0.3)
+    assert len(computed) == before < 60 / walks.STRIDES_AT_ONCE
+
+
+@pytest.mark.slow  # most walkers take long to compile
+@pytest.mark.parametrize("name", PLANAR_WALKERS)
+def test_every_walker_has_a_home(client, name):
+    """At its default parameters, with its gait inside."""
+    answer = client.ask("/api/home", {"walker": name})
+    assert answer.status == 200, answer
+    home = answer.json()
+    x = np.array([home["gait"][0], home["gait"][0] + home["gait"][1]])
+    assert (np.array(home["lower"]) < x).all() and (x < home["upper"]).all()
+
+
+@pytest.mark.slow  # a worker starts, and compiles
+def test_a_cell_map_of_many_cells_is_a_workers(running, client, monkeypatch):
+    asked = SIMPLEST | {"method": "cell-map", "rectangles": [[0, 0, 0, 200, 250]]}
+    quick = client.frames(asked)
+    monkeypatch.setattr(service, "MANY_CELLS", 1000)
+    assert client.frames(asked) == quick
+    crew = running.server.config.app.app.state.service.workers
+    assert crew.all[0].process is not None and crew.all[1].process is None
 
 
 # ---------------------------------------------------------------------------- walks
@@ -164,6 +198,7 @@ def test_a_picture_that_nobody_waits_for_is_not_computed(running, monkeypatch):
 
 def test_a_walk_is_that_of_the_library(client):
     answer = client.ask("/api/walk", SIMPLEST | {"start": [0.2, -0.21645], "strides": 9}).json()
+    assert answer["leg"] == {"length": 1.0, "radius": 0.0}
     made = wj.walk(wj.SimplestWalker(0.004), jnp.array([0.2, -0.21645]), 9)
     assert [one["outcome"] for one in answer["strides"]] == [0] * 9
     starts = [one["start"] for one in answer["strides"]]
@@ -277,11 +312,13 @@ def test_gaits_and_area_for_the_page():
     area = measures.area(subject(), Rectangle(-1, (0, 0), (100, 125)))
     assert abs(area["area"] - 0.0012073) < 5 * area["error"] + 1e-6  # of every cell of 800 x 1000
     assert json.dumps([found, area], allow_nan=False)
+    assert measures.disturbance(subject(slope=0.03)) is None  # its gait is not stable
 
 
 @pytest.mark.slow
 def test_the_measures_that_take_long():
     found = measures.disturbance(subject())
+    assert found is not None
     exact = wj.least_disturbance(wj.SimplestWalker(0.004))
     assert found["size"] == exact.size and found["failure"] == int(exact.failure)
     np.testing.assert_allclose(found["gait"], exact.state - exact.size * exact.direction)
@@ -292,6 +329,17 @@ def test_the_measures_that_take_long():
     assert diagram["lost"][0] == pytest.approx(
         0.01904, abs=1e-4
     )  # of walkers that make 600 strides
+
+
+@pytest.mark.parametrize(
+    ("name", "slopes"), [("simplest", (0.001, 0.022)), ("kneed", (0.03, 0.12))]
+)
+def test_a_diagram_is_of_the_walkers_own_slopes(monkeypatch, name, slopes):
+    asked = []
+    monkeypatch.setattr(measures, "bifurcation_diagram", lambda *words, **_: asked.extend(words))
+    with pytest.raises(TypeError):  # of what is no diagram
+        measures.bifurcation(subject(name))
+    assert asked[1:] == ["slope", slopes]
 
 
 @pytest.mark.parametrize("method", ["direct", "cell-map"])
@@ -330,7 +378,7 @@ def test_the_copied_words_give_the_data_of_the_picture(
     else:
         frames = client.frames(SIMPLEST | {"method": method, "rectangles": [cells]})
         shown = np.frombuffer(frames[1].content[4:], np.uint8).reshape(2, 60, 40)[0]
-    number = np.where(shown >= 16, shown.astype(int) - 16, -1)
+    number = np.where(shown >= FIRST, shown.astype(int) - FIRST, -1)
     np.testing.assert_array_equal(number >= 0, basin["attractor"] >= 0)
     np.testing.assert_array_equal(shown[number < 0], basin["fate"].values[number < 0])
 
@@ -341,6 +389,14 @@ def test_the_command_of_a_slice_names_its_plane():
     about = read_subject(asked)
     words = service.copies.describe(about, Rectangle(0, (0, 0), (20, 20)), "direct")
     assert " --at-phidot -0.02 " in words["command"] and "phidot=-0.02" in words["python"]
+    # that of the gait, whatever others have asked for
+    about = read_subject({"walker": "round-foot"})
+    (at,) = pictures.plane_of(about)
+    gait = wj.find_gait(about.walker)
+    assert at == pytest.approx(float(gait.states[0, 2]), rel=1e-9)
+    pictures.plane_of(read_subject({"walker": "round-foot", "parameters": {"slope": 0.012}}))
+    words = service.copies.describe(about, Rectangle(0, (0, 0), (20, 20)), "direct")
+    assert f" --at-phidot {at!r} " in words["command"]
 
 
 def test_the_page_knows_every_walker_and_parameter():
@@ -410,6 +466,14 @@ def test_strangers_are_refused(running, client):
     assert answer.json()["error"] == "slope must be above 0 and below 1.5708, not -1.0"
     crossed = {"walker": "round-foot", "parameters": {"foot_radius": 1.2}}
     assert client.ask("/api/home", crossed).json()["parameter"] == "foot_radius"
+    for asked, named in (
+        ({"parameters": {"slope": 1e7}}, "slope"),
+        ({"parameters": {"foot_radius": "wide"}}, "foot_radius"),
+        ({"at": {"phidot": 1e7}}, "at_phidot"),
+    ):
+        answer = client.ask("/api/home", {"walker": "round-foot"} | asked).json()
+        assert answer["parameter"] == named and answer["error"].startswith(f"{named} must be ")
+    assert "parameter" not in client.ask("/api/home", {"walker": "x"}).json()
 
 
 def test_a_body_that_does_not_tell_its_length_is_bounded_too(running):
@@ -458,6 +522,9 @@ PATHS = [
     "words",
     "data",
     "measure/area",
+    "measure/gaits",
+    "measure/disturbance",
+    "measure/bifurcation",
     "measure/x",
     "about",
     "nothing",
@@ -488,16 +555,23 @@ def malformed(rng):
     return json.dumps(rng.choice(SENSELESS)).encode() if kind < 0.35 else body
 
 
-def fuzz(running, count, seed):
+HEADERS = ["origin", "host", "content_type", "sec_fetch_site", "x_walker_token", "accept", "range"]
+VALUES = ["", "null", "x", "cross-site", "text/html", "http://[", "\xff", "a" * 9000, "bytes=-1"]
+
+
+def fuzz(running, monkeypatch, count, seed):
+    async def ask(function, *arguments, **options):  # right by chance: a worker would compute it
+        return b"" if function is measures.data else {}
+
+    crew = running.server.config.app.app.state.service.workers
+    monkeypatch.setattr(crew, "ask", ask)
     client, rng = running.client(), random.Random(seed)
     statuses = {}
     for _ in range(count):
         path, body = rng.choice(PATHS), malformed(rng)
-        if path in ("data", "measure/area") and b'"cells": [0, 0, 0, 3, 3]' in body:
-            continue  # right by chance, and a worker's
-        answer = client.send(
-            f"/api/{path}", body, rng.choice(["POST", "POST", "POST", "PUT", "GET"])
-        )
+        headers = {rng.choice(HEADERS): rng.choice(VALUES)} if rng.random() < 0.2 else {}
+        method = rng.choice(["POST", "POST", "POST", "PUT", "GET"])
+        answer = client.send(f"/api/{path}", body, method, **headers)
         assert answer.status in ALLOWED, (path, body, answer)
         if answer.status != 200 and answer.status != 405:
             reason = answer.json()["error"]
@@ -508,19 +582,19 @@ def fuzz(running, count, seed):
     return statuses
 
 
-def test_malformed_requests_are_refused_in_one_sentence(running, caplog):
-    fuzz(running, 500, 0)
+def test_malformed_requests_are_refused_in_one_sentence(running, caplog, monkeypatch):
+    fuzz(running, monkeypatch, 500, 0)
     assert not caplog.records
 
 
 @pytest.mark.slow
-def test_thousands_of_malformed_requests(running, caplog):
-    fuzz(running, 20_000, 1)
+def test_thousands_of_malformed_requests(running, caplog, monkeypatch):
+    fuzz(running, monkeypatch, 20_000, 1)
     assert not caplog.records
 
 
 def drag(running, seconds, clients=8):
-    """Clients that drag at once, each with a picture of its own at the end."""
+    """Clients that drag at once, walk and give up, each with a picture of its own at the end."""
     ends, failures, pictures_made = {}, [], []
 
     def hand(number):
@@ -529,10 +603,12 @@ def drag(running, seconds, clients=8):
         try:
             while time.monotonic() < stop:
                 slope = round(rng.uniform(0.003, 0.012), 5)
-                client.tiles(
-                    {"walker": "simplest", "parameters": {"slope": slope}, "tiles": WHOLE[:4]}
-                )
+                asked = {"walker": "simplest", "parameters": {"slope": slope}}
+                client.tiles(asked | {"tiles": WHOLE[:4]})
                 pictures_made.append(1)
+                client.give_up("/api/picture", asked | {"tiles": WHOLE})
+                answer = client.ask("/api/walk", asked | {"start": [0.2, -0.21], "strides": 20})
+                assert answer.status == 200, answer
             slope = 0.004 + 0.0005 * number
             asked = {"walker": "simplest", "parameters": {"slope": slope}, "tiles": WHOLE}
             ends[slope] = client.tiles(asked)[1]
@@ -548,7 +624,7 @@ def drag(running, seconds, clients=8):
     for slope, tiles in ends.items():
         fate = wj.basin(wj.SimplestWalker(slope), GRID, "direct")["fate"].values
         label, _ = joined(tiles)
-        walks = label >= pictures.FIRST_ATTRACTOR
+        walks = label >= FIRST
         np.testing.assert_array_equal(np.where(walks, 0, label), fate)
     return len(pictures_made)
 
@@ -602,17 +678,26 @@ def test_a_notebook_shows_the_page_of_the_command_in_a_frame(monkeypatch):
         link = r"http://127\.0\.0\.1:(\d+)/\?token=(.*)#walker=spring&slope=0.005&hip_stiffness=1.5"
         found = re.fullmatch(link, shown.link)
         assert found and found[2] == explorer_server.TOKEN
+        again = wj.explore(wj.SimplestWalker(0.006))  # by the same server
+        assert (
+            again.link
+            == f"http://127.0.0.1:{found[1]}/?token={found[2]}#walker=simplest&slope=0.006"
+        )
         frame = shown._repr_html_()
         assert 'height="500"' in frame and html.escape(shown.link) in frame
         client = explorer_server.Client(int(found[1]))
         assert client.ask("/api/alive").json() == {"alive": True}
         client.connection.close()
-        shown.process.send_signal(signal.SIGINT)
-        assert shown.process.wait(60) == 130
+        shown.server.process.send_signal(signal.SIGINT)
+        assert shown.server.process.wait(60) == 130
     finally:
         shown.close()
     with pytest.raises(ConnectionError):
         client.ask("/api/alive")
+    # a server that does not start says why
+    monkeypatch.setattr("sys.executable", "/bin/false" if Path("/bin/false").exists() else "false")
+    with pytest.raises(wj.ComputationFailed, match="the server ended with code 1"):
+        wj.explore(wj.SimplestWalker(0.004))
 
 
 def test_a_subject_is_one_key():

@@ -8,12 +8,16 @@ import os
 import shutil
 import time
 from functools import partial
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from itertools import combinations
+from threading import Thread
 
 import explorer_server
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray as xr
+from PIL import Image
 from playwright.sync_api import sync_playwright
 from zarr.storage import ZipStore
 
@@ -29,8 +33,20 @@ SECONDS = 90
 """For which a page may take, on a machine that others use."""
 AREA = 0.0012073
 """Of the basin at slope 0.004 in the home window, by `refine` on 4 levels."""
+GAIT = {
+    "period": 1,
+    "states": [[0.153389560, -0.156080151]],
+    "multipliers": [[0.6339, 0.0], [0.0, 0.0]],
+    "times": [3.88],
+    "stable": True,
+}
+NO_STORAGE = """Object.defineProperty(window, "localStorage", {
+  get() { throw new DOMException("storage is refused", "SecurityError"); }
+})"""
+LEAST_CONTRAST = 6.0
+"""In lightness between the colours of two fates, as in the figures."""
 MEASURED = {
-    "gaits": [],
+    "gaits": [GAIT],
     "area": {"area": AREA, "error": 1e-6},
     "disturbance": {
         "size": 0.002256,
@@ -68,11 +84,16 @@ def fulfil(found, route):
     route.fulfill(json=found)
 
 
+def fulfil_as(answer, route):
+    route.fulfill(**answer)
+
+
 class Page:
     """The page, and all that it has said and asked for."""
 
-    def __init__(self, browser, port, state="", *, measured=MEASURED, **options):
+    def __init__(self, browser, port, state="", *, measured=MEASURED, before="", **options):
         self.context = browser.new_context(**{"viewport": WIDE, "accept_downloads": True} | options)
+        self.context.add_init_script(before)
         self.context.grant_permissions(["clipboard-read", "clipboard-write"])
         self.page = self.context.new_page()
         self.said, self.addresses = [], []
@@ -146,7 +167,7 @@ CELLS = """(() => {
 
 def area_of(page):
     found = page.value(CELLS)
-    walking = sum(label >= pictures.UNMATCHED for _, _, label in found["all"])
+    walking = sum(label >= pictures.FIRST_ATTRACTOR for _, _, label in found["all"])
     return walking * found["area"], len(found["all"])
 
 
@@ -284,9 +305,9 @@ def test_the_link_and_what_is_taken_away(opened, tmp_path):
     found = page.value(CELLS)
     shown = np.array([label for _, _, label in found["all"]])
     columns, rows = (len({cell[k] for cell in found["all"]}) for k in (0, 1))
-    if basin["fate"].shape == (columns, rows):
-        walks = basin["attractor"].values.ravel() >= 0
-        np.testing.assert_array_equal(shown >= pictures.FIRST_ATTRACTOR, walks)
+    assert basin["fate"].shape == (columns, rows)
+    walks = basin["attractor"].values.ravel() >= 0
+    np.testing.assert_array_equal(shown >= pictures.FIRST_ATTRACTOR, walks)
     page.page.click("#copy-command")
     page.wait("document.querySelector('#toast').textContent === 'Command copied'")
     command = page.value("navigator.clipboard.readText()")
@@ -328,10 +349,17 @@ def test_hands_on_keys_alone(opened):
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
 def test_every_width_and_theme(opened, theme, tmp_path):
-    page = opened("walker=simplest&slope=0.004", color_scheme=theme)
-    ground = page.value("getComputedStyle(document.body).backgroundColor")
-    light = sum(map(int, ground[4:-1].split(","))) / 3
-    assert (light > 128) == (theme == "light")
+    # also where nothing may be stored, as in a frame of another site
+    page = opened("walker=simplest&slope=0.004", color_scheme=theme, before=NO_STORAGE)
+    other = {"light": "dark", "dark": "light"}
+    for chosen in (theme, other[theme], theme):
+        ground = page.value("getComputedStyle(document.body).backgroundColor")
+        light = sum(map(int, ground[4:-1].split(","))) / 3
+        assert (light > 128) == (chosen == "light")
+        pressed = page.page.get_attribute("#theme", "aria-pressed")
+        assert pressed == str(chosen == "dark").lower()
+        page.page.click("#theme")
+    page.page.click("#theme")
     for viewport in (WIDE, NARROW):
         page.page.set_viewport_size(viewport)
         page.page.wait_for_timeout(100)
@@ -340,8 +368,237 @@ def test_every_width_and_theme(opened, theme, tmp_path):
         for one in page.page.locator("button:visible, select:visible").all():
             box = one.bounding_box()
             assert box["x"] >= 0 and box["x"] + box["width"] <= viewport["width"] + 0.5
-        page.page.screenshot(path=tmp_path / "page.png", full_page=True)
-        assert (tmp_path / "page.png").stat().st_size > 20_000
+        # the screen has the colours of the cells, and these differ even in grey
+        page.page.screenshot(path=tmp_path / "page.png")
+        screen = np.asarray(Image.open(tmp_path / "page.png").convert("RGB"))
+        for at in ((0.3, -0.035), (0.17, -0.005), (0.3, 0.005)):
+            x, y = page.screen(*at)
+            colour = page.value(
+                f"""(() => {{
+                  const {{picture, palette, map}} = explorer;
+                  const found = picture.at(map.places([{at[0]}, {at[1]}]));
+                  const colour = palette.colour(found.label, picture.layer.attractors);
+                  return palette.shaded(colour, found.label, found.strides);
+                }})()"""
+            )
+            around = screen[int(y) - 3 : int(y) + 4, int(x) - 3 : int(x) + 4].reshape(-1, 3)
+            assert np.abs(around.astype(int) - colour).max(axis=1).min() <= 2, at
+    colours = page.value("[explorer.palette.basins[0], ...Object.values(explorer.palette.fates)]")
+    shades = [lightness(colour) for colour in colours]
+    assert len(shades) == len(wj.Outcome)
+    for one, other in combinations(shades, 2):
+        assert abs(one - other) > LEAST_CONTRAST
+
+
+def lightness(rgb):
+    """CIE L*, 0 for black to 100 for white, of 8-bit sRGB."""
+    rgb = np.asarray(rgb) / 255
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    return 116 * np.cbrt(linear @ [0.2126, 0.7152, 0.0722]) - 16
+
+
+class Held:
+    """Requests of a kind that are held, and let go at will."""
+
+    def __init__(self, page, pattern):
+        self.page, self.routes = page, []
+        page.page.route(pattern, lambda route: self.routes.append(route))
+
+    def wait(self, count):
+        stop = time.monotonic() + SECONDS
+        while len(self.routes) < count and time.monotonic() < stop:
+            self.page.page.wait_for_timeout(20)
+        self.page.page.wait_for_timeout(50)
+        assert len(self.routes) == count, [one.request.post_data_json for one in self.routes]
+
+    def let_go(self):
+        for route in self.routes:
+            route.continue_()  # one that the page has given up goes nowhere
+        self.routes.clear()
+
+
+def test_walks_never_mix(opened):
+    """Keys and clicks while answers are awaited."""
+    page = opened("walker=simplest&slope=0.004")
+    walker = wj.SimplestWalker(0.004)
+    page.value("explorer.walk.speed = 0.1")
+    held = Held(page, "**/api/walk")
+    page.page.mouse.click(*page.screen(0.16, -0.004))
+    held.wait(1)
+    held.let_go()
+    page.wait("explorer.walk.strides.length === 12")
+    first = page.value("explorer.walk.start")
+
+    # three strides by keys at the end of what is known: asked for once
+    page.value(
+        "explorer.walk.playing = false; explorer.walk.time = explorer.walk.strides[11].begins"
+    )
+    for _ in range(3):
+        page.page.keyboard.press(".")
+    held.wait(1)
+    held.let_go()
+    page.wait("explorer.walk.strides.length === 24")
+    starts = page.value("explorer.walk.strides.map((one) => one.start)")
+    made = wj.walk(walker, jnp.array(first), 24).states
+    np.testing.assert_allclose(starts, made[:24], rtol=1e-6)
+    assert page.value("explorer.walk.time === explorer.walk.strides[11].ends")
+
+    # two pushes by keys, the second while the first is under way: one push by their sum, mid-stride
+    page.value("explorer.walk.time += 0.5; explorer.walk.playing = true")
+    page.page.focus("#map")
+    for _ in range(2):
+        page.page.keyboard.press("]")
+    held.wait(2)
+    assert [one.request.post_data_json["push"] for one in held.routes] == [[0.01, 0], [0.02, 0]]
+    time_then = page.value("explorer.walk.time")
+    held.let_go()
+    page.wait("explorer.walk.pushes === 1")
+    numbers = page.value("explorer.walk.strides.map((one) => one.number)")
+    assert numbers[:14] == [*range(13), 12]  # the stride that the push cuts is one
+    assert page.value("explorer.walk.strides[13].begins") == pytest.approx(time_then, abs=1e-12)
+
+    # a push under way, and a new start: the new walk alone
+    page.value("explorer.walk.playing = false; explorer.walk.time = 1")
+    page.page.keyboard.press("]")
+    page.page.mouse.click(*page.screen(0.15, -0.003))
+    held.wait(2)
+    held.let_go()
+    page.wait("explorer.walk.start[0] < 0.155")
+    page.page.wait_for_timeout(200)
+    assert page.value("[explorer.walk.pushes, explorer.walk.strides.length]") == [0, 12]
+    assert page.value("explorer.walk.strides[0].start") == page.value("explorer.walk.start")
+
+    # other parameters: the walk begins anew once the slider rests, with all of its sizes
+    start = page.value("explorer.walk.start")
+    page.page.fill("#parameters .typed", "0.0045")
+    assert page.value("explorer.stage.slope") == 0.004
+    held.wait(1)
+    held.let_go()
+    page.wait("explorer.stage.slope === 0.0045")
+    assert page.value("explorer.walk.start") == start
+    made = wj.walk(wj.SimplestWalker(0.0045), jnp.array(start), 3).states
+    starts = page.value("explorer.walk.strides.map((one) => one.start)")
+    np.testing.assert_allclose(starts[:3], made[:3], rtol=1e-9)
+    assert page.value("explorer.walk.leg") == {"length": 1, "radius": 0}
+
+    # a walk that the server refuses stops, and asks no more
+    page.page.unroute("**/api/walk")
+    page.page.route(
+        "**/api/walk", partial(fulfil_as, {"status": 422, "json": {"error": "no walk"}})
+    )
+    page.value(
+        "explorer.walk.playing = true; explorer.walk.time = explorer.walk.strides[11].begins"
+    )
+    page.wait("document.querySelector('#toast').textContent === 'no walk'")
+    assert page.value("!explorer.walk.playing && explorer.walk.strides.length === 12")
+    page.said.clear()  # Chromium's own words on the status 422
+
+
+def test_facts_stand_once_they_are_exact(opened):
+    page = opened("walker=simplest&slope=0.004")
+    page.wait("document.querySelector('#fact-area').textContent.includes('±')")
+    page.wait("document.querySelector('#fact-disturbance').textContent.startsWith('0.002256')")
+    exact = page.shown("#fact-area")
+    asked = len(page.addresses)
+    page.value("explorer.picture.finish()")  # a picture that ends later estimates nothing
+    assert page.shown("#fact-area") == exact
+    page.value("explorer.map.pan(0, 0)")  # the same view: nothing is asked again
+    page.page.wait_for_timeout(700)
+    assert not any("measure" in address for address in page.addresses[asked:])
+    # a mark has its multipliers
+    page.page.mouse.move(*page.screen(GAIT["states"][0][0], sum(GAIT["states"][0])))
+    page.wait("document.querySelector('#hover').textContent.includes('multipliers 0.634')")
+    # the nearest loss is a failure: no infeasible start, no undecided cell, none that leaves a grid
+    nearest = page.value(
+        f"""(() => {{
+      const {{facts, lattice, state, map}} = explorer;
+      state.view = map.view;
+      const gait = lattice.place(0, 0.153), sum = lattice.place(1, -0.003);
+      const codes = [{int(wj.Outcome.OUTSIDE)}, {int(wj.Outcome.UNDECIDED)},
+        {int(wj.Outcome.LEFT_GRID)}, {pictures.UNMATCHED}, {int(wj.Outcome.BENT_KNEE)}];
+      const all = codes.map((code, k) => [Math.round(gait), Math.round(sum) + 2 * k, code]);
+      const attractors = [{{period: 1, artefact: false, states: [[0.153, -0.156]]}}];
+      const found = facts.nearestLoss({{level: 0, all}}, lattice, state, attractors);
+      const mapped = {{...state, shown: state.shown, method: "cell-map"}};
+      const none = facts.nearestLoss({{level: 0, all}}, lattice, mapped, attractors);
+      return [found.state, all[4], none];
+    }})()"""
+    )
+    place = page.value(f"explorer.lattice.place(1, {sum(nearest[0])}) - 0.5")
+    assert place == pytest.approx(nearest[1][1], abs=1e-6) and nearest[2] is None
+    # cells of which nothing is known are counted
+    page.value(
+        """(() => {
+      for (const one of explorer.picture.layer.tiles.values()) one.label[1300] = 6;
+      explorer.picture.finish();
+    })()"""
+    )
+    assert "undecided: 20 cells" in page.shown("#legend")
+    # a box without a number says so; a view that cannot be shown is the nearest that can
+    page.page.fill("#parameters .typed", "")
+    assert page.shown(".error") == "A number is needed here"
+    page.page.focus("#map")
+    assert page.shown(".error") == ""
+    page.value("location.hash = 'walker=simplest&slope=0.004&view=1e99,-3e9,-12'")
+    page.wait("explorer.map.view.zoom === -2")
+    page.wait("explorer.picture.progress === 1")
+    assert page.value("explorer.map.view.centre[0]") == 2**20 * 100
+    # a refusal is told in its own words; only where there is no such gait it says so
+    for kind, answer in (
+        ("gaits", {"status": 422, "json": {"error": "the search failed"}}),
+        ("disturbance", {"body": "null", "content_type": "application/json"}),
+        ("area", {"status": 422, "json": {"error": "too many cells"}}),
+    ):
+        page.page.unroute(f"**/api/measure/{kind}")
+        page.page.route(f"**/api/measure/{kind}", partial(fulfil_as, answer))
+    page.page.click("#zoom-home")
+    page.page.fill("#parameters .typed", "0.0041")
+    page.wait("document.querySelector('#fact-gait').textContent === 'the search failed'")
+    page.wait(
+        "document.querySelector('#fact-disturbance').textContent === 'no stable gait of period 1'"
+    )
+    page.wait("document.querySelector('#fact-area').textContent === 'too many cells'")
+    page.finished()
+    page.said.clear()  # Chromium's own words on the status 422
+
+
+@pytest.mark.slow  # a walker with round feet takes long to compile
+def test_a_walker_with_round_feet_and_a_slice(opened):
+    page = opened("walker=simplest&slope=0.004")
+    page.page.select_option("#walker", "round-foot")
+    assert page.value("explorer.lattice === null")  # nothing of the old window is asked for
+    page.page.click("#zoom-in")
+    page.wait("JSON.parse(explorer.picture.layer?.key ?? '{}').walker === 'round-foot'", 600)
+    page.finished()
+    assert page.value("explorer.map.view.zoom") == 0
+    at = page.value("explorer.picture.layer.at")
+    gait = wj.find_gait(wj.RoundFootWalker(0.004)).states[0]
+    assert at == pytest.approx([float(gait[2])], rel=1e-9)
+    page.page.click("#copy-command")
+    page.wait("document.querySelector('#toast').textContent === 'Command copied'")
+    assert f"--at-phidot {at[0]!r} " in page.value("navigator.clipboard.readText()")
+    # its leg is drawn in its own sizes
+    index = page.value(
+        "explorer.state.kind.parameters.findIndex((one) => one.name === 'foot_radius')"
+    )
+    box = page.page.locator("#parameters .typed").nth(index)
+    box.fill("0.2")
+    page.wait("JSON.parse(explorer.picture.layer.key).parameters.foot_radius === 0.2")
+    page.finished()
+    page.page.mouse.click(*page.screen(float(gait[0]), float(gait[0] + gait[1])))
+    page.wait("explorer.walk.strides.length > 0")
+    assert page.value("explorer.walk.leg.radius") == pytest.approx(0.2)
+    # a slice off the gait, by its slider, and back
+    page.page.locator("#slice .typed").fill("-0.02")
+    page.wait("explorer.picture.layer.at[0] === -0.02")
+    assert page.page.locator(".at-gait").get_attribute("aria-pressed") == "false"
+    page.finished()
+    page.page.click(".at-gait")
+    page.wait("explorer.picture.layer.at[0] !== -0.02 && explorer.picture.progress === 1")
+    # and to the other section while the picture still comes
+    page.page.check("#section input[value=plain]")
+    page.wait("JSON.parse(explorer.picture.layer.key).section === 'plain'")
+    page.finished()
 
 
 def test_fingers_zoom_and_pan(opened):
@@ -369,12 +626,19 @@ def test_a_server_that_goes_and_comes_back(browser):
     with explorer_server.running() as first:
         page = Page(browser, first.port, "walker=simplest&slope=0.004")
     page.page.fill("#parameters .typed", "0.005")
+    page.page.click("#tab-bifurcation")
     page.wait("!document.querySelector('#gone').hidden")
     assert page.shown("#gone").startswith("The server does not answer.")
+    assert page.shown("#diagram-note").strip() in (
+        "",
+        "The gaits are followed over the slope: some ten seconds…",
+    )
+    page.page.route("**/api/measure/bifurcation", partial(fulfil, DIAGRAM))
     with explorer_server.running(first.port):
         page.wait("document.querySelector('#gone').hidden")
         page.wait("JSON.parse(explorer.picture.layer.key).parameters.slope === 0.005")
         page.finished()
+        page.wait("document.querySelector('#diagram-note').textContent.includes('doubles')")
         page.said.clear()  # Chromium's own words on refused connections
         page.close()
 
@@ -388,19 +652,56 @@ def test_a_link_of_another_server_is_told_apart(browser, running):
     context.close()
 
 
+class Empty(BaseHTTPRequestHandler):
+    """An empty page."""
+
+    def do_GET(self):
+        self.send_response(200)
+        self.send_header("content-type", "text/html")
+        self.send_header("content-length", "0")
+        self.end_headers()
+
+    def log_message(self, *_):
+        pass
+
+
+def test_a_notebook_frames_the_page_and_others_do_not(browser, running):
+    """A frame in a page of another site on this machine, with the token and without."""
+    context = browser.new_context(viewport=WIDE)
+    page = context.new_page()
+    notebook = HTTPServer(("127.0.0.1", 0), Empty)
+    thread = Thread(target=notebook.serve_forever, daemon=True)
+    thread.start()
+    page.goto(f"http://localhost:{notebook.server_port}/")
+    for token, shown in ((explorer_server.TOKEN, True), ("another", False)):
+        link = f"http://127.0.0.1:{running.port}/?token={token}#walker=simplest&slope=0.004"
+        frame = f'<iframe src="{link}"></iframe>'
+        page.evaluate("(frame) => (document.body.innerHTML = frame)", frame)
+        stop, there = time.monotonic() + (SECONDS if shown else 2), False
+        while time.monotonic() < stop and not there:
+            page.wait_for_timeout(50)
+            there = any(one.evaluate("Boolean(window.explorer)") for one in page.frames[1:])
+        assert there == shown
+    assert not any(one.evaluate("document.querySelector('#map') !== null") for one in page.frames)
+    context.close()
+    notebook.shutdown()
+    thread.join()
+    notebook.server_close()
+
+
+DIAGRAM = {
+    "range": [0.001, 0.022],
+    "branches": [{"period": 1, "slope": [0.001, 0.02], "theta": [[0.1, 0.25]], "stable": [1, 0]}],
+    "points": [[0.001 + 0.0001 * k, 0.1 + 0.001 * k] for k in range(150)],
+    "lost": [0.019, 0.0191],
+    "events": [{"slope": 0.0151, "fold": False, "theta": 0.23, "cascade": True}],
+}
+
+
 def test_the_bifurcation_tab_has_the_slope_in_it(opened):
     """The diagram itself is tested without a browser."""
-    made_up = {
-        "range": [0.001, 0.022],
-        "branches": [
-            {"period": 1, "slope": [0.001, 0.02], "theta": [[0.1, 0.25]], "stable": [1, 0]}
-        ],
-        "points": [[0.001 + 0.0001 * k, 0.1 + 0.001 * k] for k in range(150)],
-        "lost": [0.019, 0.0191],
-        "events": [{"slope": 0.0151, "fold": False, "theta": 0.23, "cascade": True}],
-    }
     page = opened("walker=simplest&slope=0.004")
-    page.page.route("**/api/measure/bifurcation", lambda route: route.fulfill(json=made_up))
+    page.page.route("**/api/measure/bifurcation", partial(fulfil, DIAGRAM))
     page.page.click("#tab-bifurcation")
     page.wait("document.querySelector('#diagram-note').textContent.includes('lost near 0.019')")
     box = page.box("#diagram")
@@ -408,6 +709,15 @@ def test_the_bifurcation_tab_has_the_slope_in_it(opened):
     slope = page.value("explorer.state.parameters.slope")
     assert slope == pytest.approx(0.0115, abs=1e-4)
     page.wait("location.hash.includes('tab=bifurcation')")
+    # where some walk at the highest slope, walking is not lost
+    never = DIAGRAM | {"lost": [0.022, None]}
+    page.page.unroute("**/api/measure/bifurcation")
+    page.page.route("**/api/measure/bifurcation", partial(fulfil, never))
+    page.value("location.hash = 'walker=spring&tab=bifurcation'")
+    page.wait("document.querySelector('#diagram-note').textContent.includes('doubles')")
+    assert "lost" not in page.shown("#diagram-note")
+    page.value(f"location.hash = 'walker=simplest&slope={slope}&tab=bifurcation'")
+    page.wait("explorer.state.walker === 'simplest'")
     page.page.click("#tab-basin")
     page.wait(f"JSON.parse(explorer.picture.layer.key).parameters.slope === {slope}")
     page.finished()

@@ -18,15 +18,9 @@ from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import (
     SLOPE,
     describe_walker,
-    parameters,
+    slopes_of,
     with_parameter,
 )
-
-
-def slopes_of(kind: type[Walker]) -> tuple[float, float]:
-    """The ends of the slopes that are followed unless others are given."""
-    ends = next(one.span for one in parameters(kind) if one.name == "slope")
-    return SLOPE.span if math.isnan(ends[0]) else ends
 
 
 def help_of_end(which: str, end: int) -> str:

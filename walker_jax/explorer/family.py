@@ -2,7 +2,7 @@
 
 import math
 
-from walker_jax.explorer.lattice import HOME_CELLS, LEVELS, TILE
+from walker_jax.explorer.lattice import FARTHEST, HOME_CELLS, LEVELS, MAX_TILES, TILE
 from walker_jax.explorer.pictures import FIRST_ATTRACTOR, UNMATCHED
 from walker_jax.explorer.subjects import SECTIONS, slider_range
 from walker_jax.figures.style import (
@@ -18,13 +18,21 @@ from walker_jax.walkers.family import PLANAR_WALKERS
 from walker_jax.walkers.parameters import Parameter, parameters
 from walker_jax.walking.outcomes import Outcome
 
+NOT_LOST = (Outcome.STRIDE, Outcome.OUTSIDE, Outcome.UNDECIDED, Outcome.LEFT_GRID)
+"""Outcomes of which none is a walker's failure on its way."""
+
 
 def describe_family() -> dict:
     """All that the page shows and does not compute, from where it is defined."""
     return {
         "walkers": {name: describe_kind(name) for name in PLANAR_WALKERS},
         "fates": {
-            int(outcome): {"name": outcome.name, "words": words, "colour": colour}
+            int(outcome): {
+                "name": outcome.name,
+                "words": words,
+                "colour": colour,
+                "lost": outcome not in NOT_LOST,
+            }
             for outcome, (colour, _, words) in FAILURES.items()
         },
         "basins": list(BASINS),
@@ -32,7 +40,13 @@ def describe_family() -> dict:
         "unmatched": UNMATCHED_COLOUR,
         "artefacts": ARTEFACTS,
         "labels": {"unmatched": UNMATCHED, "first": FIRST_ATTRACTOR, "stride": int(Outcome.STRIDE)},
-        "lattice": {"tile": TILE, "home": HOME_CELLS, "levels": LEVELS},
+        "lattice": {
+            "tile": TILE,
+            "home": HOME_CELLS,
+            "levels": LEVELS,
+            "farthest": FARTHEST,
+            "most": MAX_TILES,
+        },
         "sections": SECTIONS,
     }
 

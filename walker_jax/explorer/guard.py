@@ -2,16 +2,19 @@
 
 A page of another site that is open in the same browser can send requests to this machine, also
 under a name of its own that it has made to lead here (DNS rebinding). So the guard checks the Host
-and the Origin of each request, and a token that only the link has which the server printed. It also
-bounds the size and the rate of requests.
+and the Origin of each request, and a token that only the link has which the server printed. Only
+who has the token may show the page in a frame. The guard also bounds the size and the rate of
+requests: of those with the token, and of those for files of the page apart.
 """
 
 import secrets
 import time
 from collections.abc import Awaitable, Callable, MutableMapping
+from ipaddress import IPv6Address, ip_address
 from typing import Any
+from urllib.parse import parse_qs
 
-from starlette.responses import JSONResponse
+from starlette.responses import JSONResponse, RedirectResponse, Response
 
 Scope = MutableMapping[str, Any]
 Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
@@ -22,19 +25,18 @@ MAX_BODY = 2**16
 """Bytes of a request; a page's own have some thousand."""
 RATE, BURST = 300.0, 600.0
 """Requests a second in the long run, and at once: ten pages in which a hand drags."""
-LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
+POLICY = (
+    b"default-src 'self'; img-src 'self' blob: data:; base-uri 'none'; form-action 'none'; "
+    b"object-src 'none'"
+)
+"""Of what the page may load: nothing from other hosts."""
 HEADERS = (
     (b"cache-control", b"no-store"),
-    (
-        b"content-security-policy",
-        b"default-src 'self'; img-src 'self' blob: data:; base-uri 'none'; form-action 'none'; "
-        b"object-src 'none'",
-    ),
     (b"cross-origin-resource-policy", b"same-origin"),
     (b"referrer-policy", b"no-referrer"),
     (b"x-content-type-options", b"nosniff"),
 )
-"""Of every answer: nothing from other hosts, and no word to them."""
+"""Of every answer: no word to other hosts."""
 
 
 class Bucket:
@@ -56,17 +58,23 @@ class Bucket:
 
 
 class Guard:
-    """Refuses requests that are not of the page, and passes on the others."""
+    """Refuses requests that are not of the page, and passes on the others.
 
-    def __init__(self, app: Any, *, token: str, hosts: tuple[str, ...], port: int):
-        self.app, self.token = app, token.encode()
-        self.hosts = {f"{host}:{port}" for host in hosts} | (set(hosts) if port == 80 else set())
-        self.bucket = Bucket(RATE, BURST)
+    This machine goes by `names`, and by the address at which a request comes.
+    """
+
+    def __init__(self, app: Any, *, token: str, names: tuple[str, ...], port: int):
+        self.app, self.token, self.port = app, token.encode(), port
+        self.names = {name.lower() for name in names}
+        self.requests, self.files = Bucket(RATE, BURST), Bucket(RATE, BURST)
+        self.links: dict[str, str] = {}
+        """By path, where each leads: once."""
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         async def send_with_headers(message: MutableMapping[str, Any]) -> None:
             if message["type"] == "http.response.start":
-                message["headers"] = [*message.get("headers", ()), *HEADERS]
+                policy = (b"content-security-policy", self.policy(scope))
+                message["headers"] = [*message.get("headers", ()), *HEADERS, policy]
             await send(message)
 
         if scope["type"] == "lifespan":
@@ -78,28 +86,56 @@ class Guard:
         else:  # WebSockets, which the page has none of
             await send({"type": "websocket.close", "code": 1008})
 
-    def refusal(self, scope: Scope) -> JSONResponse | None:
-        """The answer to a request that is refused."""
+    def policy(self, scope: Scope) -> bytes:
+        """The policy of an answer. A notebook, which may be anywhere, has the token."""
+        given = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
+        return POLICY if self.is_token(given.encode()) else POLICY + b"; frame-ancestors 'none'"
+
+    def is_token(self, given: bytes) -> bool:
+        return secrets.compare_digest(given, self.token)
+
+    def hosts(self, scope: Scope) -> set[str]:
+        """What a request may call this machine, as in Host."""
+        names = self.names | {in_link(scope["server"][0])}
+        return {f"{name}:{self.port}" for name in names} | (names if self.port == 80 else set())
+
+    def refusal(self, scope: Scope) -> Response | None:
+        """The answer to a request that is not passed on."""
         headers: dict[bytes, bytes] = {}
         for name, value in scope["headers"]:
             if headers.setdefault(name, value) != value:
                 return refuse(400, f"two headers {name.decode('latin-1')}")
         text = lambda name: headers.get(name, b"").decode("latin-1")
-        if text(b"host").lower() not in self.hosts:
+        hosts = self.hosts(scope)
+        if text(b"host").lower() not in hosts:
             return refuse(403, "this server is not the Host that was asked for")
         origin = text(b"origin").lower()
-        if origin and origin.removeprefix("http://") not in self.hosts:
+        crossed = text(b"sec-fetch-site") in ("cross-site", "same-site")
+        loaded = crossed and text(b"sec-fetch-mode") != "navigate"  # as by links and notebooks
+        if loaded or (origin and origin.removeprefix("http://") not in hosts):
             return refuse(403, "requests from other sites are refused")
-        if scope["path"].startswith("/api/"):
-            given = headers.get(TOKEN_HEADER.encode(), b"")
-            if not secrets.compare_digest(given, self.token):
-                return refuse(403, "the token is not that of this server: open the link it printed")
+        if scope["path"] in self.links:
+            return RedirectResponse(self.links.pop(scope["path"]))
+        asks = scope["path"].startswith("/api/")
+        if asks and not self.is_token(headers.get(TOKEN_HEADER.encode(), b"")):
+            return refuse(403, "the token is not that of this server: open the link it printed")
         length = text(b"content-length")
         if length and not (length.isascii() and length.isdigit() and int(length[:9]) <= MAX_BODY):
             return refuse(413, f"a request has at most {MAX_BODY} bytes")
-        if not self.bucket.take():
+        if not (self.requests if asks else self.files).take():
             return refuse(429, "too many requests: wait a moment", {"retry-after": "1"})
         return None
+
+
+def in_link(host: str) -> str:
+    """A host as it stands in links and in Host: of addresses the shortest form."""
+    try:
+        address = ip_address(host)
+    except ValueError:
+        return host
+    if isinstance(address, IPv6Address):
+        return str(address.ipv4_mapped or f"[{address}]")
+    return str(address)
 
 
 class TooLong(Exception):

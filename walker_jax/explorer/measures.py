@@ -23,23 +23,16 @@ from walker_jax.gaits.diagrams import bifurcation_diagram
 from walker_jax.gaits.search import find_gait, find_gaits
 from walker_jax.grids import Grid
 from walker_jax.stability.disturbances import least_disturbance
+from walker_jax.walkers.parameters import slopes_of
 
 PERIODS = (1, 2)
 """Periods of which all gaits are searched."""
 AREA_LEVELS, AREA_CHECKS = 2, 50_000
 """Levels and checks of `refine` for an area: 2 s, and a standard error of 0.1 % of the basin."""
-SLOPES = (0.001, 0.022)
-"""The range of a diagram, that of `walker-jax bifurcation`."""
 DIAGRAM: dict[str, Any] = {"period_max": 4, "strides": 600, "scan": 160}
 """Of a diagram on a screen."""
 SHOWN_STATES = 24
 """States of each orbit in a diagram."""
-
-
-def prepare(subject: Subject) -> dict:
-    """The home window of a walker, and its gait there: what the first picture needs."""
-    home = home_of(subject.name, subject.section)
-    return {"lower": home.lower, "upper": home.upper, "gait": home.gait}
 
 
 def gaits(subject: Subject) -> list[dict]:
@@ -73,9 +66,12 @@ def area(subject: Subject, cells: Rectangle) -> dict:
     }
 
 
-def disturbance(subject: Subject) -> dict:
-    """The least disturbance of the stable gait."""
-    found = least_disturbance(subject.walker)
+def disturbance(subject: Subject) -> dict | None:
+    """The least disturbance of the stable gait of period one; none where there is no such gait."""
+    gait = find_gait(subject.walker)
+    if not (gait.found and gait.stable):
+        return None
+    found = least_disturbance(subject.walker, gait)
     return {
         "size": found.size,
         "gait": (found.state - found.size * found.direction).tolist(),
@@ -87,7 +83,8 @@ def disturbance(subject: Subject) -> dict:
 
 def bifurcation(subject: Subject) -> dict:
     """Gaits and attractors over the slope: their stance angles at the start of a stride."""
-    data = bifurcation_diagram(subject.walker, "slope", SLOPES, **DIAGRAM)
+    slopes = slopes_of(subject.kind)
+    data = bifurcation_diagram(subject.walker, "slope", slopes, **DIAGRAM)
     branches = []
     for number in np.unique(data["branch"].values).tolist():
         own = data.isel(gait=np.flatnonzero(data["branch"].values == number))
@@ -105,7 +102,7 @@ def bifurcation(subject: Subject) -> dict:
     slopes = np.broadcast_to(data["sample_value"].values[:, None, None], orbit.shape)[where]
     points = np.unique(np.round(np.stack([slopes, orbit[where]], axis=1), 6), axis=0)
     return {
-        "range": SLOPES,
+        "range": slopes,
         "branches": branches,
         "points": points.tolist(),
         "lost": [finite(value) for value in data["lost"].values.tolist()],

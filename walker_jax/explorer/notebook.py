@@ -4,6 +4,8 @@ import atexit
 import html
 import subprocess
 import sys
+import tempfile
+from urllib.parse import urlencode
 
 from walker_jax.checks import ComputationFailed, WrongUse, check_kind, check_whole
 from walker_jax.walkers.family import PLANAR_WALKERS
@@ -14,18 +16,50 @@ HEIGHT = 760
 """Pixels in which walker, basin and sliders have room."""
 
 
-class Explorer:
-    """A server of the page in a process of its own; a notebook shows the page in a frame."""
+class PageServer:
+    """A server of the page in a process of its own, which ends with this one."""
 
-    def __init__(self, command: list[str], height: int):
-        self.height = height
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        assert self.process.stdout is not None
-        self.link = self.process.stdout.readline().strip()
-        """The link that opens the page in any browser on this machine."""
-        if not self.link:
-            raise ComputationFailed(f"the server ended with code {self.process.wait()}")
+    def __init__(self) -> None:
+        command = [sys.executable, "-m", "walker_jax", "explore", "--no-browser"]
+        with tempfile.TemporaryFile() as errors:
+            self.process = subprocess.Popen(
+                command, stdout=subprocess.PIPE, stderr=errors, text=True
+            )
+            assert self.process.stdout is not None
+            self.link = self.process.stdout.readline().strip()
+            if not self.link:
+                self.process.stdout.close()
+                code = self.process.wait()
+                errors.seek(0)
+                said = " ".join(errors.read().decode(errors="replace").split())
+                raise ComputationFailed(f"the server ended with code {code}: {said}")
         atexit.register(self.close)
+
+    @property
+    def serves(self) -> bool:
+        """Whether it has not ended."""
+        return self.process.poll() is None
+
+    def close(self) -> None:
+        """End it."""
+        self.process.terminate()
+        self.process.wait()
+        if self.process.stdout is not None:
+            self.process.stdout.close()
+        atexit.unregister(self.close)
+
+
+started: list[PageServer] = []
+"""The server of all pages of this process, once there is one."""
+
+
+class Explorer:
+    """A page, as a notebook shows it: in a frame."""
+
+    def __init__(self, server: PageServer, state: dict[str, str | float], height: int):
+        self.server, self.height = server, height
+        self.link = f"{server.link.partition('#')[0]}#{urlencode(state)}"
+        """The link that opens the page in any browser on this machine."""
 
     def _repr_html_(self) -> str:
         return (
@@ -34,20 +68,16 @@ class Explorer:
         )
 
     def close(self) -> None:
-        """End the server."""
-        self.process.terminate()
-        self.process.wait()
-        if self.process.stdout is not None:
-            self.process.stdout.close()
-        atexit.unregister(self.close)
+        """End the server, and with it all pages of this process."""
+        self.server.close()
 
 
 def explore(walker: Walker, *, height: int = HEIGHT) -> Explorer:
     """The page of `walker-jax explore` in a notebook: a basin that follows sliders, and walks.
 
-    A server starts in a process of its own, on this machine's loopback interface; it ends with this
-    process, or by `.close()`. The notebook's browser must be on the same machine; elsewhere,
-    forward the port of `.link`.
+    One server, in a process of its own on this machine's loopback interface, serves all pages of
+    this process; it ends with this process, or by `.close()`. The notebook's browser must be on the
+    same machine; elsewhere, forward the port of `.link`.
 
     **Arguments:**
 
@@ -65,7 +95,7 @@ def explore(walker: Walker, *, height: int = HEIGHT) -> Explorer:
         raise WrongUse(f"walker must be one of {known}, not a {type(walker).__name__}")
     for option in chosen_options(walker):
         raise WrongUse(f"walker must have no {option}, unlike {walker}")
-    command = [sys.executable, "-m", "walker_jax", "explore", "--no-browser", "--walker", names[0]]
-    for one in parameters(walker):
-        command += [f"--{one.name.replace('_', '-')}", repr(float(getattr(walker, one.name)))]
-    return Explorer(command, height)
+    values = {one.name: float(getattr(walker, one.name)) for one in parameters(walker)}
+    if not (started and started[0].serves):
+        started[:] = [PageServer()]
+    return Explorer(started[0], {"walker": names[0]} | values, height)

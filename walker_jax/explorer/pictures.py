@@ -6,7 +6,7 @@ second is its number of strides, up to `MOST_STRIDES`.
 
 The attractors of a walker are those to which walkers converge from a sample of its home window, in
 the order in which `wj.basin` numbers them, and then those of walkers that remain. One thread alone
-calls these functions.
+calls `label_tiles`, which remembers them.
 """
 
 from collections import OrderedDict
@@ -32,7 +32,8 @@ from walker_jax.gaits.search import find_gait
 from walker_jax.integrators.solvers import default_tolerance
 from walker_jax.walking.outcomes import Outcome
 
-UNMATCHED, FIRST_ATTRACTOR = 8, 16
+UNMATCHED, FIRST_ATTRACTOR = 32, 64
+"""Labels beyond those of all outcomes."""
 MOST_STRIDES = 255
 STRIDES = 200
 """Strides for which a walker is followed, as by `wj.basin`."""
@@ -56,32 +57,21 @@ class Known(NamedTuple):
 
 
 known: OrderedDict[Subject, Known] = OrderedDict()
-last_gaits: dict[str, Float[np.ndarray, " section"]] = {}
-"""The gait that was found last, for each walker by name: a guess of the next one."""
 
 
-def recall(subject: Subject) -> Known:
-    """What is known of a subject; found when it is first asked for."""
-    if subject not in known:
-        at = plane_of(subject)
-        grid = home_of(subject.name, subject.section).grid(
-            subject, Rectangle(0, (0, 0), HOME_CELLS), at
-        )
-        shares = (np.indices(SAMPLE).reshape(2, -1).T + 0.5) / SAMPLE
-        mapper = Mapper(subject.walker, [], TOLERANCE, STRIDES)
-        mapper = mapper.with_attractors_from(grid.points_at(shares))
-        known[subject] = Known(mapper.with_sorted_attractors(), at)
-    known.move_to_end(subject)
-    while len(known) > REMEMBERED:
-        known.popitem(last=False)
-    return known[subject]
+def find_attractors(subject: Subject) -> Known:
+    """The attractors of a subject, from the sample of its home window, and its plane."""
+    at = plane_of(subject)
+    home = home_of(subject.name, subject.section)
+    grid = home.grid(subject, Rectangle(0, (0, 0), HOME_CELLS), at)
+    shares = (np.indices(SAMPLE).reshape(2, -1).T + 0.5) / SAMPLE
+    mapper = Mapper(subject.walker, [], TOLERANCE, STRIDES)
+    mapper = mapper.with_attractors_from(grid.points_at(shares))
+    return Known(mapper.with_sorted_attractors(), at)
 
 
 def plane_of(subject: Subject) -> tuple[float, ...]:
-    """The coordinates of the section beyond the second; those of the gait where none are given.
-
-    Where no gait is found, those of the one that was found last.
-    """
+    """The coordinates of the section beyond the second; those of the gait where none are given."""
     if None in subject.at:
         state = gait_state(subject)
         given = zip(subject.at, state[2:].tolist(), strict=True)
@@ -90,32 +80,42 @@ def plane_of(subject: Subject) -> tuple[float, ...]:
 
 
 def gait_state(subject: Subject) -> Float[np.ndarray, " section"]:
-    """The first state of the gait, by a search from the gait that was found last."""
-    guess = last_gaits.get(subject.name)
-    if guess is None:
-        guess = np.array(home_of(subject.name, subject.section).gait)
+    """The first state of the gait; where there is none, of that of the default parameters.
+
+    It depends on the subject alone: so pictures, copies and data of all who ask are of one plane.
+    """
+    guess = np.array(home_of(subject.name, subject.section).gait)
     found = find_gait(subject.walker, guess)
     if not found.found:
         found = find_gait(subject.walker)
-    if found.found:
-        last_gaits[subject.name] = np.asarray(found.states[0])
-    return last_gaits.get(subject.name, guess)
+    return np.asarray(found.states[0]) if found.found else guess
 
 
 def label_tiles(subject: Subject, tiles: Sequence[Tile]) -> list[bytes]:
     """The labels of the cells of tiles, then their strides, by direct iteration.
 
-    The last axis is the fastest.
+    The last axis is the fastest. The attractors are remembered.
     """
-    home, (mapper, at) = home_of(subject.name, subject.section), recall(subject)
+    before = known[subject] if subject in known else find_attractors(subject)
+    found, known[subject] = label_cells(subject, before, tiles)
+    known.move_to_end(subject)
+    while len(known) > REMEMBERED:
+        known.popitem(last=False)
+    return found
+
+
+def label_cells(
+    subject: Subject, before: Known, tiles: Sequence[Tile]
+) -> tuple[list[bytes], Known]:
+    """The same, from what is known of the subject; and what is known then."""
+    home, (mapper, at) = home_of(subject.name, subject.section), before
     grids = [home.grid(subject, cells_of(tile), at) for tile in tiles]
     indices = np.arange(TILE * TILE)
     labels = mapper(np.concatenate([grid.centres(indices) for grid in grids]))
     mapper = match_remaining(mapper, labels)
-    known[subject] = Known(mapper, at)
     label, strides = in_bytes(labels.fate, labels.attractor, labels.strides)
     pairs = zip(np.split(label, len(tiles)), np.split(strides, len(tiles)), strict=True)
-    return [one.tobytes() + its_strides.tobytes() for one, its_strides in pairs]
+    return [one.tobytes() + its_strides.tobytes() for one, its_strides in pairs], Known(mapper, at)
 
 
 def match_remaining(mapper: Mapper, labels: Labels) -> Mapper:

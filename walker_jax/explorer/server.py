@@ -6,13 +6,15 @@ import secrets
 import socket
 import sys
 import webbrowser
+from ipaddress import ip_address
 from typing import Any
 from urllib.parse import urlencode
 
 import uvicorn
 
 from walker_jax.checks import ComputationFailed
-from walker_jax.explorer.guard import LOOPBACK, Guard
+from walker_jax.explorer.connection import Connection
+from walker_jax.explorer.guard import Guard, in_link
 from walker_jax.explorer.service import make_app
 
 TOKEN_VARIABLE = "WALKER_JAX_TOKEN"
@@ -46,19 +48,44 @@ def listen(host: str, port: int) -> socket.socket:
     return listener
 
 
+def names_of(host: str, listener: socket.socket) -> tuple[str, ...]:
+    """The names by which a page may call this machine, that of its link first.
+
+    The host as it was given, and localhost; of all interfaces the machine's own name, too.
+    """
+    given = in_link(host)
+    if ip_address(listener.getsockname()[0]).is_unspecified:
+        own = (socket.gethostname(), socket.getfqdn())
+        known = can_be_found(own[0])
+        return (*own, "localhost", given) if known else ("localhost", *own, given)
+    return given, "localhost"
+
+
+def can_be_found(name: str) -> bool:
+    """Whether a name has an address."""
+    try:
+        return bool(socket.getaddrinfo(name, None))
+    except OSError:
+        return False
+
+
 def link_to(host: str, port: int, token: str, state: dict[str, Any]) -> str:
     """The link that opens the page, in a state."""
-    shown = f"[{host}]" if ":" in host else host
     fragment = f"#{urlencode(state)}" if state else ""
-    return f"http://{shown}:{port}/?{urlencode({'token': token})}{fragment}"
+    return f"http://{host}:{port}/?{urlencode({'token': token})}{fragment}"
 
 
-def make_server(listener: socket.socket, token: str, first: dict | None = None) -> Server:
-    """The server of the page on a socket, to be run with it; see `make_app` for `first`."""
-    host, port = listener.getsockname()[:2]
-    names = (*LOOPBACK, f"[{host}]" if ":" in host else host)
+def make_server(
+    listener: socket.socket, token: str, names: tuple[str, ...], first: dict | None = None
+) -> Server:
+    """The server of the page on a socket, to be run with it.
+
+    See `names_of` for the names, and `make_app` for `first`.
+    """
+    guard = Guard(make_app(first), token=token, names=names, port=listener.getsockname()[1])
     config = uvicorn.Config(
-        Guard(make_app(first), token=token, hosts=names, port=port),
+        guard,
+        http=Connection,
         log_level="warning",
         access_log=False,
         server_header=False,
@@ -78,15 +105,20 @@ def run_server(
     """
     listener = listen(host, port)
     token = os.environ.get(TOKEN_VARIABLE) or secrets.token_urlsafe(24)
-    server = make_server(listener, token, {"walker": walker, "parameters": values})
-    if host not in LOOPBACK:
+    names = names_of(host, listener)
+    server = make_server(listener, token, names, {"walker": walker, "parameters": values})
+    address, port = listener.getsockname()[:2]
+    if not ip_address(address).is_loopback:
         print(
             f"walker-jax: listening on {host}, which other machines may reach: "
             "whoever has the link can compute here, and the link is sent in the clear",
             file=sys.stderr,
         )
-    link = link_to(host, listener.getsockname()[1], token, {"walker": walker} | values)
+    link = link_to(names[0], port, token, {"walker": walker} | values)
     print(link, flush=True)
-    if browser:
-        webbrowser.open(link)
+    if browser:  # whose command line others may see: so it has a path that leads to the link once
+        path = f"/open/{secrets.token_urlsafe(24)}"
+        guard: Any = server.config.app
+        guard.links[path] = link
+        webbrowser.open(f"http://{names[0]}:{port}{path}")
     server.run(sockets=[listener])

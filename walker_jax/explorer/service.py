@@ -7,6 +7,7 @@ something newer, is cancelled: between two batches, or by an interrupt of the wo
 
 import asyncio
 import json
+import logging
 import struct
 import time
 from collections.abc import AsyncIterator, Callable
@@ -29,12 +30,7 @@ from walker_jax.checks import ComputationFailed, WrongUse
 from walker_jax.explorer import copies, measures, pictures, walks
 from walker_jax.explorer.family import describe_family
 from walker_jax.explorer.guard import TooLong, refuse
-from walker_jax.explorer.lattice import (
-    Tile,
-    home_of,
-    read_rectangle,
-    read_tiles,
-)
+from walker_jax.explorer.lattice import Rectangle, Tile, home_of, read_rectangle, read_tiles
 from walker_jax.explorer.subjects import (
     METHODS,
     Subject,
@@ -46,7 +42,7 @@ from walker_jax.explorer.subjects import (
     read_subject,
     whole,
 )
-from walker_jax.explorer.workers import Busy, Failure, Workers
+from walker_jax.explorer.workers import SAID, Busy, Failure, Workers
 
 BODY_SECONDS = 10.0
 """Seconds in which a request must have come."""
@@ -58,6 +54,8 @@ MAX_PICTURES = 64
 """Pictures at once; more are refused."""
 MAX_RECTANGLES = 4
 """Grids of cell mapping in a request, coarse ones first."""
+MANY_CELLS = 2**17
+"""Cells of a rectangle, beyond which it is long: a stride of each takes 0.15 s."""
 TYPES = {
     "html": "text/html; charset=utf-8",
     "css": "text/css; charset=utf-8",
@@ -118,9 +116,7 @@ class Service:
         """The home window of a walker on a section, and the sizes in which it is drawn."""
         subject = read_subject(await read_json(request))
         await self.ready(subject)
-        home = home_of(subject.name, subject.section)
-        leg = await self.quick.run(walks.leg_of, subject)
-        return JSONResponse({**home._asdict(), "leg": leg._asdict()})
+        return JSONResponse(home_of(subject.name, subject.section)._asdict())
 
     async def picture(self, request: Request) -> Response:
         """A stream of frames: the attractors, then tiles, in the order of asking."""
@@ -136,21 +132,10 @@ class Service:
             if not isinstance(rectangles, list) or not 1 <= len(rectangles) <= MAX_RECTANGLES:
                 raise WrongUse(f"rectangles must be a list of 1 to {MAX_RECTANGLES}")
             work = self.rectangles(subject, list(map(read_rectangle, rectangles)))
+        await self.ready(subject)
         if self.pictures >= MAX_PICTURES:
             raise Busy
-        await self.ready(subject)
-        return StreamingResponse(self.counted(work), media_type="application/octet-stream")
-
-    async def counted(self, frames: AsyncIterator[bytes]) -> AsyncIterator[bytes]:
-        """The same frames, while the picture counts as one; a failure becomes a frame."""
-        self.pictures += 1
-        try:
-            async for one in frames:
-                yield one
-        except (ComputationFailed, WrongUse) as error:
-            yield frame(FAILED, {"error": str(error)})
-        finally:
-            self.pictures -= 1
+        return Picture(self, work)
 
     async def tiles(self, subject: Subject, tiles: list[Tile]) -> AsyncIterator[bytes]:
         """Frames of a picture by direct iteration."""
@@ -173,7 +158,11 @@ class Service:
     async def rectangles(self, subject: Subject, rectangles: list) -> AsyncIterator[bytes]:
         """Frames of a picture by cell mapping."""
         for i, cells in enumerate(rectangles):
-            found, attractors = await self.quick.run(pictures.map_rectangle, subject, cells)
+            asked = pictures.map_rectangle, subject, cells
+            if is_long(cells):
+                found, attractors = await self.workers.ask(*asked, long=True, keep=False)
+            else:
+                found, attractors = await self.quick.run(*asked)
             yield frame(WORDS, {"attractors": pictures.describe_attractors(attractors), "at": []})
             yield frame(CELLS, struct.pack("<I", i) + found)
 
@@ -184,11 +173,25 @@ class Service:
         start = read_start(subject, asked.get("start"))
         count = whole("strides", asked.get("strides", 20), 1, walks.MAX_STRIDES)
         impulse = asked.get("push")
+        given = None if impulse is None else np.array(numbers("push", impulse, (2,)))
         await self.ready(subject)
+        work = self.follow(subject, start, given, count)
+        return JSONResponse(await unless_gone(request, work))
+
+    async def follow(
+        self, subject: Subject, start: np.ndarray, impulse: np.ndarray | None, count: int
+    ) -> dict:
+        """Strides after a push, some at a time."""
         if impulse is not None:
-            given = np.array(numbers("push", impulse, (2,)))
-            start = await self.quick.run(walks.push, subject, start, given)
-        return JSONResponse(await self.quick.run(walks.follow, subject, start, count))
+            start = await self.quick.run(walks.push, subject, start, impulse)
+        made = []
+        while True:
+            some = min(walks.STRIDES_AT_ONCE, count - len(made))
+            found = await self.quick.run(walks.follow, subject, start, some)
+            made += found["strides"]
+            if found["next"] is None or len(made) >= count:
+                return found | {"strides": made}
+            start = np.array(found["next"])
 
     async def measure(self, request: Request) -> Response:
         """What takes longer than a picture; see `measures`."""
@@ -199,7 +202,7 @@ class Service:
             work = self.workers.ask(measures.gaits, subject)
         elif kind == "area":
             cells = read_rectangle(asked.get("cells"))
-            work = self.workers.ask(measures.area, subject, cells)
+            work = self.workers.ask(measures.area, subject, cells, long=is_long(cells))
         elif kind == "disturbance":
             work = self.workers.ask(measures.disturbance, subject, long=True)
         elif kind == "bifurcation":
@@ -217,7 +220,8 @@ class Service:
     async def data(self, request: Request) -> Response:
         """The data of a rectangle, a Zarr store in a zip archive."""
         subject, cells, method = await self.wanted(request)
-        work = self.workers.ask(measures.data, subject, cells, method, keep=False)
+        asked = measures.data, subject, cells, method
+        work = self.workers.ask(*asked, long=is_long(cells), keep=False)
         return Response(await unless_gone(request, work), media_type="application/zip")
 
     async def wanted(self, request: Request) -> tuple[Subject, Any, str]:
@@ -237,8 +241,35 @@ class Service:
 def compile_programs(subject: Subject) -> None:
     """Do once what pictures and walks need, so that they need not wait for a compiler."""
     gait = np.array(home_of(subject.name, subject.section).gait)
-    pictures.label_tiles(subject, [Tile(-3, 0, 0)])
+    pictures.label_cells(subject, pictures.find_attractors(subject), [Tile(-3, 0, 0)])
     walks.follow(subject, gait, 1)
+
+
+def is_long(cells: Rectangle) -> bool:
+    """Whether a rectangle has so many cells that one worker alone takes it."""
+    return cells.shape[0] * cells.shape[1] > MANY_CELLS
+
+
+class Picture(StreamingResponse):
+    """A stream of frames, counted while it lasts; a failure becomes a frame."""
+
+    def __init__(self, service: Service, frames: AsyncIterator[bytes]):
+        super().__init__(self.whole(frames), media_type="application/octet-stream")
+        self.service = service
+
+    async def whole(self, frames: AsyncIterator[bytes]) -> AsyncIterator[bytes]:
+        try:
+            async for one in frames:
+                yield one
+        except (ComputationFailed, WrongUse, Failure, Busy) as error:
+            yield frame(FAILED, {"error": reason_of(error)})
+
+    async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
+        self.service.pictures += 1
+        try:
+            await super().__call__(scope, receive, send)
+        finally:
+            self.service.pictures -= 1
 
 
 async def unless_gone(request: Request, work: Any) -> Any:
@@ -277,18 +308,26 @@ def frame(kind: int, content: dict | bytes) -> bytes:
     return struct.pack("<IB", len(body), kind) + body
 
 
+def reason_of(error: Exception) -> str:
+    """Why a computation failed; of what the package itself has not raised, the kind alone."""
+    if isinstance(error, Failure):
+        kind, message = error.args
+        return message if kind == SAID else f"the computation failed ({kind})"
+    if isinstance(error, Busy):
+        return "too much is waiting: try again in a moment"
+    return str(error)
+
+
 def refused(request: Request, error: Exception) -> Response:
     """The answer where a request is wrong, or a computation fails."""
     if isinstance(error, WrongParameter):
         return JSONResponse({"error": str(error), "parameter": error.args[1]}, 400)
     if isinstance(error, WrongUse):
         return refuse(400, str(error))
-    if isinstance(error, ComputationFailed):
-        return refuse(422, str(error))
-    if isinstance(error, Failure):
-        return refuse(422, str(error.args[1]))
+    if isinstance(error, (ComputationFailed, Failure)):
+        return refuse(422, reason_of(error))
     if isinstance(error, Busy):
-        return refuse(503, "too much is waiting: try again in a moment", {"retry-after": "1"})
+        return refuse(503, reason_of(error), {"retry-after": "1"})
     if isinstance(error, TooLong):
         return refuse(413, "the request is too long")
     if isinstance(error, TimeoutError):
@@ -311,6 +350,12 @@ def make_app(first: dict | None = None) -> Starlette:
     """
     service, files = Service(), page_files()
 
+    async def prepare(asked: dict) -> None:
+        try:
+            await service.ready(read_subject(asked))
+        except (WrongUse, ComputationFailed) as error:  # which the page will say, too
+            logging.getLogger("uvicorn.error").warning("walker-jax: %s", error)
+
     async def page(request: Request) -> Response:
         name = request.path_params.get("name", "index.html")
         if name not in files:
@@ -321,7 +366,7 @@ def make_app(first: dict | None = None) -> Starlette:
     @asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
         if first is not None:
-            app.state.preparing = asyncio.create_task(service.ready(read_subject(first)))
+            app.state.preparing = asyncio.create_task(prepare(first))
         yield
         await run_in_threadpool(service.workers.stop)
 

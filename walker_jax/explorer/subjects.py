@@ -58,7 +58,7 @@ class Subject(NamedTuple):
 
 
 class WrongParameter(WrongUse):
-    """A value that a walker refuses; the second argument is the name of its parameter."""
+    """A value of a slider is refused; the second argument is the slider's name."""
 
     def __str__(self):
         return str(self.args[0])
@@ -74,13 +74,15 @@ def read_subject(asked: Any) -> Subject:
     for parameter in given:
         if parameter not in known:
             raise WrongUse(f"{short(parameter)} is not a parameter of {name}")
-    values = {one: number(one, given.get(one, known[one].default)) for one in known}
+    values = {one: slider_number(one, given.get(one, known[one].default)) for one in known}
     try:
         kind(**values)
     except WrongUse as error:
         reason = str(error)
-        named = [one for one in known if reason.startswith(f"{one} ")]
-        raise WrongParameter(reason, named[0] if named else next(iter(known))) from None
+        for one in known:
+            if reason.startswith(f"{one} "):
+                raise WrongParameter(reason, one) from None
+        raise
     section = choice("section", asked.get("section", SECTIONS[0]), SECTIONS)
     return Subject(name, tuple(values.values()), section, read_slice(kind, asked.get("at", {})))
 
@@ -91,8 +93,8 @@ def read_slice(kind: type[Walker], asked: Any) -> tuple[float | None, ...]:
     for name in given:
         if name not in others:
             raise WrongUse(f"at must name coordinates among {others}, not {short(name)}")
-    values = ((name, given.get(name)) for name in others)
-    return tuple(None if value is None else number(name, value) for name, value in values)
+    values = ((f"at_{name}", given.get(name)) for name in others)
+    return tuple(None if value is None else slider_number(name, value) for name, value in values)
 
 
 def read_start(subject: Subject, asked: Any) -> Float[np.ndarray, " coordinates"]:
@@ -122,6 +124,14 @@ def number(name: str, value: Any) -> float:
     if not is_number(value) or not abs(value) <= LARGEST:  # nor so for NaN
         raise WrongUse(f"{name} must be a number of at most {LARGEST:g}, not {short(value)}")
     return float(value)
+
+
+def slider_number(name: str, value: Any) -> float:
+    """The same; a refusal names the slider."""
+    try:
+        return number(name, value)
+    except WrongUse as error:
+        raise WrongParameter(str(error), name) from None
 
 
 def whole(name: str, value: Any, least: int, most: int) -> int:

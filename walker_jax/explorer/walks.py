@@ -24,6 +24,8 @@ from walker_jax.walking.stepping import full_state, state_after
 
 MAX_STRIDES = 60
 """Strides of one answer."""
+STRIDES_AT_ONCE = 6
+"""Strides between which others take their turn."""
 FRAME = 0.06
 """Time between frames, 60 in a stride: a cubic through states and rates is exact enough between."""
 
@@ -47,23 +49,24 @@ def follow(subject: Subject, start: Float[np.ndarray, " coordinates"], count: in
     There is no next one after a failure. Each stride has its `start`, `outcome`, `duration` (of a
     failure, of what there is to see) and `frames`, rows of theta, phi, thetadot and phidot. Those
     of a walker with knees are of a `BentState`; a state of the legs alone has its knees locked.
+    `leg` has the sizes in which the walker is drawn.
     """
-    made = []
+    made, leg = [], leg_of(subject)._asdict()
     for _ in range(count):
         walker = walker_from(subject, start)
         stride = strides(walker, start[None])
         outcome = Outcome(int(stride.outcome[0]))
         if outcome == Outcome.OUTSIDE:
             made.append(end(walker, start, outcome, 0.0, None))
-            return {"strides": made, "next": None}
+            return {"strides": made, "next": None, "leg": leg}
         if outcome != Outcome.STRIDE:
             made.append(fall(walker, start, outcome))
-            return {"strides": made, "next": None}
+            return {"strides": made, "next": None, "leg": leg}
         duration = float(stride.time[0])
         times = np.linspace(0, duration, 1 + max(8, round(duration / FRAME)))
         made.append(end(walker, start, outcome, duration, states_at(walker, start, times)))
         start = np.asarray(stride.state[0])
-    return {"strides": made, "next": start.tolist()}
+    return {"strides": made, "next": start.tolist(), "leg": leg}
 
 
 def walker_from(subject: Subject, start: Float[np.ndarray, " coordinates"]) -> Walker:

@@ -21,6 +21,8 @@ from typing import Any
 
 import jax
 
+from walker_jax.checks import ComputationFailed, WrongUse
+
 WORKERS = 2
 """Processes: one for what is long, and one more for what is short."""
 GRACE = 5.0
@@ -31,6 +33,8 @@ MAX_WAITING = 64
 """Jobs that wait; more are refused."""
 NICENESS = 10
 """By how much the priority of workers is lower than that of pictures."""
+SAID = "said"
+"""The kind of a failure whose message is for those who ask."""
 SETTINGS = (
     "jax_enable_x64",
     "jax_compilation_cache_dir",
@@ -48,7 +52,7 @@ class Interrupted(BaseException):
 
 
 class Failure(Exception):
-    """What a worker raised: the name of the kind, and the message."""
+    """What a worker raised: its kind, `SAID` or the name of the exception, and the message."""
 
 
 def serve(connection: Connection, settings: dict[str, Any]) -> None:
@@ -95,6 +99,8 @@ def answer(function: Callable, arguments: tuple) -> tuple[str, Any]:
             signal.signal(signal.SIGINT, signal.SIG_IGN)
     except Interrupted:
         return "interrupted", None
+    except (WrongUse, ComputationFailed) as error:
+        return SAID, str(error)
     except Exception as error:
         return type(error).__name__, str(error)
 
@@ -146,7 +152,7 @@ class Worker:
             return self.connection.recv()
         except (EOFError, OSError):
             self.process = None
-            return "died", "the process that computed this has died"
+            return SAID, "the process that computed this has died"
         finally:
             self.at_work = False
 

@@ -158,6 +158,12 @@ SLOPE = Parameter("slope", "of the ground", "rad", 0.004, high=np.pi / 2, span=(
 UNDESCRIBED = Parameter("", "", "", low=-np.inf)
 
 
+def slopes_of(kind: type[Walker]) -> tuple[float, float]:
+    """The ends of the slopes over which gaits are followed unless others are given."""
+    ends = next(one.span for one in parameters(kind) if one.name == "slope")
+    return SLOPE.span if np.isnan(ends[0]) else ends
+
+
 def check_parameter(walker: Walker, parameter: str, *values: float) -> None:
     """Refuse a parameter that the walker does not have, and values that its constructor refuses."""
     check_kind("walker", walker, Walker)

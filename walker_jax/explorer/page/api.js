@@ -13,7 +13,7 @@ export class Refused extends Error {
   }
 }
 
-export const connection = new EventTarget(); // "gone", "back"
+export const connection = new EventTarget(); // "gone", "back", "other"
 let gone = false;
 
 async function send(path, body, signal) {
@@ -101,8 +101,9 @@ async function lose() {
     await wait(PAUSE);
     const answer = await fetch("/api/alive", { headers: HEADERS }).catch(() => null);
     if (answer === null) continue;
-    gone = !answer.ok;
-    connection.dispatchEvent(new Event(answer.ok ? "back" : "other"));
-    if (answer.ok) return;
+    if (answer.status === 403) connection.dispatchEvent(new Event("other")); // of another token
+    if (!answer.ok) continue; // too busy, perhaps
+    gone = false;
+    return connection.dispatchEvent(new Event("back"));
   }
 }

@@ -1,6 +1,6 @@
 // The walker's controls, from what the server says of its parameters.
 
-import { SYMBOLS, spaced } from "./words.js";
+import { SYMBOLS, UNITS, spaced } from "./words.js";
 
 export class Controls {
   constructor(form, state) {
@@ -55,8 +55,10 @@ export class Controls {
     Object.assign(range, { min: one.low, max: one.high, step: one.step });
     range.addEventListener("input", () => set(Number(range.value)));
     typed.addEventListener("input", () => {
-      if (typed.value !== "" && Number.isFinite(typed.valueAsNumber)) set(typed.valueAsNumber);
+      if (Number.isFinite(typed.valueAsNumber)) set(typed.valueAsNumber);
+      else fail("A number is needed here");
     });
+    typed.addEventListener("blur", () => typed.value === "" && show());
     const show = () => {
       const now = value();
       if (now > Number(range.max)) range.max = now;
@@ -79,7 +81,7 @@ export class Controls {
   sliceSlider(name) {
     const { state } = this;
     const span = 0.3;
-    const one = { name: `at_${name}`, unit: "rad / √(l/g)", low: -span, high: span, step: 0.001, meaning: "where the slice is" };
+    const one = { name: `at_${name}`, unit: UNITS[name] ?? "rad", low: -span, high: span, step: 0.001, meaning: "where the slice is" };
     const row = this.slider(one, {
       title: `slice at ${SYMBOLS[name] ?? spaced(name)}`,
       value: () => state.at[name] ?? this.gait?.[name] ?? 0,
@@ -94,7 +96,7 @@ export class Controls {
       const { [name]: _, ...rest } = state.at;
       state.change("slice", { at: rest });
     });
-    row.querySelector("label").append(" ", button);
+    row.append(button);
     return row;
   }
 

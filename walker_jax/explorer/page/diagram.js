@@ -157,9 +157,9 @@ export class Diagram extends EventTarget {
   /** The diagram in words. */
   note() {
     if (!this.data) return "";
-    const [below] = this.data.lost;
+    const [below, above] = this.data.lost; // no upper one where some walk at the highest slope
     const doublings = this.data.events.filter((one) => one.cascade && !one.fold).map((one) => one.slope);
     const first = doublings.length ? `the gait first doubles its period at ${number(Math.min(...doublings), 5)}` : "no period doubling";
-    return `Solid: stable gaits; dashed: unstable ones; dots: attractors. ${first[0].toUpperCase()}${first.slice(1)}${below ? `; walking is lost near ${number(below, 3)}` : ""}.`;
+    return `Solid: stable gaits; dashed: unstable ones; dots: attractors. ${first[0].toUpperCase()}${first.slice(1)}${below && above ? `; walking is lost near ${number(below, 3)}` : ""}.`;
   }
 }

@@ -1,8 +1,19 @@
 // The view and the lattice of cells under it. Places are counted in cells of level 0 from the lower
 // corner of the home window: so panning and zooming are exact, however far in.
 
+/** The view nearest to another that can be shown. */
+export function clampView({ home, levels, farthest }, { centre, zoom }) {
+  const between = (low, value, high) => Math.min(high, Math.max(low, value));
+  return {
+    centre: centre.map((c, k) => between((-farthest / 2) * home[k], c, (farthest / 2) * home[k])),
+    zoom: between(levels[0] + 1, zoom, levels[1] - 2),
+  };
+}
+
 export class Lattice {
-  constructor({ tile, home, levels }, window) {
+  constructor(about, window) {
+    const { tile, home, levels } = about;
+    this.about = about;
     this.tile = tile;
     this.home = home;
     this.levels = levels;

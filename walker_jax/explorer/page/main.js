@@ -12,10 +12,12 @@ import { Stage } from "./stage.js";
 import { State } from "./state.js";
 import { TakeAway } from "./takeaway.js";
 import { Walk } from "./walk.js";
-import { SYMBOLS, count, decimals, number } from "./words.js";
+import { SYMBOLS, count, decimals, multipliers, spaced } from "./words.js";
 
 const $ = (selector) => document.querySelector(selector);
 const OUTSIDE = 5; // the outcome of a start that is not feasible
+const PUSHES = { "[": -0.01, "]": 0.01 }; // along the slope, by keys
+const WALK_REST = 300; // ms without a change of parameters, after which the walk begins anew
 const MOVED_REST = 50; // ms between two requests while the view moves
 const MAPPED_REST = 160; // ms without a change of view, after which cells are mapped anew
 
@@ -30,20 +32,22 @@ async function begin() {
   const diagram = new Diagram($("#diagram"), palette);
   const facts = new Facts(document, about);
   const controls = new Controls($(".controls"), state);
-  let lattice = null, home = null, homeKey = "", asking = 0;
+  let lattice = null, homeKey = "", asking = 0, walking = 0; // no lattice while another is awaited
 
   // ---------------------------------------------------------------- the picture
 
   async function loadHome() {
     const key = `${state.walker} ${state.section}`;
     if (key === homeKey) return true;
+    homeKey = "";
+    lattice = null;
+    picture.stop();
     say(`Preparing the ${state.walker.replaceAll("-", " ")} walker`, true);
     const { walker, section } = state;
-    const found = await ask("/api/home", { walker, section });
+    const home = await ask("/api/home", { walker, section });
     if (key !== `${state.walker} ${state.section}`) return false; // another one by now
     say("");
     homeKey = key;
-    home = found;
     lattice = new Lattice(about.lattice, home);
     map.axes = state.axes;
     map.setLattice(lattice, state.view);
@@ -63,17 +67,19 @@ async function begin() {
     } catch (error) {
       return complain(error);
     }
-    stage.slope = state.parameters.slope ?? 0;
+    stage.ground = state.parameters.slope ?? 0;
     map.shown = (x) => state.shown(x);
     diagram.setSlope(state.parameters.slope ?? 0);
     showPicture();
     facts.want(state, viewCells());
+    showGaits();
+    showArrow();
     stage.draw();
   }
 
   function complain(error) {
     if (error.name === "AbortError" || !(error instanceof Refused)) return;
-    if (!controls.fail(error)) say(error.message);
+    if (!controls.fail(error)) say(spaced(error.message));
   }
 
   picture.addEventListener("failed", ({ detail }) => complain(detail));
@@ -89,16 +95,19 @@ async function begin() {
     $("#progress").classList.toggle("done", picture.progress >= 1);
   });
   picture.addEventListener("finished", () => {
+    if (!lattice) return;
     facts.estimate(picture.cells(map.view), lattice, state, picture.layer.attractors);
     showLegend();
   });
   /** Ask for what a moved view is missing; what there is has been drawn already. */
   function askForView() {
     asking = 0;
+    if (!lattice) return;
     showPicture();
     facts.want(state, viewCells());
   }
   map.addEventListener("moved", () => {
+    if (!lattice) return;
     state.change("view", { view: map.view });
     if (state.method === "cell-map") {
       clearTimeout(asking);
@@ -110,15 +119,17 @@ async function begin() {
 
   // ---------------------------------------------------------------- marks and words
 
-  facts.addEventListener("gaits", () => {
+  function showGaits() {
     map.gaits = facts.gaits.map((one) => ({ ...one, shown: one.states.map((x) => state.shown(x)) }));
     map.redraw();
-  });
-  facts.addEventListener("disturbance", () => {
+  }
+  function showArrow() {
     const found = facts.disturbance ?? facts.rough;
     map.arrow = found && { from: state.shown(found.gait), to: state.shown(found.state), exact: Boolean(facts.disturbance) };
     map.redraw();
-  });
+  }
+  facts.addEventListener("gaits", showGaits);
+  facts.addEventListener("disturbance", showArrow);
 
   /** What happens from a place, in words. */
   function happens({ label, strides, layer }) {
@@ -135,10 +146,13 @@ async function begin() {
   }
 
   map.addEventListener("hover", ({ detail: place }) => {
-    if (!place) return ($("#hover").textContent = "\u00a0");
+    if (!place || !lattice) return ($("#hover").textContent = "\u00a0");
+    $("#hover").setAttribute("aria-live", map.cross ? "polite" : "off"); // of keys, not of a mouse
+    const gait = map.gaitAt(place);
     const found = picture.at(place), places = Math.max(4, 4 + Math.ceil(map.view.zoom / 3.3));
     const where = map.values(place).map((v, k) => `${SYMBOLS[state.axes[k]]} ${decimals(v, places)}`).join("   ");
-    $("#hover").textContent = `${where}   ${found ? happens(found) : ""}`;
+    const words = gait ? `${gait.stable ? "stable" : "unstable"} gait of period ${gait.period}, multipliers ${multipliers(gait)}` : "";
+    $("#hover").textContent = `${where}   ${words || (found ? happens(found) : "")}`;
   });
 
   function showLegend() {
@@ -157,7 +171,8 @@ async function begin() {
     for (const label of [...counts.keys()].sort((a, b) => order(a) - order(b))) {
       const colour = css(palette.colour(label, layer.attractors));
       const key = label >= about.labels.first + palette.basins.length ? "other attractors" : name(label);
-      rows.set(key, colour);
+      const unknown = label === about.labels.unmatched || about.fates[label]?.name === "UNDECIDED";
+      rows.set(unknown ? `${key}: ${count(counts.get(label), "cell")}` : key, colour);
     }
     $("#legend").replaceChildren(...[...rows].map(([words, colour]) => {
       const item = document.createElement("li");
@@ -171,11 +186,11 @@ async function begin() {
   // ---------------------------------------------------------------- the walk
 
   async function startWalk(x) {
-    if (!home) return;
+    clearTimeout(walking);
     state.change("start", { start: x });
     map.path = [state.shown(x)];
     map.redraw();
-    await walk.begin(state.subject(), x, home.leg);
+    await walk.begin(state.subject(), x);
     showPath();
     if (walk.playing) stage.run();
   }
@@ -187,6 +202,7 @@ async function begin() {
   }
 
   map.addEventListener("start", ({ detail }) => {
+    if (!lattice) return;
     const x = state.onSection(detail);
     startWalk([...x, ...state.kind.section.slice(2).map((name) => state.at[name] ?? controls.gait?.[name] ?? 0)]);
   });
@@ -216,19 +232,21 @@ async function begin() {
   $("#again").addEventListener("click", () => walk.again());
   $("#speed").addEventListener("change", (event) => (walk.speed = Number(event.target.value)));
   addEventListener("keydown", (event) => {
-    if (event.target.matches("input, select, button, summary") || event.ctrlKey || event.metaKey || event.altKey) return;
-    if (event.key === " ") walk.toggle();
+    const command = event.metaKey || (event.ctrlKey && !event.altKey); // brackets are typed by Alt or AltGr on many keyboards
+    if (event.target.matches("input, select, button, summary") || command) return;
+    if (event.key in PUSHES) walk.push([PUSHES[event.key], 0]);
+    else if (event.altKey) return;
+    else if (event.key === " ") walk.toggle();
     else if (event.key === ".") walk.stepOn();
-    else if (event.key === "[" || event.key === "]") walk.push([event.key === "[" ? -0.01 : 0.01, 0]);
     else return;
     event.preventDefault();
   });
 
   // ---------------------------------------------------------------- zoom, tabs, theme, take away
 
-  $("#zoom-in").addEventListener("click", () => map.zoomBy(1));
-  $("#zoom-out").addEventListener("click", () => map.zoomBy(-1));
-  $("#zoom-home").addEventListener("click", () => map.setView(lattice.whole()));
+  $("#zoom-in").addEventListener("click", () => lattice && map.zoomBy(1));
+  $("#zoom-out").addEventListener("click", () => lattice && map.zoomBy(-1));
+  $("#zoom-home").addEventListener("click", () => lattice && map.setView(lattice.whole()));
 
   const tabs = ["basin", "bifurcation"];
   function showTab() {
@@ -267,7 +285,7 @@ async function begin() {
     } catch (error) {
       if (error.name === "AbortError") return;
       diagramKey = "";
-      $("#diagram-note").textContent = error.message;
+      $("#diagram-note").textContent = error instanceof Refused ? error.message : "";
     }
   }
   diagram.addEventListener("slope", ({ detail }) => {
@@ -275,16 +293,21 @@ async function begin() {
   });
 
   new TakeAway(document, {
-    wanted: () => ({ ...state.subject(), method: state.method, cells: viewCells() }),
+    wanted: () => {
+      if (!lattice) throw new Error("The picture is not there yet");
+      return { ...state.subject(), method: state.method, cells: viewCells() };
+    },
     canvas: () => (state.tab === "basin" ? $("#map") : $("#diagram")),
     say,
-    title: () => `${state.tab}-${state.walker}-${number(state.parameters.slope ?? 0, 4)}`,
+    title: () => `${state.tab}-${state.walker}-${Number((state.parameters.slope ?? 0).toPrecision(6))}`,
   });
 
   const prefers = matchMedia("(prefers-color-scheme: dark)");
-  const chosen = () => localStorage.getItem("theme") ?? (prefers.matches ? "dark" : "light");
+  let theme = remembered("theme");
+  const chosen = () => theme ?? (prefers.matches ? "dark" : "light");
   function showTheme() {
     document.documentElement.dataset.theme = chosen();
+    $("#theme").setAttribute("aria-pressed", String(chosen() === "dark"));
     palette.use(chosen() === "dark");
     picture.changed();
     diagram.draw();
@@ -293,7 +316,8 @@ async function begin() {
   }
   prefers.addEventListener("change", showTheme);
   $("#theme").addEventListener("click", () => {
-    localStorage.setItem("theme", chosen() === "dark" ? "light" : "dark");
+    theme = chosen() === "dark" ? "light" : "dark";
+    remember("theme", theme);
     showTheme();
   });
 
@@ -303,6 +327,7 @@ async function begin() {
     if (kind === "view" || kind === "start") return;
     if (kind === "tab") return showTab();
     if (kind === "walker" || kind === "everything") {
+      clearTimeout(walking);
       controls.build();
       walk.clear();
       walk.tell();
@@ -310,7 +335,7 @@ async function begin() {
     }
     if (kind === "everything") {
       showTab();
-      if (lattice && state.view) map.view = state.view;
+      if (lattice) map.view = state.view ??= lattice.whole();
     }
     if (kind === "section") map.path = [];
     if (kind !== "method") {
@@ -319,21 +344,42 @@ async function begin() {
     }
     controls.update();
     update();
+    if (kind === "everything" && state.start) startWalk(state.start);
+    if (kind === "parameters" && walk.subject) {
+      clearTimeout(walking);
+      walking = setTimeout(() => startWalk(state.start), WALK_REST);
+    }
     if (state.tab === "bifurcation") showDiagram();
   });
   connection.addEventListener("back", () => {
     $("#gone").hidden = true;
     homeKey = "";
     update();
+    showTab();
   });
 
   // for the curious, and for tests
-  window.explorer = { state, picture, map, walk, stage, facts, get lattice() { return lattice; } };
+  window.explorer = { state, picture, map, walk, stage, facts, palette, get lattice() { return lattice; } };
 
   showTheme();
   showTab();
   await update();
   if (state.start) await startWalk(state.start);
+}
+
+/** What the browser remembers of an earlier visit: nothing in a frame in which it may not. */
+function remembered(name) {
+  try {
+    return localStorage.getItem(name);
+  } catch {
+    return null;
+  }
+}
+
+function remember(name, value) {
+  try {
+    localStorage.setItem(name, value);
+  } catch {} // for this visit, then
 }
 
 let saying = 0;

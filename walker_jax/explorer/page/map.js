@@ -1,9 +1,11 @@
 // The map: the picture with axes and marks, and what the hand does on it.
 
+import { clampView } from "./lattice.js";
 import { AXES, decimals, ticks } from "./words.js";
 
 const MARGIN = { left: 78, right: 12, top: 12, bottom: 44 };
 const FONT = "12px system-ui, sans-serif";
+const MARK = 7; // CSS pixels around the mark of a gait
 const CLICK = 5; // CSS pixels that a click may move
 const WHEEL = 0.0022; // of zoom for each pixel of a wheel
 const PATH = "#f2b632"; // as in the figures
@@ -72,6 +74,16 @@ export class BasinMap extends EventTarget {
 
   places(values) {
     return values.map((v, k) => this.lattice.place(k, v));
+  }
+
+  /** The gait whose mark is at a place. */
+  gaitAt(place) {
+    const at = this.toScreen(...place);
+    const near = (state) => {
+      const [x, y] = this.toScreen(...this.places(state));
+      return Math.hypot(x - at[0], y - at[1]) < MARK;
+    };
+    return this.gaits.find((gait) => gait.shown.some(near));
   }
 
   redraw() {
@@ -306,7 +318,7 @@ export class BasinMap extends EventTarget {
 
   zoomAt(at, by) {
     const { view, lattice } = this;
-    const zoom = Math.max(lattice.levels[0] + 1, Math.min(lattice.levels[1] - 2, view.zoom + by));
+    const { zoom } = clampView(lattice.about, { ...view, zoom: view.zoom + by });
     const place = this.toPlace(...at), scale = 2 ** (view.zoom - zoom);
     this.setView({ zoom, centre: view.centre.map((c, k) => place[k] + (c - place[k]) * scale) });
   }
@@ -316,7 +328,7 @@ export class BasinMap extends EventTarget {
   }
 
   setView(view) {
-    this.view = view;
+    this.view = clampView(this.lattice.about, view);
     this.picture.progress = 0; // until it is known what is missing
     this.redraw();
     this.moved();

@@ -1,7 +1,8 @@
 // Colours of cells: those of the figures on a light page, and on a dark one the same with their
-// lightness turned over, so that what is dark on one is light on the other and the order stays.
+// lightness turned over, so that what is dark on one is light on the other, and differences stay.
 
 const CHROMA = 0.8; // of a colour turned over: less, as it glows on a dark page
+const BOTH = 106; // the sum of a colour's lightness on both pages: above 100, as a dark page is not black
 
 export class Palette {
   constructor(about) {
@@ -65,15 +66,29 @@ function parse(hex) {
   return [1, 3, 5].map((i) => parseInt(hex.slice(i, i + 2), 16));
 }
 
-/** The colour with its lightness turned over, in OKLab (Ottosson 2020). */
+/** The colour with its lightness turned over: the hue is that of OKLab (Ottosson 2020). */
 function turned(rgb) {
-  const [L, a, b] = toLab(rgb);
-  const lightness = 0.2 + 0.68 * (1 - L) ** 0.85;
-  return fromLab([lightness, CHROMA * a, CHROMA * b]);
+  const [, a, b] = toLab(rgb), wanted = BOTH - lightness(rgb);
+  const made = (L) => fromLab([L, CHROMA * a, CHROMA * b]);
+  let low = 0, high = 1;
+  for (let k = 0; k < 14; k++) {
+    const middle = (low + high) / 2;
+    if (lightness(made(middle)) < wanted) low = middle;
+    else high = middle;
+  }
+  return made(high);
+}
+
+const linear = (rgb) => rgb.map((v) => (v <= 10.31 ? v / 255 / 12.92 : ((v / 255 + 0.055) / 1.055) ** 2.4));
+
+/** CIE L*, from 0 for black to 100 for white: by it colours differ for all eyes, also in grey. */
+function lightness(rgb) {
+  const [r, g, b] = linear(rgb);
+  return 116 * Math.cbrt(0.2126 * r + 0.7152 * g + 0.0722 * b) - 16;
 }
 
 function toLab(rgb) {
-  const [r, g, b] = rgb.map((v) => (v <= 10.31 ? v / 255 / 12.92 : ((v / 255 + 0.055) / 1.055) ** 2.4));
+  const [r, g, b] = linear(rgb);
   const l = Math.cbrt(0.4122214708 * r + 0.5363325363 * g + 0.0514459929 * b);
   const m = Math.cbrt(0.2119034982 * r + 0.6806995451 * g + 0.1073969566 * b);
   const s = Math.cbrt(0.0883024619 * r + 0.2817188376 * g + 0.6299787005 * b);
@@ -88,12 +103,12 @@ function fromLab([L, a, b]) {
   const l = (L + 0.3963377774 * a + 0.2158037573 * b) ** 3;
   const m = (L - 0.1055613458 * a - 0.0638541728 * b) ** 3;
   const s = (L - 0.0894841775 * a - 1.291485548 * b) ** 3;
-  const linear = [
+  const rgb = [
     4.0767416621 * l - 3.3077115913 * m + 0.2309699292 * s,
     -1.2684380046 * l + 2.6097574011 * m - 0.3413193965 * s,
     -0.0041960863 * l - 0.7034186147 * m + 1.707614701 * s,
   ];
-  return linear.map((v) => {
+  return rgb.map((v) => {
     const gamma = v <= 0.0031308 ? 12.92 * v : 1.055 * v ** (1 / 2.4) - 0.055;
     return Math.round(255 * Math.min(1, Math.max(0, gamma)));
   });

@@ -14,7 +14,7 @@ class Layer {
   constructor(key, body) {
     this.key = key;
     this.body = body;
-    this.tiles = new Map(); // by "level,i,j", those used last at the end
+    this.tiles = new Map(); // by "level,i,j", in the order in which they came
     this.sheets = []; // of cell mapping: whole rectangles, coarse ones first
     this.attractors = [];
     this.at = [];
@@ -48,6 +48,7 @@ export class Picture extends EventTarget {
 
   /** Show a subject in a view of so many device pixels; ask for what is missing. */
   show(state, lattice, view, pixels) {
+    if (this.lattice !== lattice) this.layer = this.below = null; // tiles of other places
     this.lattice = lattice;
     this.view = view;
     this.pixels = pixels;
@@ -67,6 +68,13 @@ export class Picture extends EventTarget {
     this.request(mapped);
   }
 
+  /** Give up what is asked for; what there is stays. */
+  stop() {
+    this.next = null;
+    this.progress = 0;
+    this.abort?.abort();
+  }
+
   /** The levels of a view: a coarse one first, then as fine as the screen shows. */
   levels() {
     const { lattice, view } = this;
@@ -79,7 +87,8 @@ export class Picture extends EventTarget {
     return [...new Set(all.map((one) => lattice.clamp(one)))];
   }
 
-  async request(mapped) {
+  /** Ask for what is missing, `total` tiles in the beginning, as much as a request may have. */
+  async request(mapped, total = 0) {
     const { layer, lattice, view } = this;
     const levels = this.levels();
     let wanted, body;
@@ -89,12 +98,15 @@ export class Picture extends EventTarget {
       body = { ...layer.body, rectangles: wanted };
       layer.sheets = [];
     } else {
-      wanted = levels.flatMap((level) => lattice.tiles(view, level)).filter((one) => !layer.tile(...one)).slice(0, 600);
+      wanted = levels.flatMap((level) => lattice.tiles(view, level)).filter((one) => !layer.tile(...one));
       if (wanted.length === 0) return this.finish();
-      body = { ...layer.body, tiles: wanted };
     }
+    const missing = wanted.length;
+    total = Math.max(total, missing);
+    wanted = wanted.slice(0, lattice.about.most);
+    if (!mapped) body = { ...layer.body, tiles: wanted };
     this.abort?.abort();
-    this.progress = 0;
+    this.progress = 1 - missing / total;
     const abort = (this.abort = new AbortController());
     const first = wanted.filter((one) => one[0] === wanted[0][0]).length;
     const empty = layer.empty;
@@ -114,7 +126,7 @@ export class Picture extends EventTarget {
         else layer.add(wanted[index], bytes);
         done += 1;
         this.stats.cells += bytes.length / 2;
-        this.progress = done / wanted.length;
+        this.progress = 1 - (missing - done) / total;
         if (done >= first) {
           this.busyWithFirst = false;
           this.below = null;
@@ -139,7 +151,9 @@ export class Picture extends EventTarget {
         queueMicrotask(next);
       }
     }
-    if (this.abort === abort && !this.next) this.finish();
+    if (this.abort !== abort || this.next) return;
+    if (missing > wanted.length) this.request(mapped, total);
+    else this.finish();
   }
 
   finish() {

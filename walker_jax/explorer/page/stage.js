@@ -5,16 +5,20 @@ import { css } from "./palette.js";
 const GHOSTS = 4; // poses at the last heel strikes
 const REACH = 26; // CSS pixels around the hip in which a hand takes hold of it
 const IMPULSE = 0.25; // of a push, for each leg's length that the hand pulls
-const KEY_IMPULSE = 0.01;
 
 export class Stage extends EventTarget {
   constructor(canvas, walk, palette) {
     super();
-    Object.assign(this, { canvas, walk, palette, slope: 0 });
+    Object.assign(this, { canvas, walk, palette, ground: 0 });
     this.context = canvas.getContext("2d");
     new ResizeObserver(() => this.resize()).observe(canvas);
     for (const event of ["changed", "stride"]) walk.addEventListener(event, () => this.run());
     this.listen();
+  }
+
+  /** The slope of the walk that is shown; of the ground where there is none. */
+  get slope() {
+    return this.walk.subject?.parameters.slope ?? this.ground;
   }
 
   resize() {
@@ -66,7 +70,7 @@ export class Stage extends EventTarget {
     const at = walk.strides.indexOf(walk.current);
     const strikes = walk.strides.slice(Math.max(0, at - GHOSTS), at);
     strikes.forEach((one, k) => {
-      if (!one.frames.length) return;
+      if (one.cut || !one.frames.length) return;
       c.globalAlpha = 0.1 + 0.07 * (k + GHOSTS - strikes.length);
       this.drawPose(c, walk.places(one.frames.at(-1), one.foot), colour("--ink"), colour("--ink"), 1.5);
     });
@@ -166,7 +170,7 @@ export class Stage extends EventTarget {
     c.font = "12px system-ui, sans-serif";
     c.textAlign = to[0] > this.size[0] / 2 ? "right" : "left";
     const size = Math.hypot(...this.impulse());
-    c.fillText(`push ${size.toFixed(4)}`, to[0] + (c.textAlign === "right" ? -10 : 10), to[1] - 8);
+    c.fillText(`push ${size.toFixed(4)} m√(gl)`, to[0] + (c.textAlign === "right" ? -10 : 10), to[1] - 8);
   }
 
   /** The impulse of the pull, along the slope and normal to it. */
@@ -208,9 +212,5 @@ export class Stage extends EventTarget {
     };
     canvas.addEventListener("pointerup", end);
     canvas.addEventListener("pointercancel", end);
-    canvas.addEventListener("keydown", (event) => {
-      const pushes = { "[": -KEY_IMPULSE, "]": KEY_IMPULSE };
-      if (event.key in pushes) this.walk.push([pushes[event.key], 0]);
-    });
   }
 }

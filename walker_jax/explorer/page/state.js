@@ -1,5 +1,7 @@
 // What the page shows, and the address bar that holds it: a link opens it again.
 
+import { clampView } from "./lattice.js";
+
 export class State extends EventTarget {
   constructor(about) {
     super();
@@ -31,7 +33,8 @@ export class State extends EventTarget {
       if (Number.isFinite(value)) this.at[name] = value; // or that of the gait
     }
     const view = (given.get("view") ?? "").split(",").map(Number);
-    this.view = view.length === 3 && view.every(Number.isFinite) ? { centre: view.slice(0, 2), zoom: view[2] } : null;
+    const whole = view.length === 3 && view.every(Number.isFinite);
+    this.view = whole ? clampView(this.about.lattice, { centre: view.slice(0, 2), zoom: view[2] }) : null;
     const start = (given.get("start") ?? "").split(",").map(Number);
     this.start = start.length === this.kind.section.length && start.every(Number.isFinite) ? start : null;
   }

@@ -17,6 +17,9 @@ export class Walk extends EventTarget {
 
   clear() {
     this.abort?.abort();
+    this.abort = null; // of the one request that is under way
+    this.following = null; // the promise of more strides
+    this.pushing = null; // the impulse of a push under way, in which time stands still
     this.strides = [];
     this.time = 0;
     this.playing = false;
@@ -25,40 +28,48 @@ export class Walk extends EventTarget {
     this.subject = null;
   }
 
-  /** Walk from a start on the section, with the leg's sizes. */
-  async begin(subject, start, leg) {
-    this.clear();
-    Object.assign(this, { subject: structuredClone(subject), start, leg });
-    await this.more({ start }, 0, 0);
-    this.playing = this.strides.length > 0 && this.strides[0].frames.length > 1;
-    this.tell();
-  }
-
-  /** Ask for the strides that follow, the first with its foot at a place, at a time. */
-  async more(from, foot, begins) {
+  /** Strides from the server: null where they are refused, or something newer is asked for. */
+  async ask(body) {
+    this.abort?.abort();
     const abort = (this.abort = new AbortController());
-    this.asking = true;
     try {
-      const body = { ...this.subject, ...from, strides: STRIDES };
-      const answer = await ask("/api/walk", body, abort.signal);
-      if (!abort.signal.aborted) this.append(answer, foot, begins);
+      const answer = await ask("/api/walk", { ...body, strides: STRIDES }, abort.signal);
+      return abort.signal.aborted ? null : answer;
     } catch (error) {
-      if (error.name !== "AbortError") this.dispatchEvent(new CustomEvent("failed", { detail: error }));
+      if (error.name === "AbortError" || abort.signal.aborted) return null;
+      this.playing = false;
+      this.dispatchEvent(new CustomEvent("failed", { detail: error }));
+      this.tell();
+      return null;
     } finally {
-      if (this.abort === abort) this.asking = false;
+      if (this.abort === abort) this.abort = null;
     }
   }
 
-  append({ strides, next }, foot, begins) {
-    this.next = next;
+  /** Walk from a start on the section; what walked before walks on until then. */
+  async begin(subject, start) {
+    subject = structuredClone(subject);
+    this.following = this.pushing = null;
+    const answer = await this.ask({ ...subject, start });
+    if (!answer) return;
+    this.clear();
+    Object.assign(this, { subject, start });
+    this.append(answer, 0, 0);
+    this.playing = this.strides[0].frames.length > 1;
+    this.tell();
+  }
+
+  append({ strides, next, leg }, foot, begins) {
+    Object.assign(this, { next, leg });
     for (const one of strides) {
-      this.strides.push({ ...one, foot, begins, ends: begins + one.duration, number: (this.strides.at(-1)?.number ?? -1) + 1 });
+      const last = this.strides.at(-1);
+      const number = last ? last.number + (last.cut ? 0 : 1) : 0; // a push cuts a stride in two
+      this.strides.push({ ...one, foot, begins, ends: begins + one.duration, number });
       begins += one.duration;
       if (one.frames.length) foot = this.nextFoot(one.frames.at(-1), foot);
     }
     this.strides.splice(0, Math.max(0, this.strides.length - KEPT));
-    const last = this.strides.at(-1);
-    this.over = !last || last.outcome !== WALKS;
+    this.over = this.strides.at(-1).outcome !== WALKS;
     this.tell();
   }
 
@@ -115,11 +126,11 @@ export class Walk extends EventTarget {
 
   /** Let time pass, in seconds of a clock. */
   advance(seconds) {
-    if (!this.playing || !this.strides.length) return;
+    if (!this.playing || this.pushing || !this.strides.length) return;
     const before = this.current;
     this.time += (seconds * this.speed) / UNIT;
     const last = this.strides.at(-1);
-    if (!this.over && !this.asking && last.ends - this.time < AHEAD * Math.max(1, this.speed)) this.goOn();
+    if (!this.over && !this.abort && last.ends - this.time < AHEAD * Math.max(1, this.speed)) this.goOn();
     if (this.time >= last.ends) {
       this.time = last.ends;
       if (this.over) {
@@ -130,18 +141,25 @@ export class Walk extends EventTarget {
     if (this.current !== before) this.dispatchEvent(new Event("stride"));
   }
 
-  /** Ask for the strides that follow the last one. */
+  /** Ask for the strides that follow the last one; whether they have come. */
   goOn() {
+    this.following ??= this.follow().finally(() => (this.following = null));
+    return this.following;
+  }
+
+  async follow() {
     const last = this.strides.at(-1);
-    return this.more({ start: this.next }, this.nextFoot(last.frames.at(-1), last.foot), last.ends);
+    const answer = await this.ask({ ...this.subject, start: this.next });
+    if (answer) this.append(answer, this.nextFoot(last.frames.at(-1), last.foot), last.ends);
+    return Boolean(answer);
   }
 
   /** To the next heel strike, and stay there. */
   async stepOn() {
     const one = this.current;
-    if (!one) return;
-    if (one === this.strides.at(-1) && !this.over) await this.goOn();
+    if (!one || (this.abort && !this.following)) return; // another walk is about to begin
     this.playing = false;
+    if (one === this.strides.at(-1) && !this.over && !(await this.goOn())) return this.tell();
     this.time = one.ends;
     this.dispatchEvent(new Event("stride"));
     this.tell();
@@ -161,24 +179,25 @@ export class Walk extends EventTarget {
     this.tell();
   }
 
-  /** A push at the hip: an impulse along the slope and normal to it; the walk goes on from there. */
+  /**
+   * A push at the hip: an impulse along the slope and normal to it; the walk goes on from there.
+   * One push after another at the same time is a push by their sum.
+   */
   async push(impulse) {
-    const state = this.state(), one = this.current;
-    if (!state || (this.over && this.time >= this.strides.at(-1).ends)) return;
-    const strides = this.strides.slice(0, this.strides.indexOf(one));
-    this.abort?.abort();
-    const time = this.time;
-    const body = { ...this.subject, start: fullState(state, one, time), push: impulse, strides: STRIDES };
-    try {
-      const answer = await ask("/api/walk", body);
-      this.strides = [...strides, { ...one, ends: time }]; // the stride that the push has cut short
-      this.pushes += 1;
-      this.append(answer, one.foot, time);
-      this.playing = true;
-      this.tell();
-    } catch (error) {
-      this.dispatchEvent(new CustomEvent("failed", { detail: error }));
-    }
+    const state = this.state(), one = this.current, time = this.time;
+    if (!state || (this.over && time >= this.strides.at(-1).ends)) return;
+    if (this.abort && !this.following && !this.pushing) return; // another walk is about to begin
+    const sum = impulse.map((part, k) => part + (this.pushing?.[k] ?? 0));
+    this.pushing = sum;
+    const answer = await this.ask({ ...this.subject, start: fullState(state, one, time), push: sum });
+    if (this.pushing === sum) this.pushing = null;
+    if (!answer) return;
+    this.strides = [...this.strides.slice(0, this.strides.indexOf(one)), { ...one, ends: time, cut: true }];
+    this.time = time;
+    this.pushes += 1;
+    this.append(answer, one.foot, time);
+    this.playing = true;
+    this.tell();
   }
 
   tell() {

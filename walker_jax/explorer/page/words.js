@@ -2,10 +2,13 @@
 
 export const SYMBOLS = { theta: "θ", thetadot: "θ̇", phidot: "φ̇", sum: "θ + θ̇" };
 
+const RATE = "rad / √(l/g)";
+export const UNITS = { thetadot: RATE, phidot: RATE };
+
 export const AXES = {
   theta: "stance leg angle θ (rad)",
   sum: "θ + θ̇ (rad, time in √(l/g))",
-  thetadot: "stance leg rate θ̇ (rad, time in √(l/g))",
+  thetadot: `stance leg rate θ̇ (${RATE})`,
 };
 
 /** A number with some significant digits, and a minus sign that is one. */
@@ -45,9 +48,14 @@ export function withError(value, error) {
 }
 
 /** A complex number, or a pair of conjugates as one. */
-export function multiplier([real, imaginary]) {
+function multiplier([real, imaginary]) {
   if (imaginary === 0) return number(real, 3);
   return `${number(real, 3)} ± ${number(Math.abs(imaginary), 3)} i`;
+}
+
+/** The Floquet multipliers of a gait. */
+export function multipliers(gait) {
+  return gait.multipliers.filter(([, imaginary]) => imaginary >= 0).map(multiplier).join(", ");
 }
 
 export function count(n, noun) {

@@ -1,0 +1,208 @@
+"""Whom the explorer's server answers, by which names, and for how long it waits for anybody."""
+
+import asyncio
+import json
+import socket
+import time
+
+import explorer_server
+import pytest
+from starlette.responses import PlainTextResponse
+
+from walker_jax.checks import WrongUse
+from walker_jax.explorer import connection, pictures, server, service, workers
+from walker_jax.explorer.family import describe_family
+from walker_jax.explorer.guard import Bucket, Guard, in_link
+from walker_jax.explorer.lattice import TILE
+from walker_jax.walking.outcomes import Outcome
+
+TILES = {"walker": "simplest", "parameters": {"slope": 0.004}, "tiles": [[0, 0, 0]]}
+
+
+@pytest.fixture(scope="module")
+def running():
+    with explorer_server.running() as found:
+        yield found
+
+
+def guarded(names=("localhost",)):
+    return Guard(PlainTextResponse("in"), token="token", names=names, port=80)
+
+
+def send(guard, path="/", query="", address="127.0.0.1", **headers: str):
+    """Status and headers of the answer to a request, without a network."""
+    told = {"host": "localhost", "x-walker-token": "token"}
+    told |= {name.replace("_", "-"): value for name, value in headers.items()}
+    scope = {
+        "type": "http",
+        "method": "GET",
+        "path": path,
+        "query_string": query.encode("latin-1"),
+        "server": (address, 80),
+        "headers": [(name.encode(), value.encode()) for name, value in told.items()],
+    }
+    got = []
+
+    async def receive():
+        return {"type": "http.request", "body": b""}
+
+    async def keep(message):
+        got.append(message)
+
+    asyncio.run(guard(scope, receive, keep))
+    return got[0]["status"], dict(got[0]["headers"])
+
+
+def test_what_other_sites_send_takes_nothing_from_the_page():
+    guard = guarded()
+    guard.requests, guard.files = Bucket(0.0, 2.0), Bucket(0.0, 3.0)
+    for site in ("cross-site", "same-site"):
+        drawn = {"sec_fetch_site": site, "sec_fetch_mode": "no-cors"}
+        assert send(guard, "/page/icon.svg", **drawn)[0] == 403
+    assert send(guard, "/api/about", x_walker_token="wrong")[0] == 403
+    link = {"sec_fetch_site": "cross-site", "sec_fetch_mode": "navigate"}
+    assert [send(guard, **link)[0] for _ in range(4)] == [200, 200, 200, 429]
+    assert [send(guard, "/api/about")[0] for _ in range(3)] == [200, 200, 429]
+
+
+def test_only_who_has_the_token_frames_the_page():
+    framed = lambda query: (
+        b"frame-ancestors" not in send(guarded(), query=query)[1][b"content-security-policy"]
+    )
+    assert framed("token=token")
+    for query in ("", "token=", "token=wrong", "token=%ff", "token=\xff", "x=token"):
+        assert not framed(query)
+
+
+def test_this_machine_goes_by_the_address_at_which_a_request_comes():
+    guard = guarded(("LocalHost", "vm"))
+    for host in ("localhost", "vm", "VM:80", "10.0.0.7", "10.0.0.7:80"):
+        assert send(guard, host=host, address="::ffff:10.0.0.7")[0] == 200
+    assert send(guard, host="[fe80::1]", address="fe80:0::1")[0] == 200
+    for host in ("10.0.0.8", "evil.example", "10.0.0.7:81", "10.0.0.7.evil.example"):
+        assert send(guard, host=host, address="10.0.0.7")[0] == 403
+    assert in_link("::1") == "[::1]" and in_link("127.0.0.2") == "127.0.0.2"
+
+
+def test_a_link_on_the_browsers_command_line_leads_to_the_page_once():
+    guard = guarded()
+    guard.links["/open/x"] = "http://localhost/?token=token#walker=simplest&slope=0.004"
+    status, headers = send(guard, "/open/x", x_walker_token="")
+    assert (status, headers[b"location"].decode()) == (
+        307,
+        "http://localhost/?token=token#walker=simplest&slope=0.004",
+    )
+    assert b"location" not in send(guard, "/open/x")[1]
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "127.0.0.2", "0.0.0.0"])
+def test_every_host_has_a_link_that_is_answered(host, monkeypatch, capsys):
+    """Also this machine's own name, where all interfaces are listened to."""
+    opened = []
+    monkeypatch.setenv(server.TOKEN_VARIABLE, "token")
+    monkeypatch.setattr(server.webbrowser, "open", opened.append)
+    ran: list = []
+    monkeypatch.setattr(server.Server, "run", lambda self, sockets: ran.append((self, sockets[0])))
+    server.run_server(host, 0, "simplest", {"slope": 0.004}, browser=True)
+    printed = capsys.readouterr()
+    ((found, listener),) = ran
+    port = listener.getsockname()[1]
+    listener.close()
+    name = socket.gethostname() if host == "0.0.0.0" else host
+    if not server.can_be_found(name):
+        name = "localhost"
+    assert printed.out == f"http://{name}:{port}/?token=token#walker=simplest&slope=0.004\n"
+    assert ("other machines" in printed.err) == (host == "0.0.0.0")
+    assert opened[0].startswith(f"http://{name}:{port}/open/") and "token" not in opened[0]
+    guard = found.config.app
+    for host_header in (name, "localhost"):
+        scope = {"server": ("127.0.0.1", port)}
+        assert f"{host_header}:{port}".lower() in guard.hosts(scope)
+    assert f"evil.example:{port}" not in guard.hosts({"server": ("127.0.0.1", port)})
+
+
+def test_labels_of_attractors_are_none_of_outcomes():
+    assert max(Outcome) < pictures.UNMATCHED < pictures.FIRST_ATTRACTOR
+    assert pictures.FIRST_ATTRACTOR + pictures.MAX_ATTRACTORS <= 256
+    lost = {code for code, one in describe_family()["fates"].items() if one["lost"]}
+    assert {Outcome.FORWARD, Outcome.BACKWARD, Outcome.SCUFFED} < lost
+    assert lost.isdisjoint({Outcome.STRIDE, Outcome.OUTSIDE, Outcome.UNDECIDED, Outcome.LEFT_GRID})
+
+
+# ---------------------------------------------------------------------------- who keeps it waiting
+
+
+def closes(other, seconds=10.0):
+    """Whether the server closes a connection within a time."""
+    other.settimeout(seconds)
+    try:
+        while other.recv(2**16):
+            pass
+    except ConnectionError:
+        pass
+    except TimeoutError:
+        return False
+    return True
+
+
+def test_a_request_that_does_not_come_is_not_waited_for(running, monkeypatch):
+    monkeypatch.setattr(connection, "HEADER_SECONDS", 0.2)
+    monkeypatch.setattr(service, "BODY_SECONDS", 0.2)
+    with socket.create_connection(("127.0.0.1", running.port)) as silent:
+        assert closes(silent)
+    with socket.create_connection(("127.0.0.1", running.port)) as slow:
+        slow.sendall(b"GET / HT")
+        assert closes(slow)
+    client = running.client()
+    client.connection.putrequest("POST", "/api/home")
+    for name, value in (
+        ("content-type", "application/json"),
+        ("content-length", "9"),
+        (explorer_server.TOKEN_HEADER, explorer_server.TOKEN),
+    ):
+        client.connection.putheader(name, value)
+    client.connection.endheaders()
+    assert client.connection.getresponse().status == 408
+
+
+def test_an_answer_that_nobody_reads_is_given_up(running, monkeypatch):
+    running.client().tiles(TILES)
+    counted = running.server.config.app.app.state.service
+    monkeypatch.setattr(connection, "READING_SECONDS", 0.3)
+    monkeypatch.setattr(
+        pictures, "label_tiles", lambda _, tiles: [bytes(200 * TILE * TILE)] * len(tiles)
+    )
+    body = json.dumps(TILES | {"tiles": [[4, i, 0] for i in range(600)]}).encode()
+    lines = (
+        "POST /api/picture HTTP/1.1",
+        f"host: 127.0.0.1:{running.port}",
+        "content-type: application/json",
+        f"{explorer_server.TOKEN_HEADER}: {explorer_server.TOKEN}",
+        f"content-length: {len(body)}",
+    )
+    with socket.create_connection(("127.0.0.1", running.port)) as other:
+        other.sendall("\r\n".join((*lines, "", "")).encode() + body)
+        stop = time.monotonic() + 20
+        while counted.pictures == 0 and time.monotonic() < stop:
+            time.sleep(0.01)
+        assert counted.pictures == 1
+        monkeypatch.setattr(service, "MAX_PICTURES", 1)
+        answer = running.client().ask("/api/picture", TILES)
+        assert answer.status == 503 and "too much is waiting" in answer.json()["error"]
+        while counted.pictures and time.monotonic() < stop:
+            time.sleep(0.05)
+        assert counted.pictures == 0
+    assert len(running.client().tiles(TILES)[1]) == 1
+
+
+def test_a_failure_is_told_in_the_packages_own_words_alone(monkeypatch):
+    monkeypatch.setattr(workers.signal, "signal", lambda *_: None)
+    assert workers.answer(int, ("secret",))[0] == "ValueError"
+    hidden = service.reason_of(workers.Failure("ValueError", "secret"))
+    assert hidden == "the computation failed (ValueError)"
+
+    def refuse():
+        raise WrongUse("slope must be above 0")
+
+    said = workers.answer(refuse, ())
+    assert service.reason_of(workers.Failure(*said)) == "slope must be above 0"
