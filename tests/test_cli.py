@@ -342,7 +342,7 @@ def test_an_interruption_is_one_line(run, monkeypatch):
 
 
 def test_a_termination_is_one_line(run, monkeypatch):
-    monkeypatch.setattr("walker_jax.walk", lambda *_: os.kill(os.getpid(), signal.SIGTERM))
+    monkeypatch.setattr("walker_jax.walk", lambda *_, **__: os.kill(os.getpid(), signal.SIGTERM))
     before = signal.getsignal(signal.SIGTERM)
     try:
         assert run("walk") == (143, "", "walker-jax: terminated\n")
@@ -1097,7 +1097,9 @@ def test_the_walkers_are_listed_with_parameters_units_and_defaults(run):
 
 def test_help_has_the_slopes_that_a_walker_has_by_default(run):
     words = lambda *arguments: " ".join(run(*arguments)[1].replace("│", " ").split())
-    assert "of the ground; rad (default: 0.004, kneed: 0.05)" in words("walk", "--help")
+    assert "of the ground; rad (default: 0.004, kneed: 0.05, spatial: 0.0702)" in words(
+        "walk", "--help"
+    )
     said = words("bifurcation", "--help")
     assert "Lowest slope, rad (default: 0.001, kneed: 0.03)" in said
     assert "Highest slope, rad (default: 0.022, kneed: 0.12)" in said

@@ -384,6 +384,7 @@ def calls() -> dict[str, dict]:
         "phase_times": start,
         "steps_to_fall": {**of_gait, "ground": 0.001, "n": 2, "limit": 2, "confidence": 0.9},
         "gait_sensitivity": {**of_gait, "disturbances": ("push",), "indicators": ("time",)},
+        "sensitivity_gradient": {**of_gait, "parameters": ("slope",)},
         "motion": {**start, "strides": 2, "step": 0.1},
         "find_gait": {**of_walker, "guess": X, "period": 1},
         "find_gaits": {**of_walker, "period": 1, "region": grid, "descent": 0},

@@ -15,7 +15,7 @@ from walker_jax.gaits.derivatives import linearise
 from walker_jax.integrators.roots import first_zero
 from walker_jax.integrators.taylor import function_series, solution_series, switching_series
 from walker_jax.multibody import System
-from walker_jax.walkers.family import WALKERS
+from walker_jax.walkers.family import PLANAR_WALKERS
 from walker_jax.walkers.masses import SingleSupport
 from walker_jax.walkers.model import Scalar, State
 from walker_jax.walkers.parameters import with_parameter
@@ -252,7 +252,7 @@ def test_walkers_of_several_masses_may_have_kinks_and_a_field_of_their_own(kind)
     )
 
 
-@pytest.mark.parametrize("kind", WALKERS.values())
+@pytest.mark.parametrize("kind", PLANAR_WALKERS.values())
 def test_the_family_is_smooth_and_pays_nothing(kind):
     walker = kind(0.01)
     state = walker.lift(jnp.full(len(walker.section), 0.1))

@@ -140,6 +140,13 @@ def test_what_is_defined_elsewhere_has_no_name():
         pass
 
     assert name_of(SimplestWalker(0.004)) is None
+    # The package makes classes with feedback as they are asked for, and several have one name.
+    fed = wj.Feedback(wj.SpringWalker(0.004, 1.0), START, {"hip_stiffness": [0.1, 0.2]})
+    assert name_of(fed) is None
+    alike = type(
+        "SimplestWalker", (wj.SimplestWalker,), {"__module__": wj.SimplestWalker.__module__}
+    )
+    assert name_of(alike(0.004)) is None
     assert name_of(function=lambda walker, x, tolerance: x) is None
     with solvers.using_solver(Mine()):
         assert name_of() is None

@@ -321,7 +321,7 @@ def test_areas_and_volumes_take_the_grids_that_they_are_of():
         wj.optimise(WALKER, bounds, "area", grid=cube(4))
     with pytest.raises(ValueError, match="objective must be area for a SimplestWalker"):
         wj.optimise(wj.SimplestWalker(0.01), {"slope": (0.001, 0.01)}, "volume")
-    with pytest.raises(ValueError, match="not both"):
+    with pytest.raises(ValueError, match="not several"):
         wj.optimise(WALKER, bounds, {"area": 1.0, "volume": 1.0})
 
 

@@ -126,10 +126,20 @@ def describe_aval(aval: Any) -> tuple:
 
 
 def place_of(thing: Any) -> str:
-    """Where a function or a class is defined; `Unknown` if not at the top of a known module."""
+    """Where a function or a class is defined; `Unknown` if it is not what a known module has there.
+
+    A class that is made at run time is not, and another may have its name.
+    """
     module, name = (str(getattr(thing, one, None)) for one in ("__module__", "__qualname__"))
-    known = module.partition(".")[0] in KNOWN and "<" not in name
-    if not known or (isinstance(thing, types.FunctionType) and not module.startswith(PACKAGE)):
+    home = PACKAGE if isinstance(thing, types.FunctionType) else module.partition(".")[0]
+    found = sys.modules.get(module)
+    if home not in KNOWN or module.partition(".")[0] != home:
+        raise Unknown
+    for part in name.split("."):
+        found = getattr(found, part, None)
+    while found is not thing and hasattr(found, "__wrapped__"):
+        found = vars(found)["__wrapped__"]
+    if found is not thing:
         raise Unknown
     return f"{module}:{name}"
 
@@ -138,8 +148,10 @@ def describe_tree(tree: Any) -> Any:
     """Node types, and what is static in them."""
     data = tree.node_data()
     if data is None:
-        return "*" if tree.num_leaves else "None"
+        return "*"
     kind, static = data
+    if kind is types.NoneType:
+        return "None"
     return place_of(kind), describe_value(static), list(map(describe_tree, tree.children()))
 
 
@@ -195,7 +207,7 @@ def build_like(like: Any) -> Any:
         return tuple(children)
     module, name = place.split(":")
     if module.partition(".")[0] != PACKAGE:
-        raise ValueError(place)
+        raise ImportError(place)
     return getattr(importlib.import_module(module), name)(*children)
 
 

@@ -30,7 +30,7 @@ GENERATED = NOT_CODE | {
     *("__dataclass_params__", "__parameters__", "__orig_bases__"),
 }
 """Attributes of classes that Python derives from the others, or takes from the lines of a file."""
-TOKEN = secrets.token_hex()
+token_of_process = secrets.token_hex()
 """Of this process: it stands for what cannot be told from something else."""
 
 
@@ -121,5 +121,5 @@ class Description:
         try:
             state = value.__reduce_ex__(2)
         except Exception:  # whatever its class raises
-            return [TOKEN, id(value)]
+            return [token_of_process, id(value)]
         return self.describe(state)
