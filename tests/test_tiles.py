@@ -211,6 +211,7 @@ def test_threads_compute_in_the_modes_of_the_caller():
 
 
 def test_a_bar_is_shown_on_a_terminal_only(capfd, monkeypatch):
+    monkeypatch.setattr("walker_jax.execution.progress.quiet", False)
     cells = {"x": np.ones((9, 2)), "i": np.ones(9)}
     map_cells(sum_and_norm, ({"offset": 0.0}, cells), progress="the work")
     assert capfd.readouterr() == ("", "")
