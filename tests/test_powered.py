@@ -133,6 +133,7 @@ def test_gaits_and_sensitivity_norms_by_scipy_alone(values):
     assert wj.gait_sensitivity(walker, gait).norm == pytest.approx(norm, rel=1e-8)
 
 
+@pytest.mark.slow
 def test_the_sensitivity_norm_changes_as_its_gradient_says():
     values = np.array([0.009, 0.5, 0.1, -0.2, 0.01])
     names = ("slope", "hip_stiffness", "hip_damping", "hip_angle", "push_off")

@@ -93,7 +93,13 @@ def look(walker, state):
     )
 
 
-@pytest.mark.parametrize("walker", [WALKER, OTHER], ids=["toy", "other"])
+BOTH = pytest.mark.parametrize(
+    "walker",
+    [pytest.param(WALKER, id="toy"), pytest.param(OTHER, id="other", marks=pytest.mark.slow)],
+)
+
+
+@BOTH
 def test_it_moves_as_the_general_method_and_kanes_say(walker):
     """Forces of the ground are those of the general method with all three contact constraints."""
     toy = Toy(sizes_of(walker))
@@ -122,7 +128,7 @@ def strike(walker, state):
     return along, up, jnp.stack(after), jnp.stack(walker.exchange_legs(after))
 
 
-@pytest.mark.parametrize("walker", [WALKER, OTHER], ids=["toy", "other"])
+@BOTH
 def test_heel_strike_keeps_the_momenta_about_the_new_contact_and_the_axle(walker):
     """Of Kane's model, before and, in a mirror, after."""
     toy = Toy(sizes_of(walker))
