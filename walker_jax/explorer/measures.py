@@ -99,8 +99,8 @@ def bifurcation(subject: Subject) -> dict:
         )
     orbit = data["orbit"].values[:, :, :SHOWN_STATES, 0]
     where = np.isfinite(orbit)
-    slopes = np.broadcast_to(data["sample_value"].values[:, None, None], orbit.shape)[where]
-    points = np.unique(np.round(np.stack([slopes, orbit[where]], axis=1), 6), axis=0)
+    at = np.broadcast_to(data["sample_value"].values[:, None, None], orbit.shape)[where]
+    points = np.unique(np.round(np.stack([at, orbit[where]], axis=1), 6), axis=0)
     return {
         "range": slopes,
         "branches": branches,
