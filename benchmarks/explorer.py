@@ -7,14 +7,14 @@ the times stand the strides that a picture takes, and what the server spends on 
 which does not depend on who else is busy. The measures beside the picture (gaits, area, least
 disturbance) are switched off: workers of low priority would take the cores meanwhile.
 
-The answer: 140 ms of processor time for a picture of 130,000 strides, in which the attractors are
+The answer: 120 ms of processor time for a picture of 130,000 strides, in which the attractors are
 found too, and a slider is followed within 0.2 s on two free cores. Where twice as many processes
 competed for them it took 0.3 s, and panning kept 59 frames a second:
 
-    load 0.3 on 2 cores
-    slider to whole picture: median 191 ms, 177 to 214 ms, of 20 moves
+    load 1.0 on 2 cores
+    slider to whole picture: median 175 ms, 152 to 198 ms, of 20 moves
     panning: 60 frames a second
-    the server: 143 ms of processor time a picture,
+    the server: 120 ms of processor time a picture,
     of 129,797 strides at slope 0.0079
 """
 

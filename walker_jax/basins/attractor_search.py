@@ -37,14 +37,14 @@ SURVIVAL = 1000, 2000
 with a mean life of less than some 85,000 strides is told from an attractor."""
 
 
-def sample(x: Float[np.ndarray, "n section"]) -> Float[np.ndarray, "m section"]:
+def sample(x: Float[np.ndarray, "n section"], most: int = SAMPLE) -> Float[np.ndarray, "m section"]:
     """Some of many points, evenly spread over their order."""
-    return x[sample_indices(len(x))]
+    return x[sample_indices(len(x), most)]
 
 
-def sample_indices(n: int) -> Int[np.ndarray, " m"]:
+def sample_indices(n: int, most: int = SAMPLE) -> Int[np.ndarray, " m"]:
     """Indices of a sample of n things, evenly spread over their order."""
-    return np.linspace(0, n - 1, min(n, SAMPLE)).astype(int)
+    return np.linspace(0, n - 1, min(n, most)).astype(int)
 
 
 def find_attractors(
@@ -61,19 +61,26 @@ def find_attractors(
     one is added for them all.
     """
     found, exact = list(known), 1e3 * np.finfo(x.dtype).eps
-    period, nearest = np.ones(len(x), int), np.zeros(len(x))
+    starts, period, nearest = x, np.ones(len(x), int), np.zeros(len(x))
     for _ in range(PATIENCE):
         states, outcome = orbits(walker, x, LONGEST_PERIOD, tolerance)
-        back = states[outcome == Outcome.STRIDE, ::-1]  # (walkers, strides back, coordinates)
+        walks = outcome == Outcome.STRIDE
+        starts, back = starts[walks], states[walks, ::-1]  # (walkers, strides back, coordinates)
         misses = np.abs(back[:, 1:] - back[:, :1]).max(axis=2)
         repeated = (misses < exact).any(axis=1)
-        for path, miss in zip(back[repeated], misses[repeated], strict=True):
+        for start, path, miss in zip(
+            starts[repeated], back[repeated], misses[repeated], strict=True
+        ):
             # a slow approach that alternates comes close to itself after two strides before one
             count = first_period(miss, capture_radius(x.dtype))
-            add_cycle(found, path[:count][::-1], walker, tolerance)
+            cycle = new_cycle(path[:count][::-1], found)
+            # who started on an unstable cycle repeats itself too; who came to it was attracted
+            if cycle and (came_to(cycle, start) or attracts(walker, cycle.states, tolerance)):
+                found.append(cycle)
         x = back[:, 0]
         left = ~repeated & (match_attractor(x, found) < 0)
-        x, period, nearest = x[left], misses[left].argmin(axis=1) + 1, misses[left].min(axis=1)
+        x, starts, misses = x[left], starts[left], misses[left]
+        period, nearest = misses.argmin(axis=1) + 1, misses.min(axis=1)
         if len(x) == 0:
             return found
     slow = np.flatnonzero(nearest < NEARLY)[:ATTEMPTS]
@@ -82,8 +89,9 @@ def find_attractors(
         for start, count in zip(x[slow], period[slow], strict=True)
         if (cycle := stable_cycle(walker, start, int(count), tolerance)) is not None
     ]
-    for cycle in solved:
-        add_cycle(found, cycle)
+    for states in solved:
+        if cycle := new_cycle(states, found):
+            found.append(cycle)
     if not solved and all(one.period for one in found) and persists(walker, x, tolerance):
         found.append(Attractor(None, x[:1]))
     return found
@@ -110,26 +118,41 @@ def approaches(
     The largest distance from the cycle falls from one stretch of strides to the next, or they
     arrive. A walker on another motion, which passes by, goes away again.
     """
-    found = np.zeros(len(x), bool)
-    size = max(1, MAX_DISTANCES // (BLOCKS * LONGEST_PERIOD * cycle.size))
-    for start in range(0, len(x), size):
-        states, _ = orbits(walker, x[start : start + size], BLOCKS * LONGEST_PERIOD, tolerance)
-        distance = np.abs(states[:, 1:, None] - cycle).max(axis=3).min(axis=2)
-        largest = distance.reshape(-1, BLOCKS, LONGEST_PERIOD).max(axis=2)
-        nearer = (largest[:, 0] < 2 * CLOSE) & (np.diff(largest, axis=1) < 0).all(axis=1)
-        nearer |= largest[:, -1] < capture_radius(x.dtype)
-        found[start : start + size] = nearer
-    return found
+    largest = largest_distances(walker, x, cycle, tolerance)
+    nearer = (largest[:, 0] < 2 * CLOSE) & (np.diff(largest, axis=1) < 0).all(axis=1)
+    return nearer | (largest[:, -1] < capture_radius(x.dtype))
 
 
 def attracts(walker: Walker, cycle: Float[np.ndarray, "period section"], tolerance: float) -> bool:
     """Whether walkers that start beside a cycle stay there: they do not go ever farther away."""
     radius = capture_radius(cycle.dtype)
     beside = cycle[0] + radius * np.concatenate([np.eye(len(cycle[0])), -np.eye(len(cycle[0]))])
-    states, _ = orbits(walker, beside, BLOCKS * LONGEST_PERIOD, tolerance)
-    distance = np.abs(states[:, 1:, None] - cycle).max(axis=3).min(axis=2)
-    largest = distance.reshape(-1, BLOCKS, LONGEST_PERIOD).max(axis=(0, 2))
+    largest = largest_distances(walker, beside, cycle, tolerance).max(axis=0)
     return bool(largest[-1] < max(radius, 1.5 * largest[1]))  # else NaN: one has failed
+
+
+def largest_distances(
+    walker: Walker,
+    x: Float[np.ndarray, "n section"],
+    cycle: Float[np.ndarray, "period section"],
+    tolerance: float,
+) -> Float[np.ndarray, "n blocks"]:
+    """How far walkers go away from a cycle in each of `BLOCKS` stretches; NaN after a failure."""
+    largest = np.empty((len(x), BLOCKS), x.dtype)
+    size = max(1, MAX_DISTANCES // (BLOCKS * LONGEST_PERIOD * cycle.size))
+    for start in range(0, len(x), size):
+        part = slice(start, start + size)
+        states, _ = orbits(walker, x[part], BLOCKS * LONGEST_PERIOD, tolerance)
+        distance = distance_from(cycle, states[:, 1:])
+        largest[part] = distance.reshape(-1, BLOCKS, LONGEST_PERIOD).max(axis=2)
+    return largest
+
+
+def distance_from(
+    cycle: Float[np.ndarray, "period section"], x: Float[np.ndarray, "*n section"]
+) -> Float[np.ndarray, "*n"]:
+    """The largest difference in a coordinate from the nearest state of a cycle."""
+    return np.abs(x[..., None, :] - cycle).max(axis=-1).min(axis=-1)
 
 
 def stable_cycle(
@@ -154,18 +177,14 @@ def first_period(misses: Float[np.ndarray, " strides"], within: float) -> int:
     return int(np.flatnonzero(misses < within)[0]) + 1
 
 
-def add_cycle(
-    found: list[Attractor],
-    states: Float[np.ndarray, "period section"],
-    walker: Walker | None = None,
-    tolerance: float = 0.0,
-) -> None:
-    """Add a cycle, from its state of the smallest angle on, unless it is known.
-
-    With a walker, only if the cycle attracts it: a start on an unstable cycle repeats itself too.
-    """
+def new_cycle(
+    states: Float[np.ndarray, "period section"], known: Sequence[Attractor]
+) -> Attractor | None:
+    """A cycle, from its state of the smallest angle on; none if it is known."""
     states = np.roll(states, -int(states[:, 0].argmin()), axis=0)
-    if match_attractor(states[:1], found)[0] >= 0:
-        return
-    if walker is None or attracts(walker, states, tolerance):
-        found.append(Attractor(len(states), states))
+    return None if match_attractor(states[:1], known)[0] >= 0 else Attractor(len(states), states)
+
+
+def came_to(cycle: Attractor, start: Float[np.ndarray, " section"]) -> bool:
+    """Whether a walk that ended on a cycle began elsewhere."""
+    return bool(distance_from(cycle.states, start[None])[0] > capture_radius(start.dtype))

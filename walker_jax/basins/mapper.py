@@ -13,7 +13,7 @@ from walker_jax.basins.attractor import (
     sorted_numbers,
     targets_of,
 )
-from walker_jax.basins.attractor_search import approaches, find_attractors, sample
+from walker_jax.basins.attractor_search import SAMPLE, approaches, find_attractors, sample
 from walker_jax.walkers.model import Walker
 from walker_jax.walking.iteration import iterate
 from walker_jax.walking.outcomes import Outcome
@@ -98,24 +98,25 @@ class Mapper(NamedTuple):
         """The same, and labels also for those that remain; the mapper to the attractors of all."""
         return self.complete_labels(self.follow(starts, progress=progress))
 
-    def complete_labels(self, labels: Labels) -> tuple[Labels, "Mapper"]:
+    def complete_labels(self, labels: Labels, most: int = SAMPLE) -> tuple[Labels, "Mapper"]:
         """Label the walkers that remain too; returns the mapper to the attractors of all."""
         remaining = labels.remaining
-        labels.attractor[remaining], mapper = self.label_remaining(labels.states[remaining])
+        labels.attractor[remaining], mapper = self.label_remaining(labels.states[remaining], most)
         return labels, mapper
 
     def label_remaining(
-        self, x: Float[np.ndarray, "n section"]
+        self, x: Float[np.ndarray, "n section"], most: int = SAMPLE
     ) -> tuple[Int[np.ndarray, " n"], "Mapper"]:
         """The attractors of walkers that have made all their strides, and the mapper to all.
 
         That is the cycle that they approach, or the one without a period, if there is one, or one
-        that is found by following them further; -1 for those that have yet to fall or to converge.
+        that is found by following some of them further, at `most`; -1 for those that have yet to
+        fall or to converge.
         """
         number, mapper = self.match_approaching(x), self
         unmatched = number < 0
         if unmatched.any() and all(one.period for one in self.attractors):
-            mapper = self.with_attractors_from(sample(x[unmatched]))
+            mapper = self.with_attractors_from(sample(x[unmatched], most))
             if len(mapper.attractors) > len(self.attractors):
                 number[unmatched] = mapper.match_approaching(x[unmatched])
         for i, one in enumerate(mapper.attractors):

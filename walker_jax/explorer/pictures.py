@@ -16,8 +16,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from walker_jax.basins.attractor import CLOSE, Attractor, match_attractor
-from walker_jax.basins.mapper import Labels, Mapper
+from walker_jax.basins.attractor import Attractor
+from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.methods import cell_mapping
 from walker_jax.explorer.lattice import (
     HOME_CELLS,
@@ -111,29 +111,12 @@ def label_cells(
     home, (mapper, at) = home_of(subject.name, subject.section), before
     grids = [home.grid(subject, cells_of(tile), at) for tile in tiles]
     indices = np.arange(TILE * TILE)
-    labels = mapper(np.concatenate([grid.centres(indices) for grid in grids]))
-    mapper = match_remaining(mapper, labels)
+    labels = mapper.follow(np.concatenate([grid.centres(indices) for grid in grids]))
+    few = LATER_SAMPLE if len(mapper.attractors) < MAX_ATTRACTORS else 0
+    labels, mapper = mapper.complete_labels(labels, few)
     label, strides = in_bytes(labels.fate, labels.attractor, labels.strides)
     pairs = zip(np.split(label, len(tiles)), np.split(strides, len(tiles)), strict=True)
     return [one.tobytes() + its_strides.tobytes() for one, its_strides in pairs], Known(mapper, at)
-
-
-def match_remaining(mapper: Mapper, labels: Labels) -> Mapper:
-    """Label walkers that remain, as `Mapper.complete_labels`, but by few of them."""
-    remaining = labels.remaining
-    x = labels.states[remaining]
-    number = match_attractor(x, mapper.attractors, CLOSE)
-    left, attractors = x[number < 0], mapper.attractors
-    aperiodic = [i for i, one in enumerate(attractors) if one.period is None]
-    if len(left) and not aperiodic and len(attractors) < MAX_ATTRACTORS:
-        few = left[np.linspace(0, len(left) - 1, min(len(left), LATER_SAMPLE)).astype(int)]
-        mapper = mapper.with_attractors_from(few)
-        number = match_attractor(x, mapper.attractors, CLOSE)
-        aperiodic = [i for i, one in enumerate(mapper.attractors) if one.period is None]
-    if aperiodic:
-        number[number < 0] = aperiodic[0]
-    labels.attractor[remaining] = number
-    return mapper
 
 
 def map_rectangle(subject: Subject, cells: Rectangle) -> tuple[bytes, list[Attractor]]:
