@@ -1,5 +1,7 @@
 """Strides on uneven ground, steps to a fall, metastable walking, and the gait sensitivity norm."""
 
+from dataclasses import dataclass
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -211,8 +213,9 @@ def test_steps_to_fall_refuses_bad_arguments_in_one_line(gait):
         wj.steps_to_fall(jax.vmap(SimplestWalker)(jnp.array([0.004, 0.009])), 0.001, gait=gait)
 
 
+@dataclass
 class Unhashable:
-    __hash__ = None  # pyright: ignore[reportAssignmentType] as of a dataclass with __eq__
+    """As all dataclasses that can be changed."""
 
     def __call__(self, key):
         return jax.random.normal(key)

@@ -118,10 +118,14 @@ def edge_state(
         raise WrongUse(f"a and b must have different fates, not both {fate_of(first).name}")
     image = lambda x: np.asarray(take_strides(walker, x, tolerance=checked_tolerance).state)
 
-    def saddle_near(states: Float[np.ndarray, "period section"]) -> Gait | None:
+    saddle: Gait | None = None
+
+    def is_saddle(states: Float[np.ndarray, "period section"]) -> bool:
+        nonlocal saddle
         gait = find_gait(walker, states, len(states), tolerance=tolerance)
         near = np.abs(np.asarray(gait.states[0]) - states[0]).max() < NEAR
-        return gait if gait.found and near and not gait.stable else None
+        saddle = gait if gait.found and near and not gait.stable else None
+        return saddle is not None
 
     track = follow_edge(
         image,
@@ -129,13 +133,12 @@ def edge_state(
         *ends,
         rounds=rounds,
         longest=LONGEST_PERIOD,
-        is_cycle=lambda states: saddle_near(states) is not None,
+        is_cycle=is_saddle,
     )
     fates = fate_of(track.labels[0]), fate_of(track.labels[1])
     if track.torn:
         name, margin = failing_margin(walker, track.sides, checked_tolerance)
         return EdgeState(name if margin < ZERO else "", None, track.path, fates, margin)
-    saddle = saddle_near(track.path[-track.period :]) if track.period else None
     return EdgeState("" if saddle is None else "saddle", saddle, track.path, fates, np.nan)
 
 

@@ -7,7 +7,7 @@ import typer
 from walker_jax.checks import WrongUse
 from walker_jax.cli.rewording import option_of
 from walker_jax.cli.walker_options import takes_walker
-from walker_jax.walkers.family import WALKERS
+from walker_jax.walkers.family import PLANAR_WALKERS
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import chosen_options, parameters
 
@@ -36,9 +36,10 @@ def explore(
         host.encode("idna")  # as the network does
     except UnicodeError:
         raise WrongUse(f"--host must be a name or an address, not {host}") from None
-    names = [one for one, kind in WALKERS.items() if type(walker) is kind]
+    names = [one for one, kind in PLANAR_WALKERS.items() if type(walker) is kind]
     if not names:
-        raise WrongUse(f"--walker must be one of {', '.join(WALKERS)}: the page knows no others")
+        known = ", ".join(PLANAR_WALKERS)
+        raise WrongUse(f"--walker must be one of {known}: the page knows no others")
     for option in chosen_options(walker):
         raise WrongUse(f"{option_of(option)} is not for the page, which knows parameters alone")
     values = {one.name: float(getattr(walker, one.name)) for one in parameters(walker)}

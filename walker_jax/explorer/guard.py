@@ -2,9 +2,9 @@
 
 A page of another site that is open in the same browser can send requests to this machine, also
 under a name of its own that it has made to lead here (DNS rebinding). So the guard checks the Host
-and the Origin of each request, and a token that only the link has which the server printed. Only
-who has the token may show the page in a frame. The guard also bounds the size and the rate of
-requests: of those with the token, and of those for files of the page apart.
+and the Origin of each request, and a token that stands only in the link that the server printed. A
+page may show this one in a frame only if it has the token. The guard also bounds the size and the
+rate of requests: of those with the token, and of those for files of the page apart.
 """
 
 import secrets

@@ -167,5 +167,6 @@ def after_push(
         factors = factorise(block(mass_matrix(first_phase.system(), q), legs))
         changes = solve_factored(factors, [torque, *[jnp.zeros_like(torque)] * (count - 1)])
     else:
-        changes = [torque / length**2, (1 - jnp.cos(phi)) * torque / length**2]
+        first = torque / length**2
+        changes = [first, (1 - jnp.cos(phi)) * first]
     return jnp.stack([*angles, *(rate + by for rate, by in zip(rates, changes, strict=True))])

@@ -101,8 +101,11 @@ def pair_test_function(point: Point) -> float:
 
 def pair_products(multipliers: Complex[np.ndarray, " n"]) -> Complex[np.ndarray, " pairs"]:
     """l_i l_j of all pairs."""
-    first, second = np.triu_indices(len(multipliers), 1)
-    return multipliers[first] * multipliers[second]
+    return np.multiply(*pairs_of(multipliers).T)
+
+
+def pairs_of(multipliers: Complex[np.ndarray, " n"]) -> Complex[np.ndarray, "pairs 2"]:
+    return multipliers[np.stack(np.triu_indices(len(multipliers), 1), axis=1)]
 
 
 def has_close_pair(one: Point, other: Point) -> bool:
@@ -111,10 +114,9 @@ def has_close_pair(one: Point, other: Point) -> bool:
     ends = []
     for point in (one, other):
         multipliers = multipliers_at(point)
-        first, second = np.triu_indices(len(multipliers), 1)
         distances = np.abs(pair_products(multipliers) - 1)
-        pair = multipliers[[first[distances.argmin()], second[distances.argmin()]]]
-        ends.append((distances.min(), pair[0].imag != 0 and pair[0] == np.conj(pair[1])))
+        one_of, other_of = pairs_of(multipliers)[distances.argmin()]
+        ends.append((distances.min(), one_of.imag != 0 and one_of == np.conj(other_of)))
     return bool(min(ends)[1])
 
 
@@ -165,11 +167,8 @@ def locate_bifurcation(
         residual = float(np.abs(mismatch).max())
         if not np.isfinite(residual):
             return None
-        converged = best is not None and residual >= best.residual
-        if residual < (best.residual if best else MAX_RESIDUAL[cycle.dtype]):
-            multipliers = find_multipliers(multiply_jacobians(local.jacobian))[0]
-            best = Bifurcation(kind, float(value), cycle, multipliers, v, residual)
-        if converged:
+        before, best = best, better(best, kind, Point(value, cycle, local), v, residual)
+        if before is not None and best is before:
             break
         matrix = np.zeros((2 * count + 1, 2 * count + 1))
         matrix[:count, :count] = cycle_matrices(local.jacobian)[0]
@@ -184,6 +183,17 @@ def locate_bifurcation(
         cycle = cycle + step[:count].reshape(period, size)
         v = v + step[count:-1].reshape(period, size)
         value = value + float(step[-1]) * width
+    return best
+
+
+def better(
+    best: Bifurcation | None, kind: str, point: Point, vectors: np.ndarray, residual: float
+) -> Bifurcation | None:
+    """The present iterate, if its residual is below that of the best one so far, or that one."""
+    if residual < (best.residual if best else MAX_RESIDUAL[point.cycle.dtype]):
+        return Bifurcation(
+            kind, float(point.value), point.cycle, multipliers_at(point), vectors, residual
+        )
     return best
 
 
@@ -229,11 +239,8 @@ def locate_neimark_sacker(
         residual = float(np.abs(mismatch).max())
         if not np.isfinite(residual):
             return None
-        converged = best is not None and residual >= best.residual
-        if residual < (best.residual if best else MAX_RESIDUAL[cycle.dtype]):
-            multipliers = find_multipliers(multiply_jacobians(local.jacobian))[0]
-            best = Bifurcation(kind, float(value), cycle, multipliers, v, residual)
-        if converged:
+        before, best = best, better(best, kind, Point(value, cycle, local), v, residual)
+        if before is not None and best is before:
             break
         c, s = np.cos(angle), np.sin(angle)
         matrix = np.zeros((3 * count + 2, 3 * count + 2))

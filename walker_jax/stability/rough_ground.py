@@ -96,7 +96,6 @@ def steps_to_fall(
     Raises `ValueError` for a walker without a gait, and for arguments out of range.
     """
     check_planar(walker)
-    check_kind("walker", walker, Walker)
     check_whole("n", n)
     check_whole("limit", limit)
     check_confidence(confidence)

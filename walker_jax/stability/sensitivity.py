@@ -82,7 +82,6 @@ def gait_sensitivity(
     Raises `ValueError` for other names, and for a gait of another period than one.
     """
     check_planar(walker)
-    check_kind("walker", walker, Walker)
     check_kind("disturbances", disturbances, Sequence)
     check_kind("indicators", indicators, Sequence)
     disturbance_of = {name: number for number, name in enumerate(Disturbance._fields)}

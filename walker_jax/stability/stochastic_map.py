@@ -27,7 +27,6 @@ from scipy.sparse import csr_array
 from walker_jax.checks import (
     ComputationFailed,
     WrongUse,
-    check_kind,
     check_whole,
     is_number,
     refuses_tracers,
@@ -110,7 +109,6 @@ def metastability(
     early to be called metastable, or so rarely that there are more than MOST_CELLS cells.
     """
     check_planar(walker)
-    check_kind("walker", walker, Walker)
     if len(walker.section) != 2:
         raise WrongUse(f"walker must have two section coordinates, not {walker.section}")
     check_whole("walkers", walkers)

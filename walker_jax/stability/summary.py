@@ -11,7 +11,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from walker_jax.basins.refinement import refine
-from walker_jax.checks import WrongUse, check_kind, check_precision, numbers, refuses_tracers
+from walker_jax.checks import WrongUse, check_precision, numbers, refuses_tracers
 from walker_jax.execution.progress import bar, track
 from walker_jax.execution.threads import side_by_side
 from walker_jax.fractals import Uncertainty
@@ -84,7 +84,6 @@ def robustness(
     Raises `ValueError` as `refine`, and without a grid where no gait of period one is found.
     """
     check_planar(walker)
-    check_kind("walker", walker, Walker)
     check_precision(jnp.asarray(0.0).dtype, "robustness, which has the dimension of a boundary,")
     with bar("search for a gait", progress):
         grid = default_region(walker) if grid is None else grid

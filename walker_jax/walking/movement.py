@@ -21,7 +21,7 @@ from walker_jax.walkers.parameters import attributes_of
 from walker_jax.walking.iteration import walk
 from walker_jax.walking.outcomes import Outcome
 from walker_jax.walking.phases import in_front, starts_under
-from walker_jax.walking.stepping import phase_times, trajectory
+from walker_jax.walking.stepping import full_state, phase_times, trajectory
 from walker_jax.walking.swing import in_tension
 
 FALL_TIME = 40.0
@@ -99,7 +99,8 @@ def motion(
         feet.append(foot)
         ahead = float(walker.reach(last))
         if failed[k] and ground is not None:
-            ahead = abs(float(walker.reach(walker.exchange_legs(State(*lift(walker, starts[k]))))))
+            start = legs(full_state(walker, jnp.asarray(starts[k])))
+            ahead = abs(float(walker.reach(walker.exchange_legs(start))))
         foot = foot + np.array([ahead, steps_up[k]])
 
     sizes = [len(states.theta) for states in parts]
@@ -153,11 +154,6 @@ def leg_shape(walker: Walker) -> tuple[float, float]:
 def legs(states: Any) -> State:
     """Angles and rates of the legs, of states of any phase."""
     return State(*(getattr(states, name) for name in State._fields))
-
-
-def lift(walker: Walker, x: Float[np.ndarray, " coordinates"]) -> Any:
-    """The full state of a start, which may be one already."""
-    return walker.lift(jnp.asarray(x)) if len(x) == len(walker.section) else x
 
 
 def leg_positions(

@@ -158,10 +158,8 @@ def follow_phase(
     conditions were broken before the event, the two ends excluded. Unless it is
     `failing`, nothing but the event ends the phase.
     """
-    watched, ground = (
-        failing and phase.clearance(start) is not None,
-        () if step is None else (step,),
-    )
+    watched = failing and phase.clearance(start) is not None
+    ground = () if step is None else (step,)
 
     def height(state: Any) -> Scalar:
         above = phase.clearance(state)
