@@ -86,6 +86,7 @@ def make_server(
     config = uvicorn.Config(
         guard,
         http=Connection,
+        log_config=None,  # or handlers of other libraries would be closed, and streams with them
         log_level="warning",
         access_log=False,
         server_header=False,
