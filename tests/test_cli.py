@@ -968,12 +968,10 @@ def test_every_command_has_examples_and_says_how_long_it_takes():
     assert {*EXAMPLES} == {*DURATIONS} == {*COMMANDS}
 
 
-def test_the_page_takes_no_walker_of_a_file(run, tmp_path):
-    file = tmp_path / "far.py"
-    file.write_text("import walker_jax as wj\n\n\nclass Far(wj.SimplestWalker):\n    pass\n")
-    code, out, err = run("explore", "--no-browser", "--walker", f"{file}:Far")
+def test_the_page_takes_no_walker_in_space(run):
+    code, out, err = run("explore", "--no-browser", "--walker", "spatial")
     assert (code, out) == (2, "")
-    assert err.startswith("walker-jax: --walker must be one of simplest, ")
+    assert err == "walker-jax: --walker must be one in the plane, not a SpatialWalker\n"
 
 
 def test_a_host_that_cannot_be_one_is_refused(run):
