@@ -4,6 +4,7 @@ Without a browser these tests are skipped, with the reason; where `WALKER_JAX_RE
 set, as `.ci/run` does, they fail.
 """
 
+import json
 import os
 import shutil
 import time
@@ -23,8 +24,8 @@ from playwright.sync_api import sync_playwright
 from zarr.storage import ZipStore
 
 import walker_jax as wj
-from walker_jax.explorer import pictures
-from walker_jax.explorer.subjects import FAMILY, offer
+from walker_jax.explorer import measures, pictures
+from walker_jax.explorer.subjects import FAMILY, offer, read_subject
 
 CHROMIUM = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
@@ -723,12 +724,18 @@ DIAGRAM = {
 }
 
 
-def test_the_bifurcation_tab_has_the_slope_in_it(opened):
-    """The diagram itself is tested without a browser."""
+def test_the_bifurcation_tab_has_the_slope_in_it(opened, monkeypatch):
+    """A diagram as the server computes it, of few slopes; and those that a hand chooses."""
     page = opened("walker=simplest&slope=0.004")
-    page.page.route("**/api/measure/bifurcation", partial(fulfil, DIAGRAM))
+    few = {"period_max": 1, "strides": 60, "scan": 8}
+    monkeypatch.setattr(measures, "DIAGRAM", few)
+    found = measures.bifurcation(read_subject({"walker": "simplest"}))
+    assert json.dumps(found, allow_nan=False)
+    page.page.route("**/api/measure/bifurcation", partial(fulfil, found))
     page.page.click("#tab-bifurcation")
-    page.wait("document.querySelector('#diagram-note').textContent.includes('lost near 0.019')")
+    page.wait("document.querySelector('#diagram-note').textContent.includes('lost near 0.0193')")
+    assert "doubles its period at 0.015088;" in page.shown("#diagram-note")
+    assert page.value("document.querySelector('#diagram').getAttribute('aria-valuemax')") == "0.022"
     box = page.box("#diagram")
     page.page.mouse.click(box["x"] + 70 + 0.5 * (box["width"] - 84), box["y"] + 100)
     slope = page.value("explorer.state.parameters.slope")
