@@ -553,6 +553,7 @@ def test_bifurcation_answers_keeps_and_draws(run, tmp_path, monkeypatch):
     [
         (["--from", "0.02", "--to", "0.01"], "--from"),
         (["--from", "0"], "slope"),
+        (["--slope", "0.01"], "--slope is not for this command: give --from and --to"),
         (["--to", "nan"], "slope"),
         (["--period-max", "0"], "period-max"),
         (["--strides", "0"], "strides"),

@@ -42,7 +42,7 @@ async function begin() {
     homeKey = "";
     lattice = null;
     picture.stop();
-    say(`Preparing the ${walkerName()}`, true);
+    say(`Preparing the ${walkerName()}`, Infinity);
     const { walker, section } = state;
     const home = await ask("/api/home", { walker, section });
     if (key !== `${state.walker} ${state.section}`) return false; // another one by now
@@ -70,7 +70,7 @@ async function begin() {
   /** That a link names a walker which this server does not have. */
   function tellUnknown() {
     if (!state.unknown) return;
-    say(`This server does not know the walker ${state.unknown.slice(0, 60)}: start it with --walker. This is the ${walkerName()}.`, true);
+    say(`This server does not know the walker ${state.unknown.slice(0, 60)}: start it with --walker. This is the ${walkerName()}.`, 12_000);
     state.unknown = "";
   }
 
@@ -397,12 +397,12 @@ function remember(name, value) {
 }
 
 let saying = 0;
-/** A short message, which goes by itself unless it stays. */
-function say(text, stays = false) {
+/** A short message, which goes by itself after so many ms. */
+function say(text, rest = 3500) {
   $("#toast").textContent = text;
   $("#toast").classList.toggle("shown", Boolean(text));
   clearTimeout(saying);
-  if (!stays) saying = setTimeout(() => $("#toast").classList.remove("shown"), 3500);
+  if (rest < Infinity) saying = setTimeout(() => $("#toast").classList.remove("shown"), rest);
 }
 
 function sayGone(text) {
