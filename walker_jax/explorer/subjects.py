@@ -56,15 +56,11 @@ Offers = dict[str, Offer]
 """What the page offers, by name: a request may name these walkers, and no others."""
 
 
-def offer_family() -> Offers:
-    """The package's walkers in the plane, at the defaults of their parameters."""
-    return {
-        name: Offer(name, kind, tuple(one.default for one in parameters(kind)), "")
-        for name, kind in PLANAR_WALKERS.items()
-    }
-
-
-FAMILY = offer_family()
+FAMILY: Offers = {
+    name: Offer(name, kind, tuple(one.default for one in parameters(kind)), "")
+    for name, kind in PLANAR_WALKERS.items()
+}
+"""The package's walkers in the plane, at the defaults of their parameters."""
 
 
 def offer(walker: Walker) -> Offer:
