@@ -53,8 +53,8 @@ def optimise(
         list[str] | None,
         typer.Option(
             metavar="NAME",
-            help="area (default), volume, least-disturbance, speed, step-length, spectral-radius "
-            "or cost-of-transport; NAME=WEIGHT, repeated, for a weighted sum, to be large.",
+            help="area (default), volume, least-disturbance, speed, step-length, spectral-radius, "
+            "sensitivity-norm or cost-of-transport; NAME=WEIGHT, repeated, for a weighted sum.",
         ),
     ] = None,
     at_least: Annotated[
