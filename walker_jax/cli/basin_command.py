@@ -91,7 +91,7 @@ def basin(
         ),
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(min=0, help="Of random numbers, --levels only (default: 0).")
+        int | None, typer.Option(min=0, help="Seed of random numbers, --levels only (default: 0).")
     ] = None,
     zoom: Annotated[
         float | None,
