@@ -90,10 +90,10 @@ def swing(
         turns = (rate(before) < 0) & (rate(after) > 0)
         rises = ~ends_below & (below | turns)
         if step is not None:
-            # A foot in front may come down and up again. One that was behind came down behind: as
-            # the legs pass each other, both feet are at one level.
+            # A foot may come down and up again. To higher ground, one from behind does so behind:
+            # as the legs pass each other, both feet are at one level.
             dips = below & ends_below & (rate(before) > 0) & (rate(after) < 0)
-            rises |= to_step & dips & is_ahead(before)
+            rises |= to_step & dips & (is_ahead(before) | (step < 0))
         return (rises & (is_ahead(before) | is_ahead(after))) | has_fallen(after, ends_below)
 
     def has_fallen(state: Any, below: Bool[Array, ""]):
