@@ -129,8 +129,8 @@ class VirtualPower(PowerBalance):
 class ConstrainedPower(PowerBalance):
     """Equations of motion of independent rates u, to which q' = T(q) u gives those of all q.
 
-    With momenta m = P(q) u they are p(q, u, m') = 0, one for each of u, where p is linear in m'. A
-    state holds the coordinates q first, then u.
+    With momenta m = P(q) u they are p(q, u, m, m') = 0, one for each of u, where p is linear in m'.
+    A state holds the coordinates q first, then u.
     """
 
     @property
@@ -144,10 +144,10 @@ class ConstrainedPower(PowerBalance):
 
     @abc.abstractmethod
     def momentum(self, q: list, u: list) -> list:
-        """P(q) u, to scalars m."""
+        """P(q) u, to scalars m; more than p needs the rates of, if p needs them themselves."""
 
     @abc.abstractmethod
-    def power(self, q: list, u: list, momentum_rates: list) -> list:
+    def power(self, q: list, u: list, momentum: list, momentum_rates: list) -> list:
         """p: one scalar for each of u."""
 
     @abc.abstractmethod
@@ -169,8 +169,8 @@ class ConstrainedPower(PowerBalance):
         leaves, structure = jax.tree.flatten(state)
         q, u = self.halves(leaves)
         qdot = self.rates(q, u)
-        convective = jax.jvp(lambda q: self.momentum(q, u), (q,), (qdot,))[1]
-        udot = self.solve(self.factorise(q), self.power(q, u, convective))
+        momentum, convective = jax.jvp(lambda q: self.momentum(q, u), (q,), (qdot,))
+        udot = self.solve(self.factorise(q), self.power(q, u, momentum, convective))
         return jax.tree.unflatten(structure, qdot + udot)
 
     def series(self, state: PyTree, order: int) -> PyTree[list]:
@@ -212,7 +212,8 @@ class ConstrainedPower(PowerBalance):
         with recording(series_log) as of_power:
             changes = [derivative(series) for series in momentum]
             like = [jnp.zeros_like(start[0])] * len(momentum)
-            p = compose(lambda args: self.power(*args), (*both, changes), (*at, like))
+            known = *both, momentum, changes
+            p = compose(lambda args: self.power(*args), known, (*at, like, like))
         return p, of_momentum, of_power
 
 
