@@ -24,7 +24,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, PyTree
 
 from walker_jax.integrators.expansion import compose, switches
-from walker_jax.integrators.series import Series, constant, recording, scale, series_log
+from walker_jax.integrators.series import (
+    Series,
+    constant,
+    keeping_results,
+    recording,
+    scale,
+    series_log,
+)
 
 
 class PowerBalance(eqx.Module):
@@ -180,6 +187,10 @@ class ConstrainedPower(PowerBalance):
         linearly, with P at t = 0 as its factor. So p is first computed with u_{k+1} = 0, and
         u_{k+1} solves a linear equation whose right-hand side is that p.
         """
+        with keeping_results():
+            return self.grow(state, order)
+
+    def grow(self, state: PyTree, order: int) -> PyTree[list]:
         leaves, structure = jax.tree.flatten(state)
         at, start = self.halves(leaves)
         factors = with_fast_sincos(self.factorise)(at)
