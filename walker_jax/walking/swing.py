@@ -21,6 +21,8 @@ from walker_jax.integrators.solvers import MAX_STEPS, Method, Real, solver_for, 
 from walker_jax.integrators.taylor import with_fast_sincos
 from walker_jax.walkers.masses import MultibodyMotion, SingleSupport
 from walker_jax.walkers.model import Phase, Scalar, Walker
+from walker_jax.walkers.rolling_stance import RollingStance
+from walker_jax.walkers.spatial import SpatialWalker
 from walker_jax.walking.outcomes import Outcome
 
 Condition = Callable[[Any, Any], Scalar]
@@ -43,9 +45,11 @@ def conditions_of(walker: Walker | Phase) -> dict[int, Condition]:
 
 def equations(walker: Walker | Phase) -> Callable[[Any], Any]:
     """The equations of motion: the vector field, or virtual power for walkers with masses."""
-    general = type(walker).vector_field is MultibodyMotion.vector_field
-    if general and isinstance(walker, MultibodyMotion):
+    moves_by = type(walker).vector_field
+    if isinstance(walker, MultibodyMotion) and moves_by is MultibodyMotion.vector_field:
         return SingleSupport(walker)
+    if isinstance(walker, SpatialWalker) and moves_by is SpatialWalker.vector_field:
+        return RollingStance(walker)
     return walker.vector_field
 
 
