@@ -19,7 +19,7 @@ SIZE: ViewportSize = {"width": 1200, "height": 680}
 WIDTH = 900
 """Pixels of the film."""
 COLOURS = 208
-COMMON = 24
+COMMON = 12
 """Of these, those that are as on the page."""
 FRAME = 90
 """Milliseconds."""
