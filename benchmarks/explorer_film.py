@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -105,7 +106,7 @@ def palette_of(frames: list[Image.Image]) -> Image.Image:
     whole = Image.new("RGB", (width, height * len(some)))
     for k, one in enumerate(some):
         whole.paste(one, (0, k * height))
-    counts = whole.getcolors(width * height * len(some)) or []
+    counts: Any = whole.getcolors(width * height * len(some))  # pairs of a number and a colour
     common = [colour for _, colour in sorted(counts, reverse=True)[:COMMON]]
     spread = whole.quantize(COLOURS - COMMON, Image.Quantize.MAXCOVERAGE).getpalette() or []
     palette = Image.new("P", (1, 1))
