@@ -103,7 +103,7 @@ def test_every_host_has_a_link_that_is_answered(host, monkeypatch, capsys):
     monkeypatch.setattr(server.webbrowser, "open", opened.append)
     ran: list = []
     monkeypatch.setattr(server.Server, "run", lambda self, sockets: ran.append((self, sockets[0])))
-    server.run_server(host, 0, "simplest", {"slope": 0.004}, browser=True)
+    server.run_server(host, 0, FAMILY["simplest"], {"slope": 0.004}, browser=True)
     printed = capsys.readouterr()
     ((found, listener),) = ran
     port = listener.getsockname()[1]
@@ -124,7 +124,7 @@ def test_every_host_has_a_link_that_is_answered(host, monkeypatch, capsys):
 def test_labels_of_attractors_are_none_of_outcomes():
     assert max(Outcome) < pictures.UNMATCHED < pictures.FIRST_ATTRACTOR
     assert pictures.FIRST_ATTRACTOR + pictures.MAX_ATTRACTORS <= 256
-    lost = {code for code, one in describe_family()["fates"].items() if one["lost"]}
+    lost = {code for code, one in describe_family(FAMILY)["fates"].items() if one["lost"]}
     assert {Outcome.FORWARD, Outcome.BACKWARD, Outcome.SCUFFED} < lost
     assert lost.isdisjoint({Outcome.STRIDE, Outcome.OUTSIDE, Outcome.UNDECIDED, Outcome.LEFT_GRID})
 
