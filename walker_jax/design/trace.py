@@ -1,5 +1,6 @@
 """The trace of an optimisation: its measurements and their places, kept on disk."""
 
+import threading
 import time
 from collections.abc import Callable, Iterable
 from contextlib import closing
@@ -31,6 +32,8 @@ class Trace:
     ):
         self.problem, self.keep = problem, keep
         self.rows: list[Evaluation] = []
+        self.lock = threading.Lock()
+        """Of rows, which several climbs add to."""
         if known is not None:
             check_known(problem, known)
         self.known = {} if known is None else {key_of(row): row for row in evaluations_in(known)}
@@ -56,19 +59,26 @@ class Trace:
         """Measure the walker at several places, side by side, unless a measurement is known."""
         all_values = [self.problem.values(place) for place in places]
         new = {one.tobytes(): one for one in all_values if (stage, one.tobytes()) not in self.known}
+        rows: list[Evaluation] = []
         evaluate = lambda values: evaluate_objective(self.problem, stage, values, self.gait)
         with closing(side_by_side(evaluate, new.values())) as evaluated:
             for values in all_values:
                 row = self.known.get(key_at(stage, values))
+                new_row = row is None
                 if row is None:
                     with bar(self.label(values), self.progress):
                         row = next(evaluated)
+                rows.append(row._replace(run=run, stage=stage))
+                with self.lock:
                     self.known[key_of(row)] = row
-                    self.rows.append(row._replace(run=run))
-                    self.keep_all()
-                else:
-                    self.rows.append(row._replace(run=run, stage=stage))
-        return self.rows[-len(all_values) :]
+                    self.rows.append(rows[-1])
+                    if new_row:
+                        self.keep_all()
+        return rows
+
+    def sort_runs(self) -> None:
+        """Put the measurements in the order of runs, which were made side by side."""
+        self.rows.sort(key=lambda row: row.run)
 
     def keep_all(self) -> None:
         """Keep the trace, with what is known beside it."""
