@@ -532,6 +532,15 @@ def test_margins_have_the_sign_that_the_outcome_says():
     assert np.isfinite(found.landing[ends.outcome == Outcome.STRIDE]).mean() > 0.3
 
 
+def test_a_foot_that_comes_down_after_the_fall_does_not_land():
+    """The stance leg is down at 2.24, the foot at 2.26: in one step of the integration."""
+    walker, x = changed(WALKER, foot_radius=0.0), np.array([0.28787059, -0.75104167, 0.61825993])
+    assert wj.stride(walker, x).outcome == Outcome.FORWARD
+    found = wj.margins_of_many(walker, x[None])
+    assert found.stride.outcome[0] == Outcome.FORWARD and found.forward[0] < 0
+    assert not found.landing[0] < 0
+
+
 @pytest.mark.slow
 def test_a_start_in_mid_stride_goes_on_with_the_same_stride(path):
     times, states, _, _ = path
