@@ -83,6 +83,15 @@ def test_gaits_of_published_walkers(entry):
     np.testing.assert_allclose(times, [exact["knee_strike"], exact["heel_strike"]], atol=1e-8)
 
 
+@pytest.mark.parametrize("slope, radius", [(0.05, 0.0), (0.09, 0.3), (0.09, 0.5)])
+def test_gaits_are_found_without_a_guess(slope, radius):
+    """On large feet and steep slopes too, where legs turn fast beside the speed of toppling."""
+    gait = wj.find_gait(KneedWalker(slope, foot_radius=radius))
+    assert gait.found and gait.stable
+    sizes = {0.0: 0.658, 0.3: 0.545, 0.5: 0.648}  # along a branch, in docs/results.md
+    assert np.abs(gait.multipliers).max() == pytest.approx(sizes[radius], abs=5e-4)
+
+
 @pytest.mark.slow
 def test_a_gait_on_round_feet_is_that_of_another_program():
     """McGeer's walker of 1990 with its masses at points."""
