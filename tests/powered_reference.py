@@ -1,7 +1,8 @@
 """Powered walkers by scipy alone: gaits and gait sensitivity norms, without walker_jax.
 
 By Runge-Kutta, places of the feet and velocities in the plane. States are full ones, just after
-heel strike; disturbances are the height of the next foothold, the slope and a push.
+heel strike; disturbances are the height of the next foothold, the slope and a push. Parameters are
+(slope, stiffness, damping, slack angle, push-off), or a function of the start that gives them.
 """
 
 import numpy as np
@@ -23,11 +24,12 @@ def across(angle):
 
 
 def follow(parameters, full, step=0.0, slope=0.0, push=0.0):
-    """The next full state, the time, and the length of the step."""
-    own, stiffness, damping, slack, push_off = parameters
-    own = own + slope
+    """The next full state, the time, and the length of the step; None where there is no strike."""
     theta, phi, thetadot, phidot = full
     start = [theta, phi, thetadot + push, phidot + (1 - np.cos(phi)) * push]
+    known = parameters(start) if callable(parameters) else parameters
+    own, stiffness, damping, slack, push_off = known
+    own = own + slope
 
     def field(t, y):
         theta, phi, thetadot, phidot = y
@@ -38,10 +40,15 @@ def follow(parameters, full, step=0.0, slope=0.0, push=0.0):
     def height(t, y):
         return np.cos(y[0]) - np.cos(y[0] - y[1]) - step
 
-    height.direction = -1
-    solution = solve_ivp(field, (0, LONGEST), start, events=height, **WAY)
+    def stands(t, y):
+        return min(-y[2], y[0] + np.pi / 2)
+
+    height.direction, vars(stands)["terminal"] = -1, True
+    solution = solve_ivp(field, (0, LONGEST), start, events=(height, stands), **WAY)
     # On even ground the height is zero, too, where the legs pass each other.
     ahead = (solution.y_events[0][:, 0] < 0) & (solution.y_events[0][:, 1] < -1e-6)
+    if not ahead.any():
+        return None
     first = int(ahead.argmax())
     theta, phi, thetadot, _ = solution.y_events[0][first]
     hip = thetadot * across(theta) + push_off * along(theta)
@@ -49,6 +56,19 @@ def follow(parameters, full, step=0.0, slope=0.0, push=0.0):
     length = np.sin(theta - phi) - np.sin(theta)
     after = np.array([theta - phi, -phi, rate, (1 - np.cos(phi)) * rate])
     return after, solution.t_events[0][first], length
+
+
+def outlasts(parameters, x, strides):
+    """Whether a walk from the section makes so many strides, its stance foot never pulled."""
+    full = lift(x)
+    for _ in range(strides):
+        theta, _, thetadot, _ = full
+        slope = (parameters(full) if callable(parameters) else parameters)[0]
+        made = follow(parameters, full) if thetadot**2 < np.cos(theta - slope) else None
+        if made is None or made[0][2] >= 0:
+            return False
+        full = made[0]
+    return True
 
 
 def lift(x):
