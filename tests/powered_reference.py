@@ -5,6 +5,8 @@ heel strike; disturbances are the height of the next foothold, the slope and a p
 (slope, stiffness, damping, slack angle, push-off), or a function of the start that gives them.
 """
 
+from typing import Any
+
 import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.linalg import solve_discrete_lyapunov
@@ -23,12 +25,15 @@ def across(angle):
     return np.array([-np.cos(angle), -np.sin(angle)])
 
 
+def values_at(parameters: Any, start) -> Any:
+    return parameters(start) if callable(parameters) else parameters
+
+
 def follow(parameters, full, step=0.0, slope=0.0, push=0.0):
-    """The next full state, the time, and the length of the step; None where there is no strike."""
+    """The next full state, the time, and the length of the step; NaN where there is no strike."""
     theta, phi, thetadot, phidot = full
     start = [theta, phi, thetadot + push, phidot + (1 - np.cos(phi)) * push]
-    known = parameters(start) if callable(parameters) else parameters
-    own, stiffness, damping, slack, push_off = known
+    own, stiffness, damping, slack, push_off = values_at(parameters, start)
     own = own + slope
 
     def field(t, y):
@@ -48,7 +53,7 @@ def follow(parameters, full, step=0.0, slope=0.0, push=0.0):
     # On even ground the height is zero, too, where the legs pass each other.
     ahead = (solution.y_events[0][:, 0] < 0) & (solution.y_events[0][:, 1] < -1e-6)
     if not ahead.any():
-        return None
+        return np.full(4, np.nan), np.nan, np.nan
     first = int(ahead.argmax())
     theta, phi, thetadot, _ = solution.y_events[0][first]
     hip = thetadot * across(theta) + push_off * along(theta)
@@ -63,11 +68,10 @@ def outlasts(parameters, x, strides):
     full = lift(x)
     for _ in range(strides):
         theta, _, thetadot, _ = full
-        slope = (parameters(full) if callable(parameters) else parameters)[0]
-        made = follow(parameters, full) if thetadot**2 < np.cos(theta - slope) else None
-        if made is None or made[0][2] >= 0:
+        pulled = thetadot**2 > np.cos(theta - values_at(parameters, full)[0])
+        full = follow(parameters, full)[0]
+        if pulled or not full[2] < 0:
             return False
-        full = made[0]
     return True
 
 

@@ -16,6 +16,9 @@ PATHS = sorted(NOTEBOOKS.glob("*.ipynb"))
 ROOM = 200_000
 """Bytes that a notebook may have."""
 
+LONG = ("7-rough-ground",)
+"""Notebooks that run for more than ten seconds of processor time when nothing is compiled yet."""
+slow = lambda path: [pytest.mark.slow] if path.stem in LONG else []
 each_notebook = pytest.mark.parametrize("path", PATHS, ids=lambda path: path.stem)
 
 
@@ -75,9 +78,9 @@ def kernel():
     client.execute(cleanup_kc=True)  # as it does not where the manager is given
 
 
-def test_there_are_six_notebooks_each_in_the_table():
+def test_there_are_seven_notebooks_each_in_the_table():
     table = (NOTEBOOKS / "README.md").read_text()
-    assert [path.name[0] for path in PATHS] == list("123456")
+    assert [path.name[0] for path in PATHS] == list("1234567")
     assert all(f"({path.name})" in table for path in PATHS)
 
 
@@ -85,7 +88,7 @@ def test_the_kernel_is_of_this_interpreter():
     assert own_kernel().format_kernel_cmd()[0] == sys.executable
 
 
-@each_notebook
+@pytest.mark.parametrize("path", [pytest.param(one, id=one.stem, marks=slow(one)) for one in PATHS])
 def test_a_notebook_runs_and_gives_what_it_holds(path, tmp_path, kernel):
     notebook = read(path)
     held, drawn = printed(notebook), figures(notebook)
