@@ -13,7 +13,7 @@ from walker_jax.storage.schema import check_dataset
 
 PIXELS = 120
 """Of the picture along each side: about the cells of a default result."""
-FAINTEST = 1e-9
+FAINTEST = 1e-6
 """Chance, over the largest one, below which a pixel is empty."""
 
 
