@@ -16,10 +16,16 @@ PATHS = sorted(NOTEBOOKS.glob("*.ipynb"))
 ROOM = 200_000
 """Bytes that a notebook may have."""
 
-LONG = ("7-rough-ground",)
-"""Notebooks that run for more than ten seconds of processor time when nothing is compiled yet."""
-slow = lambda path: [pytest.mark.slow] if path.stem in LONG else []
 each_notebook = pytest.mark.parametrize("path", PATHS, ids=lambda path: path.stem)
+LONG = "4-robustness", "5-optimising", "7-rough-ground"
+"""Those that take ten seconds or more."""
+run_each_notebook = pytest.mark.parametrize(
+    "path",
+    [
+        pytest.param(path, id=path.stem, marks=[pytest.mark.slow] if path.stem in LONG else [])
+        for path in PATHS
+    ],
+)
 
 
 def read(path: Path) -> NotebookNode:
@@ -88,7 +94,7 @@ def test_the_kernel_is_of_this_interpreter():
     assert own_kernel().format_kernel_cmd()[0] == sys.executable
 
 
-@pytest.mark.parametrize("path", [pytest.param(one, id=one.stem, marks=slow(one)) for one in PATHS])
+@run_each_notebook
 def test_a_notebook_runs_and_gives_what_it_holds(path, tmp_path, kernel):
     notebook = read(path)
     held, drawn = printed(notebook), figures(notebook)

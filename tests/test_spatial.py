@@ -233,3 +233,38 @@ def test_it_falls_to_each_side(gait):
     fates = wj.strides(WALKER, x + pushes).outcome
     assert Outcome.SIDEWAYS in fates
     assert not np.isin(fates, [Outcome.UNDECIDED]).any()
+
+
+@pytest.mark.slow
+def test_one_that_can_neither_lean_nor_yaw_walks_as_in_the_plane():
+    """The limit of large inertia J about the axes in the plane of a leg, extrapolated from three.
+
+    Lean and yaw are like 1 / J; rounding errors of impacts are like J.
+    """
+    sizes = dict(slope=0.05, leg_mass=0.7, leg_length=1.2)
+    planar = wj.RoundFootWalker(
+        **sizes, hip_mass=0.0, leg_inertia=0.03, com_from_hip=0.5, com_offset=0.02, foot_radius=0.25
+    )
+    places = dict(com_forward=0.02, com_outward=-0.5, com_height=0.7, disc_radius=0.25)
+    none = dict(inertia_xy=0.0, inertia_xz=0.0, inertia_yz=0.0)
+
+    def held(J):
+        inertia = none | dict(inertia_xx=J, inertia_yy=0.03, inertia_zz=J)
+        return wj.SpatialWalker(**sizes, hip_width=1.0, **places, **inertia, allow_scuffing=True)
+
+    x = np.random.default_rng(6).uniform([0.1, -0.9, -0.8], [0.35, -0.3, -0.1], (40, 3))
+    theta, thetadot, phidot = x.T
+    zero = np.zeros_like(theta)
+    starts = np.stack([zero, theta, 2 * theta, zero, zero, thetadot, phidot], axis=1)
+    expected = wj.strides(planar, x)
+    each = [wj.strides(held(J), starts) for J in (1e5, 2e5, 4e5)]
+    limit = lambda one, two, four: (8 * four - 6 * two + one) / 3
+    made = expected.outcome == Outcome.STRIDE
+    assert made.sum() > 5
+    for found in each:
+        np.testing.assert_array_equal(found.outcome == Outcome.STRIDE, made)
+    ends, times = limit(*(one.state for one in each)), limit(*(one.time for one in each))
+    zero, (theta, thetadot, phidot) = np.zeros(made.sum()), expected.state[made].T
+    plane = np.stack([zero, theta, 2 * theta, zero, zero, thetadot, phidot], axis=1)
+    np.testing.assert_allclose(ends[made], plane, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(times[made], expected.time[made], rtol=0, atol=1e-9)

@@ -11,7 +11,7 @@ import operator
 from collections.abc import Callable, Iterable
 from contextlib import contextmanager
 from contextvars import ContextVar
-from functools import reduce
+from functools import partial, reduce
 from typing import Any
 
 import jax
@@ -139,6 +139,34 @@ def constant(value) -> Series:
     return Series(lambda k: value if k == 0 else None)
 
 
+results_known: ContextVar[dict | None] = ContextVar("results_known", default=None)
+"""Results of operations on coefficients, while they are kept: each is traced once."""
+
+
+@contextmanager
+def keeping_results():
+    """Equal terms of coefficients are computed once, inside a `with` block.
+
+    A series that is computed again with one coefficient more has most of its terms in common.
+    """
+    token = results_known.set({})
+    try:
+        yield
+    finally:
+        results_known.reset(token)
+
+
+def apply_once(operation: Callable, *operands):
+    """operation(*operands), which for the same operands is the same result."""
+    known = results_known.get()
+    if known is None:
+        return operation(*operands)
+    key = tuple(map(id, (operation, *operands)))
+    if key not in known:  # keeps the operands alive, so that no others have their ids
+        known[key] = operation, operands, operation(*operands)
+    return known[key][-1]
+
+
 def scale(value, factor):
     if value is None:
         return None
@@ -147,7 +175,7 @@ def scale(value, factor):
 
 def add_terms(terms):
     terms = [term for term in terms if term is not None]
-    return reduce(lax.add, terms) if terms else None
+    return reduce(partial(apply_once, lax.add), terms) if terms else None
 
 
 def coefficient_product(
@@ -156,7 +184,7 @@ def coefficient_product(
     """The product of two coefficients; the right one is not read if the left one is zero."""
     if (one := left[i]) is None or (other := right[j]) is None:
         return None
-    return multiply(one, other)
+    return apply_once(multiply, one, other)
 
 
 def newest_last(first: int, last: int) -> list[int]:

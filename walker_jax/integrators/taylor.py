@@ -24,7 +24,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, PyTree
 
 from walker_jax.integrators.expansion import compose, switches
-from walker_jax.integrators.series import Series, constant, recording, scale, series_log
+from walker_jax.integrators.series import (
+    Series,
+    constant,
+    keeping_results,
+    recording,
+    scale,
+    series_log,
+)
 
 
 class PowerBalance(eqx.Module):
@@ -129,8 +136,8 @@ class VirtualPower(PowerBalance):
 class ConstrainedPower(PowerBalance):
     """Equations of motion of independent rates u, to which q' = T(q) u gives those of all q.
 
-    With momenta m = P(q) u they are p(q, u, m') = 0, one for each of u, where p is linear in m'. A
-    state holds the coordinates q first, then u.
+    With momenta m = P(q) u they are p(q, u, m, m') = 0, one for each of u, where p is linear in m'.
+    A state holds the coordinates q first, then u.
     """
 
     @property
@@ -144,10 +151,10 @@ class ConstrainedPower(PowerBalance):
 
     @abc.abstractmethod
     def momentum(self, q: list, u: list) -> list:
-        """P(q) u, to scalars m."""
+        """P(q) u, to scalars m; more than p needs the rates of, if p needs them themselves."""
 
     @abc.abstractmethod
-    def power(self, q: list, u: list, momentum_rates: list) -> list:
+    def power(self, q: list, u: list, momentum: list, momentum_rates: list) -> list:
         """p: one scalar for each of u."""
 
     @abc.abstractmethod
@@ -169,8 +176,8 @@ class ConstrainedPower(PowerBalance):
         leaves, structure = jax.tree.flatten(state)
         q, u = self.halves(leaves)
         qdot = self.rates(q, u)
-        convective = jax.jvp(lambda q: self.momentum(q, u), (q,), (qdot,))[1]
-        udot = self.solve(self.factorise(q), self.power(q, u, convective))
+        momentum, convective = jax.jvp(lambda q: self.momentum(q, u), (q,), (qdot,))
+        udot = self.solve(self.factorise(q), self.power(q, u, momentum, convective))
         return jax.tree.unflatten(structure, qdot + udot)
 
     def series(self, state: PyTree, order: int) -> PyTree[list]:
@@ -180,6 +187,10 @@ class ConstrainedPower(PowerBalance):
         linearly, with P at t = 0 as its factor. So p is first computed with u_{k+1} = 0, and
         u_{k+1} solves a linear equation whose right-hand side is that p.
         """
+        with keeping_results():
+            return self.grow(state, order)
+
+    def grow(self, state: PyTree, order: int) -> PyTree[list]:
         leaves, structure = jax.tree.flatten(state)
         at, start = self.halves(leaves)
         factors = with_fast_sincos(self.factorise)(at)
@@ -212,7 +223,8 @@ class ConstrainedPower(PowerBalance):
         with recording(series_log) as of_power:
             changes = [derivative(series) for series in momentum]
             like = [jnp.zeros_like(start[0])] * len(momentum)
-            p = compose(lambda args: self.power(*args), (*both, changes), (*at, like))
+            known = *both, momentum, changes
+            p = compose(lambda args: self.power(*args), known, (*at, like, like))
         return p, of_momentum, of_power
 
 

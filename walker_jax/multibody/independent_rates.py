@@ -81,7 +81,7 @@ class ConstrainedMotion(ConstrainedPower):
 
         return unroll(flat)(self, q, u)
 
-    def power(self, q, u, momentum_rates):
+    def power(self, q, u, momentum, momentum_rates):
         def flat(self, q, u, momentum_rates):
             q, system = jnp.stack(q), self.system()
             allowed = self.allowed_rates(q)

@@ -40,6 +40,39 @@ class SpatialState(NamedTuple):
     phidot: Scalar
 
 
+class Momenta(NamedTuple):
+    """Momenta of both legs, and what they are made of, in vectors along the axle's frame."""
+
+    whole: Vector
+    """Angular momentum of both legs about the contact."""
+    swing: Vector
+    """Angular momentum of the swing leg about the hip."""
+    linear: Vector
+    """Momentum of both legs."""
+    linear_swing: Vector
+    """Momentum of the swing leg."""
+    hip: Vector
+    """Velocity of the hip."""
+    arms: Vector
+    """The sum of the arms of the two centres of mass, from the contact."""
+    arm: Vector
+    """The arm of the swing leg's centre of mass, from the hip."""
+    frame: Vector
+    """The angular velocity of the axle's frame."""
+    lean: list[Scalar]
+    """The cosine and the sine of the lean."""
+
+    def scalars(self) -> list[Scalar]:
+        """All entries, one after the other."""
+        return [entry for field in self for entry in field]
+
+    @classmethod
+    def of(cls, scalars: list[Scalar]) -> "Momenta":
+        """From all entries."""
+        vectors = [jnp.stack(scalars[i : i + 3]) for i in range(0, 24, 3)]
+        return cls(*vectors, scalars[24:])
+
+
 class RollingStance(ConstrainedPower):
     """The equations of motion on the stance disc, which rolls, of x, y, yaw, lean, theta, phi.
 
@@ -48,10 +81,16 @@ class RollingStance(ConstrainedPower):
     are omega_i = Omega + (their rates) e_2. The stance leg turns about its contact, and the swing
     leg's centre of mass at arms b from the hip that is at arms a from the contact:
 
-        v_1 = omega_1 x c,    v_2 = omega_1 x a + omega_2 x b.
+        v_1 = omega_1 x c,    v_hip = omega_1 x a,    v_2 = v_hip + omega_2 x b.
 
-    The momenta are m v_1, m v_2, and the angular momenta h_i of the legs. The power of a force F_i
-    and a moment N_i on each leg is omega_1 (c x F_1 + a x F_2 + N_1) + omega_2 (b x F_2 + N_2).
+    H is the angular momentum of both legs about the contact, K that of the swing leg about the hip.
+    The contact moves at C along the slope, and the hip at v_hip, so with p and p_2 the momenta of
+    both legs and of the swing leg, and W the weight of a leg,
+
+        H' + Omega x H + C x p = (a + b + c) x W,
+        K' + Omega x K + v_hip x p_2 = b x W,
+
+    of the second of which the part along the axle counts.
     """
 
     walker: Any
@@ -63,97 +102,89 @@ class RollingStance(ConstrainedPower):
 
     def rates(self, q, u):
         """The contact moves along the disc by what the leg has turned about the axle."""
-        rolled = -self.walker.disc_radius * u[2]
+        rolled = self.rolled(u)
         return [rolled * jnp.cos(q[2]), rolled * jnp.sin(q[2]), *u]
 
-    def arms(self, lean_and_legs: list) -> tuple[Vector, Vector, Vector, list]:
-        """c, a and b; and the frames of the legs, by their cosines and sines."""
+    def rolled(self, u: list) -> Scalar:
+        """The speed of the contact along the slope."""
+        return -self.walker.disc_radius * u[2]
+
+    def momentum(self, q, u):
+        return unroll(lambda self, q, u: self.momenta(q[3:], u).scalars())(self, q, u)
+
+    def momenta(self, angles: list, u: list) -> Momenta:
+        """Of lean, theta and phi, and the rates."""
         walker = self.walker
-        _, theta, phi = lean_and_legs
+        lean, theta, phi = angles
+        yawdot, leandot, thetadot, phidot = u
         radius, shank = walker.disc_radius, walker.leg_length - walker.disc_radius
+        zero = jnp.zeros_like(theta)
         legs = [(jnp.cos(angle), jnp.sin(angle)) for angle in (-theta, phi - theta)]
+        tilt = [jnp.cos(lean), jnp.sin(lean)]
 
         def along(leg, forward, left, up):
             c, s = leg
             return jnp.stack([c * forward + s * up, left, c * up - s * forward])
 
-        zero, sole = jnp.zeros_like(theta), jnp.stack([0 * radius, 0 * radius, radius])
+        sole = jnp.stack([zero, zero, zero + radius])
         forward, outward, up = walker.com_forward, walker.com_outward, walker.com_height - radius
         stance = along(legs[0], forward, outward, up) + sole
         hip = along(legs[0], zero, zero, shank) + sole
         swing = along(legs[1], forward, -walker.hip_width - outward, up - shank)
-        return stance, hip, swing, legs
 
-    def momentum(self, q, u):
-        def flat(self, q, u):
-            return list(jnp.concatenate(self.momenta(q[3:], *self.turning(q[3], u))))
-
-        return unroll(flat)(self, q, u)
-
-    def turning(self, lean: Scalar, u: list) -> tuple[Vector, ...]:
-        """Omega, omega_1, omega_2."""
-        yawdot, leandot, thetadot, phidot = u
-        along, up = yawdot * jnp.sin(lean), yawdot * jnp.cos(lean)
-        turns = along, along - thetadot, along + (phidot - thetadot)
-        return tuple(jnp.stack([leandot, turn, up]) for turn in turns)
-
-    def momenta(self, legs: list, frame, *turning) -> list[Vector]:
-        """m v_1, h_1, m v_2, h_2."""
-        stance, hip, swing, frames = self.arms(legs)
-        first, second = turning
-        velocities = cross(first, stance), cross(first, hip) + cross(second, swing)
-        found = []
-        for side, v, omega, (c, s) in zip((1.0, -1.0), velocities, turning, frames, strict=True):
-            within = jnp.stack([c * omega[0] - s * omega[2], omega[1], s * omega[0] + c * omega[2]])
-            h = self.walker.inertia(side) @ within
-            found += [
-                self.walker.leg_mass * v,
-                jnp.stack([c * h[0] + s * h[2], h[1], c * h[2] - s * h[0]]),
-            ]
-        return found
-
-    def moments(self, legs: list, balance: list[Vector]) -> list[Scalar]:
-        """The power of forces and moments F_1, N_1, F_2, N_2 at unit rate of each of u."""
-        stance, hip, swing, _ = self.arms(legs)
-        force_1, moment_1, force_2, moment_2 = balance
-        first = cross(stance, force_1) + cross(hip, force_2) + moment_1
-        second = cross(swing, force_2) + moment_2
-        along, sideways, up = first + second
-        yaw = sideways * jnp.sin(legs[0]) + up * jnp.cos(legs[0])
-        return [yaw, along, -sideways, second[1]]
-
-    def balance_of_forces(self, q: list, u: list, momentum_rates: list) -> list:
-        """F_1, N_1, F_2, N_2: weights less the rates of the momenta, in the axle's frame."""
-        yaw, lean = q[2:4]
-        frame, *turning = self.turning(lean, u)
-        momenta = self.momenta(q[3:], frame, *turning)
-        changes = [jnp.stack(momentum_rates[i : i + 3]) for i in range(0, 12, 3)]
-        down, down_slope = -jnp.cos(self.walker.slope), jnp.sin(self.walker.slope)
-        across = -down_slope * jnp.sin(yaw)
-        c, s = jnp.cos(lean), jnp.sin(lean)
-        gravity = jnp.stack(
-            [down_slope * jnp.cos(yaw), c * across + s * down, c * down - s * across]
+        turn = yawdot * tilt[1]
+        frame = jnp.stack([leandot, turn, yawdot * tilt[0]])
+        first, second = (
+            jnp.stack([frame[0], turn + spin, frame[2]]) for spin in (-thetadot, phidot - thetadot)
         )
-        weight = self.walker.leg_mass * gravity
-        none = jnp.zeros_like(weight)
-        return [
-            force - change - cross(frame, momentum)
-            for force, change, momentum in zip(
-                (weight, none, weight, none), changes, momenta, strict=True
-            )
-        ]
+        at_hip = cross(first, hip)
+        p_1 = walker.leg_mass * cross(first, stance)
+        p_2 = walker.leg_mass * (at_hip + cross(second, swing))
+        about_hip = cross(swing, p_2) + self.spin(legs[1], -1.0, second)
+        whole = cross(stance, p_1) + cross(hip, p_2) + self.spin(legs[0], 1.0, first) + about_hip
+        arms = stance + hip + swing
+        return Momenta(whole, about_hip, p_1 + p_2, p_2, at_hip, arms, swing, frame, tilt)
 
-    def power(self, q, u, momentum_rates):
-        flat = lambda self, q, u, rates: self.moments(q[3:], self.balance_of_forces(q, u, rates))
-        return unroll(flat)(self, q, u, momentum_rates)
+    def spin(self, leg: tuple[Scalar, Scalar], side: float, omega: Vector) -> Vector:
+        """The angular momentum of a leg about its centre of mass."""
+        c, s = leg
+        within = jnp.stack([c * omega[0] - s * omega[2], omega[1], s * omega[0] + c * omega[2]])
+        h = self.walker.inertia(side) @ within
+        return jnp.stack([c * h[0] + s * h[2], h[1], c * h[2] - s * h[0]])
+
+    def weight(self, yaw: Scalar, lean: list[Scalar]) -> Vector:
+        """Of a leg, along the axle's frame."""
+        down, down_slope = -jnp.cos(self.walker.slope), jnp.sin(self.walker.slope)
+        across, (c, s) = -down_slope * jnp.sin(yaw), lean
+        gravity = [down_slope * jnp.cos(yaw), c * across + s * down, c * down - s * across]
+        return self.walker.leg_mass * jnp.stack(gravity)
+
+    def power(self, q, u, momentum, momentum_rates):
+        def flat(self, q, u, momentum, momentum_rates):
+            now, rates = Momenta.of(momentum), Momenta.of(momentum_rates)
+            weight = self.weight(q[2], now.lean)
+            contact = self.rolled(u)
+            zero = jnp.zeros_like(contact)
+            carried = jnp.stack([zero, -contact * now.linear[2], contact * now.linear[1]])
+            whole = cross(now.arms, weight) - cross(now.frame, now.whole) - carried
+            swing = cross(now.arm, weight) - cross(now.frame, now.swing)
+            swing = swing - cross(now.hip, now.linear_swing)
+            return self.moments(now.lean, whole - rates.whole, swing - rates.swing)
+
+        return unroll(flat)(self, q, u, momentum, momentum_rates)
+
+    def moments(self, lean: list[Scalar], whole: Vector, swing: Vector) -> list[Scalar]:
+        """The power of moments, on both legs and on the swing leg, at unit rate of each of u."""
+        (c, s), (along, sideways, up) = lean, whole
+        return [sideways * s + up * c, along, -sideways, swing[1]]
 
     def factorise(self, q):
         def flat(self, q):
             columns = []
             for one in np.eye(4):
                 u = [jnp.asarray(entry, q[0].dtype) for entry in one]
-                momenta = self.momenta(q[3:], *self.turning(q[3], u))
-                columns.append(self.moments(q[3:], momenta))
+                found = self.momenta(q[3:], u)
+                columns.append(self.moments(found.lean, found.whole, found.swing))
             return multibody.factorise(columns)
 
         return unroll(flat)(self, q)
@@ -176,10 +207,10 @@ def contact_forces(walker: Any, state: Any) -> list[Scalar]:
 
     def flat(walker, q, u, qdot, udot):
         motion = RollingStance(walker)
-        _, changes = jax.jvp(motion.momentum, (q, u), (qdot, udot))
-        stance, _, swing, _ = motion.balance_of_forces(q, u, changes)
-        forward, left, up = -(stance + swing)
-        yaw, c, s = q[2], jnp.cos(q[3]), jnp.sin(q[3])
+        now, rates = map(Momenta.of, jax.jvp(motion.momentum, (q, u), (qdot, udot)))
+        turning = rates.linear + cross(now.frame, now.linear)
+        forward, left, up = turning - 2 * motion.weight(q[2], now.lean)
+        yaw, (c, s) = q[2], now.lean
         along = jnp.cos(yaw) * forward - jnp.sin(yaw) * (c * left - s * up)
         return [along, s * left + c * up]
 
