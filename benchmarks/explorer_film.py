@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -19,6 +20,8 @@ SIZE: ViewportSize = {"width": 1200, "height": 680}
 WIDTH = 900
 """Pixels of the film."""
 COLOURS = 208
+COMMON = 12
+"""Of these, those that are as on the page."""
 FRAME = 90
 """Milliseconds."""
 SLOPES = [*np.linspace(0.004, 0.011, 12), *np.linspace(0.011, 0.004, 9)[1:]]
@@ -93,14 +96,22 @@ def film(page: Page) -> list[Image.Image]:
     return frames
 
 
-def montage(frames: list[Image.Image]) -> Image.Image:
-    """Some frames below each other, of whose colours the film's are chosen."""
+def palette_of(frames: list[Image.Image]) -> Image.Image:
+    """The colours of the film: the most common ones as they are, and others spread among all.
+
+    So large areas keep their colours, and small marks have theirs.
+    """
     some = frames[:: max(1, len(frames) // 6)]
     width, height = some[0].size
     whole = Image.new("RGB", (width, height * len(some)))
     for k, one in enumerate(some):
         whole.paste(one, (0, k * height))
-    return whole
+    counts: Any = whole.getcolors(width * height * len(some))  # pairs of a number and a colour
+    common = [colour for _, colour in sorted(counts, reverse=True)[:COMMON]]
+    spread = whole.quantize(COLOURS - COMMON, Image.Quantize.MAXCOVERAGE).getpalette() or []
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([*(part for colour in common for part in colour), *spread])
+    return palette
 
 
 def main() -> None:
@@ -122,7 +133,7 @@ def main() -> None:
     finally:
         server.terminate()
         server.wait()
-    palette = montage(frames).quantize(COLOURS, Image.Quantize.MAXCOVERAGE)
+    palette = palette_of(frames)
     images = [one.quantize(palette=palette, dither=Image.Dither.NONE) for one in frames]
     images[0].save(path, save_all=True, append_images=images[1:], duration=FRAME, loop=0)
     print(f"{path}: {len(frames)} frames, {path.stat().st_size / 1000:.0f} kB")

@@ -13,6 +13,7 @@ import numpy as np
 import walker_jax as wj
 from walker_jax.explorer.guard import TOKEN_HEADER, Bucket
 from walker_jax.explorer.server import Server, listen, make_server, names_of
+from walker_jax.explorer.subjects import FAMILY, Offers
 
 TOKEN = "a-token-for-tests"
 
@@ -114,10 +115,10 @@ class Running(NamedTuple):
 
 
 @contextmanager
-def running(port: int = 0, host: str = "127.0.0.1") -> Iterator[Running]:
+def running(port: int = 0, host: str = "127.0.0.1", offers: Offers = FAMILY) -> Iterator[Running]:
     """A server on a free port, or on a given one, in a thread."""
     listener = listen(host, port)
-    server = make_server(listener, TOKEN, names_of(host, listener))
+    server = make_server(listener, TOKEN, names_of(host, listener), offers)
     guard: Any = server.config.app
     guard.requests = guard.files = Bucket(1e9, 1e9)  # tests are faster than hands
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})

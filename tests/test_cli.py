@@ -553,6 +553,7 @@ def test_bifurcation_answers_keeps_and_draws(run, tmp_path, monkeypatch):
     [
         (["--from", "0.02", "--to", "0.01"], "--from"),
         (["--from", "0"], "slope"),
+        (["--slope", "0.01"], "--slope is not for this command: give --from and --to"),
         (["--to", "nan"], "slope"),
         (["--period-max", "0"], "period-max"),
         (["--strides", "0"], "strides"),
@@ -968,12 +969,10 @@ def test_every_command_has_examples_and_says_how_long_it_takes():
     assert {*EXAMPLES} == {*DURATIONS} == {*COMMANDS}
 
 
-def test_the_page_takes_no_walker_of_a_file(run, tmp_path):
-    file = tmp_path / "far.py"
-    file.write_text("import walker_jax as wj\n\n\nclass Far(wj.SimplestWalker):\n    pass\n")
-    code, out, err = run("explore", "--no-browser", "--walker", f"{file}:Far")
+def test_the_page_takes_no_walker_in_space(run):
+    code, out, err = run("explore", "--no-browser", "--walker", "spatial")
     assert (code, out) == (2, "")
-    assert err.startswith("walker-jax: --walker must be one of simplest, ")
+    assert err == "walker-jax: --walker must be one in the plane, not a SpatialWalker\n"
 
 
 def test_a_host_that_cannot_be_one_is_refused(run):

@@ -31,7 +31,7 @@ from walker_jax.explorer import measures, pictures, service, walks, workers
 from walker_jax.explorer.family import describe_family
 from walker_jax.explorer.guard import MAX_BODY, Bucket
 from walker_jax.explorer.lattice import HOME_CELLS, TILE, Rectangle
-from walker_jax.explorer.subjects import Subject, read_subject
+from walker_jax.explorer.subjects import FAMILY, Subject, read_subject
 from walker_jax.walkers.family import PLANAR_WALKERS
 from walker_jax.walkers.parameters import parameters
 
@@ -88,7 +88,7 @@ def test_far_in_a_picture_shows_what_strides_do(client, section):
     """2^14 times as close, where the boundary is fractal: cells followed stride by stride."""
     level = 14
     at = np.array([0.19313, 0.01085 - 0.02])
-    home = service.home_of("simplest", section)
+    home = service.home_of(FAMILY["simplest"], section)
     x = at if section == "sheared" else np.array([at[0], at[1] - at[0]])
     share = (x - home.lower) / (np.array(home.upper) - home.lower)
     first = np.floor(share * np.array(HOME_CELLS) * 2.0**level / TILE).astype(int)
@@ -400,7 +400,7 @@ def test_the_command_of_a_slice_names_its_plane():
 
 
 def test_the_page_knows_every_walker_and_parameter():
-    told = describe_family()
+    told = describe_family(FAMILY)
     assert json.dumps(told, allow_nan=False)
     for name, kind in PLANAR_WALKERS.items():
         shown = told["walkers"][name]["parameters"]
@@ -660,12 +660,14 @@ def test_help_and_import_load_no_server():
     subprocess.run([sys.executable, "-c", program], check=True)
 
 
-def test_only_a_walker_of_the_family_is_explored():
+def test_only_a_walker_in_the_plane_and_in_a_file_is_explored():
     class Own(wj.SimplestWalker):
         pass
 
-    with pytest.raises(ValueError, match=r"walker must be one of SimplestWalker, .* not a Own"):
+    with pytest.raises(ValueError, match=r"that other processes can import: write Own into a file"):
         wj.explore(Own(0.004))
+    with pytest.raises(ValueError, match="walker must be one in the plane, not a SpatialWalker"):
+        wj.explore(wj.SpatialWalker(0.004))
     with pytest.raises(ValueError, match="height must be at least 100"):
         wj.explore(wj.SimplestWalker(0.004), height=1)
 

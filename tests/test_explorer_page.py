@@ -4,6 +4,7 @@ Without a browser these tests are skipped, with the reason; where `WALKER_JAX_RE
 set, as `.ci/run` does, they fail.
 """
 
+import json
 import os
 import shutil
 import time
@@ -13,6 +14,7 @@ from itertools import combinations
 from threading import Thread
 
 import explorer_server
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -22,7 +24,8 @@ from playwright.sync_api import sync_playwright
 from zarr.storage import ZipStore
 
 import walker_jax as wj
-from walker_jax.explorer import pictures
+from walker_jax.explorer import measures, pictures
+from walker_jax.explorer.subjects import FAMILY, offer, read_subject
 
 CHROMIUM = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
@@ -59,9 +62,18 @@ MEASURED = {
 """What workers would compute in the time that a page is open: some seconds of two processors."""
 
 
+class Own(wj.SimplestWalker):
+    """The simplest walker, of a user's own."""
+
+    unused: jax.Array
+
+
+OWN = offer(Own(jnp.array(0.004), jnp.array(0.5)))
+
+
 @pytest.fixture(scope="module")
 def running():
-    with explorer_server.running() as server:
+    with explorer_server.running(offers=FAMILY | {"Own": OWN}) as server:
         yield server
 
 
@@ -327,6 +339,19 @@ def test_the_link_and_what_is_taken_away(opened, tmp_path):
     assert other.value(CELLS) == found
 
 
+def test_a_walker_of_ones_own_walks_and_one_of_another_server_is_told(opened):
+    page = opened("walker=Own&slope=0.004&unused=0.7")
+    assert page.shown("#about-walker") == "The simplest walker, of a user's own."
+    assert page.value("explorer.state.parameters") == {"slope": 0.004, "unused": 0.7}
+    page.page.mouse.click(*page.screen(0.1534, -0.0027))
+    page.wait("explorer.walk.current?.number >= 1")
+    pose = page.value("explorer.walk.places(explorer.walk.state(), 0)")
+    assert np.hypot(*np.subtract(pose["hip"], pose["stance"])) == pytest.approx(1)
+    page.value("location.hash = 'walker=Nobody&slope=0.01'")
+    page.wait("document.querySelector('#toast').textContent.includes('not know the walker Nobody')")
+    assert page.value("explorer.state.parameters") == {"slope": 0.004}
+
+
 def test_hands_on_keys_alone(opened):
     page = opened("walker=simplest&slope=0.004")
     page.page.focus("#map")
@@ -446,9 +471,9 @@ def test_walks_never_mix(opened):
     # two pushes by keys, the second while the first is under way: one push by their sum, mid-stride
     page.value("explorer.walk.time += 0.5; explorer.walk.playing = true")
     page.page.focus("#map")
-    for _ in range(2):
+    for count in (1, 2):
         page.page.keyboard.press("]")
-    held.wait(2)
+        held.wait(count)
     assert [one.request.post_data_json["push"] for one in held.routes] == [[0.01, 0], [0.02, 0]]
     time_then = page.value("explorer.walk.time")
     held.let_go()
@@ -460,6 +485,7 @@ def test_walks_never_mix(opened):
     # a push under way, and a new start: the new walk alone
     page.value("explorer.walk.playing = false; explorer.walk.time = 1")
     page.page.keyboard.press("]")
+    held.wait(1)
     page.page.mouse.click(*page.screen(0.15, -0.003))
     held.wait(2)
     held.let_go()
@@ -698,12 +724,18 @@ DIAGRAM = {
 }
 
 
-def test_the_bifurcation_tab_has_the_slope_in_it(opened):
-    """The diagram itself is tested without a browser."""
+def test_the_bifurcation_tab_has_the_slope_in_it(opened, monkeypatch):
+    """A diagram as the server computes it, of few slopes; and those that a hand chooses."""
     page = opened("walker=simplest&slope=0.004")
-    page.page.route("**/api/measure/bifurcation", partial(fulfil, DIAGRAM))
+    few = {"period_max": 1, "strides": 60, "scan": 8}
+    monkeypatch.setattr(measures, "DIAGRAM", few)
+    found = measures.bifurcation(read_subject({"walker": "simplest"}))
+    assert json.dumps(found, allow_nan=False)
+    page.page.route("**/api/measure/bifurcation", partial(fulfil, found))
     page.page.click("#tab-bifurcation")
-    page.wait("document.querySelector('#diagram-note').textContent.includes('lost near 0.019')")
+    page.wait("document.querySelector('#diagram-note').textContent.includes('lost near 0.0193')")
+    assert "doubles its period at 0.015088;" in page.shown("#diagram-note")
+    assert page.value("document.querySelector('#diagram').getAttribute('aria-valuemax')") == "0.022"
     box = page.box("#diagram")
     page.page.mouse.click(box["x"] + 70 + 0.5 * (box["width"] - 84), box["y"] + 100)
     slope = page.value("explorer.state.parameters.slope")

@@ -31,7 +31,7 @@ def help_of_end(which: str, end: int) -> str:
     return f"{which} slope, rad (default: {usual:g}{''.join(others)})."
 
 
-@takes_walker(without=("slope",))
+@takes_walker(without={"slope": "--from and --to"})
 def bifurcation(
     walker: Walker,
     low: Annotated[float | None, typer.Option("--from", help=help_of_end("Lowest", 0))] = None,

@@ -7,7 +7,6 @@ import typer
 from walker_jax.checks import WrongUse
 from walker_jax.cli.rewording import option_of
 from walker_jax.cli.walker_options import takes_walker
-from walker_jax.walkers.family import PLANAR_WALKERS
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import chosen_options, parameters
 
@@ -31,16 +30,16 @@ def explore(
     holds what it shows; buttons copy the command and the Python that give the same data.
     """
     from walker_jax.explorer.server import run_server
+    from walker_jax.explorer.subjects import offer
+    from walker_jax.walkers.references import reference_of
 
     try:
         host.encode("idna")  # as the network does
     except UnicodeError:
         raise WrongUse(f"--host must be a name or an address, not {host}") from None
-    names = [one for one, kind in PLANAR_WALKERS.items() if type(walker) is kind]
-    if not names:
-        known = ", ".join(PLANAR_WALKERS)
-        raise WrongUse(f"--walker must be one of {known}: the page knows no others")
+    offered = offer(walker)
+    reference_of(offered.kind)  # raises for what worker processes cannot import
     for option in chosen_options(walker):
         raise WrongUse(f"{option_of(option)} is not for the page, which knows parameters alone")
     values = {one.name: float(getattr(walker, one.name)) for one in parameters(walker)}
-    run_server(host, port, names[0], values, browser=browser)
+    run_server(host, port, offered, values, browser=browser)

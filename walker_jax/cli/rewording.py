@@ -16,6 +16,7 @@ OPTIONS = {
     "limits of": "--at-least and --at-most of",
     "limits must": "--at-least and --at-most must",
     "bounds of": "--bound of",
+    "walker must": "--walker must",
     "objective must": "--objective must",
     "grid is": "--theta, --sum and --at-phidot are",
 }

@@ -3,8 +3,9 @@
 import functools
 import inspect
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from itertools import pairwise
+from types import MappingProxyType
 from typing import Annotated
 
 import typer
@@ -27,10 +28,10 @@ Kinds = Mapping[str, type[Walker]]
 """The walkers that a command offers, by their names."""
 
 
-def takes_walker(*, without: tuple[str, ...] = ()) -> Callable:
+def takes_walker(*, without: Mapping[str, str] = MappingProxyType({})) -> Callable:
     """Decorate a command whose first argument is a walker: `with_walker_options` replaces it.
 
-    `without` are parameters that the command sets itself, from options of its own.
+    `without` are parameters that the command sets itself, and its own options that say how.
     """
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
@@ -58,7 +59,7 @@ def offered_walkers(args: Sequence[str]) -> Kinds:
 
 def with_walker_options(command: Callable[..., None], kinds: Kinds) -> Callable[..., None]:
     """The command with options for the walkers that it offers, in the place of its walker."""
-    without: tuple[str, ...] = vars(command)["without"]
+    without: Mapping[str, str] = vars(command)["without"]
     offered, owners = offered_parameters(kinds, without)
     own = list(inspect.signature(command).parameters.values())[1:]
 
@@ -66,13 +67,16 @@ def with_walker_options(command: Callable[..., None], kinds: Kinds) -> Callable[
     def with_options(**given):
         name = given.pop("walker")
         given.pop("list_walkers")
+        for one, instead in without.items():
+            if given.pop(PREFIX + one) is not None:
+                raise WrongUse(f"{option_of(one)} is not for this command: give {instead}")
         values = {parameter: given.pop(PREFIX + parameter) for parameter in offered}
         values = {one: value for one, value in values.items() if value is not None}
         checks = {one.name: given.pop(PREFIX + one.name) for one in offered_options(kinds)}
         chosen = [one for one, chosen in checks.items() if chosen]
         return command(build_walker(kinds, name, values, chosen), **given)
 
-    accepted = walker_options(offered, owners, kinds)
+    accepted = walker_options(offered, owners, kinds, without)
     own = [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in own]
     vars(with_options)["__signature__"] = inspect.Signature([*accepted, *own])  # which typer reads
     with_options.__annotations__ = {one.name: one.annotation for one in (*accepted, *own)}
@@ -80,7 +84,7 @@ def with_walker_options(command: Callable[..., None], kinds: Kinds) -> Callable[
 
 
 def offered_parameters(
-    kinds: Kinds, without: tuple[str, ...]
+    kinds: Kinds, without: Collection[str]
 ) -> tuple[dict[str, Parameter], dict[str, list[str]]]:
     """The parameters of all walkers, but `without`, and the names of the walkers that have them."""
     offered: dict[str, Parameter] = {}
@@ -94,9 +98,12 @@ def offered_parameters(
 
 
 def walker_options(
-    offered: dict[str, Parameter], owners: dict[str, list[str]], kinds: Kinds
+    offered: dict[str, Parameter],
+    owners: dict[str, list[str]],
+    kinds: Kinds,
+    without: Collection[str],
 ) -> list[inspect.Parameter]:
-    """`--walker`, an option for each parameter, and `--list-walkers`."""
+    """`--walker`, an option for each parameter, hidden for those `without`; `--list-walkers`."""
 
     def help_of(one: Parameter) -> str:
         about = "; ".join(filter(None, (one.meaning, one.unit)))
@@ -119,6 +126,9 @@ def walker_options(
             option_of(one.name), help=help_of(one), rich_help_panel=PANEL, show_default=False
         )
         accepted.append(option(PREFIX + one.name, Annotated[float | None, number], None))
+    for one in without:  # which people try
+        hidden = typer.Option(option_of(one), hidden=True)
+        accepted.append(option(PREFIX + one, Annotated[float | None, hidden], None))
     for one, whose in offered_options(kinds).items():
         about = f"{whose_option(whose, kinds)}{one.meaning}."
         flag = typer.Option(option_of(one.name), help=about, rich_help_panel=PANEL)

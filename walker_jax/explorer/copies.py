@@ -1,10 +1,14 @@
 """What one takes away from the page: the command, and the Python, that give the same result."""
 
 import hashlib
+import shlex
+from pathlib import Path
 
 from walker_jax.explorer.lattice import Rectangle
 from walker_jax.explorer.measures import grid_of
-from walker_jax.explorer.subjects import Subject
+from walker_jax.explorer.subjects import FAMILY, Subject
+from walker_jax.walkers.model import Walker
+from walker_jax.walkers.references import reference_of
 
 
 def describe(subject: Subject, cells: Rectangle, method: str) -> dict[str, str]:
@@ -17,7 +21,7 @@ def describe(subject: Subject, cells: Rectangle, method: str) -> dict[str, str]:
 
 def command(subject: Subject, cells: Rectangle, method: str) -> str:
     """`walker-jax basin` with the options that give the picture's data."""
-    words = ["walker-jax basin", f"--walker {subject.name}"]
+    words = ["walker-jax basin", f"--walker {shlex.quote(reference_of(subject.kind))}"]
     words += [f"--{option(name)} {value!r}" for name, value in subject.parameters.items()]
     for name, ends in axes_of(subject, cells).items():
         if isinstance(ends, tuple):
@@ -31,17 +35,32 @@ def command(subject: Subject, cells: Rectangle, method: str) -> str:
 
 def program(subject: Subject, cells: Rectangle, method: str) -> str:
     """The same in Python."""
-    given = ", ".join(f"{name}={value!r}" for name, value in subject.parameters.items())
+    setting = ["", 'jax.config.update("jax_enable_x64", True)']
+    begin = ["import jax", "import walker_jax as wj", *setting]
+    kind = f"wj.{subject.kind.__name__}"
+    given = [f"{name}={value!r}" for name, value in subject.parameters.items()]
+    if subject.offer not in FAMILY.values():
+        begin, kind = begin_with_own(subject.kind, setting), subject.kind.__name__
+        given = [f"{name}=jnp.array({value!r})" for name, value in subject.parameters.items()]
     axes = ", ".join(f"{name}={ends!r}" for name, ends in axes_of(subject, cells).items())
-    return (
-        "import jax\n"
-        "import walker_jax as wj\n"
-        "\n"
-        'jax.config.update("jax_enable_x64", True)\n'
-        f"walker = wj.{subject.kind.__name__}({given})\n"
-        f"grid = wj.Grid.{subject.section}({axes})\n"
-        f'basin = wj.basin(walker, grid, "{method}")\n'
-    )
+    lines = [
+        *begin,
+        f"walker = {kind}({', '.join(given)})",
+        f"grid = wj.Grid.{subject.section}({axes})",
+        f'basin = wj.basin(walker, grid, "{method}")',
+    ]
+    return "\n".join([*lines, ""])
+
+
+def begin_with_own(kind: type[Walker], setting: list[str]) -> list[str]:
+    """The beginning of a program that uses a class of a user's own, loaded after the setting."""
+    place, _, name = reference_of(kind).rpartition(":")
+    imports = ["import jax", "import jax.numpy as jnp", "import walker_jax as wj", *setting]
+    if not place.endswith(".py"):
+        return [*imports, f"from {place} import {name}"]
+    file = Path(place)
+    search = f"sys.path.append({str(file.parent)!r})"
+    return ["import sys", "", *imports, search, f"from {file.stem} import {name}"]
 
 
 def axes_of(subject: Subject, cells: Rectangle) -> dict[str, tuple[float, float, int] | float]:

@@ -4,7 +4,7 @@ import math
 
 from walker_jax.explorer.lattice import FARTHEST, HOME_CELLS, LEVELS, MAX_TILES, TILE
 from walker_jax.explorer.pictures import FIRST_ATTRACTOR, UNMATCHED
-from walker_jax.explorer.subjects import SECTIONS, slider_range
+from walker_jax.explorer.subjects import SECTIONS, Offer, Offers, slider_range
 from walker_jax.figures.style import (
     ARTEFACTS,
     BASINS,
@@ -14,18 +14,17 @@ from walker_jax.figures.style import (
 from walker_jax.figures.style import (
     UNMATCHED as UNMATCHED_COLOUR,
 )
-from walker_jax.walkers.family import PLANAR_WALKERS
-from walker_jax.walkers.parameters import Parameter, parameters
+from walker_jax.walkers.parameters import Parameter
 from walker_jax.walking.outcomes import Outcome
 
 NOT_LOST = (Outcome.STRIDE, Outcome.OUTSIDE, Outcome.UNDECIDED, Outcome.LEFT_GRID)
 """Outcomes of which none is a walker's failure on its way."""
 
 
-def describe_family() -> dict:
+def describe_family(offers: Offers) -> dict:
     """All that the page shows and does not compute, from where it is defined."""
     return {
-        "walkers": {name: describe_kind(name) for name in PLANAR_WALKERS},
+        "walkers": {name: describe_offer(one) for name, one in offers.items()},
         "fates": {
             int(outcome): {
                 "name": outcome.name,
@@ -51,13 +50,14 @@ def describe_family() -> dict:
     }
 
 
-def describe_kind(name: str) -> dict:
+def describe_offer(offered: Offer) -> dict:
     """A walker: what it is, its section and its parameters."""
-    kind = PLANAR_WALKERS[name]
+    kind = offered.kind
+    about, _, _ = (kind.__doc__ or "").strip().partition("\n")
     return {
-        "about": (kind.__doc__ or "").splitlines()[0],
+        "about": "" if about.startswith(f"{kind.__name__}(") else about,  # its fields, by dataclass
         "section": kind.section,
-        "parameters": list(map(describe_parameter, parameters(kind))),
+        "parameters": list(map(describe_parameter, offered.parameters)),
     }
 
 

@@ -12,11 +12,9 @@ import numpy as np
 
 from walker_jax.basins.windows import PAPER_WINDOW, grid_along
 from walker_jax.checks import WrongUse, short
-from walker_jax.explorer.subjects import Subject, whole
+from walker_jax.explorer.subjects import Offer, Subject, whole
 from walker_jax.gaits.selection import require_gait
 from walker_jax.grids import Grid, axes_around
-from walker_jax.walkers.family import PLANAR_WALKERS
-from walker_jax.walkers.parameters import parameters
 from walker_jax.walkers.simplest import SimplestWalker
 
 HOME_CELLS = (200, 250)
@@ -68,10 +66,9 @@ class Home(NamedTuple):
 
 
 @functools.cache
-def home_of(name: str, section: str) -> Home:
+def home_of(offered: Offer, section: str) -> Home:
     """The paper's window for the simplest walker; around the default gait of any other."""
-    kind = PLANAR_WALKERS[name]
-    walker = kind(**{one.name: one.default for one in parameters(kind)})
+    walker, kind = offered.build(offered.defaults), offered.kind
     gait = np.asarray(require_gait(walker, ["another walker"]).states[0])
     if section == "plain":
         x, y = (0.0, 2.5 * gait[0]), (2.5 * gait[1], 0.0)

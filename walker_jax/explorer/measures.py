@@ -144,5 +144,5 @@ def zipped(found: xr.Dataset) -> bytes:
 
 def grid_of(subject: Subject, cells: Rectangle) -> Grid:
     """The grid of a rectangle of cells."""
-    home = home_of(subject.name, subject.section)
+    home = home_of(subject.offer, subject.section)
     return home.grid(subject, cells, plane_of(subject))

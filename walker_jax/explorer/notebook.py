@@ -2,15 +2,18 @@
 
 import atexit
 import html
+import os
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from urllib.parse import urlencode
 
 from walker_jax.checks import ComputationFailed, WrongUse, check_kind, check_whole
-from walker_jax.walkers.family import PLANAR_WALKERS
+from walker_jax.explorer.subjects import FAMILY, offer
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import chosen_options, parameters
+from walker_jax.walkers.references import reference_of
 
 HEIGHT = 760
 """Pixels in which walker, basin and sliders have room."""
@@ -19,20 +22,26 @@ HEIGHT = 760
 class PageServer:
     """A server of the page in a process of its own, which ends with this one."""
 
-    def __init__(self) -> None:
-        command = [sys.executable, "-m", "walker_jax", "explore", "--no-browser"]
+    def __init__(self, options: Sequence[str], code: str) -> None:
+        self.code = code
+        command = [sys.executable, "-m", "walker_jax", "explore", "--no-browser", *options]
+        importable = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
         with tempfile.TemporaryFile() as errors:
             self.process = subprocess.Popen(
-                command, stdout=subprocess.PIPE, stderr=errors, text=True
+                command,
+                stdout=subprocess.PIPE,
+                stderr=errors,
+                text=True,
+                env=os.environ | importable,
             )
             assert self.process.stdout is not None
             self.link = self.process.stdout.readline().strip()
             if not self.link:
                 self.process.stdout.close()
-                code = self.process.wait()
+                status = self.process.wait()
                 errors.seek(0)
                 said = " ".join(errors.read().decode(errors="replace").split())
-                raise ComputationFailed(f"the server ended with code {code}: {said}")
+                raise ComputationFailed(f"the server ended with code {status}: {said}")
         atexit.register(self.close)
 
     @property
@@ -49,8 +58,8 @@ class PageServer:
         atexit.unregister(self.close)
 
 
-started: list[PageServer] = []
-"""The server of all pages of this process, once there is one."""
+started: dict[str, PageServer] = {}
+"""The servers of this process's pages: one for the family, and one for each walker of one's own."""
 
 
 class Explorer:
@@ -68,7 +77,7 @@ class Explorer:
         )
 
     def close(self) -> None:
-        """End the server, and with it all pages of this process."""
+        """End the server, and with it all pages that it serves."""
         self.server.close()
 
 
@@ -76,26 +85,32 @@ def explore(walker: Walker, *, height: int = HEIGHT) -> Explorer:
     """The page of `walker-jax explore` in a notebook: a basin that follows sliders, and walks.
 
     One server, in a process of its own on this machine's loopback interface, serves all pages of
-    this process; it ends with this process, or by `.close()`. The notebook's browser must be on the
-    same machine; elsewhere, forward the port of `.link`.
+    the package's walkers; another one those of a class of your own, until its code changes. They
+    end with this process, or by `.close()`. The notebook's browser must be on the same machine;
+    elsewhere, forward the port of `.link`.
 
     **Arguments:**
 
-    - `walker`: one of the package's own, with numbers for parameters.
+    - `walker`: one in the plane, with numbers for parameters; of a class of your own in a file.
     - `height`: of the frame, in pixels.
 
-    **Returns** what a notebook shows as the page. Raises `ValueError` for a walker of another
-    class, `ComputationFailed` where the server does not start.
+    **Returns** what a notebook shows as the page. Raises `ValueError` for a walker in space, and
+    for one of a class that is in no file; `ComputationFailed` where the server does not start.
     """
     check_kind("walker", walker, Walker)
     check_whole("height", height, 100, 10_000)
-    names = [name for name, kind in PLANAR_WALKERS.items() if type(walker) is kind]
-    if not names:
-        known = ", ".join(kind.__name__ for kind in PLANAR_WALKERS.values())
-        raise WrongUse(f"walker must be one of {known}, not a {type(walker).__name__}")
     for option in chosen_options(walker):
         raise WrongUse(f"walker must have no {option}, unlike {walker}")
     values = {one.name: float(getattr(walker, one.name)) for one in parameters(walker)}
-    if not (started and started[0].serves):
-        started[:] = [PageServer()]
-    return Explorer(started[0], {"walker": names[0]} | values, height)
+    offered = offer(walker)
+    reference, options = "", []
+    if offered not in FAMILY.values():
+        reference = reference_of(offered.kind)
+        words = ((f"--{name.replace('_', '-')}", repr(value)) for name, value in values.items())
+        options = ["--walker", reference, *(word for pair in words for word in pair)]
+    server = started.get(reference)
+    if server is None or not server.serves or server.code != offered.code:
+        if server is not None:
+            server.close()
+        server = started[reference] = PageServer(options, offered.code)
+    return Explorer(server, {"walker": offered.name} | values, height)

@@ -62,7 +62,7 @@ known: OrderedDict[Subject, Known] = OrderedDict()
 def find_attractors(subject: Subject) -> Known:
     """The attractors of a subject, from the sample of its home window, and its plane."""
     at = plane_of(subject)
-    home = home_of(subject.name, subject.section)
+    home = home_of(subject.offer, subject.section)
     grid = home.grid(subject, Rectangle(0, (0, 0), HOME_CELLS), at)
     shares = (np.indices(SAMPLE).reshape(2, -1).T + 0.5) / SAMPLE
     mapper = Mapper(subject.walker, [], TOLERANCE, STRIDES)
@@ -84,7 +84,7 @@ def gait_state(subject: Subject) -> Float[np.ndarray, " section"]:
 
     It depends on the subject alone: so pictures, copies and data of all who ask are of one plane.
     """
-    guess = np.array(home_of(subject.name, subject.section).gait)
+    guess = np.array(home_of(subject.offer, subject.section).gait)
     found = find_gait(subject.walker, guess)
     if not found.found:
         found = find_gait(subject.walker)
@@ -108,7 +108,7 @@ def label_cells(
     subject: Subject, before: Known, tiles: Sequence[Tile]
 ) -> tuple[list[bytes], Known]:
     """The same, from what is known of the subject; and what is known then."""
-    home, (mapper, at) = home_of(subject.name, subject.section), before
+    home, (mapper, at) = home_of(subject.offer, subject.section), before
     grids = [home.grid(subject, cells_of(tile), at) for tile in tiles]
     indices = np.arange(TILE * TILE)
     labels = mapper.follow(np.concatenate([grid.centres(indices) for grid in grids]))
@@ -121,7 +121,7 @@ def label_cells(
 
 def map_rectangle(subject: Subject, cells: Rectangle) -> tuple[bytes, list[Attractor]]:
     """The same bytes of a rectangle of cells, by cell mapping, and its attractors."""
-    home, at = home_of(subject.name, subject.section), plane_of(subject)
+    home, at = home_of(subject.offer, subject.section), plane_of(subject)
     found = cell_mapping(subject.walker, home.grid(subject, cells, at), TOLERANCE)
     label, strides = in_bytes(found.fate, found.attractor, found.strides)
     return label.tobytes() + strides.tobytes(), found.attractors

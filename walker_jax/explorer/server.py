@@ -16,6 +16,7 @@ from walker_jax.checks import ComputationFailed
 from walker_jax.explorer.connection import Connection
 from walker_jax.explorer.guard import Guard, in_link
 from walker_jax.explorer.service import make_app
+from walker_jax.explorer.subjects import FAMILY, Offer, Offers
 
 TOKEN_VARIABLE = "WALKER_JAX_TOKEN"
 """The environment variable that sets the token, so that links outlive the server; else random."""
@@ -76,13 +77,17 @@ def link_to(host: str, port: int, token: str, state: dict[str, Any]) -> str:
 
 
 def make_server(
-    listener: socket.socket, token: str, names: tuple[str, ...], first: dict | None = None
+    listener: socket.socket,
+    token: str,
+    names: tuple[str, ...],
+    offers: Offers = FAMILY,
+    first: dict | None = None,
 ) -> Server:
     """The server of the page on a socket, to be run with it.
 
-    See `names_of` for the names, and `make_app` for `first`.
+    See `names_of` for the names, and `make_app` for the rest.
     """
-    guard = Guard(make_app(first), token=token, names=names, port=listener.getsockname()[1])
+    guard = Guard(make_app(offers, first), token=token, names=names, port=listener.getsockname()[1])
     config = uvicorn.Config(
         guard,
         http=Connection,
@@ -98,16 +103,17 @@ def make_server(
 
 
 def run_server(
-    host: str, port: int, walker: str, values: dict[str, float], *, browser: bool
+    host: str, port: int, offered: Offer, values: dict[str, float], *, browser: bool
 ) -> None:
     """Print the link, open the browser, and serve the page until an interrupt.
 
-    The page shows a walker, by its name on the command line, with these parameters.
+    The page shows a walker with these parameters, and offers the family beside it.
     """
     listener = listen(host, port)
     token = os.environ.get(TOKEN_VARIABLE) or secrets.token_urlsafe(24)
     names = names_of(host, listener)
-    server = make_server(listener, token, names, {"walker": walker, "parameters": values})
+    offers, first = FAMILY | {offered.name: offered}, {"walker": offered.name, "parameters": values}
+    server = make_server(listener, token, names, offers, first)
     address, port = listener.getsockname()[:2]
     if not ip_address(address).is_loopback:
         print(
@@ -115,7 +121,7 @@ def run_server(
             "whoever has the link can compute here, and the link is sent in the clear",
             file=sys.stderr,
         )
-    link = link_to(names[0], port, token, {"walker": walker} | values)
+    link = link_to(names[0], port, token, {"walker": offered.name} | values)
     print(link, flush=True)
     if browser:  # whose command line others may see: so it has a path that leads to the link once
         path = f"/open/{secrets.token_urlsafe(24)}"

@@ -12,7 +12,7 @@ import struct
 import time
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from functools import partial
 from importlib import resources
 from importlib.metadata import version
@@ -32,7 +32,9 @@ from walker_jax.explorer.family import describe_family
 from walker_jax.explorer.guard import TooLong, refuse
 from walker_jax.explorer.lattice import Rectangle, Tile, home_of, read_rectangle, read_tiles
 from walker_jax.explorer.subjects import (
+    FAMILY,
     METHODS,
+    Offers,
     Subject,
     WrongParameter,
     choice,
@@ -90,7 +92,8 @@ class Lane:
 class Service:
     """What answers requests: threads, workers, and which walkers are compiled."""
 
-    def __init__(self) -> None:
+    def __init__(self, offers: Offers = FAMILY) -> None:
+        self.offers = offers
         self.quick, self.compiling = Lane("pictures"), Lane("compiling")
         self.workers = Workers()
         self.compiled: dict[tuple[str, str], asyncio.Task] = {}
@@ -98,7 +101,7 @@ class Service:
 
     async def ready(self, subject: Subject) -> None:
         """Wait until the programs of a kind of walker are compiled, while others go on."""
-        key = subject.name, subject.section
+        key = subject.offer.name, subject.section
         if key not in self.compiled:
             work = self.compiling.run(compile_programs, subject)
             self.compiled[key] = asyncio.create_task(work)
@@ -110,18 +113,18 @@ class Service:
 
     async def about(self, request: Request) -> Response:
         """All walkers, and words and colours."""
-        return JSONResponse(describe_family() | {"version": version("walker-jax")})
+        return JSONResponse(describe_family(self.offers) | {"version": version("walker-jax")})
 
     async def home(self, request: Request) -> Response:
         """The home window of a walker on a section, and the sizes in which it is drawn."""
-        subject = read_subject(await read_json(request))
+        subject = read_subject(await read_json(request), self.offers)
         await self.ready(subject)
-        return JSONResponse(home_of(subject.name, subject.section)._asdict())
+        return JSONResponse(home_of(subject.offer, subject.section)._asdict())
 
     async def picture(self, request: Request) -> Response:
         """A stream of frames: the attractors, then tiles, in the order of asking."""
         asked = mapping("request", await read_json(request))
-        subject = read_subject(asked)
+        subject = read_subject(asked, self.offers)
         method = choice("method", asked.get("method", METHODS[0]), METHODS)
         if method == "direct":
             work = self.tiles(subject, read_tiles(asked.get("tiles")))
@@ -169,7 +172,7 @@ class Service:
     async def walk(self, request: Request) -> Response:
         """Strides from a start, or from a state in mid-stride after a push."""
         asked = mapping("request", await read_json(request))
-        subject = read_subject(asked)
+        subject = read_subject(asked, self.offers)
         start = read_start(subject, asked.get("start"))
         count = whole("strides", asked.get("strides", 20), 1, walks.MAX_STRIDES)
         impulse = asked.get("push")
@@ -196,7 +199,7 @@ class Service:
     async def measure(self, request: Request) -> Response:
         """What takes longer than a picture; see `measures`."""
         asked = mapping("request", await read_json(request))
-        subject = read_subject(asked)
+        subject = read_subject(asked, self.offers)
         kind = request.path_params["kind"]
         if kind == "gaits":
             work = self.workers.ask(measures.gaits, subject)
@@ -227,7 +230,7 @@ class Service:
     async def wanted(self, request: Request) -> tuple[Subject, Any, str]:
         """What a request takes away."""
         asked = mapping("request", await read_json(request))
-        subject = read_subject(asked)
+        subject = read_subject(asked, self.offers)
         method = choice("method", asked.get("method", METHODS[0]), METHODS)
         cells = read_rectangle(asked.get("cells"))
         await self.ready(subject)
@@ -240,9 +243,10 @@ class Service:
 
 def compile_programs(subject: Subject) -> None:
     """Do once what pictures and walks need, so that they need not wait for a compiler."""
-    gait = np.array(home_of(subject.name, subject.section).gait)
+    gait = np.array(home_of(subject.offer, subject.section).gait)
     pictures.label_cells(subject, pictures.find_attractors(subject), [Tile(-3, 0, 0)])
-    walks.follow(subject, gait, 1)
+    with suppress(WrongUse):  # which is said where such a walker is to walk
+        walks.follow(subject, gait, 1)
 
 
 def is_long(cells: Rectangle) -> bool:
@@ -343,16 +347,16 @@ HANDLED = (
 )
 
 
-def make_app(first: dict | None = None) -> Starlette:
-    """The application, with the page and all answers.
+def make_app(offers: Offers = FAMILY, first: dict | None = None) -> Starlette:
+    """The application, with the page and all answers, for the walkers that it offers.
 
     What it is likely to be asked for `first` is compiled while the browser opens.
     """
-    service, files = Service(), page_files()
+    service, files = Service(offers), page_files()
 
     async def prepare(asked: dict) -> None:
         try:
-            await service.ready(read_subject(asked))
+            await service.ready(read_subject(asked, offers))
         except (WrongUse, ComputationFailed) as error:  # which the page will say, too
             logging.getLogger("uvicorn.error").warning("walker-jax: %s", error)
 

@@ -13,7 +13,8 @@ from jaxtyping import Float
 
 from walker_jax.checks import WrongUse, is_number, short
 from walker_jax.walkers.family import PLANAR_WALKERS
-from walker_jax.walkers.model import Walker
+from walker_jax.walkers.fingerprints import code_fingerprint
+from walker_jax.walkers.model import Walker, check_planar
 from walker_jax.walkers.parameters import Parameter, parameters
 from walker_jax.walking.stepping import state_kinds
 
@@ -23,11 +24,63 @@ LARGEST = 1e6
 """Largest absolute value of a number in a request, far beyond any that a walker walks with."""
 
 
+class Offer(NamedTuple):
+    """A walker that the page offers."""
+
+    name: str
+    """By which requests name it."""
+    kind: type[Walker]
+    defaults: tuple[float, ...]
+    """Values of its parameters until others are chosen, in the order of `parameters`."""
+    code: str
+    """The fingerprint of its code when the server started; empty for a class of the package."""
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Its parameters, with these defaults."""
+        described = zip(parameters(self.kind), self.defaults, strict=True)
+        return tuple(one._replace(default=value) for one, value in described)
+
+    def build(self, values: tuple[float, ...]) -> Walker:
+        """The walker with values of its parameters, in their order.
+
+        Raises `WrongUse` in a process that has loaded other code than the server has.
+        """
+        if self.code and code_fingerprint(self.kind) != self.code:
+            raise WrongUse(f"the code of {self.name} has changed: start the server anew")
+        described = zip(self.parameters, values, strict=True)
+        return self.kind(**{one.name: one.convert(value) for one, value in described})
+
+
+Offers = dict[str, Offer]
+"""What the page offers, by name: a request may name these walkers, and no others."""
+
+
+FAMILY: Offers = {
+    name: Offer(name, kind, tuple(one.default for one in parameters(kind)), "")
+    for name, kind in PLANAR_WALKERS.items()
+}
+"""The package's walkers in the plane, at the defaults of their parameters."""
+
+
+def offer(walker: Walker) -> Offer:
+    """A walker for the page: one of the family, or one of a user's own with its parameters.
+
+    Raises `WrongUse` for one that does not move in the plane.
+    """
+    check_planar(walker)
+    kind = type(walker)
+    for one in FAMILY.values():
+        if one.kind is kind:
+            return one
+    values = tuple(float(getattr(walker, one.name)) for one in parameters(kind))
+    return Offer(kind.__name__, kind, values, code_fingerprint(kind))
+
+
 class Subject(NamedTuple):
     """The walker that a request is about, and the plane of its section that is shown."""
 
-    name: str
-    """On the command line."""
+    offer: Offer
     values: tuple[float, ...]
     """Of its parameters, in the order of `parameters`."""
     section: str
@@ -38,7 +91,7 @@ class Subject(NamedTuple):
     @property
     def kind(self) -> type[Walker]:
         """The class of the walker."""
-        return PLANAR_WALKERS[self.name]
+        return self.offer.kind
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -49,7 +102,7 @@ class Subject(NamedTuple):
     @property
     def walker(self) -> Walker:
         """The walker itself."""
-        return self.kind(**self.parameters)
+        return self.offer.build(self.values)
 
     @property
     def axes(self) -> tuple[str, str]:
@@ -64,19 +117,19 @@ class WrongParameter(WrongUse):
         return str(self.args[0])
 
 
-def read_subject(asked: Any) -> Subject:
+def read_subject(asked: Any, offers: Offers = FAMILY) -> Subject:
     """The subject of a request; raises `WrongUse` for one that there is not."""
     asked = mapping("request", asked)
-    name = choice("walker", asked.get("walker"), tuple(PLANAR_WALKERS))
-    kind = PLANAR_WALKERS[name]
+    name = choice("walker", asked.get("walker"), tuple(offers))
+    offered = offers[name]
     given = mapping("parameters", asked.get("parameters", {}))
-    known = {one.name: one for one in parameters(kind)}
+    known = {one.name: one.default for one in offered.parameters}
     for parameter in given:
         if parameter not in known:
             raise WrongUse(f"{short(parameter)} is not a parameter of {name}")
-    values = {one: slider_number(one, given.get(one, known[one].default)) for one in known}
+    values = tuple(slider_number(one, given.get(one, known[one])) for one in known)
     try:
-        kind(**values)
+        offered.build(values)
     except WrongUse as error:
         reason = str(error)
         for one in known:
@@ -84,7 +137,7 @@ def read_subject(asked: Any) -> Subject:
                 raise WrongParameter(reason, one) from None
         raise
     section = choice("section", asked.get("section", SECTIONS[0]), SECTIONS)
-    return Subject(name, tuple(values.values()), section, read_slice(kind, asked.get("at", {})))
+    return Subject(offered, values, section, read_slice(offered.kind, asked.get("at", {})))
 
 
 def read_slice(kind: type[Walker], asked: Any) -> tuple[float | None, ...]:

@@ -4,6 +4,7 @@ A frame is a full state, of angles and then their rates, and frames are evenly s
 stride, its start and its end among them. The page draws the walker between them, so it needs few.
 """
 
+import math
 from typing import Any, NamedTuple
 
 import jax
@@ -11,14 +12,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from walker_jax.checks import WrongUse
 from walker_jax.execution.tiles import map_cells
 from walker_jax.explorer.subjects import Subject
 from walker_jax.multibody import block, factorise, mass_matrix, solve_factored
+from walker_jax.walkers.abstract_point_foot import AbstractMasslessFootWalker
 from walker_jax.walkers.kneed import KneedWalker, lock_knees
 from walker_jax.walkers.masses import MultibodyWalker, stance_coordinates
 from walker_jax.walkers.model import State, Walker
 from walker_jax.walking.iteration import strides
-from walker_jax.walking.movement import FALL_TIME, is_over, leg_shape, swing_begins
+from walker_jax.walking.movement import FALL_TIME, is_over, leg_shape, legs, swing_begins
 from walker_jax.walking.outcomes import Outcome
 from walker_jax.walking.stepping import full_state, state_after
 
@@ -39,8 +42,13 @@ class Leg(NamedTuple):
 
 
 def leg_of(subject: Subject) -> Leg:
-    """The sizes of a walker's legs."""
-    return Leg(*leg_shape(subject.walker))
+    """The sizes of a walker's legs. Raises `WrongUse` where it has none of one length."""
+    leg = Leg(*leg_shape(subject.walker))
+    if not (0 < leg.length < math.inf and math.isfinite(leg.radius)):
+        raise WrongUse(
+            f"{subject.offer.name} cannot be drawn: its clearance and reach are no leg's"
+        )
+    return leg
 
 
 def follow(subject: Subject, start: Float[np.ndarray, " coordinates"], count: int) -> dict:
@@ -48,7 +56,7 @@ def follow(subject: Subject, start: Float[np.ndarray, " coordinates"], count: in
 
     There is no next one after a failure. Each stride has its `start`, `outcome`, `duration` (of a
     failure, of what there is to see) and `frames`, rows of theta, phi, thetadot and phidot. Those
-    of a walker with knees are of a `BentState`; a state of the legs alone has its knees locked.
+    of a `KneedWalker` are of a `BentState`; a state of the legs alone has its knees locked.
     `leg` has the sizes in which the walker is drawn.
     """
     made, leg = [], leg_of(subject)._asdict()
@@ -105,7 +113,8 @@ def end(
     Where a leg has a knee: `bent`, the places of the knee and of the leg's end from the hip, and
     `locks`, the time of knee strike.
     """
-    rows = np.zeros((0, 4)) if states is None else np.stack(states, axis=1)
+    shown = states if states is None or isinstance(walker, KneedWalker) else legs(states)
+    rows = np.zeros((0, 4)) if shown is None else np.stack(shown, axis=1)
     found = {
         "start": start.tolist(),
         "outcome": int(outcome),
@@ -114,7 +123,8 @@ def end(
     }
     if walker.phases() and len(rows):
         bent = jax.vmap(walker.bent_leg)(jax.tree.map(jnp.asarray, states))
-        found["bent"] = np.round(np.asarray(bent).reshape(-1, 4), 6).tolist()
+        if bent is not None:
+            found["bent"] = np.round(np.asarray(bent).reshape(-1, 4), 6).tolist()
         locks = swing_begins(walker, start, None)
         found["locks"] = locks if np.isfinite(locks) else None
     return found
@@ -137,9 +147,18 @@ def push(
     In units of the walker's mass at the hip, or of mass, times speed.
     """
     walker = walker_from(subject, start)
+    check_push(walker, subject.offer.name)
     walker = jax.tree.map(lambda leaf: np.asarray(leaf, float), walker)
     arguments = (walker, start[None], impulse[None], np.asarray(leg_shape(subject.walker)))
     return map_cells(after_push, arguments, (False, True, True, False))[0]
+
+
+def check_push(walker: Walker, name: str) -> None:
+    """Refuse to push a walker of which it is not known what moves with its hip."""
+    if walker.phases() and not isinstance(walker, KneedWalker):
+        raise WrongUse(f"{name} cannot be pushed: it has phases of its own")
+    if not isinstance(walker, MultibodyWalker | AbstractMasslessFootWalker):
+        raise WrongUse(f"{name} cannot be pushed: it does not say where its masses are")
 
 
 def after_push(

@@ -70,6 +70,9 @@ def serve(connection: Connection, settings: dict[str, Any]) -> None:
             function, arguments = connection.recv()
         except (EOFError, OSError):
             return
+        except Exception as error:  # of a user's file that can be imported no more
+            connection.send((SAID, f"the walker cannot be loaded: {type(error).__name__}: {error}"))
+            continue
         connection.send(answer(function, arguments))
 
 

@@ -18,6 +18,7 @@ from typing import Any
 from walker_jax.checks import WrongPlace, WrongUse
 from walker_jax.walkers.family import WALKERS
 from walker_jax.walkers.model import Walker
+from walker_jax.walkers.sources import file_of, holds_packages
 
 GROUP = "walker_jax.walkers"
 """The entry points by which other packages add walkers."""
@@ -39,6 +40,27 @@ def find_walker(name: str) -> type[Walker]:
         return load_installed(installed[name])
     known = ", ".join((*WALKERS, *installed))
     raise WrongUse(f"walker must be one of {known}, or FILE.py:CLASS, not {name}")
+
+
+def reference_of(kind: type[Walker]) -> str:
+    """The name by which `find_walker` finds a class, in another folder and process too.
+
+    Raises `WrongUse` for a class that is not to be found by its name in a module with a file.
+    """
+    for name, one in WALKERS.items():
+        if one is kind:
+            return name
+    module = sys.modules.get(kind.__module__)
+    path = file_of(module)
+    if module is None or path is None or vars(module).get(kind.__qualname__) is not kind:
+        raise WrongUse(
+            f"walker must be of a class that other processes can import: write {kind.__name__} "
+            "into a file, not within a function"
+        )
+    name = module.__name__ if module.__spec__ is None else module.__spec__.name
+    path = path.resolve()
+    in_package = "." in name or path.name == "__init__.py" or holds_packages(path.parent)
+    return f"{name if in_package else path}:{kind.__name__}"
 
 
 def installed_walkers() -> dict[str, EntryPoint]:

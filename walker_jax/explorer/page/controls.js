@@ -38,7 +38,7 @@ export class Controls {
   }
 
   /** A slider with a number beside it, and room for a sentence about a wrong value. */
-  slider(one, { title, value, set }) {
+  slider(one, { title, value, set, digits = 8 }) {
     const row = document.createElement("div");
     row.className = "field";
     const id = `p-${one.name}`;
@@ -50,8 +50,8 @@ export class Controls {
     const range = row.querySelector("[type=range]"), typed = row.querySelector("[type=number]");
     name.textContent = title;
     unit.textContent = one.unit.replace("^2", "²");
-    row.title = `${one.meaning}${one.bounds ? `; ${one.bounds}` : ""}`;
-    typed.setAttribute("aria-label", `${title}, ${one.unit}`);
+    row.title = [one.meaning, one.bounds].filter(Boolean).join("; ");
+    typed.setAttribute("aria-label", [title, one.unit].filter(Boolean).join(", "));
     Object.assign(range, { min: one.low, max: one.high, step: one.step });
     range.addEventListener("input", () => set(Number(range.value)));
     typed.addEventListener("input", () => {
@@ -64,8 +64,8 @@ export class Controls {
       if (now > Number(range.max)) range.max = now;
       if (now < Number(range.min)) range.min = now;
       range.value = now;
-      if (document.activeElement !== typed) typed.value = Number(now.toPrecision(8));
-      range.setAttribute("aria-valuetext", `${now} ${one.unit}`);
+      if (document.activeElement !== typed) typed.value = Number(now.toPrecision(digits));
+      range.setAttribute("aria-valuetext", `${now} ${one.unit}`.trim());
       error.textContent = "";
       row.classList.remove("wrong");
     };
@@ -84,6 +84,7 @@ export class Controls {
     const one = { name: `at_${name}`, unit: UNITS[name] ?? "rad", low: -span, high: span, step: 0.001, meaning: "where the slice is" };
     const row = this.slider(one, {
       title: `slice at ${SYMBOLS[name] ?? spaced(name)}`,
+      digits: 5, // of a gait's coordinate, which has them all
       value: () => state.at[name] ?? this.gait?.[name] ?? 0,
       set: (value) => state.change("slice", { at: { ...state.at, [name]: value } }),
     });

@@ -125,7 +125,7 @@ export class Facts extends EventTarget {
     }
     if (this.exact.disturbance) return;
     this.rough = this.nearestLoss(found, lattice, state, attractors);
-    this.write("disturbance", this.rough ? `about ${number(this.rough.size, 2)}` : "…", false);
+    this.write("disturbance", this.rough ? `about ${number(this.rough.size, 2)}` : "being computed…", false);
     this.dispatchEvent(new Event("disturbance"));
   }
 

@@ -42,7 +42,7 @@ async function begin() {
     homeKey = "";
     lattice = null;
     picture.stop();
-    say(`Preparing the ${state.walker.replaceAll("-", " ")} walker`, true);
+    say(`Preparing the ${walkerName()}`, Infinity);
     const { walker, section } = state;
     const home = await ask("/api/home", { walker, section });
     if (key !== `${state.walker} ${state.section}`) return false; // another one by now
@@ -61,12 +61,26 @@ async function begin() {
   };
   const viewCells = () => lattice.rectangle(map.view, lattice.level(map.view));
 
+  /** The walker's name in a sentence. */
+  function walkerName() {
+    const name = state.walker.replaceAll("-", " ");
+    return /walker$/i.test(name) ? name : `${name} walker`;
+  }
+
+  /** That a link names a walker which this server does not have. */
+  function tellUnknown() {
+    if (!state.unknown) return;
+    say(`This server does not know the walker ${state.unknown.slice(0, 60)}: start it with --walker. This is the ${walkerName()}.`, 12_000);
+    state.unknown = "";
+  }
+
   async function update() {
     try {
       if (!(await loadHome())) return;
     } catch (error) {
       return complain(error);
     }
+    tellUnknown();
     stage.ground = state.parameters.slope ?? 0;
     map.shown = (x) => state.shown(x);
     diagram.setSlope(state.parameters.slope ?? 0);
@@ -383,12 +397,12 @@ function remember(name, value) {
 }
 
 let saying = 0;
-/** A short message, which goes by itself unless it stays. */
-function say(text, stays = false) {
+/** A short message, which goes by itself after so many ms. */
+function say(text, rest = 3500) {
   $("#toast").textContent = text;
   $("#toast").classList.toggle("shown", Boolean(text));
   clearTimeout(saying);
-  if (!stays) saying = setTimeout(() => $("#toast").classList.remove("shown"), 3500);
+  if (rest < Infinity) saying = setTimeout(() => $("#toast").classList.remove("shown"), rest);
 }
 
 function sayGone(text) {

@@ -18,10 +18,12 @@ export class State extends EventTarget {
   read() {
     const given = new URLSearchParams(location.hash.slice(1));
     const names = Object.keys(this.about.walkers);
-    this.walker = names.includes(given.get("walker")) ? given.get("walker") : names[0];
+    const asked = given.get("walker") ?? names[0];
+    this.unknown = names.includes(asked) ? "" : asked; // a walker of another server's
+    this.walker = this.unknown ? names[0] : asked;
     this.parameters = {};
     for (const one of this.kind.parameters) {
-      const value = Number(given.get(one.name) ?? NaN);
+      const value = Number((this.unknown ? null : given.get(one.name)) ?? NaN);
       this.parameters[one.name] = Number.isFinite(value) ? value : one.default;
     }
     this.section = this.about.sections.includes(given.get("section")) ? given.get("section") : this.about.sections[0];

@@ -207,7 +207,7 @@ export class Walk extends EventTarget {
 
 /** The state as the server takes it: of a walker with knees all angles while one bends, and those of the legs after. */
 function fullState(state, { bent, locks, begins }, time) {
-  if (!bent) return state;
+  if (!bent || state.length === 4) return state; // which a walker with phases of its own has
   const [theta, phi, knee, thetadot, phidot, kneedot] = state;
   if (locks !== null && time - begins >= locks) return [theta, phi, thetadot, phidot];
   return [theta, phi, Math.max(0, knee), thetadot, phidot, kneedot];
