@@ -372,6 +372,32 @@ KINDS = {
             "foot_radius": "of the arc of a foot; 0 for point feet",
         },
     ),
+    "walk in space": Kind(
+        "A motion in space (`motion`). Places are along the slope, to the left and normal to it.",
+        {
+            "time": V("frame", "real", TIME, "since the first start"),
+            "stride": V("frame", "integer", "", "its number, from 0"),
+            "yaw": V("frame", "real", "rad", "of the axle; mirrored in every other stride"),
+            "lean": V("frame", "real", "rad", "of the axle; mirrored in every other stride"),
+            "theta": V("frame", "real", "rad", "angle of the stance leg about the axle"),
+            "phi": V("frame", "real", "rad", "angle between the legs"),
+            "stance": V("frame axis", "real", "leg length", "centre of the stance leg's disc"),
+            "swing": V("frame axis", "real", "leg length", "centre of the swing leg's disc"),
+            "stance_hip": V("frame axis", "real", "leg length", "stance leg's end of the axle"),
+            "swing_hip": V("frame axis", "real", "leg length", "swing leg's end of the axle"),
+            "axle": V("frame axis", "real", "", "its direction"),
+            "states": V("start coordinate", "real", STATE, "at the start of each stride"),
+            "outcome": V("made", "integer", "", "`Outcome` of each stride"),
+            "duration": V("made", "real", TIME, "of each stride; NaN for a failure"),
+        },
+        WALKER
+        | SECTION
+        | {
+            "walker_slope": "slope of the ground (rad)",
+            "walker_disc_radius": "of a disc",
+            "walker_leg_length": "from the axle to the sole",
+        },
+    ),
     "zoom": Kind(
         "Basins in ever narrower windows around a point (`zoom`). Axes are offsets in the widest.",
         {

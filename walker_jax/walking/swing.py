@@ -71,7 +71,10 @@ def swing(
     the end of its fall.
     """
 
-    def contact(state: Any) -> Scalar:
+    # Conditions have no derivatives, and JAX would trace those of all that they are made of.
+    fixed, fixed_step = lax.stop_gradient((walker, step))
+
+    def contact(state: Any, walker: Walker = walker, step: Scalar | None = step) -> Scalar:
         return walker.contact(state) if step is None else step - walker.clearance(state)
 
     def is_ahead(state: Any) -> Bool[Array, ""]:
@@ -79,8 +82,10 @@ def swing(
         return walker.is_ahead(state) if step is None else state.phi < 0
 
     def rate(state: Any) -> Scalar:
-        """dh/dt along the motion."""
-        return jax.jvp(contact, (state,), (walker.vector_field(state),))[1]
+        """dh/dt along the motion; constant to derivatives."""
+        state = lax.stop_gradient(state)
+        h = lambda state: contact(state, fixed, fixed_step)
+        return jax.jvp(h, (state,), (fixed.vector_field(state),))[1]
 
     def may_end(before: Any, after: Any, below: Bool[Array, ""], ends_below: Bool[Array, ""]):
         """Whether a stride may end in a step, from the two ends of the step alone."""
@@ -165,6 +170,7 @@ def in_tension(walker: Walker | Phase, state: Any) -> Bool[Array, ""]:
 
 
 def is_broken(condition: Condition, walker: Walker | Phase, state: Any) -> Bool[Array, ""]:
+    walker, state = lax.stop_gradient((walker, state))
     return condition(walker, state) < 0
 
 
@@ -184,6 +190,7 @@ def may_break(
     condition: Condition, walker: Walker | Phase, before: Any, after: Any
 ) -> Bool[Array, ""]:
     """Whether a condition may be broken by the end of a step, from the two ends alone."""
+    walker, before, after = lax.stop_gradient((walker, before, after))
     least = with_rate(condition, walker, before)[1] < 0
     least &= with_rate(condition, walker, after)[1] > 0
     return is_broken(condition, walker, after) | least
