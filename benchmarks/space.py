@@ -21,7 +21,7 @@ import walker_jax as wj
 from walker_jax.stability.gait_mapper import mapper_of_gait
 
 jax.config.update("jax_enable_x64", True)
-COUNT, REPEATS, SPREAD = 20_000, 3, 0.02
+COUNT, REPEATS, SPREAD = 10_000, 3, 0.02
 SAMPLES = 4000
 STRIDES = 500
 FARTHEST, DISTANCES = 3.0, 400
