@@ -119,13 +119,13 @@ GPU = "python benchmarks/gpu.py"
 GPU_ROW = r"^simplest +{} +stride .*\| +"
 HEYOKA = "heyoka, batches of 16 or 32, a process for each core"
 CLAIMS = [
-    Claim("in about five seconds", "walker-jax basin", 5, lambda run: run.seconds, 0, 5 * TIMES),
+    Claim("about five seconds", "walker-jax basin", 5, lambda run: run.seconds, 0, 5 * TIMES),
     Claim("makes the basin 75 times as large", SPRING, 120, area_ratio, 74.5, 76),
     Claim(
-        *("shrinks up to 0.0138", MULTIPLIERS, 60, slope_of_least_multiplier),
+        *("falls until a slope of 0.0138", MULTIPLIERS, 60, slope_of_least_multiplier),
         *(0.01375, 0.01385),
     ),
-    Claim("peaks at 0.0077", SHOCKS, 300, slope_of_largest_shock, 0.00765, 0.00785),
+    Claim("is greatest at 0.0077", SHOCKS, 300, slope_of_largest_shock, 0.00765, 0.00785),
     Claim("48 of its 53 numbers", REPRODUCE, 400, found(r"^(\d+) of \d+ numbers"), 48, 48),
     Claim("48 of its 53 numbers", REPRODUCE, 400, found(r"^\d+ of (\d+) numbers"), 53, 53),
     Claim(
@@ -169,7 +169,7 @@ CLAIMS = [
         *(found(r"^0\.004: refined ([\d.]+)"), 0.0016740, 0.0016748),
     ),
     Claim(
-        *("0.4 standard errors apart", REFINEMENT, 300),
+        *("the two differ by 0.4 standard errors", REFINEMENT, 300),
         *(found(r"^0\.004: .* apart by ([\d.]+)"), 0, 2),
     ),
     Claim(
@@ -196,6 +196,7 @@ GIVEN = {
     "3.11": "the oldest Python, of pyproject.toml",
     "64": "float64",
     "0.01, 1.2": "values of an example",
+    "4": "of π/4, the largest angle of the section",
     "0.004": "the slope of the paper's basin",
     "0.022": "printed in the paper, where `walker-jax reproduce` compares it",
     "512, 50,000, 1e-8": "the conditions of the table of speeds",

@@ -62,6 +62,7 @@ def test_a_cascade_that_began_below_the_interval_is_known_as_one():
     assert set(data.period.values[data.on_cascade.values].tolist()) == {1, 2, 4}
 
 
+@pytest.mark.slow
 def test_walking_is_lost_between_two_slopes():
     long = wj.continue_gait(walker(), "slope", (0.001, 0.03))
     lost = wj.loss_of_walking(walker(), "slope", (0.0185, 0.0195), [long], strides=2000)

@@ -116,7 +116,13 @@ def test_links_within_the_pages_lead_somewhere():
                 assert (page.parent / target).exists(), (page.name, target)
 
 
-@pytest.mark.parametrize("title", ["a torque at the hip", "a push-off", "uneven ground"])
+@pytest.mark.parametrize(
+    "title",
+    [
+        pytest.param("a torque at the hip", marks=pytest.mark.slow),
+        *("a push-off", "uneven ground"),
+    ],
+)
 def test_a_walker_of_the_page_gives_the_numbers_that_it_asserts(title):
     source = program(title)
     assert "\nassert " in source

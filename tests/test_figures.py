@@ -583,7 +583,7 @@ def test_a_line_stands_where_walking_is_lost():
     ax = figures.bifurcation_diagram(diagram(lost=(0.0180, 0.0182)))
     (line,) = (line for line in ax.lines if line.get_transform() == ax.get_xaxis_transform())
     assert line.get_xdata() == pytest.approx([0.0181, 0.0181])
-    (label,) = annotations(ax, "walking is lost at 0.01810")
+    (label,) = annotations(ax, "walking is lost between 0.01800 and 0.01820")
     figure_of(ax).draw_without_rendering()
     assert box(label).y0 > ax.bbox.y1
     for lost in ((0.02, np.nan), (np.nan, 0.01)):

@@ -17,6 +17,15 @@ ROOM = 200_000
 """Bytes that a notebook may have."""
 
 each_notebook = pytest.mark.parametrize("path", PATHS, ids=lambda path: path.stem)
+LONG = "4-robustness", "5-optimising"
+"""Those that take ten seconds or more."""
+run_each_notebook = pytest.mark.parametrize(
+    "path",
+    [
+        pytest.param(path, id=path.stem, marks=[pytest.mark.slow] if path.stem in LONG else [])
+        for path in PATHS
+    ],
+)
 
 
 def read(path: Path) -> NotebookNode:
@@ -85,7 +94,7 @@ def test_the_kernel_is_of_this_interpreter():
     assert own_kernel().format_kernel_cmd()[0] == sys.executable
 
 
-@each_notebook
+@run_each_notebook
 def test_a_notebook_runs_and_gives_what_it_holds(path, tmp_path, kernel):
     notebook = read(path)
     held, drawn = printed(notebook), figures(notebook)

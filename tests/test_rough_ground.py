@@ -71,6 +71,22 @@ def test_a_step_of_no_height_is_a_stride_with_the_derivative_of_both_sides():
         np.testing.assert_allclose(2 * one - two, rate, rtol=0, atol=2e-6)
 
 
+def test_a_foot_that_comes_down_to_lower_ground_and_up_again_strikes():
+    """Within one step of integration, as the legs pass each other."""
+    walker = wj.PoweredWalker(SLOPE, 3.0, 0.1, -0.2)
+    start, step = [0.1969, 1.1292, -0.1877, 0.4361], -0.000227
+    height = lambda t, y: np.cos(y[0]) - np.cos(y[0] - y[1]) - step
+    torque = lambda y: np.array([0, 0, 0, -3.0 * (y[1] + 0.2) - 0.1 * y[3]])
+    powered = lambda t, y: field(t, y) + torque(y)
+    way = {"rtol": 1e-13, "atol": 1e-13, "method": "DOP853"}
+    solution = solve_ivp(powered, (0, 8), start, events=height, **way)
+    ahead = solution.y_events[0][:, 1] < 0
+    down, up = solution.t_events[0][ahead]
+    assert down < up < down + 0.05
+    time = wj.stride(walker, np.array(start), step=step).time
+    assert float(time) == pytest.approx(down, abs=1e-7)
+
+
 @pytest.mark.parametrize("step", [np.nan, np.inf, -np.inf])
 def test_a_step_that_is_none_is_refused(step):
     with pytest.raises(ValueError, match="step"):

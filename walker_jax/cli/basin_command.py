@@ -91,7 +91,7 @@ def basin(
         ),
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(min=0, help="Of random numbers, --levels only (default: 0).")
+        int | None, typer.Option(min=0, help="Seed of random numbers, --levels only (default: 0).")
     ] = None,
     zoom: Annotated[
         float | None,
@@ -127,6 +127,11 @@ def basin(
     same command resumes an interrupted run. With --zoom 1e12 the window is one in which float64
     hardly tells starts apart; its digits are kept.
     """
+    if len(walker.section) > 3:
+        raise WrongUse(
+            "--walker must be one with a section of two or three coordinates, not "
+            f"{len(walker.section)}: in Python, walker_jax.Grid.through takes slices of others"
+        )
     has_phidot = "phidot" in walker.section
     check_phidot(walker, at_phidot, phidot)
     if thetadot is not None and sum_ is not None:

@@ -53,8 +53,8 @@ def optimise(
         list[str] | None,
         typer.Option(
             metavar="NAME",
-            help="area (default), volume, least-disturbance, speed, step-length, spectral-radius "
-            "or cost-of-transport; NAME=WEIGHT, repeated, for a weighted sum, to be large.",
+            help="area (default), volume, least-disturbance, speed, step-length, spectral-radius, "
+            "sensitivity-norm or cost-of-transport; NAME=WEIGHT, repeated, for a weighted sum.",
         ),
     ] = None,
     at_least: Annotated[
@@ -219,7 +219,7 @@ def print_optimum(walker: Walker, answer: dict, objective: str) -> None:
         print(f"  {end:8} {values}: {exact:.7g}" + (f" +- {error:.1g}" if error > 0 else ""))
     before, after = (answer["exact"][end] for end in ENDS)
     factor = f", by a factor of {after / before:.3f}" if before > 0 else ""
-    print(f"  exactly, it changed by {after - before:+.4g}{factor}")
+    print(f"  a change of {after - before:+.4g}{factor}")
     place = "inside the bounds"
     if answer["at_bound"]:
         place = f"at a bound of {', '.join(answer['at_bound'])}"

@@ -31,7 +31,7 @@ Scheduler = Annotated[
     str | None,
     typer.Option(metavar="ADDRESS", help="Compute pieces on the workers of a Dask scheduler."),
 ]
-Seed = Annotated[int, typer.Option(min=0, help="Of random numbers.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of random numbers.")]
 AxisOption = tuple[float, float, int]
 """The ends of an axis, and its number of cells."""
 WindowTheta = Annotated[

@@ -53,7 +53,7 @@ def sweep(
     phidot: Annotated[
         AxisOption | None, typer.Option(metavar="LO HI N", help="The same for volumes, not areas.")
     ] = None,
-    levels: Annotated[int, typer.Option(min=0, help="Of refinement of the areas.")] = 2,
+    levels: Annotated[int, typer.Option(min=0, help="Levels of refinement of the areas.")] = 2,
     check: Annotated[int, typer.Option(min=0, help="Starts that check each area.")] = 500_000,
     robust: Annotated[
         bool, typer.Option("--robust", help="All numbers of `robustness` too; half a minute each.")

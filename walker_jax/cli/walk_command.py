@@ -37,7 +37,9 @@ def walk(
     theta: Annotated[
         float | None, typer.Option(help="Stance angle at the start, rad (default: see above).")
     ] = None,
-    thetadot: Annotated[float | None, typer.Option(help="Its rate, rad per unit of time.")] = None,
+    thetadot: Annotated[
+        float | None, typer.Option(help="Its rate at the start, rad per unit of time.")
+    ] = None,
     phidot: Annotated[float | None, typer.Option(help=f"{PHIDOT_HELP}.")] = None,
     strides: Annotated[int, typer.Option(min=1, max=1_000_000, help="Strides at most.")] = 9,
     ground: Annotated[

@@ -50,6 +50,8 @@ LOSS = "#b3261e"
 """Colour of the value at which walking is lost."""
 HIGHEST = 2
 """Largest modulus of a multiplier in a picture of it against a parameter."""
+FAINTER = DASHED | {"lw": 0.4}
+"""Lines of unstable gaits of long periods, which are many."""
 
 
 def gait_branches(data: xr.Dataset, ax: Axes | None = None) -> Axes:
@@ -166,13 +168,14 @@ def bifurcation_diagram(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     lost = loss_of_attractor(data)
     if np.isfinite(lost):
         ax.axvline(lost, color=LOSS, lw=1, zorder=3)
+        low, high = data["lost"].values.tolist()
         ax.annotate(
-            f"walking is lost at {lost:.5f}",
+            f"walking is lost between {low:.5f} and {high:.5f}",
             (lost, 1),
             (0, 3),
             ax.get_xaxis_transform(),
             "offset points",
-            ha="center",
+            ha="right" if lost > np.mean(ax.get_xlim()) else "left",  # not beyond the axes
             color=LOSS,
             fontsize=SMALL,
         )
@@ -271,7 +274,7 @@ def draw_curve(
         if start < stop and (stable or not solid[start]):
             run = slice(start, stop + 1)
             order = 3 * solid[start] + 1 / curve.period
-            style = SOLID if solid[start] else DASHED
+            style = SOLID if solid[start] else DASHED if curve.period < 3 else FAINTER
             ax.plot(curve.value[run], heights[run], color=colour, zorder=2 + order, **style)
 
 

@@ -249,7 +249,7 @@ def draw_basins(panels: Sequence[Axes], data: xr.Dataset) -> None:
     panels[1].sharex(panels[0])
     panels[1].sharey(panels[0])
     panels[1].tick_params(labelleft=False)
-    figure_legend(figure_of(panels[0]), [*map(patch_of, regions)], columns=5)
+    figure_legend(figure_of(panels[0]), [*map(patch_of, regions)], columns=6)
 
 
 def optimum_basin_note(data: xr.Dataset, side: str) -> str:

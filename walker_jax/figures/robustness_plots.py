@@ -176,7 +176,7 @@ def robustness_measures(data: xr.Dataset, ax: Axes | None = None) -> Axes:
         handles += ax.plot(values[farther], falls[farther], "s", **look)
     colour, style, words = MEASURES["multiplier"]
     handles += ax.plot(values, data["multiplier"].values, style, color=colour, label=words)
-    name_axes(ax, parameter, "share of the largest; modulus")
+    name_axes(ax, parameter, "relative to the maximum; modulus of the multiplier")
     ax.set(xlim=padded_limits(values), ylim=(0, 1.05 * np.max(falls[farther], initial=1)))
     note = "band: twice the standard error of the area; multiplier of the attracting gait"
     write_title(ax, f"{walker_title(data)}: robustness", note)

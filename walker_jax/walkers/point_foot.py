@@ -9,7 +9,7 @@ from walker_jax.walkers.masses import MultibodyWalker, gravity, leg, rises_ever_
 from walker_jax.walkers.model import Scalar
 from walker_jax.walkers.parameters import SLOPE, Parameter
 
-FOOT_MASS = Parameter("foot_mass", "of each foot, to that of the hip", "hip mass", 0.01)
+FOOT_MASS = Parameter("foot_mass", "of each foot, per hip mass", "hip mass", 0.01)
 
 
 class PointFootWalker(AbstractPointFootWalker, MultibodyWalker):

@@ -14,7 +14,7 @@ from walker_jax.walkers.spring import HIP_STIFFNESS
 ANY_SLOPE = SLOPE._replace(low=-np.pi / 2)
 """The slope of walkers with motors: level ground and uphill too."""
 HIP_DAMPING = Parameter(
-    "hip_damping", "of a damper between the legs, to foot mass", "m l sqrt(g l)", 0.0, closed=True
+    "hip_damping", "of a damper between the legs, per foot mass", "m l sqrt(g l)", 0.0, closed=True
 )
 HIP_ANGLE = Parameter(
     "hip_angle", "between the legs where the hip's spring is slack", "rad", 0.0, low=-np.inf

@@ -14,7 +14,7 @@ from walker_jax.walkers.model import Scalar, State
 from walker_jax.walkers.parameters import SLOPE, Parameter
 
 HIP_STIFFNESS = Parameter(
-    "hip_stiffness", "of a spring between the legs, to foot mass", "g l", 0.0, closed=True
+    "hip_stiffness", "of a spring between the legs, per foot mass", "g l", 0.0, closed=True
 )
 
 

@@ -273,14 +273,12 @@ def follow_step(
     if walker.phases():  # a foot in front may be below the level as a knee strikes
         ahead = (begun.state.phi < 0) & (begun.state.theta < 0)
         passed |= (step < 0) & ahead & with_fast_sincos(starts_under)(walker, begun.state)
-    passed &= begun.verdict == Outcome.UNDECIDED
-    verdict = jnp.where(passed, Outcome.STRIDE, begun.verdict).astype(jnp.int8)
     level, lasts, verdict, broken = swing(
-        walker, begun.state, verdict, tolerance, launched=launched
+        walker, begun.state, begun.verdict, tolerance, step, to_step=passed, launched=launched
     )
     broken = merge_broken(begun.broken, merge_broken(broken, broken_at(walker, level)))
-    lower = (verdict == Outcome.STRIDE) & (step < 0)
-    verdict = jnp.where(passed | lower, Outcome.UNDECIDED, verdict).astype(jnp.int8)
+    lower = (verdict == Outcome.STRIDE) & (step < 0) & ~passed
+    verdict = jnp.where(lower, Outcome.UNDECIDED, verdict).astype(jnp.int8)
     arrival, longer, verdict, more = swing(walker, level, verdict, tolerance, step)
     # On even ground nothing is left to swing, but the derivative with respect to the step is.
     method = Method(equations(walker), solver_for(level), tolerance)

@@ -60,26 +60,33 @@ def swing(
     tolerance: Real,
     step: Scalar | None = None,
     *,
+    to_step: Bool[Array, ""] | bool = True,
     launched: bool = False,
 ) -> tuple[Any, Scalar, Int[Array, ""], Broken]:
     """Swing the leg until heel strike (`STRIDE`) or a fall; nothing to do unless `UNDECIDED`.
 
-    Or until the swing foot comes down, ahead of the other, to ground that is higher by `step`.
+    With a `step`, and `to_step`, until the swing foot comes down, ahead of the other, to ground
+    that is higher by so much. A kernel's lanes are in one loop, whichever of the two they need.
     Returns the state just before the impact, its time, the verdict, and which conditions were
     broken before that, its two ends excluded; first, whether the ground would have had to pull at
     the stance foot. A walker that was `launched`, and did not start on the section, is followed to
     the end of its fall.
     """
 
-    # Conditions have no derivatives, and JAX would trace those of all that they are made of.
+# Conditions have no derivatives, and JAX would trace those of all that they are made of.
     fixed, fixed_step = lax.stop_gradient((walker, step))
 
     def contact(state: Any, walker: Walker = walker, step: Scalar | None = step) -> Scalar:
-        return walker.contact(state) if step is None else step - walker.clearance(state)
+        if step is None:
+            return walker.contact(state)
+        above = step - walker.clearance(state)
+        return above if to_step is True else jnp.where(to_step, above, walker.contact(state))
 
     def is_ahead(state: Any) -> Bool[Array, ""]:
         """Whether the swing foot is ahead. On level ground phi = 2 theta at heel strike."""
-        return walker.is_ahead(state) if step is None else state.phi < 0
+        if step is None:
+            return walker.is_ahead(state)
+        return jnp.where(to_step, state.phi < 0, walker.is_ahead(state))
 
     def rate(state: Any) -> Scalar:
         """dh/dt along the motion; constant to derivatives."""
@@ -91,15 +98,19 @@ def swing(
         """Whether a stride may end in a step, from the two ends of the step alone."""
         turns = (rate(before) < 0) & (rate(after) > 0)
         rises = ~ends_below & (below | turns)
-        if step is not None:  # a foot may come down and up again: the legs pass each other
-            rises |= (rate(before) > 0) & (rate(after) < 0)
+        if step is not None:
+            # A foot may come down and up again. To higher ground, one from behind does so behind:
+            # as the legs pass each other, both feet are at one level.
+            dips = below & ends_below & (rate(before) > 0) & (rate(after) < 0)
+            rises |= to_step & dips & (is_ahead(before) | (step < 0))
         return (rises & (is_ahead(before) | is_ahead(after))) | has_fallen(after, ends_below)
 
     def has_fallen(state: Any, below: Bool[Array, ""]):
         fallen = fall_of(walker, state) != Outcome.UNDECIDED
-        if launched or step is not None:
+        if launched or (step is not None and to_step is True):
             return fallen
-        return fallen | (~below & walker.past_contact(state))
+        past = ~below & walker.past_contact(state)
+        return fallen | (past if step is None else past & ~jnp.asarray(to_step))
 
     def undecided(carry):
         *_, time, verdict, count, _, _ = carry
@@ -119,9 +130,10 @@ def swing(
         jet, until = method.jet(contact, last), last.length
         below, ends_below = last.sides
         if step is not None:
-            highest = interior_minimum(negate(jet), until)
-            until = jnp.where(highest.exists, highest.time, until)
-            ends_below = jnp.where(highest.exists, jet(until)[0] < 0, ends_below)
+            exists, highest = interior_minimum(negate(jet), until)
+            exists &= to_step
+            until = jnp.where(exists, highest, until)
+            ends_below = jnp.where(exists, jet(until)[0] < 0, ends_below)
         rises, time = first_upcrossing(jet, until, (below, ends_below))
         time = jnp.where(rises, method.refine_time(contact, last, time), last.length)
         after = lambda time: method.state_at(last, time)
