@@ -73,7 +73,7 @@ def swing(
     the end of its fall.
     """
 
-# Conditions have no derivatives, and JAX would trace those of all that they are made of.
+    # Conditions have no derivatives, and JAX would trace those of all that they are made of.
     fixed, fixed_step = lax.stop_gradient((walker, step))
 
     def contact(state: Any, walker: Walker = walker, step: Scalar | None = step) -> Scalar:
