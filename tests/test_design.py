@@ -15,7 +15,12 @@ from walker_jax.design.evaluation import ENDS_STAGE, Evaluation, evaluate_object
 from walker_jax.design.limits import Slack
 from walker_jax.design.measures import Measure
 from walker_jax.design.optimisation import optimise
-from walker_jax.design.problem import parse_objective, starting_places
+from walker_jax.design.problem import (
+    Problem,
+    describe_problem,
+    parse_objective,
+    starting_places,
+)
 from walker_jax.design.trace import Trace
 from walker_jax.stability.summary import default_region
 
@@ -254,6 +259,23 @@ def test_measurements_of_something_else_are_refused(no_basins):
         optimise(WALKER, {"slope": (0.019, 0.02)}, "step-length", known=known)
     with pytest.raises(ValueError, match="known must be of the same bounds"):
         optimise(WALKER, SLOPES, "speed", known=known)
+
+
+def test_a_problem_is_described_by_its_density_and_by_the_plane_of_its_grid():
+    plane = wj.Grid.sheared(theta=(0, 0.4, 8), sum=(-0.04, 0.01, 5))
+    weighted = Problem(
+        *(WALKER, ("slope",), np.array([0.004]), np.array([0.02]), {"basin-stability": 1.0}, 1.0),
+        *({}, plane, 0, 200, 0, None, lambda x: np.ones(len(x))),
+    )
+    other = weighted._replace(density=lambda x: np.full(len(x), 7.0))
+    assert describe_problem(weighted) == describe_problem(weighted._replace(seed=0))
+    assert describe_problem(weighted)["density"] != describe_problem(other)["density"]
+    through = [
+        wj.Grid.through({"theta": 0.2, "thetadot": -0.26, "phidot": at}, theta=(-0.1, 0.1, 4))
+        for at in (-0.05, -0.4)
+    ]
+    one, two = (describe_problem(weighted._replace(grid=g, density=None)) for g in through)
+    assert one["region"] != two["region"]
 
 
 def test_limits_hold_at_a_loose_tolerance(no_basins):

@@ -342,6 +342,64 @@ def test_margins_of_a_stance_leg_of_which_nothing_is_known():
         np.testing.assert_allclose(pressed.running[again], least, rtol=0, atol=1e-12)
 
 
+def edges(walker, theta, low, tolerance=None):
+    """Rates between which walkers, at these angles, stride and turn back: from some that stride."""
+    high = np.full_like(theta, -1e-6)
+    for _ in range(60):
+        middle = (low + high) / 2
+        ends = wj.strides(walker, np.stack([theta, middle], axis=1), tolerance=tolerance)
+        strode = ends.outcome == Outcome.STRIDE
+        low, high = np.where(strode, middle, low), np.where(strode, high, middle)
+    return low, high
+
+
+def test_a_stance_leg_that_stops_for_a_moment_has_turned_back():
+    """Heavy feet swing it on again, within a step of the integration."""
+    walker, x = wj.PointFootWalker(0.02, 0.3), np.array([0.21612040133779264, -0.2664148139061631])
+    for tolerance in (None, 1e-9, 1e-6):
+        assert wj.strides(walker, x[None], tolerance=tolerance).outcome == Outcome.BACKWARD
+    theta = np.linspace(0.19, 0.24, 8)
+    strides, falls = edges(walker, theta, -1.3 * theta)
+    np.testing.assert_allclose(
+        strides, edges(walker, theta, -1.3 * theta, 1e-9)[0], rtol=0, atol=1e-9
+    )
+    found = [
+        margins_of_many(walker, np.stack([theta, rate], axis=1))
+        for rate in (strides - 1e-9, falls + 1e-9)  # beyond rounding
+    ]
+    for one, outcome in zip(found, (Outcome.STRIDE, Outcome.BACKWARD), strict=True):
+        assert (one.stride.outcome == outcome).all()
+        np.testing.assert_allclose(one.backward, 0, atol=1e-7)
+    for start, rate, time in zip(theta, strides, found[0].stride.time, strict=True):
+        motion = wj.trajectory(walker, np.array([start, rate]), np.linspace(0, float(time), 2000))
+        assert -1e-4 < np.max(motion.thetadot) < 1e-9
+
+
+@pytest.mark.parametrize("slope", [-0.1, -0.05])
+def test_uphill_margins_are_zero_where_the_stance_leg_stops_as_the_foot_strikes(slope):
+    """Or as the foot comes too late; and the boundary moves as they say."""
+    walker = lambda slope: wj.PoweredWalker(slope, push_off=0.25, hip_stiffness=6.0)
+    theta, step = np.array([0.2]), 1e-4
+    strides, falls = edges(walker(slope), theta, -3 * theta)
+    x = np.array([theta[0], falls[0]])
+    at = lambda slope, x: margins(walker(slope), x).backward
+    assert margins(walker(slope), x).stride.outcome == Outcome.BACKWARD
+    assert at(slope, x) == pytest.approx(0, abs=1e-12)
+    by_slope, by_x = jax.grad(at, (0, 1))(slope, jnp.asarray(x))
+    (before, _), (after, _) = (edges(walker(slope + h), theta, -3 * theta) for h in (-step, step))
+    moves = (after[0] - before[0]) / (2 * step)
+    assert -by_slope / by_x[1] == pytest.approx(moves, rel=1e-6)
+    went = margins(walker(slope), np.array([theta[0], strides[0]]))
+    assert min(went.backward, went.forward) == pytest.approx(0, abs=1e-8)
+
+
+def test_margins_in_float32_end():
+    x = np.array([0.2888847887516022, -0.28140076994895935], np.float32)
+    found = margins(wj.PointFootWalker(0.01), x)
+    assert found.stride.outcome == Outcome.STRIDE
+    assert found.running == pytest.approx(0.862, abs=1e-3)
+
+
 def test_wrong_starts_are_refused():
     with pytest.raises(ValueError, match="x must have shape"):
         margins(WALKERS["simplest"], np.ones(3))

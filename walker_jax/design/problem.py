@@ -1,5 +1,6 @@
 """A design problem: the walker, its free parameters, the objective and the limits."""
 
+import hashlib
 import json
 from collections.abc import Mapping
 from importlib.metadata import version
@@ -10,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from walker_jax.checks import WrongUse, check_kind, is_number
-from walker_jax.design.area_gradients import Density
+from walker_jax.design.area_gradients import Density, density_at
 from walker_jax.design.measures import GAIT_MEASURES
 from walker_jax.grids import Grid
 from walker_jax.walkers.model import Walker
@@ -30,6 +31,9 @@ OBJECTIVES = {
 """Objectives of design: 1 where more is better, -1 where less is."""
 SIZES = {"area": 2, "volume": 3, "basin-stability": 2}
 """Objectives that are the size of the basin in a grid, and how many axes that has."""
+
+DENSITY_CELLS = 10_000
+"""Cells whose densities tell one density from another."""
 
 
 class Problem(NamedTuple):
@@ -184,10 +188,30 @@ def describe_problem(problem: Problem) -> dict:
         "sign": problem.sign,
         "bounds": json.dumps({name: ends for name, *ends in bounds}),
         "limits": json.dumps(limits),
-        "region": json.dumps({} if problem.grid is None else problem.grid.box),
+        "region": json.dumps(describe_region(problem.grid)),
         "levels": problem.levels,
         "strides_followed": problem.strides,
         "seed": problem.seed,
         "tolerance": problem.tolerance or 0.0,
         "version": f"walker-jax {version('walker-jax')}",
+        **describe_density(problem),
     }
+
+
+def describe_region(grid: Grid | None) -> dict:
+    """The axes of a grid; of one through a point, its origin and its directions too."""
+    if grid is None:
+        return {}
+    origin, shear = np.asarray(grid.origin), np.asarray(grid.shear)
+    through = {"origin": origin.tolist(), "shear": shear.tolist()} if origin.any() else {}
+    return grid.box | through
+
+
+def describe_density(problem: Problem) -> dict:
+    """A hash of the values of the density, if there is one, in some cells of the grid."""
+    if problem.density is None or problem.grid is None:
+        return {}
+    size = problem.grid.size
+    cells = np.unique(np.linspace(0, size - 1, min(size, DENSITY_CELLS)).astype(int))
+    values = density_at(problem.density, problem.grid.centres(cells))
+    return {"density": hashlib.sha256(values.tobytes()).hexdigest()[:16]}

@@ -24,7 +24,7 @@ from walker_jax.walkers.masses import (
     rises_ever_faster,
     stance_coordinates,
 )
-from walker_jax.walkers.model import Scalar, State
+from walker_jax.walkers.model import Scalar, State, least_scuff
 from walker_jax.walkers.parameters import SLOPE, Option, Parameter
 from walker_jax.walkers.round_foot import HIP_MASS
 
@@ -59,8 +59,6 @@ POINT_FOOT = FOOT_RADIUS._replace(default=0.0)
 
 CHECK_LOCK = Option("check_lock", "a stance knee that its stop alone does not hold is a failure")
 CHECK_SCUFFING = Option("check_scuffing", "a bent leg's foot below the ground is a failure")
-LEAST_SCUFF = 1e-9
-"""Depth, in legs, from which on a foot is below the ground: less is the rounding of its start."""
 
 
 class BentState(NamedTuple):
@@ -271,7 +269,7 @@ class FreeKnee(MultibodyPhase):
             found["BUCKLED"] = lambda state: stance_knee_moment(walker, state)
         if walker.check_scuffing:
             length = walker.thigh_length + walker.shank_length
-            found["SCUFFED"] = lambda state: self.clearance(state) + LEAST_SCUFF * length
+            found["SCUFFED"] = lambda state: self.clearance(state) + least_scuff(length)
         return found
 
     def event(self, state):

@@ -40,6 +40,8 @@ class State(NamedTuple):
     phidot: Scalar
 
 
+LEAST_SCUFF = {jnp.dtype("float64"): 1e-9, jnp.dtype("float32"): 1e-5}
+"""Depth, in legs, from which on a foot is below the ground: less is rounding, where it touches."""
 Conditions = dict[str, Callable[[Any], Scalar]]
 """Functions of the state, by the name of the `Outcome` of a stride in which one is negative."""
 
@@ -363,6 +365,11 @@ def format_parameter(value: Any) -> str:
 
 
 @by_kernel
+def least_scuff(length: Scalar) -> Scalar:
+    """The depth from which on a foot is below the ground, for legs of some length."""
+    return LEAST_SCUFF[jnp.dtype(jnp.result_type(length))] * length
+
+
 def toppling_rate(walker: Walker) -> Scalar:
     """The rate at which a walker topples, legs together, from rest.
 

@@ -21,7 +21,7 @@ from walker_jax.multibody.space import (
     material_velocity,
     rotation_about,
 )
-from walker_jax.walkers.model import Scalar, Walker
+from walker_jax.walkers.model import Scalar, Walker, least_scuff
 from walker_jax.walkers.parameters import SLOPE, Option, Parameter
 from walker_jax.walkers.rolling_stance import RollingStance, SpatialState, contact_forces
 
@@ -55,8 +55,6 @@ INERTIA_XY = inertia_parameter("inertia_xy", 0.0071)
 INERTIA_XZ = inertia_parameter("inertia_xz", -0.0023)
 INERTIA_YZ = inertia_parameter("inertia_yz", 0.0573)
 ALLOW_SCUFFING = Option("allow_scuffing", "a disc below the slope before heel strike is no failure")
-LEAST_SCUFF = 1e-9
-"""Depth, in legs, from which on a disc is below the slope: less is the rounding of its start."""
 LEAST_STEP = 1e-3
 """Angle between the legs, in rad, from which on a disc that comes down is ahead of the other. Below
 it the legs are passing each other: of a walker that stays upright both discs touch then."""
@@ -262,7 +260,7 @@ class SpatialWalker(Walker):
     def conditions(self):
         if self.allow_scuffing:
             return {}
-        least = LEAST_SCUFF * self.leg_length
+        least = least_scuff(self.leg_length)
         return {"SCUFFED": lambda state: self.clearance(state) + least}
 
     def is_ahead(self, state: Any):

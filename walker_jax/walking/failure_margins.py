@@ -42,10 +42,17 @@ from walker_jax.walking.phase_margins import (
     least_speed,
     least_with,
     missing_speed,
+    stop_within,
     upcrossing,
 )
 from walker_jax.walking.stepping import begin_stride, during_stride, end_stride, on_section, prepare
-from walker_jax.walking.swing import conditions_of, equations, minimum_of, normal_force
+from walker_jax.walking.swing import (
+    conditions_of,
+    equations,
+    may_stop_within,
+    minimum_of,
+    normal_force,
+)
 
 
 class Margins(NamedTuple):
@@ -53,10 +60,12 @@ class Margins(NamedTuple):
 
     stride: Stride
     backward: Float[Array, "*cells"]
-    """Speed where the stance leg is slowest, as thetadot^2 / 2; where it stops, minus what is
-    missing, (thetaddot / rate)^2 / 2 with the rate of toppling. Of an inverted pendulum, both
-    are the energy above that at the top, thetadot^2 / 2 + cos(theta - slope) - 1. After an impact
-    that turns the next stance leg back, minus thetadot^2 / 2 of that."""
+    """Speed where the stance leg is slowest, which uphill may be at heel strike, as thetadot^2 / 2;
+    where it stops, minus what is missing, (thetaddot / rate)^2 / 2 with the rate of toppling. Of an
+    inverted pendulum, both are the energy above that at the top, thetadot^2 / 2 + cos(theta -
+    slope) - 1. Where it stops past theta = 0, uphill, minus |h| there, or what the foot lacked
+    to strike before, if that is less. After an impact that turns the next stance leg back, minus
+    thetadot^2 / 2 of that."""
     forward: Float[Array, "*cells"]
     """How far the swing leg passes the contact, -h at the turning point of its swing; or how far
     ahead of the stance foot it comes down, -theta at heel strike, where that is less. In a fall,
@@ -129,6 +138,9 @@ class MarginState(NamedTuple):
     count: Array
     backward: Scalar
     """Infinite until the stance leg has been slowest."""
+    late: Scalar
+    """Where the stance leg stops past theta = 0, uphill: -|h|, or by how much the foot missed the
+    ground before, which is less; minus infinity if it does not."""
     dip: Scalar
     """How far the foot has come past the contact since it last came up; minus infinity if not."""
     missed: Scalar
@@ -177,6 +189,11 @@ def follow_margins(
         ahead = (arrival.theta < 0) & (arrival.theta > -np.pi / 2) & (arrival.thetadot < 0)
         strikes = crossed & ahead
         stopped, down = after.thetadot >= 0, after.theta <= -np.pi / 2
+        end = length
+        if may_stop_within(walker):
+            stops = stop_within(series.theta, jnp.where(strikes, when, length))
+            strikes, stopped = strikes & ~stops.exists, stopped | stops.exists
+            end = jnp.where(stops.exists, stops.time, length)
         fallen = stopped | down
         if on_section(walker, x):
             fallen |= ~below & with_fast_sincos(lambda w, s: w.past_contact(s))(walker, after)
@@ -213,8 +230,17 @@ def follow_margins(
         # the stance leg
         until = jnp.where(strikes, when, length)
         backward = least_speed(series.theta, length, until, now.backward)
-        missing = missing_speed(series.theta, length, rate)
-        backward = jnp.where(verdict == Outcome.BACKWARD, missing, backward)
+        slowing = strikes & (
+            evaluate_polynomial(derivative_of(derivative_of(series.theta)), when) > 0
+        )
+        speed = jnp.minimum(backward, arrival.thetadot**2 / 2)
+        backward = jnp.where(slowing, speed, backward)
+        stop, missing = missing_speed(series.theta, end, rate)
+        turned = verdict == Outcome.BACKWARD
+        uphill = turned & (evaluate_polynomial(series.theta, stop) < 0)
+        late = jnp.maximum(-jnp.abs(evaluate_polynomial(h, stop)), missed)
+        late = jnp.where(uphill, late, now.late)
+        backward = jnp.where(turned, jnp.maximum(missing, late), backward)
 
         # the force
         least = dict(now.least)
@@ -238,6 +264,7 @@ def follow_margins(
             verdict,
             now.count + 1,
             backward,
+            late,
             jnp.where(scuffs, -jnp.inf, dip),
             missed,
             slowest,
@@ -254,6 +281,7 @@ def follow_margins(
         verdict=before.verdict,
         count=jnp.asarray(0),
         backward=before.backward,
+        late=-infinite,
         dip=-infinite,
         missed=-infinite,
         slowest=-infinite,
@@ -299,7 +327,8 @@ def margins_from(
     if walker.inverted_pendulum and not walker.phases():
         slope = vars(walker)["slope"]
         energy = start.thetadot**2 / 2 + jnp.cos(start.theta - slope) - 1
-        backward = jnp.where(start.theta > slope, energy, none)
+        energy = jnp.where(struck & (last.arrival.theta > slope), last.backward, energy)
+        backward = jnp.where(start.theta > slope, jnp.maximum(energy, last.late), none)
     else:
         backward = jnp.where(strode, jnp.minimum(last.backward, following**2 / 2), last.backward)
         backward = jnp.where(jnp.isfinite(backward), backward, none)

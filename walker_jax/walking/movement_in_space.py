@@ -15,9 +15,10 @@ from jaxtyping import Bool, Float
 
 from walker_jax.checks import WrongUse
 from walker_jax.kernels import by_kernel
+from walker_jax.walkers.model import least_scuff
 from walker_jax.walkers.parameters import attributes_of
 from walker_jax.walkers.rolling_stance import SpatialState
-from walker_jax.walkers.spatial import LEAST_SCUFF, SpatialWalker, on_ground
+from walker_jax.walkers.spatial import SpatialWalker, on_ground
 from walker_jax.walking.iteration import walk
 from walker_jax.walking.outcomes import Outcome
 from walker_jax.walking.stepping import trajectory
@@ -104,5 +105,5 @@ def is_over(
     )
     over = fallen | (ahead & (height < 0))
     if outcome == Outcome.SCUFFED:
-        over |= height < -LEAST_SCUFF * float(walker.leg_length)
+        over |= height < -least_scuff(float(walker.leg_length))
     return over | pulled if outcome == Outcome.RUNNING else over

@@ -147,7 +147,9 @@ def advance_phase(
         when = differentiable_zero(event, when)
         arrival = evaluate_series(series, when)
         strikes = rises & (arrival.thetadot < 0) & (arrival.theta > -np.pi / 2)
-        stopped, down = after.thetadot >= 0, after.theta <= -np.pi / 2
+        stops = stop_within(series.theta, jnp.where(rises, when, length))
+        strikes &= ~stops.exists
+        stopped, down = (after.thetadot >= 0) | stops.exists, after.theta <= -np.pi / 2
         verdict = jnp.where(stopped, Outcome.BACKWARD, Outcome.FORWARD)
         verdict = jnp.where(stopped | down, verdict, Outcome.UNDECIDED)
         verdict = jnp.where(strikes, Outcome.STRIDE, verdict)
@@ -161,7 +163,7 @@ def advance_phase(
         forward = jnp.where(unknown, -jnp.abs(evaluate_polynomial(event, length)), forward)
 
         backward = least_speed(series.theta, length, until, so_far.backward)
-        missing = missing_speed(series.theta, length, rate)
+        _, missing = missing_speed(series.theta, jnp.where(stops.exists, stops.time, length), rate)
         backward = jnp.where(verdict == Outcome.BACKWARD, missing, backward)
 
         least = dict(so_far.least)
@@ -232,11 +234,20 @@ def least_speed(theta: list[Scalar], length: Scalar, until: Scalar, least: Scala
     return jnp.where(counts, jnp.minimum(least, left), least)
 
 
-def missing_speed(theta: list[Scalar], length: Scalar, rate: Scalar) -> Scalar:
-    """Minus what is missing where the stance leg stops, (thetaddot / rate)^2 / 2."""
+def stop_within(theta: list[Scalar], until: Scalar) -> Instant:
+    """Where the stance leg is slowest before a time, if it stands or goes back then."""
+    theta, until = lax.stop_gradient((theta, until))
+    speed = derivative_of(theta)
+    slowest = interior_minimum(negate(polynomial_jet(speed)), until)
+    stands = evaluate_polynomial(speed, slowest.time) >= 0
+    return Instant(slowest.exists & stands, slowest.time)
+
+
+def missing_speed(theta: list[Scalar], length: Scalar, rate: Scalar) -> tuple[Scalar, Scalar]:
+    """When the stance leg stops, and minus what is missing there, (thetaddot / rate)^2 / 2."""
     speed = derivative_of(theta)
     _, stop = upcrossing(speed, length)
-    return -((evaluate_polynomial(derivative_of(speed), stop) / rate) ** 2) / 2
+    return stop, -((evaluate_polynomial(derivative_of(speed), stop) / rate) ** 2) / 2
 
 
 def upcrossing(series: list[Scalar], length: Scalar) -> Instant:

@@ -34,6 +34,7 @@ from walker_jax.walking.swing import (
     equations,
     is_broken,
     may_break,
+    stops_within,
     swing,
 )
 
@@ -182,6 +183,8 @@ def follow_phase(
         ends = ~ends_below & (side[0] | turns(phase.event, before, after))
         if failing:
             ends |= has_fallen(after)
+            slowing = phase.vector_field(before).thetadot > 0
+            ends |= slowing & (phase.vector_field(after).thetadot < 0)
         if watched:
             ends_under = height(after) < 0
             dips = turns(height, before, after)
@@ -210,7 +213,7 @@ def follow_phase(
         when = jnp.where(rises, method.refine_time(phase.event, last, when), last.length)
         after = lambda time: method.state_at(last, time)
         arrival = after(when)
-        lands = jnp.asarray(False)
+        lands, landing = jnp.asarray(False), when
         if watched:
             above = method.jet(height, last)
             ends_above = jnp.where(rises, above(when)[0] > 0, ~ends_under)
@@ -229,7 +232,11 @@ def follow_phase(
         fallen = jnp.where(last.end.thetadot >= 0, Outcome.BACKWARD, Outcome.FORWARD)
         fallen = jnp.where(has_fallen(last.end), fallen, Outcome.UNDECIDED)
         verdict = jnp.where(rises & stands, Outcome.STRIDE, fallen)
-        verdict = jnp.where(lands, Outcome.BENT_KNEE, verdict).astype(jnp.int8)
+        verdict = jnp.where(lands, Outcome.BENT_KNEE, verdict)
+        if failing:
+            before = jnp.where(lands, landing, when)
+            verdict = jnp.where(stops_within(method, last, before), Outcome.BACKWARD, verdict)
+        verdict = verdict.astype(jnp.int8)
         when = jnp.where(verdict == Outcome.STRIDE, when + delay, last.length)
         return last.end, arrival, last.time + when, verdict, count + steps, broken, last.sides[1]
 

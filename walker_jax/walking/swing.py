@@ -17,10 +17,10 @@ from jax import lax
 from jaxtyping import Array, Bool, Int
 
 from walker_jax.integrators.roots import first_upcrossing, interior_minimum, negate
-from walker_jax.integrators.solvers import MAX_STEPS, Method, Real, solver_for, zero_at
+from walker_jax.integrators.solvers import MAX_STEPS, Method, Real, Step, solver_for, zero_at
 from walker_jax.integrators.taylor import with_fast_sincos
 from walker_jax.walkers.masses import MultibodyMotion, SingleSupport
-from walker_jax.walkers.model import Phase, Scalar, Walker
+from walker_jax.walkers.model import Phase, Scalar, State, Walker
 from walker_jax.walkers.rolling_stance import RollingStance
 from walker_jax.walkers.spatial import SpatialWalker
 from walker_jax.walking.outcomes import Outcome
@@ -73,10 +73,7 @@ def swing(
     the end of its fall.
     """
 
-    # Conditions have no derivatives, and JAX would trace those of all that they are made of.
-    fixed, fixed_step = lax.stop_gradient((walker, step))
-
-    def contact(state: Any, walker: Walker = walker, step: Scalar | None = step) -> Scalar:
+    def contact(state: Any) -> Scalar:
         if step is None:
             return walker.contact(state)
         above = step - walker.clearance(state)
@@ -88,22 +85,23 @@ def swing(
             return walker.is_ahead(state)
         return jnp.where(to_step, state.phi < 0, walker.is_ahead(state))
 
-    def rate(state: Any) -> Scalar:
-        """dh/dt along the motion; constant to derivatives."""
-        state = lax.stop_gradient(state)
-        h = lambda state: contact(state, fixed, fixed_step)
-        return jax.jvp(h, (state,), (fixed.vector_field(state),))[1]
-
     def may_end(before: Any, after: Any, below: Bool[Array, ""], ends_below: Bool[Array, ""]):
         """Whether a stride may end in a step, from the two ends of the step alone."""
-        turns = (rate(before) < 0) & (rate(after) > 0)
-        rises = ~ends_below & (below | turns)
+        first, last = walker.vector_field(before), walker.vector_field(after)
+        begins, ends = (  # dh/dt along the motion
+            jax.jvp(contact, (state,), (field,))[1]
+            for state, field in ((before, first), (after, last))
+        )
+        rises = ~ends_below & (below | ((begins < 0) & (ends > 0)))
         if step is not None:
             # A foot may come down and up again. To higher ground, one from behind does so behind:
             # as the legs pass each other, both feet are at one level.
-            dips = below & ends_below & (rate(before) > 0) & (rate(after) < 0)
+            dips = below & ends_below & (begins > 0) & (ends < 0)
             rises |= to_step & dips & (is_ahead(before) | (step < 0))
-        return (rises & (is_ahead(before) | is_ahead(after))) | has_fallen(after, ends_below)
+        may = rises & (is_ahead(before) | is_ahead(after))
+        if may_stop_within(walker):
+            may |= (first.thetadot > 0) & (last.thetadot < 0)
+        return may | has_fallen(after, ends_below)
 
     def has_fallen(state: Any, below: Bool[Array, ""]):
         fallen = fall_of(walker, state) != Outcome.UNDECIDED
@@ -150,7 +148,11 @@ def swing(
         fallen = jnp.where(
             with_fast_sincos(has_fallen)(last.end, last.sides[1]), fallen, Outcome.UNDECIDED
         )
-        verdict = jnp.where(rises & ahead, Outcome.STRIDE, fallen).astype(jnp.int8)
+        verdict = jnp.where(rises & ahead, Outcome.STRIDE, fallen)
+        if may_stop_within(walker):
+            stops = stops_within(method, last, time)
+            verdict = jnp.where(stops, Outcome.BACKWARD, verdict)
+        verdict = verdict.astype(jnp.int8)
         time = jnp.where(verdict == Outcome.STRIDE, time + delay, last.length)
         time = last.time + time
         below = last.sides[1]
@@ -166,6 +168,21 @@ def swing(
     carry = (start, start, zero, verdict, jnp.asarray(0), broken, below)
     _, arrival, time, verdict, _, broken, _ = lax.while_loop(undecided, follow, carry)
     return arrival, time, verdict, broken
+
+
+def may_stop_within(walker: Walker | Phase) -> bool:
+    """Whether the stance leg may stop, and go on, within a step.
+
+    One that an inverted pendulum moves as does not: where it stops before the top, it goes back.
+    """
+    return isinstance(walker, Phase) or (walker.state is State and not walker.inverted_pendulum)
+
+
+def stops_within(method: Method, step: Step, time: Scalar) -> Bool[Array, ""]:
+    """Whether the stance leg is slowest in a step, before a time, and stands or goes back then."""
+    speed = method.jet(lambda state: state.thetadot, step)
+    slowest = interior_minimum(negate(speed), time)
+    return slowest.exists & (speed(slowest.time)[0] >= 0)
 
 
 def fall_of(walker: Walker, state: Any) -> Int[Array, ""]:
@@ -244,6 +261,7 @@ def minimum_of(
     jet = with_fast_sincos(partial(with_rate, condition, walker))
     below, beyond, time = jet(before)[1], jet(after)[1], lax.stop_gradient(time)
     zero = jnp.zeros_like(time)
+    resolution = max(resolution, 8 * float(jnp.finfo(time.dtype).eps))  # or it would never end
 
     def unfinished(carry):
         low, high, *_, least = carry
