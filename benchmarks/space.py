@@ -7,6 +7,18 @@ planar one on round feet four and three. Processor time of both, in turn, in one
 that does not; the share that returns from a cube about the gait; and that over hip width, radius of
 the discs and inertia.
 
+A stride in space takes 15 times as long as a planar one on round feet, as walks go, which end at
+different strides; it is 10.5 times where all of 20,000 starts make one stride (`wj.strides`, 25.9
+against 2.48 us of processor time). `--study` gives the numbers of docs/results.md.
+
+    in space: 6.2 strides a start, 64.78 us of processor time a stride, 30873 strides a second on
+    two cores, 200 s for a million starts there
+    round feet: 2.3 strides a start, 4.20 us of processor time a stride, 475652 strides a second on
+    two cores, 5 s for a million starts there
+    a stride in space takes 15.4 times as long
+
+(On a machine that had thirty other processes to run: the ratio counts, not the times.)
+
     python benchmarks/space.py
     python benchmarks/space.py --study
 """

@@ -107,7 +107,7 @@ def test_they_are_in_the_data_set_of_a_diagram_and_in_its_picture():
     np.testing.assert_allclose([one["angle"] for one in found], 1.0, rtol=1e-15)
     ax = figures.gait_branches(data)
     squares = [line for line in ax.lines if line.get_marker() == "s"]
-    assert [float(line.get_xdata()[0]) for line in squares] == [0.012, 0.014]
+    assert [float(np.asarray(line.get_xdata())[0]) for line in squares] == [0.012, 0.014]
     assert any("2 Neimark-Sacker points" in text.get_text() for text in ax.texts)
 
 
