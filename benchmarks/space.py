@@ -1,48 +1,126 @@
-"""What does a stride in space cost?
+"""What does a walk in space cost, and how far does the basin of the toy reach?
 
-A walker in space has ten variables and seven dimensions of starts, a planar one on round feet four
-and three. Starts are spread by a tenth about the gait of each, all walk, and each is followed for
-one stride. Processor time of both, in turn, in one run; a million starts take 1e6 times that of
-one, over the cores.
+First the time: starts are spread by 0.02 about the gait of each walker, and followed to their end,
+an attractor or a failure. A walker in space has ten variables and seven dimensions of starts, a
+planar one on round feet four and three. Processor time of both, in turn, in one run. Then, with
+`--study`, the basin: how far along each coordinate of the section walkers return, up to the first
+that does not; the share that returns from a cube about the gait; and that over hip width, radius of
+the discs and inertia.
+
+A stride in space takes 15 times as long as a planar one on round feet, as walks go, which end at
+different strides; it is 10.5 times where all of 20,000 starts make one stride (`wj.strides`, 25.9
+against 2.48 us of processor time). `--study` gives the numbers of docs/results.md.
+
+    in space: 6.2 strides a start, 64.78 us of processor time a stride, 30873 strides a second on
+    two cores, 200 s for a million starts there
+    round feet: 2.3 strides a start, 4.20 us of processor time a stride, 475652 strides a second on
+    two cores, 5 s for a million starts there
+    a stride in space takes 15.4 times as long
+
+(On a machine that had thirty other processes to run: the ratio counts, not the times.)
 
     python benchmarks/space.py
+    python benchmarks/space.py --study
 """
 
+import sys
 import time
 
 import jax
 import numpy as np
 
 import walker_jax as wj
+from walker_jax.stability.gait_mapper import mapper_of_gait
 
 jax.config.update("jax_enable_x64", True)
-COUNT, REPEATS, SPREAD = 40_000, 5, 0.02
+COUNT, REPEATS, SPREAD = 10_000, 3, 0.02
+SAMPLES = 4000
+STRIDES = 500
+FARTHEST, DISTANCES = 3.0, 400
+SIZES = {
+    "hip_width": (0.325, 0.33, 0.34, 0.35, 0.375, 0.4, 0.45),
+    "disc_radius": (0.08, 0.1, 0.11, 0.14, 0.155, 0.165),
+    "com_height": (0.28, 0.3, 0.33, 0.36),
+    "com_outward": (0.6, 0.65, 0.75, 0.8),
+    "inertia_xx": (0.19, 0.2184, 0.26, 0.3),
+    "inertia_zz": (0.185, 0.22, 0.3),
+    "slope": (0.06, 0.065, 0.075, 0.08, 0.09),
+}
 
 
-def seconds_of(walker, starts) -> float:
-    begun = time.process_time()
-    wj.strides(walker, starts)
-    return time.process_time() - begun
-
-
-def main() -> None:
+def compare_times() -> None:
     walkers = {"in space": wj.SpatialWalker(), "round feet": wj.RoundFootWalker(0.02)}
-    rng, starts = np.random.default_rng(0), {}
+    rng, starts, mappers = np.random.default_rng(0), {}, {}
     for name, walker in walkers.items():
         gait = wj.find_gait(walker)
         x = np.asarray(gait.states[0])
-        starts[name] = x * (1 + SPREAD * rng.uniform(-1, 1, (COUNT, len(x))))
-        made = wj.strides(walker, starts[name]).outcome == wj.Outcome.STRIDE
-        print(f"{name}: {made.mean():.3f} of {COUNT} starts make a stride")
-    least = {name: np.inf for name in walkers}
+        starts[name] = x + SPREAD * rng.uniform(-1, 1, (COUNT, len(x)))
+        mappers[name] = mapper_of_gait(walker, gait, STRIDES, None)
+        mappers[name](starts[name][:100])
+    least, made = {name: np.inf for name in walkers}, {}
     for _ in range(REPEATS):
-        for name, walker in walkers.items():
-            least[name] = min(least[name], seconds_of(walker, starts[name]))
-    for name, seconds in least.items():
-        each = seconds / COUNT
-        print(f"{name}: {1e6 * each:.2f} us of processor time a stride, {1 / each:.0f} a second")
-    print(f"ratio {least['in space'] / least['round feet']:.1f}")
+        for name, mapper in mappers.items():
+            begun = time.process_time()
+            labels = mapper(starts[name])
+            least[name] = min(least[name], time.process_time() - begun)
+            made[name] = labels.total_strides
+    each = {name: least[name] / made[name] for name in walkers}
+    for name, seconds in each.items():
+        print(
+            f"{name}: {made[name] / COUNT:.1f} strides a start, {1e6 * seconds:.2f} us of "
+            f"processor time a stride, {2 / seconds:.0f} strides a second on two cores, "
+            f"{1e6 * least[name] / COUNT / 2:.0f} s for a million starts there"
+        )
+    print(f"a stride in space takes {each['in space'] / each['round feet']:.1f} times as long")
+
+
+def measure_extents(mapper, x: np.ndarray) -> None:
+    """The first failure along each coordinate, on both sides."""
+    for i, name in enumerate(mapper.walker.section):
+        for sign in (-1, 1):
+            low, high = 0.0, FARTHEST
+            distances = np.geomspace(1e-5, FARTHEST, DISTANCES)
+            while True:
+                points = x + sign * distances[:, None] * np.eye(7)[i]
+                labels = mapper(points)
+                first = int((~labels.converged).argmax())
+                low, high = distances[first - 1] if first else low, distances[first]
+                if high - low < 1e-7:
+                    break
+                distances = np.linspace(low, high, 41)[1:]
+            fate = wj.Outcome(int(labels.fate[first])).name
+            made = int(labels.strides[first])
+            print(f"{name}: {sign * high:+.7f}, {fate} after {made} strides")
+
+
+def returning(walker: wj.SpatialWalker, guess: np.ndarray, offsets: np.ndarray) -> str:
+    """The share of starts that returns, its standard error, and what becomes of the others."""
+    gait = wj.find_gait(walker, guess)
+    if not (gait.found and gait.stable):
+        return "no stable gait"
+    labels = mapper_of_gait(walker, gait, STRIDES, None)(np.asarray(gait.states[0]) + offsets)
+    share = labels.converged.mean()
+    error = np.sqrt(share * (1 - share) / len(offsets))
+    names, counts = np.unique(labels.fate[~labels.converged], return_counts=True)
+    fates = ", ".join(
+        f"{wj.Outcome(int(name)).name} {count}" for name, count in zip(names, counts, strict=True)
+    )
+    modulus = abs(gait.multipliers[0])
+    return f"{share:.4f} +- {error:.4f}; largest multiplier {modulus:.4f}; {fates}"
+
+
+def study() -> None:
+    walker = wj.SpatialWalker()
+    gait = wj.find_gait(walker)
+    x = np.asarray(gait.states[0])
+    measure_extents(mapper_of_gait(walker, gait, STRIDES, None), x)
+    offsets = SPREAD * np.random.default_rng(1).uniform(-1, 1, (SAMPLES, 7))
+    print(f"toy: {returning(walker, x, offsets)}")
+    for name, values in SIZES.items():
+        for value in values:
+            other = wj.SpatialWalker(**{name: value})
+            print(f"{name} {value}: {returning(other, x, offsets)}")
 
 
 if __name__ == "__main__":
-    main()
+    study() if "--study" in sys.argv else compare_times()

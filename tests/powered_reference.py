@@ -1,8 +1,11 @@
 """Powered walkers by scipy alone: gaits and gait sensitivity norms, without walker_jax.
 
 By Runge-Kutta, places of the feet and velocities in the plane. States are full ones, just after
-heel strike; disturbances are the height of the next foothold, the slope and a push.
+heel strike; disturbances are the height of the next foothold, the slope and a push. Parameters are
+(slope, stiffness, damping, slack angle, push-off), or a function of the start that gives them.
 """
+
+from typing import Any
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -22,12 +25,16 @@ def across(angle):
     return np.array([-np.cos(angle), -np.sin(angle)])
 
 
+def values_at(parameters: Any, start) -> Any:
+    return parameters(start) if callable(parameters) else parameters
+
+
 def follow(parameters, full, step=0.0, slope=0.0, push=0.0):
-    """The next full state, the time, and the length of the step."""
-    own, stiffness, damping, slack, push_off = parameters
-    own = own + slope
+    """The next full state, the time, and the length of the step; NaN where there is no strike."""
     theta, phi, thetadot, phidot = full
     start = [theta, phi, thetadot + push, phidot + (1 - np.cos(phi)) * push]
+    own, stiffness, damping, slack, push_off = values_at(parameters, start)
+    own = own + slope
 
     def field(t, y):
         theta, phi, thetadot, phidot = y
@@ -38,10 +45,15 @@ def follow(parameters, full, step=0.0, slope=0.0, push=0.0):
     def height(t, y):
         return np.cos(y[0]) - np.cos(y[0] - y[1]) - step
 
-    height.direction = -1
-    solution = solve_ivp(field, (0, LONGEST), start, events=height, **WAY)
+    def stands(t, y):
+        return min(-y[2], y[0] + np.pi / 2)
+
+    height.direction, vars(stands)["terminal"] = -1, True
+    solution = solve_ivp(field, (0, LONGEST), start, events=(height, stands), **WAY)
     # On even ground the height is zero, too, where the legs pass each other.
     ahead = (solution.y_events[0][:, 0] < 0) & (solution.y_events[0][:, 1] < -1e-6)
+    if not ahead.any():
+        return np.full(4, np.nan), np.nan, np.nan
     first = int(ahead.argmax())
     theta, phi, thetadot, _ = solution.y_events[0][first]
     hip = thetadot * across(theta) + push_off * along(theta)
@@ -49,6 +61,18 @@ def follow(parameters, full, step=0.0, slope=0.0, push=0.0):
     length = np.sin(theta - phi) - np.sin(theta)
     after = np.array([theta - phi, -phi, rate, (1 - np.cos(phi)) * rate])
     return after, solution.t_events[0][first], length
+
+
+def outlasts(parameters, x, strides):
+    """Whether a walk from the section makes so many strides, its stance foot never pulled."""
+    full = lift(x)
+    for _ in range(strides):
+        theta, _, thetadot, _ = full
+        pulled = thetadot**2 > np.cos(theta - values_at(parameters, full)[0])
+        full = follow(parameters, full)[0]
+        if pulled or not full[2] < 0:
+            return False
+    return True
 
 
 def lift(x):

@@ -83,6 +83,15 @@ def test_gaits_of_published_walkers(entry):
     np.testing.assert_allclose(times, [exact["knee_strike"], exact["heel_strike"]], atol=1e-8)
 
 
+@pytest.mark.parametrize("slope, radius", [(0.05, 0.0), (0.09, 0.3), (0.09, 0.5)])
+def test_gaits_are_found_without_a_guess(slope, radius):
+    """On large feet and steep slopes too, where legs turn fast beside the speed of toppling."""
+    gait = wj.find_gait(KneedWalker(slope, foot_radius=radius))
+    assert gait.found and gait.stable
+    sizes = {0.0: 0.658, 0.3: 0.545, 0.5: 0.648}  # along a branch, in docs/results.md
+    assert np.abs(gait.multipliers).max() == pytest.approx(sizes[radius], abs=5e-4)
+
+
 @pytest.mark.slow
 def test_a_gait_on_round_feet_is_that_of_another_program():
     """McGeer's walker of 1990 with its masses at points."""
@@ -530,6 +539,15 @@ def test_margins_have_the_sign_that_the_outcome_says():
         passed = getattr(found, name)[ends.outcome == Outcome.STRIDE]
         assert (passed[np.isfinite(passed)] > 0).all()
     assert np.isfinite(found.landing[ends.outcome == Outcome.STRIDE]).mean() > 0.3
+
+
+def test_a_foot_that_comes_down_after_the_fall_does_not_land():
+    """The stance leg is down at 2.24, the foot at 2.26: in one step of the integration."""
+    walker, x = changed(WALKER, foot_radius=0.0), np.array([0.28787059, -0.75104167, 0.61825993])
+    assert wj.stride(walker, x).outcome == Outcome.FORWARD
+    found = wj.margins_of_many(walker, x[None])
+    assert found.stride.outcome[0] == Outcome.FORWARD and found.forward[0] < 0
+    assert not found.landing[0] < 0
 
 
 @pytest.mark.slow

@@ -3,9 +3,18 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import xarray as xr
 from maps import done_with
 
+import walker_jax as wj
+from walker_jax import figures
 from walker_jax.gaits import continuation
+from walker_jax.gaits.crises import Loss
+from walker_jax.gaits.diagrams import assemble_diagram
+from walker_jax.gaits.events import Bifurcation
+from walker_jax.gaits.summary import summarise_bifurcations
+from walker_jax.storage.schema import check_dataset
+from walker_jax.walking.iteration import orbits
 
 
 def delayed_logistic(x, p):
@@ -65,3 +74,59 @@ def test_a_pair_that_leaves_the_unit_circle_is_located(stride, states, angle):
 def test_real_multipliers_whose_product_passes_one_are_no_such_point():
     path = path_of(saddle, [[0.0, 0.0]], 1.1, (1.1, 1.6))
     assert path.end == "the end of the range" and path.neimark_sackers == ()
+
+
+def test_they_are_in_the_data_set_of_a_diagram_and_in_its_picture():
+    """Of a branch with two points, beside what its folds and doublings are told by."""
+    walker = wj.SimplestWalker(0.01)
+    states, multipliers = np.array([[[0.2, -0.2]], [[0.3, -0.3]]]), np.array([[0.9 + 0.3j] * 2] * 2)
+    multipliers[:, 1] = multipliers[:, 1].conj()
+    points = [
+        Bifurcation("neimark-sacker", value, states[0], np.exp([1j, -1j]), states[0] + 0j, 0.0)
+        for value in (0.012, 0.014)
+    ]
+    sizes = states[..., 0]
+    branch = wj.Branch(
+        "slope", np.array([0.01, 0.02]), states, multipliers, sizes, [], [], ("", ""), tuple(points)
+    )
+    shapes = {"fate": (1, 1), "strides": (1, 1), "period": (1, 1)}
+    scanned = xr.Dataset(
+        {name: (("sample", "start"), np.zeros(shape, int)) for name, shape in shapes.items()}
+        | {
+            "value": ("sample", np.array([0.01])),
+            "orbit": (("sample", "start", "recent", "coordinate"), np.zeros((1, 1, 4, 2))),
+        },
+        attrs={"strides": 4},
+    )
+    loss = Loss(0.02, np.nan, 10)
+    data = assemble_diagram(walker, "slope", [branch], [0], scanned, loss)
+    check_dataset(data, "bifurcation diagram")
+    np.testing.assert_array_equal(data["torus_value"], [0.012, 0.014])
+    found = summarise_bifurcations(data)["neimark_sackers"]
+    assert [one["slope"] for one in found] == [0.012, 0.014]
+    np.testing.assert_allclose([one["angle"] for one in found], 1.0, rtol=1e-15)
+    ax = figures.gait_branches(data)
+    squares = [line for line in ax.lines if line.get_marker() == "s"]
+    assert [float(np.asarray(line.get_xdata())[0]) for line in squares] == [0.012, 0.014]
+    assert any("2 Neimark-Sacker points" in text.get_text() for text in ax.texts)
+
+
+@pytest.mark.slow
+def test_the_walker_in_space_loses_its_gait_to_a_motion_on_a_closed_curve():
+    """Disturbances decay on one side of the point and grow on the other, as the multipliers say."""
+    branch = wj.continue_gait(wj.SpatialWalker(), "hip_width", (0.3, 0.37))
+    (point,) = branch.neimark_sackers
+    assert abs(point.value - 0.319655251888) < 1e-11 and point.residual < 1e-12
+    np.testing.assert_allclose(np.abs(point.multipliers[:2]), 1, rtol=0, atol=1e-12)
+    assert branch.folds == branch.doublings == []
+    for width, grows in ((point.value - 1e-4, True), (point.value + 1e-4, False)):
+        walker = wj.SpatialWalker(hip_width=width)
+        gait = wj.find_gait(walker, point.states)
+        assert gait.found and gait.stable != grows
+        start = gait.states[0] + 1e-4 * np.eye(7)[0]
+        ((states,), _) = orbits(walker, np.asarray(start)[None], 3000, None)
+        distance = np.linalg.norm(states - gait.states[0], axis=1)
+        early, late = distance[100:140].max(), distance[2900:2940].max()
+        rate = (late / early) ** (1 / 2800)
+        assert (rate > 1) == grows
+        assert abs(rate - np.abs(gait.multipliers[0])) < 3e-6

@@ -245,10 +245,9 @@ def report(tmp_path_factory, data, numbers):
 
 
 def test_an_interrupted_report_goes_on_where_it_was(report):
+    """Only the part that was interrupted is computed twice; parts are computed side by side."""
     *_, computed = report
-    names = list(calculations.CALCULATIONS)
-    place = names.index("walk")
-    assert computed == [*names[: place + 1], *names[place:]]
+    assert sorted(computed) == sorted([*calculations.CALCULATIONS, "walk"])
 
 
 def test_a_report_holds_everything(report):
@@ -293,7 +292,7 @@ def test_what_is_overwritten_is_begun_anew_and_can_be_gone_on_with(
     with pytest.raises(KeyboardInterrupt):
         reproduction.reproduce(out, overwrite=True)
     reproduction.reproduce(out)
-    assert computed == [*list(data)[:3], *list(data)[2:]]
+    assert sorted(computed) == sorted([*data, "gaits"])
 
 
 def test_files_of_something_else_are_kept(tmp_path):

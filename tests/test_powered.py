@@ -117,6 +117,36 @@ def test_the_sensitivity_norm_changes_as_its_gradient_says():
         assert found.gradient[k] == pytest.approx(expected, rel=1e-5)
 
 
+@pytest.mark.slow
+def test_trained_feedback_is_what_scipy_says_it_is():
+    """Its sensitivity norm, and from where it walks on; the untrained spring falls from there."""
+    spring = wj.PoweredWalker(0.009, 1.0)
+    gait = wj.find_gait(spring)
+    fed = wj.Feedback(spring, gait, {"hip_angle": [0.0, 0.0]})
+    names = "hip_angle_per_theta", "hip_angle_per_thetadot"
+    data = wj.optimise(fed, dict.fromkeys(names, (-4.0, 4.0)), "sensitivity-norm", starts=1)
+    gains = data["optimum"].values
+    trained = wj.Feedback(spring, gait, {"hip_angle": gains})
+
+    def parameters(full):
+        away = np.array([full[0], full[2]]) - gait.states[0]
+        return 0.009, 1.0, 0.0, gains @ away, 0.0
+
+    norm = float(wj.gait_sensitivity(trained).norm)
+    assert norm < 0.8 * float(wj.gait_sensitivity(spring, gait).norm)
+    expected = powered_reference.sensitivity_norm(parameters, gait.states[0])
+    assert norm == pytest.approx(expected, rel=1e-6)
+    rng = np.random.default_rng(0)
+    starts = gait.states[0] + rng.normal(size=(25, 2)) * 0.03
+    lasts = lambda walker, x: bool((wj.walk(walker, x, 20).outcomes == wj.Outcome.STRIDE).all())
+    fates = [lasts(trained, x) for x in starts]
+    assert fates == [powered_reference.outlasts(parameters, x, 20) for x in starts]
+    without = [lasts(spring, x) for x in starts]
+    values = 0.009, 1.0, 0.0, 0.0, 0.0
+    assert without == [powered_reference.outlasts(values, x, 20) for x in starts]
+    assert sum(fates) > sum(without) + 3 and sum(fates) < 25
+
+
 def test_motors_of_walkers_with_masses_have_the_limit_of_the_massless_foot():
     x = np.array([0.25, -0.27])
     limit = wj.stride(wj.PoweredWalker(0.004, 1.5, 0.2, -0.3, 0.03), x)

@@ -8,11 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from kane import SIZES, Toy
+from PIL import Image, ImageSequence
 
 import walker_jax as wj
-from walker_jax import multibody
+from walker_jax import figures, multibody
 from walker_jax.kernels import by_kernel
 from walker_jax.multibody import ConstrainedMotion, System, space
+from walker_jax.storage.schema import check_dataset, variables_of
 from walker_jax.walkers.spatial import all_coordinates, on_ground
 from walker_jax.walking.outcomes import Outcome
 
@@ -224,15 +226,12 @@ def test_jacobians_agree_with_extrapolated_differences(gait):
 
 
 @pytest.mark.slow
-def test_it_falls_to_each_side(gait):
-    """A push to a side topples it there; forward and back too."""
-    x = np.asarray(gait.states[0])
-    pushes = np.zeros((4, 7))
-    pushes[0, 4], pushes[1, 4] = -2.0, 2.0
-    pushes[2, 5], pushes[3, 5] = -3.0, 2.0
-    fates = wj.strides(WALKER, x + pushes).outcome
-    assert Outcome.SIDEWAYS in fates
-    assert not np.isin(fates, [Outcome.UNDECIDED]).any()
+def test_a_push_from_the_side_topples_it(gait):
+    """A stronger one lifts it off the slope; to the other side, the old foot would not lift."""
+    pushes = np.array([-1.5, -2.0, 2.0])
+    starts = np.asarray(gait.states[0]) + pushes[:, None] * np.eye(7)[4]
+    fates = wj.strides(WALKER, starts).outcome
+    assert fates.tolist() == [Outcome.SIDEWAYS, Outcome.RUNNING, Outcome.OUTSIDE]
 
 
 @pytest.mark.slow
@@ -268,3 +267,46 @@ def test_one_that_can_neither_lean_nor_yaw_walks_as_in_the_plane():
     plane = np.stack([zero, theta, 2 * theta, zero, zero, thetadot, phidot], axis=1)
     np.testing.assert_allclose(ends[made], plane, rtol=0, atol=1e-9)
     np.testing.assert_allclose(times[made], expected.time[made], rtol=0, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_its_second_gait_is_that_of_an_independent_integration():
+    """It is slower to lift and quicker to land, and it is unstable."""
+    stable, other = sorted(wj.find_gaits(WALKER), key=lambda gait: abs(gait.multipliers[0]))
+    assert stable.stable and not other.stable
+    toy = Toy(sizes_of(WALKER))
+    end, time = toy.step(MIRROR * other.states[0])
+    np.testing.assert_allclose(MIRROR * end, other.states[0], rtol=0, atol=1e-9)
+    assert abs(time - other.step_times[0]) < 1e-9 and abs(time - 0.567296) < 1e-6
+    np.testing.assert_allclose(np.abs(other.multipliers[:2]), [4.236662, 1.551392], rtol=1e-6)
+
+
+@pytest.mark.slow
+def test_a_motion_stands_on_the_slope_and_is_filmed(tmp_path):
+    """Legs keep their sizes; the disc that lands is the one that stands in the next stride."""
+    data = wj.motion(WALKER, published(), 3, step=0.2)
+    check_dataset(data, "walk in space")
+    assert set(data.data_vars) == set(variables_of("walk in space"))
+    place = {name: data[name].values for name in ("stance", "swing", "stance_hip", "swing_hip")}
+    axle = data["axle"].values
+    low = place["stance"][:, 2] - WALKER.disc_radius * np.sqrt(1 - axle[:, 2] ** 2)
+    np.testing.assert_allclose(low, 0, atol=1e-14)
+    leg = WALKER.leg_length - WALKER.disc_radius
+    for foot in ("stance", "swing"):
+        length = np.linalg.norm(place[f"{foot}_hip"] - place[foot], axis=1)
+        np.testing.assert_allclose(length, leg, rtol=1e-13)
+    across = place["stance_hip"] - place["swing_hip"]
+    np.testing.assert_allclose(np.linalg.norm(across, axis=1), WALKER.hip_width, rtol=1e-13)
+    stride = data["stride"].values
+    for k in range(2):
+        last, first = np.flatnonzero(stride == k)[-1], np.flatnonzero(stride == k + 1)[0]
+        for one, other in (("swing", "stance"), ("stance", "swing")):
+            for part in ("", "_hip"):
+                before, after = place[one + part][last], place[other + part][first]
+                np.testing.assert_allclose(before, after, rtol=0, atol=1e-11)
+    figures.film(data, tmp_path / "toy.gif")
+    with Image.open(tmp_path / "toy.gif") as film:
+        assert len(list(ImageSequence.Iterator(film))) == data.sizes["frame"]
+    fall = wj.motion(WALKER, published() - 1.5 * np.eye(7)[4], 2, step=0.2)
+    assert fall["outcome"].values.tolist() == [Outcome.SIDEWAYS]
+    assert abs(fall["lean"].values[-1]) >= np.pi / 3

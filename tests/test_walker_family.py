@@ -802,6 +802,23 @@ def test_published_gaits(entry):
         assert time[0] / unit == pytest.approx(entry["step_time"], abs=1e-4)
 
 
+def test_mcgeers_totter_mode_is_unstable_on_point_feet_alone():
+    """For steps of the same length."""
+    read, leg = PUBLISHED["totter_mode"], PUBLISHED["walkers"]["McGeer"]
+    cases = {0.3: (0.02785469, -0.11384), 0.12: (0.0528190, -0.16691), 0.0: (0.0778149, -0.20775)}
+    sizes = []
+    for radius, (slope, phidot) in cases.items():
+        walker = RoundFootWalker(slope=slope, **(leg | {"foot_radius": radius}))
+        (x,), multipliers = newton(walker, [0.3, -0.39 + 0.05 * (0.3 - radius), phidot])
+        assert x[0] == pytest.approx(read["theta"], abs=1e-5)
+        sizes.append(np.abs(multipliers))
+        if radius == read["foot_radius"]:
+            _, time = composite([walker], x[None], 1)
+            assert (slope, time[0]) == pytest.approx((read["slope"], read["step_time"]), rel=0.1)
+    assert sizes[0][0] < 0.5 < sizes[1][0] < 1 < 2.5 < sizes[2][0]  # the totter mode
+    assert np.max(sizes, axis=0)[1] < 0.4  # the others
+
+
 def compass_multipliers(degrees, state, period):
     entry = PUBLISHED["gaits"][1]
     walker = published_walker(entry, np.deg2rad(degrees))

@@ -31,9 +31,10 @@ def page_of(notebook: dict, stem: str) -> tuple[str, dict[str, bytes]]:
         parts.append(f"```python\n{source}\n```")
         for output in cell["outputs"]:
             data = output.get("data", {})
-            if "image/png" in data:
-                name = f"{stem}-{len(pictures) + 1}.png"
-                pictures[name] = base64.b64decode(data["image/png"])
+            kind = next((kind for kind in ("png", "gif") if f"image/{kind}" in data), None)
+            if kind:
+                name = f"{stem}-{len(pictures) + 1}.{kind}"
+                pictures[name] = base64.b64decode(data[f"image/{kind}"])
                 parts.append(f"![Output of the program above]({name})")
             else:
                 text = "".join(output.get("text", data.get("text/plain", "")))

@@ -26,7 +26,9 @@ def on_files(files, *, config):
 
 def on_page_markdown(markdown, *, page, config, files):
     """Make links to files lead to the pages that show them."""
-    source = ROOT / PAGES.get(page.file.src_uri, f"docs/{page.file.src_uri}")
+    own = page.file.src_uri
+    place_of_own = own if own.startswith("notebooks/") else f"docs/{own}"
+    source = ROOT / PAGES.get(own, place_of_own)
 
     def lead(link: re.Match) -> str:
         target, anchor = link[1], link[2] or ""

@@ -84,7 +84,10 @@ def print_bifurcations(answer: dict, strides: int) -> None:
         ("doublings of the long gait", "doublings"),
         ("doublings of other gaits", "other_doublings"),
         ("folds", "folds"),
+        ("Neimark-Sacker points", "neimark_sackers"),
     ):
+        if key == "neimark_sackers" and not answer[key]:
+            continue
         print(f"  {title}:{'' if answer[key] else ' none'}")
         for event in answer[key]:
             periods = f"{event['from']} to {event['to']}" if "to" in event else event["period"]

@@ -98,7 +98,9 @@ def walk(
                 f"{options} must be a feasible start for a film, not {states[0].tolist()}"
             )
         motion = wj.motion(walker, start, strides, step=FRAME_INTERVAL, ground=heights)
-        data = wj.basin(walker, film_window(walker, start), "direct", progress=True)
+        data = None
+        if not isinstance(walker, wj.SpatialWalker):
+            data = wj.basin(walker, film_window(walker, start), "direct", progress=True)
         signature = storage.signature(request)
         figures.film(motion, animate, data, signature=signature, progress=True)
     if as_json:

@@ -24,6 +24,8 @@ BAND_HALF_WIDTHS = (0.1, 0.05, 0.03, 0.03)
 They are wide enough for the errors of areas at their ends."""
 LEVELS_OMITTED = (3, 2, 1, 1)
 """Levels of refinement that areas and volumes have less in each stage than at the ends."""
+SCAN_LEVELS_OMITTED = 2
+"""The same in the scan, which serves a picture."""
 HOW_MEASURED = tuple(zip(LEVELS_OMITTED, BAND_HALF_WIDTHS, strict=True))
 """On what the measurements of each stage depend, beside the parameters."""
 SCAN_STAGE, ENDS_STAGE = -1, -2
@@ -64,6 +66,7 @@ def evaluate_objective(
     found: dict[str, Measure] = {}
     value_error, gradient_error, made = 0.0, np.zeros(len(names)), 0
     exact = stage == ENDS_STAGE
+    omitted = {ENDS_STAGE: 0, SCAN_STAGE: SCAN_LEVELS_OMITTED, **dict(enumerate(LEVELS_OMITTED))}
     tolerance = problem.tolerance if exact or problem.tolerance else SEARCH_TOLERANCE
     if problem.size and problem.grid is not None:
         area = area_gradient(
@@ -71,7 +74,7 @@ def evaluate_objective(
             problem.grid,
             names,
             bands=bands,
-            levels=max(0, problem.levels - (0 if exact else LEVELS_OMITTED[stage])),
+            levels=max(0, problem.levels - omitted[stage]),
             strides=problem.strides,
             check=CHECK_STARTS[exact],
             seed=problem.seed,

@@ -42,6 +42,7 @@ from walker_jax.design.problem import (
     starting_places,
 )
 from walker_jax.design.trace import Trace, string_array
+from walker_jax.execution.progress import bar
 from walker_jax.execution.threads import side_by_side
 from walker_jax.grids import Grid
 from walker_jax.stability.summary import default_region
@@ -175,7 +176,10 @@ def optimise(
     climbs = starts + len(STEP_LENGTHS) - 1
     expected = climbs * USUAL_MEASUREMENTS + 2 + scan * len(bounds)  # 2 ends
     trace = Trace(problem, known, keep, progress, expected)
-    first = [climb(trace, run, 0, place) for run, place in enumerate(places)]
+    climb_from = lambda numbered: climb(trace, numbered[0], 0, numbered[1])
+    with bar(f"{starts} starts", progress):
+        first = list(side_by_side(climb_from, enumerate(places)))
+    trace.sort_runs()
     height = lambda one: -np.inf if one.best is None else sign * one.best.value
     run = max(range(starts), key=lambda i: height(first[i]))
     last, notes = first[run], {"note": ("start_number", string_array(one.note for one in first))}

@@ -1,5 +1,6 @@
 """The trace of an optimisation: its measurements and their places, kept on disk."""
 
+import threading
 import time
 from collections.abc import Callable, Iterable
 from contextlib import closing
@@ -31,6 +32,12 @@ class Trace:
     ):
         self.problem, self.keep = problem, keep
         self.rows: list[Evaluation] = []
+        self.lock = threading.Lock()
+        """Climbs are made side by side, and add rows one at a time."""
+        self.measuring: dict[tuple, threading.Lock] = {}
+        """By key, lest two climbs measure the same."""
+        self.failure: BaseException | None = None
+        """What `keep` has raised: all climbs end with it."""
         if known is not None:
             check_known(problem, known)
         self.known = {} if known is None else {key_of(row): row for row in evaluations_in(known)}
@@ -55,20 +62,41 @@ class Trace:
     ) -> list[Evaluation]:
         """Measure the walker at several places, side by side, unless a measurement is known."""
         all_values = [self.problem.values(place) for place in places]
-        new = {one.tobytes(): one for one in all_values if (stage, one.tobytes()) not in self.known}
+        unknown = {one.tobytes(): one for one in all_values if key_at(stage, one) not in self.known}
+        rows: list[Evaluation] = []
         evaluate = lambda values: evaluate_objective(self.problem, stage, values, self.gait)
-        with closing(side_by_side(evaluate, new.values())) as evaluated:
+        with closing(side_by_side(evaluate, unknown.values())) as evaluated:
             for values in all_values:
-                row = self.known.get(key_at(stage, values))
-                if row is None:
-                    with bar(self.label(values), self.progress):
-                        row = next(evaluated)
-                    self.known[key_of(row)] = row
-                    self.rows.append(row._replace(run=run))
+                key = key_at(stage, values)
+                with self.lock:
+                    mine = self.measuring.setdefault(key, threading.Lock())
+                with mine:
+                    row = self.known.get(key)
+                    new = row is None
+                    if row is None:
+                        with bar(self.label(values), self.progress):
+                            row = next(evaluated)
+                    rows.append(row._replace(run=run, stage=stage))
+                    self.add(key, row, rows[-1], new=new)
+        return rows
+
+    def add(self, key: tuple, row: Evaluation, own: Evaluation, *, new: bool) -> None:
+        """Add a row, in the words of its own run and stage; keep the trace if it is a new one."""
+        with self.lock:
+            if self.failure is not None:
+                raise self.failure
+            self.known[key] = row
+            self.rows.append(own)
+            try:
+                if new:
                     self.keep_all()
-                else:
-                    self.rows.append(row._replace(run=run, stage=stage))
-        return self.rows[-len(all_values) :]
+            except BaseException as failure:
+                self.failure = failure
+                raise
+
+    def sort_runs(self) -> None:
+        """Put the measurements in the order of runs, which were made side by side."""
+        self.rows.sort(key=lambda row: row.run)
 
     def keep_all(self) -> None:
         """Keep the trace, with what is known beside it."""

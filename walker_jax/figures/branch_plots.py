@@ -43,6 +43,7 @@ from walker_jax.gaits.curves import (
 from walker_jax.storage.schema import check_dataset
 
 FOLD: dict[str, Any] = {"marker": "<", "ms": 6, "mfc": "white", "mew": 1, "ls": ""}
+TORUS: dict[str, Any] = {"marker": "s", "ms": 5, "mfc": "white", "mew": 1.2, "ls": ""}
 DOUBLING: dict[str, Any] = {"marker": "o", "ms": 4.5, "mec": "white", "mew": 0.5, "ls": ""}
 """Signs of bifurcations."""
 LOSS = "#b3261e"
@@ -58,8 +59,8 @@ def gait_branches(data: xr.Dataset, ax: Axes | None = None) -> Axes:
 
     Figure 3 of Schwab and Wisse (2001), for gaits of every period. Colours tell periods. Lines are
     solid where a gait is stable and dashed where it is not. Triangles are folds, where two gaits
-    are born, and dots are period doublings. Step times of the gaits of period one at the end of the
-    range are written at the right.
+    are born, dots are period doublings, and squares are Neimark-Sacker points. Step times of the
+    gaits of period one at the end of the range are written at the right.
 
     **Arguments:**
 
@@ -76,8 +77,15 @@ def gait_branches(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     folds, values = data["event_fold"].values, data["event_value"].values
     periods, states = data["event_period"].values.tolist(), first_coordinate(data["event_states"])
     for period, fold, value, cycle in zip(periods, folds, values, states, strict=True):
-        draw_event(ax, np.full(period, value), cycle[:period], period, fold=bool(fold))
+        sign = FOLD if fold else DOUBLING
+        draw_event(ax, np.full(period, value), cycle[:period], period, sign)
+    tori = data["torus_value"].values if "torus_value" in data else np.zeros(0)
+    for i, value in enumerate(tori):
+        period = int(data["torus_period"][i])
+        cycle = first_coordinate(data["torus_states"])[i]
+        draw_event(ax, np.full(period, value), cycle[:period], period, TORUS)
     counts = {"branch": len(drawn), "fold": folds.sum(), "period doubling": (~folds).sum()}
+    counts["Neimark-Sacker point"] = len(tori)
     dress(ax, data, "gaits", ", ".join(count_noun(int(n), noun) for noun, n in counts.items() if n))
     name_axes(ax, y=first_name(data))
     write_step_times(ax, data)
@@ -87,6 +95,7 @@ def gait_branches(data: xr.Dataset, ax: Axes | None = None) -> Axes:
         ("unstable", ~data["stable"].values, DASHED),
         ("fold", folds, FOLD),
         ("period doubling", ~folds, DOUBLING),
+        ("Neimark-Sacker", np.ones(len(tori), bool), TORUS),
     ):
         if found.any():
             kinds.append(Line2D([], [], color=INK, label=name, **style))
@@ -119,7 +128,7 @@ def largest_multiplier(data: xr.Dataset, ax: Axes | None = None) -> Axes:
         for curve in own:
             draw_multiplier(ax, curve)
         values = np.concatenate([curve.doublings for curve in own])
-        draw_event(ax, values, np.ones(len(values)), period, fold=False)
+        draw_event(ax, values, np.ones(len(values)), period, DOUBLING)
         if len(values):
             where = " and ".join(f"{value:.5f}" for value in values)
             handle.set_label(f"{handle.get_label()}, doubles at {where}")
@@ -280,12 +289,11 @@ def draw_event(
     values: Float[np.ndarray, " n"],
     heights: Float[np.ndarray, " n"],
     period: int,
-    *,
-    fold: bool,
+    sign: dict[str, Any],
 ) -> None:
     """Draw the signs of a bifurcation."""
     colour, _ = period_style(period)
-    ax.plot(values, heights, color=colour, zorder=7, **(FOLD if fold else DOUBLING))
+    ax.plot(values, heights, color=colour, zorder=7, **sign)
 
 
 def cascade_window(data: xr.Dataset) -> tuple[float, float, float, float] | None:

@@ -19,6 +19,7 @@ from walker_jax.execution.progress import track
 from walker_jax.figures.basin_maps import basin
 from walker_jax.figures.layout import cell_edges, figure_legend, figure_title, name_axes
 from walker_jax.figures.poses import draw_ground, draw_pose, leg_size, to_level
+from walker_jax.figures.poses_in_space import draw_in_space
 from walker_jax.figures.regions import paint, patch_of, regions_of_one_basin
 from walker_jax.figures.style import INK
 from walker_jax.figures.text import walker_title
@@ -45,7 +46,8 @@ def film(
 
     **Arguments:**
 
-    - `walk`: what `walker_jax.motion` returns. Each of its frames is shown for 1/20 s.
+    - `walk`: what `walker_jax.motion` returns. Each of its frames is shown for 1/20 s. A walk in
+      space is shown from the side, in front and above.
     - `path`: of the file, .gif or .mp4, which needs the program ffmpeg.
     - `data`: what `walker_jax.basin` returns, over two dimensions; without it the film shows the
       walker alone.
@@ -56,6 +58,11 @@ def film(
     interruption leaves the file as it was.
     """
     check_film(path)
+    if "axle" in walk:
+        if data is not None:
+            raise WrongUse("data must be left out for a walk in space")
+        film_in_space(walk, path, signature, progress)
+        return
     check_dataset(walk, "walk")
     figure = Figure(figsize=(10.4, 4.8) if data is not None else (5, 4.8), layout="constrained")
     axes = figure.subplots(1, 1 if data is None else 2, squeeze=False)[0]
@@ -69,7 +76,8 @@ def film(
         )
         (now,) = axes[1].plot([], [], "o", color=TRAJECTORY, mec=INK, mew=1.4, ms=10, zorder=7)
         moving += [line, now]
-    figure_title(figure, walker_title(walk, 45 if data is None else 90), 12)
+    wide = (90, 12) if data is not None else (55, 10)
+    figure_title(figure, walker_title(walk, wide[0]), wide[1])
     axes[0].set_axis_off()
     axes[0].set_aspect("equal")
     heading = axes[0].set_title("stride 1, time 0.0", loc="left", fontsize=11, fontweight="bold")
@@ -93,6 +101,27 @@ def film(
                 now.set_data(*path_in_basin[number : number + 1].T)
             grab()
             for one in lines:
+                one.remove()
+
+
+def film_in_space(walk: xr.Dataset, path: Path, signature: str, progress: bool) -> None:
+    """A film of a walk in space, by parallel projection."""
+    check_dataset(walk, "walk in space")
+    figure = Figure(figsize=(6, 5.4), layout="constrained")
+    ax = figure.subplots()
+    ax.set_axis_off()
+    ax.set_aspect("equal")
+    figure_title(figure, walker_title(walk, 70), 9)
+    heading = ax.set_title("stride 1, time 0.0", loc="left", fontsize=11, fontweight="bold")
+    tall = 1.25 * float(walk.attrs["walker_leg_length"])
+    with film_writer(figure, path, signature, [ax]) as grab:
+        for k in track(range(walk.sizes["frame"]), "film", progress):
+            pose = walk.isel(frame=k)
+            drawn, (x, y) = draw_in_space(ax, pose)
+            ax.set(xlim=(x - 0.75 * tall, x + 0.75 * tall), ylim=(y - 0.3 * tall, y + tall))
+            heading.set_text(f"stride {int(pose['stride']) + 1}, time {float(pose['time']):.1f}")
+            grab()
+            for one in drawn:
                 one.remove()
 
 

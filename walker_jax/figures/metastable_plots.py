@@ -11,9 +11,9 @@ from walker_jax.figures.style import SMALL
 from walker_jax.figures.text import walker_title
 from walker_jax.storage.schema import check_dataset
 
-PIXELS = 120
-"""Of the picture along each side: about the cells of a default result."""
-FAINTEST = 1e-9
+PIXELS = 60
+"""Of the picture along each side: wide enough for a cell or more, or stripes would show."""
+FAINTEST = 1e-6
 """Chance, over the largest one, below which a pixel is empty."""
 
 

@@ -86,6 +86,8 @@ def bifurcation_diagram(
       `event_period`, `event_value`, `event_states`, `event_multipliers`, and whether it belongs to
       the `cascade`: the doublings of the most stable period-one gait (the simplest walker's long
       one), and of its descendants;
+    - `torus`, the Neimark-Sacker points, where a pair of multipliers leaves the unit circle:
+      `torus_branch`, `torus_period`, `torus_value`, `torus_states` and `torus_multipliers`;
     - `sample`, the values of the scan: `sample_value`, and what `attractors` gives: `fate`,
       `strides`, `orbit` and `attractor_period`, each over `start` too, with one start near each
       gait; a fate of -1 marks missing starts;
@@ -265,7 +267,21 @@ def assemble_diagram(
 
     counts = [len(branch.values) for branch in branches]
     events = [(i, b) for i, one in enumerate(branches) for b in (*one.folds, *one.doublings)]
+    tori = [(i, b) for i, one in enumerate(branches) for b in one.neimark_sackers]
     numbers = np.arange(len(branches))
+
+    def describe(events: list[tuple[int, Any]], name: str) -> dict[str, tuple]:
+        """Where the bifurcations of a list are, as variables over a dimension of this name."""
+        states = pad([b.states[None] for _, b in events], size)
+        multipliers = real_and_imaginary([b.multipliers[None] for _, b in events])
+        return {
+            f"{name}_branch": (name, np.array([i for i, _ in events], int)),
+            f"{name}_period": (name, np.array([len(b.states) for _, b in events], int)),
+            f"{name}_value": (name, np.array([b.value for _, b in events], float)),
+            f"{name}_states": ((name, "phase", "coordinate"), states),
+            f"{name}_multipliers": ((name, "order", "part"), multipliers),
+        }
+
     return xr.Dataset(
         {
             "branch": ("gait", np.repeat(numbers, counts)),
@@ -280,17 +296,8 @@ def assemble_diagram(
             "stable": ("gait", flatten([b.stable for b in branches], bool)),
             "on_cascade": ("gait", np.repeat(np.isin(numbers, members), counts)),
             "event_fold": ("event", np.array([b.kind == "fold" for _, b in events], bool)),
-            "event_branch": ("event", np.array([i for i, _ in events], int)),
-            "event_period": ("event", np.array([len(b.states) for _, b in events], int)),
-            "event_value": ("event", np.array([b.value for _, b in events], float)),
-            "event_states": (
-                ("event", "phase", "coordinate"),
-                pad([b.states[None] for _, b in events], size),
-            ),
-            "event_multipliers": (
-                ("event", "order", "part"),
-                real_and_imaginary([b.multipliers[None] for _, b in events]),
-            ),
+            **describe(events, "event"),
+            **describe(tori, "torus"),
             "cascade": ("event", np.array([i in members for i, _ in events], bool)),
             "sample_value": ("sample", scanned["value"].values),
             "fate": (("sample", "start"), scanned["fate"].values),

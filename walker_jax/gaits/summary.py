@@ -23,10 +23,10 @@ def summarise_gait(gait: Gait) -> dict:
 def summarise_bifurcations(data: xr.Dataset) -> dict:
     """Bifurcations and the loss of walking, from a `bifurcation_diagram` over the slope.
 
-    **Returns** `doublings` of the cascade that starts from the long gait, `other_doublings` and
-    `folds`, each in ascending order of period, then of slope; `lost`, the slopes `below` and
-    `above` the loss of walking; and `stable_beyond`, the intervals of slope beyond it in which a
-    gait born at a fold is stable.
+    **Returns** `doublings` of the cascade that starts from the long gait, `other_doublings`,
+    `folds` and `neimark_sackers`, each in ascending order of period, then of slope; `lost`, the
+    slopes `below` and `above` the loss of walking; and `stable_beyond`, the intervals of slope
+    beyond it in which a gait born at a fold is stable.
     """
     fold, cascade = data["event_fold"].values, data["cascade"].values
     below, above = map(float, data["lost"].values)
@@ -34,6 +34,7 @@ def summarise_bifurcations(data: xr.Dataset) -> dict:
         "doublings": list_events(data, ~fold & cascade),
         "other_doublings": list_events(data, ~fold & ~cascade),
         "folds": list_events(data, fold),
+        "neimark_sackers": list_tori(data),
         "lost": {"below": below, "above": above},
         "stable_beyond": find_stable_intervals(data, above),
     }
@@ -51,6 +52,21 @@ def list_events(data: xr.Dataset, chosen: np.ndarray) -> list[dict]:
         state = data["event_states"].values[i, 0]
         events.append({**kind, "slope": float(slopes[i]), "state": state})
     return events
+
+
+def list_tori(data: xr.Dataset) -> list[dict]:
+    """The Neimark-Sacker points in the same order, and the angles of their pairs of multipliers."""
+    if "torus_value" not in data:
+        return []
+    periods, slopes = data["torus_period"].values, data["torus_value"].values
+    angles = np.arctan2(*np.moveaxis(data["torus_multipliers"].values[:, 0, ::-1], 1, 0))
+    return [
+        {
+            **{"period": int(periods[i]), "slope": float(slopes[i])},
+            **{"angle": abs(float(angles[i])), "state": data["torus_states"].values[i, 0]},
+        }
+        for i in np.lexsort([slopes, periods])
+    ]
 
 
 def find_stable_intervals(data: xr.Dataset, above: float) -> list[dict]:

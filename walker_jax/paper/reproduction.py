@@ -14,6 +14,7 @@ import xarray as xr
 
 from walker_jax import storage
 from walker_jax.execution.progress import bar
+from walker_jax.execution.threads import side_by_side
 from walker_jax.paper import report
 from walker_jax.paper.calculations import CALCULATIONS, FULL, QUICK, STORED_NAMES
 from walker_jax.paper.numbers import Number, compare_numbers
@@ -46,16 +47,23 @@ def reproduce(
         for path in places.values():
             shutil.rmtree(path, ignore_errors=True)
     (out / "data").mkdir(parents=True, exist_ok=True)
-    data: dict[str, xr.Dataset] = {}
+
+    def compute(name: str) -> xr.Dataset:
+        """A data set, unless an earlier run has left it."""
+        own = request | {"part": places[name].stem}
+        found = storage.find(places[name], own)
+        if found is None:
+            with bar(name, progress):
+                found = storage.save(CALCULATIONS[name](size), places[name], own)
+        return found
+
     begun = lambda: any(path.exists() for path in places.values())
     with storage.resumable(out, begun, overwrite=overwrite):
-        for name, compute in CALCULATIONS.items():
-            own = request | {"part": places[name].stem}
-            found = storage.find(places[name], own)
-            if found is None:
-                with bar(f"{name} ({len(data) + 1} of {len(CALCULATIONS)})", progress):
-                    found = storage.save(compute(size), places[name], own)
-            data[name] = found
+        with bar("calculations", progress, len(CALCULATIONS)) as update:
+            data: dict[str, xr.Dataset] = {}
+            for name, found in zip(CALCULATIONS, side_by_side(compute, CALCULATIONS), strict=True):
+                data[name] = found
+                update(len(data))
         with bar("numbers and figures", progress):
             numbers = compare_numbers(data)
             title, images = storage.signature(request), []

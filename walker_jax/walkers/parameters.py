@@ -97,7 +97,7 @@ class Option(NamedTuple):
     name: str
     meaning: str
 
-    def convert(self, value: bool) -> bool:
+    def convert(self, value: object) -> bool:
         """The value. Raises `ValueError` for one that is not true or false."""
         check_kind(self.name, value, bool)
         return bool(value)

@@ -70,7 +70,7 @@ class Momenta(NamedTuple):
     def of(cls, scalars: list[Scalar]) -> "Momenta":
         """From all entries."""
         vectors = [jnp.stack(scalars[i : i + 3]) for i in range(0, 24, 3)]
-        return cls(*vectors, scalars[24:])
+        return cls._make([*vectors, scalars[24:]])
 
 
 class RollingStance(ConstrainedPower):

@@ -35,6 +35,9 @@ from walker_jax.walking.stepping import (
 ROUNDS = 4, 16, 64
 """Strides of the first rounds of an iteration, and of all later ones; only unfinished walks enter
 the next. Most starts on a grid around a basin fail within four strides."""
+RECORDED = 16
+"""Strides of which one call returns all states. More of them save no time, as a call takes much
+longer than it takes to make, and take longer to compile."""
 MAX_COMPILED_TARGETS = 32
 """Largest number of targets of a compiled walk: it takes 3 s to compile for 32, 18 s for 128. The
 host tests more of them after each stride."""
@@ -332,11 +335,38 @@ def orbits(
 
     States that follow a failure are NaN. The walker's parameters may be arrays of n.
     """
-    states = np.full((len(starts), count + 1, starts.shape[1]), np.nan, starts.dtype)
+    n, size = starts.shape
+    walker, many = as_arrays(walker, n, starts.dtype)
+    checked_tolerance = np.asarray(default_tolerance(starts.dtype, tolerance), starts.dtype)
+    states = np.full((n, count + 1, size), np.nan, starts.dtype)
     states[:, 0] = starts
-    outcome, active = np.zeros(len(starts), np.int8), np.arange(len(starts))
-    for i in range(count):
-        ends = strides(select_walkers(walker, active), states[active, i], tolerance=tolerance)
-        states[active, i + 1], outcome[active] = ends.state, ends.outcome
-        active = active[ends.outcome == Outcome.STRIDE]
+    outcome, active = np.zeros(n, np.int8), np.arange(n)
+    for done in range(0, count, RECORDED):
+        if len(active) == 0:
+            break
+        more = min(RECORDED, count - done)
+        some = select_walkers(walker, active), states[active, done], np.int32(more)
+        part, ends = map_cells(record_walk, (*some, checked_tolerance), (many, True, False, False))
+        states[active, done + 1 : done + 1 + more], outcome[active] = part[:, :more], ends
+        active = active[ends == Outcome.STRIDE]
+    return states, outcome
+
+
+def record_walk(
+    walker: Walker, x: Float[Array, " section"], limit: Int[Array, ""], tolerance: Float[Array, ""]
+) -> tuple[Float[Array, "strides section"], Int[Array, ""]]:
+    """The states of `RECORDED` strides, NaN after a failure or the limit, and the last outcome."""
+
+    def unfinished(walk):
+        made, _, outcome, _ = walk
+        return (outcome == Outcome.STRIDE) & (made < limit)
+
+    def advance(walk):
+        made, x, _, states = walk
+        result = follow_stride(walker, x, tolerance)
+        return made + 1, result.state, result.outcome, states.at[made].set(result.state)
+
+    states = jnp.full((RECORDED, *x.shape), jnp.nan, x.dtype)
+    begun = jnp.zeros((), jnp.int32), x, jnp.asarray(Outcome.STRIDE, jnp.int8), states
+    _, _, outcome, states = lax.while_loop(unfinished, advance, begun)
     return states, outcome

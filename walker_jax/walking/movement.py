@@ -18,7 +18,9 @@ from jaxtyping import Bool, Float
 from walker_jax.checks import WrongUse, check_number, check_whole, refuses_tracers
 from walker_jax.walkers.model import State, Walker, check_planar
 from walker_jax.walkers.parameters import attributes_of
+from walker_jax.walkers.spatial import SpatialWalker
 from walker_jax.walking.iteration import walk
+from walker_jax.walking.movement_in_space import motion_in_space
 from walker_jax.walking.outcomes import Outcome
 from walker_jax.walking.phases import in_front, starts_under
 from walker_jax.walking.stepping import full_state, phase_times, trajectory
@@ -62,12 +64,18 @@ def motion(
     stand, one after the other; where a stride fails the next one is a step's length ahead.
     Attributes `leg_length`, to the end of the leg, and `foot_radius` are the sizes in which to draw
     these. `ValueError` for a start that is not feasible, and as for `walk`.
+
+    Of a walker in space there are all four angles, and places have three coordinates, along the
+    slope, to the left and normal to it: of the discs' centres, `stance` and `swing`, of the ends of
+    the axle, `stance_hip` and `swing_hip`; `axle` is the direction of that.
     """
-    check_planar(walker)
     check_number("step", step)
     if not 0 < step < np.inf:
         raise WrongUse(f"step must be above 0, not {step}")
     check_whole("strides", strides)
+    if isinstance(walker, SpatialWalker) and ground is None:
+        return motion_in_space(walker, x, strides, step, tolerance)
+    check_planar(walker)
     made = walk(walker, x, strides, ground=ground, tolerance=tolerance)
     outcomes, durations = np.asarray(made.outcomes), np.asarray(made.times)
     if outcomes[0] == Outcome.OUTSIDE:

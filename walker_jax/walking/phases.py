@@ -259,5 +259,7 @@ def starts_under(
 
 
 def in_front(phase: Phase, state: Any) -> Bool[Array, ""]:
-    """Whether a foot that comes down would take a step: in front, as the walker falls forward."""
-    return (state.theta < 0) & (state.thetadot < 0) & (phase.reach(state) > 0)
+    """Whether a foot that comes down would take a step: in front, as the walker falls forward and
+    is not yet down."""
+    falls = (state.theta < 0) & (state.theta > -np.pi / 2) & (state.thetadot < 0)
+    return falls & (phase.reach(state) > 0)

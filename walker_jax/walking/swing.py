@@ -199,6 +199,7 @@ def in_tension(walker: Walker | Phase, state: Any) -> Bool[Array, ""]:
 
 
 def is_broken(condition: Condition, walker: Walker | Phase, state: Any) -> Bool[Array, ""]:
+    walker, state = lax.stop_gradient((walker, state))
     return condition(walker, state) < 0
 
 
@@ -218,6 +219,7 @@ def may_break(
     condition: Condition, walker: Walker | Phase, before: Any, after: Any
 ) -> Bool[Array, ""]:
     """Whether a condition may be broken by the end of a step, from the two ends alone."""
+    walker, before, after = lax.stop_gradient((walker, before, after))
     least = with_rate(condition, walker, before)[1] < 0
     least &= with_rate(condition, walker, after)[1] > 0
     return is_broken(condition, walker, after) | least
