@@ -50,7 +50,7 @@ LOSS = "#b3261e"
 """Colour of the value at which walking is lost."""
 HIGHEST = 2
 """Largest modulus of a multiplier in a picture of it against a parameter."""
-FAINTER = DASHED | {"lw": 0.4}
+FAINTER: dict[str, Any] = DASHED | {"lw": 0.4}
 """Lines of unstable gaits of long periods, which are many."""
 
 

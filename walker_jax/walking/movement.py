@@ -108,7 +108,7 @@ def motion(
         ahead = float(walker.reach(last))
         if failed[k] and ground is not None:
             start = legs(full_state(walker, jnp.asarray(starts[k])))
-            ahead = abs(float(walker.reach(walker.exchange_legs(start))))
+            ahead = abs(float(walker.reach(legs(walker.exchange_legs(start)))))
         foot = foot + np.array([ahead, steps_up[k]])
 
     sizes = [len(states.theta) for states in parts]
