@@ -823,7 +823,7 @@ def test_an_optimum_after_a_start_where_nothing_walks_is_told(capsys):
     optimise_command.print_optimum(wj.SimplestWalker(0.03), answer, "area")
     told = capsys.readouterr().out
     assert "slope 0.01: 0\n" in told and "slope 0.01: 0.002 +- 1e-06\n" in told
-    assert "changed by +0.002\n" in told and "at a bound of slope; not converged" in told
+    assert "a change of +0.002\n" in told and "at a bound of slope; not converged" in told
 
 
 def test_an_optimisation_that_leads_nowhere_ends_with_1_and_a_reason(run, tmp_path):

@@ -104,7 +104,8 @@ def test_every_host_has_a_link_that_is_answered(host, monkeypatch, capsys):
     monkeypatch.setattr(server.webbrowser, "open", opened.append)
     ran: list = []
     monkeypatch.setattr(server.Server, "run", lambda self, sockets: ran.append((self, sockets[0])))
-    server.run_server(host, 0, FAMILY["simplest"], {"slope": 0.004}, browser=True)
+    with pytest.raises(KeyboardInterrupt):  # that ended it
+        server.run_server(host, 0, FAMILY["simplest"], {"slope": 0.004}, browser=True)
     printed = capsys.readouterr()
     ((found, listener),) = ran
     port = listener.getsockname()[1]

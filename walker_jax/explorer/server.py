@@ -7,7 +7,7 @@ import socket
 import sys
 import webbrowser
 from ipaddress import ip_address
-from typing import Any
+from typing import Any, NoReturn
 from urllib.parse import urlencode
 
 import uvicorn
@@ -104,7 +104,7 @@ def make_server(
 
 def run_server(
     host: str, port: int, offered: Offer, values: dict[str, float], *, browser: bool
-) -> None:
+) -> NoReturn:
     """Print the link, open the browser, and serve the page until an interrupt.
 
     The page shows a walker with these parameters, and offers the family beside it.
@@ -129,3 +129,4 @@ def run_server(
         guard.links[path] = link
         webbrowser.open(f"http://{names[0]}:{port}{path}")
     server.run(sockets=[listener])
+    raise KeyboardInterrupt  # nothing else ends it; on its way out it may have been lost
