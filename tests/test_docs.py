@@ -129,6 +129,7 @@ def test_a_walker_of_the_page_gives_the_numbers_that_it_asserts(title):
     exec(compile(source, PAGE.name, "exec"), {"__name__": "own"})
 
 
+@pytest.mark.slow
 def test_an_objective_of_ones_own_is_made_small_by_an_optimiser():
     page = (ROOT / "docs" / "powered.md").read_text()
     (found,) = re.findall(r"<!-- your own objective -->\n```python\n(.*?)```", page, re.S)

@@ -604,6 +604,7 @@ def test_a_foot_lands_on_a_bent_knee_where_the_ground_is():
 # What may be checked
 
 
+@pytest.mark.slow
 def test_a_stance_knee_bends_if_freed_where_its_moment_is_negative():
     """The moment that holds it straight, against the acceleration of a walker that is not held."""
     from walker_jax import multibody
