@@ -49,17 +49,18 @@ EXAMPLES = {
 DURATIONS = {
     "walk": "A few seconds; a film half a minute.",
     "gait": "A few seconds; twenty for walkers with mass on their legs, when they are compiled.",
-    "bifurcation": "About a minute.",
+    "bifurcation": "Twenty seconds.",
     "explore": "A few seconds until the page opens.",
     "basin": "Five seconds for the paper's grid, and a second for each further million cells.",
     "boundary": "Half a minute.",
-    "robustness": "Half a minute to a minute for each slope.",
+    "robustness": "Twenty seconds or more for each slope; minutes for walkers with knees.",
     "continuation": "A minute or two for the example.",
-    "optimise": "Ten minutes to an hour, with some 50 measurements and the scan; fewer starts, "
-    "a coarser grid (--theta, --sum) or --scan 0 shorten it. Progress shows what is left.",
+    "optimise": "Half a minute for the area over a slope, two for the least disturbance; up to an "
+    "hour for other walkers and more parameters. Fewer starts, a coarser grid (--theta, --sum) or "
+    "--scan 0 shorten it. Progress shows what is left.",
     "sweep": "Some seconds for each combination, half a minute with --robust.",
     "export": "A second.",
-    "reproduce": "Several minutes; with --quick one or two.",
+    "reproduce": "Forty seconds; with --quick less.",
 }
 """How long each takes on two cores, as its help says."""
 
