@@ -18,6 +18,7 @@ from walker_jax.design.optimisation import optimise
 from walker_jax.design.problem import (
     Problem,
     describe_problem,
+    latin_hypercube,
     parse_objective,
     starting_places,
 )
@@ -251,6 +252,13 @@ def test_an_interrupted_run_goes_on(no_basins, tmp_path, monkeypatch):
     made.clear()
     xr.testing.assert_identical(optimise(WALKER, SLOPES, "speed", starts=2, known=whole), whole)
     assert not made
+
+
+def test_random_places_are_one_in_each_layer_along_every_axis():
+    places = latin_hypercube(7, 3, seed=2)
+    np.testing.assert_array_equal(np.sort(np.floor(7 * places), axis=0).T, [range(7)] * 3)
+    assert len(np.unique(places)) == 21 and len(latin_hypercube(0, 3, seed=2)) == 0
+    assert not np.array_equal(places, latin_hypercube(7, 3, seed=3))
 
 
 def test_measurements_of_something_else_are_refused(no_basins):

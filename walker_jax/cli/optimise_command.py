@@ -89,7 +89,7 @@ def optimise(
     strides: Annotated[int, typer.Option(min=1, help="Strides a walker is followed for.")] = 200,
     scan: Annotated[
         int, typer.Option(min=0, help="Values of each parameter at which the objective is drawn.")
-    ] = 25,
+    ] = 15,
     seed: Annotated[int, typer.Option(min=0, help="Of the starts.")] = 0,
     out: Out = Path("optimum.zarr"),
     figure: PictureOfData = None,

@@ -167,10 +167,20 @@ def starting_places(problem: Problem, starts: int) -> list[Float[np.ndarray, " p
         np.array([float(getattr(problem.walker, name)) for name in problem.names])
     )
     first = [own] if np.all((own >= 0) & (own <= 1)) else []
-    from scipy.stats import qmc
+    return [*first, *latin_hypercube(starts - len(first), len(own), problem.seed)]
 
-    sampler = qmc.LatinHypercube(len(own), rng=np.random.default_rng(problem.seed))
-    return [*first, *sampler.random(starts - len(first))]
+
+def latin_hypercube(n: int, axes: int, seed: int) -> Float[np.ndarray, "n axes"]:
+    """One random place in each of n layers along every axis, from 0 to 1.
+
+    As by `scipy.stats.qmc.LatinHypercube`, which takes a second to import.
+    """
+    (rng,) = np.random.default_rng(seed).spawn(1)
+    within = rng.uniform(size=(n, axes))
+    layers = np.tile(np.arange(1, n + 1), (axes, 1))
+    for row in layers:
+        rng.shuffle(row)
+    return (layers.T - within) / max(n, 1)
 
 
 def describe_problem(problem: Problem) -> dict:
