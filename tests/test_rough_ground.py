@@ -261,6 +261,7 @@ def test_even_ground_has_no_stochastic_map(gait):
 # The gait sensitivity norm
 
 
+@pytest.mark.slow
 def test_the_norm_is_that_of_the_matrices(gait):
     found = wj.gait_sensitivity(WALKER, gait)
     A, B, C, D = (np.asarray(one) for one in found[1:5])

@@ -82,6 +82,7 @@ def test_derivatives_walks_trajectories_and_gaits_by_another_solver():
     np.testing.assert_allclose(gaits[0].multipliers, gaits[1].multipliers, rtol=1e-7)
 
 
+@pytest.mark.slow
 def test_a_basin_by_another_solver_and_what_it_says_of_it():
     grid = wj.Grid.sheared(theta=(0.05, 0.35, 24), sum=(-0.01, 0.005, 30))
     series = wj.basin(SIMPLEST, grid, "direct", strides=20)

@@ -101,6 +101,7 @@ BOTH = pytest.mark.parametrize(
 )
 
 
+@pytest.mark.slow
 @BOTH
 def test_it_moves_as_the_general_method_and_kanes_say(walker):
     """Forces of the ground are those of the general method with all three contact constraints."""
