@@ -3,14 +3,19 @@
 import http.client
 import json
 import struct
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import pytest
+import xarray as xr
 
 import walker_jax as wj
+from walker_jax.cli import main
 from walker_jax.explorer.guard import TOKEN_HEADER, Bucket
 from walker_jax.explorer.server import Server, listen, make_server, names_of
 from walker_jax.explorer.subjects import FAMILY, Offers
@@ -101,6 +106,28 @@ def follow(walker: wj.Walker, states: np.ndarray, strides: int) -> tuple[np.ndar
         states[active], fate[active] = ends.state, ends.outcome
         count[active] += ends.outcome == 0
     return fate, count
+
+
+def run_copied(
+    command: str,
+    basin: xr.Dataset,
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture,
+) -> dict[str, Any]:
+    """Run a copied command in a folder: it gives that basin. Returns the attributes of its own."""
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr("walker_jax.cli.startup.keep_compiled", lambda: None)
+    monkeypatch.setattr("walker_jax.cli.basin_command.draw", lambda *_: None)
+    monkeypatch.setattr(sys, "argv", command.split())
+    with pytest.raises(SystemExit) as stop:
+        main.main()
+    assert stop.value.code == 0, capsys.readouterr()
+    (store,) = folder.glob("basin-*.zarr")
+    with xr.open_zarr(store, consolidated=False) as data:
+        for name in ("fate", "attractor", "strides"):
+            np.testing.assert_array_equal(data[name], basin[name])
+        return dict(data.attrs)
 
 
 class Running(NamedTuple):

@@ -26,7 +26,6 @@ import xarray as xr
 from zarr.storage import ZipStore
 
 import walker_jax as wj
-from walker_jax.cli import main
 from walker_jax.explorer import measures, pictures, service, walks, workers
 from walker_jax.explorer.family import describe_family
 from walker_jax.explorer.guard import MAX_BODY, Bucket
@@ -354,17 +353,7 @@ def test_the_copied_words_give_the_data_of_the_picture(
     exec(compile(words["python"], "copied", "exec"), names)
     basin = names["basin"]
     assert basin["fate"].shape == (60, 40)
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("walker_jax.cli.startup.keep_compiled", lambda: None)
-    monkeypatch.setattr("walker_jax.cli.basin_command.draw", lambda *_: None)
-    monkeypatch.setattr(sys, "argv", words["command"].split())
-    with pytest.raises(SystemExit) as stop:
-        main.main()
-    assert stop.value.code == 0, capsys.readouterr()
-    (store,) = tmp_path.glob("basin-*.zarr")
-    with xr.open_zarr(store, consolidated=False) as data:
-        for name in ("fate", "attractor", "strides"):
-            np.testing.assert_array_equal(data[name], basin[name])
+    explorer_server.run_copied(words["command"], basin, tmp_path, monkeypatch, capsys)
     packed = measures.data(subject(), Rectangle(1, (130, 300), (60, 40)), method)
     (tmp_path / "data.zip").write_bytes(packed)
     with ZipStore(tmp_path / "data.zip", mode="r") as place:

@@ -8,7 +8,6 @@ import explorer_server
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import xarray as xr
 
 import walker_jax as wj
 from walker_jax.checks import WrongUse
@@ -120,18 +119,9 @@ def test_its_picture_its_walk_and_what_is_copied_are_those_of_the_library(
     np.testing.assert_allclose(one["frames"], frames, atol=1e-7)
 
     monkeypatch.setitem(sys.modules, "damped_walkers", sys.modules["damped_walkers"])  # as it is
-    monkeypatch.chdir(tmp_path)  # not where the file is
-    monkeypatch.setattr("walker_jax.cli.startup.keep_compiled", lambda: None)
-    monkeypatch.setattr("walker_jax.cli.basin_command.draw", lambda *_: None)
-    monkeypatch.setattr(sys, "argv", words["command"].split())
-    with pytest.raises(SystemExit) as stop:
-        main.main()
-    assert stop.value.code == 0, capsys.readouterr()
-    (store,) = tmp_path.glob("basin-*.zarr")
-    with xr.open_zarr(store, consolidated=False) as data:
-        for name in ("fate", "attractor", "strides"):
-            np.testing.assert_array_equal(data[name], basin[name])
-        assert data.attrs["code"] == basin.attrs["code"]
+    # in a folder where the file is not
+    stored = explorer_server.run_copied(words["command"], basin, tmp_path, monkeypatch, capsys)
+    assert stored["code"] == basin.attrs["code"]
 
 
 def test_a_worker_loads_the_class_unless_its_file_has_changed(walker, tmp_path, monkeypatch):

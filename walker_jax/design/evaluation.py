@@ -66,7 +66,8 @@ def evaluate_objective(
     found: dict[str, Measure] = {}
     value_error, gradient_error, made = 0.0, np.zeros(len(names)), 0
     exact = stage == ENDS_STAGE
-    omitted = {ENDS_STAGE: 0, SCAN_STAGE: SCAN_LEVELS_OMITTED, **dict(enumerate(LEVELS_OMITTED))}
+    in_scan = stage == SCAN_STAGE
+    omitted = 0 if exact else SCAN_LEVELS_OMITTED if in_scan else LEVELS_OMITTED[stage]
     tolerance = problem.tolerance if exact or problem.tolerance else SEARCH_TOLERANCE
     if problem.size and problem.grid is not None:
         area = area_gradient(
@@ -74,7 +75,7 @@ def evaluate_objective(
             problem.grid,
             names,
             bands=bands,
-            levels=max(0, problem.levels - omitted[stage]),
+            levels=max(0, problem.levels - omitted),
             strides=problem.strides,
             check=CHECK_STARTS[exact],
             seed=problem.seed,

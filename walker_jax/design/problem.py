@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from walker_jax.basins.attractor_search import sample_indices
 from walker_jax.checks import WrongUse, check_kind, is_number
 from walker_jax.design.area_gradients import Density, density_at
 from walker_jax.design.measures import GAIT_MEASURES
@@ -221,7 +222,6 @@ def describe_density(problem: Problem) -> dict:
     """A hash of the values of the density, if there is one, in some cells of the grid."""
     if problem.density is None or problem.grid is None:
         return {}
-    size = problem.grid.size
-    cells = np.unique(np.linspace(0, size - 1, min(size, DENSITY_CELLS)).astype(int))
+    cells = sample_indices(problem.grid.size, DENSITY_CELLS)
     values = density_at(problem.density, problem.grid.centres(cells))
     return {"density": hashlib.sha256(values.tobytes()).hexdigest()[:16]}

@@ -76,8 +76,8 @@ def film(
         )
         (now,) = axes[1].plot([], [], "o", color=TRAJECTORY, mec=INK, mew=1.4, ms=10, zorder=7)
         moving += [line, now]
-    wide = (90, 12) if data is not None else (55, 10)
-    figure_title(figure, walker_title(walk, wide[0]), wide[1])
+    letters, size = (90, 12) if data is not None else (55, 10)
+    figure_title(figure, walker_title(walk, letters), size)
     axes[0].set_axis_off()
     axes[0].set_aspect("equal")
     heading = axes[0].set_title("stride 1, time 0.0", loc="left", fontsize=11, fontweight="bold")

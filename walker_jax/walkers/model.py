@@ -364,12 +364,12 @@ def format_parameter(value: Any) -> str:
     return str(np.asarray(value)[()]) if single else eqx.tree_pformat(value)
 
 
-@by_kernel
 def least_scuff(length: Scalar) -> Scalar:
     """The depth from which on a foot is below the ground, for legs of some length."""
     return LEAST_SCUFF[jnp.dtype(jnp.result_type(length))] * length
 
 
+@by_kernel
 def toppling_rate(walker: Walker) -> Scalar:
     """The rate at which a walker topples, legs together, from rest.
 

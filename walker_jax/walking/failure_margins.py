@@ -42,7 +42,6 @@ from walker_jax.walking.phase_margins import (
     least_speed,
     least_with,
     missing_speed,
-    stop_within,
     upcrossing,
 )
 from walker_jax.walking.stepping import begin_stride, during_stride, end_stride, on_section, prepare
@@ -52,6 +51,7 @@ from walker_jax.walking.swing import (
     may_stop_within,
     minimum_of,
     normal_force,
+    stop_within,
 )
 
 
@@ -191,7 +191,8 @@ def follow_margins(
         stopped, down = after.thetadot >= 0, after.theta <= -np.pi / 2
         end = length
         if may_stop_within(walker):
-            stops = stop_within(series.theta, jnp.where(strikes, when, length))
+            speed = polynomial_jet(derivative_of(series.theta))
+            stops = stop_within(speed, jnp.where(strikes, when, length))
             strikes, stopped = strikes & ~stops.exists, stopped | stops.exists
             end = jnp.where(stops.exists, stops.time, length)
         fallen = stopped | down
@@ -230,11 +231,10 @@ def follow_margins(
         # the stance leg
         until = jnp.where(strikes, when, length)
         backward = least_speed(series.theta, length, until, now.backward)
-        slowing = strikes & (
-            evaluate_polynomial(derivative_of(derivative_of(series.theta)), when) > 0
-        )
-        speed = jnp.minimum(backward, arrival.thetadot**2 / 2)
-        backward = jnp.where(slowing, speed, backward)
+        deceleration = derivative_of(derivative_of(series.theta))
+        slowing = strikes & (evaluate_polynomial(deceleration, when) > 0)
+        left = jnp.minimum(backward, arrival.thetadot**2 / 2)
+        backward = jnp.where(slowing, left, backward)
         stop, missing = missing_speed(series.theta, end, rate)
         turned = verdict == Outcome.BACKWARD
         uphill = turned & (evaluate_polynomial(series.theta, stop) < 0)

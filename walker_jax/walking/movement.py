@@ -73,9 +73,8 @@ def motion(
     if not 0 < step < np.inf:
         raise WrongUse(f"step must be above 0, not {step}")
     check_whole("strides", strides)
-    if isinstance(walker, SpatialWalker) and ground is None:
-        return motion_in_space(walker, x, strides, step, tolerance)
-    check_planar(walker)
+    if not isinstance(walker, SpatialWalker) or ground is not None:
+        check_planar(walker)
     made = walk(walker, x, strides, ground=ground, tolerance=tolerance)
     outcomes, durations = np.asarray(made.outcomes), np.asarray(made.times)
     if outcomes[0] == Outcome.OUTSIDE:
@@ -84,6 +83,8 @@ def motion(
     count = int(failed.argmax()) + 1 if failed.any() else len(outcomes)
     outcomes, durations = outcomes[:count], durations[:count]
     starts = np.asarray(made.states)[: count + (not failed.any())]
+    if isinstance(walker, SpatialWalker):
+        return motion_in_space(walker, starts, outcomes, durations, step, tolerance)
 
     length, radius = leg_shape(walker)
     fall = FALL_TIME * np.sqrt(length + radius)

@@ -10,16 +10,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
-from jax.typing import ArrayLike
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
-from walker_jax.checks import WrongUse
 from walker_jax.kernels import by_kernel
 from walker_jax.walkers.model import least_scuff
 from walker_jax.walkers.parameters import attributes_of
 from walker_jax.walkers.rolling_stance import SpatialState
 from walker_jax.walkers.spatial import SpatialWalker, on_ground
-from walker_jax.walking.iteration import walk
 from walker_jax.walking.outcomes import Outcome
 from walker_jax.walking.stepping import trajectory
 from walker_jax.walking.swing import fall_of, in_tension
@@ -31,20 +28,14 @@ PLACES = "stance", "swing", "stance_hip", "swing_hip", "axle"
 
 def motion_in_space(
     walker: SpatialWalker,
-    x: Float[ArrayLike, " section"],
-    strides: int,
+    starts: Float[np.ndarray, "starts section"],
+    outcomes: Int[np.ndarray, " made"],
+    durations: Float[np.ndarray, " made"],
     step: float,
     tolerance: float | None,
 ) -> xr.Dataset:
-    """`motion` of a walker in space."""
-    made = walk(walker, x, strides, tolerance=tolerance)
-    outcomes, durations = np.asarray(made.outcomes), np.asarray(made.times)
-    if outcomes[0] == Outcome.OUTSIDE:
-        raise WrongUse(f"x must be a feasible start, not {np.asarray(x).tolist()}")
-    failed = outcomes != Outcome.STRIDE
-    count = int(failed.argmax()) + 1 if failed.any() else len(outcomes)
-    outcomes, durations = outcomes[:count], durations[:count]
-    starts = np.asarray(made.states)[: count + (not failed.any())]
+    """`motion` of a walker in space, of a walk whose strides and their starts are known."""
+    failed, count = outcomes != Outcome.STRIDE, len(outcomes)
     columns: dict[str, list] = {name: [] for name in ("time", "stride", *ANGLES, *PLACES)}
     foot, mirror, begins = np.zeros(3), np.array([1.0, 1.0, 1.0]), 0.0
     for k in range(count):
@@ -105,5 +96,5 @@ def is_over(
     )
     over = fallen | (ahead & (height < 0))
     if outcome == Outcome.SCUFFED:
-        over |= height < -least_scuff(float(walker.leg_length))
+        over |= height < -float(least_scuff(walker.leg_length))
     return over | pulled if outcome == Outcome.RUNNING else over

@@ -31,7 +31,7 @@ from walker_jax.integrators.taylor import function_series, with_fast_sincos
 from walker_jax.walkers.model import Phase, Scalar, Walker, toppling_rate
 from walker_jax.walking.outcomes import Outcome
 from walker_jax.walking.phases import begin_phase, in_front, is_over, starts_under
-from walker_jax.walking.swing import conditions_of, equations, minimum_of
+from walker_jax.walking.swing import conditions_of, equations, minimum_of, stop_within
 
 Least = dict[int, Scalar]
 """The least value of each condition, by the outcome where it is negative."""
@@ -147,7 +147,8 @@ def advance_phase(
         when = differentiable_zero(event, when)
         arrival = evaluate_series(series, when)
         strikes = rises & (arrival.thetadot < 0) & (arrival.theta > -np.pi / 2)
-        stops = stop_within(series.theta, jnp.where(rises, when, length))
+        speed = polynomial_jet(derivative_of(series.theta))
+        stops = stop_within(speed, jnp.where(rises, when, length))
         strikes &= ~stops.exists
         stopped, down = (after.thetadot >= 0) | stops.exists, after.theta <= -np.pi / 2
         verdict = jnp.where(stopped, Outcome.BACKWARD, Outcome.FORWARD)
@@ -232,15 +233,6 @@ def least_speed(theta: list[Scalar], length: Scalar, until: Scalar, least: Scala
     counts = slowing.exists & (slowing.time < until)
     left = evaluate_polynomial(speed, slowing.time) ** 2 / 2
     return jnp.where(counts, jnp.minimum(least, left), least)
-
-
-def stop_within(theta: list[Scalar], until: Scalar) -> Instant:
-    """Where the stance leg is slowest before a time, if it stands or goes back then."""
-    theta, until = lax.stop_gradient((theta, until))
-    speed = derivative_of(theta)
-    slowest = interior_minimum(negate(polynomial_jet(speed)), until)
-    stands = evaluate_polynomial(speed, slowest.time) >= 0
-    return Instant(slowest.exists & stands, slowest.time)
 
 
 def missing_speed(theta: list[Scalar], length: Scalar, rate: Scalar) -> tuple[Scalar, Scalar]:

@@ -34,7 +34,8 @@ from walker_jax.walking.swing import (
     equations,
     is_broken,
     may_break,
-    stops_within,
+    speed_of,
+    stop_within,
     swing,
 )
 
@@ -183,8 +184,7 @@ def follow_phase(
         ends = ~ends_below & (side[0] | turns(phase.event, before, after))
         if failing:
             ends |= has_fallen(after)
-            slowing = phase.vector_field(before).thetadot > 0
-            ends |= slowing & (phase.vector_field(after).thetadot < 0)
+            ends |= turns(lambda state: -speed_of(state), before, after)
         if watched:
             ends_under = height(after) < 0
             dips = turns(height, before, after)
@@ -235,7 +235,8 @@ def follow_phase(
         verdict = jnp.where(lands, Outcome.BENT_KNEE, verdict)
         if failing:
             before = jnp.where(lands, landing, when)
-            verdict = jnp.where(stops_within(method, last, before), Outcome.BACKWARD, verdict)
+            stops = stop_within(method.jet(speed_of, last), before)
+            verdict = jnp.where(stops.exists, Outcome.BACKWARD, verdict)
         verdict = verdict.astype(jnp.int8)
         when = jnp.where(verdict == Outcome.STRIDE, when + delay, last.length)
         return last.end, arrival, last.time + when, verdict, count + steps, broken, last.sides[1]

@@ -16,8 +16,14 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Int
 
-from walker_jax.integrators.roots import first_upcrossing, interior_minimum, negate
-from walker_jax.integrators.solvers import MAX_STEPS, Method, Real, Step, solver_for, zero_at
+from walker_jax.integrators.roots import (
+    Instant,
+    Jet,
+    first_upcrossing,
+    interior_minimum,
+    negate,
+)
+from walker_jax.integrators.solvers import MAX_STEPS, Method, Real, solver_for, zero_at
 from walker_jax.integrators.taylor import with_fast_sincos
 from walker_jax.walkers.masses import MultibodyMotion, SingleSupport
 from walker_jax.walkers.model import Phase, Scalar, State, Walker
@@ -150,8 +156,8 @@ def swing(
         )
         verdict = jnp.where(rises & ahead, Outcome.STRIDE, fallen)
         if may_stop_within(walker):
-            stops = stops_within(method, last, time)
-            verdict = jnp.where(stops, Outcome.BACKWARD, verdict)
+            stops = stop_within(method.jet(speed_of, last), time)
+            verdict = jnp.where(stops.exists, Outcome.BACKWARD, verdict)
         verdict = verdict.astype(jnp.int8)
         time = jnp.where(verdict == Outcome.STRIDE, time + delay, last.length)
         time = last.time + time
@@ -170,19 +176,23 @@ def swing(
     return arrival, time, verdict, broken
 
 
-def may_stop_within(walker: Walker | Phase) -> bool:
+def may_stop_within(walker: Walker) -> bool:
     """Whether the stance leg may stop, and go on, within a step.
 
-    One that an inverted pendulum moves as does not: where it stops before the top, it goes back.
+    An inverted pendulum does not: where it stops before the top, it goes back.
     """
-    return isinstance(walker, Phase) or (walker.state is State and not walker.inverted_pendulum)
+    return walker.state is State and not walker.inverted_pendulum
 
 
-def stops_within(method: Method, step: Step, time: Scalar) -> Bool[Array, ""]:
-    """Whether the stance leg is slowest in a step, before a time, and stands or goes back then."""
-    speed = method.jet(lambda state: state.thetadot, step)
-    slowest = interior_minimum(negate(speed), time)
-    return slowest.exists & (speed(slowest.time)[0] >= 0)
+def speed_of(state: Any) -> Scalar:
+    """The rate of the stance leg."""
+    return state.thetadot
+
+
+def stop_within(speed: Jet, until: Scalar) -> Instant:
+    """Where the stance leg is slowest before a time of a step, if it stands or goes back then."""
+    slowest = interior_minimum(negate(speed), until)
+    return Instant(slowest.exists & (speed(slowest.time)[0] >= 0), slowest.time)
 
 
 def fall_of(walker: Walker, state: Any) -> Int[Array, ""]:
