@@ -217,8 +217,8 @@ def test_jacobians_agree_with_extrapolated_differences(gait):
     x = published() * (1 + 0.02 * np.random.default_rng(5).uniform(-1, 1, 7))
     jacobian = jax.jit(jax.jacfwd(lambda x: wj.stride(WALKER, x).state))(jnp.asarray(x))
     steps = np.array([1e-3, 5e-4, 2.5e-4])
-    starts = x + np.eye(7)[:, None, None] * np.array([1, -1])[:, None] * steps[:, None, None, None]
-    starts = np.moveaxis(starts, 0, 2)
+    signs = np.array([1, -1])[:, None, None]
+    starts = x + steps[:, None, None, None] * signs * np.eye(7)  # step, sign, along, coordinate
     ends = wj.strides(WALKER, starts.reshape(-1, 7)).state.reshape(starts.shape)
     first, second, third = (ends[:, 0] - ends[:, 1]) / (2 * steps[:, None, None])
     fourth, again = (4 * second - first) / 3, (4 * third - second) / 3

@@ -200,7 +200,7 @@ class Walker(eqx.Module):
         """
         return None
 
-    def past_contact(self, state: State) -> Bool[Array, ""]:
+    def past_contact(self, state: Any) -> Bool[Array, ""]:
         """Whether h > 0 can only grow from here, so that no heel strike follows.
 
         It spares a walker that falls after a start on the section the rest of its fall: an outcome
