@@ -32,8 +32,10 @@ from walker_jax.integrators.solvers import (
 )
 from walker_jax.integrators.taylor import function_series, with_fast_sincos
 from walker_jax.kernels import by_kernel
-from walker_jax.walkers.model import Scalar, State, Walker, check_planar, toppling_rate
+from walker_jax.walkers.model import Scalar, State, Walker, toppling_rate
+from walker_jax.walkers.spatial import SpatialWalker
 from walker_jax.walking.iteration import for_each_start
+from walker_jax.walking.margins_in_space import margins_in_space
 from walker_jax.walking.outcomes import Outcome, Stride
 from walker_jax.walking.phase_margins import (
     Least,
@@ -84,7 +86,13 @@ class Margins(NamedTuple):
     buckling: Float[Array, "*cells"]
     """The least moment that presses the stance knee on its stop, up to heel strike."""
     scuffing: Float[Array, "*cells"]
-    """The least height of the bent leg's foot, up to heel strike."""
+    """The least height of the bent leg's foot, up to heel strike. In space, that at which the swing
+    disc turns upwards; where it scuffs, minus the angle that the legs lacked to pass each other, if
+    that is less."""
+    sideways: Float[Array, "*cells"]
+    """In space: the least distance of the lean from its limits. In a fall in space, to any side:
+    minus the height of the swing disc then; or of the misses of a heel strike the nearest: minus
+    the angle that the legs lacked where the disc touched, or minus its depth where it turned."""
 
 
 def margins(
@@ -95,7 +103,6 @@ def margins(
     Arguments and errors are those of `stride`. Derivatives of the first order are right.
     Margins are smooth except where the instant that determines them jumps.
     """
-    check_planar(walker)
     return follow_margins(*prepare(walker, x, tolerance))
 
 
@@ -108,7 +115,6 @@ def margins_of_many(
     progress: str | None = None,
 ) -> Margins:
     """`margins` for each of n starts, and one walker or n, as in `strides`; NumPy arrays."""
-    check_planar(walker)
     return for_each_start(follow_margins, walker, xs, tolerance, progress)
 
 
@@ -122,6 +128,7 @@ def failure_margin(found: Margins) -> Scalar:
         Outcome.BENT_KNEE: found.landing,
         Outcome.BUCKLED: found.buckling,
         Outcome.SCUFFED: found.scuffing,
+        Outcome.SIDEWAYS: found.sideways,
     }
     by = jnp.full_like(found.backward, jnp.nan)
     for outcome, margin in ways.items():
@@ -162,6 +169,9 @@ class MarginState(NamedTuple):
 def follow_margins(
     walker: Walker, x: Float[Array, " coordinates"], tolerance: Float[Array, ""]
 ) -> Margins:
+    if isinstance(walker, SpatialWalker):
+        in_space = margins_in_space(walker, x, tolerance)
+        return Margins(in_space[0], **in_space[1])
     walker = during_stride(walker, x)
     start, verdict = with_fast_sincos(begin_stride)(walker, x)
     field = equations(walker)
@@ -368,4 +378,5 @@ def margins_from(
         keep(landing, True),
         keep(least(Outcome.BUCKLED), True),
         keep(least(Outcome.SCUFFED), True),
+        none,
     )

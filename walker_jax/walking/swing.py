@@ -99,11 +99,13 @@ def swing(
             for state, field in ((before, first), (after, last))
         )
         rises = ~ends_below & (below | ((begins < 0) & (ends > 0)))
-        if step is not None:
-            # A foot may come down and up again. To higher ground, one from behind does so behind:
-            # as the legs pass each other, both feet are at one level.
+        if may_dip:
             dips = below & ends_below & (begins > 0) & (ends < 0)
-            rises |= to_step & dips & (is_ahead(before) | (step < 0))
+            if step is not None:
+                # To higher ground, a foot from behind comes down and up again behind: as the legs
+                # pass each other, both feet are at one level.
+                dips &= to_step & (is_ahead(before) | (step < 0))
+            rises |= dips
         may = rises & (is_ahead(before) | is_ahead(after))
         if may_stop_within(walker):
             may |= (first.thetadot > 0) & (last.thetadot < 0)
@@ -133,22 +135,26 @@ def swing(
         last, steps = method.follow(now, stop, side=below, time=time)
         jet, until = method.jet(contact, last), last.length
         below, ends_below = last.sides
-        if step is not None:
+        if may_dip:
             exists, highest = interior_minimum(negate(jet), until)
-            exists &= to_step
+            if step is not None:
+                exists &= to_step
             until = jnp.where(exists, highest, until)
             ends_below = jnp.where(exists, jet(until)[0] < 0, ends_below)
         rises, time = first_upcrossing(jet, until, (below, ends_below))
         time = jnp.where(rises, method.refine_time(contact, last, time), last.length)
         after = lambda time: method.state_at(last, time)
-        arrival = after(time)
-        for outcome, condition in watched.items():
-            more = breaks(condition, walker, last.start, arrival, after, time)
-            more |= ~rises & with_fast_sincos(partial(is_broken, condition))(walker, arrival)
-            broken = broken | {outcome: broken[outcome] | more}
-        arrival, delay = method.refine_event(contact, arrival)
+        arrival, delay = method.refine_event(contact, after(time))
         ahead = is_ahead(arrival) & (fall_of(walker, arrival) == Outcome.UNDECIDED)
         ahead &= arrival.phi < 0
+        passes = rises & ~ahead  # a foot that comes down behind does not end the stride
+        until = jnp.where(passes, last.length, time)
+        end = jax.tree.map(lambda a, b: jnp.where(passes, a, b), last.end, arrival)
+        for outcome, condition in watched.items():
+            more = breaks(condition, walker, last.start, end, after, until)
+            ends = passes | ~rises
+            more |= ends & with_fast_sincos(partial(is_broken, condition))(walker, end)
+            broken = broken | {outcome: broken[outcome] | more}
         fallen = fall_of(walker, last.end)
         fallen = jnp.where(fallen == Outcome.UNDECIDED, Outcome.FORWARD, fallen)
         fallen = jnp.where(
@@ -164,6 +170,8 @@ def swing(
         below = last.sides[1]
         return last.end, arrival, time, verdict, count + steps, broken, below
 
+    # A foot may come down and up again within a step: to ground that is rough, or in space.
+    may_dip = step is not None or walker.state is not State
     watched = conditions_of(walker)
     broken = {outcome: jnp.asarray(False) for outcome in watched}
     if walker.force_least_at_ends:
