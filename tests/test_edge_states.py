@@ -150,7 +150,7 @@ def test_the_boundary_between_the_falls_is_that_of_a_stride_that_stops_upright()
 
 
 def test_of_all_margins_that_nearest_to_zero_is_named(monkeypatch):
-    made_up = np.full((7, 2), np.nan)
+    made_up = np.full((8, 2), np.nan)
     made_up[1], made_up[4, 0] = (-0.3, 0.2), 1e-12
     found = SimpleNamespace(**dict(zip(edge_states.WAYS, made_up, strict=True)))
     monkeypatch.setattr(edge_states, "margins_of_many", lambda *args, **options: found)

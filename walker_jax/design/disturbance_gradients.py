@@ -19,7 +19,7 @@ from walker_jax.integrators.solvers import default_tolerance
 from walker_jax.stability.disturbances import BEYOND, LeastDisturbance, least_disturbance
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.stability.rays import DENSE
-from walker_jax.walkers.model import Walker, check_planar
+from walker_jax.walkers.model import Walker
 
 
 class DisturbanceGradient(NamedTuple):
@@ -58,7 +58,6 @@ def disturbance_gradient(
 
     Other arguments and errors are those of `least_disturbance`, in its plain metric.
     """
-    check_planar(walker)
     widths = check_bands(walker, parameters, bands)
     gait = find_gait(walker, tolerance=tolerance) if gait is None else gait
     search = partial(

@@ -13,13 +13,14 @@ from jax.typing import ArrayLike
 from jaxtyping import Bool, Float
 
 from walker_jax.basins.mapper import Mapper
-from walker_jax.checks import WrongUse, check_whole, refuses_tracers
+from walker_jax.checks import check_whole, refuses_tracers
 from walker_jax.gaits.cycles import Gait
+from walker_jax.stability.descents import descend_to_failure
 from walker_jax.stability.gait_mapper import failure_test, mapper_of_gait, with_other_gaits
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.stability.metric import DistanceFunction, metric_of
 from walker_jax.stability.rays import DENSE, nearest_failure, spread_directions
-from walker_jax.walkers.model import State, Walker
+from walker_jax.walkers.model import Walker
 from walker_jax.walking.outcomes import Outcome
 
 BEYOND = 1 + np.array([1e-8, 1e-10, 0.0])
@@ -33,7 +34,7 @@ OTHER_GAITS_DIRECTIONS, OTHER_GAITS_DISTANCES = 90, 0.1 * 0.5 ** np.arange(12.0)
 
 
 LARGEST_SPAN = 3
-"""Dimensions in which directions are spread evenly (`rays`)."""
+"""Dimensions in which directions are spread evenly (`rays`), and all of them are tried."""
 
 
 class LeastDisturbance(NamedTuple):
@@ -80,6 +81,10 @@ def least_disturbance(
     or 0.16 % close to it, where directions are 8 times as close. It may miss a finger of failures
     between these points; then the size is too large by as much as the finger is nearer.
 
+    In more than three dimensions, as of a walker in space, directions cannot all be tried. There
+    random rays find failures, and descents along the boundary's gradient lead from the nearest of
+    them to minima of the distance, of which the least is returned: another one may be nearer.
+
     **Arguments:**
 
     - `walker`: of one kind, with numbers for parameters.
@@ -92,20 +97,17 @@ def least_disturbance(
     - `along`: vectors, one a row, that span the disturbances, such as (0, 1) for a push that
       changes thetadot alone. By default disturbances have any direction.
     - `fall`: whether only falls count, and not the convergence to another attractor.
-    - `directions`: number of directions in a plane; in space there are four times as many.
+    - `directions`: number of directions in a plane; in three dimensions there are four times as
+      many, and in more a sixteenth, at random.
     - `strides`: number of strides in which a walker may return, or fall.
     - `tolerance`: of the integration, as in `stride`.
 
-    Raises `ValueError` for a gait that is not stable, or not found, for a scale or vectors that do
-    not fit the section, and for disturbances of more than three dimensions; `ComputationFailed`
-    where the walker returns from all disturbances up to a size of a thousand.
+    Raises `ValueError` for a gait that is not stable, or not found, and for a scale or vectors that
+    do not fit the section; `ComputationFailed` where the walker returns from all disturbances up to
+    a size of a thousand.
     """
     sizes = metric_of(walker, scale, along, metric)
-    if len(sizes.basis) > LARGEST_SPAN:
-        raise WrongUse(
-            f"along must span {LARGEST_SPAN} dimensions at most, not {len(sizes.basis)}: the "
-            "nearest failure is searched for in a line, a plane or space"
-        )
+    search = nearest_failure if len(sizes.basis) <= LARGEST_SPAN else descend_to_failure
     lost = failure_test(fall)
     check_whole("directions", directions)
     mapper = mapper_of_gait(walker, gait, strides, tolerance)
@@ -122,8 +124,6 @@ def least_disturbance(
         return lost(mapper(points))
 
     def gradient(points: Float[np.ndarray, "n section"]) -> Float[np.ndarray, "n section"]:
-        if walker.state is not State:  # no margins are known: nearest points are not polished
-            return np.full_like(points, np.nan)
         count = all_gaits(points).strides
         axes = np.eye(points.shape[1])
         return differentiate_margins(walker, points, count, axes, (), mapper.tolerance)
@@ -132,7 +132,7 @@ def least_disturbance(
         def gradient_along(y: Float[np.ndarray, "n section"]) -> Float[np.ndarray, "n section"]:
             return sizes.pull_back(x, y, gradient(x + sizes.disturbance(x, y)))
 
-        return nearest_failure(
+        return search(
             lambda y: fails(x + sizes.disturbance(x, y)),
             sizes.basis,
             gradient_along,

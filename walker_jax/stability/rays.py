@@ -217,12 +217,18 @@ def bisect_nearest(
 
 
 def spread_directions(rank: int, count: int) -> Float[np.ndarray, "n rank"]:
-    """Evenly spread unit vectors; in three dimensions four times as many as in two."""
+    """Evenly spread unit vectors; in three dimensions four times as many as in two.
+
+    In more dimensions they are random, and as many as in two.
+    """
     if rank == 1:
         return np.array([[1.0], [-1.0]])
     if rank == 2:
         angles = 2 * np.pi * np.arange(count) / count
         return np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    if rank > 3:
+        x = np.random.default_rng(0).normal(size=(count, rank))
+        return x / np.linalg.norm(x, axis=1, keepdims=True)
     # a spiral of equal steps in height on a sphere, turned by the golden angle
     count *= 4
     height = 1 - (2 * np.arange(count) + 1) / count

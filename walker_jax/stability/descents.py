@@ -1,0 +1,115 @@
+"""The nearest failure to a state in more dimensions than can be searched ray by ray.
+
+Rays in random directions find some failures, and from the nearest of these descents along the
+boundary follow: the nearest point of a flat boundary lies along its normal. Each ends at a local
+minimum of the distance; the least of them is the answer.
+"""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from walker_jax.stability.rays import (
+    DENSE,
+    FINAL_DISTANCES,
+    FINE,
+    bisect,
+    first_failures,
+    scan,
+    spread_directions,
+)
+
+Fails = Callable[[Float[np.ndarray, "n size"]], Bool[np.ndarray, " n"]]
+SHARE = 1 / 16
+"""Number of random directions, as a share of the number in a plane."""
+RADII = 32
+"""Distances along each random ray."""
+DESCENTS = 12
+"""Descents, from the nearest failures found: most of them end at the same few minima."""
+STEPS = 60
+"""Steps of a descent, at most."""
+TURNS = np.array([0.0, 0.25, 0.5, 1.0, 1.6])
+"""Shares of the step to the nearest point of a flat boundary that each step tries."""
+NEARER = 16
+"""Distances on each ray that a step tries, up to the present one: a nearer boundary may be there."""
+SETTLED = 1e-10
+"""Relative change of a length by a step at which its descent ends."""
+
+
+def descend_to_failure(
+    fails: Fails,
+    basis: Float[np.ndarray, "rank size"],
+    gradient: Callable[[Float[np.ndarray, "n size"]], Float[np.ndarray, "n size"]],
+    count: int = DENSE,
+    roughly_fails: Fails | None = None,
+) -> Float[np.ndarray, " size"]:
+    """The shortest vector that was found to fail in the span of an orthonormal basis.
+
+    Arguments and errors are those of `rays.nearest_failure`.
+    """
+    rank = len(basis)
+    random = spread_directions(rank, math.ceil(SHARE * count))
+    rays = np.concatenate([np.eye(rank), -np.eye(rank), random])
+    first = scan(roughly_fails or fails, rays @ basis, RADII)
+    nearest = first.argsort()[:DESCENTS]
+    rays, lengths = rays[nearest], first[nearest]
+    rays, lengths = rays[np.isfinite(lengths)], lengths[np.isfinite(lengths)]
+    lengths = shorten(fails, rays @ basis, 1.01 * lengths)  # `roughly_fails` may err
+    going = np.isfinite(lengths)
+    for _ in range(STEPS):
+        if not going.any():
+            break
+        tried, reached = turn(fails, gradient, basis, rays[going], lengths[going])
+        change = 1 - reached / lengths[going]
+        rays[going], lengths[going] = tried, reached
+        going[going] = change > SETTLED
+    ray, length = rays[lengths.argmin()][None], lengths.min()
+    while True:  # the first failure on its ray
+        closer = first_failures(fails, ray @ basis, 0.0, (1 - 1e-9) * length, FINAL_DISTANCES)
+        if np.isinf(closer[0]):
+            return length * ray[0] @ basis
+        length = bisect(fails, ray @ basis, closer, length / FINAL_DISTANCES, FINE)[0]
+
+
+def turn(
+    fails: Fails,
+    gradient: Callable,
+    basis: Float[np.ndarray, "rank size"],
+    rays: Float[np.ndarray, "n rank"],
+    lengths: Float[np.ndarray, " n"],
+) -> tuple[Float[np.ndarray, "n rank"], Float[np.ndarray, " n"]]:
+    """One step of each descent: the shortest of some rays between its own and the normal."""
+    with np.errstate(invalid="ignore", divide="ignore"):  # where there is no gradient
+        normal = gradient(lengths[:, None] * rays @ basis) @ basis.T
+        along = normal / np.sum(normal * rays, axis=1, keepdims=True) - rays
+    tried = rays[:, None] + TURNS[:, None] * along[:, None]
+    tried = np.where(np.isfinite(tried), tried, rays[:, None])
+    tried /= np.linalg.norm(tried, axis=2, keepdims=True)
+    flat = tried.reshape(-1, rays.shape[1]) @ basis
+    reached = shorten(fails, flat, np.repeat(lengths, len(TURNS))).reshape(len(rays), -1)
+    reached[:, 0] = np.minimum(reached[:, 0], lengths)  # that ray is the present one
+    best = reached.argmin(axis=1)
+    row = np.arange(len(rays))
+    return tried[row, best], reached[row, best]
+
+
+def shorten(
+    fails: Fails, rays: Float[np.ndarray, "n size"], lengths: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, " n"]:
+    """The first failure on each ray up to a length of its own; infinite where there is none."""
+    gaps = lengths / NEARER
+    places = np.arange(1, NEARER + 1) * gaps[:, None]
+    points = places[:, :, None] * rays[:, None]
+    failed = fails(points.reshape(-1, rays.shape[1])).reshape(places.shape)
+    number = failed.argmax(axis=1)
+    first = np.where(failed.any(axis=1), places[np.arange(len(rays)), number], np.inf)
+    known = np.isfinite(first)
+    below, above = (first - gaps)[known], first[known]
+    for _ in range(FINE):
+        middle = (below + above) / 2
+        lost = fails(middle[:, None] * rays[known])
+        below, above = np.where(lost, below, middle), np.where(lost, middle, above)
+    first[known] = above
+    return first
