@@ -22,7 +22,7 @@ from walker_jax.design.bands import check_bands, walkers_at_band_ends
 from walker_jax.execution.threads import side_by_side
 from walker_jax.grids import Grid, cell_slices
 from walker_jax.stability.margin_changes import differentiate_margins
-from walker_jax.walkers.model import Walker, check_planar
+from walker_jax.walkers.model import Walker
 
 BISECTIONS = 8
 """Bisections of the distance between two centres, to locate the boundary between them."""
@@ -123,7 +123,6 @@ def area_gradient(
     Raises `ValueError` for parameters that the walker does not have, for bands that are not such
     numbers, and as `refine`.
     """
-    check_planar(walker)
     widths = check_bands(walker, parameters, bands)
 
     def basin_of(walker: Walker) -> Refined:

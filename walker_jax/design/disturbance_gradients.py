@@ -5,9 +5,10 @@ By the envelope theorem it changes as the nearest point of the boundary does.
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from walker_jax.checks import refuses_tracers
@@ -38,6 +39,7 @@ def disturbance_gradient(
     gait: Gait | None = None,
     *,
     bands: Sequence[float] | Float[np.ndarray, " parameters"] | None = None,
+    along: Sequence[Any] | ArrayLike | None = None,
     fall: bool = False,
     directions: int = DENSE,
     strides: int = 500,
@@ -61,7 +63,12 @@ def disturbance_gradient(
     widths = check_bands(walker, parameters, bands)
     gait = find_gait(walker, tolerance=tolerance) if gait is None else gait
     search = partial(
-        least_disturbance, fall=fall, directions=directions, strides=strides, tolerance=tolerance
+        least_disturbance,
+        along=along,
+        fall=fall,
+        directions=directions,
+        strides=strides,
+        tolerance=tolerance,
     )
     found = search(walker, gait)
     checked_tolerance = float(default_tolerance(found.state.dtype, tolerance))

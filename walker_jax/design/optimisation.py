@@ -46,7 +46,7 @@ from walker_jax.execution.progress import bar
 from walker_jax.execution.threads import side_by_side
 from walker_jax.grids import Grid
 from walker_jax.stability.summary import default_region
-from walker_jax.walkers.model import Walker
+from walker_jax.walkers.model import Walker, check_planar
 
 ATTRACTED = -1
 """Instead of a fate, in those basins, where the walker converges to an attractor."""
@@ -145,6 +145,8 @@ def optimise(
         *(("levels", levels, 0), ("scan", scan, 0), ("seed", seed, 0)),
     ):
         check_whole(name, value, lowest)
+    if "sensitivity-norm" in weights:
+        check_planar(walker)
     if "cost-of-transport" in {*weights, *limits} and not cost_is_known(walker):
         raise WrongUse(
             f"cost-of-transport is not known of a {type(walker).__name__}, which more than gravity "

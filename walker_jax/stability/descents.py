@@ -33,7 +33,7 @@ STEPS = 60
 TURNS = np.array([0.0, 0.25, 0.5, 1.0, 1.6])
 """Shares of the step to the nearest point of a flat boundary that each step tries."""
 NEARER = 16
-"""Distances on each ray that a step tries, up to the present one: a nearer boundary may be there."""
+"""Distances on each ray that a step tries, up to the present one: nearer failures may be there."""
 SETTLED = 1e-10
 """Relative change of a length by a step at which its descent ends."""
 

@@ -24,14 +24,18 @@ from walker_jax.stability.rough_ground import steps_to_fall
 from walker_jax.stability.sampling import BasinStability, basin_stability
 from walker_jax.stability.steps_down import LeastStepDown, least_step_down
 from walker_jax.walkers.abstract_point_foot import AbstractPointFootWalker
-from walker_jax.walkers.model import Walker, check_planar, moves_like
+from walker_jax.walkers.model import State, Walker, check_planar, moves_like
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 from walker_jax.walkers.simplest import SimplestWalker
+from walker_jax.walkers.spatial import SpatialWalker
 from walker_jax.walking.outcomes import Outcome
 
 WALKS, WALK_LIMIT = 1000, 2000
 """Walks on rough ground and strides of each at most: some seconds on two cores, and an interval of
 some 6 % where all fall."""
+SLICE_YAW, SLICE_LEAN_RATE, SLICE_CELLS = 0.2, 0.04, 100
+"""Half widths of a slice in space, of yaw in rad and of the rate of lean for legs of length 1, and
+its cells along an axis: the toy's basin there, with a margin."""
 LEADS_ELSEWHERE = Outcome.STRIDE, Outcome.UNDECIDED
 """Instead of a failure, where the walker does not return to its gait and does not fall either."""
 
@@ -57,7 +61,7 @@ def robustness(
     - `walker`: as in `basin`.
     - `grid`: grid for `refine` and `boundary_dimension`; by default all feasible angles of a walker
       on point feet, sum from -0.12 to 0.06 for the simplest and -1.1 to 0.1 for others, and a
-      slice around the gait of any other walker.
+      slice around the gait of any other walker, in space over yaw and leandot.
     - `levels`, `check`: of refinement.
     - `disturbances`: for `basin_stability`, shares of the coordinates of the gait's own state.
     - `strides`: number of strides in which a walker may return.
@@ -79,11 +83,13 @@ def robustness(
     `largest_shock`, as `basin_stability` has them, sizes being shares of the gait's state;
     `dimension`, with `_low` and `_high`, of the boundary; and with a `ground` the mean
     `steps_to_fall`, with `_low` and `_high`. NaN, or -1, where no
-    gait attracts.
+    gait attracts. Steps down are those of walkers in the plane, and NaN of one in space.
 
-    Raises `ValueError` as `refine`, and without a grid where no gait of period one is found.
+    Raises `ValueError` as `refine`, without a grid where no gait of period one is found, and for
+    a ground under a walker in space.
     """
-    check_planar(walker)
+    if ground is not None:
+        check_planar(walker)
     check_precision(jnp.asarray(0.0).dtype, "robustness, which has the dimension of a boundary,")
     with bar("search for a gait", progress):
         grid = default_region(walker) if grid is None else grid
@@ -127,6 +133,10 @@ def robustness(
         return rolled, nearest, fall, stability
 
     def by_steps_down() -> tuple[LeastStepDown, LeastStepDown]:
+        if walker.state is not State:
+            none = np.full(len(walker.state._fields), np.nan)
+            unknown = LeastStepDown(np.nan, none, 0, Outcome.UNDECIDED, 0)
+            return unknown, unknown
         down = fall = least_step_down(walker, gait, **about)
         if down.failure in LEADS_ELSEWHERE:
             fall = least_step_down(walker, gait, fall=True, **about)
@@ -375,6 +385,16 @@ def common_attributes(rows: list[xr.Dataset], parameter: str) -> dict[str, Any]:
     return {name: value for row in rows for name, value in row.attrs.items() if name not in own}
 
 
+def slice_in_space(walker: SpatialWalker, state: Float[ArrayLike, " section"]) -> Grid:
+    """The slice of yaw and rate of lean around a gait's state: turned, and pushed from the side."""
+    point = dict(zip(walker.section, map(float, np.asarray(state)), strict=True))
+    around = lambda name, half: (point[name] - half, point[name] + half, SLICE_CELLS)
+    rate = float(np.sqrt(walker.leg_length))
+    return Grid.through(
+        point, yaw=around("yaw", SLICE_YAW), leandot=around("leandot", SLICE_LEAN_RATE / rate)
+    )
+
+
 def default_region(walker: Walker) -> Grid | None:
     """All feasible angles of a walker on point feet, or a slice around a gait, if there is one.
 
@@ -383,8 +403,9 @@ def default_region(walker: Walker) -> Grid | None:
     if isinstance(walker, AbstractPointFootWalker):
         rates = (-0.12, 0.06, 200) if moves_like(walker, SimplestWalker) else (-1.1, 0.1, 800)
         return Grid.sheared(theta=(0, np.pi / 4, 200), sum=rates)
-    check_planar(walker)
     gait = find_gait(walker)
     if not gait.found:
         return None
+    if isinstance(walker, SpatialWalker):
+        return slice_in_space(walker, gait.states[0])
     return Grid.sheared(**axes_around(gait.states[0], ("theta", "sum", "phidot")))
