@@ -17,6 +17,9 @@ STRETCHES = 1.5 ** np.arange(12)
 """How many times as long boxes are made in one direction."""
 STARTS, FEWEST_STARTS = 1000, 100
 """Random starts in the boxes of a cycle, and at least in each of them."""
+STARTS_IN_SPACE, PLAIN_SECTION = 300, 3
+"""The same on sections of more coordinates than a planar walker's, whose strides take longer: boxes
+then cost about what they save to a few thousand walks."""
 SETTLING_PERIODS = 8
 """Periods after which walkers are left in the directions in which they approach a cycle last."""
 
@@ -40,7 +43,8 @@ def find_capture_boxes(mapper: Mapper, number: int, rng: np.random.Generator) ->
     attractors = list(mapper.attractors)
     cycle = attractors[number].states
     period, size = cycle.shape
-    u = rng.uniform(-1, 1, (period, max(STARTS // period, FEWEST_STARTS), size))
+    starts = STARTS if size <= PLAIN_SECTION else STARTS_IN_SPACE
+    u = rng.uniform(-1, 1, (period, max(starts // period, FEWEST_STARTS), size))
 
     def capture_in(boxes: Float[np.ndarray, "period section section"]) -> None:
         frames = np.swapaxes(np.linalg.inv(boxes), 1, 2)

@@ -82,7 +82,7 @@ def basin_stability(
     scale: Sequence[Any] | ArrayLike | None = None,
     metric: Sequence[Any] | ArrayLike | DistanceFunction | None = None,
     along: Sequence[Any] | ArrayLike | None = None,
-    within: float = 1e-6,
+    within: float | None = 1e-6,
     horizon: int = 10,
     samples: int = 10_000,
     strides: int = 500,
@@ -104,6 +104,7 @@ def basin_stability(
     - `metric`: as in `least_disturbance`; for a grid and a function, of the sizes of disturbances
       alone, which are those from the nearest state of the gait.
     - `within`: distance of a state of the gait, in every coordinate, to which strides are counted.
+      With None they are not, which spares most strides: all that tells of the way back is NaN.
     - `horizon`: strides in which a walker is `in_time`.
     - `samples`: starts for each walker, the same disturbances for all.
     - `strides`: number of strides in which a walker may come that close, or enter the gait's
@@ -129,9 +130,10 @@ def basin_stability(
             raise WrongUse("scale and along are of no use where disturbances is not a number")
     elif isinstance(sizes, CurvedMetric):
         raise WrongUse("metric must be a matrix where disturbances is a number, not a function")
-    check_number("within", within)
-    if not within > 0:
-        raise WrongUse(f"within must be positive, not {within}")
+    if within is not None:
+        check_number("within", within)
+        if not within > 0:
+            raise WrongUse(f"within must be positive, not {within}")
     check_whole("samples", samples)
     check_whole("horizon", horizon)
     check_whole("seed", seed, 0)
@@ -161,17 +163,19 @@ def basin_stability(
         labels = mapper(starts)
         fates = np.bincount(labels.fate, minlength=len(Outcome))
         elsewhere = len(labels.remaining)
+        returned = int(labels.converged.sum())
+        interval = wilson_interval(returned, samples, confidence)
+        shocks = np.min([sizes.size(x, starts[labels.converged]) for x in own.states], axis=0)
+        shock = mean_of(shocks), np.max(shocks) if returned else np.nan
+        if within is None:
+            return returned / samples, *interval, fates, elsewhere, *6 * (np.nan,), *shock
         close = mapper._replace(attractors=[own._replace(capture_boxes=cubes(own, within))])
         closer = close.follow(starts[labels.converged])
         made = np.where(closer.converged, closer.strides, np.inf)
-        returned = len(made)
         late = np.percentile(made, (50, 95), method="inverted_cdf") if returned else 2 * (np.nan,)
-        interval = wilson_interval(returned, samples, confidence)
-        shocks = np.min([sizes.size(x, starts[labels.converged]) for x in own.states], axis=0)
         beyond = shocks > 0  # a start at the gait itself has no pace
         paces = made[beyond] / shocks[beyond]
         ways = mean_of(made), mean_of(paces), median_of(paces), np.sum(made <= horizon) / samples
-        shock = mean_of(shocks), np.max(shocks) if returned else np.nan
         return returned / samples, *interval, fates, elsewhere, *late, *ways, *shock
 
     if not counts:
