@@ -5,7 +5,8 @@ an attractor or a failure. A walker in space has ten variables and seven dimensi
 planar one on round feet four and three. Processor time of both, in turn, in one run. Then, with
 `--study`, the basin: how far along each coordinate of the section walkers return, up to the first
 that does not; the share that returns from a cube about the gait; and that over hip width, radius of
-the discs and inertia.
+the discs and inertia. `--design` follows the exact gradient of the least disturbance, of all seven
+coordinates, to a design with a larger basin. `--picture` draws a slice of the basin.
 
 A stride in space takes 15 times as long as a planar one on round feet, as walks go, which end at
 different strides; it is 10.5 times where all of 20,000 starts make one stride (`wj.strides`, 25.9
@@ -21,6 +22,8 @@ against 2.48 us of processor time). `--study` gives the numbers of docs/results.
 
     python benchmarks/space.py
     python benchmarks/space.py --study
+    python benchmarks/space.py --design
+    python benchmarks/space.py --picture docs/space.png
 """
 
 import sys
@@ -30,6 +33,9 @@ import jax
 import numpy as np
 
 import walker_jax as wj
+from walker_jax import figures
+from walker_jax.basins.attractor import Attractor
+from walker_jax.basins.mapper import Mapper
 from walker_jax.stability.gait_mapper import mapper_of_gait
 
 jax.config.update("jax_enable_x64", True)
@@ -37,6 +43,9 @@ COUNT, REPEATS, SPREAD = 10_000, 3, 0.02
 SAMPLES = 4000
 STRIDES = 500
 FARTHEST, DISTANCES = 3.0, 400
+FREE = ("hip_width", "disc_radius", "com_height", "com_outward")
+STEPS, LONGEST, DIRECTIONS = 4, 0.02, 2000
+CELLS = 240
 SIZES = {
     "hip_width": (0.325, 0.33, 0.34, 0.35, 0.375, 0.4, 0.45),
     "disc_radius": (0.08, 0.1, 0.11, 0.14, 0.155, 0.165),
@@ -93,12 +102,18 @@ def measure_extents(mapper, x: np.ndarray) -> None:
             print(f"{name}: {sign * high:+.7f}, {fate} after {made} strides")
 
 
+def without_boxes(walker: wj.SpatialWalker, gait: wj.Gait) -> Mapper:
+    """The mapper to a gait that follows walkers until they are there: boxes would cost more."""
+    attractor = Attractor(1, np.asarray(gait.states))
+    return Mapper(walker, [attractor], 1e-12, STRIDES)
+
+
 def returning(walker: wj.SpatialWalker, guess: np.ndarray, offsets: np.ndarray) -> str:
     """The share of starts that returns, its standard error, and what becomes of the others."""
     gait = wj.find_gait(walker, guess)
     if not (gait.found and gait.stable):
         return "no stable gait"
-    labels = mapper_of_gait(walker, gait, STRIDES, None)(np.asarray(gait.states[0]) + offsets)
+    labels = without_boxes(walker, gait)(np.asarray(gait.states[0]) + offsets)
     share = labels.converged.mean()
     error = np.sqrt(share * (1 - share) / len(offsets))
     names, counts = np.unique(labels.fate[~labels.converged], return_counts=True)
@@ -122,5 +137,45 @@ def study() -> None:
             print(f"{name} {value}: {returning(other, x, offsets)}")
 
 
+def design() -> None:
+    """Steps along the gradient of the least disturbance by the logarithms of four sizes."""
+    walker = wj.SpatialWalker()
+    guess = np.asarray(wj.find_gait(walker).states)
+    offsets = SPREAD * np.random.default_rng(1).uniform(-1, 1, (SAMPLES, 7))
+    for step in range(STEPS + 1):
+        gait = wj.find_gait(walker, guess)
+        guess = np.asarray(gait.states)
+        found = wj.disturbance_gradient(walker, FREE, gait, directions=DIRECTIONS)
+        values = np.array([float(getattr(walker, name)) for name in FREE])
+        print(step, values.round(5).tolist(), f"least disturbance {found.size:.8f}", flush=True)
+        slope = found.gradient * values
+        print(f"  {returning(walker, guess, offsets)}; by logarithms {slope.round(5).tolist()}")
+        values = values * np.exp(LONGEST * slope / np.abs(slope).max())
+        walker = wj.SpatialWalker(**dict(zip(FREE, values.tolist(), strict=True)))
+
+
+def draw(place: str) -> None:
+    """The slice of yaw and rate of lean through the gait, and that of theta and its rate."""
+    import matplotlib.pyplot as plt
+
+    walker = wj.SpatialWalker()
+    x = np.asarray(wj.find_gait(walker).states[0])
+    point = dict(zip(walker.section, x.tolist(), strict=True))
+    around = lambda name, half: (point[name] - half, point[name] + half, CELLS)
+    slices = ({"yaw": 0.25, "leandot": 0.05}, {"theta": 0.05, "thetadot": 0.12})
+    fig, axes = plt.subplots(1, 2, figsize=(13, 5.8), layout="constrained")
+    for ax, sizes in zip(axes, slices, strict=True):
+        grid = wj.Grid.through(point, **{name: around(name, half) for name, half in sizes.items()})
+        figures.basin(wj.basin(walker, grid, "direct", strides=200), ax=ax)
+    fig.savefig(place, dpi=110)
+
+
 if __name__ == "__main__":
-    study() if "--study" in sys.argv else compare_times()
+    if "--picture" in sys.argv:
+        draw(sys.argv[-1])
+    elif "--design" in sys.argv:
+        design()
+    elif "--study" in sys.argv:
+        study()
+    else:
+        compare_times()

@@ -114,3 +114,72 @@ def test_derivatives_of_failing_margins_agree_with_extrapolated_differences():
     settled = change < 1e-6
     assert settled.mean() > 0.7
     np.testing.assert_allclose(found[settled], expected[settled], rtol=1e-6, atol=1e-7)
+
+
+@pytest.mark.slow
+def test_the_least_disturbance_in_seven_dimensions_is_a_point_of_the_boundary():
+    """A minimum of the distance: the boundary's normal there, by differences of fates, is its
+    direction; and along one coordinate it is no nearer than in all."""
+    gait = wj.find_gait(WALKER, GAIT)
+    found = wj.least_disturbance(WALKER, gait, directions=2000)
+    assert found.failure == Outcome.SCUFFED and found.size == pytest.approx(0.007190584, abs=1e-8)
+    x = np.asarray(gait.states[0])
+
+    def lost(points):
+        end = np.array(points)
+        for _ in range(80):
+            end = np.asarray(wj.strides(WALKER, end).state)
+        return np.isnan(end).any(axis=1)
+
+    shares = np.array([1 - 1e-7, 1 + 1e-7])
+    assert lost(x + shares[:, None] * (found.state - x)).tolist() == [False, True]
+    # the boundary a little beside, along seven directions across, is as a sphere to first order
+    across = np.linalg.svd(found.direction[None])[2][1:]
+    beside = found.state + 2e-5 * np.concatenate([across, -across])
+    below, above = np.full(len(beside), -1e-6), np.full(len(beside), 1e-6)
+    for _ in range(12):
+        middle = (below + above) / 2
+        failed = lost(beside + middle[:, None] * found.direction)
+        below, above = np.where(failed, below, middle), np.where(failed, middle, above)
+    tilt = (above[:6] - above[6:]) / 4e-5
+    assert np.abs(tilt).max() < 1e-3
+    sideways = wj.least_disturbance(WALKER, gait, along=np.eye(7)[4], directions=16)
+    assert sideways.size == pytest.approx(0.008628980, abs=1e-8) and sideways.size > found.size
+
+
+@pytest.mark.slow
+def test_its_gradient_is_that_of_bisections():
+    """For a push from the side, of walkers a little wider and with a little larger discs."""
+    gait = wj.find_gait(WALKER, GAIT)
+    names = ["hip_width", "disc_radius"]
+    found = wj.disturbance_gradient(WALKER, names, gait, along=np.eye(7)[4], directions=16)
+
+    def size(name, h):
+        walker = wj.SpatialWalker(**{name: float(getattr(WALKER, name)) + h})
+        x = np.asarray(wj.find_gait(walker, GAIT).states[0])
+        low, high = np.full(1, found.size - 2e-4), np.full(1, found.size + 2e-4)
+        for _ in range(30):
+            middle = (low + high) / 2
+            end = x + middle[:, None] * np.eye(7)[4]
+            for _ in range(40):
+                end = np.asarray(wj.strides(walker, end).state)
+            failed = np.isnan(end).any(axis=1)
+            low, high = np.where(failed, low, middle), np.where(failed, middle, high)
+        return float(high[0])
+
+    steps = (2e-4, 1e-4, 5e-5)
+    for name, slope in zip(names, found.gradient, strict=True):
+        first, second, third = ((size(name, h) - size(name, -h)) / (2 * h) for h in steps)
+        once, again = (4 * second - first) / 3, (4 * third - second) / 3
+        assert slope == pytest.approx((16 * again - once) / 15, rel=1e-5)
+
+
+@pytest.mark.slow
+def test_basin_stability_without_the_way_back_is_the_same_share():
+    gait = wj.find_gait(WALKER, GAIT)
+    draw = lambda rng, n: np.asarray(gait.states[0]) + 0.01 * rng.uniform(-1, 1, (n, 7))
+    plain = wj.basin_stability(WALKER, draw, gait, samples=500)
+    quick = wj.basin_stability(WALKER, draw, gait, samples=500, within=None)
+    assert plain.value == quick.value and 0.2 < quick.value < 0.95
+    assert np.isnan(quick.median) and np.isfinite(plain.median)
+    np.testing.assert_array_equal(plain.fates, quick.fates)

@@ -102,6 +102,12 @@ def grid_from(
     options = {"--theta": theta, "--sum": sum_} | (last if "phidot" in walker.section else {})
     if all(axis is None for axis in options.values()):
         return None
+    if len(walker.section) > 3:
+        given = next(name for name, axis in options.items() if axis is not None)
+        raise WrongUse(
+            f"{given} is for walkers in the plane: in Python, walker_jax.Grid.through takes slices "
+            "of others"
+        )
     if None in options.values():
         raise WrongUse(f"give {' and '.join(options)}, or none of them")
     names = ("theta", "sum", "phidot")

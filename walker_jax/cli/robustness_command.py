@@ -146,10 +146,11 @@ def print_measures(row: dict) -> None:
     print(f"    least disturbance {disturbance_in_words(smallest)}")
     if smallest["failure"] == "STRIDE" and row["least_fall"] is not None:
         print(f"    least one from which it falls {disturbance_in_words(row['least_fall'])}")
-    down = f"{row['step_down']:.8f}"
-    if row["step_down_failure"] == "STRIDE":
-        down += f": leads to another motion; falls from {row['step_down_fall']:.8f}"
-    print(f"    least step down {down}")
+    if np.isfinite(row["step_down"]):  # it is not known of walkers in space
+        down = f"{row['step_down']:.8f}"
+        if row["step_down_failure"] == "STRIDE":
+            down += f": leads to another motion; falls from {row['step_down_fall']:.8f}"
+        print(f"    least step down {down}")
     print(
         f"    {survived['value']:.1%} ({survived['low']:.1%} to {survived['high']:.1%}) of "
         f"disturbances up to {survived['disturbances']:g} of the gait's state are survived; "

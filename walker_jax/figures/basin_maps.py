@@ -205,6 +205,8 @@ def offset_label(data: xr.Dataset, axis: str) -> str:
     """The label of an axis of offsets from an origin, all digits of which are told."""
     origin = np.asarray(data.attrs["origin"])
     value = float(along_axis(origin, data.attrs["section"], axis))
+    if value == 0:
+        return axis_label(axis)
     sign = "+" if value < 0 else "−"
     return f"{axis_label(axis)} {sign} {abs(value):.17g}"
 

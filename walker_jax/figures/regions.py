@@ -123,6 +123,10 @@ def cycle_of(data: xr.Dataset, number: int) -> Float[np.ndarray, "n section"]:
     return data["states"].sel(number=number).dropna("phase").values
 
 
+WRITTEN_COORDINATES = 3
+"""Coordinates of a state that a legend has room for."""
+
+
 def attractor_name(period: int, section: list[str], cycle: Float[np.ndarray, "n section"]) -> str:
     """What the legend says of an attractor: its period, and up to two of its states."""
     names = [SYMBOLS.get(name, name) for name in section]
@@ -132,6 +136,8 @@ def attractor_name(period: int, section: list[str], cycle: Float[np.ndarray, "n 
     kind = {0: "a state of the attractor", 1: "attractor"}.get(
         period, f"attractor of period {period}"
     )
+    if len(section) > WRITTEN_COORDINATES:
+        return kind
     return f"{kind}: ({', '.join(names)}) = {shown}{more}"
 
 

@@ -22,6 +22,10 @@ AXIS_LABELS = {
     "thetadot": r"stance leg rate $\dot{\theta}$ (rad, time in √(l/g))",
     "sum": r"$\theta + \dot{\theta}$ (rad, time in √(l/g))",
     "phidot": r"rate between the legs $\dot{\varphi}$ (rad, time in √(l/g))",
+    "phi": r"angle between the legs $\varphi$ (rad)",
+    "yaw": "yaw (rad)",
+    "yawdot": "rate of yaw (rad, time in √(l/g))",
+    "leandot": "rate of lean (rad, time in √(l/g))",
     "slope": "slope (rad)",
 }
 METHOD_NAMES = {
@@ -29,6 +33,11 @@ METHOD_NAMES = {
     "direct": "direct iteration",
     "direct, refined": "direct iteration, refined,",
 }
+
+
+MOST_PARAMETERS = 9
+"""Parameters in a title: of a walker with more, as in space, the first few stand for all."""
+FEW_PARAMETERS = 5
 
 
 def axis_label(name: str) -> str:
@@ -44,7 +53,10 @@ def walker_title(data: xr.Dataset, width: int = 60) -> str:
         for key, value in data.attrs.items()
         if str(key).startswith("walker_")
     }
-    return join_phrases([name, *parameter_values(parameters)], width)
+    values = parameter_values(parameters)
+    if len(values) > MOST_PARAMETERS:
+        values = [*values[:FEW_PARAMETERS], "…"]
+    return join_phrases([name, *values], width)
 
 
 def parameter_values(parameters: Mapping[str, float]) -> list[str]:

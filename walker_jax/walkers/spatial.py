@@ -70,6 +70,8 @@ class SpatialWalker(Walker):
     the foot that stood is free then. Coordinates are those of a walker on its left leg; after every
     other stride they are seen in a mirror. By default the toy that can walk but cannot stand.
 
+    Discs are sharp-edged: feet that are tori are not provided.
+
     Coleman, Garcia, Mombaur and Ruina (2001).
 
     **Arguments:** masses in any unit, lengths in any unit L, times then in sqrt(L / gravity).
