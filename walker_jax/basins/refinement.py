@@ -229,6 +229,9 @@ def refine_cells(
         spread = cells.measure_spread(mixed, min(check, REDRAWN))
     # as if there were one mistake more than were found, lest none be taken for certainty
     variance = len(mixed) * spread + ((mistakes + 1) * weight**2).sum()
+    if levels == 0 and check and not by_centres:  # coarse cells with no neighbour of another fate
+        alike = np.setdiff1d(cells.cells, mixed, assume_unique=True)
+        variance += len(alike) * cells.measure_spread(alike, min(check, REDRAWN))
     variance = np.nan if check == 0 and levels else variance * finest.cell_area**2
     return Refined(
         grid=finest,
