@@ -88,7 +88,7 @@ def steps_to_fall(
       slope and pushes; or a number, the standard deviation of normally distributed heights.
     - `n`: number of walks.
     - `key`: a JAX random key, `jax.random.key(0)` by default. Each stride of each walk has its own.
-    - `gait`: where walks begin, from its first state; the most stable of period one, by default.
+    - `gait`: where walks begin, from its first state; that of `find_gait` by default.
     - `limit`: strides of a walk, at most.
     - `confidence`: of the interval.
     - `tolerance`: of the integration, as in `stride`.
