@@ -68,9 +68,9 @@ def state_of(value: Any, seen: dict[int, int] | None = None) -> Hashable:
     inner = functools.partial(state_of, seen=seen)
     if isinstance(value, PLAIN):
         return type(value), repr(value)
-    if isinstance(value, np.ndarray | np.generic | jax.Array) and value.nbytes <= LARGEST:
-        with contextlib.suppress(TypeError):  # of a tracer, or of a key
-            return value.dtype.name, value.shape, np.asarray(value).tobytes()
+    values = values_in(value)
+    if values is not None:
+        return values
     if id(value) in seen:
         return seen[id(value)]
     seen[id(value)] = len(seen)
@@ -95,6 +95,14 @@ def state_of(value: Any, seen: dict[int, int] | None = None) -> Hashable:
         return Same(value), *((name, inner(one)) for name, one in named), *bases
     parts = [getattr(value, name) for name in PARTS if hasattr(value, name)]
     return (type(value), *map(inner, parts)) if parts else Same(value)
+
+
+def values_in(value: Any) -> Hashable:
+    """The values of an array; None for anything else, and for a large one."""
+    if isinstance(value, np.ndarray | np.generic | jax.Array) and value.nbytes <= LARGEST:
+        with contextlib.suppress(TypeError):  # of a tracer, or of a key
+            return value.dtype.name, value.shape, np.asarray(value).tobytes()
+    return None
 
 
 def globals_of(function: types.FunctionType) -> Iterator[Any]:
