@@ -10,6 +10,7 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -491,6 +492,15 @@ def test_what_a_walker_reads_around_it_is_what_it_is_at_that_moment(kernels, mon
     assert ends() == pytest.approx(expected(0.004 + (0.006 + 0.001)), abs=1e-14)
     cells.update(EXTRA=0.0, bounds={"least": 0.0})
     assert ends() == pytest.approx(expected(0.004), abs=1e-14)
+
+
+def test_a_static_field_that_is_no_option_is_refused():
+    class Static(wj.SimplestWalker):
+        extra: float = eqx.field(static=True, default=0.0)
+
+    grid = wj.Grid.sheared(theta=(0.1, 0.2, 2), sum=(-0.01, 0.0, 2))
+    with pytest.raises(WrongUse, match="^extra must be a parameter of the walker, not a static"):
+        wj.basin(Static(slope=0.004), grid)
 
 
 def test_functions_are_alike_that_do_the_same_with_the_same_values():
