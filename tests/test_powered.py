@@ -234,6 +234,8 @@ def test_feedback_is_a_walker_like_any_other(level_gait):
         (None, {"push_off": [0.0]}, None, "push_off"),
         (None, {"push_off": [0, 0]}, {"slope": (0, 1)}, "bounds"),
         (None, {"push_off": [0, 0]}, {"push_off": (1, 0)}, "bounds"),
+        (None, {"slope": [0, 0]}, None, "bounds must have slope, which must be above"),
+        (None, {"slope": [0, 0]}, {"slope": (-2, 1)}, "least_slope must be"),
         ([np.nan, 0.0], {"push_off": [0, 0]}, None, "gait"),
         (np.zeros((2, 2)), {"push_off": [0, 0]}, None, "gait"),
     ],

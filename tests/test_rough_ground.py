@@ -20,7 +20,15 @@ from walker_jax.stability.rough_ground import (
     start_of_walks,
     walk_disturbed,
 )
-from walker_jax.stability.stochastic_map import choose_walkers, solve_chain
+from walker_jax.stability.stochastic_map import (
+    FALLEN,
+    UNKNOWN,
+    Chart,
+    choose_walkers,
+    known_cells,
+    solve_chain,
+    transition_matrix,
+)
 from walker_jax.walking.disturbed import DisturbedWalk, follow_disturbed
 
 SLOPE = 0.009
@@ -207,6 +215,31 @@ def test_a_walk_without_an_answer_is_no_fall(gait, monkeypatch):
     found = wj.steps_to_fall(WALKER, 1e-3, 3, gait=gait, limit=10)
     assert found.ended.tolist() == [True, False, False] and found.mean == 22
     assert found.outcomes.tolist() == outcomes.tolist()
+
+
+def test_a_stride_without_an_answer_is_no_fall_in_the_stochastic_map(monkeypatch):
+    """Of ten strides one falls and three have no answer: the chance to survive is 6 / 7."""
+
+    def made(_, arguments, __):
+        number = np.arange(len(arguments[1])) % 10
+        outcome = np.where(number < 6, Outcome.STRIDE, Outcome.UNDECIDED)
+        outcome[number == 6] = Outcome.FORWARD
+        return wj.Stride(arguments[1], outcome, np.ones(len(number)))
+
+    monkeypatch.setattr("walker_jax.stability.stochastic_map.map_cells", made)
+    chart = Chart(np.zeros(2), np.eye(2))
+    drawn = WALKER, NormalSteps(1e-3), chart, np.full((50, 4), 0.5), 1000, None
+    chain, cells, undecided = transition_matrix(*drawn, jax.random.key(0), 1.0)
+    assert len(cells) == 1 and solve_chain(chain)[0] == pytest.approx(6 / 7, rel=1e-12)
+    assert undecided == 8 * 300
+
+
+def test_cells_of_which_nothing_is_known_are_left_out():
+    """Otherwise they would have the chance 0 to survive, and so would those that lead there."""
+    starts, ends = np.array([0, 0, 1, 2, 3, 4]), np.array([0, 1, 2, UNKNOWN, FALLEN, 9])
+    np.testing.assert_array_equal(known_cells(starts, ends), [0, 3])
+    with pytest.raises(ComputationFailed, match="no cell leads"):
+        known_cells(starts[3:4], ends[3:4])
 
 
 def test_steps_to_fall_refuses_bad_arguments_in_one_line(gait):
