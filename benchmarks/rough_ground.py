@@ -25,8 +25,8 @@ import walker_jax as wj
 SLOPE = 0.009
 GAINS = 3.37, 2.2
 """Of the slack angle of a hip spring: those that benchmarks/predictors.py finds for the norm."""
-MOST_STRIDES = 100_000_000
-WALKS = 10_000
+MOST_STRIDES = 20_000_000
+WALKS = 2000
 SPEED_WALKS, SPEED_STRIDES = 40_000, 50
 
 

@@ -9,6 +9,7 @@ import powered_reference
 import pytest
 
 import walker_jax as wj
+from walker_jax import multibody
 from walker_jax.checks import WrongUse
 from walker_jax.gaits.derivatives import linearise
 
@@ -64,6 +65,34 @@ def test_cost_of_transport_is_the_energy_lost_at_heel_strike(slope):
             )["cost-of-transport"].value
         )
         assert found.gradient[number] == pytest.approx((cost(1) - cost(-1)) / (2 * h), rel=1e-5)
+
+
+@pytest.mark.slow
+def test_cost_of_transport_has_the_work_of_the_hip_and_of_push_off():
+    """By a quadrature of the hip's power, and the way of the pushed foot during the impulse."""
+    spring, damper, slack, push_off = 0.05, 0.005, -0.3, 0.06
+    walker = wj.PoweredPointFootWalker(0.002, 0.05, spring, damper, slack, push_off)
+    gait = wj.find_gait(walker, [0.22, -0.24])
+    state, time = gait.states[0], gait.step_times[0]
+    nodes, weights = np.polynomial.legendre.leggauss(40)
+    _, phi, _, phidot = wj.trajectory(walker, state, (nodes + 1) * time / 2)
+    torque = -spring * (phi - slack) - damper * phidot
+    hip = np.sum(weights * np.asarray(torque * phidot)) * time / 2
+    (theta, phi, *rates) = np.stack(wj.trajectory(walker, state, gait.step_times))[:, 0]
+    q, qdot = jnp.array([0, 0, theta, phi]), jnp.array([0, 0, *rates])
+    leg = np.array([-np.sin(theta), np.cos(theta)])
+    impulse = push_off * jnp.array([*leg, 0, 0])
+    pushed = multibody.push(walker.system(), q, qdot, impulse)[:2]
+    work = (float(hip) + push_off * float(leg @ pushed) / 2) / 1.1
+    found = wj.gait_measures(walker, ["hip_spring"], gait)
+    cost, length = found["cost-of-transport"], found["step-length"].value
+    assert abs(hip) > 1e-4 and cost.value == pytest.approx(np.sin(0.002) + work / length, rel=1e-9)
+    values = []
+    for change in (-1e-4, 1e-4):
+        other = wj.PoweredPointFootWalker(0.002, 0.05, spring + change, damper, slack, push_off)
+        there = wj.find_gait(other, state)
+        values.append(wj.gait_measures(other, (), there)["cost-of-transport"].value)
+    assert cost.gradient[0] == pytest.approx((values[1] - values[0]) / 2e-4, rel=1e-5)
 
 
 def test_a_walker_climbs():

@@ -1,6 +1,7 @@
 """Strides on uneven ground, steps to a fall, metastable walking, and the gait sensitivity norm."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -224,7 +225,8 @@ def test_a_stride_without_an_answer_is_no_fall_in_the_stochastic_map(monkeypatch
         number = np.arange(len(arguments[1])) % 10
         outcome = np.where(number < 6, Outcome.STRIDE, Outcome.UNDECIDED)
         outcome[number == 6] = Outcome.FORWARD
-        return wj.Stride(arguments[1], outcome, np.ones(len(number)))
+        fields: Any = arguments[1], outcome, np.ones(len(number))
+        return wj.Stride(*fields)
 
     monkeypatch.setattr("walker_jax.stability.stochastic_map.map_cells", made)
     chart = Chart(np.zeros(2), np.eye(2))

@@ -54,8 +54,8 @@ PILOT_WALKS, PILOT_STRIDES = 20_000, 8
 multiples of the time in which a stable gait forgets a disturbance."""
 FEWEST_SURVIVORS = 200
 """Of the pilot, below which there is too little to tell where states are."""
-CELLS = 80_000
-"""Small cells, about, where no side is given: a repetition takes some 20 seconds on two cores."""
+CELLS = 40_000
+"""Small cells, about, where no side is given: a repetition takes some ten seconds on two cores."""
 BEYOND, BETWEEN = 2 / 3, 1 / 3
 """Of the difference between cells of two sizes, one twice the other: what the smaller ones lack at
 the mean of first order (1) and of second (1/3), and how far either is from there. The logarithm of
