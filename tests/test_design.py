@@ -554,6 +554,21 @@ def test_an_optimised_hip_spring_has_the_norm_that_scipy_says(no_basins):
     assert norms[1] < 0.7 * norms[0]
 
 
+@pytest.mark.slow
+def test_the_fastest_walk_on_level_ground_at_a_cost(no_basins):
+    """The push-off that costs as much as is allowed: energy for weight and distance."""
+    walker, most = wj.PoweredWalker(0.0, push_off=0.05), 0.004
+    bounds, limits = {"push_off": (0.02, 0.1)}, {"cost-of-transport": most}
+    found = optimise(walker, bounds, "speed", at_most=limits, starts=2)
+
+    def excess(push_off):
+        gait = wj.find_gait(wj.PoweredWalker(0.0, push_off=push_off))
+        return push_off**2 / 2 / (2 * np.sin(gait.states[0, 0])) - most
+
+    assert float(found.optimum[0]) == pytest.approx(brentq(excess, 0.03, 0.09), rel=1e-6)
+    assert bool(found.binding[1]) and set(values(found, "run")) == {0, 1}
+
+
 def test_basin_stability_is_optimised_and_confirmed_by_other_starts(no_basins, monkeypatch):
     """Under a density about one place, the best slope is one whose basin is there."""
     for module in ("climbs", "optimisation"):

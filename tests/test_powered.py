@@ -206,6 +206,24 @@ def test_masses_with_idle_motors_move_as_without(plain, powered):
     np.testing.assert_allclose(one.state, other.state, rtol=0, atol=1e-13)
 
 
+def test_strides_and_margins_change_as_their_derivatives_say():
+    """With the slope, each motor, and the height of the next foothold; differences of order 4."""
+    values, x = jnp.array([0.009, 0.5, 0.1, -0.2, 0.01, 5e-4]), jnp.array([0.21, -0.22])
+
+    def made(values):
+        walker = wj.PoweredWalker(*values[:5])
+        even, *misses = wj.margins(walker, x)[:5]
+        up = wj.stride(walker, x, step=values[5])
+        return jnp.stack([*even.state, even.time, *misses, *up.state, up.time])
+
+    many, h = jax.jit(jax.vmap(made)), 1e-4
+    moved = lambda k: many(values + k * h * jnp.eye(6)) - many(values - k * h * jnp.eye(6))
+    central = (8 * moved(1) - moved(2)) / (12 * h)
+    rates = jax.jit(jax.jacfwd(made))(values)
+    assert np.isfinite(rates).all() and rates.shape == (12, 6)
+    np.testing.assert_allclose(rates, central.T, rtol=1e-6, atol=1e-8)
+
+
 @pytest.mark.parametrize("bad", [{"slope": -1.6}, {"push_off": -0.1}, {"hip_damping": np.nan}])
 def test_bad_motors_are_refused(bad):
     with pytest.raises(ValueError, match=next(iter(bad))):
