@@ -323,9 +323,14 @@ def test_the_norm_is_that_of_the_matrices(gait):
     assert float(found.terms.sum()) == pytest.approx(series, rel=1e-10)
 
 
-def test_speed_is_length_over_time_and_indicators_may_be_ones_own(gait):
+def test_speed_is_length_over_time_and_indicators_and_disturbances_may_be_ones_own(gait):
     own = lambda walker, start, end, time: -2 * time
-    found = wj.gait_sensitivity(WALKER, gait, ("push",), ("time", "length", "speed", own))
+    both = lambda size: Disturbance(step=size, push=3 * size)
+    disturbances, indicators = ("push", "step", both), ("time", "length", "speed", own)
+    found = wj.gait_sensitivity(WALKER, gait, disturbances, indicators)
+    for matrix in (found.B, found.D):
+        push, step, together = matrix.T
+        np.testing.assert_allclose(together, step + 3 * push, rtol=0, atol=1e-11)
     time, length = float(gait.step_times[0]), 2 * np.sin(gait.states[0][0])
     rates = np.concatenate([found.C, found.D], axis=1)
     np.testing.assert_allclose(rates[3], -2 * rates[0], rtol=1e-13)
