@@ -569,6 +569,7 @@ def test_the_fastest_walk_on_level_ground_at_a_cost(no_basins):
     assert bool(found.binding[1]) and set(values(found, "run")) == {0, 1}
 
 
+@pytest.mark.slow
 def test_basin_stability_is_optimised_and_confirmed_by_other_starts(no_basins, monkeypatch):
     """Under a density about one place, the best slope is one whose basin is there."""
     for module in ("climbs", "optimisation"):
