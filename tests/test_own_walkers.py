@@ -1,5 +1,6 @@
 """Walkers that are not of the package, by the names that the command line takes."""
 
+import functools
 import importlib
 import json
 import os
@@ -9,16 +10,20 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import walker_jax as wj
 from walker_jax.checks import WrongUse
 from walker_jax.cli import main
+from walker_jax.cli.walker_options import names_that_begin
+from walker_jax.kernels.outside_code import AsItIs
 from walker_jax.walkers import references
 from walker_jax.walkers.fingerprints import code_fingerprint
-from walker_jax.walkers.parameters import describe_walker, parameters
+from walker_jax.walkers.parameters import describe_walker, parameters, with_parameter
 from walker_jax.walkers.references import find_walker
 from walker_jax.walkers.sources import holds_packages
 
@@ -198,6 +203,7 @@ def test_packages_add_walkers_which_are_listed(run, monkeypatch):
     assert (code, err) == (0, "")
     assert "torque (of torque_walker): The simplest walker with a PD torque" in out
     assert "broken (of no_such_module): walker broken (no_such_module:W) cannot be loaded" in out
+    assert names_that_begin("to") == ["torque"] and names_that_begin("sim") == ["simplest"]
     code, out, _ = run(
         "walk",
         "--walker",
@@ -451,3 +457,64 @@ def test_parameters_that_are_not_described_are_real_numbers():
     walker = TorqueWalker(0.01, *np.array([4.0, 1.0, -0.4]))
     values = {"slope": 0.01, "stiffness": 4.0, "damping": 1.0, "target": -0.4}
     assert describe_walker(walker) == {"name": "TorqueWalker", **values}
+
+
+IN_A_NOTEBOOK = """
+EXTRA = 0.0
+bounds = {"least": 0.0}
+
+
+def extra():
+    return EXTRA + bounds["least"]
+
+
+class Shifted(wj.SimplestWalker):
+    def during_stride(self, x):
+        return with_parameter(self, "slope", self.slope + extra())
+"""
+
+
+@pytest.mark.parametrize("kernels", [True, False])
+def test_what_a_walker_reads_around_it_is_what_it_is_at_that_moment(kernels, monkeypatch):
+    """As in a notebook, where a cell is run again, and the class is not."""
+    if not kernels:
+        monkeypatch.setattr("walker_jax.kernels.primitive.Program.kernel", None)
+    cells = {"__name__": "cells_of_a_notebook", "wj": wj, "with_parameter": with_parameter}
+    exec(IN_A_NOTEBOOK, cells)
+    walker = cells["Shifted"](slope=jnp.array(0.004))
+    x = np.array([[0.2, -0.21], [0.2, -0.2]])
+    ends = lambda: np.asarray(wj.strides(walker, x).state)
+    expected = lambda slope: np.asarray(wj.strides(wj.SimplestWalker(slope), x).state)
+    assert ends() == pytest.approx(expected(0.004), abs=1e-14)
+    cells["EXTRA"] = 0.006
+    assert ends() == pytest.approx(expected(0.01), abs=1e-14)
+    cells["bounds"]["least"] = 0.001
+    assert ends() == pytest.approx(expected(0.004 + (0.006 + 0.001)), abs=1e-14)
+    cells.update(EXTRA=0.0, bounds={"least": 0.0})
+    assert ends() == pytest.approx(expected(0.004), abs=1e-14)
+
+
+def test_a_static_field_that_is_no_option_is_refused():
+    class Static(wj.SimplestWalker):
+        extra: float = eqx.field(static=True, default=0.0)
+
+    grid = wj.Grid.sheared(theta=(0.1, 0.2, 2), sum=(-0.01, 0.0, 2))
+    with pytest.raises(WrongUse, match="extra must be a parameter of the walker, not a static"):
+        wj.basin(Static(slope=0.004), grid)
+
+
+def test_functions_are_alike_that_do_the_same_with_the_same_values():
+    make = lambda size, values: lambda key: size * np.sum(values) + key
+    ones = np.ones(3)
+    assert AsItIs(make(1.0, ones)) == AsItIs(make(1.0, np.ones(3)))
+    assert hash(AsItIs(make(1.0, ones))) == hash(AsItIs(make(1.0, np.ones(3))))
+    others = make(2.0, ones), make(1, ones), make(1.0, np.ones(4)), make(1.0, [1.0])
+    for other in (*others, lambda key: key):
+        assert AsItIs(make(1.0, ones)) != AsItIs(other)
+    drawing = jax.random.key(0)  # an array without values, which is itself alone
+    assert AsItIs(make(1.0, drawing)) == AsItIs(make(1.0, drawing))
+    assert AsItIs(make(1.0, drawing)) != AsItIs(make(1.0, jax.random.key(0)))
+    bound = functools.partial(make(1.0, ones), key=2)
+    assert AsItIs(bound) == AsItIs(functools.partial(make(1.0, ones), key=2))
+    assert AsItIs(bound) != AsItIs(functools.partial(make(1.0, ones), key=3))
+    assert AsItIs(make(1.0, ones))(2.0) == 5

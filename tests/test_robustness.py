@@ -276,6 +276,9 @@ def test_a_step_down_that_a_walker_survives_and_one_that_it_does_not(gait):
         assert after.outcome == Outcome.STRIDE
         assert wj.walk(WALKER, after.state, 200).outcomes[-1] == ends
     np.testing.assert_allclose(wj.step_down(WALKER, state, found.size).state, found.state)
+    rough = mapper_of_gait(WALKER, None, 500, 1e-4).attractors[0].states  # the gait at a tolerance
+    assert (rough == wj.find_gait(WALKER, tolerance=1e-4).states).all()
+    assert 1e-12 < np.abs(rough - gait.states).max() < 1e-4
     mapper = mapper_of_gait(WALKER, gait, 500, None)
     heights = np.linspace(0, found.size, 20_001)[:-1]
     starts = np.broadcast_to(state, (len(heights), 2))
@@ -523,6 +526,12 @@ def test_rows_of_a_table_may_lack_what_others_have():
     assert np.isnan(table.checked[1]) and table.checked[2] == 7
     assert table.direction.dims == ("slope", "coordinate") and table.direction[2, 1] == 0.8
     assert common_attributes([lacking, full], "slope") == {"walker_mass": 2.0, "seed": 0}
+    other.attrs |= {"section": ["theta"], "seed": 1}
+    same = other.assign_attrs(section=["theta"], seed=2)
+    assert common_attributes([other, lacking, same], "slope") == {
+        "walker_mass": 2.0,
+        "section": ["theta"],
+    }
 
 
 @pytest.mark.slow

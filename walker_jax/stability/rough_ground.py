@@ -78,7 +78,8 @@ def steps_to_fall(
     chance to fall in each stride, which holds once a walk has forgotten where it began: then a
     stride's chance does not depend on how many there were before. The interval is that of such a
     chance, of Clopper and Pearson (1934, Biometrika 26:404-413); if all walks fall and are 30 or
-    more, that of the sample mean, whatever the distribution.
+    more, that of the sample mean, whatever the distribution. Numbers of strides jump as parameters
+    change, so there is no derivative; `gait_sensitivity` and the least disturbance have one.
 
     **Arguments:**
 
@@ -88,7 +89,7 @@ def steps_to_fall(
       slope and pushes; or a number, the standard deviation of normally distributed heights.
     - `n`: number of walks.
     - `key`: a JAX random key, `jax.random.key(0)` by default. Each stride of each walk has its own.
-    - `gait`: where walks begin, from its first state; the most stable of period one, by default.
+    - `gait`: where walks begin, from its first state; that of `find_gait` by default.
     - `limit`: strides of a walk, at most.
     - `confidence`: of the interval.
     - `tolerance`: of the integration, as in `stride`.
