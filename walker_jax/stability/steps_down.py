@@ -37,6 +37,10 @@ class LeastStepDown(NamedTuple):
     """Strides before the failing one, including the stride down."""
 
 
+NO_STEP_DOWN = LeastStepDown(np.nan, np.full(4, np.nan), 0, Outcome.UNDECIDED, 0)
+"""Where none is known."""
+
+
 @refuses_tracers()
 def least_step_down(
     walker: Walker,

@@ -17,25 +17,22 @@ from walker_jax.execution.threads import side_by_side
 from walker_jax.fractals import Uncertainty
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import find_gait
-from walker_jax.grids import Grid, axes_around
+from walker_jax.grids import Grid
 from walker_jax.stability.dimension import boundary_dimension
 from walker_jax.stability.disturbances import LeastDisturbance, least_disturbance
 from walker_jax.stability.rough_ground import steps_to_fall
 from walker_jax.stability.sampling import BasinStability, basin_stability
-from walker_jax.stability.steps_down import LeastStepDown, least_step_down
+from walker_jax.stability.slices import slice_around
+from walker_jax.stability.steps_down import NO_STEP_DOWN, LeastStepDown, least_step_down
 from walker_jax.walkers.abstract_point_foot import AbstractPointFootWalker
 from walker_jax.walkers.model import State, Walker, check_planar, moves_like
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 from walker_jax.walkers.simplest import SimplestWalker
-from walker_jax.walkers.spatial import SpatialWalker
 from walker_jax.walking.outcomes import Outcome
 
 WALKS, WALK_LIMIT = 1000, 2000
 """Walks on rough ground and strides of each at most: some seconds on two cores, and an interval of
 some 6 % where all fall."""
-SLICE_YAW, SLICE_LEAN_RATE, SLICE_CELLS = 0.2, 0.04, 100
-"""Half widths of a slice in space, of yaw in rad and of the rate of lean for legs of length 1, and
-its cells along an axis: the toy's basin there, with a margin."""
 LEADS_ELSEWHERE = Outcome.STRIDE, Outcome.UNDECIDED
 """Instead of a failure, where the walker does not return to its gait and does not fall either."""
 
@@ -82,11 +79,11 @@ def robustness(
     `median_strides`, `slowest_strides`, `mean_strides`, `pace`, `median_pace`, `mean_shock` and
     `largest_shock`, as `basin_stability` has them, sizes being shares of the gait's state;
     `dimension`, with `_low` and `_high`, of the boundary; and with a `ground` the mean
-    `steps_to_fall`, with `_low` and `_high`. NaN, or -1, where no
-    gait attracts. Steps down are those of walkers in the plane, and NaN of one in space.
+    `steps_to_fall`, with `_low` and `_high`. NaN, or -1, where no gait attracts, and for steps down
+    of a walker in space.
 
-    Raises `ValueError` as `refine`, without a grid where no gait of period one is found, and for
-    a ground under a walker in space.
+    Raises `ValueError` as `refine`, without a grid where no gait of period one is found, and for a
+    ground under a walker in space.
     """
     if ground is not None:
         check_planar(walker)
@@ -135,9 +132,7 @@ def robustness(
 
     def by_steps_down() -> tuple[LeastStepDown, LeastStepDown]:
         if walker.state is not State:
-            none = np.full(len(walker.state._fields), np.nan)
-            unknown = LeastStepDown(np.nan, none, 0, Outcome.UNDECIDED, 0)
-            return unknown, unknown
+            return NO_STEP_DOWN, NO_STEP_DOWN
         down = fall = least_step_down(walker, gait, **about)
         if down.failure in LEADS_ELSEWHERE:
             fall = least_step_down(walker, gait, fall=True, **about)
@@ -391,16 +386,6 @@ def common_attributes(rows: list[xr.Dataset], parameter: str) -> dict[str, Any]:
     return {name: values[0] for name, values in given.items() if name not in own and same(values)}
 
 
-def slice_in_space(walker: SpatialWalker, state: Float[ArrayLike, " section"]) -> Grid:
-    """The slice of yaw and rate of lean around a gait's state: turned, and pushed from the side."""
-    point = dict(zip(walker.section, map(float, np.asarray(state)), strict=True))
-    around = lambda name, half: (point[name] - half, point[name] + half, SLICE_CELLS)
-    rate = float(np.sqrt(walker.leg_length))
-    return Grid.through(
-        point, yaw=around("yaw", SLICE_YAW), leandot=around("leandot", SLICE_LEAN_RATE / rate)
-    )
-
-
 def default_region(walker: Walker) -> Grid | None:
     """All feasible angles of a walker on point feet, or a slice around a gait, if there is one.
 
@@ -410,8 +395,4 @@ def default_region(walker: Walker) -> Grid | None:
         rates = (-0.12, 0.06, 200) if moves_like(walker, SimplestWalker) else (-1.1, 0.1, 800)
         return Grid.sheared(theta=(0, np.pi / 4, 200), sum=rates)
     gait = find_gait(walker)
-    if not gait.found:
-        return None
-    if isinstance(walker, SpatialWalker):
-        return slice_in_space(walker, gait.states[0])
-    return Grid.sheared(**axes_around(gait.states[0], ("theta", "sum", "phidot")))
+    return slice_around(walker, gait.states[0]) if gait.found else None
