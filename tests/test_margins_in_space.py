@@ -9,6 +9,7 @@ import walker_jax as wj
 from walker_jax import Outcome
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.walking.failure_margins import Margins, failure_margin
+from walker_jax.walking.iteration import iterate
 
 WALKER = wj.SpatialWalker()
 GAIT = np.array(
@@ -157,15 +158,12 @@ def test_its_gradient_is_that_of_bisections():
     def size(name, h):
         walker = wj.SpatialWalker(**{name: float(getattr(WALKER, name)) + h})
         x = np.asarray(wj.find_gait(walker, GAIT).states[0])
-        low, high = np.full(1, found.size - 2e-4), np.full(1, found.size + 2e-4)
-        for _ in range(30):
-            middle = (low + high) / 2
-            end = x + middle[:, None] * np.eye(7)[4]
-            for _ in range(40):
-                end = np.asarray(wj.strides(walker, end).state)
-            failed = np.isnan(end).any(axis=1)
-            low, high = np.where(failed, low, middle), np.where(failed, middle, high)
-        return float(high[0])
+        low, high = found.size - 2e-4, found.size + 2e-4
+        for _ in range(6):  # 65 points each: to 1e-14
+            sizes = np.linspace(low, high, 65)
+            failed = iterate(walker, x + sizes[:, None] * np.eye(7)[4], 60, None).outcome != 0
+            low, high = sizes[failed.argmax() - 1], sizes[failed.argmax()]
+        return high
 
     steps = (2e-4, 1e-4, 5e-5)
     for name, slope in zip(names, found.gradient, strict=True):
