@@ -268,6 +268,9 @@ def test_measurements_of_something_else_are_refused(no_basins):
         optimise(WALKER, {"slope": (0.019, 0.02)}, "step-length", known=known)
     with pytest.raises(ValueError, match="known must be of the same bounds"):
         optimise(WALKER, SLOPES, "speed", known=known)
+    with_option = known.assign_attrs(walker_check_scuffing=1)
+    with pytest.raises(ValueError, match="the same walker_check_scuffing, None, not 1"):
+        optimise(WALKER, {"slope": (0.019, 0.02)}, "speed", known=with_option)
 
 
 def test_a_problem_is_described_by_its_density_and_by_the_plane_of_its_grid():

@@ -254,6 +254,16 @@ def test_a_window_followed_by_its_centre_has_the_fates_of_its_starts():
     assert wide is GRID and none == 0
 
 
+def test_a_window_within_the_basin_has_the_strides_of_walkers_that_converge():
+    """It never becomes wide: the gait attracts all of it."""
+    inside = np.add(wj.find_gait(WALKER).states[0], 1e-4)
+    coarse = wj.Grid.sheared(theta=(0, 0.4, 3), sum=(-0.03, 0.02, 3))
+    wide, narrow = (wj.basin(WALKER, coarse.zoom(inside, f), "direct") for f in (1e7, 1e10))
+    assert wide["strides"].max() < 40 and not wide["attractor"].any()
+    np.testing.assert_array_equal(narrow["strides"], wide["strides"])
+    np.testing.assert_array_equal(narrow["attractor"], wide["attractor"])
+
+
 def test_a_window_of_1e_12_of_the_section_is_the_same_whole_and_in_pieces(tmp_path, monkeypatch):
     window = wj.Grid.sheared(theta=(0, 0.4, 24), sum=(-0.03, 0.02, 24)).zoom(CENTRE, 1e12)
     whole = wj.basin(STEEP, window, "direct")

@@ -43,6 +43,10 @@ class Unlike(wj.SimplestWalker):
         return 0.0 * state.theta
 
 
+class Viewed(wj.SimplestWalker):
+    view: jax.Array = 0.0
+
+
 def make():
     class Hidden(Damped):
         pass
@@ -156,6 +160,9 @@ def test_what_is_not_known_of_a_walker_is_said_in_a_sentence(file):
         walks.follow(subject, np.array([0.2, -0.2]), 1)
     with pytest.raises(WrongUse, match="Wheel cannot be pushed: it does not say where its masses"):
         walks.check_push(wj.SpatialWalker(0.004), "Wheel")
+    viewed = sys.modules["damped_walkers"].Viewed(jnp.array(0.006))
+    with pytest.raises(WrongUse, match="address has a view of its own: rename the parameter"):
+        offer(viewed)
 
 
 def test_commands_and_notebooks_name_it_so_that_other_processes_find_it(

@@ -353,8 +353,9 @@ def calls() -> dict[str, dict]:
     runs = Runs.from_cells(np.zeros((2, 2, 2), int), np.zeros((2, 2, 2), int))
     rolling = wj.RoundFootWalker(0.01)
     cells = np.arange(8), np.ones(8, int), Mapper(rolling, [], 1e-10, 10)
+    none = np.zeros(0, int)
     volume = dataset_of_runs(
-        rolling, Refined(box, runs, *cells, 0.0, 0.0, [8], [0], 0, 0, 8), {"method": ""}
+        rolling, Refined(box, runs, *cells, 0.0, 0.0, [8], [0], 0, none, none, 8), {"method": ""}
     ).assign(dict.fromkeys(("total_area", "total_area_error", "strides_made"), 0))
     volume = volume.assign(checked=0, mistaken=0, followed=("level", [8]), boundary=("level", [0]))
     axis = (0.05, 0.35, 4)

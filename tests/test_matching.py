@@ -8,8 +8,10 @@ import pytest
 
 import walker_jax as wj
 from walker_jax import figures
+from walker_jax.basins.attractor import Attractor
+from walker_jax.basins.mapper import Labels
 from walker_jax.basins.matching import cycle_distance, match_cycles, number_alike
-from walker_jax.stability.basin_fractions import summarise_fractions
+from walker_jax.stability.basin_fractions import Found, assemble, summarise_fractions
 from walker_jax.storage.schema import check_dataset
 
 VALUES = json.loads((Path(__file__).parent / "data" / "values.json").read_text())
@@ -154,3 +156,16 @@ def test_a_sweep_keeps_the_states_of_its_attractors_and_numbers_them_alike():
     count = (swept["attractor_period"] >= 0).sum("own")
     np.testing.assert_array_equal(count, swept["attractors"])
     np.testing.assert_array_equal((swept["attractor_number"] >= 0).sum("own"), count)
+
+
+def test_two_stable_gaits_of_a_branch_that_turns_back_have_the_sum_of_their_shares():
+    gaits = [Attractor(1, np.array([[theta, -0.2]])) for theta in (0.2, 0.3)]
+    labels = Labels(
+        np.zeros(100, np.int8),
+        np.repeat([0, 1], [70, 30]),
+        np.ones(100, np.int32),
+        np.zeros((100, 2)),
+    )
+    data = assemble(np.array([0.004]), [Found([0, 0], gaits, labels)], [None], 100)
+    assert data["fraction"].item() == 1 and data["failed"].sum() == 0
+    assert data["states"].values[0, 0, 0].tolist() == [0.2, -0.2]

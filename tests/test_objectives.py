@@ -163,6 +163,10 @@ def test_the_area_of_a_disc_over_a_band(disc, monkeypatch):
     assert abs(found.gradient[0] - expected) < 4 * found.error[0]
 
 
+NONE = np.zeros(0, int)
+"""No mistakes of a check."""
+
+
 def test_the_error_of_an_integral_is_that_of_a_sum_of_independent_parts(disc, monkeypatch):
     """A straight edge that moves by a rate of each line's own, but one of which none is known."""
     grid = wj.Grid.plain(theta=(0, 1, 4), thetadot=(0, 1, 9))
@@ -172,7 +176,21 @@ def test_the_error_of_an_integral_is_that_of_a_sum_of_independent_parts(disc, mo
     walker = wj.SimplestWalker(0.004)
     mapper = Mapper(walker, [], 1e-10, 10)
     found = refinement.Refined(
-        *(grid, runs, np.arange(36), np.zeros(36, int), mapper, 0.5, 0.0, [36], [18], 0, 0, 0)
+        *(
+            grid,
+            runs,
+            np.arange(36),
+            np.zeros(36, int),
+            mapper,
+            0.5,
+            0.0,
+            [36],
+            [18],
+            0,
+            NONE,
+            NONE,
+            0,
+        )
     )
 
     def changes(walker, x, *_):
@@ -302,7 +320,7 @@ def test_crossings_are_between_neighbours_that_differ():
     grid = wj.Grid.plain(theta=(0, 1, 2), thetadot=(0, 1, 3))
     mapper = Mapper(wj.SimplestWalker(0.004), [], 1e-10, 10)
     found = refinement.Refined(
-        *(grid, runs, np.arange(6), np.zeros(6, int), mapper, 0.5, 0.0, [6], [6], 0, 0, 0)
+        *(grid, runs, np.arange(6), np.zeros(6, int), mapper, 0.5, 0.0, [6], [6], 0, NONE, NONE, 0)
     )
     inside, outside = boundary_pairs(found, 1)
     assert inside.tolist() == [[0.5, 1.5], [1.5, 2.5]]

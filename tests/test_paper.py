@@ -1,11 +1,15 @@
 """Every number in the text and the table of Schwab and Wisse (2001), with ours.
 
 The numbers are copied here from the paper once more, so that a slip in `walker_jax.paper` shows.
+With the `numbers.json` of a report, `python tests/test_paper.py numbers.json` writes docs/paper.md.
 """
 
 import json
 import re
 import shutil
+import sys
+from collections.abc import Iterable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,9 +17,10 @@ import pytest
 import walker_jax as wj
 from walker_jax import storage
 from walker_jax.paper import calculations, pictures, reproduction
-from walker_jax.paper.numbers import compare_numbers, compare_printed
+from walker_jax.paper.numbers import Number, compare_numbers, compare_printed
 from walker_jax.storage.schema import check_dataset, variables_of
 
+PAGE = Path(__file__).parent.parent / "docs" / "paper.md"
 TINY = calculations.Size(section=40, slopes=5, levels=None, strides=500, shifts=2)
 
 TABLE_1 = """
@@ -63,6 +68,13 @@ DIFFER = {
     "slope of the most stable gait": "meet on the real axis",
 }
 """What does not come out, and a word of the reason that is given."""
+LONGER = (
+    "crossings of the basin along θ = 0.2",
+    "slope at which the basin has vanished, on the paper's grid",
+    "slope at which the basin has vanished, followed directly",
+    "is the basin largest there?",
+)
+"""What is told more exactly by longer calculations than those of `TINY`."""
 
 
 @pytest.fixture(scope="module")
@@ -115,6 +127,37 @@ def test_no_number_is_left_out(numbers):
     listed = {name for name in numbers if not re.match(r"step \d|fixed point", name)}
     assert listed == set(OTHERS)
     assert len(numbers) == 9 * 3 + 3 + len(OTHERS)
+
+
+def test_the_page_has_every_number(numbers):
+    page = PAGE.read_text().splitlines()
+    computed = page_of(numbers.values()).splitlines()
+    assert len(page) == len(computed)
+    longer = lambda line: any(what in line for what in LONGER)
+    for there, here in zip(page, computed, strict=True):
+        assert there == here or (longer(there) and longer(here))
+
+
+def page_of(numbers: Iterable[Number]) -> str:
+    """The page of the documentation that lists all numbers."""
+    numbers = [*numbers]
+    agree = sum(number.agrees for number in numbers)
+    lines = [
+        "# Numbers of the paper",
+        "",
+        "Every number in the text and the table of Schwab and Wisse (2001), beside what this",
+        "package finds. `walker-jax reproduce` computes them all, and the figures; its report has",
+        f"this table. Of {len(numbers)} numbers {agree} agree at the digits that are printed.",
+        "",
+        "| where | what | paper | here | |",
+        "|---|---|---:|---:|---|",
+    ]
+    for one in numbers:
+        mark = "" if one.agrees else "differs"
+        lines.append(f"| {one.where} | {one.what} | {one.printed} | {one.ours} | {mark} |")
+    lines += ["", "## Why some differ", ""]
+    lines += [f"- {one.where}, {one.what}: {one.why}" for one in numbers if one.why]
+    return "\n".join(lines) + "\n"
 
 
 def test_the_numbers_that_differ_are_what_the_project_finds(numbers):
@@ -325,3 +368,9 @@ def test_the_quick_report_in_earnest(tmp_path):
     assert differ == set(DIFFER)
     lost = next(n for n in found if n.what.endswith("followed directly"))
     assert lost.ours == "0.01904 to 0.01905"
+
+
+if __name__ == "__main__":
+    PAGE.write_text(
+        page_of(Number(**one) for one in json.loads(Path(sys.argv[1]).read_text())["numbers"])
+    )

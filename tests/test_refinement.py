@@ -9,6 +9,7 @@ from walker_jax.basins import refinement
 from walker_jax.basins.attractor import Attractor
 from walker_jax.basins.mapper import Labels, Mapper
 from walker_jax.basins.refinement import finer, refine
+from walker_jax.design.area_gradients import integrate_over_basin
 from walker_jax.grids import edge
 
 WALKER = wj.SimplestWalker(0.004)
@@ -211,6 +212,15 @@ def test_mistakes_count_by_how_many_cells_inherited_from_each_level(monkeypatch)
     assert found.area_error == pytest.approx(np.sqrt(variance), rel=1e-12)
     exact = 0.5 - (80 * 0.25**2 + 640 * 0.1**2) * cell
     assert abs(found.area - exact) < 3 * found.area_error < 0.02
+    # and by the density of starts in each cell, where there is one
+    size = integrate_over_basin(found, lambda x: np.full(len(x), 3.0))
+    assert size.area == pytest.approx(3 * found.area, rel=1e-12)
+    assert size.area_error == pytest.approx(3 * found.area_error, rel=1e-12)
+    size = integrate_over_basin(found, lambda x: 1 - x[:, 0])
+    column = np.arange(18)
+    width = np.where(column < 16, 0.1, 0.25)
+    dust = ((1 - (column + 0.02 + width / 2) / 40) * width**2).sum() / 40
+    assert abs(size.area - (0.375 - dust)) < 3 * size.area_error < 0.02
 
 
 def test_the_error_of_cells_on_the_boundary_is_that_of_the_shares_that_walk(monkeypatch):

@@ -276,6 +276,9 @@ def test_a_step_down_that_a_walker_survives_and_one_that_it_does_not(gait):
         assert after.outcome == Outcome.STRIDE
         assert wj.walk(WALKER, after.state, 200).outcomes[-1] == ends
     np.testing.assert_allclose(wj.step_down(WALKER, state, found.size).state, found.state)
+    rough = mapper_of_gait(WALKER, None, 500, 1e-4).attractors[0].states  # the gait at a tolerance
+    assert (rough == wj.find_gait(WALKER, tolerance=1e-4).states).all()
+    assert 1e-12 < np.abs(rough - gait.states).max() < 1e-4
     mapper = mapper_of_gait(WALKER, gait, 500, None)
     heights = np.linspace(0, found.size, 20_001)[:-1]
     starts = np.broadcast_to(state, (len(heights), 2))

@@ -9,7 +9,7 @@ from walker_jax import Outcome
 from walker_jax.basins import summary as basin_summary
 from walker_jax.basins import windows
 from walker_jax.gaits import selection
-from walker_jax.gaits.summary import summarise_bifurcations, summarise_gait
+from walker_jax.gaits.summary import find_stable_intervals, summarise_bifurcations, summarise_gait
 from walker_jax.stability import summary
 from walker_jax.stability.summary import FIELDS, summarise_robustness, without_gait
 from walker_jax.walkers.parameters import describe_in_words, describe_walker, space_decimals
@@ -130,6 +130,7 @@ def test_bifurcations_are_listed_by_period_then_slope():
             "event_states": (("event", "phase", "coordinate"), np.arange(24.0).reshape(6, 2, 2)),
             "cascade": ("event", [True, True, False, False, False, False]),
             "lost": ("end", [0.019, 0.0191]),
+            **gaits_of({2: ([0.0202, 0.0201, 0.02005, 0.0201], [False, False, True, False])}),
         }
     )
     found = summarise_bifurcations(data)
@@ -140,6 +141,44 @@ def test_bifurcations_are_listed_by_period_then_slope():
     assert [(one["period"], one["slope"]) for one in found["folds"]] == [(3, 0.02), (5, 0.01)]
     assert found["lost"] == {"below": 0.019, "above": 0.0191}
     assert found["stable_beyond"] == [{"period": 3, "from": 0.02, "to": 0.0201}]
+
+
+def gaits_of(branches):
+    """Slopes of gaits on branches by their numbers, and which are stable."""
+    number = np.repeat([*branches], [len(slopes) for slopes, _ in branches.values()])
+    slopes, stable = zip(*branches.values(), strict=True)
+    columns = {"branch": number, "value": np.concatenate(slopes), "stable": np.concatenate(stable)}
+    return {name: ("gait", column) for name, column in columns.items()}
+
+
+def test_stable_intervals_end_in_bifurcations_or_with_their_branch():
+    """Of branches from folds beyond 0.019, which are made up."""
+    between_folds = [0.025, 0.021, 0.022, 0.024, 0.028, 0.025], [False, *4 * [True], False]
+    beyond_the_range = [0.03, 0.021, 0.025, 0.03], [False, False, True, True]
+    to_a_torus = [0.022, 0.021, 0.022, 0.025], [False, True, True, False]
+    never = [0.025, 0.022, 0.025], [False, False, False]
+    none_between = [0.0203, 0.0203], [False, False]
+    branches = between_folds, beyond_the_range, to_a_torus, never, none_between
+    event = lambda values: ("event", values)
+    data = xr.Dataset(
+        {
+            "event_branch": event([0, 0, 1, 2, 3, 3, 4, 4]),
+            "event_value": event([0.03, 0.02, 0.02, 0.02, 0.02, 0.03, 0.02, 0.0201]),
+            "event_fold": event([*7 * [True], False]),
+            "event_period": event([3, 3, 4, 5, 6, 6, 7, 7]),
+            "torus_branch": ("torus", [2]),
+            "torus_value": ("torus", [0.024]),
+            **gaits_of(dict(enumerate(branches))),
+        }
+    )
+    found = find_stable_intervals(data, 0.019)
+    assert [(one["period"], one["from"], one["to"]) for one in found] == [
+        (3, 0.02, 0.03),
+        (4, 0.02, 0.03),
+        (5, 0.02, 0.024),
+        (7, 0.02, 0.0201),
+    ]
+    assert find_stable_intervals(data, 0.0201) == []
 
 
 def made_up_robustness(monkeypatch):

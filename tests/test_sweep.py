@@ -378,9 +378,10 @@ def test_workers_that_are_killed_cost_their_pieces_alone(tmp_path, swept):
     program.write_text(DYING)
     rng = np.random.default_rng(0)
     with subprocess.Popen([sys.executable, program, path], stderr=subprocess.DEVNULL) as run:
-        time.sleep(9)  # till the workers are there
+        while not path.exists() and run.poll() is None:  # till the workers are there
+            time.sleep(0.1)
         while run.poll() is None:
-            time.sleep(rng.uniform(2, 4))
+            time.sleep(rng.uniform(0.5, 2))
             workers = [pid for pid in descendants(run.pid) if b"spawn_main" in command_of(pid)]
             if workers and kills < 2:
                 os.kill(int(rng.choice(workers)), signal.SIGKILL)

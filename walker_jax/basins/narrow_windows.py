@@ -42,8 +42,9 @@ def follow_window(walker: Walker, grid: Grid, tolerance: float, limit: int) -> t
     """The grid that a narrow window has become after some strides, and how many they are.
 
     It is the same grid, and none, for a window that is not narrow. At most `limit` - 1 strides are
-    made. Raises `WrongUse` for a window too narrow for its centre to be known in it;
-    `ComputationFailed` where the window is torn apart before it is wide enough.
+    made. A window that is never wide enough, as its walkers converge, is left where it is widest.
+    Raises `WrongUse` for a window too narrow for its centre to be known in it; `ComputationFailed`
+    where the window is torn apart before it is wide enough.
     """
     half = np.asarray(grid.upper - grid.lower, float) / 2
     middle = np.asarray(grid.lower, float) + half
@@ -59,6 +60,7 @@ def follow_window(walker: Walker, grid: Grid, tolerance: float, limit: int) -> t
     }
     samples = np.stack(np.meshgrid(*[(-1, 0, 1)] * len(half), indexing="ij"), -1)
     samples = samples.reshape(-1, len(half)) * half
+    widest, width = (grid, 0), 0.0
     for made in range(limit):
         points = centre + samples @ shear.T
         ends = take_strides(walker, points, tolerance=tolerance)
@@ -66,15 +68,18 @@ def follow_window(walker: Walker, grid: Grid, tolerance: float, limit: int) -> t
         wide = float(widths(shear, half).max())
         if wide < LINEAR * CURVED:
             refuse_torn(walker, points, passed, tolerance, f"after {made} strides")
-        if wide >= LINEAR or made == limit - 1 or not passed.any():
-            return Grid(axes, shear, centre, grid.fixed), made
+        here = Grid(axes, shear, centre, grid.fixed), made
+        if wide >= LINEAR or not passed.any():
+            return here
+        if wide > width:
+            widest, width = here, wide
         local = linearise(walker, centre[None, None], tolerance)
         next_centre, next_shear = local.state[0, 0], local.jacobian[0, 0] @ shear
         bent = np.abs(ends.state - next_centre - samples @ next_shear.T).max()
         if not passed.all() or not bent < ROUNDING + CURVED * widths(next_shear, half).max():
-            return Grid(axes, shear, centre, grid.fixed), made
+            return here
         centre, shear = next_centre, next_shear
-    raise AssertionError("unreachable")
+    return widest
 
 
 def refuse_torn(

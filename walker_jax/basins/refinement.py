@@ -12,7 +12,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from walker_jax.basins.capture_boxes import with_capture_boxes
 from walker_jax.basins.mapper import Mapper
@@ -125,8 +125,16 @@ class Refined(NamedTuple):
     followed: list[int]
     boundary: list[int]
     checked: int
-    mistaken: int
+    mistakes: Int[np.ndarray, " m"]
+    """Cells in which the check found that a random point fares unlike the cell."""
+    missing: Float[np.ndarray, " m"]
+    """How many cells each stands for; below 0 where the cell walks and the point does not."""
     total_strides: int
+
+    @property
+    def mistaken(self) -> int:
+        """How many mistakes the check found."""
+        return len(self.mistakes)
 
     @property
     def attractor(self) -> Int[np.ndarray, "*shape"]:
@@ -212,15 +220,18 @@ def refine_cells(
     mistakes = np.bincount(depth[excess != 0], minlength=levels)
 
     weight = cells.inherited() / np.maximum(counts, 1)
-    missing = (weight * np.bincount(depth, excess, minlength=levels)).sum()
+    missing = (weight[depth] * excess)[excess != 0]
     walks = cells.runs.attractor >= 0
-    area = (cells.runs.lengths[walks].sum() + missing) * finest.cell_area
+    area = (cells.runs.lengths[walks].sum() + missing.sum()) * finest.cell_area
     mixed = cells.cells[cells.on_boundary(walks)]
     spread = SPREAD
     if not by_centres or len(grid.names) > 2:
         spread = cells.measure_spread(mixed, min(check, REDRAWN))
     # as if there were one mistake more than were found, lest none be taken for certainty
     variance = len(mixed) * spread + ((mistakes + 1) * weight**2).sum()
+    if levels == 0 and check and not by_centres:  # coarse cells with no neighbour of another fate
+        alike = np.setdiff1d(cells.cells, mixed, assume_unique=True)
+        variance += len(alike) * cells.measure_spread(alike, min(check, REDRAWN))
     variance = np.nan if check == 0 and levels else variance * finest.cell_area**2
     return Refined(
         grid=finest,
@@ -233,7 +244,8 @@ def refine_cells(
         followed=followed,
         boundary=boundary,
         checked=len(drawn),
-        mistaken=int(mistakes.sum()),
+        mistakes=drawn[excess != 0],
+        missing=missing,
         total_strides=cells.total_strides,
     )
 

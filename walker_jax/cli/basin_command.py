@@ -238,8 +238,8 @@ def basin(
         made = answer["cells"] if method == "cell-map" else counts.strides
         made = made if levels is None else int(data["strides_made"])
         print(
-            f"  {made / max(seconds['run'], 1e-9):,.0f} strides per second; "
-            f"{seconds['compile']:.1f} s to compile, {seconds['run']:.2f} s to run"
+            f"  {made:,} strides; {seconds['compile']:.1f} s to compile, "
+            f"{seconds['run']:.2f} s to run and to store"
         )
     film = f", film {animate}" if animate is not None else ""
     print(f"  data set {out}, picture {figure}{film}")

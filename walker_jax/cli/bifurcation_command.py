@@ -81,7 +81,7 @@ def bifurcation(
 def print_bifurcations(answer: dict, strides: int) -> None:
     """The answer of `bifurcation`, in words."""
     for title, key in (
-        ("doublings of the long gait", "doublings"),
+        ("doublings of the most stable gait", "doublings"),
         ("doublings of other gaits", "other_doublings"),
         ("folds", "folds"),
         ("Neimark-Sacker points", "neimark_sackers"),

@@ -16,7 +16,7 @@ from walker_jax.cli.rewording import option_of, with_options_named
 from walker_jax.walkers.family import WALKERS
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import Option, Parameter, options, parameters
-from walker_jax.walkers.references import find_walker
+from walker_jax.walkers.references import find_walker, installed_walkers
 
 PANEL = "Walker"
 """The panel of the help that holds these options."""
@@ -119,7 +119,9 @@ def walker_options(
         return inspect.Parameter(name, keyword, default=default, annotation=annotation)
 
     names = f"Its model: {' | '.join(WALKERS)}, or one's own, FILE.py:CLASS."
-    model = typer.Option(help=names, rich_help_panel=PANEL, metavar="NAME")
+    model = typer.Option(
+        help=names, rich_help_panel=PANEL, metavar="NAME", autocompletion=names_that_begin
+    )
     accepted = [option("walker", Annotated[str, model], DEFAULT)]
     for one in offered.values():
         number = typer.Option(
@@ -134,6 +136,11 @@ def walker_options(
         flag = typer.Option(option_of(one.name), help=about, rich_help_panel=PANEL)
         accepted.append(option(PREFIX + one.name, Annotated[bool, flag], False))
     return [*accepted, option("list_walkers", ListWalkers, False)]
+
+
+def names_that_begin(incomplete: str) -> list[str]:
+    """The walkers, those of other packages too, whose names begin so; for a shell to complete."""
+    return [name for name in (*WALKERS, *installed_walkers()) if name.startswith(incomplete)]
 
 
 def whose_option(owners: list[str], kinds: Kinds) -> str:

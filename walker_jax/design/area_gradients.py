@@ -189,7 +189,7 @@ class Size(NamedTuple):
 
 
 def integrate_over_basin(found: Refined, density: Density | None) -> Size:
-    """The area, or the integral of a density by the centres of cells.
+    """The area, or the integral of a density by the centres of cells, corrected as the area is.
 
     Where cells are wrong, they are at the boundary; so its error is that of the area, at the mean
     density of the cells that were followed.
@@ -204,6 +204,8 @@ def integrate_over_basin(found: Refined, density: Density | None) -> Size:
         float(density_at(density, grid.centres(cells[part])).sum())
         for part in cell_slices(len(cells))
     )
+    if found.mistaken:
+        total += float(density_at(density, grid.centres(found.mistakes)) @ found.missing)
     near = density_at(density, grid.centres(found.cells)) if len(found.cells) else np.zeros(1)
     error = found.area_error * float(near.mean())
     return Size(total * grid.cell_area, error, found.total_strides)

@@ -157,10 +157,11 @@ def evaluations_in(data: xr.Dataset) -> list[Evaluation]:
 
 
 def check_known(problem: Problem, known: xr.Dataset) -> None:
-    """Refuse measurements of another problem."""
-    for name, value in describe_problem(problem).items():
+    """Refuse measurements of another problem, of a walker with other options among them."""
+    about = describe_problem(problem)
+    whole = [*about, *(name for name in known.attrs if name.startswith(("walker_", "code")))]
+    for name in dict.fromkeys([*whole, "density"]):
         own = name.startswith("walker_") and name.removeprefix("walker_") in problem.names
-        if not own and name != "version" and known.attrs.get(name) != value:
-            raise WrongUse(
-                f"known must be of the same {name}, {value!r}, not {known.attrs.get(name)!r}"
-            )
+        value, other = about.get(name), known.attrs.get(name)
+        if not own and name != "version" and other != value:
+            raise WrongUse(f"known must be of the same {name}, {value!r}, not {other!r}")

@@ -20,6 +20,8 @@ from walker_jax.walking.stepping import state_kinds
 
 SECTIONS = ("sheared", "plain")
 METHODS = ("direct", "cell-map")
+ADDRESS_KEYS = ("walker", "section", "method", "tab", "view", "start")
+"""What the page's address holds besides values of parameters; state.js writes and reads them."""
 LARGEST = 1e6
 """Largest absolute value of a number in a request, far beyond any that a walker walks with."""
 
@@ -66,10 +68,14 @@ FAMILY: Offers = {
 def offer(walker: Walker) -> Offer:
     """A walker for the page: one of the family, or one of a user's own with its parameters.
 
-    Raises `WrongUse` for one that does not move in the plane.
+    Raises `WrongUse` for one that does not move in the plane, and for one with a parameter whose
+    name the page's address uses for something else.
     """
     check_planar(walker)
     kind = type(walker)
+    for one in parameters(kind):
+        if one.name in ADDRESS_KEYS:
+            raise WrongUse(f"the page's address has a {one.name} of its own: rename the parameter")
     for one in FAMILY.values():
         if one.kind is kind:
             return one

@@ -2,6 +2,7 @@
 
 import numpy as np
 import xarray as xr
+from jaxtyping import Float
 
 from walker_jax.gaits.cycles import Gait
 
@@ -23,10 +24,10 @@ def summarise_gait(gait: Gait) -> dict:
 def summarise_bifurcations(data: xr.Dataset) -> dict:
     """Bifurcations and the loss of walking, from a `bifurcation_diagram` over the slope.
 
-    **Returns** `doublings` of the cascade that starts from the long gait, `other_doublings`,
-    `folds` and `neimark_sackers`, each in ascending order of period, then of slope; `lost`, the
-    slopes `below` and `above` the loss of walking; and `stable_beyond`, the intervals of slope
-    beyond it in which a gait born at a fold is stable.
+    **Returns** `doublings` of the cascade that starts from the most stable gait of period one,
+    `other_doublings`, `folds` and `neimark_sackers`, each in ascending order of period, then of
+    slope; `lost`, the slopes `below` and `above` the loss of walking; and `stable_beyond`, the
+    intervals of slope beyond it in which a gait born at a fold is stable.
     """
     fold, cascade = data["event_fold"].values, data["cascade"].values
     below, above = map(float, data["lost"].values)
@@ -70,13 +71,31 @@ def list_tori(data: xr.Dataset) -> list[dict]:
 
 
 def find_stable_intervals(data: xr.Dataset, above: float) -> list[dict]:
-    """Intervals from the fold to the first doubling of branches born beyond the loss of walking."""
-    branches, slopes = data["event_branch"].values, data["event_value"].values
+    """Intervals of stable gaits on branches born in a fold beyond the loss of walking.
+
+    Each ends in bifurcations, or where its branch does. Where a branch has no gait between its fold
+    and the doubling after it, those between are stable.
+    """
+    fold, branch, slope = (data[f"event_{name}"].values for name in ("fold", "branch", "value"))
     intervals = []
-    for branch in np.unique(branches[data["event_fold"].values]):
-        own = branches == branch
-        ends = np.sort(slopes[own])
-        if len(ends) > 1 and ends[0] > above:
-            period = int(data["event_period"].values[own][0])
-            intervals.append({"period": period, "from": float(ends[0]), "to": float(ends[1])})
+    for one in np.unique(branch[fold]):
+        losses = slope[(branch == one) & ~fold]
+        if "torus_value" in data:
+            losses = np.r_[losses, data["torus_value"].values[data["torus_branch"].values == one]]
+        ends = np.sort(np.r_[slope[(branch == one) & fold], losses])
+        if not ends[0] > above:
+            continue
+        own = data["branch"].values == one
+        slopes, stable = data["value"].values[own], np.flatnonzero(data["stable"].values[own])
+        runs = np.split(stable, np.flatnonzero(np.diff(stable) > 1) + 1) if len(stable) else []
+        found = [between(ends, slopes[run].min(), slopes[run].max()) for run in runs]
+        if not found and len(ends) > 1 and ends[1] in losses:
+            found = [(ends[0], ends[1])]
+        period = int(data["event_period"].values[branch == one][0])
+        intervals += [{"period": period, "from": float(a), "to": float(b)} for a, b in found]
     return intervals
+
+
+def between(ends: Float[np.ndarray, " n"], low: float, high: float) -> tuple[float, float]:
+    """The ends nearest to an interval that they enclose, or its own on a side that has none."""
+    return max(ends[ends <= low], default=low), min(ends[ends >= high], default=high)

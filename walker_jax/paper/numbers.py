@@ -85,7 +85,7 @@ def numbers_of_section_3() -> list[Number]:
     sine, cosine = np.sin(theta), np.cos(theta)
     slip = (
         "One component of (19) has the wrong sign: the impulse is directed along the swing leg, as "
-        "the text says. For the impulse of the ground on the walker, which is upward, it is this."
+        "the text says. The sign here is that of the ground's impulse on the walker, upward."
     )
     formulas = (
         ("(18)", "u̇⁺, to -sin θ cos 2θ sin 2θ θ̇⁻", u, -sine * c * s, ""),

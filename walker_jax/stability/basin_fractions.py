@@ -234,8 +234,10 @@ def assemble(
     for i, (names, attractors, labels) in enumerate(found):
         lost = labels.fate[~labels.converged]
         failed[i] = np.bincount(lost, minlength=len(Outcome)) / samples
-        for number, (name, one) in enumerate(zip(names, attractors, strict=True)):
-            reached = int((labels.attractor == number).sum())
+        for name in dict.fromkeys(names):  # a branch that turns back may have two stable gaits
+            numbers = [number for number, other in enumerate(names) if other == name]
+            reached = int(np.isin(labels.attractor, numbers).sum())
+            one = attractors[numbers[0]]
             shares[:, i, name] = reached / samples, *wilson_interval(reached, samples, CONFIDENCE)
             states[i, name, : len(one.states)] = one.states
             period[name] = one.period or 0

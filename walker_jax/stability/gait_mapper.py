@@ -26,7 +26,7 @@ def mapper_of_gait(
     check_kind("walker", walker, Walker)
     check_single(walker)
     check_whole("strides", strides)
-    gait = find_gait(walker) if gait is None else gait
+    gait = find_gait(walker, tolerance=tolerance) if gait is None else gait
     if not isinstance(gait, Gait) or not (gait.found and gait.stable):
         raise WrongUse("gait must be a stable one, and found")
     states = np.asarray(gait.states)

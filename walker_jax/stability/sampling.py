@@ -179,7 +179,7 @@ def basin_stability(
     rows = []
     for i in range(max(counts)):
         single = jax.tree.map(lambda leaf, i=i: leaf[i] if np.ndim(leaf) else leaf, walker)
-        gait = find_gait(single)
+        gait = find_gait(single, tolerance=tolerance)
         if gait.found and gait.stable:
             rows.append(measure(single, gait))
         else:

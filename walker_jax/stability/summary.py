@@ -109,7 +109,8 @@ def robustness(
         return data.assign(without_gait(walker))
     largest = int(cells.argmax())
     period = int(data["period"][largest])
-    gait = find_gait(walker, data["states"].values[largest, :period], period)
+    states = data["states"].values[largest, :period]
+    gait = find_gait(walker, states, period, tolerance=tolerance)
     if not (gait.found and gait.stable):
         return data.assign(without_gait(walker))
     about: Any = {"strides": strides, "tolerance": tolerance}
