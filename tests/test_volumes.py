@@ -313,6 +313,21 @@ def test_the_volume_is_optimised(monkeypatch):
     assert "volume of the basin" in figures.optimum(found).axes[0].get_ylabel()
 
 
+def test_an_optimum_that_rounding_leaves_beside_a_bound_is_at_it(monkeypatch):
+    """The first step, a tenth of the bounds, ends there; beyond, rounding makes the size less."""
+
+    def gradient(walker, grid, parameters, **options):
+        radius, none = float(walker.foot_radius), np.zeros(len(parameters))
+        size = radius - 1e-9 * (radius == 0.7)
+        return AreaGradient(size, none + 1, 0.0, none, none > 0, 1, 0, 1)
+
+    monkeypatch.setattr("walker_jax.design.evaluation.area_gradient", gradient)
+    monkeypatch.setattr("walker_jax.design.optimisation.compare_basins", lambda *_: {})
+    walker = wj.RoundFootWalker(0.01, foot_radius=0.635)
+    found = wj.optimise(walker, {"foot_radius": (0.05, 0.7)}, "volume", starts=1)
+    assert 0 < 0.7 - float(found.optimum[0]) < 1e-10 and found.at_bound.values.tolist() == [1]
+
+
 def test_areas_and_volumes_take_the_grids_that_they_are_of():
     flat = wj.Grid.sheared(theta=(0, 1, 5), sum=(0, 1, 5), phidot=0.0)
     bounds = {"foot_radius": (0.1, 0.3)}
