@@ -236,7 +236,7 @@ def test_a_stride_without_an_answer_is_no_fall_in_the_stochastic_map(monkeypatch
 
     monkeypatch.setattr("walker_jax.stability.stochastic_map.map_cells", made)
     chart = Chart(np.zeros(2), np.eye(2))
-    drawn = WALKER, NormalSteps(1e-3), chart, np.full((50, 4), 0.5), 1000, None
+    drawn = WALKER, NormalSteps(1e-3), 1000, None, chart, np.full((50, 4), 0.5)
     chain, cells, undecided = transition_matrix(*drawn, jax.random.key(0), 1.0)
     assert len(cells) == 1 and solve_chain(chain)[0] == pytest.approx(6 / 7, rel=1e-12)
     assert undecided == 8 * 300

@@ -125,18 +125,21 @@ def metastability(
         raise WrongUse(f"side must be a number above 0, not {short(side)}")
     draw_one, key = read_ground(ground), read_key(key)
     start = start_of_walks(walker, gait, tolerance)
-    chart, lasting = draw_chart(walker, draw_one, key, start, tolerance)
-    step = partial(transition_matrix, walker, draw_one, chart, lasting, walkers, tolerance)
+    chart_from = partial(draw_chart, walker, draw_one, start=start, tolerance=tolerance)
+    step = partial(transition_matrix, walker, draw_one, walkers, tolerance)
     if side is None:
-        _, cells, _ = step(key, PROBE)
+        chart, lasting = chart_from(key)
+        _, cells, _ = step(chart, lasting, key, PROBE)
         size = PROBE * (len(cells) / CELLS) ** (1 / len(chart.centre))
     else:
         size = float(side)
     starts = np.broadcast_to(start, (PILOT_WALKS, len(start)))
     logs: list[list[list[float]]] = []
-    distribution, cells, undecided = np.zeros(0), np.zeros(0, np.int64), 0
+    undecided = 0
     for number in range(repetitions):
-        own, also = jax.random.split(jax.random.fold_in(key, number))
+        # Each has walks of its own to begin with, which are not forgotten in a few strides.
+        pilot, own, also = jax.random.split(jax.random.fold_in(key, number), 3)
+        chart, lasting = chart_from(pilot)
         keys = jax.random.split(also, PILOT_WALKS)
         first = walk_disturbed(walker, starts, draw_one, keys, 1, tolerance)
         made = first.state[first.outcome == Outcome.STRIDE]
@@ -144,7 +147,7 @@ def metastability(
         undecided += PILOT_WALKS - int(decided)
         logs.append([])
         for one in (2 * size, size):
-            chain, cells, unanswered = step(own, one)
+            chain, cells, unanswered = step(chart, lasting, own, one)
             undecided += unanswered
             survival, distribution, means = solve_chain(chain)
             if survival >= 1:
@@ -217,7 +220,7 @@ def section_and_gap(states: Float[np.ndarray, "n 4"], size: int) -> Float[np.nda
 
 
 def draw_chart(
-    walker: Walker, ground: RandomDisturbance, key: Array, start: Any, tolerance: float | None
+    walker: Walker, ground: RandomDisturbance, key: Array, *, start: Any, tolerance: float | None
 ) -> tuple[Chart, Float[np.ndarray, "n 4"]]:
     """The states of walks that have lasted a few strides, and their chart."""
     keys = jax.random.split(key, PILOT_WALKS)
@@ -243,10 +246,10 @@ def draw_chart(
 def transition_matrix(
     walker: Walker,
     ground: RandomDisturbance,
-    chart: Chart,
-    states: Float[np.ndarray, "n 4"],
     walkers: int,
     tolerance: float | None,
+    chart: Chart,
+    states: Float[np.ndarray, "n 4"],
     key: Array,
     side: float,
 ) -> tuple[csr_array, Int[np.ndarray, " cells"], int]:
