@@ -107,8 +107,8 @@ def metastability(
 
     **Returns** a data set: `survival`, the chance not to fall in a stride of walks that have lasted
     long; `mean_strides`, the mean number of strides until a fall, from the gait on, as
-    `StepsToFall` has it, and its standard error `mean_strides_error`, of random numbers and of the
-    size of cells; `undecided`, how many strides had no answer: they are left out, and no walker is
+    `StepsToFall` has it, and its standard error `mean_strides_error`, of the size of cells and
+    of random numbers, so that 1.96 of it make a 95 % interval, as by Student's t; `undecided`, how many strides had no answer: they are left out, and no walker is
     said to fall where that is not known; and the quasi-stationary
     distribution, over the small cells of the last repetition: `chance` of each, and its `centre`
     in theta, thetadot and, if the ground is rough, the gap phi - 2 theta.
@@ -161,7 +161,7 @@ def metastability(
     coarse, fine = np.moveaxis(np.array(logs), 1, 0)
     extrapolated = fine + BEYOND * (fine - coarse)
     log_mean, log_odds = extrapolated.mean(axis=0)
-    scatter = extrapolated[:, 0].std(ddof=1) / np.sqrt(repetitions)
+    scatter = extrapolated[:, 0].std(ddof=1) / np.sqrt(repetitions) * widening(repetitions)
     error = np.hypot(scatter, BETWEEN * (fine - coarse)[:, 0].mean())
     centres = chart.points_in(cells, np.full((len(cells), len(chart.centre)), 0.5), size)
     coordinates = [*walker.section, "gap"][: len(chart.centre)]
@@ -183,6 +183,13 @@ def metastability(
             "version": f"walker-jax {version('walker-jax')}",
         },
     )
+
+
+def widening(repetitions: int) -> float:
+    """By how much the scatter of so few is widened, for 95 % intervals that are 1.96 of it."""
+    from scipy.special import ndtri, stdtrit
+
+    return float(stdtrit(repetitions - 1, 0.975) / ndtri(0.975))
 
 
 class Chart(NamedTuple):
