@@ -107,11 +107,12 @@ def metastability(
 
     **Returns** a data set: `survival`, the chance not to fall in a stride of walks that have lasted
     long; `mean_strides`, the mean number of strides until a fall, from the gait on, as
-    `StepsToFall` has it, and its standard error `mean_strides_error`, of the size of cells and
-    of random numbers, so that 1.96 of it make a 95 % interval, as by Student's t; `undecided`, how many strides had no answer: they are left out, and no walker is
-    said to fall where that is not known; and the quasi-stationary
-    distribution, over the small cells of the last repetition: `chance` of each, and its `centre`
-    in theta, thetadot and, if the ground is rough, the gap phi - 2 theta.
+    `StepsToFall` has it, and its standard error `mean_strides_error`, of the size of cells and of
+    random numbers, so that 1.96 of it make a 95 % interval, as by Student's t; `undecided`, how
+    many strides had no answer: they are left out, and no walker is said to fall where that is not
+    known; and the quasi-stationary distribution, over the small cells of the last repetition:
+    `chance` of each, and its `centre` in theta, thetadot and, if the ground is rough, the gap
+    phi - 2 theta.
 
     Raises `ValueError` for arguments out of range, and `ComputationFailed` where walks end too
     early to be called metastable, or so rarely that there are more than MOST_CELLS cells.
