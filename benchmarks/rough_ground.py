@@ -6,12 +6,12 @@ by a stochastic cell map, with 1.96 standard errors. Then the same for pushes an
 other walkers. Then strides a second of walks on rough ground, and on even ground in the same run,
 in processor time and as measured by a clock. docs/accuracy.md shows the results.
 
-A stride on rough ground takes 1.1 us of processor time, 1.56 times one on even ground: 1.8 million
-a second on two cores that are free. What the clock shows depends on who shares the machine.
+A stride on rough ground takes 1.1 us of processor time, 1.6 times one on even ground: 1.7 million
+a second of the clock on two cores that nothing else uses.
 
     ground  strides     cpu s  wall s  a second of the clock
-    even    2,000,000    1.41    6.56     305,058
-    rough   2,000,000    2.22   17.83     112,151
+    even    2,000,000    1.36    0.74   2,714,708
+    rough   2,000,000    2.22    1.16   1,730,119
 """
 
 import sys

@@ -4,9 +4,11 @@ import json
 from typing import Any
 
 import numpy as np
+import powered_reference
 import pytest
 import xarray as xr
 from scipy.optimize import brentq, minimize_scalar
+from scipy.stats import multivariate_normal
 
 import walker_jax as wj
 from walker_jax import storage
@@ -530,3 +532,65 @@ def test_a_spring_between_the_legs_makes_the_basin_many_times_as_large():
     simplest = wj.refine(WALKER, region, 3)
     assert float(found.exact_start) == pytest.approx(float(simplest.total_area), rel=0.01)
     assert float(found.exact_optimum) > 20 * float(found.exact_start)
+    for end, stiffness in (("start", 0.0), ("optimum", 2.0)):  # by walks from random starts
+        other = wj.SpringWalker(0.004, stiffness)
+        starts = wj.basin_stability(other, region, samples=400_000, strides=200, seed=9)
+        area, error = (float(found[f"exact_{end}{one}"]) for one in ("", "_error"))
+        low, high = (
+            float(share) * region.size * region.cell_area for share in (starts.low, starts.high)
+        )
+        assert low - 2 * error < area < high + 2 * error
+
+
+@pytest.mark.slow
+def test_an_optimised_hip_spring_has_the_norm_that_scipy_says(no_basins):
+    """Stiffness and slack angle, for the gait sensitivity norm; before and after."""
+    bounds = {"hip_stiffness": (0.0, 4.0), "hip_angle": (-0.3, 0.1)}
+    found = optimise(wj.PoweredWalker(0.009, 1.0), bounds, "sensitivity-norm", starts=1)
+    norms = []
+    for end in ("start", "optimum"):
+        stiffness, angle = values(found, end)
+        gait = wj.find_gait(wj.PoweredWalker(0.009, stiffness, hip_angle=angle))
+        own = 0.009, stiffness, 0.0, angle, 0.0
+        norms.append(powered_reference.sensitivity_norm(own, gait.states[0]))
+        assert float(found[f"exact_{end}"]) == pytest.approx(norms[-1], rel=1e-7)
+    assert norms[1] < 0.7 * norms[0]
+
+
+@pytest.mark.slow
+def test_the_fastest_walk_on_level_ground_at_a_cost(no_basins):
+    """The push-off that costs as much as is allowed: energy for weight and distance."""
+    walker, most = wj.PoweredWalker(0.0, push_off=0.05), 0.004
+    bounds, limits = {"push_off": (0.02, 0.1)}, {"cost-of-transport": most}
+    found = optimise(walker, bounds, "speed", at_most=limits, starts=2)
+
+    def excess(push_off):
+        gait = wj.find_gait(wj.PoweredWalker(0.0, push_off=push_off))
+        return push_off**2 / 2 / (2 * np.sin(gait.states[0, 0])) - most
+
+    assert float(found.optimum[0]) == pytest.approx(brentq(excess, 0.03, 0.09), rel=1e-6)
+    assert bool(found.binding[1]) and set(values(found, "run")) == {0, 1}
+
+
+@pytest.mark.slow
+def test_basin_stability_is_optimised_and_confirmed_by_other_starts(no_basins, monkeypatch):
+    """Under a density about one place, the best slope is one whose basin is there."""
+    for module in ("climbs", "optimisation"):
+        monkeypatch.setattr(f"walker_jax.design.{module}.STEP_LENGTHS", (0.2, 0.05))
+    mean, covariance = [0.2, -0.2], np.array([[4e-4, -3e-4], [-3e-4, 2.6e-4]])
+    distribution: Any = multivariate_normal
+    found = optimise(
+        *(WALKER, {"slope": (0.003, 0.014)}, "basin-stability"),
+        density=distribution(mean, covariance).pdf,
+        grid=wj.Grid.sheared(theta=(0, 0.4, 60), sum=(-0.06, 0.04, 60)),
+        starts=1,
+        levels=2,
+    )
+    draw = lambda rng, n: rng.multivariate_normal(mean, covariance, n)
+    chance = lambda slope: wj.basin_stability(wj.SimplestWalker(slope), draw, samples=4000, seed=9)
+    for end in ("start", "optimum"):
+        other, error = chance(values(found, end)[0]), 3 * float(found[f"exact_{end}_error"])
+        assert other.low - error < float(found[f"exact_{end}"]) < other.high + error
+    best = values(found, "optimum")[0]
+    assert values(found, "at_bound") == [0]
+    assert all(chance(best).low > chance(slope).high for slope in (0.7 * best, 1.4 * best))

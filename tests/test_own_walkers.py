@@ -1,5 +1,6 @@
 """Walkers that are not of the package, by the names that the command line takes."""
 
+import functools
 import importlib
 import json
 import os
@@ -9,7 +10,9 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -17,9 +20,12 @@ import walker_jax as wj
 from walker_jax.checks import WrongUse
 from walker_jax.cli import main
 from walker_jax.cli.walker_options import names_that_begin
+from walker_jax.kernels.outside_code import AsItIs
+from walker_jax.stability.metric import metric_of
+from walker_jax.stability.rough_ground import NormalSteps
 from walker_jax.walkers import references
 from walker_jax.walkers.fingerprints import code_fingerprint
-from walker_jax.walkers.parameters import describe_walker, parameters
+from walker_jax.walkers.parameters import describe_walker, parameters, with_parameter
 from walker_jax.walkers.references import find_walker
 from walker_jax.walkers.sources import holds_packages
 
@@ -453,3 +459,92 @@ def test_parameters_that_are_not_described_are_real_numbers():
     walker = TorqueWalker(0.01, *np.array([4.0, 1.0, -0.4]))
     values = {"slope": 0.01, "stiffness": 4.0, "damping": 1.0, "target": -0.4}
     assert describe_walker(walker) == {"name": "TorqueWalker", **values}
+
+
+IN_A_NOTEBOOK = """
+EXTRA = 0.0
+bounds = {"least": 0.0}
+
+
+def extra():
+    return EXTRA + bounds["least"]
+
+
+class Shifted(wj.SimplestWalker):
+    def during_stride(self, x):
+        return with_parameter(self, "slope", self.slope + extra())
+"""
+
+
+@pytest.mark.parametrize("kernels", [True, False])
+def test_what_a_walker_reads_around_it_is_what_it_is_at_that_moment(kernels, monkeypatch):
+    """As in a notebook, where a cell is run again, and the class is not."""
+    if not kernels:
+        monkeypatch.setattr("walker_jax.kernels.primitive.Program.kernel", None)
+    cells = {"__name__": "cells_of_a_notebook", "wj": wj, "with_parameter": with_parameter}
+    exec(IN_A_NOTEBOOK, cells)
+    walker = cells["Shifted"](slope=jnp.array(0.004))
+    x = np.array([[0.2, -0.21], [0.2, -0.2]])
+    ends = lambda: np.asarray(wj.strides(walker, x).state)
+    expected = lambda slope: np.asarray(wj.strides(wj.SimplestWalker(slope), x).state)
+    assert ends() == pytest.approx(expected(0.004), abs=1e-14)
+    cells["EXTRA"] = 0.006
+    assert ends() == pytest.approx(expected(0.01), abs=1e-14)
+    cells["bounds"]["least"] = 0.001
+    assert ends() == pytest.approx(expected(0.004 + (0.006 + 0.001)), abs=1e-14)
+    cells.update(EXTRA=0.0, bounds={"least": 0.0})
+    assert ends() == pytest.approx(expected(0.004), abs=1e-14)
+
+
+def test_a_static_field_that_is_no_option_is_refused():
+    class Static(wj.SimplestWalker):
+        extra: float = eqx.field(static=True, default=0.0)
+
+    grid = wj.Grid.sheared(theta=(0.1, 0.2, 2), sum=(-0.01, 0.0, 2))
+    with pytest.raises(WrongUse, match="extra must be a parameter of the walker, not a static"):
+        wj.basin(Static(slope=0.004), grid)
+
+
+def test_functions_are_alike_that_do_the_same_with_the_same_values():
+    make = lambda size, values: lambda key: size * np.sum(values) + key
+    ones = np.ones(3)
+    assert AsItIs(make(1.0, ones)) == AsItIs(make(1.0, np.ones(3)))
+    assert hash(AsItIs(make(1.0, ones))) == hash(AsItIs(make(1.0, np.ones(3))))
+    others = make(2.0, ones), make(1, ones), make(1.0, np.ones(4)), make(1.0, [1.0])
+    for other in (*others, lambda key: key):
+        assert AsItIs(make(1.0, ones)) != AsItIs(other)
+    drawing = jax.random.key(0)  # an array without values, which is itself alone
+    assert AsItIs(make(1.0, drawing)) == AsItIs(make(1.0, drawing))
+    assert AsItIs(make(1.0, drawing)) != AsItIs(make(1.0, jax.random.key(0)))
+    bound = functools.partial(make(1.0, ones), key=2)
+    assert AsItIs(bound) == AsItIs(functools.partial(make(1.0, ones), key=2))
+    assert AsItIs(bound) != AsItIs(functools.partial(make(1.0, ones), key=3))
+    assert AsItIs(make(1.0, ones))(2.0) == 5
+    assert AsItIs(NormalSteps(1e-3)) == AsItIs(NormalSteps(1e-3)) != AsItIs(NormalSteps(2e-3))
+
+
+def test_functions_that_are_passed_in_are_what_they_are_at_that_moment():
+    walker, gait, size = wj.SimplestWalker(0.009), wj.find_gait(wj.SimplestWalker(0.009)), 4e-4
+    state = np.asarray(gait.states[0])
+
+    def ground(key):
+        return size * jax.random.normal(key, dtype=float)
+
+    def metric(x, d):
+        return size * jnp.sqrt(jnp.sum(d**2))
+
+    def indicator(walker, start, end, time):
+        return size * time
+
+    def found():
+        key = jax.random.key(0)
+        rough = wj.steps_to_fall(walker, ground, 50, key, gait=gait, limit=20).strides
+        of_size_one = metric_of(walker, None, None, metric).disturbance(state, np.eye(2))
+        norm = wj.gait_sensitivity(walker, gait, indicators=[indicator]).norm
+        return rough, np.array([*(of_size_one**2).sum(axis=1) ** -0.5, norm]) / size
+
+    first, lengths = found()
+    size = 8e-4
+    second, longer = found()
+    assert second.sum() < first.sum()
+    np.testing.assert_allclose(longer, lengths, rtol=1e-12)

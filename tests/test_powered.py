@@ -9,6 +9,7 @@ import powered_reference
 import pytest
 
 import walker_jax as wj
+from walker_jax import multibody
 from walker_jax.checks import WrongUse
 from walker_jax.gaits.derivatives import linearise
 
@@ -64,6 +65,34 @@ def test_cost_of_transport_is_the_energy_lost_at_heel_strike(slope):
             )["cost-of-transport"].value
         )
         assert found.gradient[number] == pytest.approx((cost(1) - cost(-1)) / (2 * h), rel=1e-5)
+
+
+@pytest.mark.slow
+def test_cost_of_transport_has_the_work_of_the_hip_and_of_push_off():
+    """By a quadrature of the hip's power, and the way of the pushed foot during the impulse."""
+    spring, damper, slack, push_off = 0.05, 0.005, -0.3, 0.06
+    walker = wj.PoweredPointFootWalker(0.002, 0.05, spring, damper, slack, push_off)
+    gait = wj.find_gait(walker, [0.22, -0.24])
+    state, time = gait.states[0], gait.step_times[0]
+    nodes, weights = np.polynomial.legendre.leggauss(40)
+    _, phi, _, phidot = wj.trajectory(walker, state, (nodes + 1) * time / 2)
+    torque = -spring * (phi - slack) - damper * phidot
+    hip = np.sum(weights * np.asarray(torque * phidot)) * time / 2
+    (theta, phi, *rates) = np.stack(wj.trajectory(walker, state, gait.step_times))[:, 0]
+    q, qdot = jnp.array([0, 0, theta, phi]), jnp.array([0, 0, *rates])
+    leg = np.array([-np.sin(theta), np.cos(theta)])
+    impulse = push_off * jnp.array([*leg, 0, 0])
+    pushed = multibody.push(walker.system(), q, qdot, impulse)[:2]
+    work = (float(hip) + push_off * float(leg @ pushed) / 2) / 1.1
+    found = wj.gait_measures(walker, ["hip_spring"], gait)
+    cost, length = found["cost-of-transport"], found["step-length"].value
+    assert abs(hip) > 1e-4 and cost.value == pytest.approx(np.sin(0.002) + work / length, rel=1e-9)
+    values = []
+    for change in (-1e-4, 1e-4):
+        other = wj.PoweredPointFootWalker(0.002, 0.05, spring + change, damper, slack, push_off)
+        there = wj.find_gait(other, state)
+        values.append(wj.gait_measures(other, (), there)["cost-of-transport"].value)
+    assert cost.gradient[0] == pytest.approx((values[1] - values[0]) / 2e-4, rel=1e-5)
 
 
 def test_a_walker_climbs():
@@ -177,6 +206,24 @@ def test_masses_with_idle_motors_move_as_without(plain, powered):
     np.testing.assert_allclose(one.state, other.state, rtol=0, atol=1e-13)
 
 
+def test_strides_and_margins_change_as_their_derivatives_say():
+    """With the slope, each motor, and the height of the next foothold; differences of order 4."""
+    values, x = jnp.array([0.009, 0.5, 0.1, -0.2, 0.01, 5e-4]), jnp.array([0.21, -0.22])
+
+    def made(values):
+        walker = wj.PoweredWalker(*values[:5])
+        even, *misses = wj.margins(walker, x)[:5]
+        up = wj.stride(walker, x, step=values[5])
+        return jnp.stack([*even.state, even.time, *misses, *up.state, up.time])
+
+    many, h = jax.jit(jax.vmap(made)), 1e-4
+    moved = lambda k: many(values + k * h * jnp.eye(6)) - many(values - k * h * jnp.eye(6))
+    central = (8 * moved(1) - moved(2)) / (12 * h)
+    rates = jax.jit(jax.jacfwd(made))(values)
+    assert np.isfinite(rates).all() and rates.shape == (12, 6)
+    np.testing.assert_allclose(rates, central.T, rtol=1e-6, atol=1e-8)
+
+
 @pytest.mark.parametrize("bad", [{"slope": -1.6}, {"push_off": -0.1}, {"hip_damping": np.nan}])
 def test_bad_motors_are_refused(bad):
     with pytest.raises(ValueError, match=next(iter(bad))):
@@ -234,6 +281,8 @@ def test_feedback_is_a_walker_like_any_other(level_gait):
         (None, {"push_off": [0.0]}, None, "push_off"),
         (None, {"push_off": [0, 0]}, {"slope": (0, 1)}, "bounds"),
         (None, {"push_off": [0, 0]}, {"push_off": (1, 0)}, "bounds"),
+        (None, {"slope": [0, 0]}, None, "bounds must have slope, which must be above"),
+        (None, {"slope": [0, 0]}, {"slope": (-2, 1)}, "least_slope must be"),
         ([np.nan, 0.0], {"push_off": [0, 0]}, None, "gait"),
         (np.zeros((2, 2)), {"push_off": [0, 0]}, None, "gait"),
     ],

@@ -526,6 +526,12 @@ def test_rows_of_a_table_may_lack_what_others_have():
     assert np.isnan(table.checked[1]) and table.checked[2] == 7
     assert table.direction.dims == ("slope", "coordinate") and table.direction[2, 1] == 0.8
     assert common_attributes([lacking, full], "slope") == {"walker_mass": 2.0, "seed": 0}
+    other.attrs |= {"section": ["theta"], "seed": 1}
+    same = other.assign_attrs(section=["theta"], seed=2)
+    assert common_attributes([other, lacking, same], "slope") == {
+        "walker_mass": 2.0,
+        "section": ["theta"],
+    }
 
 
 @pytest.mark.slow

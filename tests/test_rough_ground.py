@@ -1,6 +1,7 @@
 """Strides on uneven ground, steps to a fall, metastable walking, and the gait sensitivity norm."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +21,15 @@ from walker_jax.stability.rough_ground import (
     start_of_walks,
     walk_disturbed,
 )
-from walker_jax.stability.stochastic_map import choose_walkers, solve_chain
+from walker_jax.stability.stochastic_map import (
+    FALLEN,
+    UNKNOWN,
+    Chart,
+    choose_walkers,
+    known_cells,
+    solve_chain,
+    transition_matrix,
+)
 from walker_jax.walking.disturbed import DisturbedWalk, follow_disturbed
 
 SLOPE = 0.009
@@ -102,6 +111,12 @@ def test_a_walk_on_rough_ground_is_strides_of_given_heights(gait):
         np.testing.assert_allclose(made.states[number + 1], result.state, rtol=0, atol=1e-11)
         assert made.times[number] == pytest.approx(float(result.time), abs=1e-10)
         state = result.state
+    end = jax.jit(lambda ground: wj.walk(WALKER, gait.states[0], 4, ground=ground).states[-1])
+    uneven, h = heights + 3e-5, 5e-6  # where differences do not reach a step of no height
+    for column, one in zip(jax.jit(jax.jacfwd(end))(uneven).T, h * np.eye(4), strict=True):
+        change = lambda k, one=one: end(uneven + k * one) - end(uneven - k * one)
+        central = (8 * change(1) - change(2)) / (12 * h)
+        np.testing.assert_allclose(column, central, rtol=1e-7, atol=1e-6)
     even = wj.walk(WALKER, gait.states[0], 4, ground=np.zeros(4))
     expected = wj.walk(WALKER, gait.states[0], 4)
     np.testing.assert_allclose(even.states[:, [0, 2]], expected.states, rtol=0, atol=1e-11)
@@ -209,6 +224,32 @@ def test_a_walk_without_an_answer_is_no_fall(gait, monkeypatch):
     assert found.outcomes.tolist() == outcomes.tolist()
 
 
+def test_a_stride_without_an_answer_is_no_fall_in_the_stochastic_map(monkeypatch):
+    """Of ten strides one falls and three have no answer: the chance to survive is 6 / 7."""
+
+    def made(_, arguments, __):
+        number = np.arange(len(arguments[1])) % 10
+        outcome = np.where(number < 6, Outcome.STRIDE, Outcome.UNDECIDED)
+        outcome[number == 6] = Outcome.FORWARD
+        fields: Any = arguments[1], outcome, np.ones(len(number))
+        return wj.Stride(*fields)
+
+    monkeypatch.setattr("walker_jax.stability.stochastic_map.map_cells", made)
+    chart = Chart(np.zeros(2), np.eye(2))
+    drawn = WALKER, NormalSteps(1e-3), 1000, None, chart, np.full((50, 4), 0.5)
+    chain, cells, undecided = transition_matrix(*drawn, jax.random.key(0), 1.0)
+    assert len(cells) == 1 and solve_chain(chain)[0] == pytest.approx(6 / 7, rel=1e-12)
+    assert undecided == 8 * 300
+
+
+def test_cells_of_which_nothing_is_known_are_left_out():
+    """Otherwise they would have the chance 0 to survive, and so would those that lead there."""
+    starts, ends = np.array([0, 0, 1, 2, 3, 4]), np.array([0, 1, 2, UNKNOWN, FALLEN, 9])
+    np.testing.assert_array_equal(known_cells(starts, ends), [0, 3])
+    with pytest.raises(ComputationFailed, match="no cell leads"):
+        known_cells(starts[3:4], ends[3:4])
+
+
 def test_steps_to_fall_refuses_bad_arguments_in_one_line(gait):
     for name, arguments in {
         "ground": (-1.0,),
@@ -282,9 +323,14 @@ def test_the_norm_is_that_of_the_matrices(gait):
     assert float(found.terms.sum()) == pytest.approx(series, rel=1e-10)
 
 
-def test_speed_is_length_over_time_and_indicators_may_be_ones_own(gait):
+def test_speed_is_length_over_time_and_indicators_and_disturbances_may_be_ones_own(gait):
     own = lambda walker, start, end, time: -2 * time
-    found = wj.gait_sensitivity(WALKER, gait, ("push",), ("time", "length", "speed", own))
+    both = lambda size: Disturbance(step=size, push=3 * size)
+    disturbances, indicators = ("push", "step", both), ("time", "length", "speed", own)
+    found = wj.gait_sensitivity(WALKER, gait, disturbances, indicators)
+    for matrix in (found.B, found.D):
+        push, step, together = matrix.T
+        np.testing.assert_allclose(together, step + 3 * push, rtol=0, atol=1e-11)
     time, length = float(gait.step_times[0]), 2 * np.sin(gait.states[0][0])
     rates = np.concatenate([found.C, found.D], axis=1)
     np.testing.assert_allclose(rates[3], -2 * rates[0], rtol=1e-13)

@@ -109,9 +109,9 @@ class Mapper(NamedTuple):
     ) -> tuple[Int[np.ndarray, " n"], "Mapper"]:
         """The attractors of walkers that have made all their strides, and the mapper to all.
 
-        That is the cycle that they approach, or the one without a period, if there is one, or one
-        that is found by following some of them further, at `most`; -1 for those that have yet to
-        fall or to converge.
+        That is the cycle that they approach, or one that is found by following some of them
+        further, at `most`; else the motion without a period, if there is one, of those too that
+        have yet to fall; else -1.
         """
         number, mapper = self.match_approaching(x), self
         unmatched = number < 0

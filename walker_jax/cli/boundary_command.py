@@ -94,12 +94,14 @@ def boundary(
 
 def edge_in_words(edge: dict) -> str:
     """An edge state in words."""
-    pair, between = " / ".join(edge["regions"]), " / ".join(edge["between"])
+    regions, between = " / ".join(edge["regions"]), " / ".join(edge["between"])
     third = "" if edge["between"] == edge["regions"] else f" (between {between})"
     if edge["kind"] != "saddle":
-        return f"{pair}{third}: {edge['kind'] or 'no cycle found'}"
+        return f"{regions}{third}: {edge['kind'] or 'no cycle found'}"
     states = ", ".join(f"({listed(state)})" for state in edge["states"][:4])
     more = ", ..." if len(edge["states"]) > 4 else ""
-    multipliers = ", ".join(f"{real:.6g}" for real, _ in edge["multipliers"])
+    multipliers = ", ".join(
+        f"{complex(*pair):.6g}" if pair[1] else f"{pair[0]:.6g}" for pair in edge["multipliers"]
+    )
     period = f"saddle of period {edge['period']}"
-    return f"{pair}{third}: {period} at {states}{more}, multipliers {multipliers}"
+    return f"{regions}{third}: {period} at {states}{more}, multipliers {multipliers}"

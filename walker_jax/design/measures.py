@@ -16,8 +16,9 @@ from walker_jax.checks import check_kind, refuses_tracers
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.derivatives import gait_derivatives
 from walker_jax.gaits.search import find_gait
-from walker_jax.walkers.model import Scalar, Walker
+from walker_jax.walkers.model import Scalar, State, Walker
 from walker_jax.walkers.parameters import check_parameter, with_parameter
+from walker_jax.walking.stepping import stride, trajectory
 
 GAIT_MEASURES = ("step-length", "speed", "spectral-radius", "cost-of-transport")
 
@@ -44,9 +45,9 @@ def gait_measures(
     - "spectral-radius": the modulus of the largest multiplier of one stride, the root of that of
       the gait;
     - "cost-of-transport": the energy lost per unit of weight and of distance along the slope:
-      sin(slope), and what motors give in a step over its length (`Walker.motor_work`); NaN where
-      that is not known. On level ground it is the motors' work alone, and uphill what gravity does
-      not take of it.
+      sin(slope), and what motors give in a step over its length (`Walker.motor_work`), the hip's
+      and push-off together; NaN where that is not known. On level ground it is the motors' work
+      alone, and uphill what gravity does not take of it.
 
     Arguments are those of `gait_derivatives`; the gait is that of `find_gait` by default. All are
     NaN where none is found.
@@ -72,7 +73,7 @@ def gait_measures(
 
     def work_per_length(walker: Walker, states: Float[Array, "period section"]) -> Scalar:
         """Work of motors per unit of weight and of distance."""
-        works = [walker.during_stride(x).motor_work() for x in states]
+        works = [walker.during_stride(x).motor_work(*ends_of_stride(walker, x)) for x in states]
         known = jnp.stack([work for work in works if work is not None])
         return jnp.mean(known) / mean_step_length(walker, states)
 
@@ -111,6 +112,13 @@ def gait_measures(
     }
 
 
+def ends_of_stride(walker: Walker, x: Float[Array, " section"]) -> tuple[State, State]:
+    """Full states just after a heel strike and just before the next."""
+    motion = trajectory(walker, x, stride(walker, x).time[None])
+    return walker.lift(x), State(*(values[0] for values in motion))
+
+
 def cost_is_known(walker: Walker) -> bool:
     """Whether the energy that a step loses is known."""
-    return walker.driven_by_gravity() or walker.motor_work() is not None
+    anywhere = walker.lift(jnp.zeros(len(walker.section)))
+    return walker.driven_by_gravity() or walker.motor_work(anywhere, anywhere) is not None

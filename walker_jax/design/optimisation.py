@@ -88,7 +88,8 @@ def optimise(
       "basin-stability" (the chance that starts of a given `density` converge to an attractor),
       "least-disturbance" (from which the walker does not return), "speed" or "step-length", which
       are maximised, "spectral-radius", "sensitivity-norm" (`gait_sensitivity`) or
-      "cost-of-transport", which are minimised; or weights by name, for a sum to maximise.
+      "cost-of-transport", which are minimised; or weights by name, for a sum to maximise. All have
+      gradients; that of basin stability is, as that of the area, an integral along the boundary.
     - `at_least`, `at_most`: limits of "speed", "step-length", "spectral-radius" and
       "cost-of-transport", by name.
     - `grid`: where the area or volume is measured, the same for all parameters. By default that of

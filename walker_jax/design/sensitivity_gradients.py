@@ -12,13 +12,12 @@ from walker_jax.checks import check_kind, refuses_tracers
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.derivatives import gait_derivatives
 from walker_jax.gaits.search import find_gait
-from walker_jax.stability.sensitivity import INDICATORS, respond_to
+from walker_jax.stability.sensitivity import DISTURBANCES, INDICATORS, respond_to
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import check_parameter, with_parameter
-from walker_jax.walking.disturbed import Disturbance
 from walker_jax.walking.stepping import prepare
 
-ALL = tuple(range(len(Disturbance._fields))), tuple(INDICATORS.values())
+ALL = tuple(DISTURBANCES.values()), tuple(INDICATORS.values())
 """All disturbances and indicators that have names, as `gait_sensitivity` has by default."""
 
 

@@ -26,6 +26,7 @@ from jaxtyping import Int, PyTree
 
 from walker_jax.checks import WrongUse
 from walker_jax.execution.progress import bar
+from walker_jax.kernels.outside_code import states_of
 from walker_jax.kernels.primitive import (
     MAX_PROGRAMS,
     Program,
@@ -100,7 +101,8 @@ def map_cells(
     few = platform == "cpu" and n <= math.prod(SMALL_CALL_SHAPE)
     tile, tiles = SMALL_CALL_SHAPE if few else CALL_SHAPES.get(platform, CALL_SHAPES["gpu"])
     call = tile * tiles * len(devices)
-    run = compile_call(function, mapped, platform, tile, tiles)
+    states = states_of(function, jax.tree.structure(args))
+    run = compile_call(function, states, mapped, platform, tile, tiles)
 
     def work(start: int, stop: int) -> PyTree[np.ndarray]:
         """The results of at most one call, in which each device has an equal share of the cells."""
@@ -204,9 +206,17 @@ def pad(values: np.ndarray, size: int) -> np.ndarray:
 
 @functools.lru_cache(MAX_PROGRAMS)
 def compile_call(
-    function: Callable, mapped: tuple[bool, ...], platform: str, tile: int, tiles: int
+    function: Callable,
+    states: tuple,
+    mapped: tuple[bool, ...],
+    platform: str,
+    tile: int,
+    tiles: int,
 ) -> Callable:
-    """The jitted function of (shared, cells of one call, how many tiles each device does of it)."""
+    """The jitted function of (shared, cells of one call, how many tiles each device does of it).
+
+    There is one for each of the `states` in which code that it runs has been.
+    """
 
     def run(shared, cells, count):
         blocks = jax.tree.map(lambda leaf: leaf.reshape(tiles, tile, *leaf.shape[1:]), cells)

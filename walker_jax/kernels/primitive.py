@@ -30,6 +30,7 @@ from jax.sharding import PartitionSpec
 from walker_jax.kernels import ffi, machine
 from walker_jax.kernels.jaxprs import shape_dtype
 from walker_jax.kernels.kernel import Kernel, without_garbage_collection
+from walker_jax.kernels.outside_code import states_of
 from walker_jax.kernels.program_cache import Traced, digest_of, keep_trace, name_of, recall_trace
 from walker_jax.kernels.rules import UnsupportedPrimitive
 
@@ -167,7 +168,8 @@ def is_complex(aval) -> bool:
 kernel_p = Primitive("kernel")
 kernel_p.multiple_results = True
 programs: OrderedDict = OrderedDict()
-"""By function, shapes, types and settings: its program and the tree of its results."""
+"""By function, shapes, types, settings and states of a user's own code: its program and the tree of
+its results."""
 MODES = {
     "jax_enable_x64": jax.enable_x64,
     "jax_numpy_dtype_promotion": jax.numpy_dtype_promotion,
@@ -196,7 +198,8 @@ def program_of(function: Callable, structure, avals: Sequence) -> tuple[Program,
     """The program of a function for these shapes and types, and the tree of its results."""
     function = getattr(function, "of_one_cell", function)  # undoes `by_kernel`
     settings = current_settings()
-    key = function, structure, settings, *((x.shape, x.dtype, x.weak_type) for x in avals)
+    kinds = ((x.shape, x.dtype, x.weak_type) for x in avals)
+    key = function, structure, settings, states_of(function, structure), *kinds
     if key in programs:
         programs.move_to_end(key)
         return programs[key]

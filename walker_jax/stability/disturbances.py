@@ -83,7 +83,7 @@ def least_disturbance(
     **Arguments:**
 
     - `walker`: of one kind, with numbers for parameters.
-    - `gait`: a stable one; the most stable of period one, by default.
+    - `gait`: a stable one; that of `find_gait` by default.
     - `scale`: unit of length along each coordinate of the section, positive. The size is the length
       of the disturbance in these units; by default they are 1.
     - `metric`: in the place of a scale, a symmetric positive definite matrix M, for which the size

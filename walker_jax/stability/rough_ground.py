@@ -28,6 +28,7 @@ from walker_jax.execution.tiles import map_cells
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import find_gait
 from walker_jax.integrators.solvers import default_tolerance
+from walker_jax.kernels.outside_code import AsItIs
 from walker_jax.walkers.model import Walker, check_planar, check_single
 from walker_jax.walking.disturbed import Disturbance, DisturbedWalk, follow_disturbed_walk
 from walker_jax.walking.outcomes import Outcome
@@ -78,7 +79,8 @@ def steps_to_fall(
     chance to fall in each stride, which holds once a walk has forgotten where it began: then a
     stride's chance does not depend on how many there were before. The interval is that of such a
     chance, of Clopper and Pearson (1934, Biometrika 26:404-413); if all walks fall and are 30 or
-    more, that of the sample mean, whatever the distribution.
+    more, that of the sample mean, whatever the distribution. Numbers of strides jump as parameters
+    change, so there is no derivative; `gait_sensitivity` and the least disturbance have one.
 
     **Arguments:**
 
@@ -88,7 +90,7 @@ def steps_to_fall(
       slope and pushes; or a number, the standard deviation of normally distributed heights.
     - `n`: number of walks.
     - `key`: a JAX random key, `jax.random.key(0)` by default. Each stride of each walk has its own.
-    - `gait`: where walks begin, from its first state; the most stable of period one, by default.
+    - `gait`: where walks begin, from its first state; that of `find_gait` by default.
     - `limit`: strides of a walk, at most.
     - `confidence`: of the interval.
     - `tolerance`: of the integration, as in `stride`.
@@ -126,7 +128,7 @@ def walk_disturbed(
     while len(active) and done < limit:
         count = min(STRIDES_PER_CALL, limit - done)
         own = keys[pad_to_power_of_two(active)]
-        drawn = np.asarray(draw(ground, own, done, count))[: len(active)]
+        drawn = np.asarray(draw(AsItIs(ground), own, done, count))[: len(active)]
         part = map_cells(
             follow_disturbed_walk,
             (walker, end.state[active], drawn.astype(states.dtype), checked_tolerance),

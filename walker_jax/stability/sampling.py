@@ -100,7 +100,7 @@ def basin_stability(
       distributed in the metric of `least_disturbance` with `scale` and `along`, or with a matrix
       as `metric`; or a grid, in whose region of the section starts are uniformly distributed; or a
       function of a NumPy generator and a number, which draws so many starts of any distribution.
-    - `gait`: a stable one, of one walker; the most stable of period one, by default.
+    - `gait`: a stable one, of one walker; that of `find_gait` by default.
     - `metric`: as in `least_disturbance`; for a grid and a function, of the sizes of disturbances
       alone, which are those from the nearest state of the gait.
     - `within`: distance of a state of the gait, in every coordinate, to which strides are counted.

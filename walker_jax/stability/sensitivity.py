@@ -21,10 +21,13 @@ from jaxtyping import Array, Float
 from walker_jax.checks import WrongUse, check_kind, short
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import find_gait
+from walker_jax.kernels.outside_code import AsItIs
 from walker_jax.walkers.model import Scalar, State, Walker, check_planar
 from walker_jax.walking.disturbed import Disturbance, follow_disturbed
 from walker_jax.walking.stepping import prepare
 
+OneDisturbance = Callable[[Scalar], Disturbance]
+"""What is amiss in a stride, from its size."""
 Indicator = Callable[[Walker, State, State, Scalar], Scalar]
 """What is looked at, of a stride: from the walker, the full states just after the heel strikes at
 its start and its end, and its duration."""
@@ -35,6 +38,11 @@ def step_length(walker: Walker, start: State, end: State, time: Scalar) -> Scala
     return walker.reach(walker.exchange_legs(end))
 
 
+DISTURBANCES: dict[str, OneDisturbance] = {
+    "step": lambda size: Disturbance(step=size),
+    "slope": lambda size: Disturbance(slope=size),
+    "push": lambda size: Disturbance(push=size),
+}
 INDICATORS: dict[str, Indicator] = {
     "time": lambda walker, start, end, time: time,
     "length": step_length,
@@ -59,7 +67,7 @@ class GaitSensitivity(NamedTuple):
 def gait_sensitivity(
     walker: Walker,
     gait: Gait | None = None,
-    disturbances: Sequence[str] = ("step", "slope", "push"),
+    disturbances: Sequence[str | OneDisturbance] = ("step", "slope", "push"),
     indicators: Sequence[str | Indicator] = ("time", "length", "speed"),
     *,
     tolerance: float | None = None,
@@ -74,7 +82,8 @@ def gait_sensitivity(
     - `walker`: any walker.
     - `gait`: of this walker; by default that of `find_gait`.
     - `disturbances`: of one stride, the fields of a `Disturbance`: "step", the height of the next
-      foothold above the present one; "slope"; "push", a change of thetadot at the start.
+      foothold above the present one; "slope"; "push", a change of thetadot at the start; or
+      functions that return a `Disturbance` from its size.
     - `indicators`: "time", of the stride; "length", of the step along the slope; "speed", one over
       the other; or functions of (walker, start, end, time), `State`s just after heel strike.
     - `tolerance`: of the integration, as in `stride`.
@@ -84,17 +93,17 @@ def gait_sensitivity(
     check_planar(walker)
     check_kind("disturbances", disturbances, Sequence)
     check_kind("indicators", indicators, Sequence)
-    disturbance_of = {name: number for number, name in enumerate(Disturbance._fields)}
-    numbers = [look_up("disturbances", disturbance_of, name) for name in disturbances]
-    looks = [one if callable(one) else look_up("indicators", INDICATORS, one) for one in indicators]
-    if not numbers or not looks:
+    acts = [look_up("disturbances", DISTURBANCES, one) for one in disturbances]
+    looks = [look_up("indicators", INDICATORS, one) for one in indicators]
+    if not acts or not looks:
         raise WrongUse("disturbances and indicators must be one or more each, not none")
     gait = find_gait(walker, tolerance=tolerance) if gait is None else gait
     check_kind("gait", gait, Gait)
     if len(gait.states) != 1:
         raise WrongUse(f"gait must be of period one, not {len(gait.states)}")
     walker, state, checked = prepare(walker, gait.states[0], tolerance)
-    return respond_to(walker, state, checked, (tuple(numbers), tuple(looks)))
+    what = tuple(map(AsItIs, acts)), tuple(map(AsItIs, looks))
+    return respond_to(walker, state, checked, what)
 
 
 @partial(jax.jit, static_argnums=3)
@@ -102,18 +111,19 @@ def respond_to(
     walker: Walker,
     state: Float[Array, " section"],
     tolerance: Float[Array, ""],
-    what: tuple[tuple[int, ...], tuple[Indicator, ...]],
+    what: tuple[tuple[OneDisturbance, ...], tuple[Indicator, ...]],
 ) -> GaitSensitivity:
-    """The matrices and the norm, of disturbances by number and of indicators."""
-    numbers, looks = what
+    """The matrices and the norm, of disturbances and indicators."""
+    acts, looks = what
 
     def disturbed(x, e):
-        values = jnp.zeros(len(Disturbance._fields), x.dtype).at[jnp.array(numbers)].set(e)
-        made = follow_disturbed(walker, x, Disturbance(*values), tolerance)
+        parts = zip(*(act(size) for act, size in zip(acts, e, strict=True)), strict=True)
+        total = [sum(jnp.asarray(value, x.dtype) for value in values) for values in parts]
+        made = follow_disturbed(walker, x, Disturbance(*total), tolerance)
         ends = State(*made.state)
         return made.state, jnp.stack([look(walker, State(*x), ends, made.time) for look in looks])
 
-    x, e = jnp.stack(walker.lift(state)), jnp.zeros(len(numbers), state.dtype)
+    x, e = jnp.stack(walker.lift(state)), jnp.zeros(len(acts), state.dtype)
     (A, B), (C, D) = jax.jacfwd(disturbed, (0, 1))(x, e)
     # X_i = sum of A'^k c c' A^k, for c' each row of C: the discrete Lyapunov equation.
     n = len(x)
@@ -127,7 +137,9 @@ def respond_to(
 
 
 def look_up(what: str, table: dict[str, Any], name: Any) -> Any:
-    """What a name stands for."""
+    """What a name stands for, or the function given in place of one."""
+    if callable(name):
+        return name
     if not isinstance(name, str) or name not in table:
         raise WrongUse(f"{what} must be of {', '.join(table)}, not {short(name)}")
     return table[name]

@@ -11,7 +11,8 @@ left, a fall has the eigenvalue 1, and this one is the second.)
 Where strides begin within a cell matters: uniformly distributed starts spread states, so that walks
 seem shorter by as much as a half. So all cells have as many walkers, which stand where walkers
 arrived, each with the chance of its arrival: a weighted ensemble (Huber and Kim 1996, Biophys. J.
-70:97-110). What remains of the size of cells is that a walker forgets where in its cell it was.
+70:97-110). What remains of the size of cells is that a walker forgets where in its cell it was,
+which shortens walks too.
 """
 
 from functools import partial
@@ -55,6 +56,11 @@ FEWEST_SURVIVORS = 200
 """Of the pilot, below which there is too little to tell where states are."""
 CELLS = 40_000
 """Small cells, about, where no side is given: a repetition takes some ten seconds on two cores."""
+BEYOND, BETWEEN = 2 / 3, 1 / 3
+"""Of the difference between cells of two sizes, one twice the other: what the smaller ones lack at
+the mean of first order (1) and of second (1/3), and how far either is from there. The logarithm of
+the mean life is of first order in cells of 0.4 to 0.8 standard deviations, and nearly of second
+below (docs/accuracy.md)."""
 PROBE = 0.8
 """Side of cells by which that side is found, in standard deviations of the states."""
 FORGOTTEN, ROUNDS = 4, 12
@@ -63,8 +69,8 @@ MOST_CELLS, FEWEST_IN_CELL = 1_000_000, 12
 """Most cells, which take some GB of memory, and fewest walkers in each."""
 BITS = 20
 """Of the number of a cell along each direction: three of them are within an integer of 64."""
-FALLEN = -1
-"""Instead of the number of a cell."""
+FALLEN, UNKNOWN = -1, -2
+"""Instead of the number of a cell, where a walker fell and where the integration has no answer."""
 SCATTER_OF_ROUNDING = 1e-11
 """Standard deviation of states that rounding and the tolerance of a stride make, at most."""
 SETTLED = 1e-13
@@ -87,8 +93,8 @@ def metastability(
     """How long a walker walks on rough ground, by a stochastic cell map (Ulam's method).
 
     It costs about the same however rare falls are, and is independent of `steps_to_fall`, which
-    follows walks. The result is extrapolated from cells of two sizes, and what that adds counts as
-    its error.
+    follows walks. The result is extrapolated from cells of two sizes, and half of what the order of
+    that leaves open counts as its error.
 
     **Arguments:**
 
@@ -101,7 +107,9 @@ def metastability(
 
     **Returns** a data set: `survival`, the chance not to fall in a stride of walks that have lasted
     long; `mean_strides`, the mean number of strides until a fall, from the gait on, as
-    `StepsToFall` has it, and its standard error `mean_strides_error`; and the quasi-stationary
+    `StepsToFall` has it, and its standard error `mean_strides_error`, of random numbers and of the
+    size of cells; `undecided`, how many strides had no answer: they are left out, and no walker is
+    said to fall where that is not known; and the quasi-stationary
     distribution, over the small cells of the last repetition: `chance` of each, and its `centre`
     in theta, thetadot and, if the ground is rough, the gap phi - 2 theta.
 
@@ -117,24 +125,30 @@ def metastability(
         raise WrongUse(f"side must be a number above 0, not {short(side)}")
     draw_one, key = read_ground(ground), read_key(key)
     start = start_of_walks(walker, gait, tolerance)
-    chart, lasting = draw_chart(walker, draw_one, key, start, tolerance)
-    step = partial(transition_matrix, walker, draw_one, chart, lasting, walkers, tolerance)
+    chart_from = partial(draw_chart, walker, draw_one, start=start, tolerance=tolerance)
+    step = partial(transition_matrix, walker, draw_one, walkers, tolerance)
     if side is None:
-        _, cells = step(key, PROBE)
+        chart, lasting = chart_from(key)
+        _, cells, _ = step(chart, lasting, key, PROBE)
         size = PROBE * (len(cells) / CELLS) ** (1 / len(chart.centre))
     else:
         size = float(side)
     starts = np.broadcast_to(start, (PILOT_WALKS, len(start)))
     logs: list[list[list[float]]] = []
-    distribution, cells = np.zeros(0), np.zeros(0, np.int64)
+    undecided = 0
     for number in range(repetitions):
-        own, also = jax.random.split(jax.random.fold_in(key, number))
+        # Each has walks of its own to begin with, which are not forgotten in a few strides.
+        pilot, own, also = jax.random.split(jax.random.fold_in(key, number), 3)
+        chart, lasting = chart_from(pilot)
         keys = jax.random.split(also, PILOT_WALKS)
         first = walk_disturbed(walker, starts, draw_one, keys, 1, tolerance)
         made = first.state[first.outcome == Outcome.STRIDE]
+        decided = np.count_nonzero(first.outcome != Outcome.UNDECIDED)
+        undecided += PILOT_WALKS - int(decided)
         logs.append([])
         for one in (2 * size, size):
-            chain, cells = step(own, one)
+            chain, cells, unanswered = step(chart, lasting, own, one)
+            undecided += unanswered
             survival, distribution, means = solve_chain(chain)
             if survival >= 1:
                 raise ComputationFailed(
@@ -142,13 +156,13 @@ def metastability(
                     "result"
                 )
             place, known = places_of(chart.cell_of(made, one), cells)
-            mean = len(made) / PILOT_WALKS * (1 + means[place[known]].mean())
+            mean = len(made) / decided * (1 + means[place[known]].mean())
             logs[-1].append([np.log(mean), np.log(survival / (1 - survival))])
     coarse, fine = np.moveaxis(np.array(logs), 1, 0)
-    extrapolated = fine + (fine - coarse) / 3  # of second order in the size of cells
+    extrapolated = fine + BEYOND * (fine - coarse)
     log_mean, log_odds = extrapolated.mean(axis=0)
     scatter = extrapolated[:, 0].std(ddof=1) / np.sqrt(repetitions)
-    error = np.hypot(scatter, log_mean - fine[:, 0].mean())
+    error = np.hypot(scatter, BETWEEN * (fine - coarse)[:, 0].mean())
     centres = chart.points_in(cells, np.full((len(cells), len(chart.centre)), 0.5), size)
     coordinates = [*walker.section, "gap"][: len(chart.centre)]
     return xr.Dataset(
@@ -156,6 +170,7 @@ def metastability(
             "survival": 1 / (1 + np.exp(-log_odds)),
             "mean_strides": np.exp(log_mean),
             "mean_strides_error": np.exp(log_mean) * error,
+            "undecided": undecided,
             "chance": ("cell", distribution),
             "centre": (("cell", "direction"), centres),
         },
@@ -205,7 +220,7 @@ def section_and_gap(states: Float[np.ndarray, "n 4"], size: int) -> Float[np.nda
 
 
 def draw_chart(
-    walker: Walker, ground: RandomDisturbance, key: Array, start: Any, tolerance: float | None
+    walker: Walker, ground: RandomDisturbance, key: Array, *, start: Any, tolerance: float | None
 ) -> tuple[Chart, Float[np.ndarray, "n 4"]]:
     """The states of walks that have lasted a few strides, and their chart."""
     keys = jax.random.split(key, PILOT_WALKS)
@@ -231,22 +246,23 @@ def draw_chart(
 def transition_matrix(
     walker: Walker,
     ground: RandomDisturbance,
-    chart: Chart,
-    states: Float[np.ndarray, "n 4"],
     walkers: int,
     tolerance: float | None,
+    chart: Chart,
+    states: Float[np.ndarray, "n 4"],
     key: Array,
     side: float,
-) -> tuple[csr_array, Int[np.ndarray, " cells"]]:
+) -> tuple[csr_array, Int[np.ndarray, " cells"], int]:
     """P, and the numbers of its cells, in ascending order, from walks that last, in their states.
 
     What ends in a cell where no walker has started has no part in it: that is about as rare as
-    what has not happened at all.
+    what has not happened at all. Nor has a stride without an answer, which is not known to end in
+    a fall; the last number is how many of these there were.
     """
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).astype(np.uint32))
     checked_tolerance = np.asarray(default_tolerance(states.dtype, tolerance), states.dtype)
     arrays = jax.tree.map(lambda leaf: np.asarray(leaf, states.dtype), walker)
-    chances, pairs = np.full(len(states), 1 / len(states)), []
+    chances, pairs, undecided = np.full(len(states), 1 / len(states)), [], 0
     for number in range(ROUNDS):
         cells, chance, chosen = choose_walkers(rng, chart.cell_of(states, side), chances, walkers)
         if len(cells) > MOST_CELLS:
@@ -270,15 +286,36 @@ def transition_matrix(
         chances = np.repeat(chance / each, each)[going]
         chances /= chances.sum()
         if number >= FORGOTTEN:
-            ends = np.full(len(going), FALLEN)
+            unknown = made.outcome == Outcome.UNDECIDED
+            undecided += int(unknown.sum())
+            ends = np.where(unknown, UNKNOWN, FALLEN)
             ends[going] = chart.cell_of(states, side)
             pairs.append(np.stack([np.repeat(cells, each), ends]))
     starts, ends = np.concatenate(pairs, axis=1)
-    cells = np.unique(starts)
-    here, (there, known) = np.searchsorted(cells, starts), places_of(ends, cells)
-    counts = np.bincount(here[known | (ends == FALLEN)], minlength=len(cells))
+    cells = known_cells(starts, ends)
+    (here, used), (there, known) = places_of(starts, cells), places_of(ends, cells)
+    counts = np.bincount(here[used & (known | (ends == FALLEN))], minlength=len(cells))
+    known &= used
     counted = csr_array((1 / counts[here[known]], (here[known], there[known])), (len(cells),) * 2)
-    return counted, cells
+    return counted, cells, undecided
+
+
+def known_cells(
+    starts: Int[np.ndarray, " n"], ends: Int[np.ndarray, " n"]
+) -> Int[np.ndarray, " cells"]:
+    """The cells, ascending, of which a stride is known to end in one of them, or in a fall.
+
+    A cell without one would have the chance 0 to survive, as if all its strides were falls.
+    """
+    cells = np.unique(starts)
+    while True:
+        told = places_of(starts, cells)[1] & (places_of(ends, cells)[1] | (ends == FALLEN))
+        left = np.unique(starts[told])
+        if len(left) == 0:
+            raise ComputationFailed("no cell leads to another: walks end at once")
+        if len(left) == len(cells):
+            return cells
+        cells = left
 
 
 def choose_walkers(

@@ -373,7 +373,12 @@ def join_rows(
 def common_attributes(rows: list[xr.Dataset], parameter: str) -> dict[str, Any]:
     """The attributes of the rows, except those that differ between rows."""
     own = ("area", f"walker_{parameter}")
-    return {name: value for row in rows for name, value in row.attrs.items() if name not in own}
+    given: dict[str, list] = {}
+    for row in rows:
+        for name, value in row.attrs.items():
+            given.setdefault(name, []).append(value)
+    same = lambda values: all(np.array_equal(one, values[0]) for one in values)
+    return {name: values[0] for name, values in given.items() if name not in own and same(values)}
 
 
 def default_region(walker: Walker) -> Grid | None:

@@ -190,6 +190,7 @@ KINDS = {
             "survival": V("", "real", "", "chance not to fall in a stride, after many"),
             "mean_strides": V("", "real", "strides", "until a fall, from the gait on"),
             "mean_strides_error": V("", "real", "strides", "its standard error"),
+            "undecided": V("", "integer", "strides", "without an answer, left out"),
             "chance": V("cell", "real", "", "of each cell, of walks that still last"),
             "centre": V("cell direction", "real", STATE, "of each; and phi - 2 theta, in rad"),
             "direction": V("direction", "text", "", "`theta`, `thetadot` and, if rough, `gap`"),

@@ -72,10 +72,12 @@ def Feedback(
     - `gains`: the row of K for each parameter by name, of shape (section,).
     - `bounds`: the least and the largest value of some of these parameters, within those that the
       parameter has itself, which hold by default. They are parameters too, `least_push_off` and
-      `largest_push_off`.
+      `largest_push_off`. A parameter that may not be equal to a bound of its own, as a mass must be
+      above 0, must be among them.
 
     `ValueError` for parameters that the walker does not have, for what are no finite numbers of
-    that shape, for bounds beyond those of a parameter, and for a walker that has feedback.
+    that shape, for bounds beyond those of a parameter or lacking, and for a walker that has
+    feedback.
     """
     check_kind("walker", walker, Walker)
     if isinstance(walker, FeedbackWalker):
@@ -91,6 +93,7 @@ def Feedback(
     values |= {f"reference_{name}": state[i] for i, name in enumerate(section)}
     for name, row in gains.items():
         check_parameter(walker, name)
+        check_bounded(walker, name, bounds)
         row = read_row("gains", name, row, len(section))
         values |= {f"{name}_per_{one}": row[i] for i, one in enumerate(section)}
     for name, pair in bounds.items():
@@ -102,6 +105,14 @@ def Feedback(
             raise WrongUse(f"bounds of {name} must ascend, not be {float(low)}, {float(high)}")
         values |= {f"least_{name}": low, f"largest_{name}": high}
     return remake(type(walker), tuple(gains), tuple(bounds), values)
+
+
+def check_bounded(walker: Walker, name: str, bounds: Mapping[str, Any]) -> None:
+    """Refuse feedback that would set a parameter to a bound that it may not be equal to."""
+    one = next(one for one in parameters(walker) if one.name == name)
+    is_open = (one.low > -np.inf and not one.closed) or one.high < np.inf
+    if is_open and name not in bounds:
+        raise WrongUse(f"bounds must have {name}, which must be {one.bounds()}")
 
 
 def remake(

@@ -200,6 +200,13 @@ def gravity(slope: Scalar, masses: Float[Array, " x"], turns: int = 0) -> Float[
     return masses * jnp.concatenate([*[down] * points, jnp.zeros(turns, masses.dtype)])
 
 
+def weight(system: System, q: Float[Array, " q"]) -> Scalar:
+    """The force of gravity on all masses together."""
+    along = jnp.stack([jnp.zeros_like(q).at[i].set(1) for i in range(2)])
+    sums = [multibody.velocity(system.transfer, q, one) @ system.forces for one in along]
+    return jnp.hypot(*sums)
+
+
 def leg(angle: Scalar) -> Float[Array, " 2"]:
     """The direction from foot to hip of a leg at an angle from the normal of the slope."""
     return jnp.stack([-jnp.sin(angle), jnp.cos(angle)])

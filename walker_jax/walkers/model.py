@@ -197,10 +197,11 @@ class Walker(eqx.Module):
         """
         return False
 
-    def motor_work(self) -> Scalar | None:
+    def motor_work(self, start: State, end: State) -> Scalar | None:
         """Work of motors in a step, per unit of the walker's weight, in the unit of length.
 
-        It is asked for where `driven_by_gravity` does not hold. None, the default: it is not known.
+        The states are those just after a heel strike and just before the next. It is asked for
+        where `driven_by_gravity` does not hold. None, the default: it is not known.
         """
         return None
 

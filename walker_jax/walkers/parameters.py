@@ -104,7 +104,13 @@ class Option(NamedTuple):
 
 
 def options(walker: type[Walker] | Walker) -> tuple[Option, ...]:
-    """The options of a walker, in the order of its constructor's arguments."""
+    """The options of a walker, in the order of its constructor's arguments.
+
+    Raises `WrongUse` for another static field, of which data sets would not tell the value.
+    """
+    for field in dataclasses.fields(walker):
+        if field.metadata.get("static") and description(field, Option) is None:
+            raise WrongUse(f"{field.name} must be a parameter of the walker, not a static field")
     return described_by(walker, Option)
 
 

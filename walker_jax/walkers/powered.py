@@ -75,7 +75,7 @@ class PoweredWalker(AbstractMasslessFootWalker):
         """Without push-off: the hip's torque does work of the order of the foot's mass."""
         return bool(np.all(np.asarray(self.push_off) == 0))
 
-    def motor_work(self):
+    def motor_work(self, start, end):
         """P^2 / 2: the impulse is along the leg, at right angles to the hip's velocity."""
         return self.push_off**2 / 2
 

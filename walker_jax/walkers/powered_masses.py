@@ -3,7 +3,8 @@
 import equinox as eqx
 import jax.numpy as jnp
 
-from walker_jax.walkers.masses import MultibodyWalker, leg
+from walker_jax import multibody
+from walker_jax.walkers.masses import MultibodyWalker, coordinates_and_rates, leg, weight
 from walker_jax.walkers.model import Scalar
 from walker_jax.walkers.parameters import Parameter
 from walker_jax.walkers.point_foot import PointFootWalker
@@ -46,6 +47,14 @@ class AbstractPoweredWalker(MultibodyWalker):
         return eqx.tree_at(
             lambda system: system.generalised_forces, passive, torque, is_leaf=lambda x: x is None
         )
+
+    def motor_work(self, start, end):
+        """What the energy gains in the swing, by the hip alone, and in push-off."""
+        system = self.system()
+        q, qdot = coordinates_and_rates(end)
+        pushed = multibody.push(system, q, qdot, self.push_off_impulse(q))
+        gained = multibody.kinetic_energy(system, q, pushed) + multibody.potential_energy(system, q)
+        return (gained - self.energy(start)) / weight(system, q)
 
     def push_off_impulse(self, q):
         """Dual to the foot's (u, v), which move with its point of contact, round or not."""
