@@ -59,7 +59,7 @@ CELLS = 40_000
 BEYOND, BETWEEN = 2 / 3, 1 / 3
 """Of the difference between cells of two sizes, one twice the other: what the smaller ones lack at
 the mean of first order (1) and of second (1/3), and how far either is from there. The logarithm of
-the mean life is of first order in cells of 0.4 to 0.8 standard deviations, and nearly of second
+the mean life seems of first order in cells of 0.4 to 0.8 standard deviations, and nearly of second
 below (docs/accuracy.md)."""
 PROBE = 0.8
 """Side of cells by which that side is found, in standard deviations of the states."""
