@@ -151,6 +151,15 @@ def test_the_data_set_says_what_was_computed(direct):
     assert direct.fate.attrs["flag_meanings"].split() == list(wj.Outcome.__members__)
 
 
+def test_cells_of_basins_at_the_border_of_the_grid_are_counted(direct):
+    """The paper's window cuts the basin; a window that holds it all does not."""
+    walks = direct.attractor.values >= 0
+    assert int(direct.at_border) == walks.sum() - walks[1:-1, 1:-1].sum() > 0
+    wide = wj.Grid.sheared(theta=(0, np.pi / 4, 40), sum=(-0.3, 0.3, 150))
+    inside = wj.basin(wj.SimplestWalker(0.004), wide, "direct", strides=30)
+    assert inside.cells.sum() > 0 == int(inside.at_border)
+
+
 def test_attractors_are_numbered_by_period_then_angle():
     def cycle(*angles):
         return Attractor(len(angles), np.array([[angle, -0.2] for angle in angles]))

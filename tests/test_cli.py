@@ -120,6 +120,10 @@ def test_basin_answers_keeps_and_draws(run, tmp_path):
             data.sizes["theta"] == 30 and int((data.fate == 0).sum()) == answer["fates"]["STRIDE"]
         )
     assert (tmp_path / "b.png").read_bytes().startswith(b"\x89PNG")
+    at_border = answer["at_border"]
+    out = run("basin", *SMALL, "--method", "direct", "--out", "b.zarr")[1]
+    said = f"the basin reaches the border of the grid, in {at_border} cells"
+    assert (said in out) == (at_border > 0)
 
 
 def test_a_cycle_of_cells_that_is_no_gait_is_said_to_be_an_artefact(run, tmp_path, monkeypatch):

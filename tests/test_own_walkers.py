@@ -21,6 +21,8 @@ from walker_jax.checks import WrongUse
 from walker_jax.cli import main
 from walker_jax.cli.walker_options import names_that_begin
 from walker_jax.kernels.outside_code import AsItIs
+from walker_jax.stability.metric import metric_of
+from walker_jax.stability.rough_ground import NormalSteps
 from walker_jax.walkers import references
 from walker_jax.walkers.fingerprints import code_fingerprint
 from walker_jax.walkers.parameters import describe_walker, parameters, with_parameter
@@ -518,3 +520,31 @@ def test_functions_are_alike_that_do_the_same_with_the_same_values():
     assert AsItIs(bound) == AsItIs(functools.partial(make(1.0, ones), key=2))
     assert AsItIs(bound) != AsItIs(functools.partial(make(1.0, ones), key=3))
     assert AsItIs(make(1.0, ones))(2.0) == 5
+    assert AsItIs(NormalSteps(1e-3)) == AsItIs(NormalSteps(1e-3)) != AsItIs(NormalSteps(2e-3))
+
+
+def test_functions_that_are_passed_in_are_what_they_are_at_that_moment():
+    walker, gait, size = wj.SimplestWalker(0.009), wj.find_gait(wj.SimplestWalker(0.009)), 4e-4
+    state = np.asarray(gait.states[0])
+
+    def ground(key):
+        return size * jax.random.normal(key, dtype=float)
+
+    def metric(x, d):
+        return size * jnp.sqrt(jnp.sum(d**2))
+
+    def indicator(walker, start, end, time):
+        return size * time
+
+    def found():
+        key = jax.random.key(0)
+        rough = wj.steps_to_fall(walker, ground, 50, key, gait=gait, limit=20).strides
+        of_size_one = metric_of(walker, None, None, metric).disturbance(state, np.eye(2))
+        norm = wj.gait_sensitivity(walker, gait, indicators=[indicator]).norm
+        return rough, np.array([*(of_size_one**2).sum(axis=1) ** -0.5, norm]) / size
+
+    first, lengths = found()
+    size = 8e-4
+    second, longer = found()
+    assert second.sum() < first.sum()
+    np.testing.assert_allclose(longer, lengths, rtol=1e-12)

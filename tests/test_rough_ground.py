@@ -29,6 +29,7 @@ from walker_jax.stability.stochastic_map import (
     known_cells,
     solve_chain,
     transition_matrix,
+    widening,
 )
 from walker_jax.walking.disturbed import DisturbedWalk, follow_disturbed
 
@@ -236,7 +237,7 @@ def test_a_stride_without_an_answer_is_no_fall_in_the_stochastic_map(monkeypatch
 
     monkeypatch.setattr("walker_jax.stability.stochastic_map.map_cells", made)
     chart = Chart(np.zeros(2), np.eye(2))
-    drawn = WALKER, NormalSteps(1e-3), chart, np.full((50, 4), 0.5), 1000, None
+    drawn = WALKER, NormalSteps(1e-3), 1000, None, chart, np.full((50, 4), 0.5)
     chain, cells, undecided = transition_matrix(*drawn, jax.random.key(0), 1.0)
     assert len(cells) == 1 and solve_chain(chain)[0] == pytest.approx(6 / 7, rel=1e-12)
     assert undecided == 8 * 300
@@ -291,6 +292,14 @@ def test_few_walks_have_an_interval_that_holds():
         assert hits >= 370
     mean, low, high = mean_life(np.zeros(1, int), np.ones(1, bool), 0.95)
     assert (mean, low) == (0, 0) and high == pytest.approx(39)  # P(fall) = 0.025 or more
+
+
+def test_the_scatter_of_a_few_repetitions_is_widened_as_by_student():
+    """For means of four normally distributed numbers."""
+    drawn = np.random.default_rng(0).normal(size=(20_000, 4))
+    error = widening(4) * drawn.std(axis=1, ddof=1) / 2
+    assert abs(np.mean(np.abs(drawn.mean(axis=1)) < 1.96 * error) - 0.95) < 0.005
+    assert widening(4) == pytest.approx(1.6237, abs=1e-4)
 
 
 @pytest.mark.slow

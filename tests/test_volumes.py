@@ -1,5 +1,6 @@
 """Basins in three dimensions: their cells, volumes, errors, slices and pictures."""
 
+import dataclasses
 import json
 
 import numpy as np
@@ -312,6 +313,21 @@ def test_the_volume_is_optimised(monkeypatch):
     assert "volume of the basin" in figures.optimum(found).axes[0].get_ylabel()
 
 
+def test_an_optimum_that_rounding_leaves_beside_a_bound_is_at_it(monkeypatch):
+    """The first step, a tenth of the bounds, ends there; beyond, rounding makes the size less."""
+
+    def gradient(walker, grid, parameters, **options):
+        radius, none = float(walker.foot_radius), np.zeros(len(parameters))
+        size = radius - 1e-9 * (radius == 0.7)
+        return AreaGradient(size, none + 1, 0.0, none, none > 0, 1, 0, 1)
+
+    monkeypatch.setattr("walker_jax.design.evaluation.area_gradient", gradient)
+    monkeypatch.setattr("walker_jax.design.optimisation.compare_basins", lambda *_: {})
+    walker = wj.RoundFootWalker(0.01, foot_radius=0.635)
+    found = wj.optimise(walker, {"foot_radius": (0.05, 0.7)}, "volume", starts=1)
+    assert 0 < 0.7 - float(found.optimum[0]) < 1e-10 and found.at_bound.values.tolist() == [1]
+
+
 def test_areas_and_volumes_take_the_grids_that_they_are_of():
     flat = wj.Grid.sheared(theta=(0, 1, 5), sum=(0, 1, 5), phidot=0.0)
     bounds = {"foot_radius": (0.1, 0.3)}
@@ -360,6 +376,16 @@ def test_levels_are_followed_directly_and_here(run):
         assert code == 2 and "--levels" in err
 
 
+def box_of(data):
+    """A box that holds all basins of a data set over three axes, with some cells about them."""
+    walks, axes = np.argwhere(data.attractor.values >= 0), {}
+    for k, name in enumerate(data.attractor.dims):
+        values = data[name].values
+        first, last = walks[:, k].min() - 4, walks[:, k].max() + 4
+        axes[name] = float(values[max(first, 0)]), float(values[min(last, len(values) - 1)]), 10
+    return wj.Grid.sheared(**axes)
+
+
 @pytest.mark.slow
 def test_the_volume_of_a_walker_on_round_feet():
     """Against every cell of a uniform grid, and random starts; and its change with the radius."""
@@ -368,11 +394,13 @@ def test_the_volume_of_a_walker_on_round_feet():
     volume, error = float(found.total_area), float(found.total_area_error)
     uniform = wj.basin(WALKER, refinement.finer(grid, 1), "direct")
     assert abs(float(uniform.area.sum()) - volume) < 4 * error < 0.02 * volume
+    box = box_of(uniform)
     whole, chance = (
-        grid.size * grid.cell_area,
-        wj.basin_stability(WALKER, grid, samples=1_000_000, strides=200),
+        box.size * box.cell_area,
+        wj.basin_stability(WALKER, box, samples=2_000_000, strides=200),
     )
     assert whole * chance.low - 2 * error < volume < whole * chance.high + 2 * error
+    assert whole * (chance.high - chance.low) < 0.03 * volume
     near = [wj.refine(wj.RoundFootWalker(0.01, foot_radius=r), grid, 2) for r in (0.19, 0.21)]
     low, high = (float(one.total_area) for one in near)
     spread = np.linalg.norm([float(one.total_area_error) for one in near]) / 0.02
@@ -380,3 +408,47 @@ def test_the_volume_of_a_walker_on_round_feet():
         rate = area_gradient(WALKER, grid, ("foot_radius",), levels=levels)
         away = abs(rate.gradient[0] - (high - low) / 0.02)
         assert away < 3 * np.hypot(spread, rate.error[0]) < 0.25 * rate.gradient[0]
+
+
+KNEED = wj.KneedWalker(0.07, foot_radius=0.1)
+BOX = wj.Grid.sheared(theta=(0, 1.4, 42), sum=(-1.0, 0.4, 42), phidot=(-2.5, 1.5, 42))
+"""It holds the basin of that walker."""
+
+
+@pytest.mark.slow
+def test_slices_of_the_volume_of_a_walker_with_knees_are_those_refined_alone():
+    """Each within the errors of both, and so is the sum of the latter, the volume."""
+    found = wj.refine(KNEED, BOX, 2)
+    assert found.period.values.tolist() == [1] and int(found.at_border) == 0
+    low, high, count = -2.5, 1.5, 40
+    width, cell = (high - low) / count, float(BOX.cell_area) / 16 / ((high - low) / 42)
+    areas, errors, apart = np.zeros(count), np.zeros(count), []
+    for k, phidot in enumerate(np.linspace(low, high, count, endpoint=False) + width / 2):
+        flat = wj.Grid.sheared(theta=(0, 1.4, 42), sum=(-1.0, 0.4, 42), phidot=float(phidot))
+        alone = wj.refine(KNEED, flat, 2, check=20_000)
+        areas[k], errors[k] = float(alone.total_area), float(alone.total_area_error)
+        cut = wj.slice_basin(found, "phidot", float(phidot))
+        mixed = edge((cut.attractor.values >= 0).astype(int)).sum()  # a quarter each, at most
+        apart.append(abs(float(cut.area.sum()) - areas[k]) / np.hypot(errors[k], cell * mixed**0.5))
+    assert (areas > 0).sum() > 10 and max(apart) < 4
+    error = width * np.linalg.norm(errors[areas > 0])
+    volume, own = float(found.total_area), float(found.total_area_error)
+    assert abs(width * areas.sum() - volume) < 4 * np.hypot(error, own) < 0.03 * volume
+    every = [wj.slice_basin(found, "theta", float(theta)) for theta in found.theta.values]
+    step = float(found.theta[1] - found.theta[0])
+    total = step * sum(float(one.area.sum()) for one in every)
+    assert total == pytest.approx(float(found.area.sum()))
+
+
+@pytest.mark.slow
+def test_the_volume_of_a_walker_with_knees_changes_by_its_gradient():
+    steps = {"slope": 0.008, "foot_radius": 0.04}
+    rate = area_gradient(KNEED, BOX, tuple(steps), levels=1)
+    for k, (name, step) in enumerate(steps.items()):
+        value = float(getattr(KNEED, name))
+        near = [dataclasses.replace(KNEED, **{name: value + by}) for by in (-step, step)]
+        low, high = (wj.refine(one, BOX, 2) for one in near)
+        change = float(high.total_area - low.total_area) / (2 * step)
+        spread = np.hypot(float(low.total_area_error), float(high.total_area_error)) / (2 * step)
+        away = abs(rate.gradient[k] - change)
+        assert away < 3 * np.hypot(spread, rate.error[k]) < 0.5 * abs(change)

@@ -802,6 +802,18 @@ def test_published_gaits(entry):
         assert time[0] / unit == pytest.approx(entry["step_time"], abs=1e-4)
 
 
+@pytest.mark.parametrize("slope, radius, size", [(0.07, 0.25, 0.547), (0.09, 0.4, 0.534)])
+def test_gaits_on_large_feet_and_steep_slopes_are_found_without_a_guess(slope, radius, size):
+    """Legs like those of the default walker with knees: its largest multiplier follows from a
+    branch over the radius (docs/results.md)."""
+    legs = {"leg_mass": 1.1, "leg_inertia": 0.09 / 11, "com_from_hip": 0.3875 / 1.1}
+    walker = RoundFootWalker(slope, **legs, foot_radius=radius)
+    assert not any(gait.stable for gait in wj.find_gaits(walker))
+    gait = wj.find_gait(walker)
+    assert gait.found and gait.stable
+    assert np.abs(gait.multipliers).max() == pytest.approx(size, abs=5e-4)
+
+
 def test_mcgeers_totter_mode_is_unstable_on_point_feet_alone():
     """For steps of the same length."""
     read, leg = PUBLISHED["totter_mode"], PUBLISHED["walkers"]["McGeer"]

@@ -78,7 +78,8 @@ def basin(
     of the smallest angle), those last that are found only of walkers left at the end: `period` (0
     where the motion does not repeat itself), `states` (NaN after the period), and of the basin
     within the grid `cells` and `area` (rad^2 per unit of time; over three dimensions it is a
-    volume). Its attributes say what was computed.
+    volume). `at_border` is how many cells of basins are at the border of the grid: beyond it the
+    basin may go on. Attributes say what was computed.
 
     The attractors of a cell map are those to which walkers converge from the centres of the cells
     in its cycles. A cycle from most of whose centres they converge to one attractor belongs to

@@ -28,6 +28,7 @@ from walker_jax.basins.schema import (
     add_attractors,
     arrays_to_compute,
     constant_array,
+    count_at_border,
     describe,
     request_of,
 )
@@ -191,12 +192,13 @@ def compute_in_pieces(
         for piece, values in track(found, "pieces", progress, place.count, done):
             place.write(number[piece], values, done=True)
         attractors, pieces = method.finish(place)
-        cells = np.zeros(len(attractors), int)
+        cells, at_border = np.zeros(len(attractors), int), 0
         for i, values in enumerate(pieces):
             place.write(i, values)
             reached = values["attractor"]
             cells += np.bincount(reached[reached >= 0], minlength=len(cells))
-        place.finish(add_attractors(about, grid, attractors, cells))
+            at_border += count_at_border(grid, reached, block_at(grid, place, i).first)
+        place.finish(add_attractors(about, grid, attractors, cells, at_border))
     return storage.open_dataset(out)
 
 

@@ -76,7 +76,7 @@ def refine(
 
     Over three dimensions areas are volumes, and memory follows the boundary too: in place of arrays
     over the grid the data set has runs of cells that are alike, of which `slice_basin` makes arrays
-    in two dimensions, and `at_border`, how many cells of basins are at the border of the grid.
+    in two dimensions.
 
     `ValueError` as for `basin`, and where a level needs more memory than there is.
     """
@@ -169,8 +169,8 @@ def dataset_of_runs(walker: Walker, found: Refined, settings: dict) -> xr.Datase
         origin=("coordinate", np.asarray(found.grid.origin)),
     )
     data = data.assign_coords(axis=np.array(found.grid.names, object))
-    data["at_border"] = runs.count_at_border(walks)
-    return add_attractors(data, found.grid, basins.attractors, cells)
+    at_border = runs.count_at_border(walks)
+    return add_attractors(data, found.grid, basins.attractors, cells, at_border)
 
 
 def refine_cells(

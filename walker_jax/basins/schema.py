@@ -9,7 +9,7 @@ import xarray as xr
 from jaxtyping import Bool, Int
 
 from walker_jax.basins.attractor import Attractor, sorted_numbers
-from walker_jax.grids import Grid
+from walker_jax.grids import Grid, cell_slices
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import attributes_of
 from walker_jax.walking.outcomes import Outcome
@@ -58,7 +58,8 @@ def to_dataset(walker: Walker, grid: Grid, basins: Basins, settings: dict) -> xr
         for name, values in zip(ATTRIBUTES, basins, strict=False)
     }
     data = describe(walker, grid, settings).assign(arrays)
-    return add_attractors(data, grid, basins.attractors, cells)
+    at_border = count_at_border(grid, basins.attractor)
+    return add_attractors(data, grid, basins.attractors, cells, at_border)
 
 
 def describe(walker: Walker, grid: Grid, settings: dict) -> xr.Dataset:
@@ -79,10 +80,25 @@ def is_centred(grid: Grid) -> bool:
     return bool(np.any(np.asarray(grid.origin)[: grid.coordinates - len(grid.fixed)]))
 
 
+def count_at_border(grid: Grid, attractor: Int[np.ndarray, " n"], first: int = 0) -> int:
+    """How many cells of basins are at the border of the grid, of n from the first on."""
+    count = 0
+    for part in cell_slices(len(attractor)):
+        cells = first + part.start + np.flatnonzero(attractor[part] >= 0)
+        places = zip(np.unravel_index(cells, grid.shape), grid.shape, strict=True)
+        count += np.any([(place == 0) | (place == end - 1) for place, end in places], axis=0).sum()
+    return int(count)
+
+
 def add_attractors(
-    data: xr.Dataset, grid: Grid, attractors: list[Attractor], cells: Int[np.ndarray, " number"]
+    data: xr.Dataset,
+    grid: Grid,
+    attractors: list[Attractor],
+    cells: Int[np.ndarray, " number"],
+    at_border: int,
 ) -> xr.Dataset:
-    """The same with the attractors, and how many cells belong to the basin of each."""
+    """The same with the attractors, how many cells belong to the basin of each, and how many of
+    all of these are at the border of the grid."""
     longest = max((len(one.states) for one in attractors), default=0)
     states = np.full((len(attractors), longest, grid.coordinates), np.nan)
     for one, row in zip(attractors, states, strict=True):
@@ -93,6 +109,7 @@ def add_attractors(
         "states": (("number", "phase", "coordinate"), states),
         "cells": ("number", cells),
         "area": ("number", area),
+        "at_border": at_border,
     }
     if data.attrs["method"] == "cell-map":
         found |= {

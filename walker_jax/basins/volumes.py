@@ -4,7 +4,7 @@ import numpy as np
 import xarray as xr
 
 from walker_jax.basins.runs import Runs, flat_index
-from walker_jax.basins.schema import ATTRIBUTES
+from walker_jax.basins.schema import ATTRIBUTES, count_at_border
 from walker_jax.checks import WrongUse, check_kind, check_number, refuses_tracers, short
 from walker_jax.grids import Grid
 from walker_jax.storage.schema import check_dataset
@@ -21,7 +21,7 @@ def slice_basin(data: xr.Dataset, axis: str, value: float) -> xr.Dataset:
     - `value`: on it; the slice is that of the finest cells that hold the value.
 
     **Returns** a data set like that of `basin` over the other two axes; all its `strides` are 0.
-    `cells` and `area` are those of the slice.
+    `cells`, `area` and `at_border` are those of the slice.
 
     Raises `ValueError` for another data set, for an axis that it does not have, and for a value
     that is not on the axis.
@@ -56,7 +56,9 @@ def slice_basin(data: xr.Dataset, axis: str, value: float) -> xr.Dataset:
         attrs=data.attrs | {"area": (counts * plane.cell_area).tolist()},
     )
     return found.merge(data[["period", "states"]]).assign(
-        cells=("number", counts), area=("number", counts * plane.cell_area)
+        cells=("number", counts),
+        area=("number", counts * plane.cell_area),
+        at_border=count_at_border(plane, arrays["attractor"].ravel()),
     )
 
 

@@ -227,7 +227,7 @@ def basin(
         print(f"  window {zoom:g} times as narrow, around ({listed(data.attrs['origin'], '.17g')})")
     if sliced:
         print(f"  slice at phidot {float(data['phidot']):.10g}")
-    print_basin(answer, "volume" if has_phidot and not sliced else "area")
+    print_basin(answer, "volume" if has_phidot and not sliced else "area", zoomed=zoom is not None)
     if counts.unmatched:
         print(f"  {counts.unmatched} cells walk on without coming near a known attractor")
     if reused:
@@ -267,8 +267,11 @@ def draw_basin(data: "xarray.Dataset"):
     return draw_cells(figures.thin(data))
 
 
-def print_basin(answer: dict, measure: str) -> None:
-    """The attractors and fates of a basin, in words; `measure` is the kind of its size."""
+def print_basin(answer: dict, measure: str, *, zoomed: bool) -> None:
+    """The attractors and fates of a basin, in words; `measure` is the kind of its size.
+
+    That a basin goes on beyond the grid is not said of a window within it.
+    """
     for i, one in enumerate(answer["attractors"]):
         states = ", ".join(f"({listed(state)})" for state in one["states"][:4])
         more = ", ..." if len(one["states"]) > 4 else ""
@@ -281,7 +284,7 @@ def print_basin(answer: dict, measure: str) -> None:
         print(f"  {measure} {size:.7g} +- {error:.1g} {UNITS[measure]} in all")
     else:
         print(f"  {measure} {answer['area']:.6g} in all")
-    if answer.get("at_border"):
+    if answer.get("at_border") and not zoomed:
         print(f"  the basin reaches the border of the grid, in {answer['at_border']} cells")
     fates = [f"{n} {name}" for name, n in answer["fates"].items() if n or name == "UNDECIDED"]
     print(f"  cells: {', '.join(fates)}")

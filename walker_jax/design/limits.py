@@ -15,7 +15,8 @@ MAX_NEWTON_STEPS = 20
 MAX_VIOLATION = 1e-9
 """Largest relative violation of a limit: the error that Newton's last step leaves."""
 BINDING_SLACK = 1e-6
-"""Relative distance from a limit below which it counts as reached, well above `MAX_VIOLATION`."""
+"""Relative distance from a limit, or share of the bounds from one of them, below which it counts as
+reached, well above `MAX_VIOLATION`."""
 
 
 class Slack(NamedTuple):

@@ -31,6 +31,7 @@ from walker_jax.design.evaluation import (
     STEP_LENGTHS,
     Evaluation,
 )
+from walker_jax.design.limits import BINDING_SLACK
 from walker_jax.design.measures import cost_is_known
 from walker_jax.design.problem import (
     SIZES,
@@ -226,7 +227,8 @@ def measure_ends(trace: Trace, start: Evaluation, best: Evaluation) -> dict:
         error = np.nan if "least-disturbance" in problem.weights else exact.value_error
         found[f"exact_{name}"], found[f"exact_{name}_error"] = exact.value, error
     place = problem.place_of(best.parameters)
-    side = (place == 1).astype(np.int8) - (place == 0).astype(np.int8)
+    at_ends = (place < BINDING_SLACK, place > 1 - BINDING_SLACK)  # rounding may leave it beside
+    side = at_ends[1].astype(np.int8) - at_ends[0].astype(np.int8)
     binding = trace.limits.binding(place)
     found["at_bound"] = "parameter", side
     found["binding"] = "measure", [name in binding for name in problem.measures]

@@ -77,7 +77,8 @@ def find_gait(
     - `guess`: a point of the section, from which a walk gives the other states of the cycle; or all
       states, of shape (period, section). The default for the simplest walker and a period of one
       is the long gait, which is stable at small slopes. Otherwise the default is the most stable
-      gait that `find_gaits` finds; it is not available while JAX traces.
+      gait that `find_gaits` finds, where none is stable in the walker's `further_gait_region` too;
+      it is not available while JAX traces.
     - `period`: strides in a cycle.
     - `tolerance`, `solver`: of the integration, as in `stride`.
 
@@ -130,6 +131,9 @@ def first_guess(
             "JAX traces"
         )
     found = find_gaits(walker, period, tolerance=tolerance)
+    further = walker.further_gait_region()
+    if further is not None and not any(gait.stable for gait in found):
+        found += find_gaits(walker, period, further, tolerance=tolerance)
     if not found:
         return np.full((period, len(walker.section)), np.nan)
     return min(found, key=lambda gait: np.abs(gait.multipliers[0])).states

@@ -62,7 +62,8 @@ class Same:
 def state_of(value: Any, seen: dict[int, int] | None = None) -> Hashable:
     """Equal for the same code that reads the same values.
 
-    Attributes of modules and of objects are not looked at: those are equal to themselves.
+    Attributes of modules and of objects are not looked at: these are equal to themselves, or to
+    what their class says.
     """
     seen = {} if seen is None else seen
     inner = functools.partial(state_of, seen=seen)
@@ -74,7 +75,7 @@ def state_of(value: Any, seen: dict[int, int] | None = None) -> Hashable:
     if id(value) in seen:
         return seen[id(value)]
     seen[id(value)] = len(seen)
-    if type(value) in (tuple, list):
+    if isinstance(value, tuple) or type(value) is list:
         return type(value), *map(inner, value)
     if type(value) in (dict, types.MappingProxyType):
         return dict, *((inner(key), inner(item)) for key, item in value.items())
@@ -94,7 +95,10 @@ def state_of(value: Any, seen: dict[int, int] | None = None) -> Hashable:
         bases = map(inner, value.__bases__)
         return Same(value), *((name, inner(one)) for name, one in named), *bases
     parts = [getattr(value, name) for name in PARTS if hasattr(value, name)]
-    return (type(value), *map(inner, parts)) if parts else Same(value)
+    if parts:
+        return type(value), *map(inner, parts)
+    by_value = isinstance(value, Hashable) and type(value).__eq__ is not object.__eq__
+    return inner(type(value)), value if by_value else Same(value)
 
 
 def values_in(value: Any) -> Hashable:

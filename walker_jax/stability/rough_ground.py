@@ -28,6 +28,7 @@ from walker_jax.execution.tiles import map_cells
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import find_gait
 from walker_jax.integrators.solvers import default_tolerance
+from walker_jax.kernels.outside_code import AsItIs
 from walker_jax.walkers.model import Walker, check_planar, check_single
 from walker_jax.walking.disturbed import Disturbance, DisturbedWalk, follow_disturbed_walk
 from walker_jax.walking.outcomes import Outcome
@@ -127,7 +128,7 @@ def walk_disturbed(
     while len(active) and done < limit:
         count = min(STRIDES_PER_CALL, limit - done)
         own = keys[pad_to_power_of_two(active)]
-        drawn = np.asarray(draw(ground, own, done, count))[: len(active)]
+        drawn = np.asarray(draw(AsItIs(ground), own, done, count))[: len(active)]
         part = map_cells(
             follow_disturbed_walk,
             (walker, end.state[active], drawn.astype(states.dtype), checked_tolerance),

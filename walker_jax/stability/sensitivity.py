@@ -21,6 +21,7 @@ from jaxtyping import Array, Float
 from walker_jax.checks import WrongUse, check_kind, short
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import find_gait
+from walker_jax.kernels.outside_code import AsItIs
 from walker_jax.walkers.model import Scalar, State, Walker, check_planar
 from walker_jax.walking.disturbed import Disturbance, follow_disturbed
 from walker_jax.walking.stepping import prepare
@@ -101,7 +102,8 @@ def gait_sensitivity(
     if len(gait.states) != 1:
         raise WrongUse(f"gait must be of period one, not {len(gait.states)}")
     walker, state, checked = prepare(walker, gait.states[0], tolerance)
-    return respond_to(walker, state, checked, (tuple(acts), tuple(looks)))
+    what = tuple(map(AsItIs, acts)), tuple(map(AsItIs, looks))
+    return respond_to(walker, state, checked, what)
 
 
 @partial(jax.jit, static_argnums=3)

@@ -59,7 +59,7 @@ CELLS = 40_000
 BEYOND, BETWEEN = 2 / 3, 1 / 3
 """Of the difference between cells of two sizes, one twice the other: what the smaller ones lack at
 the mean of first order (1) and of second (1/3), and how far either is from there. The logarithm of
-the mean life is of first order in cells of 0.4 to 0.8 standard deviations, and nearly of second
+the mean life seems of first order in cells of 0.4 to 0.8 standard deviations, and nearly of second
 below (docs/accuracy.md)."""
 PROBE = 0.8
 """Side of cells by which that side is found, in standard deviations of the states."""
@@ -107,11 +107,12 @@ def metastability(
 
     **Returns** a data set: `survival`, the chance not to fall in a stride of walks that have lasted
     long; `mean_strides`, the mean number of strides until a fall, from the gait on, as
-    `StepsToFall` has it, and its standard error `mean_strides_error`, of random numbers and of the
-    size of cells; `undecided`, how many strides had no answer: they are left out, and no walker is
-    said to fall where that is not known; and the quasi-stationary
-    distribution, over the small cells of the last repetition: `chance` of each, and its `centre`
-    in theta, thetadot and, if the ground is rough, the gap phi - 2 theta.
+    `StepsToFall` has it, and its standard error `mean_strides_error`, of the size of cells and of
+    random numbers, so that 1.96 of it make a 95 % interval, as by Student's t; `undecided`, how
+    many strides had no answer: they are left out, and no walker is said to fall where that is not
+    known; and the quasi-stationary distribution, over the small cells of the last repetition:
+    `chance` of each, and its `centre` in theta, thetadot and, if the ground is rough, the gap
+    phi - 2 theta.
 
     Raises `ValueError` for arguments out of range, and `ComputationFailed` where walks end too
     early to be called metastable, or so rarely that there are more than MOST_CELLS cells.
@@ -125,18 +126,21 @@ def metastability(
         raise WrongUse(f"side must be a number above 0, not {short(side)}")
     draw_one, key = read_ground(ground), read_key(key)
     start = start_of_walks(walker, gait, tolerance)
-    chart, lasting = draw_chart(walker, draw_one, key, start, tolerance)
-    step = partial(transition_matrix, walker, draw_one, chart, lasting, walkers, tolerance)
+    chart_from = partial(draw_chart, walker, draw_one, start=start, tolerance=tolerance)
+    step = partial(transition_matrix, walker, draw_one, walkers, tolerance)
     if side is None:
-        _, cells, _ = step(key, PROBE)
+        chart, lasting = chart_from(key)
+        _, cells, _ = step(chart, lasting, key, PROBE)
         size = PROBE * (len(cells) / CELLS) ** (1 / len(chart.centre))
     else:
         size = float(side)
     starts = np.broadcast_to(start, (PILOT_WALKS, len(start)))
     logs: list[list[list[float]]] = []
-    distribution, cells, undecided = np.zeros(0), np.zeros(0, np.int64), 0
+    undecided = 0
     for number in range(repetitions):
-        own, also = jax.random.split(jax.random.fold_in(key, number))
+        # Each has walks of its own to begin with, which are not forgotten in a few strides.
+        pilot, own, also = jax.random.split(jax.random.fold_in(key, number), 3)
+        chart, lasting = chart_from(pilot)
         keys = jax.random.split(also, PILOT_WALKS)
         first = walk_disturbed(walker, starts, draw_one, keys, 1, tolerance)
         made = first.state[first.outcome == Outcome.STRIDE]
@@ -144,7 +148,7 @@ def metastability(
         undecided += PILOT_WALKS - int(decided)
         logs.append([])
         for one in (2 * size, size):
-            chain, cells, unanswered = step(own, one)
+            chain, cells, unanswered = step(chart, lasting, own, one)
             undecided += unanswered
             survival, distribution, means = solve_chain(chain)
             if survival >= 1:
@@ -158,7 +162,7 @@ def metastability(
     coarse, fine = np.moveaxis(np.array(logs), 1, 0)
     extrapolated = fine + BEYOND * (fine - coarse)
     log_mean, log_odds = extrapolated.mean(axis=0)
-    scatter = extrapolated[:, 0].std(ddof=1) / np.sqrt(repetitions)
+    scatter = extrapolated[:, 0].std(ddof=1) / np.sqrt(repetitions) * widening(repetitions)
     error = np.hypot(scatter, BETWEEN * (fine - coarse)[:, 0].mean())
     centres = chart.points_in(cells, np.full((len(cells), len(chart.centre)), 0.5), size)
     coordinates = [*walker.section, "gap"][: len(chart.centre)]
@@ -180,6 +184,13 @@ def metastability(
             "version": f"walker-jax {version('walker-jax')}",
         },
     )
+
+
+def widening(repetitions: int) -> float:
+    """By how much the scatter of so few is widened, for 95 % intervals that are 1.96 of it."""
+    from scipy.special import ndtri, stdtrit
+
+    return float(stdtrit(repetitions - 1, 0.975) / ndtri(0.975))
 
 
 class Chart(NamedTuple):
@@ -217,7 +228,7 @@ def section_and_gap(states: Float[np.ndarray, "n 4"], size: int) -> Float[np.nda
 
 
 def draw_chart(
-    walker: Walker, ground: RandomDisturbance, key: Array, start: Any, tolerance: float | None
+    walker: Walker, ground: RandomDisturbance, key: Array, *, start: Any, tolerance: float | None
 ) -> tuple[Chart, Float[np.ndarray, "n 4"]]:
     """The states of walks that have lasted a few strides, and their chart."""
     keys = jax.random.split(key, PILOT_WALKS)
@@ -243,10 +254,10 @@ def draw_chart(
 def transition_matrix(
     walker: Walker,
     ground: RandomDisturbance,
-    chart: Chart,
-    states: Float[np.ndarray, "n 4"],
     walkers: int,
     tolerance: float | None,
+    chart: Chart,
+    states: Float[np.ndarray, "n 4"],
     key: Array,
     side: float,
 ) -> tuple[csr_array, Int[np.ndarray, " cells"], int]:

@@ -66,6 +66,7 @@ KINDS = {
             "states": V("number phase coordinate", "real", STATE, "the cycle; NaN after it"),
             "cells": V("number", "integer", "", "that converge to it"),
             "area": V("number", "real", AREA, "of these cells"),
+            "at_border": V("", "integer", "cells", "of basins that are at the grid's border", NEW),
             "artefact": V("number", "boolean", "", "cells alone, no attractor", MAPPED),
             "cycles": V("number", "integer", "", "of cells that belong to it", MAPPED),
             "falling": V("number", "integer", "", "centres that fall", MAPPED),
@@ -446,8 +447,11 @@ KINDS["robustness table"].variables.update(
             type="real",
             when="some walker has a gait" if name in COUNTS else one.when,
         )
-        for kind in ("refined basin", "robustness")
-        for name, one in KINDS[kind].variables.items()
+        for name, one in {
+            "at_border": KINDS["basin"].variables["at_border"],
+            **KINDS["refined basin"].variables,
+            **KINDS["robustness"].variables,
+        }.items()
         if "level" not in one.dims
     }
 )

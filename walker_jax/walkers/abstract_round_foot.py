@@ -7,7 +7,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from walker_jax.checks import WrongUse
-from walker_jax.walkers.heavy_legs import HeavyLegWalker
+from walker_jax.walkers.heavy_legs import HeavyLegWalker, pendulum_region
 from walker_jax.walkers.masses import leg
 from walker_jax.walkers.model import Scalar
 from walker_jax.walkers.parameters import Parameter
@@ -52,6 +52,10 @@ class AbstractRoundFootWalker(HeavyLegWalker):
             raise WrongUse(
                 "leg_inertia must be above 0 where com_from_hip and com_offset are 0, not 0"
             )
+
+    def further_gait_region(self):
+        """On large feet or steep slopes legs turn fast beside the rate of toppling."""
+        return pendulum_region(self.leg_length)
 
     def hip_and_legs(self, q: Float[Array, " 4"]) -> tuple[Float[Array, " 2"], Float[Array, " 6"]]:
         """The hip; and the legs' centres of mass and angles."""

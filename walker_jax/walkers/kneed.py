@@ -13,11 +13,10 @@ from jaxtyping import Array, Float
 
 from walker_jax import multibody
 from walker_jax.checks import WrongUse
-from walker_jax.grids import Grid
 from walker_jax.kernels.scalars import unroll
 from walker_jax.multibody import System
 from walker_jax.walkers.abstract_round_foot import FOOT_RADIUS
-from walker_jax.walkers.heavy_legs import HeavyLegWalker
+from walker_jax.walkers.heavy_legs import HeavyLegWalker, pendulum_region
 from walker_jax.walkers.masses import (
     MultibodyPhase,
     gravity,
@@ -144,11 +143,7 @@ class KneedWalker(HeavyLegWalker):
         return rises_ever_faster(self, state)
 
     def gait_region(self):
-        """Rates are counted in that of a pendulum of the leg's length: that of toppling, by which
-        other walkers are searched for, vanishes as feet grow."""
-        rate = 1 / float(np.sqrt(self.thigh_length + self.shank_length))
-        axes = {"theta": (0, 0.7, 35), "sum": (-0.6, 0.3, 50), "turn": (-1.1, 0.3, 24)}
-        return Grid(axes, np.array([[1, 0, 0], [-rate, rate, 0], [0, 0, rate]]))
+        return pendulum_region(self.thigh_length + self.shank_length)
 
     def conditions(self):
         if not self.check_lock:

@@ -162,6 +162,10 @@ class Walker(eqx.Module):
         }
         return Grid(axes, np.array([[1, 0, 0], [-rate, rate, 0], [0, 0, rate]]))
 
+    def further_gait_region(self) -> Grid | None:
+        """Where `find_gait` searches too if none in `gait_region` is stable. By default nowhere."""
+        return None
+
     def phases(self) -> tuple[Phase, ...]:
         """The phases of a stride before its last, the swing, in order. By default there is none."""
         return ()
