@@ -221,7 +221,8 @@ def margins_at_end(
     if walker.allow_scuffing:
         clears = jnp.isfinite(last.clearing)
         passed = jnp.where(clears, jnp.minimum(passed, last.clearing), passed)
-    falling = jnp.where(last.height > 0, jnp.maximum(last.miss, -last.height), last.miss)
+    missed = jnp.isfinite(last.miss) & (last.height <= 0)
+    falling = jnp.maximum(last.miss, jnp.where(missed, -jnp.inf, -jnp.abs(last.height)))
     ways = {
         Outcome.SIDEWAYS: ("sideways", jnp.minimum(right, left)),
         Outcome.BACKWARD: ("backward", jnp.minimum(back, next_back)),
