@@ -37,7 +37,8 @@ def failing(found: Margins) -> np.ndarray:
     return np.array(jax.vmap(failure_margin)(jax.tree.map(jnp.asarray, found)))
 
 
-@pytest.mark.parametrize("allow", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("allow", [False, True])
 def test_signs_are_the_outcomes(allow):
     """And a stride is the one that `strides` makes."""
     walker, xs = wj.SpatialWalker(allow_scuffing=allow), starts()
