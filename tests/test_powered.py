@@ -206,6 +206,7 @@ def test_masses_with_idle_motors_move_as_without(plain, powered):
     np.testing.assert_allclose(one.state, other.state, rtol=0, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_strides_and_margins_change_as_their_derivatives_say():
     """With the slope, each motor, and the height of the next foothold; differences of order 4."""
     values, x = jnp.array([0.009, 0.5, 0.1, -0.2, 0.01, 5e-4]), jnp.array([0.21, -0.22])

@@ -97,8 +97,15 @@ def state_of(value: Any, seen: dict[int, int] | None = None) -> Hashable:
     parts = [getattr(value, name) for name in PARTS if hasattr(value, name)]
     if parts:
         return type(value), *map(inner, parts)
-    by_value = isinstance(value, Hashable) and type(value).__eq__ is not object.__eq__
-    return inner(type(value)), value if by_value else Same(value)
+    return inner(type(value)), value if is_compared_by_value(value) else Same(value)
+
+
+def is_compared_by_value(value: Any) -> bool:
+    """Whether a thing is equal to others that it says are the same."""
+    with contextlib.suppress(Exception):  # whatever its class raises
+        hash(value)
+        return type(value).__eq__ is not object.__eq__
+    return False
 
 
 def values_in(value: Any) -> Hashable:
