@@ -1,4 +1,4 @@
-"""What code of other packages, or of a user's own, is at this moment, and what it reads.
+"""What a user's own code is at this moment, and what it reads around it.
 
 A program is made of functions as they are when they are traced. Those of a user's own may read
 globals, or variables of a function around them, that have other values at the next call: then it
@@ -11,7 +11,7 @@ import functools
 import sys
 import sysconfig
 import types
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +21,13 @@ import numpy as np
 from walker_jax.kernels.program_cache import KNOWN, NOT_CODE, PARTS
 
 PLAIN = str, bytes, bool, int, float, complex, type(None)
+"""Types of values that are told from all others by their words."""
 LARGEST = 2**16
 """Bytes of an array that is compared by its values; a larger one is compared by identity."""
 MOST_STRUCTURES = 1024
+"""Codes, trees and modules of which it is remembered what they are, each."""
 INSTALLED = [Path(sysconfig.get_path(name)) for name in ("stdlib", "purelib", "platlib")]
+"""Folders of code that is not a user's own."""
 
 
 class AsItIs:
@@ -89,7 +92,7 @@ def state_of(value: Any, seen: dict[int, int] | None = None) -> Hashable:
         return Same(value)
     if isinstance(value, types.FunctionType):
         parts = value.__defaults__, value.__kwdefaults__, value.__closure__
-        return value.__code__, *map(inner, parts), *map(inner, globals_of(value))
+        return value.__code__, *map(inner, parts), *map(inner, globals_of(value).values())
     if isinstance(value, type):
         named = ((name, vars(value)[name]) for name in sorted(vars(value).keys() - NOT_CODE))
         bases = map(inner, value.__bases__)
@@ -116,14 +119,19 @@ def values_in(value: Any) -> Hashable:
     return None
 
 
-def globals_of(function: types.FunctionType) -> Iterator[Any]:
-    """The values of the names around it that a function reads."""
+def globals_of(function: types.FunctionType) -> dict[str, Any]:
+    """What a function reads of the names around it."""
+    names = (name for code in codes_of(function) for name in names_read(code))
+    around = function.__globals__
+    return {name: around[name] for name in names if name in around}
+
+
+def codes_of(function: types.FunctionType) -> list[types.CodeType]:
+    """The code of a function, and of those within it."""
     codes = [function.__code__]
     for code in codes:
         codes += [one for one in code.co_consts if isinstance(one, types.CodeType)]
-        for name in names_read(code):
-            if name in function.__globals__:
-                yield function.__globals__[name]
+    return codes
 
 
 @functools.lru_cache(MOST_STRUCTURES)

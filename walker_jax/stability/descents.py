@@ -13,12 +13,12 @@ from jaxtyping import Bool, Float
 
 from walker_jax.stability.rays import (
     DENSE,
-    FINAL_DISTANCES,
     FINE,
     bisect,
-    first_failures,
+    first_on_ray,
     scan,
     spread_directions,
+    turned_rays,
 )
 
 Fails = Callable[[Float[np.ndarray, "n size"]], Bool[np.ndarray, " n"]]
@@ -65,12 +65,7 @@ def descend_to_failure(
         change = 1 - reached / lengths[going]
         rays[going], lengths[going] = tried, reached
         going[going] = change > SETTLED
-    ray, length = rays[lengths.argmin()][None], lengths.min()
-    while True:  # the first failure on its ray
-        closer = first_failures(fails, ray @ basis, 0.0, (1 - 1e-9) * length, FINAL_DISTANCES)
-        if np.isinf(closer[0]):
-            return length * ray[0] @ basis
-        length = bisect(fails, ray @ basis, closer, length / FINAL_DISTANCES, FINE)[0]
+    return first_on_ray(fails, rays[lengths.argmin()] @ basis, lengths.min())
 
 
 def turn(
@@ -81,12 +76,7 @@ def turn(
     lengths: Float[np.ndarray, " n"],
 ) -> tuple[Float[np.ndarray, "n rank"], Float[np.ndarray, " n"]]:
     """One step of each descent: the shortest of some rays between its own and the normal."""
-    with np.errstate(invalid="ignore", divide="ignore"):  # where there is no gradient
-        normal = gradient(lengths[:, None] * rays @ basis) @ basis.T
-        along = normal / np.sum(normal * rays, axis=1, keepdims=True) - rays
-    tried = rays[:, None] + TURNS[:, None] * along[:, None]
-    tried = np.where(np.isfinite(tried), tried, rays[:, None])
-    tried /= np.linalg.norm(tried, axis=2, keepdims=True)
+    tried = turned_rays(gradient, basis, rays, lengths, TURNS)
     flat = tried.reshape(-1, rays.shape[1]) @ basis
     reached = shorten(fails, flat, np.repeat(lengths, len(TURNS))).reshape(len(rays), -1)
     reached[:, 0] = np.minimum(reached[:, 0], lengths)  # that ray is the present one
@@ -105,11 +95,4 @@ def shorten(
     failed = fails(points.reshape(-1, rays.shape[1])).reshape(places.shape)
     number = failed.argmax(axis=1)
     first = np.where(failed.any(axis=1), places[np.arange(len(rays)), number], np.inf)
-    known = np.isfinite(first)
-    below, above = (first - gaps)[known], first[known]
-    for _ in range(FINE):
-        middle = (below + above) / 2
-        lost = fails(middle[:, None] * rays[known])
-        below, above = np.where(lost, below, middle), np.where(lost, middle, above)
-    first[known] = above
-    return first
+    return bisect(fails, rays, first, gaps, FINE)

@@ -58,13 +58,18 @@ def nearest_failure(
     lengths = np.minimum(lengths, closer)
     for _ in range(POLISHES if len(basis) > 1 else 0):
         best, lengths = polish(fails, gradient, basis, best, lengths, gap)
-    nearest = lengths.min()
-    ray = best[lengths.argmin()][None]
-    while True:  # the first failure on its ray
-        first = first_failures(fails, ray @ basis, 0.0, (1 - 1e-9) * nearest, FINAL_DISTANCES)
+    return first_on_ray(fails, best[lengths.argmin()] @ basis, lengths.min())
+
+
+def first_on_ray(
+    fails: Callable, ray: Float[np.ndarray, " size"], length: float
+) -> Float[np.ndarray, " size"]:
+    """The first failure on a ray that fails at some length, as far as it can be seen."""
+    while True:
+        first = first_failures(fails, ray[None], 0.0, (1 - 1e-9) * length, FINAL_DISTANCES)
         if np.isinf(first[0]):
-            return nearest * ray[0] @ basis
-        nearest = bisect(fails, ray @ basis, first, nearest / FINAL_DISTANCES, FINE)[0]
+            return length * ray
+        length = bisect(fails, ray[None], first, length / FINAL_DISTANCES, FINE)[0]
 
 
 def nearest_rays(
@@ -111,13 +116,8 @@ def polish(
     gap: float,
 ) -> tuple[Float[np.ndarray, "n rank"], Float[np.ndarray, " n"]]:
     """Turn rays towards the nearest point of a flat boundary, and keep those that are shorter."""
-    rank = len(basis)
-    with np.errstate(invalid="ignore", divide="ignore"):  # where there is no gradient
-        normal = gradient(lengths[:, None] * best @ basis) @ basis.T
-        along = normal / np.sum(normal * best, axis=1, keepdims=True) - best
-    tried = best[:, None] + np.concatenate([[0.0], POLISH_SHARES])[:, None] * along[:, None]
-    tried = np.where(np.isfinite(tried), tried, best[:, None])
-    tried /= np.linalg.norm(tried, axis=2, keepdims=True)
+    rank, shares = len(basis), np.concatenate([[0.0], POLISH_SHARES])
+    tried = turned_rays(gradient, basis, best, lengths, shares)
     flat, nearest = tried.reshape(-1, rank) @ basis, lengths.min()
     reached = first_failures(fails, flat, nearest - gap, nearest + gap, 8)
     reached = bisect_nearest(
@@ -176,16 +176,32 @@ def first_failures(
     return np.where(failed.any(axis=1), distances[failed.argmax(axis=1)], np.inf)
 
 
+def turned_rays(
+    gradient: Callable,
+    basis: Float[np.ndarray, "rank size"],
+    rays: Float[np.ndarray, "n rank"],
+    lengths: Float[np.ndarray, " n"],
+    shares: Float[np.ndarray, " m"],
+) -> Float[np.ndarray, "n m rank"]:
+    """Rays that are turned by shares of the way to the nearest point of a flat boundary."""
+    with np.errstate(invalid="ignore", divide="ignore"):  # where there is no gradient
+        normal = gradient(lengths[:, None] * rays @ basis) @ basis.T
+        along = normal / np.sum(normal * rays, axis=1, keepdims=True) - rays
+    turned = rays[:, None] + shares[:, None] * along[:, None]
+    turned = np.where(np.isfinite(turned), turned, rays[:, None])
+    return turned / np.linalg.norm(turned, axis=2, keepdims=True)
+
+
 def bisect(
     fails: Callable,
     rays: Float[np.ndarray, "n size"],
     high: Float[np.ndarray, " n"],
-    gap: float,
+    gap: float | Float[np.ndarray, " n"],
     times: int,
 ) -> Float[np.ndarray, " n"]:
     """Distances of the boundary, between those that fail and those a `gap` before, by bisection."""
     known = np.isfinite(high)
-    below, above = high[known] - gap, high[known]
+    below, above = (high - gap)[known], high[known]
     for _ in range(times):
         middle = (below + above) / 2
         failed = fails(middle[:, None] * rays[known])

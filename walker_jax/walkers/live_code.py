@@ -11,6 +11,7 @@ import types
 from pathlib import Path
 from typing import Any
 
+from walker_jax.kernels.outside_code import codes_of, globals_of
 from walker_jax.kernels.program_cache import NOT_CODE, PARTS
 from walker_jax.walkers.sources import (
     Sources,
@@ -97,18 +98,12 @@ class Description:
 
     def globals_of(self, function: types.FunctionType) -> dict[str, Any]:
         """What a function reads of the names around it; files that it imports are added."""
-        found: dict[str, Any] = {}
-        codes = [function.__code__]
-        for code in codes:
-            codes += [one for one in code.co_consts if isinstance(one, types.CodeType)]
+        for code in codes_of(function):
             for step in dis.get_instructions(code):
-                if step.opname in ("LOAD_GLOBAL", "LOAD_NAME", "LOAD_FROM_DICT_OR_GLOBALS"):
-                    if step.argval in function.__globals__:
-                        found[step.argval] = function.__globals__[step.argval]
-                elif step.opname == "IMPORT_NAME":
+                if step.opname == "IMPORT_NAME":
                     for path in located(Path.cwd(), step.argval.split(".")):
                         add_sources(path, Path.cwd(), self.sources)
-        return found
+        return globals_of(function)
 
     def describe_object(self, value: Any) -> Any:
         """What something is made of: by its parts if it wraps functions, otherwise as pickle does.

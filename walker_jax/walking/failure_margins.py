@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.typing import ArrayLike
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from walker_jax.checks import refuses_tracers
 from walker_jax.integrators.roots import (
@@ -50,6 +50,7 @@ from walker_jax.walking.stepping import begin_stride, during_stride, end_stride,
 from walker_jax.walking.swing import (
     conditions_of,
     equations,
+    is_below,
     may_stop_within,
     minimum_of,
     normal_force,
@@ -318,10 +319,6 @@ def first_margins(walker: Walker, start: Any, verdict: Array, tolerance: Scalar)
     return PhaseMargins(
         start, jnp.zeros_like(infinite), verdict, stopped, -infinite, infinite, least
     )
-
-
-def is_below(walker: Walker, state: State) -> Bool[Array, ""]:
-    return walker.contact(state) < 0
 
 
 def margins_from(

@@ -36,7 +36,7 @@ from walker_jax.walkers.spatial import GREATEST_LEAN, LEAST_STEP, SpatialWalker
 from walker_jax.walking.outcomes import Outcome, Stride
 from walker_jax.walking.phase_margins import upcrossing
 from walker_jax.walking.stepping import begin_stride, end_stride
-from walker_jax.walking.swing import equations, fall_of, minimum_of, normal_force
+from walker_jax.walking.swing import equations, fall_of, is_below, minimum_of, normal_force
 
 
 class StrideInSpace(NamedTuple):
@@ -178,10 +178,6 @@ def follow_in_space(
         below=with_fast_sincos(is_below)(walker, start),
     )
     return lax.while_loop(undecided, advance, first)
-
-
-def is_below(walker: SpatialWalker, state: SpatialState) -> Bool[Array, ""]:
-    return walker.contact(state) < 0
 
 
 def margins_in_space(

@@ -305,3 +305,8 @@ def minimum_of(
     carry = (zero, high, below, beyond, zero, jnp.full_like(time, jnp.inf))
     *_, best, least = lax.while_loop(unfinished, narrow, carry)
     return best, least
+
+
+def is_below(walker: Walker, state: Any) -> Bool[Array, ""]:
+    """Whether h < 0."""
+    return walker.contact(state) < 0
