@@ -193,6 +193,7 @@ KINDS = {
             "undecided": V("", "integer", "strides", "without an answer, left out"),
             "chance": V("cell", "real", "", "of each cell, of walks that still last"),
             "centre": V("cell direction", "real", STATE, "of each; and phi - 2 theta, in rad"),
+            "edges": V("edge direction", "real", STATE, "those of every cell, as vectors"),
             "direction": V("direction", "text", "", "`theta`, `thetadot` and, if rough, `gap`"),
         },
         WALKER | SECTION | {"side": "of a cell, in standard deviations of the states"},
