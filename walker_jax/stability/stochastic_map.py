@@ -156,7 +156,13 @@ def metastability(
             "walker": type(walker).__name__,
             **attributes_of(walker),
             "section": list(walker.section),
+            "ground": ground
+            if is_number(ground)
+            else getattr(ground, "__qualname__", repr(ground)),
             "side": size,
+            "walkers": walkers,
+            "repetitions": repetitions,
+            "key": np.asarray(jax.random.key_data(key)).tolist(),
             "version": f"walker-jax {version('walker-jax')}",
         },
     )
@@ -212,7 +218,7 @@ def chart_of(walks: DisturbedWalk) -> tuple[Chart, Float[np.ndarray, "n 4"]]:
             "to be metastable"
         )
     y = section_and_gap(lasting, 3)
-    rough = np.ptp(y[:, 2]) > 1e-12
+    rough = np.ptp(y[:, 2]) > max(1e-12, 100 * np.finfo(lasting.dtype).eps)
     y = y if rough else y[:, :2]
     centre = y.mean(axis=0)
     variances, directions = np.linalg.eigh(np.cov(y.T))
