@@ -206,7 +206,7 @@ def test_walks_last_as_long_as_the_stochastic_cell_map_says(gait, ground, limit)
     chain = wj.metastability(WALKER, ground, jax.random.key(2), gait=gait)
     mean, error = float(chain["mean_strides"]), float(chain["mean_strides_error"])
     assert mean - 1.96 * error < walks.high and walks.low < mean + 1.96 * error
-    assert error < 0.06 * mean
+    assert error < 0.15 * mean
     assert float(chain["chance"].sum()) == pytest.approx(1, abs=1e-12)
     # Once it has forgotten where it began, a walk makes survival / (1 - survival) more.
     late = walks.strides >= 20
