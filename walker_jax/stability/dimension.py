@@ -24,8 +24,8 @@ PAIRS = 50_000
 """Starts for each distance."""
 DISTANCES_IN_SPACE, PAIRS_IN_SPACE = 10.0 ** np.linspace(-4, -2.5, 6), 4_000
 """The same in `robustness` of walkers with more coordinates on their section than planar ones: a
-twenty-third of the starts, as each takes twenty times as long, at distances that are large enough
-for some tens of them to be uncertain and shorter than a cell of the default slice."""
+twenty-third of the starts, as each stride takes eleven times as long, at distances that are large
+enough for some tens of them to be uncertain and shorter than a cell of the default slice."""
 
 
 def comparisons(walker: Walker) -> dict[str, Any]:

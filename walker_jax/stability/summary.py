@@ -59,7 +59,7 @@ def robustness(
     - `grid`: grid for `refine` and `boundary_dimension`; by default all feasible angles of a walker
       on point feet, sum from -0.12 to 0.06 for the simplest and -1.1 to 0.1 for others, and a
       slice around the gait of any other walker, in space over yaw and leandot.
-    - `levels`, `check`: of refinement; a tenth of the starts will do in space.
+    - `levels`, `check`: of refinement; in space fewer starts take long enough.
     - `disturbances`: for `basin_stability`, shares of the coordinates of the gait's own state.
     - `strides`: number of strides in which a walker may return.
     - `seed`, `tolerance`: of random numbers, and of the integration.
