@@ -27,7 +27,7 @@ Shortened:
 ...
 | compass gait, 4 deg | stance rate | -1.139899112182 | -1.13989911217952 | +2.5e-12 | 12 | 11 |
 ...
-| refined to 3200 x 4000 cells | 0.0012074 | 1.2e-07 |
+| refined to 3200 x 4000 cells | 0.0012074 | 1.1e-07 |
 """
 
 import json

@@ -8,12 +8,12 @@ They agree, and refinement needs 21 to 44 times fewer strides. On two busy cores
 levels 6, uniform 5: areas, standard errors; million strides
 0.002: refined 0.00187808 +- 3.8e-07 (2.0e-04) by 5.6 in 18.1 s; uniform 0.00187805 +- 2.4e-07 by
     62.3 in 63.3 s; apart by 0.07 errors, 1.5e-05; ... 44.2 times as many strides
-0.004: refined 0.00167436 +- 3.8e-07 (2.2e-04) by 5.4 in 19.1 s; uniform 0.00167453 +- 2.4e-07 by
+0.004: refined 0.00167436 +- 3.7e-07 (2.2e-04) by 5.4 in 19.1 s; uniform 0.00167453 +- 2.4e-07 by
     60.4 in 32.3 s; apart by 0.38 errors, 1.0e-04; ... 44.5 times as many strides
-0.009: refined 0.00143634 +- 4.5e-07 (3.1e-04) by 6.4 in 14.9 s; uniform 0.00143682 +- 2.8e-07 by
+0.009: refined 0.00143634 +- 4.5e-07 (3.2e-04) by 6.4 in 14.9 s; uniform 0.00143682 +- 2.8e-07 by
     58.4 in 33.7 s; apart by 0.90 errors, 3.3e-04; ... 36.3 times as many strides
-0.015: refined 0.00072310 +- 3.3e-07 (4.6e-04) by 17.5 in 74.5 s; uniform 0.00072286 +- 4.1e-07 by
-    93.8 in 98.4 s; apart by 0.46 errors, 3.4e-04; ... 21.4 times as many strides
+0.015: refined 0.00072310 +- 3.5e-07 (4.8e-04) by 17.5 in 74.5 s; uniform 0.00072286 +- 4.1e-07 by
+    93.8 in 98.4 s; apart by 0.45 errors, 3.4e-04; ... 21.4 times as many strides
 """
 
 import sys

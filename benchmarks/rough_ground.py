@@ -26,7 +26,7 @@ SLOPE = 0.009
 GAINS = 3.37, 2.2
 """Of the slack angle of a hip spring: those that benchmarks/predictors.py finds for the norm."""
 MOST_STRIDES = 20_000_000
-WALKS, REPETITIONS = 2000, 10
+WALKS = 2000
 SPEED_WALKS, SPEED_STRIDES = 40_000, 50
 
 
@@ -70,7 +70,7 @@ def compare_means(cases: list, seed: int) -> None:
         limit = MOST_STRIDES // WALKS
         key, other = jax.random.key(seed), jax.random.key(seed + 1)
         walks = wj.steps_to_fall(walker, ground, WALKS, key, gait=gait, limit=limit)
-        chain = wj.metastability(walker, ground, other, gait=gait, repetitions=REPETITIONS)
+        chain = wj.metastability(walker, ground, other, gait=gait)
         mean, error = float(chain["mean_strides"]), 1.96 * float(chain["mean_strides_error"])
         low, high = mean - error, mean + error
         agree = low < walks.high and walks.low < high

@@ -578,7 +578,8 @@ def test_robustness_answers_keeps_and_draws(run, tmp_path, monkeypatch):
     assert (code, err) == (0, "")
     answer = json.loads(out)
     assert list(answer) == [
-        *("walker", "slope", "area", "area_error", "gait", "least_disturbance", "least_fall"),
+        *("walker", "slope", "area", "area_error", "at_border"),
+        *("gait", "least_disturbance", "least_fall"),
         *("step_down", "step_down_failure", "step_down_fall"),
         *("basin_stability", "boundary_dimension"),
     ]
@@ -622,6 +623,7 @@ def test_answers_on_robustness(run, tmp_path, monkeypatch):
         "step_down_failure": 1,
         "step_down_fall": 0.03125,
         **{"median_strides": 12.0, "slowest_strides": np.inf},
+        "at_border": 23,
     }
     one, none = data.assign(found), data.assign(without_gait(walker))
     names = [name for name in one if set(one[name].dims) <= {"coordinate"}]
@@ -649,6 +651,8 @@ def test_answers_on_robustness(run, tmp_path, monkeypatch):
     }
     assert answer["boundary_dimension"] == {"value": 1.5, "low": 1.4, "high": 1.75}
     text = run("robustness")[1]
+    assert answer["at_border"] == 23
+    assert "    the basin reaches the border of the grid, in 23 cells\n" in text
     assert "FORWARD after 7 strides" in text and "least step down 0.03125000" in text
     assert "25.0% (20.0% to 37.5%)" in text and "1.500 (1.400 to 1.750)" in text
     assert "falls" not in text
@@ -668,7 +672,7 @@ def test_answers_on_robustness(run, tmp_path, monkeypatch):
     nearer = {"failure": 0, "failing_strides": 500, "fall_strides": 9, "step_down_failure": 0}
     nearer |= {"least_fall": 0.03, "step_down_fall": 0.0625}
     nearer |= {"fall_direction": one["direction"], "fall_state": one["gait_state"] + [0.0, 0.03]}
-    one = one.assign(nearer)
+    one = one.assign(nearer | {"at_border": 0})
     for name in ("robustness.png", "t.png"):
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
     monkeypatch.setattr("walker_jax.cli.robustness_command.draw", lambda *_: None)
@@ -679,6 +683,7 @@ def test_answers_on_robustness(run, tmp_path, monkeypatch):
     assert answer["least_fall"]["strides"] == 9 and answer["step_down_fall"] == 0.0625
     text = run("robustness")[1]
     assert "least disturbance 0.01000000 along (0.0000, 1.0000): leads to another motion" in text
+    assert "border" not in text
     assert "from which it falls 0.03000000 along (0.0000, 1.0000): FORWARD after 9 strides" in text
     assert "step down 0.03125000: leads to another motion; falls from 0.06250000" in text
     one = one.drop_vars([name for name in one if "fall" in str(name)] + ["step_down_failure"])

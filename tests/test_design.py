@@ -1,5 +1,6 @@
 """Walkers that are optimised end where independent searches end, and say so."""
 
+import itertools
 import json
 from typing import Any
 
@@ -288,8 +289,15 @@ def test_a_problem_is_described_by_its_density_and_by_the_plane_of_its_grid():
         wj.Grid.through({"theta": 0.2, "thetadot": -0.26, "phidot": at}, theta=(-0.1, 0.1, 4))
         for at in (-0.05, -0.4)
     ]
-    one, two = (describe_problem(weighted._replace(grid=g, density=None)) for g in through)
-    assert one["region"] != two["region"]
+    box = {"theta": (0, 0.4, 8), "sum": (-0.04, 0.01, 5)}
+    turned = [wj.Grid(box, np.array([[1, 0], [slant, 1]])) for slant in (0, -1, 2)]
+    regions = [
+        json.loads(describe_problem(weighted._replace(grid=grid, density=None))["region"])
+        for grid in (*through, *turned, plane)
+    ]
+    assert all(one != two for one, two in itertools.combinations(regions[:5], 2))
+    assert regions[4]["shear"] == [[1, 0], [2, 1]] and regions[4]["origin"] == [0, 0]
+    assert regions[3] == regions[5] == {name: list(axis) for name, axis in box.items()}
 
 
 def test_limits_hold_at_a_loose_tolerance(no_basins):

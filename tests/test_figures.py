@@ -10,6 +10,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib.collections import QuadMesh
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.legend import Legend
@@ -1166,3 +1167,30 @@ def test_of_more_parameters_the_others_are_at_their_first_values_and_named():
     assert "3 × 2 × 2 basins" in note and "0.1" in note
     line = figures.sweep(data.isel(hip_stiffness=0, foot_mass=0), Figure().add_subplot())
     assert line.containers
+
+
+def test_cells_of_metastable_walking_are_drawn_over_all_of_their_area():
+    """Two cells beside each other; the third edge is along the gap, which is not drawn."""
+    found = {
+        "survival": 0.99,
+        "mean_strides": 100.0,
+        "mean_strides_error": 1.0,
+        "chance": ("cell", [0.75, 0.25]),
+        "centre": (("cell", "direction"), [[0.20, -0.20, 0.0], [0.22, -0.21, 0.0]]),
+        "edges": (("edge", "direction"), [[0.02, -0.01, 0], [0.0, 0.01, 0], [0, 0, 0.001]]),
+    }
+    directions = {"direction": np.array(["theta", "thetadot", "gap"], object)}
+    attributes = {"walker": "SimplestWalker", "slope": 0.009, "section": ["theta", "thetadot"]}
+    data = completed(xr.Dataset(found, directions, attributes), "metastable walking")
+    ax = figures.metastability(data)
+    (mesh,) = [one for one in ax.collections if isinstance(one, QuadMesh)]
+    drawn = np.ma.filled(np.ma.asarray(mesh.get_array()), 0)
+    assert drawn.sum() == pytest.approx(1, abs=1e-12)
+    half = drawn.shape[1] // 2
+    assert drawn[:, :half].sum() == pytest.approx(0.75, abs=1e-12)
+    columns = np.flatnonzero(drawn.sum(axis=0))
+    assert np.diff(columns).max() <= half / 8 + 1  # of points of a cell, eight along each edge
+    corners = np.asarray(mesh.get_coordinates())
+    np.testing.assert_allclose(corners[0, 0, 0], 0.19, rtol=0, atol=0.002)
+    np.testing.assert_allclose(corners[0, -1, 0], 0.23, rtol=0, atol=0.002)
+    assert "100 ± 2" in ax.get_title()

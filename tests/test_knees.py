@@ -12,9 +12,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import walker_jax as wj
-from walker_jax import BentState, KneedWalker, Outcome, RoundFootWalker, State
+from walker_jax import BentState, KneedWalker, Outcome, Phase, RoundFootWalker, State
 from walker_jax.gaits.derivatives import linearise
-from walker_jax.walkers.kneed import begin_bent, stance_knee_moment
+from walker_jax.walkers.kneed import FreeKnee, begin_bent, stance_knee_moment
 from walker_jax.walkers.parameters import parameters
 
 PUBLISHED = json.loads((Path(__file__).parent / "data" / "kneed_walkers.json").read_text())
@@ -655,6 +655,48 @@ def test_a_motion_has_the_knee():
     ending = wj.motion(WALKER, lands, 1, step=0.02).isel(frame=-1)
     lowest = ending["swing"][1] - WALKER.foot_radius
     assert ending["knee"] > 0 and abs(float(lowest)) < 0.05
+    on_step = wj.walk(WALKER, starts(400), 1, ground=[0.01]).outcomes[:, 0] == Outcome.BENT_KNEE
+    for lands in starts(400)[on_step]:
+        motion = wj.motion(WALKER, lands, 1, step=0.02, ground=[0.01])
+        ahead = (motion["swing"] - motion["stance"])[:, 0].values > 0
+        above = motion["swing"][:, 1].values > 0.01
+        assert not np.any(
+            ahead[:-1] & ~above[:-1] & np.roll(above, 1)[:-1]
+        )  # but in the last frame
+
+
+class Coast(Phase):
+    """A second phase, with straight legs and nothing new, until the stance leg is past upright."""
+
+    def begin(self, state):
+        return state
+
+    def vector_field(self, state):
+        return self.walker.vector_field(state)
+
+    def contact_force(self, state):
+        return self.walker.contact_force(state)
+
+    def event(self, state):
+        return -state.theta - 0.05
+
+    def end(self, state):
+        return state
+
+
+class TwoPhases(KneedWalker):
+    def phases(self):
+        return FreeKnee(self), Coast(self)
+
+
+@pytest.mark.slow
+def test_a_motion_through_phases_of_several_kinds_of_state():
+    """Two phases before the swing whose states differ: all are shown as those of the first."""
+    times = np.linspace(0, 1.6, 9)
+    parameters = {one.name: getattr(WALKER, one.name) for one in dataclasses.fields(WALKER)}
+    expected = wj.trajectory(WALKER, START, times)
+    found = wj.trajectory(TwoPhases(**parameters), START, times)
+    np.testing.assert_allclose(np.stack(found), np.stack(expected), rtol=0, atol=1e-9)
 
 
 def test_walkers_with_impossible_shanks_are_refused():

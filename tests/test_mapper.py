@@ -39,8 +39,10 @@ def test_rounds_change_nothing(starts, count, monkeypatch):
     """Against walks stride by stride, however the strides are divided into rounds."""
     states, outcome = walks_of(starts, count)
     assert {0, 1, 2, 5} <= set(outcome.tolist())
-    for rounds in ((4, 16, 64), (1,), (7, 2)):
+    assert len(starts) < iteration.MANY_WALKS
+    for rounds, many in (((4, 16, 64), 1), ((4, 16, 64), 1000), ((1,), 1000), ((7, 2), 100)):
         monkeypatch.setattr(iteration, "ROUNDS", rounds)
+        monkeypatch.setattr(iteration, "MANY_WALKS", many)
         end = iterate(WALKER, starts, count, None)
         np.testing.assert_array_equal(end.outcome, outcome)
         np.testing.assert_array_equal(end.strides, np.isfinite(states[:, 1:, 0]).sum(axis=1))

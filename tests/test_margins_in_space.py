@@ -182,3 +182,31 @@ def test_basin_stability_without_the_way_back_is_the_same_share():
     assert plain.value == quick.value and 0.2 < quick.value < 0.95
     assert np.isnan(quick.median) and np.isfinite(plain.median)
     np.testing.assert_array_equal(plain.fates, quick.fates)
+
+
+@pytest.mark.slow
+def test_the_gradient_of_a_slice_is_that_of_areas():
+    """Of the slice over yaw and rate of lean, by the hip's width."""
+    width = float(WALKER.hip_width)
+    point = dict(zip(WALKER.section, GAIT.tolist(), strict=True))
+    around = lambda name, half: (point[name] - half, point[name] + half, 16)
+    grid = wj.Grid.through(point, yaw=around("yaw", 0.25), leandot=around("leandot", 0.05))
+    found = wj.area_gradient(WALKER, grid, ["hip_width"], levels=3, strides=100, check=1000)
+    areas = [
+        float(wj.refine(wj.SpatialWalker(hip_width=w), grid, 4, strides=100, check=1000).total_area)
+        for w in (width - 0.004, width + 0.004)
+    ]
+    assert found.lost == 0 and found.crossings > 100 and not found.averaged.any()
+    assert found.gradient[0] == pytest.approx((areas[1] - areas[0]) / 0.008, rel=0.08)
+    assert found.area == pytest.approx(np.mean(areas), rel=0.02)
+
+
+@pytest.mark.slow
+def test_the_boundary_leads_to_where_a_disc_grazes():
+    """From a push to the side that scuffs after some strides: the last of them just touches."""
+    push = 0.02 * np.eye(7)[4]
+    found = wj.edge_state(WALKER, GAIT, GAIT + push, rounds=30)
+    assert found.kind == "scuffing" and found.margin < 1e-12
+    assert set(found.fates) == {Outcome.STRIDE, Outcome.SCUFFED}
+    ends = np.asarray(wj.strides(WALKER, found.path[:-1]).state)
+    np.testing.assert_allclose(ends, found.path[1:], atol=1e-9)

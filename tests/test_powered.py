@@ -11,7 +11,9 @@ import pytest
 import walker_jax as wj
 from walker_jax import multibody
 from walker_jax.checks import WrongUse
+from walker_jax.design.measures import cost_is_known
 from walker_jax.gaits.derivatives import linearise
+from walker_jax.walkers.powered_masses import AbstractPoweredWalker
 
 GRID = wj.Grid.sheared(theta=(0, 0.6, 40), sum=(-0.1, 0.05, 40))
 STARTS = GRID.centres(np.arange(GRID.size))
@@ -93,6 +95,41 @@ def test_cost_of_transport_has_the_work_of_the_hip_and_of_push_off():
         there = wj.find_gait(other, state)
         values.append(wj.gait_measures(other, (), there)["cost-of-transport"].value)
     assert cost.gradient[0] == pytest.approx((values[1] - values[0]) / 2e-4, rel=1e-5)
+
+
+def test_the_work_of_motors_is_not_known_with_phases():
+    """What a phase's impact loses would be taken for work that is done on the motors."""
+
+    class Halves(wj.PoweredPointFootWalker):
+        def phases(self):
+            return (Half(self),)
+
+    class PoweredKnees(AbstractPoweredWalker, wj.KneedWalker):
+        pass
+
+    for walker in (Halves(slope=0.009, foot_mass=0.05), PoweredKnees(slope=0.05)):
+        assert not cost_is_known(walker)
+    assert cost_is_known(wj.PoweredPointFootWalker(slope=0.009, foot_mass=0.05))
+    assert cost_is_known(wj.KneedWalker(0.05))
+
+
+class Half(wj.Phase):
+    """Of the swing, until the legs pass each other: then the swing leg is slowed down."""
+
+    def begin(self, state):
+        return state
+
+    def vector_field(self, state):
+        return self.walker.vector_field(state)
+
+    def contact_force(self, state):
+        return self.walker.contact_force(state)
+
+    def event(self, state):
+        return -state.phi
+
+    def end(self, state):
+        return state._replace(phidot=0.995 * state.phidot)
 
 
 def test_a_walker_climbs():

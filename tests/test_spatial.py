@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -280,6 +281,25 @@ def test_its_second_gait_is_that_of_an_independent_integration():
     np.testing.assert_allclose(MIRROR * end, other.states[0], rtol=0, atol=1e-9)
     assert abs(time - other.step_times[0]) < 1e-9 and abs(time - 0.567296) < 1e-6
     np.testing.assert_allclose(np.abs(other.multipliers[:2]), [4.236662, 1.551392], rtol=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("radius", [0.0, 0.1236, 0.2])
+def test_a_step_lets_the_weight_down_by_what_the_impact_loses(gait, radius):
+    """Of a gait: the energy lost at heel strike is weight times sin(slope) times the step."""
+    walker = eqx.tree_at(lambda one: one.disc_radius, WALKER, jnp.asarray(radius))
+    found = wj.find_gait(walker, gait.states)
+    x, time = found.states[0], found.step_times[0]
+    end = jax.tree.map(lambda values: values[0], wj.trajectory(walker, x, time[None]))
+    after = walker.exchange_legs(walker.impact(end)[1])
+    before, left = (
+        float(multibody.kinetic_energy(walker.system(), *all_coordinates(walker, one)))
+        for one in (end, after)
+    )
+    step = (before - left) / (2 * float(walker.leg_mass) * np.sin(float(walker.slope)))
+    measures = wj.gait_measures(walker, ["disc_radius"], found)
+    assert measures["step-length"].value == pytest.approx(step, rel=1e-9)
+    assert measures["speed"].value == pytest.approx(step / float(time), rel=1e-9)
 
 
 @pytest.mark.slow

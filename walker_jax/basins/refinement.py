@@ -18,7 +18,7 @@ from walker_jax.basins.capture_boxes import with_capture_boxes
 from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.memory import check_grid
 from walker_jax.basins.methods import mapper_of_grid
-from walker_jax.basins.refined_cells import REDRAWN, SPREAD, RefinedCells
+from walker_jax.basins.refined_cells import REDRAWN, RefinedCells
 from walker_jax.basins.runs import Runs
 from walker_jax.basins.schema import ATTRIBUTES, Basins, add_attractors, describe, to_dataset
 from walker_jax.checks import check_precision, check_whole, refuses_tracers
@@ -57,7 +57,7 @@ def refine(
     - `levels`: how many times cells are cut; none gives the coarse grid.
     - `strides`: how many of them a walker is followed for.
     - `check`: starts drawn among the cells that inherited their fate, twice; and once, up to
-      20,000, among those on the boundary, for the error that these bring.
+      20,000, among those that were followed, for the error that these bring.
     - `seed`: of what is drawn.
     - `tolerance`: of the integration, as in `stride`.
     - `progress`: whether to show progress bars on a terminal.
@@ -223,15 +223,11 @@ def refine_cells(
     missing = (weight[depth] * excess)[excess != 0]
     walks = cells.runs.attractor >= 0
     area = (cells.runs.lengths[walks].sum() + missing.sum()) * finest.cell_area
-    mixed = cells.cells[cells.on_boundary(walks)]
-    spread = SPREAD
-    if not by_centres or len(grid.names) > 2:
-        spread = cells.measure_spread(mixed, min(check, REDRAWN))
+    # searches for an optimum ask often for areas by centres, and need no more than a rough error
+    measured = not by_centres or len(grid.names) > 2
+    variance = cells.measure_variance(min(check, REDRAWN) if measured else 0)
     # as if there were one mistake more than were found, lest none be taken for certainty
-    variance = len(mixed) * spread + ((mistakes + 1) * weight**2).sum()
-    if levels == 0 and check and not by_centres:  # coarse cells with no neighbour of another fate
-        alike = np.setdiff1d(cells.cells, mixed, assume_unique=True)
-        variance += len(alike) * cells.measure_spread(alike, min(check, REDRAWN))
+    variance += ((mistakes + 1) * weight**2).sum()
     variance = np.nan if check == 0 and levels else variance * finest.cell_area**2
     return Refined(
         grid=finest,

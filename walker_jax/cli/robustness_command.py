@@ -137,6 +137,8 @@ def robustness(
 def print_measures(row: dict) -> None:
     """The answer of `robustness` on one slope, in words."""
     print(f"  slope {row['slope']:g}: area {row['area']:.7g} +- {row['area_error']:.1g}")
+    if row["at_border"]:
+        print(f"    the basin reaches the border of the grid, in {row['at_border']} cells")
     if row["gait"] is None:
         print("    no gait attracts")
         return

@@ -5,7 +5,7 @@ derivatives, by the implicit function.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +16,7 @@ from walker_jax.checks import check_kind, refuses_tracers
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.derivatives import gait_derivatives
 from walker_jax.gaits.search import find_gait
-from walker_jax.walkers.model import Scalar, State, Walker
+from walker_jax.walkers.model import Scalar, Walker
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 from walker_jax.walking.stepping import stride, trajectory
 
@@ -68,12 +68,14 @@ def gait_measures(
 
     def mean_step_length(walker: Walker, states: Float[Array, "period section"]) -> Scalar:
         """The mean length of the steps, each measured at the heel strike that ends it."""
-        before = lambda x: walker.reach(walker.exchange_legs(walker.lift(x)))
-        return jnp.mean(jnp.stack([before(x) for x in states]))
+        return jnp.mean(jnp.stack([step_length(walker, x) for x in states]))
 
     def work_per_length(walker: Walker, states: Float[Array, "period section"]) -> Scalar:
         """Work of motors per unit of weight and of distance."""
-        works = [walker.during_stride(x).motor_work(*ends_of_stride(walker, x)) for x in states]
+        works = [
+            walker.during_stride(x).motor_work(walker.lift(x), end_of_stride(walker, x))
+            for x in states
+        ]
         known = jnp.stack([work for work in works if work is not None])
         return jnp.mean(known) / mean_step_length(walker, states)
 
@@ -112,10 +114,21 @@ def gait_measures(
     }
 
 
-def ends_of_stride(walker: Walker, x: Float[Array, " section"]) -> tuple[State, State]:
-    """Full states just after a heel strike and just before the next."""
+def step_length(walker: Walker, x: Float[Array, " section"]) -> Scalar:
+    """Of the step that a heel strike ends; after it, or before it, the walker is at x.
+
+    A foot of two coordinates stands where it is, or rolls by its angle. Where a disc has rolled to
+    in space, its stride tells.
+    """
+    if "x" in walker.state._fields:
+        return walker.reach(end_of_stride(walker, x))
+    return walker.reach(walker.exchange_legs(walker.lift(x)))
+
+
+def end_of_stride(walker: Walker, x: Float[Array, " section"]) -> Any:
+    """The full state just before the heel strike that ends a stride."""
     motion = trajectory(walker, x, stride(walker, x).time[None])
-    return walker.lift(x), State(*(values[0] for values in motion))
+    return jax.tree.map(lambda values: values[0], motion)
 
 
 def cost_is_known(walker: Walker) -> bool:

@@ -210,12 +210,16 @@ def describe_problem(problem: Problem) -> dict:
 
 
 def describe_region(grid: Grid | None) -> dict:
-    """The axes of a grid; of one through a point, its origin and its directions too."""
+    """The axes of a grid; its origin and directions too, unless the names of its axes tell them."""
     if grid is None:
         return {}
     origin, shear = np.asarray(grid.origin), np.asarray(grid.shear)
-    through = {"origin": origin.tolist(), "shear": shear.tolist()} if origin.any() else {}
-    return grid.box | through
+    by_names = np.eye(*shear.shape)
+    if grid.names[:2] == ("theta", "sum"):
+        by_names[1, 0] = -1
+    if not origin.any() and np.array_equal(shear, by_names):
+        return grid.box
+    return grid.box | {"origin": origin.tolist(), "shear": shear.tolist()}
 
 
 def describe_density(problem: Problem) -> dict:

@@ -11,8 +11,8 @@ from walker_jax.figures.style import SMALL
 from walker_jax.figures.text import walker_title
 from walker_jax.storage.schema import check_dataset
 
-PIXELS = 60
-"""Of the picture along each side: wide enough for a cell or more, or stripes would show."""
+PIXELS, PARTS = 120, 8
+"""Of the picture along each side; and of a cell along each edge, so that it leaves no stripes."""
 FAINTEST = 1e-6
 """Chance, over the largest one, below which a pixel is empty."""
 
@@ -35,11 +35,14 @@ def metastability(data: xr.Dataset, ax: Axes | None = None) -> Axes:
         figure = Figure(figsize=(6.4, 5.2), layout="constrained")
         ax = figure.subplots()
         figure_title(figure, walker_title(data), 12)
-    theta, thetadot = data["centre"].values.T[:2]
-    chance = data["chance"].values
-    x, y = theta, theta + thetadot
+    edges, chance = data["edges"].values, data["chance"].values
     seen = chance > FAINTEST * chance.max()
-    sums, *edges = np.histogram2d(x[seen], y[seen], PIXELS, weights=chance[seen])
+    shares = (np.arange(PARTS) + 0.5) / PARTS - 0.5
+    parts = np.stack(np.meshgrid(*[shares] * len(edges)), axis=-1).reshape(-1, len(edges)) @ edges
+    points = data["centre"].values[seen][:, None] + parts
+    theta, thetadot = points[..., 0].ravel(), points[..., 1].ravel()
+    weights = np.repeat(chance[seen] / len(parts), len(parts))
+    sums, *edges = np.histogram2d(theta, theta + thetadot, PIXELS, weights=weights)
     highest = sums.max()
     image = ax.pcolormesh(
         *edges,

@@ -11,11 +11,10 @@ left, a fall has the eigenvalue 1, and this one is the second.)
 Where strides begin within a cell matters: uniformly distributed starts spread states, so that walks
 seem shorter by as much as a half. So all cells have as many walkers, which stand where walkers
 arrived, each with the chance of its arrival: a weighted ensemble (Huber and Kim 1996, Biophys. J.
-70:97-110). What remains of the size of cells is that a walker forgets where in its cell it was,
-which shortens walks too.
+70:97-110). Strides count in P by that chance, so that starts within a cell are distributed as those
+of long walks are, and the chance to survive is right for cells of any size.
 """
 
-from functools import partial
 from importlib.metadata import version
 from typing import Any, NamedTuple
 
@@ -46,7 +45,7 @@ from walker_jax.stability.rough_ground import (
 )
 from walker_jax.walkers.model import Walker, check_planar
 from walker_jax.walkers.parameters import attributes_of
-from walker_jax.walking.disturbed import Disturbance, follow_disturbed
+from walker_jax.walking.disturbed import Disturbance, DisturbedWalk, follow_disturbed
 from walker_jax.walking.outcomes import Outcome
 
 PILOT_WALKS, PILOT_STRIDES = 20_000, 8
@@ -54,16 +53,7 @@ PILOT_WALKS, PILOT_STRIDES = 20_000, 8
 multiples of the time in which a stable gait forgets a disturbance."""
 FEWEST_SURVIVORS = 200
 """Of the pilot, below which there is too little to tell where states are."""
-CELLS = 40_000
-"""Small cells, about, where no side is given: a repetition takes some ten seconds on two cores."""
-BEYOND, BETWEEN = 2 / 3, 1 / 3
-"""Of the difference between cells of two sizes, one twice the other: what the smaller ones lack at
-the mean of first order (1) and of second (1/3), and how far either is from there. The logarithm of
-the mean life seems of first order in cells of 0.4 to 0.8 standard deviations, and nearly of second
-below (docs/accuracy.md)."""
-PROBE = 0.8
-"""Side of cells by which that side is found, in standard deviations of the states."""
-FORGOTTEN, ROUNDS = 4, 12
+FORGOTTEN, ROUNDS = 20, 80
 """Strides in which the ensemble forgets how it began, and those that it makes in all."""
 MOST_CELLS, FEWEST_IN_CELL = 1_000_000, 12
 """Most cells, which take some GB of memory, and fewest walkers in each."""
@@ -85,34 +75,31 @@ def metastability(
     key: Any = None,
     *,
     gait: Gait | None = None,
-    side: float | None = None,
-    walkers: int = 200_000,
+    side: float = 0.8,
+    walkers: int = 100_000,
     repetitions: int = 4,
     tolerance: float | None = None,
 ) -> xr.Dataset:
     """How long a walker walks on rough ground, by a stochastic cell map (Ulam's method).
 
     It costs about the same however rare falls are, and is independent of `steps_to_fall`, which
-    follows walks. The result is extrapolated from cells of two sizes, and half of what the order of
-    that leaves open counts as its error.
+    follows walks.
 
     **Arguments:**
 
     - `walker`: one whose section has two coordinates.
     - `ground`, `key`, `gait`, `tolerance`: as in `steps_to_fall`.
-    - `side`: of the small cells, in standard deviations of states along each direction; by default
-      so that there are about CELLS of them.
-    - `walkers`: in all cells together, 12 or more in each, which make 12 strides.
-    - `repetitions`: of the whole with other random numbers, whose scatter gives the other error.
+    - `side`: of cells, in standard deviations of states along each direction.
+    - `walkers`: in all cells together, 12 or more in each, which make 80 strides.
+    - `repetitions`: of the whole with other random numbers, whose scatter gives the error.
 
     **Returns** a data set: `survival`, the chance not to fall in a stride of walks that have lasted
     long; `mean_strides`, the mean number of strides until a fall, from the gait on, as
-    `StepsToFall` has it, and its standard error `mean_strides_error`, of the size of cells and of
-    random numbers, so that 1.96 of it make a 95 % interval, as by Student's t; `undecided`, how
-    many strides had no answer: they are left out, and no walker is said to fall where that is not
-    known; and the quasi-stationary distribution, over the small cells of the last repetition:
-    `chance` of each, and its `centre` in theta, thetadot and, if the ground is rough, the gap
-    phi - 2 theta.
+    `StepsToFall` has it, and its standard error `mean_strides_error`, of which 1.96 make a 95 %
+    interval, as by Student's t; `undecided`, how many strides had no answer: they are left out, and
+    no walker is said to fall where that is not known; and the quasi-stationary distribution, over
+    the cells of the last repetition: `chance` of each, and its `centre` in theta, thetadot and, if
+    the ground is rough, the gap phi - 2 theta; and the `edges` that all cells have.
 
     Raises `ValueError` for arguments out of range, and `ComputationFailed` where walks end too
     early to be called metastable, or so rarely that there are more than MOST_CELLS cells.
@@ -122,48 +109,36 @@ def metastability(
         raise WrongUse(f"walker must have two section coordinates, not {walker.section}")
     check_whole("walkers", walkers)
     check_whole("repetitions", repetitions, 2)
-    if side is not None and not (is_number(side) and 0 < side < np.inf):
+    if not (is_number(side) and 0 < side < np.inf):
         raise WrongUse(f"side must be a number above 0, not {short(side)}")
     draw_one, key = read_ground(ground), read_key(key)
     start = start_of_walks(walker, gait, tolerance)
-    chart_from = partial(draw_chart, walker, draw_one, start=start, tolerance=tolerance)
-    step = partial(transition_matrix, walker, draw_one, walkers, tolerance)
-    if side is None:
-        chart, lasting = chart_from(key)
-        _, cells, _ = step(chart, lasting, key, PROBE)
-        size = PROBE * (len(cells) / CELLS) ** (1 / len(chart.centre))
-    else:
-        size = float(side)
+    size = float(side)
     starts = np.broadcast_to(start, (PILOT_WALKS, len(start)))
-    logs: list[list[list[float]]] = []
+    logs = np.empty((repetitions, 2))
     undecided = 0
     for number in range(repetitions):
         # Each has walks of its own to begin with, which are not forgotten in a few strides.
-        pilot, own, also = jax.random.split(jax.random.fold_in(key, number), 3)
-        chart, lasting = chart_from(pilot)
-        keys = jax.random.split(also, PILOT_WALKS)
-        first = walk_disturbed(walker, starts, draw_one, keys, 1, tolerance)
-        made = first.state[first.outcome == Outcome.STRIDE]
-        decided = np.count_nonzero(first.outcome != Outcome.UNDECIDED)
-        undecided += PILOT_WALKS - int(decided)
-        logs.append([])
-        for one in (2 * size, size):
-            chain, cells, unanswered = step(chart, lasting, own, one)
-            undecided += unanswered
-            survival, distribution, means = solve_chain(chain)
-            if survival >= 1:
-                raise ComputationFailed(
-                    f"no walker fell from any of {len(cells):,} cells: ground is too even for a "
-                    "result"
-                )
-            place, known = places_of(chart.cell_of(made, one), cells)
-            mean = len(made) / decided * (1 + means[place[known]].mean())
-            logs[-1].append([np.log(mean), np.log(survival / (1 - survival))])
-    coarse, fine = np.moveaxis(np.array(logs), 1, 0)
-    extrapolated = fine + BEYOND * (fine - coarse)
-    log_mean, log_odds = extrapolated.mean(axis=0)
-    scatter = extrapolated[:, 0].std(ddof=1) / np.sqrt(repetitions) * widening(repetitions)
-    error = np.hypot(scatter, BETWEEN * (fine - coarse)[:, 0].mean())
+        pilot, own = jax.random.split(jax.random.fold_in(key, number))
+        keys = jax.random.split(pilot, PILOT_WALKS)
+        walks = walk_disturbed(walker, starts, draw_one, keys, PILOT_STRIDES, tolerance)
+        chart, lasting = chart_of(walks)
+        chain, cells, unanswered = transition_matrix(
+            walker, draw_one, walkers, tolerance, chart, lasting, own, size
+        )
+        survival, distribution, means = solve_chain(chain)
+        if survival >= 1:
+            raise ComputationFailed(
+                f"no walker fell from any of {len(cells):,} cells: ground is too even for a result"
+            )
+        decided = walks.outcome != Outcome.UNDECIDED
+        undecided += np.count_nonzero(~decided) + unanswered
+        place, known = places_of(chart.cell_of(lasting, size), cells)
+        later = len(lasting) * means[place[known]].mean()
+        mean = (walks.strides[decided].sum() + later) / np.count_nonzero(decided)
+        logs[number] = np.log(mean), np.log(survival / (1 - survival))
+    log_mean, log_odds = logs.mean(axis=0)
+    error = logs[:, 0].std(ddof=1) / np.sqrt(repetitions) * widening(repetitions)
     centres = chart.points_in(cells, np.full((len(cells), len(chart.centre)), 0.5), size)
     coordinates = [*walker.section, "gap"][: len(chart.centre)]
     return xr.Dataset(
@@ -174,13 +149,20 @@ def metastability(
             "undecided": undecided,
             "chance": ("cell", distribution),
             "centre": (("cell", "direction"), centres),
+            "edges": (("edge", "direction"), size * chart.axes),
         },
         coords={"direction": np.array(coordinates, object)},
         attrs={
             "walker": type(walker).__name__,
             **attributes_of(walker),
             "section": list(walker.section),
-            "side": float(size),
+            "ground": ground
+            if is_number(ground)
+            else getattr(ground, "__qualname__", repr(ground)),
+            "side": size,
+            "walkers": walkers,
+            "repetitions": repetitions,
+            "key": np.asarray(jax.random.key_data(key)).tolist(),
             "version": f"walker-jax {version('walker-jax')}",
         },
     )
@@ -227,21 +209,16 @@ def section_and_gap(states: Float[np.ndarray, "n 4"], size: int) -> Float[np.nda
     return np.stack([theta, thetadot, phi - 2 * theta], axis=1)[:, :size]
 
 
-def draw_chart(
-    walker: Walker, ground: RandomDisturbance, key: Array, *, start: Any, tolerance: float | None
-) -> tuple[Chart, Float[np.ndarray, "n 4"]]:
-    """The states of walks that have lasted a few strides, and their chart."""
-    keys = jax.random.split(key, PILOT_WALKS)
-    starts = np.broadcast_to(start, (PILOT_WALKS, len(start)))
-    ends = walk_disturbed(walker, starts, ground, keys, PILOT_STRIDES, tolerance)
-    lasting = ends.state[ends.outcome == Outcome.STRIDE]
+def chart_of(walks: DisturbedWalk) -> tuple[Chart, Float[np.ndarray, "n 4"]]:
+    """The chart of the states of those walks that last, and these states."""
+    lasting = walks.state[walks.outcome == Outcome.STRIDE]
     if len(lasting) < FEWEST_SURVIVORS:
         raise ComputationFailed(
-            f"of {PILOT_WALKS} walks {len(lasting)} lasted {PILOT_STRIDES} strides: too few to be "
-            "metastable"
+            f"of {len(walks.state)} walks {len(lasting)} lasted {PILOT_STRIDES} strides: too few "
+            "to be metastable"
         )
     y = section_and_gap(lasting, 3)
-    rough = np.ptp(y[:, 2]) > 1e-12
+    rough = np.ptp(y[:, 2]) > max(1e-12, 100 * np.finfo(lasting.dtype).eps)
     y = y if rough else y[:, :2]
     centre = y.mean(axis=0)
     variances, directions = np.linalg.eigh(np.cov(y.T))
@@ -263,14 +240,15 @@ def transition_matrix(
 ) -> tuple[csr_array, Int[np.ndarray, " cells"], int]:
     """P, and the numbers of its cells, in ascending order, from walks that last, in their states.
 
-    What ends in a cell where no walker has started has no part in it: that is about as rare as
-    what has not happened at all. Nor has a stride without an answer, which is not known to end in
-    a fall; the last number is how many of these there were.
+    A stride counts by the chance of the walk that makes it. What ends in a cell where no walker has
+    started has no part in it: that is about as rare as what has not happened at all. Nor has a
+    stride without an answer, which is not known to end in a fall; the last number is how many of
+    these there were.
     """
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).astype(np.uint32))
     checked_tolerance = np.asarray(default_tolerance(states.dtype, tolerance), states.dtype)
     arrays = jax.tree.map(lambda leaf: np.asarray(leaf, states.dtype), walker)
-    chances, pairs, undecided = np.full(len(states), 1 / len(states)), [], 0
+    chances, made_strides, undecided = np.full(len(states), 1 / len(states)), [], 0
     for number in range(ROUNDS):
         cells, chance, chosen = choose_walkers(rng, chart.cell_of(states, side), chances, walkers)
         if len(cells) > MOST_CELLS:
@@ -289,23 +267,24 @@ def transition_matrix(
         going = made.outcome == Outcome.STRIDE
         if not going.any():
             raise ComputationFailed("no cell leads to another: walks end at once")
-        states = made.state[going]
         each = len(chosen) // len(cells)
-        chances = np.repeat(chance / each, each)[going]
-        chances /= chances.sum()
+        weights = np.repeat(chance / each, each)
+        states = made.state[going]
+        chances = weights[going] / weights[going].sum()
         if number >= FORGOTTEN:
             unknown = made.outcome == Outcome.UNDECIDED
             undecided += int(unknown.sum())
             ends = np.where(unknown, UNKNOWN, FALLEN)
             ends[going] = chart.cell_of(states, side)
-            pairs.append(np.stack([np.repeat(cells, each), ends]))
-    starts, ends = np.concatenate(pairs, axis=1)
+            made_strides.append((np.repeat(cells, each), ends, weights))
+    starts, ends, weights = (np.concatenate(parts) for parts in zip(*made_strides, strict=True))
     cells = known_cells(starts, ends)
     (here, used), (there, known) = places_of(starts, cells), places_of(ends, cells)
-    counts = np.bincount(here[used & (known | (ends == FALLEN))], minlength=len(cells))
+    told = used & (known | (ends == FALLEN))
+    total = np.bincount(here[told], weights[told], len(cells))
     known &= used
-    counted = csr_array((1 / counts[here[known]], (here[known], there[known])), (len(cells),) * 2)
-    return counted, cells, undecided
+    shares = weights[known] / total[here[known]]
+    return csr_array((shares, (here[known], there[known])), (len(cells),) * 2), cells, undecided
 
 
 def known_cells(

@@ -289,10 +289,12 @@ def summarise_robustness(data: xr.Dataset, slope: float) -> dict:
     }
     if "steps_to_fall" in data:
         of_gait["steps_to_fall"] = values(GROUND) | {"ground": float(data.attrs["ground"])}
+    at_border = data.get("at_border", np.nan)  # earlier data sets, and rows without a grid, lack it
     return {
         "slope": slope,
         "area": float(data["total_area"]),
         "area_error": float(data["total_area_error"]),
+        "at_border": int(at_border) if np.isfinite(at_border) else None,
         **(of_gait if attracts else dict.fromkeys(of_gait)),
     }
 

@@ -193,9 +193,18 @@ KINDS = {
             "undecided": V("", "integer", "strides", "without an answer, left out"),
             "chance": V("cell", "real", "", "of each cell, of walks that still last"),
             "centre": V("cell direction", "real", STATE, "of each; and phi - 2 theta, in rad"),
+            "edges": V("edge direction", "real", STATE, "those of every cell, as vectors"),
             "direction": V("direction", "text", "", "`theta`, `thetadot` and, if rough, `gap`"),
         },
-        WALKER | SECTION | {"side": "of a cell, in standard deviations of the states"},
+        WALKER
+        | SECTION
+        | {
+            "ground": "standard deviation of steps, in leg lengths, or the function's name",
+            "side": "of a cell, in standard deviations of the states",
+            "walkers": "in all cells",
+            "repetitions": "with other random numbers",
+            "key": "of random numbers: its data",
+        },
     ),
     "robustness table": Kind(
         "Robustness over values of a parameter, with its name as dimension (`robustness_table`).",

@@ -139,6 +139,9 @@ class KneedWalker(HeavyLegWalker):
     def phases(self):
         return (FreeKnee(self),)
 
+    def driven_by_gravity(self):
+        return True
+
     def past_contact(self, state):
         return rises_ever_faster(self, state)
 
@@ -214,6 +217,9 @@ class LockedWalker(KneedWalker):
 
     def phases(self):
         return ()
+
+    def driven_by_gravity(self):
+        return True
 
 
 def lock_knees(walker: KneedWalker) -> LockedWalker:

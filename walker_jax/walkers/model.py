@@ -307,8 +307,8 @@ EQUATIONS_OF_MOTION = ("vector_field", "system")
 PREMISES = {
     "force_least_at_ends": (*EQUATIONS_OF_MOTION, "contact_force"),
     "inverted_pendulum": EQUATIONS_OF_MOTION,
-    "driven_by_gravity": ("vector_field", "impact", "push_off_impulse", "during_stride"),
-    "motor_work": ("vector_field", "impact"),
+    "driven_by_gravity": ("vector_field", "impact", "push_off_impulse", "during_stride", "phases"),
+    "motor_work": ("vector_field", "impact", "phases"),
     "past_contact": (*EQUATIONS_OF_MOTION, "contact", "swing_foot"),
     "gait_region": (*EQUATIONS_OF_MOTION, "contact", "swing_foot", "impact", "lift", "project"),
 }

@@ -49,7 +49,12 @@ class AbstractPoweredWalker(MultibodyWalker):
         )
 
     def motor_work(self, start, end):
-        """What the energy gains in the swing, by the hip alone, and in push-off."""
+        """What the energy gains in the swing, by the hip alone, and in push-off.
+
+        Not known with phases: what is lost between them would count as work done on the motors.
+        """
+        if self.phases():
+            return None
         system = self.system()
         q, qdot = coordinates_and_rates(end)
         pushed = multibody.push(system, q, qdot, self.push_off_impulse(q))

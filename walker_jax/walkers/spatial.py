@@ -256,8 +256,8 @@ class SpatialWalker(Walker):
         return sole_of(self, state)[2]
 
     def reach(self, state: Any):
-        """Down the slope, from sole to sole."""
-        return sole_of(self, state)[0]
+        """Down the slope, from where the stance disc stood at first to the swing disc's sole."""
+        return state.x + sole_of(self, state)[0]
 
     def conditions(self):
         if self.allow_scuffing:

@@ -6,7 +6,7 @@ return every state: `orbits`, of many starts, and `walk`, of one that JAX may tr
 """
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -35,6 +35,10 @@ from walker_jax.walking.stepping import (
 ROUNDS = 4, 16, 64
 """Strides of the first rounds of an iteration, and of all later ones; only unfinished walks enter
 the next. Most starts on a grid around a basin fail within four strides."""
+SINGLE_STRIDES, MANY_WALKS = 32, 1000
+"""Rounds on a CPU have one stride as long as so few are made and so many walks go on: in a longer
+round the lanes of a kernel wait for the one that walks farthest, half of the time or more. Most
+walks have ended by then, and a round of fewer takes about as long as it takes to begin."""
 RECORDED = 16
 """Strides of which one call returns all states. More of them save no time, as a call takes much
 longer than it takes to make, and take longer to compile."""
@@ -267,9 +271,11 @@ def iterate(
         end.target[:] = nearest_target(starts, for_host)
     compiled = pad_to_power_of_two(None if for_host else targets, size, starts.dtype)
     active, done = np.flatnonzero(end.target < 0), 0
-    for count in round_lengths(limit, (1,) if for_host else ROUNDS):
-        if len(active) == 0:
-            break
+    rounds = itertools.chain(ROUNDS, itertools.repeat(ROUNDS[-1]))
+    in_lanes = jax.local_devices()[0].platform == "cpu"
+    while len(active) and done < limit:
+        single = in_lanes and done < SINGLE_STRIDES and len(active) >= MANY_WALKS
+        count = 1 if for_host or single else min(next(rounds), limit - done)
         part = map_cells(
             walk_on,
             (
@@ -292,16 +298,6 @@ def iterate(
         end.strides[active] += part.strides
         active, done = active[(part.outcome == Outcome.STRIDE) & (part.target < 0)], done + count
     return end
-
-
-def round_lengths(limit: int, rounds: tuple[int, ...]) -> Iterator[int]:
-    """The strides of each round, `limit` in all; the last of `rounds` is repeated."""
-    done = 0
-    for count in itertools.chain(rounds, itertools.repeat(rounds[-1])):
-        if done >= limit:
-            return
-        yield min(count, limit - done)
-        done += count
 
 
 def pad_to_power_of_two(targets: Targets | None, size: int, dtype) -> Targets:

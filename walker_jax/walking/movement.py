@@ -22,7 +22,7 @@ from walker_jax.walkers.spatial import SpatialWalker
 from walker_jax.walking.iteration import walk
 from walker_jax.walking.movement_in_space import motion_in_space
 from walker_jax.walking.outcomes import Outcome
-from walker_jax.walking.phases import in_front, starts_under
+from walker_jax.walking.phases import in_front, legs, starts_under
 from walker_jax.walking.stepping import full_state, phase_times, trajectory
 from walker_jax.walking.swing import in_tension
 
@@ -160,11 +160,6 @@ def leg_shape(walker: Walker) -> tuple[float, float]:
     return float(length), max(0.0, round(float(radius), 12))
 
 
-def legs(states: Any) -> State:
-    """Angles and rates of the legs, of states of any phase."""
-    return State(*(getattr(states, name) for name in State._fields))
-
-
 def leg_positions(
     walker: Walker, states: Any, foot: Float[np.ndarray, "2"], length: float, radius: float
 ) -> tuple[Float[np.ndarray, "frames 2"], ...]:
@@ -213,6 +208,6 @@ def is_over(
         if phases:
             over |= ~swings & np.asarray(jax.vmap(partial(in_tension, phases[0]))(each))
     if outcome == Outcome.BENT_KNEE:
-        lands = lambda state: starts_under(phases[0], state) & in_front(phases[0], state)
+        lands = lambda state: starts_under(phases[0], state, step) & in_front(phases[0], state)
         over |= ~swings & np.asarray(jax.vmap(lands)(each))
     return over

@@ -24,7 +24,7 @@ from jaxtyping import Array, Bool, Int
 from walker_jax.integrators.roots import first_upcrossing, interior_minimum, negate
 from walker_jax.integrators.solvers import MAX_STEPS, Method, Real, solver_for, zero_at
 from walker_jax.integrators.taylor import with_fast_sincos
-from walker_jax.walkers.model import Phase, Scalar, Walker
+from walker_jax.walkers.model import Phase, Scalar, State, Walker
 from walker_jax.walking.outcomes import Outcome
 from walker_jax.walking.swing import (
     Broken,
@@ -257,6 +257,11 @@ def starts_under(
     """Whether the swing foot is below the ground, of some height."""
     above = phase.clearance(state)
     return jnp.asarray(False) if above is None else above < ground
+
+
+def legs(states: Any) -> State:
+    """Angles and rates of the legs, of states of any phase."""
+    return State(*(getattr(states, name) for name in State._fields))
 
 
 def in_front(phase: Phase, state: Any) -> Bool[Array, ""]:

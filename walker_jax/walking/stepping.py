@@ -32,6 +32,7 @@ from walker_jax.walking.phases import (
     follow_to_heel_strike,
     follow_to_swing,
     is_over,
+    legs,
     merge_broken,
     starts_under,
 )
@@ -341,8 +342,8 @@ def state_after(
         start = with_fast_sincos(lambda phase, s: phase.end(s))(phase, arrival)
         left = time - begins
         later = state_of_motion(following, start, jnp.maximum(left, 0), tolerance)
-        if following is walker:
-            later = phases[0].begin(later)
+        if type(later) is not type(result):
+            later = phases[0].begin(legs(later))
         result = jax.tree.map(partial(jnp.where, left >= 0), later, result)
     return result
 
