@@ -9,7 +9,8 @@ from walker_jax import Outcome
 from walker_jax.basins.attractor import CLOSE, Attractor
 from walker_jax.basins.attractor_search import find_attractors, on_lasting_motion
 from walker_jax.basins.mapper import Mapper
-from walker_jax.basins.methods import direct_iteration
+from walker_jax.basins.methods import attractors_of_cycles, direct_iteration
+from walker_jax.cellmaps import resolve
 from walker_jax.walking import iteration
 from walker_jax.walking.iteration import Targets, iterate, orbits
 
@@ -187,3 +188,16 @@ def test_a_motion_without_a_period_is_listed_where_walkers_are_left_on_it():
     assert (few.attractor == 1).any() and len(few.attractors) == 2
     many = direct_iteration(mapper._replace(strides=300), REGION)
     assert (many.attractor == 0).any() and [one.period for one in many.attractors] == [1]
+
+
+def test_an_attractor_to_which_no_cycle_of_cells_belongs_is_not_listed():
+    """Of a cycle of three cells, one centre leads to the gait: the cycle is an artefact."""
+    labels = Mapper(WALKER, [Attractor(1, GAIT)], 1e-12, 300)(
+        REGION.centres(np.arange(REGION.size))
+    )
+    cycle = [int(labels.converged.argmax()), *np.flatnonzero(labels.fallen)[:2].tolist()]
+    image = np.full(REGION.size, REGION.size + Outcome.FORWARD)
+    image[cycle] = np.roll(cycle, -1)
+    ends = resolve(image, sinks=len(Outcome))
+    (artefact,), number = attractors_of_cycles(WALKER, REGION, ends, 1e-12)
+    assert artefact.artefact and artefact.period == 3 and number.tolist() == [0]
