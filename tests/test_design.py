@@ -169,7 +169,6 @@ def test_the_area_is_largest_on_the_gentlest_slope(no_basins, monkeypatch):
     """In one stage, of long steps."""
     for module in ("climbs", "optimisation"):
         monkeypatch.setattr(f"walker_jax.design.{module}.STEP_LENGTHS", (0.4,))
-    monkeypatch.setattr("walker_jax.design.optimisation.CHECK_STARTS", (20_000, 50_000))
     bounds, walker = {"slope": (0.003, 0.009)}, wj.SimplestWalker(0.007)
     found = optimise(walker, bounds, grid=GRID, starts=1, scan=3, levels=3)
     assert values(found, "optimum") == [0.003] and values(found, "at_bound") == [-1]

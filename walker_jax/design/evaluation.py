@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from walker_jax.basins.capture_boxes import PLAIN_SECTION
 from walker_jax.checks import ComputationFailed, WrongUse
 from walker_jax.design.area_gradients import area_gradient
 from walker_jax.design.disturbance_gradients import disturbance_gradient
@@ -32,6 +33,9 @@ SCAN_STAGE, ENDS_STAGE = -1, -2
 """Numbers in place of a stage: of the scan for a picture, and of the ends."""
 CHECK_STARTS = 50_000, 500_000
 """Starts that correct an area during optimisation, and at the ends."""
+CHECK_STARTS_IN_SPACE = 5_000, 50_000
+"""The same on sections of more coordinates than a planar walker's, whose strides take eleven times
+as long (benchmarks/space.py); the errors of areas say what that costs."""
 DIRECTIONS = DENSE // 8, DENSE
 """Directions in which the least disturbance is searched for during optimisation, and at the ends.
 An eighth finds it to 1e-3 or better, except at fractal boundaries."""
@@ -77,7 +81,7 @@ def evaluate_objective(
             bands=bands,
             levels=max(0, problem.levels - omitted),
             strides=problem.strides,
-            check=CHECK_STARTS[exact],
+            check=check_starts(walker, exact),
             seed=problem.seed,
             tolerance=tolerance,
             density=problem.density,
@@ -112,6 +116,12 @@ def evaluate_objective(
         measures=np.array([found[name].value for name in problem.measures]),
         strides=made,
     )
+
+
+def check_starts(walker: Walker, exact: bool) -> int:
+    """How many starts correct an area: at the ends, where it is to be `exact`, more."""
+    in_plane = len(walker.section) <= PLAIN_SECTION
+    return (CHECK_STARTS if in_plane else CHECK_STARTS_IN_SPACE)[exact]
 
 
 def evaluate_disturbance(

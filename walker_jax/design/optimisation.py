@@ -17,6 +17,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
+from walker_jax.basins.capture_boxes import PLAIN_SECTION
 from walker_jax.basins.computation import basin
 from walker_jax.basins.memory import check_grid
 from walker_jax.basins.refinement import FINEST, check_finest, refine_cells
@@ -25,11 +26,11 @@ from walker_jax.checks import WrongUse, check_kind, check_whole, refuses_tracers
 from walker_jax.design.area_gradients import Density
 from walker_jax.design.climbs import climb
 from walker_jax.design.evaluation import (
-    CHECK_STARTS,
     ENDS_STAGE,
     SCAN_STAGE,
     STEP_LENGTHS,
     Evaluation,
+    check_starts,
 )
 from walker_jax.design.limits import BINDING_SLACK
 from walker_jax.design.measures import cost_is_known
@@ -55,6 +56,9 @@ USUAL_MEASUREMENTS = 10
 """Of one climb, for a guess of how long an optimisation takes."""
 VIEW_CELLS = 300
 """Cells along each axis in which the basins at both ends are shown."""
+VIEW_CELLS_IN_SPACE = 100
+"""The same on sections of more coordinates than a planar walker's, whose strides take eleven times
+as long (benchmarks/space.py): a ninth of the starts."""
 
 
 @refuses_tracers()
@@ -270,7 +274,7 @@ def compare_basins(problem: Problem, start: Evaluation, best: Evaluation) -> dic
         grid=grid,
         levels=min(1, problem.levels),
         strides=problem.strides,
-        check=CHECK_STARTS[False],
+        check=check_starts(problem.walker, False),
         seed=problem.seed,
         tolerance=problem.tolerance,
     )
@@ -281,8 +285,10 @@ def compare_basins(problem: Problem, start: Evaluation, best: Evaluation) -> dic
     margin = np.maximum(1, (high - low) // 20)
     low, high = np.maximum(low - margin, 0), np.minimum(high + margin, shape)
     spacing = np.asarray(rough[0].grid.spacing)
+    in_plane = len(problem.walker.section) <= PLAIN_SECTION
+    shown_cells = VIEW_CELLS if in_plane else VIEW_CELLS_IN_SPACE
     axes = {
-        name: (float(start + first * width), float(start + last * width), VIEW_CELLS)
+        name: (float(start + first * width), float(start + last * width), shown_cells)
         for name, start, first, last, width in zip(
             grid.names, grid.lower, low, high, spacing, strict=True
         )

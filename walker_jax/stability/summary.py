@@ -18,7 +18,7 @@ from walker_jax.fractals import Uncertainty
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import find_gait
 from walker_jax.grids import Grid
-from walker_jax.stability.dimension import boundary_dimension
+from walker_jax.stability.dimension import boundary_dimension, comparisons
 from walker_jax.stability.disturbances import LeastDisturbance, least_disturbance
 from walker_jax.stability.rough_ground import steps_to_fall
 from walker_jax.stability.sampling import BasinStability, basin_stability
@@ -59,7 +59,7 @@ def robustness(
     - `grid`: grid for `refine` and `boundary_dimension`; by default all feasible angles of a walker
       on point feet, sum from -0.12 to 0.06 for the simplest and -1.1 to 0.1 for others, and a
       slice around the gait of any other walker, in space over yaw and leandot.
-    - `levels`, `check`: of refinement.
+    - `levels`, `check`: of refinement; a tenth of the starts will do in space.
     - `disturbances`: for `basin_stability`, shares of the coordinates of the gait's own state.
     - `strides`: number of strides in which a walker may return.
     - `seed`, `tolerance`: of random numbers, and of the integration.
@@ -119,7 +119,7 @@ def robustness(
     about: Any = {"strides": strides, "tolerance": tolerance}
 
     def by_boundary() -> Uncertainty:
-        return boundary_dimension(walker, grid, seed=seed, **about)
+        return boundary_dimension(walker, grid, seed=seed, **comparisons(walker), **about)
 
     def by_disturbances() -> tuple[Gait, LeastDisturbance, LeastDisturbance, BasinStability]:
         nearest = fall = least_disturbance(walker, gait, **about)
