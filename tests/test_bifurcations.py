@@ -174,3 +174,22 @@ def test_the_whole_diagram():
 def test_wrong_requests_are_refused(call, message):
     with pytest.raises(ValueError, match=message):
         call()
+
+
+def test_an_interval_that_begins_at_a_bound_of_its_parameter_is_not_widened():
+    widen = diagrams.widen_downwards
+    assert widen(walker(), "slope", 0.004, 0.02) == (0.002, 0.02)
+    spring = wj.SpringWalker(0.0165, 0.0)
+    assert widen(spring, "hip_stiffness", 0.0, 0.02) == (0.0, 0.02)
+    powered = wj.PoweredWalker(0.0, push_off=0.05)
+    assert widen(powered, "slope", -0.01, 0.01) == pytest.approx((-0.03, 0.01))
+    assert widen(powered, "slope", -1.5, 0.5) == (-1.5, 0.5)
+
+
+@pytest.mark.slow
+def test_a_diagram_may_begin_where_a_parameter_is_zero():
+    """A gait of period two at the lowest value, of which the doubling is not in the interval."""
+    data = wj.bifurcation_diagram(
+        wj.SpringWalker(0.0165, 0.0), "hip_stiffness", (0.0, 0.02), period_max=2, scan=4, strides=50
+    )
+    assert {1, 2} <= set(data.period.values.tolist())

@@ -7,8 +7,10 @@ import pytest
 import walker_jax as wj
 from walker_jax import Outcome
 from walker_jax.basins.attractor import CLOSE, Attractor
-from walker_jax.basins.attractor_search import find_attractors
+from walker_jax.basins.attractor_search import find_attractors, on_lasting_motion
 from walker_jax.basins.mapper import Mapper
+from walker_jax.basins.methods import attractors_of_cycles, direct_iteration
+from walker_jax.cellmaps import resolve
 from walker_jax.walking import iteration
 from walker_jax.walking.iteration import Targets, iterate, orbits
 
@@ -138,6 +140,8 @@ def test_a_slow_approach_is_one():
         assert found.period == (1 if slope < 0.01509 else 2)
         mapper = Mapper(walker, [found], 1e-12, 50)
         np.testing.assert_array_equal(mapper(found.states + 2e-4).attractor, 0)
+        assert on_lasting_motion(walker, start, [], 1e-12).tolist() == [0]
+        assert on_lasting_motion(walker, start, [found], 1e-12).tolist() == []
 
 
 def test_an_unstable_gait_attracts_nothing_though_it_repeats_itself():
@@ -157,3 +161,43 @@ def test_a_transient_is_no_attractor():
     assert find_attractors(walker, x, 1e-12) == []
     labels, mapper = Mapper(walker, [], 1e-12, 200).label_all(x)
     assert len(labels.remaining) > 0 and mapper.attractors == []
+
+
+@pytest.mark.parametrize(
+    ("slope", "periods"),
+    [pytest.param(CHAOTIC, [1, 0], marks=pytest.mark.slow), (CHAOTIC + 7e-6, [1])],
+)
+def test_a_transient_that_ends_at_a_gait_is_no_attractor(slope, periods):
+    """Above its crisis the motion without a period ends: walkers that leave it come to the gait."""
+    walker = wj.SimplestWalker(slope)
+    grid = wj.Grid.sheared(theta=(0.16, 0.31, 60), sum=(-0.015, 0.009, 60))
+    data = wj.basin(walker, grid, "direct", strides=150)
+    assert data.period.values.tolist() == periods
+    left = np.flatnonzero((data.fate.values == 0) & (data.strides.values == 150))
+    end = iterate(walker, grid.centres(left), 8000, 1e-12)
+    at_gait = np.abs(end.state - data.states.values[0, 0]).max(axis=1) < 1e-6
+    assert len(left) > 3 and (end.outcome == 0).all()
+    assert at_gait.all() if len(periods) == 1 else not at_gait.any()
+    np.testing.assert_array_equal(data.attractor.values.ravel()[left], len(periods) - 1)
+
+
+def test_a_motion_without_a_period_is_listed_where_walkers_are_left_on_it():
+    wandering = Attractor(None, np.array([[0.2, -0.3]]))
+    mapper = Mapper(WALKER, [Attractor(1, GAIT), wandering], 1e-12, 5)
+    few = direct_iteration(mapper, REGION)
+    assert (few.attractor == 1).any() and len(few.attractors) == 2
+    many = direct_iteration(mapper._replace(strides=300), REGION)
+    assert (many.attractor == 0).any() and [one.period for one in many.attractors] == [1]
+
+
+def test_an_attractor_to_which_no_cycle_of_cells_belongs_is_not_listed():
+    """Of a cycle of three cells, one centre leads to the gait: the cycle is an artefact."""
+    labels = Mapper(WALKER, [Attractor(1, GAIT)], 1e-12, 300)(
+        REGION.centres(np.arange(REGION.size))
+    )
+    cycle = [int(labels.converged.argmax()), *np.flatnonzero(labels.fallen)[:2].tolist()]
+    image = np.full(REGION.size, REGION.size + Outcome.FORWARD)
+    image[cycle] = np.roll(cycle, -1)
+    ends = resolve(image, sinks=len(Outcome))
+    (artefact,), number = attractors_of_cycles(WALKER, REGION, ends, 1e-12)
+    assert artefact.artefact and artefact.period == 3 and number.tolist() == [0]

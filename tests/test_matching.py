@@ -5,14 +5,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import walker_jax as wj
 from walker_jax import figures
 from walker_jax.basins.attractor import Attractor
 from walker_jax.basins.mapper import Labels
 from walker_jax.basins.matching import cycle_distance, match_cycles, number_alike
+from walker_jax.stability import basin_fractions
 from walker_jax.stability.basin_fractions import Found, assemble, summarise_fractions
 from walker_jax.storage.schema import check_dataset
+from walker_jax.walkers.fingerprints import code_fingerprint
 
 VALUES = json.loads((Path(__file__).parent / "data" / "values.json").read_text())
 REGION = wj.Grid.sheared(theta=(0.1, 0.3, 10), sum=(-0.03, 0.01, 10))
@@ -169,3 +172,26 @@ def test_two_stable_gaits_of_a_branch_that_turns_back_have_the_sum_of_their_shar
     data = assemble(np.array([0.004]), [Found([0, 0], gaits, labels)], [None], 100)
     assert data["fraction"].item() == 1 and data["failed"].sum() == 0
     assert data["states"].values[0, 0, 0].tolist() == [0.2, -0.2]
+
+
+def test_a_walker_of_ones_own_leaves_a_fingerprint_of_its_code(monkeypatch):
+    class Mine(wj.SimplestWalker):
+        """The simplest walker by another name."""
+
+    class Nothing:
+        branches = ()
+
+        def __init__(self, *_):
+            pass
+
+        def attractors_at(self, *_):
+            pass
+
+    monkeypatch.setattr(basin_fractions, "Family", Nothing)
+    monkeypatch.setattr(basin_fractions, "assemble", lambda *_: xr.Dataset())
+    about = [
+        wj.continue_basins(kind(0.004), "slope", [0.004, 0.005], REGION, samples=10).attrs
+        for kind in (wj.SimplestWalker, Mine)
+    ]
+    assert "code" not in about[0] and about[1]["code"] == code_fingerprint(Mine)
+    assert not any("walker_slope" in one for one in about)

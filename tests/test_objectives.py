@@ -2,6 +2,8 @@
 
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
@@ -16,6 +18,7 @@ from walker_jax.design.area_gradients import area_gradient, boundary_pairs, inte
 from walker_jax.design.bands import walkers_at_band_ends
 from walker_jax.design.disturbance_gradients import disturbance_gradient
 from walker_jax.design.measures import GAIT_MEASURES, gait_measures
+from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.walkers.parameters import with_parameter
 
 SECTION = wj.Grid.sheared(theta=(0, np.pi / 4, 200), sum=(-0.12, 0.06, 200))
@@ -403,3 +406,35 @@ def test_wrong_arguments_are_refused():
             area_gradient(walker, SECTION, bands=bands)
     with pytest.raises(ValueError, match="parameter must be one of the walker's"):
         gait_measures(walker, ("foot_mass",))
+
+
+class OwnSpringWalker(wj.SimplestWalker):
+    """A spring and a damper at the hip, set by a constructor in an order of its own."""
+
+    stiffness: jax.Array
+    damping: jax.Array
+
+    def __init__(self, slope, stiffness, damping):
+        self.damping, self.stiffness = jnp.asarray(damping), jnp.asarray(stiffness)
+        self.slope = jnp.asarray(slope)
+
+    def vector_field(self, state):
+        free = super().vector_field(state)
+        torque = -self.stiffness * state.phi - self.damping * state.phidot
+        return free._replace(phidot=free.phidot + torque)
+
+
+def test_derivatives_are_by_the_parameters_of_their_names_whatever_order_they_are_set_in():
+    names = ["slope", "stiffness", "damping"]
+    walker, same = (
+        OwnSpringWalker(0.009, 1.0, 0.02),
+        wj.PoweredWalker(0.009, hip_stiffness=1.0, hip_damping=0.02),
+    )
+    assert [*vars(walker)] == names[::-1]
+    x, made = np.array([[0.1, -0.3], [0.15, -0.3]]), np.zeros(2, np.int32)
+    assert wj.strides(same, x).outcome.tolist() == [wj.Outcome.FORWARD] * 2
+    own = differentiate_margins(walker, x, made, np.eye(2), names, 1e-12)
+    powered = ["slope", "hip_stiffness", "hip_damping"]
+    expected = differentiate_margins(same, x, made, np.eye(2), powered, 1e-12)
+    assert np.isfinite(expected).all() and (expected[:, 3:] != 0).any()
+    np.testing.assert_allclose(own, expected, rtol=1e-8)

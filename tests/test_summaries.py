@@ -105,6 +105,31 @@ def test_windows_lie_around_the_gait_or_are_those_of_the_paper():
     assert windows.film_window(walker, gait).contains(np.asarray(gait)[None]).all()
 
 
+def test_a_walker_that_moves_by_equations_of_its_own_has_not_the_window_of_the_paper():
+    class Unchanged(wj.SimplestWalker):
+        """The simplest walker by another name."""
+
+    class Lifted(wj.SimplestWalker):
+        """One whose foot is never in contact."""
+
+        def contact(self, state):
+            return super().contact(state) + 1.0
+
+    axes = {"theta": None, "sum": None}
+    assert windows.fill_from_paper(Unchanged(0.004), axes) == windows.PAPER_WINDOW
+    assert windows.fill_from_paper(Lifted(0.004), axes) == axes
+    assert windows.film_window(Unchanged(0.004), np.array([0.2, -0.2])).shape == (200, 250)
+    failed = wj.find_gait(WALKER)._replace(residual=np.nan)
+    reasons = [
+        selection.reason_without_gait(kind(0.004), 1, failed, guessed=False)
+        for kind in (Unchanged, Lifted)
+    ]
+    assert reasons == [
+        "the walker makes no stride from the state where the search begins",
+        "none of the searches over the section converged to one",
+    ]
+
+
 def test_cells_are_counted_a_few_rows_at_a_time_as_all_at_once(monkeypatch):
     data = wj.basin(WALKER, GRID, "direct", strides=5)
     data["attractor"][:] = np.where(np.arange(20) % 2, data["attractor"], -1)

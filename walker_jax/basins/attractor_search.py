@@ -33,8 +33,8 @@ MAX_DISTANCES = 2**24
 WITNESSES = 128
 """Walkers that are followed to see whether a motion without a period goes on."""
 SURVIVAL = 1000, 2000
-"""Strides after which all of them are on it, and strides in which none may fall then: a transient
-with a mean life of less than some 85,000 strides is told from an attractor."""
+"""Strides after which all of them are on it, and strides in which none may fall or come to a cycle
+then: a transient with a mean life of less than some 85,000 strides is told from an attractor."""
 
 
 def sample(x: Float[np.ndarray, "n section"], most: int = SAMPLE) -> Float[np.ndarray, "m section"]:
@@ -57,8 +57,8 @@ def find_attractors(
 
     Walkers are followed until each has failed, or repeats itself to rounding. For those that do
     neither in some hundred strides, as close to a period doubling, a stable cycle is solved for.
-    Where there is none, and none of them falls for long, they are on an attractor without a period;
-    one is added for them all.
+    Where there is none, and none of them falls or comes to a cycle for long, they are on an
+    attractor without a period; one is added for them all.
     """
     found, exact = list(known), 1e3 * np.finfo(x.dtype).eps
     starts, period, nearest = x, np.ones(len(x), int), np.zeros(len(x))
@@ -92,19 +92,55 @@ def find_attractors(
     for states in solved:
         if cycle := new_cycle(states, found):
             found.append(cycle)
-    if not solved and all(one.period for one in found) and persists(walker, x, tolerance):
-        found.append(Attractor(None, x[:1]))
+    if not solved and all(one.period for one in found):
+        wandering = on_lasting_motion(walker, x[:WITNESSES], found, tolerance)
+        found += [Attractor(None, x[[i]]) for i in wandering[:1]]
     return found
 
 
-def persists(walker: Walker, x: Float[np.ndarray, "n section"], tolerance: float) -> bool:
-    """Whether a motion goes on: of its walkers that have not fallen for long, none falls later."""
+def on_lasting_motion(
+    walker: Walker,
+    x: Float[np.ndarray, "n section"],
+    cycles: Sequence[Attractor],
+    tolerance: float,
+) -> Int[np.ndarray, " m"]:
+    """Indices of the walkers on a motion that goes on, none if there is no such motion.
+
+    They are those that neither fall nor come to a cycle for long; later none of them does either.
+    """
     early, late = SURVIVAL
-    end = iterate(walker, x[:WITNESSES], early, tolerance)
-    left = end.state[end.outcome == Outcome.STRIDE]
-    if len(left) == 0:
-        return False
-    return bool((iterate(walker, left, late, tolerance).outcome == Outcome.STRIDE).all())
+    left, x = still_wandering(walker, x, early, cycles, tolerance)
+    later, _ = still_wandering(walker, x, late, cycles, tolerance)
+    return left if len(later) == len(left) else left[:0]
+
+
+def still_wandering(
+    walker: Walker,
+    x: Float[np.ndarray, "n section"],
+    strides: int,
+    cycles: Sequence[Attractor],
+    tolerance: float,
+) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m section"]]:
+    """The walkers that after some strides neither fell nor come to a cycle, and where they are."""
+    end = iterate(walker, x, strides, tolerance)
+    left = np.flatnonzero(end.outcome == Outcome.STRIDE)
+    left = left[match_approaching(walker, end.state[left], cycles, tolerance) < 0]
+    return left, end.state[left]
+
+
+def match_approaching(
+    walker: Walker,
+    x: Float[np.ndarray, "n section"],
+    attractors: Sequence[Attractor],
+    tolerance: float,
+) -> Int[np.ndarray, " n"]:
+    """Numbers of the cycles that walkers come ever nearer to, -1 for none."""
+    number = match_attractor(x, attractors, CLOSE)
+    for i in np.unique(number[number >= 0]).tolist():
+        near = np.flatnonzero(number == i)
+        nearer = approaches(walker, x[near], attractors[i].states, tolerance)
+        number[near[~nearer]] = -1
+    return number
 
 
 def approaches(

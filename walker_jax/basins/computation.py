@@ -53,7 +53,8 @@ def basin(
       than 1e-9, down to 1e-15, keeps its digits by direct iteration: its centre is followed, with
       the Jacobian, until the window is wide enough (`Grid.zoom` makes one).
     - `method`: "cell-map" or "direct"; for a slice, "direct" only.
-    - `strides`: how many of them direct iteration follows a walker for.
+    - `strides`: how many of them direct iteration follows a walker for. Those that are left are
+      followed on for some 16,000 more, if a cycle is known, but only to tell their attractor.
     - `tolerance`, `solver`: of the integration, as in `stride`. A cluster takes no other solver.
     - `progress`: whether to show a progress bar on a terminal.
     - `out`: a place on disk, a Zarr store, into which the result is written piece by piece, while
@@ -71,7 +72,8 @@ def basin(
     - `fate`: `Outcome` of the stride at which the walker fails; `STRIDE` where it converges to an
       attractor, or walks to the last stride (direct);
     - `attractor`: number of the attractor it converges to, -1 for none; of a motion without a
-      period for all that are left after `strides`, of which few may have yet to fall (direct);
+      period for all that are left after `strides`, of which few may have yet to fall or to come
+      to a cycle (direct);
     - `strides`: strides completed before that, or before the failure;
 
     and over the attractors, numbered by period, then by the angle of their first state (the one

@@ -108,8 +108,10 @@ def attractors_of_cycles(
     for i in np.flatnonzero(number < 0):
         number[i] = len(attractors)
         attractors.append(Attractor(int(lengths[i]), x[cycle == i], None, 1, int(falls[i]), True))
-    order = sorted_numbers(attractors)
-    return [attractors[i] for i in order], np.argsort(order)[number].astype(np.int32)
+    order = [i for i in sorted_numbers(attractors) if attractors[i].cycles]
+    place = np.zeros(len(attractors), np.int32)
+    place[order] = np.arange(len(order))
+    return [attractors[i] for i in order], place[number]
 
 
 def direct_iteration(mapper: Mapper, grid: Grid, progress: bool = False) -> Basins:
@@ -118,7 +120,7 @@ def direct_iteration(mapper: Mapper, grid: Grid, progress: bool = False) -> Basi
     The attractors are those of the mapper, and then of cells that remain at the end.
     """
     labels, mapper = mapper.complete_labels(map_block(mapper, grid, progress=progress))
-    return Basins(*labels[:3], mapper.attractors)
+    return Basins(*labels[:3], mapper.without_unseen_motion(labels.attractor).attractors)
 
 
 def mapper_of_grid(walker: Walker, grid: Grid, tolerance: float, strides: int) -> Mapper:

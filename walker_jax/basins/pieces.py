@@ -145,7 +145,7 @@ class FollowedPieces(NamedTuple):
                 attractor[cells] = mine
                 yield {"attractor": attractor}
 
-        return mapper.attractors, pieces()
+        return mapper.without_unseen_motion(number).attractors, pieces()
 
 
 METHODS = {"cell-map": MappedPieces, "direct": FollowedPieces}

@@ -234,7 +234,7 @@ def refine_cells(
         runs=cells.runs,
         cells=cells.cells,
         made=cells.strides,
-        mapper=cells.mapper,
+        mapper=cells.mapper.without_unseen_motion(cells.runs.attractor),
         area=float(area),
         area_error=float(np.sqrt(variance)),
         followed=followed,

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from walker_jax.gaits.search import find_gait
 from walker_jax.gaits.selection import require_gait
 from walker_jax.grids import Grid, axes_around
-from walker_jax.walkers.model import Walker
+from walker_jax.walkers.model import Walker, moves_like
 from walker_jax.walkers.simplest import SimplestWalker
 
 PAPER_WINDOW = {"theta": (0.0, 0.4, 200), "sum": (-0.04, 0.01, 250)}
@@ -24,7 +24,7 @@ ANY_AXIS = (0.0, 1.0, 2)
 
 def fill_from_paper(walker: Walker, axes: Mapping[str, Any]) -> dict[str, Any]:
     """The axes; for the simplest walker, those that are None are those of the paper's window."""
-    known = PAPER_WINDOW if isinstance(walker, SimplestWalker) else {}
+    known = PAPER_WINDOW if moves_like(walker, SimplestWalker) else {}
     return {name: known.get(name) if axis is None else axis for name, axis in axes.items()}
 
 
@@ -75,7 +75,7 @@ def outline(axes: Mapping[str, Any]) -> Grid:
 
 def film_window(walker: Walker, x: Float[ArrayLike, " section"]) -> Grid:
     """The paper's window for the simplest walker; any other's around its gait, or around x."""
-    if isinstance(walker, SimplestWalker):
+    if moves_like(walker, SimplestWalker):
         return grid_along(PAPER_WINDOW)
     gait = find_gait(walker)
     state = gait.states[0] if gait.found else x

@@ -22,7 +22,7 @@ from walker_jax.cli.options import (
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.execution.progress import bar
 from walker_jax.gaits.selection import require_gait
-from walker_jax.walkers.model import State, Walker
+from walker_jax.walkers.model import State, Walker, moves_like
 from walker_jax.walkers.parameters import describe_walker
 
 PAPER_START = {"theta": 0.2, "thetadot": -0.21645}
@@ -66,7 +66,7 @@ def walk(
     given = {"theta": theta, "thetadot": thetadot, "phidot": phidot}
     given = {name: value for name, value in given.items() if value is not None}
     check_finite(**given, ground=0.0 if ground is None else ground)
-    if isinstance(walker, wj.SimplestWalker):
+    if moves_like(walker, wj.SimplestWalker):
         given = PAPER_START | given
     rough = {} if ground is None else {"ground": ground, "seed": seed}
     request = request_for(

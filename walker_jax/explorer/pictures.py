@@ -65,7 +65,7 @@ def find_attractors(subject: Subject) -> Known:
     home = home_of(subject.offer, subject.section)
     grid = home.grid(subject, Rectangle(0, (0, 0), HOME_CELLS), at)
     shares = (np.indices(SAMPLE).reshape(2, -1).T + 0.5) / SAMPLE
-    mapper = Mapper(subject.walker, [], TOLERANCE, STRIDES)
+    mapper = Mapper(subject.walker, [], TOLERANCE, STRIDES, further=0)  # a page does not wait
     mapper = mapper.with_attractors_from(grid.points_at(shares))
     return Known(mapper.with_sorted_attractors(), at)
 

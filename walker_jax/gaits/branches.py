@@ -53,7 +53,8 @@ class Branch(NamedTuple):
 
     @property
     def stable(self) -> np.ndarray:
-        """Whether each gait is stable, shape (points,)."""
+        """Whether each gait is stable, shape (points,); where two branches cross, this changes
+        without an event."""
         return np.abs(self.multipliers[:, 0]) < 1
 
 
@@ -69,7 +70,9 @@ def continue_gait(
     """The branch of a gait over a range of a parameter, in both directions, past its folds.
 
     Steps are as long as the curvature of the branch allows. Two folds, or two doublings, within one
-    step are missed. The branch ends where it leaves the range, where a state no longer makes a
+    step are missed. Where a multiplier passes 1 without a fold, as where two branches cross, there
+    is no event and only `Branch.stable` tells: so it is over a gain of `Feedback`, whose gait is
+    one for all gains. The branch ends where it leaves the range, where a state no longer makes a
     stride however short the step, where it closes, or where it returns to the gait of half the
     period from which it doubled.
 

@@ -30,7 +30,7 @@ from walker_jax.gaits.long_runs import RECURRENCE_DISTANCE, attractors, starts_n
 from walker_jax.gaits.search import cycle_guesses, iterate_newton
 from walker_jax.integrators.solvers import Real
 from walker_jax.walkers.model import Walker
-from walker_jax.walkers.parameters import attributes_of, with_parameter
+from walker_jax.walkers.parameters import attributes_of, check_parameter, with_parameter
 from walker_jax.walking.iteration import select_walkers
 
 NO_START = -1
@@ -162,7 +162,7 @@ def find_parent_below(
     interval.
     """
     branch, (low, high) = branches[number], interval
-    wider = (low / 2 if low > 0 else 2 * low - high, high)
+    wider = widen_downwards(walker, parameter, low, high)
     lowest = int(branch.values.argmin())
     start = Start(float(branch.values[lowest]), branch.states[lowest])
     (down,) = continue_gaits(walker, parameter, wider, [start], tolerance=tolerance)
@@ -179,6 +179,16 @@ def find_parent_below(
                     if not select_new_starts(walker, parameter, [other], [point], tolerance):
                         return i
     return -1
+
+
+def widen_downwards(walker: Walker, parameter: str, low: float, high: float) -> tuple[float, float]:
+    """An interval from a lower value on; the same where the walker does not take that value."""
+    below = low / 2 if low > 0 else 2 * low - high
+    try:
+        check_parameter(walker, parameter, below)
+    except ValueError:
+        return low, high
+    return below, high
 
 
 def find_descendants(branches: list[Branch], parents: list[int]) -> list[int]:

@@ -8,7 +8,7 @@ import numpy as np
 from walker_jax.checks import ComputationFailed
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import find_gait, find_gaits
-from walker_jax.walkers.model import Walker
+from walker_jax.walkers.model import Walker, moves_like
 from walker_jax.walkers.parameters import describe_in_words
 from walker_jax.walkers.simplest import SimplestWalker
 
@@ -70,7 +70,7 @@ def select_gaits(
 
 def reason_without_gait(walker: Walker, period: int, search: Gait | None, *, guessed: bool) -> str:
     """Why no gait was found: by the end of one `search`, or None for searches from all cells."""
-    single = guessed or (isinstance(walker, SimplestWalker) and period == 1)
+    single = guessed or (moves_like(walker, SimplestWalker) and period == 1)
     if search is None or not (np.isfinite(search.residual) or single):
         return "none of the searches over the section converged to one"
     if not np.isfinite(search.residual):

@@ -37,7 +37,7 @@ from walker_jax.grids import Grid
 from walker_jax.stability.sampling import wilson_interval
 from walker_jax.stability.summary import default_region
 from walker_jax.walkers.model import Walker, check_single
-from walker_jax.walkers.parameters import check_parameter, with_parameter
+from walker_jax.walkers.parameters import attributes_of, check_parameter, with_parameter
 from walker_jax.walking.iteration import orbits
 from walker_jax.walking.outcomes import Outcome
 
@@ -124,7 +124,7 @@ def continue_basins(
     about = {
         "parameter": parameter,
         "walker": type(walker).__name__,
-        **{f"walker_{k}": float(v) for k, v in vars(walker).items() if k != parameter},
+        **attributes_of(walker, without=parameter),
         "section": list(walker.section),
         "samples": samples,
         "strides": strides,

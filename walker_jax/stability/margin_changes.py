@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 
 from walker_jax.execution.tiles import map_cells
 from walker_jax.walkers.model import Scalar, Walker, numbers_of
+from walker_jax.walkers.parameters import with_parameter
 from walker_jax.walking.failure_margins import failure_margin, follow_margins
 from walker_jax.walking.iteration import walk_on
 
@@ -30,11 +31,12 @@ def differentiate_margins(
     zero = np.zeros((len(parameters), x.shape[1]), dtype)
     along = np.tile(np.concatenate([directions.astype(dtype), zero]), (n, 1))
     names = [None] * len(directions) + list(parameters)
-    by = {name: np.array([name == one for one in names], dtype) for name in numbers_of(walker)}
-    fields = jax.tree.unflatten(
-        jax.tree.structure(walker), [np.tile(by[name], n) for name in numbers_of(walker)]
-    )
-    cells = np.repeat(x, columns, axis=0), np.repeat(made, columns), (fields, along)
+    tangent = walker
+    for name in numbers_of(walker):  # by name: a constructor may set them in any order
+        tangent = with_parameter(
+            tangent, name, np.tile(np.array([name == one for one in names], dtype), n)
+        )
+    cells = np.repeat(x, columns, axis=0), np.repeat(made, columns), (tangent, along)
     shared = jax.tree.map(lambda leaf: np.asarray(leaf, dtype), (walker, tolerance))
     return map_cells(margin_jvp, (shared, cells)).reshape(n, columns)
 
