@@ -655,14 +655,13 @@ def test_a_motion_has_the_knee():
     ending = wj.motion(WALKER, lands, 1, step=0.02).isel(frame=-1)
     lowest = ending["swing"][1] - WALKER.foot_radius
     assert ending["knee"] > 0 and abs(float(lowest)) < 0.05
-    on_step = wj.walk(WALKER, starts(400), 1, ground=[0.01]).outcomes[:, 0] == Outcome.BENT_KNEE
-    for lands in starts(400)[on_step]:
-        motion = wj.motion(WALKER, lands, 1, step=0.02, ground=[0.01])
-        ahead = (motion["swing"] - motion["stance"])[:, 0].values > 0
-        above = motion["swing"][:, 1].values > 0.01
-        assert not np.any(
-            ahead[:-1] & ~above[:-1] & np.roll(above, 1)[:-1]
-        )  # but in the last frame
+    higher = jax.jit(jax.vmap(lambda x: wj.stride(WALKER, x, step=0.01).outcome))(starts(400))
+    landings = starts(400)[np.asarray(higher) == Outcome.BENT_KNEE]
+    assert len(landings) > 2
+    for lands in landings[:20]:
+        ending = wj.motion(WALKER, lands, 1, step=0.02, ground=np.array([0.01])).isel(frame=-1)
+        # The last frame is just before the landing.
+        assert ending["knee"] > 0 and 0 < float(ending["swing"][1]) - 0.01 < 0.1
 
 
 class Coast(Phase):
