@@ -35,7 +35,7 @@ from walker_jax.walking.stepping import (
 ROUNDS = 4, 16, 64
 """Strides of the first rounds of an iteration, and of all later ones; only unfinished walks enter
 the next. Most starts on a grid around a basin fail within four strides."""
-SINGLE_STRIDES, MANY_WALKS = 32, 1000
+SINGLE_STRIDES, MANY_WALKS = 32, 5000
 """Rounds on a CPU have one stride as long as so few are made and so many walks go on: in a longer
 round the lanes of a kernel wait for the one that walks farthest, half of the time or more. Most
 walks have ended by then, and a round of fewer takes about as long as it takes to begin."""
