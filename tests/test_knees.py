@@ -9,10 +9,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from part_of_swing import PartOfSwing
 from scipy.integrate import solve_ivp
 
 import walker_jax as wj
-from walker_jax import BentState, KneedWalker, Outcome, Phase, RoundFootWalker, State
+from walker_jax import BentState, KneedWalker, Outcome, RoundFootWalker, State
 from walker_jax.gaits.derivatives import linearise
 from walker_jax.walkers.kneed import FreeKnee, begin_bent, stance_knee_moment
 from walker_jax.walkers.parameters import parameters
@@ -664,23 +665,11 @@ def test_a_motion_has_the_knee():
         assert ending["knee"] > 0 and 0 < float(ending["swing"][1]) - 0.01 < 0.1
 
 
-class Coast(Phase):
+class Coast(PartOfSwing):
     """A second phase, with straight legs and nothing new, until the stance leg is past upright."""
-
-    def begin(self, state):
-        return state
-
-    def vector_field(self, state):
-        return self.walker.vector_field(state)
-
-    def contact_force(self, state):
-        return self.walker.contact_force(state)
 
     def event(self, state):
         return -state.theta - 0.05
-
-    def end(self, state):
-        return state
 
 
 class TwoPhases(KneedWalker):

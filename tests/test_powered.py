@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import powered_reference
 import pytest
+from part_of_swing import PartOfSwing
 
 import walker_jax as wj
 from walker_jax import multibody
@@ -113,17 +114,8 @@ def test_the_work_of_motors_is_not_known_with_phases():
     assert cost_is_known(wj.KneedWalker(0.05))
 
 
-class Half(wj.Phase):
+class Half(PartOfSwing):
     """Of the swing, until the legs pass each other: then the swing leg is slowed down."""
-
-    def begin(self, state):
-        return state
-
-    def vector_field(self, state):
-        return self.walker.vector_field(state)
-
-    def contact_force(self, state):
-        return self.walker.contact_force(state)
 
     def event(self, state):
         return -state.phi

@@ -33,8 +33,9 @@ MAX_DISTANCES = 2**24
 WITNESSES = 128
 """Walkers that are followed to see whether a motion without a period goes on."""
 SURVIVAL = 1000, 2000
-"""Strides after which all of them are on it, and strides in which none may fall or come to a cycle
-then: a transient with a mean life of less than some 85,000 strides is told from an attractor."""
+"""Strides after which all of them are on it, and strides in which none may fall or converge to a
+cycle then: a transient with a mean life of less than some 85,000 strides is told from an
+attractor."""
 
 
 def sample(x: Float[np.ndarray, "n section"], most: int = SAMPLE) -> Float[np.ndarray, "m section"]:
@@ -57,7 +58,7 @@ def find_attractors(
 
     Walkers are followed until each has failed, or repeats itself to rounding. For those that do
     neither in some hundred strides, as close to a period doubling, a stable cycle is solved for.
-    Where there is none, and none of them falls or comes to a cycle for long, they are on an
+    Where there is none, and none of them falls or converges to a cycle for long, they are on an
     attractor without a period; one is added for them all.
     """
     found, exact = list(known), 1e3 * np.finfo(x.dtype).eps
@@ -94,7 +95,8 @@ def find_attractors(
             found.append(cycle)
     if not solved and all(one.period for one in found):
         wandering = on_lasting_motion(walker, x[:WITNESSES], found, tolerance)
-        found += [Attractor(None, x[[i]]) for i in wandering[:1]]
+        if len(wandering):
+            found.append(Attractor(None, x[wandering[:1]]))
     return found
 
 
@@ -106,7 +108,7 @@ def on_lasting_motion(
 ) -> Int[np.ndarray, " m"]:
     """Indices of the walkers on a motion that goes on, none if there is no such motion.
 
-    They are those that neither fall nor come to a cycle for long; later none of them does either.
+    They neither fall nor converge to a cycle for long, and later none of them does either.
     """
     early, late = SURVIVAL
     left, x = still_wandering(walker, x, early, cycles, tolerance)
@@ -121,7 +123,7 @@ def still_wandering(
     cycles: Sequence[Attractor],
     tolerance: float,
 ) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m section"]]:
-    """The walkers that after some strides neither fell nor come to a cycle, and where they are."""
+    """The walkers that neither fall nor converge to a cycle in some strides, and their states."""
     end = iterate(walker, x, strides, tolerance)
     left = np.flatnonzero(end.outcome == Outcome.STRIDE)
     left = left[match_approaching(walker, end.state[left], cycles, tolerance) < 0]

@@ -72,8 +72,8 @@ def basin(
     - `fate`: `Outcome` of the stride at which the walker fails; `STRIDE` where it converges to an
       attractor, or walks to the last stride (direct);
     - `attractor`: number of the attractor it converges to, -1 for none; of a motion without a
-      period for all that are left after `strides`, of which few may have yet to fall or to come
-      to a cycle (direct);
+      period for all that are left after `strides`, of which few may have yet to fall or to
+      converge to a cycle (direct);
     - `strides`: strides completed before that, or before the failure;
 
     and over the attractors, numbered by period, then by the angle of their first state (the one

@@ -100,7 +100,7 @@ class Mapper(NamedTuple):
         return match_approaching(self.walker, x, self.attractors, self.tolerance)
 
     def follow_on(self, x: Float[np.ndarray, "n section"]) -> Int[np.ndarray, " n"]:
-        """Numbers of the cycles that walkers come to when they are followed on, -1 for none."""
+        """Numbers of the cycles that walkers converge to when they are followed on, -1 for none."""
         number, left, made = np.full(len(x), -1, np.int32), np.arange(len(x)), 0
         while len(left) and made < self.further:
             count = min(max(made, LONGEST_PERIOD), self.further - made)
@@ -130,7 +130,7 @@ class Mapper(NamedTuple):
 
         That is the cycle that they approach, or one that is found by following some of them
         further, at `most`; else the motion without a period, if there is one, of those too that
-        have yet to fall; else the cycle that they come to later, or -1.
+        have yet to fall; else the cycle that they converge to later, or -1.
         """
         number, mapper = self.match_approaching(x), self
         unmatched = number < 0
@@ -142,7 +142,7 @@ class Mapper(NamedTuple):
         wandering = [i for i, one in enumerate(mapper.attractors) if one.period is None]
         if wandering:
             number[unmatched] = wandering[0]
-        elif mapper.attractors:
+        elif mapper.attractors and mapper.further:
             number[unmatched] = mapper.follow_on(x[unmatched])
         return number, mapper
 
@@ -152,9 +152,9 @@ class Mapper(NamedTuple):
         return self._replace(attractors=found)
 
     def without_unseen_motion(self, number: Int[np.ndarray, " n"]) -> "Mapper":
-        """The mapper without a motion without a period that is the attractor of no walker.
+        """The mapper without its attractor without a period, if none of these walkers is on it.
 
-        It is the last attractor, as none is sought once it is known.
+        That attractor is the last, as none is sought once it is known.
         """
         last = len(self.attractors) - 1
         if last < 0 or self.attractors[last].period or (number == last).any():

@@ -25,7 +25,7 @@ from walker_jax.cli.options import (
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.design.evaluation import check_starts
 from walker_jax.stability.summary import summarise_robustness
-from walker_jax.walkers.model import State, Walker
+from walker_jax.walkers.model import Walker, is_planar
 from walker_jax.walkers.parameters import describe_walker, space_decimals
 
 
@@ -110,7 +110,7 @@ def robustness(
         "strides": strides,
         "seed": seed,
     } | ({} if ground is None else {"ground": ground})
-    if walker.state is not State:
+    if not is_planar(walker):
         options["check"] = check_starts(walker, exact=True)
     asked = {"slopes": slopes, "axes": {} if grid is None else grid.box}
     request = request_for("robustness", type(walker), walker=about, **asked, **options)

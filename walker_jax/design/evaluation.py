@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from walker_jax.basins.capture_boxes import PLAIN_SECTION
 from walker_jax.checks import ComputationFailed, WrongUse
 from walker_jax.design.area_gradients import area_gradient
 from walker_jax.design.disturbance_gradients import disturbance_gradient
@@ -16,7 +15,7 @@ from walker_jax.design.sensitivity_gradients import sensitivity_gradient
 from walker_jax.gaits.cycles import Gait
 from walker_jax.stability.disturbances import SEARCH_TOLERANCE
 from walker_jax.stability.rays import DENSE
-from walker_jax.walkers.model import Walker
+from walker_jax.walkers.model import Walker, is_planar
 
 STEP_LENGTHS = (0.1, 0.03, 0.01, 0.003)
 """Lengths of the steps of each stage, in places."""
@@ -34,8 +33,8 @@ SCAN_STAGE, ENDS_STAGE = -1, -2
 CHECK_STARTS = 50_000, 500_000
 """Starts that correct an area during optimisation, and at the ends."""
 CHECK_STARTS_IN_SPACE = 5_000, 50_000
-"""The same on sections of more coordinates than a planar walker's, whose strides take eleven times
-as long (benchmarks/space.py); the errors of areas say what that costs."""
+"""The same for walkers in space, whose strides take eleven times as long (benchmarks/space.py); the
+errors of areas say what that costs."""
 DIRECTIONS = DENSE // 8, DENSE
 """Directions in which the least disturbance is searched for during optimisation, and at the ends.
 An eighth finds it to 1e-3 or better, except at fractal boundaries."""
@@ -120,8 +119,7 @@ def evaluate_objective(
 
 def check_starts(walker: Walker, exact: bool) -> int:
     """How many starts correct an area: at the ends, where it is to be `exact`, more."""
-    in_plane = len(walker.section) <= PLAIN_SECTION
-    return (CHECK_STARTS if in_plane else CHECK_STARTS_IN_SPACE)[exact]
+    return (CHECK_STARTS if is_planar(walker) else CHECK_STARTS_IN_SPACE)[exact]
 
 
 def evaluate_disturbance(

@@ -16,7 +16,7 @@ from walker_jax.checks import check_kind, refuses_tracers
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.derivatives import gait_derivatives
 from walker_jax.gaits.search import find_gait
-from walker_jax.walkers.model import Scalar, Walker
+from walker_jax.walkers.model import Scalar, Walker, is_planar
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 from walker_jax.walking.stepping import stride, trajectory
 
@@ -115,14 +115,14 @@ def gait_measures(
 
 
 def step_length(walker: Walker, x: Float[Array, " section"]) -> Scalar:
-    """Of the step that a heel strike ends; after it, or before it, the walker is at x.
+    """The length of a step of a gait: of the one before x in the plane, in space of the one after.
 
-    A foot of two coordinates stands where it is, or rolls by its angle. Where a disc has rolled to
-    in space, its stride tells.
+    A planar foot stands, or rolls by the angle of its leg, so the state at heel strike gives the
+    length. How far a disc rolls in space depends on the whole stride.
     """
-    if "x" in walker.state._fields:
-        return walker.reach(end_of_stride(walker, x))
-    return walker.reach(walker.exchange_legs(walker.lift(x)))
+    if is_planar(walker):
+        return walker.reach(walker.exchange_legs(walker.lift(x)))
+    return walker.reach(end_of_stride(walker, x))
 
 
 def end_of_stride(walker: Walker, x: Float[Array, " section"]) -> Any:

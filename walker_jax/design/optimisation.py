@@ -17,7 +17,6 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from walker_jax.basins.capture_boxes import PLAIN_SECTION
 from walker_jax.basins.computation import basin
 from walker_jax.basins.memory import check_grid
 from walker_jax.basins.refinement import FINEST, check_finest, refine_cells
@@ -48,7 +47,7 @@ from walker_jax.execution.progress import bar
 from walker_jax.execution.threads import side_by_side
 from walker_jax.grids import Grid
 from walker_jax.stability.summary import default_region
-from walker_jax.walkers.model import Walker, check_planar
+from walker_jax.walkers.model import Walker, check_planar, is_planar
 
 ATTRACTED = -1
 """Instead of a fate, in those basins, where the walker converges to an attractor."""
@@ -57,8 +56,8 @@ USUAL_MEASUREMENTS = 10
 VIEW_CELLS = 300
 """Cells along each axis in which the basins at both ends are shown."""
 VIEW_CELLS_IN_SPACE = 100
-"""The same on sections of more coordinates than a planar walker's, whose strides take eleven times
-as long (benchmarks/space.py): a ninth of the starts."""
+"""The same for walkers in space, whose strides take eleven times as long (benchmarks/space.py): a
+ninth of the starts."""
 
 
 @refuses_tracers()
@@ -285,8 +284,7 @@ def compare_basins(problem: Problem, start: Evaluation, best: Evaluation) -> dic
     margin = np.maximum(1, (high - low) // 20)
     low, high = np.maximum(low - margin, 0), np.minimum(high + margin, shape)
     spacing = np.asarray(rough[0].grid.spacing)
-    in_plane = len(problem.walker.section) <= PLAIN_SECTION
-    shown_cells = VIEW_CELLS if in_plane else VIEW_CELLS_IN_SPACE
+    shown_cells = VIEW_CELLS if is_planar(problem.walker) else VIEW_CELLS_IN_SPACE
     axes = {
         name: (float(start + first * width), float(start + last * width), shown_cells)
         for name, start, first, last, width in zip(

@@ -71,10 +71,10 @@ def continue_gait(
 
     Steps are as long as the curvature of the branch allows. Two folds, or two doublings, within one
     step are missed. Where a multiplier passes 1 without a fold, as where two branches cross, there
-    is no event and only `Branch.stable` tells: so it is over a gain of `Feedback`, whose gait is
-    one for all gains. The branch ends where it leaves the range, where a state no longer makes a
-    stride however short the step, where it closes, or where it returns to the gait of half the
-    period from which it doubled.
+    is no event, and only `Branch.stable` tells. That happens over gains of `Feedback`, where the
+    gait does not depend on the gain. The branch ends where it leaves the range, where a state no
+    longer makes a stride however short the step, where it closes, or where it returns to the gait
+    of half the period from which it doubled.
 
     **Arguments:**
 

@@ -8,7 +8,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Float, Int
 
-from walker_jax.basins.capture_boxes import PLAIN_SECTION, with_capture_boxes
+from walker_jax.basins.capture_boxes import with_capture_boxes
 from walker_jax.basins.memory import check_grid
 from walker_jax.basins.methods import mapper_of_grid
 from walker_jax.basins.runs import flat_index
@@ -16,21 +16,21 @@ from walker_jax.checks import check_precision, check_whole, numbers, refuses_tra
 from walker_jax.fractals import Uncertainty, sort_distances, uncertainty_exponent, upper_probability
 from walker_jax.grids import Grid, edge
 from walker_jax.integrators.solvers import default_tolerance
-from walker_jax.walkers.model import Walker
+from walker_jax.walkers.model import Walker, is_planar
 
 DISTANCES = 10.0 ** np.linspace(-6, -3.5, 11)
 """Distances between starts whose fates are compared, as shares of the lengths of a grid's axes."""
 PAIRS = 50_000
 """Starts for each distance."""
 DISTANCES_IN_SPACE, PAIRS_IN_SPACE = 10.0 ** np.linspace(-4, -2.5, 6), 4_000
-"""The same in `robustness` of walkers with more coordinates on their section than planar ones: a
-twenty-third of the starts, as each stride takes eleven times as long, at distances that are large
-enough for some tens of them to be uncertain and shorter than a cell of the default slice."""
+"""The same in `robustness` of walkers in space: a twenty-third of the starts, as each stride takes
+eleven times as long, at distances that are large enough for some tens of them to be uncertain and
+shorter than a cell of the default slice."""
 
 
 def comparisons(walker: Walker) -> dict[str, Any]:
     """The distances and pairs with which `robustness` compares starts of a walker."""
-    if len(walker.section) <= PLAIN_SECTION:
+    if is_planar(walker):
         return {"distances": DISTANCES, "pairs": PAIRS}
     return {"distances": DISTANCES_IN_SPACE, "pairs": PAIRS_IN_SPACE}
 

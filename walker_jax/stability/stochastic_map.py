@@ -156,9 +156,7 @@ def metastability(
             "walker": type(walker).__name__,
             **attributes_of(walker),
             "section": list(walker.section),
-            "ground": ground
-            if is_number(ground)
-            else getattr(ground, "__qualname__", repr(ground)),
+            "ground": describe_ground(ground),
             "side": size,
             "walkers": walkers,
             "repetitions": repetitions,
@@ -166,6 +164,11 @@ def metastability(
             "version": f"walker-jax {version('walker-jax')}",
         },
     )
+
+
+def describe_ground(ground: float | RandomDisturbance) -> float | str:
+    """The number that ground is, or the name of the function, or what a callable says of itself."""
+    return ground if is_number(ground) else getattr(ground, "__qualname__", repr(ground))
 
 
 def widening(repetitions: int) -> float:

@@ -25,7 +25,7 @@ from walker_jax.stability.sampling import BasinStability, basin_stability
 from walker_jax.stability.slices import slice_around
 from walker_jax.stability.steps_down import NO_STEP_DOWN, LeastStepDown, least_step_down
 from walker_jax.walkers.abstract_point_foot import AbstractPointFootWalker
-from walker_jax.walkers.model import State, Walker, check_planar, moves_like
+from walker_jax.walkers.model import Walker, check_planar, is_planar, moves_like
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 from walker_jax.walkers.simplest import SimplestWalker
 from walker_jax.walking.outcomes import Outcome
@@ -131,7 +131,7 @@ def robustness(
         return rolled, nearest, fall, stability
 
     def by_steps_down() -> tuple[LeastStepDown, LeastStepDown]:
-        if walker.state is not State:
+        if not is_planar(walker):
             return NO_STEP_DOWN, NO_STEP_DOWN
         down = fall = least_step_down(walker, gait, **about)
         if down.failure in LEADS_ELSEWHERE:

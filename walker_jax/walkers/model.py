@@ -276,10 +276,15 @@ class Walker(eqx.Module):
         return State(theta - phi, -phi, thetadot - phidot, -phidot)
 
 
+def is_planar(walker: Walker) -> bool:
+    """Whether a walker moves in the plane, not in space."""
+    return walker.state is State
+
+
 def check_planar(walker: Walker) -> None:
     """Refuse walkers in space, where what is computed is known of walkers in the plane alone."""
     check_kind("walker", walker, Walker)
-    if walker.state is not State:
+    if not is_planar(walker):
         raise WrongUse(f"walker must be one in the plane, not a {type(walker).__name__}")
 
 

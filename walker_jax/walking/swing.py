@@ -26,7 +26,7 @@ from walker_jax.integrators.roots import (
 from walker_jax.integrators.solvers import MAX_STEPS, Method, Real, solver_for, zero_at
 from walker_jax.integrators.taylor import with_fast_sincos
 from walker_jax.walkers.masses import MultibodyMotion, SingleSupport
-from walker_jax.walkers.model import Phase, Scalar, State, Walker
+from walker_jax.walkers.model import Phase, Scalar, Walker, is_planar
 from walker_jax.walkers.rolling_stance import RollingStance
 from walker_jax.walkers.spatial import SpatialWalker
 from walker_jax.walking.outcomes import Outcome
@@ -171,7 +171,7 @@ def swing(
         return last.end, arrival, time, verdict, count + steps, broken, below
 
     # A foot may come down and up again within a step: to ground that is rough, or in space.
-    may_dip = step is not None or walker.state is not State
+    may_dip = step is not None or not is_planar(walker)
     watched = conditions_of(walker)
     broken = {outcome: jnp.asarray(False) for outcome in watched}
     if walker.force_least_at_ends:
@@ -189,7 +189,7 @@ def may_stop_within(walker: Walker) -> bool:
 
     An inverted pendulum does not: where it stops before the top, it goes back.
     """
-    return walker.state is State and not walker.inverted_pendulum
+    return is_planar(walker) and not walker.inverted_pendulum
 
 
 def speed_of(state: Any) -> Scalar:
