@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from walker_jax.basins.mapper import Labels
 from walker_jax.basins.refinement import Refined, refine_cells
 from walker_jax.basins.runs import flat_index
 from walker_jax.checks import WrongUse, refuses_tracers
@@ -23,6 +24,7 @@ from walker_jax.execution.threads import side_by_side
 from walker_jax.grids import Grid, cell_slices
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.walkers.model import Walker
+from walker_jax.walking.outcomes import Outcome
 
 BISECTIONS = 8
 """Bisections of the distance between two centres, to locate the boundary between them."""
@@ -50,15 +52,17 @@ class AreaGradient(NamedTuple):
     """Its derivatives."""
     area_error: float
     error: Float[np.ndarray, " parameters"]
-    """Standard errors; of the gradient, by the scatter between lines of the grid, and by an
-    estimate of what parts thinner than its cells bring."""
+    """Standard errors; of the gradient, by the scatter between lines of the grid, by an estimate of
+    what parts thinner than its cells bring, and by the crossings of which no motion is known."""
     averaged: Bool[np.ndarray, " parameters"]
     """Whether each derivative is an average over a band."""
     crossings: int
     """Number of points in which lines cross the boundary."""
     lost: int
-    """Crossings that border on another motion, or on starts that are not feasible, instead of a
-    failure; they count as fixed, which of feasible starts they are."""
+    """Crossings whose motion is not known, as they border on another motion, on starts that are not
+    feasible, or on a failure without a margin. Those that border on infeasible starts count as
+    fixed, as where feasible starts end does not depend on most walkers' parameters. Each other
+    counts in the error as a crossing that moves as the known ones do, in the mean square."""
     strides: int
     """Strides made in all; those with derivatives count once for each direction."""
 
@@ -234,24 +238,24 @@ def integrate_along_boundary(
     shape, count = np.array(fine.shape), len(parameters)
     tangents = np.asarray(fine.shear) * np.asarray(fine.spacing)  # columns: from cell to cell
     totals, extrapolated = np.zeros((LINE_GROUPS, count)), np.zeros(count)
-    crossings = lost = made = 0
+    squares, crossings, lost, untold, made = np.zeros(count), 0, 0, 0, 0
     limits = MAX_WEIGHTS[len(shape)]
 
-    def follow(places: Float[np.ndarray, "n axes"]) -> tuple[np.ndarray, np.ndarray]:
-        """Whether walkers converge to an attractor, and after how many strides they do or fail."""
+    def follow(places: Float[np.ndarray, "n axes"]) -> Labels:
         nonlocal made
         labels, _ = found.mapper.label_all(fine.points_at(places / shape))
         made += labels.total_strides
-        return labels.converged, labels.strides
+        return labels
 
     for axis in range(len(shape)):
         inside, outside = boundary_pairs(found, axis)
         for _ in range(BISECTIONS):
             middle = (inside + outside) / 2
-            stays = follow(middle)[0][:, None]
+            stays = follow(middle).converged[:, None]
             inside, outside = np.where(stays, middle, inside), np.where(stays, outside, middle)
         x = fine.points_at(outside / shape)
-        beyond = follow(outside)[1]
+        labels = follow(outside)
+        beyond = labels.strides
         tolerance = found.mapper.tolerance
         change = differentiate_margins(walker, x, beyond, tangents.T, parameters, tolerance)
         made += int((beyond + 1).sum()) * change.shape[1]
@@ -263,13 +267,21 @@ def integrate_along_boundary(
             moves = moves * density_at(density, x)[:, None]
         known = np.isfinite(moves).all(axis=1)
         crossings, lost = crossings + len(x), lost + int(np.sum(~known))
+        fixed = (labels.fate == Outcome.OUTSIDE) & (labels.strides == 0)
+        untold += int(np.sum(~known & ~fixed))
+        squares += np.sum(moves[known] ** 2, axis=0)
         most, half = (inverse_chances(outside, axis, c)[known, None] for c in limits)
         weight = 2 * most - half if len(shape) == 3 else half
         group = np.delete(np.floor(outside).astype(int), axis, axis=1).sum(axis=1) % LINE_GROUPS
         np.add.at(totals, group[known], moves[known] * weight)
         extrapolated += np.sum(moves[known] * (most - half), axis=0)
     cell = fine.cell_area
-    error = np.hypot(np.sqrt(LINE_GROUPS) * np.std(totals, axis=0, ddof=1), extrapolated) * cell
+    scatter = np.sqrt(LINE_GROUPS) * np.std(totals, axis=0, ddof=1)
+    error = np.hypot(scatter, extrapolated) * cell
+    if untold:  # unlike others, they may all move the same way
+        told = crossings - lost
+        typical = np.sqrt(squares / told) if told else np.full(count, np.inf)
+        error = np.hypot(error, untold * typical * cell)
     return Integral(totals.sum(axis=0) * cell, error, crossings, lost, made)
 
 

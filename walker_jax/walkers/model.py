@@ -314,7 +314,7 @@ PREMISES = {
     "inverted_pendulum": EQUATIONS_OF_MOTION,
     "driven_by_gravity": ("vector_field", "impact", "push_off_impulse", "during_stride", "phases"),
     "motor_work": ("vector_field", "impact", "phases"),
-    "past_contact": (*EQUATIONS_OF_MOTION, "contact", "swing_foot"),
+    "past_contact": (*EQUATIONS_OF_MOTION, "contact", "swing_foot", "falls"),
     "gait_region": (*EQUATIONS_OF_MOTION, "contact", "swing_foot", "impact", "lift", "project"),
 }
 """What may be known of a walker beyond its equations, and the methods that it is known of."""

@@ -20,6 +20,7 @@ from walker_jax.integrators.roots import (
     differentiable_zero,
     first_upcrossing,
     interior_minimum,
+    negate,
     polynomial_jet,
 )
 from walker_jax.integrators.series import evaluate_polynomial
@@ -34,10 +35,20 @@ from walker_jax.integrators.taylor import function_series, with_fast_sincos
 from walker_jax.kernels import by_kernel
 from walker_jax.walkers.model import Scalar, State, Walker, toppling_rate
 from walker_jax.walkers.spatial import SpatialWalker
+from walker_jax.walking.falls import (
+    ahead_by,
+    distance_to_fall,
+    fall_of,
+    has_own_falls,
+    makes_step,
+    missing_slope,
+    watched_falls,
+)
 from walker_jax.walking.iteration import for_each_start
 from walker_jax.walking.margins_in_space import margins_in_space
 from walker_jax.walking.outcomes import Outcome, Stride
 from walker_jax.walking.phase_margins import (
+    WAYS,
     Least,
     PhaseMargins,
     follow_phase_margins,
@@ -45,6 +56,7 @@ from walker_jax.walking.phase_margins import (
     least_with,
     missing_speed,
     upcrossing,
+    with_own_failures,
 )
 from walker_jax.walking.stepping import begin_stride, during_stride, end_stride, on_section, prepare
 from walker_jax.walking.swing import (
@@ -121,19 +133,9 @@ def margins_of_many(
 
 def failure_margin(found: Margins) -> Scalar:
     """The margin of the failure that ended a stride, NaN for none; no batch axis."""
-    ways = {
-        Outcome.BACKWARD: found.backward,
-        Outcome.FORWARD: found.forward,
-        Outcome.RUNNING: found.running,
-        Outcome.STOPPED: found.stopping,
-        Outcome.BENT_KNEE: found.landing,
-        Outcome.BUCKLED: found.buckling,
-        Outcome.SCUFFED: found.scuffing,
-        Outcome.SIDEWAYS: found.sideways,
-    }
     by = jnp.full_like(found.backward, jnp.nan)
-    for outcome, margin in ways.items():
-        by = jnp.where(found.stride.outcome == outcome, margin, by)
+    for outcome, name in WAYS.items():
+        by = jnp.where(found.stride.outcome == outcome, getattr(found, name), by)
     return by
 
 
@@ -158,6 +160,12 @@ class MarginState(NamedTuple):
     otherwise: Scalar
     """-h where the legs first passed each other, or the stance leg was down before that; minus
     infinity if neither has been."""
+    grazing: Scalar
+    """How far below the contact the foot would come at heel strike, if it came up again within
+    the step of the integration; infinite if not."""
+    fallen: Scalar
+    """Of a fall of one's own: minus |h| of a foot that is ahead, what the foot missed before, or
+    `missing_slope`, whichever is nearest to zero; infinite if there is none."""
     least: Least
     """Of the conditions, the contact force the first, by outcomes."""
     arrival: State
@@ -188,30 +196,30 @@ def follow_margins(
         return going & jnp.isfinite(now.time)
 
     def advance(now: MarginState) -> MarginState:
-        series, length = taylor_step(field, now.state, order, tolerance, walker.contact)
+        others = walker.contact, *watched_falls(walker)
+        series, length = taylor_step(field, now.state, order, tolerance, *others)
         after = evaluate_series(series, length)
         h = function_series(walker.contact, series)
         jet = polynomial_jet(h)
-        turn = interior_minimum(jet, length)
+        turn, top = interior_minimum(jet, length), interior_minimum(negate(jet), length)
         below = with_fast_sincos(is_below)(walker, after)
-        crossed, when = first_upcrossing(jet, length, (now.below, below))
-        when = differentiable_zero(h, when)
+        ends_below = jnp.where(top.exists, jet(top.time)[0] < 0, below)
+        until = jnp.where(top.exists, top.time, length)
+        crossed, when = first_upcrossing(jet, until, (now.below, ends_below))
+        when = differentiable_zero(h, jnp.where(crossed, when, length))
         arrival = evaluate_series(series, when)
-        ahead = (arrival.theta < 0) & (arrival.theta > -np.pi / 2) & (arrival.thetadot < 0)
-        strikes = crossed & ahead
-        stopped, down = after.thetadot >= 0, after.theta <= -np.pi / 2
+        strikes = crossed & with_fast_sincos(makes_step)(walker, arrival)
+        fall = fall_of(walker, after)
         end = length
         if may_stop_within(walker):
             speed = polynomial_jet(derivative_of(series.theta))
             stops = stop_within(speed, jnp.where(strikes, when, length))
-            strikes, stopped = strikes & ~stops.exists, stopped | stops.exists
+            strikes, fall = strikes & ~stops.exists, jnp.where(stops.exists, Outcome.BACKWARD, fall)
             end = jnp.where(stops.exists, stops.time, length)
-        fallen = stopped | down
         if on_section(walker, x):
-            fallen |= ~below & with_fast_sincos(lambda w, s: w.past_contact(s))(walker, after)
-        verdict = jnp.where(stopped, Outcome.BACKWARD, Outcome.FORWARD)
-        verdict = jnp.where(fallen, verdict, Outcome.UNDECIDED)
-        verdict = jnp.where(strikes, Outcome.STRIDE, verdict).astype(jnp.int8)
+            past = ~below & with_fast_sincos(lambda w, s: w.past_contact(s))(walker, after)
+            fall = jnp.where(past & (fall == Outcome.UNDECIDED), Outcome.FORWARD, fall)
+        verdict = jnp.where(strikes, Outcome.STRIDE, fall).astype(jnp.int8)
 
         # the foot
         depth = -evaluate_polynomial(h, turn.time)
@@ -220,8 +228,13 @@ def follow_margins(
         missed = jnp.where(
             turn.exists & (depth <= 0) & is_ahead, jnp.maximum(now.missed, depth), now.missed
         )
-        scuffs = crossed & (arrival.theta >= 0)
-        missed = jnp.where(scuffs, jnp.maximum(missed, -arrival.theta), missed)
+        scuffs = crossed & ~with_fast_sincos(lambda w, s: w.is_ahead(s))(walker, arrival)
+        missed = jnp.where(scuffs, jnp.maximum(missed, ahead_by(walker, arrival)), missed)
+        short = -evaluate_polynomial(h, top.time)  # the foot comes down so far, and up again
+        at_top = evaluate_series(series, top.time)
+        hovers = top.exists & (short > 0) & with_fast_sincos(makes_step)(walker, at_top)
+        missed = jnp.where(hovers, jnp.maximum(missed, -short), missed)
+        grazing = jnp.where(strikes & top.exists, -short, now.grazing)
         hdot = derivative_of(h)
         slow = interior_minimum(polynomial_jet(hdot), length)
         when_slow = differentiable_zero(
@@ -252,6 +265,14 @@ def follow_margins(
         late = jnp.maximum(-jnp.abs(evaluate_polynomial(h, stop)), missed)
         late = jnp.where(uphill, late, now.late)
         backward = jnp.where(turned, jnp.maximum(missing, late), backward)
+        fallen = now.fallen
+        if has_own_falls(walker):
+            coming = jnp.where(
+                walker.is_ahead(after), -jnp.abs(evaluate_polynomial(h, length)), -jnp.inf
+            )
+            short = jnp.maximum(missing_slope(walker, series, length, rate), missed)
+            short = jnp.maximum(short, coming)
+            fallen = jnp.where(fall != Outcome.UNDECIDED, short, fallen)
 
         # the force
         least = dict(now.least)
@@ -280,6 +301,8 @@ def follow_margins(
             missed,
             slowest,
             otherwise,
+            grazing,
+            fallen,
             least,
             arrival,
             below,
@@ -297,6 +320,8 @@ def follow_margins(
         missed=-infinite,
         slowest=-infinite,
         otherwise=-infinite,
+        grazing=infinite,
+        fallen=before.fallen,
         least=before.least,
         arrival=before.state,
         below=with_fast_sincos(is_below)(walker, before.state),
@@ -305,7 +330,7 @@ def follow_margins(
     broken = {outcome: least < 0 for outcome, least in last.least.items()}
     stride = with_fast_sincos(end_stride)(walker, last.arrival, last.time, last.verdict, broken)
     found = with_fast_sincos(margins_from)(walker, before, last, stride.outcome)
-    return Margins(stride, *found)
+    return Margins(stride, **found)
 
 
 def first_margins(walker: Walker, start: Any, verdict: Array, tolerance: Scalar) -> PhaseMargins:
@@ -316,22 +341,24 @@ def first_margins(walker: Walker, start: Any, verdict: Array, tolerance: Scalar)
     force = with_fast_sincos(normal_force)(walker, start)
     least = {int(Outcome.RUNNING): force} | least_with(walker, start, {}, jnp.asarray(True))
     stopped = jnp.where(verdict == Outcome.BACKWARD, -(start.thetadot**2) / 2, infinite)
+    fallen = -distance_to_fall(walker, start)
     return PhaseMargins(
-        start, jnp.zeros_like(infinite), verdict, stopped, -infinite, infinite, least
+        start, jnp.zeros_like(infinite), verdict, stopped, -infinite, infinite, fallen, least
     )
 
 
 def margins_from(
     walker: Walker, before: PhaseMargins, last: MarginState, outcome: Array
-) -> tuple[Scalar, ...]:
-    """The margins, in their order, from what was seen before the swing and in it."""
+) -> dict[str, Scalar]:
+    """The margins, by name, from what was seen before the swing and in it."""
     (_, lift), after = walker.impact(last.arrival)
-    following = walker.exchange_legs(after).thetadot
+    exchanged = walker.exchange_legs(after)
+    following = exchanged.thetadot
     struck = last.verdict == Outcome.STRIDE
     strode, none = outcome == Outcome.STRIDE, jnp.full_like(lift, jnp.nan)
     start = before.state
 
-    if walker.inverted_pendulum and not walker.phases():
+    if walker.inverted_pendulum and not walker.phases() and not has_own_falls(walker):
         slope = vars(walker)["slope"]
         energy = start.thetadot**2 / 2 + jnp.cos(start.theta - slope) - 1
         energy = jnp.where(struck & (last.arrival.theta > slope), last.backward, energy)
@@ -343,7 +370,7 @@ def margins_from(
     backward = jnp.where(turned_back, -(following**2) / 2, backward)
     backward = jnp.where(before.verdict == Outcome.BACKWARD, before.backward, backward)
 
-    ahead = -last.arrival.theta
+    ahead = jnp.minimum(ahead_by(walker, last.arrival), last.grazing)
     passed = jnp.where(last.dip > 0, jnp.minimum(last.dip, ahead), ahead)
     otherwise = jnp.where(last.slowest > -jnp.inf, last.slowest, last.otherwise)
     missed = jnp.where(last.missed > -jnp.inf, last.missed, -jnp.abs(otherwise))
@@ -367,13 +394,15 @@ def margins_from(
 
     began = (outcome != Outcome.OUTSIDE) & (outcome != Outcome.UNDECIDED)
     keep = lambda margin, came: jnp.where(began & came, margin, none)
-    return (
-        keep(backward, ~pulled),
-        keep(forward, ~pulled),
-        keep(running, True),
-        keep(stopping, True),
-        keep(landing, True),
-        keep(least(Outcome.BUCKLED), True),
-        keep(least(Outcome.SCUFFED), True),
-        none,
-    )
+    found = {
+        "backward": keep(backward, ~pulled),
+        "forward": keep(forward, ~pulled),
+        "running": keep(running, True),
+        "stopping": keep(stopping, True),
+        "landing": keep(landing, True),
+        "buckling": keep(least(Outcome.BUCKLED), True),
+        "scuffing": keep(least(Outcome.SCUFFED), True),
+        "sideways": none,
+    }
+    values = {of: least(Outcome(of)) for of in last.least}
+    return with_own_failures(walker, found, exchanged, struck, outcome, last.fallen, values)

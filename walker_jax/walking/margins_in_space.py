@@ -32,11 +32,20 @@ from walker_jax.integrators.solvers import (
 from walker_jax.integrators.taylor import function_series, with_fast_sincos
 from walker_jax.walkers.model import Scalar, least_scuff
 from walker_jax.walkers.rolling_stance import SpatialState
-from walker_jax.walkers.spatial import GREATEST_LEAN, LEAST_STEP, SpatialWalker
+from walker_jax.walkers.spatial import GREATEST_LEAN, SpatialWalker
+from walker_jax.walking.falls import (
+    ahead_by,
+    distance_to_fall,
+    fall_of,
+    has_fallen,
+    has_own_falls,
+    missing_slope,
+    watched_falls,
+)
 from walker_jax.walking.outcomes import Outcome, Stride
-from walker_jax.walking.phase_margins import upcrossing
+from walker_jax.walking.phase_margins import upcrossing, with_own_failures
 from walker_jax.walking.stepping import begin_stride, end_stride
-from walker_jax.walking.swing import equations, fall_of, is_below, minimum_of, normal_force
+from walker_jax.walking.swing import Condition, conditions_of, equations, is_below, minimum_of
 
 
 class StrideInSpace(NamedTuple):
@@ -59,8 +68,11 @@ class StrideInSpace(NamedTuple):
     minus infinity if it has not."""
     height: Scalar
     """Of the disc above the slope as the walker falls."""
-    force: Scalar
-    """The least contact force."""
+    fallen: Scalar
+    """Of a fall of one's own, `missing_slope`, or minus the distance where it is at the start;
+    infinite if there is none."""
+    least: dict[int, Scalar]
+    """The least values of conditions, the contact force the first, by outcomes."""
     arrival: SpatialState
     """That at heel strike, if there is one."""
     below: Bool[Array, ""]
@@ -83,6 +95,19 @@ def series_of_distances(series: Any) -> list[list[Scalar]]:
     ]
 
 
+def scuffs_by_turns(walker: SpatialWalker) -> bool:
+    """Whether the disc must stay above the slope, and is least above it where it turns upwards."""
+    return not walker.allow_scuffing and type(walker).conditions is SpatialWalker.conditions
+
+
+def conditions_on_the_way(walker: SpatialWalker) -> dict[int, Condition]:
+    """Those that are looked at all along the stride, by the outcome where one is broken."""
+    found = conditions_of(walker)
+    if scuffs_by_turns(walker):
+        del found[int(Outcome.SCUFFED)]
+    return found
+
+
 def follow_in_space(
     walker: SpatialWalker, start: SpatialState, verdict: Int[Array, ""], tolerance: Scalar
 ) -> StrideInSpace:
@@ -94,7 +119,8 @@ def follow_in_space(
         return going & jnp.isfinite(now.time)
 
     def advance(now: StrideInSpace) -> StrideInSpace:
-        series, length = taylor_step(field, now.state, order, tolerance, walker.contact)
+        others = walker.contact, *watched_falls(walker)
+        series, length = taylor_step(field, now.state, order, tolerance, *others)
         after = evaluate_series(series, length)
         h = function_series(walker.contact, series)
         jet = polynomial_jet(h)
@@ -106,7 +132,7 @@ def follow_in_space(
         when = differentiable_zero(h, when)
         arrival = evaluate_series(series, when)
         ahead = walker.is_ahead(arrival)
-        strikes = crossed & ahead & (fall_of(walker, arrival) == Outcome.UNDECIDED)
+        strikes = crossed & ahead & ~has_fallen(walker, arrival)
         until = jnp.where(strikes, when, length)
         end = jax.tree.map(lambda a, b: jnp.where(strikes, a, b), arrival, after)
 
@@ -119,7 +145,7 @@ def follow_in_space(
         miss = jnp.where(too_low, jnp.maximum(now.miss, highest), now.miss)
         miss = jnp.where(too_high, jnp.maximum(miss, -lowest), miss)
         touches = crossed & ~ahead
-        miss = jnp.where(touches, jnp.maximum(miss, -arrival.phi - LEAST_STEP), miss)
+        miss = jnp.where(touches, jnp.maximum(miss, ahead_by(walker, arrival)), miss)
         clears = top.exists & (highest > 0)
         clearing = jnp.where(clears, jnp.maximum(now.clearing, highest), now.clearing)
         clearing = jnp.where(touches, -jnp.inf, clearing)
@@ -133,35 +159,45 @@ def follow_in_space(
             upright.append(known)
             down = upcrossing([-c for c in distance], length)
             fall = jnp.where(down.exists & (down.time < fall), down.time, fall)
+        verdict, fallen = fall_of(walker, after), now.fallen
+        if has_own_falls(walker):
+            fall, rate = length, 1 / jnp.sqrt(walker.leg_length)
+            slope = missing_slope(walker, series, length, rate)
+            fallen = jnp.where(verdict != Outcome.UNDECIDED, slope, fallen)
 
-        # the force
-        at, force = minimum_of(
-            normal_force,
-            walker,
-            now.state,
-            end,
-            lambda t: evaluate_series(series, t),
-            until,
-            resolution=1e-9,
-        )
-        there = with_fast_sincos(normal_force)(walker, evaluate_series(series, at))
-        at_end = with_fast_sincos(normal_force)(walker, end)
-        force = jnp.where(jnp.isfinite(force), jnp.minimum(there, at_end), at_end)
+        # the conditions
+        least = dict(now.least)
+        for outcome, condition in watched.items():
+            at, value = minimum_of(
+                condition,
+                walker,
+                now.state,
+                end,
+                lambda t: evaluate_series(series, t),
+                until,
+                resolution=1e-9,
+            )
+            there = with_fast_sincos(condition)(walker, evaluate_series(series, at))
+            at_end = with_fast_sincos(condition)(walker, end)
+            value = jnp.where(jnp.isfinite(value), jnp.minimum(there, at_end), at_end)
+            least[outcome] = jnp.minimum(least[outcome], value)
         return StrideInSpace(
             after,
             now.time + until,
-            jnp.where(strikes, Outcome.STRIDE, fall_of(walker, after)).astype(jnp.int8),
+            jnp.where(strikes, Outcome.STRIDE, verdict).astype(jnp.int8),
             now.count + 1,
             upright,
             graze,
             miss,
             clearing,
             -evaluate_polynomial(h, fall),
-            jnp.minimum(now.force, force),
+            fallen,
+            least,
             arrival,
             below,
         )
 
+    watched = conditions_on_the_way(walker)
     infinite = jnp.full_like(start.theta, jnp.inf)
     first = StrideInSpace(
         state=start,
@@ -173,7 +209,8 @@ def follow_in_space(
         miss=-infinite,
         clearing=-infinite,
         height=infinite,
-        force=with_fast_sincos(normal_force)(walker, start),
+        fallen=-distance_to_fall(walker, start),
+        least={key: with_fast_sincos(each)(walker, start) for key, each in watched.items()},
         arrival=start,
         below=with_fast_sincos(is_below)(walker, start),
     )
@@ -186,10 +223,9 @@ def margins_in_space(
     """A stride, and its margins by their names in `Margins`."""
     start, verdict = with_fast_sincos(begin_stride)(walker, x)
     last = follow_in_space(walker, start, verdict, tolerance)
-    scuffs = not walker.allow_scuffing
     depth = last.graze + least_scuff(walker.leg_length)
-    broken = {int(Outcome.RUNNING): last.force < 0}
-    if scuffs:
+    broken = {outcome: least < 0 for outcome, least in last.least.items()}
+    if scuffs_by_turns(walker):
         broken[int(Outcome.SCUFFED)] = depth < 0
     stride = with_fast_sincos(end_stride)(walker, last.arrival, last.time, last.verdict, broken)
     found = with_fast_sincos(margins_at_end)(walker, verdict, last, stride.outcome, depth)
@@ -213,7 +249,7 @@ def margins_at_end(
 
     right, left, back, front = last.upright
     _, _, next_back, next_front = distances_from_falls(following.lean, following.theta)
-    passed = -last.arrival.phi - LEAST_STEP
+    passed = ahead_by(walker, last.arrival)
     if walker.allow_scuffing:
         clears = jnp.isfinite(last.clearing)
         passed = jnp.where(clears, jnp.minimum(passed, last.clearing), passed)
@@ -228,15 +264,18 @@ def margins_at_end(
     for way, (name, value) in ways.items():
         down = jnp.where(fallen & (verdict == Outcome.UNDECIDED), falling, value)
         found[name] = jnp.where(struck, value, jnp.where(outcome == way, down, none))
-    running = jnp.where(struck | pulled, last.force, none)
+    running = jnp.where(struck | pulled, last.least[Outcome.RUNNING], none)
     grazes = jnp.where(jnp.isfinite(last.graze), depth, none)
     scuffing = jnp.where(outcome == Outcome.SCUFFED, jnp.maximum(depth, last.miss), grazes)
+    scuffing = jnp.where(struck, scuffing, none) if scuffs_by_turns(walker) else none
     found |= {
         "running": running,
         "stopping": jnp.where(struck & (outcome != Outcome.RUNNING), lift, none),
         "landing": none,
         "buckling": none,
-        "scuffing": none if walker.allow_scuffing else jnp.where(struck, scuffing, none),
+        "scuffing": scuffing,
     }
+    fell = jnp.where(verdict == Outcome.UNDECIDED, jnp.maximum(last.fallen, falling), last.fallen)
+    found = with_own_failures(walker, found, following, struck, outcome, fell, last.least)
     keep = lambda name, value: jnp.where(begun & (~pulled | (name == "running")), value, none)
     return {name: keep(name, value) for name, value in found.items()}

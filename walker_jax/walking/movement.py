@@ -19,6 +19,7 @@ from walker_jax.checks import WrongUse, check_number, check_whole, refuses_trace
 from walker_jax.walkers.model import State, Walker, check_planar
 from walker_jax.walkers.parameters import attributes_of
 from walker_jax.walkers.spatial import SpatialWalker
+from walker_jax.walking.falls import has_fallen, has_own_falls
 from walker_jax.walking.iteration import walk
 from walker_jax.walking.movement_in_space import motion_in_space
 from walker_jax.walking.outcomes import Outcome
@@ -195,14 +196,18 @@ def is_over(
     """Whether a stride that fails is over: on the ground, at heel strike, or in the air."""
     phases = walker.phases()
     swing, each = (jax.tree.map(jnp.asarray, one) for one in (legs(states), states))
-    theta, phi, thetadot, _ = map(np.asarray, swing)
+    theta, phi = np.asarray(swing.theta), np.asarray(swing.phi)
     h = np.asarray(jax.vmap(walker.contact)(swing))
     if step:
         h = step - np.asarray(jax.vmap(walker.clearance)(swing))
-    strikes = (h > 0) & (np.roll(h, 1) <= 0) & (theta < 0) & (phi < 0) & (thetadot < 0)
+    fallen = np.asarray(jax.vmap(partial(has_fallen, walker))(swing))
+    ahead = phi < 0 if step else np.asarray(jax.vmap(walker.is_ahead)(swing))
+    strikes = (h > 0) & (np.roll(h, 1) <= 0) & ahead & ~fallen
     # Where the ground is rough the legs may pass each other below the next foothold.
     falls = step != 0 and outcome in (Outcome.FORWARD, Outcome.BACKWARD)
     over = (strikes & swings & (not falls)) | (np.abs(theta) >= np.pi / 2)
+    if has_own_falls(walker):
+        over |= fallen
     if outcome == Outcome.RUNNING:
         over |= swings & np.asarray(jax.vmap(partial(in_tension, walker))(swing))
         if phases:

@@ -17,9 +17,10 @@ from walker_jax.walkers.model import least_scuff
 from walker_jax.walkers.parameters import attributes_of
 from walker_jax.walkers.rolling_stance import SpatialState
 from walker_jax.walkers.spatial import SpatialWalker, on_ground
+from walker_jax.walking.falls import fall_of
 from walker_jax.walking.outcomes import Outcome
 from walker_jax.walking.stepping import trajectory
-from walker_jax.walking.swing import fall_of, in_tension
+from walker_jax.walking.swing import in_tension
 
 FALL_TIME = 6.0
 """Time for which a walker that fails is followed, for legs of length 1: most are down before."""

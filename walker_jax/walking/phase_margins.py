@@ -4,7 +4,6 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Int
 
@@ -29,12 +28,34 @@ from walker_jax.integrators.solvers import (
 )
 from walker_jax.integrators.taylor import function_series, with_fast_sincos
 from walker_jax.walkers.model import Phase, Scalar, Walker, toppling_rate
+from walker_jax.walking.falls import (
+    ahead_by,
+    distance_to_fall,
+    fall_of,
+    has_fallen,
+    has_own_falls,
+    missing_slope,
+    watched_falls,
+)
 from walker_jax.walking.outcomes import Outcome
 from walker_jax.walking.phases import begin_phase, in_front, is_over, starts_under
 from walker_jax.walking.swing import conditions_of, equations, minimum_of, stop_within
 
 Least = dict[int, Scalar]
 """The least value of each condition, by the outcome where it is negative."""
+
+
+WAYS = {
+    Outcome.BACKWARD: "backward",
+    Outcome.FORWARD: "forward",
+    Outcome.RUNNING: "running",
+    Outcome.STOPPED: "stopping",
+    Outcome.BENT_KNEE: "landing",
+    Outcome.BUCKLED: "buckling",
+    Outcome.SCUFFED: "scuffing",
+    Outcome.SIDEWAYS: "sideways",
+}
+"""The margin of each way to fail."""
 
 
 class PhaseMargins(NamedTuple):
@@ -52,6 +73,8 @@ class PhaseMargins(NamedTuple):
     landing: Scalar
     """Least height of the foot in front; infinite until it has been least, negative where it comes
     down."""
+    fallen: Scalar
+    """Of a fall of one's own, as in the swing, with the event in place of h."""
     least: Least
 
 
@@ -89,6 +112,7 @@ def follow_phase_margins(
         jnp.where(stopped, -(start.thetadot**2) / 2, infinite),
         -infinite,
         infinite,
+        -distance_to_fall(walker, start),
         least_with(phases[0], start, {}, ~over),
     )
     for phase, following in zip(phases, (*phases[1:], walker), strict=True):
@@ -99,10 +123,10 @@ def follow_phase_margins(
         ended = now.verdict == Outcome.STRIDE
         least = least_with(phase, arrival, now.least, ended & ~over)
         state = with_fast_sincos(lambda phase, s: phase.end(s))(phase, arrival)
-        speed, turned = state.thetadot**2 / 2, state.thetadot >= 0
+        speed, fall = state.thetadot**2 / 2, fall_of(walker, state)
+        turned = fall == Outcome.BACKWARD
         backward = jnp.where(turned, -speed, jnp.minimum(now.backward, speed))
-        verdict = jnp.where(turned, Outcome.BACKWARD, Outcome.UNDECIDED)
-        verdict = jnp.where(ended, verdict, now.verdict)
+        verdict = jnp.where(ended, fall, now.verdict)
         over = jnp.asarray(False)
         if isinstance(following, Phase):
             over = is_over(following, state, tolerance)
@@ -111,6 +135,7 @@ def follow_phase_margins(
             state=state,
             verdict=verdict,
             backward=jnp.where(ended, backward, now.backward),
+            fallen=jnp.where(ended, -distance_to_fall(walker, state), now.fallen),
             least=least_with(following, state, least, ended & ~over),
         )
     return now
@@ -130,7 +155,7 @@ def advance_phase(
     phase: Phase, begun: PhaseMargins, tolerance: Real, rate: Scalar
 ) -> tuple[PhaseMargins, Any]:
     """A phase until its event (`STRIDE`) or a fall, and the state at the event."""
-    field, start = equations(phase), begun.state
+    field, start, walker = equations(phase), begun.state, phase.walker
     order, watched = series_order(start), phase.clearance(start) is not None
 
     def undecided(now: Unfinished):
@@ -139,33 +164,39 @@ def advance_phase(
 
     def advance(now: Unfinished) -> Unfinished:
         so_far = now.so_far
-        series, length = taylor_step(field, so_far.state, order, tolerance, phase.event)
+        others = phase.event, *watched_falls(walker)
+        series, length = taylor_step(field, so_far.state, order, tolerance, *others)
         after = evaluate_series(series, length)
         event = function_series(phase.event, series)
         below = with_fast_sincos(lambda p, s: p.event(s) < 0)(phase, after)
         rises, when = first_upcrossing(polynomial_jet(event), length, (now.below, below))
         when = differentiable_zero(event, when)
         arrival = evaluate_series(series, when)
-        strikes = rises & (arrival.thetadot < 0) & (arrival.theta > -np.pi / 2)
-        speed = polynomial_jet(derivative_of(series.theta))
-        stops = stop_within(speed, jnp.where(rises, when, length))
-        strikes &= ~stops.exists
-        stopped, down = (after.thetadot >= 0) | stops.exists, after.theta <= -np.pi / 2
-        verdict = jnp.where(stopped, Outcome.BACKWARD, Outcome.FORWARD)
-        verdict = jnp.where(stopped | down, verdict, Outcome.UNDECIDED)
-        verdict = jnp.where(strikes, Outcome.STRIDE, verdict)
+        strikes = rises & ~with_fast_sincos(has_fallen)(walker, arrival)
+        fall = fall_of(walker, after)
+        stop = length
+        if not has_own_falls(walker):
+            speed = polynomial_jet(derivative_of(series.theta))
+            stops = stop_within(speed, jnp.where(rises, when, length))
+            strikes, fall = strikes & ~stops.exists, jnp.where(stops.exists, Outcome.BACKWARD, fall)
+            stop = jnp.where(stops.exists, stops.time, length)
+        verdict = jnp.where(strikes, Outcome.STRIDE, fall)
         until = jnp.where(strikes, when, length)
 
         turning = interior_minimum(negate(polynomial_jet(event)), until)
         value = -jnp.abs(evaluate_polynomial(event, turning.time))
         forward = jnp.where(turning.exists, jnp.maximum(so_far.forward, value), so_far.forward)
-        fallen = verdict == Outcome.FORWARD
-        unknown = fallen & (forward == -jnp.inf)
+        unknown = (verdict == Outcome.FORWARD) & (forward == -jnp.inf)
         forward = jnp.where(unknown, -jnp.abs(evaluate_polynomial(event, length)), forward)
 
         backward = least_speed(series.theta, length, until, so_far.backward)
-        _, missing = missing_speed(series.theta, jnp.where(stops.exists, stops.time, length), rate)
+        _, missing = missing_speed(series.theta, stop, rate)
         backward = jnp.where(verdict == Outcome.BACKWARD, missing, backward)
+        fallen = so_far.fallen
+        if has_own_falls(walker):
+            short = jnp.maximum(-jnp.abs(evaluate_polynomial(event, length)), forward)
+            short = jnp.maximum(short, missing_slope(walker, series, length, rate))
+            fallen = jnp.where(fall != Outcome.UNDECIDED, short, fallen)
 
         least = dict(so_far.least)
         end = jax.tree.map(lambda a, b: jnp.where(strikes, a, b), arrival, after)
@@ -192,13 +223,14 @@ def advance_phase(
             touches &= with_fast_sincos(in_front)(phase, ground) & ~landed
             landed = landed | touches
             ahead = with_fast_sincos(lambda p, s: p.reach(s))(phase, ground)
-            edge = jnp.where(touches, jnp.maximum(ground.theta, -ahead), edge)
+            in_time = with_fast_sincos(ahead_by)(walker, ground)
+            edge = jnp.where(touches, jnp.maximum(-in_time, -ahead), edge)
             depth = evaluate_polynomial(height, turn)
             front = with_fast_sincos(in_front)(phase, evaluate_series(series, turn))
             over = lowest.exists | strikes
             passes = over & front & ~landed & (depth > 0)
             landing = jnp.where(passes, jnp.minimum(landing, depth), landing)
-            lands = landed & (over | stopped | down)
+            lands = landed & (over | (fall != Outcome.UNDECIDED))
             landing = jnp.where(lands, jnp.maximum(-jnp.abs(depth), edge), landing)
             verdict = jnp.where(landed, Outcome.UNDECIDED, verdict)
             verdict = jnp.where(lands, Outcome.BENT_KNEE, verdict)
@@ -209,6 +241,7 @@ def advance_phase(
             backward,
             forward,
             landing,
+            fallen,
             least,
         )
         return Unfinished(so_far, arrival, now.count + 1, below, under, landed, edge)
@@ -253,3 +286,30 @@ def upcrossing(series: list[Scalar], length: Scalar) -> Instant:
         exists,
         differentiable_zero(series, bracketed_newton(jet, zero, jnp.where(exists, length, zero))),
     )
+
+
+def with_own_failures(
+    walker: Walker,
+    found: dict[str, Scalar],
+    following: Any,
+    struck: Bool[Array, ""],
+    outcome: Int[Array, ""],
+    fallen: Scalar,
+    least: Least,
+) -> dict[str, Scalar]:
+    """Margins, by name, with those of the falls and the conditions that a class defines anew.
+
+    `following` is the state after a heel strike, where the stride has `struck`; `fallen` the margin
+    of a fall before, and `least` the least values of conditions.
+    """
+    own = {}
+    if has_own_falls(walker):
+        fallen = jnp.where(struck, -distance_to_fall(walker, following), fallen)
+        own = {Outcome[name]: fallen for name in walker.falls(following)}
+    for of in map(Outcome, least):
+        if of in WAYS and of != Outcome.RUNNING:
+            broken = struck & (least[of] < 0)
+            own[of] = jnp.where(broken, least[of], own.get(of, found[WAYS[of]]))
+    for of, value in own.items():
+        found[WAYS[of]] = jnp.where(outcome == of, value, found[WAYS[of]])
+    return found

@@ -3,10 +3,10 @@
 A phase ends with its event. The next one begins after the impact, or the release, that belongs to
 it. What may happen before the event is, in this order:
 
-- the stance leg stops (`BACKWARD`) or is down (`FORWARD`), or the swing foot comes down in front of
-  the stance foot with theta < 0, where it must not (`BENT_KNEE`), on ground that may be higher by a
-  step: whichever is first, as in the swing; an event before all of them counts;
-- at the event, the stance leg stops by the impact (`BACKWARD`).
+- the walker falls, or the swing foot comes down in front of the stance foot, where it must not
+  (`BENT_KNEE`), on ground that may be higher by a step: whichever is first, as in the swing; an
+  event before all of them counts;
+- after the impact of the event the walker has fallen, as where the stance leg stops (`BACKWARD`).
 
 The ground would have to pull (`RUNNING`) at the start, or in any phase of a stride that reaches
 heel strike, as in strides of one phase. A phase whose event is due as it begins is over at once.
@@ -17,7 +17,6 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Int
 
@@ -25,6 +24,7 @@ from walker_jax.integrators.roots import first_upcrossing, interior_minimum, neg
 from walker_jax.integrators.solvers import MAX_STEPS, Method, Real, solver_for, zero_at
 from walker_jax.integrators.taylor import with_fast_sincos
 from walker_jax.walkers.model import Phase, Scalar, State, Walker
+from walker_jax.walking.falls import fall_of, has_fallen, has_own_falls, watched_falls
 from walker_jax.walking.outcomes import Outcome
 from walker_jax.walking.swing import (
     Broken,
@@ -76,9 +76,14 @@ def follow_to_swing(
     tolerance: Real,
     step: Scalar | None = None,
 ) -> Arrival:
-    """All phases of a stride before the swing, if there are any."""
+    """All phases of a stride before the swing, if there are any.
+
+    Without any, tension at the start has been looked at already (`begin_stride`).
+    """
     if not walker.phases():
-        return Arrival(start, zero_at(start), verdict, {})
+        broken = broken_at(walker, start)
+        del broken[int(Outcome.RUNNING)]
+        return Arrival(start, zero_at(start), verdict, broken)
     return follow_phases(walker, start, verdict, tolerance, step)[-1]
 
 
@@ -103,8 +108,7 @@ def follow_phases(
         at_end = jax.tree.map(lambda flag, o=~over & ended: flag & o, broken_at(phase, arrival))
         broken = merge_broken(broken, merge_broken(more, at_end))
         state, time = with_fast_sincos(lambda phase, s: phase.end(s))(phase, arrival), time + lasted
-        turned = jnp.where(state.thetadot >= 0, Outcome.BACKWARD, Outcome.UNDECIDED)
-        verdict = jnp.where(ended, turned, verdict)
+        verdict = jnp.where(ended, fall_of(walker, state), verdict)
         over = jnp.asarray(False)
         if isinstance(following, Phase):
             over = is_over(following, state, tolerance)
@@ -160,7 +164,7 @@ def follow_phase(
     conditions were broken before the event, the two ends excluded. Unless it is
     `failing`, nothing but the event ends the phase.
     """
-    watched = failing and phase.clearance(start) is not None
+    walker, watched = phase.walker, failing and phase.clearance(start) is not None
     ground = () if step is None else (step,)
 
     def height(state: Any) -> Scalar:
@@ -175,21 +179,24 @@ def follow_phase(
         """Whether a function may have a minimum in a step."""
         return (rate(function, before) < 0) & (rate(function, after) > 0)
 
-    def has_fallen(state: Any) -> Bool[Array, ""]:
-        return (state.thetadot >= 0) | (state.theta <= -np.pi / 2) if failing else jnp.array(False)
+    def fall(state: Any) -> Int[Array, ""]:
+        none = jnp.asarray(Outcome.UNDECIDED, jnp.int8)
+        return fall_of(walker, state) if failing else none
 
     def may_end(before: Any, after: Any, side: Bool[Array, " 2"]):
         """Whether a phase may end in a step, from the two ends of the step alone."""
         ends_below, ends_under = phase.event(after) < 0, jnp.asarray(False)
         ends = ~ends_below & (side[0] | turns(phase.event, before, after))
         if failing:
-            ends |= has_fallen(after)
+            ends |= has_fallen(walker, after)
+        if may_stop:
             ends |= turns(lambda state: -speed_of(state), before, after)
         if watched:
             ends_under = height(after) < 0
             dips = turns(height, before, after)
             rises = turns(lambda state: -height(state), before, after)
-            ends |= (after.theta < 0) & jnp.where(side[1], ends_under & rises, ends_under | dips)
+            ahead = walker.is_ahead(before) | walker.is_ahead(after)
+            ends |= ahead & jnp.where(side[1], ends_under & rises, ends_under | dips)
         return ends, jnp.stack([ends_below, ends_under])
 
     def undecided(carry):
@@ -228,12 +235,10 @@ def follow_phase(
             more |= ~rises & with_fast_sincos(partial(is_broken, condition))(phase, arrival)
             broken = broken | {outcome: broken[outcome] | more}
         arrival, delay = method.refine_event(phase.event, arrival)
-        stands = ~has_fallen(arrival)
-        fallen = jnp.where(last.end.thetadot >= 0, Outcome.BACKWARD, Outcome.FORWARD)
-        fallen = jnp.where(has_fallen(last.end), fallen, Outcome.UNDECIDED)
-        verdict = jnp.where(rises & stands, Outcome.STRIDE, fallen)
+        stands = fall(arrival) == Outcome.UNDECIDED
+        verdict = jnp.where(rises & stands, Outcome.STRIDE, fall(last.end))
         verdict = jnp.where(lands, Outcome.BENT_KNEE, verdict)
-        if failing:
+        if may_stop:
             before = jnp.where(lands, landing, when)
             stops = stop_within(method.jet(speed_of, last), before)
             verdict = jnp.where(stops.exists, Outcome.BACKWARD, verdict)
@@ -241,7 +246,9 @@ def follow_phase(
         when = jnp.where(verdict == Outcome.STRIDE, when + delay, last.length)
         return last.end, arrival, last.time + when, verdict, count + steps, broken, last.sides[1]
 
-    method = Method(equations(phase), solver_for(start), tolerance, (phase.event,))
+    falls = watched_falls(walker) if failing else ()
+    may_stop = failing and not has_own_falls(walker)
+    method = Method(equations(phase), solver_for(start), tolerance, (phase.event, *falls))
     conditions = conditions_of(phase) if failing else {}
     broken = {outcome: jnp.asarray(False) for outcome in conditions}
     # It has been negative from the first, where it begins at zero.
@@ -265,7 +272,6 @@ def legs(states: Any) -> State:
 
 
 def in_front(phase: Phase, state: Any) -> Bool[Array, ""]:
-    """Whether a foot that comes down would take a step: in front, as the walker falls forward and
-    is not yet down."""
-    falls = (state.theta < 0) & (state.theta > -np.pi / 2) & (state.thetadot < 0)
-    return falls & (phase.reach(state) > 0)
+    """Whether a foot that comes down would take a step: in front, before the walker has fallen."""
+    ahead = phase.walker.is_ahead(state) & (phase.reach(state) > 0)
+    return ahead & ~has_fallen(phase.walker, state)

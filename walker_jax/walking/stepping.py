@@ -25,6 +25,7 @@ from walker_jax.integrators.taylor import with_fast_sincos
 from walker_jax.kernels import by_kernel
 from walker_jax.walkers.masses import MultibodyMotion
 from walker_jax.walkers.model import Phase, Scalar, State, Walker, check_planar, check_single
+from walker_jax.walking.falls import fall_of
 from walker_jax.walking.outcomes import Outcome, Stride
 from walker_jax.walking.phases import (
     follow_phase,
@@ -41,7 +42,6 @@ from walker_jax.walking.swing import (
     broken_at,
     conditions_of,
     equations,
-    fall_of,
     in_tension,
     is_broken,
     swing,
@@ -191,10 +191,9 @@ def begin_stride(walker: Walker, x: Float[Array, " coordinates"]) -> tuple[Any, 
         feasible = jnp.all(jnp.isfinite(x)) & (jnp.abs(start.theta) < np.pi / 2)
         if phases:
             feasible &= phases[0].event(start) <= 0
-    verdict = jnp.where(start.thetadot >= 0, Outcome.BACKWARD, Outcome.UNDECIDED)
+    verdict = fall_of(walker, start)
     if not phases:
-        fallen = fall_of(walker, start)
-        verdict = jnp.where(in_tension(walker, start), Outcome.RUNNING, fallen)
+        verdict = jnp.where(in_tension(walker, start), Outcome.RUNNING, verdict)
     return start, jnp.where(feasible, verdict, Outcome.OUTSIDE).astype(jnp.int8)
 
 

@@ -29,6 +29,7 @@ from walker_jax.walkers.masses import MultibodyMotion, SingleSupport
 from walker_jax.walkers.model import Phase, Scalar, Walker, is_planar
 from walker_jax.walkers.rolling_stance import RollingStance
 from walker_jax.walkers.spatial import SpatialWalker
+from walker_jax.walking.falls import fall_of, has_fallen, has_own_falls, watched_falls
 from walker_jax.walking.outcomes import Outcome
 
 Condition = Callable[[Any, Any], Scalar]
@@ -86,7 +87,7 @@ def swing(
         return above if to_step is True else jnp.where(to_step, above, walker.contact(state))
 
     def is_ahead(state: Any) -> Bool[Array, ""]:
-        """Whether the swing foot is ahead. On level ground phi = 2 theta at heel strike."""
+        """Whether the swing foot is ahead, so that coming down is heel strike."""
         if step is None:
             return walker.is_ahead(state)
         return jnp.where(to_step, state.phi < 0, walker.is_ahead(state))
@@ -99,20 +100,18 @@ def swing(
             for state, field in ((before, first), (after, last))
         )
         rises = ~ends_below & (below | ((begins < 0) & (ends > 0)))
-        if may_dip:
-            dips = below & ends_below & (begins > 0) & (ends < 0)
-            if step is not None:
-                # To higher ground, a foot from behind comes down and up again behind: as the legs
-                # pass each other, both feet are at one level.
-                dips &= to_step & (is_ahead(before) | (step < 0))
-            rises |= dips
-        may = rises & (is_ahead(before) | is_ahead(after))
+        dips = below & ends_below & (begins > 0) & (ends < 0)  # the foot comes down, and up again
+        if step is not None:
+            # To higher ground, a foot from behind comes down and up again behind: as the legs pass
+            # each other, both feet are at one level.
+            dips &= is_ahead(before) | jnp.where(to_step, step < 0, True)
+        may = (rises | dips) & (is_ahead(before) | is_ahead(after))
         if may_stop_within(walker):
             may |= (first.thetadot > 0) & (last.thetadot < 0)
-        return may | has_fallen(after, ends_below)
+        return may | ends_in_fall(after, ends_below)
 
-    def has_fallen(state: Any, below: Bool[Array, ""]):
-        fallen = fall_of(walker, state) != Outcome.UNDECIDED
+    def ends_in_fall(state: Any, below: Bool[Array, ""]):
+        fallen = has_fallen(walker, state)
         if launched or (step is not None and to_step is True):
             return fallen
         past = ~below & walker.past_contact(state)
@@ -135,18 +134,14 @@ def swing(
         last, steps = method.follow(now, stop, side=below, time=time)
         jet, until = method.jet(contact, last), last.length
         below, ends_below = last.sides
-        if may_dip:
-            exists, highest = interior_minimum(negate(jet), until)
-            if step is not None:
-                exists &= to_step
-            until = jnp.where(exists, highest, until)
-            ends_below = jnp.where(exists, jet(until)[0] < 0, ends_below)
+        exists, highest = interior_minimum(negate(jet), until)
+        until = jnp.where(exists, highest, until)
+        ends_below = jnp.where(exists, jet(until)[0] < 0, ends_below)
         rises, time = first_upcrossing(jet, until, (below, ends_below))
         time = jnp.where(rises, method.refine_time(contact, last, time), last.length)
         after = lambda time: method.state_at(last, time)
         arrival, delay = method.refine_event(contact, after(time))
-        ahead = is_ahead(arrival) & (fall_of(walker, arrival) == Outcome.UNDECIDED)
-        ahead &= arrival.phi < 0
+        ahead = is_ahead(arrival) & ~has_fallen(walker, arrival)
         passes = rises & ~ahead  # a foot that comes down behind does not end the stride
         until = jnp.where(passes, last.length, time)
         end = jax.tree.map(lambda a, b: jnp.where(passes, a, b), last.end, arrival)
@@ -158,7 +153,7 @@ def swing(
         fallen = fall_of(walker, last.end)
         fallen = jnp.where(fallen == Outcome.UNDECIDED, Outcome.FORWARD, fallen)
         fallen = jnp.where(
-            with_fast_sincos(has_fallen)(last.end, last.sides[1]), fallen, Outcome.UNDECIDED
+            with_fast_sincos(ends_in_fall)(last.end, last.sides[1]), fallen, Outcome.UNDECIDED
         )
         verdict = jnp.where(rises & ahead, Outcome.STRIDE, fallen)
         if may_stop_within(walker):
@@ -170,13 +165,13 @@ def swing(
         below = last.sides[1]
         return last.end, arrival, time, verdict, count + steps, broken, below
 
-    # A foot may come down and up again within a step: to ground that is rough, or in space.
-    may_dip = step is not None or not is_planar(walker)
     watched = conditions_of(walker)
     broken = {outcome: jnp.asarray(False) for outcome in watched}
     if walker.force_least_at_ends:
         del watched[Outcome.RUNNING]
-    method = Method(equations(walker), solver_for(start), tolerance, (contact,))
+    method = Method(
+        equations(walker), solver_for(start), tolerance, (contact, *watched_falls(walker))
+    )
     zero = zero_at(start)
     below = jnp.asarray(with_fast_sincos(contact)(start) < 0)
     carry = (start, start, zero, verdict, jnp.asarray(0), broken, below)
@@ -189,7 +184,8 @@ def may_stop_within(walker: Walker) -> bool:
 
     An inverted pendulum does not: where it stops before the top, it goes back.
     """
-    return is_planar(walker) and not walker.inverted_pendulum
+    usual = is_planar(walker) and not has_own_falls(walker)
+    return usual and not walker.inverted_pendulum
 
 
 def speed_of(state: Any) -> Scalar:
@@ -201,14 +197,6 @@ def stop_within(speed: Jet, until: Scalar) -> Instant:
     """Where the stance leg is slowest before a time of a step, if it stands or goes back then."""
     slowest = interior_minimum(negate(speed), until)
     return Instant(slowest.exists & (speed(slowest.time)[0] >= 0), slowest.time)
-
-
-def fall_of(walker: Walker, state: Any) -> Int[Array, ""]:
-    """The outcome of a walker that has fallen; `UNDECIDED` of one that has not."""
-    outcome = jnp.asarray(Outcome.UNDECIDED, jnp.int8)
-    for name, fallen in reversed(walker.falls(state).items()):
-        outcome = jnp.where(fallen, Outcome[name], outcome).astype(jnp.int8)
-    return outcome
 
 
 def in_tension(walker: Walker | Phase, state: Any) -> Bool[Array, ""]:

@@ -1,0 +1,282 @@
+"""Heel strikes, falls and conditions that no step may hide, of walkers with rules of their own."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from fixed_steps import Legs
+from fixed_steps import strides as strides_by_fixed_steps
+from part_of_swing import PartOfSwing
+
+import walker_jax as wj
+from walker_jax.integrators.solvers import step_length, taylor_step
+from walker_jax.walkers.model import State
+from walker_jax.walking.failure_margins import failure_margin, margins_of_many
+from walker_jax.walking.outcomes import Outcome
+
+
+def starts(n: int, slope: float = 0.01, seed: int = 0) -> np.ndarray:
+    """Where strides end in all ways: rows of (theta, thetadot)."""
+    rng = np.random.default_rng(seed)
+    theta = rng.uniform(0.05, 0.6, n)
+    return np.stack([theta, -theta + rng.uniform(-0.06, 0.02, n)], axis=1)
+
+
+def assert_same(found: Any, expected: Any, atol: float = 1e-7) -> None:
+    np.testing.assert_array_equal(found.outcome, expected.outcome)
+    np.testing.assert_allclose(found.state, expected.state, rtol=0, atol=atol)
+
+
+def failure_margins(found: Any) -> np.ndarray:
+    return np.asarray(jax.vmap(failure_margin)(jax.tree.map(jnp.asarray, found)))
+
+
+# Heel strikes
+
+SKIPPED = [0.5316570008066235, -0.5212790625538077]
+"""From here the foot is down for a moment at t = 2.964."""
+TORQUES = {
+    (0.01, 4.0, 1.0, -0.4): (0.05676093, -0.0121357, 0.00085034),
+    (0.009, 3.0, 0.8, -0.5): (0.05254409, -0.00912428, 0.00172977),
+}
+"""Slope, stiffness, damping and target of a hip; along which curve of theta + thetadot over theta
+the foot comes down and up again within a step of the integration."""
+
+
+@pytest.fixture(scope="module", params=TORQUES)
+def torqued(request):
+    """A walker, starts about that curve and elsewhere, and their strides."""
+    slope, stiffness, damping, target = request.param
+    rng = np.random.default_rng(1)
+    theta = rng.uniform(0.26, 0.55, 100)
+    middle = np.polyval(TORQUES[request.param], theta) + rng.uniform(-1e-4, 1e-4, 100)
+    near = np.stack([theta, middle - theta], axis=1)
+    xs = np.concatenate([[SKIPPED], near, starts(60)])
+    torque = lambda y: -stiffness * (y[:, 1] - target) - damping * y[:, 3]
+    walker = wj.PoweredWalker(slope, stiffness, damping, target)
+    return walker, xs, strides_by_fixed_steps(Legs(slope, torque), xs)
+
+
+@pytest.mark.parametrize("tolerance", [None, 1e-15])
+def test_a_foot_that_comes_down_and_up_again_within_a_step_has_struck(torqued, tolerance):
+    walker, xs, expected = torqued
+    assert_same(wj.strides(walker, xs, tolerance=tolerance), expected)
+    found = margins_of_many(walker, xs, tolerance=tolerance)
+    assert_same(found.stride, expected)
+    fails = ~np.isin(expected.outcome, [Outcome.STRIDE, Outcome.OUTSIDE])
+    assert fails.sum() > 10
+    assert (failure_margins(found)[fails] < 0).all()
+
+
+def test_the_named_strike_is_that_of_a_fine_integration():
+    """By Dopri8 at a tolerance of 1e-12."""
+    found = wj.stride(wj.PoweredWalker(0.01, 4.0, 1.0, -0.4), jnp.array(SKIPPED))
+    np.testing.assert_allclose(found.state, (0.015382, -0.079746), atol=5e-7)
+    assert found.time == pytest.approx(2.9640260, abs=5e-7)
+
+
+# Fields that are polynomials of time
+
+
+class DriftingWalker(wj.SimplestWalker):
+    """theta at a constant rate, and phi'' linear in theta: cubic in time."""
+
+    def vector_field(self, state):
+        zero = jnp.zeros_like(state.theta)
+        return State(state.thetadot, state.phidot, zero, 20 * (0.02 - state.theta))
+
+
+def test_a_motion_that_is_a_polynomial_of_time_ends_at_its_root():
+    """With theta = a + v t, h is b t + c t^2 / 2 - 10 v t^3 / 3, where c is phi'' at the start."""
+    theta, thetadot = 0.2, -0.3
+    c, cubic = 20 * (0.02 - theta), -20 * thetadot
+    b = (1 - np.cos(2 * theta)) * thetadot - 2 * thetadot
+    roots = np.sort(np.roots([cubic / 6, c / 2, b]))
+    assert 0 < roots[0] < roots[1] and theta + thetadot * roots[1] < 0
+    found = wj.stride(DriftingWalker(0.01), jnp.array([theta, thetadot]))
+    assert found.outcome == Outcome.STRIDE
+    assert found.time == pytest.approx(roots[1], rel=1e-12)
+    assert found.state[0] == pytest.approx(-theta - thetadot * roots[1], rel=1e-12)
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_steps_of_flights_clocks_and_rest_are_finite(dtype):
+    fields = {
+        "flight": lambda s: (s[1], -jnp.ones_like(s[0])),
+        "clock": lambda s: (jnp.ones_like(s[0]), 0 * s[1]),
+        "rest": lambda s: (0 * s[0], 0 * s[1]),
+    }
+    for name, field in fields.items():
+        for state in ((1.0, 0.3), (0.0, 0.0)):
+            start = tuple(jnp.asarray(value, dtype) for value in state)
+            tolerance = 1e-12 if dtype == np.float64 else 1e-6
+            length = taylor_step(field, start, 12, tolerance)[1]
+            assert np.isfinite(length) and length > 0, (name, state)
+    broken = [jnp.asarray(np.nan, dtype)] * 13
+    assert np.isnan(step_length(broken, 1e-6))
+
+
+# Falls and heel strikes of one's own
+
+
+class LimitedWalker(wj.SimplestWalker):
+    """It has fallen where the stance leg leans beyond a limit, or is slower than a least speed."""
+
+    limit: jax.Array
+    slowest: jax.Array
+
+    def falls(self, state):
+        return {"BACKWARD": state.thetadot >= self.slowest, "FORWARD": state.theta <= self.limit}
+
+
+class FarWalker(wj.SimplestWalker):
+    """A foot that comes down before the stance leg leans by so much scuffs."""
+
+    least: jax.Array
+
+    def is_ahead(self, state):
+        return state.theta < self.least
+
+
+class RenamedWalker(wj.SimplestWalker):
+    """It falls as any other does, and calls it something else."""
+
+    def falls(self, state):
+        return {"BACKWARD": state.thetadot >= 0, "SIDEWAYS": state.theta <= -np.pi / 2}
+
+
+class LoweredWalker(wj.SimplestWalker):
+    """It has fallen while its legs are apart by more than a limit, the swing leg ahead."""
+
+    limit: jax.Array
+
+    def falls(self, state):
+        return super().falls(state) | {"SIDEWAYS": state.phi <= self.limit}
+
+
+FALLS = Legs(0).falls
+RULES = {
+    "limit": (
+        LimitedWalker(*jnp.array([0.01, -0.25, 0.0])),
+        Legs(0.01, falls=((2, lambda y: y[:, 2]), (1, lambda y: -0.25 - y[:, 0]))),
+    ),
+    "least speed": (
+        LimitedWalker(*jnp.array([0.01, -1.0, -0.05])),
+        Legs(0.01, falls=((2, lambda y: y[:, 2] + 0.05), (1, lambda y: -1.0 - y[:, 0]))),
+    ),
+    "far": (
+        FarWalker(*jnp.array([0.01, -0.2])),
+        Legs(0.01, ahead=lambda y: y[:, 0] < -0.2),
+    ),
+    "renamed": (
+        RenamedWalker(0.01),
+        Legs(0.01, falls=(FALLS[0], (int(Outcome.SIDEWAYS), FALLS[1][1]))),
+    ),
+    "within a step": (
+        LoweredWalker(*jnp.array([0.01, -0.6])),
+        Legs(0.01, falls=(*FALLS, (int(Outcome.SIDEWAYS), lambda y: -0.6 - y[:, 1]))),
+    ),
+}
+
+
+@pytest.fixture(scope="module", params=RULES)
+def ruled(request):
+    walker, legs = RULES[request.param]
+    xs = starts(200)
+    return walker, xs, strides_by_fixed_steps(legs, xs)
+
+
+def test_strides_and_margins_keep_to_the_rules_of_a_walker(ruled):
+    walker, xs, expected = ruled
+    assert_same(wj.strides(walker, xs), expected)
+    found = margins_of_many(walker, xs)
+    assert_same(found.stride, expected)
+    assert len(np.unique(expected.outcome)) > 2
+    values = failure_margins(found)
+    fails = ~np.isin(expected.outcome, [Outcome.STRIDE, Outcome.OUTSIDE])
+    assert (values[fails] <= 0).all()
+
+
+@pytest.mark.parametrize("name", ["limit", "least speed", "far"])
+def test_margins_of_own_rules_vanish_where_a_walker_begins_to_fail(name):
+    """Between a start that strides and one that fails; there also the derivatives are right."""
+    walker, _ = RULES[name]
+    xs = starts(200)
+    outcome = wj.strides(walker, xs).outcome
+    good, bad = xs[outcome == 0][:30], xs[np.isin(outcome, [1, 2])][:30]
+    number = min(len(good), len(bad))
+    good, bad = good[:number].copy(), bad[:number].copy()
+    for _ in range(45):
+        middle = (good + bad) / 2
+        strides = (wj.strides(walker, middle).outcome == 0)[:, None]
+        good, bad = np.where(strides, middle, good), np.where(strides, bad, middle)
+    values = np.abs(failure_margins(margins_of_many(walker, bad)))
+    assert np.median(values) < 1e-9 and np.mean(values < 1e-6) > 0.9
+
+
+def test_a_film_ends_where_a_walker_has_fallen_by_its_own_rule():
+    walker, _ = RULES["limit"]
+    xs = starts(200)
+    x = xs[np.flatnonzero(wj.strides(walker, xs).outcome == Outcome.FORWARD)[0]]
+    theta = wj.motion(walker, x, 3, step=0.02).theta.values
+    assert theta.min() > -0.26 and theta.min() < -0.22
+
+
+class HalfWay(PartOfSwing):
+    """Over where the stance leg is upright."""
+
+    def event(self, state):
+        return -state.theta
+
+
+class PhasedWalker(LimitedWalker):
+    """It has the same falls in a phase before the swing."""
+
+    def phases(self):
+        return (HalfWay(self),)
+
+
+def test_falls_of_ones_own_end_phases_too():
+    walker, _ = RULES["least speed"]
+    xs = starts(200)
+    whole = wj.strides(walker, xs)
+    phased = PhasedWalker(walker.slope, walker.limit, walker.slowest)
+    assert (whole.outcome == Outcome.BACKWARD).sum() > 20
+    for found in (wj.strides(phased, xs), margins_of_many(phased, xs).stride):
+        assert_same(found, whole, 1e-9)
+
+
+def test_the_derivative_of_an_area_knows_the_limit_of_a_fall():
+    """Against differences of areas."""
+    grid = wj.Grid.sheared(theta=(0, 0.4, 60), sum=(-0.04, 0.01, 60))
+    at = lambda limit: LimitedWalker(*jnp.array([0.004, limit, 0.0]))
+    area = lambda limit: float(wj.refine(at(limit), grid, levels=2).area.sum())
+    found = wj.area_gradient(at(-0.22), grid, ("limit",))
+    change = (area(-0.21) - area(-0.23)) / 0.02
+    assert found.gradient[0] < -3 * found.error[0]
+    assert found.gradient[0] == pytest.approx(change, abs=4 * found.error[0] + 2e-4)
+
+
+# Conditions
+
+
+class RestrainedWalker(wj.SimplestWalker):
+    """Its legs must not turn against each other faster than a limit."""
+
+    limit: jax.Array
+
+    def conditions(self):
+        return {"BUCKLED": lambda state: state.phidot + self.limit}
+
+
+def test_conditions_are_looked_at_from_the_start_on():
+    limit, xs = 0.24, starts(200)
+    walker = RestrainedWalker(*jnp.array([0.01, limit]))
+    condition = int(Outcome.BUCKLED), lambda y: y[:, 3] + limit
+    expected = strides_by_fixed_steps(Legs(0.01, condition=condition), xs)
+    start = (1 - np.cos(2 * xs[:, 0])) * xs[:, 1] + limit
+    assert ((expected.outcome == Outcome.BUCKLED) & (start < 0)).sum() > 5
+    assert_same(wj.strides(walker, xs), expected)
+    assert_same(margins_of_many(walker, xs).stride, expected)
