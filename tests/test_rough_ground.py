@@ -15,6 +15,7 @@ import walker_jax as wj
 from walker_jax import Disturbance, Outcome, SimplestWalker
 from walker_jax.checks import ComputationFailed, WrongUse
 from walker_jax.stability.rough_ground import (
+    STRIDES_PER_CALL,
     NormalSteps,
     draw,
     mean_life,
@@ -129,26 +130,34 @@ def test_a_walk_on_rough_ground_is_strides_of_given_heights(gait):
 
 
 def test_disturbed_walks_are_strides_one_after_the_other(gait):
-    draw_one = lambda key: Disturbance(*(1e-3 * jax.random.normal(key, (3,), float)))
-    keys = jax.random.split(jax.random.key(3), 20)
+    """Also those strides that are made after walks that have fallen are left out."""
+    draw_one = lambda key: Disturbance(*(3e-4 * jax.random.normal(key, (3,), float)))
+    keys, most = jax.random.split(jax.random.key(3), 20), 2 * STRIDES_PER_CALL
     start = start_of_walks(WALKER, gait, None)
-    ends = walk_disturbed(WALKER, np.tile(start, (20, 1)), draw_one, keys, 40, None)
-    drawn = np.asarray(draw(draw_one, keys, 0, 40))
-    assert len(set(ends.strides.tolist())) > 2
-    for number in range(3):
-        state, made = jnp.asarray(start), 0
+    ends = walk_disturbed(WALKER, np.tile(start, (20, 1)), draw_one, keys, most, None)
+    drawn = np.asarray(draw(draw_one, keys, 0, most))
+    early, late, lasting = (
+        int(np.flatnonzero(one)[0])
+        for one in (
+            ends.strides < STRIDES_PER_CALL,
+            (ends.strides > STRIDES_PER_CALL) & (ends.strides < most),
+            ends.outcome == Outcome.STRIDE,
+        )
+    )
+    for number in (early, late, lasting):
+        state, made, outcome = jnp.asarray(start), 0, Outcome.STRIDE
         for step, slope, push in drawn[number]:
             theta, phi, thetadot, phidot = state
             pushed = [theta, phi, thetadot + push, phidot + (1 - jnp.cos(phi)) * push]
             result = wj.stride(SimplestWalker(SLOPE + slope), jnp.stack(pushed), step=step)
-            if result.outcome != Outcome.STRIDE:
+            outcome = result.outcome
+            if outcome != Outcome.STRIDE:
                 break
             state, made = result.state, made + 1
-        assert made == ends.strides[number]
-        if made == 40:
+        assert made == ends.strides[number] and outcome == ends.outcome[number]
+        if number == lasting:
+            assert made == most
             np.testing.assert_allclose(ends.state[number], state, rtol=0, atol=1e-9)
-        else:
-            assert result.outcome == ends.outcome[number]
 
 
 def test_the_mean_life_of_geometric_walks_lies_within_its_interval():
