@@ -1,5 +1,6 @@
 """A server of the explorer's page in this process, and clients that ask it."""
 
+import asyncio
 import http.client
 import json
 import struct
@@ -139,6 +140,14 @@ class Running(NamedTuple):
         """A new connection, which is closed with the server, or before."""
         self.clients.append(Client(self.port))
         return self.clients[-1]
+
+    def settle(self, seconds: float = 60.0) -> None:
+        """Wait until every request is answered or given up; raises `TimeoutError` if none is."""
+        tasks = list(self.server.server_state.tasks)
+        if tasks:
+            asyncio.run_coroutine_threadsafe(asyncio.wait(tasks), tasks[0].get_loop()).result(
+                seconds
+            )
 
 
 @contextmanager

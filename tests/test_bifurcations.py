@@ -1,14 +1,16 @@
 import json
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from maps import done_with
 
 import walker_jax as wj
-from walker_jax.gaits import diagrams, long_runs
+from walker_jax.gaits import crises, diagrams, long_runs
 from walker_jax.gaits.arclength import correct
 from walker_jax.gaits.continuation import Start
+from walker_jax.walking.iteration import WalkEnd
 
 VALUES = json.loads((Path(__file__).parent / "data" / "values.json").read_text())
 REGION = wj.Grid.sheared(theta=(0.1, 0.3, 40), sum=(-0.03, 0.018, 60))
@@ -74,6 +76,22 @@ def test_walking_is_lost_between_two_slopes():
     assert np.isnan(nowhere.below) and nowhere.above == 0.02
 
 
+def test_walking_is_lost_above_the_last_value_at_which_a_walker_walks(monkeypatch):
+    """Of walkers that fall over a range of slopes below it, too."""
+
+    def walk(walkers, starts, strides, *_):
+        slope, n = walkers.slope, len(starts)
+        walks = (slope < 0.3) | ((slope > 0.5) & (slope < 0.7))
+        outcome = np.where(walks, wj.Outcome.STRIDE, wj.Outcome.FORWARD)
+        return WalkEnd(starts, outcome, np.full(n, strides), np.full(n, -1))
+
+    start = lambda walker, parameter, branches, values, _: np.zeros((len(values), 1, 2))
+    monkeypatch.setattr(crises, "starts_near_gaits", start)
+    monkeypatch.setattr(crises, "iterate_to_cycles", walk)
+    lost = wj.loss_of_walking(walker(), "slope", (0.1, 1.0), [], resolution=1e-3)
+    assert lost.below < 0.7 <= lost.above <= lost.below + 1e-3
+
+
 def branch_of(period, sizes, values=None, states=None):
     """One along which the largest multiplier has these sizes."""
     sizes = np.array(sizes)
@@ -93,26 +111,29 @@ def test_the_cascade_stems_from_the_most_stable_gait():
 
 
 def test_gaits_are_known_from_any_of_their_states(monkeypatch):
-    """Of the logistic map, whose cycle of two is known in closed form."""
+    """Of the Hénon map, whose cycle of two is known in closed form."""
 
-    def cycle(r):
-        root = np.sqrt((r + 1) * (r - 3))
-        return np.array([[r + 1 - root], [r + 1 + root]]) / (2 * r)
+    def henon(x, a):
+        return jnp.stack([1 - a * x[0] ** 2 + x[1], 0.3 * x[0]])
 
-    logistic = lambda x, r: r * x * (1 - x)
+    def cycle(a):
+        root = np.sqrt(4 * a - 3 * 0.7**2)
+        x = np.array([0.7 - root, 0.7 + root]) / (2 * a)
+        return np.stack([x, 0.3 * x[::-1]], axis=1)
 
     def solve_at(walker, parameter, guesses, tolerance):
-        points = [done_with(logistic, correct(r, x, None, 1.0)) for r, x in guesses]
+        points = [done_with(henon, correct(a, x, None, 1.0)) for a, x in guesses]
         return [point and point.cycle for point in points]
 
     monkeypatch.setattr("walker_jax.gaits.diagrams.solve_at", solve_at)
-    values = np.array([3.2, 3.4])
-    two = branch_of(2, [0.5, 0.5], values, np.stack([cycle(r) for r in values]))
+    values = np.array([0.6, 0.8])
+    two = branch_of(2, [0.5, 0.5], values, np.stack([cycle(a) for a in values]))
     look = lambda starts: diagrams.select_new_starts(walker(), "slope", [two], starts, 1e-12)
-    fixed = np.full((2, 1), 1 - 1 / 3.3)
-    starts = [Start(3.3, x) for x in (cycle(3.3), cycle(3.3)[::-1], fixed, fixed[:1])]
+    x = (np.sqrt(0.7**2 + 4 * 0.7) - 0.7) / (2 * 0.7)
+    fixed = np.array([[x, 0.3 * x]] * 2)
+    starts = [Start(0.7, x) for x in (cycle(0.7), cycle(0.7)[::-1], fixed, fixed[:1])]
     assert look(starts) == starts[2:]
-    assert look([Start(3.5, cycle(3.5))]) != []  # where there is no branch
+    assert look([Start(0.9, cycle(0.9))]) != []  # where there is no branch
 
 
 @pytest.mark.slow

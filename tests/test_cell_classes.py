@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import walker_jax as wj
 from walker_jax.basins.cell_classes import (
@@ -12,6 +13,7 @@ from walker_jax.basins.cell_classes import (
     walking_cells,
 )
 from walker_jax.stability.nearest_starts import circle
+from walker_jax.walking.outcomes import Outcome
 
 WALKER = wj.SimplestWalker(0.0125)  # with attractors of period one and three
 GRID = wj.Grid.sheared(theta=(0.1, 0.3, 40), sum=(-0.02, 0.01, 30))
@@ -42,11 +44,21 @@ def test_every_cell_is_in_one_class(data):
     assert total_area(data) == pytest.approx((data["attractor"].values >= 0).sum() * GRID.cell_area)
 
 
-def test_large_basins_are_a_tenth_of_the_cells_that_never_fall(data):
-    cells = data["cells"].values
-    expected = [i for i in np.argsort(-cells) if cells[i] >= 0.1 * (data["fate"].values == 0).sum()]
-    assert large_basins(data, 9) == expected
-    assert large_basins(data, 1) == expected[:1]
+def test_large_basins_have_a_tenth_of_the_cells_that_never_fall():
+    """Of 100 cells, 5 of which match no attractor; half of the grid falls."""
+    cells = {0: 9, 1: 10, 2: 40, 3: 23, 4: 13, -1: 5}  # 2 is an artefact
+    attractor = np.repeat([*cells, -1], [*cells.values(), 100])
+    fate = np.repeat([Outcome.STRIDE, Outcome.FORWARD], 100)
+    order = np.random.default_rng(0).permutation(200)
+    data = xr.Dataset(
+        {
+            "fate": (("theta", "sum"), fate[order].reshape(20, 10)),
+            "attractor": (("theta", "sum"), attractor[order].reshape(20, 10)),
+            "artefact": ("number", np.arange(5) == 2),
+        }
+    )
+    assert large_basins(data, 9) == [3, 4, 1]
+    assert large_basins(data, 2) == [3, 4]
 
 
 def test_points_of_a_circle_are_equally_far_from_its_centre():

@@ -132,43 +132,44 @@ def test_attractors_without_a_gait_of_period_one(slope, periods):
     assert [one.period for one in pictures.known[about].mapper.attractors] == periods
 
 
-def test_a_picture_that_nobody_waits_for_is_not_computed(running, monkeypatch):
-    asked = threading.Event()
-    computed = []
+def test_a_picture_that_nobody_waits_for_is_not_computed(running, client, monkeypatch):
+    """Beyond the batch that is being computed when the page goes."""
+    asked, gone, computed = threading.Event(), threading.Event(), []
 
-    def slow(about, tiles):
+    def wait_for_the_page_to_go(about, tiles):
         computed.append(len(tiles))
         asked.set()
-        time.sleep(0.1)
+        assert gone.wait(60)
         return [bytes(2 * TILE * TILE)] * len(tiles)
 
-    running.client().tiles(SIMPLEST | {"tiles": [[0, 0, 0]]})
-    monkeypatch.setattr(pictures, "label_tiles", slow)
+    client.tiles(SIMPLEST | {"tiles": [[0, 0, 0]]})
+    monkeypatch.setattr(pictures, "label_tiles", wait_for_the_page_to_go)
     many = SIMPLEST | {"tiles": [[4, i, 0] for i in range(600)]}
-    running.client().give_up("/api/picture", many, lambda: asked.wait(20))
-    time.sleep(0.5)
-    before = len(computed)
-    time.sleep(0.5)
-    assert len(computed) == before < 8
+    running.client().give_up("/api/picture", many, lambda: asked.wait(60))
+    running.settle()
+    gone.set()
+    client.tiles(SIMPLEST | {"tiles": [[0, 0, 0]]})  # by the same thread, so after all else
+    assert computed == [service.FIRST_BATCH, 1]
 
 
-def test_a_walk_that_nobody_waits_for_is_not_computed(running, monkeypatch):
-    asked, computed = threading.Event(), []
+def test_a_walk_that_nobody_waits_for_is_not_computed(running, client, monkeypatch):
+    """Beyond the strides that are being computed when the page goes."""
+    asked, gone, computed = threading.Event(), threading.Event(), []
 
-    def slow(about, start, count):
+    def wait_for_the_page_to_go(about, start, count):
         computed.append(count)
         asked.set()
-        time.sleep(0.1)
+        assert gone.wait(60)
         return {"strides": [{}] * count, "next": start.tolist(), "leg": {}}
 
-    asked_for = SIMPLEST | {"start": [0.2, -0.2], "strides": 60}
-    running.client().ask("/api/walk", asked_for)
-    monkeypatch.setattr(walks, "follow", slow)
-    running.client().give_up("/api/walk", asked_for, lambda: asked.wait(20))
-    time.sleep(0.3)
-    before = len(computed)
-    time.sleep(0.3)
-    assert len(computed) == before < 60 / walks.STRIDES_AT_ONCE
+    walk = SIMPLEST | {"start": [0.2, -0.2]}
+    client.ask("/api/walk", walk | {"strides": 1})
+    monkeypatch.setattr(walks, "follow", wait_for_the_page_to_go)
+    running.client().give_up("/api/walk", walk | {"strides": 60}, lambda: asked.wait(60))
+    running.settle()
+    gone.set()
+    assert client.ask("/api/walk", walk | {"strides": 1}).status == 200  # by the same thread
+    assert computed == [walks.STRIDES_AT_ONCE, 1]
 
 
 @pytest.mark.slow  # most walkers take long to compile
@@ -403,18 +404,28 @@ def test_the_page_knows_every_walker_and_parameter():
 # ---------------------------------------------------------------------------- workers
 
 
+async def until(condition, seconds=60.0):
+    """Wait for something that another thread or task brings about."""
+    async with asyncio.timeout(seconds):
+        while not condition():
+            await asyncio.sleep(0.01)
+
+
 def test_a_worker_is_interrupted_and_stays():
     async def use():
         crew = workers.Workers(1)
         try:
             assert await crew.ask(math.sqrt, 4.0) == 2.0
+            assert await crew.ask(math.exp, 4.0) == math.exp(4.0)
             pid = crew.all[0].process.pid
-            sleep = asyncio.create_task(crew.ask(time.sleep, 60.0))
-            second = asyncio.create_task(crew.ask(time.sleep, 60.0))
-            await asyncio.sleep(0.3)
-            sleep.cancel()
-            await asyncio.sleep(0.3)
-            assert crew.idle == []  # the other one still waits for the same
+            first, second = (asyncio.create_task(crew.ask(time.sleep, 60.0)) for _ in range(2))
+            third = asyncio.create_task(crew.ask(time.sleep, 61.0))
+            await until(lambda: crew.all[0].at_work and crew.waiting)
+            for task in (first, third):
+                task.cancel()
+                await asyncio.wait([task])
+            assert crew.waiting == []  # the third one has not begun
+            assert len(crew.jobs) == 1 and crew.idle == []  # the second one waits for the first
             second.cancel()
             start = time.monotonic()
             assert await crew.ask(math.sqrt, 9.0) == 3.0

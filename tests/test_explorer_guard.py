@@ -3,7 +3,7 @@
 import asyncio
 import json
 import socket
-import time
+import threading
 
 import explorer_server
 import pytest
@@ -168,12 +168,19 @@ def test_a_request_that_does_not_come_is_not_waited_for(running, monkeypatch):
 
 
 def test_an_answer_that_nobody_reads_is_given_up(running, monkeypatch):
-    running.client().tiles(TILES)
+    client = running.client()
+    client.tiles(TILES)
     counted = running.server.config.app.app.state.service
+    asked, refused = threading.Event(), threading.Event()
+
+    def wait_for_the_refusal(_, tiles):
+        asked.set()
+        assert refused.wait(60)
+        return [bytes(200 * TILE * TILE)] * len(tiles)
+
     monkeypatch.setattr(connection, "READING_SECONDS", 0.3)
-    monkeypatch.setattr(
-        pictures, "label_tiles", lambda _, tiles: [bytes(200 * TILE * TILE)] * len(tiles)
-    )
+    monkeypatch.setattr(service, "MAX_PICTURES", 1)
+    monkeypatch.setattr(pictures, "label_tiles", wait_for_the_refusal)
     body = json.dumps(TILES | {"tiles": [[4, i, 0] for i in range(600)]}).encode()
     lines = (
         "POST /api/picture HTTP/1.1",
@@ -184,17 +191,13 @@ def test_an_answer_that_nobody_reads_is_given_up(running, monkeypatch):
     )
     with socket.create_connection(("127.0.0.1", running.port)) as other:
         other.sendall("\r\n".join((*lines, "", "")).encode() + body)
-        stop = time.monotonic() + 20
-        while counted.pictures == 0 and time.monotonic() < stop:
-            time.sleep(0.01)
-        assert counted.pictures == 1
-        monkeypatch.setattr(service, "MAX_PICTURES", 1)
-        answer = running.client().ask("/api/picture", TILES)
+        assert asked.wait(60) and counted.pictures == 1
+        answer = client.ask("/api/picture", TILES)
         assert answer.status == 503 and "too much is waiting" in answer.json()["error"]
-        while counted.pictures and time.monotonic() < stop:
-            time.sleep(0.05)
+        refused.set()
+        running.settle()
         assert counted.pictures == 0
-    assert len(running.client().tiles(TILES)[1]) == 1
+    assert len(client.tiles(TILES)[1]) == 1
 
 
 def test_a_failure_is_told_in_the_packages_own_words_alone(monkeypatch):

@@ -179,6 +179,8 @@ def test_logarithm_and_exponential_of_float32():
     rng = np.random.default_rng(0)
     x = np.exp(rng.uniform(-87, 88, 20_000)).astype(np.float32)
     assert np.all(np.abs(jax.jit(jax.vmap(log_float32))(x) - np.log(x)) < 2e-7 * 88)
+    tiny = np.array([1.5e-45, 1e-44, 3e-42, 1e-40, 1.1e-38], np.float32)  # 0 for XLA
+    np.testing.assert_allclose(run(jnp.log, tiny), np.log(tiny.astype(float)), rtol=2e-7)
     close = rng.uniform(0.5, 2, 20_000).astype(np.float32)
     error = jax.vmap(log_float32)(close) - np.log(close.astype(np.float64)).astype(np.float32)
     assert np.all(np.abs(error) < 2e-7)

@@ -58,6 +58,13 @@ def test_two_attractors_that_cross_and_one_that_doubles_keep_their_numbers():
     assert rising == [0] * 6 and falling == [1] * 4 + [2] * 2
 
 
+def test_a_cycle_is_matched_with_that_of_the_nearest_walker():
+    """A gait that moves by 0.25 along a row of walkers has the same number in the next row."""
+    periods, states = np.ones((2, 6, 1), int), np.zeros((2, 6, 1, 1, 2))
+    states[..., 0, 0, 0] = 0.05 * np.arange(6)
+    np.testing.assert_array_equal(number_alike(periods, states), 0)
+
+
 def test_motions_without_a_period_have_one_number_on_a_grid_of_walkers():
     periods = np.array([[[1], [0]], [[-1], [0]]])
     states = np.zeros((2, 2, 1, 1, 2))

@@ -116,15 +116,20 @@ def radius(slope):
     return 0.2 + 10 * (slope - 0.004)
 
 
+def labels_where(walks, x):
+    """Those of starts x, from some of which walkers walk; the others fall in the first stride."""
+    number = np.where(walks, 0, -1).astype(np.int32)
+    fate = np.where(walks, 0, 1).astype(np.int8)
+    return Labels(fate, number, np.ones(len(x), np.int32), x)
+
+
 @pytest.fixture
 def disc(monkeypatch):
     """Walkers walk from within a disc; beyond it the margin is a multiple of the distance."""
 
     def labels_of(mapper, x, *, progress=None):
-        walks = np.linalg.norm(x - CENTRE, axis=1) < radius(float(mapper.walker.slope))
-        number = np.where(walks, 0, -1).astype(np.int32)
-        fate = np.where(walks, 0, 1).astype(np.int8)
-        return Labels(fate, number, np.ones(len(x), np.int32), x)
+        r = radius(float(mapper.walker.slope))
+        return labels_where(np.linalg.norm(x - CENTRE, axis=1) < r, x)
 
     def changes(walker, x, made, directions, parameters, tolerance):
         away = x - CENTRE
@@ -207,6 +212,19 @@ def test_the_error_of_an_integral_is_that_of_a_sum_of_independent_parts(disc, mo
     assert integral.gradient[0] == pytest.approx(28 / 36, rel=1e-12)
     assert integral.error[0] == pytest.approx(np.sqrt(4 * np.var([4, 6, 8, 10], ddof=1)) / 36)
     assert (integral.crossings, integral.lost) == (9, 1)
+
+
+def test_the_error_of_an_integral_has_a_part_for_what_is_thinner_than_a_cell(disc, monkeypatch):
+    """A strip of 5/8 of a cell, whose sides move by one cell: a centre is in 5 of 8 such strips."""
+    strip = lambda mapper, x, **_: labels_where(np.abs(x[:, 0] - 0.375) < 5 / 64, x)
+    monkeypatch.setattr(Mapper, "follow", strip)
+    changes = lambda walker, x, *_: np.tile([3.0, 0.0, 3.0], (len(x), 1))
+    monkeypatch.setattr("walker_jax.design.area_gradients.differentiate_margins", changes)
+    grid = wj.Grid.plain(theta=(0, 1, 4), thetadot=(0, 1, 8))
+    found = area_gradient(wj.SimplestWalker(0.004), grid, levels=0)
+    assert found.crossings == 16 and found.gradient[0] == pytest.approx(16 / 32, rel=1e-12)
+    # all lines are alike: they do not scatter
+    assert found.error[0] == pytest.approx(16 / 32 * (8 / 5 - 1), rel=1e-12)
 
 
 SIZE = lambda slope: 0.002 + 3 * (slope - 0.004) + 50 * (slope - 0.004) ** 2

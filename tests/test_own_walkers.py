@@ -521,6 +521,8 @@ def test_functions_are_alike_that_do_the_same_with_the_same_values():
     bound = functools.partial(make(1.0, ones), key=2)
     assert AsItIs(bound) == AsItIs(functools.partial(make(1.0, ones), key=2))
     assert AsItIs(bound) != AsItIs(functools.partial(make(1.0, ones), key=3))
+    by_name = lambda size: lambda key, *, by=size: by * key
+    assert AsItIs(by_name(2)) == AsItIs(by_name(2)) != AsItIs(by_name(3))
     assert AsItIs(make(1.0, ones))(2.0) == 5
     assert AsItIs(NormalSteps(1e-3)) == AsItIs(NormalSteps(1e-3)) != AsItIs(NormalSteps(2e-3))
 

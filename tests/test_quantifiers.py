@@ -256,6 +256,13 @@ def test_tipping_is_the_overlap_of_two_basins(gait):
     assert np.isnan(found.on_attractor[1:]).all()
     little = wj.tipping_probability(WALKER, "slope", 0.0045, region, samples=100)
     assert little.on_attractor[0, 0] == 1
+    # no start of these falls, but the gait itself does
+    steady = starts[(fates[0] == 0) & (fates[1] == 0)]
+    sampler = lambda rng, n: steady[:n]
+    found = wj.tipping_probability(WALKER, "slope", 0.012, sampler, samples=len(steady))
+    assert (found.before, found.after) == (("attractor 0",), ("attractor 0", "FORWARD"))
+    assert found.on_attractor.tolist() == [[0, 1]]
+    assert found.starts.tolist() == [[len(steady), 0]]
 
 
 def test_the_data_set_of_a_boundary_its_picture_and_its_answer(monkeypatch):

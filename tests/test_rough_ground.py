@@ -14,7 +14,9 @@ from scipy.sparse import csr_array
 import walker_jax as wj
 from walker_jax import Disturbance, Outcome, SimplestWalker
 from walker_jax.checks import ComputationFailed, WrongUse
+from walker_jax.stability import stochastic_map
 from walker_jax.stability.rough_ground import (
+    STRIDES_PER_CALL,
     NormalSteps,
     draw,
     mean_life,
@@ -129,26 +131,34 @@ def test_a_walk_on_rough_ground_is_strides_of_given_heights(gait):
 
 
 def test_disturbed_walks_are_strides_one_after_the_other(gait):
-    draw_one = lambda key: Disturbance(*(1e-3 * jax.random.normal(key, (3,), float)))
-    keys = jax.random.split(jax.random.key(3), 20)
+    """Also those strides that are made after walks that have fallen are left out."""
+    draw_one = lambda key: Disturbance(*(3e-4 * jax.random.normal(key, (3,), float)))
+    keys, most = jax.random.split(jax.random.key(3), 20), 2 * STRIDES_PER_CALL
     start = start_of_walks(WALKER, gait, None)
-    ends = walk_disturbed(WALKER, np.tile(start, (20, 1)), draw_one, keys, 40, None)
-    drawn = np.asarray(draw(draw_one, keys, 0, 40))
-    assert len(set(ends.strides.tolist())) > 2
-    for number in range(3):
-        state, made = jnp.asarray(start), 0
+    ends = walk_disturbed(WALKER, np.tile(start, (20, 1)), draw_one, keys, most, None)
+    drawn = np.asarray(draw(draw_one, keys, 0, most))
+    early, late, lasting = (
+        int(np.flatnonzero(one)[0])
+        for one in (
+            ends.strides < STRIDES_PER_CALL,
+            (ends.strides > STRIDES_PER_CALL) & (ends.strides < most),
+            ends.outcome == Outcome.STRIDE,
+        )
+    )
+    for number in (early, late, lasting):
+        state, made, outcome = jnp.asarray(start), 0, Outcome.STRIDE
         for step, slope, push in drawn[number]:
             theta, phi, thetadot, phidot = state
             pushed = [theta, phi, thetadot + push, phidot + (1 - jnp.cos(phi)) * push]
             result = wj.stride(SimplestWalker(SLOPE + slope), jnp.stack(pushed), step=step)
-            if result.outcome != Outcome.STRIDE:
+            outcome = result.outcome
+            if outcome != Outcome.STRIDE:
                 break
             state, made = result.state, made + 1
-        assert made == ends.strides[number]
-        if made == 40:
+        assert made == ends.strides[number] and outcome == ends.outcome[number]
+        if number == lasting:
+            assert made == most
             np.testing.assert_allclose(ends.state[number], state, rtol=0, atol=1e-9)
-        else:
-            assert result.outcome == ends.outcome[number]
 
 
 def test_the_mean_life_of_geometric_walks_lies_within_its_interval():
@@ -303,6 +313,31 @@ def test_the_scatter_of_a_few_repetitions_is_widened_as_by_student():
     error = widening(4) * drawn.std(axis=1, ddof=1) / 2
     assert abs(np.mean(np.abs(drawn.mean(axis=1)) < 1.96 * error) - 0.95) < 0.005
     assert widening(4) == pytest.approx(1.6237, abs=1e-4)
+
+
+def test_the_error_of_a_mean_life_is_widened_too(gait, monkeypatch):
+    """Of two repetitions whose lives are 100 and 121: Student's t is then Cauchy's."""
+    lives = iter([100, 121])
+    rng = np.random.default_rng(0)
+
+    def walk(walker, states, *_):
+        n = len(states)
+        made = np.full(n, stochastic_map.PILOT_STRIDES)
+        return DisturbedWalk(rng.normal(size=states.shape), np.zeros(n, np.int8), made)
+
+    def one_cell(walker, ground, walkers, tolerance, chart, states, key, side):
+        return csr_array(np.ones((1, 1))), chart.cell_of(states[:1], side), 0
+
+    def solve(chain):
+        return 0.99, np.ones(1), np.full(1, next(lives) - stochastic_map.PILOT_STRIDES)
+
+    monkeypatch.setattr(stochastic_map, "walk_disturbed", walk)
+    monkeypatch.setattr(stochastic_map, "transition_matrix", one_cell)
+    monkeypatch.setattr(stochastic_map, "solve_chain", solve)
+    found = wj.metastability(WALKER, 1e-3, gait=gait, repetitions=2)
+    assert float(found["mean_strides"]) == pytest.approx(110, rel=1e-12)
+    half = 110 * np.log(121 / 100) / 2 * np.tan(0.475 * np.pi)  # of a 95 % interval
+    assert 1.95996398 * float(found["mean_strides_error"]) == pytest.approx(half, rel=1e-8)
 
 
 @pytest.mark.slow

@@ -146,6 +146,30 @@ def test_pieces_are_written_one_by_one_and_make_a_whole(tmp_path, monkeypatch):
     assert sorted(p.name for p in path.iterdir() if p.is_dir()) == ["sum", "value", "x", "y"]
 
 
+def test_a_piece_is_on_the_disk_before_it_counts_as_written(tmp_path, monkeypatch):
+    """The file of each array and its entry in the folder, whenever the power fails."""
+    happened, write_file, sync = [], LocalStore.set, os.fsync
+
+    async def note_file(self, key, value):
+        await write_file(self, key, value)
+        happened.append(key)
+
+    def note_sync(number):
+        sync(number)
+        happened.append(os.fstat(number).st_ino)
+
+    monkeypatch.setattr(LocalStore, "set", note_file)
+    monkeypatch.setattr(os, "fsync", note_sync)
+    with begun(path := tmp_path / "a.zarr") as place:
+        happened.clear()
+        write(place, 1)
+        counts = happened.index("written/c/1")
+        for key in ("value/c/1/0", "half/c/1"):
+            file, made = path / key, happened.index(key)
+            for synced in (file, file.parent)[: 2 if os.name == "posix" else 1]:
+                assert synced.stat().st_ino in happened[made:counts]
+
+
 def test_another_request_may_not_go_on(tmp_path):
     path = tmp_path / "a.zarr"
     with begun(path) as place:
