@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Inexact, Int
 
 from walker_jax.checks import WrongUse, check_kind, check_number, short
 from walker_jax.integrators.solvers import (
@@ -213,9 +213,14 @@ def end_stride(
 def make_stride(
     state: Float[Array, " coordinates"], outcome: Int[Array, ""], time: Scalar
 ) -> Stride:
-    """A stride; its results are NaN unless it is one."""
+    """A stride; its results, and their derivatives, are NaN unless it is one."""
     success = outcome == Outcome.STRIDE
-    return Stride(jnp.where(success, state, jnp.nan), outcome, jnp.where(success, time, jnp.nan))
+    return Stride(nan_unless(success, state), outcome, nan_unless(success, time))
+
+
+def nan_unless(known: Bool[Array, ""], values: Inexact[Array, "..."]) -> Inexact[Array, "..."]:
+    """The values, multiplied by 1 or by NaN, so that their derivatives are NaN too."""
+    return values * jnp.where(known, 1, jnp.nan).astype(values.dtype)
 
 
 def resolve_impact(
@@ -353,7 +358,7 @@ def state_of_motion(walker: Walker | Phase, start: Any, time: Scalar, tolerance:
     method = Method(equations(walker), solver_for(start), tolerance)
     solution = method.solve(start, jnp.zeros_like(time), time, method.controller())
     arrived = solution.result == diffrax.RESULTS.successful
-    return jax.tree.map(lambda values: jnp.where(arrived, values[-1], jnp.nan), solution.ys)
+    return jax.tree.map(lambda values: nan_unless(arrived, values[-1]), solution.ys)
 
 
 def phase_times(
@@ -381,7 +386,7 @@ def follow_phase_times(
     start, verdict = with_fast_sincos(begin_stride)(walker, x)
     phases = follow_phases(walker, start, verdict, tolerance) if walker.phases() else []
     ended = [one.verdict == Outcome.UNDECIDED for one in phases]
-    times = [jnp.where(good, one.time, jnp.nan) for one, good in zip(phases, ended, strict=True)]
+    times = [nan_unless(good, one.time) for one, good in zip(phases, ended, strict=True)]
     return jnp.stack([*times, ends])
 
 
