@@ -650,7 +650,7 @@ WRONG = {
     "size of an operand": ((A, jnp.ones(3)), SINGLE),
     "no size of an operand": ((A, jnp.ones(0)), SINGLE),
     "rank of an operand": ((A, jnp.asarray(1.0)), SINGLE),
-    "larger rank of an operand": ((A, jnp.ones((1, 1, 2))), SINGLE),
+    "cells of an operand along two axes": ((A, jnp.ones((2, 3, 2))), SEVEN),
     "cells of an operand": ((A, jnp.ones((6, 2))), SEVEN),
     "cells of an operand of one": ((A, jnp.ones((7, 2))), SINGLE),
     "operands too few": ((A,), SINGLE),
@@ -660,7 +660,7 @@ WRONG = {
     "type of a result": ((A, X), [*SINGLE[:2], ((), "int32"), TRUTH]),
     "size of a result": ((A, X), [((3,), "float64"), *SINGLE[1:]]),
     "rank of the first result": ((A, X), [NUMBER, *SINGLE[1:]]),
-    "larger rank of the first result": ((A, X), [((1, 1, 2), "float64"), *SINGLE[1:]]),
+    "cells of the first result along two axes": ((A, X), [((2, 3, 2), "float64"), *SEVEN[1:]]),
     "rank of a later result": ((A, X), [*SEVEN[:3], TRUTH]),
     "cells of a result": ((A, X), [*SEVEN[:3], ((8,), "bool")]),
 }
@@ -676,6 +676,10 @@ def test_the_right_buffers_are_not():
     assert_same(tuple(call((A, X), SINGLE)), jax.jit(unrolled)(A, X))
     found = call((A, XS[:7]), SEVEN)
     assert_same(tuple(found), jax.jit(jax.vmap(unrolled, (None, 0)))(A, XS[:7]))
+    six = [((2, 3, *shape), dtype) for shape, dtype in SINGLE]
+    found = call((A, XS[:6].reshape(2, 3, 2)), six)
+    expected = jax.jit(jax.vmap(jax.vmap(unrolled, (None, 0)), (None, 0)))
+    assert_same(tuple(found), expected(A, XS[:6].reshape(2, 3, 2)))
 
 
 def test_xla_computes_where_its_interface_is_unknown(monkeypatch):

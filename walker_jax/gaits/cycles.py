@@ -11,7 +11,8 @@ from jaxtyping import Array, Bool, Complex, Float, Int
 
 from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.walkers.model import Walker
-from walker_jax.walking.stepping import follow_stride, nan_unless
+from walker_jax.walking.outcomes import nan_unless
+from walker_jax.walking.stepping import follow_stride
 
 MAX_RESIDUAL = {jnp.dtype("float64"): 1e-10, jnp.dtype("float32"): 1e-4}
 """Largest residual of a gait: above the rounding errors of a stride, and below the distance between

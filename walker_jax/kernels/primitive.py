@@ -271,7 +271,7 @@ def compute(*operands, program: Program, mapped: tuple[int, ...]):
     run, results = program.kernel.bind(operands, mapped, n)
     run(0, n)
     with apply_settings(program.settings):
-        return [jnp.asarray(result.reshape(*cells, *result.shape[1:])) for result in results]
+        return [jnp.asarray(result.reshape((*cells, *result.shape[1:]))) for result in results]
 
 
 @functools.lru_cache(MAX_PROGRAMS)

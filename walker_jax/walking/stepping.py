@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jax.typing import ArrayLike
-from jaxtyping import Array, Bool, Float, Inexact, Int
+from jaxtyping import Array, Float, Int
 
 from walker_jax.checks import WrongUse, check_kind, check_number, short
 from walker_jax.integrators.solvers import (
@@ -25,7 +25,7 @@ from walker_jax.integrators.taylor import with_fast_sincos
 from walker_jax.kernels import by_kernel
 from walker_jax.walkers.masses import MultibodyMotion
 from walker_jax.walkers.model import Phase, Scalar, State, Walker, check_planar, check_single
-from walker_jax.walking.outcomes import Outcome, Stride
+from walker_jax.walking.outcomes import Outcome, Stride, nan_unless
 from walker_jax.walking.phases import (
     follow_phase,
     follow_phases,
@@ -216,11 +216,6 @@ def make_stride(
     """A stride; its results, and their derivatives, are NaN unless it is one."""
     success = outcome == Outcome.STRIDE
     return Stride(nan_unless(success, state), outcome, nan_unless(success, time))
-
-
-def nan_unless(known: Bool[Array, ""], values: Inexact[Array, "..."]) -> Inexact[Array, "..."]:
-    """The values, multiplied by 1 or by NaN, so that their derivatives are NaN too."""
-    return values * jnp.where(known, 1, jnp.nan).astype(values.dtype)
 
 
 def resolve_impact(
