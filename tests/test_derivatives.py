@@ -143,7 +143,7 @@ def test_derivatives_of_what_fails_are_nan(quantity, monkeypatch):
     zs = jnp.asarray([[*x, 0.009] for x in starts])
     both = jax.jit(jax.vmap(lambda z: (jax.jacfwd(function)(z), jax.jacrev(function)(z))))
     for jacobian in both(zs):
-        assert np.isfinite(jacobian[0]).all() and np.isnan(jacobian[1:, -3:]).all()
+        assert np.isfinite(jacobian[0]).all() and np.isnan(jacobian[1:]).all()
     if quantity == "stride":
         twice = jax.jit(jax.vmap(jax.hessian(lambda z: function(z)[0])))(zs)
         assert np.isfinite(twice[0]).all() and np.isnan(twice[1:]).all()

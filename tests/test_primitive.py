@@ -17,7 +17,6 @@ import pytest
 from jax import export, lax
 from jax.extend.core import jaxpr_as_fun
 
-import walker_jax as wj
 from walker_jax.kernels import by_kernel, ffi, primitive
 from walker_jax.kernels.primitive import Program
 
@@ -528,18 +527,6 @@ def test_an_exported_program_runs_without_kernels(tmp_path):
         assert len(found.files) == len(expected)
         for one, other in zip(found.values(), expected, strict=True):
             np.testing.assert_allclose(one, other, rtol=1e-13, atol=1e-15)
-
-
-def test_a_stride_is_exported():
-    """The program is XLA's alone, and gives what kernels give."""
-    walker, xs = wj.SimplestWalker(0.009), jnp.asarray([[0.2003109, -0.1998325], [0.2, -0.1]])
-    many = jax.jit(jax.vmap(partial(wj.stride, walker)))
-    exported = export.export(many)(jax.ShapeDtypeStruct(xs.shape, xs.dtype))
-    assert KERNEL_CALL not in exported.mlir_module()
-    found, expected = exported.call(xs), many(xs)
-    np.testing.assert_array_equal(found.outcome, expected.outcome)
-    np.testing.assert_allclose(found.state, expected.state, rtol=1e-11)
-    np.testing.assert_allclose(found.time, expected.time, rtol=1e-11)
 
 
 # What is like the function itself
