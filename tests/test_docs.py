@@ -50,7 +50,7 @@ def test_the_programs_of_the_quickstart_give_a_basin_and_a_derivative():
 def test_the_programs_for_several_devices_and_other_processes_give_strides():
     """Those that are exported call no kernel, and have derivatives."""
     names: dict[str, Any] = {}
-    for source in programs(ROOT / "docs" / "large-runs.md"):
+    for source in programs(ROOT / "docs" / "large-runs.md")[-2:]:
         exec(compile(source, "large-runs.md", "exec"), names)
     xs, ends = names["xs"][:2], names["ends"]
     assert ends.state.sharding.is_equivalent_to(names["xs"].sharding, 2)

@@ -2,10 +2,10 @@
 
 XLA calls a handler with a frame that holds the buffers of operands and results. The handler here is
 written in LLVM's language: it needs no compiler, and does not take Python's global lock. It serves
-every kernel. It checks the type, rank and size of each buffer against the kernel's description;
-then all threads of XLA's own pool compute the cells, piece by piece. The calling thread takes
-pieces too, so the call completes even if the pool is busy; a task of the pool that starts late
-finds no piece left and returns.
+every kernel. It checks the type, rank and size of each buffer against the kernel's description; any
+number of axes of cells come first. Then all threads of XLA's own pool compute the cells, piece by
+piece. The calling thread takes pieces too, so the call completes even if the pool is busy; a task
+of the pool that starts late finds no piece left and returns.
 
 Offsets are those of the structures in `xla/ffi/api/c_api.h`, version 0.3, on 64-bit machines. Minor
 versions only add to these. No custom calls are made if XLA has an older or unknown version, or

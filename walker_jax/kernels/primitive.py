@@ -268,7 +268,7 @@ def compute(*operands, program: Program, mapped: tuple[int, ...]):
         return jit_call(program, mapped)(*operands)
     cells = cells_shape(operands, mapped)
     n = math.prod(cells)
-    run, results = program.kernel.bind(operands, mapped, n)
+    run, results = program.kernel.bind(operands, list(map(bool, mapped)), n)
     run(0, n)
     with apply_settings(program.settings):
         return [jnp.asarray(result.reshape((*cells, *result.shape[1:]))) for result in results]

@@ -7,6 +7,7 @@ shardings, is told by a rule which axes those are.
 
 import itertools
 from collections.abc import Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +17,7 @@ from jax.interpreters import mlir
 
 def is_divided(ctx: mlir.LoweringRuleContext) -> bool:
     """Whether XLA divides what is lowered among devices, as far as `jax.shard_map` has not."""
-    axes = ctx.module_context.axis_context
+    axes: Any = ctx.module_context.axis_context
     if (mesh := getattr(axes, "mesh", None)) is not None:
         return set(axes.manual_axes) != set(mesh.axis_names)
     return getattr(axes, "num_devices", 1) > 1
@@ -30,7 +31,8 @@ def lower_divided(
     cells: tuple[int, ...],
 ) -> Sequence:
     """The call of a kernel for cells of this shape. Each gets what all of them share."""
-    shapes = [aval.shape[axes:] or (1,) for aval, axes in zip(ctx.avals_in, mapped, strict=True)]
+    avals: Sequence[Any] = ctx.avals_in
+    shapes = [aval.shape[axes:] or (1,) for aval, axes in zip(avals, mapped, strict=True)]
 
     def spread(*values):
         each = zip(values, mapped, shapes, strict=True)
@@ -38,8 +40,7 @@ def lower_divided(
         return [x.reshape(*cells, *shape) for x, shape in zip(values, shapes, strict=True)]
 
     wide = [
-        ShapedArray((*cells, *shape), aval.dtype)
-        for aval, shape in zip(ctx.avals_in, shapes, strict=True)
+        ShapedArray((*cells, *shape), aval.dtype) for aval, shape in zip(avals, shapes, strict=True)
     ]
     given = mlir.lower_fun(spread, multiple_results=True)(ctx.replace(avals_out=wide), *operands)
     rule = sharding_rule(len(cells), *([x.shape for x in some] for some in (wide, ctx.avals_out)))
