@@ -147,6 +147,10 @@ def test_derivatives_of_what_fails_are_nan(quantity, monkeypatch):
     if quantity == "stride":
         twice = jax.jit(jax.vmap(jax.hessian(lambda z: function(z)[0])))(zs)
         assert np.isfinite(twice[0]).all() and np.isnan(twice[1:]).all()
+        first = lambda zs: jnp.where(jnp.arange(len(zs)) == 0, jax.vmap(function)(zs)[:, 0], 0.0)
+        gradient = jax.jit(jax.grad(lambda zs: first(zs).sum()))(zs)
+        np.testing.assert_allclose(gradient[0], both(zs)[1][0, 0], rtol=1e-12)
+        assert (gradient[1:] == 0).all()  # what is left out has no part
 
 
 @pytest.mark.slow
