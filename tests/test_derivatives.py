@@ -151,6 +151,10 @@ def test_derivatives_of_what_fails_are_nan(quantity, monkeypatch):
         gradient = jax.jit(jax.grad(lambda zs: first(zs).sum()))(zs)
         np.testing.assert_allclose(gradient[0], both(zs)[1][0, 0], rtol=1e-12)
         assert (gradient[1:] == 0).all()  # what is left out has no part
+    if quantity == "rough":
+        ground, walker = np.array([1e-4]), SimplestWalker(0.009)
+        walk = lambda x: wj.walk(walker, x, 1, ground=ground).states[-1, 0]
+        assert np.isnan(jax.grad(walk)(jnp.asarray(FAILING[Outcome.OUTSIDE]))).all()
 
 
 @pytest.mark.slow
