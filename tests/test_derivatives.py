@@ -1,5 +1,7 @@
 """Strides, walks, gaits and margins under JAX's transformations, of all walkers."""
 
+from collections import OrderedDict
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,6 +10,7 @@ import pytest
 import walker_jax as wj
 from walker_jax import (
     KneedWalker,
+    Outcome,
     PointFootWalker,
     RoundFootWalker,
     SimplestWalker,
@@ -42,6 +45,7 @@ def found(gait):
 
 QUANTITIES = {
     "stride": lambda walker, x: (wj.stride(walker, x).state, wj.stride(walker, x).time),
+    "rough": lambda walker, x: wj.stride(walker, x, step=1e-4)[::2],
     "walk": lambda walker, x: (wj.walk(walker, x, 3).states[1:], wj.walk(walker, x, 3).times),
     "trajectory": lambda walker, x: tuple(wj.trajectory(walker, x, TIMES)),
     "margins": lambda walker, x: wj.margins(walker, x)[1 : 6 if walker.phases() else 5],
@@ -87,7 +91,7 @@ def assert_close(found, expected, tolerance):
     assert np.max(np.abs(found - expected) / scale) < tolerance, (found, expected)
 
 
-QUICK = {(SimplestWalker, quantity) for quantity in QUANTITIES} - {(SimplestWalker, "gait")}
+QUICK = {(SimplestWalker, quantity) for quantity in ("stride", "walk", "trajectory", "margins")}
 CASES = [
     pytest.param(
         cls,
@@ -119,6 +123,48 @@ def test_derivatives_in_either_mode_are_those_of_differences(cls, quantity, monk
     gradient = jax.jit(jax.grad(lambda z: w @ function(z)))(z)
     np.testing.assert_allclose(gradient, w @ forward, **close)
     assert_close(forward, differences(function, z, steps), 1e-7)
+
+
+FAILING = {
+    Outcome.FORWARD: [0.2, -0.25],
+    Outcome.BACKWARD: [0.2, -0.1],
+    Outcome.RUNNING: [0.2, -1.1],
+    Outcome.OUTSIDE: [0.9, -0.1],
+}
+"""Starts from which the first stride fails, at slope 0.009."""
+
+
+@pytest.mark.parametrize("quantity", ["stride", "rough", "walk"])
+def test_derivatives_of_what_fails_are_nan(quantity, monkeypatch):
+    """In either mode, by the start and all parameters; those of what succeeds are not."""
+    monkeypatch.setattr(primitive, "MAX_OPERATIONS", (0, 0))
+    function = of_numbers(SimplestWalker, quantity)
+    starts = [STARTS[SimplestWalker][1], *FAILING.values()]
+    zs = jnp.asarray([[*x, 0.009] for x in starts])
+    both = jax.jit(jax.vmap(lambda z: (jax.jacfwd(function)(z), jax.jacrev(function)(z))))
+    for jacobian in both(zs):
+        assert np.isfinite(jacobian[0]).all() and np.isnan(jacobian[1:]).all()
+    if quantity == "stride":
+        twice = jax.jit(jax.vmap(jax.hessian(lambda z: function(z)[0])))(zs)
+        assert np.isfinite(twice[0]).all() and np.isnan(twice[1:]).all()
+        first = lambda zs: jnp.where(jnp.arange(len(zs)) == 0, jax.vmap(function)(zs)[:, 0], 0.0)
+        gradient = jax.jit(jax.grad(lambda zs: first(zs).sum()))(zs)
+        np.testing.assert_allclose(gradient[0], both(zs)[1][0, 0], rtol=1e-12)
+        assert (gradient[1:] == 0).all()  # what is left out has no part
+    if quantity == "rough":
+        ground, walker = np.array([1e-4]), SimplestWalker(0.009)
+        walk = lambda x: wj.walk(walker, x, 1, ground=ground).states[-1, 0]
+        assert np.isnan(jax.grad(walk)(jnp.asarray(FAILING[Outcome.OUTSIDE]))).all()
+
+
+@pytest.mark.slow
+def test_derivatives_of_what_fails_are_nan_without_kernels(monkeypatch):
+    monkeypatch.setattr(primitive, "programs", OrderedDict())
+    monkeypatch.setenv("WALKER_JAX_KERNELS", "off")
+    gradient = jax.grad(lambda z: of_numbers(SimplestWalker, "stride")(z)[0])
+    starts = [STARTS[SimplestWalker][1], *FAILING.values()]
+    found = jax.jit(jax.vmap(gradient))(jnp.asarray([[*x, 0.009] for x in starts]))
+    assert np.isfinite(found[0]).all() and np.isnan(found[1:]).all()
 
 
 @pytest.mark.parametrize("quantity", ["stride", pytest.param("gait", marks=SLOW)])

@@ -8,6 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
+from jax import export
 
 import walker_jax as wj
 from walker_jax import storage
@@ -44,6 +45,22 @@ def test_the_programs_of_the_quickstart_give_a_basin_and_a_derivative():
     assert float(names["rate"]) == pytest.approx(float(high - low) / 2e-8, rel=1e-5)
     (printed,) = re.findall(r"^rate = .*# (\S+)$", derivative, re.M)
     assert f"{names['rate']:.4f}" == printed
+
+
+def test_the_programs_for_several_devices_and_other_processes_give_strides():
+    """Those that are exported call no kernel, and have derivatives."""
+    names: dict[str, Any] = {}
+    for source in programs(ROOT / "docs" / "large-runs.md")[-2:]:
+        exec(compile(source, "large-runs.md", "exec"), names)
+    xs, ends = names["xs"][:2], names["ends"]
+    assert ends.state.sharding.is_equivalent_to(names["xs"].sharding, 2)
+    exported = export.deserialize(names["saved"])
+    assert "custom_call @walker_jax" in names["many"].lower(xs).as_text()
+    assert "custom_call @walker_jax" not in exported.mlir_module() and exported.has_vjp()
+    state, outcome, time = exported.call(xs)
+    assert outcome.tolist() == [wj.Outcome.STRIDE] * 2
+    np.testing.assert_allclose(state, ends.state[:2], rtol=1e-11)
+    np.testing.assert_allclose(time, ends.time[:2], rtol=1e-11)
 
 
 class Begun(BaseException):

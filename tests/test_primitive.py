@@ -7,13 +7,14 @@ import threading
 import warnings
 from collections import OrderedDict
 from functools import partial
+from pathlib import Path
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax import lax
+from jax import export, lax
 from jax.extend.core import jaxpr_as_fun
 
 from walker_jax.kernels import by_kernel, ffi, primitive
@@ -392,6 +393,142 @@ def test_cells_on_several_devices():
     assert done.returncode == 0, done.stderr
 
 
+ON_MESHES = """
+import sys
+from functools import partial
+import jax, jax.numpy as jnp, numpy as np
+from jax import lax
+from jax.sharding import AxisType, NamedSharding, PartitionSpec as P
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_numpy_dtype_promotion", "strict")
+import walker_jax as wj
+from walker_jax.kernels import by_kernel
+
+@by_kernel
+def function(a, x):
+    step = lambda c: (c[0] * a - jnp.sin(c[0]) * x[1], c[1] + 1)
+    y, k = lax.while_loop(lambda c: c[1] < jnp.where(x[0] > 0.5, 3, 2), step, (x[0], 0))
+    return jnp.stack([y, y * a]), k
+
+COLLECTIVES = "all-gather", "all-to-all", "collective-permute", "all-reduce"
+
+def check(function, operands, shardings, results, collectives=()):
+    expected = jax.jit(function)(*operands)
+    put = lambda x, sharding: x if sharding is None else jax.device_put(x, sharding)
+    operands = list(map(put, operands, shardings))
+    compiled = jax.jit(function).lower(*operands).compile()
+    found = compiled(*operands)
+    for one, other in zip(*map(jax.tree.leaves, (found, expected)), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-14)
+        assert one.sharding.is_equivalent_to(results, one.ndim), (one.sharding, results)
+    text = compiled.as_text()
+    assert "walker_jax" in text
+    assert [name for name in COLLECTIVES if name in text] == list(collectives)
+
+rng = np.random.default_rng(0)
+a, many, xs = jnp.asarray(0.9), jnp.asarray(rng.random(80)), jnp.asarray(rng.random((80, 2)))
+square = xs.reshape(8, 10, 2)
+shared, each = jax.vmap(function, (None, 0)), jax.vmap(function)
+total = lambda function: lambda a, x: (function(a, x)[0] ** 2).sum()
+along = lambda a, x: jax.jvp(lambda a, x: shared(a, x)[0], (a, x), (a, x))
+columns = lambda a, x: jax.jacfwd(lambda a: shared(a, x)[0])(a)
+for kind in AxisType.Auto, AxisType.Explicit:
+    line = jax.make_mesh((4,), ("cells",), axis_types=(kind,))
+    over, whole = NamedSharding(line, P("cells")), NamedSharding(line, P())
+    for everywhere in None, whole:
+        check(shared, (a, xs), (everywhere, over), over)
+    check(each, (many, xs), (over, over), over)
+    check(along, (a, xs), (None, over), over)
+    check(columns, (a, xs), (None, over), over)
+    for one in shared, each:
+        b, place = (a, None) if one is shared else (many, over)
+        check(jax.grad(total(one), 1), (b, xs), (place, over), over)
+    check(jax.grad(total(shared)), (a, xs), (None, over), whole, ["all-reduce"])
+    check(jax.grad(total(each)), (many, xs), (over, over), over)
+    mesh = jax.make_mesh((2, 2), ("i", "j"), axis_types=(kind,) * 2)
+    for spec in P(("i", "j")), P("j"):
+        over = NamedSharding(mesh, spec)
+        check(shared, (a, xs), (None, over), over)
+    over = NamedSharding(mesh, P("i", "j"))
+    check(jax.vmap(shared, (None, 0)), (a, square), (None, over), over)
+    check(jax.grad(total(jax.vmap(shared, (None, 0))), 1), (a, square), (None, over), over)
+
+# Where XLA finds the shardings: one operand whole, both sharded, and over axes of their own
+over = NamedSharding(jax.make_mesh((4,), ("cells",), axis_types=(AxisType.Auto,)), P("cells"))
+check(each, (many, xs), (None, over), over)
+mesh = jax.make_mesh((2, 2), ("i", "j"), axis_types=(AxisType.Auto,) * 2)
+i, j, both = (NamedSharding(mesh, P(*names)) for names in ("i", "j", "ij"))
+check(jax.vmap(shared, (0, None)), (many, xs), (i, j), both)
+some = jax.shard_map(
+    shared, mesh=mesh, in_specs=(P(), P("i")), out_specs=P("i"), axis_names={"i"}
+)
+cells = NamedSharding(mesh, P(("i", "j")))
+check(some, (a, xs), (None, cells), cells)
+
+# Cells that do not divide evenly: JAX permits them within, and not as a result
+uneven = lambda a, x: shared(a, lax.with_sharding_constraint(x, over))
+for n in 3, 10:
+    np.testing.assert_array_equal(jax.jit(uneven)(a, xs[:n])[0], shared(a, xs[:n])[0])
+
+# Strides, of one walker and of many
+starts = jnp.asarray([0.2003109, -0.1998325]) * (1 + 0.01 * xs)
+stride = lambda slope, x: wj.stride(wj.SimplestWalker(slope), x)
+check(jax.vmap(stride), (0.009 + 1e-4 * many, starts), (over, over), over)
+check(jax.vmap(stride, (None, 0)), (jnp.asarray(0.009), starts), (None, over), over)
+"""
+
+
+def test_sharded_cells_stay_where_they_are():
+    """Each device computes its own: no cell is sent, and results are sharded as operands are."""
+    done = subprocess.run(
+        [sys.executable, "-c", ON_MESHES],
+        env=os.environ
+        | {"XLA_FLAGS": "--xla_force_host_platform_device_count=4", "JAX_PLATFORMS": "cpu"},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+# Programs for other processes
+
+KERNEL_CALL = "custom_call @walker_jax"
+CALLED = """
+import sys
+import jax, numpy as np
+from jax import export
+jax.config.update("jax_enable_x64", True)
+program, given, to = sys.argv[1:]
+call = export.deserialize(bytearray(open(program, "rb").read())).call
+operands = [np.load(given)[name] for name in ("a", "x")]
+results = jax.jit(call)(*operands)
+gradient = jax.grad(lambda a, x: (call(a, x)[0] ** 2).sum(), (0, 1))(*operands)
+np.savez(to, *results, *gradient)
+assert "walker_jax" not in sys.modules
+"""
+
+
+def test_an_exported_program_runs_without_kernels(tmp_path):
+    """In a process that knows none, for any number of cells, with its derivatives."""
+    many = jax.jit(jax.vmap(by_loop, (None, 0)))
+    (n,) = export.symbolic_shape("n")
+    exported = export.export(many)(A, jax.ShapeDtypeStruct((n, 2), X.dtype))
+    assert KERNEL_CALL in many.lower(A, XS).as_text()
+    assert KERNEL_CALL not in exported.mlir_module()
+    program, given, to = (str(tmp_path / name) for name in ("program", "given.npz", "to.npz"))
+    Path(program).write_bytes(exported.serialize(vjp_order=1))
+    np.savez(given, a=A, x=XS)
+    call = [sys.executable, "-c", CALLED, program, given, to]
+    done = subprocess.run(call, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    gradient = jax.grad(lambda a, x: (many(a, x)[0] ** 2).sum(), BOTH)(A, XS)
+    with np.load(to) as found:
+        expected = *many(A, XS), *gradient
+        assert len(found.files) == len(expected)
+        for one, other in zip(found.values(), expected, strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-13, atol=1e-15)
+
+
 # What is like the function itself
 
 COMPLEX = {
@@ -500,7 +637,7 @@ WRONG = {
     "size of an operand": ((A, jnp.ones(3)), SINGLE),
     "no size of an operand": ((A, jnp.ones(0)), SINGLE),
     "rank of an operand": ((A, jnp.asarray(1.0)), SINGLE),
-    "larger rank of an operand": ((A, jnp.ones((1, 1, 2))), SINGLE),
+    "cells of an operand along two axes": ((A, jnp.ones((2, 3, 2))), SEVEN),
     "cells of an operand": ((A, jnp.ones((6, 2))), SEVEN),
     "cells of an operand of one": ((A, jnp.ones((7, 2))), SINGLE),
     "operands too few": ((A,), SINGLE),
@@ -510,7 +647,7 @@ WRONG = {
     "type of a result": ((A, X), [*SINGLE[:2], ((), "int32"), TRUTH]),
     "size of a result": ((A, X), [((3,), "float64"), *SINGLE[1:]]),
     "rank of the first result": ((A, X), [NUMBER, *SINGLE[1:]]),
-    "larger rank of the first result": ((A, X), [((1, 1, 2), "float64"), *SINGLE[1:]]),
+    "cells of the first result along two axes": ((A, X), [((2, 3, 2), "float64"), *SEVEN[1:]]),
     "rank of a later result": ((A, X), [*SEVEN[:3], TRUTH]),
     "cells of a result": ((A, X), [*SEVEN[:3], ((8,), "bool")]),
 }
@@ -526,6 +663,10 @@ def test_the_right_buffers_are_not():
     assert_same(tuple(call((A, X), SINGLE)), jax.jit(unrolled)(A, X))
     found = call((A, XS[:7]), SEVEN)
     assert_same(tuple(found), jax.jit(jax.vmap(unrolled, (None, 0)))(A, XS[:7]))
+    six = [((2, 3, *shape), dtype) for shape, dtype in SINGLE]
+    found = call((A, XS[:6].reshape(2, 3, 2)), six)
+    expected = jax.jit(jax.vmap(jax.vmap(unrolled, (None, 0)), (None, 0)))
+    assert_same(tuple(found), expected(A, XS[:6].reshape(2, 3, 2)))
 
 
 def test_xla_computes_where_its_interface_is_unknown(monkeypatch):

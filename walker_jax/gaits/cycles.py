@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Complex, Float, Int
 
 from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.walkers.model import Walker
+from walker_jax.walking.outcomes import nan_unless
 from walker_jax.walking.stepping import follow_stride
 
 MAX_RESIDUAL = {jnp.dtype("float64"): 1e-10, jnp.dtype("float32"): 1e-4}
@@ -92,12 +93,10 @@ def solve_cycle(
     found &= (
         estimate_error(residual, rows.reshape(states.size, -1)) < SAME_STATE_DISTANCE[dtype] / 10
     )
-    # Multiplied, so that derivatives are NaN too.
-    known = jnp.where(found, 1, jnp.nan).astype(dtype)
     return Gait(
-        states=states * known,
-        multipliers=multipliers * known.astype(multipliers.dtype),
-        step_times=times * known,
+        states=nan_unless(found, states),
+        multipliers=nan_unless(found, multipliers),
+        step_times=nan_unless(found, times),
         stable=found & (jnp.abs(multipliers[0]) < 1),
         residual=residual,
         found=found,

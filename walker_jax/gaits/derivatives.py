@@ -139,7 +139,6 @@ def linearise(
     state, time = state[::first], time[::first]
     by[:, :first] = changes.reshape(len(starts), first, size)
     walks = np.isfinite(state).all(axis=1)
-    by[~walks] = np.nan  # a failing stride has derivatives of zero
     if not few:
         walking = np.flatnonzero(walks)
         _, (others, _) = differentiate(directions[1:], walking)

@@ -2,10 +2,10 @@
 
 XLA calls a handler with a frame that holds the buffers of operands and results. The handler here is
 written in LLVM's language: it needs no compiler, and does not take Python's global lock. It serves
-every kernel. It checks the type, rank and size of each buffer against the kernel's description;
-then all threads of XLA's own pool compute the cells, piece by piece. The calling thread takes
-pieces too, so the call completes even if the pool is busy; a task of the pool that starts late
-finds no piece left and returns.
+every kernel. It checks the type, rank and size of each buffer against the kernel's description; any
+number of axes of cells come first. Then all threads of XLA's own pool compute the cells, piece by
+piece. The calling thread takes pieces too, so the call completes even if the pool is busy; a task
+of the pool that starts late finds no piece left and returns.
 
 Offsets are those of the structures in `xla/ffi/api/c_api.h`, version 0.3, on 64-bit machines. Minor
 versions only add to these. No custom calls are made if XLA has an older or unknown version, or
@@ -99,6 +99,7 @@ def register(name: str, kernel: Kernel, buffers: list[tuple[int, int, int]]) -> 
     program = load_program(stub, keep=False)
     call = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p)(program.get_function_address("stub"))
     jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(call), platform="cpu")
+    jax.ffi.register_ffi_target_as_batch_partitionable(name)
     return kernel, description, program
 
 
@@ -247,7 +248,7 @@ run:
 prepare:
   %arg_list = field ptr, ptr %frame, i64 72
   %ret_list = field ptr, ptr %frame, i64 112
-  ; the first result gives the number of cells
+  ; the first result gives the number of cells, along any number of axes
   %first = load ptr, ptr %ret_list
   %first_rank = field i64, ptr %first, i64 32
   %first_place = mul i64 %args, 3
@@ -258,13 +259,20 @@ prepare:
   br i1 %one, label %allocate, label %higher
 higher:
   %has_cells = icmp sgt i64 %first_rank, %expected
+  %first_lead = sub i64 %first_rank, %expected
+  %first_dims = field ptr, ptr %first, i64 40
   br i1 %has_cells, label %many, label %refuse
 many:
-  %first_dims = field ptr, ptr %first, i64 40
-  %length = load i64, ptr %first_dims
-  br label %allocate
+  %first_axis = phi i64 [ 0, %higher ], [ %first_axis_next, %many ]
+  %some_cells = phi i64 [ 1, %higher ], [ %all_cells, %many ]
+  %length_at = getelementptr i64, ptr %first_dims, i64 %first_axis
+  %length = load i64, ptr %length_at
+  %all_cells = mul i64 %some_cells, %length
+  %first_axis_next = add i64 %first_axis, 1
+  %more_axes = icmp slt i64 %first_axis_next, %first_lead
+  br i1 %more_axes, label %many, label %allocate
 allocate:
-  %cells = phi i64 [ 1, %prepare ], [ %length, %many ]
+  %cells = phi i64 [ 1, %prepare ], [ %all_cells, %many ]
   %slots0 = add i64 %all, %args
   %slots = add i64 %slots0, 7
   %bytes = mul i64 %slots, 8
@@ -296,15 +304,22 @@ buffer:
   %e_size = field i64, ptr %e_type_at, i64 16
   %type_good = icmp eq i64 %type, %e_type
   %lead = sub i64 %rank, %e_rank
-  %shared = icmp eq i64 %lead, 0
-  %mapped = icmp eq i64 %lead, 1
-  %rank_good = or i1 %shared, %mapped
+  %mapped = icmp sgt i64 %lead, 0
+  %rank_good = icmp sge i64 %lead, 0
   %alike = and i1 %type_good, %rank_good
   br i1 %alike, label %leading, label %unlike
 leading:
-  br i1 %mapped, label %cellwise, label %common
+  br i1 %mapped, label %leads, label %common
+leads:
+  %own_axis = phi i64 [ 0, %leading ], [ %own_axis_next, %leads ]
+  %own_part = phi i64 [ 1, %leading ], [ %own, %leads ]
+  %own_dim_at = getelementptr i64, ptr %dims, i64 %own_axis
+  %own_dim = load i64, ptr %own_dim_at
+  %own = mul i64 %own_part, %own_dim
+  %own_axis_next = add i64 %own_axis, 1
+  %own_left = icmp slt i64 %own_axis_next, %lead
+  br i1 %own_left, label %leads, label %cellwise
 cellwise:
-  %own = load i64, ptr %dims
   %own_good = icmp eq i64 %own, %cells
   br label %sizes
 common:

@@ -65,7 +65,7 @@ class Kernel:
     ) -> tuple[Callable[[int, int], None], list[np.ndarray]]:
         """A function (start, stop) that computes results[start:stop], and the empty results.
 
-        `mapped` says which operands have the n cells along their first axis; all cells share the
+        `mapped` says which operands have the n cells along their first axes; all cells share the
         others. Several threads may call the function at once.
         """
         results = [np.empty((n, *shape), dtype) for shape, dtype in self.results]

@@ -4,11 +4,14 @@
 `jit`, `vmap`, `scan` and every other transformation. On a CPU the primitive calls machine code
 (`ffi`). On other devices, and for a function without a kernel, XLA compiles the same function.
 
-Each `vmap` adds an axis of cells; all cells share an operand that no `vmap` maps over. The
-derivative of a function of one cell along directions is again a function of one cell, linear in the
-directions. It has a kernel of its own, and so have derivatives of any higher order. Reverse mode
-computes the Jacobian in forward mode, column by column, and multiplies it by the cotangents, so no
-loop runs backwards. That suits functions of few numbers.
+Each `vmap` adds an axis of cells; all cells share an operand that no `vmap` maps over. Cells need
+nothing of each other, so where they are sharded each device computes those that it has. What
+`jax.export` lowers is left to XLA, since other processes and machines run it.
+
+The derivative of a function of one cell along directions is again a function of one cell, linear in
+the directions. It has a kernel of its own, and so have derivatives of any higher order. Reverse
+mode computes the Jacobian in forward mode, column by column, and multiplies it by the cotangents,
+so no loop runs backwards. That suits functions of few numbers.
 """
 
 import contextlib
@@ -33,6 +36,7 @@ from walker_jax.kernels.kernel import Kernel, without_garbage_collection
 from walker_jax.kernels.outside_code import states_of
 from walker_jax.kernels.program_cache import Traced, digest_of, keep_trace, name_of, recall_trace
 from walker_jax.kernels.rules import UnsupportedPrimitive
+from walker_jax.kernels.sharding import is_divided, lower_divided
 
 MAX_PROGRAMS = 256
 """Most functions that are kept compiled; those used least recently are dropped."""
@@ -242,53 +246,58 @@ def by_kernel(function: Callable) -> Callable:
         leaves = vary_alike(list(map(without_weak_type, leaves)))
         if tracing_for_kernel.value:
             return jax.tree.unflatten(results, program.function(*leaves))
-        outputs = kernel_p.bind(*leaves, program=program, mapped=(False,) * len(leaves))
+        outputs = kernel_p.bind(*leaves, program=program, mapped=(0,) * len(leaves))
         return jax.tree.unflatten(results, outputs)
 
     vars(call)["of_one_cell"] = function  # by which `program_of` knows it
     return call
 
 
-def count_cells(values: Sequence, mapped: Sequence[bool]) -> int | None:
-    """The number of cells; None for a single cell without an axis."""
-    return next((np.shape(x)[0] for x, each in zip(values, mapped, strict=True) if each), None)
+def cells_shape(values: Sequence, mapped: Sequence[int]) -> tuple[int, ...]:
+    """The lengths of the axes of cells; () for a single cell."""
+    return next((np.shape(x)[:axes] for x, axes in zip(values, mapped, strict=True) if axes), ())
 
 
 @kernel_p.def_impl
-def compute(*operands, program: Program, mapped: tuple[bool, ...]):
+def compute(*operands, program: Program, mapped: tuple[int, ...]):
     """Evaluates the primitive outside of `jit`: calls the machine code, on one core."""
     default = jnp.zeros(()).devices()
     here = all(x.devices() == default for x in operands if isinstance(x, jax.Array))
     on_cpu = all(device.platform == "cpu" for device in default)
     if not (here and on_cpu) or program.kernel is None:
         return jit_call(program, mapped)(*operands)
-    n = count_cells(operands, mapped)
-    run, results = program.kernel.bind(operands, mapped, 1 if n is None else n)
-    run(0, 1 if n is None else n)
+    cells = cells_shape(operands, mapped)
+    n = math.prod(cells)
+    run, results = program.kernel.bind(operands, list(map(bool, mapped)), n)
+    run(0, n)
     with apply_settings(program.settings):
-        return [jnp.asarray(result if n is not None else result[0]) for result in results]
+        return [jnp.asarray(result.reshape((*cells, *result.shape[1:]))) for result in results]
 
 
 @functools.lru_cache(MAX_PROGRAMS)
-def jit_call(program: Program, mapped: tuple[bool, ...]) -> Callable:
+def jit_call(program: Program, mapped: tuple[int, ...]) -> Callable:
     """The primitive under `jax.jit`."""
     return jax.jit(lambda *operands: kernel_p.bind(*operands, program=program, mapped=mapped))
 
 
 @kernel_p.def_abstract_eval
-def abstract_results(*avals, program: Program, mapped: tuple[bool, ...]):
+def abstract_results(*avals, program: Program, mapped: tuple[int, ...]):
     """Shapes, types and sharding of the results."""
-    n = count_cells(avals, mapped)
-    lead = () if n is None else (n,)
+    cells = cells_shape(avals, mapped)
+    specs = [x.sharding.spec[:axes] for x, axes in zip(avals, mapped, strict=True) if axes]
+    over = [next(filter(None, names), None) for names in zip(*specs, strict=True)]
     like = max(
-        avals, key=lambda aval: len(varying_axes(aval)), default=ShapedArray((), np.dtype(bool))
+        avals,
+        key=lambda aval: (len(varying_axes(aval)), not aval.sharding.mesh.empty),
+        default=ShapedArray((), np.dtype(bool)),
     )
 
     def array(shape, dtype):
-        sharding = like.sharding.update(spec=PartitionSpec(*[None] * len(shape)))
+        sharding = like.sharding.update(spec=PartitionSpec(*over, *[None] * len(shape)))
+        shape = (*cells, *shape)
         return like.update(shape=shape, dtype=dtype, weak_type=False, sharding=sharding)
 
-    return [array((*lead, *x.shape), x.dtype) for x in program.results]
+    return [array(x.shape, x.dtype) for x in program.results]
 
 
 def without_weak_type(leaf) -> jax.Array:
@@ -311,19 +320,23 @@ def vary_alike(leaves: list) -> list:
     ]
 
 
-def compute_by_xla(*operands, program: Program, mapped: tuple[bool, ...]):
+def compute_by_xla(*operands, program: Program, mapped: tuple[int, ...]):
     """The results by JAX's own primitives."""
     function = program.function
-    if any(mapped):
-        function = jax.vmap(function, [0 if each else None for each in mapped])
+    for _ in cells_shape(operands, mapped):
+        function = jax.vmap(function, [0 if axes else None for axes in mapped])
     with apply_settings(program.settings), tracing_for_kernel(True):
         return function(*operands)
 
 
-def lower_on_cpu(ctx, *operands, program: Program, mapped: tuple[bool, ...]):
-    if program.kernel is None or not ffi.available():
+def lower_on_cpu(ctx, *operands, program: Program, mapped: tuple[int, ...]):
+    exported = ctx.module_context.lowering_parameters.for_export
+    if exported or program.kernel is None or not ffi.available():
         return lower_to_xla(ctx, *operands, program=program, mapped=mapped)
-    return jax.ffi.ffi_lowering(ffi.target(program.kernel))(ctx, *operands)
+    target = ffi.target(program.kernel)
+    if any(mapped) and is_divided(ctx):
+        return lower_divided(ctx, operands, target, mapped, cells_shape(ctx.avals_in, mapped))
+    return jax.ffi.ffi_lowering(target)(ctx, *operands)
 
 
 lower_to_xla = mlir.lower_fun(compute_by_xla, multiple_results=True)
@@ -331,7 +344,7 @@ mlir.register_lowering(kernel_p, lower_to_xla)
 mlir.register_lowering(kernel_p, lower_on_cpu, platform="cpu")
 
 
-def batch(operands, axes, *, program: Program, mapped: tuple[bool, ...]):
+def batch(operands, axes, *, program: Program, mapped: tuple[int, ...]):
     """Adds an axis of cells; to a derivative mapped over its tangents alone, directions."""
     batched = [axis is not None for axis in axes]
     pairs = list(zip(operands, axes, strict=True))
@@ -343,47 +356,45 @@ def batch(operands, axes, *, program: Program, mapped: tuple[bool, ...]):
         if count <= MAX_DIRECTIONS and origin.size * (count + 1) <= MAX_OPERATIONS[count > 2]:
             more = origin.derivative(by, count)
             return batch_directions(operands, batched, (size, directions), more, mapped)
-    if not any(mapped):
-        outputs = kernel_p.bind(*operands, program=program, mapped=tuple(batched))
-        return outputs, [0] * len(outputs)
-    n = next(x.shape[over] for x, each, over in zip(operands, mapped, batched, strict=True) if each)
+    each = zip(operands, mapped, batched, strict=True)
+    cells = next((x.shape[over : over + own] for x, own, over in each if own), ())
 
-    def flat(x, each, over):
-        """Merges the two axes of cells into the first one."""
-        if not each and not over:
+    def spread(x, own, over):
+        """An operand of some cells, with the axes of all of them."""
+        if not own and not over:
             return x
+        rest = x.shape[own + over :]
         x = x if over else x[None]
-        x = x if each else x[:, None]
-        x = jnp.broadcast_to(x, (size, n, *x.shape[2:]))
-        return x.reshape(size * n, *x.shape[2:])
+        x = x if own else jnp.expand_dims(x, range(1, 1 + len(cells)))
+        return jnp.broadcast_to(x, (size, *cells, *rest))
 
-    operands = list(map(flat, operands, mapped, batched))
-    either = tuple(a or b for a, b in zip(mapped, batched, strict=True))
+    operands = list(map(spread, operands, mapped, batched))
+    either = tuple(1 + len(cells) if a or b else 0 for a, b in zip(mapped, batched, strict=True))
     outputs = kernel_p.bind(*operands, program=program, mapped=either)
-    return [x.reshape(size, n, *x.shape[1:]) for x in outputs], [0] * len(outputs)
+    return outputs, [0] * len(outputs)
 
 
 def batch_directions(operands, batched, sizes: tuple[int, int], program: Program, mapped):
     """A derivative along more directions at once: a new axis of tangents is merged with theirs."""
-    cells = any(mapped)
+    cells = max(mapped)
 
     def merge_axes(i, x):
         if i not in program.linear:
             return x
         x = x if batched[i] else jnp.broadcast_to(x, (sizes[0], *x.shape))
-        x = jnp.moveaxis(x, 0, 1) if mapped[i] else x  # after the axis of cells
+        x = jnp.moveaxis(x, 0, mapped[i])  # after the axes of cells
         return x.reshape(*x.shape[: mapped[i]], math.prod(sizes), *x.shape[mapped[i] + 2 :])
 
     operands = [merge_axes(i, x) for i, x in enumerate(operands)]
     outputs = kernel_p.bind(*operands, program=program, mapped=mapped)
     parted = [x.reshape(*x.shape[:cells], *sizes, *x.shape[cells + 1 :]) for x in outputs]
-    return parted, [int(cells)] * len(outputs)
+    return parted, [cells] * len(outputs)
 
 
 batching.primitive_batchers[kernel_p] = batch
 
 
-def push_forward(primals, tangents, *, program: Program, mapped: tuple[bool, ...]):
+def push_forward(primals, tangents, *, program: Program, mapped: tuple[int, ...]):
     """The rule of forward mode: one call for the results, one for their tangents."""
     results = kernel_p.bind(*primals, program=program, mapped=mapped)
     along = [i for i, t in enumerate(tangents) if not isinstance(t, ad.Zero) and is_real(t)]
@@ -398,15 +409,14 @@ def push_forward(primals, tangents, *, program: Program, mapped: tuple[bool, ...
         total = list(kernel_p.bind(*changed, program=program, mapped=mapped))
     others = tuple(i for i in along if i not in program.linear)
     if others and total:
-        directions = [jnp.expand_dims(tangents[i], 1 if mapped[i] else 0) for i in others]
+        directions = [jnp.expand_dims(tangents[i], mapped[i]) for i in others]
         changes = kernel_p.bind(
             *primals,
             *directions,
             program=program.derivative(others),
             mapped=(*mapped, *(mapped[i] for i in others)),
         )
-        axis = 1 if any(mapped) else 0
-        changes = [jnp.squeeze(change, axis) for change in changes]
+        changes = [jnp.squeeze(change, max(mapped)) for change in changes]
         total = [a if b is None else a + b for a, b in zip(changes, total, strict=True)]
     reals = iter(total)
     changes = [next(reals) if is_real(x) else None for x in results]
@@ -417,13 +427,13 @@ def push_forward(primals, tangents, *, program: Program, mapped: tuple[bool, ...
 ad.primitive_jvps[kernel_p] = push_forward
 
 
-def pull_back(cotangents, *operands, program: Program, mapped: tuple[bool, ...]):
+def pull_back(cotangents, *operands, program: Program, mapped: tuple[int, ...]):
     """The rule of reverse mode: cotangents of the linear operands, those of results times J."""
     with apply_settings(program.settings):
         return pull_back_derivative(cotangents, operands, program, mapped)
 
 
-def pull_back_derivative(cotangents, operands, program: Program, mapped: tuple[bool, ...]):
+def pull_back_derivative(cotangents, operands, program: Program, mapped: tuple[int, ...]):
     """Cotangents of the directions of a derivative, from the Jacobian of its program."""
     wanted = [i for i, x in enumerate(operands) if ad.is_undefined_primal(x)]
     given = [i for i, ct in enumerate(cotangents) if not isinstance(ct, ad.Zero)]
@@ -436,8 +446,10 @@ def pull_back_derivative(cotangents, operands, program: Program, mapped: tuple[b
     point = operands[:count]
     some = tuple(by[i - count] for i in wanted)
     avals = [origin.operands[i] for i in some]
-    each, shapes = any(mapped[:count]), [aval.shape for aval in avals]
+    shapes = [aval.shape for aval in avals]
     sizes = [math.prod(shape) for shape in shapes]
+    cells, own = max(mapped), max(mapped[:count])  # axes of cells: of all, and of the point
+    lacking = range(own, cells)
 
     def along(direction):
         """The derivatives of the results of each cell along one direction of all operands."""
@@ -449,33 +461,28 @@ def pull_back_derivative(cotangents, operands, program: Program, mapped: tuple[b
                 for part, aval in zip(parts, avals, strict=True)
             ),
             program=origin.derivative(some),
-            mapped=(*mapped[:count], *[False] * len(parts)),
+            mapped=(*mapped[:count], *[0] * len(parts)),
         )
-        return [jnp.squeeze(changes[i], 1 if each else 0).astype(dtype) for i in given]
+        changes = [jnp.squeeze(changes[i], own).astype(dtype) for i in given]
+        return [jnp.expand_dims(change, lacking) for change in changes]
 
     dtype = np.result_type(*(aval.dtype for aval in (*avals, *program.results)))
-    columns = jax.vmap(along)(jnp.eye(sum(sizes), dtype=dtype))  # column, cell, result
-    cells = any(mapped)
+    columns = jax.vmap(along)(jnp.eye(sum(sizes), dtype=dtype))  # column, *cells, result
     total: Any = 0.0
     for i, column in zip(given, columns, strict=True):
-        ct = cotangents[i].astype(dtype)  # cell, direction, result
-        if cells and not each:
-            column = jnp.broadcast_to(
-                column[:, None], (column.shape[0], ct.shape[0], *column.shape[1:])
-            )
+        ct = cotangents[i].astype(dtype)  # *cells, direction, result
         result = math.prod(column.shape[1 + cells :])
         column = column.reshape(*column.shape[: 1 + cells], result)
         ct = ct.reshape(*ct.shape[: 1 + cells], result)
         # A derivative with a zero cotangent is ignored, even if it is NaN.
         column = jnp.where((ct == 0).all(axis=-2), 0, column)
-        sums = "cnr,nkr->nkc" if cells else "cr,kr->kc"
-        total = total + jnp.einsum(sums, column, ct, precision="highest")
+        total = total + jnp.einsum("c...r,...kr->...kc", column, ct, precision="highest")
     found: list[Any] = [None] * len(operands)
     ends = np.cumsum(sizes)
     for i, end, width, shape in zip(wanted, ends, sizes, shapes, strict=True):
         part = total[..., end - width : end]
-        if cells and not mapped[i]:
-            part = part.sum(axis=0)
+        if not mapped[i]:
+            part = part.sum(axis=range(cells))
         lead = part.shape[:-1]
         found[i] = part.reshape(*lead, *shape).astype(program.operands[i].dtype)
     return found
@@ -487,8 +494,8 @@ def pull_back_linear(cotangents, operands, wanted: list[int], program: Program, 
         jnp.zeros(aval.shape, aval.dtype) if i in wanted else x
         for i, (x, aval) in enumerate(zip(operands, program.operands, strict=True))
     ]
-    where = tuple(each and i not in wanted for i, each in enumerate(mapped))
-    axis = int(any(mapped))
+    where = tuple(0 if i in wanted else axes for i, axes in enumerate(mapped))
+    axis = max(mapped)
     found = pull_back(
         [
             ct if isinstance(ct, ad.Zero) else jnp.expand_dims(ct, axis)
@@ -502,7 +509,7 @@ def pull_back_linear(cotangents, operands, wanted: list[int], program: Program, 
     )
     parts = dict(zip(wanted, found[len(operands) :], strict=True))
     return [
-        None if part is None else jnp.squeeze(part, int(mapped[i]))
+        None if part is None else jnp.squeeze(part, mapped[i])
         for i, part in ((i, parts.get(i)) for i in range(len(operands)))
     ]
 

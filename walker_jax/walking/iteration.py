@@ -23,7 +23,7 @@ from walker_jax.execution.tiles import map_cells
 from walker_jax.integrators.solvers import AnySolver, Real, default_tolerance, using_solver
 from walker_jax.walkers.model import Walker, check_planar, numbers_of
 from walker_jax.walkers.parameters import Parameter, described_by
-from walker_jax.walking.outcomes import Outcome, Stride, Walk
+from walker_jax.walking.outcomes import Outcome, Stride, Walk, nan_unless
 from walker_jax.walking.stepping import (
     as_floating,
     follow_step,
@@ -213,7 +213,7 @@ def follow_rough_walk(
 
     start = jnp.stack(walker.lift(x))
     feasible = jnp.where(walker.feasible(x), Outcome.STRIDE, Outcome.OUTSIDE).astype(jnp.int8)
-    begun = jnp.where(feasible == Outcome.STRIDE, start, jnp.nan)
+    begun = nan_unless(feasible == Outcome.STRIDE, start)
     _, (states, outcomes, times) = lax.scan(follow, (begun, feasible), ground)
     return Walk(jnp.concatenate([start[None], states]), outcomes, times)
 

@@ -3,7 +3,8 @@
 import enum
 from typing import NamedTuple
 
-from jaxtyping import Array, Float, Int
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Inexact, Int
 
 
 class Outcome(enum.IntEnum):
@@ -57,3 +58,8 @@ class Walk(NamedTuple):
     """`Outcome` of each stride; that of the failure from there on."""
     times: Float[Array, " strides"]
     """Duration of each stride."""
+
+
+def nan_unless(known: Bool[Array, ""], values: Inexact[Array, "..."]) -> Inexact[Array, "..."]:
+    """The values, multiplied by 1 or by NaN, so that their derivatives are NaN too."""
+    return values * jnp.where(known, 1, jnp.nan).astype(values.dtype)

@@ -26,7 +26,7 @@ from walker_jax.kernels import by_kernel
 from walker_jax.walkers.masses import MultibodyMotion
 from walker_jax.walkers.model import Phase, Scalar, State, Walker, check_planar, check_single
 from walker_jax.walking.falls import fall_of
-from walker_jax.walking.outcomes import Outcome, Stride
+from walker_jax.walking.outcomes import Outcome, Stride, nan_unless
 from walker_jax.walking.phases import (
     follow_phase,
     follow_phases,
@@ -212,9 +212,9 @@ def end_stride(
 def make_stride(
     state: Float[Array, " coordinates"], outcome: Int[Array, ""], time: Scalar
 ) -> Stride:
-    """A stride; its results are NaN unless it is one."""
+    """A stride; its results, and their derivatives, are NaN unless it is one."""
     success = outcome == Outcome.STRIDE
-    return Stride(jnp.where(success, state, jnp.nan), outcome, jnp.where(success, time, jnp.nan))
+    return Stride(nan_unless(success, state), outcome, nan_unless(success, time))
 
 
 def resolve_impact(
@@ -352,7 +352,7 @@ def state_of_motion(walker: Walker | Phase, start: Any, time: Scalar, tolerance:
     method = Method(equations(walker), solver_for(start), tolerance)
     solution = method.solve(start, jnp.zeros_like(time), time, method.controller())
     arrived = solution.result == diffrax.RESULTS.successful
-    return jax.tree.map(lambda values: jnp.where(arrived, values[-1], jnp.nan), solution.ys)
+    return jax.tree.map(lambda values: nan_unless(arrived, values[-1]), solution.ys)
 
 
 def phase_times(
@@ -380,7 +380,7 @@ def follow_phase_times(
     start, verdict = with_fast_sincos(begin_stride)(walker, x)
     phases = follow_phases(walker, start, verdict, tolerance) if walker.phases() else []
     ended = [one.verdict == Outcome.UNDECIDED for one in phases]
-    times = [jnp.where(good, one.time, jnp.nan) for one, good in zip(phases, ended, strict=True)]
+    times = [nan_unless(good, one.time) for one, good in zip(phases, ended, strict=True)]
     return jnp.stack([*times, ends])
 
 

@@ -1,0 +1,71 @@
+"""Calls of kernels whose cells are sharded over several devices: each computes those that it has.
+
+XLA divides a custom call whose target is registered for that along the leading axes of its
+operands and results, all of which must have them, and one more axis. Shardy, which finds the
+shardings, is told by a rule which axes those are.
+"""
+
+import itertools
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.core import ShapedArray
+from jax.interpreters import mlir
+
+
+def is_divided(ctx: mlir.LoweringRuleContext) -> bool:
+    """Whether XLA divides what is lowered among devices, as far as `jax.shard_map` has not."""
+    axes: Any = ctx.module_context.axis_context
+    if (mesh := getattr(axes, "mesh", None)) is not None:
+        return set(axes.manual_axes) != set(mesh.axis_names)
+    return getattr(axes, "num_devices", 1) > 1
+
+
+def lower_divided(
+    ctx: mlir.LoweringRuleContext,
+    operands: Sequence,
+    target: str,
+    mapped: Sequence[int],
+    cells: tuple[int, ...],
+) -> Sequence:
+    """The call of a kernel for cells of this shape. Each gets what all of them share."""
+    avals: Sequence[Any] = ctx.avals_in
+    shapes = [aval.shape[axes:] or (1,) for aval, axes in zip(avals, mapped, strict=True)]
+
+    def spread(*values):
+        each = zip(values, mapped, shapes, strict=True)
+        values = [x if axes else jnp.broadcast_to(x, (*cells, *shape)) for x, axes, shape in each]
+        return [x.reshape(*cells, *shape) for x, shape in zip(values, shapes, strict=True)]
+
+    wide = [
+        ShapedArray((*cells, *shape), aval.dtype) for aval, shape in zip(avals, shapes, strict=True)
+    ]
+    given = mlir.lower_fun(spread, multiple_results=True)(ctx.replace(avals_out=wide), *operands)
+    rule = sharding_rule(len(cells), *([x.shape for x in some] for some in (wide, ctx.avals_out)))
+    attributes = {
+        "mhlo.frontend_attributes": mlir.ir_attribute({"num_batch_dims": str(len(cells))}),
+        "sdy.sharding_rule": mlir.ir.Attribute.parse(rule),
+    }
+    call = jax.ffi.ffi_lowering(target, extra_attributes=attributes)
+    return call(ctx.replace(avals_in=wide), *given)
+
+
+def sharding_rule(cells: int, operands: Sequence, results: Sequence) -> str:
+    """Shardy's rule: the first axes are those of cells, all others stay whole on every device.
+
+    Axes of the same letter are sharded alike; Shardy's letters are i, j, ... z, z_1, z_2, ...
+    """
+    letters = (*map(chr, range(ord("i"), ord("z") + 1)), *map("z_{}".format, range(1, 3000)))
+    others, sizes = iter(letters[cells:]), {}
+
+    def mapping(shape):
+        names = [*letters[:cells], *itertools.islice(others, len(shape) - cells)]
+        sizes.update(zip(names, shape, strict=True))
+        return f"[{', '.join(names)}]"
+
+    sides = "->".join(f"({', '.join(map(mapping, side))})" for side in (operands, results))
+    lengths = ", ".join(f"{name}={size}" for name, size in sizes.items())
+    whole = ", ".join(name for name in sizes if name not in letters[:cells])
+    return f"#sdy.op_sharding_rule<{sides} {{{lengths}}} need_replication={{{whole}}}, custom>"
