@@ -241,7 +241,23 @@ def compile_call(
     shares = jax.shard_map(
         run, mesh=mesh, in_specs=(P(), each, each), out_specs=each, check_vma=False
     )
-    return jax.jit(shares, compiler_options=COMPILER_OPTIONS.get(platform))
+    return jax.jit(shares, compiler_options=options_for(platform))
+
+
+def options_for(platform: str) -> dict:
+    """The compiler's options for a platform, without those that this version of XLA lacks."""
+    options = COMPILER_OPTIONS.get(platform, {}).items()
+    return {name: value for name, value in options if has_option(name, value)}
+
+
+@functools.cache
+def has_option(name: str, value: Any) -> bool:
+    """Whether XLA has an option, which is asked of XLA: it compiles nothing with an unknown one."""
+    try:
+        jax.jit(lambda: 0, compiler_options={name: value}).lower().compile()
+    except jax.errors.JaxRuntimeError:
+        return False
+    return True
 
 
 def order_of_cells(shape: tuple[int, ...]) -> Int[np.ndarray, " n"]:
