@@ -162,15 +162,6 @@ def integer_power(emitter, params, dtypes, x):
     return emitter.builder.fdiv(one, result, flags=FAST) if y < 0 else result
 
 
-def polynomial(emitter, params, dtypes, x, *coefficients):
-    """c_0 + c_1 x + c_2 x^2 + ... by Horner's rule."""
-    value = coefficients[-1]
-    for coefficient in coefficients[-2::-1]:
-        product = RULES["mul"](emitter, {}, dtypes, value, x)
-        value = RULES["add"](emitter, {}, dtypes, product, coefficient)
-    return value
-
-
 def power(emitter, params, dtypes, x, y):
     """x^y, where y may be of another type."""
     if dtypes[1] != dtypes[0]:
@@ -364,9 +355,7 @@ RULES: dict[str, Callable] = {
     "max": extremum("maximum", "?max"),
     "min": extremum("minimum", "?min"),
     "sqrt": unary("sqrt"),
-    "rsqrt": lambda emitter, params, dtypes, x: emitter.builder.fdiv(
-        emitter.vector(1, dtypes[0]), emitter.intrinsic("sqrt", x), flags=FAST
-    ),
+    "rsqrt": inline_jax(lambda x: 1 / jnp.sqrt(x)),
     "floor": unary("floor"),
     "ceil": unary("ceil"),
     "round": rounding,
@@ -374,7 +363,7 @@ RULES: dict[str, Callable] = {
     "integer_pow": integer_power,
     "square": lambda emitter, params, dtypes, x: integer_power(emitter, {"y": 2}, dtypes, x),
     "one_minus_square": inline_jax(lambda x: (1 + x) * (1 - x)),
-    "polynomial": polynomial,
+    "polynomial": inline_jax(lambda x, *c: functools.reduce(lambda y, one: y * x + one, c[::-1])),
     "is_finite": is_finite,
     "eq": comparison("=="),
     "ne": comparison("!="),
@@ -403,8 +392,8 @@ RULES: dict[str, Callable] = {
     **{
         name: elementary(name)
         for name in (
-            "exp2 expm1 log1p log2 cbrt sin cos tan asin acos atan atan2 sinh cosh tanh asinh acosh "
-            "atanh erf".split()
+            "exp2 expm1 log1p log2 cbrt sin cos tan asin acos atan atan2 sinh cosh tanh asinh "
+            "acosh atanh erf".split()
         )
     },
 }
