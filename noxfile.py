@@ -56,7 +56,7 @@ def build(session: nox.Session) -> None:
 
 @nox.session
 def matrix(session: nox.Session) -> None:
-    """Try every Python, both ends of the dependencies, and poor machines: half an hour."""
+    """Try every Python, by a few tests, both ends of the dependencies, and poor machines."""
     session.run("python", ".ci/matrix.py", *session.posargs)
 
 
@@ -69,5 +69,5 @@ def readme(session: nox.Session) -> None:
 
 @nox.session
 def ci(session: nox.Session) -> None:
-    """All that a change must pass."""
+    """All that a change must pass, with all tests on the oldest Python and on the newest."""
     session.run(".ci/run", *session.posargs, external=True)

@@ -81,6 +81,27 @@ def test_places_in_sorted_arrays():
     assert_same(lambda x: jnp.searchsorted(jnp.array([-1, 0, 3]), x), np.arange(-3, 6))
 
 
+def test_functions_that_newer_versions_of_jax_call():
+    """Up to jax 0.10 their parts stand in the jaxpr itself."""
+
+    def function(x):
+        root = lambda f, x: lax.fori_loop(0, 40, lambda i, y: y - f(y) / 3, x)
+        return [
+            lax.custom_root(lambda y: y + jnp.sin(y) / 2 - x, x, root, lambda g, y: y / g(1.0)),
+            jnp.ldexp(x, 3),
+            jnp.frexp(x),
+            jnp.interp(x, jnp.arange(3.0), jnp.array([1.0, -1.0, 2.0])),
+            jnp.digitize(x, jnp.array([0.5, 1.0, 1.5])),
+            jnp.nonzero(jnp.stack([x, 0.0 * x, -x]), size=3, fill_value=-1),
+            jnp.sinc(x),
+            jnp.hypot(x, 2.0),
+        ]
+
+    x = np.linspace(-1.1, 2.3, 35)
+    assert_same(function, x, ulps=20)
+    assert_same(lambda x: jax.grad(lambda x: function(x)[0])(x), x, ulps=20)
+
+
 @pytest.mark.parametrize("length", [3, pytest.param(40, marks=pytest.mark.slow)])
 def test_scans_short_and_long(length):
     """The short one is unrolled."""

@@ -372,6 +372,8 @@ SECOND = (1.5, -0.7, 0.3, 0.2)
 LARGE = (1.1, 1.7, 4.0)
 SMALL = (-0.6, 0.1, 0.5)
 BOTH = (-1.3, 0.4, 2.0)
+# A primitive from jax 0.12 on.
+polynomial = getattr(lax, "polynomial", lambda x, c: c[0] + c[1] * x + c[2] * x**2)
 # Of one operand: the function, the same of mpmath, and where it is expanded.
 ELEMENTARY = {
     "acos": (jnp.arccos, mpmath.acos, SMALL),
@@ -391,6 +393,7 @@ ELEMENTARY = {
     "expm1": (jnp.expm1, mpmath.expm1, (-1.3, 1e-9, 2.0)),
     "log": (jnp.log, mpmath.log, LARGE),
     "log1p": (jnp.log1p, mpmath.log1p, (-0.3, 1e-9, 2.0)),
+    "log2": (jnp.log2, lambda x: mpmath.log(x, 2), LARGE),
     "logistic": (lax.logistic, lambda x: 1 / (1 + mpmath.exp(-x)), BOTH),
     "rsqrt": (lax.rsqrt, lambda x: 1 / mpmath.sqrt(x), LARGE),
     "sin": (jnp.sin, mpmath.sin, BOTH),
@@ -399,6 +402,8 @@ ELEMENTARY = {
     "square": (jnp.square, lambda x: x * x, (-1.3, 0.0, 2.0)),
     "tan": (jnp.tan, mpmath.tan, (-0.9, 0.4, 3.0)),
     "tanh": (jnp.tanh, mpmath.tanh, BOTH),
+    "slope of atanh": (jax.vmap(jax.grad(jnp.arctanh)), lambda x: 1 / (1 - x * x), SMALL),
+    "polynomial": (lambda x: polynomial(x, [1, -0.5, 0.25]), lambda x: 1 - x / 2 + x**2 / 4, BOTH),
     "power 0": (lambda x: lax.integer_pow(x, 0), lambda x: mpmath.mpf(1), (-1.3, 0.0, 2.0)),
     "power 1": (lambda x: lax.integer_pow(x, 1), lambda x: x, (-1.3, 0.0, 2.0)),
     "power 7": (lambda x: lax.integer_pow(x, 7), lambda x: x**7, (-1.3, 0.0, 2.0)),

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import walker_jax as wj
+from walker_jax.execution import tiles
 from walker_jax.execution.tiles import CALL_SHAPES, compact_order, map_cells
 from walker_jax.kernels import UnsupportedPrimitive, primitive
 
@@ -101,6 +102,18 @@ def test_strides_by_kernels_and_by_xla_are_the_same_to_rounding(monkeypatch, sta
     np.testing.assert_array_equal(found.outcome, expected.outcome)
     np.testing.assert_allclose(found.state, expected.state, rtol=0, atol=1e-9)
     assert np.nanmedian(np.abs(found.state - expected.state)) < 1e-14
+
+
+def test_an_option_that_xla_lacks_is_left_out(monkeypatch):
+    """With it XLA would compile nothing."""
+    options = {"xla_cpu_prefer_vector_width": 256, "xla_no_such_option": 1}
+    monkeypatch.setitem(tiles.COMPILER_OPTIONS, "cpu", options)
+    monkeypatch.setattr(primitive, "Kernel", no_kernel)
+    monkeypatch.setattr(primitive, "programs", OrderedDict())
+    cells = np.arange(5.0)
+    found = map_cells(lambda shared, cell: shared + cell**2, (3.0, cells))
+    np.testing.assert_array_equal(found, 3 + cells**2)
+    assert tiles.options_for("cpu") == {"xla_cpu_prefer_vector_width": 256}
 
 
 def test_cells_of_different_lengths_are_refused():

@@ -71,6 +71,7 @@ def test_the_version_and_the_pythons_are_the_same_everywhere():
     assert known == tried and project["requires-python"] == f">={tried[0]}"
     workflow = (root / ".github" / "workflows" / "ci.yml").read_text()
     assert sorted(re.findall(r"^ +(3\.\d+)$", workflow, re.M)) == tried
+    assert rf'{{python-version: "{tried[-1]}\n{tried[0]}"}}' in workflow  # for .ci/run
     actions = re.findall(r"uses: (?!actions/)\S+@(\S+)", workflow)  # of others than the host
     assert actions and all(re.fullmatch(r"[0-9a-f]{40}", one) for one in actions)
 

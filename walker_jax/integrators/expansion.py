@@ -21,6 +21,7 @@ from walker_jax.integrators.series import (
     Series,
     bilinear,
     constant,
+    evaluate_polynomial,
     minus,
     plus,
     quotient,
@@ -77,6 +78,10 @@ def no_series(name: str) -> NotImplementedError:
 
 def square_operand(k: int, operands: list[Series], bind: Callable) -> Any:
     return times(k, operands * 2)
+
+
+def one_minus_square(k: int, operands: list[Series], bind: Callable) -> Any:
+    return scale(times(k, operands * 2), -1)
 
 
 def linear(k: int, operands: list[Series], bind: Callable) -> Any:
@@ -309,6 +314,8 @@ Expansion.rules = {
     "max": by_coefficients(larger_operand),
     "min": by_coefficients(smaller_operand),
     "mul": by_coefficients(times),
+    "one_minus_square": by_coefficients(one_minus_square),
+    "polynomial": by_definition(lambda x, *c, **_: evaluate_polynomial(list(c), x)),
     "pow": power_rule,
     "reduce_prod": by_definition(reduce_product),
     "sin": by_pair(sincos, -1, 0),

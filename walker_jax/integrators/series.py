@@ -269,6 +269,7 @@ EQUATIONS: dict[str, Callable[..., Series]] = {
     "expm1": lambda y, x, Dx: Dx * (y + 1),
     "log": lambda y, x, Dx: Dx / x,
     "log1p": lambda y, x, Dx: Dx / (1 + x),
+    "log2": lambda y, x, Dx: Dx / (x * math.log(2)),
     "logistic": lambda y, x, Dx: Dx * (y - y * y),
     "pow": lambda y, x, Dx, p, Dp: Dx * (p * y) / x + Dp * (log_series(x) * y),
     "rsqrt": lambda y, x, Dx: Dx * y / (x * -2),

@@ -5,6 +5,7 @@ Each interpreter has its own kind of values: entries of an array, instructions, 
 
 import abc
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, ClassVar, no_type_check
 
 import jax
@@ -54,6 +55,9 @@ def shape_dtype(aval) -> jax.ShapeDtypeStruct:
 def called_function(equation: JaxprEqn) -> ClosedJaxpr:
     """The function of a call."""
     params = equation.params
+    if equation.primitive.name == "call_hi_primitive":
+        inner = partial(equation.primitive.to_lojax, **params)
+        return jax.make_jaxpr(inner)(*(shape_dtype(variable.aval) for variable in equation.invars))
     inner = params["jaxpr"] if "jaxpr" in params else params["call_jaxpr"]
     return inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ())
 
@@ -63,10 +67,15 @@ def enter(interpreter: Interpreter, equation: JaxprEqn, operands: list) -> list:
     return interpreter.interpret(called_function(equation), operands)
 
 
-CALLS = dict.fromkeys(("jit", "pjit", "closed_call", "checkpoint", "remat2"), enter)
+CALLS = dict.fromkeys(("jit", "pjit", "closed_call", "eval_jaxpr", "checkpoint", "remat2"), enter)
 """Rules for primitives that only call a function."""
-CALLS_WITH_DERIVATIVES = dict.fromkeys(("custom_jvp_call", "custom_vjp_call"), enter)
-"""Rules for calls with custom derivatives, which interpretation loses."""
+CALLS_WITH_DERIVATIVES = dict.fromkeys(
+    ("custom_jvp_call", "custom_vjp_call", "call_hi_primitive"), enter
+)
+"""Rules for calls with custom derivatives, which interpretation loses.
+
+From jax 0.11 on, functions such as `searchsorted` and `custom_root` are calls of the last kind.
+"""
 
 
 def changes_entries(name: str, params: dict) -> bool:

@@ -355,15 +355,15 @@ RULES: dict[str, Callable] = {
     "max": extremum("maximum", "?max"),
     "min": extremum("minimum", "?min"),
     "sqrt": unary("sqrt"),
-    "rsqrt": lambda emitter, params, dtypes, x: emitter.builder.fdiv(
-        emitter.vector(1, dtypes[0]), emitter.intrinsic("sqrt", x), flags=FAST
-    ),
+    "rsqrt": inline_jax(lambda x: 1 / jnp.sqrt(x)),
     "floor": unary("floor"),
     "ceil": unary("ceil"),
     "round": rounding,
     "sign": sign,
     "integer_pow": integer_power,
     "square": lambda emitter, params, dtypes, x: integer_power(emitter, {"y": 2}, dtypes, x),
+    "one_minus_square": inline_jax(lambda x: (1 + x) * (1 - x)),
+    "polynomial": inline_jax(lambda x, *c: functools.reduce(lambda y, one: y * x + one, c[::-1])),
     "is_finite": is_finite,
     "eq": comparison("=="),
     "ne": comparison("!="),
@@ -392,8 +392,8 @@ RULES: dict[str, Callable] = {
     **{
         name: elementary(name)
         for name in (
-            "exp2 expm1 log1p cbrt sin cos tan asin acos atan atan2 sinh cosh tanh asinh acosh "
-            "atanh erf".split()
+            "exp2 expm1 log1p log2 cbrt sin cos tan asin acos atan atan2 sinh cosh tanh asinh "
+            "acosh atanh erf".split()
         )
     },
 }

@@ -18,7 +18,10 @@ from walker_jax.kernels.rules import UnsupportedPrimitive
 def scan_as_while(params: dict) -> Callable:
     """A scan as a while loop with a counter."""
     body, length, reverse = jaxpr_as_fun(params["jaxpr"]), params["length"], params["reverse"]
-    constants, carried = params["num_consts"], params["num_carry"]
+    if "ft_in" in params:  # from jax 0.11 on
+        constants, carried, _ = map(len, params["ft_in"].unpack())
+    else:
+        constants, carried = params["num_consts"], params["num_carry"]
     stacked = params["jaxpr"].out_avals[carried:]
 
     def function(*operands):
