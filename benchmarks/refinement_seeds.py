@@ -19,7 +19,6 @@ import jax
 import numpy as np
 
 import walker_jax as wj
-from walker_jax.stability.summary import default_region
 
 FINE = {0.004: (0.00167448, 2.0e-7), 0.015: (0.00072300, 2.7e-7)}
 """Areas and their standard errors: of 12,800 x 12,800 cells, refined, and of 6400 x 6400, weighted
@@ -31,7 +30,7 @@ def main(seeds: int) -> None:
     print(f"{seeds} seeds, 800 x 800 cells: areas, standard errors")
     for slope, (fine, fine_error) in FINE.items():
         walker = wj.SimplestWalker(slope)
-        grid = default_region(walker)
+        grid = wj.Grid.sheared(theta=(0, np.pi / 4, 200), sum=(-0.12, 0.06, 200))
         found = [wj.refine(walker, grid, 2, seed=seed) for seed in range(seeds)]
         area = np.array([float(one.total_area) for one in found])
         error = np.array([float(one.total_area_error) for one in found])
