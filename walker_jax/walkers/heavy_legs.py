@@ -9,7 +9,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from walker_jax.checks import WrongUse
-from walker_jax.grids import Grid
+from walker_jax.grids import Axis, Grid
 from walker_jax.kernels.scalars import unroll
 from walker_jax.walkers.masses import MultibodyWalker, stance_coordinates
 from walker_jax.walkers.model import Scalar, State
@@ -64,13 +64,15 @@ class HeavyLegWalker(MultibodyWalker):
         return finite & forward & (phidot > 2 * thetadot)
 
 
-def pendulum_region(leg_length: Scalar) -> Grid:
+PENDULUM_AXES = {"theta": (0, 0.7, 35), "sum": (-0.6, 0.3, 50), "turn": (-1.1, 0.3, 24)}
+
+
+def pendulum_region(leg_length: Scalar, axes: dict[str, Axis] = PENDULUM_AXES) -> Grid:
     """A region to search for gaits, with rates counted in that of a pendulum of the leg's length.
 
     That of toppling, by which walkers are searched for otherwise, vanishes as feet grow.
     """
     rate = 1 / float(np.sqrt(leg_length))
-    axes = {"theta": (0, 0.7, 35), "sum": (-0.6, 0.3, 50), "turn": (-1.1, 0.3, 24)}
     return Grid(axes, np.array([[1, 0, 0], [-rate, rate, 0], [0, 0, rate]]))
 
 
