@@ -211,7 +211,9 @@ def test_a_sweep_answers_with_a_row_for_each_combination(run, tmp_path, monkeypa
         slope, stiffness = float(walker.slope), float(walker.hip_stiffness)
         if stiffness == 1:
             raise FloatingPointError
-        return {"total_area": slope + stiffness, "total_area_error": 0.5, "speed": slope}
+        note = "another gait" if slope == stiffness else ""
+        areas = {"total_area": slope + stiffness, "total_area_error": 0.5}
+        return areas | {"speed": slope, "note": note}
 
     monkeypatch.setattr("walker_jax.design.sweeps.measure_basin", measured)
     command = ["sweep", "--walker", "spring", "--over", "slope=0.25:0.5:2"]
@@ -230,10 +232,12 @@ def test_a_sweep_answers_with_a_row_for_each_combination(run, tmp_path, monkeypa
     monkeypatch.setattr("walker_jax.sweep", lambda *_, **__: 1 / 0)
     code, text, _ = run(*command)
     assert code == 0 and text.splitlines()[2].split() == [
-        *("0.25", "0.5", "0.75", "0.5", "nan", "0.25", "0")
+        *("0.25", "0.5", "0.75", "0.5", "0", "nan", "0.25", "0")
     ]
     assert [point["reason"] for point in answer["points"]] == [*("", "", "FloatingPointError")] * 2
     assert "  failed at slope 0.5, hip_stiffness 1: FloatingPointError\n" in text
+    assert "  slope 0.5, hip_stiffness 0.5: another gait\n" in text
+    assert text.count("another gait") == 1
     assert (tmp_path / "sweep.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -578,7 +582,7 @@ def test_robustness_answers_keeps_and_draws(run, tmp_path, monkeypatch):
     assert (code, err) == (0, "")
     answer = json.loads(out)
     assert list(answer) == [
-        *("walker", "slope", "area", "area_error", "at_border"),
+        *("walker", "slope", "area", "area_error", "at_border", "note"),
         *("gait", "least_disturbance", "least_fall"),
         *("step_down", "step_down_failure", "step_down_fall"),
         *("basin_stability", "boundary_dimension"),

@@ -197,7 +197,7 @@ def test_a_start_where_nothing_walks_is_led_to_where_something_does():
 @pytest.mark.parametrize(
     ("slopes", "reason"),
     [
-        ((0.05, 0.06), "the gait of period one has a multiplier of modulus"),
+        ((0.05, 0.06), "the gait of period 1 has a multiplier of modulus"),
         ((0.4, 0.5), "no gait is found"),
     ],
 )
@@ -379,6 +379,26 @@ def test_steps_keep_to_bounds_and_limits(monkeypatch):
     free = Trace(problem_of(WALKER, SLOPES), None, None, False, 1)
     assert free.limits.feasible_direction(np.array([0.0]), np.array([-1.0])).tolist() == [0.0]
     assert free.limits.feasible_direction(np.array([0.0]), np.array([1.0])).tolist() == [1.0]
+
+
+def test_measures_are_those_of_the_gait_with_the_largest_basin():
+    """A search for the most stable gait ends in another one; where nothing walks, it is taken."""
+    walker, values = wj.SpringWalker(0.004, 11.24), np.array([11.24])
+    grid = wj.Grid.sheared(theta=(0.02, 0.2, 12), sum=(-0.2, 0, 16))
+    springs = problem_of(walker, {"hip_stiffness": (11.0, 11.5)})._replace(grid=grid)
+    trace = Trace(springs, None, None, False, 1)
+    owner = wj.find_gait(walker, [0.0908, -0.2074])
+    expected = wj.gait_measures(walker, ("hip_stiffness",), owner)["speed"]
+    row = trace.measure(0, 0, springs.place_of(values))
+    assert float(row.value) == pytest.approx(expected.value, rel=1e-12)
+    assert row.gradient == pytest.approx(expected.gradient, rel=1e-8)
+    doubled = problem_of(WALKER, SLOPES)._replace(grid=GRID)
+    trace = Trace(doubled, None, None, False, 1)
+    assert [len(trace.gait(np.array([slope])).states) for slope in (0.0165, 0.03)] == [2, 1]
+    assert "an unstable gait" in trace.note(np.array([0.0165]))
+    assert trace.note(np.array([0.03])) == trace.note(np.array([0.009])) == ""
+    of_area = doubled._replace(weights={"area": 1.0})
+    assert Trace(of_area, None, None, False, 1).note(np.array([0.0165])) == ""
 
 
 def test_within_their_errors_values_are_not_believed():
