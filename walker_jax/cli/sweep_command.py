@@ -33,7 +33,15 @@ from walker_jax.design.sweeps import MAX_COMBINATIONS, check_values
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import describe_walker, space_decimals
 
-SHOWN = ("total_area", "total_area_error", "gait_period", "multiplier", "speed", "failed", "least_disturbance")
+SHOWN = (
+    "total_area",
+    "total_area_error",
+    "gait_period",
+    "multiplier",
+    "speed",
+    "failed",
+    "least_disturbance",
+)
 SHOWN += ("least_fall", "step_down", "step_down_fall")
 """Columns that are printed; the data set has more."""
 
