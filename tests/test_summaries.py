@@ -207,7 +207,7 @@ def test_stable_intervals_end_in_bifurcations_or_with_their_branch():
     assert find_stable_intervals(data, 0.0201) == []
 
 
-def made_up_robustness(monkeypatch, walker=WALKER, grid=GRID):
+def made_up_robustness(monkeypatch, walker: wj.Walker = WALKER, grid=GRID):
     """What `robustness` returns for made-up measures of the gait, and after a fine basin."""
     gait = summary.find_gait(walker)
     point = (0.002, np.array([0.6, 0.8]), np.asarray(gait.states[0]), 0, Outcome.FORWARD, 6)

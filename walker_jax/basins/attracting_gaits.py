@@ -18,9 +18,9 @@ from walker_jax.grids import Grid
 from walker_jax.integrators.solvers import default_tolerance
 from walker_jax.walkers.model import Walker
 
-STARTS = 2**12, SAMPLE
+STARTS = 2**11, SAMPLE
 """Sizes of the samples of a grid by which its gait is found: the second only where none of the
-first converges. A basin of 1 % of the cells has forty starts of the first."""
+first converges. A basin of 1 % of the cells has twenty starts of the first."""
 
 
 def gait_of_basins(walker: Walker, data: xr.Dataset, tolerance: float | None) -> Gait | None:

@@ -139,23 +139,23 @@ def robustness(
     measures: list[Callable[[], Any]] = [by_boundary, by_disturbances, by_steps_down]
     with bar("disturbances, steps down, and the boundary", progress):
         boundary, of_disturbances, of_steps_down = side_by_side(lambda one: one(), measures)
-    gait, nearest, fall, stability = of_disturbances
+    rolled, nearest, fall, stability = of_disturbances
     down, fall_down = of_steps_down
     if ground is not None:
         with bar("walks on rough ground", progress):
             key = jax.random.key(seed)
             walks = steps_to_fall(
-                walker, ground, WALKS, key, gait=gait, limit=WALK_LIMIT, tolerance=tolerance
+                walker, ground, WALKS, key, gait=rolled, limit=WALK_LIMIT, tolerance=tolerance
             )
         data = data.assign(dict(zip(GROUND_NAMES, walks[:3], strict=True)))
     return data.assign(
         {
             "note": note,
-            "gait_period": len(gait.states),
-            "gait_state": ("coordinate", np.asarray(gait.states[0])),
-            "multiplier": float(np.abs(gait.multipliers[0])),
-            "step_time": float(np.mean(gait.step_times)),
-            "return_strides": float(gait.return_strides),
+            "gait_period": len(rolled.states),
+            "gait_state": ("coordinate", np.asarray(rolled.states[0])),
+            "multiplier": float(np.abs(rolled.multipliers[0])),
+            "step_time": float(np.mean(rolled.step_times)),
+            "return_strides": float(rolled.return_strides),
             "least_disturbance": nearest.size,
             "direction": ("coordinate", nearest.direction),
             "failing_state": ("coordinate", nearest.state),

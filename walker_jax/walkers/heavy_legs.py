@@ -1,6 +1,6 @@
 """Walkers with mass on their legs, whose section has three coordinates."""
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +9,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from walker_jax.checks import WrongUse
-from walker_jax.grids import Axis, Grid
+from walker_jax.grids import Grid
 from walker_jax.kernels.scalars import unroll
 from walker_jax.walkers.masses import MultibodyWalker, stance_coordinates
 from walker_jax.walkers.model import Scalar, State
@@ -67,7 +67,7 @@ class HeavyLegWalker(MultibodyWalker):
 PENDULUM_AXES = {"theta": (0, 0.7, 35), "sum": (-0.6, 0.3, 50), "turn": (-1.1, 0.3, 24)}
 
 
-def pendulum_region(leg_length: Scalar, axes: dict[str, Axis] = PENDULUM_AXES) -> Grid:
+def pendulum_region(leg_length: Scalar, axes: dict[str, Any] = PENDULUM_AXES) -> Grid:
     """A region to search for gaits, with rates counted in that of a pendulum of the leg's length.
 
     That of toppling, by which walkers are searched for otherwise, vanishes as feet grow.
