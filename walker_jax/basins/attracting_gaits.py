@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from walker_jax.basins.attractor import capture_radius
+from walker_jax.basins.attractor import Attractor, capture_radius
 from walker_jax.basins.attractor_search import SAMPLE, sample_indices
 from walker_jax.basins.mapper import Mapper
 from walker_jax.gaits.cycles import Gait
@@ -38,12 +38,16 @@ def gait_of_grid(walker: Walker, grid: Grid, strides: int, tolerance: float | No
     tolerance = float(default_tolerance(jnp.asarray(0.0).dtype, tolerance))
     for count in STARTS:
         starts = grid.centres(sample_indices(grid.size, count))
-        mapper = Mapper(walker, [], tolerance, strides).with_attractors_from(starts)
-        labels, mapper = mapper.label_all(starts)
-        cells = np.bincount(labels.attractor[labels.converged], minlength=len(mapper.attractors))
-        cells *= np.array([one.period is not None for one in mapper.attractors], int)
-        if cells.any():
-            return stable_gait(walker, mapper.attractors[cells.argmax()].states, tolerance)
+        # The first stands for all motions without a period: whether they last does not matter.
+        mapper = Mapper(walker, [Attractor(None, starts[:1])], tolerance, strides)
+        mapper = mapper.with_attractors_from(starts)
+        labels = mapper(starts)
+        number = labels.attractor[labels.converged]
+        if len(number):
+            largest = int(np.bincount(number).argmax())
+            return stable_gait(walker, mapper.attractors[largest].states, tolerance)
+        if len(labels.remaining):  # on a motion without a period
+            return None
     return None
 
 
