@@ -211,7 +211,9 @@ def test_a_sweep_answers_with_a_row_for_each_combination(run, tmp_path, monkeypa
         slope, stiffness = float(walker.slope), float(walker.hip_stiffness)
         if stiffness == 1:
             raise FloatingPointError
-        return {"total_area": slope + stiffness, "total_area_error": 0.5, "speed": slope}
+        note = "another gait" if slope == stiffness else ""
+        areas = {"total_area": slope + stiffness, "total_area_error": 0.5}
+        return areas | {"speed": slope, "note": note}
 
     monkeypatch.setattr("walker_jax.design.sweeps.measure_basin", measured)
     command = ["sweep", "--walker", "spring", "--over", "slope=0.25:0.5:2"]
@@ -230,10 +232,12 @@ def test_a_sweep_answers_with_a_row_for_each_combination(run, tmp_path, monkeypa
     monkeypatch.setattr("walker_jax.sweep", lambda *_, **__: 1 / 0)
     code, text, _ = run(*command)
     assert code == 0 and text.splitlines()[2].split() == [
-        *("0.25", "0.5", "0.75", "0.5", "nan", "0.25", "0")
+        *("0.25", "0.5", "0.75", "0.5", "0", "nan", "0.25", "0")
     ]
     assert [point["reason"] for point in answer["points"]] == [*("", "", "FloatingPointError")] * 2
     assert "  failed at slope 0.5, hip_stiffness 1: FloatingPointError\n" in text
+    assert "  slope 0.5, hip_stiffness 0.5: another gait\n" in text
+    assert text.count("another gait") == 1
     assert (tmp_path / "sweep.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -578,7 +582,7 @@ def test_robustness_answers_keeps_and_draws(run, tmp_path, monkeypatch):
     assert (code, err) == (0, "")
     answer = json.loads(out)
     assert list(answer) == [
-        *("walker", "slope", "area", "area_error", "at_border"),
+        *("walker", "slope", "area", "area_error", "at_border", "note"),
         *("gait", "least_disturbance", "least_fall"),
         *("step_down", "step_down_failure", "step_down_fall"),
         *("basin_stability", "boundary_dimension"),
@@ -719,7 +723,7 @@ def test_wrong_robustness(run, tmp_path, arguments, named):
     assert list(tmp_path.iterdir()) == []
 
 
-FASTEST = ["optimise", "--over", "slope", "--bound", "slope=0.001:0.02", "--objective", "speed"]
+FASTEST = ["optimise", "--over", "slope", "--bound", "slope=0.001:0.015", "--objective", "speed"]
 FASTEST += ["--at-most", "spectral-radius", "0.9", "--starts", "1", "--scan", "3"]
 
 
@@ -729,8 +733,9 @@ def test_optimise_answers_keeps_and_draws(run, tmp_path, monkeypatch):
     answer = json.loads(out)
     assert list(answer) == [
         *("start", "optimum", "objective", "exact", "exact_error", "at_bound", "binding"),
-        *("evaluations", "converged", "walker"),
+        *("note", "evaluations", "converged", "walker"),
     ]
+    assert answer["note"] == {"start": "", "optimum": ""}
     assert answer["start"] == {"slope": 0.004} and answer["converged"] is True
     assert answer["optimum"]["slope"] == pytest.approx(0.0146558225, abs=1e-10)
     assert answer["at_bound"] == [] and answer["binding"] == ["spectral-radius"]
@@ -796,6 +801,7 @@ def test_an_optimum_is_told_with_both_ends_as_they_were_measured(capsys):
             "at_bound": ("parameter", [0, -1]),
             "binding": ("measure", [False, True]),
             "converged": True,
+            "note_optimum": "another gait",
             "value": ("evaluation", np.zeros(9)),
         },
         {"parameter": ["slope", "hip_stiffness"], "measure": ["area", "speed"]},
@@ -809,12 +815,13 @@ def test_an_optimum_is_told_with_both_ends_as_they_were_measured(capsys):
         "exact_error": {"start": 0.125, "optimum": 0.0625},
         **{"at_bound": ["hip_stiffness"], "binding": ["speed"]},
         **{"evaluations": 9, "converged": True},
+        "note": {"start": None, "optimum": "another gait"},
     }
     optimise_command.print_optimum(wj.SpringWalker(0.004, 0.5), answer, "area")
     told = capsys.readouterr().out
     assert "slope 0.004, hip_stiffness 0.5: 0.5625 +- 0.1" in told
     assert "slope 0.012, hip_stiffness 0.25: 0.84375 +- 0.06" in told
-    assert "+0.2812, by a factor of 1.500" in told
+    assert "+0.2812, by a factor of 1.500" in told and "  optimum: another gait\n" in told
     assert "at a bound of hip_stiffness, held by the limit of speed; converged, 9 ev" in told
 
 
@@ -826,6 +833,7 @@ def test_an_optimum_after_a_start_where_nothing_walks_is_told(capsys):
         "at_bound": ["slope"],
         "binding": [],
         "converged": False,
+        "note": {"start": "", "optimum": ""},
         "evaluations": 5,
     }
     answer |= {end: {"slope": 0.01} for end in ends}

@@ -207,3 +207,63 @@ def test_the_page_of_the_command_line_lists_the_options_of_every_command():
     page = place["on_page_markdown"](place["PLACE"], page=None, config=None, files=None)
     for option in ("--foot-radius", "--hip-stiffness", "--period-max", "--at-least", "--scheduler"):
         assert f"`{option}" in page or f"{option} " in page, option
+
+
+WORDS = dict(enumerate("no one two three four five six seven eight nine ten eleven twelve".split()))
+WORDS |= {13: "thirteen", 14: "fourteen"}
+
+
+def measured(text):
+    """A number and its error, as a table prints them; NaN for words."""
+    value, _, error = text.partition(" ± ")
+    try:
+        return float(value), float(error or "nan")
+    except ValueError:
+        return np.nan, np.nan
+
+
+def test_what_is_said_of_knees_and_round_feet_follows_from_the_table():
+    page = (ROOT / "docs" / "results.md").read_text()
+    plain = " ".join(page.split())
+    lines = re.findall(r"^\| ((?:default|human-like) \|.*?) \|$", page, re.M)
+    rows = {tuple((cells := line.split(" | "))[:3]): cells[3:] for line in lines}
+    volumes = {key: tuple(map(measured, cells[:2])) for key, cells in rows.items()}
+    known = {key: pair for key, pair in volumes.items() if np.isfinite(pair).all()}
+    gain = {  # by knees, in standard errors of the difference
+        key: (knees[0] - straight[0]) / np.hypot(knees[1], straight[1])
+        for key, (straight, knees) in known.items()
+    }
+    smaller = [key for key, one in gain.items() if one < -2]
+    clearly = [key for key in smaller if gain[key] < -7]
+    (other,) = gain.keys() - set(smaller)
+    (barely,) = set(smaller) - set(clearly)
+    assert (other, barely) == (("default", "0.09", "points"), ("default", "0.08", "points"))
+    readme = " ".join((ROOT / "README.md").read_text().split())
+    assert f"{WORDS[len(smaller)]} of {WORDS[len(known)]} pairs" in readme
+    said = f"Of the {WORDS[len(known)]} pairs in which both volumes are known, "
+    said += f"{WORDS[len(smaller)]} are smaller with knees: {WORDS[len(clearly)]} by seven"
+    assert said in plain and f"0.08 by {-gain[barely]:.1f}. " in plain
+    straight, knees = rows[other][:2]
+    assert f"{knees} for {straight}, by {gain[other]:.1f} standard errors" in plain
+    taken = lambda *key: f"{1 - known[key][1][0] / known[key][0][0]:.0%}".replace("%", " %")
+    human = [taken("human-like", slope, "points") for slope in ("0.04", "0.06")]
+    assert f"masses {human[0]} at 0.04 and {human[1]} at 0.06" in plain
+    round_feet = {
+        (masses, legs): [
+            volumes[masses, slope, "round"][legs][0] / volumes[masses, slope, "points"][legs][0]
+            for slope in dict.fromkeys(key[1] for key in rows if key[0] == masses)
+        ]
+        for masses in ("default", "human-like")
+        for legs in (0, 1)
+    }
+    spans = {key: (np.nanmin(ratio), np.nanmax(ratio)) for key, ratio in round_feet.items()}
+    assert min(low for low, _ in spans.values()) > 1.3
+    words = {key: tuple(f"{end:.1f}" for end in span) for key, span in spans.items()}
+    assert "{} to {} times for straight legs, ".format(*words["default", 0]) in plain
+    assert "{} times (0.05) to {} times (0.09) for knees".format(*words["default", 1]) in plain
+    human = (*words["human-like", 0], *words["human-like", 1])
+    assert "{} and {} times for straight legs, {} and {} times for knees".format(*human) in plain
+    lost = [key for key in rows if "no gait" in rows[key]]
+    assert (
+        lost == [("human-like", "0.04", "round")] and "one with knees has none on round" in readme
+    )

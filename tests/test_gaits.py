@@ -45,6 +45,29 @@ def richardson(function, x, h):
     return (16 * first[1] - first[0]) / 15
 
 
+STIFF = [(0.001, 100.0), (0.012, 3.0), (0.1, 100.0), (0.2, 20.0)]
+"""Slopes and stiffnesses of springs that swing the leg fast."""
+
+
+@pytest.mark.parametrize(("slope", "stiffness"), STIFF)
+def test_the_region_to_search_holds_the_gaits_that_attract(slope, stiffness):
+    """By direct iteration over nearly all feasible starts."""
+    wide = wj.Grid.sheared(theta=(0, np.pi / 4, 30), sum=(-1.2, 0.2, 60))
+    one = wj.SpringWalker(slope, stiffness)
+    data = wj.basin(one, wide, "direct")
+    assert data.sizes["number"] >= 1 and (data["period"] == 1).all()
+    assert one.gait_region().contains(data["states"].values[:, 0]).all()
+
+
+def test_without_a_guess_the_gait_of_a_spring_is_the_stable_one():
+    """The only one that attracts; an unstable one has a multiplier of -2.99."""
+    one = wj.SpringWalker(0.012, 3.0)
+    gait = wj.find_gait(one)
+    assert gait.stable and np.abs(gait.multipliers) == pytest.approx(0.70334, abs=1e-5)
+    data = wj.basin(one, wj.Grid.sheared(theta=(0.1, 0.3, 12), sum=(-0.15, 0, 12)), "direct")
+    np.testing.assert_allclose(data["states"].values, gait.states[None], rtol=0, atol=1e-12)
+
+
 @pytest.mark.parametrize("value", VALUES["gaits"], ids=lambda v: f"{v['kind']}-{v['slope']}")
 def test_gaits_of_the_reference(value):
     """The long one without a guess, the short one from Garcia's expansion."""

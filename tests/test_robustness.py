@@ -431,7 +431,7 @@ def test_the_numbers_are_those_of_the_gait_of_the_largest_basin_where_it_is_weak
     yes, asked = np.array(True), {}
     gait = Gait(cycle, multipliers, times, yes, np.array(0.0), yes)
 
-    def found_gait(walker, guess, period, **_):
+    def found_gait(walker, guess=cycle, period=3, **_):
         np.testing.assert_array_equal(guess, cycle)
         assert period == 3
         return gait
@@ -452,7 +452,8 @@ def test_the_numbers_are_those_of_the_gait_of_the_largest_basin_where_it_is_weak
         monkeypatch.setattr(
             f"walker_jax.stability.summary.{name}", lambda *_, answer=answer, **__: answer
         )
-    monkeypatch.setattr("walker_jax.stability.summary.find_gait", found_gait)
+    for module in ("stability.summary", "basins.attracting_gaits"):
+        monkeypatch.setattr(f"walker_jax.{module}.find_gait", found_gait)
     monkeypatch.setattr("walker_jax.stability.summary.basin_stability", survived)
     grid = wj.Grid.sheared(theta=(0.05, 0.4, 20), sum=(-0.04, 0.01, 20))
     found = summary.robustness(WALKER, grid, disturbances=0.25)

@@ -123,9 +123,10 @@ def test_what_is_wrong_is_said_in_one_line(data, change, message):
 
 def test_one_dimension_is_not_two(data):
     """That of a table is a parameter, whatever its name; those of a sweep may be many."""
+    zeros = lambda one: np.zeros((2,) * len(one.dims.split()), str if one.type == "text" else float)
     table = xr.Dataset(
         {
-            name: (["slope", *one.dims.split()[1:]], np.zeros((2,) * len(one.dims.split())))
+            name: (["slope", *one.dims.split()[1:]], zeros(one))
             for name, one in variables_of("robustness table").items()
         },
         attrs={"walker": "SimplestWalker"},

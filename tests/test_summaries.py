@@ -8,6 +8,7 @@ import walker_jax as wj
 from walker_jax import Outcome
 from walker_jax.basins import summary as basin_summary
 from walker_jax.basins import windows
+from walker_jax.basins.attracting_gaits import compare_with_search, is_same_cycle
 from walker_jax.gaits import selection
 from walker_jax.gaits.summary import find_stable_intervals, summarise_bifurcations, summarise_gait
 from walker_jax.stability import summary
@@ -206,9 +207,9 @@ def test_stable_intervals_end_in_bifurcations_or_with_their_branch():
     assert find_stable_intervals(data, 0.0201) == []
 
 
-def made_up_robustness(monkeypatch):
+def made_up_robustness(monkeypatch, walker: wj.Walker = WALKER, grid=GRID):
     """What `robustness` returns for made-up measures of the gait, and after a fine basin."""
-    gait = wj.find_gait(WALKER)
+    gait = summary.find_gait(walker)
     point = (0.002, np.array([0.6, 0.8]), np.asarray(gait.states[0]), 0, Outcome.FORWARD, 6)
     answers = {
         "least_disturbance": wj.LeastDisturbance(*point),
@@ -220,7 +221,33 @@ def made_up_robustness(monkeypatch):
     }
     for name, answer in answers.items():
         monkeypatch.setattr(summary, name, lambda *_, answer=answer, **__: answer)
-    return wj.robustness(WALKER, GRID, levels=0, check=0, strides=200)
+    return wj.robustness(walker, grid, levels=0, check=0, strides=200)
+
+
+def test_robustness_says_where_a_search_ends_in_another_gait_than_that_of_the_basin(monkeypatch):
+    walker = wj.SpringWalker(0.004, 11.24)
+    owner, other = (wj.find_gait(walker, x) for x in ([0.0908, -0.2074], [0.1446, -0.1614]))
+    assert owner.stable and other.stable and not is_same_cycle(owner, other)
+    grid = wj.Grid.sheared(theta=(0.02, 0.2, 12), sum=(-0.2, 0, 16))
+    monkeypatch.setattr(summary, "find_gait", lambda *_, **__: other)
+    data = made_up_robustness(monkeypatch, walker, grid)
+    assert float(data["multiplier"]) == pytest.approx(np.abs(owner.multipliers[0]), rel=1e-9)
+    words = compare_with_search(owner, other)
+    assert summarise_robustness(data, 0.004)["note"] == words
+    assert "a stable gait, multiplier 0.775764, at (0.144555, -0.161404), not that" in words
+
+
+def test_a_search_agrees_with_a_basin_by_the_cycle_from_whichever_state():
+    walker = wj.SimplestWalker(0.0165)
+    two = wj.find_gait(walker, [0.2379, -0.2338], 2)
+    one, none = wj.find_gait(walker), wj.find_gait(walker, [0.7, -0.01])
+    assert two.stable and one.found and not one.stable and not none.found
+    turned = two._replace(states=np.roll(two.states, 1, axis=0))
+    assert compare_with_search(two, turned) == compare_with_search(None, one) == ""
+    assert compare_with_search(None, none) == ""
+    assert compare_with_search(two, none) == "find_gait without a guess finds no gait"
+    assert "an unstable gait" in compare_with_search(two, one)
+    assert compare_with_search(None, two).endswith("to which no cell converges")
 
 
 def test_the_schema_of_robustness_has_all_that_it_adds_to_the_basin(monkeypatch):
@@ -237,7 +264,8 @@ def test_the_schema_of_robustness_has_all_that_it_adds_to_the_basin(monkeypatch)
 def test_a_summary_of_robustness_has_none_for_what_is_not_there(monkeypatch):
     data = made_up_robustness(monkeypatch)
     found = summarise_robustness(data, 0.004)
-    assert found["gait"]["period"] == 1 and found["slope"] == 0.004
+    assert found["gait"]["period"] == 1 and found["slope"] == 0.004 and found["note"] == ""
+    assert summarise_robustness(data.drop_vars("note"), 0.004)["note"] is None
     least = found["least_disturbance"]
     assert (least["size"], least["failure"], least["strides"]) == (0.002, "FORWARD", 6)
     assert list(found["basin_stability"]) == [
@@ -253,6 +281,6 @@ def test_a_summary_of_robustness_has_none_for_what_is_not_there(monkeypatch):
     assert list(nowhere) == list(found)
     assert nowhere["at_border"] == found["at_border"] == int(data.at_border)
     assert summarise_robustness(data.assign(at_border=5), 0.004)["at_border"] == 5
-    assert all(nowhere[name] is None for name in [*nowhere][4:])
+    assert all(nowhere[name] is None for name in [*nowhere][5:])
     assert summarise_robustness(data.assign(at_border=np.nan), 0.2)["at_border"] is None
     assert summarise_robustness(data.drop_vars("at_border"), 0.2)["at_border"] is None

@@ -53,10 +53,51 @@ def test_every_combination_is_as_computed_alone(swept):
         fine = wj.refine(walker, GRID, 0)
         assert float(there["total_area"]) == float(fine["total_area"])
         assert float(there["total_area_error"]) == float(fine["total_area_error"])
-        gait = wj.find_gait(walker)
+        assert fine["cells"].size == 1 and float(there["gait_period"]) == 1 and not there["note"]
+        gait = wj.find_gait(walker, fine["states"][0].values)
         np.testing.assert_array_equal(there["gait_state"], gait.states[0])
         assert float(there["multiplier"]) == np.abs(gait.multipliers[0])
         assert float(there["speed"]) == wj.gait_measures(walker, (), gait)["speed"].value
+
+
+STIFF = wj.SpringWalker(0.004, 11.24)
+"""It has two stable gaits; the more stable one attracts few starts."""
+AROUND_STIFF = wj.Grid.sheared(theta=(0.02, 0.2, 12), sum=(-0.2, 0, 16))
+
+
+def test_the_gait_is_that_of_the_basin_where_a_search_ends_in_another(monkeypatch):
+    """Its multiplier by differences of strides, its speed by their length and time."""
+    other = wj.find_gait(STIFF, [0.1446, -0.1614])
+    monkeypatch.setattr("walker_jax.design.sweeps.find_gait", lambda *_, **__: other)
+    found = wj.sweep(STIFF, {"hip_stiffness": [11.24]}, AROUND_STIFF, levels=0, check=100)
+    found = found.isel(hip_stiffness=0)
+    state = found["gait_state"].values
+    number = found["attractor"].values
+    assert int(found["attractors"]) == 2 and np.median(number[number >= 0]) == 0
+    start = AROUND_STIFF.centres(np.flatnonzero(number.ravel() == 0))[0]
+    np.testing.assert_allclose(wj.walk(STIFF, start, 500).states[-1], state, rtol=0, atol=1e-10)
+    step = 1e-5 * np.concatenate([np.eye(2), -np.eye(2)])
+    ends = wj.strides(STIFF, state + step).state
+    largest = np.abs(np.linalg.eigvals((ends[:2] - ends[2:]).T / 2e-5)).max()
+    assert float(found["multiplier"]) == pytest.approx(largest, rel=1e-6)
+    assert largest > np.abs(other.multipliers[0]) + 0.1
+    step_time = float(wj.stride(STIFF, state).time)
+    assert float(found["speed"]) == pytest.approx(2 * np.sin(state[0]) / step_time, rel=1e-12)
+    assert str(found["note"].values) == (
+        "find_gait without a guess finds a stable gait, multiplier 0.775764, at (0.144555, "
+        "-0.161404), not that of the basin"
+    )
+
+
+def test_a_gait_of_two_strides_is_that_of_its_basin_too():
+    slopes = {"slope": [0.0165, 0.03]}
+    found = wj.sweep(wj.SimplestWalker(0.01), slopes, GRID, levels=0, check=100)
+    assert found["gait_period"].values.tolist() == [2, 0]
+    two, none = (found.isel(slope=i) for i in range(2))
+    gait = wj.find_gait(wj.SimplestWalker(0.0165), two["gait_state"].values, 2)
+    assert gait.stable and float(two["multiplier"]) == pytest.approx(np.abs(gait.multipliers[0]))
+    assert "an unstable gait, multiplier 1." in str(two["note"].values)
+    assert np.isnan(none["multiplier"]) and np.isnan(none["speed"]) and not none["note"]
 
 
 @pytest.mark.slow

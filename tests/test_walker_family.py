@@ -817,6 +817,22 @@ def test_gaits_on_large_feet_and_steep_slopes_are_found_without_a_guess(slope, r
     assert np.abs(gait.multipliers).max() == pytest.approx(size, abs=5e-4)
 
 
+@pytest.mark.parametrize(
+    ("slope", "radius", "state"),
+    [
+        (0.02, 0.75, [0.8713, -0.74, -0.3896]),
+        (0.09, 0.6, [0.9934, -0.8114, -0.8536]),
+        (0.15, 0.6, [1.3768, -0.9814, -1.2519]),
+    ],
+)
+def test_the_further_region_holds_the_long_steps_of_large_feet(slope, radius, state):
+    """States of attractors that direct iteration finds over the whole section."""
+    walker = RoundFootWalker(slope, foot_radius=radius)
+    gait = wj.find_gait(walker, state)
+    assert gait.stable and np.abs(gait.states - np.array(state)).max() < 1e-3
+    assert walker.further_gait_region().contains(np.asarray(gait.states)).all()
+
+
 def test_mcgeers_totter_mode_is_unstable_on_point_feet_alone():
     """For steps of the same length."""
     read, leg = PUBLISHED["totter_mode"], PUBLISHED["walkers"]["McGeer"]

@@ -219,6 +219,9 @@ def print_optimum(walker: Walker, answer: dict, objective: str) -> None:
         print(f"  {end:8} {values}: {exact:.7g}" + (f" +- {error:.1g}" if error > 0 else ""))
     before, after = (answer["exact"][end] for end in ENDS)
     factor = f", by a factor of {after / before:.3f}" if before > 0 else ""
+    for end in ENDS:
+        if answer["note"][end]:
+            print(f"  {end}: {answer['note'][end]}")
     print(f"  a change of {after - before:+.4g}{factor}")
     place = "inside the bounds"
     if answer["at_bound"]:

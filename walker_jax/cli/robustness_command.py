@@ -142,6 +142,8 @@ def print_measures(row: dict) -> None:
     print(f"  slope {row['slope']:g}: area {row['area']:.7g} +- {row['area_error']:.1g}")
     if row["at_border"]:
         print(f"    the basin reaches the border of the grid, in {row['at_border']} cells")
+    if row["note"]:
+        print(f"    {row['note']}")
     if row["gait"] is None:
         print("    no gait attracts")
         return

@@ -33,7 +33,15 @@ from walker_jax.design.sweeps import MAX_COMBINATIONS, check_values
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import describe_walker, space_decimals
 
-SHOWN = ("total_area", "total_area_error", "multiplier", "speed", "failed", "least_disturbance")
+SHOWN = (
+    "total_area",
+    "total_area_error",
+    "gait_period",
+    "multiplier",
+    "speed",
+    "failed",
+    "least_disturbance",
+)
 SHOWN += ("least_fall", "step_down", "step_down_fall")
 """Columns that are printed; the data set has more."""
 
@@ -97,9 +105,11 @@ def sweep(
     shown = [name for name in (*values, *SHOWN) if name in rows]
     print(rows[shown].map("{:.6g}".format).to_string(index=False))
     for row in rows.to_dict(orient="records"):
+        where = ", ".join(f"{name} {row[name]:.6g}" for name in values)
         if row["failed"]:
-            where = ", ".join(f"{name} {row[name]:.6g}" for name in values)
             print(f"  failed at {where}: {row.get('reason') or 'no reason was kept'}")
+        if row.get("note"):
+            print(f"  {where}: {row['note']}")
     print(f"  data set {out}, picture {figure}")
 
 

@@ -122,7 +122,8 @@ def explain_failure(trace: Trace, place: Float[np.ndarray, " parameters"]) -> st
     where, refusal = problem.describe_values(values), problem.refusal(values)
     if refusal:
         return f"{where}: {refusal}"
-    measures = gait_measures(problem.walker_at(values), (), trace.gait(values))
+    gait = trace.gait(values)
+    measures = gait_measures(problem.walker_at(values), (), gait)
     radius = measures["spectral-radius"].value
     if np.isnan(radius):
         return f"{where}: no gait is found"
@@ -133,5 +134,5 @@ def explain_failure(trace: Trace, place: Float[np.ndarray, " parameters"]) -> st
             return f"{where}: {name} is {value:.4g}, and the search found no place with {limit}"
     return (
         f"{where}: nothing walks, or the objective has no gradient; "
-        f"the gait of period one has a multiplier of modulus {radius:.4g}"
+        f"the gait of period {len(gait.states)} has a multiplier of modulus {radius:.4g} a stride"
     )

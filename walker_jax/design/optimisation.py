@@ -120,14 +120,18 @@ def optimise(
     `exact_optimum`, with standard errors `exact_start_error` and `exact_optimum_error`, which are 0
     except for areas and volumes, and NaN with the least disturbance, of which the search gives an
     upper bound; `at_bound`, -1 or 1 for parameters that end at their lower or
-    upper bound; `binding`, the measures whose limits bind at the optimum; and `converged`, whether
-    it ended because no step of the last stage along the gradient improved the objective. The
+    upper bound; `binding`, the measures whose limits bind at the optimum; `converged`, whether
+    it ended because no step of the last stage along the gradient improved the objective; and
+    `note_start` and `note_optimum`, the gait of `find_gait` where that is another one. The
     trace, over evaluations: `run`, `stage` (-1 for the scan, -2 for the ends), `parameters`,
     `value` and `value_error`, `gradient` and `gradient_error` (by the parameters), `measures`, and
     the `strides` that were made for them; `note`, the reason why a run failed. `scan_parameters`,
     `scan_value` and `scan_allowed`, by the limits. `fate_start` and `fate_optimum`: the basins at
     both ends, on a grid that shows them; -1 where a walker converges to an attractor. Where `found`
     is false all starts failed, and all but the trace is missing.
+
+    Measures of the gait are those of the one with the largest basin in the grid, of any period;
+    where none attracts there, of the one that `find_gait` finds.
 
     Where nothing walks, areas, volumes and disturbances are zero and have no gradient: from such a
     start up to eight long steps lead to a more stable gait, if it has one.
@@ -227,6 +231,7 @@ def measure_ends(trace: Trace, start: Evaluation, best: Evaluation) -> dict:
     for (name, row), exact in zip(sides.items(), exactly, strict=True):
         found[name] = "parameter", row.parameters
         found[f"objective_{name}"] = row.value
+        found[f"note_{name}"] = np.array(trace.note(row.parameters), object)
         error = np.nan if "least-disturbance" in problem.weights else exact.value_error
         found[f"exact_{name}"], found[f"exact_{name}_error"] = exact.value, error
     place = problem.place_of(best.parameters)

@@ -15,6 +15,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from walker_jax import storage
+from walker_jax.basins.attracting_gaits import compare_with_search, gait_of_basins
 from walker_jax.basins.attractor_search import LONGEST_PERIOD
 from walker_jax.basins.computation import basin
 from walker_jax.basins.matching import number_alike
@@ -99,10 +100,11 @@ def sweep(
       (`basins.matching.number_alike`);
     - `area` of the cells that converge to one; `total_area` and its standard error
       `total_area_error`, as `refine` gives them; volumes where the grid has three dimensions;
-    - of the gait of period one, NaN where none is found: `gait_state`, `multiplier` (the largest
-      modulus), `step_time`, `step_length`, `speed` and `cost_of_transport`;
-    - if `robust`, what `robustness` gives of the gait with the largest basin, of any period, whose
-      `gait_state`, `multiplier` and `step_time` these are then.
+    - of the gait with the largest basin, of any period: `gait_period` (0 where none attracts, and
+      NaN in the others), `gait_state`, `multiplier` (the largest modulus), `step_time`,
+      `step_length`, `speed` and `cost_of_transport`;
+    - `note`: the gait of `find_gait`, where that is another one, otherwise empty;
+    - if `robust`, what `robustness` gives of the same gait.
 
     A combination that cannot be computed, such as one that the walker refuses, has `failed` 1, a
     `reason` (empty otherwise), fates of -1, and NaN; the others are computed. Other errors, such as
@@ -206,13 +208,13 @@ def empty_row(plan: Measurement) -> dict[str, xr.Variable]:
     unknown_state = "coordinate", np.full(plan.grid.coordinates, np.nan)
     row = dict.fromkeys(single, np.nan) | {
         "gait_state": unknown_state,
-        "attractors": 0,
-        "failed": 0,
+        **dict.fromkeys(("attractors", "failed", "gait_period"), 0),
+        **dict.fromkeys(("reason", "note"), ""),
+        "attractor_period": ("own", np.full(OWN, -1)),
     }
-    row |= {"reason": "", "attractor_period": ("own", np.full(OWN, -1))}
     shape = OWN, LONGEST_PERIOD, plan.grid.coordinates
     row |= {"attractor_states": (("own", "phase", "coordinate"), np.full(shape, np.nan))}
-    row |= without_gait(plan.walker) if plan.robust else {}
+    row = (without_gait(plan.walker) if plan.robust else {}) | row
     return arrays_to_compute(plan.grid) | {
         str(name): one.variable for name, one in xr.Dataset(row).items()
     }
@@ -253,12 +255,6 @@ def measure_basin(walker: Walker, plan: Measurement) -> dict[str, Any]:
     period[: kept.sizes["number"]] = kept["period"]
     states[: kept.sizes["number"], : kept.sizes["phase"]] = kept["states"]
     row |= {"attractor_period": period, "attractor_states": states}
-    gait = find_gait(walker, tolerance=tolerance)
-    if gait.found:
-        row |= {"gait_state": np.asarray(gait.states[0])}
-        row |= {"multiplier": np.abs(gait.multipliers[0]), "step_time": np.mean(gait.step_times)}
-        of_gait = gait_measures(walker, (), gait, tolerance=tolerance)
-        row |= {name.replace("-", "_"): of_gait[name].value for name in GAIT_NUMBERS}
     measure = robustness if plan.robust else refine
     fine = measure(
         walker,
@@ -269,5 +265,13 @@ def measure_basin(walker: Walker, plan: Measurement) -> dict[str, Any]:
         seed=plan.seed,
         tolerance=tolerance,
     )
+    gait = gait_of_basins(walker, fine, tolerance)
+    if not plan.robust:  # which says it too
+        row["note"] = compare_with_search(gait, find_gait(walker, tolerance=tolerance))
+    if gait is not None:
+        row |= {"gait_period": len(gait.states), "gait_state": np.asarray(gait.states[0])}
+        row |= {"multiplier": np.abs(gait.multipliers[0]), "step_time": np.mean(gait.step_times)}
+        of_gait = gait_measures(walker, (), gait, tolerance=tolerance)
+        row |= {name.replace("-", "_"): of_gait[name].value for name in GAIT_NUMBERS}
     of_basin = ("total_area", "total_area_error", *(without_gait(walker) if plan.robust else ()))
     return row | {name: fine[name].values for name in of_basin}

@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
+from walker_jax.basins.attracting_gaits import compare_with_search, gait_of_grid
 from walker_jax.checks import WrongUse
 from walker_jax.design.evaluation import HOW_MEASURED, Evaluation, evaluate_objective
 from walker_jax.design.limits import Limits
@@ -46,11 +47,26 @@ class Trace:
         self.progress, self.expected, self.began = progress, expected, time.perf_counter()
 
     def gait(self, values: Float[np.ndarray, " parameters"]) -> Gait:
-        """The gait of the walker with these parameters."""
+        """The gait of the walker with these parameters: that with the largest basin in the grid.
+
+        Where none attracts there, that of a search, which may be unstable.
+        """
         if values.tobytes() not in self.gaits:
-            walker, tolerance = self.problem.walker_at(values), self.problem.tolerance
-            self.gaits[values.tobytes()] = find_gait(walker, tolerance=tolerance)
+            problem, found = self.problem, None
+            walker, tolerance = problem.walker_at(values), problem.tolerance
+            if problem.grid is not None:
+                found = gait_of_grid(walker, problem.grid, problem.strides, tolerance)
+            found = find_gait(walker, tolerance=tolerance) if found is None else found
+            self.gaits[values.tobytes()] = found
         return self.gaits[values.tobytes()]
+
+    def note(self, values: Float[np.ndarray, " parameters"]) -> str:
+        """How a search without a guess differs from the gait that is measured; empty if not."""
+        problem = self.problem
+        if not {*problem.measures} - {problem.size} or not self.gait(values).found:
+            return ""
+        searched = find_gait(problem.walker_at(values), tolerance=problem.tolerance)
+        return compare_with_search(self.gait(values), searched)
 
     def measure(self, run: int, stage: int, place: Float[np.ndarray, " parameters"]) -> Evaluation:
         """Measure the walker at a place, unless the measurement is known."""

@@ -10,6 +10,7 @@ import xarray as xr
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
+from walker_jax.basins.attracting_gaits import compare_with_search, gait_of_basins
 from walker_jax.basins.refinement import refine
 from walker_jax.checks import WrongUse, check_precision, numbers, refuses_tracers
 from walker_jax.execution.progress import bar, track
@@ -80,7 +81,8 @@ def robustness(
     `largest_shock`, as `basin_stability` has them, sizes being shares of the gait's state;
     `dimension`, with `_low` and `_high`, of the boundary; and with a `ground` the mean
     `steps_to_fall`, with `_low` and `_high`. NaN, or -1, where no gait attracts, and for steps down
-    of a walker in space.
+    of a walker in space. `note` is the gait of `find_gait` where that is another one, otherwise
+    empty: a default slice lies around that one.
 
     Raises `ValueError` as `refine`, without a grid where no gait of period one is found, and for a
     ground under a walker in space.
@@ -89,7 +91,8 @@ def robustness(
         check_planar(walker)
     check_precision(jnp.asarray(0.0).dtype, "robustness, which has the dimension of a boundary,")
     with bar("search for a gait", progress):
-        grid = default_region(walker) if grid is None else grid
+        searched = find_gait(walker, tolerance=tolerance)
+        grid = default_region(walker, searched) if grid is None else grid
     if grid is None:
         raise WrongUse("grid is required where no gait of period one is found")
     with bar("basin", progress):
@@ -107,15 +110,10 @@ def robustness(
     if ground is not None:
         data.attrs["ground"] = float(ground)
         data = data.assign(dict.fromkeys(GROUND_NAMES, np.nan))
-    cells = data["cells"].values * (data["period"].values > 0)
-    if cells.sum() == 0:
-        return data.assign(without_gait(walker))
-    largest = int(cells.argmax())
-    period = int(data["period"][largest])
-    states = data["states"].values[largest, :period]
-    gait = find_gait(walker, states, period, tolerance=tolerance)
-    if not (gait.found and gait.stable):
-        return data.assign(without_gait(walker))
+    gait = gait_of_basins(walker, data, tolerance)
+    note = np.array(compare_with_search(gait, searched), object)  # which a store can hold
+    if gait is None:
+        return data.assign(without_gait(walker) | {"note": note})
     about: Any = {"strides": strides, "tolerance": tolerance}
 
     def by_boundary() -> Uncertainty:
@@ -141,22 +139,23 @@ def robustness(
     measures: list[Callable[[], Any]] = [by_boundary, by_disturbances, by_steps_down]
     with bar("disturbances, steps down, and the boundary", progress):
         boundary, of_disturbances, of_steps_down = side_by_side(lambda one: one(), measures)
-    gait, nearest, fall, stability = of_disturbances
+    rolled, nearest, fall, stability = of_disturbances
     down, fall_down = of_steps_down
     if ground is not None:
         with bar("walks on rough ground", progress):
             key = jax.random.key(seed)
             walks = steps_to_fall(
-                walker, ground, WALKS, key, gait=gait, limit=WALK_LIMIT, tolerance=tolerance
+                walker, ground, WALKS, key, gait=rolled, limit=WALK_LIMIT, tolerance=tolerance
             )
         data = data.assign(dict(zip(GROUND_NAMES, walks[:3], strict=True)))
     return data.assign(
         {
-            "gait_period": period,
-            "gait_state": ("coordinate", np.asarray(gait.states[0])),
-            "multiplier": float(np.abs(gait.multipliers[0])),
-            "step_time": float(np.mean(gait.step_times)),
-            "return_strides": float(gait.return_strides),
+            "note": note,
+            "gait_period": len(rolled.states),
+            "gait_state": ("coordinate", np.asarray(rolled.states[0])),
+            "multiplier": float(np.abs(rolled.multipliers[0])),
+            "step_time": float(np.mean(rolled.step_times)),
+            "return_strides": float(rolled.return_strides),
             "least_disturbance": nearest.size,
             "direction": ("coordinate", nearest.direction),
             "failing_state": ("coordinate", nearest.state),
@@ -193,7 +192,7 @@ class Field(NamedTuple):
 
     name: str
     kind: str
-    """"number"; "vector" over the section's coordinates; or whole: "count" or "outcome"."""
+    """"number"; "vector" over the section's coordinates; "text"; or whole: "count" or "outcome"."""
 
 
 GAIT = {
@@ -249,18 +248,16 @@ GROUND = {
 }
 """What is known with a ground alone."""
 GROUND_NAMES = tuple(field.name for field in GROUND.values())
-FIELDS = tuple(
-    field
-    for group in (GAIT, LEAST_DISTURBANCE, LEAST_FALL, STEP_DOWN, STABILITY, RETURN, DIMENSION)
-    for field in group.values()
-)
+NOTE = Field("note", "text")
+GROUPS = GAIT, LEAST_DISTURBANCE, LEAST_FALL, STEP_DOWN, STABILITY, RETURN, DIMENSION
+FIELDS = (NOTE, *(field for group in GROUPS for field in group.values()))
 """The variables of a gait.
 
 A new one is computed in `robustness`, stands in a group here, by which JSON and sweeps have it, and
 in `storage.schema` with the mark `NEW`, as earlier data sets lack it.
 """
 WITHOUT_GAIT = {"gait_period": 0}
-"""Values where no gait attracts, other than those of their kind, NaN and -1."""
+"""Values where no gait attracts, other than those of their kind, NaN, -1 and no text."""
 
 
 def without_gait(walker: Walker) -> dict:
@@ -269,7 +266,8 @@ def without_gait(walker: Walker) -> dict:
     unknown_state = "coordinate", np.full(len(walker.section), np.nan)
     numbers = dict.fromkeys(of_kind("number"), np.nan)
     vectors = dict.fromkeys(of_kind("vector"), unknown_state)
-    return numbers | vectors | dict.fromkeys(of_kind("count", "outcome"), -1) | WITHOUT_GAIT
+    whole = dict.fromkeys(of_kind("count", "outcome"), -1)
+    return numbers | vectors | whole | {NOTE.name: np.array("", object)} | WITHOUT_GAIT
 
 
 def summarise_robustness(data: xr.Dataset, slope: float) -> dict:
@@ -295,6 +293,7 @@ def summarise_robustness(data: xr.Dataset, slope: float) -> dict:
         "area": float(data["total_area"]),
         "area_error": float(data["total_area_error"]),
         "at_border": int(at_border) if np.isfinite(at_border) else None,
+        "note": value_of(data, NOTE),
         **(of_gait if attracts else dict.fromkeys(of_gait)),
     }
 
@@ -306,8 +305,8 @@ def value_of(data: xr.Dataset, field: Field) -> Any:
     value = data[field.name].values
     if field.kind == "vector":
         return value
-    if field.kind == "outcome":
-        return Outcome(int(value)).name
+    if field.kind in ("outcome", "text"):
+        return str(value) if field.kind == "text" else Outcome(int(value)).name
     return float(value) if field.kind == "number" else int(value)
 
 
@@ -388,13 +387,14 @@ def common_attributes(rows: list[xr.Dataset], parameter: str) -> dict[str, Any]:
     return {name: values[0] for name, values in given.items() if name not in own and same(values)}
 
 
-def default_region(walker: Walker) -> Grid | None:
+def default_region(walker: Walker, searched: Gait | None = None) -> Grid | None:
     """All feasible angles of a walker on point feet, or a slice around a gait, if there is one.
 
-    The rates are those of the simplest walker's basins, and more for others.
+    Rates are those of the simplest walker's basins, and more for others; by default, the gait of
+    `find_gait`.
     """
     if isinstance(walker, AbstractPointFootWalker):
         rates = (-0.12, 0.06, 200) if moves_like(walker, SimplestWalker) else (-1.1, 0.1, 800)
         return Grid.sheared(theta=(0, np.pi / 4, 200), sum=rates)
-    gait = find_gait(walker)
+    gait = find_gait(walker) if searched is None else searched
     return slice_around(walker, gait.states[0]) if gait.found else None

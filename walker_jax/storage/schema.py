@@ -22,6 +22,7 @@ NEW = "not in earlier data sets"
 KNEES = "walkers with knees"
 MAPPED = "cell map; not in earlier data sets"
 FAILS = "the `Outcome` of its last stride; -1 for none"
+DIFFERS = "the gait of `find_gait`, where another one attracts"
 
 
 class Variable(NamedTuple):
@@ -145,6 +146,7 @@ KINDS = {
     "robustness": Kind(
         "A refined basin, and what its most attracting gait survives (`robustness`).",
         {
+            "note": V("", "text", "", DIFFERS, NEW),
             "gait_period": V("", "integer", "strides", "0 where no gait attracts"),
             "gait_state": V("coordinate", "real", STATE, "nearest to the failing state"),
             "multiplier": V("", "real", "", "modulus of the largest Floquet multiplier"),
@@ -237,7 +239,9 @@ KINDS = {
                 "*parameters own phase coordinate", "real", STATE, "the cycle; NaN after it", NEW
             ),
             "area": V("*parameters", "real", AREA, "of the cells that converge to one"),
-            "gait_state": V("*parameters coordinate", "real", STATE, "NaN where no gait is found"),
+            "gait_period": V("*parameters", "integer", "strides", "0 where no gait attracts", NEW),
+            "gait_state": V("*parameters coordinate", "real", STATE, "NaN where no gait attracts"),
+            "note": V("*parameters", "text", "", DIFFERS, NEW),
             "multiplier": V("*parameters", "real", "", "its largest modulus"),
             "step_time": V("*parameters", "real", TIME, "of this gait"),
             "step_length": V("*parameters", "real", "leg length", "of this gait"),
@@ -351,6 +355,8 @@ KINDS = {
             "phidot": V("", "real", "rad/√(l/g)", "of the slice that is shown", f"volume; {NEW}"),
             "binding": V("measure", "boolean", "", "whether its limit holds the optimum"),
             "converged": V("", "boolean", "", "no shorter step led higher"),
+            "note_start": V("", "text", "", DIFFERS, NEW),
+            "note_optimum": V("", "text", "", DIFFERS, NEW),
             "scan_parameters": V("parameter point", "real", "", "of the scan", "scan"),
             "scan_value": V("parameter point", "real", "", "objective of the scan", "scan"),
             "scan_allowed": V("parameter point", "boolean", "", "by the limits", "scan"),
@@ -453,7 +459,7 @@ KINDS["robustness table"].variables.update(
         # Integers are reals in a table, which has NaN for a walker without a gait.
         name: one._replace(
             dims=f"?parameter {one.dims}".rstrip(),
-            type="real",
+            type="real" if one.type == "integer" else one.type,
             when="some walker has a gait" if name in COUNTS else one.when,
         )
         for name, one in {

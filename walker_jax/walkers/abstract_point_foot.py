@@ -96,13 +96,20 @@ def rises_past_contact(walker: AbstractMasslessFootWalker, state: State) -> Bool
     return rising & (phi < 0) & (thetadot**2 < jnp.cos(theta - walker.slope))
 
 
-def gait_strip(slope: ArrayLike) -> Grid:
+def gait_strip(slope: ArrayLike, hip_stiffness: ArrayLike = 0.0) -> Grid:
     """A strip of the section that shrinks like slope^{1/3}, as gaits do (Garcia and others 1998).
 
     Its upper edge is where walkers begin to fall backward, thetadot = -2 sin((theta - slope) / 2),
-    at its widest.
+    at its widest. Its lower edge follows the leg, which a spring swings in a shorter time, to first
+    order 2 h = pi / sqrt(1 + hip_stiffness). A walker of constant speed v = -thetadot makes a step
+    2 theta = 2 h v, and what it gains on the slope is what heel strike takes, slope = theta v^2:
+
+        theta = slope^{1/3} h^{2/3},    v = slope^{1/3} h^{-1/3}.
     """
-    angle = float(np.asarray(slope))
+    angle, stiffness = float(np.asarray(slope)), float(np.asarray(hip_stiffness))
     widest = min(2 * angle ** (1 / 3), np.pi / 4)
     edge = widest - 2 * np.sin((widest - angle) / 2)
-    return Grid.sheared(theta=(0, widest, 100), sum=(-0.15 * widest, edge, 1000))
+    half = np.pi / 2 / np.sqrt(1 + stiffness)
+    fast = angle ** (1 / 3) * min(0.0, half ** (2 / 3) - half ** (-1 / 3))
+    axes = {"theta": (0, widest, 100), "sum": (fast - 0.15 * widest, edge, 1000)}
+    return Grid.sheared(**axes)

@@ -1,6 +1,6 @@
 """Walkers with mass on their legs, whose section has three coordinates."""
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -64,13 +64,15 @@ class HeavyLegWalker(MultibodyWalker):
         return finite & forward & (phidot > 2 * thetadot)
 
 
-def pendulum_region(leg_length: Scalar) -> Grid:
+PENDULUM_AXES = {"theta": (0, 0.7, 35), "sum": (-0.6, 0.3, 50), "turn": (-1.1, 0.3, 24)}
+
+
+def pendulum_region(leg_length: Scalar, axes: dict[str, Any] = PENDULUM_AXES) -> Grid:
     """A region to search for gaits, with rates counted in that of a pendulum of the leg's length.
 
     That of toppling, by which walkers are searched for otherwise, vanishes as feet grow.
     """
     rate = 1 / float(np.sqrt(leg_length))
-    axes = {"theta": (0, 0.7, 35), "sum": (-0.6, 0.3, 50), "turn": (-1.1, 0.3, 24)}
     return Grid(axes, np.array([[1, 0, 0], [-rate, rate, 0], [0, 0, rate]]))
 
 

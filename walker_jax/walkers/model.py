@@ -153,7 +153,7 @@ class Walker(eqx.Module):
         walker = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), self)
         rate, widest = float(toppling_rate(walker)), 0.6
         if len(self.section) == 2:
-            axes = {"theta": (0, widest, 100), "sum": (-widest, 0.5 * widest, 600)}
+            axes = {"theta": (0, widest, 100), "sum": (-1.5 * widest, 0.5 * widest, 800)}
             return Grid(axes, np.array([[1, 0], [-rate, rate]]))
         axes = {
             "theta": (0, widest, 30),

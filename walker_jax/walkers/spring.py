@@ -50,7 +50,7 @@ class SpringWalker(AbstractMasslessFootWalker):
         return True
 
     def gait_region(self):
-        return gait_strip(self.slope)
+        return gait_strip(self.slope, self.hip_stiffness)
 
     def past_contact(self, state):
         return rises_past_contact(self, state)

@@ -1,0 +1,91 @@
+"""The gait that attracts: the cycle with the largest basin, as Newton's iteration finds it.
+
+Measures that stand beside a basin, such as the speed, are those of this gait. A search without a
+guess may end in another gait, unstable or with a smaller basin.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+from jaxtyping import Float
+
+from walker_jax.basins.attractor import Attractor, capture_radius
+from walker_jax.basins.attractor_search import SAMPLE, sample_indices
+from walker_jax.basins.mapper import Mapper
+from walker_jax.gaits.cycles import Gait
+from walker_jax.gaits.search import find_gait
+from walker_jax.grids import Grid
+from walker_jax.integrators.solvers import default_tolerance
+from walker_jax.walkers.model import Walker
+
+STARTS = 2**11, SAMPLE
+"""Sizes of the samples of a grid by which its gait is found: the second only where none of the
+first converges. A basin of 1 % of the cells has twenty starts of the first."""
+
+
+def gait_of_basins(walker: Walker, data: xr.Dataset, tolerance: float | None) -> Gait | None:
+    """The gait with the most cells in a data set of `basin` or `refine`; None if none attracts."""
+    cells = data["cells"].values * (data["period"].values > 0)
+    if cells.sum() == 0:
+        return None
+    largest = int(cells.argmax())
+    states = data["states"].values[largest, : int(data["period"][largest])]
+    return stable_gait(walker, states, tolerance)
+
+
+def gait_of_grid(walker: Walker, grid: Grid, strides: int, tolerance: float | None) -> Gait | None:
+    """The gait to which most walkers converge from a sample of a grid's cells; None if none do."""
+    tolerance = float(default_tolerance(jnp.asarray(0.0).dtype, tolerance))
+    for count in STARTS:
+        starts = grid.centres(sample_indices(grid.size, count))
+        # The first stands for all motions without a period: whether they last does not matter.
+        mapper = Mapper(walker, [Attractor(None, starts[:1])], tolerance, strides)
+        mapper = mapper.with_attractors_from(starts)
+        labels = mapper(starts)
+        number = labels.attractor[labels.converged]
+        if len(number):
+            largest = int(np.bincount(number).argmax())
+            return stable_gait(walker, mapper.attractors[largest].states, tolerance)
+        if len(labels.remaining):  # on a motion without a period
+            return None
+    return None
+
+
+def stable_gait(
+    walker: Walker, states: Float[np.ndarray, "period section"], tolerance: float | None
+) -> Gait | None:
+    """The gait of an attractor with these states; None where Newton's iteration finds it not."""
+    gait = find_gait(walker, states, len(states), tolerance=tolerance)
+    return gait if gait.found and gait.stable else None
+
+
+def compare_with_search(attracting: Gait | None, searched: Gait) -> str:
+    """How the gait of a search without a guess differs from that which attracts; empty if not.
+
+    Where none attracts, a search that finds no stable gait agrees.
+    """
+    if attracting is None:
+        agrees = not searched.stable
+    else:
+        agrees = bool(searched.found) and is_same_cycle(attracting, searched)
+    if agrees:
+        return ""
+    if not searched.found:
+        return "find_gait without a guess finds no gait"
+    state = ", ".join(f"{value:.6g}" for value in np.asarray(searched.states[0]))
+    kind = "a stable" if searched.stable else "an unstable"
+    size = float(np.abs(searched.multipliers[0]))
+    return (
+        f"find_gait without a guess finds {kind} gait, multiplier {size:.6g}, at ({state}), "
+        f"{'to which no cell converges' if attracting is None else 'not that of the basin'}"
+    )
+
+
+def is_same_cycle(one: Gait, other: Gait) -> bool:
+    """Whether two gaits have the same states, from whichever they begin."""
+    states, others = np.asarray(one.states), np.asarray(other.states)
+    radius = capture_radius(states.dtype)
+    rotations = (np.roll(others, shift, axis=0) for shift in range(len(others)))
+    return states.shape == others.shape and any(
+        np.abs(states - rotated).max() < radius for rotated in rotations
+    )
