@@ -16,15 +16,13 @@ from typing import TYPE_CHECKING
 
 from walker_jax.checks import WrongUse
 from walker_jax.storage.checksums import (
-    ATTRIBUTE,
-    Damaged,
     check_metadata,
     check_present,
-    naming,
     open_group,
     seal,
     with_checksums,
 )
+from walker_jax.storage.damage import CHECKSUMS, Damaged, naming
 from walker_jax.storage.places import (
     ANOTHER_PLACE,
     ANOTHER_PLACE_OR_OVERWRITE,
@@ -146,7 +144,7 @@ def open_dataset(path: Path) -> "xarray.Dataset":
         warnings.filterwarnings("ignore", "Object at .* is not recognized")
         group = open_group(path, "r", checked=kept is not None)
         data = xarray.open_zarr(group.store, consolidated=False, chunks=None)
-        data.attrs.pop(ATTRIBUTE, None)
+        data.attrs.pop(CHECKSUMS, None)
         if data.attrs.get("unfinished"):
             return data
         if kept is not None:
@@ -171,7 +169,10 @@ def export(path: Path, file: Path, *, overwrite: bool = False) -> "xarray.Datase
     check_writable(file)
     if file.exists() and not (overwrite and file.is_file()):
         raise StoreConflict(f"{file} exists", ANOTHER_PLACE_OR_OVERWRITE.format("file"))
-    data = load(path) if path.is_dir() else None
+    try:
+        data = load(path) if path.is_dir() else None
+    except Damaged as error:
+        raise Damaged(*error.args, "the command that made it replaces it with overwrite") from error
     if data is None:
         raise StoreConflict(f"{path} is not a data set")
     if data.attrs.get("unfinished"):

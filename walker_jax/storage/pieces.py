@@ -19,7 +19,6 @@ from walker_jax.checks import NotWritten
 from walker_jax.storage.checksums import (
     check_metadata,
     codecs,
-    is_intact,
     open_group,
     seal,
     with_checksums,
@@ -103,6 +102,8 @@ class Pieces(NamedTuple):
 
     def missing(self) -> list[int]:
         """Pieces that are not written yet, or not as they were written any more."""
+        from walker_jax.storage.checked_store import is_intact
+
         arrays = [self.array(name) for name in ("written", *(self.names if self.checked else ()))]
 
         def is_there(array: Any, piece: int) -> bool:
@@ -216,7 +217,7 @@ def open_pieces(
             raise StoreConflict(f"another run has just completed {path}: run again to read it")
         name, array = next(iter(arrays.items()))
         shape, block = array.shape[: len(block)], group[name].chunks[: len(block)]
-        noted, names = json.loads(str(group.attrs["notes"])), tuple(set(arrays) & set(group))
+        noted, names = json.loads(str(group.attrs["notes"])), tuple(n for n in arrays if n in group)
         with resumable(path, overwrite=overwrite):
             yield Pieces(path, folder, group, shape, block, noted, names, (*aside,), checked)
 
