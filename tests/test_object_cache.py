@@ -306,12 +306,11 @@ def test_a_thousand_corrupted_and_foreign_programs(folder, monkeypatch):
         )
         path.write_bytes(contents(how))
         private = True
-        for place in places:
-            usual = 0o600 if place is path else 0o700
-            mode = usual | int(random.integers(0o100) * random.integers(2))
-            owner = int(random.choice([owners[0], owners[0], owners[-1]]))
-            os.chown(place, owner, -1)
-            place.chmod(mode)
+        for place in random.permutation(len(places))[: random.integers(len(places) + 1)]:
+            mode = places[place].stat().st_mode | int(random.integers(0o100))
+            places[place].chmod(mode)
+            owner = int(random.choice(owners))
+            os.chown(places[place], owner, -1)
             private &= owner == owners[0] and not mode & 0o022
         if private and how in ("foreign", "garbage, right checksum"):
             os.chown(path, owners[-1], -1)  # of one's own these are not told from others
@@ -324,5 +323,6 @@ def test_a_thousand_corrupted_and_foreign_programs(folder, monkeypatch):
         count[how, "folder or file of others" if said else "private"] += 1
         for place in places:
             os.chown(place, owners[0], -1)
+            place.chmod(0o600 if place is path else 0o700)
     print(*(f"{', '.join(what)}: {number}" for what, number in sorted(count.items())), sep="\n")
     assert sum(count.values()) == 1000

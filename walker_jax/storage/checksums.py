@@ -7,16 +7,20 @@ Data sets of earlier versions have none of these, and are read without.
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
+
+import google_crc32c
 
 from walker_jax.storage.damage import CHECKSUMS, METADATA, damaged, naming, read_metadata
+from walker_jax.storage.places import open_group
 
 if TYPE_CHECKING:
     import xarray  # which takes half a second to load, and commands without a data set need not
 
 DIGEST_BYTES = 8
+CRC_BYTES = 4
 
 
 # ------------------------------------------------------------------------------------------ chunks
@@ -37,27 +41,27 @@ def codecs() -> tuple:
     return ZstdCodec(), Crc32cCodec()
 
 
-def open_group(path: Path, mode: Literal["r", "r+"], *, checked: bool) -> Any:
-    """The Zarr group at `path`; damaged chunks are named if its chunks have checksums."""
-    import zarr  # which takes long to load, and only runs with a place on disk need it
-
-    from walker_jax.storage.checked_store import CheckedStore
-
-    return zarr.open_group(CheckedStore(path) if checked else path, mode=mode)
+def is_intact(chunk: bytes) -> bool:
+    """Whether a chunk ends with its checksum."""
+    end = len(chunk) - CRC_BYTES
+    return end >= 0 and google_crc32c.value(chunk[:end]) == int.from_bytes(chunk[end:], "little")
 
 
-def check_present(path: Path, arrays: Mapping[str, Any]) -> None:
-    """Raises an error for arrays some of whose chunks are missing, which would read as zeros."""
+def check_chunks(path: Path, array: Any, *, checked: bool) -> None:
+    """Raises `Damaged` where a chunk of an array is missing, which would read as zeros.
+
+    And where one is not as it was written, if it has a checksum. Zarr's codec finds the same, but
+    does not know which chunk it is.
+    """
     import numpy as np
 
-    for name, array in arrays.items():
-        if array.nchunks_initialized == array.nchunks:
-            continue
-        counts = map(lambda whole, size: -(-whole // size), array.shape, array.chunks)
-        for place in np.ndindex(*counts):
-            key = f"{name}/{array.metadata.encode_chunk_key(place)}"
-            with naming(path, key, "is missing"):
-                (path / key).stat()
+    counts = map(lambda whole, size: -(-whole // size), array.shape, array.shards or array.chunks)
+    for place in np.ndindex(*counts):
+        key = f"{array.basename}/{array.metadata.encode_chunk_key(place)}"
+        with naming(path, key, "is missing"):
+            (path / key).stat()
+        if checked and not is_intact((path / key).read_bytes()):
+            raise damaged(path, key)
 
 
 # ---------------------------------------------------------------------------------------- metadata
@@ -79,7 +83,7 @@ def seal(path: Path, attributes: dict | None = None, without: Iterable[str] = ()
     given = group["attributes"] if attributes is None else attributes
     known = json.loads(json.dumps(given))  # as it will be read
     sums = {"": digest(group | {"attributes": known | {CHECKSUMS: sums}})} | sums
-    open_group(path, "r+", checked=True).attrs.put(known | {CHECKSUMS: json.dumps(sums)})
+    open_group(path, "r+").attrs.put(known | {CHECKSUMS: json.dumps(sums)})
 
 
 def check_metadata(path: Path) -> list[str] | None:

@@ -16,9 +16,8 @@ from typing import TYPE_CHECKING
 
 from walker_jax.checks import WrongUse
 from walker_jax.storage.checksums import (
+    check_chunks,
     check_metadata,
-    check_present,
-    open_group,
     seal,
     with_checksums,
 )
@@ -31,6 +30,7 @@ from walker_jax.storage.places import (
     check_writable,
     exclusive,
     move_into_place,
+    open_group,
     remove_arrays,
     resolve_link,
     scratch_folder,
@@ -142,14 +142,19 @@ def open_dataset(path: Path) -> "xarray.Dataset":
     kept = check_metadata(path)
     with naming(path, "it"), warnings.catch_warnings():  # of arrays that a run is about to begin
         warnings.filterwarnings("ignore", "Object at .* is not recognized")
-        group = open_group(path, "r", checked=kept is not None)
-        data = xarray.open_zarr(group.store, consolidated=False, chunks=None)
-        data.attrs.pop(CHECKSUMS, None)
-        if data.attrs.get("unfinished"):
-            return data
-        if kept is not None:
-            data = data.drop_vars(data.variables.keys() - kept)
-        check_present(path, {str(name): group[name] for name in data.variables})
+        group = open_group(path, "r")
+        unfinished = bool(group.attrs.get("unfinished"))
+        for name, array in (
+            [*group.arrays()] if kept is None else [(one, group[one]) for one in kept]
+        ):
+            if not unfinished or array.metadata.dimension_names == (name,):  # which is read at once
+                check_chunks(path, array, checked=kept is not None)
+        data = xarray.open_zarr(path, consolidated=False, chunks=None)
+    data.attrs.pop(CHECKSUMS, None)
+    if unfinished:
+        return data
+    if kept is not None:
+        data = data.drop_vars(data.variables.keys() - kept)
     if data.nbytes > LAZY_FROM_BYTES:
         return data
     for name, variable in data.variables.items():

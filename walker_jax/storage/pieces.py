@@ -19,10 +19,11 @@ from walker_jax.checks import NotWritten
 from walker_jax.storage.checksums import (
     check_metadata,
     codecs,
-    open_group,
+    is_intact,
     seal,
     with_checksums,
 )
+from walker_jax.storage.damage import naming
 from walker_jax.storage.places import (
     ANOTHER_PLACE,
     RESUME_HINT,
@@ -30,6 +31,7 @@ from walker_jax.storage.places import (
     check_writable,
     exclusive,
     move_into_place,
+    open_group,
     remove_arrays,
     resolve_link,
     writing,
@@ -102,8 +104,6 @@ class Pieces(NamedTuple):
 
     def missing(self) -> list[int]:
         """Pieces that are not written yet, or not as they were written any more."""
-        from walker_jax.storage.checked_store import is_intact
-
         arrays = [self.array(name) for name in ("written", *(self.names if self.checked else ()))]
 
         def is_there(array: Any, piece: int) -> bool:
@@ -122,7 +122,9 @@ class Pieces(NamedTuple):
 
     def read(self, name: str, piece: int) -> np.ndarray:
         """What an array holds of a piece."""
-        return np.asarray(self.array(name)[self.at(piece)])
+        array = self.array(name)
+        with naming(self.path, self.chunk_file(array, piece).relative_to(self.path).as_posix()):
+            return np.asarray(array[self.at(piece)])
 
     def chunk_file(self, array: Any, piece: int) -> Path:
         """The file with an array's part of a piece."""
@@ -158,7 +160,7 @@ class Pieces(NamedTuple):
             if self.checked:
                 seal(self.path, final, without=left)  # in one go: the data set is whole
             else:
-                open_group(self.path, "r+", checked=False).attrs.put(final)
+                open_group(self.path, "r+").attrs.put(final)
             remove_arrays(self.path, self.folder, left)
 
 
@@ -205,7 +207,7 @@ def open_pieces(
                 move_into_place(folder, path)
         try:
             checked = check_metadata(path) is not None
-            group = open_group(path, "r+", checked=checked)
+            group = open_group(path, "r+")
         except StoreConflict:
             raise
         except Exception as error:  # whatever is wrong with what others have written
@@ -230,7 +232,7 @@ def create_store(
 ) -> None:
     """Make a store of pieces, none of them written."""
     with_checksums(data).to_zarr(path, consolidated=False, write_empty_chunks=True)
-    group = open_group(path, "r+", checked=True)
+    group = open_group(path, "r+")
     for name, array in arrays.items():
         group.create_array(
             name,

@@ -6,6 +6,7 @@ import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any, Literal
 
 import filelock
 
@@ -150,6 +151,13 @@ def write_text(path: Path, text: str) -> None:
     """Write a file at `path`, in the place of any that stands there, whole or not at all."""
     with atomic_file(path) as draft:
         draft.write_text(text, encoding="utf-8")
+
+
+def open_group(path: Path, mode: Literal["r", "r+"]) -> Any:
+    """The Zarr group at `path`."""
+    import zarr  # which takes long to load, and only runs with a place on disk need it
+
+    return zarr.open_group(path, mode=mode)
 
 
 def remove_arrays(path: Path, folder: Path, names: Iterable[str]) -> None:
