@@ -29,6 +29,7 @@ def main() -> NoReturn:
     # Before NumPy is loaded. Matrices are small here: more threads only wait for each other.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     signal.signal(signal.SIGTERM, terminate)
+    # One line, without the place in the code.
     warnings.formatwarning = lambda message, *_, **__: f"walker-jax: {message}\n"
     try:
         code = app(standalone_mode=False)

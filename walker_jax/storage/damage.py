@@ -67,6 +67,7 @@ def holds_arrays_alone(path: Path) -> bool:
 
 
 def is_own_array(folder: Path) -> bool:
+    """Whether a folder holds an array whose chunks are coded as those of this package are."""
     try:
         used = [one["name"] for one in read_metadata(folder)["codecs"]]
     except (OSError, ValueError, KeyError, TypeError):

@@ -21,7 +21,7 @@ from walker_jax.storage.checksums import (
     seal,
     with_checksums,
 )
-from walker_jax.storage.damage import CHECKSUMS, Damaged, naming
+from walker_jax.storage.damage import CHECKSUMS, Damaged, is_own_array, naming
 from walker_jax.storage.places import (
     ANOTHER_PLACE,
     ANOTHER_PLACE_OR_OVERWRITE,
@@ -84,14 +84,17 @@ def read_existing(path: Path) -> "xarray.Dataset | None":
         return None
     try:
         data = load(path)
-    except Damaged:  # again, as a run that ends removes arrays
+    except Damaged:
+        data = None
+    if data is None:  # again, as a run that ends removes arrays
         data = load(path)
-    if data is not None and not data.attrs.get("unfinished") and (path / "written").exists():
+    whole = data is not None and not data.attrs.get("unfinished")
+    if whole and is_own_array(path / "written"):
         # a run ended here but for the last thing that it had to do
         with suppress(StoreConflict, OSError), exclusive(path) as folder:
             kept = check_metadata(path)
             if kept is not None:
-                others = {place.name for place in path.iterdir() if place.is_dir()} - {*kept}
+                others = {place.name for place in path.iterdir() if is_own_array(place)} - {*kept}
                 # this one last: it says that there is something to do
                 remove_arrays(path, folder, sorted(others, key=lambda name: name == "written"))
     return data
@@ -144,9 +147,8 @@ def open_dataset(path: Path) -> "xarray.Dataset":
         warnings.filterwarnings("ignore", "Object at .* is not recognized")
         group = open_group(path, "r")
         unfinished = bool(group.attrs.get("unfinished"))
-        for name, array in (
-            [*group.arrays()] if kept is None else [(one, group[one]) for one in kept]
-        ):
+        for name in group.array_keys() if kept is None else kept:
+            array = group[name]
             if not unfinished or array.metadata.dimension_names == (name,):  # which is read at once
                 check_chunks(path, array, checked=kept is not None)
         data = xarray.open_zarr(path, consolidated=False, chunks=None)
