@@ -107,6 +107,17 @@ def saved(path: Path, **given: Any) -> xr.Dataset:
     return storage.save(data.assign(given), path, REQUEST)
 
 
+@pytest.mark.parametrize("change", [(b"attributes", b"Attributes"), (b'"group"', b'"froup"')])
+def test_a_group_that_has_lost_its_attributes_is_damaged(tmp_path, change):
+    path = tmp_path / "a.zarr"
+    saved(path)
+    file = path / "zarr.json"
+    file.write_bytes(file.read_bytes().replace(*change))
+    with pytest.raises(Damaged, match=r"is damaged: zarr\.json "):
+        storage.find(path, REQUEST)
+    assert storage.find(path, REQUEST, overwrite=True) is None
+
+
 @pytest.mark.parametrize("how", DAMAGE)
 def test_damage_is_named_and_what_is_damaged_may_be_replaced(tmp_path, how):
     path = tmp_path / "a.zarr"

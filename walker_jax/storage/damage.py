@@ -52,9 +52,11 @@ def read_metadata(folder: Path) -> dict[str, Any]:
 def is_own(path: Path) -> bool:
     """Whether a folder is known to be a data set of this package, damaged or not."""
     try:
-        return bool({"request", CHECKSUMS} & read_metadata(path)["attributes"].keys())
+        if {"request", CHECKSUMS} & read_metadata(path)["attributes"].keys():
+            return True
     except (OSError, ValueError):
-        return path.is_dir() and holds_arrays_alone(path)
+        pass
+    return path.is_dir() and holds_arrays_alone(path)
 
 
 def holds_arrays_alone(path: Path) -> bool:

@@ -21,7 +21,7 @@ from walker_jax.storage.checksums import (
     seal,
     with_checksums,
 )
-from walker_jax.storage.damage import CHECKSUMS, Damaged, is_own_array, naming
+from walker_jax.storage.damage import CHECKSUMS, METADATA, Damaged, is_own_array, naming
 from walker_jax.storage.places import (
     ANOTHER_PLACE,
     ANOTHER_PLACE_OR_OVERWRITE,
@@ -143,9 +143,10 @@ def open_dataset(path: Path) -> "xarray.Dataset":
     import xarray
 
     kept = check_metadata(path)
+    with naming(path, METADATA):
+        group = open_group(path, "r")
     with naming(path, "it"), warnings.catch_warnings():  # of arrays that a run is about to begin
         warnings.filterwarnings("ignore", "Object at .* is not recognized")
-        group = open_group(path, "r")
         unfinished = bool(group.attrs.get("unfinished"))
         for name in group.array_keys() if kept is None else kept:
             array = group[name]
