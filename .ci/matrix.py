@@ -255,7 +255,7 @@ def on_a_full_disk(variables: dict[str, str], place: Path) -> Iterator[dict[str,
     """A cache folder on a file system of 64 KiB."""
     folder = place / "full"
     folder.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(folder)]
+    mount = ["mount", "-t", "tmpfs", "-o", "size=64k,mode=700", "tmpfs", str(folder)]
     if subprocess.run(mount, capture_output=True).returncode:
         raise Missing("no file system can be mounted")
     try:

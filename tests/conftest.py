@@ -32,6 +32,9 @@ def pytest_configure(config: pytest.Config) -> None:
     if getattr(config, "cache", None) is None:  # with -p no:cacheprovider
         return
     folder = str(config.cache.mkdir("compiled"))
+    for place in (folder, f"{folder}/kernels"):  # or some umasks would let the group write there
+        if os.path.exists(place):
+            os.chmod(place, 0o700)
     jax.config.update("jax_compilation_cache_dir", folder)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", WORTH_KEEPING)
     os.environ |= {  # for processes that tests start

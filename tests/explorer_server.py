@@ -21,7 +21,7 @@ from walker_jax.explorer.guard import TOKEN_HEADER, Bucket
 from walker_jax.explorer.server import Server, listen, make_server, names_of
 from walker_jax.explorer.subjects import FAMILY, Offers
 
-TOKEN = "a-token-for-tests"
+TOKEN = "a-token-for-tests-alone"
 
 
 class Answer(NamedTuple):
@@ -156,7 +156,7 @@ def running(port: int = 0, host: str = "127.0.0.1", offers: Offers = FAMILY) -> 
     listener = listen(host, port)
     server = make_server(listener, TOKEN, names_of(host, listener), offers)
     guard: Any = server.config.app
-    guard.requests = guard.files = Bucket(1e9, 1e9)  # tests are faster than hands
+    guard.requests = guard.files = guard.others = Bucket(1e9, 1e9)  # tests are faster than hands
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
     thread.start()
     found = Running(server, listener.getsockname()[1], [])

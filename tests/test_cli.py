@@ -13,6 +13,7 @@ import jax
 import numpy as np
 import pytest
 import xarray as xr
+from earlier_stores import remove_checksums
 from PIL import Image, ImageSequence
 
 import walker_jax as wj
@@ -24,6 +25,7 @@ from walker_jax.cli.examples import DURATIONS, EXAMPLES
 from walker_jax.cli.rewording import option_of, with_options_named
 from walker_jax.design import evaluation
 from walker_jax.design.summary import summarise_optimum
+from walker_jax.kernels import private_files
 from walker_jax.paper import numbers
 from walker_jax.stability.summary import without_gait
 from walker_jax.walkers.family import WALKERS
@@ -145,6 +147,7 @@ def test_a_cycle_of_cells_that_is_no_gait_is_said_to_be_an_artefact(run, tmp_pat
         {"cells": 3043, "artefact": False, "cycles": 1, "falling": 0},
         {"cells": 1, "artefact": True, "cycles": 1, "falling": 1},
     ]
+    remove_checksums(tmp_path / "b.zarr")  # as of a version that knew none of these
     for name in ("artefact", "cycles", "falling"):
         shutil.rmtree(tmp_path / "b.zarr" / name)
     code, text, err = run("basin", "--out", "b.zarr")
@@ -1047,10 +1050,11 @@ def test_messages_name_options():
 
 
 def test_compiled_programs_are_kept_where_the_user_says(tmp_path, monkeypatch):
-    settings = {}
+    settings, at_exit = {}, []
     monkeypatch.setattr(jax.config, "update", settings.__setitem__)
+    monkeypatch.setattr(startup.atexit, "register", lambda *given: at_exit.append(given))
     for variable, place, kept in [
-        ("WALKER_JAX_CACHE_DIR", tmp_path / "here", tmp_path / "here"),
+        ("WALKER_JAX_CACHE_DIR", tmp_path / "here", tmp_path / "here" / "xla-programs"),
         ("WALKER_JAX_CACHE_DIR", "", None),
         ("JAX_COMPILATION_CACHE_DIR", tmp_path / "of JAX", None),  # which takes care of it itself
     ]:
@@ -1060,6 +1064,39 @@ def test_compiled_programs_are_kept_where_the_user_says(tmp_path, monkeypatch):
         startup.keep_compiled()
         assert settings.get("jax_compilation_cache_dir") == (str(kept) if kept else None)
     assert [path.name for path in tmp_path.iterdir()] == ["here"]
+    assert at_exit == [(startup.close_to_others, tmp_path / "here" / "xla-programs")]
+
+
+def test_what_xla_compiles_is_kept_from_others(tmp_path, monkeypatch):
+    settings, folder = {}, tmp_path / "here" / "xla-programs"
+    monkeypatch.setattr(jax.config, "update", settings.__setitem__)
+    monkeypatch.setattr(startup.atexit, "register", lambda *_: None)
+    monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR")
+    monkeypatch.setenv("WALKER_JAX_CACHE_DIR", str(tmp_path / "here"))
+    before = os.umask(0)
+    try:
+        startup.keep_compiled()
+    finally:
+        os.umask(before)
+    assert settings["jax_compilation_cache_dir"] == str(folder)
+    assert [place.stat().st_mode & 0o777 for place in (folder.parent, folder)] == [0o700] * 2
+    kept, open_, other = (folder / name for name in ("a-cache", "b-cache", "mine"))
+    for path, mode in ((kept, 0o644), (open_, 0o666), (other, 0o666)):
+        path.write_bytes(b"program")
+        path.chmod(mode)
+    (folder / "c-cache").symlink_to(kept)  # whose own mode is 0777
+    startup.keep_compiled()
+    assert sorted(folder.iterdir()) == [kept, other]
+    startup.close_to_others(folder)
+    assert [path.stat().st_mode & 0o777 for path in (kept, other)] == [0o600, 0o666]
+    for place in (folder, folder.parent):
+        place.chmod(0o777)
+        settings.clear()
+        private_files.warn_of.cache_clear()
+        with pytest.warns(RuntimeWarning, match=f"compiled programs in {place} are not used"):
+            startup.keep_compiled()
+        assert settings == {}
+    startup.close_to_others(tmp_path / "gone")
 
 
 def test_importing_sets_no_flag_and_loads_no_drawing():

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import re
 import socket
 import threading
 
@@ -56,7 +57,7 @@ def send(guard, path="/", query="", address="127.0.0.1", **headers: str):
 
 def test_what_other_sites_send_takes_nothing_from_the_page():
     guard = guarded()
-    guard.requests, guard.files = Bucket(0.0, 2.0), Bucket(0.0, 3.0)
+    guard.requests, guard.others = Bucket(0.0, 2.0), Bucket(0.0, 3.0)
     for site in ("cross-site", "same-site"):
         drawn = {"sec_fetch_site": site, "sec_fetch_mode": "no-cors"}
         assert send(guard, "/page/icon.svg", **drawn)[0] == 403
@@ -64,6 +65,42 @@ def test_what_other_sites_send_takes_nothing_from_the_page():
     link = {"sec_fetch_site": "cross-site", "sec_fetch_mode": "navigate"}
     assert [send(guard, **link)[0] for _ in range(4)] == [200, 200, 200, 429]
     assert [send(guard, "/api/about")[0] for _ in range(3)] == [200, 200, 429]
+
+
+def test_requests_without_the_token_take_nothing_from_a_page_with_it(running):
+    """Also of the files of the page, which it finds by the token."""
+    guard = running.server.config.app
+    client = running.client()
+    page = client.send("/?token=" + explorer_server.TOKEN, x_walker_token="").body.decode()
+    files = re.findall(r'"(/page/[^"]+)"', page)
+    assert len(files) > 3 and len({*files}) == 3
+    module = next(file for file in files if file.endswith("main.js"))
+    imported = re.findall(r'from "\./(\w+\.js)"', client.send(module).body.decode())
+    files += [f"{module.rpartition('/')[0]}/{name}" for name in imported]
+    for others in (Bucket(0.0, 0.0), Bucket(0.0, 1e9)):
+        guard.others = others
+        answers = [client.send(file, x_walker_token="") for file in files]
+        assert {answer.status for answer in answers} == {200}
+        assert client.send(f"/?token={explorer_server.TOKEN}").status == 200
+        refused = 200 if others.burst else 429
+        for path in ("/", "/?token=wrong", "/page/main.js"):
+            assert client.send(path).status == refused
+        assert client.send("/page/wrong/main.js").status == (404 if others.burst else 429)
+    assert 'src="/page/main.js"' in client.send("/").body.decode()
+
+
+@pytest.mark.parametrize("token", ["a", "x" * 21, "x" * 30 + " ", "ä" * 30, "x/" * 20, "%41" * 20])
+def test_a_token_that_could_be_guessed_is_refused(monkeypatch, token):
+    monkeypatch.setenv(server.TOKEN_VARIABLE, token)
+    monkeypatch.setattr(server, "listen", lambda *_: 1 / 0)
+    with pytest.raises(WrongUse) as refusal:
+        server.run_server("127.0.0.1", 0, FAMILY["simplest"], {}, browser=False)
+    said = str(refusal.value)
+    assert said.startswith("WALKER_JAX_TOKEN must be 22 characters or more, ")
+    assert said.endswith(f": this one has {len(token)}") and len(said) < 200
+    for good in ("", "x" * 22, server.secrets.token_urlsafe(24)):
+        monkeypatch.setenv(server.TOKEN_VARIABLE, good)
+        assert server.read_token() == good or (not good and len(server.read_token()) == 32)
 
 
 def test_only_who_has_the_token_frames_the_page():
@@ -100,7 +137,7 @@ def test_a_link_on_the_browsers_command_line_leads_to_the_page_once():
 def test_every_host_has_a_link_that_is_answered(host, monkeypatch, capsys):
     """Also this machine's own name, where all interfaces are listened to."""
     opened = []
-    monkeypatch.setenv(server.TOKEN_VARIABLE, "token")
+    monkeypatch.setenv(server.TOKEN_VARIABLE, token := "token-of-22-characters")
     monkeypatch.setattr(server.webbrowser, "open", opened.append)
     ran: list = []
     monkeypatch.setattr(server.Server, "run", lambda self, sockets: ran.append((self, sockets[0])))
@@ -113,9 +150,9 @@ def test_every_host_has_a_link_that_is_answered(host, monkeypatch, capsys):
     name = socket.gethostname() if host == "0.0.0.0" else host
     if not server.can_be_found(name):
         name = "localhost"
-    assert printed.out == f"http://{name}:{port}/?token=token#walker=simplest&slope=0.004\n"
+    assert printed.out == f"http://{name}:{port}/?token={token}#walker=simplest&slope=0.004\n"
     assert ("other machines" in printed.err) == (host == "0.0.0.0")
-    assert opened[0].startswith(f"http://{name}:{port}/open/") and "token" not in opened[0]
+    assert opened[0].startswith(f"http://{name}:{port}/open/") and token not in opened[0]
     guard = found.config.app
     for host_header in (name, "localhost"):
         scope = {"server": ("127.0.0.1", port)}

@@ -3,13 +3,15 @@
 import os
 import subprocess
 import sys
+import warnings
+from collections import Counter
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from walker_jax.kernels import Kernel, machine, object_cache
+from walker_jax.kernels import Kernel, machine, object_cache, private_files
 
 FUNCTION = """
 import jax, jax.numpy as jnp, numpy as np
@@ -181,3 +183,146 @@ def test_a_write_that_does_not_end_leaves_nothing(folder, monkeypatch, error):
         with pytest.raises(KeyboardInterrupt):
             object_cache.load_or_compile("name", lambda: b"code")
     assert list(folder.iterdir()) == []
+
+
+# --------------------------------------------------------------------- what others can have written
+
+
+STRANGER = 12345
+
+
+def plant(path, code):
+    """A program with a right checksum in the place of another one."""
+    path.write_bytes(object_cache.checksum(path, code) + code)
+
+
+def code_of_double(folder):
+    """Machine code of x + x, which would be taken for that of x * x."""
+    Kernel(jax.make_jaxpr(lambda x: x + x)(1.0))
+    (path,) = folder.iterdir()
+    code = path.read_bytes()[object_cache.CHECKSUM_BYTES :]
+    path.unlink()
+    return code
+
+
+@pytest.fixture
+def planted(folder):
+    """A program that is not the one that it is taken for, with a right checksum."""
+    code = code_of_double(folder)
+    square()
+    (path,) = folder.iterdir()
+    plant(path, code)
+    assert square() == 6  # one's own folder is not protected from oneself
+    private_files.warn_of.cache_clear()
+    return path
+
+
+def give_away(path, monkeypatch):
+    """Let a file be of another user; without the right to, let it be taken for one."""
+    if os.geteuid() == 0:
+        os.chown(path, STRANGER, STRANGER)
+        return
+    inode = path.stat().st_ino
+    monkeypatch.setattr(private_files, "is_own", lambda status: status.st_ino != inode)
+
+
+CHANGES = [("of a stranger", None), *((oct(mode), mode) for mode in (0o777, 0o1777, 0o770, 0o702))]
+
+
+@pytest.mark.parametrize("place", ["the whole", "kernels"])
+@pytest.mark.parametrize(("name", "mode"), CHANGES, ids=lambda value: str(value))
+def test_no_program_comes_from_a_folder_of_others(
+    planted, compilations, monkeypatch, place, name, mode
+):
+    folder = planted.parent.parent if place == "the whole" else planted.parent
+    give_away(folder, monkeypatch) if mode is None else folder.chmod(mode)
+    before = planted.read_bytes()
+    with pytest.warns(RuntimeWarning, match=f"compiled programs in {folder} are not used") as said:
+        assert [square(), square(), square(5.0)] == [9, 9, 25]
+    assert len(said) == 1 and len(compilations) >= 3
+    assert planted.read_bytes() == before and list(planted.parent.iterdir()) == [planted]
+
+
+@pytest.mark.parametrize(("name", "mode"), [*CHANGES[:2], ("0o620", 0o620)], ids=str)
+def test_a_program_that_others_can_write_is_replaced(
+    planted, compilations, monkeypatch, name, mode
+):
+    give_away(planted, monkeypatch) if mode is None else planted.chmod(mode)
+    count = len(compilations)
+    with pytest.warns(RuntimeWarning, match=f"some programs in {planted.parent} are not used"):
+        assert square() == 9
+    assert square() == 9 and len(compilations) == count + 1
+    assert planted.stat().st_mode & 0o777 == 0o600
+
+
+@pytest.mark.parametrize("umask", [0, 0o002, 0o277])
+def test_folders_and_programs_are_ones_own_whatever_the_umask(tmp_path, monkeypatch, umask):
+    folder = tmp_path / "above" / "cache"
+    monkeypatch.setenv(object_cache.VARIABLE, str(folder))
+    before = os.umask(umask)
+    try:
+        assert [square(), square()] == [9, 9]
+    finally:
+        os.umask(before)
+    (path,) = folder.glob("kernels/*")
+    modes = [place.stat().st_mode & 0o777 for place in (folder.parent, folder, path.parent, path)]
+    assert modes == [0o700, 0o700, 0o700, 0o600]
+
+
+def test_where_there_are_no_users_nothing_is_refused(planted, monkeypatch):
+    planted.parent.chmod(0o777)
+    monkeypatch.delattr(os, "geteuid")
+    assert square() == 6
+
+
+@pytest.mark.slow
+def test_a_thousand_corrupted_and_foreign_programs(folder, monkeypatch):
+    """In folders of every mode and owner; the modes and owners of the files are others, too."""
+    random, count = np.random.default_rng(0), Counter()
+    foreign = code_of_double(folder)
+    assert square() == 9
+    (path,) = folder.iterdir()
+    whole = path.read_bytes()
+    head = object_cache.CHECKSUM_BYTES
+    owners = (os.geteuid(), STRANGER) if os.geteuid() == 0 else (os.geteuid(),)
+
+    def contents(how):
+        at, bit = int(random.integers(len(whole))), int(random.integers(8))
+        if how == "flip":
+            return whole[:at] + bytes([whole[at] ^ 1 << bit]) + whole[at + 1 :]
+        if how == "cut":
+            return whole[:at]
+        if how == "garbage":
+            return random.bytes(int(random.integers(1, 5000)))
+        if how == "of another name":
+            return object_cache.checksum(path.with_name("other"), foreign) + foreign
+        code = foreign if how == "foreign" else random.bytes(len(whole) - head)
+        return object_cache.checksum(path, code) + code
+
+    places = (folder.parent, folder, path)
+    for _ in range(1000):
+        how = random.choice(
+            ["flip", "cut", "garbage", "of another name", "foreign", "garbage, right checksum"]
+        )
+        path.write_bytes(contents(how))
+        private = True
+        for place in random.permutation(len(places))[: random.integers(len(places) + 1)]:
+            mode = places[place].stat().st_mode | int(random.integers(0o100))
+            places[place].chmod(mode)
+            owner = int(random.choice(owners))
+            os.chown(places[place], owner, -1)
+            private &= owner == owners[0] and not mode & 0o022
+        if private and how in ("foreign", "garbage, right checksum"):
+            os.chown(path, owners[-1], -1)  # of one's own these are not told from others
+            path.chmod(0o602)
+        private_files.warn_of.cache_clear()
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            assert square() == 9, (how, [oct(place.stat().st_mode) for place in places])
+        assert len(said) <= 1 and (private or said)
+        count[how, "folder or file of others" if said else "private"] += 1
+        for place in places:
+            os.chown(place, owners[0], -1)
+            place.chmod(0o600 if place is path else 0o700)
+    print(*(f"{', '.join(what)}: {number}" for what, number in sorted(count.items())), sep="\n")
+    assert sum(count.values()) == 1000

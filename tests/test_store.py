@@ -12,6 +12,7 @@ import xarray as xr
 from zarr.storage import LocalStore
 
 from walker_jax import storage
+from walker_jax.checks import NotWritten
 from walker_jax.storage import places, requests
 
 REQUEST = {"command": "basin", "slope": 0.004}
@@ -31,7 +32,9 @@ def test_the_same_request_finds_its_result(tmp_path, data):
     found = storage.find(path, {"slope": 0.004, "command": "basin"})
     assert found is not None and found.identical(written)
     assert [p.name for p in tmp_path.iterdir()] == ["a.zarr"]
-    assert xr.open_zarr(path, consolidated=False).identical(written)
+    there = xr.open_zarr(path, consolidated=False)
+    del there.attrs["checksums"]
+    assert there.identical(written)
 
 
 def test_another_request_is_refused_unless_told_to_overwrite(tmp_path, data):
@@ -369,6 +372,7 @@ HOLDING = """
 import os, sys
 from pathlib import Path
 from walker_jax import storage
+from walker_jax.checks import NotWritten
 from walker_jax.storage import places
 path, mark, held = Path(sys.argv[1]), sys.argv[2], 0
 print("ready", flush=True)
@@ -447,7 +451,7 @@ def test_a_piece_that_does_not_fit_on_the_disk_is_missing(tmp_path, monkeypatch)
 
     with monkeypatch.context() as patch:
         patch.setattr(LocalStore, "set", full)
-        with pytest.raises(OSError, match="No space"), begun(path) as place:
+        with pytest.raises(NotWritten, match="No space"), begun(path) as place:
             write(place, 1)
     with begun(path) as place:
         assert place.missing() == [1]
@@ -464,9 +468,7 @@ def test_a_run_that_ended_but_for_tidying_is_tidied(tmp_path, monkeypatch):
         write(place, 0)
         write(place, 1)
         with monkeypatch.context() as patch:
-            patch.setattr(
-                "walker_jax.storage.pieces.remove_auxiliary_arrays", lambda path, folder: None
-            )
+            patch.setattr("walker_jax.storage.pieces.remove_arrays", lambda *_: None)
             place.finish(axes())
     assert (path / "half").exists()
     found = storage.find(path, REQUEST)
@@ -538,27 +540,3 @@ def test_a_pipe_is_no_picture(tmp_path, overwrite):
     os.mkfifo(tmp_path / "p.png")
     with pytest.raises(storage.StoreConflict, match="is something else"):
         storage.check_picture(tmp_path / "p.png", REQUEST, overwrite=overwrite)
-
-
-def test_a_store_cut_in_half_is_refused_as_it_is(tmp_path, data):
-    for name in ("zarr.json", "fate/zarr.json", "fate/c/0"):
-        path = tmp_path / "a.zarr"
-        storage.save(data, path, REQUEST)
-        file = path / name
-        file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
-        before = file.read_bytes()
-        for overwrite in (False, True):
-            with pytest.raises(storage.StoreConflict, match="is not a data set"):
-                storage.find(path, REQUEST, overwrite=overwrite)
-        assert file.read_bytes() == before
-
-
-def test_a_data_set_without_some_of_its_chunks_is_none(tmp_path):
-    path = tmp_path / "a.zarr"
-    zeros = xr.Dataset({"count": ("x", np.zeros(5))})
-    storage.save(zeros, path, REQUEST)
-    found = storage.find(path, REQUEST)
-    assert found is not None and (found["count"] == 0).all()
-    (path / "count" / "c" / "0").unlink()
-    with pytest.raises(storage.StoreConflict, match="is not a data set"):
-        storage.find(path, REQUEST)

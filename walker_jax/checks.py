@@ -41,6 +41,13 @@ class ComputationFailed(RuntimeError):
     """A computation came to no answer, for the reason given, though its arguments are right."""
 
 
+class NotWritten(ComputationFailed):
+    """The system refuses to write a result: where and why, and how it is resumed."""
+
+    def __str__(self):
+        return ": ".join(self.args)
+
+
 def current_name(owner: str, renamed: Mapping[str, str], name: str) -> str:
     """The name that `name` of `owner` has now, with a warning; `AttributeError` if it has none."""
     if name not in renamed:

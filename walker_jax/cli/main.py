@@ -9,6 +9,7 @@ import gc
 import os
 import signal
 import sys
+import warnings
 from typing import NoReturn
 
 from walker_jax.cli.app import Interrupted, app, resume_notes
@@ -28,6 +29,8 @@ def main() -> NoReturn:
     # Before NumPy is loaded. Matrices are small here: more threads only wait for each other.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     signal.signal(signal.SIGTERM, terminate)
+    # One line, without the place in the code.
+    warnings.formatwarning = lambda message, *_, **__: f"walker-jax: {message}\n"
     try:
         code = app(standalone_mode=False)
     except Interrupted as error:
@@ -49,7 +52,7 @@ def verdict(error: Exception) -> tuple[int, str]:
     checks = sys.modules.get("walker_jax.checks")  # it loads JAX, and that may be what failed
     if checks is None or not isinstance(error, checks.WrongUse | checks.ComputationFailed):
         return 1, f"{type(error).__name__}: {error}"
-    said, place = [*map(str, error.args)], isinstance(error, checks.WrongPlace)
+    said, place = [*map(str, error.args)], isinstance(error, checks.WrongPlace | checks.NotWritten)
     verbatim = said[:1] if place else []  # it holds paths
     reason = ": ".join([*verbatim, *map(with_options_named, said[len(verbatim) :])])
     return (2 if isinstance(error, checks.WrongUse) else 1), reason

@@ -12,6 +12,7 @@ OPTIONS = {
     "a guess": "--guess THETA THETADOT",
     "the guess": "--guess",
     "or overwrite": "or --overwrite",
+    "with overwrite": "with --overwrite",
     "without overwrite": "without --overwrite",
     "limits of": "--at-least and --at-most of",
     "limits must": "--at-least and --at-most must",

@@ -1,10 +1,17 @@
 """Settings of JAX for the commands."""
 
+import atexit
 import os
+from contextlib import suppress
+from pathlib import Path
 
 import jax
 
-from walker_jax.kernels.object_cache import cache_folder
+from walker_jax.kernels.object_cache import private_folder
+from walker_jax.kernels.private_files import FILE_MODE, is_own, is_private
+
+SUFFIXES = "-cache", "-atime"
+"""Of JAX's files."""
 
 
 def configure_jax() -> None:
@@ -14,14 +21,37 @@ def configure_jax() -> None:
 
 
 def keep_compiled() -> None:
-    """Keep what XLA compiles in the folder of the kernels, so that the next start is fast."""
-    folder = cache_folder()
-    if folder is None or "JAX_COMPILATION_CACHE_DIR" in os.environ:
+    """Keep what XLA compiles in a folder beside the kernels, so that the next start is fast."""
+    if "JAX_COMPILATION_CACHE_DIR" in os.environ:
         return
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        folder = private_folder("xla-programs", make=True)
+        if folder is None or not os.access(folder, os.W_OK):
+            return
+        remove_foreign(folder)
     except OSError:
         return
-    if os.access(folder, os.W_OK):
-        jax.config.update("jax_compilation_cache_dir", str(folder))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
+    atexit.register(close_to_others, folder)
+
+
+def programs(folder: Path) -> list[Path]:
+    """JAX's files."""
+    return [path for path in folder.iterdir() if path.name.endswith(SUFFIXES)]
+
+
+def remove_foreign(folder: Path) -> None:
+    """Remove programs that others can have written, as JAX looks at neither owner nor mode."""
+    for path in programs(folder):
+        with suppress(FileNotFoundError):  # another process removed it
+            if not is_private(path.lstat()):
+                path.unlink()
+
+
+def close_to_others(folder: Path) -> None:
+    """Let nobody else read or write the programs, which JAX writes as the umask has it."""
+    with suppress(OSError):  # as of a folder that is gone
+        for path in programs(folder):
+            if is_own(path.lstat()) and not path.is_symlink():
+                path.chmod(FILE_MODE)

@@ -4,7 +4,9 @@ A page of another site that is open in the same browser can send requests to thi
 under a name of its own that it has made to lead here (DNS rebinding). So the guard checks the Host
 and the Origin of each request, and a token that stands only in the link that the server printed. A
 page may show this one in a frame only if it has the token. The guard also bounds the size and the
-rate of requests: of those with the token, and of those for files of the page apart.
+rate of requests: of those with the token, for answers and for files of the page apart, and of those
+without, which so take nothing from a page. The page that is asked for with the token names its
+files with the token, too.
 """
 
 import secrets
@@ -21,6 +23,8 @@ Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
 Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
 
 TOKEN_HEADER = "x-walker-token"
+FILES = "/page/"
+"""Where the files of the page are; those of a page with the token in a folder of that name."""
 MAX_BODY = 2**16
 """Bytes of a request; a page's own have some thousand."""
 RATE, BURST = 300.0, 600.0
@@ -66,7 +70,7 @@ class Guard:
     def __init__(self, app: Any, *, token: str, names: tuple[str, ...], port: int):
         self.app, self.token, self.port = app, token.encode(), port
         self.names = {name.lower() for name in names}
-        self.requests, self.files = Bucket(RATE, BURST), Bucket(RATE, BURST)
+        self.requests, self.files, self.others = (Bucket(RATE, BURST) for _ in range(3))
         self.links: dict[str, str] = {}
         """By path, where each leads: once."""
 
@@ -80,6 +84,7 @@ class Guard:
         if scope["type"] == "lifespan":
             await self.app(scope, receive, send)
         elif scope["type"] == "http":
+            scope = self.without_token(scope)
             refusal = self.refusal(scope)
             answer = self.app if refusal is None else refusal
             await answer(scope, limited(receive), send_with_headers)
@@ -88,8 +93,21 @@ class Guard:
 
     def policy(self, scope: Scope) -> bytes:
         """The policy of an answer. A notebook, which may be anywhere, has the token."""
+        return POLICY if self.is_linked(scope) else POLICY + b"; frame-ancestors 'none'"
+
+    def is_linked(self, scope: Scope) -> bool:
+        """Whether a request has the token as the printed link has it."""
         given = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
-        return POLICY if self.is_token(given.encode()) else POLICY + b"; frame-ancestors 'none'"
+        return self.is_token(given.encode())
+
+    def without_token(self, scope: Scope) -> Scope:
+        """The request for what it asks for; `files` is where the page finds its files."""
+        folder, _, name = scope["path"].removeprefix(FILES).rpartition("/")
+        named = scope["path"].startswith(FILES) and self.is_token(folder.encode())
+        path = FILES + name if named else scope["path"]
+        known = named or self.is_linked(scope)
+        files = f"{FILES}{self.token.decode()}/" if known else FILES
+        return {**scope, "path": path, "files": files}
 
     def is_token(self, given: bytes) -> bool:
         return secrets.compare_digest(given, self.token)
@@ -122,7 +140,8 @@ class Guard:
         length = text(b"content-length")
         if length and not (length.isascii() and length.isdigit() and int(length[:9]) <= MAX_BODY):
             return refuse(413, f"a request has at most {MAX_BODY} bytes")
-        if not (self.requests if asks else self.files).take():
+        known = self.files if scope["files"] != FILES else self.others
+        if not (self.requests if asks else known).take():
             return refuse(429, "too many requests: wait a moment", {"retry-after": "1"})
         return None
 

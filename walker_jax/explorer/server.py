@@ -2,6 +2,7 @@
 
 import logging
 import os
+import re
 import secrets
 import socket
 import sys
@@ -12,7 +13,7 @@ from urllib.parse import urlencode
 
 import uvicorn
 
-from walker_jax.checks import ComputationFailed
+from walker_jax.checks import ComputationFailed, WrongUse
 from walker_jax.explorer.connection import Connection
 from walker_jax.explorer.guard import Guard, in_link
 from walker_jax.explorer.service import make_app
@@ -20,6 +21,9 @@ from walker_jax.explorer.subjects import FAMILY, Offer, Offers
 
 TOKEN_VARIABLE = "WALKER_JAX_TOKEN"
 """The environment variable that sets the token, so that links outlive the server; else random."""
+LEAST_TOKEN = 22
+"""Characters of a token, each one of 64: 128 bits, if they are random."""
+TOKEN = re.compile(rf"[A-Za-z0-9_-]{{{LEAST_TOKEN},}}")
 MAX_CONNECTIONS = 256
 """Connections at once; more are refused."""
 CLOSING_SECONDS = 1
@@ -102,6 +106,17 @@ def make_server(
     return Server(config)
 
 
+def read_token() -> str:
+    """The token that the environment sets, or a random one."""
+    token = os.environ.get(TOKEN_VARIABLE)
+    if token and not TOKEN.fullmatch(token):
+        raise WrongUse(
+            f"{TOKEN_VARIABLE} must be {LEAST_TOKEN} characters or more, all letters, digits, - or "
+            f"_, better random: this one has {len(token)}"
+        )
+    return token or secrets.token_urlsafe(24)
+
+
 def run_server(
     host: str, port: int, offered: Offer, values: dict[str, float], *, browser: bool
 ) -> NoReturn:
@@ -109,8 +124,8 @@ def run_server(
 
     The page shows a walker with these parameters, and offers the family beside it.
     """
+    token = read_token()
     listener = listen(host, port)
-    token = os.environ.get(TOKEN_VARIABLE) or secrets.token_urlsafe(24)
     names = names_of(host, listener)
     offers, first = FAMILY | {offered.name: offered}, {"walker": offered.name, "parameters": values}
     server = make_server(listener, token, names, offers, first)

@@ -29,7 +29,7 @@ from starlette.routing import Route
 from walker_jax.checks import ComputationFailed, WrongUse
 from walker_jax.explorer import copies, measures, pictures, walks
 from walker_jax.explorer.family import describe_family
-from walker_jax.explorer.guard import TooLong, refuse
+from walker_jax.explorer.guard import FILES, TooLong, refuse
 from walker_jax.explorer.lattice import Rectangle, Tile, home_of, read_rectangle, read_tiles
 from walker_jax.explorer.subjects import (
     FAMILY,
@@ -365,6 +365,8 @@ def make_app(offers: Offers = FAMILY, first: dict | None = None) -> Starlette:
         if name not in files:
             return refuse(404, "there is no such page")
         content, kind = files[name]
+        if name == "index.html":
+            content = content.replace(FILES.encode(), request.scope["files"].encode())
         return Response(content, media_type=kind)
 
     @asynccontextmanager

@@ -3,7 +3,8 @@
 A file holds the code of one program; its name is a hash of all that the code depends on. It begins
 with a checksum of name and code, so that a truncated, damaged or misnamed file is not loaded. Files
 are written under a temporary name and then renamed, so any number of processes may share the
-folder. If the folder cannot be read or written, programs are compiled in each process.
+folder. If the folder cannot be read or written, or others can write there, programs are compiled in
+each process.
 """
 
 import contextlib
@@ -14,6 +15,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 import platformdirs
+
+from walker_jax.kernels.private_files import (
+    FILE_MODE,
+    is_private,
+    make_private,
+    read_private,
+    warn_of,
+)
 
 VARIABLE = "WALKER_JAX_CACHE_DIR"
 """The environment variable that names the folder; if it is empty, no code is kept."""
@@ -31,6 +40,20 @@ def cache_folder() -> Path | None:
     return Path(folder) if folder else None
 
 
+def private_folder(name: str, *, make: bool = False) -> Path | None:
+    """A folder in that of compiled programs; None, and a warning once, where others can write."""
+    folder = cache_folder()
+    if folder is None:
+        return None
+    if make:
+        make_private(folder / name)
+    for place in (folder, folder / name):
+        if not is_private(place.stat()):
+            warn_of(f"compiled programs in {place} are")
+            return None
+    return folder / name
+
+
 def load_or_compile(name: str, compile: Callable[[], bytes]) -> bytes:
     """The code of a name, from disk or compiled; a name stands for one code only."""
     code = recall(name)
@@ -42,21 +65,19 @@ def load_or_compile(name: str, compile: Callable[[], bytes]) -> bytes:
 
 def recall(name: str) -> bytes | None:
     """What is on disk under a name, if it is whole."""
-    path = path_of(name)
-    return read(path) if path else None
+    try:
+        folder = private_folder("kernels")
+        return read(folder / f"{name}{SUFFIX}") if folder else None
+    except OSError:
+        return None
 
 
 def store(name: str, code: bytes) -> None:
     """Write to disk, where that can be done."""
-    path = path_of(name)
-    if path:
-        with contextlib.suppress(OSError):
-            write(path, code)
-
-
-def path_of(name: str) -> Path | None:
-    folder = cache_folder()
-    return folder / "kernels" / f"{name}{SUFFIX}" if folder else None
+    with contextlib.suppress(OSError):
+        folder = private_folder("kernels", make=True)
+        if folder:
+            write(folder / f"{name}{SUFFIX}", code)
 
 
 def checksum(path: Path, code: bytes) -> bytes:
@@ -64,10 +85,9 @@ def checksum(path: Path, code: bytes) -> bytes:
 
 
 def read(path: Path) -> bytes | None:
-    """The code in a file, None if there is no file or its checksum is wrong."""
-    try:
-        content = path.read_bytes()
-    except OSError:
+    """The code in a file, None if its checksum is wrong or others can have written it."""
+    content = read_private(path)
+    if content is None:
         return None
     code = content[CHECKSUM_BYTES:]
     if content[:CHECKSUM_BYTES] != checksum(path, code):
@@ -78,11 +98,11 @@ def read(path: Path) -> bytes | None:
 
 
 def write(path: Path, code: bytes) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
     handle, scratch = tempfile.mkstemp(SUFFIX, dir=path.parent)
     try:
         with open(handle, "wb") as file:
             file.write(checksum(path, code) + code)
+        os.chmod(scratch, FILE_MODE)
         os.replace(scratch, path)
     except BaseException:
         os.unlink(scratch)

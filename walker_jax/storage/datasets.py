@@ -15,6 +15,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from walker_jax.checks import WrongUse
+from walker_jax.storage.checksums import (
+    check_chunks,
+    check_metadata,
+    seal,
+    with_checksums,
+)
+from walker_jax.storage.damage import CHECKSUMS, METADATA, Damaged, is_own_array, naming
 from walker_jax.storage.places import (
     ANOTHER_PLACE,
     ANOTHER_PLACE_OR_OVERWRITE,
@@ -24,9 +31,10 @@ from walker_jax.storage.places import (
     exclusive,
     move_into_place,
     open_group,
-    remove_auxiliary_arrays,
+    remove_arrays,
     resolve_link,
     scratch_folder,
+    writing,
 )
 from walker_jax.storage.requests import canonical_json, check_request
 
@@ -42,15 +50,21 @@ def find(path: Path, request: dict, *, overwrite: bool = False) -> "xarray.Datas
     """The result of `request` that stands at `path`, or None where it is still to be computed.
 
     Raises `StoreConflict` where something else stands there, unless `overwrite` is given and it is
-    a data set; and `ValueError` where nothing can be written. Puts in order what a killed run has
-    left; changes nothing else.
+    a data set, or a damaged one of this package; and `ValueError` where nothing can be written.
+    Puts in order what a killed run has left; changes nothing else.
     """
     path = resolve_link(path)
     with suppress(StoreConflict, OSError):  # of another run, or where one may only read
         if scratch_folder(path).exists():
             with exclusive(path):
                 pass
-    data = read_existing(path)
+    try:
+        data = read_existing(path)
+    except Damaged as error:
+        if not overwrite:
+            raise Damaged(*error.args, ANOTHER_PLACE_OR_OVERWRITE.format("out")) from error
+        check_writable(path)
+        return None
     if data is not None and not overwrite:
         check_request(path, data.attrs, request)
         if not data.attrs.get("unfinished"):
@@ -62,21 +76,28 @@ def find(path: Path, request: dict, *, overwrite: bool = False) -> "xarray.Datas
 
 
 def read_existing(path: Path) -> "xarray.Dataset | None":
-    """The data set that stands at a place, if one does; of a whole one, nothing else."""
+    """The data set that stands at a place, if one does; what else is in a whole one is removed."""
     try:
-        if not (path / "zarr.json").is_file():
+        if not path.is_dir():
             return None
     except OSError:  # as of a name that is too long
         return None
-    data = load(path)
+    try:
+        data = load(path)
+    except Damaged:
+        data = None
     if data is None:  # again, as a run that ends removes arrays
         data = load(path)
-    if data is None or data.attrs.get("unfinished") or "written" not in data:
-        return data
-    # a run ended here but for the last thing that it had to do
-    with suppress(StoreConflict, OSError), exclusive(path) as folder:
-        remove_auxiliary_arrays(path, folder)
-    return data.drop_vars([*data["written"].attrs["aside"], "written"], errors="ignore")
+    whole = data is not None and not data.attrs.get("unfinished")
+    if whole and is_own_array(path / "written"):
+        # a run ended here but for the last thing that it had to do
+        with suppress(StoreConflict, OSError), exclusive(path) as folder:
+            kept = check_metadata(path)
+            if kept is not None:
+                others = {place.name for place in path.iterdir() if is_own_array(place)} - {*kept}
+                # this one last: it says that there is something to do
+                remove_arrays(path, folder, sorted(others, key=lambda name: name == "written"))
+    return data
 
 
 def save(data: "xarray.Dataset", path: Path, request: dict) -> "xarray.Dataset":
@@ -95,8 +116,12 @@ def rewritable(path: Path, request: dict) -> "Iterator[Callable[[xarray.Dataset]
 
     def save_again(data: "xarray.Dataset") -> "xarray.Dataset":
         data = data.assign_attrs(request=canonical_json(request))
-        data.to_zarr(folder / "new", consolidated=False, write_empty_chunks=True)
-        move_into_place(folder, path)
+        with writing(path):
+            with_checksums(data).to_zarr(
+                folder / "new", consolidated=False, write_empty_chunks=True
+            )
+            seal(folder / "new")
+            move_into_place(folder, path)
         return data
 
     with exclusive(path) as folder:
@@ -104,10 +129,12 @@ def rewritable(path: Path, request: dict) -> "Iterator[Callable[[xarray.Dataset]
 
 
 def load(path: Path) -> "xarray.Dataset | None":
-    """The data set at `path`, or None where it cannot be read."""
+    """The data set at `path`, or None where there is none; `Damaged` where one is damaged."""
     try:
         return open_dataset(path)
-    except Exception:  # whatever is wrong with a foreign or damaged store
+    except Damaged:
+        raise
+    except Exception:  # whatever is wrong with what others have written
         return None
 
 
@@ -115,29 +142,45 @@ def open_dataset(path: Path) -> "xarray.Dataset":
     """The data set at `path`, in memory; a large or unfinished one is read when it is used."""
     import xarray
 
-    with warnings.catch_warnings():  # of arrays that a run is about to begin
+    kept = check_metadata(path)
+    with naming(path, METADATA):
+        group = open_group(path, "r")
+    with naming(path, "it"), warnings.catch_warnings():  # of arrays that a run is about to begin
         warnings.filterwarnings("ignore", "Object at .* is not recognized")
+        unfinished = bool(group.attrs.get("unfinished"))
+        for name in group.array_keys() if kept is None else kept:
+            array = group[name]
+            if not unfinished or array.metadata.dimension_names == (name,):  # which is read at once
+                check_chunks(path, array, checked=kept is not None)
         data = xarray.open_zarr(path, consolidated=False, chunks=None)
-        if data.attrs.get("unfinished"):
-            return data
-        for name, array in open_group(path, "r").arrays():
-            if array.nchunks_initialized < array.nchunks:  # which would read as zeros
-                raise OSError(f"{path} is damaged: chunks of {name} are missing")
-    return data if data.nbytes > LAZY_FROM_BYTES else data.load()
+    data.attrs.pop(CHECKSUMS, None)
+    if unfinished:
+        return data
+    if kept is not None:
+        data = data.drop_vars(data.variables.keys() - kept)
+    if data.nbytes > LAZY_FROM_BYTES:
+        return data
+    for name, variable in data.variables.items():
+        with naming(path, str(name)):
+            variable.load()
+    return data
 
 
 def export(path: Path, file: Path, *, overwrite: bool = False) -> "xarray.Dataset":
     """Copy the data set at `path` to a NetCDF file; returns it.
 
-    Raises `StoreConflict` where another file stands there, or `path` is no data set or is
-    unfinished; `ValueError` where nothing can be written, or h5netcdf is not installed.
+    Raises `StoreConflict` where another file stands there, or `path` is no data set, or is damaged
+    or unfinished; `ValueError` where nothing can be written, or h5netcdf is not installed.
     """
     if None in map(importlib.util.find_spec, ("h5netcdf", "h5py")):
         raise WrongUse("NetCDF takes h5netcdf and h5py: pip install 'walker_jax[netcdf]'")
     check_writable(file)
     if file.exists() and not (overwrite and file.is_file()):
         raise StoreConflict(f"{file} exists", ANOTHER_PLACE_OR_OVERWRITE.format("file"))
-    data = load(path) if path.is_dir() else None
+    try:
+        data = load(path) if path.is_dir() else None
+    except Damaged as error:
+        raise Damaged(*error.args, "the command that made it replaces it with overwrite") from error
     if data is None:
         raise StoreConflict(f"{path} is not a data set")
     if data.attrs.get("unfinished"):

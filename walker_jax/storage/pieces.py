@@ -15,6 +15,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from walker_jax.checks import NotWritten
+from walker_jax.storage.checksums import (
+    check_metadata,
+    codecs,
+    is_intact,
+    seal,
+    with_checksums,
+)
+from walker_jax.storage.damage import naming
 from walker_jax.storage.places import (
     ANOTHER_PLACE,
     RESUME_HINT,
@@ -23,8 +32,9 @@ from walker_jax.storage.places import (
     exclusive,
     move_into_place,
     open_group,
-    remove_auxiliary_arrays,
+    remove_arrays,
     resolve_link,
+    writing,
 )
 from walker_jax.storage.requests import canonical_json, check_request
 
@@ -40,14 +50,16 @@ def resumable(
 
     `begun` is whether anything is there to resume from, `overwrite` whether that was given.
     """
+    how = f"{RESUME_HINT}{', without overwrite,' if overwrite else ''} to resume from {path}"
     try:
         yield
+    except NotWritten as failure:
+        raise (NotWritten(failure.args[0], how) if begun() else failure) from failure.__cause__
     except Exception:
         raise
     except BaseException as interruption:
         if begun():
-            how = ", without overwrite," if overwrite else ""
-            interruption.add_note(f"{RESUME_HINT}{how} to resume from {path}")
+            interruption.add_note(how)
         raise
 
 
@@ -64,6 +76,12 @@ class Pieces(NamedTuple):
     """How much of each is in a piece; less in the last ones."""
     notes: Any
     """What was noted when it was begun."""
+    names: tuple[str, ...]
+    """Of the arrays that are cut."""
+    aside: tuple[str, ...]
+    """Those of them that `finish` removes."""
+    checked: bool
+    """Whether chunks have checksums; those that an earlier version began have none."""
 
     @property
     def counts(self) -> tuple[int, ...]:
@@ -85,8 +103,18 @@ class Pieces(NamedTuple):
         return tuple(slice(i * size, min((i + 1) * size, whole)) for i, size, whole in ends)
 
     def missing(self) -> list[int]:
-        """Pieces that are not written yet."""
-        return np.flatnonzero(self.array("written")[...] == 0).tolist()
+        """Pieces that are not written yet, or not as they were written any more."""
+        arrays = [self.array(name) for name in ("written", *(self.names if self.checked else ()))]
+
+        def is_there(array: Any, piece: int) -> bool:
+            try:
+                chunk = self.chunk_file(array, piece).read_bytes()
+            except OSError:
+                return False
+            return is_intact(chunk) or not self.checked
+
+        pieces = range(self.count)
+        return [i for i in pieces if not all(is_there(array, i) for array in arrays)]
 
     def array(self, name: str) -> Any:
         """One of the arrays; all its chunks are written, so that it is known which are missing."""
@@ -94,29 +122,46 @@ class Pieces(NamedTuple):
 
     def read(self, name: str, piece: int) -> np.ndarray:
         """What an array holds of a piece."""
-        return np.asarray(self.array(name)[self.at(piece)])
+        array = self.array(name)
+        with naming(self.path, self.chunk_file(array, piece).relative_to(self.path).as_posix()):
+            return np.asarray(array[self.at(piece)])
+
+    def chunk_file(self, array: Any, piece: int) -> Path:
+        """The file with an array's part of a piece."""
+        place = self.place(piece)
+        chunk = *place, *[0] * (array.ndim - len(place))
+        return self.path / array.basename / array.metadata.encode_chunk_key(chunk)
 
     def write(self, piece: int, values: Mapping[str, Any], *, done: bool = False) -> None:
-        """Write a piece's parts of some arrays; the piece is written if these are all, `done`."""
-        at, place = self.at(piece), self.place(piece)
-        for name, value in values.items():
-            array = self.array(name)
-            part = [one.stop - one.start for one in at]
-            array[at] = np.reshape(value, (*part, *array.shape[len(at) :]))
-            chunk = *place, *[0] * (array.ndim - len(place))
-            sync_to_disk(self.path / name / array.metadata.encode_chunk_key(chunk))
-        if done:
-            self.array("written")[place] = 1
+        """Write a piece's parts of some arrays; the piece is written if these are all, `done`.
+
+        Then arrays without values get chunks too: so one that is missing was lost.
+        """
+        at = self.at(piece)
+        names = (*values, *(self.names if done else ()))
+        with writing(self.path):
+            for name in dict.fromkeys(names):
+                array = self.array(name)
+                shape = *(one.stop - one.start for one in at), *array.shape[len(at) :]
+                array[at] = np.reshape(values[name], shape) if name in values else array.fill_value
+                sync_to_disk(self.chunk_file(array, piece))
+            if done:
+                self.array("written")[self.place(piece)] = 1
 
     def finish(self, data: "xarray.Dataset") -> None:
         """Adds what is known at the end, and removes the auxiliary arrays."""
         attributes = dict(self.group.attrs)
-        data.assign_attrs(attributes).to_zarr(
-            self.path, mode="a", consolidated=False, write_empty_chunks=True
-        )
         final = data.attrs | {"request": attributes["request"]}
-        open_group(self.path, "r+").attrs.put(final)  # in one go: the data set is whole
-        remove_auxiliary_arrays(self.path, self.folder)
+        left = (*self.aside, "written")  # this one last: it says that there is something to do
+        data = with_checksums(data) if self.checked else data.copy()
+        data.attrs = attributes
+        with writing(self.path):
+            data.to_zarr(self.path, mode="a", consolidated=False, write_empty_chunks=True)
+            if self.checked:
+                seal(self.path, final, without=left)  # in one go: the data set is whole
+            else:
+                open_group(self.path, "r+").attrs.put(final)
+            remove_arrays(self.path, self.folder, left)
 
 
 @contextmanager
@@ -157,11 +202,15 @@ def open_pieces(
                 "unfinished": 1,
                 "notes": json.dumps(notes()),
             }
-            create_store(folder / "new", data.assign_attrs(kept), arrays, block, aside)
-            move_into_place(folder, path)
+            with writing(path):
+                create_store(folder / "new", data.assign_attrs(kept), arrays, block)
+                move_into_place(folder, path)
         try:
+            checked = check_metadata(path) is not None
             group = open_group(path, "r+")
-        except Exception as error:  # whatever is wrong with a foreign or damaged store
+        except StoreConflict:
+            raise
+        except Exception as error:  # whatever is wrong with what others have written
             raise StoreConflict(
                 f"{path} exists and is not a data set", ANOTHER_PLACE.format("out")
             ) from error
@@ -170,8 +219,9 @@ def open_pieces(
             raise StoreConflict(f"another run has just completed {path}: run again to read it")
         name, array = next(iter(arrays.items()))
         shape, block = array.shape[: len(block)], group[name].chunks[: len(block)]
+        noted, names = json.loads(str(group.attrs["notes"])), tuple(n for n in arrays if n in group)
         with resumable(path, overwrite=overwrite):
-            yield Pieces(path, folder, group, shape, block, json.loads(str(group.attrs["notes"])))
+            yield Pieces(path, folder, group, shape, block, noted, names, (*aside,), checked)
 
 
 def create_store(
@@ -179,10 +229,9 @@ def create_store(
     data: "xarray.Dataset",
     arrays: "Mapping[str, xarray.Variable]",
     block: tuple[int, ...],
-    aside: Sequence[str],
 ) -> None:
     """Make a store of pieces, none of them written."""
-    data.to_zarr(path, consolidated=False, write_empty_chunks=True)
+    with_checksums(data).to_zarr(path, consolidated=False, write_empty_chunks=True)
     group = open_group(path, "r+")
     for name, array in arrays.items():
         group.create_array(
@@ -191,6 +240,7 @@ def create_store(
             chunks=(*map(min, block, array.shape), *array.shape[len(block) :]),
             dtype=str if array.dtype.kind == "U" else array.dtype,
             fill_value=array.values.flat[0],
+            compressors=codecs(),
             dimension_names=[str(dim) for dim in array.dims],
             attributes=dict(array.attrs),
         )
@@ -201,8 +251,9 @@ def create_store(
         chunks=(1,) * len(count),
         dtype="int8",
         dimension_names=[f"piece{i}" for i in range(len(count))],
-        attributes={"aside": list(aside)},
+        compressors=codecs(),
     )
+    seal(path)
 
 
 def piece_counts(shape: Sequence[int], block: Sequence[int]) -> tuple[int, ...]:

@@ -3,14 +3,14 @@
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Literal
 
 import filelock
 
-from walker_jax.checks import WrongPlace
+from walker_jax.checks import NotWritten, WrongPlace
 
 LOCK_FILE = "lock"
 """The file by which a run keeps others out of a folder."""
@@ -26,6 +26,16 @@ ANOTHER_PLACE = "give another {}"
 ANOTHER_PLACE_OR_OVERWRITE = "give another {}, or overwrite to replace it"
 RESUME_HINT = "run the same again"
 """What a note on an interruption begins with that says how its work is resumed."""
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Raises `NotWritten` for what the system refuses while `path` is written."""
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or error
+        raise NotWritten(f"{path} cannot be written: {reason}", RESUME_HINT) from error
 
 
 def resolve_link(path: Path) -> Path:
@@ -77,17 +87,17 @@ def exclusive(path: Path) -> Iterator[Path]:
 def acquire_lock(folder: Path, path: Path) -> filelock.BaseFileLock:
     """The lock of the folder of `path`, which is made."""
     lock = filelock.FileLock(folder / LOCK_FILE, blocking=False)
-    for _ in range(LOCK_ATTEMPTS):
-        try:
-            folder.mkdir(exist_ok=True)
-            lock.acquire()
-            return lock
-        except (FileNotFoundError, FileExistsError):  # another run is just removing it
-            continue
-        except (filelock.Timeout, PermissionError):  # a run of this user, or of another one
-            raise StoreConflict(
-                f"{path} is being written by another run", f"wait, or {ANOTHER_PLACE.format('out')}"
-            ) from None
+    with writing(path):
+        for _ in range(LOCK_ATTEMPTS):
+            try:
+                folder.mkdir(exist_ok=True)
+                lock.acquire()
+                return lock
+            except (FileNotFoundError, FileExistsError):  # another run is just removing it
+                continue
+            except (filelock.Timeout, PermissionError):  # a run of this user, or of another one
+                wait = f"wait, or {ANOTHER_PLACE.format('out')}"
+                raise StoreConflict(f"{path} is being written by another run", wait) from None
     raise StoreConflict(f"{path} cannot be written: {folder} is in the way")
 
 
@@ -130,8 +140,9 @@ def atomic_file(path: Path) -> Iterator[Path]:
     """A file that takes the place of `path` at the end, if all goes well, or is removed."""
     draft = path.with_name(f".new.{path.name}")
     try:
-        yield draft
-        draft.replace(path)
+        with writing(path):
+            yield draft
+            draft.replace(path)
     finally:
         draft.unlink(missing_ok=True)
 
@@ -149,11 +160,8 @@ def open_group(path: Path, mode: Literal["r", "r+"]) -> Any:
     return zarr.open_group(path, mode=mode)
 
 
-def remove_auxiliary_arrays(path: Path, folder: Path) -> None:
-    """Removes the auxiliary arrays of a complete data set."""
-    if not (path / "written").exists():  # another run was faster
-        return
-    aside = open_group(path, "r")["written"].attrs["aside"]
-    for name in (*aside, "written"):  # this one last: it says that there is something to do
-        if (path / name).exists():
+def remove_arrays(path: Path, folder: Path, names: Iterable[str]) -> None:
+    """Move arrays of a data set to a folder that is about to be removed."""
+    for name in names:
+        if (path / name).exists():  # another run may have been faster
             (path / name).rename(folder / name)

@@ -1,0 +1,107 @@
+"""Checksums of data sets, by which damage on the disk is found, and named.
+
+Each chunk ends with its CRC-32C, which Zarr's codec of that name writes and checks. The attribute
+`checksums` of the group holds a digest of the metadata of each array, and one of the group's own.
+Data sets of earlier versions have none of these, and are read without.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import google_crc32c
+
+from walker_jax.storage.damage import CHECKSUMS, METADATA, damaged, naming, read_metadata
+from walker_jax.storage.places import open_group
+
+if TYPE_CHECKING:
+    import xarray  # which takes half a second to load, and commands without a data set need not
+
+DIGEST_BYTES = 8
+CRC_BYTES = 4
+
+
+# ------------------------------------------------------------------------------------------ chunks
+
+
+def with_checksums(data: "xarray.Dataset") -> "xarray.Dataset":
+    """The same data set, to be written with a checksum for each chunk."""
+    data = data.copy()
+    for variable in data.variables.values():
+        variable.encoding = {"compressors": codecs()}
+    return data
+
+
+def codecs() -> tuple:
+    """What is done to the bytes of each chunk."""
+    from zarr.codecs import Crc32cCodec, ZstdCodec
+
+    return ZstdCodec(), Crc32cCodec()
+
+
+def is_intact(chunk: bytes) -> bool:
+    """Whether a chunk ends with its checksum."""
+    end = len(chunk) - CRC_BYTES
+    return end >= 0 and google_crc32c.value(chunk[:end]) == int.from_bytes(chunk[end:], "little")
+
+
+def check_chunks(path: Path, array: Any, *, checked: bool) -> None:
+    """Raises `Damaged` where a chunk of an array is missing, which would read as zeros.
+
+    And where one is not as it was written, if it has a checksum. Zarr's codec finds the same, but
+    does not know which chunk it is.
+    """
+    import numpy as np
+
+    counts = map(lambda whole, size: -(-whole // size), array.shape, array.shards or array.chunks)
+    for place in np.ndindex(*counts):
+        key = f"{array.basename}/{array.metadata.encode_chunk_key(place)}"
+        with naming(path, key, "is missing"):
+            (path / key).stat()
+        if checked and not is_intact((path / key).read_bytes()):
+            raise damaged(path, key)
+
+
+# ---------------------------------------------------------------------------------------- metadata
+
+
+def digest(metadata: dict) -> str:
+    words = json.dumps(metadata, sort_keys=True).encode()
+    return hashlib.blake2b(words, digest_size=DIGEST_BYTES).hexdigest()
+
+
+def seal(path: Path, attributes: dict | None = None, without: Iterable[str] = ()) -> None:
+    """Give a group checksums of its metadata, and other attributes if there are any, in one go.
+
+    Arrays `without` a checksum are about to be removed.
+    """
+    arrays = sorted({file.parent.name for file in path.glob(f"*/{METADATA}")} - {*without})
+    sums = {name: digest(read_metadata(path / name)) for name in arrays}
+    group = read_metadata(path)
+    given = group["attributes"] if attributes is None else attributes
+    known = json.loads(json.dumps(given))  # as it will be read
+    sums = {"": digest(group | {"attributes": known | {CHECKSUMS: sums}})} | sums
+    open_group(path, "r+").attrs.put(known | {CHECKSUMS: json.dumps(sums)})
+
+
+def check_metadata(path: Path) -> list[str] | None:
+    """The arrays of a data set that have checksums; None if it is of an earlier version.
+
+    Raises `Damaged` where metadata are not as they were written.
+    """
+    with naming(path, METADATA):
+        found = read_metadata(path)
+        attributes = found["attributes"]
+        if CHECKSUMS not in attributes:
+            return None
+        sums = json.loads(attributes[CHECKSUMS])
+        own = sums.pop("")
+    if digest(found | {"attributes": attributes | {CHECKSUMS: sums}}) != own:
+        raise damaged(path, METADATA)
+    for name, wanted in sums.items():
+        with naming(path, f"{name}/{METADATA}"):
+            if digest(read_metadata(path / name)) != wanted:
+                raise damaged(path, f"{name}/{METADATA}")
+    return [*sums]
