@@ -2,6 +2,7 @@
 
 import pickle
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,6 +15,8 @@ from walker_jax import multibody
 from walker_jax.checks import WrongUse
 from walker_jax.design.measures import cost_is_known
 from walker_jax.gaits.derivatives import linearise
+from walker_jax.walkers.model import Scalar
+from walker_jax.walkers.parameters import Parameter
 from walker_jax.walkers.powered_masses import AbstractPoweredWalker
 
 GRID = wj.Grid.sheared(theta=(0, 0.6, 40), sum=(-0.1, 0.05, 40))
@@ -320,6 +323,25 @@ def test_feedback_is_a_walker_like_any_other(level_gait):
 def test_bad_feedback_is_refused(level_gait, gait, gains, bounds, named):
     with pytest.raises(ValueError, match=named):
         wj.Feedback(LEVEL, level_gait if gait is None else gait, gains, bounds)
+
+
+SLACK = Parameter("slack", "phi at which the spring is slack", "rad", 0.0, low=-np.inf, high=0.5)
+
+
+class SlackWalker(wj.PoweredWalker):
+    """One more parameter, which is bounded above alone."""
+
+    slack: Scalar = eqx.field(converter=SLACK.convert, default=0.0)
+
+
+def test_feedback_on_what_may_not_reach_its_upper_bound_needs_bounds(level_gait):
+    walker, gains = SlackWalker(0.0, push_off=0.05), {"slack": [0.1, 0.0]}
+    with pytest.raises(WrongUse, match=r"slack must be finite and below 0\.5, not 0\.5"):
+        SlackWalker(0.0, slack=0.5)
+    with pytest.raises(WrongUse, match="bounds must have slack, which must be finite and below"):
+        wj.Feedback(walker, level_gait, gains)
+    fed = wj.Feedback(walker, level_gait, gains, {"slack": (-1.0, 0.4)})
+    assert float(vars(fed)["largest_slack"]) == 0.4
 
 
 def test_feedback_acts_once_and_from_full_states_too(level_gait):
