@@ -336,21 +336,24 @@ def test_each_impact_keeps_the_momenta_that_it_must(path):
 
 
 def test_equations_are_those_of_lagrange():
-    """By sympy, of both phases, for a walker whose feet roll."""
+    """By sympy, of both phases, and the moment on the stance knee, for a walker whose feet roll."""
     import sympy as sp
 
-    theta, phi, knee, *rates = symbols = sp.symbols("theta phi knee thetadot phidot kneedot")
-    q, rates = sp.Matrix([theta, phi, knee]), sp.Matrix(rates)
+    names = "theta phi knee stance thetadot phidot kneedot stancedot"
+    theta, phi, knee, stance, *rates = symbols = sp.symbols(names)
+    q, rates = sp.Matrix([theta, phi, knee, stance]), sp.Matrix(rates)
     number = lambda name: sp.nsimplify(round(float(getattr(WALKER, name)), 12))
     up = lambda angle: sp.Matrix([-sp.sin(angle), sp.cos(angle)])
     radius, thigh, shank = map(number, ("foot_radius", "thigh_length", "shank_length"))
-    hip = sp.Matrix([-radius * theta, radius]) + (thigh + shank - radius) * up(theta)
+    below = theta - stance  # of the stance shank: that knee is held straight
+    stance_knee = sp.Matrix([-radius * below, radius]) + (shank - radius) * up(below)
+    hip = stance_knee + thigh * up(theta)
     swing = theta - phi
     bodies = [  # place, angle, mass, inertia
         (hip, 0, "hip_mass", None),
         (hip - number("thigh_com") * up(theta), theta, "thigh_mass", "thigh_inertia"),
         (hip - number("thigh_com") * up(swing), swing, "thigh_mass", "thigh_inertia"),
-        (hip - (thigh + number("shank_com")) * up(theta), theta, "shank_mass", "shank_inertia"),
+        (stance_knee - number("shank_com") * up(below), below, "shank_mass", "shank_inertia"),
         (
             hip - thigh * up(swing) - number("shank_com") * up(swing - knee),
             swing - knee,
@@ -372,14 +375,21 @@ def test_equations_are_those_of_lagrange():
     phase = WALKER.phases()[0]
     bent = jax.jit(lambda state: phase.vector_field(state))
     straight = jax.jit(lambda state: WALKER.vector_field(state))
+    at = lambda state: map(np.asarray, look(*state[:3], 0, *state[3:], 0))
+    held = lambda M, f, n: np.linalg.solve(M[:n, :n], f[:n])[:, 0]
     for state in np.random.default_rng(1).uniform(-1, 1, (10, 6)):
-        M, f = map(np.asarray, look(*state))
-        found = bent(BentState(*map(jnp.asarray, state)))
-        np.testing.assert_allclose(found[3:], np.linalg.solve(M, f)[:, 0], rtol=1e-11)
+        (M, f), bend = at(state), BentState(*map(jnp.asarray, state))
+        expected = held(M, f, 3)
+        np.testing.assert_allclose(bent(bend)[3:], expected, rtol=1e-11)
+        moment = M[3, :3] @ expected - f[3, 0]
+        np.testing.assert_allclose(stance_knee_moment(WALKER, bend), moment, rtol=1e-11)
         state[[2, 5]] = 0
-        M, f = map(np.asarray, look(*state))
+        (M, f), bend = at(state), BentState(*map(jnp.asarray, state))
+        expected = held(M, f, 2)
         found = straight(State(*map(jnp.asarray, state[[0, 1, 3, 4]])))
-        np.testing.assert_allclose(found[2:], np.linalg.solve(M[:2, :2], f[:2])[:, 0], rtol=1e-11)
+        np.testing.assert_allclose(found[2:], expected, rtol=1e-11)
+        moment = M[3, :2] @ expected - f[3, 0]  # the swing knee is locked as well
+        np.testing.assert_allclose(stance_knee_moment(WALKER, bend, (4,)), moment, rtol=1e-11)
 
 
 # Limits
@@ -549,6 +559,36 @@ def test_a_foot_that_comes_down_after_the_fall_does_not_land():
     found = wj.margins_of_many(walker, x[None])
     assert found.stride.outcome[0] == Outcome.FORWARD and found.forward[0] < 0
     assert not found.landing[0] < 0
+
+
+def test_a_foot_that_lands_just_before_the_fall_lands_no_deeper_than_it_is_then(path):
+    """The stance leg is down a little later; what the foot does after that does not count."""
+    x = np.array([0.39370652, -0.86184531, 0.41245209])
+    (phase,), times = WALKER.phases(), np.linspace(2.15, 2.2, 24)
+    motion = wj.trajectory(WALKER, x, times)
+    height = jax.jit(jax.vmap(lambda state: phase.clearance(state)))(motion)
+    depth = -float(np.interp(np.pi / 2, -np.asarray(motion.theta), height))
+    assert height[0] > 0 and 0.01 < depth < 0.02 and motion.knee[-1] > 0.1
+    found = wj.margins_of_many(WALKER, x[None])
+    assert found.stride.outcome[0] == Outcome.BENT_KNEE
+    assert -2 * depth < found.landing[0] < 0
+
+
+def test_tension_as_the_knee_strikes_does_not_end_a_stride_that_falls(path):
+    """The ground would have to pull, but the foot does not come down before the leg does."""
+    xs = np.array(
+        [[0.1045, -1.1336, 0.3335], [0.1768, -1.0133, -0.6038], [0.0309, -1.1068, 0.8472]]
+    )
+    force = jax.jit(lambda state: WALKER.contact_force(state)[1])
+    for x in xs:
+        knee, never = np.asarray(wj.phase_times(WALKER, x))
+        motion = wj.trajectory(WALKER, x, np.linspace(knee, 2.5, 24))
+        theta, phi, _, *rates, _ = map(np.asarray, motion)
+        strikes = State(*(jnp.asarray(one[0]) for one in (theta, phi, *rates)))
+        assert force(strikes) < 0 and theta[-1] < -np.pi / 2 and np.isnan(never)
+        assert (phi > 2 * theta)[theta > -np.pi / 2].all()
+    assert (wj.strides(WALKER, xs).outcome == Outcome.FORWARD).all()
+    assert (wj.margins_of_many(WALKER, xs).stride.outcome == Outcome.FORWARD).all()
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ import pytest
 from part_of_swing import PartOfSwing
 
 import walker_jax as wj
-from walker_jax import multibody
+from walker_jax import State, multibody
 from walker_jax.checks import WrongUse
 from walker_jax.design.measures import cost_is_known
 from walker_jax.gaits.derivatives import linearise
@@ -99,6 +99,36 @@ def test_cost_of_transport_has_the_work_of_the_hip_and_of_push_off():
         there = wj.find_gait(other, state)
         values.append(wj.gait_measures(other, (), there)["cost-of-transport"].value)
     assert cost.gradient[0] == pytest.approx((values[1] - values[0]) / 2e-4, rel=1e-5)
+
+
+def test_the_work_of_motors_is_what_energy_gains_in_units_of_the_weight():
+    """Of a hip of mass 1 and feet of 0.05, from a stride's start to its end, and in push-off."""
+    slope, mass, push_off = 0.1, 0.05, 0.06
+    start, end = State(0.2, 0.4, -0.25, -0.1), State(-0.21, -0.42, -0.22, 0.05)
+    start, end = (jax.tree.map(jnp.asarray, one) for one in (start, end))
+    up = lambda angle: np.array([-np.sin(angle), np.cos(angle)])
+    along = lambda angle: np.array([np.cos(angle), np.sin(angle)])
+
+    def energy(state):
+        theta, phi, thetadot, phidot = map(float, state)
+        hip = -thetadot * along(theta)
+        foot = hip + (thetadot - phidot) * along(theta - phi)
+        weighed = up(theta) + mass * (up(theta) - up(theta - phi))
+        return (hip @ hip + mass * foot @ foot) / 2 + weighed @ up(slope)
+
+    walker = lambda push: wj.PoweredPointFootWalker(slope, mass, push_off=push)
+    work = jax.jit(lambda push: walker(push).motor_work(start, end))
+    gained = (energy(end) - energy(start)) / 1.1
+    assert float(work(0.0)) == pytest.approx(gained, rel=1e-12)
+    q, qdot = (
+        jnp.stack([0 * end.theta] * 2 + [*end[:2]]),
+        jnp.stack([0 * end.theta] * 2 + [*end[2:]]),
+    )
+    leg = up(float(end.theta))
+    impulse = jnp.asarray(push_off * np.array([*leg, 0, 0]))
+    foot = multibody.push(walker(0.0).system(), q, qdot, impulse)[:2]  # at rest before
+    pushed = push_off * float(leg @ np.asarray(foot)) / 2 / 1.1
+    assert float(work(push_off)) - gained == pytest.approx(pushed, rel=1e-12) and pushed > 1e-4
 
 
 def test_the_work_of_motors_is_not_known_with_phases():
