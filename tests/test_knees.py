@@ -536,7 +536,7 @@ def simulate(walker, x):
 @pytest.mark.parametrize("count", [6, pytest.param(60, marks=pytest.mark.slow)])
 def test_outcomes_and_states_are_those_of_another_integrator(count):
     near = START + np.random.default_rng(4).uniform(-0.15, 0.15, (20, 3))
-    xs = np.concatenate([starts(count, seed=3), near[: count // 3]])
+    xs = np.concatenate([starts(count, seed=3), START[None], near[: count // 3]])
     for walker in (WALKER, changed(WALKER, foot_radius=0.0)):
         found, agree, ways = wj.strides(walker, xs), 0, set()
         for x, outcome, state, time in zip(xs, found.outcome, found.state, found.time, strict=True):

@@ -103,7 +103,12 @@ def test_a_slice_of_three_dimensions_is_refined():
     grid = wj.Grid.sheared(theta=(0.1, 0.3, 12), sum=(-0.12, 0, 10), phidot=-0.045)
     found = refine(walker, grid, 2, check=500)
     assert found.fate.shape == (48, 40) and float(found.phidot) == -0.045
-    assert 0 < (found.fate == 0).sum() < found.fate.size
+    uniform = wj.basin(walker, finer(grid, 2), "direct")
+    walks = [(data.attractor >= 0).values for data in (found, uniform)]
+    assert 100 < walks[1].sum() < 1500
+    assert np.mean(walks[0] == walks[1]) > 0.99
+    inner = ~edge(walks[1].astype(int))
+    np.testing.assert_array_equal(found.fate.values[inner], uniform.fate.values[inner])
 
 
 def test_the_result_is_drawn_like_a_basin(refined):
