@@ -104,8 +104,8 @@ def test_cost_of_transport_has_the_work_of_the_hip_and_of_push_off():
 def test_the_work_of_motors_is_what_energy_gains_in_units_of_the_weight():
     """Of a hip of mass 1 and feet of 0.05, from a stride's start to its end, and in push-off."""
     slope, mass, push_off = 0.1, 0.05, 0.06
-    start, end = State(0.2, 0.4, -0.25, -0.1), State(-0.21, -0.42, -0.22, 0.05)
-    start, end = (jax.tree.map(jnp.asarray, one) for one in (start, end))
+    ends = (0.2, 0.4, -0.25, -0.1), (-0.21, -0.42, -0.22, 0.05)
+    start, end = (State(*map(jnp.asarray, one)) for one in ends)
     up = lambda angle: np.array([-np.sin(angle), np.cos(angle)])
     along = lambda angle: np.array([np.cos(angle), np.sin(angle)])
 
