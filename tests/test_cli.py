@@ -731,6 +731,7 @@ FASTEST += ["--at-most", "spectral-radius", "0.9", "--starts", "1", "--scan", "3
 
 
 def test_optimise_answers_keeps_and_draws(run, tmp_path, monkeypatch):
+    monkeypatch.setattr("walker_jax.design.optimisation.VIEW_CELLS", 40)  # of the picture
     code, out, err = run(*FASTEST, "--json")
     assert (code, err) == (0, "")
     answer = json.loads(out)

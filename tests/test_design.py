@@ -109,7 +109,18 @@ def test_basins_at_both_ends_are_shown(steepest):
     shown = steepest.fate_optimum.values
     assert 0.01 < walks.mean() and np.mean((shown == -1) != walks) < 1e-4
     assert np.mean(shown[~walks] == direct.fate.values[~walks]) > 0.999
-    assert not walks[[0, -1]].any() or float(steepest.theta[-1]) > 0.78
+    # the picture holds all that walks on the whole section, at both ends, and little more
+    whole = wj.Grid.sheared(theta=(0, np.pi / 4, 400), sum=(-0.2, 0.1, 400))
+    both = np.zeros(whole.shape, bool)
+    for slope in (steepest.start[0], steepest.optimum[0]):
+        both |= wj.basin(wj.SimplestWalker(float(slope)), whole, "direct").attractor.values >= 0
+    for name, cells in zip(("theta", "sum"), np.nonzero(both), strict=True):
+        inside, centres = whole.axes[name][cells], steepest[name].values
+        half = np.diff(centres)[0] / 2
+        left, right = centres[0] - half, centres[-1] + half
+        size = np.ptp(inside)
+        assert inside.min() - 0.1 * size < left < inside.min() < inside.max() < right
+        assert right < inside.max() + 0.1 * size
 
 
 def test_at_a_bound_and_where_a_limit_holds(no_basins):

@@ -14,6 +14,7 @@ import sys
 import threading
 import time
 import zipfile
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -313,6 +314,43 @@ def test_gaits_and_area_for_the_page():
     assert abs(area["area"] - 0.0012073) < 5 * area["error"] + 1e-6  # of every cell of 800 x 1000
     assert json.dumps([found, area], allow_nan=False)
     assert measures.disturbance(subject(slope=0.03)) is None  # its gait is not stable
+
+
+def test_the_disturbance_for_the_page(monkeypatch):
+    few = partial(wj.least_disturbance, directions=90)
+    monkeypatch.setattr(measures, "least_disturbance", few)
+    found = measures.disturbance(subject())
+    exact = few(wj.SimplestWalker(0.004))
+    assert found is not None and json.dumps(found, allow_nan=False)
+    assert found["size"] == exact.size and found["failure"] == int(exact.failure)
+    assert found["strides"] == exact.strides and found["state"] == exact.state.tolist()
+    gait = wj.find_gait(wj.SimplestWalker(0.004))
+    np.testing.assert_allclose(found["gait"], gait.states[0], atol=1e-10)
+
+
+def test_the_diagram_for_the_page(monkeypatch):
+    """Around the first doubling: branches are gaits, and points what walkers come to."""
+    monkeypatch.setattr(measures, "slopes_of", lambda kind: (0.0148, 0.0154))
+    monkeypatch.setattr(measures, "DIAGRAM", {"period_max": 2, "strides": 400, "scan": 3})
+    diagram = measures.bifurcation(subject())
+    assert json.dumps(diagram, allow_nan=False)
+    assert diagram["range"] == (0.0148, 0.0154)
+    assert diagram["lost"] == [0.0154, None]  # not up to there
+    (doubling,) = (one["slope"] for one in diagram["events"] if not one["fold"])
+    assert doubling == pytest.approx(0.01508843794, abs=1e-9)
+    places = np.array(diagram["points"])
+    come_to = {slope: places[places[:, 0] == slope, 1] for slope in (0.0148, 0.0154)}
+    assert [len(one) for one in come_to.values()] == [1, 2]
+    (doubled,) = (one for one in diagram["branches"] if one["period"] == 2)
+    (last,) = np.flatnonzero(np.isclose(doubled["slope"], 0.0154))
+    ends = sorted(row[last] for row in doubled["theta"])
+    np.testing.assert_allclose(ends, np.sort(come_to[0.0154]), rtol=0, atol=1e-6)
+    assert all(doubled["stable"][-5:])
+    stays = wj.find_gait(wj.SimplestWalker(0.0148)).states[0, 0]
+    assert come_to[0.0148][0] == pytest.approx(stays, abs=1e-6)
+    single = [one for one in diagram["branches"] if one["period"] == 1]
+    (long,) = (one for one in single if np.isclose(one["theta"][0], stays, atol=1e-9).any())
+    assert long["stable"] == [int(slope < doubling) for slope in long["slope"]]
 
 
 @pytest.mark.slow

@@ -32,6 +32,7 @@ from walker_jax.design.evaluation import Evaluation
 from walker_jax.execution import tiles
 from walker_jax.execution.workers import open_workers
 from walker_jax.kernels import primitive
+from walker_jax.stability import rough_ground
 
 NUMBERS = ["0.004", "0.2", "-0.2", "0.01", "0.3", "1", "2", "3", "10", "0", "-1", "1.5", "1e-300"]
 NUMBERS += ["1e300", "1e400", "nan", "inf", "-inf", "abc", "", " ", "0x10", "1_0", "٣", "9" * 30]
@@ -142,9 +143,19 @@ def put(path: Path, request: dict) -> None:
     path.write_bytes(storage.signature(request).encode())
 
 
+@pytest.fixture(scope="module")
+def made():
+    """Answers that stand in for others: a basin, one that is refined, and a gait."""
+    walker = wj.SimplestWalker(0.004)
+    grid = wj.Grid.sheared(theta=(0.05, 0.35, 6), sum=(-0.03, 0.01, 6))
+    fine = wj.refine(walker, grid, 0, check=0)
+    return wj.basin(walker, grid, "direct"), fine, wj.find_gait(walker)
+
+
 @pytest.fixture
-def bench(tmp_path_factory):
+def bench(tmp_path_factory, made):
     """Run command lines in a folder with things in it; what takes long is left out."""
+    answer, fine, gait = made
     folder = tmp_path_factory.mktemp("fuzz")
     there, template = folder / "there", folder / "template"
     for name in ("taken", "broken.zarr"):
@@ -157,11 +168,6 @@ def bench(tmp_path_factory):
         xr.Dataset({"x": ("n", np.arange(3))}), template / "held.zarr", {"command": "other"}
     )
     before = content(template)
-    grid = wj.Grid.sheared(theta=(0.05, 0.35, 6), sum=(-0.03, 0.01, 6))
-    answer = wj.basin(wj.SimplestWalker(0.004), grid, "direct")
-    gait = wj.find_gait(wj.SimplestWalker(0.004))
-
-    fine = wj.refine(wj.SimplestWalker(0.004), grid, 0, check=0)
 
     def refine(walker, grid, levels, **_):
         check_grid(walker, finer(grid, levels), "direct")
@@ -469,6 +475,10 @@ HEAVY |= {"continue_basins", "robustness", "robustness_table"}
 """Always stopped where their work begins: where a bad value is a default, they take minutes."""
 
 
+BEGINNINGS = ((tiles, "program_of"), (primitive, "program_of"), (rough_ground, "walk_disturbed"))
+"""Of a kernel, and of the one computation without any that takes long to compile."""
+
+
 class Begun(BaseException):
     """Arguments have been taken."""
 
@@ -484,8 +494,8 @@ def reaction(name: str, arguments: dict, *, begin: bool) -> str:
         function = getattr(function, part)
     try:
         with contextlib.ExitStack() as stopped:
-            for module in () if begin else (tiles, primitive):
-                stopped.enter_context(mock.patch.object(module, "program_of", stop))
+            for module, work in () if begin else BEGINNINGS:
+                stopped.enter_context(mock.patch.object(module, work, stop))
             function(**arguments)
     except WrongUse as error:
         assert str(error) and "\n" not in str(error), str(error)

@@ -499,6 +499,14 @@ def test_a_double_root_may_go_either_way_but_only_there(rise):
     rises, times = rise([ascending(a, a) for a in where], np.ones(200))
     np.testing.assert_allclose(times[rises], where[rises], atol=1e-7)
     assert np.all(times[~rises] == 1)
+    assert 0 < rises.sum() < 200  # as rounding has it
+    for depth in (1e-15, 1e-14):  # a few rounding errors below zero, or above
+        apart = np.sqrt(depth)
+        rises, times = rise([ascending(a - apart, a + apart) for a in where], np.ones(200))
+        assert rises.all()
+        np.testing.assert_allclose(times, where + apart, rtol=0, atol=1e-8)
+        above = [ascending(a, a) + np.array([depth, 0, 0]) for a in where]
+        assert not rise(above, np.ones(200))[0].any()
 
 
 @settings(max_examples=30, deadline=None)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from jax import lax
 from scipy.integrate import solve_ivp
 
 import walker_jax as wj
@@ -267,6 +268,9 @@ PIECEWISE = {
     "min": (lambda t: jnp.minimum(t**2, 3 * t), lambda t: t**2),
     "clip": (lambda t: jnp.clip(jnp.exp(t), 0.5, 2.0), jnp.exp),
     "clip above": (lambda t: jnp.clip(3 + t, 0.5, 2.0), lambda t: 2 + 0 * t),
+    "clamp": (lambda t: lax.clamp(0.5, jnp.exp(t), 2.0), jnp.exp),
+    "clamp below": (lambda t: lax.clamp(0.5, 1 - t**2, 2.0), lambda t: 1 - t**2),
+    "clamp above": (lambda t: lax.clamp(0.5, 3 + t, 2.0), lambda t: 2 + 0 * t),
     "where": (lambda t: jnp.where(t < 0.7, t**3, t), lambda t: t**3),
     "floor": (lambda t: t * jnp.floor(3.2 + t), lambda t: 3 * t),
     "ceil": (lambda t: t * jnp.ceil(3.2 + t), lambda t: 4 * t),
@@ -277,7 +281,7 @@ PIECEWISE = {
 }
 ZEROS = {"abs": 0.3, "max": np.arcsin(0.2), "min": 3.0, "clip": np.log(2), "where": 0.7}
 ZEROS |= {"floor": 0.8, "ceil": 0.8, "round": 0.3, "sign": 0.1, "cast": 0.8}
-ZEROS |= {"arctan2": np.pi - 3}
+ZEROS |= {"arctan2": np.pi - 3, "clamp": np.log(2), "clamp below": np.sqrt(0.5)}
 
 
 @pytest.mark.parametrize("name", PIECEWISE)

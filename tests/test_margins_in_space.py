@@ -8,6 +8,7 @@ import pytest
 import walker_jax as wj
 from walker_jax import Outcome
 from walker_jax.stability.margin_changes import differentiate_margins
+from walker_jax.walkers.spatial import LEAST_STEP
 from walker_jax.walking.failure_margins import Margins, failure_margin
 from walker_jax.walking.iteration import iterate
 
@@ -37,17 +38,10 @@ def failing(found: Margins) -> np.ndarray:
     return np.array(jax.vmap(failure_margin)(jax.tree.map(jnp.asarray, found)))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("allow", [False, True])
-def test_signs_are_the_outcomes(allow):
-    """And a stride is the one that `strides` makes."""
-    walker, xs = wj.SpatialWalker(allow_scuffing=allow), starts()
-    found, expected = wj.margins_of_many(walker, xs), wj.strides(walker, xs)
-    outcome = np.asarray(expected.outcome)
-    np.testing.assert_array_equal(found.stride.outcome, outcome)
-    np.testing.assert_allclose(found.stride.state, expected.state, rtol=0, atol=1e-11)
-    np.testing.assert_allclose(found.stride.time, expected.time, rtol=0, atol=1e-11)
-    assert set(outcome.tolist()) >= set(DECIDES) - ({Outcome.SCUFFED} if allow else set())
+def assert_signs(found: Margins, ways: set) -> None:
+    """Which margins are negative, positive and unknown after each outcome; there are these."""
+    outcome = found.stride.outcome
+    assert set(outcome.tolist()) >= ways
     for code, way in DECIDES.items():
         values = getattr(found, way)
         assert np.all(values[outcome == code] < 0)
@@ -58,23 +52,72 @@ def test_signs_are_the_outcomes(allow):
         assert np.isnan(values[outcome == Outcome.OUTSIDE]).all()
 
 
+@pytest.fixture(scope="module")
+def some():
+    """Margins of a few thousand starts."""
+    return wj.margins_of_many(WALKER, starts(1, near=300, far=3000))
+
+
+def test_signs_of_margins_are_the_outcomes(some):
+    assert_signs(some, set(DECIDES))
+    back = wj.margins_of_many(WALKER, GAIT[None])
+    np.testing.assert_allclose(back.stride.state[0], GAIT, rtol=0, atol=1e-7)
+    assert np.isnan(failing(back)).all()
+
+
+def test_legs_that_pass_each_other_by_more_than_the_least_step_stride(some):
+    """The forward margin is by how much more they do, where no other fall is nearer."""
+    made = some.stride.outcome == Outcome.STRIDE
+    passed = some.stride.state[made, 2] - LEAST_STEP  # exchanged, the angle between the legs
+    assert (some.forward[made] < passed + 1e-12).all()
+    assert np.mean(np.abs(some.forward[made] - passed) < 1e-12) > 0.8
+
+
 @pytest.mark.slow
-def test_margins_are_zero_where_outcomes_change():
-    """At boundaries found by bisection with plain strides.
+@pytest.mark.parametrize("allow", [False, True])
+def test_signs_are_the_outcomes_of_strides(allow):
+    """And a stride is the one that `strides` makes."""
+    walker, xs = wj.SpatialWalker(allow_scuffing=allow), starts()
+    found, expected = wj.margins_of_many(walker, xs), wj.strides(walker, xs)
+    np.testing.assert_array_equal(found.stride.outcome, expected.outcome)
+    np.testing.assert_allclose(found.stride.state, expected.state, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(found.stride.time, expected.time, rtol=0, atol=1e-11)
+    assert_signs(found, set(DECIDES) - ({Outcome.SCUFFED} if allow else set()))
+
+
+def outcomes_of_margins(xs):
+    return wj.margins_of_many(WALKER, xs).stride.outcome
+
+
+@pytest.mark.parametrize(
+    ("outcome_of", "far", "pairs"),
+    [
+        pytest.param(outcomes_of_margins, 3000, 40, id="of margins"),
+        pytest.param(
+            lambda xs: wj.strides(WALKER, xs).outcome,
+            8000,
+            60,
+            id="of plain strides",
+            marks=pytest.mark.slow,
+        ),
+    ],
+)
+def test_margins_are_zero_where_outcomes_change(outcome_of, far, pairs):
+    """At boundaries found by bisection.
 
     Where a disc grazes the slope ahead, a stride jumps from one heel strike to another. If that
     other stride fails later on, no margin tells.
     """
-    xs = starts(1, near=0, far=8000)
-    outcome = np.asarray(wj.strides(WALKER, xs).outcome)
+    xs = starts(1, near=0, far=far)
+    outcome = np.asarray(outcome_of(xs))
     rng = np.random.default_rng(2)
     good = np.flatnonzero(outcome == Outcome.STRIDE)
-    bad = [rng.choice(np.flatnonzero(outcome == code), 60) for code in DECIDES]
+    bad = [rng.choice(np.flatnonzero(outcome == code), pairs) for code in DECIDES]
     bad = np.concatenate(bad)
     a, b = xs[rng.choice(good, len(bad))], xs[bad]
     for _ in range(50):
         middle = (a + b) / 2
-        strides = (wj.strides(WALKER, middle).outcome == Outcome.STRIDE)[:, None]
+        strides = (outcome_of(middle) == Outcome.STRIDE)[:, None]
         a, b = np.where(strides, middle, a), np.where(strides, b, middle)
     found, beyond = wj.margins_of_many(WALKER, a), wj.margins_of_many(WALKER, b)
     ends, sizes = np.asarray(beyond.stride.outcome), np.abs(failing(beyond))

@@ -2,6 +2,7 @@
 
 import pickle
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,10 +11,12 @@ import pytest
 from part_of_swing import PartOfSwing
 
 import walker_jax as wj
-from walker_jax import multibody
+from walker_jax import State, multibody
 from walker_jax.checks import WrongUse
 from walker_jax.design.measures import cost_is_known
 from walker_jax.gaits.derivatives import linearise
+from walker_jax.walkers.model import Scalar
+from walker_jax.walkers.parameters import Parameter
 from walker_jax.walkers.powered_masses import AbstractPoweredWalker
 
 GRID = wj.Grid.sheared(theta=(0, 0.6, 40), sum=(-0.1, 0.05, 40))
@@ -96,6 +99,36 @@ def test_cost_of_transport_has_the_work_of_the_hip_and_of_push_off():
         there = wj.find_gait(other, state)
         values.append(wj.gait_measures(other, (), there)["cost-of-transport"].value)
     assert cost.gradient[0] == pytest.approx((values[1] - values[0]) / 2e-4, rel=1e-5)
+
+
+def test_the_work_of_motors_is_what_energy_gains_in_units_of_the_weight():
+    """Of a hip of mass 1 and feet of 0.05, from a stride's start to its end, and in push-off."""
+    slope, mass, push_off = 0.1, 0.05, 0.06
+    ends = (0.2, 0.4, -0.25, -0.1), (-0.21, -0.42, -0.22, 0.05)
+    start, end = (State(*map(jnp.asarray, one)) for one in ends)
+    up = lambda angle: np.array([-np.sin(angle), np.cos(angle)])
+    along = lambda angle: np.array([np.cos(angle), np.sin(angle)])
+
+    def energy(state):
+        theta, phi, thetadot, phidot = map(float, state)
+        hip = -thetadot * along(theta)
+        foot = hip + (thetadot - phidot) * along(theta - phi)
+        weighed = up(theta) + mass * (up(theta) - up(theta - phi))
+        return (hip @ hip + mass * foot @ foot) / 2 + weighed @ up(slope)
+
+    walker = lambda push: wj.PoweredPointFootWalker(slope, mass, push_off=push)
+    work = jax.jit(lambda push: walker(push).motor_work(start, end))
+    gained = (energy(end) - energy(start)) / 1.1
+    assert float(work(0.0)) == pytest.approx(gained, rel=1e-12)
+    q, qdot = (
+        jnp.stack([0 * end.theta] * 2 + [*end[:2]]),
+        jnp.stack([0 * end.theta] * 2 + [*end[2:]]),
+    )
+    leg = up(float(end.theta))
+    impulse = jnp.asarray(push_off * np.array([*leg, 0, 0]))
+    foot = multibody.push(walker(0.0).system(), q, qdot, impulse)[:2]  # at rest before
+    pushed = push_off * float(leg @ np.asarray(foot)) / 2 / 1.1
+    assert float(work(push_off)) - gained == pytest.approx(pushed, rel=1e-12) and pushed > 1e-4
 
 
 def test_the_work_of_motors_is_not_known_with_phases():
@@ -320,6 +353,25 @@ def test_feedback_is_a_walker_like_any_other(level_gait):
 def test_bad_feedback_is_refused(level_gait, gait, gains, bounds, named):
     with pytest.raises(ValueError, match=named):
         wj.Feedback(LEVEL, level_gait if gait is None else gait, gains, bounds)
+
+
+SLACK = Parameter("slack", "phi at which the spring is slack", "rad", 0.0, low=-np.inf, high=0.5)
+
+
+class SlackWalker(wj.PoweredWalker):
+    """One more parameter, which is bounded above alone."""
+
+    slack: Scalar = eqx.field(converter=SLACK.convert, default=0.0)
+
+
+def test_feedback_on_what_may_not_reach_its_upper_bound_needs_bounds(level_gait):
+    walker, gains = SlackWalker(0.0, push_off=0.05), {"slack": [0.1, 0.0]}
+    with pytest.raises(WrongUse, match=r"slack must be finite and below 0\.5, not 0\.5"):
+        SlackWalker(0.0, slack=0.5)
+    with pytest.raises(WrongUse, match="bounds must have slack, which must be finite and below"):
+        wj.Feedback(walker, level_gait, gains)
+    fed = wj.Feedback(walker, level_gait, gains, {"slack": (-1.0, 0.4)})
+    assert float(vars(fed)["largest_slack"]) == 0.4
 
 
 def test_feedback_acts_once_and_from_full_states_too(level_gait):

@@ -104,7 +104,15 @@ def test_a_slice_of_three_dimensions_is_refined():
     grid = wj.Grid.sheared(theta=(0.1, 0.3, 12), sum=(-0.12, 0, 10), phidot=-0.045)
     found = refine(walker, grid, 2, check=500)
     assert found.fate.shape == (48, 40) and float(found.phidot) == -0.045
-    assert 0 < (found.fate == 0).sum() < found.fate.size
+    uniform = wj.basin(walker, finer(grid, 2), "direct")
+    walks = [(data.attractor >= 0).values for data in (found, uniform)]
+    assert 100 < walks[1].sum() < 1500
+    assert np.mean(walks[0] == walks[1]) > 0.97  # but for tails thinner than a coarse cell
+    inner = ~np.logical_or(*(edge(one.astype(int)) for one in walks))
+    assert (walks[0] != walks[1])[inner].sum() <= 5
+    assert (found.fate.values == uniform.fate.values).mean() > 0.95
+    area, error = float(found.total_area), float(found.total_area_error)
+    assert abs(area - float(uniform.area.sum())) < 4 * error < 0.2 * area
 
 
 def test_the_result_is_drawn_like_a_basin(refined):

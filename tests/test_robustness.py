@@ -14,11 +14,19 @@ from walker_jax.execution.tiles import map_cells
 from walker_jax.fractals import Uncertainty
 from walker_jax.gaits.cycles import Gait
 from walker_jax.stability import summary
+from walker_jax.stability.descents import descend_to_failure
 from walker_jax.stability.dimension import boundary_dimension
 from walker_jax.stability.disturbances import LeastDisturbance, least_disturbance
 from walker_jax.stability.gait_mapper import mapper_of_gait
 from walker_jax.stability.margin_changes import differentiate_margins
-from walker_jax.stability.rays import FINE, bisect, bisect_nearest, nearest_failure
+from walker_jax.stability.rays import (
+    FINE,
+    bisect,
+    bisect_nearest,
+    nearest_failure,
+    spacing,
+    spread_directions,
+)
 from walker_jax.stability.sampling import (
     BasinStability,
     basin_stability,
@@ -80,6 +88,31 @@ def test_a_finger_of_failure_that_is_thinner_than_the_first_rays_are_apart():
     found = nearest_failure(fails, np.eye(2), lambda y: np.full_like(y, np.nan))
     assert fails(found[None]) and not fails(0.999999 * found[None])
     assert 0.5 < np.linalg.norm(found) < 0.53  # the tip, where it is as wide as rays are apart
+
+
+@pytest.mark.parametrize(("size", "count"), [(2, 720), (3, 180), (3, 720)])
+def test_directions_are_as_far_apart_as_is_said(size, count):
+    rays = spread_directions(size, count)
+    cosines = rays @ rays.T - 2 * np.eye(len(rays))
+    nearest = np.arccos(cosines.max(axis=1))
+    np.testing.assert_allclose(nearest, spacing(size, count), rtol=0.15)
+
+
+def test_a_descent_begins_where_a_rough_test_of_failure_is_half_a_per_cent_off():
+    """The ray along an axis alone meets the ball that fails; it is tried at 0.25, just before."""
+    centre = 0.351 * np.eye(5)[0]
+
+    def gap(y):
+        return np.linalg.norm(y - centre, axis=1) - 0.1
+
+    found = descend_to_failure(
+        lambda y: gap(y) < 0,
+        np.eye(5),
+        lambda y: (centre - y) / np.linalg.norm(centre - y, axis=1, keepdims=True),
+        count=16,
+        roughly_fails=lambda y: gap(y / 0.995) < 0,
+    )
+    np.testing.assert_allclose(found, 0.251 * np.eye(5)[0], rtol=0, atol=1e-9)
 
 
 def test_in_one_direction_only():

@@ -181,6 +181,14 @@ def test_wrong_parameters_are_refused(wrong, words):
         wj.SpatialWalker(**wrong)
 
 
+def test_a_leg_that_is_more_than_level_is_no_start():
+    """Between the legs and the slope, of the stance leg and of the swing leg, behind it."""
+    feasible = jax.jit(lambda x: WALKER.feasible(x))
+    lean = lambda theta, phi: jnp.array([0.1, theta, phi, 0, 0, -1.0, -1.5])
+    for theta, phi, stands in ((1.35, 2.9, True), (1.35, 2.93, False), (1.58, 3.0, False)):
+        assert feasible(lean(theta, phi)) == stands
+
+
 # What needs whole strides
 
 

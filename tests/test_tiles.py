@@ -210,7 +210,7 @@ def test_strides_have_the_same_bits_on_one_device_and_on_eight(tmp_path, starts)
 
 
 def sorted_sines(shared, x):
-    return jnp.sort(jnp.stack([x, jnp.sin(1e5 * x)]))
+    return jnp.sort(jnp.stack([x, jnp.sin(jnp.asarray(1e5, float) * x)]))
 
 
 def test_threads_compute_in_the_modes_of_the_caller():

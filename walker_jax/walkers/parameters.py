@@ -60,7 +60,7 @@ class Parameter(NamedTuple):
             return f"{limit} {self.low:g} and below {self.high:g}"
         if self.low > -np.inf:
             return f"finite and {'not negative' if self.closed else f'above {self.low:g}'}"
-        return "finite"
+        return f"finite and below {self.high:g}" if self.high < np.inf else "finite"
 
 
 def parameters(walker: type[Walker] | Walker) -> tuple[Parameter, ...]:
