@@ -11,7 +11,7 @@ import numpy as np
 
 Rows = np.ndarray
 """Rows of (theta, phi, thetadot, phidot)."""
-STEP = 0.004
+STEP = 0.008
 NEAR, TINY = 1e-4, 1e-5
 """From zero, so far that no function turns back from farther in a step; of a step's duration."""
 

@@ -250,13 +250,14 @@ def test_falls_of_ones_own_end_phases_too():
 
 def test_the_derivative_of_an_area_knows_the_limit_of_a_fall():
     """Against differences of areas."""
-    grid = wj.Grid.sheared(theta=(0, 0.4, 60), sum=(-0.04, 0.01, 60))
+    grid = wj.Grid.sheared(theta=(0, 0.4, 40), sum=(-0.04, 0.01, 40))
+    settings = {"levels": 2, "check": 30_000}
     at = lambda limit: LimitedWalker(*jnp.array([0.004, limit, 0.0]))
-    area = lambda limit: float(wj.refine(at(limit), grid, levels=2).area.sum())
-    found = wj.area_gradient(at(-0.22), grid, ("limit",))
-    change = (area(-0.21) - area(-0.23)) / 0.02
+    area = lambda limit: float(wj.refine(at(limit), grid, **settings).area.sum())
+    found = wj.area_gradient(at(-0.22), grid, ("limit",), **settings)
+    change = (area(-0.2) - area(-0.24)) / 0.04
     assert found.gradient[0] < -3 * found.error[0]
-    assert found.gradient[0] == pytest.approx(change, abs=4 * found.error[0] + 2e-4)
+    assert found.gradient[0] == pytest.approx(change, abs=4 * found.error[0] + 3e-4)
 
 
 # Conditions

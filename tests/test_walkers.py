@@ -444,7 +444,25 @@ class PushedWalker(PushOff, wj.SimplestWalker):
     pass
 
 
-KNOWN = ("force_least_at_ends", "inverted_pendulum", "driven_by_gravity", "past_contact")
+class FallingWalker(wj.SimplestWalker):
+    def falls(self, state):
+        return super().falls(state)
+
+
+class AheadWalker(wj.SimplestWalker):
+    def is_ahead(self, state):
+        return super().is_ahead(state)
+
+
+KNOWN = (
+    "force_least_at_ends",
+    "foot_stays_down",
+    "inverted_pendulum",
+    "driven_by_gravity",
+    "past_contact",
+)
+FALLING = tuple(name for name in KNOWN if name != "past_contact")
+AHEAD = tuple(name for name in KNOWN if name != "foot_stays_down")
 
 
 @pytest.mark.parametrize(
@@ -454,14 +472,33 @@ KNOWN = ("force_least_at_ends", "inverted_pendulum", "driven_by_gravity", "past_
         (NamedWalker, (*KNOWN, "gait_region")),
         (TorqueWalker, ()),
         (HastyTorqueWalker, ("force_least_at_ends", "past_contact")),
-        (PushedWalker, ("force_least_at_ends", "inverted_pendulum", "past_contact")),
+        (PushedWalker, tuple(name for name in KNOWN if name != "driven_by_gravity")),
+        (FallingWalker, (*FALLING, "gait_region")),
+        (AheadWalker, (*AHEAD, "gait_region")),
     ],
 )
 def test_what_is_known_of_a_walker_does_not_pass_to_one_that_changes_it(kind, kept):
     for name in (*KNOWN, "gait_region"):
         is_default = inspect.getattr_static(kind, name) is inspect.getattr_static(wj.Walker, name)
         assert is_default == (name not in kept), name
-    assert moves_like(kind(*[0.01] * len(fields(kind))), wj.SimplestWalker) == (len(kept) == 5)
+    assert moves_like(kind(*[0.01] * len(fields(kind))), wj.SimplestWalker) == (len(kept) == 6)
+
+
+@pytest.mark.parametrize("kind", [wj.SimplestWalker, wj.SpringWalker])
+def test_a_foot_that_is_known_to_stay_down_does(kind):
+    """At all slopes, with all springs: strides that look whether it came up again are the same."""
+    doubtful = type("Doubtful", (kind,), {"foot_stays_down": False})
+    rng = np.random.default_rng(3)
+    theta = rng.uniform(0.01, np.pi / 4, 20_000)
+    rate = np.concatenate(
+        [-theta[:10_000] + rng.uniform(-0.1, 0.1, 10_000), -rng.uniform(0, 1.4, 10_000)]
+    )
+    values = 10 ** rng.uniform(-3.5, -0.5, 20_000), 10 ** rng.uniform(-2, 2, 20_000)
+    many = lambda kind: jax.vmap(kind)(*map(jnp.asarray, values[: len(fields(kind))]))
+    xs = np.stack([theta, rate], axis=1)
+    known, searched = wj.strides(many(kind), xs), wj.strides(many(doubtful), xs)
+    np.testing.assert_array_equal(known.outcome, searched.outcome)
+    np.testing.assert_array_equal(known.state, searched.state)
 
 
 def test_a_torque_may_bring_the_foot_down_again():

@@ -107,6 +107,9 @@ class Walker(eqx.Module):
     force_least_at_ends: ClassVar[bool] = False
     """Whether Q_v, over a stride, is least at the start or at heel strike, so that a stride need
     not look at it in between."""
+    foot_stays_down: ClassVar[bool] = False
+    """Whether a foot that is ahead, once it has come down, stays down, so that a stride need not
+    look whether it came down and up again within a step of the integration."""
     inverted_pendulum: ClassVar[bool] = False
     """Whether thetaddot = sin(theta - slope): the hip does not feel the swing leg."""
 
@@ -311,6 +314,7 @@ WalkerKind = TypeVar("WalkerKind", bound=Walker)
 EQUATIONS_OF_MOTION = ("vector_field", "system")
 PREMISES = {
     "force_least_at_ends": (*EQUATIONS_OF_MOTION, "contact_force"),
+    "foot_stays_down": (*EQUATIONS_OF_MOTION, "contact", "swing_foot", "is_ahead"),
     "inverted_pendulum": EQUATIONS_OF_MOTION,
     "driven_by_gravity": ("vector_field", "impact", "push_off_impulse", "during_stride", "phases"),
     "motor_work": ("vector_field", "impact", "phases"),

@@ -27,6 +27,7 @@ class SimplestWalker(AbstractMasslessFootWalker):
     slope: Scalar = eqx.field(converter=SLOPE.convert)
 
     force_least_at_ends: ClassVar = True
+    foot_stays_down: ClassVar = True  # `rises_past_contact`; in tension no stride follows
     inverted_pendulum: ClassVar = True
 
     def driven_by_gravity(self):

@@ -100,12 +100,14 @@ def swing(
             for state, field in ((before, first), (after, last))
         )
         rises = ~ends_below & (below | ((begins < 0) & (ends > 0)))
-        dips = below & ends_below & (begins > 0) & (ends < 0)  # the foot comes down, and up again
-        if step is not None:
-            # To higher ground, a foot from behind comes down and up again behind: as the legs pass
-            # each other, both feet are at one level.
-            dips &= is_ahead(before) | jnp.where(to_step, step < 0, True)
-        may = (rises | dips) & (is_ahead(before) | is_ahead(after))
+        if may_dip:
+            dips = below & ends_below & (begins > 0) & (ends < 0)
+            if step is not None:
+                # To higher ground, a foot from behind comes down and up again behind: as the legs
+                # pass each other, both feet are at one level.
+                dips &= is_ahead(before) | jnp.where(to_step, step < 0, True)
+            rises |= dips
+        may = rises & (is_ahead(before) | is_ahead(after))
         if may_stop_within(walker):
             may |= (first.thetadot > 0) & (last.thetadot < 0)
         return may | ends_in_fall(after, ends_below)
@@ -134,9 +136,10 @@ def swing(
         last, steps = method.follow(now, stop, side=below, time=time)
         jet, until = method.jet(contact, last), last.length
         below, ends_below = last.sides
-        exists, highest = interior_minimum(negate(jet), until)
-        until = jnp.where(exists, highest, until)
-        ends_below = jnp.where(exists, jet(until)[0] < 0, ends_below)
+        if may_dip:
+            exists, highest = interior_minimum(negate(jet), until)
+            until = jnp.where(exists, highest, until)
+            ends_below = jnp.where(exists, jet(until)[0] < 0, ends_below)
         rises, time = first_upcrossing(jet, until, (below, ends_below))
         time = jnp.where(rises, method.refine_time(contact, last, time), last.length)
         after = lambda time: method.state_at(last, time)
@@ -165,6 +168,8 @@ def swing(
         below = last.sides[1]
         return last.end, arrival, time, verdict, count + steps, broken, below
 
+    # A foot may come down and up again within a step.
+    may_dip = step is not None or not walker.foot_stays_down
     watched = conditions_of(walker)
     broken = {outcome: jnp.asarray(False) for outcome in watched}
     if walker.force_least_at_ends:
