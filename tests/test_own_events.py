@@ -12,8 +12,10 @@ from part_of_swing import PartOfSwing
 
 import walker_jax as wj
 from walker_jax.integrators.solvers import step_length, taylor_step
+from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.walkers.model import State
 from walker_jax.walking.failure_margins import failure_margin, margins_of_many
+from walker_jax.walking.iteration import iterate
 from walker_jax.walking.outcomes import Outcome
 
 
@@ -248,16 +250,38 @@ def test_falls_of_ones_own_end_phases_too():
         assert_same(found, whole, 1e-9)
 
 
-def test_the_derivative_of_an_area_knows_the_limit_of_a_fall():
-    """Against differences of areas."""
-    grid = wj.Grid.sheared(theta=(0, 0.4, 40), sum=(-0.04, 0.01, 40))
-    settings = {"levels": 2, "check": 30_000}
+def test_boundaries_move_with_the_limit_of_a_fall_as_margins_say():
+    """Points of the basin's boundary, by bisection at two limits, and by derivatives of margins."""
     at = lambda limit: LimitedWalker(*jnp.array([0.004, limit, 0.0]))
-    area = lambda limit: float(wj.refine(at(limit), grid, **settings).area.sum())
-    found = wj.area_gradient(at(-0.22), grid, ("limit",), **settings)
-    change = (area(-0.2) - area(-0.24)) / 0.04
-    assert found.gradient[0] < -3 * found.error[0]
-    assert found.gradient[0] == pytest.approx(change, abs=4 * found.error[0] + 3e-4)
+    walks = lambda limit, x: iterate(at(limit), x, 60, 1e-12)
+    total = np.linspace(-0.03, 0.0, 60)
+    line = lambda theta: np.stack([theta, total - theta], axis=1)
+    across = np.linspace(0.4, 0.0, 81)
+    survives = [walks(-0.22, line(np.full(60, theta))).outcome == 0 for theta in across]
+    first = np.argmax(survives, axis=0)
+    total, first = total[first > 0], first[first > 0]
+    assert len(total) > 20
+
+    def bisect(limit: float, good: np.ndarray, bad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        for _ in range(42):
+            middle = (good + bad) / 2
+            inside = walks(limit, line(middle)).outcome == 0
+            good, bad = np.where(inside, middle, good), np.where(inside, bad, middle)
+        return good, bad
+
+    good, bad = bisect(-0.22, across[first], across[first - 1])
+    made = walks(-0.22, line(bad)).strides
+    along = np.array([[1.0, -1.0]])
+    change = differentiate_margins(at(-0.22), line(bad), made, along, ("limit",), 1e-12)
+    near = np.sign(good - bad) * 2e-5
+    above, below = (bisect(-0.22 + e, good + near, good - near)[0] for e in (1e-6, -1e-6))
+    moved = -change[:, 1] / change[:, 0]
+    np.testing.assert_allclose(moved, (above - below) / 2e-6, rtol=2e-2, atol=1e-4)
+    assert np.abs(moved).max() > 0.05
+
+    grid = wj.Grid.sheared(theta=(0, 0.4, 40), sum=(-0.04, 0.01, 40))
+    area = wj.area_gradient(at(-0.22), grid, ("limit",), levels=2, check=10_000)
+    assert area.gradient[0] < -3 * area.error[0] and area.lost < 0.02 * area.crossings
 
 
 # Conditions
