@@ -10,7 +10,7 @@ import xarray as xr
 from jaxtyping import Float
 
 from walker_jax.basins.attractor import Attractor, capture_radius
-from walker_jax.basins.attractor_search import SAMPLE, sample_indices
+from walker_jax.basins.attractor_search import sample_indices
 from walker_jax.basins.mapper import Mapper
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import find_gait
@@ -18,9 +18,11 @@ from walker_jax.grids import Grid
 from walker_jax.integrators.solvers import default_tolerance
 from walker_jax.walkers.model import Walker
 
-STARTS = 2**11, SAMPLE
-"""Sizes of the samples of a grid by which its gait is found: the second only where none of the
-first converges. A basin of 1 % of the cells has twenty starts of the first."""
+STARTS = 2**11, 2**13, 2**15
+"""Sizes of the samples of a grid by which its gait is found, each where the one before has not told
+which basin is the largest. A basin of 1 % of the cells has twenty starts of the first."""
+LEAD = 3.0
+"""Standard errors by which the largest basin of a sample must lead the next."""
 
 
 def gait_of_basins(walker: Walker, data: xr.Dataset, tolerance: float | None) -> Gait | None:
@@ -36,19 +38,22 @@ def gait_of_basins(walker: Walker, data: xr.Dataset, tolerance: float | None) ->
 def gait_of_grid(walker: Walker, grid: Grid, strides: int, tolerance: float | None) -> Gait | None:
     """The gait to which most walkers converge from a sample of a grid's cells; None if none do."""
     tolerance = float(default_tolerance(jnp.asarray(0.0).dtype, tolerance))
+    largest = None
     for count in STARTS:
         starts = grid.centres(sample_indices(grid.size, count))
         # The first stands for all motions without a period: whether they last does not matter.
         mapper = Mapper(walker, [Attractor(None, starts[:1])], tolerance, strides)
         mapper = mapper.with_attractors_from(starts)
         labels = mapper(starts)
-        number = labels.attractor[labels.converged]
-        if len(number):
-            largest = int(np.bincount(number).argmax())
-            return stable_gait(walker, mapper.attractors[largest].states, tolerance)
-        if len(labels.remaining):  # on a motion without a period
+        sizes = np.bincount(labels.attractor[labels.converged], minlength=2)
+        if sizes.any():
+            largest = mapper.attractors[int(sizes.argmax())].states
+        elif len(labels.remaining):  # on a motion without a period
             return None
-    return None
+        *_, second, first = np.sort(sizes)
+        if count >= grid.size or first - second > LEAD * np.sqrt(first + second):
+            break
+    return None if largest is None else stable_gait(walker, largest, tolerance)
 
 
 def stable_gait(

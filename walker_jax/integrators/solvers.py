@@ -57,12 +57,10 @@ MAX_STEPS = 1000
 MOST_EXPANDED_AGAIN = 6
 """Variables of a state whose series is expanded once more for the last step of an integration. To
 carry the series of more of them from step to step takes less than that."""
-LONGEST_STEP = 2.0
-"""Longer than any step in which the last terms of the series say how long it may be: half the
-period of a harmonic motion has six steps."""
-POLYNOMIAL_STEP = 1 / 8
-"""Length of a step in which the last terms vanish, in `LONGEST_STEP`: so that functions of a state
-that is a polynomial of time seldom turn more than once in it, as in steps of other motions."""
+LONGEST_STEP, POLYNOMIAL_STEP = 2.0, 0.25
+"""In |y| / |y'|: a step that the last terms of a series do not limit, as a step of a harmonic motion
+is at most a third of the first; and its length instead, in which functions of a state that is a
+polynomial of time seldom turn more than once, as in steps of other motions."""
 TIME_REFINEMENTS = 3
 """Newton's iterations on a time that interpolation gives; each squares its error."""
 
@@ -95,26 +93,23 @@ def step_length(series: PyTree, tolerance: Real) -> Scalar:
     h = min over k = n-1, n of (tolerance |y| / |c_k|)^(1/k), in the largest norm over all
     variables (Jorba and Zou 2005), where |y| is the larger of |c_0| and |c_1|. The last terms of a
     polynomial of time vanish, such as those of ballistic flight or of a clock, and all terms at
-    rest. So |c_n| counts as at least `tolerance` |c_1| / `LONGEST_STEP`^n, and |c_1| as at least
-    the rounding of |y|: h is finite wherever the solution is. Where |c_n| is less than that, h is
-    `POLYNOMIAL_STEP` times as long. It needs few digits, and powers are cheap in float32.
+    rest. So h is finite wherever the solution is: `POLYNOMIAL_STEP` |y| / |c_1| where it would be
+    more than `LONGEST_STEP` |y| / |c_1|, and |c_1| counts as at least the rounding of |y|. It needs
+    few digits, and powers are cheap in float32.
     """
     leaves = jax.tree.leaves(series, is_leaf=is_list)
     order, scale = len(leaves[0]) - 1, scale_of(series)
     log_tolerance = jnp.log(jnp.asarray(tolerance, jnp.float32))
-    rate = jnp.maximum(largest_coefficient(series, 1), float(jnp.finfo(scale.dtype).eps) * scale)
-    least = tolerance * LONGEST_STEP**-order * rate
-    last = largest_coefficient(series, order)
 
-    def log_length(k, size):
-        return (log_tolerance - jnp.log((size / scale).astype(jnp.float32))) / k
+    def part(k):
+        return (largest_coefficient(series, k) / scale).astype(jnp.float32)
 
-    lengths = (
-        log_length(order - 1, largest_coefficient(series, order - 1)),
-        log_length(order, jnp.maximum(last, least)),
-    )
-    shortest = jnp.exp(jnp.minimum(*lengths))
-    shortest = jnp.where(last > least, shortest, POLYNOMIAL_STEP * shortest)
+    def log_length(k):
+        return (log_tolerance - jnp.log(part(k))) / k
+
+    shortest = jnp.exp(jnp.minimum(log_length(order - 1), log_length(order)))
+    unit = 1 / jnp.maximum(part(1), float(jnp.finfo(scale.dtype).eps))
+    shortest = jnp.where(shortest > LONGEST_STEP * unit, POLYNOMIAL_STEP * unit, shortest)
     return shortest.astype(leaves[0][0].dtype)
 
 

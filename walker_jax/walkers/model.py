@@ -244,14 +244,14 @@ class Walker(eqx.Module):
         """
         return state.phi - 2 * state.theta
 
-    def is_ahead(self, state: State) -> Bool[Array, ""]:
+    def is_ahead(self, state: Any) -> Bool[Array, ""]:
         """Whether the swing foot is ahead of the other, so that coming down is heel strike.
 
         Elsewhere that is scuffing, which a stride ignores. By default past mid-stance.
         """
         return state.theta < 0
 
-    def falls(self, state: State) -> dict[str, Bool[Array, ""]]:
+    def falls(self, state: Any) -> dict[str, Bool[Array, ""]]:
         """Whether the walker has fallen, by the name of each `Outcome` of a fall.
 
         The first that is true counts. By default as in the plane.
