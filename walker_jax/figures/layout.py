@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Sequence
-from typing import Literal, NamedTuple, cast
+from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
 from jaxtyping import Float
@@ -27,7 +27,7 @@ MOST = 0.6
 """Share of the height of a panel that title and legends may take."""
 PAD = 6
 """Between panels and around them (points)."""
-AROUND = 75
+AROUND = 100
 """Height of a title and legends, before it is known (points)."""
 SIZES = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5)
 """Shares of the sizes of text that are tried in turn, in a panel that is small."""
@@ -74,10 +74,11 @@ def name_axes(
     ax: Axes, x: str | None = None, y: str | None = None, size: str | None = None
 ) -> None:
     """Label axes with coordinates or parameters, or with words of their own."""
+    style: dict[str, Any] = {} if size is None else {"fontsize": size}
     if x is not None:
-        ax.set_xlabel(axis_label(x), fontsize=size)
+        ax.set_xlabel(axis_label(x), **style)
     if y is not None:
-        ax.set_ylabel(axis_label(y), fontsize=size)
+        ax.set_ylabel(axis_label(y), **style)
 
 
 def dress(
@@ -147,7 +148,8 @@ def width_between(ax: Axes, beside: Sequence[Axes], measure: RendererAgg) -> flo
     boxes = [box for box in boxes if box is not None]
     left = ax.bbox.x0 - min((box.x0 for box in boxes), default=ax.bbox.x0)
     right = max((box.x1 for box in boxes), default=ax.bbox.x1) - ax.bbox.x1
-    return panel - max(0.0, left) - max(0.0, right) - 2 * PAD * figure_of(ax).dpi / 72
+    room = panel - max(0.0, left) - max(0.0, right) - 2 * PAD * figure_of(ax).dpi / 72
+    return max(room, wide / 2)
 
 
 def size_between(ax: Axes) -> Float[np.ndarray, " 2"]:
@@ -225,7 +227,7 @@ def fit_text(text: Text, room: float, measure: RendererAgg) -> None:
     )[0]
     if all(width_of(line) <= room for line in text.get_text().split("\n")):
         return
-    words = re.findall(r"(?:\$[^$]*\$|\S)+", text.get_text())
+    words = re.findall(r"(?:\$[^$]*\$|[^ \n])+", text.get_text())
     lines: list[str] = []
     for word in words:
         longer = f"{lines[-1]} {word}" if lines else word

@@ -58,7 +58,7 @@ def metastability(
     )
     mean, error = float(data["mean_strides"]), 1.96 * float(data["mean_strides_error"])
     bar = figure_of(ax).colorbar(image, ax=ax)
-    bar.set_label("chance that a walk that lasts is here, of each pixel")
+    bar.set_label("chance of each pixel")
     dress(
         ax,
         Shown(title, subtitle, legend, labels),

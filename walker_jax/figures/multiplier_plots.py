@@ -107,7 +107,8 @@ def draw_rim(ax: Axes, rim: Rim, labels: bool) -> None:
     """Draw a row for each multiplier at a place of the rim: its value, its sign, and an arrow."""
     figure = figure_of(ax)
     inwards = -1 if (rim.x >= 0) == (abs(rim.x) > RIM / 2) else 1
-    up = 1 if (rim.y >= 0) == (abs(rim.y) < RIM / 2) else -1
+    above = rim.y > 0 or (rim.y == 0 and rim.x > 0)  # not both sides of a small frame at a height
+    up = 1 if above == (abs(rim.y) < RIM / 2) else -1
     shown = rim.members if len(rim.members) <= ROWS else rim.members[: ROWS - 1]
     for row, (value, gait) in enumerate(shown, 1):
         rise = up * ROW * row

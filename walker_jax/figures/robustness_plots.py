@@ -233,7 +233,7 @@ def boundary_dimension(
         ax,
         Shown(title, subtitle, legend, labels),
         title="Dimension of the basin's boundary",
-        note="by the uncertainty exponent, with its 95 % interval",
+        note="by the uncertainty exponent, with its 95\u00a0% interval",
         x=parameter,
         y="dimension",
     )

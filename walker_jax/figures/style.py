@@ -45,7 +45,7 @@ LONGER = ("#9b9b9b", "*")
 SOLID: dict[str, Any] = {"lw": 2, "ls": "-"}
 DASHED: dict[str, Any] = {"lw": 0.7, "ls": (0, (6, 3))}
 """Lines of stable and of unstable gaits."""
-LETTER, NOTE, SMALL = "xx-large", "medium", "small"
+LETTER, NOTE, SMALL = "x-large", "medium", "small"
 """Sizes of text, to that of `rcParams`: letters of regions, second lines of titles, and other."""
 TITLE: dict[str, Any] = {"loc": "left", "fontweight": "bold"}
 
