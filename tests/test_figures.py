@@ -1282,7 +1282,7 @@ def test_two_pictures_stay_in_their_halves_of_a_small_figure(names):
         assert whole.y0 <= one.y0 and one.y1 <= whole.y1
     assert max(one.x1 for one in left) <= min(one.x0 for one in right)
     for (ax, *_), name in zip(halves, names, strict=True):
-        assert ax.bbox.height > 0.15 * whole.height and ax.bbox.width > 0.15 * whole.width, name
+        assert ax.bbox.height > 0.15 * whole.height and ax.bbox.width > 0.1 * whole.width, name
 
 
 @pytest.mark.parametrize("name", GIVEN_AXES)
