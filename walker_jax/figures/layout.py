@@ -141,8 +141,9 @@ def width_between(ax: Axes, beside: Sequence[Axes], measure: RendererAgg) -> flo
     grid = spec.get_gridspec()
     if isinstance(grid, GridSpecFromSubplotSpec):
         return wide
-    ratios = np.ones(grid.ncols) if grid.get_width_ratios() is None else grid.get_width_ratios()
-    panel = ax.figure.bbox.width * sum(ratios[spec.colspan.start : spec.colspan.stop]) / sum(ratios)
+    ratios = np.asarray(grid.get_width_ratios(), float)
+    columns = ratios[spec.colspan.start : spec.colspan.stop]
+    panel = ax.figure.bbox.width * float(columns.sum() / ratios.sum())
     boxes = [one.yaxis.get_tightbbox(measure) for one in (ax, *beside)]
     boxes += [one.get_window_extent(measure) for one in ax.texts if one.get_in_layout()]
     boxes = [box for box in boxes if box is not None]
@@ -196,7 +197,7 @@ def write_below(
             legend = Legend(
                 ax,
                 handles,
-                [handle.get_label() for handle in handles],
+                [str(handle.get_label()) for handle in handles],
                 loc="upper left",
                 bbox_to_anchor=(0, 0),
                 bbox_transform=offset_copy(

@@ -52,7 +52,8 @@ TITLE: dict[str, Any] = {"loc": "left", "fontweight": "bold"}
 
 def points_of(size: str) -> float:
     """A size of text in points: one of those above, or what `rcParams` has under a name."""
-    return FontProperties(size=rcParams.get(size, size)).get_size_in_points()
+    chosen: dict[str, Any] = {**rcParams}
+    return FontProperties(size=chosen.get(size, size)).get_size_in_points()
 
 
 def period_style(period: int) -> tuple[str, str]:
