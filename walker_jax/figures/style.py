@@ -52,7 +52,7 @@ TITLE: dict[str, Any] = {"loc": "left", "fontweight": "bold"}
 
 def points_of(size: str) -> float:
     """A size of text in points: one of those above, or what `rcParams` has under a name."""
-    chosen: dict[str, Any] = {**rcParams}
+    chosen: Any = rcParams  # whose own types name each key
     return FontProperties(size=chosen.get(size, size)).get_size_in_points()
 
 
