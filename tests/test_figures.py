@@ -1299,7 +1299,7 @@ def test_each_part_of_a_picture_can_be_left_out(name):
 
 
 def test_sizes_of_text_are_those_of_rcparams():
-    sizes = {"axes.titlesize": 7, "axes.labelsize": 6, "legend.fontsize": 5, "font.size": 8}
+    sizes: Any = {"axes.titlesize": 7, "axes.labelsize": 6, "legend.fontsize": 5, "font.size": 8}
     with plt.rc_context(sizes):
         ax = figures.basin(every_fate())
     (title,) = (one for one in ax.findobj(Text) if one.get_text() == ax.get_title(loc="left"))
