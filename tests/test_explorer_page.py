@@ -443,6 +443,30 @@ class Held:
         self.routes.clear()
 
 
+def test_nothing_of_a_walker_stands_under_the_name_of_the_next(opened):
+    page = opened("walker=simplest&slope=0.004")
+    facts = "[...document.querySelectorAll('.facts dd')].map((one) => one.textContent)"
+    page.wait(f"{facts}.join().includes('0.6339')")
+    held = Held(page, "**/api/home")
+    page.page.select_option("#walker", "Own")
+    held.wait(1)
+    assert page.value(facts) == ["preparing…"] * 4
+    assert page.shown("#toast") == "Preparing the Own walker"
+    assert page.value("document.querySelector('#legend').childElementCount") == 0
+    page.page.wait_for_timeout(100)
+    seen = "explorer.map.context.getImageData(100, 40, 300, 200).data.buffer"
+    assert page.value(f"new Set(new Uint32Array({seen})).size") == 1  # empty ground
+    # no marks either; a picture to take away is not there, and says so
+    assert page.value("explorer.map.gaits.length === 0 && !explorer.map.arrow")
+    page.page.click("#save-picture")
+    page.wait("document.querySelector('#toast').textContent === 'The picture is not there yet'")
+    held.let_go()
+    page.wait("explorer.lattice !== null")
+    page.finished()
+    page.wait(f"{facts}.join().includes('0.6339')")
+    assert page.value("explorer.picture.layer.body.walker") == "Own"
+
+
 def test_walks_never_mix(opened):
     """Keys and clicks while answers are awaited."""
     page = opened("walker=simplest&slope=0.004")

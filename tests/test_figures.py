@@ -3,6 +3,7 @@
 import re
 import subprocess
 import sys
+from inspect import signature
 from itertools import combinations
 from typing import Any
 
@@ -1057,7 +1058,7 @@ def test_the_area_of_the_basins_is_told_where_it_alone_was_optimised():
     first, second = figures.basins_before_and_after(optimum(objective='{"area": 2.0}')).axes
     assert "1.01 × 10$^{0}$" in words(first)[0] and "2.02 × 10$^{0}$" in words(second)[0]
     for objective in ('{"area": 1.0, "speed": 1.0}', '{"speed": 1.0}'):
-        assert words(figures.basins_before_and_after(optimum(objective=objective)).axes[0]) == [""]
+        assert words(figures.basins_before_and_after(optimum(objective=objective)).axes[0]) == []
     region = '{"theta": [0, 0.4, 80], "sum": [-0.04, 0.01, 60], "phidot": -0.1}'
     (note,) = words(figures.basins_before_and_after(optimum(region=region)).axes[0])
     assert note.endswith("; in the slice at $\\dot{\\varphi}$ = −0.1")
@@ -1169,7 +1170,7 @@ def test_of_more_parameters_the_others_are_at_their_first_values_and_named():
     assert line.containers
 
 
-def test_cells_of_metastable_walking_are_drawn_over_all_of_their_area():
+def metastable():
     """Two cells beside each other; the third edge is along the gap, which is not drawn."""
     found = {
         "survival": 0.99,
@@ -1181,8 +1182,11 @@ def test_cells_of_metastable_walking_are_drawn_over_all_of_their_area():
     }
     directions = {"direction": np.array(["theta", "thetadot", "gap"], object)}
     attributes = {"walker": "SimplestWalker", "slope": 0.009, "section": ["theta", "thetadot"]}
-    data = completed(xr.Dataset(found, directions, attributes), "metastable walking")
-    ax = figures.metastability(data)
+    return completed(xr.Dataset(found, directions, attributes), "metastable walking")
+
+
+def test_cells_of_metastable_walking_are_drawn_over_all_of_their_area():
+    ax = figures.metastability(metastable())
     (mesh,) = [one for one in ax.collections if isinstance(one, QuadMesh)]
     drawn = np.ma.filled(np.ma.asarray(mesh.get_array()), 0)
     assert drawn.sum() == pytest.approx(1, abs=1e-12)
@@ -1193,4 +1197,116 @@ def test_cells_of_metastable_walking_are_drawn_over_all_of_their_area():
     corners = np.asarray(mesh.get_coordinates())
     np.testing.assert_allclose(corners[0, 0, 0], 0.19, rtol=0, atol=0.002)
     np.testing.assert_allclose(corners[0, -1, 0], 0.23, rtol=0, atol=0.002)
-    assert "100 ± 2" in ax.get_title()
+    assert "100 ± 2" in ax.texts[0].get_text()
+
+
+# Pictures on axes that are given.
+
+WALKED = completed(
+    xr.Dataset(
+        {
+            "stride": ("frame", [0, 0, 0, 1, 1, 1]),
+            "time": ("frame", [0.0, 2.0, 3.9, 3.9, 6.0, 7.8]),
+            "theta": ("frame", [0.2, 0.0, -0.2, 0.2, 0.0, -0.2]),
+            "phi": ("frame", [0.4, 0.1, -0.4, 0.4, 0.1, -0.4]),
+            "outcome": ("made", [Outcome.STRIDE, Outcome.FORWARD]),
+        },
+        attrs={"walker": "SimplestWalker", "walker_slope": 0.0165},
+    ),
+    "walk",
+)
+AREAS = completed(
+    xr.Dataset(
+        {"slope": ("slope", [0.01, 0.02]), "area": ("slope", [2e-3, 1e-3])}
+        | {"mapped_area": ("slope", [2e-3, 1e-3])}
+    ),
+    "areas over slopes",
+)
+EDGES = completed(every_fate().assign_coords(edge=[0, 1]), "boundary").assign(
+    edge_kind=("edge", np.array(["forward", ""], object))
+)
+GAITS = [gait(1, 0.63, 0.1, stable=True), gait(2, -4, 0.3), gait(1, 30, 5.0)]
+GIVEN_AXES: dict[str, Any] = {
+    "basin": [every_fate()],
+    "boundary": [EDGES],
+    "gait_branches": [diagram()],
+    "largest_multiplier": [diagram()],
+    "bifurcation_diagram": [diagram()],
+    "stability_and_area": [diagram(), AREAS],
+    "metastability": [metastable()],
+    "multipliers": [GAITS],
+    "optimisation": [optimum()],
+    "disturbance": [robust()],
+    "robustness_measures": [table()],
+    "boundary_dimension": [table()],
+    "sweep": [swept(3, 2)],
+    "leg_angles": [WALKED],
+}
+PARTS = ["title", "subtitle", "legend", "labels"]
+
+
+def extents(axes):
+    """Where axes are drawn, and the texts and legends around them."""
+    for ax in axes:
+        own = [one for one in ax.get_children() if isinstance(one, Text | Legend)]
+        names = [ax.xaxis.label, ax.yaxis.label]
+        words = [one for one in (*own, *names) if isinstance(one, Legend) or one.get_text()]
+        yield from (ax.get_tightbbox(), *(one.get_window_extent() for one in words))
+
+
+def test_every_picture_on_given_axes_has_the_same_options():
+    takes = {
+        name: signature(one).parameters for name, one in vars(figures).items() if callable(one)
+    }
+    assert {name for name, found in takes.items() if "ax" in found} == set(GIVEN_AXES)
+    for name in GIVEN_AXES:
+        only = [one.name for one in takes[name].values() if one.kind is one.KEYWORD_ONLY]
+        assert only == PARTS, name
+
+
+@pytest.mark.parametrize(
+    "names", [*zip([*GIVEN_AXES][::2], [*GIVEN_AXES][1::2], strict=True)], ids=" and ".join
+)
+def test_two_pictures_stay_in_their_halves_of_a_small_figure(names):
+    figure = Figure(figsize=(7, 2.6), layout="constrained")
+    halves = [[ax] for ax in figure.subplots(1, 2)]
+    for name, half in zip(names, halves, strict=True):
+        known = {*figure.axes}
+        getattr(figures, name)(*GIVEN_AXES[name], ax=half[0])
+        half += [ax for ax in figure.axes if ax not in known]
+    figure.draw_without_rendering()
+    whole = figure.bbox
+    left, right = ([*extents(axes)] for axes in halves)
+    for one in (*left, *right):
+        assert whole.x0 <= one.x0 and one.x1 <= whole.x1
+        assert whole.y0 <= one.y0 and one.y1 <= whole.y1
+    assert max(one.x1 for one in left) <= min(one.x0 for one in right)
+    for (ax, *_), name in zip(halves, names, strict=True):
+        assert ax.bbox.height > 0.15 * whole.height and ax.bbox.width > 0.1 * whole.width, name
+
+
+@pytest.mark.parametrize("name", GIVEN_AXES)
+def test_each_part_of_a_picture_can_be_left_out(name):
+    draw = lambda **options: getattr(figures, name)(*GIVEN_AXES[name], **options)
+    every, none = draw(), draw(**dict.fromkeys(PARTS, False))
+    assert every.get_title(loc="left") and every.get_xlabel() and every.get_ylabel()
+    for ax in figure_of(none).axes:
+        assert not ax.get_title(loc="left") and not ax.get_xlabel() and not ax.get_ylabel()
+        assert not legend(ax) and not [one for one in ax.texts if one.get_text()]
+    own = draw(title="My own", subtitle=False, legend=False)
+    assert own.get_title(loc="left") == "My own" and own.get_xlabel() == every.get_xlabel()
+    assert not legend(own) and len(own.texts) < len(every.texts)
+
+
+def test_sizes_of_text_are_those_of_rcparams():
+    sizes: Any = {"axes.titlesize": 7, "axes.labelsize": 6, "legend.fontsize": 5, "font.size": 8}
+    with plt.rc_context(sizes):
+        ax = figures.basin(every_fate())
+    (title,) = (one for one in ax.findobj(Text) if one.get_text() == ax.get_title(loc="left"))
+    assert title.get_fontsize() == 7
+    assert ax.xaxis.label.get_fontsize() == ax.yaxis.label.get_fontsize() == 6
+    (first, *_) = [one for one in ax.get_children() if isinstance(one, Legend)]
+    assert {one.get_fontsize() for one in first.get_texts()} == {5}
+    assert labels(ax)["leaves the grid"].get_fontsize() == pytest.approx(8 * 0.833)
+    (note,) = (one for one in ax.texts if "direct iteration" in one.get_text())
+    assert note.get_fontsize() == 8

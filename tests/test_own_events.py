@@ -17,6 +17,7 @@ from walker_jax.walkers.model import State
 from walker_jax.walking.failure_margins import failure_margin, margins_of_many
 from walker_jax.walking.iteration import iterate
 from walker_jax.walking.outcomes import Outcome
+from walker_jax.walking.swing import equations
 
 
 def starts(n: int, slope: float = 0.01, seed: int = 0) -> np.ndarray:
@@ -158,6 +159,13 @@ class LoweredWalker(wj.SimplestWalker):
         return super().falls(state) | {"SIDEWAYS": state.phi <= self.limit}
 
 
+class BandWalker(wj.SimplestWalker):
+    """Its foot makes a step where the stance leg leans by so much and no more."""
+
+    def is_ahead(self, state):
+        return (state.theta < -0.2) & (state.theta > -0.23)
+
+
 FALLS = Legs(0).falls
 RULES = {
     "limit": (
@@ -171,6 +179,10 @@ RULES = {
     "far": (
         FarWalker(*jnp.array([0.01, -0.2])),
         Legs(0.01, ahead=lambda y: y[:, 0] < -0.2),
+    ),
+    "band": (
+        BandWalker(0.01),
+        Legs(0.01, ahead=lambda y: (y[:, 0] < -0.2) & (y[:, 0] > -0.23)),
     ),
     "renamed": (
         RenamedWalker(0.01),
@@ -218,12 +230,68 @@ def test_margins_of_own_rules_vanish_where_a_walker_begins_to_fail(name):
     assert np.median(values) < 1e-9 and np.mean(values < 1e-6) > 0.9
 
 
+@pytest.mark.parametrize("length", [1e-4, 1e4])
+def test_steps_have_the_same_length_in_any_unit(length):
+    """In units of the time that a leg of this length takes; of walkers with masses."""
+    values = dict(slope=0.01, hip_mass=1.0, leg_mass=0.2, com_offset=0.0)
+    walker = lambda size: wj.RoundFootWalker(
+        **values,
+        leg_inertia=0.01 * size**2,
+        leg_length=size,
+        com_from_hip=0.5 * size,
+        foot_radius=0.2 * size,
+    )
+
+    def first_step(size):
+        state = State(*jnp.array([0.2, 0.4, -0.22 / size**0.5, -0.02 / size**0.5]))
+        return float(taylor_step(equations(walker(size)), state, 12, 1e-12)[1]) / size**0.5
+
+    assert first_step(length) == pytest.approx(first_step(1.0), rel=0.3)
+
+
+@pytest.mark.parametrize("step", [-1e-9, 1e-9])
+def test_own_rules_hold_on_rough_ground(step):
+    walker, xs = RULES["far"][0], jnp.asarray(starts(200))
+    onto = jax.jit(jax.vmap(lambda x: wj.stride(walker, x, step=step)))(xs).outcome
+    assert np.mean(np.asarray(onto) != wj.strides(walker, np.asarray(xs)).outcome) < 0.01
+
+
+def test_falls_that_no_stride_can_report_are_refused():
+    class Misnamed(wj.SimplestWalker):
+        def falls(self, state):
+            return {"UNDECIDED": state.theta < -1}
+
+    class Broad(wj.SimplestWalker):
+        def falls(self, state):
+            return {"FORWARD": jnp.stack([state.theta]) < -1}
+
+    for kind, words in ((Misnamed, "named by a failure"), (Broad, "single flags")):
+        with pytest.raises(ValueError, match=words):
+            wj.stride(kind(0.01), jnp.array([0.2, -0.2]))
+
+
+def test_falls_may_compare_the_largest_of_several():
+    class Largest(wj.SimplestWalker):
+        def falls(self, state):
+            angles = jnp.stack([-4 * state.theta, jnp.abs(state.phi)])
+            return super().falls(state) | {"SIDEWAYS": jnp.max(angles) >= 1.0}
+
+    rules = int(Outcome.SIDEWAYS), lambda y: np.maximum(-4 * y[:, 0], np.abs(y[:, 1])) - 1.0
+    xs = starts(100)
+    expected = strides_by_fixed_steps(Legs(0.01, falls=(*FALLS, rules)), xs)
+    assert_same(wj.strides(Largest(0.01), xs), expected)
+
+
 def test_a_film_ends_where_a_walker_has_fallen_by_its_own_rule():
     walker, _ = RULES["limit"]
     xs = starts(200)
     x = xs[np.flatnonzero(wj.strides(walker, xs).outcome == Outcome.FORWARD)[0]]
     theta = wj.motion(walker, x, 3, step=0.02).theta.values
     assert theta.min() > -0.26 and theta.min() < -0.22
+    renamed, usual = RULES["renamed"][0], wj.SimplestWalker(0.01)
+    back = xs[np.flatnonzero(wj.strides(usual, xs).outcome == Outcome.BACKWARD)[0]]
+    films = [wj.motion(one, back, 1, step=0.05) for one in (renamed, usual)]
+    assert films[0].sizes["frame"] == films[1].sizes["frame"]
 
 
 class HalfWay(PartOfSwing):

@@ -59,10 +59,10 @@ class AreaGradient(NamedTuple):
     crossings: int
     """Number of points in which lines cross the boundary."""
     lost: int
-    """Crossings whose motion is not known, as they border on another motion, on starts that are not
+    """Crossings of unknown velocity: they border on another attractor, on starts that are not
     feasible, or on a failure without a margin. Those that border on infeasible starts count as
-    fixed, as where feasible starts end does not depend on most walkers' parameters. Each other
-    counts in the error as a crossing that moves as the known ones do, in the mean square."""
+    fixed, since most walkers' parameters do not move that border. Each other counts in the error
+    with the root-mean-square velocity of the known ones."""
     strides: int
     """Strides made in all; those with derivatives count once for each direction."""
 

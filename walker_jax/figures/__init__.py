@@ -2,7 +2,9 @@
 
 Each draws a data set of a kind that `walker_jax.storage.schema` lists, and computes nothing but the
 layout. It draws on `ax`, or on a figure of its own that no window, and no state of pyplot, knows
-of: `figures.basin(data).figure.savefig("basin.png", dpi=150)`. Angles are in rad and times in
+of: `figures.basin(data).figure.savefig("basin.png", dpi=150)`. Sizes of text are those of
+matplotlib's `rcParams`; axes that are given need a figure with a layout, as
+`plt.subplots(1, 2, layout="constrained")`. Angles are in rad and times in
 sqrt(l / g), with leg length l and gravity g. Colours differ in lightness as well as hue, so that
 they are told apart in grey print and by the colour-blind.
 """
@@ -19,7 +21,6 @@ from walker_jax.figures.branch_plots import bifurcation_diagram as bifurcation_d
 from walker_jax.figures.branch_plots import bifurcations as bifurcations
 from walker_jax.figures.branch_plots import gait_branches as gait_branches
 from walker_jax.figures.branch_plots import largest_multiplier as largest_multiplier
-from walker_jax.figures.branch_plots import stability_and_area as stability_and_area
 from walker_jax.figures.films import check_film as check_film
 from walker_jax.figures.films import film as film
 from walker_jax.figures.films import zoom_film as zoom_film
@@ -35,6 +36,7 @@ from walker_jax.figures.robustness_plots import disturbance as disturbance
 from walker_jax.figures.robustness_plots import robustness as robustness
 from walker_jax.figures.robustness_plots import robustness_measures as robustness_measures
 from walker_jax.figures.robustness_plots import robustness_table as robustness_table
+from walker_jax.figures.stability_plots import stability_and_area as stability_and_area
 from walker_jax.figures.style import BASINS as BASINS
 from walker_jax.figures.style import FAILURES as FAILURES
 from walker_jax.figures.style import INK as INK

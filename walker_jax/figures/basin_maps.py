@@ -11,14 +11,7 @@ from matplotlib.lines import Line2D
 from walker_jax.basins.cell_classes import along_axis, large_basins
 from walker_jax.checks import WrongUse
 from walker_jax.figures.labels import draw_label, keep_clear
-from walker_jax.figures.layout import (
-    BELOW,
-    LINE,
-    figure_legend,
-    name_axes,
-    new_axes,
-    place_legend,
-)
+from walker_jax.figures.layout import Shown, dress, figure_legend, name_axes, new_axes, size_between
 from walker_jax.figures.regions import (
     attractor_mark,
     attractor_name,
@@ -32,7 +25,7 @@ from walker_jax.figures.regions import (
     regions_of_one_basin,
     show_image,
 )
-from walker_jax.figures.style import BASINS, MARKERS, NOTE, SMALL, TITLE
+from walker_jax.figures.style import BASINS, MARKERS, SMALL, TITLE
 from walker_jax.figures.text import (
     area_phrase,
     axis_label,
@@ -47,7 +40,15 @@ PANELS = 6
 """Slices in a picture of a basin of three dimensions, at most."""
 
 
-def basin(data: xr.Dataset, ax: Axes | None = None) -> Axes:
+def basin(
+    data: xr.Dataset,
+    ax: Axes | None = None,
+    *,
+    title: bool | str = True,
+    subtitle: bool = True,
+    legend: bool = True,
+    labels: bool = True,
+) -> Axes:
     """The basin of attraction and the ways to fall around it, over a grid of two dimensions.
 
     Figures 2 (plain axes) and 4 (sheared ones) of Schwab and Wisse (2001). Each fate has a pale
@@ -59,6 +60,8 @@ def basin(data: xr.Dataset, ax: Axes | None = None) -> Axes:
 
     - `data`: what `walker_jax.basin` returns. The first dimension is drawn along the x axis.
     - `ax`: where to draw; by default, on a new figure of 7 by 5.4 inches.
+    - `title`, `subtitle`, `legend`, `labels`: whether to write these, a title also in other words.
+      Labels are the names of axes, and words in the picture.
 
     **Returns** the axes. Raises `ValueError` for a data set that is not of two dimensions, with
     two cells or more along each.
@@ -87,20 +90,23 @@ def basin(data: xr.Dataset, ax: Axes | None = None) -> Axes:
         where = "" if inside.all(axis=1).any() else " (outside the picture)"
         marks.append(attractor_mark(ax, dots, marker, name + where))
         keep_clear(free, dots, extent)
-    for region in regions:
-        if not draw_label(ax, region, free, extent) or region.counted:
-            patches.append(counted_patch(region, share))
-    place_legend(ax, marks, BELOW, columns=1)
-    place_legend(ax, patches, BELOW + LINE * len(marks), columns=2)
     ax.set(xlim=extent[:2], ylim=extent[2:])
-    name_axes(ax, x, y)
+    size = size_between(ax)
+    for region in regions:
+        named = labels and draw_label(ax, region, free, extent, size)
+        if not named or region.counted:
+            patches.append(counted_patch(region, share))
     if "origin" in data.attrs:
-        ax.set(xlabel=offset_label(data, x), ylabel=offset_label(data, y))
         ax.yaxis.get_offset_text().set_x(-0.1)  # the note stands at its usual place
-    note, title = basin_note(data), walker_title(data)
-    size, pad = (10.5 if "\n" in title else 12), 22 + 12 * note.count("\n")
-    ax.set_title(title, **TITLE | {"fontsize": size, "pad": pad})
-    ax.annotate(note, (0, 1), (0, 7), "axes fraction", "offset points", fontsize=NOTE)
+    dress(
+        ax,
+        Shown(title, subtitle, legend, labels),
+        title=walker_title(data),
+        note=basin_note(data),
+        x=offset_label(data, x),
+        y=offset_label(data, y),
+        legends=[(marks, 1), (patches, 2)],
+    )
     return ax
 
 
@@ -135,7 +141,7 @@ def basin_slices(data: xr.Dataset) -> Figure:
     image, extent = paint(regions, fate.shape), extent_of(data, x, y)
     for ax, index in zip(grid.flat, chosen, strict=False):
         show_image(ax, image[:, :, index], extent)
-        ax.set_title(coordinate_value(z, float(depths[index])), fontsize=10)
+        ax.set_title(coordinate_value(z, float(depths[index])), fontsize="medium")
     marks: dict[str, Line2D] = {}
     for number, marker in zip(large, MARKERS, strict=False):
         cycle = cycle_of(data, number)
@@ -152,7 +158,7 @@ def basin_slices(data: xr.Dataset) -> Figure:
         name_axes(ax, y=y, size=SMALL)
     patches = [counted_patch(region, share_drawn(data)) for region in regions]
     above = f"{walker_title(data, 34 * columns)}\n{basin_note(data)}"
-    figure.suptitle(above, x=0.01, ha="left", fontsize=10.5)
+    figure.suptitle(above, x=0.01, ha="left", fontsize="medium")
     figure_legend(figure, [*marks.values(), *patches], columns=2)
     return figure
 
@@ -183,9 +189,9 @@ def basins_in_a_row(data: xr.Dataset) -> Figure:
         panels.flat, slopes, image, data["area"].values.tolist(), strict=False
     ):
         show_image(ax, cells, extent)
-        ax.set_title(f"slope {slope:g} rad", **TITLE | {"fontsize": 10, "pad": 16})
+        ax.set_title(f"slope {slope:g} rad", **TITLE, fontsize="medium", pad=16)
         note = area_phrase(area) if area else "no basin of attraction"
-        ax.annotate(note, (0, 1), (0, 5), "axes fraction", "offset points", fontsize=8)
+        ax.annotate(note, (0, 1), (0, 5), "axes fraction", "offset points", fontsize=SMALL)
     for ax in panels[-1]:
         name_axes(ax, x=x, size=SMALL)
     for ax in panels[:, 0]:
@@ -202,9 +208,10 @@ def thin(data: xr.Dataset, most: int = 2000) -> xr.Dataset:
 
 
 def offset_label(data: xr.Dataset, axis: str) -> str:
-    """The label of an axis of offsets from an origin, all digits of which are told."""
-    origin = np.asarray(data.attrs["origin"])
-    value = float(along_axis(origin, data.attrs["section"], axis))
+    """The label of an axis; one of offsets tells all digits of their origin."""
+    if "origin" not in data.attrs:
+        return axis_label(axis)
+    value = float(along_axis(np.asarray(data.attrs["origin"]), data.attrs["section"], axis))
     if value == 0:
         return axis_label(axis)
     sign = "+" if value < 0 else "−"

@@ -8,14 +8,7 @@ from matplotlib.axes import Axes
 
 from walker_jax.basins.cell_classes import large_basins
 from walker_jax.checks import WrongUse
-from walker_jax.figures.layout import (
-    BELOW,
-    LINE,
-    name_axes,
-    new_axes,
-    place_legend,
-    write_title,
-)
+from walker_jax.figures.layout import Shown, dress, new_axes
 from walker_jax.figures.regions import (
     extent_of,
     paint,
@@ -44,13 +37,23 @@ ENDS = {
 """What an edge leads to that is no saddle."""
 
 
-def boundary(data: xr.Dataset, ax: Axes | None = None) -> Axes:
+def boundary(
+    data: xr.Dataset,
+    ax: Axes | None = None,
+    *,
+    title: bool | str = True,
+    subtitle: bool = True,
+    legend: bool = True,
+    labels: bool = True,
+) -> Axes:
     """The basin, the saddles on its boundary, and the stable manifolds of these.
 
     **Arguments:**
 
     - `data`: what `walker_jax.boundary` returns, over two dimensions.
     - `ax`: where to draw; by default, on a new figure of 7 by 6.2 inches.
+    - `title`, `subtitle`, `legend`, `labels`: whether to write these, a title also in other words.
+      Labels are the names of axes, and words in the picture.
 
     **Returns** the axes. Raises `ValueError` for another data set.
     """
@@ -89,11 +92,16 @@ def boundary(data: xr.Dataset, ax: Axes | None = None) -> Axes:
             label = f"{pair}: {ENDS[str(one['edge_kind'].values)]}"
             look |= {"color": "white"}
             marks += ax.plot(*place_states(data, path[-1:], (x, y)).T, "D", label=label, **look)
-    place_legend(ax, marks, BELOW, columns=1)
-    place_legend(ax, [*map(patch_of, regions)], BELOW + LINE * len(marks), columns=2)
     ax.set(xlim=extent[:2], ylim=extent[2:])
-    name_axes(ax, x, y)
-    write_title(ax, walker_title(data), entropy_phrase(data))
+    dress(
+        ax,
+        Shown(title, subtitle, legend, labels),
+        title=walker_title(data),
+        note=entropy_phrase(data),
+        x=x,
+        y=y,
+        legends=[(marks, 1), ([*map(patch_of, regions)], 2)],
+    )
     return ax
 
 

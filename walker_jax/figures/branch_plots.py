@@ -10,25 +10,17 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from walker_jax.figures.layout import (
-    BELOW,
-    LINE,
-    figure_title,
-    name_axes,
-    new_axes,
-    place_legend,
-    write_title,
-)
+from walker_jax.figures.layout import Shown, dress, figure_title, new_axes, size_between
 from walker_jax.figures.style import (
     BASINS,
     DASHED,
     INK,
     SMALL,
     SOLID,
-    TITLE,
     period_style,
+    points_of,
 )
-from walker_jax.figures.text import AREA_LABEL, RADIUS, count_noun, walker_title
+from walker_jax.figures.text import RADIUS, count_noun, walker_title
 from walker_jax.gaits.curves import (
     Curve,
     attractor_states,
@@ -54,7 +46,15 @@ FAINTER: dict[str, Any] = DASHED | {"lw": 0.4}
 """Lines of unstable gaits of long periods, which are many."""
 
 
-def gait_branches(data: xr.Dataset, ax: Axes | None = None) -> Axes:
+def gait_branches(
+    data: xr.Dataset,
+    ax: Axes | None = None,
+    *,
+    title: bool | str = True,
+    subtitle: bool = True,
+    legend: bool = True,
+    labels: bool = True,
+) -> Axes:
     """All gaits against a parameter: the first coordinate at the start of each of their strides.
 
     Figure 3 of Schwab and Wisse (2001), for gaits of every period. Colours tell periods. Lines are
@@ -66,6 +66,8 @@ def gait_branches(data: xr.Dataset, ax: Axes | None = None) -> Axes:
 
     - `data`: what `walker_jax.bifurcation_diagram` returns.
     - `ax`: where to draw; by default, on a new figure of 7 by 5.6 inches.
+    - `title`, `subtitle`, `legend`, `labels`: whether to write these, a title also in other words.
+      Labels are the names of axes, and words in the picture.
 
     **Returns** the axes. Raises `ValueError` for a data set without branches of gaits.
     """
@@ -86,9 +88,9 @@ def gait_branches(data: xr.Dataset, ax: Axes | None = None) -> Axes:
         draw_event(ax, np.full(period, value), cycle[:period], period, TORUS)
     counts = {"branch": len(drawn), "fold": folds.sum(), "period doubling": (~folds).sum()}
     counts["Neimark-Sacker point"] = len(tori)
-    dress(ax, data, "gaits", ", ".join(count_noun(int(n), noun) for noun, n in counts.items() if n))
-    name_axes(ax, y=first_name(data))
-    write_step_times(ax, data)
+    set_range(ax, data)
+    if labels:
+        write_step_times(ax, data)
     kinds = []
     for name, found, style in (
         ("stable", data["stable"].values, SOLID),
@@ -99,12 +101,27 @@ def gait_branches(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     ):
         if found.any():
             kinds.append(Line2D([], [], color=INK, label=name, **style))
-    place_legend(ax, kinds, BELOW, columns=4)
-    place_legend(ax, period_lines(drawn), BELOW + LINE * bool(kinds), columns=4)
+    dress(
+        ax,
+        Shown(title, subtitle, legend, labels),
+        title=f"{walker_title(data)}: gaits",
+        note=", ".join(count_noun(int(n), noun) for noun, n in counts.items() if n),
+        x=str(data.attrs["parameter"]),
+        y=first_name(data),
+        legends=[(kinds, 4), (period_lines(drawn), 4)],
+    )
     return ax
 
 
-def largest_multiplier(data: xr.Dataset, ax: Axes | None = None) -> Axes:
+def largest_multiplier(
+    data: xr.Dataset,
+    ax: Axes | None = None,
+    *,
+    title: bool | str = True,
+    subtitle: bool = True,
+    legend: bool = True,
+    labels: bool = True,
+) -> Axes:
     """Modulus of the largest Floquet multiplier against a parameter, along the main cascade.
 
     The left axis of Figure 8 of Schwab and Wisse (2001), for the most stable gait of period one,
@@ -115,6 +132,8 @@ def largest_multiplier(data: xr.Dataset, ax: Axes | None = None) -> Axes:
 
     - `data`: what `walker_jax.bifurcation_diagram` returns.
     - `ax`: where to draw; by default, on a new figure of 7 by 4.6 inches.
+    - `title`, `subtitle`, `legend`, `labels`: whether to write these, a title also in other words.
+      Labels are the names of axes, and words in the picture.
 
     **Returns** the axes. Raises `ValueError` for a data set without branches of gaits.
     """
@@ -132,18 +151,33 @@ def largest_multiplier(data: xr.Dataset, ax: Axes | None = None) -> Axes:
         if len(values):
             where = " and ".join(f"{value:.5f}" for value in values)
             handle.set_label(f"{handle.get_label()}, doubles at {where}")
-    note = "of the most stable gait of period one and the gaits that double from it"
-    dress(ax, data, "largest Floquet multiplier", note)
+    set_range(ax, data)
     ax.set_ylim(0, HIGHEST)
-    name_axes(ax, y=RADIUS)
-    for words, rise, side in (("unstable", 3, "bottom"), ("stable", -4, "top")):
+    sides = (("unstable", 3, "bottom"), ("stable", -4, "top"))
+    for words, rise, side in sides if labels else ():
         place = ax.get_yaxis_transform()
         ax.annotate(words, (0, 1), (5, rise), place, "offset points", va=side, fontsize=SMALL)
-    place_legend(ax, handles, BELOW, columns=2)
+    dress(
+        ax,
+        Shown(title, subtitle, legend, labels),
+        title=f"{walker_title(data)}: largest Floquet multiplier",
+        note="of the most stable gait of period one and the gaits that double from it",
+        x=str(data.attrs["parameter"]),
+        y=RADIUS,
+        legends=[(handles, 2)],
+    )
     return ax
 
 
-def bifurcation_diagram(data: xr.Dataset, ax: Axes | None = None) -> Axes:
+def bifurcation_diagram(
+    data: xr.Dataset,
+    ax: Axes | None = None,
+    *,
+    title: bool | str = True,
+    subtitle: bool = True,
+    legend: bool = True,
+    labels: bool = True,
+) -> Axes:
     """The attractors against a parameter: the first coordinate at the start of each stride.
 
     A dot is a recorded state of a walker that does not fall. Dashed lines show where the gait of
@@ -154,6 +188,8 @@ def bifurcation_diagram(data: xr.Dataset, ax: Axes | None = None) -> Axes:
 
     - `data`: what `walker_jax.bifurcation_diagram` returns.
     - `ax`: where to draw; by default, on a new figure of 7 by 5 inches.
+    - `title`, `subtitle`, `legend`, `labels`: whether to write these, a title also in other words.
+      Labels are the names of axes, and words in the picture.
 
     **Returns** the axes. Raises `ValueError` for a data set without gaits and attractors.
     """
@@ -163,22 +199,20 @@ def bifurcation_diagram(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     ax.plot(value, state, "o", color=BASINS[0], ms=1, mew=0, rasterized=True, zorder=4)
     for curve in cascade_curves(data)[:1]:
         draw_curve(ax, curve, curve.states, stable=False)
-    dress(ax, data, "attractors", "")
-    name_axes(ax, y=first_name(data))
-    lost = loss_of_attractor(data)
+    set_range(ax, data)
+    lost, note = loss_of_attractor(data), ""
     if np.isfinite(lost):
         ax.axvline(lost, color=LOSS, lw=1, zorder=3)
         low, high = data["lost"].values.tolist()
-        ax.annotate(
-            f"walking is lost between {low:.5f} and {high:.5f}",
-            (lost, 1),
-            (0, 3),
-            ax.get_xaxis_transform(),
-            "offset points",
-            ha="right" if lost > np.mean(ax.get_xlim()) else "left",  # not beyond the axes
-            color=LOSS,
-            fontsize=SMALL,
-        )
+        note = f"walking is lost between {low:.5f} and {high:.5f}"
+    dress(
+        ax,
+        Shown(title, subtitle, legend, labels),
+        title=f"{walker_title(data)}: attractors",
+        note=note,
+        x=str(data.attrs["parameter"]),
+        y=first_name(data),
+    )
     return ax
 
 
@@ -198,69 +232,19 @@ def bifurcations(data: xr.Dataset) -> Figure:
     check_dataset(data, "bifurcation diagram")
     figure = Figure(figsize=(13, 9.4), layout="constrained")
     axes = figure.subplots(2, 2)
-    gait_branches(data, axes[0, 0]).set_title("Gaits", **TITLE)
-    bifurcation_diagram(data, axes[0, 1]).set_title("Attractors", **TITLE)
-    largest_multiplier(data, axes[1, 0]).set_title("Largest Floquet multiplier", **TITLE)
+    gait_branches(data, axes[0, 0], title="Gaits")
+    bifurcation_diagram(data, axes[0, 1], title="Attractors")
+    largest_multiplier(data, axes[1, 0], title="Largest Floquet multiplier")
     window = cascade_window(data)
     if window is None:
         axes[1, 1].remove()
     else:
-        zoom = bifurcation_diagram(data, axes[1, 1])
-        zoom.set_title("Attractors of the cascade", **TITLE)
+        zoom = bifurcation_diagram(data, axes[1, 1], title="Attractors of the cascade")
         zoom.lines[0].set(markersize=0.8, alpha=0.5)
         zoom.set(xlim=window[:2], ylim=window[2:])
         zoom.locator_params(axis="x", nbins=6)
     figure_title(figure, walker_title(data, 110))
     return figure
-
-
-def stability_and_area(gaits: xr.Dataset, areas: xr.Dataset, ax: Axes | None = None) -> Axes:
-    """Modulus of the largest multiplier of the gait, and area of the basin, against the slope.
-
-    Figure 8 of Schwab and Wisse (2001).
-
-    **Arguments:**
-
-    - `gaits`: what `walker_jax.bifurcation_diagram` returns, over the slope.
-    - `areas`: of the kind "areas over slopes".
-    - `ax`: where to draw; by default, on a new figure of 8 by 4.8 inches.
-
-    **Returns** the axes, of the multiplier; those of the area share it. Raises `ValueError` for
-    other data sets.
-    """
-    check_dataset(gaits, "gait branches")
-    check_dataset(areas, "areas over slopes")
-    ax = new_axes(8, 4.8) if ax is None else ax
-    ax.axhline(1, color=INK, lw=0.8, zorder=1)
-    slopes = areas["slope"].values
-    for curve in cascade_curves(gaits)[:1]:
-        draw_multiplier(ax, curve)
-    ax.set(xlim=(0, 1.02 * slopes.max()), ylim=(0, HIGHEST))
-    name_axes(ax, "slope", RADIUS)
-    other = ax.twinx()
-    known = np.isfinite(areas["area"].values)
-    points = other.plot(
-        *(slopes, areas["mapped_area"], "s"),
-        color=BASINS[1],
-        ms=5,
-        mfc="none",
-        label="area, cell mapping",
-    )
-    if known.any():
-        points += other.plot(
-            *(slopes[known], areas["area"].values[known], "-o"),
-            color=BASINS[0],
-            ms=3,
-            label="area, refined (error below the width of the line)",
-        )
-    other.set_ylim(0)
-    name_axes(other, y=AREA_LABEL)
-    other.yaxis.label.set_color(BASINS[0])
-    write_title(ax, "Stability of the gait, and area of its basin", "SimplestWalker")
-    line = Line2D([], [], color=INK, **SOLID, label=f"{RADIUS}; dashed: unstable")
-    place_legend(ax, [line], BELOW, columns=1)
-    place_legend(ax, points, BELOW + LINE, columns=2)
-    return ax
 
 
 def draw_curve(
@@ -314,10 +298,12 @@ def cascade_window(data: xr.Dataset) -> tuple[float, float, float, float] | None
 def write_step_times(ax: Axes, data: xr.Dataset) -> None:
     """Write the step times of the gaits of period one at the end of the range beside the axes."""
     heights, times = final_gaits(data)
-    at, room, free = ax.get_yaxis_transform(), 0.05 * np.ptp(ax.get_ylim()), -np.inf
+    _, size = size_between(ax)
+    line = 1.4 * points_of(SMALL) / size * np.ptp(ax.get_ylim())
+    at, free = ax.get_yaxis_transform(), -np.inf
     for height, time in sorted(zip(heights.tolist(), times.tolist(), strict=True)):
-        free = max(height, free + room)
-        line = {"arrowstyle": "-", "lw": 0.5, "shrinkA": 0, "shrinkB": 0}
+        free = max(height, free + line)
+        arrow = {"arrowstyle": "-", "lw": 0.5, "shrinkA": 0, "shrinkB": 0}
         ax.annotate(
             f"{time:.2f}",
             (1, height),
@@ -326,7 +312,7 @@ def write_step_times(ax: Axes, data: xr.Dataset) -> None:
             at,
             va="center",
             fontsize=SMALL,
-            arrowprops=line,
+            arrowprops=arrow,
         )
     if len(heights):
         ax.annotate(
@@ -339,10 +325,8 @@ def write_step_times(ax: Axes, data: xr.Dataset) -> None:
         )
 
 
-def dress(ax: Axes, data: xr.Dataset, subject: str, note: str) -> None:
-    """Write the title and the name of the parameter, and set its range."""
-    write_title(ax, f"{walker_title(data)}: {subject}", note)
-    name_axes(ax, x=str(data.attrs["parameter"]))
+def set_range(ax: Axes, data: xr.Dataset) -> None:
+    """Let the axes have the range of the parameter."""
     samples = data["sample_value"].values if "sample_value" in data else []
     values = np.concatenate([data["value"].values, samples])
     if len(values) and np.ptp(values) > 0:

@@ -76,11 +76,13 @@ def film(
         )
         (now,) = axes[1].plot([], [], "o", color=TRAJECTORY, mec=INK, mew=1.4, ms=10, zorder=7)
         moving += [line, now]
-    letters, size = (90, 12) if data is not None else (55, 10)
+    letters, size = (90, "large") if data is not None else (55, "medium")
     figure_title(figure, walker_title(walk, letters), size)
     axes[0].set_axis_off()
     axes[0].set_aspect("equal")
-    heading = axes[0].set_title("stride 1, time 0.0", loc="left", fontsize=11, fontweight="bold")
+    heading = axes[0].set_title(
+        "stride 1, time 0.0", loc="left", fontsize="medium", fontweight="bold"
+    )
     figure.draw_without_rendering()
     figure.set_layout_engine("none")  # or panels shake
 
@@ -111,8 +113,8 @@ def film_in_space(walk: xr.Dataset, path: Path, signature: str, progress: bool) 
     ax = figure.subplots()
     ax.set_axis_off()
     ax.set_aspect("equal")
-    figure_title(figure, walker_title(walk, 70), 9)
-    heading = ax.set_title("stride 1, time 0.0", loc="left", fontsize=11, fontweight="bold")
+    figure_title(figure, walker_title(walk, 70), "small")
+    heading = ax.set_title("stride 1, time 0.0", loc="left", fontsize="medium", fontweight="bold")
     tall = 1.25 * float(walk.attrs["walker_leg_length"])
     with film_writer(figure, path, signature, [ax]) as grab:
         for k in track(range(walk.sizes["frame"]), "film", progress):
@@ -150,9 +152,9 @@ def zoom_film(data: xr.Dataset, path: Path, *, signature: str = "", progress: bo
     ax.set(xticks=[], yticks=[])
     x, y = map(str, data["fate"].dims[1:])
     name_axes(ax, x, y)
-    figure_title(figure, walker_title(data), 12)
+    figure_title(figure, walker_title(data), "large")
     figure_legend(figure, [*map(patch_of, regions)], columns=2)
-    heading = ax.set_title("window 0.000e+00 wide, 0.000e+00 high", loc="left", fontsize=11)
+    heading = ax.set_title("window 0.000e+00 wide, 0.000e+00 high", loc="left", fontsize="medium")
     figure.draw_without_rendering()
     figure.set_layout_engine("none")
     sizes = [float(cell_edges(data[name].values)[1]) * 2 for name in (x, y)]

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from walker_jax.figures.layout import figure_legend, figure_title, name_axes
-from walker_jax.figures.style import AXIS, LONGER, OTHERS, PERIODS, TITLE
+from walker_jax.figures.style import LONGER, OTHERS, PERIODS, TITLE
 from walker_jax.figures.text import count_noun, walker_title
 from walker_jax.storage.schema import check_dataset
 
@@ -43,7 +43,7 @@ def basin_fractions(data: xr.Dataset) -> Figure:
     fractions = np.nan_to_num(data["fraction"].values)
     draw_steps(below, value, fractions, colours)
     name_axes(below, str(data.attrs["parameter"]))
-    below.set_ylabel("fraction of the region", fontsize=AXIS)
+    below.set_ylabel("fraction of the region")
     below.set(xlim=(value[0], value[-1]), ylim=(0, 1.1 * fractions.sum(axis=1).max() or None))
     below.set_title("Basins", **TITLE)
     periods = data["period"].values.tolist()
@@ -52,7 +52,7 @@ def basin_fractions(data: xr.Dataset) -> Figure:
         for i, (colour, n) in enumerate(zip(colours, periods, strict=True))
     ]
     figure_legend(figure, handles, columns=4)
-    figure_title(figure, f"{walker_title(data)}, {count_noun(count, 'attractor')}", 12)
+    figure_title(figure, f"{walker_title(data)}, {count_noun(count, 'attractor')}", "large")
     return figure
 
 

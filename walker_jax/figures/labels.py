@@ -6,7 +6,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 
 from walker_jax.figures.regions import Extent, Region
-from walker_jax.figures.style import INK, LETTER, SMALL
+from walker_jax.figures.style import INK, LETTER, SMALL, points_of
 
 
 def draw_label(
@@ -14,17 +14,20 @@ def draw_label(
     region: Region,
     free: Bool[np.ndarray, "nx ny"],
     extent: Extent,
+    axes_size: Float[np.ndarray, " 2"],
 ) -> bool:
     """Label a region inside itself, with letter and words, or the letter alone, as there is room.
 
-    `free` is where labels may stand. Returns whether there was room for the words.
+    `free` is where labels may stand, on axes of a size in points. Returns whether there
+    was room for the words.
     """
-    letter = [(region.letter, LETTER, "bold", 0)]
-    words = [(region.words, SMALL, "normal", 0)]
-    both = [(region.letter, LETTER, "bold", 5.5), (region.words, SMALL, "normal", -8.5)]
+    large, small = points_of(LETTER), points_of(SMALL)
+    letter = [(region.letter, large, "bold", 0)]
+    words = [(region.words, small, "normal", 0)]
+    up, down = 0.6 * small, -0.55 * large
+    both = [(region.letter, large, "bold", up), (region.words, small, "normal", down)]
     colour = "white" if luminance(region.colour) < 0.2 else INK
     low, high = np.array(extent[::2]), np.array(extent[1::2])
-    axes_size = np.array(ax.bbox.size) * 72 / ax.figure.dpi
     for lines in (both, letter) if region.letter else (words,):
         width = max(size * (0.6 * len(text) + 0.5) for text, size, *_ in lines)
         height = sum(1.15 * size for _, size, *_ in lines)
@@ -43,6 +46,7 @@ def draw_label(
                 color=colour,
                 fontsize=size,
                 fontweight=weight,
+                clip_on=True,
             )
         return lines is not letter
     return False

@@ -1,19 +1,47 @@
-"""Places on a picture: its axes, their limits, the title above and the legends below."""
+"""Places on a picture: its axes, their limits, and what is written around them."""
 
-from typing import Literal, cast
+import re
+from collections.abc import Sequence
+from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
 from jaxtyping import Float
+from matplotlib import cbook
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import RendererAgg
 from matplotlib.figure import Figure
+from matplotlib.gridspec import GridSpecFromSubplotSpec
 from matplotlib.legend import Legend
+from matplotlib.text import Text
 from matplotlib.transforms import offset_copy
 
-from walker_jax.figures.style import AXIS, NOTE, SMALL, TITLE
+from walker_jax.figures.style import NOTE, TITLE, points_of
 from walker_jax.figures.text import axis_label
 
-BELOW, LINE = 40, 17
-"""How far the legend stands below the axes, and its lines below one another (points)."""
+GAP = 7
+"""Between the axes and what is above them, and between their names and legends (points)."""
+LARGER = 1.12
+"""How much larger than without one a layout makes axes and their title and legends, at least."""
+MOST = 0.6
+"""Share of the height of a panel that title and legends may take."""
+PAD = 6
+"""Between panels and around them (points)."""
+AROUND = 100
+"""Height of a title and legends, before it is known (points)."""
+SIZES = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5)
+"""Shares of the sizes of text that are tried in turn, in a panel that is small."""
+
+
+class Shown(NamedTuple):
+    """What is written around a picture and in it."""
+
+    title: bool | str = True
+    """The title that the picture has, another one, or none."""
+    subtitle: bool = True
+    legend: bool = True
+    labels: bool = True
+    """The names of axes, and words in the picture."""
 
 
 def new_axes(
@@ -42,46 +70,180 @@ def padded_limits(values: Float[np.ndarray, " n"]) -> tuple[float, float] | None
     return (values.min() - beyond, values.max() + beyond) if beyond else None
 
 
-def name_axes(ax: Axes, x: str | None = None, y: str | None = None, size: int = AXIS) -> None:
+def name_axes(
+    ax: Axes, x: str | None = None, y: str | None = None, size: str | None = None
+) -> None:
     """Label axes with coordinates or parameters, or with words of their own."""
+    style: dict[str, Any] = {} if size is None else {"fontsize": size}
     if x is not None:
-        ax.set_xlabel(axis_label(x), fontsize=size)
+        ax.set_xlabel(axis_label(x), **style)
     if y is not None:
-        ax.set_ylabel(axis_label(y), fontsize=size)
+        ax.set_ylabel(axis_label(y), **style)
 
 
-def write_title(ax: Axes, subject: str, note: str) -> None:
-    """A title, and a line or more below it."""
-    lines = note.count("\n")
-    ax.set_title(subject, **TITLE | {"pad": TITLE["pad"] + 12 * lines})
-    ax.annotate(note, (0, 1), (0, 7), "axes fraction", "offset points", fontsize=NOTE)
+def dress(
+    ax: Axes,
+    shown: Shown,
+    *,
+    title: str,
+    note: str,
+    x: str,
+    y: str,
+    legends: Sequence[tuple[Sequence[Artist], int]] = (),
+    beside: Sequence[Axes] = (),
+) -> None:
+    """Write title and note above axes, their names, and legends below, as wide as there is room.
+
+    Each legend has its handles, and as many columns as fit, at most a number of them. `beside` are
+    axes that share the height, as those of a colour bar. In a small panel all is written smaller.
+    """
+    measure = RendererAgg(1, 1, figure_of(ax).dpi)
+    _, high = size_of(ax)
+    if shown.labels:
+        name_axes(ax, x, y)
+    else:
+        for one in beside:
+            one.set_ylabel("")
+    upright = [(one.yaxis.label, one.get_ylabel()) for one in (ax, *beside)]
+    for name, _ in upright:
+        fit_text(name, (1 - MOST) * high, measure)
+    wide = width_between(ax, beside, measure)
+    title = shown.title if isinstance(shown.title, str) else title * shown.title
+    legends = [one for one in legends if one[0]] if shown.legend else []
+    taken = 0.0
+    for size in SIZES:
+        fit_text(ax.xaxis.label, wide, measure)
+        drawn, above = write_above(ax, title, note * shown.subtitle, size, wide, measure)
+        below_it, below = write_below(ax, legends, size, wide, measure)
+        taken = above + below
+        if taken <= MOST * high or size == SIZES[-1]:
+            break
+        for one in (*drawn, *below_it):
+            one.remove()
+    for name, words in upright:
+        name.set_text(words)
+        fit_text(name, high - taken, measure)
 
 
-def place_legend(ax: Axes, handles: list, drop: int, *, columns: int) -> None:
-    """A legend at the left, `drop` points below the axes."""
-    if handles:
-        legend = Legend(
-            ax,
-            handles,
-            [handle.get_label() for handle in handles],
-            loc="upper left",
-            bbox_to_anchor=(0, 0),
-            bbox_transform=offset_copy(ax.transAxes, figure_of(ax), y=-drop, units="points"),
-            borderaxespad=0,
-            borderpad=0,
-            ncols=columns,
-            frameon=False,
-            fontsize=SMALL,
+def size_of(ax: Axes) -> tuple[float, float]:
+    """Width and height that axes with title and legends will have, about (pixels)."""
+    box = ax.get_position(original=True).transformed(ax.figure.transSubfigure)
+    larger = 1.0 if figure_of(ax).get_layout_engine() is None else LARGER
+    return larger * box.width, larger * box.height
+
+
+def width_between(ax: Axes, beside: Sequence[Axes], measure: RendererAgg) -> float:
+    """Width of axes without what is to their left and right, in their panel (pixels)."""
+    wide, _ = size_of(ax)
+    spec = ax.get_subplotspec()
+    if spec is None or figure_of(ax).get_layout_engine() is None:
+        return wide
+    grid = spec.get_gridspec()
+    if isinstance(grid, GridSpecFromSubplotSpec):
+        return wide
+    ratios = np.asarray(grid.get_width_ratios(), float)
+    columns = ratios[spec.colspan.start : spec.colspan.stop]
+    panel = ax.figure.bbox.width * float(columns.sum() / ratios.sum())
+    boxes = [one.yaxis.get_tightbbox(measure) for one in (ax, *beside)]
+    boxes += [one.get_window_extent(measure) for one in ax.texts if one.get_in_layout()]
+    boxes = [box for box in boxes if box is not None]
+    left = ax.bbox.x0 - min((box.x0 for box in boxes), default=ax.bbox.x0)
+    right = max((box.x1 for box in boxes), default=ax.bbox.x1) - ax.bbox.x1
+    room = panel - max(0.0, left) - max(0.0, right) - 2 * PAD * figure_of(ax).dpi / 72
+    return max(room, wide / 2)
+
+
+def size_between(ax: Axes) -> Float[np.ndarray, " 2"]:
+    """About the size (points) that axes will have between a title above and legends below."""
+    wide, high = np.array(size_of(ax)) * 72 / figure_of(ax).dpi
+    return np.array([wide, max(high - AROUND, 0.4 * high)])
+
+
+def write_above(
+    ax: Axes, title: str, note: str, size: float, wide: float, measure: RendererAgg
+) -> tuple[list[Artist], float]:
+    """Write a title, and a line or more below it. Returns the artists and their height."""
+    drawn: list[Artist] = []
+    scale, high = figure_of(ax).dpi / 72, 0.0
+    if note:
+        size_of_note = size * points_of(NOTE)
+        text = ax.annotate(
+            note, (0, 1), (0, GAP), "axes fraction", "offset points", fontsize=size_of_note
         )
+        fit_text(text, wide, measure)
+        high = text.get_window_extent(measure).height + GAP * scale
+        drawn.append(text)
+    pad = high / scale + 4 if note else None
+    words = ax.set_title(title, pad=pad, fontsize=size * points_of("axes.titlesize"), **TITLE)
+    fit_text(words, wide, measure)
+    return drawn, high + (words.get_window_extent(measure).height if title else 0)
+
+
+def write_below(
+    ax: Axes,
+    legends: Sequence[tuple[Sequence[Artist], int]],
+    size: float,
+    wide: float,
+    measure: RendererAgg,
+) -> tuple[list[Artist], float]:
+    """Place legends at the left, below one another. Returns them and their height."""
+    drawn: list[Artist] = []
+    figure, points = figure_of(ax), size * points_of("legend.fontsize")
+    scale, high = figure.dpi / 72, 0.0
+    names = ax.xaxis.get_tightbbox(measure)
+    drop = GAP + (max(0.0, ax.bbox.y0 - names.y0) / scale if names is not None else 0)
+    for handles, columns in legends:
+        for count in range(min(columns, len(handles)), 0, -1):
+            legend = Legend(
+                ax,
+                handles,
+                [str(handle.get_label()) for handle in handles],
+                loc="upper left",
+                bbox_to_anchor=(0, 0),
+                bbox_transform=offset_copy(
+                    ax.transAxes, figure, y=-drop - high / scale, units="points"
+                ),
+                borderaxespad=0,
+                borderpad=0,
+                ncols=count,
+                frameon=False,
+                fontsize=points,
+            )
+            if legend.get_window_extent(measure).width <= wide:
+                break
+        else:
+            for text in legend.get_texts():
+                fit_text(text, wide - 3 * points * scale, measure)
         ax.add_artist(legend).set_clip_on(False)
+        drawn.append(legend)
+        high += legend.get_window_extent(measure).height + 0.4 * points * scale
+    return drawn, high
+
+
+def fit_text(text: Text, room: float, measure: RendererAgg) -> None:
+    """Break a text, at spaces that are in no formula, into lines that fit (pixels)."""
+    font = text.get_fontproperties()
+    width_of = lambda line: measure.get_text_width_height_descent(
+        line, font, cbook.is_math_text(line)
+    )[0]
+    if all(width_of(line) <= room for line in text.get_text().split("\n")):
+        return
+    words = re.findall(r"(?:\$[^$]*\$|[^ \n])+", text.get_text())
+    lines: list[str] = []
+    for word in words:
+        longer = f"{lines[-1]} {word}" if lines else word
+        if lines and width_of(longer) <= room:
+            lines[-1] = longer
+        else:
+            lines.append(word)
+    text.set_text("\n".join(lines))
 
 
 def figure_legend(figure: Figure, handles: list, *, columns: int) -> None:
     """A legend at the left, below all axes of a figure."""
-    place = "outside lower left"
-    figure.legend(handles=handles, loc=place, ncols=columns, frameon=False, fontsize=SMALL)
+    figure.legend(handles=handles, loc="outside lower left", ncols=columns, frameon=False)
 
 
-def figure_title(figure: Figure, title: str, size: int = 14) -> None:
+def figure_title(figure: Figure, title: str, size: str = "x-large") -> None:
     """A title at the left, above all axes of a figure."""
     figure.suptitle(title, x=0.01, ha="left", fontsize=size, fontweight="bold")

@@ -4,10 +4,8 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
-from matplotlib.figure import Figure
 
-from walker_jax.figures.layout import figure_title, name_axes
-from walker_jax.figures.style import SMALL
+from walker_jax.figures.layout import Shown, dress, figure_of, new_axes
 from walker_jax.figures.text import walker_title
 from walker_jax.storage.schema import check_dataset
 
@@ -17,7 +15,15 @@ FAINTEST = 1e-6
 """Chance, over the largest one, below which a pixel is empty."""
 
 
-def metastability(data: xr.Dataset, ax: Axes | None = None) -> Axes:
+def metastability(
+    data: xr.Dataset,
+    ax: Axes | None = None,
+    *,
+    title: bool | str = True,
+    subtitle: bool = True,
+    legend: bool = True,
+    labels: bool = True,
+) -> Axes:
     """The quasi-stationary distribution: where walks that still last are on the section.
 
     Over theta and theta + thetadot, as basins are; of rough ground, summed over the third
@@ -26,15 +32,14 @@ def metastability(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     **Arguments:**
 
     - `data`: what `walker_jax.metastability` returns.
-    - `ax`: where to draw, by default on a figure of its own.
+    - `ax`: where to draw; by default, on a new figure of 6.4 by 5.2 inches.
+    - `title`, `subtitle`, `legend`, `labels`: whether to write these, a title also in other words.
+      Labels are the names of axes, and words in the picture.
 
     Raises `ValueError` for another data set.
     """
     check_dataset(data, "metastable walking")
-    if ax is None:
-        figure = Figure(figsize=(6.4, 5.2), layout="constrained")
-        ax = figure.subplots()
-        figure_title(figure, walker_title(data), 12)
+    ax = new_axes(6.4, 5.2) if ax is None else ax
     edges, chance = data["edges"].values, data["chance"].values
     seen = chance > FAINTEST * chance.max()
     shares = (np.arange(PARTS) + 0.5) / PARTS - 0.5
@@ -51,9 +56,16 @@ def metastability(data: xr.Dataset, ax: Axes | None = None) -> Axes:
         cmap="viridis_r",
         rasterized=True,
     )
-    name_axes(ax, "theta", "sum")
     mean, error = float(data["mean_strides"]), 1.96 * float(data["mean_strides_error"])
-    ax.set_title(f"a fall after {mean:,.4g} ± {error:,.2g} strides on average", fontsize=SMALL)
-    bar = ax.figure.colorbar(image, ax=ax)
-    bar.set_label("chance that a walk that lasts is here, of each pixel", fontsize=SMALL)
+    bar = figure_of(ax).colorbar(image, ax=ax)
+    bar.set_label("chance of each pixel")
+    dress(
+        ax,
+        Shown(title, subtitle, legend, labels),
+        title=walker_title(data),
+        note=f"a fall after {mean:,.4g} ± {error:,.2g} strides on average",
+        x="theta",
+        y="sum",
+        beside=[bar.ax],
+    )
     return ax

@@ -9,15 +9,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
 from matplotlib.transforms import offset_copy
 
-from walker_jax.figures.layout import (
-    BELOW,
-    LINE,
-    figure_of,
-    name_axes,
-    new_axes,
-    place_legend,
-    write_title,
-)
+from walker_jax.figures.layout import Shown, dress, figure_of, new_axes
 from walker_jax.figures.style import INK, SMALL, gait_marker
 from walker_jax.figures.text import count_noun, short_number
 from walker_jax.gaits.cycles import Gait
@@ -28,7 +20,15 @@ ROW, ROWS = 13, 8
 """Height (points) of a line on multipliers beyond the frame, and how many stand at one place."""
 
 
-def multipliers(gaits: Sequence[Gait], ax: Axes | None = None) -> Axes:
+def multipliers(
+    gaits: Sequence[Gait],
+    ax: Axes | None = None,
+    *,
+    title: bool | str = True,
+    subtitle: bool = True,
+    legend: bool = True,
+    labels: bool = True,
+) -> Axes:
     """The Floquet multipliers of gaits in the complex plane, with the unit circle.
 
     Colours and signs tell periods; signs are filled for stable gaits and open for unstable ones.
@@ -38,6 +38,8 @@ def multipliers(gaits: Sequence[Gait], ax: Axes | None = None) -> Axes:
 
     - `gaits`: such as `walker_jax.find_gaits` returns. Failed searches are left out.
     - `ax`: where to draw; by default, on a new figure of 6.2 by 7.2 inches.
+    - `title`, `subtitle`, `legend`, `labels`: whether to write these, a title also in other words.
+      Labels are the names of axes, and words in the picture.
 
     **Returns** the axes.
     """
@@ -54,13 +56,9 @@ def multipliers(gaits: Sequence[Gait], ax: Axes | None = None) -> Axes:
         ax.plot(x, y, zorder=3, **gait_marker(len(gait.states), bool(gait.stable)))
         far += [(complex(value), gait) for value in values[beyond]]
     for rim in group_at_rim(far):
-        draw_rim(ax, rim)
-    ax.set(xlim=(-RIM, RIM), ylim=(-RIM, RIM), aspect="equal")
-    name_axes(ax, "real part", "imaginary part")
+        draw_rim(ax, rim, labels)
+    ax.set(xlim=(-RIM, RIM), ylim=(-RIM, RIM), aspect="equal", anchor="W")
     stable = sum(bool(gait.stable) for gait in gaits)
-    write_title(
-        ax, "Floquet multipliers", f"of {count_noun(len(gaits), 'gait')}, {stable} of them stable"
-    )
     kinds = [
         Line2D([], [], label=name, **gait_marker(1, stable))
         for name, stable in (("stable", True), ("unstable", False))
@@ -70,8 +68,15 @@ def multipliers(gaits: Sequence[Gait], ax: Axes | None = None) -> Axes:
         Line2D([], [], label=f"period {period}", **gait_marker(period, True))
         for period in sorted({len(gait.states) for gait in gaits})
     ]
-    place_legend(ax, kinds, BELOW, columns=4)
-    place_legend(ax, periods, BELOW + LINE * bool(kinds), columns=4)
+    dress(
+        ax,
+        Shown(title, subtitle, legend, labels),
+        title="Floquet multipliers",
+        note=f"of {count_noun(len(gaits), 'gait')}, {stable} of them stable",
+        x="real part",
+        y="imaginary part",
+        legends=[(kinds, 4), (periods, 4)],
+    )
     return ax
 
 
@@ -98,11 +103,12 @@ def group_at_rim(far: list[tuple[complex, Gait]]) -> list[Rim]:
     return found
 
 
-def draw_rim(ax: Axes, rim: Rim) -> None:
+def draw_rim(ax: Axes, rim: Rim, labels: bool) -> None:
     """Draw a row for each multiplier at a place of the rim: its value, its sign, and an arrow."""
     figure = figure_of(ax)
     inwards = -1 if (rim.x >= 0) == (abs(rim.x) > RIM / 2) else 1
-    up = 1 if (rim.y >= 0) == (abs(rim.y) < RIM / 2) else -1
+    above = rim.y > 0 or (rim.y == 0 and rim.x > 0)  # not both sides of a small frame at a height
+    up = 1 if above == (abs(rim.y) < RIM / 2) else -1
     shown = rim.members if len(rim.members) <= ROWS else rim.members[: ROWS - 1]
     for row, (value, gait) in enumerate(shown, 1):
         rise = up * ROW * row
@@ -116,8 +122,9 @@ def draw_rim(ax: Axes, rim: Rim) -> None:
         tail = (-2 * offset.real, -2 * offset.imag)
         ax.annotate("", (rim.x, rim.y), tail, tip, "offset points", arrowprops=arrow)
         ax.add_line(Line2D([rim.x], [rim.y], transform=spot, zorder=4, **style))
-        write_row(ax, rim, 36 * inwards, rise, short_number(value))
-    if len(shown) < len(rim.members):
+        if labels:
+            write_row(ax, rim, 36 * inwards, rise, short_number(value))
+    if labels and len(shown) < len(rim.members):
         largest = short_number(rim.members[-1][0])
         words = f"and {len(rim.members) - len(shown)} more, up to {largest}"
         write_row(ax, rim, 5 * inwards, up * ROW * ROWS, words)

@@ -26,15 +26,12 @@ from walker_jax.design.results import (
     weights,
 )
 from walker_jax.figures.layout import (
-    BELOW,
-    LINE,
+    Shown,
+    dress,
     figure_legend,
     figure_of,
     figure_title,
-    name_axes,
     new_axes,
-    place_legend,
-    write_title,
 )
 from walker_jax.figures.regions import (
     extent_of,
@@ -76,7 +73,16 @@ MEASURE_WORDS = {
 """Words of the measures whose own name is not as good."""
 
 
-def optimisation(data: xr.Dataset, parameter: str | None = None, ax: Axes | None = None) -> Axes:
+def optimisation(
+    data: xr.Dataset,
+    parameter: str | None = None,
+    ax: Axes | None = None,
+    *,
+    title: bool | str = True,
+    subtitle: bool = True,
+    legend: bool = True,
+    labels: bool = True,
+) -> Axes:
     """The values of a parameter that an optimisation tried, and the objective between the bounds.
 
     Dots are evaluations, from light and large to dark and small as the steps become shorter, joined
@@ -89,6 +95,8 @@ def optimisation(data: xr.Dataset, parameter: str | None = None, ax: Axes | None
     - `data`: what `walker_jax.optimise` returns.
     - `parameter`: one of those that were free; by default, the first.
     - `ax`: where to draw; by default, on a new figure of 7 by 5.6 inches.
+    - `title`, `subtitle`, `legend`, `labels`: whether to write these, a title also in other words.
+      Labels are the names of axes, and words in the picture.
 
     **Returns** the axes. Raises `ValueError` for a data set without an optimum, and for a parameter
     that was not free.
@@ -99,7 +107,8 @@ def optimisation(data: xr.Dataset, parameter: str | None = None, ax: Axes | None
     if parameter not in names:
         raise WrongUse(f"parameter must be one of {', '.join(names)}, not {parameter!r}")
     ax = new_axes(7, 5.6) if ax is None else ax
-    draw_optimisation(ax, data, parameter, headline(data, 60))
+    shown = Shown(title, subtitle, legend, labels)
+    draw_optimisation(ax, data, parameter, headline(data, 60), shown)
     return ax
 
 
@@ -141,7 +150,7 @@ def optimum(data: xr.Dataset) -> Figure:
     for k, name in enumerate(names):
         row, column = divmod(k, columns)
         ax = figure.add_subplot(grid[row, column * wide : (column + 1) * wide])
-        draw_optimisation(ax, data, name, name.replace("_", " ").capitalize())
+        draw_optimisation(ax, data, name, name.replace("_", " ").capitalize(), Shown())
     if basins:
         halves = [figure.add_subplot(grid[-1, half]) for half in (slice(3), slice(3, 6))]
         draw_basins(halves, data)
@@ -163,19 +172,24 @@ def fixed_attributes(data: xr.Dataset) -> xr.Dataset:
     return xr.Dataset(attrs={key: data.attrs[key] for key in data.attrs if key not in changed})
 
 
-def draw_optimisation(ax: Axes, data: xr.Dataset, parameter: str, subject: str) -> None:
+def draw_optimisation(
+    ax: Axes, data: xr.Dataset, parameter: str, subject: str, shown: Shown
+) -> None:
     """Draw the picture `optimisation`."""
     scan, ground = draw_scan(ax, data, parameter)
     stages, others = draw_runs(ax, data, parameter)
     marks = [*draw_ends(ax, data.sel(parameter=parameter)), *scan, *others]
     ax.set_xlim(*bounds(data, parameter))
     ax.locator_params(axis="x", nbins=6)
-    name_axes(ax, parameter, objective_words(data))
-    write_title(ax, subject, join_phrases([gain(data), *ending(data, parameter)], 60))
-    rows = -(-len(marks) // 2)
-    place_legend(ax, marks, BELOW, columns=2)
-    place_legend(ax, stages, BELOW + LINE * rows, columns=len(STAGES))
-    place_legend(ax, ground, BELOW + LINE * (rows + bool(stages)), columns=1)
+    dress(
+        ax,
+        shown,
+        title=subject,
+        note=join_phrases([gain(data), *ending(data, parameter)], 60),
+        x=parameter,
+        y=objective_words(data),
+        legends=[(marks, 2), (stages, len(STAGES)), (ground, 1)],
+    )
 
 
 def draw_ends(ax: Axes, own: xr.Dataset) -> list[Line2D]:
@@ -243,9 +257,8 @@ def draw_basins(panels: Sequence[Axes], data: xr.Dataset) -> None:
         show_image(ax, image, extent)
         values = dict(zip(free_parameters(data), data[side].values.tolist(), strict=True))
         words = f"{side.capitalize()}: {join_phrases(parameter_values(values), 42)}"
-        write_title(ax, words, optimum_basin_note(data, side))
-        name_axes(ax, x)
-    name_axes(panels[0], y=y)
+        note, own = optimum_basin_note(data, side), y if side == "start" else ""
+        dress(ax, Shown(), title=words, note=note, x=x, y=own)
     panels[1].sharex(panels[0])
     panels[1].sharey(panels[0])
     panels[1].tick_params(labelleft=False)

@@ -58,7 +58,7 @@ def step(data: xr.Dataset) -> Figure:
             write_part_names(ax, pose)
         when = f"time {float(pose['time']):.2f}"
         note = {0: "just after heel strike", len(SHARES) - 1: ending}.get(k, "")
-        ax.set_title(when, loc="left", fontsize=10, fontweight="bold")
+        ax.set_title(when, loc="left", fontsize="medium", fontweight="bold")
         ax.set_title(note, loc="right", fontsize=SMALL)
         ax.set(xlim=(left, right), ylim=(-0.16 * size, 1.22 * size), aspect="equal")
         ax.set_axis_off()
@@ -67,7 +67,7 @@ def step(data: xr.Dataset) -> Figure:
         Line2D([], [], color=SWING, lw=3, label="swing leg"),
     ]
     figure_legend(figure, legs, columns=2)
-    figure_title(figure, f"{walker_title(data)}: one stride, times in √(l/g)", 12)
+    figure_title(figure, f"{walker_title(data)}: one stride, times in √(l/g)", "large")
     return figure
 
 
@@ -164,7 +164,7 @@ def write_part_names(ax: Axes, pose: xr.Dataset) -> None:
         ax.add_patch(Arc(middle, wide, wide, theta1=begin, theta2=end, lw=1, zorder=8))
         half = np.radians((begin + end) / 2)
         at = middle + size * length * np.array([np.cos(half), np.sin(half)])
-        centred: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 12}
+        centred: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": "large"}
         ax.annotate(text, at, away, textcoords="offset points", **centred)
     paper = radius == 0 and "swing_knee" not in pose  # whose legs have no mass, and feet are points
     words = [
@@ -175,5 +175,9 @@ def write_part_names(ax: Axes, pose: xr.Dataset) -> None:
     for place, shift, text in words:
         ax.annotate(text, place, shift, textcoords="offset points", va="center", fontsize=SMALL)
     ax.annotate(f"slope $\\gamma$ = {slope:g}", (-0.6 * leg, -0.13 * leg), fontsize=SMALL)
-    arrow: dict[str, Any] = {"arrowprops": {"arrowstyle": "->"}, "ha": "center", "fontsize": 12}
+    arrow: dict[str, Any] = {
+        "arrowprops": {"arrowstyle": "->"},
+        "ha": "center",
+        "fontsize": "large",
+    }
     ax.annotate("$g$", (0.9, 0.45), (0.9, 0.67), "axes fraction", "axes fraction", **arrow)

@@ -11,15 +11,7 @@ from matplotlib.figure import Figure
 from walker_jax.basins.cell_classes import large_basins
 from walker_jax.checks import WrongUse
 from walker_jax.figures.basin_maps import basin
-from walker_jax.figures.layout import (
-    BELOW,
-    LINE,
-    name_axes,
-    new_axes,
-    padded_limits,
-    place_legend,
-    write_title,
-)
+from walker_jax.figures.layout import Shown, dress, new_axes, padded_limits
 from walker_jax.figures.regions import (
     attractor_name,
     extent_of,
@@ -50,7 +42,15 @@ MEASURES = {
 """Colour, line and words of each measure of robustness."""
 
 
-def disturbance(data: xr.Dataset, ax: Axes | None = None) -> Axes:
+def disturbance(
+    data: xr.Dataset,
+    ax: Axes | None = None,
+    *,
+    title: bool | str = True,
+    subtitle: bool = True,
+    legend: bool = True,
+    labels: bool = True,
+) -> Axes:
     """The basin near its gait, and the nearest start from which the walker does not return to it.
 
     The walker returns from all starts inside the solid curve. Where the nearest start converges to
@@ -60,6 +60,8 @@ def disturbance(data: xr.Dataset, ax: Axes | None = None) -> Axes:
 
     - `data`: what `walker_jax.robustness` returns, over two dimensions, with a gait.
     - `ax`: where to draw; by default, on a new figure of 5.4 by 5.4 inches.
+    - `title`, `subtitle`, `legend`, `labels`: whether to write these, a title also in other words.
+      Labels are the names of axes, and words in the picture.
 
     **Returns** the axes. Raises `ValueError` for another data set.
     """
@@ -93,12 +95,17 @@ def disturbance(data: xr.Dataset, ax: Axes | None = None) -> Axes:
         marks += ax.plot(
             *place_states(data, state[None], axes).T, sign, ms=size, label=words, **look
         )
-    place_legend(ax, marks, BELOW, columns=1)
-    place_legend(ax, [*map(patch_of, regions)], BELOW + LINE * len(marks), columns=2)
     ax.set(xlim=limits[0], ylim=limits[1])
-    name_axes(ax, x, y)
     ax.locator_params(nbins=6)
-    write_title(ax, "Least disturbance", distance_phrase(starts))
+    dress(
+        ax,
+        Shown(title, subtitle, legend, labels),
+        title="Least disturbance",
+        note=distance_phrase(starts),
+        x=x,
+        y=y,
+        legends=[(marks, 1), ([*map(patch_of, regions)], 2)],
+    )
     return ax
 
 
@@ -142,7 +149,15 @@ def robustness(data: xr.Dataset) -> Figure:
     return figure
 
 
-def robustness_measures(data: xr.Dataset, ax: Axes | None = None) -> Axes:
+def robustness_measures(
+    data: xr.Dataset,
+    ax: Axes | None = None,
+    *,
+    title: bool | str = True,
+    subtitle: bool = True,
+    legend: bool = True,
+    labels: bool = True,
+) -> Axes:
     """Area of the basin, least disturbance and largest multiplier against a parameter.
 
     Figure 8 of Schwab and Wisse (2001), and the least disturbance. Area and disturbance are drawn
@@ -153,6 +168,8 @@ def robustness_measures(data: xr.Dataset, ax: Axes | None = None) -> Axes:
 
     - `data`: what `walker_jax.robustness_table` returns.
     - `ax`: where to draw; by default, on a new figure of 7 by 4.6 inches.
+    - `title`, `subtitle`, `legend`, `labels`: whether to write these, a title also in other words.
+      Labels are the names of axes, and words in the picture.
 
     **Returns** the axes. Raises `ValueError` for another data set.
     """
@@ -176,15 +193,28 @@ def robustness_measures(data: xr.Dataset, ax: Axes | None = None) -> Axes:
         handles += ax.plot(values[farther], falls[farther], "s", **look)
     colour, style, words = MEASURES["multiplier"]
     handles += ax.plot(values, data["multiplier"].values, style, color=colour, label=words)
-    name_axes(ax, parameter, "relative to the maximum; modulus of the multiplier")
     ax.set(xlim=padded_limits(values), ylim=(0, 1.05 * np.max(falls[farther], initial=1)))
-    note = "band: twice the standard error of the area; multiplier of the attracting gait"
-    write_title(ax, f"{walker_title(data)}: robustness", note)
-    place_legend(ax, handles, BELOW, columns=1)
+    dress(
+        ax,
+        Shown(title, subtitle, legend, labels),
+        title=f"{walker_title(data)}: robustness",
+        note="band: twice the standard error of the area; multiplier of the attracting gait",
+        x=parameter,
+        y="relative to the maximum; modulus of the multiplier",
+        legends=[(handles, 1)],
+    )
     return ax
 
 
-def boundary_dimension(data: xr.Dataset, ax: Axes | None = None) -> Axes:
+def boundary_dimension(
+    data: xr.Dataset,
+    ax: Axes | None = None,
+    *,
+    title: bool | str = True,
+    subtitle: bool = True,
+    legend: bool = True,
+    labels: bool = True,
+) -> Axes:
     """The dimension of the boundary of the basin against a parameter, with its interval.
 
     It is 1 where the boundary is smooth, and above where it is fractal.
@@ -197,11 +227,16 @@ def boundary_dimension(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     ax.fill_between(values, low, high, color=BASINS[0], alpha=0.25, lw=0)
     ax.plot(values, middle, "o-", color=BASINS[0], markersize=4)
     ax.axhline(1, color=INK, lw=0.8, zorder=1)
-    name_axes(ax, parameter, "dimension")
     top = np.nanmax([1.2, *high])
     ax.set(xlim=padded_limits(values), ylim=(0.9, 1.05 * top))
-    note = "by the uncertainty exponent, with its 95 % interval"
-    write_title(ax, "Dimension of the basin's boundary", note)
+    dress(
+        ax,
+        Shown(title, subtitle, legend, labels),
+        title="Dimension of the basin's boundary",
+        note="by the uncertainty exponent, with its 95\u00a0% interval",
+        x=parameter,
+        y="dimension",
+    )
     return ax
 
 

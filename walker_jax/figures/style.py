@@ -2,6 +2,9 @@
 
 from typing import Any
 
+from matplotlib import rcParams
+from matplotlib.font_manager import FontProperties
+
 from walker_jax.walking.outcomes import Outcome
 
 INK = "#1a1a1a"
@@ -42,9 +45,15 @@ LONGER = ("#9b9b9b", "*")
 SOLID: dict[str, Any] = {"lw": 2, "ls": "-"}
 DASHED: dict[str, Any] = {"lw": 0.7, "ls": (0, (6, 3))}
 """Lines of stable and of unstable gaits."""
-LETTER, AXIS, NOTE, SMALL = 16, 11, 9.5, 9
-"""Sizes of text (points): letters of regions, names of axes, second lines of titles, and other."""
-TITLE: dict[str, Any] = {"loc": "left", "fontsize": 12, "fontweight": "bold", "pad": 18}
+LETTER, NOTE, SMALL = "x-large", "medium", "small"
+"""Sizes of text, to that of `rcParams`: letters of regions, second lines of titles, and other."""
+TITLE: dict[str, Any] = {"loc": "left", "fontweight": "bold"}
+
+
+def points_of(size: str) -> float:
+    """A size of text in points: one of those above, or what `rcParams` has under a name."""
+    chosen: Any = rcParams  # whose own types name each key
+    return FontProperties(size=chosen.get(size, size)).get_size_in_points()
 
 
 def period_style(period: int) -> tuple[str, str]:

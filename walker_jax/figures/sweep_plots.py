@@ -3,8 +3,8 @@
 import xarray as xr
 from matplotlib.axes import Axes
 
-from walker_jax.figures.layout import figure_of, name_axes, new_axes, write_title
-from walker_jax.figures.style import AXIS, BASINS
+from walker_jax.figures.layout import Shown, dress, figure_of, new_axes
+from walker_jax.figures.style import BASINS
 from walker_jax.figures.text import (
     AREA_LABEL,
     VOLUME_LABEL,
@@ -15,7 +15,15 @@ from walker_jax.figures.text import (
 from walker_jax.storage.schema import check_dataset
 
 
-def sweep(data: xr.Dataset, ax: Axes | None = None) -> Axes:
+def sweep(
+    data: xr.Dataset,
+    ax: Axes | None = None,
+    *,
+    title: bool | str = True,
+    subtitle: bool = True,
+    legend: bool = True,
+    labels: bool = True,
+) -> Axes:
     """The area or volume of the basin over one or two parameters, with its error over one.
 
     **Arguments:**
@@ -23,6 +31,8 @@ def sweep(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     - `data`: what `walker_jax.sweep` returns. Of three parameters and more, the others are at their
       first values.
     - `ax`: where to draw; by default, on a new figure of 7 by 4.8 inches.
+    - `title`, `subtitle`, `legend`, `labels`: whether to write these, a title also in other words.
+      Labels are the names of axes, and words in the picture.
 
     **Returns** the axes. Raises `ValueError` for another data set.
     """
@@ -36,16 +46,25 @@ def sweep(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     words = VOLUME_LABEL if data["fate"].ndim == data["total_area"].ndim + 3 else AREA_LABEL
     if area.ndim == 1:
         ax.errorbar(data[x], area, error, fmt="o-", color=BASINS[0], capsize=3)
-        name_axes(ax, x, words)
+        y, bars = words, []
         ax.set_ylim(0, 1.1 * float(area.fillna(0).max()) or None)
     else:
         y = str(area.dims[1])
         image = ax.pcolormesh(data[x], data[y], area.T, cmap="viridis", rasterized=True)
-        name_axes(ax, x, y)
-        figure_of(ax).colorbar(image, ax=ax).set_label(words, fontsize=AXIS)
+        bar = figure_of(ax).colorbar(image, ax=ax)
+        bar.set_label(words)
+        bars = [bar.ax]
     fixed = parameter_values({name: float(data[name][0]) for name in others})
     shape = " × ".join(map(str, data["total_area"].shape))
     failed = int(data["failed"].sum())
     failures = [f"{failed} failed"] if failed else []
-    write_title(ax, walker_title(data), join_phrases([f"{shape} basins", *fixed, *failures], 60))
+    dress(
+        ax,
+        Shown(title, subtitle, legend, labels),
+        title=walker_title(data),
+        note=join_phrases([f"{shape} basins", *fixed, *failures], 60),
+        x=x,
+        y=y,
+        beside=bars,
+    )
     return ax

@@ -94,10 +94,12 @@ def volume(data: xr.Dataset) -> Figure:
         ]
         ax.set(xlim=window[names.index(x)], ylim=window[names.index(y)])
         name_axes(ax, x, y, size=SMALL)
-        ax.set_title(coordinate_value(names[hidden], float(plane[names[hidden]])), fontsize=10)
+        ax.set_title(
+            coordinate_value(names[hidden], float(plane[names[hidden]])), fontsize="medium"
+        )
     draw_surface(panels.flat[3], names, window, places, colours)
     figure.suptitle(
-        f"{walker_title(data, 95)}\n{volume_note(data)}", x=0.01, ha="left", fontsize=11
+        f"{walker_title(data, 95)}\n{volume_note(data)}", x=0.01, ha="left", fontsize="medium"
     )
     figure_legend(figure, [*marks, *patches.values()], columns=3)
     return figure
@@ -144,7 +146,7 @@ def draw_surface(
     view = rotation(AZIMUTH, ELEVATION)
     project = lambda at: (2 * (at - low) / (high - low) - 1) @ view.T
     ax.set(xlim=(-1.75, 1.75), ylim=(-1.7, 1.6), aspect="equal")
-    ax.set_title("its surface" if len(places) else "no basin of attraction", fontsize=10)
+    ax.set_title("its surface" if len(places) else "no basin of attraction", fontsize="medium")
     ax.set_axis_off()
     if len(places) == 0:
         return
@@ -234,7 +236,7 @@ def name_edges(
         outward = np.array([-1.0, 0.0]) if k == 2 else np.array([0.0, -1.0])
         words: dict[str, Any] = {"ha": "center", "va": "center", "color": INK}
         x, y = lowest.mean(axis=0) + 0.27 * outward
-        ax.text(x, y, SYMBOLS.get(name, name), fontsize=10, **words)
+        ax.text(x, y, SYMBOLS.get(name, name), fontsize="medium", **words)
         for end, value in zip(lowest, (low[k], high[k]), strict=True):
             x, y = end + 0.14 * outward + (0.06 if k == 2 else 0.3 * (lowest.mean(axis=0) - end))
-            ax.text(x, y, f"{value:.2f}".replace("-", "−"), fontsize=8, **words)
+            ax.text(x, y, f"{value:.2f}".replace("-", "−"), fontsize=SMALL, **words)

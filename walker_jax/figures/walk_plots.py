@@ -9,13 +9,7 @@ from matplotlib.lines import Line2D
 
 from walker_jax.basins.cell_classes import large_basins
 from walker_jax.figures.basin_maps import basin
-from walker_jax.figures.layout import (
-    BELOW,
-    name_axes,
-    new_axes,
-    place_legend,
-    write_title,
-)
+from walker_jax.figures.layout import Shown, dress, new_axes
 from walker_jax.figures.poses import GROUND, SWING
 from walker_jax.figures.regions import (
     attractor_mark,
@@ -35,7 +29,15 @@ TRAJECTORY = "#f2b632"
 """Colour of a trajectory in a basin, seen on dark and on pale ground."""
 
 
-def leg_angles(data: xr.Dataset, ax: Axes | None = None) -> Axes:
+def leg_angles(
+    data: xr.Dataset,
+    ax: Axes | None = None,
+    *,
+    title: bool | str = True,
+    subtitle: bool = True,
+    legend: bool = True,
+    labels: bool = True,
+) -> Axes:
     """Angles of both legs from the normal of the slope, over time.
 
     Figure 6 of Schwab and Wisse (2001). Legs exchange roles at heel strikes, the thin lines.
@@ -44,6 +46,8 @@ def leg_angles(data: xr.Dataset, ax: Axes | None = None) -> Axes:
 
     - `data`: what `walker_jax.motion` returns.
     - `ax`: where to draw; by default, on a new figure of 9 by 4.2 inches.
+    - `title`, `subtitle`, `legend`, `labels`: whether to write these, a title also in other words.
+      Labels are the names of axes, and words in the picture.
 
     **Returns** the axes. Raises `ValueError` for another data set.
     """
@@ -63,8 +67,6 @@ def leg_angles(data: xr.Dataset, ax: Axes | None = None) -> Axes:
             ax.plot(time[own], shank, color=SWING, lw=0.9)
     if time[-1] > time[0]:
         ax.set_xlim(time[0], time[-1])
-    name_axes(ax, "time (√(l/g))", "angle from the normal of the slope (rad)")
-    write_title(ax, f"{walker_title(data)}: leg angles", course(data))
     legs = [
         Line2D([], [], color=INK, lw=1.8, label="stance leg"),
         Line2D([], [], color=SWING, lw=1.8, ls=(0, (1, 1.2)), label="swing leg"),
@@ -72,7 +74,15 @@ def leg_angles(data: xr.Dataset, ax: Axes | None = None) -> Axes:
     if "knee" in data:
         legs[1].set_label("swing thigh")
         legs.append(Line2D([], [], color=SWING, lw=0.9, label="swing shank"))
-    place_legend(ax, legs, BELOW, columns=len(legs))
+    dress(
+        ax,
+        Shown(title, subtitle, legend, labels),
+        title=f"{walker_title(data)}: leg angles",
+        note=course(data),
+        x="time (√(l/g))",
+        y="angle from the normal of the slope (rad)",
+        legends=[(legs, len(legs))],
+    )
     return ax
 
 
@@ -115,8 +125,14 @@ def steps_over_basin(data: xr.Dataset, walk: xr.Dataset) -> Figure:
         for k in range(first, last):
             write_number(ax, k + 1, (x[k], y[k]))
     close.set(xlim=window[0], ylim=window[1])
-    name_axes(close, axes[0])
-    write_title(close, "Enlarged", f"starts {half + 1} to {len(x)}, and the attractor")
+    dress(
+        close,
+        Shown(),
+        title="Enlarged",
+        note=f"starts {half + 1} to {len(x)}, and the attractor",
+        x=axes[0],
+        y="",
+    )
     return figure
 
 

@@ -244,6 +244,16 @@ def reduce_product(x, axes, **_):
     return reduce(operator.mul, rows, jnp.ones_like(x, shape=rows.shape[1:]))
 
 
+def reduce_by(operation: Callable) -> Callable:
+    """The largest or the least entry along axes, pair by pair."""
+
+    def reduce_pairs(x, axes, **_):
+        rows = jnp.moveaxis(x, axes, range(len(axes)))
+        return reduce(operation, rows.reshape(-1, *rows.shape[len(axes) :]))
+
+    return reduce_pairs
+
+
 def record_switches(switch: Callable[..., list[Series]], rule: Callable) -> Callable:
     """Extends a rule so that it records the primitive's switching functions."""
 
@@ -317,6 +327,8 @@ Expansion.rules = {
     "one_minus_square": by_coefficients(one_minus_square),
     "polynomial": by_definition(lambda x, *c, **_: evaluate_polynomial(list(c), x)),
     "pow": power_rule,
+    "reduce_max": by_definition(reduce_by(lax.max)),
+    "reduce_min": by_definition(reduce_by(lax.min)),
     "reduce_prod": by_definition(reduce_product),
     "sin": by_pair(sincos, -1, 0),
     "sinh": by_pair(lambda x: (jnp.sinh(x), jnp.cosh(x)), 1, 0),

@@ -39,6 +39,7 @@ from walker_jax.walking.falls import (
     ahead_by,
     distance_to_fall,
     fall_of,
+    has_fallen,
     has_own_falls,
     makes_step,
     missing_slope,
@@ -272,7 +273,7 @@ def follow_margins(
             )
             short = jnp.maximum(missing_slope(walker, series, length, rate), missed)
             short = jnp.maximum(short, coming)
-            fallen = jnp.where(fall != Outcome.UNDECIDED, short, fallen)
+            fallen = jnp.where(has_fallen(walker, after), short, fallen)
 
         # the force
         least = dict(now.least)

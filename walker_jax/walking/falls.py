@@ -14,12 +14,20 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int, PyTree
 
+from walker_jax.checks import WrongUse
 from walker_jax.integrators.roots import derivative_of
 from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.integrators.taylor import switching_series
 from walker_jax.walkers.model import Scalar, Walker, is_planar
 from walker_jax.walkers.spatial import SpatialWalker
 from walker_jax.walking.outcomes import Outcome
+
+FAILURES = tuple(
+    one.name
+    for one in Outcome
+    if one not in (Outcome.STRIDE, Outcome.OUTSIDE, Outcome.UNDECIDED, Outcome.LEFT_GRID)
+)
+"""The names that falls may have."""
 
 
 def has_own_falls(walker: Walker) -> bool:
@@ -45,13 +53,42 @@ def has_fallen(walker: Walker, state: Any) -> Bool[Array, ""]:
     return fall_of(walker, state) != Outcome.UNDECIDED
 
 
+def has_own_is_ahead(walker: Walker) -> bool:
+    """Whether the class of a walker says anew where the swing foot is ahead."""
+    usual = Walker if is_planar(walker) else SpatialWalker
+    return type(walker).is_ahead is not usual.is_ahead
+
+
+def is_ahead_over_steps(walker: Walker, state: Any) -> Bool[Array, ""]:
+    """Whether the swing foot is ahead where feet are at different heights."""
+    ahead = state.phi < 0
+    return ahead & walker.is_ahead(state) if has_own_is_ahead(walker) else ahead
+
+
+def check_falls(walker: Walker, state: Any) -> None:
+    """Refuse falls of a walker of a user's own that are not flags by the names of failures."""
+    if not has_own_falls(walker):
+        return
+    for name, flag in jax.eval_shape(walker.falls, state).items():
+        if name not in FAILURES:
+            raise WrongUse(
+                f"falls of {type(walker).__name__} must be named by a failure, one of "
+                f"{', '.join(FAILURES)}, not {name!r}"
+            )
+        if flag.shape:
+            raise WrongUse(
+                f"falls of {type(walker).__name__} must be single flags, not {name} of shape "
+                f"{flag.shape}"
+            )
+
+
 def makes_step(walker: Walker, state: Any) -> Bool[Array, ""]:
     """Whether a foot that comes down is at heel strike, of a walker that has not fallen."""
     return walker.is_ahead(state) & ~has_fallen(walker, state)
 
 
 def ahead_by(walker: Walker, state: Any) -> Scalar:
-    """How far the swing foot is ahead, zero where `is_ahead` changes: -theta, unless it is anew."""
+    """How far the swing foot is ahead, zero where `is_ahead` changes: -theta by default."""
     if type(walker).is_ahead is Walker.is_ahead:
         return -state.theta
     distance = distance_to_change(walker.is_ahead, state)

@@ -44,7 +44,7 @@ from walker_jax.walking.falls import (
 )
 from walker_jax.walking.outcomes import Outcome, Stride
 from walker_jax.walking.phase_margins import upcrossing, with_own_failures
-from walker_jax.walking.stepping import begin_stride, end_stride
+from walker_jax.walking.stepping import begin_stride, end_stride, on_section
 from walker_jax.walking.swing import Condition, conditions_of, equations, is_below, minimum_of
 
 
@@ -109,7 +109,12 @@ def conditions_on_the_way(walker: SpatialWalker) -> dict[int, Condition]:
 
 
 def follow_in_space(
-    walker: SpatialWalker, start: SpatialState, verdict: Int[Array, ""], tolerance: Scalar
+    walker: SpatialWalker,
+    start: SpatialState,
+    verdict: Int[Array, ""],
+    tolerance: Scalar,
+    *,
+    launched: bool,
 ) -> StrideInSpace:
     """The stride from a state to its end; nothing to do unless `UNDECIDED`."""
     field, order = equations(walker), series_order(start)
@@ -205,7 +210,8 @@ def follow_in_space(
         verdict=verdict,
         count=jnp.asarray(0),
         upright=distances_from_falls(start.lean, start.theta),
-        graze=infinite,
+        # On the section the disc touches the slope at first.
+        graze=-with_fast_sincos(lambda w, s: w.contact(s))(walker, start) if launched else infinite,
         miss=-infinite,
         clearing=-infinite,
         height=infinite,
@@ -222,7 +228,7 @@ def margins_in_space(
 ) -> tuple[Stride, dict[str, Scalar]]:
     """A stride, and its margins by their names in `Margins`."""
     start, verdict = with_fast_sincos(begin_stride)(walker, x)
-    last = follow_in_space(walker, start, verdict, tolerance)
+    last = follow_in_space(walker, start, verdict, tolerance, launched=not on_section(walker, x))
     depth = last.graze + least_scuff(walker.leg_length)
     broken = {outcome: least < 0 for outcome, least in last.least.items()}
     if scuffs_by_turns(walker):

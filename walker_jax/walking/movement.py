@@ -19,7 +19,7 @@ from walker_jax.checks import WrongUse, check_number, check_whole, refuses_trace
 from walker_jax.walkers.model import State, Walker, check_planar
 from walker_jax.walkers.parameters import attributes_of
 from walker_jax.walkers.spatial import SpatialWalker
-from walker_jax.walking.falls import has_fallen, has_own_falls
+from walker_jax.walking.falls import has_fallen, has_own_falls, is_ahead_over_steps
 from walker_jax.walking.iteration import walk
 from walker_jax.walking.movement_in_space import motion_in_space
 from walker_jax.walking.outcomes import Outcome
@@ -196,18 +196,19 @@ def is_over(
     """Whether a stride that fails is over: on the ground, at heel strike, or in the air."""
     phases = walker.phases()
     swing, each = (jax.tree.map(jnp.asarray, one) for one in (legs(states), states))
-    theta, phi = np.asarray(swing.theta), np.asarray(swing.phi)
+    theta = np.asarray(swing.theta)
     h = np.asarray(jax.vmap(walker.contact)(swing))
     if step:
         h = step - np.asarray(jax.vmap(walker.clearance)(swing))
     fallen = np.asarray(jax.vmap(partial(has_fallen, walker))(swing))
-    ahead = phi < 0 if step else np.asarray(jax.vmap(walker.is_ahead)(swing))
+    is_ahead = partial(is_ahead_over_steps, walker) if step else walker.is_ahead
+    ahead = np.asarray(jax.vmap(is_ahead)(swing))
     strikes = (h > 0) & (np.roll(h, 1) <= 0) & ahead & ~fallen
     # Where the ground is rough the legs may pass each other below the next foothold.
     falls = step != 0 and outcome in (Outcome.FORWARD, Outcome.BACKWARD)
     over = (strikes & swings & (not falls)) | (np.abs(theta) >= np.pi / 2)
     if has_own_falls(walker):
-        over |= fallen
+        over |= fallen & (np.asarray(swing.thetadot) < 0)  # a leg that stops goes to the ground
     if outcome == Outcome.RUNNING:
         over |= swings & np.asarray(jax.vmap(partial(in_tension, walker))(swing))
         if phases:

@@ -305,7 +305,9 @@ def with_own_failures(
     own = {}
     if has_own_falls(walker):
         fallen = jnp.where(struck, -distance_to_fall(walker, following), fallen)
-        own = {Outcome[name]: fallen for name in walker.falls(following)}
+        ways = [Outcome[name] for name in walker.falls(following)]
+        known = jnp.isfinite(fallen)  # a fall that `past_contact` tells has none of these
+        own = {way: jnp.where(known, fallen, found[WAYS[way]]) for way in ways}
     for of in map(Outcome, least):
         if of in WAYS and of != Outcome.RUNNING:
             broken = struck & (least[of] < 0)

@@ -24,7 +24,13 @@ from walker_jax.integrators.roots import first_upcrossing, interior_minimum, neg
 from walker_jax.integrators.solvers import MAX_STEPS, Method, Real, solver_for, zero_at
 from walker_jax.integrators.taylor import with_fast_sincos
 from walker_jax.walkers.model import Phase, Scalar, State, Walker
-from walker_jax.walking.falls import fall_of, has_fallen, has_own_falls, watched_falls
+from walker_jax.walking.falls import (
+    fall_of,
+    has_fallen,
+    has_own_falls,
+    has_own_is_ahead,
+    watched_falls,
+)
 from walker_jax.walking.outcomes import Outcome
 from walker_jax.walking.swing import (
     Broken,
@@ -195,8 +201,10 @@ def follow_phase(
             ends_under = height(after) < 0
             dips = turns(height, before, after)
             rises = turns(lambda state: -height(state), before, after)
-            ahead = walker.is_ahead(before) | walker.is_ahead(after)
-            ends |= ahead & jnp.where(side[1], ends_under & rises, ends_under | dips)
+            down = jnp.where(side[1], ends_under & rises, ends_under | dips)
+            if not has_own_is_ahead(walker):  # which may hold within a step alone
+                down &= walker.is_ahead(before) | walker.is_ahead(after)
+            ends |= down
         return ends, jnp.stack([ends_below, ends_under])
 
     def undecided(carry):

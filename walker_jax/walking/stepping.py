@@ -25,7 +25,7 @@ from walker_jax.integrators.taylor import with_fast_sincos
 from walker_jax.kernels import by_kernel
 from walker_jax.walkers.masses import MultibodyMotion
 from walker_jax.walkers.model import Phase, Scalar, State, Walker, check_planar, check_single
-from walker_jax.walking.falls import fall_of
+from walker_jax.walking.falls import check_falls, fall_of
 from walker_jax.walking.outcomes import Outcome, Stride, nan_unless
 from walker_jax.walking.phases import (
     follow_phase,
@@ -162,6 +162,7 @@ def full_state(walker: Walker, x: Float[Array, " coordinates"]) -> Any:
         start = next(kind for kind in state_kinds(walker) if len(kind._fields) == len(x))(*x)
     if isinstance(start, walker.state):
         check_vector_field(walker, start)
+        check_falls(walker, start)
         return walker.phases()[0].begin(start) if walker.phases() else start
     return start
 
@@ -271,7 +272,7 @@ def follow_step(
     begun = follow_to_swing(walker, start, verdict, tolerance, step)
     passed = step > 0
     if walker.phases():  # a foot in front may be below the level as a knee strikes
-        ahead = (begun.state.phi < 0) & (begun.state.theta < 0)
+        ahead = (begun.state.phi < 0) & walker.is_ahead(begun.state)
         passed |= (step < 0) & ahead & with_fast_sincos(starts_under)(walker, begun.state)
     level, lasts, verdict, broken = swing(
         walker, begun.state, begun.verdict, tolerance, step, to_step=passed, launched=launched

@@ -29,7 +29,14 @@ from walker_jax.walkers.masses import MultibodyMotion, SingleSupport
 from walker_jax.walkers.model import Phase, Scalar, Walker, is_planar
 from walker_jax.walkers.rolling_stance import RollingStance
 from walker_jax.walkers.spatial import SpatialWalker
-from walker_jax.walking.falls import fall_of, has_fallen, has_own_falls, watched_falls
+from walker_jax.walking.falls import (
+    fall_of,
+    has_fallen,
+    has_own_falls,
+    has_own_is_ahead,
+    is_ahead_over_steps,
+    watched_falls,
+)
 from walker_jax.walking.outcomes import Outcome
 
 Condition = Callable[[Any, Any], Scalar]
@@ -90,7 +97,7 @@ def swing(
         """Whether the swing foot is ahead, so that coming down is heel strike."""
         if step is None:
             return walker.is_ahead(state)
-        return jnp.where(to_step, state.phi < 0, walker.is_ahead(state))
+        return jnp.where(to_step, is_ahead_over_steps(walker, state), walker.is_ahead(state))
 
     def may_end(before: Any, after: Any, below: Bool[Array, ""], ends_below: Bool[Array, ""]):
         """Whether a stride may end in a step, from the two ends of the step alone."""
@@ -107,7 +114,8 @@ def swing(
                 # pass each other, both feet are at one level.
                 dips &= is_ahead(before) | jnp.where(to_step, step < 0, True)
             rises |= dips
-        may = rises & (is_ahead(before) | is_ahead(after))
+        # One's own rule may hold within a step alone.
+        may = rises if has_own_is_ahead(walker) else rises & (is_ahead(before) | is_ahead(after))
         if may_stop_within(walker):
             may |= (first.thetadot > 0) & (last.thetadot < 0)
         return may | ends_in_fall(after, ends_below)

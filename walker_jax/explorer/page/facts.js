@@ -28,6 +28,15 @@ export class Facts extends EventTarget {
     this.shown[name].classList.toggle("pending", !exact);
   }
 
+  /** Give up what is known and asked for, and say why. */
+  clear(words) {
+    clearTimeout(this.timer);
+    for (const abort of Object.values(this.aborts)) abort.abort();
+    Object.assign(this, { keys: {}, asked: {}, exact: {}, gaits: [], disturbance: null, rough: null });
+    for (const name of Object.keys(this.shown)) this.write(name, words, false);
+    for (const event of ["gaits", "disturbance"]) this.dispatchEvent(new Event(event));
+  }
+
   /** Ask for what has changed, once nothing changes any more. */
   want(state, cells) {
     const subject = structuredClone(state.subject());

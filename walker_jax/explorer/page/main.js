@@ -33,6 +33,7 @@ async function begin() {
   const facts = new Facts(document, about);
   const controls = new Controls($(".controls"), state);
   let lattice = null, homeKey = "", asking = 0, walking = 0; // no lattice while another is awaited
+  let prepared = ""; // the walker that picture and facts belong to
 
   // ---------------------------------------------------------------- the picture
 
@@ -44,15 +45,26 @@ async function begin() {
     picture.stop();
     say(`Preparing the ${walkerName()}`, Infinity);
     const { walker, section } = state;
+    if (walker !== prepared) clearFormer();
     const home = await ask("/api/home", { walker, section });
     if (key !== `${state.walker} ${state.section}`) return false; // another one by now
     say("");
     homeKey = key;
+    prepared = walker;
     lattice = new Lattice(about.lattice, home);
     map.axes = state.axes;
     map.setLattice(lattice, state.view);
     state.view = map.view;
     return true;
+  }
+
+  /** Nothing of the former walker stands under the name of the one that is being prepared. */
+  function clearFormer() {
+    prepared = "";
+    picture.clear();
+    facts.clear("preparing…");
+    $("#legend").replaceChildren();
+    $("#hover").textContent = "\u00a0";
   }
 
   const showPicture = () => {
@@ -78,6 +90,7 @@ async function begin() {
     try {
       if (!(await loadHome())) return;
     } catch (error) {
+      if (error instanceof Refused && !prepared) facts.clear("–");
       return complain(error);
     }
     tellUnknown();
@@ -311,7 +324,11 @@ async function begin() {
       if (!lattice) throw new Error("The picture is not there yet");
       return { ...state.subject(), method: state.method, cells: viewCells() };
     },
-    canvas: () => (state.tab === "basin" ? $("#map") : $("#diagram")),
+    canvas: () => {
+      if (state.tab !== "basin") return $("#diagram");
+      if (!lattice) throw new Error("The picture is not there yet");
+      return $("#map");
+    },
     say,
     title: () => `${state.tab}-${state.walker}-${Number((state.parameters.slope ?? 0).toPrecision(6))}`,
   });

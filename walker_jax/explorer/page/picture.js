@@ -75,6 +75,13 @@ export class Picture extends EventTarget {
     this.abort?.abort();
   }
 
+  /** Give up what there is, too. */
+  clear() {
+    this.stop();
+    this.layer = this.below = null;
+    this.changed();
+  }
+
   /** The levels of a view: a coarse one first, then as fine as the screen shows. */
   levels() {
     const { lattice, view } = this;
