@@ -230,7 +230,7 @@ def test_margins_of_own_rules_vanish_where_a_walker_begins_to_fail(name):
     assert np.median(values) < 1e-9 and np.mean(values < 1e-6) > 0.9
 
 
-@pytest.mark.parametrize("length", [1e-4, 1e4])
+@pytest.mark.parametrize("length", [1e2, 1e4])
 def test_steps_have_the_same_length_in_any_unit(length):
     """In units of the time that a leg of this length takes; of walkers with masses."""
     values = dict(slope=0.01, hip_mass=1.0, leg_mass=0.2, com_offset=0.0)

@@ -58,9 +58,9 @@ MOST_EXPANDED_AGAIN = 6
 """Variables of a state whose series is expanded once more for the last step of an integration. To
 carry the series of more of them from step to step takes less than that."""
 LONGEST_STEP, POLYNOMIAL_STEP = 2.0, 0.25
-"""In |y| / |y'|: a step that the last terms of a series do not limit, as a step of a harmonic motion
-is at most a third of the first; and its length instead, in which functions of a state that is a
-polynomial of time seldom turn more than once, as in steps of other motions."""
+"""In |y| / |y'|: a longer step is one that the last terms of a series do not limit, as those of a
+harmonic motion are at most a third as long; and its length instead, in which functions of a state
+that is a polynomial of time seldom turn more than once."""
 TIME_REFINEMENTS = 3
 """Newton's iterations on a time that interpolation gives; each squares its error."""
 
