@@ -26,7 +26,7 @@ from walker_jax.checks import (
     refuses_tracers,
 )
 from walker_jax.gaits.cycles import Gait
-from walker_jax.gaits.search import find_gait
+from walker_jax.gaits.search import search_gait
 from walker_jax.integrators.solvers import default_tolerance
 from walker_jax.walkers.model import Walker, check_single
 from walker_jax.walking.failure_margins import Margins, margins_of_many
@@ -122,7 +122,7 @@ def edge_state(
 
     def is_saddle(states: Float[np.ndarray, "period section"]) -> bool:
         nonlocal saddle
-        gait = find_gait(walker, states, len(states), tolerance=tolerance)
+        gait = search_gait(walker, states, len(states), tolerance=tolerance)
         near = np.abs(np.asarray(gait.states[0]) - states[0]).max() < NEAR
         saddle = gait if gait.found and near and not gait.stable else None
         return saddle is not None

@@ -21,7 +21,7 @@ OPTIONS = {
     "grid is": "--theta, --sum and --at-phidot are",
 }
 """Arguments of the library, as its messages name them, and the options that set them."""
-GIVE = re.compile(r"(?<=: give )((?:\w+, )+)(?=or )")
+GIVE = re.compile(r"(?<=; give )((?:\w+, )+)(?=or )")
 """Arguments of which a message of `gaits.selection.require_gait` lists some."""
 
 
