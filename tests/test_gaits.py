@@ -260,7 +260,13 @@ def test_a_failed_search_says_so():
     [
         (0.009, [0.2, -0.5], 1, "the walker makes no stride from the guess; try another guess"),
         (0.005, [0.1, -0.1], 3, "the walker makes fewer than 3 strides from the guess; try an"),
-        (0.27, None, 1, "Newton's iteration diverged, and ended where a stride misses the next"),
+        (0.27, None, 1, "the walker makes no stride from the state where the search begins; try a"),
+        (
+            0.009,
+            [0.348, -0.3378],
+            1,
+            r"Newton's iteration diverged: a stride misses .* by 0\.\d+; ",
+        ),
         (0.005, None, 2, "none of the searches from .* starts that make a stride converged; try a"),
     ],
 )

@@ -74,11 +74,15 @@ class Grid(eqx.Module):
 
     def __init__(
         self,
-        axes: Mapping[str, Axis],
-        shear: ArrayLike,
+        axes: Mapping[str, Axis] | None = None,
+        shear: ArrayLike | None = None,
         origin: ArrayLike | None = None,
         fixed: tuple[str, ...] = (),
+        **named: Axis,
     ):
+        if named or axes is None or shear is None:
+            names = ", ".join(f"{name}=(low, high, count)" for name in named or ("theta",))
+            raise WrongUse(f"axes and shear must be given to Grid: try Grid.plain({names[:80]})")
         check_kind("axes", axes, Mapping)
         if not axes:
             raise WrongUse(f"axes={axes!r}: a grid needs at least one axis")

@@ -115,7 +115,7 @@ def edge_state(
         name, end = ("a", ends[0]) if first == Outcome.OUTSIDE else ("b", ends[1])
         raise WrongUse(f"{name} must be a feasible start, not {end.tolist()}")
     if first == second:
-        raise WrongUse(f"a and b must have different fates, not both {fate_of(first).name}")
+        raise WrongUse(f"a and b must have different fates, not both {explain_fate(first)}")
     image = lambda x: np.asarray(take_strides(walker, x, tolerance=checked_tolerance).state)
 
     saddle: Gait | None = None
@@ -145,6 +145,15 @@ def edge_state(
 def fate_of(label: int) -> Outcome:
     """The fate of walkers with a label."""
     return Outcome(label) if label < len(Outcome) else Outcome.STRIDE
+
+
+def explain_fate(label: int) -> str:
+    """A fate that two starts share, and what to try instead of them."""
+    name = fate_of(label).name
+    if label == Outcome.UNDECIDED:
+        return f"{name}: the integration gave no answer; try another tolerance, or other starts"
+    where = ", to the same gait" if label >= len(Outcome) else ""
+    return f"{name}{where}: try a start on the other side of the boundary"
 
 
 def failing_margin(

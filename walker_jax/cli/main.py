@@ -12,6 +12,7 @@ import sys
 from typing import NoReturn
 
 from walker_jax.cli.app import Interrupted, app, resume_notes
+from walker_jax.cli.complaints import complaint
 from walker_jax.cli.rewording import with_options_named
 
 FEW_COLLECTIONS = 50_000
@@ -43,9 +44,8 @@ def main() -> NoReturn:
 
 def verdict(error: Exception) -> tuple[int, str]:
     """The exit code for an error, and the reason that is printed."""
-    format_message = getattr(error, "format_message", None)
-    if format_message is not None:  # an error of typer's own
-        return 2, format_message() or "name a command, one of those above"
+    if hasattr(error, "format_message"):  # an error of typer's own
+        return 2, complaint(error)
     checks = sys.modules.get("walker_jax.checks")  # it loads JAX, and that may be what failed
     if checks is None or not isinstance(error, checks.WrongUse | checks.ComputationFailed):
         return 1, f"{type(error).__name__}: {error}"

@@ -6,7 +6,7 @@ from walker_jax.checks import ComputationFailed
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.derivatives import linearise
 from walker_jax.walkers.model import Walker, moves_like
-from walker_jax.walkers.parameters import describe_in_words
+from walker_jax.walkers.parameters import describe_briefly
 from walker_jax.walkers.simplest import SimplestWalker
 from walker_jax.walking.stepping import prepare
 
@@ -25,7 +25,7 @@ def no_gait_found(
     reason = reason_without_gait(walker, period, search, guessed=guessed)
     instead = instead or f"try {'another guess' if guessed else 'a guess'}"
     return ComputationFailed(
-        f"no gait of period {period} found for {describe_in_words(walker)}: {reason}; {instead}, "
+        f"no gait of period {period} found for {describe_briefly(walker)}: {reason}; {instead}, "
         "or another slope"
     )
 
@@ -41,8 +41,7 @@ def reason_without_gait(walker: Walker, period: int, search: Gait | None, *, gue
         return f"the walker makes {made} from {start}"
     if search.residual > LARGE_RESIDUAL:
         return (
-            "Newton's iteration diverged, and ended where a stride misses the next state by "
-            f"{search.residual:.2g}"
+            f"Newton's iteration diverged: a stride misses the next state by {search.residual:.2g}"
         )
     if period > 1:
         return "the search ended in a gait of a shorter period, or too close to a bifurcation"

@@ -28,6 +28,7 @@ from walker_jax.checks import WrongUse, check_kind
 from walker_jax.grids import Grid
 from walker_jax.integrators.roots import Scalar
 from walker_jax.kernels import by_kernel
+from walker_jax.walkers.full_states import check_full_state
 from walker_jax.walkers.sources import sources_of
 
 
@@ -361,6 +362,7 @@ def landing(walker: Walker) -> tuple[State, State, State]:
     start = walker.lift(
         jnp.stack([to_array(SAMPLE_POINT.get(name, 0.1)) for name in walker.section])
     )
+    check_full_state(type(walker), start)
     arrival = start._replace(theta=-start.theta, phi=-2 * start.theta)
     after = walker.exchange_legs(walker.impact(arrival)[1])
     return arrival, after, walker.lift(walker.project(after))
