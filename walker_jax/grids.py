@@ -81,8 +81,11 @@ class Grid(eqx.Module):
         **named: Axis,
     ):
         if named or axes is None or shear is None:
-            names = ", ".join(f"{name}=(low, high, count)" for name in named or ("theta",))
-            raise WrongUse(f"axes and shear must be given to Grid: try Grid.plain({names[:80]})")
+            wrong = f", not {', '.join(named)}" if named else ""
+            plain = ", ".join(f"{name}=(low, high, count)" for name in named or ("theta",))
+            raise WrongUse(
+                f"axes and shear of a Grid must be given{wrong}: try Grid.plain({plain})"
+            )
         check_kind("axes", axes, Mapping)
         if not axes:
             raise WrongUse(f"axes={axes!r}: a grid needs at least one axis")

@@ -20,6 +20,10 @@ FEW_COLLECTIONS = 50_000
 and at its default of 700 a sixth of a short command is spent on looking."""
 
 
+LONGEST = 180
+"""Characters of a reason: with the name of the program, a line has less than 200."""
+
+
 class Terminated(BaseException):
     """The process was told to end; what it has begun to write is removed on the way out."""
 
@@ -60,5 +64,21 @@ def terminate(signal_number: int, frame: object) -> NoReturn:
 
 
 def stop(code: int, reason: str) -> NoReturn:
-    print(f"walker-jax: {' '.join(reason.split())}", file=sys.stderr)
+    print(f"walker-jax: {on_one_line(reason)}", file=sys.stderr)
     sys.exit(code)
+
+
+def on_one_line(reason: str) -> str:
+    """The reason, of which the middles of long words, and of all, go where it is too long.
+
+    Its beginning says what is wrong, and its end what to do.
+    """
+    line = " ".join(reason.split())
+    if len(line) > LONGEST:
+        line = " ".join(without_middle(word, LONGEST // 3) for word in line.split())
+    return without_middle(line, LONGEST)
+
+
+def without_middle(text: str, longest: int) -> str:
+    half = (longest - 3) // 2
+    return text if len(text) <= longest else f"{text[:half]}...{text[-half:]}"

@@ -142,7 +142,10 @@ class Walker(eqx.Module):
 
     @abc.abstractmethod
     def feasible(self, x: Float[Array, " section"]) -> Bool[Array, ""]:
-        """Whether a stride can begin at x."""
+        """Whether a stride can begin at x.
+
+        `walker-jax walk` shows the first line of a walker's own docstring for a start that is not.
+        """
 
     def gait_region(self) -> Grid:
         """The part of the section where the states of gaits lie, in cells to search from.
