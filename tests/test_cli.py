@@ -1037,7 +1037,10 @@ def test_messages_name_options():
     for message, named in (
         ("objective must be one of area", "--objective must be one of area"),
         ("--objective must be one of area", "--objective must be one of area"),
-        ("limits of speed must be finite", "--at-least and --at-most of speed must be finite"),
+        (
+            "at_least and at_most of speed must be finite",
+            "--at-least and --at-most of speed must be finite",
+        ),
         ("give another out, or overwrite", "give another --out, or --overwrite"),
         ("a grid island", "a grid island"),
     ):
@@ -1189,7 +1192,7 @@ def test_a_place_that_is_taken_is_refused_before_a_gait_is_searched_for(run, tmp
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
-        (["walk", "--walker", "giraffe"], ["--walker", "giraffe", "simplest"]),
+        (["walk", "--walker", "giraffe"], ["--walker", "giraffe", "--list-walkers"]),
         (["walk", "--foot-mass", "0.1"], ["--foot-mass", "simplest", "--slope"]),
         (["gait", "--walker", "point-foot", "--foot-mass", "-1"], ["--foot-mass", "-1"]),
         (["gait", "--walker", "point-foot", "--foot-mass", "nan"], ["--foot-mass", "nan"]),

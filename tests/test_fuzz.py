@@ -250,7 +250,8 @@ def check(bench, arguments, tried: Counter) -> None:
         and not any(name in err for name in MISTAKES)
         and (len(err) > len("walker-jax: \n")) == (code != 0)
     )
-    assert len(err.rstrip()) < 200, err
+    tried["longest line"] = max(tried["longest line"], len(err.rstrip()))
+    assert tried["longest line"] < 200, err
     assert code != 2 or after == before
     assert "--overwrite" in arguments or not lost
     # What is no data set stays in any case, and what a command may replace it must have named.

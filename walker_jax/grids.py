@@ -88,11 +88,11 @@ class Grid(eqx.Module):
             )
         check_kind("axes", axes, Mapping)
         if not axes:
-            raise WrongUse(f"axes={axes!r}: a grid needs at least one axis")
+            raise WrongUse("axes={}: a grid needs at least one axis, (low, high, count)")
         lower, upper, counts = zip(*(check_axis(*item) for item in axes.items()), strict=True)
         if math.prod(counts) > MAX_SIZE:
             raise WrongUse(
-                f"counts={counts}: {math.prod(counts)} cells, of at most {MAX_SIZE} there can be"
+                f"axes must have at most {MAX_SIZE} cells, not {math.prod(counts)}: lower a count"
             )
         self.names = tuple(axes)
         self.lower = np.array(lower)
