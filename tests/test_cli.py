@@ -513,8 +513,8 @@ def test_a_gait_that_is_not_found_ends_with_1_and_a_reason(run, arguments, reaso
     [
         (["--slope", "0"], "slope"),
         (["--period", "0"], "period"),
-        (["--guess", "nan", "0"], "theta"),
-        (["--guess", "0.2", "inf"], "thetadot"),
+        (["--guess", "nan", "0"], "--guess must be finite, not nan"),
+        (["--guess", "0.2", "inf"], "--guess must be finite, not inf"),
         (["--guess", "0.2"], "guess"),
         (["--all", "--guess", "0.2", "-0.2"], "--all"),
         (["--figure", "m.jpg"], "m.jpg"),

@@ -23,6 +23,8 @@ def complaint(error: Any) -> str:
         return f"{name_of(error.param)} is required: {help_for(error)}"
     if getattr(error, "param", None) is not None:
         return wrong_value(error)
+    if not error.format_message():
+        return "name a command, one of those above"
     said = shown(error.format_message().rstrip("."), 2 * LONGEST)
     return said if said.endswith("?") else f"{said}: {help_for(error)}"
 
