@@ -8,10 +8,11 @@ import numpy as np
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.reasons import no_gait_found
 from walker_jax.gaits.search import find_gaits, search_gait
+from walker_jax.integrators.solvers import Real
 from walker_jax.walkers.model import Walker
 
 
-def require_gait(walker: Walker, instead: Iterable[str], *, tolerance: float | None = None) -> Gait:
+def require_gait(walker: Walker, instead: Iterable[str], *, tolerance: Real | None = None) -> Gait:
     """The gait that `find_gait` finds by default.
 
     Raises `ComputationFailed` where it finds none, and names the arguments `instead` of a gait.
