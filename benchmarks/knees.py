@@ -32,6 +32,7 @@ import walker_jax as wj
 from walker_jax import multibody
 from walker_jax.basins.volumes import runs_of
 from walker_jax.figures.style import BASINS, INK
+from walker_jax.gaits.search import search_gait
 from walker_jax.stability.gait_mapper import mapper_of_gait
 from walker_jax.walkers.masses import coordinates_and_rates
 
@@ -141,7 +142,7 @@ def measure_gaits(kept: dict) -> None:
             if guess is None:
                 start = (case[0], "straight", *case[2:])
                 guess = kept.get(key(start), {}).get("state")
-            gait = wj.find_gait(walker, guess)
+            gait = search_gait(walker, guess)
             if not gait.found:
                 print(f"no gait: {key(case)}", flush=True)
                 break

@@ -27,6 +27,7 @@ import xarray as xr
 from scipy.stats import pearsonr, qmc, spearmanr
 
 import walker_jax as wj
+from walker_jax.gaits.search import search_gait
 from walker_jax.stability.summary import default_region
 from walker_jax.walkers.parameters import with_parameter
 
@@ -85,7 +86,7 @@ def draw_walkers(family: str) -> list[wj.Walker]:
 
 def measure(walker: wj.Walker, family: str) -> dict | None:
     """All numbers of a walker; None without a stable gait."""
-    gait = wj.find_gait(walker)
+    gait = search_gait(walker)
     if not (gait.found and gait.stable):
         return None
     region: Any = default_region(walker) if family == "round" else REGION

@@ -42,6 +42,7 @@ from walker_jax import figures
 from walker_jax.basins.attractor import Attractor
 from walker_jax.basins.mapper import Mapper
 from walker_jax.execution.tiles import map_cells
+from walker_jax.gaits.search import search_gait
 from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.integrators.solvers import series_order, taylor_step
 from walker_jax.stability.gait_mapper import mapper_of_gait
@@ -121,7 +122,7 @@ def without_boxes(walker: wj.SpatialWalker, gait: wj.Gait) -> Mapper:
 
 def returning(walker: wj.SpatialWalker, guess: np.ndarray, offsets: np.ndarray) -> str:
     """The share of starts that returns, its standard error, and what becomes of the others."""
-    gait = wj.find_gait(walker, guess)
+    gait = search_gait(walker, guess)
     if not (gait.found and gait.stable):
         return "no stable gait"
     labels = without_boxes(walker, gait)(np.asarray(gait.states[0]) + offsets)

@@ -9,6 +9,7 @@ from maps import done_with
 import walker_jax as wj
 from walker_jax.gaits import arclength, branches, continuation, events
 from walker_jax.gaits.derivatives import Linearisation
+from walker_jax.gaits.search import search_gait
 
 VALUES = json.loads((Path(__file__).parent / "data" / "values.json").read_text())
 REGION = wj.Grid.sheared(theta=(0.1, 0.3, 40), sum=(-0.03, 0.018, 60))
@@ -247,7 +248,7 @@ def test_a_bifurcation_found_beyond_a_step_is_none_of_the_step():
         (lambda: wj.continue_gait(walker(), "slope", (0.001, np.inf)), "interval .*inf"),
         (
             lambda: wj.continue_gait(
-                walker(), "slope", (0.001, 1.0), wj.find_gait(walker(), np.array([3.0, 3.0]))
+                walker(), "slope", (0.001, 1.0), search_gait(walker(), np.array([3.0, 3.0]))
             ),
             "gait must be one",
         ),

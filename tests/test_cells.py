@@ -196,10 +196,10 @@ def test_a_wrong_axis_is_refused_by_name(make, axis):
 def test_wrong_grids_are_refused():
     with pytest.raises(ValueError, match="at least one axis"):
         Grid.plain()
-    with pytest.raises(ValueError, match=r"counts=\(65536, 32768\): 2147483648 cells"):
+    with pytest.raises(ValueError, match=r"axes must have at most .* cells, not 2147483648"):
         Grid.plain(x=(0, 1, 2**16), y=(0, 1, 2**15))
     assert Grid.plain(x=(0, 1, MAX_SIZE)).size == MAX_SIZE
-    with pytest.raises(ValueError, match="counts="):
+    with pytest.raises(ValueError, match="axes must have at most"):
         Grid.plain(x=(0, 1, MAX_SIZE + 1))
     axes = {"p": (0, 1, 2), "q": (0, 1, 2)}
     for shear in (np.eye(3), np.ones(2), np.ones((2, 2)), np.full((2, 2), np.nan)):

@@ -1,5 +1,6 @@
 """Edge tracking, stable manifolds and narrow windows."""
 
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -148,6 +149,14 @@ def test_the_boundary_between_the_falls_is_that_of_a_stride_that_stops_upright()
         wj.edge_state(WALKER, np.array([0.09, -0.04]), np.array([0.09, 0.01]))
     with pytest.raises(ValueError, match="a must be finite numbers on the section"):
         wj.edge_state(WALKER, np.array([0.09, np.nan]), np.array([0.09, -0.03]))
+
+
+def test_starts_of_one_fate_are_told_what_it_hides():
+    told = {Outcome.UNDECIDED: "no answer; try another tolerance", Outcome.FORWARD: "other side"}
+    for fate, words in told.items():
+        assert re.match(rf"{fate.name}: .*{words}", edge_states.explain_fate(fate))
+    to_gait = edge_states.explain_fate(len(Outcome))
+    assert to_gait == "STRIDE, to the same gait: try a start on the other side of the boundary"
 
 
 def test_of_all_margins_that_nearest_to_zero_is_named(monkeypatch):

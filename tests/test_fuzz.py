@@ -25,7 +25,7 @@ from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.memory import check_grid
 from walker_jax.basins.refinement import Refined, dataset_of_runs, finer
 from walker_jax.basins.runs import Runs
-from walker_jax.checks import WrongUse
+from walker_jax.checks import ComputationFailed, WrongUse
 from walker_jax.cli import app, main
 from walker_jax.design.climbs import Climb
 from walker_jax.design.evaluation import Evaluation
@@ -256,6 +256,8 @@ def check(bench, arguments, tried: Counter) -> None:
         and not any(name in err for name in MISTAKES)
         and (len(err) > len("walker-jax: \n")) == (code != 0)
     )
+    tried["longest line"] = max(tried["longest line"], len(err.rstrip()))
+    assert tried["longest line"] < 200, err
     assert code != 2 or after == before
     assert "--overwrite" in arguments or not lost
     # What is no data set stays in any case, and what a command may replace it must have named.
@@ -497,9 +499,9 @@ def reaction(name: str, arguments: dict, *, begin: bool) -> str:
             for module, work in () if begin else BEGINNINGS:
                 stopped.enter_context(mock.patch.object(module, work, stop))
             function(**arguments)
-    except WrongUse as error:
+    except (WrongUse, ComputationFailed) as error:
         assert str(error) and "\n" not in str(error), str(error)
-        return "refused"
+        return "refused" if isinstance(error, WrongUse) else "failed"
     except Begun:
         return "begun"
     return "answered"

@@ -10,6 +10,7 @@ import pytest
 
 import walker_jax as wj
 from walker_jax.gaits import cycles, derivatives, search
+from walker_jax.gaits.search import search_gait
 from walker_jax.walkers import parameters
 
 VALUES = json.loads((Path(__file__).parent / "data" / "values.json").read_text())
@@ -244,14 +245,35 @@ def test_under_transformations_a_gait_is_the_same_and_differentiable():
 
 def test_a_failed_search_says_so():
     for guess in ([3.0, 3.0], [0.2, -0.5], [0.2, 0.2]):
-        gait = wj.find_gait(walker(), guess)
+        gait = search_gait(walker(), guess)
         assert not gait.found and not gait.stable and np.isnan(gait.residual)
         assert gait.states.shape == (1, 2) and np.isnan(gait.states).all()
         assert np.isnan(gait.multipliers).all() and np.isnan(gait.step_times).all()
-    gait = wj.find_gait(walker(0.005), [0.1, -0.1], 3)
+    gait = search_gait(walker(0.005), [0.1, -0.1], 3)
     assert not gait.found and gait.states.shape == (3, 2) and gait.step_times.shape == (3,)
-    assert not wj.find_gait(walker(0.27)).found
-    assert not wj.find_gait(walker(0.005), period=2).found
+    traced = jax.jit(lambda x: wj.find_gait(walker(), x))(jnp.array([0.2, -0.5]))
+    assert not traced.found and np.isnan(traced.states).all()
+
+
+@pytest.mark.parametrize(
+    ("slope", "guess", "period", "reason"),
+    [
+        (0.009, [0.2, -0.5], 1, "the walker makes no stride from the guess; try another guess"),
+        (0.005, [0.1, -0.1], 3, "the walker makes fewer than 3 strides from the guess; try an"),
+        (0.27, None, 1, "the walker makes no stride from the state where the search begins; try a"),
+        (
+            0.009,
+            [0.348, -0.3378],
+            1,
+            r"Newton's iteration diverged: a stride misses .* by 0\.\d+; ",
+        ),
+        (0.005, None, 2, "none of the searches from .* starts that make a stride converged; try a"),
+    ],
+)
+def test_find_gait_raises_with_the_reason_where_it_finds_none(slope, guess, period, reason):
+    expected = rf"^no gait of period {period} found for SimplestWalker, slope {slope}: {reason}"
+    with pytest.raises(wj.ComputationFailed, match=expected):
+        wj.find_gait(walker(slope), guess, period)
 
 
 @pytest.mark.parametrize("guess", [[np.nan, 0.0], [0.2, np.inf], [[0.2, -0.2], [np.nan, -0.2]]])
@@ -277,7 +299,7 @@ def test_descend_refuses(changes, message):
 
 def test_a_shorter_period_is_not_a_longer_one():
     long = wj.find_gait(walker())
-    twice = wj.find_gait(walker(), long.states[0], 2)
+    twice = search_gait(walker(), long.states[0], 2)
     assert twice.residual < 1e-14 and not twice.found and not twice.stable
 
 
@@ -441,6 +463,6 @@ def test_wrong_regions_parameters_and_gaits_are_refused():
     with pytest.raises(ValueError, match=r"parameter .*slope.*'mass'"):
         wj.gait_derivatives(walker(), gait, "mass")
     with pytest.raises(ValueError, match=r"gait must be one"):
-        wj.gait_derivatives(walker(), wj.find_gait(walker(), [3.0, 3.0]), "slope")
+        wj.gait_derivatives(walker(), search_gait(walker(), [3.0, 3.0]), "slope")
     with pytest.raises(ValueError, match=r"guess .*period 2.* JAX traces"):
         jax.eval_shape(lambda s: wj.find_gait(wj.SimplestWalker(s), period=2), 0.009)

@@ -155,7 +155,7 @@ def test_a_result_is_not_resumed_or_reused_by_changed_code(run, place):
         (["--walker", "my.walker.py:W"], "no module is named my.walker: rename the file"),
         (["--walker", "leaves.py:W"], "leaves.py cannot be loaded: SystemExit: 0 (line 1)"),
         (["--walker", "no_such_module:W"], "--walker no_such_module cannot be loaded: ModuleNot"),
-        (["--walker", "giraffe"], "--walker must be one of simplest, spring, "),
+        (["--walker", "giraffe"], "--walker must be one that walker-jax --list-walkers shows"),
         (GIVEN[:2], "--stiffness is required: torque_walker.py:TorqueWalker has no default"),
         ([*GIVEN, "--damping", "-1"], "--damping must be finite and not negative, not -1"),
         ([*GIVEN, "--target", "nan"], "--target must be finite, not nan"),

@@ -486,7 +486,7 @@ def test_the_numbers_are_those_of_the_gait_of_the_largest_basin_where_it_is_weak
             f"walker_jax.stability.summary.{name}", lambda *_, answer=answer, **__: answer
         )
     for module in ("stability.summary", "basins.attracting_gaits"):
-        monkeypatch.setattr(f"walker_jax.{module}.find_gait", found_gait)
+        monkeypatch.setattr(f"walker_jax.{module}.search_gait", found_gait)
     monkeypatch.setattr("walker_jax.stability.summary.basin_stability", survived)
     grid = wj.Grid.sheared(theta=(0.05, 0.4, 20), sum=(-0.04, 0.01, 20))
     found = summary.robustness(WALKER, grid, disturbances=0.25)
@@ -625,7 +625,7 @@ def test_wrong_arguments_are_refused():
     with pytest.raises(ValueError, match="strides must be at least 1"):
         least_disturbance(walker, gait, strides=0)
     unstable = wj.find_gait(wj.SimplestWalker(0.018))
-    with pytest.raises(ValueError, match="gait must be a stable one"):
+    with pytest.raises(ValueError, match="gait must be stable, not with a multiplier of size"):
         least_disturbance(wj.SimplestWalker(0.018), unstable)
     other = wj.find_gait(wj.SimplestWalker(0.005))
     for search in (least_disturbance, least_step_down):

@@ -69,7 +69,7 @@ AROUND_STIFF = wj.Grid.sheared(theta=(0.02, 0.2, 12), sum=(-0.2, 0, 16))
 def test_the_gait_is_that_of_the_basin_where_a_search_ends_in_another(monkeypatch):
     """Its multiplier by differences of strides, its speed by their length and time."""
     other = wj.find_gait(STIFF, [0.1446, -0.1614])
-    monkeypatch.setattr("walker_jax.design.sweeps.find_gait", lambda *_, **__: other)
+    monkeypatch.setattr("walker_jax.design.sweeps.search_gait", lambda *_, **__: other)
     found = wj.sweep(STIFF, {"hip_stiffness": [11.24]}, AROUND_STIFF, levels=0, check=100)
     found = found.isel(hip_stiffness=0)
     state = found["gait_state"].values

@@ -66,7 +66,8 @@ def basin_entropy(labels: Real[np.ndarray | Array, "*cells"], side: int = BOX) -
         raise WrongUse(f"labels must be numbers on a grid, not {short(labels)}")
     check_whole("side", side, 2)
     if min(labels.shape) < side:
-        raise WrongUse(f"side={side}: labels of shape {labels.shape} have no such box")
+        least = min(labels.shape)
+        raise WrongUse(f"side must be at most {least}, that of the labels, not {side}")
     entropy, count = entropy_of_boxes(labels, side)
     known, mixed = entropy[count > 0], entropy[count > 1]
     boundary, error = boundary_entropy(entropy, side)

@@ -74,18 +74,25 @@ class Grid(eqx.Module):
 
     def __init__(
         self,
-        axes: Mapping[str, Axis],
-        shear: ArrayLike,
+        axes: Mapping[str, Axis] | None = None,
+        shear: ArrayLike | None = None,
         origin: ArrayLike | None = None,
         fixed: tuple[str, ...] = (),
+        **named: Axis,
     ):
+        if named or axes is None or shear is None:
+            wrong = f", not {', '.join(named)}" if named else ""
+            plain = ", ".join(f"{name}=(low, high, count)" for name in named or ("theta",))
+            raise WrongUse(
+                f"axes and shear of a Grid must be given{wrong}: try Grid.plain({plain})"
+            )
         check_kind("axes", axes, Mapping)
         if not axes:
-            raise WrongUse(f"axes={axes!r}: a grid needs at least one axis")
+            raise WrongUse("axes={}: a grid needs at least one axis, (low, high, count)")
         lower, upper, counts = zip(*(check_axis(*item) for item in axes.items()), strict=True)
         if math.prod(counts) > MAX_SIZE:
             raise WrongUse(
-                f"counts={counts}: {math.prod(counts)} cells, of at most {MAX_SIZE} there can be"
+                f"axes must have at most {MAX_SIZE} cells, not {math.prod(counts)}: lower a count"
             )
         self.names = tuple(axes)
         self.lower = np.array(lower)

@@ -100,7 +100,10 @@ def merge_regions(
     if len(found) < MIN_REGIONS:
         raise WrongUse(f"labels must be of {MIN_REGIONS} regions or more, not of {len(found)}")
     if min(labels.shape) < 3 * 2**halvings:
-        raise WrongUse(f"halvings={halvings}: too many for labels of shape {labels.shape}")
+        raise WrongUse(
+            f"halvings={halvings}: labels must have {3 * 2**halvings} cells or more along each "
+            f"axis, not {labels.shape}"
+        )
     spacings = 2 ** np.arange(halvings + 1)
     shape = len(spacings), len(found), len(found)
     distances, beyond, means = np.full((3, *shape), np.nan)

@@ -13,7 +13,7 @@ from walker_jax.basins.attractor import Attractor, capture_radius
 from walker_jax.basins.attractor_search import sample_indices
 from walker_jax.basins.mapper import Mapper
 from walker_jax.gaits.cycles import Gait
-from walker_jax.gaits.search import find_gait
+from walker_jax.gaits.search import search_gait
 from walker_jax.grids import Grid
 from walker_jax.integrators.solvers import default_tolerance
 from walker_jax.walkers.model import Walker
@@ -60,7 +60,7 @@ def stable_gait(
     walker: Walker, states: Float[np.ndarray, "period section"], tolerance: float | None
 ) -> Gait | None:
     """The gait of an attractor with these states; None where Newton's iteration finds it not."""
-    gait = find_gait(walker, states, len(states), tolerance=tolerance)
+    gait = search_gait(walker, states, len(states), tolerance=tolerance)
     return gait if gait.found and gait.stable else None
 
 

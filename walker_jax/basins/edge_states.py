@@ -26,7 +26,7 @@ from walker_jax.checks import (
     refuses_tracers,
 )
 from walker_jax.gaits.cycles import Gait
-from walker_jax.gaits.search import find_gait
+from walker_jax.gaits.search import search_gait
 from walker_jax.integrators.solvers import default_tolerance
 from walker_jax.walkers.model import Walker, check_single
 from walker_jax.walking.failure_margins import Margins, margins_of_many
@@ -115,14 +115,14 @@ def edge_state(
         name, end = ("a", ends[0]) if first == Outcome.OUTSIDE else ("b", ends[1])
         raise WrongUse(f"{name} must be a feasible start, not {end.tolist()}")
     if first == second:
-        raise WrongUse(f"a and b must have different fates, not both {fate_of(first).name}")
+        raise WrongUse(f"a and b must have different fates, not both {explain_fate(first)}")
     image = lambda x: np.asarray(take_strides(walker, x, tolerance=checked_tolerance).state)
 
     saddle: Gait | None = None
 
     def is_saddle(states: Float[np.ndarray, "period section"]) -> bool:
         nonlocal saddle
-        gait = find_gait(walker, states, len(states), tolerance=tolerance)
+        gait = search_gait(walker, states, len(states), tolerance=tolerance)
         near = np.abs(np.asarray(gait.states[0]) - states[0]).max() < NEAR
         saddle = gait if gait.found and near and not gait.stable else None
         return saddle is not None
@@ -145,6 +145,15 @@ def edge_state(
 def fate_of(label: int) -> Outcome:
     """The fate of walkers with a label."""
     return Outcome(label) if label < len(Outcome) else Outcome.STRIDE
+
+
+def explain_fate(label: int) -> str:
+    """A fate that two starts share, and what to try instead of them."""
+    name = fate_of(label).name
+    if label == Outcome.UNDECIDED:
+        return f"{name}: the integration gave no answer; try another tolerance, or other starts"
+    where = ", to the same gait" if label >= len(Outcome) else ""
+    return f"{name}{where}: try a start on the other side of the boundary"
 
 
 def failing_margin(

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
-from walker_jax.gaits.search import find_gait
+from walker_jax.gaits.search import search_gait
 from walker_jax.gaits.selection import require_gait
 from walker_jax.grids import Grid, axes_around
 from walker_jax.walkers.model import Walker, moves_like
@@ -77,6 +77,6 @@ def film_window(walker: Walker, x: Float[ArrayLike, " section"]) -> Grid:
     """The paper's window for the simplest walker; any other's around its gait, or around x."""
     if moves_like(walker, SimplestWalker):
         return grid_along(PAPER_WINDOW)
-    gait = find_gait(walker)
+    gait = search_gait(walker)
     state = gait.states[0] if gait.found else x
     return grid_along(axes_around(state, ("theta", "sum", *walker.section[2:])))

@@ -43,7 +43,9 @@ def gait(
     if guess is not None:
         given = {"theta": guess[0], "thetadot": guess[1]}
         given |= {} if phidot is None else {"phidot": phidot}
-        check_finite(**given)
+        for value in guess:
+            check_finite(guess=value)
+        check_finite(phidot=0.0 if phidot is None else phidot)
         start = state_from(walker, given)
     if guess is not None and all_:
         raise WrongUse("--guess and --all exclude each other: give one of them")

@@ -13,11 +13,16 @@ import warnings
 from typing import NoReturn
 
 from walker_jax.cli.app import Interrupted, app, resume_notes
+from walker_jax.cli.complaints import complaint
 from walker_jax.cli.rewording import with_options_named
 
 FEW_COLLECTIONS = 50_000
 """New objects after which Python looks for garbage: traces are many objects, of which most live on,
 and at its default of 700 a sixth of a short command is spent on looking."""
+
+
+LONGEST = 180
+"""Characters of a reason: with the name of the program, a line has less than 200."""
 
 
 class Terminated(BaseException):
@@ -46,9 +51,8 @@ def main() -> NoReturn:
 
 def verdict(error: Exception) -> tuple[int, str]:
     """The exit code for an error, and the reason that is printed."""
-    format_message = getattr(error, "format_message", None)
-    if format_message is not None:  # an error of typer's own
-        return 2, format_message() or "name a command, one of those above"
+    if hasattr(error, "format_message"):  # an error of typer's own
+        return 2, complaint(error)
     checks = sys.modules.get("walker_jax.checks")  # it loads JAX, and that may be what failed
     if checks is None or not isinstance(error, checks.WrongUse | checks.ComputationFailed):
         return 1, f"{type(error).__name__}: {error}"
@@ -63,5 +67,21 @@ def terminate(signal_number: int, frame: object) -> NoReturn:
 
 
 def stop(code: int, reason: str) -> NoReturn:
-    print(f"walker-jax: {' '.join(reason.split())}", file=sys.stderr)
+    print(f"walker-jax: {on_one_line(reason)}", file=sys.stderr)
     sys.exit(code)
+
+
+def on_one_line(reason: str) -> str:
+    """The reason, of which the middles of long words, and of all, go where it is too long.
+
+    Its beginning says what is wrong, and its end what to do.
+    """
+    line = " ".join(reason.split())
+    if len(line) > LONGEST:
+        line = " ".join(without_middle(word, LONGEST // 3) for word in line.split())
+    return without_middle(line, LONGEST)
+
+
+def without_middle(text: str, longest: int) -> str:
+    half = (longest - 3) // 2
+    return text if len(text) <= longest else f"{text[:half]}...{text[-half:]}"

@@ -55,16 +55,17 @@ SlicePlace = Annotated[float | None, typer.Option(help=f"{PHIDOT_HELP}: where th
 
 
 def check_finite(**values: float) -> None:
-    """Refuse NaN and infinity."""
+    """Refuse NaN and infinity for options of these names."""
     for name, value in values.items():
         if not math.isfinite(value):
-            raise WrongUse(f"{name} must be finite, not {value}")
+            raise WrongUse(f"--{name} must be finite, not {value}")
 
 
 def check_drawable(grid: Grid) -> None:
     """Refuse a grid that is too coarse for a picture."""
     if min(grid.shape) < 2:
-        raise WrongUse(f"a picture needs 2 cells or more along each axis, not {grid.shape}")
+        axes = " and ".join(f"--{name}" for name in grid.names)
+        raise WrongUse(f"{axes} must have 2 cells or more each for a picture, not {grid.shape}")
 
 
 def state_from(walker: Walker, given: dict[str, float]) -> Float[np.ndarray, " section"]:

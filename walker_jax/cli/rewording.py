@@ -14,15 +14,16 @@ OPTIONS = {
     "or overwrite": "or --overwrite",
     "with overwrite": "with --overwrite",
     "without overwrite": "without --overwrite",
-    "limits of": "--at-least and --at-most of",
-    "limits must": "--at-least and --at-most must",
+    "at_least": "--at-least",
+    "at_most": "--at-most",
     "bounds of": "--bound of",
     "walker must": "--walker must",
     "objective must": "--objective must",
+    "parameter must": "--over must",
     "grid is": "--theta, --sum and --at-phidot are",
 }
 """Arguments of the library, as its messages name them, and the options that set them."""
-GIVE = re.compile(r"(?<=: give )((?:\w+, )+)(?=or )")
+GIVE = re.compile(r"(?<=; give )((?:\w+, )+)(?=or )")
 """Arguments of which a message of `gaits.selection.require_gait` lists some."""
 
 

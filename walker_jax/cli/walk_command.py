@@ -1,10 +1,12 @@
 """`walker-jax walk`."""
 
+import inspect
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import numpy as np
 import typer
+from jaxtyping import Float
 
 import walker_jax as wj
 from walker_jax import storage
@@ -88,15 +90,12 @@ def walk(
     outcomes = np.asarray(made.outcomes)
     completed = int((outcomes == wj.Outcome.STRIDE).sum())
     count = min(completed + 1, strides)
+    if outcomes[0] == wj.Outcome.OUTSIDE:
+        refuse_start(walker, np.asarray(start))
     names = [wj.Outcome(code).name for code in outcomes[:count].tolist()]
     states, times = np.asarray(made.states)[: completed + 1], np.asarray(made.times)[:count]
     coordinates = walker.section if ground is None else State._fields
     if animate is not None:
-        if names[0] == "OUTSIDE":
-            options = " and ".join(f"--{name}" for name in walker.section)
-            raise WrongUse(
-                f"{options} must be a feasible start for a film, not {states[0].tolist()}"
-            )
         motion = wj.motion(walker, start, strides, step=FRAME_INTERVAL, ground=heights)
         data = None
         if not isinstance(walker, wj.SpatialWalker):
@@ -115,3 +114,10 @@ def walk(
         print(f"{'next':>6}  {row(states[-1])}")
     if animate is not None:
         print(f"film {animate}")
+
+
+def refuse_start(walker: Walker, start: Float[np.ndarray, " section"]) -> NoReturn:
+    """Raises `WrongUse` for a start that is not feasible, with the condition for that."""
+    options = " and ".join(f"--{name}" for name in walker.section)
+    condition = (inspect.getdoc(type(walker).feasible) or "").partition("\n")[0].rstrip(".")
+    raise WrongUse(f"{options} must be a feasible start, not {start.tolist()}: {condition}")

@@ -15,7 +15,8 @@ from walker_jax.checks import refuses_tracers
 from walker_jax.design.bands import check_bands, walkers_at_band_ends
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.derivatives import gait_derivatives
-from walker_jax.gaits.search import find_gait
+from walker_jax.gaits.search import search_gait
+from walker_jax.gaits.selection import require_gait
 from walker_jax.integrators.solvers import default_tolerance
 from walker_jax.stability.disturbances import BEYOND, LeastDisturbance, least_disturbance
 from walker_jax.stability.margin_changes import differentiate_margins
@@ -61,7 +62,7 @@ def disturbance_gradient(
     Other arguments and errors are those of `least_disturbance`, in its plain metric.
     """
     widths = check_bands(walker, parameters, bands)
-    gait = find_gait(walker, tolerance=tolerance) if gait is None else gait
+    gait = require_gait(walker, ["gait"], tolerance=tolerance) if gait is None else gait
     search = partial(
         least_disturbance,
         along=along,
@@ -102,7 +103,7 @@ def mean_derivative_over_band(
     """Average derivative of the least disturbance over a band, where its ends have the gait."""
     ends = []
     for one in walkers_at_band_ends(walker, parameter, width):
-        there = find_gait(one, gait.states, len(gait.states), tolerance=tolerance)
+        there = search_gait(one, gait.states, len(gait.states), tolerance=tolerance)
         one, there = (one, there) if there.found and there.stable else (walker, gait)
         ends.append((float(getattr(one, parameter)), search(one, there).size))
     (low, below), (high, above) = ends

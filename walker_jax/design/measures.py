@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 from walker_jax.checks import check_kind, refuses_tracers
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.derivatives import gait_derivatives
-from walker_jax.gaits.search import find_gait
+from walker_jax.gaits.search import search_gait
 from walker_jax.walkers.model import Scalar, Walker, is_planar
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 from walker_jax.walking.stepping import stride, trajectory
@@ -58,7 +58,7 @@ def gait_measures(
     check_kind("parameters", parameters, Sequence)
     for name in parameters:
         check_parameter(walker, name)
-    gait = find_gait(walker, tolerance=tolerance) if gait is None else gait
+    gait = search_gait(walker, tolerance=tolerance) if gait is None else gait
     check_kind("gait", gait, Gait)
     if not gait.found:
         unknown = Measure(np.nan, np.full(len(parameters), np.nan))

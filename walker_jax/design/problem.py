@@ -139,15 +139,17 @@ def parse_limits(
         for name, value in given.items():
             if name not in GAIT_MEASURES:
                 known = ", ".join(GAIT_MEASURES)
-                raise WrongUse(f"limits must be those of one of {known}, not of {name!r}")
+                raise WrongUse(f"at_least and at_most must be of one of {known}, not of {name!r}")
             if not (is_number(value) and np.isfinite(value)):
-                raise WrongUse(f"limits of {name} must be finite numbers, not {value!r}")
+                raise WrongUse(
+                    f"at_least and at_most of {name} must be finite numbers, not {value!r}"
+                )
             pair = list(limits.get(name, (-np.inf, np.inf)))
             pair[side] = float(value)
             limits[name] = pair[0], pair[1]
     for name, (low, high) in limits.items():
         if low > high:
-            raise WrongUse(f"limits of {name} must be the lower first, not {low:g} and {high:g}")
+            raise WrongUse(f"at_least {name} must be below at_most, not {low:g} and {high:g}")
     return limits
 
 

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from walker_jax.checks import check_kind, refuses_tracers
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.derivatives import gait_derivatives
-from walker_jax.gaits.search import find_gait
+from walker_jax.gaits.search import search_gait
 from walker_jax.stability.sensitivity import DISTURBANCES, INDICATORS, respond_to
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import check_parameter, with_parameter
@@ -47,7 +47,7 @@ def sensitivity_gradient(
     check_kind("parameters", parameters, Sequence)
     for name in parameters:
         check_parameter(walker, name)
-    gait = find_gait(walker, tolerance=tolerance) if gait is None else gait
+    gait = search_gait(walker, tolerance=tolerance) if gait is None else gait
     check_kind("gait", gait, Gait)
     if not gait.found or len(gait.states) != 1:
         return SensitivityGradient(np.nan, np.full(len(parameters), np.nan))

@@ -26,7 +26,7 @@ from walker_jax.checks import WrongUse, check_kind, check_whole, numbers, refuse
 from walker_jax.design.measures import gait_measures
 from walker_jax.execution.progress import track
 from walker_jax.execution.workers import open_workers
-from walker_jax.gaits.search import find_gait
+from walker_jax.gaits.search import search_gait
 from walker_jax.grids import Grid
 from walker_jax.integrators.solvers import default_tolerance
 from walker_jax.stability.summary import default_region, robustness, without_gait
@@ -267,7 +267,7 @@ def measure_basin(walker: Walker, plan: Measurement) -> dict[str, Any]:
     )
     gait = gait_of_basins(walker, fine, tolerance)
     if not plan.robust:  # which says it too
-        row["note"] = compare_with_search(gait, find_gait(walker, tolerance=tolerance))
+        row["note"] = compare_with_search(gait, search_gait(walker, tolerance=tolerance))
     if gait is not None:
         row |= {"gait_period": len(gait.states), "gait_state": np.asarray(gait.states[0])}
         row |= {"multiplier": np.abs(gait.multipliers[0]), "step_time": np.mean(gait.step_times)}

@@ -17,7 +17,7 @@ from walker_jax.design.problem import Problem, describe_problem
 from walker_jax.execution.progress import bar, in_words
 from walker_jax.execution.threads import side_by_side
 from walker_jax.gaits.cycles import Gait
-from walker_jax.gaits.search import find_gait
+from walker_jax.gaits.search import search_gait
 
 
 class Trace:
@@ -56,7 +56,7 @@ class Trace:
             walker, tolerance = problem.walker_at(values), problem.tolerance
             if problem.grid is not None:
                 found = gait_of_grid(walker, problem.grid, problem.strides, tolerance)
-            found = find_gait(walker, tolerance=tolerance) if found is None else found
+            found = search_gait(walker, tolerance=tolerance) if found is None else found
             self.gaits[values.tobytes()] = found
         return self.gaits[values.tobytes()]
 
@@ -65,7 +65,7 @@ class Trace:
         problem = self.problem
         if not {*problem.measures} - {problem.size} or not self.gait(values).found:
             return ""
-        searched = find_gait(problem.walker_at(values), tolerance=problem.tolerance)
+        searched = search_gait(problem.walker_at(values), tolerance=problem.tolerance)
         return compare_with_search(self.gait(values), searched)
 
     def measure(self, run: int, stage: int, place: Float[np.ndarray, " parameters"]) -> Evaluation:

@@ -20,7 +20,7 @@ from walker_jax.explorer.pictures import plane_of
 from walker_jax.explorer.subjects import Subject
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.diagrams import bifurcation_diagram
-from walker_jax.gaits.search import find_gait, find_gaits
+from walker_jax.gaits.search import find_gaits, search_gait
 from walker_jax.grids import Grid
 from walker_jax.stability.disturbances import least_disturbance
 from walker_jax.walkers.parameters import slopes_of
@@ -39,7 +39,7 @@ def gaits(subject: Subject) -> list[dict]:
     """The gaits of the first periods, the most stable first, with their multipliers."""
     walker = subject.walker
     found = [gait for period in PERIODS for gait in find_gaits(walker, period)]
-    main = find_gait(walker)
+    main = search_gait(walker)
     if main.found and not any(np.allclose(one.states, main.states) for one in found):
         found.append(main)
     found.sort(key=lambda gait: (len(gait.states), abs(complex(gait.multipliers[0]))))
@@ -68,7 +68,7 @@ def area(subject: Subject, cells: Rectangle) -> dict:
 
 def disturbance(subject: Subject) -> dict | None:
     """The least disturbance of the stable gait of period one; none where there is no such gait."""
-    gait = find_gait(subject.walker)
+    gait = search_gait(subject.walker)
     if not (gait.found and gait.stable):
         return None
     found = least_disturbance(subject.walker, gait)

@@ -28,7 +28,7 @@ from walker_jax.explorer.lattice import (
     home_of,
 )
 from walker_jax.explorer.subjects import Subject
-from walker_jax.gaits.search import find_gait
+from walker_jax.gaits.search import search_gait
 from walker_jax.integrators.solvers import default_tolerance
 from walker_jax.walking.outcomes import Outcome
 
@@ -85,9 +85,9 @@ def gait_state(subject: Subject) -> Float[np.ndarray, " section"]:
     It depends on the subject alone: so pictures, copies and data of all who ask are of one plane.
     """
     guess = np.array(home_of(subject.offer, subject.section).gait)
-    found = find_gait(subject.walker, guess)
+    found = search_gait(subject.walker, guess)
     if not found.found:
-        found = find_gait(subject.walker)
+        found = search_gait(subject.walker)
     return np.asarray(found.states[0]) if found.found else guess
 
 

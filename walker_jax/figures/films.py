@@ -169,7 +169,7 @@ def zoom_film(data: xr.Dataset, path: Path, *, signature: str = "", progress: bo
 def check_film(path: Path) -> None:
     """Raise `ValueError` for a path to which no film can be written."""
     if path.suffix not in FILMS:
-        raise WrongPlace(f"a film must end in one of {', '.join(FILMS)}, not {path}")
+        raise WrongPlace(f"{path} must end in one of {', '.join(FILMS)}")
     if path.suffix == ".mp4" and not FFMpegWriter.isAvailable():
         raise WrongPlace(f"{path} takes the program ffmpeg, which is not installed: try .gif")
 

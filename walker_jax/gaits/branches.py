@@ -19,13 +19,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float
 
-from walker_jax.checks import WrongUse, check_kind, check_precision, numbers, refuses_tracers, short
+from walker_jax.checks import WrongUse, check_precision, numbers, refuses_tracers, short
 from walker_jax.gaits.arclength import CORRECTOR_STEPS
 from walker_jax.gaits.continuation import Path, Start, follow_branch
-from walker_jax.gaits.cycles import MAX_RESIDUAL, Gait, find_multipliers, multiply_jacobians
+from walker_jax.gaits.cycles import (
+    MAX_RESIDUAL,
+    Gait,
+    check_found,
+    find_multipliers,
+    multiply_jacobians,
+)
 from walker_jax.gaits.events import Bifurcation
 from walker_jax.gaits.requests import run_batched
-from walker_jax.gaits.search import find_gait, iterate_newton
+from walker_jax.gaits.search import iterate_newton
+from walker_jax.gaits.selection import require_gait
 from walker_jax.integrators.solvers import Real, default_tolerance
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import check_parameter, with_parameter
@@ -91,12 +98,8 @@ def continue_gait(
     """
     check_interval(walker, parameter, interval)
     value = float(getattr(walker, parameter))
-    gait = find_gait(walker, tolerance=tolerance) if gait is None else gait
-    check_kind("gait", gait, Gait)
-    if not gait.found:
-        raise WrongUse(
-            f"gait must be one that was found, not the end of a failed search, {gait.states}"
-        )
+    gait = require_gait(walker, ["gait"], tolerance=tolerance) if gait is None else gait
+    check_found(gait)
     start = Start(value, np.asarray(gait.states, float))
     return continue_gaits(walker, parameter, interval, [start], tolerance=tolerance)[0]
 

@@ -1,6 +1,6 @@
 """A gait as a cycle of strides: its equations, their solution, its multipliers."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -9,6 +9,7 @@ import optimistix
 from jax import lax
 from jaxtyping import Array, Bool, Complex, Float, Int
 
+from walker_jax.checks import WrongUse, check_kind
 from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.walkers.model import Walker
 from walker_jax.walking.outcomes import nan_unless
@@ -53,6 +54,16 @@ class Gait(NamedTuple):
         """
         rate = -jnp.log(jnp.abs(self.multipliers[0])) / len(self.states)
         return jnp.where(rate <= 0, jnp.inf, 1 / jnp.where(rate <= 0, 1, rate))
+
+
+def check_found(gait: Any) -> None:
+    """Raises `WrongUse` for what is no gait, or the end of a failed search."""
+    check_kind("gait", gait, Gait)
+    if not gait.found:
+        raise WrongUse(
+            "gait must be one that was found, not the end of a failed search: give find_gait "
+            "another guess"
+        )
 
 
 def clear_values(gait: Gait) -> Gait:

@@ -7,11 +7,12 @@ import jax
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from walker_jax.checks import WrongUse, check_kind, refuses_tracers
+from walker_jax.checks import WrongUse, refuses_tracers
 from walker_jax.execution.tiles import map_cells
 from walker_jax.gaits.cycles import (
     MAX_RESIDUAL,
     Gait,
+    check_found,
     cycle_matrices,
     multiply_jacobians,
     order_by_modulus,
@@ -65,11 +66,7 @@ def gait_derivatives(
     one of this walker.
     """
     check_parameter(walker, parameter)
-    check_kind("gait", gait, Gait)
-    if not gait.found:
-        raise WrongUse(
-            f"gait must be one that was found, not the end of a failed search, {gait.states}"
-        )
+    check_found(gait)
     cycle = np.asarray(gait.states)[None]
     walker, _, tolerance = prepare(walker, cycle[0, 0], tolerance)
     local = linearise(walker, cycle, tolerance, parameter)

@@ -6,8 +6,9 @@ multiple shooting: errors do not grow from stride to stride. The Floquet multipl
 the eigenvalues of the product of the strides' Jacobians, J_k ... J_1; it is stable where all are
 inside the unit circle. Jacobians come from automatic differentiation.
 
-`find_gait` is one search, a differentiable function of the walker and the guess. `find_gaits` makes
-thousands of searches at once.
+`find_gait` is one search, a differentiable function of the walker and the guess; `search_gait` is
+the same for those to whom a failed search is an answer. `find_gaits` makes thousands of searches at
+once.
 """
 
 from collections.abc import Sequence
@@ -46,6 +47,7 @@ from walker_jax.gaits.cycles import (
     solve_linear_systems,
 )
 from walker_jax.gaits.derivatives import linearise
+from walker_jax.gaits.reasons import no_gait_found
 from walker_jax.grids import Grid
 from walker_jax.integrators.solvers import AnySolver, Real, using_solver
 from walker_jax.walkers.model import Walker, moves_like
@@ -82,18 +84,34 @@ def find_gait(
     - `period`: strides in a cycle.
     - `tolerance`, `solver`: of the integration, as in `stride`.
 
-    **Returns** a `Gait`. Its `found` is false where the search fails, or ends in a gait of a
-    shorter period; then states, multipliers and step times are NaN.
+    **Returns** a `Gait`, stable or not. Where JAX traces, nothing can be raised: there `found` is
+    false if the search fails, and states, multipliers and step times are NaN.
 
-    Raises `ValueError` for a period below 1, for a guess of a wrong shape or one that is not
-    finite, and for none where one is needed.
+    Raises `ComputationFailed` with the reason where the search fails, or ends in a gait of a
+    shorter period; `ValueError` for a period below 1, for a guess of a wrong shape or one that is
+    not finite, and for none where one is needed.
     """
+    gait = search_gait(walker, guess, period, tolerance=tolerance, solver=solver)
+    if not is_traced(gait) and not gait.found:
+        raise no_gait_found(walker, period, gait, guessed=guess is not None)
+    return gait
+
+
+def search_gait(
+    walker: Walker,
+    guess: Any = None,
+    period: int = 1,
+    *,
+    tolerance: Real | None = None,
+    solver: AnySolver | None = None,
+) -> Gait:
+    """`find_gait`, but `found` is false where it raises `ComputationFailed`, and the rest NaN."""
     with using_solver(solver):
-        return find_gait_near(walker, guess, period, tolerance)
+        return search_gait_near(walker, guess, period, tolerance)
 
 
-def find_gait_near(walker: Walker, guess: Any, period: int, tolerance: Real | None) -> Gait:
-    """`find_gait` with the solver in use."""
+def search_gait_near(walker: Walker, guess: Any, period: int, tolerance: Real | None) -> Gait:
+    """`search_gait` with the solver in use."""
     check_kind("walker", walker, Walker)
     check_whole("period", period)
     given = guess is not None

@@ -1,33 +1,25 @@
-"""Default gaits of commands, and reasons why a search finds none."""
+"""Default gaits of commands."""
 
 from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
-from walker_jax.checks import ComputationFailed
 from walker_jax.gaits.cycles import Gait
-from walker_jax.gaits.search import find_gait, find_gaits
-from walker_jax.walkers.model import Walker, moves_like
-from walker_jax.walkers.parameters import describe_in_words
-from walker_jax.walkers.simplest import SimplestWalker
-
-LARGE_RESIDUAL = 1e-6
-"""Residual above which a failed search ended far from any gait. One that failed with a smaller
-residual ended at a gait of a shorter period or at a bifurcation."""
+from walker_jax.gaits.reasons import no_gait_found
+from walker_jax.gaits.search import find_gaits, search_gait
+from walker_jax.integrators.solvers import Real
+from walker_jax.walkers.model import Walker
 
 
-def require_gait(walker: Walker, instead: Iterable[str]) -> Gait:
+def require_gait(walker: Walker, instead: Iterable[str], *, tolerance: Real | None = None) -> Gait:
     """The gait that `find_gait` finds by default.
 
     Raises `ComputationFailed` where it finds none, and names the arguments `instead` of a gait.
     """
-    gait = find_gait(walker)
+    gait = search_gait(walker, tolerance=tolerance)
     if not gait.found:
-        raise ComputationFailed(
-            f"no gait of period 1 found for {describe_in_words(walker)}: "
-            f"give {', '.join(instead)}, or another slope"
-        )
+        raise no_gait_found(walker, 1, gait, guessed=False, instead=f"give {', '.join(instead)}")
     return gait
 
 
@@ -55,29 +47,10 @@ def select_gaits(
         found = found if every else found[:1]
     # The long gait of period one is not the most stable one on every slope.
     if period == 1 or guess is not None:
-        first = find_gait(walker, guess, period)
+        first = search_gait(walker, guess, period)
         same = lambda gait: np.allclose(gait.states, first.states, rtol=0, atol=1e-8)
         found = [first] * bool(first.found) + [gait for gait in found if not same(gait)]
     if not found:
-        guessed = guess is not None
-        raise ComputationFailed(
-            f"no gait of period {period} found for {describe_in_words(walker)}: "
-            f"{reason_without_gait(walker, period, None if every else first, guessed=guessed)}; "
-            f"try {'another guess' if guessed else 'a guess'}, or another slope"
-        )
+        search = None if every else first
+        raise no_gait_found(walker, period, search, guessed=guess is not None)
     return found
-
-
-def reason_without_gait(walker: Walker, period: int, search: Gait | None, *, guessed: bool) -> str:
-    """Why no gait was found: by the end of one `search`, or None for searches from all cells."""
-    single = guessed or (moves_like(walker, SimplestWalker) and period == 1)
-    if search is None or not (np.isfinite(search.residual) or single):
-        return "none of the searches over the section converged to one"
-    if not np.isfinite(search.residual):
-        start = "the guess" if guessed else "the state where the search begins"
-        return f"the walker makes no stride from {start}"
-    if search.residual > LARGE_RESIDUAL:
-        return f"the search ended where a stride misses the next state by {search.residual:.2g}"
-    if period > 1:
-        return "the search ended in a gait of a shorter period, or too close to a bifurcation"
-    return "the search ended too close to a bifurcation"

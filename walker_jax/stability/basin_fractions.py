@@ -32,7 +32,7 @@ from walker_jax.gaits.branches import (
     solve_at,
 )
 from walker_jax.gaits.continuation import Start
-from walker_jax.gaits.search import find_gait
+from walker_jax.gaits.search import search_gait
 from walker_jax.grids import Grid
 from walker_jax.stability.sampling import wilson_interval
 from walker_jax.stability.summary import default_region
@@ -154,7 +154,7 @@ class Family:
         there = with_parameter(self.walker, self.parameter, float(value))
         names, known = [], []
         for name, cycle in self.cycles_at(value):
-            gait = find_gait(there, cycle, len(cycle), tolerance=self.tolerance)
+            gait = search_gait(there, cycle, len(cycle), tolerance=self.tolerance)
             if gait.found and gait.stable:
                 states = np.asarray(gait.states)
                 names.append(name)

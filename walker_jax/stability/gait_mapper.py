@@ -9,8 +9,8 @@ from walker_jax.basins.attractor import Attractor, check_cycle
 from walker_jax.basins.capture_boxes import with_capture_boxes
 from walker_jax.basins.mapper import Labels, Mapper
 from walker_jax.checks import WrongUse, check_kind, check_precision, check_whole
-from walker_jax.gaits.cycles import Gait
-from walker_jax.gaits.search import find_gait
+from walker_jax.gaits.cycles import Gait, check_found
+from walker_jax.gaits.selection import require_gait
 from walker_jax.integrators.solvers import default_tolerance
 from walker_jax.walkers.model import Walker, check_single
 from walker_jax.walking.iteration import strides as take_strides
@@ -21,14 +21,20 @@ def mapper_of_gait(
 ) -> Mapper:
     """The mapper whose only attractor is a stable gait, with its capture boxes.
 
-    Raises `ValueError` for a gait that is not stable, not found, or not one of this walker.
+    Raises `ValueError` for a gait that is not stable, not found, or not one of this walker;
+    `ComputationFailed` where none is given and none is found.
     """
     check_kind("walker", walker, Walker)
     check_single(walker)
     check_whole("strides", strides)
-    gait = find_gait(walker, tolerance=tolerance) if gait is None else gait
-    if not isinstance(gait, Gait) or not (gait.found and gait.stable):
-        raise WrongUse("gait must be a stable one, and found")
+    gait = require_gait(walker, ["gait"], tolerance=tolerance) if gait is None else gait
+    check_found(gait)
+    if not gait.stable:
+        size = float(np.abs(gait.multipliers).max())
+        raise WrongUse(
+            f"gait must be stable, not with a multiplier of size {size:.6g}: give find_gait "
+            "another guess, or take another slope"
+        )
     states = np.asarray(gait.states)
     check_precision(states.dtype)
     if states.shape[1:] != (len(walker.section),):

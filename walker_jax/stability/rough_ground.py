@@ -18,15 +18,14 @@ from scipy.special import betaincinv
 from walker_jax.checks import (
     WrongUse,
     check_confidence,
-    check_kind,
     check_whole,
     is_number,
     refuses_tracers,
     short,
 )
 from walker_jax.execution.tiles import map_cells
-from walker_jax.gaits.cycles import Gait
-from walker_jax.gaits.search import find_gait
+from walker_jax.gaits.cycles import Gait, check_found
+from walker_jax.gaits.selection import require_gait
 from walker_jax.integrators.solvers import default_tolerance
 from walker_jax.kernels.outside_code import AsItIs
 from walker_jax.walkers.model import Walker, check_planar, check_single
@@ -218,10 +217,8 @@ def read_key(key: Any) -> Array:
 def start_of_walks(walker: Walker, gait: Gait | None, tolerance: Any) -> Float[np.ndarray, " 4"]:
     """The full state of a gait just after heel strike."""
     check_single(walker)
-    gait = find_gait(walker, tolerance=tolerance) if gait is None else gait
-    check_kind("gait", gait, Gait)
-    if not gait.found:
-        raise WrongUse("walker must have a gait: none was found; give gait")
+    gait = require_gait(walker, ["gait"], tolerance=tolerance) if gait is None else gait
+    check_found(gait)
     if gait.states.shape[1] != len(walker.section):
         raise WrongUse(f"gait must be on the section {walker.section}, not of another walker")
     return np.stack(walker.lift(jnp.asarray(gait.states[0])))

@@ -30,7 +30,7 @@ from walker_jax.checks import (
     short,
 )
 from walker_jax.gaits.cycles import Gait
-from walker_jax.gaits.search import find_gait
+from walker_jax.gaits.search import search_gait
 from walker_jax.grids import Grid
 from walker_jax.stability.gait_mapper import mapper_of_gait
 from walker_jax.stability.metric import CurvedMetric, DistanceFunction, metric_of
@@ -183,7 +183,7 @@ def basin_stability(
     rows = []
     for i in range(max(counts)):
         single = jax.tree.map(lambda leaf, i=i: leaf[i] if np.ndim(leaf) else leaf, walker)
-        gait = find_gait(single, tolerance=tolerance)
+        gait = search_gait(single, tolerance=tolerance)
         if gait.found and gait.stable:
             rows.append(measure(single, gait))
         else:

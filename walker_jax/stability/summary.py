@@ -17,7 +17,7 @@ from walker_jax.execution.progress import bar, track
 from walker_jax.execution.threads import side_by_side
 from walker_jax.fractals import Uncertainty
 from walker_jax.gaits.cycles import Gait
-from walker_jax.gaits.search import find_gait
+from walker_jax.gaits.search import search_gait
 from walker_jax.grids import Grid
 from walker_jax.stability.dimension import boundary_dimension, comparisons
 from walker_jax.stability.disturbances import LeastDisturbance, least_disturbance
@@ -91,7 +91,7 @@ def robustness(
         check_planar(walker)
     check_precision(jnp.asarray(0.0).dtype, "robustness, which has the dimension of a boundary,")
     with bar("search for a gait", progress):
-        searched = find_gait(walker, tolerance=tolerance)
+        searched = search_gait(walker, tolerance=tolerance)
         grid = default_region(walker, searched) if grid is None else grid
     if grid is None:
         raise WrongUse("grid is required where no gait of period one is found")
@@ -396,5 +396,5 @@ def default_region(walker: Walker, searched: Gait | None = None) -> Grid | None:
     if isinstance(walker, AbstractPointFootWalker):
         rates = (-0.12, 0.06, 200) if moves_like(walker, SimplestWalker) else (-1.1, 0.1, 800)
         return Grid.sheared(theta=(0, np.pi / 4, 200), sum=rates)
-    gait = find_gait(walker) if searched is None else searched
+    gait = search_gait(walker) if searched is None else searched
     return slice_around(walker, gait.states[0]) if gait.found else None

@@ -133,7 +133,10 @@ def read_reference(gait: Any, section: tuple[str, ...]) -> Float[Array, " sectio
             f"shape {state.shape}"
         )
     if not isinstance(state, Tracer) and not np.isfinite(np.asarray(state)).all():
-        raise WrongUse(f"gait must be one that was found, not {np.asarray(state).tolist()}")
+        raise WrongUse(
+            f"gait must be one that was found, not {np.asarray(state).tolist()}: give find_gait "
+            "another guess"
+        )
     return state
 
 

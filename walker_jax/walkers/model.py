@@ -28,6 +28,7 @@ from walker_jax.checks import WrongUse, check_kind
 from walker_jax.grids import Grid
 from walker_jax.integrators.roots import Scalar
 from walker_jax.kernels import by_kernel
+from walker_jax.walkers.full_states import check_full_state
 from walker_jax.walkers.sources import sources_of
 
 
@@ -144,7 +145,10 @@ class Walker(eqx.Module):
 
     @abc.abstractmethod
     def feasible(self, x: Float[Array, " section"]) -> Bool[Array, ""]:
-        """Whether a stride can begin at x."""
+        """Whether a stride can begin at x.
+
+        `walker-jax walk` shows the first line of a walker's own docstring for a start that is not.
+        """
 
     def gait_region(self) -> Grid:
         """The part of the section where the states of gaits lie, in cells to search from.
@@ -365,6 +369,7 @@ def landing(walker: Walker) -> tuple[State, State, State]:
     start = walker.lift(
         jnp.stack([to_array(SAMPLE_POINT.get(name, 0.1)) for name in walker.section])
     )
+    check_full_state(type(walker), start)
     arrival = start._replace(theta=-start.theta, phi=-2 * start.theta)
     after = walker.exchange_legs(walker.impact(arrival)[1])
     return arrival, after, walker.lift(walker.project(after))

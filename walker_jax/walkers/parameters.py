@@ -143,6 +143,20 @@ def describe_in_words(walker: Walker) -> str:
     return ", ".join([name[1], *(f"{key} {value:g}" for key, value in values)])
 
 
+BRIEF = 48
+"""Characters of a walker's description in an error, which is one line of less than 200."""
+
+
+def describe_briefly(walker: Walker) -> str:
+    """The same, with as many of its parameters as there is room for."""
+    told, *others = describe_in_words(walker).split(", ")
+    for i, one in enumerate(others):
+        if i and len(f"{told}, {one}") > BRIEF:
+            return f"{told}, ..."
+        told = f"{told}, {one}"
+    return told
+
+
 DIGITS = 12
 """Significant digits of values spaced over an interval: all that a user has typed, and none of the
 rounding errors, which begin at the 16th digit."""

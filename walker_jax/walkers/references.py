@@ -5,6 +5,7 @@ A name is one of `family.WALKERS`, one that an installed package gives to the en
 SECURITY.md.
 """
 
+import difflib
 import importlib
 import importlib.util
 import inspect
@@ -15,7 +16,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from walker_jax.checks import WrongPlace, WrongUse
+from walker_jax.checks import WrongPlace, WrongUse, short
 from walker_jax.walkers.family import WALKERS
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.sources import file_of, holds_packages
@@ -38,8 +39,11 @@ def find_walker(name: str) -> type[Walker]:
     installed = installed_walkers()
     if name in installed:
         return load_installed(installed[name])
-    known = ", ".join((*WALKERS, *installed))
-    raise WrongUse(f"walker must be one of {known}, or FILE.py:CLASS, not {name}")
+    similar = " or ".join(difflib.get_close_matches(name, (*WALKERS, *installed)))
+    raise WrongUse(
+        "walker must be one that walker-jax --list-walkers shows, or FILE.py:CLASS, not "
+        f"{short(name)[1:-1]}{f': did you mean {similar}?' if similar else ''}"
+    )
 
 
 def reference_of(kind: type[Walker]) -> str:

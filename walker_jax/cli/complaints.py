@@ -1,0 +1,86 @@
+"""Errors of typer in the package's own words: what is wrong, with what value, and what to do.
+
+typer has its texts from click or, in later versions, from pydantic; both are read here. A text of
+neither kind stays as it is.
+"""
+
+import re
+from typing import Any
+
+LONGEST = 60
+"""Characters of a value that are shown."""
+
+
+def complaint(error: Any) -> str:
+    """One line for an error of typer's own."""
+    if hasattr(error, "possibilities"):
+        similar = " or ".join(sorted(error.possibilities or ())[:4])
+        instead = f"did you mean {similar}?" if similar else help_for(error)
+        return f"{shown(error.option_name)} is not an option: {instead}"
+    if hasattr(error, "option_name"):
+        return wrong_count(error)
+    if hasattr(error, "param_type"):
+        return f"{name_of(error.param)} is required: {help_for(error)}"
+    if getattr(error, "param", None) is not None:
+        return wrong_value(error)
+    if not error.format_message():
+        return "name a command, one of those above"
+    said = shown(error.format_message().rstrip("."), 2 * LONGEST)
+    return said if said.endswith("?") else f"{said}: {help_for(error)}"
+
+
+def wrong_count(error: Any) -> str:
+    """What is wrong with an option of too few values, or with a value for one that takes none."""
+    option, count = shown(error.option_name), re.search(r"requires (\w+) argument", error.message)
+    if count is None:
+        return f"{option} must be given without a value"
+    values = f"{count[1]} values" if count[1].isdigit() else "a value"
+    return f"{option} must have {values}: {help_for(error)}"
+
+
+def wrong_value(error: Any) -> str:
+    """What the value of an option or argument must be, and what it is."""
+    name, message = name_of(error.param), error.message.rstrip(".")
+    by_pydantic = getattr(error.__cause__, "errors", None)
+    value = by_pydantic()[0]["input"] if by_pydantic else message.partition(" is not ")[0]
+    end = message.removeprefix(str(value))  # in which a value of many words cannot mislead
+    choices = re.search(r" is not one of (.+)$", end)
+    if choices:
+        must = f"one of {choices[1]}".replace("'", "")
+    elif re.search(r" is not in the range |greater than|less than", end):
+        must = in_bounds(error.param)
+    elif re.search(r"valid (float|number)", end):
+        must = "a number"
+    elif re.search(r"valid integer", end):
+        must = "a whole number"
+    else:
+        return f"{name} is not valid: {shown(message, 2 * LONGEST)}; {help_for(error)}"
+    return f"{name} must be {must}, not {shown(str(value).strip(QUOTE))}"
+
+
+QUOTE = "'"
+
+
+def in_bounds(param: Any) -> str:
+    """The bounds of an option in words."""
+    at = param if hasattr(param, "min") else param.type
+    bounds = {"at least": at.min, "at most": at.max}
+    return " and ".join(f"{limit} {value}" for limit, value in bounds.items() if value is not None)
+
+
+def name_of(param: Any) -> str:
+    """An option as it is typed, an argument as the help names it."""
+    return param.opts[0] if param.param_type_name == "option" else param.opts[0].upper()
+
+
+def help_for(error: Any) -> str:
+    """Where to look."""
+    if error.ctx is None:
+        return "see --help of the command"
+    command = "" if error.ctx.parent is None else f" {error.ctx.info_name}"
+    return f"see walker-jax{command} --help"
+
+
+def shown(value: str, longest: int = LONGEST) -> str:
+    """A value on one line, the beginning of a long one; quotes show an empty one."""
+    return " ".join(value.split())[:longest] or "''"

@@ -1,0 +1,60 @@
+"""Reasons why a search finds no gait, and the error that gives them."""
+
+import numpy as np
+
+from walker_jax.checks import ComputationFailed
+from walker_jax.gaits.cycles import Gait
+from walker_jax.gaits.derivatives import linearise
+from walker_jax.walkers.model import Walker, moves_like
+from walker_jax.walkers.parameters import describe_briefly
+from walker_jax.walkers.simplest import SimplestWalker
+from walker_jax.walking.stepping import prepare
+
+LARGE_RESIDUAL = 1e-6
+"""Residual above which a failed search ended far from any gait. One that failed with a smaller
+residual ended at a gait of a shorter period or at a bifurcation."""
+
+
+def no_gait_found(
+    walker: Walker, period: int, search: Gait | None, *, guessed: bool, instead: str = ""
+) -> ComputationFailed:
+    """The error of a search without a gait: the reason, and what to do `instead`.
+
+    `search` is as in `reason_without_gait`.
+    """
+    reason = reason_without_gait(walker, period, search, guessed=guessed)
+    instead = instead or f"try {'another guess' if guessed else 'a guess'}"
+    return ComputationFailed(
+        f"no gait of period {period} found for {describe_briefly(walker)}: {reason}; {instead}, "
+        "or another slope"
+    )
+
+
+def reason_without_gait(walker: Walker, period: int, search: Gait | None, *, guessed: bool) -> str:
+    """Why no gait was found: by the end of one `search`, or None for searches from all cells."""
+    single = guessed or (moves_like(walker, SimplestWalker) and period == 1)
+    if search is None or not (np.isfinite(search.residual) or single):
+        return reason_of_all(walker)
+    if not np.isfinite(search.residual):
+        start = "the guess" if guessed else "the state where the search begins"
+        made = "no stride" if period == 1 else f"fewer than {period} strides"
+        return f"the walker makes {made} from {start}"
+    if search.residual > LARGE_RESIDUAL:
+        return (
+            f"Newton's iteration diverged: a stride misses the next state by {search.residual:.2g}"
+        )
+    if period > 1:
+        return "the search ended in a gait of a shorter period, or too close to a bifurcation"
+    return "the search ended too close to a bifurcation"
+
+
+def reason_of_all(walker: Walker) -> str:
+    """Why searches from all cells of the walker's `gait_region` found none."""
+    grid = walker.gait_region()
+    starts = grid.centres(np.arange(grid.size))
+    walker, _, tolerance = prepare(walker, starts[0], None)
+    ends = linearise(walker, starts[:, None], tolerance).state
+    walking = int(np.isfinite(ends).all(axis=(1, 2)).sum())
+    if walking == 0:
+        return f"none of the {len(starts)} starts over the section makes a stride"
+    return f"none of the searches from {walking} starts that make a stride converged"

@@ -1,0 +1,25 @@
+"""Whether the methods of a user's own walker agree on what a full state is."""
+
+from typing import Any
+
+from walker_jax.checks import WrongUse
+
+
+def check_full_state(kind: Any, start: Any) -> None:
+    """Refuse a class of walkers whose `lift` returns something else than its `state`.
+
+    Or whose methods are those of a walker of the package with another one.
+    """
+    expected = f"{kind.state.__name__}({', '.join(kind.state._fields)})"
+    if not isinstance(start, kind.state):
+        raise WrongUse(
+            f"lift of {kind.__name__} must return its state, {expected}, not a "
+            f"{type(start).__name__} of {len(start)}"
+        )
+    for name in ("vector_field", "impact", "exchange_legs", "project"):
+        owner: Any = next(base for base in kind.__mro__ if name in vars(base))
+        if owner.state is not kind.state and owner.__module__.startswith("walker_jax."):
+            raise WrongUse(
+                f"{name} of {kind.__name__} must be its own, for its state {expected}: that of "
+                f"{owner.__name__} takes a {owner.state.__name__}"
+            )
