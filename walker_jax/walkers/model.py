@@ -109,8 +109,7 @@ class Walker(eqx.Module):
     """Whether Q_v, over a stride, is least at the start or at heel strike, so that a stride need
     not look at it in between."""
     foot_stays_down: ClassVar[bool] = False
-    """Whether a foot that is ahead, once it has come down, stays down, so that a stride need not
-    look whether it came down and up again within a step of the integration."""
+    """Whether a foot ahead that has come down stays down, so that no step hides that it did."""
     inverted_pendulum: ClassVar[bool] = False
     """Whether thetaddot = sin(theta - slope): the hip does not feel the swing leg."""
 
