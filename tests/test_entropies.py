@@ -176,7 +176,7 @@ def test_a_boundary_is_between_regions_and_not_at_points_of_none():
 
 
 def test_what_has_no_such_measure_is_refused():
-    with pytest.raises(ValueError, match="side=5"):
+    with pytest.raises(ValueError, match="side must be at most 2, that of the labels, not 5"):
         wj.basin_entropy(np.zeros((2, 2), int))
     with pytest.raises(ValueError, match="3 regions or more, not of 2"):
         wj.merge_regions(np.eye(64, dtype=int))

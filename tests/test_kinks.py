@@ -299,10 +299,20 @@ def test_series_are_those_of_the_branch_and_say_where_it_ends(name):
     assert first == (None if expected is None else pytest.approx(expected, abs=1e-8))
 
 
+@pytest.mark.parametrize(("extreme", "which"), [(jnp.max, 1), (jnp.min, 0)])
+def test_the_largest_of_several_is_one_of_them_until_another_is(extreme, which):
+    state, field = jnp.array([0.1, 0.2]), jnp.array([2.0, 1.0])
+    series = solution_series(lambda y: field + 0 * y, state, 4)
+    found = function_series(extreme, series)
+    np.testing.assert_allclose(found[:2], [state[which], field[which]])
+    (switch,) = switching_series(extreme, series)
+    assert abs(float(switch[0])) == pytest.approx(0.1) and abs(float(switch[1])) == 1
+
+
 def test_kinks_of_which_nothing_is_known_are_refused():
     state = jnp.array([0.1, 0.2])
-    with pytest.raises(NotImplementedError, match="reduce_max"):
-        solution_series(lambda y: jnp.max(y) - y, state, 4)
+    with pytest.raises(NotImplementedError, match="sort"):
+        solution_series(lambda y: jnp.sort(y) - y, state, 4)
     with pytest.raises(NotImplementedError, match="argmax"):
         solution_series(lambda y: y[jnp.argmax(y)] - y, state, 4)
     with pytest.raises(NotImplementedError, match="bitcast"):
