@@ -12,6 +12,7 @@ from part_of_swing import PartOfSwing
 
 import walker_jax as wj
 from walker_jax.integrators.solvers import step_length, taylor_step
+from walker_jax.kernels import by_kernel
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.walkers.model import State
 from walker_jax.walking.failure_margins import failure_margin, margins_of_many
@@ -230,6 +231,11 @@ def test_margins_of_own_rules_vanish_where_a_walker_begins_to_fail(name):
     assert np.median(values) < 1e-9 and np.mean(values < 1e-6) > 0.9
 
 
+@by_kernel
+def length_of_step(walker, state):
+    return taylor_step(equations(walker), state, 12, 1e-12)[1]
+
+
 @pytest.mark.parametrize("length", [1e2, 1e4])
 def test_steps_have_the_same_length_in_any_unit(length):
     """In units of the time that a leg of this length takes; of walkers with masses."""
@@ -244,7 +250,7 @@ def test_steps_have_the_same_length_in_any_unit(length):
 
     def first_step(size):
         state = State(*jnp.array([0.2, 0.4, -0.22 / size**0.5, -0.02 / size**0.5]))
-        return float(taylor_step(equations(walker(size)), state, 12, 1e-12)[1]) / size**0.5
+        return float(length_of_step(walker(size), state)) / size**0.5
 
     assert first_step(length) == pytest.approx(first_step(1.0), rel=0.3)
 
