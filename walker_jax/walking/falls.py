@@ -30,10 +30,14 @@ FAILURES = tuple(
 """The names that falls may have."""
 
 
-def has_own_falls(walker: Walker) -> bool:
-    """Whether the class of a walker defines its falls anew."""
+def overrides(walker: Walker, name: str) -> bool:
+    """Whether the class of a walker overrides a method of the package's own walkers."""
     usual = Walker if is_planar(walker) else SpatialWalker
-    return type(walker).falls is not usual.falls
+    return getattr(type(walker), name) is not getattr(usual, name)
+
+
+def has_own_falls(walker: Walker) -> bool:
+    return overrides(walker, "falls")
 
 
 def watched_falls(walker: Walker) -> tuple[Callable, ...]:
@@ -54,9 +58,7 @@ def has_fallen(walker: Walker, state: Any) -> Bool[Array, ""]:
 
 
 def has_own_is_ahead(walker: Walker) -> bool:
-    """Whether the class of a walker says anew where the swing foot is ahead."""
-    usual = Walker if is_planar(walker) else SpatialWalker
-    return type(walker).is_ahead is not usual.is_ahead
+    return overrides(walker, "is_ahead")
 
 
 def is_ahead_over_steps(walker: Walker, state: Any) -> Bool[Array, ""]:

@@ -29,6 +29,7 @@ from walker_jax.walking.falls import (
     has_fallen,
     has_own_falls,
     has_own_is_ahead,
+    makes_step,
     watched_falls,
 )
 from walker_jax.walking.outcomes import Outcome
@@ -281,5 +282,4 @@ def legs(states: Any) -> State:
 
 def in_front(phase: Phase, state: Any) -> Bool[Array, ""]:
     """Whether a foot that comes down would take a step: in front, before the walker has fallen."""
-    ahead = phase.walker.is_ahead(state) & (phase.reach(state) > 0)
-    return ahead & ~has_fallen(phase.walker, state)
+    return makes_step(phase.walker, state) & (phase.reach(state) > 0)
