@@ -487,7 +487,8 @@ def test_the_best_of_the_first_climbs_goes_on(no_basins, monkeypatch, objective,
     monkeypatch.setattr("walker_jax.design.optimisation.climb", climb)
     monkeypatch.setattr("walker_jax.design.trace.evaluate_objective", evaluate_objective)
     found = optimise(WALKER, SLOPES, objective, starts=4)
-    assert asked == [*((run, 0) for run in range(4)), *((best, stage) for stage in (1, 2, 3))]
+    assert sorted(asked[:4]) == [(run, 0) for run in range(4)]  # side by side, in any order
+    assert asked[4:] == [(best, stage) for stage in (1, 2, 3)]
     assert values(found, "note") == ["", "", "", "nothing there"]
     assert float(found.objective_start) == heights[best]
     assert float(found.objective_optimum) == heights[best] + 0.03 + 0.005
