@@ -83,20 +83,20 @@ def names() -> dict[str, Any]:
     }
 
 
-def message_of(call: str, known: dict[str, Any]) -> str:
+def message_of(call: str, known: dict[str, Any]) -> tuple[str, BaseException]:
     """What a call is told."""
     with pytest.raises(WrongUse) as error:
         eval(call, dict(known))
-    return str(error.value)
+    return str(error.value), error.value
 
 
-def line_of(line: str) -> str:
+def line_of(line: str) -> tuple[str, BaseException]:
     """What a command line is told; it must be wrong usage."""
     with pytest.raises(Exception) as error:
         app.app(shlex.split(line), standalone_mode=False)
     code, reason = main.verdict(error.value)
     assert code == 2, (line, reason)
-    return main.on_one_line(reason)
+    return main.on_one_line(reason), error.value
 
 
 @pytest.fixture(scope="module")

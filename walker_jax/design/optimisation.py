@@ -158,8 +158,8 @@ def optimise(
         check_planar(walker)
     if "cost-of-transport" in {*weights, *limits} and not cost_is_known(walker):
         raise WrongUse(
-            f"cost-of-transport is not known of a {type(walker).__name__}, which more than gravity "
-            "may drive (driven_by_gravity, motor_work)"
+            f"cost-of-transport is not known of a {type(walker).__name__}: define its motor_work, or "
+            "driven_by_gravity if nothing else drives it"
         )
     if ("basin-stability" in weights) != callable(density):
         raise WrongUse(

@@ -49,7 +49,9 @@ def listen(host: str, port: int) -> socket.socket:
         listener.bind(address)
         listener.listen()  # whoever comes before the server is ready waits
     except OSError as error:
-        raise ComputationFailed(f"cannot listen on {host}, port {port}: {error.strerror}") from None
+        raise ComputationFailed(
+            f"cannot listen on {host}, port {port}: {error.strerror}; give another --host or --port"
+        ) from None
     return listener
 
 
