@@ -35,7 +35,7 @@ def text_of(node: ast.expr) -> str:
             return "".join(map(text_of, node.values))
         case ast.FormattedValue():
             return "{}"
-        case ast.Call(args=[first, *_]) if not isinstance(first, ast.Starred):
+        case ast.Call(args=[ast.Constant() | ast.JoinedStr() as first, *_]):
             return text_of(first)
     return ast.unparse(node)
 

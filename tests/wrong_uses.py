@@ -23,20 +23,20 @@ import xarray as xr
 from starlette.requests import Request
 
 import walker_jax as wj
-from walker_jax import cellmaps, entropies, figures, multibody, storage
+from walker_jax import cellmaps, figures, kernels, multibody, storage
 from walker_jax.basins import memory
 from walker_jax.execution import tiles
-from walker_jax.explorer import lattice, notebook, server, service, subjects, walks
+from walker_jax.explorer import lattice, service, subjects, walks
 from walker_jax.integrators import solvers
-from walker_jax.stability import stochastic_map
+from walker_jax.stability import stochastic_map, summary
 from walker_jax.storage.schema import TYPES, attributes_of, check_dataset, variables_of
 from walker_jax.walkers import references
 from walker_jax.walkers.parameters import options
 from walker_jax.walking.disturbed import DisturbedWalk
 
 MODULES: tuple[ModuleType, ...] = (
-    *(cellmaps, entropies, figures, lattice, memory, multibody, notebook, references, server),
-    *(service, solvers, stochastic_map, storage, subjects, tiles, walks),
+    *(cellmaps, figures, kernels, lattice, multibody, references, solvers, stochastic_map),
+    *(storage, subjects, tiles, walks),
 )
 
 
@@ -101,12 +101,12 @@ class Sunk(wj.RoundFootWalker):
         return super().swing_foot(state) - jnp.array([0, 0.1])
 
 
-class Turning(wj.RoundFootWalker):
+class Kicking(wj.SimplestWalker):
     """One whose impact leaves its section."""
 
     def impact(self, state):
         lifted, after = super().impact(state)
-        return lifted, after._replace(thetadot=-10 * state.thetadot)
+        return lifted, after._replace(phidot=after.phidot + 0.1)
 
 
 class Phased(wj.SimplestWalker):
@@ -146,6 +146,9 @@ class Unhashable:
     def __call__(self, key):
         return jax.random.normal(key)
 
+    def __repr__(self):
+        return "Unhashable()"
+
 
 def class_in_a_function() -> type[wj.Walker]:
     class Hidden(wj.SimplestWalker):
@@ -162,6 +165,15 @@ def gait(states: list, multiplier: float, *, found: bool = True) -> wj.Gait:
     multipliers, times = np.array([multiplier, 0j]), np.ones(len(states))
     stable = np.array(abs(multiplier) < 1)
     return wj.Gait(np.array(states), multipliers, times, stable, np.array(0.0), np.array(found))
+
+
+LOST = gait([[np.nan, np.nan]], np.nan, found=False)
+
+
+def where_none_is_found(call: Callable[[], object]) -> object:
+    """What a call does where a search finds no gait, without the time that a search takes."""
+    with mock.patch.object(summary, "search_gait", lambda *_, **__: LOST):
+        return call()
 
 
 def zeros(kind: str, grid: str = "theta sum", size: int = 3) -> xr.Dataset:
@@ -226,13 +238,14 @@ def names() -> dict[str, Any]:
         "WALKER": wj.SimplestWalker(0.004),
         "STEEP": wj.SimplestWalker(0.5),
         "STEEP_ROUND": wj.RoundFootWalker(0.5),
+        "where_none_is_found": where_none_is_found,
         "MANY": jax.vmap(wj.SimplestWalker)(jnp.array([0.004, 0.005])),
         "NONE": jax.vmap(wj.SimplestWalker)(jnp.zeros(0)),
         "GRID": wj.Grid.sheared(**axes),
         "SLICE": wj.Grid.sheared(**axes, phidot=-0.05),
         "GAIT": gait([[0.2, -0.2]], 0.5),
         "UNSTABLE": gait([[0.2, -0.2]], -1.25),
-        "LOST": gait([[np.nan, np.nan]], np.nan, found=False),
+        "LOST": LOST,
         "OF_THREE": gait([[0.2, -0.2, -0.1]], 0.5),
         "OF_PERIOD_TWO": gait([[0.2, -0.2], [0.3, -0.3]], 0.5),
     }
@@ -254,8 +267,9 @@ class Half(wj.Walker):
 class Clash(wj.SimplestWalker):
     strides: jax.Array = 1.0
 """
+BLOCK = ".blocked.zarr.walker-jax"
 FILES = {"mine.py": MINE, "broken.py": "x = 1 / 0"} | dict.fromkeys(
-    ("empty.py", "my.walker.py", "numpy.py", "taken", "taken.nc", "taken.png"), ""
+    ("empty.py", "my.walker.py", "numpy.py", "taken", "taken.nc", "taken.png", BLOCK), ""
 )
 
 

@@ -146,9 +146,13 @@ def basin(
     whole = has_phidot and levels is not None and at_phidot is None
     sliced = has_phidot and phidot is None and not whole
     if zoom is None and (near is not None or animate is not None):
-        raise WrongUse(f"{'--near' if near is not None else '--animate'} is for a --zoom: give it too")
+        raise WrongUse(
+            f"{'--near' if near is not None else '--animate'} is for a --zoom: give it too"
+        )
     if zoom is not None and method == "cell-map":
-        raise WrongUse("--method must be direct with --zoom, whose window walkers leave")
+        raise WrongUse(
+            "--method must be direct with --zoom, whose window walkers leave: leave it out"
+        )
     if phidot is not None and (near is not None or animate is not None):
         raise WrongUse(
             "--near and --animate are for a window of two dimensions: leave out --phidot"
@@ -157,7 +161,7 @@ def basin(
     method = method or ("direct" if sliced else "cell-map")
     if sliced and method == "cell-map":
         raise WrongUse(
-            "--method must be direct for a slice, which walkers leave, not cell-map: or give --phidot"
+            "--method must be direct for a slice, which walkers leave: drop it, or give --phidot"
         )
     if strides is not None and method != "direct":
         raise WrongUse("--strides is for --method direct alone: give it too")

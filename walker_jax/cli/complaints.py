@@ -38,7 +38,9 @@ def complaint(error: Any) -> str:
 def no_command(error: Any, name: str) -> str:
     """The commands that may be meant, or where all are listed."""
     similar = difflib.get_close_matches(name, error.ctx.command.list_commands(error.ctx))
-    return f"{shown(name)} is not a command: {did_you_mean(similar) or 'walker-jax --help lists all'}"
+    return (
+        f"{shown(name)} is not a command: {did_you_mean(similar) or 'walker-jax --help lists all'}"
+    )
 
 
 def extra_argument(error: Any, words: str) -> str:

@@ -130,8 +130,8 @@ def metastability(
         survival, distribution, means = solve_chain(chain)
         if survival >= 1:
             raise ComputationFailed(
-                f"no walker fell from any of {len(cells):,} cells: ground is too even for a result; "
-                "give a rougher one"
+                f"no walker fell from any of {len(cells):,} cells: ground is too even for a "
+                "result; give a rougher one"
             )
         decided = walks.outcome != Outcome.UNDECIDED
         undecided += np.count_nonzero(~decided) + unanswered
@@ -356,7 +356,7 @@ def solve_chain(
     survival, distribution = largest_eigenvector(backward, count)
     _, promise = largest_eigenvector(chain, count)
     promise = promise / (distribution @ promise)
-    if survival >= 1:
+    if 1 - survival < SETTLED:  # where nothing falls, 1 to rounding
         return 1.0, distribution, np.full(count, np.inf)
     life = survival / (1 - survival)
     source = chain @ np.ones(len(promise)) - survival * promise
