@@ -8,6 +8,7 @@ import inspect
 import json
 import sys
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -125,7 +126,7 @@ class Painted(wj.SimplestWalker):
 class Viewed(wj.SimplestWalker):
     """One with a parameter that the page's address has."""
 
-    view: jax.Array = 1.0
+    view: Any = 1.0
 
 
 class Flat(wj.SimplestWalker):
@@ -138,16 +139,12 @@ class Flat(wj.SimplestWalker):
         return 0 * state.theta
 
 
+@dataclass
 class Unhashable:
     """A random height, by an object that is no key of a dictionary."""
 
-    __hash__ = None
-
     def __call__(self, key):
         return jax.random.normal(key)
-
-    def __repr__(self):
-        return "Unhashable()"
 
 
 def class_in_a_function() -> type[wj.Walker]:

@@ -6,6 +6,7 @@ neither kind stays as it is.
 
 import difflib
 import re
+from collections.abc import Sequence
 from typing import Any
 
 LONGEST = 60
@@ -52,7 +53,7 @@ def extra_argument(error: Any, words: str) -> str:
     return f"{shown(first)} is an argument too many: {instead}"
 
 
-def did_you_mean(similar: list[str]) -> str:
+def did_you_mean(similar: Sequence[str]) -> str:
     """The question; empty without any."""
     return f"did you mean {' or '.join(similar)}?" if similar else ""
 
