@@ -27,9 +27,9 @@ def complaint(error: Any) -> str:
     if not error.format_message():
         return "name a command, one of those above"
     said = error.format_message().rstrip(".")
-    command = re.match(r"No such command '(.*?)'(\.|$)", said, re.DOTALL)
+    command = re.match(r"No such command (['\"])(.*?)\1(\.|$)", said, re.DOTALL)
     if command:
-        return no_command(error, command[1])
+        return no_command(error, command[2])
     extra = re.match(r"Got unexpected extra arguments?(\(s\))? \((.*)\)$", said, re.DOTALL)
     if extra:
         return extra_argument(error, extra[2])
