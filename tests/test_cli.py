@@ -885,7 +885,7 @@ def test_an_optimisation_that_leads_nowhere_ends_with_1_and_a_reason(run, tmp_pa
         ),
         ([*FASTEST[1:5], "--starts", "0"], "--starts"),
         ([*FASTEST[1:5], "--theta", "0", "1", "10"], "give --theta and --sum, or none of them"),
-        ([*FASTEST[1:5], "--at-phidot", "0.1"], "--at-phidot is for walkers"),
+        ([*FASTEST[1:5], "--at-phidot", "0.1"], "--at-phidot must be left out"),
     ],
 )
 def test_wrong_optimisations(run, tmp_path, arguments, named):

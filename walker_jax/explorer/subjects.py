@@ -133,7 +133,7 @@ def read_subject(asked: Any, offers: Offers = FAMILY) -> Subject:
     for parameter in given:
         if parameter not in known:
             raise WrongUse(
-                f"{short(parameter)} is not a parameter of {name}, which has {', '.join(known)}"
+                f"{short(parameter)} is not a parameter of {name}: /api/about lists them"
             )
     values = tuple(slider_number(one, given.get(one, known[one])) for one in known)
     try:
