@@ -76,7 +76,7 @@ def state_from(walker: Walker, given: dict[str, float]) -> Float[np.ndarray, " s
             raise WrongUse(f"--{name} is required too: the section is {section}")
     for name in given:
         if name not in walker.section:
-            raise WrongUse(f"--{name} is not on the section, {section}")
+            raise WrongUse(f"--{name} must be left out: it is not on the section, {section}")
     return np.array([given[name] for name in walker.section])
 
 

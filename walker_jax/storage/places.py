@@ -48,7 +48,7 @@ def check_writable(path: Path) -> None:
     folder = path.absolute().parent
     try:
         if not folder.is_dir():
-            raise WrongPlace(f"{path} cannot be written: there is no folder {folder}")
+            raise WrongPlace(f"{path} cannot be written: there is no folder {folder}: make it")
         if not os.access(folder, os.W_OK | os.X_OK):
             raise WrongPlace(f"{path} cannot be written: no permission for the folder {folder}")
         with suppress(FileNotFoundError):
