@@ -10,11 +10,13 @@ import walker_jax
 
 PACKAGE = Path(walker_jax.__file__).parent
 SIGNALS = {
-    *("Busy", "Failure", "Interrupted", "Terminated", "TooLong", "Unknown", "KeyboardInterrupt"),
-    *("CancelledError", "ClientDisconnect", "ImportError", "NotImplementedError", "TypeError"),
-    *("UnsupportedPrimitive", "ValueError", "typer.Exit", "self.failure"),
+    *("Busy", "Failure", "Interrupted", "Terminated", "TooLong", "Unknown", "UnsupportedPrimitive"),
+    *("KeyboardInterrupt", "CancelledError", "ClientDisconnect", "ImportError", "typer.Exit"),
+    "self.failure",
 }
 """Exceptions that the package catches itself, or that end it: nobody is told their text."""
+WITHOUT_TEXT = {"NotImplementedError", "TypeError", "ValueError"}
+"""Python's own, which the package catches itself where it raises them without a message."""
 
 
 class Site(NamedTuple):
@@ -48,7 +50,7 @@ def raised(node: ast.AST, place: str, scope: str = "") -> Iterator[tuple[ast.Rai
             inner = f"{scope}.{child.name}".removeprefix(".")
         if isinstance(child, ast.Raise) and child.exc is not None:
             name = child.exc.func if isinstance(child.exc, ast.Call) else child.exc
-            if ast.unparse(name) not in SIGNALS:
+            if ast.unparse(name) not in SIGNALS and ast.unparse(child.exc) not in WITHOUT_TEXT:
                 yield child, Site(f"{place} {scope}", text_of(child.exc))
         yield from raised(child, place, inner)
 
