@@ -885,7 +885,7 @@ def test_an_optimisation_that_leads_nowhere_ends_with_1_and_a_reason(run, tmp_pa
         ),
         ([*FASTEST[1:5], "--starts", "0"], "--starts"),
         ([*FASTEST[1:5], "--theta", "0", "1", "10"], "give --theta and --sum, or none of them"),
-        ([*FASTEST[1:5], "--at-phidot", "0.1"], "--at-phidot is for walkers"),
+        ([*FASTEST[1:5], "--at-phidot", "0.1"], "--at-phidot must be left out"),
     ],
 )
 def test_wrong_optimisations(run, tmp_path, arguments, named):
@@ -997,8 +997,9 @@ def test_the_page_takes_no_walker_in_space(run):
 
 
 def test_a_host_that_cannot_be_one_is_refused(run):
-    said = "walker-jax: --host must be a name or an address, not a..b\n"
-    assert run("explore", "--no-browser", "--host", "a..b") == (2, "", said)
+    for host, shown in (("a..b", "a..b"), ("", "''"), (" ", "''")):
+        must = f"--host must be a name or an address, such as 127.0.0.1, not {shown}"
+        assert run("explore", "--no-browser", "--host", host) == (2, "", f"walker-jax: {must}\n")
 
 
 def test_the_seed_of_a_refined_basin_is_part_of_it(run, monkeypatch):
@@ -1017,14 +1018,16 @@ def test_the_seed_of_a_refined_basin_is_part_of_it(run, monkeypatch):
         said = f"walker-jax: this was seed {seed}\n"
         assert run("basin", *SMALL, "--levels", "1", *given) == (1, "", said)
     assert asked == [0, 3]
-    assert run("basin", "--seed", "1") == (2, "", "walker-jax: --seed is for --levels alone\n")
+    said = "walker-jax: --seed is for --levels alone: give it too\n"
+    assert run("basin", "--seed", "1") == (2, "", said)
 
 
 def test_the_package_is_run_as_the_command():
     code, out, err = python("-m", "walker_jax", "--help")
     assert (code, err) == (0, "") and "basin" in out
     code, out, err = python("-m", "walker_jax", "bassin")
-    assert (code, out) == (2, "") and err.startswith("walker-jax: No such command 'bassin'")
+    said = "walker-jax: bassin is not a command: did you mean basin?\n"
+    assert (code, out, err) == (2, "", said)
 
 
 @pytest.mark.parametrize(("settings", "coloured"), [({}, True), ({"NO_COLOR": "1"}, False)])

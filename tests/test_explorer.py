@@ -31,6 +31,7 @@ from walker_jax.explorer import measures, pictures, service, walks, workers
 from walker_jax.explorer.family import describe_family
 from walker_jax.explorer.guard import MAX_BODY, Bucket
 from walker_jax.explorer.lattice import HOME_CELLS, TILE, Rectangle
+from walker_jax.explorer.server import listen
 from walker_jax.explorer.subjects import FAMILY, Subject, read_subject
 from walker_jax.walkers.family import PLANAR_WALKERS
 from walker_jax.walkers.parameters import parameters
@@ -738,6 +739,14 @@ def test_a_notebook_shows_the_page_of_the_command_in_a_frame(monkeypatch):
     monkeypatch.setattr("sys.executable", "/bin/false" if Path("/bin/false").exists() else "false")
     with pytest.raises(wj.ComputationFailed, match="the server ended with code 1"):
         wj.explore(wj.SimplestWalker(0.004))
+
+
+def test_a_port_that_is_taken_is_named():
+    with listen("127.0.0.1", 0) as listener:
+        port = listener.getsockname()[1]
+        said = rf"cannot listen on 127\.0\.0\.1, port {port}: .+; give another --host or --port"
+        with pytest.raises(wj.ComputationFailed, match=said):
+            listen("127.0.0.1", port)
 
 
 def test_a_subject_is_one_key():

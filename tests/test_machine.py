@@ -5,6 +5,7 @@ import llvmlite.binding as llvm
 import numpy as np
 import pytest
 
+from walker_jax.checks import WrongUse
 from walker_jax.execution.tiles import map_cells
 from walker_jax.kernels import machine
 from walker_jax.kernels.primitive import program_of
@@ -39,3 +40,19 @@ def test_answers_do_not_depend_on_kernels(value, monkeypatch):
     assert (program.kernel is None) == (value.lower() == "off")
     if value in ("haswell", "nehalem"):
         assert machine.processor() == (value, "")
+
+
+@pytest.mark.skipif(jax.default_backend() != "cpu", reason="kernels are for processors")
+@pytest.mark.parametrize("value", ["on", "no such processor"])
+def test_a_processor_that_there_is_not_is_refused(value, monkeypatch, capfd):
+    """LLVM would end the process, or compile for the oldest of all processors."""
+    monkeypatch.setenv(machine.VARIABLE, value)
+    monkeypatch.setenv("WALKER_JAX_CACHE_DIR", "")
+    own = llvm.get_host_cpu_name()
+    with pytest.raises(WrongUse) as refusal:
+        compute(0.25)
+    assert str(refusal.value) == (
+        f"WALKER_JAX_KERNELS must be off, or a processor that LLVM knows, such as {own}, "
+        f"not {value}: unset it for this machine's own"
+    )
+    assert capfd.readouterr().err == ""

@@ -3,8 +3,13 @@
 `data/messages.txt` holds them, calls after >>> and command lines after $. Each message names the
 argument, and says what it must be or what to do instead, in one line of less than 200 characters.
 The calls run in a process of their own, without the checks of signatures of the tests.
+
+Every statement of the package that raises an error with a message is reached by a row, or by a test
+that `data/messages_elsewhere.txt` names, as it needs more than a row has: an earlier version, a
+full disk, another process, a long computation.
 """
 
+import ast
 import inspect
 import json
 import operator
@@ -14,133 +19,153 @@ import shlex
 import subprocess
 import sys
 import tempfile
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
-import numpy as np
 import pytest
-import xarray as xr
+from raise_sites import Site, all_sites, sites_behind
+from wrong_uses import MODULES, names, prepare
 
 import walker_jax as wj
-from walker_jax import figures
-from walker_jax.checks import WrongUse
+from walker_jax.checks import ComputationFailed
 from walker_jax.cli import app, main
 
-ROWS = Path(__file__).parent.joinpath("data", "messages.txt").read_text().split("\n\n")
-TABLE = dict(row.strip().split("\n") for row in ROWS)
-"""Wrong uses, and the message that each brings; of command lines, the exit code is 2 too."""
+FOLDER = Path(__file__).parent
+
+
+def rows_of(file: str) -> list[list[str]]:
+    """The rows of a file, each of two lines."""
+    text = FOLDER.joinpath("data", file).read_text()
+    return [row.strip().split("\n") for row in text.split("\n\n")]
+
+
+TABLE = dict(rows_of("messages.txt"))
+"""Wrong uses, and the message that each brings."""
+ELSEWHERE = {
+    Site(*site.split(": ", 1)): tuple(test.split(" | "))
+    for test, site in rows_of("messages_elsewhere.txt")
+}
+"""Statements that raise errors, and the test that brings each, with words that it looks for."""
 CALL, LINE = ">>> ", "$ walker-jax"
 
 
-class Five(NamedTuple):
-    """A full state of five variables."""
-
-    theta: Any
-    phi: Any
-    thetadot: Any
-    phidot: Any
-    bend: Any
-
-
-class FiveFromLift(wj.SimplestWalker):
-    """One whose `lift` returns another state than it says."""
-
-    def lift(self, x):
-        return Five(*super().lift(x), x[0])
-
-
-class FiveOfState(FiveFromLift):
-    """One that says so, and has the methods for four variables."""
-
-    state = Five
-
-
-def gait(states: list, multiplier: float, *, found: bool = True) -> wj.Gait:
-    """A made-up one."""
-    multipliers, times = np.array([multiplier, 0j]), np.ones(len(states))
-    stable = np.array(abs(multiplier) < 1)
-    return wj.Gait(np.array(states), multipliers, times, stable, np.array(0.0), np.array(found))
-
-
-def names() -> dict[str, Any]:
-    """What the calls of the table may use."""
-    axes = {"theta": (0, 0.4, 10), "sum": (-0.04, 0.01, 10)}
-    return {
-        **{"wj": wj, "np": np, "jax": jax, "xr": xr, "figures": figures, "Path": Path},
-        **{"FiveFromLift": FiveFromLift, "FiveOfState": FiveOfState},
-        "WALKER": wj.SimplestWalker(0.004),
-        "MANY": jax.vmap(wj.SimplestWalker)(jnp.array([0.004, 0.005])),
-        "GRID": wj.Grid.sheared(**axes),
-        "SLICE": wj.Grid.sheared(**axes, phidot=-0.05),
-        "GAIT": gait([[0.2, -0.2]], 0.5),
-        "UNSTABLE": gait([[0.2, -0.2]], -1.25),
-        "LOST": gait([[np.nan, np.nan]], np.nan, found=False),
-        "OF_THREE": gait([[0.2, -0.2, -0.1]], 0.5),
-        "OF_PERIOD_TWO": gait([[0.2, -0.2], [0.3, -0.3]], 0.5),
-    }
-
-
-def message_of(call: str, known: dict[str, Any]) -> str:
-    """What a call is told."""
-    with pytest.raises(WrongUse) as error:
-        eval(call, dict(known))
-    return str(error.value)
-
-
-def line_of(line: str) -> str:
-    """What a command line is told; it must be wrong usage."""
+def error_of(use: str, known: dict[str, Any]) -> BaseException:
+    """What a wrong use raises."""
     with pytest.raises(Exception) as error:
-        app.app(shlex.split(line), standalone_mode=False)
-    code, reason = main.verdict(error.value)
-    assert code == 2, (line, reason)
-    return main.on_one_line(reason)
+        if use.startswith(CALL):
+            eval(use.removeprefix(CALL), dict(known))
+        else:
+            app.app(shlex.split(use.removeprefix(LINE)), standalone_mode=False)
+    return error.value
+
+
+def message_of(use: str, error: BaseException) -> str:
+    """What a wrong use is told; that it failed to compute, or that it is wrong usage."""
+    assert isinstance(error, Exception)
+    code, reason = main.verdict(error)
+    assert code == (1 if isinstance(error, ComputationFailed) else 2), (use, reason)
+    reason = str(error) if use.startswith(CALL) else main.on_one_line(reason)
+    return reason.replace(os.getcwd(), "HERE")
+
+
+class Told(NamedTuple):
+    """What a wrong use is told."""
+
+    message: str
+    sites: list[list[str]]
+    """The statements that raise it, as `Site` has them."""
+    failed: bool
+    """Whether the computation failed, though the use was right."""
 
 
 @pytest.fixture(scope="module")
-def told() -> dict[str, str]:
+def told() -> dict[str, Told]:
     """What each wrong use is told, from one process for all."""
     done = subprocess.run([sys.executable, __file__], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-3000:]
-    return json.loads(done.stdout.splitlines()[-1])
+    return {use: Told(*one) for use, one in json.loads(done.stdout.splitlines()[-1]).items()}
 
 
 @pytest.mark.parametrize("use", TABLE)
 def test_wrong_use_is_told_what_to_do(told, use):
-    assert told[use] == TABLE[use]
+    assert told[use].message == TABLE[use]
+
+
+def test_every_error_of_the_package_has_a_row_or_a_test(told):
+    """One that is raised anew needs a row in `data/messages.txt`."""
+    reached = {Site(*site) for one in told.values() for site in one.sites}
+    assert all_sites() - reached - ELSEWHERE.keys() == set()
+    assert ELSEWHERE.keys() - all_sites() == set(), "is raised no more"
+    assert ELSEWHERE.keys() & reached == set(), "has a row"
+
+
+@cache
+def source_of(test: str) -> str:
+    """The code of a test, FILE::NAME, its strings joined and without backslashes."""
+    file, name = test.split("::")
+    text = FOLDER.joinpath(file).read_text()
+    (node,) = (one for one in ast.parse(text).body if getattr(one, "name", "") == name)
+    assert isinstance(node, ast.FunctionDef)
+    nodes = [*node.decorator_list, node]
+    code = "\n".join(ast.get_source_segment(text, one) or "" for one in nodes)
+    return re.sub(r'"\s*r?f?"', "", code.replace("\\", ""))
+
+
+@pytest.mark.parametrize("site", ELSEWHERE, ids=lambda site: site.message)
+def test_other_tests_look_for_the_words_of_an_error(site):
+    test, words = ELSEWHERE[site]
+    assert len(words.split()) > 1 and words in source_of(test)
+    literal = re.search(r"\w+ \w+ \w+", site.message)  # and no expression that makes it
+    assert words in site.message or not literal
 
 
 PUBLIC = {name: getattr(wj, name) for name in wj.__all__}
-HOMES = SimpleNamespace(**PUBLIC, GRID=wj.Grid, figures=figures)
+HOMES = SimpleNamespace(
+    **{one.__name__.rpartition(".")[2]: one for one in MODULES}, **PUBLIC, GRID=wj.Grid
+)
 """Where the names that calls of the table begin with are found."""
 
 
-@pytest.mark.parametrize("use", TABLE)
-def test_each_message_is_one_short_line_that_names_the_argument(use):
-    message = TABLE[use]
-    assert len(f"walker-jax: {message}") < 200 and not message.endswith((".", " "))
-    known = {*re.findall(r"[\w.-]+", use), *vars(wj.SimplestWalker(0.004)), *dir(wj.SimplestWalker)}
+NAMES = names()
+
+
+def names_in(use: str) -> set[str]:
+    """The names that a message about a wrong use may give: those typed, and of its arguments."""
+    typed = {*re.findall(r"[\w-]+", use)}
+    known = typed | {"walker", "parameter", "slope", *REQUESTED}
     if use.startswith(LINE):
         command = use.removeprefix(LINE).split()[0]
         options = app.load(command).params if command in app.COMMANDS else []
-        known |= {name for one in options for name in (*one.opts, one.opts[0].upper())}
-        known |= {"Got", "No"}  # which begin lines of click's own that quote what was typed
-    for name in re.findall(r"\b(?:wj\.|(?=figures|GRID))([\w.]+)\(", use):
-        home = operator.attrgetter(name)(HOMES)
-        known |= {*inspect.signature(home).parameters, "parameter"}
-    first = re.match(r"-{0,2}\w+(?:-\w+|\.avi)*", message)
-    assert first is not None and first[0] in known
+        return known | {name for one in options for name in (*one.opts, one.opts[0].upper())}
+    for name in re.findall(rf"\b(?:wj\.|(?=(?:{'|'.join(vars(HOMES))})\b))([\w.]+)\(", use):
+        known |= {*inspect.signature(operator.attrgetter(name)(HOMES)).parameters}
+    for one in (NAMES[name] for name in typed & NAMES.keys()):
+        known |= {*getattr(one, "__dataclass_fields__", ()), *getattr(one, "_fields", ())}
+    return known
+
+
+REQUESTED = {"request", "tile", "tiles", "cells", "level", "at", "rectangles", "start"}
+"""What requests of the page hold."""
+
+
+@pytest.mark.parametrize("use", TABLE)
+def test_each_message_is_one_short_line_that_names_the_argument(told, use):
+    message, _, failed = told[use]
+    assert len(f"walker-jax: {message}") < 200 and not message.endswith((".", " "))
+    words = re.findall(r"[\w-]+", message.partition(", not ")[0])
+    assert failed or names_in(use) & {*words}
 
 
 if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
-    os.chdir(tempfile.mkdtemp())
-    known = names()
-    answer = lambda use: (
-        message_of(use.removeprefix(CALL), known)
-        if use.startswith(CALL)
-        else line_of(use.removeprefix(LINE))
-    )
-    print(json.dumps({use: answer(use) for use in TABLE}))
+    os.chdir(os.path.realpath(tempfile.mkdtemp()))
+    prepare()
+    known, answers = names(), {}
+    for use in TABLE:
+        error = error_of(use, known)
+        failed = isinstance(error, ComputationFailed)
+        answers[use] = message_of(use, error), [*sites_behind(error)], failed
+    print(json.dumps(answers))

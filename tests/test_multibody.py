@@ -684,7 +684,7 @@ def test_generalised_forces_not_of_the_shape_of_the_coordinates_are_refused(shap
     system = System(plain, jnp.ones(2), jnp.zeros(2), forces)
     with pytest.raises(ValueError) as error:
         solve_motion(system, jnp.ones(2), jnp.ones(2))
-    assert_one_line(error, "generalised forces", "(2,)", str(shape))
+    assert_one_line(error, "generalised_forces", "(2,)", str(shape))
 
 
 @pytest.mark.parametrize("held", [(2,), (-3,), (0, 5)])

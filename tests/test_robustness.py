@@ -645,7 +645,7 @@ def test_wrong_arguments_are_refused():
         boundary_dimension(walker, grid, strides=0)
     with pytest.raises(ValueError, match=r"distances=\[0\.  0\.1 0\.2\]: must be positive"):
         boundary_dimension(walker, grid, distances=[0.0, 0.1, 0.2])
-    with pytest.raises(ValueError, match="scale and along are of no use"):
+    with pytest.raises(ValueError, match="scale and along must be left out"):
         basin_stability(walker, wj.Grid.plain(theta=(0, 1, 2), thetadot=(-1, 0, 2)), along=[0, 1])
     with pytest.raises(ValueError, match="samples must be at least 1"):
         basin_stability(walker, 0.1, gait, samples=0)

@@ -256,6 +256,32 @@ def test_a_stride_without_an_answer_is_no_fall_in_the_stochastic_map(monkeypatch
     assert undecided == (ROUNDS - FORGOTTEN) * 300
 
 
+def test_a_stochastic_map_that_cannot_be_says_why(gait, monkeypatch):
+    """Of walks that all end, of those that reach too many cells, and of those that never end."""
+    outcome = Outcome.FORWARD
+
+    def made(_, arguments, __):
+        count = len(arguments[1])
+        fields: Any = arguments[1], np.full(count, outcome), np.ones(count)
+        return wj.Stride(*fields)
+
+    monkeypatch.setattr(stochastic_map, "map_cells", made)
+    chart = Chart(np.zeros(2), np.eye(2))
+    drawn = WALKER, NormalSteps(1e-3), 1000, None, chart, np.full((50, 4), 0.5)
+    with pytest.raises(ComputationFailed, match=r"no cell leads to another: .* more even"):
+        transition_matrix(*drawn, jax.random.key(0), 1.0)
+    with monkeypatch.context() as patch:
+        patch.setattr(stochastic_map, "MOST_CELLS", 0)
+        with pytest.raises(ComputationFailed, match="walks reach more than 0 cells: side must be"):
+            transition_matrix(*drawn, jax.random.key(0), 1.0)
+    outcome = Outcome.STRIDE
+    scattered = np.random.default_rng(0).normal(size=(500, 4))
+    pilot = DisturbedWalk(scattered, np.full(500, Outcome.STRIDE), np.full(500, 8))
+    monkeypatch.setattr(stochastic_map, "walk_disturbed", lambda *_: pilot)
+    with pytest.raises(ComputationFailed, match=r"no walker fell from any of \d+ cells: ground is"):
+        wj.metastability(WALKER, 1e-3, gait=gait, side=100.0, walkers=64)
+
+
 def test_cells_of_which_nothing_is_known_are_left_out():
     """Otherwise they would have the chance 0 to survive, and so would those that lead there."""
     starts, ends = np.array([0, 0, 1, 2, 3, 4]), np.array([0, 1, 2, UNKNOWN, FALLEN, 9])

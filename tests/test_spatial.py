@@ -173,7 +173,7 @@ def test_both_discs_touch_on_the_section():
     [
         ({"disc_radius": 1.0}, "disc_radius must be less than leg_length 1, not 1"),
         ({"hip_width": 0.0}, "hip_width must be finite and above 0"),
-        ({"inertia_yz": 0.06}, "inertia must be positive definite"),
+        ({"inertia_yz": 0.06}, "must make a positive definite matrix"),
     ],
 )
 def test_wrong_parameters_are_refused(wrong, words):

@@ -62,6 +62,8 @@ def test_what_is_no_data_set_is_never_replaced(tmp_path, overwrite):
             (path / "zarr.json").write_text("{")
         with pytest.raises(storage.StoreConflict, match="is not a data set"):
             storage.find(path, REQUEST, overwrite=overwrite)
+        with pytest.raises(storage.StoreConflict, match="is not a data set"), begun(path):
+            pass
         assert path.exists()
 
 

@@ -59,6 +59,9 @@ def test_former_names_warn_and_say_what_to_use():
         assert pictures.thinned is pictures.thin
     with pytest.raises(AttributeError, match="Grid has no attribute 'no_such_name'"):
         assert grid.no_such_name
+    public: Any = wj
+    with pytest.raises(AttributeError, match="module 'walker_jax' has no attribute 'no_such_name'"):
+        assert public.no_such_name
 
 
 def test_the_version_and_the_pythons_are_the_same_everywhere():

@@ -294,7 +294,10 @@ def split_axes(axes: Mapping[str, Axis]) -> tuple[dict[str, Axis], Float[np.ndar
         raise WrongUse(f"axes={dict(axes)!r}: a grid needs at least one axis, (low, high, count)")
     if any(single[:count]):
         name = list(axes)[single.index(True)]
-        raise WrongUse(f"{name}={short(axes[name])}: only the last axes may be numbers")
+        raise WrongUse(
+            f"{name}={short(axes[name])}: only the last axes may be numbers: "
+            "give (low, high, count)"
+        )
     values = [0.0] * count + [float(axis) for axis in list(axes.values())[count:]]
     return dict(list(axes.items())[:count]), np.array(values)
 
@@ -315,7 +318,10 @@ def check_axis(name: str, axis: Axis) -> tuple[float, float, int]:
     if count < 1:
         raise WrongUse(f"{name}={short(axis)}: the count of cells must be positive")
     if (high - low) / count < np.finfo(float).tiny:
-        raise WrongUse(f"{name}={short(axis)}: the cells are narrower than numbers can be apart")
+        raise WrongUse(
+            f"{name}={short(axis)}: the cells are narrower than numbers can be apart: "
+            "lower the count"
+        )
     return low, high, count
 
 

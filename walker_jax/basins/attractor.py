@@ -44,7 +44,10 @@ def check_cycle(
     """Refuse the states of a gait from which strides end elsewhere: the gait of another walker."""
     miss = np.abs(ends - np.roll(states, -1, axis=0)).max()
     if not miss < capture_radius(states.dtype):
-        raise WrongUse(f"gait must be one of this walker, whose strides miss it by {miss:.2g}")
+        raise WrongUse(
+            f"gait must be one of this walker, whose strides miss it by {miss:.2g}: find_gait "
+            "gives one"
+        )
 
 
 def cubes(attractor: Attractor, radius: float) -> Float[np.ndarray, "period section section"]:

@@ -106,7 +106,9 @@ def basin(
     if solver is not None:
         settings["solver"] = repr(solver)
         if cluster is not None:
-            raise WrongUse(f"solver must not be given with a cluster, unlike {solver!r}")
+            raise WrongUse(
+                f"solver must not be given with a cluster, unlike {solver!r}: leave out one of them"
+            )
     with using_solver(solver):
         if out is not None:
             return compute_in_pieces(

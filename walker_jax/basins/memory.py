@@ -55,7 +55,7 @@ def check_grid(
     if needed > memory:
         raise TooLarge(
             f"grid of {grid.size} cells needs {needed / 2**30:.1f} GiB of memory, "
-            f"and this machine has {memory / 2**30:.1f} GiB"
+            f"and this machine has {memory / 2**30:.1f} GiB: lower a count"
         )
 
 

@@ -96,7 +96,7 @@ class RefinedCells:
             raise TooLarge(
                 f"levels={self.levels}: level {level} follows {len(self.cells) + count} cells, "
                 f"which need {needed / 2**30:.1f} GiB of memory, "
-                f"and this machine has {memory / 2**30:.1f} GiB"
+                f"and this machine has {memory / 2**30:.1f} GiB: lower levels"
             )
 
     def on_boundary(self, values: Shaped[np.ndarray, " runs"]) -> Bool[np.ndarray, " n"]:

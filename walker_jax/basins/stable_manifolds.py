@@ -79,7 +79,7 @@ def stable_manifold(
     if not gait.found or len(sizes) != 2 or not sizes[0] > 1 > sizes[1]:
         raise WrongUse(
             "gait must be a saddle on a section of two coordinates, not one with multipliers "
-            f"{np.asarray(gait.multipliers).tolist()}"
+            f"{np.asarray(gait.multipliers).tolist()}: find_gaits gives all"
         )
     checked_tolerance = float(default_tolerance(states.dtype, tolerance))
     local = linearise(walker, states[None], checked_tolerance)

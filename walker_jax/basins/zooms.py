@@ -81,7 +81,9 @@ def find_boundary_point(
     label = label_of(*labels[:2]).reshape(grid.shape)
     on_edge = np.argwhere(edge(label))
     if len(on_edge) == 0:
-        raise ComputationFailed("all cells of the grid have one fate: it holds no boundary")
+        raise ComputationFailed(
+            "all cells of the grid have one fate: it holds no boundary; take a wider or a finer one"
+        )
     shape = np.array(grid.shape)
     middle = (shape - 1) / 2 if near is None else grid.place(near)
     cell = on_edge[np.linalg.norm(on_edge - middle, axis=1).argmin()]

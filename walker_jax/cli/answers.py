@@ -35,7 +35,7 @@ def request_for(command: str, kind: type[Walker], **asked: Any) -> dict[str, Any
 def picture_path(out: Path, figure: Path | None) -> Path:
     """Where the picture of a data set goes; both places are checked."""
     if not out.name:
-        raise WrongPlace(f"--out {out} is not the name of a data set")
+        raise WrongPlace(f"--out {out} is not the name of a data set: give one, such as a.zarr")
     figure = figure or out.with_suffix(".png")
     check_suffix(figure)
     if out.absolute() in (figure.absolute(), *figure.absolute().parents):

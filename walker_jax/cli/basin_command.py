@@ -138,7 +138,7 @@ def basin(
         raise WrongUse("--sum and --thetadot exclude each other: give one of them")
     cluster = cluster_from(workers, scheduler)
     if levels is not None and cluster is not None:
-        raise WrongUse("--workers and --scheduler are for pieces, not for --levels")
+        raise WrongUse("--workers and --scheduler are for pieces, not for --levels: leave them out")
     if levels is not None and method == "cell-map":
         raise WrongUse("--method must be direct with --levels, not cell-map")
     if levels is not None and zoom is not None:
@@ -146,9 +146,13 @@ def basin(
     whole = has_phidot and levels is not None and at_phidot is None
     sliced = has_phidot and phidot is None and not whole
     if zoom is None and (near is not None or animate is not None):
-        raise WrongUse(f"{'--near' if near is not None else '--animate'} is for a --zoom")
+        raise WrongUse(
+            f"{'--near' if near is not None else '--animate'} is for a --zoom: give it too"
+        )
     if zoom is not None and method == "cell-map":
-        raise WrongUse("--method cell-map is not for a --zoom, whose window walkers leave")
+        raise WrongUse(
+            "--method must be direct with --zoom, whose window walkers leave: leave it out"
+        )
     if phidot is not None and (near is not None or animate is not None):
         raise WrongUse(
             "--near and --animate are for a window of two dimensions: leave out --phidot"
@@ -156,11 +160,13 @@ def basin(
     method = "direct" if levels is not None or zoom is not None else method
     method = method or ("direct" if sliced else "cell-map")
     if sliced and method == "cell-map":
-        raise WrongUse("--method cell-map is not for a slice, which walkers leave: give --phidot")
+        raise WrongUse(
+            "--method must be direct for a slice, which walkers leave: drop it, or give --phidot"
+        )
     if strides is not None and method != "direct":
-        raise WrongUse("--strides is for --method direct alone")
+        raise WrongUse("--strides is for --method direct alone: give it too")
     if seed is not None and levels is None:
-        raise WrongUse("--seed is for --levels alone")
+        raise WrongUse("--seed is for --levels alone: give it too")
     strides, seed = strides or 200, seed or 0
     if at_phidot is not None:
         check_finite(**{"at-phidot": at_phidot})

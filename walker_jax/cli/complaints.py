@@ -4,7 +4,9 @@ typer has its texts from click or, in later versions, from pydantic; both are re
 neither kind stays as it is.
 """
 
+import difflib
 import re
+from collections.abc import Sequence
 from typing import Any
 
 LONGEST = 60
@@ -14,8 +16,7 @@ LONGEST = 60
 def complaint(error: Any) -> str:
     """One line for an error of typer's own."""
     if hasattr(error, "possibilities"):
-        similar = " or ".join(sorted(error.possibilities or ())[:4])
-        instead = f"did you mean {similar}?" if similar else help_for(error)
+        instead = did_you_mean(sorted(error.possibilities or ())[:4]) or help_for(error)
         return f"{shown(error.option_name)} is not an option: {instead}"
     if hasattr(error, "option_name"):
         return wrong_count(error)
@@ -25,8 +26,36 @@ def complaint(error: Any) -> str:
         return wrong_value(error)
     if not error.format_message():
         return "name a command, one of those above"
-    said = shown(error.format_message().rstrip("."), 2 * LONGEST)
-    return said if said.endswith("?") else f"{said}: {help_for(error)}"
+    said = error.format_message().rstrip(".")
+    command = re.match(r"No such command (['\"])(.*?)\1(\.|$)", said, re.DOTALL)
+    if command:
+        return no_command(error, command[2])
+    extra = re.match(r"Got unexpected extra arguments?(\(s\))? \((.*)\)$", said, re.DOTALL)
+    if extra:
+        return extra_argument(error, extra[2])
+    return f"{shown(said, 2 * LONGEST)}: {help_for(error)}"
+
+
+def no_command(error: Any, name: str) -> str:
+    """The commands that may be meant, or where all are listed."""
+    similar = difflib.get_close_matches(name, error.ctx.command.list_commands(error.ctx))
+    return (
+        f"{shown(name)} is not a command: {did_you_mean(similar) or 'walker-jax --help lists all'}"
+    )
+
+
+def extra_argument(error: Any, words: str) -> str:
+    """The option that may be meant by the first of the words that are too many."""
+    first = (words.split() or [""])[0]
+    known = [name for one in error.ctx.command.params for name in one.opts]
+    similar = difflib.get_close_matches(f"--{first}", known, cutoff=0.8)
+    instead = did_you_mean(similar) or help_for(error)
+    return f"{shown(first)} is an argument too many: {instead}"
+
+
+def did_you_mean(similar: Sequence[str]) -> str:
+    """The question; empty without any."""
+    return f"did you mean {' or '.join(similar)}?" if similar else ""
 
 
 def wrong_count(error: Any) -> str:

@@ -33,13 +33,21 @@ def explore(
     from walker_jax.explorer.subjects import offer
     from walker_jax.walkers.references import reference_of
 
-    try:
-        host.encode("idna")  # as the network does
-    except UnicodeError:
-        raise WrongUse(f"--host must be a name or an address, not {host}") from None
+    check_host(host)
     offered = offer(walker)
     reference_of(offered.kind)  # raises for what worker processes cannot import
     for option in chosen_options(walker):
-        raise WrongUse(f"{option_of(option)} is not for the page, which knows parameters alone")
+        raise WrongUse(f"{option_of(option)} must be left out: the page knows parameters alone")
     values = {one.name: float(getattr(walker, one.name)) for one in parameters(walker)}
     run_server(host, port, offered, values, browser=browser)
+
+
+def check_host(host: str) -> None:
+    """Refuse what can be no name of a machine."""
+    try:
+        encoded = host.encode("idna")  # as the network does
+    except UnicodeError:
+        encoded = b""
+    if not encoded.strip():
+        shown = host.strip() or "''"
+        raise WrongUse(f"--host must be a name or an address, such as 127.0.0.1, not {shown}")

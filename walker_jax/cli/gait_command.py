@@ -38,7 +38,7 @@ def gait(
 ) -> None:
     """Find the gaits of a walker: cycles of strides, and their stability."""
     if phidot is not None and guess is None:
-        raise WrongUse("--phidot is for --guess alone")
+        raise WrongUse("--phidot is for --guess alone: give it too")
     start = None
     if guess is not None:
         given = {"theta": guess[0], "thetadot": guess[1]}

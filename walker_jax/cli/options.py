@@ -76,7 +76,7 @@ def state_from(walker: Walker, given: dict[str, float]) -> Float[np.ndarray, " s
             raise WrongUse(f"--{name} is required too: the section is {section}")
     for name in given:
         if name not in walker.section:
-            raise WrongUse(f"--{name} is not on the section, {section}")
+            raise WrongUse(f"--{name} must be left out: it is not on the section, {section}")
     return np.array([given[name] for name in walker.section])
 
 
@@ -85,7 +85,7 @@ def check_phidot(walker: Walker, at_phidot: float | None, phidot: AxisOption | N
     given = "--at-phidot" if phidot is None else "--phidot"
     if "phidot" not in walker.section and (phidot is not None or at_phidot is not None):
         section = ", ".join(walker.section)
-        raise WrongUse(f"{given} is for walkers whose section has it, not {section}")
+        raise WrongUse(f"{given} must be left out: it is not on the section, {section}")
     if phidot is not None and at_phidot is not None:
         raise WrongUse("--phidot and --at-phidot exclude each other: give one of them")
 

@@ -165,10 +165,11 @@ def build_walker(kinds: Kinds, name: str, values: dict[str, float], checks: list
         if parameter not in described:
             has = ", ".join(named.values())
             raise WrongUse(f"{option_of(parameter)} is not a parameter of {name}, which has {has}")
-    own = [one.name for one in options(kinds[name])]
+    owners = {one.name: whose for one, whose in offered_options(kinds).items()}
     for check in checks:
-        if check not in own:
-            raise WrongUse(f"{option_of(check)} is not an option of {name}")
+        if name not in owners[check]:
+            whose = ", ".join(owners[check])
+            raise WrongUse(f"{option_of(check)} is not an option of {name}, but of {whose}")
     values = {one.name: one.default for one in described.values()} | values
     for parameter, value in values.items():
         if math.isnan(value) and math.isnan(described[parameter].default):

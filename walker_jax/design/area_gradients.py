@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from walker_jax.basins.mapper import Labels
+from walker_jax.basins.memory import check_grid
 from walker_jax.basins.refinement import Refined, refine_cells
 from walker_jax.basins.runs import flat_index
 from walker_jax.checks import WrongUse, refuses_tracers
@@ -125,9 +126,12 @@ def area_gradient(
     **Returns** an `AreaGradient`, with zeros where nothing walks.
 
     Raises `ValueError` for parameters that the walker does not have, for bands that are not such
-    numbers, and as `refine`.
+    numbers, for a grid of one axis, and as `refine`.
     """
     widths = check_bands(walker, parameters, bands)
+    check_grid(walker, grid, "direct")
+    if len(grid.names) not in MAX_WEIGHTS:
+        raise WrongUse(f"grid must have two axes or three, not {len(grid.names)}")
 
     def basin_of(walker: Walker) -> Refined:
         return refine_cells(

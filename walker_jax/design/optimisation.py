@@ -158,8 +158,8 @@ def optimise(
         check_planar(walker)
     if "cost-of-transport" in {*weights, *limits} and not cost_is_known(walker):
         raise WrongUse(
-            f"cost-of-transport is not known of a {type(walker).__name__}, which more than gravity "
-            "may drive (driven_by_gravity, motor_work)"
+            f"cost-of-transport is not known of a {type(walker).__name__}: define its motor_work, "
+            "or driven_by_gravity if nothing else drives it"
         )
     if ("basin-stability" in weights) != callable(density):
         raise WrongUse(
@@ -177,7 +177,7 @@ def optimise(
     if problem.grid is not None:
         check_grid(walker, problem.grid, "direct")
         axes, needed = len(problem.grid.names), SIZES.get(problem.size)
-        if (needed == 3 and axes != 3) or (needed == 2 and axes > 2):
+        if needed is not None and axes != needed:
             raise WrongUse(
                 f"objective {problem.size} must have a grid of {needed} axes, not {axes}"
             )

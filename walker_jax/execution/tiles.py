@@ -85,7 +85,7 @@ def map_cells(
     cells = [arg for arg, each in pairs if each]
     sizes = {leaf.shape[0] for leaf in jax.tree.leaves(cells)}
     if len(sizes) != 1:
-        raise WrongUse(f"cells must hold arrays of one length, not of {sorted(sizes)}")
+        raise WrongUse(f"args must hold cells in arrays of one length, not of {sorted(sizes)}")
     (n,) = sizes
     if any(stop.is_set() for stop in stopping.get()):
         raise CancelledError

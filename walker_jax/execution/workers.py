@@ -125,7 +125,10 @@ def connect(cluster: Any) -> Iterator[Any]:
         try:
             client = Client(address, timeout=CONNECT_SECONDS)
         except (OSError, ValueError) as error:
-            raise WrongUse(f"cluster {address} cannot be reached: {error}") from None
+            raise WrongUse(
+                f"cluster {address} cannot be reached: {error}; start its scheduler, or give a "
+                "number of workers"
+            ) from None
         with client:
             client.register_worker_callbacks(partial(configure_worker, modes, cores))
             yield client

@@ -100,7 +100,7 @@ def explore(walker: Walker, *, height: int = HEIGHT) -> Explorer:
     check_kind("walker", walker, Walker)
     check_whole("height", height, 100, 10_000)
     for option in chosen_options(walker):
-        raise WrongUse(f"walker must have no {option}, unlike {walker}")
+        raise WrongUse(f"walker must be without {option}: the page knows parameters alone")
     values = {one.name: float(getattr(walker, one.name)) for one in parameters(walker)}
     offered = offer(walker)
     reference, options = "", []

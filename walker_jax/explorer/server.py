@@ -45,11 +45,17 @@ def listen(host: str, port: int) -> socket.socket:
             host, port, type=socket.SOCK_STREAM
         )
         listener = socket.socket(family, kind, protocol)
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.bind(address)
-        listener.listen()  # whoever comes before the server is ready waits
+        try:
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            listener.bind(address)
+            listener.listen()  # whoever comes before the server is ready waits
+        except OSError:
+            listener.close()
+            raise
     except OSError as error:
-        raise ComputationFailed(f"cannot listen on {host}, port {port}: {error.strerror}") from None
+        raise ComputationFailed(
+            f"cannot listen on {host}, port {port}: {error.strerror}; give another --host or --port"
+        ) from None
     return listener
 
 

@@ -132,7 +132,9 @@ def read_subject(asked: Any, offers: Offers = FAMILY) -> Subject:
     known = {one.name: one.default for one in offered.parameters}
     for parameter in given:
         if parameter not in known:
-            raise WrongUse(f"{short(parameter)} is not a parameter of {name}")
+            raise WrongUse(
+                f"{short(parameter)} is not a parameter of {name}: /api/about lists them"
+            )
     values = tuple(slider_number(one, given.get(one, known[one])) for one in known)
     try:
         offered.build(values)
@@ -151,7 +153,8 @@ def read_slice(kind: type[Walker], asked: Any) -> tuple[float | None, ...]:
     given, others = mapping("at", asked), kind.section[2:]
     for name in given:
         if name not in others:
-            raise WrongUse(f"at must name coordinates among {others}, not {short(name)}")
+            among = ", ".join(others) or "none"
+            raise WrongUse(f"at must name coordinates among {among}, not {short(name)}")
     values = ((f"at_{name}", given.get(name)) for name in others)
     return tuple(None if value is None else slider_number(name, value) for name, value in values)
 

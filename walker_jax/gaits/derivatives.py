@@ -73,7 +73,8 @@ def gait_derivatives(
     mismatch = np.abs(local.state - np.roll(cycle, -1, axis=1)).max()
     if not mismatch < MAX_RESIDUAL[cycle.dtype]:
         raise WrongUse(
-            f"gait must be one of this walker: a stride misses the next state by {mismatch}"
+            f"gait must be one of this walker, whose strides miss it by {mismatch:.2g}: find_gait "
+            "gives one"
         )
     dx = solve_linear_systems(
         cycle_matrices(local.jacobian), -local.by_parameter.reshape(1, -1)

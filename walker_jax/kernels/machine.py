@@ -1,11 +1,15 @@
 """LLVM programs as machine code for the processor of this machine, compiled once, kept on disk."""
 
+import functools
 import hashlib
 import os
+import subprocess
+import sys
 
 import llvmlite
 import llvmlite.binding as llvm
 
+from walker_jax.checks import WrongUse
 from walker_jax.kernels.object_cache import load_or_compile, recall
 
 OPTIMISATION_LEVEL = 2
@@ -26,8 +30,35 @@ def processor() -> tuple[str, str]:
     """LLVM's name of the processor that kernels are compiled for, and its features."""
     named = os.environ.get(VARIABLE)
     if named:
+        check_processor(named)
         return named, ""
     return llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
+
+
+@functools.cache
+def check_processor(name: str) -> None:
+    """Raises `WrongUse` for a processor that LLVM does not know, or has no such programs for.
+
+    LLVM says so on standard error alone, or ends the process: so another one tries it.
+    """
+    done = subprocess.run([sys.executable, "-c", TRIAL, name], capture_output=True, text=True)
+    if done.returncode or "not a recognized processor" in done.stderr:
+        raise WrongUse(
+            f"{VARIABLE} must be off, or a processor that LLVM knows, such as "
+            f"{llvm.get_host_cpu_name()}, not {name}: unset it for this machine's own"
+        )
+
+
+TRIAL = """
+import sys
+import llvmlite.binding as llvm
+llvm.initialize_native_target()
+llvm.initialize_native_asmprinter()
+triple = llvm.get_process_triple()
+machine = llvm.Target.from_triple(triple).create_target_machine(cpu=sys.argv[1], jit=True)
+machine.emit_object(llvm.parse_assembly("define void @f() { ret void }"))
+"""
+"""A program that compiles something for the processor that its argument names."""
 
 
 def load_program(source: str, *, keep: bool = True) -> llvm.ExecutionEngine:

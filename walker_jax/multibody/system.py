@@ -117,4 +117,4 @@ def check_state(system: System, q: Coordinates, qdot: Coordinates) -> None:
     if system.generalised_forces is not None:
         Q = jax.eval_shape(system.generalised_forces, q, qdot)
         if Q.shape != q.shape:
-            raise WrongUse(f"generalised forces must have the shape of q, {q.shape}, not {Q.shape}")
+            raise WrongUse(f"generalised_forces must have the shape of q, {q.shape}, not {Q.shape}")

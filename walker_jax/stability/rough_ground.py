@@ -175,15 +175,21 @@ def read_ground(ground: float | RandomDisturbance) -> RandomDisturbance:
         raise WrongUse(f"ground must be a number or a function of a key, not {short(ground)}")
     if not isinstance(ground, Hashable):
         raise WrongUse(f"ground must be hashable, as functions are, not {short(ground)}")
+    returned: list[Any] = []
+
+    def draw_one(key: Array) -> Any:
+        returned.append(ground(key))
+        return returned[0]
+
+    refusal = "ground must return a height or a Disturbance"
     try:
-        drawn = jax.eval_shape(lambda key: ground(key), jax.random.key(0))
+        drawn = jax.eval_shape(draw_one, jax.random.key(0))
     except TypeError as error:
-        raise WrongUse(
-            f"ground must return a height or a Disturbance: {str(error).splitlines()[0]}"
-        ) from None
+        reason = f", not {short(returned[0])}" if returned else f": {str(error).splitlines()[0]}"
+        raise WrongUse(refusal + reason) from None
     shapes = {np.shape(value) for value in jax.tree.leaves(drawn)}
     if not isinstance(drawn, Disturbance | jax.ShapeDtypeStruct) or shapes - {()}:
-        raise WrongUse(f"ground must return a height or a Disturbance, not {short(drawn)}")
+        raise WrongUse(f"{refusal}, not {short(drawn)}")
     return ground
 
 

@@ -127,7 +127,7 @@ def basin_stability(
         )
     if not is_number(disturbances):
         if scale is not None or along is not None:
-            raise WrongUse("scale and along are of no use where disturbances is not a number")
+            raise WrongUse("scale and along must be left out where disturbances is not a number")
     elif isinstance(sizes, CurvedMetric):
         raise WrongUse("metric must be a matrix where disturbances is a number, not a function")
     if within is not None:

@@ -66,6 +66,7 @@ SCATTER_OF_ROUNDING = 1e-11
 SETTLED = 1e-13
 """Change of an eigenvector, relative, at which power iteration ends."""
 MAX_ITERATIONS = 10_000
+NO_CELL = "no cell leads to another: walks end at once; give a more even ground"
 
 
 @refuses_tracers()
@@ -129,7 +130,8 @@ def metastability(
         survival, distribution, means = solve_chain(chain)
         if survival >= 1:
             raise ComputationFailed(
-                f"no walker fell from any of {len(cells):,} cells: ground is too even for a result"
+                f"no walker fell from any of {len(cells):,} cells: ground is too even for a "
+                "result; give a rougher one"
             )
         decided = walks.outcome != Outcome.UNDECIDED
         undecided += np.count_nonzero(~decided) + unanswered
@@ -218,7 +220,7 @@ def chart_of(walks: DisturbedWalk) -> tuple[Chart, Float[np.ndarray, "n 4"]]:
     if len(lasting) < FEWEST_SURVIVORS:
         raise ComputationFailed(
             f"of {len(walks.state)} walks {len(lasting)} lasted {PILOT_STRIDES} strides: too few "
-            "to be metastable"
+            "to be metastable; give a more even ground"
         )
     y = section_and_gap(lasting, 3)
     rough = np.ptp(y[:, 2]) > max(1e-12, 100 * np.finfo(lasting.dtype).eps)
@@ -226,7 +228,9 @@ def chart_of(walks: DisturbedWalk) -> tuple[Chart, Float[np.ndarray, "n 4"]]:
     centre = y.mean(axis=0)
     variances, directions = np.linalg.eigh(np.cov(y.T))
     if not variances[0] > SCATTER_OF_ROUNDING**2:
-        raise ComputationFailed("ground is too even for a result: states hardly scatter")
+        raise ComputationFailed(
+            "ground is too even for a result: states hardly scatter; give a rougher one"
+        )
     axes = (directions * np.sqrt(variances)).T
     return Chart(centre, axes), lasting
 
@@ -269,7 +273,7 @@ def transition_matrix(
         )
         going = made.outcome == Outcome.STRIDE
         if not going.any():
-            raise ComputationFailed("no cell leads to another: walks end at once")
+            raise ComputationFailed(NO_CELL)
         each = len(chosen) // len(cells)
         weights = np.repeat(chance / each, each)
         states = made.state[going]
@@ -302,7 +306,7 @@ def known_cells(
         told = places_of(starts, cells)[1] & (places_of(ends, cells)[1] | (ends == FALLEN))
         left = np.unique(starts[told])
         if len(left) == 0:
-            raise ComputationFailed("no cell leads to another: walks end at once")
+            raise ComputationFailed(NO_CELL)
         if len(left) == len(cells):
             return cells
         cells = left
@@ -352,7 +356,7 @@ def solve_chain(
     survival, distribution = largest_eigenvector(backward, count)
     _, promise = largest_eigenvector(chain, count)
     promise = promise / (distribution @ promise)
-    if survival >= 1:
+    if 1 - survival < SETTLED:  # where nothing falls, 1 to rounding
         return 1.0, distribution, np.full(count, np.inf)
     life = survival / (1 - survival)
     source = chain @ np.ones(len(promise)) - survival * promise
@@ -373,10 +377,12 @@ def largest_eigenvector(matrix: csr_array, count: int) -> tuple[float, Float[np.
         following = matrix @ vector
         value = float(following.sum())
         if not value > 0:
-            raise ComputationFailed("no cell leads to another: walks end at once")
+            raise ComputationFailed(NO_CELL)
         following /= value
         settled = np.abs(following - vector).max() <= SETTLED * following.max()
         vector = following
         if settled:
             return value, vector
-    raise ComputationFailed(f"the eigenvector is not found in {MAX_ITERATIONS} iterations")
+    raise ComputationFailed(
+        f"the eigenvector is not found in {MAX_ITERATIONS} iterations: give another side"
+    )

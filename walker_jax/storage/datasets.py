@@ -182,7 +182,7 @@ def export(path: Path, file: Path, *, overwrite: bool = False) -> "xarray.Datase
     except Damaged as error:
         raise Damaged(*error.args, "the command that made it replaces it with overwrite") from error
     if data is None:
-        raise StoreConflict(f"{path} is not a data set")
+        raise StoreConflict(f"{path} is not a data set", "give the place of one")
     if data.attrs.get("unfinished"):
         raise StoreConflict(f"{path} is unfinished: the command that began it resumes it")
     small = {name: {"zlib": True} for name in data.variables if data[name].dtype.kind in "iuf"}

@@ -48,7 +48,7 @@ def check_writable(path: Path) -> None:
     folder = path.absolute().parent
     try:
         if not folder.is_dir():
-            raise WrongPlace(f"{path} cannot be written: there is no folder {folder}")
+            raise WrongPlace(f"{path} cannot be written: there is no folder {folder}: make it")
         if not os.access(folder, os.W_OK | os.X_OK):
             raise WrongPlace(f"{path} cannot be written: no permission for the folder {folder}")
         with suppress(FileNotFoundError):
@@ -98,7 +98,7 @@ def acquire_lock(folder: Path, path: Path) -> filelock.BaseFileLock:
             except (filelock.Timeout, PermissionError):  # a run of this user, or of another one
                 wait = f"wait, or {ANOTHER_PLACE.format('out')}"
                 raise StoreConflict(f"{path} is being written by another run", wait) from None
-    raise StoreConflict(f"{path} cannot be written: {folder} is in the way")
+    raise StoreConflict(f"{path} cannot be written: {folder} is in the way: move it away")
 
 
 def move_into_place(folder: Path, path: Path) -> None:

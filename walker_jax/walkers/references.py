@@ -32,7 +32,7 @@ def find_walker(name: str) -> type[Walker]:
     if ":" in name:
         place, _, attribute = name.rpartition(":")
         module = load_file(Path(place)) if place.endswith(".py") else load_module(place)
-        return check_walker(name, vars(module).get(attribute), walkers_in(module))
+        return check_walker(name, vars(module).get(attribute), place, walkers_in(module))
     if name.endswith(".py") and Path(name).is_file():
         choice = choose_from(walkers_in(load_file(Path(name))), name)
         raise WrongUse(f"walker {name} must name a class: {choice}")
@@ -78,7 +78,7 @@ def load_installed(point: EntryPoint) -> type[Walker]:
         value = point.load()
     except (Exception, SystemExit) as error:  # whatever code of others raises
         raise WrongUse(f"walker {point.name} ({point.value}) {cannot_be_loaded(error)}") from error
-    return check_walker(f"{point.name} ({point.value})", value, ())
+    return check_walker(f"{point.name} ({point.value})", value, point.module, ())
 
 
 def load_file(path: Path) -> ModuleType:
@@ -151,10 +151,9 @@ def is_walker(value: Any) -> bool:
     return isinstance(value, type) and issubclass(value, Walker)
 
 
-def check_walker(name: str, value: Any, others: Sequence[str]) -> type[Walker]:
+def check_walker(name: str, value: Any, place: str, others: Sequence[str]) -> type[Walker]:
     """The class, if it is a complete one of walkers. Raises `WrongUse` otherwise."""
     if not is_walker(value):
-        place = name.rpartition(":")[0]
         raise WrongUse(f"walker {name} must be a class of walkers: {choose_from(others, place)}")
     missing = sorted(getattr(value, "__abstractmethods__", ()))
     missing += [] if hasattr(value, "section") else ["section"]
@@ -166,5 +165,5 @@ def check_walker(name: str, value: Any, others: Sequence[str]) -> type[Walker]:
 def choose_from(walkers: Sequence[str], place: str) -> str:
     """What to give for one of the walkers of a place."""
     if not walkers:
-        return "there is none"
+        return f"{place} defines none"
     return "give " + " or ".join(f"{place}:{name}" for name in walkers)

@@ -119,7 +119,10 @@ class SpatialWalker(Walker):
             raise WrongUse(f"disc_radius must be less than leg_length {length:g}, not {radius:g}")
         inertia = np.asarray(self.inertia(1.0))
         if not (np.linalg.eigvalsh(inertia) > 0).all():
-            raise WrongUse(f"inertia must be positive definite, not {inertia.tolist()}")
+            raise WrongUse(
+                "inertia_xx to inertia_yz must make a positive definite matrix, not "
+                f"{inertia.tolist()}"
+            )
 
     def inertia_entries(self) -> tuple[Scalar, ...]:
         """xx, yy, zz, xy, xz, yz."""
