@@ -8,6 +8,8 @@ import pytest
 from walker_jax.checks import WrongUse
 from walker_jax.execution.tiles import map_cells
 from walker_jax.kernels import machine
+from walker_jax.kernels.emit import emit
+from walker_jax.kernels.kernel import shapes_and_types
 from walker_jax.kernels.primitive import program_of
 
 XS = np.stack([np.linspace(0.05, 0.3, 64), np.linspace(-0.05, -0.31, 64)], axis=1)
@@ -56,3 +58,18 @@ def test_a_processor_that_there_is_not_is_refused(value, monkeypatch, capfd):
         f"not {value}: unset it for this machine's own"
     )
     assert capfd.readouterr().err == ""
+
+
+@pytest.mark.skipif(
+    not llvm.get_process_triple().startswith("x86_64"), reason="the processors are of another kind"
+)
+@pytest.mark.parametrize(
+    ("name", "bits"), [("x86-64", 128), ("nehalem", 128), ("haswell", 256), ("znver4", 512)]
+)
+def test_vectors_are_as_long_as_the_registers_of_the_processor(name, bits, monkeypatch):
+    """LLVM splits longer ones: compiling takes twice as long then, and running no less."""
+    monkeypatch.setenv(machine.VARIABLE, name)
+    assert machine.register_bits() == bits
+    closed = jax.make_jaxpr(jax.numpy.sqrt)(np.float64(2.0))
+    kinds = shapes_and_types(closed.in_avals)
+    assert f"<{bits // 64} x double>" in emit(closed, kinds, kinds, machine.register_bits())

@@ -118,6 +118,7 @@ def test_a_name_stands_for_all_that_a_trace_depends_on(monkeypatch):
     replaced = functools.wraps(plain)(lambda *args: plain(*args))
     changes = [
         (solvers, "MAX_STEPS", 7),
+        (program_cache, "register_bits", lambda: 64),
         (roots, "first_upcrossing", replaced),
         (roots, "first_upcrossing", roots.interior_minimum),
         (wj.Walker, "contact_force", lambda self, state: (0.0, 0.0)),

@@ -4,7 +4,7 @@ XLA compiles a function that is mapped over a tile of cells into one loop over t
 fusion of operations. A while loop then runs until the slowest cell of the tile has ended, and an
 intermediate result that several fusions use is computed again in each. Kernels avoid both. The
 jaxpr of the function is read number by number (`scalars`) and written as one LLVM program, in which
-every number is a vector of as many cells as 512 bits hold. A loop runs until all cells of the
+every number is a vector of as many cells as a register holds. A loop runs until all cells of the
 vector have ended; a cell that has ended keeps its values. So a slow cell delays at most seven
 others in float64, equal terms are computed once, and intermediate results stay in the registers and
 the cache of one core.

@@ -26,8 +26,6 @@ from walker_jax.kernels.rules import (
 from walker_jax.kernels.scalars import Unrolling, is_known
 from walker_jax.kernels.substitutes import SUBSTITUTES
 
-VECTOR_BITS = 512
-"""Size of a vector, the widest of x86 (AVX-512); LLVM splits it where registers are shorter."""
 FLOATS = {np.dtype(np.float32): ir.FloatType(), np.dtype(np.float64): ir.DoubleType()}
 """The floating-point types that kernels support, as LLVM's."""
 
@@ -253,15 +251,19 @@ LLVMEmitter.rules = {
 }
 
 
-def emit(closed: ClosedJaxpr, operands: list, results: list) -> str:
-    """The source of a program that computes results[start:stop].
+def emit(closed: ClosedJaxpr, operands: list, results: list, bits: int) -> str:
+    """The source of a program that computes results[start:stop], with vectors of so many bits.
+
+    Those of the processor's registers: LLVM would split longer ones over several, of which there
+    are too few then for long functions. On processors with 256 bits, vectors of 512 take twice as
+    long to compile and run no faster.
 
     Its signature is void kernel(start, stop, addresses, strides). The addresses point to the arrays
     of the operands, then to those of the results. A stride is the distance between the entries of
     two successive cells in an operand, 0 for an operand that all cells share.
     """
     floats = [dtype.itemsize for _, dtype in (*operands, *results) if is_floating(dtype)]
-    lanes = VECTOR_BITS // 8 // max(floats, default=8)
+    lanes = bits // 8 // max(floats, default=8)
     module = ir.Module("kernel")
     number, pointer = ir.IntType(64), ir.IntType(8).as_pointer()
     arguments = [number, number, pointer.as_pointer(), number.as_pointer()]

@@ -15,7 +15,7 @@ from jax.extend.core import ClosedJaxpr
 
 from walker_jax.checks import WrongUse
 from walker_jax.kernels.emit import emit
-from walker_jax.kernels.machine import digest_of, load_program, recall_program
+from walker_jax.kernels.machine import digest_of, load_program, recall_program, register_bits
 from walker_jax.kernels.rules import UnsupportedPrimitive
 
 MAX_NUMBERS = 1000
@@ -36,7 +36,7 @@ class Kernel:
         if sum(math.prod(shape) for shape, _ in (*self.operands, *self.results)) > MAX_NUMBERS:
             raise UnsupportedPrimitive(f"more than {MAX_NUMBERS} numbers")
         with without_garbage_collection():
-            source = emit(closed, self.operands, self.results)
+            source = emit(closed, self.operands, self.results, register_bits())
         self.digest = digest_of(source)
         self.begin(load_program(source))
         seconds = time.perf_counter() - start

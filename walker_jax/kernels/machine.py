@@ -61,12 +61,35 @@ machine.emit_object(llvm.parse_assembly("define void @f() { ret void }"))
 """A program that compiles something for the processor that its argument names."""
 
 
+def register_bits() -> int:
+    """Size of the processor's vector registers, such as 512 with AVX-512 and 256 with AVX."""
+    return bits_of(*processor())
+
+
+@functools.cache
+def bits_of(name: str, features: str) -> int:
+    """`register_bits` of a processor, read off the registers in which LLVM adds two vectors."""
+    machine = target_machine(name, features)
+    added = machine.emit_assembly(llvm.parse_assembly(SUM))
+    return next((bits for bits, register in REGISTERS.items() if register in added), 128)
+
+
+SUM = """
+define <8 x double> @add(<8 x double> %a, <8 x double> %b) {
+  %sum = fadd <8 x double> %a, %b
+  ret <8 x double> %sum
+}
+"""
+REGISTERS = {512: "zmm", 256: "ymm"}
+"""Names of x86; the vectors of other processors, and of x86 without AVX, have 128 bits."""
+
+
 def load_program(source: str, *, keep: bool = True) -> llvm.ExecutionEngine:
     """Compiles a program for this processor, or loads its machine code from disk.
 
     `keep` says whether the code is stored on disk.
     """
-    machine = target_machine()
+    machine = target_machine(*processor())
     compile = lambda: object_code(source, machine)
     code = load_or_compile(code_name(digest_of(source)), compile) if keep else compile()
     return link(code, machine)
@@ -75,7 +98,7 @@ def load_program(source: str, *, keep: bool = True) -> llvm.ExecutionEngine:
 def recall_program(digest: str) -> llvm.ExecutionEngine | None:
     """The program whose source has this digest, if its machine code is on disk."""
     code = recall(code_name(digest))
-    return None if code is None else link(code, target_machine())
+    return None if code is None else link(code, target_machine(*processor()))
 
 
 def digest_of(source: str) -> str:
@@ -90,11 +113,10 @@ def code_name(digest: str) -> str:
     return hashlib.sha256(all_it_depends_on.encode()).hexdigest()
 
 
-def target_machine() -> llvm.TargetMachine:
-    """LLVM's description of this processor."""
+def target_machine(name: str, features: str) -> llvm.TargetMachine:
+    """LLVM's description of a processor."""
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
-    name, features = processor()
     return llvm.Target.from_triple(llvm.get_process_triple()).create_target_machine(
         cpu=name, features=features, opt=OPTIMISATION_LEVEL, jit=True
     )

@@ -214,7 +214,7 @@ def program_of(function: Callable, structure, avals: Sequence) -> tuple[Program,
         found, results = jax.tree.flatten(function(*jax.tree.unflatten(structure, leaves)))
         return found
 
-    name = name_of(function, structure, avals, settings)
+    name = None if machine.switched_off() else name_of(function, structure, avals, settings)
     program = Program(flat, list(map(shape_dtype, avals)), settings, name=name)
     if program.tree is None:
         program.tree = results

@@ -33,6 +33,7 @@ import jax
 import numpy as np
 from jax.core import ShapedArray
 
+from walker_jax.kernels.machine import register_bits
 from walker_jax.kernels.object_cache import recall, store
 
 PACKAGE = __name__.partition(".")[0]
@@ -75,6 +76,7 @@ def name_of(function: Any, structure: Any, avals: Sequence, settings: tuple) -> 
             *([describe_value(value) for _, value in settings], environment()),
             *([str(getattr(jax.config, option, None)) for option in OPTIONS],),
             code_of({function.__module__, *modules_of(structure)}),
+            register_bits(),  # of which the program is: machines of several kinds may share a folder
         )
     except Unknown:
         return None
