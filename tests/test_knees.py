@@ -93,6 +93,23 @@ def test_gaits_are_found_without_a_guess(slope, radius):
     assert np.abs(gait.multipliers).max() == pytest.approx(sizes[radius], abs=5e-4)
 
 
+@pytest.mark.parametrize(
+    ("slope", "radius", "state"),
+    [
+        (0.1115, 0.5139, [0.7026, -0.7235, -1.2362]),
+        (0.1147, 0.5702, [0.8499, -0.8332, -1.4799]),
+        (0.1107, 0.5976, [0.9266, -0.8980, -1.5791]),
+    ],
+)
+def test_the_further_region_holds_the_long_steps_of_large_feet(slope, radius, state):
+    """States of attractors that direct iteration finds over the whole section."""
+    walker = KneedWalker(slope, foot_radius=radius)
+    gait = wj.find_gait(walker, state)
+    assert gait.stable and np.abs(gait.states - np.array(state)).max() < 1e-4
+    assert walker.further_gait_region().contains(np.asarray(gait.states)).all()
+    assert not walker.gait_region().contains(np.asarray(gait.states)).any()
+
+
 def test_a_gait_on_round_feet_is_that_of_another_program():
     """McGeer's walker of 1990 with its masses at points."""
     entry = PUBLISHED["mcgeer_point_masses"]

@@ -148,6 +148,11 @@ class KneedWalker(HeavyLegWalker):
     def gait_region(self):
         return pendulum_region(self.thigh_length + self.shank_length)
 
+    def further_gait_region(self):
+        """On large feet and steep slopes at once steps are long and fast."""
+        axes = {"theta": (0.4, 1.2, 20), "sum": (-0.5, 0.5, 20), "turn": (-2.0, -0.4, 16)}
+        return pendulum_region(self.thigh_length + self.shank_length, axes)
+
     def conditions(self):
         if not self.check_lock:
             return {}
