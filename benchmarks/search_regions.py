@@ -1,12 +1,12 @@
 """Does a search without a guess find the gait that has the basin, over the ranges of parameters?
 
 `find_gait` without a guess searches from the cells of a walker's `gait_region`, and where no gait
-there is stable, from those of its `further_gait_region`. For walkers with parameters drawn over their
-ranges (a Latin square, seed 0), the gait with the largest basin in a region several times as wide,
-found by following starts from it, stands beside the gait of the search. Per family: walkers drawn,
-those to whose gait of period one most of these starts converge, and those of them for which the
-search finds it; and each for which it does not, with what it finds. A search without a guess is for
-gaits of period one alone: walkers that converge to longer ones are counted apart.
+there is stable, from those of its `further_gait_region`. For walkers with parameters drawn over
+their ranges (a Latin square, seed 0), the gait with the largest basin in a region several times as
+wide, found by following starts from it, stands beside the gait of the search. Per family: walkers
+drawn, those to whose gait of period one most of these starts converge, and those of them for which
+the search finds it; and each for which it does not, with what it finds. A search without a guess is
+for gaits of period one alone: walkers that converge to longer ones are counted apart.
 
 ANSWER
 
@@ -106,7 +106,10 @@ def draw_parameters(count: int, ranges: dict[str, tuple[float, float]]) -> list[
         name: low + (high - low) * (rng.permutation(count) + rng.uniform(size=count)) / count
         for name, (low, high) in ranges.items()
     }
-    return [dict(zip(columns, map(float, row), strict=True)) for row in zip(*columns.values())]
+    return [
+        dict(zip(columns, map(float, row), strict=True))
+        for row in zip(*columns.values(), strict=True)
+    ]
 
 
 def wide_region(walker: wj.Walker) -> wj.Grid:
@@ -117,8 +120,9 @@ def wide_region(walker: wj.Walker) -> wj.Grid:
         return wj.Grid.sheared(**VOLUMES)
     near = walker.gait_region()
     half = (np.asarray(near.upper) - np.asarray(near.lower)) / 2
-    ends = zip(near.names, np.asarray(near.lower) - half, np.asarray(near.upper) + half)
-    axes = {name: (float(low), float(high), 6) for name, low, high in ends}
+    low, high = np.asarray(near.lower) - half, np.asarray(near.upper) + half
+    ends = zip(near.names, low.tolist(), high.tolist(), strict=True)
+    axes = {name: (*both, 6) for name, *both in ends}
     return wj.Grid(axes, near.shear)
 
 
