@@ -98,7 +98,7 @@ def test_gaits_are_found_without_a_guess(slope, radius):
     [
         (0.1115, 0.5139, [0.7026, -0.7235, -1.2362]),
         (0.1147, 0.5702, [0.8499, -0.8332, -1.4799]),
-        (0.1107, 0.5976, [0.9266, -0.8980, -1.5791]),
+        (0.1107, 0.5976, [0.9266, -0.8979, -1.5791]),
     ],
 )
 def test_the_further_region_holds_the_long_steps_of_large_feet(slope, radius, state):

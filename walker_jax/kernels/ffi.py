@@ -36,7 +36,8 @@ VERSION = 0, 3
 CELLS_PER_PIECE = 64, 2**15
 """Fewest and most cells of a piece, which one thread computes without a break.
 
-64 cells are eight vectors of float64 or more. `execution.tiles` has the same upper bound for its calls.
+64 cells are eight vectors of float64 or more. `execution.tiles` has the same upper bound for its
+calls.
 """
 
 # xla::PrimitiveType

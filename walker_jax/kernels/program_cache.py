@@ -76,7 +76,7 @@ def name_of(function: Any, structure: Any, avals: Sequence, settings: tuple) -> 
             *([describe_value(value) for _, value in settings], environment()),
             *([str(getattr(jax.config, option, None)) for option in OPTIONS],),
             code_of({function.__module__, *modules_of(structure)}),
-            register_bits(),  # of which the program is: machines of several kinds may share a folder
+            register_bits(),  # machines of several kinds may share a folder
         )
     except Unknown:
         return None
