@@ -19,7 +19,7 @@ settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.register_profile("explore", deadline=None)
 settings.load_profile("repeatable")
 
-gc.set_threshold(50_000, 20, 50)  # tracing makes many objects that stay: looking often finds little
+gc.set_threshold(100_000, 50, 1000)  # tracing makes many objects that stay: looking finds little
 
 WORTH_KEEPING = 0.1
 """Seconds of compilation from which on a program is kept."""
