@@ -284,16 +284,24 @@ ZEROS |= {"floor": 0.8, "ceil": 0.8, "round": 0.3, "sign": 0.1, "cast": 0.8}
 ZEROS |= {"arctan2": np.pi - 3, "clamp": np.log(2), "clamp below": np.sqrt(0.5)}
 
 
+zero_of_series = jax.jit(first_zero)
+
+
 @pytest.mark.parametrize("name", PIECEWISE)
 def test_series_are_those_of_the_branch_and_say_where_it_ends(name):
     whole, branch = PIECEWISE[name]
     start = jnp.array(1e-3)
     line = [start, jnp.ones_like(start), *[jnp.zeros_like(start)] * 8]
-    found = function_series(whole, line)
-    np.testing.assert_allclose(found, function_series(branch, line), rtol=1e-13, atol=1e-13)
-    switches = switching_series(whole, line)
-    length = jnp.array(0.9 if name in ("floor", "ceil", "cast") else 4.0 if name == "min" else 0.75)
-    ends = [float(first_zero(switch, length, jnp.array(1e-12))) for switch in switches]
+
+    @jax.jit
+    def look(line):
+        series = [function_series(one, line) for one in (whole, branch)]
+        return series, switching_series(whole, line)
+
+    (found, expected), switches = look(line)
+    np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-13)
+    length = 0.9 if name in ("floor", "ceil", "cast") else 4.0 if name == "min" else 0.75
+    ends = [float(zero_of_series(switch, length, 1e-12)) for switch in switches]
     first = min((end for end in ends if end < length), default=None)
     expected = ZEROS[name] - 1e-3 if name in ZEROS else None
     assert first == (None if expected is None else pytest.approx(expected, abs=1e-8))
