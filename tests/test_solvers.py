@@ -20,7 +20,7 @@ START = jnp.array([0.15, -0.153])
 def starts():
     """About the basin at slope 0.004, failures of all kinds among them."""
     rng = np.random.default_rng(0)
-    theta, total = rng.uniform(0.02, 0.4, 4000), rng.uniform(-0.04, 0.01, 4000)
+    theta, total = rng.uniform(0.02, 0.4, 1000), rng.uniform(-0.04, 0.01, 1000)
     return np.stack([theta, total - theta], axis=1)
 
 
