@@ -71,13 +71,13 @@ def first_rise(legs: Legs, y: Rows, end: Rows, value: Callable[[Rows], np.ndarra
     """When a function rises through zero in a step, also to fall again; infinite if it does not."""
     when, before, after = np.full(len(y), np.inf), value(y), value(end)
     limit = np.full(len(y), STEP)
+    rises = (before < 0) & (after >= 0)
     near = (before < 0) & (after < 0) & (np.maximum(before, after) > -NEAR)
     if near.any():
         at = lambda z, time: value(advance(legs, z, time))
         falling = lambda z: at(z, TINY) < at(z, -TINY)
         limit[near] = bisect(legs, y[near], limit[near], falling)
-    rises = (before < 0) & (after >= 0)
-    rises[near] = value(advance(legs, y[near], limit[near])) >= 0
+        rises[near] = value(advance(legs, y[near], limit[near])) >= 0
     if rises.any():
         when[rises] = bisect(legs, y[rises], limit[rises], lambda z: value(z) >= 0)
     return when
@@ -102,7 +102,8 @@ def strides(legs: Legs, x: np.ndarray, longest: float = 40.0) -> Ends:
         end = advance(legs, y, STEP)
         strike, landing = first_rise(legs, y, end, contact), y.copy()
         known = np.isfinite(strike)
-        landing[known] = advance(legs, y[known], strike[known])
+        if known.any():
+            landing[known] = advance(legs, y[known], strike[known])
         strike[~legs.ahead(landing)] = np.inf
         first, codes = strike, np.where(np.isfinite(strike), 0, 6)
         for code, value in legs.falls:

@@ -4,6 +4,7 @@ An independent model: vectors and frames of sympy.physics.mechanics, without any
 package. Angles are yaw, lean and pitch of the stance leg, and pitch of the swing leg against it.
 """
 
+from collections.abc import Callable
 from functools import cache
 from typing import NamedTuple
 
@@ -17,20 +18,24 @@ SIZES = "slope mass length width radius forward outward height xx yy zz xy xz yz
 Values = dict[str, float]
 
 
+Derived = Callable[[], Callable]
+"""Derives a function when it is first called, and returns it: Kane's method takes long."""
+
+
 class Equations(NamedTuple):
     """Functions of (angles, x, y; rates, xdot, ydot) in one array, and of the sizes."""
 
-    matrix: object
+    matrix: Derived
     """Of the derivatives of the rates, those of the contact's place last."""
-    forcing: object
-    momentum: object
+    forcing: Derived
+    momentum: Derived
     """Linear momentum, angular momentum about the origin, and of each leg about its disc's
     centre along the axle; all in the axes of the slope."""
-    places: object
+    places: Derived
     """Centres of the discs, and the axle's frame."""
-    slides: object
+    slides: Derived
     """Velocity of the stance disc's point at its contact; of the swing disc's lowest point."""
-    energy: object
+    energy: Derived
 
 
 @cache
@@ -88,29 +93,39 @@ def equations(legs: int) -> Equations:
     for frame, disc in zip(frames, centres, strict=True):
         slide = disc.vel(ground) + frame.ang_vel_in(ground).cross(-R * axle.z)
         slides.append(slide.to_matrix(ground))
-    method = mechanics.KanesMethod(
-        ground,
-        q_ind=[*q, x, y],
-        u_ind=u,
-        kd_eqs=[one.diff() - rate for one, rate in zip([*q, x, y], [*u, ux, uy], strict=True)],
-        u_dependent=[ux, uy],
-        velocity_constraints=list(slides[0][:2]),
-    )
-    method.kanes_equations(bodies, weights)
+
+    @cache
+    def method():
+        method = mechanics.KanesMethod(
+            ground,
+            q_ind=[*q, x, y],
+            u_ind=u,
+            kd_eqs=[one.diff() - rate for one, rate in zip([*q, x, y], [*u, ux, uy], strict=True)],
+            u_dependent=[ux, uy],
+            velocity_constraints=list(slides[0][:2]),
+        )
+        method.kanes_equations(bodies, weights)
+        return method
+
     names = [*q, x, y, *u, ux, uy]
     plain = [sympy.Dummy() for _ in names]
     exchange = dict(zip(names, plain, strict=True))
-    compiled = lambda value: sympy.lambdify([plain, sizes], value.subs(exchange), cse=True)
     energy = sum(body.kinetic_energy(ground) for body in bodies)
     energy -= sum(one.pos_from(origin).dot(weight) for one, weight in weights)
     stack = lambda vectors: sympy.Matrix.vstack(*[one.to_matrix(ground) for one in vectors])
+
+    def compiled(derive):
+        return cache(lambda: sympy.lambdify([plain, sizes], derive().subs(exchange), cse=True))
+
     return Equations(
-        compiled(method.mass_matrix),
-        compiled(method.forcing),
-        compiled(sympy.Matrix.vstack(stack([linear, angular]), sympy.Matrix(momenta))),
-        compiled(stack([*[one.pos_from(origin) for one in centres], axle.x, axle.y, axle.z])),
-        compiled(sympy.Matrix.vstack(*slides)),
-        compiled(sympy.Matrix([energy])),
+        compiled(lambda: method().mass_matrix),
+        compiled(lambda: method().forcing),
+        compiled(lambda: sympy.Matrix.vstack(stack([linear, angular]), sympy.Matrix(momenta))),
+        compiled(
+            lambda: stack([*[one.pos_from(origin) for one in centres], axle.x, axle.y, axle.z])
+        ),
+        compiled(lambda: sympy.Matrix.vstack(*slides)),
+        compiled(lambda: sympy.Matrix([energy])),
     )
 
 
@@ -123,7 +138,7 @@ class Rolling:
         self.equations = equations(legs)
 
     def look(self, name: str, z: np.ndarray) -> np.ndarray:
-        return np.squeeze(np.asarray(getattr(self.equations, name)(z, self.sizes), float))
+        return np.squeeze(np.asarray(getattr(self.equations, name)()(z, self.sizes), float))
 
     def state(self, angles, rates, place=(0.0, 0.0)) -> np.ndarray:
         """All coordinates and rates, of a disc that does not slip."""

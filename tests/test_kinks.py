@@ -160,13 +160,13 @@ def test_a_torque_that_acts_for_a_moment_within_a_step_is_not_missed():
     """The legs swing apart at first, and pass the angle for some 0.01."""
     times = np.linspace(0, 0.5, 2001)
     start = jnp.array([0.2, 0.4, -0.22, 0.05])  # a full state, the swing leg still going back
-    free = wj.trajectory(wj.SimplestWalker(SLOPE), start, times)
+    motion = lambda angle: wj.trajectory(ShortPushWalker(*jnp.array([SLOPE, angle])), start, times)
+    free = motion(np.pi)  # never so far apart
     widest = float(np.max(free.phi))
     height = 1e-5
-    push = ShortPushWalker(SLOPE, jnp.asarray(widest - height))
     above = times[np.asarray(free.phi) > widest - height]
     assert 0.001 < above[-1] - above[0] < 0.02
-    change = wj.trajectory(push, start, times[[0, -1]]).phidot[-1] - free.phidot[-1]
+    change = motion(widest - height).phidot[-1] - free.phidot[-1]
     # 100 times the integral of what phi is beyond the angle: 2/3 of the height of a parabola
     curvature = -np.gradient(np.asarray(free.phidot), times)[np.argmax(free.phi)]
     width = 2 * np.sqrt(2 * height / curvature)
@@ -284,16 +284,27 @@ ZEROS |= {"floor": 0.8, "ceil": 0.8, "round": 0.3, "sign": 0.1, "cast": 0.8}
 ZEROS |= {"arctan2": np.pi - 3, "clamp": np.log(2), "clamp below": np.sqrt(0.5)}
 
 
-@pytest.mark.parametrize("name", PIECEWISE)
-def test_series_are_those_of_the_branch_and_say_where_it_ends(name):
-    whole, branch = PIECEWISE[name]
+@pytest.fixture(scope="module")
+def expanded():
+    """Of each function, its series, that of its branch, and where it switches."""
     start = jnp.array(1e-3)
     line = [start, jnp.ones_like(start), *[jnp.zeros_like(start)] * 8]
-    found = function_series(whole, line)
-    np.testing.assert_allclose(found, function_series(branch, line), rtol=1e-13, atol=1e-13)
-    switches = switching_series(whole, line)
-    length = jnp.array(0.9 if name in ("floor", "ceil", "cast") else 4.0 if name == "min" else 0.75)
-    ends = [float(first_zero(switch, length, jnp.array(1e-12))) for switch in switches]
+
+    def look(line, whole, branch):
+        both = function_series(whole, line), function_series(branch, line)
+        return *both, switching_series(whole, line)
+
+    all_of_them = jax.jit(lambda line: {name: look(line, *PIECEWISE[name]) for name in PIECEWISE})
+    return all_of_them(line), jax.jit(first_zero)
+
+
+@pytest.mark.parametrize("name", PIECEWISE)
+def test_series_are_those_of_the_branch_and_say_where_it_ends(name, expanded):
+    series, zero = expanded
+    found, of_branch, switches = series[name]
+    np.testing.assert_allclose(found, of_branch, rtol=1e-13, atol=1e-13)
+    length = 0.9 if name in ("floor", "ceil", "cast") else 4.0 if name == "min" else 0.75
+    ends = [float(zero(switch, length, 1e-12)) for switch in switches]
     first = min((end for end in ends if end < length), default=None)
     expected = ZEROS[name] - 1e-3 if name in ZEROS else None
     assert first == (None if expected is None else pytest.approx(expected, abs=1e-8))

@@ -40,8 +40,7 @@ def starts(walker, count=3000, seed=0):
     return np.stack(x, axis=1)
 
 
-HEAVY = "point-foot", "round-foot", "upper-body"  # whose derivatives take long to compile
-PARAMS = [pytest.param(name, marks=[pytest.mark.slow] * (name in HEAVY)) for name in WALKERS]
+PARAMS = [pytest.param(name, marks=[pytest.mark.slow] * (name != "simplest")) for name in WALKERS]
 
 
 @pytest.fixture(scope="module", params=PARAMS)
@@ -273,7 +272,7 @@ def test_the_forward_margin_is_that_of_the_motion():
     strode, fell = (np.flatnonzero(outcome == code) for code in (Outcome.STRIDE, Outcome.FORWARD))
     nearest = strode[np.argsort(found.stride.state[strode, 0])[:8]]  # where the foot comes down
     kinds = []
-    for i in (*nearest, *strode[::40], *fell[::40]):
+    for i in (*nearest, *strode[::120], *fell[::120]):
         time = found.stride.time[i] if outcome[i] == Outcome.STRIDE else 8.0
         expected, other = forward_by_brute_force(walker, xs[i], outcome[i], time)
         if not np.isnan(expected):
@@ -358,7 +357,7 @@ def test_a_stance_leg_that_stops_for_a_moment_has_turned_back():
     walker, x = wj.PointFootWalker(0.02, 0.3), np.array([0.21612040133779264, -0.2664148139061631])
     for tolerance in (None, 1e-9, 1e-6):
         assert wj.strides(walker, x[None], tolerance=tolerance).outcome == Outcome.BACKWARD
-    theta = np.linspace(0.19, 0.24, 8)
+    theta = np.linspace(0.19, 0.24, 4)
     strides, falls = edges(walker, theta, -1.3 * theta)
     np.testing.assert_allclose(
         strides, edges(walker, theta, -1.3 * theta, 1e-9)[0], rtol=0, atol=1e-9
@@ -370,8 +369,9 @@ def test_a_stance_leg_that_stops_for_a_moment_has_turned_back():
     for one, outcome in zip(found, (Outcome.STRIDE, Outcome.BACKWARD), strict=True):
         assert (one.stride.outcome == outcome).all()
         np.testing.assert_allclose(one.backward, 0, atol=1e-7)
-    for start, rate, time in zip(theta, strides, found[0].stride.time, strict=True):
-        motion = wj.trajectory(walker, np.array([start, rate]), np.linspace(0, float(time), 2000))
+    for i in (0, -1):
+        start, time = np.array([theta[i], strides[i]]), found[0].stride.time[i]
+        motion = wj.trajectory(walker, start, np.linspace(0, float(time), 2000))
         assert -1e-4 < np.max(motion.thetadot) < 1e-9
 
 

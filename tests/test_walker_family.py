@@ -3,6 +3,7 @@
 import json
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import ClassVar
 
 import jax
@@ -319,6 +320,12 @@ def collision(cls):
         elif cls is RoundFootWalker:
             about_hip = [momenta(system, q, qdot, x[:2]) for qdot in rates]
             found["trailing"] = [points[1] + turns[0] for points, turns in about_hip]
+        elif cls is UpperBodyWalker:  # where it is not kept
+            radius = walker.foot_radius
+            straight = jnp.stack([-jnp.sin(theta), jnp.cos(theta)])
+            hip = jnp.stack([-radius * theta, radius]) + (walker.leg_length - radius) * straight
+            about_hip = [momenta(system, q, qdot, hip) for qdot in rates]
+            found["of trailing leg"] = [points[1] + turns[0] for points, turns in about_hip]
         point = lambda q: contact_point(walker, q)
         slip = jax.jvp(point, (q,), (rates[1],))[1]
         # The material point of the foot there turns with the leg about the centre of its arc.
@@ -342,7 +349,7 @@ def collision(cls):
 def test_no_power_is_gained_or_lost_during_a_stride(cls):
     """The motion conserves energy, as the ground does no work; a spring only on massless feet."""
 
-    @settings(max_examples=60, deadline=None)
+    @settings(max_examples=30, deadline=None)
     @given(cases(cls), drawn(FREE))
     def check(values, state):
         gain, scale = power(cls)(values, state)
@@ -360,7 +367,7 @@ def test_what_heel_strike_keeps_and_what_it_loses(cls):
     new stance foot does not slip.
     """
 
-    @settings(max_examples=60, deadline=None)
+    @settings(max_examples=30, deadline=None)
     @given(cases(cls), drawn(STRIKE))
     def check(values, strike):
         found, scale = collision(cls)(values, strike)
@@ -379,28 +386,21 @@ def test_what_heel_strike_keeps_and_what_it_loses(cls):
 
 def test_an_upper_body_takes_momentum_from_the_trailing_leg():
     """The bisecting hip is a mechanism between body and legs: only the whole is conserved."""
-    walker, state = UpperBodyWalker(0.01), State(*map(jnp.asarray, (-0.2, -0.4, -0.3, 0.1)))
-    (u, v), after = walker.impact(state)
-    q, system = stance_coordinates(list(state[:2])), walker.system()
-    before, following = (
-        stance_coordinates(list(state[2:])),
-        jnp.stack([u, v, after.thetadot, after.phidot]),
-    )
-    radius, theta = walker.foot_radius, state.theta
-    straight = jnp.stack([-jnp.sin(theta), jnp.cos(theta)])
-    hip = jnp.stack([-radius * theta, radius]) + (walker.leg_length - radius) * straight
-    about_hip = [momenta(system, q, qdot, hip) for qdot in (before, following)]
-    trailing = [points[1] + turns[0] for points, turns in about_hip]
-    assert abs(trailing[1] - trailing[0]) > 0.01 * abs(trailing[0])
-    about_foot = [
-        momenta(system, q, qdot, contact_point(walker, q)) for qdot in (before, following)
-    ]
-    whole = [jnp.sum(points) + jnp.sum(turns) for points, turns in about_foot]
-    assert float(whole[1]) == pytest.approx(float(whole[0]), rel=1e-13)
+    values = [parameter.default for parameter in parameters(UpperBodyWalker)[1:]]
+    found, _ = collision(UpperBodyWalker)((0.01, *values), (-0.2, -0.3, 0.1))
+    before, after = found["of trailing leg"]
+    assert abs(after - before) > 0.01 * abs(before)
+    before, after = found["whole"]
+    assert after == pytest.approx(before, rel=1e-13)
 
 
 @pytest.mark.parametrize(
-    "cls", [*GENERAL, *(pytest.param(cls, marks=SLOW) for cls in MASSLESS)], ids=name
+    "cls",
+    [
+        pytest.param(cls, marks=[SLOW] * (cls is not PointFootWalker))
+        for cls in (*MASSLESS, *GENERAL)
+    ],
+    ids=name,
 )
 def test_energy_is_conserved_along_a_stride(cls):
     walker, x, time = GAITS[cls]
@@ -811,9 +811,10 @@ def test_gaits_on_large_feet_and_steep_slopes_are_found_without_a_guess(slope, r
     branch over the radius (docs/results.md)."""
     legs = {"leg_mass": 1.1, "leg_inertia": 0.09 / 11, "com_from_hip": 0.3875 / 1.1}
     walker = RoundFootWalker(slope, **legs, foot_radius=radius)
-    assert not any(gait.stable for gait in wj.find_gaits(walker))
     gait = wj.find_gait(walker)
     assert gait.found and gait.stable
+    first = walker.gait_region()  # where it is looked for at first
+    assert not first.contains(np.asarray(gait.states)).any()
     assert np.abs(gait.multipliers).max() == pytest.approx(size, abs=5e-4)
 
 
@@ -1075,12 +1076,12 @@ def test_running_is_a_force_that_pulls_at_any_time_before_heel_strike():
         return force[1]
 
     runs = np.flatnonzero(found.outcome == Outcome.RUNNING)
-    later = [i for i in runs if at_start(i) > 0][:12]
+    later = [i for i in runs if at_start(i) > 0][:5]
     assert len(later) >= 4 and len(runs) > 100
     for i in later:
         following, _, forces = Bodies(walkers[i]).stride(xs[i])
         assert following is not None and forces.min() < 0
-    for i in np.flatnonzero(found.outcome == Outcome.STRIDE)[:12]:
+    for i in np.flatnonzero(found.outcome == Outcome.STRIDE)[:5]:
         following, _, forces = Bodies(walkers[i]).stride(xs[i])
         assert following is not None and forces.min() > 0
     for i in np.flatnonzero(found.outcome != Outcome.OUTSIDE):
@@ -1359,7 +1360,10 @@ def test_a_launch_is_followed_to_the_end_of_its_fall():
     """The swing leg swings so fast, its foot below the ground, that it stops the stance leg."""
     walker = wj.PointFootWalker(0.028741, 0.789282)
     launch = np.array([-0.2532712826255108, -0.4475475949, -0.5318088083, 2.7522266076])
-    motion = wj.trajectory(walker, launch, np.linspace(0, 0.6, 121))
-    stopped = np.argmax(motion.thetadot >= 0)
-    assert stopped > 0 and motion.theta[stopped] > -1
+    legs = dict(leg_mass=walker.foot_mass, leg_length=1.0, com_from_hip=1.0, hip_mass=1.0)
+    bodies = Bodies(SimpleNamespace(slope=walker.slope, **legs))
+    rates = lambda t, y: np.concatenate([y[2:], bodies.motion(y)[0]])
+    motion = solve_ivp(rates, (0, 0.6), launch, rtol=1e-9, atol=1e-9, max_step=0.005).y
+    stopped = np.argmax(motion[2] >= 0)
+    assert stopped > 0 and motion[0, stopped] > -1
     assert wj.stride(walker, launch).outcome == wj.Outcome.BACKWARD

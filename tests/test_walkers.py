@@ -290,7 +290,7 @@ def transfer(q):
 
 def masses(beta):
     """(5)."""
-    return jnp.array([beta, beta, 1.0, 1.0, beta, beta])
+    return jnp.stack([beta, beta, 1.0, 1.0, beta, beta])
 
 
 def general_motion(state, beta):
@@ -324,7 +324,7 @@ def assert_limit(general, simplest, at):
     """The simplest walker is the limit: its error is proportional to beta."""
     expected = np.asarray(simplest)
     betas = np.array([1e-3, 1e-4, 1e-5])
-    found = [each(lambda state, beta=beta: general(state, beta), at) for beta in betas]
+    found = jax.jit(jax.vmap(jax.vmap(general, (0, None)), (None, 0)))(at, betas)
     errors = np.array([np.max(np.abs(f - expected), axis=0) for f in found])
     assert np.all(errors[-1] < 2e-4)
     varies = errors[0] > 1e-8
@@ -519,9 +519,9 @@ def test_a_torque_may_bring_the_foot_down_again():
 
     down = lambda t, y: y[0] + np.pi / 2
     down.terminal = True
-    for i in unlike[:4]:
+    for i in unlike[:2]:
         lifted = np.array(free.lift(jnp.asarray(starts[i])))
-        path = solve_ivp(field, (0, 40), lifted, events=down, rtol=1e-9, max_step=0.01).y
+        path = solve_ivp(field, (0, 40), lifted, events=down, rtol=1e-9, max_step=0.02).y
         h = path[1] - 2 * path[0]
         rises = (h[:-1] < 0) & (h[1:] >= 0) & (path[0][1:] < 0) & (path[1][1:] < 0)
         assert rises.any()
@@ -537,14 +537,22 @@ def test_margins_of_a_walker_that_is_no_inverted_pendulum_are_not_those_of_one()
     energy = 0.22**2 / 2 + np.cos(0.2 - 0.004) - 1
     plain, braked = (wj.margins(kind(0.004), start) for kind in (wj.SimplestWalker, Braked))
     assert float(plain.backward) == pytest.approx(energy, rel=1e-12)
+
+    def field(_, y):  # of the stance leg alone
+        return [y[1], np.sin(y[0] - 0.004) - 0.02 * y[1]]
+
     times = np.linspace(0, float(braked.stride.time), 4001)
-    slowest = np.abs(wj.trajectory(Braked(0.004), start, times).thetadot).min()
-    assert float(braked.backward) == pytest.approx(slowest**2 / 2, rel=1e-5)
+    rate = solve_ivp(field, (0, times[-1]), start, t_eval=times, rtol=1e-10, atol=1e-12).y[1]
+    assert float(braked.backward) == pytest.approx(np.min(rate**2) / 2, rel=1e-5)
     assert float(braked.backward) < 0.99 * energy
 
 
 @pytest.mark.parametrize(
-    ("kind", "guess"), [(TorqueWalker, [0.205, -0.207]), (PushedWalker, [0.2, -0.2])]
+    ("kind", "guess"),
+    [
+        (TorqueWalker, [0.205, -0.207]),
+        pytest.param(PushedWalker, [0.2, -0.2], marks=pytest.mark.slow),
+    ],
 )
 def test_cost_of_transport_is_unknown_where_gravity_is_not_all_that_drives(kind, guess):
     walker = kind(*[jnp.array(value) for value in (0.01, 0.5, -0.3)[: len(fields(kind))]])
