@@ -53,7 +53,7 @@ STIFF = [(0.001, 100.0), (0.012, 3.0), (0.1, 100.0), (0.2, 20.0)]
 @pytest.mark.parametrize(("slope", "stiffness"), STIFF)
 def test_the_region_to_search_holds_the_gaits_that_attract(slope, stiffness):
     """By direct iteration over nearly all feasible starts."""
-    wide = wj.Grid.sheared(theta=(0, np.pi / 4, 30), sum=(-1.2, 0.2, 60))
+    wide = wj.Grid.sheared(theta=(0, np.pi / 4, 20), sum=(-1.2, 0.2, 40))
     one = wj.SpringWalker(slope, stiffness)
     data = wj.basin(one, wide, "direct")
     assert data.sizes["number"] >= 1 and (data["period"] == 1).all()

@@ -81,7 +81,7 @@ def test_the_same_seed_gives_the_same():
 def test_a_tail_that_is_met_anywhere_is_followed():
     """Of a strip thinner than a coarse cell, seen at one end only, all is found."""
     coarse = wj.Grid.sheared(theta=(0.3, 0.7, 40), sum=(-0.05, 0.03, 10))
-    found = refine(WALKER, coarse, 4)
+    found = refine(WALKER, coarse, 4, check=20_000)
     uniform = wj.basin(WALKER, finer(coarse, 4), "direct")
     walks = [(data.attractor >= 0).values for data in (found, uniform)]
     assert walks[1].sum() > 50
