@@ -133,7 +133,7 @@ def test_at_a_bound_and_where_a_limit_holds(no_basins):
         SLOPES,
         "speed",
         grid=FEW,
-        starts=2,
+        starts=1,
         scan=5,
         at_most={"spectral-radius": 0.9},
         at_least={"step-length": 0.25},  # at the lowest slope steps are shorter

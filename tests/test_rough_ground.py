@@ -125,7 +125,7 @@ def test_a_walk_on_rough_ground_is_strides_of_given_heights(gait):
     even = wj.walk(WALKER, gait.states[0], 4, ground=np.zeros(4))
     expected = wj.walk(WALKER, gait.states[0], 4)
     np.testing.assert_allclose(even.states[:, [0, 2]], expected.states, rtol=0, atol=1e-11)
-    assert (wj.walk(WALKER, np.array([1.0, -0.2]), 2, ground=np.zeros(2)).outcomes == 5).all()
+    assert (wj.walk(WALKER, np.array([1.0, -0.2]), 4, ground=np.zeros(4)).outcomes == 5).all()
     with pytest.raises(ValueError, match="ground"):
         wj.walk(WALKER, gait.states[0], 4, ground=np.zeros(3))
 
@@ -146,15 +146,15 @@ def test_disturbed_walks_are_strides_one_after_the_other(gait):
         )
     )
     for number in (early, late, lasting):
-        state, made, outcome = jnp.asarray(start), 0, Outcome.STRIDE
+        state, made, outcome = start, 0, Outcome.STRIDE
         for step, slope, push in drawn[number]:
             theta, phi, thetadot, phidot = state
-            pushed = [theta, phi, thetadot + push, phidot + (1 - jnp.cos(phi)) * push]
-            result = wj.stride(SimplestWalker(SLOPE + slope), jnp.stack(pushed), step=step)
+            pushed = [theta, phi, thetadot + push, phidot + (1 - np.cos(phi)) * push]
+            result = wj.stride(SimplestWalker(SLOPE + slope), np.array(pushed), step=step)
             outcome = result.outcome
             if outcome != Outcome.STRIDE:
                 break
-            state, made = result.state, made + 1
+            state, made = np.asarray(result.state), made + 1
         assert made == ends.strides[number] and outcome == ends.outcome[number]
         if number == lasting:
             assert made == most
