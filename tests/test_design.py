@@ -32,6 +32,8 @@ WALKER = wj.SimplestWalker(0.004)
 SLOPES = {"slope": (0.001, 0.015)}
 """On all of them the gait with the largest basin is the long one of period one."""
 GRID = wj.Grid.sheared(theta=(0, 0.4, 100), sum=(-0.04, 0.01, 60))
+FEW = wj.Grid.sheared(theta=(0, 0.4, 40), sum=(-0.02, 0.01, 24))
+"""Of them walkers come to that gait from some, and to find it takes little time."""
 
 
 def measure(name, slope):
@@ -57,7 +59,7 @@ def no_basins(monkeypatch):
 @pytest.fixture(scope="module")
 def steepest():
     """The most stable gait."""
-    return optimise(WALKER, SLOPES, "spectral-radius", scan=7)
+    return optimise(WALKER, SLOPES, "spectral-radius", starts=2, scan=7)
 
 
 def test_an_optimum_within_the_bounds(steepest):
@@ -73,14 +75,13 @@ def test_an_optimum_within_the_bounds(steepest):
     )
     assert float(steepest.parameters[0, 0]) == 0.004
     assert values(steepest, "at_bound") == [0] and not steepest.binding.any()
-    assert values(steepest, "note") == ["", "", ""]
+    assert values(steepest, "note") == ["", ""]
 
 
 def test_the_trace_holds_what_was_measured(steepest):
     climbing = steepest.isel(evaluation=steepest.stage.values >= 0)
-    assert set(values(climbing, "run")) == {0, 1, 2} and set(values(climbing, "stage")) == {
-        *range(4)
-    }
+    assert set(values(climbing, "run")) == {0, 1}
+    assert set(values(climbing, "stage")) == {*range(4)}
     for row in range(0, climbing.sizes["evaluation"], 5):
         one = climbing.isel(evaluation=row)
         found = wj.gait_measures(wj.SimplestWalker(float(one.parameters[0])))["spectral-radius"]
@@ -124,14 +125,15 @@ def test_basins_at_both_ends_are_shown(steepest):
 
 
 def test_at_a_bound_and_where_a_limit_holds(no_basins):
-    found = optimise(WALKER, SLOPES, "speed", starts=2)
+    found = optimise(WALKER, SLOPES, "speed", grid=FEW, starts=1)
     assert values(found, "optimum") == [0.015] and values(found, "at_bound") == [1]
     assert bool(found.converged) and not found.binding.any()
     found = optimise(
         WALKER,
         SLOPES,
         "speed",
-        starts=2,
+        grid=FEW,
+        starts=1,
         scan=5,
         at_most={"spectral-radius": 0.9},
         at_least={"step-length": 0.25},  # at the lowest slope steps are shorter
@@ -154,7 +156,7 @@ def test_at_a_bound_and_where_a_limit_holds(no_basins):
 def test_a_weighted_sum(no_basins):
     """Speed against steepness: where ten times speed falls behind ninety times the slope."""
     weights = {"speed": 10.0, "cost-of-transport": -90.0}
-    found = optimise(WALKER, SLOPES, weights)
+    found = optimise(WALKER, SLOPES, weights, grid=FEW, starts=1)
     total = lambda slope: 10 * measure("speed", slope) - 90 * np.sin(slope)
     at, least = lowest(lambda slope: -total(slope))
     assert 0.0011 < at < 0.0149
@@ -215,7 +217,7 @@ def test_a_start_where_nothing_walks_is_led_to_where_something_does():
 )
 def test_where_nothing_leads_anywhere_that_is_said(slopes, reason):
     walker = wj.SimplestWalker(sum(slopes) / 2)
-    found = optimise(walker, {"slope": slopes}, grid=GRID, starts=2, levels=1)
+    found = optimise(walker, {"slope": slopes}, grid=FEW, starts=1, levels=1)
     assert not found.found and "optimum" not in found
     assert all(reason in note and "slope 0." in note for note in values(found, "note"))
 
@@ -236,9 +238,9 @@ def test_an_interrupted_run_goes_on(no_basins, tmp_path, monkeypatch):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        optimise(WALKER, SLOPES, "speed", starts=2, keep=keep)
+        optimise(WALKER, SLOPES, "speed", grid=FEW, starts=2, keep=keep)
     assert [one.sizes["evaluation"] for one in kept] == [*range(1, 8)]
-    whole = optimise(WALKER, SLOPES, "speed", starts=2)
+    whole = optimise(WALKER, SLOPES, "speed", grid=FEW, starts=2)
 
     made = []
     monkeypatch.setattr(
@@ -248,7 +250,8 @@ def test_an_interrupted_run_goes_on(no_basins, tmp_path, monkeypatch):
     storage.save(kept[-1], tmp_path / "trace.zarr", {})
     known = storage.load(tmp_path / "trace.zarr")
     assert known is not None
-    again = optimise(WALKER, SLOPES, "speed", starts=2, known=known)
+    kept.clear()
+    again = optimise(WALKER, SLOPES, "speed", grid=FEW, starts=2, known=known, keep=kept.append)
     xr.testing.assert_identical(again, whole)
     # the last two stages measure alike
     distinct, before = (
@@ -260,12 +263,12 @@ def test_an_interrupted_run_goes_on(no_basins, tmp_path, monkeypatch):
     )
     assert len(made) == len(distinct - before) < len(distinct)
     # what is kept on the way holds all that is known, lest a second interruption lose it
-    kept.clear()
-    optimise(WALKER, SLOPES, "speed", starts=2, known=known, keep=kept.append)
     assert len(kept) == len(distinct - before)
     assert kept[0].sizes["evaluation"] == len(before) + 1
     made.clear()
-    xr.testing.assert_identical(optimise(WALKER, SLOPES, "speed", starts=2, known=whole), whole)
+    xr.testing.assert_identical(
+        optimise(WALKER, SLOPES, "speed", grid=FEW, starts=2, known=whole), whole
+    )
     assert not made
 
 
@@ -313,7 +316,7 @@ def test_a_problem_is_described_by_its_density_and_by_the_plane_of_its_grid():
 
 def test_limits_hold_at_a_loose_tolerance(no_basins):
     limits = {"spectral-radius": 0.9}
-    found = optimise(WALKER, SLOPES, "speed", starts=1, at_most=limits, tolerance=1e-6)
+    found = optimise(WALKER, SLOPES, "speed", starts=1, grid=FEW, at_most=limits, tolerance=1e-6)
     assert float(found.optimum[0]) == pytest.approx(0.01465582, rel=1e-4)
 
 
@@ -335,7 +338,7 @@ def test_a_stage_that_cannot_begin_keeps_what_was_found(no_basins, monkeypatch):
         return row._replace(gradient=row.gradient * np.nan) if stage >= 1 else row
 
     monkeypatch.setattr("walker_jax.design.trace.evaluate_objective", failing)
-    found = optimise(WALKER, {"slope": (0.008, 0.009)}, "speed", starts=1)
+    found = optimise(WALKER, {"slope": (0.008, 0.009)}, "speed", grid=FEW, starts=1)
     assert bool(found.found) and not found.converged
     assert float(found.exact_optimum) == pytest.approx(measure("speed", 0.009), rel=1e-9)
 
@@ -404,7 +407,7 @@ def test_measures_are_those_of_the_gait_with_the_largest_basin():
     row = trace.measure(0, 0, springs.place_of(values))
     assert float(row.value) == pytest.approx(expected.value, rel=1e-12)
     assert row.gradient == pytest.approx(expected.gradient, rel=1e-8)
-    doubled = problem_of(WALKER, SLOPES)._replace(grid=GRID)
+    doubled = problem_of(WALKER, SLOPES)._replace(grid=FEW)
     trace = Trace(doubled, None, None, False, 1)
     assert [len(trace.gait(np.array([slope])).states) for slope in (0.0165, 0.03)] == [2, 1]
     assert "an unstable gait" in trace.note(np.array([0.0165]))

@@ -53,7 +53,7 @@ STIFF = [(0.001, 100.0), (0.012, 3.0), (0.1, 100.0), (0.2, 20.0)]
 @pytest.mark.parametrize(("slope", "stiffness"), STIFF)
 def test_the_region_to_search_holds_the_gaits_that_attract(slope, stiffness):
     """By direct iteration over nearly all feasible starts."""
-    wide = wj.Grid.sheared(theta=(0, np.pi / 4, 30), sum=(-1.2, 0.2, 60))
+    wide = wj.Grid.sheared(theta=(0, np.pi / 4, 20), sum=(-1.2, 0.2, 40))
     one = wj.SpringWalker(slope, stiffness)
     data = wj.basin(one, wide, "direct")
     assert data.sizes["number"] >= 1 and (data["period"] == 1).all()
@@ -111,10 +111,9 @@ def test_all_gaits_of_a_region_each_once():
 )
 def test_next_to_a_bifurcation_no_gait_is_invented(period, bifurcation, before, after):
     """Where cycles that are none miss themselves by no more than rounding."""
-    for distance in (0, 1e-11, 1e-10):
-        for sign in (-1, 1):
-            gaits = wj.find_gaits(walker(bifurcation + sign * distance), period, REGION)
-            assert len(gaits) <= (after if sign * distance > 0 else before)
+    for distance in (-1e-10, -1e-11, 0, 1e-11, 1e-10):
+        gaits = wj.find_gaits(walker(bifurcation + distance), period, REGION)
+        assert len(gaits) <= (after if distance > 0 else before)
     for distance, count in ((-1e-5, before), (1e-5, after)):
         assert len(wj.find_gaits(walker(bifurcation + distance), period, REGION)) == count
 
@@ -361,23 +360,22 @@ def test_multipliers_of_a_traced_search_are_those_of_the_strides_in_their_order(
         return bend(bend(bend(x)))
 
     monkeypatch.setattr("walker_jax.gaits.cycles.apply_strides", ends)
-    x = jnp.array([1.0, 0.0])
-    for _ in range(999):
-        x = bend(x)
+    x = jax.lax.fori_loop(0, 999, lambda _, x: bend(x), jnp.array([1.0, 0.0]))
     plain = inspect.unwrap(cycles.solve_cycle)
     start = jnp.stack([x, bend(x), bend(bend(x))])
     gait = jax.jit(lambda start: plain(walker(), start, jnp.asarray(1e-12)))(start)
     assert gait.found
-    np.testing.assert_allclose(thrice(gait.states[0]), gait.states[0], rtol=0, atol=1e-13)
-    expected = np.linalg.eigvals(jax.jacfwd(thrice)(gait.states[0])).astype(complex)
+    end, jacobian = jax.jit(lambda x: (thrice(x), jax.jacfwd(thrice)(x)))(gait.states[0])
+    np.testing.assert_allclose(end, gait.states[0], rtol=0, atol=1e-13)
+    expected = np.linalg.eigvals(jacobian).astype(complex)
     expected = expected[np.argsort(-np.abs(expected))]
     np.testing.assert_allclose(gait.multipliers, expected, rtol=1e-9)
 
 
 def test_descent_reaches_gaits_from_where_newton_diverges():
     """From the cells of the whole section that make a stride at all."""
-    grid = wj.Grid.plain(theta=(0, np.pi / 4, 100), thetadot=(-1, 0, 100))
-    starts = np.asarray(jax.vmap(grid.centre)(np.arange(grid.size, dtype=np.int32)))
+    grid = wj.Grid.plain(theta=(0, np.pi / 4, 50), thetadot=(-1, 0, 50))
+    starts = grid.centres(np.arange(grid.size))
     _, cycles = search.cycle_guesses(walker(), starts, 1, 1e-12)
     newton = search.iterate_newton(walker(), cycles, 1e-12)
     assert 0.6 < newton.found.mean() < 0.85

@@ -94,8 +94,9 @@ def test_the_chance_of_starts_of_a_density_to_walk_and_its_derivative():
     mean, covariance = [0.2, -0.2], np.array([[4e-4, -3e-4], [-3e-4, 2.6e-4]])
     distribution: Any = multivariate_normal
     density = distribution(mean, covariance).pdf
+    where = wj.Grid.sheared(theta=(0.1, 0.3, 51), sum=(-0.04, 0.04, 89))  # five deviations about
     chance = lambda slope, levels, names=(): area_gradient(
-        wj.SimplestWalker(slope), SECTION, names, levels=levels, density=density
+        wj.SimplestWalker(slope), where, names, levels=levels, density=density
     )
     found = chance(0.006, 1, ("slope",))
     draw = lambda rng, n: rng.multivariate_normal(mean, covariance, n) * [1, 1]

@@ -544,7 +544,7 @@ def test_functions_that_are_passed_in_are_what_they_are_at_that_moment():
         key = jax.random.key(0)
         rough = wj.steps_to_fall(walker, ground, 50, key, gait=gait, limit=20).strides
         of_size_one = metric_of(walker, None, None, metric).disturbance(state, np.eye(2))
-        norm = wj.gait_sensitivity(walker, gait, indicators=[indicator]).norm
+        norm = wj.gait_sensitivity(walker, gait, ["push"], [indicator]).norm
         return rough, np.array([*(of_size_one**2).sum(axis=1) ** -0.5, norm]) / size
 
     first, lengths = found()

@@ -41,7 +41,10 @@ def test_without_motors_a_powered_walker_is_the_plain_one_bit_for_bit(plain, pow
         np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.parametrize("push_off", [0.01, 0.05, 0.1])
+@pytest.mark.parametrize(
+    "push_off",
+    [0.05, *(pytest.param(one, marks=pytest.mark.slow) for one in (0.01, 0.1))],
+)
 def test_on_level_ground_push_off_makes_up_for_the_loss_at_heel_strike(push_off):
     gaits = wj.find_gaits(wj.PoweredWalker(0.0, push_off=push_off))
     assert len(gaits) == 2 and sum(gait.stable for gait in gaits) == 1
@@ -50,7 +53,7 @@ def test_on_level_ground_push_off_makes_up_for_the_loss_at_heel_strike(push_off)
         assert abs(thetadot) * np.tan(theta) == pytest.approx(push_off, abs=1e-11)
 
 
-@pytest.mark.parametrize("slope", [0.0, -0.02, 0.004])
+@pytest.mark.parametrize("slope", [0.0, -0.02, pytest.param(0.004, marks=pytest.mark.slow)])
 def test_cost_of_transport_is_the_energy_lost_at_heel_strike(slope):
     """Kinetic energy of the hip before push-off and after the strike, over the step's length."""
     push_off = 0.15 if slope < 0 else 0.05
@@ -166,8 +169,8 @@ def test_a_walker_climbs():
     "walker",
     [
         wj.PoweredWalker(0.0, 2.0, 0.2, -0.3, 0.08),
-        wj.PoweredWalker(0.009, 0.5, 0.1, -0.2, 0.01),
-        wj.PoweredWalker(-0.01, 4.0, 1.0, -0.5, 0.1),
+        pytest.param(wj.PoweredWalker(0.009, 0.5, 0.1, -0.2, 0.01), marks=pytest.mark.slow),
+        pytest.param(wj.PoweredWalker(-0.01, 4.0, 1.0, -0.5, 0.1), marks=pytest.mark.slow),
     ],
     ids=str,
 )
@@ -183,7 +186,11 @@ def test_gaits_of_powered_walkers_by_an_independent_integration(walker):
 
 @pytest.mark.parametrize(
     "values",
-    [(0.009, 0.5, 0.1, -0.2, 0.01), (0.0, 0.0, 0.0, 0.0, 0.05), (-0.01, 4.0, 1.0, -0.5, 0.1)],
+    [
+        (-0.01, 4.0, 1.0, -0.5, 0.1),
+        pytest.param((0.009, 0.5, 0.1, -0.2, 0.01), marks=pytest.mark.slow),
+        pytest.param((0.0, 0.0, 0.0, 0.0, 0.05), marks=pytest.mark.slow),
+    ],
 )
 def test_gaits_and_sensitivity_norms_by_scipy_alone(values):
     walker = wj.PoweredWalker(*values)
@@ -375,8 +382,7 @@ def test_feedback_on_what_may_not_reach_its_upper_bound_needs_bounds(level_gait)
 
 
 def test_feedback_acts_once_and_from_full_states_too(level_gait):
-    gains = {"hip_angle": [3.0, 1.0], "push_off": [0.5, 0.2]}
-    fed = wj.Feedback(LEVEL, level_gait, gains)
+    fed = wj.Feedback(LEVEL, level_gait, {"push_off": [0.5, 0.2]})
     x = np.add(level_gait.states[0], [0.003, -0.004])
     made = wj.stride(fed, x)
     np.testing.assert_array_equal(wj.phase_times(fed, x), [made.time])

@@ -35,11 +35,14 @@ def traces(monkeypatch):
     return made
 
 
-def stride_and_jacobian(x=START, **options):
-    """As another process would find them, which has nothing in memory."""
+def end_of_stride(x):
+    return wj.stride(SimplestWalker(0.004), x).state
+
+
+def as_of_another_process(function=end_of_stride, x=START):
+    """What such a one would find, which has nothing in memory."""
     primitive.programs.clear()
-    one = lambda x: wj.stride(SimplestWalker(0.004), x, **options).state
-    return np.asarray(one(x)), np.asarray(jax.jacfwd(one)(jnp.asarray(x)))
+    return np.asarray(function(jnp.asarray(x)))
 
 
 def name_of(walker=None, dtype=float, function=stepping.follow_stride):
@@ -55,16 +58,18 @@ def name_of(walker=None, dtype=float, function=stepping.follow_stride):
 
 
 def test_another_process_need_not_trace(folder, traces):
-    first = stride_and_jacobian()
+    jacobian = jax.jacfwd(end_of_stride)
+    both = end_of_stride, jacobian
+    first = [as_of_another_process(one) for one in both]
     count = len(traces)
     assert count >= 2  # the stride and its derivative
-    second = stride_and_jacobian()
+    second = [as_of_another_process(one) for one in both]
     assert len(traces) == count
     for a, b in zip(first, second, strict=True):
         assert a.tobytes() == b.tobytes()
     # Where XLA, or a derivative that is not on disk, takes the trace itself it is made then.
-    hessian = jax.hessian(lambda x: wj.stride(SimplestWalker(0.004), x).state)(jnp.asarray(START))
-    assert len(traces) > count and np.isfinite(hessian).all()
+    along = lambda x: jax.jvp(jacobian, (x,), (x,))[1]
+    assert np.isfinite(as_of_another_process(along)).all() and len(traces) > count
 
 
 @pytest.mark.parametrize(
@@ -77,25 +82,25 @@ def test_a_broken_or_foreign_entry_is_traced_anew(folder, traces, damage):
 
 
 def test_code_that_is_gone_is_traced_and_compiled_anew(folder, traces):
-    expected, _ = stride_and_jacobian()
+    expected = as_of_another_process()
     for path in folder.iterdir():
         content = path.read_bytes()[object_cache.CHECKSUM_BYTES :]
         if not content.startswith(b"{"):
             path.unlink()
     count = len(traces)
-    found, _ = stride_and_jacobian()
+    found = as_of_another_process()
     assert len(traces) > count and found.tobytes() == expected.tobytes()
 
 
 def test_what_is_replaced_at_run_time_is_traced(folder, traces, monkeypatch):
-    first, _ = stride_and_jacobian()
+    first = as_of_another_process()
     impact = SimplestWalker.impact
     heavier = lambda self, state: jax.tree.map(lambda value: 0.9 * value, impact(self, state))
     with monkeypatch.context() as patch:
         patch.setattr(SimplestWalker, "impact", heavier)
-        changed, _ = stride_and_jacobian()
+        changed = as_of_another_process()
     assert abs(changed - first).max() > 1e-3
-    again, _ = stride_and_jacobian()
+    again = as_of_another_process()
     assert again.tobytes() == first.tobytes()
 
 
@@ -167,6 +172,6 @@ def test_results_that_are_no_tuples_are_not_kept(folder):
 
 
 def test_wrong_use_is_still_refused(folder):
-    stride_and_jacobian()
+    as_of_another_process()
     with pytest.raises(WrongUse, match="x must have shape"):
-        stride_and_jacobian(np.zeros(7))
+        as_of_another_process(x=np.zeros(7))

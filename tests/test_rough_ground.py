@@ -125,7 +125,7 @@ def test_a_walk_on_rough_ground_is_strides_of_given_heights(gait):
     even = wj.walk(WALKER, gait.states[0], 4, ground=np.zeros(4))
     expected = wj.walk(WALKER, gait.states[0], 4)
     np.testing.assert_allclose(even.states[:, [0, 2]], expected.states, rtol=0, atol=1e-11)
-    assert (wj.walk(WALKER, np.array([1.0, -0.2]), 2, ground=np.zeros(2)).outcomes == 5).all()
+    assert (wj.walk(WALKER, np.array([1.0, -0.2]), 4, ground=np.zeros(4)).outcomes == 5).all()
     with pytest.raises(ValueError, match="ground"):
         wj.walk(WALKER, gait.states[0], 4, ground=np.zeros(3))
 
@@ -146,15 +146,15 @@ def test_disturbed_walks_are_strides_one_after_the_other(gait):
         )
     )
     for number in (early, late, lasting):
-        state, made, outcome = jnp.asarray(start), 0, Outcome.STRIDE
+        state, made, outcome = start, 0, Outcome.STRIDE
         for step, slope, push in drawn[number]:
             theta, phi, thetadot, phidot = state
-            pushed = [theta, phi, thetadot + push, phidot + (1 - jnp.cos(phi)) * push]
-            result = wj.stride(SimplestWalker(SLOPE + slope), jnp.stack(pushed), step=step)
+            pushed = [theta, phi, thetadot + push, phidot + (1 - np.cos(phi)) * push]
+            result = wj.stride(SimplestWalker(SLOPE + slope), np.array(pushed), step=step)
             outcome = result.outcome
             if outcome != Outcome.STRIDE:
                 break
-            state, made = result.state, made + 1
+            state, made = np.asarray(result.state), made + 1
         assert made == ends.strides[number] and outcome == ends.outcome[number]
         if number == lasting:
             assert made == most
@@ -396,11 +396,20 @@ def test_the_norm_is_that_of_the_matrices(gait):
     assert float(found.terms.sum()) == pytest.approx(series, rel=1e-10)
 
 
+def own(walker, start, end, time):
+    return -2 * time
+
+
+def both(size):
+    return Disturbance(step=size, push=3 * size)
+
+
+RESPONSE = ("push", "step", both), ("time", "length", "speed", own)
+"""Disturbances and indicators."""
+
+
 def test_speed_is_length_over_time_and_indicators_and_disturbances_may_be_ones_own(gait):
-    own = lambda walker, start, end, time: -2 * time
-    both = lambda size: Disturbance(step=size, push=3 * size)
-    disturbances, indicators = ("push", "step", both), ("time", "length", "speed", own)
-    found = wj.gait_sensitivity(WALKER, gait, disturbances, indicators)
+    found = wj.gait_sensitivity(WALKER, gait, *RESPONSE)
     for matrix in (found.B, found.D):
         push, step, together = matrix.T
         np.testing.assert_allclose(together, step + 3 * push, rtol=0, atol=1e-11)
@@ -413,7 +422,7 @@ def test_speed_is_length_over_time_and_indicators_and_disturbances_may_be_ones_o
 
 def test_an_unstable_gait_has_no_norm_and_bad_names_are_refused(gait):
     short = min(wj.find_gaits(WALKER), key=lambda one: one.states[0][0])
-    assert wj.gait_sensitivity(WALKER, short).norm == np.inf
+    assert wj.gait_sensitivity(WALKER, short, *RESPONSE).norm == np.inf
     with pytest.raises(ValueError, match="wind"):
         wj.gait_sensitivity(WALKER, gait, ("wind",))
     with pytest.raises(ValueError, match="colour"):

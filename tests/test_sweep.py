@@ -31,12 +31,15 @@ from walker_jax.storage import datasets
 
 WALKER = wj.SpringWalker(0.004, 0.0)
 GRID = wj.Grid.sheared(theta=(0, 0.4, 20), sum=(-0.2, 0.05, 25))
+SIMPLEST = wj.SimplestWalker(0.004)
+"""It finds its gait from the slope alone, others search a region."""
+QUICK: Any = {"levels": 0, "check": 100}
 OVER = {"hip_stiffness": [0.0, 2.0], "slope": [0.004, 0.3]}
 
 
 @pytest.fixture(scope="module")
 def swept():
-    return wj.sweep(WALKER, OVER, GRID, levels=0)
+    return wj.sweep(WALKER, OVER, GRID, **QUICK)
 
 
 def test_every_combination_is_as_computed_alone(swept):
@@ -51,7 +54,7 @@ def test_every_combination_is_as_computed_alone(swept):
         for name in ("fate", "attractor", "strides"):
             np.testing.assert_array_equal(there[name], alone[name])
         assert float(there["area"]) == alone.area.values.sum()
-        fine = wj.refine(walker, GRID, 0)
+        fine = wj.refine(walker, GRID, **QUICK)
         assert float(there["total_area"]) == float(fine["total_area"])
         assert float(there["total_area_error"]) == float(fine["total_area_error"])
         assert fine["cells"].size == 1 and float(there["gait_period"]) == 1 and not there["note"]
@@ -70,7 +73,7 @@ def test_the_gait_is_that_of_the_basin_where_a_search_ends_in_another(monkeypatc
     """Its multiplier by differences of strides, its speed by their length and time."""
     other = wj.find_gait(STIFF, [0.1446, -0.1614])
     monkeypatch.setattr("walker_jax.design.sweeps.search_gait", lambda *_, **__: other)
-    found = wj.sweep(STIFF, {"hip_stiffness": [11.24]}, AROUND_STIFF, levels=0, check=100)
+    found = wj.sweep(STIFF, {"hip_stiffness": [11.24]}, AROUND_STIFF, **QUICK)
     found = found.isel(hip_stiffness=0)
     state = found["gait_state"].values
     number = found["attractor"].values
@@ -92,7 +95,7 @@ def test_the_gait_is_that_of_the_basin_where_a_search_ends_in_another(monkeypatc
 
 def test_a_gait_of_two_strides_is_that_of_its_basin_too():
     slopes = {"slope": [0.0165, 0.03]}
-    found = wj.sweep(wj.SimplestWalker(0.01), slopes, GRID, levels=0, check=100)
+    found = wj.sweep(wj.SimplestWalker(0.01), slopes, GRID, **QUICK)
     assert found["gait_period"].values.tolist() == [2, 0]
     two, none = (found.isel(slope=i) for i in range(2))
     gait = wj.find_gait(wj.SimplestWalker(0.0165), two["gait_state"].values, 2)
@@ -120,9 +123,11 @@ def test_where_nothing_walks_there_is_no_area_and_no_gait(swept):
     assert steep["total_area"] == 0 and np.isnan(steep["multiplier"]) and steep["failed"] == 0
 
 
-def test_attributes_say_what_does_not_vary(swept):
+def test_attributes_say_what_does_not_vary(swept, monkeypatch):
+    gait = wj.find_gait(SIMPLEST)
+    monkeypatch.setattr("walker_jax.design.sweeps.search_gait", lambda *_, **__: gait)
     assert swept.attrs["walker"] == "SpringWalker" and "walker_slope" not in swept.attrs
-    slopes = wj.sweep(WALKER, {"slope": [0.004]}, GRID, levels=0)
+    slopes = wj.sweep(WALKER, {"slope": [0.004]}, GRID, **QUICK)
     assert slopes.attrs["walker_hip_stiffness"] == 0
     assert float(slopes["total_area"][0]) == float(swept["total_area"][0, 0])
 
@@ -136,7 +141,7 @@ def test_a_combination_that_fails_costs_no_other(monkeypatch):
         return measured(walker, plan)
 
     monkeypatch.setattr("walker_jax.design.sweeps.measure_basin", failing)
-    found = wj.sweep(WALKER, {"slope": [0.004, 0.006]}, GRID, levels=0)
+    found = wj.sweep(SIMPLEST, {"slope": [0.004, 0.006]}, GRID, **QUICK)
     assert found["failed"].values.tolist() == [0, 1]
     assert found["reason"].values.tolist() == ["", "FloatingPointError: broken"]
     assert (found["fate"][1] == -1).all() and np.isnan(found["total_area"][1])
@@ -154,8 +159,8 @@ def test_what_the_machine_lacks_is_tried_again(tmp_path, monkeypatch):
 
     monkeypatch.setattr("walker_jax.design.sweeps.measure_basin", failing)
     with pytest.raises(MemoryError):
-        wj.sweep(WALKER, over, GRID, levels=0, out=path)
-    found = wj.sweep(WALKER, over, GRID, levels=0, out=path)
+        wj.sweep(SIMPLEST, over, GRID, **QUICK, out=path)
+    found = wj.sweep(SIMPLEST, over, GRID, **QUICK, out=path)
     assert not found["failed"].any() and (found["total_area"] > 0).all()
 
 
@@ -188,32 +193,32 @@ def test_what_the_machine_lacks_is_raised_and_what_a_walker_lacks_is_told(monkey
 
 def test_a_sweep_of_which_all_failed_has_a_picture(monkeypatch):
     monkeypatch.setattr("walker_jax.design.sweeps.measure_basin", lambda *_: 1 / 0)
-    found = wj.sweep(WALKER, {"slope": [0.004, 0.006]}, GRID, levels=0)
+    found = wj.sweep(SIMPLEST, {"slope": [0.004, 0.006]}, GRID, **QUICK)
     assert found["failed"].values.tolist() == [1, 1]
     assert "2 failed" in figures.sweep(found).texts[0].get_text()
 
 
 def test_an_interrupted_sweep_goes_on(tmp_path, swept, monkeypatch):
     computed, path = [], tmp_path / "a.zarr"
-    measured = sweeps.measure_basin
 
     def counted(walker, plan):
         computed.append((float(walker.hip_stiffness), float(walker.slope)))
         if len(computed) == 3:
             raise KeyboardInterrupt
-        return measured(walker, plan)
+        there = swept.sel(hip_stiffness=walker.hip_stiffness, slope=walker.slope)
+        return {name: there[name].values for name in sweeps.empty_row(plan)}
 
     monkeypatch.setattr("walker_jax.design.sweeps.measure_basin", counted)
     with pytest.raises(KeyboardInterrupt):
-        wj.sweep(WALKER, OVER, GRID, levels=0, out=path)
+        wj.sweep(WALKER, OVER, GRID, **QUICK, out=path)
     looked = xr.open_zarr(path, consolidated=False)
     assert looked["total_area"].notnull().sum() == 2
     with pytest.raises(storage.StoreConflict, match=r"\(levels: 0, not 1\)"):
-        wj.sweep(WALKER, OVER, GRID, levels=1, out=path)
-    found = wj.sweep(WALKER, OVER, GRID, levels=0, out=path)
+        wj.sweep(WALKER, OVER, GRID, levels=1, check=100, out=path)
+    found = wj.sweep(WALKER, OVER, GRID, **QUICK, out=path)
     assert len(computed) == 5 and len(set(computed)) == 4
     assert found.drop_attrs(deep=False).identical(swept.drop_attrs(deep=False))
-    assert wj.sweep(WALKER, OVER, GRID, levels=0, out=path).identical(found)
+    assert wj.sweep(WALKER, OVER, GRID, **QUICK, out=path).identical(found)
     assert len(computed) == 5
 
 
@@ -227,12 +232,12 @@ def test_a_store_of_an_older_version_lacks_some_and_is_resumed(tmp_path, monkeyp
 
     monkeypatch.setattr("walker_jax.design.sweeps.measure_basin", measured)
     with pytest.raises(KeyboardInterrupt):
-        wj.sweep(WALKER, over, GRID, levels=0, out=path)
+        wj.sweep(SIMPLEST, over, GRID, **QUICK, out=path)
     remove_checksums(path)
     for name in ("reason", "speed"):
         shutil.rmtree(path / name)
     monkeypatch.setattr("walker_jax.design.sweeps.measure_basin", lambda *_: 1 / 0)
-    found = wj.sweep(WALKER, over, GRID, levels=0, out=path)
+    found = wj.sweep(SIMPLEST, over, GRID, **QUICK, out=path)
     assert found["failed"].values.tolist() == [0, 1] and not {"reason", "speed"} & set(found)
     assert found["total_area"][0] == 1.5
 
@@ -255,17 +260,17 @@ def test_a_store_of_an_older_version_lacks_some_and_is_resumed(tmp_path, monkeyp
 )
 def test_wrong_values(over, named):
     with pytest.raises(ValueError, match=named):
-        wj.sweep(WALKER, over, GRID)
+        wj.sweep(SIMPLEST, over, GRID)
 
 
 def test_what_is_overwritten_is_kept_until_the_next_is_begun(tmp_path):
     path, over = tmp_path / "a.zarr", {"slope": [0.004]}
-    first = wj.sweep(WALKER, over, GRID, levels=0, out=path)
+    first = wj.sweep(SIMPLEST, over, GRID, **QUICK, out=path)
     slice_ = wj.Grid.plain(theta=(0, 0.4, 4))
     with pytest.raises(ValueError, match="grid must have"):
-        wj.sweep(WALKER, over, slice_, levels=0, out=path, overwrite=True)
+        wj.sweep(SIMPLEST, over, slice_, **QUICK, out=path, overwrite=True)
     assert datasets.open_dataset(path).identical(first)
-    second = wj.sweep(WALKER, {"slope": [0.006]}, GRID, levels=0, out=path, overwrite=True)
+    second = wj.sweep(SIMPLEST, {"slope": [0.006]}, GRID, **QUICK, out=path, overwrite=True)
     assert second["slope"].values.tolist() == [0.006]
 
 
@@ -289,7 +294,7 @@ def test_here_things_are_computed_one_by_one():
     ],
 )
 def test_a_cluster_that_there_cannot_be_costs_nothing(tmp_path, monkeypatch, cluster_, message):
-    monkeypatch.setattr("walker_jax.execution.workers.CONNECT_SECONDS", 1)
+    monkeypatch.setattr("walker_jax.execution.workers.CONNECT_SECONDS", 0.1)
     with pytest.raises(ValueError, match=message):
         wj.basin(WALKER, GRID, out=tmp_path / "a.zarr", cluster=cluster_)
     assert not [*tmp_path.iterdir()]
@@ -409,7 +414,7 @@ def main():
     grid = wj.Grid.sheared(theta=(0, 0.4, 20), sum=(-0.2, 0.05, 25))
     over = {"hip_stiffness": [0.0, 2.0], "slope": [0.004, 0.3]}
     options = {"out": Path(sys.argv[1]), "cluster": 2}
-    wj.sweep(wj.SpringWalker(0.004, 0.0), over, grid, levels=0, **options)
+    wj.sweep(wj.SpringWalker(0.004, 0.0), over, grid, levels=0, check=100, **options)
 if __name__ == "__main__":
     main()
 """
