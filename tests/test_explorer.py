@@ -335,6 +335,11 @@ def test_the_diagram_for_the_page(monkeypatch):
     monkeypatch.setattr(measures, "DIAGRAM", {"period_max": 2, "strides": 400, "scan": 3})
     diagram = measures.bifurcation(subject())
     assert json.dumps(diagram, allow_nan=False)
+    for name, like in explorer_server.DIAGRAM.items():  # with which the page is tested
+        assert len(diagram[name][0]) == len(like[0]) if name == "points" else diagram[name]
+        if name in ("branches", "events"):
+            assert {*diagram[name][0]} == {*like[0]}
+    assert {*diagram} == {*explorer_server.DIAGRAM}
     assert diagram["range"] == (0.0148, 0.0154)
     assert diagram["lost"] == [0.0154, None]  # not up to there
     (doubling,) = (one["slope"] for one in diagram["events"] if not one["fold"])
