@@ -276,7 +276,9 @@ def test_zooming_in_ten_thousand_times_and_panning(opened):
     lattice = page.value("({lower: explorer.lattice.lower, upper: explorer.lattice.upper})")
     low, high = np.array(lattice["lower"]), np.array(lattice["upper"])
     chosen = np.random.default_rng(0).choice(count, 400, replace=False).tolist()
-    cells = np.array(page.value(f"{{const {{all}} = {shown}; {chosen}.map((k) => all[k]);}}"), float)
+    cells = np.array(
+        page.value(f"{{const {{all}} = {shown}; {chosen}.map((k) => all[k]);}}"), float
+    )
     places = low + (cells[:, :2] + 0.5) * (high - low) / (200, 250) / 2.0**level
     assert np.abs(places - (0.193, -0.0138)).max() < 1e-3
     states = np.stack([places[:, 0], places[:, 1] - places[:, 0]], axis=1)
@@ -757,7 +759,11 @@ def test_the_bifurcation_tab_has_the_slope_in_it(opened, monkeypatch, computed):
     page = opened("walker=simplest&slope=0.004")
     few = {"period_max": 1, "strides": 60, "scan": 8}
     monkeypatch.setattr(measures, "DIAGRAM", few)
-    found = measures.bifurcation(read_subject({"walker": "simplest"})) if computed else explorer_server.DIAGRAM
+    found = (
+        measures.bifurcation(read_subject({"walker": "simplest"}))
+        if computed
+        else explorer_server.DIAGRAM
+    )
     page.page.route("**/api/measure/bifurcation", partial(fulfil, found))
     page.page.click("#tab-bifurcation")
     page.wait("document.querySelector('#diagram-note').textContent.includes('lost near 0.0193')")
