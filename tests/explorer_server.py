@@ -22,6 +22,14 @@ from walker_jax.explorer.server import Server, listen, make_server, names_of
 from walker_jax.explorer.subjects import FAMILY, Offers
 
 TOKEN = "a-token-for-tests-alone"
+DIAGRAM = {
+    "range": [0.001, 0.022],
+    "branches": [{"period": 1, "slope": [0.001, 0.02], "theta": [[0.1, 0.25]], "stable": [1, 0]}],
+    "points": [[0.001 + 0.0001 * k, 0.1 + 0.001 * k] for k in range(150)],
+    "lost": [0.0193, 0.0194],
+    "events": [{"slope": 0.015088, "fold": False, "theta": 0.23, "cascade": True}],
+}
+"""Of few points, and of the form in which the server tells a diagram."""
 
 
 class Answer(NamedTuple):

@@ -24,6 +24,7 @@ from walker_jax.cli.app import COMMANDS
 from walker_jax.cli.examples import DURATIONS, EXAMPLES
 from walker_jax.cli.rewording import option_of, with_options_named
 from walker_jax.design import evaluation
+from walker_jax.design.measures import Measure
 from walker_jax.design.summary import summarise_optimum
 from walker_jax.kernels import private_files
 from walker_jax.paper import numbers
@@ -72,13 +73,14 @@ def test_walk_ends_with_the_stride_that_failed(run):
     assert code == 0 and "FORWARD" in out and "nan" in out
 
 
-def test_walk_makes_a_film_which_is_not_replaced_by_another(run, tmp_path):
+def test_walk_makes_a_film_which_is_not_replaced_by_another(run, tmp_path, monkeypatch):
     command = ["walk", "--strides", "1", "--animate", "w.gif"]
     code, out, err = run(*command)
     assert (code, err) == (0, "") and "film w.gif" in out
     with Image.open(tmp_path / "w.gif") as film:
         assert sum(1 for _ in ImageSequence.Iterator(film)) == 21  # 2.93 at 0.15, and the first
     before = (tmp_path / "w.gif").read_bytes()
+    monkeypatch.setattr("walker_jax.figures.film", lambda *_, **__: None)
     assert run(*command)[0] == 0
     code, out, err = run(*command, "--theta", "0.21")
     assert (code, out) == (2, "") and err == (
@@ -657,7 +659,9 @@ def test_answers_on_robustness(run, tmp_path, monkeypatch):
         **{"median_pace": 80.0, "mean_shock": 0.0625, "largest_shock": 0.09375},
     }
     assert answer["boundary_dimension"] == {"value": 1.5, "low": 1.4, "high": 1.75}
-    text = run("robustness")[1]
+    with monkeypatch.context() as patch:
+        patch.setattr("walker_jax.cli.robustness_command.draw", lambda *_: None)
+        text = run("robustness")[1]
     assert answer["at_border"] == 23
     assert "    the basin reaches the border of the grid, in 23 cells\n" in text
     assert "FORWARD after 7 strides" in text and "least step down 0.03125000" in text
@@ -674,6 +678,7 @@ def test_answers_on_robustness(run, tmp_path, monkeypatch):
     assert rows[0]["gait"]["period"] == 1
     for name in ("least_disturbance", "least_fall", "step_down", "step_down_fall"):
         assert rows[0][name] is not None and rows[1][name] is None
+    monkeypatch.setattr("walker_jax.cli.robustness_command.draw", lambda *_: None)
     assert "no gait attracts" in run(*arguments)[1]
     # where another motion is nearer than a fall both are told; a store that does not tell is read
     nearer = {"failure": 0, "failing_strides": 500, "fall_strides": 9, "step_down_failure": 0}
@@ -682,7 +687,6 @@ def test_answers_on_robustness(run, tmp_path, monkeypatch):
     one = one.assign(nearer | {"at_border": 0})
     for name in ("robustness.png", "t.png"):
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
-    monkeypatch.setattr("walker_jax.cli.robustness_command.draw", lambda *_: None)
     answer = json.loads(run("robustness", "--json", "--overwrite")[1])
     assert answer["least_disturbance"]["size"] == 0.01 and answer["step_down"] == 0.03125
     assert answer["least_disturbance"]["failure"] == answer["step_down_failure"] == "STRIDE"
@@ -730,8 +734,26 @@ FASTEST = ["optimise", "--over", "slope", "--bound", "slope=0.001:0.015", "--obj
 FASTEST += ["--at-most", "spectral-radius", "0.9", "--starts", "1", "--scan", "3"]
 
 
-def test_optimise_answers_keeps_and_draws(run, tmp_path, monkeypatch):
+def proportional(walker, parameters=(), *_, **__):
+    """Made-up measures: a speed of 8 times the slope, and a spectral radius of 75 times it."""
+    return {
+        name: Measure(factor * float(walker.slope), np.full(len(parameters), factor))
+        for name, factor in (("speed", 8.0), ("spectral-radius", 75.0))
+    }
+
+
+@pytest.mark.parametrize(
+    ("made_up", "slope", "speed"),
+    [
+        (True, 0.012, 0.032),
+        pytest.param(False, 0.0146558225, 0.0793169483, marks=pytest.mark.slow),
+    ],
+)
+def test_optimise_answers_keeps_and_draws(run, tmp_path, monkeypatch, made_up, slope, speed):
     monkeypatch.setattr("walker_jax.design.optimisation.VIEW_CELLS", 40)  # of the picture
+    if made_up:
+        for module in ("climbs", "evaluation", "limits"):
+            monkeypatch.setattr(f"walker_jax.design.{module}.gait_measures", proportional)
     code, out, err = run(*FASTEST, "--json")
     assert (code, err) == (0, "")
     answer = json.loads(out)
@@ -741,10 +763,10 @@ def test_optimise_answers_keeps_and_draws(run, tmp_path, monkeypatch):
     ]
     assert answer["note"] == {"start": "", "optimum": ""}
     assert answer["start"] == {"slope": 0.004} and answer["converged"] is True
-    assert answer["optimum"]["slope"] == pytest.approx(0.0146558225, abs=1e-10)
+    assert answer["optimum"]["slope"] == pytest.approx(slope, abs=1e-10)
     assert answer["at_bound"] == [] and answer["binding"] == ["spectral-radius"]
     assert set(answer["exact"]) == set(answer["objective"]) == {"start", "optimum"}
-    assert answer["exact"]["start"] == pytest.approx(0.0793169483, abs=1e-10)
+    assert answer["exact"]["start"] == pytest.approx(speed, abs=1e-10)
     data = xr.open_zarr(tmp_path / "optimum.zarr", consolidated=False)
     assert data.sizes["evaluation"] == answer["evaluations"]
     assert (tmp_path / "optimum.png").read_bytes().startswith(b"\x89PNG")

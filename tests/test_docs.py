@@ -137,7 +137,8 @@ def test_links_within_the_pages_lead_somewhere():
     "title",
     [
         pytest.param("a torque at the hip", marks=pytest.mark.slow),
-        *("a push-off", "uneven ground"),
+        "a push-off",
+        pytest.param("uneven ground", marks=pytest.mark.slow),
     ],
 )
 def test_a_walker_of_the_page_gives_the_numbers_that_it_asserts(title):

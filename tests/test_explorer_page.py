@@ -4,7 +4,6 @@ Without a browser these tests are skipped, with the reason; where `WALKER_JAX_RE
 set, as `.ci/run` does, they fail.
 """
 
-import json
 import os
 import shutil
 import time
@@ -176,12 +175,16 @@ CELLS = """(() => {
   const {picture, map} = explorer, found = picture.cells(map.view);
   return {level: found.level, all: found.all, area: explorer.lattice.cellArea(found.level)};
 })()"""
+WALKING = f"""(() => {{
+  const {{picture, map, lattice}} = explorer, found = picture.cells(map.view);
+  const walking = found.all.filter(([, , label]) => label >= {pictures.FIRST_ATTRACTOR}).length;
+  return [walking * lattice.cellArea(found.level), found.all.length];
+}})()"""
+"""The area of cells that walk, and how many cells are shown: they themselves take long to tell."""
 
 
 def area_of(page):
-    found = page.value(CELLS)
-    walking = sum(label >= pictures.FIRST_ATTRACTOR for _, _, label in found["all"])
-    return walking * found["area"], len(found["all"])
+    return page.value(WALKING)
 
 
 def test_the_basin_follows_the_slope(opened):
@@ -267,13 +270,16 @@ def test_zooming_in_ten_thousand_times_and_panning(opened):
         page.page.mouse.wheel(0, -400)
         page.page.wait_for_timeout(15)
     page.finished()
-    found = page.value(CELLS)
-    assert found["level"] >= 13
+    shown = "explorer.picture.cells(explorer.map.view)"
+    level, count = page.value(f"[{shown}.level, {shown}.all.length]")
+    assert level >= 13
     lattice = page.value("({lower: explorer.lattice.lower, upper: explorer.lattice.upper})")
     low, high = np.array(lattice["lower"]), np.array(lattice["upper"])
-    cells = np.array(found["all"], float)
-    cells = cells[np.random.default_rng(0).choice(len(cells), 400, replace=False)]
-    places = low + (cells[:, :2] + 0.5) * (high - low) / (200, 250) / 2.0 ** found["level"]
+    chosen = np.random.default_rng(0).choice(count, 400, replace=False).tolist()
+    cells = np.array(
+        page.value(f"{{const {{all}} = {shown}; {chosen}.map((k) => all[k]);}}"), float
+    )
+    places = low + (cells[:, :2] + 0.5) * (high - low) / (200, 250) / 2.0**level
     assert np.abs(places - (0.193, -0.0138)).max() < 1e-3
     states = np.stack([places[:, 0], places[:, 1] - places[:, 0]], axis=1)
     labels, _ = explorer_server.follow(wj.SimplestWalker(0.004), states, 60)
@@ -373,7 +379,7 @@ def test_hands_on_keys_alone(opened):
     assert unnamed == 0
 
 
-@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize("theme", [pytest.param("light", marks=pytest.mark.slow), "dark"])
 def test_every_width_and_theme(opened, theme, tmp_path):
     # also where nothing may be stored, as in a frame of another site
     page = opened("walker=simplest&slope=0.004", color_scheme=theme, before=NO_STORAGE)
@@ -385,8 +391,8 @@ def test_every_width_and_theme(opened, theme, tmp_path):
         pressed = page.page.get_attribute("#theme", "aria-pressed")
         assert pressed == str(chosen == "dark").lower()
         page.page.click("#theme")
-    page.page.click("#theme")
-    for viewport in (WIDE, NARROW):
+    for viewport in (WIDE, NARROW):  # each in the other theme
+        page.page.click("#theme")
         page.page.set_viewport_size(viewport)
         page.page.wait_for_timeout(100)
         page.finished()
@@ -409,11 +415,11 @@ def test_every_width_and_theme(opened, theme, tmp_path):
             )
             around = screen[int(y) - 3 : int(y) + 4, int(x) - 3 : int(x) + 4].reshape(-1, 3)
             assert np.abs(around.astype(int) - colour).max(axis=1).min() <= 2, at
-    colours = page.value("[explorer.palette.basins[0], ...Object.values(explorer.palette.fates)]")
-    shades = [lightness(colour) for colour in colours]
-    assert len(shades) == len(wj.Outcome)
-    for one, other in combinations(shades, 2):
-        assert abs(one - other) > LEAST_CONTRAST
+        fates = "[explorer.palette.basins[0], ...Object.values(explorer.palette.fates)]"
+        shades = [lightness(colour) for colour in page.value(fates)]
+        assert len(shades) == len(wj.Outcome)
+        for one, other in combinations(shades, 2):
+            assert abs(one - other) > LEAST_CONTRAST
 
 
 def lightness(rgb):
@@ -684,7 +690,7 @@ def test_a_server_that_goes_and_comes_back(browser):
         "",
         "The gaits are followed over the slope: some ten seconds…",
     )
-    page.page.route("**/api/measure/bifurcation", partial(fulfil, DIAGRAM))
+    page.page.route("**/api/measure/bifurcation", partial(fulfil, explorer_server.DIAGRAM))
     with explorer_server.running(first.port):
         page.wait("document.querySelector('#gone').hidden")
         page.wait("JSON.parse(explorer.picture.layer.key).parameters.slope === 0.005")
@@ -716,6 +722,12 @@ class Empty(BaseHTTPRequestHandler):
         pass
 
 
+FRAMED = """(frame) => new Promise((loaded) => {
+  document.body.innerHTML = frame;
+  document.body.firstChild.addEventListener("load", () => loaded(null));
+})"""
+
+
 def test_a_notebook_frames_the_page_and_others_do_not(browser, running):
     """A frame in a page of another site on this machine, with the token and without."""
     context = browser.new_context(viewport=WIDE)
@@ -727,8 +739,8 @@ def test_a_notebook_frames_the_page_and_others_do_not(browser, running):
     for token, shown in ((explorer_server.TOKEN, True), ("another", False)):
         link = f"http://127.0.0.1:{running.port}/?token={token}#walker=simplest&slope=0.004"
         frame = f'<iframe src="{link}"></iframe>'
-        page.evaluate("(frame) => (document.body.innerHTML = frame)", frame)
-        stop, there = time.monotonic() + (SECONDS if shown else 2), False
+        page.evaluate(FRAMED, frame)  # until it has loaded, or is refused
+        stop, there = time.monotonic() + (SECONDS if shown else 0.3), False
         while time.monotonic() < stop and not there:
             page.wait_for_timeout(50)
             with suppress(Error):  # of a frame that goes on to its page
@@ -741,22 +753,17 @@ def test_a_notebook_frames_the_page_and_others_do_not(browser, running):
     notebook.server_close()
 
 
-DIAGRAM = {
-    "range": [0.001, 0.022],
-    "branches": [{"period": 1, "slope": [0.001, 0.02], "theta": [[0.1, 0.25]], "stable": [1, 0]}],
-    "points": [[0.001 + 0.0001 * k, 0.1 + 0.001 * k] for k in range(150)],
-    "lost": [0.019, 0.0191],
-    "events": [{"slope": 0.0151, "fold": False, "theta": 0.23, "cascade": True}],
-}
-
-
-def test_the_bifurcation_tab_has_the_slope_in_it(opened, monkeypatch):
-    """A diagram as the server computes it, of few slopes; and those that a hand chooses."""
+@pytest.mark.parametrize("computed", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_the_bifurcation_tab_has_the_slope_in_it(opened, monkeypatch, computed):
+    """A diagram of the form of the server's, or its own of few slopes; those a hand chooses."""
     page = opened("walker=simplest&slope=0.004")
     few = {"period_max": 1, "strides": 60, "scan": 8}
     monkeypatch.setattr(measures, "DIAGRAM", few)
-    found = measures.bifurcation(read_subject({"walker": "simplest"}))
-    assert json.dumps(found, allow_nan=False)
+    found = (
+        measures.bifurcation(read_subject({"walker": "simplest"}))
+        if computed
+        else explorer_server.DIAGRAM
+    )
     page.page.route("**/api/measure/bifurcation", partial(fulfil, found))
     page.page.click("#tab-bifurcation")
     page.wait("document.querySelector('#diagram-note').textContent.includes('lost near 0.0193')")
@@ -768,10 +775,10 @@ def test_the_bifurcation_tab_has_the_slope_in_it(opened, monkeypatch):
     assert slope == pytest.approx(0.0115, abs=1e-4)
     page.wait("location.hash.includes('tab=bifurcation')")
     # where some walk at the highest slope, walking is not lost
-    never = DIAGRAM | {"lost": [0.022, None]}
+    never = explorer_server.DIAGRAM | {"lost": [0.022, None]}
     page.page.unroute("**/api/measure/bifurcation")
     page.page.route("**/api/measure/bifurcation", partial(fulfil, never))
-    page.value("location.hash = 'walker=spring&tab=bifurcation'")
+    page.value("location.hash = 'walker=Own&tab=bifurcation'")
     page.wait("document.querySelector('#diagram-note').textContent.includes('doubles')")
     assert "lost" not in page.shown("#diagram-note")
     page.value(f"location.hash = 'walker=simplest&slope={slope}&tab=bifurcation'")
