@@ -423,12 +423,16 @@ OF_TWO = {
 }
 
 
+LONG = 9
+"""Order of the series of all of them."""
+
+
 def polynomials(dtype):
-    """Coefficients up to t^12 of x(t), but for the first, and of y(t)."""
+    """Coefficients of x(t), but for the first, and of y(t)."""
     both = (INNER, (1.2, *SECOND))
     x, y = ([jnp.full(3, c, dtype) for c in coefficients] for coefficients in both)
     zero = jnp.zeros(3, dtype)
-    return x + [zero] * (12 - len(x)), y + [zero] * (13 - len(y))
+    return x + [zero] * (LONG - len(x)), y + [zero] * (LONG + 1 - len(y))
 
 
 def of_elementary_functions(dtype):
@@ -469,7 +473,7 @@ def test_series_of_elementary_functions(name, elementary):
         return function(lines[i](t), y(t)) if name in OF_TWO else function(lines[i](t))
 
     for i, start in enumerate(starts):
-        expected = expected_series(partial(value, i), 12)
+        expected = expected_series(partial(value, i), LONG)
         found = np.array([c[i] for c in elementary[name]])
         # Numbers of the size of the larger ones before it may have cancelled.
         sizes = np.maximum.accumulate(np.abs(expected))
@@ -484,9 +488,9 @@ def test_series_of_elementary_functions_in_float32_are_float32():
 def test_derivatives_of_a_series_are_the_series_of_the_derivative():
     """By x_0: of tan, those of 1 + tan^2."""
     _, known = polynomials(float)
-    ones = [jnp.ones(3), *[jnp.zeros(3)] * 12]
+    ones = [jnp.ones(3), *[jnp.zeros(3)] * LONG]
     _, slopes = jax.jvp(lambda x: function_series(jnp.tan, x), (known,), (ones,))
-    expected = expected_series(lambda t: mpmath.sec(along(1.2, SECOND)(t)) ** 2, 12)
+    expected = expected_series(lambda t: mpmath.sec(along(1.2, SECOND)(t)) ** 2, LONG)
     assert_series([c[0] for c in slopes], expected)
 
 
