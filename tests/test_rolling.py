@@ -81,8 +81,8 @@ def rolling(sizes):
     return RollingBody({name: jnp.asarray(value, float) for name, value in sizes.items()})
 
 
-@jax.jit
 @partial(jax.vmap, in_axes=(None, 0))
+@by_kernel
 def rates_of(motion, start):
     return jnp.stack(motion(list(start)))
 
@@ -118,8 +118,8 @@ def test_multipliers_give_the_same_motion_and_the_force_of_friction():
     motion, starts = rolling(BODY), states(2)
     whole = motion.system()
 
-    @jax.jit
     @jax.vmap
+    @by_kernel
     def look(start):
         q, qdot = constrained(motion, start)
         found = multibody.solve_constrained(whole, motion.constraints, q, qdot)
@@ -252,7 +252,7 @@ def test_a_disc_dropped_on_a_slope_begins_to_roll_and_keeps_its_momentum_about_t
         body.centre, body.rotation, body.contact, q, qdot
     )
 
-    @jax.jit
+    @by_kernel
     def drop(q, qdot):
         system = body.system()
         after = multibody.impact(system, None, q, qdot, constraints=made)
@@ -264,7 +264,7 @@ def test_a_disc_dropped_on_a_slope_begins_to_roll_and_keeps_its_momentum_about_t
 
     for _ in range(10):
         q, qdot = rng.uniform(-1, 1, (2, 6))
-        after, slides, before, later, lost, gained = drop(q, qdot)
+        after, slides, before, later, lost, gained = drop(jnp.asarray(q), jnp.asarray(qdot))
         np.testing.assert_allclose(slides, 0, atol=1e-13)
         np.testing.assert_allclose(later, before, rtol=1e-11, atol=1e-12)
         np.testing.assert_allclose(gained, after.impulses, rtol=1e-11, atol=1e-12)
