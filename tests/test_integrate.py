@@ -56,9 +56,7 @@ def errors(times, states):
 # The solver
 
 
-@pytest.mark.parametrize(
-    ("order", "steps"), [pytest.param(3, 48, marks=pytest.mark.slow), (6, 14)]
-)
+@pytest.mark.parametrize(("order", "steps"), [pytest.param(3, 48, marks=pytest.mark.slow), (6, 14)])
 def test_error_falls_with_the_order_of_the_series_also_between_steps(order, steps):
     times = jnp.linspace(0.0, 1.0, 37)
 
