@@ -95,10 +95,6 @@ FUNCTIONS = {
 }
 
 
-QUICKLY = {"xla_backend_optimization_level": 0}
-"""XLA's passes are not what is tested, and take most of the time."""
-
-
 def together(names):
     """Some of the functions as one, which is compiled once."""
     return lambda v, A: {name: FUNCTIONS[name](v, A) for name in names}
@@ -108,8 +104,7 @@ def of_both(transformed, names):
     """A transformed function, and the same of the unrolled one, mapped over two arguments."""
     function = together(names)
     both = lambda v, A: (transformed(function)(v, A), transformed(unroll(function))(v, A))
-    compiled = jax.jit(jax.vmap(both), compiler_options=QUICKLY)
-    return compiled(jnp.stack([V, -V[::-1]]), jnp.stack([A, A.T + 0.1]))
+    return jax.jit(jax.vmap(both))(jnp.stack([V, -V[::-1]]), jnp.stack([A, A.T + 0.1]))
 
 
 def derivatives(function):
