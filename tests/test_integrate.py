@@ -27,6 +27,7 @@ from walker_jax.integrators.solvers import (
     step_length,
 )
 from walker_jax.integrators.taylor import solution_series
+from walker_jax.kernels import by_kernel
 
 TOLERANCE = 1e-12
 
@@ -55,7 +56,7 @@ def errors(times, states):
 # The solver
 
 
-@pytest.mark.parametrize(("order", "steps"), [(3, 48), (6, 14)])
+@pytest.mark.parametrize(("order", "steps"), [pytest.param(3, 48, marks=pytest.mark.slow), (6, 14)])
 def test_error_falls_with_the_order_of_the_series_also_between_steps(order, steps):
     times = jnp.linspace(0.0, 1.0, 37)
 
@@ -233,7 +234,7 @@ def below_zero(before, after, side):
 @pytest.fixture(scope="module")
 def to_zero():
     """Integration of the oscillator to q <= 0; of many at once."""
-    return jax.jit(jax.vmap(lambda start: follow(oscillator, start, below_zero)))
+    return jax.jit(jax.vmap(by_kernel(lambda start: follow(oscillator, start, below_zero))))
 
 
 PHASES = np.concatenate([np.linspace(0.05, 6.2, 40), [np.nan]])
@@ -291,7 +292,7 @@ def three_body_like(state):
 def single_steps():
     """One step at a time of Euler's equations: times and states at step ends."""
     at_once = lambda before, after, side: (after[0] == after[0], side)
-    take = jax.jit(lambda state, time: follow(three_body_like, state, at_once, time=time))
+    take = by_kernel(lambda state, time: follow(three_body_like, state, at_once, time=time))
     time, state = jnp.array(0.0), (jnp.array(1.0), jnp.array(0.4), jnp.array(0.9))
     times, states = [0.0], [state]
     for _ in range(12):
@@ -341,7 +342,7 @@ def test_max_steps_ends_what_never_stops(monkeypatch):
     """And what nears a pole, and what rests; none takes more steps."""
     monkeypatch.setattr("walker_jax.integrators.solvers.MAX_STEPS", 30)
     never = lambda before, after, side: (after != after, side)
-    run = jax.jit(jax.vmap(lambda start: follow(lambda y: y**2, start, never, 1e-9)))
+    run = jax.vmap(by_kernel(lambda start: follow(lambda y: y**2, start, never, 1e-9)))
     last, count = run(jnp.array([-1.0, 1.0, 0.0]))
     decays, grows, rests = (jax.tree.map(lambda x, i=i: x[i], last) for i in range(3))
     assert count[0] == 30
@@ -368,20 +369,28 @@ def test_steps_of_a_series_in_diffeqsolve_are_those_of_the_loop(single_steps):
     """None is rejected, and none of their lengths is guessed."""
     times, states = single_steps
     order = SERIES_ORDER[jnp.dtype("float64")]
-    solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(lambda t, y, args: three_body_like(y)),
-        Taylor(order),
-        t0=0.0,
-        t1=times[-1],
-        dt0=None,
-        y0=tuple(jnp.asarray(states[0])),
-        saveat=diffrax.SaveAt(steps=True),
-        stepsize_controller=SeriesSteps(three_body_like, order, TOLERANCE),
-        max_steps=20,
-    )
-    assert solution.stats["num_rejected_steps"] == 0 and solution.ts is not None
-    np.testing.assert_allclose(solution.ts[:12], times[1:], rtol=1e-13)
-    np.testing.assert_allclose(np.array(solution.ys).T[:12], states[1:], rtol=0, atol=1e-13)
+
+    @by_kernel
+    def solve(start):
+        solution = diffrax.diffeqsolve(
+            diffrax.ODETerm(lambda t, y, args: three_body_like(y)),
+            Taylor(order),
+            t0=0.0,
+            t1=times[-1],
+            dt0=None,
+            y0=tuple(start),
+            saveat=diffrax.SaveAt(steps=True),
+            stepsize_controller=SeriesSteps(three_body_like, order, TOLERANCE),
+            max_steps=20,
+            adjoint=diffrax.ForwardMode(),
+            throw=False,
+        )
+        return solution.ts, solution.ys, solution.stats["num_rejected_steps"]
+
+    found, solution, rejected = solve(jnp.asarray(states[0]))
+    assert rejected == 0
+    np.testing.assert_allclose(found[:12], times[1:], rtol=1e-13)
+    np.testing.assert_allclose(np.array(solution).T[:12], states[1:], rtol=0, atol=1e-13)
 
 
 @pytest.mark.parametrize(
@@ -392,7 +401,6 @@ def test_runge_kutta_steps_stop_where_they_should_and_land(solver):
     method = Method(oscillator, solver, 1e-8)
     event = lambda state: -state[0]
 
-    @jax.jit
     def run(phase):
         start = jnp.cos(phase), jnp.sin(phase)
         stop = lambda before, after, side: ((before[0] > 0) & (after[0] <= 0), side)
@@ -402,8 +410,8 @@ def test_runge_kutta_steps_stop_where_they_should_and_land(solver):
         state, delay = method.refine_event(event, method.state_at(last, time))
         return last.time + time + delay, (state, exists)
 
-    (time, (state, exists)), (change, _) = jax.jvp(run, (jnp.array(0.4),), (jnp.array(1.0),))
-    bend = jax.jacfwd(jax.jacfwd(lambda phase: run(phase)[0]))(0.4)
+    along = lambda function: lambda phase: jax.jvp(function, (phase,), (jnp.ones(()),))
+    ((time, (state, exists)), _), ((change, _), (bend, _)) = jax.jit(along(along(run)))(0.4)
     assert exists and abs(time - (0.4 + np.pi / 2)) < 1e-6
     assert abs(state[0]) < 1e-15 and abs(change - 1) < 1e-6 and abs(bend) < 1e-6
 
@@ -561,22 +569,25 @@ def test_first_rise_is_a_constant_to_derivatives():
 
 
 def assert_same_derivatives(function, expected, p, order):
-    """Of orders 0 to `order`, with respect to a vector."""
+    """Of orders 0 to `order`, with respect to a vector: along ten directions, which fix them."""
+    directions = np.random.default_rng(0).normal(size=(10, len(p)))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
 
-    def derivatives(function):
-        functions = [function]
-        for _ in range(order):
-            functions.append(jax.jacfwd(functions[-1]))
-        return jax.jit(lambda p: [f(p) for f in functions])(p)
+    def along(function):
+        return lambda p, v: jax.jvp(lambda p: function(p, v), (p,), (v,))
 
-    for found, right in zip(derivatives(function), derivatives(expected), strict=True):
+    both = lambda p, v: (function(p), expected(p))
+    for _ in range(order):
+        both = along(both)
+    results = jax.tree.leaves(jax.jit(jax.vmap(both, (None, 0)))(p, directions))
+    for found, right in zip(results[::2], results[1::2], strict=True):
         np.testing.assert_allclose(found, right, rtol=1e-11, atol=1e-11)
 
 
-def landing(vector_field, event, start, time):
+def landing(vector_field, event, start, time, order):
     """(z, v) and time where the event is zero, `time` being what is known of the latter."""
-    near = evaluate_series(solution_series(vector_field, start, 16), lax.stop_gradient(time))
-    state, delay = Method(vector_field, Taylor(16), TOLERANCE).refine_event(event, near)
+    near = evaluate_series(solution_series(vector_field, start, order), lax.stop_gradient(time))
+    state, delay = Method(vector_field, Taylor(order), TOLERANCE).refine_event(event, near)
     return jnp.stack([*state, lax.stop_gradient(time) + delay])
 
 
@@ -593,7 +604,7 @@ def test_landing_of_a_ball_with_its_derivatives():
         def fall(state):
             return state[1], -g * jnp.ones_like(state[1])
 
-        return landing(fall, lambda state: -state[0], (z, v), time(p))
+        return landing(fall, lambda state: -state[0], (z, v), time(p), order=4)
 
     def expected(p):
         z, v, g = p
@@ -611,7 +622,7 @@ def test_landing_of_an_oscillator_on_a_level_that_is_varied_too():
 
     def land_it(p):
         q, rate, level = p
-        return landing(oscillator, lambda state: level - state[0], (q, rate), time(p))
+        return landing(oscillator, lambda state: level - state[0], (q, rate), time(p), order=14)
 
     def expected(p):
         q, rate, level = p

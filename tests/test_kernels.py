@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from functools import cache
 
 import jax
 import jax.numpy as jnp
@@ -37,10 +38,24 @@ def run(function, *cells, shared=()):
     return jax.tree.unflatten(jax.tree.structure(shapes), results)
 
 
+def of_both(function, *cells, shared=()):
+    """What a kernel computes, and what JAX does."""
+    mapped = jax.jit(jax.vmap(lambda *cell: function(*shared, *cell)))
+    expected = mapped(*map(jnp.asarray, cells))
+    return run(function, *cells, shared=shared), jax.tree.map(np.asarray, expected)
+
+
 def assert_same(function, *cells, ulps=4, shared=()):
-    found = jax.tree.leaves(run(function, *cells, shared=shared))
-    mapped = jax.vmap(lambda *cell: function(*shared, *cell))(*map(jnp.asarray, cells))
-    for one, other in zip(found, jax.tree.leaves(mapped), strict=True):
+    assert_equal(*of_both(function, *cells, shared=shared), ulps)
+
+
+def of_all(functions, *cells):
+    """The same of several functions, which are compiled as one."""
+    return of_both(lambda *cell: {name: f(*cell) for name, f in functions.items()}, *cells)
+
+
+def assert_equal(found, expected, ulps=4):
+    for one, other in zip(*map(jax.tree.leaves, (found, expected)), strict=True):
         assert one.dtype == other.dtype and one.shape == other.shape
         if one.dtype.kind == "f":
             eps = np.finfo(one.dtype).eps
@@ -103,12 +118,20 @@ LOOSE = {"sinh": 40, "cosh": 40, "tan": 40, "arcsinh": 40, "arccosh": 40, "arcta
 LARGEST = {"sin": 1e6, "cos": 1e6, "tan": 1e6, "exp2": 10}
 
 
-@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+FLOATS = pytest.mark.parametrize("dtype", [np.float64, np.float32])
+
+
+@cache
+def all_of_one_number(dtype):
+    return of_all(ONE, values(dtype))
+
+
+@FLOATS
 @pytest.mark.parametrize("name", ONE)
 def test_functions_of_one_number(name, dtype):
-    x = values(dtype)
-    x = x[~(np.abs(x) > LARGEST.get(name, np.inf))]
-    assert_same(ONE[name], x, ulps=LOOSE.get(name, 10))
+    kept = ~(np.abs(values(dtype)) > LARGEST.get(name, np.inf))
+    found, expected = (each[name][kept] for each in all_of_one_number(dtype))
+    assert_equal(found, expected, LOOSE.get(name, 10))
 
 
 TWO = {
@@ -131,13 +154,18 @@ TWO = {
 }
 
 
-@pytest.mark.parametrize("dtype", [np.float64, np.float32])
-@pytest.mark.parametrize("name", TWO)
-def test_functions_of_two_numbers(name, dtype):
+@cache
+def all_of_two_numbers(dtype):
     x = values(dtype)
     y = np.concatenate([np.roll(x[:12], k) for k in range(12)] + [values(dtype, seed=1)])
-    x = np.concatenate([x[:12]] * 12 + [x])
-    assert_same(TWO[name], x, y, ulps=40 if name == "pow" else 4)
+    return of_all(TWO, np.concatenate([x[:12]] * 12 + [x]), y)
+
+
+@FLOATS
+@pytest.mark.parametrize("name", TWO)
+def test_functions_of_two_numbers(name, dtype):
+    found, expected = (each[name] for each in all_of_two_numbers(dtype))
+    assert_equal(found, expected, ulps=40 if name == "pow" else 4)
 
 
 INTEGERS = {
@@ -164,13 +192,19 @@ INTEGERS = {
 }
 
 
-@pytest.mark.parametrize("dtype", [np.int32, np.int64, np.uint8])
-@pytest.mark.parametrize("name", INTEGERS)
-def test_functions_of_whole_numbers(name, dtype):
+@cache
+def all_of_whole_numbers(dtype):
     rng = np.random.default_rng(2)
     low = 0 if dtype == np.uint8 else -100
     a, b = rng.integers(low, 120, 90), rng.integers(1, 9, 90)
-    assert_same(INTEGERS[name], a.astype(dtype), b.astype(dtype))
+    return of_all(INTEGERS, a.astype(dtype), b.astype(dtype))
+
+
+@pytest.mark.parametrize("dtype", [np.int32, np.int64, np.uint8])
+@pytest.mark.parametrize("name", INTEGERS)
+def test_functions_of_whole_numbers(name, dtype):
+    found, expected = (each[name] for each in all_of_whole_numbers(dtype))
+    assert_equal(found, expected)
 
 
 def test_all_primitives_that_work_entry_by_entry_are_covered():
@@ -181,22 +215,19 @@ def test_all_primitives_that_work_entry_by_entry_are_covered():
 def test_logarithm_and_exponential_of_float32():
     rng = np.random.default_rng(0)
     x = np.exp(rng.uniform(-87, 88, 20_000)).astype(np.float32)
-    assert np.all(np.abs(jax.jit(jax.vmap(log_float32))(x) - np.log(x)) < 2e-7 * 88)
+    logarithm, exponential = jax.jit(jax.vmap(log_float32)), jax.jit(jax.vmap(exp_float32))
+    assert np.all(np.abs(logarithm(x) - np.log(x)) < 2e-7 * 88)
     tiny = np.array([1.5e-45, 1e-44, 3e-42, 1e-40, 1.1e-38], np.float32)  # 0 for XLA
     np.testing.assert_allclose(run(jnp.log, tiny), np.log(tiny.astype(float)), rtol=2e-7)
     close = rng.uniform(0.5, 2, 20_000).astype(np.float32)
-    error = jax.vmap(log_float32)(close) - np.log(close.astype(np.float64)).astype(np.float32)
+    error = logarithm(close) - np.log(close.astype(np.float64)).astype(np.float32)
     assert np.all(np.abs(error) < 2e-7)
     edges = np.array([0, np.inf, -1, np.nan], np.float32)
-    np.testing.assert_array_equal(
-        jax.vmap(log_float32)(edges), np.array([-np.inf, np.inf, np.nan, np.nan], np.float32)
-    )
+    np.testing.assert_array_equal(logarithm(edges), [-np.inf, np.inf, np.nan, np.nan])
     y = rng.uniform(-86, 88, 20_000).astype(np.float32)
-    np.testing.assert_allclose(jax.vmap(exp_float32)(y), np.exp(y.astype(np.float64)), rtol=3e-7)
+    np.testing.assert_allclose(exponential(y), np.exp(y.astype(np.float64)), rtol=3e-7)
     edges = np.array([0, np.inf, -np.inf, np.nan], np.float32)
-    np.testing.assert_array_equal(
-        jax.vmap(exp_float32)(edges), np.array([1, np.inf, 0, np.nan], np.float32)
-    )
+    np.testing.assert_array_equal(exponential(edges), [1, np.inf, 0, np.nan])
 
 
 def test_a_loop_ends_for_each_cell_by_itself():
@@ -304,19 +335,22 @@ def test_derivatives():
     assert_same(function, np.linspace(-2, 2, 21), np.linspace(1, 3, 21), ulps=50)
 
 
-@pytest.mark.parametrize("dtype", [np.float64, np.float32])
-@pytest.mark.parametrize("n", [1, 2, 7, 8, 9, 15, 16, 17, 40])
-def test_arrays_of_any_length_and_shape(n, dtype):
-    rng = np.random.default_rng(n)
-    matrix, flags = rng.normal(size=(2, 3)).astype(dtype), np.array([True, False, True])
-    x, use = rng.normal(size=(n, 3)).astype(dtype), rng.uniform(size=(n, 3)) < 0.5
+@FLOATS
+def test_arrays_of_any_length_and_shape(dtype):
+    rng = np.random.default_rng(0)
+    shared = rng.normal(size=(2, 3)).astype(dtype), np.array([True, False, True])
+    x, use = rng.normal(size=(40, 3)).astype(dtype), rng.uniform(size=(40, 3)) < 0.5
 
     def function(matrix, flags, x, use):
         chosen = jnp.where(use, x, 0) + jnp.where(flags, 1, 0)
         most = jnp.max(x), jnp.min(x), jnp.prod(x), jnp.any(use), jnp.all(use | flags)
         return {"product": matrix @ chosen, "flags": use ^ flags}, most, jnp.zeros((2,), jnp.int8)
 
-    assert_same(function, x, use, shared=(matrix, flags), ulps=100)
+    found, expected = of_both(function, x, use, shared=shared)
+    assert_equal(found, expected, ulps=100)
+    for n in (1, 2, 7, 8, 9, 15, 16, 17):
+        found = run(function, x[:n], use[:n], shared=shared)
+        assert_equal(found, jax.tree.map(lambda y, n=n: y[:n], expected), ulps=100)
 
 
 def test_only_the_cells_asked_for_are_written():
@@ -363,11 +397,11 @@ def test_integers_without_a_quotient_have_those_of_xla():
     least = np.iinfo(np.int32).min
     a = np.array([least, least, 7, -7, 0, 5], np.int32)
     b = np.array([-1, 0, 0, 0, 0, -1], np.int32)
-    for function in (lax.div, lax.rem):
-        assert_same(function, a, b)
-        assert_same(function, a.astype(np.uint32), b.astype(np.uint32))
-        # by a number that cells share
-        assert_same(lambda s, v, f=function: f(v, s), a, shared=(np.int32(-1),))
+    both = lambda a, b: (lax.div(a, b), lax.rem(a, b))
+    assert_same(both, a, b)
+    assert_same(both, a.astype(np.uint32), b.astype(np.uint32))
+    # by a number that cells share
+    assert_same(lambda s, v: both(v, s), a, shared=(np.int32(-1),))
 
 
 @pytest.mark.parametrize("dtype", [np.int8, np.int32, np.int64, np.uint8, np.uint32])
@@ -375,12 +409,12 @@ def test_shifts_by_more_bits_than_there_are(dtype):
     bits = 8 * np.dtype(dtype).itemsize
     by = np.array([0, 1, bits - 1, bits, bits + 1, 100], dtype).repeat(3)
     x = np.tile(np.array([1, 77, np.iinfo(dtype).max - 3], dtype), 6)
-    for function in (lax.shift_left, lax.shift_right_arithmetic, lax.shift_right_logical):
-        assert_same(function, x, by)
-        assert_same(lambda x, f=function: f(x, jnp.full_like(x, 100)), x)
+    shifts = lax.shift_left, lax.shift_right_arithmetic, lax.shift_right_logical
+    shifted = lambda x, by: [[f(x, by), f(x, jnp.full_like(x, 100))] for f in shifts]
+    assert_same(shifted, x, by)
 
 
-@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@FLOATS
 def test_what_is_beyond_the_integers_of_a_type_is_the_last_of_them(dtype):
     """From the first number that is, a power of two; below, all are cut off towards zero."""
     kinds = np.int8, np.uint8, np.int32, np.uint32, np.int64, np.uint64

@@ -6,7 +6,7 @@ import mpmath
 import numpy as np
 import pytest
 from jax import lax
-from test_kernels import assert_same, run
+from test_kernels import assert_same, of_all, run
 
 from walker_jax.kernels import UnsupportedPrimitive
 
@@ -209,11 +209,14 @@ LINEAR_ALGEBRA = {
 }
 
 
+@pytest.fixture(scope="module")
+def linear_algebra():
+    return of_all(LINEAR_ALGEBRA, MATRICES)
+
+
 @pytest.mark.parametrize("name", LINEAR_ALGEBRA)
-def test_linear_algebra_of_small_matrices(name):
-    function = LINEAR_ALGEBRA[name]
-    found = jax.tree.leaves(run(function, MATRICES))
-    expected = jax.tree.leaves(jax.vmap(function)(MATRICES))
+def test_linear_algebra_of_small_matrices(name, linear_algebra):
+    found, expected = (jax.tree.leaves(each[name]) for each in linear_algebra)
     for one, other in zip(found, expected, strict=True):
         assert one.dtype == other.dtype
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9)

@@ -31,16 +31,19 @@ def test_a_heel_strike_at_the_end_of_a_step_is_not_lost_to_rounding():
         np.testing.assert_allclose(found.state, expected.state, rtol=0, atol=1e-5)
 
 
+@jax.jit
+def upcrossing(start, sides):
+    """Of a line of slope 1 from a height, in a step of length 1."""
+    return first_upcrossing(polynomial_jet([start, jnp.array(1.0)]), jnp.array(1.0), sides)
+
+
 @pytest.mark.parametrize("end", [-1e-17, 0.0, 1e-17])
 def test_the_side_that_was_seen_decides_whether_a_polynomial_has_risen(end):
     """The end of a step is above zero, or below: once said, rounding has no say in it."""
-    length = jnp.array(1.0)
-    rising = polynomial_jet([jnp.array(-1.0 + end), jnp.array(1.0)])
     for ends_below in (True, False):
-        found, time = first_upcrossing(rising, length, (jnp.array(True), jnp.array(ends_below)))
+        found, time = upcrossing(-1.0 + end, (True, ends_below))
         assert found != ends_below and time == pytest.approx(1.0, abs=1e-15)
-    leaving = polynomial_jet([jnp.array(end), jnp.array(1.0)])
-    found, _ = first_upcrossing(leaving, length, (jnp.array(False), jnp.array(False)))
+    found, _ = upcrossing(end, (False, False))
     assert not found
 
 

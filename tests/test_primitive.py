@@ -186,7 +186,8 @@ TRANSFORMED = {
     "many directions": together,
     "checkpoint": lambda f: jax.grad(jax.checkpoint(number(f)), BOTH)(A, X),
     "filters": lambda f: eqx.filter_vmap(eqx.filter_grad(number(f)), in_axes=(None, 0))(A, XS),
-    "scan": lambda f: jax.hessian(repeated(f, "scan"), BOTH)(A, X),
+    "scan": lambda f: jax.grad(repeated(f, "scan"), BOTH)(A, X),
+    "hessian of scan": lambda f: jax.hessian(repeated(f, "scan"), BOTH)(A, X),
     "scan of many": lambda f: jax.grad(
         lambda a, x: jax.vmap(repeated(f, "scan"), (None, 0))(a, x).sum(), BOTH
     )(A, XS),
@@ -203,11 +204,12 @@ def assert_same(found, expected, rtol=1e-12, atol=1e-13):
         np.testing.assert_allclose(one, other, rtol=rtol, atol=atol)
 
 
-AT_ONCE = "values", "jvp", "some results", "linearize", "vmap over one", "vmap nested"
+AT_ONCE = "values", "jvp", "linearize", "vmap over one", "vmap nested"
 """What is computed outside of `jit` too, where XLA compiles each operation around it."""
 
 LONG = {"third", "reverse over reverse", "reverse over forward", "transposed of many"}
 LONG |= {"vmap thrice", "vmap of hessian", "hessian of vmap", "scan of many", "for", "filters"}
+LONG |= {"hessian of scan", "jacrev of vmap"}
 CASES = [pytest.param(name, marks=pytest.mark.slow if name in LONG else ()) for name in TRANSFORMED]
 
 
@@ -240,15 +242,18 @@ def test_any_number_of_cells(n):
 def test_no_cells_by_no_cells():
     """And derivatives along no directions."""
     over_both = lambda f: jax.vmap(jax.vmap(f, (0, None)), (None, 0))
-    none = jnp.zeros((0, 2))
-    y, z, count, high = over_both(by_loop)(AS, none)
-    assert y.shape == (0, 7, 2) and z.shape == count.shape == high.shape == (0, 7)
-    assert over_both(by_loop)(AS[:0], XS)[0].shape == (9, 0, 2)
-    along = lambda v: jax.jvp(lambda x: by_loop(A, x)[0], (X,), (v,))[1]
-    assert jax.vmap(along)(none).shape == (0, 2)
     of_many = lambda x, v: jax.jvp(lambda x: by_loop(A, x)[0], (x,), (v,))[1]
-    found = jax.vmap(jax.vmap(of_many, (None, 0)), (0, None))
-    assert found(XS, none).shape == (9, 0, 2) and found(none, XS).shape == (0, 9, 2)
+
+    @jax.jit
+    def look(none):
+        found = jax.vmap(jax.vmap(of_many, (None, 0)), (0, None))
+        along = jax.vmap(of_many, (None, 0))(X, none), found(XS, none), found(none, XS)
+        return over_both(by_loop)(AS, none), over_both(by_loop)(AS[:0], XS)[0], along
+
+    (y, z, count, high), of_none, along = look(jnp.zeros((0, 2)))
+    assert y.shape == (0, 7, 2) and z.shape == count.shape == high.shape == (0, 7)
+    assert of_none.shape == (9, 0, 2)
+    assert [change.shape for change in along] == [(0, 2), (9, 0, 2), (0, 9, 2)]
 
 
 def test_float32():
@@ -273,13 +278,13 @@ def test_operands_of_two_types():
         return pull((jnp.float32(2.0), jnp.float64(3.0)))
 
     found = jax.jit(lambda: pulled(of_two_types))()
-    assert_same(found, pulled(of_two_types.__wrapped__), rtol=1e-6)
+    assert_same(found, jax.jit(lambda: pulled(of_two_types.__wrapped__))(), rtol=1e-6)
 
 
 def test_a_linear_function_is_its_own_transpose():
     scaled = by_kernel(lambda x, y: (jnp.stack([x[0] + 2 * x[1], 3 * x[0], x[1]]) * y[0], 1))
     y = jnp.asarray([2.0])
-    transposed = lambda w: jax.linear_transpose(lambda x: scaled(x, y)[0], X)(w)[0]
+    transposed = jax.jit(lambda w: jax.linear_transpose(lambda x: scaled(x, y)[0], X)(w)[0])
     w = jnp.asarray([1.0, -1.0, 0.5])
     np.testing.assert_allclose(transposed(w), [-4.0, 5.0], rtol=1e-15)
     ws = jnp.asarray(RNG.normal(size=(4, 3)))
@@ -334,67 +339,12 @@ def test_donated_operands():
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Some donated buffers were not usable")
         xs = jnp.array(XS)
-        expected = jax.vmap(unrolled, (None, 0))(A, xs)
+        expected = jax.jit(jax.vmap(unrolled, (None, 0)))(A, xs)
         found = jax.jit(jax.vmap(by_loop, (None, 0)), donate_argnums=1)(A, xs)
     assert_same(found, expected)
 
 
-ON_DEVICES = """
-import sys
-from functools import partial
-import jax, jax.numpy as jnp, numpy as np
-from jax import lax
-from jax.sharding import NamedSharding, PartitionSpec as P
-jax.config.update("jax_enable_x64", True)
-jax.config.update("jax_numpy_dtype_promotion", "strict")
-from walker_jax.kernels import by_kernel
-
-@by_kernel
-def function(a, x):
-    step = lambda c: (c[0] * a - jnp.sin(c[0]) * x[1], c[1] + 1)
-    y, k = lax.while_loop(lambda c: c[1] < jnp.where(x[0] > 0.5, 3, 2), step, (x[0], 0))
-    return y, k
-
-a, xs = jnp.asarray(0.9), jnp.asarray(np.random.default_rng(0).random((400, 2)))
-many = jax.vmap(function, (None, 0))
-total = lambda a, xs: (many(a, xs)[0] ** 2).sum()
-expected = jax.jit(many)(a, xs)
-gradient = jax.jit(jax.grad(total, (0, 1)))(a, xs)
-check = partial(jax.tree.map, partial(np.testing.assert_allclose, rtol=1e-12, atol=1e-14))
-other = jax.device_put((a, xs[0]), jax.devices()[1])
-assert all(x.devices() == {jax.devices()[1]} for x in function(*other))
-for n in 1, 2, 4:
-    mesh = jax.make_mesh((n,), ("cells",), devices=jax.devices()[:n], axis_types=(AUTO,))
-    sharded = jax.device_put(xs, NamedSharding(mesh, P("cells")))
-    check(jax.jit(many)(a, sharded), expected)
-    check(jax.jit(jax.grad(total, (0, 1)))(a, sharded), gradient)
-    on_mesh = partial(jax.shard_map, mesh=mesh, in_specs=(P(), P("cells")))
-    apart = jax.jit(on_mesh(many, out_specs=P("cells")))(a, sharded)
-    assert len(apart[0].sharding.device_set) == n
-    check(apart, expected)
-    whole = on_mesh(lambda a, xs: lax.psum(total(a, xs), "cells"), out_specs=P())
-    check(jax.jit(jax.grad(whole, (0, 1)))(a, sharded), gradient)
-    check(jax.jit(jax.jacfwd(whole))(a, sharded), gradient[0])
-    inside = on_mesh(jax.grad(total, (0, 1)), out_specs=(P(), P("cells")))
-    check(jax.jit(inside)(a, sharded), gradient)
-"""
-
-
-def test_cells_on_several_devices():
-    """Of one mesh; the derivative by what all share is the total."""
-    flags = "--xla_force_host_platform_device_count=4"
-    program = ON_DEVICES.replace("AUTO", "jax.sharding.AxisType.Auto")
-    done = subprocess.run(
-        [sys.executable, "-c", program],
-        env=os.environ | {"XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"},
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 0, done.stderr
-
-
-ON_MESHES = """
-import sys
+A_FUNCTION = """
 from functools import partial
 import jax, jax.numpy as jnp, numpy as np
 from jax import lax
@@ -409,7 +359,34 @@ def function(a, x):
     step = lambda c: (c[0] * a - jnp.sin(c[0]) * x[1], c[1] + 1)
     y, k = lax.while_loop(lambda c: c[1] < jnp.where(x[0] > 0.5, 3, 2), step, (x[0], 0))
     return jnp.stack([y, y * a]), k
-
+"""
+ON_DEVICES = """
+# Of one mesh; the derivative by what all share is the total
+a, xs = jnp.asarray(0.9), jnp.asarray(np.random.default_rng(0).random((400, 2)))
+many = jax.vmap(function, (None, 0))
+total = lambda a, xs: (many(a, xs)[0] ** 2).sum()
+expected = jax.jit(many)(a, xs)
+gradient = jax.jit(jax.grad(total, (0, 1)))(a, xs)
+check = partial(jax.tree.map, partial(np.testing.assert_allclose, rtol=1e-12, atol=1e-14))
+other = jax.device_put((a, xs[0]), jax.devices()[1])
+assert all(x.devices() == {jax.devices()[1]} for x in function(*other))
+for n in 1, 4:
+    mesh = jax.make_mesh((n,), ("cells",), devices=jax.devices()[:n], axis_types=(AxisType.Auto,))
+    sharded = jax.device_put(xs, NamedSharding(mesh, P("cells")))
+    check(jax.jit(many)(a, sharded), expected)
+    check(jax.jit(jax.grad(total, (0, 1)))(a, sharded), gradient)
+    on_mesh = partial(jax.shard_map, mesh=mesh, in_specs=(P(), P("cells")))
+    apart = jax.jit(on_mesh(many, out_specs=P("cells")))(a, sharded)
+    assert len(apart[0].sharding.device_set) == n
+    check(apart, expected)
+    whole = on_mesh(lambda a, xs: lax.psum(total(a, xs), "cells"), out_specs=P())
+    check(jax.jit(jax.grad(whole, (0, 1)))(a, sharded), gradient)
+    check(jax.jit(jax.jacfwd(whole))(a, sharded), gradient[0])
+    inside = on_mesh(jax.grad(total, (0, 1)), out_specs=(P(), P("cells")))
+    check(jax.jit(inside)(a, sharded), gradient)
+"""
+ON_MESHES = """
+# Each device computes its own: no cell is sent, and results are sharded as operands are
 COLLECTIVES = "all-gather", "all-to-all", "collective-permute", "all-reduce"
 
 def check(function, operands, shardings, results, collectives=()):
@@ -429,7 +406,11 @@ rng = np.random.default_rng(0)
 a, many, xs = jnp.asarray(0.9), jnp.asarray(rng.random(80)), jnp.asarray(rng.random((80, 2)))
 square = xs.reshape(8, 10, 2)
 shared, each = jax.vmap(function, (None, 0)), jax.vmap(function)
+nested = jax.vmap(shared, (None, 0))
 total = lambda function: lambda a, x: (function(a, x)[0] ** 2).sum()
+of_shared, of_each, of_nested = map(total, (shared, each, nested))
+by_cells = {f: jax.grad(f, 1) for f in (of_shared, of_each, of_nested)}
+by_first = {f: jax.grad(f) for f in (of_shared, of_each)}
 along = lambda a, x: jax.jvp(lambda a, x: shared(a, x)[0], (a, x), (a, x))
 columns = lambda a, x: jax.jacfwd(lambda a: shared(a, x)[0])(a)
 for kind in AxisType.Auto, AxisType.Explicit:
@@ -440,18 +421,17 @@ for kind in AxisType.Auto, AxisType.Explicit:
     check(each, (many, xs), (over, over), over)
     check(along, (a, xs), (None, over), over)
     check(columns, (a, xs), (None, over), over)
-    for one in shared, each:
-        b, place = (a, None) if one is shared else (many, over)
-        check(jax.grad(total(one), 1), (b, xs), (place, over), over)
-    check(jax.grad(total(shared)), (a, xs), (None, over), whole, ["all-reduce"])
-    check(jax.grad(total(each)), (many, xs), (over, over), over)
+    check(by_cells[of_shared], (a, xs), (None, over), over)
+    check(by_cells[of_each], (many, xs), (over, over), over)
+    check(by_first[of_shared], (a, xs), (None, over), whole, ["all-reduce"])
+    check(by_first[of_each], (many, xs), (over, over), over)
     mesh = jax.make_mesh((2, 2), ("i", "j"), axis_types=(kind,) * 2)
     for spec in P(("i", "j")), P("j"):
         over = NamedSharding(mesh, spec)
         check(shared, (a, xs), (None, over), over)
     over = NamedSharding(mesh, P("i", "j"))
-    check(jax.vmap(shared, (None, 0)), (a, square), (None, over), over)
-    check(jax.grad(total(jax.vmap(shared, (None, 0))), 1), (a, square), (None, over), over)
+    check(nested, (a, square), (None, over), over)
+    check(by_cells[of_nested], (a, square), (None, over), over)
 
 # Where XLA finds the shardings: one operand whole, both sharded, and over axes of their own
 over = NamedSharding(jax.make_mesh((4,), ("cells",), axis_types=(AxisType.Auto,)), P("cells"))
@@ -478,12 +458,12 @@ check(jax.vmap(stride, (None, 0)), (jnp.asarray(0.009), starts), (None, over), o
 """
 
 
-def test_sharded_cells_stay_where_they_are():
-    """Each device computes its own: no cell is sent, and results are sharded as operands are."""
+def test_cells_on_several_devices():
+    """Also where JAX divides them: all in one process, as none has four devices of itself."""
+    flags = "--xla_force_host_platform_device_count=4"
     done = subprocess.run(
-        [sys.executable, "-c", ON_MESHES],
-        env=os.environ
-        | {"XLA_FLAGS": "--xla_force_host_platform_device_count=4", "JAX_PLATFORMS": "cpu"},
+        [sys.executable, "-c", A_FUNCTION + ON_DEVICES + ON_MESHES],
+        env=os.environ | {"XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"},
         capture_output=True,
         text=True,
     )
@@ -684,14 +664,17 @@ def test_xla_computes_where_its_interface_is_unknown(monkeypatch):
         ffi.available.cache_clear()
     monkeypatch.undo()
     assert "custom_call" in jax.jit(jax.vmap(by_loop, (None, 0))).lower(A, XS).as_text()
-    expected = jax.vmap(unrolled, (None, 0))(A, XS), jax.jit(jax.grad(number(unrolled), BOTH))(A, X)
-    assert_same(found, expected)
+    expected = lambda a, x: (
+        jax.vmap(unrolled, (None, 0))(a, XS),
+        jax.grad(number(unrolled), BOTH)(a, x),
+    )
+    assert_same(found, jax.jit(expected)(A, X))
 
 
 def test_several_threads_at_once():
     """Each with a function of its own, and all with one."""
     xs = jnp.asarray(RNG.random((20000, 2)))
-    expected = jax.vmap(unrolled, (None, 0))(A, xs)
+    expected = jax.jit(jax.vmap(unrolled, (None, 0)))(A, xs)
     shared = jax.jit(jax.vmap(by_loop, (None, 0)))
     found = {}
 

@@ -177,7 +177,7 @@ def matrices(draw):
     return tuple(draw(arrays(float, shape, elements=entries)) for shape in shapes)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(matrices(), st.booleans(), st.booleans())
 def test_products_of_random_matrices_known_or_not(matrices, first_known, second_known):
     left, right, v = matrices
@@ -344,8 +344,9 @@ def test_whole_numbers_and_truth_values():
         }
 
     args = jnp.array([1, 2, 3]), jnp.array([True, False, True]), jnp.array(0.5)
+    expected = jax.jit(function)(*args)
     for scalar in (unroll(function), jax.jit(unroll(function))):
-        assert_equal(scalar(*args), function(*args), rtol=0)
+        assert_equal(scalar(*args), expected, rtol=0)
 
 
 def test_known_numbers_are_those_of_their_kind():
