@@ -1,12 +1,14 @@
-"""Does a search without a guess find the gait that has the basin, over the ranges of parameters?
+"""Do the regions that a search without a guess looks through hold the gaits that attract?
 
 `find_gait` without a guess searches from the cells of a walker's `gait_region`, and where no gait
-there is stable, from those of its `further_gait_region`. For walkers with parameters drawn over
-their ranges (a Latin square, seed 0), the gait with the largest basin in a region several times as
-wide, found by following starts from it, stands beside the gait of the search. Per family: walkers
-drawn, those to whose gait of period one most of these starts converge, and those of them for which
-the search finds it; and each for which it does not, with what it finds. A search without a guess is
-for gaits of period one alone: walkers that converge to longer ones are counted apart.
+there is stable, from those of its `further_gait_region`; it returns the most stable gait. For
+walkers with parameters drawn over their ranges (a Latin square, seed 0), the gait with the largest
+basin in a region several times as wide is found by following starts from it. Per family: walkers
+drawn; those to whose gait of period one most of these starts converge (walkers that converge to
+longer ones are counted apart); those of them whose gait lies in one of the two regions; those for
+which the search finds a stable gait; and this very gait, where the most stable gait is that with
+the largest basin. Walkers whose gait lies in neither region, or for which the search finds no
+stable gait, stand below, one a line.
 
 In space hardly a start returns from so wide a region. There the stable gait of the default walker,
 the toy of Coleman and others, is followed along one parameter after the other, each step from the
@@ -24,7 +26,8 @@ import jax
 import numpy as np
 
 import walker_jax as wj
-from walker_jax.basins.attracting_gaits import compare_with_search, gait_of_grid
+from walker_jax.basins.attracting_gaits import gait_of_grid, is_same_cycle
+from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import search_gait
 
 jax.config.update("jax_enable_x64", True)
@@ -38,8 +41,8 @@ MOTORS = {
 PLANES = {"theta": (0.0, np.pi / 4, 60), "sum": (-1.3, 0.4, 130)}
 VOLUMES = {"theta": (0.0, 1.5, 22), "sum": (-1.6, 0.6, 28), "phidot": (-3.0, 1.5, 24)}
 FAMILIES = {  # the class, how many, and the ranges of its parameters
-    "spring": (wj.SpringWalker, 80, {"slope": (0.001, 0.05), "hip_stiffness": (0, 100)}),
-    "point-foot": (wj.PointFootWalker, 60, {"slope": (0.001, 0.2), "foot_mass": (1e-4, 1.0)}),
+    "spring": (wj.SpringWalker, 80, {"slope": (0.001, 0.05), "hip_stiffness": (0.1, 100)}),
+    "point-foot": (wj.PointFootWalker, 60, {"slope": (0.001, 0.2), "foot_mass": (1e-4, 3.0)}),
     "powered": (
         wj.PoweredWalker,
         200,
@@ -101,16 +104,13 @@ SIZES = {  # of walkers in space, on both sides of the toy's
 
 
 def draw_parameters(count: int, ranges: dict[str, tuple[float, float]]) -> list[dict[str, float]]:
-    """A Latin square: each of `count` equal parts of each range once."""
-    rng = np.random.default_rng(0)
-    columns = {
-        name: low + (high - low) * (rng.permutation(count) + rng.uniform(size=count)) / count
-        for name, (low, high) in ranges.items()
-    }
-    return [
-        dict(zip(columns, map(float, row), strict=True))
-        for row in zip(*columns.values(), strict=True)
-    ]
+    """A Latin square: each of `count` equal parts of each range once; of wide ones by logarithm."""
+    rng, columns = np.random.default_rng(0), []
+    for low, high in ranges.values():
+        places = (rng.permutation(count) + rng.uniform(size=count)) / count
+        wide = low > 0 and high > 10 * low
+        columns.append(low * (high / low) ** places if wide else low + (high - low) * places)
+    return [dict(zip(ranges, row, strict=True)) for row in np.stack(columns, axis=1).tolist()]
 
 
 def wide_region(walker: wj.Walker) -> wj.Grid:
@@ -118,58 +118,63 @@ def wide_region(walker: wj.Walker) -> wj.Grid:
     return wj.Grid.sheared(**PLANES if len(walker.section) == 2 else VOLUMES)
 
 
+class Survey:
+    """What is counted of a family."""
+
+    def __init__(self, name: str):
+        self.name, self.began, self.lost = name, time.process_time(), []
+        self.drawn = self.longer = self.walking = self.inside = self.stable = self.same = 0
+
+    def add(self, walker: wj.Walker, owner: Gait) -> None:
+        """Count a walker with a gait of period one that attracts."""
+        searched, state = search_gait(walker), np.asarray(owner.states)
+        regions = walker.gait_region(), walker.further_gait_region()
+        inside = any(one is not None and bool(one.contains(state).all()) for one in regions)
+        stable = bool(searched.found and searched.stable)
+        self.walking += 1
+        self.inside += inside
+        self.stable += stable
+        self.same += stable and is_same_cycle(owner, searched)
+        if not (inside and stable):
+            self.lost.append(f"  {walker}: {state[0].round(4).tolist()}")
+
+    def report(self) -> None:
+        counts = f"{self.drawn:5} drawn {self.longer:5} longer {self.walking:5} walk"
+        found = f"{self.inside:5} inside {self.stable:5} stable {self.same:5} the same"
+        seconds = time.process_time() - self.began
+        print(f"{self.name:20} {counts} {found} {seconds:6.0f} s", *self.lost, sep="\n", flush=True)
+
+
 def survey(name: str) -> None:
     kind, count, ranges = FAMILIES[name]
-    began = time.process_time()
-    walking, longer, found, others = 0, 0, 0, []
-    drawn = draw_parameters(count, ranges)
-    for parameters in drawn:
+    found = Survey(name)
+    for parameters in draw_parameters(count, ranges):
         try:
             walker = kind(**parameters)
         except ValueError:  # a walker that cannot be
             continue
+        found.drawn += 1
         owner = gait_of_grid(walker, wide_region(walker), STRIDES, None)
-        if owner is None or len(owner.states) > 1:
-            longer += owner is not None
-            continue
-        walking += 1
-        difference = compare_with_search(owner, search_gait(walker))
-        found += not difference
-        if difference:
-            values = ", ".join(f"{key}={value:.4g}" for key, value in parameters.items())
-            states = np.asarray(owner.states[0]).round(4).tolist()
-            others.append(f"  {values}\n    {states}: {difference}")
-    report(name, (len(drawn), longer, walking, found), others, began)
+        if owner is not None and len(owner.states) == 1:
+            found.add(walker, owner)
+        found.longer += owner is not None and len(owner.states) > 1
+    found.report()
 
 
 def survey_in_space() -> None:
-    began = time.process_time()
-    toy = wj.SpatialWalker()
+    found, toy = Survey("spatial"), wj.SpatialWalker()
     middle = wj.find_gait(toy)
-    tried, walking, found, others = 0, 0, 0, []
     for parameter, ends in SIZES.items():
         for end in ends:
             gait = middle
             for value in np.linspace(float(getattr(toy, parameter)), end, 4)[1:].tolist():
                 walker = wj.SpatialWalker(**{parameter: value})
                 gait = search_gait(walker, np.asarray(gait.states[0]))
-                tried += 1
+                found.drawn += 1
                 if not gait.found or not gait.stable:
                     break
-                walking += 1
-                difference = compare_with_search(gait, search_gait(walker))
-                found += not difference
-                if difference:
-                    states = np.asarray(gait.states[0]).round(4).tolist()
-                    others.append(f"  {parameter}={value:.4g}\n    {states}: {difference}")
-    report("spatial", (tried, 0, walking, found), others, began)
-
-
-def report(name: str, counts: tuple[int, ...], others: list[str], began: float) -> None:
-    drawn, longer, walking, found = counts
-    counted = f"{drawn:5} drawn {longer:5} longer {walking:5} walk {found:5} found"
-    print(f"{name:20} {counted} {time.process_time() - began:6.0f} s", flush=True)
-    print(*others, sep="\n", end="\n" if others else "", flush=True)
+                found.add(walker, gait)
+    found.report()
 
 
 if __name__ == "__main__":
