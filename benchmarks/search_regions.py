@@ -134,7 +134,7 @@ def wide_region(walker: wj.Walker) -> wj.Grid:
 
 
 class Survey:
-    """What is counted of a family."""
+    """Counts of the walkers of a family."""
 
     def __init__(self, name: str):
         self.name, self.began, self.lost = name, time.process_time(), []

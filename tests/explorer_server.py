@@ -29,7 +29,7 @@ DIAGRAM = {
     "lost": [0.0193, 0.0194],
     "events": [{"slope": 0.015088, "fold": False, "theta": 0.23, "cascade": True}],
 }
-"""Of few points, and of the form in which the server tells a diagram."""
+"""A diagram of few points, in the form in which the server sends one."""
 
 
 class Answer(NamedTuple):

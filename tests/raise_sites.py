@@ -25,7 +25,7 @@ class Site(NamedTuple):
     place: str
     """The file in the package, and the function."""
     message: str
-    """What is said, with {} for what is filled in."""
+    """The message, with {} for each value that is filled in."""
 
 
 def text_of(node: ast.expr) -> str:

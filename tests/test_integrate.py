@@ -569,7 +569,7 @@ def test_first_rise_is_a_constant_to_derivatives():
 
 
 def assert_same_derivatives(function, expected, p, order):
-    """Of orders 0 to `order`, with respect to a vector: along ten directions, which fix them."""
+    """Derivatives of orders 0 to `order` by a vector; ten directions determine them."""
     directions = np.random.default_rng(0).normal(size=(10, len(p)))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
 

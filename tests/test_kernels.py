@@ -39,7 +39,7 @@ def run(function, *cells, shared=()):
 
 
 def of_both(function, *cells, shared=()):
-    """What a kernel computes, and what JAX does."""
+    """The results of a kernel, and those of JAX."""
     mapped = jax.jit(jax.vmap(lambda *cell: function(*shared, *cell)))
     expected = mapped(*map(jnp.asarray, cells))
     return run(function, *cells, shared=shared), jax.tree.map(np.asarray, expected)

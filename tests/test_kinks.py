@@ -286,7 +286,7 @@ ZEROS |= {"arctan2": np.pi - 3, "clamp": np.log(2), "clamp below": np.sqrt(0.5)}
 
 @pytest.fixture(scope="module")
 def expanded():
-    """Of each function, its series, that of its branch, and where it switches."""
+    """The series of each function, the series of its branch, and where the function switches."""
     start = jnp.array(1e-3)
     line = [start, jnp.ones_like(start), *[jnp.zeros_like(start)] * 8]
 

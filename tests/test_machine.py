@@ -12,6 +12,7 @@ from walker_jax.kernels.emit import emit
 from walker_jax.kernels.kernel import shapes_and_types
 from walker_jax.kernels.primitive import program_of
 
+X86 = llvm.get_process_triple().startswith("x86_64")
 XS = np.stack([np.linspace(0.05, 0.3, 64), np.linspace(-0.05, -0.31, 64)], axis=1)
 
 
@@ -31,8 +32,8 @@ def test_answers_do_not_depend_on_kernels(value, monkeypatch):
     expected = compute(0.5)[1]
     monkeypatch.setenv(machine.VARIABLE, value)
     monkeypatch.setenv("WALKER_JAX_CACHE_DIR", "")
-    if value in ("haswell", "nehalem") and not llvm.get_process_triple().startswith("x86_64"):
-        pytest.skip("the processor is another one")
+    if value in ("haswell", "nehalem") and not X86:
+        pytest.skip("the named processors are of x86, and this machine is not")
     function, found = compute(0.5)
     np.testing.assert_allclose(found[0], expected[0], rtol=4e-16)
     np.testing.assert_array_equal(found[1], expected[1])
@@ -60,9 +61,7 @@ def test_a_processor_that_there_is_not_is_refused(value, monkeypatch, capfd):
     assert capfd.readouterr().err == ""
 
 
-@pytest.mark.skipif(
-    not llvm.get_process_triple().startswith("x86_64"), reason="the processors are of another kind"
-)
+@pytest.mark.skipif(not X86, reason="the named processors are of x86, and this machine is not")
 @pytest.mark.parametrize(
     ("name", "bits"), [("x86-64", 128), ("nehalem", 128), ("haswell", 256), ("znver4", 512)]
 )

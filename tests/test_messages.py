@@ -53,7 +53,7 @@ CALL, LINE = ">>> ", "$ walker-jax"
 
 
 def error_of(use: str, known: dict[str, Any]) -> BaseException:
-    """What a wrong use raises."""
+    """The exception that a wrong use raises."""
     with pytest.raises(Exception) as error:
         if use.startswith(CALL):
             eval(use.removeprefix(CALL), dict(known))
@@ -63,7 +63,7 @@ def error_of(use: str, known: dict[str, Any]) -> BaseException:
 
 
 def message_of(use: str, error: BaseException) -> str:
-    """What a wrong use is told; that it failed to compute, or that it is wrong usage."""
+    """The message of a wrong use, and whether it is a failed computation or wrong usage."""
     assert isinstance(error, Exception)
     code, reason = main.verdict(error)
     assert code == (1 if isinstance(error, ComputationFailed) else 2), (use, reason)
@@ -72,7 +72,7 @@ def message_of(use: str, error: BaseException) -> str:
 
 
 class Told(NamedTuple):
-    """What a wrong use is told."""
+    """The message of a wrong use."""
 
     message: str
     sites: list[list[str]]
@@ -83,7 +83,7 @@ class Told(NamedTuple):
 
 @pytest.fixture(scope="module")
 def told() -> dict[str, Told]:
-    """What each wrong use is told, from one process for all."""
+    """The message of each wrong use, from one process for all."""
     done = subprocess.run([sys.executable, __file__], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-3000:]
     return {use: Told(*one) for use, one in json.loads(done.stdout.splitlines()[-1]).items()}
@@ -148,7 +148,7 @@ def names_in(use: str) -> set[str]:
 
 
 REQUESTED = {"request", "tile", "tiles", "cells", "level", "at", "rectangles", "start"}
-"""What requests of the page hold."""
+"""Fields that requests of the page have."""
 
 
 @pytest.mark.parametrize("use", TABLE)

@@ -33,7 +33,7 @@ def test_a_heel_strike_at_the_end_of_a_step_is_not_lost_to_rounding():
 
 @jax.jit
 def upcrossing(start, sides):
-    """Of a line of slope 1 from a height, in a step of length 1."""
+    """The zero of a line of slope 1 from a height, in a step of length 1."""
     return first_upcrossing(polynomial_jet([start, jnp.array(1.0)]), jnp.array(1.0), sides)
 
 

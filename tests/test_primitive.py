@@ -361,7 +361,7 @@ def function(a, x):
     return jnp.stack([y, y * a]), k
 """
 ON_DEVICES = """
-# Of one mesh; the derivative by what all share is the total
+# One mesh; the derivative by an operand that all cells share is the total
 a, xs = jnp.asarray(0.9), jnp.asarray(np.random.default_rng(0).random((400, 2)))
 many = jax.vmap(function, (None, 0))
 total = lambda a, xs: (many(a, xs)[0] ** 2).sum()

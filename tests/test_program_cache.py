@@ -40,7 +40,7 @@ def end_of_stride(x):
 
 
 def as_of_another_process(function=end_of_stride, x=START):
-    """What such a one would find, which has nothing in memory."""
+    """The result in another process, which has no program in memory."""
     primitive.programs.clear()
     return np.asarray(function(jnp.asarray(x)))
 

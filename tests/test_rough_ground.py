@@ -257,7 +257,7 @@ def test_a_stride_without_an_answer_is_no_fall_in_the_stochastic_map(monkeypatch
 
 
 def test_a_stochastic_map_that_cannot_be_says_why(gait, monkeypatch):
-    """Of walks that all end, of those that reach too many cells, and of those that never end."""
+    """Walks that all end, walks that reach too many cells, and walks that never end."""
     outcome = Outcome.FORWARD
 
     def made(_, arguments, __):

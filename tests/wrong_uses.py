@@ -1,4 +1,4 @@
-"""What the calls of the table of messages may use: made-up walkers, gaits, data sets and requests.
+"""Made-up walkers, gaits, data sets and requests, for the calls of the table of messages.
 
 And `prepare`, which writes the files that they and the command lines name.
 """
@@ -168,7 +168,7 @@ LOST = gait([[np.nan, np.nan]], np.nan, found=False)
 
 
 def where_none_is_found(call: Callable[[], object]) -> object:
-    """What a call does where a search finds no gait, without the time that a search takes."""
+    """Make a call as if a search had found no gait, which spares the search."""
     with mock.patch.object(summary, "search_gait", lambda *_, **__: LOST):
         return call()
 
@@ -197,13 +197,13 @@ def walks_to(state: list, outcome: int = 0) -> DisturbedWalk:
 
 
 def without(module: str, call: Callable[[], object]) -> object:
-    """What a call does where a module is not installed."""
+    """Make a call as if a module were not installed."""
     with mock.patch.dict(sys.modules, {module: None}):
         return call()
 
 
 def ask(what: str, body: Any, kind: str = "application/json") -> object:
-    """What the service of the page answers to a request: to JSON, or to bytes as they are."""
+    """The answer of the page's service to a request, given as JSON or as raw bytes."""
     sent = body if isinstance(body, bytes) else json.dumps(body).encode()
     headers = [(b"content-type", kind.encode())]
 
@@ -221,7 +221,7 @@ TWICE = multibody.System(lambda q: jnp.stack([q[0] + q[1]] * 2), jnp.ones(2), jn
 
 
 def names() -> dict[str, Any]:
-    """What the calls of the table may use."""
+    """Names that the calls of the table may use."""
     axes = {"theta": (0, 0.4, 10), "sum": (-0.04, 0.01, 10)}
     own = {name: one for name, one in globals().items() if inspect.isclass(one)}
     modules = {one.__name__.rpartition(".")[2]: one for one in MODULES}

@@ -59,7 +59,7 @@ def did_you_mean(similar: Sequence[str]) -> str:
 
 
 def wrong_count(error: Any) -> str:
-    """What is wrong with an option of too few values, or with a value for one that takes none."""
+    """Describe an option with too few values, or a flag that is given one."""
     option, count = shown(error.option_name), re.search(r"requires (\w+) argument", error.message)
     if count is None:
         return f"{option} must be given without a value"
@@ -68,7 +68,7 @@ def wrong_count(error: Any) -> str:
 
 
 def wrong_value(error: Any) -> str:
-    """What the value of an option or argument must be, and what it is."""
+    """Describe what the value of an option or argument must be, and what it is."""
     name, message = name_of(error.param), error.message.rstrip(".")
     by_pydantic = getattr(error.__cause__, "errors", None)
     value = by_pydantic()[0]["input"] if by_pydantic else message.partition(" is not ")[0]

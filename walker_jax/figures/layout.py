@@ -34,7 +34,7 @@ SIZES = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5)
 
 
 class Shown(NamedTuple):
-    """What is written around a picture and in it."""
+    """Options that say which texts stand around a picture and in it."""
 
     title: bool | str = True
     """The title that the picture has, another one, or none."""

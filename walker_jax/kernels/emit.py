@@ -252,11 +252,11 @@ LLVMEmitter.rules = {
 
 
 def emit(closed: ClosedJaxpr, operands: list, results: list, bits: int) -> str:
-    """The source of a program that computes results[start:stop], with vectors of so many bits.
+    """The source of a program that computes results[start:stop], with vectors of `bits` bits.
 
-    Those of the processor's registers: LLVM would split longer ones over several, of which there
-    are too few then for long functions. On processors with 256 bits, vectors of 512 take twice as
-    long to compile and run no faster.
+    A vector should fill one register of the processor. LLVM splits a longer one over several
+    registers, and a long function then runs out of them: with registers of 256 bits, vectors of 512
+    take twice as long to compile and run no faster.
 
     Its signature is void kernel(start, stop, addresses, strides). The addresses point to the arrays
     of the operands, then to those of the results. A stride is the distance between the entries of

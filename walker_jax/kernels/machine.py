@@ -81,7 +81,7 @@ define <8 x double> @add(<8 x double> %a, <8 x double> %b) {
 }
 """
 REGISTERS = {512: "zmm", 256: "ymm"}
-"""Names of x86; the vectors of other processors, and of x86 without AVX, have 128 bits."""
+"""Names of registers on x86. Other processors, and x86 without AVX, have vectors of 128 bits."""
 
 
 def load_program(source: str, *, keep: bool = True) -> llvm.ExecutionEngine:
