@@ -11,7 +11,8 @@ derives reverse mode from them.
 import math
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from typing import ClassVar, NamedTuple
+from functools import partial
+from typing import Any, ClassVar
 
 import diffrax
 import equinox as eqx
@@ -19,17 +20,14 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.core import Tracer
-from jaxtyping import Array, Bool, Int, PyTree
+from jaxtyping import PyTree
 
 from walker_jax.checks import WrongUse, check_number, short
 from walker_jax.integrators.roots import (
-    Jet,
     Scalar,
     derivative_of,
     differentiable_zero,
     first_zero,
-    function_jet,
-    polynomial_jet,
 )
 from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.integrators.taylor import (
@@ -61,6 +59,8 @@ LONGEST_STEP, POLYNOMIAL_STEP = 2.0, 0.25
 """In |y| / |y'|: a longer step is one that the last terms of a series do not limit, as those of a
 harmonic motion are at most a third as long; and its length instead, in which functions of a state
 that is a polynomial of time seldom turn more than once."""
+INTERPOLATION_ORDER = 8
+"""Order up to which the interpolation of a Runge-Kutta method is a polynomial: none has more."""
 TIME_REFINEMENTS = 3
 """Newton's iterations on a time that interpolation gives; each squares its error."""
 
@@ -310,63 +310,6 @@ class SeriesSteps(diffrax.AbstractStepSizeController):
         return jnp.array(True), t1, following, False, None, diffrax.RESULTS.successful
 
 
-class Step(NamedTuple):
-    """One step of a solution."""
-
-    start: PyTree
-    """State at its start."""
-    end: PyTree
-    """State at its end."""
-    time: Scalar
-    """Time at its start."""
-    length: Scalar
-    """Its duration."""
-    sides: tuple[Bool[Array, "*events"], Bool[Array, "*events"]]
-    """The side of the event, or of each of several, at its start and at its end."""
-    series: PyTree[list] | None = None
-    """The series of the solution from its start, if a series solved it."""
-
-
-class Until(diffrax.AbstractStepSizeController):
-    """The steps of another controller, until a condition holds for the two ends of a step.
-
-    `stop(start, end, side)` returns whether the condition holds, and the side of the event on which
-    the end lies; `side` is that of the start, which the step before has returned. So two successive
-    steps always agree on the side of the state between them, and no event falls between the two by
-    rounding. A `diffrax.Event` sees the end of a step alone.
-    """
-
-    controller: diffrax.AbstractStepSizeController
-    stop: Callable[..., tuple[Bool[Array, ""], Bool[Array, "*events"]]]
-    side: Bool[Array, "*events"]
-
-    def wrap(self, direction):
-        return Until(self.controller.wrap(direction), self.stop, self.side)
-
-    def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
-        end, state = self.controller.init(terms, t0, t1, y0, dt0, args, func, error_order)
-        start, none = jnp.asarray(t0), jnp.zeros_like(t0)
-        return end, (state, Step(y0, y0, start, none, (self.side, self.side)))
-
-    def adapt_step_size(
-        self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
-    ):
-        state, last = controller_state
-        adapted = self.controller.adapt_step_size(
-            t0, t1, y0, y1_candidate, args, y_error, error_order, state
-        )
-        kept, following, end, made_jump, state, result = adapted
-        stops, side = self.stop(y0, y1_candidate, last.sides[1])
-        start, length = jnp.asarray(t0), jnp.asarray(t1 - t0)
-        step = Step(y0, y1_candidate, start, length, (last.sides[1], side))
-        last = jax.tree.map(lambda new, old: jnp.where(kept, new, old), step, last)
-        stopped = diffrax.RESULTS.where(
-            kept & stops, diffrax.RESULTS.event_occurred, diffrax.RESULTS.successful
-        )
-        result = diffrax.RESULTS.where(result == diffrax.RESULTS.successful, stopped, result)
-        return kept, following, end, made_jump, (state, last), result
-
-
 def zero_at(state: PyTree) -> Scalar:
     """Zero, as a function of a state.
 
@@ -420,97 +363,85 @@ class Method(eqx.Module):
             throw=False,
         )
 
-    def follow(
-        self,
-        state: PyTree,
-        stop: Callable[..., tuple[Bool[Array, ""], Bool[Array, "*events"]]],
-        *,
-        side: Bool[Array, "*events"] | bool = False,
-        time: Real = 0.0,
-    ) -> tuple[Step, Int[Array, ""]]:
-        """The first step for whose two ends `stop` holds (`Until`), and the number of steps.
+    def carries_series(self, state: PyTree) -> bool:
+        """Whether a loop should pass the polynomial of a step on, not compute it again."""
+        series = isinstance(self.solver, Taylor)
+        return not series or len(jax.tree.leaves(state)) > MOST_EXPANDED_AGAIN
 
-        There are at least one and at most `MAX_STEPS` steps, in which `stop` need not hold. The end
-        is not finite if the field jumps.
+    def first_memory(self, state: PyTree) -> PyTree:
+        """What the first step takes from one before."""
+        if isinstance(self.solver, Taylor):
+            return ()
+        zero, terms, controller = zero_at(state), self.terms, self.controller()
+        order = self.solver.error_order(terms)
+        first = self.solver.init(terms, zero, zero + 1, state, None)
+        length, kept = controller.init(
+            terms, zero, jnp.full_like(zero, jnp.inf), state, None, None, self.solver.func, order
+        )
+        return length, kept, first
+
+    def step(self, state: PyTree, memory: PyTree) -> tuple[PyTree[list], PyTree, Scalar, PyTree]:
+        """One step of the method from a state.
+
+        Returns its polynomial, from its start: the series of the solution, or the interpolation of
+        a Runge-Kutta method; its end; its length, zero where the method rejects the step; and what
+        the next step takes from this one.
         """
-        time, side = time + zero_at(state), jnp.asarray(side)
         if isinstance(self.solver, Taylor):
             order = self.solver.taylor_order
-            return self.follow_taylor(state, with_fast_sincos(stop), side, time, order)
-        controller = Until(self.controller(), with_fast_sincos(stop), side)
-        end = jnp.full_like(time, jnp.inf)
-        solution = self.solve(state, time, end, controller, controller_state=True)
-        assert solution.controller_state is not None
-        _, last = solution.controller_state
-        return last, solution.stats["num_steps"]
+            series, length = taylor_step(self.field, state, order, self.tolerance, *self.others)
+            return series, evaluate_series(series, length), length, ()
+        length, kept, first = memory
+        zero, terms, controller = jnp.zeros_like(length), self.terms, self.controller()
+        end, error, dense, last, _ = self.solver.step(
+            terms, zero, length, state, None, first, False
+        )
+        order: Any = self.solver.error_order(terms)
+        good, begins, ends, _, kept, _ = controller.adapt_step_size(
+            zero, length, state, end, None, error, order, kept
+        )
+        inside = self.solver.interpolation_cls(t0=zero, t1=length, **dense).evaluate
+        time = [zero, zero + 1, *[zero] * (INTERPOLATION_ORDER - 1)]
+        series = function_series(inside, time)
+        keep = lambda new, old: jax.tree.map(partial(jnp.where, good), new, old)
+        memory = ends - begins, kept, keep(last, first)
+        return series, keep(end, state), jnp.where(good, length, 0), memory
 
-    def follow_taylor(
-        self, state: PyTree, stop: Callable, side: Bool[Array, "*events"], time: Scalar, order: int
-    ) -> tuple[Step, Int[Array, ""]]:
-        """`follow` for the Taylor solver, by a loop that expands one series in each step.
+    def series_of(self, state: PyTree) -> PyTree[list]:
+        """The series of the solution from a state, of a Taylor method."""
+        assert isinstance(self.solver, Taylor)
+        return solution_series(self.field, state, self.solver.taylor_order)
 
-        A step size controller of diffrax has to return the length of the next step when one ends,
-        which needs the next series; to carry that to the next turn takes longer.
-        """
+    def no_series(self, state: PyTree) -> PyTree[list]:
+        """A polynomial with as many coefficients as those of steps."""
+        solver = self.solver
+        order = solver.taylor_order if isinstance(solver, Taylor) else INTERPOLATION_ORDER
+        return jax.tree.map(lambda x: [x, *[0 * x] * order], state)
 
-        carried = len(jax.tree.leaves(state)) > MOST_EXPANDED_AGAIN
-
-        def advance(carry):
-            last, count, _ = carry
-            series, length = taylor_step(self.field, last.end, order, self.tolerance, *self.others)
-            end, (_, side) = evaluate_series(series, length), last.sides
-            stops, beyond = stop(last.end, end, side)
-            going = jnp.isfinite(length) & (count + 1 < MAX_STEPS) & ~stops
-            step = Step(last.end, end, last.time + last.length, length, (side, beyond))
-            return step._replace(series=series if carried else None), count + 1, going
-
-        first = Step(state, state, time, zero_at(state), (side, side))
-        if carried:
-            constant = jax.tree.map(lambda x: [x, *[0 * x] * order], state)
-            first = first._replace(series=constant)
-        carry = first, jnp.asarray(0), jnp.asarray(True)
-        last, count, _ = lax.while_loop(lambda carry: carry[-1], advance, carry)
-        if carried:
-            return last, count
-        return last._replace(series=solution_series(self.field, last.start, order)), count
-
-    def runge_kutta_step(
-        self, state: PyTree, length: Scalar
-    ) -> tuple[PyTree, Callable[[Scalar], PyTree]]:
-        """One Runge-Kutta step of a given length: its end, and the solver's interpolation."""
-        zero, solver = jnp.zeros_like(length), self.solver
+    def state_at(self, state: PyTree, series: PyTree[list], time: Scalar) -> PyTree:
+        """The state a time after the start of a step, by its series or by a shorter step."""
+        if isinstance(self.solver, Taylor):
+            return evaluate_series(series, time)
+        zero, solver = jnp.zeros_like(time), self.solver
         if isinstance(solver, diffrax.AbstractRungeKutta):  # "lax" has derivatives in forward mode
             solver = eqx.tree_at(lambda s: s.scan_kind, solver, "lax", is_leaf=lambda x: x is None)
-        first = solver.init(self.terms, zero, length, state, None)
-        end, _, dense, _, _ = solver.step(self.terms, zero, length, state, None, first, False)
-        return end, solver.interpolation_cls(t0=zero, t1=length, **dense).evaluate
+        first = solver.init(self.terms, zero, time, state, None)
+        return solver.step(self.terms, zero, time, state, None, first, False)[0]
 
-    def state_at(self, step: Step, time: Scalar) -> PyTree:
-        """The state at a time after the start of a step, by its series or by one shorter step."""
-        if step.series is not None:
-            return evaluate_series(step.series, time)
-        return self.runge_kutta_step(step.start, time)[0]
+    def refine_time(
+        self, event: Callable[[PyTree], Scalar], state: PyTree, series: PyTree[list], time: Scalar
+    ) -> Scalar:
+        """Refines the time from the start of a step to an event; constant to derivatives.
 
-    def jet(self, function: Callable[[PyTree], Scalar], step: Step) -> Jet:
-        """A function of the state, as a function of time in a step; constant to derivatives."""
-        method, step = stop_gradients((self, step))
-        if step.series is not None:
-            return polynomial_jet(function_series(function, step.series))
-        _, inside = method.runge_kutta_step(step.start, step.length)
-        return function_jet(lambda t: function(inside(t)))
-
-    def refine_time(self, event: Callable[[PyTree], Scalar], step: Step, time: Scalar) -> Scalar:
-        """Refines the time of an event in a step by Newton's iteration; constant to derivatives.
-
-        The interpolation of a Runge-Kutta method is less accurate than its steps. So each iteration
-        takes a step to the latest time. A series needs no refinement.
+        The interpolation of a Runge-Kutta method is less accurate than its steps. So each of
+        Newton's iterations takes a step to the latest time. A series needs no refinement.
         """
         if isinstance(self.solver, Taylor):
             return time
-        method, step, time = stop_gradients((self, step, time))
+        method, state, time = stop_gradients((self, state, time))
         for _ in range(TIME_REFINEMENTS):
-            state = method.state_at(step, time)
-            value, rate = jax.jvp(event, (state,), (method.field(state),))
+            there = method.state_at(state, series, time)
+            value, rate = jax.jvp(event, (there,), (method.field(there),))
             time = time - value / rate
         return time
 

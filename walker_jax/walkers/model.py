@@ -247,19 +247,20 @@ class Walker(eqx.Module):
         """
         return state.phi - 2 * state.theta
 
-    def is_ahead(self, state: Any) -> Bool[Array, ""]:
-        """Whether the swing foot is ahead of the other, so that coming down is heel strike.
+    def is_ahead(self, state: Any) -> Scalar:
+        """Positive where the swing foot is ahead of the other, so that coming down is heel strike.
 
         Elsewhere that is scuffing, which a stride ignores. By default past mid-stance.
         """
-        return state.theta < 0
+        return -state.theta
 
-    def falls(self, state: Any) -> dict[str, Bool[Array, ""]]:
-        """Whether the walker has fallen, by the name of each `Outcome` of a fall.
+    def falls(self, state: Any) -> dict[str, Scalar]:
+        """Functions that rise through zero where the walker falls, by the name of an `Outcome`.
 
-        The first that is true counts. By default as in the plane.
+        The earliest counts; at the start of a stride, the first that is not negative. By default
+        as in the plane.
         """
-        return {"BACKWARD": state.thetadot >= 0, "FORWARD": state.theta <= -np.pi / 2}
+        return {"BACKWARD": state.thetadot, "FORWARD": -np.pi / 2 - state.theta}
 
     @abc.abstractmethod
     def clearance(self, state: State) -> Scalar:

@@ -269,14 +269,14 @@ class SpatialWalker(Walker):
         return {"SCUFFED": lambda state: self.clearance(state) + least}
 
     def is_ahead(self, state: Any):
-        return state.phi < -LEAST_STEP
+        return -LEAST_STEP - state.phi
 
     def falls(self, state: Any):
         """The stance leg, or the axle, is down."""
         return {
-            "SIDEWAYS": jnp.abs(state.lean) >= GREATEST_LEAN,
-            "BACKWARD": state.theta >= np.pi / 2,
-            "FORWARD": state.theta <= -np.pi / 2,
+            "SIDEWAYS": state.lean**2 - GREATEST_LEAN**2,
+            "BACKWARD": state.theta - np.pi / 2,
+            "FORWARD": -np.pi / 2 - state.theta,
         }
 
     def exchange_legs(self, state: Any):

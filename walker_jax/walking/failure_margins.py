@@ -5,6 +5,7 @@ zero on the boundary to a failure. The first failure on a stride's way decides i
 margin is negative; those of what was passed before are positive; what never came up has NaN.
 """
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -15,6 +16,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from walker_jax.checks import refuses_tracers
+from walker_jax.hybrid.conditions import least_between, value_and_rate
 from walker_jax.integrators.roots import (
     derivative_of,
     differentiable_zero,
@@ -36,17 +38,17 @@ from walker_jax.kernels import by_kernel
 from walker_jax.walkers.model import Scalar, State, Walker, toppling_rate
 from walker_jax.walkers.spatial import SpatialWalker
 from walker_jax.walking.falls import (
-    ahead_by,
     distance_to_fall,
     fall_of,
+    falls_begin,
     has_fallen,
     has_own_falls,
     makes_step,
     missing_slope,
-    watched_falls,
 )
 from walker_jax.walking.iteration import for_each_start
 from walker_jax.walking.margins_in_space import margins_in_space
+from walker_jax.walking.modes import conditions_of, equations
 from walker_jax.walking.outcomes import Outcome, Stride
 from walker_jax.walking.phase_margins import (
     WAYS,
@@ -56,19 +58,13 @@ from walker_jax.walking.phase_margins import (
     least_speed,
     least_with,
     missing_speed,
+    stop_within,
     upcrossing,
+    violated_in,
     with_own_failures,
 )
+from walker_jax.walking.phases import Arrival
 from walker_jax.walking.stepping import begin_stride, during_stride, end_stride, on_section, prepare
-from walker_jax.walking.swing import (
-    conditions_of,
-    equations,
-    is_below,
-    may_stop_within,
-    minimum_of,
-    normal_force,
-    stop_within,
-)
 
 
 class Margins(NamedTuple):
@@ -197,13 +193,13 @@ def follow_margins(
         return going & jnp.isfinite(now.time)
 
     def advance(now: MarginState) -> MarginState:
-        others = walker.contact, *watched_falls(walker)
+        others = walker.contact, *falls_begin(walker)
         series, length = taylor_step(field, now.state, order, tolerance, *others)
         after = evaluate_series(series, length)
         h = function_series(walker.contact, series)
         jet = polynomial_jet(h)
         turn, top = interior_minimum(jet, length), interior_minimum(negate(jet), length)
-        below = with_fast_sincos(is_below)(walker, after)
+        below = with_fast_sincos(walker.contact)(after) < 0
         ends_below = jnp.where(top.exists, jet(top.time)[0] < 0, below)
         until = jnp.where(top.exists, top.time, length)
         crossed, when = first_upcrossing(jet, until, (now.below, ends_below))
@@ -212,7 +208,7 @@ def follow_margins(
         strikes = crossed & with_fast_sincos(makes_step)(walker, arrival)
         fall = fall_of(walker, after)
         end = length
-        if may_stop_within(walker):
+        if not (walker.inverted_pendulum or has_own_falls(walker)):
             speed = polynomial_jet(derivative_of(series.theta))
             stops = stop_within(speed, jnp.where(strikes, when, length))
             strikes, fall = strikes & ~stops.exists, jnp.where(stops.exists, Outcome.BACKWARD, fall)
@@ -229,8 +225,8 @@ def follow_margins(
         missed = jnp.where(
             turn.exists & (depth <= 0) & is_ahead, jnp.maximum(now.missed, depth), now.missed
         )
-        scuffs = crossed & ~with_fast_sincos(lambda w, s: w.is_ahead(s))(walker, arrival)
-        missed = jnp.where(scuffs, jnp.maximum(missed, ahead_by(walker, arrival)), missed)
+        scuffs = crossed & ~with_fast_sincos(lambda w, s: w.is_ahead(s) > 0)(walker, arrival)
+        missed = jnp.where(scuffs, jnp.maximum(missed, walker.is_ahead(arrival)), missed)
         short = -evaluate_polynomial(h, top.time)  # the foot comes down so far, and up again
         at_top = evaluate_series(series, top.time)
         hovers = top.exists & (short > 0) & with_fast_sincos(makes_step)(walker, at_top)
@@ -269,7 +265,7 @@ def follow_margins(
         fallen = now.fallen
         if has_own_falls(walker):
             coming = jnp.where(
-                walker.is_ahead(after), -jnp.abs(evaluate_polynomial(h, length)), -jnp.inf
+                walker.is_ahead(after) > 0, -jnp.abs(evaluate_polynomial(h, length)), -jnp.inf
             )
             short = jnp.maximum(missing_slope(walker, series, length, rate), missed)
             short = jnp.maximum(short, coming)
@@ -279,16 +275,10 @@ def follow_margins(
         least = dict(now.least)
         other = jax.tree.map(lambda a, b: jnp.where(strikes, a, b), arrival, after)
         for outcome, condition in watched.items():
-            at, value = minimum_of(
-                condition,
-                walker,
-                now.state,
-                other,
-                lambda t: evaluate_series(series, t),
-                until,
-                resolution=1e-9,
-            )
-            there = with_fast_sincos(condition)(walker, evaluate_series(series, at))
+            both = partial(value_and_rate, condition, walker.vector_field)
+            between = lambda t: evaluate_series(series, t)
+            at, value = least_between(both, now.state, other, between, until, resolution=1e-9)
+            there = with_fast_sincos(condition)(evaluate_series(series, at))
             value = jnp.where(jnp.isfinite(value), there, value)
             least[outcome] = jnp.minimum(least[outcome], value)
         return MarginState(
@@ -325,11 +315,12 @@ def follow_margins(
         fallen=before.fallen,
         least=before.least,
         arrival=before.state,
-        below=with_fast_sincos(is_below)(walker, before.state),
+        below=with_fast_sincos(walker.contact)(before.state) < 0,
     )
     last = lax.while_loop(undecided, advance, first)
-    broken = {outcome: least < 0 for outcome, least in last.least.items()}
-    stride = with_fast_sincos(end_stride)(walker, last.arrival, last.time, last.verdict, broken)
+    violated = violated_in(walker, last.least, last.arrival)
+    end = Arrival(last.arrival, last.time, last.verdict, violated)
+    stride = with_fast_sincos(end_stride)(walker, end)
     found = with_fast_sincos(margins_from)(walker, before, last, stride.outcome)
     return Margins(stride, **found)
 
@@ -339,7 +330,7 @@ def first_margins(walker: Walker, start: Any, verdict: Array, tolerance: Scalar)
     if walker.phases():
         return follow_phase_margins(walker, start, verdict, tolerance)
     infinite = jnp.full_like(start.theta, jnp.inf)
-    force = with_fast_sincos(normal_force)(walker, start)
+    force = with_fast_sincos(lambda s: walker.contact_force(s)[1])(start)
     least = {int(Outcome.RUNNING): force} | least_with(walker, start, {}, jnp.asarray(True))
     stopped = jnp.where(verdict == Outcome.BACKWARD, -(start.thetadot**2) / 2, infinite)
     fallen = -distance_to_fall(walker, start)
@@ -371,7 +362,7 @@ def margins_from(
     backward = jnp.where(turned_back, -(following**2) / 2, backward)
     backward = jnp.where(before.verdict == Outcome.BACKWARD, before.backward, backward)
 
-    ahead = jnp.minimum(ahead_by(walker, last.arrival), last.grazing)
+    ahead = jnp.minimum(walker.is_ahead(last.arrival), last.grazing)
     passed = jnp.where(last.dip > 0, jnp.minimum(last.dip, ahead), ahead)
     otherwise = jnp.where(last.slowest > -jnp.inf, last.slowest, last.otherwise)
     missed = jnp.where(last.missed > -jnp.inf, last.missed, -jnp.abs(otherwise))
@@ -379,7 +370,7 @@ def margins_from(
     forward = jnp.where(struck, passed, jnp.where(outcome == Outcome.FORWARD, missed, none))
 
     pulled = before.verdict == Outcome.RUNNING
-    at_strike = {key: each(walker, last.arrival) for key, each in conditions_of(walker).items()}
+    at_strike = {key: each(last.arrival) for key, each in conditions_of(walker).items()}
 
     def least(of: Outcome) -> Scalar:
         """The least value of a condition, where it counts."""

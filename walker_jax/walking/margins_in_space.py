@@ -6,6 +6,8 @@ are at the same time, where the disc touches just as the legs pass each other, o
 before; and as in the plane where the ground would have to pull, or the trailing foot does not lift.
 """
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -14,6 +16,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from walker_jax.hybrid.conditions import least_between, value_and_rate
 from walker_jax.integrators.roots import (
     differentiable_zero,
     first_upcrossing,
@@ -34,18 +37,18 @@ from walker_jax.walkers.model import Scalar, least_scuff
 from walker_jax.walkers.rolling_stance import SpatialState
 from walker_jax.walkers.spatial import GREATEST_LEAN, SpatialWalker
 from walker_jax.walking.falls import (
-    ahead_by,
     distance_to_fall,
     fall_of,
+    falls_begin,
     has_fallen,
     has_own_falls,
     missing_slope,
-    watched_falls,
 )
+from walker_jax.walking.modes import conditions_of, equations
 from walker_jax.walking.outcomes import Outcome, Stride
-from walker_jax.walking.phase_margins import upcrossing, with_own_failures
+from walker_jax.walking.phase_margins import upcrossing, violated_in, with_own_failures
+from walker_jax.walking.phases import Arrival
 from walker_jax.walking.stepping import begin_stride, end_stride, on_section
-from walker_jax.walking.swing import Condition, conditions_of, equations, is_below, minimum_of
 
 
 class StrideInSpace(NamedTuple):
@@ -100,7 +103,7 @@ def scuffs_by_turns(walker: SpatialWalker) -> bool:
     return not walker.allow_scuffing and type(walker).conditions is SpatialWalker.conditions
 
 
-def conditions_on_the_way(walker: SpatialWalker) -> dict[int, Condition]:
+def conditions_on_the_way(walker: SpatialWalker) -> dict[int, Callable[[Any], Scalar]]:
     """Those that are looked at all along the stride, by the outcome where one is broken."""
     found = conditions_of(walker)
     if scuffs_by_turns(walker):
@@ -124,19 +127,19 @@ def follow_in_space(
         return going & jnp.isfinite(now.time)
 
     def advance(now: StrideInSpace) -> StrideInSpace:
-        others = walker.contact, *watched_falls(walker)
+        others = walker.contact, *falls_begin(walker)
         series, length = taylor_step(field, now.state, order, tolerance, *others)
         after = evaluate_series(series, length)
         h = function_series(walker.contact, series)
         jet = polynomial_jet(h)
-        below = with_fast_sincos(is_below)(walker, after)
+        below = with_fast_sincos(walker.contact)(after) < 0
         dip = interior_minimum(negate(jet), length)
         search = jnp.where(dip.exists, dip.time, length)
         sides = now.below, jnp.where(dip.exists, jet(search)[0] < 0, below)
         crossed, when = first_upcrossing(jet, search, sides)
         when = differentiable_zero(h, when)
         arrival = evaluate_series(series, when)
-        ahead = walker.is_ahead(arrival)
+        ahead = walker.is_ahead(arrival) > 0
         strikes = crossed & ahead & ~has_fallen(walker, arrival)
         until = jnp.where(strikes, when, length)
         end = jax.tree.map(lambda a, b: jnp.where(strikes, a, b), arrival, after)
@@ -145,12 +148,12 @@ def follow_in_space(
         low, top = interior_minimum(negate(jet), until), interior_minimum(jet, until)
         lowest, highest = (-evaluate_polynomial(h, one.time) for one in (low, top))
         graze = jnp.where(low.exists, jnp.minimum(now.graze, lowest), now.graze)
-        in_front = lambda one: one.exists & walker.is_ahead(evaluate_series(series, one.time))
+        in_front = lambda one: one.exists & (walker.is_ahead(evaluate_series(series, one.time)) > 0)
         too_low, too_high = in_front(top) & (highest <= 0), in_front(low) & (lowest > 0)
         miss = jnp.where(too_low, jnp.maximum(now.miss, highest), now.miss)
         miss = jnp.where(too_high, jnp.maximum(miss, -lowest), miss)
         touches = crossed & ~ahead
-        miss = jnp.where(touches, jnp.maximum(miss, ahead_by(walker, arrival)), miss)
+        miss = jnp.where(touches, jnp.maximum(miss, walker.is_ahead(arrival)), miss)
         clears = top.exists & (highest > 0)
         clearing = jnp.where(clears, jnp.maximum(now.clearing, highest), now.clearing)
         clearing = jnp.where(touches, -jnp.inf, clearing)
@@ -173,17 +176,11 @@ def follow_in_space(
         # the conditions
         least = dict(now.least)
         for outcome, condition in watched.items():
-            at, value = minimum_of(
-                condition,
-                walker,
-                now.state,
-                end,
-                lambda t: evaluate_series(series, t),
-                until,
-                resolution=1e-9,
-            )
-            there = with_fast_sincos(condition)(walker, evaluate_series(series, at))
-            at_end = with_fast_sincos(condition)(walker, end)
+            both = partial(value_and_rate, condition, walker.vector_field)
+            between = lambda t: evaluate_series(series, t)
+            at, value = least_between(both, now.state, end, between, until, resolution=1e-9)
+            there = with_fast_sincos(condition)(evaluate_series(series, at))
+            at_end = with_fast_sincos(condition)(end)
             value = jnp.where(jnp.isfinite(value), jnp.minimum(there, at_end), at_end)
             least[outcome] = jnp.minimum(least[outcome], value)
         return StrideInSpace(
@@ -216,9 +213,9 @@ def follow_in_space(
         clearing=-infinite,
         height=infinite,
         fallen=-distance_to_fall(walker, start),
-        least={key: with_fast_sincos(each)(walker, start) for key, each in watched.items()},
+        least={key: with_fast_sincos(each)(start) for key, each in watched.items()},
         arrival=start,
-        below=with_fast_sincos(is_below)(walker, start),
+        below=with_fast_sincos(walker.contact)(start) < 0,
     )
     return lax.while_loop(undecided, advance, first)
 
@@ -230,10 +227,11 @@ def margins_in_space(
     start, verdict = with_fast_sincos(begin_stride)(walker, x)
     last = follow_in_space(walker, start, verdict, tolerance, launched=not on_section(walker, x))
     depth = last.graze + least_scuff(walker.leg_length)
-    broken = {outcome: least < 0 for outcome, least in last.least.items()}
+    violated = violated_in(walker, last.least, last.arrival)
     if scuffs_by_turns(walker):
-        broken[int(Outcome.SCUFFED)] = depth < 0
-    stride = with_fast_sincos(end_stride)(walker, last.arrival, last.time, last.verdict, broken)
+        violated[int(Outcome.SCUFFED)] |= depth < 0
+    end = Arrival(last.arrival, last.time, last.verdict, violated)
+    stride = with_fast_sincos(end_stride)(walker, end)
     found = with_fast_sincos(margins_at_end)(walker, verdict, last, stride.outcome, depth)
     return stride, found
 
@@ -255,7 +253,7 @@ def margins_at_end(
 
     right, left, back, front = last.upright
     _, _, next_back, next_front = distances_from_falls(following.lean, following.theta)
-    passed = ahead_by(walker, last.arrival)
+    passed = walker.is_ahead(last.arrival)
     if walker.allow_scuffing:
         clears = jnp.isfinite(last.clearing)
         passed = jnp.where(clears, jnp.minimum(passed, last.clearing), passed)

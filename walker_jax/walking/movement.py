@@ -19,13 +19,13 @@ from walker_jax.checks import WrongUse, check_number, check_whole, refuses_trace
 from walker_jax.walkers.model import State, Walker, check_planar
 from walker_jax.walkers.parameters import attributes_of
 from walker_jax.walkers.spatial import SpatialWalker
-from walker_jax.walking.falls import has_fallen, has_own_falls, is_ahead_over_steps
+from walker_jax.walking.falls import has_fallen, has_own_falls, makes_step
 from walker_jax.walking.iteration import walk
+from walker_jax.walking.modes import height_above, in_tension
 from walker_jax.walking.movement_in_space import motion_in_space
 from walker_jax.walking.outcomes import Outcome
-from walker_jax.walking.phases import in_front, legs, starts_under
+from walker_jax.walking.phases import legs
 from walker_jax.walking.stepping import full_state, phase_times, trajectory
-from walker_jax.walking.swing import in_tension
 
 FALL_TIME = 40.0
 """Time in which a walker that fails is on the ground, for legs of length 1."""
@@ -201,8 +201,9 @@ def is_over(
     if step:
         h = step - np.asarray(jax.vmap(walker.clearance)(swing))
     fallen = np.asarray(jax.vmap(partial(has_fallen, walker))(swing))
-    is_ahead = partial(is_ahead_over_steps, walker) if step else walker.is_ahead
-    ahead = np.asarray(jax.vmap(is_ahead)(swing))
+    ahead = np.asarray(jax.vmap(walker.is_ahead)(swing)) > 0
+    if step:
+        ahead &= np.asarray(swing.phi) < 0
     strikes = (h > 0) & (np.roll(h, 1) <= 0) & ahead & ~fallen
     # Where the ground is rough the legs may pass each other below the next foothold.
     falls = step != 0 and outcome in (Outcome.FORWARD, Outcome.BACKWARD)
@@ -214,6 +215,10 @@ def is_over(
         if phases:
             over |= ~swings & np.asarray(jax.vmap(partial(in_tension, phases[0]))(each))
     if outcome == Outcome.BENT_KNEE:
-        lands = lambda state: starts_under(phases[0], state, step) & in_front(phases[0], state)
+        lands = lambda state: (
+            (height_above(phases[0], state, step) < 0)
+            & makes_step(walker, state)
+            & (phases[0].reach(state) > 0)
+        )
         over |= ~swings & np.asarray(jax.vmap(lands)(each))
     return over

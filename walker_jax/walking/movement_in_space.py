@@ -18,9 +18,9 @@ from walker_jax.walkers.parameters import attributes_of
 from walker_jax.walkers.rolling_stance import SpatialState
 from walker_jax.walkers.spatial import SpatialWalker, on_ground
 from walker_jax.walking.falls import fall_of
+from walker_jax.walking.modes import in_tension
 from walker_jax.walking.outcomes import Outcome
 from walker_jax.walking.stepping import trajectory
-from walker_jax.walking.swing import in_tension
 
 FALL_TIME = 6.0
 """Time for which a walker that fails is followed, for legs of length 1: most are down before."""
@@ -90,7 +90,12 @@ def is_over(
 
     def look(walker, state):
         fallen = fall_of(walker, state) != Outcome.UNDECIDED
-        return fallen, walker.clearance(state), walker.is_ahead(state), in_tension(walker, state)
+        return (
+            fallen,
+            walker.clearance(state),
+            walker.is_ahead(state) > 0,
+            in_tension(walker, state),
+        )
 
     fallen, height, ahead, pulled = map(
         np.asarray, jax.vmap(by_kernel(look), (None, 0))(walker, states)

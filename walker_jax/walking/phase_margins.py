@@ -1,5 +1,6 @@
 """Margins of the phases of a stride before its last, the swing (`failure_margins`)."""
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -7,8 +8,10 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Int
 
+from walker_jax.hybrid.conditions import least_between, value_and_rate
 from walker_jax.integrators.roots import (
     Instant,
+    Jet,
     bracketed_newton,
     derivative_of,
     differentiable_zero,
@@ -29,17 +32,17 @@ from walker_jax.integrators.solvers import (
 from walker_jax.integrators.taylor import function_series, with_fast_sincos
 from walker_jax.walkers.model import Phase, Scalar, Walker, toppling_rate
 from walker_jax.walking.falls import (
-    ahead_by,
     distance_to_fall,
     fall_of,
+    falls_begin,
     has_fallen,
     has_own_falls,
+    makes_step,
     missing_slope,
-    watched_falls,
 )
+from walker_jax.walking.modes import conditions_of, equations, in_tension
 from walker_jax.walking.outcomes import Outcome
-from walker_jax.walking.phases import begin_phase, in_front, is_over, starts_under
-from walker_jax.walking.swing import conditions_of, equations, minimum_of, stop_within
+from walker_jax.walking.phases import is_over
 
 Least = dict[int, Scalar]
 """The least value of each condition, by the outcome where it is negative."""
@@ -104,7 +107,7 @@ def follow_phase_margins(
     infinite = jnp.full_like(zero, jnp.inf)
     over = is_over(phases[0], start, tolerance)
     stopped = verdict == Outcome.BACKWARD
-    verdict, _ = begin_phase(phases[0], start, zero, over, verdict)
+    verdict = begin_phase(phases[0], start, zero, over, verdict)
     now = PhaseMargins(
         start,
         zero,
@@ -130,7 +133,7 @@ def follow_phase_margins(
         over = jnp.asarray(False)
         if isinstance(following, Phase):
             over = is_over(following, state, tolerance)
-        verdict, _ = begin_phase(following, state, now.time, over, verdict)
+        verdict = begin_phase(following, state, now.time, over, verdict)
         now = now._replace(
             state=state,
             verdict=verdict,
@@ -141,14 +144,50 @@ def follow_phase_margins(
     return now
 
 
+def begin_phase(
+    phase: Phase | Walker,
+    state: Any,
+    time: Scalar,
+    over: Bool[Array, ""],
+    verdict: Int[Array, ""],
+) -> Int[Array, ""]:
+    """The verdict as a phase begins that is not `over`: tension at a stride's start ends it."""
+    starts = (verdict == Outcome.UNDECIDED) & ~over & (time == 0)
+    pulled = starts & with_fast_sincos(in_tension)(phase, state)
+    return jnp.where(pulled, Outcome.RUNNING, verdict).astype(jnp.int8)
+
+
+def starts_under(phase: Phase, state: Any) -> Bool[Array, ""]:
+    """Whether the swing foot is below the ground."""
+    above = phase.clearance(state)
+    return jnp.asarray(False) if above is None else above < 0
+
+
+def in_front(phase: Phase, state: Any) -> Bool[Array, ""]:
+    """Whether a foot that comes down would take a step: in front, before the walker has fallen."""
+    return makes_step(phase.walker, state) & (phase.reach(state) > 0)
+
+
+def stop_within(speed: Jet, until: Scalar) -> Instant:
+    """Where the stance leg is slowest before a time of a step, if it stands or goes back then."""
+    slowest = interior_minimum(negate(speed), until)
+    return Instant(slowest.exists & (speed(slowest.time)[0] >= 0), slowest.time)
+
+
 def least_with(phase: Phase | Walker, state: Any, least: Least, counts: Bool[Array, ""]) -> Least:
     """The least values of conditions, those in a state among them where that counts."""
     found = dict(least)
     for outcome, condition in conditions_of(phase).items():
-        value = with_fast_sincos(condition)(phase, state)
+        value = with_fast_sincos(condition)(state)
         known = found.get(outcome, jnp.full_like(value, jnp.inf))
         found[outcome] = jnp.where(counts, jnp.minimum(known, value), known)
     return {outcome: found[outcome] for outcome in sorted(found)}
+
+
+def violated_in(walker: Walker, least: Least, arrival: Any) -> dict[int, Bool[Array, ""]]:
+    """Which conditions were violated, by their least values, and those at heel strike."""
+    at_strike = least_with(walker, arrival, least, jnp.asarray(True))
+    return {outcome: value < 0 for outcome, value in at_strike.items()}
 
 
 def advance_phase(
@@ -164,7 +203,7 @@ def advance_phase(
 
     def advance(now: Unfinished) -> Unfinished:
         so_far = now.so_far
-        others = phase.event, *watched_falls(walker)
+        others = phase.event, *falls_begin(walker)
         series, length = taylor_step(field, so_far.state, order, tolerance, *others)
         after = evaluate_series(series, length)
         event = function_series(phase.event, series)
@@ -202,10 +241,9 @@ def advance_phase(
         end = jax.tree.map(lambda a, b: jnp.where(strikes, a, b), arrival, after)
         between = lambda t: evaluate_series(series, t)
         for outcome, condition in conditions_of(phase).items():
-            at, value = minimum_of(
-                condition, phase, so_far.state, end, between, until, resolution=1e-9
-            )
-            there = with_fast_sincos(condition)(phase, evaluate_series(series, at))
+            both = partial(value_and_rate, condition, phase.vector_field)
+            at, value = least_between(both, so_far.state, end, between, until, resolution=1e-9)
+            there = with_fast_sincos(condition)(evaluate_series(series, at))
             value = jnp.where(jnp.isfinite(value), there, value)
             least[outcome] = jnp.minimum(least[outcome], value)
 
@@ -223,7 +261,7 @@ def advance_phase(
             touches &= with_fast_sincos(in_front)(phase, ground) & ~landed
             landed = landed | touches
             ahead = with_fast_sincos(lambda p, s: p.reach(s))(phase, ground)
-            in_time = with_fast_sincos(ahead_by)(walker, ground)
+            in_time = with_fast_sincos(lambda w, s: w.is_ahead(s))(walker, ground)
             edge = jnp.where(touches, jnp.maximum(-in_time, -ahead), edge)
             depth = evaluate_polynomial(height, turn)
             front = with_fast_sincos(in_front)(phase, evaluate_series(series, turn))

@@ -20,31 +20,23 @@ from walker_jax.integrators.solvers import (
     default_tolerance,
     solver_for,
     using_solver,
+    zero_at,
 )
 from walker_jax.integrators.taylor import with_fast_sincos
 from walker_jax.kernels import by_kernel
 from walker_jax.walkers.masses import MultibodyMotion
 from walker_jax.walkers.model import Phase, Scalar, State, Walker, check_planar, check_single
 from walker_jax.walking.falls import check_falls, fall_of
+from walker_jax.walking.modes import equations, in_tension, phase_mode, swing_mode
 from walker_jax.walking.outcomes import Outcome, Stride, nan_unless
 from walker_jax.walking.phases import (
-    follow_phase,
+    Arrival,
+    follow_on,
     follow_phases,
     follow_to_heel_strike,
     follow_to_swing,
     is_over,
     legs,
-    merge_broken,
-    starts_under,
-)
-from walker_jax.walking.swing import (
-    Broken,
-    broken_at,
-    conditions_of,
-    equations,
-    in_tension,
-    is_broken,
-    swing,
 )
 
 
@@ -128,8 +120,8 @@ def follow_stride(
     walker = during_stride(walker, x)
     start, verdict = with_fast_sincos(begin_stride)(walker, x)
     launched = not on_section(walker, x)
-    end = follow_to_heel_strike(walker, start, verdict, tolerance, launched=launched)
-    return with_fast_sincos(end_stride)(walker, *end)
+    arrival = follow_to_heel_strike(walker, start, verdict, tolerance, launched=launched)
+    return with_fast_sincos(end_stride)(walker, arrival)
 
 
 def on_section(walker: Walker, x: Float[Array, " coordinates"]) -> bool:
@@ -198,16 +190,10 @@ def begin_stride(walker: Walker, x: Float[Array, " coordinates"]) -> tuple[Any, 
     return start, jnp.where(feasible, verdict, Outcome.OUTSIDE).astype(jnp.int8)
 
 
-def end_stride(
-    walker: Walker,
-    arrival: Any,
-    time: Scalar,
-    verdict: Int[Array, ""],
-    broken: Broken,
-) -> Stride:
-    """What a stride leads to whose swing ended with `verdict`, on the section."""
-    following, outcome = resolve_impact(walker, arrival, verdict, broken)
-    return make_stride(walker.project(following), outcome, time)
+def end_stride(walker: Walker, arrival: Arrival) -> Stride:
+    """What a stride leads to whose swing ended with a verdict, on the section."""
+    following, outcome = resolve_impact(walker, arrival)
+    return make_stride(walker.project(following), outcome, arrival.time)
 
 
 def make_stride(
@@ -218,23 +204,18 @@ def make_stride(
     return Stride(nan_unless(success, state), outcome, nan_unless(success, time))
 
 
-def resolve_impact(
-    walker: Walker, arrival: Any, verdict: Int[Array, ""], broken: Broken
-) -> tuple[Any, Int[Array, ""]]:
+def resolve_impact(walker: Walker, arrival: Arrival) -> tuple[Any, Int[Array, ""]]:
     """The state after a heel strike, legs exchanged, and the outcome of the stride."""
-    (_, lift), after = walker.impact(arrival)
+    (_, lift), after = walker.impact(arrival.state)
     following = walker.exchange_legs(after)
     fallen = fall_of(walker, following)
     struck = jnp.where(fallen == Outcome.UNDECIDED, Outcome.STRIDE, fallen)
     struck = jnp.where(lift > 0, struck, Outcome.STOPPED)
     struck = jnp.where(jnp.isfinite(lift), struck, Outcome.UNDECIDED)
-    at_strike = conditions_of(walker)
-    for outcome in sorted(broken, reverse=True):
-        breaks = broken[outcome]
-        if outcome in at_strike:
-            breaks |= is_broken(at_strike[outcome], walker, arrival)
-        struck = jnp.where(breaks, outcome, struck)
-    return following, jnp.where(verdict == Outcome.STRIDE, struck, verdict).astype(jnp.int8)
+    for outcome, violated in reversed(arrival.violated.items()):
+        struck = jnp.where(violated, outcome, struck)
+    outcome = jnp.where(arrival.verdict == Outcome.STRIDE, struck, arrival.verdict)
+    return following, outcome.astype(jnp.int8)
 
 
 def step_down(
@@ -272,22 +253,23 @@ def follow_step(
     begun = follow_to_swing(walker, start, verdict, tolerance, step)
     passed = step > 0
     if walker.phases():  # a foot in front may be below the level as a knee strikes
-        ahead = (begun.state.phi < 0) & walker.is_ahead(begun.state)
-        passed |= (step < 0) & ahead & with_fast_sincos(starts_under)(walker, begun.state)
-    level, lasts, verdict, broken = swing(
-        walker, begun.state, begun.verdict, tolerance, step, to_step=passed, launched=launched
+        ahead = (begun.state.phi < 0) & (walker.is_ahead(begun.state) > 0)
+        below = with_fast_sincos(lambda walker, s: walker.clearance(s) < 0)(walker, begun.state)
+        passed |= (step < 0) & ahead & below
+    to_level = swing_mode(walker, begun.state, step, to_step=passed, launched=launched)
+    level = follow_on(to_level, begun, tolerance)
+    lower = (level.verdict == Outcome.STRIDE) & (step < 0) & ~passed
+    verdict = jnp.where(lower, Outcome.UNDECIDED, level.verdict).astype(jnp.int8)
+    last = follow_on(
+        swing_mode(walker, level.state, step), level._replace(verdict=verdict), tolerance
     )
-    broken = merge_broken(begun.broken, merge_broken(broken, broken_at(walker, level)))
-    lower = (verdict == Outcome.STRIDE) & (step < 0) & ~passed
-    verdict = jnp.where(lower, Outcome.UNDECIDED, verdict).astype(jnp.int8)
-    arrival, longer, verdict, more = swing(walker, level, verdict, tolerance, step)
     # On even ground nothing is left to swing, but the derivative with respect to the step is.
-    method = Method(equations(walker), solver_for(level), tolerance)
+    method = Method(equations(walker), solver_for(last.state), tolerance)
     contact = lambda state: step - walker.clearance(state)
-    arrival, delay = method.refine_event(contact, arrival)
-    broken = merge_broken(broken, more)
-    following, outcome = with_fast_sincos(resolve_impact)(walker, arrival, verdict, broken)
-    return make_stride(jnp.stack(following), outcome, begun.time + lasts + longer + delay)
+    arrival, delay = method.refine_event(contact, last.state)
+    last = last._replace(state=arrival, time=last.time + delay)
+    following, outcome = with_fast_sincos(resolve_impact)(walker, last)
+    return make_stride(jnp.stack(following), outcome, last.time)
 
 
 def trajectory(
@@ -334,12 +316,13 @@ def state_after(
         return state_of_motion(walker, start, time, tolerance)
     result, begins = state_of_motion(phases[0], start, time, tolerance), jnp.zeros_like(time)
     for phase, following in zip(phases, (*phases[1:], walker), strict=True):
-        verdict = jnp.where(is_over(phase, start, tolerance), Outcome.STRIDE, Outcome.UNDECIDED)
-        arrival, lasts, verdict, _ = follow_phase(
-            phase, start, verdict.astype(jnp.int8), tolerance, failing=False
-        )
-        begins = jnp.where(verdict == Outcome.STRIDE, begins + lasts, jnp.inf)
-        start = with_fast_sincos(lambda phase, s: phase.end(s))(phase, arrival)
+        mode = phase_mode(phase, start)
+        alone = mode._replace(guards=mode.guards[-1:], conditions=())  # nothing else ends it
+        over = is_over(phase, start, tolerance)
+        verdict = jnp.where(over, Outcome.STRIDE, Outcome.UNDECIDED).astype(jnp.int8)
+        arrival = follow_on(alone, Arrival(start, begins, verdict, {}), tolerance)
+        begins = jnp.where(arrival.verdict == Outcome.STRIDE, arrival.time, jnp.inf)
+        start = with_fast_sincos(lambda phase, s: phase.end(s))(phase, arrival.state)
         left = time - begins
         later = state_of_motion(following, start, jnp.maximum(left, 0), tolerance)
         if type(later) is not type(result):
@@ -379,7 +362,7 @@ def follow_phase_times(
     ends = follow_stride(walker, x, tolerance).time
     walker = during_stride(walker, x)
     start, verdict = with_fast_sincos(begin_stride)(walker, x)
-    phases = follow_phases(walker, start, verdict, tolerance) if walker.phases() else []
+    phases = follow_phases(walker, Arrival(start, zero_at(start), verdict, {}), tolerance)
     ended = [one.verdict == Outcome.UNDECIDED for one in phases]
     times = [nan_unless(good, one.time) for one, good in zip(phases, ended, strict=True)]
     return jnp.stack([*times, ends])

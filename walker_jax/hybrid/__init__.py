@@ -1,0 +1,1 @@
+"""Walking: the swing, the stride function and its iteration, margins, motions."""

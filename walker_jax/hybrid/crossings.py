@@ -1,0 +1,144 @@
+"""Where a polynomial rises through zero within one step of integration.
+
+A rise is decided on the polynomial of the step, never on its two ends alone. Bounds that cost a few
+operations exclude most steps (`may_rise`). Where they do not, the zeros are isolated from the left,
+by lengths that certainly hold none (`first_rise`). So no dip is missed, however short, that is
+wider than `HOP` of a step.
+
+The side of zero on which a polynomial begins is passed from step to step, and read from its sign
+only at first: so no rise is lost, or seen twice, between two steps by rounding.
+"""
+
+from collections.abc import Callable
+
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool
+
+from walker_jax.integrators.roots import Instant, Scalar, bracketed_newton, polynomial_jet
+from walker_jax.integrators.series import evaluate_polynomial
+
+HOP = 1e-7
+"""Part of a step: two zeros that are nearer than this count as one, which is no crossing."""
+RESOLUTION = 1e-12
+"""Part of a step to which zeros are isolated; Newton's iteration does the rest."""
+
+
+def begins_below(series: list[Scalar]) -> Bool[Array, ""]:
+    """Whether a function is below zero at first, or at zero and about to fall."""
+    value, rate, curvature = series[:3]
+    falls = (rate < 0) | ((rate == 0) & (curvature < 0))
+    return (value < 0) | ((value == 0) & falls)
+
+
+def may_rise(
+    value: list[Scalar], admits: list[list[Scalar]], length: Scalar, below: Bool[Array, ""]
+) -> tuple[Bool[Array, ""], Bool[Array, ""]]:
+    """Whether a polynomial may rise through zero in a step, and whether it ends below.
+
+    Not where it is monotone and does not change sides; nor where it has no zero, or only that at
+    which the step begins; nor where one of `admits` is negative throughout.
+    """
+    later = size_of_rest(value, length)
+    linear = value[0] + value[1] * length
+    ends_below = evaluate_polynomial(value, length) < 0
+    near = (jnp.minimum(value[0], linear) <= later) & (jnp.maximum(value[0], linear) >= -later)
+    near &= ~leaves_zero(value, length, later, below) & ~is_monotone(value, length)
+    may = (below & ~ends_below) | near
+    for one in admits:
+        may &= jnp.maximum(one[0], one[0] + one[1] * length) > -size_of_rest(one, length)
+    return may, ends_below
+
+
+def leaves_zero(
+    series: list[Scalar], length: Scalar, later: Scalar, below: Bool[Array, ""]
+) -> Bool[Array, ""]:
+    """Whether a polynomial that begins at zero, to rounding, certainly moves away from there.
+
+    That is on the side where it is: where it begins to move, and its curvature, c_2 and what the
+    rest of the terms can make of it, lead there.
+    """
+    sign = jnp.where(below, -1, 1).astype(length.dtype)
+    rounding = 64 * float(jnp.finfo(length.dtype).eps) * (jnp.abs(series[1]) * length + later)
+    bend = sign * series[2] * length**2
+    others = later - jnp.abs(series[2]) * length**2
+    return (sign * series[0] >= -rounding) & (sign * series[1] >= 0) & (bend >= others)
+
+
+def size_of_rest(series: list[Scalar], length: Scalar) -> Scalar:
+    """The sum over k >= 2 of |c_k| length^k, which bounds what is not linear in a polynomial."""
+    return evaluate_polynomial([jnp.abs(c) for c in series[2:]], length) * length**2
+
+
+def is_monotone(series: list[Scalar], length: Scalar) -> Bool[Array, ""]:
+    """Whether the rate of a polynomial certainly keeps its sign in a step."""
+    rates = [k * jnp.abs(c) for k, c in enumerate(series)]
+    return rates[1] > evaluate_polynomial(rates[2:], length) * length
+
+
+def first_rise(
+    value: list[Scalar],
+    admitted: Callable[[Scalar], Bool[Array, ""]],
+    length: Scalar,
+    below: Bool[Array, ""],
+    wanted: Bool[Array, ""],
+) -> Instant:
+    """The first rise of a polynomial through zero in a step, at a time at which it is admitted.
+
+    Where it is monotone, its sides tell. Elsewhere it is expanded about points that move to the
+    right, each by a length that certainly holds no zero; at a zero, where that length vanishes, by
+    `HOP`. The time of the rise is constant to derivatives, and `length` where there is none.
+    """
+    value, length = lax.stop_gradient((value, length))
+    eps = float(jnp.finfo(length.dtype).eps)
+    resolution, hop = max(RESOLUTION, 8 * eps) * length, max(HOP, 64 * eps) * length
+
+    def searching(carry):
+        time, found, *_ = carry
+        return ~found & (time < length)
+
+    def advance(carry):
+        time, _, below, *series = carry
+        step = length_without_zero(series, below, length - time)
+        at_zero = step <= resolution
+        step = jnp.minimum(jnp.where(at_zero, hop, step), length - time)
+        beyond = evaluate_polynomial(series[:4], step) < 0
+        found = at_zero & below & ~beyond & admitted(time)
+        below = jnp.where(at_zero, beyond, below)
+        return jnp.where(found, time, time + step), found, below, *shifted(series, step)
+
+    monotone = is_monotone(value, length)
+    first = jnp.where(wanted & ~monotone, 0 * length, length)
+    time, found, *_ = lax.while_loop(searching, advance, (first, jnp.asarray(False), below, *value))
+    simple = wanted & monotone & below & (evaluate_polynomial(value, length) >= 0)
+    low = jnp.where(simple, 0, time)
+    high = jnp.where(simple, length, jnp.minimum(time + hop, length))
+    root = bracketed_newton(lambda t: polynomial_jet(value)(t)[:2], low, high)
+    exists = found | (simple & admitted(root))
+    return Instant(exists, jnp.where(exists, root, length))
+
+
+def length_without_zero(series: list[Scalar], below: Bool[Array, ""], most: Scalar) -> Scalar:
+    """A length, up to `most`, in which a polynomial on a side of zero certainly has no zero.
+
+    With its sign changed below, p(t) >= p_0 + p_1 t - b t^2, where b most^2 is the size of the
+    other terms at t = most.
+    """
+    sign = jnp.where(below, -1, 1).astype(most.dtype)
+    value, rate = sign * series[0], sign * series[1]
+    later = evaluate_polynomial([jnp.abs(c) for c in series[2:]], most)
+    root = jnp.sqrt(rate**2 + 4 * later * value)
+    rising = (rate + root) / (2 * jnp.where(later > 0, later, 1))
+    falling = 2 * value / jnp.where(root > rate, root - rate, 1)
+    whole = value + (rate - later * most) * most >= 0
+    length = jnp.where(rate > 0, rising, falling)
+    return jnp.where(value <= 0, 0, jnp.where(whole, most, jnp.minimum(length, most)))
+
+
+def shifted(series: list[Scalar], step: Scalar) -> list[Scalar]:
+    """The coefficients of p(step + t), by Horner's rule order after order."""
+    series = list(series)
+    for i in range(len(series) - 1):
+        for k in range(len(series) - 2, i - 1, -1):
+            series[k] = series[k] + step * series[k + 1]
+    return series

@@ -1,0 +1,267 @@
+"""A mode of a hybrid system, followed to the guard that ends it.
+
+`diffrax.diffeqsolve` is the loop. A Taylor step knows its own length, which no controller of steps
+can tell diffrax without expanding the next series too. So the variable of integration is the number
+of steps: all steps of diffrax have length 1, time is part of its state, and `OneStep` makes a step
+of whatever length its method chooses. A step that may end the mode is an event of diffrax. It is
+searched for the first admitted rise of a guard; if there is none, the integration goes on.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, ClassVar, NamedTuple
+
+import diffrax
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, Int, PyTree
+
+from walker_jax.hybrid.conditions import is_negative, least_between, value_and_rate
+from walker_jax.hybrid.crossings import begins_below, first_rise, may_rise
+from walker_jax.hybrid.modes import Foregone, Guard, Mode
+from walker_jax.integrators.roots import Scalar
+from walker_jax.integrators.series import evaluate_polynomial
+from walker_jax.integrators.solvers import MAX_STEPS, Method, evaluate_series, zero_at
+from walker_jax.integrators.taylor import function_series, with_fast_sincos
+
+NO_GUARD = -1
+"""In the place of a guard's number: none has ended the mode."""
+
+
+NOT_FOLLOWED = -2
+Violated = dict[int, Bool[Array, ""]]
+"""Whether each condition was violated, by its outcome, lower numbers first."""
+
+
+class Arrival(NamedTuple):
+    """Where a mode ends."""
+
+    state: Any
+    """At the event, with its derivatives; where the integration gave up, if there is none."""
+    time: Scalar
+    """Since the start of the mode."""
+    guard: Int[Array, ""]
+    """The number of the guard that ended it, that of all guards for a foregone end, or
+    `NO_GUARD`."""
+    violated: Violated
+    """Both ends of the mode included."""
+
+
+class Step(NamedTuple):
+    """A step of the integration."""
+
+    start: Any
+    end: Any
+    time: Scalar
+    """At its start."""
+    length: Scalar
+    sides: list[Scalar]
+    """Of each guard, -1 below zero at the start of the step and 1 above; 0 before the first."""
+    ends: list[Scalar]
+    """The same at its end."""
+    rates: list[tuple[Scalar, Scalar]]
+    """The rates of conditions at both ends."""
+    decided: Scalar
+    """1 if the step certainly ends nothing, else 0."""
+    memory: PyTree
+    """What the method passes from step to step."""
+    series: PyTree
+    """Its polynomial, where expanding it again takes more than carrying it; else empty."""
+
+
+class OneStep(diffrax.AbstractSolver):
+    """A solver of diffrax whose step from t to t + 1 is one step of another method."""
+
+    advance: Callable[[list], list]
+
+    term_structure: ClassVar = diffrax.ODETerm
+    interpolation_cls: ClassVar = diffrax.LocalLinearInterpolation
+
+    def order(self, terms):
+        return None
+
+    def init(self, terms, t0, t1, y0, args):
+        return None
+
+    def func(self, terms, t0, y0, args):
+        return terms.vf(t0, y0, args)
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        after = self.advance(y0)
+        return after, None, dict(y0=y0, y1=after), None, diffrax.RESULTS.successful
+
+
+def repeat(advance: Callable[[Step], Step], step: Step) -> tuple[Step, Int[Array, ""]]:
+    """Steps until one is not decided, `MAX_STEPS` at most, and their number."""
+    zero = zero_at(step.start)
+    leaves, structure = jax.tree.flatten(step._replace(decided=zero + 1))
+    restore = partial(jax.tree.unflatten, structure)
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(lambda t, y, args: jax.tree.map(jnp.zeros_like, y)),
+        OneStep(lambda leaves: jax.tree.leaves(advance(restore(leaves)))),
+        zero,
+        zero + MAX_STEPS,
+        zero + 1,
+        leaves,
+        stepsize_controller=diffrax.ConstantStepSize(),
+        event=diffrax.Event(lambda t, y, args, **_: restore(y).decided == 0),
+        saveat=diffrax.SaveAt(t1=True),
+        max_steps=MAX_STEPS,
+        adjoint=diffrax.ForwardMode(),
+        throw=False,
+    )
+    assert solution.ys is not None
+    return restore([values[0] for values in solution.ys]), solution.stats["num_steps"]
+
+
+class Unfinished(NamedTuple):
+    """A mode up to some instant."""
+
+    last: Step
+    arrival: Any
+    time: Scalar
+    """Of the event."""
+    guard: Int[Array, ""]
+    count: Int[Array, ""]
+    violated: Violated
+
+
+def follow_mode(mode: Mode, start: Any, going: Bool[Array, ""], method: Method) -> Arrival:
+    """Follow a mode from a state to its end; nothing to do unless `going`.
+
+    Derivatives of the arrival are exact to third order.
+    """
+    watched = [one for one in mode.conditions if not one.least_at_ends]
+
+    def advance(step: Step, violated: Violated) -> Step:
+        """The next step, and whether it certainly ends nothing."""
+        begins, sides = step.end, step.ends
+        series, end, length, memory = method.step(begins, step.memory)
+        may, ends = ~jnp.isfinite(length), []
+        for guard, side, polynomials in zip(mode.guards, sides, along(mode, series), strict=True):
+            rises, ends_below = rises_perhaps(guard, side, polynomials, length, end)
+            may |= rises
+            ends.append(jnp.where(ends_below, -1, 1).astype(length.dtype))
+        rates = []
+        for condition, (_, before) in zip(watched, step.rates, strict=True):
+            value, rate = value_and_rate(condition.value, mode.rates, end)
+            breaks = (value < 0) | ((before < 0) & (rate > 0))
+            may |= breaks & ~violated[condition.outcome]
+            rates.append((before, rate))
+        if mode.foregone is not None:
+            may |= holds(mode.foregone, end)
+        decided = (~may).astype(length.dtype)
+        kept = series if method.carries_series(start) else ()
+        time = step.time + step.length
+        return Step(begins, end, time, length, sides, ends, rates, decided, memory, kept)
+
+    def follow(now: Unfinished) -> Unfinished:
+        last, steps = repeat(partial(advance, violated=now.violated), now.last)
+        series = last.series if method.carries_series(start) else method.series_of(last.start)
+        when, guard = jnp.full_like(last.length, jnp.inf), jnp.asarray(NO_GUARD)
+        for i, (value, admits) in enumerate(along(mode, series)):
+            below = is_below(last.sides[i], value)
+            may, _ = may_rise(value, admits, last.length, below)
+            admitted = partial(is_admitted, mode.guards[i], admits, series)
+            rise = first_rise(value, admitted, last.length, below, may)
+            earlier = rise.exists & (rise.time < when)
+            guard = jnp.where(earlier, i, guard)
+            when = jnp.where(earlier, rise.time, when)
+        until = jnp.minimum(when, last.length)
+        if mode.foregone is not None:
+            foregone = (guard == NO_GUARD) & holds(mode.foregone, last.end)
+            guard = jnp.where(foregone, len(mode.guards), guard)
+        event, violated = partial(value_of_guard, mode, guard), dict(now.violated)
+        refined = method.refine_time(event, last.start, series, until)
+        until = jnp.where(jnp.isfinite(when), refined, last.length)
+        arrival = method.state_at(last.start, series, until)
+        for condition in watched:
+            at = partial(value_and_rate, condition.value, mode.rates)
+            between = lambda t: evaluate_series(series, t)
+            _, least = least_between(at, last.start, arrival, between, until, above=0.0)
+            violated[condition.outcome] |= (least < 0) | is_negative(condition, arrival)
+        return Unfinished(last, arrival, last.time + until, guard, now.count + steps, violated)
+
+    def unfinished(now: Unfinished):
+        finite = jnp.isfinite(now.last.time + now.last.length)
+        return (now.guard == NO_GUARD) & (now.count < MAX_STEPS) & finite
+
+    zero = zero_at(start)
+    unknown = [zero for _ in mode.guards]
+    violated = {one.outcome: going & is_negative(one, start) for one in mode.conditions}
+    rates = [(zero, value_and_rate(one.value, mode.rates, start)[1]) for one in watched]
+    series = method.no_series(start) if method.carries_series(start) else ()
+    memory = method.first_memory(start)
+    first = Step(start, start, zero, zero, unknown, unknown, rates, zero + 1, memory, series)
+    guard = jnp.where(going, NO_GUARD, NOT_FOLLOWED)
+    begun = Unfinished(first, start, zero, guard, jnp.asarray(0), violated)
+    last = lax.while_loop(unfinished, follow, begun)
+    event = partial(value_of_guard, mode, last.guard)
+    refined, delay = method.refine_event(event, last.arrival)
+    ended = (last.guard >= 0) & (last.guard < len(mode.guards))
+    keep = lambda new, old: jnp.where(ended, new, old)
+    arrival = jax.tree.map(keep, refined, last.arrival)
+    violated = dict(last.violated)
+    for condition in mode.conditions:
+        violated[condition.outcome] |= going & is_negative(condition, arrival)
+    return Arrival(arrival, last.time + keep(delay, zero), last.guard, violated)
+
+
+def along(mode: Mode, series: PyTree) -> list[tuple[list[Scalar], list[list[Scalar]]]]:
+    """Of each guard, the polynomials of its value and of what admits it, in a step."""
+    functions = mode.functions
+    found = function_series(lambda y: [one(y) for one in functions], lax.stop_gradient(series))
+    values, admits = found[: len(mode.guards)], found[len(mode.guards) :]
+    pairs = []
+    for guard, value in zip(mode.guards, values, strict=True):
+        pairs.append((value, admits[: len(guard.admits)]))
+        admits = admits[len(guard.admits) :]
+    return pairs
+
+
+def is_below(side: Scalar, value: list[Scalar]) -> Bool[Array, ""]:
+    """Whether a guard is below zero as a step begins, by its side or, at first, its value."""
+    return jnp.where(side == 0, begins_below(value), side < 0)
+
+
+def rises_perhaps(
+    guard: Guard, side: Scalar, polynomials: tuple, length: Scalar, end: Any
+) -> tuple[Bool[Array, ""], Bool[Array, ""]]:
+    """Whether a guard may rise in a step, and whether it ends below zero."""
+    value, admits = polynomials
+    below = is_below(side, value)
+    if not guard.persists:
+        return may_rise(value, admits, length, below)
+    at_end = lambda one: with_fast_sincos(one)(lax.stop_gradient(end))
+    ends_below = at_end(guard.value) < 0
+    rises = below & ~ends_below
+    for function, series in zip(guard.admits, admits, strict=True):
+        rises &= (series[0] > 0) | (at_end(function) > 0)
+    return rises, ends_below
+
+
+def is_admitted(
+    guard: Guard, admits: list[list[Scalar]], series: PyTree, time: Scalar
+) -> Bool[Array, ""]:
+    """Whether a rise of a guard at a time of a step counts."""
+    values = [evaluate_polynomial(one, time) for one in lax.stop_gradient(admits)]
+    if guard.also:
+        state = evaluate_series(lax.stop_gradient(series), time)
+        values += with_fast_sincos(lambda y: [one(y) for one in guard.also])(state)
+    admitted = jnp.asarray(True)
+    for value in values:
+        admitted &= value > 0
+    return admitted
+
+
+def value_of_guard(mode: Mode, number: Int[Array, ""], state: Any) -> Scalar:
+    """The value of the guard that ended a mode; of the first if none did."""
+    value = mode.guards[0].value(state)
+    for i, guard in enumerate(mode.guards[1:], 1):
+        value = jnp.where(number == i, guard.value(state), value)
+    return value
+
+
+def holds(foregone: Foregone, state: Any) -> Bool[Array, ""]:
+    return with_fast_sincos(foregone.holds)(lax.stop_gradient(state))

@@ -1,0 +1,69 @@
+"""Hybrid systems: modes of motion with guards that end them, and conditions that must hold.
+
+A mode has a vector field. Each of its guards is a function of the state; the mode ends where one
+rises through zero and is admitted there, the earliest of all. Conditions do not end a mode: it is
+noted whether they were violated on the way. What follows a mode, a reset of the state or another
+mode, is up to the caller.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from jaxtyping import Array, Bool
+
+from walker_jax.integrators.roots import Scalar
+from walker_jax.integrators.solvers import VectorField
+
+Function = Callable[[Any], Scalar]
+
+
+class Guard(NamedTuple):
+    """An end of a mode."""
+
+    value: Function
+    """It ends the mode where it rises through zero. Below zero, or at zero and about to fall."""
+    leads_to: int
+    """What the end means to the caller, such as an outcome or the number of another mode."""
+    admits: tuple[Function, ...] = ()
+    """The rise counts where all of these are positive. Their polynomials exclude whole steps."""
+    also: tuple[Function, ...] = ()
+    """More of them, looked at only where it rises: for functions that are costly to expand."""
+    persists: bool = False
+    """Whether, by a proof about the field, a value that has risen where it is admitted stays above
+    zero to the end of any step. Then the ends of a step tell whether it has risen within."""
+
+
+class Condition(NamedTuple):
+    """A function of the state that must not be negative, from the start of a mode to its end."""
+
+    value: Function
+    outcome: int
+    """What its violation means to the caller."""
+    least_at_ends: bool = False
+    """Whether, by a proof, it is least at the start or at the end of a mode."""
+
+
+class Foregone(NamedTuple):
+    """A proof that a mode can end in one way only, so that it need not be followed any further."""
+
+    holds: Callable[[Any], Bool[Array, ""]]
+    """Whether that is certain in a state; it is asked at the end of each step."""
+    leads_to: int
+
+
+class Mode(NamedTuple):
+    """Equations of motion, guards and conditions."""
+
+    field: VectorField
+    """The time derivative of the state, or a `PowerBalance`."""
+    rates: Callable[[Any], Any]
+    """The time derivative of the state, where it is asked for at a single state."""
+    guards: tuple[Guard, ...]
+    conditions: tuple[Condition, ...] = ()
+    foregone: Foregone | None = None
+
+    @property
+    def functions(self) -> list[Function]:
+        """The values of guards, then the functions that admit them, guard after guard."""
+        admits = [one for guard in self.guards for one in guard.admits]
+        return [*(guard.value for guard in self.guards), *admits]

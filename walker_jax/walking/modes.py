@@ -1,0 +1,131 @@
+"""The modes of a stride: its phases and, last, the swing.
+
+What a walker says by its hooks is put here in the form of a hybrid system, once for all functions
+that follow a stride. The swing ends at heel strike, where the contact coordinate rises through zero
+with the swing leg ahead, or in a fall. A phase ends with its event, in a fall, or where the swing
+foot comes down in front, if it must not.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool
+
+from walker_jax.hybrid.modes import Condition, Foregone, Guard, Mode
+from walker_jax.integrators.solvers import Method, Real, VectorField, solver_for
+from walker_jax.walkers.masses import MultibodyMotion, SingleSupport
+from walker_jax.walkers.model import Phase, Scalar, Walker
+from walker_jax.walkers.rolling_stance import RollingStance
+from walker_jax.walkers.spatial import SpatialWalker
+from walker_jax.walking.falls import has_own_falls, overrides
+from walker_jax.walking.outcomes import Outcome
+
+Function = Callable[[Any], Scalar]
+
+
+def equations(walker: Walker | Phase) -> VectorField:
+    """The equations of motion: the vector field, or virtual power for walkers with masses."""
+    moves_by = type(walker).vector_field
+    if isinstance(walker, MultibodyMotion) and moves_by is MultibodyMotion.vector_field:
+        return SingleSupport(walker)
+    if isinstance(walker, SpatialWalker) and moves_by is SpatialWalker.vector_field:
+        return RollingStance(walker)
+    return walker.vector_field
+
+
+def method_of(mode: Mode, start: Any, tolerance: Real) -> Method:
+    """The method by which a mode is integrated: its steps end at kinks of guards too."""
+    return Method(mode.field, solver_for(start), tolerance, tuple(mode.functions))
+
+
+def conditions_of(walker: Walker | Phase) -> dict[int, Function]:
+    """Its conditions, the contact force Q_v among them, by the outcome where one is violated."""
+    others = {int(Outcome[name]): one for name, one in walker.conditions().items()}
+    return {int(Outcome.RUNNING): lambda state: walker.contact_force(state)[1]} | others
+
+
+def in_tension(walker: Walker | Phase, state: Any) -> Bool[Array, ""]:
+    """Whether the ground would have to pull at the stance foot, Q_v < 0."""
+    return lax.stop_gradient(walker.contact_force(state)[1]) < 0
+
+
+def fall_guards(walker: Walker, state: Any) -> tuple[Guard, ...]:
+    """The falls of a walker.
+
+    An inverted pendulum does not go on once it has stopped, and its leg goes one way until then.
+    """
+    known = walker.inverted_pendulum and not has_own_falls(walker)
+    value = lambda name: lambda state: walker.falls(state)[name]
+    names = jax.eval_shape(walker.falls, state)
+    return tuple(Guard(value(name), Outcome[name], persists=known) for name in names)
+
+
+def swing_mode(
+    walker: Walker,
+    state: Any,
+    step: Scalar | None = None,
+    *,
+    to_step: Bool[Array, ""] | bool = True,
+    launched: bool = False,
+) -> Mode:
+    """The swing, to heel strike or a fall.
+
+    With a `step`, and `to_step`, to where the swing foot comes down, ahead of the other, on ground
+    that is higher by so much. Both cases share one loop, which keeps the lanes of a kernel
+    together. A walker that was `launched`, and did not start on the section, is followed to the end
+    of its fall.
+    """
+    ahead = walker.is_ahead
+    strike = Guard(walker.contact, Outcome.STRIDE, (ahead,), persists=walker.foot_stays_down)
+    foregone = Foregone(
+        lambda state: (walker.contact(state) > 0) & walker.past_contact(state), Outcome.FORWARD
+    )
+    if step is not None:
+        above = lambda state: step - walker.clearance(state)
+        choose = lambda one, other: lambda state: jnp.where(to_step, one(state), other(state))
+        value = above if to_step is True else choose(above, walker.contact)
+        # Where feet are at different heights the swing foot is ahead past the other leg.
+        passed = lambda state: -state.phi
+        admits = (passed, ahead) if overrides(walker, "is_ahead") else (passed,)
+        if to_step is not True:
+            admits = tuple(choose(one, ahead) for one in admits)
+        strike = Guard(value, Outcome.STRIDE, admits)
+        given_up = foregone.holds
+        foregone = Foregone(lambda state: ~jnp.asarray(to_step) & given_up(state), Outcome.FORWARD)
+    spared = not launched and (step is None or to_step is not True)
+    conditions = tuple(
+        Condition(one, of, of == Outcome.RUNNING and walker.force_least_at_ends)
+        for of, one in conditions_of(walker).items()
+    )
+    guards = (*fall_guards(walker, state), strike)
+    field = equations(walker)
+    return Mode(field, walker.vector_field, guards, conditions, foregone if spared else None)
+
+
+def phase_mode(phase: Phase, state: Any, step: Scalar | None = None) -> Mode:
+    """A phase, to its event (`STRIDE`), a fall, or a foot that comes down on a bent knee.
+
+    Where it may not, the foot comes down on ground that is higher by `step`.
+    """
+    event = Guard(phase.event, Outcome.STRIDE)
+    conditions = tuple(Condition(one, of) for of, one in conditions_of(phase).items())
+    guards = (*fall_guards(phase.walker, state), *landing_guards(phase, state, step), event)
+    return Mode(equations(phase), phase.vector_field, guards, conditions)
+
+
+def landing_guards(phase: Phase, state: Any, step: Scalar | None) -> tuple[Guard, ...]:
+    """The end of a phase in which the swing foot must not come down in front, if it must not."""
+    if phase.clearance(state) is None:
+        return ()
+    below = lambda state: -height_above(phase, state, step)
+    return (Guard(below, Outcome.BENT_KNEE, (phase.walker.is_ahead,), (phase.reach,)),)
+
+
+def height_above(phase: Phase, state: Any, step: Scalar | float | None = None) -> Scalar:
+    """The height of the swing foot above ground that is higher by `step`."""
+    above = phase.clearance(state)
+    assert above is not None
+    return above if step is None else above - step
