@@ -47,7 +47,7 @@ from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.integrators.solvers import series_order, taylor_step
 from walker_jax.stability.gait_mapper import mapper_of_gait
 from walker_jax.walkers.spatial import GREATEST_LEAN
-from walker_jax.walking.swing import equations
+from walker_jax.walking.modes import equations
 
 jax.config.update("jax_enable_x64", True)
 COUNT, REPEATS, SPREAD = 10_000, 3, 0.02

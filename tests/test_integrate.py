@@ -212,74 +212,12 @@ def test_other_dtypes_are_refused(dtype):
         default_tolerance(dtype)
 
 
-# Integration up to a condition
+# Single steps
 
 
 def oscillator(state):
     q, p = state
     return p, -q
-
-
-def follow(field, start, stop, tolerance=TOLERANCE, **options):
-    """The last step, and how many there were."""
-    dtype = jax.tree.leaves(start)[0].dtype
-    return Method(field, Taylor(SERIES_ORDER[dtype]), tolerance).follow(start, stop, **options)
-
-
-def below_zero(before, after, side):
-    del before
-    return after[0] <= 0, side
-
-
-@pytest.fixture(scope="module")
-def to_zero():
-    """Integration of the oscillator to q <= 0; of many at once."""
-    return jax.jit(jax.vmap(by_kernel(lambda start: follow(oscillator, start, below_zero))))
-
-
-PHASES = np.concatenate([np.linspace(0.05, 6.2, 40), [np.nan]])
-
-
-@pytest.fixture(scope="module")
-def stopped(to_zero):
-    """q = cos(t - a), p = -sin(t - a) at time 0; one start that is not a number."""
-    return to_zero((jnp.cos(PHASES), jnp.sin(PHASES)))
-
-
-def test_stops_at_the_end_of_the_step_that_crosses(stopped):
-    stopped, count = stopped
-    oscillators = slice(0, 40)
-    begin, length = stopped.time[oscillators], stopped.length[oscillators]
-    phases = PHASES[oscillators]
-    np.testing.assert_allclose(stopped.start[0][oscillators], np.cos(begin - phases), atol=3e-12)
-    np.testing.assert_allclose(stopped.start[1][oscillators], -np.sin(begin - phases), atol=3e-12)
-    arrival = begin + length - phases
-    np.testing.assert_allclose(stopped.end[0][oscillators], np.cos(arrival), atol=3e-12)
-    np.testing.assert_allclose(stopped.end[1][oscillators], -np.sin(arrival), atol=3e-12)
-    assert np.all(stopped.end[0][oscillators] <= 0)
-    # Where it began above zero it has not stopped too late; elsewhere it took one step.
-    above = np.cos(phases) > 0
-    assert np.all(stopped.start[0][oscillators][above] > 0)
-    assert np.all((count[oscillators] == 1) == (begin == 0))
-    assert len(np.unique(count[oscillators])) >= 3
-
-
-def test_energy_of_the_oscillator_is_kept(stopped):
-    q, p = (np.asarray(x)[:40] for x in stopped[0].end)
-    np.testing.assert_allclose(q**2 + p**2, 1, rtol=5e-12)
-
-
-def test_a_state_that_is_not_finite_ends_after_one_step(stopped):
-    last, count = stopped
-    assert count[-1] == 1 and np.isnan(last.end[0][-1])
-
-
-def test_a_lane_does_not_depend_on_its_neighbours(to_zero, stopped):
-    few = np.array([0.05, 6.2, 1.0])
-    padded = np.resize(few, len(PHASES))
-    alone = to_zero((jnp.cos(padded), jnp.sin(padded)))
-    for a, b in zip(jax.tree.leaves(alone), jax.tree.leaves(stopped), strict=True):
-        assert (a[0], a[1]) == (b[0], b[39])
 
 
 def three_body_like(state):
@@ -291,15 +229,13 @@ def three_body_like(state):
 @pytest.fixture(scope="module")
 def single_steps():
     """One step at a time of Euler's equations: times and states at step ends."""
-    at_once = lambda before, after, side: (after[0] == after[0], side)
-    take = by_kernel(lambda state, time: follow(three_body_like, state, at_once, time=time))
-    time, state = jnp.array(0.0), (jnp.array(1.0), jnp.array(0.4), jnp.array(0.9))
+    method = Method(three_body_like, Taylor(SERIES_ORDER[jnp.dtype("float64")]), TOLERANCE)
+    take = by_kernel(lambda state: method.step(state, ())[1:3])
+    state = jnp.array(1.0), jnp.array(0.4), jnp.array(0.9)
     times, states = [0.0], [state]
     for _ in range(12):
-        last, count = take(state, time)
-        state, time = last.end, last.time + last.length
-        assert count == 1
-        times.append(float(time))
+        state, length = take(state)
+        times.append(times[-1] + float(length))
         states.append(state)
     return np.array(times), np.array(states)
 
@@ -338,33 +274,6 @@ def test_steps_equal_a_runge_kutta_solution(single_steps):
         np.testing.assert_allclose(conserved, conserved[0], rtol=1e-11)
 
 
-def test_max_steps_ends_what_never_stops(monkeypatch):
-    """And what nears a pole, and what rests; none takes more steps."""
-    monkeypatch.setattr("walker_jax.integrators.solvers.MAX_STEPS", 30)
-    never = lambda before, after, side: (after != after, side)
-    run = jax.vmap(by_kernel(lambda start: follow(lambda y: y**2, start, never, 1e-9)))
-    last, count = run(jnp.array([-1.0, 1.0, 0.0]))
-    decays, grows, rests = (jax.tree.map(lambda x, i=i: x[i], last) for i in range(3))
-    assert count[0] == 30
-    np.testing.assert_allclose(decays.end, -1 / (1 + decays.time + decays.length), rtol=1e-8)
-    assert count[1] <= 30 and grows.time < 1
-    assert count[2] == 30 and rests.end == 0 and np.isfinite(rests.length)
-
-
-def test_derivative_of_the_flow_is_a_rotation():
-    @jax.jit
-    def run(start):
-        last, _ = follow(oscillator, start, below_zero)
-        return last.end, last.time + last.length
-
-    ((end, _), (tangent, of_time)) = jax.jvp(
-        run, ((jnp.array(0.6), jnp.array(0.8)),), ((jnp.array(1.0), jnp.array(0.0)),)
-    )
-    time = run((jnp.array(0.6), jnp.array(0.8)))[1]
-    assert end[0] <= 0 and of_time == 0
-    np.testing.assert_allclose(tangent, (np.cos(time), -np.sin(time)), atol=1e-11)
-
-
 def test_steps_of_a_series_in_diffeqsolve_are_those_of_the_loop(single_steps):
     """None is rejected, and none of their lengths is guessed."""
     times, states = single_steps
@@ -393,42 +302,10 @@ def test_steps_of_a_series_in_diffeqsolve_are_those_of_the_loop(single_steps):
     np.testing.assert_allclose(np.array(solution).T[:12], states[1:], rtol=0, atol=1e-13)
 
 
-@pytest.mark.parametrize(
-    "solver", [pytest.param(diffrax.Dopri8(), marks=pytest.mark.slow), diffrax.Bosh3()], ids=repr
-)
-def test_runge_kutta_steps_stop_where_they_should_and_land(solver):
-    """At q = cos(t - a) = 0, falling: t = a + pi/2, whose derivatives by phase are 1 and 0."""
-    method = Method(oscillator, solver, 1e-8)
-    event = lambda state: -state[0]
-
-    def run(phase):
-        start = jnp.cos(phase), jnp.sin(phase)
-        stop = lambda before, after, side: ((before[0] > 0) & (after[0] <= 0), side)
-        last, _ = method.follow(start, stop)
-        exists, time = first_upcrossing(method.jet(event, last), last.length)
-        time = method.refine_time(event, last, time)
-        state, delay = method.refine_event(event, method.state_at(last, time))
-        return last.time + time + delay, (state, exists)
-
-    along = lambda function: lambda phase: jax.jvp(function, (phase,), (jnp.ones(()),))
-    ((time, (state, exists)), _), ((change, _), (bend, _)) = jax.jit(along(along(run)))(0.4)
-    assert exists and abs(time - (0.4 + np.pi / 2)) < 1e-6
-    assert abs(state[0]) < 1e-15 and abs(change - 1) < 1e-6 and abs(bend) < 1e-6
-
-
 def test_value_slope_and_curvature_of_a_function_of_time():
     t = jnp.array(0.7)
     np.testing.assert_allclose(function_jet(jnp.sin)(t), (np.sin(t), np.cos(t), -np.sin(t)))
     np.testing.assert_allclose(polynomial_jet([t, t, t])(jnp.array(2.0)), (4.9, 3.5, 1.4))
-
-
-def test_integrates_in_float32():
-    start = jnp.array([1.0, 0.5], jnp.float32)
-    last, _ = follow(oscillator, tuple(start), below_zero, 1e-6)
-    assert {leaf.dtype for leaf in jax.tree.leaves(last[:4])} == {jnp.dtype("float32")}
-    phase, size = np.arctan2(0.5, 1.0), np.hypot(0.5, 1.0)
-    end = float(last.time) + float(last.length)
-    np.testing.assert_allclose(last.end[0], size * np.cos(end - phase), atol=5e-6)
 
 
 # Roots of polynomials

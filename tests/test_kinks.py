@@ -20,8 +20,8 @@ from walker_jax.walkers.family import PLANAR_WALKERS
 from walker_jax.walkers.masses import SingleSupport
 from walker_jax.walkers.model import Scalar, State
 from walker_jax.walkers.parameters import with_parameter
+from walker_jax.walking.modes import equations
 from walker_jax.walking.outcomes import Outcome
-from walker_jax.walking.swing import equations
 
 SLOPE, LIMIT = 0.004, 0.1
 STARTS = np.array([[0.2, -0.21], [0.2, -0.2158], [0.25, -0.26], [0.1, -0.12], [0.3, -0.31]])

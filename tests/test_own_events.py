@@ -17,8 +17,8 @@ from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.walkers.model import State
 from walker_jax.walking.failure_margins import failure_margin, margins_of_many
 from walker_jax.walking.iteration import iterate
+from walker_jax.walking.modes import equations
 from walker_jax.walking.outcomes import Outcome
-from walker_jax.walking.swing import equations
 
 
 def starts(n: int, slope: float = 0.01, seed: int = 0) -> np.ndarray:
@@ -136,7 +136,7 @@ class LimitedWalker(wj.SimplestWalker):
     slowest: jax.Array
 
     def falls(self, state):
-        return {"BACKWARD": state.thetadot >= self.slowest, "FORWARD": state.theta <= self.limit}
+        return {"BACKWARD": state.thetadot - self.slowest, "FORWARD": self.limit - state.theta}
 
 
 class FarWalker(wj.SimplestWalker):
@@ -145,14 +145,14 @@ class FarWalker(wj.SimplestWalker):
     least: jax.Array
 
     def is_ahead(self, state):
-        return state.theta < self.least
+        return self.least - state.theta
 
 
 class RenamedWalker(wj.SimplestWalker):
     """It falls as any other does, and calls it something else."""
 
     def falls(self, state):
-        return {"BACKWARD": state.thetadot >= 0, "SIDEWAYS": state.theta <= -np.pi / 2}
+        return {"BACKWARD": state.thetadot, "SIDEWAYS": -np.pi / 2 - state.theta}
 
 
 class LoweredWalker(wj.SimplestWalker):
@@ -161,14 +161,14 @@ class LoweredWalker(wj.SimplestWalker):
     limit: jax.Array
 
     def falls(self, state):
-        return super().falls(state) | {"SIDEWAYS": state.phi <= self.limit}
+        return super().falls(state) | {"SIDEWAYS": self.limit - state.phi}
 
 
 class BandWalker(wj.SimplestWalker):
     """Its foot makes a step where the stance leg leans by so much and no more."""
 
     def is_ahead(self, state):
-        return (state.theta < -0.2) & (state.theta > -0.23)
+        return jnp.minimum(-0.2 - state.theta, state.theta + 0.23)
 
 
 FALLS = Legs(0).falls
@@ -233,7 +233,7 @@ def test_margins_of_own_rules_vanish_where_a_walker_begins_to_fail(name):
     good, bad = xs[outcome == 0][:30], xs[np.isin(outcome, [1, 2])][:30]
     number = min(len(good), len(bad))
     good, bad = good[:number].copy(), bad[:number].copy()
-    for _ in range(45):
+    for _ in range(38):
         middle = (good + bad) / 2
         strides = (wj.strides(walker, middle).outcome == 0)[:, None]
         good, bad = np.where(strides, middle, good), np.where(strides, bad, middle)
@@ -275,14 +275,23 @@ def test_own_rules_hold_on_rough_ground(step):
 def test_falls_that_no_stride_can_report_are_refused():
     class Misnamed(wj.SimplestWalker):
         def falls(self, state):
-            return {"UNDECIDED": state.theta < -1}
+            return {"UNDECIDED": -1 - state.theta}
 
     class Broad(wj.SimplestWalker):
         def falls(self, state):
-            return {"FORWARD": jnp.stack([state.theta]) < -1}
+            return {"FORWARD": jnp.stack([state.theta])}
 
-    for kind, words in ((Misnamed, "named by a failure"), (Broad, "single flags")):
-        with pytest.raises(ValueError, match=words):
+    class Flag(wj.SimplestWalker):
+        def falls(self, state):
+            return {"FORWARD": state.theta < -1}
+
+    class Ahead(wj.SimplestWalker):
+        def is_ahead(self, state):
+            return state.theta < 0
+
+    words = "named by a failure", "of shape", "not bool", "is_ahead of Ahead must be one real"
+    for kind, said in zip((Misnamed, Broad, Flag, Ahead), words, strict=True):
+        with pytest.raises(ValueError, match=said):
             wj.stride(kind(0.01), jnp.array([0.2, -0.2]))
 
 
@@ -290,7 +299,7 @@ def test_falls_may_compare_the_largest_of_several():
     class Largest(wj.SimplestWalker):
         def falls(self, state):
             angles = jnp.stack([-4 * state.theta, jnp.abs(state.phi)])
-            return super().falls(state) | {"SIDEWAYS": jnp.max(angles) >= 1.0}
+            return super().falls(state) | {"SIDEWAYS": jnp.max(angles) - 1.0}
 
     rules = int(Outcome.SIDEWAYS), lambda y: np.maximum(-4 * y[:, 0], np.abs(y[:, 1])) - 1.0
     xs = starts(60)

@@ -85,14 +85,14 @@ class Stumbling(wj.SimplestWalker):
     """One that falls in a way that no failure is called."""
 
     def falls(self, state):
-        return {"STUMBLE": state.theta > 1}
+        return {"STUMBLE": state.theta - 1}
 
 
 class Scattered(wj.SimplestWalker):
-    """One whose fall is two flags."""
+    """One whose fall is two numbers."""
 
     def falls(self, state):
-        return {"FORWARD": jnp.stack([state.theta, state.phi]) > 1}
+        return {"FORWARD": jnp.stack([state.theta, state.phi])}
 
 
 class Sunk(wj.RoundFootWalker):

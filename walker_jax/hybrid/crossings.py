@@ -9,11 +9,12 @@ The side of zero on which a polynomial begins is passed from step to step, and r
 only at first: so no rise is lost, or seen twice, between two steps by rounding.
 """
 
-from collections.abc import Callable
+from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Bool, Int
 
 from walker_jax.integrators.roots import Instant, Scalar, bracketed_newton, polynomial_jet
 from walker_jax.integrators.series import evaluate_polynomial
@@ -24,6 +25,7 @@ RESOLUTION = 1e-12
 """Part of a step to which zeros are isolated; Newton's iteration does the rest."""
 
 
+@jax.jit
 def begins_below(series: list[Scalar]) -> Bool[Array, ""]:
     """Whether a function is below zero at first, or at zero and about to fall."""
     value, rate, curvature = series[:3]
@@ -31,6 +33,7 @@ def begins_below(series: list[Scalar]) -> Bool[Array, ""]:
     return (value < 0) | ((value == 0) & falls)
 
 
+@jax.jit
 def may_rise(
     value: list[Scalar], admits: list[list[Scalar]], length: Scalar, below: Bool[Array, ""]
 ) -> tuple[Bool[Array, ""], Bool[Array, ""]]:
@@ -43,26 +46,24 @@ def may_rise(
     linear = value[0] + value[1] * length
     ends_below = evaluate_polynomial(value, length) < 0
     near = (jnp.minimum(value[0], linear) <= later) & (jnp.maximum(value[0], linear) >= -later)
-    near &= ~leaves_zero(value, length, later, below) & ~is_monotone(value, length)
+    near &= ~leaves_zero(value, length, later) & ~is_monotone(value, length)
     may = (below & ~ends_below) | near
     for one in admits:
         may &= jnp.maximum(one[0], one[0] + one[1] * length) > -size_of_rest(one, length)
     return may, ends_below
 
 
-def leaves_zero(
-    series: list[Scalar], length: Scalar, later: Scalar, below: Bool[Array, ""]
-) -> Bool[Array, ""]:
+def leaves_zero(series: list[Scalar], length: Scalar, later: Scalar) -> Bool[Array, ""]:
     """Whether a polynomial that begins at zero, to rounding, certainly moves away from there.
 
-    That is on the side where it is: where it begins to move, and its curvature, c_2 and what the
-    rest of the terms can make of it, lead there.
+    That is where its first term that does not vanish leads, if its curvature, c_2 and what the
+    terms behind can make of it, leads there too.
     """
-    sign = jnp.where(below, -1, 1).astype(length.dtype)
+    falls = (series[1] < 0) | ((series[1] == 0) & (series[2] < 0))
+    sign = jnp.where(falls, -1, 1).astype(length.dtype)
     rounding = 64 * float(jnp.finfo(length.dtype).eps) * (jnp.abs(series[1]) * length + later)
-    bend = sign * series[2] * length**2
     others = later - jnp.abs(series[2]) * length**2
-    return (sign * series[0] >= -rounding) & (sign * series[1] >= 0) & (bend >= others)
+    return (sign * series[0] >= -rounding) & (sign * series[2] * length**2 >= others)
 
 
 def size_of_rest(series: list[Scalar], length: Scalar) -> Scalar:
@@ -76,22 +77,61 @@ def is_monotone(series: list[Scalar], length: Scalar) -> Bool[Array, ""]:
     return rates[1] > evaluate_polynomial(rates[2:], length) * length
 
 
-def first_rise(
-    value: list[Scalar],
-    admitted: Callable[[Scalar], Bool[Array, ""]],
-    length: Scalar,
-    below: Bool[Array, ""],
-    wanted: Bool[Array, ""],
-) -> Instant:
-    """The first rise of a polynomial through zero in a step, at a time at which it is admitted.
+class Crossing(NamedTuple):
+    """What is known of a guard in a step."""
+
+    value: list[Scalar]
+    """The polynomial that may rise through zero."""
+    admits: list[list[Scalar]]
+    """The rise counts where all of these are positive."""
+    below: Bool[Array, ""]
+    """Whether it begins below zero."""
+    wanted: Bool[Array, ""]
+    """Whether to look for a rise."""
+
+
+@jax.jit
+def first_rise(crossings: list[Crossing], length: Scalar) -> tuple[Int[Array, ""], Scalar]:
+    """The first admitted rise of several polynomials in a step: its number, -1 for none, and time.
+
+    One search serves all, one after the other. Constant to derivatives; the time of none is
+    infinite.
+    """
+    most = max(len(one.admits) for one in crossings)
+    always = [length + 1, *[0 * length] * (len(crossings[0].value) - 1)]
+    padded = [
+        one._replace(admits=[*one.admits, *[always] * (most - len(one.admits))])
+        for one in crossings
+    ]
+
+    def look(i, known):
+        which, when = known
+        choose = lambda *values: lax.select_n(i, *values) if len(values) > 1 else values[0]
+        exists, time = rise_of(jax.tree.map(choose, *padded), length)
+        earlier = exists & (time < when)
+        return jnp.where(earlier, i, which), jnp.where(earlier, time, when)
+
+    nothing = jnp.asarray(-1, jnp.int32), jnp.full_like(length, jnp.inf)
+    return lax.stop_gradient(lax.fori_loop(0, len(crossings), look, nothing))
+
+
+def rise_of(crossing: Crossing, length: Scalar) -> Instant:
+    """The first admitted rise of one polynomial.
 
     Where it is monotone, its sides tell. Elsewhere it is expanded about points that move to the
     right, each by a length that certainly holds no zero; at a zero, where that length vanishes, by
-    `HOP`. The time of the rise is constant to derivatives, and `length` where there is none.
+    `HOP`. The time is constant to derivatives, and `length` where there is no rise.
     """
-    value, length = lax.stop_gradient((value, length))
+    value, admits, below, wanted = lax.stop_gradient(crossing)
+    length = lax.stop_gradient(length)
     eps = float(jnp.finfo(length.dtype).eps)
     resolution, hop = max(RESOLUTION, 8 * eps) * length, max(HOP, 64 * eps) * length
+
+    def admitted(time: Scalar) -> Bool[Array, ""]:
+        flag = jnp.isfinite(time)
+        for one in admits:
+            flag &= evaluate_polynomial(one, time) > 0
+        return flag
 
     def searching(carry):
         time, found, *_ = carry

@@ -18,9 +18,9 @@ from jax import lax
 from jaxtyping import Array, Bool, Int, PyTree
 
 from walker_jax.hybrid.conditions import is_negative, least_between, value_and_rate
-from walker_jax.hybrid.crossings import begins_below, first_rise, may_rise
+from walker_jax.hybrid.crossings import Crossing, begins_below, first_rise, may_rise
 from walker_jax.hybrid.modes import Foregone, Guard, Mode
-from walker_jax.integrators.roots import Scalar
+from walker_jax.integrators.roots import Scalar, derivative_of
 from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.integrators.solvers import MAX_STEPS, Method, evaluate_series, zero_at
 from walker_jax.integrators.taylor import function_series, with_fast_sincos
@@ -70,13 +70,23 @@ class Step(NamedTuple):
     """Its polynomial, where expanding it again takes more than carrying it; else empty."""
 
 
+class NoInterpolation(diffrax.AbstractLocalInterpolation):
+    """Of steps between whose ends nothing is asked of diffrax."""
+
+    t0: Scalar
+    t1: Scalar
+
+    def evaluate(self, t0, t1=None, left=True):
+        raise NotImplementedError
+
+
 class OneStep(diffrax.AbstractSolver):
     """A solver of diffrax whose step from t to t + 1 is one step of another method."""
 
     advance: Callable[[list], list]
 
     term_structure: ClassVar = diffrax.ODETerm
-    interpolation_cls: ClassVar = diffrax.LocalLinearInterpolation
+    interpolation_cls: ClassVar = NoInterpolation
 
     def order(self, terms):
         return None
@@ -88,22 +98,30 @@ class OneStep(diffrax.AbstractSolver):
         return terms.vf(t0, y0, args)
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        after = self.advance(y0)
-        return after, None, dict(y0=y0, y1=after), None, diffrax.RESULTS.successful
+        return self.advance(y0), None, {}, None, diffrax.RESULTS.successful
 
 
 def repeat(advance: Callable[[Step], Step], step: Step) -> tuple[Step, Int[Array, ""]]:
     """Steps until one is not decided, `MAX_STEPS` at most, and their number."""
     zero = zero_at(step.start)
     leaves, structure = jax.tree.flatten(step._replace(decided=zero + 1))
-    restore = partial(jax.tree.unflatten, structure)
+    kinds = [jnp.asarray(leaf).dtype for leaf in leaves]
+    to_real = lambda tree: [jnp.asarray(leaf, zero.dtype) for leaf in jax.tree.leaves(tree)]
+
+    def restore(leaves: list) -> Step:
+        """From the real numbers of which the state of diffrax consists."""
+        pairs = zip(leaves, kinds, strict=True)
+        return jax.tree.unflatten(structure, [leaf.astype(kind) for leaf, kind in pairs])
+
+    # Traced once: diffrax asks for the shapes of a step three times before it makes one.
+    one_step = jax.jit(lambda leaves: to_real(advance(restore(leaves))))
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(lambda t, y, args: jax.tree.map(jnp.zeros_like, y)),
-        OneStep(lambda leaves: jax.tree.leaves(advance(restore(leaves)))),
+        OneStep(one_step),
         zero,
         zero + MAX_STEPS,
         zero + 1,
-        leaves,
+        to_real(leaves),
         stepsize_controller=diffrax.ConstantStepSize(),
         event=diffrax.Event(lambda t, y, args, **_: restore(y).decided == 0),
         saveat=diffrax.SaveAt(t1=True),
@@ -159,20 +177,19 @@ def follow_mode(mode: Mode, start: Any, going: Bool[Array, ""], method: Method) 
     def follow(now: Unfinished) -> Unfinished:
         last, steps = repeat(partial(advance, violated=now.violated), now.last)
         series = last.series if method.carries_series(start) else method.series_of(last.start)
-        when, guard = jnp.full_like(last.length, jnp.inf), jnp.asarray(NO_GUARD)
-        for i, (value, admits) in enumerate(along(mode, series)):
-            below = is_below(last.sides[i], value)
-            may, _ = may_rise(value, admits, last.length, below)
-            admitted = partial(is_admitted, mode.guards[i], admits, series)
-            rise = first_rise(value, admitted, last.length, below, may)
-            earlier = rise.exists & (rise.time < when)
-            guard = jnp.where(earlier, i, guard)
-            when = jnp.where(earlier, rise.time, when)
+        crossings = []
+        for guard, side, one in zip(
+            mode.guards, last.sides, along(mode, series, True), strict=True
+        ):
+            below = is_below(side, one[0])
+            may, _ = may_rise(*one, last.length, below)
+            crossings.append(Crossing(*one, below, may))
+        number, when = first_rise(crossings, last.length)
         until = jnp.minimum(when, last.length)
         if mode.foregone is not None:
-            foregone = (guard == NO_GUARD) & holds(mode.foregone, last.end)
-            guard = jnp.where(foregone, len(mode.guards), guard)
-        event, violated = partial(value_of_guard, mode, guard), dict(now.violated)
+            foregone = (number == NO_GUARD) & holds(mode.foregone, last.end)
+            number = jnp.where(foregone, len(mode.guards), number)
+        event, violated = partial(value_of_guard, mode, number), dict(now.violated)
         refined = method.refine_time(event, last.start, series, until)
         until = jnp.where(jnp.isfinite(when), refined, last.length)
         arrival = method.state_at(last.start, series, until)
@@ -181,7 +198,7 @@ def follow_mode(mode: Mode, start: Any, going: Bool[Array, ""], method: Method) 
             between = lambda t: evaluate_series(series, t)
             _, least = least_between(at, last.start, arrival, between, until, above=0.0)
             violated[condition.outcome] |= (least < 0) | is_negative(condition, arrival)
-        return Unfinished(last, arrival, last.time + until, guard, now.count + steps, violated)
+        return Unfinished(last, arrival, last.time + until, number, now.count + steps, violated)
 
     def unfinished(now: Unfinished):
         finite = jnp.isfinite(now.last.time + now.last.length)
@@ -194,7 +211,7 @@ def follow_mode(mode: Mode, start: Any, going: Bool[Array, ""], method: Method) 
     series = method.no_series(start) if method.carries_series(start) else ()
     memory = method.first_memory(start)
     first = Step(start, start, zero, zero, unknown, unknown, rates, zero + 1, memory, series)
-    guard = jnp.where(going, NO_GUARD, NOT_FOLLOWED)
+    guard = jnp.where(going, NO_GUARD, NOT_FOLLOWED).astype(jnp.int32)
     begun = Unfinished(first, start, zero, guard, jnp.asarray(0), violated)
     last = lax.while_loop(unfinished, follow, begun)
     event = partial(value_of_guard, mode, last.guard)
@@ -208,15 +225,15 @@ def follow_mode(mode: Mode, start: Any, going: Bool[Array, ""], method: Method) 
     return Arrival(arrival, last.time + keep(delay, zero), last.guard, violated)
 
 
-def along(mode: Mode, series: PyTree) -> list[tuple[list[Scalar], list[list[Scalar]]]]:
-    """Of each guard, the polynomials of its value and of what admits it, in a step."""
-    functions = mode.functions
-    found = function_series(lambda y: [one(y) for one in functions], lax.stop_gradient(series))
-    values, admits = found[: len(mode.guards)], found[len(mode.guards) :]
+def along(mode: Mode, series: PyTree, whole: bool = False) -> list[tuple[list, list[list]]]:
+    """Of each guard, the polynomials of its value and of what admits it, all of that if `whole`."""
+    functions = mode.functions(whole)
+    flat = [function for guard in functions for function in guard]
+    found = function_series(lambda y: [one(y) for one in flat], lax.stop_gradient(series))
     pairs = []
-    for guard, value in zip(mode.guards, values, strict=True):
-        pairs.append((value, admits[: len(guard.admits)]))
-        admits = admits[len(guard.admits) :]
+    for guard in functions:
+        (value, *admits), found = found[: len(guard)], found[len(guard) :]
+        pairs.append((value, admits))
     return pairs
 
 
@@ -235,24 +252,11 @@ def rises_perhaps(
         return may_rise(value, admits, length, below)
     at_end = lambda one: with_fast_sincos(one)(lax.stop_gradient(end))
     ends_below = at_end(guard.value) < 0
-    rises = below & ~ends_below
+    slope = evaluate_polynomial(derivative_of(value), length)
+    rises = ~ends_below & (below | ((value[1] < 0) & (slope > 0)))
     for function, series in zip(guard.admits, admits, strict=True):
         rises &= (series[0] > 0) | (at_end(function) > 0)
     return rises, ends_below
-
-
-def is_admitted(
-    guard: Guard, admits: list[list[Scalar]], series: PyTree, time: Scalar
-) -> Bool[Array, ""]:
-    """Whether a rise of a guard at a time of a step counts."""
-    values = [evaluate_polynomial(one, time) for one in lax.stop_gradient(admits)]
-    if guard.also:
-        state = evaluate_series(lax.stop_gradient(series), time)
-        values += with_fast_sincos(lambda y: [one(y) for one in guard.also])(state)
-    admitted = jnp.asarray(True)
-    for value in values:
-        admitted &= value > 0
-    return admitted
 
 
 def value_of_guard(mode: Mode, number: Int[Array, ""], state: Any) -> Scalar:

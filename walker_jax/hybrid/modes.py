@@ -30,7 +30,8 @@ class Guard(NamedTuple):
     """More of them, looked at only where it rises: for functions that are costly to expand."""
     persists: bool = False
     """Whether, by a proof about the field, a value that has risen where it is admitted stays above
-    zero to the end of any step. Then the ends of a step tell whether it has risen within."""
+    zero to the end of any step, and turns from falling to rising once at most in it. Then the two
+    ends of a step tell whether it has risen within."""
 
 
 class Condition(NamedTuple):
@@ -62,8 +63,6 @@ class Mode(NamedTuple):
     conditions: tuple[Condition, ...] = ()
     foregone: Foregone | None = None
 
-    @property
-    def functions(self) -> list[Function]:
-        """The values of guards, then the functions that admit them, guard after guard."""
-        admits = [one for guard in self.guards for one in guard.admits]
-        return [*(guard.value for guard in self.guards), *admits]
+    def functions(self, whole: bool = True) -> list[list[Function]]:
+        """Of each guard, its value and what admits it, all of that if `whole`."""
+        return [[one.value, *one.admits, *(one.also if whole else ())] for one in self.guards]

@@ -18,9 +18,10 @@ import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jax.core import Tracer
-from jaxtyping import PyTree
+from jaxtyping import Array, Float, PyTree
 
 from walker_jax.checks import WrongUse, check_number, short
 from walker_jax.integrators.roots import (
@@ -61,6 +62,8 @@ harmonic motion are at most a third as long; and its length instead, in which fu
 that is a polynomial of time seldom turn more than once."""
 INTERPOLATION_ORDER = 8
 """Order up to which the interpolation of a Runge-Kutta method is a polynomial: none has more."""
+NODES = (1 - np.cos(np.pi * np.arange(INTERPOLATION_ORDER + 1) / INTERPOLATION_ORDER)) / 2
+"""Parts of a step at which such an interpolation is read, to have it as a polynomial."""
 TIME_REFINEMENTS = 3
 """Newton's iterations on a time that interpolation gives; each squares its error."""
 
@@ -324,6 +327,15 @@ def stop_gradients(tree: PyTree) -> PyTree:
     return jax.tree.map(lambda x: lax.stop_gradient(x) if eqx.is_array(x) else x, tree)
 
 
+def fit_polynomial(length: Scalar, values: Float[Array, " nodes"]) -> list[Scalar]:
+    """The polynomial in 0 <= t <= length with these values at `NODES`, which are parts of it."""
+    coefficients = np.linalg.inv(np.vander(NODES, increasing=True))
+    return [
+        sum(float(part) * value for part, value in zip(row, values, strict=True)) / length**k
+        for k, row in enumerate(coefficients)
+    ]
+
+
 class Method(eqx.Module):
     """Equations y' = f(y), with the diffrax solver and the tolerance that solve them."""
 
@@ -401,8 +413,7 @@ class Method(eqx.Module):
             zero, length, state, end, None, error, order, kept
         )
         inside = self.solver.interpolation_cls(t0=zero, t1=length, **dense).evaluate
-        time = [zero, zero + 1, *[zero] * (INTERPOLATION_ORDER - 1)]
-        series = function_series(inside, time)
+        series = jax.tree.map(partial(fit_polynomial, length), jax.vmap(inside)(length * NODES))
         keep = lambda new, old: jax.tree.map(partial(jnp.where, good), new, old)
         memory = ends - begins, kept, keep(last, first)
         return series, keep(end, state), jnp.where(good, length, 0), memory

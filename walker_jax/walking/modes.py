@@ -38,7 +38,8 @@ def equations(walker: Walker | Phase) -> VectorField:
 
 def method_of(mode: Mode, start: Any, tolerance: Real) -> Method:
     """The method by which a mode is integrated: its steps end at kinks of guards too."""
-    return Method(mode.field, solver_for(start), tolerance, tuple(mode.functions))
+    kinked = [function for guard in mode.functions() for function in guard]
+    return Method(mode.field, solver_for(start), tolerance, tuple(kinked))
 
 
 def conditions_of(walker: Walker | Phase) -> dict[int, Function]:

@@ -1,0 +1,83 @@
+"""Is any event of a stride missed? Strides at the default tolerance against those at 1e-15.
+
+At a tolerance of 1e-15 a step is about half as long, so an event that one step hides shows in
+the other. Walkers have parameters drawn at random over their ranges, one for each stride, and start
+at random. An outcome counts as different if it is not found, at 1e-15, from any start within 1e-9
+of this one either: nearer to a boundary the two may differ by rounding. Per family: strides; those
+that have another outcome; those near a boundary; strides of which the states differ by more than
+1e-6, and the largest difference of all others.
+
+    {RESULTS}
+
+    python benchmarks/events.py [STRIDES [FAMILY ...]]
+"""
+
+import sys
+import time
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from search_regions import FAMILIES
+
+import walker_jax as wj
+
+jax.config.update("jax_enable_x64", True)
+FINE, NEAR, AT_ONCE = 1e-15, 1e-9, 100_000
+ALL = FAMILIES | {
+    "simplest": (wj.SimplestWalker, 0, {"slope": (0.001, 0.05)}),
+    "spatial": (wj.SpatialWalker, 0, {"slope": (0.06, 0.08), "hip_width": (0.28, 0.34)}),
+}
+
+
+def starts(kind: type, count: int, rng: np.random.Generator) -> np.ndarray:
+    """About what walkers do: a step, the speed that takes the leg about upright, any swing."""
+    if kind is wj.SpatialWalker:
+        gait = np.array([0.098, 0.164, 0.333, -0.315, -0.047, -0.508, -0.602])
+        return gait * (1 + rng.normal(0, 0.2, (count, 7)))
+    theta = rng.uniform(0.02, 0.7, count)
+    columns = [theta, -theta * rng.uniform(0.6, 2.0, count)]
+    if len(kind.section) == 3:
+        columns.append(-theta * rng.uniform(-0.5, 2.5, count))
+    return np.stack(columns, axis=1)
+
+
+def survey(name: str, strides: int) -> None:
+    """One row of the table, and the first strides that differ."""
+    kind, _, ranges = ALL[name]
+    rng, began = np.random.default_rng(7), time.process_time()
+    differ = near = off = made = 0
+    largest, examples = 0.0, []
+    for _ in range(-(-strides // AT_ONCE)):
+        drawn = {key: rng.uniform(*bounds, AT_ONCE) for key, bounds in ranges.items()}
+        walkers = jax.vmap(lambda values, kind=kind: kind(**values))(drawn)
+        xs = starts(kind, AT_ONCE, rng)
+        usual, fine = wj.strides(walkers, xs), wj.strides(walkers, xs, tolerance=FINE)
+        for i in np.flatnonzero(usual.outcome != fine.outcome):
+            one = jax.tree.map(lambda leaf, i=i: leaf[i] if jnp.ndim(leaf) else leaf, walkers)
+            beside = xs[i] + NEAR * rng.uniform(-1, 1, (64, xs.shape[1]))
+            if usual.outcome[i] in wj.strides(one, beside, tolerance=FINE).outcome:
+                near += 1
+            else:
+                differ += 1
+                examples.append((one, xs[i].tolist(), usual.outcome[i], fine.outcome[i]))
+        both = (usual.outcome == 0) & (fine.outcome == 0)
+        errors = np.abs(usual.state - fine.state)[both].max(axis=1)
+        off += int((errors > 1e-6).sum())
+        largest = max(largest, errors[errors <= 1e-6].max())
+        made += int(both.sum())
+    total = AT_ONCE * -(-strides // AT_ONCE)
+    print(
+        f"    {name:20}{total:10} strides, {made / total:4.0%} to heel strike {differ:4} differ "
+        f"{near:4} near a boundary {off:4} states off, others {largest:.0e} "
+        f"{time.process_time() - began:6.0f} s",
+        flush=True,
+    )
+    for example in examples[:3]:
+        print("       ", *example)
+
+
+if __name__ == "__main__":
+    count = int(sys.argv[1]) if len(sys.argv) > 1 else 10_000_000
+    for family in sys.argv[2:] or ALL:
+        survey(family, count)
