@@ -49,7 +49,7 @@ def survey(name: str, strides: int) -> None:
     differ = near = off = made = 0
     largest, examples = 0.0, []
     for _ in range(-(-strides // AT_ONCE)):
-        drawn = {key: rng.uniform(*bounds, AT_ONCE) for key, bounds in ranges.items()}
+        drawn = {key: rng.uniform(bounds[0], bounds[1], AT_ONCE) for key, bounds in ranges.items()}
         walkers = jax.vmap(lambda values, kind=kind: kind(**values))(drawn)
         xs = starts(kind, AT_ONCE, rng)
         usual, fine = wj.strides(walkers, xs), wj.strides(walkers, xs, tolerance=FINE)

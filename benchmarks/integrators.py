@@ -3,15 +3,14 @@
 On one core, repeats interleaved, after compilation. First the paper's 50,000 strides by Taylor
 series of several orders, by kernels, and by XLA in tiles of 1024 cells with vectors of 512 and 256
 bits. Then a swing alone, followed for a time of 3 from 8192 starts that lie close together: by
-`Method.follow`, with a loop of its own and with that of diffrax's `diffeqsolve`; by `diffeqsolve`
+`follow_mode`, whose variable of integration is the number of steps of `diffeqsolve`; by that
 to a final time, without and with a boolean event that reads the state at the end of a step; and by
 Runge-Kutta methods, with XLA's sines and with the package's. Rows without `kernel` are by XLA in
 the same tiles. Each is run at several tolerances, or numbers of constant steps; what is printed is
 the time where its largest error is that of the column.
 
 The answer: orders 10 to 16 are alike; a kernel takes a fifth of the time of XLA's tiles, and
-compiles sooner; in kernels, Taylor series take an eighth to a twentieth of the time of Runge-Kutta,
-and a loop that expands each series once is faster than diffrax's. The two tables are of different
+compiles sooner; in kernels, Taylor series take an eighth to a twentieth of the time of Runge-Kutta. The two tables are of different
 runs; the machine was busy with other work during the second, so trust its ratios alone. (In another
 run, `diffeqsolve, Taylor` and the same with an event took 2.2 and 3.5 s to compile.)
 
@@ -27,9 +26,8 @@ run, `diffeqsolve, Taylor` and the same with an event took 2.2 and 3.5 s to comp
 
     Swings for a time of 3: us each
     largest error                         1e-08    1e-10    1e-12  compile
-    follow, kernel                         0.36     0.59     0.92    0.2 s
-    follow, diffrax's loop, kernel         0.60     0.62     1.39    0.6 s
-    follow                                 2.09     2.38     3.18    2.6 s
+    follow_mode, kernel                    0.36     0.59     0.92    0.2 s
+    follow_mode                            2.09     2.38     3.18    2.6 s
     diffeqsolve, Taylor, kernel            0.51     0.48     0.89    3.2 s
     diffeqsolve, Taylor                    1.66     1.77     2.48   25.5 s
     diffeqsolve, Taylor, event             3.23     4.20     4.97   30.6 s
@@ -63,7 +61,9 @@ import numpy as np
 
 import walker_jax as wj
 from walker_jax.execution.tiles import CALL_SHAPES, COMPILER_OPTIONS, compact_order, map_cells
-from walker_jax.integrators.solvers import SERIES_ORDER, Method, Taylor, Until
+from walker_jax.hybrid.following import follow_mode
+from walker_jax.hybrid.modes import Guard, Mode
+from walker_jax.integrators.solvers import SERIES_ORDER, Method, Taylor
 from walker_jax.integrators.taylor import with_fast_sincos
 from walker_jax.kernels import primitive
 from walker_jax.walking.stepping import follow_stride, prepare
@@ -168,25 +168,16 @@ def of_one_swing(repeats: int):
         taylor = Taylor(SERIES_ORDER[DTYPE])
         return jnp.stack(taylor.step(short, 0.0, rest, state, None, None, False)[0])
 
-    def loop(shared, x, diffrax_loop=False):
+    def by_mode(shared, x):
         walker, tolerance = shared
 
         def field(state):  # with a clock too slow to count in the error
             return walker.vector_field(state[0]), jnp.full((), 1 / 64)
 
-        def stop(_, end, side):
-            return (end[1] >= SWING / 64) & finite(end[0]), side
-
+        mode = Mode(field, field, (Guard(lambda state: state[1] - SWING / 64, 0),))
         method = Method(field, Taylor(SERIES_ORDER[DTYPE]), tolerance)
-        start, none = (walker.lift(x), jnp.zeros(())), jnp.asarray(False)
-        if diffrax_loop:  # as `follow` has other solvers go
-            until = Until(method.controller(), stop, none)
-            solution = method.solve(start, 0.0, jnp.inf, until, controller_state=True)
-            assert solution.controller_state is not None
-            _, last = solution.controller_state
-        else:
-            last, _ = method.follow(start, stop, side=none)
-        return landed(walker, last.start[0], SWING - last.time)
+        start = walker.lift(x), jnp.zeros(())
+        return jnp.stack(follow_mode(mode, start, jnp.asarray(True), method).state[0])
 
     def by_diffrax(solver, adaptive=True, sines=False, event=False, xla=True):
         def one(shared, x):
@@ -223,12 +214,8 @@ def of_one_swing(repeats: int):
     taylor, tolerances = Taylor(SERIES_ORDER[DTYPE]), [10.0**-k for k in range(6, 14)]
     tsit5, dopri8 = diffrax.Tsit5(), diffrax.Dopri8()
     ways = {
-        "follow, kernel": (way(partial(loop), xla=False), tolerances),
-        "follow, diffrax's loop, kernel": (
-            way(partial(loop, diffrax_loop=True), False),
-            tolerances,
-        ),
-        "follow": (way(loop), tolerances),
+        "follow_mode, kernel": (way(by_mode, xla=False), tolerances),
+        "follow_mode": (way(by_mode), tolerances),
         "diffeqsolve, Taylor, kernel": (by_diffrax(taylor, xla=False), tolerances),
         "diffeqsolve, Taylor": (by_diffrax(taylor), tolerances),
         "diffeqsolve, Taylor, event": (by_diffrax(taylor, event=True), tolerances),

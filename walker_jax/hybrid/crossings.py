@@ -106,7 +106,7 @@ def first_rise(crossings: list[Crossing], length: Scalar) -> tuple[Int[Array, ""
 
     def look(i, known):
         which, when = known
-        choose = lambda *values: lax.select_n(i, *values) if len(values) > 1 else values[0]
+        choose = lambda *values: values[0] if len(values) == 1 else lax.select_n(i, *values)
         exists, time = rise_of(jax.tree.map(choose, *padded), length)
         earlier = exists & (time < when)
         return jnp.where(earlier, i, which), jnp.where(earlier, time, when)

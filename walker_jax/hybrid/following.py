@@ -178,9 +178,7 @@ def follow_mode(mode: Mode, start: Any, going: Bool[Array, ""], method: Method) 
         last, steps = repeat(partial(advance, violated=now.violated), now.last)
         series = last.series if method.carries_series(start) else method.series_of(last.start)
         crossings = []
-        for guard, side, one in zip(
-            mode.guards, last.sides, along(mode, series, True), strict=True
-        ):
+        for side, one in zip(last.sides, along(mode, series, whole=True), strict=True):
             below = is_below(side, one[0])
             may, _ = may_rise(*one, last.length, below)
             crossings.append(Crossing(*one, below, may))
