@@ -10,9 +10,10 @@ the same tiles. Each is run at several tolerances, or numbers of constant steps;
 the time where its largest error is that of the column.
 
 The answer: orders 10 to 16 are alike; a kernel takes a fifth of the time of XLA's tiles, and
-compiles sooner; in kernels, Taylor series take an eighth to a twentieth of the time of Runge-Kutta. The two tables are of different
-runs; the machine was busy with other work during the second, so trust its ratios alone. (In another
-run, `diffeqsolve, Taylor` and the same with an event took 2.2 and 3.5 s to compile.)
+compiles sooner; in kernels, Taylor series take an eighth to a twentieth of the time of Runge-Kutta.
+The two tables are of different runs; the machine was busy with other work during the second, so
+trust its ratios alone. (In another run, `diffeqsolve, Taylor` and the same with an event took 2.2
+and 3.5 s to compile.)
 
     Strides, by Taylor series: us each
     largest error                         1e-08    1e-09    1e-10  compile

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from walker_jax.hybrid.crossings import HOP, Crossing, begins_below, first_rise, may_rise
 from walker_jax.hybrid.following import NO_GUARD, follow_mode
 from walker_jax.hybrid.modes import Condition, Foregone, Guard, Mode
+from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.integrators.solvers import SERIES_ORDER, Method, Taylor
 from walker_jax.kernels import by_kernel
 
@@ -29,8 +30,9 @@ def rise():
     def one(value, admit, length):
         value, admit = list(value), list(admit)
         below = begins_below(value)
-        may, ends_below = may_rise(value, [admit], length, below)
-        crossing = Crossing(value, [admit], below, jnp.asarray(True))
+        ends_below = evaluate_polynomial(value, length) < 0
+        may = may_rise(value, [admit], length, below, ends_below)
+        crossing = Crossing(value, [admit], below, ends_below, jnp.asarray(True))
         number, time = first_rise([crossing], length)
         return number == 0, time, may, ends_below
 

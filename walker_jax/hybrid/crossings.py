@@ -1,9 +1,10 @@
 """Where a polynomial rises through zero within one step of integration.
 
 A rise is decided on the polynomial of the step, never on its two ends alone. Bounds that cost a few
-operations exclude most steps (`may_rise`). Where they do not, the zeros are isolated from the left,
-by lengths that certainly hold none (`first_rise`). So no dip is missed, however short, that is
-wider than `HOP` of a step.
+operations exclude most steps (`may_rise`). They need the first coefficients alone, as those of a
+step fall off fast. Where they do not exclude a rise, the zeros are isolated from the left, by
+lengths that certainly hold none (`first_rise`). So no dip is missed that is wider than `HOP` of a
+step.
 
 The side of zero on which a polynomial begins is passed from step to step, and read from its sign
 only at first: so no rise is lost, or seen twice, between two steps by rounding.
@@ -35,22 +36,26 @@ def begins_below(series: list[Scalar]) -> Bool[Array, ""]:
 
 @jax.jit
 def may_rise(
-    value: list[Scalar], admits: list[list[Scalar]], length: Scalar, below: Bool[Array, ""]
-) -> tuple[Bool[Array, ""], Bool[Array, ""]]:
-    """Whether a polynomial may rise through zero in a step, and whether it ends below.
+    value: list[Scalar],
+    admits: list[list[Scalar]],
+    length: Scalar,
+    below: Bool[Array, ""],
+    ends_below: Bool[Array, ""],
+) -> Bool[Array, ""]:
+    """Whether a function may rise through zero in a step, at both ends of which its side is known.
 
     Not where it is monotone and does not change sides; nor where it has no zero, or only that at
-    which the step begins; nor where one of `admits` is negative throughout.
+    which the step begins; nor where one of `admits` is negative throughout. All are given by their
+    first coefficients.
     """
     later = size_of_rest(value, length)
     linear = value[0] + value[1] * length
-    ends_below = evaluate_polynomial(value, length) < 0
     near = (jnp.minimum(value[0], linear) <= later) & (jnp.maximum(value[0], linear) >= -later)
     near &= ~leaves_zero(value, length, later) & ~is_monotone(value, length)
     may = (below & ~ends_below) | near
     for one in admits:
         may &= jnp.maximum(one[0], one[0] + one[1] * length) > -size_of_rest(one, length)
-    return may, ends_below
+    return may
 
 
 def leaves_zero(series: list[Scalar], length: Scalar, later: Scalar) -> Bool[Array, ""]:
@@ -67,14 +72,24 @@ def leaves_zero(series: list[Scalar], length: Scalar, later: Scalar) -> Bool[Arr
 
 
 def size_of_rest(series: list[Scalar], length: Scalar) -> Scalar:
-    """The sum over k >= 2 of |c_k| length^k, which bounds what is not linear in a polynomial."""
-    return evaluate_polynomial([jnp.abs(c) for c in series[2:]], length) * length**2
+    """The sum over k >= 2 of |c_k| length^k, which bounds what is not linear in a function.
+
+    The last two terms count twice, for those that are left out: each is some tenth of the one
+    before, as the length of a step makes it.
+    """
+    return evaluate_polynomial(sizes(series)[2:], length) * length**2
 
 
 def is_monotone(series: list[Scalar], length: Scalar) -> Bool[Array, ""]:
-    """Whether the rate of a polynomial certainly keeps its sign in a step."""
-    rates = [k * jnp.abs(c) for k, c in enumerate(series)]
+    """Whether the rate of a function certainly keeps its sign in a step."""
+    rates = [k * size for k, size in enumerate(sizes(series))]
     return rates[1] > evaluate_polynomial(rates[2:], length) * length
+
+
+def sizes(series: list[Scalar]) -> list[Scalar]:
+    """The absolute values of coefficients, twice those of the last two."""
+    found = [jnp.abs(c) for c in series]
+    return [*found[:-2], 2 * found[-2], 2 * found[-1]]
 
 
 class Crossing(NamedTuple):
@@ -86,6 +101,8 @@ class Crossing(NamedTuple):
     """The rise counts where all of these are positive."""
     below: Bool[Array, ""]
     """Whether it begins below zero."""
+    ends_below: Bool[Array, ""]
+    """Whether it ends there, which by rounding its own sign may deny."""
     wanted: Bool[Array, ""]
     """Whether to look for a rise."""
 
@@ -122,7 +139,7 @@ def rise_of(crossing: Crossing, length: Scalar) -> Instant:
     right, each by a length that certainly holds no zero; at a zero, where that length vanishes, by
     `HOP`. The time is constant to derivatives, and `length` where there is no rise.
     """
-    value, admits, below, wanted = lax.stop_gradient(crossing)
+    value, admits, below, ends_below, wanted = lax.stop_gradient(crossing)
     length = lax.stop_gradient(length)
     eps = float(jnp.finfo(length.dtype).eps)
     resolution, hop = max(RESOLUTION, 8 * eps) * length, max(HOP, 64 * eps) * length
@@ -149,12 +166,15 @@ def rise_of(crossing: Crossing, length: Scalar) -> Instant:
 
     monotone = is_monotone(value, length)
     first = jnp.where(wanted & ~monotone, 0 * length, length)
-    time, found, *_ = lax.while_loop(searching, advance, (first, jnp.asarray(False), below, *value))
-    simple = wanted & monotone & below & (evaluate_polynomial(value, length) >= 0)
-    low = jnp.where(simple, 0, time)
-    high = jnp.where(simple, length, jnp.minimum(time + hop, length))
+    time, found, below, *_ = lax.while_loop(
+        searching, advance, (first, jnp.asarray(False), below, *value)
+    )
+    # Of a monotone polynomial, or one whose last zero is at the end of the step, the sides tell.
+    left = wanted & ~found & below & ~ends_below
+    low = jnp.where(left & monotone, 0, time)
+    high = jnp.where(left, length, jnp.minimum(time + hop, length))
     root = bracketed_newton(lambda t: polynomial_jet(value)(t)[:2], low, high)
-    exists = found | (simple & admitted(root))
+    exists = found | (left & admitted(root))
     return Instant(exists, jnp.where(exists, root, length))
 
 

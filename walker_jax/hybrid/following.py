@@ -19,17 +19,16 @@ from jaxtyping import Array, Bool, Int, PyTree
 
 from walker_jax.hybrid.conditions import is_negative, least_between, value_and_rate
 from walker_jax.hybrid.crossings import Crossing, begins_below, first_rise, may_rise
-from walker_jax.hybrid.modes import Foregone, Guard, Mode
+from walker_jax.hybrid.modes import Condition, Foregone, Guard, Mode
 from walker_jax.integrators.roots import Scalar, derivative_of
 from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.integrators.solvers import MAX_STEPS, Method, evaluate_series, zero_at
-from walker_jax.integrators.taylor import function_series, with_fast_sincos
+from walker_jax.integrators.taylor import function_series, is_list, with_fast_sincos
 
-NO_GUARD = -1
-"""In the place of a guard's number: none has ended the mode."""
-
-
-NOT_FOLLOWED = -2
+FIRST = 6
+"""Order to which guards are expanded in every step, to exclude a rise; if that fails, in full."""
+NO_GUARD, NOT_FOLLOWED = -1, -2
+"""In the place of a guard's number: none has ended the mode, or it was not followed."""
 Violated = dict[int, Bool[Array, ""]]
 """Whether each condition was violated, by its outcome, lower numbers first."""
 
@@ -42,8 +41,8 @@ class Arrival(NamedTuple):
     time: Scalar
     """Since the start of the mode."""
     guard: Int[Array, ""]
-    """The number of the guard that ended it, that of all guards for a foregone end, or
-    `NO_GUARD`."""
+    """The number of the guard that ended it; the number of all guards if the end is foregone; or
+    `NO_GUARD` or `NOT_FOLLOWED`."""
     violated: Violated
     """Both ends of the mode included."""
 
@@ -150,68 +149,22 @@ def follow_mode(mode: Mode, start: Any, going: Bool[Array, ""], method: Method) 
 
     Derivatives of the arrival are exact to third order.
     """
-    watched = [one for one in mode.conditions if not one.least_at_ends]
-
-    def advance(step: Step, violated: Violated) -> Step:
-        """The next step, and whether it certainly ends nothing."""
-        begins, sides = step.end, step.ends
-        series, end, length, memory = method.step(begins, step.memory)
-        may, ends = ~jnp.isfinite(length), []
-        for guard, side, polynomials in zip(mode.guards, sides, along(mode, series), strict=True):
-            rises, ends_below = rises_perhaps(guard, side, polynomials, length, end)
-            may |= rises
-            ends.append(jnp.where(ends_below, -1, 1).astype(length.dtype))
-        rates = []
-        for condition, (_, before) in zip(watched, step.rates, strict=True):
-            value, rate = value_and_rate(condition.value, mode.rates, end)
-            breaks = (value < 0) | ((before < 0) & (rate > 0))
-            may |= breaks & ~violated[condition.outcome]
-            rates.append((before, rate))
-        if mode.foregone is not None:
-            may |= holds(mode.foregone, end)
-        decided = (~may).astype(length.dtype)
-        kept = series if method.carries_series(start) else ()
-        time = step.time + step.length
-        return Step(begins, end, time, length, sides, ends, rates, decided, memory, kept)
-
-    def follow(now: Unfinished) -> Unfinished:
-        last, steps = repeat(partial(advance, violated=now.violated), now.last)
-        series = last.series if method.carries_series(start) else method.series_of(last.start)
-        crossings = []
-        for side, one in zip(last.sides, along(mode, series, whole=True), strict=True):
-            below = is_below(side, one[0])
-            may, _ = may_rise(*one, last.length, below)
-            crossings.append(Crossing(*one, below, may))
-        number, when = first_rise(crossings, last.length)
-        until = jnp.minimum(when, last.length)
-        if mode.foregone is not None:
-            foregone = (number == NO_GUARD) & holds(mode.foregone, last.end)
-            number = jnp.where(foregone, len(mode.guards), number)
-        event, violated = partial(value_of_guard, mode, number), dict(now.violated)
-        refined = method.refine_time(event, last.start, series, until)
-        until = jnp.where(jnp.isfinite(when), refined, last.length)
-        arrival = method.state_at(last.start, series, until)
-        for condition in watched:
-            at = partial(value_and_rate, condition.value, mode.rates)
-            between = lambda t: evaluate_series(series, t)
-            _, least = least_between(at, last.start, arrival, between, until, above=0.0)
-            violated[condition.outcome] |= (least < 0) | is_negative(condition, arrival)
-        return Unfinished(last, arrival, last.time + until, number, now.count + steps, violated)
 
     def unfinished(now: Unfinished):
         finite = jnp.isfinite(now.last.time + now.last.length)
         return (now.guard == NO_GUARD) & (now.count < MAX_STEPS) & finite
 
+    def follow(now: Unfinished) -> Unfinished:
+        last, steps = repeat(partial(next_step, mode, method, now.violated), now.last)
+        return search_step(mode, method, now._replace(last=last, count=now.count + steps))
+
     zero = zero_at(start)
-    unknown = [zero for _ in mode.guards]
-    violated = {one.outcome: going & is_negative(one, start) for one in mode.conditions}
-    rates = [(zero, value_and_rate(one.value, mode.rates, start)[1]) for one in watched]
-    series = method.no_series(start) if method.carries_series(start) else ()
-    memory = method.first_memory(start)
-    first = Step(start, start, zero, zero, unknown, unknown, rates, zero + 1, memory, series)
     guard = jnp.where(going, NO_GUARD, NOT_FOLLOWED).astype(jnp.int32)
+    violated = {one.outcome: going & is_negative(one, start) for one in mode.conditions}
+    first = before_first_step(mode, method, start)
     begun = Unfinished(first, start, zero, guard, jnp.asarray(0), violated)
     last = lax.while_loop(unfinished, follow, begun)
+
     event = partial(value_of_guard, mode, last.guard)
     refined, delay = method.refine_event(event, last.arrival)
     ended = (last.guard >= 0) & (last.guard < len(mode.guards))
@@ -221,6 +174,70 @@ def follow_mode(mode: Mode, start: Any, going: Bool[Array, ""], method: Method) 
     for condition in mode.conditions:
         violated[condition.outcome] |= going & is_negative(condition, arrival)
     return Arrival(arrival, last.time + keep(delay, zero), last.guard, violated)
+
+
+def before_first_step(mode: Mode, method: Method, start: Any) -> Step:
+    """A step of no length at the start of a mode."""
+    zero = zero_at(start)
+    sides = [zero for _ in mode.guards]
+    rates = [(zero, value_and_rate(one.value, mode.rates, start)[1]) for one in watched(mode)]
+    series = method.no_series(start) if method.carries_series(start) else ()
+    memory = method.first_memory(start)
+    return Step(start, start, zero, zero, sides, sides, rates, zero + 1, memory, series)
+
+
+def next_step(mode: Mode, method: Method, violated: Violated, step: Step) -> Step:
+    """The next step, and whether it certainly ends nothing."""
+    begins, sides = step.end, step.ends
+    series, end, length, memory = method.step(begins, step.memory)
+    may, ends = ~jnp.isfinite(length), []
+    known = along(mode, jax.tree.map(lambda c: c[: FIRST + 1], series, is_leaf=is_list))
+    for guard, side, polynomials in zip(mode.guards, sides, known, strict=True):
+        rises, ends_below = rises_perhaps(guard, side, polynomials, length, end)
+        may |= rises
+        ends.append(jnp.where(ends_below, -1, 1).astype(length.dtype))
+    rates = []
+    for condition, (_, before) in zip(watched(mode), step.rates, strict=True):
+        value, rate = value_and_rate(condition.value, mode.rates, end)
+        may |= ((value < 0) | ((before < 0) & (rate > 0))) & ~violated[condition.outcome]
+        rates.append((before, rate))
+    if mode.foregone is not None:
+        may |= holds(mode.foregone, end)
+    decided, time = (~may).astype(length.dtype), step.time + step.length
+    kept = series if method.carries_series(begins) else ()
+    return Step(begins, end, time, length, sides, ends, rates, decided, memory, kept)
+
+
+def search_step(mode: Mode, method: Method, now: Unfinished) -> Unfinished:
+    """The first event in the last step, if there is one, and what was violated before it."""
+    last = now.last
+    series = last.series if method.carries_series(last.end) else method.series_of(last.start)
+    crossings = []
+    ends = zip(last.sides, last.ends, along(mode, series, whole=True), strict=True)
+    for side, end, (value, admits) in ends:
+        below = is_below(side, value)
+        may = may_rise(value, admits, last.length, below, end < 0)
+        crossings.append(Crossing(value, admits, below, end < 0, may))
+    number, when = first_rise(crossings, last.length)
+    until = jnp.minimum(when, last.length)
+    if mode.foregone is not None:
+        foregone = (number == NO_GUARD) & holds(mode.foregone, last.end)
+        number = jnp.where(foregone, len(mode.guards), number)
+    event = partial(value_of_guard, mode, number)
+    refined = method.refine_time(event, last.start, series, until)
+    until = jnp.where(jnp.isfinite(when), refined, last.length)
+    arrival, violated = method.state_at(last.start, series, until), dict(now.violated)
+    for condition in watched(mode):
+        at = partial(value_and_rate, condition.value, mode.rates)
+        between = lambda t: evaluate_series(series, t)
+        _, least = least_between(at, last.start, arrival, between, until, above=0.0)
+        violated[condition.outcome] |= (least < 0) | is_negative(condition, arrival)
+    return now._replace(arrival=arrival, time=last.time + until, guard=number, violated=violated)
+
+
+def watched(mode: Mode) -> list[Condition]:
+    """The conditions that may be violated between the ends of a mode."""
+    return [one for one in mode.conditions if not one.least_at_ends]
 
 
 def along(mode: Mode, series: PyTree, whole: bool = False) -> list[tuple[list, list[list]]]:
@@ -245,11 +262,10 @@ def rises_perhaps(
 ) -> tuple[Bool[Array, ""], Bool[Array, ""]]:
     """Whether a guard may rise in a step, and whether it ends below zero."""
     value, admits = polynomials
-    below = is_below(side, value)
-    if not guard.persists:
-        return may_rise(value, admits, length, below)
     at_end = lambda one: with_fast_sincos(one)(lax.stop_gradient(end))
-    ends_below = at_end(guard.value) < 0
+    below, ends_below = is_below(side, value), at_end(guard.value) < 0
+    if not guard.persists:
+        return may_rise(value, admits, length, below, ends_below), ends_below
     slope = evaluate_polynomial(derivative_of(value), length)
     rises = ~ends_below & (below | ((value[1] < 0) & (slope > 0)))
     for function, series in zip(guard.admits, admits, strict=True):

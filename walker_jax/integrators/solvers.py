@@ -350,6 +350,14 @@ class Method(eqx.Module):
         field = self.field if isinstance(self.solver, Taylor) else with_fast_sincos(self.field)
         return diffrax.ODETerm(lambda t, y, args: field(y))
 
+    @property
+    def by_stages(self) -> Solver:
+        """The solver with a loop over stages that has derivatives in forward mode."""
+        if not isinstance(self.solver, diffrax.AbstractRungeKutta):
+            return self.solver
+        absent = lambda x: x is None
+        return eqx.tree_at(lambda s: s.scan_kind, self.solver, "lax", is_leaf=absent)
+
     def controller(self) -> diffrax.AbstractStepSizeController:
         if isinstance(self.solver, Taylor):
             order = self.solver.taylor_order
@@ -386,7 +394,7 @@ class Method(eqx.Module):
             return ()
         zero, terms, controller = zero_at(state), self.terms, self.controller()
         order = self.solver.error_order(terms)
-        first = self.solver.init(terms, zero, zero + 1, state, None)
+        first = self.by_stages.init(terms, zero, zero + 1, state, None)
         length, kept = controller.init(
             terms, zero, jnp.full_like(zero, jnp.inf), state, None, None, self.solver.func, order
         )
@@ -405,7 +413,7 @@ class Method(eqx.Module):
             return series, evaluate_series(series, length), length, ()
         length, kept, first = memory
         zero, terms, controller = jnp.zeros_like(length), self.terms, self.controller()
-        end, error, dense, last, _ = self.solver.step(
+        end, error, dense, last, _ = self.by_stages.step(
             terms, zero, length, state, None, first, False
         )
         order: Any = self.solver.error_order(terms)
@@ -433,9 +441,7 @@ class Method(eqx.Module):
         """The state a time after the start of a step, by its series or by a shorter step."""
         if isinstance(self.solver, Taylor):
             return evaluate_series(series, time)
-        zero, solver = jnp.zeros_like(time), self.solver
-        if isinstance(solver, diffrax.AbstractRungeKutta):  # "lax" has derivatives in forward mode
-            solver = eqx.tree_at(lambda s: s.scan_kind, solver, "lax", is_leaf=lambda x: x is None)
+        zero, solver = jnp.zeros_like(time), self.by_stages
         first = solver.init(self.terms, zero, time, state, None)
         return solver.step(self.terms, zero, time, state, None, first, False)[0]
 

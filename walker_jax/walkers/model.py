@@ -242,8 +242,7 @@ class Walker(eqx.Module):
         """Contact coordinate h = phi - 2 theta: zero when both feet are on the slope.
 
         It rises at heel strike. Ahead of the stance foot the swing foot is above the ground where
-        h < 0. A stride looks at it at the ends of integration steps, and takes it to turn once at
-        most within one.
+        h < 0.
         """
         return state.phi - 2 * state.theta
 
