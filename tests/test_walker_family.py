@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from by_differences import composite, differences, newton, stacked, strides
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
@@ -56,16 +57,6 @@ GAITS = {
     KneedWalker: (KneedWalker(0.05), [0.23793, -0.35396, -0.33328], 1.77),
 }
 """A walker of each kind, a start close to a gait of it, and about how long a stride then takes."""
-
-
-def stacked(walkers):
-    """Many walkers of one kind as one, with arrays for parameters."""
-    return jax.tree.map(lambda *leaves: np.stack(leaves), *walkers)
-
-
-def strides(walkers, xs):
-    """Strides, each of its own walker: compiled once for a kind."""
-    return wj.strides(stacked(walkers), np.asarray(xs, float))
 
 
 def states(count=40):
@@ -690,49 +681,6 @@ def test_parameters_that_are_arrays_are_checked(walker, named):
 
 
 # Gaits that others found
-
-
-def composite(walkers, xs, period):
-    """Each start after `period` strides, and how long they take."""
-    time = np.zeros(len(xs))
-    for _ in range(period):
-        result = strides(walkers, xs)
-        xs, time = result.state, time + result.time
-    return xs, time
-
-
-def differences(function, z, steps):
-    """Derivatives of a function of many points, extrapolated to step 0 thrice (Richardson)."""
-    scales = 0.5 ** np.arange(4)
-    n = len(z)
-    points = [
-        z + sign * scale * step * axis
-        for axis, step in zip(np.eye(n), steps, strict=True)
-        for scale in scales
-        for sign in (1, -1)
-    ]
-    values = function(np.array(points)).reshape(n, 4, 2, -1)
-    table = (values[:, :, 0] - values[:, :, 1]) / (2 * scales[:, None] * steps[:, None, None])
-    for factor in (4, 16, 64):
-        table = (factor * table[:, 1:] - table[:, :-1]) / (factor - 1)
-    return table[:, 0].T
-
-
-def newton(walker, x, period=1, step=1e-4):
-    """A cycle's first state (1, section), by Newton's iteration, and its multipliers.
-
-    Derivatives are differences of strides: nothing is differentiated.
-    """
-    x = np.asarray(x, float)
-    walk = lambda xs: composite([walker] * len(xs), xs, period)[0]
-    for _ in range(8):
-        jacobian = differences(walk, x, np.full(len(x), step))
-        change = np.linalg.solve(jacobian - np.eye(len(x)), x - walk(x[None])[0])
-        x = x + change
-        if np.abs(change).max() < 1e-11:
-            break
-    multipliers = np.linalg.eigvals(differences(walk, x, np.full(len(x), step)))
-    return x[None], multipliers[np.lexsort((-multipliers.imag, -np.abs(multipliers)))]
 
 
 def test_the_reference_gait_on_round_feet():
