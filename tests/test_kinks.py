@@ -77,6 +77,7 @@ def test_strides_through_kinks_are_those_of_small_steps(stiffness):
         np.testing.assert_allclose(state, expected, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_trajectory_through_kinks():
     times = np.linspace(0, 3, 7)
     found = np.array(wj.trajectory(limited(5.0), STARTS[0], times))
@@ -139,6 +140,7 @@ def test_derivatives_of_a_gait_through_kinks():
         np.testing.assert_allclose(found / scale, expected / scale, rtol=1e-6, atol=2e-7)
 
 
+@pytest.mark.slow
 def test_margins_through_kinks_are_of_the_same_stride():
     walker = limited(5.0)
     plain, found = wj.strides(walker, STARTS), wj.margins_of_many(walker, STARTS)
@@ -190,6 +192,10 @@ def test_where_a_field_jumps_the_outcome_is_undecided():
     plain = wj.stride(wj.SimplestWalker(SLOPE), STARTS[0])
     assert ends.outcome.tolist() == [Outcome.UNDECIDED, Outcome.STRIDE]  # the second never jumps
     np.testing.assert_allclose(ends.state[1], plain.state, rtol=0, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_where_a_field_jumps_a_trajectory_ends():
     motion = wj.trajectory(JumpingWalker(SLOPE, jnp.array(0.0)), STARTS[0], np.array([0.5, 3.0]))
     assert np.isfinite(motion.theta).tolist() == [True, False]
 
@@ -340,7 +346,7 @@ def zero():
     return lambda polynomials: np.asarray(found(jnp.asarray(polynomials)))
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_the_first_zero_is_that_of_all_roots(zero, seed):
     rng = np.random.default_rng(seed)

@@ -18,6 +18,7 @@ from walker_jax import BentState, KneedWalker, Outcome, RoundFootWalker, State
 from walker_jax.gaits.derivatives import linearise
 from walker_jax.walkers.kneed import FreeKnee, begin_bent, stance_knee_moment
 from walker_jax.walkers.parameters import parameters
+from walker_jax.walking.movement import leg_positions
 
 PUBLISHED = json.loads((Path(__file__).parent / "data" / "kneed_walkers.json").read_text())
 HSU_CHEN, HUMAN_LIKE = PUBLISHED["hsu_chen_2007"], PUBLISHED["human_like"]
@@ -739,6 +740,18 @@ def test_what_is_checked_fails_at_heel_strike():
         assert wj.stride(clean, x).outcome == Outcome.STRIDE
     with pytest.raises(ValueError, match="check_lock must be a bool, not 1"):
         changed(walker, check_lock=1)
+
+
+def test_places_of_the_legs_have_the_knee(path):
+    states, radius = path[1], float(WALKER.foot_radius)
+    stance, hip, swing, knee = leg_positions(WALKER, states, np.zeros(2), 1 - radius, radius)
+    for k, q in enumerate(np.stack(states[:3], axis=1)):
+        points, (_, thigh, _, shank) = places(WALKER, q)
+        up = lambda angle: np.array([-np.sin(angle), np.cos(angle)])
+        np.testing.assert_allclose(hip[k], points[0], rtol=0, atol=1e-14)
+        np.testing.assert_allclose(knee[k], hip[k] - 0.5 * up(thigh), rtol=0, atol=1e-14)
+        np.testing.assert_allclose(swing[k], knee[k] - 0.45 * up(shank), rtol=0, atol=1e-14)
+    np.testing.assert_allclose(np.linalg.norm(hip - stance, axis=1), 0.95, rtol=1e-14)
 
 
 @pytest.mark.slow

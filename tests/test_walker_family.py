@@ -336,7 +336,12 @@ def collision(cls):
     return lambda values, strike: jax.device_get(look(values, strike))
 
 
-@pytest.mark.parametrize("cls", CLASSES, ids=name)
+OTHERWISE = RoundFootWalker, UpperBodyWalker, KneedWalker
+"""Compared with other equations below and in test_knees.py: by default laws are left to these."""
+OF_LAWS = [pytest.param(cls, marks=[SLOW] * (cls in OTHERWISE)) for cls in CLASSES]
+
+
+@pytest.mark.parametrize("cls", OF_LAWS, ids=name)
 def test_no_power_is_gained_or_lost_during_a_stride(cls):
     """The motion conserves energy, as the ground does no work; a spring only on massless feet."""
 
@@ -349,7 +354,7 @@ def test_no_power_is_gained_or_lost_during_a_stride(cls):
     check()
 
 
-@pytest.mark.parametrize("cls", CLASSES, ids=name)
+@pytest.mark.parametrize("cls", OF_LAWS, ids=name)
 def test_what_heel_strike_keeps_and_what_it_loses(cls):
     """Kinetic energy does not grow; angular momentum about the new contact point is kept.
 
@@ -375,6 +380,7 @@ def test_what_heel_strike_keeps_and_what_it_loses(cls):
     check()
 
 
+@pytest.mark.slow
 def test_an_upper_body_takes_momentum_from_the_trailing_leg():
     """The bisecting hip is a mechanism between body and legs: only the whole is conserved."""
     values = [parameter.default for parameter in parameters(UpperBodyWalker)[1:]]
@@ -385,14 +391,8 @@ def test_an_upper_body_takes_momentum_from_the_trailing_leg():
     assert after == pytest.approx(before, rel=1e-13)
 
 
-@pytest.mark.parametrize(
-    "cls",
-    [
-        pytest.param(cls, marks=[SLOW] * (cls is not PointFootWalker))
-        for cls in (*MASSLESS, *GENERAL)
-    ],
-    ids=name,
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("cls", [*MASSLESS, *GENERAL], ids=name)
 def test_energy_is_conserved_along_a_stride(cls):
     walker, x, time = GAITS[cls]
     path = wj.trajectory(walker, np.array(x), np.linspace(0, time, 30))
@@ -1026,10 +1026,10 @@ def test_running_is_a_force_that_pulls_at_any_time_before_heel_strike():
     runs = np.flatnonzero(found.outcome == Outcome.RUNNING)
     later = [i for i in runs if at_start(i) > 0][:5]
     assert len(later) >= 4 and len(runs) > 100
-    for i in later:
+    for i in later[:2]:
         following, _, forces = Bodies(walkers[i]).stride(xs[i])
         assert following is not None and forces.min() < 0
-    for i in np.flatnonzero(found.outcome == Outcome.STRIDE)[:5]:
+    for i in np.flatnonzero(found.outcome == Outcome.STRIDE)[:2]:
         following, _, forces = Bodies(walkers[i]).stride(xs[i])
         assert following is not None and forces.min() > 0
     for i in np.flatnonzero(found.outcome != Outcome.OUTSIDE):
