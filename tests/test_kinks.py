@@ -15,6 +15,7 @@ import walker_jax as wj
 from walker_jax.gaits.derivatives import linearise
 from walker_jax.integrators.roots import first_zero
 from walker_jax.integrators.taylor import function_series, solution_series, switching_series
+from walker_jax.kernels import by_kernel
 from walker_jax.multibody import System
 from walker_jax.walkers.family import PLANAR_WALKERS
 from walker_jax.walkers.masses import SingleSupport
@@ -300,7 +301,10 @@ def expanded():
         both = function_series(whole, line), function_series(branch, line)
         return *both, switching_series(whole, line)
 
-    all_of_them = jax.jit(lambda line: {name: look(line, *PIECEWISE[name]) for name in PIECEWISE})
+    @by_kernel  # which takes less to compile
+    def all_of_them(line):
+        return {name: look(line, *PIECEWISE[name]) for name in PIECEWISE}
+
     return all_of_them(line), jax.jit(first_zero)
 
 
