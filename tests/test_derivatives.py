@@ -181,14 +181,15 @@ def test_derivatives_of_what_fails_are_nan_without_kernels(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("quantity", "mode"),
+    ("quantity", "modes"),
     [
-        ("stride", jax.jacfwd),
-        *(pytest.param(*row, marks=SLOW) for row in (("stride", jax.jacrev), ("gait", jax.jacfwd))),
-        pytest.param("gait", jax.jacrev, marks=SLOW),
+        ("stride", "forward"),
+        pytest.param("stride", "reverse", marks=SLOW),
+        pytest.param("gait", "forward", marks=SLOW),
+        pytest.param("gait", "reverse", marks=SLOW),
     ],
 )
-def test_hessians_are_differences_of_gradients(quantity, mode, monkeypatch):
+def test_hessians_are_differences_of_gradients(quantity, modes, monkeypatch):
     """Of the simplest walker, in three of the four modes: forward of reverse, and two alike."""
     monkeypatch.setattr(primitive, "MAX_OPERATIONS", (0, 0))
     function = of_numbers(SimplestWalker, quantity)
@@ -198,7 +199,8 @@ def test_hessians_are_differences_of_gradients(quantity, mode, monkeypatch):
     gradient = jax.grad(single)
     hessian = np.asarray(jax.jit(jax.hessian(single))(z))
     np.testing.assert_allclose(hessian, hessian.T, rtol=1e-9, atol=1e-9 * abs(hessian).max())
-    assert_close(np.asarray(jax.jit(mode(mode(single)))(z)), hessian, 1e-10)
+    other = jax.jacrev(gradient) if modes == "reverse" else jax.jacfwd(jax.jacfwd(single))
+    assert_close(np.asarray(jax.jit(other)(z)), hessian, 1e-10)
     assert_close(hessian, differences(gradient, z, steps), 1e-6)
 
 
