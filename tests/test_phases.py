@@ -24,7 +24,8 @@ class UntilItLeans(PartOfSwing):
         return -LEAN - state.theta
 
     def end(self, state):
-        return state._replace(phidot=self.walker.kept * state.phidot)
+        walker: Any = self.walker
+        return state._replace(phidot=walker.kept * state.phidot)
 
     def clearance(self, state):
         return jnp.cos(state.theta) - jnp.cos(state.theta - state.phi)
@@ -82,7 +83,7 @@ def test_derivatives_through_the_end_of_a_phase_are_those_of_differences():
         many = with_parameter(with_parameter(walker, "slope", zs[:, 2]), "kept", zs[:, 3])
         made = wj.strides(many, zs[:, :2])
         assert (made.outcome == Outcome.STRIDE).all()
-        return made.state
+        return np.asarray(made.state)
 
     expected = differences(ends, np.array([*x, SLOPE, 0.9]), np.array([3e-4, 3e-4, 1e-4, 1e-2]))
     jacobian = found["slope"].jacobian[0, 0]
