@@ -390,7 +390,7 @@ def test_pieces_are_all_cells_one_after_the_other(small_pieces, shape):
     assert max(sizes) < 2 * 600 and (len(parts) == 1 or max(sizes) >= 600)
 
 
-@pytest.mark.parametrize("method", ["cell-map", "direct"])
+@pytest.mark.parametrize("method", [pytest.param("cell-map", marks=pytest.mark.slow), "direct"])
 def test_rows_that_are_long_are_cut(tmp_path, small_pieces, method):
     grid = wj.Grid.sheared(theta=(0.1, 0.3, 2), sum=(-0.03, 0.02, 1500))
     wanted = wj.basin(STEEP, grid, method, strides=30)

@@ -143,7 +143,8 @@ FAILING = {
 
 
 @pytest.mark.parametrize(
-    "quantity", ["stride", pytest.param("rough", marks=SLOW), "rough walk", "walk"]
+    "quantity",
+    ["stride", *(pytest.param(name, marks=SLOW) for name in ("rough", "rough walk", "walk"))],
 )
 def test_derivatives_of_what_fails_are_nan(quantity, monkeypatch):
     """In either mode, by the start and all parameters; those of what succeeds are not."""
@@ -155,12 +156,18 @@ def test_derivatives_of_what_fails_are_nan(quantity, monkeypatch):
     for jacobian in both(zs):
         assert np.isfinite(jacobian[0]).all() and np.isnan(jacobian[1:]).all()
     if quantity == "stride":
-        twice = jax.jit(jax.vmap(jax.hessian(lambda z: function(z)[0])))(zs)
-        assert np.isfinite(twice[0]).all() and np.isnan(twice[1:]).all()
         first = lambda zs: jnp.where(jnp.arange(len(zs)) == 0, jax.vmap(function)(zs)[:, 0], 0.0)
         gradient = jax.jit(jax.grad(lambda zs: first(zs).sum()))(zs)
         np.testing.assert_allclose(gradient[0], both(zs)[1][0, 0], rtol=1e-12)
         assert (gradient[1:] == 0).all()  # what is left out has no part
+
+
+@pytest.mark.slow
+def test_second_derivatives_of_what_fails_are_nan():
+    function = of_numbers(SimplestWalker, "stride")
+    zs = jnp.asarray([[*x, 0.009] for x in [STARTS[SimplestWalker][1], *FAILING.values()]])
+    twice = jax.jit(jax.vmap(jax.hessian(lambda z: function(z)[0])))(zs)
+    assert np.isfinite(twice[0]).all() and np.isnan(twice[1:]).all()
 
 
 @pytest.mark.slow
@@ -173,9 +180,17 @@ def test_derivatives_of_what_fails_are_nan_without_kernels(monkeypatch):
     assert np.isfinite(found[0]).all() and np.isnan(found[1:]).all()
 
 
-@pytest.mark.parametrize("quantity", ["stride", pytest.param("gait", marks=SLOW)])
-def test_hessians_are_differences_of_gradients(quantity, monkeypatch):
-    """Of the simplest walker, in three of the four modes."""
+@pytest.mark.parametrize(
+    ("quantity", "modes"),
+    [
+        ("stride", "forward"),
+        pytest.param("stride", "reverse", marks=SLOW),
+        pytest.param("gait", "forward", marks=SLOW),
+        pytest.param("gait", "reverse", marks=SLOW),
+    ],
+)
+def test_hessians_are_differences_of_gradients(quantity, modes, monkeypatch):
+    """Of the simplest walker, in three of the four modes: forward of reverse, and two alike."""
     monkeypatch.setattr(primitive, "MAX_OPERATIONS", (0, 0))
     function = of_numbers(SimplestWalker, quantity)
     z, steps = point(SimplestWalker)
@@ -184,8 +199,8 @@ def test_hessians_are_differences_of_gradients(quantity, monkeypatch):
     gradient = jax.grad(single)
     hessian = np.asarray(jax.jit(jax.hessian(single))(z))
     np.testing.assert_allclose(hessian, hessian.T, rtol=1e-9, atol=1e-9 * abs(hessian).max())
-    for other in (jax.jacrev(gradient), jax.jacfwd(jax.jacfwd(single))):
-        assert_close(np.asarray(jax.jit(other)(z)), hessian, 1e-10)
+    other = jax.jacrev(gradient) if modes == "reverse" else jax.jacfwd(jax.jacfwd(single))
+    assert_close(np.asarray(jax.jit(other)(z)), hessian, 1e-10)
     assert_close(hessian, differences(gradient, z, steps), 1e-6)
 
 

@@ -46,7 +46,13 @@ def richardson(function, x, h):
     return (16 * first[1] - first[0]) / 15
 
 
-STIFF = [(0.001, 100.0), (0.012, 3.0), (0.1, 100.0), (0.2, 20.0)]
+SLOW = pytest.mark.slow
+STIFF = [
+    (0.001, 100.0),
+    pytest.param(0.012, 3.0, marks=SLOW),
+    pytest.param(0.1, 100.0, marks=SLOW),
+    (0.2, 20.0),
+]
 """Slopes and stiffnesses of springs that swing the leg fast."""
 
 
@@ -107,7 +113,10 @@ def test_all_gaits_of_a_region_each_once():
 
 @pytest.mark.parametrize(
     ("period", "bifurcation", "before", "after"),
-    [(2, 0.01508843794111946, 0, 1), (3, 0.012280821626094882, 0, 2)],
+    [
+        (2, 0.01508843794111946, 0, 1),
+        pytest.param(3, 0.012280821626094882, 0, 2, marks=SLOW),
+    ],
 )
 def test_next_to_a_bifurcation_no_gait_is_invented(period, bifurcation, before, after):
     """Where cycles that are none miss themselves by no more than rounding."""
@@ -126,6 +135,7 @@ def test_the_long_gait_is_found_on_every_slope_that_has_it(slope):
     np.testing.assert_allclose(gait.states[0], guess, rtol=0, atol=2e-5)
 
 
+@pytest.mark.slow
 def test_slow_gaits_whose_swing_leg_swings_back_and_forth_again():
     """Close to the edge of falling backward, where only fine cells lead to them."""
     fine = wj.Grid.sheared(theta=(0, 0.5, 100), sum=(-0.05, 0.02, 1000))
@@ -250,8 +260,6 @@ def test_a_failed_search_says_so():
         assert np.isnan(gait.multipliers).all() and np.isnan(gait.step_times).all()
     gait = search_gait(walker(0.005), [0.1, -0.1], 3)
     assert not gait.found and gait.states.shape == (3, 2) and gait.step_times.shape == (3,)
-    traced = jax.jit(lambda x: wj.find_gait(walker(), x))(jnp.array([0.2, -0.5]))
-    assert not traced.found and np.isnan(traced.states).all()
 
 
 @pytest.mark.parametrize(
@@ -374,7 +382,7 @@ def test_multipliers_of_a_traced_search_are_those_of_the_strides_in_their_order(
 
 def test_descent_reaches_gaits_from_where_newton_diverges():
     """From the cells of the whole section that make a stride at all."""
-    grid = wj.Grid.plain(theta=(0, np.pi / 4, 50), thetadot=(-1, 0, 50))
+    grid = wj.Grid.plain(theta=(0, np.pi / 4, 30), thetadot=(-1, 0, 30))
     starts = grid.centres(np.arange(grid.size))
     _, cycles = search.cycle_guesses(walker(), starts, 1, 1e-12)
     newton = search.iterate_newton(walker(), cycles, 1e-12)

@@ -15,6 +15,7 @@ import walker_jax as wj
 from walker_jax.gaits.derivatives import linearise
 from walker_jax.integrators.roots import first_zero
 from walker_jax.integrators.taylor import function_series, solution_series, switching_series
+from walker_jax.kernels import by_kernel
 from walker_jax.multibody import System
 from walker_jax.walkers.family import PLANAR_WALKERS
 from walker_jax.walkers.masses import SingleSupport
@@ -77,6 +78,7 @@ def test_strides_through_kinks_are_those_of_small_steps(stiffness):
         np.testing.assert_allclose(state, expected, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_trajectory_through_kinks():
     times = np.linspace(0, 3, 7)
     found = np.array(wj.trajectory(limited(5.0), STARTS[0], times))
@@ -139,6 +141,7 @@ def test_derivatives_of_a_gait_through_kinks():
         np.testing.assert_allclose(found / scale, expected / scale, rtol=1e-6, atol=2e-7)
 
 
+@pytest.mark.slow
 def test_margins_through_kinks_are_of_the_same_stride():
     walker = limited(5.0)
     plain, found = wj.strides(walker, STARTS), wj.margins_of_many(walker, STARTS)
@@ -190,6 +193,10 @@ def test_where_a_field_jumps_the_outcome_is_undecided():
     plain = wj.stride(wj.SimplestWalker(SLOPE), STARTS[0])
     assert ends.outcome.tolist() == [Outcome.UNDECIDED, Outcome.STRIDE]  # the second never jumps
     np.testing.assert_allclose(ends.state[1], plain.state, rtol=0, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_where_a_field_jumps_a_trajectory_ends():
     motion = wj.trajectory(JumpingWalker(SLOPE, jnp.array(0.0)), STARTS[0], np.array([0.5, 3.0]))
     assert np.isfinite(motion.theta).tolist() == [True, False]
 
@@ -294,7 +301,10 @@ def expanded():
         both = function_series(whole, line), function_series(branch, line)
         return *both, switching_series(whole, line)
 
-    all_of_them = jax.jit(lambda line: {name: look(line, *PIECEWISE[name]) for name in PIECEWISE})
+    @by_kernel  # which takes less to compile
+    def all_of_them(line):
+        return {name: look(line, *PIECEWISE[name]) for name in PIECEWISE}
+
     return all_of_them(line), jax.jit(first_zero)
 
 
@@ -340,7 +350,7 @@ def zero():
     return lambda polynomials: np.asarray(found(jnp.asarray(polynomials)))
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_the_first_zero_is_that_of_all_roots(zero, seed):
     rng = np.random.default_rng(seed)

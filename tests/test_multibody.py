@@ -196,6 +196,7 @@ def test_spatial_pendulum_accelerates_by_its_closed_form():
     assert_accelerations(spatial_pendulum(), closed_form, q, qdot)
 
 
+@pytest.mark.slow
 def test_spatial_pendulum_keeps_its_energy_and_angular_momentum():
     """The latter about the vertical, over many swings."""
     system = spatial_pendulum()

@@ -307,6 +307,7 @@ def test_falls_may_compare_the_largest_of_several():
     assert_same(wj.strides(Largest(0.01), xs), expected)
 
 
+@pytest.mark.slow
 def test_a_film_ends_where_a_walker_has_fallen_by_its_own_rule():
     walker, usual, xs = RULES["within a step"][0], wj.SimplestWalker(0.01), starts(200)
     outcome = wj.strides(walker, xs).outcome
@@ -341,6 +342,7 @@ def test_falls_of_ones_own_end_phases_too():
         assert_same(found, whole, 1e-9)
 
 
+@pytest.mark.slow
 def test_boundaries_move_with_the_limit_of_a_fall_as_margins_say():
     """Points of the basin's boundary, by bisection at two limits, and by derivatives of margins."""
     at = lambda limit: LimitedWalker(*jnp.array([0.004, limit, 0.0]))

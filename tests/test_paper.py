@@ -370,10 +370,13 @@ def test_files_of_something_else_are_kept(tmp_path):
     assert not (tmp_path / "data").exists()
 
 
-def test_an_empty_folder_will_do(tmp_path, data, monkeypatch):
+def test_an_empty_folder_will_do(tmp_path, data, numbers, monkeypatch):
     monkeypatch.setattr(
         "walker_jax.paper.reproduction.CALCULATIONS",
         {name: lambda _, name=name: data[name] for name in data},
+    )
+    monkeypatch.setattr(
+        "walker_jax.paper.reproduction.compare_numbers", lambda data: [*numbers.values()]
     )
     monkeypatch.setattr("walker_jax.paper.reproduction.FIGURES", pictures.FIGURES[:1])
     reproduction.reproduce(tmp_path, quick=True)

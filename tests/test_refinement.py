@@ -235,7 +235,9 @@ def test_mistakes_count_by_how_many_cells_inherited_from_each_level(monkeypatch)
     assert abs(size.area - (0.375 - dust)) < 3 * size.area_error < 0.02
 
 
-@pytest.mark.parametrize(("side", "check"), [(0.25, 400), (0, 4000)])
+@pytest.mark.parametrize(
+    ("side", "check"), [(0.25, 400), pytest.param(0, 4000, marks=pytest.mark.slow)]
+)
 def test_areas_of_many_seeds_are_neither_high_nor_low_and_scatter_as_is_said(
     side, check, monkeypatch
 ):

@@ -388,6 +388,7 @@ def test_the_nearest_fall_is_farther_where_another_motion_is_nearer(steep, boxed
     assert fall.size == slow.size and fall[3:] == slow[3:]
 
 
+@pytest.mark.slow
 def test_the_least_step_down_that_ends_in_a_fall_is_higher(steep, boxed):
     """Against steps down of heights that are 0.1 % apart."""
     first, fall = (least_step_down(STEEP, steep, strides=150, fall=f) for f in (False, True))

@@ -98,7 +98,9 @@ def in_kanes_order(reference, start):
     return reference.state(start[2:5], start[5:], start[:2])
 
 
-@pytest.mark.parametrize("sizes", [DISC, BODY], ids=["disc", "body"])
+@pytest.mark.parametrize(
+    "sizes", [pytest.param(DISC, id="disc", marks=pytest.mark.slow), pytest.param(BODY, id="body")]
+)
 def test_what_rolls_accelerates_as_kanes_method_says(sizes):
     starts, reference = states(1), Rolling(sizes, 1)
     found = np.asarray(rates_of(rolling(sizes), starts))

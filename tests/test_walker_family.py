@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from by_differences import composite, differences, newton, stacked, strides
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
@@ -56,16 +57,6 @@ GAITS = {
     KneedWalker: (KneedWalker(0.05), [0.23793, -0.35396, -0.33328], 1.77),
 }
 """A walker of each kind, a start close to a gait of it, and about how long a stride then takes."""
-
-
-def stacked(walkers):
-    """Many walkers of one kind as one, with arrays for parameters."""
-    return jax.tree.map(lambda *leaves: np.stack(leaves), *walkers)
-
-
-def strides(walkers, xs):
-    """Strides, each of its own walker: compiled once for a kind."""
-    return wj.strides(stacked(walkers), np.asarray(xs, float))
 
 
 def states(count=40):
@@ -345,7 +336,12 @@ def collision(cls):
     return lambda values, strike: jax.device_get(look(values, strike))
 
 
-@pytest.mark.parametrize("cls", CLASSES, ids=name)
+OTHERWISE = RoundFootWalker, UpperBodyWalker, KneedWalker
+"""Compared with other equations below and in test_knees.py: by default laws are left to these."""
+OF_LAWS = [pytest.param(cls, marks=[SLOW] * (cls in OTHERWISE)) for cls in CLASSES]
+
+
+@pytest.mark.parametrize("cls", OF_LAWS, ids=name)
 def test_no_power_is_gained_or_lost_during_a_stride(cls):
     """The motion conserves energy, as the ground does no work; a spring only on massless feet."""
 
@@ -358,7 +354,7 @@ def test_no_power_is_gained_or_lost_during_a_stride(cls):
     check()
 
 
-@pytest.mark.parametrize("cls", CLASSES, ids=name)
+@pytest.mark.parametrize("cls", OF_LAWS, ids=name)
 def test_what_heel_strike_keeps_and_what_it_loses(cls):
     """Kinetic energy does not grow; angular momentum about the new contact point is kept.
 
@@ -384,6 +380,7 @@ def test_what_heel_strike_keeps_and_what_it_loses(cls):
     check()
 
 
+@pytest.mark.slow
 def test_an_upper_body_takes_momentum_from_the_trailing_leg():
     """The bisecting hip is a mechanism between body and legs: only the whole is conserved."""
     values = [parameter.default for parameter in parameters(UpperBodyWalker)[1:]]
@@ -394,14 +391,8 @@ def test_an_upper_body_takes_momentum_from_the_trailing_leg():
     assert after == pytest.approx(before, rel=1e-13)
 
 
-@pytest.mark.parametrize(
-    "cls",
-    [
-        pytest.param(cls, marks=[SLOW] * (cls is not PointFootWalker))
-        for cls in (*MASSLESS, *GENERAL)
-    ],
-    ids=name,
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("cls", [*MASSLESS, *GENERAL], ids=name)
 def test_energy_is_conserved_along_a_stride(cls):
     walker, x, time = GAITS[cls]
     path = wj.trajectory(walker, np.array(x), np.linspace(0, time, 30))
@@ -690,49 +681,6 @@ def test_parameters_that_are_arrays_are_checked(walker, named):
 
 
 # Gaits that others found
-
-
-def composite(walkers, xs, period):
-    """Each start after `period` strides, and how long they take."""
-    time = np.zeros(len(xs))
-    for _ in range(period):
-        result = strides(walkers, xs)
-        xs, time = result.state, time + result.time
-    return xs, time
-
-
-def differences(function, z, steps):
-    """Derivatives of a function of many points, extrapolated to step 0 thrice (Richardson)."""
-    scales = 0.5 ** np.arange(4)
-    n = len(z)
-    points = [
-        z + sign * scale * step * axis
-        for axis, step in zip(np.eye(n), steps, strict=True)
-        for scale in scales
-        for sign in (1, -1)
-    ]
-    values = function(np.array(points)).reshape(n, 4, 2, -1)
-    table = (values[:, :, 0] - values[:, :, 1]) / (2 * scales[:, None] * steps[:, None, None])
-    for factor in (4, 16, 64):
-        table = (factor * table[:, 1:] - table[:, :-1]) / (factor - 1)
-    return table[:, 0].T
-
-
-def newton(walker, x, period=1, step=1e-4):
-    """A cycle's first state (1, section), by Newton's iteration, and its multipliers.
-
-    Derivatives are differences of strides: nothing is differentiated.
-    """
-    x = np.asarray(x, float)
-    walk = lambda xs: composite([walker] * len(xs), xs, period)[0]
-    for _ in range(8):
-        jacobian = differences(walk, x, np.full(len(x), step))
-        change = np.linalg.solve(jacobian - np.eye(len(x)), x - walk(x[None])[0])
-        x = x + change
-        if np.abs(change).max() < 1e-11:
-            break
-    multipliers = np.linalg.eigvals(differences(walk, x, np.full(len(x), step)))
-    return x[None], multipliers[np.lexsort((-multipliers.imag, -np.abs(multipliers)))]
 
 
 def test_the_reference_gait_on_round_feet():
@@ -1078,10 +1026,10 @@ def test_running_is_a_force_that_pulls_at_any_time_before_heel_strike():
     runs = np.flatnonzero(found.outcome == Outcome.RUNNING)
     later = [i for i in runs if at_start(i) > 0][:5]
     assert len(later) >= 4 and len(runs) > 100
-    for i in later:
+    for i in later[:2]:
         following, _, forces = Bodies(walkers[i]).stride(xs[i])
         assert following is not None and forces.min() < 0
-    for i in np.flatnonzero(found.outcome == Outcome.STRIDE)[:5]:
+    for i in np.flatnonzero(found.outcome == Outcome.STRIDE)[:2]:
         following, _, forces = Bodies(walkers[i]).stride(xs[i])
         assert following is not None and forces.min() > 0
     for i in np.flatnonzero(found.outcome != Outcome.OUTSIDE):
