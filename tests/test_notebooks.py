@@ -17,7 +17,7 @@ ROOM = 200_000
 """Bytes that a notebook may have."""
 
 each_notebook = pytest.mark.parametrize("path", PATHS, ids=lambda path: path.stem)
-LONG = "2-gaits", "4-robustness", "5-optimising", "6-your-own-walker", "7-rough-ground"
+LONG = "2-gaits", "3-the-basin", "4-robustness", "5-optimising", "6-your-own-walker", "7-rough-ground"
 """Those that take seven seconds or more."""
 run_each_notebook = pytest.mark.parametrize(
     "path",
