@@ -732,6 +732,7 @@ def test_wrong_robustness(run, tmp_path, arguments, named):
 
 FASTEST = ["optimise", "--over", "slope", "--bound", "slope=0.001:0.015", "--objective", "speed"]
 FASTEST += ["--at-most", "spectral-radius", "0.9", "--starts", "1", "--scan", "3"]
+FASTEST += ["--theta", "0", "0.4", "20", "--sum", "-0.02", "0.01", "12"]
 
 
 def proportional(walker, parameters=(), *_, **__):

@@ -177,7 +177,7 @@ def matrices(draw):
     return tuple(draw(arrays(float, shape, elements=entries)) for shape in shapes)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(matrices(), st.booleans(), st.booleans())
 def test_products_of_random_matrices_known_or_not(matrices, first_known, second_known):
     left, right, v = matrices
