@@ -673,8 +673,9 @@ def drag(running, seconds, clients=8):
     return len(pictures_made)
 
 
+@pytest.mark.slow  # one thread computes all pictures, as other tests show
 def test_clients_that_drag_at_once_all_get_their_pictures(running):
-    assert drag(running, 0.3, clients=2) >= 2
+    assert drag(running, 0.5, clients=3) >= 3
 
 
 def resident() -> int:
