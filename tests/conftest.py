@@ -7,6 +7,7 @@ tried on the same inputs in every run; `pytest --hypothesis-profile=explore` dra
 
 import gc
 import os
+from collections.abc import Iterator
 
 import jax
 import pytest
@@ -25,6 +26,14 @@ WORTH_KEEPING = 0.1
 """Seconds of compilation from which on a program is kept."""
 HALF_WRITTEN = "ignore:Error reading persistent compilation cache entry"
 """As another process is just writing it, or was killed while it did: it is compiled instead."""
+
+
+@pytest.fixture(scope="module")
+def quick_references() -> Iterator[None]:
+    """XLA hardly optimises: what it compiles is called once, to compare with."""
+    jax.config.update("jax_disable_most_optimizations", True)
+    yield
+    jax.config.update("jax_disable_most_optimizations", False)
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -732,6 +732,7 @@ def test_wrong_robustness(run, tmp_path, arguments, named):
 
 FASTEST = ["optimise", "--over", "slope", "--bound", "slope=0.001:0.015", "--objective", "speed"]
 FASTEST += ["--at-most", "spectral-radius", "0.9", "--starts", "1", "--scan", "3"]
+FASTEST += ["--theta", "0", "0.4", "20", "--sum", "-0.02", "0.01", "12"]
 
 
 def proportional(walker, parameters=(), *_, **__):
@@ -1100,7 +1101,7 @@ def test_what_xla_compiles_is_kept_from_others(tmp_path, monkeypatch):
     settings, folder = {}, tmp_path / "here" / "xla-programs"
     monkeypatch.setattr(jax.config, "update", settings.__setitem__)
     monkeypatch.setattr(startup.atexit, "register", lambda *_: None)
-    monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR")
+    monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
     monkeypatch.setenv("WALKER_JAX_CACHE_DIR", str(tmp_path / "here"))
     before = os.umask(0)
     try:

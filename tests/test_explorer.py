@@ -318,7 +318,7 @@ def test_gaits_and_area_for_the_page():
 
 
 def test_the_disturbance_for_the_page(monkeypatch):
-    few = partial(wj.least_disturbance, directions=24)
+    few = partial(wj.least_disturbance, directions=8)
     monkeypatch.setattr(measures, "least_disturbance", few)
     found = measures.disturbance(subject())
     exact = few(wj.SimplestWalker(0.004))
@@ -673,6 +673,7 @@ def drag(running, seconds, clients=8):
     return len(pictures_made)
 
 
+@pytest.mark.slow  # one thread computes all pictures, as other tests show
 def test_clients_that_drag_at_once_all_get_their_pictures(running):
     assert drag(running, 0.5, clients=3) >= 3
 

@@ -202,7 +202,7 @@ def bench(tmp_path_factory, made):
         patch("walker_jax.basin", basin)
         patch("walker_jax.bifurcation_diagram", refuse)
         patch("walker_jax.continue_basins", refuse)
-        patch("walker_jax.stability.boundaries.SPACING", 0.05)  # curves of few points
+        patch("walker_jax.stability.boundaries.SPACING", 0.5)  # curves of few points
         one = lambda walker, period: [gait] if period == 1 else []
         patch("walker_jax.gaits.selection.find_gaits", one)
         patch("walker_jax.gaits.search.find_gaits", lambda *_, **__: [])
@@ -479,7 +479,8 @@ HEAVY |= {"continue_basins", "robustness", "robustness_table"}
 
 
 BEGINNINGS = ((tiles, "program_of"), (primitive, "program_of"), (rough_ground, "walk_disturbed"))
-"""Of a kernel, and of the one computation without any that takes long to compile."""
+BEGINNINGS += ((storage, "open_pieces"),)
+"""Of a kernel, of the one computation without any that takes long to compile, and of a store."""
 
 
 class Begun(BaseException):

@@ -17,6 +17,8 @@ from test_kernels import run
 from walker_jax.integrators.solvers import Taylor
 from walker_jax.kernels import UnsupportedPrimitive
 
+pytestmark = pytest.mark.usefixtures("quick_references")
+
 TIMES = jnp.linspace(0.0, 6.0, 7)
 CELLS = np.random.default_rng(0).uniform(-1.5, 1.5, (101, 2))
 # a rest position, one that is never left, and no number

@@ -322,12 +322,13 @@ def test_feedback_changes_the_jacobian_by_the_gains(level_gait):
 
 
 def test_parameters_stay_within_their_bounds(level_gait):
-    """Below the least push-off, which is 0 by itself, it is the least one."""
-    strong = {"push_off": [-5.0, 0.0]}
-    x = np.add(level_gait.states[0], [0.02, -0.03])
-    for bounds, least in (({}, 0.0), ({"push_off": (0.03, 0.06)}, 0.03)):
+    """Below the least push-off, which is 0 by itself, it is the least one; above, the largest."""
+    strong, given = {"push_off": [-20.0, 0.0]}, {"push_off": (0.03, 0.06)}
+    for side, bounds, end in ((1, {}, 0.0), (1, given, 0.03), (-1, given, 0.06)):
+        x = np.add(level_gait.states[0], [side * 0.005, side * -0.005])
         fed = wj.Feedback(LEVEL, level_gait, strong, bounds)
-        expected = wj.stride(wj.PoweredWalker(0.0, push_off=least), x)
+        expected = wj.stride(wj.PoweredWalker(0.0, push_off=end), x)
+        assert expected.outcome == wj.Outcome.STRIDE
         np.testing.assert_array_equal(wj.stride(fed, x).state, expected.state)
 
 

@@ -11,6 +11,8 @@ from jax import lax
 
 from walker_jax.kernels.scalars import EXACT, unroll
 
+pytestmark = pytest.mark.usefixtures("quick_references")
+
 SYMMETRIC = np.array([[3.0, 1.0, 0.5], [1.0, 4.0, -1.0], [0.5, -1.0, 5.0]])
 V = jnp.array([0.3, -1.2, 0.8])
 A = jnp.array([[1.5, 0.2, -0.4], [0.7, -2.0, 1.1], [0.3, 0.9, 0.6]])
@@ -177,7 +179,7 @@ def matrices(draw):
     return tuple(draw(arrays(float, shape, elements=entries)) for shape in shapes)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(matrices(), st.booleans(), st.booleans())
 def test_products_of_random_matrices_known_or_not(matrices, first_known, second_known):
     left, right, v = matrices
@@ -374,7 +376,11 @@ def test_complex_numbers():
     assert_equal(unroll(function)(V), function(V))
 
 
-@pytest.mark.parametrize("dtype", [np.float64, np.float32, np.int32, np.uint8, np.bool_])
+@pytest.mark.parametrize(
+    "dtype",
+    [np.float64, np.int32, np.bool_]
+    + [pytest.param(one, marks=pytest.mark.slow) for one in (np.float32, np.uint8)],
+)
 def test_known_numbers_are_computed_as_jax_does(dtype):
     special = [0.0, 1.0, 0.1, 3.0, 7.0, 200.0]
     kind = np.dtype(dtype).kind

@@ -227,16 +227,14 @@ def made_up_robustness(monkeypatch, walker: wj.Walker = WALKER, grid=GRID):
 
 
 def test_robustness_says_where_a_search_ends_in_another_gait_than_that_of_the_basin(monkeypatch):
-    walker = wj.SpringWalker(0.004, 11.24)
-    owner, other = (wj.find_gait(walker, x) for x in ([0.0908, -0.2074], [0.1446, -0.1614]))
-    assert owner.stable and other.stable and not is_same_cycle(owner, other)
-    grid = wj.Grid.sheared(theta=(0.02, 0.2, 12), sum=(-0.2, 0, 16))
+    owner, other = wj.find_gait(WALKER), wj.find_gait(WALKER, [0.1453, -0.1553])
+    assert owner.stable and not other.stable and not is_same_cycle(owner, other)
     monkeypatch.setattr(summary, "search_gait", lambda *_, **__: other)
-    data = made_up_robustness(monkeypatch, walker, grid)
+    data = made_up_robustness(monkeypatch)
     assert float(data["multiplier"]) == pytest.approx(np.abs(owner.multipliers[0]), rel=1e-9)
     words = compare_with_search(owner, other)
     assert summarise_robustness(data, 0.004)["note"] == words
-    assert "a stable gait, multiplier 0.775764, at (0.144555, -0.161404), not that" in words
+    assert "an unstable gait, multiplier 3.21277, at (0.148778, -0.158807), not that" in words
 
 
 def test_a_search_agrees_with_a_basin_by_the_cycle_from_whichever_state():
