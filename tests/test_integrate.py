@@ -13,7 +13,6 @@ from scipy.integrate import solve_ivp
 from walker_jax.integrators.roots import (
     bracketed_newton,
     first_upcrossing,
-    function_jet,
     polynomial_jet,
 )
 from walker_jax.integrators.solvers import (
@@ -303,12 +302,6 @@ def test_steps_of_a_series_in_diffeqsolve_are_those_of_the_loop(single_steps):
     np.testing.assert_allclose(np.array(solution).T[:12], states[1:], rtol=0, atol=1e-13)
 
 
-def test_value_slope_and_curvature_of_a_function_of_time():
-    t = jnp.array(0.7)
-    np.testing.assert_allclose(function_jet(jnp.sin)(t), (np.sin(t), np.cos(t), -np.sin(t)))
-    np.testing.assert_allclose(polynomial_jet([t, t, t])(jnp.array(2.0)), (4.9, 3.5, 1.4))
-
-
 # Roots of polynomials
 
 
@@ -433,6 +426,11 @@ def test_rising_root_of_functions_that_are_not_polynomials():
     assert root(kink, 0.0, 3.0) == pytest.approx(1, rel=1e-14)
     assert root(lambda t: (t, jnp.ones_like(t)), 0.5, 0.5) == 0.5
     assert root(lambda t: (t - 3, jnp.ones_like(t)), 1.0, 3.0) == 3.0
+
+
+def test_value_slope_and_curvature_of_a_polynomial():
+    t = jnp.array(0.7)
+    np.testing.assert_allclose(polynomial_jet([t, t, t])(jnp.array(2.0)), (4.9, 3.5, 1.4))
 
 
 def test_first_rise_is_a_constant_to_derivatives():

@@ -307,7 +307,6 @@ def test_falls_may_compare_the_largest_of_several():
     assert_same(wj.strides(Largest(0.01), xs), expected)
 
 
-@pytest.mark.slow
 def test_a_film_ends_where_a_walker_has_fallen_by_its_own_rule():
     walker, usual, xs = RULES["within a step"][0], wj.SimplestWalker(0.01), starts(200)
     outcome = wj.strides(walker, xs).outcome

@@ -33,17 +33,6 @@ def polynomial_jet(series: list[Scalar]) -> Jet:
     return jet
 
 
-def function_jet(function: Callable[[Scalar], Scalar]) -> Jet:
-    """The value, slope and curvature of any function of time."""
-
-    def jet(t):
-        slope = lambda t: jax.jvp(function, (t,), (jnp.ones_like(t),))
-        (value, first), (_, second) = jax.jvp(slope, (t,), (jnp.ones_like(t),))
-        return lax.stop_gradient((value, first, second))
-
-    return jet
-
-
 def first_upcrossing(
     jet: Jet,
     length: Scalar,
