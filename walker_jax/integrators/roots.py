@@ -6,7 +6,6 @@ JAX sees the results as constants, unless the docstring says otherwise. No searc
 from collections.abc import Callable
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
