@@ -3,8 +3,8 @@
 On one core, repeats interleaved, after compilation. First the paper's 50,000 strides by Taylor
 series of several orders, by kernels, and by XLA in tiles of 1024 cells with vectors of 512 and 256
 bits. Then a swing alone, followed for a time of 3 from 8192 starts that lie close together: by
-`follow_mode`, whose variable of integration is the number of steps of `diffeqsolve`; by that
-to a final time, without and with a boolean event that reads the state at the end of a step; and by
+`follow_mode` to a time on a clock; by `diffeqsolve` to a final time, without and with a boolean
+event that reads the state at the end of a step; and by
 Runge-Kutta methods, with XLA's sines and with the package's. Rows without `kernel` are by XLA in
 the same tiles. Each is run at several tolerances, or numbers of constant steps; what is printed is
 the time where its largest error is that of the column.

@@ -1,17 +1,14 @@
 """A mode of a hybrid system, followed to the guard that ends it.
 
-`diffrax.diffeqsolve` is the loop. A Taylor step knows its own length, which no controller of steps
-can tell diffrax without expanding the next series too. So the variable of integration is the number
-of steps: all steps of diffrax have length 1, time is part of its state, and `OneStep` makes a step
-of whatever length its method chooses. A step that may end the mode is an event of diffrax. It is
-searched for the first admitted rise of a guard; if there is none, the integration goes on.
+One loop makes steps as long as their method chooses, until one may end the mode, by bounds that
+cost little. Such a step is searched for the first admitted rise of a guard; if there is none, the
+loop goes on. diffrax makes the steps of Runge-Kutta methods and chooses their lengths; a step by
+Taylor series knows its own length.
 """
 
-from collections.abc import Callable
 from functools import partial
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
-import diffrax
 import jax
 import jax.numpy as jnp
 from jax import lax
@@ -61,75 +58,12 @@ class Step(NamedTuple):
     """The same at its end."""
     rates: list[tuple[Scalar, Scalar]]
     """The rates of conditions at both ends."""
-    decided: Scalar
-    """1 if the step certainly ends nothing, else 0."""
+    decided: Bool[Array, ""]
+    """Whether the step certainly ends nothing."""
     memory: PyTree
     """What the method passes from step to step."""
     series: PyTree
     """Its polynomial, where expanding it again takes more than carrying it; else empty."""
-
-
-class NoInterpolation(diffrax.AbstractLocalInterpolation):
-    """Of steps between whose ends nothing is asked of diffrax."""
-
-    t0: Scalar
-    t1: Scalar
-
-    def evaluate(self, t0, t1=None, left=True):
-        raise NotImplementedError
-
-
-class OneStep(diffrax.AbstractSolver):
-    """A solver of diffrax whose step from t to t + 1 is one step of another method."""
-
-    advance: Callable[[list], list]
-
-    term_structure: ClassVar = diffrax.ODETerm
-    interpolation_cls: ClassVar = NoInterpolation
-
-    def order(self, terms):
-        return None
-
-    def init(self, terms, t0, t1, y0, args):
-        return None
-
-    def func(self, terms, t0, y0, args):
-        return terms.vf(t0, y0, args)
-
-    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        return self.advance(y0), None, {}, None, diffrax.RESULTS.successful
-
-
-def repeat(advance: Callable[[Step], Step], step: Step) -> tuple[Step, Int[Array, ""]]:
-    """Steps until one is not decided, `MAX_STEPS` at most, and their number."""
-    zero = zero_at(step.start)
-    leaves, structure = jax.tree.flatten(step._replace(decided=zero + 1))
-    kinds = [jnp.asarray(leaf).dtype for leaf in leaves]
-    to_real = lambda tree: [jnp.asarray(leaf, zero.dtype) for leaf in jax.tree.leaves(tree)]
-
-    def restore(leaves: list) -> Step:
-        """From the real numbers of which the state of diffrax consists."""
-        pairs = zip(leaves, kinds, strict=True)
-        return jax.tree.unflatten(structure, [leaf.astype(kind) for leaf, kind in pairs])
-
-    # Traced once: diffrax asks for the shapes of a step three times before it makes one.
-    one_step = jax.jit(lambda leaves: to_real(advance(restore(leaves))))
-    solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(lambda t, y, args: jax.tree.map(jnp.zeros_like, y)),
-        OneStep(one_step),
-        zero,
-        zero + MAX_STEPS,
-        zero + 1,
-        to_real(leaves),
-        stepsize_controller=diffrax.ConstantStepSize(),
-        event=diffrax.Event(lambda t, y, args, **_: restore(y).decided == 0),
-        saveat=diffrax.SaveAt(t1=True),
-        max_steps=MAX_STEPS,
-        adjoint=diffrax.ForwardMode(),
-        throw=False,
-    )
-    assert solution.ys is not None
-    return restore([values[0] for values in solution.ys]), solution.stats["num_steps"]
 
 
 class Unfinished(NamedTuple):
@@ -155,8 +89,11 @@ def follow_mode(mode: Mode, start: Any, going: Bool[Array, ""], method: Method) 
         return (now.guard == NO_GUARD) & (now.count < MAX_STEPS) & finite
 
     def follow(now: Unfinished) -> Unfinished:
-        last, steps = repeat(partial(next_step, mode, method, now.violated), now.last)
-        return search_step(mode, method, now._replace(last=last, count=now.count + steps))
+        going = lambda carry: carry[0].decided & (carry[1] < MAX_STEPS)
+        take = lambda carry: (next_step(mode, method, now.violated, carry[0]), carry[1] + 1)
+        begun = now.last._replace(decided=jnp.asarray(True)), now.count
+        last, count = lax.while_loop(going, take, begun)
+        return search_step(mode, method, now._replace(last=last, count=count))
 
     zero = zero_at(start)
     guard = jnp.where(going, NO_GUARD, NOT_FOLLOWED).astype(jnp.int32)
@@ -183,7 +120,8 @@ def before_first_step(mode: Mode, method: Method, start: Any) -> Step:
     rates = [(zero, value_and_rate(one.value, mode.rates, start)[1]) for one in watched(mode)]
     series = method.no_series(start) if method.carries_series(start) else ()
     memory = method.first_memory(start)
-    return Step(start, start, zero, zero, sides, sides, rates, zero + 1, memory, series)
+    going = jnp.asarray(True)
+    return Step(start, start, zero, zero, sides, sides, rates, going, memory, series)
 
 
 def next_step(mode: Mode, method: Method, violated: Violated, step: Step) -> Step:
@@ -203,9 +141,9 @@ def next_step(mode: Mode, method: Method, violated: Violated, step: Step) -> Ste
         rates.append((before, rate))
     if mode.foregone is not None:
         may |= holds(mode.foregone, end)
-    decided, time = (~may).astype(length.dtype), step.time + step.length
     kept = series if method.carries_series(begins) else ()
-    return Step(begins, end, time, length, sides, ends, rates, decided, memory, kept)
+    time = step.time + step.length
+    return Step(begins, end, time, length, sides, ends, rates, ~may, memory, kept)
 
 
 def search_step(mode: Mode, method: Method, now: Unfinished) -> Unfinished:

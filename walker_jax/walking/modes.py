@@ -53,15 +53,11 @@ def in_tension(walker: Walker | Phase, state: Any) -> Bool[Array, ""]:
     return lax.stop_gradient(walker.contact_force(state)[1]) < 0
 
 
-def fall_guards(walker: Walker, state: Any) -> tuple[Guard, ...]:
-    """The falls of a walker.
-
-    An inverted pendulum does not go on once it has stopped, and its leg goes one way until then.
-    """
-    known = walker.inverted_pendulum and not has_own_falls(walker)
+def fall_guards(walker: Walker, state: Any, *, persist: bool = False) -> tuple[Guard, ...]:
+    """The falls of a walker; whether it is known that they persist within a step."""
     value = lambda name: lambda state: walker.falls(state)[name]
     names = jax.eval_shape(walker.falls, state)
-    return tuple(Guard(value(name), Outcome[name], persists=known) for name in names)
+    return tuple(Guard(value(name), Outcome[name], persists=persist) for name in names)
 
 
 def swing_mode(
@@ -101,7 +97,9 @@ def swing_mode(
         Condition(one, of, of == Outcome.RUNNING and walker.force_least_at_ends)
         for of, one in conditions_of(walker).items()
     )
-    guards = (*fall_guards(walker, state), strike)
+    # An inverted pendulum that stops goes back, and its leg goes one way until then.
+    persist = walker.inverted_pendulum and not has_own_falls(walker)
+    guards = (*fall_guards(walker, state, persist=persist), strike)
     field = equations(walker)
     return Mode(field, walker.vector_field, guards, conditions, foregone if spared else None)
 
