@@ -1,1 +1,1 @@
-"""Walking: the swing, the stride function and its iteration, margins, motions."""
+"""Hybrid systems: modes of motion with guards that end them, followed to the first event."""

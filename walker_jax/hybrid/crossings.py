@@ -21,9 +21,8 @@ from walker_jax.integrators.roots import Instant, Scalar, bracketed_newton, poly
 from walker_jax.integrators.series import evaluate_polynomial
 
 HOP = 1e-7
-"""Part of a step: two zeros that are nearer than this count as one, which is no crossing."""
-RESOLUTION = 1e-12
-"""Part of a step to which zeros are isolated; Newton's iteration does the rest."""
+"""Part of a step: two zeros that are nearer than this count as one, which is no crossing. In
+float32, 64 times the dtype's epsilon."""
 
 
 @jax.jit
@@ -44,7 +43,7 @@ def may_rise(
 ) -> Bool[Array, ""]:
     """Whether a function may rise through zero in a step, at both ends of which its side is known.
 
-    Not where it is monotone and does not change sides; nor where it has no zero, or only that at
+    It cannot where it is monotone and keeps its side; nor where it has no zero, or only that at
     which the step begins; nor where one of `admits` is negative throughout. All are given by their
     first coefficients.
     """
@@ -61,8 +60,8 @@ def may_rise(
 def leaves_zero(series: list[Scalar], length: Scalar, later: Scalar) -> Bool[Array, ""]:
     """Whether a polynomial that begins at zero, to rounding, certainly moves away from there.
 
-    That is where its first term that does not vanish leads, if its curvature, c_2 and what the
-    terms behind can make of it, leads there too.
+    It moves where its first term that does not vanish leads, provided that c_2 leads there too and
+    outweighs the terms behind it.
     """
     falls = (series[1] < 0) | ((series[1] == 0) & (series[2] < 0))
     sign = jnp.where(falls, -1, 1).astype(length.dtype)
@@ -87,13 +86,13 @@ def is_monotone(series: list[Scalar], length: Scalar) -> Bool[Array, ""]:
 
 
 def sizes(series: list[Scalar]) -> list[Scalar]:
-    """The absolute values of coefficients, twice those of the last two."""
-    found = [jnp.abs(c) for c in series]
-    return [*found[:-2], 2 * found[-2], 2 * found[-1]]
+    """The absolute values of coefficients, twice those of the last two behind the linear ones."""
+    last = max(2, len(series) - 2)
+    return [jnp.abs(c) * (1 if k < last else 2) for k, c in enumerate(series)]
 
 
 class Crossing(NamedTuple):
-    """What is known of a guard in a step."""
+    """A guard in a step."""
 
     value: list[Scalar]
     """The polynomial that may rise through zero."""
@@ -136,13 +135,13 @@ def rise_of(crossing: Crossing, length: Scalar) -> Instant:
     """The first admitted rise of one polynomial.
 
     Where it is monotone, its sides tell. Elsewhere it is expanded about points that move to the
-    right, each by a length that certainly holds no zero; at a zero, where that length vanishes, by
-    `HOP`. The time is constant to derivatives, and `length` where there is no rise.
+    right, each by a length that certainly holds no zero; at a zero, where that length nearly
+    vanishes, by `HOP`. The time is constant to derivatives, and `length` where there is no rise.
     """
     value, admits, below, ends_below, wanted = lax.stop_gradient(crossing)
     length = lax.stop_gradient(length)
     eps = float(jnp.finfo(length.dtype).eps)
-    resolution, hop = max(RESOLUTION, 8 * eps) * length, max(HOP, 64 * eps) * length
+    hop = max(HOP, 64 * eps) * length
 
     def admitted(time: Scalar) -> Bool[Array, ""]:
         flag = jnp.isfinite(time)
@@ -157,7 +156,7 @@ def rise_of(crossing: Crossing, length: Scalar) -> Instant:
     def advance(carry):
         time, _, below, *series = carry
         step = length_without_zero(series, below, length - time)
-        at_zero = step <= resolution
+        at_zero = step <= hop / 8  # Newton's iteration does the rest
         step = jnp.minimum(jnp.where(at_zero, hop, step), length - time)
         beyond = evaluate_polynomial(series[:4], step) < 0
         found = at_zero & below & ~beyond & admitted(time)
@@ -169,7 +168,7 @@ def rise_of(crossing: Crossing, length: Scalar) -> Instant:
     time, found, below, *_ = lax.while_loop(
         searching, advance, (first, jnp.asarray(False), below, *value)
     )
-    # Of a monotone polynomial, or one whose last zero is at the end of the step, the sides tell.
+    # The sides tell, if it is monotone or has its last zero at the end of the step.
     left = wanted & ~found & below & ~ends_below
     low = jnp.where(left & monotone, 0, time)
     high = jnp.where(left, length, jnp.minimum(time + hop, length))

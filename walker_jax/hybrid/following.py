@@ -22,8 +22,9 @@ from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.integrators.solvers import MAX_STEPS, Method, evaluate_series, zero_at
 from walker_jax.integrators.taylor import function_series, is_list, with_fast_sincos
 
-FIRST = 6
-"""Order to which guards are expanded in every step, to exclude a rise; if that fails, in full."""
+FIRST_ORDER = 6
+"""Order to which guards are expanded in every step, to exclude a rise. Where that does not exclude
+one, they are expanded in full."""
 NO_GUARD, NOT_FOLLOWED = -1, -2
 """In the place of a guard's number: none has ended the mode, or it was not followed."""
 Violated = dict[int, Bool[Array, ""]]
@@ -38,8 +39,8 @@ class Arrival(NamedTuple):
     time: Scalar
     """Since the start of the mode."""
     guard: Int[Array, ""]
-    """The number of the guard that ended it; the number of all guards if the end is foregone; or
-    `NO_GUARD` or `NOT_FOLLOWED`."""
+    """Number of the guard that ended it. If the end is foregone, that is the number of all guards;
+    without an end, `NO_GUARD` or `NOT_FOLLOWED`."""
     violated: Violated
     """Both ends of the mode included."""
 
@@ -53,15 +54,15 @@ class Step(NamedTuple):
     """At its start."""
     length: Scalar
     sides: list[Scalar]
-    """Of each guard, -1 below zero at the start of the step and 1 above; 0 before the first."""
+    """For each guard, -1 below zero at the start of the step and 1 above; 0 before the first."""
     ends: list[Scalar]
     """The same at its end."""
     rates: list[tuple[Scalar, Scalar]]
     """The rates of conditions at both ends."""
-    decided: Bool[Array, ""]
+    quiet: Bool[Array, ""]
     """Whether the step certainly ends nothing."""
     memory: PyTree
-    """What the method passes from step to step."""
+    """The method's own, passed from step to step."""
     series: PyTree
     """Its polynomial, where expanding it again takes more than carrying it; else empty."""
 
@@ -89,10 +90,11 @@ def follow_mode(mode: Mode, start: Any, going: Bool[Array, ""], method: Method) 
         return (now.guard == NO_GUARD) & (now.count < MAX_STEPS) & finite
 
     def follow(now: Unfinished) -> Unfinished:
-        going = lambda carry: carry[0].decided & (carry[1] < MAX_STEPS)
+        quiet = lambda carry: carry[0].quiet & (carry[1] < MAX_STEPS)
         take = lambda carry: (next_step(mode, method, now.violated, carry[0]), carry[1] + 1)
-        begun = now.last._replace(decided=jnp.asarray(True)), now.count
-        last, count = lax.while_loop(going, take, begun)
+        # In a batch, lanes that have ended wait here for the others.
+        begun = now.last._replace(quiet=now.guard == NO_GUARD), now.count
+        last, count = lax.while_loop(quiet, take, begun)
         return search_step(mode, method, now._replace(last=last, count=count))
 
     zero = zero_at(start)
@@ -129,7 +131,7 @@ def next_step(mode: Mode, method: Method, violated: Violated, step: Step) -> Ste
     begins, sides = step.end, step.ends
     series, end, length, memory = method.step(begins, step.memory)
     may, ends = ~jnp.isfinite(length), []
-    known = along(mode, jax.tree.map(lambda c: c[: FIRST + 1], series, is_leaf=is_list))
+    known = along(mode, jax.tree.map(lambda c: c[: FIRST_ORDER + 1], series, is_leaf=is_list))
     for guard, side, polynomials in zip(mode.guards, sides, known, strict=True):
         rises, ends_below = rises_perhaps(guard, side, polynomials, length, end)
         may |= rises
@@ -179,7 +181,7 @@ def watched(mode: Mode) -> list[Condition]:
 
 
 def along(mode: Mode, series: PyTree, whole: bool = False) -> list[tuple[list, list[list]]]:
-    """Of each guard, the polynomials of its value and of what admits it, all of that if `whole`."""
+    """The polynomials of each guard's value and of what admits it; all of them if `whole`."""
     functions = mode.functions(whole)
     flat = [function for guard in functions for function in guard]
     found = function_series(lambda y: [one(y) for one in flat], lax.stop_gradient(series))
@@ -201,7 +203,9 @@ def rises_perhaps(
     """Whether a guard may rise in a step, and whether it ends below zero."""
     value, admits = polynomials
     at_end = lambda one: with_fast_sincos(one)(lax.stop_gradient(end))
-    below, ends_below = is_below(side, value), at_end(guard.value) < 0
+    below = is_below(side, value)
+    # A step that its method rejects has no length, and changes no side.
+    ends_below = jnp.where(length == 0, below, at_end(guard.value) < 0)
     if not guard.persists:
         return may_rise(value, admits, length, below, ends_below), ends_below
     slope = evaluate_polynomial(derivative_of(value), length)

@@ -2,8 +2,8 @@
 
 A mode has a vector field. Each of its guards is a function of the state; the mode ends where one
 rises through zero and is admitted there, the earliest of all. Conditions do not end a mode: it is
-noted whether they were violated on the way. What follows a mode, a reset of the state or another
-mode, is up to the caller.
+noted whether they were violated on the way. The caller says what follows a mode: a reset of the
+state, or another mode.
 """
 
 from collections.abc import Callable
@@ -21,12 +21,12 @@ class Guard(NamedTuple):
     """An end of a mode."""
 
     value: Function
-    """It ends the mode where it rises through zero. Below zero, or at zero and about to fall."""
+    """The mode ends where it rises through zero, from below or, if it falls first, from zero."""
     leads_to: int
-    """What the end means to the caller, such as an outcome or the number of another mode."""
+    """Meaning of the end to the caller, such as an outcome or the number of another mode."""
     admits: tuple[Function, ...] = ()
     """The rise counts where all of these are positive. Their polynomials exclude whole steps."""
-    also: tuple[Function, ...] = ()
+    admits_at_rise: tuple[Function, ...] = ()
     """More of them, looked at only where it rises: for functions that are costly to expand."""
     persists: bool = False
     """Whether, by a proof about the field, a value that has risen where it is admitted stays above
@@ -39,7 +39,7 @@ class Condition(NamedTuple):
 
     value: Function
     outcome: int
-    """What its violation means to the caller."""
+    """Meaning of its violation to the caller."""
     least_at_ends: bool = False
     """Whether, by a proof, it is least at the start or at the end of a mode."""
 
@@ -64,5 +64,7 @@ class Mode(NamedTuple):
     foregone: Foregone | None = None
 
     def functions(self, whole: bool = True) -> list[list[Function]]:
-        """Of each guard, its value and what admits it, all of that if `whole`."""
-        return [[one.value, *one.admits, *(one.also if whole else ())] for one in self.guards]
+        """The value of each guard and the functions that admit it; all of them if `whole`."""
+        return [
+            [one.value, *one.admits, *(one.admits_at_rise if whole else ())] for one in self.guards
+        ]

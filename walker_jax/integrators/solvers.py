@@ -1,8 +1,8 @@
-"""Integration by diffrax: a solver by Taylor series, and integration up to an event.
+"""Integration by diffrax: a solver by Taylor series, and single steps of any method.
 
 `Taylor` is a solver for `diffrax.diffeqsolve`, and `SeriesSteps` the step size controller that
-suits it, which never rejects a step. `Method` integrates until a condition holds for the two ends
-of a step, by these or by one of diffrax's explicit Runge-Kutta methods.
+suits it, which never rejects a step. `Method` makes single steps, by these or by one of diffrax's
+explicit Runge-Kutta methods; `hybrid.following` has the loop around them.
 
 Nothing here knows what is integrated. Derivatives are taken in forward mode; `kernels.by_kernel`
 derives reverse mode from them.
@@ -54,14 +54,14 @@ TOLERANCE = {jnp.dtype("float64"): 1e-12, jnp.dtype("float32"): 1e-6}
 MAX_STEPS = 1000
 """Most steps of one integration, so that each ends."""
 MOST_EXPANDED_AGAIN = 6
-"""Variables of a state whose series is expanded once more for the last step of an integration. To
-carry the series of more of them from step to step takes less than that."""
+"""Variables of a state whose series is expanded once more for a step that is searched. To carry the
+series of more of them from step to step takes less than that."""
 LONGEST_STEP, POLYNOMIAL_STEP = 2.0, 0.25
 """In |y| / |y'|: a longer step is one that the last terms of a series do not limit, as those of a
 harmonic motion are at most a third as long; and its length instead, in which functions of a state
 that is a polynomial of time seldom turn more than once."""
 INTERPOLATION_ORDER = 8
-"""Order up to which the interpolation of a Runge-Kutta method is a polynomial: none has more."""
+"""Order to which the interpolation of a Runge-Kutta method counts: none of diffrax's has more."""
 NODES = (1 - np.cos(np.pi * np.arange(INTERPOLATION_ORDER + 1) / INTERPOLATION_ORDER)) / 2
 """Parts of a step at which such an interpolation is read, to have it as a polynomial."""
 TIME_REFINEMENTS = 3
@@ -329,11 +329,12 @@ def stop_gradients(tree: PyTree) -> PyTree:
 
 def fit_polynomial(length: Scalar, values: Float[Array, " nodes"]) -> list[Scalar]:
     """The polynomial in 0 <= t <= length with these values at `NODES`, which are parts of it."""
-    coefficients = np.linalg.inv(np.vander(NODES, increasing=True))
-    return [
-        sum(float(part) * value for part, value in zip(row, values, strict=True)) / length**k
-        for k, row in enumerate(coefficients)
-    ]
+    changes, unit, found = values - values[0], jnp.ones_like(length), [values[0]]
+    for row in np.linalg.inv(np.vander(NODES, increasing=True))[1:]:
+        unit = unit * length
+        whole = sum(float(part) * change for part, change in zip(row, changes, strict=True))
+        found.append(whole / unit)
+    return found
 
 
 class Method(eqx.Module):
@@ -364,7 +365,7 @@ class Method(eqx.Module):
             return SeriesSteps(self.field, order, self.tolerance, self.others)
         return diffrax.PIDController(rtol=self.tolerance, atol=self.tolerance)
 
-    def solve(self, state: PyTree, t0, t1, controller, **saved) -> diffrax.Solution:
+    def solve(self, state: PyTree, t0, t1, controller) -> diffrax.Solution:
         """Integrates from `state` at t0 to t1, or until the controller stops."""
         solver = self.solver
         if isinstance(solver, Taylor):
@@ -376,7 +377,7 @@ class Method(eqx.Module):
             t1,
             None,
             state,
-            saveat=diffrax.SaveAt(t1=True, **saved),
+            saveat=diffrax.SaveAt(t1=True),
             stepsize_controller=controller,
             adjoint=diffrax.ForwardMode(),
             max_steps=MAX_STEPS,

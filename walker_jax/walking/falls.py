@@ -1,4 +1,4 @@
-"""What a walker says of heel strikes and falls, as its hooks say it.
+"""Heel strikes and falls, as the hooks of a walker say them.
 
 `falls` returns functions of the state that are negative before a fall, and `is_ahead` one that is
 positive where a foot that comes down takes a step.
@@ -67,7 +67,8 @@ def check_falls(walker: Walker, state: Any) -> None:
                     f"falls of {kind} must be named by a failure, one of {', '.join(FAILURES)}, "
                     f"not {name!r}"
                 )
-    values = {f"{label}": jax.eval_shape(walker.falls, state)[one] for label, one in found.items()}
+    shapes = jax.eval_shape(walker.falls, state)
+    values = {label: shapes[name] for label, name in found.items()}
     if overrides(walker, "is_ahead"):
         values[f"is_ahead of {kind}"] = jax.eval_shape(walker.is_ahead, state)
     for label, value in values.items():

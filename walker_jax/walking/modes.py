@@ -1,12 +1,11 @@
 """The modes of a stride: its phases and, last, the swing.
 
-What a walker says by its hooks is put here in the form of a hybrid system, once for all functions
-that follow a stride. The swing ends at heel strike, where the contact coordinate rises through zero
+This file puts the hooks of a walker in the form of a hybrid system, once for all functions that
+follow a stride. The swing ends at heel strike, where the contact coordinate rises through zero
 with the swing leg ahead, or in a fall. A phase ends with its event, in a fall, or where the swing
 foot comes down in front, if it must not.
 """
 
-from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -14,7 +13,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool
 
-from walker_jax.hybrid.modes import Condition, Foregone, Guard, Mode
+from walker_jax.hybrid.modes import Condition, Foregone, Function, Guard, Mode
 from walker_jax.integrators.solvers import Method, Real, VectorField, solver_for
 from walker_jax.walkers.masses import MultibodyMotion, SingleSupport
 from walker_jax.walkers.model import Phase, Scalar, Walker
@@ -22,8 +21,6 @@ from walker_jax.walkers.rolling_stance import RollingStance
 from walker_jax.walkers.spatial import SpatialWalker
 from walker_jax.walking.falls import has_own_falls, overrides
 from walker_jax.walking.outcomes import Outcome
-
-Function = Callable[[Any], Scalar]
 
 
 def equations(walker: Walker | Phase) -> VectorField:
@@ -84,9 +81,7 @@ def swing_mode(
         above = lambda state: step - walker.clearance(state)
         choose = lambda one, other: lambda state: jnp.where(to_step, one(state), other(state))
         value = above if to_step is True else choose(above, walker.contact)
-        # Where feet are at different heights the swing foot is ahead past the other leg.
-        passed = lambda state: -state.phi
-        admits = (passed, ahead) if overrides(walker, "is_ahead") else (passed,)
+        admits = ahead_on_steps(walker)
         if to_step is not True:
             admits = tuple(choose(one, ahead) for one in admits)
         strike = Guard(value, Outcome.STRIDE, admits)
@@ -102,6 +97,15 @@ def swing_mode(
     guards = (*fall_guards(walker, state, persist=persist), strike)
     field = equations(walker)
     return Mode(field, walker.vector_field, guards, conditions, foregone if spared else None)
+
+
+def ahead_on_steps(walker: Walker) -> tuple[Function, ...]:
+    """Functions that are positive where the swing foot is ahead, of feet at different heights.
+
+    The swing leg has passed the other; a rule of a walker's own holds too.
+    """
+    passed = lambda state: -state.phi
+    return (passed, walker.is_ahead) if overrides(walker, "is_ahead") else (passed,)
 
 
 def phase_mode(phase: Phase, state: Any, step: Scalar | None = None) -> Mode:

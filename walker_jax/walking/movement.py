@@ -21,7 +21,7 @@ from walker_jax.walkers.parameters import attributes_of
 from walker_jax.walkers.spatial import SpatialWalker
 from walker_jax.walking.falls import has_fallen, has_own_falls, makes_step
 from walker_jax.walking.iteration import walk
-from walker_jax.walking.modes import height_above, in_tension
+from walker_jax.walking.modes import ahead_on_steps, height_above, in_tension
 from walker_jax.walking.movement_in_space import motion_in_space
 from walker_jax.walking.outcomes import Outcome
 from walker_jax.walking.phases import legs
@@ -201,9 +201,9 @@ def is_over(
     if step:
         h = step - np.asarray(jax.vmap(walker.clearance)(swing))
     fallen = np.asarray(jax.vmap(partial(has_fallen, walker))(swing))
-    ahead = np.asarray(jax.vmap(walker.is_ahead)(swing)) > 0
-    if step:
-        ahead &= np.asarray(swing.phi) < 0
+    admits = [jax.vmap(one)(swing) for one in ahead_on_steps(walker)] if step else []
+    admits = admits or [jax.vmap(walker.is_ahead)(swing)]
+    ahead = np.all(np.asarray(admits) > 0, axis=0)
     strikes = (h > 0) & (np.roll(h, 1) <= 0) & ahead & ~fallen
     # Where the ground is rough the legs may pass each other below the next foothold.
     falls = step != 0 and outcome in (Outcome.FORWARD, Outcome.BACKWARD)
@@ -214,7 +214,7 @@ def is_over(
         over |= swings & np.asarray(jax.vmap(partial(in_tension, walker))(swing))
         if phases:
             over |= ~swings & np.asarray(jax.vmap(partial(in_tension, phases[0]))(each))
-    if outcome == Outcome.BENT_KNEE:
+    if outcome == Outcome.BENT_KNEE and not has_own_falls(walker):
         lands = lambda state: (
             (height_above(phases[0], state, step) < 0)
             & makes_step(walker, state)

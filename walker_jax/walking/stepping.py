@@ -191,7 +191,7 @@ def begin_stride(walker: Walker, x: Float[Array, " coordinates"]) -> tuple[Any, 
 
 
 def end_stride(walker: Walker, arrival: Arrival) -> Stride:
-    """What a stride leads to whose swing ended with a verdict, on the section."""
+    """The stride whose swing has arrived, on the section."""
     following, outcome = resolve_impact(walker, arrival)
     return make_stride(walker.project(following), outcome, arrival.time)
 
