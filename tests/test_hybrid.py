@@ -145,6 +145,17 @@ def test_dips_wider_than_a_hop_are_found(rise):
     np.testing.assert_allclose(times, 0.4, atol=1e-7)
 
 
+def test_zeros_of_high_order_end_the_search(rise):
+    """Rounding decides whether such a zero is a crossing, but not where it may be."""
+    exists, times, _, _ = rise(
+        [ascending(*[0.3] * 3), ascending(*[0.3] * 4), ascending(*[0.3] * 6)],
+        [ALWAYS] * 3,
+        np.ones(3),
+    )
+    assert exists[0]
+    np.testing.assert_allclose(times[exists], 0.3, atol=2e-2)
+
+
 # Modes
 
 
@@ -225,6 +236,21 @@ def test_runge_kutta_steps_land_too(solver):
         lambda phase: jax.jvp(run, (phase,), (jnp.ones(()),)),
     )(0.4)
     assert abs(time - (0.4 + np.pi / 2)) < 1e-6 and abs(place) < 1e-15 and abs(rate - 1) < 1e-6
+
+
+def test_a_step_that_its_method_rejects_ends_nothing(monkeypatch):
+    """From q = 0, p = 1 the guard -q begins at zero and falls; it rises at t = pi."""
+    cautious = Method.first_memory
+
+    def bold(self, state):
+        length, *others = cautious(self, state)
+        return 0 * length + 3.0, *others
+
+    monkeypatch.setattr(Method, "first_memory", bold)
+    method = Method(oscillator, diffrax.Bosh3(), 1e-8)
+    start = jnp.array(0.0), jnp.array(1.0)
+    found = jax.jit(lambda s: follow_mode(mode_of(DOWN), s, jnp.asarray(True), method))(start)
+    assert found.guard == 0 and found.time == pytest.approx(np.pi, abs=1e-5)
 
 
 def test_the_earliest_guard_counts_whatever_their_order_and_not_before_it_is_admitted():
