@@ -155,11 +155,12 @@ def rise_of(crossing: Crossing, length: Scalar) -> Instant:
 
     def advance(carry):
         time, _, below, *series = carry
-        step = length_without_zero(series, below, length - time)
-        at_zero = step <= hop / 8  # Newton's iteration does the rest
-        step = jnp.minimum(jnp.where(at_zero, hop, step), length - time)
+        free = length_without_zero(series, below, length - time)
+        at_zero = free <= hop / 8
+        step = jnp.minimum(jnp.where(at_zero, hop, free), length - time)
         beyond = evaluate_polynomial(series[:4], step) < 0
-        found = at_zero & below & ~beyond & admitted(time)
+        # So near a zero, a length that is free of it is a step of Newton's iteration.
+        found = at_zero & below & ~beyond & admitted(time + free)
         below = jnp.where(at_zero, beyond, below)
         return jnp.where(found, time, time + step), found, below, *shifted(series, step)
 
