@@ -17,8 +17,6 @@ from walker_jax.kernels import kernel as of_kernel
 from walker_jax.kernels.rules import RULES, exp_float32, log_float32
 from walker_jax.kernels.scalars import ENTRYWISE
 
-pytestmark = pytest.mark.usefixtures("quick_references")
-
 SPECIAL = [0.0, -0.0, 1.0, -1.0, 0.5, np.inf, -np.inf, np.nan, 1e300, -1e-300, 2.5, -3.5]
 
 
