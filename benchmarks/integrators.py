@@ -10,10 +10,9 @@ the same tiles. Each is run at several tolerances, or numbers of constant steps;
 the time where its largest error is that of the column.
 
 The answer: orders 10 to 16 are alike; a kernel takes a fifth of the time of XLA's tiles, and
-compiles sooner; in kernels, Taylor series take an eighth to a twentieth of the time of Runge-Kutta.
-The two tables are of different runs; the machine was busy with other work during the second, so
-trust its ratios alone. (In another run, `diffeqsolve, Taylor` and the same with an event took 2.2
-and 3.5 s to compile.)
+compiles sooner; in kernels, Taylor series take a quarter to a fourteenth of the time of
+Runge-Kutta.
+The two tables are of different runs, the second on a slower day: trust ratios alone.
 
     Strides, by Taylor series: us each
     largest error                         1e-08    1e-09    1e-10  compile
@@ -27,20 +26,19 @@ and 3.5 s to compile.)
 
     Swings for a time of 3: us each
     largest error                         1e-08    1e-10    1e-12  compile
-    follow_mode, kernel                    0.36     0.59     0.92    0.2 s
-    follow_mode                            2.09     2.38     3.18    2.6 s
-    diffeqsolve, Taylor, kernel            0.51     0.48     0.89    3.2 s
-    diffeqsolve, Taylor                    1.66     1.77     2.48   25.5 s
-    diffeqsolve, Taylor, event             3.23     4.20     4.97   30.6 s
-    diffeqsolve, Taylor, constant          0.56     0.91     1.12    2.3 s
-    diffeqsolve, Dopri8, kernel            3.15     4.37     7.19    0.6 s
-    diffeqsolve, Dopri8                   11.38    18.19    31.60    1.6 s
-    diffeqsolve, Dopri8, our sines         8.62    12.21    18.06    1.3 s
-    diffeqsolve, Dopri8, constant          5.46    10.78    18.36    2.1 s
-    diffeqsolve, Tsit5, kernel             3.37     7.25    19.75    0.4 s
-    diffeqsolve, Tsit5                    10.44    20.32    57.30    1.1 s
-    diffeqsolve, Tsit5, our sines          7.96    19.00    40.52    1.2 s
-    diffeqsolve, Tsit5, constant           9.58    21.67    56.14    2.1 s
+    follow_mode, kernel                    0.97     1.18     1.55    0.6 s
+    diffeqsolve, Taylor, kernel            1.13     1.34     1.72    0.7 s
+    diffeqsolve, Taylor                    2.66     3.19     4.26    4.3 s
+    diffeqsolve, Taylor, event             5.49     6.70     7.87    7.5 s
+    diffeqsolve, Taylor, constant          1.24     1.65     2.26    3.7 s
+    diffeqsolve, Dopri8, kernel            3.91     5.47     8.22    1.2 s
+    diffeqsolve, Dopri8                    9.25    13.55    19.89    3.5 s
+    diffeqsolve, Dopri8, our sines         5.33     7.88    11.76    4.2 s
+    diffeqsolve, Dopri8, constant          4.88     8.37    15.46    2.8 s
+    diffeqsolve, Tsit5, kernel             4.26     8.77    21.16    0.9 s
+    diffeqsolve, Tsit5                    11.20    20.96    49.98    3.5 s
+    diffeqsolve, Tsit5, our sines          5.46    11.32    30.01    4.2 s
+    diffeqsolve, Tsit5, constant           8.43    18.21    49.42    2.6 s
 """
 
 import argparse
@@ -216,7 +214,6 @@ def of_one_swing(repeats: int):
     tsit5, dopri8 = diffrax.Tsit5(), diffrax.Dopri8()
     ways = {
         "follow_mode, kernel": (way(by_mode, xla=False), tolerances),
-        "follow_mode": (way(by_mode), tolerances),
         "diffeqsolve, Taylor, kernel": (by_diffrax(taylor, xla=False), tolerances),
         "diffeqsolve, Taylor": (by_diffrax(taylor), tolerances),
         "diffeqsolve, Taylor, event": (by_diffrax(taylor, event=True), tolerances),
