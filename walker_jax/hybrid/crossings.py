@@ -17,7 +17,14 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Int
 
-from walker_jax.integrators.roots import Instant, Scalar, bracketed_newton, polynomial_jet
+from walker_jax.integrators.roots import (
+    Instant,
+    Scalar,
+    bracketed_newton,
+    length_without_zero,
+    polynomial_jet,
+    shifted,
+)
 from walker_jax.integrators.series import evaluate_polynomial
 
 HOP = 1e-7
@@ -155,7 +162,8 @@ def rise_of(crossing: Crossing, length: Scalar) -> Instant:
 
     def advance(carry):
         time, _, below, *series = carry
-        free = length_without_zero(series, below, length - time)
+        sign = jnp.where(below, -1, 1).astype(length.dtype)
+        free = length_without_zero([sign * c for c in series], length - time)
         at_zero = free <= hop / 8
         step = jnp.minimum(jnp.where(at_zero, hop, free), length - time)
         beyond = evaluate_polynomial(series[:4], step) < 0
@@ -176,29 +184,3 @@ def rise_of(crossing: Crossing, length: Scalar) -> Instant:
     root = bracketed_newton(lambda t: polynomial_jet(value)(t)[:2], low, high)
     exists = found | (left & admitted(root))
     return Instant(exists, jnp.where(exists, root, length))
-
-
-def length_without_zero(series: list[Scalar], below: Bool[Array, ""], most: Scalar) -> Scalar:
-    """A length, up to `most`, in which a polynomial on a side of zero certainly has no zero.
-
-    With its sign changed below, p(t) >= p_0 + p_1 t - b t^2, where b most^2 is the size of the
-    other terms at t = most.
-    """
-    sign = jnp.where(below, -1, 1).astype(most.dtype)
-    value, rate = sign * series[0], sign * series[1]
-    later = evaluate_polynomial([jnp.abs(c) for c in series[2:]], most)
-    root = jnp.sqrt(rate**2 + 4 * later * value)
-    rising = (rate + root) / (2 * jnp.where(later > 0, later, 1))
-    falling = 2 * value / jnp.where(root > rate, root - rate, 1)
-    whole = value + (rate - later * most) * most >= 0
-    length = jnp.where(rate > 0, rising, falling)
-    return jnp.where(value <= 0, 0, jnp.where(whole, most, jnp.minimum(length, most)))
-
-
-def shifted(series: list[Scalar], step: Scalar) -> list[Scalar]:
-    """The coefficients of p(step + t), by Horner's rule order after order."""
-    series = list(series)
-    for i in range(len(series) - 1):
-        for k in range(len(series) - 2, i - 1, -1):
-            series[k] = series[k] + step * series[k + 1]
-    return series

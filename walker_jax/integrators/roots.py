@@ -136,35 +136,42 @@ def first_zero(series: list[Scalar], length: Scalar, resolution: Scalar) -> Scal
     that starts there, unless it vanishes identically.
     """
 
-    def certain(series: list[Scalar], most: Scalar) -> Scalar:
-        """A length, up to `most`, in which a polynomial that is positive at first has no zero.
-
-        p(t) >= p_0 + p_1 t - b t^2, with b such that b most^2 is the sum of the later terms' sizes
-        at t = most.
-        """
-        value, rate = series[:2]
-        later = evaluate_polynomial([jnp.abs(c) for c in series[2:]], most)
-        all_of_it = value + (rate - later * most) * most >= 0
-        root = jnp.sqrt(rate**2 + 4 * later * value)
-        rising = (rate + root) / (2 * jnp.where(later > 0, later, 1))
-        falling = 2 * value / jnp.where(root > rate, root - rate, 1)
-        bound = jnp.where(rate > 0, rising, falling)
-        at_zero = (value <= 0) & ((value != 0) | (rate != 0) | (later != 0))
-        return jnp.where(at_zero, 0, jnp.where(all_of_it, most, bound))
-
     def unfinished(carry):
         time, step, *_ = carry
         return (time < length) & (step > resolution)
 
     def advance(carry):
         time, step, *series = carry
-        for i in range(len(series) - 1):  # p(step + t), by Horner's rule order after order
-            for k in range(len(series) - 2, i - 1, -1):
-                series[k] = series[k] + step * series[k + 1]
-        time = time + step
-        return time, certain(series, length - time), *series
+        time, series = time + step, shifted(series, step)
+        return time, length_without_zero(series, length - time), *series
 
     sign = jnp.where(series[0] < 0, -1, 1).astype(length.dtype)
     series = [sign * c for c in series]
-    first = jnp.zeros_like(length), certain(series, length), *series
+    first = jnp.zeros_like(length), length_without_zero(series, length), *series
     return lax.while_loop(unfinished, advance, first)[0]
+
+
+def length_without_zero(series: list[Scalar], most: Scalar) -> Scalar:
+    """A length, up to `most`, in which a polynomial that is positive at first has no zero.
+
+    p(t) >= p_0 + p_1 t - b t^2, with b such that b most^2 is the sum of the later terms' sizes at
+    t = most.
+    """
+    value, rate = series[:2]
+    later = evaluate_polynomial([jnp.abs(c) for c in series[2:]], most)
+    all_of_it = value + (rate - later * most) * most >= 0
+    root = jnp.sqrt(rate**2 + 4 * later * value)
+    rising = (rate + root) / (2 * jnp.where(later > 0, later, 1))
+    falling = 2 * value / jnp.where(root > rate, root - rate, 1)
+    bound = jnp.where(rate > 0, rising, falling)
+    at_zero = (value <= 0) & ((value != 0) | (rate != 0) | (later != 0))
+    return jnp.where(at_zero, 0, jnp.where(all_of_it, most, bound))
+
+
+def shifted(series: list[Scalar], step: Scalar) -> list[Scalar]:
+    """The coefficients of p(step + t), by Horner's rule order after order."""
+    series = list(series)
+    for i in range(len(series) - 1):
+        for k in range(len(series) - 2, i - 1, -1):
+            series[k] = series[k] + step * series[k + 1]
+    return series

@@ -365,8 +365,8 @@ class Method(eqx.Module):
             return SeriesSteps(self.field, order, self.tolerance, self.others)
         return diffrax.PIDController(rtol=self.tolerance, atol=self.tolerance)
 
-    def solve(self, state: PyTree, t0, t1, controller) -> diffrax.Solution:
-        """Integrates from `state` at t0 to t1, or until the controller stops."""
+    def solve(self, state: PyTree, t0, t1) -> diffrax.Solution:
+        """Integrates from `state` at t0 to t1."""
         solver = self.solver
         if isinstance(solver, Taylor):
             solver = Taylor(solver.taylor_order, self.field)
@@ -378,7 +378,7 @@ class Method(eqx.Module):
             None,
             state,
             saveat=diffrax.SaveAt(t1=True),
-            stepsize_controller=controller,
+            stepsize_controller=self.controller(),
             adjoint=diffrax.ForwardMode(),
             max_steps=MAX_STEPS,
             throw=False,
@@ -390,7 +390,7 @@ class Method(eqx.Module):
         return not series or len(jax.tree.leaves(state)) > MOST_EXPANDED_AGAIN
 
     def first_memory(self, state: PyTree) -> PyTree:
-        """What the first step takes from one before."""
+        """The method's own, for the first step."""
         if isinstance(self.solver, Taylor):
             return ()
         zero, terms, controller = zero_at(state), self.terms, self.controller()

@@ -58,17 +58,15 @@ def falls_begin(walker: Walker) -> tuple[Callable, ...]:
 
 def check_falls(walker: Walker, state: Any) -> None:
     """Refuse rules of a user's own that are not real numbers, by the names of failures."""
-    kind, found = type(walker).__name__, {}
+    kind, values = type(walker).__name__, {}
     if has_own_falls(walker):
-        found = {f"falls of {kind}: {name}": name for name in walker.falls(state)}
-        for name in found.values():
+        for name, shape in jax.eval_shape(walker.falls, state).items():
+            values[f"falls of {kind}: {name}"] = shape
             if name not in FAILURES:
                 raise WrongUse(
                     f"falls of {kind} must be named by a failure, one of {', '.join(FAILURES)}, "
                     f"not {name!r}"
                 )
-    shapes = jax.eval_shape(walker.falls, state)
-    values = {label: shapes[name] for label, name in found.items()}
     if overrides(walker, "is_ahead"):
         values[f"is_ahead of {kind}"] = jax.eval_shape(walker.is_ahead, state)
     for label, value in values.items():

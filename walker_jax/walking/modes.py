@@ -19,7 +19,7 @@ from walker_jax.walkers.masses import MultibodyMotion, SingleSupport
 from walker_jax.walkers.model import Phase, Scalar, Walker
 from walker_jax.walkers.rolling_stance import RollingStance
 from walker_jax.walkers.spatial import SpatialWalker
-from walker_jax.walking.falls import has_own_falls, overrides
+from walker_jax.walking.falls import has_own_falls, makes_step, overrides
 from walker_jax.walking.outcomes import Outcome
 
 
@@ -123,12 +123,23 @@ def landing_guards(phase: Phase, state: Any, step: Scalar | None) -> tuple[Guard
     """The end of a phase in which the swing foot must not come down in front, if it must not."""
     if phase.clearance(state) is None:
         return ()
-    below = lambda state: -height_above(phase, state, step)
+
+    def below(state: Any) -> Scalar:
+        above = phase.clearance(state)
+        assert above is not None
+        return -above if step is None else step - above
+
     return (Guard(below, Outcome.BENT_KNEE, (phase.walker.is_ahead,), (phase.reach,)),)
 
 
-def height_above(phase: Phase, state: Any, step: Scalar | float | None = None) -> Scalar:
-    """The height of the swing foot above ground that is higher by `step`."""
+def starts_under(
+    phase: Phase | Walker, state: Any, ground: Scalar | float = 0.0
+) -> Bool[Array, ""]:
+    """Whether the swing foot is below the ground, of some height."""
     above = phase.clearance(state)
-    assert above is not None
-    return above if step is None else above - step
+    return jnp.asarray(False) if above is None else above < ground
+
+
+def in_front(phase: Phase, state: Any) -> Bool[Array, ""]:
+    """Whether a foot that comes down would take a step: in front, before the walker has fallen."""
+    return makes_step(phase.walker, state) & (phase.reach(state) > 0)

@@ -19,9 +19,9 @@ from walker_jax.checks import WrongUse, check_number, check_whole, refuses_trace
 from walker_jax.walkers.model import State, Walker, check_planar
 from walker_jax.walkers.parameters import attributes_of
 from walker_jax.walkers.spatial import SpatialWalker
-from walker_jax.walking.falls import has_fallen, has_own_falls, makes_step
+from walker_jax.walking.falls import has_fallen, has_own_falls
 from walker_jax.walking.iteration import walk
-from walker_jax.walking.modes import ahead_on_steps, height_above, in_tension
+from walker_jax.walking.modes import ahead_on_steps, in_front, in_tension, starts_under
 from walker_jax.walking.movement_in_space import motion_in_space
 from walker_jax.walking.outcomes import Outcome
 from walker_jax.walking.phases import legs
@@ -214,11 +214,7 @@ def is_over(
         over |= swings & np.asarray(jax.vmap(partial(in_tension, walker))(swing))
         if phases:
             over |= ~swings & np.asarray(jax.vmap(partial(in_tension, phases[0]))(each))
-    if outcome == Outcome.BENT_KNEE and not has_own_falls(walker):
-        lands = lambda state: (
-            (height_above(phases[0], state, step) < 0)
-            & makes_step(walker, state)
-            & (phases[0].reach(state) > 0)
-        )
+    if outcome == Outcome.BENT_KNEE and phases:
+        lands = lambda state: starts_under(phases[0], state, step) & in_front(phases[0], state)
         over |= ~swings & np.asarray(jax.vmap(lands)(each))
     return over

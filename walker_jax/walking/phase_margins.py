@@ -37,12 +37,11 @@ from walker_jax.walking.falls import (
     falls_begin,
     has_fallen,
     has_own_falls,
-    makes_step,
     missing_slope,
 )
-from walker_jax.walking.modes import conditions_of, equations, in_tension
+from walker_jax.walking.modes import conditions_of, equations, in_front, starts_under
 from walker_jax.walking.outcomes import Outcome
-from walker_jax.walking.phases import is_over
+from walker_jax.walking.phases import begin_phase, is_over
 
 Least = dict[int, Scalar]
 """The least value of each condition, by the outcome where it is negative."""
@@ -142,30 +141,6 @@ def follow_phase_margins(
             least=least_with(following, state, least, ended & ~over),
         )
     return now
-
-
-def begin_phase(
-    phase: Phase | Walker,
-    state: Any,
-    time: Scalar,
-    over: Bool[Array, ""],
-    verdict: Int[Array, ""],
-) -> Int[Array, ""]:
-    """The verdict as a phase begins that is not `over`: tension at a stride's start ends it."""
-    starts = (verdict == Outcome.UNDECIDED) & ~over & (time == 0)
-    pulled = starts & with_fast_sincos(in_tension)(phase, state)
-    return jnp.where(pulled, Outcome.RUNNING, verdict).astype(jnp.int8)
-
-
-def starts_under(phase: Phase, state: Any) -> Bool[Array, ""]:
-    """Whether the swing foot is below the ground."""
-    above = phase.clearance(state)
-    return jnp.asarray(False) if above is None else above < 0
-
-
-def in_front(phase: Phase, state: Any) -> Bool[Array, ""]:
-    """Whether a foot that comes down would take a step: in front, before the walker has fallen."""
-    return makes_step(phase.walker, state) & (phase.reach(state) > 0)
 
 
 def stop_within(speed: Jet, until: Scalar) -> Instant:

@@ -84,26 +84,31 @@ def follow_phases(
     phases = walker.phases()
     for phase in phases:
         over = is_over(phase, now.state, tolerance)
-        going = now.verdict == Outcome.UNDECIDED
-        pulled = going & ~over & (now.time == 0) & in_tension_now(phase, now.state)
-        verdict = jnp.where(pulled, Outcome.RUNNING, now.verdict)
-        verdict = jnp.where(going & over, Outcome.STRIDE, verdict)
+        verdict = begin_phase(phase, now.state, now.time, over, now.verdict)
+        verdict = jnp.where((verdict == Outcome.UNDECIDED) & over, Outcome.STRIDE, verdict)
         now = now._replace(verdict=verdict.astype(jnp.int8))
         now = follow_on(phase_mode(phase, now.state, step), now, tolerance)
         state = with_fast_sincos(lambda phase, s: phase.end(s))(phase, now.state)
         ended = now.verdict == Outcome.STRIDE
         verdict = jnp.where(ended, fall_of(walker, state), now.verdict)
         if phase is phases[-1]:
-            pulled = (now.time == 0) & in_tension_now(walker, state)
-            pulled &= verdict == Outcome.UNDECIDED
-            verdict = jnp.where(pulled, Outcome.RUNNING, verdict)
+            verdict = begin_phase(walker, state, now.time, jnp.asarray(False), verdict)
         now = now._replace(state=state, verdict=verdict.astype(jnp.int8))
         ends.append(now)
     return ends
 
 
-def in_tension_now(walker: Walker | Phase, state: Any) -> Bool[Array, ""]:
-    return with_fast_sincos(in_tension)(walker, state)
+def begin_phase(
+    phase: Phase | Walker,
+    state: Any,
+    time: Scalar,
+    over: Bool[Array, ""],
+    verdict: Int[Array, ""],
+) -> Int[Array, ""]:
+    """The verdict as a phase begins that is not `over`: tension at a stride's start ends it."""
+    starts = (verdict == Outcome.UNDECIDED) & ~over & (time == 0)
+    pulled = starts & with_fast_sincos(in_tension)(phase, state)
+    return jnp.where(pulled, Outcome.RUNNING, verdict).astype(jnp.int8)
 
 
 def merge(one: Violated, other: Violated) -> Violated:

@@ -27,7 +27,7 @@ from walker_jax.kernels import by_kernel
 from walker_jax.walkers.masses import MultibodyMotion
 from walker_jax.walkers.model import Phase, Scalar, State, Walker, check_planar, check_single
 from walker_jax.walking.falls import check_falls, fall_of
-from walker_jax.walking.modes import equations, in_tension, phase_mode, swing_mode
+from walker_jax.walking.modes import equations, in_tension, phase_mode, starts_under, swing_mode
 from walker_jax.walking.outcomes import Outcome, Stride, nan_unless
 from walker_jax.walking.phases import (
     Arrival,
@@ -254,8 +254,7 @@ def follow_step(
     passed = step > 0
     if walker.phases():  # a foot in front may be below the level as a knee strikes
         ahead = (begun.state.phi < 0) & (walker.is_ahead(begun.state) > 0)
-        below = with_fast_sincos(lambda walker, s: walker.clearance(s) < 0)(walker, begun.state)
-        passed |= (step < 0) & ahead & below
+        passed |= (step < 0) & ahead & with_fast_sincos(starts_under)(walker, begun.state)
     to_level = swing_mode(walker, begun.state, step, to_step=passed, launched=launched)
     level = follow_on(to_level, begun, tolerance)
     lower = (level.verdict == Outcome.STRIDE) & (step < 0) & ~passed
@@ -334,7 +333,7 @@ def state_after(
 def state_of_motion(walker: Walker | Phase, start: Any, time: Scalar, tolerance: Scalar) -> Any:
     """The state a time after another, by the equations of one phase."""
     method = Method(equations(walker), solver_for(start), tolerance)
-    solution = method.solve(start, jnp.zeros_like(time), time, method.controller())
+    solution = method.solve(start, jnp.zeros_like(time), time)
     arrived = solution.result == diffrax.RESULTS.successful
     return jax.tree.map(lambda values: nan_unless(arrived, values[-1]), solution.ys)
 
