@@ -12,7 +12,7 @@ import walker_jax as wj
 from walker_jax import Outcome
 from walker_jax.execution.tiles import map_cells
 from walker_jax.walkers.abstract_point_foot import AbstractPointFootWalker
-from walker_jax.walking.failure_margins import Margins, margins, margins_of_many
+from walker_jax.walking.margins import Margins, margins, margins_of_many
 
 DATA = Path(__file__).parent / "data"
 WAYS = "backward", "forward", "running", "stopping"

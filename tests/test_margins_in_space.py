@@ -9,8 +9,8 @@ import walker_jax as wj
 from walker_jax import Outcome
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.walkers.spatial import LEAST_STEP
-from walker_jax.walking.failure_margins import Margins, failure_margin
 from walker_jax.walking.iteration import iterate
+from walker_jax.walking.margins import Margins, failure_margin
 
 WALKER = wj.SpatialWalker()
 GAIT = np.array(

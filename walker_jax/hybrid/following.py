@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Int, PyTree
 
 from walker_jax.hybrid.conditions import is_negative, least_between, value_and_rate
 from walker_jax.hybrid.crossings import Crossing, begins_below, first_rise, may_rise
+from walker_jax.hybrid.misses import Misses, Seen, add_misses, no_misses
 from walker_jax.hybrid.modes import Condition, Foregone, Guard, Mode
 from walker_jax.integrators.roots import Scalar, derivative_of
 from walker_jax.integrators.series import evaluate_polynomial
@@ -31,7 +32,7 @@ Violated = dict[int, Bool[Array, ""]]
 """Whether each condition was violated, by its outcome, lower numbers first."""
 
 
-class Arrival(NamedTuple):
+class End(NamedTuple):
     """Where a mode ends."""
 
     state: Any
@@ -43,6 +44,7 @@ class Arrival(NamedTuple):
     without an end, `NO_GUARD` or `NOT_FOLLOWED`."""
     violated: Violated
     """Both ends of the mode included."""
+    misses: Misses | None
 
 
 class Step(NamedTuple):
@@ -77,12 +79,16 @@ class Unfinished(NamedTuple):
     guard: Int[Array, ""]
     count: Int[Array, ""]
     violated: Violated
+    misses: Misses | None
 
 
-def follow_mode(mode: Mode, start: Any, going: Bool[Array, ""], method: Method) -> Arrival:
+def follow_mode(
+    mode: Mode, start: Any, going: Bool[Array, ""], method: Method, *, measured: bool = False
+) -> End:
     """Follow a mode from a state to its end; nothing to do unless `going`.
 
-    Derivatives of the arrival are exact to third order.
+    Derivatives of the arrival are exact to third order. If it is `measured`, every step is searched
+    and what was missed in it is seen.
     """
 
     def unfinished(now: Unfinished):
@@ -90,6 +96,9 @@ def follow_mode(mode: Mode, start: Any, going: Bool[Array, ""], method: Method) 
         return (now.guard == NO_GUARD) & (now.count < MAX_STEPS) & finite
 
     def follow(now: Unfinished) -> Unfinished:
+        if measured:
+            last = next_step(mode, method, now.violated, now.last)
+            return search_step(mode, method, now._replace(last=last, count=now.count + 1))
         quiet = lambda carry: carry[0].quiet & (carry[1] < MAX_STEPS)
         take = lambda carry: (next_step(mode, method, now.violated, carry[0]), carry[1] + 1)
         # In a batch, lanes that have ended wait here for the others.
@@ -100,8 +109,9 @@ def follow_mode(mode: Mode, start: Any, going: Bool[Array, ""], method: Method) 
     zero = zero_at(start)
     guard = jnp.where(going, NO_GUARD, NOT_FOLLOWED).astype(jnp.int32)
     violated = {one.outcome: going & is_negative(one, start) for one in mode.conditions}
+    misses = no_misses(mode, start) if measured else None
     first = before_first_step(mode, method, start)
-    begun = Unfinished(first, start, zero, guard, jnp.asarray(0), violated)
+    begun = Unfinished(first, start, zero, guard, jnp.asarray(0), violated, misses)
     last = lax.while_loop(unfinished, follow, begun)
 
     event = partial(value_of_guard, mode, last.guard)
@@ -112,7 +122,7 @@ def follow_mode(mode: Mode, start: Any, going: Bool[Array, ""], method: Method) 
     violated = dict(last.violated)
     for condition in mode.conditions:
         violated[condition.outcome] |= going & is_negative(condition, arrival)
-    return Arrival(arrival, last.time + keep(delay, zero), last.guard, violated)
+    return End(arrival, last.time + keep(delay, zero), last.guard, violated, last.misses)
 
 
 def before_first_step(mode: Mode, method: Method, start: Any) -> Step:
@@ -172,7 +182,12 @@ def search_step(mode: Mode, method: Method, now: Unfinished) -> Unfinished:
         between = lambda t: evaluate_series(series, t)
         _, least = least_between(at, last.start, arrival, between, until, above=0.0)
         violated[condition.outcome] |= (least < 0) | is_negative(condition, arrival)
-    return now._replace(arrival=arrival, time=last.time + until, guard=number, violated=violated)
+    misses = now.misses
+    if misses is not None:
+        sides = [(one.below, one.ends_below) for one in crossings]
+        seen = Seen(last.start, series, last.length, arrival, until, sides, now.violated)
+        misses = add_misses(mode, misses, seen)
+    return Unfinished(last, arrival, last.time + until, number, now.count, violated, misses)
 
 
 def watched(mode: Mode) -> list[Condition]:

@@ -9,6 +9,7 @@ state, or another mode.
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from walker_jax.integrators.roots import Scalar
@@ -32,6 +33,8 @@ class Guard(NamedTuple):
     """Whether, by a proof about the field, a value that has risen where it is admitted stays above
     zero to the end of any step, and turns from falling to rising once at most in it. Then the two
     ends of a step tell whether it has risen within."""
+    measure: Callable[[Scalar], Scalar] = jnp.negative
+    """The margin of a value below zero; by default by how much that is below."""
 
 
 class Condition(NamedTuple):
@@ -42,6 +45,9 @@ class Condition(NamedTuple):
     """Meaning of its violation to the caller."""
     least_at_ends: bool = False
     """Whether, by a proof, it is least at the start or at the end of a mode."""
+    zero_at_ends: tuple[bool, bool] = (False, False)
+    """Whether it is zero by definition as the mode starts, and where its last guard rises. Its
+    margin is that of values elsewhere."""
 
 
 class Foregone(NamedTuple):
@@ -60,6 +66,7 @@ class Mode(NamedTuple):
     rates: Callable[[Any], Any]
     """The time derivative of the state, where it is asked for at a single state."""
     guards: tuple[Guard, ...]
+    """The last one is how the mode should end."""
     conditions: tuple[Condition, ...] = ()
     foregone: Foregone | None = None
 

@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool
 from walker_jax.hybrid.modes import Condition, Foregone, Function, Guard, Mode
 from walker_jax.integrators.solvers import Method, Real, VectorField, solver_for
 from walker_jax.walkers.masses import MultibodyMotion, SingleSupport
-from walker_jax.walkers.model import Phase, Scalar, Walker
+from walker_jax.walkers.model import Phase, Scalar, Walker, is_planar
 from walker_jax.walkers.rolling_stance import RollingStance
 from walker_jax.walkers.spatial import SpatialWalker
 from walker_jax.walking.falls import has_own_falls, makes_step, overrides
@@ -53,8 +53,13 @@ def in_tension(walker: Walker | Phase, state: Any) -> Bool[Array, ""]:
 def fall_guards(walker: Walker, state: Any, *, persist: bool = False) -> tuple[Guard, ...]:
     """The falls of a walker; whether it is known that they persist within a step."""
     value = lambda name: lambda state: walker.falls(state)[name]
-    names = jax.eval_shape(walker.falls, state)
-    return tuple(Guard(value(name), Outcome[name], persists=persist) for name in names)
+    guards = []
+    for name in jax.eval_shape(walker.falls, state):
+        guard = Guard(value(name), Outcome[name], persists=persist)
+        if name == "BACKWARD" and is_planar(walker):
+            guard = guard._replace(measure=lambda speed: speed**2 / 2)  # smooth at a dead point
+        guards.append(guard)
+    return tuple(guards)
 
 
 def swing_mode(
@@ -88,8 +93,12 @@ def swing_mode(
         given_up = foregone.holds
         foregone = Foregone(lambda state: ~jnp.asarray(to_step) & given_up(state), Outcome.FORWARD)
     spared = not launched and (step is None or to_step is not True)
+    scuffs = isinstance(walker, SpatialWalker) and not overrides(walker, "conditions")
+    touches = scuffs and not launched, scuffs
     conditions = tuple(
-        Condition(one, of, of == Outcome.RUNNING and walker.force_least_at_ends)
+        Condition(one, of, walker.force_least_at_ends)
+        if of == Outcome.RUNNING
+        else Condition(one, of, zero_at_ends=touches)
         for of, one in conditions_of(walker).items()
     )
     # An inverted pendulum that stops goes back, and its leg goes one way until then.

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
 from walker_jax.hybrid.crossings import begins_below
-from walker_jax.hybrid.following import NO_GUARD, Violated, follow_mode
+from walker_jax.hybrid.following import NO_GUARD, End, Violated, follow_mode
 from walker_jax.hybrid.modes import Mode
 from walker_jax.integrators.solvers import Method, Real, solver_for, zero_at
 from walker_jax.integrators.taylor import with_fast_sincos
@@ -22,6 +22,16 @@ from walker_jax.walkers.model import Phase, Scalar, State, Walker
 from walker_jax.walking.falls import fall_of
 from walker_jax.walking.modes import equations, in_tension, method_of, phase_mode, swing_mode
 from walker_jax.walking.outcomes import Outcome
+
+
+class Part(NamedTuple):
+    """A mode of a stride that was followed."""
+
+    mode: Mode
+    start: Any
+    verdict: Int[Array, ""]
+    """As it began; it was followed if that is `UNDECIDED`."""
+    end: End
 
 
 class Arrival(NamedTuple):
@@ -35,6 +45,8 @@ class Arrival(NamedTuple):
     """Before the swing `UNDECIDED`, after it `STRIDE`, unless the walker falls."""
     violated: Violated
     """Which conditions were violated, the contact force Q_v >= 0 among them."""
+    parts: tuple[Part, ...] = ()
+    """Its modes so far, of a stride that is measured."""
 
 
 def follow_to_heel_strike(
@@ -44,24 +56,32 @@ def follow_to_heel_strike(
     tolerance: Real,
     *,
     launched: bool = False,
+    measured: bool = False,
 ) -> Arrival:
-    """All phases of a stride, from a state of the first one; nothing to do unless `UNDECIDED`."""
-    last = follow_to_swing(walker, start, verdict, tolerance)
+    """All phases of a stride, from a state of the first one; nothing to do unless `UNDECIDED`.
+
+    If it is `measured`, the parts of the stride have their misses, and a fall is followed to its
+    end.
+    """
+    last = follow_to_swing(walker, start, verdict, tolerance, measured=measured)
     mode = swing_mode(walker, last.state, launched=launched)
-    return follow_on(mode, last, tolerance)
+    mode = mode._replace(foregone=None) if measured else mode
+    return follow_on(mode, last, tolerance, measured)
 
 
-def follow_on(mode: Mode, last: Arrival, tolerance: Real) -> Arrival:
+def follow_on(mode: Mode, last: Arrival, tolerance: Real, measured: bool = False) -> Arrival:
     """A mode from where the one before has led; the verdict is what its guard leads to."""
     going = last.verdict == Outcome.UNDECIDED
-    found = follow_mode(mode, last.state, going, method_of(mode, last.state, tolerance))
+    method = method_of(mode, last.state, tolerance)
+    found = follow_mode(mode, last.state, going, method, measured=measured)
     verdict = jnp.where(found.guard == NO_GUARD, Outcome.UNDECIDED, last.verdict)
     for i, guard in enumerate(mode.guards):
         verdict = jnp.where(found.guard == i, guard.leads_to, verdict)
     if mode.foregone is not None:
         verdict = jnp.where(found.guard == len(mode.guards), mode.foregone.leads_to, verdict)
     violated = merge(last.violated, found.violated)
-    return Arrival(found.state, last.time + found.time, verdict.astype(jnp.int8), violated)
+    parts = (*last.parts, Part(mode, last.state, last.verdict, found)) if measured else ()
+    return Arrival(found.state, last.time + found.time, verdict.astype(jnp.int8), violated, parts)
 
 
 def follow_to_swing(
@@ -70,14 +90,19 @@ def follow_to_swing(
     verdict: Int[Array, ""],
     tolerance: Real,
     step: Scalar | None = None,
+    measured: bool = False,
 ) -> Arrival:
     """All phases of a stride before the swing, if there are any."""
     begun = Arrival(start, zero_at(start), verdict, {})
-    return [begun, *follow_phases(walker, begun, tolerance, step)][-1]
+    return [begun, *follow_phases(walker, begun, tolerance, step, measured)][-1]
 
 
 def follow_phases(
-    walker: Walker, begun: Arrival, tolerance: Real, step: Scalar | None = None
+    walker: Walker,
+    begun: Arrival,
+    tolerance: Real,
+    step: Scalar | None = None,
+    measured: bool = False,
 ) -> list[Arrival]:
     """The end of each phase before the swing, after its impact."""
     ends, now = [], begun
@@ -87,7 +112,7 @@ def follow_phases(
         verdict = begin_phase(phase, now.state, now.time, over, now.verdict)
         verdict = jnp.where((verdict == Outcome.UNDECIDED) & over, Outcome.STRIDE, verdict)
         now = now._replace(verdict=verdict.astype(jnp.int8))
-        now = follow_on(phase_mode(phase, now.state, step), now, tolerance)
+        now = follow_on(phase_mode(phase, now.state, step), now, tolerance, measured)
         state = with_fast_sincos(lambda phase, s: phase.end(s))(phase, now.state)
         ended = now.verdict == Outcome.STRIDE
         verdict = jnp.where(ended, fall_of(walker, state), now.verdict)

@@ -1,0 +1,148 @@
+"""By how much the guards of a mode missed to rise, and its conditions to be violated.
+
+A guard misses a rise where its value turns below zero, or turns above zero before it was below,
+where it is admitted; and where it rises and is not admitted. A step of the integration must be so
+short that a value turns at most once in it.
+"""
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Bool, PyTree
+
+from walker_jax.hybrid.conditions import least_between, value_and_rate
+from walker_jax.hybrid.modes import Condition, Guard, Mode
+from walker_jax.integrators.roots import (
+    Instant,
+    Jet,
+    Scalar,
+    bracketed_newton,
+    differentiable_zero,
+    first_upcrossing,
+    interior_minimum,
+    negate,
+    polynomial_jet,
+)
+from walker_jax.integrators.series import evaluate_polynomial
+from walker_jax.integrators.solvers import evaluate_series, zero_at
+from walker_jax.integrators.taylor import function_series, with_fast_sincos
+
+FINE = 1e-9
+"""Resolution of the time at which a condition is least, as part of a step."""
+
+
+class Misses(NamedTuple):
+    """What was seen within a mode. Its start and its end, where values do not turn, are not."""
+
+    nearest: list[Scalar]
+    """The greatest miss of each guard, all negative: its value, or minus that, where it turned; or
+    the least of what did not admit it. Minus infinity if there was none."""
+    depth: Scalar
+    """How far the last guard turned below zero since it last rose; minus infinity if it did not."""
+    height: Scalar
+    """How far the last guard rose, if it fell again within the step in which it ended the mode;
+    infinite if not."""
+    least: dict[int, Scalar]
+    """The least value of each condition where it turned, by its outcome; infinite if it did not."""
+    before: dict[int, Scalar]
+    """The greatest miss of the last guard up to the step in which each condition was violated."""
+
+
+class Seen(NamedTuple):
+    """A step, up to the end of the mode."""
+
+    start: Any
+    series: PyTree[list]
+    length: Scalar
+    arrival: Any
+    until: Scalar
+    """Time of the arrival since the start of the step."""
+    sides: list[tuple[Bool[Array, ""], Bool[Array, ""]]]
+    """Whether each guard is below zero at the start and at the end of the whole step."""
+    violated: dict[int, Bool[Array, ""]]
+    """Whether each condition was violated before the step."""
+
+
+def no_misses(mode: Mode, start: Any) -> Misses:
+    infinite = zero_at(start) + jnp.inf
+    least = {one.outcome: infinite for one in mode.conditions}
+    before = {one.outcome: -infinite for one in mode.conditions}
+    return Misses([-infinite for _ in mode.guards], -infinite, infinite, least, before)
+
+
+def add_misses(mode: Mode, known: Misses, step: Seen) -> Misses:
+    """What is seen in a step is added to what is known. All values have their derivatives."""
+    found = [miss_in_step(*one, step) for one in zip(mode.guards, step.sides, strict=True)]
+    nearest = list(map(jnp.maximum, known.nearest, found))
+    least, before = {}, {}
+    for one in mode.conditions:
+        key, value = one.outcome, known.least[one.outcome]
+        if not one.least_at_ends:
+            value = jnp.minimum(value, least_in_step(mode, one, step))
+        least[key] = value
+        before[key] = jnp.where(step.violated[key], known.before[key], nearest[-1])
+
+    value = function_series(mode.guards[-1].value, step.series)
+    jet, (below, ends_below) = polynomial_jet(value), step.sides[-1]
+    low = interior_minimum(jet, step.until)
+    deep = jnp.maximum(known.depth, -evaluate_polynomial(value, low.time))
+    depth = jnp.where(low.exists, deep, known.depth)
+    rose = below & ~ends_below & (step.until == step.length)
+    top = greatest_between(jet, step.until, step.length)
+    high = jnp.where(top.exists, evaluate_polynomial(value, top.time), jnp.inf)
+    height = jnp.minimum(known.height, high)
+    return Misses(nearest, jnp.where(rose, -jnp.inf, depth), height, least, before)
+
+
+def miss_in_step(
+    guard: Guard, sides: tuple[Bool[Array, ""], Bool[Array, ""]], step: Seen
+) -> Scalar:
+    """The greatest miss of a guard in a step, negative; minus infinity if there is none."""
+    value = function_series(guard.value, step.series)
+    admits = [function_series(one, step.series) for one in (*guard.admits, *guard.admits_at_rise)]
+    jet = polynomial_jet(value)
+
+    def admitted(time: Scalar) -> Scalar:
+        """The least of the functions that admit a rise."""
+        least = jnp.full_like(time, jnp.inf)
+        for one in admits:
+            least = jnp.minimum(least, evaluate_polynomial(one, time))
+        return least
+
+    top = interior_minimum(negate(jet), step.until)
+    high = evaluate_polynomial(value, top.time)
+    misses = top.exists & (high < 0) & (admitted(top.time) > 0)
+    nearest = jnp.where(misses, high, -jnp.inf)
+    if not admits:
+        return nearest
+    low = interior_minimum(jet, step.until)
+    least = evaluate_polynomial(value, low.time)
+    misses = low.exists & (least >= 0) & (admitted(low.time) > 0)
+    nearest = jnp.where(misses, jnp.maximum(nearest, -least), nearest)
+    # up to where it falls again, or to the end of the step
+    until = jnp.where(top.exists, top.time, step.until)
+    whole = ~top.exists & (step.until == step.length)
+    ends_below = jnp.where(whole, sides[1], jet(until)[0] < 0)
+    rises, time = first_upcrossing(jet, until, (sides[0], ends_below))
+    lacks = admitted(differentiable_zero(value, time))
+    return jnp.where(rises & (lacks <= 0), jnp.maximum(nearest, lacks), nearest)
+
+
+def greatest_between(jet: Jet, first: Scalar, last: Scalar) -> Instant:
+    """Where a function is greatest that rises at one time of a step and falls at a later one."""
+    first, last = lax.stop_gradient((first, last))
+    exists = (first < last) & (jet(first)[1] > 0) & (jet(last)[1] < 0)
+    high = jnp.where(exists, last, first)
+    return Instant(exists, bracketed_newton(lambda t: negate(jet)(t)[1:], first, high))
+
+
+def least_in_step(mode: Mode, condition: Condition, step: Seen) -> Scalar:
+    """The least value of a condition where it turns in a step; infinite if it does not."""
+    at = partial(value_and_rate, condition.value, mode.rates)
+    between = lambda time: evaluate_series(step.series, time)
+    ends = step.start, step.arrival
+    time, value = least_between(at, *ends, between, step.until, resolution=FINE)
+    there = with_fast_sincos(condition.value)(evaluate_series(step.series, time))
+    return jnp.where(jnp.isfinite(value), there, value)
