@@ -6,9 +6,7 @@ planar one on round feet four and three. Processor time of both, in turn, in one
 `--study`, the basin: how far along each coordinate of the section walkers return, up to the first
 that does not; the share that returns from a cube about the gait; and that over hip width, radius of
 the discs and inertia. `--design` follows the exact gradient of the least disturbance, of all seven
-coordinates, to a design with a larger basin. `--picture` draws a slice of the basin. `--falls`
-takes one integration step from each of many states close to the angles at which a walker has
-fallen: how far beyond them it is within a step at whose ends it stands.
+coordinates, to a design with a larger basin. `--picture` draws a slice of the basin.
 
 A stride in space takes 11 times as long as a planar one on round feet, as walks go, which end at
 different strides, and as many where all of 20,000 starts make one stride (`wj.strides`, 25.9
@@ -25,7 +23,6 @@ against 2.48 us of processor time). `--study` gives the numbers of docs/results.
     python benchmarks/space.py
     python benchmarks/space.py --study
     python benchmarks/space.py --design
-    python benchmarks/space.py --falls
     python benchmarks/space.py --picture docs/space.png
 """
 
@@ -33,21 +30,14 @@ import sys
 import time
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import lax
 
 import walker_jax as wj
 from walker_jax import figures
 from walker_jax.basins.attractor import Attractor
 from walker_jax.basins.mapper import Mapper
-from walker_jax.execution.tiles import map_cells
 from walker_jax.gaits.search import search_gait
-from walker_jax.integrators.series import evaluate_polynomial
-from walker_jax.integrators.solvers import series_order, taylor_step
 from walker_jax.stability.gait_mapper import mapper_of_gait
-from walker_jax.walkers.spatial import GREATEST_LEAN
-from walker_jax.walking.modes import equations
 
 jax.config.update("jax_enable_x64", True)
 COUNT, REPEATS, SPREAD = 10_000, 3, 0.02
@@ -57,7 +47,6 @@ FARTHEST, DISTANCES = 3.0, 400
 FREE = ("hip_width", "disc_radius", "com_height", "com_outward")
 STEPS, LONGEST, DIRECTIONS = 4, 0.02, 2000
 CELLS = 240
-FALLING, RATES, LOOKS = 200_000, (0.1, 0.3, 1.0, 3.0, 10.0), 64
 SIZES = {
     "hip_width": (0.325, 0.33, 0.34, 0.35, 0.375, 0.4, 0.45),
     "disc_radius": (0.08, 0.1, 0.11, 0.14, 0.155, 0.165),
@@ -166,42 +155,6 @@ def design() -> None:
         walker = wj.SpatialWalker(**dict(zip(FREE, values.tolist(), strict=True)))
 
 
-def angles_within(walker: wj.SpatialWalker, state):
-    """Of a step from a state: the sizes of lean and theta at its end, and the largest within."""
-    state = wj.SpatialState(*state)
-    field, order = equations(walker), series_order(state)
-    series, length = taylor_step(field, state, order, 1e-12, walker.contact)
-
-    def of(terms):
-        size = lambda part: jnp.abs(evaluate_polynomial(terms, part * length / LOOKS))
-        larger = lambda i, most: jnp.maximum(most, size(i.astype(length.dtype)))
-        return size(LOOKS), lax.fori_loop(0, LOOKS, larger, jnp.zeros_like(length))
-
-    return of(series.lean), of(series.theta)
-
-
-def falls() -> None:
-    """Angles beyond those of a fall that the ends of an integration step do not show."""
-    walker = jax.tree.map(np.asarray, wj.SpatialWalker())
-    rng = np.random.default_rng(0)
-    for rate in RATES:
-        for i, (name, limit) in enumerate((("lean", GREATEST_LEAN), ("theta", np.pi / 2))):
-            states = np.zeros((FALLING, 10))
-            states[:, 2] = rng.uniform(-np.pi, np.pi, FALLING)
-            states[:, 3:6] = rng.uniform(-1, 1, (FALLING, 3))
-            states[:, 6:] = rate * rng.normal(size=(FALLING, 4))
-            angle, its_rate = 3 + i, 7 + i  # outwards, from up to 0.2 rad within
-            side = rng.choice([-1, 1], FALLING)
-            states[:, angle] = side * (limit - 10 ** rng.uniform(-5, -0.7, FALLING))
-            states[:, its_rate] = side * np.abs(states[:, its_rate])
-            end, most = map_cells(angles_within, (walker, states))[i]
-            hidden = (end < limit) & (most > limit)
-            print(
-                f"rates of {rate}: {hidden.sum()} hide {(most[hidden] - limit).max(initial=0):.2g}"
-                f" rad of {name} at most"
-            )
-
-
 def draw(place: str) -> None:
     """The slice of yaw and rate of lean through the gait, and that of theta and its rate."""
     import matplotlib.pyplot as plt
@@ -225,7 +178,5 @@ if __name__ == "__main__":
         design()
     elif "--study" in sys.argv:
         study()
-    elif "--falls" in sys.argv:
-        falls()
     else:
         compare_times()

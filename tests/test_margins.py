@@ -12,7 +12,7 @@ import walker_jax as wj
 from walker_jax import Outcome
 from walker_jax.execution.tiles import map_cells
 from walker_jax.walkers.abstract_point_foot import AbstractPointFootWalker
-from walker_jax.walking.margins import Margins, margins, margins_of_many
+from walker_jax.walking.failure_margins import Margins, margins, margins_of_many
 
 DATA = Path(__file__).parent / "data"
 WAYS = "backward", "forward", "running", "stopping"
@@ -67,7 +67,7 @@ def assert_signs(found: Margins):
         assert not np.isnan(getattr(found, way)[struck]).any()
     assert not np.isnan(found.stopping[outcome == Outcome.STRIDE]).any()
     assert np.isnan(found.running[outcome == Outcome.FORWARD]).all()
-    assert np.isnan(found.forward[outcome == Outcome.BACKWARD]).sum() > 0
+    assert not np.isnan(found.backward[outcome == Outcome.FORWARD]).any()
     at_start = (outcome == Outcome.RUNNING) & np.isnan(found.forward)
     assert np.isnan(found.backward[at_start]).all()
 
@@ -215,10 +215,24 @@ def test_margins_of_the_simplest_walker_in_closed_form():
     walker, xs = WALKERS["simplest"], starts(WALKERS["simplest"])
     found = margins_of_many(walker, xs)
     outcome, (theta, thetadot) = found.stride.outcome, xs.T
-    began = (outcome != Outcome.OUTSIDE) & ~np.isnan(found.backward)
-    energy = thetadot**2 / 2 + np.cos(theta - 0.0165) - 1
-    np.testing.assert_allclose(found.backward[began], energy[began], rtol=0, atol=1e-14)
-    strode = outcome == Outcome.STRIDE
+    energy = thetadot**2 / 2 + np.cos(theta - 0.0165) - 1  # above that at the top
+    fell, stops, strode = (
+        outcome == one for one in (Outcome.FORWARD, Outcome.BACKWARD, Outcome.STRIDE)
+    )
+    climbs = theta > 0.0165
+    left = np.where(climbs, energy, thetadot**2 / 2)
+    np.testing.assert_allclose(found.backward[fell], left[fell], rtol=0, atol=1e-11)
+    after = found.stride.state[:, 1] ** 2 / 2
+    least = np.minimum(left, after)[strode]
+    np.testing.assert_allclose(found.backward[strode], least, rtol=0, atol=1e-11)
+    assert (
+        (climbs & strode).any()
+        and (after < left)[strode].any()
+        and (stops & climbs).all(where=stops)
+    )
+    # it stops where cos(theta - slope) = 1 + energy, and thetaddot = sin(theta - slope)
+    sine = 1 - (1 + energy[stops]) ** 2
+    np.testing.assert_allclose(found.backward[stops], -sine / 2, rtol=0, atol=1e-11)
     angle, speed = found.stride.state[strode].T  # -theta, and cos(2 theta) thetadot
     lift = np.cos(angle) * np.sin(2 * angle) * -speed
     np.testing.assert_allclose(found.stopping[strode], lift, rtol=0, atol=1e-12)

@@ -9,8 +9,8 @@ import walker_jax as wj
 from walker_jax import Outcome
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.walkers.spatial import LEAST_STEP
+from walker_jax.walking.failure_margins import Margins, failure_margin
 from walker_jax.walking.iteration import iterate
-from walker_jax.walking.margins import Margins, failure_margin
 
 WALKER = wj.SpatialWalker()
 GAIT = np.array(
@@ -65,12 +65,20 @@ def test_signs_of_margins_are_the_outcomes(some):
     assert np.isnan(failing(back)).all()
 
 
-def test_legs_that_pass_each_other_by_more_than_the_least_step_stride(some):
-    """The forward margin is by how much more they do, where no other fall is nearer."""
-    made = some.stride.outcome == Outcome.STRIDE
+def test_forward_margins_are_by_how_much_heel_strikes_were_some(some):
+    """By how far the legs pass each other, and by how high the disc was, whichever is less."""
+    made = np.flatnonzero(some.stride.outcome == Outcome.STRIDE)
     passed = some.stride.state[made, 2] - LEAST_STEP  # exchanged, the angle between the legs
     assert (some.forward[made] < passed + 1e-12).all()
-    assert np.mean(np.abs(some.forward[made] - passed) < 1e-12) > 0.8
+    by_angle = np.abs(some.forward[made] - passed) < 1e-12
+    xs = starts(1, near=300, far=3000)[made]
+    heights = jax.jit(jax.vmap(WALKER.clearance))
+    for i in (*np.flatnonzero(by_angle)[:2], *np.flatnonzero(~by_angle)[:4]):
+        times = np.linspace(0, some.stride.time[made[i]], 2000)
+        highest = float(np.max(heights(wj.trajectory(WALKER, xs[i], times))))
+        expected = min(highest, passed[i])
+        assert some.forward[made[i]] == pytest.approx(expected, abs=1e-7)
+    assert by_angle.sum() > 1 and (~by_angle).sum() > 3
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ import pytest
 
 import walker_jax as wj
 from walker_jax.checks import PrecisionWarning, warn_of_float32
-from walker_jax.integrators.roots import first_upcrossing, polynomial_jet
+from walker_jax.hybrid.crossings import Crossing, rise_of
 from walker_jax.walking.outcomes import Outcome
 
 SLOPE = 0.004
@@ -34,7 +34,8 @@ def test_a_heel_strike_at_the_end_of_a_step_is_not_lost_to_rounding():
 @jax.jit
 def upcrossing(start, sides):
     """The zero of a line of slope 1 from a height, in a step of length 1."""
-    return first_upcrossing(polynomial_jet([start, jnp.array(1.0)]), jnp.array(1.0), sides)
+    value, yes = [start, jnp.array(1.0), jnp.array(0.0)], jnp.asarray(True)
+    return rise_of(Crossing(value, [], *sides, yes), jnp.array(1.0))
 
 
 @pytest.mark.parametrize("end", [-1e-17, 0.0, 1e-17])

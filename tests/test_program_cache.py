@@ -119,13 +119,13 @@ def test_a_name_stands_for_all_that_a_trace_depends_on(monkeypatch):
         names.append(name_of())
     with jax.numpy_dtype_promotion("standard"):
         names.append(name_of())
-    plain: Any = roots.first_upcrossing
+    plain: Any = roots.differentiable_zero
     replaced = functools.wraps(plain)(lambda *args: plain(*args))
     changes = [
         (solvers, "MAX_STEPS", 7),
         (program_cache, "register_bits", lambda: 64),
-        (roots, "first_upcrossing", replaced),
-        (roots, "first_upcrossing", roots.interior_minimum),
+        (roots, "differentiable_zero", replaced),
+        (roots, "differentiable_zero", roots.interior_minimum),
         (wj.Walker, "contact_force", lambda self, state: (0.0, 0.0)),
         (SimplestWalker, "vector_field", lambda self, state: state),
         (program_cache, "environment", lambda: ("another version",)),

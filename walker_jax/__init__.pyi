@@ -78,11 +78,11 @@ from walker_jax.walkers.spatial import SpatialWalker as SpatialWalker
 from walker_jax.walkers.spring import SpringWalker as SpringWalker
 from walker_jax.walkers.upper_body import UpperBodyWalker as UpperBodyWalker
 from walker_jax.walking.disturbed import Disturbance as Disturbance
+from walker_jax.walking.failure_margins import Margins as Margins
+from walker_jax.walking.failure_margins import margins as margins
+from walker_jax.walking.failure_margins import margins_of_many as margins_of_many
 from walker_jax.walking.iteration import strides as strides
 from walker_jax.walking.iteration import walk as walk
-from walker_jax.walking.margins import Margins as Margins
-from walker_jax.walking.margins import margins as margins
-from walker_jax.walking.margins import margins_of_many as margins_of_many
 from walker_jax.walking.movement import motion as motion
 from walker_jax.walking.outcomes import Outcome as Outcome
 from walker_jax.walking.outcomes import Stride as Stride

@@ -97,7 +97,7 @@ def follow_mode(
 
     def follow(now: Unfinished) -> Unfinished:
         if measured:
-            last = next_step(mode, method, now.violated, now.last)
+            last = measured_step(mode, method, now.last)
             return search_step(mode, method, now._replace(last=last, count=now.count + 1))
         quiet = lambda carry: carry[0].quiet & (carry[1] < MAX_STEPS)
         take = lambda carry: (next_step(mode, method, now.violated, carry[0]), carry[1] + 1)
@@ -158,6 +158,18 @@ def next_step(mode: Mode, method: Method, violated: Violated, step: Step) -> Ste
     return Step(begins, end, time, length, sides, ends, rates, ~may, memory, kept)
 
 
+def measured_step(mode: Mode, method: Method, step: Step) -> Step:
+    """The next step, all of which is searched and seen."""
+    series, end, length, memory = method.step(step.end, step.memory)
+    ends = []
+    for guard, side in zip(mode.guards, step.ends, strict=True):
+        below = with_fast_sincos(guard.value)(lax.stop_gradient(end)) < 0
+        ends.append(jnp.where(length == 0, side, jnp.where(below, -1, 1).astype(length.dtype)))
+    kept = series if method.carries_series(step.end) else ()
+    time = step.time + step.length
+    return Step(step.end, end, time, length, step.ends, ends, step.rates, step.quiet, memory, kept)
+
+
 def search_step(mode: Mode, method: Method, now: Unfinished) -> Unfinished:
     """The first event in the last step, if there is one, and what was violated before it."""
     last = now.last
@@ -170,23 +182,27 @@ def search_step(mode: Mode, method: Method, now: Unfinished) -> Unfinished:
         crossings.append(Crossing(value, admits, below, end < 0, may))
     number, when = first_rise(crossings, last.length)
     until = jnp.minimum(when, last.length)
-    if mode.foregone is not None:
-        foregone = (number == NO_GUARD) & holds(mode.foregone, last.end)
-        number = jnp.where(foregone, len(mode.guards), number)
     event = partial(value_of_guard, mode, number)
     refined = method.refine_time(event, last.start, series, until)
     until = jnp.where(jnp.isfinite(when), refined, last.length)
     arrival, violated = method.state_at(last.start, series, until), dict(now.violated)
-    for condition in watched(mode):
-        at = partial(value_and_rate, condition.value, mode.rates)
-        between = lambda t: evaluate_series(series, t)
-        _, least = least_between(at, last.start, arrival, between, until, above=0.0)
-        violated[condition.outcome] |= (least < 0) | is_negative(condition, arrival)
     misses = now.misses
     if misses is not None:
         sides = [(one.below, one.ends_below) for one in crossings]
         seen = Seen(last.start, series, last.length, arrival, until, sides, now.violated)
         misses = add_misses(mode, misses, seen)
+    if mode.foregone is not None:
+        foregone = (number == NO_GUARD) & holds(mode.foregone, last.end)
+        number = jnp.where(foregone, len(mode.guards), number)
+    for condition in watched(mode):
+        key = condition.outcome
+        if misses is not None:
+            least = misses.least[key]
+        else:
+            at = partial(value_and_rate, condition.value, mode.rates)
+            between = lambda t: evaluate_series(series, t)
+            _, least = least_between(at, last.start, arrival, between, until, above=0.0)
+        violated[key] |= (least < 0) | is_negative(condition, arrival)
     return Unfinished(last, arrival, last.time + until, number, now.count, violated, misses)
 
 

@@ -20,7 +20,6 @@ from walker_jax.integrators.roots import (
     Scalar,
     bracketed_newton,
     differentiable_zero,
-    first_upcrossing,
     interior_minimum,
     negate,
     polynomial_jet,
@@ -74,8 +73,10 @@ def no_misses(mode: Mode, start: Any) -> Misses:
 
 def add_misses(mode: Mode, known: Misses, step: Seen) -> Misses:
     """What is seen in a step is added to what is known. All values have their derivatives."""
-    found = [miss_in_step(*one, step) for one in zip(mode.guards, step.sides, strict=True)]
-    nearest = list(map(jnp.maximum, known.nearest, found))
+    found = [turns_in_step(*one, step) for one in zip(mode.guards, step.sides, strict=True)]
+    nearest = [
+        jnp.maximum(*one) for one in zip(known.nearest, [f.miss for f in found], strict=True)
+    ]
     least, before = {}, {}
     for one in mode.conditions:
         key, value = one.outcome, known.least[one.outcome]
@@ -83,23 +84,28 @@ def add_misses(mode: Mode, known: Misses, step: Seen) -> Misses:
             value = jnp.minimum(value, least_in_step(mode, one, step))
         least[key] = value
         before[key] = jnp.where(step.violated[key], known.before[key], nearest[-1])
-
+    depth = jnp.maximum(known.depth, found[-1].depth)
+    depth = jnp.where(found[-1].rises & (step.until == step.length), -jnp.inf, depth)
     value = function_series(mode.guards[-1].value, step.series)
-    jet, (below, ends_below) = polynomial_jet(value), step.sides[-1]
-    low = interior_minimum(jet, step.until)
-    deep = jnp.maximum(known.depth, -evaluate_polynomial(value, low.time))
-    depth = jnp.where(low.exists, deep, known.depth)
-    rose = below & ~ends_below & (step.until == step.length)
-    top = greatest_between(jet, step.until, step.length)
-    high = jnp.where(top.exists, evaluate_polynomial(value, top.time), jnp.inf)
-    height = jnp.minimum(known.height, high)
-    return Misses(nearest, jnp.where(rose, -jnp.inf, depth), height, least, before)
+    top = greatest_between(polynomial_jet(value), step.until, step.length)
+    height = jnp.where(top.exists, evaluate_polynomial(value, top.time), jnp.inf)
+    return Misses(nearest, depth, jnp.minimum(known.height, height), least, before)
 
 
-def miss_in_step(
+class Turns(NamedTuple):
+    """A guard in a step."""
+
+    miss: Scalar
+    """Its greatest miss, negative; minus infinity if there is none."""
+    depth: Scalar
+    """How far below zero it turns; minus infinity if it does not."""
+    rises: Bool[Array, ""]
+
+
+def turns_in_step(
     guard: Guard, sides: tuple[Bool[Array, ""], Bool[Array, ""]], step: Seen
-) -> Scalar:
-    """The greatest miss of a guard in a step, negative; minus infinity if there is none."""
+) -> Turns:
+    """A guard in a step: where it turns, and where it rises and is not admitted."""
     value = function_series(guard.value, step.series)
     admits = [function_series(one, step.series) for one in (*guard.admits, *guard.admits_at_rise)]
     jet = polynomial_jet(value)
@@ -114,20 +120,23 @@ def miss_in_step(
     top = interior_minimum(negate(jet), step.until)
     high = evaluate_polynomial(value, top.time)
     misses = top.exists & (high < 0) & (admitted(top.time) > 0)
-    nearest = jnp.where(misses, high, -jnp.inf)
+    miss = jnp.where(misses, high, -jnp.inf)
     if not admits:
-        return nearest
+        return Turns(miss, jnp.full_like(miss, -jnp.inf), jnp.asarray(False))
     low = interior_minimum(jet, step.until)
     least = evaluate_polynomial(value, low.time)
     misses = low.exists & (least >= 0) & (admitted(low.time) > 0)
-    nearest = jnp.where(misses, jnp.maximum(nearest, -least), nearest)
-    # up to where it falls again, or to the end of the step
+    miss = jnp.where(misses, jnp.maximum(miss, -least), miss)
+    # from where it turns up, to where it turns down
     until = jnp.where(top.exists, top.time, step.until)
     whole = ~top.exists & (step.until == step.length)
-    ends_below = jnp.where(whole, sides[1], jet(until)[0] < 0)
-    rises, time = first_upcrossing(jet, until, (sides[0], ends_below))
+    above = jnp.where(whole, ~sides[1], jet(until)[0] >= 0)
+    rises = (sides[0] | (low.exists & (least < 0))) & above
+    first = jnp.where(rises, low.time, until)  # zero if there is no turn
+    time = bracketed_newton(lambda t: jet(t)[:2], lax.stop_gradient(first), until)
     lacks = admitted(differentiable_zero(value, time))
-    return jnp.where(rises & (lacks <= 0), jnp.maximum(nearest, lacks), nearest)
+    miss = jnp.where(rises & (lacks <= 0), jnp.maximum(miss, lacks), miss)
+    return Turns(miss, jnp.where(low.exists, -least, -jnp.inf), rises)
 
 
 def greatest_between(jet: Jet, first: Scalar, last: Scalar) -> Instant:

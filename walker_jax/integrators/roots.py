@@ -32,30 +32,6 @@ def polynomial_jet(series: list[Scalar]) -> Jet:
     return jet
 
 
-def first_upcrossing(
-    jet: Jet,
-    length: Scalar,
-    sides: tuple[Bool[Array, ""], Bool[Array, ""]] | None = None,
-) -> tuple[Bool[Array, ""], Scalar]:
-    """The first upcrossing of zero in a step 0 <= t <= length, if there is one.
-
-    The step must be so short that the function has at most one minimum in it. The function crosses
-    upwards if it is not negative at the end, but negative at the start or at that minimum. `sides`
-    overrides whether it is negative at start and end, where its own sign may be wrong by rounding.
-
-    Returns whether there is an upcrossing, and its time (`length` if there is none).
-    """
-    length = lax.stop_gradient(length)
-    zero = jnp.zeros_like(length)
-    (start, start_slope, _), (end, end_slope, _) = jet(zero), jet(length)
-    below, ends_below = (start < 0, end < 0) if sides is None else sides
-    turns = ~below & (start_slope < 0) & (end_slope > 0)
-    turn = bracketed_newton(lambda t: jet(t)[1:], zero, jnp.where(turns, length, zero))
-    rises = (below | (turns & (jet(turn)[0] < 0))) & ~ends_below
-    root = bracketed_newton(lambda t: jet(t)[:2], jnp.where(rises, turn, length), length)
-    return rises, root
-
-
 class Instant(NamedTuple):
     """The time of an event within a step, and whether there is one."""
 

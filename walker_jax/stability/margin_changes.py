@@ -10,8 +10,8 @@ from jaxtyping import Float, Int
 from walker_jax.execution.tiles import map_cells
 from walker_jax.walkers.model import Scalar, Walker, numbers_of
 from walker_jax.walkers.parameters import with_parameter
+from walker_jax.walking.failure_margins import failure_margin, follow_margins
 from walker_jax.walking.iteration import walk_on
-from walker_jax.walking.margins import failure_margin, follow_margins
 
 
 def differentiate_margins(

@@ -272,9 +272,9 @@ class SpatialWalker(Walker):
         return -LEAST_STEP - state.phi
 
     def falls(self, state: Any):
-        """The stance leg, or the axle, is down."""
+        """The stance leg, or the axle, is down. Values are angles, near zero."""
         return {
-            "SIDEWAYS": state.lean**2 - GREATEST_LEAN**2,
+            "SIDEWAYS": (state.lean**2 - GREATEST_LEAN**2) / (2 * GREATEST_LEAN),
             "BACKWARD": state.theta - np.pi / 2,
             "FORWARD": -np.pi / 2 - state.theta,
         }

@@ -4,18 +4,14 @@
 positive where a foot that comes down takes a step.
 """
 
-from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Int, PyTree
+from jaxtyping import Array, Bool, Int
 
 from walker_jax.checks import WrongUse
-from walker_jax.integrators.roots import derivative_of
-from walker_jax.integrators.series import evaluate_polynomial
-from walker_jax.integrators.taylor import function_series
-from walker_jax.walkers.model import Scalar, Walker, is_planar
+from walker_jax.walkers.model import Walker, is_planar
 from walker_jax.walkers.spatial import SpatialWalker
 from walker_jax.walking.outcomes import Outcome
 
@@ -49,13 +45,6 @@ def has_fallen(walker: Walker, state: Any) -> Bool[Array, ""]:
     return fall_of(walker, state) != Outcome.UNDECIDED
 
 
-def falls_begin(walker: Walker) -> tuple[Callable, ...]:
-    """Functions that jump where falls of one's own begin, so that a step can end there."""
-    if not has_own_falls(walker):
-        return ()
-    return (lambda state: [value >= 0 for value in walker.falls(state).values()],)
-
-
 def check_falls(walker: Walker, state: Any) -> None:
     """Refuse rules of a user's own that are not real numbers, by the names of failures."""
     kind, values = type(walker).__name__, {}
@@ -80,25 +69,3 @@ def check_falls(walker: Walker, state: Any) -> None:
 def makes_step(walker: Walker, state: Any) -> Bool[Array, ""]:
     """Whether a foot that comes down is at heel strike, of a walker that has not fallen."""
     return (walker.is_ahead(state) > 0) & ~has_fallen(walker, state)
-
-
-def distance_to_fall(walker: Walker, state: Any) -> Scalar:
-    """The distance from where a fall of one's own begins or ends; infinite without any."""
-    infinite = jnp.full_like(state.theta, jnp.inf)
-    if not has_own_falls(walker):
-        return infinite
-    return jnp.min(jnp.abs(jnp.stack([infinite, *walker.falls(state).values()])))
-
-
-def missing_slope(walker: Walker, series: PyTree[list], length: Scalar, rate: Scalar) -> Scalar:
-    """Minus (ds/dt / rate)^2 / 2, of the function s whose zero is where a fall of one's own begins.
-
-    It vanishes where s only just reaches zero. The step with this series ends there.
-    """
-    nearest, slope = jnp.full_like(length, jnp.inf), jnp.full_like(length, jnp.inf)
-    for value in function_series(walker.falls, series).values():
-        distance = jnp.abs(evaluate_polynomial(value, length))
-        nearer = distance < nearest
-        slope = jnp.where(nearer, evaluate_polynomial(derivative_of(value), length), slope)
-        nearest = jnp.where(nearer, distance, nearest)
-    return -((slope / rate) ** 2) / 2

@@ -11,7 +11,7 @@ all walkers alike (`hybrid.misses`):
 - a condition has its least value.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -69,7 +69,8 @@ class Margins(NamedTuple):
     """The least height of the bent leg's foot, up to heel strike. In space, that at which the swing
     disc turns upwards."""
     sideways: Float[Array, "*cells"]
-    """In space: the least distance of the lean from its limits."""
+    """In space: the least of (l^2 - lean^2) / 2l, with l the limit of the lean: near that, the
+    distance from it."""
 
 
 def margins(
@@ -133,20 +134,26 @@ def measure_stride(walker: Walker, arrival: Arrival, outcome: Array) -> dict[str
     infinite = jnp.full_like(lift, jnp.inf)
 
     # falls
-    failed = fall_margin(parts, time_scale(walker))
+    known = [guards_of(part) for part in parts]
+    failed = fall_margin(parts, known, time_scale(walker))
     greatest: dict[int, tuple[Scalar, Guard]] = {}
     for guard in guards[:-1]:
         value = guard.value(following)
         failed = jnp.where(struck & (outcome == guard.leads_to), -guard.measure(-value), failed)
-        known = jnp.where(outcome == Outcome.STRIDE, value, -infinite)
-        greatest[int(guard.leads_to)] = known, guard
-    for part in parts:
+        value = jnp.where(outcome == Outcome.STRIDE, value, -infinite)
+        greatest[int(guard.leads_to)] = value, guard
+    for part, each in zip(parts, known, strict=True):
+        followed = part.verdict == Outcome.UNDECIDED
         for i, guard in enumerate(part.mode.guards[:-1]):
-            known, _ = greatest.get(int(guard.leads_to), (-infinite, guard))
-            greatest[int(guard.leads_to)] = jnp.maximum(known, greatest_value(part, i)), guard
+            value, _ = greatest.get(int(guard.leads_to), (-infinite, guard))
+            at_end = jnp.where(part.end.guard == i, -jnp.inf, each.end[i])
+            here = jnp.where(followed, jnp.maximum(each.before[i], at_end), -jnp.inf)
+            greatest[int(guard.leads_to)] = jnp.maximum(value, here), guard
     passed = {of: margin_of(guard, value) for of, (value, guard) in greatest.items()}
     forward = int(Outcome.FORWARD)
-    passed[forward] = jnp.minimum(passed.get(forward, infinite), strike_margin(parts[-1], struck))
+    passed[forward] = jnp.minimum(
+        passed.get(forward, infinite), strike_margin(parts[-1], known[-1], struck)
+    )
 
     # conditions
     violated = jnp.asarray(False)
@@ -178,7 +185,46 @@ def time_scale(walker: Walker) -> Scalar:
     return 1 / toppling_rate(walker) if is_planar(walker) else jnp.sqrt(walker.leg_length)
 
 
-def fall_margin(parts: tuple[Part, ...], unit: Scalar) -> Scalar:
+class Guards(NamedTuple):
+    """The guards of a part of a stride, at its two ends; for each of them:"""
+
+    start: list[Scalar]
+    """its value at the start;"""
+    before: list[Scalar]
+    """the greatest value that it had before the end and where it is admitted;"""
+    end: list[Scalar]
+    """its value at the end, minus infinity where it is not admitted;"""
+    rates: list[Scalar]
+    """its rate there;"""
+    admits: list[Scalar]
+    """and the least of the functions that admit it there, infinite if there is none."""
+
+
+def guards_of(part: Part) -> Guards:
+    def look(state):
+        """Values, and the least of what admits each."""
+        values, admits = [], []
+        for guard in part.mode.guards:
+            values.append(guard.value(state))
+            least = jnp.full_like(values[-1], jnp.inf)
+            for one in (*guard.admits, *guard.admits_at_rise):
+                least = jnp.minimum(least, one(state))
+            admits.append(least)
+        return values, admits
+
+    def below(values, admits):
+        """Values of guards that are admitted and have not risen."""
+        both = zip(values, admits, strict=True)
+        return [jnp.where((value < 0) & (admit > 0), value, -jnp.inf) for value, admit in both]
+
+    start, admits = look(part.start)
+    before = list(map(jnp.maximum, part.end.misses.nearest, below(start, admits)))
+    state = part.end.state
+    (end, admits), (rates, _) = jax.jvp(look, (state,), (part.mode.rates(state),))
+    return Guards(start, before, below(end, admits), rates, admits)
+
+
+def fall_margin(parts: tuple[Part, ...], guards: list[Guards], unit: Scalar) -> Scalar:
     """The margin of the fall that ended a stride before heel strike; NaN if none did.
 
     It is the least of what would have prevented it. The guard of the fall would not have risen if
@@ -188,37 +234,16 @@ def fall_margin(parts: tuple[Part, ...], unit: Scalar) -> Scalar:
     """
     margin = jnp.full_like(unit, jnp.nan)
     ended = jnp.asarray(True)
-    for part in parts:
-        guards, state = part.mode.guards, part.end.state
-        late = jnp.maximum(part.end.misses.nearest[-1], value_where_admitted(guards[-1], state))
-        for i, guard in enumerate(guards[:-1]):
+    for part, known in zip(parts, guards, strict=True):
+        late = jnp.maximum(part.end.misses.nearest[-1], known.end[-1])
+        for i, guard in enumerate(part.mode.guards[:-1]):
             begins = ended & (part.verdict == guard.leads_to)
-            margin = jnp.where(begins, -guard.measure(-guard.value(part.start)), margin)
-            _, rate = jax.jvp(guard.value, (state,), (part.mode.rates(state),))
-            value = jnp.maximum(-((rate * unit) ** 2) / 2, late)
-            for one in (*guard.admits, *guard.admits_at_rise):
-                value = jnp.maximum(value, -one(state))
-            margin = jnp.where(part.end.guard == i, value, margin)
-        ended = (part.end.guard == len(guards) - 1) | (part.verdict == Outcome.STRIDE)
+            margin = jnp.where(begins, -guard.measure(-known.start[i]), margin)
+            over = jnp.maximum(-((known.rates[i] * unit) ** 2) / 2, -known.admits[i])
+            margin = jnp.where(part.end.guard == i, jnp.maximum(over, late), margin)
+        met = part.end.guard == len(part.mode.guards) - 1
+        ended = met | (part.verdict == Outcome.STRIDE)
     return margin
-
-
-def greatest_value(part: Part, i: int) -> Scalar:
-    """The greatest value of a guard in a mode that it did not end, both ends included."""
-    guard, end = part.mode.guards[i], part.end
-    at_end = jnp.where(end.guard == i, -jnp.inf, value_where_admitted(guard, end.state))
-    at_ends = jnp.maximum(value_where_admitted(guard, part.start), at_end)
-    followed = part.verdict == Outcome.UNDECIDED
-    return jnp.where(followed, jnp.maximum(end.misses.nearest[i], at_ends), -jnp.inf)
-
-
-def value_where_admitted(guard: Guard, state: Any) -> Scalar:
-    """The value of a guard that has not risen; minus infinity where it would not be admitted."""
-    value = guard.value(state)
-    counts = value < 0
-    for one in (*guard.admits, *guard.admits_at_rise):
-        counts &= one(state) > 0
-    return jnp.where(counts, value, -jnp.inf)
 
 
 def margin_of(guard: Guard, greatest: Scalar) -> Scalar:
@@ -227,17 +252,16 @@ def margin_of(guard: Guard, greatest: Scalar) -> Scalar:
     return jnp.where(known, guard.measure(jnp.where(known, greatest, -1)), jnp.inf)
 
 
-def strike_margin(swing: Part, struck: Bool[Array, ""]) -> Scalar:
+def strike_margin(swing: Part, known: Guards, struck: Bool[Array, ""]) -> Scalar:
     """By how much the heel strike was one; infinite if there was none.
 
     It would not have been if the foot had not passed the contact before, or not been ahead; or if
     it came up again at once and had not come down as deep.
     """
-    misses, guard = swing.end.misses, swing.mode.guards[-1]
-    margin = jnp.where(misses.depth > 0, misses.depth, jnp.inf)
-    for one in guard.admits:
-        margin = jnp.minimum(margin, one(swing.end.state))
-    return jnp.where(struck, jnp.minimum(margin, misses.height), jnp.inf)
+    depth, height = swing.end.misses.depth, swing.end.misses.height
+    passed = jnp.where(depth > 0, depth, jnp.inf)
+    margin = jnp.minimum(jnp.minimum(passed, height), known.admits[-1])
+    return jnp.where(struck, margin, jnp.inf)
 
 
 def least_value(parts: tuple[Part, ...], of: int) -> tuple[Scalar, Scalar]:
