@@ -1,8 +1,8 @@
 """By how much the guards of a mode missed to rise, and its conditions to be violated.
 
-A guard misses a rise where its value turns below zero, or turns above zero before it was below,
-where it is admitted; and where it rises and is not admitted. A step of the integration must be so
-short that a value turns at most once in it.
+A guard misses a rise where its value turns below zero, or turns or rises most slowly above zero,
+where it is admitted; and where it rises through zero and is not admitted. A step of the integration
+must be so short that the rate of a value turns at most once in it.
 """
 
 from functools import partial
@@ -19,8 +19,8 @@ from walker_jax.integrators.roots import (
     Jet,
     Scalar,
     bracketed_newton,
+    derivative_of,
     differentiable_zero,
-    interior_minimum,
     negate,
     polynomial_jet,
 )
@@ -36,8 +36,8 @@ class Misses(NamedTuple):
     """What was seen within a mode. Its start and its end, where values do not turn, are not."""
 
     nearest: list[Scalar]
-    """The greatest miss of each guard, all negative: its value, or minus that, where it turned; or
-    the least of what did not admit it. Minus infinity if there was none."""
+    """The greatest miss of each guard, all negative: its value, or minus that, where it turned or
+    rose most slowly; or the least of what did not admit it. Minus infinity if there was none."""
     depth: Scalar
     """How far the last guard turned below zero since it last rose; minus infinity if it did not."""
     height: Scalar
@@ -108,7 +108,8 @@ def turns_in_step(
     """A guard in a step: where it turns, and where it rises and is not admitted."""
     value = function_series(guard.value, step.series)
     admits = [function_series(one, step.series) for one in (*guard.admits, *guard.admits_at_rise)]
-    jet = polynomial_jet(value)
+    jet, rate = polynomial_jet(value), derivative_of(value)
+    until = lax.stop_gradient(step.until)
 
     def admitted(time: Scalar) -> Scalar:
         """The least of the functions that admit a rise."""
@@ -117,26 +118,52 @@ def turns_in_step(
             least = jnp.minimum(least, evaluate_polynomial(one, time))
         return least
 
-    top = interior_minimum(negate(jet), step.until)
+    middle = turn_of_rate(rate, until)
+    top = turn_between(negate(jet), middle, until)
     high = evaluate_polynomial(value, top.time)
     misses = top.exists & (high < 0) & (admitted(top.time) > 0)
     miss = jnp.where(misses, high, -jnp.inf)
     if not admits:
         return Turns(miss, jnp.full_like(miss, -jnp.inf), jnp.asarray(False))
-    low = interior_minimum(jet, step.until)
+    low = turn_between(jet, middle, until)
     least = evaluate_polynomial(value, low.time)
     misses = low.exists & (least >= 0) & (admitted(low.time) > 0)
     miss = jnp.where(misses, jnp.maximum(miss, -least), miss)
-    # from where it turns up, to where it turns down
-    until = jnp.where(top.exists, top.time, step.until)
-    whole = ~top.exists & (step.until == step.length)
-    above = jnp.where(whole, ~sides[1], jet(until)[0] >= 0)
-    rises = (sides[0] | (low.exists & (least < 0))) & above
-    first = jnp.where(rises, low.time, until)  # zero if there is no turn
-    time = bracketed_newton(lambda t: jet(t)[:2], lax.stop_gradient(first), until)
+    time = differentiable_zero(derivative_of(rate), middle)  # the value goes on changing there
+    above = evaluate_polynomial(value, time)
+    slowest = (middle < until) & (jet(middle)[1] > 0) & (jet(0 * until)[1] > jet(middle)[1])
+    misses = slowest & (above >= 0) & (admitted(time) > 0)
+    miss = jnp.where(misses, jnp.maximum(miss, -above), miss)
+
+    turned = low.exists & (least < 0)
+    first = jnp.where(turned, low.time, 0)
+    falls = top.exists & (top.time > first)
+    last = jnp.where(falls, top.time, until)
+    whole = ~falls & (step.until == step.length)
+    rises = (turned | sides[0]) & jnp.where(whole, ~sides[1], jet(last)[0] >= 0)
+    time = bracketed_newton(lambda t: jet(t)[:2], jnp.where(rises, first, last), last)
     lacks = admitted(differentiable_zero(value, time))
     miss = jnp.where(rises & (lacks <= 0), jnp.maximum(miss, lacks), miss)
     return Turns(miss, jnp.where(low.exists, -least, -jnp.inf), rises)
+
+
+def turn_of_rate(rate: list[Scalar], until: Scalar) -> Scalar:
+    """When the rate of a function turns in a step, constant to derivatives; if not, its end."""
+    slope = polynomial_jet(derivative_of(rate))
+    start, end = slope(0 * until)[0], slope(until)[0]
+    sign = jnp.where(start < 0, 1, -1).astype(until.dtype)
+    turns = sign * jnp.sign(end) > 0
+    rising = polynomial_jet([sign * c for c in derivative_of(rate)])
+    return bracketed_newton(lambda t: rising(t)[:2], jnp.where(turns, 0, until), until)
+
+
+def turn_between(jet: Jet, middle: Scalar, until: Scalar) -> Instant:
+    """Where a function is least in a step in which its rate turns at `middle` alone."""
+    start, within, end = (jet(time)[1] for time in (0 * until, middle, until))
+    early, late = (start < 0) & (within > 0), (within < 0) & (end > 0)
+    low = jnp.where(early, 0, middle)
+    high = jnp.where(early, middle, jnp.where(late, until, middle))
+    return Instant(early | late, bracketed_newton(lambda t: jet(t)[1:], low, high))
 
 
 def greatest_between(jet: Jet, first: Scalar, last: Scalar) -> Instant:

@@ -21,10 +21,11 @@ from jaxtyping import Array, Bool, Float
 
 from walker_jax.checks import refuses_tracers
 from walker_jax.hybrid.modes import Guard
-from walker_jax.integrators.solvers import Real
+from walker_jax.integrators.solvers import Real, zero_at
 from walker_jax.integrators.taylor import with_fast_sincos
 from walker_jax.kernels import by_kernel
-from walker_jax.walkers.model import Scalar, Walker, is_planar, toppling_rate
+from walker_jax.walkers.model import Scalar, Walker, toppling_rate
+from walker_jax.walkers.spatial import SpatialWalker
 from walker_jax.walking.iteration import for_each_start
 from walker_jax.walking.outcomes import Outcome, Stride
 from walker_jax.walking.phases import Arrival, Part, follow_to_heel_strike
@@ -164,7 +165,7 @@ def measure_stride(walker: Walker, arrival: Arrival, outcome: Array) -> dict[str
         ends = struck & broken & (outcome == of)
         failed = jnp.where(ends, jnp.maximum(least, before), failed)
         violated |= broken
-    pulled = ~struck & (outcome == Outcome.RUNNING)
+    pulled = jnp.any(jnp.stack([part.verdict == Outcome.RUNNING for part in parts]))
     failed = jnp.where(pulled, force_at_start(parts), failed)
 
     stopped = int(Outcome.STOPPED)
@@ -182,7 +183,8 @@ def measure_stride(walker: Walker, arrival: Arrival, outcome: Array) -> dict[str
 
 def time_scale(walker: Walker) -> Scalar:
     """The time in which a walker topples, legs together, to first order."""
-    return 1 / toppling_rate(walker) if is_planar(walker) else jnp.sqrt(walker.leg_length)
+    in_space = isinstance(walker, SpatialWalker)
+    return jnp.sqrt(walker.leg_length) if in_space else 1 / toppling_rate(walker)
 
 
 class Guards(NamedTuple):
@@ -218,7 +220,7 @@ def guards_of(part: Part) -> Guards:
         return [jnp.where((value < 0) & (admit > 0), value, -jnp.inf) for value, admit in both]
 
     start, admits = look(part.start)
-    before = list(map(jnp.maximum, part.end.misses.nearest, below(start, admits)))
+    before = list(map(jnp.maximum, part.misses.nearest, below(start, admits)))
     state = part.end.state
     (end, admits), (rates, _) = jax.jvp(look, (state,), (part.mode.rates(state),))
     return Guards(start, before, below(end, admits), rates, admits)
@@ -235,7 +237,7 @@ def fall_margin(parts: tuple[Part, ...], guards: list[Guards], unit: Scalar) -> 
     margin = jnp.full_like(unit, jnp.nan)
     ended = jnp.asarray(True)
     for part, known in zip(parts, guards, strict=True):
-        late = jnp.maximum(part.end.misses.nearest[-1], known.end[-1])
+        late = jnp.maximum(part.misses.nearest[-1], known.end[-1])
         for i, guard in enumerate(part.mode.guards[:-1]):
             begins = ended & (part.verdict == guard.leads_to)
             margin = jnp.where(begins, -guard.measure(-known.start[i]), margin)
@@ -258,7 +260,7 @@ def strike_margin(swing: Part, known: Guards, struck: Bool[Array, ""]) -> Scalar
     It would not have been if the foot had not passed the contact before, or not been ahead; or if
     it came up again at once and had not come down as deep.
     """
-    depth, height = swing.end.misses.depth, swing.end.misses.height
+    depth, height = swing.misses.depth, swing.misses.height
     passed = jnp.where(depth > 0, depth, jnp.inf)
     margin = jnp.minimum(jnp.minimum(passed, height), known.admits[-1])
     return jnp.where(struck, margin, jnp.inf)
@@ -269,24 +271,25 @@ def least_value(parts: tuple[Part, ...], of: int) -> tuple[Scalar, Scalar]:
 
     A miss is that of the last guard of the mode.
     """
-    least, before, broken = jnp.inf, -jnp.inf, jnp.asarray(False)
+    infinite = zero_at(parts[0].start) + jnp.inf
+    least, before, broken = infinite, -infinite, jnp.asarray(False)
     for part in parts:
         followed = part.verdict == Outcome.UNDECIDED
         for condition in part.mode.conditions:
             if condition.outcome != of:
                 continue
-            value, ends = part.end.misses.least[of], (part.start, part.end.state)
+            value, ends = part.misses.least[of], (part.start, part.end.state)
             for state, is_zero in zip(ends, condition.zero_at_ends, strict=True):
                 value = value if is_zero else jnp.minimum(value, condition.value(state))
             least = jnp.where(followed, jnp.minimum(least, value), least)
-            before = jnp.where(broken, before, jnp.maximum(before, part.end.misses.before[of]))
+            before = jnp.where(broken, before, jnp.maximum(before, part.misses.before[of]))
             broken |= part.end.violated[of]
     return least, before
 
 
 def force_at_start(parts: tuple[Part, ...]) -> Scalar:
     """The contact force in the state in which a stride begins to move."""
-    force, later = jnp.nan, jnp.asarray(False)
+    force, later = zero_at(parts[0].start) + jnp.nan, jnp.asarray(False)
     for part in parts:
         (value,) = [one.value for one in part.mode.conditions if one.outcome == Outcome.RUNNING]
         here = ~later & (part.verdict == Outcome.RUNNING)

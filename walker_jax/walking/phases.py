@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Int
 
 from walker_jax.hybrid.crossings import begins_below
 from walker_jax.hybrid.following import NO_GUARD, End, Violated, follow_mode
+from walker_jax.hybrid.misses import Misses
 from walker_jax.hybrid.modes import Mode
 from walker_jax.integrators.solvers import Method, Real, solver_for, zero_at
 from walker_jax.integrators.taylor import with_fast_sincos
@@ -32,6 +33,7 @@ class Part(NamedTuple):
     verdict: Int[Array, ""]
     """As it began; it was followed if that is `UNDECIDED`."""
     end: End
+    misses: Misses
 
 
 class Arrival(NamedTuple):
@@ -80,7 +82,9 @@ def follow_on(mode: Mode, last: Arrival, tolerance: Real, measured: bool = False
     if mode.foregone is not None:
         verdict = jnp.where(found.guard == len(mode.guards), mode.foregone.leads_to, verdict)
     violated = merge(last.violated, found.violated)
-    parts = (*last.parts, Part(mode, last.state, last.verdict, found)) if measured else ()
+    parts = last.parts
+    if found.misses is not None:
+        parts = *parts, Part(mode, last.state, last.verdict, found, found.misses)
     return Arrival(found.state, last.time + found.time, verdict.astype(jnp.int8), violated, parts)
 
 
