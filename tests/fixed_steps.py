@@ -34,6 +34,10 @@ class Legs(NamedTuple):
     """Outcomes, and what is not negative in such a fall, the first of them first."""
     condition: tuple[int, Callable[[Rows], np.ndarray]] | None = None
     """An outcome, and what must not be negative in a stride that reaches heel strike."""
+    grip: float = 1.0
+    """Weight that presses the stance foot down, in that of the hip."""
+    kept: float = 1.0
+    """Part of all rates that is left after an impact."""
 
 
 class Ends(NamedTuple):
@@ -88,10 +92,11 @@ def strides(legs: Legs, x: np.ndarray, longest: float = 40.0) -> Ends:
     theta, thetadot = x.T
     y = np.stack([theta, 2 * theta, thetadot, (1 - np.cos(2 * theta)) * thetadot], axis=1)
     outcome, arrival = np.full(len(x), 6), np.full((len(x), 4), np.nan)
-    broken, going = np.zeros(len(x), bool), np.arange(len(x))
+    broken, pulled = np.zeros(len(x), bool), np.zeros(len(x), bool)
+    tense = lambda z: z[:, 2] ** 2 > legs.grip * np.cos(z[:, 0] - legs.slope)
     for code, value in reversed(legs.falls):
         outcome[value(y) >= 0] = code
-    outcome[thetadot**2 > np.cos(theta - legs.slope)] = 3
+    outcome[tense(y)] = 3
     if legs.condition:
         broken |= legs.condition[1](y) < 0
     going = np.flatnonzero(outcome == 6)
@@ -109,20 +114,22 @@ def strides(legs: Legs, x: np.ndarray, longest: float = 40.0) -> Ends:
         for code, value in legs.falls:
             fall = first_rise(legs, y, end, value)
             codes, first = np.where(fall < first, code, codes), np.minimum(fall, first)
+        last = np.where((codes == 0)[:, None], landing, end)
         if legs.condition:
-            last = np.where((codes == 0)[:, None], landing, end)
             broken[going] |= (legs.condition[1](last) < 0) & np.isin(codes, [0, 6])
+        pulled[going] |= tense(last) & np.isin(codes, [0, 6])
         outcome[going], arrival[going] = codes, landing
         y, going = end[codes == 6], going[codes == 6]
     struck = outcome == 0
     theta, phi, thetadot, _ = arrival.T
     c, s = np.cos(phi), np.sin(phi)
-    after = np.stack([theta - phi, -phi, c * thetadot, (1 - c) * c * thetadot], axis=1)
+    rates = legs.kept * c * thetadot, legs.kept * (1 - c) * c * thetadot
+    after = np.stack([theta - phi, -phi, *rates], axis=1)
     for code, value in reversed(legs.falls):
         outcome[struck & (value(after) >= 0)] = code
     outcome[struck & (np.cos(theta) * c * s * thetadot <= 0)] = 4
     if legs.condition:
         outcome[struck & broken] = legs.condition[0]
-    outcome[struck & (thetadot**2 > np.cos(theta - legs.slope))] = 3
+    outcome[struck & pulled] = 3
     state = np.where(outcome[:, None] == 0, after[:, [0, 2]], np.nan)
     return Ends(outcome, state)
