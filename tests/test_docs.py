@@ -47,6 +47,7 @@ def test_the_programs_of_the_quickstart_give_a_basin_and_a_derivative():
     assert f"{names['rate']:.4f}" == printed
 
 
+@pytest.mark.slow
 def test_the_programs_for_several_devices_and_other_processes_give_strides():
     """Those that are exported call no kernel, and have derivatives."""
     names: dict[str, Any] = {}
