@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from earlier_stores import remove_checksums
+from matplotlib.figure import Figure
 from PIL import Image, ImageSequence
 
 import walker_jax as wj
@@ -41,6 +42,9 @@ def run(monkeypatch, capsys, tmp_path):
     """Run a command in an empty folder; returns exit code, standard output and error."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("walker_jax.cli.startup.keep_compiled", lambda: None)
+    save = Figure.savefig
+    of_few_dots = lambda figure, path, *, dpi, **more: save(figure, path, dpi=dpi / 4, **more)
+    monkeypatch.setattr(Figure, "savefig", of_few_dots)
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["walker-jax", *map(str, arguments)])
@@ -73,6 +77,7 @@ def test_walk_ends_with_the_stride_that_failed(run):
     assert code == 0 and "FORWARD" in out and "nan" in out
 
 
+@pytest.mark.slow
 def test_walk_makes_a_film_which_is_not_replaced_by_another(run, tmp_path, monkeypatch):
     command = ["walk", "--strides", "1", "--animate", "w.gif"]
     code, out, err = run(*command)

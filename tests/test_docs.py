@@ -134,12 +134,13 @@ def test_links_within_the_pages_lead_somewhere():
                 assert (page.parent / target).exists(), (page.name, target)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "title",
     [
-        pytest.param("a torque at the hip", marks=pytest.mark.slow),
+        "a torque at the hip",
         "a push-off",
-        pytest.param("uneven ground", marks=pytest.mark.slow),
+        "uneven ground",
     ],
 )
 def test_a_walker_of_the_page_gives_the_numbers_that_it_asserts(title):

@@ -717,6 +717,7 @@ def test_only_a_walker_in_the_plane_and_in_a_file_is_explored():
         wj.explore(wj.SimplestWalker(0.004), height=1)
 
 
+@pytest.mark.slow
 def test_a_notebook_shows_the_page_of_the_command_in_a_frame(monkeypatch):
     """The command prints its link, serves, and ends on an interrupt."""
     monkeypatch.setenv("WALKER_JAX_TOKEN", explorer_server.TOKEN)

@@ -1264,9 +1264,11 @@ def test_every_picture_on_given_axes_has_the_same_options():
         assert only == PARTS, name
 
 
-@pytest.mark.parametrize(
-    "names", [*zip([*GIVEN_AXES][::2], [*GIVEN_AXES][1::2], strict=True)], ids=" and ".join
-)
+PAIRS = [*zip([*GIVEN_AXES][::2], [*GIVEN_AXES][1::2], strict=True)]
+OTHER_PAIRS = [pytest.param(pair, marks=pytest.mark.slow) for pair in PAIRS[1:-1]]
+
+
+@pytest.mark.parametrize("names", [PAIRS[0], *OTHER_PAIRS, PAIRS[-1]], ids=" and ".join)
 def test_two_pictures_stay_in_their_halves_of_a_small_figure(names):
     figure = Figure(figsize=(7, 2.6), layout="constrained")
     halves = [[ax] for ax in figure.subplots(1, 2)]

@@ -288,7 +288,10 @@ def report(tmp_path_factory, data, numbers):
         drawn[figure.number] = figure.draw(data)
         return drawn[figure.number]
 
+    save = Figure.savefig
+    of_few_dots = lambda figure, path, *, dpi, **more: save(figure, path, dpi=dpi / 4, **more)
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "savefig", of_few_dots)
         patch.setattr(
             "walker_jax.paper.reproduction.FIGURES",
             tuple(one._replace(draw=partial(draw, one)) for one in pictures.FIGURES),

@@ -74,6 +74,7 @@ def test_a_step_up_ends_where_the_foot_comes_down_to_its_height():
     assert too_high.outcome == Outcome.FORWARD and np.isnan(too_high.state).all()
 
 
+@pytest.mark.slow
 def test_a_step_of_no_height_is_a_stride_with_the_derivative_of_both_sides():
     """The strike's place does not jump: differences agree from above, below, and across."""
     state = lambda step: wj.stride(WALKER, FULL[[0, 2]], step=step).state
