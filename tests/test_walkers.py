@@ -333,6 +333,7 @@ def assert_limit(general, simplest, at):
     return varies
 
 
+@pytest.mark.slow
 def test_motion_and_contact_force_are_the_limit_of_small_feet():
     """(7) and (8) from (4)."""
     rates = each(WALKER.vector_field, states())
@@ -341,6 +342,7 @@ def test_motion_and_contact_force_are_the_limit_of_small_feet():
     assert assert_limit(general_motion, simplest, states()).all()
 
 
+@pytest.mark.slow
 def test_impact_is_the_limit_of_small_feet():
     """(18) and (19) from (17), whose multipliers are minus the impulse of the ground."""
     (u, v), after = each(WALKER.impact, strikes())
