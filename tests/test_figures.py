@@ -641,6 +641,10 @@ def test_all_of_a_parameter_is_one_picture_with_the_cascade_enlarged(tmp_path):
     assert 0.18 < low < 0.20 and 0.26 < high < 0.28
     figure.savefig(tmp_path / "bifurcations.png", dpi=50)
     assert (tmp_path / "bifurcations.png").stat().st_size > 0
+
+
+@pytest.mark.slow
+def test_all_of_a_parameter_without_a_cascade_is_three_pictures():
     for data in (NOTHING, diagram(lost=(np.nan, np.nan)), diagram(walks=False)):
         figure = figures.bifurcations(data)
         figure.draw_without_rendering()
