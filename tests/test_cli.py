@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 import xarray as xr
 from earlier_stores import remove_checksums
-from matplotlib.figure import Figure
 from PIL import Image, ImageSequence
 
 import walker_jax as wj
@@ -38,13 +37,10 @@ SMALL = ["--theta", "0.05", "0.35", "30", "--sum", "-0.03", "0.01", "20"]
 
 
 @pytest.fixture
-def run(monkeypatch, capsys, tmp_path):
+def run(monkeypatch, capsys, tmp_path, few_dots):
     """Run a command in an empty folder; returns exit code, standard output and error."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("walker_jax.cli.startup.keep_compiled", lambda: None)
-    save = Figure.savefig
-    of_few_dots = lambda figure, path, *, dpi, **more: save(figure, path, dpi=dpi / 4, **more)
-    monkeypatch.setattr(Figure, "savefig", of_few_dots)
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["walker-jax", *map(str, arguments)])

@@ -90,7 +90,7 @@ def place(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def run(place, monkeypatch, capsys):
+def run(place, monkeypatch, capsys, few_dots):
     """Run a command there; returns exit code, standard output and error."""
     monkeypatch.setattr("walker_jax.cli.startup.keep_compiled", lambda: None)
 

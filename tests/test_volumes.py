@@ -348,7 +348,7 @@ def test_areas_and_volumes_take_the_grids_that_they_are_of():
 
 
 @pytest.fixture
-def run(monkeypatch, capsys, tmp_path):
+def run(monkeypatch, capsys, tmp_path, few_dots):
     """Run a command in an empty folder; returns exit code, standard output and error."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("walker_jax.cli.startup.keep_compiled", lambda: None)
