@@ -12,6 +12,7 @@ from collections.abc import Iterator
 import jax
 import pytest
 from hypothesis import settings
+from matplotlib.figure import Figure
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
@@ -34,6 +35,16 @@ def quick_references() -> Iterator[None]:
     jax.config.update("jax_disable_most_optimizations", True)
     yield
     jax.config.update("jax_disable_most_optimizations", False)
+
+
+@pytest.fixture(scope="module")
+def few_dots() -> Iterator[None]:
+    """Pictures are saved with a quarter of the dots along each side: none is looked at."""
+    save = Figure.savefig
+    fewer = lambda figure, path, *, dpi, **more: save(figure, path, dpi=dpi / 4, **more)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "savefig", fewer)
+        yield
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -101,7 +101,14 @@ def test_the_gait_of_period_two_after_the_doubling():
     assert data.attrs["area"] == data.area.values.tolist() and data.area[0] > 0
 
 
-@pytest.mark.parametrize(("slope", "period"), [(0.0148, 1), (0.015, 1), (0.0151, 2), (0.0152, 2)])
+@pytest.mark.parametrize(
+    ("slope", "period"),
+    [
+        *(pytest.param(*row, marks=pytest.mark.slow) for row in ((0.0148, 1), (0.0152, 2))),
+        (0.015, 1),
+        (0.0151, 2),
+    ],
+)
 def test_the_period_is_right_close_to_the_doubling_at_0_01509(slope, period):
     """Where walkers come near so slowly that successive states tell nothing."""
     walker = wj.SimplestWalker(slope)

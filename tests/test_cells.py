@@ -81,7 +81,7 @@ def test_a_point_is_within_half_a_spacing_of_its_cell_or_off_the_grid(grid):
     assert np.all(abs(points[on_it] - centres) <= 0.5 * grid.spacing * (1 + 1e-9))
 
 
-@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@pytest.mark.parametrize("dtype", [np.float64, pytest.param(np.float32, marks=pytest.mark.slow)])
 def test_on_the_host_cells_are_the_same(dtype):
     axes = {"theta": (0.0, 0.4, 13), "thetadot": (-0.5, 0.1, 7)}
     grids = [Grid.plain(**axes), Grid(axes, np.array([[1, 0.3], [-1, 2]]), np.array([0.1, -0.2]))]

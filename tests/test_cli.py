@@ -37,7 +37,7 @@ SMALL = ["--theta", "0.05", "0.35", "30", "--sum", "-0.03", "0.01", "20"]
 
 
 @pytest.fixture
-def run(monkeypatch, capsys, tmp_path):
+def run(monkeypatch, capsys, tmp_path, few_dots):
     """Run a command in an empty folder; returns exit code, standard output and error."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("walker_jax.cli.startup.keep_compiled", lambda: None)
@@ -73,6 +73,7 @@ def test_walk_ends_with_the_stride_that_failed(run):
     assert code == 0 and "FORWARD" in out and "nan" in out
 
 
+@pytest.mark.slow
 def test_walk_makes_a_film_which_is_not_replaced_by_another(run, tmp_path, monkeypatch):
     command = ["walk", "--strides", "1", "--animate", "w.gif"]
     code, out, err = run(*command)

@@ -396,8 +396,9 @@ def test_steps_keep_to_bounds_and_limits(monkeypatch):
     assert free.limits.feasible_direction(np.array([0.0]), np.array([1.0])).tolist() == [1.0]
 
 
+@pytest.mark.slow
 def test_measures_are_those_of_the_gait_with_the_largest_basin():
-    """A search for the most stable gait ends in another one; where nothing walks, it is taken."""
+    """A search for the most stable gait ends in another one."""
     walker, values = wj.SpringWalker(0.004, 11.24), np.array([11.24])
     grid = wj.Grid.sheared(theta=(0.02, 0.2, 12), sum=(-0.2, 0, 16))
     springs = problem_of(walker, {"hip_stiffness": (11.0, 11.5)})._replace(grid=grid)
@@ -407,6 +408,9 @@ def test_measures_are_those_of_the_gait_with_the_largest_basin():
     row = trace.measure(0, 0, springs.place_of(values))
     assert float(row.value) == pytest.approx(expected.value, rel=1e-12)
     assert row.gradient == pytest.approx(expected.gradient, rel=1e-8)
+
+
+def test_the_gait_has_the_largest_basin_or_is_the_most_stable_one_where_nothing_walks():
     doubled = problem_of(WALKER, SLOPES)._replace(grid=FEW)
     trace = Trace(doubled, None, None, False, 1)
     assert [len(trace.gait(np.array([slope])).states) for slope in (0.0165, 0.03)] == [2, 1]

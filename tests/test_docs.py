@@ -47,6 +47,7 @@ def test_the_programs_of_the_quickstart_give_a_basin_and_a_derivative():
     assert f"{names['rate']:.4f}" == printed
 
 
+@pytest.mark.slow
 def test_the_programs_for_several_devices_and_other_processes_give_strides():
     """Those that are exported call no kernel, and have derivatives."""
     names: dict[str, Any] = {}
@@ -133,12 +134,13 @@ def test_links_within_the_pages_lead_somewhere():
                 assert (page.parent / target).exists(), (page.name, target)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "title",
     [
-        pytest.param("a torque at the hip", marks=pytest.mark.slow),
+        "a torque at the hip",
         "a push-off",
-        pytest.param("uneven ground", marks=pytest.mark.slow),
+        "uneven ground",
     ],
 )
 def test_a_walker_of_the_page_gives_the_numbers_that_it_asserts(title):

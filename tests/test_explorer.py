@@ -233,7 +233,7 @@ def hip_velocity(walker, state):
     return jax.jvp(hip, (q,), (rates,))[1]
 
 
-@pytest.mark.parametrize("name", ["point-foot", "round-foot"])
+@pytest.mark.parametrize("name", [pytest.param("point-foot", marks=pytest.mark.slow), "round-foot"])
 def test_a_push_does_the_work_of_its_impulse(name):
     """The kinetic energy grows by the impulse times the mean of the hip's speeds."""
     walker: Any = subject(name, slope=0.01).walker
@@ -318,7 +318,7 @@ def test_gaits_and_area_for_the_page():
 
 
 def test_the_disturbance_for_the_page(monkeypatch):
-    few = partial(wj.least_disturbance, directions=8)
+    few = partial(wj.least_disturbance, directions=4)
     monkeypatch.setattr(measures, "least_disturbance", few)
     found = measures.disturbance(subject())
     exact = few(wj.SimplestWalker(0.004))
@@ -717,6 +717,7 @@ def test_only_a_walker_in_the_plane_and_in_a_file_is_explored():
         wj.explore(wj.SimplestWalker(0.004), height=1)
 
 
+@pytest.mark.slow
 def test_a_notebook_shows_the_page_of_the_command_in_a_frame(monkeypatch):
     """The command prints its link, serves, and ends on an interrupt."""
     monkeypatch.setenv("WALKER_JAX_TOKEN", explorer_server.TOKEN)

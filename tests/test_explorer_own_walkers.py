@@ -97,6 +97,7 @@ def test_the_page_offers_it_beside_the_family_and_nothing_else(client, file, wal
     assert not describe_offer(offer(sys.modules["damped_walkers"].Unlike(jnp.array(0.01))))["about"]
 
 
+@pytest.mark.slow
 def test_its_picture_its_walk_and_what_is_copied_are_those_of_the_library(
     client, file, walker, tmp_path, monkeypatch, capsys
 ):

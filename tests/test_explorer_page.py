@@ -259,6 +259,7 @@ def test_a_start_walks_or_falls_as_it_must(opened):
     page.page.keyboard.press("Tab")
 
 
+@pytest.mark.slow
 def test_zooming_in_ten_thousand_times_and_panning(opened):
     page = opened("walker=simplest&slope=0.004")
     at = page.screen(0.193, -0.0138)

@@ -641,6 +641,10 @@ def test_all_of_a_parameter_is_one_picture_with_the_cascade_enlarged(tmp_path):
     assert 0.18 < low < 0.20 and 0.26 < high < 0.28
     figure.savefig(tmp_path / "bifurcations.png", dpi=50)
     assert (tmp_path / "bifurcations.png").stat().st_size > 0
+
+
+@pytest.mark.slow
+def test_all_of_a_parameter_without_a_cascade_is_three_pictures():
     for data in (NOTHING, diagram(lost=(np.nan, np.nan)), diagram(walks=False)):
         figure = figures.bifurcations(data)
         figure.draw_without_rendering()
@@ -1264,9 +1268,11 @@ def test_every_picture_on_given_axes_has_the_same_options():
         assert only == PARTS, name
 
 
-@pytest.mark.parametrize(
-    "names", [*zip([*GIVEN_AXES][::2], [*GIVEN_AXES][1::2], strict=True)], ids=" and ".join
-)
+PAIRS = [*zip([*GIVEN_AXES][::2], [*GIVEN_AXES][1::2], strict=True)]
+OTHER_PAIRS = [pytest.param(pair, marks=pytest.mark.slow) for pair in PAIRS[1:-1]]
+
+
+@pytest.mark.parametrize("names", [PAIRS[0], *OTHER_PAIRS, PAIRS[-1]], ids=" and ".join)
 def test_two_pictures_stay_in_their_halves_of_a_small_figure(names):
     figure = Figure(figsize=(7, 2.6), layout="constrained")
     halves = [[ax] for ax in figure.subplots(1, 2)]

@@ -268,6 +268,7 @@ def check(bench, arguments, tried: Counter) -> None:
         json.loads(out, parse_constant=lambda name: pytest.fail(name))
 
 
+@pytest.mark.slow
 @QUICK
 @given(arguments=commands())
 def test_any_command_line_ends_in_order(bench, arguments):

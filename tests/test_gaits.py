@@ -48,7 +48,7 @@ def richardson(function, x, h):
 
 SLOW = pytest.mark.slow
 STIFF = [
-    (0.001, 100.0),
+    pytest.param(0.001, 100.0, marks=SLOW),
     pytest.param(0.012, 3.0, marks=SLOW),
     pytest.param(0.1, 100.0, marks=SLOW),
     (0.2, 20.0),
@@ -73,6 +73,20 @@ def test_without_a_guess_the_gait_of_a_spring_is_the_stable_one():
     assert gait.stable and np.abs(gait.multipliers) == pytest.approx(0.70334, abs=1e-5)
     data = wj.basin(one, wj.Grid.sheared(theta=(0.1, 0.3, 12), sum=(-0.15, 0, 12)), "direct")
     np.testing.assert_allclose(data["states"].values, gait.states[None], rtol=0, atol=1e-12)
+
+
+def test_where_no_gait_is_stable_one_is_looked_for_in_the_further_region(monkeypatch):
+    one = wj.SpringWalker(0.012, 3.0)
+    stable, whole = wj.find_gait(one), one.gait_region()
+    others = [gait for gait in wj.find_gaits(one) if not gait.stable]
+    theta, thetadot = np.asarray(others[0].states[0])
+    axes = {"theta": theta, "thetadot": thetadot}
+    near = wj.Grid.plain(**{name: (at - 1e-6, at + 1e-6, 2) for name, at in axes.items()})
+    monkeypatch.setattr(wj.SpringWalker, "gait_region", lambda _: near)
+    assert [gait.stable for gait in wj.find_gaits(one)] == [False]
+    np.testing.assert_allclose(wj.find_gait(one).states, others[0].states, rtol=0, atol=1e-12)
+    monkeypatch.setattr(wj.SpringWalker, "further_gait_region", lambda _: whole)
+    np.testing.assert_allclose(wj.find_gait(one).states, stable.states, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("value", VALUES["gaits"], ids=lambda v: f"{v['kind']}-{v['slope']}")

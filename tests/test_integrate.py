@@ -241,6 +241,7 @@ def single_steps():
     return np.array(times), np.array(states)
 
 
+@pytest.mark.slow
 def test_steps_equal_those_of_diffeqsolve_at_the_same_times(single_steps):
     times, states = single_steps
     solution = diffrax.diffeqsolve(

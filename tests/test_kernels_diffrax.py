@@ -137,6 +137,7 @@ def test_the_steps_of_a_method():
     check(rtol=1e-13, **given, saveat=diffrax.SaveAt(ts=TIMES))
 
 
+@pytest.mark.slow
 def test_steps_that_adapt_until_an_event():
     (stats, _, happened), (times, _) = check(event=EVENTS["root"])
     steps = stats["num_steps"]

@@ -171,6 +171,7 @@ def euler_stride(walker, x, dt):
     return walker.project(walker.exchange_legs(walker.impact(swung)[1]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("k", [0, 1])
 def test_printed_fixed_points_of_eulers_method_are_those_of_our_equations(k):
     entry = PUBLISHED["hsu_chen_by_euler"]

@@ -17,16 +17,6 @@ ROOM = 200_000
 """Bytes that a notebook may have."""
 
 each_notebook = pytest.mark.parametrize("path", PATHS, ids=lambda path: path.stem)
-LONG = "2-gaits", "3-the-basin", "4-robustness", "5-optimising"
-LONG += "6-your-own-walker", "7-rough-ground"
-"""All but one take seven seconds or more."""
-run_each_notebook = pytest.mark.parametrize(
-    "path",
-    [
-        pytest.param(path, id=path.stem, marks=[pytest.mark.slow] if path.stem in LONG else [])
-        for path in PATHS
-    ],
-)
 
 
 def read(path: Path) -> NotebookNode:
@@ -95,7 +85,8 @@ def test_the_kernel_is_of_this_interpreter():
     assert own_kernel().format_kernel_cmd()[0] == sys.executable
 
 
-@run_each_notebook
+@pytest.mark.slow  # seconds for the kernel alone
+@each_notebook
 def test_a_notebook_runs_and_gives_what_it_holds(path, tmp_path, kernel):
     notebook = read(path)
     held, drawn = printed(notebook), figures(notebook)

@@ -205,6 +205,7 @@ class Sleigh(ConstrainedMotion):
         return (qdot[1] * jnp.cos(q[2]) - qdot[0] * jnp.sin(q[2]))[None]
 
 
+@pytest.mark.slow
 def test_chaplygins_sleigh_moves_by_its_closed_form():
     """With v along the edge and the turn w: vdot = a w^2, wdot = -m a v w / (I + m a^2)."""
     m, inertia, a = 2.0, 0.3, 0.4

@@ -14,6 +14,7 @@ from scipy.sparse import csr_array
 import walker_jax as wj
 from walker_jax import Disturbance, Outcome, SimplestWalker
 from walker_jax.checks import ComputationFailed, WrongUse
+from walker_jax.kernels.control import MAX_UNROLLED_TURNS
 from walker_jax.stability import rough_ground, stochastic_map
 from walker_jax.stability.rough_ground import (
     NormalSteps,
@@ -73,6 +74,7 @@ def test_a_step_up_ends_where_the_foot_comes_down_to_its_height():
     assert too_high.outcome == Outcome.FORWARD and np.isnan(too_high.state).all()
 
 
+@pytest.mark.slow
 def test_a_step_of_no_height_is_a_stride_with_the_derivative_of_both_sides():
     """The strike's place does not jump: differences agree from above, below, and across."""
     state = lambda step: wj.stride(WALKER, FULL[[0, 2]], step=step).state
@@ -135,17 +137,18 @@ def test_a_walk_on_rough_ground_changes_with_heights_as_derivatives_say(gait):
 
 def test_disturbed_walks_are_strides_one_after_the_other(gait, monkeypatch):
     """Also those strides that are made after walks that have fallen are left out."""
-    monkeypatch.setattr(rough_ground, "STRIDES_PER_CALL", 8)
+    per_call = MAX_UNROLLED_TURNS + 1  # a loop, which is compiled sooner than as many strides
+    monkeypatch.setattr(rough_ground, "STRIDES_PER_CALL", per_call)
     draw_one = lambda key: Disturbance(*(3e-4 * jax.random.normal(key, (3,), float)))
-    keys, most = jax.random.split(jax.random.key(3), 20), 16
+    keys, most = jax.random.split(jax.random.key(3), 20), 2 * per_call
     start = start_of_walks(WALKER, gait, None)
     ends = walk_disturbed(WALKER, np.tile(start, (20, 1)), draw_one, keys, most, None)
     drawn = np.asarray(draw(draw_one, keys, 0, most))
     early, late, lasting = (
         int(np.flatnonzero(one)[0])
         for one in (
-            ends.strides < 8,
-            (ends.strides > 8) & (ends.strides < most),
+            ends.strides < per_call,
+            (ends.strides > per_call) & (ends.strides < most),
             ends.outcome == Outcome.STRIDE,
         )
     )

@@ -645,6 +645,7 @@ for shape in ((2,), (2, 2, 2)):
 """
 
 
+@pytest.mark.slow
 def test_starts_of_other_dimensions_are_refused_without_checks_of_types():
     """In a process of its own, where nothing checks signatures."""
     done = subprocess.run([sys.executable, "-c", WRONG_USE], capture_output=True, text=True)

@@ -649,6 +649,7 @@ class OfMotion(SingleSupport):
         return unroll(flat)(self.walker, state)
 
 
+@pytest.mark.slow
 def test_series_by_virtual_power_of_a_walker_is_that_of_its_accelerations():
     equations = OfMotion(wj.PointFootWalker(0.01, 0.2))
     state = wj.State(*map(jnp.asarray, (0.3, 0.5, -0.4, 0.2)))

@@ -93,6 +93,7 @@ def starts():
     return np.stack([theta, rng.uniform(-0.04, 0.01, 20_000) - theta], axis=1)
 
 
+@pytest.mark.slow
 def test_strides_by_kernels_and_by_xla_are_the_same_to_rounding(monkeypatch, starts):
     walker = wj.SimplestWalker(0.004)
     found = wj.strides(walker, starts)

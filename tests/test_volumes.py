@@ -220,7 +220,13 @@ def test_a_volume_without_a_basin_is_drawn_too(walks_in):
     assert "no basin" in figures.volume(data).axes[3].get_title()
 
 
-@pytest.mark.parametrize("shear", [np.eye(3), [[1, 0, 0], [-1, 1, 0], [0, 0.3, 2.0]]])
+@pytest.mark.parametrize(
+    "shear",
+    [
+        pytest.param(np.eye(3), marks=pytest.mark.slow),
+        [[1, 0, 0], [-1, 1, 0], [0, 0.3, 2.0]],
+    ],
+)
 def test_the_volume_of_a_ball_grows_by_its_surface(monkeypatch, walks_in, shear):
     """In any coordinates: 4 pi r^2 dr/dp, with dr/dp = 10."""
 
@@ -342,7 +348,7 @@ def test_areas_and_volumes_take_the_grids_that_they_are_of():
 
 
 @pytest.fixture
-def run(monkeypatch, capsys, tmp_path):
+def run(monkeypatch, capsys, tmp_path, few_dots):
     """Run a command in an empty folder; returns exit code, standard output and error."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("walker_jax.cli.startup.keep_compiled", lambda: None)

@@ -750,10 +750,8 @@ def test_published_gaits(entry):
         assert time[0] / unit == pytest.approx(entry["step_time"], abs=1e-4)
 
 
-@pytest.mark.parametrize(
-    "slope, radius, size",
-    [(0.07, 0.25, 0.547), pytest.param(0.09, 0.4, 0.534, marks=pytest.mark.slow)],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("slope, radius, size", [(0.07, 0.25, 0.547), (0.09, 0.4, 0.534)])
 def test_gaits_on_large_feet_and_steep_slopes_are_found_without_a_guess(slope, radius, size):
     """Legs like those of the default walker with knees: its largest multiplier follows from a
     branch over the radius (docs/results.md)."""

@@ -333,6 +333,7 @@ def assert_limit(general, simplest, at):
     return varies
 
 
+@pytest.mark.slow
 def test_motion_and_contact_force_are_the_limit_of_small_feet():
     """(7) and (8) from (4)."""
     rates = each(WALKER.vector_field, states())
@@ -341,6 +342,7 @@ def test_motion_and_contact_force_are_the_limit_of_small_feet():
     assert assert_limit(general_motion, simplest, states()).all()
 
 
+@pytest.mark.slow
 def test_impact_is_the_limit_of_small_feet():
     """(18) and (19) from (17), whose multipliers are minus the impulse of the ground."""
     (u, v), after = each(WALKER.impact, strikes())
@@ -547,12 +549,9 @@ def test_margins_of_a_walker_that_is_no_inverted_pendulum_are_not_those_of_one()
     assert float(braked.backward) < 0.99 * energy
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("kind", "guess"),
-    [
-        (TorqueWalker, [0.205, -0.207]),
-        pytest.param(PushedWalker, [0.2, -0.2], marks=pytest.mark.slow),
-    ],
+    ("kind", "guess"), [(TorqueWalker, [0.205, -0.207]), (PushedWalker, [0.2, -0.2])]
 )
 def test_cost_of_transport_is_unknown_where_gravity_is_not_all_that_drives(kind, guess):
     walker = kind(*[jnp.array(value) for value in (0.01, 0.5, -0.3)[: len(fields(kind))]])
