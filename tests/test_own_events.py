@@ -11,7 +11,7 @@ from fixed_steps import strides as strides_by_fixed_steps
 from part_of_swing import PartOfSwing
 
 import walker_jax as wj
-from walker_jax.integrators.solvers import step_length, taylor_step
+from walker_jax.integrators.taylor_steps import step_length, taylor_step
 from walker_jax.kernels import by_kernel
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.walkers.model import State

@@ -12,7 +12,7 @@ import pytest
 
 import walker_jax as wj
 from walker_jax.checks import WrongUse
-from walker_jax.integrators import roots, solvers
+from walker_jax.integrators import integrator, method, roots
 from walker_jax.kernels import object_cache, primitive, program_cache
 from walker_jax.walkers.simplest import SimplestWalker
 from walker_jax.walking import stepping
@@ -113,16 +113,16 @@ def test_a_name_stands_for_all_that_a_trace_depends_on(monkeypatch):
         name_of(wj.KneedWalker(0.05, check_lock=True)),
         name_of(function=stepping.follow_phase_times),
     ]
-    with solvers.using_solver(diffrax.Dopri8()):
+    with integrator.using_solver(diffrax.Dopri8()):
         names.append(name_of())
-    with solvers.using_solver(diffrax.Tsit5()):
+    with integrator.using_solver(diffrax.Tsit5()):
         names.append(name_of())
     with jax.numpy_dtype_promotion("standard"):
         names.append(name_of())
     plain: Any = roots.differentiable_zero
     replaced = functools.wraps(plain)(lambda *args: plain(*args))
     changes = [
-        (solvers, "MAX_STEPS", 7),
+        (method, "MAX_STEPS", 7),
         (program_cache, "register_bits", lambda: 64),
         (roots, "differentiable_zero", replaced),
         (roots, "differentiable_zero", roots.interior_minimum),
@@ -154,7 +154,7 @@ def test_what_is_defined_elsewhere_has_no_name():
     )
     assert name_of(alike(0.004)) is None
     assert name_of(function=lambda walker, x, tolerance: x) is None
-    with solvers.using_solver(Mine()):
+    with integrator.using_solver(Mine()):
         assert name_of() is None
 
 

@@ -15,7 +15,7 @@ from walker_jax.basins.mapper import Mapper
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import search_gait
 from walker_jax.grids import Grid
-from walker_jax.integrators.solvers import default_tolerance
+from walker_jax.integrators.integrator import default_tolerance
 from walker_jax.walkers.model import Walker
 
 STARTS = 2**11, 2**13, 2**15

@@ -22,7 +22,7 @@ from walker_jax.basins.pieces import METHODS, compute_in_pieces
 from walker_jax.basins.schema import to_dataset
 from walker_jax.checks import WrongUse, check_precision, check_whole, refuses_tracers, short
 from walker_jax.grids import Grid
-from walker_jax.integrators.solvers import AnySolver, default_tolerance, using_solver
+from walker_jax.integrators.integrator import AnySolver, default_tolerance, using_solver
 from walker_jax.walkers.model import Walker
 
 BYTES_STORED = {"cell-map": 16, "direct": 0}

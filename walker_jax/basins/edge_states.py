@@ -27,7 +27,7 @@ from walker_jax.checks import (
 )
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import search_gait
-from walker_jax.integrators.solvers import default_tolerance
+from walker_jax.integrators.integrator import default_tolerance
 from walker_jax.walkers.model import Walker, check_single
 from walker_jax.walking.failure_margins import Margins, margins_of_many
 from walker_jax.walking.iteration import strides as take_strides

@@ -18,7 +18,7 @@ from walker_jax.basins.schema import Basins
 from walker_jax.cellmaps import CellMap, cell_image, resolve
 from walker_jax.execution.tiles import map_cells, order_of_cells
 from walker_jax.grids import Grid
-from walker_jax.integrators.solvers import Real
+from walker_jax.integrators.roots import Real
 from walker_jax.walkers.model import Walker
 from walker_jax.walking.outcomes import Outcome
 from walker_jax.walking.stepping import stride

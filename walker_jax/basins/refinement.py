@@ -23,7 +23,7 @@ from walker_jax.basins.runs import Runs
 from walker_jax.basins.schema import ATTRIBUTES, Basins, add_attractors, describe, to_dataset
 from walker_jax.checks import check_precision, check_whole, refuses_tracers
 from walker_jax.grids import Grid
-from walker_jax.integrators.solvers import default_tolerance
+from walker_jax.integrators.integrator import default_tolerance
 from walker_jax.walkers.model import Walker
 
 BYTES_PER_REFINED_CELL = 40

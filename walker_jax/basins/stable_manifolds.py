@@ -26,7 +26,7 @@ from walker_jax.checks import (
 )
 from walker_jax.gaits.cycles import Gait, multiply_jacobians
 from walker_jax.gaits.derivatives import linearise
-from walker_jax.integrators.solvers import default_tolerance
+from walker_jax.integrators.integrator import default_tolerance
 from walker_jax.walkers.model import Walker
 
 FIRST = 1e-5

@@ -26,7 +26,7 @@ from walker_jax.checks import (
 )
 from walker_jax.execution.progress import track
 from walker_jax.grids import Grid, edge
-from walker_jax.integrators.solvers import default_tolerance
+from walker_jax.integrators.integrator import default_tolerance
 from walker_jax.walkers.model import Walker, check_single
 
 

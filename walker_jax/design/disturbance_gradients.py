@@ -17,7 +17,7 @@ from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.derivatives import gait_derivatives
 from walker_jax.gaits.search import search_gait
 from walker_jax.gaits.selection import require_gait
-from walker_jax.integrators.solvers import default_tolerance
+from walker_jax.integrators.integrator import default_tolerance
 from walker_jax.stability.disturbances import BEYOND, LeastDisturbance, least_disturbance
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.stability.rays import DENSE

@@ -29,7 +29,7 @@ from walker_jax.explorer.lattice import (
 )
 from walker_jax.explorer.subjects import Subject
 from walker_jax.gaits.search import search_gait
-from walker_jax.integrators.solvers import default_tolerance
+from walker_jax.integrators.integrator import default_tolerance
 from walker_jax.walking.outcomes import Outcome
 
 UNMATCHED, FIRST_ATTRACTOR = 32, 64

@@ -33,7 +33,8 @@ from walker_jax.gaits.events import Bifurcation
 from walker_jax.gaits.requests import run_batched
 from walker_jax.gaits.search import iterate_newton
 from walker_jax.gaits.selection import require_gait
-from walker_jax.integrators.solvers import Real, default_tolerance
+from walker_jax.integrators.integrator import default_tolerance
+from walker_jax.integrators.roots import Real
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 

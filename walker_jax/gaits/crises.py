@@ -8,7 +8,7 @@ import numpy as np
 from walker_jax.checks import WrongUse, check_kind, check_number, check_whole, refuses_tracers
 from walker_jax.gaits.branches import Branch, check_interval, float64_tolerance
 from walker_jax.gaits.long_runs import iterate_to_cycles, starts_near_gaits
-from walker_jax.integrators.solvers import Real
+from walker_jax.integrators.roots import Real
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import with_parameter
 from walker_jax.walking.outcomes import Outcome

@@ -18,7 +18,7 @@ from walker_jax.gaits.cycles import (
     order_by_modulus,
     solve_linear_systems,
 )
-from walker_jax.integrators.solvers import Real
+from walker_jax.integrators.roots import Real
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import check_parameter, parameter_direction
 from walker_jax.walking.iteration import broadcast_parameters

@@ -28,7 +28,7 @@ from walker_jax.gaits.crises import Loss, loss_of_walking
 from walker_jax.gaits.cycles import Gait, remove_duplicates
 from walker_jax.gaits.long_runs import RECURRENCE_DISTANCE, attractors, starts_near_gaits
 from walker_jax.gaits.search import cycle_guesses, iterate_newton
-from walker_jax.integrators.solvers import Real
+from walker_jax.integrators.roots import Real
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import attributes_of, check_parameter, with_parameter
 from walker_jax.walking.iteration import select_walkers

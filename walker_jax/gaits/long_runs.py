@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from walker_jax.checks import WrongUse, check_whole, numbers, refuses_tracers
 from walker_jax.gaits.branches import Branch, float64_tolerance, interpolate_cycles, solve_at
-from walker_jax.integrators.solvers import Real
+from walker_jax.integrators.roots import Real
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 from walker_jax.walking.iteration import WalkEnd, iterate, orbits, select_walkers

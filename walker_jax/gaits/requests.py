@@ -17,7 +17,8 @@ from walker_jax.gaits.derivatives import (
     differentiate_twice,
     linearise,
 )
-from walker_jax.integrators.solvers import Real, default_tolerance
+from walker_jax.integrators.integrator import default_tolerance
+from walker_jax.integrators.roots import Real
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import with_parameter
 from walker_jax.walking.iteration import broadcast_parameters

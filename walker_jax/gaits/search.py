@@ -49,7 +49,8 @@ from walker_jax.gaits.cycles import (
 from walker_jax.gaits.derivatives import linearise
 from walker_jax.gaits.reasons import no_gait_found
 from walker_jax.grids import Grid
-from walker_jax.integrators.solvers import AnySolver, Real, using_solver
+from walker_jax.integrators.integrator import AnySolver, using_solver
+from walker_jax.integrators.roots import Real
 from walker_jax.walkers.model import Walker, moves_like
 from walker_jax.walkers.simplest import SimplestWalker
 from walker_jax.walking.iteration import follow_walk, orbits, select_walkers, strides

@@ -15,7 +15,7 @@ from walker_jax.basins.runs import flat_index
 from walker_jax.checks import check_precision, check_whole, numbers, refuses_tracers
 from walker_jax.fractals import Uncertainty, sort_distances, uncertainty_exponent, upper_probability
 from walker_jax.grids import Grid, edge
-from walker_jax.integrators.solvers import default_tolerance
+from walker_jax.integrators.integrator import default_tolerance
 from walker_jax.walkers.model import Walker, is_planar
 
 DISTANCES = 10.0 ** np.linspace(-6, -3.5, 11)

@@ -11,7 +11,7 @@ from walker_jax.basins.mapper import Labels, Mapper
 from walker_jax.checks import WrongUse, check_kind, check_precision, check_whole
 from walker_jax.gaits.cycles import Gait, check_found
 from walker_jax.gaits.selection import require_gait
-from walker_jax.integrators.solvers import default_tolerance
+from walker_jax.integrators.integrator import default_tolerance
 from walker_jax.walkers.model import Walker, check_single
 from walker_jax.walking.iteration import strides as take_strides
 

@@ -26,7 +26,7 @@ from walker_jax.checks import (
 from walker_jax.execution.tiles import map_cells
 from walker_jax.gaits.cycles import Gait, check_found
 from walker_jax.gaits.selection import require_gait
-from walker_jax.integrators.solvers import default_tolerance
+from walker_jax.integrators.integrator import default_tolerance
 from walker_jax.kernels.outside_code import AsItIs
 from walker_jax.walkers.model import Walker, check_planar, check_single
 from walker_jax.walking.disturbed import Disturbance, DisturbedWalk, follow_disturbed_walk

@@ -34,7 +34,7 @@ from walker_jax.checks import (
 )
 from walker_jax.execution.tiles import map_cells
 from walker_jax.gaits.cycles import Gait
-from walker_jax.integrators.solvers import default_tolerance
+from walker_jax.integrators.integrator import default_tolerance
 from walker_jax.stability.rough_ground import (
     RandomDisturbance,
     draw,

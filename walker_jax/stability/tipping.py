@@ -27,7 +27,7 @@ from walker_jax.checks import (
     short,
 )
 from walker_jax.grids import Grid
-from walker_jax.integrators.solvers import default_tolerance
+from walker_jax.integrators.integrator import default_tolerance
 from walker_jax.stability.sampling import Sampler, draw_starts, wilson_interval
 from walker_jax.walkers.model import Walker, check_single
 from walker_jax.walkers.parameters import check_parameter, with_parameter

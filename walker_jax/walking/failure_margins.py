@@ -21,7 +21,8 @@ from jaxtyping import Array, Bool, Float
 
 from walker_jax.checks import refuses_tracers
 from walker_jax.hybrid.modes import Guard
-from walker_jax.integrators.solvers import Real, zero_at
+from walker_jax.integrators.method import zero_at
+from walker_jax.integrators.roots import Real
 from walker_jax.integrators.taylor import with_fast_sincos
 from walker_jax.kernels import by_kernel
 from walker_jax.walkers.model import Scalar, Walker, toppling_rate

@@ -20,7 +20,8 @@ from jaxtyping import Array, Float, Int
 
 from walker_jax.checks import WrongUse, array, check_kind, check_whole, refuses_tracers
 from walker_jax.execution.tiles import map_cells
-from walker_jax.integrators.solvers import AnySolver, Real, default_tolerance, using_solver
+from walker_jax.integrators.integrator import AnySolver, default_tolerance, using_solver
+from walker_jax.integrators.roots import Real
 from walker_jax.walkers.model import Walker, check_planar, numbers_of
 from walker_jax.walkers.parameters import Parameter, described_by
 from walker_jax.walking.outcomes import Outcome, Stride, Walk, nan_unless

@@ -14,7 +14,10 @@ from jax import lax
 from jaxtyping import Array, Bool
 
 from walker_jax.hybrid.modes import Condition, Foregone, Function, Guard, Mode
-from walker_jax.integrators.solvers import Method, Real, VectorField, solver_for
+from walker_jax.integrators.integrator import solver_for
+from walker_jax.integrators.method import Method
+from walker_jax.integrators.roots import Real
+from walker_jax.integrators.taylor import VectorField
 from walker_jax.walkers.masses import MultibodyMotion, SingleSupport
 from walker_jax.walkers.model import Phase, Scalar, Walker, is_planar
 from walker_jax.walkers.rolling_stance import RollingStance

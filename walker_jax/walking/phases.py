@@ -17,7 +17,9 @@ from walker_jax.hybrid.crossings import begins_below
 from walker_jax.hybrid.following import NO_GUARD, End, Violated, follow_mode
 from walker_jax.hybrid.misses import Misses
 from walker_jax.hybrid.modes import Mode
-from walker_jax.integrators.solvers import Method, Real, solver_for, zero_at
+from walker_jax.integrators.integrator import solver_for
+from walker_jax.integrators.method import Method, zero_at
+from walker_jax.integrators.roots import Real
 from walker_jax.integrators.taylor import with_fast_sincos
 from walker_jax.walkers.model import Phase, Scalar, State, Walker
 from walker_jax.walking.falls import fall_of

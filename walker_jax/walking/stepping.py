@@ -13,15 +13,9 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
 from walker_jax.checks import WrongUse, check_kind, check_number, short
-from walker_jax.integrators.solvers import (
-    AnySolver,
-    Method,
-    Real,
-    default_tolerance,
-    solver_for,
-    using_solver,
-    zero_at,
-)
+from walker_jax.integrators.integrator import AnySolver, default_tolerance, solver_for, using_solver
+from walker_jax.integrators.method import Method, zero_at
+from walker_jax.integrators.roots import Real
 from walker_jax.integrators.taylor import with_fast_sincos
 from walker_jax.kernels import by_kernel
 from walker_jax.walkers.masses import MultibodyMotion
@@ -66,8 +60,8 @@ def stride(
       The result's state is then a full one, just after heel strike and off the section, as one foot
       is lower. `stride` takes it from there, on a slope through the foot that stands now.
     - `tolerance`: of one integration step: of its last Taylor terms, relative to the state or its
-      rate (`integrators.solvers.step_length`), or of the error that another solver estimates. By
-      default 1e-12 in float64 and 1e-6 in float32. The error of a stride is larger by as much as
+      rate (`integrators.taylor_steps.step_length`), or of the error that another solver estimates.
+      By default 1e-12 in float64 and 1e-6 in float32. The error of a stride is larger by as much as
       the stride amplifies errors, up to 1e5 times near falling backward.
     - `solver`: one of diffrax's explicit Runge-Kutta methods, such as `diffrax.Dopri8()`, in place
       of the Taylor series. It does not know where a vector field has kinks.
