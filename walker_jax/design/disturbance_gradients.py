@@ -72,7 +72,7 @@ def disturbance_gradient(
         tolerance=tolerance,
     )
     found = search(walker, gait)
-    checked_tolerance = float(default_tolerance(found.state.dtype, tolerance))
+    checked_tolerance = default_tolerance(found.state.dtype, tolerance)
     beyond = np.asarray(gait.states)[found.phase] + BEYOND[:, None] * found.size * found.direction
     made, axes = np.full(len(beyond), found.strides, np.int32), np.eye(beyond.shape[1])
     changes = differentiate_margins(walker, beyond, made, axes, parameters, checked_tolerance)
