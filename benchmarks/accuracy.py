@@ -45,6 +45,7 @@ from walker_jax import multibody
 from walker_jax.gaits.branches import continue_gaits
 from walker_jax.gaits.continuation import start_at_doubling
 from walker_jax.gaits.derivatives import linearise
+from walker_jax.integrators.integrator import Integrator
 from walker_jax.kernels.scalars import unroll
 from walker_jax.walkers.masses import coordinates_and_rates
 from walker_jax.walkers.model import State
@@ -140,7 +141,7 @@ def derivatives() -> None:
     value, known = VALUES["gaits"][0], VALUES["gait_slope_derivative"]
     walker = wj.SimplestWalker(value["slope"])
     gait = wj.find_gait(walker)
-    local = linearise(walker, np.asarray(gait.states)[None], 1e-12)
+    local = linearise(walker, np.asarray(gait.states)[None], Integrator(1e-12))
     names = ["theta", "thetadot"]
     rows = [
         [f"d(next {names[i]}) / d({names[j]})", *compared(entry, local.jacobian[0, 0, i, j])]
@@ -228,7 +229,7 @@ def stride_maps() -> None:
         outcomes = known["outcome"].ravel()
         walks = (outcomes == 0) & (found.outcome == 0)
         errors = np.abs(found.state[walks] - following[walks]).max(axis=1)
-        local = linearise(walker, starts[walks][:, None], 1e-12).jacobian[:, 0]
+        local = linearise(walker, starts[walks][:, None], Integrator(1e-12)).jacobian[:, 0]
         growth = np.linalg.norm(local, 2, axis=(1, 2))
         fates = wj.basin(walker, grid, "direct", strides=FOLLOWED)
         fails = (known["fate"] != 0) & (fates.fate.values == known["fate"])

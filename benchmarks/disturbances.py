@@ -28,6 +28,7 @@ import walker_jax as wj
 from walker_jax.basins.attractor import Attractor
 from walker_jax.basins.capture_boxes import with_capture_boxes
 from walker_jax.basins.mapper import Mapper
+from walker_jax.integrators.integrator import Integrator
 
 SLOPES = 0.001, 0.0025, 0.004, 0.0055, 0.0067, 0.0076, 0.009, 0.0105, 0.012, 0.0145
 SCAN = np.arange(0.0068, 0.00841, 0.0001)
@@ -37,7 +38,7 @@ DIRECTIONS, RINGS = 20_000, 2e-4
 def brute_force(walker: wj.Walker, gait: wj.Gait, size: float) -> float:
     """The first distance on a fine polar grid at which a walker does not come back."""
     states = np.asarray(gait.states)
-    mapper = with_capture_boxes(Mapper(walker, [Attractor(1, states)], 1e-12, 500))
+    mapper = with_capture_boxes(Mapper(walker, [Attractor(1, states)], Integrator(1e-12), 500))
     angles = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
     rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     for radius in np.arange(0.9, 1.01, RINGS) * size:

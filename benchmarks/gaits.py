@@ -30,6 +30,7 @@ from scipy.optimize import fsolve
 
 import walker_jax as wj
 from walker_jax.gaits.search import iterate_newton
+from walker_jax.integrators.integrator import Integrator
 
 SLOPE = 0.009
 
@@ -82,7 +83,7 @@ def main():
         return np.array([end[0] for end in ends])
 
     def by_walker_jax():
-        return iterate_newton(walker, starts[:, None], 1e-12).states[:, 0]
+        return iterate_newton(walker, starts[:, None], Integrator(1e-12)).states[:, 0]
 
     def reached(ends, within):
         return np.mean([np.abs(gaits - end).max(axis=1).min() < within for end in ends])

@@ -62,8 +62,10 @@ import walker_jax as wj
 from walker_jax.execution.tiles import CALL_SHAPES, COMPILER_OPTIONS, compact_order, map_cells
 from walker_jax.hybrid.following import follow_mode
 from walker_jax.hybrid.modes import Guard, Mode
-from walker_jax.integrators.solvers import SERIES_ORDER, Method, Taylor
+from walker_jax.integrators.method import Method
 from walker_jax.integrators.taylor import with_fast_sincos
+from walker_jax.integrators.taylor_solver import Taylor
+from walker_jax.integrators.taylor_steps import SERIES_ORDER
 from walker_jax.kernels import primitive
 from walker_jax.walking.stepping import follow_stride, prepare
 

@@ -36,15 +36,16 @@ def measure(cells: int) -> dict:
 
     import walker_jax as wj
     from walker_jax.basins.methods import cell_map
+    from walker_jax.integrators.integrator import Integrator
 
     jax.config.update("jax_enable_x64", True)
     walker = wj.SimplestWalker(0.004)
     side = round(cells**0.5)
     grid_of = lambda n, m: wj.Grid.sheared(theta=(0, 0.4, n), sum=(-0.04, 0.01, m))
-    cell_map(walker, grid_of(10, 10), 1e-12)  # compiles
+    cell_map(walker, grid_of(10, 10), Integrator(1e-12))  # compiles
     peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     before, start = peak(), time.perf_counter()
-    image = cell_map(walker, grid_of(side, cells // side), 1e-12)
+    image = cell_map(walker, grid_of(side, cells // side), Integrator(1e-12))
     seconds = time.perf_counter() - start
     return {"cells": image.size, "seconds": seconds, "bytes": peak() - before}
 

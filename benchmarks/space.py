@@ -37,6 +37,7 @@ from walker_jax import figures
 from walker_jax.basins.attractor import Attractor
 from walker_jax.basins.mapper import Mapper
 from walker_jax.gaits.search import search_gait
+from walker_jax.integrators.integrator import Integrator
 from walker_jax.stability.gait_mapper import mapper_of_gait
 
 jax.config.update("jax_enable_x64", True)
@@ -106,7 +107,7 @@ def measure_extents(mapper, x: np.ndarray) -> None:
 def without_boxes(walker: wj.SpatialWalker, gait: wj.Gait) -> Mapper:
     """The mapper to a gait that follows walkers until they are there: boxes would cost more."""
     attractor = Attractor(1, np.asarray(gait.states))
-    return Mapper(walker, [attractor], 1e-12, STRIDES)
+    return Mapper(walker, [attractor], Integrator(1e-12), STRIDES)
 
 
 def returning(walker: wj.SpatialWalker, guess: np.ndarray, offsets: np.ndarray) -> str:

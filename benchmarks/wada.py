@@ -35,6 +35,7 @@ from walker_jax import Outcome
 from walker_jax.basins.capture_boxes import with_capture_boxes
 from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.methods import mapper_of_grid
+from walker_jax.integrators.integrator import Integrator
 
 SLOPES = 0.004, 0.006, 0.007, 0.0075, 0.0078, 0.009, 0.012, 0.015, 0.018
 WINDOW = {"theta": (0.01, 0.4), "sum": (-0.05, 0.03)}
@@ -75,7 +76,7 @@ def main() -> None:
     coarse = wj.Grid.sheared(**{name: (*ends, 200) for name, ends in WINDOW.items()})
     for slope in SLOPES:
         walker = wj.SimplestWalker(slope)
-        mapper = with_capture_boxes(mapper_of_grid(walker, coarse, 1e-12, 300))
+        mapper = with_capture_boxes(mapper_of_grid(walker, coarse, Integrator(1e-12), 300))
         fate = mapper(grid.centres(np.arange(grid.size))).fate.reshape(grid.shape)
         label = np.where(np.isin(fate, FATES), fate, -1)
         entropy, merged = wj.basin_entropy(label), wj.merge_regions(label)

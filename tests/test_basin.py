@@ -17,6 +17,7 @@ from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.schema import Basins
 from walker_jax.cellmaps import resolve
 from walker_jax.execution.tiles import compact_order
+from walker_jax.integrators.integrator import Integrator
 from walker_jax.storage import datasets
 
 REFERENCE = np.load(Path(__file__).parent / "data" / "strides_slope_0.004.npz")
@@ -205,7 +206,7 @@ def test_strides_and_cycles_in_float32_are_close(direct):
     outcome = REFERENCE["outcome"].ravel()[::97]
     assert (single.outcome == outcome).mean() > 0.99
     walking = xs[direct.fate.values.ravel()[::97] == 0].astype(np.float32)
-    found = attractor_search.find_attractors(wj.SimplestWalker(0.004), walking, 1e-6)
+    found = attractor_search.find_attractors(wj.SimplestWalker(0.004), walking, Integrator(1e-6))
     assert [one.period for one in found] == [1]
     np.testing.assert_allclose(found[0].states, direct.states.values[0], atol=1e-4)
 
@@ -295,7 +296,7 @@ def test_a_cycle_of_cells_belongs_to_where_walkers_come_from_most_of_its_centres
     """Every cycle, and the cells that lead to it, against walks from the centres one by one."""
     walker, grid = wj.SimplestWalker(slope), wj.Grid.sheared(**PAPER)
     data = wj.basin(walker, grid)
-    ends = resolve(methods.cell_map(walker, grid, 1e-12), sinks=len(wj.Outcome))
+    ends = resolve(methods.cell_map(walker, grid, Integrator(1e-12)), sinks=len(wj.Outcome))
     lengths = [len(cycle) for cycle in ends.attractors]
     starts = grid.centres(np.concatenate(ends.attractors))
     x = starts
@@ -369,10 +370,10 @@ def test_piece_by_piece_it_is_the_same(tmp_path, small_pieces, method):
 def test_the_order_in_which_cells_are_computed_changes_nothing(monkeypatch):
     """That of accelerators, over all of a grid or a part of it."""
     grid = wj.Grid.sheared(**COARSE)
-    blocks, mapper = (None, methods.Block(600, (20, 60))), Mapper(STEEP, [], 1e-12, 3)
+    blocks, mapper = (None, methods.Block(600, (20, 60))), Mapper(STEEP, [], Integrator(1e-12), 3)
 
     def compute():
-        maps = [methods.cell_map(STEEP, grid, 1e-12, block) for block in blocks]
+        maps = [methods.cell_map(STEEP, grid, Integrator(1e-12), block) for block in blocks]
         labels = [methods.map_block(mapper, grid, block) for block in blocks]
         return [*maps, *labels[0], *labels[1], *(one.remaining for one in labels)]
 

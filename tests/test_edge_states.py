@@ -15,6 +15,7 @@ from walker_jax.basins.methods import mapper_of_grid
 from walker_jax.basins.narrow_windows import follow_window
 from walker_jax.basins.stable_manifolds import Image, follow_manifold
 from walker_jax.basins.zooms import bisect_to_last_digit
+from walker_jax.integrators.integrator import Integrator
 
 WALKER = wj.SimplestWalker(0.004)
 GRID = wj.Grid.sheared(theta=(0.01, 0.4, 60), sum=(-0.05, 0.03, 60))
@@ -22,7 +23,7 @@ GRID = wj.Grid.sheared(theta=(0.01, 0.4, 60), sum=(-0.05, 0.03, 60))
 
 @pytest.fixture(scope="module")
 def mapper():
-    return with_capture_boxes(mapper_of_grid(WALKER, GRID, 1e-12, 300))
+    return with_capture_boxes(mapper_of_grid(WALKER, GRID, Integrator(1e-12), 300))
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +39,7 @@ def short():
 
 def test_the_derivatives_of_an_image_are_nan_where_a_stride_fails():
     for strides in (1, 2):
-        image, jacobian = Image(WALKER, strides, 1e-12)(np.array([0.3, -0.05]))
+        image, jacobian = Image(WALKER, strides, Integrator(1e-12))(np.array([0.3, -0.05]))
         assert np.isnan(image).all() and np.isnan(jacobian).all()
 
 
@@ -163,8 +164,9 @@ def test_of_all_margins_that_nearest_to_zero_is_named(monkeypatch):
     made_up = np.full((8, 2), np.nan)
     made_up[1], made_up[4, 0] = (-0.3, 0.2), 1e-12
     found = SimpleNamespace(**dict(zip(edge_states.WAYS, made_up, strict=True)))
-    monkeypatch.setattr(edge_states, "margins_of_many", lambda *args, **options: found)
-    assert edge_states.failing_margin(WALKER, np.zeros((2, 2)), 1e-12) == ("landing", 1e-12)
+    monkeypatch.setattr(edge_states, "for_each_start", lambda *args: found)
+    nearest = edge_states.failing_margin(WALKER, np.zeros((2, 2)), Integrator(1e-12))
+    assert nearest == ("landing", 1e-12)
 
 
 def test_the_manifold_of_a_known_saddle_is_followed_through_the_folds_of_its_map():
@@ -250,8 +252,8 @@ CENTRE = np.array([0.20093538234311084, -0.21084184410879986])
 def test_a_window_followed_by_its_centre_has_the_fates_of_its_starts():
     """Where float64 still tells starts apart: 5e-10 wide, on the fractal boundary at 0.009."""
     window = wj.Grid.sheared(theta=(0, 0.4, 60), sum=(-0.03, 0.02, 60)).zoom(CENTRE, 8e8)
-    steep = with_capture_boxes(mapper_of_grid(STEEP, GRID, 1e-12, 300))
-    followed, made = follow_window(STEEP, window, 1e-12, 300)
+    steep = with_capture_boxes(mapper_of_grid(STEEP, GRID, Integrator(1e-12), 300))
+    followed, made = follow_window(STEEP, window, Integrator(1e-12), 300)
     assert made >= 1 and followed.shape == window.shape
     cells = np.arange(window.size)
     plain = steep(window.centres(cells))
@@ -261,7 +263,7 @@ def test_a_window_followed_by_its_centre_has_the_fates_of_its_starts():
     same = (plain.fate == moved.fate) & (plain.fate != Outcome.STRIDE)
     # In 46 strides on a fractal boundary rounding grows to the size of a step, too.
     assert (plain.strides[same] != moved.strides[same] + made).mean() < 2e-3
-    wide, none = follow_window(STEEP, GRID, 1e-12, 300)
+    wide, none = follow_window(STEEP, GRID, Integrator(1e-12), 300)
     assert wide is GRID and none == 0
 
 

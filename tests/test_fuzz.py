@@ -31,6 +31,7 @@ from walker_jax.design.climbs import Climb
 from walker_jax.design.evaluation import Evaluation
 from walker_jax.execution import tiles
 from walker_jax.execution.workers import open_workers
+from walker_jax.integrators.integrator import Integrator
 from walker_jax.kernels import primitive
 from walker_jax.stability import rough_ground
 
@@ -362,7 +363,7 @@ def calls() -> dict[str, dict]:
     box = wj.Grid.sheared(theta=(0, 1, 2), sum=(0, 1, 2), phidot=(0, 1, 2))
     runs = Runs.from_cells(np.zeros((2, 2, 2), int), np.zeros((2, 2, 2), int))
     rolling = wj.RoundFootWalker(0.01)
-    cells = np.arange(8), np.ones(8, int), Mapper(rolling, [], 1e-10, 10)
+    cells = np.arange(8), np.ones(8, int), Mapper(rolling, [], Integrator(1e-10), 10)
     none = np.zeros(0, int)
     volume = dataset_of_runs(
         rolling, Refined(box, runs, *cells, 0.0, 0.0, [8], [0], 0, none, none, 8), {"method": ""}

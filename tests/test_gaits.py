@@ -11,6 +11,7 @@ import pytest
 import walker_jax as wj
 from walker_jax.gaits import cycles, derivatives, search
 from walker_jax.gaits.search import search_gait
+from walker_jax.integrators.integrator import Integrator
 from walker_jax.walkers import parameters
 
 VALUES = json.loads((Path(__file__).parent / "data" / "values.json").read_text())
@@ -106,7 +107,9 @@ def test_gaits_of_the_reference(value):
     assert gait.stable == all(abs(m) < 1 for m in multipliers)
     assert_walks(slope, gait)
     if "jacobian" in value:
-        local = derivatives.linearise(walker(slope), np.array([[value["state"]]]), 1e-12)
+        local = derivatives.linearise(
+            walker(slope), np.array([[value["state"]]]), Integrator(1e-12)
+        )
         np.testing.assert_allclose(local.jacobian[0, 0], value["jacobian"], rtol=0, atol=1e-9)
 
 
@@ -330,7 +333,7 @@ def test_a_gait_that_a_walk_does_not_repeat_is_none():
     away = gait.states + np.array([[0.0, 0.0], [0.0, 1e-6]])
     both = cycles.Gait(*(np.stack([field, field]) for field in gait))
     both = both._replace(states=np.stack([gait.states, away]))
-    confirmed = search.confirm_gaits(walker(0.016), both, 1e-12)
+    confirmed = search.confirm_gaits(walker(0.016), both, Integrator(1e-12))
     assert confirmed.found.tolist() == confirmed.stable.tolist() == [True, False]
 
 
@@ -353,13 +356,13 @@ def test_a_traced_search_invents_no_gait_next_to_a_bifurcation(monkeypatch):
     A negative one of 1e-13 misses by no more than what passes for rounding.
     """
 
-    def ends(walker, states, tolerance):
+    def ends(walker, states, integrator):
         distance, (x, y) = walker.slope - 0.5, states.T
         return jnp.stack([x + distance - x**2, y / 2], axis=1), jnp.ones_like(x)
 
     monkeypatch.setattr("walker_jax.gaits.cycles.apply_strides", ends)
     start, plain = jnp.array([[1e-4, 0.1]]), inspect.unwrap(cycles.solve_cycle)
-    solve = jax.jit(lambda slope: plain(walker(slope), start, jnp.asarray(1e-12)))
+    solve = jax.jit(lambda slope: plain(walker(slope), start, Integrator(1e-12)))
     for distance, found in ((1e-4, True), (-1e-13, False), (-1e-4, False)):
         gait = solve(0.5 + distance)
         assert bool(gait.found) == bool(gait.stable) == found
@@ -375,7 +378,7 @@ def test_multipliers_of_a_traced_search_are_those_of_the_strides_in_their_order(
     def bend(x):
         return jnp.stack([1 - 1.92 * x[0] ** 2 + x[1], 0.05 * x[0] + 0.3 * x[0] * x[1]])
 
-    def ends(walker, states, tolerance):
+    def ends(walker, states, integrator):
         return jax.vmap(bend)(states), jnp.ones(len(states))
 
     def thrice(x):
@@ -385,7 +388,7 @@ def test_multipliers_of_a_traced_search_are_those_of_the_strides_in_their_order(
     x = jax.lax.fori_loop(0, 999, lambda _, x: bend(x), jnp.array([1.0, 0.0]))
     plain = inspect.unwrap(cycles.solve_cycle)
     start = jnp.stack([x, bend(x), bend(bend(x))])
-    gait = jax.jit(lambda start: plain(walker(), start, jnp.asarray(1e-12)))(start)
+    gait = jax.jit(lambda start: plain(walker(), start, Integrator(1e-12)))(start)
     assert gait.found
     end, jacobian = jax.jit(lambda x: (thrice(x), jax.jacfwd(thrice)(x)))(gait.states[0])
     np.testing.assert_allclose(end, gait.states[0], rtol=0, atol=1e-13)
@@ -398,12 +401,12 @@ def test_descent_reaches_gaits_from_where_newton_diverges():
     """From the cells of the whole section that make a stride at all."""
     grid = wj.Grid.plain(theta=(0, np.pi / 4, 30), thetadot=(-1, 0, 30))
     starts = grid.centres(np.arange(grid.size))
-    _, cycles = search.cycle_guesses(walker(), starts, 1, 1e-12)
-    newton = search.iterate_newton(walker(), cycles, 1e-12)
+    _, cycles = search.cycle_guesses(walker(), starts, 1, Integrator(1e-12))
+    newton = search.iterate_newton(walker(), cycles, Integrator(1e-12))
     assert 0.6 < newton.found.mean() < 0.85
     lost = cycles[~newton.found]
     nearer = wj.descend(walker(), lost)
-    rescued = search.iterate_newton(walker(), nearer, 1e-12)
+    rescued = search.iterate_newton(walker(), nearer, Integrator(1e-12))
     assert rescued.found.mean() > 0.7
     before, after = (
         np.abs(wj.strides(walker(), x[:, 0]).state - x[:, 0]).max(axis=1) for x in (lost, nearer)
@@ -427,7 +430,7 @@ def test_each_search_may_have_its_own_walker():
         if (v["slope"], v["kind"]) == (s, "long")
     ]
     walkers = parameters.with_parameter(walker(), "slope", slopes)
-    found = search.iterate_newton(walkers, np.array(states)[:, None] + 1e-3, 1e-12)
+    found = search.iterate_newton(walkers, np.array(states)[:, None] + 1e-3, Integrator(1e-12))
     np.testing.assert_allclose(found.states[:, 0], states, rtol=0, atol=1e-11)
     ends = wj.strides(walkers, np.array(states))
     np.testing.assert_allclose(ends.state, states, rtol=0, atol=1e-11)

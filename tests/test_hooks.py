@@ -237,7 +237,7 @@ def test_the_least_disturbance_is_where_strides_begin_to_fail(walking, nearest):
 def test_its_gradient_is_that_of_sizes(walking, nearest):
     gait, _ = nearest
     names = "limit", "spread", "bound", "least"
-    options = dict(directions=48, strides=100)
+    options: Any = dict(directions=48, strides=100)
     gradient = wj.disturbance_gradient(walking, names, gait, **options).gradient
 
     def size(name: str, change: float) -> float:

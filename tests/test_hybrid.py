@@ -11,8 +11,10 @@ from hypothesis import strategies as st
 from walker_jax.hybrid.crossings import HOP, Crossing, begins_below, first_rise, may_rise
 from walker_jax.hybrid.following import NO_GUARD, follow_mode
 from walker_jax.hybrid.modes import Condition, Foregone, Guard, Mode
+from walker_jax.integrators.method import Method
 from walker_jax.integrators.series import evaluate_polynomial
-from walker_jax.integrators.solvers import SERIES_ORDER, Method, Taylor
+from walker_jax.integrators.taylor_solver import Taylor
+from walker_jax.integrators.taylor_steps import SERIES_ORDER
 from walker_jax.kernels import by_kernel
 
 TOLERANCE = 1e-12

@@ -14,7 +14,7 @@ import optimistix
 import pytest
 from test_kernels import run
 
-from walker_jax.integrators.solvers import Taylor
+from walker_jax.integrators.taylor_solver import Taylor
 from walker_jax.kernels import UnsupportedPrimitive
 
 pytestmark = pytest.mark.usefixtures("quick_references")

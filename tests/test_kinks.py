@@ -13,6 +13,7 @@ from scipy.integrate import solve_ivp
 
 import walker_jax as wj
 from walker_jax.gaits.derivatives import linearise
+from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.roots import first_zero
 from walker_jax.integrators.taylor import function_series, solution_series, switching_series
 from walker_jax.kernels import by_kernel
@@ -106,7 +107,7 @@ def test_under_jit_a_stride_through_kinks_is_the_same():
 @pytest.mark.parametrize("parameter", ["stiffness", "slope"])
 def test_derivatives_of_strides_through_kinks(parameter):
     walker, h = limited(5.0), {"stiffness": 1e-3, "slope": 1e-5}[parameter]
-    found = linearise(walker, STARTS[:, None], 1e-12, parameter)
+    found = linearise(walker, STARTS[:, None], Integrator(1e-12), parameter)
 
     def ends(starts, walker: Any = walker):
         return wj.strides(walker, starts).state

@@ -16,6 +16,7 @@ from scipy.integrate import solve_ivp
 import walker_jax as wj
 from walker_jax import BentState, KneedWalker, Outcome, RoundFootWalker, State
 from walker_jax.gaits.derivatives import linearise
+from walker_jax.integrators.integrator import Integrator
 from walker_jax.walkers.kneed import FreeKnee, begin_bent, stance_knee_moment
 from walker_jax.walkers.model import toppling_rate
 from walker_jax.walkers.parameters import parameters
@@ -238,7 +239,7 @@ def test_jacobians_are_differences():
     differences = table[:, 0]
     scale = np.abs(differences).max()
     for name, expected in zip(names, differences[3:], strict=True):
-        found = linearise(WALKER, cycle, tolerance, name)
+        found = linearise(WALKER, cycle, Integrator(tolerance), name)
         np.testing.assert_allclose(found.jacobian[0, 0].T, differences[:3], atol=1e-7 * scale)
         np.testing.assert_allclose(found.by_parameter[0, 0], expected, atol=1e-7 * scale)
 

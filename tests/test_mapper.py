@@ -11,6 +11,7 @@ from walker_jax.basins.attractor_search import find_attractors, on_lasting_motio
 from walker_jax.basins.mapper import Mapper
 from walker_jax.basins.methods import attractors_of_cycles, direct_iteration
 from walker_jax.cellmaps import resolve
+from walker_jax.integrators.integrator import Integrator
 from walker_jax.walking import iteration
 from walker_jax.walking.iteration import Targets, iterate, orbits
 
@@ -44,13 +45,13 @@ def test_rounds_change_nothing(starts, count, monkeypatch):
     for rounds, many in (((4, 16, 64), 1), ((4, 16, 64), 1000), ((1,), 1000), ((7, 2), 100)):
         monkeypatch.setattr(iteration, "ROUNDS", rounds)
         monkeypatch.setattr(iteration, "MANY_WALKS", many)
-        end = iterate(WALKER, starts, count, None)
+        end = iterate(WALKER, starts, count, Integrator(1e-12))
         np.testing.assert_array_equal(end.outcome, outcome)
         np.testing.assert_array_equal(end.strides, np.isfinite(states[:, 1:, 0]).sum(axis=1))
         walking = outcome == Outcome.STRIDE
         np.testing.assert_array_equal(end.state[walking], states[walking, -1])
         assert np.isnan(end.state[~walking]).all() and (end.target == -1).all()
-    recorded, last = orbits(WALKER, starts, count, None)
+    recorded, last = orbits(WALKER, starts, count, Integrator(1e-12))
     np.testing.assert_array_equal(recorded, states)
     np.testing.assert_array_equal(last, outcome)
 
@@ -59,11 +60,11 @@ def test_each_start_may_have_a_walker_of_its_own(starts):
     slopes = np.linspace(0.003, 0.015, len(starts))
     walkers = jax.vmap(wj.SimplestWalker)(slopes)
     states, outcome = walks_of(starts, 20, walkers)
-    end = iterate(walkers, starts, 20, None)
+    end = iterate(walkers, starts, 20, Integrator(1e-12))
     np.testing.assert_array_equal(end.outcome, outcome)
     walking = outcome == Outcome.STRIDE
     np.testing.assert_array_equal(end.state[walking], states[walking, -1])
-    np.testing.assert_array_equal(orbits(walkers, starts, 20, None)[0], states)
+    np.testing.assert_array_equal(orbits(walkers, starts, 20, Integrator(1e-12))[0], states)
 
 
 @pytest.mark.parametrize("far", [0, 1, 40])
@@ -73,7 +74,11 @@ def test_a_walk_ends_at_the_nearest_target_that_it_reaches_first(starts, far):
     near = GAIT + np.array([[0.0, 0.0], [4e-3, 0.0]])
     centres = np.concatenate([near, np.full((far, 2), 0.7)])
     end = iterate(
-        WALKER, starts, 40, None, Targets(centres, np.tile(np.eye(2) / 5e-3, (2 + far, 1, 1)))
+        WALKER,
+        starts,
+        40,
+        Integrator(1e-12),
+        Targets(centres, np.tile(np.eye(2) / 5e-3, (2 + far, 1, 1))),
     )
     away = np.abs(states[:, :, None] - near).max(axis=3)
     inside = (away < 5e-3).any(axis=2)
@@ -92,7 +97,7 @@ def test_a_walk_ends_at_the_nearest_target_that_it_reaches_first(starts, far):
 def test_the_mapper_labels_starts_by_the_attractor_that_they_converge_to(starts):
     cycle = Attractor(1, GAIT)
     wandering = Attractor(None, np.array([[0.2, -0.3]]))
-    labels = Mapper(WALKER, [wandering, cycle], 1e-12, 200)(starts)
+    labels = Mapper(WALKER, [wandering, cycle], Integrator(1e-12), 200)(starts)
     _, outcome = walks_of(starts, 200)
     np.testing.assert_array_equal(labels.converged, outcome == Outcome.STRIDE)
     assert set(labels.attractor.tolist()) == {-1, 1} and labels.strides[0] == 0
@@ -102,7 +107,7 @@ def test_the_mapper_labels_starts_by_the_attractor_that_they_converge_to(starts)
 
 
 def test_walkers_that_remain_are_given_attractors_that_are_found_from_them(starts):
-    mapper = Mapper(WALKER, [], 1e-12, 20)
+    mapper = Mapper(WALKER, [], Integrator(1e-12), 20)
     labels = mapper(starts)
     assert len(labels.remaining) > 5 and not labels.converged.any()
     labels, mapper = mapper.label_all(starts)
@@ -119,13 +124,13 @@ CHAOTIC = 0.01017
 def test_a_motion_that_passes_close_to_a_gait_is_not_the_gait():
     walker = wj.SimplestWalker(CHAOTIC)
     gait = np.asarray(wj.find_gait(walker).states)
-    mapper = Mapper(walker, [Attractor(1, gait)], 1e-12, 200)
+    mapper = Mapper(walker, [Attractor(1, gait)], Integrator(1e-12), 200)
     grid = wj.Grid.sheared(theta=(0.1, 0.35, 120), sum=(-0.04, 0.01, 120))
     labels = mapper(grid.centres(np.arange(grid.size)))
     remaining = labels.states[labels.remaining]
     assert len(remaining) > 3
     # One that passes by, seen at all times of its way: close to the gait, and never on it.
-    states = orbits(walker, remaining[:1], 2000, 1e-12)[0][0]
+    states = orbits(walker, remaining[:1], 2000, Integrator(1e-12))[0][0]
     near = states[np.abs(states - gait).max(axis=1) < CLOSE]
     assert len(near) > 100
     np.testing.assert_array_equal(mapper.match_approaching(near[:64]), -1)
@@ -136,30 +141,30 @@ def test_a_slow_approach_is_one():
     for slope in (0.01508, 0.0151):
         walker = wj.SimplestWalker(slope)
         start = np.asarray(wj.find_gait(walker).states)[:1] + 1e-4
-        (found,) = find_attractors(walker, start, 1e-12)
+        (found,) = find_attractors(walker, start, Integrator(1e-12))
         assert found.period == (1 if slope < 0.01509 else 2)
-        mapper = Mapper(walker, [found], 1e-12, 50)
+        mapper = Mapper(walker, [found], Integrator(1e-12), 50)
         np.testing.assert_array_equal(mapper(found.states + 2e-4).attractor, 0)
-        assert on_lasting_motion(walker, start, [], 1e-12).tolist() == [0]
-        assert on_lasting_motion(walker, start, [found], 1e-12).tolist() == []
+        assert on_lasting_motion(walker, start, [], Integrator(1e-12)).tolist() == [0]
+        assert on_lasting_motion(walker, start, [found], Integrator(1e-12)).tolist() == []
 
 
 def test_an_unstable_gait_attracts_nothing_though_it_repeats_itself():
     walker = wj.SimplestWalker(0.0152)
     gait = wj.find_gait(walker)
     assert gait.found and not gait.stable
-    assert find_attractors(walker, np.asarray(gait.states), 1e-12) == []
+    assert find_attractors(walker, np.asarray(gait.states), Integrator(1e-12)) == []
 
 
 def test_a_transient_is_no_attractor():
     """Above the crisis walkers take some hundred strides to fall, below it they go on."""
     grid = wj.Grid.sheared(theta=(0.15, 0.3, 60), sum=(-0.02, 0.005, 60))
     x = grid.centres(np.arange(grid.size))
-    (chaos,) = find_attractors(wj.SimplestWalker(0.0189), x, 1e-12)
+    (chaos,) = find_attractors(wj.SimplestWalker(0.0189), x, Integrator(1e-12))
     assert chaos.period is None
     walker = wj.SimplestWalker(0.0191)
-    assert find_attractors(walker, x, 1e-12) == []
-    labels, mapper = Mapper(walker, [], 1e-12, 200).label_all(x)
+    assert find_attractors(walker, x, Integrator(1e-12)) == []
+    labels, mapper = Mapper(walker, [], Integrator(1e-12), 200).label_all(x)
     assert len(labels.remaining) > 0 and mapper.attractors == []
 
 
@@ -174,7 +179,7 @@ def test_a_transient_that_ends_at_a_gait_is_no_attractor(slope, periods):
     data = wj.basin(walker, grid, "direct", strides=150)
     assert data.period.values.tolist() == periods
     left = np.flatnonzero((data.fate.values == 0) & (data.strides.values == 150))
-    end = iterate(walker, grid.centres(left), 8000, 1e-12)
+    end = iterate(walker, grid.centres(left), 8000, Integrator(1e-12))
     at_gait = np.abs(end.state - data.states.values[0, 0]).max(axis=1) < 1e-6
     assert len(left) > 3 and (end.outcome == 0).all()
     assert at_gait.all() if len(periods) == 1 else not at_gait.any()
@@ -183,7 +188,7 @@ def test_a_transient_that_ends_at_a_gait_is_no_attractor(slope, periods):
 
 def test_a_motion_without_a_period_is_listed_where_walkers_are_left_on_it():
     wandering = Attractor(None, np.array([[0.2, -0.3]]))
-    mapper = Mapper(WALKER, [Attractor(1, GAIT), wandering], 1e-12, 5)
+    mapper = Mapper(WALKER, [Attractor(1, GAIT), wandering], Integrator(1e-12), 5)
     few = direct_iteration(mapper, REGION)
     assert (few.attractor == 1).any() and len(few.attractors) == 2
     many = direct_iteration(mapper._replace(strides=300), REGION)
@@ -192,12 +197,12 @@ def test_a_motion_without_a_period_is_listed_where_walkers_are_left_on_it():
 
 def test_an_attractor_to_which_no_cycle_of_cells_belongs_is_not_listed():
     """Of a cycle of three cells, one centre leads to the gait: the cycle is an artefact."""
-    labels = Mapper(WALKER, [Attractor(1, GAIT)], 1e-12, 300)(
+    labels = Mapper(WALKER, [Attractor(1, GAIT)], Integrator(1e-12), 300)(
         REGION.centres(np.arange(REGION.size))
     )
     cycle = [int(labels.converged.argmax()), *np.flatnonzero(labels.fallen)[:2].tolist()]
     image = np.full(REGION.size, REGION.size + Outcome.FORWARD)
     image[cycle] = np.roll(cycle, -1)
     ends = resolve(image, sinks=len(Outcome))
-    (artefact,), number = attractors_of_cycles(WALKER, REGION, ends, 1e-12)
+    (artefact,), number = attractors_of_cycles(WALKER, REGION, ends, Integrator(1e-12))
     assert artefact.artefact and artefact.period == 3 and number.tolist() == [0]

@@ -7,6 +7,7 @@ import pytest
 
 import walker_jax as wj
 from walker_jax import Outcome
+from walker_jax.integrators.integrator import Integrator
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.walkers.spatial import LEAST_STEP
 from walker_jax.walking.failure_margins import Margins, failure_margin
@@ -213,7 +214,10 @@ def test_its_gradient_is_that_of_bisections():
         low, high = found.size - 2e-4, found.size + 2e-4
         for _ in range(6):  # 65 points each: to 1e-14
             sizes = np.linspace(low, high, 65)
-            failed = iterate(walker, x + sizes[:, None] * np.eye(7)[4], 60, None).outcome != 0
+            failed = (
+                iterate(walker, x + sizes[:, None] * np.eye(7)[4], 60, Integrator(1e-12)).outcome
+                != 0
+            )
             low, high = sizes[failed.argmax() - 1], sizes[failed.argmax()]
         return high
 

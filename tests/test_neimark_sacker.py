@@ -13,6 +13,7 @@ from walker_jax.gaits.crises import Loss
 from walker_jax.gaits.diagrams import assemble_diagram
 from walker_jax.gaits.events import Bifurcation
 from walker_jax.gaits.summary import summarise_bifurcations
+from walker_jax.integrators.integrator import Integrator
 from walker_jax.storage.schema import check_dataset
 from walker_jax.walking.iteration import orbits
 
@@ -124,7 +125,7 @@ def test_the_walker_in_space_loses_its_gait_to_a_motion_on_a_closed_curve():
         gait = wj.find_gait(walker, point.states)
         assert gait.found and gait.stable != grows
         start = gait.states[0] + 1e-4 * np.eye(7)[0]
-        ((states,), _) = orbits(walker, np.asarray(start)[None], 3000, None)
+        ((states,), _) = orbits(walker, np.asarray(start)[None], 3000, Integrator(1e-12))
         distance = np.linalg.norm(states - gait.states[0], axis=1)
         early, late = distance[100:140].max(), distance[2900:2940].max()
         rate = (late / early) ** (1 / 2800)

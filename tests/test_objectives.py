@@ -19,6 +19,7 @@ from walker_jax.design.area_gradients import area_gradient, boundary_pairs, inte
 from walker_jax.design.bands import walkers_at_band_ends
 from walker_jax.design.disturbance_gradients import disturbance_gradient
 from walker_jax.design.measures import GAIT_MEASURES, gait_measures
+from walker_jax.integrators.integrator import Integrator
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.walkers.parameters import with_parameter
 
@@ -188,7 +189,7 @@ def test_the_error_of_an_integral_is_that_of_a_sum_of_independent_parts(disc, mo
     label = label_of(np.where(attractor < 0, 1, 0), attractor)
     runs = Runs.from_cells(label, np.zeros_like(label))
     walker = wj.SimplestWalker(0.004)
-    mapper = Mapper(walker, [], 1e-10, 10)
+    mapper = Mapper(walker, [], Integrator(1e-10), 10)
     found = refinement.Refined(
         *(
             grid,
@@ -346,7 +347,7 @@ def test_crossings_are_between_neighbours_that_differ():
     label = label_of(np.where(attractor < 0, 1, 0), attractor)
     runs = Runs.from_cells(label, np.zeros_like(label))
     grid = wj.Grid.plain(theta=(0, 1, 2), thetadot=(0, 1, 3))
-    mapper = Mapper(wj.SimplestWalker(0.004), [], 1e-10, 10)
+    mapper = Mapper(wj.SimplestWalker(0.004), [], Integrator(1e-10), 10)
     found = refinement.Refined(
         *(grid, runs, np.arange(6), np.zeros(6, int), mapper, 0.5, 0.0, [6], [6], 0, NONE, NONE, 0)
     )

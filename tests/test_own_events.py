@@ -11,7 +11,8 @@ from fixed_steps import strides as strides_by_fixed_steps
 from part_of_swing import PartOfSwing
 
 import walker_jax as wj
-from walker_jax.integrators.solvers import step_length, taylor_step
+from walker_jax.integrators.integrator import Integrator
+from walker_jax.integrators.taylor_steps import step_length, taylor_step
 from walker_jax.kernels import by_kernel
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.walkers.model import State
@@ -345,7 +346,7 @@ def test_falls_of_ones_own_end_phases_too():
 def test_boundaries_move_with_the_limit_of_a_fall_as_margins_say():
     """Points of the basin's boundary, by bisection at two limits, and by derivatives of margins."""
     at = lambda limit: LimitedWalker(*jnp.array([0.004, limit, 0.0]))
-    walks = lambda limit, x: iterate(at(limit), x, 60, 1e-12)
+    walks = lambda limit, x: iterate(at(limit), x, 60, Integrator(1e-12))
     total = np.linspace(-0.03, 0.0, 60)
     line = lambda theta: np.stack([theta, total - theta], axis=1)
     across = np.linspace(0.4, 0.0, 41)

@@ -12,6 +12,7 @@ from part_of_swing import PartOfSwing
 import walker_jax as wj
 from walker_jax import Outcome, SimplestWalker
 from walker_jax.gaits.derivatives import linearise
+from walker_jax.integrators.integrator import Integrator
 from walker_jax.walkers.parameters import with_parameter
 
 SLOPE, LEAN = 0.004, 0.15
@@ -77,7 +78,10 @@ def test_a_foot_that_comes_down_in_a_phase_lands_and_later_makes_the_same_stride
 def test_derivatives_through_the_end_of_a_phase_are_those_of_differences():
     """Of states, by the start and by both parameters."""
     walker, x = slowed(0.9), STARTS[0]
-    found = {name: linearise(walker, x[None, None], 1e-13, name) for name in ("slope", "kept")}
+    found = {
+        name: linearise(walker, x[None, None], Integrator(1e-13), name)
+        for name in ("slope", "kept")
+    }
 
     def ends(zs: np.ndarray) -> np.ndarray:
         many = with_parameter(with_parameter(walker, "slope", zs[:, 2]), "kept", zs[:, 3])

@@ -15,6 +15,7 @@ from walker_jax import State, multibody
 from walker_jax.checks import WrongUse
 from walker_jax.design.measures import cost_is_known
 from walker_jax.gaits.derivatives import linearise
+from walker_jax.integrators.integrator import Integrator
 from walker_jax.walkers.model import Scalar
 from walker_jax.walkers.parameters import Parameter
 from walker_jax.walkers.powered_masses import AbstractPoweredWalker
@@ -321,9 +322,9 @@ def test_feedback_changes_the_jacobian_by_the_gains(level_gait):
     np.testing.assert_allclose(gait.states, level_gait.states, rtol=0, atol=1e-14)
     cycle = np.asarray(level_gait.states)[None]
     arrays = lambda walker: jax.tree.map(np.asarray, walker)
-    plain = linearise(arrays(LEVEL), cycle, 1e-12, "push_off")
+    plain = linearise(arrays(LEVEL), cycle, Integrator(1e-12), "push_off")
     expected = plain.jacobian[0, 0] + np.outer(plain.by_parameter[0, 0], gains)
-    found = linearise(arrays(fed), cycle, 1e-12).jacobian[0, 0]
+    found = linearise(arrays(fed), cycle, Integrator(1e-12)).jacobian[0, 0]
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11)
 
 

@@ -35,7 +35,8 @@ def test_a_heel_strike_at_the_end_of_a_step_is_not_lost_to_rounding():
 def upcrossing(start, sides):
     """The zero of a line of slope 1 from a height, in a step of length 1."""
     value, yes = [start, jnp.array(1.0), jnp.array(0.0)], jnp.asarray(True)
-    return rise_of(Crossing(value, [], *sides, yes), jnp.array(1.0))
+    below, ends_below = sides
+    return rise_of(Crossing(value, [], below, ends_below, yes), jnp.array(1.0))
 
 
 @pytest.mark.parametrize("end", [-1e-17, 0.0, 1e-17])

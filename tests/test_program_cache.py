@@ -12,7 +12,9 @@ import pytest
 
 import walker_jax as wj
 from walker_jax.checks import WrongUse
-from walker_jax.integrators import roots, solvers
+from walker_jax.integrators import method, roots
+from walker_jax.integrators.integrator import Integrator
+from walker_jax.integrators.taylor_solver import Taylor
 from walker_jax.kernels import object_cache, primitive, program_cache
 from walker_jax.walkers.simplest import SimplestWalker
 from walker_jax.walking import stepping
@@ -45,11 +47,11 @@ def as_of_another_process(function=end_of_stride, x=START):
     return np.asarray(function(jnp.asarray(x)))
 
 
-def name_of(walker=None, dtype=float, function=stepping.follow_stride):
+def name_of(walker=None, dtype=float, function=stepping.follow_stride, solver=None):
     arguments = (
         walker or SimplestWalker(0.004),
         jnp.asarray(START, dtype),
-        jnp.asarray(1e-12, dtype),
+        Integrator(1e-12, solver),
     )
     leaves, structure = jax.tree.flatten(arguments)
     avals = [jax.typeof(jnp.asarray(leaf, dtype)) for leaf in leaves]
@@ -108,17 +110,17 @@ def test_a_name_stands_for_all_that_a_trace_depends_on(monkeypatch):
         name_of(wj.KneedWalker(0.05)),
         name_of(wj.KneedWalker(0.05, check_lock=True)),
         name_of(function=stepping.follow_phase_times),
+        name_of(solver=diffrax.Dopri8()),
+        name_of(solver=diffrax.Tsit5()),
+        name_of(solver=diffrax.Tsit5(scan_kind="lax")),
+        name_of(solver=Taylor(10)),
     ]
-    with solvers.using_solver(diffrax.Dopri8()):
-        names.append(name_of())
-    with solvers.using_solver(diffrax.Tsit5()):
-        names.append(name_of())
     with jax.numpy_dtype_promotion("standard"):
         names.append(name_of())
     plain: Any = roots.differentiable_zero
     replaced = functools.wraps(plain)(lambda *args: plain(*args))
     changes = [
-        (solvers, "MAX_STEPS", 7),
+        (method, "MAX_STEPS", 7),
         (program_cache, "register_bits", lambda: 64),
         (roots, "differentiable_zero", replaced),
         (roots, "differentiable_zero", roots.interior_minimum),
@@ -150,8 +152,17 @@ def test_what_is_defined_elsewhere_has_no_name():
     )
     assert name_of(alike(0.004)) is None
     assert name_of(function=lambda walker, x, tolerance: x) is None
-    with solvers.using_solver(Mine()):
-        assert name_of() is None
+    assert name_of(solver=Mine()) is None
+
+
+def test_each_solver_has_a_program_of_its_own():
+    one, other = diffrax.Dopri8(), diffrax.Tsit5()
+    by = [wj.stride(SimplestWalker(0.004), START, solver=solver) for solver in (None, one, other)]
+    count = len(primitive.programs)
+    again = wj.stride(SimplestWalker(0.004), START, solver=diffrax.Dopri8())
+    assert len(primitive.programs) == count
+    states = {np.asarray(found.state).tobytes() for found in by}
+    assert len(states) == 3 and np.asarray(again.state).tobytes() in states
 
 
 def test_results_that_are_no_tuples_are_not_kept(folder):

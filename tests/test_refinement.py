@@ -11,6 +11,7 @@ from walker_jax.basins.mapper import Labels, Mapper
 from walker_jax.basins.refinement import finer, refine
 from walker_jax.design.area_gradients import integrate_over_basin
 from walker_jax.grids import edge
+from walker_jax.integrators.integrator import Integrator
 
 WALKER = wj.SimplestWalker(0.004)
 GRID = wj.Grid.sheared(theta=(0, 0.4, 100), sum=(-0.04, 0.01, 60))
@@ -151,7 +152,7 @@ def refined_by(number_of, monkeypatch, levels=2, check=4000, seed=0):
         fate = np.where(number >= 0, Outcome.STRIDE, Outcome.FORWARD).astype(np.int8)
         return Labels(fate, number, np.ones(len(x), np.int32), x)
 
-    mapper = Mapper(WALKER, [Attractor(1, np.zeros((1, 2)))] * 2, 1e-12, 10)
+    mapper = Mapper(WALKER, [Attractor(1, np.zeros((1, 2)))] * 2, Integrator(1e-12), 10)
     monkeypatch.setattr(Mapper, "follow", labels_of)
     monkeypatch.setattr(refinement, "mapper_of_grid", lambda *_: mapper)
     monkeypatch.setattr(refinement, "with_capture_boxes", lambda mapper: mapper)

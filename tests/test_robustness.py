@@ -13,6 +13,7 @@ from walker_jax.basins.mapper import Mapper
 from walker_jax.execution.tiles import map_cells
 from walker_jax.fractals import Uncertainty
 from walker_jax.gaits.cycles import Gait
+from walker_jax.integrators.integrator import Integrator
 from walker_jax.stability import summary
 from walker_jax.stability.descents import descend_to_failure
 from walker_jax.stability.dimension import boundary_dimension
@@ -191,7 +192,7 @@ def test_the_boundary_is_at_right_angles_to_the_least_disturbance(gait, least):
 
 def test_walkers_come_to_their_gait_from_the_whole_of_its_box(gait):
     """Also from between the starts that the box was found by, and from twice as far off."""
-    mapper = Mapper(WALKER, [Attractor(1, np.asarray(gait.states))], 1e-12, 300)
+    mapper = Mapper(WALKER, [Attractor(1, np.asarray(gait.states))], Integrator(1e-12), 300)
     (cycle,) = with_capture_boxes(mapper).attractors
     assert cycle.capture_boxes is not None
     rng = np.random.default_rng(5)
@@ -397,7 +398,7 @@ def test_the_least_step_down_that_ends_in_a_fall_is_higher(steep, boxed):
     state = np.broadcast_to(steep.states[0], (len(heights), 2))
     down = map_cells(
         follow_step,
-        (STEEP, state, -heights, np.float64(1e-12)),
+        (STEEP, state, -heights, Integrator(np.float64(1e-12))),
         (False, True, True, False),
     )
     back, fallen = ends_of(wj.strides(STEEP, down.state).state, steep)

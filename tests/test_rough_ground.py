@@ -14,6 +14,7 @@ from scipy.sparse import csr_array
 import walker_jax as wj
 from walker_jax import Disturbance, Outcome, SimplestWalker
 from walker_jax.checks import ComputationFailed, WrongUse
+from walker_jax.integrators.integrator import Integrator
 from walker_jax.kernels.control import MAX_UNROLLED_TURNS
 from walker_jax.stability import rough_ground, stochastic_map
 from walker_jax.stability.rough_ground import (
@@ -387,7 +388,9 @@ def test_the_norm_is_that_of_the_matrices(gait):
     found = wj.gait_sensitivity(WALKER, gait)
     A, B, C, D = (np.asarray(one) for one in found[1:5])
     x, h = jnp.stack(WALKER.lift(jnp.asarray(gait.states[0]))), 1e-5
-    response = jax.jit(lambda e: follow_disturbed(WALKER, x, Disturbance(*e), jnp.asarray(1e-12)))
+    response = jax.jit(
+        lambda e: follow_disturbed(WALKER, x, Disturbance(*e), Integrator(jnp.asarray(1e-12)))
+    )
     for column, unit in zip(B.T, np.eye(3), strict=True):
         step = lambda k, unit=unit: response(k * h * unit).state - response(-k * h * unit).state
         central = (8 * step(1) - step(2)) / (12 * h)

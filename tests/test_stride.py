@@ -18,6 +18,7 @@ from scipy.optimize import brentq
 import walker_jax as wj
 from walker_jax import Outcome, SimplestWalker, State, Walker
 from walker_jax.execution.tiles import map_cells
+from walker_jax.integrators.integrator import Integrator
 from walker_jax.walking.stepping import follow_step
 
 DATA = Path(__file__).parent / "data"
@@ -388,7 +389,7 @@ def steps_down(starts, drop, at, width, jumps=0.0, tolerance=1e-12):
     """Steps down of such walkers, each pulled at a place of its own."""
     pulled = lambda at: PulledWalker(0.009, at, jnp.asarray(width), jnp.asarray(jumps))
     cells = jax.vmap(pulled)(jnp.asarray(at)), np.array(starts), np.full(len(starts), -drop)
-    args = *cells, np.float64(tolerance)
+    args = *cells, Integrator(np.float64(tolerance))
     return map_cells(follow_step, args, (True, True, True, False))
 
 
@@ -948,7 +949,7 @@ def test_a_step_down_by_nothing_is_a_stride_from_anywhere():
         drops = np.full(len(starts), drop)
         down = map_cells(
             follow_step,
-            (walker, starts, -drops, np.float64(1e-12)),
+            (walker, starts, -drops, Integrator(np.float64(1e-12))),
             (False, True, True, False),
         )
         np.testing.assert_array_equal(down.outcome, level.outcome)

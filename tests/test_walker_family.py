@@ -28,6 +28,7 @@ from walker_jax import (
     multibody,
 )
 from walker_jax.gaits.derivatives import linearise
+from walker_jax.integrators.integrator import Integrator
 from walker_jax.kernels.primitive import programs
 from walker_jax.kernels.scalars import unroll
 from walker_jax.multibody import System
@@ -871,7 +872,7 @@ def test_derivatives_equal_extrapolated_differences(walker, x):
     names = [parameter.name for parameter in parameters(walker)]
     values = np.array([float(getattr(walker, name)) for name in names])
     cycle = np.array([[x]])
-    found = [linearise(walker, cycle, TOLERANCE, name) for name in names]
+    found = [linearise(walker, cycle, Integrator(TOLERANCE), name) for name in names]
     jacobian = np.concatenate(
         [found[0].jacobian[0, 0], np.stack([each.by_parameter[0, 0] for each in found], axis=1)],
         axis=1,
@@ -879,7 +880,7 @@ def test_derivatives_equal_extrapolated_differences(walker, x):
 
     def following(zs):
         many = [type(walker)(*z[len(x) :]) for z in zs]
-        return linearise(stacked(many), zs[:, None, : len(x)], TOLERANCE).state[:, 0]
+        return linearise(stacked(many), zs[:, None, : len(x)], Integrator(TOLERANCE)).state[:, 0]
 
     steps = 4e-4 * np.concatenate([np.ones(len(x)), np.maximum(values, 0.25)])
     steps[len(x) + np.flatnonzero(np.isin(names, ["slope", "foot_mass"]))] = 1e-4

@@ -15,7 +15,7 @@ from walker_jax.basins.mapper import Mapper
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import search_gait
 from walker_jax.grids import Grid
-from walker_jax.integrators.solvers import default_tolerance
+from walker_jax.integrators.integrator import integrator_of
 from walker_jax.walkers.model import Walker
 
 STARTS = 2**11, 2**13, 2**15
@@ -37,12 +37,12 @@ def gait_of_basins(walker: Walker, data: xr.Dataset, tolerance: float | None) ->
 
 def gait_of_grid(walker: Walker, grid: Grid, strides: int, tolerance: float | None) -> Gait | None:
     """The gait to which most walkers converge from a sample of a grid's cells; None if none do."""
-    tolerance = float(default_tolerance(jnp.asarray(0.0).dtype, tolerance))
+    integrator = integrator_of(jnp.asarray(0.0).dtype, tolerance)
     largest = None
     for count in STARTS:
         starts = grid.centres(sample_indices(grid.size, count))
         # The first stands for all motions without a period: whether they last does not matter.
-        mapper = Mapper(walker, [Attractor(None, starts[:1])], tolerance, strides)
+        mapper = Mapper(walker, [Attractor(None, starts[:1])], integrator, strides)
         mapper = mapper.with_attractors_from(starts)
         labels = mapper(starts)
         sizes = np.bincount(labels.attractor[labels.converged], minlength=2)

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Int
 from walker_jax.basins.attractor import CLOSE, Attractor, capture_radius, match_attractor
 from walker_jax.gaits.cycles import gait_at
 from walker_jax.gaits.search import cycle_guesses, iterate_newton
+from walker_jax.integrators.integrator import Integrator
 from walker_jax.walkers.model import Walker
 from walker_jax.walking.iteration import iterate, orbits
 from walker_jax.walking.outcomes import Outcome
@@ -51,7 +52,7 @@ def sample_indices(n: int, most: int = SAMPLE) -> Int[np.ndarray, " m"]:
 def find_attractors(
     walker: Walker,
     x: Float[np.ndarray, "n section"],
-    tolerance: float,
+    integrator: Integrator,
     known: Sequence[Attractor] = (),
 ) -> list[Attractor]:
     """The known attractors, and those to which walkers converge that start at x.
@@ -64,7 +65,7 @@ def find_attractors(
     found, exact = list(known), 1e3 * np.finfo(x.dtype).eps
     starts, period, nearest = x, np.ones(len(x), int), np.zeros(len(x))
     for _ in range(PATIENCE):
-        states, outcome = orbits(walker, x, LONGEST_PERIOD, tolerance)
+        states, outcome = orbits(walker, x, LONGEST_PERIOD, integrator)
         walks = outcome == Outcome.STRIDE
         starts, back = starts[walks], states[walks, ::-1]  # (walkers, strides back, coordinates)
         misses = np.abs(back[:, 1:] - back[:, :1]).max(axis=2)
@@ -76,7 +77,7 @@ def find_attractors(
             count = first_period(miss, capture_radius(x.dtype))
             cycle = new_cycle(path[:count][::-1], found)
             # who started on an unstable cycle repeats itself too; who came to it was attracted
-            if cycle and (came_to(cycle, start) or attracts(walker, cycle.states, tolerance)):
+            if cycle and (came_to(cycle, start) or attracts(walker, cycle.states, integrator)):
                 found.append(cycle)
         x = back[:, 0]
         left = ~repeated & (match_attractor(x, found) < 0)
@@ -88,13 +89,13 @@ def find_attractors(
     solved = [
         cycle
         for start, count in zip(x[slow], period[slow], strict=True)
-        if (cycle := stable_cycle(walker, start, int(count), tolerance)) is not None
+        if (cycle := stable_cycle(walker, start, int(count), integrator)) is not None
     ]
     for states in solved:
         if cycle := new_cycle(states, found):
             found.append(cycle)
     if not solved and all(one.period for one in found):
-        wandering = on_lasting_motion(walker, x[:WITNESSES], found, tolerance)
+        wandering = on_lasting_motion(walker, x[:WITNESSES], found, integrator)
         if len(wandering):
             found.append(Attractor(None, x[wandering[:1]]))
     return found
@@ -104,15 +105,15 @@ def on_lasting_motion(
     walker: Walker,
     x: Float[np.ndarray, "n section"],
     cycles: Sequence[Attractor],
-    tolerance: float,
+    integrator: Integrator,
 ) -> Int[np.ndarray, " m"]:
     """Indices of the walkers on a motion that goes on, none if there is no such motion.
 
     They neither fall nor converge to a cycle for long, and later none of them does either.
     """
     early, late = SURVIVAL
-    left, x = still_wandering(walker, x, early, cycles, tolerance)
-    later, _ = still_wandering(walker, x, late, cycles, tolerance)
+    left, x = still_wandering(walker, x, early, cycles, integrator)
+    later, _ = still_wandering(walker, x, late, cycles, integrator)
     return left if len(later) == len(left) else left[:0]
 
 
@@ -121,12 +122,12 @@ def still_wandering(
     x: Float[np.ndarray, "n section"],
     strides: int,
     cycles: Sequence[Attractor],
-    tolerance: float,
+    integrator: Integrator,
 ) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m section"]]:
     """The walkers that neither fall nor converge to a cycle in some strides, and their states."""
-    end = iterate(walker, x, strides, tolerance)
+    end = iterate(walker, x, strides, integrator)
     left = np.flatnonzero(end.outcome == Outcome.STRIDE)
-    left = left[match_approaching(walker, end.state[left], cycles, tolerance) < 0]
+    left = left[match_approaching(walker, end.state[left], cycles, integrator) < 0]
     return left, end.state[left]
 
 
@@ -134,13 +135,13 @@ def match_approaching(
     walker: Walker,
     x: Float[np.ndarray, "n section"],
     attractors: Sequence[Attractor],
-    tolerance: float,
+    integrator: Integrator,
 ) -> Int[np.ndarray, " n"]:
     """Numbers of the cycles that walkers come ever nearer to, -1 for none."""
     number = match_attractor(x, attractors, CLOSE)
     for i in np.unique(number[number >= 0]).tolist():
         near = np.flatnonzero(number == i)
-        nearer = approaches(walker, x[near], attractors[i].states, tolerance)
+        nearer = approaches(walker, x[near], attractors[i].states, integrator)
         number[near[~nearer]] = -1
     return number
 
@@ -149,23 +150,25 @@ def approaches(
     walker: Walker,
     x: Float[np.ndarray, "n section"],
     cycle: Float[np.ndarray, "period section"],
-    tolerance: float,
+    integrator: Integrator,
 ) -> Bool[np.ndarray, " n"]:
     """Whether walkers that are `CLOSE` to a cycle come ever nearer to it.
 
     The largest distance from the cycle falls from one stretch of strides to the next, or they
     arrive. A walker on another motion, which passes by, goes away again.
     """
-    largest = largest_distances(walker, x, cycle, tolerance)
+    largest = largest_distances(walker, x, cycle, integrator)
     nearer = (largest[:, 0] < 2 * CLOSE) & (np.diff(largest, axis=1) < 0).all(axis=1)
     return nearer | (largest[:, -1] < capture_radius(x.dtype))
 
 
-def attracts(walker: Walker, cycle: Float[np.ndarray, "period section"], tolerance: float) -> bool:
+def attracts(
+    walker: Walker, cycle: Float[np.ndarray, "period section"], integrator: Integrator
+) -> bool:
     """Whether walkers that start beside a cycle stay there: they do not go ever farther away."""
     radius = capture_radius(cycle.dtype)
     beside = cycle[0] + radius * np.concatenate([np.eye(len(cycle[0])), -np.eye(len(cycle[0]))])
-    largest = largest_distances(walker, beside, cycle, tolerance).max(axis=0)
+    largest = largest_distances(walker, beside, cycle, integrator).max(axis=0)
     return bool(largest[-1] < max(radius, 1.5 * largest[1]))  # else NaN: one has failed
 
 
@@ -173,14 +176,14 @@ def largest_distances(
     walker: Walker,
     x: Float[np.ndarray, "n section"],
     cycle: Float[np.ndarray, "period section"],
-    tolerance: float,
+    integrator: Integrator,
 ) -> Float[np.ndarray, "n blocks"]:
     """How far walkers go away from a cycle in each of `BLOCKS` stretches; NaN after a failure."""
     largest = np.empty((len(x), BLOCKS), x.dtype)
     size = max(1, MAX_DISTANCES // (BLOCKS * LONGEST_PERIOD * cycle.size))
     for start in range(0, len(x), size):
         part = slice(start, start + size)
-        states, _ = orbits(walker, x[part], BLOCKS * LONGEST_PERIOD, tolerance)
+        states, _ = orbits(walker, x[part], BLOCKS * LONGEST_PERIOD, integrator)
         distance = distance_from(cycle, states[:, 1:])
         largest[part] = distance.reshape(-1, BLOCKS, LONGEST_PERIOD).max(axis=2)
     return largest
@@ -194,13 +197,13 @@ def distance_from(
 
 
 def stable_cycle(
-    walker: Walker, start: Float[np.ndarray, " section"], period: int, tolerance: float
+    walker: Walker, start: Float[np.ndarray, " section"], period: int, integrator: Integrator
 ) -> Float[np.ndarray, "period section"] | None:
     """The states of a stable cycle that a walker is `CLOSE` to, by Newton's iteration from it."""
-    _, cycles = cycle_guesses(walker, start[None], period, tolerance)
+    _, cycles = cycle_guesses(walker, start[None], period, integrator)
     if len(cycles) == 0:
         return None
-    gait = gait_at(iterate_newton(walker, cycles, tolerance), 0)
+    gait = gait_at(iterate_newton(walker, cycles, integrator), 0)
     states = np.asarray(gait.states)
     exact = gait.residual < 1e3 * np.finfo(start.dtype).eps
     stable = exact and np.abs(gait.multipliers[0]) < 1  # neither if NaN

@@ -75,7 +75,7 @@ def find_capture_boxes(mapper: Mapper, number: int, rng: np.random.Generator) ->
     if best < 0:
         return attractors[number]
     x = (cycle[:, None] + u @ cubes[best]).reshape(-1, size)
-    x = iterate(mapper.walker, x, SETTLING_PERIODS * period, mapper.tolerance).state
+    x = iterate(mapper.walker, x, SETTLING_PERIODS * period, mapper.integrator).state
     axes = np.linalg.svd(x.reshape(u.shape) - cycle[:, None], full_matrices=False)[2]
     cubes = HALF_EDGES[:, None, None, None] * axes
     box = cubes[max(largest(cubes, best + 1), 0)]

@@ -22,7 +22,7 @@ from walker_jax.basins.pieces import METHODS, compute_in_pieces
 from walker_jax.basins.schema import to_dataset
 from walker_jax.checks import WrongUse, check_precision, check_whole, refuses_tracers, short
 from walker_jax.grids import Grid
-from walker_jax.integrators.solvers import AnySolver, default_tolerance, using_solver
+from walker_jax.integrators.integrator import AnySolver, integrator_of
 from walker_jax.walkers.model import Walker
 
 BYTES_STORED = {"cell-map": 16, "direct": 0}
@@ -100,34 +100,33 @@ def basin(
     check_grid(walker, grid, method, (BYTES_PER_CELL if out is None else BYTES_STORED)[method])
     dtype = jnp.asarray(0.0).dtype
     check_precision(dtype)
-    tolerance = float(default_tolerance(dtype, tolerance))
+    integrator = integrator_of(dtype, tolerance, solver)
     limit = {"strides": strides} if method == "direct" else {}
-    settings = {"method": method, **limit, "tolerance": tolerance}
+    settings = {"method": method, **limit, "tolerance": float(integrator.tolerance)}
     if solver is not None:
         settings["solver"] = repr(solver)
         if cluster is not None:
             raise WrongUse(
                 f"solver must not be given with a cluster, unlike {solver!r}: leave out one of them"
             )
-    with using_solver(solver):
-        if out is not None:
-            return compute_in_pieces(
-                METHODS[method](walker, grid, settings),
-                Path(out),
-                request=request,
-                overwrite=overwrite,
-                cluster=cluster,
-                progress=progress,
-            )
-        if cluster is not None:
-            raise WrongUse(f"cluster={cluster!r} computes pieces of a store: out is required too")
-        if method == "cell-map":
-            basins = cell_mapping(walker, grid, tolerance, progress)
-        else:
-            window, made = follow_window(walker, grid, tolerance, strides)
-            mapper = mapper_of_grid(walker, window, tolerance, strides - made)
-            basins = direct_iteration(mapper.with_sorted_attractors(), window, progress)
-            basins = basins._replace(strides=basins.strides + np.int32(made))
+    if out is not None:
+        return compute_in_pieces(
+            METHODS[method](walker, grid, settings, integrator),
+            Path(out),
+            request=request,
+            overwrite=overwrite,
+            cluster=cluster,
+            progress=progress,
+        )
+    if cluster is not None:
+        raise WrongUse(f"cluster={cluster!r} computes pieces of a store: out is required too")
+    if method == "cell-map":
+        basins = cell_mapping(walker, grid, integrator, progress)
+    else:
+        window, made = follow_window(walker, grid, integrator, strides)
+        mapper = mapper_of_grid(walker, window, integrator, strides - made)
+        basins = direct_iteration(mapper.with_sorted_attractors(), window, progress)
+        basins = basins._replace(strides=basins.strides + np.int32(made))
     return to_dataset(walker, grid, basins, settings)
 
 

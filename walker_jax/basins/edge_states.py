@@ -27,9 +27,10 @@ from walker_jax.checks import (
 )
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import search_gait
-from walker_jax.integrators.solvers import default_tolerance
+from walker_jax.integrators.integrator import Integrator, integrator_of
 from walker_jax.walkers.model import Walker, check_single
-from walker_jax.walking.failure_margins import Margins, margins_of_many
+from walker_jax.walking.failure_margins import Margins, follow_margins
+from walker_jax.walking.iteration import for_each_start
 from walker_jax.walking.iteration import strides as take_strides
 from walker_jax.walking.outcomes import Outcome
 
@@ -99,9 +100,9 @@ def edge_state(
     check_whole("rounds", rounds)
     check_whole("strides", strides)
     ends = [check_state(walker, "a", a), check_state(walker, "b", b)]
-    checked_tolerance = float(default_tolerance(np.dtype(float), tolerance))
+    integrator = integrator_of(float, tolerance)
     share = np.linspace(0, 1, SAMPLE)[:, None]
-    mapper = Mapper(walker, [], checked_tolerance, strides)
+    mapper = Mapper(walker, [], integrator, strides)
     mapper = mapper.with_attractors_from((1 - share) * ends[0] + share * ends[1])
     mapper = with_capture_boxes(mapper)
 
@@ -116,7 +117,7 @@ def edge_state(
         raise WrongUse(f"{name} must be a feasible start, not {end.tolist()}")
     if first == second:
         raise WrongUse(f"a and b must have different fates, not both {explain_fate(first)}")
-    image = lambda x: np.asarray(take_strides(walker, x, tolerance=checked_tolerance).state)
+    image = lambda x: np.asarray(take_strides(walker, x, tolerance=tolerance).state)
 
     saddle: Gait | None = None
 
@@ -137,7 +138,7 @@ def edge_state(
     )
     fates = fate_of(track.labels[0]), fate_of(track.labels[1])
     if track.torn:
-        name, margin = failing_margin(walker, track.sides, checked_tolerance)
+        name, margin = failing_margin(walker, track.sides, integrator)
         return EdgeState(name if margin < ZERO else "", None, track.path, fates, margin)
     return EdgeState("" if saddle is None else "saddle", saddle, track.path, fates, np.nan)
 
@@ -157,10 +158,10 @@ def explain_fate(label: int) -> str:
 
 
 def failing_margin(
-    walker: Walker, x: Float[np.ndarray, "n section"], tolerance: float
+    walker: Walker, x: Float[np.ndarray, "n section"], integrator: Integrator
 ) -> tuple[str, float]:
     """The margin that is nearest to zero in the strides from some starts, and its size."""
-    found = margins_of_many(walker, x, tolerance=tolerance)
+    found = for_each_start(follow_margins, walker, x, integrator.tolerance, integrator.solver)
     sizes = np.array([np.abs(getattr(found, name)) for name in WAYS])
     sizes = np.nanmin(np.where(np.isnan(sizes), np.inf, sizes), axis=1)
     return WAYS[int(sizes.argmin())], float(sizes.min())

@@ -19,6 +19,7 @@ from walker_jax.basins.attractor_search import (
     match_approaching,
     sample,
 )
+from walker_jax.integrators.integrator import Integrator
 from walker_jax.walkers.model import Walker
 from walker_jax.walking.iteration import iterate
 from walker_jax.walking.outcomes import Outcome
@@ -71,8 +72,7 @@ class Mapper(NamedTuple):
     walker: Walker
     """Of one kind, with numbers for parameters."""
     attractors: list[Attractor]
-    tolerance: float
-    """Of the integration."""
+    integrator: Integrator
     strides: int
     """For which a walker is followed, at most."""
     further: int = FURTHER
@@ -92,19 +92,21 @@ class Mapper(NamedTuple):
     ) -> Labels:
         """Follow walkers until they fail, or are in a capture box."""
         targets, owner = targets_of(self.attractors, starts.shape[1])
-        end = iterate(self.walker, starts, self.strides, self.tolerance, targets, progress=progress)
+        end = iterate(
+            self.walker, starts, self.strides, self.integrator, targets, progress=progress
+        )
         return Labels(end.outcome, owners(end.target, owner), end.strides, end.state)
 
     def match_approaching(self, x: Float[np.ndarray, "n section"]) -> Int[np.ndarray, " n"]:
         """Numbers of the cycles that walkers come ever nearer to, -1 for none."""
-        return match_approaching(self.walker, x, self.attractors, self.tolerance)
+        return match_approaching(self.walker, x, self.attractors, self.integrator)
 
     def follow_on(self, x: Float[np.ndarray, "n section"]) -> Int[np.ndarray, " n"]:
         """Numbers of the cycles that walkers converge to when they are followed on, -1 for none."""
         number, left, made = np.full(len(x), -1, np.int32), np.arange(len(x)), 0
         while len(left) and made < self.further:
             count = min(max(made, LONGEST_PERIOD), self.further - made)
-            end = iterate(self.walker, x, count, self.tolerance)
+            end = iterate(self.walker, x, count, self.integrator)
             number[left] = match_attractor(end.state, self.attractors)  # -1 for NaN
             on = (end.outcome == Outcome.STRIDE) & (number[left] < 0)
             left, x, made = left[on], end.state[on], made + count
@@ -148,7 +150,7 @@ class Mapper(NamedTuple):
 
     def with_attractors_from(self, starts: Float[np.ndarray, "n section"]) -> "Mapper":
         """The mapper that also knows the attractors to which walkers converge from some starts."""
-        found = find_attractors(self.walker, starts, self.tolerance, self.attractors)
+        found = find_attractors(self.walker, starts, self.integrator, self.attractors)
         return self._replace(attractors=found)
 
     def without_unseen_motion(self, number: Int[np.ndarray, " n"]) -> "Mapper":

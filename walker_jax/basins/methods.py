@@ -18,7 +18,7 @@ from walker_jax.basins.schema import Basins
 from walker_jax.cellmaps import CellMap, cell_image, resolve
 from walker_jax.execution.tiles import map_cells, order_of_cells
 from walker_jax.grids import Grid
-from walker_jax.integrators.solvers import Real
+from walker_jax.integrators.integrator import Integrator
 from walker_jax.walkers.model import Walker
 from walker_jax.walking.outcomes import Outcome
 from walker_jax.walking.stepping import stride
@@ -44,17 +44,19 @@ def order_in_block(
     return order, order + order.dtype.type(first)
 
 
-def cell_mapping(walker: Walker, grid: Grid, tolerance: float, progress: bool = False) -> Basins:
+def cell_mapping(
+    walker: Walker, grid: Grid, integrator: Integrator, progress: bool = False
+) -> Basins:
     """Simple cell mapping: one stride from the centre of each cell, then cells follow cells."""
-    ends = resolve(cell_map(walker, grid, tolerance, progress=progress), sinks=len(Outcome))
-    attractors, number = attractors_of_cycles(walker, grid, ends, tolerance)
+    ends = resolve(cell_map(walker, grid, integrator, progress=progress), sinks=len(Outcome))
+    attractors, number = attractors_of_cycles(walker, grid, ends, integrator)
     return Basins(*labels_of_cells(ends, number), attractors)
 
 
 def cell_map(
     walker: Walker,
     grid: Grid,
-    tolerance: float,
+    integrator: Integrator,
     block: Block | None = None,
     *,
     progress: bool = False,
@@ -63,15 +65,16 @@ def cell_map(
     order, cells = order_in_block(grid, block)
     image = np.empty_like(order)
     image[order] = map_cells(
-        image_of_cell, ((walker, grid, tolerance), cells), progress="strides" if progress else None
+        image_of_cell, ((walker, grid, integrator), cells), progress="strides" if progress else None
     )
     return image
 
 
-def image_of_cell(shared: tuple[Walker, Grid, Real], index: Int[Array, ""]) -> Int[Array, ""]:
+def image_of_cell(shared: tuple[Walker, Grid, Integrator], index: Int[Array, ""]) -> Int[Array, ""]:
     """The cell, or the sink, to which a stride takes the centre of a cell."""
-    walker, grid, tolerance = shared
-    result = stride(walker, grid.centre(index), tolerance=tolerance)
+    walker, grid, integrator = shared
+    by = {"tolerance": integrator.tolerance, "solver": integrator.solver}
+    result = stride(walker, grid.centre(index), **by)
     return cell_image(grid, result.state, result.outcome, leave=Outcome.LEFT_GRID)
 
 
@@ -84,7 +87,7 @@ def labels_of_cells(
 
 
 def attractors_of_cycles(
-    walker: Walker, grid: Grid, ends: CellMap, tolerance: float
+    walker: Walker, grid: Grid, ends: CellMap, integrator: Integrator
 ) -> tuple[list[Attractor], Int[np.ndarray, " cycles"]]:
     """The attractors and artefacts of a cell map, in order, and to which each cycle belongs.
 
@@ -94,7 +97,7 @@ def attractors_of_cycles(
         return [], np.zeros(0, np.int32)
     lengths = np.array([len(cycle) for cycle in ends.attractors])
     x = grid.centres(np.concatenate(ends.attractors))
-    mapper = Mapper(walker, [], tolerance, PATIENCE * LONGEST_PERIOD)
+    mapper = Mapper(walker, [], integrator, PATIENCE * LONGEST_PERIOD)
     labels, mapper = mapper.with_attractors_from(sample(x)).label_all(x)
     cycle = np.repeat(np.arange(len(lengths)), lengths)
     falls = np.bincount(cycle, labels.fallen).astype(int)
@@ -123,10 +126,10 @@ def direct_iteration(mapper: Mapper, grid: Grid, progress: bool = False) -> Basi
     return Basins(*labels[:3], mapper.without_unseen_motion(labels.attractor).attractors)
 
 
-def mapper_of_grid(walker: Walker, grid: Grid, tolerance: float, strides: int) -> Mapper:
+def mapper_of_grid(walker: Walker, grid: Grid, integrator: Integrator, strides: int) -> Mapper:
     """The mapper to the attractors to which walkers converge from a sample of a grid's cells."""
     starts = grid.centres(sample_indices(grid.size))
-    return Mapper(walker, [], tolerance, strides).with_attractors_from(starts)
+    return Mapper(walker, [], integrator, strides).with_attractors_from(starts)
 
 
 def map_block(

@@ -20,6 +20,7 @@ from walker_jax.basins.edge_states import failing_margin
 from walker_jax.checks import ComputationFailed, WrongUse
 from walker_jax.gaits.derivatives import linearise
 from walker_jax.grids import Grid
+from walker_jax.integrators.integrator import Integrator
 from walker_jax.walkers.model import Walker
 from walker_jax.walking.iteration import strides as take_strides
 from walker_jax.walking.outcomes import Outcome
@@ -38,7 +39,9 @@ ROUNDING = 1e-13
 """Error of the end of a stride, that a test of linearity allows for."""
 
 
-def follow_window(walker: Walker, grid: Grid, tolerance: float, limit: int) -> tuple[Grid, int]:
+def follow_window(
+    walker: Walker, grid: Grid, integrator: Integrator, limit: int
+) -> tuple[Grid, int]:
     """The grid that a narrow window has become after some strides, and how many they are.
 
     It is the same grid, and none, for a window that is not narrow. At most `limit` - 1 strides are
@@ -63,17 +66,19 @@ def follow_window(walker: Walker, grid: Grid, tolerance: float, limit: int) -> t
     widest, width = (grid, 0), 0.0
     for made in range(limit):
         points = centre + samples @ shear.T
-        ends = take_strides(walker, points, tolerance=tolerance)
+        ends = take_strides(
+            walker, points, tolerance=integrator.tolerance, solver=integrator.solver
+        )
         passed = np.asarray(ends.outcome) == Outcome.STRIDE
         wide = float(widths(shear, half).max())
         if wide < LINEAR * CURVED:
-            refuse_torn(walker, points, passed, tolerance, f"after {made} strides")
+            refuse_torn(walker, points, passed, integrator, f"after {made} strides")
         here = Grid(axes, shear, centre, grid.fixed), made
         if wide >= LINEAR or not passed.any():
             return here
         if wide > width:
             widest, width = here, wide
-        local = linearise(walker, centre[None, None], tolerance)
+        local = linearise(walker, centre[None, None], integrator)
         next_centre, next_shear = local.state[0, 0], local.jacobian[0, 0] @ shear
         bent = np.abs(ends.state - next_centre - samples @ next_shear.T).max()
         if not passed.all() or not bent < ROUNDING + CURVED * widths(next_shear, half).max():
@@ -86,11 +91,11 @@ def refuse_torn(
     walker: Walker,
     points: Float[np.ndarray, "n s"],
     passed: Bool[np.ndarray, " n"],
-    tolerance: float,
+    integrator: Integrator,
     when: str,
 ) -> None:
     """Refuse a window that the boundary of a failure in the next stride passes, so near as this."""
-    name, margin = failing_margin(walker, points, tolerance)
+    name, margin = failing_margin(walker, points, integrator)
     if margin < BLUR or passed.any() != passed.all():
         raise ComputationFailed(
             f"the window is torn apart {when}, by the boundary of a failure in the next stride "

@@ -36,6 +36,7 @@ from walker_jax.cellmaps import resolve
 from walker_jax.execution.progress import track
 from walker_jax.execution.workers import open_workers
 from walker_jax.grids import Grid
+from walker_jax.integrators.integrator import Integrator
 from walker_jax.walkers.model import Walker
 from walker_jax.walking.outcomes import Outcome
 
@@ -49,6 +50,7 @@ class MappedPieces(NamedTuple):
     walker: Walker
     grid: Grid
     settings: dict
+    integrator: Integrator
 
     def arrays(self) -> dict[str, xr.Variable]:
         """The arrays that are stored until the end, besides those of the result."""
@@ -60,15 +62,14 @@ class MappedPieces(NamedTuple):
 
     def piece(self, notes: dict, block: Block) -> dict[str, np.ndarray]:
         """Values of arrays over a piece."""
-        return {"image": cell_map(self.walker, self.grid, self.settings["tolerance"], block)}
+        return {"image": cell_map(self.walker, self.grid, self.integrator, block)}
 
     def finish(
         self, place: storage.Pieces
     ) -> tuple[list[Attractor], Iterator[dict[str, np.ndarray]]]:
         """The attractors, and the remaining values of each piece."""
         ends = resolve(self.image(place), sinks=len(Outcome))
-        tolerance = self.settings["tolerance"]
-        attractors, number = attractors_of_cycles(self.walker, self.grid, ends, tolerance)
+        attractors, number = attractors_of_cycles(self.walker, self.grid, ends, self.integrator)
 
         def piece(cells: slice) -> dict[str, np.ndarray]:
             return dict(zip(ATTRIBUTES, labels_of_cells(ends.part(cells), number), strict=True))
@@ -90,6 +91,7 @@ class FollowedPieces(NamedTuple):
     walker: Walker
     grid: Grid
     settings: dict
+    integrator: Integrator
 
     def arrays(self) -> dict[str, xr.Variable]:
         """The arrays that are stored until the end, besides those of the result."""
@@ -98,16 +100,15 @@ class FollowedPieces(NamedTuple):
 
     def notes(self) -> dict:
         """What is computed before all pieces, and stored."""
-        tolerance, strides = self.settings["tolerance"], self.settings["strides"]
         window, made = self.window()
-        mapper = mapper_of_grid(self.walker, window, tolerance, strides - made)
+        strides = self.settings["strides"] - made
+        mapper = mapper_of_grid(self.walker, window, self.integrator, strides)
         found = mapper.with_sorted_attractors().attractors
         return {"attractors": [[one.period, one.states.tolist()] for one in found]}
 
     def window(self) -> tuple[Grid, int]:
         """The grid that is followed, and the strides made up to there."""
-        tolerance, strides = self.settings["tolerance"], self.settings["strides"]
-        return follow_window(self.walker, self.grid, tolerance, strides)
+        return follow_window(self.walker, self.grid, self.integrator, self.settings["strides"])
 
     def mapper(self, notes: dict, made: int = 0) -> Mapper:
         """The mapper to the attractors that are stored, for walkers that have made some strides."""
@@ -116,7 +117,7 @@ class FollowedPieces(NamedTuple):
             Attractor(period, np.array(states, dtype)) for period, states in notes["attractors"]
         ]
         strides = self.settings["strides"] - made
-        return Mapper(self.walker, known, self.settings["tolerance"], strides)
+        return Mapper(self.walker, known, self.integrator, strides)
 
     def piece(self, notes: dict, block: Block) -> dict[str, np.ndarray]:
         """Values of arrays over a piece; ends are those of walkers that remain."""
@@ -167,7 +168,7 @@ def compute_in_pieces(
     walkers that remain. Either may be repeated, with the same result.
     """
     grid, work = method.grid, method.arrays()
-    about = describe(*method)
+    about = describe(method.walker, grid, method.settings)
     request = request or request_of(about, grid) | {"command": "basin"}
     found = storage.find(out, request, overwrite=overwrite)
     if found is not None:

@@ -23,7 +23,7 @@ from walker_jax.basins.runs import Runs
 from walker_jax.basins.schema import ATTRIBUTES, Basins, add_attractors, describe, to_dataset
 from walker_jax.checks import check_precision, check_whole, refuses_tracers
 from walker_jax.grids import Grid
-from walker_jax.integrators.solvers import default_tolerance
+from walker_jax.integrators.integrator import integrator_of
 from walker_jax.walkers.model import Walker
 
 BYTES_PER_REFINED_CELL = 40
@@ -93,7 +93,7 @@ def refine(
     settings = {
         "method": "direct, refined",
         "strides": strides,
-        "tolerance": found.mapper.tolerance,
+        "tolerance": float(found.mapper.integrator.tolerance),
         "seed": seed,
     }
     data = dataset_of_cells if len(grid.names) < 3 else dataset_of_runs
@@ -193,9 +193,9 @@ def refine_cells(
     check_whole("seed", seed, 0)
     dtype = jnp.asarray(0.0).dtype
     check_precision(dtype)
-    tolerance = float(default_tolerance(dtype, tolerance))
+    integrator = integrator_of(dtype, tolerance)
     finest = check_finest(walker, grid, levels)
-    mapper = with_capture_boxes(mapper_of_grid(walker, grid, tolerance, strides))
+    mapper = with_capture_boxes(mapper_of_grid(walker, grid, integrator, strides))
     label = "cells" if progress else None
     cells = RefinedCells(grid, levels, by_centres, mapper, np.random.default_rng(seed), label)
     followed, boundary = [], []

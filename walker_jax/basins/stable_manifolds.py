@@ -26,7 +26,7 @@ from walker_jax.checks import (
 )
 from walker_jax.gaits.cycles import Gait, multiply_jacobians
 from walker_jax.gaits.derivatives import linearise
-from walker_jax.integrators.solvers import default_tolerance
+from walker_jax.integrators.integrator import Integrator, integrator_of
 from walker_jax.walkers.model import Walker
 
 FIRST = 1e-5
@@ -81,8 +81,8 @@ def stable_manifold(
             "gait must be a saddle on a section of two coordinates, not one with multipliers "
             f"{np.asarray(gait.multipliers).tolist()}: find_gaits gives all"
         )
-    checked_tolerance = float(default_tolerance(states.dtype, tolerance))
-    local = linearise(walker, states[None], checked_tolerance)
+    integrator = integrator_of(states.dtype, tolerance)
+    local = linearise(walker, states[None], integrator)
     check_cycle(states, local.state[0])
     jacobian = multiply_jacobians(local.jacobian)[0]
     values, vectors = np.linalg.eig(jacobian)
@@ -90,7 +90,7 @@ def stable_manifold(
     direction = np.real(vectors[:, at])
     # twice round where the two halves of the manifold change places
     strides = len(states) * (1 if np.real(values[at]) > 0 else 2)
-    image = Image(walker, strides, checked_tolerance)
+    image = Image(walker, strides, integrator)
     return [
         follow_manifold(image, states[0], side * direction, spacing, points) for side in (1, -1)
     ]
@@ -101,7 +101,7 @@ class Image(NamedTuple):
 
     walker: Walker
     strides: int
-    tolerance: float
+    integrator: Integrator
 
     def __call__(
         self, x: Float[np.ndarray, " section"]
@@ -109,7 +109,7 @@ class Image(NamedTuple):
         """The end of the strides from x, and its derivatives by x; NaN where one fails."""
         jacobian = np.eye(len(x))
         for _ in range(self.strides):
-            local = linearise(self.walker, x[None, None], self.tolerance)
+            local = linearise(self.walker, x[None, None], self.integrator)
             x, jacobian = local.state[0, 0], local.jacobian[0, 0] @ jacobian
         return x, jacobian
 

@@ -26,7 +26,7 @@ from walker_jax.checks import (
 )
 from walker_jax.execution.progress import track
 from walker_jax.grids import Grid, edge
-from walker_jax.integrators.solvers import default_tolerance
+from walker_jax.integrators.integrator import integrator_of
 from walker_jax.walkers.model import Walker, check_single
 
 
@@ -67,8 +67,7 @@ def checked_mapper(
     check_whole("strides", strides)
     dtype = jnp.asarray(0.0).dtype
     check_precision(dtype, needed_by)
-    checked_tolerance = float(default_tolerance(dtype, tolerance))
-    mapper = mapper_of_grid(walker, grid, checked_tolerance, strides)
+    mapper = mapper_of_grid(walker, grid, integrator_of(dtype, tolerance), strides)
     return with_capture_boxes(mapper.with_sorted_attractors())
 
 
@@ -162,7 +161,7 @@ def zoom(
     factors = factor ** np.linspace(0, 1, frames)
     windows = [grid.zoom(middle, one) for one in factors.tolist()]
     # the last window first, as it may be too narrow
-    ahead_of = [follow_window(walker, one, mapper.tolerance, strides) for one in windows[::-1]]
+    ahead_of = [follow_window(walker, one, mapper.integrator, strides) for one in windows[::-1]]
     cells = np.arange(grid.size)
     fate, attractor, ahead = [], [], []
     for followed, made in track(ahead_of[::-1], "windows", progress):
@@ -171,7 +170,11 @@ def zoom(
         fate.append(found.fate.reshape(grid.shape))
         attractor.append(found.attractor.reshape(grid.shape))
         ahead.append(made)
-    settings = {"method": "direct", "strides": strides, "tolerance": mapper.tolerance}
+    settings = {
+        "method": "direct",
+        "strides": strides,
+        "tolerance": float(mapper.integrator.tolerance),
+    }
     about = describe(walker, windows[0], settings)
     dims = "frame", *grid.names
     return about.assign(

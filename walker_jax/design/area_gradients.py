@@ -260,7 +260,7 @@ def integrate_along_boundary(
         x = fine.points_at(outside / shape)
         labels = follow(outside)
         beyond = labels.strides
-        tolerance = found.mapper.tolerance
+        tolerance = found.mapper.integrator.tolerance
         change = differentiate_margins(walker, x, beyond, tangents.T, parameters, tolerance)
         made += int((beyond + 1).sum()) * change.shape[1]
         slopes, by_parameter = change[:, : len(shape)], change[:, len(shape) :]

@@ -17,7 +17,7 @@ from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.derivatives import gait_derivatives
 from walker_jax.gaits.search import search_gait
 from walker_jax.gaits.selection import require_gait
-from walker_jax.integrators.solvers import default_tolerance
+from walker_jax.integrators.integrator import default_tolerance
 from walker_jax.stability.disturbances import BEYOND, LeastDisturbance, least_disturbance
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.stability.rays import DENSE
@@ -72,7 +72,7 @@ def disturbance_gradient(
         tolerance=tolerance,
     )
     found = search(walker, gait)
-    checked_tolerance = float(default_tolerance(found.state.dtype, tolerance))
+    checked_tolerance = default_tolerance(found.state.dtype, tolerance)
     beyond = np.asarray(gait.states)[found.phase] + BEYOND[:, None] * found.size * found.direction
     made, axes = np.full(len(beyond), found.strides, np.int32), np.eye(beyond.shape[1])
     changes = differentiate_margins(walker, beyond, made, axes, parameters, checked_tolerance)

@@ -51,8 +51,8 @@ def sensitivity_gradient(
     check_kind("gait", gait, Gait)
     if not gait.found or len(gait.states) != 1:
         return SensitivityGradient(np.nan, np.full(len(parameters), np.nan))
-    checked, state, precision = prepare(walker, gait.states[0], tolerance)
-    norm = lambda walker, x: respond_to(walker, x, precision, ALL).norm
+    checked, state, integrator = prepare(walker, gait.states[0], tolerance)
+    norm = lambda walker, x: respond_to(walker, x, integrator, ALL).norm
     if not gait.stable:
         return SensitivityGradient(np.inf, np.full(len(parameters), np.nan))
     value, gradient = float(norm(checked, state)), []

@@ -28,7 +28,7 @@ from walker_jax.execution.progress import track
 from walker_jax.execution.workers import open_workers
 from walker_jax.gaits.search import search_gait
 from walker_jax.grids import Grid
-from walker_jax.integrators.solvers import default_tolerance
+from walker_jax.integrators.integrator import default_tolerance
 from walker_jax.stability.summary import default_region, robustness, without_gait
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import check_parameter, with_parameter

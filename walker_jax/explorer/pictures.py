@@ -29,7 +29,7 @@ from walker_jax.explorer.lattice import (
 )
 from walker_jax.explorer.subjects import Subject
 from walker_jax.gaits.search import search_gait
-from walker_jax.integrators.solvers import default_tolerance
+from walker_jax.integrators.integrator import integrator_of
 from walker_jax.walking.outcomes import Outcome
 
 UNMATCHED, FIRST_ATTRACTOR = 32, 64
@@ -37,7 +37,7 @@ UNMATCHED, FIRST_ATTRACTOR = 32, 64
 MOST_STRIDES = 255
 STRIDES = 200
 """Strides for which a walker is followed, as by `wj.basin`."""
-TOLERANCE = float(default_tolerance(np.dtype(float), None))
+INTEGRATOR = integrator_of(float)
 SAMPLE = (30, 40)
 """Starts in the home window from which attractors are found first: these take some 20 ms."""
 LATER_SAMPLE = 64
@@ -65,7 +65,7 @@ def find_attractors(subject: Subject) -> Known:
     home = home_of(subject.offer, subject.section)
     grid = home.grid(subject, Rectangle(0, (0, 0), HOME_CELLS), at)
     shares = (np.indices(SAMPLE).reshape(2, -1).T + 0.5) / SAMPLE
-    mapper = Mapper(subject.walker, [], TOLERANCE, STRIDES, further=0)  # a page does not wait
+    mapper = Mapper(subject.walker, [], INTEGRATOR, STRIDES, further=0)  # a page does not wait
     mapper = mapper.with_attractors_from(grid.points_at(shares))
     return Known(mapper.with_sorted_attractors(), at)
 
@@ -122,7 +122,7 @@ def label_cells(
 def map_rectangle(subject: Subject, cells: Rectangle) -> tuple[bytes, list[Attractor]]:
     """The same bytes of a rectangle of cells, by cell mapping, and its attractors."""
     home, at = home_of(subject.offer, subject.section), plane_of(subject)
-    found = cell_mapping(subject.walker, home.grid(subject, cells, at), TOLERANCE)
+    found = cell_mapping(subject.walker, home.grid(subject, cells, at), INTEGRATOR)
     label, strides = in_bytes(found.fate, found.attractor, found.strides)
     return label.tobytes() + strides.tobytes(), found.attractors
 

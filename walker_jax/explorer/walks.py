@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 from walker_jax.checks import WrongUse
 from walker_jax.execution.tiles import map_cells
 from walker_jax.explorer.subjects import Subject
+from walker_jax.integrators.integrator import Integrator
 from walker_jax.multibody import block, factorise, mass_matrix, solve_factored
 from walker_jax.walkers.abstract_point_foot import AbstractMasslessFootWalker
 from walker_jax.walkers.kneed import KneedWalker, lock_knees
@@ -135,7 +136,7 @@ def states_at(
 ) -> Any:
     """States at times after a start, each followed from there: one program for all counts."""
     walker = jax.tree.map(lambda leaf: np.asarray(leaf, float), walker)
-    arguments = (walker, start, times, np.asarray(1e-12))
+    arguments = (walker, start, times, Integrator(1e-12).in_dtype(float))
     return map_cells(state_after, arguments, (False, False, True, False))
 
 

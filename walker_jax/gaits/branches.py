@@ -33,7 +33,8 @@ from walker_jax.gaits.events import Bifurcation
 from walker_jax.gaits.requests import run_batched
 from walker_jax.gaits.search import iterate_newton
 from walker_jax.gaits.selection import require_gait
-from walker_jax.integrators.solvers import Real, default_tolerance
+from walker_jax.integrators.integrator import Integrator, default_tolerance
+from walker_jax.integrators.roots import Real
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 
@@ -199,7 +200,7 @@ def solve_at(
         which = [i for i, (_, cycle) in enumerate(guesses) if len(cycle) == period]
         walkers = with_parameter(walker, parameter, np.array([guesses[i][0] for i in which]))
         cycles = np.stack([guesses[i][1] for i in which])
-        ends = iterate_newton(walkers, cycles, tolerance, CORRECTOR_STEPS)
+        ends = iterate_newton(walkers, cycles, Integrator(tolerance), CORRECTOR_STEPS)
         for i, states, residual in zip(which, ends.states, ends.residual, strict=True):
             if residual < MAX_RESIDUAL[states.dtype]:
                 found[i] = states

@@ -8,7 +8,8 @@ import numpy as np
 from walker_jax.checks import WrongUse, check_kind, check_number, check_whole, refuses_tracers
 from walker_jax.gaits.branches import Branch, check_interval, float64_tolerance
 from walker_jax.gaits.long_runs import iterate_to_cycles, starts_near_gaits
-from walker_jax.integrators.solvers import Real
+from walker_jax.integrators.integrator import Integrator
+from walker_jax.integrators.roots import Real
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import with_parameter
 from walker_jax.walking.outcomes import Outcome
@@ -72,7 +73,7 @@ def loss_of_walking(
         walks = np.zeros(len(values), bool)
         if len(where):
             walkers = with_parameter(walker, parameter, values[where])
-            end = iterate_to_cycles(walkers, starts[keep], strides, tolerance, progress)
+            end = iterate_to_cycles(walkers, starts[keep], strides, Integrator(tolerance), progress)
             walks[where[end.outcome == Outcome.STRIDE]] = True
         if not walks.any():
             return Loss(np.nan, below, strides)

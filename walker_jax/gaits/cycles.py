@@ -10,6 +10,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Complex, Float, Int
 
 from walker_jax.checks import WrongUse, check_kind
+from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.walkers.model import Walker
 from walker_jax.walking.outcomes import nan_unless
@@ -74,7 +75,7 @@ def clear_values(gait: Gait) -> Gait:
 
 @jax.jit
 def solve_cycle(
-    walker: Walker, states: Float[Array, "period section"], tolerance: Float[Array, ""]
+    walker: Walker, states: Float[Array, "period section"], integrator: Integrator
 ) -> Gait:
     """The gait to which Newton's iteration on all states of a cycle converges."""
     dtype = states.dtype
@@ -83,12 +84,12 @@ def solve_cycle(
         cycle_mismatch,
         optimistix.Newton(rtol=accuracy, atol=accuracy),
         states,
-        args=(walker, tolerance),
+        args=(walker, integrator),
         max_steps=MAX_SEARCH_STEPS,
         throw=False,
     )
     states = solution.value
-    apply = lambda states: apply_strides(walker, states, tolerance)
+    apply = lambda states: apply_strides(walker, states, integrator)
     (ends, times), derivative = jax.linearize(apply, states)
     basis = jnp.eye(states.shape[1], dtype=dtype)
     apply_jacobian = lambda direction: derivative(jnp.broadcast_to(direction, states.shape))[0]
@@ -136,19 +137,19 @@ def eigenvalues(matrix: Float[Array, "n n"]) -> Complex[Array, " n"]:
 
 
 def cycle_mismatch(
-    states: Float[Array, "period section"], args: tuple[Walker, Float[Array, ""]]
+    states: Float[Array, "period section"], args: tuple[Walker, Integrator]
 ) -> Float[Array, "period section"]:
     """S(x_i) - x_{i+1} for the states of a cycle; zero for a gait."""
-    walker, tolerance = args
-    ends, _ = apply_strides(walker, states, tolerance)
+    walker, integrator = args
+    ends, _ = apply_strides(walker, states, integrator)
     return ends - jnp.roll(states, -1, axis=0)
 
 
 def apply_strides(
-    walker: Walker, states: Float[Array, "n section"], tolerance: Float[Array, ""]
+    walker: Walker, states: Float[Array, "n section"], integrator: Integrator
 ) -> tuple[Float[Array, "n section"], Float[Array, " n"]]:
     """The ends of strides, and their durations."""
-    ends = jax.vmap(follow_stride, (None, 0, None))(walker, states, tolerance)
+    ends = jax.vmap(follow_stride, (None, 0, None))(walker, states, integrator)
     return ends.state, ends.time
 
 

@@ -18,7 +18,8 @@ from walker_jax.gaits.cycles import (
     order_by_modulus,
     solve_linear_systems,
 )
-from walker_jax.integrators.solvers import Real
+from walker_jax.integrators.integrator import Integrator
+from walker_jax.integrators.roots import Real
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import check_parameter, parameter_direction
 from walker_jax.walking.iteration import broadcast_parameters
@@ -68,8 +69,8 @@ def gait_derivatives(
     check_parameter(walker, parameter)
     check_found(gait)
     cycle = np.asarray(gait.states)[None]
-    walker, _, tolerance = prepare(walker, cycle[0, 0], tolerance)
-    local = linearise(walker, cycle, tolerance, parameter)
+    walker, _, integrator = prepare(walker, cycle[0, 0], tolerance)
+    local = linearise(walker, cycle, integrator, parameter)
     mismatch = np.abs(local.state - np.roll(cycle, -1, axis=1)).max()
     if not mismatch < MAX_RESIDUAL[cycle.dtype]:
         raise WrongUse(
@@ -80,7 +81,7 @@ def gait_derivatives(
         cycle_matrices(local.jacobian), -local.by_parameter.reshape(1, -1)
     ).reshape(cycle.shape)
     along = np.concatenate([dx, np.ones_like(dx[..., :1])], axis=-1)
-    second = differentiate_twice(walker, cycle, along, tolerance, parameter)
+    second = differentiate_twice(walker, cycle, along, integrator, parameter)
     period, size = cycle.shape[1:]
     change = np.zeros((size, size))
     for i in range(period):
@@ -109,7 +110,7 @@ class Linearisation(NamedTuple):
 def linearise(
     walker: Walker,
     cycles: Float[np.ndarray, "n period section"],
-    tolerance: Real,
+    integrator: Integrator,
     parameter: str | None = None,
 ) -> Linearisation:
     """One stride from each state, with its derivatives; a cell for each of their columns.
@@ -117,10 +118,8 @@ def linearise(
     The walker's parameters may be arrays of n. The first column shows which states make a stride;
     unless they are few, the others are computed for these alone.
     """
-    size, shared = (
-        cycles.shape[2],
-        (tolerance, parameter_direction(walker, parameter, cycles.dtype)),
-    )
+    size, axis = cycles.shape[2], parameter_direction(walker, parameter, cycles.dtype)
+    shared = integrator.in_dtype(cycles.dtype), axis
     directions = np.eye(size + (parameter is not None), size + 1, dtype=cycles.dtype)
     walkers, starts = repeat_cells(walker, cycles, 1)
 
@@ -165,7 +164,7 @@ def differentiate_twice(
     walker: Walker,
     cycles: Float[np.ndarray, "n period section"],
     directions: Float[np.ndarray, "n period columns"],
-    tolerance: Real,
+    integrator: Integrator,
     parameter: str,
 ) -> SecondDerivatives:
     """Second derivatives of one stride from each state, along a direction (start, parameter)."""
@@ -176,7 +175,8 @@ def differentiate_twice(
         np.repeat(directions.reshape(-1, columns), columns, axis=0),
         np.tile(np.eye(columns, dtype=cycles.dtype), (n * period, 1)),
     )
-    shared = tolerance, parameter_direction(walker, parameter, cycles.dtype)
+    axis = parameter_direction(walker, parameter, cycles.dtype)
+    shared = integrator.in_dtype(cycles.dtype), axis
     (_, (along, time)), (_, (changes, _)) = map_cells(second_jvp, (shared, cells))
     shape = n, period, columns
     return SecondDerivatives(
@@ -198,20 +198,20 @@ def repeat_cells(
     )
 
 
-def jvp(shared: tuple[Real, Walker], cell):
+def jvp(shared: tuple[Integrator, Walker], cell):
     """A stride of one cell, and its derivative along a direction (start, parameter)."""
-    tolerance, axis = shared
+    integrator, axis = shared
     walker, x, direction = cell
     tangent = jax.tree.map(lambda leaf: leaf * direction[-1], axis), direction[:-1]
-    return jax.jvp(partial(timed_stride, tolerance), (walker, x), tangent)
+    return jax.jvp(partial(timed_stride, integrator), (walker, x), tangent)
 
 
-def timed_stride(tolerance: Real, walker: Walker, x: Float[Array, " section"]):
-    result = follow_stride(walker, x, tolerance)
+def timed_stride(integrator: Integrator, walker: Walker, x: Float[Array, " section"]):
+    result = follow_stride(walker, x, integrator)
     return result.state, result.time
 
 
-def second_jvp(shared: tuple[Real, Walker], cell):
+def second_jvp(shared: tuple[Integrator, Walker], cell):
     """((stride, derivative along first), (derivative along second, derivative along both))."""
     walker, x, first, second = cell
     _, axis = shared

@@ -28,7 +28,8 @@ from walker_jax.gaits.crises import Loss, loss_of_walking
 from walker_jax.gaits.cycles import Gait, remove_duplicates
 from walker_jax.gaits.long_runs import RECURRENCE_DISTANCE, attractors, starts_near_gaits
 from walker_jax.gaits.search import cycle_guesses, iterate_newton
-from walker_jax.integrators.solvers import Real
+from walker_jax.integrators.integrator import Integrator
+from walker_jax.integrators.roots import Real
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import attributes_of, check_parameter, with_parameter
 from walker_jax.walking.iteration import select_walkers
@@ -213,9 +214,10 @@ def find_starts(
         grid = with_parameter(walker, parameter, value).gait_region()
         points.append(grid.centres(np.arange(0, grid.size, CELLS_PER_SEARCH)))
     walkers = with_parameter(walker, parameter, np.repeat(values, [len(p) for p in points]))
-    walking, cycles = cycle_guesses(walkers, np.concatenate(points), period, tolerance)
+    integrator = Integrator(tolerance)
+    walking, cycles = cycle_guesses(walkers, np.concatenate(points), period, integrator)
     walkers = select_walkers(walkers, walking)
-    found = iterate_newton(walkers, cycles, tolerance)
+    found = iterate_newton(walkers, cycles, integrator)
     at = getattr(walkers, parameter)
     starts = []
     for value in values:

@@ -9,7 +9,8 @@ from jaxtyping import Float
 
 from walker_jax.checks import WrongUse, check_whole, numbers, refuses_tracers
 from walker_jax.gaits.branches import Branch, float64_tolerance, interpolate_cycles, solve_at
-from walker_jax.integrators.solvers import Real
+from walker_jax.integrators.integrator import Integrator
+from walker_jax.integrators.roots import Real
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 from walker_jax.walking.iteration import WalkEnd, iterate, orbits, select_walkers
@@ -63,19 +64,19 @@ def attractors(
     if values.ndim != 1:
         raise WrongUse(f"values must be one row of numbers, not of shape {values.shape}")
     check_parameter(walker, parameter, *values)
-    tolerance = float64_tolerance(tolerance)
+    integrator = Integrator(float64_tolerance(tolerance))
     if starts.ndim != 3 or starts.shape[::2] != (len(values), len(walker.section)):
         shape = f"({len(values)}, starts, {len(walker.section)})"
         raise WrongUse(f"starts must have shape {shape}, not {starts.shape}")
     check_whole("strides", strides)
     n, m, size = starts.shape
     walkers = with_parameter(walker, parameter, np.repeat(values, m))
-    end = iterate_to_cycles(walkers, starts.reshape(-1, size), strides, tolerance, progress)
+    end = iterate_to_cycles(walkers, starts.reshape(-1, size), strides, integrator, progress)
     fate, count = end.outcome, end.strides
     orbit = np.full((n * m, RECORDED_STATES, size), np.nan)
     left = np.flatnonzero(fate == Outcome.STRIDE)
     states, fate[left] = orbits(
-        select_walkers(walkers, left), end.state[left], RECORDED_STATES, tolerance
+        select_walkers(walkers, left), end.state[left], RECORDED_STATES, integrator
     )
     orbit[left] = states[:, :RECORDED_STATES]
     count[left] += np.isfinite(states[:, 1:, 0]).sum(axis=1, dtype=count.dtype)
@@ -98,7 +99,7 @@ def iterate_to_cycles(
     walker: Walker,
     starts: Float[np.ndarray, "n section"],
     limit: int,
-    tolerance: Real,
+    integrator: Integrator,
     progress: str | None = None,
 ) -> WalkEnd:
     """`iterate` without targets; of walks that settle on a cycle, the rest is not computed."""
@@ -110,14 +111,14 @@ def iterate_to_cycles(
     while len(active) and made < limit:
         count = min(max(made, SETTLING_STRIDES), limit - made)
         part = iterate(
-            select_walkers(walker, active), end.state[active], count, tolerance, progress=progress
+            select_walkers(walker, active), end.state[active], count, integrator, progress=progress
         )
         end.state[active], end.outcome[active] = part.state, part.outcome
         end.strides[active] += part.strides
         active, made = active[part.outcome == Outcome.STRIDE], made + count
         if made < limit:
             walkers, states = select_walkers(walker, active), end.state[active]
-            states, _ = orbits(walkers, states, RECORDED_STATES, tolerance)
+            states, _ = orbits(walkers, states, RECORDED_STATES, integrator)
             returns = np.abs(states[:, 1:] - states[:, :1]).max(axis=2) < SETTLED
             settled = np.flatnonzero(returns.any(axis=1))
             phase = (limit - made) % (returns[settled].argmax(axis=1) + 1)

@@ -52,8 +52,8 @@ def reason_of_all(walker: Walker) -> str:
     """Why searches from all cells of the walker's `gait_region` found none."""
     grid = walker.gait_region()
     starts = grid.centres(np.arange(grid.size))
-    walker, _, tolerance = prepare(walker, starts[0], None)
-    ends = linearise(walker, starts[:, None], tolerance).state
+    walker, _, integrator = prepare(walker, starts[0], None)
+    ends = linearise(walker, starts[:, None], integrator).state
     walking = int(np.isfinite(ends).all(axis=(1, 2)).sum())
     if walking == 0:
         return f"none of the {len(starts)} starts over the section makes a stride"

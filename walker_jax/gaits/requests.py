@@ -7,7 +7,6 @@ computes the requests of all branches.
 from collections.abc import Generator, Sequence
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -17,7 +16,8 @@ from walker_jax.gaits.derivatives import (
     differentiate_twice,
     linearise,
 )
-from walker_jax.integrators.solvers import Real, default_tolerance
+from walker_jax.integrators.integrator import integrator_of
+from walker_jax.integrators.roots import Real
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import with_parameter
 from walker_jax.walking.iteration import broadcast_parameters
@@ -70,9 +70,9 @@ def compute_responses(
 ) -> list[Response]:
     """The responses to requests; every state of every cycle is a cell of its own."""
     dtype = requests[0].cycle.dtype
-    checked_tolerance = jnp.asarray(default_tolerance(dtype, tolerance), dtype)
+    integrator = integrator_of(dtype, tolerance)
     batch = lambda requests: batch_cells(walker, parameter, requests, dtype)
-    linear = split_by_cycle(linearise(*batch(requests), checked_tolerance, parameter), requests)
+    linear = split_by_cycle(linearise(*batch(requests), integrator, parameter), requests)
     with_vectors = [request for request in requests if request.vectors is not None]
     seconds: list[SecondDerivatives] = []
     if with_vectors:
@@ -82,7 +82,7 @@ def compute_responses(
         directions = np.concatenate([vectors, np.zeros_like(vectors[:, :1])], axis=1)[:, None]
         walkers, states = batch(with_vectors)
         seconds = split_by_cycle(
-            differentiate_twice(walkers, states, directions, checked_tolerance, parameter),
+            differentiate_twice(walkers, states, directions, integrator, parameter),
             with_vectors,
         )
     remaining = iter(seconds)

@@ -12,6 +12,7 @@ once.
 """
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import jax
@@ -49,7 +50,8 @@ from walker_jax.gaits.cycles import (
 from walker_jax.gaits.derivatives import linearise
 from walker_jax.gaits.reasons import no_gait_found
 from walker_jax.grids import Grid
-from walker_jax.integrators.solvers import AnySolver, Real, using_solver
+from walker_jax.integrators.integrator import AnySolver, Integrator
+from walker_jax.integrators.roots import Real
 from walker_jax.walkers.model import Walker, moves_like
 from walker_jax.walkers.simplest import SimplestWalker
 from walker_jax.walking.iteration import follow_walk, orbits, select_walkers, strides
@@ -106,39 +108,33 @@ def search_gait(
     solver: AnySolver | None = None,
 ) -> Gait:
     """`find_gait`, but `found` is false where it raises `ComputationFailed`, and the rest NaN."""
-    with using_solver(solver):
-        return search_gait_near(walker, guess, period, tolerance)
-
-
-def search_gait_near(walker: Walker, guess: Any, period: int, tolerance: Real | None) -> Gait:
-    """`search_gait` with the solver in use."""
     check_kind("walker", walker, Walker)
     check_whole("period", period)
     given = guess is not None
-    guess = as_floating(guess if given else first_guess(walker, period, tolerance), "guess")
+    guess = as_floating(guess if given else first_guess(walker, period, tolerance, solver), "guess")
     size = len(walker.section)
     if guess.shape not in ((size,), (period, size)):
         raise WrongUse(f"guess must have shape ({size},) or {(period, size)}, not {guess.shape}")
     if given and not isinstance(guess, Tracer) and not np.isfinite(np.asarray(guess)).all():
         raise WrongUse(f"guess must be finite, not {guess.tolist()}")
-    walker, first, tolerance = prepare(walker, guess.reshape(-1, size)[0], tolerance)
+    walker, first, integrator = prepare(walker, guess.reshape(-1, size)[0], tolerance, solver)
     cycle = guess.reshape(-1, size).astype(first.dtype)
-    traced = is_traced((walker, cycle, tolerance))
+    traced = is_traced((walker, cycle, integrator))
     if len(cycle) < period and traced:
-        cycle = follow_walk(walker, first, period - 1, tolerance).states
+        cycle = follow_walk(walker, first, period - 1, integrator).states
     elif len(cycle) < period:
-        _, cycles = cycle_guesses(walker, np.asarray(cycle), period, tolerance)
+        _, cycles = cycle_guesses(walker, np.asarray(cycle), period, integrator)
         cycle = cycles[0] if len(cycles) else np.full((period, size), np.nan, first.dtype)
     if traced:
-        return solve_cycle(walker, cycle, tolerance)
+        return solve_cycle(walker, cycle, integrator)
     # The same iteration, by the program that is compiled for all searches.
-    gaits = iterate_newton(walker, np.asarray(cycle)[None], tolerance)
-    gait = gait_at(confirm_gaits(walker, gaits, tolerance), 0)
+    gaits = iterate_newton(walker, np.asarray(cycle)[None], integrator)
+    gait = gait_at(confirm_gaits(walker, gaits, integrator), 0)
     return gait if gait.found else clear_values(gait)
 
 
 def first_guess(
-    walker: Walker, period: int, tolerance: Real | None
+    walker: Walker, period: int, tolerance: Real | None, solver: AnySolver | None
 ) -> Float[Array | np.ndarray, "..."]:
     """A guess of the most stable gait of a period."""
     if moves_like(walker, SimplestWalker) and period == 1:
@@ -148,10 +144,11 @@ def first_guess(
             f"guess must be given for a {type(walker).__name__}'s gait of period {period} where "
             "JAX traces"
         )
-    found = find_gaits(walker, period, tolerance=tolerance)
+    search = partial(search_region, walker, period, tolerance=tolerance, solver=solver)
+    found = search(walker.gait_region())
     further = walker.further_gait_region()
     if further is not None and not any(gait.stable for gait in found):
-        found += find_gaits(walker, period, further, tolerance=tolerance)
+        found += search(further)
     if not found:
         return np.full((period, len(walker.section)), np.nan)
     return min(found, key=lambda gait: np.abs(gait.multipliers[0])).states
@@ -201,6 +198,19 @@ def find_gaits(
     check_whole("period", period)
     check_whole("descent", descent, 0)
     grid = walker.gait_region() if region is None else region
+    return search_region(walker, period, grid, descent, tolerance=tolerance)
+
+
+def search_region(
+    walker: Walker,
+    period: int,
+    grid: Grid,
+    descent: int = 0,
+    *,
+    tolerance: Real | None,
+    solver: AnySolver | None = None,
+) -> list[Gait]:
+    """`find_gaits` by any solver; a descent is by series."""
     check_kind("region", grid, Grid)
     if not len(grid.names) == grid.coordinates == len(walker.section):
         raise WrongUse(
@@ -208,18 +218,18 @@ def find_gaits(
             f"{', '.join(walker.section)}, not {', '.join(grid.names)}"
         )
     starts = grid.centres(np.arange(grid.size))
-    walker, _, tolerance = prepare(walker, starts[0], tolerance)
+    walker, _, integrator = prepare(walker, starts[0], tolerance, solver)
     # A period of one needs no walk, which would be one more program to compile.
     cycles = starts[:, None]
     if period > 1:
-        _, cycles = cycle_guesses(walker, starts, period, tolerance)
-    gaits = iterate_newton(walker, cycles, tolerance)
+        _, cycles = cycle_guesses(walker, starts, period, integrator)
+    gaits = iterate_newton(walker, cycles, integrator)
     failed = ~gaits.found & np.isfinite(gaits.residual)
     if descent and failed.any():
         nearer = descend(walker, cycles[failed], descent, tolerance=tolerance)
-        further = iterate_newton(walker, nearer, tolerance)
+        further = iterate_newton(walker, nearer, integrator)
         gaits = Gait(*map(np.concatenate, zip(gaits, further, strict=True)))
-    gaits = confirm_gaits(walker, remove_duplicates(gaits), tolerance)
+    gaits = confirm_gaits(walker, remove_duplicates(gaits), integrator)
     keep = gaits.found & grid.contains(np.asarray(gaits.states)).any(axis=1)
     return [gait_at(gaits, i) for i in np.flatnonzero(keep)]
 
@@ -265,10 +275,10 @@ def descend(
     rate = float(rate)
     if not 0 < rate < np.inf:
         raise WrongUse(f"rate must be positive and finite, not {rate}")
-    walker, _, tolerance = prepare(walker, cycles[0, 0], tolerance)
+    walker, _, integrator = prepare(walker, cycles[0, 0], tolerance)
     optimiser = optax.adam(optax.cosine_decay_schedule(rate, steps), b1=0.5, b2=0.9)
     x, scale = cycles, np.ones(len(cycles), cycles.dtype)
-    local = linearise(walker, x, tolerance)
+    local = linearise(walker, x, integrator)
     with jax.numpy_dtype_promotion("standard"):  # as optax's own arithmetic needs
         state = optimiser.init(jnp.asarray(x))
     for _ in range(steps):
@@ -278,7 +288,7 @@ def descend(
         with jax.numpy_dtype_promotion("standard"):
             update, state = optimiser.update(jnp.asarray(np.nan_to_num(gradient)), state)
         trial = x + scale[:, None, None] * np.asarray(update)
-        trial_local = linearise(walker, trial, tolerance)
+        trial_local = linearise(walker, trial, integrator)
         valid = np.isfinite(trial_local.state).all(axis=(1, 2)).reshape(-1)
         x = np.where(valid[:, None, None], trial, x)
         scale = np.where(valid, scale, scale / 2)
@@ -287,26 +297,26 @@ def descend(
     return x
 
 
-def confirm_gaits(walker: Walker, gaits: Gait, tolerance: Real) -> Gait:
+def confirm_gaits(walker: Walker, gaits: Gait, integrator: Integrator) -> Gait:
     """The same gaits; those that a walk over the period does not repeat count as not found."""
     states, found = np.asarray(gaits.states), np.asarray(gaits.found)
     period = states.shape[1]
     last = states[:, 0]
     for i in range(period if period > 1 else 0):  # of one stride, the residual is that of the walk
-        last = strides(walker, last, tolerance=tolerance).state
+        last = strides(walker, last, tolerance=integrator.tolerance, solver=integrator.solver).state
         mismatch = np.abs(last - states[:, (i + 1) % period]).max(axis=1)
         found = found & (mismatch < MAX_RESIDUAL[states.dtype])
     return gaits._replace(found=found, stable=gaits.stable & found)
 
 
 def cycle_guesses(
-    walker: Walker, starts: Float[np.ndarray, "n section"], period: int, tolerance: Real
+    walker: Walker, starts: Float[np.ndarray, "n section"], period: int, integrator: Integrator
 ) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m period section"]]:
     """Indices of the starts that make `period` strides, and the states of these walks.
 
     The walker's parameters may be arrays of n.
     """
-    states, outcome = orbits(walker, starts, period, tolerance)
+    states, outcome = orbits(walker, starts, period, integrator)
     walking = np.flatnonzero(outcome == Outcome.STRIDE)
     return walking, states[walking, :period]
 
@@ -314,7 +324,7 @@ def cycle_guesses(
 def iterate_newton(
     walker: Walker,
     cycles: Float[np.ndarray, "n period section"],
-    tolerance: Real,
+    integrator: Integrator,
     steps: int = MAX_SEARCH_STEPS,
 ) -> Gait:
     """Newton's iteration from n guesses of cycles; the first axis of each field is n.
@@ -337,7 +347,7 @@ def iterate_newton(
     active = np.flatnonzero(np.isfinite(cycles).all(axis=(1, 2)))
     rounding = 10 * float(np.finfo(cycles.dtype).eps)
     for _ in range(steps):
-        local = linearise(select_walkers(walker, active), cycles[active], tolerance)
+        local = linearise(select_walkers(walker, active), cycles[active], integrator)
         mismatch = local.state - np.roll(cycles[active], -1, axis=1)
         residual = np.abs(mismatch).max(axis=(1, 2))
         # near rounding errors a step no longer reduces the residual

@@ -8,7 +8,7 @@ import numpy as np
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.reasons import no_gait_found
 from walker_jax.gaits.search import find_gaits, search_gait
-from walker_jax.integrators.solvers import Real
+from walker_jax.integrators.roots import Real
 from walker_jax.walkers.model import Walker
 
 

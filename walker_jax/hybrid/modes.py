@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from walker_jax.integrators.roots import Scalar
-from walker_jax.integrators.solvers import VectorField
+from walker_jax.integrators.taylor import VectorField
 
 Function = Callable[[Any], Scalar]
 

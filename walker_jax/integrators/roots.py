@@ -13,6 +13,7 @@ from jaxtyping import Array, Bool, Float
 from walker_jax.integrators.series import evaluate_polynomial
 
 Scalar = Float[Array, ""]
+Real = Scalar | float
 Jet = Callable[[Scalar], tuple[Scalar, Scalar, Scalar]]
 """A function of the time since the start of a step: its value, slope and curvature."""
 

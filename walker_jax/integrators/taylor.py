@@ -33,6 +33,8 @@ from walker_jax.integrators.series import (
     series_log,
 )
 
+VectorField = Callable[[PyTree], PyTree]
+
 
 class PowerBalance(eqx.Module):
     """Equations of motion as a balance of power, whose series needs no formula for accelerations.
@@ -239,9 +241,7 @@ def derivative(series: Series, times: int = 1) -> Series:
 
 
 @eqx.filter_jit
-def solution_series(
-    vector_field: Callable[[PyTree], PyTree], state: PyTree, order: int
-) -> PyTree[list]:
+def solution_series(vector_field: VectorField, state: PyTree, order: int) -> PyTree[list]:
     """Taylor coefficients of the solution of y' = f(y) that starts at `state`.
 
     **Arguments:**

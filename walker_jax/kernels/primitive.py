@@ -179,14 +179,11 @@ MODES = {
     "jax_numpy_dtype_promotion": jax.numpy_dtype_promotion,
 }
 """Settings of JAX on which the results of a function depend, and the contexts that set them."""
-contexts: list = []
-"""Contexts of other modules on which results depend, made by `jax.make_user_context`."""
 
 
 def current_settings() -> tuple[tuple[Any, Any], ...]:
     """The contexts and their values in this thread."""
-    modes = ((context, getattr(jax.config, mode)) for mode, context in MODES.items())
-    return (*modes, *((context, context.value) for context in contexts))
+    return tuple((context, getattr(jax.config, mode)) for mode, context in MODES.items())
 
 
 @contextlib.contextmanager

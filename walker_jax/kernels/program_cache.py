@@ -5,7 +5,7 @@ machine code is on disk. So the shapes of its results are kept there too, beside
 code. They are found by a hash of all that a trace depends on:
 
 - the function, the shapes and types of its arguments, and the static parts of these;
-- the settings of JAX and the contexts under which it is traced;
+- the settings of JAX under which it is traced;
 - the code of this package as it is in this process, function by function: whoever replaces one at
   run time gets a trace of what is there now; its source files, as they were when it was loaded; and
   the versions of the packages that it uses.

@@ -9,7 +9,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from walker_jax.checks import WrongUse
-from walker_jax.integrators.solvers import Real
+from walker_jax.integrators.roots import Real
 from walker_jax.multibody.constraints import RateConstraints, rate_matrix
 from walker_jax.multibody.linear import block, check_pivots, factorise, solve_factored
 from walker_jax.multibody.system import Coordinates, System, check_state, jacobian, mass_matrix

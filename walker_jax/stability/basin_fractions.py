@@ -34,6 +34,7 @@ from walker_jax.gaits.branches import (
 from walker_jax.gaits.continuation import Start
 from walker_jax.gaits.search import search_gait
 from walker_jax.grids import Grid
+from walker_jax.integrators.integrator import Integrator
 from walker_jax.stability.sampling import wilson_interval
 from walker_jax.stability.summary import default_region
 from walker_jax.walkers.model import Walker, check_single
@@ -142,7 +143,7 @@ class Family:
         self, walker: Walker, parameter: str, interval: tuple[float, float], tolerance: float
     ):
         self.walker, self.parameter, self.interval = walker, parameter, interval
-        self.tolerance = tolerance
+        self.tolerance, self.integrator = tolerance, Integrator(tolerance)
         self.branches: list[Branch | None] = []
         self.without_period = NONE
         """Number of the motion without a period at the last value."""
@@ -160,7 +161,7 @@ class Family:
                 names.append(name)
                 states = np.roll(states, -int(states[:, 0].argmin()), axis=0)
                 known.append(Attractor(len(states), states))
-        mapper = Mapper(there, known, self.tolerance, strides)
+        mapper = Mapper(there, known, self.integrator, strides)
         labels = mapper(starts)
         left = labels.states[labels.remaining]
         if len(left):  # first, as a cycle that is new may pass close to one that is known
@@ -172,7 +173,7 @@ class Family:
         shown = [
             one
             if one.period
-            else one._replace(states=orbits(there, one.states, STATES - 1, self.tolerance)[0][0])
+            else one._replace(states=orbits(there, one.states, STATES - 1, self.integrator)[0][0])
             for one in mapper.attractors
         ]
         return Found(names, shown, labels)

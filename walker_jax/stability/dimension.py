@@ -15,7 +15,7 @@ from walker_jax.basins.runs import flat_index
 from walker_jax.checks import check_precision, check_whole, numbers, refuses_tracers
 from walker_jax.fractals import Uncertainty, sort_distances, uncertainty_exponent, upper_probability
 from walker_jax.grids import Grid, edge
-from walker_jax.integrators.solvers import default_tolerance
+from walker_jax.integrators.integrator import integrator_of
 from walker_jax.walkers.model import Walker, is_planar
 
 DISTANCES = 10.0 ** np.linspace(-6, -3.5, 11)
@@ -76,8 +76,8 @@ def boundary_dimension(
     check_whole("strides", strides)
     dtype = jnp.asarray(0.0).dtype
     check_precision(dtype, "boundary_dimension, which compares starts 1e-6 apart,")
-    checked_tolerance = float(default_tolerance(dtype, tolerance))
-    mapper = with_capture_boxes(mapper_of_grid(walker, grid, checked_tolerance, strides))
+    integrator = integrator_of(dtype, tolerance)
+    mapper = with_capture_boxes(mapper_of_grid(walker, grid, integrator, strides))
 
     def label_of(share: Float[np.ndarray, "n axes"]) -> Int[np.ndarray, " n"]:
         order = np.argsort(flat_index((share * shape).astype(int).T, grid.shape))

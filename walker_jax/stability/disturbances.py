@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float
 from walker_jax.basins.mapper import Mapper
 from walker_jax.checks import check_whole, refuses_tracers
 from walker_jax.gaits.cycles import Gait
+from walker_jax.integrators.integrator import Integrator
 from walker_jax.stability.descents import descend_to_failure
 from walker_jax.stability.gait_mapper import failure_test, mapper_of_gait, with_other_gaits
 from walker_jax.stability.margin_changes import differentiate_margins
@@ -116,7 +117,9 @@ def least_disturbance(
     y = (OTHER_GAITS_DISTANCES * rays[:, None]).reshape(-1, rays.shape[1])
     around = [x + sizes.disturbance(x, y) for x in states]
     all_gaits = with_other_gaits(mapper, np.concatenate(around))
-    loose = all_gaits._replace(tolerance=max(mapper.tolerance, SEARCH_TOLERANCE))
+    loose = all_gaits._replace(
+        integrator=Integrator(max(mapper.integrator.tolerance, SEARCH_TOLERANCE))
+    )
 
     def fails(
         points: Float[np.ndarray, "n section"], mapper: Mapper = all_gaits
@@ -126,7 +129,7 @@ def least_disturbance(
     def gradient(points: Float[np.ndarray, "n section"]) -> Float[np.ndarray, "n section"]:
         count = all_gaits(points).strides
         axes = np.eye(points.shape[1])
-        return differentiate_margins(walker, points, count, axes, (), mapper.tolerance)
+        return differentiate_margins(walker, points, count, axes, (), mapper.integrator.tolerance)
 
     def nearest(x: Float[np.ndarray, " section"]) -> Float[np.ndarray, " section"]:
         def gradient_along(y: Float[np.ndarray, "n section"]) -> Float[np.ndarray, "n section"]:

@@ -11,7 +11,7 @@ from walker_jax.basins.mapper import Labels, Mapper
 from walker_jax.checks import WrongUse, check_kind, check_precision, check_whole
 from walker_jax.gaits.cycles import Gait, check_found
 from walker_jax.gaits.selection import require_gait
-from walker_jax.integrators.solvers import default_tolerance
+from walker_jax.integrators.integrator import integrator_of
 from walker_jax.walkers.model import Walker, check_single
 from walker_jax.walking.iteration import strides as take_strides
 
@@ -41,10 +41,8 @@ def mapper_of_gait(
         raise WrongUse(f"gait must be one of this walker, on {', '.join(walker.section)}")
     ends = np.asarray(take_strides(walker, states, tolerance=tolerance).state)
     check_cycle(states, ends)
-    checked_tolerance = float(default_tolerance(states.dtype, tolerance))
-    return with_capture_boxes(
-        Mapper(walker, [Attractor(len(states), states)], checked_tolerance, strides)
-    )
+    integrator = integrator_of(states.dtype, tolerance)
+    return with_capture_boxes(Mapper(walker, [Attractor(len(states), states)], integrator, strides))
 
 
 def with_other_gaits(mapper: Mapper, starts: Float[np.ndarray, "n section"]) -> Mapper:

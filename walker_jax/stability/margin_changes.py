@@ -8,6 +8,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from walker_jax.execution.tiles import map_cells
+from walker_jax.integrators.integrator import Integrator
+from walker_jax.integrators.roots import Real
 from walker_jax.walkers.model import Scalar, Walker, numbers_of
 from walker_jax.walkers.parameters import with_parameter
 from walker_jax.walking.failure_margins import failure_margin, follow_margins
@@ -20,7 +22,7 @@ def differentiate_margins(
     made: Int[np.ndarray, " n"],
     directions: Float[np.ndarray, "axes section"],
     parameters: Sequence[str],
-    tolerance: float,
+    tolerance: Real,
 ) -> Float[np.ndarray, "n columns"]:
     """Derivatives of the margins of the failures of walks from x, along directions and parameters.
 
@@ -37,7 +39,7 @@ def differentiate_margins(
             tangent, name, np.tile(np.array([name == one for one in names], dtype), n)
         )
     cells = np.repeat(x, columns, axis=0), np.repeat(made, columns), (tangent, along)
-    shared = jax.tree.map(lambda leaf: np.asarray(leaf, dtype), (walker, tolerance))
+    shared = jax.tree.map(lambda leaf: np.asarray(leaf, dtype), (walker, Integrator(tolerance)))
     return map_cells(margin_jvp, (shared, cells)).reshape(n, columns)
 
 
@@ -47,12 +49,12 @@ def margin_jvp(shared: tuple, cell: tuple) -> Scalar:
     The derivative is along tangents of the walker and of the start; NaN where the walk does not end
     in that stride.
     """
-    walker, tolerance = shared
+    walker, integrator = shared
     x, count, tangents = cell
 
     def margin(walker, x):
-        end = walk_on(walker, x, None, count, tolerance)
-        return failure_margin(follow_margins(walker, end.state, tolerance))
+        end = walk_on(walker, x, None, count, integrator)
+        return failure_margin(follow_margins(walker, end.state, integrator))
 
     value, change = jax.jvp(margin, (walker, x), tangents)
     return jnp.where(jnp.isnan(value), jnp.nan, change)

@@ -26,7 +26,7 @@ from walker_jax.checks import (
 from walker_jax.execution.tiles import map_cells
 from walker_jax.gaits.cycles import Gait, check_found
 from walker_jax.gaits.selection import require_gait
-from walker_jax.integrators.solvers import default_tolerance
+from walker_jax.integrators.integrator import integrator_of
 from walker_jax.kernels.outside_code import AsItIs
 from walker_jax.walkers.model import Walker, check_planar, check_single
 from walker_jax.walking.disturbed import Disturbance, DisturbedWalk, follow_disturbed_walk
@@ -120,7 +120,7 @@ def walk_disturbed(
 ) -> DisturbedWalk:
     """Disturbed walks from n full states, each with a random key, until they fail; NumPy arrays."""
     walker = jax.tree.map(lambda leaf: np.asarray(leaf, states.dtype), walker)
-    checked_tolerance = np.asarray(default_tolerance(states.dtype, tolerance), states.dtype)
+    integrator = integrator_of(states.dtype, tolerance).in_dtype(states.dtype)
     n = len(states)
     end = DisturbedWalk(states.copy(), np.zeros(n, np.int8), np.zeros(n, np.int32))
     active, done = np.arange(n), 0
@@ -130,7 +130,7 @@ def walk_disturbed(
         drawn = np.asarray(draw(AsItIs(ground), own, done, count))[: len(active)]
         part = map_cells(
             follow_disturbed_walk,
-            (walker, end.state[active], drawn.astype(states.dtype), checked_tolerance),
+            (walker, end.state[active], drawn.astype(states.dtype), integrator),
             (False, True, True, False),
         )
         end.state[active], end.outcome[active] = part.state, part.outcome

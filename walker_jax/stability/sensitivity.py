@@ -21,6 +21,7 @@ from jaxtyping import Array, Float
 from walker_jax.checks import WrongUse, check_kind, short
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import find_gait
+from walker_jax.integrators.integrator import Integrator
 from walker_jax.kernels.outside_code import AsItIs
 from walker_jax.walkers.model import Scalar, State, Walker, check_planar
 from walker_jax.walking.disturbed import Disturbance, follow_disturbed
@@ -101,16 +102,16 @@ def gait_sensitivity(
     check_kind("gait", gait, Gait)
     if len(gait.states) != 1:
         raise WrongUse(f"gait must be of period one, not {len(gait.states)}")
-    walker, state, checked = prepare(walker, gait.states[0], tolerance)
+    walker, state, integrator = prepare(walker, gait.states[0], tolerance)
     what = tuple(map(AsItIs, acts)), tuple(map(AsItIs, looks))
-    return respond_to(walker, state, checked, what)
+    return respond_to(walker, state, integrator, what)
 
 
 @partial(jax.jit, static_argnums=3)
 def respond_to(
     walker: Walker,
     state: Float[Array, " section"],
-    tolerance: Float[Array, ""],
+    integrator: Integrator,
     what: tuple[tuple[OneDisturbance, ...], tuple[Indicator, ...]],
 ) -> GaitSensitivity:
     """The matrices and the norm, of disturbances and indicators."""
@@ -119,7 +120,7 @@ def respond_to(
     def disturbed(x, e):
         parts = zip(*(act(size) for act, size in zip(acts, e, strict=True)), strict=True)
         total = [sum(jnp.asarray(value, x.dtype) for value in values) for values in parts]
-        made = follow_disturbed(walker, x, Disturbance(*total), tolerance)
+        made = follow_disturbed(walker, x, Disturbance(*total), integrator)
         ends = State(*made.state)
         return made.state, jnp.stack([look(walker, State(*x), ends, made.time) for look in looks])
 

@@ -85,16 +85,15 @@ def labels_after_step(
     mapper: Mapper, x: Float[np.ndarray, "n section"], drops: Float[np.ndarray, " n"]
 ) -> Labels:
     """Labels of walkers that step down by `drops` from x; the stride down is counted."""
-    walker, tolerance = mapper.walker, mapper.tolerance
-    checked_tolerance = np.asarray(tolerance, x.dtype)
+    walker, integrator = mapper.walker, mapper.integrator
     arguments = (
         jax.tree.map(lambda leaf: np.asarray(leaf, x.dtype), walker),
         x,
         -drops,
-        checked_tolerance,
+        integrator.in_dtype(x.dtype),
     )
     down = map_cells(follow_step, arguments, (False, True, True, False))
-    after = take_strides(walker, down.state, tolerance=tolerance)
+    after = take_strides(walker, down.state, tolerance=integrator.tolerance)
     rest = mapper(np.asarray(after.state))
     fate = np.where(after.outcome == Outcome.STRIDE, rest.fate, after.outcome)
     fate = np.where(down.outcome == Outcome.STRIDE, fate, down.outcome)

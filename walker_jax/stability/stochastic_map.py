@@ -34,7 +34,7 @@ from walker_jax.checks import (
 )
 from walker_jax.execution.tiles import map_cells
 from walker_jax.gaits.cycles import Gait
-from walker_jax.integrators.solvers import default_tolerance
+from walker_jax.integrators.integrator import integrator_of
 from walker_jax.stability.rough_ground import (
     RandomDisturbance,
     draw,
@@ -253,7 +253,7 @@ def transition_matrix(
     these there were.
     """
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).astype(np.uint32))
-    checked_tolerance = np.asarray(default_tolerance(states.dtype, tolerance), states.dtype)
+    integrator = integrator_of(states.dtype, tolerance).in_dtype(states.dtype)
     arrays = jax.tree.map(lambda leaf: np.asarray(leaf, states.dtype), walker)
     chances, made_strides, undecided = np.full(len(states), 1 / len(states)), [], 0
     for number in range(ROUNDS):
@@ -268,7 +268,7 @@ def transition_matrix(
         disturbances: Any = Disturbance(*np.ascontiguousarray(drawn.T))
         made = map_cells(
             follow_disturbed,
-            (arrays, states[chosen], disturbances, checked_tolerance),
+            (arrays, states[chosen], disturbances, integrator),
             (False, True, True, False),
         )
         going = made.outcome == Outcome.STRIDE

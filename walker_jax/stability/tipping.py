@@ -27,7 +27,7 @@ from walker_jax.checks import (
     short,
 )
 from walker_jax.grids import Grid
-from walker_jax.integrators.solvers import default_tolerance
+from walker_jax.integrators.integrator import integrator_of
 from walker_jax.stability.sampling import Sampler, draw_starts, wilson_interval
 from walker_jax.walkers.model import Walker, check_single
 from walker_jax.walkers.parameters import check_parameter, with_parameter
@@ -106,7 +106,7 @@ def tipping_probability(
     check_confidence(confidence)
     dtype = jnp.asarray(0.0).dtype
     check_precision(dtype)
-    checked_tolerance = float(default_tolerance(dtype, tolerance))
+    integrator = integrator_of(dtype, tolerance)
     rng = np.random.default_rng(seed)
     if isinstance(region, Grid):
         check_grid(walker, region, "direct")
@@ -120,7 +120,7 @@ def tipping_probability(
     starts = starts.astype(dtype)
     found = []
     for one in (walker, with_parameter(walker, parameter, float(value))):
-        mapper = Mapper(one, [], checked_tolerance, strides).with_attractors_from(starts)
+        mapper = Mapper(one, [], integrator, strides).with_attractors_from(starts)
         mapper = with_capture_boxes(mapper.with_sorted_attractors())
         found.append(mapper.label_all(starts))
     (labels_before, mapper_before), (labels_after, mapper_after) = found
@@ -183,5 +183,5 @@ def states_of(mapper: Mapper, attractor: Attractor) -> Float[np.ndarray, "n sect
     """The states of a cycle, or many of a motion that does not repeat itself."""
     if attractor.period:
         return attractor.states
-    states, _ = orbits(mapper.walker, attractor.states[:1], RUN, mapper.tolerance)
+    states, _ = orbits(mapper.walker, attractor.states[:1], RUN, mapper.integrator)
     return states[0][np.isfinite(states[0]).all(axis=1)]

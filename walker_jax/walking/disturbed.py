@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
+from walker_jax.integrators.integrator import Integrator
 from walker_jax.kernels import by_kernel
 from walker_jax.walkers.model import Scalar, State, Walker
 from walker_jax.walkers.parameters import with_parameter
@@ -44,26 +45,26 @@ def follow_disturbed(
     walker: Walker,
     x: Float[Array, " coordinates"],
     disturbance: Disturbance,
-    tolerance: Float[Array, ""],
+    integrator: Integrator,
 ) -> Stride:
     """One disturbed stride; the result's state is a full one."""
     slope = vars(walker)["slope"] + disturbance.slope
     steeper = with_parameter(walker, "slope", slope)
     start = walker.lift(x) if x.shape == (len(walker.section),) else State(*x)
     pushed = jnp.stack(walker.push(start, jnp.asarray(disturbance.push)))
-    return follow_step(steeper, pushed, jnp.asarray(disturbance.step), tolerance)
+    return follow_step(steeper, pushed, jnp.asarray(disturbance.step), integrator)
 
 
 def follow_disturbed_walk(
     walker: Walker,
     x: Float[Array, " 4"],
     disturbances: Float[Array, "strides 3"],
-    tolerance: Float[Array, ""],
+    integrator: Integrator,
 ) -> DisturbedWalk:
     """Strides, each with its disturbance, until a failure or to the last."""
 
     def advance(walk, disturbance):
-        result = follow_disturbed(walker, walk.state, Disturbance(*disturbance), tolerance)
+        result = follow_disturbed(walker, walk.state, Disturbance(*disturbance), integrator)
         going = walk.outcome == Outcome.STRIDE
         outcome = jnp.where(going, result.outcome, walk.outcome)
         made = (outcome == Outcome.STRIDE).astype(jnp.int32)

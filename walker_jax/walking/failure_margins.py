@@ -21,7 +21,9 @@ from jaxtyping import Array, Bool, Float
 
 from walker_jax.checks import refuses_tracers
 from walker_jax.hybrid.modes import Guard
-from walker_jax.integrators.solvers import Real, zero_at
+from walker_jax.integrators.integrator import Integrator
+from walker_jax.integrators.method import zero_at
+from walker_jax.integrators.roots import Real
 from walker_jax.integrators.taylor import with_fast_sincos
 from walker_jax.kernels import by_kernel
 from walker_jax.walkers.model import Scalar, Walker, toppling_rate
@@ -94,7 +96,7 @@ def margins_of_many(
     progress: str | None = None,
 ) -> Margins:
     """`margins` for each of n starts, and one walker or n, as in `strides`; NumPy arrays."""
-    return for_each_start(follow_margins, walker, xs, tolerance, progress)
+    return for_each_start(follow_margins, walker, xs, tolerance, progress=progress)
 
 
 def failure_margin(found: Margins) -> Scalar:
@@ -107,12 +109,12 @@ def failure_margin(found: Margins) -> Scalar:
 
 @by_kernel
 def follow_margins(
-    walker: Walker, x: Float[Array, " coordinates"], tolerance: Float[Array, ""]
+    walker: Walker, x: Float[Array, " coordinates"], integrator: Integrator
 ) -> Margins:
     walker, launched = during_stride(walker, x), not on_section(walker, x)
     start, verdict = with_fast_sincos(begin_stride)(walker, x)
     arrival = follow_to_heel_strike(
-        walker, start, verdict, tolerance, launched=launched, measured=True
+        walker, start, verdict, integrator, launched=launched, measured=True
     )
     modes = [part.mode for part in arrival.parts]
     ways = [part[1:] for part in arrival.parts]

@@ -20,7 +20,8 @@ from jaxtyping import Array, Float, Int
 
 from walker_jax.checks import WrongUse, array, check_kind, check_whole, refuses_tracers
 from walker_jax.execution.tiles import map_cells
-from walker_jax.integrators.solvers import AnySolver, Real, default_tolerance, using_solver
+from walker_jax.integrators.integrator import AnySolver, Integrator, integrator_of
+from walker_jax.integrators.roots import Real
 from walker_jax.walkers.model import Walker, check_planar, numbers_of
 from walker_jax.walkers.parameters import Parameter, described_by
 from walker_jax.walking.outcomes import Outcome, Stride, Walk, nan_unless
@@ -83,8 +84,7 @@ def strides(
     It is fastest where neighbours in `xs` are close on the section.
     `progress` is what to call the work in a progress bar, shown on a terminal only.
     """
-    with using_solver(solver):
-        return for_each_start(follow_stride, walker, xs, tolerance, progress)
+    return for_each_start(follow_stride, walker, xs, tolerance, solver, progress)
 
 
 def for_each_start(
@@ -92,9 +92,10 @@ def for_each_start(
     walker: Walker,
     xs: Float[ArrayLike, "n coordinates"],
     tolerance: Real | None = None,
+    solver: AnySolver | None = None,
     progress: str | None = None,
 ) -> Any:
-    """function(walker, x, tolerance) for n starts, and one walker or n; NumPy arrays."""
+    """function(walker, x, integrator) for n starts, and one walker or n; NumPy arrays."""
     check_kind("walker", walker, Walker)
     xs = array("xs", xs)
     if xs.dtype.kind not in "fiub":
@@ -110,11 +111,9 @@ def for_each_start(
         )
     dtype = xs.dtype if np.issubdtype(xs.dtype, np.floating) else float
     xs = xs.astype(jax.dtypes.canonicalize_dtype(dtype), copy=False)
-    checked_tolerance = np.asarray(default_tolerance(xs.dtype, tolerance), xs.dtype)
+    integrator = integrator_of(xs.dtype, tolerance, solver).in_dtype(xs.dtype)
     walker, many = as_arrays(walker, len(xs), xs.dtype)
-    return map_cells(
-        function, (walker, xs, checked_tolerance), (many, True, False), progress=progress
-    )
+    return map_cells(function, (walker, xs, integrator), (many, True, False), progress=progress)
 
 
 def as_arrays(walker: Walker, n: int, dtype) -> tuple[Walker, bool]:
@@ -165,29 +164,27 @@ def walk(
     before. Then states are full ones, just after heel strike.
     """
     check_whole("n", n)
-    walker, x, tolerance = prepare(walker, x, tolerance)
+    walker, x, integrator = prepare(walker, x, tolerance, solver)
     if x.shape != (len(walker.section),):
         raise WrongUse(f"x must be on the section {walker.section}, not of shape {x.shape}")
     if ground is None:
-        with using_solver(solver):
-            return follow_walk(walker, x, n, tolerance)
+        return follow_walk(walker, x, n, integrator)
     check_planar(walker)
     steps = as_floating(ground, "ground").astype(x.dtype)
     if steps.shape != (n,):
         raise WrongUse(f"ground must be {n} heights, of shape ({n},), not {steps.shape}")
     if not isinstance(steps, Tracer) and not np.isfinite(np.asarray(steps)).all():
         raise WrongUse("ground must be finite heights")
-    with using_solver(solver):
-        return follow_rough_walk(walker, x, steps, tolerance)
+    return follow_rough_walk(walker, x, steps, integrator)
 
 
 @partial(jax.jit, static_argnums=2)
 def follow_walk(
-    walker: Walker, x: Float[Array, " section"], n: int, tolerance: Float[Array, ""]
+    walker: Walker, x: Float[Array, " section"], n: int, integrator: Integrator
 ) -> Walk:
     def follow(carry, _):
         x, fate = carry
-        result = follow_stride(walker, x, tolerance)
+        result = follow_stride(walker, x, integrator)
         fate = jnp.where(fate == Outcome.STRIDE, result.outcome, fate)
         return (result.state, fate), (result.state, fate, result.time)
 
@@ -201,13 +198,13 @@ def follow_rough_walk(
     walker: Walker,
     x: Float[Array, " section"],
     ground: Float[Array, " n"],
-    tolerance: Float[Array, ""],
+    integrator: Integrator,
 ) -> Walk:
     """Strides, each onto its own height above the last."""
 
     def follow(carry, step):
         x, fate = carry
-        result = follow_step(walker, x, step, tolerance)
+        result = follow_step(walker, x, step, integrator)
         fate = jnp.where(fate == Outcome.STRIDE, result.outcome, fate)
         return (result.state, fate), (result.state, fate, result.time)
 
@@ -223,7 +220,7 @@ def walk_on(
     x: Float[Array, " section"],
     targets: Targets | None,
     limit: Int[Array, ""],
-    tolerance: Float[Array, ""],
+    integrator: Integrator,
 ) -> WalkEnd:
     """Walk on until a failure, until a target is reached, or for a number of strides."""
 
@@ -238,7 +235,7 @@ def walk_on(
         return (end.outcome == Outcome.STRIDE) & (end.strides < limit) & (end.target < 0)
 
     def advance(end):
-        result = follow_stride(walker, end.state, tolerance)
+        result = follow_stride(walker, end.state, integrator)
         made = (result.outcome == Outcome.STRIDE).astype(jnp.int32)
         return WalkEnd(result.state, result.outcome, end.strides + made, reached(result.state))
 
@@ -250,7 +247,7 @@ def iterate(
     walker: Walker,
     starts: Float[np.ndarray, "n section"],
     limit: int,
-    tolerance: Real | None,
+    integrator: Integrator,
     targets: Targets | None = None,
     *,
     progress: str | None = None,
@@ -262,7 +259,7 @@ def iterate(
     """
     n, size = starts.shape
     walker, many = as_arrays(walker, n, starts.dtype)
-    checked_tolerance = np.asarray(default_tolerance(starts.dtype, tolerance), starts.dtype)
+    integrator = integrator.in_dtype(starts.dtype)
     end = WalkEnd(
         starts.copy(), np.zeros(n, np.int8), np.zeros(n, np.int32), np.full(n, -1, np.int32)
     )
@@ -283,7 +280,7 @@ def iterate(
                 end.state[active],
                 compiled,
                 np.int32(count),
-                checked_tolerance,
+                integrator,
             ),
             (many, True, False, False, False),
             progress=progress and f"{progress}: from stride {done + 1} on, {len(active)} walkers",
@@ -325,7 +322,7 @@ def orbits(
     walker: Walker,
     starts: Float[np.ndarray, "n section"],
     count: int,
-    tolerance: Real | None,
+    integrator: Integrator,
 ) -> tuple[Float[np.ndarray, "n states section"], Int[np.ndarray, " n"]]:
     """All states of `count` strides from each of n starts, and the outcome of the last stride.
 
@@ -333,7 +330,7 @@ def orbits(
     """
     n, size = starts.shape
     walker, many = as_arrays(walker, n, starts.dtype)
-    checked_tolerance = np.asarray(default_tolerance(starts.dtype, tolerance), starts.dtype)
+    integrator = integrator.in_dtype(starts.dtype)
     states = np.full((n, count + 1, size), np.nan, starts.dtype)
     states[:, 0] = starts
     outcome, active = np.zeros(n, np.int8), np.arange(n)
@@ -342,14 +339,14 @@ def orbits(
             break
         more = min(RECORDED, count - done)
         some = select_walkers(walker, active), states[active, done], np.int32(more)
-        part, ends = map_cells(record_walk, (*some, checked_tolerance), (many, True, False, False))
+        part, ends = map_cells(record_walk, (*some, integrator), (many, True, False, False))
         states[active, done + 1 : done + 1 + more], outcome[active] = part[:, :more], ends
         active = active[ends == Outcome.STRIDE]
     return states, outcome
 
 
 def record_walk(
-    walker: Walker, x: Float[Array, " section"], limit: Int[Array, ""], tolerance: Float[Array, ""]
+    walker: Walker, x: Float[Array, " section"], limit: Int[Array, ""], integrator: Integrator
 ) -> tuple[Float[Array, "strides section"], Int[Array, ""]]:
     """The states of `RECORDED` strides, NaN after a failure or the limit, and the last outcome."""
 
@@ -359,7 +356,7 @@ def record_walk(
 
     def advance(walk):
         made, x, _, states = walk
-        result = follow_stride(walker, x, tolerance)
+        result = follow_stride(walker, x, integrator)
         return made + 1, result.state, result.outcome, states.at[made].set(result.state)
 
     states = jnp.full((RECORDED, *x.shape), jnp.nan, x.dtype)

@@ -14,7 +14,9 @@ from jax import lax
 from jaxtyping import Array, Bool
 
 from walker_jax.hybrid.modes import Condition, Foregone, Function, Guard, Mode
-from walker_jax.integrators.solvers import Method, Real, VectorField, solver_for
+from walker_jax.integrators.integrator import Integrator
+from walker_jax.integrators.method import Method
+from walker_jax.integrators.taylor import VectorField
 from walker_jax.walkers.masses import MultibodyMotion, SingleSupport
 from walker_jax.walkers.model import Phase, Scalar, Walker, is_planar
 from walker_jax.walkers.rolling_stance import RollingStance
@@ -33,10 +35,10 @@ def equations(walker: Walker | Phase) -> VectorField:
     return walker.vector_field
 
 
-def method_of(mode: Mode, start: Any, tolerance: Real) -> Method:
+def method_of(mode: Mode, start: Any, integrator: Integrator) -> Method:
     """The method by which a mode is integrated: its steps end at kinks of guards too."""
     kinked = [function for guard in mode.functions() for function in guard]
-    return Method(mode.field, solver_for(start), tolerance, tuple(kinked))
+    return integrator.method(mode.field, start, *kinked)
 
 
 def conditions_of(walker: Walker | Phase) -> dict[int, Function]:

@@ -17,7 +17,8 @@ from walker_jax.hybrid.crossings import begins_below
 from walker_jax.hybrid.following import NO_GUARD, End, Violated, follow_mode
 from walker_jax.hybrid.misses import Misses
 from walker_jax.hybrid.modes import Mode
-from walker_jax.integrators.solvers import Method, Real, solver_for, zero_at
+from walker_jax.integrators.integrator import Integrator
+from walker_jax.integrators.method import zero_at
 from walker_jax.integrators.taylor import with_fast_sincos
 from walker_jax.walkers.model import Phase, Scalar, State, Walker
 from walker_jax.walking.falls import fall_of
@@ -55,7 +56,7 @@ def follow_to_heel_strike(
     walker: Walker,
     start: Any,
     verdict: Int[Array, ""],
-    tolerance: Real,
+    integrator: Integrator,
     *,
     launched: bool = False,
     measured: bool = False,
@@ -65,16 +66,16 @@ def follow_to_heel_strike(
     If it is `measured`, the parts of the stride have their misses, and a fall is followed to its
     end.
     """
-    last = follow_to_swing(walker, start, verdict, tolerance, measured=measured)
+    last = follow_to_swing(walker, start, verdict, integrator, measured=measured)
     mode = swing_mode(walker, last.state, launched=launched)
     mode = mode._replace(foregone=None) if measured else mode
-    return follow_on(mode, last, tolerance, measured)
+    return follow_on(mode, last, integrator, measured)
 
 
-def follow_on(mode: Mode, last: Arrival, tolerance: Real, measured: bool = False) -> Arrival:
+def follow_on(mode: Mode, last: Arrival, integrator: Integrator, measured: bool = False) -> Arrival:
     """A mode from where the one before has led; the verdict is what its guard leads to."""
     going = last.verdict == Outcome.UNDECIDED
-    method = method_of(mode, last.state, tolerance)
+    method = method_of(mode, last.state, integrator)
     found = follow_mode(mode, last.state, going, method, measured=measured)
     verdict = jnp.where(found.guard == NO_GUARD, Outcome.UNDECIDED, last.verdict)
     for i, guard in enumerate(mode.guards):
@@ -92,19 +93,19 @@ def follow_to_swing(
     walker: Walker,
     start: Any,
     verdict: Int[Array, ""],
-    tolerance: Real,
+    integrator: Integrator,
     step: Scalar | None = None,
     measured: bool = False,
 ) -> Arrival:
     """All phases of a stride before the swing, if there are any."""
     begun = Arrival(start, zero_at(start), verdict, {})
-    return [begun, *follow_phases(walker, begun, tolerance, step, measured)][-1]
+    return [begun, *follow_phases(walker, begun, integrator, step, measured)][-1]
 
 
 def follow_phases(
     walker: Walker,
     begun: Arrival,
-    tolerance: Real,
+    integrator: Integrator,
     step: Scalar | None = None,
     measured: bool = False,
 ) -> list[Arrival]:
@@ -112,11 +113,11 @@ def follow_phases(
     ends, now = [], begun
     phases = walker.phases()
     for phase in phases:
-        over = is_over(phase, now.state, tolerance)
+        over = is_over(phase, now.state, integrator)
         verdict = begin_phase(phase, now.state, now.time, over, now.verdict)
         verdict = jnp.where((verdict == Outcome.UNDECIDED) & over, Outcome.STRIDE, verdict)
         now = now._replace(verdict=verdict.astype(jnp.int8))
-        now = follow_on(phase_mode(phase, now.state, step), now, tolerance, measured)
+        now = follow_on(phase_mode(phase, now.state, step), now, integrator, measured)
         state = with_fast_sincos(lambda phase, s: phase.end(s))(phase, now.state)
         ended = now.verdict == Outcome.STRIDE
         verdict = jnp.where(ended, fall_of(walker, state), now.verdict)
@@ -146,9 +147,9 @@ def merge(one: Violated, other: Violated) -> Violated:
     return {key: one.get(key, never) | other.get(key, never) for key in sorted({*one, *other})}
 
 
-def is_over(phase: Phase, state: Any, tolerance: Real) -> Bool[Array, ""]:
+def is_over(phase: Phase, state: Any, integrator: Integrator) -> Bool[Array, ""]:
     """Whether a phase's event is due as it begins: it does not fall below zero first."""
-    method = Method(equations(phase), solver_for(state), tolerance)
+    method = integrator.method(equations(phase), state)
     return ~begins_below(method.series(phase.event, state, 2))
 
 

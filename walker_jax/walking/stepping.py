@@ -13,15 +13,9 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
 from walker_jax.checks import WrongUse, check_kind, check_number, short
-from walker_jax.integrators.solvers import (
-    AnySolver,
-    Method,
-    Real,
-    default_tolerance,
-    solver_for,
-    using_solver,
-    zero_at,
-)
+from walker_jax.integrators.integrator import AnySolver, Integrator, integrator_of
+from walker_jax.integrators.method import zero_at
+from walker_jax.integrators.roots import Real
 from walker_jax.integrators.taylor import with_fast_sincos
 from walker_jax.kernels import by_kernel
 from walker_jax.walkers.masses import MultibodyMotion
@@ -66,8 +60,8 @@ def stride(
       The result's state is then a full one, just after heel strike and off the section, as one foot
       is lower. `stride` takes it from there, on a slope through the foot that stands now.
     - `tolerance`: of one integration step: of its last Taylor terms, relative to the state or its
-      rate (`integrators.solvers.step_length`), or of the error that another solver estimates. By
-      default 1e-12 in float64 and 1e-6 in float32. The error of a stride is larger by as much as
+      rate (`integrators.taylor_steps.step_length`), or of the error that another solver estimates.
+      By default 1e-12 in float64 and 1e-6 in float32. The error of a stride is larger by as much as
       the stride amplifies errors, up to 1e5 times near falling backward.
     - `solver`: one of diffrax's explicit Runge-Kutta methods, such as `diffrax.Dopri8()`, in place
       of the Taylor series. It does not know where a vector field has kinks.
@@ -75,12 +69,11 @@ def stride(
     **Returns** a `Stride`. A failure is an `Outcome`. `ValueError` for a wrong shape or dtype, and
     for a tolerance that the dtype cannot hold.
     """
-    walker, x, tolerance = prepare(walker, x, tolerance)
-    with using_solver(solver):
-        if step is None:
-            return follow_stride(walker, x, tolerance)
-        check_planar(walker)
-        return follow_step(walker, x, height_of_step(step, x.dtype), tolerance)
+    walker, x, integrator = prepare(walker, x, tolerance, solver)
+    if step is None:
+        return follow_stride(walker, x, integrator)
+    check_planar(walker)
+    return follow_step(walker, x, height_of_step(step, x.dtype), integrator)
 
 
 def height_of_step(step: Any, dtype) -> Float[Array, ""]:
@@ -93,9 +86,12 @@ def height_of_step(step: Any, dtype) -> Float[Array, ""]:
 
 
 def prepare(
-    walker: Walker, x: Float[ArrayLike, " coordinates"], tolerance: Real | None
-) -> tuple[Walker, Float[Array, " coordinates"], Float[Array, ""]]:
-    """Walker, start and tolerance, checked, in the dtype of the start."""
+    walker: Walker,
+    x: Float[ArrayLike, " coordinates"],
+    tolerance: Real | None,
+    solver: AnySolver | None = None,
+) -> tuple[Walker, Float[Array, " coordinates"], Integrator]:
+    """Walker, start and integrator, checked, in the dtype of the start."""
     check_kind("walker", walker, Walker)
     check_single(walker)
     x = as_floating(x)
@@ -106,21 +102,21 @@ def prepare(
             f"x must have shape ({sizes[0]},), on the section {walker.section}, or {full}, "
             f"a full state, not {x.shape}"
         )
-    tolerance = default_tolerance(x.dtype, tolerance)
+    integrator = integrator_of(x.dtype, tolerance, solver).in_dtype(x.dtype)
     walker = jax.tree.map(lambda leaf: jnp.asarray(leaf, x.dtype), walker)
-    return walker, x, jnp.asarray(tolerance, x.dtype)
+    return walker, x, integrator
 
 
 @by_kernel
 def follow_stride(
     walker: Walker,
     x: Float[Array, " coordinates"],
-    tolerance: Float[Array, ""],
+    integrator: Integrator,
 ) -> Stride:
     walker = during_stride(walker, x)
     start, verdict = with_fast_sincos(begin_stride)(walker, x)
     launched = not on_section(walker, x)
-    arrival = follow_to_heel_strike(walker, start, verdict, tolerance, launched=launched)
+    arrival = follow_to_heel_strike(walker, start, verdict, integrator, launched=launched)
     return with_fast_sincos(end_stride)(walker, arrival)
 
 
@@ -242,7 +238,7 @@ def follow_step(
     walker: Walker,
     x: Float[Array, " coordinates"],
     step: Float[Array, ""],
-    tolerance: Float[Array, ""],
+    integrator: Integrator,
 ) -> Stride:
     """One stride to ground that is higher by `step`; the result's state is a full one."""
     walker = during_stride(walker, x)
@@ -250,20 +246,20 @@ def follow_step(
     launched = not on_section(walker, x)
     # A foot that goes below the ground has passed its level first, ahead of the other: the legs may
     # pass each other below the level, and that is no heel strike.
-    begun = follow_to_swing(walker, start, verdict, tolerance, step)
+    begun = follow_to_swing(walker, start, verdict, integrator, step)
     passed = step > 0
     if walker.phases():  # a foot in front may be below the level as a knee strikes
         ahead = (begun.state.phi < 0) & (walker.is_ahead(begun.state) > 0)
         passed |= (step < 0) & ahead & with_fast_sincos(starts_under)(walker, begun.state)
     to_level = swing_mode(walker, begun.state, step, to_step=passed, launched=launched)
-    level = follow_on(to_level, begun, tolerance)
+    level = follow_on(to_level, begun, integrator)
     lower = (level.verdict == Outcome.STRIDE) & (step < 0) & ~passed
     verdict = jnp.where(lower, Outcome.UNDECIDED, level.verdict).astype(jnp.int8)
     last = follow_on(
-        swing_mode(walker, level.state, step), level._replace(verdict=verdict), tolerance
+        swing_mode(walker, level.state, step), level._replace(verdict=verdict), integrator
     )
     # On even ground nothing is left to swing, but the derivative with respect to the step is.
-    method = Method(equations(walker), solver_for(last.state), tolerance)
+    method = integrator.method(equations(walker), last.state)
     contact = lambda state: step - walker.clearance(state)
     arrival, delay = method.refine_event(contact, last.state)
     last = last._replace(state=arrival, time=last.time + delay)
@@ -287,7 +283,7 @@ def trajectory(
     where that takes more than `MAX_STEPS` of integration. `ValueError` as for `stride`, and for
     times that are not finite or negative.
     """
-    walker, x, tolerance = prepare(walker, x, tolerance)
+    walker, x, integrator = prepare(walker, x, tolerance, solver)
     if not isinstance(x, Tracer) and not jnp.isfinite(x).all():
         raise WrongUse(f"x must be finite, not {x}")
     times = as_floating(times, "times").astype(x.dtype)
@@ -297,8 +293,7 @@ def trajectory(
         values = np.asarray(times)
         if values.size == 0 or not (np.isfinite(values) & (values >= 0)).all():
             raise WrongUse(f"times must be one or more, finite and not negative, unlike {times}")
-    with using_solver(solver):
-        return jax.vmap(state_after, (None, None, 0, None))(walker, x, times, tolerance)
+    return jax.vmap(state_after, (None, None, 0, None))(walker, x, times, integrator)
 
 
 @by_kernel
@@ -306,33 +301,35 @@ def state_after(
     walker: Walker,
     x: Float[Array, " coordinates"],
     time: Scalar,
-    tolerance: Scalar,
+    integrator: Integrator,
 ) -> Any:
     """The state a time after the start of a stride; of the first phase, if there are any."""
     walker = during_stride(walker, x)
     start = full_state(walker, x)
     if not (phases := walker.phases()):
-        return state_of_motion(walker, start, time, tolerance)
-    result, begins = state_of_motion(phases[0], start, time, tolerance), jnp.zeros_like(time)
+        return state_of_motion(walker, start, time, integrator)
+    result, begins = state_of_motion(phases[0], start, time, integrator), jnp.zeros_like(time)
     for phase, following in zip(phases, (*phases[1:], walker), strict=True):
         mode = phase_mode(phase, start)
         alone = mode._replace(guards=mode.guards[-1:], conditions=())  # nothing else ends it
-        over = is_over(phase, start, tolerance)
+        over = is_over(phase, start, integrator)
         verdict = jnp.where(over, Outcome.STRIDE, Outcome.UNDECIDED).astype(jnp.int8)
-        arrival = follow_on(alone, Arrival(start, begins, verdict, {}), tolerance)
+        arrival = follow_on(alone, Arrival(start, begins, verdict, {}), integrator)
         begins = jnp.where(arrival.verdict == Outcome.STRIDE, arrival.time, jnp.inf)
         start = with_fast_sincos(lambda phase, s: phase.end(s))(phase, arrival.state)
         left = time - begins
-        later = state_of_motion(following, start, jnp.maximum(left, 0), tolerance)
+        later = state_of_motion(following, start, jnp.maximum(left, 0), integrator)
         if type(later) is not type(result):
             later = phases[0].begin(legs(later))
         result = jax.tree.map(partial(jnp.where, left >= 0), later, result)
     return result
 
 
-def state_of_motion(walker: Walker | Phase, start: Any, time: Scalar, tolerance: Scalar) -> Any:
+def state_of_motion(
+    walker: Walker | Phase, start: Any, time: Scalar, integrator: Integrator
+) -> Any:
     """The state a time after another, by the equations of one phase."""
-    method = Method(equations(walker), solver_for(start), tolerance)
+    method = integrator.method(equations(walker), start)
     solution = method.solve(start, jnp.zeros_like(time), time)
     arrived = solution.result == diffrax.RESULTS.successful
     return jax.tree.map(lambda values: nan_unless(arrived, values[-1]), solution.ys)
@@ -350,18 +347,17 @@ def phase_times(
     Of a kneed walker: the times of knee strike, 0 where the knee locks at once, and of heel strike.
     NaN for phases that do not end with their event. Arguments and errors are those of `stride`.
     """
-    with using_solver(solver):
-        return follow_phase_times(*prepare(walker, x, tolerance))
+    return follow_phase_times(*prepare(walker, x, tolerance, solver))
 
 
 @by_kernel
 def follow_phase_times(
-    walker: Walker, x: Float[Array, " coordinates"], tolerance: Float[Array, ""]
+    walker: Walker, x: Float[Array, " coordinates"], integrator: Integrator
 ) -> Float[Array, " phases"]:
-    ends = follow_stride(walker, x, tolerance).time
+    ends = follow_stride(walker, x, integrator).time
     walker = during_stride(walker, x)
     start, verdict = with_fast_sincos(begin_stride)(walker, x)
-    phases = follow_phases(walker, Arrival(start, zero_at(start), verdict, {}), tolerance)
+    phases = follow_phases(walker, Arrival(start, zero_at(start), verdict, {}), integrator)
     ended = [one.verdict == Outcome.UNDECIDED for one in phases]
     times = [nan_unless(good, one.time) for one, good in zip(phases, ended, strict=True)]
     return jnp.stack([*times, ends])

@@ -1,0 +1,220 @@
+"""Single steps of any method: by Taylor series, or an explicit Runge-Kutta method of diffrax.
+
+Nothing here knows what is integrated. `hybrid.following` has the loop around the steps.
+"""
+
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float, PyTree
+
+from walker_jax.integrators.roots import Real, Scalar, derivative_of
+from walker_jax.integrators.series import evaluate_polynomial
+from walker_jax.integrators.taylor import (
+    VectorField,
+    function_series,
+    solution_series,
+    with_fast_sincos,
+)
+from walker_jax.integrators.taylor_solver import SeriesSteps, Taylor
+from walker_jax.integrators.taylor_steps import evaluate_series, taylor_step
+
+Solver = diffrax.AbstractAdaptiveSolver
+MAX_STEPS = 1000
+"""Most steps of one integration, so that each ends."""
+MOST_EXPANDED_AGAIN = 6
+"""Variables of a state whose series is expanded once more for a step that is searched. To carry the
+series of more of them from step to step takes less than that."""
+INTERPOLATION_ORDER = 8
+"""Order to which the interpolation of a Runge-Kutta method counts: none of diffrax's has more."""
+NODES = (1 - np.cos(np.pi * np.arange(INTERPOLATION_ORDER + 1) / INTERPOLATION_ORDER)) / 2
+"""Parts of a step at which such an interpolation is read, to have it as a polynomial."""
+TIME_REFINEMENTS = 3
+"""Newton's iterations on a time that interpolation gives; each squares its error."""
+
+
+def zero_at(state: PyTree) -> Scalar:
+    """Zero, as a function of a state.
+
+    A loop should start its values from this if they depend on the state in later turns. For a value
+    that has no derivative at first, JAX differentiates the whole loop once more.
+    """
+    return 0 * jnp.sum(jax.tree.leaves(state)[0])
+
+
+def stop_gradients(tree: PyTree) -> PyTree:
+    """A tree with all arrays constant to derivatives."""
+    return jax.tree.map(lambda x: lax.stop_gradient(x) if eqx.is_array(x) else x, tree)
+
+
+def fit_polynomial(length: Scalar, values: Float[Array, " nodes"]) -> list[Scalar]:
+    """The polynomial in 0 <= t <= length with these values at `NODES`, which are parts of it."""
+    changes, unit, found = values - values[0], jnp.ones_like(length), [values[0]]
+    for row in np.linalg.inv(np.vander(NODES, increasing=True))[1:]:
+        unit = unit * length
+        whole = sum(float(part) * change for part, change in zip(row, changes, strict=True))
+        found.append(whole / unit)
+    return found
+
+
+class Method(eqx.Module):
+    """Equations y' = f(y), with the diffrax solver and the tolerance that solve them."""
+
+    field: VectorField
+    solver: Solver
+    tolerance: Real
+    others: tuple[Callable[[PyTree], PyTree], ...] = ()
+    """Functions of the state; the Taylor solver ends steps at their kinks, as at those of f."""
+
+    @property
+    def terms(self):
+        field = self.field if isinstance(self.solver, Taylor) else with_fast_sincos(self.field)
+        return diffrax.ODETerm(lambda t, y, args: field(y))
+
+    @property
+    def by_stages(self) -> Solver:
+        """The solver with a loop over stages that has derivatives in forward mode."""
+        if not isinstance(self.solver, diffrax.AbstractRungeKutta):
+            return self.solver
+        absent = lambda x: x is None
+        return eqx.tree_at(lambda s: s.scan_kind, self.solver, "lax", is_leaf=absent)
+
+    def controller(self) -> diffrax.AbstractStepSizeController:
+        if isinstance(self.solver, Taylor):
+            order = self.solver.taylor_order
+            return SeriesSteps(self.field, order, self.tolerance, self.others)
+        return diffrax.PIDController(rtol=self.tolerance, atol=self.tolerance)
+
+    def solve(self, state: PyTree, t0, t1) -> diffrax.Solution:
+        """Integrates from `state` at t0 to t1."""
+        solver = self.solver
+        if isinstance(solver, Taylor):
+            solver = Taylor(solver.taylor_order, self.field)
+        return diffrax.diffeqsolve(
+            self.terms,
+            solver,
+            t0,
+            t1,
+            None,
+            state,
+            saveat=diffrax.SaveAt(t1=True),
+            stepsize_controller=self.controller(),
+            adjoint=diffrax.ForwardMode(),
+            max_steps=MAX_STEPS,
+            throw=False,
+        )
+
+    def carries_series(self, state: PyTree) -> bool:
+        """Whether a loop should pass the polynomial of a step on, not compute it again."""
+        series = isinstance(self.solver, Taylor)
+        return not series or len(jax.tree.leaves(state)) > MOST_EXPANDED_AGAIN
+
+    def first_memory(self, state: PyTree) -> PyTree:
+        """The method's own, for the first step."""
+        if isinstance(self.solver, Taylor):
+            return ()
+        zero, terms, controller = zero_at(state), self.terms, self.controller()
+        order = self.solver.error_order(terms)
+        first = self.by_stages.init(terms, zero, zero + 1, state, None)
+        length, kept = controller.init(
+            terms, zero, jnp.full_like(zero, jnp.inf), state, None, None, self.solver.func, order
+        )
+        return length, kept, first
+
+    def step(self, state: PyTree, memory: PyTree) -> tuple[PyTree[list], PyTree, Scalar, PyTree]:
+        """One step of the method from a state.
+
+        Returns its polynomial, from its start: the series of the solution, or the interpolation of
+        a Runge-Kutta method; its end; its length, zero where the method rejects the step; and what
+        the next step takes from this one.
+        """
+        if isinstance(self.solver, Taylor):
+            order = self.solver.taylor_order
+            series, length = taylor_step(self.field, state, order, self.tolerance, *self.others)
+            return series, evaluate_series(series, length), length, ()
+        length, kept, first = memory
+        zero, terms, controller = jnp.zeros_like(length), self.terms, self.controller()
+        end, error, dense, last, _ = self.by_stages.step(
+            terms, zero, length, state, None, first, False
+        )
+        order: Any = self.solver.error_order(terms)
+        good, begins, ends, _, kept, _ = controller.adapt_step_size(
+            zero, length, state, end, None, error, order, kept
+        )
+        inside = self.solver.interpolation_cls(t0=zero, t1=length, **dense).evaluate
+        series = jax.tree.map(partial(fit_polynomial, length), jax.vmap(inside)(length * NODES))
+        keep = lambda new, old: jax.tree.map(partial(jnp.where, good), new, old)
+        memory = ends - begins, kept, keep(last, first)
+        return series, keep(end, state), jnp.where(good, length, 0), memory
+
+    def series_of(self, state: PyTree) -> PyTree[list]:
+        """The series of the solution from a state, of a Taylor method."""
+        assert isinstance(self.solver, Taylor)
+        return solution_series(self.field, state, self.solver.taylor_order)
+
+    def no_series(self, state: PyTree) -> PyTree[list]:
+        """A polynomial with as many coefficients as those of steps."""
+        solver = self.solver
+        order = solver.taylor_order if isinstance(solver, Taylor) else INTERPOLATION_ORDER
+        return jax.tree.map(lambda x: [x, *[0 * x] * order], state)
+
+    def state_at(self, state: PyTree, series: PyTree[list], time: Scalar) -> PyTree:
+        """The state a time after the start of a step, by its series or by a shorter step."""
+        if isinstance(self.solver, Taylor):
+            return evaluate_series(series, time)
+        zero, solver = jnp.zeros_like(time), self.by_stages
+        first = solver.init(self.terms, zero, time, state, None)
+        return solver.step(self.terms, zero, time, state, None, first, False)[0]
+
+    def refine_time(
+        self, event: Callable[[PyTree], Scalar], state: PyTree, series: PyTree[list], time: Scalar
+    ) -> Scalar:
+        """Refines the time from the start of a step to an event; constant to derivatives.
+
+        The interpolation of a Runge-Kutta method is less accurate than its steps. So each of
+        Newton's iterations takes a step to the latest time. A series needs no refinement.
+        """
+        if isinstance(self.solver, Taylor):
+            return time
+        method, state, time = stop_gradients((self, state, time))
+        for _ in range(TIME_REFINEMENTS):
+            there = method.state_at(state, series, time)
+            value, rate = jax.jvp(event, (there,), (method.field(there),))
+            time = time - value / rate
+        return time
+
+    def series(self, function: Callable, state: PyTree, order: int) -> PyTree[list]:
+        """Taylor coefficients of function(y(t)) along the solution y from a state."""
+        if isinstance(self.solver, Taylor):
+            return function_series(function, solution_series(self.field, state, order))
+        values = []
+        for k in range(order + 1):
+            value = jax.tree.map(lambda x, k=k: x / math.factorial(k), function(state))
+            values.append(value)
+            along = lambda state, last=function: jax.jvp(last, (state,), (self.field(state),))[1]
+            function = along
+        return jax.tree.map(lambda *coefficients: list(coefficients), *values)
+
+    def refine_event(
+        self, event: Callable[[PyTree], Scalar], state: PyTree
+    ) -> tuple[PyTree, Scalar]:
+        """The state at which `event` is zero, and the time to it, with their derivatives.
+
+        `state` is that state to rounding, at a time that is constant to derivatives, so the values
+        returned are `state` and 0. Two of Newton's iterations, dt = -event / (d event / dt), on a
+        series of third order make their derivatives exact to third order.
+        """
+        values = self.series(event, state, 3)
+        values[0] -= lax.stop_gradient(values[0])
+        slopes = derivative_of(values)
+        time = -values[0] / values[1]
+        time = time - evaluate_polynomial(values, time) / evaluate_polynomial(slopes, time)
+        return evaluate_series(self.series(lambda state: state, state, 3), time), time

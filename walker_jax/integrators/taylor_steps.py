@@ -1,0 +1,122 @@
+"""Steps by Taylor series: how long they may be, and where the solution goes in them."""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import PyTree
+
+from walker_jax.integrators.roots import (
+    Real,
+    Scalar,
+    derivative_of,
+    differentiable_zero,
+    first_zero,
+)
+from walker_jax.integrators.series import evaluate_polynomial
+from walker_jax.integrators.taylor import VectorField, is_list, solution_series, switching_series
+
+SERIES_ORDER = {jnp.dtype("float64"): 12, jnp.dtype("float32"): 8}
+"""Order of the series: the fastest, or nearly, at the default tolerance (benchmarks/README.md).
+
+A higher order takes fewer steps of more work each.
+"""
+LONGEST_STEP, POLYNOMIAL_STEP = 2.0, 0.25
+"""In |y| / |y'|: a longer step is one that the last terms of a series do not limit, as those of a
+harmonic motion are at most a third as long; and its length instead, in which functions of a state
+that is a polynomial of time seldom turn more than once."""
+
+
+def step_length(series: PyTree, tolerance: Real) -> Scalar:
+    """Length of a step in which the last terms of the series stay below the tolerance.
+
+    h = min over k = n-1, n of (tolerance |y| / |c_k|)^(1/k), in the largest norm over all
+    variables (Jorba and Zou 2005), where |y| is the larger of |c_0| and |c_1|. The last terms of a
+    polynomial of time vanish, such as those of ballistic flight or of a clock, and all terms at
+    rest. So h is finite wherever the solution is: `POLYNOMIAL_STEP` |y| / |c_1| where it would be
+    more than `LONGEST_STEP` |y| / |c_1|, and |c_1| counts as at least the rounding of |y|. It needs
+    few digits, and powers are cheap in float32.
+    """
+    leaves = jax.tree.leaves(series, is_leaf=is_list)
+    order, scale = len(leaves[0]) - 1, scale_of(series)
+    log_tolerance = jnp.log(jnp.asarray(tolerance, jnp.float32))
+
+    def part(k):
+        return (largest_coefficient(series, k) / scale).astype(jnp.float32)
+
+    def log_length(k):
+        return (log_tolerance - jnp.log(part(k))) / k
+
+    shortest = jnp.exp(jnp.minimum(log_length(order - 1), log_length(order)))
+    unit = 1 / jnp.maximum(part(1), float(jnp.finfo(scale.dtype).eps))
+    shortest = jnp.where(shortest > LONGEST_STEP * unit, POLYNOMIAL_STEP * unit, shortest)
+    return shortest.astype(leaves[0][0].dtype)
+
+
+def scale_of(series: PyTree) -> Scalar:
+    """The larger of |y| and |y'| at the start of a step; above zero also at rest at y = 0."""
+    scale = jnp.maximum(largest_coefficient(series, 0), largest_coefficient(series, 1))
+    return jnp.maximum(scale, float(jnp.finfo(scale.dtype).tiny) ** 0.5)
+
+
+def largest_coefficient(series: PyTree, k: int) -> Scalar:
+    """The largest absolute value of all variables' k-th coefficients; constant to derivatives."""
+    leaves = jax.tree.leaves(series, is_leaf=is_list)
+    size = jnp.zeros((), leaves[0][0].dtype)
+    for leaf in leaves:
+        size = jnp.maximum(size, jnp.max(jnp.abs(leaf[k])))
+    return lax.stop_gradient(size)
+
+
+def taylor_step(
+    vector_field: VectorField,
+    state: PyTree,
+    order: int,
+    tolerance: Real,
+    *others: Callable[[PyTree], PyTree],
+) -> tuple[PyTree[list], Scalar]:
+    """The series of the solution of y' = f(y) from a state, and the length of its step.
+
+    At that length the last terms of the series reach the tolerance. If f, or one of the others, has
+    a kink before, the step ends just behind the kink, by `tolerance` times the length. The length
+    is NaN if f jumps by more than the root of the tolerance, relative to |y| or |y'|.
+    """
+    series = solution_series(vector_field, state, order)
+    length = step_length(series, tolerance)
+    if not (switches := [s for f in (vector_field, *others) for s in switching_series(f, series)]):
+        return series, length
+    least = jnp.asarray(tolerance, length.dtype) * length
+    length = cut_at_switches(switches, length, least)
+    constant, end = lax.stop_gradient((series, length))
+    rates = vector_field(evaluate_series(constant, end))
+    expected = jax.tree.map(
+        lambda c: evaluate_polynomial(derivative_of(c), end), constant, is_leaf=is_list
+    )
+    defects = jax.tree.map(lambda a, b: jnp.max(jnp.abs(a - b)), rates, expected)
+    defect = jnp.max(jnp.stack(jax.tree.leaves(defects)))
+    steady = defect <= jnp.sqrt(jnp.asarray(tolerance, length.dtype)) * scale_of(series)
+    return series, jnp.where(steady, length, jnp.nan)
+
+
+def cut_at_switches(switches: list[list[Scalar]], length: Scalar, behind: Scalar) -> Scalar:
+    """Cuts a step just behind the first zero of functions given by their series.
+
+    The length keeps the derivatives of that zero, since second derivatives depend on where a step
+    ends at a kink.
+    """
+    for switch in switches:
+        zero = first_zero(lax.stop_gradient(switch), lax.stop_gradient(length), behind)
+        length = jnp.where(
+            zero + behind < length, differentiable_zero(switch, zero) + behind, length
+        )
+    return length
+
+
+def series_order(state: PyTree) -> int:
+    """Order of the series in a step from a state."""
+    return SERIES_ORDER[jax.tree.leaves(state)[0].dtype]
+
+
+def evaluate_series(series: PyTree, t) -> PyTree:
+    return jax.tree.map(lambda c: evaluate_polynomial(c, t), series, is_leaf=is_list)
