@@ -22,6 +22,7 @@ from walker_jax.integrators.roots import (
     bracketed_newton,
     derivative_of,
     differentiable_zero,
+    interior_minimum,
     negate,
     polynomial_jet,
 )
@@ -34,13 +35,14 @@ FINE = 1e-9
 
 
 class Misses(NamedTuple):
-    """What was seen within a mode. Its start and its end, where values do not turn, are not."""
+    """Misses within a mode. Its start and its end, where values do not turn, do not count."""
 
     nearest: list[Scalar]
     """The greatest miss of each guard, all negative: its value, or minus that, where it turned or
     rose most slowly; or the least of what did not admit it. Minus infinity if there was none."""
     depth: Scalar
-    """How far the last guard turned below zero since it last rose; minus infinity if it did not."""
+    """How far the last guard turned below zero since it last rose, of a guard that is not always
+    admitted; minus infinity if it did not."""
     height: Scalar
     """How far the last guard rose, if it fell again within the step in which it ended the mode;
     infinite if not."""
@@ -73,11 +75,9 @@ def no_misses(mode: Mode, start: Any) -> Misses:
 
 
 def add_misses(mode: Mode, known: Misses, step: Seen) -> Misses:
-    """What is seen in a step is added to what is known. All values have their derivatives."""
+    """Add the misses of a step to those that are known. All values have their derivatives."""
     found = [turns_in_step(*one, step) for one in zip(mode.guards, step.sides, strict=True)]
-    nearest = [
-        jnp.maximum(*one) for one in zip(known.nearest, [f.miss for f in found], strict=True)
-    ]
+    nearest = list(map(jnp.maximum, known.nearest, [one.miss for one in found]))
     least, before = {}, {}
     for one in mode.conditions:
         key, value = one.outcome, known.least[one.outcome]
@@ -87,10 +87,8 @@ def add_misses(mode: Mode, known: Misses, step: Seen) -> Misses:
         before[key] = jnp.where(step.violated[key], known.before[key], nearest[-1])
     depth = jnp.maximum(known.depth, found[-1].depth)
     depth = jnp.where(found[-1].rises & (step.until == step.length), -jnp.inf, depth)
-    value = function_series(mode.guards[-1].value, step.series)
-    top = greatest_between(polynomial_jet(value), step.until, step.length)
-    height = jnp.where(top.exists, evaluate_polynomial(value, top.time), jnp.inf)
-    return Misses(nearest, depth, jnp.minimum(known.height, height), least, before)
+    height = jnp.minimum(known.height, found[-1].height)
+    return Misses(nearest, depth, height, least, before)
 
 
 class Turns(NamedTuple):
@@ -100,6 +98,9 @@ class Turns(NamedTuple):
     """Its greatest miss, negative; minus infinity if there is none."""
     depth: Scalar
     """How far below zero it turns; minus infinity if it does not."""
+    height: Scalar
+    """How far it rises beyond the end of the mode, before it falls; infinite if it does not fall.
+    Guards that are always admitted have neither depth nor height."""
     rises: Bool[Array, ""]
 
 
@@ -125,7 +126,8 @@ def turns_in_step(
     misses = top.exists & (high < 0) & (admitted(top.time) > 0)
     miss = jnp.where(misses, high, -jnp.inf)
     if not admits:
-        return Turns(miss, jnp.full_like(miss, -jnp.inf), jnp.asarray(False))
+        infinite = jnp.full_like(miss, jnp.inf)
+        return Turns(miss, -infinite, infinite, jnp.asarray(False))
     low = turn_between(jet, middle, until)
     least = evaluate_polynomial(value, low.time)
     misses = low.exists & (least >= 0) & (admitted(low.time) > 0)
@@ -145,7 +147,10 @@ def turns_in_step(
     time = bracketed_newton(lambda t: jet(t)[:2], jnp.where(rises, first, last), last)
     lacks = admitted(differentiable_zero(value, time))
     miss = jnp.where(rises & (lacks <= 0), jnp.maximum(miss, lacks), miss)
-    return Turns(miss, jnp.where(low.exists, -least, -jnp.inf), rises)
+    depth = jnp.where(low.exists, -least, -jnp.inf)
+    beyond = interior_minimum(negate(jet), until, step.length)
+    height = jnp.where(beyond.exists, evaluate_polynomial(value, beyond.time), jnp.inf)
+    return Turns(miss, depth, height, rises)
 
 
 def turn_of_rate(rate: list[Scalar], until: Scalar) -> Scalar:
@@ -160,19 +165,9 @@ def turn_of_rate(rate: list[Scalar], until: Scalar) -> Scalar:
 
 def turn_between(jet: Jet, middle: Scalar, until: Scalar) -> Instant:
     """Where a function is least in a step in which its rate turns at `middle` alone."""
-    start, within, end = (jet(time)[1] for time in (0 * until, middle, until))
-    early, late = (start < 0) & (within > 0), (within < 0) & (end > 0)
-    low = jnp.where(early, 0, middle)
-    high = jnp.where(early, middle, jnp.where(late, until, middle))
-    return Instant(early | late, bracketed_newton(lambda t: jet(t)[1:], low, high))
-
-
-def greatest_between(jet: Jet, first: Scalar, last: Scalar) -> Instant:
-    """Where a function is greatest that rises at one time of a step and falls at a later one."""
-    first, last = lax.stop_gradient((first, last))
-    exists = (first < last) & (jet(first)[1] > 0) & (jet(last)[1] < 0)
-    high = jnp.where(exists, last, first)
-    return Instant(exists, bracketed_newton(lambda t: negate(jet)(t)[1:], first, high))
+    early = (jet(0 * until)[1] < 0) & (jet(middle)[1] > 0)
+    first, last = jnp.where(early, 0, middle), jnp.where(early, middle, until)
+    return interior_minimum(jet, first, last)
 
 
 def least_in_step(mode: Mode, condition: Condition, step: Seen) -> Scalar:

@@ -40,16 +40,15 @@ class Instant(NamedTuple):
     time: Scalar
 
 
-def interior_minimum(jet: Jet, length: Scalar) -> Instant:
-    """The minimum inside a step of a function that falls at its start and rises at its end.
+def interior_minimum(jet: Jet, first: Scalar, last: Scalar) -> Instant:
+    """The minimum of a function that falls at one time of a step and rises at a later one.
 
     The minimal value does not depend on this time to first order, so the time may be constant.
     """
-    length = lax.stop_gradient(length)
-    zero = jnp.zeros_like(length)
-    exists = (jet(zero)[1] < 0) & (jet(length)[1] > 0)
-    high = jnp.where(exists, length, zero)
-    return Instant(exists, bracketed_newton(lambda t: jet(t)[1:], zero, high))
+    first, last = lax.stop_gradient((first, last))
+    exists = (jet(first)[1] < 0) & (jet(last)[1] > 0)
+    high = jnp.where(exists, last, first)
+    return Instant(exists, bracketed_newton(lambda t: jet(t)[1:], first, high))
 
 
 def negate(jet: Jet) -> Jet:

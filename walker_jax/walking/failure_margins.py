@@ -58,8 +58,8 @@ class Margins(NamedTuple):
     """In the plane, thetadot^2 / 2 where the stance leg is slowest, after the impact too. In space,
     the least distance of theta from pi/2."""
     forward: Float[Array, "*cells"]
-    """Of the depth to which the swing foot passes the contact, -h, of how far ahead it comes down
-    (`is_ahead`) and of how far the leg then is from the ground, theta + pi/2, the least."""
+    """The least of three: the depth to which the swing foot passes the contact, -h; how far ahead
+    it comes down (`is_ahead`); and how far the leg then is from the ground, theta + pi/2."""
     running: Float[Array, "*cells"]
     """The least contact force Q_v up to heel strike; or that at the start, where it is negative."""
     stopping: Float[Array, "*cells"]
