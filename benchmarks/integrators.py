@@ -67,7 +67,8 @@ from walker_jax.integrators.taylor import with_fast_sincos
 from walker_jax.integrators.taylor_solver import Taylor
 from walker_jax.integrators.taylor_steps import SERIES_ORDER
 from walker_jax.kernels import primitive
-from walker_jax.walking.stepping import follow_stride, prepare
+from walker_jax.walking.starts import prepare
+from walker_jax.walking.stride import follow_stride
 
 DTYPE = jnp.dtype("float64")
 SWING = 3.0

@@ -158,7 +158,7 @@ def test_an_objective_of_ones_own_is_made_small_by_an_optimiser():
 
 
 def test_every_program_of_the_page_is_tested():
-    assert len(re.findall(r"<!-- .* -->\n```python", PAGE.read_text())) == len(programs(PAGE)) == 5
+    assert len(re.findall(r"<!-- .* -->\n```python", PAGE.read_text())) == len(programs(PAGE)) == 6
 
 
 def test_the_pages_name_no_function_that_is_not_public():
@@ -183,6 +183,10 @@ def test_a_walker_of_your_own_takes_less_than_60_lines():
 
 def test_one_with_phases_takes_less_than_80_lines():
     assert len(program("phases of your own").splitlines()) < 80
+
+
+def test_modes_of_your_own_end_a_stride():
+    exec(compile(program("modes of your own"), PAGE.name, "exec"), {"__name__": "own"})
 
 
 @pytest.mark.slow

@@ -21,9 +21,8 @@ from walker_jax.multibody import System
 from walker_jax.walkers.family import PLANAR_WALKERS
 from walker_jax.walkers.masses import SingleSupport
 from walker_jax.walkers.model import Scalar, State
+from walker_jax.walkers.outcomes import Outcome
 from walker_jax.walkers.parameters import with_parameter
-from walker_jax.walking.modes import equations
-from walker_jax.walking.outcomes import Outcome
 
 SLOPE, LIMIT = 0.004, 0.1
 STARTS = np.array([[0.2, -0.21], [0.2, -0.2158], [0.25, -0.26], [0.1, -0.12], [0.3, -0.31]])
@@ -227,13 +226,13 @@ def test_the_equations_of_several_masses_are_those_of_the_class():
     """A field of its own, where there is one; otherwise the balance of virtual power."""
     own, state = AcceleratedWalker(0.01), State(*jnp.array([0.2, 0.4, -0.2, 0.1]))
     free = wj.PointFootWalker(0.01)
-    difference = equations(own)(state).phidot - equations(free)(state).phidot
+    difference = own.equations()(state).phidot - free.equations()(state).phidot
     assert float(difference) == pytest.approx(-0.05, abs=1e-12)
-    assert isinstance(equations(free), SingleSupport)
-    assert isinstance(equations(LimitedTorqueWalker(0.01)), SingleSupport)
+    assert isinstance(free.equations(), SingleSupport)
+    assert isinstance(LimitedTorqueWalker(0.01).equations(), SingleSupport)
     series = jax.tree.map(lambda value: [value] * 5, state)
     for walker in (own, LimitedTorqueWalker(0.01)):
-        assert len(switching_series(equations(walker), series)) >= 2  # both limits
+        assert len(switching_series(walker.equations(), series)) >= 2  # both limits
 
 
 @pytest.mark.slow
@@ -266,7 +265,7 @@ def test_the_family_is_smooth_and_pays_nothing(kind):
     walker = kind(0.01)
     state = walker.lift(jnp.full(len(walker.section), 0.1))
     series = jax.tree.map(lambda value: [value] * 5, state)
-    for function in (equations(walker), walker.contact):
+    for function in (walker.equations(), walker.contact):
         assert switching_series(function, series) == []
 
 

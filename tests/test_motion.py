@@ -97,8 +97,19 @@ def test_a_fall_is_shown_to_the_ground(start, outcome, side):
     assert data["outcome"].values.tolist() == [outcome]
     assert np.isnan(data["duration"].values[-1]) and data.sizes["start"] == 1
     hip = data["hip"].values[-1]
-    assert hip[0] * side > 0.9 and 0 < hip[1] < 0.2
-    assert np.all(np.abs(data["theta"]) < np.pi / 2)
+    np.testing.assert_allclose(hip, [side, 0], rtol=0, atol=1e-12)
+    assert np.all(np.abs(data["theta"]) < np.pi / 2 + 1e-12)
+
+
+@pytest.mark.parametrize("start", [(0.2, -0.23), (0.2, -0.19), (0.2, -0.215)])
+def test_a_film_ends_at_the_event_whatever_its_frames_are(start):
+    """A fall forward, one backward, and one after three strides."""
+    walker = wj.SimplestWalker(0.004)
+    films = [wj.motion(walker, np.array(start), 9, step=step) for step in (0.05, 0.3, 1.7)]
+    assert films[0].outcome.values[-1] != wj.Outcome.STRIDE
+    for name in ("time", "theta", "phi", "hip", "swing"):
+        last = [film[name].values[-1] for film in films]
+        np.testing.assert_allclose(last[1:], last[:1] * 2, rtol=0, atol=1e-9)
 
 
 def test_a_runner_is_shown_until_its_foot_leaves_the_ground():

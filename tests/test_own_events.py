@@ -11,15 +11,15 @@ from fixed_steps import strides as strides_by_fixed_steps
 from part_of_swing import PartOfSwing
 
 import walker_jax as wj
+from walker_jax.hybrid.modes import Guard
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.taylor_steps import step_length, taylor_step
 from walker_jax.kernels import by_kernel
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.walkers.model import State
+from walker_jax.walkers.outcomes import Outcome
 from walker_jax.walking.failure_margins import failure_margin, margins_of_many
 from walker_jax.walking.iteration import iterate
-from walker_jax.walking.modes import equations
-from walker_jax.walking.outcomes import Outcome
 
 
 def starts(n: int, slope: float = 0.01, seed: int = 0) -> np.ndarray:
@@ -244,7 +244,7 @@ def test_margins_of_own_rules_vanish_where_a_walker_begins_to_fail(name):
 
 @by_kernel
 def length_of_step(walker, state):
-    return taylor_step(equations(walker), state, 12, 1e-12)[1]
+    return taylor_step(walker.equations(), state, 12, 1e-12)[1]
 
 
 @pytest.mark.parametrize("length", [1e2, 1e4])
@@ -316,6 +316,39 @@ def test_a_film_ends_where_a_walker_has_fallen_by_its_own_rule():
     assert phi.min() > -0.63 and phi.min() < -0.58
     films = [wj.motion(one, first(Outcome.BACKWARD), 1, step=0.05) for one in (walker, usual)]
     assert films[0].sizes["frame"] == films[1].sizes["frame"]
+
+
+class Spread(wj.SimplestWalker):
+    """It has fallen where its legs are far apart."""
+
+    def falls(self, state):
+        return super().falls(state) | {"SIDEWAYS": -0.6 - state.phi}
+
+
+class SpreadByMode(wj.SimplestWalker):
+    """The same, by a guard of the swing."""
+
+    def modes(self):
+        (swing,) = super().modes()
+        *falls, strike = swing.guards
+        spread = Guard(lambda state: -0.6 - state.phi, Outcome.SIDEWAYS, at_once=True)
+        return (swing._replace(guards=(*falls, spread, strike)),)
+
+
+def test_modes_of_ones_own_are_what_every_function_follows():
+    """A guard that is added to the swing does what the same fall does."""
+    one, other, xs = Spread(0.01), SpreadByMode(0.01), starts(200)
+    expected, found = (margins_of_many(walker, xs) for walker in (one, other))
+    assert (expected.stride.outcome == Outcome.SIDEWAYS).sum() > 20
+    for value, known in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+        np.testing.assert_allclose(value, known, rtol=1e-12, atol=1e-14)
+    assert_same(wj.strides(other, xs), expected.stride, atol=1e-13)
+    start = xs[np.flatnonzero(expected.stride.outcome == Outcome.SIDEWAYS)[0]]
+    films = [wj.motion(walker, start, 1, step=0.2) for walker in (one, other)]
+    np.testing.assert_allclose(films[1].phi, films[0].phi, rtol=0, atol=1e-12)
+    assert films[1].phi.values[-1] == pytest.approx(-0.6, abs=1e-12)
+    on_steps = jax.jit(jax.vmap(lambda walker, x: wj.stride(walker, x, step=-0.02), (None, 0)))
+    assert_same(on_steps(other, xs), on_steps(one, xs), atol=1e-13)
 
 
 class HalfWay(PartOfSwing):

@@ -17,7 +17,7 @@ from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.taylor_solver import Taylor
 from walker_jax.kernels import object_cache, primitive, program_cache
 from walker_jax.walkers.simplest import SimplestWalker
-from walker_jax.walking import stepping
+from walker_jax.walking import stride, trajectories
 
 START = np.array([0.2, -0.2])
 
@@ -47,7 +47,7 @@ def as_of_another_process(function=end_of_stride, x=START):
     return np.asarray(function(jnp.asarray(x)))
 
 
-def name_of(walker=None, dtype=float, function=stepping.follow_stride, solver=None):
+def name_of(walker=None, dtype=float, function=stride.follow_stride, solver=None):
     arguments = (
         walker or SimplestWalker(0.004),
         jnp.asarray(START, dtype),
@@ -109,7 +109,7 @@ def test_a_name_stands_for_all_that_a_trace_depends_on(monkeypatch):
         name_of(wj.SpringWalker(0.004, 1.0)),
         name_of(wj.KneedWalker(0.05)),
         name_of(wj.KneedWalker(0.05, check_lock=True)),
-        name_of(function=stepping.follow_phase_times),
+        name_of(function=trajectories.follow_phase_times),
         name_of(solver=diffrax.Dopri8()),
         name_of(solver=diffrax.Tsit5()),
         name_of(solver=diffrax.Tsit5(scan_kind="lax")),
@@ -175,7 +175,7 @@ def test_results_that_are_no_tuples_are_not_kept(folder):
     program_cache.keep_trace("b" * 64, kept)
     assert program_cache.recall_trace("b" * 64) == kept
     content = json.loads(object_cache.recall("b" * 64) or b"")
-    assert content["tree"] == ["walker_jax.walking.outcomes:Stride", 0, ["builtins:tuple", 0, 0], 0]
+    assert content["tree"] == ["walker_jax.walkers.outcomes:Stride", 0, ["builtins:tuple", 0, 0], 0]
 
 
 def test_wrong_use_is_still_refused(folder):

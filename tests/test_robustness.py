@@ -36,7 +36,7 @@ from walker_jax.stability.sampling import (
 )
 from walker_jax.stability.steps_down import LeastStepDown, labels_after_step, least_step_down
 from walker_jax.stability.summary import common_attributes, join_rows, robustness_table
-from walker_jax.walking.stepping import follow_step
+from walker_jax.walking.stride import follow_step
 
 
 @pytest.mark.parametrize("size", [2, 3])

@@ -16,8 +16,8 @@ from walker_jax import figures, multibody
 from walker_jax.kernels import by_kernel
 from walker_jax.multibody import ConstrainedMotion, System, space
 from walker_jax.storage.schema import check_dataset, variables_of
+from walker_jax.walkers.outcomes import Outcome
 from walker_jax.walkers.spatial import all_coordinates, on_ground
-from walker_jax.walking.outcomes import Outcome
 
 TOY = json.loads((Path(__file__).parent / "data" / "toy_in_space.json").read_text())
 WALKER = wj.SpatialWalker()

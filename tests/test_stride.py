@@ -19,7 +19,7 @@ import walker_jax as wj
 from walker_jax import Outcome, SimplestWalker, State, Walker
 from walker_jax.execution.tiles import map_cells
 from walker_jax.integrators.integrator import Integrator
-from walker_jax.walking.stepping import follow_step
+from walker_jax.walking.stride import follow_step
 
 DATA = Path(__file__).parent / "data"
 VALUES = json.loads((DATA / "values.json").read_text())

@@ -451,6 +451,11 @@ class FallingWalker(wj.SimplestWalker):
         return super().falls(state)
 
 
+class ModesWalker(wj.SimplestWalker):
+    def modes(self):
+        return super().modes()
+
+
 class AheadWalker(wj.SimplestWalker):
     def is_ahead(self, state):
         return super().is_ahead(state)
@@ -477,6 +482,7 @@ AHEAD = tuple(name for name in KNOWN if name != "foot_stays_down")
         (PushedWalker, tuple(name for name in KNOWN if name != "driven_by_gravity")),
         (FallingWalker, (*FALLING, "gait_region")),
         (AheadWalker, (*AHEAD, "gait_region")),
+        (ModesWalker, ()),
     ],
 )
 def test_what_is_known_of_a_walker_does_not_pass_to_one_that_changes_it(kind, kept):

@@ -66,6 +66,9 @@ from walker_jax.walkers.kneed import KneedWalker as KneedWalker
 from walker_jax.walkers.model import Phase as Phase
 from walker_jax.walkers.model import State as State
 from walker_jax.walkers.model import Walker as Walker
+from walker_jax.walkers.outcomes import Outcome as Outcome
+from walker_jax.walkers.outcomes import Stride as Stride
+from walker_jax.walkers.outcomes import Walk as Walk
 from walker_jax.walkers.point_foot import PointFootWalker as PointFootWalker
 from walker_jax.walkers.powered import PoweredWalker as PoweredWalker
 from walker_jax.walkers.powered_masses import PoweredPointFootWalker as PoweredPointFootWalker
@@ -84,13 +87,10 @@ from walker_jax.walking.failure_margins import margins_of_many as margins_of_man
 from walker_jax.walking.iteration import strides as strides
 from walker_jax.walking.iteration import walk as walk
 from walker_jax.walking.movement import motion as motion
-from walker_jax.walking.outcomes import Outcome as Outcome
-from walker_jax.walking.outcomes import Stride as Stride
-from walker_jax.walking.outcomes import Walk as Walk
-from walker_jax.walking.stepping import phase_times as phase_times
-from walker_jax.walking.stepping import step_down as step_down
-from walker_jax.walking.stepping import stride as stride
-from walker_jax.walking.stepping import trajectory as trajectory
+from walker_jax.walking.stride import step_down as step_down
+from walker_jax.walking.stride import stride as stride
+from walker_jax.walking.trajectories import phase_times as phase_times
+from walker_jax.walking.trajectories import trajectory as trajectory
 
 __all__: list[str]
 __version__: str

@@ -10,8 +10,8 @@ from walker_jax.gaits.cycles import gait_at
 from walker_jax.gaits.search import cycle_guesses, iterate_newton
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.walkers.model import Walker
+from walker_jax.walkers.outcomes import Outcome
 from walker_jax.walking.iteration import iterate, orbits
-from walker_jax.walking.outcomes import Outcome
 
 SAMPLE = 2**14
 """Starts that are followed in search of attractors."""

@@ -29,10 +29,10 @@ from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import search_gait
 from walker_jax.integrators.integrator import Integrator, integrator_of
 from walker_jax.walkers.model import Walker, check_single
+from walker_jax.walkers.outcomes import Outcome
 from walker_jax.walking.failure_margins import Margins, follow_margins
 from walker_jax.walking.iteration import for_each_start
 from walker_jax.walking.iteration import strides as take_strides
-from walker_jax.walking.outcomes import Outcome
 
 LONGEST_PERIOD = 16
 """Strides of the longest cycle that is recognised as one."""

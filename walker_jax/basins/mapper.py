@@ -21,8 +21,8 @@ from walker_jax.basins.attractor_search import (
 )
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.walkers.model import Walker
+from walker_jax.walkers.outcomes import Outcome
 from walker_jax.walking.iteration import iterate
-from walker_jax.walking.outcomes import Outcome
 
 FURTHER = 2**14
 """Strides for which walkers that remain are followed on to a cycle: of a transient with a mean life

@@ -20,8 +20,8 @@ from walker_jax.execution.tiles import map_cells, order_of_cells
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.walkers.model import Walker
-from walker_jax.walking.outcomes import Outcome
-from walker_jax.walking.stepping import stride
+from walker_jax.walkers.outcomes import Outcome
+from walker_jax.walking.stride import stride
 
 
 class Block(NamedTuple):

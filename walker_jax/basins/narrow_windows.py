@@ -22,8 +22,8 @@ from walker_jax.gaits.derivatives import linearise
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.walkers.model import Walker
+from walker_jax.walkers.outcomes import Outcome
 from walker_jax.walking.iteration import strides as take_strides
-from walker_jax.walking.outcomes import Outcome
 
 LINEAR = 1e-9
 """Width, in the largest coordinate, from which on starts are followed themselves. Rounding errors,

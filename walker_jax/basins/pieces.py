@@ -38,7 +38,7 @@ from walker_jax.execution.workers import open_workers
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.walkers.model import Walker
-from walker_jax.walking.outcomes import Outcome
+from walker_jax.walkers.outcomes import Outcome
 
 PIECE = 2**20
 """Cells of a piece of a store, up to twice as many, or all of a smaller grid."""

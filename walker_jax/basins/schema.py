@@ -11,8 +11,8 @@ from jaxtyping import Bool, Int
 from walker_jax.basins.attractor import Attractor, sorted_numbers
 from walker_jax.grids import Grid, cell_slices
 from walker_jax.walkers.model import Walker
+from walker_jax.walkers.outcomes import Outcome
 from walker_jax.walkers.parameters import attributes_of
-from walker_jax.walking.outcomes import Outcome
 
 NOT_COMPUTED = -1
 """The fate of a cell whose piece has not been computed."""

@@ -25,7 +25,7 @@ from walker_jax.execution.threads import side_by_side
 from walker_jax.grids import Grid, cell_slices
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.walkers.model import Walker
-from walker_jax.walking.outcomes import Outcome
+from walker_jax.walkers.outcomes import Outcome
 
 BISECTIONS = 8
 """Bisections of the distance between two centres, to locate the boundary between them."""

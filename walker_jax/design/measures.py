@@ -18,7 +18,8 @@ from walker_jax.gaits.derivatives import gait_derivatives
 from walker_jax.gaits.search import search_gait
 from walker_jax.walkers.model import Scalar, Walker, is_planar
 from walker_jax.walkers.parameters import check_parameter, with_parameter
-from walker_jax.walking.stepping import stride, trajectory
+from walker_jax.walking.stride import stride
+from walker_jax.walking.trajectories import trajectory
 
 GAIT_MEASURES = ("step-length", "speed", "spectral-radius", "cost-of-transport")
 

@@ -15,7 +15,7 @@ from walker_jax.gaits.search import search_gait
 from walker_jax.stability.sensitivity import DISTURBANCES, INDICATORS, respond_to
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import check_parameter, with_parameter
-from walker_jax.walking.stepping import prepare
+from walker_jax.walking.starts import prepare
 
 ALL = tuple(DISTURBANCES.values()), tuple(INDICATORS.values())
 """All disturbances and indicators that have names, as `gait_sensitivity` has by default."""

@@ -14,8 +14,8 @@ from walker_jax.figures.style import (
 from walker_jax.figures.style import (
     UNMATCHED as UNMATCHED_COLOUR,
 )
+from walker_jax.walkers.outcomes import Outcome
 from walker_jax.walkers.parameters import Parameter
-from walker_jax.walking.outcomes import Outcome
 
 NOT_LOST = (Outcome.STRIDE, Outcome.OUTSIDE, Outcome.UNDECIDED, Outcome.LEFT_GRID)
 """Outcomes of which none is a walker's failure on its way."""

@@ -16,7 +16,7 @@ from walker_jax.walkers.family import PLANAR_WALKERS
 from walker_jax.walkers.fingerprints import code_fingerprint
 from walker_jax.walkers.model import Walker, check_planar
 from walker_jax.walkers.parameters import Parameter, parameters
-from walker_jax.walking.stepping import state_kinds
+from walker_jax.walking.starts import state_kinds
 
 SECTIONS = ("sheared", "plain")
 METHODS = ("direct", "cell-map")

@@ -21,10 +21,12 @@ from walker_jax.walkers.abstract_point_foot import AbstractMasslessFootWalker
 from walker_jax.walkers.kneed import KneedWalker, lock_knees
 from walker_jax.walkers.masses import MultibodyWalker, stance_coordinates
 from walker_jax.walkers.model import State, Walker
+from walker_jax.walkers.outcomes import Outcome
+from walker_jax.walking.frames import find_ends, frames_shown, swings_at
 from walker_jax.walking.iteration import strides
-from walker_jax.walking.movement import FALL_TIME, is_over, leg_shape, legs, swing_begins
-from walker_jax.walking.outcomes import Outcome
-from walker_jax.walking.stepping import full_state, state_after
+from walker_jax.walking.movement import FALL_TIME, leg_shape
+from walker_jax.walking.starts import full_state
+from walker_jax.walking.trajectories import legs, state_after
 
 MAX_STRIDES = 60
 """Strides of one answer."""
@@ -89,17 +91,14 @@ def walker_from(subject: Subject, start: Float[np.ndarray, " coordinates"]) -> W
 def fall(walker: Walker, start: Float[np.ndarray, " coordinates"], outcome: Outcome) -> dict:
     """The stride in which a walker fails: to the ground, or to where it runs or stops."""
     length, radius = leg_shape(walker)
-    times = np.arange(0, FALL_TIME * np.sqrt(length + radius), FRAME)
+    ends = np.minimum(find_ends(walker, start), FALL_TIME * np.sqrt(length + radius))
+    times = np.linspace(0, ends[-1], 1 + max(8, round(ends[-1] / FRAME)))
     states = states_at(walker, start, times)
     finite = np.isfinite(states.theta)
-    count = len(times) if finite.all() else max(1, int(finite.argmin()))
+    count = len(times) if finite.all() else int(finite.argmin())
+    count = max(2, min(count, frames_shown(walker, outcome, states, swings_at(times, ends))))
     states = jax.tree.map(lambda values: values[:count], states)
-    begins = swing_begins(walker, start, None) if walker.phases() else 0.0
-    swings = times[:count] >= begins
-    over = is_over(walker, states, swings, outcome, 0.0)
-    count = max(2, int(over.argmax())) if over.any() else count
-    states = jax.tree.map(lambda values: values[:count], states)
-    return end(walker, start, outcome, (len(states.theta) - 1) * FRAME, states)
+    return end(walker, start, outcome, float(times[count - 1]), states)
 
 
 def end(
@@ -126,7 +125,7 @@ def end(
         bent = jax.vmap(walker.bent_leg)(jax.tree.map(jnp.asarray, states))
         if bent is not None:
             found["bent"] = np.round(np.asarray(bent).reshape(-1, 4), 6).tolist()
-        locks = swing_begins(walker, start, None)
+        locks = float(find_ends(walker, start)[-2])
         found["locks"] = locks if np.isfinite(locks) else None
     return found
 

@@ -11,8 +11,8 @@ from walker_jax.gaits.long_runs import iterate_to_cycles, starts_near_gaits
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.roots import Real
 from walker_jax.walkers.model import Walker
+from walker_jax.walkers.outcomes import Outcome
 from walker_jax.walkers.parameters import with_parameter
-from walker_jax.walking.outcomes import Outcome
 
 VALUES_PER_PASS = 32
 """Parts into which one pass of the search for the loss of walking divides an interval: enough to

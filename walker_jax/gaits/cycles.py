@@ -13,8 +13,8 @@ from walker_jax.checks import WrongUse, check_kind
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.walkers.model import Walker
-from walker_jax.walking.outcomes import nan_unless
-from walker_jax.walking.stepping import follow_stride
+from walker_jax.walkers.outcomes import nan_unless
+from walker_jax.walking.stride import follow_stride
 
 MAX_RESIDUAL = {jnp.dtype("float64"): 1e-10, jnp.dtype("float32"): 1e-4}
 """Largest residual of a gait: above the rounding errors of a stride, and below the distance between

@@ -23,7 +23,8 @@ from walker_jax.integrators.roots import Real
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import check_parameter, parameter_direction
 from walker_jax.walking.iteration import broadcast_parameters
-from walker_jax.walking.stepping import follow_stride, prepare
+from walker_jax.walking.starts import prepare
+from walker_jax.walking.stride import follow_stride
 
 FEW_STRIDES = 128
 """Strides whose derivatives take longer to ask for than to compute."""

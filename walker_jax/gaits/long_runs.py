@@ -12,9 +12,9 @@ from walker_jax.gaits.branches import Branch, float64_tolerance, interpolate_cyc
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.roots import Real
 from walker_jax.walkers.model import Walker
+from walker_jax.walkers.outcomes import Outcome
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 from walker_jax.walking.iteration import WalkEnd, iterate, orbits, select_walkers
-from walker_jax.walking.outcomes import Outcome
 
 RECORDED_STATES = 64
 """Recorded states of an orbit, which bound the periods that are recognised."""

@@ -8,7 +8,7 @@ from walker_jax.gaits.derivatives import linearise
 from walker_jax.walkers.model import Walker, moves_like
 from walker_jax.walkers.parameters import describe_briefly
 from walker_jax.walkers.simplest import SimplestWalker
-from walker_jax.walking.stepping import prepare
+from walker_jax.walking.starts import prepare
 
 LARGE_RESIDUAL = 1e-6
 """Residual above which a failed search ended far from any gait. One that failed with a smaller

@@ -53,10 +53,10 @@ from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import AnySolver, Integrator
 from walker_jax.integrators.roots import Real
 from walker_jax.walkers.model import Walker, moves_like
+from walker_jax.walkers.outcomes import Outcome
 from walker_jax.walkers.simplest import SimplestWalker
 from walker_jax.walking.iteration import follow_walk, orbits, select_walkers, strides
-from walker_jax.walking.outcomes import Outcome
-from walker_jax.walking.stepping import as_floating, prepare
+from walker_jax.walking.starts import as_floating, prepare
 
 
 def find_gait(

@@ -2,8 +2,7 @@
 
 A mode has a vector field. Each of its guards is a function of the state; the mode ends where one
 rises through zero and is admitted there, the earliest of all. Conditions do not end a mode: it is
-noted whether they were violated on the way. The caller says what follows a mode: a reset of the
-state, or another mode.
+noted whether they were violated on the way. Then the state is reset for the next mode.
 """
 
 from collections.abc import Callable
@@ -33,6 +32,8 @@ class Guard(NamedTuple):
     """Whether, by a proof about the field, a value that has risen where it is admitted stays above
     zero to the end of any step, and turns from falling to rising once at most in it. Then the two
     ends of a step tell whether it has risen within."""
+    at_once: bool = False
+    """Whether a mode that begins where the value is not negative ends there."""
     measure: Callable[[Scalar], Scalar] = jnp.negative
     """The margin of a value below zero; by default by how much that is below."""
 
@@ -69,6 +70,8 @@ class Mode(NamedTuple):
     """The last one is how the mode should end."""
     conditions: tuple[Condition, ...] = ()
     foregone: Foregone | None = None
+    reset: Callable[[Any], Any] = lambda state: state
+    """The state in which the next mode begins, of that in which this one has ended."""
 
     def functions(self, whole: bool = True) -> list[list[Function]]:
         """The value of each guard and the functions that admit it; all of them if `whole`."""

@@ -38,9 +38,9 @@ from walker_jax.integrators.integrator import Integrator
 from walker_jax.stability.sampling import wilson_interval
 from walker_jax.stability.summary import default_region
 from walker_jax.walkers.model import Walker, check_single
+from walker_jax.walkers.outcomes import Outcome
 from walker_jax.walkers.parameters import attributes_of, check_parameter, with_parameter
 from walker_jax.walking.iteration import orbits
-from walker_jax.walking.outcomes import Outcome
 
 SAME_CYCLE = 1e-6
 """Distance within which a cycle is the one that its branch has there: rounding errors, and what a

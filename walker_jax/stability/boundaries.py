@@ -17,7 +17,7 @@ from walker_jax.gaits.cycles import Gait
 from walker_jax.grids import Grid
 from walker_jax.wada import MIN_REGIONS, RADIUS, check_radius, merge_regions
 from walker_jax.walkers.model import Walker, check_single
-from walker_jax.walking.outcomes import Outcome
+from walker_jax.walkers.outcomes import Outcome
 
 NO_REGION = (Outcome.OUTSIDE, Outcome.UNDECIDED, Outcome.LEFT_GRID)
 """Fates of cells that are in no region: no walk begins there, or none is known."""

@@ -22,7 +22,7 @@ from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.stability.metric import DistanceFunction, metric_of
 from walker_jax.stability.rays import DENSE, nearest_failure, spread_directions
 from walker_jax.walkers.model import Walker
-from walker_jax.walking.outcomes import Outcome
+from walker_jax.walkers.outcomes import Outcome
 
 BEYOND = 1 + np.array([1e-8, 1e-10, 0.0])
 """Multiples of the least disturbance; the first that fails gives the failure. They exceed it by

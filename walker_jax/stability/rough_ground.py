@@ -29,8 +29,8 @@ from walker_jax.gaits.selection import require_gait
 from walker_jax.integrators.integrator import integrator_of
 from walker_jax.kernels.outside_code import AsItIs
 from walker_jax.walkers.model import Walker, check_planar, check_single
+from walker_jax.walkers.outcomes import Outcome
 from walker_jax.walking.disturbed import Disturbance, DisturbedWalk, follow_disturbed_walk
-from walker_jax.walking.outcomes import Outcome
 
 RandomDisturbance = Callable[[Any], Any]
 """A JAX function of a random key: the height of one step, or a `Disturbance`."""

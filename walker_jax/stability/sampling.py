@@ -35,8 +35,8 @@ from walker_jax.grids import Grid
 from walker_jax.stability.gait_mapper import mapper_of_gait
 from walker_jax.stability.metric import CurvedMetric, DistanceFunction, metric_of
 from walker_jax.walkers.model import Walker
+from walker_jax.walkers.outcomes import Outcome
 from walker_jax.walking.iteration import check_parameter_arrays
-from walker_jax.walking.outcomes import Outcome
 
 NOT_MEASURED = np.array(np.nan)
 Sampler = Callable[[np.random.Generator, int], Float[np.ndarray, "n section"]]

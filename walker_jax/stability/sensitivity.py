@@ -25,7 +25,7 @@ from walker_jax.integrators.integrator import Integrator
 from walker_jax.kernels.outside_code import AsItIs
 from walker_jax.walkers.model import Scalar, State, Walker, check_planar
 from walker_jax.walking.disturbed import Disturbance, follow_disturbed
-from walker_jax.walking.stepping import prepare
+from walker_jax.walking.starts import prepare
 
 OneDisturbance = Callable[[Scalar], Disturbance]
 """What is amiss in a stride, from its size."""

@@ -14,9 +14,9 @@ from walker_jax.stability.disturbances import BEYOND
 from walker_jax.stability.gait_mapper import failure_test, mapper_of_gait
 from walker_jax.stability.rays import FINE, bisect, first_failures, scan
 from walker_jax.walkers.model import Walker, check_planar
+from walker_jax.walkers.outcomes import Outcome
 from walker_jax.walking.iteration import strides as take_strides
-from walker_jax.walking.outcomes import Outcome
-from walker_jax.walking.stepping import follow_step, step_down
+from walker_jax.walking.stride import follow_step, step_down
 
 HEIGHTS = 4096
 """Heights that are tried, up to the smallest from which the walker does not return."""

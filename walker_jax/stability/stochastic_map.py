@@ -44,9 +44,9 @@ from walker_jax.stability.rough_ground import (
     walk_disturbed,
 )
 from walker_jax.walkers.model import Walker, check_planar
+from walker_jax.walkers.outcomes import Outcome
 from walker_jax.walkers.parameters import attributes_of
 from walker_jax.walking.disturbed import Disturbance, DisturbedWalk, follow_disturbed
-from walker_jax.walking.outcomes import Outcome
 
 PILOT_WALKS, PILOT_STRIDES = 20_000, 8
 """Walks that show where states are, and the strides after which they are looked at: a few

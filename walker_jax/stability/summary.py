@@ -27,9 +27,9 @@ from walker_jax.stability.slices import slice_around
 from walker_jax.stability.steps_down import NO_STEP_DOWN, LeastStepDown, least_step_down
 from walker_jax.walkers.abstract_point_foot import AbstractPointFootWalker
 from walker_jax.walkers.model import Walker, check_planar, is_planar, moves_like
+from walker_jax.walkers.outcomes import Outcome
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 from walker_jax.walkers.simplest import SimplestWalker
-from walker_jax.walking.outcomes import Outcome
 
 WALKS, WALK_LIMIT = 1000, 2000
 """Walks on rough ground and strides of each at most: some seconds on two cores, and an interval of

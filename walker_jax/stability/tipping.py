@@ -30,9 +30,9 @@ from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import integrator_of
 from walker_jax.stability.sampling import Sampler, draw_starts, wilson_interval
 from walker_jax.walkers.model import Walker, check_single
+from walker_jax.walkers.outcomes import Outcome
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 from walker_jax.walking.iteration import orbits
-from walker_jax.walking.outcomes import Outcome
 
 FAILURES = 2**20
 """Added to an `Outcome`, the number of an end without an attractor: above those of attractors."""

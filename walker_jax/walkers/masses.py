@@ -45,6 +45,11 @@ class MultibodyMotion(eqx.Module):
         """(4), with u and v held."""
         return SingleSupport(self)(state)
 
+    def equations(self):
+        """(2), unless there is another vector field."""
+        own = type(self).vector_field is not MultibodyMotion.vector_field
+        return self.vector_field if own else SingleSupport(self)
+
     def contact_force(self, state):
         """The forces dual to u and v that hold them, (4)."""
         _, forces = accelerations_and_forces(self, state)

@@ -14,8 +14,7 @@ A stride begins just after heel strike, on the Poincaré section, with both feet
 
 import abc
 import dataclasses
-from collections.abc import Callable
-from typing import Any, ClassVar, NamedTuple, TypeGuard, TypeVar
+from typing import Any, ClassVar, TypeGuard, TypeVar
 
 import equinox as eqx
 import jax
@@ -26,73 +25,17 @@ from jaxtyping import Array, Bool, Float
 
 from walker_jax.checks import WrongUse, check_kind
 from walker_jax.grids import Grid
+from walker_jax.hybrid.modes import Condition, Foregone, Guard, Mode
 from walker_jax.integrators.roots import Scalar
+from walker_jax.integrators.taylor import VectorField
 from walker_jax.kernels import by_kernel
 from walker_jax.walkers.full_states import check_full_state
+from walker_jax.walkers.outcomes import Outcome
+from walker_jax.walkers.phase import Conditions, Phase, State, conditions_of, fall_guards, is_planar
 from walker_jax.walkers.sources import sources_of
-
-
-class State(NamedTuple):
-    """Angles (rad) and rates (rad per unit of time) of the two legs, or their time derivatives."""
-
-    theta: Scalar
-    phi: Scalar
-    thetadot: Scalar
-    phidot: Scalar
-
 
 LEAST_SCUFF = {jnp.dtype("float64"): 1e-9, jnp.dtype("float32"): 1e-5}
 """Depth, in legs, from which on a foot is below the ground: less is rounding, where it touches."""
-Conditions = dict[str, Callable[[Any], Scalar]]
-"""Functions of the state, by the name of the `Outcome` of a stride in which one is negative."""
-
-
-class Phase(eqx.Module):
-    """A part of a stride before the swing: with constraints, and a state, of its own.
-
-    A state is a `NamedTuple` of scalars: the coordinates, then their rates in the same order. The
-    angle of the stance leg and its rate are called `theta` and `thetadot` in all of them.
-    """
-
-    walker: "Walker"
-
-    @abc.abstractmethod
-    def begin(self, state: State) -> Any:
-        """Its own state, from the `State` at the start of a stride: what it releases is at rest."""
-
-    @abc.abstractmethod
-    def vector_field(self, state: Any) -> Any:
-        """Time derivative of the state."""
-
-    @abc.abstractmethod
-    def contact_force(self, state: Any) -> tuple[Scalar, Scalar]:
-        """Force (Q_u, Q_v) of the ground on the stance foot, along and normal to the slope."""
-
-    @abc.abstractmethod
-    def event(self, state: Any) -> Scalar:
-        """What rises through zero where the phase ends, and is negative before."""
-
-    @abc.abstractmethod
-    def end(self, state: Any) -> Any:
-        """The state in which the next phase begins: a `State` if that is the swing.
-
-        It follows the impact in which constraints are made, or the release of others.
-        """
-
-    def clearance(self, state: Any) -> Scalar | None:
-        """Height of the swing foot above the slope, if it must not come down in this phase.
-
-        By default it may.
-        """
-        return None
-
-    def reach(self, state: Any) -> Scalar:
-        """How far the swing foot is ahead of the stance foot, along the slope."""
-        raise NotImplementedError
-
-    def conditions(self) -> Conditions:
-        """As those of the walker, which hold in the swing alone. By default there is none."""
-        return {}
 
 
 class Walker(eqx.Module):
@@ -175,6 +118,35 @@ class Walker(eqx.Module):
     def phases(self) -> tuple[Phase, ...]:
         """The phases of a stride before its last, the swing, in order. By default there is none."""
         return ()
+
+    def modes(self) -> tuple[Mode, ...]:
+        """The modes of a stride, made of what the other methods say: its phases and the swing.
+
+        The swing ends at heel strike, where the contact coordinate rises through zero with the
+        foot ahead, or in a fall. Functions that follow a stride know no more of a walker than
+        this, its impact and its section. A walker of your own may change it: give the swing
+        another guard, before its last, for example.
+        """
+        # An inverted pendulum that stops goes back, and its leg goes one way until then.
+        persist = self.inverted_pendulum and type(self).falls is Walker.falls
+        falls = fall_guards(self, persist=persist)
+        strike = Guard(
+            self.contact, Outcome.STRIDE, (self.is_ahead,), persists=self.foot_stays_down
+        )
+        conditions = [
+            Condition(one, of, of == Outcome.RUNNING and self.force_least_at_ends)
+            for of, one in conditions_of(self).items()
+        ]
+        over = lambda state: (self.contact(state) > 0) & self.past_contact(state)
+        known = type(self).past_contact is not Walker.past_contact
+        foregone = Foregone(over, Outcome.FORWARD) if known else None
+        guards = *falls, strike
+        swing = Mode(self.equations(), self.vector_field, guards, tuple(conditions), foregone)
+        return *(phase.mode() for phase in self.phases()), swing
+
+    def equations(self) -> VectorField:
+        """The equations of motion as they are integrated: the vector field, or a `PowerBalance`."""
+        return self.vector_field
 
     @abc.abstractmethod
     def vector_field(self, state: State) -> State:
@@ -282,11 +254,6 @@ class Walker(eqx.Module):
         return State(theta - phi, -phi, thetadot - phidot, -phidot)
 
 
-def is_planar(walker: Walker) -> bool:
-    """Whether a walker moves in the plane, not in space."""
-    return walker.state is State
-
-
 def check_planar(walker: Walker) -> None:
     """Refuse walkers in space, where what is computed is known of walkers in the plane alone."""
     check_kind("walker", walker, Walker)
@@ -314,13 +281,20 @@ MAX_LANDING_ERROR = 1e-4
 
 
 WalkerKind = TypeVar("WalkerKind", bound=Walker)
-EQUATIONS_OF_MOTION = ("vector_field", "system")
+EQUATIONS_OF_MOTION = ("vector_field", "modes", "system")
 PREMISES = {
     "force_least_at_ends": (*EQUATIONS_OF_MOTION, "contact_force"),
     "foot_stays_down": (*EQUATIONS_OF_MOTION, "contact", "swing_foot", "is_ahead"),
     "inverted_pendulum": EQUATIONS_OF_MOTION,
-    "driven_by_gravity": ("vector_field", "impact", "push_off_impulse", "during_stride", "phases"),
-    "motor_work": ("vector_field", "impact", "phases"),
+    "driven_by_gravity": (
+        "vector_field",
+        "modes",
+        "impact",
+        "push_off_impulse",
+        "during_stride",
+        "phases",
+    ),
+    "motor_work": ("vector_field", "modes", "impact", "phases"),
     "past_contact": (*EQUATIONS_OF_MOTION, "contact", "swing_foot", "falls"),
     "gait_region": (*EQUATIONS_OF_MOTION, "contact", "swing_foot", "impact", "lift", "project"),
 }

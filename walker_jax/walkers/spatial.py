@@ -22,6 +22,7 @@ from walker_jax.multibody.space import (
     rotation_about,
 )
 from walker_jax.walkers.model import Scalar, Walker, least_scuff
+from walker_jax.walkers.outcomes import Outcome
 from walker_jax.walkers.parameters import SLOPE, Option, Parameter
 from walker_jax.walkers.rolling_stance import RollingStance, SpatialState, contact_forces
 
@@ -229,6 +230,18 @@ class SpatialWalker(Walker):
 
     def vector_field(self, state: Any):
         return RollingStance(self)(state)
+
+    def equations(self):
+        own = type(self).vector_field is not SpatialWalker.vector_field
+        return self.vector_field if own else RollingStance(self)
+
+    def modes(self):
+        """The swing disc touches the slope as a stride begins and ends."""
+        (swing,) = super().modes()
+        if type(self).conditions is not SpatialWalker.conditions:
+            return (swing,)
+        touches = lambda one: one._replace(zero_at_ends=(one.outcome == Outcome.SCUFFED,) * 2)
+        return (swing._replace(conditions=tuple(map(touches, swing.conditions))),)
 
     def contact_force(self, state: Any):
         """Of the general method: the forces dual to x and z that hold the stance foot."""

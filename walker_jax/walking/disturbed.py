@@ -13,9 +13,9 @@ from jaxtyping import Array, Float, Int
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.kernels import by_kernel
 from walker_jax.walkers.model import Scalar, State, Walker
+from walker_jax.walkers.outcomes import Outcome, Stride
 from walker_jax.walkers.parameters import with_parameter
-from walker_jax.walking.outcomes import Outcome, Stride
-from walker_jax.walking.stepping import follow_step
+from walker_jax.walking.stride import follow_step
 
 
 class Disturbance(NamedTuple):

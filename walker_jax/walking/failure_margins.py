@@ -27,11 +27,18 @@ from walker_jax.integrators.roots import Real
 from walker_jax.integrators.taylor import with_fast_sincos
 from walker_jax.kernels import by_kernel
 from walker_jax.walkers.model import Scalar, Walker, toppling_rate
+from walker_jax.walkers.outcomes import Outcome, Stride
 from walker_jax.walkers.spatial import SpatialWalker
 from walker_jax.walking.iteration import for_each_start
-from walker_jax.walking.outcomes import Outcome, Stride
-from walker_jax.walking.phases import Arrival, Part, follow_to_heel_strike
-from walker_jax.walking.stepping import begin_stride, during_stride, end_stride, on_section, prepare
+from walker_jax.walking.starts import during_stride, prepare
+from walker_jax.walking.stride import (
+    Arrival,
+    Part,
+    begin_stride,
+    end_stride,
+    follow_modes,
+    modes_from,
+)
 
 WAYS = {
     Outcome.BACKWARD: "backward",
@@ -111,21 +118,18 @@ def failure_margin(found: Margins) -> Scalar:
 def follow_margins(
     walker: Walker, x: Float[Array, " coordinates"], integrator: Integrator
 ) -> Margins:
-    walker, launched = during_stride(walker, x), not on_section(walker, x)
-    start, verdict = with_fast_sincos(begin_stride)(walker, x)
-    arrival = follow_to_heel_strike(
-        walker, start, verdict, integrator, launched=launched, measured=True
-    )
-    modes = [part.mode for part in arrival.parts]
+    walker = during_stride(walker, x)
+    modes = modes_from(walker, x, to_the_end=True)
+    arrival = follow_modes(modes, begin_stride(walker, x), integrator, measured=True)
     ways = [part[1:] for part in arrival.parts]
-    arrival = arrival._replace(parts=())
-    stride = with_fast_sincos(end_stride)(walker, arrival)
 
-    def measure(walker, arrival, ways, outcome):
+    def measure(walker, arrival, ways):
+        _, stride = end_stride(walker, modes[-1], arrival)
         parts = tuple(Part(mode, *way) for mode, way in zip(modes, ways, strict=True))
-        return measure_stride(walker, arrival._replace(parts=parts), outcome)
+        known = measure_stride(walker, arrival._replace(parts=parts), stride.outcome)
+        return Margins(stride, **known)
 
-    return Margins(stride, **with_fast_sincos(measure)(walker, arrival, ways, stride.outcome))
+    return with_fast_sincos(measure)(walker, arrival._replace(parts=()), ways)
 
 
 def measure_stride(walker: Walker, arrival: Arrival, outcome: Array) -> dict[str, Scalar]:

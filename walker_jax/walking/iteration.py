@@ -23,15 +23,10 @@ from walker_jax.execution.tiles import map_cells
 from walker_jax.integrators.integrator import AnySolver, Integrator, integrator_of
 from walker_jax.integrators.roots import Real
 from walker_jax.walkers.model import Walker, check_planar, numbers_of
+from walker_jax.walkers.outcomes import Outcome, Stride, Walk, nan_unless
 from walker_jax.walkers.parameters import Parameter, described_by
-from walker_jax.walking.outcomes import Outcome, Stride, Walk, nan_unless
-from walker_jax.walking.stepping import (
-    as_floating,
-    follow_step,
-    follow_stride,
-    prepare,
-    state_kinds,
-)
+from walker_jax.walking.starts import as_floating, prepare, state_kinds
+from walker_jax.walking.stride import follow_step, follow_stride
 
 ROUNDS = 4, 16, 64
 """Strides of the first rounds of an iteration, and of all later ones; only unfinished walks enter

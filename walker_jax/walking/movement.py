@@ -4,7 +4,6 @@ For pictures and films. Places are along the slope and normal to it, from where 
 the first stride is when its leg is upright.
 """
 
-from functools import partial
 from importlib.metadata import version
 from typing import Any
 
@@ -13,19 +12,18 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 from jax.typing import ArrayLike
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from walker_jax.checks import WrongUse, check_number, check_whole, refuses_tracers
 from walker_jax.walkers.model import State, Walker, check_planar
+from walker_jax.walkers.outcomes import Outcome
 from walker_jax.walkers.parameters import attributes_of
 from walker_jax.walkers.spatial import SpatialWalker
-from walker_jax.walking.falls import has_fallen, has_own_falls
+from walker_jax.walking.frames import frames_of_stride
 from walker_jax.walking.iteration import walk
-from walker_jax.walking.modes import ahead_on_steps, in_front, in_tension, starts_under
 from walker_jax.walking.movement_in_space import motion_in_space
-from walker_jax.walking.outcomes import Outcome
-from walker_jax.walking.phases import legs
-from walker_jax.walking.stepping import full_state, phase_times, trajectory
+from walker_jax.walking.starts import full_state
+from walker_jax.walking.trajectories import legs
 
 FALL_TIME = 40.0
 """Time in which a walker that fails is on the ground, for legs of length 1."""
@@ -88,21 +86,16 @@ def motion(
         return motion_in_space(walker, starts, outcomes, durations, step, tolerance)
 
     length, radius = leg_shape(walker)
-    fall = FALL_TIME * np.sqrt(length + radius)
-    steps = np.where(failed[:count], fall, durations) / step
-    frames = (1 + np.maximum(1, np.round(steps)).astype(int)).tolist()
+    longest = FALL_TIME * float(np.sqrt(length + radius))
     steps_up = np.zeros(count) if ground is None else np.asarray(ground, float)[:count]
-    parts, places, foot, feet = [], [], np.zeros(2), []
+    spread, parts, places, feet = [], [], [], []
+    foot, begins = np.zeros(2), 0.0
     for k in range(count):
-        end = fall if failed[k] else durations[k]
-        times = np.linspace(0, end, frames[k])
-        states = trajectory(walker, starts[k], times, tolerance=tolerance)
-        states = jax.tree.map(np.asarray, states)
-        if failed[k]:
-            swings = times >= swing_begins(walker, starts[k], tolerance)
-            over = is_over(walker, states, swings, Outcome(int(outcomes[k])), float(steps_up[k]))
-            end = max(1, int(over.argmax())) if over.any() else len(over)
-            states = jax.tree.map(lambda values, end=end: values[:end], states)
+        height = None if ground is None else float(steps_up[k])
+        made = Outcome(int(outcomes[k])), float(durations[k])
+        how = {"longest": longest, "height": height, "tolerance": tolerance}
+        times, states = frames_of_stride(walker, starts[k], made, step, **how)
+        spread.append(begins + times)
         parts.append(states)
         places.append(leg_positions(walker, states, foot, length, radius))
         last = jax.tree.map(lambda values: jnp.asarray(values[-1]), legs(states))
@@ -111,13 +104,9 @@ def motion(
         if failed[k] and ground is not None:
             start = legs(full_state(walker, jnp.asarray(starts[k])))
             ahead = abs(float(walker.reach(legs(walker.exchange_legs(start)))))
-        foot = foot + np.array([ahead, steps_up[k]])
+        foot, begins = foot + np.array([ahead, steps_up[k]]), spread[-1][-1]
 
     sizes = [len(states.theta) for states in parts]
-    begins = np.concatenate([[0.0], np.cumsum(durations[:-1])])
-    spread = [begins[k] + np.linspace(0, durations[k], n) for k, n in enumerate(sizes)]
-    if failed[count - 1]:
-        spread[-1] = begins[-1] + fall / (frames[count - 1] - 1) * np.arange(sizes[-1])
     joined = {name: np.concatenate([getattr(s, name) for s in parts]) for name in parts[0]._fields}
     joints = ("stance", "hip", "swing", "swing_knee")[: len(places[0])]
     rough = {}
@@ -174,47 +163,3 @@ def leg_positions(
         return stance, hip, hip - length * along(theta - phi)
     knee, end = np.moveaxis(np.asarray(bent), 1, 0)
     return stance, hip, hip + end, hip + knee
-
-
-def swing_begins(
-    walker: Walker, x: Float[np.ndarray, " section"], tolerance: float | None
-) -> float:
-    """When the swing begins in a stride; infinity if the walker falls before."""
-    if not walker.phases():
-        return 0.0
-    times = np.asarray(phase_times(walker, x, tolerance=tolerance))
-    return float(np.nan_to_num(times[-2], nan=np.inf))
-
-
-def is_over(
-    walker: Walker,
-    states: Any,
-    swings: Bool[np.ndarray, " frames"],
-    outcome: Outcome,
-    step: float,
-) -> Bool[np.ndarray, " frames"]:
-    """Whether a stride that fails is over: on the ground, at heel strike, or in the air."""
-    phases = walker.phases()
-    swing, each = (jax.tree.map(jnp.asarray, one) for one in (legs(states), states))
-    theta = np.asarray(swing.theta)
-    h = np.asarray(jax.vmap(walker.contact)(swing))
-    if step:
-        h = step - np.asarray(jax.vmap(walker.clearance)(swing))
-    fallen = np.asarray(jax.vmap(partial(has_fallen, walker))(swing))
-    admits = [jax.vmap(one)(swing) for one in ahead_on_steps(walker)] if step else []
-    admits = admits or [jax.vmap(walker.is_ahead)(swing)]
-    ahead = np.all(np.asarray(admits) > 0, axis=0)
-    strikes = (h > 0) & (np.roll(h, 1) <= 0) & ahead & ~fallen
-    # Where the ground is rough the legs may pass each other below the next foothold.
-    falls = step != 0 and outcome in (Outcome.FORWARD, Outcome.BACKWARD)
-    over = (strikes & swings & (not falls)) | (np.abs(theta) >= np.pi / 2)
-    if has_own_falls(walker):
-        over |= fallen & (np.asarray(swing.thetadot) < 0)  # a leg that stops goes to the ground
-    if outcome == Outcome.RUNNING:
-        over |= swings & np.asarray(jax.vmap(partial(in_tension, walker))(swing))
-        if phases:
-            over |= ~swings & np.asarray(jax.vmap(partial(in_tension, phases[0]))(each))
-    if outcome == Outcome.BENT_KNEE and phases:
-        lands = lambda state: starts_under(phases[0], state, step) & in_front(phases[0], state)
-        over |= ~swings & np.asarray(jax.vmap(lands)(each))
-    return over

@@ -10,17 +10,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from walker_jax.kernels import by_kernel
-from walker_jax.walkers.model import least_scuff
+from walker_jax.walkers.outcomes import Outcome
 from walker_jax.walkers.parameters import attributes_of
 from walker_jax.walkers.rolling_stance import SpatialState
 from walker_jax.walkers.spatial import SpatialWalker, on_ground
-from walker_jax.walking.falls import fall_of
-from walker_jax.walking.modes import in_tension
-from walker_jax.walking.outcomes import Outcome
-from walker_jax.walking.stepping import trajectory
+from walker_jax.walking.frames import frames_of_stride
 
 FALL_TIME = 6.0
 """Time for which a walker that fails is followed, for legs of length 1: most are down before."""
@@ -36,17 +33,14 @@ def motion_in_space(
     tolerance: float | None,
 ) -> xr.Dataset:
     """`motion` of a walker in space, of a walk whose strides and their starts are known."""
-    failed, count = outcomes != Outcome.STRIDE, len(outcomes)
     columns: dict[str, list] = {name: [] for name in ("time", "stride", *ANGLES, *PLACES)}
     foot, mirror, begins = np.zeros(3), np.array([1.0, 1.0, 1.0]), 0.0
-    for k in range(count):
-        end = FALL_TIME * float(np.sqrt(walker.leg_length)) if failed[k] else durations[k]
-        times = np.linspace(0, end, 1 + max(1, round(end / step)))
-        states = trajectory(walker, starts[k], times, tolerance=tolerance)
-        if failed[k]:
-            over = is_over(walker, states, Outcome(int(outcomes[k])))
-            shown = max(2, int(over.argmax()) + 1) if over.any() else len(times)
-            times, states = times[:shown], jax.tree.map(lambda one, n=shown: one[:n], states)
+    longest = FALL_TIME * float(np.sqrt(walker.leg_length))
+    for k, made in enumerate(zip(outcomes.tolist(), durations.tolist(), strict=True)):
+        stride = Outcome(made[0]), made[1]
+        times, states = frames_of_stride(
+            walker, starts[k], stride, step, longest=longest, tolerance=tolerance
+        )
         places, sole = map(np.asarray, jax.vmap(places_of, (None, 0))(walker, states))
         columns["time"].append(begins + times)
         columns["stride"].append(np.full(len(times), k))
@@ -55,7 +49,7 @@ def motion_in_space(
         for i, name in enumerate(PLACES):
             at = np.zeros(3) if name == "axle" else foot
             columns[name].append(at + mirror * places[:, i])
-        foot, begins = foot + mirror * sole[-1], begins + end
+        foot, begins = foot + mirror * sole[-1], begins + times[-1]
         mirror = mirror * [1, -1, 1]
     joined = {name: np.concatenate(parts) for name, parts in columns.items()}
     variables = {name: (("frame", "axis")[: x.ndim], x) for name, x in joined.items()}
@@ -81,26 +75,3 @@ def places_of(
         for disc, swing in zip(discs, (False, True), strict=True)
     ]
     return jnp.stack([*discs, *ends, walker.axle(q)[:, 1]]), walker.sole(q, True)
-
-
-def is_over(
-    walker: SpatialWalker, states: SpatialState, outcome: Outcome
-) -> Bool[np.ndarray, " frames"]:
-    """Whether a stride that fails is over: fallen, at heel strike, scuffing, or in the air."""
-
-    def look(walker, state):
-        fallen = fall_of(walker, state) != Outcome.UNDECIDED
-        return (
-            fallen,
-            walker.clearance(state),
-            walker.is_ahead(state) > 0,
-            in_tension(walker, state),
-        )
-
-    fallen, height, ahead, pulled = map(
-        np.asarray, jax.vmap(by_kernel(look), (None, 0))(walker, states)
-    )
-    over = fallen | (ahead & (height < 0))
-    if outcome == Outcome.SCUFFED:
-        over |= height < -float(least_scuff(walker.leg_length))
-    return over | pulled if outcome == Outcome.RUNNING else over

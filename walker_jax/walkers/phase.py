@@ -1,0 +1,130 @@
+"""The parts of a stride before the swing, and what makes a mode of any part.
+
+The state, the falls and the conditions of a walker are those of its phases too.
+"""
+
+import abc
+from collections.abc import Callable
+from typing import Any, NamedTuple, cast
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from walker_jax.hybrid.modes import Condition, Function, Guard, Mode
+from walker_jax.integrators.roots import Scalar
+from walker_jax.integrators.taylor import VectorField
+from walker_jax.walkers.outcomes import Outcome
+
+
+class State(NamedTuple):
+    """Angles (rad) and rates (rad per unit of time) of the two legs, or their time derivatives."""
+
+    theta: Scalar
+    phi: Scalar
+    thetadot: Scalar
+    phidot: Scalar
+
+
+Conditions = dict[str, Callable[[Any], Scalar]]
+"""Functions of the state, by the name of the `Outcome` of a stride in which one is negative."""
+
+
+class Phase(eqx.Module):
+    """A part of a stride before the swing: with constraints, and a state, of its own.
+
+    A state is a `NamedTuple` of scalars: the coordinates, then their rates in the same order. The
+    angle of the stance leg and its rate are called `theta` and `thetadot` in all of them.
+    """
+
+    walker: Any
+    """The `Walker` whose stride it is a part of."""
+
+    @abc.abstractmethod
+    def begin(self, state: State) -> Any:
+        """Its own state, from the `State` at the start of a stride: what it releases is at rest."""
+
+    @abc.abstractmethod
+    def vector_field(self, state: Any) -> Any:
+        """Time derivative of the state."""
+
+    @abc.abstractmethod
+    def contact_force(self, state: Any) -> tuple[Scalar, Scalar]:
+        """Force (Q_u, Q_v) of the ground on the stance foot, along and normal to the slope."""
+
+    @abc.abstractmethod
+    def event(self, state: Any) -> Scalar:
+        """What rises through zero where the phase ends, and is negative before."""
+
+    @abc.abstractmethod
+    def end(self, state: Any) -> Any:
+        """The state in which the next phase begins: a `State` if that is the swing.
+
+        It follows the impact in which constraints are made, or the release of others.
+        """
+
+    def clearance(self, state: Any) -> Scalar | None:
+        """Height of the swing foot above the slope, if it must not come down in this phase.
+
+        By default it may.
+        """
+        return None
+
+    def reach(self, state: Any) -> Scalar:
+        """How far the swing foot is ahead of the stance foot, along the slope."""
+        raise NotImplementedError
+
+    def conditions(self) -> Conditions:
+        """As those of the walker, which hold in the swing alone. By default there is none."""
+        return {}
+
+    def equations(self) -> VectorField:
+        """As those of the walker."""
+        return self.vector_field
+
+    def mode(self) -> Mode:
+        """The phase as a mode of a stride, to its event.
+
+        It also ends in a fall, and where the swing foot comes down in front, if it must not.
+        """
+        walker, guards = self.walker, fall_guards(self.walker)
+        may_land = jax.eval_shape(
+            lambda state: self.clearance(self.begin(state)), some_state(walker)
+        )
+        if may_land is not None:
+            below = lambda state: -cast("Scalar", self.clearance(state))
+            guards.append(Guard(below, Outcome.BENT_KNEE, (walker.is_ahead,), (self.reach,)))
+        guards.append(Guard(self.event, Outcome.STRIDE))
+        conditions = [Condition(one, of) for of, one in conditions_of(self).items()]
+        mode = Mode(self.equations(), self.vector_field, tuple(guards), tuple(conditions))
+        return mode._replace(reset=self.end)
+
+
+def conditions_of(part: Any) -> dict[int, Function]:
+    """Its conditions, the contact force Q_v among them, by the outcome where one is violated."""
+    others = {int(Outcome[name]): one for name, one in part.conditions().items()}
+    return {int(Outcome.RUNNING): lambda state: part.contact_force(state)[1]} | others
+
+
+def fall_guards(walker: Any, *, persist: bool = False) -> list[Guard]:
+    """The falls of a walker; whether it is known that they persist within a step."""
+    value = lambda name: lambda state: walker.falls(state)[name]
+    guards = []
+    for name in jax.eval_shape(walker.falls, some_state(walker)):
+        guard = Guard(value(name), Outcome[name], persists=persist, at_once=True)
+        if name == "BACKWARD" and is_planar(walker):
+            guard = guard._replace(measure=lambda speed: speed**2 / 2)  # smooth at a dead point
+        guards.append(guard)
+    return guards
+
+
+def some_state(walker: Any) -> Any:
+    """A full state without values, of the dtype of a walker's parameters."""
+    dtype = jnp.result_type(0.0, *jax.tree.leaves(walker))
+    number: Any = jax.ShapeDtypeStruct((), dtype)
+    return walker.state(*[number] * len(walker.state._fields))
+
+
+def is_planar(walker: Any) -> bool:
+    """Whether a walker moves in the plane, not in space."""
+    return walker.state is State

@@ -1,0 +1,144 @@
+"""What a stride starts from: a walker and a point of its section, or a full state, checked."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float
+
+from walker_jax.checks import WrongUse, check_kind, short
+from walker_jax.integrators.integrator import AnySolver, Integrator, integrator_of
+from walker_jax.integrators.roots import Real
+from walker_jax.walkers.masses import MultibodyMotion
+from walker_jax.walkers.model import Walker, check_single
+from walker_jax.walkers.outcomes import Outcome
+from walker_jax.walkers.phase import State, is_planar
+from walker_jax.walkers.spatial import SpatialWalker
+
+FAILURES = tuple(
+    one.name
+    for one in Outcome
+    if one not in (Outcome.STRIDE, Outcome.OUTSIDE, Outcome.UNDECIDED, Outcome.LEFT_GRID)
+)
+"""Names that falls may have."""
+
+
+def prepare(
+    walker: Walker,
+    x: Float[ArrayLike, " coordinates"],
+    tolerance: Real | None,
+    solver: AnySolver | None = None,
+) -> tuple[Walker, Float[Array, " coordinates"], Integrator]:
+    """Walker, start and integrator, checked, in the dtype of the start."""
+    check_kind("walker", walker, Walker)
+    check_single(walker)
+    x = as_floating(x)
+    sizes = len(walker.section), *(len(kind._fields) for kind in state_kinds(walker))
+    if x.ndim != 1 or x.shape[0] not in sizes:
+        full = " or ".join(f"({size},)" for size in sizes[1:])
+        raise WrongUse(
+            f"x must have shape ({sizes[0]},), on the section {walker.section}, or {full}, "
+            f"a full state, not {x.shape}"
+        )
+    integrator = integrator_of(x.dtype, tolerance, solver).in_dtype(x.dtype)
+    walker = jax.tree.map(lambda leaf: jnp.asarray(leaf, x.dtype), walker)
+    return walker, x, integrator
+
+
+def as_floating(x: Any, name: str = "x") -> Float[Array, "..."]:
+    """x as an array, its dtype kept where it is a floating one."""
+    try:
+        values = jnp.asarray(x)
+    except (TypeError, ValueError, OverflowError):
+        raise WrongUse(f"{name} must be real numbers, not {short(x)}") from None
+    if jnp.iscomplexobj(values):
+        raise WrongUse(f"{name} must be real, not of type {values.dtype}")
+    return values if jnp.issubdtype(values.dtype, jnp.floating) else values.astype(float)
+
+
+def on_section(walker: Walker, x: Float[Array, " coordinates"]) -> bool:
+    """Whether a start is a point of the section, and no full state."""
+    return x.shape == (len(walker.section),)
+
+
+def during_stride(walker: Walker, x: Float[Array, " coordinates"]) -> Walker:
+    """The walker as it is during the stride from x; of a full state, the section's coordinates."""
+    if type(walker).during_stride is Walker.during_stride:
+        return walker
+    return walker.during_stride(
+        x if on_section(walker, x) else walker.project(full_state(walker, x))
+    )
+
+
+def state_kinds(walker: Walker) -> list[type]:
+    """Kinds of full states that a stride may start from: its own, and that of its first phase."""
+    if not (phases := walker.phases()):
+        return [walker.state]
+    number: Any = jax.ShapeDtypeStruct((), jnp.asarray(0.0).dtype)
+    return [State, type(jax.eval_shape(phases[0].begin, State(number, number, number, number)))]
+
+
+def full_state(walker: Walker, x: Float[Array, " coordinates"]) -> Any:
+    """The full state of a start, which may be one already; of the first phase, if there are any."""
+    if on_section(walker, x):
+        start = walker.lift(x)
+    else:
+        start = next(kind for kind in state_kinds(walker) if len(kind._fields) == len(x))(*x)
+    if isinstance(start, walker.state):
+        check_vector_field(walker, start)
+        check_falls(walker, start)
+        return walker.phases()[0].begin(start) if walker.phases() else start
+    return start
+
+
+def is_feasible(walker: Walker, x: Float[Array, " coordinates"], start: Any) -> Bool[Array, ""]:
+    """Whether a stride can begin at x, of which the full state is `start`."""
+    if on_section(walker, x):
+        return walker.feasible(x)
+    feasible = jnp.all(jnp.isfinite(x)) & (jnp.abs(start.theta) < np.pi / 2)
+    if phases := walker.phases():
+        feasible &= phases[0].event(start) <= 0
+    return feasible
+
+
+def check_vector_field(walker: Walker, start: Any) -> None:
+    """Refuse a walker of a user's own whose vector field is none."""
+    if type(walker).vector_field is MultibodyMotion.vector_field:
+        return
+    rates = jax.eval_shape(walker.vector_field, start)
+    if not isinstance(rates, walker.state) or any(np.shape(rate) for rate in rates):
+        found = " ".join(eqx.tree_pformat(rates, struct_as_array=True).split())
+        raise WrongUse(
+            f"vector_field of {type(walker).__name__} must return a State of four scalars, "
+            f"not {found}"
+        )
+
+
+def overrides(walker: Walker, name: str) -> bool:
+    """Whether the class of a walker overrides a method of the package's own walkers."""
+    usual = Walker if is_planar(walker) else SpatialWalker
+    return getattr(type(walker), name) is not getattr(usual, name)
+
+
+def check_falls(walker: Walker, state: Any) -> None:
+    """Refuse rules of a user's own that are not real numbers, by the names of failures."""
+    kind, values = type(walker).__name__, {}
+    if overrides(walker, "falls"):
+        for name, shape in jax.eval_shape(walker.falls, state).items():
+            values[f"falls of {kind}: {name}"] = shape
+            if name not in FAILURES:
+                raise WrongUse(
+                    f"falls of {kind} must be named by a failure, one of {', '.join(FAILURES)}, "
+                    f"not {name!r}"
+                )
+    if overrides(walker, "is_ahead"):
+        values[f"is_ahead of {kind}"] = jax.eval_shape(walker.is_ahead, state)
+    for label, value in values.items():
+        if value.shape or not jnp.issubdtype(value.dtype, jnp.floating):
+            raise WrongUse(
+                f"{label} must be one real number, such as -theta, not {value.dtype} of shape "
+                f"{value.shape}"
+            )

@@ -1,0 +1,372 @@
+"""The stride function: from one heel strike to the next (Schwab and Wisse 2001, section 3.3).
+
+A stride follows the modes of a walker, one after the other: its phases and, last, the swing, which
+ends at heel strike or in a fall. A mode begins in the state that the one before was reset to, and
+is over at once if the walker has fallen then, or if the event of the phase is due.
+
+Conditions, such as a force that would have to pull (`RUNNING`), count in strides that reach heel
+strike; but the stride of a walker that is in tension at its start is over.
+"""
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float, Int
+
+from walker_jax.checks import WrongUse, check_number, short
+from walker_jax.hybrid.conditions import is_negative
+from walker_jax.hybrid.crossings import begins_below
+from walker_jax.hybrid.following import NO_GUARD, End, Violated, follow_mode
+from walker_jax.hybrid.misses import Misses
+from walker_jax.hybrid.modes import Guard, Mode
+from walker_jax.integrators.integrator import AnySolver, Integrator
+from walker_jax.integrators.method import Method, zero_at
+from walker_jax.integrators.roots import Real
+from walker_jax.integrators.taylor import with_fast_sincos
+from walker_jax.kernels import by_kernel
+from walker_jax.walkers.model import Scalar, Walker, check_planar
+from walker_jax.walkers.outcomes import Outcome, Stride, nan_unless
+from walker_jax.walking.starts import (
+    during_stride,
+    full_state,
+    is_feasible,
+    on_section,
+    overrides,
+    prepare,
+)
+
+
+class Part(NamedTuple):
+    """A mode of a stride that was followed."""
+
+    mode: Mode
+    start: Any
+    verdict: Int[Array, ""]
+    """As it began; it was followed if that is `UNDECIDED`."""
+    end: End
+    misses: Misses
+
+
+class Arrival(NamedTuple):
+    """Where a stride has led so far."""
+
+    state: Any
+    """The state in which the next mode begins; after the swing, that before heel strike."""
+    time: Scalar
+    """Since the start of the stride; infinite if the integration gave no answer in a phase."""
+    verdict: Int[Array, ""]
+    """`UNDECIDED` before the swing, `STRIDE` after it, unless the walker falls."""
+    violated: Violated
+    """Which conditions were violated, the contact force Q_v >= 0 among them."""
+    parts: tuple[Part, ...] = ()
+    """Its modes so far, of a stride that is measured."""
+
+
+def stride(
+    walker: Walker,
+    x: Float[ArrayLike, " coordinates"],
+    *,
+    step: Real | None = None,
+    tolerance: Real | None = None,
+    solver: AnySolver | None = None,
+) -> Stride:
+    """One stride, S(x), equation (20).
+
+    Works under JAX's transformations, in the dtype of x, float32 or float64: `jax.jit`, `jax.vmap`,
+    `jax.lax.scan`; `jax.jacfwd`, `jax.grad` and `jax.jacrev`, and derivatives of these. On a CPU
+    all of them call machine code (`kernels`), so a jitted `jax.vmap` is as fast as `strides`.
+
+    **Arguments:**
+
+    - `walker`: any walker; derivatives with respect to its parameters are right too.
+    - `x`: the start, on the walker's section just after heel strike; or a full state
+      (theta, phi, thetadot, phidot), for a launch or after a push. That is feasible where it is
+      finite and the stance leg stands, |theta| < pi/2.
+    - `step`: height of the next foothold above the present one, normal to the slope, in the unit of
+      length; by default 0. The swing foot comes down there ahead of the other, with a straight
+      knee; if it does not rise as high, the walker falls. Scuffing is judged by the present level.
+      The result's state is then a full one, just after heel strike and off the section, as one foot
+      is lower. `stride` takes it from there, on a slope through the foot that stands now.
+    - `tolerance`: of one integration step: of its last Taylor terms, relative to the state or its
+      rate (`integrators.taylor_steps.step_length`), or of the error that another solver estimates.
+      By default 1e-12 in float64 and 1e-6 in float32. The error of a stride is larger by as much as
+      the stride amplifies errors, up to 1e5 times near falling backward.
+    - `solver`: one of diffrax's explicit Runge-Kutta methods, such as `diffrax.Dopri8()`, in place
+      of the Taylor series. It does not know where a vector field has kinks.
+
+    **Returns** a `Stride`. A failure is an `Outcome`. `ValueError` for a wrong shape or dtype, and
+    for a tolerance that the dtype cannot hold.
+    """
+    walker, x, integrator = prepare(walker, x, tolerance, solver)
+    if step is None:
+        return follow_stride(walker, x, integrator)
+    check_planar(walker)
+    return follow_step(walker, x, height_of_step(step, x.dtype), integrator)
+
+
+@by_kernel
+def follow_stride(
+    walker: Walker,
+    x: Float[Array, " coordinates"],
+    integrator: Integrator,
+) -> Stride:
+    walker = during_stride(walker, x)
+    modes = modes_from(walker, x)
+    arrival = follow_modes(modes, begin_stride(walker, x), integrator)
+    _, end = with_fast_sincos(lambda walker, last: end_stride(walker, modes[-1], last))(
+        walker, arrival
+    )
+    return end
+
+
+def modes_from(
+    walker: Walker, x: Float[Array, " coordinates"], *, to_the_end: bool = False
+) -> list[Mode]:
+    """The modes of the stride from x.
+
+    A walker that was launched, and did not start on the section, is followed to the end of a fall.
+    """
+    *phases, swing = walker.modes()
+    launched = not on_section(walker, x)
+    if launched or to_the_end:
+        swing = swing._replace(foregone=None)
+    if launched:
+        anywhere = lambda one: one._replace(zero_at_ends=(False, one.zero_at_ends[1]))
+        swing = swing._replace(conditions=tuple(map(anywhere, swing.conditions)))
+    return [*phases, swing]
+
+
+def begin_stride(walker: Walker, x: Float[Array, " coordinates"]) -> Arrival:
+    """The full state at the start."""
+
+    def begin(walker, x):
+        start = full_state(walker, x)
+        return start, jnp.asarray(is_feasible(walker, x, start))
+
+    start, feasible = with_fast_sincos(begin)(walker, x)
+    verdict = jnp.where(feasible, Outcome.UNDECIDED, Outcome.OUTSIDE).astype(jnp.int8)
+    return Arrival(start, zero_at(start), verdict, {})
+
+
+def follow_modes(
+    modes: list[Mode], begun: Arrival, integrator: Integrator, measured: bool = False
+) -> Arrival:
+    """From a state of the first mode to heel strike, the end of the last.
+
+    If it is `measured`, the parts of the stride have their misses.
+    """
+    *phases, swing = modes
+    last = follow_phases(phases, begun, integrator, measured)[-1]
+    return follow_swing(swing, last, integrator, measured)
+
+
+def follow_phases(
+    phases: list[Mode], begun: Arrival, integrator: Integrator, measured: bool = False
+) -> list[Arrival]:
+    """The start of a stride, and where each phase leads, reset for the next one."""
+    ends = [begun]
+    for mode in phases:
+        last = ends[-1]
+        due = ~begins_below(
+            method_of(mode, last.state, integrator).series(mode.guards[-1].value, last.state, 2)
+        )
+        now = begin_mode(mode, last, due)
+        over = (now.verdict == Outcome.UNDECIDED) & due
+        now = now._replace(verdict=jnp.where(over, Outcome.STRIDE, now.verdict).astype(jnp.int8))
+        now = follow_on(mode, now, integrator, measured)
+        ended = now.verdict == Outcome.STRIDE
+        time = jnp.where(now.verdict == Outcome.UNDECIDED, jnp.inf, now.time)
+        verdict = jnp.where(ended, Outcome.UNDECIDED, now.verdict).astype(jnp.int8)
+        state = with_fast_sincos(mode.reset)(now.state)
+        ends.append(now._replace(state=state, time=time, verdict=verdict))
+    return ends
+
+
+def follow_swing(
+    mode: Mode, last: Arrival, integrator: Integrator, measured: bool = False
+) -> Arrival:
+    """The last mode, from where the phases have led."""
+    return follow_on(mode, begin_mode(mode, last, jnp.asarray(False)), integrator, measured)
+
+
+def begin_mode(mode: Mode, last: Arrival, over: Bool[Array, ""]) -> Arrival:
+    """The verdict as a mode begins: the walker may have fallen, or be in tension at the start of
+    the stride, unless this mode is `over`."""
+    going = last.verdict == Outcome.UNDECIDED
+    verdict = jnp.where(going, with_fast_sincos(partial(fall_of, mode))(last.state), last.verdict)
+    for one in mode.conditions:
+        if one.outcome == Outcome.RUNNING:
+            pulled = going & ~over & (last.time == 0) & is_negative(one, last.state)
+            verdict = jnp.where(pulled, Outcome.RUNNING, verdict)
+    return last._replace(verdict=verdict.astype(jnp.int8))
+
+
+def fall_of(mode: Mode, state: Any) -> Int[Array, ""]:
+    """How a walker has fallen in a state in which a mode begins; `UNDECIDED` if it has not."""
+    outcome = jnp.asarray(Outcome.UNDECIDED, jnp.int8)
+    for guard in reversed(mode.guards):
+        if guard.at_once:
+            fallen = guard.value(state) >= 0
+            outcome = jnp.where(fallen, guard.leads_to, outcome).astype(jnp.int8)
+    return outcome
+
+
+def follow_on(mode: Mode, last: Arrival, integrator: Integrator, measured: bool = False) -> Arrival:
+    """A mode from where the one before has led; the verdict is what its guard leads to."""
+    going = (last.verdict == Outcome.UNDECIDED) & jnp.isfinite(last.time)
+    method = method_of(mode, last.state, integrator)
+    found = follow_mode(mode, last.state, going, method, measured=measured)
+    verdict = jnp.where(found.guard == NO_GUARD, Outcome.UNDECIDED, last.verdict)
+    for i, guard in enumerate(mode.guards):
+        verdict = jnp.where(found.guard == i, guard.leads_to, verdict)
+    if mode.foregone is not None:
+        verdict = jnp.where(found.guard == len(mode.guards), mode.foregone.leads_to, verdict)
+    never = jnp.asarray(False)
+    keys = sorted({*last.violated, *found.violated})
+    either = lambda key: last.violated.get(key, never) | found.violated.get(key, never)
+    violated = {key: either(key) for key in keys}
+    parts = last.parts
+    if found.misses is not None:
+        parts = *parts, Part(mode, last.state, last.verdict, found, found.misses)
+    return Arrival(found.state, last.time + found.time, verdict.astype(jnp.int8), violated, parts)
+
+
+def method_of(mode: Mode, start: Any, integrator: Integrator) -> Method:
+    """The method by which a mode is integrated: its steps end at kinks of guards too."""
+    kinked = [function for guard in mode.functions() for function in guard]
+    return integrator.method(mode.field, start, *kinked)
+
+
+def end_stride(walker: Walker, swing: Mode, last: Arrival) -> tuple[Any, Stride]:
+    """The state after a heel strike, legs exchanged, and the stride, on the section."""
+    (_, lift), after = walker.impact(last.state)
+    following = walker.exchange_legs(after)
+    fallen = fall_of(swing, following)
+    struck = jnp.where(fallen == Outcome.UNDECIDED, Outcome.STRIDE, fallen)
+    struck = jnp.where(lift > 0, struck, Outcome.STOPPED)
+    struck = jnp.where(jnp.isfinite(lift), struck, Outcome.UNDECIDED)
+    for outcome, violated in reversed(last.violated.items()):
+        struck = jnp.where(violated, outcome, struck)
+    outcome = jnp.where(last.verdict == Outcome.STRIDE, struck, last.verdict).astype(jnp.int8)
+    return following, make_stride(walker.project(following), outcome, last.time)
+
+
+def make_stride(
+    state: Float[Array, " coordinates"], outcome: Int[Array, ""], time: Scalar
+) -> Stride:
+    """A stride; its results, and their derivatives, are NaN unless it is one."""
+    success = outcome == Outcome.STRIDE
+    return Stride(nan_unless(success, state), outcome, nan_unless(success, time))
+
+
+def step_down(
+    walker: Walker,
+    x: Float[ArrayLike, " coordinates"],
+    drop: Real,
+    *,
+    tolerance: Real | None = None,
+) -> Stride:
+    """One stride whose heel strike is on ground that is lower by `drop`, not negative.
+
+    `stride(walker, x, step=-drop)`.
+    """
+    if not isinstance(drop, Tracer):
+        check_number("drop", drop)
+        if not 0 <= drop < np.inf:
+            raise WrongUse(f"drop must be one number, finite and not negative, not {short(drop)}")
+    step = -drop if isinstance(drop, Tracer) else -float(drop)
+    return stride(walker, x, step=step, tolerance=tolerance)
+
+
+def height_of_step(step: Any, dtype) -> Float[Array, ""]:
+    """A step's height, checked."""
+    if not isinstance(step, Tracer):
+        check_number("step", step)
+        if not abs(step) <= np.finfo(float).max:
+            raise WrongUse(f"step must be one finite number, not {short(step)}")
+    return jnp.asarray(step, dtype)
+
+
+@by_kernel
+def follow_step(
+    walker: Walker,
+    x: Float[Array, " coordinates"],
+    step: Float[Array, ""],
+    integrator: Integrator,
+) -> Stride:
+    """One stride to ground that is higher by `step`; the result's state is a full one."""
+    walker = during_stride(walker, x)
+    *phases, swing = modes_from(walker, x)
+    raised = [raise_ground(mode, step) for mode in phases]
+    last = follow_phases(raised, begin_stride(walker, x), integrator)[-1]
+    last = follow_to_step(walker, swing, last, step, integrator)
+    # On even ground nothing is left to swing, but the derivative with respect to the step is.
+    contact = lambda state: step - walker.clearance(state)
+    arrival, delay = method_of(swing, last.state, integrator).refine_event(contact, last.state)
+    last = last._replace(state=arrival, time=last.time + delay)
+
+    def end(walker, last):
+        following, stride = end_stride(walker, swing, last)
+        return jnp.stack(following), stride.outcome
+
+    state, outcome = with_fast_sincos(end)(walker, last)
+    return make_stride(state, outcome, last.time)
+
+
+def follow_to_step(
+    walker: Walker, swing: Mode, last: Arrival, step: Scalar, integrator: Integrator
+) -> Arrival:
+    """The swing on even ground made one to ground that is higher by `step`, and followed.
+
+    A foot that goes below the ground has passed its level first, ahead of the other: the legs may
+    pass each other below the level, and that is no heel strike.
+    """
+    passed = step > 0
+    if walker.phases():  # a foot in front may be below the level as a knee strikes
+        ahead = (last.state.phi < 0) & (walker.is_ahead(last.state) > 0)
+        under = with_fast_sincos(walker.clearance)(last.state) < 0
+        passed |= (step < 0) & ahead & under
+    level = follow_swing(onto_step(walker, swing, step, passed), last, integrator)
+    lower = (level.verdict == Outcome.STRIDE) & (step < 0) & ~passed
+    verdict = jnp.where(lower, Outcome.UNDECIDED, level.verdict).astype(jnp.int8)
+    return follow_on(onto_step(walker, swing, step), level._replace(verdict=verdict), integrator)
+
+
+def raise_ground(mode: Mode, step: Scalar) -> Mode:
+    """A phase in which the swing foot must not come down on ground that is higher by `step`."""
+    above = lambda guard: lambda state: step + guard.value(state)
+    raised = [
+        guard._replace(value=above(guard)) if guard.leads_to == Outcome.BENT_KNEE else guard
+        for guard in mode.guards
+    ]
+    return mode._replace(guards=tuple(raised))
+
+
+def onto_step(
+    walker: Walker, swing: Mode, step: Scalar, to_step: Bool[Array, ""] | None = None
+) -> Mode:
+    """The swing to where the foot comes down, ahead of the other, on ground higher by `step`.
+
+    Where that is not `to_step`, the swing as it is. Both cases share one loop, which keeps the
+    lanes of a kernel together. On a step the foot is ahead where it has passed the other leg; a
+    rule of a walker's own holds too.
+    """
+    *others, strike = swing.guards
+    above = lambda state: step - walker.clearance(state)
+    passed = lambda state: -state.phi
+    admits = (passed, walker.is_ahead) if overrides(walker, "is_ahead") else (passed,)
+    if to_step is None:
+        onto = Guard(above, Outcome.STRIDE, admits)
+        return swing._replace(guards=(*others, onto), foregone=None)
+    choose = lambda one, other: lambda state: jnp.where(to_step, one(state), other(state))
+    admits = tuple(choose(one, walker.is_ahead) for one in admits)
+    onto = Guard(choose(above, strike.value), Outcome.STRIDE, admits)
+    foregone = swing.foregone
+    if foregone is not None:
+        holds = foregone.holds
+        foregone = foregone._replace(holds=lambda state: ~to_step & holds(state))
+    return swing._replace(guards=(*others, onto), foregone=foregone)
