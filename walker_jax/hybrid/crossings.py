@@ -32,6 +32,10 @@ HOP = 1e-7
 float32, 64 times the dtype's epsilon."""
 
 
+MOVED = 7
+"""Coefficients that are moved to the middle of a step; those behind are small."""
+
+
 @jax.jit
 def begins_below(series: list[Scalar]) -> Bool[Array, ""]:
     """Whether a function is below zero at first, or at zero and about to fall."""
@@ -54,17 +58,51 @@ def may_rise(
     which the step begins; nor where one of `admits` is negative throughout. All are given by their
     first coefficients.
     """
-    later = size_of_rest(value, length)
-    linear = value[0] + value[1] * length
-    near = (jnp.minimum(value[0], linear) <= later) & (jnp.maximum(value[0], linear) >= -later)
-    near &= ~leaves_zero(value, length, later) & ~is_monotone(value, length)
+    near = comes_near_zero(value, length) & ~leaves_zero(value, length)
     may = (below & ~ends_below) | near
     for one in admits:
-        may &= jnp.maximum(one[0], one[0] + one[1] * length) > -size_of_rest(one, length)
+        line, rest = about_middle(one, length)
+        may &= line[0] + jnp.abs(line[1]) / 2 > -rest.value
     return may
 
 
-def leaves_zero(series: list[Scalar], length: Scalar, later: Scalar) -> Bool[Array, ""]:
+def comes_near_zero(series: list[Scalar], length: Scalar) -> Bool[Array, ""]:
+    """Whether a function may have a zero in a step other than where it changes its side once."""
+    (middle, change), rest = about_middle(series, length)
+    return (jnp.abs(middle) <= jnp.abs(change) / 2 + rest.value) & (jnp.abs(change) <= rest.rate)
+
+
+class Rest(NamedTuple):
+    """What is not linear in a function, at most, over a step."""
+
+    value: Scalar
+    rate: Scalar
+    """Per length of the step."""
+
+
+def about_middle(series: list[Scalar], length: Scalar) -> tuple[tuple[Scalar, Scalar], Rest]:
+    """The value of a function in the middle of a step and, with the rate that it has there, its
+    change over the step; and what is not linear.
+
+    About the middle a term of order k is 2^k times smaller at the ends than about the start, so the
+    bounds are close. The last two terms count twice, for those that are left out: each is some
+    tenth of the one before, as the length of a step makes it.
+    """
+    terms, power = [series[0]], length
+    for c in series[1:]:
+        terms.append(c * power)
+        power = power * length
+    value, change, *bends = shifted(terms[:MOVED], jnp.asarray(0.5, length.dtype))
+    sizes = [*enumerate(map(jnp.abs, terms))][2:]
+    rest = Rest(jnp.zeros_like(length), jnp.zeros_like(length))
+    for k, size in (*sizes[MOVED - 2 :], *sizes[-2:]):
+        rest = Rest(rest.value + size, rest.rate + k * size)
+    for k, bend in enumerate(map(jnp.abs, bends), 2):
+        rest = Rest(rest.value + bend / 2**k, rest.rate + bend * (k / 2 ** (k - 1)))
+    return (value, change), rest
+
+
+def leaves_zero(series: list[Scalar], length: Scalar) -> Bool[Array, ""]:
     """Whether a polynomial that begins at zero, to rounding, certainly moves away from there.
 
     It moves where its first term that does not vanish leads, provided that c_2 leads there too and
@@ -72,17 +110,14 @@ def leaves_zero(series: list[Scalar], length: Scalar, later: Scalar) -> Bool[Arr
     """
     falls = (series[1] < 0) | ((series[1] == 0) & (series[2] < 0))
     sign = jnp.where(falls, -1, 1).astype(length.dtype)
+    later = size_of_rest(series, length)
     rounding = 64 * float(jnp.finfo(length.dtype).eps) * (jnp.abs(series[1]) * length + later)
     others = later - jnp.abs(series[2]) * length**2
     return (sign * series[0] >= -rounding) & (sign * series[2] * length**2 >= others)
 
 
 def size_of_rest(series: list[Scalar], length: Scalar) -> Scalar:
-    """The sum over k >= 2 of |c_k| length^k, which bounds what is not linear in a function.
-
-    The last two terms count twice, for those that are left out: each is some tenth of the one
-    before, as the length of a step makes it.
-    """
+    """The sum over k >= 2 of |c_k| length^k, which bounds what is not linear in a function."""
     return evaluate_polynomial(sizes(series)[2:], length) * length**2
 
 

@@ -366,7 +366,7 @@ def onto_step(
     admits = tuple(choose(one, walker.is_ahead) for one in admits)
     onto = Guard(choose(above, strike.value), Outcome.STRIDE, admits)
     foregone = swing.foregone
-    if foregone is not None:
-        holds = foregone.holds
-        foregone = foregone._replace(holds=lambda state: ~to_step & holds(state))
+    if foregone is not None:  # nor does a foot come up again to a step that is higher
+        holds, sinks = foregone.holds, ~to_step | (step > 0)
+        foregone = foregone._replace(holds=lambda state: sinks & holds(state))
     return swing._replace(guards=(*others, onto), foregone=foregone)
