@@ -25,6 +25,7 @@ that have another outcome; those near a boundary; strides of which the states di
 
 import sys
 import time
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -32,9 +33,14 @@ import numpy as np
 from search_regions import FAMILIES
 
 import walker_jax as wj
+from walker_jax.execution.tiles import map_cells
+from walker_jax.integrators.integrator import integrator_of
+from walker_jax.walking.stride import follow_step
 
 jax.config.update("jax_enable_x64", True)
 FINE, NEAR, AT_ONCE = 1e-15, 1e-9, 100_000
+ON_STEPS, ROUGH = " on steps", 0.02
+"""Names of families on rough ground, and the standard deviation of its steps, in legs."""
 ALL = FAMILIES | {
     "simplest": (wj.SimplestWalker, 0, {"slope": (0.001, 0.05)}),
     "spatial": (wj.SpatialWalker, 0, {"slope": (0.06, 0.08), "hip_width": (0.28, 0.34)}),
@@ -53,9 +59,19 @@ def starts(kind: type, count: int, rng: np.random.Generator) -> np.ndarray:
     return np.stack(columns, axis=1)
 
 
+def make_strides(walkers: Any, xs: np.ndarray, steps: np.ndarray | None, fine: bool) -> wj.Stride:
+    """Strides on even ground, or each to a foothold that is higher by its step."""
+    tolerance = FINE if fine else None
+    if steps is None:
+        return wj.strides(walkers, xs, tolerance=tolerance)
+    integrator = integrator_of(xs.dtype, tolerance).in_dtype(xs.dtype)
+    many = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (len(xs),)), walkers)
+    return map_cells(follow_step, (many, xs, steps, integrator), (True, True, True, False))
+
+
 def survey(name: str, strides: int) -> None:
     """One row of the table, and the first strides that differ."""
-    kind, _, ranges = ALL[name]
+    kind, _, ranges = ALL[name.removesuffix(ON_STEPS)]
     rng, began = np.random.default_rng(7), time.process_time()
     differ = near = off = made = 0
     largest, examples = 0.0, []
@@ -63,11 +79,13 @@ def survey(name: str, strides: int) -> None:
         drawn = {key: rng.uniform(bounds[0], bounds[1], AT_ONCE) for key, bounds in ranges.items()}
         walkers = jax.vmap(lambda values, kind=kind: kind(**values))(drawn)
         xs = starts(kind, AT_ONCE, rng)
-        usual, fine = wj.strides(walkers, xs), wj.strides(walkers, xs, tolerance=FINE)
+        steps = rng.normal(0, ROUGH, AT_ONCE) if name.endswith(ON_STEPS) else None
+        usual, fine = (make_strides(walkers, xs, steps, fine) for fine in (False, True))
         for i in np.flatnonzero(usual.outcome != fine.outcome):
             one = jax.tree.map(lambda leaf, i=i: leaf[i] if jnp.ndim(leaf) else leaf, walkers)
             beside = xs[i] + NEAR * rng.uniform(-1, 1, (64, xs.shape[1]))
-            if usual.outcome[i] in wj.strides(one, beside, tolerance=FINE).outcome:
+            same = None if steps is None else np.repeat(steps[i], len(beside))
+            if usual.outcome[i] in make_strides(one, beside, same, True).outcome:
                 near += 1
             else:
                 differ += 1
@@ -89,5 +107,8 @@ def survey(name: str, strides: int) -> None:
 
 if __name__ == "__main__":
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 1_000_000
-    for family in sys.argv[2:] or ALL:
+    for family in sys.argv[2:] or [
+        *ALL,
+        *(one + ON_STEPS for one in ("simplest", "powered", "kneed")),
+    ]:
         survey(family, count)
