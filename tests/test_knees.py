@@ -770,7 +770,8 @@ def test_what_is_checked_fails_at_heel_strike():
 
 def test_places_of_the_legs_have_the_knee(path):
     states, radius = path[1], float(WALKER.foot_radius)
-    stance, hip, swing, knee = leg_positions(WALKER, states, np.zeros(2), 1 - radius, radius)
+    shown = leg_positions(WALKER, states, np.zeros(2), 1 - radius, radius)
+    stance, hip, swing, knee = shown.values()
     for k, q in enumerate(np.stack(states[:3], axis=1)):
         points, (_, thigh, _, shank) = places(WALKER, q)
         up = lambda angle: np.array([-np.sin(angle), np.cos(angle)])

@@ -1145,6 +1145,34 @@ def test_no_outcome_depends_on_when_a_fall_is_given_up():
     np.testing.assert_allclose(given_up.state, watched.state, rtol=0, atol=1e-10)
 
 
+ROCKING = {
+    "slope": (0.02264938489109991, 0.005503582399388848, 0.04014859533270511),
+    "hip_mass": (0.12831044801419733, 0.35514931261608473, 0.12496587102840406),
+    "leg_mass": (0.5, 0.5, 0.5),
+    "leg_inertia": (0.07426454266306473, 0.009078804468579471, 0.08752646038024421),
+    "leg_length": (1.0, 1.0, 1.0),
+    "com_from_hip": (0.594164672303009, 0.6971453413428059, 0.6679215046324196),
+    "com_offset": (0.0, 0.0, 0.0),
+    "foot_radius": (0.7857080063371362, 0.7650850908503968, 0.7909646877874522),
+}
+"""Walkers whose centre of mass is below the centre of their feet's arcs."""
+SINKING = [
+    [0.03580699069757498, -0.05420269374154335, 0.01746781533596363],
+    [0.10666128746573629, -0.2096187743091732, -0.1440136112713943],
+    [0.028859710781021057, -0.02278819883324394, -0.027294763442872634],
+]
+
+
+def test_a_leg_that_rocks_on_its_foot_may_stop_after_the_other_foot_has_sunk():
+    walkers = [RoundFootWalker(*values) for values in zip(*ROCKING.values(), strict=True)]
+    assert strides(walkers, SINKING).outcome.tolist() == [Outcome.BACKWARD] * 3
+    for walker, x in zip(walkers, SINKING, strict=True):
+        path = wj.trajectory(walker, jnp.array(x), np.linspace(0, 20, 400))
+        turns = int(np.argmax(np.asarray(path.thetadot) >= 0))
+        assert turns > 0 and np.all(np.asarray(path.theta)[:turns] > -np.pi / 2)
+        assert path.phi[turns - 1] - 2 * path.theta[turns - 1] > 0.3  # the foot is deep down
+
+
 # One by one, many, and many walkers
 
 

@@ -114,12 +114,31 @@ class MultibodyPhase(MultibodyMotion, Phase):
 def rises_ever_faster(walker: MultibodyWalker, state: State) -> Bool[Array, ""]:
     """h > 0 rises ever faster, the swing leg ahead, the stance leg falling, in compression.
 
-    As for the simplest walker it is too late then to come down again: an experience (tests).
+    As for the simplest walker it is too late then to come down again, and the leg falls on: an
+    experience (tests), but for walkers that rock on their feet, whose leg may turn.
     """
     (_, _, thetaddot, phiddot), (_, Q_v, _, _) = accelerations_and_forces(walker, state)
     rising = (state.phi > 2 * state.theta) & (state.phidot > 2 * state.thetadot)
     faster = phiddot > 2 * thetaddot
-    return rising & faster & (state.phi < 0) & (thetaddot < 0) & (Q_v > 0)
+    falling = (state.phi < 0) & (thetaddot < 0) & (Q_v > 0)
+    return rising & faster & falling & (curvature_of_potential(walker) < 0)
+
+
+@jax.jit
+def curvature_of_potential(walker: MultibodyWalker) -> Scalar:
+    """V'' by the angle of both legs together, upright: above 0 if the feet's arcs are so large that
+    the walker rocks on them."""
+
+    def curvature(walker):
+        system = walker.system()
+        energy = lambda angle: multibody.potential_energy(
+            system, stance_coordinates([angle, jnp.zeros_like(angle)])
+        )
+        zero = jnp.zeros_like(vars(walker)["slope"])
+        rate = lambda angle: jax.jvp(energy, (angle,), (jnp.ones_like(angle),))[1]
+        return jax.jvp(rate, (zero,), (jnp.ones_like(zero),))[1]
+
+    return unroll(curvature)(walker)
 
 
 class SingleSupport(VirtualPower):

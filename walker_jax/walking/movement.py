@@ -4,6 +4,7 @@ For pictures and films. Places are along the slope and normal to it, from where 
 the first stride is when its leg is upright.
 """
 
+from collections import defaultdict
 from importlib.metadata import version
 from typing import Any
 
@@ -21,8 +22,7 @@ from walker_jax.walkers.parameters import attributes_of
 from walker_jax.walkers.spatial import SpatialWalker
 from walker_jax.walking.frames import frames_of_stride
 from walker_jax.walking.iteration import walk
-from walker_jax.walking.movement_in_space import motion_in_space
-from walker_jax.walking.starts import full_state
+from walker_jax.walking.movement_in_space import SHOWN_IN_SPACE, move_in_space
 from walker_jax.walking.trajectories import legs
 
 FALL_TIME = 40.0
@@ -82,60 +82,49 @@ def motion(
     count = int(failed.argmax()) + 1 if failed.any() else len(outcomes)
     outcomes, durations = outcomes[:count], durations[:count]
     starts = np.asarray(made.states)[: count + (not failed.any())]
-    if isinstance(walker, SpatialWalker):
-        return motion_in_space(walker, starts, outcomes, durations, step, tolerance)
-
-    length, radius = leg_shape(walker)
-    longest = FALL_TIME * float(np.sqrt(length + radius))
-    steps_up = np.zeros(count) if ground is None else np.asarray(ground, float)[:count]
-    spread, parts, places, feet = [], [], [], []
-    foot, begins = np.zeros(2), 0.0
-    for k in range(count):
-        height = None if ground is None else float(steps_up[k])
+    in_space = isinstance(walker, SpatialWalker)
+    leg = (float(walker.leg_length), 0.0) if in_space else leg_shape(walker)
+    longest = (SHOWN_IN_SPACE if in_space else FALL_TIME) * float(np.sqrt(sum(leg)))
+    steps_up = [None] * count if ground is None else np.asarray(ground, float).tolist()
+    columns: defaultdict[str, list] = defaultdict(list)
+    foot, begins, feet = np.zeros(3 if in_space else 2), 0.0, []
+    for k, height in zip(range(count), steps_up, strict=False):
+        feet.append(foot)
         made = Outcome(int(outcomes[k])), float(durations[k])
         how = {"longest": longest, "height": height, "tolerance": tolerance}
         times, states = frames_of_stride(walker, starts[k], made, step, **how)
-        spread.append(begins + times)
-        parts.append(states)
-        places.append(leg_positions(walker, states, foot, length, radius))
-        last = jax.tree.map(lambda values: jnp.asarray(values[-1]), legs(states))
-        feet.append(foot)
-        ahead = float(walker.reach(last))
-        if failed[k] and ground is not None:
-            start = legs(full_state(walker, jnp.asarray(starts[k])))
-            ahead = abs(float(walker.reach(legs(walker.exchange_legs(start)))))
-        foot, begins = foot + np.array([ahead, steps_up[k]]), spread[-1][-1]
-
-    sizes = [len(states.theta) for states in parts]
-    joined = {name: np.concatenate([getattr(s, name) for s in parts]) for name in parts[0]._fields}
-    joints = ("stance", "hip", "swing", "swing_knee")[: len(places[0])]
-    rough = {}
+        if in_space:
+            shown, places, foot = move_in_space(walker, states, foot, k)
+        else:
+            shown, places = states._asdict(), leg_positions(walker, states, foot, *leg)
+            foot = foot + step_ahead(walker, states, height, bool(failed[k]))
+        parts = {"time": begins + times, "stride": np.full(len(times), k)} | shown | places
+        for name, values in parts.items():
+            columns[name].append(np.asarray(values))
+        begins += times[-1]
+    joined = {name: np.concatenate(parts) for name, parts in columns.items()}
+    variables = {name: (("frame", "axis")[: x.ndim], x) for name, x in joined.items()}
     if ground is not None:
-        rough["footholds"] = ("foothold", "axis"), np.array([*feet, foot])
+        variables["footholds"] = ("foothold", "axis"), np.array([*feet, foot])
         starts = np.array([walker.project(State(*row)) for row in starts])
-    return xr.Dataset(
-        {
-            **rough,
-            "time": ("frame", np.concatenate(spread)),
-            "stride": ("frame", np.repeat(np.arange(count), sizes)),
-            **{name: ("frame", values) for name, values in joined.items()},
-            **{
-                name: (("frame", "axis"), np.concatenate([one[i] for one in places]))
-                for i, name in enumerate(joints)
-            },
-            "states": (("start", "coordinate"), starts),
-            "outcome": ("made", outcomes),
-            "duration": ("made", durations),
-        },
-        attrs={
-            "walker": type(walker).__name__,
-            **attributes_of(walker),
-            "section": list(walker.section),
-            "leg_length": length,
-            "foot_radius": radius,
-            "version": f"walker-jax {version('walker-jax')}",
-        },
-    )
+    variables["states"] = ("start", "coordinate"), starts
+    variables |= {"outcome": ("made", outcomes), "duration": ("made", durations)}
+    about = {"walker": type(walker).__name__, **attributes_of(walker)}
+    about |= {"section": list(walker.section), "version": f"walker-jax {version('walker-jax')}"}
+    if not in_space:
+        about |= dict(zip(("leg_length", "foot_radius"), leg, strict=True))
+    return xr.Dataset(variables, attrs=about)
+
+
+def step_ahead(
+    walker: Walker, states: Any, height: float | None, failed: bool
+) -> Float[np.ndarray, "2"]:
+    """From the stance foot to the next foothold; on rough ground, after a failure, a step ahead."""
+    shown = lambda i: jax.tree.map(lambda values: jnp.asarray(values[i]), legs(states))
+    ahead = float(walker.reach(shown(-1)))
+    if failed and height is not None:
+        ahead = abs(float(walker.reach(walker.exchange_legs(shown(0)))))
+    return np.array([ahead, height or 0.0])
 
 
 def leg_shape(walker: Walker) -> tuple[float, float]:
@@ -152,7 +141,7 @@ def leg_shape(walker: Walker) -> tuple[float, float]:
 
 def leg_positions(
     walker: Walker, states: Any, foot: Float[np.ndarray, "2"], length: float, radius: float
-) -> tuple[Float[np.ndarray, "frames 2"], ...]:
+) -> dict[str, Float[np.ndarray, "frames 2"]]:
     """Stance foot, hip and swing foot; of round feet, the arcs' centres. And a swing knee."""
     along = lambda angle: np.stack([-np.sin(angle), np.cos(angle)], axis=1)
     theta, phi = np.asarray(states.theta), np.asarray(states.phi)
@@ -160,6 +149,6 @@ def leg_positions(
     hip = stance + length * along(theta)
     bent = jax.vmap(walker.bent_leg)(jax.tree.map(jnp.asarray, states))
     if bent is None:
-        return stance, hip, hip - length * along(theta - phi)
+        return {"stance": stance, "hip": hip, "swing": hip - length * along(theta - phi)}
     knee, end = np.moveaxis(np.asarray(bent), 1, 0)
-    return stance, hip, hip + end, hip + knee
+    return {"stance": stance, "hip": hip, "swing": hip + end, "swing_knee": hip + knee}
