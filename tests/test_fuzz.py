@@ -203,7 +203,7 @@ def bench(tmp_path_factory, made):
         patch("walker_jax.basin", basin)
         patch("walker_jax.bifurcation_diagram", refuse)
         patch("walker_jax.continue_basins", refuse)
-        patch("walker_jax.stability.boundaries.SPACING", 0.5)  # curves of few points
+        patch("walker_jax.stability.boundaries.LONGEST_CURVED", 0)  # no curves
         one = lambda walker, period: [gait] if period == 1 else []
         patch("walker_jax.gaits.selection.find_gaits", one)
         patch("walker_jax.gaits.search.find_gaits", lambda *_, **__: [])
