@@ -76,7 +76,7 @@ def test_forward_margins_are_by_how_much_heel_strikes_were_some(some):
     assert (some.forward[made] < passed + 1e-12).all()
     by_angle = np.abs(some.forward[made] - passed) < 1e-12
     xs = starts(1, near=300, far=3000)[made]
-    lift, heights = jax.jit(WALKER.lift), jax.jit(jax.vmap(WALKER.clearance))
+    lift, heights = jax.jit(lambda x: WALKER.lift(x)), jax.jit(jax.vmap(WALKER.clearance))
     field = jax.jit(lambda state: jnp.stack(WALKER.vector_field(state)))
     for i in (*np.flatnonzero(by_angle)[:2], *np.flatnonzero(~by_angle)[:4]):
         start = lift(xs[i])
