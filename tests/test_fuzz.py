@@ -579,4 +579,3 @@ def test_thousands_of_bad_arguments_are_refused_in_one_line_or_answered():
     with unchecked(), jax.numpy_dtype_promotion("standard"):
         tried = spoil(good, 3000, repeatable=settings().derandomize)
     assert tried.get("tracebacks", 0) == 0 and sum(tried.values()) >= 3000
-

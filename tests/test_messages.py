@@ -160,4 +160,3 @@ def test_each_message_is_one_short_line_that_names_the_argument(told, use):
     assert len(f"walker-jax: {message}") < 200 and not message.endswith((".", " "))
     words = re.findall(r"[\w-]+", message.partition(", not ")[0])
     assert failed or names_in(use) & {*words}
-
