@@ -78,15 +78,19 @@ def test_without_a_guess_the_gait_of_a_spring_is_the_stable_one():
 
 def test_where_no_gait_is_stable_one_is_looked_for_in_the_further_region(monkeypatch):
     one = wj.SpringWalker(0.012, 3.0)
-    stable, whole = wj.find_gait(one), one.gait_region()
-    others = [gait for gait in wj.find_gaits(one) if not gait.stable]
-    theta, thetadot = np.asarray(others[0].states[0])
-    axes = {"theta": theta, "thetadot": thetadot}
-    near = wj.Grid.plain(**{name: (at - 1e-6, at + 1e-6, 2) for name, at in axes.items()})
+    stable, unstable = wj.find_gait(one, [0.1777, -0.2482]), wj.find_gait(one, [0.1688, -0.2558])
+    assert stable.stable and not unstable.stable
+
+    def around(gait, size, cells):
+        theta, thetadot = gait.states[0]
+        axes = {"theta": theta, "thetadot": thetadot}
+        return wj.Grid.plain(**{name: (at - size, at + size, cells) for name, at in axes.items()})
+
+    near, further = around(unstable, 1e-6, 2), around(stable, 1e-2, 8)
     monkeypatch.setattr(wj.SpringWalker, "gait_region", lambda _: near)
     assert [gait.stable for gait in wj.find_gaits(one)] == [False]
-    np.testing.assert_allclose(wj.find_gait(one).states, others[0].states, rtol=0, atol=1e-12)
-    monkeypatch.setattr(wj.SpringWalker, "further_gait_region", lambda _: whole)
+    np.testing.assert_allclose(wj.find_gait(one).states, unstable.states, rtol=0, atol=1e-12)
+    monkeypatch.setattr(wj.SpringWalker, "further_gait_region", lambda _: further)
     np.testing.assert_allclose(wj.find_gait(one).states, stable.states, rtol=0, atol=1e-12)
 
 

@@ -222,7 +222,7 @@ def test_basins_have_the_fates_of_strides(walking):
 def nearest(walking):
     """Its gait, and the nearest start that does not return to it."""
     gait = wj.find_gait(walking, GAIT)
-    return gait, wj.least_disturbance(walking, gait, directions=48, strides=100)
+    return gait, wj.least_disturbance(walking, gait, directions=16, strides=60)
 
 
 def test_the_least_disturbance_is_where_strides_begin_to_fail(walking, nearest):

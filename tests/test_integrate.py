@@ -305,14 +305,11 @@ def test_steps_of_a_series_in_diffeqsolve_are_those_of_the_loop(single_steps):
 def rise():
     """Upcrossings of a batch of polynomials of degree 6, (n, 7), in steps of lengths (n,)."""
 
-    @jax.jit
-    def run(polynomials, lengths):
-        def first(p, length):
-            value, always = list(p), jnp.asarray(True)
-            ends_below = evaluate_polynomial(value, length) < 0
-            return rise_of(Crossing(value, [], begins_below(value), ends_below, always), length)
-
-        return jax.vmap(first)(polynomials, lengths)
+    @by_kernel  # each search ends for itself: some take a hundred thousand hops
+    def first(p, length):
+        value, always = list(p), jnp.asarray(True)
+        ends_below = evaluate_polynomial(value, length) < 0
+        return rise_of(Crossing(value, [], begins_below(value), ends_below, always), length)
 
     def padded(polynomials, lengths):
         count = len(polynomials)
@@ -320,7 +317,7 @@ def rise():
         for i, p in enumerate(polynomials):
             array[i, : len(p)] = p
         times[:count] = lengths
-        rises, roots = run(array, times)
+        rises, roots = jax.vmap(first)(array, times)
         return np.asarray(rises)[:count], np.asarray(roots)[:count]
 
     return padded

@@ -2,7 +2,7 @@
 
 `data/messages.txt` holds them, calls after >>> and command lines after $. Each message names the
 argument, and says what it must be or what to do instead, in one line of less than 200 characters.
-The calls run in a process of their own, without the checks of signatures of the tests.
+The calls run without the checks of signatures of the tests, as users make them.
 
 Every statement of the package that raises an error with a message is reached by a row, or by a test
 that `data/messages_elsewhere.txt` names, as it needs more than a row has: an earlier version, a
@@ -11,22 +11,19 @@ full disk, another process, a long computation.
 
 import ast
 import inspect
-import json
 import operator
 import os
 import re
 import shlex
-import subprocess
-import sys
-import tempfile
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
-import jax
 import pytest
 from raise_sites import Site, all_sites, sites_behind
+from unchecked import unchecked
 from wrong_uses import MODULES, names, prepare
 
 import walker_jax as wj
@@ -75,18 +72,24 @@ class Told(NamedTuple):
     """The message of a wrong use."""
 
     message: str
-    sites: list[list[str]]
-    """The statements that raise it, as `Site` has them."""
+    sites: set[Site]
+    """The statements that raise it."""
     failed: bool
     """Whether the computation failed, though the use was right."""
 
 
 @pytest.fixture(scope="module")
-def told() -> dict[str, Told]:
-    """The message of each wrong use, from one process for all."""
-    done = subprocess.run([sys.executable, __file__], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr[-3000:]
-    return {use: Told(*one) for use, one in json.loads(done.stdout.splitlines()[-1]).items()}
+def told(tmp_path_factory) -> Iterator[dict[str, Told]]:
+    """The message of each wrong use, in a folder of its own."""
+    known, answers = names(), {}
+    with unchecked(), pytest.MonkeyPatch.context() as patch:
+        patch.chdir(tmp_path_factory.mktemp("told"))
+        prepare(patch)
+        for use in TABLE:
+            error = error_of(use, known)
+            failed = isinstance(error, ComputationFailed)
+            answers[use] = Told(message_of(use, error), sites_behind(error), failed)
+    yield answers
 
 
 @pytest.mark.parametrize("use", TABLE)
@@ -96,7 +99,7 @@ def test_wrong_use_is_told_what_to_do(told, use):
 
 def test_every_error_of_the_package_has_a_row_or_a_test(told):
     """One that is raised anew needs a row in `data/messages.txt`."""
-    reached = {Site(*site) for one in told.values() for site in one.sites}
+    reached = {site for one in told.values() for site in one.sites}
     assert all_sites() - reached - ELSEWHERE.keys() == set()
     assert ELSEWHERE.keys() - all_sites() == set(), "is raised no more"
     assert ELSEWHERE.keys() & reached == set(), "has a row"
@@ -157,15 +160,3 @@ def test_each_message_is_one_short_line_that_names_the_argument(told, use):
     assert len(f"walker-jax: {message}") < 200 and not message.endswith((".", " "))
     words = re.findall(r"[\w-]+", message.partition(", not ")[0])
     assert failed or names_in(use) & {*words}
-
-
-if __name__ == "__main__":
-    jax.config.update("jax_enable_x64", True)
-    os.chdir(os.path.realpath(tempfile.mkdtemp()))
-    prepare()
-    known, answers = names(), {}
-    for use in TABLE:
-        error = error_of(use, known)
-        failed = isinstance(error, ComputationFailed)
-        answers[use] = message_of(use, error), [*sites_behind(error)], failed
-    print(json.dumps(answers))

@@ -110,7 +110,7 @@ def test_a_name_stands_for_all_that_a_trace_depends_on(monkeypatch):
         name_of(wj.KneedWalker(0.05)),
         name_of(wj.KneedWalker(0.05, check_lock=True)),
         name_of(function=trajectories.follow_phase_times),
-        name_of(solver=diffrax.Dopri8()),
+        name_of(solver=diffrax.Bosh3()),
         name_of(solver=diffrax.Tsit5()),
         name_of(solver=diffrax.Tsit5(scan_kind="lax")),
         name_of(solver=Taylor(10)),
@@ -156,10 +156,10 @@ def test_what_is_defined_elsewhere_has_no_name():
 
 
 def test_each_solver_has_a_program_of_its_own():
-    one, other = diffrax.Dopri8(), diffrax.Tsit5()
+    one, other = diffrax.Bosh3(), diffrax.Tsit5()
     by = [wj.stride(SimplestWalker(0.004), START, solver=solver) for solver in (None, one, other)]
     count = len(primitive.programs)
-    again = wj.stride(SimplestWalker(0.004), START, solver=diffrax.Dopri8())
+    again = wj.stride(SimplestWalker(0.004), START, solver=diffrax.Bosh3())
     assert len(primitive.programs) == count
     states = {np.asarray(found.state).tobytes() for found in by}
     assert len(states) == 3 and np.asarray(again.state).tobytes() in states

@@ -19,6 +19,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 import scipy.sparse
 import xarray as xr
 from starlette.requests import Request
@@ -270,9 +271,9 @@ FILES = {"mine.py": MINE, "broken.py": "x = 1 / 0"} | dict.fromkeys(
 )
 
 
-def prepare() -> None:
+def prepare(patch: pytest.MonkeyPatch) -> None:
     """Write the files that wrong uses name, in this folder; the machine has 8 GiB of memory."""
     for name, text in FILES.items():
         Path(name).write_text(text)
     Path("folder").mkdir()
-    memory.memory_of_machine = lambda: 8.0 * 2**30
+    patch.setattr(memory, "memory_of_machine", lambda: 8.0 * 2**30)
