@@ -9,7 +9,9 @@ are computed once, and operations that only move entries cost nothing.
 
 import functools
 import math
+import types
 from collections.abc import Callable
+from functools import partial
 from itertools import product
 from typing import Any, no_type_check
 
@@ -17,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.core import Tracer
 from jax.extend.core import Primitive
 from jaxtyping import PyTree
 
@@ -41,19 +44,56 @@ def unroll(function: Callable[..., PyTree]) -> Callable[..., PyTree]:
     by entry, such as factorisations and loops, are kept; so are functions with custom derivatives.
     """
 
+    code = CodeAlone(function) if CodeAlone.is_all_of(function) else None
+
     def scalar(*args):
-        leaves, structure = jax.tree.flatten(args)
-        leaves = [jnp.asarray(leaf) for leaf in leaves]
-        flat = lambda *leaves: function(*jax.tree.unflatten(structure, leaves))
-        closed, shapes = jax.make_jaxpr(flat, return_shape=True)(*leaves)
-        entries = Unrolling()
-        inputs = [entries.entries_of(leaf) for leaf in leaves]
-        results = entries.interpret(closed, inputs)
-        pairs = zip(results, jax.tree.leaves(shapes), strict=True)
-        outputs = [jnp.asarray(assemble(x, like)) for x, like in pairs]
-        return jax.tree.unflatten(jax.tree.structure(shapes), outputs)
+        args = jax.tree.map(jnp.asarray, args)
+        if code is not None and any(isinstance(x, Tracer) for x in jax.tree.leaves(args)):
+            return unroll_once(code, *args)
+        return unrolled(function, *args)
 
     return scalar
+
+
+class CodeAlone:
+    """A function that is equal to every other one of the same code, as it has nothing else."""
+
+    def __init__(self, function: Callable):
+        self.function = function
+
+    @staticmethod
+    def is_all_of(function: Callable) -> bool:
+        """Whether a function is its code and the globals that this reads."""
+        plain = isinstance(function, types.FunctionType)
+        return plain and not (function.__closure__ or function.__defaults__)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, CodeAlone):
+            return False
+        mine, others = self.function, other.function
+        return mine.__code__ == others.__code__ and mine.__globals__ is others.__globals__
+
+    def __hash__(self) -> int:
+        return hash(self.function.__code__)
+
+
+@partial(jax.jit, static_argnums=0, inline=True)
+def unroll_once(code: CodeAlone, *args) -> PyTree:
+    """`unrolled`, traced once for all calls of functions of the same code."""
+    return unrolled(code.function, *args)
+
+
+def unrolled(function: Callable[..., PyTree], *args) -> PyTree:
+    """The results of a function of small arrays, computed entry by entry."""
+    leaves, structure = jax.tree.flatten(args)
+    flat = lambda *leaves: function(*jax.tree.unflatten(structure, leaves))
+    closed, shapes = jax.make_jaxpr(flat, return_shape=True)(*leaves)
+    entries = Unrolling()
+    inputs = [entries.entries_of(leaf) for leaf in leaves]
+    results = entries.interpret(closed, inputs)
+    pairs = zip(results, jax.tree.leaves(shapes), strict=True)
+    outputs = [jnp.asarray(assemble(x, like)) for x, like in pairs]
+    return jax.tree.unflatten(jax.tree.structure(shapes), outputs)
 
 
 def assemble(entries: np.ndarray, like) -> jax.Array | np.ndarray:
