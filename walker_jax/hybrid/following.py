@@ -108,6 +108,8 @@ def follow_mode(
         return search_step(mode, method, now._replace(last=last, count=count))
 
     zero = zero_at(start)
+    # In a loop all coordinates come to depend on all others: so they do from its start (`zero_at`).
+    start = jax.tree.map(lambda x: x + zero, start)
     guard = jnp.where(going, NO_GUARD, NOT_FOLLOWED).astype(jnp.int32)
     violated = {one.outcome: going & is_negative(one, start) for one in mode.conditions}
     misses = no_misses(mode, start) if measured else None
