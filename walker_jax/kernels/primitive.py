@@ -63,6 +63,7 @@ class Program:
         settings: tuple,
         origin: "tuple[Program, tuple[int, ...], int] | None" = None,
         name: str | None = None,
+        avals: tuple[list[ShapedArray], list[ShapedArray]] | None = None,
     ):
         self.settings = settings
         """Contexts and their values, under which the function and its derivatives are traced."""
@@ -71,9 +72,11 @@ class Program:
         """Under which its trace is on disk, or will be; None if it cannot be."""
         self.traced = recall_trace(name)
         """What is known of the function without a trace."""
-        known = self.traced
-        self.operands = known.operands if known else self.closed.in_avals
-        self.results = known.results if known else self.closed.out_avals
+        if avals is None:
+            known = self.traced
+            avals = (known.operands, known.results) if known else self.avals_by_trace()
+        self.operands, self.results = avals
+        """Abstract values: given for a derivative, which is often only the origin of another."""
         self.origin = origin
         """Of a derivative: its program, the operands it is taken by, the number of directions."""
         first = len(self.operands) if origin is None else len(origin[0].operands)
@@ -82,6 +85,9 @@ class Program:
         self.derivatives: dict[tuple, Program] = {}
         self.tree: Any = self.traced.tree if self.traced else None
         """The tree of the results; None of a derivative."""
+
+    def avals_by_trace(self) -> tuple[list[ShapedArray], list[ShapedArray]]:
+        return self.closed.in_avals, self.closed.out_avals
 
     @functools.cached_property
     def closed(self):
@@ -141,12 +147,12 @@ class Program:
                 # Equal to the line above with one direction, and traced in half the time.
                 return [change[None] for change in one(*(tangent[0] for tangent in tangents))]
 
-            parts = [
-                self.operands[i].update(shape=(directions, *self.operands[i].shape)) for i in by
-            ]
-            like = map(shape_dtype, (*self.operands, *parts))
+            many = lambda aval: aval.update(shape=(directions, *aval.shape))
+            operands = [*self.operands, *(many(self.operands[i]) for i in by)]
+            avals = operands, [many(aval) for aval in itertools.compress(self.results, real)]
             name = digest_of((self.name, by, directions)) if self.name else None
-            program = Program(along, list(like), self.settings, (self, by, directions), name)
+            like, origin = list(map(shape_dtype, operands)), (self, by, directions)
+            program = Program(along, like, self.settings, origin, name, avals)
             self.derivatives[by, directions] = program
         return self.derivatives[by, directions]
 
