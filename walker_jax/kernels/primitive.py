@@ -36,6 +36,7 @@ from walker_jax.kernels.kernel import Kernel, without_garbage_collection
 from walker_jax.kernels.outside_code import states_of
 from walker_jax.kernels.program_cache import Traced, digest_of, keep_trace, name_of, recall_trace
 from walker_jax.kernels.rules import UnsupportedPrimitive
+from walker_jax.kernels.scalars import code_of_program
 from walker_jax.kernels.sharding import is_divided, lower_divided
 
 MAX_PROGRAMS = 256
@@ -204,9 +205,9 @@ def apply_settings(settings: tuple[tuple[Any, Any], ...]):
 def program_of(function: Callable, structure, avals: Sequence) -> tuple[Program, Any]:
     """The program of a function for these shapes and types, and the tree of its results."""
     function = getattr(function, "of_one_cell", function)  # undoes `by_kernel`
-    settings = current_settings()
+    settings, states = current_settings(), states_of(function, structure)
     kinds = ((x.shape, x.dtype, x.weak_type) for x in avals)
-    key = function, structure, settings, states_of(function, structure), *kinds
+    key = function, structure, settings, states, *kinds
     if key in programs:
         programs.move_to_end(key)
         return programs[key]
@@ -218,6 +219,7 @@ def program_of(function: Callable, structure, avals: Sequence) -> tuple[Program,
         return found
 
     name = None if machine.switched_off() else name_of(function, structure, avals, settings)
+    settings = *settings, (code_of_program, states)
     program = Program(flat, list(map(shape_dtype, avals)), settings, name=name)
     if program.tree is None:
         program.tree = results

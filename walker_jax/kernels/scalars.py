@@ -19,7 +19,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.core import Tracer
 from jax.extend.core import Primitive
 from jaxtyping import PyTree
 
@@ -36,6 +35,10 @@ ENTRYWISE = frozenset(
 """Primitives that act entry by entry."""
 
 
+code_of_program = jax.make_user_context(None)
+"""While a program is traced, what the code of a user's own in it is (`outside_code.states_of`)."""
+
+
 def unroll(function: Callable[..., PyTree]) -> Callable[..., PyTree]:
     """Rewrites a function of small arrays as operations on scalars.
 
@@ -48,7 +51,7 @@ def unroll(function: Callable[..., PyTree]) -> Callable[..., PyTree]:
 
     def scalar(*args):
         args = jax.tree.map(jnp.asarray, args)
-        if code is not None and any(isinstance(x, Tracer) for x in jax.tree.leaves(args)):
+        if code is not None and code_of_program.value is not None:
             return unroll_once(code, *args)
         return unrolled(function, *args)
 
@@ -79,7 +82,7 @@ class CodeAlone:
 
 @partial(jax.jit, static_argnums=0, inline=True)
 def unroll_once(code: CodeAlone, *args) -> PyTree:
-    """`unrolled`, traced once for all calls of functions of the same code."""
+    """`unrolled`, traced once for all programs with functions of the same code."""
     return unrolled(code.function, *args)
 
 
@@ -102,6 +105,10 @@ def assemble(entries: np.ndarray, like) -> jax.Array | np.ndarray:
         return np.asarray(entries.tolist(), like.dtype).reshape(like.shape)
     scalars = [jnp.asarray(entry, like.dtype) for entry in entries.ravel()]
     return jnp.stack(scalars).reshape(like.shape) if like.shape else scalars[0]
+
+
+NUMBERS = bool, int, float, complex
+"""Types of known numbers."""
 
 
 @no_type_check  # called for every number of a program: checks would take minutes
@@ -151,7 +158,7 @@ class Unrolling(Interpreter):
         shape = equation.outvars[0].aval.shape
         result = np.empty(shape, object)
         if shape == ():  # nearly always
-            result[()] = self.term(primitive, params, [x[()] for x in operands], dtypes)
+            result[()] = self.term(primitive, params, [x.item() for x in operands], dtypes)
             return [result]
         operands = [np.broadcast_to(operand, shape) for operand in operands]
         for place in np.ndindex(*shape):
@@ -181,10 +188,10 @@ class Unrolling(Interpreter):
 
         The order matters: the last bit of a sum of products depends on the order of its terms.
         """
-        if is_known(entry):
-            return 0, type(entry).__name__, repr(entry)
         found = self.numbers.get(id(entry))
         if found is None:
+            if is_known(entry):
+                return 0, type(entry).__name__, repr(entry)
             found = self.numbers[id(entry)] = (1, "", len(self.numbers)), entry
         return found[0]
 
@@ -278,7 +285,7 @@ def params_of(function: Callable) -> dict:
 @no_type_check
 def is_known(entry) -> bool:
     """Whether an entry is a known number."""
-    return isinstance(entry, (bool, int, float, complex))
+    return isinstance(entry, NUMBERS)
 
 
 def bind_primitive(primitive: Primitive, params: dict, operands, *, now: bool) -> list:
@@ -305,9 +312,10 @@ def simplify_difference(a, b):
 
 @no_type_check
 def simplify_product(a, b):
-    for one, other in ((a, b), (b, a)):
-        if is_known(one) and one in (0, 1):
-            return other if one == 1 else one
+    if is_known(a) and a in (0, 1):
+        return b if a == 1 else a
+    if is_known(b) and b in (0, 1):
+        return a if b == 1 else b
     return None
 
 
