@@ -21,6 +21,7 @@ from walker_jax.checks import WrongUse
 from walker_jax.cli import main
 from walker_jax.cli.walker_options import names_that_begin
 from walker_jax.kernels.outside_code import AsItIs
+from walker_jax.multibody import System
 from walker_jax.stability.metric import metric_of
 from walker_jax.stability.rough_ground import NormalSteps
 from walker_jax.walkers import references
@@ -494,6 +495,29 @@ def test_what_a_walker_reads_around_it_is_what_it_is_at_that_moment(kernels, mon
     assert ends() == pytest.approx(expected(0.004 + (0.006 + 0.001)), abs=1e-14)
     cells.update(EXTRA=0.0, bounds={"least": 0.0})
     assert ends() == pytest.approx(expected(0.004), abs=1e-14)
+
+
+WITH_MASSES = """
+HEAVIER = 1.0
+
+
+class Laden(wj.RoundFootWalker):
+    def system(self):
+        system = super().system()
+        masses = system.masses * jnp.where(jnp.arange(len(system.masses)) < 2, HEAVIER, 1.0)
+        return System(system.transfer, masses, system.forces)
+"""
+
+
+def test_equations_of_motion_read_what_is_around_them_at_that_moment():
+    """They are traced once for all programs, but not where the code of a user's own has changed."""
+    names = {"__name__": "cells_of_a_notebook", "wj": wj, "jnp": jnp, "System": System}
+    exec(WITH_MASSES, names)
+    walker, x = names["Laden"](slope=0.01), np.array([[0.2, -0.2, -0.25]])
+    times = []
+    for names["HEAVIER"] in (1.0, 3.0, 1.0):
+        times.append(float(wj.strides(walker, x).time[0]))
+    assert times[0] == times[2] and abs(times[1] - times[0]) > 0.1
 
 
 def test_a_static_field_that_is_no_option_is_refused():

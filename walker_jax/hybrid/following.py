@@ -112,7 +112,7 @@ def follow_mode(
     violated = {one.outcome: going & is_negative(one, start) for one in mode.conditions}
     misses = no_misses(mode, start) if measured else None
     first = before_first_step(mode, method, start)
-    begun = Unfinished(first, start, zero, guard, jnp.asarray(0), violated, misses)
+    begun = Unfinished(first, first.end, zero, guard, jnp.asarray(0), violated, misses)
     last = lax.while_loop(unfinished, follow, begun)
 
     event = partial(value_of_guard, mode, last.guard)
@@ -131,6 +131,9 @@ def before_first_step(mode: Mode, method: Method, start: Any) -> Step:
     zero = zero_at(start)
     sides = [zero for _ in mode.guards]
     rates = [(zero, value_and_rate(one.value, mode.rates, start)[1]) for one in watched(mode)]
+    # All coordinates have derivatives with respect to all others from the start on (`zero_at`).
+    nothing = sum(0 * x for x in jax.tree.leaves(start))
+    start = jax.tree.map(lambda x: x + nothing, start)
     series = method.no_series(start) if method.carries_series(start) else ()
     memory = method.first_memory(start)
     going = jnp.asarray(True)

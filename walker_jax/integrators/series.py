@@ -11,7 +11,7 @@ import operator
 from collections.abc import Callable, Iterable
 from contextlib import contextmanager
 from contextvars import ContextVar
-from functools import partial, reduce
+from functools import cache, partial, reduce
 from typing import Any
 
 import jax
@@ -170,7 +170,13 @@ def apply_once(operation: Callable, *operands):
 def scale(value, factor):
     if value is None:
         return None
-    return lax.mul(value, np.asarray(factor, jnp.result_type(value)))  # traced faster than *
+    return apply_once(lax.mul, value, number(factor, jnp.result_type(value)))  # faster than *
+
+
+@cache
+def number(value: float, dtype) -> np.ndarray:
+    """A number of a type; the same one every time, so that its products are (`apply_once`)."""
+    return np.asarray(value, dtype)
 
 
 def add_terms(terms):
@@ -205,14 +211,14 @@ def combine(rule: Callable, left: Series, right) -> Series:
 
 def plus(k: int, operands: list[Series], bind: Callable = operator.add) -> Any:
     left, right = operands[0][k], operands[1][k]
-    return right if left is None else left if right is None else bind(left, right)
+    return right if left is None else left if right is None else apply_once(bind, left, right)
 
 
 def minus(k: int, operands: list[Series], bind: Callable = operator.sub) -> Any:
     left, right = operands[0][k], operands[1][k]
     if left is None:
-        return None if right is None else -right
-    return left if right is None else bind(left, right)
+        return None if right is None else apply_once(operator.neg, right)
+    return left if right is None else apply_once(bind, left, right)
 
 
 def bilinear(k: int, operands: list[Series], bind: Callable) -> Any:

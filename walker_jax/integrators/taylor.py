@@ -97,6 +97,10 @@ class VirtualPower(PowerBalance):
         the derivative of F at t = 0 as its factor. So p is first computed with q_{k+2} = 0; then
         q_{k+2} is the solution of a linear equation whose right-hand side is that p.
         """
+        with keeping_results():
+            return self.grow(state, order)
+
+    def grow(self, state: PyTree, order: int) -> PyTree[list]:
         leaves, structure = jax.tree.flatten(state)
         start, rates = leaves[: len(leaves) // 2], leaves[len(leaves) // 2 :]
         factors = with_fast_sincos(self.factorise)(start)

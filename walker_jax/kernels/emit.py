@@ -40,6 +40,10 @@ class LLVMEmitter(Unrolling):
         self.lanes = lanes
         self.active: Any = None
         """A flag for each lane, true where it is active; None where all are."""
+        self.types: dict = {}
+        """By type of an entry: that of its vectors."""
+        self.constants: dict[tuple, ir.Constant] = {}
+        """By known entry and type: its vector, whose words LLVM's library then makes once."""
         self.functions: dict[int, tuple] = {}
         """By identity of an equation: the equation, and the function that it stands for."""
         self.alternatives: dict[int, tuple] = {}
@@ -61,16 +65,23 @@ class LLVMEmitter(Unrolling):
         raise UnsupportedPrimitive(str(dtype))
 
     def type(self, dtype):
-        return ir.VectorType(self.scalar_type(dtype), self.lanes)
+        found = self.types.get(dtype)
+        if found is None:
+            found = self.types[dtype] = ir.VectorType(self.scalar_type(dtype), self.lanes)
+        return found
 
     def vector(self, entry, dtype) -> Any:
         """An entry as a vector."""
         if not is_known(entry):
             return entry
-        kind = self.scalar_type(dtype)
-        value = np.asarray(entry, dtype).item()
-        value = int(value) if isinstance(kind, ir.IntType) else value
-        return ir.Constant(self.type(dtype), [ir.Constant(kind, value)] * self.lanes)
+        key = *self.identity(entry), dtype
+        if key not in self.constants:
+            kind = self.scalar_type(dtype)
+            value = np.asarray(entry, dtype).item()
+            value = int(value) if isinstance(kind, ir.IntType) else value
+            vector = ir.Constant(self.type(dtype), [ir.Constant(kind, value)] * self.lanes)
+            self.constants[key] = vector
+        return self.constants[key]
 
     def intrinsic(self, name: str, *operands: Any, result: ir.Type | None = None):
         kind = operands[0].type if result is None else result

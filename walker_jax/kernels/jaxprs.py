@@ -37,8 +37,13 @@ class Interpreter(abc.ABC):
             return self.constant(variable.val) if known else values[variable]
 
         for equation in jaxpr.eqns:
-            results = self.apply(equation, [read(variable) for variable in equation.invars])
-            values |= zip(equation.outvars, results, strict=True)
+            operands = [
+                self.constant(variable.val) if isinstance(variable, Literal) else values[variable]
+                for variable in equation.invars
+            ]
+            results = self.apply(equation, operands)
+            for variable, result in zip(equation.outvars, results, strict=True):
+                values[variable] = result
         return [read(variable) for variable in jaxpr.outvars]
 
     def apply(self, equation: JaxprEqn, operands: list) -> list:

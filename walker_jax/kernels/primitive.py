@@ -36,6 +36,7 @@ from walker_jax.kernels.kernel import Kernel, without_garbage_collection
 from walker_jax.kernels.outside_code import states_of
 from walker_jax.kernels.program_cache import Traced, digest_of, keep_trace, name_of, recall_trace
 from walker_jax.kernels.rules import UnsupportedPrimitive
+from walker_jax.kernels.scalars import code_of_program
 from walker_jax.kernels.sharding import is_divided, lower_divided
 
 MAX_PROGRAMS = 256
@@ -63,6 +64,7 @@ class Program:
         settings: tuple,
         origin: "tuple[Program, tuple[int, ...], int] | None" = None,
         name: str | None = None,
+        avals: tuple[list[ShapedArray], list[ShapedArray]] | None = None,
     ):
         self.settings = settings
         """Contexts and their values, under which the function and its derivatives are traced."""
@@ -71,9 +73,11 @@ class Program:
         """Under which its trace is on disk, or will be; None if it cannot be."""
         self.traced = recall_trace(name)
         """What is known of the function without a trace."""
-        known = self.traced
-        self.operands = known.operands if known else self.closed.in_avals
-        self.results = known.results if known else self.closed.out_avals
+        if avals is None:
+            known = self.traced
+            avals = (known.operands, known.results) if known else self.avals_by_trace()
+        self.operands, self.results = avals
+        """Abstract values: given for a derivative, which is often only the origin of another."""
         self.origin = origin
         """Of a derivative: its program, the operands it is taken by, the number of directions."""
         first = len(self.operands) if origin is None else len(origin[0].operands)
@@ -82,6 +86,9 @@ class Program:
         self.derivatives: dict[tuple, Program] = {}
         self.tree: Any = self.traced.tree if self.traced else None
         """The tree of the results; None of a derivative."""
+
+    def avals_by_trace(self) -> tuple[list[ShapedArray], list[ShapedArray]]:
+        return self.closed.in_avals, self.closed.out_avals
 
     @functools.cached_property
     def closed(self):
@@ -141,12 +148,12 @@ class Program:
                 # Equal to the line above with one direction, and traced in half the time.
                 return [change[None] for change in one(*(tangent[0] for tangent in tangents))]
 
-            parts = [
-                self.operands[i].update(shape=(directions, *self.operands[i].shape)) for i in by
-            ]
-            like = map(shape_dtype, (*self.operands, *parts))
+            many = lambda aval: aval.update(shape=(directions, *aval.shape))
+            operands = [*self.operands, *(many(self.operands[i]) for i in by)]
+            avals = operands, [many(aval) for aval in itertools.compress(self.results, real)]
             name = digest_of((self.name, by, directions)) if self.name else None
-            program = Program(along, list(like), self.settings, (self, by, directions), name)
+            like, origin = list(map(shape_dtype, operands)), (self, by, directions)
+            program = Program(along, like, self.settings, origin, name, avals)
             self.derivatives[by, directions] = program
         return self.derivatives[by, directions]
 
@@ -198,9 +205,9 @@ def apply_settings(settings: tuple[tuple[Any, Any], ...]):
 def program_of(function: Callable, structure, avals: Sequence) -> tuple[Program, Any]:
     """The program of a function for these shapes and types, and the tree of its results."""
     function = getattr(function, "of_one_cell", function)  # undoes `by_kernel`
-    settings = current_settings()
+    settings, states = current_settings(), states_of(function, structure)
     kinds = ((x.shape, x.dtype, x.weak_type) for x in avals)
-    key = function, structure, settings, states_of(function, structure), *kinds
+    key = function, structure, settings, states, *kinds
     if key in programs:
         programs.move_to_end(key)
         return programs[key]
@@ -212,6 +219,7 @@ def program_of(function: Callable, structure, avals: Sequence) -> tuple[Program,
         return found
 
     name = None if machine.switched_off() else name_of(function, structure, avals, settings)
+    settings = *settings, (code_of_program, states)
     program = Program(flat, list(map(shape_dtype, avals)), settings, name=name)
     if program.tree is None:
         program.tree = results

@@ -9,7 +9,9 @@ are computed once, and operations that only move entries cost nothing.
 
 import functools
 import math
+import types
 from collections.abc import Callable
+from functools import partial
 from itertools import product
 from typing import Any, no_type_check
 
@@ -33,6 +35,10 @@ ENTRYWISE = frozenset(
 """Primitives that act entry by entry."""
 
 
+code_of_program = jax.make_user_context(None)
+"""While a program is traced, what the code of a user's own in it is (`outside_code.states_of`)."""
+
+
 def unroll(function: Callable[..., PyTree]) -> Callable[..., PyTree]:
     """Rewrites a function of small arrays as operations on scalars.
 
@@ -41,19 +47,56 @@ def unroll(function: Callable[..., PyTree]) -> Callable[..., PyTree]:
     by entry, such as factorisations and loops, are kept; so are functions with custom derivatives.
     """
 
+    code = CodeAlone(function) if CodeAlone.is_all_of(function) else None
+
     def scalar(*args):
-        leaves, structure = jax.tree.flatten(args)
-        leaves = [jnp.asarray(leaf) for leaf in leaves]
-        flat = lambda *leaves: function(*jax.tree.unflatten(structure, leaves))
-        closed, shapes = jax.make_jaxpr(flat, return_shape=True)(*leaves)
-        entries = Unrolling()
-        inputs = [entries.entries_of(leaf) for leaf in leaves]
-        results = entries.interpret(closed, inputs)
-        pairs = zip(results, jax.tree.leaves(shapes), strict=True)
-        outputs = [jnp.asarray(assemble(x, like)) for x, like in pairs]
-        return jax.tree.unflatten(jax.tree.structure(shapes), outputs)
+        args = jax.tree.map(jnp.asarray, args)
+        if code is not None and code_of_program.value is not None:
+            return unroll_once(code, *args)
+        return unrolled(function, *args)
 
     return scalar
+
+
+class CodeAlone:
+    """A function that is equal to every other one of the same code, as it has nothing else."""
+
+    def __init__(self, function: Callable):
+        self.function = function
+
+    @staticmethod
+    def is_all_of(function: Callable) -> bool:
+        """Whether a function is its code and the globals that this reads."""
+        plain = isinstance(function, types.FunctionType)
+        return plain and not (function.__closure__ or function.__defaults__)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, CodeAlone):
+            return False
+        mine, others = self.function, other.function
+        return mine.__code__ == others.__code__ and mine.__globals__ is others.__globals__
+
+    def __hash__(self) -> int:
+        return hash(self.function.__code__)
+
+
+@partial(jax.jit, static_argnums=0, inline=True)
+def unroll_once(code: CodeAlone, *args) -> PyTree:
+    """`unrolled`, traced once for all programs with functions of the same code."""
+    return unrolled(code.function, *args)
+
+
+def unrolled(function: Callable[..., PyTree], *args) -> PyTree:
+    """The results of a function of small arrays, computed entry by entry."""
+    leaves, structure = jax.tree.flatten(args)
+    flat = lambda *leaves: function(*jax.tree.unflatten(structure, leaves))
+    closed, shapes = jax.make_jaxpr(flat, return_shape=True)(*leaves)
+    entries = Unrolling()
+    inputs = [entries.entries_of(leaf) for leaf in leaves]
+    results = entries.interpret(closed, inputs)
+    pairs = zip(results, jax.tree.leaves(shapes), strict=True)
+    outputs = [jnp.asarray(assemble(x, like)) for x, like in pairs]
+    return jax.tree.unflatten(jax.tree.structure(shapes), outputs)
 
 
 def assemble(entries: np.ndarray, like) -> jax.Array | np.ndarray:
@@ -62,6 +105,10 @@ def assemble(entries: np.ndarray, like) -> jax.Array | np.ndarray:
         return np.asarray(entries.tolist(), like.dtype).reshape(like.shape)
     scalars = [jnp.asarray(entry, like.dtype) for entry in entries.ravel()]
     return jnp.stack(scalars).reshape(like.shape) if like.shape else scalars[0]
+
+
+NUMBERS = bool, int, float, complex
+"""Types of known numbers."""
 
 
 @no_type_check  # called for every number of a program: checks would take minutes
@@ -111,7 +158,7 @@ class Unrolling(Interpreter):
         shape = equation.outvars[0].aval.shape
         result = np.empty(shape, object)
         if shape == ():  # nearly always
-            result[()] = self.term(primitive, params, [x[()] for x in operands], dtypes)
+            result[()] = self.term(primitive, params, [x.item() for x in operands], dtypes)
             return [result]
         operands = [np.broadcast_to(operand, shape) for operand in operands]
         for place in np.ndindex(*shape):
@@ -141,10 +188,10 @@ class Unrolling(Interpreter):
 
         The order matters: the last bit of a sum of products depends on the order of its terms.
         """
-        if is_known(entry):
-            return 0, type(entry).__name__, repr(entry)
         found = self.numbers.get(id(entry))
         if found is None:
+            if is_known(entry):
+                return 0, type(entry).__name__, repr(entry)
             found = self.numbers[id(entry)] = (1, "", len(self.numbers)), entry
         return found[0]
 
@@ -238,7 +285,7 @@ def params_of(function: Callable) -> dict:
 @no_type_check
 def is_known(entry) -> bool:
     """Whether an entry is a known number."""
-    return isinstance(entry, (bool, int, float, complex))
+    return isinstance(entry, NUMBERS)
 
 
 def bind_primitive(primitive: Primitive, params: dict, operands, *, now: bool) -> list:
@@ -265,9 +312,10 @@ def simplify_difference(a, b):
 
 @no_type_check
 def simplify_product(a, b):
-    for one, other in ((a, b), (b, a)):
-        if is_known(one) and one in (0, 1):
-            return other if one == 1 else one
+    if is_known(a) and a in (0, 1):
+        return b if a == 1 else a
+    if is_known(b) and b in (0, 1):
+        return a if b == 1 else b
     return None
 
 

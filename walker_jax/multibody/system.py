@@ -78,8 +78,11 @@ def virtual_power(
 
 def jacobian(function: Callable, q: Coordinates) -> Float[Array, "x q"]:
     """F,q, column by column."""
+    along = lambda direction: velocity(function, q, direction)
+    if isinstance(q, Tracer):  # F is traced once for all directions
+        along = jax.jit(along, inline=True)
     directions = np.eye(len(q), dtype=q.dtype)
-    return jnp.stack([velocity(function, q, direction) for direction in directions], axis=1)
+    return jnp.stack([along(direction) for direction in directions], axis=1)
 
 
 def velocity(function: Callable, q: Coordinates, qdot) -> Float[Array, "..."]:
