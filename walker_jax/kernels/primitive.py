@@ -215,11 +215,11 @@ def program_of(function: Callable, structure, avals: Sequence) -> tuple[Program,
 
     def flat(*leaves):
         nonlocal results
-        found, results = jax.tree.flatten(function(*jax.tree.unflatten(structure, leaves)))
+        with code_of_program(states):
+            found, results = jax.tree.flatten(function(*jax.tree.unflatten(structure, leaves)))
         return found
 
     name = None if machine.switched_off() else name_of(function, structure, avals, settings)
-    settings = *settings, (code_of_program, states)
     program = Program(flat, list(map(shape_dtype, avals)), settings, name=name)
     if program.tree is None:
         program.tree = results
