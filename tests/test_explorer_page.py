@@ -344,6 +344,7 @@ def test_the_link_and_what_is_taken_away(opened, tmp_path):
     assert other.value(CELLS) == found
 
 
+@pytest.mark.slow
 def test_a_walker_of_ones_own_walks_and_one_of_another_server_is_told(opened):
     page = opened("walker=Own&slope=0.0045")
     assert page.shown("#about-walker") == "The simplest walker, of a user's own."
@@ -475,6 +476,7 @@ def test_nothing_of_a_walker_stands_under_the_name_of_the_next(opened):
     assert page.value("explorer.picture.layer.body.walker") == "Own"
 
 
+@pytest.mark.slow
 def test_walks_never_mix(opened):
     """Keys and clicks while answers are awaited."""
     page = opened("walker=simplest&slope=0.004")

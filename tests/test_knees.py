@@ -86,7 +86,7 @@ SLOW = pytest.mark.slow  # derivatives of a stride with knees take long to compi
 @pytest.mark.parametrize(
     "entry",
     [
-        pytest.param(HSU_CHEN, id="Hsu Chen"),
+        pytest.param(HSU_CHEN, id="Hsu Chen", marks=pytest.mark.slow),
         pytest.param(HUMAN_LIKE, id="human-like"),
     ],
 )

@@ -14,7 +14,7 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, subjaxprs
 from llvmlite import ir
 
-from walker_jax.kernels.scalars import is_known
+from walker_jax.kernels.shortcuts import is_known
 
 MAX_UNROLLED_TURNS = 16
 """Most turns of an unrolled loop: the 14 stages of Dopri8 and a few more."""

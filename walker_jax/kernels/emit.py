@@ -23,7 +23,8 @@ from walker_jax.kernels.rules import (
     is_float,
     is_floating,
 )
-from walker_jax.kernels.scalars import Unrolling, is_known
+from walker_jax.kernels.scalars import Unrolling
+from walker_jax.kernels.shortcuts import is_known
 from walker_jax.kernels.substitutes import SUBSTITUTES
 
 FLOATS = {np.dtype(np.float32): ir.FloatType(), np.dtype(np.float64): ir.DoubleType()}

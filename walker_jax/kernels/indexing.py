@@ -15,7 +15,8 @@ from jax import lax
 
 from walker_jax.kernels.jaxprs import changes_entries
 from walker_jax.kernels.rules import UnsupportedPrimitive
-from walker_jax.kernels.scalars import is_known, params_of
+from walker_jax.kernels.scalars import params_of
+from walker_jax.kernels.shortcuts import is_known
 
 BOOL = np.dtype(bool)
 MAX_ENTRIES = 128

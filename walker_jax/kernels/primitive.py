@@ -31,12 +31,12 @@ from jax.interpreters import ad, batching, mlir
 from jax.sharding import PartitionSpec
 
 from walker_jax.kernels import ffi, machine
+from walker_jax.kernels.code_alone import code_of_program
 from walker_jax.kernels.jaxprs import shape_dtype
 from walker_jax.kernels.kernel import Kernel, without_garbage_collection
 from walker_jax.kernels.outside_code import states_of
 from walker_jax.kernels.program_cache import Traced, digest_of, keep_trace, name_of, recall_trace
 from walker_jax.kernels.rules import UnsupportedPrimitive
-from walker_jax.kernels.scalars import code_of_program
 from walker_jax.kernels.sharding import is_divided, lower_divided
 
 MAX_PROGRAMS = 256

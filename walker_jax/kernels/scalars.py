@@ -9,7 +9,6 @@ are computed once, and operations that only move entries cost nothing.
 
 import functools
 import math
-import types
 from collections.abc import Callable
 from functools import partial
 from itertools import product
@@ -22,7 +21,9 @@ from jax import lax
 from jax.extend.core import Primitive
 from jaxtyping import PyTree
 
+from walker_jax.kernels.code_alone import CodeAlone, code_of_program
 from walker_jax.kernels.jaxprs import CALLS, Interpreter, called_function
+from walker_jax.kernels.shortcuts import SHORTCUTS, is_known
 
 ENTRYWISE = frozenset(
     "abs acos acosh add add_any and asin asinh atan atan2 atanh bitcast_convert_type cbrt ceil "
@@ -33,10 +34,6 @@ ENTRYWISE = frozenset(
     "tanh xor".split()
 )
 """Primitives that act entry by entry."""
-
-
-code_of_program = jax.make_user_context(None)
-"""While a program is traced, what the code of a user's own in it is (`outside_code.states_of`)."""
 
 
 def unroll(function: Callable[..., PyTree]) -> Callable[..., PyTree]:
@@ -56,28 +53,6 @@ def unroll(function: Callable[..., PyTree]) -> Callable[..., PyTree]:
         return unrolled(function, *args)
 
     return scalar
-
-
-class CodeAlone:
-    """A function that is equal to every other one of the same code, as it has nothing else."""
-
-    def __init__(self, function: Callable):
-        self.function = function
-
-    @staticmethod
-    def is_all_of(function: Callable) -> bool:
-        """Whether a function is its code and the globals that this reads."""
-        plain = isinstance(function, types.FunctionType)
-        return plain and not (function.__closure__ or function.__defaults__)
-
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, CodeAlone):
-            return False
-        mine, others = self.function, other.function
-        return mine.__code__ == others.__code__ and mine.__globals__ is others.__globals__
-
-    def __hash__(self) -> int:
-        return hash(self.function.__code__)
 
 
 @partial(jax.jit, static_argnums=0, inline=True)
@@ -105,10 +80,6 @@ def assemble(entries: np.ndarray, like) -> jax.Array | np.ndarray:
         return np.asarray(entries.tolist(), like.dtype).reshape(like.shape)
     scalars = [jnp.asarray(entry, like.dtype) for entry in entries.ravel()]
     return jnp.stack(scalars).reshape(like.shape) if like.shape else scalars[0]
-
-
-NUMBERS = bool, int, float, complex
-"""Types of known numbers."""
 
 
 @no_type_check  # called for every number of a program: checks would take minutes
@@ -282,12 +253,6 @@ def params_of(function: Callable) -> dict:
     return jax.make_jaxpr(function)(number, number).eqns[0].params
 
 
-@no_type_check
-def is_known(entry) -> bool:
-    """Whether an entry is a known number."""
-    return isinstance(entry, NUMBERS)
-
-
 def bind_primitive(primitive: Primitive, params: dict, operands, *, now: bool) -> list:
     """The results of a primitive; with `now`, evaluated at once, as NumPy arrays."""
     if not now:
@@ -296,37 +261,6 @@ def bind_primitive(primitive: Primitive, params: dict, operands, *, now: bool) -
     with jax.ensure_compile_time_eval():
         results = bind_primitive(primitive, params, list(map(jnp.asarray, operands)), now=False)
         return list(map(np.asarray, results))
-
-
-@no_type_check
-def simplify_sum(a, b):
-    if is_known(a) and a == 0:
-        return b
-    return a if is_known(b) and b == 0 else None
-
-
-@no_type_check
-def simplify_difference(a, b):
-    return a if is_known(b) and b == 0 else None
-
-
-@no_type_check
-def simplify_product(a, b):
-    if is_known(a) and a in (0, 1):
-        return b if a == 1 else a
-    if is_known(b) and b in (0, 1):
-        return a if b == 1 else b
-    return None
-
-
-@no_type_check
-def simplify_quotient(a, b):
-    return a if is_known(b) and b == 1 else None
-
-
-@no_type_check
-def simplify_selection(which, *cases):
-    return cases[int(which)] if is_known(which) else None
 
 
 EXACT = {
@@ -347,15 +281,6 @@ EXACT = {
     "sub": np.subtract,
 }
 """NumPy functions with the same results on known numbers, for which XLA would compile a program."""
-SHORTCUTS = {
-    "add": simplify_sum,
-    "add_any": simplify_sum,
-    "sub": simplify_difference,
-    "mul": simplify_product,
-    "div": simplify_quotient,
-    "select_n": simplify_selection,
-}
-"""By primitive: the operand that equals the result, or None."""
 
 
 def broadcast_entries(operands, params, shape):

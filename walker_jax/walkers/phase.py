@@ -11,10 +11,18 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from walker_jax.checks import WrongUse
 from walker_jax.hybrid.modes import Condition, Function, Guard, Mode
 from walker_jax.integrators.roots import Scalar
 from walker_jax.integrators.taylor import VectorField
 from walker_jax.walkers.outcomes import Outcome
+
+FAILURES = tuple(
+    one.name
+    for one in Outcome
+    if one not in (Outcome.STRIDE, Outcome.OUTSIDE, Outcome.UNDECIDED, Outcome.LEFT_GRID)
+)
+"""Names that falls may have."""
 
 
 class State(NamedTuple):
@@ -109,13 +117,28 @@ def conditions_of(part: Any) -> dict[int, Function]:
 def fall_guards(walker: Any, *, persist: bool = False) -> list[Guard]:
     """The falls of a walker; whether it is known that they persist within a step."""
     value = lambda name: lambda state: walker.falls(state)[name]
-    guards = []
-    for name in jax.eval_shape(walker.falls, some_state(walker)):
+    kind, guards = type(walker).__name__, []
+    for name, shape in jax.eval_shape(walker.falls, some_state(walker)).items():
+        if name not in FAILURES:
+            raise WrongUse(
+                f"falls of {kind} must be named by a failure, one of {', '.join(FAILURES)}, "
+                f"not {name!r}"
+            )
+        check_real(f"falls of {kind}: {name}", shape)
         guard = Guard(value(name), Outcome[name], persists=persist, at_once=True)
         if name == "BACKWARD" and is_planar(walker):
             guard = guard._replace(measure=lambda speed: speed**2 / 2)  # smooth at a dead point
         guards.append(guard)
     return guards
+
+
+def check_real(label: str, value: jax.ShapeDtypeStruct) -> None:
+    """Refuse what a hook of a user's own returns that is not one real number."""
+    if value.shape or not jnp.issubdtype(value.dtype, jnp.floating):
+        raise WrongUse(
+            f"{label} must be one real number, such as -theta, not {value.dtype} of shape "
+            f"{value.shape}"
+        )
 
 
 def some_state(walker: Any) -> Any:

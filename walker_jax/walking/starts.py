@@ -14,16 +14,8 @@ from walker_jax.integrators.integrator import AnySolver, Integrator, integrator_
 from walker_jax.integrators.roots import Real
 from walker_jax.walkers.masses import MultibodyMotion
 from walker_jax.walkers.model import Walker, check_single
-from walker_jax.walkers.outcomes import Outcome
-from walker_jax.walkers.phase import State, is_planar
+from walker_jax.walkers.phase import State, check_real, is_planar
 from walker_jax.walkers.spatial import SpatialWalker
-
-FAILURES = tuple(
-    one.name
-    for one in Outcome
-    if one not in (Outcome.STRIDE, Outcome.OUTSIDE, Outcome.UNDECIDED, Outcome.LEFT_GRID)
-)
-"""Names that falls may have."""
 
 
 def prepare(
@@ -89,7 +81,7 @@ def full_state(walker: Walker, x: Float[Array, " coordinates"]) -> Any:
         start = next(kind for kind in state_kinds(walker) if len(kind._fields) == len(x))(*x)
     if isinstance(start, walker.state):
         check_vector_field(walker, start)
-        check_falls(walker, start)
+        check_is_ahead(walker, start)
         return walker.phases()[0].begin(start) if walker.phases() else start
     return start
 
@@ -123,22 +115,8 @@ def overrides(walker: Walker, name: str) -> bool:
     return getattr(type(walker), name) is not getattr(usual, name)
 
 
-def check_falls(walker: Walker, state: Any) -> None:
-    """Refuse rules of a user's own that are not real numbers, by the names of failures."""
-    kind, values = type(walker).__name__, {}
-    if overrides(walker, "falls"):
-        for name, shape in jax.eval_shape(walker.falls, state).items():
-            values[f"falls of {kind}: {name}"] = shape
-            if name not in FAILURES:
-                raise WrongUse(
-                    f"falls of {kind} must be named by a failure, one of {', '.join(FAILURES)}, "
-                    f"not {name!r}"
-                )
+def check_is_ahead(walker: Walker, state: Any) -> None:
+    """Refuse a rule of a user's own that is no real number."""
     if overrides(walker, "is_ahead"):
-        values[f"is_ahead of {kind}"] = jax.eval_shape(walker.is_ahead, state)
-    for label, value in values.items():
-        if value.shape or not jnp.issubdtype(value.dtype, jnp.floating):
-            raise WrongUse(
-                f"{label} must be one real number, such as -theta, not {value.dtype} of shape "
-                f"{value.shape}"
-            )
+        label = f"is_ahead of {type(walker).__name__}"
+        check_real(label, jax.eval_shape(walker.is_ahead, state))
