@@ -446,10 +446,10 @@ found = Description({{}}).describe([names["helper"], names["Inner"], names["W"].
         env={**os.environ, **given},
         capture_output=True,
         text=True,
-        check=True,
-    ).stdout
+    )
+    assert said.returncode == 0, said.stderr
     exec(program, names)
-    assert said.strip() == str(names["found"]) and "three" in said
+    assert said.stdout.strip() == str(names["found"]) and "three" in said.stdout
 
 
 def test_parameters_that_are_not_described_are_real_numbers():

@@ -272,7 +272,11 @@ FILES = {"mine.py": MINE, "broken.py": "x = 1 / 0"} | dict.fromkeys(
 
 
 def prepare(patch: pytest.MonkeyPatch) -> None:
-    """Write the files that wrong uses name, in this folder; the machine has 8 GiB of memory."""
+    """Write the files that wrong uses name, in this folder; the machine has 8 GiB of memory.
+
+    A file that is loaded has its folder searched for modules: here one is called numpy.
+    """
+    patch.setattr(sys, "path", sys.path.copy())
     for name, text in FILES.items():
         Path(name).write_text(text)
     Path("folder").mkdir()
