@@ -388,7 +388,7 @@ def test_a_diagram_is_of_the_walkers_own_slopes(monkeypatch, name, slopes):
     assert asked[1:] == ["slope", slopes]
 
 
-@pytest.mark.parametrize("method", ["direct", "cell-map"])
+@pytest.mark.parametrize("method", [pytest.param("direct", marks=pytest.mark.slow), "cell-map"])
 def test_the_copied_words_give_the_data_of_the_picture(
     client, method, tmp_path, monkeypatch, capsys
 ):

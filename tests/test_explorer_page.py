@@ -452,6 +452,7 @@ class Held:
         self.routes.clear()
 
 
+@pytest.mark.slow
 def test_nothing_of_a_walker_stands_under_the_name_of_the_next(opened):
     page = opened("walker=simplest&slope=0.004")
     facts = "[...document.querySelectorAll('.facts dd')].map((one) => one.textContent)"
@@ -555,6 +556,7 @@ def test_walks_never_mix(opened):
     page.said.clear()  # Chromium's own words on the status 422
 
 
+@pytest.mark.slow
 def test_facts_stand_once_they_are_exact(opened):
     page = opened("walker=simplest&slope=0.004")
     page.wait("document.querySelector('#fact-area').textContent.includes('±')")
@@ -662,6 +664,7 @@ def test_a_walker_with_round_feet_and_a_slice(opened):
     page.finished()
 
 
+@pytest.mark.slow
 def test_fingers_zoom_and_pan(opened):
     page = opened("walker=simplest&slope=0.004", viewport=NARROW, has_touch=True, is_mobile=True)
     session = page.context.new_cdp_session(page.page)
@@ -683,6 +686,7 @@ def test_fingers_zoom_and_pan(opened):
     page.wait("explorer.walk.strides.length > 0")
 
 
+@pytest.mark.slow
 def test_a_server_that_goes_and_comes_back(browser):
     with explorer_server.running() as first:
         page = Page(browser, first.port, "walker=simplest&slope=0.004")
