@@ -8,17 +8,20 @@ that have another outcome; those near a boundary; strides of which the states di
 1e-6; the largest difference of all others; processor time.
 
     family                  made      to strike, differ, near, off, largest, time
-    simplest              1000000 strides   9%   0   0   0   2e-10    4 s
-    spring                1000000 strides  67%   0   0   0   1e-10   11 s
-    point-foot            1000000 strides   6%   0   0   0   3e-10   11 s
-    powered               1000000 strides  51%   0   0   0   1e-11    8 s
-    round-foot            1000000 strides  22%   0   0   0   2e-10   16 s
-    upper-body            1000000 strides  12%   0   0   0   5e-11   18 s
+    simplest             10000000 strides   9%   0   0   0   1e-09   41 s
+    spring               10000000 strides  67%   0   0   0   1e-08  105 s
+    point-foot           10000000 strides   6%   0   0   0   4e-10  108 s
+    powered              10000000 strides  51%   0   0   0   6e-11   78 s
+    round-foot           10000000 strides  22%   0   0   0   8e-10  176 s
+    upper-body           10000000 strides  12%   0   0   0   2e-10  205 s
     kneed                 1000000 strides  42%   0   0   0   1e-10   64 s
-    powered-point-foot    1000000 strides  42%   0   0   0   1e-09   22 s
+    powered-point-foot   10000000 strides  42%   0   0   0   1e-09  232 s
     powered-round-foot    1000000 strides  55%   0   0   0   2e-10   29 s
     powered-upper-body    1000000 strides  53%   0   0   0   1e-10   44 s
     spatial                100000 strides  37%   0   0   0   6e-12   36 s
+    simplest on steps    10000000 strides   7%   0   0   0   1e-08   58 s
+    powered on steps     10000000 strides  50%   0   0   0   2e-09  109 s
+    kneed on steps         100000 strides  41%   0   0   0   4e-11   18 s
 
     python benchmarks/events.py [STRIDES [FAMILY ...]]
 """

@@ -10,6 +10,19 @@ in steps a tenth as long, and then counts as near a boundary if a start within 1
 Per family: strides; those that led to a heel strike; those that were not decided; outcomes that
 differ; those near a boundary; the largest difference of states, and that of 99.9 per cent; time.
 
+    family                  made      to strike, undecided, differ, near, largest, 99.9 %, time
+    simplest               100000 strides   9%     0   0   0   6e-09  6e-11   23 s
+    spring                 100000 strides  67%   215   0   0   9e-08  2e-08   14 s
+    point-foot             100000 strides   6%     0   0   0   1e-10  5e-11   20 s
+    powered                100000 strides  51%    31   0   0   2e-08  2e-09   18 s
+    round-foot             100000 strides  22%     3   0   0   2e-09  3e-10   28 s
+    upper-body             100000 strides  12%     0   0   0   5e-10  1e-10   40 s
+    kneed                  100000 strides  42%   195   0   0   3e-08  5e-09   35 s
+    powered-point-foot     100000 strides  42%    15   0   0   1e-07  1e-08   25 s
+    powered-round-foot     100000 strides  55%    12   0   0   2e-09  3e-10   21 s
+    powered-upper-body     100000 strides  54%     4   0   0   3e-09  3e-10   36 s
+    spatial                  5000 strides  36%     1   0   0   2e-08  1e-08   11 s
+
     python benchmarks/small_steps.py [STRIDES [FAMILY ...]]
 """
 
