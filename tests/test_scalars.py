@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from jax import lax
 
+from walker_jax.kernels import by_kernel
 from walker_jax.kernels.scalars import EXACT, unroll
 
 pytestmark = pytest.mark.usefixtures("quick_references")
@@ -396,3 +397,21 @@ def test_known_numbers_are_computed_as_jax_does(dtype):
             )
         np.testing.assert_array_equal(found, primitive.bind(*map(jnp.asarray, operands)))
         assert found.dtype == primitive.bind(*map(jnp.asarray, operands)).dtype
+
+
+def test_functions_of_one_code_that_differ_in_anything_else_are_not_taken_for_each_other():
+    """Within one program, which keeps what it has traced of equal code."""
+
+    def bound(value):
+        return lambda x: value * x
+
+    def by_position(value):
+        return lambda x, by=value: by * x
+
+    def by_keyword(value):
+        return lambda x, *, by=value: by * x
+
+    for make in (bound, by_position, by_keyword):
+        two, three = unroll(make(2.0)), unroll(make(3.0))
+        found = by_kernel(lambda x, two=two, three=three: (two(x), three(x)))(jnp.asarray(5.0))
+        assert list(map(float, found)) == [10.0, 15.0]

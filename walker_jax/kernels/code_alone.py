@@ -19,7 +19,9 @@ class CodeAlone:
     def is_all_of(function: Callable) -> bool:
         """Whether a function is its code and the globals that this reads."""
         plain = isinstance(function, types.FunctionType)
-        return plain and not (function.__closure__ or function.__defaults__)
+        if not plain or function.__closure__:
+            return False
+        return not (function.__defaults__ or function.__kwdefaults__)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, CodeAlone):
