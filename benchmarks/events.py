@@ -83,12 +83,13 @@ def survey(name: str, strides: int) -> None:
         walkers = jax.vmap(lambda values, kind=kind: kind(**values))(drawn)
         xs = starts(kind, AT_ONCE, rng)
         steps = rng.normal(0, ROUGH, AT_ONCE) if name.endswith(ON_STEPS) else None
-        usual, fine = (make_strides(walkers, xs, steps, fine) for fine in (False, True))
+        usual = make_strides(walkers, xs, steps, fine=False)
+        fine = make_strides(walkers, xs, steps, fine=True)
         for i in np.flatnonzero(usual.outcome != fine.outcome):
             one = jax.tree.map(lambda leaf, i=i: leaf[i] if jnp.ndim(leaf) else leaf, walkers)
             beside = xs[i] + NEAR * rng.uniform(-1, 1, (64, xs.shape[1]))
             same = None if steps is None else np.repeat(steps[i], len(beside))
-            if usual.outcome[i] in make_strides(one, beside, same, True).outcome:
+            if usual.outcome[i] in make_strides(one, beside, same, fine=True).outcome:
                 near += 1
             else:
                 differ += 1
@@ -110,8 +111,6 @@ def survey(name: str, strides: int) -> None:
 
 if __name__ == "__main__":
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 1_000_000
-    for family in sys.argv[2:] or [
-        *ALL,
-        *(one + ON_STEPS for one in ("simplest", "powered", "kneed")),
-    ]:
+    rough = [one + ON_STEPS for one in ("simplest", "powered", "kneed")]
+    for family in sys.argv[2:] or [*ALL, *rough]:
         survey(family, count)

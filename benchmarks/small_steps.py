@@ -72,7 +72,7 @@ def hermite(field: Any, y: Any, end: Any, h: Any, s: Any) -> Any:
 
 
 def functions_of(walker: Any, part: Any) -> Any:
-    """Of a state: what rises at each end of a part of a stride, what admits it, what must hold."""
+    """The functions that end a part of a stride, those that admit each end, and its conditions."""
     last = part is walker
 
     def look(y):
@@ -97,8 +97,7 @@ def functions_of(walker: Any, part: Any) -> Any:
 def follow(walker: Any, part: Any, start: Any, going: Any, step: Any) -> Any:
     """The state at the end of a part, the outcome, and what was violated; nothing if not going."""
     field, look = part.vector_field, functions_of(walker, part)
-    codes = look(start)[3]
-    holds = look(start)[2]
+    _, _, holds, codes = look(start)
 
     def unfinished(carry):
         return carry["on"] & (carry["time"] < LONGEST)
