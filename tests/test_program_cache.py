@@ -123,7 +123,7 @@ def test_a_name_stands_for_all_that_a_trace_depends_on(monkeypatch):
         (method, "MAX_STEPS", 7),
         (program_cache, "register_bits", lambda: 64),
         (roots, "differentiable_zero", replaced),
-        (roots, "differentiable_zero", roots.interior_minimum),
+        (roots, "differentiable_zero", roots.first_zero),
         (wj.Walker, "contact_force", lambda self, state: (0.0, 0.0)),
         (SimplestWalker, "vector_field", lambda self, state: state),
         (program_cache, "environment", lambda: ("another version",)),

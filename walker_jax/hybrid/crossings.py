@@ -10,6 +10,7 @@ The side of zero on which a polynomial begins is passed from step to step, and r
 only at first: so no rise is lost, or seen twice, between two steps by rounding.
 """
 
+import functools
 from typing import NamedTuple
 
 import jax
@@ -170,7 +171,9 @@ def first_rise(crossings: list[Crossing], length: Scalar) -> tuple[Int[Array, ""
         return jnp.where(earlier, i, which), jnp.where(earlier, time, when)
 
     nothing = jnp.asarray(-1, jnp.int32), jnp.full_like(length, jnp.inf)
-    return lax.stop_gradient(lax.fori_loop(0, len(crossings), look, nothing))
+    wanted = functools.reduce(jnp.logical_or, [one.wanted for one in crossings])
+    first = jnp.where(wanted, 0, len(crossings))
+    return lax.stop_gradient(lax.fori_loop(first, len(crossings), look, nothing))
 
 
 def rise_of(crossing: Crossing, length: Scalar) -> Instant:

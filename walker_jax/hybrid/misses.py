@@ -22,8 +22,6 @@ from walker_jax.integrators.roots import (
     bracketed_newton,
     derivative_of,
     differentiable_zero,
-    interior_minimum,
-    negate,
     polynomial_jet,
 )
 from walker_jax.integrators.series import evaluate_polynomial
@@ -110,8 +108,6 @@ def turns_in_step(
     """A guard in a step: where it turns, and where it rises and is not admitted."""
     value = function_series(guard.value, step.series)
     admits = [function_series(one, step.series) for one in (*guard.admits, *guard.admits_at_rise)]
-    jet, rate = polynomial_jet(value), derivative_of(value)
-    until = lax.stop_gradient(step.until)
 
     def admitted(time: Scalar) -> Scalar:
         """The least of the functions that admit a rise."""
@@ -120,21 +116,25 @@ def turns_in_step(
             least = jnp.minimum(least, evaluate_polynomial(one, time))
         return least
 
-    middle = turn_of_rate(rate, until)
-    top = turn_between(negate(jet), middle, until)
+    jet = polynomial_jet(value)
+    until = lax.stop_gradient(step.until)
+    start, end = first_place(value, until), Place(until, *jet(until))
+    middle = turn_of_rate(value, start, end)
+    top = turn_between(jet, -1, start, middle, end)
     high = evaluate_polynomial(value, top.time)
     misses = top.exists & (high < 0) & (admitted(top.time) > 0)
     miss = jnp.where(misses, high, -jnp.inf)
     if not admits:
         infinite = jnp.full_like(miss, jnp.inf)
         return Turns(miss, -infinite, infinite, jnp.asarray(False))
-    low = turn_between(jet, middle, until)
+    low = turn_between(jet, 1, start, middle, end)
     least = evaluate_polynomial(value, low.time)
     misses = low.exists & (least >= 0) & (admitted(low.time) > 0)
     miss = jnp.where(misses, jnp.maximum(miss, -least), miss)
-    time = differentiable_zero(derivative_of(rate), middle)  # the value goes on changing there
+    bend = derivative_of(derivative_of(value))
+    time = differentiable_zero(bend, middle.time)  # the value goes on changing there
     above = evaluate_polynomial(value, time)
-    slowest = (middle < until) & (jet(middle)[1] > 0) & (jet(0 * until)[1] > jet(middle)[1])
+    slowest = (middle.time < until) & (middle.rate > 0) & (start.rate > middle.rate)
     misses = slowest & (above >= 0) & (admitted(time) > 0)
     miss = jnp.where(misses, jnp.maximum(miss, -above), miss)
 
@@ -143,31 +143,58 @@ def turns_in_step(
     falls = top.exists & (top.time > first)
     last = jnp.where(falls, top.time, until)
     whole = ~falls & (step.until == step.length)
-    rises = (turned | sides[0]) & jnp.where(whole, ~sides[1], jet(last)[0] >= 0)
+    above_zero = jnp.where(falls, high, end.value) >= 0
+    rises = (turned | sides[0]) & jnp.where(whole, ~sides[1], above_zero)
     time = bracketed_newton(lambda t: jet(t)[:2], jnp.where(rises, first, last), last)
     lacks = admitted(differentiable_zero(value, time))
     miss = jnp.where(rises & (lacks <= 0), jnp.maximum(miss, lacks), miss)
     depth = jnp.where(low.exists, -least, -jnp.inf)
-    beyond = interior_minimum(negate(jet), until, step.length)
+    beyond = turn_between(jet, -1, end, end, Place(step.length, *jet(step.length)))
     height = jnp.where(beyond.exists, evaluate_polynomial(value, beyond.time), jnp.inf)
     return Turns(miss, depth, height, rises)
 
 
-def turn_of_rate(rate: list[Scalar], until: Scalar) -> Scalar:
-    """When the rate of a function turns in a step, constant to derivatives; if not, its end."""
-    slope = polynomial_jet(derivative_of(rate))
-    start, end = slope(0 * until)[0], slope(until)[0]
-    sign = jnp.where(start < 0, 1, -1).astype(until.dtype)
-    turns = sign * jnp.sign(end) > 0
-    rising = polynomial_jet([sign * c for c in derivative_of(rate)])
-    return bracketed_newton(lambda t: rising(t)[:2], jnp.where(turns, 0, until), until)
+class Place(NamedTuple):
+    """A polynomial at a time of a step, constant to derivatives."""
+
+    time: Scalar
+    value: Scalar
+    rate: Scalar
+    curvature: Scalar
 
 
-def turn_between(jet: Jet, middle: Scalar, until: Scalar) -> Instant:
-    """Where a function is least in a step in which its rate turns at `middle` alone."""
-    early = (jet(0 * until)[1] < 0) & (jet(middle)[1] > 0)
-    first, last = jnp.where(early, 0, middle), jnp.where(early, middle, until)
-    return interior_minimum(jet, first, last)
+def first_place(series: list[Scalar], time: Scalar) -> Place:
+    """The start of a step, where the coefficients are known; some time gives the dtype."""
+    value, rate, bend = lax.stop_gradient(series[:3])
+    return Place(0 * time, value, rate, 2 * bend)
+
+
+def turn_of_rate(series: list[Scalar], start: Place, end: Place) -> Place:
+    """Where the rate of a polynomial turns in a step; if it does not, its end."""
+    sign = jnp.where(start.curvature < 0, 1, -1).astype(end.time.dtype)
+    turns = sign * jnp.sign(end.curvature) > 0
+    rising = polynomial_jet([sign * c for c in derivative_of(derivative_of(series))])
+    first = jnp.where(turns, start.time, end.time)
+    time = bracketed_newton(lambda t: rising(t)[:2], first, end.time)
+    return Place(time, *polynomial_jet(series)(time))
+
+
+def turn_between(jet: Jet, sign: int, start: Place, middle: Place, end: Place) -> Instant:
+    """Where a function is least, or with `sign` -1 greatest, in a step.
+
+    Its rate turns at `middle` alone. The time is constant to derivatives: the value does not depend
+    on it to first order.
+    """
+    early = (sign * start.rate < 0) & (sign * middle.rate > 0)
+    late = (sign * middle.rate < 0) & (sign * end.rate > 0)
+    first = jnp.where(early, start.time, middle.time)
+    last = jnp.where(early, middle.time, jnp.where(late, end.time, first))
+
+    def rate_and_slope(time):
+        _, rate, curvature = jet(time)
+        return sign * rate, sign * curvature
+
+    return Instant(early | late, bracketed_newton(rate_and_slope, first, last))
 
 
 def least_in_step(mode: Mode, condition: Condition, step: Seen) -> Scalar:

@@ -40,27 +40,6 @@ class Instant(NamedTuple):
     time: Scalar
 
 
-def interior_minimum(jet: Jet, first: Scalar, last: Scalar) -> Instant:
-    """The minimum of a function that falls at one time of a step and rises at a later one.
-
-    The minimal value does not depend on this time to first order, so the time may be constant.
-    """
-    first, last = lax.stop_gradient((first, last))
-    exists = (jet(first)[1] < 0) & (jet(last)[1] > 0)
-    high = jnp.where(exists, last, first)
-    return Instant(exists, bracketed_newton(lambda t: jet(t)[1:], first, high))
-
-
-def negate(jet: Jet) -> Jet:
-    """Minus a function."""
-
-    def negated(t):
-        value, slope, curvature = jet(t)
-        return -value, -slope, -curvature
-
-    return negated
-
-
 def derivative_of(series: list[Scalar]) -> list[Scalar]:
     """The coefficients of a polynomial's derivative."""
     return [k * c for k, c in enumerate(series)][1:]
