@@ -20,6 +20,8 @@ from jax.extend.core import jaxpr_as_fun
 from walker_jax.kernels import by_kernel, ffi, primitive
 from walker_jax.kernels.primitive import Program
 
+pytestmark = pytest.mark.usefixtures("quick_references")
+
 TURNS = 2
 
 
