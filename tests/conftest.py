@@ -39,9 +39,14 @@ def quick_references() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def few_dots() -> Iterator[None]:
-    """Pictures are saved with a quarter of the dots along each side: none is looked at."""
+    """Pictures are saved with a quarter of the dots along each side, and laid out once: none is
+    looked at."""
     save = Figure.savefig
-    fewer = lambda figure, path, *, dpi, **more: save(figure, path, dpi=dpi / 4, **more)
+
+    def fewer(figure, path, *, dpi, **more):
+        save(figure, path, dpi=dpi / 4, **more)
+        figure.set_layout_engine("none")
+
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Figure, "savefig", fewer)
         yield

@@ -34,6 +34,8 @@ SLOPES = {"slope": (0.001, 0.015)}
 GRID = wj.Grid.sheared(theta=(0, 0.4, 100), sum=(-0.04, 0.01, 60))
 FEW = wj.Grid.sheared(theta=(0, 0.4, 20), sum=(-0.02, 0.01, 12))
 """Walkers reach the gait from a few of its cells, and the search for it is quick."""
+SHOWN = 100
+"""Cells along each axis in pictures of basins."""
 
 
 def measure(name, slope):
@@ -58,8 +60,11 @@ def no_basins(monkeypatch):
 
 @pytest.fixture(scope="module")
 def steepest():
-    """The most stable gait."""
-    return optimise(WALKER, SLOPES, "spectral-radius", starts=2, scan=7)
+    """The most stable gait, with few cells for its basin and in the pictures."""
+    few = wj.Grid.sheared(theta=(0, np.pi / 4, 40), sum=(-0.12, 0.06, 80))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("walker_jax.design.optimisation.VIEW_CELLS", SHOWN)
+        return optimise(WALKER, SLOPES, "spectral-radius", grid=few, starts=2, scan=7)
 
 
 def test_an_optimum_within_the_bounds(steepest):
@@ -100,7 +105,7 @@ def test_basins_at_both_ends_are_shown(steepest):
     assert steepest.fate_start.dims == ("theta", "sum") == steepest.fate_optimum.dims
     view = wj.Grid.sheared(
         **{
-            name: (*((axis := steepest[name].values)[[0, -1]] + np.diff(axis)[0] * shift), 300)
+            name: (*((axis := steepest[name].values)[[0, -1]] + np.diff(axis)[0] * shift), SHOWN)
             for name in ("theta", "sum")
             for shift in [np.array([-0.5, 0.5])]
         }
@@ -111,7 +116,7 @@ def test_basins_at_both_ends_are_shown(steepest):
     assert 0.01 < walks.mean() and np.mean((shown == -1) != walks) < 1e-4
     assert np.mean(shown[~walks] == direct.fate.values[~walks]) > 0.999
     # the picture holds all that walks on the whole section, at both ends, and little more
-    whole = wj.Grid.sheared(theta=(0, np.pi / 4, 400), sum=(-0.2, 0.1, 400))
+    whole = wj.Grid.sheared(theta=(0, np.pi / 4, 200), sum=(-0.2, 0.1, 200))
     both = np.zeros(whole.shape, bool)
     for slope in (steepest.start[0], steepest.optimum[0]):
         both |= wj.basin(wj.SimplestWalker(float(slope)), whole, "direct").attractor.values >= 0

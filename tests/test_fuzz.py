@@ -514,14 +514,14 @@ def reaction(name: str, arguments: dict, *, begin: bool) -> str:
 def spoil(good: dict[str, dict], count: int, *, repeatable: bool) -> Counter:
     """Call public functions with a bad value for one argument, as users do, without beartype.
 
-    So many times at random; or, with a count of 0, each argument with each value, until the work
-    begins.
+    So many times at random; or, with a count of 0, each argument with every other value, until the
+    work begins.
     """
     pairs = [(name, argument) for name in good for argument in good[name]]
     tried = Counter()
     if not count:
-        for name, argument in pairs:
-            for bad in BAD:
+        for k, (name, argument) in enumerate(pairs):
+            for bad in BAD[k % 2 :: 2]:
                 tried[reaction(name, good[name] | {argument: bad}, begin=False)] += 1
         return tried
 
@@ -549,7 +549,7 @@ def test_a_bad_argument_of_a_public_function_is_refused_before_its_work_begins()
     good = calls()
     assert set(good) >= functions - {"explore", "metastability"}
     with unchecked(), jax.numpy_dtype_promotion("standard"):
-        assert spoil(good, 0, repeatable=True)["refused"] > 8000
+        assert spoil(good, 0, repeatable=True)["refused"] > 4000
 
 
 TRACEABLE = {"stride", "margins", "walk", "trajectory", "step_down", "find_gait"}

@@ -17,6 +17,8 @@ from walker_jax.integrators.taylor_solver import Taylor
 from walker_jax.integrators.taylor_steps import SERIES_ORDER
 from walker_jax.kernels import by_kernel
 
+pytestmark = pytest.mark.usefixtures("quick_references")
+
 TOLERANCE = 1e-12
 COEFFICIENTS, ROWS = 7, 256
 

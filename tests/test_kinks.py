@@ -25,6 +25,8 @@ from walker_jax.walkers.model import Scalar, State
 from walker_jax.walkers.outcomes import Outcome
 from walker_jax.walkers.parameters import with_parameter
 
+pytestmark = pytest.mark.usefixtures("quick_references")
+
 SLOPE, LIMIT = 0.004, 0.1
 STARTS = np.array([[0.2, -0.21], [0.2, -0.2158], [0.25, -0.26], [0.1, -0.12], [0.3, -0.31]])
 

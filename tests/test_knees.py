@@ -22,6 +22,8 @@ from walker_jax.walkers.model import toppling_rate
 from walker_jax.walkers.parameters import parameters
 from walker_jax.walking.movement import leg_positions
 
+pytestmark = pytest.mark.usefixtures("quick_references")
+
 PUBLISHED = json.loads((Path(__file__).parent / "data" / "kneed_walkers.json").read_text())
 HSU_CHEN, HUMAN_LIKE = PUBLISHED["hsu_chen_2007"], PUBLISHED["human_like"]
 

@@ -308,25 +308,8 @@ def test_falls_may_compare_the_largest_of_several():
     assert_same(wj.strides(Largest(0.01), xs), expected)
 
 
-def test_a_film_ends_where_a_walker_has_fallen_by_its_own_rule():
-    walker, usual, xs = RULES["within a step"][0], wj.SimplestWalker(0.01), starts(200)
-    outcome = wj.strides(walker, xs).outcome
-    first = lambda code: xs[np.flatnonzero(outcome == code)[0]]
-    phi = wj.motion(walker, first(Outcome.SIDEWAYS), 3, step=0.02).phi.values
-    assert phi.min() > -0.63 and phi.min() < -0.58
-    films = [wj.motion(one, first(Outcome.BACKWARD), 1, step=0.05) for one in (walker, usual)]
-    assert films[0].sizes["frame"] == films[1].sizes["frame"]
-
-
-class Spread(wj.SimplestWalker):
-    """It has fallen where its legs are far apart."""
-
-    def falls(self, state):
-        return super().falls(state) | {"SIDEWAYS": -0.6 - state.phi}
-
-
 class SpreadByMode(wj.SimplestWalker):
-    """The same, by a guard of the swing."""
+    """It has fallen where its legs are far apart, by a guard of the swing."""
 
     def modes(self):
         (swing,) = super().modes()
@@ -337,17 +320,30 @@ class SpreadByMode(wj.SimplestWalker):
 
 def test_modes_of_ones_own_are_what_every_function_follows():
     """A guard that is added to the swing does what the same fall does."""
-    one, other, xs = Spread(0.01), SpreadByMode(0.01), starts(200)
+    one, other, xs = RULES["within a step"][0], SpreadByMode(0.01), starts(200)
     expected, found = (margins_of_many(walker, xs) for walker in (one, other))
-    assert (expected.stride.outcome == Outcome.SIDEWAYS).sum() > 20
+    outcome = expected.stride.outcome
+    assert (outcome == Outcome.SIDEWAYS).sum() > 20
     for value, known in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
         np.testing.assert_allclose(value, known, rtol=1e-12, atol=1e-14)
-    start = xs[np.flatnonzero(expected.stride.outcome == Outcome.SIDEWAYS)[0]]
-    film = wj.motion(other, start, 1, step=0.2)
+    first = lambda code: xs[np.flatnonzero(outcome == code)[0]]
+    film = wj.motion(other, first(Outcome.SIDEWAYS), 3, step=0.2)
     assert film.outcome.values.tolist() == [Outcome.SIDEWAYS]
     assert film.phi.values[-1] == pytest.approx(-0.6, abs=1e-12)
+    usual = wj.SimplestWalker(0.01)
+    films = [wj.motion(walker, first(Outcome.BACKWARD), 1, step=0.05) for walker in (other, usual)]
+    assert films[0].sizes["frame"] == films[1].sizes["frame"]
     on_steps = jax.jit(jax.vmap(lambda x: wj.stride(other, x, step=-0.02).outcome))(xs)
     assert (np.asarray(on_steps) == Outcome.SIDEWAYS).sum() > 20
+
+
+@pytest.mark.slow  # test_hooks.py has films of a walker with falls of its own
+def test_a_film_ends_where_a_walker_has_fallen_by_its_own_rule():
+    walker, xs = RULES["within a step"][0], starts(200)
+    outcome = wj.strides(walker, xs).outcome
+    fallen = xs[np.flatnonzero(outcome == Outcome.SIDEWAYS)[0]]
+    phi = wj.motion(walker, fallen, 3, step=0.02).phi.values
+    assert phi.min() > -0.63 and phi.min() < -0.58
 
 
 class HalfWay(PartOfSwing):
@@ -364,14 +360,17 @@ class PhasedWalker(LimitedWalker):
         return (HalfWay(self),)
 
 
-def test_falls_of_ones_own_end_phases_too():
+@pytest.mark.parametrize("by_margins", [pytest.param(False, marks=SLOW), True])
+def test_falls_of_ones_own_end_phases_too(by_margins):
+    """In strides the falls of a walker with knees do, by default."""
     walker, _ = RULES["least speed"]
     xs = starts(200)
     whole = wj.strides(walker, xs)
     phased = PhasedWalker(walker.slope, walker.limit, walker.slowest)
     assert (whole.outcome == Outcome.BACKWARD).sum() > 20
-    for found in (wj.strides(phased, xs), margins_of_many(phased, xs).stride):
-        assert_same(found, whole, 1e-9)
+    assert_same(
+        margins_of_many(phased, xs).stride if by_margins else wj.strides(phased, xs), whole, 1e-9
+    )
 
 
 @pytest.mark.slow

@@ -19,6 +19,8 @@ from walker_jax.storage.schema import check_dataset, variables_of
 from walker_jax.walkers.outcomes import Outcome
 from walker_jax.walkers.spatial import all_coordinates, on_ground
 
+pytestmark = pytest.mark.usefixtures("quick_references")
+
 TOY = json.loads((Path(__file__).parent / "data" / "toy_in_space.json").read_text())
 WALKER = wj.SpatialWalker()
 FIELDS = ["slope", "leg_mass", "leg_length", "hip_width", "disc_radius", "com_forward"]
