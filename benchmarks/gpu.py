@@ -46,7 +46,7 @@ import numpy as np
 
 import walker_jax as wj
 from walker_jax.execution import tiles
-from walker_jax.walkers.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome
 
 WALKERS = {
     "simplest": wj.SimplestWalker(0.004),

@@ -176,7 +176,7 @@ def of_one_swing(repeats: int):
         def field(state):  # with a clock too slow to count in the error
             return walker.vector_field(state[0]), jnp.full((), 1 / 64)
 
-        mode = Mode(field, field, (Guard(lambda state: state[1] - SWING / 64, 0),))
+        mode = Mode(field, (Guard(lambda state: state[1] - SWING / 64, 0),))
         method = Method(field, Taylor(SERIES_ORDER[DTYPE]), tolerance)
         start = walker.lift(x), jnp.zeros(())
         return jnp.stack(follow_mode(mode, start, jnp.asarray(True), method).state[0])

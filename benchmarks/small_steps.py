@@ -40,7 +40,7 @@ from jax import lax
 import walker_jax as wj
 from walker_jax.execution.tiles import map_cells
 from walker_jax.kernels import by_kernel
-from walker_jax.walkers.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome
 
 jax.config.update("jax_enable_x64", True)
 STEP, LONGEST, NEAR, AT_ONCE = 0.004, 60.0, 1e-7, 20_000

@@ -59,7 +59,7 @@ import optimistix
 from scipy.integrate import solve_ivp
 
 import walker_jax as wj
-from walker_jax.walkers.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome
 
 heyoka: Any = importlib.import_module("heyoka")  # of the extra [bench] alone: no types of it
 

@@ -13,7 +13,7 @@ from walker_jax.basins.cell_classes import (
     walking_cells,
 )
 from walker_jax.stability.nearest_starts import circle
-from walker_jax.walkers.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome
 
 WALKER = wj.SimplestWalker(0.0125)  # with attractors of period one and three
 GRID = wj.Grid.sheared(theta=(0.1, 0.3, 40), sum=(-0.02, 0.01, 30))

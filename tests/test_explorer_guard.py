@@ -16,7 +16,7 @@ from walker_jax.explorer.family import describe_family
 from walker_jax.explorer.guard import Bucket, Guard, in_link
 from walker_jax.explorer.lattice import TILE
 from walker_jax.explorer.subjects import FAMILY
-from walker_jax.walkers.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome
 
 TILES = {"walker": "simplest", "parameters": {"slope": 0.004}, "tiles": [[0, 0, 0]]}
 

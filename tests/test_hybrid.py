@@ -169,7 +169,7 @@ def oscillator(state):
 
 
 def mode_of(*guards, conditions=(), foregone=None):
-    return Mode(oscillator, oscillator, guards, conditions, foregone)
+    return Mode(oscillator, guards, conditions, foregone=foregone)
 
 
 def taylor(field=oscillator, tolerance=TOLERANCE, dtype="float64", others=()):
@@ -312,7 +312,7 @@ def test_what_is_foregone_is_not_followed_and_what_is_not_going_stays():
 def test_what_never_ends_nears_a_pole_or_rests_ends_after_so_many_steps(monkeypatch):
     monkeypatch.setattr("walker_jax.hybrid.following.MAX_STEPS", 30)
     square = lambda state: (state[0] ** 2,)
-    mode = Mode(square, square, (Guard(lambda state: -2 - state[0], 0),))
+    mode = Mode(square, (Guard(lambda state: -2 - state[0], 0),))
     run = jax.vmap(
         by_kernel(lambda y: follow_mode(mode, (y,), jnp.asarray(True), taylor(square, 1e-9)))
     )

@@ -16,8 +16,8 @@ from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.taylor_steps import step_length, taylor_step
 from walker_jax.kernels import by_kernel
 from walker_jax.stability.margin_changes import differentiate_margins
+from walker_jax.systems.outcomes import Outcome
 from walker_jax.walkers.model import State
-from walker_jax.walkers.outcomes import Outcome
 from walker_jax.walking.failure_margins import failure_margin, margins_of_many
 from walker_jax.walking.iteration import iterate
 

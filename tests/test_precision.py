@@ -8,7 +8,7 @@ import pytest
 import walker_jax as wj
 from walker_jax.checks import PrecisionWarning, warn_of_float32
 from walker_jax.hybrid.crossings import Crossing, rise_of
-from walker_jax.walkers.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome
 
 SLOPE = 0.004
 AT_A_STEPS_END = 0.14289452135562897, -0.14757704734802246

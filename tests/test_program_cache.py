@@ -175,7 +175,7 @@ def test_results_that_are_no_tuples_are_not_kept(folder):
     program_cache.keep_trace("b" * 64, kept)
     assert program_cache.recall_trace("b" * 64) == kept
     content = json.loads(object_cache.recall("b" * 64) or b"")
-    assert content["tree"] == ["walker_jax.walkers.outcomes:Stride", 0, ["builtins:tuple", 0, 0], 0]
+    assert content["tree"] == ["walker_jax.systems.outcomes:Stride", 0, ["builtins:tuple", 0, 0], 0]
 
 
 def test_wrong_use_is_still_refused(folder):

@@ -13,7 +13,7 @@ from walker_jax.basins import pieces
 from walker_jax.design import sweeps
 from walker_jax.execution import progress
 from walker_jax.stability import boundaries, summary
-from walker_jax.walkers.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome
 
 
 def test_a_bar_begins_with_what_was_done_before_and_ends_with_all(monkeypatch):

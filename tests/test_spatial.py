@@ -16,7 +16,7 @@ from walker_jax import figures, multibody
 from walker_jax.kernels import by_kernel
 from walker_jax.multibody import ConstrainedMotion, System, space
 from walker_jax.storage.schema import check_dataset, variables_of
-from walker_jax.walkers.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome
 from walker_jax.walkers.spatial import all_coordinates, on_ground
 
 pytestmark = pytest.mark.usefixtures("quick_references")

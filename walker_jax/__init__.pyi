@@ -39,6 +39,9 @@ from walker_jax.gaits.search import descend as descend
 from walker_jax.gaits.search import find_gait as find_gait
 from walker_jax.gaits.search import find_gaits as find_gaits
 from walker_jax.grids import Grid as Grid
+from walker_jax.hybrid.modes import Condition as Condition
+from walker_jax.hybrid.modes import Guard as Guard
+from walker_jax.hybrid.modes import Mode as Mode
 from walker_jax.stability.basin_fractions import continue_basins as continue_basins
 from walker_jax.stability.boundaries import boundary as boundary
 from walker_jax.stability.dimension import boundary_dimension as boundary_dimension
@@ -57,6 +60,12 @@ from walker_jax.stability.summary import robustness as robustness
 from walker_jax.stability.summary import robustness_table as robustness_table
 from walker_jax.stability.tipping import Tipping as Tipping
 from walker_jax.stability.tipping import tipping_probability as tipping_probability
+from walker_jax.systems.hybrid_system import HybridSystem as HybridSystem
+from walker_jax.systems.maps import Map as Map
+from walker_jax.systems.outcomes import Outcome as Outcome
+from walker_jax.systems.outcomes import Stride as Stride
+from walker_jax.systems.outcomes import Walk as Walk
+from walker_jax.systems.system import System as System
 from walker_jax.wada import Wada as Wada
 from walker_jax.wada import merge_regions as merge_regions
 from walker_jax.walkers.feedback import Feedback as Feedback
@@ -66,9 +75,6 @@ from walker_jax.walkers.kneed import KneedWalker as KneedWalker
 from walker_jax.walkers.model import Phase as Phase
 from walker_jax.walkers.model import State as State
 from walker_jax.walkers.model import Walker as Walker
-from walker_jax.walkers.outcomes import Outcome as Outcome
-from walker_jax.walkers.outcomes import Stride as Stride
-from walker_jax.walkers.outcomes import Walk as Walk
 from walker_jax.walkers.point_foot import PointFootWalker as PointFootWalker
 from walker_jax.walkers.powered import PoweredWalker as PoweredWalker
 from walker_jax.walkers.powered_masses import PoweredPointFootWalker as PoweredPointFootWalker

@@ -16,7 +16,7 @@ from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import search_gait
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import integrator_of
-from walker_jax.walkers.model import Walker
+from walker_jax.systems.system import System
 
 STARTS = 2**11, 2**13, 2**15
 """Sizes of the samples of a grid by which its gait is found, each where the one before has not told
@@ -25,7 +25,7 @@ LEAD = 3.0
 """Standard errors by which the largest basin of a sample must lead the next."""
 
 
-def gait_of_basins(walker: Walker, data: xr.Dataset, tolerance: float | None) -> Gait | None:
+def gait_of_basins(walker: System, data: xr.Dataset, tolerance: float | None) -> Gait | None:
     """The gait with the most cells in a data set of `basin` or `refine`; None if none attracts."""
     cells = data["cells"].values * (data["period"].values > 0)
     if cells.sum() == 0:
@@ -35,7 +35,7 @@ def gait_of_basins(walker: Walker, data: xr.Dataset, tolerance: float | None) ->
     return stable_gait(walker, states, tolerance)
 
 
-def gait_of_grid(walker: Walker, grid: Grid, strides: int, tolerance: float | None) -> Gait | None:
+def gait_of_grid(walker: System, grid: Grid, strides: int, tolerance: float | None) -> Gait | None:
     """The gait to which most walkers converge from a sample of a grid's cells; None if none do."""
     integrator = integrator_of(jnp.asarray(0.0).dtype, tolerance)
     largest = None
@@ -57,7 +57,7 @@ def gait_of_grid(walker: Walker, grid: Grid, strides: int, tolerance: float | No
 
 
 def stable_gait(
-    walker: Walker, states: Float[np.ndarray, "period section"], tolerance: float | None
+    walker: System, states: Float[np.ndarray, "period section"], tolerance: float | None
 ) -> Gait | None:
     """The gait of an attractor with these states; None where Newton's iteration finds it not."""
     gait = search_gait(walker, states, len(states), tolerance=tolerance)

@@ -9,8 +9,8 @@ from walker_jax.basins.attractor import CLOSE, Attractor, capture_radius, match_
 from walker_jax.gaits.cycles import gait_at
 from walker_jax.gaits.search import cycle_guesses, iterate_newton
 from walker_jax.integrators.integrator import Integrator
-from walker_jax.walkers.model import Walker
-from walker_jax.walkers.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.system import System
 from walker_jax.walking.iteration import iterate, orbits
 
 SAMPLE = 2**14
@@ -50,7 +50,7 @@ def sample_indices(n: int, most: int = SAMPLE) -> Int[np.ndarray, " m"]:
 
 
 def find_attractors(
-    walker: Walker,
+    walker: System,
     x: Float[np.ndarray, "n section"],
     integrator: Integrator,
     known: Sequence[Attractor] = (),
@@ -102,7 +102,7 @@ def find_attractors(
 
 
 def on_lasting_motion(
-    walker: Walker,
+    walker: System,
     x: Float[np.ndarray, "n section"],
     cycles: Sequence[Attractor],
     integrator: Integrator,
@@ -118,7 +118,7 @@ def on_lasting_motion(
 
 
 def still_wandering(
-    walker: Walker,
+    walker: System,
     x: Float[np.ndarray, "n section"],
     strides: int,
     cycles: Sequence[Attractor],
@@ -132,7 +132,7 @@ def still_wandering(
 
 
 def match_approaching(
-    walker: Walker,
+    walker: System,
     x: Float[np.ndarray, "n section"],
     attractors: Sequence[Attractor],
     integrator: Integrator,
@@ -147,7 +147,7 @@ def match_approaching(
 
 
 def approaches(
-    walker: Walker,
+    walker: System,
     x: Float[np.ndarray, "n section"],
     cycle: Float[np.ndarray, "period section"],
     integrator: Integrator,
@@ -163,7 +163,7 @@ def approaches(
 
 
 def attracts(
-    walker: Walker, cycle: Float[np.ndarray, "period section"], integrator: Integrator
+    walker: System, cycle: Float[np.ndarray, "period section"], integrator: Integrator
 ) -> bool:
     """Whether walkers that start beside a cycle stay there: they do not go ever farther away."""
     radius = capture_radius(cycle.dtype)
@@ -173,7 +173,7 @@ def attracts(
 
 
 def largest_distances(
-    walker: Walker,
+    walker: System,
     x: Float[np.ndarray, "n section"],
     cycle: Float[np.ndarray, "period section"],
     integrator: Integrator,
@@ -197,7 +197,7 @@ def distance_from(
 
 
 def stable_cycle(
-    walker: Walker, start: Float[np.ndarray, " section"], period: int, integrator: Integrator
+    walker: System, start: Float[np.ndarray, " section"], period: int, integrator: Integrator
 ) -> Float[np.ndarray, "period section"] | None:
     """The states of a stable cycle that a walker is `CLOSE` to, by Newton's iteration from it."""
     _, cycles = cycle_guesses(walker, start[None], period, integrator)

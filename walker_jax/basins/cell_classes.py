@@ -8,7 +8,7 @@ import xarray as xr
 from jaxtyping import Bool, Float, Int
 
 from walker_jax.basins.schema import artefacts
-from walker_jax.walkers.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome
 
 LARGE = 0.1
 """Share of the cells that converge to attractors, above which a basin is large. Of smaller ones,

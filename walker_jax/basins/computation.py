@@ -23,7 +23,7 @@ from walker_jax.basins.schema import to_dataset
 from walker_jax.checks import WrongUse, check_precision, check_whole, refuses_tracers, short
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import AnySolver, integrator_of
-from walker_jax.walkers.model import Walker
+from walker_jax.systems.system import System
 
 BYTES_STORED = {"cell-map": 16, "direct": 0}
 """Peak memory in bytes for each cell, as `BYTES_PER_CELL`, where the result goes into a store."""
@@ -31,7 +31,7 @@ BYTES_STORED = {"cell-map": 16, "direct": 0}
 
 @refuses_tracers("area_gradient gives derivatives of a basin's area")
 def basin(
-    walker: Walker,
+    walker: System,
     grid: Grid,
     method: str = "cell-map",
     *,
@@ -132,7 +132,7 @@ def basin(
 
 @refuses_tracers()
 def compare_methods(
-    walker: Walker, grid: Grid, *, strides: int = 200, tolerance: float | None = None
+    walker: System, grid: Grid, *, strides: int = 200, tolerance: float | None = None
 ) -> xr.Dataset:
     """Cell mapping against direct iteration on one grid: where they differ, and the artefacts.
 

@@ -28,8 +28,8 @@ from walker_jax.checks import (
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import search_gait
 from walker_jax.integrators.integrator import Integrator, integrator_of
-from walker_jax.walkers.model import Walker, check_single
-from walker_jax.walkers.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.system import System, check_single
 from walker_jax.walking.failure_margins import Margins, follow_margins
 from walker_jax.walking.iteration import for_each_start
 from walker_jax.walking.iteration import strides as take_strides
@@ -67,7 +67,7 @@ class EdgeState(NamedTuple):
 
 @refuses_tracers("the saddle is a gait, which find_gait follows under transformations")
 def edge_state(
-    walker: Walker,
+    walker: System,
     a: Float[ArrayLike, " section"],
     b: Float[ArrayLike, " section"],
     *,
@@ -94,7 +94,7 @@ def edge_state(
     Raises `ValueError` for starts of one fate, or that are not feasible, and in float32;
     `ComputationFailed` where rounding loses the boundary.
     """
-    check_kind("walker", walker, Walker)
+    check_kind("walker", walker, System)
     check_single(walker)
     check_precision(jnp.asarray(0.0).dtype, "edge_state, which brings starts 1e-13 together,")
     check_whole("rounds", rounds)
@@ -158,7 +158,7 @@ def explain_fate(label: int) -> str:
 
 
 def failing_margin(
-    walker: Walker, x: Float[np.ndarray, "n section"], integrator: Integrator
+    walker: System, x: Float[np.ndarray, "n section"], integrator: Integrator
 ) -> tuple[str, float]:
     """The margin that is nearest to zero in the strides from some starts, and its size."""
     found = for_each_start(follow_margins, walker, x, integrator.tolerance, integrator.solver)

@@ -20,8 +20,8 @@ from walker_jax.basins.attractor_search import (
     sample,
 )
 from walker_jax.integrators.integrator import Integrator
-from walker_jax.walkers.model import Walker
-from walker_jax.walkers.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.system import System
 from walker_jax.walking.iteration import iterate
 
 FURTHER = 2**14
@@ -69,7 +69,7 @@ class Mapper(NamedTuple):
     walkers that remain are labelled too, they are followed on, each to its cycle.
     """
 
-    walker: Walker
+    walker: System
     """Of one kind, with numbers for parameters."""
     attractors: list[Attractor]
     integrator: Integrator

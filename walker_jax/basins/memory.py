@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from walker_jax.checks import WrongUse, check_kind, numbers, short
 from walker_jax.grids import Grid
-from walker_jax.walkers.model import Walker
+from walker_jax.systems.system import System
 
 BYTES_PER_CELL = {"cell-map": 25, "direct": 100}
 """Memory at its peak, for each cell of a grid."""
@@ -29,10 +29,10 @@ def lies_along(grid: Grid, place: int, coordinate: int) -> bool:
 
 
 def check_grid(
-    walker: Walker, grid: Grid, method: str, each: int = BYTES_PER_CELL["direct"]
+    walker: System, grid: Grid, method: str, each: int = BYTES_PER_CELL["direct"]
 ) -> None:
     """Refuse a grid that is not of the walker's section, or too large for this machine's memory."""
-    check_kind("walker", walker, Walker)
+    check_kind("walker", walker, System)
     check_kind("grid", grid, Grid)
     if grid.coordinates != len(walker.section):
         raise WrongUse(
@@ -59,7 +59,7 @@ def check_grid(
         )
 
 
-def check_state(walker: Walker, name: str, x: Any) -> Float[np.ndarray, " section"]:
+def check_state(walker: System, name: str, x: Any) -> Float[np.ndarray, " section"]:
     """A state on the walker's section, as float64; refuses any other argument of that name."""
     values = numbers(name, x)
     if values.shape != (len(walker.section),) or not np.isfinite(values).all():

@@ -19,8 +19,8 @@ from walker_jax.cellmaps import CellMap, cell_image, resolve
 from walker_jax.execution.tiles import map_cells, order_of_cells
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import Integrator
-from walker_jax.walkers.model import Walker
-from walker_jax.walkers.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.system import System
 from walker_jax.walking.stride import stride
 
 
@@ -45,7 +45,7 @@ def order_in_block(
 
 
 def cell_mapping(
-    walker: Walker, grid: Grid, integrator: Integrator, progress: bool = False
+    walker: System, grid: Grid, integrator: Integrator, progress: bool = False
 ) -> Basins:
     """Simple cell mapping: one stride from the centre of each cell, then cells follow cells."""
     ends = resolve(cell_map(walker, grid, integrator, progress=progress), sinks=len(Outcome))
@@ -54,7 +54,7 @@ def cell_mapping(
 
 
 def cell_map(
-    walker: Walker,
+    walker: System,
     grid: Grid,
     integrator: Integrator,
     block: Block | None = None,
@@ -70,7 +70,7 @@ def cell_map(
     return image
 
 
-def image_of_cell(shared: tuple[Walker, Grid, Integrator], index: Int[Array, ""]) -> Int[Array, ""]:
+def image_of_cell(shared: tuple[System, Grid, Integrator], index: Int[Array, ""]) -> Int[Array, ""]:
     """The cell, or the sink, to which a stride takes the centre of a cell."""
     walker, grid, integrator = shared
     by = {"tolerance": integrator.tolerance, "solver": integrator.solver}
@@ -87,7 +87,7 @@ def labels_of_cells(
 
 
 def attractors_of_cycles(
-    walker: Walker, grid: Grid, ends: CellMap, integrator: Integrator
+    walker: System, grid: Grid, ends: CellMap, integrator: Integrator
 ) -> tuple[list[Attractor], Int[np.ndarray, " cycles"]]:
     """The attractors and artefacts of a cell map, in order, and to which each cycle belongs.
 
@@ -126,7 +126,7 @@ def direct_iteration(mapper: Mapper, grid: Grid, progress: bool = False) -> Basi
     return Basins(*labels[:3], mapper.without_unseen_motion(labels.attractor).attractors)
 
 
-def mapper_of_grid(walker: Walker, grid: Grid, integrator: Integrator, strides: int) -> Mapper:
+def mapper_of_grid(walker: System, grid: Grid, integrator: Integrator, strides: int) -> Mapper:
     """The mapper to the attractors to which walkers converge from a sample of a grid's cells."""
     starts = grid.centres(sample_indices(grid.size))
     return Mapper(walker, [], integrator, strides).with_attractors_from(starts)

@@ -21,8 +21,8 @@ from walker_jax.checks import ComputationFailed, WrongUse
 from walker_jax.gaits.derivatives import linearise
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import Integrator
-from walker_jax.walkers.model import Walker
-from walker_jax.walkers.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.system import System
 from walker_jax.walking.iteration import strides as take_strides
 
 LINEAR = 1e-9
@@ -40,7 +40,7 @@ ROUNDING = 1e-13
 
 
 def follow_window(
-    walker: Walker, grid: Grid, integrator: Integrator, limit: int
+    walker: System, grid: Grid, integrator: Integrator, limit: int
 ) -> tuple[Grid, int]:
     """The grid that a narrow window has become after some strides, and how many they are.
 
@@ -88,7 +88,7 @@ def follow_window(
 
 
 def refuse_torn(
-    walker: Walker,
+    walker: System,
     points: Float[np.ndarray, "n s"],
     passed: Bool[np.ndarray, " n"],
     integrator: Integrator,

@@ -37,8 +37,8 @@ from walker_jax.execution.progress import track
 from walker_jax.execution.workers import open_workers
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import Integrator
-from walker_jax.walkers.model import Walker
-from walker_jax.walkers.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.system import System
 
 PIECE = 2**20
 """Cells of a piece of a store, up to twice as many, or all of a smaller grid."""
@@ -47,7 +47,7 @@ PIECE = 2**20
 class MappedPieces(NamedTuple):
     """Cell mapping: pieces of the map, and the labels of all cells at the end."""
 
-    walker: Walker
+    walker: System
     grid: Grid
     settings: dict
     integrator: Integrator
@@ -88,7 +88,7 @@ class MappedPieces(NamedTuple):
 class FollowedPieces(NamedTuple):
     """Direct iteration: attractors before all pieces, and at the end those of what remains."""
 
-    walker: Walker
+    walker: System
     grid: Grid
     settings: dict
     integrator: Integrator

@@ -24,7 +24,7 @@ from walker_jax.basins.schema import ATTRIBUTES, Basins, add_attractors, describ
 from walker_jax.checks import check_precision, check_whole, refuses_tracers
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import integrator_of
-from walker_jax.walkers.model import Walker
+from walker_jax.systems.system import System
 
 BYTES_PER_REFINED_CELL = 40
 """Memory at its peak, for each cell of the finest grid."""
@@ -34,7 +34,7 @@ FINEST = 30
 
 @refuses_tracers("area_gradient gives derivatives of a basin's area")
 def refine(
-    walker: Walker,
+    walker: System,
     grid: Grid,
     levels: int,
     *,
@@ -142,7 +142,7 @@ class Refined(NamedTuple):
         return self.runs.spread(self.runs.attractor)
 
 
-def dataset_of_cells(walker: Walker, found: Refined, settings: dict) -> xr.Dataset:
+def dataset_of_cells(walker: System, found: Refined, settings: dict) -> xr.Dataset:
     """The data set of a basin, with arrays over the finest grid."""
     runs, strides = found.runs, np.zeros(found.runs.size, np.int32)
     strides[found.cells] = found.made
@@ -151,7 +151,7 @@ def dataset_of_cells(walker: Walker, found: Refined, settings: dict) -> xr.Datas
     return to_dataset(walker, found.grid, basins.sorted(), settings)
 
 
-def dataset_of_runs(walker: Walker, found: Refined, settings: dict) -> xr.Dataset:
+def dataset_of_runs(walker: System, found: Refined, settings: dict) -> xr.Dataset:
     """The same with the runs of cells in place of arrays over the grid."""
     runs = found.runs
     strides = np.zeros(len(runs.first), np.int32)
@@ -174,7 +174,7 @@ def dataset_of_runs(walker: Walker, found: Refined, settings: dict) -> xr.Datase
 
 
 def refine_cells(
-    walker: Walker,
+    walker: System,
     grid: Grid,
     levels: int,
     *,
@@ -246,7 +246,7 @@ def refine_cells(
     )
 
 
-def check_finest(walker: Walker, grid: Grid, levels: int) -> Grid:
+def check_finest(walker: System, grid: Grid, levels: int) -> Grid:
     """The finest grid; refuses one whose arrays this machine has not the memory for.
 
     Over three dimensions no array has all of its cells.

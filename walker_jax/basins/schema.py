@@ -10,8 +10,8 @@ from jaxtyping import Bool, Int
 
 from walker_jax.basins.attractor import Attractor, sorted_numbers
 from walker_jax.grids import Grid, cell_slices
-from walker_jax.walkers.model import Walker
-from walker_jax.walkers.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import attributes_of
 
 NOT_COMPUTED = -1
@@ -49,7 +49,7 @@ def artefacts(data: xr.Dataset) -> Bool[np.ndarray, " number"]:
     return data["artefact"].values if "artefact" in data else np.zeros(data.sizes["number"], bool)
 
 
-def to_dataset(walker: Walker, grid: Grid, basins: Basins, settings: dict) -> xr.Dataset:
+def to_dataset(walker: System, grid: Grid, basins: Basins, settings: dict) -> xr.Dataset:
     """The data set that `basin` returns; the settings of the method are among its attributes."""
     reached = basins.attractor[basins.attractor >= 0]
     cells = np.bincount(reached, minlength=len(basins.attractors))
@@ -62,10 +62,10 @@ def to_dataset(walker: Walker, grid: Grid, basins: Basins, settings: dict) -> xr
     return add_attractors(data, grid, basins.attractors, cells, at_border)
 
 
-def describe(walker: Walker, grid: Grid, settings: dict) -> xr.Dataset:
+def describe(walker: System, grid: Grid, settings: dict) -> xr.Dataset:
     """The axes of a grid; as attributes, the walker and how its basins are computed."""
     about = {
-        "walker": type(walker).__name__,
+        "walker": walker.label(),
         **attributes_of(walker),
         **settings,
         "section": list(walker.section),

@@ -27,7 +27,7 @@ from walker_jax.checks import (
 from walker_jax.gaits.cycles import Gait, multiply_jacobians
 from walker_jax.gaits.derivatives import linearise
 from walker_jax.integrators.integrator import Integrator, integrator_of
-from walker_jax.walkers.model import Walker
+from walker_jax.systems.system import System
 
 FIRST = 1e-5
 """Distance from the saddle up to which the manifold is taken for straight: it bends by 1e-10."""
@@ -45,7 +45,7 @@ SHARPEST = 0.9
 
 @refuses_tracers()
 def stable_manifold(
-    walker: Walker,
+    walker: System,
     gait: Gait,
     *,
     spacing: float = 2e-3,
@@ -67,7 +67,7 @@ def stable_manifold(
 
     Raises `ValueError` for another gait or section, a gait of another walker, and in float32.
     """
-    check_kind("walker", walker, Walker)
+    check_kind("walker", walker, System)
     check_kind("gait", gait, Gait)
     check_whole("points", points, 2)
     check_number("spacing", spacing)
@@ -99,7 +99,7 @@ def stable_manifold(
 class Image(NamedTuple):
     """A number of strides, as a map with derivatives."""
 
-    walker: Walker
+    walker: System
     strides: int
     integrator: Integrator
 

@@ -9,7 +9,7 @@ from jaxtyping import Int
 from walker_jax.basins.cell_classes import unmatched_cells
 from walker_jax.basins.schema import artefacts
 from walker_jax.basins.volumes import runs_of
-from walker_jax.walkers.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome
 
 CELLS_AT_ONCE = 2**22
 """Cells that are counted together, some 40 MB: a large data set does not fit into memory."""

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from walker_jax.gaits.search import search_gait
 from walker_jax.gaits.selection import require_gait
 from walker_jax.grids import Grid, axes_around
+from walker_jax.systems.system import System
 from walker_jax.walkers.model import Walker, moves_like
 from walker_jax.walkers.simplest import SimplestWalker
 
@@ -22,13 +23,13 @@ PLACEHOLDERS = {"phidot": 0.0}
 ANY_AXIS = (0.0, 1.0, 2)
 
 
-def fill_from_paper(walker: Walker, axes: Mapping[str, Any]) -> dict[str, Any]:
+def fill_from_paper(walker: System, axes: Mapping[str, Any]) -> dict[str, Any]:
     """The axes; for the simplest walker, those that are None are those of the paper's window."""
     known = PAPER_WINDOW if moves_like(walker, SimplestWalker) else {}
     return {name: known.get(name) if axis is None else axis for name, axis in axes.items()}
 
 
-def fill_around_gait(walker: Walker, axes: Mapping[str, Any]) -> dict[str, Any]:
+def fill_around_gait(walker: System, axes: Mapping[str, Any]) -> dict[str, Any]:
     """The axes; those that are None lie around the walker's gait.
 
     Raises `ComputationFailed` where such a gait is needed and not found.

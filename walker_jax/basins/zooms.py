@@ -27,12 +27,12 @@ from walker_jax.checks import (
 from walker_jax.execution.progress import track
 from walker_jax.grids import Grid, edge
 from walker_jax.integrators.integrator import integrator_of
-from walker_jax.walkers.model import Walker, check_single
+from walker_jax.systems.system import System, check_single
 
 
 @refuses_tracers()
 def boundary_point(
-    walker: Walker,
+    walker: System,
     grid: Grid,
     near: Float[ArrayLike, " section"] | None = None,
     *,
@@ -59,7 +59,7 @@ def boundary_point(
 
 
 def checked_mapper(
-    walker: Walker, grid: Grid, strides: int, tolerance: float | None, needed_by: str
+    walker: System, grid: Grid, strides: int, tolerance: float | None, needed_by: str
 ) -> Mapper:
     """The mapper to the attractors of a grid, with their capture boxes; arguments are checked."""
     check_grid(walker, grid, "direct")
@@ -122,7 +122,7 @@ def bisect_to_last_digit(
 
 @refuses_tracers()
 def zoom(
-    walker: Walker,
+    walker: System,
     grid: Grid,
     factor: float | int,
     centre: Float[ArrayLike, " section"] | None = None,

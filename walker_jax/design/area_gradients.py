@@ -24,8 +24,8 @@ from walker_jax.design.bands import check_bands, walkers_at_band_ends
 from walker_jax.execution.threads import side_by_side
 from walker_jax.grids import Grid, cell_slices
 from walker_jax.stability.margin_changes import differentiate_margins
-from walker_jax.walkers.model import Walker
-from walker_jax.walkers.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.system import System
 
 BISECTIONS = 8
 """Bisections of the distance between two centres, to locate the boundary between them."""
@@ -70,7 +70,7 @@ class AreaGradient(NamedTuple):
 
 @refuses_tracers("it gives derivatives itself, by the parameters named")
 def area_gradient(
-    walker: Walker,
+    walker: System,
     grid: Grid,
     parameters: Sequence[str] = ("slope",),
     *,
@@ -133,7 +133,7 @@ def area_gradient(
     if len(grid.names) not in MAX_WEIGHTS:
         raise WrongUse(f"grid must have two axes or three, not {len(grid.names)}")
 
-    def basin_of(walker: Walker) -> Refined:
+    def basin_of(walker: System) -> Refined:
         return refine_cells(
             walker,
             grid,
@@ -145,7 +145,7 @@ def area_gradient(
             by_centres=True,
         )
 
-    def size_of(walker: Walker) -> Size:
+    def size_of(walker: System) -> Size:
         return integrate_over_basin(basin_of(walker), density)
 
     found = basin_of(walker)
@@ -230,7 +230,7 @@ def density_at(density: Density, x: Float[np.ndarray, "n section"]) -> Float[np.
 
 
 def integrate_along_boundary(
-    walker: Walker, found: Refined, parameters: Sequence[str], density: Density | None = None
+    walker: System, found: Refined, parameters: Sequence[str], density: Density | None = None
 ) -> Integral:
     """The sum of v |n_i| over the points in which lines of a grid cross the boundary.
 

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from walker_jax.checks import WrongUse, check_kind, numbers, short
-from walker_jax.walkers.model import Walker
+from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 
 MAX_BAND_HALVINGS = 20
@@ -15,7 +15,7 @@ MAX_BAND_HALVINGS = 20
 
 
 def check_bands(
-    walker: Walker,
+    walker: System,
     parameters: Sequence[str],
     bands: Sequence[float] | Float[np.ndarray, " parameters"] | None,
 ) -> Float[np.ndarray, " parameters"]:
@@ -29,7 +29,7 @@ def check_bands(
     return widths
 
 
-def walkers_at_band_ends(walker: Walker, parameter: str, width: float) -> tuple[Walker, Walker]:
+def walkers_at_band_ends(walker: System, parameter: str, width: float) -> tuple[System, System]:
     """The walkers with a parameter lower and higher by a width, or by less if they refuse it."""
     value, ends = float(getattr(walker, parameter)), []
     for step in (-width, width):

@@ -21,7 +21,7 @@ from walker_jax.integrators.integrator import default_tolerance
 from walker_jax.stability.disturbances import BEYOND, LeastDisturbance, least_disturbance
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.stability.rays import DENSE
-from walker_jax.walkers.model import Walker
+from walker_jax.systems.system import System
 
 
 class DisturbanceGradient(NamedTuple):
@@ -35,7 +35,7 @@ class DisturbanceGradient(NamedTuple):
 
 @refuses_tracers("it gives derivatives itself, by the parameters named")
 def disturbance_gradient(
-    walker: Walker,
+    walker: System,
     parameters: Sequence[str] = ("slope",),
     gait: Gait | None = None,
     *,
@@ -93,8 +93,8 @@ def disturbance_gradient(
 
 
 def mean_derivative_over_band(
-    search: Callable[[Walker, Gait], LeastDisturbance],
-    walker: Walker,
+    search: Callable[[System, Gait], LeastDisturbance],
+    walker: System,
     gait: Gait,
     parameter: str,
     width: float,

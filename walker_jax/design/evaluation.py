@@ -15,7 +15,8 @@ from walker_jax.design.sensitivity_gradients import sensitivity_gradient
 from walker_jax.gaits.cycles import Gait
 from walker_jax.stability.disturbances import SEARCH_TOLERANCE
 from walker_jax.stability.rays import DENSE
-from walker_jax.walkers.model import Walker, is_planar
+from walker_jax.systems.system import System
+from walker_jax.walkers.model import check_planar, is_planar
 
 STEP_LENGTHS = (0.1, 0.03, 0.01, 0.003)
 """Lengths of the steps of each stage, in places."""
@@ -93,7 +94,9 @@ def evaluate_objective(
         found |= gait_measures(walker, names, gait, tolerance=problem.tolerance)
         if "sensitivity-norm" in problem.weights:
             found["sensitivity-norm"] = Measure(
-                *sensitivity_gradient(walker, names, gait, tolerance=problem.tolerance)
+                *sensitivity_gradient(
+                    check_planar(walker), names, gait, tolerance=problem.tolerance
+                )
             )
         if "least-disturbance" in problem.weights:
             found["least-disturbance"] = Measure(0.0, np.zeros(len(names)))
@@ -117,14 +120,14 @@ def evaluate_objective(
     )
 
 
-def check_starts(walker: Walker, exact: bool) -> int:
+def check_starts(walker: System, exact: bool) -> int:
     """How many starts correct an area: at the ends, where it is to be `exact`, more."""
     return (CHECK_STARTS if is_planar(walker) else CHECK_STARTS_IN_SPACE)[exact]
 
 
 def evaluate_disturbance(
     problem: Problem,
-    walker: Walker,
+    walker: System,
     names: tuple[str, ...],
     gait: Gait,
     bands: Float[np.ndarray, " bands"],

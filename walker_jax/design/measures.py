@@ -16,6 +16,7 @@ from walker_jax.checks import check_kind, refuses_tracers
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.derivatives import gait_derivatives
 from walker_jax.gaits.search import search_gait
+from walker_jax.systems.system import System
 from walker_jax.walkers.model import Scalar, Walker, is_planar
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 from walker_jax.walking.stride import stride
@@ -33,7 +34,7 @@ class Measure(NamedTuple):
 
 @refuses_tracers("it gives derivatives itself, by the parameters named")
 def gait_measures(
-    walker: Walker,
+    walker: System,
     parameters: Sequence[str] = ("slope",),
     gait: Gait | None = None,
     *,
@@ -51,7 +52,7 @@ def gait_measures(
       alone, and uphill what gravity does not take of it.
 
     Arguments are those of `gait_derivatives`; the gait is that of `find_gait` by default. All are
-    NaN where none is found.
+    NaN where none is found; and all but the spectral radius of a system that is no walker.
 
     Raises `ValueError` for parameters that the walker does not have, and, if any are given, for a
     gait that is not one of this walker.
@@ -85,22 +86,21 @@ def gait_measures(
         by = with_parameter(by, name, jnp.ones_like(getattr(walker, name)))
         return float(jax.jvp(measure, (walker, jnp.asarray(states)), (by, jnp.asarray(dx)))[1])
 
-    length, time = (
-        float(mean_step_length(walker, jnp.asarray(states))),
-        float(np.mean(gait.step_times)),
-    )
+    steps = isinstance(walker, Walker)
+    length = float(mean_step_length(walker, jnp.asarray(states))) if steps else np.nan
+    time = float(np.mean(gait.step_times))
 
     def changes_of(measure) -> Float[np.ndarray, " parameters"]:
         pairs = zip(parameters, changes, strict=True)
         return np.array([along(measure, name, change.states) for name, change in pairs])
 
-    longer = changes_of(mean_step_length)
+    longer = changes_of(mean_step_length) if steps else np.full(len(parameters), np.nan)
     slower = np.array([np.mean(change.step_times) for change in changes])
     largest = complex(gait.multipliers[0])
     radius = abs(largest) ** (1 / period)
     growth = np.array([(np.conj(largest) * change.multipliers[0]).real for change in changes])
     cost = Measure(np.nan, np.full(len(parameters), np.nan))
-    if cost_is_known(walker):
+    if steps and cost_is_known(walker):
         slope, steeper = float(vars(walker)["slope"]), [float(n == "slope") for n in parameters]
         work, by = 0.0, np.cos(slope) * np.array(steeper)
         if not walker.driven_by_gravity():
@@ -132,7 +132,9 @@ def end_of_stride(walker: Walker, x: Float[Array, " section"]) -> Any:
     return jax.tree.map(lambda values: values[0], motion)
 
 
-def cost_is_known(walker: Walker) -> bool:
+def cost_is_known(walker: System) -> bool:
     """Whether the energy that a step loses is known."""
+    if not isinstance(walker, Walker):
+        return False
     anywhere = walker.lift(jnp.zeros(len(walker.section)))
     return walker.driven_by_gravity() or walker.motor_work(anywhere, anywhere) is not None

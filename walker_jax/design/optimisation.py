@@ -47,6 +47,7 @@ from walker_jax.execution.progress import bar
 from walker_jax.execution.threads import side_by_side
 from walker_jax.grids import Grid
 from walker_jax.stability.summary import default_region
+from walker_jax.systems.system import System
 from walker_jax.walkers.model import Walker, check_planar, is_planar
 
 ATTRACTED = -1
@@ -62,7 +63,7 @@ ninth of the starts."""
 
 @refuses_tracers()
 def optimise(
-    walker: Walker,
+    walker: System,
     bounds: Mapping[str, Any],
     objective: str | Mapping[str, Any] = "area",
     *,
@@ -139,7 +140,7 @@ def optimise(
     Raises `ValueError` for wrong parameters, bounds, names and numbers, and as `refine`.
     """
     (weights, sign), limits = parse_objective(objective), parse_limits(at_least, at_most)
-    check_kind("walker", walker, Walker)
+    check_kind("walker", walker, System)
     check_kind("bounds", bounds, Mapping)
     if known is not None:
         check_kind("known", known, xr.Dataset)
@@ -213,7 +214,7 @@ def grid_for(problem: Problem, places: list[Float[np.ndarray, " parameters"]]) -
     walkers = (problem.walker_at(problem.values(place)) for place in places)
     if problem.size == "volume":
         first = next(walkers)
-        if len(first.section) != 3:
+        if len(first.section) != 3 or not isinstance(first, Walker):
             raise WrongUse(
                 f"objective must be area for a {type(first).__name__}, whose section has "
                 f"{len(first.section)} coordinates, not volume"

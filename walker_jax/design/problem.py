@@ -15,7 +15,7 @@ from walker_jax.checks import WrongUse, check_kind, is_number
 from walker_jax.design.area_gradients import Density, density_at
 from walker_jax.design.measures import GAIT_MEASURES
 from walker_jax.grids import Grid
-from walker_jax.walkers.model import Walker
+from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import attributes_of, check_parameter, with_parameter
 
 OBJECTIVES = {
@@ -40,7 +40,7 @@ DENSITY_CELLS = 10_000
 class Problem(NamedTuple):
     """A walker, its free parameters, an objective and limits."""
 
-    walker: Walker
+    walker: System
     names: tuple[str, ...]
     """Names of the free parameters."""
     low: Float[np.ndarray, " parameters"]
@@ -80,7 +80,7 @@ class Problem(NamedTuple):
         """The place of parameters between their bounds, from 0 to 1."""
         return (values - self.low) / (self.high - self.low)
 
-    def walker_at(self, values: Float[np.ndarray, " parameters"]) -> Walker:
+    def walker_at(self, values: Float[np.ndarray, " parameters"]) -> System:
         """The walker with these values of the free parameters."""
         walker = self.walker
         for name, value in zip(self.names, values, strict=True):
@@ -153,7 +153,7 @@ def parse_limits(
     return limits
 
 
-def check_bounds(walker: Walker, name: str, ends: Any) -> None:
+def check_bounds(walker: System, name: str, ends: Any) -> None:
     """Refuse bounds that are not two numbers that the walker may have, the lower one first."""
     try:
         low, high = map(float, ends)

@@ -30,7 +30,7 @@ from walker_jax.gaits.search import search_gait
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import default_tolerance
 from walker_jax.stability.summary import default_region, robustness, without_gait
-from walker_jax.walkers.model import Walker
+from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 
 GAIT_NUMBERS = ("step-length", "speed", "cost-of-transport")
@@ -46,7 +46,7 @@ MAX_COMBINATIONS = 2**20
 class Measurement(NamedTuple):
     """What is measured of every combination, and how; as the arguments of `sweep`."""
 
-    walker: Walker
+    walker: System
     grid: Grid
     names: tuple[str, ...]
     """The parameters that change, in the order of the dimensions."""
@@ -60,7 +60,7 @@ class Measurement(NamedTuple):
 
 @refuses_tracers()
 def sweep(
-    walker: Walker,
+    walker: System,
     over: Mapping[str, Sequence[Any] | ArrayLike],
     grid: Grid | None = None,
     *,
@@ -113,7 +113,7 @@ def sweep(
     Raises `ValueError` for a parameter or a value that the walker does not have, for no values or
     more than a million combinations, and as `basin` and `refine` do.
     """
-    check_kind("walker", walker, Walker)
+    check_kind("walker", walker, System)
     check_kind("over", over, Mapping)
     values = {name: np.atleast_1d(numbers(f"over {name}", given)) for name, given in over.items()}
     check_values(walker, values)
@@ -147,7 +147,7 @@ def sweep(
     return compute(Path(out), overwrite=overwrite) if found is None else found
 
 
-def check_values(walker: Walker, values: Mapping[str, Float[np.ndarray, "..."]]) -> None:
+def check_values(walker: System, values: Mapping[str, Float[np.ndarray, "..."]]) -> None:
     """Refuse parameters that the walker does not have, and values."""
     if not values:
         raise WrongUse("over must name at least one parameter")
@@ -244,7 +244,7 @@ def compute_combination(plan: Measurement, values: tuple[float, ...]) -> dict[st
         return {"failed": 1, "reason": " ".join(words)}
 
 
-def measure_basin(walker: Walker, plan: Measurement) -> dict[str, Any]:
+def measure_basin(walker: System, plan: Measurement) -> dict[str, Any]:
     """The basin of a walker, its area, and its gait."""
     grid, strides, tolerance = plan.grid, plan.strides, plan.tolerance
     cells = basin(walker, grid, "direct", strides=strides, tolerance=tolerance)

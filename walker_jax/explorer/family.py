@@ -14,7 +14,7 @@ from walker_jax.figures.style import (
 from walker_jax.figures.style import (
     UNMATCHED as UNMATCHED_COLOUR,
 )
-from walker_jax.walkers.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome
 from walker_jax.walkers.parameters import Parameter
 
 NOT_LOST = (Outcome.STRIDE, Outcome.OUTSIDE, Outcome.UNDECIDED, Outcome.LEFT_GRID)

@@ -30,7 +30,7 @@ from walker_jax.explorer.lattice import (
 from walker_jax.explorer.subjects import Subject
 from walker_jax.gaits.search import search_gait
 from walker_jax.integrators.integrator import integrator_of
-from walker_jax.walkers.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome
 
 UNMATCHED, FIRST_ATTRACTOR = 32, 64
 """Labels beyond those of all outcomes."""

@@ -34,7 +34,7 @@ from walker_jax.figures.text import (
     walker_title,
 )
 from walker_jax.storage.schema import check_dataset
-from walker_jax.walkers.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome
 
 PANELS = 6
 """Slices in a picture of a basin of three dimensions, at most."""

@@ -20,7 +20,7 @@ from walker_jax.figures.regions import (
 from walker_jax.figures.style import BASINS, FAILURES, INK
 from walker_jax.figures.text import walker_title
 from walker_jax.storage.schema import check_dataset
-from walker_jax.walkers.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome
 
 CURVES = ("#e4572e", "#17a398", "#f2c14e")
 """Colours of stable manifolds, unlike those of regions."""

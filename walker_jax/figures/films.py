@@ -25,7 +25,7 @@ from walker_jax.figures.style import INK
 from walker_jax.figures.text import walker_title
 from walker_jax.figures.walk_plots import TRAJECTORY, trajectory_in
 from walker_jax.storage.schema import check_dataset
-from walker_jax.walkers.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome
 
 FILMS = (".gif", ".mp4")
 FRAMES_PER_SECOND = 20

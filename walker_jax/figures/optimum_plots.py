@@ -50,7 +50,7 @@ from walker_jax.figures.text import (
     walker_title,
 )
 from walker_jax.storage.schema import check_dataset
-from walker_jax.walkers.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome
 
 STAGES = (
     ("#a9bfe3", 8.5, "long steps"),

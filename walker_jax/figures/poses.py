@@ -18,7 +18,7 @@ from walker_jax.figures.layout import figure_legend, figure_title
 from walker_jax.figures.style import BASINS, FAILURES, INK, SMALL
 from walker_jax.figures.text import walker_title
 from walker_jax.storage.schema import check_dataset
-from walker_jax.walkers.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome
 
 SWING = BASINS[1]
 """Colour of the swing leg; the stance leg is in ink."""

@@ -21,7 +21,7 @@ from walker_jax.figures.style import (
     UNMATCHED,
 )
 from walker_jax.figures.text import SYMBOLS
-from walker_jax.walkers.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome
 
 Extent = tuple[float, float, float, float]
 BASIN, UNMATCHED_WORDS = "basin of attraction", "converges to no known attractor"

@@ -30,7 +30,7 @@ from walker_jax.stability.nearest_starts import (
     nearest_starts,
 )
 from walker_jax.storage.schema import check_dataset
-from walker_jax.walkers.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome
 
 WINDOW = 1.25
 """Half the width of the picture of the least disturbance, to the width of its curve."""

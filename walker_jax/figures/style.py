@@ -5,7 +5,7 @@ from typing import Any
 from matplotlib import rcParams
 from matplotlib.font_manager import FontProperties
 
-from walker_jax.walkers.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome
 
 INK = "#1a1a1a"
 FAILURES = {

@@ -23,7 +23,7 @@ from walker_jax.figures.regions import (
 from walker_jax.figures.style import BASINS, FAILURES, INK, SMALL
 from walker_jax.figures.text import count_noun, walker_title
 from walker_jax.storage.schema import check_dataset
-from walker_jax.walkers.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome
 
 TRAJECTORY = "#f2b632"
 """Colour of a trajectory in a basin, seen on dark and on pale ground."""

@@ -35,7 +35,7 @@ from walker_jax.gaits.search import iterate_newton
 from walker_jax.gaits.selection import require_gait
 from walker_jax.integrators.integrator import Integrator, default_tolerance
 from walker_jax.integrators.roots import Real
-from walker_jax.walkers.model import Walker
+from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 
 
@@ -68,7 +68,7 @@ class Branch(NamedTuple):
 
 @refuses_tracers()
 def continue_gait(
-    walker: Walker,
+    walker: System,
     parameter: str,
     interval: tuple[float, float],
     gait: Gait | None = None,
@@ -106,7 +106,7 @@ def continue_gait(
 
 
 def continue_gaits(
-    walker: Walker,
+    walker: System,
     parameter: str,
     interval: tuple[float, float],
     starts: Sequence[Start],
@@ -137,7 +137,7 @@ def continue_gaits(
 
 
 def check_interval(
-    walker: Walker, parameter: str, interval: tuple[float, float]
+    walker: System, parameter: str, interval: tuple[float, float]
 ) -> tuple[float, float]:
     """The two ends of an interval of a walker's parameter, checked."""
     check_parameter(walker, parameter)
@@ -186,7 +186,7 @@ def join_paths(parameter: str, backward: Path, forward: Path, size: int) -> Bran
 
 
 def solve_at(
-    walker: Walker,
+    walker: System,
     parameter: str,
     guesses: Sequence[tuple[float, Float[np.ndarray, "_ section"]]],
     tolerance: Real,

@@ -10,8 +10,8 @@ from walker_jax.gaits.branches import Branch, check_interval, float64_tolerance
 from walker_jax.gaits.long_runs import iterate_to_cycles, starts_near_gaits
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.roots import Real
-from walker_jax.walkers.model import Walker
-from walker_jax.walkers.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import with_parameter
 
 VALUES_PER_PASS = 32
@@ -32,7 +32,7 @@ class Loss(NamedTuple):
 
 @refuses_tracers()
 def loss_of_walking(
-    walker: Walker,
+    walker: System,
     parameter: str,
     interval: tuple[float, float],
     branches: Sequence[Branch],

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Complex, Float
 
-from walker_jax.walkers.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome
 
 PARTS_PER_INTERVAL = 16
 """Parts of the interval between two points of a curve, for its multipliers: where two of them meet

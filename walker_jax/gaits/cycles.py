@@ -12,8 +12,8 @@ from jaxtyping import Array, Bool, Complex, Float, Int
 from walker_jax.checks import WrongUse, check_kind
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.series import evaluate_polynomial
-from walker_jax.walkers.model import Walker
-from walker_jax.walkers.outcomes import nan_unless
+from walker_jax.systems.outcomes import nan_unless
+from walker_jax.systems.system import System
 from walker_jax.walking.stride import follow_stride
 
 MAX_RESIDUAL = {jnp.dtype("float64"): 1e-10, jnp.dtype("float32"): 1e-4}
@@ -75,7 +75,7 @@ def clear_values(gait: Gait) -> Gait:
 
 @jax.jit
 def solve_cycle(
-    walker: Walker, states: Float[Array, "period section"], integrator: Integrator
+    walker: System, states: Float[Array, "period section"], integrator: Integrator
 ) -> Gait:
     """The gait to which Newton's iteration on all states of a cycle converges."""
     dtype = states.dtype
@@ -137,7 +137,7 @@ def eigenvalues(matrix: Float[Array, "n n"]) -> Complex[Array, " n"]:
 
 
 def cycle_mismatch(
-    states: Float[Array, "period section"], args: tuple[Walker, Integrator]
+    states: Float[Array, "period section"], args: tuple[System, Integrator]
 ) -> Float[Array, "period section"]:
     """S(x_i) - x_{i+1} for the states of a cycle; zero for a gait."""
     walker, integrator = args
@@ -146,7 +146,7 @@ def cycle_mismatch(
 
 
 def apply_strides(
-    walker: Walker, states: Float[Array, "n section"], integrator: Integrator
+    walker: System, states: Float[Array, "n section"], integrator: Integrator
 ) -> tuple[Float[Array, "n section"], Float[Array, " n"]]:
     """The ends of strides, and their durations."""
     ends = jax.vmap(follow_stride, (None, 0, None))(walker, states, integrator)

@@ -20,7 +20,7 @@ from walker_jax.gaits.cycles import (
 )
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.roots import Real
-from walker_jax.walkers.model import Walker
+from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import check_parameter, parameter_direction
 from walker_jax.walking.iteration import broadcast_parameters
 from walker_jax.walking.starts import prepare
@@ -43,7 +43,7 @@ class GaitDerivatives(NamedTuple):
 
 @refuses_tracers("find_gait can be differentiated within them")
 def gait_derivatives(
-    walker: Walker, gait: Gait, parameter: str, *, tolerance: Real | None = None
+    walker: System, gait: Gait, parameter: str, *, tolerance: Real | None = None
 ) -> GaitDerivatives:
     """Derivatives of a gait's states, multipliers and step times by a parameter of the walker.
 
@@ -109,7 +109,7 @@ class Linearisation(NamedTuple):
 
 
 def linearise(
-    walker: Walker,
+    walker: System,
     cycles: Float[np.ndarray, "n period section"],
     integrator: Integrator,
     parameter: str | None = None,
@@ -162,7 +162,7 @@ class SecondDerivatives(NamedTuple):
 
 
 def differentiate_twice(
-    walker: Walker,
+    walker: System,
     cycles: Float[np.ndarray, "n period section"],
     directions: Float[np.ndarray, "n period columns"],
     integrator: Integrator,
@@ -188,8 +188,8 @@ def differentiate_twice(
 
 
 def repeat_cells(
-    walker: Walker, cycles: Float[np.ndarray, "n period section"], columns: int
-) -> tuple[Walker, Float[np.ndarray, "cells section"]]:
+    walker: System, cycles: Float[np.ndarray, "n period section"], columns: int
+) -> tuple[System, Float[np.ndarray, "cells section"]]:
     """The walker and the start of every stride of the cycles, once for each of its columns."""
     n, period, size = cycles.shape
     walkers = broadcast_parameters(walker, n, cycles.dtype)
@@ -199,7 +199,7 @@ def repeat_cells(
     )
 
 
-def jvp(shared: tuple[Integrator, Walker], cell):
+def jvp(shared: tuple[Integrator, System], cell):
     """A stride of one cell, and its derivative along a direction (start, parameter)."""
     integrator, axis = shared
     walker, x, direction = cell
@@ -207,12 +207,12 @@ def jvp(shared: tuple[Integrator, Walker], cell):
     return jax.jvp(partial(timed_stride, integrator), (walker, x), tangent)
 
 
-def timed_stride(integrator: Integrator, walker: Walker, x: Float[Array, " section"]):
+def timed_stride(integrator: Integrator, walker: System, x: Float[Array, " section"]):
     result = follow_stride(walker, x, integrator)
     return result.state, result.time
 
 
-def second_jvp(shared: tuple[Integrator, Walker], cell):
+def second_jvp(shared: tuple[Integrator, System], cell):
     """((stride, derivative along first), (derivative along second, derivative along both))."""
     walker, x, first, second = cell
     _, axis = shared

@@ -30,7 +30,7 @@ from walker_jax.gaits.long_runs import RECURRENCE_DISTANCE, attractors, starts_n
 from walker_jax.gaits.search import cycle_guesses, iterate_newton
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.roots import Real
-from walker_jax.walkers.model import Walker
+from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import attributes_of, check_parameter, with_parameter
 from walker_jax.walking.iteration import select_walkers
 
@@ -48,7 +48,7 @@ of a branch only."""
 
 @refuses_tracers()
 def bifurcation_diagram(
-    walker: Walker,
+    walker: System,
     parameter: str,
     interval: tuple[float, float],
     *,
@@ -150,7 +150,7 @@ def bifurcation_diagram(
 
 
 def find_parent_below(
-    walker: Walker,
+    walker: System,
     parameter: str,
     branches: list[Branch],
     number: int,
@@ -182,7 +182,7 @@ def find_parent_below(
     return -1
 
 
-def widen_downwards(walker: Walker, parameter: str, low: float, high: float) -> tuple[float, float]:
+def widen_downwards(walker: System, parameter: str, low: float, high: float) -> tuple[float, float]:
     """An interval from a lower value on; the same where the walker does not take that value."""
     below = low / 2 if low > 0 else 2 * low - high
     try:
@@ -202,7 +202,7 @@ def find_descendants(branches: list[Branch], parents: list[int]) -> list[int]:
 
 
 def find_starts(
-    walker: Walker,
+    walker: System,
     parameter: str,
     values: Float[np.ndarray, " values"],
     period: int,
@@ -227,7 +227,7 @@ def find_starts(
 
 
 def select_new_starts(
-    walker: Walker,
+    walker: System,
     parameter: str,
     branches: Sequence[Branch],
     starts: Sequence[Start],
@@ -252,7 +252,7 @@ def select_new_starts(
 
 
 def assemble_diagram(
-    walker: Walker,
+    walker: System,
     parameter: str,
     branches: list[Branch],
     members: list[int],

@@ -11,8 +11,8 @@ from walker_jax.checks import WrongUse, check_whole, numbers, refuses_tracers
 from walker_jax.gaits.branches import Branch, float64_tolerance, interpolate_cycles, solve_at
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.roots import Real
-from walker_jax.walkers.model import Walker
-from walker_jax.walkers.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 from walker_jax.walking.iteration import WalkEnd, iterate, orbits, select_walkers
 
@@ -35,7 +35,7 @@ thousand times the largest residual of a gait."""
 
 @refuses_tracers()
 def attractors(
-    walker: Walker,
+    walker: System,
     parameter: str,
     values: Float[ArrayLike, " values"],
     starts: Float[ArrayLike, "..."],
@@ -96,7 +96,7 @@ def attractors(
 
 
 def iterate_to_cycles(
-    walker: Walker,
+    walker: System,
     starts: Float[np.ndarray, "n section"],
     limit: int,
     integrator: Integrator,
@@ -129,7 +129,7 @@ def iterate_to_cycles(
 
 
 def starts_near_gaits(
-    walker: Walker,
+    walker: System,
     parameter: str,
     branches: Sequence[Branch],
     values: Float[np.ndarray, " values"],

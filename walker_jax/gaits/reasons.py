@@ -5,7 +5,8 @@ import numpy as np
 from walker_jax.checks import ComputationFailed
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.derivatives import linearise
-from walker_jax.walkers.model import Walker, moves_like
+from walker_jax.systems.system import System
+from walker_jax.walkers.model import moves_like
 from walker_jax.walkers.parameters import describe_briefly
 from walker_jax.walkers.simplest import SimplestWalker
 from walker_jax.walking.starts import prepare
@@ -16,7 +17,7 @@ residual ended at a gait of a shorter period or at a bifurcation."""
 
 
 def no_gait_found(
-    walker: Walker, period: int, search: Gait | None, *, guessed: bool, instead: str = ""
+    walker: System, period: int, search: Gait | None, *, guessed: bool, instead: str = ""
 ) -> ComputationFailed:
     """The error of a search without a gait: the reason, and what to do `instead`.
 
@@ -30,7 +31,7 @@ def no_gait_found(
     )
 
 
-def reason_without_gait(walker: Walker, period: int, search: Gait | None, *, guessed: bool) -> str:
+def reason_without_gait(walker: System, period: int, search: Gait | None, *, guessed: bool) -> str:
     """Why no gait was found: by the end of one `search`, or None for searches from all cells."""
     single = guessed or (moves_like(walker, SimplestWalker) and period == 1)
     if search is None or not (np.isfinite(search.residual) or single):
@@ -48,7 +49,7 @@ def reason_without_gait(walker: Walker, period: int, search: Gait | None, *, gue
     return "the search ended too close to a bifurcation"
 
 
-def reason_of_all(walker: Walker) -> str:
+def reason_of_all(walker: System) -> str:
     """Why searches from all cells of the walker's `gait_region` found none."""
     grid = walker.gait_region()
     starts = grid.centres(np.arange(grid.size))

@@ -18,7 +18,7 @@ from walker_jax.gaits.derivatives import (
 )
 from walker_jax.integrators.integrator import integrator_of
 from walker_jax.integrators.roots import Real
-from walker_jax.walkers.model import Walker
+from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import with_parameter
 from walker_jax.walking.iteration import broadcast_parameters
 
@@ -43,7 +43,7 @@ Task = Generator[Request, Response, Any]
 
 
 def run_batched(
-    walker: Walker, parameter: str, tasks: Sequence[Task], tolerance: Real | None
+    walker: System, parameter: str, tasks: Sequence[Task], tolerance: Real | None
 ) -> list[Any]:
     """Run tasks side by side, with their requests in batches; returns what each task returns."""
     results: list[Any] = [None] * len(tasks)
@@ -66,7 +66,7 @@ def run_batched(
 
 
 def compute_responses(
-    walker: Walker, parameter: str, requests: list[Request], tolerance: Real | None
+    walker: System, parameter: str, requests: list[Request], tolerance: Real | None
 ) -> list[Response]:
     """The responses to requests; every state of every cycle is a cell of its own."""
     dtype = requests[0].cycle.dtype
@@ -93,8 +93,8 @@ def compute_responses(
 
 
 def batch_cells(
-    walker: Walker, parameter: str, requests: list[Request], dtype: Any
-) -> tuple[Walker, Float[np.ndarray, "n 1 section"]]:
+    walker: System, parameter: str, requests: list[Request], dtype: Any
+) -> tuple[System, Float[np.ndarray, "n 1 section"]]:
     """Walkers and states of the cycles of all requests, one after the other."""
     values = np.concatenate(
         [np.full(len(request.cycle), request.value, dtype) for request in requests]

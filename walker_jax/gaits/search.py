@@ -52,15 +52,16 @@ from walker_jax.gaits.reasons import no_gait_found
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import AnySolver, Integrator
 from walker_jax.integrators.roots import Real
-from walker_jax.walkers.model import Walker, moves_like
-from walker_jax.walkers.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.system import System
+from walker_jax.walkers.model import moves_like
 from walker_jax.walkers.simplest import SimplestWalker
 from walker_jax.walking.iteration import follow_walk, orbits, select_walkers, strides
 from walker_jax.walking.starts import as_floating, prepare
 
 
 def find_gait(
-    walker: Walker,
+    walker: System,
     guess: Float[ArrayLike, "..."] | Sequence | None = None,
     period: int = 1,
     *,
@@ -100,7 +101,7 @@ def find_gait(
 
 
 def search_gait(
-    walker: Walker,
+    walker: System,
     guess: Any = None,
     period: int = 1,
     *,
@@ -108,7 +109,7 @@ def search_gait(
     solver: AnySolver | None = None,
 ) -> Gait:
     """`find_gait`, but `found` is false where it raises `ComputationFailed`, and the rest NaN."""
-    check_kind("walker", walker, Walker)
+    check_kind("walker", walker, System)
     check_whole("period", period)
     given = guess is not None
     guess = as_floating(guess if given else first_guess(walker, period, tolerance, solver), "guess")
@@ -134,7 +135,7 @@ def search_gait(
 
 
 def first_guess(
-    walker: Walker, period: int, tolerance: Real | None, solver: AnySolver | None
+    walker: System, period: int, tolerance: Real | None, solver: AnySolver | None
 ) -> Float[Array | np.ndarray, "..."]:
     """A guess of the most stable gait of a period."""
     if moves_like(walker, SimplestWalker) and period == 1:
@@ -169,7 +170,7 @@ def approximate_long_gait(slope: Float[ArrayLike, ""]) -> Float[Array, " 2"]:
 
 @refuses_tracers("find_gait, given a guess, works within them")
 def find_gaits(
-    walker: Walker,
+    walker: System,
     period: int = 1,
     region: Grid | None = None,
     *,
@@ -194,7 +195,7 @@ def find_gaits(
     **Returns** the gaits that have a state in the region, each once, from its state with the
     smallest first coordinate, in ascending order of that.
     """
-    check_kind("walker", walker, Walker)
+    check_kind("walker", walker, System)
     check_whole("period", period)
     check_whole("descent", descent, 0)
     grid = walker.gait_region() if region is None else region
@@ -202,7 +203,7 @@ def find_gaits(
 
 
 def search_region(
-    walker: Walker,
+    walker: System,
     period: int,
     grid: Grid,
     descent: int = 0,
@@ -236,7 +237,7 @@ def search_region(
 
 @refuses_tracers()
 def descend(
-    walker: Walker,
+    walker: System,
     cycles: Float[np.ndarray, "n period section"],
     steps: int = 300,
     *,
@@ -264,7 +265,7 @@ def descend(
     """
     import optax  # here alone: it takes a quarter of a second
 
-    check_kind("walker", walker, Walker)
+    check_kind("walker", walker, System)
     cycles = array("cycles", cycles)
     if cycles.ndim != 3 or cycles.size == 0 or cycles.shape[2] != len(walker.section):
         raise WrongUse(
@@ -297,7 +298,7 @@ def descend(
     return x
 
 
-def confirm_gaits(walker: Walker, gaits: Gait, integrator: Integrator) -> Gait:
+def confirm_gaits(walker: System, gaits: Gait, integrator: Integrator) -> Gait:
     """The same gaits; those that a walk over the period does not repeat count as not found."""
     states, found = np.asarray(gaits.states), np.asarray(gaits.found)
     period = states.shape[1]
@@ -310,7 +311,7 @@ def confirm_gaits(walker: Walker, gaits: Gait, integrator: Integrator) -> Gait:
 
 
 def cycle_guesses(
-    walker: Walker, starts: Float[np.ndarray, "n section"], period: int, integrator: Integrator
+    walker: System, starts: Float[np.ndarray, "n section"], period: int, integrator: Integrator
 ) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m period section"]]:
     """Indices of the starts that make `period` strides, and the states of these walks.
 
@@ -322,7 +323,7 @@ def cycle_guesses(
 
 
 def iterate_newton(
-    walker: Walker,
+    walker: System,
     cycles: Float[np.ndarray, "n period section"],
     integrator: Integrator,
     steps: int = MAX_SEARCH_STEPS,

@@ -9,10 +9,10 @@ from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.reasons import no_gait_found
 from walker_jax.gaits.search import find_gaits, search_gait
 from walker_jax.integrators.roots import Real
-from walker_jax.walkers.model import Walker
+from walker_jax.systems.system import System
 
 
-def require_gait(walker: Walker, instead: Iterable[str], *, tolerance: Real | None = None) -> Gait:
+def require_gait(walker: System, instead: Iterable[str], *, tolerance: Real | None = None) -> Gait:
     """The gait that `find_gait` finds by default.
 
     Raises `ComputationFailed` where it finds none, and names the arguments `instead` of a gait.
@@ -24,7 +24,7 @@ def require_gait(walker: Walker, instead: Iterable[str], *, tolerance: Real | No
 
 
 def select_gaits(
-    walker: Walker, period: int = 1, guess: Any = None, *, every: bool = False
+    walker: System, period: int = 1, guess: Any = None, *, every: bool = False
 ) -> list[Gait]:
     """One gait of a period, or every gait of that period.
 

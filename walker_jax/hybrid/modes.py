@@ -22,8 +22,8 @@ class Guard(NamedTuple):
 
     value: Function
     """The mode ends where it rises through zero, from below or, if it falls first, from zero."""
-    leads_to: int
-    """Meaning of the end to the caller, such as an outcome or the number of another mode."""
+    leads_to: int = 0
+    """Meaning of the end to the caller, such as an outcome; 0 where the motion goes on."""
     admits: tuple[Function, ...] = ()
     """The rise counts where all of these are positive. Their polynomials exclude whole steps."""
     admits_at_rise: tuple[Function, ...] = ()
@@ -64,14 +64,19 @@ class Mode(NamedTuple):
 
     field: VectorField
     """The time derivative of the state, or a `PowerBalance`."""
-    rates: Callable[[Any], Any]
-    """The time derivative of the state, where it is asked for at a single state."""
     guards: tuple[Guard, ...]
     """The last one is how the mode should end."""
     conditions: tuple[Condition, ...] = ()
-    foregone: Foregone | None = None
     reset: Callable[[Any], Any] = lambda state: state
     """The state in which the next mode begins, of that in which this one has ended."""
+    foregone: Foregone | None = None
+    rates_at: Callable[[Any], Any] | None = None
+    """The time derivative of a single state, where `field` is no function."""
+
+    @property
+    def rates(self) -> Callable[[Any], Any]:
+        """The time derivative of the state, where it is asked for at a single state."""
+        return self.field if self.rates_at is None else self.rates_at  # pyright: ignore
 
     def functions(self, whole: bool = True) -> list[list[Function]]:
         """The value of each guard and the functions that admit it; all of them if `whole`."""

@@ -10,8 +10,8 @@ from scipy.optimize import brentq, minimize_scalar
 
 from walker_jax.gaits.search import find_gait, find_gaits
 from walker_jax.paper.calculations import EXAMPLE_SLOPE
+from walker_jax.systems.outcomes import Outcome
 from walker_jax.walkers.model import State
-from walker_jax.walkers.outcomes import Outcome
 from walker_jax.walkers.point_foot import PointFootWalker
 from walker_jax.walkers.simplest import SimplestWalker
 from walker_jax.walking.iteration import strides

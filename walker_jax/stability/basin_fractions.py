@@ -37,8 +37,8 @@ from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.stability.sampling import wilson_interval
 from walker_jax.stability.summary import default_region
-from walker_jax.walkers.model import Walker, check_single
-from walker_jax.walkers.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.system import System, check_single
 from walker_jax.walkers.parameters import attributes_of, check_parameter, with_parameter
 from walker_jax.walking.iteration import orbits
 
@@ -64,7 +64,7 @@ class Found(NamedTuple):
 
 @refuses_tracers()
 def continue_basins(
-    walker: Walker,
+    walker: System,
     parameter: str,
     values: Sequence[Any] | ArrayLike,
     region: Grid | None = None,
@@ -102,7 +102,7 @@ def continue_basins(
     Raises `ValueError` for a wrong parameter, values that are not in order, and a region that does
     not fit the walker.
     """
-    check_kind("walker", walker, Walker)
+    check_kind("walker", walker, System)
     check_single(walker)
     values = numbers("values", values).astype(float)
     if values.ndim != 1 or len(values) < 2 or not (np.diff(values) > 0).all():
@@ -140,7 +140,7 @@ class Family:
     """The attractors over a parameter so far: a branch for each number, none without a period."""
 
     def __init__(
-        self, walker: Walker, parameter: str, interval: tuple[float, float], tolerance: float
+        self, walker: System, parameter: str, interval: tuple[float, float], tolerance: float
     ):
         self.walker, self.parameter, self.interval = walker, parameter, interval
         self.tolerance, self.integrator = tolerance, Integrator(tolerance)

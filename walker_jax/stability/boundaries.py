@@ -15,9 +15,9 @@ from walker_jax.entropies import BOX, basin_entropy
 from walker_jax.execution.progress import bar, track
 from walker_jax.gaits.cycles import Gait
 from walker_jax.grids import Grid
+from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.system import System, check_single
 from walker_jax.wada import MIN_REGIONS, RADIUS, check_radius, merge_regions
-from walker_jax.walkers.model import Walker, check_single
-from walker_jax.walkers.outcomes import Outcome
 
 NO_REGION = (Outcome.OUTSIDE, Outcome.UNDECIDED, Outcome.LEFT_GRID)
 """Fates of cells that are in no region: no walk begins there, or none is known."""
@@ -34,7 +34,7 @@ much along it that one preimage leads all over the section."""
 
 @refuses_tracers()
 def boundary(
-    walker: Walker,
+    walker: System,
     grid: Grid,
     *,
     side: int = BOX,
@@ -147,7 +147,7 @@ def touching_cells(
 
 
 def edge_arrays(
-    walker: Walker,
+    walker: System,
     pairs: list[tuple[int, int]],
     edges: list[EdgeState],
     tolerance: float | None,
@@ -186,7 +186,7 @@ def edge_arrays(
 
 
 def curves_of(
-    walker: Walker, saddle: Gait | None, tolerance: float | None
+    walker: System, saddle: Gait | None, tolerance: float | None
 ) -> list[Float[np.ndarray, "n section"]]:
     """The stable manifold of a saddle; no curves where none is drawn, or has two."""
     if saddle is None or len(walker.section) != 2 or len(saddle.states) > LONGEST_CURVED:

@@ -16,7 +16,8 @@ from walker_jax.checks import check_precision, check_whole, numbers, refuses_tra
 from walker_jax.fractals import Uncertainty, sort_distances, uncertainty_exponent, upper_probability
 from walker_jax.grids import Grid, edge
 from walker_jax.integrators.integrator import integrator_of
-from walker_jax.walkers.model import Walker, is_planar
+from walker_jax.systems.system import System
+from walker_jax.walkers.model import is_planar
 
 DISTANCES = 10.0 ** np.linspace(-6, -3.5, 11)
 """Distances between starts whose fates are compared, as shares of the lengths of a grid's axes."""
@@ -28,7 +29,7 @@ eleven times as long, at distances that are large enough for some tens of them t
 shorter than a cell of the default slice."""
 
 
-def comparisons(walker: Walker) -> dict[str, Any]:
+def comparisons(walker: System) -> dict[str, Any]:
     """The distances and pairs with which `robustness` compares starts of a walker."""
     if is_planar(walker):
         return {"distances": DISTANCES, "pairs": PAIRS}
@@ -37,7 +38,7 @@ def comparisons(walker: Walker) -> dict[str, Any]:
 
 @refuses_tracers()
 def boundary_dimension(
-    walker: Walker,
+    walker: System,
     grid: Grid,
     *,
     distances: Sequence[Any] | ArrayLike = DISTANCES,

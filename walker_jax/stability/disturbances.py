@@ -21,8 +21,8 @@ from walker_jax.stability.gait_mapper import failure_test, mapper_of_gait, with_
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.stability.metric import DistanceFunction, metric_of
 from walker_jax.stability.rays import DENSE, nearest_failure, spread_directions
-from walker_jax.walkers.model import Walker
-from walker_jax.walkers.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.system import System
 
 BEYOND = 1 + np.array([1e-8, 1e-10, 0.0])
 """Multiples of the least disturbance; the first that fails gives the failure. They exceed it by
@@ -58,7 +58,7 @@ class LeastDisturbance(NamedTuple):
 
 @refuses_tracers("disturbance_gradient gives derivatives of the least disturbance")
 def least_disturbance(
-    walker: Walker,
+    walker: System,
     gait: Gait | None = None,
     *,
     scale: Sequence[Any] | ArrayLike | None = None,

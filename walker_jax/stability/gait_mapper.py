@@ -12,19 +12,19 @@ from walker_jax.checks import WrongUse, check_kind, check_precision, check_whole
 from walker_jax.gaits.cycles import Gait, check_found
 from walker_jax.gaits.selection import require_gait
 from walker_jax.integrators.integrator import integrator_of
-from walker_jax.walkers.model import Walker, check_single
+from walker_jax.systems.system import System, check_single
 from walker_jax.walking.iteration import strides as take_strides
 
 
 def mapper_of_gait(
-    walker: Walker, gait: Gait | None, strides: int, tolerance: float | None
+    walker: System, gait: Gait | None, strides: int, tolerance: float | None
 ) -> Mapper:
     """The mapper whose only attractor is a stable gait, with its capture boxes.
 
     Raises `ValueError` for a gait that is not stable, not found, or not one of this walker;
     `ComputationFailed` where none is given and none is found.
     """
-    check_kind("walker", walker, Walker)
+    check_kind("walker", walker, System)
     check_single(walker)
     check_whole("strides", strides)
     gait = require_gait(walker, ["gait"], tolerance=tolerance) if gait is None else gait

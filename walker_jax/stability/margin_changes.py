@@ -10,14 +10,15 @@ from jaxtyping import Float, Int
 from walker_jax.execution.tiles import map_cells
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.roots import Real
-from walker_jax.walkers.model import Scalar, Walker, numbers_of
+from walker_jax.systems.system import System, numbers_of
+from walker_jax.walkers.model import Scalar
 from walker_jax.walkers.parameters import with_parameter
 from walker_jax.walking.failure_margins import failure_margin, follow_margins
 from walker_jax.walking.iteration import walk_on
 
 
 def differentiate_margins(
-    walker: Walker,
+    walker: System,
     x: Float[np.ndarray, "n section"],
     made: Int[np.ndarray, " n"],
     directions: Float[np.ndarray, "axes section"],

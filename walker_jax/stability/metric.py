@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from walker_jax.checks import ComputationFailed, WrongUse, check_kind, check_precision, short
 from walker_jax.kernels.outside_code import AsItIs
-from walker_jax.walkers.model import Walker
+from walker_jax.systems.system import System
 
 SOLVING_STEPS = 60
 """Newton steps for the length of a disturbance of a size; one or two where sizes go like a power of
@@ -169,7 +169,7 @@ Metric = LinearMetric | CurvedMetric
 
 
 def metric_of(
-    walker: Walker,
+    walker: System,
     scale: Sequence[Any] | ArrayLike | None,
     along: Sequence[Any] | ArrayLike | None,
     metric: Sequence[Any] | ArrayLike | DistanceFunction | None = None,
@@ -178,7 +178,7 @@ def metric_of(
 
     Raises `ValueError` for a scale, a matrix or vectors that do not fit the section.
     """
-    check_kind("walker", walker, Walker)
+    check_kind("walker", walker, System)
     size = len(walker.section)
     if metric is not None and scale is not None:
         raise WrongUse("scale and metric exclude each other: give one of them")

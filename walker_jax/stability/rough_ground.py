@@ -28,8 +28,9 @@ from walker_jax.gaits.cycles import Gait, check_found
 from walker_jax.gaits.selection import require_gait
 from walker_jax.integrators.integrator import integrator_of
 from walker_jax.kernels.outside_code import AsItIs
-from walker_jax.walkers.model import Walker, check_planar, check_single
-from walker_jax.walkers.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.system import check_single
+from walker_jax.walkers.model import Walker, check_planar
 from walker_jax.walking.disturbed import Disturbance, DisturbedWalk, follow_disturbed_walk
 
 RandomDisturbance = Callable[[Any], Any]

@@ -34,8 +34,8 @@ from walker_jax.gaits.search import search_gait
 from walker_jax.grids import Grid
 from walker_jax.stability.gait_mapper import mapper_of_gait
 from walker_jax.stability.metric import CurvedMetric, DistanceFunction, metric_of
-from walker_jax.walkers.model import Walker
-from walker_jax.walkers.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.system import System
 from walker_jax.walking.iteration import check_parameter_arrays
 
 NOT_MEASURED = np.array(np.nan)
@@ -75,7 +75,7 @@ class BasinStability(NamedTuple):
 
 @refuses_tracers()
 def basin_stability(
-    walker: Walker,
+    walker: System,
     disturbances: float | Grid | Sampler,
     gait: Gait | None = None,
     *,
@@ -156,7 +156,7 @@ def basin_stability(
         y = draw_from_ball(rng, samples, len(sizes.basis)) @ sizes.basis
         about = lambda state: state + sizes.disturbance(state, y) * disturbances
 
-    def measure(walker: Walker, gait: Gait | None) -> tuple:
+    def measure(walker: System, gait: Gait | None) -> tuple:
         mapper = mapper_of_gait(walker, gait, strides, tolerance)
         (own,) = mapper.attractors
         starts = about(own.states[0]).astype(own.states.dtype)
@@ -192,7 +192,7 @@ def basin_stability(
 
 
 def draw_starts(
-    walker: Walker, name: str, draw: Sampler, rng: np.random.Generator, samples: int
+    walker: System, name: str, draw: Sampler, rng: np.random.Generator, samples: int
 ) -> Float[np.ndarray, "n section"]:
     """Starts that a function draws, the argument of a name, checked."""
     starts = numbers(f"starts that {name} returns", draw(rng, samples))

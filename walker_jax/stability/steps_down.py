@@ -13,8 +13,8 @@ from walker_jax.gaits.cycles import Gait
 from walker_jax.stability.disturbances import BEYOND
 from walker_jax.stability.gait_mapper import failure_test, mapper_of_gait
 from walker_jax.stability.rays import FINE, bisect, first_failures, scan
+from walker_jax.systems.outcomes import Outcome
 from walker_jax.walkers.model import Walker, check_planar
-from walker_jax.walkers.outcomes import Outcome
 from walker_jax.walking.iteration import strides as take_strides
 from walker_jax.walking.stride import follow_step, step_down
 

@@ -43,8 +43,8 @@ from walker_jax.stability.rough_ground import (
     start_of_walks,
     walk_disturbed,
 )
+from walker_jax.systems.outcomes import Outcome
 from walker_jax.walkers.model import Walker, check_planar
-from walker_jax.walkers.outcomes import Outcome
 from walker_jax.walkers.parameters import attributes_of
 from walker_jax.walking.disturbed import Disturbance, DisturbedWalk, follow_disturbed
 

@@ -25,9 +25,10 @@ from walker_jax.stability.rough_ground import steps_to_fall
 from walker_jax.stability.sampling import BasinStability, basin_stability
 from walker_jax.stability.slices import slice_around
 from walker_jax.stability.steps_down import NO_STEP_DOWN, LeastStepDown, least_step_down
+from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.system import System
 from walker_jax.walkers.abstract_point_foot import AbstractPointFootWalker
 from walker_jax.walkers.model import Walker, check_planar, is_planar, moves_like
-from walker_jax.walkers.outcomes import Outcome
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 from walker_jax.walkers.simplest import SimplestWalker
 
@@ -40,7 +41,7 @@ LEADS_ELSEWHERE = Outcome.STRIDE, Outcome.UNDECIDED
 
 @refuses_tracers()
 def robustness(
-    walker: Walker,
+    walker: System,
     grid: Grid | None = None,
     *,
     levels: int = 4,
@@ -131,9 +132,10 @@ def robustness(
     def by_steps_down() -> tuple[LeastStepDown, LeastStepDown]:
         if not is_planar(walker):
             return NO_STEP_DOWN, NO_STEP_DOWN
-        down = fall = least_step_down(walker, gait, **about)
+        planar = check_planar(walker)
+        down = fall = least_step_down(planar, gait, **about)
         if down.failure in LEADS_ELSEWHERE:
-            fall = least_step_down(walker, gait, fall=True, **about)
+            fall = least_step_down(planar, gait, fall=True, **about)
         return down, fall
 
     measures: list[Callable[[], Any]] = [by_boundary, by_disturbances, by_steps_down]
@@ -145,7 +147,11 @@ def robustness(
         with bar("walks on rough ground", progress):
             key = jax.random.key(seed)
             walks = steps_to_fall(
-                walker, ground, WALKS, key, gait=rolled, limit=WALK_LIMIT, tolerance=tolerance
+                check_planar(walker),
+                *(ground, WALKS, key),
+                gait=rolled,
+                limit=WALK_LIMIT,
+                tolerance=tolerance,
             )
         data = data.assign(dict(zip(GROUND_NAMES, walks[:3], strict=True)))
     return data.assign(
@@ -260,7 +266,7 @@ WITHOUT_GAIT = {"gait_period": 0}
 """Values where no gait attracts, other than those of their kind, NaN, -1 and no text."""
 
 
-def without_gait(walker: Walker) -> dict:
+def without_gait(walker: System) -> dict:
     """The variables that `robustness` adds where no gait attracts."""
     of_kind = lambda *kinds: [field.name for field in FIELDS if field.kind in kinds]
     unknown_state = "coordinate", np.full(len(walker.section), np.nan)
@@ -312,7 +318,7 @@ def value_of(data: xr.Dataset, field: Field) -> Any:
 
 @refuses_tracers()
 def robustness_table(
-    walker: Walker,
+    walker: System,
     values: Sequence[Any] | ArrayLike,
     parameter: str = "slope",
     grid: Grid | None = None,
@@ -359,7 +365,7 @@ def robustness_table(
             progress=progress,
         )
         rows.append(one[[name for name in one if set(one[name].dims) <= {"coordinate"}]])
-    about = {"walker": type(walker).__name__, "disturbances": disturbances}
+    about = {"walker": walker.label(), "disturbances": disturbances}
     return join_rows(rows, values, parameter).assign_attrs(
         about | common_attributes(rows, parameter)
     )
@@ -387,12 +393,16 @@ def common_attributes(rows: list[xr.Dataset], parameter: str) -> dict[str, Any]:
     return {name: values[0] for name, values in given.items() if name not in own and same(values)}
 
 
-def default_region(walker: Walker, searched: Gait | None = None) -> Grid | None:
+def default_region(walker: System, searched: Gait | None = None) -> Grid | None:
     """All feasible angles of a walker on point feet, or a slice around a gait, if there is one.
+
+    Of a system that is no walker, its `gait_region`.
 
     Rates are those of the simplest walker's basins, and more for others; by default, the gait of
     `find_gait`.
     """
+    if not isinstance(walker, Walker):
+        return walker.gait_region()
     if isinstance(walker, AbstractPointFootWalker):
         rates = (-0.12, 0.06, 200) if moves_like(walker, SimplestWalker) else (-1.1, 0.1, 800)
         return Grid.sheared(theta=(0, np.pi / 4, 200), sum=rates)

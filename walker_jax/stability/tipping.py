@@ -29,8 +29,8 @@ from walker_jax.checks import (
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import integrator_of
 from walker_jax.stability.sampling import Sampler, draw_starts, wilson_interval
-from walker_jax.walkers.model import Walker, check_single
-from walker_jax.walkers.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.system import System, check_single
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 from walker_jax.walking.iteration import orbits
 
@@ -64,7 +64,7 @@ class Tipping(NamedTuple):
 
 @refuses_tracers()
 def tipping_probability(
-    walker: Walker,
+    walker: System,
     parameter: str,
     value: float,
     region: Grid | Sampler,
@@ -96,7 +96,7 @@ def tipping_probability(
 
     Raises `ValueError` for arguments out of range, and for values that the walker refuses.
     """
-    check_kind("walker", walker, Walker)
+    check_kind("walker", walker, System)
     check_single(walker)
     check_number("value", value)
     check_parameter(walker, parameter, float(value))

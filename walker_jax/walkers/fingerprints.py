@@ -14,8 +14,9 @@ DIGITS = 16
 """Hexadecimal digits of a fingerprint: two of a user's codes agree by chance once in 2^64."""
 
 
-def code_fingerprint(kind: type) -> str:
-    """A hash of the code of a walker's class; empty for a class of the package.
+def code_fingerprint(kind: type, parts: tuple = ()) -> str:
+    """A hash of the code of a walker's class, and of other parts of it, such as the function of a
+    map; empty for a class of the package without them.
 
     It covers the files of the class and of its bases, and what these import from the same folder or
     package, as they were when they were loaded. Where a class has no file, it covers its functions
@@ -30,6 +31,7 @@ def code_fingerprint(kind: type) -> str:
             described.append(live.describe(base))
         elif "<locals>" in base.__qualname__:  # it may hold what is in no file
             described.append(live.describe(attributes(base)))
+    described += [live.describe(part) for part in parts]
     if not sources and not described:
         return ""
     content = repr([sorted(sources.items()), described])

@@ -13,10 +13,8 @@ A stride begins just after heel strike, on the Poincaré section, with both feet
 """
 
 import abc
-import dataclasses
 from typing import Any, ClassVar, TypeGuard, TypeVar
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -29,8 +27,10 @@ from walker_jax.hybrid.modes import Condition, Foregone, Guard, Mode
 from walker_jax.integrators.roots import Scalar
 from walker_jax.integrators.taylor import VectorField
 from walker_jax.kernels import by_kernel
+from walker_jax.systems.hybrid_system import HybridSystem
+from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.system import System
 from walker_jax.walkers.full_states import check_full_state
-from walker_jax.walkers.outcomes import Outcome
 from walker_jax.walkers.phase import Conditions, Phase, State, conditions_of, fall_guards, is_planar
 from walker_jax.walkers.sources import sources_of
 
@@ -38,14 +38,12 @@ LEAST_SCUFF = {jnp.dtype("float64"): 1e-9, jnp.dtype("float32"): 1e-5}
 """Depth, in legs, from which on a foot is below the ground: less is rounding, where it touches."""
 
 
-class Walker(eqx.Module):
+class Walker(HybridSystem):
     """What a stride needs to know of a walker. Its fields are its parameters, scalars all.
 
     But for options, which are static.
     """
 
-    section: ClassVar[tuple[str, ...]]
-    """Names of the coordinates of the Poincaré section."""
     state: ClassVar[type] = State
     """The `NamedTuple` of full states during the swing, with the fields of `State` at least."""
     force_least_at_ends: ClassVar[bool] = False
@@ -72,18 +70,9 @@ class Walker(eqx.Module):
     def __check_init__(self):
         check_lands_on_section(self)
 
-    def __repr__(self):
-        """The parameters' values, as far as each is one number; else their types and shapes."""
-        shown = (f"{name}={format_parameter(value)}" for name, value in vars(self).items())
-        return f"{type(self).__name__}({', '.join(shown)})"
-
     @abc.abstractmethod
     def lift(self, x: Float[Array, " section"]) -> State:
         """The full state of a point of the section."""
-
-    @abc.abstractmethod
-    def project(self, state: State) -> Float[Array, " section"]:
-        """The point of the section of a state just after heel strike."""
 
     @abc.abstractmethod
     def feasible(self, x: Float[Array, " section"]) -> Bool[Array, ""]:
@@ -111,10 +100,6 @@ class Walker(eqx.Module):
         }
         return Grid(axes, np.array([[1, 0, 0], [-rate, rate, 0], [0, 0, rate]]))
 
-    def further_gait_region(self) -> Grid | None:
-        """Where `find_gait` searches too if none in `gait_region` is stable. By default nowhere."""
-        return None
-
     def phases(self) -> tuple[Phase, ...]:
         """The phases of a stride before its last, the swing, in order. By default there is none."""
         return ()
@@ -140,8 +125,13 @@ class Walker(eqx.Module):
         over = lambda state: (self.contact(state) > 0) & self.past_contact(state)
         known = type(self).past_contact is not Walker.past_contact
         foregone = Foregone(over, Outcome.FORWARD) if known else None
-        guards = *falls, strike
-        swing = Mode(self.equations(), self.vector_field, guards, tuple(conditions), foregone)
+        swing = Mode(
+            self.equations(),
+            (*falls, strike),
+            tuple(conditions),
+            foregone=foregone,
+            rates_at=self.vector_field,
+        )
         return *(phase.mode() for phase in self.phases()), swing
 
     def equations(self) -> VectorField:
@@ -254,24 +244,12 @@ class Walker(eqx.Module):
         return State(theta - phi, -phi, thetadot - phidot, -phidot)
 
 
-def check_planar(walker: Walker) -> None:
+def check_planar(walker: Any) -> Walker:
     """Refuse walkers in space, where what is computed is known of walkers in the plane alone."""
     check_kind("walker", walker, Walker)
     if not is_planar(walker):
         raise WrongUse(f"walker must be one in the plane, not a {type(walker).__name__}")
-
-
-def check_single(walker: Walker) -> None:
-    """Refuse many walkers, with arrays for parameters."""
-    for name, value in numbers_of(walker).items():
-        if np.shape(value):
-            raise WrongUse(f"{name} must be one number, not of shape {np.shape(value)}")
-
-
-def numbers_of(walker: Walker) -> dict[str, Any]:
-    """The parameters of a walker, by name: its fields but for options, which are static."""
-    options = {one.name for one in dataclasses.fields(walker) if one.metadata.get("static")}
-    return {name: value for name, value in vars(walker).items() if name not in options}
+    return walker
 
 
 SAMPLE_POINT = {"theta": 0.3, "thetadot": -0.5, "phidot": -0.2}
@@ -301,7 +279,7 @@ PREMISES = {
 """What may be known of a walker beyond its equations, and the methods that it is known of."""
 
 
-def moves_like(walker: Walker, kind: type[WalkerKind]) -> TypeGuard[WalkerKind]:
+def moves_like(walker: System, kind: type[WalkerKind]) -> TypeGuard[WalkerKind]:
     """Whether a walker moves as one of some kind does, by the same equations."""
     methods = {method for methods in PREMISES.values() for method in methods}
     same = lambda name: getattr(type(walker), name, None) is getattr(kind, name, None)
@@ -346,14 +324,6 @@ def landing(walker: Walker) -> tuple[State, State, State]:
     arrival = start._replace(theta=-start.theta, phi=-2 * start.theta)
     after = walker.exchange_legs(walker.impact(arrival)[1])
     return arrival, after, walker.lift(walker.project(after))
-
-
-def format_parameter(value: Any) -> str:
-    """A number as it is; of arrays, and of what JAX traces, the type and shape."""
-    if not eqx.is_array_like(value):
-        return repr(value)
-    single = not isinstance(value, Tracer) and np.shape(value) == ()
-    return str(np.asarray(value)[()]) if single else eqx.tree_pformat(value)
 
 
 def least_scuff(length: Scalar) -> Scalar:

@@ -1,4 +1,4 @@
-"""Parameters of walkers: their names, units, defaults and bounds."""
+"""Parameters of walkers and other systems: their names, units, defaults and bounds."""
 
 import dataclasses
 import inspect
@@ -12,8 +12,9 @@ from jax.core import Tracer
 from jax.typing import ArrayLike
 
 from walker_jax.checks import WrongUse, check_kind, short
+from walker_jax.systems.system import AnySystem, System, code_of, is_code, numbers_of
 from walker_jax.walkers.fingerprints import code_fingerprint
-from walker_jax.walkers.model import Scalar, Walker, numbers_of
+from walker_jax.walkers.model import Scalar
 
 Described = TypeVar("Described")
 
@@ -63,14 +64,14 @@ class Parameter(NamedTuple):
         return f"finite and below {self.high:g}" if self.high < np.inf else "finite"
 
 
-def parameters(walker: type[Walker] | Walker) -> tuple[Parameter, ...]:
+def parameters(walker: type[System] | System) -> tuple[Parameter, ...]:
     """The parameters of a walker, in the order of its constructor's arguments.
 
     A class of a user's own need not describe its fields: any real number is accepted then.
     """
     found = []
     for field in dataclasses.fields(walker):
-        if field.metadata.get("static"):
+        if field.metadata.get("static") or field.name == "parameters":
             continue
         one = description(field, Parameter)
         one = one or (SLOPE if field.name == "slope" else UNDESCRIBED)
@@ -79,7 +80,7 @@ def parameters(walker: type[Walker] | Walker) -> tuple[Parameter, ...]:
     return tuple(found)
 
 
-def described_by(walker: type[Walker] | Walker, kind: type[Described]) -> tuple[Described, ...]:
+def described_by(walker: type[System] | System, kind: type[Described]) -> tuple[Described, ...]:
     """What describes the fields of a walker, of one kind: those parameters have bounds."""
     described = (description(field, kind) for field in dataclasses.fields(walker))
     return tuple(one for one in described if one is not None)
@@ -103,41 +104,42 @@ class Option(NamedTuple):
         return bool(value)
 
 
-def options(walker: type[Walker] | Walker) -> tuple[Option, ...]:
+def options(walker: type[System] | System) -> tuple[Option, ...]:
     """The options of a walker, in the order of its constructor's arguments.
 
     Raises `WrongUse` for another static field, of which data sets would not tell the value.
     """
     for field in dataclasses.fields(walker):
-        if field.metadata.get("static") and description(field, Option) is None:
+        static = field.metadata.get("static") and not is_code(field)
+        if static and description(field, Option) is None:
             raise WrongUse(f"{field.name} must be a parameter of the walker, not a static field")
     return described_by(walker, Option)
 
 
-def chosen_options(walker: Walker) -> tuple[str, ...]:
+def chosen_options(walker: System) -> tuple[str, ...]:
     """The names of the options of a walker that are on."""
     return tuple(one.name for one in options(walker) if getattr(walker, one.name))
 
 
-def describe_walker(walker: Walker) -> dict[str, Any]:
+def describe_walker(walker: System) -> dict[str, Any]:
     """The name and the parameters of a walker, and its options that are on, for a request."""
-    values = {one.name: float(getattr(walker, one.name)) for one in parameters(walker)}
-    return {"name": type(walker).__name__, **values, **dict.fromkeys(chosen_options(walker), True)}
+    values = {name: float(value) for name, value in numbers_of(walker).items()}
+    return {"name": walker.label(), **values, **dict.fromkeys(chosen_options(walker), True)}
 
 
-def attributes_of(walker: Walker, *, without: str | None = None) -> dict[str, Any]:
+def attributes_of(walker: System, *, without: str | None = None) -> dict[str, Any]:
     """The parameters of a walker, and its options that are on, as attributes of a data set.
 
     Of a class that is not of the package, a fingerprint of its code too.
     """
     values = {name: float(value) for name, value in numbers_of(walker).items() if name != without}
     values |= dict.fromkeys(chosen_options(walker), 1)
-    code = code_fingerprint(type(walker))
+    code = code_fingerprint(type(walker), code_of(walker))
     about: dict[str, Any] = {f"walker_{name}": value for name, value in values.items()}
     return about | ({"code": code} if code else {})
 
 
-def describe_in_words(walker: Walker) -> str:
+def describe_in_words(walker: System) -> str:
     """The same on one line: its name, then each parameter with its value."""
     name, *values = describe_walker(walker).items()
     return ", ".join([name[1], *(f"{key} {value:g}" for key, value in values)])
@@ -147,7 +149,7 @@ BRIEF = 48
 """Characters of a walker's description in an error, which is one line of less than 200."""
 
 
-def describe_briefly(walker: Walker) -> str:
+def describe_briefly(walker: System) -> str:
     """The same, with as many of its parameters as there is room for."""
     told, *others = describe_in_words(walker).split(", ")
     for i, one in enumerate(others):
@@ -178,15 +180,15 @@ SLOPE = Parameter("slope", "of the ground", "rad", 0.004, high=np.pi / 2, span=(
 UNDESCRIBED = Parameter("", "", "", low=-np.inf)
 
 
-def slopes_of(kind: type[Walker]) -> tuple[float, float]:
+def slopes_of(kind: type[System]) -> tuple[float, float]:
     """The ends of the slopes over which gaits are followed unless others are given."""
     ends = next(one.span for one in parameters(kind) if one.name == "slope")
     return SLOPE.span if np.isnan(ends[0]) else ends
 
 
-def check_parameter(walker: Walker, parameter: str, *values: float) -> None:
+def check_parameter(walker: System, parameter: str, *values: float) -> None:
     """Refuse a parameter that the walker does not have, and values that its constructor refuses."""
-    check_kind("walker", walker, Walker)
+    check_kind("walker", walker, System)
     if not isinstance(parameter, str) or parameter not in numbers_of(walker):
         names = ", ".join(numbers_of(walker))
         raise WrongUse(f"parameter must be one of the walker's, {names}, not {short(parameter)}")
@@ -195,12 +197,12 @@ def check_parameter(walker: Walker, parameter: str, *values: float) -> None:
             type(walker)(**{**vars(walker), parameter: value})
 
 
-def parameter_direction(walker: Walker, parameter: str | None, dtype) -> Walker:
+def parameter_direction(walker: AnySystem, parameter: str | None, dtype) -> AnySystem:
     """A walker with 1 for the parameter and 0 for all others: the direction of the parameter."""
     zeros = jax.tree.map(lambda leaf: np.zeros((), dtype), walker)
     return zeros if parameter is None else with_parameter(zeros, parameter, np.ones((), dtype))
 
 
-def with_parameter(walker: Walker, parameter: str, value) -> Walker:
+def with_parameter(walker: AnySystem, parameter: str, value) -> AnySystem:
     """The walker with another value of one parameter, unchecked; an array makes many walkers."""
     return eqx.tree_at(lambda walker: getattr(walker, parameter), walker, value)

@@ -15,7 +15,7 @@ from walker_jax.checks import WrongUse
 from walker_jax.hybrid.modes import Condition, Function, Guard, Mode
 from walker_jax.integrators.roots import Scalar
 from walker_jax.integrators.taylor import VectorField
-from walker_jax.walkers.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome
 
 FAILURES = tuple(
     one.name
@@ -104,8 +104,9 @@ class Phase(eqx.Module):
             guards.append(Guard(below, Outcome.BENT_KNEE, (walker.is_ahead,), (self.reach,)))
         guards.append(Guard(self.event, Outcome.STRIDE))
         conditions = [Condition(one, of) for of, one in conditions_of(self).items()]
-        mode = Mode(self.equations(), self.vector_field, tuple(guards), tuple(conditions))
-        return mode._replace(reset=self.end)
+        return Mode(
+            self.equations(), tuple(guards), tuple(conditions), self.end, rates_at=self.vector_field
+        )
 
 
 def conditions_of(part: Any) -> dict[int, Function]:
@@ -149,5 +150,5 @@ def some_state(walker: Any) -> Any:
 
 
 def is_planar(walker: Any) -> bool:
-    """Whether a walker moves in the plane, not in space."""
-    return walker.state is State
+    """Whether a system is a walker that moves in the plane, not in space."""
+    return getattr(walker, "state", None) is State

@@ -21,8 +21,8 @@ from walker_jax.multibody.space import (
     material_velocity,
     rotation_about,
 )
+from walker_jax.systems.outcomes import Outcome
 from walker_jax.walkers.model import Scalar, Walker, least_scuff
-from walker_jax.walkers.outcomes import Outcome
 from walker_jax.walkers.parameters import SLOPE, Option, Parameter
 from walker_jax.walkers.rolling_stance import RollingStance, SpatialState, contact_forces
 

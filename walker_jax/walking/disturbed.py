@@ -12,8 +12,8 @@ from jaxtyping import Array, Float, Int
 
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.kernels import by_kernel
+from walker_jax.systems.outcomes import Outcome, Stride
 from walker_jax.walkers.model import Scalar, State, Walker
-from walker_jax.walkers.outcomes import Outcome, Stride
 from walker_jax.walkers.parameters import with_parameter
 from walker_jax.walking.stride import follow_step
 

@@ -26,14 +26,18 @@ from walker_jax.integrators.method import zero_at
 from walker_jax.integrators.roots import Real
 from walker_jax.integrators.taylor import with_fast_sincos
 from walker_jax.kernels import by_kernel
+from walker_jax.systems.hybrid_system import HybridSystem
+from walker_jax.systems.outcomes import Outcome, Stride
+from walker_jax.systems.system import System
 from walker_jax.walkers.model import Scalar, Walker, toppling_rate
-from walker_jax.walkers.outcomes import Outcome, Stride
 from walker_jax.walkers.spatial import SpatialWalker
 from walker_jax.walking.iteration import for_each_start
 from walker_jax.walking.starts import during_stride, prepare
 from walker_jax.walking.stride import (
     Arrival,
     Part,
+    apply_map,
+    begin_next,
     begin_stride,
     end_stride,
     follow_modes,
@@ -49,6 +53,7 @@ WAYS = {
     Outcome.BUCKLED: "buckling",
     Outcome.SCUFFED: "scuffing",
     Outcome.SIDEWAYS: "sideways",
+    Outcome.OUTSIDE: "outside",
 }
 """The margin of each way to fail."""
 
@@ -81,10 +86,12 @@ class Margins(NamedTuple):
     sideways: Float[Array, "*cells"]
     """In space: the least of (l^2 - lean^2) / 2l, with l the limit of the lean: near that, the
     distance from it."""
+    outside: Float[Array, "*cells"]
+    """By how much the start is feasible, where a system says it (`System.margin`)."""
 
 
 def margins(
-    walker: Walker, x: Float[ArrayLike, " coordinates"], *, tolerance: Real | None = None
+    walker: System, x: Float[ArrayLike, " coordinates"], *, tolerance: Real | None = None
 ) -> Margins:
     """One stride, as `stride` makes it, and its margins.
 
@@ -96,7 +103,7 @@ def margins(
 
 @refuses_tracers("within them use jax.vmap(lambda x: wj.margins(walker, x))(xs)")
 def margins_of_many(
-    walker: Walker,
+    walker: System,
     xs: Float[ArrayLike, "n coordinates"],
     *,
     tolerance: Real | None = None,
@@ -116,8 +123,10 @@ def failure_margin(found: Margins) -> Scalar:
 
 @by_kernel
 def follow_margins(
-    walker: Walker, x: Float[Array, " coordinates"], integrator: Integrator
+    walker: System, x: Float[Array, " coordinates"], integrator: Integrator
 ) -> Margins:
+    if not isinstance(walker, HybridSystem):
+        return measure_map(walker, x)
     walker = during_stride(walker, x)
     modes = modes_from(walker, x, to_the_end=True)
     arrival = follow_modes(modes, begin_stride(walker, x), integrator, measured=True)
@@ -127,17 +136,29 @@ def follow_margins(
         _, stride = end_stride(walker, modes[-1], arrival)
         parts = tuple(Part(mode, *way) for mode, way in zip(modes, ways, strict=True))
         known = measure_stride(walker, arrival._replace(parts=parts), stride.outcome)
-        return Margins(stride, **known)
+        return Margins(stride, **known, outside=margin_of_start(walker, x))
 
     return with_fast_sincos(measure)(walker, arrival._replace(parts=()), ways)
 
 
-def measure_stride(walker: Walker, arrival: Arrival, outcome: Array) -> dict[str, Scalar]:
+def measure_map(walker: System, x: Float[Array, " section"]) -> Margins:
+    """The margin that a system says itself is that of the failure that happens."""
+    stride, margin = apply_map(walker, x), margin_of_start(walker, x)
+    ways = {name: jnp.where(stride.outcome == way, margin, jnp.nan) for way, name in WAYS.items()}
+    return Margins(stride, **ways | {"outside": margin})
+
+
+def margin_of_start(walker: System, x: Float[Array, " coordinates"]) -> Scalar:
+    """`System.margin`; NaN where there is none."""
+    known = walker.margin(x) if x.shape == (len(walker.section),) else None
+    return jnp.sum(x) * jnp.nan if known is None else known
+
+
+def measure_stride(walker: HybridSystem, arrival: Arrival, outcome: Array) -> dict[str, Scalar]:
     """The margins of a stride that was measured, by name, whose outcome is known."""
     parts, guards = arrival.parts, arrival.parts[-1].mode.guards
     struck = arrival.verdict == Outcome.STRIDE
-    (_, lift), after = walker.impact(arrival.state)
-    following = walker.exchange_legs(after)
+    lift, following = begin_next(walker, parts[-1].mode, arrival.state)
     infinite = jnp.full_like(lift, jnp.inf)
 
     # falls
@@ -175,20 +196,25 @@ def measure_stride(walker: Walker, arrival: Arrival, outcome: Array) -> dict[str
     failed = jnp.where(pulled, force_at_start(parts), failed)
 
     stopped = int(Outcome.STOPPED)
-    passed[stopped] = jnp.where(struck & ~violated, lift, passed.get(stopped, infinite))
+    if isinstance(walker, Walker):
+        passed[stopped] = jnp.where(struck & ~violated, lift, passed.get(stopped, infinite))
     failed = jnp.where(struck & (outcome == stopped), lift, failed)
 
     began = (outcome != Outcome.OUTSIDE) & (outcome != Outcome.UNDECIDED) & ~pulled
     margins = {}
     for way, name in WAYS.items():
+        if way == Outcome.OUTSIDE:
+            continue
         value = passed.get(int(way), infinite)
         value = jnp.where(began & jnp.isfinite(value), value, jnp.nan)
         margins[name] = jnp.where(outcome == way, not_above_zero(failed), value)
     return margins
 
 
-def time_scale(walker: Walker) -> Scalar:
-    """The time in which a walker topples, legs together, to first order."""
+def time_scale(walker: HybridSystem) -> Scalar:
+    """The time in which a walker topples, legs together, to first order; 1 of another system."""
+    if not isinstance(walker, Walker):
+        return jnp.ones(())
     in_space = isinstance(walker, SpatialWalker)
     return jnp.sqrt(walker.leg_length) if in_space else 1 / toppling_rate(walker)
 
@@ -297,9 +323,10 @@ def force_at_start(parts: tuple[Part, ...]) -> Scalar:
     """The contact force in the state in which a stride begins to move."""
     force, later = zero_at(parts[0].start) + jnp.nan, jnp.asarray(False)
     for part in parts:
-        (value,) = [one.value for one in part.mode.conditions if one.outcome == Outcome.RUNNING]
         here = ~later & (part.verdict == Outcome.RUNNING)
-        force = jnp.where(here, value(part.start), force)
+        for one in part.mode.conditions:
+            if one.outcome == Outcome.RUNNING:
+                force = jnp.where(here, one.value(part.start), force)
         later |= here
     return force
 

@@ -10,8 +10,8 @@ from jaxtyping import Array, Bool, Float
 from walker_jax.hybrid.modes import Mode
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.kernels import by_kernel
+from walker_jax.systems.outcomes import Outcome
 from walker_jax.walkers.model import Walker
-from walker_jax.walkers.outcomes import Outcome
 from walker_jax.walking.starts import during_stride, prepare
 from walker_jax.walking.stride import (
     begin_stride,

@@ -22,10 +22,12 @@ from walker_jax.checks import WrongUse, array, check_kind, check_whole, refuses_
 from walker_jax.execution.tiles import map_cells
 from walker_jax.integrators.integrator import AnySolver, Integrator, integrator_of
 from walker_jax.integrators.roots import Real
-from walker_jax.walkers.model import Walker, check_planar, numbers_of
-from walker_jax.walkers.outcomes import Outcome, Stride, Walk, nan_unless
+from walker_jax.systems.hybrid_system import HybridSystem
+from walker_jax.systems.outcomes import Outcome, Stride, Walk, nan_unless
+from walker_jax.systems.system import AnySystem, System, numbers_of
+from walker_jax.walkers.model import Walker, check_planar
 from walker_jax.walkers.parameters import Parameter, described_by
-from walker_jax.walking.starts import as_floating, prepare, state_kinds
+from walker_jax.walking.starts import as_floating, prepare, sizes_of_starts
 from walker_jax.walking.stride import follow_step, follow_stride
 
 ROUNDS = 4, 16, 64
@@ -35,6 +37,8 @@ SINGLE_STRIDES, MANY_WALKS = 32, 5000
 """Rounds on a CPU have one stride as long as so few are made and so many walks go on: in a longer
 round the lanes of a kernel wait for the one that walks farthest, half of the time or more. Most
 walks have ended by then, and a round of fewer takes about as long as it takes to begin."""
+ROUNDS_OF_MAPS = 64, 1024
+"""The same of systems that say themselves how they advance: a stride takes less than a call."""
 RECORDED = 16
 """Strides of which one call returns all states. More of them save no time, as a call takes much
 longer than it takes to make, and take longer to compile."""
@@ -65,7 +69,7 @@ class WalkEnd(NamedTuple):
 
 @refuses_tracers("within them use jax.vmap(lambda x: wj.stride(walker, x))(xs)")
 def strides(
-    walker: Walker,
+    walker: System,
     xs: Float[ArrayLike, "n coordinates"],
     *,
     tolerance: Real | None = None,
@@ -84,25 +88,26 @@ def strides(
 
 def for_each_start(
     function: Callable,
-    walker: Walker,
+    walker: System,
     xs: Float[ArrayLike, "n coordinates"],
     tolerance: Real | None = None,
     solver: AnySolver | None = None,
     progress: str | None = None,
 ) -> Any:
     """function(walker, x, integrator) for n starts, and one walker or n; NumPy arrays."""
-    check_kind("walker", walker, Walker)
+    check_kind("walker", walker, System)
     xs = array("xs", xs)
     if xs.dtype.kind not in "fiub":
         raise WrongUse(f"xs must be real numbers, not of type {xs.dtype}")
     if xs.ndim != 2:
         raise WrongUse(f"xs must have shape (n, coordinates), not {xs.shape}")
-    sizes = len(walker.section), *(len(kind._fields) for kind in state_kinds(walker))
+    sizes = sizes_of_starts(walker)
     if xs.shape[1] not in sizes:
         full = " or ".join(f"(n, {size})" for size in sizes[1:])
         raise WrongUse(
-            f"xs must have shape (n, {sizes[0]}), on the section {walker.section}, or "
-            f"{full}, full states, not {xs.shape}"
+            f"xs must have shape (n, {sizes[0]}), on the section {walker.section}, "
+            + (f"or {full}, full states, " if full else "")
+            + f"not {xs.shape}"
         )
     dtype = xs.dtype if np.issubdtype(xs.dtype, np.floating) else float
     xs = xs.astype(jax.dtypes.canonicalize_dtype(dtype), copy=False)
@@ -111,7 +116,7 @@ def for_each_start(
     return map_cells(function, (walker, xs, integrator), (many, True, False), progress=progress)
 
 
-def as_arrays(walker: Walker, n: int, dtype) -> tuple[Walker, bool]:
+def as_arrays(walker: AnySystem, n: int, dtype) -> tuple[AnySystem, bool]:
     """One walker, or n of them, with parameters of one dtype, and whether there are n.
 
     Whatever numbers they were given as: parameters of another dtype would be compiled anew.
@@ -123,17 +128,17 @@ def as_arrays(walker: Walker, n: int, dtype) -> tuple[Walker, bool]:
     return jax.tree.map(lambda leaf: np.asarray(leaf, dtype), walker), many
 
 
-def broadcast_parameters(walker: Walker, n: int, dtype) -> Walker:
+def broadcast_parameters(walker: AnySystem, n: int, dtype) -> AnySystem:
     """A walker, or n of them, with every parameter as an array of n."""
     return jax.tree.map(lambda leaf: np.broadcast_to(np.asarray(leaf, dtype), (n,)), walker)
 
 
-def select_walkers(walker: Walker, indices: Int[np.ndarray, " m"]) -> Walker:
+def select_walkers(walker: AnySystem, indices: Int[np.ndarray, " m"]) -> AnySystem:
     """Some of many walkers; the one, where all starts have it in common."""
     return jax.tree.map(lambda leaf: leaf[indices] if np.ndim(leaf) else leaf, walker)
 
 
-def check_parameter_arrays(walker: Walker, n: int) -> None:
+def check_parameter_arrays(walker: System, n: int) -> None:
     """Refuse parameters that are neither one number nor n, or that a constructor refuses."""
     for name, values in numbers_of(walker).items():
         if np.shape(values) not in ((), (n,)):
@@ -145,7 +150,7 @@ def check_parameter_arrays(walker: Walker, n: int) -> None:
 
 
 def walk(
-    walker: Walker,
+    walker: System,
     x: Float[ArrayLike, " section"],
     n: int,
     *,
@@ -164,7 +169,7 @@ def walk(
         raise WrongUse(f"x must be on the section {walker.section}, not of shape {x.shape}")
     if ground is None:
         return follow_walk(walker, x, n, integrator)
-    check_planar(walker)
+    walker = check_planar(walker)
     steps = as_floating(ground, "ground").astype(x.dtype)
     if steps.shape != (n,):
         raise WrongUse(f"ground must be {n} heights, of shape ({n},), not {steps.shape}")
@@ -175,7 +180,7 @@ def walk(
 
 @partial(jax.jit, static_argnums=2)
 def follow_walk(
-    walker: Walker, x: Float[Array, " section"], n: int, integrator: Integrator
+    walker: System, x: Float[Array, " section"], n: int, integrator: Integrator
 ) -> Walk:
     def follow(carry, _):
         x, fate = carry
@@ -211,7 +216,7 @@ def follow_rough_walk(
 
 
 def walk_on(
-    walker: Walker,
+    walker: System,
     x: Float[Array, " section"],
     targets: Targets | None,
     limit: Int[Array, ""],
@@ -239,7 +244,7 @@ def walk_on(
 
 
 def iterate(
-    walker: Walker,
+    walker: System,
     starts: Float[np.ndarray, "n section"],
     limit: int,
     integrator: Integrator,
@@ -263,8 +268,10 @@ def iterate(
         end.target[:] = nearest_target(starts, for_host)
     compiled = pad_to_power_of_two(None if for_host else targets, size, starts.dtype)
     active, done = np.flatnonzero(end.target < 0), 0
-    rounds = itertools.chain(ROUNDS, itertools.repeat(ROUNDS[-1]))
-    in_lanes = jax.local_devices()[0].platform == "cpu"
+    moves = isinstance(walker, HybridSystem)
+    first = ROUNDS if moves else ROUNDS_OF_MAPS
+    rounds = itertools.chain(first, itertools.repeat(first[-1]))
+    in_lanes = moves and jax.local_devices()[0].platform == "cpu"
     while len(active) and done < limit:
         single = in_lanes and done < SINGLE_STRIDES and len(active) >= MANY_WALKS
         count = 1 if for_host or single else min(next(rounds), limit - done)
@@ -314,7 +321,7 @@ def nearest_target(x: Float[np.ndarray, "n section"], targets: Targets) -> Int[n
 
 
 def orbits(
-    walker: Walker,
+    walker: System,
     starts: Float[np.ndarray, "n section"],
     count: int,
     integrator: Integrator,
@@ -341,7 +348,7 @@ def orbits(
 
 
 def record_walk(
-    walker: Walker, x: Float[Array, " section"], limit: Int[Array, ""], integrator: Integrator
+    walker: System, x: Float[Array, " section"], limit: Int[Array, ""], integrator: Integrator
 ) -> tuple[Float[Array, "strides section"], Int[Array, ""]]:
     """The states of `RECORDED` strides, NaN after a failure or the limit, and the last outcome."""
 

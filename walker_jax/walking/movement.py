@@ -16,8 +16,8 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from walker_jax.checks import WrongUse, check_number, check_whole, refuses_tracers
+from walker_jax.systems.outcomes import Outcome
 from walker_jax.walkers.model import State, Walker, check_planar
-from walker_jax.walkers.outcomes import Outcome
 from walker_jax.walkers.parameters import attributes_of
 from walker_jax.walkers.spatial import SpatialWalker
 from walker_jax.walking.frames import frames_of_stride

@@ -12,32 +12,41 @@ from jaxtyping import Array, Bool, Float
 from walker_jax.checks import WrongUse, check_kind, short
 from walker_jax.integrators.integrator import AnySolver, Integrator, integrator_of
 from walker_jax.integrators.roots import Real
+from walker_jax.systems.hybrid_system import HybridSystem
+from walker_jax.systems.system import AnySystem, System, check_single
 from walker_jax.walkers.masses import MultibodyMotion
-from walker_jax.walkers.model import Walker, check_single
+from walker_jax.walkers.model import Walker
 from walker_jax.walkers.phase import State, check_real, is_planar
 from walker_jax.walkers.spatial import SpatialWalker
 
 
 def prepare(
-    walker: Walker,
+    walker: AnySystem,
     x: Float[ArrayLike, " coordinates"],
     tolerance: Real | None,
     solver: AnySolver | None = None,
-) -> tuple[Walker, Float[Array, " coordinates"], Integrator]:
+) -> tuple[AnySystem, Float[Array, " coordinates"], Integrator]:
     """Walker, start and integrator, checked, in the dtype of the start."""
-    check_kind("walker", walker, Walker)
+    check_kind("walker", walker, System)
     check_single(walker)
     x = as_floating(x)
-    sizes = len(walker.section), *(len(kind._fields) for kind in state_kinds(walker))
+    sizes = sizes_of_starts(walker)
     if x.ndim != 1 or x.shape[0] not in sizes:
         full = " or ".join(f"({size},)" for size in sizes[1:])
         raise WrongUse(
-            f"x must have shape ({sizes[0]},), on the section {walker.section}, or {full}, "
-            f"a full state, not {x.shape}"
+            f"x must have shape ({sizes[0]},), on the section {walker.section}, "
+            + (f"or {full}, a full state, " if full else "")
+            + f"not {x.shape}"
         )
     integrator = integrator_of(x.dtype, tolerance, solver).in_dtype(x.dtype)
     walker = jax.tree.map(lambda leaf: jnp.asarray(leaf, x.dtype), walker)
     return walker, x, integrator
+
+
+def sizes_of_starts(walker: System) -> tuple[int, ...]:
+    """Of a point of the section, and of the full states that a walker may start from."""
+    full = state_kinds(walker) if isinstance(walker, Walker) else []
+    return len(walker.section), *(len(kind._fields) for kind in full)
 
 
 def as_floating(x: Any, name: str = "x") -> Float[Array, "..."]:
@@ -51,18 +60,17 @@ def as_floating(x: Any, name: str = "x") -> Float[Array, "..."]:
     return values if jnp.issubdtype(values.dtype, jnp.floating) else values.astype(float)
 
 
-def on_section(walker: Walker, x: Float[Array, " coordinates"]) -> bool:
+def on_section(walker: System, x: Float[Array, " coordinates"]) -> bool:
     """Whether a start is a point of the section, and no full state."""
     return x.shape == (len(walker.section),)
 
 
-def during_stride(walker: Walker, x: Float[Array, " coordinates"]) -> Walker:
+def during_stride(walker: AnySystem, x: Float[Array, " coordinates"]) -> AnySystem:
     """The walker as it is during the stride from x; of a full state, the section's coordinates."""
-    if type(walker).during_stride is Walker.during_stride:
+    if not isinstance(walker, Walker) or type(walker).during_stride is Walker.during_stride:
         return walker
-    return walker.during_stride(
-        x if on_section(walker, x) else walker.project(full_state(walker, x))
-    )
+    x = x if on_section(walker, x) else walker.project(full_state(walker, x))
+    return walker.during_stride(x)  # pyright: ignore[reportReturnType]: of the same kind
 
 
 def state_kinds(walker: Walker) -> list[type]:
@@ -73,8 +81,10 @@ def state_kinds(walker: Walker) -> list[type]:
     return [State, type(jax.eval_shape(phases[0].begin, State(number, number, number, number)))]
 
 
-def full_state(walker: Walker, x: Float[Array, " coordinates"]) -> Any:
+def full_state(walker: HybridSystem, x: Float[Array, " coordinates"]) -> Any:
     """The full state of a start, which may be one already; of the first phase, if there are any."""
+    if not isinstance(walker, Walker):
+        return walker.lift(x)
     if on_section(walker, x):
         start = walker.lift(x)
     else:
@@ -86,9 +96,11 @@ def full_state(walker: Walker, x: Float[Array, " coordinates"]) -> Any:
     return start
 
 
-def is_feasible(walker: Walker, x: Float[Array, " coordinates"], start: Any) -> Bool[Array, ""]:
+def is_feasible(
+    walker: HybridSystem, x: Float[Array, " coordinates"], start: Any
+) -> Bool[Array, ""]:
     """Whether a stride can begin at x, of which the full state is `start`."""
-    if on_section(walker, x):
+    if not isinstance(walker, Walker) or on_section(walker, x):
         return walker.feasible(x)
     feasible = jnp.all(jnp.isfinite(x)) & (jnp.abs(start.theta) < np.pi / 2)
     if phases := walker.phases():

@@ -28,8 +28,10 @@ from walker_jax.integrators.method import Method, zero_at
 from walker_jax.integrators.roots import Real
 from walker_jax.integrators.taylor import with_fast_sincos
 from walker_jax.kernels import by_kernel
+from walker_jax.systems.hybrid_system import HybridSystem
+from walker_jax.systems.outcomes import Outcome, Stride, nan_unless
+from walker_jax.systems.system import System
 from walker_jax.walkers.model import Scalar, Walker, check_planar
-from walker_jax.walkers.outcomes import Outcome, Stride, nan_unless
 from walker_jax.walking.starts import (
     during_stride,
     full_state,
@@ -67,14 +69,14 @@ class Arrival(NamedTuple):
 
 
 def stride(
-    walker: Walker,
+    walker: System,
     x: Float[ArrayLike, " coordinates"],
     *,
     step: Real | None = None,
     tolerance: Real | None = None,
     solver: AnySolver | None = None,
 ) -> Stride:
-    """One stride, S(x), equation (20).
+    """One stride, S(x), equation (20); of any `System`, the step to its next point.
 
     Works under JAX's transformations, in the dtype of x, float32 or float64: `jax.jit`, `jax.vmap`,
     `jax.lax.scan`; `jax.jacfwd`, `jax.grad` and `jax.jacrev`, and derivatives of these. On a CPU
@@ -82,7 +84,8 @@ def stride(
 
     **Arguments:**
 
-    - `walker`: any walker; derivatives with respect to its parameters are right too.
+    - `walker`: any walker or other system; derivatives with respect to its parameters are right
+      too.
     - `x`: the start, on the walker's section just after heel strike; or a full state
       (theta, phi, thetadot, phidot), for a launch or after a push. That is feasible where it is
       finite and the stance leg stands, |theta| < pi/2.
@@ -104,16 +107,17 @@ def stride(
     walker, x, integrator = prepare(walker, x, tolerance, solver)
     if step is None:
         return follow_stride(walker, x, integrator)
-    check_planar(walker)
-    return follow_step(walker, x, height_of_step(step, x.dtype), integrator)
+    return follow_step(check_planar(walker), x, height_of_step(step, x.dtype), integrator)
 
 
 @by_kernel
 def follow_stride(
-    walker: Walker,
+    walker: System,
     x: Float[Array, " coordinates"],
     integrator: Integrator,
 ) -> Stride:
+    if not isinstance(walker, HybridSystem):
+        return apply_map(walker, x)
     walker = during_stride(walker, x)
     modes = modes_from(walker, x)
     arrival = follow_modes(modes, begin_stride(walker, x), integrator)
@@ -123,8 +127,23 @@ def follow_stride(
     return end
 
 
+def apply_map(walker: System, x: Float[Array, " section"]) -> Stride:
+    """The next point of a system that says itself how it advances."""
+    state, outcome, time = walker.advance(x)
+    state = jnp.asarray(state)
+    if state.shape != x.shape or state.dtype != x.dtype:
+        raise WrongUse(
+            f"advance of {type(walker).__name__} must lead to {x.dtype} of shape {x.shape}, not to "
+            f"{state.dtype} of shape {state.shape}"
+        )
+    finite = jnp.all(jnp.isfinite(state))
+    outcome = jnp.where((outcome == Outcome.STRIDE) & ~finite, Outcome.UNDECIDED, outcome)
+    outcome = jnp.where(walker.feasible(x), outcome, Outcome.OUTSIDE).astype(jnp.int8)
+    return make_stride(state, outcome, jnp.asarray(time, x.dtype))
+
+
 def modes_from(
-    walker: Walker, x: Float[Array, " coordinates"], *, to_the_end: bool = False
+    walker: HybridSystem, x: Float[Array, " coordinates"], *, to_the_end: bool = False
 ) -> list[Mode]:
     """The modes of the stride from x.
 
@@ -140,7 +159,7 @@ def modes_from(
     return [*phases, swing]
 
 
-def begin_stride(walker: Walker, x: Float[Array, " coordinates"]) -> Arrival:
+def begin_stride(walker: HybridSystem, x: Float[Array, " coordinates"]) -> Arrival:
     """The full state at the start."""
 
     def begin(walker, x):
@@ -241,10 +260,9 @@ def method_of(mode: Mode, start: Any, integrator: Integrator) -> Method:
     return integrator.method(mode.field, start, *kinked)
 
 
-def end_stride(walker: Walker, swing: Mode, last: Arrival) -> tuple[Any, Stride]:
+def end_stride(walker: HybridSystem, swing: Mode, last: Arrival) -> tuple[Any, Stride]:
     """The state after a heel strike, legs exchanged, and the stride, on the section."""
-    (_, lift), after = walker.impact(last.state)
-    following = walker.exchange_legs(after)
+    lift, following = begin_next(walker, swing, last.state)
     fallen = fall_of(swing, following)
     struck = jnp.where(fallen == Outcome.UNDECIDED, Outcome.STRIDE, fallen)
     struck = jnp.where(lift > 0, struck, Outcome.STOPPED)
@@ -253,6 +271,15 @@ def end_stride(walker: Walker, swing: Mode, last: Arrival) -> tuple[Any, Stride]
         struck = jnp.where(violated, outcome, struck)
     outcome = jnp.where(last.verdict == Outcome.STRIDE, struck, last.verdict).astype(jnp.int8)
     return following, make_stride(walker.project(following), outcome, last.time)
+
+
+def begin_next(walker: HybridSystem, last: Mode, state: Any) -> tuple[Scalar, Any]:
+    """How fast the trailing foot of a walker lifts after its heel strike, 1 for what has none; and
+    the state in which the next stride begins, of that in which the last mode has ended."""
+    if not isinstance(walker, Walker):
+        return zero_at(state) + 1, last.reset(state)
+    (_, lift), after = walker.impact(state)
+    return lift, walker.exchange_legs(after)
 
 
 def make_stride(

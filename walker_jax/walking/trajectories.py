@@ -16,8 +16,8 @@ from walker_jax.hybrid.modes import Mode
 from walker_jax.integrators.integrator import AnySolver, Integrator
 from walker_jax.integrators.roots import Real
 from walker_jax.kernels import by_kernel
+from walker_jax.systems.outcomes import Outcome, nan_unless
 from walker_jax.walkers.model import Scalar, State, Walker
-from walker_jax.walkers.outcomes import Outcome, nan_unless
 from walker_jax.walking.starts import as_floating, during_stride, full_state, prepare
 from walker_jax.walking.stride import (
     Arrival,

@@ -1,0 +1,122 @@
+"""Maps as systems: a function of a point, and its parameters."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import jax.numpy as jnp
+from jax.core import Tracer
+
+from walker_jax.checks import WrongUse, check_kind, check_number, short
+from walker_jax.grids import Grid
+from walker_jax.integrators.roots import Scalar
+from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.system import System, code_field
+
+
+class Map(System):
+    """A map x -> f(x, **parameters) as a system: every stride takes the time 1.
+
+        def henon(x, a, b):
+            return jnp.stack([1 - a * x[0] ** 2 + x[1], b * x[0]])
+
+        wj.Map(henon, ("x", "y"), parameters={"a": 1.4, "b": 0.3})
+
+    **Arguments:**
+
+    - `f`: a pure JAX function of a point, of shape (coordinates,), and of the parameters by name.
+    - `coordinates`: their names.
+    - `parameters`: numbers by name; they can be differentiated, continued in, swept over.
+    - `feasible`: f(x, **parameters) for whether a point is one to begin from, by default any that
+      is finite. A real number counts as feasible where it is positive; that of the image is then
+      the `margin` of a stride, and areas of basins have derivatives.
+    - `region`: axes of a grid, `{"x": (low, high, count), ...}`, from whose cells periodic points
+      are searched for.
+
+    Raises `ValueError` for names that are not different identifiers, and for what is no function.
+    """
+
+    f: Callable = code_field()
+    section: tuple[str, ...] = code_field()  # pyright: ignore[reportIncompatibleVariableOverride]
+    parameters: dict[str, Scalar]  # pyright: ignore[reportGeneralTypeIssues]
+    within: Callable | None = code_field()
+    region: tuple | None = code_field()
+
+    def __init__(
+        self,
+        f: Callable[..., Any],
+        coordinates: Sequence[str],
+        *,
+        parameters: Mapping[str, Any] | None = None,
+        feasible: Callable[..., Any] | None = None,
+        region: Mapping[str, Any] | None = None,
+    ):
+        if not callable(f):
+            raise WrongUse(f"f must be a function, not {short(f)}")
+        if feasible is not None and not callable(feasible):
+            raise WrongUse(f"feasible must be a function, not {short(feasible)}")
+        check_kind("parameters", {} if parameters is None else parameters, Mapping)
+        check_names("coordinates", coordinates)
+        check_names("parameters", [*coordinates, *(parameters or {})])
+        self.f, self.section, self.within = f, tuple(coordinates), feasible
+        self.parameters = {name: as_number(name, of) for name, of in (parameters or {}).items()}
+        self.region = None if region is None else freeze(region_of(self.section, region))
+
+    def __getattr__(self, name: str) -> Any:
+        """A parameter, by its name."""
+        found = vars(self).get("parameters", {})
+        if name in found:
+            return found[name]
+        raise AttributeError(f"{type(self).__name__} has no parameter {name!r}")
+
+    def label(self):
+        return getattr(self.f, "__name__", type(self).__name__)
+
+    def advance(self, x):
+        return self.f(x, **self.parameters), Outcome.STRIDE, 1.0
+
+    def feasible(self, x):
+        if self.within is None:
+            return super().feasible(x)
+        value = self.within(x, **self.parameters)
+        return super().feasible(x) & (value if is_logical(value) else value > 0)
+
+    def margin(self, x):
+        value = None if self.within is None else self.within(x, **self.parameters)
+        return None if value is None or is_logical(value) else value
+
+    def gait_region(self):
+        return super().gait_region() if self.region is None else Grid.plain(**dict(self.region))
+
+
+def is_logical(value: Any) -> bool:
+    return jnp.result_type(value) == jnp.dtype(bool)
+
+
+def check_names(name: str, values: Sequence[str]) -> None:
+    """Refuse what are no names, all different."""
+    proper = not isinstance(values, str) and all(
+        isinstance(one, str) and one.isidentifier() for one in values
+    )
+    if not proper or not values or len({*values}) < len(values):
+        raise WrongUse(f"{name} must be different names, such as ('x', 'y'), not {short(values)}")
+
+
+def as_number(name: str, value: Any) -> Scalar:
+    """A parameter as an array of a floating type."""
+    if not isinstance(value, Tracer):
+        check_number(name, value)
+    return jnp.asarray(value, jnp.result_type(value, float))
+
+
+def freeze(grid: Grid) -> tuple:
+    """The axes of a grid as a value that can be compared."""
+    ends = zip(grid.names, grid.lower, grid.upper, grid.shape, strict=True)
+    return tuple((name, (float(low), float(high), n)) for name, low, high, n in ends)
+
+
+def region_of(section: tuple[str, ...], region: Mapping[str, Any]) -> Grid:
+    """A grid over all coordinates of a section, of these axes."""
+    check_kind("region", region, Mapping)
+    if tuple(region) != section:
+        raise WrongUse(f"region must have the axes {', '.join(section)}, not {short([*region])}")
+    return Grid.plain(**region)

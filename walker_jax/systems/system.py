@@ -1,0 +1,118 @@
+"""What gaits, basins, stability and design need of what they study: a return map with parameters.
+
+A system has a section, with names for its coordinates, and a rule that leads from one point of it
+to the next. The walkers of the package are systems, and so is any map, any flow with a period, any
+machine whose motion comes back to a section. What is called a stride is one application of the
+rule; a gait is a periodic point; and a system fails where no next point is.
+"""
+
+import dataclasses
+from typing import Any, ClassVar, TypeVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Bool, Float
+
+from walker_jax.checks import WrongUse
+from walker_jax.grids import Grid
+from walker_jax.integrators.roots import Scalar
+
+AnySystem = TypeVar("AnySystem", bound="System")
+
+
+class System(eqx.Module):
+    """A return map. Its fields are its parameters, scalars all, but for those that are static.
+
+    Derive from it to define `advance`; from `HybridSystem` to define modes of motion instead; or
+    make a `Map` of a function.
+    """
+
+    section: ClassVar[tuple[str, ...]]
+    """Names of the coordinates."""
+
+    def __repr__(self):
+        """The parameters' values, as far as each is one number; else their types and shapes."""
+        code = {one.name for one in dataclasses.fields(self) if is_code(one)}
+        values = {name: value for name, value in every_value(self).items() if name not in code}
+        shown = (f"{name}={format_parameter(value)}" for name, value in values.items())
+        return f"{self.label()}({', '.join(shown)})"
+
+    def advance(self, x: Float[Array, " section"]) -> tuple[Any, Any, Any]:
+        """The next point, of shape (section,), the `Outcome`, and the time that it takes.
+
+        A pure JAX function of one point. `wj.stride` calls it, and gives `OUTSIDE` for a start that
+        is not feasible, and `UNDECIDED` where a next point is not finite.
+        """
+        raise NotImplementedError(f"{type(self).__name__} must define advance")
+
+    def label(self) -> str:
+        """Its name in data sets, answers and errors."""
+        return type(self).__name__
+
+    def feasible(self, x: Float[Array, " section"]) -> Bool[Array, ""]:
+        """Whether x is a point to begin from. By default wherever it is finite."""
+        return jnp.all(jnp.isfinite(x))
+
+    def margin(self, x: Float[Array, " section"]) -> Scalar | None:
+        """By how much a stride from x succeeds: smooth, positive where it does, else not.
+
+        Where it is zero the failure begins, and areas of basins have derivatives by it. By default
+        none is known.
+        """
+        return None
+
+    def gait_region(self) -> Grid:
+        """The part of the section where gaits are searched for, in cells to search from."""
+        raise WrongUse(
+            f"guess or region must be given for a {type(self).__name__}, which has no gait_region"
+        )
+
+    def further_gait_region(self) -> Grid | None:
+        """Where `find_gait` searches too if none in `gait_region` is stable. By default nowhere."""
+        return None
+
+
+def code_field() -> Any:
+    """A static field of what is part of a system's code, such as a function that it is made of."""
+    return eqx.field(static=True, metadata={"code": True})
+
+
+def is_code(field: dataclasses.Field) -> bool:
+    """Whether a field is one of code."""
+    return field.metadata.get("code", False)
+
+
+def code_of(system: System) -> tuple[Any, ...]:
+    """The values of a system's fields of code."""
+    return tuple(getattr(system, one.name) for one in dataclasses.fields(system) if is_code(one))
+
+
+def every_value(system: System) -> dict[str, Any]:
+    """The values of all fields by name; of parameters in a dictionary by theirs."""
+    values = {}
+    for name, value in vars(system).items():
+        values |= value if isinstance(value, dict) else {name: value}
+    return values
+
+
+def numbers_of(system: System) -> dict[str, Any]:
+    """The parameters of a system, by name: its fields but for options, which are static."""
+    options = {one.name for one in dataclasses.fields(system) if one.metadata.get("static")}
+    return {name: value for name, value in every_value(system).items() if name not in options}
+
+
+def check_single(system: System) -> None:
+    """Refuse many systems, with arrays for parameters."""
+    for name, value in numbers_of(system).items():
+        if np.shape(value):
+            raise WrongUse(f"{name} must be one number, not of shape {np.shape(value)}")
+
+
+def format_parameter(value: Any) -> str:
+    """A number as it is; of arrays, and of what JAX traces, the type and shape."""
+    if not eqx.is_array_like(value):
+        return repr(value)
+    single = not isinstance(value, Tracer) and np.shape(value) == ()
+    return str(np.asarray(value)[()]) if single else eqx.tree_pformat(value)
