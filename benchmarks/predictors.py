@@ -28,7 +28,7 @@ from scipy.stats import pearsonr, qmc, spearmanr
 
 import walker_jax as wj
 from walker_jax.gaits.search import search_gait
-from walker_jax.stability.summary import default_region
+from walker_jax.stability.slices import default_region
 from walker_jax.walkers.parameters import with_parameter
 
 SLOPE = 0.009

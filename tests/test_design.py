@@ -26,7 +26,7 @@ from walker_jax.design.problem import (
     starting_places,
 )
 from walker_jax.design.trace import Trace
-from walker_jax.stability.summary import default_region
+from walker_jax.stability.slices import default_region
 
 WALKER = wj.SimplestWalker(0.004)
 SLOPES = {"slope": (0.001, 0.015)}

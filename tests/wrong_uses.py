@@ -221,6 +221,14 @@ TWICE = multibody.System(lambda q: jnp.stack([q[0] + q[1]] * 2), jnp.ones(2), jn
 """One of which two coordinates move the same."""
 
 
+def henon(x, a=1.4, b=0.3):
+    return jnp.stack([1 - a * x[0] ** 2 + x[1], b * x[0]])
+
+
+class Unfinished(wj.System):
+    section = ("x",)
+
+
 def names() -> dict[str, Any]:
     """Names that the calls of the table may use."""
     axes = {"theta": (0, 0.4, 10), "sum": (-0.04, 0.01, 10)}
@@ -244,6 +252,7 @@ def names() -> dict[str, Any]:
         "GAIT": gait([[0.2, -0.2]], 0.5),
         "UNSTABLE": gait([[0.2, -0.2]], -1.25),
         "LOST": LOST,
+        "henon": henon,
         "OF_THREE": gait([[0.2, -0.2, -0.1]], 0.5),
         "OF_PERIOD_TWO": gait([[0.2, -0.2], [0.3, -0.3]], 0.5),
     }

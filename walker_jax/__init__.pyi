@@ -60,11 +60,16 @@ from walker_jax.stability.summary import robustness as robustness
 from walker_jax.stability.summary import robustness_table as robustness_table
 from walker_jax.stability.tipping import Tipping as Tipping
 from walker_jax.stability.tipping import tipping_probability as tipping_probability
+from walker_jax.systems.bouncing_ball import BouncingBall as BouncingBall
+from walker_jax.systems.duffing import DuffingOscillator as DuffingOscillator
+from walker_jax.systems.henon import HenonMap as HenonMap
 from walker_jax.systems.hybrid_system import HybridSystem as HybridSystem
+from walker_jax.systems.impact_oscillator import ImpactOscillator as ImpactOscillator
 from walker_jax.systems.maps import Map as Map
 from walker_jax.systems.outcomes import Outcome as Outcome
 from walker_jax.systems.outcomes import Stride as Stride
 from walker_jax.systems.outcomes import Walk as Walk
+from walker_jax.systems.spring_mass_runner import SpringMassRunner as SpringMassRunner
 from walker_jax.systems.system import System as System
 from walker_jax.wada import Wada as Wada
 from walker_jax.wada import merge_regions as merge_regions

@@ -46,7 +46,7 @@ from walker_jax.design.trace import Trace, string_array
 from walker_jax.execution.progress import bar
 from walker_jax.execution.threads import side_by_side
 from walker_jax.grids import Grid
-from walker_jax.stability.summary import default_region
+from walker_jax.stability.slices import default_region
 from walker_jax.systems.system import System
 from walker_jax.walkers.model import Walker, check_planar, is_planar
 

@@ -29,7 +29,8 @@ from walker_jax.execution.workers import open_workers
 from walker_jax.gaits.search import search_gait
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import default_tolerance
-from walker_jax.stability.summary import default_region, robustness, without_gait
+from walker_jax.stability.slices import default_region
+from walker_jax.stability.summary import robustness, without_gait
 from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 

@@ -72,6 +72,9 @@ class Mode(NamedTuple):
     foregone: Foregone | None = None
     rates_at: Callable[[Any], Any] | None = None
     """The time derivative of a single state, where `field` is no function."""
+    as_smooth: bool = False
+    """Whether the guards are known to be as smooth along a solution as the solution is, such as
+    those of angles that move by their own sines: no step need be shorter for them then."""
 
     @property
     def rates(self) -> Callable[[Any], Any]:

@@ -10,7 +10,7 @@ from jaxtyping import PyTree
 
 from walker_jax.checks import WrongUse, check_number, short
 from walker_jax.integrators.method import Method, Solver
-from walker_jax.integrators.roots import Real
+from walker_jax.integrators.roots import Real, Scalar
 from walker_jax.integrators.taylor import VectorField
 from walker_jax.integrators.taylor_solver import Taylor
 from walker_jax.integrators.taylor_steps import series_order
@@ -55,10 +55,15 @@ class Integrator(eqx.Module):
         return Integrator(jnp.asarray(self.tolerance, dtype), self.solver)
 
     def method(
-        self, field: VectorField, state: PyTree, *others: Callable[[PyTree], PyTree]
+        self,
+        field: VectorField,
+        state: PyTree,
+        *others: Callable[[PyTree], PyTree],
+        watched: tuple[Callable[[PyTree], Scalar], ...] = (),
     ) -> Method:
         """The method by which y' = f(y) is integrated from a state."""
-        return Method(field, self.solver or Taylor(series_order(state)), self.tolerance, others)
+        solver = self.solver or Taylor(series_order(state))
+        return Method(field, solver, self.tolerance, others, watched)
 
 
 def integrator_of(

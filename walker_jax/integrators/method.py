@@ -73,6 +73,8 @@ class Method(eqx.Module):
     tolerance: Real
     others: tuple[Callable[[PyTree], PyTree], ...] = ()
     """Functions of the state; the Taylor solver ends steps at their kinks, as at those of f."""
+    watched: tuple[Callable[[PyTree], Scalar], ...] = ()
+    """Functions of the state whose series limit its steps as the solution's does."""
 
     @property
     def terms(self):
@@ -138,7 +140,9 @@ class Method(eqx.Module):
         """
         if isinstance(self.solver, Taylor):
             order = self.solver.taylor_order
-            series, length = taylor_step(self.field, state, order, self.tolerance, *self.others)
+            series, length = taylor_step(
+                self.field, state, order, self.tolerance, *self.others, watched=self.watched
+            )
             return series, evaluate_series(series, length), length, ()
         length, kept, first = memory
         zero, terms, controller = jnp.zeros_like(length), self.terms, self.controller()

@@ -15,7 +15,13 @@ from walker_jax.integrators.roots import (
     first_zero,
 )
 from walker_jax.integrators.series import evaluate_polynomial
-from walker_jax.integrators.taylor import VectorField, is_list, solution_series, switching_series
+from walker_jax.integrators.taylor import (
+    VectorField,
+    function_series,
+    is_list,
+    solution_series,
+    switching_series,
+)
 
 SERIES_ORDER = {jnp.dtype("float64"): 12, jnp.dtype("float32"): 8}
 """Order of the series: the fastest, or nearly, at the default tolerance (benchmarks/README.md).
@@ -38,20 +44,24 @@ def step_length(series: PyTree, tolerance: Real) -> Scalar:
     more than `LONGEST_STEP` |y| / |c_1|, and |c_1| counts as at least the rounding of |y|. It needs
     few digits, and powers are cheap in float32.
     """
+    shortest, scale = reach(series, tolerance), scale_of(series)
+    rate = (largest_coefficient(series, 1) / scale).astype(jnp.float32)
+    unit = 1 / jnp.maximum(rate, float(jnp.finfo(scale.dtype).eps))
+    shortest = jnp.where(shortest > LONGEST_STEP * unit, POLYNOMIAL_STEP * unit, shortest)
+    return shortest.astype(scale.dtype)
+
+
+def reach(series: PyTree, tolerance: Real) -> Scalar:
+    """The h of `step_length`, infinite where the last terms vanish; in float32."""
     leaves = jax.tree.leaves(series, is_leaf=is_list)
     order, scale = len(leaves[0]) - 1, scale_of(series)
     log_tolerance = jnp.log(jnp.asarray(tolerance, jnp.float32))
 
-    def part(k):
-        return (largest_coefficient(series, k) / scale).astype(jnp.float32)
-
     def log_length(k):
-        return (log_tolerance - jnp.log(part(k))) / k
+        part = (largest_coefficient(series, k) / scale).astype(jnp.float32)
+        return (log_tolerance - jnp.log(part)) / k
 
-    shortest = jnp.exp(jnp.minimum(log_length(order - 1), log_length(order)))
-    unit = 1 / jnp.maximum(part(1), float(jnp.finfo(scale.dtype).eps))
-    shortest = jnp.where(shortest > LONGEST_STEP * unit, POLYNOMIAL_STEP * unit, shortest)
-    return shortest.astype(leaves[0][0].dtype)
+    return jnp.exp(jnp.minimum(log_length(order - 1), log_length(order)))
 
 
 def scale_of(series: PyTree) -> Scalar:
@@ -75,15 +85,20 @@ def taylor_step(
     order: int,
     tolerance: Real,
     *others: Callable[[PyTree], PyTree],
+    watched: tuple[Callable[[PyTree], Scalar], ...] = (),
 ) -> tuple[PyTree[list], Scalar]:
     """The series of the solution of y' = f(y) from a state, and the length of its step.
 
-    At that length the last terms of the series reach the tolerance. If f, or one of the others, has
-    a kink before, the step ends just behind the kink, by `tolerance` times the length. The length
-    is NaN if f jumps by more than the root of the tolerance, relative to |y| or |y'|.
+    At that length the last terms of the series reach the tolerance, and those of the watched
+    functions are below it. If f, or one of the others, has a kink before, the step ends just behind
+    the kink, by `tolerance` times the length. The length is NaN if f jumps by more than the root of
+    the tolerance, relative to |y| or |y'|.
     """
     series = solution_series(vector_field, state, order)
     length = step_length(series, tolerance)
+    for function in watched:
+        known = function_series(function, lax.stop_gradient(series))
+        length = jnp.minimum(length, reach((known,), tolerance).astype(length.dtype))
     if not (switches := [s for f in (vector_field, *others) for s in switching_series(f, series)]):
         return series, length
     least = jnp.asarray(tolerance, length.dtype) * length

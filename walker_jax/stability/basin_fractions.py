@@ -36,7 +36,7 @@ from walker_jax.gaits.search import search_gait
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.stability.sampling import wilson_interval
-from walker_jax.stability.summary import default_region
+from walker_jax.stability.slices import default_region
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System, check_single
 from walker_jax.walkers.parameters import attributes_of, check_parameter, with_parameter

@@ -1,11 +1,16 @@
-"""Slices around a gait, in which `robustness` looks at the basin."""
+"""The regions and slices around a gait in which `robustness` looks at the basin."""
 
 import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
+from walker_jax.gaits.cycles import Gait
+from walker_jax.gaits.search import search_gait
 from walker_jax.grids import Grid, axes_around
-from walker_jax.walkers.model import Walker
+from walker_jax.systems.system import System
+from walker_jax.walkers.abstract_point_foot import AbstractPointFootWalker
+from walker_jax.walkers.model import Walker, moves_like
+from walker_jax.walkers.simplest import SimplestWalker
 from walker_jax.walkers.spatial import SpatialWalker
 
 SLICE_YAW, SLICE_LEAN_RATE, SLICE_CELLS = 0.2, 0.04, 100
@@ -26,3 +31,20 @@ def slice_around(walker: Walker, state: Float[ArrayLike, " section"]) -> Grid:
     return Grid.through(
         point, yaw=around("yaw", SLICE_YAW), leandot=around("leandot", SLICE_LEAN_RATE / rate)
     )
+
+
+def default_region(walker: System, searched: Gait | None = None) -> Grid | None:
+    """All feasible angles of a walker on point feet, or a slice around a gait, if there is one.
+
+    Of a system that is no walker, its `gait_region`.
+
+    Rates are those of the simplest walker's basins, and more for others; by default, the gait of
+    `find_gait`.
+    """
+    if not isinstance(walker, Walker):
+        return walker.gait_region()
+    if isinstance(walker, AbstractPointFootWalker):
+        rates = (-0.12, 0.06, 200) if moves_like(walker, SimplestWalker) else (-1.1, 0.1, 800)
+        return Grid.sheared(theta=(0, np.pi / 4, 200), sum=rates)
+    gait = search_gait(walker) if searched is None else searched
+    return slice_around(walker, gait.states[0]) if gait.found else None

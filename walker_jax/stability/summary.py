@@ -23,14 +23,12 @@ from walker_jax.stability.dimension import boundary_dimension, comparisons
 from walker_jax.stability.disturbances import LeastDisturbance, least_disturbance
 from walker_jax.stability.rough_ground import steps_to_fall
 from walker_jax.stability.sampling import BasinStability, basin_stability
-from walker_jax.stability.slices import slice_around
+from walker_jax.stability.slices import default_region
 from walker_jax.stability.steps_down import NO_STEP_DOWN, LeastStepDown, least_step_down
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
-from walker_jax.walkers.abstract_point_foot import AbstractPointFootWalker
-from walker_jax.walkers.model import Walker, check_planar, is_planar, moves_like
+from walker_jax.walkers.model import check_planar, is_planar
 from walker_jax.walkers.parameters import check_parameter, with_parameter
-from walker_jax.walkers.simplest import SimplestWalker
 
 WALKS, WALK_LIMIT = 1000, 2000
 """Walks on rough ground and strides of each at most: some seconds on two cores, and an interval of
@@ -391,20 +389,3 @@ def common_attributes(rows: list[xr.Dataset], parameter: str) -> dict[str, Any]:
             given.setdefault(name, []).append(value)
     same = lambda values: all(np.array_equal(one, values[0]) for one in values)
     return {name: values[0] for name, values in given.items() if name not in own and same(values)}
-
-
-def default_region(walker: System, searched: Gait | None = None) -> Grid | None:
-    """All feasible angles of a walker on point feet, or a slice around a gait, if there is one.
-
-    Of a system that is no walker, its `gait_region`.
-
-    Rates are those of the simplest walker's basins, and more for others; by default, the gait of
-    `find_gait`.
-    """
-    if not isinstance(walker, Walker):
-        return walker.gait_region()
-    if isinstance(walker, AbstractPointFootWalker):
-        rates = (-0.12, 0.06, 200) if moves_like(walker, SimplestWalker) else (-1.1, 0.1, 800)
-        return Grid.sheared(theta=(0, np.pi / 4, 200), sum=rates)
-    gait = search_gait(walker) if searched is None else searched
-    return slice_around(walker, gait.states[0]) if gait.found else None

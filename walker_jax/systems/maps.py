@@ -4,12 +4,13 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax.numpy as jnp
-from jax.core import Tracer
+import numpy as np
 
-from walker_jax.checks import WrongUse, check_kind, check_number, short
+from walker_jax.checks import WrongUse, check_kind, short
 from walker_jax.grids import Grid
 from walker_jax.integrators.roots import Scalar
 from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.parameter import Parameter
 from walker_jax.systems.system import System, code_field
 
 
@@ -56,9 +57,12 @@ class Map(System):
             raise WrongUse(f"feasible must be a function, not {short(feasible)}")
         check_kind("parameters", {} if parameters is None else parameters, Mapping)
         check_names("coordinates", coordinates)
-        check_names("parameters", [*coordinates, *(parameters or {})])
+        check_names("parameters", (*coordinates, *(parameters or {})))
         self.f, self.section, self.within = f, tuple(coordinates), feasible
-        self.parameters = {name: as_number(name, of) for name, of in (parameters or {}).items()}
+        self.parameters = {
+            name: Parameter(name, "", "", low=-np.inf).convert(of)
+            for name, of in (parameters or {}).items()
+        }
         self.region = None if region is None else freeze(region_of(self.section, region))
 
     def __getattr__(self, name: str) -> Any:
@@ -66,7 +70,7 @@ class Map(System):
         found = vars(self).get("parameters", {})
         if name in found:
             return found[name]
-        raise AttributeError(f"{type(self).__name__} has no parameter {name!r}")
+        raise AttributeError(f"{self.label()} has no parameter {name!r}")
 
     def label(self):
         return getattr(self.f, "__name__", type(self).__name__)
@@ -99,13 +103,6 @@ def check_names(name: str, values: Sequence[str]) -> None:
     )
     if not proper or not values or len({*values}) < len(values):
         raise WrongUse(f"{name} must be different names, such as ('x', 'y'), not {short(values)}")
-
-
-def as_number(name: str, value: Any) -> Scalar:
-    """A parameter as an array of a floating type."""
-    if not isinstance(value, Tracer):
-        check_number(name, value)
-    return jnp.asarray(value, jnp.result_type(value, float))
 
 
 def freeze(grid: Grid) -> tuple:

@@ -45,7 +45,7 @@ class System(eqx.Module):
         A pure JAX function of one point. `wj.stride` calls it, and gives `OUTSIDE` for a start that
         is not feasible, and `UNDECIDED` where a next point is not finite.
         """
-        raise NotImplementedError(f"{type(self).__name__} must define advance")
+        raise WrongUse(f"advance must be defined by {self.label()}, which has none")
 
     def label(self) -> str:
         """Its name in data sets, answers and errors."""
@@ -66,7 +66,7 @@ class System(eqx.Module):
     def gait_region(self) -> Grid:
         """The part of the section where gaits are searched for, in cells to search from."""
         raise WrongUse(
-            f"guess or region must be given for a {type(self).__name__}, which has no gait_region"
+            f"guess or region must be given for {self.label()}, which has no gait_region"
         )
 
     def further_gait_region(self) -> Grid | None:

@@ -31,7 +31,15 @@ from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
 from walker_jax.walkers.full_states import check_full_state
-from walker_jax.walkers.phase import Conditions, Phase, State, conditions_of, fall_guards, is_planar
+from walker_jax.walkers.phase import (
+    Conditions,
+    Phase,
+    State,
+    conditions_of,
+    fall_guards,
+    is_of_package,
+    is_planar,
+)
 from walker_jax.walkers.sources import sources_of
 
 LEAST_SCUFF = {jnp.dtype("float64"): 1e-9, jnp.dtype("float32"): 1e-5}
@@ -131,6 +139,7 @@ class Walker(HybridSystem):
             tuple(conditions),
             foregone=foregone,
             rates_at=self.vector_field,
+            as_smooth=all(is_of_package(type(self), hook) for hook in GUARD_HOOKS),
         )
         return *(phase.mode() for phase in self.phases()), swing
 
@@ -259,6 +268,8 @@ MAX_LANDING_ERROR = 1e-4
 
 
 WalkerKind = TypeVar("WalkerKind", bound=Walker)
+GUARD_HOOKS = "contact", "is_ahead", "falls", "swing_foot"
+"""Methods of which the guards of a swing are made."""
 EQUATIONS_OF_MOTION = ("vector_field", "modes", "system")
 PREMISES = {
     "force_least_at_ends": (*EQUATIONS_OF_MOTION, "contact_force"),
@@ -294,8 +305,7 @@ def check_lands_on_section(walker: Walker) -> None:
     """
     methods = ("impact", "exchange_legs", "project", "lift")
     methods += ("system", "swing_foot") if len(walker.section) == 2 else ()
-    bases = [next((b for b in type(walker).__mro__ if m in vars(b)), Walker) for m in methods]
-    if all(base.__module__.startswith("walker_jax.") for base in bases):
+    if all(is_of_package(type(walker), method) for method in methods):
         return
     if any(np.shape(leaf) or isinstance(leaf, Tracer) for leaf in jax.tree.leaves(walker)):
         return

@@ -6,62 +6,14 @@ from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
-from jax.typing import ArrayLike
 
 from walker_jax.checks import WrongUse, check_kind, short
+from walker_jax.systems.parameter import Parameter as Parameter
 from walker_jax.systems.system import AnySystem, System, code_of, is_code, numbers_of
 from walker_jax.walkers.fingerprints import code_fingerprint
-from walker_jax.walkers.model import Scalar
 
 Described = TypeVar("Described")
-
-
-class Parameter(NamedTuple):
-    """A parameter of a walker: its meaning and its bounds."""
-
-    name: str
-    meaning: str
-    unit: str
-    default: float = np.nan
-    """Of the command line; and of the constructor, but for the slope. NaN where it has none."""
-    low: float = 0.0
-    high: float = np.inf
-    closed: bool = False
-    """Whether it may be equal to `low`."""
-    span: tuple[float, float] = (np.nan, np.nan)
-    """Values between which the command line follows gaits unless others are given; of the slope."""
-
-    def convert(self, value: ArrayLike) -> Scalar:
-        """The number as an array. Raises `ValueError` for one that is not within the bounds."""
-        refusal = f"{self.name} must be one real number, not {short(value)}"
-        try:
-            value = jnp.asarray(value)
-        except (TypeError, ValueError, OverflowError):
-            raise WrongUse(refusal) from None
-        real = jnp.issubdtype(value.dtype, jnp.number) and jnp.isrealobj(value)
-        if value.shape != () or not real:
-            raise WrongUse(refusal)
-        if not jnp.issubdtype(value.dtype, jnp.floating):
-            value = value.astype(float)
-        if isinstance(value, Tracer):
-            return value
-        number = np.asarray(value)
-        above = number >= self.low if self.closed else number > self.low
-        if not (above & (number < self.high)):
-            raise WrongUse(f"{self.name} must be {self.bounds()}, not {value}")
-        return value
-
-    def bounds(self) -> str:
-        """The bounds in words."""
-        if self.low > -np.inf and self.high < np.inf:
-            limit = "at least" if self.closed else "above"
-            return f"{limit} {self.low:g} and below {self.high:g}"
-        if self.low > -np.inf:
-            return f"finite and {'not negative' if self.closed else f'above {self.low:g}'}"
-        return f"finite and below {self.high:g}" if self.high < np.inf else "finite"
 
 
 def parameters(walker: type[System] | System) -> tuple[Parameter, ...]:

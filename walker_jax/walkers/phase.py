@@ -104,9 +104,22 @@ class Phase(eqx.Module):
             guards.append(Guard(below, Outcome.BENT_KNEE, (walker.is_ahead,), (self.reach,)))
         guards.append(Guard(self.event, Outcome.STRIDE))
         conditions = [Condition(one, of) for of, one in conditions_of(self).items()]
+        hooks = (self, "event"), (self, "clearance"), (self, "reach"), (walker, "falls")
+        as_smooth = all(is_of_package(type(of), hook) for of, hook in hooks)
         return Mode(
-            self.equations(), tuple(guards), tuple(conditions), self.end, rates_at=self.vector_field
+            self.equations(),
+            tuple(guards),
+            tuple(conditions),
+            self.end,
+            rates_at=self.vector_field,
+            as_smooth=as_smooth,
         )
+
+
+def is_of_package(kind: type, method: str) -> bool:
+    """Whether a method of a class, if it has it, is one of the package's own."""
+    home = next((base for base in kind.__mro__ if method in vars(base)), None)
+    return home is None or home.__module__.startswith("walker_jax.")
 
 
 def conditions_of(part: Any) -> dict[int, Function]:

@@ -133,7 +133,7 @@ def apply_map(walker: System, x: Float[Array, " section"]) -> Stride:
     state = jnp.asarray(state)
     if state.shape != x.shape or state.dtype != x.dtype:
         raise WrongUse(
-            f"advance of {type(walker).__name__} must lead to {x.dtype} of shape {x.shape}, not to "
+            f"advance of {walker.label()} must lead to {x.dtype} of shape {x.shape}, not to "
             f"{state.dtype} of shape {state.shape}"
         )
     finite = jnp.all(jnp.isfinite(state))
@@ -256,8 +256,9 @@ def follow_on(mode: Mode, last: Arrival, integrator: Integrator, measured: bool 
 
 def method_of(mode: Mode, start: Any, integrator: Integrator) -> Method:
     """The method by which a mode is integrated: its steps end at kinks of guards too."""
-    kinked = [function for guard in mode.functions() for function in guard]
-    return integrator.method(mode.field, start, *kinked)
+    functions = tuple(function for guard in mode.functions() for function in guard)
+    watched = () if mode.as_smooth else functions
+    return integrator.method(mode.field, start, *functions, watched=watched)
 
 
 def end_stride(walker: HybridSystem, swing: Mode, last: Arrival) -> tuple[Any, Stride]:

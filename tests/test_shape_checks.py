@@ -1,0 +1,64 @@
+"""Shapes and types of the rooms in which strides are made, checked while strides are traced.
+
+Run-time checks of these rooms take an eighth of all processor time of the tests, as tracing calls
+each of their functions thousands of times. So one process has them on, and traces everything once.
+"""
+
+import subprocess
+import sys
+
+ROOMS = "hybrid", "multibody", "walkers", "walking"
+PROGRAM = """
+import sys
+import jax
+import jax.numpy as jnp
+from jaxtyping import install_import_hook
+
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_numpy_dtype_promotion", "strict")
+with install_import_hook([f"walker_jax.{room}" for room in sys.argv[1:]], "beartype.beartype"):
+    import walker_jax as wj
+    import walker_jax.multibody as multibody
+    import walker_jax.walking.failure_margins
+    import walker_jax.walking.movement
+    import walker_jax.walking.starts as starts
+
+LEGS, TRUNK = [0.3, -0.4], [0.3, -0.4, -0.1]
+STARTS = [
+    (wj.SimplestWalker(0.01), LEGS),
+    (wj.PoweredWalker(0.01, hip_stiffness=4.0, hip_angle=-0.4, push_off=0.05), LEGS),
+    (wj.UpperBodyWalker(0.01), TRUNK),
+    (wj.KneedWalker(0.05, check_lock=True, check_scuffing=True), TRUNK),
+    (wj.SpatialWalker(0.07), [0.1, 0.16, 0.33, -0.32, -0.05, -0.51, -0.6]),
+    (wj.DuffingOscillator(), LEGS),
+    (wj.HenonMap(), LEGS),
+]
+for walker, x in STARTS:
+    functions = [wj.stride]
+    if isinstance(walker, (wj.SimplestWalker, wj.DuffingOscillator, wj.HenonMap)):
+        functions += [wj.margins]
+    if isinstance(walker, wj.SimplestWalker):
+        functions += [lambda walker, x: walker.contact_force(walker.lift(x))]
+        functions += [lambda walker, x: wj.trajectory(walker, x, jnp.linspace(0.0, 1.0, 3))]
+        functions += [lambda walker, x: wj.walk(walker, x, 2, ground=jnp.array([0.01, -0.01]))]
+    if isinstance(walker, wj.KneedWalker):
+        functions += [wj.phase_times]
+    for function in functions:
+        jax.make_jaxpr(function)(walker, jnp.array(x))
+system = wj.PointFootWalker(0.01).system()
+q, rates = jnp.array([0.0, 0.0, 0.2, 0.3]), jnp.array([0.0, 0.0, -0.3, 0.1])
+for function in multibody.solve_motion, multibody.kinetic_energy:
+    jax.make_jaxpr(lambda q, rates: function(system, q, rates))(q, rates)
+try:
+    starts.on_section(wj.SimplestWalker(0.01), jnp.zeros((2, 2)))
+except Exception as error:
+    print(type(error).__name__)
+"""
+
+
+def test_strides_of_all_kinds_keep_to_their_shapes():
+    run = subprocess.run(
+        [sys.executable, "-c", PROGRAM, *ROOMS], capture_output=True, text=True, check=False
+    )
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.split() == ["TypeCheckError"], "a wrong shape is not seen"

@@ -1,0 +1,70 @@
+"""A ball that bounces on a table that vibrates."""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from walker_jax.grids import Grid
+from walker_jax.hybrid.modes import Guard, Mode
+from walker_jax.integrators.roots import Scalar
+from walker_jax.systems.hybrid_system import HybridSystem
+from walker_jax.systems.parameter import Parameter
+
+AMPLITUDE = Parameter("amplitude", "of the table's acceleration", "g", 0.5, closed=True)
+RESTITUTION = Parameter("restitution", "at an impact", "", 0.8, high=1)
+RESTING = 1e-6
+"""Speed away from the table below which a ball does not leave it any more."""
+
+
+class Flight(NamedTuple):
+    """Height of a ball, its rate, and the phase of the table; or their rates."""
+
+    height: Any
+    velocity: Any
+    phase: Any
+
+
+class BouncingBall(HybridSystem):
+    """A ball over a table at amplitude sin(phase), from just after one impact to the next.
+
+    The unit of time is 1 / angular frequency of the table; gravity is 1, so the amplitude is the
+    greatest acceleration of the table over that of gravity. Relative velocities are multiplied by
+    -restitution at an impact. A ball that sticks to the table is `OUTSIDE`. The full equations, not
+    the approximation of high bounces; Luo and Han (1996, Nonlinear Dynamics 10, 1-18).
+    """
+
+    amplitude: Scalar = AMPLITUDE.field()
+    restitution: Scalar = RESTITUTION.field()
+
+    section = ("phase", "velocity")
+
+    def table(self, phase):
+        """Its height and velocity."""
+        return self.amplitude * jnp.sin(phase), self.amplitude * jnp.cos(phase)
+
+    def lift(self, x):
+        return Flight(self.table(x[0])[0], x[1], x[0])
+
+    def project(self, state):
+        turns = jnp.round(state.phase / (2 * np.pi))
+        return jnp.stack([state.phase - 2 * np.pi * turns, state.velocity])
+
+    def feasible(self, x):
+        return self.margin(x) > 0
+
+    def margin(self, x):
+        return x[1] - self.table(x[0])[1] - RESTING
+
+    def modes(self):
+        field = lambda y: Flight(y.velocity, -jnp.ones_like(y.phase), jnp.ones_like(y.phase))
+        lands = Guard(lambda y: self.table(y.phase)[0] - y.height)
+
+        def bounce(y: Flight) -> Flight:
+            _, moving = self.table(y.phase)
+            return y._replace(velocity=moving - self.restitution * (y.velocity - moving))
+
+        return (Mode(field, (lands,), reset=bounce),)
+
+    def gait_region(self):
+        return Grid.plain(phase=(-np.pi, np.pi, 30), velocity=(0, 6, 30))

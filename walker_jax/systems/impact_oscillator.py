@@ -1,0 +1,67 @@
+"""A forced oscillator that hits a rigid stop."""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from walker_jax.grids import Grid
+from walker_jax.hybrid.modes import Guard, Mode
+from walker_jax.integrators.roots import Scalar
+from walker_jax.systems.hybrid_system import HybridSystem
+from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.parameter import Parameter
+
+LONGEST = 100.0
+"""Time without an impact after which the oscillator is said to have `STOPPED` hitting the stop."""
+
+
+class Motion(NamedTuple):
+    """Position and rate, the phase of the force, and the time since an impact; or their rates."""
+
+    x: Any
+    v: Any
+    phase: Any
+    time: Any
+
+
+class ImpactOscillator(HybridSystem):
+    """x'' + 2 damping x' + x = cos(frequency t) for x < stop, v -> -restitution v at x = stop.
+
+    From just after one impact to the next; phase is frequency t, and v negative. Shaw and Holmes
+    (1983, Journal of Sound and Vibration 90, 129-155).
+    """
+
+    frequency: Scalar = Parameter("frequency", "of the force", "", 2.5).field()
+    stop: Scalar = Parameter("stop", "place of the stop", "", 0.0, -np.inf).field()
+    restitution: Scalar = Parameter("restitution", "at an impact", "", 0.8, 0, 1).field()
+    damping: Scalar = Parameter("damping", "of the rate", "", 0.0, 0, 1, closed=True).field()
+
+    section = ("phase", "v")
+
+    def lift(self, x):
+        return Motion(self.stop + 0 * x[0], x[1], x[0], jnp.zeros_like(x[0]))
+
+    def project(self, state):
+        turns = jnp.round(state.phase / (2 * np.pi))
+        return jnp.stack([state.phase - 2 * np.pi * turns, state.v])
+
+    def feasible(self, x):
+        return self.margin(x) > 0
+
+    def margin(self, x):
+        return -x[1]
+
+    def modes(self):
+        def field(y: Motion) -> Motion:
+            one = jnp.ones_like(y.time)
+            pull = jnp.cos(y.phase) - 2 * self.damping * y.v - y.x
+            return Motion(y.v, pull, self.frequency * one, one)
+
+        hits = Guard(lambda y: y.x - self.stop)
+        waits = Guard(lambda y: y.time - LONGEST, Outcome.STOPPED)
+        back = lambda y: y._replace(v=-self.restitution * y.v)
+        return (Mode(field, (waits, hits), reset=back),)
+
+    def gait_region(self):
+        return Grid.plain(phase=(-np.pi, np.pi, 40), v=(-2, 0, 40))

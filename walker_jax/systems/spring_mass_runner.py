@@ -1,0 +1,89 @@
+"""A runner on a leg that is a spring without mass: the spring-loaded inverted pendulum."""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from walker_jax.grids import Grid
+from walker_jax.hybrid.modes import Guard, Mode
+from walker_jax.integrators.roots import Scalar
+from walker_jax.systems.hybrid_system import HybridSystem
+from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.parameter import Parameter
+
+STIFFNESS = Parameter("stiffness", "of the leg", "weight/length", 25.4841997961264)
+ANGLE = Parameter("angle", "of the leg from the ground, in flight", "rad", 1.1868238913561442)
+ENERGY = Parameter("energy", "at an apex", "weight length", 2.27420998980632)
+RETRACTION = Parameter("retraction", "rate of the angle", "rad/unit of time", 0.0, -np.inf)
+
+
+class Point(NamedTuple):
+    """The mass from the foot, or below the apex; its rates; the time since the apex. Or rates."""
+
+    x: Any
+    y: Any
+    vx: Any
+    vy: Any
+    time: Any
+
+
+class SpringMassRunner(HybridSystem):
+    """From the apex of one flight to the next, of which the height is the only coordinate.
+
+    Mass, gravity and the leg's length at rest are 1. In flight the leg is held at `angle` from the
+    ground, which grows at the rate `retraction` from the apex on (Seyfarth, Geyer and Herr 2003,
+    Journal of Experimental Biology 206, 2547-2555); the energy is that at every apex (Geyer,
+    Seyfarth and Blickhan 2005, Journal of Theoretical Biology 232, 315-328).
+
+    Fails: `FORWARD` as the mass reaches the ground; `BACKWARD` as it moves backward at lift-off;
+    `STOPPED` as it moves downward there; `OUTSIDE` below the height of touchdown, where no flight
+    ends on a straight leg.
+    """
+
+    stiffness: Scalar = STIFFNESS.field()
+    angle: Scalar = ANGLE.field()
+    energy: Scalar = ENERGY.field()
+    retraction: Scalar = RETRACTION.field()
+
+    section = ("apex",)
+
+    def lift(self, x):
+        zero = jnp.zeros_like(x[0])
+        return Point(zero, x[0], jnp.sqrt(2 * jnp.abs(self.energy - x[0])), zero, zero)
+
+    def project(self, state):
+        return state.y[None]
+
+    def feasible(self, x):
+        return (self.margin(x) >= 0) & (x[0] < self.energy)
+
+    def margin(self, x):
+        return x[0] - jnp.sin(self.angle)
+
+    def modes(self):
+        leg = lambda y: jnp.sqrt(y.x**2 + y.y**2)
+        straight = lambda y: leg(y) - 1
+        direction = lambda y: self.angle + self.retraction * y.time
+
+        def fly(y: Point) -> Point:
+            zero, one = jnp.zeros_like(y.time), jnp.ones_like(y.time)
+            return Point(y.vx, y.vy, zero, -one, one)
+
+        def bounce(y: Point) -> Point:
+            pull = self.stiffness * (1 - leg(y)) / leg(y)
+            return Point(y.vx, y.vy, pull * y.x, pull * y.y - 1, jnp.ones_like(y.time))
+
+        lands = Guard(lambda y: jnp.sin(direction(y)) - y.y)
+        crashes = Guard(lambda y: -y.y, Outcome.FORWARD)
+        backward = Guard(straight, Outcome.BACKWARD, (lambda y: -y.vx, lambda y: y.vy))
+        downward = Guard(straight, Outcome.STOPPED, (lambda y: -y.vy,))
+        leaves = Guard(straight, admits=(lambda y: y.vx, lambda y: y.vy))
+        return (
+            Mode(fly, (lands,), reset=lambda y: y._replace(x=-jnp.cos(direction(y)))),
+            Mode(bounce, (crashes, backward, downward, leaves)),
+            Mode(fly, (Guard(lambda y: -y.vy),)),
+        )
+
+    def gait_region(self):
+        return Grid.plain(apex=(0, 2.3, 200))
