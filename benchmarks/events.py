@@ -14,14 +14,14 @@ that have another outcome; those near a boundary; strides of which the states di
     powered              10000000 strides  51%   0   0   0   6e-11   78 s
     round-foot           10000000 strides  22%   0   0   0   8e-10  176 s
     upper-body           10000000 strides  12%   0   0   0   2e-10  205 s
-    kneed                 1000000 strides  42%   0   0   0   1e-10   64 s
+    kneed                10000000 strides  43%   0   0   0   2e-10  576 s
     powered-point-foot   10000000 strides  42%   0   0   0   1e-09  232 s
-    powered-round-foot    1000000 strides  55%   0   0   0   2e-10   29 s
-    powered-upper-body    1000000 strides  53%   0   0   0   1e-10   44 s
-    spatial                100000 strides  37%   0   0   0   6e-12   36 s
+    powered-round-foot   10000000 strides  55%   0   0   0   9e-10  309 s
+    powered-upper-body   10000000 strides  53%   0   0   0   1e-10  414 s
+    spatial               1000000 strides  37%   0   0   0   8e-12  258 s
     simplest on steps    10000000 strides   7%   0   0   0   1e-08   58 s
     powered on steps     10000000 strides  50%   0   0   0   2e-09  109 s
-    kneed on steps         100000 strides  41%   0   0   0   4e-11   18 s
+    kneed on steps        1000000 strides  41%   0   0   0   4e-11   70 s
 
     python benchmarks/events.py [STRIDES [FAMILY ...]]
 """

@@ -21,7 +21,7 @@ differ; those near a boundary; the largest difference of states, and that of 99.
     powered-point-foot     100000 strides  42%    15   0   0   1e-07  1e-08   25 s
     powered-round-foot     100000 strides  55%    12   0   0   2e-09  3e-10   21 s
     powered-upper-body     100000 strides  54%     4   0   0   3e-09  3e-10   36 s
-    spatial                  5000 strides  36%     1   0   0   2e-08  1e-08   11 s
+    spatial                100000 strides  37%    16   0   0   8e-08  1e-08   43 s
 
     python benchmarks/small_steps.py [STRIDES [FAMILY ...]]
 """

@@ -129,7 +129,7 @@ def test_a_walker_that_moves_by_equations_of_its_own_has_not_the_window_of_the_p
     ]
     assert given == [
         "the walker makes no stride from the state where the search begins",
-        "none of the 80000 starts over the section makes a stride",
+        "none of the 80000 starts over the section makes a stride (explain says why)",
     ]
 
 

@@ -92,6 +92,8 @@ from walker_jax.walkers.spatial import SpatialWalker as SpatialWalker
 from walker_jax.walkers.spring import SpringWalker as SpringWalker
 from walker_jax.walkers.upper_body import UpperBodyWalker as UpperBodyWalker
 from walker_jax.walking.disturbed import Disturbance as Disturbance
+from walker_jax.walking.explanation import Explanation as Explanation
+from walker_jax.walking.explanation import explain as explain
 from walker_jax.walking.failure_margins import Margins as Margins
 from walker_jax.walking.failure_margins import margins as margins
 from walker_jax.walking.failure_margins import margins_of_many as margins_of_many

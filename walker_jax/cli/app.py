@@ -20,6 +20,8 @@ from walker_jax.cli.version import Version
 
 COMMANDS = {
     "walk": "Walk from one start, stride by stride, until a failure.",
+    "explain": "Say why the stride from one start ends as it does, and whether a model fits "
+    "together.",
     "gait": "Find the gaits of a walker: cycles of strides, and their stability.",
     "bifurcation": "Follow the gaits over the slope: how each is born, doubles and ends.",
     "explore": "Explore basins in a browser: drag the slope, watch the basin; click a start, watch "

@@ -7,6 +7,10 @@ EXAMPLES = {
         "walk --animate walk.gif",
         "walk --slope 0.009 --ground 0.0005 --seed 1 --strides 100 --animate rough.gif",
     ),
+    "explain": (
+        "explain --theta 0.3 --thetadot -0.1",
+        "explain --walker kneed",
+    ),
     "gait": (
         "gait --slope 0.009",
         "gait --walker round-foot --foot-radius 0.3 --figure multipliers.png",

@@ -57,5 +57,7 @@ def reason_of_all(walker: System) -> str:
     ends = linearise(walker, starts[:, None], integrator).state
     walking = int(np.isfinite(ends).all(axis=(1, 2)).sum())
     if walking == 0:
-        return f"none of the {len(starts)} starts over the section makes a stride"
+        return (
+            f"none of the {len(starts)} starts over the section makes a stride (explain says why)"
+        )
     return f"none of the searches from {walking} starts that make a stride converged"

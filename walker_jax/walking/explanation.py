@@ -1,0 +1,280 @@
+"""Why a stride ends as it does: mode by mode, guard by guard; and whether a model fits together.
+
+The rises of guards are looked for anew here, as the real roots of the polynomials of all steps, so
+that the search that decides a stride has a second opinion.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Float
+
+from walker_jax.checks import refuses_tracers
+from walker_jax.hybrid.following import along
+from walker_jax.hybrid.modes import Mode
+from walker_jax.integrators.integrator import Integrator
+from walker_jax.integrators.method import MAX_STEPS
+from walker_jax.integrators.roots import Real
+from walker_jax.kernels import by_kernel
+from walker_jax.systems.hybrid_system import HybridSystem
+from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.system import System
+from walker_jax.walkers.model import Walker
+from walker_jax.walking.starts import during_stride, full_state, is_feasible, on_section, prepare
+from walker_jax.walking.stride import begin_next, fall_of, method_of, modes_from, stride
+
+MOST_RISES = 20
+"""Rises of one guard in a mode that are told."""
+OFF_SECTION = 1e-8
+"""Distance from which on a point that is lifted and projected is another one."""
+
+
+class Rise(NamedTuple):
+    """A guard that rose through zero."""
+
+    mode: int
+    guard: int
+    leads_to: str
+    """The `Outcome`; `STRIDE` of a guard with which the stride goes on."""
+    time: float
+    """Since the start of the mode."""
+    admitted: bool
+    """Whether it counted; a rise that did ends the mode if it is the first."""
+
+
+class Lived(NamedTuple):
+    """A mode that was followed."""
+
+    time: float
+    """How long; infinite if nothing ended it."""
+    steps: int
+    ended_by: str
+    """The outcome to which the guard that ended it leads; empty for none."""
+    rises: list[Rise]
+    least: dict[str, float]
+    """The least value of each condition, by the outcome where it is negative."""
+    greatest: dict[str, float]
+    """The greatest value of each guard at the ends of steps, by its number and outcome."""
+
+
+class Explanation(NamedTuple):
+    """What happens in a stride; printed, it is a report."""
+
+    outcome: Outcome
+    system: str
+    start: Float[np.ndarray, " section"]
+    modes: list[Lived]
+    complaints: list[str]
+    """What does not fit together: of a sound model, none."""
+    state: Float[np.ndarray, " section"]
+    jacobian: Float[np.ndarray, "section section"]
+    """Derivative of the next point by the start; NaN where there is none."""
+
+    def __str__(self) -> str:
+        lines = [f"{self.system} from {tell(self.start)}: {self.outcome.name}"]
+        for i, mode in enumerate(self.modes):
+            end = f"ended by {mode.ended_by}" if mode.ended_by else "ended by nothing"
+            lines.append(f"mode {i}: {mode.time:.6g} in {mode.steps} steps, {end}")
+            for rise in mode.rises:
+                counted = "" if rise.admitted else ", not admitted"
+                lines.append(
+                    f"  guard {rise.guard} ({rise.leads_to}) rose at {rise.time:.9g}{counted}"
+                )
+            risen = {f"{rise.guard} ({rise.leads_to})" for rise in mode.rises}
+            for name, value in mode.greatest.items():
+                if name not in risen:
+                    lines.append(f"  guard {name} did not rise: {value:.6g} at most")
+            for name, value in mode.least.items():
+                broken = ", violated" if value < 0 else ""
+                lines.append(f"  condition {name}: {value:.6g} at least{broken}")
+        if self.outcome == Outcome.STRIDE:
+            largest = np.abs(np.linalg.eigvals(self.jacobian)).max()
+            lines.append(f"leads to {tell(self.state)}, greatest multiplier {largest:.6g}")
+        lines += [f"! {one}" for one in self.complaints]
+        return "\n".join(lines)
+
+
+def tell(values: Float[np.ndarray, " n"]) -> str:
+    return f"({', '.join(f'{value:.9g}' for value in values)})"
+
+
+@refuses_tracers()
+def explain(
+    system: System, x: Float[ArrayLike, " section"], *, tolerance: Real | None = None
+) -> Explanation:
+    """Why the stride from x ends as it does, and whether the parts of a model fit together.
+
+    Mode by mode: each guard that rose through zero, when, and whether it was admitted; how near the
+    others came; the least values of conditions. And complaints: a start that is not feasible; a
+    point of the section that `lift` and `project` change; a field that is not finite; a guard that
+    is never negative, so that it cannot rise; an impact that leads off the section, or to a point
+    from which no stride begins; derivatives that are not finite. `print` shows it as a report.
+
+    **Arguments:** any system and a point of its section, as in `stride`.
+    """
+    system, x, integrator = prepare(system, x, tolerance)
+    made = stride(system, x, tolerance=tolerance)
+    outcome = Outcome(int(made.outcome))
+    jacobian = np.full((len(x), len(x)), np.nan)
+    if outcome == Outcome.STRIDE:
+        jacobian = np.asarray(jax.jacfwd(lambda x: stride(system, x, tolerance=tolerance).state)(x))
+    complaints = complain_of_point(system, x)
+    lives: list[Lived] = []
+    if isinstance(system, HybridSystem) and not complaints:
+        lives, landed = follow_lives(during_stride(system, x), x, integrator)
+        complaints += complain_of_lives(lives)
+        if outcome == Outcome.STRIDE:
+            complaints += complain_of_landing(system, landed)
+    if outcome == Outcome.UNDECIDED and not complaints:
+        complaints.append("the stride has no end: no guard rises, or a number is not finite")
+    if outcome == Outcome.STRIDE:
+        if not np.isfinite(jacobian).all():
+            complaints.append(f"derivatives of the next point are not finite: {jacobian.tolist()}")
+        if not bool(system.feasible(made.state)):
+            complaints.append(f"no stride begins at the next point, {tell(np.asarray(made.state))}")
+    state = np.asarray(made.state)
+    return Explanation(outcome, system.label(), np.asarray(x), lives, complaints, state, jacobian)
+
+
+def complain_of_point(system: System, x: Any) -> list[str]:
+    """What is wrong with a start."""
+    if not on_section(system, x):
+        return []
+    if not bool(system.feasible(x)):
+        return ["the start is not feasible"]
+    if not isinstance(system, HybridSystem):
+        return []
+    start = system.lift(x)
+    back = np.asarray(system.project(start))
+    if not np.abs(back - np.asarray(x)).max() < OFF_SECTION:
+        return [f"project(lift(x)) is {tell(back)}"]
+    first = full_state(system, x)
+    modes = modes_from(system, x)
+    rates = jax.tree.leaves(modes[0].rates(first))
+    if not all(bool(jnp.all(jnp.isfinite(rate))) for rate in rates):
+        return ["the vector field at the start is not finite"]
+    if not bool(is_feasible(system, x, first)):
+        return ["the start is not feasible"]
+    return []
+
+
+def complain_of_lives(lives: list[Lived]) -> list[str]:
+    """What is wrong with guards."""
+    found = []
+    for i, mode in enumerate(lives):
+        if not mode.ended_by:
+            found.append(f"mode {i} is not ended by any of its guards")
+        refused = {rise.guard for rise in mode.rises if not rise.admitted}
+        admitted = {rise.guard for rise in mode.rises if rise.admitted}
+        for guard in sorted(refused - admitted):
+            found.append(f"guard {guard} of mode {i} rose, but was never admitted")
+    return found if lives and not lives[-1].ended_by else []
+
+
+def complain_of_landing(system: HybridSystem, landed: Any) -> list[str]:
+    """What is wrong with the state in which the next stride begins."""
+    point = system.project(landed)
+    again = system.lift(point)
+    if jax.tree.structure(again) != jax.tree.structure(landed):
+        return ["the last reset leads to a state of another kind than lift"]
+    sizes = [float(jnp.max(jnp.abs(leaf))) for leaf in jax.tree.leaves(landed)]
+    miss = max(
+        float(jnp.max(jnp.abs(a - b)))
+        for a, b in zip(jax.tree.leaves(again), jax.tree.leaves(landed), strict=True)
+    )
+    turned = isinstance(system, Walker)  # others may count time, or turns, from anywhere
+    if turned and miss > 1e-6 * max(1.0, *sizes):
+        return [f"the impact leads {miss:.3g} off the section"]
+    return []
+
+
+def follow_lives(system: HybridSystem, x: Any, integrator: Integrator) -> tuple[list[Lived], Any]:
+    """Each mode up to its end, step by step, and the state in which the next stride begins."""
+    state, lives = full_state(system, x), []
+    modes = modes_from(system, x)
+    for number, mode in enumerate(modes):
+        life, state, leads_on = live(mode, number, state, integrator)
+        lives.append(life)
+        if not leads_on:
+            return lives, state
+        if number < len(modes) - 1:
+            state = mode.reset(state)
+    return lives, begin_next(system, modes[-1], state)[1]
+
+
+def live(mode: Mode, number: int, state: Any, integrator: Integrator) -> tuple[Lived, Any, bool]:
+    """A mode from a state: what it saw, its last state, and whether the stride goes on."""
+    names = [Outcome(int(guard.leads_to)).name for guard in mode.guards]
+    conditions = {Outcome(one.outcome).name: one.value for one in mode.conditions}
+    least = {name: float(value(state)) for name, value in conditions.items()}
+    values = [float(guard.value(state)) for guard in mode.guards]
+    greatest = {f"{i} ({name})": values[i] for i, name in enumerate(names)}
+    fallen = Outcome(int(fall_of(mode, state)))
+    if fallen != Outcome.UNDECIDED:
+        return Lived(0.0, 0, f"{fallen.name} at once", [], least, greatest), state, False
+    method = method_of(mode, state, integrator)
+
+    @by_kernel
+    def step(state, memory):
+        series, end, length, memory = method.step(state, memory)
+        return series, end, length, memory, along(mode, series, whole=True)
+
+    @by_kernel
+    def at(state, series, time):
+        there = method.state_at(state, series, time)
+        return there, [value(there) for value in conditions.values()]
+
+    rises: list[Rise] = []
+    time, count, memory = 0.0, 0, method.first_memory(state)
+    below = [value < 0 or value == 0 for value in values]
+    while count < MAX_STEPS:
+        series, end, length, memory, polynomials = step(state, memory)
+        length, count = float(length), count + 1
+        if not np.isfinite(length):
+            break
+        found = []
+        for i, (value, admits) in enumerate(polynomials):
+            for when in rises_of(np.array(value), length, below[i]):
+                admitted = all(np.polyval(np.array(one)[::-1], when) > 0 for one in admits)
+                found.append(Rise(number, i, names[i], time + when, bool(admitted)))
+            below[i] = bool(mode.guards[i].value(end) < 0)
+        ending = min((rise for rise in found if rise.admitted), key=lambda r: r.time, default=None)
+        until = length if ending is None else ending.time - time
+        rises += [rise for rise in found if ending is None or rise.time <= ending.time]
+        for part in np.linspace(0.25, 1, 4):
+            there, looked = at(state, series, jnp.asarray(part * until, jnp.result_type(length)))
+            least = {
+                name: min(least[name], float(value))
+                for name, value in zip(conditions, looked, strict=True)
+            }
+        for i, name in enumerate(names):
+            key = f"{i} ({name})"
+            greatest[key] = max(greatest[key], float(mode.guards[i].value(there)))
+        if ending is not None:
+            rises = rises[-MOST_RISES:]
+            life = Lived(ending.time, count, ending.leads_to, rises, least, greatest)
+            return life, there, ending.leads_to == Outcome.STRIDE.name
+        state, time = end, time + length
+    return Lived(np.inf, count, "", rises[-MOST_RISES:], least, greatest), state, False
+
+
+def rises_of(coefficients: Float[np.ndarray, " n"], length: float, below: bool) -> list[float]:
+    """The times in a step at which a polynomial rises through zero, by all of its real roots."""
+    scaled = coefficients * length ** np.arange(len(coefficients))
+    roots = np.roots(np.trim_zeros(scaled[::-1], "f"))
+    real = np.sort(roots[np.abs(roots.imag) < 1e-9].real)
+    real = real[(real > 1e-12) & (real <= 1)]
+    found, side = [], -1.0 if below else 1.0
+    middles = (real[1:] + real[:-1]) / 2 if len(real) else real
+    after = [*middles, 1.0][: len(real)]
+    for root, later in zip(real, after, strict=True):
+        now = np.sign(np.polyval(scaled[::-1], later)) or side
+        if root == real[-1] and root > 1 - 1e-12:
+            now = 1.0 if side < 0 else side
+        if side < 0 < now:
+            found.append(float(root) * length)
+        side = now
+    return found
