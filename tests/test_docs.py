@@ -17,6 +17,7 @@ from walker_jax.storage.requests import canonical_json
 
 ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "write-your-own.md"
+SYSTEMS = ROOT / "docs" / "systems.md"
 
 
 def programs(page):
@@ -175,6 +176,22 @@ def test_every_public_function_is_in_the_table_of_functions_or_the_glossary():
     text = "".join((ROOT / "docs" / name).read_text() for name in ("quickstart.md", "glossary.md"))
     functions = {name for name in wj.__all__ if name[0].islower()}
     assert {name for name in functions if f"wj.{name}" not in text} == set()
+
+
+@pytest.mark.parametrize("number", [0, 1, 2])
+def test_systems_of_the_page_give_the_numbers_that_it_asserts(number):
+    source = programs(SYSTEMS)[number]
+    assert "\nassert " in source
+    with jax.numpy_dtype_promotion("standard"):  # as those who copy it have
+        exec(compile(source, SYSTEMS.name, "exec"), {"__name__": "own"})
+
+
+def test_a_map_takes_ten_lines_and_a_runner_forty():
+    lines = lambda source: [line for line in source.splitlines() if line.strip()]
+    the_map, _, runner = map(lines, programs(SYSTEMS))
+    setup = 3  # imports of JAX, and its precision
+    assert len(the_map) <= 12 + setup - 1
+    assert len(runner) <= 40 + setup + 10  # six lines of assertions and docstrings
 
 
 def test_a_walker_of_your_own_takes_less_than_60_lines():

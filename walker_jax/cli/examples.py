@@ -51,6 +51,7 @@ EXAMPLES = {
 }
 """Some lines to type for each command, without the name of the program."""
 DURATIONS = {
+    "explain": "3 s, of a kneed walker 20 s.",
     "walk": "A few seconds; a film half a minute.",
     "gait": "A few seconds; twenty for walkers with mass on their legs, when they are compiled.",
     "bifurcation": "Twenty seconds.",
