@@ -28,6 +28,8 @@ from walker_jax.walking.stride import begin_next, fall_of, method_of, modes_from
 
 MOST_RISES = 20
 """Rises of one guard in a mode that are told."""
+PARTS = 0.25, 0.5, 0.75, 1.0
+"""Of a step, where conditions are looked at."""
 OFF_SECTION = 1e-8
 """Distance from which on a point that is lifted and projected is another one."""
 
@@ -217,48 +219,51 @@ def live(mode: Mode, number: int, state: Any, integrator: Integrator) -> tuple[L
         return Lived(0.0, 0, f"{fallen.name} at once", [], least, greatest), state, False
     method = method_of(mode, state, integrator)
 
+    def look(state, series, time):
+        """A step up to a time: its end, the guards there, and the conditions on the way."""
+        ways = [method.state_at(state, series, part * time) for part in PARTS]
+        values = [guard.value(ways[-1]) for guard in mode.guards]
+        return ways[-1], values, [[value(y) for y in ways] for value in conditions.values()]
+
     @by_kernel
     def step(state, memory):
         series, end, length, memory = method.step(state, memory)
-        return series, end, length, memory, along(mode, series, whole=True)
+        polynomials = along(mode, series, whole=True)
+        return series, end, length, memory, polynomials, look(state, series, length)
 
-    @by_kernel
-    def at(state, series, time):
-        there = method.state_at(state, series, time)
-        return there, [value(there) for value in conditions.values()]
-
+    end_at = by_kernel(look)
     rises: list[Rise] = []
     time, count, memory = 0.0, 0, method.first_memory(state)
-    below = [value < 0 or value == 0 for value in values]
-    while count < MAX_STEPS:
-        series, end, length, memory, polynomials = step(state, memory)
-        length, count = float(length), count + 1
+    below = [value <= 0 for value in values]
+    ending = None
+    while ending is None and count < MAX_STEPS:
+        series, end, length, memory, polynomials, (there, values, seen) = step(state, memory)
+        count += 1
         if not np.isfinite(length):
             break
         found = []
         for i, (value, admits) in enumerate(polynomials):
-            for when in rises_of(np.array(value), length, below[i]):
+            for when in rises_of(np.array(value), float(length), below[i]):
                 admitted = all(np.polyval(np.array(one)[::-1], when) > 0 for one in admits)
                 found.append(Rise(number, i, names[i], time + when, bool(admitted)))
-            below[i] = bool(mode.guards[i].value(end) < 0)
-        ending = min((rise for rise in found if rise.admitted), key=lambda r: r.time, default=None)
-        until = length if ending is None else ending.time - time
-        rises += [rise for rise in found if ending is None or rise.time <= ending.time]
-        for part in np.linspace(0.25, 1, 4):
-            there, looked = at(state, series, jnp.asarray(part * until, jnp.result_type(length)))
-            least = {
-                name: min(least[name], float(value))
-                for name, value in zip(conditions, looked, strict=True)
-            }
-        for i, name in enumerate(names):
-            key = f"{i} ({name})"
-            greatest[key] = max(greatest[key], float(mode.guards[i].value(there)))
+        counted = (rise for rise in found if rise.admitted)
+        ending = min(counted, key=lambda rise: rise.time, default=None)
         if ending is not None:
-            rises = rises[-MOST_RISES:]
-            life = Lived(ending.time, count, ending.leads_to, rises, least, greatest)
-            return life, there, ending.leads_to == Outcome.STRIDE.name
-        state, time = end, time + length
-    return Lived(np.inf, count, "", rises[-MOST_RISES:], least, greatest), state, False
+            until = jnp.asarray(ending.time - time, length.dtype)
+            there, values, seen = end_at(state, series, until)
+            found = [rise for rise in found if rise.time <= ending.time]
+        rises += found
+        below = [bool(value < 0) for value in values]
+        for name, along_step in zip(conditions, seen, strict=True):
+            least[name] = min(least[name], *map(float, along_step))
+        for name, value in zip(greatest, values, strict=True):
+            greatest[name] = max(greatest[name], float(value))
+        state, time = end, time + float(length)
+    rises = rises[-MOST_RISES:]
+    if ending is None:
+        return Lived(np.inf, count, "", rises, least, greatest), state, False
+    life = Lived(ending.time, count, ending.leads_to, rises, least, greatest)
+    return life, there, ending.leads_to == Outcome.STRIDE.name
 
 
 def rises_of(coefficients: Float[np.ndarray, " n"], length: float, below: bool) -> list[float]:

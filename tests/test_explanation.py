@@ -1,0 +1,143 @@
+"""What is said of a stride agrees with the stride, and what does not fit together is found."""
+
+import json
+import re
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import walker_jax as wj
+from walker_jax.cli import main
+from walker_jax.walking.explanation import rises_of
+
+WALKER = wj.SimplestWalker(0.009)
+
+
+@pytest.mark.parametrize(
+    "x", [[0.2, -0.2], [0.2, -0.4], [0.3, -0.1], [0.9, -0.5], [0.5, -0.36]], ids=str
+)
+def test_the_last_rise_is_what_ended_the_stride(x):
+    found, made = wj.explain(WALKER, x), wj.stride(WALKER, jnp.array(x))
+    assert found.outcome == made.outcome
+    if found.outcome == wj.Outcome.OUTSIDE:
+        assert found.complaints == ["the start is not feasible"] and found.modes == []
+        return
+    assert found.complaints == []
+    (mode,) = found.modes
+    last = mode.rises[-1]
+    assert last.admitted and mode.time == last.time
+    if found.outcome == wj.Outcome.STRIDE:
+        assert last.time == pytest.approx(float(made.time), rel=1e-12)
+        np.testing.assert_array_equal(found.state, made.state)
+    else:
+        assert mode.ended_by == last.leads_to
+    assert f": {found.outcome.name}\n" in str(found)
+
+
+def test_a_rise_that_is_not_admitted_is_told():
+    found = wj.explain(wj.SpringMassRunner(), [2.0])
+    assert found.outcome == wj.Outcome.BACKWARD and len(found.modes) == 2
+    counted = {rise.leads_to: rise.admitted for rise in found.modes[1].rises}
+    assert counted == {"BACKWARD": True, "STOPPED": False, "STRIDE": False}
+    assert "guard 3 (STRIDE) rose at 0.667038549, not admitted" in str(found)
+
+
+def test_conditions_have_their_least_values():
+    found = wj.explain(WALKER, [0.2, -0.4])
+    assert found.modes[0].least["RUNNING"] < 0 and "violated" in str(found)
+    margin = wj.margins(WALKER, jnp.array([0.2, -0.2])).running
+    least = wj.explain(WALKER, [0.2, -0.2]).modes[0].least["RUNNING"]
+    assert least == pytest.approx(float(margin), abs=1e-3)  # of samples
+
+
+class Spinner(wj.HybridSystem):
+    """A clock, with mistakes to choose from."""
+
+    wrong_lift: float = 0.0
+    blows_up: float = 0.0
+
+    section = ("angle",)
+
+    def lift(self, x):
+        return jnp.stack([x[0] + self.wrong_lift, 0 * x[0]])
+
+    def project(self, state):
+        return state[:1] - 2 * np.pi
+
+    def feasible(self, x):
+        return jnp.abs(x[0]) < 1
+
+    def modes(self):
+        speed = 1 + jnp.sqrt(-self.blows_up)
+        field = lambda y: jnp.stack([speed, speed])
+        return (wj.Mode(field, (wj.Guard(lambda y: y[1] - 2 * np.pi),)),)
+
+
+class Lost(Spinner):
+    def project(self, state):
+        return state[:1]
+
+
+class Endless(Lost):
+    def modes(self):
+        (mode,) = super().modes()
+        return (mode._replace(guards=(wj.Guard(lambda y: -1 - y[1]),)),)
+
+
+class Shut(Lost):
+    def modes(self):
+        (mode,) = super().modes()
+        shut = mode.guards[0]._replace(admits=(lambda y: -1 - y[1],))
+        return (mode._replace(guards=(shut,)),)
+
+
+@pytest.mark.parametrize(
+    ("system", "complaint"),
+    [
+        (Lost(0.1), r"project\(lift\(x\)\) is \(0.3\)"),
+        (Lost(), r"no stride begins at the next point, \(6.48"),
+        (Endless(), "mode 0 is not ended by any of its guards"),
+        (Shut(), "guard 0 of mode 0 rose, but was never admitted"),
+        (Lost(blows_up=1.0), "the vector field at the start is not finite"),
+    ],
+    ids=lambda one: one if isinstance(one, str) else type(one).__name__,
+)
+def test_what_does_not_fit_together_is_found(system, complaint):
+    found = wj.explain(system, [0.2])
+    assert any(np.array([bool(re.search(complaint, one)) for one in found.complaints]))
+    assert f"\n! {found.complaints[0]}" in str(found)
+
+
+def test_rises_are_all_of_them():
+    roots = np.array([0.2, 0.35, 0.5, 0.9])
+    series = np.poly(roots)[::-1]  # above zero at first
+    np.testing.assert_allclose(rises_of(series, 1.0, below=False), [0.35, 0.9], atol=1e-12)
+    np.testing.assert_allclose(rises_of(-series, 1.0, below=True), [0.2, 0.5], atol=1e-12)
+    np.testing.assert_allclose(rises_of(series, 0.4, below=False), [0.35], atol=1e-12)
+
+
+def test_the_command_says_the_same(capsys, monkeypatch):
+    words = "explain --slope 0.009 --theta 0.3 --thetadot -0.1".split()
+    monkeypatch.setattr("walker_jax.cli.startup.keep_compiled", lambda: None)
+    for more in [], ["--json"]:
+        monkeypatch.setattr(sys, "argv", ["walker-jax", *words, *more])
+        with pytest.raises(SystemExit) as ended:
+            main.main()
+        assert ended.value.code == 0
+    told, answer = capsys.readouterr().out.split("{", 1)
+    expected = wj.explain(WALKER, [0.3, -0.1])
+    assert told.rstrip() == str(expected)
+    data = json.loads("{" + answer)
+    assert data["outcome"] == "BACKWARD" and data["state"] is None
+    assert data["modes"][0]["rises"][0]["time"] == expected.modes[0].rises[0].time
+
+
+def test_a_map_is_explained_too():
+    found = wj.explain(wj.HenonMap(), [0.1, 0.2])
+    assert found.outcome == wj.Outcome.STRIDE and found.modes == []
+    np.testing.assert_allclose(found.jacobian, [[-0.28, 1.0], [0.3, 0.0]], rtol=1e-14)
+    with pytest.raises(ValueError, match="must not be traced"):
+        jax.jit(lambda x: wj.explain(wj.HenonMap(), x))(jnp.zeros(2))
