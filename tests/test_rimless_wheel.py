@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from by_differences import differences
+from by_differences import differences, stacked
 from scipy.integrate import solve_ivp
 
 import walker_jax as wj
@@ -153,14 +153,15 @@ def test_strides_end_as_those_of_the_reference_do():
     rng = np.random.default_rng(0)
     xs = rng.uniform((-1.3, -1.5, -2), (0, 1.5, 2), (60, 3))
     wheels = [
-        wj.TorsoWheel(*map(float, rng.uniform(*ranges)))
-        for ranges in [((0, 0.2, 0.2, 0.2, 0.05, 0, 0, 0), (0.2, 0.5, 2, 0.8, 0.3, 3, 1, 0.6))] * 60
+        wj.TorsoWheel(*map(float, values))
+        for values in rng.uniform(
+            (0, 0.2, 0.2, 0.2, 0.05, 0, 0, 0), (0.2, 0.5, 2, 0.8, 0.3, 3, 1, 0.6), (60, 8)
+        )
     ]
-    found = wj.strides(jax.tree.map(lambda *leaves: np.stack(leaves), *wheels), xs)
+    found = wj.strides(stacked(wheels), xs)
     expected = [reference(wheel, x) for wheel, x in zip(wheels, xs, strict=True)]
     outcomes = [outcome for _, outcome, _ in expected]
-    turned = outcomes == Outcome.BACKWARD  # by the strike, with a state of the reference
-    assert not turned and set(outcomes) == {0, 1, 2, 3}
+    assert set(outcomes) == {0, 1, 2, 3}
     np.testing.assert_array_equal(found.outcome, outcomes)
     walks = found.outcome == Outcome.STRIDE
     states, _, times = (np.array(values) for values in zip(*expected, strict=True))
@@ -221,7 +222,8 @@ def test_a_strike_keeps_angular_momentum_about_the_foot_and_the_hub():
             hub = -state.thetadot * np.array([np.cos(s), np.sin(s)])
             kept.append(angular_momenta(wheel, state, (*hub, state.psidot), foot))
         np.testing.assert_allclose(*kept, rtol=0, atol=1e-14)
-        assert energy(wheel, after) < energy(wheel, before)
+        drop = 2 * np.sin(wheel.alpha) * np.sin(wheel.slope)  # from foot to foot
+        assert energy(wheel, after) - (1 + wheel.torso_mass) * drop < energy(wheel, before)
 
 
 # Derivatives and basins
@@ -238,12 +240,12 @@ def test_derivatives_of_ten_strides_are_those_of_differences():
     slopes = jax.jit(jax.grad(after_ten))(z)
 
     def many(points):
-        xs, wheels = points[:, :3], wj.TorsoWheel(*points[:, 3:].T)
+        xs = points[:, :3]
+        wheels = stacked([wj.TorsoWheel(*map(float, values)) for values in points[:, 3:]])
         for _ in range(10):
             xs = wj.strides(wheels, xs).state
         return xs[:, :1]
 
-    # it starts on level ground: to either side of it
     expected = differences(many, np.asarray(z), np.full(len(z), 2e-3))[0]
     assert np.isfinite(slopes).all() and np.abs(slopes).min() > 1e-4
     np.testing.assert_allclose(slopes, expected, rtol=1e-7)
@@ -255,7 +257,7 @@ def test_cells_of_the_basin_end_as_walks_do():
     grid = wj.Grid.through(at, thetadot=(-1, 0, 20), psi=(-1, 1.5, 20))
     data = wj.basin(LEVEL, grid, "direct")
     fate = data.fate.values.ravel()
-    assert set(fate) == {0, 1, 2, 3} or set(fate) == {0, 2, 3}
+    assert set(fate) == {0, 2, 3}
     np.testing.assert_allclose(data.states.values[0], gait.states, rtol=0, atol=1e-9)
     xs = grid.centres(np.arange(grid.size))
     ends = np.zeros(grid.size, int)

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from walker_jax import multibody
 from walker_jax.grids import Grid
 from walker_jax.hybrid.modes import Condition, Guard, Mode
-from walker_jax.integrators.roots import Scalar
+from walker_jax.integrators.roots import Real, Scalar
 from walker_jax.kernels.scalars import unroll
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.outcomes import Outcome
@@ -57,14 +57,14 @@ class TorsoWheel(HybridSystem):
     - `stiffness`, `damping`, `lean`: of the motor, and the angle at which it holds the torso.
     """
 
-    slope: Scalar | float = 0.0
-    alpha: Scalar | float = np.pi / 8
-    torso_mass: Scalar | float = 1.0
-    torso_com: Scalar | float = 0.5
-    torso_inertia: Scalar | float = 0.1
-    stiffness: Scalar | float = 1.5
-    damping: Scalar | float = 0.3
-    lean: Scalar | float = 0.5
+    slope: Real = 0.0
+    alpha: Real = np.pi / 8
+    torso_mass: Real = 1.0
+    torso_com: Real = 0.5
+    torso_inertia: Real = 0.1
+    stiffness: Real = 1.5
+    damping: Real = 0.3
+    lean: Real = 0.5
 
     section: ClassVar = ("thetadot", "psi", "psidot")
 
