@@ -1,4 +1,5 @@
-"""The rimless wheel with a torso, against equations of motion written out here, and SciPy's DOP853."""
+"""The rimless wheel with a torso, against equations of motion written out here, and SciPy's
+DOP853."""
 
 from functools import cache
 

@@ -122,7 +122,7 @@ class TorsoWheel(HybridSystem):
         return Grid.plain(thetadot=(-1.5, 0, 12), psi=(-0.5, 1, 6), psidot=(-1, 1, 4))
 
 
-def direction(angle: Scalar) -> Float[Array, " 2"]:
+def direction(angle: Real) -> Float[Array, " 2"]:
     """At an angle from the normal of the slope, positive backward; along and normal to it."""
     return jnp.stack([-jnp.sin(angle), jnp.cos(angle)])
 

@@ -34,8 +34,8 @@ class SwitchedCompass(HybridSystem):
     Two straight legs of length 1 have a mass each; the hip has a mass of 1, and gravity is 1. It is
     the biped of Goswami, Thuilot and Espiau (1998, Int. J. Robotics Research 17:1282-1301), with
     their a = 1 - com_from_hip. Its equations of motion are those of its three points,
-    `multibody.solve_motion`, and a torque at the hip turns the swing leg forward, and the stance leg
-    with it, while theta > switch_angle. Then it jumps to zero: a stride has two modes.
+    `multibody.solve_motion`. A torque at the hip turns the swing leg forward, and the stance leg
+    too, while theta > switch_angle. Then it jumps to zero: a stride has two modes.
 
     The swing foot may pass below the ground. At heel strike, `phi = 2 theta` ahead, the foot that
     stood is free, the other one stops, and legs are exchanged, `multibody.impact`. The section is
@@ -88,14 +88,16 @@ class SwitchedCompass(HybridSystem):
         falls = Guard(lambda state: -np.pi / 2 - state.theta, Outcome.FORWARD)
         passes = Guard(lambda state: self.switch_angle - state.theta)
         strikes = Guard(lambda state: state.phi - 2 * state.theta, admits=(lambda s: -s.phi,))
-        return self.mode(True, stops, passes), self.mode(False, stops, falls, strikes)
+        after = lambda state: after_strike(self, state)
+        return self.swing(True, stops, passes), self.swing(
+            False, stops, falls, strikes, reset=after
+        )
 
-    def mode(self, driven: bool, *guards: Guard) -> Mode:
-        """A part of the swing; at the end of the last one the legs are exchanged."""
+    def swing(self, driven: bool, *guards: Guard, **reset) -> Mode:
+        """A part of the swing, with the torque or without."""
         rates = lambda state: rates_and_force(self, state, driven)[0]
         force = lambda state: rates_and_force(self, state, driven)[1]
-        end = {} if driven else {"reset": lambda state: after_strike(self, state)}
-        return Mode(rates, guards, (Condition(force, Outcome.RUNNING),), **end)
+        return Mode(rates, guards, (Condition(force, Outcome.RUNNING),), **reset)
 
     def lift(self, x):
         return CompassState(x[0], 2 * x[0], x[1], x[2])
@@ -113,8 +115,8 @@ class SwitchedCompass(HybridSystem):
         return Grid(axes, np.array([[1, 0, 0], [-1, 1, 0], [0, 0, 1]]))
 
 
-def leg(angle: Scalar) -> Float[Array, " 2"]:
-    """From foot to hip of a leg at an angle from the normal of the slope; along and normal to it."""
+def leg(angle: Real) -> Float[Array, " 2"]:
+    """From foot to hip, of a leg at an angle from the normal of the slope."""
     return jnp.stack([-jnp.sin(angle), jnp.cos(angle)])
 
 
