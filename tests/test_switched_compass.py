@@ -12,10 +12,12 @@ from scipy.integrate import solve_ivp
 
 import walker_jax as wj
 from walker_jax.systems.outcomes import Outcome
-from walker_jax.systems.switched_compass import CompassState, after_strike, rates_and_force
+from walker_jax.systems.switched_compass import CompassState, after_strike
 
 NAMES = "slope leg_mass com_from_hip torque switch_angle".split()
 DRIVEN = wj.SwitchedCompass(0.04)
+
+pytestmark = pytest.mark.usefixtures("quick_references")
 
 
 # A reference, in the angles s and n of stance and swing leg from the vertical
@@ -91,8 +93,11 @@ def event(value, terminal=True):
     return value
 
 
-def reference(walker, x):
-    """A stride from (theta, thetadot, phidot): the next of these, the outcome and the time."""
+def reference(walker, x, samples=1):
+    """A stride from (theta, thetadot, phidot): the next of these, the outcome and the time.
+
+    It is `RUNNING` where the normal force is below zero at one of the samples in each mode.
+    """
     p = {name: float(vars(walker)[name]) for name in NAMES}
     gamma, nothing = p["slope"], np.full(3, np.nan)
     y, time, force = np.array([x[0] - gamma, -x[0] - gamma, x[1], x[1] - x[2]]), 0.0, []
@@ -110,7 +115,8 @@ def reference(walker, x):
         return solve_ivp(field, (0, 200), y, events=events, **options)
 
     def least(run, torque, until):
-        return min(normal_force(p, y, torque) for y in run.sol(np.linspace(0, until, 200)).T)
+        times = np.linspace(0, until, samples)
+        return min((normal_force(p, y, torque) for y in run.sol(times).T), default=0.0)
 
     if x[0] > p["switch_angle"]:
         run = follow(y, p["torque"], stops, switches)
@@ -165,23 +171,28 @@ def test_the_stable_gait_has_these_numbers():
 
 def test_without_a_torque_it_is_the_walker_with_masses_at_its_feet():
     """Whose section leaves out phidot, as the foot that lifts moves along its leg only."""
-    known = wj.find_gait(wj.PointFootWalker(0.01, 0.01), [0.2058, -0.2069])
-    (theta, thetadot), times = known.states[0], known.step_times
-    guess = [theta, thetadot, (1 - np.cos(2 * theta)) * thetadot]
-    found = wj.find_gaits(wj.SwitchedCompass(0.01, 0.01, 1.0, 0.0), region=around(guess, 0.01, 1))
-    assert len(found) == 1
-    np.testing.assert_allclose(found[0].states, [guess], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(found[0].step_times, times, rtol=0, atol=1e-11)
-    multipliers = [*known.multipliers, 0.0]
-    np.testing.assert_allclose(found[0].multipliers, multipliers, rtol=0, atol=1e-10)
+    known, walker = wj.PointFootWalker(0.01, 0.01), wj.SwitchedCompass(0.01, 0.01, 1.0, 0.0)
+    rng = np.random.default_rng(3)
+    theta = rng.uniform(0.02, 0.3, 60)
+    xs = np.stack([theta, -theta + rng.uniform(-0.04, 0.02, 60)], axis=1)
+    lifted = lambda xs: np.column_stack([xs, (1 - np.cos(2 * xs[:, 0])) * xs[:, 1]])
+    expected, found = wj.strides(known, xs), wj.strides(walker, lifted(xs))
+    np.testing.assert_array_equal(found.outcome, expected.outcome)
+    assert set(expected.outcome) == {0, 1, 2}
+    walks = expected.outcome == Outcome.STRIDE
+    states = lifted(expected.state[walks])
+    np.testing.assert_allclose(found.state[walks], states, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(found.time[walks], expected.time[walks], rtol=0, atol=1e-10)
 
-
-def around(state, width, count):
-    axes = {
-        name: (float(value) - width, float(value) + width, count)
-        for name, value in zip(DRIVEN.section, state, strict=True)
-    }
-    return wj.Grid.plain(**axes)
+    axes = {"theta": (0.2, 0.21, 1), "thetadot": (-0.21, -0.2, 1), "phidot": (-0.02, -0.01, 1)}
+    (gait,) = wj.find_gaits(walker, region=wj.Grid.plain(**axes))
+    again = wj.strides(known, gait.states[:, :2])
+    np.testing.assert_allclose(lifted(again.state), gait.states, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(again.time, gait.step_times, rtol=0, atol=1e-11)
+    of_section = lambda xs: wj.strides(known, xs).state
+    multipliers = np.linalg.eigvals(differences(of_section, gait.states[0, :2], np.full(2, 1e-4)))
+    order = np.lexsort((-multipliers.imag, -np.abs(multipliers)))
+    np.testing.assert_allclose(gait.multipliers, [*multipliers[order], 0], rtol=0, atol=1e-8)
 
 
 def test_a_switch_angle_below_zero_is_refused():
@@ -203,7 +214,7 @@ def test_strides_end_as_those_of_the_reference_do():
     found = wj.strides(stacked(walkers), xs)
     np.testing.assert_array_equal(found.outcome == Outcome.OUTSIDE, ~feasible)
     looked_at = np.flatnonzero(feasible)
-    expected = [reference(walkers[i], xs[i]) for i in looked_at]
+    expected = [reference(walkers[i], xs[i], samples=100) for i in looked_at]
     states, outcomes, times = (np.array(values) for values in zip(*expected, strict=True))
     outcome, state, time = (part[looked_at] for part in (found.outcome, found.state, found.time))
     # a strike that turns the walker back is BACKWARD in both
@@ -227,25 +238,24 @@ class InOneMode(wj.SwitchedCompass):
             choose = lambda one, other: jnp.where(on, one, other)
             return jax.tree.map(choose, first.rates(state), swing.rates(state))
 
-        return (swing._replace(field=rates),)
+        return (swing._replace(field=rates, rates_at=None),)
 
 
 def test_a_torque_that_jumps_needs_two_modes():
     """A step of the integration knows no jump within: without a mode of its own for the torque, it
     is seen and nothing is said of the stride."""
-    x = jnp.array(gaits()[1].states[0]) + 1e-3
-    state, outcome, time = reference(DRIVEN, np.asarray(x))
-    found = wj.stride(DRIVEN, x)
-    assert found.outcome == outcome == Outcome.STRIDE
-    np.testing.assert_allclose(found.state, state, rtol=0, atol=1e-11)
-    assert found.time == pytest.approx(time, abs=1e-11)
-    assert wj.stride(InOneMode(0.04), x).outcome == Outcome.UNDECIDED
-    late = x.at[0].set(0.09)  # the torque is off from the start on
-    state, outcome, _ = reference(DRIVEN, np.asarray(late))
-    for walker in DRIVEN, InOneMode(0.04):
-        found = wj.stride(walker, late)
-        assert found.outcome == outcome
-        np.testing.assert_allclose(found.state, state, rtol=0, atol=1e-11)
+    x, from_the_start = gaits()[1].states[0] + 1e-3, 0.3  # above theta: it never acts
+    kinds = [
+        (kind(0.04), kind(0.04, switch_angle=from_the_start)) for kind in (type(DRIVEN), InOneMode)
+    ]
+    found, in_one = (wj.strides(stacked(walkers), np.stack([x, x])) for walkers in kinds)
+    for i, walker in enumerate(kinds[0]):
+        state, outcome, time = reference(walker, x)
+        assert found.outcome[i] == outcome == Outcome.STRIDE
+        np.testing.assert_allclose(found.state[i], state, rtol=0, atol=1e-11)
+        assert found.time[i] == pytest.approx(time, abs=1e-11)
+    np.testing.assert_array_equal(in_one.outcome, [Outcome.UNDECIDED, Outcome.STRIDE])
+    np.testing.assert_allclose(in_one.state[1], found.state[1], rtol=0, atol=1e-11)
 
 
 def energy(p, y):
@@ -266,8 +276,8 @@ def test_energy_changes_by_the_work_of_the_torque_alone():
     for numbers in rng.uniform(-1, 1, (4, 4)):
         state = CompassState(*map(jnp.asarray, numbers))
         y = turned @ numbers - p["slope"] * np.array([1, 1, 0, 0])
-        for driven, torque in (True, DRIVEN.torque), (False, 0.0):
-            rates = turned @ np.array(rates_and_force(DRIVEN, state, driven)[0])
+        for mode, torque in zip(DRIVEN.modes(), (DRIVEN.torque, 0.0), strict=True):
+            rates = turned @ np.array(mode.rates(state))
             change = change_of_energy(p, y, rates)
             assert change == pytest.approx(-torque * numbers[3], abs=1e-12)
 
@@ -291,7 +301,7 @@ def test_a_strike_keeps_angular_momentum_about_the_foot_and_the_hip():
 
 def test_derivatives_of_ten_strides_are_those_of_differences():
     values = np.array([vars(DRIVEN)[name] for name in NAMES])
-    x = np.asarray(gaits()[1].states[0]) + (0.003, -0.003, 0.003)
+    x = gaits()[1].states[0] + 0.003 * np.array([1, -1, 1])
     z = np.concatenate([x, values])
 
     def after_ten(z):
@@ -311,6 +321,7 @@ def test_derivatives_of_ten_strides_are_those_of_differences():
     np.testing.assert_allclose(slopes, expected, rtol=1e-7)
 
 
+@pytest.mark.slow
 def test_cells_of_the_basin_end_as_walks_do():
     gait = gaits()[1]
     at = dict(zip(DRIVEN.section, map(float, gait.states[0]), strict=True))

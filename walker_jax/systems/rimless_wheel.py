@@ -12,6 +12,7 @@ from walker_jax.grids import Grid
 from walker_jax.hybrid.modes import Condition, Guard, Mode
 from walker_jax.integrators.roots import Real, Scalar
 from walker_jax.kernels.scalars import unroll
+from walker_jax.multibody.single_support import SingleSupport, accelerations_and_forces
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.outcomes import Outcome
 
@@ -68,7 +69,16 @@ class TorsoWheel(HybridSystem):
 
     section: ClassVar = ("thetadot", "psi", "psidot")
 
-    def system(self, hub, torque=None) -> multibody.System:
+    def system(self) -> multibody.System:
+        """Of q = (u, v, theta, psi), u and v of the foot along and normal to the slope."""
+
+        def torque(q, qdot):
+            tau = self.stiffness * (self.lean - q[3]) - self.damping * qdot[3]
+            return jnp.stack([jnp.zeros_like(tau), jnp.zeros_like(tau), tau, tau])
+
+        return self.bodies(lambda q: q[:2] + direction(q[2]), torque)
+
+    def bodies(self, hub, torque=None) -> multibody.System:
         """Hub and torso: their places, and the torso's angle, from q, of which psi is the last."""
 
         def transfer(q):
@@ -80,15 +90,6 @@ class TorsoWheel(HybridSystem):
         down, none = -direction(self.slope), jnp.zeros_like(one)[None]
         masses = jnp.stack([one, one, M, M, self.torso_inertia])
         return multibody.System(transfer, masses, jnp.concatenate([down, M * down, none]), torque)
-
-    def on_spoke(self) -> multibody.System:
-        """With q = (u, v, theta, psi), u and v those of the foot along and normal to the slope."""
-
-        def torque(q, qdot):
-            tau = self.stiffness * (self.lean - q[3]) - self.damping * qdot[3]
-            return jnp.stack([jnp.zeros_like(tau), jnp.zeros_like(tau), tau, tau])
-
-        return self.system(lambda q: q[:2] + direction(q[2]), torque)
 
     def strike(self, state: WheelState) -> WheelState:
         """The state on the next spoke. It has no mass, so its impulse is along it."""
@@ -104,9 +105,9 @@ class TorsoWheel(HybridSystem):
             fallen._replace(value=lambda state: state.psi - np.pi / 2, leads_to=Outcome.FORWARD),
             Guard(lambda state: -self.alpha - state.theta),
         )
-        pushes = Condition(lambda state: rates_and_force(self, state)[1], Outcome.RUNNING)
-        rates = lambda state: rates_and_force(self, state)[0]
-        return (Mode(rates, guards, (pushes,), self.strike),)
+        normal = lambda state: accelerations_and_forces(self, state)[1][1]
+        pushes = Condition(normal, Outcome.RUNNING)
+        return (Mode(SingleSupport(self), guards, (pushes,), self.strike),)
 
     def lift(self, x):
         return WheelState(jnp.asarray(self.alpha, x.dtype), x[1], x[0], x[2])
@@ -128,20 +129,6 @@ def direction(angle: Real) -> Float[Array, " 2"]:
 
 
 @jax.jit
-def rates_and_force(wheel: TorsoWheel, state: WheelState) -> tuple[WheelState, Scalar]:
-    """Time derivative of a state, and the force of the ground normal to it."""
-
-    def solve(wheel, state):
-        held = jnp.zeros_like(state.theta)
-        q, qdot = jnp.stack([held, held, *state[:2]]), jnp.stack([held, held, *state[2:]])
-        motion = multibody.solve_motion(wheel.on_spoke(), q, qdot, held=(0, 1))
-        return [*motion.accelerations[2:]], motion.forces[1]
-
-    accelerations, force = unroll(solve)(wheel, state)
-    return WheelState(state.thetadot, state.psidot, *accelerations), force
-
-
-@jax.jit
 def rates_after(wheel: TorsoWheel, theta: Scalar, state: WheelState) -> tuple[Scalar, Scalar]:
     """Rates of the wheel, and of its torso, on the spoke at theta."""
 
@@ -152,7 +139,7 @@ def rates_after(wheel: TorsoWheel, theta: Scalar, state: WheelState) -> tuple[Sc
         q = jnp.stack([*before, state.psi])
         qdot = jnp.stack([*(state.thetadot * turned), state.psidot])
         along = lambda q: jnp.stack([spoke @ q[:2]])
-        after = multibody.impact(wheel.system(lambda q: q[:2]), along, q, qdot).velocities
+        after = multibody.impact(wheel.bodies(lambda q: q[:2]), along, q, qdot).velocities
         return -spoke[1] * after[0] + spoke[0] * after[1], after[2]
 
     return unroll(solve)(wheel, theta, state)

@@ -1,5 +1,6 @@
 """The compass gait with a torque at the hip that is switched off within the stride."""
 
+from dataclasses import replace
 from typing import ClassVar, NamedTuple
 
 import jax
@@ -13,6 +14,11 @@ from walker_jax.grids import Grid
 from walker_jax.hybrid.modes import Condition, Guard, Mode
 from walker_jax.integrators.roots import Real, Scalar
 from walker_jax.kernels.scalars import unroll
+from walker_jax.multibody.single_support import (
+    SingleSupport,
+    accelerations_and_forces,
+    coordinates_and_rates,
+)
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.outcomes import Outcome
 
@@ -34,7 +40,7 @@ class SwitchedCompass(HybridSystem):
     Two straight legs of length 1 have a mass each; the hip has a mass of 1, and gravity is 1. It is
     the biped of Goswami, Thuilot and Espiau (1998, Int. J. Robotics Research 17:1282-1301), with
     their a = 1 - com_from_hip. Its equations of motion are those of its three points,
-    `multibody.solve_motion`. A torque at the hip turns the swing leg forward, and the stance leg
+    by `multibody`. A torque at the hip turns the swing leg forward, and the stance leg
     too, while theta > switch_angle. Then it jumps to zero: a stride has two modes.
 
     The swing foot may pass below the ground. At heel strike, `phi = 2 theta` ahead, the foot that
@@ -67,7 +73,7 @@ class SwitchedCompass(HybridSystem):
         if is_number(self.switch_angle) and self.switch_angle < 0:
             raise WrongUse(f"switch_angle must not be negative, as {self.switch_angle} is")
 
-    def system(self, driven: bool = False) -> multibody.System:
+    def system(self) -> multibody.System:
         """Of q = (u, v, theta, phi), u and v of the stance foot along and normal to the slope."""
 
         def transfer(q):
@@ -75,29 +81,24 @@ class SwitchedCompass(HybridSystem):
             stance, swing = hip - to_mass * leg(q[2]), hip - to_mass * leg(q[2] - q[3])
             return jnp.concatenate([hip, stance, swing])
 
-        def torque(q, qdot):
-            return jnp.zeros_like(q).at[3].set(-self.torque)
-
         m, one = self.leg_mass, jnp.ones_like(self.leg_mass)
         masses, down = jnp.stack([one, one, m, m, m, m]), -leg(self.slope)
-        forces = masses * jnp.concatenate([down] * 3)
-        return multibody.System(transfer, masses, forces, torque if driven else None)
+        torque = lambda q, qdot: jnp.zeros_like(q).at[3].set(-self.torque)
+        return multibody.System(transfer, masses, masses * jnp.concatenate([down] * 3), torque)
 
     def modes(self):
         stops = Guard(lambda state: state.thetadot, Outcome.BACKWARD, at_once=True)
         falls = Guard(lambda state: -np.pi / 2 - state.theta, Outcome.FORWARD)
         passes = Guard(lambda state: self.switch_angle - state.theta)
         strikes = Guard(lambda state: state.phi - 2 * state.theta, admits=(lambda s: -s.phi,))
-        after = lambda state: after_strike(self, state)
-        return self.swing(True, stops, passes), self.swing(
-            False, stops, falls, strikes, reset=after
-        )
+        free = replace(self, torque=jnp.zeros_like(self.torque))
+        after = lambda state: after_strike(free, state)
+        return self.swing(stops, passes), free.swing(stops, falls, strikes, reset=after)
 
-    def swing(self, driven: bool, *guards: Guard, **reset) -> Mode:
-        """A part of the swing, with the torque or without."""
-        rates = lambda state: rates_and_force(self, state, driven)[0]
-        force = lambda state: rates_and_force(self, state, driven)[1]
-        return Mode(rates, guards, (Condition(force, Outcome.RUNNING),), **reset)
+    def swing(self, *guards: Guard, **reset) -> Mode:
+        """A part of the swing."""
+        force = Condition(lambda state: normal_force(self, state), Outcome.RUNNING)
+        return Mode(SingleSupport(self), guards, (force,), **reset)
 
     def lift(self, x):
         return CompassState(x[0], 2 * x[0], x[1], x[2])
@@ -120,20 +121,9 @@ def leg(angle: Real) -> Float[Array, " 2"]:
     return jnp.stack([-jnp.sin(angle), jnp.cos(angle)])
 
 
-@jax.jit(static_argnums=2)
-def rates_and_force(
-    walker: SwitchedCompass, state: CompassState, driven: bool
-) -> tuple[CompassState, Scalar]:
-    """Time derivative of a state, and the force of the ground normal to it."""
-
-    def solve(walker, state):
-        held = jnp.zeros_like(state.theta)
-        q, qdot = jnp.stack([held, held, *state[:2]]), jnp.stack([held, held, *state[2:]])
-        motion = multibody.solve_motion(walker.system(driven), q, qdot, held=(0, 1))
-        return [*motion.accelerations[2:]], motion.forces[1]
-
-    accelerations, force = unroll(solve)(walker, state)
-    return CompassState(state.thetadot, state.phidot, *accelerations), force
+def normal_force(walker: SwitchedCompass, state: CompassState) -> Scalar:
+    """Of the ground on the stance foot."""
+    return accelerations_and_forces(walker, state)[1][1]
 
 
 @jax.jit
@@ -141,10 +131,9 @@ def after_strike(walker: SwitchedCompass, state: CompassState) -> CompassState:
     """The state after heel strike, of the other leg."""
 
     def solve(walker, state):
-        still = jnp.zeros_like(state.theta)
-        q, qdot = jnp.stack([still, still, *state[:2]]), jnp.stack([still, still, *state[2:]])
         foot = lambda q: q[:2] + leg(q[2]) - leg(q[2] - q[3])
-        return [*multibody.impact(walker.system(), foot, q, qdot).velocities[2:]]
+        after = multibody.impact(walker.system(), foot, *coordinates_and_rates(state))
+        return [*after.velocities[2:]]
 
     thetadot, phidot = unroll(solve)(walker, state)
     return CompassState(state.theta - state.phi, -state.phi, thetadot - phidot, -phidot)
