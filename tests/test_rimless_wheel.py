@@ -277,3 +277,51 @@ def test_cells_of_the_basin_end_as_walks_do():
     walked = fate == 0
     assert walked.sum() > 20
     np.testing.assert_allclose(xs[walked], np.tile(gait.states, (walked.sum(), 1)), atol=1e-8)
+
+
+@pytest.mark.slow
+def test_a_branch_ends_where_the_wheel_begins_to_fly():
+    branch = wj.continue_gait(LEVEL, "lean", (0.4, 0.9), gait_of(LEVEL))
+    for lean, states in zip(branch.values[::4], branch.states[::4], strict=True):
+        following, outcome, _ = reference(wj.TorsoWheel(lean=float(lean)), states[0], samples=400)
+        assert outcome == Outcome.STRIDE
+        np.testing.assert_allclose(following, states[0], rtol=0, atol=1e-9)
+    assert branch.ends == ("the end of the range", "a state makes no stride")
+    (before, last), (slower, state) = branch.values[[-9, -1]], branch.states[[-9, -1], 0]
+    ahead = state + 1e-4 / (last - before) * (state - slower)
+    assert 0.7 < last < 0.9
+    found = wj.stride(wj.TorsoWheel(lean=float(last) + 1e-4), ahead)
+    assert found.outcome == Outcome.RUNNING
+
+
+@pytest.mark.slow
+def test_beside_the_least_disturbance_the_wheel_returns_or_fails():
+    gait = gait_of(LEVEL)
+    least = wj.least_disturbance(LEVEL, gait, along=[[1, 0, 0], [0, 1, 0]], directions=64)
+    assert least.failure == Outcome.RUNNING
+    angles = np.linspace(0, 2 * np.pi, 400)
+    around = np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
+    starts = [gait.states[0] + (1 - 1e-6) * least.size * around, least.state[None]]
+    starts[1] = starts[1] + 1e-6 * least.direction
+    xs = np.concatenate(starts)
+    for _ in range(60):
+        found = wj.strides(LEVEL, xs)
+        xs = np.where(found.outcome[:, None] == Outcome.STRIDE, found.state, xs)
+    assert (found.outcome[:-1] == Outcome.STRIDE).all() and found.outcome[-1] == least.failure
+    np.testing.assert_allclose(xs[:-1], np.tile(gait.states, (400, 1)), rtol=0, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_areas_of_basins_change_as_their_derivative_says():
+    at = dict(zip(LEVEL.section, map(float, gait_of(LEVEL).states[0]), strict=True))
+    grid = wj.Grid.through(at, thetadot=(-1, 0, 80), psi=(-0.2, 1.5, 80))
+    areas = {
+        lean: wj.area_gradient(wj.TorsoWheel(lean=lean), grid, ["lean"])
+        for lean in (0.45, 0.5, 0.55)
+    }
+    change = areas[0.55].area - areas[0.45].area
+    error = np.hypot(areas[0.55].area_error, areas[0.45].area_error) + 0.1 * areas[0.5].error[0]
+    assert 0.1 * areas[0.5].gradient[0] == pytest.approx(change, abs=3 * error)
+    assert abs(change) > 6 * error
+    fine = wj.refine(LEVEL, grid, 2)
+    assert float(fine.area[0]) == pytest.approx(areas[0.5].area, abs=1e-3)

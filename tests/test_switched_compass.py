@@ -339,3 +339,48 @@ def test_cells_of_the_basin_end_as_walks_do():
     walked = fate == 0
     assert walked.sum() > 20
     np.testing.assert_allclose(xs[walked], np.tile(gait.states, (walked.sum(), 1)), atol=1e-8)
+
+
+@pytest.mark.slow
+def test_a_branch_has_a_fold_and_a_doubling_where_the_reference_has_them():
+    branch = wj.continue_gait(DRIVEN, "torque", (-0.1, 0.1), gaits()[1])
+    (fold,), (doubling,) = branch.folds, branch.doublings
+    assert fold.value < 0 < DRIVEN.torque < doubling.value
+    for one, multiplier in (fold, 1.0), (doubling, -1.0):
+        walker = wj.SwitchedCompass(0.04, torque=float(one.value))
+        following, _, _ = reference(walker, one.states[0])
+        np.testing.assert_allclose(following, one.states[0], rtol=0, atol=1e-9)
+        walk = lambda xs, walker=walker: np.array([reference(walker, x)[0] for x in xs])
+        found = np.linalg.eigvals(differences(walk, one.states[0], np.full(3, 1e-3)))
+        assert np.abs(found - multiplier).min() < 1e-7
+
+
+@pytest.mark.slow
+def test_the_unstable_gait_is_the_edge_state_and_ends_the_least_disturbance():
+    unstable, stable = gaits()
+    edge = wj.edge_state(DRIVEN, stable.states[0], np.array([0.2, -0.15, -0.1]))
+    assert edge.kind == "saddle" and edge.saddle is not None
+    np.testing.assert_allclose(edge.saddle.states, unstable.states, rtol=0, atol=1e-10)
+    plane = [[1, 0, 0], [0, 1, 0]]
+    least = wj.least_disturbance(DRIVEN, stable, along=np.array(plane), directions=64)
+    assert least.size < np.linalg.norm(unstable.states[0] - stable.states[0])
+    shares = np.array([1 - 1e-6, 1 + 1e-6])[:, None]
+    xs = stable.states[0] + shares * (least.state - stable.states[0])
+    for _ in range(200):
+        found = wj.strides(DRIVEN, xs)
+        xs = np.where(found.outcome[:, None] == Outcome.STRIDE, found.state, xs)
+    np.testing.assert_array_equal(found.outcome, [Outcome.STRIDE, least.failure])
+    np.testing.assert_allclose(xs[0], stable.states[0], rtol=0, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_the_best_torque_is_that_of_the_least_multiplier():
+    best = wj.optimise(DRIVEN, {"torque": (0.0, 0.05)}, "spectral-radius", starts=1)
+    torques = np.linspace(0, 0.05, 51)
+    guess, radii = gaits()[1].states[0], []
+    for torque in torques:
+        gait = wj.find_gait(wj.SwitchedCompass(0.04, torque=float(torque)), guess)
+        guess = gait.states[0]
+        radii.append(np.abs(gait.multipliers).max())
+    assert float(best.value.min()) == pytest.approx(min(radii), abs=2e-3)
+    assert float(best.value.min()) <= min(radii) + 1e-9
