@@ -15,9 +15,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from walker_jax import multibody
-from walker_jax.integrators.taylor import VirtualPower
 from walker_jax.kernels.scalars import unroll
 from walker_jax.multibody import System
+from walker_jax.multibody.single_support import SingleSupport as SingleSupport
+from walker_jax.multibody.single_support import accelerations_and_forces as accelerations_and_forces
+from walker_jax.multibody.single_support import coordinates_and_rates
+from walker_jax.multibody.single_support import stance_coordinates as stance_coordinates
 from walker_jax.walkers.model import Phase, Scalar, State, Walker
 
 
@@ -139,68 +142,6 @@ def curvature_of_potential(walker: MultibodyWalker) -> Scalar:
         return jax.jvp(rate, (zero,), (jnp.ones_like(zero),))[1]
 
     return unroll(curvature)(walker)
-
-
-class SingleSupport(VirtualPower):
-    """The equations of motion (2) of a walker whose stance foot is on the ground: u = v = 0."""
-
-    walker: MultibodyMotion
-
-    def transfer(self, q):
-        flat = lambda walker, q: list(walker.system().transfer(stance_coordinates(q)))
-        return unroll(flat)(self.walker, q)
-
-    def virtual_power(self, q, qdot, acceleration):
-        def flat(walker, q, qdot, acceleration):
-            return list(
-                multibody.virtual_power(
-                    walker.system(),
-                    stance_coordinates(q),
-                    stance_coordinates(qdot),
-                    jnp.stack(acceleration),
-                )[2:]
-            )
-
-        return unroll(flat)(self.walker, q, qdot, acceleration)
-
-    def factorise(self, q):
-        def flat(walker, q):
-            matrix = multibody.mass_matrix(walker.system(), stance_coordinates(q))
-            return multibody.factorise(multibody.block(matrix, range(2, 2 + len(q))))
-
-        return unroll(flat)(self.walker, q)
-
-    def solve(self, factors, right):
-        return multibody.solve_factored(factors, right)
-
-
-def stance_coordinates(legs: list[Scalar]) -> Float[Array, " q"]:
-    """q = (u, v, theta, phi) from (theta, phi), the stance foot at the origin; or its rates.
-
-    Or q of a phase, from its coordinates.
-    """
-    zero = jnp.zeros_like(legs[0])
-    return jnp.stack([zero, zero, *legs])
-
-
-def coordinates_and_rates(state: Any) -> tuple[Float[Array, " q"], Float[Array, " q"]]:
-    """q and its rates."""
-    half = len(state) // 2
-    return stance_coordinates(list(state[:half])), stance_coordinates(list(state[half:]))
-
-
-@jax.jit
-def accelerations_and_forces(
-    walker: MultibodyMotion, state: Any
-) -> tuple[list[Scalar], list[Scalar]]:
-    """Accelerations, and the forces that hold u and v, of a walker on its stance foot, (4)."""
-
-    def equations(walker, state):
-        q, qdot = coordinates_and_rates(state)
-        accelerations, forces = multibody.solve_motion(walker.system(), q, qdot, held=(0, 1))
-        return list(accelerations), list(forces)
-
-    return unroll(equations)(walker, state)
 
 
 @jax.jit

@@ -1,0 +1,145 @@
+"""The rimless wheel with a torso, which walks on a slope or on level ground."""
+
+from typing import ClassVar, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from walker_jax import multibody
+from walker_jax.grids import Grid
+from walker_jax.hybrid.modes import Condition, Guard, Mode
+from walker_jax.integrators.roots import Real, Scalar
+from walker_jax.kernels.scalars import unroll
+from walker_jax.multibody.single_support import SingleSupport, accelerations_and_forces
+from walker_jax.systems.hybrid_system import HybridSystem
+from walker_jax.systems.outcomes import Outcome
+
+
+class WheelState(NamedTuple):
+    """Angles (rad) and rates, or their time derivatives."""
+
+    theta: Scalar
+    """Of the stance spoke from the normal of the slope: positive before it is upright."""
+    psi: Scalar
+    """Of the torso from the vertical: positive where it leans forward."""
+    thetadot: Scalar
+    psidot: Scalar
+
+
+class TorsoWheel(HybridSystem):
+    """A rimless wheel with a torso, which leans forward and so drives the wheel.
+
+    Massless spokes of length 1 stand `2 alpha` apart about a hub of mass 1, and gravity is 1. The
+    torso turns about the hub. A motor between it and the stance spoke holds it at an angle from the
+    vertical, by the torque `tau = stiffness (lean - psi) - damping psidot` on the torso, and as
+    much the other way on the spoke. With `s = theta - slope` and `M`, `l` and `I` the torso's mass,
+    distance of its centre of mass and inertia,
+
+        (1 + M) s'' - M l cos(s + psi) psi'' + M l sin(s + psi) psi'^2 = (1 + M) sin(s) + tau,
+        (I + M l^2) psi'' - M l cos(s + psi) s'' + M l sin(s + psi) s'^2 = M l sin(psi) + tau,
+
+    until the next spoke strikes at `theta = -alpha`. It stays on the ground: the hub loses its
+    velocity along it, and keeps, with the torso, angular momentum about the foot; the torso keeps
+    its own about the hub.
+
+    The section is just after that, at `theta = alpha`. A stride is `BACKWARD` where the wheel
+    stops, or a strike turns it back, `FORWARD` or `BACKWARD` where the torso has fallen to that
+    side, to `|psi| = pi / 2`, and `RUNNING` where the ground would have to pull. A wheel driven by
+    the pitch of what hangs in it is that of Sanchez and Bhounsule (2021, Automation 2:98-115).
+
+    **Arguments:** angles in rad, the others in units of the hub's mass, the spokes and gravity.
+
+    - `slope`: of the ground; 0 where it is level.
+    - `alpha`: half the angle between spokes.
+    - `torso_mass`, `torso_com`, `torso_inertia`: mass, distance of its centre from the hub, and
+      moment of inertia about its centre; `I + M l^2` above 0.
+    - `stiffness`, `damping`, `lean`: of the motor, and the angle at which it holds the torso.
+    """
+
+    slope: Real = 0.0
+    alpha: Real = np.pi / 8
+    torso_mass: Real = 1.0
+    torso_com: Real = 0.5
+    torso_inertia: Real = 0.1
+    stiffness: Real = 1.5
+    damping: Real = 0.3
+    lean: Real = 0.5
+
+    section: ClassVar = ("thetadot", "psi", "psidot")
+
+    def system(self) -> multibody.System:
+        """Of q = (u, v, theta, psi), u and v of the foot along and normal to the slope."""
+
+        def torque(q, qdot):
+            tau = self.stiffness * (self.lean - q[3]) - self.damping * qdot[3]
+            return jnp.stack([jnp.zeros_like(tau), jnp.zeros_like(tau), tau, tau])
+
+        return self.bodies(lambda q: q[:2] + direction(q[2]), torque)
+
+    def bodies(self, hub, torque=None) -> multibody.System:
+        """Hub and torso: their places, and the torso's angle, from q, of which psi is the last."""
+
+        def transfer(q):
+            place = hub(q)
+            torso = place + self.torso_com * direction(self.slope - q[-1])
+            return jnp.concatenate([place, torso, q[-1:]])
+
+        M, one = self.torso_mass, jnp.ones_like(self.torso_mass)
+        down, none = -direction(self.slope), jnp.zeros_like(one)[None]
+        masses = jnp.stack([one, one, M, M, self.torso_inertia])
+        return multibody.System(transfer, masses, jnp.concatenate([down, M * down, none]), torque)
+
+    def strike(self, state: WheelState) -> WheelState:
+        """The state on the next spoke. It has no mass, so its impulse is along it."""
+        theta = state.theta + 2 * self.alpha
+        thetadot, psidot = rates_after(self, theta, state)
+        return WheelState(theta, state.psi, thetadot, psidot)
+
+    def modes(self):
+        fallen = Guard(lambda state: -np.pi / 2 - state.psi, Outcome.BACKWARD)
+        guards = (
+            Guard(lambda state: state.thetadot, Outcome.BACKWARD, at_once=True),
+            fallen,
+            fallen._replace(value=lambda state: state.psi - np.pi / 2, leads_to=Outcome.FORWARD),
+            Guard(lambda state: -self.alpha - state.theta),
+        )
+        normal = lambda state: accelerations_and_forces(self, state)[1][1]
+        pushes = Condition(normal, Outcome.RUNNING)
+        return (Mode(SingleSupport(self), guards, (pushes,), self.strike),)
+
+    def lift(self, x):
+        return WheelState(jnp.asarray(self.alpha, x.dtype), x[1], x[0], x[2])
+
+    def project(self, state):
+        return jnp.stack([state.thetadot, state.psi, state.psidot])
+
+    def feasible(self, x):
+        """The wheel rolls on, thetadot < 0, and the torso has not fallen, |psi| < pi / 2."""
+        return super().feasible(x) & (x[0] < 0) & (jnp.abs(x[1]) < np.pi / 2)
+
+    def gait_region(self):
+        return Grid.plain(thetadot=(-1.5, 0, 12), psi=(-0.5, 1, 6), psidot=(-1, 1, 4))
+
+
+def direction(angle: Real) -> Float[Array, " 2"]:
+    """At an angle from the normal of the slope, positive backward; along and normal to it."""
+    return jnp.stack([-jnp.sin(angle), jnp.cos(angle)])
+
+
+@jax.jit
+def rates_after(wheel: TorsoWheel, theta: Scalar, state: WheelState) -> tuple[Scalar, Scalar]:
+    """Rates of the wheel, and of its torso, on the spoke at theta."""
+
+    def solve(wheel, theta, state):
+        before, spoke = direction(state.theta), direction(theta)
+        # the hub is at direction(theta), and moves by its derivative as the wheel turns
+        turned = jnp.stack([-before[1], before[0]])
+        q = jnp.stack([*before, state.psi])
+        qdot = jnp.stack([*(state.thetadot * turned), state.psidot])
+        along = lambda q: jnp.stack([spoke @ q[:2]])
+        after = multibody.impact(wheel.bodies(lambda q: q[:2]), along, q, qdot).velocities
+        return -spoke[1] * after[0] + spoke[0] * after[1], after[2]
+
+    return unroll(solve)(wheel, theta, state)

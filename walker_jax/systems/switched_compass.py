@@ -1,0 +1,139 @@
+"""The compass gait with a torque at the hip that is switched off within the stride."""
+
+from dataclasses import replace
+from typing import ClassVar, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from walker_jax import multibody
+from walker_jax.checks import WrongUse, is_number
+from walker_jax.grids import Grid
+from walker_jax.hybrid.modes import Condition, Guard, Mode
+from walker_jax.integrators.roots import Real, Scalar
+from walker_jax.kernels.scalars import unroll
+from walker_jax.multibody.single_support import (
+    SingleSupport,
+    accelerations_and_forces,
+    coordinates_and_rates,
+)
+from walker_jax.systems.hybrid_system import HybridSystem
+from walker_jax.systems.outcomes import Outcome
+
+
+class CompassState(NamedTuple):
+    """Angles (rad) and rates, or their time derivatives."""
+
+    theta: Scalar
+    """Of the stance leg from the normal of the slope: positive before it is upright."""
+    phi: Scalar
+    """Between the legs, from the stance leg to the swing leg: positive behind it."""
+    thetadot: Scalar
+    phidot: Scalar
+
+
+class SwitchedCompass(HybridSystem):
+    """The compass gait, with a constant hip torque until the stance leg passes an angle.
+
+    Two straight legs of length 1 have a mass each; the hip has a mass of 1, and gravity is 1. It is
+    the biped of Goswami, Thuilot and Espiau (1998, Int. J. Robotics Research 17:1282-1301), with
+    their a = 1 - com_from_hip. Its equations of motion are those of its three points,
+    by `multibody`. A torque at the hip turns the swing leg forward, and the stance leg
+    too, while theta > switch_angle. Then it jumps to zero: a stride has two modes.
+
+    The swing foot may pass below the ground. At heel strike, `phi = 2 theta` ahead, the foot that
+    stood is free, the other one stops, and legs are exchanged, `multibody.impact`. The section is
+    just after that. A stride is `BACKWARD` where the stance leg stops, or the strike turns it back,
+    `FORWARD` where it falls to theta = -pi/2, and `RUNNING` where the ground would have to pull. A
+    start is feasible where the trailing foot lifts, phidot > 2 thetadot.
+
+    **Arguments:** angles in rad, the others in units of the hip's mass, the legs and gravity.
+
+    - `slope`: of the ground.
+    - `leg_mass`: of each leg.
+    - `com_from_hip`: distance of a leg's mass from the hip; 1 is at the foot.
+    - `torque`: of the hip, on the swing leg, as much the other way on the stance leg; negative to
+      hold both back.
+    - `switch_angle`: theta at which it stops; not negative, as a foot may strike from then on.
+
+    Raises `ValueError` for a switch angle below zero.
+    """
+
+    slope: Real
+    leg_mass: Real = 0.5
+    com_from_hip: Real = 0.5
+    torque: Real = 0.02
+    switch_angle: Real = 0.1
+
+    section: ClassVar = ("theta", "thetadot", "phidot")
+
+    def __check_init__(self):
+        if is_number(self.switch_angle) and self.switch_angle < 0:
+            raise WrongUse(f"switch_angle must not be negative, as {self.switch_angle} is")
+
+    def system(self) -> multibody.System:
+        """Of q = (u, v, theta, phi), u and v of the stance foot along and normal to the slope."""
+
+        def transfer(q):
+            hip, to_mass = q[:2] + leg(q[2]), self.com_from_hip
+            stance, swing = hip - to_mass * leg(q[2]), hip - to_mass * leg(q[2] - q[3])
+            return jnp.concatenate([hip, stance, swing])
+
+        m, one = self.leg_mass, jnp.ones_like(self.leg_mass)
+        masses, down = jnp.stack([one, one, m, m, m, m]), -leg(self.slope)
+        torque = lambda q, qdot: jnp.zeros_like(q).at[3].set(-self.torque)
+        return multibody.System(transfer, masses, masses * jnp.concatenate([down] * 3), torque)
+
+    def modes(self):
+        stops = Guard(lambda state: state.thetadot, Outcome.BACKWARD, at_once=True)
+        falls = Guard(lambda state: -np.pi / 2 - state.theta, Outcome.FORWARD)
+        passes = Guard(lambda state: self.switch_angle - state.theta)
+        strikes = Guard(lambda state: state.phi - 2 * state.theta, admits=(lambda s: -s.phi,))
+        free = replace(self, torque=jnp.zeros_like(self.torque))
+        after = lambda state: after_strike(free, state)
+        return self.swing(stops, passes), free.swing(stops, falls, strikes, reset=after)
+
+    def swing(self, *guards: Guard, **reset) -> Mode:
+        """A part of the swing."""
+        force = Condition(lambda state: normal_force(self, state), Outcome.RUNNING)
+        return Mode(SingleSupport(self), guards, (force,), **reset)
+
+    def lift(self, x):
+        return CompassState(x[0], 2 * x[0], x[1], x[2])
+
+    def project(self, state):
+        return jnp.stack([state.theta, state.thetadot, state.phidot])
+
+    def feasible(self, x):
+        """0 < theta < pi/2, thetadot < 0, and the trailing foot lifts: phidot > 2 thetadot."""
+        forward = (x[0] > 0) & (x[0] < np.pi / 2) & (x[1] < 0)
+        return super().feasible(x) & forward & (x[2] > 2 * x[1])
+
+    def gait_region(self):
+        axes = {"theta": (0, 0.6, 15), "sum": (-0.6, 0.3, 20), "turn": (-0.8, 0.2, 8)}
+        return Grid(axes, np.array([[1, 0, 0], [-1, 1, 0], [0, 0, 1]]))
+
+
+def leg(angle: Real) -> Float[Array, " 2"]:
+    """From foot to hip, of a leg at an angle from the normal of the slope."""
+    return jnp.stack([-jnp.sin(angle), jnp.cos(angle)])
+
+
+def normal_force(walker: SwitchedCompass, state: CompassState) -> Scalar:
+    """Of the ground on the stance foot."""
+    return accelerations_and_forces(walker, state)[1][1]
+
+
+@jax.jit
+def after_strike(walker: SwitchedCompass, state: CompassState) -> CompassState:
+    """The state after heel strike, of the other leg."""
+
+    def solve(walker, state):
+        foot = lambda q: q[:2] + leg(q[2]) - leg(q[2] - q[3])
+        after = multibody.impact(walker.system(), foot, *coordinates_and_rates(state))
+        return [*after.velocities[2:]]
+
+    thetadot, phidot = unroll(solve)(walker, state)
+    return CompassState(state.theta - state.phi, -state.phi, thetadot - phidot, -phidot)
