@@ -4,9 +4,11 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from walker_jax import multibody
+from walker_jax.grids import Grid
 from walker_jax.hybrid.modes import Condition, Guard, Mode
 from walker_jax.integrators.roots import Scalar
 from walker_jax.integrators.taylor import VirtualPower
@@ -16,7 +18,7 @@ from walker_jax.systems.outcomes import Outcome
 
 LINKS = "stance_shank", "stance_thigh", "torso", "swing_thigh", "swing_shank"
 LEAST_SCUFF = 1e-6
-"""Depth (m) from which on the swing foot is below the ground: less is rounding, where it touches."""
+"""Depth (m) from which on the foot is below the ground: less is rounding, where it touches."""
 
 
 class LinkState(NamedTuple):
@@ -54,45 +56,48 @@ class FiveLinkBiped(HybridSystem):
     comes down to the ground; `BACKWARD`, where the stance leg stops, so that theta is no measure of
     progress any more; `RUNNING`, where the ground would have to pull; and `SCUFFED`, where the
     swing foot is below the ground on its way, from the start on if it does not lift. Knees have no
-    stops, and the ground has friction enough.
+    stops, and nothing slips.
 
-    Units are m, kg and s. Lengths, masses and inertias are those of RABBIT: Westervelt, Grizzle and
-    Koditschek (2003), Hybrid zero dynamics of planar biped walkers, IEEE Transactions on Automatic
-    Control 48, 42-56; Chevallereau et al. (2003), RABBIT: a testbed for advanced control theory,
-    IEEE Control Systems Magazine 23, 57-79. Theirs are other constraints, of Bezier polynomials,
-    and a control that keeps them exactly.
+    Lengths, masses and inertias are those of RABBIT: Westervelt, Grizzle and Koditschek (2003),
+    Hybrid zero dynamics of planar biped walkers, IEEE Transactions on Automatic Control 48, 42-56;
+    Chevallereau et al. (2003), RABBIT: a testbed for advanced control theory, IEEE Control Systems
+    Magazine 23, 57-79. There the constraints are Bezier polynomials of theta, and the control
+    keeps them exactly in theory.
+
+    **Arguments:** in m, kg, s and rad.
+
+    - `lean`: of the torso.
+    - `bend`: of the stance knee, and `swing_bend`, by how much more the swing knee is bent where
+      the stance leg is upright.
+    - `reach`: angle of the stance leg from upright at which both knees are to be bent alike.
+    - `stiffness`, `damping`: k (N m / rad) and c (N m s / rad) of all motors.
+    - `torso_mass`, `thigh_mass`, `shank_mass`, and moments of inertia about the centres of mass,
+      `torso_inertia`, `thigh_inertia`, `shank_inertia`.
+    - `torso_centre`, `thigh_centre`, `shank_centre`: distances of the centres of mass from the hip,
+      from the hip and from the knee.
+    - `segment`: the length of a thigh, and of a shank.
+    - `gravity`: acceleration of free fall.
     """
 
     section = (*LINKS[:4], *(f"{link}_rate" for link in LINKS))
 
-    lean: Scalar = 0.15
-    """Of the torso (rad)."""
-    bend: Scalar = 0.2
-    """Of the stance knee (rad)."""
-    swing_bend: Scalar = 0.6
-    """By how much more the swing knee bends, where the stance leg is upright (rad)."""
-    reach: Scalar = 0.3
-    """Angle of the stance leg at which the swing knee is bent as the stance knee (rad)."""
-    stiffness: Scalar = 400.0
-    """k of all motors (N m / rad)."""
-    damping: Scalar = 40.0
-    """c of all motors (N m s / rad)."""
-    torso_mass: Scalar = 20.0
-    thigh_mass: Scalar = 6.8
-    shank_mass: Scalar = 3.2
-    torso_inertia: Scalar = 2.22
-    """About the centre of mass, as all (kg m^2)."""
-    thigh_inertia: Scalar = 1.08
-    shank_inertia: Scalar = 0.93
-    segment: Scalar = 0.4
-    """Length of a thigh, and of a shank."""
-    torso_centre: Scalar = 0.2
-    """Distance of the centre of mass from the hip."""
-    thigh_centre: Scalar = 0.163
-    """From the hip."""
-    shank_centre: Scalar = 0.128
-    """From the knee."""
-    gravity: Scalar = 9.81
+    lean: Scalar | float = 0.15
+    bend: Scalar | float = 0.2
+    swing_bend: Scalar | float = 0.6
+    reach: Scalar | float = 0.3
+    stiffness: Scalar | float = 400.0
+    damping: Scalar | float = 40.0
+    torso_mass: Scalar | float = 20.0
+    thigh_mass: Scalar | float = 6.8
+    shank_mass: Scalar | float = 3.2
+    torso_inertia: Scalar | float = 2.22
+    thigh_inertia: Scalar | float = 1.08
+    shank_inertia: Scalar | float = 0.93
+    torso_centre: Scalar | float = 0.2
+    thigh_centre: Scalar | float = 0.163
+    shank_centre: Scalar | float = 0.128
+    segment: Scalar | float = 0.4
+    gravity: Scalar | float = 9.81
 
     def places(self, q: Float[Array, " q"]) -> tuple[Float[Array, "2 5"], Float[Array, "2 2"]]:
         """Centres of mass of the links; hip and swing foot: along the ground, and heights.
@@ -175,6 +180,17 @@ class FiveLinkBiped(HybridSystem):
 
     def project(self, state):
         return jnp.stack([*state.angles[:4], *state.rates])
+
+    def gait_region(self):
+        """Legs about as the constraints want them, at some speeds, to which all rates belong."""
+        theta, half = -0.85 * float(self.reach), float(self.bend) / 2
+        posture = theta + half, theta - half, float(self.lean), -theta - half
+        axes = {link: (at - 0.4, at + 0.4, 1) for link, at in zip(LINKS[:4], posture, strict=True)}
+        axes |= {f"{link}_excess": (-1.5, 1.5, 1) for link in LINKS}
+        axes["stance_thigh_excess"] = 0.5, 2.9, 8
+        shear = np.eye(9)
+        shear[4:, 5] = 0.35, 1.0, 0.35, 0.6, 0.9
+        return Grid(axes, shear)
 
 
 def cosine_of_swing_shank(x: Float[Array, " 9"]) -> Scalar:
