@@ -166,7 +166,11 @@ class FiveLinkBiped(HybridSystem):
         )
         conditions = (
             Condition(lambda state: self.ground_force(state)[1], Outcome.RUNNING),
-            Condition(lambda state: height(state) + LEAST_SCUFF, Outcome.SCUFFED),
+            Condition(
+                lambda state: height(state) + LEAST_SCUFF,
+                Outcome.SCUFFED,
+                zero_at_ends=(True, True),
+            ),
         )
         return (Mode(Swing(self), guards, conditions, self.strike),)
 
