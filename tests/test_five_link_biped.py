@@ -225,6 +225,16 @@ def test_failures():
     assert FOOT @ (np.sin(q) * w) > 0  # the foot sinks
 
 
+def test_strike_with_a_shank_that_leans_back_is_outside():
+    x = np.array([-0.17, 0.16, 0.61, -0.04, 1.56, 4.4, -1.06, 0.82, 1.63])
+    assert wj.stride(BIPED, x).outcome == wj.Outcome.OUTSIDE
+    q, w, _, _ = swing(x)
+    assert q[0] < 0 and BIPED.feasible(jnp.asarray(x))
+    # The section's point would have the shank lean forward instead.
+    ambiguous = BIPED.project(BIPED.strike(split(q, w)))
+    np.testing.assert_allclose(BIPED.lift(ambiguous).angles[4], -q[0], rtol=1e-9)
+
+
 @pytest.mark.slow
 def test_gaits_of_its_region(gait):
     """The other one, of short and fast steps, is between walking on and falling."""

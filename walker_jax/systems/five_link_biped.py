@@ -46,17 +46,20 @@ class FiveLinkBiped(HybridSystem):
         y_3 = (q_4 + q_5) / 2 + theta                                   swing leg, the mirror image
         y_4 = q_5 - q_4 - bend - swing_bend (1 - theta^2 / reach^2)     swing knee
 
-    The motor at the stance hip also takes up the reaction of that at the swing hip, so u_2 is the
-    whole torque on the torso. A stride ends where the swing foot comes down in front of the other.
-    That it does without bouncing or slipping, as the other foot comes off, and the legs change
-    roles. Energy that the impact takes is put back by the motors.
+    u_1 and u_4 turn the knees, and u_3 the swing thigh against the torso. The motor at the stance
+    hip takes up the reaction of u_3, so u_2 is the whole torque on the torso. A stride ends where
+    the swing foot comes down in front of the other. That it does without bouncing or slipping, as
+    the other foot comes off, and the legs change roles. Energy that the impact takes is put back by
+    the motors.
 
     The section is just after that, with both feet on the ground: the angles of the links but for
     the swing shank, which follows from them, and all rates. Failures are `FORWARD`, where the hip
     comes down to the ground; `BACKWARD`, where the stance leg stops, so that theta is no measure of
     progress any more; `RUNNING`, where the ground would have to pull; and `SCUFFED`, where the
-    swing foot is below the ground on its way, from the start on if it does not lift. Knees have no
-    stops, and nothing slips.
+    swing foot is below the ground on its way, from the start on if it does not lift; and `OUTSIDE`
+    too where the foot comes down while the stance shank leans back, which the section does not
+    hold. Knees have no stops, and nothing slips: in the gait the ground needs a coefficient of
+    friction of 0.3, and of 0.6 in the impact.
 
     Lengths, masses and inertias are those of RABBIT: Westervelt, Grizzle and Koditschek (2003),
     Hybrid zero dynamics of planar biped walkers, IEEE Transactions on Automatic Control 48, 42-56;
@@ -158,18 +161,18 @@ class FiveLinkBiped(HybridSystem):
 
     def modes(self):
         hip_and_foot = lambda state: self.places(jnp.stack(state.angles))[1]
-        height = lambda state: hip_and_foot(state)[1, 1]
+        ahead = lambda state: hip_and_foot(state)[0, 1]
+        sunk = lambda state: -hip_and_foot(state)[1, 1]
         guards = (
             Guard(lambda state: -hip_and_foot(state)[1, 0], Outcome.FORWARD),
             Guard(lambda state: -state.rates[0] - state.rates[1], Outcome.BACKWARD, at_once=True),
-            Guard(lambda state: -height(state), admits=(lambda state: hip_and_foot(state)[0, 1],)),
+            Guard(sunk, Outcome.OUTSIDE, (ahead, lambda state: -state.angles[0])),
+            Guard(sunk, admits=(ahead, lambda state: state.angles[0])),
         )
         conditions = (
             Condition(lambda state: self.ground_force(state)[1], Outcome.RUNNING),
             Condition(
-                lambda state: height(state) + LEAST_SCUFF,
-                Outcome.SCUFFED,
-                zero_at_ends=(True, True),
+                lambda state: LEAST_SCUFF - sunk(state), Outcome.SCUFFED, zero_at_ends=(True, True)
             ),
         )
         return (Mode(Swing(self), guards, conditions, self.strike),)
