@@ -300,6 +300,6 @@ def test_basin_in_a_plane(gait):
 def test_branch(gait):
     branch = wj.continue_gait(BIPED, "lean", (0.1, 0.2), gait)
     assert not branch.folds and not branch.doublings
-    end = wj.find_gait(wj.FiveLinkBiped(lean=0.2), gait.states[0])
+    end = wj.find_gait(wj.FiveLinkBiped(lean=jnp.asarray(0.2)), gait.states[0])
     np.testing.assert_allclose(branch.states[-1], end.states, rtol=0, atol=1e-9)
     assert (np.diff(branch.step_times[:, 0]) < 0).all()  # the further it leans, the faster

@@ -15,6 +15,25 @@ from walker_jax.integrators.taylor import VirtualPower
 from walker_jax.kernels.scalars import unroll
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.parameter import Parameter
+
+LEAN = Parameter("lean", "of the torso, from the vertical", "rad", 0.15, -np.inf)
+BEND = Parameter("bend", "of the stance knee", "rad", 0.2, -np.inf)
+SWING_BEND = Parameter("swing_bend", "more of the swing knee at mid-stance", "rad", 0.6, -np.inf)
+REACH = Parameter("reach", "of the stance leg where knees are bent alike", "rad", 0.3)
+STIFFNESS = Parameter("stiffness", "k of all motors", "N m/rad", 400.0, closed=True)
+DAMPING = Parameter("damping", "c of all motors", "N m s/rad", 40.0, closed=True)
+TORSO_MASS = Parameter("torso_mass", "of the torso", "kg", 20.0)
+THIGH_MASS = Parameter("thigh_mass", "of a thigh", "kg", 6.8)
+SHANK_MASS = Parameter("shank_mass", "of a shank", "kg", 3.2)
+TORSO_INERTIA = Parameter("torso_inertia", "about its centre of mass, as all", "kg m^2", 2.22)
+THIGH_INERTIA = Parameter("thigh_inertia", "of a thigh", "kg m^2", 1.08)
+SHANK_INERTIA = Parameter("shank_inertia", "of a shank", "kg m^2", 0.93)
+TORSO_CENTRE = Parameter("torso_centre", "of mass, from the hip", "m", 0.2, -np.inf)
+THIGH_CENTRE = Parameter("thigh_centre", "of mass, from the hip", "m", 0.163, -np.inf)
+SHANK_CENTRE = Parameter("shank_centre", "of mass, from the knee", "m", 0.128, -np.inf)
+SEGMENT = Parameter("segment", "length of a thigh, and of a shank", "m", 0.4)
+GRAVITY = Parameter("gravity", "acceleration of free fall", "m/s^2", 9.81, closed=True)
 
 LINKS = "stance_shank", "stance_thigh", "torso", "swing_thigh", "swing_shank"
 LEAST_SCUFF = 1e-6
@@ -65,42 +84,28 @@ class FiveLinkBiped(HybridSystem):
     Hybrid zero dynamics of planar biped walkers, IEEE Transactions on Automatic Control 48, 42-56;
     Chevallereau et al. (2003), RABBIT: a testbed for advanced control theory, IEEE Control Systems
     Magazine 23, 57-79. There the constraints are Bezier polynomials of theta, and the control
-    keeps them exactly in theory.
-
-    **Arguments:** in m, kg, s and rad.
-
-    - `lean`: of the torso.
-    - `bend`: of the stance knee, and `swing_bend`, by how much more the swing knee is bent where
-      the stance leg is upright.
-    - `reach`: angle of the stance leg from upright at which both knees are to be bent alike.
-    - `stiffness`, `damping`: k (N m / rad) and c (N m s / rad) of all motors.
-    - `torso_mass`, `thigh_mass`, `shank_mass`, and moments of inertia about the centres of mass,
-      `torso_inertia`, `thigh_inertia`, `shank_inertia`.
-    - `torso_centre`, `thigh_centre`, `shank_centre`: distances of the centres of mass from the hip,
-      from the hip and from the knee.
-    - `segment`: the length of a thigh, and of a shank.
-    - `gravity`: acceleration of free fall.
+    keeps them exactly in theory. Units are m, kg and s.
     """
 
     section = (*LINKS[:4], *(f"{link}_rate" for link in LINKS))
 
-    lean: Scalar | float = 0.15
-    bend: Scalar | float = 0.2
-    swing_bend: Scalar | float = 0.6
-    reach: Scalar | float = 0.3
-    stiffness: Scalar | float = 400.0
-    damping: Scalar | float = 40.0
-    torso_mass: Scalar | float = 20.0
-    thigh_mass: Scalar | float = 6.8
-    shank_mass: Scalar | float = 3.2
-    torso_inertia: Scalar | float = 2.22
-    thigh_inertia: Scalar | float = 1.08
-    shank_inertia: Scalar | float = 0.93
-    torso_centre: Scalar | float = 0.2
-    thigh_centre: Scalar | float = 0.163
-    shank_centre: Scalar | float = 0.128
-    segment: Scalar | float = 0.4
-    gravity: Scalar | float = 9.81
+    lean: Scalar = LEAN.field()
+    bend: Scalar = BEND.field()
+    swing_bend: Scalar = SWING_BEND.field()
+    reach: Scalar = REACH.field()
+    stiffness: Scalar = STIFFNESS.field()
+    damping: Scalar = DAMPING.field()
+    torso_mass: Scalar = TORSO_MASS.field()
+    thigh_mass: Scalar = THIGH_MASS.field()
+    shank_mass: Scalar = SHANK_MASS.field()
+    torso_inertia: Scalar = TORSO_INERTIA.field()
+    thigh_inertia: Scalar = THIGH_INERTIA.field()
+    shank_inertia: Scalar = SHANK_INERTIA.field()
+    torso_centre: Scalar = TORSO_CENTRE.field()
+    thigh_centre: Scalar = THIGH_CENTRE.field()
+    shank_centre: Scalar = SHANK_CENTRE.field()
+    segment: Scalar = SEGMENT.field()
+    gravity: Scalar = GRAVITY.field()
 
     def places(self, q: Float[Array, " q"]) -> tuple[Float[Array, "2 5"], Float[Array, "2 2"]]:
         """Centres of mass of the links; hip and swing foot: along the ground, and heights.
@@ -175,7 +180,7 @@ class FiveLinkBiped(HybridSystem):
                 lambda state: LEAST_SCUFF - sunk(state), Outcome.SCUFFED, zero_at_ends=(True, True)
             ),
         )
-        return (Mode(Swing(self), guards, conditions, self.strike),)
+        return (Mode(Swing(self), guards, conditions, self.strike, as_smooth=True),)
 
     def feasible(self, x):
         """Where the swing foot can reach the ground, behind its knee."""
