@@ -62,6 +62,7 @@ from walker_jax.stability.tipping import Tipping as Tipping
 from walker_jax.stability.tipping import tipping_probability as tipping_probability
 from walker_jax.systems.bouncing_ball import BouncingBall as BouncingBall
 from walker_jax.systems.duffing import DuffingOscillator as DuffingOscillator
+from walker_jax.systems.five_link_biped import FiveLinkBiped as FiveLinkBiped
 from walker_jax.systems.henon import HenonMap as HenonMap
 from walker_jax.systems.hybrid_system import HybridSystem as HybridSystem
 from walker_jax.systems.impact_oscillator import ImpactOscillator as ImpactOscillator
