@@ -81,12 +81,6 @@ class Lost(Spinner):
         return state[:1]
 
 
-class Endless(Lost):
-    def modes(self):
-        (mode,) = super().modes()
-        return (mode._replace(guards=(wj.Guard(lambda y: -1 - y[1]),)),)
-
-
 class Shut(Lost):
     def modes(self):
         (mode,) = super().modes()
@@ -99,7 +93,7 @@ class Shut(Lost):
     [
         (Lost(0.1), r"project\(lift\(x\)\) is \(0.3\)"),
         (Lost(), r"no stride begins at the next point, \(6.48"),
-        (Endless(), "mode 0 is not ended by any of its guards"),
+        (Shut(), "mode 0 is not ended by any of its guards"),
         (Shut(), "guard 0 of mode 0 rose, but was never admitted"),
         (Lost(blows_up=1.0), "the vector field at the start is not finite"),
     ],

@@ -89,7 +89,7 @@ SLOW = pytest.mark.slow  # derivatives of a stride with knees take long to compi
     "entry",
     [
         pytest.param(HSU_CHEN, id="Hsu Chen", marks=pytest.mark.slow),
-        pytest.param(HUMAN_LIKE, id="human-like"),
+        pytest.param(HUMAN_LIKE, id="human-like", marks=pytest.mark.slow),
     ],
 )
 def test_gaits_of_published_walkers(entry, search):

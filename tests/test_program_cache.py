@@ -155,6 +155,7 @@ def test_what_is_defined_elsewhere_has_no_name():
     assert name_of(solver=Mine()) is None
 
 
+@pytest.mark.slow
 def test_each_solver_has_a_program_of_its_own():
     one, other = diffrax.Bosh3(), diffrax.Tsit5()
     by = [wj.stride(SimplestWalker(0.004), START, solver=solver) for solver in (None, one, other)]

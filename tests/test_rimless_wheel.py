@@ -237,6 +237,7 @@ def test_a_strike_keeps_angular_momentum_about_the_foot_and_the_hub():
 # Derivatives and basins
 
 
+@pytest.mark.slow
 def test_derivatives_of_ten_strides_are_those_of_differences():
     x = np.array([-0.5, 0.5, 0.2])
     values = np.array([vars(LEVEL)[name] for name in NAMES])
@@ -259,6 +260,7 @@ def test_derivatives_of_ten_strides_are_those_of_differences():
     np.testing.assert_allclose(slopes, expected, rtol=1e-7)
 
 
+@pytest.mark.slow
 def test_cells_of_the_basin_end_as_walks_do():
     gait = gait_of(LEVEL)
     at = dict(zip(LEVEL.section, map(float, gait.states[0]), strict=True))

@@ -147,6 +147,7 @@ def gaits():
 # Gaits
 
 
+@pytest.mark.slow
 def test_gaits_are_those_of_the_reference():
     assert [bool(gait.stable) for gait in gaits()] == [False, True]
     for gait in gaits():
@@ -299,6 +300,7 @@ def test_a_strike_keeps_angular_momentum_about_the_foot_and_the_hip():
 # Derivatives and basins
 
 
+@pytest.mark.slow
 def test_derivatives_of_ten_strides_are_those_of_differences():
     values = np.array([vars(DRIVEN)[name] for name in NAMES])
     x = gaits()[1].states[0] + 0.003 * np.array([1, -1, 1])
