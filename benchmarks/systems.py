@@ -25,7 +25,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from numba import njit, prange
+from numba import njit, prange  # pyright: ignore[reportMissingImports]
 from scipy.integrate import solve_ivp
 
 import walker_jax as wj

@@ -38,7 +38,7 @@ def test_the_last_rise_is_what_ended_the_stride(x):
 
 
 def test_a_rise_that_is_not_admitted_is_told():
-    found = wj.explain(wj.SpringMassRunner(), [2.0])
+    found = wj.explain(wj.SpringMassRunner(), jnp.array([2.0]))
     assert found.outcome == wj.Outcome.BACKWARD and len(found.modes) == 2
     counted = {rise.leads_to: rise.admitted for rise in found.modes[1].rises}
     assert counted == {"BACKWARD": True, "STOPPED": False, "STRIDE": False}
@@ -46,10 +46,10 @@ def test_a_rise_that_is_not_admitted_is_told():
 
 
 def test_conditions_have_their_least_values():
-    found = wj.explain(WALKER, [0.2, -0.4])
+    found = wj.explain(WALKER, jnp.array([0.2, -0.4]))
     assert found.modes[0].least["RUNNING"] < 0 and "violated" in str(found)
     margin = wj.margins(WALKER, jnp.array([0.2, -0.2])).running
-    least = wj.explain(WALKER, [0.2, -0.2]).modes[0].least["RUNNING"]
+    least = wj.explain(WALKER, jnp.array([0.2, -0.2])).modes[0].least["RUNNING"]
     assert least == pytest.approx(float(margin), abs=1e-3)  # of samples
 
 
@@ -100,7 +100,7 @@ class Shut(Lost):
     ids=lambda one: one if isinstance(one, str) else type(one).__name__,
 )
 def test_what_does_not_fit_together_is_found(system, complaint):
-    found = wj.explain(system, [0.2])
+    found = wj.explain(system, jnp.array([0.2]))
     assert any(np.array([bool(re.search(complaint, one)) for one in found.complaints]))
     assert f"\n! {found.complaints[0]}" in str(found)
 
@@ -122,7 +122,7 @@ def test_the_command_says_the_same(capsys, monkeypatch):
             main.main()
         assert ended.value.code == 0
     told, answer = capsys.readouterr().out.split("{", 1)
-    expected = wj.explain(WALKER, [0.3, -0.1])
+    expected = wj.explain(WALKER, jnp.array([0.3, -0.1]))
     assert told.rstrip() == str(expected)
     data = json.loads("{" + answer)
     assert data["outcome"] == "BACKWARD" and data["state"] is None
@@ -130,7 +130,7 @@ def test_the_command_says_the_same(capsys, monkeypatch):
 
 
 def test_a_map_is_explained_too():
-    found = wj.explain(wj.HenonMap(), [0.1, 0.2])
+    found = wj.explain(wj.HenonMap(), jnp.array([0.1, 0.2]))
     assert found.outcome == wj.Outcome.STRIDE and found.modes == []
     np.testing.assert_allclose(found.jacobian, [[-0.28, 1.0], [0.3, 0.0]], rtol=1e-14)
     with pytest.raises(ValueError, match="must not be traced"):

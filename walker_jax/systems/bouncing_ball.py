@@ -7,7 +7,7 @@ import numpy as np
 
 from walker_jax.grids import Grid
 from walker_jax.hybrid.modes import Guard, Mode
-from walker_jax.integrators.roots import Scalar
+from walker_jax.integrators.roots import Real
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.parameter import Parameter
 
@@ -34,8 +34,8 @@ class BouncingBall(HybridSystem):
     the approximation of high bounces; Luo and Han (1996, Nonlinear Dynamics 10, 1-18).
     """
 
-    amplitude: Scalar = AMPLITUDE.field()
-    restitution: Scalar = RESTITUTION.field()
+    amplitude: Real = AMPLITUDE.field()
+    restitution: Real = RESTITUTION.field()
 
     section = ("phase", "velocity")
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from walker_jax.grids import Grid
 from walker_jax.hybrid.modes import Guard, Mode
-from walker_jax.integrators.roots import Scalar
+from walker_jax.integrators.roots import Real
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.parameter import Parameter
 
@@ -26,9 +26,9 @@ class DuffingOscillator(HybridSystem):
     Guckenheimer and Holmes (1983), Nonlinear Oscillations, section 2.2. It never fails.
     """
 
-    damping: Scalar = Parameter("damping", "of the rate", "", 0.15, closed=True).field()
-    force: Scalar = Parameter("force", "amplitude of the force", "", 0.245, -np.inf).field()
-    frequency: Scalar = Parameter("frequency", "of the force", "", 1.0).field()
+    damping: Real = Parameter("damping", "of the rate", "", 0.15, closed=True).field()
+    force: Real = Parameter("force", "amplitude of the force", "", 0.245, -np.inf).field()
+    frequency: Real = Parameter("frequency", "of the force", "", 1.0).field()
 
     section = ("x", "v")
 

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from walker_jax.grids import Grid
-from walker_jax.integrators.roots import Scalar
+from walker_jax.integrators.roots import Real
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.parameter import Parameter
 from walker_jax.systems.system import System
@@ -16,8 +16,8 @@ FARTHEST = 10.0
 class HenonMap(System):
     """x' = 1 - a x^2 + y, y' = b x; points that escape to infinity are `OUTSIDE`."""
 
-    a: Scalar = Parameter("a", "of the square", "", 1.4, -np.inf).field()
-    b: Scalar = Parameter("b", "by which areas shrink", "", 0.3, -np.inf).field()
+    a: Real = Parameter("a", "of the square", "", 1.4, -np.inf).field()
+    b: Real = Parameter("b", "by which areas shrink", "", 0.3, -np.inf).field()
 
     section = ("x", "y")
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from walker_jax.grids import Grid
 from walker_jax.hybrid.modes import Guard, Mode
-from walker_jax.integrators.roots import Scalar
+from walker_jax.integrators.roots import Real
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.parameter import Parameter
@@ -32,10 +32,10 @@ class ImpactOscillator(HybridSystem):
     (1983, Journal of Sound and Vibration 90, 129-155).
     """
 
-    frequency: Scalar = Parameter("frequency", "of the force", "", 2.5).field()
-    stop: Scalar = Parameter("stop", "place of the stop", "", 0.0, -np.inf).field()
-    restitution: Scalar = Parameter("restitution", "at an impact", "", 0.8, 0, 1).field()
-    damping: Scalar = Parameter("damping", "of the rate", "", 0.0, 0, 1, closed=True).field()
+    frequency: Real = Parameter("frequency", "of the force", "", 2.5).field()
+    stop: Real = Parameter("stop", "place of the stop", "", 0.0, -np.inf).field()
+    restitution: Real = Parameter("restitution", "at an impact", "", 0.8, 0, 1).field()
+    damping: Real = Parameter("damping", "of the rate", "", 0.0, 0, 1, closed=True).field()
 
     section = ("phase", "v")
 

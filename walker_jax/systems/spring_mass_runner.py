@@ -7,7 +7,7 @@ import numpy as np
 
 from walker_jax.grids import Grid
 from walker_jax.hybrid.modes import Guard, Mode
-from walker_jax.integrators.roots import Scalar
+from walker_jax.integrators.roots import Real
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.parameter import Parameter
@@ -41,10 +41,10 @@ class SpringMassRunner(HybridSystem):
     ends on a straight leg.
     """
 
-    stiffness: Scalar = STIFFNESS.field()
-    angle: Scalar = ANGLE.field()
-    energy: Scalar = ENERGY.field()
-    retraction: Scalar = RETRACTION.field()
+    stiffness: Real = STIFFNESS.field()
+    angle: Real = ANGLE.field()
+    energy: Real = ENERGY.field()
+    retraction: Real = RETRACTION.field()
 
     section = ("apex",)
 
