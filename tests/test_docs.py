@@ -178,7 +178,10 @@ def test_every_public_function_is_in_the_table_of_functions_or_the_glossary():
     assert {name for name in functions if f"wj.{name}" not in text} == set()
 
 
-@pytest.mark.parametrize("number", [0, 1, 2])
+SLOW = pytest.mark.slow
+
+
+@pytest.mark.parametrize("number", [0, pytest.param(1, marks=SLOW), pytest.param(2, marks=SLOW)])
 def test_systems_of_the_page_give_the_numbers_that_it_asserts(number):
     source = programs(SYSTEMS)[number]
     assert "\nassert " in source

@@ -37,6 +37,7 @@ def test_the_last_rise_is_what_ended_the_stride(x):
     assert f": {found.outcome.name}\n" in str(found)
 
 
+@pytest.mark.slow
 def test_a_rise_that_is_not_admitted_is_told():
     found = wj.explain(wj.SpringMassRunner(), jnp.array([2.0]))
     assert found.outcome == wj.Outcome.BACKWARD and len(found.modes) == 2
@@ -93,15 +94,14 @@ class Shut(Lost):
     [
         (Lost(0.1), r"project\(lift\(x\)\) is \(0.3\)"),
         (Lost(), r"no stride begins at the next point, \(6.48"),
-        (Shut(), "mode 0 is not ended by any of its guards"),
-        (Shut(), "guard 0 of mode 0 rose, but was never admitted"),
+        (Shut(), "mode 0 is not ended .*guard 0 of mode 0 rose, but was never admitted"),
         (Lost(blows_up=1.0), "the vector field at the start is not finite"),
     ],
     ids=lambda one: one if isinstance(one, str) else type(one).__name__,
 )
 def test_what_does_not_fit_together_is_found(system, complaint):
     found = wj.explain(system, jnp.array([0.2]))
-    assert any(np.array([bool(re.search(complaint, one)) for one in found.complaints]))
+    assert re.search(complaint, "; ".join(found.complaints))
     assert f"\n! {found.complaints[0]}" in str(found)
 
 

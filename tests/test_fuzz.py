@@ -398,6 +398,7 @@ def calls() -> dict[str, dict]:
         "gait_sensitivity": {**of_gait, "disturbances": ("push",), "indicators": ("time",)},
         "sensitivity_gradient": {**of_gait, "parameters": ("slope",)},
         "motion": {**start, "strides": 2, "step": 0.1},
+        "explain": start,
         "find_gait": {**of_walker, "guess": X, "period": 1},
         "find_gaits": {**of_walker, "period": 1, "region": grid, "descent": 0},
         "descend": {**of_walker, "cycles": np.array([[X]]), "steps": 2, "rate": 0.001},

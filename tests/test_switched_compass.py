@@ -165,6 +165,7 @@ def test_gaits_are_those_of_the_reference():
         np.testing.assert_allclose(gait.multipliers, multipliers[order], rtol=0, atol=2e-9)
 
 
+@pytest.mark.slow
 def test_the_stable_gait_has_these_numbers():
     known = [0.250711229952, -0.329106355024, -0.202455043526]
     np.testing.assert_allclose(gaits()[1].states[0], known, rtol=0, atol=1e-11)

@@ -100,6 +100,9 @@ def edge_state(
     check_whole("rounds", rounds)
     check_whole("strides", strides)
     ends = [check_state(walker, "a", a), check_state(walker, "b", b)]
+    for name, end in zip("ab", ends, strict=True):
+        if not bool(walker.feasible(jnp.asarray(end))):
+            raise WrongUse(f"{name} must be a feasible start, not {end.tolist()}")
     integrator = integrator_of(float, tolerance)
     share = np.linspace(0, 1, SAMPLE)[:, None]
     mapper = Mapper(walker, [], integrator, strides)
@@ -112,9 +115,6 @@ def edge_state(
         return label_of(found.fate, found.attractor)
 
     first, second = label_starts(np.stack(ends)).tolist()
-    if Outcome.OUTSIDE in (first, second):
-        name, end = ("a", ends[0]) if first == Outcome.OUTSIDE else ("b", ends[1])
-        raise WrongUse(f"{name} must be a feasible start, not {end.tolist()}")
     if first == second:
         raise WrongUse(f"a and b must have different fates, not both {explain_fate(first)}")
     image = lambda x: np.asarray(take_strides(walker, x, tolerance=tolerance).state)

@@ -19,8 +19,8 @@ from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System, check_single
 from walker_jax.wada import MIN_REGIONS, RADIUS, check_radius, merge_regions
 
-NO_REGION = (Outcome.OUTSIDE, Outcome.UNDECIDED, Outcome.LEFT_GRID)
-"""Fates of cells that are in no region: no walk begins there, or none is known."""
+NO_REGION = (Outcome.UNDECIDED, Outcome.LEFT_GRID)
+"""Fates of cells that are in no region: no walk is known. Nor are those in which none begins."""
 HALVINGS = 3
 """Coarser grids on which boundaries of merged regions are compared, if the grid is so fine."""
 MIN_CELLS = 3
@@ -85,7 +85,8 @@ def boundary(
             walker, grid, "direct", strides=strides, tolerance=tolerance, progress=progress
         )
     fate = data["fate"].values
-    label = np.where(np.isin(fate, NO_REGION), -1, fate)
+    begins = (fate != Outcome.OUTSIDE) | (data["strides"].values > 0)
+    label = np.where(begins & ~np.isin(fate, NO_REGION), fate, -1)
     entropy = basin_entropy(label, side)
     regions = np.unique(label[label >= 0])
     spacings, shares = np.zeros(0, int), np.zeros(0)

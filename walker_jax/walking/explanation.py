@@ -105,40 +105,40 @@ def tell(values: Float[np.ndarray, " n"]) -> str:
 
 @refuses_tracers()
 def explain(
-    system: System, x: Float[ArrayLike, " section"], *, tolerance: Real | None = None
+    walker: System, x: Float[ArrayLike, " section"], *, tolerance: Real | None = None
 ) -> Explanation:
     """Why the stride from x ends as it does, and whether the parts of a model fit together.
 
     Mode by mode: each guard that rose through zero, when, and whether it was admitted; how near the
     others came; the least values of conditions. And complaints: a start that is not feasible; a
-    point of the section that `lift` and `project` change; a field that is not finite; a guard that
-    is never negative, so that it cannot rise; an impact that leads off the section, or to a point
-    from which no stride begins; derivatives that are not finite. `print` shows it as a report.
+    point of the section that `lift` and `project` change; a field that is not finite; a mode that
+    no guard ends, as it never rose or was never admitted; an impact that leads off the section, or
+    to a point from which no stride begins; derivatives that are not finite. `print` shows it all.
 
     **Arguments:** any system and a point of its section, as in `stride`.
     """
-    system, x, integrator = prepare(system, x, tolerance)
-    made = stride(system, x, tolerance=tolerance)
+    walker, x, integrator = prepare(walker, x, tolerance)
+    made = stride(walker, x, tolerance=tolerance)
     outcome = Outcome(int(made.outcome))
     jacobian = np.full((len(x), len(x)), np.nan)
     if outcome == Outcome.STRIDE:
-        jacobian = np.asarray(jax.jacfwd(lambda x: stride(system, x, tolerance=tolerance).state)(x))
-    complaints = complain_of_point(system, x)
+        jacobian = np.asarray(jax.jacfwd(lambda x: stride(walker, x, tolerance=tolerance).state)(x))
+    complaints = complain_of_point(walker, x)
     lives: list[Lived] = []
-    if isinstance(system, HybridSystem) and not complaints:
-        lives, landed = follow_lives(during_stride(system, x), x, integrator)
+    if isinstance(walker, HybridSystem) and not complaints:
+        lives, landed = follow_lives(during_stride(walker, x), x, integrator)
         complaints += complain_of_lives(lives)
         if outcome == Outcome.STRIDE:
-            complaints += complain_of_landing(system, landed)
+            complaints += complain_of_landing(walker, landed)
     if outcome == Outcome.UNDECIDED and not complaints:
         complaints.append("the stride has no end: no guard rises, or a number is not finite")
     if outcome == Outcome.STRIDE:
         if not np.isfinite(jacobian).all():
             complaints.append(f"derivatives of the next point are not finite: {jacobian.tolist()}")
-        if not bool(system.feasible(made.state)):
+        if not bool(walker.feasible(made.state)):
             complaints.append(f"no stride begins at the next point, {tell(np.asarray(made.state))}")
     state = np.asarray(made.state)
-    return Explanation(outcome, system.label(), np.asarray(x), lives, complaints, state, jacobian)
+    return Explanation(outcome, walker.label(), np.asarray(x), lives, complaints, state, jacobian)
 
 
 def complain_of_point(system: System, x: Any) -> list[str]:
