@@ -105,6 +105,27 @@ def test_what_does_not_fit_together_is_found(system, complaint):
     assert f"\n! {found.complaints[0]}" in str(found)
 
 
+class Begun(Lost):
+    """Its first mode is over as it begins."""
+
+    def modes(self):
+        (mode,) = super().modes()
+        turned = mode._replace(reset=lambda y: y.at[0].add(-2 * np.pi))
+        return mode._replace(guards=(wj.Guard(lambda y: y[1] + 1),)), turned
+
+
+def test_a_mode_that_is_over_as_it_begins_is_told():
+    found = wj.explain(Begun(), jnp.array([0.2]))
+    assert found.outcome == wj.Outcome.STRIDE
+    assert [one.ended_by for one in found.modes] == ["STRIDE at once", "STRIDE"]
+    assert found.modes[0].time == 0 and found.modes[1].time == pytest.approx(2 * np.pi)
+
+
+def test_an_angle_may_be_wrapped():
+    found = wj.explain(wj.BouncingBall(), jnp.array([0.8 + 2 * np.pi, 3.1]))
+    assert found.outcome == wj.Outcome.STRIDE and found.complaints == [] and found.modes
+
+
 def test_rises_are_all_of_them():
     roots = np.array([0.2, 0.35, 0.5, 0.9])
     series = np.poly(roots)[::-1]  # above zero at first

@@ -184,6 +184,7 @@ def area_of(page):
     return page.value(WALKING)
 
 
+@pytest.mark.slow
 def test_the_basin_follows_the_slope(opened):
     page = opened("walker=simplest&slope=0.004")
     area, cells = area_of(page)
@@ -761,7 +762,8 @@ def test_a_notebook_frames_the_page_and_others_do_not(browser, running):
     notebook.server_close()
 
 
-@pytest.mark.parametrize("computed", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("computed", [False, True])
 def test_the_bifurcation_tab_has_the_slope_in_it(opened, monkeypatch, computed):
     """A diagram of the form of the server's, or its own of few slopes; those a hand chooses."""
     page = opened("walker=simplest&slope=0.004")

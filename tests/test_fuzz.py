@@ -280,6 +280,7 @@ STOPPED = {"reproduce", "bifurcation", "continuation", "explore"}
 """For which nothing stands in, and the page, which gives no answer."""
 
 
+@pytest.mark.slow
 def test_every_command_answers(bench):
     run, _ = bench
     tables = {"robustness": [[], ["--from", "0.003", "--to", "0.004", "--count", "2"]]}

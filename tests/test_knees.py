@@ -119,6 +119,7 @@ def test_gaits_are_found_without_a_guess(slope, radius):
     assert np.abs(gait.multipliers).max() == pytest.approx(sizes[radius], abs=5e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("slope", "radius", "state"),
     [

@@ -114,6 +114,34 @@ def test_a_point_that_is_not_finite_is_undecided():
     assert wj.stride(system, jnp.array([1.0])).outcome == wj.Outcome.UNDECIDED
 
 
+def test_margins_of_two_guards_that_lead_to_one_failure():
+    """A lifted point falls back by the sum of two coordinates: whichever guard holds counts."""
+
+    class Fork(wj.HybridSystem):
+        section = ("a", "b")
+
+        def lift(self, x):
+            return jnp.stack([x[0], x[1], 0 * x[0]])
+
+        def project(self, state):
+            return state[:2]
+
+        def modes(self):
+            guards = (
+                wj.Guard(lambda y: y[0], wj.Outcome.BACKWARD, at_once=True),
+                wj.Guard(lambda y: y[1], wj.Outcome.BACKWARD, at_once=True),
+                wj.Guard(lambda y: y[2] - 1),
+            )
+            drop = lambda y: y.at[:2].add(0.5)
+            return (wj.Mode(lambda y: jnp.array([0.0, 0.0, 1.0], y.dtype), guards, reset=drop),)
+
+    found = wj.margins_of_many(Fork(), np.array([[-0.6, -2.0], [-2.0, -0.6], [-0.4, -2.0]]))
+    assert found.stride.outcome.tolist() == [0, 0, wj.Outcome.BACKWARD]
+    np.testing.assert_allclose(found.backward, [0.1, 0.1, -0.1], atol=1e-14)
+    single = wj.margins_of_many(Fork(), np.array([[-0.6, -2.0]], np.float32))
+    assert {field.dtype for field in single[1:]} == {np.dtype(np.float32)}
+
+
 # Flows
 
 

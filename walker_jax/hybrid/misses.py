@@ -149,7 +149,8 @@ def turns_in_step(
     lacks = admitted(differentiable_zero(value, time))
     miss = jnp.where(rises & (lacks <= 0), jnp.maximum(miss, lacks), miss)
     depth = jnp.where(low.exists, -least, -jnp.inf)
-    beyond = turn_between(jet, -1, end, end, Place(step.length, *jet(step.length)))
+    length = lax.stop_gradient(step.length)
+    beyond = turn_between(jet, -1, end, end, Place(length, *jet(length)))
     height = jnp.where(beyond.exists, evaluate_polynomial(value, beyond.time), jnp.inf)
     return Turns(miss, depth, height, rises)
 

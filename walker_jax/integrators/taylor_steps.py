@@ -44,17 +44,17 @@ def step_length(series: PyTree, tolerance: Real) -> Scalar:
     more than `LONGEST_STEP` |y| / |c_1|, and |c_1| counts as at least the rounding of |y|. It needs
     few digits, and powers are cheap in float32.
     """
-    shortest, scale = reach(series, tolerance), scale_of(series)
+    scale = scale_of(series)
+    shortest = reach(series, tolerance, scale)
     rate = (largest_coefficient(series, 1) / scale).astype(jnp.float32)
     unit = 1 / jnp.maximum(rate, float(jnp.finfo(scale.dtype).eps))
     shortest = jnp.where(shortest > LONGEST_STEP * unit, POLYNOMIAL_STEP * unit, shortest)
     return shortest.astype(scale.dtype)
 
 
-def reach(series: PyTree, tolerance: Real) -> Scalar:
+def reach(series: PyTree, tolerance: Real, scale: Scalar) -> Scalar:
     """The h of `step_length`, infinite where the last terms vanish; in float32."""
-    leaves = jax.tree.leaves(series, is_leaf=is_list)
-    order, scale = len(leaves[0]) - 1, scale_of(series)
+    order = len(jax.tree.leaves(series, is_leaf=is_list)[0]) - 1
     log_tolerance = jnp.log(jnp.asarray(tolerance, jnp.float32))
 
     def log_length(k):
@@ -98,7 +98,9 @@ def taylor_step(
     length = step_length(series, tolerance)
     for function in watched:
         known = function_series(function, lax.stop_gradient(series))
-        length = jnp.minimum(length, reach((known,), tolerance).astype(length.dtype))
+        # it may begin at zero with rate zero, as 1 - cos does
+        scale = jnp.maximum(scale_of((known,)), largest_coefficient((known,), 2))
+        length = jnp.minimum(length, reach((known,), tolerance, scale).astype(length.dtype))
     if not (switches := [s for f in (vector_field, *others) for s in switching_series(f, series)]):
         return series, length
     least = jnp.asarray(tolerance, length.dtype) * length

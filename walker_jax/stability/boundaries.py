@@ -2,6 +2,8 @@
 
 from itertools import combinations
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
@@ -85,7 +87,9 @@ def boundary(
             walker, grid, "direct", strides=strides, tolerance=tolerance, progress=progress
         )
     fate = data["fate"].values
-    begins = (fate != Outcome.OUTSIDE) | (data["strides"].values > 0)
+    begins = np.ones(fate.shape, bool)
+    outside = np.flatnonzero(fate == Outcome.OUTSIDE)
+    begins.flat[outside] = jax.vmap(walker.feasible)(jnp.asarray(grid.centres(outside)))
     label = np.where(begins & ~np.isin(fate, NO_REGION), fate, -1)
     entropy = basin_entropy(label, side)
     regions = np.unique(label[label >= 0])

@@ -28,8 +28,8 @@ class Map(System):
     - `coordinates`: their names.
     - `parameters`: numbers by name; they can be differentiated, continued in, swept over.
     - `feasible`: f(x, **parameters) for whether a point is one to begin from, by default any that
-      is finite. A real number counts as feasible where it is positive; that of the image is then
-      the `margin` of a stride, and areas of basins have derivatives.
+      is finite. A real number counts as feasible where it is positive, and is then the `margin` of
+      a stride from there, by which areas of basins have derivatives.
     - `region`: axes of a grid, `{"x": (low, high, count), ...}`, from whose cells periodic points
       are searched for.
 
@@ -58,6 +58,9 @@ class Map(System):
         check_kind("parameters", {} if parameters is None else parameters, Mapping)
         check_names("coordinates", coordinates)
         check_names("parameters", (*coordinates, *(parameters or {})))
+        for name in parameters or {}:
+            if hasattr(Map, name) or name in Map.__dataclass_fields__:
+                raise WrongUse(f"parameters must have other names than a map's own {name}")
         self.f, self.section, self.within = f, tuple(coordinates), feasible
         self.parameters = {
             name: Parameter(name, "", "", low=-np.inf).convert(of)

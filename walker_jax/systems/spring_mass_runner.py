@@ -56,10 +56,10 @@ class SpringMassRunner(HybridSystem):
         return state.y[None]
 
     def feasible(self, x):
-        return (self.margin(x) >= 0) & (x[0] < self.energy)
+        return (x[0] >= jnp.sin(self.angle)) & (x[0] < self.energy)
 
     def margin(self, x):
-        return x[0] - jnp.sin(self.angle)
+        return jnp.minimum(x[0] - jnp.sin(self.angle), self.energy - x[0])
 
     def modes(self):
         leg = lambda y: jnp.sqrt(y.x**2 + y.y**2)

@@ -268,7 +268,7 @@ MAX_LANDING_ERROR = 1e-4
 
 
 WalkerKind = TypeVar("WalkerKind", bound=Walker)
-GUARD_HOOKS = "contact", "is_ahead", "falls", "swing_foot"
+GUARD_HOOKS = "contact", "clearance", "is_ahead", "falls", "swing_foot"
 """Methods of which the guards of a swing are made."""
 EQUATIONS_OF_MOTION = ("vector_field", "modes", "system")
 PREMISES = {

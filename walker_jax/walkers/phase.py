@@ -104,7 +104,8 @@ class Phase(eqx.Module):
             guards.append(Guard(below, Outcome.BENT_KNEE, (walker.is_ahead,), (self.reach,)))
         guards.append(Guard(self.event, Outcome.STRIDE))
         conditions = [Condition(one, of) for of, one in conditions_of(self).items()]
-        hooks = (self, "event"), (self, "clearance"), (self, "reach"), (walker, "falls")
+        hooks = *((self, name) for name in ("event", "clearance", "reach")), (walker, "falls")
+        hooks = *hooks, (walker, "is_ahead")
         as_smooth = all(is_of_package(type(of), hook) for of, hook in hooks)
         return Mode(
             self.equations(),

@@ -13,6 +13,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from walker_jax.checks import refuses_tracers
+from walker_jax.hybrid.crossings import begins_below
 from walker_jax.hybrid.following import along
 from walker_jax.hybrid.modes import Mode
 from walker_jax.integrators.integrator import Integrator
@@ -30,8 +31,6 @@ MOST_RISES = 20
 """Rises of one guard in a mode that are told."""
 PARTS = 0.25, 0.5, 0.75, 1.0
 """Of a step, where conditions are looked at."""
-OFF_SECTION = 1e-8
-"""Distance from which on a point that is lifted and projected is another one."""
 
 
 class Rise(NamedTuple):
@@ -57,7 +56,7 @@ class Lived(NamedTuple):
     """The outcome to which the guard that ended it leads; empty for none."""
     rises: list[Rise]
     least: dict[str, float]
-    """The least value of each condition, by the outcome where it is negative."""
+    """About the least value of each condition, by the outcome where it is negative: of `PARTS`."""
     greatest: dict[str, float]
     """The greatest value of each guard at the ends of steps, by its number and outcome."""
 
@@ -67,12 +66,12 @@ class Explanation(NamedTuple):
 
     outcome: Outcome
     system: str
-    start: Float[np.ndarray, " section"]
+    start: Float[np.ndarray, " coordinates"]
     modes: list[Lived]
     complaints: list[str]
     """What does not fit together: of a sound model, none."""
     state: Float[np.ndarray, " section"]
-    jacobian: Float[np.ndarray, "section section"]
+    jacobian: Float[np.ndarray, "section coordinates"]
     """Derivative of the next point by the start; NaN where there is none."""
 
     def __str__(self) -> str:
@@ -93,8 +92,11 @@ class Explanation(NamedTuple):
                 broken = ", violated" if value < 0 else ""
                 lines.append(f"  condition {name}: {value:.6g} at least{broken}")
         if self.outcome == Outcome.STRIDE:
-            largest = np.abs(np.linalg.eigvals(self.jacobian)).max()
-            lines.append(f"leads to {tell(self.state)}, greatest multiplier {largest:.6g}")
+            lines.append(f"leads to {tell(self.state)}")
+            rows, columns = self.jacobian.shape
+            if rows == columns and np.isfinite(self.jacobian).all():
+                largest = np.abs(np.linalg.eigvals(self.jacobian)).max()
+                lines[-1] += f", greatest multiplier {largest:.6g}"
         lines += [f"! {one}" for one in self.complaints]
         return "\n".join(lines)
 
@@ -110,17 +112,18 @@ def explain(
     """Why the stride from x ends as it does, and whether the parts of a model fit together.
 
     Mode by mode: each guard that rose through zero, when, and whether it was admitted; how near the
-    others came; the least values of conditions. And complaints: a start that is not feasible; a
-    point of the section that `lift` and `project` change; a field that is not finite; a mode that
-    no guard ends, as it never rose or was never admitted; an impact that leads off the section, or
-    to a point from which no stride begins; derivatives that are not finite. `print` shows it all.
+    others came; about the least values of conditions. And complaints: a start that is not feasible;
+    a point of the section that `lift` and `project` change; a field that is not finite; a mode that
+    no guard ends, as it never rose or was never admitted; a walker's impact that leads off the
+    section, or a point from which no stride begins; derivatives that are not finite. `print` shows
+    it all.
 
     **Arguments:** any system and a point of its section, as in `stride`.
     """
     walker, x, integrator = prepare(walker, x, tolerance)
     made = stride(walker, x, tolerance=tolerance)
     outcome = Outcome(int(made.outcome))
-    jacobian = np.full((len(x), len(x)), np.nan)
+    jacobian = np.full((len(walker.section), len(x)), np.nan)
     if outcome == Outcome.STRIDE:
         jacobian = np.asarray(jax.jacfwd(lambda x: stride(walker, x, tolerance=tolerance).state)(x))
     complaints = complain_of_point(walker, x)
@@ -128,7 +131,7 @@ def explain(
     if isinstance(walker, HybridSystem) and not complaints:
         lives, landed = follow_lives(during_stride(walker, x), x, integrator)
         complaints += complain_of_lives(lives)
-        if outcome == Outcome.STRIDE:
+        if outcome == Outcome.STRIDE and landed is not None:
             complaints += complain_of_landing(walker, landed)
     if outcome == Outcome.UNDECIDED and not complaints:
         complaints.append("the stride has no end: no guard rises, or a number is not finite")
@@ -149,10 +152,11 @@ def complain_of_point(system: System, x: Any) -> list[str]:
         return ["the start is not feasible"]
     if not isinstance(system, HybridSystem):
         return []
-    start = system.lift(x)
-    back = np.asarray(system.project(start))
-    if not np.abs(back - np.asarray(x)).max() < OFF_SECTION:
-        return [f"project(lift(x)) is {tell(back)}"]
+    back = system.project(system.lift(x))
+    again = system.project(system.lift(back))  # an angle may be wrapped, once
+    rounding = 64 * float(jnp.finfo(back.dtype).eps) * max(1.0, float(jnp.max(jnp.abs(back))))
+    if not float(jnp.max(jnp.abs(again - back))) <= rounding:
+        return [f"project(lift(x)) is {tell(np.asarray(back))}"]
     first = full_state(system, x)
     modes = modes_from(system, x)
     rates = jax.tree.leaves(modes[0].rates(first))
@@ -194,23 +198,33 @@ def complain_of_landing(system: HybridSystem, landed: Any) -> list[str]:
 
 
 def follow_lives(system: HybridSystem, x: Any, integrator: Integrator) -> tuple[list[Lived], Any]:
-    """Each mode up to its end, step by step, and the state in which the next stride begins."""
+    """Each mode up to its end, step by step, and the state in which the next stride begins; None if
+    the stride has not come so far."""
     state, lives = full_state(system, x), []
     modes = modes_from(system, x)
     for number, mode in enumerate(modes):
-        life, state, leads_on = live(mode, number, state, integrator)
+        last = number == len(modes) - 1
+        life, state, leads_on = live(mode, number, state, integrator, may_be_due=not last)
         lives.append(life)
         if not leads_on:
-            return lives, state
-        if number < len(modes) - 1:
+            return lives, None
+        if not last:
             state = mode.reset(state)
     return lives, begin_next(system, modes[-1], state)[1]
 
 
-def live(mode: Mode, number: int, state: Any, integrator: Integrator) -> tuple[Lived, Any, bool]:
-    """A mode from a state: what it saw, its last state, and whether the stride goes on."""
+def live(
+    mode: Mode, number: int, state: Any, integrator: Integrator, *, may_be_due: bool
+) -> tuple[Lived, Any, bool]:
+    """A mode from a state: what it saw, its last state, and whether the stride goes on.
+
+    One that `may_be_due` is over at once where its last guard is not below zero.
+    """
     names = [Outcome(int(guard.leads_to)).name for guard in mode.guards]
-    conditions = {Outcome(one.outcome).name: one.value for one in mode.conditions}
+    conditions = {}
+    for i, one in enumerate(mode.conditions):
+        name = Outcome(one.outcome).name
+        conditions[f"{name} ({i})" if name in conditions else name] = one.value
     least = {name: float(value(state)) for name, value in conditions.items()}
     values = [float(guard.value(state)) for guard in mode.guards]
     greatest = {f"{i} ({name})": values[i] for i, name in enumerate(names)}
@@ -218,6 +232,8 @@ def live(mode: Mode, number: int, state: Any, integrator: Integrator) -> tuple[L
     if fallen != Outcome.UNDECIDED:
         return Lived(0.0, 0, f"{fallen.name} at once", [], least, greatest), state, False
     method = method_of(mode, state, integrator)
+    if may_be_due and not begins_below(method.series(mode.guards[-1].value, state, 2)):
+        return Lived(0.0, 0, f"{names[-1]} at once", [], least, greatest), state, True
 
     def look(state, series, time):
         """A step up to a time: its end, the guards there, and the conditions on the way."""

@@ -11,7 +11,7 @@ all walkers alike (`hybrid.misses`):
 - a condition has its least value.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -41,6 +41,7 @@ from walker_jax.walking.stride import (
     begin_stride,
     end_stride,
     follow_modes,
+    judging_mode,
     modes_from,
 )
 
@@ -133,10 +134,14 @@ def follow_margins(
     ways = [part[1:] for part in arrival.parts]
 
     def measure(walker, arrival, ways):
-        _, stride = end_stride(walker, modes[-1], arrival)
+        _, stride = end_stride(walker, modes, arrival)
         parts = tuple(Part(mode, *way) for mode, way in zip(modes, ways, strict=True))
         known = measure_stride(walker, arrival._replace(parts=parts), stride.outcome)
-        return Margins(stride, **known, outside=margin_of_start(walker, x))
+        if walker.margin(x[: len(walker.section)]) is not None:
+            led_outside = (stride.outcome == Outcome.OUTSIDE) & walker.feasible(x)
+            start = margin_of_start(walker, x)
+            known["outside"] = jnp.where(led_outside, known["outside"], start)
+        return Margins(stride, **known)
 
     return with_fast_sincos(measure)(walker, arrival._replace(parts=()), ways)
 
@@ -156,20 +161,23 @@ def margin_of_start(walker: System, x: Float[Array, " coordinates"]) -> Scalar:
 
 def measure_stride(walker: HybridSystem, arrival: Arrival, outcome: Array) -> dict[str, Scalar]:
     """The margins of a stride that was measured, by name, whose outcome is known."""
-    parts, guards = arrival.parts, arrival.parts[-1].mode.guards
+    parts = arrival.parts
     struck = arrival.verdict == Outcome.STRIDE
     lift, following = begin_next(walker, parts[-1].mode, arrival.state)
     infinite = jnp.full_like(lift, jnp.inf)
 
     # falls
     known = [guards_of(part) for part in parts]
-    failed = fall_margin(parts, known, time_scale(walker))
+    failed = fall_margin(parts, known, time_scale(walker, arrival.state))
     greatest: dict[int, tuple[Scalar, Guard]] = {}
-    for guard in guards[:-1]:
+    following_mode = judging_mode(walker, [part.mode for part in parts])
+    for guard in reversed([one for one in following_mode.guards if one.at_once]):
         value = guard.value(following)
-        failed = jnp.where(struck & (outcome == guard.leads_to), -guard.measure(-value), failed)
+        ends = struck & (outcome == guard.leads_to) & (value >= 0)
+        failed = jnp.where(ends, -guard.measure(-value), failed)
         value = jnp.where(outcome == Outcome.STRIDE, value, -infinite)
-        greatest[int(guard.leads_to)] = value, guard
+        before, _ = greatest.get(int(guard.leads_to), (-infinite, guard))
+        greatest[int(guard.leads_to)] = jnp.maximum(before, value), guard
     for part, each in zip(parts, known, strict=True):
         followed = part.verdict == Outcome.UNDECIDED
         for i, guard in enumerate(part.mode.guards[:-1]):
@@ -203,18 +211,16 @@ def measure_stride(walker: HybridSystem, arrival: Arrival, outcome: Array) -> di
     began = (outcome != Outcome.OUTSIDE) & (outcome != Outcome.UNDECIDED) & ~pulled
     margins = {}
     for way, name in WAYS.items():
-        if way == Outcome.OUTSIDE:
-            continue
         value = passed.get(int(way), infinite)
         value = jnp.where(began & jnp.isfinite(value), value, jnp.nan)
         margins[name] = jnp.where(outcome == way, not_above_zero(failed), value)
     return margins
 
 
-def time_scale(walker: HybridSystem) -> Scalar:
+def time_scale(walker: HybridSystem, state: Any) -> Scalar:
     """The time in which a walker topples, legs together, to first order; 1 of another system."""
     if not isinstance(walker, Walker):
-        return jnp.ones(())
+        return zero_at(state) + 1
     in_space = isinstance(walker, SpatialWalker)
     return jnp.sqrt(walker.leg_length) if in_space else 1 / toppling_rate(walker)
 

@@ -121,9 +121,7 @@ def follow_stride(
     walker = during_stride(walker, x)
     modes = modes_from(walker, x)
     arrival = follow_modes(modes, begin_stride(walker, x), integrator)
-    _, end = with_fast_sincos(lambda walker, last: end_stride(walker, modes[-1], last))(
-        walker, arrival
-    )
+    _, end = with_fast_sincos(lambda walker, last: end_stride(walker, modes, last))(walker, arrival)
     return end
 
 
@@ -261,10 +259,10 @@ def method_of(mode: Mode, start: Any, integrator: Integrator) -> Method:
     return integrator.method(mode.field, start, *functions, watched=watched)
 
 
-def end_stride(walker: HybridSystem, swing: Mode, last: Arrival) -> tuple[Any, Stride]:
+def end_stride(walker: HybridSystem, modes: list[Mode], last: Arrival) -> tuple[Any, Stride]:
     """The state after a heel strike, legs exchanged, and the stride, on the section."""
-    lift, following = begin_next(walker, swing, last.state)
-    fallen = fall_of(swing, following)
+    lift, following = begin_next(walker, modes[-1], last.state)
+    fallen = fall_of(judging_mode(walker, modes), following)
     struck = jnp.where(fallen == Outcome.UNDECIDED, Outcome.STRIDE, fallen)
     struck = jnp.where(lift > 0, struck, Outcome.STOPPED)
     struck = jnp.where(jnp.isfinite(lift), struck, Outcome.UNDECIDED)
@@ -272,6 +270,12 @@ def end_stride(walker: HybridSystem, swing: Mode, last: Arrival) -> tuple[Any, S
         struck = jnp.where(violated, outcome, struck)
     outcome = jnp.where(last.verdict == Outcome.STRIDE, struck, last.verdict).astype(jnp.int8)
     return following, make_stride(walker.project(following), outcome, last.time)
+
+
+def judging_mode(walker: HybridSystem, modes: list[Mode]) -> Mode:
+    """The mode whose guards tell whether the next stride begins with a fall: the one in whose state
+    the last one has led. A walker's is that of the swing, before its first phase begins."""
+    return modes[-1] if isinstance(walker, Walker) else modes[0]
 
 
 def begin_next(walker: HybridSystem, last: Mode, state: Any) -> tuple[Scalar, Any]:
@@ -338,7 +342,7 @@ def follow_step(
     last = last._replace(state=arrival, time=last.time + delay)
 
     def end(walker, last):
-        following, stride = end_stride(walker, swing, last)
+        following, stride = end_stride(walker, [swing], last)
         return jnp.stack(following), stride.outcome
 
     state, outcome = with_fast_sincos(end)(walker, last)
