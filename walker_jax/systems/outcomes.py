@@ -6,6 +6,8 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Inexact, Int
 
+from walker_jax.integrators.roots import Scalar
+
 
 class Outcome(enum.IntEnum):
     """How a stride ends."""
@@ -63,3 +65,11 @@ class Walk(NamedTuple):
 def nan_unless(known: Bool[Array, ""], values: Inexact[Array, "..."]) -> Inexact[Array, "..."]:
     """The values, multiplied by 1 or by NaN, so that their derivatives are NaN too."""
     return values * jnp.where(known, 1, jnp.nan).astype(values.dtype)
+
+
+def make_stride(
+    state: Float[Array, " coordinates"], outcome: Int[Array, ""], time: Scalar
+) -> Stride:
+    """A stride; its results, and their derivatives, are NaN unless it is one."""
+    success = outcome == Outcome.STRIDE
+    return Stride(nan_unless(success, state), outcome, nan_unless(success, time))

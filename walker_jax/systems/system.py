@@ -18,6 +18,7 @@ from jaxtyping import Array, Bool, Float
 from walker_jax.checks import WrongUse
 from walker_jax.grids import Grid
 from walker_jax.integrators.roots import Scalar
+from walker_jax.systems.outcomes import Outcome, Stride, make_stride
 
 AnySystem = TypeVar("AnySystem", bound="System")
 
@@ -72,6 +73,21 @@ class System(eqx.Module):
     def further_gait_region(self) -> Grid | None:
         """Where `find_gait` searches too if none in `gait_region` is stable. By default nowhere."""
         return None
+
+
+def apply_map(walker: System, x: Float[Array, " section"]) -> Stride:
+    """The next point of a system that says itself how it advances."""
+    state, outcome, time = walker.advance(x)
+    state = jnp.asarray(state)
+    if state.shape != x.shape or state.dtype != x.dtype:
+        raise WrongUse(
+            f"advance of {walker.label()} must lead to {x.dtype} of shape {x.shape}, not to "
+            f"{state.dtype} of shape {state.shape}"
+        )
+    finite = jnp.all(jnp.isfinite(state))
+    outcome = jnp.where((outcome == Outcome.STRIDE) & ~finite, Outcome.UNDECIDED, outcome)
+    outcome = jnp.where(walker.feasible(x), outcome, Outcome.OUTSIDE).astype(jnp.int8)
+    return make_stride(state, outcome, jnp.asarray(time, x.dtype))
 
 
 def code_field() -> Any:

@@ -28,7 +28,7 @@ from walker_jax.integrators.taylor import with_fast_sincos
 from walker_jax.kernels import by_kernel
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.outcomes import Outcome, Stride
-from walker_jax.systems.system import System
+from walker_jax.systems.system import System, apply_map
 from walker_jax.walkers.model import Scalar, Walker, toppling_rate
 from walker_jax.walkers.spatial import SpatialWalker
 from walker_jax.walking.iteration import for_each_start
@@ -36,7 +36,6 @@ from walker_jax.walking.starts import during_stride, prepare
 from walker_jax.walking.stride import (
     Arrival,
     Part,
-    apply_map,
     begin_next,
     begin_stride,
     end_stride,

@@ -29,8 +29,8 @@ from walker_jax.integrators.roots import Real
 from walker_jax.integrators.taylor import with_fast_sincos
 from walker_jax.kernels import by_kernel
 from walker_jax.systems.hybrid_system import HybridSystem
-from walker_jax.systems.outcomes import Outcome, Stride, nan_unless
-from walker_jax.systems.system import System
+from walker_jax.systems.outcomes import Outcome, Stride, make_stride
+from walker_jax.systems.system import System, apply_map
 from walker_jax.walkers.model import Scalar, Walker, check_planar
 from walker_jax.walking.starts import (
     during_stride,
@@ -123,21 +123,6 @@ def follow_stride(
     arrival = follow_modes(modes, begin_stride(walker, x), integrator)
     _, end = with_fast_sincos(lambda walker, last: end_stride(walker, modes, last))(walker, arrival)
     return end
-
-
-def apply_map(walker: System, x: Float[Array, " section"]) -> Stride:
-    """The next point of a system that says itself how it advances."""
-    state, outcome, time = walker.advance(x)
-    state = jnp.asarray(state)
-    if state.shape != x.shape or state.dtype != x.dtype:
-        raise WrongUse(
-            f"advance of {walker.label()} must lead to {x.dtype} of shape {x.shape}, not to "
-            f"{state.dtype} of shape {state.shape}"
-        )
-    finite = jnp.all(jnp.isfinite(state))
-    outcome = jnp.where((outcome == Outcome.STRIDE) & ~finite, Outcome.UNDECIDED, outcome)
-    outcome = jnp.where(walker.feasible(x), outcome, Outcome.OUTSIDE).astype(jnp.int8)
-    return make_stride(state, outcome, jnp.asarray(time, x.dtype))
 
 
 def modes_from(
@@ -285,14 +270,6 @@ def begin_next(walker: HybridSystem, last: Mode, state: Any) -> tuple[Scalar, An
         return zero_at(state) + 1, last.reset(state)
     (_, lift), after = walker.impact(state)
     return lift, walker.exchange_legs(after)
-
-
-def make_stride(
-    state: Float[Array, " coordinates"], outcome: Int[Array, ""], time: Scalar
-) -> Stride:
-    """A stride; its results, and their derivatives, are NaN unless it is one."""
-    success = outcome == Outcome.STRIDE
-    return Stride(nan_unless(success, state), outcome, nan_unless(success, time))
 
 
 def step_down(
