@@ -21,7 +21,7 @@ that have another outcome; those near a boundary; strides of which the states di
     spatial               1000000 strides  37%   0   0   0   8e-12  258 s
     simplest on steps    10000000 strides   7%   0   0   0   1e-08   58 s
     powered on steps     10000000 strides  50%   0   0   0   2e-09  109 s
-    kneed on steps        1000000 strides  41%   0   0   0   4e-11   70 s
+    kneed on steps       10000000 strides  41%   0   0   0   5e-11  635 s
 
     python benchmarks/events.py [STRIDES [FAMILY ...]]
 """
