@@ -47,7 +47,7 @@ from walker_jax.gaits.continuation import start_at_doubling
 from walker_jax.gaits.derivatives import linearise
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.kernels.scalars import unroll
-from walker_jax.walkers.masses import coordinates_and_rates
+from walker_jax.multibody.single_support import coordinates_and_rates
 from walker_jax.walkers.model import State
 from walker_jax.walkers.parameters import parameters
 

@@ -33,8 +33,8 @@ from walker_jax import multibody
 from walker_jax.basins.volumes import runs_of
 from walker_jax.figures.style import BASINS, INK
 from walker_jax.gaits.search import search_gait
+from walker_jax.multibody.single_support import coordinates_and_rates
 from walker_jax.stability.gait_mapper import mapper_of_gait
-from walker_jax.walkers.masses import coordinates_and_rates
 
 MASSES = {
     "default": {},

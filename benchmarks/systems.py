@@ -38,7 +38,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from numba import njit, prange  # pyright: ignore[reportMissingImports]
+from numba import njit, prange  # pyright: ignore[reportMissingImports] (no dependency)
 from scipy.integrate import solve_ivp
 
 import walker_jax as wj
@@ -49,16 +49,25 @@ NEAR, MOST, FARTHEST = 1e-6, 1000, 10.0
 REPEATS, SAMPLE = 3, 200
 
 
+@njit(inline="always")
+def nearest(x, y, targets):
+    """The first target that a point is near; -1 for none."""
+    for k in range(len(targets)):
+        if abs(x - targets[k, 0]) < NEAR and abs(y - targets[k, 1]) < NEAR:
+            return k
+    return -1
+
+
 @njit(parallel=True)
 def henon_by_hand(x, y, targets, most):
     label = np.full(len(x), -1)
     for i in prange(len(x)):
         u, v = x[i], y[i]
         for _ in range(most):
-            for k in range(len(targets)):
-                if abs(u - targets[k, 0]) < NEAR and abs(v - targets[k, 1]) < NEAR:
-                    label[i] = 0
-            if label[i] == 0 or u * u + v * v > FARTHEST * FARTHEST:
+            if nearest(u, v, targets) >= 0:
+                label[i] = 0
+                break
+            if u * u + v * v > FARTHEST * FARTHEST:
                 break
             u, v = 1 - A * u * u + v, B * u
     return label
@@ -96,10 +105,9 @@ def duffing_by_hand(x, v, targets, owners, most, steps):
     for i in prange(len(x)):
         u, w = x[i], v[i]
         for _ in range(most):
-            for k in range(len(targets)):
-                if abs(u - targets[k, 0]) < NEAR and abs(w - targets[k, 1]) < NEAR:
-                    label[i] = owners[k]
-            if label[i] >= 0:
+            k = nearest(u, w, targets)
+            if k >= 0:
+                label[i] = owners[k]
                 break
             u, w = period_by_hand(u, w, steps)
     return label

@@ -19,9 +19,9 @@ from walker_jax.integrators.roots import first_zero
 from walker_jax.integrators.taylor import function_series, solution_series, switching_series
 from walker_jax.kernels import by_kernel
 from walker_jax.multibody import System
+from walker_jax.multibody.single_support import SingleSupport
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.walkers.family import PLANAR_WALKERS
-from walker_jax.walkers.masses import SingleSupport
 from walker_jax.walkers.model import Scalar, State
 from walker_jax.walkers.parameters import with_parameter
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import walker_jax as wj
-from walker_jax.walkers.masses import coordinates_and_rates
+from walker_jax.multibody.single_support import coordinates_and_rates
 
 START = np.array([0.2, -0.21645])
 

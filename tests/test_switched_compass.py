@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from by_differences import differences, stacked
+from cells_of_basins import check_cells
 from scipy.integrate import solve_ivp
 
 import walker_jax as wj
@@ -329,19 +330,7 @@ def test_cells_of_the_basin_end_as_walks_do():
     gait = gaits()[1]
     at = dict(zip(DRIVEN.section, map(float, gait.states[0]), strict=True))
     grid = wj.Grid.through(at, theta=(0.05, 0.45, 20), thetadot=(-0.6, -0.1, 20))
-    data = wj.basin(DRIVEN, grid, "direct")
-    fate = data.fate.values.ravel()
-    np.testing.assert_allclose(data.states.values[0], gait.states, rtol=0, atol=1e-9)
-    xs = grid.centres(np.arange(grid.size))
-    ends = np.zeros(grid.size, int)
-    for _ in range(60):
-        found = wj.strides(DRIVEN, np.where(ends[:, None] == 0, xs, gait.states))
-        ends = np.where(ends == 0, found.outcome, ends)
-        xs = found.state
-    np.testing.assert_array_equal(ends, fate)
-    walked = fate == 0
-    assert walked.sum() > 20
-    np.testing.assert_allclose(xs[walked], np.tile(gait.states, (walked.sum(), 1)), atol=1e-8)
+    check_cells(DRIVEN, np.asarray(gait.states), grid)
 
 
 @pytest.mark.slow

@@ -31,7 +31,7 @@ def test_a_map_has_its_parameters_and_no_others():
     system = as_map(1.4)
     assert system.a == 1.4 and repr(system) == "henon(a=1.4, b=0.3)"
     with pytest.raises(AttributeError, match="has no parameter 'c'"):
-        system.c  # noqa: B018
+        system.c  # noqa: B018 (to look is to ask for it)
 
 
 @pytest.mark.parametrize("which", ["1.02", "1.4"])

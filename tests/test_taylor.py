@@ -25,7 +25,7 @@ from walker_jax.integrators.taylor import (
 )
 from walker_jax.kernels import by_kernel
 from walker_jax.kernels.scalars import unroll
-from walker_jax.walkers.masses import SingleSupport
+from walker_jax.multibody.single_support import SingleSupport
 
 ORDER = 7
 

@@ -32,8 +32,9 @@ from walker_jax.integrators.integrator import Integrator
 from walker_jax.kernels.primitive import programs
 from walker_jax.kernels.scalars import unroll
 from walker_jax.multibody import System
+from walker_jax.multibody.single_support import stance_coordinates
 from walker_jax.walkers.family import PLANAR_WALKERS
-from walker_jax.walkers.masses import MultibodyWalker, stance_coordinates
+from walker_jax.walkers.masses import MultibodyWalker
 from walker_jax.walkers.parameters import parameters
 
 DATA = Path(__file__).parent / "data"

@@ -17,10 +17,11 @@ from walker_jax.execution.tiles import map_cells
 from walker_jax.explorer.subjects import Subject
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.multibody import block, factorise, mass_matrix, solve_factored
+from walker_jax.multibody.single_support import stance_coordinates
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.walkers.abstract_point_foot import AbstractMasslessFootWalker
 from walker_jax.walkers.kneed import KneedWalker, lock_knees
-from walker_jax.walkers.masses import MultibodyWalker, stance_coordinates
+from walker_jax.walkers.masses import MultibodyWalker
 from walker_jax.walkers.model import State, Walker
 from walker_jax.walking.frames import find_ends, frames_shown, swings_at
 from walker_jax.walking.iteration import strides

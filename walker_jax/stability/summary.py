@@ -146,7 +146,9 @@ def robustness(
             key = jax.random.key(seed)
             walks = steps_to_fall(
                 check_planar(walker),
-                *(ground, WALKS, key),
+                ground,
+                WALKS,
+                key,
                 gait=rolled,
                 limit=WALK_LIMIT,
                 tolerance=tolerance,

@@ -8,6 +8,7 @@ import numpy as np
 from walker_jax.grids import Grid
 from walker_jax.hybrid.modes import Guard, Mode
 from walker_jax.integrators.roots import Real
+from walker_jax.systems.angles import wrap
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.parameter import Parameter
 
@@ -47,8 +48,7 @@ class BouncingBall(HybridSystem):
         return Flight(self.table(x[0])[0], x[1], x[0])
 
     def project(self, state):
-        turns = jnp.round(state.phase / (2 * np.pi))
-        return jnp.stack([state.phase - 2 * np.pi * turns, state.velocity])
+        return jnp.stack([wrap(state.phase), state.velocity])
 
     def feasible(self, x):
         return self.margin(x) > 0

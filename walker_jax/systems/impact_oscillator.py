@@ -8,6 +8,7 @@ import numpy as np
 from walker_jax.grids import Grid
 from walker_jax.hybrid.modes import Guard, Mode
 from walker_jax.integrators.roots import Real
+from walker_jax.systems.angles import wrap
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.parameter import Parameter
@@ -43,8 +44,7 @@ class ImpactOscillator(HybridSystem):
         return Motion(self.stop + 0 * x[0], x[1], x[0], jnp.zeros_like(x[0]))
 
     def project(self, state):
-        turns = jnp.round(state.phase / (2 * np.pi))
-        return jnp.stack([state.phase - 2 * np.pi * turns, state.v])
+        return jnp.stack([wrap(state.phase), state.v])
 
     def feasible(self, x):
         return self.margin(x) > 0

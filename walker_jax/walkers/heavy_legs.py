@@ -11,7 +11,8 @@ from jaxtyping import Array, Float
 from walker_jax.checks import WrongUse
 from walker_jax.grids import Grid
 from walker_jax.kernels.scalars import unroll
-from walker_jax.walkers.masses import MultibodyWalker, stance_coordinates
+from walker_jax.multibody.single_support import stance_coordinates
+from walker_jax.walkers.masses import MultibodyWalker
 from walker_jax.walkers.model import Scalar, State
 
 

@@ -17,10 +17,12 @@ from jaxtyping import Array, Bool, Float
 from walker_jax import multibody
 from walker_jax.kernels.scalars import unroll
 from walker_jax.multibody import System
-from walker_jax.multibody.single_support import SingleSupport as SingleSupport
-from walker_jax.multibody.single_support import accelerations_and_forces as accelerations_and_forces
-from walker_jax.multibody.single_support import coordinates_and_rates
-from walker_jax.multibody.single_support import stance_coordinates as stance_coordinates
+from walker_jax.multibody.single_support import (
+    SingleSupport,
+    accelerations_and_forces,
+    coordinates_and_rates,
+    stance_coordinates,
+)
 from walker_jax.walkers.model import Phase, Scalar, State, Walker
 
 

@@ -4,7 +4,8 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from walker_jax import multibody
-from walker_jax.walkers.masses import MultibodyWalker, coordinates_and_rates, leg, weight
+from walker_jax.multibody.single_support import coordinates_and_rates
+from walker_jax.walkers.masses import MultibodyWalker, leg, weight
 from walker_jax.walkers.model import Scalar
 from walker_jax.walkers.parameters import Parameter
 from walker_jax.walkers.point_foot import PointFootWalker

@@ -28,7 +28,7 @@ from walker_jax.walking.starts import during_stride, full_state, is_feasible, on
 from walker_jax.walking.stride import begin_next, fall_of, method_of, modes_from, stride
 
 MOST_RISES = 20
-"""Rises of one guard in a mode that are told."""
+"""Rises in a mode that are told, the last ones."""
 PARTS = 0.25, 0.5, 0.75, 1.0
 """Of a step, where conditions are looked at."""
 
@@ -46,7 +46,7 @@ class Rise(NamedTuple):
     """Whether it counted; a rise that did ends the mode if it is the first."""
 
 
-class Lived(NamedTuple):
+class ModeRecord(NamedTuple):
     """A mode that was followed."""
 
     time: float
@@ -62,12 +62,12 @@ class Lived(NamedTuple):
 
 
 class Explanation(NamedTuple):
-    """What happens in a stride; printed, it is a report."""
+    """A stride, as it happened; printed, it is a report."""
 
     outcome: Outcome
     system: str
     start: Float[np.ndarray, " coordinates"]
-    modes: list[Lived]
+    modes: list[ModeRecord]
     complaints: list[str]
     """What does not fit together: of a sound model, none."""
     state: Float[np.ndarray, " section"]
@@ -75,7 +75,7 @@ class Explanation(NamedTuple):
     """Derivative of the next point by the start; NaN where there is none."""
 
     def __str__(self) -> str:
-        lines = [f"{self.system} from {tell(self.start)}: {self.outcome.name}"]
+        lines = [f"{self.system} from {format_point(self.start)}: {self.outcome.name}"]
         for i, mode in enumerate(self.modes):
             end = f"ended by {mode.ended_by}" if mode.ended_by else "ended by nothing"
             lines.append(f"mode {i}: {mode.time:.6g} in {mode.steps} steps, {end}")
@@ -92,7 +92,7 @@ class Explanation(NamedTuple):
                 broken = ", violated" if value < 0 else ""
                 lines.append(f"  condition {name}: {value:.6g} at least{broken}")
         if self.outcome == Outcome.STRIDE:
-            lines.append(f"leads to {tell(self.state)}")
+            lines.append(f"leads to {format_point(self.state)}")
             rows, columns = self.jacobian.shape
             if rows == columns and np.isfinite(self.jacobian).all():
                 largest = np.abs(np.linalg.eigvals(self.jacobian)).max()
@@ -101,7 +101,7 @@ class Explanation(NamedTuple):
         return "\n".join(lines)
 
 
-def tell(values: Float[np.ndarray, " n"]) -> str:
+def format_point(values: Float[np.ndarray, " n"]) -> str:
     return f"({', '.join(f'{value:.9g}' for value in values)})"
 
 
@@ -126,26 +126,28 @@ def explain(
     jacobian = np.full((len(walker.section), len(x)), np.nan)
     if outcome == Outcome.STRIDE:
         jacobian = np.asarray(jax.jacfwd(lambda x: stride(walker, x, tolerance=tolerance).state)(x))
-    complaints = complain_of_point(walker, x)
-    lives: list[Lived] = []
+    complaints = check_point(walker, x)
+    records: list[ModeRecord] = []
     if isinstance(walker, HybridSystem) and not complaints:
-        lives, landed = follow_lives(during_stride(walker, x), x, integrator)
-        complaints += complain_of_lives(lives)
+        records, landed = record_modes(during_stride(walker, x), x, integrator)
+        complaints += check_records(records)
         if outcome == Outcome.STRIDE and landed is not None:
-            complaints += complain_of_landing(walker, landed)
+            complaints += check_landing(walker, landed)
     if outcome == Outcome.UNDECIDED and not complaints:
         complaints.append("the stride has no end: no guard rises, or a number is not finite")
     if outcome == Outcome.STRIDE:
         if not np.isfinite(jacobian).all():
             complaints.append(f"derivatives of the next point are not finite: {jacobian.tolist()}")
         if not bool(walker.feasible(made.state)):
-            complaints.append(f"no stride begins at the next point, {tell(np.asarray(made.state))}")
+            complaints.append(
+                f"no stride begins at the next point, {format_point(np.asarray(made.state))}"
+            )
     state = np.asarray(made.state)
-    return Explanation(outcome, walker.label(), np.asarray(x), lives, complaints, state, jacobian)
+    return Explanation(outcome, walker.label(), np.asarray(x), records, complaints, state, jacobian)
 
 
-def complain_of_point(system: System, x: Any) -> list[str]:
-    """What is wrong with a start."""
+def check_point(system: System, x: Any) -> list[str]:
+    """Complaints of a start."""
     if not on_section(system, x):
         return []
     if not bool(system.feasible(x)):
@@ -156,7 +158,7 @@ def complain_of_point(system: System, x: Any) -> list[str]:
     again = system.project(system.lift(back))  # an angle may be wrapped, once
     rounding = 64 * float(jnp.finfo(back.dtype).eps) * max(1.0, float(jnp.max(jnp.abs(back))))
     if not float(jnp.max(jnp.abs(again - back))) <= rounding:
-        return [f"project(lift(x)) is {tell(np.asarray(back))}"]
+        return [f"project(lift(x)) is {format_point(np.asarray(back))}"]
     first = full_state(system, x)
     modes = modes_from(system, x)
     rates = jax.tree.leaves(modes[0].rates(first))
@@ -167,55 +169,55 @@ def complain_of_point(system: System, x: Any) -> list[str]:
     return []
 
 
-def complain_of_lives(lives: list[Lived]) -> list[str]:
-    """What is wrong with guards."""
+def check_records(records: list[ModeRecord]) -> list[str]:
+    """Complaints of guards."""
     found = []
-    for i, mode in enumerate(lives):
+    for i, mode in enumerate(records):
         if not mode.ended_by:
             found.append(f"mode {i} is not ended by any of its guards")
         refused = {rise.guard for rise in mode.rises if not rise.admitted}
         admitted = {rise.guard for rise in mode.rises if rise.admitted}
         for guard in sorted(refused - admitted):
             found.append(f"guard {guard} of mode {i} rose, but was never admitted")
-    return found if lives and not lives[-1].ended_by else []
+    return found if records and not records[-1].ended_by else []
 
 
-def complain_of_landing(system: HybridSystem, landed: Any) -> list[str]:
-    """What is wrong with the state in which the next stride begins."""
+def check_landing(system: HybridSystem, landed: Any) -> list[str]:
+    """Complaints of the state in which the next stride begins."""
     point = system.project(landed)
     again = system.lift(point)
     if jax.tree.structure(again) != jax.tree.structure(landed):
         return ["the last reset leads to a state of another kind than lift"]
-    sizes = [float(jnp.max(jnp.abs(leaf))) for leaf in jax.tree.leaves(landed)]
-    miss = max(
-        float(jnp.max(jnp.abs(a - b)))
-        for a, b in zip(jax.tree.leaves(again), jax.tree.leaves(landed), strict=True)
-    )
-    turned = isinstance(system, Walker)  # others may count time, or turns, from anywhere
-    if turned and miss > 1e-6 * max(1.0, *sizes):
+    if not isinstance(system, Walker):  # it may count time, or turns, from anywhere
+        return []
+    largest = lambda tree: max(float(jnp.max(jnp.abs(leaf))) for leaf in jax.tree.leaves(tree))
+    miss = largest(jax.tree.map(jnp.subtract, again, landed))
+    if miss > 1e-6 * max(1.0, largest(landed)):
         return [f"the impact leads {miss:.3g} off the section"]
     return []
 
 
-def follow_lives(system: HybridSystem, x: Any, integrator: Integrator) -> tuple[list[Lived], Any]:
+def record_modes(
+    system: HybridSystem, x: Any, integrator: Integrator
+) -> tuple[list[ModeRecord], Any]:
     """Each mode up to its end, step by step, and the state in which the next stride begins; None if
     the stride has not come so far."""
-    state, lives = full_state(system, x), []
+    state, records = full_state(system, x), []
     modes = modes_from(system, x)
     for number, mode in enumerate(modes):
         last = number == len(modes) - 1
-        life, state, leads_on = live(mode, number, state, integrator, may_be_due=not last)
-        lives.append(life)
+        record, state, leads_on = record_mode(mode, number, state, integrator, may_be_due=not last)
+        records.append(record)
         if not leads_on:
-            return lives, None
+            return records, None
         if not last:
             state = mode.reset(state)
-    return lives, begin_next(system, modes[-1], state)[1]
+    return records, begin_next(system, modes[-1], state)[1]
 
 
-def live(
+def record_mode(
     mode: Mode, number: int, state: Any, integrator: Integrator, *, may_be_due: bool
-) -> tuple[Lived, Any, bool]:
+) -> tuple[ModeRecord, Any, bool]:
     """A mode from a state: what it saw, its last state, and whether the stride goes on.
 
     One that `may_be_due` is over at once where its last guard is not below zero.
@@ -230,10 +232,10 @@ def live(
     greatest = {f"{i} ({name})": values[i] for i, name in enumerate(names)}
     fallen = Outcome(int(fall_of(mode, state)))
     if fallen != Outcome.UNDECIDED:
-        return Lived(0.0, 0, f"{fallen.name} at once", [], least, greatest), state, False
+        return ModeRecord(0.0, 0, f"{fallen.name} at once", [], least, greatest), state, False
     method = method_of(mode, state, integrator)
     if may_be_due and not begins_below(method.series(mode.guards[-1].value, state, 2)):
-        return Lived(0.0, 0, f"{names[-1]} at once", [], least, greatest), state, True
+        return ModeRecord(0.0, 0, f"{names[-1]} at once", [], least, greatest), state, True
 
     def look(state, series, time):
         """A step up to a time: its end, the guards there, and the conditions on the way."""
@@ -277,9 +279,9 @@ def live(
         state, time = end, time + float(length)
     rises = rises[-MOST_RISES:]
     if ending is None:
-        return Lived(np.inf, count, "", rises, least, greatest), state, False
-    life = Lived(ending.time, count, ending.leads_to, rises, least, greatest)
-    return life, there, ending.leads_to == Outcome.STRIDE.name
+        return ModeRecord(np.inf, count, "", rises, least, greatest), state, False
+    record = ModeRecord(ending.time, count, ending.leads_to, rises, least, greatest)
+    return record, there, ending.leads_to == Outcome.STRIDE.name
 
 
 def rises_of(coefficients: Float[np.ndarray, " n"], length: float, below: bool) -> list[float]:
@@ -289,8 +291,7 @@ def rises_of(coefficients: Float[np.ndarray, " n"], length: float, below: bool) 
     real = np.sort(roots[np.abs(roots.imag) < 1e-9].real)
     real = real[(real > 1e-12) & (real <= 1)]
     found, side = [], -1.0 if below else 1.0
-    middles = (real[1:] + real[:-1]) / 2 if len(real) else real
-    after = [*middles, 1.0][: len(real)]
+    after = [*(real[1:] + real[:-1]) / 2, 1.0][: len(real)]
     for root, later in zip(real, after, strict=True):
         now = np.sign(np.polyval(scaled[::-1], later)) or side
         if root == real[-1] and root > 1 - 1e-12:

@@ -44,7 +44,7 @@ def prepare(
 
 
 def sizes_of_starts(walker: System) -> tuple[int, ...]:
-    """Of a point of the section, and of the full states that a walker may start from."""
+    """Sizes of a point of the section, and of the full states that a walker may start from."""
     full = state_kinds(walker) if isinstance(walker, Walker) else []
     return len(walker.section), *(len(kind._fields) for kind in full)
 
