@@ -216,7 +216,10 @@ def test_a_start_where_nothing_walks_is_led_to_where_something_does():
 @pytest.mark.parametrize(
     ("slopes", "reason"),
     [
-        ((0.05, 0.06), "the gait of period 1 has a multiplier of modulus"),
+        pytest.param(
+            *((0.05, 0.06), "the gait of period 1 has a multiplier of modulus"),
+            marks=pytest.mark.slow,
+        ),
         ((0.4, 0.5), "no gait is found"),
     ],
 )

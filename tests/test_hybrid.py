@@ -225,9 +225,8 @@ def test_derivatives_of_an_arrival_are_exact():
     assert rate == pytest.approx(1, abs=1e-11) and abs(speeds) < 1e-11 and abs(bend) < 1e-9
 
 
-@pytest.mark.parametrize(
-    "solver", [pytest.param(diffrax.Dopri8(), marks=pytest.mark.slow), diffrax.Bosh3()], ids=repr
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("solver", [diffrax.Dopri8(), diffrax.Bosh3()], ids=repr)
 def test_runge_kutta_steps_land_too(solver):
     def run(phase):
         start = jnp.cos(phase), jnp.sin(phase)

@@ -137,6 +137,7 @@ def test_the_further_region_holds_the_long_steps_of_large_feet(slope, radius, st
     assert not walker.gait_region().contains(states).any()
 
 
+@pytest.mark.slow
 def test_a_gait_on_round_feet_is_that_of_another_program():
     """McGeer's walker of 1990 with its masses at points."""
     entry = PUBLISHED["mcgeer_point_masses"]

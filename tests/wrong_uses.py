@@ -275,7 +275,19 @@ class Clash(wj.SimplestWalker):
     strides: jax.Array = 1.0
 """
 BLOCK = ".blocked.zarr.walker-jax"
-FILES = {"mine.py": MINE, "broken.py": "x = 1 / 0"} | dict.fromkeys(
+OWN_MAPS = """
+import walker_jax as wj
+
+bare = wj.Map(lambda x: x / 2, ("x", "y"))
+
+class Line(wj.System):
+    section = ("x",)
+
+class Half(wj.HybridSystem):
+    section = ("x", "y")
+"""
+
+FILES = {"mine.py": MINE, "own_maps.py": OWN_MAPS, "broken.py": "x = 1 / 0"} | dict.fromkeys(
     ("empty.py", "my.walker.py", "numpy.py", "taken", "taken.nc", "taken.png", BLOCK), ""
 )
 

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
+from walker_jax.checks import is_number
 from walker_jax.gaits.search import search_gait
 from walker_jax.gaits.selection import require_gait
 from walker_jax.grids import Grid, axes_around
@@ -41,6 +42,13 @@ def fill_around_gait(walker: System, axes: Mapping[str, Any]) -> dict[str, Any]:
     return {name: window[name] if axis is None else axis for name, axis in axes.items()}
 
 
+def fill_from_region(walker: System, cells: int) -> dict[str, Any]:
+    """Axes over the region in which a system's gaits are searched for, of so many cells each."""
+    region = walker.gait_region()
+    ends = zip(region.names, region.lower, region.upper, strict=True)
+    return {name: (float(low), float(high), cells) for name, low, high in ends}
+
+
 def whole_section(walker: Walker) -> dict[str, Any]:
     """The axes of a window of three dimensions that holds the whole basin of a walker, or most.
 
@@ -60,8 +68,13 @@ def whole_section(walker: Walker) -> dict[str, Any]:
 
 
 def grid_along(axes: Mapping[str, Any]) -> Grid:
-    """A sheared grid, or a plain one where an axis is thetadot."""
-    return Grid.plain(**axes) if "thetadot" in axes else Grid.sheared(**axes)
+    """A sheared grid where an axis is `sum`, else a plain one. Axes that are numbers fix theirs."""
+    if "sum" in axes:
+        return Grid.sheared(**axes)
+    ranges = {name: axis for name, axis in axes.items() if not is_number(axis)}
+    if ranges and list(axes)[: len(ranges)] != list(ranges):
+        return Grid.through({name: 0 if name in ranges else axes[name] for name in axes}, **ranges)
+    return Grid.plain(**axes)
 
 
 def outline(axes: Mapping[str, Any]) -> Grid:

@@ -14,8 +14,8 @@ import numpy as np
 
 from walker_jax import storage
 from walker_jax.checks import WrongPlace
+from walker_jax.systems.system import System, code_of
 from walker_jax.walkers.fingerprints import code_fingerprint
-from walker_jax.walkers.model import Walker
 
 if TYPE_CHECKING:
     import xarray
@@ -25,9 +25,9 @@ PICTURES = (".png", ".svg", ".pdf")
 """Formats that carry a title, which tells whether a picture is of the same request."""
 
 
-def request_for(command: str, kind: type[Walker], **asked: Any) -> dict[str, Any]:
-    """All that the answer of a command about a kind of walker depends on."""
-    code = code_fingerprint(kind)
+def request_for(command: str, system: System, /, **asked: Any) -> dict[str, Any]:
+    """All that the answer of a command about a system depends on."""
+    code = code_fingerprint(type(system), code_of(system))
     asked |= {"code": code} if code else {}
     return {"command": command, **asked, "version": version("walker-jax")}
 

@@ -72,9 +72,9 @@ def load(name: str, args: Sequence[str] = ()):
     """The command of that name, with its options, and those of the walker that `args` name."""
     function = getattr(import_module(f"walker_jax.cli.{name}_command"), name)
     if "without" in vars(function):  # a walker is its first argument
-        from walker_jax.cli.walker_options import offered_walkers, with_walker_options
+        from walker_jax.cli.walker_options import offered_kinds, with_walker_options
 
-        function = with_walker_options(function, offered_walkers(args))
+        function = with_walker_options(function, offered_kinds(function, args))
     single = typer.Typer(add_completion=False)
     text = flowing(inspect.cleandoc(function.__doc__ or ""))
     single.command(name, help=text, epilog=epilog(name))(with_quiet(function))

@@ -12,12 +12,11 @@ from walker_jax import storage
 from walker_jax.basins.summary import summarise_basin, tally
 from walker_jax.basins.windows import (
     fill_around_gait,
-    fill_from_paper,
     grid_along,
     outline,
     whole_section,
 )
-from walker_jax.checks import WrongUse
+from walker_jax.checks import WrongUse, is_number
 from walker_jax.cli.answers import (
     Stopwatch,
     draw,
@@ -28,6 +27,7 @@ from walker_jax.cli.answers import (
 )
 from walker_jax.cli.options import (
     PHIDOT_HELP,
+    Axes,
     AxisOption,
     Json,
     Out,
@@ -41,10 +41,12 @@ from walker_jax.cli.options import (
     check_finite,
     check_phidot,
     cluster_from,
+    window_from,
 )
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.execution.progress import bar
 from walker_jax.grids import Grid
+from walker_jax.systems.system import System
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import describe_in_words, describe_walker
 
@@ -55,9 +57,9 @@ UNITS = {"area": "rad^2/sqrt(l/g)", "volume": "rad^3 g/l"}
 """Of the sizes of basins."""
 
 
-@takes_walker()
+@takes_walker(systems=True)
 def basin(
-    walker: Walker,
+    walker: System,
     theta: WindowTheta = None,
     sum_: WindowSum = None,
     thetadot: Annotated[
@@ -72,6 +74,7 @@ def basin(
         float | None,
         typer.Option(help="A slice of such a section, followed directly (default: at the gait)."),
     ] = None,
+    axis: Axes = None,
     method: Annotated[
         Literal["cell-map", "direct"] | None,
         typer.Option(
@@ -127,12 +130,8 @@ def basin(
     same command resumes an interrupted run. With --zoom 1e12 the window is one in which float64
     hardly tells starts apart; its digits are kept.
     """
-    if len(walker.section) > 3:
-        raise WrongUse(
-            "--walker must be one with a section of two or three coordinates, not "
-            f"{len(walker.section)}: in Python, walker_jax.Grid.through takes slices of others"
-        )
-    has_phidot = "phidot" in walker.section
+    check_section(walker, axis)
+    has_phidot = isinstance(walker, Walker) and "phidot" in walker.section
     check_phidot(walker, at_phidot, phidot)
     if thetadot is not None and sum_ is not None:
         raise WrongUse("--sum and --thetadot exclude each other: give one of them")
@@ -143,8 +142,10 @@ def basin(
         raise WrongUse("--method must be direct with --levels, not cell-map")
     if levels is not None and zoom is not None:
         raise WrongUse("--zoom and --levels exclude each other: give one of them")
-    whole = has_phidot and levels is not None and at_phidot is None
+    whole = has_phidot and levels is not None and at_phidot is None and not axis
     sliced = has_phidot and phidot is None and not whole
+    if axis:
+        sliced = any(":" not in one for one in axis)
     if zoom is None and (near is not None or animate is not None):
         raise WrongUse(
             f"{'--near' if near is not None else '--animate'} is for a --zoom: give it too"
@@ -174,8 +175,8 @@ def basin(
     axes |= {"sum": sum_} if thetadot is None else {"thetadot": thetadot}
     if has_phidot:
         axes["phidot"] = at_phidot if phidot is None else phidot
-    axes = fill_from_paper(walker, axes)
-    if whole:
+    axes = window_from(walker, axis, axes)
+    if whole and isinstance(walker, Walker):
         known = whole_section(walker)
         axes = {name: known[name] if axis is None else axis for name, axis in axes.items()}
     check_drawable(outline(axes))
@@ -188,7 +189,7 @@ def basin(
         **({} if levels is None else {"levels": levels, "seed": seed}),
         **({} if zoom is None else {"zoom": zoom, "near": near and list(near)}),
     }
-    request = request_for("basin", type(walker), walker=describe_walker(walker), **asked)
+    request = request_for("basin", walker, walker=describe_walker(walker), **asked)
     shots = request | {"frames": frames}
     if animate is not None:
         from walker_jax import figures
@@ -221,19 +222,26 @@ def basin(
         shown = wj.zoom(walker, first, zoom, centre, frames=frames, strides=strides, progress=True)
         figures.zoom_film(shown, animate, signature=storage.signature(shots), progress=True)
 
+    fixed = {name: at for name, at in axes.items() if is_number(at)}
+    fixed |= {
+        name: float(data[name]) for name in walker.section if name in data and not data[name].ndim
+    }
     counts = tally(data)
     answer = summarise_basin(data, counts)
     if as_json:
         about = request["walker"]
-        answer = {"slope": about["slope"], "method": data.attrs["method"]} | answer
+        slope = {"slope": about["slope"]} if "slope" in about else {}
+        answer = slope | {"method": data.attrs["method"]} | answer
         print_json(answer | {"seconds": seconds, "walker": about})
         return
     print(f"Basin of attraction, {describe_in_words(walker)}, {data.attrs['method']}")
     if zoom is not None:
         print(f"  window {zoom:g} times as narrow, around ({listed(data.attrs['origin'], '.17g')})")
-    if sliced:
-        print(f"  slice at phidot {float(data['phidot']):.10g}")
-    print_basin(answer, "volume" if has_phidot and not sliced else "area", zoomed=zoom is not None)
+    if fixed:
+        print(f"  slice at {', '.join(f'{name} {value:.10g}' for name, value in fixed.items())}")
+    measure = "volume" if data["fate"].ndim == 3 or "run_fate" in data else "area"
+    zoomed, walkers = zoom is not None, isinstance(walker, Walker)
+    print_basin(answer, measure, zoomed=zoomed, walkers=walkers)
     if counts.unmatched:
         print(f"  {counts.unmatched} cells walk on without coming near a known attractor")
     if reused:
@@ -251,8 +259,23 @@ def basin(
     print(f"  data set {out}, picture {figure}{film}")
 
 
+def check_section(walker: System, axis: list[str] | None) -> None:
+    """Refuse a section of which there is no picture, or none without axes that are given."""
+    count = len(walker.section)
+    if count == 1:
+        raise WrongUse(
+            f"--system {walker.label()} has a section of one coordinate, and pictures have two: "
+            "use walker_jax.basin in Python"
+        )
+    if count > 3 and not axis:
+        raise WrongUse(
+            f"--axis is required: {walker.label()} has a section of {count} coordinates; give two "
+            "or three of them as NAME=LO:HI:N, the others as NAME=VALUE"
+        )
+
+
 def zoom_centre(
-    walker: Walker, grid: Grid, near: tuple[float, float] | None, strides: int
+    walker: System, grid: Grid, near: tuple[float, float] | None, strides: int
 ) -> Float[np.ndarray, " section"]:
     """The point of the boundary to zoom in on."""
     point = None
@@ -273,10 +296,11 @@ def draw_basin(data: "xarray.Dataset"):
     return draw_cells(figures.thin(data))
 
 
-def print_basin(answer: dict, measure: str, *, zoomed: bool) -> None:
+def print_basin(answer: dict, measure: str, *, zoomed: bool, walkers: bool) -> None:
     """The attractors and fates of a basin, in words; `measure` is the kind of its size.
 
-    That a basin goes on beyond the grid is not said of a window within it.
+    That a basin goes on beyond the grid is not said of a window within it. The unit is that of
+    walkers' sections.
     """
     for i, one in enumerate(answer["attractors"]):
         states = ", ".join(f"({listed(state)})" for state in one["states"][:4])
@@ -287,7 +311,8 @@ def print_basin(answer: dict, measure: str, *, zoomed: bool) -> None:
         print(f"  {kind} {i}: {period}, {size}, at {states}{more}{cycles_in_words(one)}")
     if f"{measure}_error" in answer:
         size, error = answer[measure], answer[f"{measure}_error"]
-        print(f"  {measure} {size:.7g} +- {error:.1g} {UNITS[measure]} in all")
+        unit = f" {UNITS[measure]}" if walkers else ""
+        print(f"  {measure} {size:.7g} +- {error:.1g}{unit} in all")
     else:
         print(f"  {measure} {answer['area']:.6g} in all")
     if answer.get("at_border") and not zoomed:

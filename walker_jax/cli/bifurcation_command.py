@@ -58,7 +58,7 @@ def bifurcation(
     walker = with_parameter(walker, "slope", low)
     about = {name: value for name, value in describe_walker(walker).items() if name != "slope"}
     asked = {"slope": [low, high], "period_max": period_max, "strides": strides}
-    request = request_for("bifurcation", type(walker), walker=about, **asked)
+    request = request_for("bifurcation", walker, walker=about, **asked)
     figure, data = find_earlier(out, figure, request, overwrite=overwrite)
     if data is None:
         with bar("bifurcations", True):

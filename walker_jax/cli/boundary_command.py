@@ -7,10 +7,11 @@ import typer
 
 import walker_jax as wj
 from walker_jax import storage
-from walker_jax.basins.windows import fill_around_gait, fill_from_paper, grid_along, outline
+from walker_jax.basins.windows import fill_around_gait, grid_along, outline
 from walker_jax.cli.answers import draw, find_earlier, listed, print_json, request_for
 from walker_jax.cli.options import (
     PHIDOT_HELP,
+    Axes,
     Json,
     Out,
     Overwrite,
@@ -20,23 +21,26 @@ from walker_jax.cli.options import (
     check_drawable,
     check_finite,
     check_phidot,
+    window_from,
 )
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.execution.progress import bar
 from walker_jax.stability.boundaries import summarise_boundary
+from walker_jax.systems.system import System
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import describe_in_words, describe_walker
 
 
-@takes_walker()
+@takes_walker(systems=True)
 def boundary(
-    walker: Walker,
+    walker: System,
     theta: WindowTheta = None,
     sum_: WindowSum = None,
     at_phidot: Annotated[
         float | None,
         typer.Option(help=f"{PHIDOT_HELP}: a slice there (default: at the gait)."),
     ] = None,
+    axis: Axes = None,
     strides: Annotated[int, typer.Option(min=1, help="Strides at most.")] = 500,
     out: Out = Path("boundary.zarr"),
     figure: PictureOfData = None,
@@ -54,17 +58,17 @@ def boundary(
     """
     from walker_jax import figures
 
-    sliced = "phidot" in walker.section
+    sliced = isinstance(walker, Walker) and "phidot" in walker.section
     if at_phidot is not None:
         check_finite(**{"at-phidot": at_phidot})
     check_phidot(walker, at_phidot)
     axes: dict[str, Any] = {"theta": theta, "sum": sum_}
     axes |= {"phidot": at_phidot} if sliced else {}
-    axes = fill_from_paper(walker, axes)
+    axes = window_from(walker, axis, axes)
     check_drawable(outline(axes))
     asked = {name: list(axis) if isinstance(axis, tuple) else axis for name, axis in axes.items()}
     request = request_for(
-        "boundary", type(walker), walker=describe_walker(walker), axes=asked, strides=strides
+        "boundary", walker, walker=describe_walker(walker), axes=asked, strides=strides
     )
     figure, data = find_earlier(out, figure, request, overwrite=overwrite)
     if data is None:

@@ -9,6 +9,7 @@ import walker_jax as wj
 from walker_jax import storage
 from walker_jax.cli.answers import draw, find_earlier, print_json, request_for
 from walker_jax.cli.options import (
+    Axes,
     Json,
     Out,
     Overwrite,
@@ -22,19 +23,20 @@ from walker_jax.cli.options import (
 from walker_jax.cli.sweep_command import values_of
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.stability.basin_fractions import summarise_fractions
-from walker_jax.walkers.model import Walker
+from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import check_parameter, describe_walker
 
 
-@takes_walker()
+@takes_walker(systems=True)
 def continuation(
-    walker: Walker,
+    walker: System,
     over: Annotated[
         str, typer.Option(metavar="NAME=LO:HI:N", help="Values of a parameter.")
     ] = "slope=0.002:0.02:37",
     theta: RegionTheta = None,
     sum_: RegionSum = None,
     at_phidot: SlicePlace = None,
+    axis: Axes = None,
     samples: Annotated[int, typer.Option(min=1, help="Starts in the region.")] = 100_000,
     strides: Annotated[int, typer.Option(min=1, help="Strides at most.")] = 500,
     seed: Annotated[int, typer.Option(min=0, help="Of the starts.")] = 0,
@@ -51,11 +53,11 @@ def continuation(
 
     ((name, values),) = values_of([over]).items()
     check_parameter(walker, name, *values)
-    region = grid_from(walker, theta, sum_, at_phidot)
+    region = grid_from(walker, theta, sum_, at_phidot, axis=axis)
     about = {key: value for key, value in describe_walker(walker).items() if key != name}
     options = {"samples": samples, "strides": strides, "seed": seed}
     asked = {"over": {name: values}, "axes": {} if region is None else region.box}
-    request = request_for("continuation", type(walker), walker=about, **asked, **options)
+    request = request_for("continuation", walker, walker=about, **asked, **options)
     figure, data = find_earlier(out, figure, request, overwrite=overwrite)
     if data is None:
         data = wj.continue_basins(walker, name, values, region, progress=True, **options)

@@ -10,6 +10,7 @@ EXAMPLES = {
     "explain": (
         "explain --theta 0.3 --thetadot -0.1",
         "explain --walker kneed",
+        "explain --system duffing --start x=0.5 --start v=0",
     ),
     "gait": (
         "gait --slope 0.009",
@@ -17,6 +18,7 @@ EXAMPLES = {
         "gait --walker kneed",
         "gait --walker powered --slope 0 --push-off 0.05",
         "gait --slope 0.0125 --period 3 --all",
+        "gait --system duffing --start x=-1.3 --start v=-0.2 --period 3",
     ),
     "bifurcation": (
         "bifurcation --from 0.001 --to 0.022",
@@ -27,6 +29,7 @@ EXAMPLES = {
         "basin",
         "basin --method direct --slope 0.009 --out steep.zarr",
         "basin --walker round-foot --theta 0.05 0.45 200 --sum -0.15 -0.02 160 --out slice.zarr",
+        "basin --system henon --a 1.02 --axis x=-2:2:400 --axis y=-2:2:400 --method direct",
     ),
     "boundary": ("boundary", "boundary --slope 0.009 --out steep.zarr"),
     "robustness": (

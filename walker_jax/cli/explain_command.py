@@ -6,17 +6,24 @@ import numpy as np
 import typer
 
 from walker_jax.cli.answers import print_json
-from walker_jax.cli.options import PHIDOT_HELP, Json, check_finite, state_from
+from walker_jax.cli.options import (
+    PHIDOT_HELP,
+    Json,
+    StartAt,
+    check_finite,
+    start_from,
+    state_from,
+)
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.gaits.selection import require_gait
-from walker_jax.walkers.model import Walker
+from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import describe_walker
 from walker_jax.walking import explanation
 
 
-@takes_walker()
+@takes_walker(systems=True)
 def explain(
-    walker: Walker,
+    walker: System,
     theta: Annotated[
         float | None, typer.Option(help="Stance angle at the start, rad (default: the gait).")
     ] = None,
@@ -24,6 +31,7 @@ def explain(
         float | None, typer.Option(help="Its rate at the start, rad per unit of time.")
     ] = None,
     phidot: Annotated[float | None, typer.Option(help=f"{PHIDOT_HELP}.")] = None,
+    start: StartAt = None,
     as_json: Json = False,
 ) -> None:
     """Say why the stride from one start ends as it does, and whether a model fits together.
@@ -34,8 +42,9 @@ def explain(
     given = {"theta": theta, "thetadot": thetadot, "phidot": phidot}
     given = {name: value for name, value in given.items() if value is not None}
     check_finite(**given)
-    start = state_from(walker, given) if given else require_gait(walker, walker.section).states[0]
-    found = explanation.explain(walker, np.asarray(start))
+    given = start_from(walker, start, given)
+    gait = lambda: require_gait(walker, walker.section).states[0]
+    found = explanation.explain(walker, np.asarray(state_from(walker, given) if given else gait()))
     if not as_json:
         print(found)
         return

@@ -9,10 +9,11 @@ from walker_jax.cli.rewording import option_of
 
 
 def list_walkers(requested: bool) -> bool:
-    """Print all walkers with their parameters, those of other packages too, and end."""
+    """Print all walkers and systems with their parameters, those of other packages too, and end."""
     if not requested:
         return False
     from walker_jax.checks import WrongUse  # which loads JAX, as what follows
+    from walker_jax.systems.family import SYSTEMS
     from walker_jax.walkers.family import WALKERS
     from walker_jax.walkers.references import installed_walkers, load_installed
 
@@ -24,6 +25,8 @@ def list_walkers(requested: bool) -> bool:
             print_walker(f"{name} (of {package})", load_installed(point))
         except WrongUse as error:
             print(f"{name} (of {package}): {error}")
+    for name, kind in SYSTEMS.items():
+        print_walker(f"--system {name}", kind)
     raise typer.Exit
 
 
@@ -48,6 +51,6 @@ ListWalkers = Annotated[
         "--list-walkers",
         is_eager=True,
         callback=list_walkers,
-        help="List the walkers, their parameters, units and defaults.",
+        help="List the walkers and other systems, their parameters, units and defaults.",
     ),
 ]

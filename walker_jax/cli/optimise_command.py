@@ -15,6 +15,7 @@ from walker_jax.checks import ComputationFailed, WrongUse
 from walker_jax.cli.answers import draw, find_earlier, print_json, request_for
 from walker_jax.cli.options import (
     PHIDOT_HELP,
+    Axes,
     AxisOption,
     Json,
     Out,
@@ -29,7 +30,7 @@ from walker_jax.cli.walker_options import takes_walker
 from walker_jax.design.problem import default_levels
 from walker_jax.design.summary import ENDS, summarise_optimum
 from walker_jax.execution.progress import bar
-from walker_jax.walkers.model import Walker
+from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import check_parameter, describe_in_words, describe_walker
 
 if TYPE_CHECKING:
@@ -39,9 +40,9 @@ SAVED_EVERY = 2.0
 """Seconds after which the trace is saved again, at a tenth of a second each; also at the end."""
 
 
-@takes_walker()
+@takes_walker(systems=True)
 def optimise(
-    walker: Walker,
+    walker: System,
     over: Annotated[
         list[str] | None, typer.Option(help="A parameter that is free; may be repeated.")
     ] = None,
@@ -77,6 +78,7 @@ def optimise(
         AxisOption | None,
         typer.Option(metavar="LO HI N", help="The same for a volume (default: the whole section)."),
     ] = None,
+    axis: Axes = None,
     starts: Annotated[
         int, typer.Option(min=1, help="Starts: the walker given, and others within the bounds.")
     ] = 3,
@@ -111,12 +113,12 @@ def optimise(
         {hyphenated(one[0]): one[1]} if one is not None else {} for one in (at_least, at_most)
     )
     levels = default_levels(weights) if levels is None else levels
-    grid = grid_from(walker, theta, sum_, at_phidot, phidot)
+    grid = grid_from(walker, theta, sum_, at_phidot, phidot, axis)
     about, limits = describe_walker(walker), {"at_least": lowest, "at_most": highest}
     options: Any = {"starts": starts, "levels": levels, "strides": strides}
     options |= {"scan": scan, "seed": seed}
     asked = {"bounds": bounds, "objective": weights, "axes": {} if grid is None else grid.box}
-    request = request_for("optimise", type(walker), walker=about, **asked, **limits, **options)
+    request = request_for("optimise", walker, walker=about, **asked, **limits, **options)
     figure, data = find_earlier(out, figure, request, overwrite=overwrite)
     if data is None or "found" not in data:  # not begun, or interrupted
         compute = partial(
@@ -169,7 +171,7 @@ def computed(
                     raise
 
 
-def bounds_of(walker: Walker, over: list[str], bound: list[str]) -> dict[str, tuple[float, float]]:
+def bounds_of(walker: System, over: list[str], bound: list[str]) -> dict[str, tuple[float, float]]:
     """The bounds of the parameters that are free."""
     names = [name.replace("-", "_") for name in over]
     bounds: dict[str, tuple[float, float]] = {}
@@ -210,7 +212,7 @@ def objective_of(texts: list[str]) -> str | dict[str, float]:
     return weights
 
 
-def print_optimum(walker: Walker, answer: dict, objective: str) -> None:
+def print_optimum(walker: System, answer: dict, objective: str) -> None:
     """The answer of `optimise`, in words."""
     print(f"{objective}, {describe_in_words(walker)}")
     for end in ENDS:

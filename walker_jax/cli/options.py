@@ -9,8 +9,10 @@ import numpy as np
 import typer
 from jaxtyping import Float
 
+from walker_jax.basins.windows import fill_from_paper, fill_from_region, grid_along
 from walker_jax.checks import WrongUse
 from walker_jax.grids import Grid
+from walker_jax.systems.system import System
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import check_parameter
 
@@ -50,6 +52,22 @@ RegionSum = Annotated[
     AxisOption | None, typer.Option("--sum", metavar="LO HI N", help="theta + thetadot.")
 ]
 """The region in which areas are measured, by default all of the section."""
+Axes = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--axis",
+        metavar="NAME=LO:HI:N",
+        help="An axis along a coordinate of the section, or NAME=VALUE for a slice there: one for "
+        "each, in the place of the other axes.",
+    ),
+]
+AXIS_FORM = "NAME=LO:HI:N or NAME=VALUE"
+StartAt = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--start", metavar="NAME=VALUE", help="A coordinate of the start, by name: one for each."
+    ),
+]
 PHIDOT_HELP = "Rate between the legs, for walkers whose section has it"
 SlicePlace = Annotated[float | None, typer.Option(help=f"{PHIDOT_HELP}: where the slice is.")]
 
@@ -68,7 +86,7 @@ def check_drawable(grid: Grid) -> None:
         raise WrongUse(f"{axes} must have 2 cells or more each for a picture, not {grid.shape}")
 
 
-def state_from(walker: Walker, given: dict[str, float]) -> Float[np.ndarray, " section"]:
+def state_from(walker: System, given: dict[str, float]) -> Float[np.ndarray, " section"]:
     """A state on the section from the options that name its coordinates."""
     section = ", ".join(walker.section)
     for name in walker.section:
@@ -80,9 +98,81 @@ def state_from(walker: Walker, given: dict[str, float]) -> Float[np.ndarray, " s
     return np.array([given[name] for name in walker.section])
 
 
-def check_phidot(walker: Walker, at_phidot: float | None, phidot: AxisOption | None = None) -> None:
+def start_from(walker: System, texts: list[str] | None, given: dict[str, float]) -> dict:
+    """The coordinates that --start names, or those that have options of their own."""
+    named: dict[str, float] = {}
+    for text in texts or []:
+        name, (value,) = read_numbers("--start", "NAME=VALUE", (float,), text)
+        if name in named:
+            raise WrongUse(f"--start is given twice for {name}")
+        check_finite(start=value)
+        named[name] = value
+    if named and given:
+        raise WrongUse(f"--start and --{next(iter(given))} exclude each other: give one of them")
+    for name in named:
+        if name not in walker.section:
+            section = ", ".join(walker.section)
+            raise WrongUse(f"--start must be of the section, {section}, not of {name}")
+    for name in walker.section if named else ():
+        if name not in named:
+            raise WrongUse(f"--start {name}=VALUE is required too")
+    return named or given
+
+
+def axes_from(walker: System, texts: list[str], **others: Any) -> dict[str, Any]:
+    """The axes that --axis names, in the order of the section. `others` exclude them."""
+    axes: dict[str, Any] = {}
+    for name, value in others.items():
+        if value is not None:
+            raise WrongUse(f"--axis and --{name} exclude each other: give one of them")
+    for text in texts:
+        if ":" in text:
+            kinds = (float, float, int)
+            name, (low, high, count) = read_numbers("--axis", AXIS_FORM, kinds, text)
+            axis: Any = (low, high, count)
+        else:
+            name, (axis,) = read_numbers("--axis", AXIS_FORM, (float,), text)
+            check_finite(axis=axis)
+        if name in axes:
+            raise WrongUse(f"--axis is given twice for {name}")
+        if name not in walker.section:
+            section = ", ".join(walker.section)
+            raise WrongUse(f"--axis must be of the section, {section}, not of {name}")
+        axes[name] = axis
+    for name in walker.section:
+        if name not in axes:
+            raise WrongUse(f"--axis {name}=LO:HI:N is required too, or {name}=VALUE for a slice")
+    return {name: axes[name] for name in walker.section}
+
+
+WINDOW_CELLS = 200
+"""Along each axis of a window that no option gives."""
+
+
+def window_from(walker: System, axis: list[str] | None, axes: dict[str, Any]) -> dict[str, Any]:
+    """The axes of a window: those of --axis, or `axes`, of which those of a walker may be None.
+
+    The default of any other system is the region in which its gaits are searched for.
+    """
+    if axis:
+        return axes_from(walker, axis, **axes)
+    if isinstance(walker, Walker):
+        return fill_from_paper(walker, axes)
+    for name, given in axes.items():
+        if given is not None:
+            raise WrongUse(f"--{name} is for walkers: give --axis for each of a system's axes")
+    try:
+        return fill_from_region(walker, WINDOW_CELLS)
+    except WrongUse:
+        names = ", ".join(walker.section)
+        raise WrongUse(f"--axis NAME=LO:HI:N is required, for each of {names}") from None
+
+
+def check_phidot(walker: System, at_phidot: float | None, phidot: AxisOption | None = None) -> None:
     """Refuse phidot for a walker whose section lacks it, and two ways to give it."""
     given = "--at-phidot" if phidot is None else "--phidot"
+    if not isinstance(walker, Walker) and (phidot is not None or at_phidot is not None):
+        raise WrongUse(f"{given} is for walkers: give --axis for each of a system's axes")
     if "phidot" not in walker.section and (phidot is not None or at_phidot is not None):
         section = ", ".join(walker.section)
         raise WrongUse(f"{given} must be left out: it is not on the section, {section}")
@@ -91,13 +181,19 @@ def check_phidot(walker: Walker, at_phidot: float | None, phidot: AxisOption | N
 
 
 def grid_from(
-    walker: Walker,
+    walker: System,
     theta: AxisOption | None,
     sum_: AxisOption | None,
     at_phidot: float | None,
     phidot: AxisOption | None = None,
+    axis: list[str] | None = None,
 ) -> Grid | None:
     """The grid of these axes, with phidot at one value or over a range; None for no axes."""
+    if axis:
+        others = {"theta": theta, "sum": sum_, "at-phidot": at_phidot, "phidot": phidot}
+        grid = grid_along(axes_from(walker, axis, **others))
+        check_drawable(grid)
+        return grid
     check_phidot(walker, at_phidot, phidot)
     last = {"--at-phidot": at_phidot} if phidot is None else {"--phidot": phidot}
     options = {"--theta": theta, "--sum": sum_} | (last if "phidot" in walker.section else {})

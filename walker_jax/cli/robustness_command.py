@@ -113,7 +113,7 @@ def robustness(
     if not is_planar(walker):
         options["check"] = check_starts(walker, exact=True)
     asked = {"slopes": slopes, "axes": {} if grid is None else grid.box}
-    request = request_for("robustness", type(walker), walker=about, **asked, **options)
+    request = request_for("robustness", walker, walker=about, **asked, **options)
     figure, data = find_earlier(out, figure, request, overwrite=overwrite)
     if data is None:
         if slopes is None:

@@ -11,6 +11,7 @@ import walker_jax as wj
 from walker_jax.checks import WrongUse
 from walker_jax.cli.answers import draw, find_earlier, print_json, request_for
 from walker_jax.cli.options import (
+    Axes,
     AxisOption,
     Json,
     Out,
@@ -30,7 +31,7 @@ from walker_jax.cli.options import (
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.design.summary import tabulate_sweep
 from walker_jax.design.sweeps import MAX_COMBINATIONS, check_values
-from walker_jax.walkers.model import Walker
+from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import describe_walker, space_decimals
 
 SHOWN = (
@@ -46,9 +47,9 @@ SHOWN += ("least_fall", "step_down", "step_down_fall")
 """Columns that are printed; the data set has more."""
 
 
-@takes_walker()
+@takes_walker(systems=True)
 def sweep(
-    walker: Walker,
+    walker: System,
     over: Annotated[
         list[str] | None,
         typer.Option(
@@ -61,6 +62,7 @@ def sweep(
     phidot: Annotated[
         AxisOption | None, typer.Option(metavar="LO HI N", help="The same for volumes, not areas.")
     ] = None,
+    axis: Axes = None,
     levels: Annotated[int, typer.Option(min=0, help="Levels of refinement of the areas.")] = 2,
     check: Annotated[int, typer.Option(min=0, help="Starts that check each area.")] = 500_000,
     robust: Annotated[
@@ -87,12 +89,12 @@ def sweep(
         raise WrongUse("--over is required: a parameter and its values, such as slope=0.002:0.01:5")
     check_values(walker, {name: np.array(given) for name, given in values.items()})
     cluster = cluster_from(workers, scheduler)
-    grid = grid_from(walker, theta, sum_, at_phidot, phidot)
+    grid = grid_from(walker, theta, sum_, at_phidot, phidot, axis)
     about = {name: v for name, v in describe_walker(walker).items() if name not in values}
     options: Any = {"levels": levels, "check": check, "robust": robust, "strides": strides}
     options |= {"seed": seed}
     asked = {"over": values, "axes": {} if grid is None else grid.box}
-    request = request_for("sweep", type(walker), walker=about, **asked, **options)
+    request = request_for("sweep", walker, walker=about, **asked, **options)
     figure, data = find_earlier(out, figure, request, overwrite=overwrite)
     if data is None:
         options |= {"out": out, "request": request, "overwrite": overwrite}

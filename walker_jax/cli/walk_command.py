@@ -72,7 +72,7 @@ def walk(
         given = PAPER_START | given
     rough = {} if ground is None else {"ground": ground, "seed": seed}
     request = request_for(
-        "walk", type(walker), walker=describe_walker(walker), start=given, strides=strides, **rough
+        "walk", walker, walker=describe_walker(walker), start=given, strides=strides, **rough
     )
     if animate is not None:
         from walker_jax import figures

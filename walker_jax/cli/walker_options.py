@@ -1,4 +1,4 @@
-"""The options that say which walker a command is about."""
+"""The options that say which walker, or other system, a command is about."""
 
 import functools
 import inspect
@@ -13,10 +13,11 @@ import typer
 from walker_jax.checks import WrongPlace, WrongUse
 from walker_jax.cli.list_walkers import ListWalkers
 from walker_jax.cli.rewording import option_of, with_options_named
+from walker_jax.systems.family import SYSTEMS
+from walker_jax.systems.system import System, numbers_of
 from walker_jax.walkers.family import WALKERS
-from walker_jax.walkers.model import Walker
-from walker_jax.walkers.parameters import Option, Parameter, options, parameters
-from walker_jax.walkers.references import find_walker, installed_walkers
+from walker_jax.walkers.parameters import Option, Parameter, options, parameters, with_parameter
+from walker_jax.walkers.references import find_system, find_walker, installed_walkers
 
 PANEL = "Walker"
 """The panel of the help that holds these options."""
@@ -24,37 +25,60 @@ DEFAULT = "simplest"
 """The walker of a command that names none."""
 PREFIX = "walker_"
 """Of the arguments for a walker's parameters: those of commands may have the same names."""
-Kinds = Mapping[str, type[Walker]]
-"""The walkers that a command offers, by their names."""
+Kinds = Mapping[str, type[System] | System]
+"""The walkers, or the system, that a command offers, by their names."""
 
 
-def takes_walker(*, without: Mapping[str, str] = MappingProxyType({})) -> Callable:
+def takes_walker(
+    *, without: Mapping[str, str] = MappingProxyType({}), systems: bool = False
+) -> Callable:
     """Decorate a command whose first argument is a walker: `with_walker_options` replaces it.
 
-    `without` are parameters that the command sets itself, and its own options that say how.
+    `without` are parameters that the command sets itself, and its own options that say how. With
+    `systems`, it takes any other system too.
     """
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        vars(command)["without"] = without
+        vars(command).update(without=without, systems=systems)
         return command
 
     return decorate
 
 
-def offered_walkers(args: Sequence[str]) -> Kinds:
-    """The package's walkers, or the one that these arguments of a command name beside them."""
-    name = DEFAULT
-    for one, following in pairwise([*args, DEFAULT]):
-        if one == "--walker":
-            name = following
-        elif one.startswith("--walker="):
-            name = one.partition("=")[2]
-    if name in WALKERS:
-        return WALKERS
+def offered_kinds(command: Callable[..., None], args: Sequence[str]) -> Kinds:
+    """The package's walkers, or the walker or system that the arguments of a command name."""
+    name, system = value_of("--walker", args), value_of("--system", args)
     try:
-        return {name: find_walker(name)}
+        if system is not None and vars(command)["systems"]:
+            if name is not None:
+                raise WrongUse("walker and --system exclude each other: give one of them")
+            return {system: find_system(system)}
+        return WALKERS if (name or DEFAULT) in WALKERS else {str(name): find_walker(str(name))}
     except WrongUse as error:
         raise WrongPlace(f"--{error}") from error
+
+
+def value_of(option: str, args: Sequence[str]) -> str | None:
+    """The last value that arguments give to an option, if any."""
+    value = None
+    for one, following in pairwise([*args, ""]):
+        if one == option:
+            value = following
+        elif one.startswith(f"{option}="):
+            value = one.partition("=")[2]
+    return value
+
+
+def parameters_of(kind: type[System] | System) -> tuple[Parameter, ...]:
+    """The parameters of a class; of a system, with its own values as defaults."""
+    if isinstance(kind, type):
+        return parameters(kind)
+    described = {one.name: one for one in parameters(type(kind))}
+    plain = Parameter("", "", "", low=-math.inf)
+    return tuple(
+        described.get(name, plain)._replace(name=name, default=float(value))
+        for name, value in numbers_of(kind).items()
+    )
 
 
 def with_walker_options(command: Callable[..., None], kinds: Kinds) -> Callable[..., None]:
@@ -65,7 +89,8 @@ def with_walker_options(command: Callable[..., None], kinds: Kinds) -> Callable[
 
     @functools.wraps(command)
     def with_options(**given):
-        name = given.pop("walker")
+        name = given.pop("system", None) or given.pop("walker")
+        given.pop("walker", None)
         given.pop("list_walkers")
         for one, instead in without.items():
             if given.pop(PREFIX + one) is not None:
@@ -77,6 +102,8 @@ def with_walker_options(command: Callable[..., None], kinds: Kinds) -> Callable[
         return command(build_walker(kinds, name, values, chosen), **given)
 
     accepted = walker_options(offered, owners, kinds, without)
+    if vars(command)["systems"]:
+        accepted.insert(1, SYSTEM_OPTION)
     own = [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in own]
     vars(with_options)["__signature__"] = inspect.Signature([*accepted, *own])  # which typer reads
     with_options.__annotations__ = {one.name: one.annotation for one in (*accepted, *own)}
@@ -90,7 +117,7 @@ def offered_parameters(
     offered: dict[str, Parameter] = {}
     owners: dict[str, list[str]] = {}
     for name, kind in kinds.items():
-        for one in parameters(kind):
+        for one in parameters_of(kind):
             if one.name not in without:
                 offered.setdefault(one.name, one)
                 owners.setdefault(one.name, []).append(name)
@@ -109,7 +136,7 @@ def walker_options(
         about = "; ".join(filter(None, (one.meaning, one.unit)))
         defaults = "required" if math.isnan(one.default) else f"default: {one.default:g}"
         for name in owners[one.name]:
-            own = next(each.default for each in parameters(kinds[name]) if each.name == one.name)
+            own = next(each.default for each in parameters_of(kinds[name]) if each.name == one.name)
             if own != one.default and not math.isnan(own):
                 defaults += f", {name}: {own:g}"
         return f"{whose_option(owners[one.name], kinds)}{about} ({defaults})".strip()
@@ -138,6 +165,25 @@ def walker_options(
     return [*accepted, option("list_walkers", ListWalkers, False)]
 
 
+SYSTEM_OPTION = inspect.Parameter(
+    "system",
+    inspect.Parameter.KEYWORD_ONLY,
+    default=None,
+    annotation=Annotated[
+        str | None,
+        typer.Option(
+            help=f"Any other system instead: {' | '.join(SYSTEMS)}, or one's own, FILE.py:NAME.",
+            rich_help_panel=PANEL,
+            metavar="NAME",
+            autocompletion=lambda incomplete: [
+                one for one in SYSTEMS if one.startswith(incomplete)
+            ],
+        ),
+    ],
+)
+"""The option `--system`."""
+
+
 def names_that_begin(incomplete: str) -> list[str]:
     """The walkers, those of other packages too, whose names begin so; for a shell to complete."""
     return [name for name in (*WALKERS, *installed_walkers()) if name.startswith(incomplete)]
@@ -152,14 +198,15 @@ def offered_options(kinds: Kinds) -> dict[Option, list[str]]:
     """What strides may be checked for, and the names of the walkers that have it."""
     offered: dict[Option, list[str]] = {}
     for name, kind in kinds.items():
-        for one in options(kind):
+        for one in options(kind) if isinstance(kind, type) else ():
             offered.setdefault(one, []).append(name)
     return offered
 
 
-def build_walker(kinds: Kinds, name: str, values: dict[str, float], checks: list[str]) -> Walker:
+def build_walker(kinds: Kinds, name: str, values: dict[str, float], checks: list[str]) -> System:
     """The walker of that name, with default values for parameters that are not given."""
-    described = {one.name: one for one in parameters(kinds[name])}
+    kind = kinds[name]
+    described = {one.name: one for one in parameters_of(kind)}
     named = {parameter: option_of(parameter) for parameter in described}
     for parameter in values:
         if parameter not in described:
@@ -176,6 +223,10 @@ def build_walker(kinds: Kinds, name: str, values: dict[str, float], checks: list
             raise WrongUse(f"{option_of(parameter)} is required: {name} has no default for it")
     try:
         numbers = {parameter: described[parameter].convert(v) for parameter, v in values.items()}
-        return kinds[name](**numbers, **dict.fromkeys(checks, True))
+        if isinstance(kind, type):
+            return kind(**numbers, **dict.fromkeys(checks, True))
+        for parameter in values:
+            kind = with_parameter(kind, parameter, numbers[parameter])
+        return kind
     except WrongUse as error:
         raise WrongUse(with_options_named(str(error), named)) from error

@@ -190,7 +190,7 @@ def basins_in_a_row(data: xr.Dataset) -> Figure:
     ):
         show_image(ax, cells, extent)
         ax.set_title(f"slope {slope:g} rad", **TITLE, fontsize="medium", pad=16)
-        note = area_phrase(area) if area else "no basin of attraction"
+        note = area_phrase(data, area) if area else "no basin of attraction"
         ax.annotate(note, (0, 1), (0, 5), "axes fraction", "offset points", fontsize=SMALL)
     for ax in panels[-1]:
         name_axes(ax, x=x, size=SMALL)

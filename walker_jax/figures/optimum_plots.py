@@ -269,7 +269,7 @@ def optimum_basin_note(data: xr.Dataset, side: str) -> str:
     """The area of a basin, if it is known, and the slice that it is in, if it is in one."""
     area = area_at(data, side)
     slices = [slice_phrase(name, at) for name, at in slice_coordinates(data).items()]
-    return "; ".join([*([area_phrase(area)] if area else []), *slices])
+    return "; ".join([*([area_phrase(data, area)] if area else []), *slices])
 
 
 def headline(data: xr.Dataset, width: int) -> str:

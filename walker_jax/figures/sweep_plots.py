@@ -9,6 +9,7 @@ from walker_jax.figures.text import (
     AREA_LABEL,
     VOLUME_LABEL,
     join_phrases,
+    of_walker,
     parameter_values,
     walker_title,
 )
@@ -44,6 +45,7 @@ def sweep(
     area, error = area.isel(first), error.isel(first)
     x = str(area.dims[0])
     words = VOLUME_LABEL if data["fate"].ndim == data["total_area"].ndim + 3 else AREA_LABEL
+    words = words if of_walker(data) else words.partition(" (")[0]
     if area.ndim == 1:
         ax.errorbar(data[x], area, error, fmt="o-", color=BASINS[0], capsize=3)
         y, bars = words, []

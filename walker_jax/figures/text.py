@@ -73,6 +73,11 @@ def join_phrases(phrases: Sequence[str], width: int) -> str:
     return textwrap.fill(", ".join(whole), width).replace("\u00a0", " ")
 
 
+def of_walker(data: xr.Dataset) -> bool:
+    """Whether a data set is of a walker's section, whose units are known."""
+    return data.attrs["section"][0] == "theta"
+
+
 def basin_note(data: xr.Dataset) -> str:
     """The method, the number of cells, and the area of all basins together."""
     method = data.attrs.get("method", "")
@@ -82,7 +87,7 @@ def basin_note(data: xr.Dataset) -> str:
     for name in fixed:
         note += f"\n{slice_phrase(name, float(data[name]))}"
     area = total_area(data)
-    return note if data["fate"].ndim != 2 or area == 0 else f"{note}; {area_phrase(area)}"
+    return note if data["fate"].ndim != 2 or area == 0 else f"{note}; {area_phrase(data, area)}"
 
 
 def volume_note(data: xr.Dataset) -> str:
@@ -111,8 +116,10 @@ def coordinate_value(name: str, value: float) -> str:
     return f"{SYMBOLS.get(name, name)} = {value:.4g}".replace("-", "−")
 
 
-def area_phrase(area: float) -> str:
-    """An area, with its unit."""
+def area_phrase(data: xr.Dataset, area: float) -> str:
+    """An area of a data set, with the unit that it has on a walker's section."""
+    if not of_walker(data):
+        return f"basin area {area:.4g}"
     mantissa, exponent = f"{area:.2e}".split("e")
     return rf"basin area {mantissa} × 10$^{{{int(exponent)}}}$ rad² / √(l/g)"
 

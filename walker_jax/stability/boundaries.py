@@ -168,11 +168,14 @@ def edge_arrays(
     vertices = padded(both, size)
     return {
         "edge_fates": (("edge", "beside"), np.array(pairs, int).reshape(-1, 2)),
-        "edge_between": (("edge", "beside"), np.array([one.fates for one in edges]).reshape(-1, 2)),
+        "edge_between": (
+            ("edge", "beside"),
+            np.array([one.fates for one in edges], int).reshape(-1, 2),
+        ),
         "edge_kind": ("edge", np.array([one.kind for one in edges], object)),
         "edge_period": (
             "edge",
-            np.array([0 if one is None else len(one.states) for one in saddles]),
+            np.array([0 if one is None else len(one.states) for one in saddles], int),
         ),
         "edge_saddle": (
             ("edge", "saddle_phase", "coordinate"),

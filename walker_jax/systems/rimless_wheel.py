@@ -15,6 +15,7 @@ from walker_jax.kernels.scalars import unroll
 from walker_jax.multibody.single_support import SingleSupport, accelerations_and_forces
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.parameter import Parameter
 
 
 class WheelState(NamedTuple):
@@ -56,16 +57,18 @@ class TorsoWheel(HybridSystem):
     - `torso_mass`, `torso_com`, `torso_inertia`: mass, distance of its centre from the hub, and
       moment of inertia about its centre; `I + M l^2` above 0.
     - `stiffness`, `damping`, `lean`: of the motor, and the angle at which it holds the torso.
+
+    Raises `ValueError` for parameters that are not within these bounds.
     """
 
-    slope: Real = 0.0
-    alpha: Real = np.pi / 8
-    torso_mass: Real = 1.0
-    torso_com: Real = 0.5
-    torso_inertia: Real = 0.1
-    stiffness: Real = 1.5
-    damping: Real = 0.3
-    lean: Real = 0.5
+    slope: Real = Parameter("slope", "of the ground", "rad", 0.0, -np.pi / 2, np.pi / 2).field()
+    alpha: Real = Parameter("alpha", "half between spokes", "rad", np.pi / 8, 0, np.pi / 2).field()
+    torso_mass: Real = Parameter("torso_mass", "of the torso", "hub's", 1.0, closed=True).field()
+    torso_com: Real = Parameter("torso_com", "from the hub", "spokes'", 0.5, closed=True).field()
+    torso_inertia: Real = Parameter("torso_inertia", "of the torso", "", 0.1, closed=True).field()
+    stiffness: Real = Parameter("stiffness", "of the motor", "", 1.5, closed=True).field()
+    damping: Real = Parameter("damping", "of the motor", "", 0.3, closed=True).field()
+    lean: Real = Parameter("lean", "of the torso", "rad", 0.5, -np.inf).field()
 
     section: ClassVar = ("thetadot", "psi", "psidot")
 

@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from walker_jax import multibody
-from walker_jax.checks import WrongUse, is_number
 from walker_jax.grids import Grid
 from walker_jax.hybrid.modes import Condition, Guard, Mode
 from walker_jax.integrators.roots import Real, Scalar
@@ -21,6 +20,7 @@ from walker_jax.multibody.single_support import (
 )
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.parameter import Parameter
 
 
 class CompassState(NamedTuple):
@@ -58,20 +58,18 @@ class SwitchedCompass(HybridSystem):
       hold both back.
     - `switch_angle`: theta at which it stops; not negative, as a foot may strike from then on.
 
-    Raises `ValueError` for a switch angle below zero.
+    Raises `ValueError` for parameters that are not within these bounds.
     """
 
-    slope: Real
-    leg_mass: Real = 0.5
-    com_from_hip: Real = 0.5
-    torque: Real = 0.02
-    switch_angle: Real = 0.1
+    slope: Real = Parameter("slope", "of the ground", "rad", np.nan, -np.pi / 2, np.pi / 2).field()
+    leg_mass: Real = Parameter("leg_mass", "of each leg", "hip's", 0.5).field()
+    com_from_hip: Real = Parameter("com_from_hip", "of a leg's mass", "legs'", 0.5).field()
+    torque: Real = Parameter("torque", "of the hip", "", 0.02, -np.inf).field()
+    switch_angle: Real = Parameter(
+        "switch_angle", "where it stops", "rad", 0.1, closed=True
+    ).field()
 
     section: ClassVar = ("theta", "thetadot", "phidot")
-
-    def __check_init__(self):
-        if is_number(self.switch_angle) and self.switch_angle < 0:
-            raise WrongUse(f"switch_angle must not be negative, as {self.switch_angle} is")
 
     def system(self) -> multibody.System:
         """Of q = (u, v, theta, phi), u and v of the stance foot along and normal to the slope."""

@@ -1,8 +1,9 @@
-"""Walkers by name: those of the package, of other packages, and of a user's own files.
+"""Walkers and other systems by name: of the package, of other packages, of a user's own files.
 
-A name is one of `family.WALKERS`, one that an installed package gives to the entry points
-`walker_jax.walkers`, `FILE.py:CLASS` or `PACKAGE.MODULE:CLASS`. The last three run code: see
-SECURITY.md.
+The name of a walker is one of `family.WALKERS`, one that an installed package gives to the entry
+points `walker_jax.walkers`, `FILE.py:CLASS` or `PACKAGE.MODULE:CLASS`. The last three run code: see
+SECURITY.md. That of a system is one of `systems.family.SYSTEMS`, or of the last two kinds; it may
+also stand for a system that the file makes, such as a `Map`.
 """
 
 import difflib
@@ -14,9 +15,11 @@ from collections.abc import Sequence
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeGuard
 
 from walker_jax.checks import WrongPlace, WrongUse, short
+from walker_jax.systems.family import SYSTEMS
+from walker_jax.systems.system import System
 from walker_jax.walkers.family import WALKERS
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.sources import file_of, holds_packages
@@ -31,7 +34,7 @@ def find_walker(name: str) -> type[Walker]:
         return WALKERS[name]
     if ":" in name:
         place, _, attribute = name.rpartition(":")
-        module = load_file(Path(place)) if place.endswith(".py") else load_module(place)
+        module = load_place(place)
         return check_walker(name, vars(module).get(attribute), place, walkers_in(module))
     if name.endswith(".py") and Path(name).is_file():
         choice = choose_from(walkers_in(load_file(Path(name))), name)
@@ -44,6 +47,26 @@ def find_walker(name: str) -> type[Walker]:
         "walker must be one that walker-jax --list-walkers shows, or FILE.py:CLASS, not "
         f"{short(name)[1:-1]}{f': did you mean {similar}?' if similar else ''}"
     )
+
+
+def find_system(name: str) -> type[System] | System:
+    """The system, or class of systems, of a name. Raises `WrongUse` where there is none."""
+    if name in SYSTEMS:
+        return SYSTEMS[name]
+    place, _, attribute = name.rpartition(":")
+    if not place:
+        raise WrongUse(
+            f"system must be one of {', '.join(SYSTEMS)}, or FILE.py:NAME, not {short(name)[1:-1]}"
+        )
+    module = load_place(place, "system")
+    value = vars(module).get(attribute)
+    if isinstance(value, System):
+        return value
+    if not is_system(value):
+        others = choose_from([one for one in vars(module) if is_own(module, one)], place)
+        raise WrongUse(f"system {name} must be a system or a class of systems: {others}")
+    check_complete("system", name, value)
+    return value
 
 
 def reference_of(kind: type[Walker]) -> str:
@@ -81,15 +104,20 @@ def load_installed(point: EntryPoint) -> type[Walker]:
     return check_walker(f"{point.name} ({point.value})", value, point.module, ())
 
 
-def load_file(path: Path) -> ModuleType:
+def load_place(place: str, noun: str = "walker") -> ModuleType:
+    """The module of a file or of a package; errors name what is looked for there."""
+    return load_file(Path(place), noun) if place.endswith(".py") else load_module(place, noun)
+
+
+def load_file(path: Path, noun: str = "walker") -> ModuleType:
     """A Python file, run as a module of its name; what stands beside it can be imported."""
     if not path.is_file():
-        raise WrongPlace(f"walker {path}: there is no such file")
+        raise WrongPlace(f"{noun} {path}: there is no such file")
     path, name = path.resolve(), path.stem
     if "." in name:
-        raise WrongPlace(f"walker {path}: no module is named {name}: rename the file")
+        raise WrongPlace(f"{noun} {path}: no module is named {name}: rename the file")
     if is_taken(name, path):
-        raise WrongPlace(f"walker {path}: another module is named {name}: rename the file")
+        raise WrongPlace(f"{noun} {path}: another module is named {name}: rename the file")
     spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -99,7 +127,7 @@ def load_file(path: Path) -> ModuleType:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:  # whatever a user's code raises
         del sys.modules[name]
-        raise WrongPlace(f"walker {path} {cannot_be_loaded(error, path)}") from error
+        raise WrongPlace(f"{noun} {path} {cannot_be_loaded(error, path)}") from error
     return module
 
 
@@ -114,13 +142,13 @@ def is_taken(name: str, path: Path) -> bool:
     return spec is not None and bool(spec.origin) and Path(spec.origin).resolve() != path
 
 
-def load_module(name: str) -> ModuleType:
+def load_module(name: str, noun: str) -> ModuleType:
     """A module, of this folder or installed."""
     make_importable(Path.cwd())
     try:
         return importlib.import_module(name)
     except (Exception, SystemExit) as error:  # whatever a user's code raises
-        raise WrongUse(f"walker {name} {cannot_be_loaded(error)}") from error
+        raise WrongUse(f"{noun} {name} {cannot_be_loaded(error)}") from error
 
 
 def make_importable(folder: Path) -> None:
@@ -151,19 +179,34 @@ def is_walker(value: Any) -> bool:
     return isinstance(value, type) and issubclass(value, Walker)
 
 
+def is_system(value: Any) -> TypeGuard[type[System]]:
+    return isinstance(value, type) and issubclass(value, System)
+
+
+def is_own(module: ModuleType, name: str) -> bool:
+    """Whether a module makes a system, or defines a class of systems, of that name."""
+    value = vars(module)[name]
+    return isinstance(value, System) or (is_system(value) and value.__module__ == module.__name__)
+
+
 def check_walker(name: str, value: Any, place: str, others: Sequence[str]) -> type[Walker]:
     """The class, if it is a complete one of walkers. Raises `WrongUse` otherwise."""
     if not is_walker(value):
         raise WrongUse(f"walker {name} must be a class of walkers: {choose_from(others, place)}")
-    missing = sorted(getattr(value, "__abstractmethods__", ()))
-    missing += [] if hasattr(value, "section") else ["section"]
-    if missing or inspect.isabstract(value):
-        raise WrongUse(f"walker {name} must define {', '.join(missing)} too")
+    check_complete("walker", name, value)
     return value
 
 
-def choose_from(walkers: Sequence[str], place: str) -> str:
-    """What to give for one of the walkers of a place."""
-    if not walkers:
+def check_complete(noun: str, name: str, kind: type[System]) -> None:
+    """Refuse a class that lacks methods, or names of coordinates."""
+    missing = sorted(getattr(kind, "__abstractmethods__", ()))
+    missing += [] if hasattr(kind, "section") else ["section"]
+    if missing or inspect.isabstract(kind):
+        raise WrongUse(f"{noun} {name} must define {', '.join(missing)} too")
+
+
+def choose_from(names: Sequence[str], place: str) -> str:
+    """What to give for one of the walkers, or systems, of a place."""
+    if not names:
         return f"{place} defines none"
-    return "give " + " or ".join(f"{place}:{name}" for name in walkers)
+    return "give " + " or ".join(f"{place}:{name}" for name in names)

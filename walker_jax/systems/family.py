@@ -1,0 +1,22 @@
+"""Systems of the package that are no walkers, by the names that the command line has for them."""
+
+from walker_jax.systems.bouncing_ball import BouncingBall
+from walker_jax.systems.duffing import DuffingOscillator
+from walker_jax.systems.five_link_biped import FiveLinkBiped
+from walker_jax.systems.henon import HenonMap
+from walker_jax.systems.impact_oscillator import ImpactOscillator
+from walker_jax.systems.rimless_wheel import TorsoWheel
+from walker_jax.systems.spring_mass_runner import SpringMassRunner
+from walker_jax.systems.switched_compass import SwitchedCompass
+from walker_jax.systems.system import System
+
+SYSTEMS: dict[str, type[System]] = {
+    "henon": HenonMap,
+    "duffing": DuffingOscillator,
+    "bouncing-ball": BouncingBall,
+    "impact-oscillator": ImpactOscillator,
+    "runner": SpringMassRunner,
+    "torso-wheel": TorsoWheel,
+    "switched-compass": SwitchedCompass,
+    "five-link-biped": FiveLinkBiped,
+}
