@@ -283,7 +283,7 @@ def test_energy_changes_by_the_work_of_the_torque_alone():
         for mode, torque in zip(DRIVEN.modes(), (DRIVEN.torque, 0.0), strict=True):
             rates = turned @ np.array(mode.rates(state))
             change = change_of_energy(p, y, rates)
-            assert change == pytest.approx(-torque * numbers[3], abs=1e-12)
+            assert change == pytest.approx(-float(torque) * numbers[3], abs=1e-12)
 
 
 def test_a_strike_keeps_angular_momentum_about_the_foot_and_the_hip():

@@ -239,7 +239,7 @@ def basin(
         print(f"  window {zoom:g} times as narrow, around ({listed(data.attrs['origin'], '.17g')})")
     if fixed:
         print(f"  slice at {', '.join(f'{name} {value:.10g}' for name, value in fixed.items())}")
-    measure = "volume" if data["fate"].ndim == 3 or "run_fate" in data else "area"
+    measure = "volume" if "run_fate" in data or data["fate"].ndim == 3 else "area"
     zoomed, walkers = zoom is not None, isinstance(walker, Walker)
     print_basin(answer, measure, zoomed=zoomed, walkers=walkers)
     if counts.unmatched:

@@ -194,7 +194,7 @@ def describe_problem(problem: Problem) -> dict:
         for name, ends in problem.limits.items()
     }
     return {
-        "walker": type(problem.walker).__name__,
+        "walker": problem.walker.label(),
         **attributes_of(problem.walker),
         "section": list(problem.walker.section),
         "objective": json.dumps(problem.weights),

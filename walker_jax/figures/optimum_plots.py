@@ -150,7 +150,9 @@ def optimum(data: xr.Dataset) -> Figure:
     for k, name in enumerate(names):
         row, column = divmod(k, columns)
         ax = figure.add_subplot(grid[row, column * wide : (column + 1) * wide])
-        draw_optimisation(ax, data, name, name.replace("_", " ").capitalize(), Shown())
+        words = name.replace("_", " ")
+        title = words.capitalize() if len(name) > 1 else name  # a letter is a symbol
+        draw_optimisation(ax, data, name, title, Shown())
     if basins:
         halves = [figure.add_subplot(grid[-1, half]) for half in (slice(3), slice(3, 6))]
         draw_basins(halves, data)

@@ -320,7 +320,7 @@ def assemble_diagram(
         },
         attrs={
             "section": list(walker.section),
-            "walker": type(walker).__name__,
+            "walker": walker.label(),
             **attributes_of(walker, without=parameter),
             "parameter": parameter,
             "lost_strides": loss.strides,

@@ -124,7 +124,7 @@ def continue_basins(
     ]
     about = {
         "parameter": parameter,
-        "walker": type(walker).__name__,
+        "walker": walker.label(),
         **attributes_of(walker, without=parameter),
         "section": list(walker.section),
         "samples": samples,

@@ -155,7 +155,7 @@ def metastability(
         },
         coords={"direction": np.array(coordinates, object)},
         attrs={
-            "walker": type(walker).__name__,
+            "walker": walker.label(),
             **attributes_of(walker),
             "section": list(walker.section),
             "ground": describe_ground(ground),
