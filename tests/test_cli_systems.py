@@ -125,6 +125,27 @@ def test_slices_fix_any_coordinate(run):
         np.testing.assert_array_equal(data["fate"] == wj.Outcome.STRIDE, near)
 
 
+def test_a_slice_elsewhere_is_another_request(run):
+    axes = ("--axis", "y=-0.9:0.9:20", "--axis", "z=-0.9:0.9:20", "--samples", "300")
+    command = ("continuation", "--system", "my_maps.py:Shrinking", "--over", "factor=0.4:0.5:2")
+    code, out, err = run(*command, "--axis", "x=0.1", *axes, "--json")
+    assert code == 0, err
+    share = json.loads(out)["attractors"][0]["largest_fraction"]
+    assert share == pytest.approx(2 * 0.9**2 / 1.8**2, abs=0.1)  # of the square, |y| + |z| < 0.9
+    code, out, err = run(*command, "--axis", "x=0.8", *axes)
+    assert (code, out) == (2, "") and "continuation.zarr holds another result" in err
+
+
+def test_a_sweep_needs_no_region_of_gaits(run, tmp_path):
+    source = tmp_path.joinpath("my_maps.py")
+    source.write_text(HENON.replace(", region=region", ""))
+    over = ("--over", "a=0.9:1.0:2", "--check", "2000")
+    code, out, err = run("sweep", "--system", "my_maps.py:system", *over, *SQUARE, "--json")
+    assert code == 0, err
+    assert [one["failed"] for one in json.loads(out)["points"]] == [0, 0]
+    assert [one["gait_period"] for one in json.loads(out)["points"]] == [2, 4]
+
+
 def test_other_commands_take_systems_too(run):
     code, out, err = run(
         "explain", "--system", "my_maps.py:system", "--start", "x=0.5", "--start", "y=0"

@@ -4,10 +4,11 @@ from collections.abc import Mapping
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
-from walker_jax.checks import is_number
+from walker_jax.checks import WrongUse, is_number
 from walker_jax.gaits.search import search_gait
 from walker_jax.gaits.selection import require_gait
 from walker_jax.grids import Grid, axes_around
@@ -43,8 +44,17 @@ def fill_around_gait(walker: System, axes: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def fill_from_region(walker: System, cells: int) -> dict[str, Any]:
-    """Axes over the region in which a system's gaits are searched for, of so many cells each."""
+    """Axes over the region in which a system's gaits are searched for, of so many cells each.
+
+    Raises `WrongUse` for a region that is not a plain one of two axes.
+    """
     region = walker.gait_region()
+    if (
+        region.names != walker.section
+        or len(region.names) != 2
+        or np.any(region.shear != np.eye(2))
+    ):
+        raise WrongUse(f"gait_region of {walker.label()} is no window of a picture")
     ends = zip(region.names, region.lower, region.upper, strict=True)
     return {name: (float(low), float(high), cells) for name, low, high in ends}
 

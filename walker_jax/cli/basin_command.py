@@ -40,6 +40,7 @@ from walker_jax.cli.options import (
     check_drawable,
     check_finite,
     check_phidot,
+    check_ranges,
     cluster_from,
     window_from,
 )
@@ -162,7 +163,8 @@ def basin(
     method = method or ("direct" if sliced else "cell-map")
     if sliced and method == "cell-map":
         raise WrongUse(
-            "--method must be direct for a slice, which walkers leave: drop it, or give --phidot"
+            "--method must be direct for a slice, which walkers leave: drop it, or give "
+            + ("a range for each --axis" if axis else "--phidot")
         )
     if strides is not None and method != "direct":
         raise WrongUse("--strides is for --method direct alone: give it too")
@@ -176,6 +178,8 @@ def basin(
     if has_phidot:
         axes["phidot"] = at_phidot if phidot is None else phidot
     axes = window_from(walker, axis, axes)
+    if axis:
+        check_ranges(axes, 3 if zoom is None else 2)
     if whole and isinstance(walker, Walker):
         known = whole_section(walker)
         axes = {name: known[name] if axis is None else axis for name, axis in axes.items()}
@@ -264,8 +268,8 @@ def check_section(walker: System, axis: list[str] | None) -> None:
     count = len(walker.section)
     if count == 1:
         raise WrongUse(
-            f"--system {walker.label()} has a section of one coordinate, and pictures have two: "
-            "use walker_jax.basin in Python"
+            f"{walker.label()} has a section of one coordinate, and pictures have two: use "
+            "walker_jax.basin in Python"
         )
     if count > 3 and not axis:
         raise WrongUse(

@@ -21,6 +21,7 @@ from walker_jax.cli.options import (
     check_drawable,
     check_finite,
     check_phidot,
+    check_ranges,
     window_from,
 )
 from walker_jax.cli.walker_options import takes_walker
@@ -65,6 +66,8 @@ def boundary(
     axes: dict[str, Any] = {"theta": theta, "sum": sum_}
     axes |= {"phidot": at_phidot} if sliced else {}
     axes = window_from(walker, axis, axes)
+    if axis:
+        check_ranges(axes, 2)
     check_drawable(outline(axes))
     asked = {name: list(axis) if isinstance(axis, tuple) else axis for name, axis in axes.items()}
     request = request_for(

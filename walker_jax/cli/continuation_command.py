@@ -7,6 +7,7 @@ import typer
 
 import walker_jax as wj
 from walker_jax import storage
+from walker_jax.checks import WrongUse
 from walker_jax.cli.answers import draw, find_earlier, print_json, request_for
 from walker_jax.cli.options import (
     Axes,
@@ -17,6 +18,7 @@ from walker_jax.cli.options import (
     RegionSum,
     RegionTheta,
     SlicePlace,
+    asked_of,
     grid_from,
     hyphenated,
 )
@@ -24,7 +26,11 @@ from walker_jax.cli.sweep_command import values_of
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.stability.basin_fractions import summarise_fractions
 from walker_jax.systems.system import System
+from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import check_parameter, describe_walker
+
+DEFAULT = "slope=0.002:0.02:37"
+"""What a walker is followed over."""
 
 
 @takes_walker(systems=True)
@@ -32,7 +38,7 @@ def continuation(
     walker: System,
     over: Annotated[
         str, typer.Option(metavar="NAME=LO:HI:N", help="Values of a parameter.")
-    ] = "slope=0.002:0.02:37",
+    ] = DEFAULT,
     theta: RegionTheta = None,
     sum_: RegionSum = None,
     at_phidot: SlicePlace = None,
@@ -51,12 +57,14 @@ def continuation(
     """
     from walker_jax import figures
 
+    if over == DEFAULT and not isinstance(walker, Walker):
+        raise WrongUse("--over is required: a parameter of the system and its values, NAME=LO:HI:N")
     ((name, values),) = values_of([over]).items()
     check_parameter(walker, name, *values)
     region = grid_from(walker, theta, sum_, at_phidot, axis=axis)
     about = {key: value for key, value in describe_walker(walker).items() if key != name}
     options = {"samples": samples, "strides": strides, "seed": seed}
-    asked = {"over": {name: values}, "axes": {} if region is None else region.box}
+    asked = {"over": {name: values}, "axes": asked_of(region)}
     request = request_for("continuation", walker, walker=about, **asked, **options)
     figure, data = find_earlier(out, figure, request, overwrite=overwrite)
     if data is None:

@@ -22,6 +22,7 @@ from walker_jax.cli.options import (
     Overwrite,
     PictureOfData,
     RegionSum,
+    asked_of,
     grid_from,
     hyphenated,
     read_numbers,
@@ -117,7 +118,7 @@ def optimise(
     about, limits = describe_walker(walker), {"at_least": lowest, "at_most": highest}
     options: Any = {"starts": starts, "levels": levels, "strides": strides}
     options |= {"scan": scan, "seed": seed}
-    asked = {"bounds": bounds, "objective": weights, "axes": {} if grid is None else grid.box}
+    asked = {"bounds": bounds, "objective": weights, "axes": asked_of(grid)}
     request = request_for("optimise", walker, walker=about, **asked, **limits, **options)
     figure, data = find_earlier(out, figure, request, overwrite=overwrite)
     if data is None or "found" not in data:  # not begun, or interrupted

@@ -10,7 +10,7 @@ import typer
 from jaxtyping import Float
 
 from walker_jax.basins.windows import fill_from_paper, fill_from_region, grid_along
-from walker_jax.checks import WrongUse
+from walker_jax.checks import WrongUse, is_number
 from walker_jax.grids import Grid
 from walker_jax.systems.system import System
 from walker_jax.walkers.model import Walker
@@ -89,6 +89,11 @@ def check_drawable(grid: Grid) -> None:
 def state_from(walker: System, given: dict[str, float]) -> Float[np.ndarray, " section"]:
     """A state on the section from the options that name its coordinates."""
     section = ", ".join(walker.section)
+    for name in given:
+        if name not in walker.section and not isinstance(walker, Walker):
+            raise WrongUse(
+                f"--{name} is for walkers: give --start NAME=VALUE, for each of {section}"
+            )
     for name in walker.section:
         if name not in given:
             raise WrongUse(f"--{name} is required too: the section is {section}")
@@ -124,6 +129,7 @@ def axes_from(walker: System, texts: list[str], **others: Any) -> dict[str, Any]
     axes: dict[str, Any] = {}
     for name, value in others.items():
         if value is not None:
+            name = f"at-{name}" if is_number(value) and name == "phidot" else name
             raise WrongUse(f"--axis and --{name} exclude each other: give one of them")
     for text in texts:
         if ":" in text:
@@ -158,9 +164,7 @@ def window_from(walker: System, axis: list[str] | None, axes: dict[str, Any]) ->
         return axes_from(walker, axis, **axes)
     if isinstance(walker, Walker):
         return fill_from_paper(walker, axes)
-    for name, given in axes.items():
-        if given is not None:
-            raise WrongUse(f"--{name} is for walkers: give --axis for each of a system's axes")
+    refuse_axes_of_walkers(walker, **axes)
     try:
         return fill_from_region(walker, WINDOW_CELLS)
     except WrongUse:
@@ -168,11 +172,25 @@ def window_from(walker: System, axis: list[str] | None, axes: dict[str, Any]) ->
         raise WrongUse(f"--axis NAME=LO:HI:N is required, for each of {names}") from None
 
 
+def refuse_axes_of_walkers(walker: System, **axes: Any) -> None:
+    """Refuse axes of a walker's section for any other system."""
+    for name, given in axes.items():
+        if given is not None and not isinstance(walker, Walker):
+            raise WrongUse(f"--{name} is for walkers: give --axis for each of a system's axes")
+
+
+def check_ranges(axes: dict[str, Any], most: int) -> None:
+    """Refuse axes of which too few, or too many, are ranges for a picture."""
+    count = sum(not is_number(axis) for axis in axes.values())
+    if not 2 <= count <= most:
+        numbers = "two" if most == 2 else "two or three"
+        raise WrongUse(f"--axis must be NAME=LO:HI:N for {numbers} coordinates, not {count}")
+
+
 def check_phidot(walker: System, at_phidot: float | None, phidot: AxisOption | None = None) -> None:
     """Refuse phidot for a walker whose section lacks it, and two ways to give it."""
     given = "--at-phidot" if phidot is None else "--phidot"
-    if not isinstance(walker, Walker) and (phidot is not None or at_phidot is not None):
-        raise WrongUse(f"{given} is for walkers: give --axis for each of a system's axes")
+    refuse_axes_of_walkers(walker, **{given.removeprefix("--"): at_phidot or phidot})
     if "phidot" not in walker.section and (phidot is not None or at_phidot is not None):
         section = ", ".join(walker.section)
         raise WrongUse(f"{given} must be left out: it is not on the section, {section}")
@@ -194,6 +212,7 @@ def grid_from(
         grid = grid_along(axes_from(walker, axis, **others))
         check_drawable(grid)
         return grid
+    refuse_axes_of_walkers(walker, theta=theta, sum=sum_)
     check_phidot(walker, at_phidot, phidot)
     last = {"--at-phidot": at_phidot} if phidot is None else {"--phidot": phidot}
     options = {"--theta": theta, "--sum": sum_} | (last if "phidot" in walker.section else {})
@@ -202,8 +221,7 @@ def grid_from(
     if len(walker.section) > 3:
         given = next(name for name, axis in options.items() if axis is not None)
         raise WrongUse(
-            f"{given} is for walkers in the plane: in Python, walker_jax.Grid.through takes slices "
-            "of others"
+            f"{given} is for walkers in the plane: give --axis for each coordinate of the section"
         )
     if None in options.values():
         raise WrongUse(f"give {' and '.join(options)}, or none of them")
@@ -211,6 +229,14 @@ def grid_from(
     grid = Grid.sheared(**dict(zip(names, options.values(), strict=False)))
     check_drawable(grid)
     return grid
+
+
+def asked_of(grid: Grid | None) -> dict[str, Any]:
+    """What a request says of a grid: its axes, and through which point a slice goes."""
+    if grid is None:
+        return {}
+    origin = np.asarray(grid.origin)
+    return grid.box | ({} if grid.fixed or not origin.any() else {"origin": origin.tolist()})
 
 
 def cluster_from(workers: int | None, scheduler: str | None) -> int | str | None:

@@ -23,6 +23,7 @@ from walker_jax.cli.options import (
     Seed,
     SlicePlace,
     Workers,
+    asked_of,
     cluster_from,
     grid_from,
     hyphenated,
@@ -93,7 +94,7 @@ def sweep(
     about = {name: v for name, v in describe_walker(walker).items() if name not in values}
     options: Any = {"levels": levels, "check": check, "robust": robust, "strides": strides}
     options |= {"seed": seed}
-    asked = {"over": values, "axes": {} if grid is None else grid.box}
+    asked = {"over": values, "axes": asked_of(grid)}
     request = request_for("sweep", walker, walker=about, **asked, **options)
     figure, data = find_earlier(out, figure, request, overwrite=overwrite)
     if data is None:

@@ -31,7 +31,7 @@ from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import default_tolerance
 from walker_jax.stability.slices import default_region
 from walker_jax.stability.summary import robustness, without_gait
-from walker_jax.systems.system import System
+from walker_jax.systems.system import System, has_gait_region
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 
 GAIT_NUMBERS = ("step-length", "speed", "cost-of-transport")
@@ -267,7 +267,7 @@ def measure_basin(walker: System, plan: Measurement) -> dict[str, Any]:
         tolerance=tolerance,
     )
     gait = gait_of_basins(walker, fine, tolerance)
-    if not plan.robust:  # which says it too
+    if not plan.robust and has_gait_region(walker):  # `robustness` says it too
         row["note"] = compare_with_search(gait, search_gait(walker, tolerance=tolerance))
     if gait is not None:
         row |= {"gait_period": len(gait.states), "gait_state": np.asarray(gait.states[0])}

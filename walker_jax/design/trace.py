@@ -18,6 +18,7 @@ from walker_jax.execution.progress import bar, in_words
 from walker_jax.execution.threads import side_by_side
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import search_gait
+from walker_jax.systems.system import has_gait_region
 
 
 class Trace:
@@ -63,9 +64,12 @@ class Trace:
     def note(self, values: Float[np.ndarray, " parameters"]) -> str:
         """How a search without a guess differs from the gait that is measured; empty if not."""
         problem = self.problem
+        walker = problem.walker_at(values)
         if not {*problem.measures} - {problem.size} or not self.gait(values).found:
             return ""
-        searched = search_gait(problem.walker_at(values), tolerance=problem.tolerance)
+        if not has_gait_region(walker):
+            return ""
+        searched = search_gait(walker, tolerance=problem.tolerance)
         return compare_with_search(self.gait(values), searched)
 
     def measure(self, run: int, stage: int, place: Float[np.ndarray, " parameters"]) -> Evaluation:

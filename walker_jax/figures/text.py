@@ -75,7 +75,7 @@ def join_phrases(phrases: Sequence[str], width: int) -> str:
 
 def of_walker(data: xr.Dataset) -> bool:
     """Whether a data set is of a walker's section, whose units are known."""
-    return data.attrs["section"][0] == "theta"
+    return [*data.attrs["section"][:2]] == ["theta", "thetadot"]
 
 
 def basin_note(data: xr.Dataset) -> str:
@@ -95,7 +95,8 @@ def volume_note(data: xr.Dataset) -> str:
     shape = " × ".join(str(data.sizes[name]) for name in data["axis"].values.tolist())
     size, error = float(data["total_area"]), float(data["total_area_error"])
     note = f"{METHOD_NAMES['direct, refined'].rstrip(',')}, on {shape} cells"
-    return f"{note}; basin volume {with_error(size, error)} rad³·g/l"
+    unit = " rad³·g/l" if of_walker(data) else ""
+    return f"{note}; basin volume {with_error(size, error)}{unit}"
 
 
 def with_error(value: float, error: float) -> str:

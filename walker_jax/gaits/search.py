@@ -142,8 +142,7 @@ def first_guess(
         return approximate_long_gait(walker.slope)
     if is_traced((walker, tolerance)):
         raise WrongUse(
-            f"guess must be given for a {walker.label()}'s gait of period {period} where "
-            "JAX traces"
+            f"guess must be given for a {walker.label()}'s gait of period {period} where JAX traces"
         )
     search = partial(search_region, walker, period, tolerance=tolerance, solver=solver)
     found = search(walker.gait_region())

@@ -58,13 +58,18 @@ class TorsoWheel(HybridSystem):
       moment of inertia about its centre; `I + M l^2` above 0.
     - `stiffness`, `damping`, `lean`: of the motor, and the angle at which it holds the torso.
 
-    Raises `ValueError` for parameters that are not within these bounds.
+    Raises `ValueError` for slopes and angles beyond a right angle, and negative masses, lengths,
+    inertias, stiffness and damping.
     """
 
     slope: Real = Parameter("slope", "of the ground", "rad", 0.0, -np.pi / 2, np.pi / 2).field()
-    alpha: Real = Parameter("alpha", "half between spokes", "rad", np.pi / 8, 0, np.pi / 2).field()
-    torso_mass: Real = Parameter("torso_mass", "of the torso", "hub's", 1.0, closed=True).field()
-    torso_com: Real = Parameter("torso_com", "from the hub", "spokes'", 0.5, closed=True).field()
+    alpha: Real = Parameter(
+        "alpha", "half the angle between spokes", "rad", np.pi / 8, 0, np.pi / 2
+    ).field()
+    torso_mass: Real = Parameter("torso_mass", "of the torso", "hub mass", 1.0, closed=True).field()
+    torso_com: Real = Parameter(
+        "torso_com", "from the hub", "spoke length", 0.5, closed=True
+    ).field()
     torso_inertia: Real = Parameter("torso_inertia", "of the torso", "", 0.1, closed=True).field()
     stiffness: Real = Parameter("stiffness", "of the motor", "", 1.5, closed=True).field()
     damping: Real = Parameter("damping", "of the motor", "", 0.3, closed=True).field()

@@ -58,12 +58,13 @@ class SwitchedCompass(HybridSystem):
       hold both back.
     - `switch_angle`: theta at which it stops; not negative, as a foot may strike from then on.
 
-    Raises `ValueError` for parameters that are not within these bounds.
+    Raises `ValueError` for slopes beyond a right angle, for masses and distances that are not
+    above zero, and for a negative switch angle.
     """
 
     slope: Real = Parameter("slope", "of the ground", "rad", np.nan, -np.pi / 2, np.pi / 2).field()
-    leg_mass: Real = Parameter("leg_mass", "of each leg", "hip's", 0.5).field()
-    com_from_hip: Real = Parameter("com_from_hip", "of a leg's mass", "legs'", 0.5).field()
+    leg_mass: Real = Parameter("leg_mass", "of each leg", "hip mass", 0.5).field()
+    com_from_hip: Real = Parameter("com_from_hip", "of a leg's mass", "leg length", 0.5).field()
     torque: Real = Parameter("torque", "of the hip", "", 0.02, -np.inf).field()
     switch_angle: Real = Parameter(
         "switch_angle", "where it stops", "rad", 0.1, closed=True

@@ -75,6 +75,15 @@ class System(eqx.Module):
         return None
 
 
+def has_gait_region(system: System) -> bool:
+    """Whether a system says where its gaits are to be searched for."""
+    try:
+        system.gait_region()
+    except WrongUse:
+        return False
+    return True
+
+
 def apply_map(walker: System, x: Float[Array, " section"]) -> Stride:
     """The next point of a system that says itself how it advances."""
     state, outcome, time = walker.advance(x)
