@@ -287,7 +287,18 @@ class Half(wj.HybridSystem):
     section = ("x", "y")
 """
 
-FILES = {"mine.py": MINE, "own_maps.py": OWN_MAPS, "broken.py": "x = 1 / 0"} | dict.fromkeys(
+OWN_MANY = """
+import numpy as np
+import walker_jax as wj
+
+class Scaled(wj.System):
+    factor: float = 0.5
+    section = ("x", "y")
+
+many = Scaled(np.ones(3))
+"""
+OWN = {"mine.py": MINE, "own_maps.py": OWN_MAPS, "own_many.py": OWN_MANY}
+FILES = {**OWN, "broken.py": "x = 1 / 0"} | dict.fromkeys(
     ("empty.py", "my.walker.py", "numpy.py", "taken", "taken.nc", "taken.png", BLOCK), ""
 )
 

@@ -40,6 +40,11 @@ class WalkingCells(NamedTuple):
     """Cells that converge to no known attractor."""
 
 
+def has_known_units(data: xr.Dataset) -> bool:
+    """Whether the section begins as walkers' do, so that areas and volumes have known units."""
+    return [*data.attrs["section"][:2]] == ["theta", "thetadot"]
+
+
 def total_area(data: xr.Dataset) -> float:
     """The area of all basins together."""
     return float(data["area"].sum())

@@ -8,11 +8,11 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
-from walker_jax.checks import WrongUse, is_number
+from walker_jax.checks import is_number
 from walker_jax.gaits.search import search_gait
 from walker_jax.gaits.selection import require_gait
 from walker_jax.grids import Grid, axes_around
-from walker_jax.systems.system import System
+from walker_jax.systems.system import System, has_gait_region
 from walker_jax.walkers.model import Walker, moves_like
 from walker_jax.walkers.simplest import SimplestWalker
 
@@ -43,18 +43,16 @@ def fill_around_gait(walker: System, axes: Mapping[str, Any]) -> dict[str, Any]:
     return {name: window[name] if axis is None else axis for name, axis in axes.items()}
 
 
-def fill_from_region(walker: System, cells: int) -> dict[str, Any]:
+def window_of_region(walker: System, cells: int) -> dict[str, Any] | None:
     """Axes over the region in which a system's gaits are searched for, of so many cells each.
 
-    Raises `WrongUse` for a region that is not a plain one of two axes.
+    None where there is no such region, or it is not plain, or not of two axes.
     """
-    region = walker.gait_region()
-    if (
-        region.names != walker.section
-        or len(region.names) != 2
-        or np.any(region.shear != np.eye(2))
-    ):
-        raise WrongUse(f"gait_region of {walker.label()} is no window of a picture")
+    region = walker.gait_region() if has_gait_region(walker) else None
+    if region is None or region.names != walker.section or len(region.names) != 2:
+        return None
+    if np.any(region.shear != np.eye(2)):
+        return None
     ends = zip(region.names, region.lower, region.upper, strict=True)
     return {name: (float(low), float(high), cells) for name, low, high in ends}
 

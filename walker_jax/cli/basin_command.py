@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 import walker_jax as wj
 from walker_jax import storage
+from walker_jax.basins.cell_classes import has_known_units
 from walker_jax.basins.summary import summarise_basin, tally
 from walker_jax.basins.windows import (
     fill_around_gait,
@@ -143,10 +144,16 @@ def basin(
         raise WrongUse("--method must be direct with --levels, not cell-map")
     if levels is not None and zoom is not None:
         raise WrongUse("--zoom and --levels exclude each other: give one of them")
+    axes: dict[str, Any] = {"theta": theta}
+    axes |= {"sum": sum_} if thetadot is None else {"thetadot": thetadot}
+    if has_phidot:
+        axes["phidot"] = at_phidot if phidot is None else phidot
+    axes = window_from(walker, axis, axes)
     whole = has_phidot and levels is not None and at_phidot is None and not axis
     sliced = has_phidot and phidot is None and not whole
     if axis:
-        sliced = any(":" not in one for one in axis)
+        check_ranges(axes, 3 if zoom is None else 2)
+        sliced = any(map(is_number, axes.values()))
     if zoom is None and (near is not None or animate is not None):
         raise WrongUse(
             f"{'--near' if near is not None else '--animate'} is for a --zoom: give it too"
@@ -173,14 +180,7 @@ def basin(
     strides, seed = strides or 200, seed or 0
     if at_phidot is not None:
         check_finite(**{"at-phidot": at_phidot})
-    axes: dict[str, Any] = {"theta": theta}
-    axes |= {"sum": sum_} if thetadot is None else {"thetadot": thetadot}
-    if has_phidot:
-        axes["phidot"] = at_phidot if phidot is None else phidot
-    axes = window_from(walker, axis, axes)
-    if axis:
-        check_ranges(axes, 3 if zoom is None else 2)
-    if whole and isinstance(walker, Walker):
+    if whole and isinstance(walker, Walker):  # the latter for the type checker alone
         known = whole_section(walker)
         axes = {name: known[name] if axis is None else axis for name, axis in axes.items()}
     check_drawable(outline(axes))
@@ -226,6 +226,7 @@ def basin(
         shown = wj.zoom(walker, first, zoom, centre, frames=frames, strides=strides, progress=True)
         figures.zoom_film(shown, animate, signature=storage.signature(shots), progress=True)
 
+    # The data set has no coordinate for a slice through one that is not the last of the section.
     fixed = {name: at for name, at in axes.items() if is_number(at)}
     fixed |= {
         name: float(data[name]) for name in walker.section if name in data and not data[name].ndim
@@ -244,8 +245,8 @@ def basin(
     if fixed:
         print(f"  slice at {', '.join(f'{name} {value:.10g}' for name, value in fixed.items())}")
     measure = "volume" if "run_fate" in data or data["fate"].ndim == 3 else "area"
-    zoomed, walkers = zoom is not None, isinstance(walker, Walker)
-    print_basin(answer, measure, zoomed=zoomed, walkers=walkers)
+    unit = UNITS[measure] if has_known_units(data) else ""
+    print_basin(answer, measure, unit, zoomed=zoom is not None)
     if counts.unmatched:
         print(f"  {counts.unmatched} cells walk on without coming near a known attractor")
     if reused:
@@ -264,7 +265,7 @@ def basin(
 
 
 def check_section(walker: System, axis: list[str] | None) -> None:
-    """Refuse a section of which there is no picture, or none without axes that are given."""
+    """Refuse a section of one coordinate, which has no picture, and of many without --axis."""
     count = len(walker.section)
     if count == 1:
         raise WrongUse(
@@ -300,11 +301,10 @@ def draw_basin(data: "xarray.Dataset"):
     return draw_cells(figures.thin(data))
 
 
-def print_basin(answer: dict, measure: str, *, zoomed: bool, walkers: bool) -> None:
+def print_basin(answer: dict, measure: str, unit: str, *, zoomed: bool) -> None:
     """The attractors and fates of a basin, in words; `measure` is the kind of its size.
 
-    That a basin goes on beyond the grid is not said of a window within it. The unit is that of
-    walkers' sections.
+    That a basin goes on beyond the grid is not said of a window within it.
     """
     for i, one in enumerate(answer["attractors"]):
         states = ", ".join(f"({listed(state)})" for state in one["states"][:4])
@@ -315,8 +315,7 @@ def print_basin(answer: dict, measure: str, *, zoomed: bool, walkers: bool) -> N
         print(f"  {kind} {i}: {period}, {size}, at {states}{more}{cycles_in_words(one)}")
     if f"{measure}_error" in answer:
         size, error = answer[measure], answer[f"{measure}_error"]
-        unit = f" {UNITS[measure]}" if walkers else ""
-        print(f"  {measure} {size:.7g} +- {error:.1g}{unit} in all")
+        print(f"  {measure} {size:.7g} +- {error:.1g} {unit}".rstrip() + " in all")
     else:
         print(f"  {measure} {answer['area']:.6g} in all")
     if answer.get("at_border") and not zoomed:

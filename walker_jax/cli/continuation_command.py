@@ -30,7 +30,7 @@ from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import check_parameter, describe_walker
 
 DEFAULT = "slope=0.002:0.02:37"
-"""What a walker is followed over."""
+"""The slopes over which walkers are followed."""
 
 
 @takes_walker(systems=True)

@@ -1,7 +1,7 @@
 """Options that several commands have, and what is read from them."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,7 +9,7 @@ import numpy as np
 import typer
 from jaxtyping import Float
 
-from walker_jax.basins.windows import fill_from_paper, fill_from_region, grid_along
+from walker_jax.basins.windows import fill_from_paper, grid_along, window_of_region
 from walker_jax.checks import WrongUse, is_number
 from walker_jax.grids import Grid
 from walker_jax.systems.system import System
@@ -103,21 +103,25 @@ def state_from(walker: System, given: dict[str, float]) -> Float[np.ndarray, " s
     return np.array([given[name] for name in walker.section])
 
 
+def check_coordinate(option: str, walker: System, name: str, earlier: Container[str]) -> None:
+    """Refuse a name that the section lacks, or that an option was given for before."""
+    if name in earlier:
+        raise WrongUse(f"{option} is given twice for {name}")
+    if name not in walker.section:
+        section = ", ".join(walker.section)
+        raise WrongUse(f"{option} must be of the section, {section}, not of {name}")
+
+
 def start_from(walker: System, texts: list[str] | None, given: dict[str, float]) -> dict:
     """The coordinates that --start names, or those that have options of their own."""
     named: dict[str, float] = {}
     for text in texts or []:
         name, (value,) = read_numbers("--start", "NAME=VALUE", (float,), text)
-        if name in named:
-            raise WrongUse(f"--start is given twice for {name}")
+        check_coordinate("--start", walker, name, named)
         check_finite(start=value)
         named[name] = value
     if named and given:
         raise WrongUse(f"--start and --{next(iter(given))} exclude each other: give one of them")
-    for name in named:
-        if name not in walker.section:
-            section = ", ".join(walker.section)
-            raise WrongUse(f"--start must be of the section, {section}, not of {name}")
     for name in walker.section if named else ():
         if name not in named:
             raise WrongUse(f"--start {name}=VALUE is required too")
@@ -139,11 +143,7 @@ def axes_from(walker: System, texts: list[str], **others: Any) -> dict[str, Any]
         else:
             name, (axis,) = read_numbers("--axis", AXIS_FORM, (float,), text)
             check_finite(axis=axis)
-        if name in axes:
-            raise WrongUse(f"--axis is given twice for {name}")
-        if name not in walker.section:
-            section = ", ".join(walker.section)
-            raise WrongUse(f"--axis must be of the section, {section}, not of {name}")
+        check_coordinate("--axis", walker, name, axes)
         axes[name] = axis
     for name in walker.section:
         if name not in axes:
@@ -165,11 +165,11 @@ def window_from(walker: System, axis: list[str] | None, axes: dict[str, Any]) ->
     if isinstance(walker, Walker):
         return fill_from_paper(walker, axes)
     refuse_axes_of_walkers(walker, **axes)
-    try:
-        return fill_from_region(walker, WINDOW_CELLS)
-    except WrongUse:
+    window = window_of_region(walker, WINDOW_CELLS)
+    if window is None:
         names = ", ".join(walker.section)
-        raise WrongUse(f"--axis NAME=LO:HI:N is required, for each of {names}") from None
+        raise WrongUse(f"--axis NAME=LO:HI:N is required, for each of {names}")
+    return window
 
 
 def refuse_axes_of_walkers(walker: System, **axes: Any) -> None:
@@ -190,7 +190,7 @@ def check_ranges(axes: dict[str, Any], most: int) -> None:
 def check_phidot(walker: System, at_phidot: float | None, phidot: AxisOption | None = None) -> None:
     """Refuse phidot for a walker whose section lacks it, and two ways to give it."""
     given = "--at-phidot" if phidot is None else "--phidot"
-    refuse_axes_of_walkers(walker, **{given.removeprefix("--"): at_phidot or phidot})
+    refuse_axes_of_walkers(walker, **{"at-phidot": at_phidot, "phidot": phidot})
     if "phidot" not in walker.section and (phidot is not None or at_phidot is not None):
         section = ", ".join(walker.section)
         raise WrongUse(f"{given} must be left out: it is not on the section, {section}")
@@ -232,7 +232,7 @@ def grid_from(
 
 
 def asked_of(grid: Grid | None) -> dict[str, Any]:
-    """What a request says of a grid: its axes, and through which point a slice goes."""
+    """The part of a request about a grid: its axes, and the point through which a slice goes."""
     if grid is None:
         return {}
     origin = np.asarray(grid.origin)

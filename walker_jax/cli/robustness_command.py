@@ -18,6 +18,7 @@ from walker_jax.cli.options import (
     Overwrite,
     PictureOfData,
     Seed,
+    asked_of,
     check_finite,
     check_slopes,
     grid_from,
@@ -112,7 +113,7 @@ def robustness(
     } | ({} if ground is None else {"ground": ground})
     if not is_planar(walker):
         options["check"] = check_starts(walker, exact=True)
-    asked = {"slopes": slopes, "axes": {} if grid is None else grid.box}
+    asked = {"slopes": slopes, "axes": asked_of(grid)}
     request = request_for("robustness", walker, walker=about, **asked, **options)
     figure, data = find_earlier(out, figure, request, overwrite=overwrite)
     if data is None:

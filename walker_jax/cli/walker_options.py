@@ -4,7 +4,7 @@ import functools
 import inspect
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from itertools import pairwise
+from itertools import zip_longest
 from types import MappingProxyType
 from typing import Annotated
 
@@ -47,13 +47,15 @@ def takes_walker(
 
 def offered_kinds(command: Callable[..., None], args: Sequence[str]) -> Kinds:
     """The package's walkers, or the walker or system that the arguments of a command name."""
-    name, system = value_of("--walker", args), value_of("--system", args)
+    name = value_of("--walker", args)
+    system = value_of("--system", args) if vars(command)["systems"] else None
+    if name is not None and system is not None:
+        raise WrongUse("--walker and --system exclude each other: give one of them")
+    name = DEFAULT if name is None else name
     try:
-        if system is not None and vars(command)["systems"]:
-            if name is not None:
-                raise WrongUse("walker and --system exclude each other: give one of them")
+        if system is not None:
             return {system: find_system(system)}
-        return WALKERS if (name or DEFAULT) in WALKERS else {str(name): find_walker(str(name))}
+        return WALKERS if name in WALKERS else {name: find_walker(name)}
     except WrongUse as error:
         raise WrongPlace(f"--{error}") from error
 
@@ -61,7 +63,7 @@ def offered_kinds(command: Callable[..., None], args: Sequence[str]) -> Kinds:
 def value_of(option: str, args: Sequence[str]) -> str | None:
     """The last value that arguments give to an option, if any."""
     value = None
-    for one, following in pairwise([*args, ""]):
+    for one, following in zip_longest(args, args[1:]):
         if one == option:
             value = following
         elif one.startswith(f"{option}="):
@@ -89,8 +91,8 @@ def with_walker_options(command: Callable[..., None], kinds: Kinds) -> Callable[
 
     @functools.wraps(command)
     def with_options(**given):
-        name = given.pop("system", None) or given.pop("walker")
-        given.pop("walker", None)
+        walker = given.pop("walker")
+        name = given.pop("system", None) or walker
         given.pop("list_walkers")
         for one, instead in without.items():
             if given.pop(PREFIX + one) is not None:

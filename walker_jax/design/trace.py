@@ -65,9 +65,8 @@ class Trace:
         """How a search without a guess differs from the gait that is measured; empty if not."""
         problem = self.problem
         walker = problem.walker_at(values)
-        if not {*problem.measures} - {problem.size} or not self.gait(values).found:
-            return ""
-        if not has_gait_region(walker):
+        of_gaits = {*problem.measures} - {problem.size}
+        if not of_gaits or not has_gait_region(walker) or not self.gait(values).found:
             return ""
         searched = search_gait(walker, tolerance=problem.tolerance)
         return compare_with_search(self.gait(values), searched)

@@ -3,13 +3,13 @@
 import xarray as xr
 from matplotlib.axes import Axes
 
+from walker_jax.basins.cell_classes import has_known_units
 from walker_jax.figures.layout import Shown, dress, figure_of, new_axes
 from walker_jax.figures.style import BASINS
 from walker_jax.figures.text import (
     AREA_LABEL,
     VOLUME_LABEL,
     join_phrases,
-    of_walker,
     parameter_values,
     walker_title,
 )
@@ -45,7 +45,7 @@ def sweep(
     area, error = area.isel(first), error.isel(first)
     x = str(area.dims[0])
     words = VOLUME_LABEL if data["fate"].ndim == data["total_area"].ndim + 3 else AREA_LABEL
-    words = words if of_walker(data) else words.partition(" (")[0]
+    words = words if has_known_units(data) else words.partition(" (")[0]
     if area.ndim == 1:
         ax.errorbar(data[x], area, error, fmt="o-", color=BASINS[0], capsize=3)
         y, bars = words, []

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import xarray as xr
 
-from walker_jax.basins.cell_classes import total_area
+from walker_jax.basins.cell_classes import has_known_units, total_area
 
 AREA_LABEL = "area of the basin (rad² / √(l/g))"
 VOLUME_LABEL = "volume of the basin (rad³·g/l)"
@@ -73,11 +73,6 @@ def join_phrases(phrases: Sequence[str], width: int) -> str:
     return textwrap.fill(", ".join(whole), width).replace("\u00a0", " ")
 
 
-def of_walker(data: xr.Dataset) -> bool:
-    """Whether a data set is of a walker's section, whose units are known."""
-    return [*data.attrs["section"][:2]] == ["theta", "thetadot"]
-
-
 def basin_note(data: xr.Dataset) -> str:
     """The method, the number of cells, and the area of all basins together."""
     method = data.attrs.get("method", "")
@@ -95,7 +90,7 @@ def volume_note(data: xr.Dataset) -> str:
     shape = " × ".join(str(data.sizes[name]) for name in data["axis"].values.tolist())
     size, error = float(data["total_area"]), float(data["total_area_error"])
     note = f"{METHOD_NAMES['direct, refined'].rstrip(',')}, on {shape} cells"
-    unit = " rad³·g/l" if of_walker(data) else ""
+    unit = " rad³·g/l" if has_known_units(data) else ""
     return f"{note}; basin volume {with_error(size, error)}{unit}"
 
 
@@ -119,7 +114,7 @@ def coordinate_value(name: str, value: float) -> str:
 
 def area_phrase(data: xr.Dataset, area: float) -> str:
     """An area of a data set, with the unit that it has on a walker's section."""
-    if not of_walker(data):
+    if not has_known_units(data):
         return f"basin area {area:.4g}"
     mantissa, exponent = f"{area:.2e}".split("e")
     return rf"basin area {mantissa} × 10$^{{{int(exponent)}}}$ rad² / √(l/g)"

@@ -19,7 +19,7 @@ from typing import Any, TypeGuard
 
 from walker_jax.checks import WrongPlace, WrongUse, short
 from walker_jax.systems.family import SYSTEMS
-from walker_jax.systems.system import System
+from walker_jax.systems.system import System, check_single
 from walker_jax.walkers.family import WALKERS
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.sources import file_of, holds_packages
@@ -61,6 +61,10 @@ def find_system(name: str) -> type[System] | System:
     module = load_place(place, "system")
     value = vars(module).get(attribute)
     if isinstance(value, System):
+        try:
+            check_single(value)
+        except WrongUse as error:
+            raise WrongUse(f"system {name}: {error}") from error
         return value
     if not is_system(value):
         others = choose_from([one for one in vars(module) if is_own(module, one)], place)
