@@ -12,18 +12,18 @@ Every cell of a square grid is followed until it escapes, or is within 1e-6 of a
 
 Everything is compiled first. `times as long` is the ratio to the first row of the same job.
 
-On two cores of a busy machine:
+On two cores:
 
     Hénon, 1000 x 1000, 205 iterations a cell
-    walker_jax                                       3.043 s     1.00 times as long
-    jit(vmap(the loop over one start))              12.450 s     4.09 times as long
-    numba, by hand                                   0.948 s     0.31 times as long
+    walker_jax                                       0.464 s     1.00 times as long
+    jit(vmap(the loop over one start))               4.005 s     8.64 times as long
+    numba, by hand                                   0.397 s     0.86 times as long
     cells that differ: 0
-    Duffing, 150 x 150, 59 periods a cell
-    walker_jax                                       8.122 s     1.00 times as long
-    numba, by hand, 972 steps, error 1e-08          61.896 s     7.62 times as long
-
-Half of the time over the map is the search for cycles, and the rounds in which walks are followed.
+    Duffing, 60 x 60, 60 periods a cell
+    walker_jax                                       0.452 s     1.00 times as long
+    numba, by hand, 972 steps, error 1e-08           3.694 s     8.18 times as long
+    numba, by hand, 7881 steps, error 2e-12         29.807 s    65.96 times as long
+    scipy, DOP853, two processes, scaled           328.096 s   726.08 times as long
 
     python benchmarks/systems.py [CELLS ALONG A SIDE OF THE MAP [AND OF THE FLOW]]
 

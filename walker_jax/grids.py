@@ -245,9 +245,12 @@ class Grid(eqx.Module):
         dtype = jnp.asarray(0.0).dtype  # where nothing is compiled for so little
         cell_slices = (self.lower, self.spacing, self.shear, self.origin)
         lower, spacing, shear, origin = (np.asarray(part, dtype) for part in cell_slices)
-        places = np.stack(np.unravel_index(indices, self.counts), axis=1).astype(dtype)
-        u = lower + (places + dtype.type(0.5)) * spacing
-        return origin + np.sum(shear * u[:, None], axis=2)
+        found = np.zeros((len(indices), len(origin)), dtype)
+        # Axis by axis, as NumPy sums over short rows ten times as slowly.
+        for axis, places in enumerate(np.unravel_index(indices, self.counts)):
+            u = lower[axis] + (places.astype(dtype) + dtype.type(0.5)) * spacing[axis]
+            found += shear[:, axis] * u[:, None]
+        return origin + found
 
     def contains(self, points: Float[np.ndarray, "*n s"]) -> Bool[np.ndarray, "*n"]:
         """Whether a cell holds a point; on the host only."""

@@ -5,7 +5,13 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from walker_jax.basins.attractor import CLOSE, Attractor, capture_radius, match_attractor
+from walker_jax.basins.attractor import (
+    CLOSE,
+    Attractor,
+    capture_radius,
+    match_attractor,
+    targets_of,
+)
 from walker_jax.gaits.cycles import gait_at
 from walker_jax.gaits.search import cycle_guesses, iterate_newton
 from walker_jax.integrators.integrator import Integrator
@@ -15,6 +21,8 @@ from walker_jax.walking.iteration import iterate, orbits
 
 SAMPLE = 2**14
 """Starts that are followed in search of attractors."""
+SCOUTS = 2**8
+"""Those that are followed first: on what they find, most of the others end."""
 LONGEST_PERIOD = 64
 """Strides in the longest cycle that is recognised as one."""
 PATIENCE = 8
@@ -62,7 +70,55 @@ def find_attractors(
     Where there is none, and none of them falls or converges to a cycle for long, they are on an
     attractor without a period; one is added for them all.
     """
-    found, exact = list(known), 1e3 * np.finfo(x.dtype).eps
+    found = list(known)
+    if len(x) > SCOUTS:
+        add_cycles(walker, sample(x, SCOUTS), found, integrator)
+        if any(one.period for one in found):
+            x = x[not_on(found, walker, x, integrator)]
+    x, solved = add_cycles(walker, x, found, integrator)
+    if len(x) and not solved and all(one.period for one in found):
+        wandering = on_lasting_motion(walker, x[:WITNESSES], found, integrator)
+        if len(wandering):
+            found.append(Attractor(None, x[wandering[:1]]))
+    return found
+
+
+def add_cycles(
+    walker: System,
+    x: Float[np.ndarray, "n section"],
+    found: list[Attractor],
+    integrator: Integrator,
+) -> tuple[Float[np.ndarray, "m section"], bool]:
+    """Add the cycles to which walkers converge.
+
+    Returns where walkers are that neither failed nor came to a cycle, and whether some of them
+    approach one that was solved for.
+    """
+    x, period, nearest = add_repeated(walker, x, found, integrator)
+    slow = np.flatnonzero(nearest < NEARLY)[:ATTEMPTS]
+    solved = [
+        cycle
+        for start, count in zip(x[slow], period[slow], strict=True)
+        if (cycle := stable_cycle(walker, start, int(count), integrator)) is not None
+    ]
+    for states in solved:
+        if cycle := new_cycle(states, found):
+            found.append(cycle)
+    return x, bool(solved)
+
+
+def add_repeated(
+    walker: System,
+    x: Float[np.ndarray, "n section"],
+    found: list[Attractor],
+    integrator: Integrator,
+) -> tuple[Float[np.ndarray, "m section"], Int[np.ndarray, " m"], Float[np.ndarray, " m"]]:
+    """Add the cycles on which walkers repeat themselves to rounding, in `PATIENCE` rounds.
+
+    Returns where walkers are that neither failed nor came to a cycle, after how many strides each
+    came nearest to where it is, and how near.
+    """
+    exact = 1e3 * np.finfo(x.dtype).eps
     starts, period, nearest = x, np.ones(len(x), int), np.zeros(len(x))
     for _ in range(PATIENCE):
         states, outcome = orbits(walker, x, LONGEST_PERIOD, integrator)
@@ -84,21 +140,20 @@ def find_attractors(
         x, starts, misses = x[left], starts[left], misses[left]
         period, nearest = misses.argmin(axis=1) + 1, misses.min(axis=1)
         if len(x) == 0:
-            return found
-    slow = np.flatnonzero(nearest < NEARLY)[:ATTEMPTS]
-    solved = [
-        cycle
-        for start, count in zip(x[slow], period[slow], strict=True)
-        if (cycle := stable_cycle(walker, start, int(count), integrator)) is not None
-    ]
-    for states in solved:
-        if cycle := new_cycle(states, found):
-            found.append(cycle)
-    if not solved and all(one.period for one in found):
-        wandering = on_lasting_motion(walker, x[:WITNESSES], found, integrator)
-        if len(wandering):
-            found.append(Attractor(None, x[wandering[:1]]))
-    return found
+            break
+    return x, period, nearest
+
+
+def not_on(
+    found: Sequence[Attractor],
+    walker: System,
+    x: Float[np.ndarray, "n section"],
+    integrator: Integrator,
+) -> Bool[np.ndarray, " n"]:
+    """Which walkers neither fail nor come to one of these cycles, in as many strides."""
+    targets, _ = targets_of(found, x.shape[1])
+    end = iterate(walker, x, PATIENCE * LONGEST_PERIOD, integrator, targets)
+    return (end.outcome == Outcome.STRIDE) & (end.target < 0)
 
 
 def on_lasting_motion(

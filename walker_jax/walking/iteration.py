@@ -37,7 +37,7 @@ SINGLE_STRIDES, MANY_WALKS = 32, 5000
 """Rounds on a CPU have one stride as long as so few are made and so many walks go on: in a longer
 round the lanes of a kernel wait for the one that walks farthest, half of the time or more. Most
 walks have ended by then, and a round of fewer takes about as long as it takes to begin."""
-ROUNDS_OF_MAPS = 64, 1024
+ROUNDS_OF_MAPS = 256, 1024
 """The same of systems that say themselves how they advance: a stride takes less than a call."""
 RECORDED = 16
 """Strides of which one call returns all states. More of them save no time, as a call takes much
@@ -224,23 +224,29 @@ def walk_on(
 ) -> WalkEnd:
     """Walk on until a failure, until a target is reached, or for a number of strides."""
 
-    def reached(x):
-        if targets is None:
-            return jnp.asarray(-1, jnp.int32)
+    def distances(x):
         distance = jnp.sum(targets.frames * (x - targets.states)[:, None], axis=2)
-        distance = jnp.max(jnp.abs(distance), axis=1)
-        return jnp.where(jnp.min(distance) < 1, jnp.argmin(distance).astype(jnp.int32), -1)
+        return jnp.max(jnp.abs(distance), axis=1)
 
-    def unfinished(end):
-        return (end.outcome == Outcome.STRIDE) & (end.strides < limit) & (end.target < 0)
+    def is_near(x):
+        return jnp.asarray(False) if targets is None else jnp.any(distances(x) < 1)
 
-    def advance(end):
-        result = follow_stride(walker, end.state, integrator)
-        made = (result.outcome == Outcome.STRIDE).astype(jnp.int32)
-        return WalkEnd(result.state, result.outcome, end.strides + made, reached(result.state))
+    def unfinished(carry):
+        _, outcome, made, near = carry
+        return (outcome == Outcome.STRIDE) & (made < limit) & ~near
 
-    first = jnp.asarray(Outcome.STRIDE, jnp.int8), jnp.zeros((), jnp.int32)
-    return lax.while_loop(unfinished, advance, WalkEnd(x, *first, reached(x)))
+    def advance(carry):
+        x, _, made, _ = carry
+        result = follow_stride(walker, x, integrator)
+        made = made + (result.outcome == Outcome.STRIDE).astype(jnp.int32)
+        return result.state, result.outcome, made, is_near(result.state)
+
+    begun = jnp.asarray(Outcome.STRIDE, jnp.int8), jnp.zeros((), jnp.int32)
+    x, outcome, made, near = lax.while_loop(unfinished, advance, (x, *begun, is_near(x)))
+    target = jnp.asarray(-1, jnp.int32)
+    if targets is not None:
+        target = jnp.where(near, jnp.argmin(distances(x)).astype(jnp.int32), target)
+    return WalkEnd(x, outcome, made, target)
 
 
 def iterate(
@@ -275,26 +281,19 @@ def iterate(
     while len(active) and done < limit:
         single = in_lanes and done < SINGLE_STRIDES and len(active) >= MANY_WALKS
         count = 1 if for_host or single else min(next(rounds), limit - done)
+        here = active if len(active) < n else slice(None)  # which copies nothing
+        some = walker if len(active) == n else select_walkers(walker, active)
         part = map_cells(
             walk_on,
-            (
-                select_walkers(walker, active),
-                end.state[active],
-                compiled,
-                np.int32(count),
-                integrator,
-            ),
+            (some, end.state[here], compiled, np.int32(count), integrator),
             (many, True, False, False, False),
             progress=progress and f"{progress}: from stride {done + 1} on, {len(active)} walkers",
         )
         if for_host:
             part = part._replace(target=nearest_target(part.state, for_host))
-        end.state[active], end.outcome[active], end.target[active] = (
-            part.state,
-            part.outcome,
-            part.target,
-        )
-        end.strides[active] += part.strides
+        end.state[here], end.outcome[here] = part.state, part.outcome
+        end.target[here] = part.target
+        end.strides[here] += part.strides
         active, done = active[(part.outcome == Outcome.STRIDE) & (part.target < 0)], done + count
     return end
 
