@@ -14,7 +14,7 @@ from typing import NoReturn
 
 from walker_jax.cli.app import Interrupted, app, resume_notes
 from walker_jax.cli.complaints import complaint
-from walker_jax.cli.rewording import with_options_named
+from walker_jax.cli.rewording import OPTIONS, OPTIONS_OF_SYSTEMS, with_options_named
 
 FEW_COLLECTIONS = 50_000
 """New objects after which Python looks for garbage: traces are many objects, of which most live on,
@@ -58,7 +58,10 @@ def verdict(error: Exception) -> tuple[int, str]:
         return 1, f"{type(error).__name__}: {error}"
     said, place = [*map(str, error.args)], isinstance(error, checks.WrongPlace | checks.NotWritten)
     verbatim = said[:1] if place else []  # it holds paths
-    reason = ": ".join([*verbatim, *map(with_options_named, said[len(verbatim) :])])
+    of_system = any(word.partition("=")[0] == "--system" for word in sys.argv)
+    options = OPTIONS_OF_SYSTEMS if of_system else OPTIONS
+    named = [with_options_named(one, options) for one in said[len(verbatim) :]]
+    reason = ": ".join([*verbatim, *named])
     return (2 if isinstance(error, checks.WrongUse) else 1), reason
 
 

@@ -23,6 +23,12 @@ OPTIONS = {
     "grid is": "--theta, --sum and --at-phidot are",
 }
 """Arguments of the library, as its messages name them, and the options that set them."""
+OPTIONS_OF_SYSTEMS = OPTIONS | {
+    "another guess": "another --start",
+    "a guess": "--start NAME=VALUE",
+    "the guess": "--start",
+}
+"""Those of a command with --system."""
 GIVE = re.compile(r"(?<=; give )((?:\w+, )+)(?=or )")
 """Arguments of which a message of `gaits.selection.require_gait` lists some."""
 

@@ -5,8 +5,8 @@ import numpy as np
 from walker_jax.checks import ComputationFailed
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.derivatives import linearise
-from walker_jax.systems.system import System
-from walker_jax.walkers.model import moves_like
+from walker_jax.systems.system import System, numbers_of
+from walker_jax.walkers.model import Walker, moves_like
 from walker_jax.walkers.parameters import describe_briefly
 from walker_jax.walkers.simplest import SimplestWalker
 from walker_jax.walking.starts import prepare
@@ -25,9 +25,10 @@ def no_gait_found(
     """
     reason = reason_without_gait(walker, period, search, guessed=guessed)
     instead = instead or f"try {'another guess' if guessed else 'a guess'}"
+    other = "another slope" if "slope" in numbers_of(walker) else "other parameters"
     return ComputationFailed(
         f"no gait of period {period} found for {describe_briefly(walker)}: {reason}; {instead}, "
-        "or another slope"
+        f"or {other}"
     )
 
 
@@ -39,7 +40,8 @@ def reason_without_gait(walker: System, period: int, search: Gait | None, *, gue
     if not np.isfinite(search.residual):
         start = "the guess" if guessed else "the state where the search begins"
         made = "no stride" if period == 1 else f"fewer than {period} strides"
-        return f"the walker makes {made} from {start}"
+        subject = "the walker" if isinstance(walker, Walker) else "the system"
+        return f"{subject} makes {made} from {start}"
     if search.residual > LARGE_RESIDUAL:
         return (
             f"Newton's iteration diverged: a stride misses the next state by {search.residual:.2g}"
