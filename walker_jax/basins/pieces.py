@@ -24,7 +24,7 @@ from walker_jax.basins.methods import (
 )
 from walker_jax.basins.narrow_windows import follow_window
 from walker_jax.basins.schema import (
-    ATTRIBUTES,
+    ARRAYS,
     add_attractors,
     arrays_to_compute,
     constant_array,
@@ -72,7 +72,7 @@ class MappedPieces(NamedTuple):
         attractors, number = attractors_of_cycles(self.walker, self.grid, ends, self.integrator)
 
         def piece(cells: slice) -> dict[str, np.ndarray]:
-            return dict(zip(ATTRIBUTES, labels_of_cells(ends.part(cells), number), strict=True))
+            return dict(zip(ARRAYS, labels_of_cells(ends.part(cells), number), strict=True))
 
         pieces = (piece(block_at(self.grid, place, i).cells) for i in range(place.count))
         return attractors, pieces
@@ -126,7 +126,7 @@ class FollowedPieces(NamedTuple):
         labels = labels._replace(strides=labels.strides + np.int32(made))
         ends, remaining = np.full_like(labels.states, np.nan), labels.remaining
         ends[remaining] = labels.states[remaining]
-        return dict(zip(ATTRIBUTES, labels, strict=False)) | {"ends": ends}
+        return dict(zip(ARRAYS, labels, strict=False)) | {"ends": ends}
 
     def finish(
         self, place: storage.Pieces
@@ -173,7 +173,7 @@ def compute_in_pieces(
     found = storage.find(out, request, overwrite=overwrite)
     if found is not None:
         return found
-    arrays, block = arrays_to_compute(grid) | work, block_shape(grid.shape)
+    arrays, block = arrays_to_compute(method.walker, grid) | work, block_shape(grid.shape)
     with (
         open_workers(cluster) as each,  # first, as there may be none
         storage.open_pieces(

@@ -20,7 +20,13 @@ from walker_jax.basins.memory import check_grid
 from walker_jax.basins.methods import mapper_of_grid
 from walker_jax.basins.refined_cells import REDRAWN, RefinedCells
 from walker_jax.basins.runs import Runs
-from walker_jax.basins.schema import ATTRIBUTES, Basins, add_attractors, describe, to_dataset
+from walker_jax.basins.schema import (
+    Basins,
+    add_attractors,
+    attributes_of_arrays,
+    describe,
+    to_dataset,
+)
 from walker_jax.checks import check_precision, check_whole, refuses_tracers
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import integrator_of
@@ -159,10 +165,11 @@ def dataset_of_runs(walker: System, found: Refined, settings: dict) -> xr.Datase
     walks = basins.attractor >= 0
     cells = np.zeros(len(basins.attractors), int)
     np.add.at(cells, basins.attractor[walks], runs.lengths[walks])
+    about = attributes_of_arrays(walker.failures)
     data = describe(walker, found.grid, settings).assign(
         first_cell=("run", runs.first),
-        run_fate=("run", basins.fate, ATTRIBUTES["fate"]),
-        run_attractor=("run", basins.attractor, ATTRIBUTES["attractor"]),
+        run_fate=("run", basins.fate, about["fate"]),
+        run_attractor=("run", basins.attractor, about["attractor"]),
         lower=("axis", np.asarray(found.grid.lower)),
         upper=("axis", np.asarray(found.grid.upper)),
         shear=(("coordinate", "axis"), np.asarray(found.grid.shear)),

@@ -1,5 +1,6 @@
 """The data set of a basin: its arrays, their dimensions, types and attributes."""
 
+from collections.abc import Sequence
 from importlib.metadata import version
 from typing import Any, NamedTuple
 
@@ -10,21 +11,24 @@ from jaxtyping import Bool, Int
 
 from walker_jax.basins.attractor import Attractor, sorted_numbers
 from walker_jax.grids import Grid, cell_slices
-from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.outcomes import names_of_outcomes
 from walker_jax.systems.system import System
 from walker_jax.walkers.parameters import attributes_of
 
 NOT_COMPUTED = -1
 """The fate of a cell whose piece has not been computed."""
-ATTRIBUTES: dict[str, dict[str, Any]] = {
-    "fate": {
-        "flag_values": list(range(len(Outcome))),
-        "flag_meanings": " ".join(Outcome.__members__),
-    },
-    "attractor": {"description": "-1 for none"},
-    "strides": {"description": "before the attractor or the failure"},
-}
-"""Of the arrays over a grid."""
+ARRAYS = "fate", "attractor", "strides"
+"""Over a grid."""
+
+
+def attributes_of_arrays(failures: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """The attributes of these arrays, of a system with failures of its own."""
+    names = names_of_outcomes(failures)
+    return {
+        "fate": {"flag_values": list(map(int, names)), "flag_meanings": " ".join(names.values())},
+        "attractor": {"description": "-1 for none"},
+        "strides": {"description": "before the attractor or the failure"},
+    }
 
 
 class Basins(NamedTuple):
@@ -54,8 +58,10 @@ def to_dataset(walker: System, grid: Grid, basins: Basins, settings: dict) -> xr
     reached = basins.attractor[basins.attractor >= 0]
     cells = np.bincount(reached, minlength=len(basins.attractors))
     arrays = {
-        name: (grid.names, np.asarray(values).reshape(grid.shape), ATTRIBUTES[name])
-        for name, values in zip(ATTRIBUTES, basins, strict=False)
+        name: (grid.names, np.asarray(values).reshape(grid.shape), about)
+        for (name, about), values in zip(
+            attributes_of_arrays(walker.failures).items(), basins, strict=False
+        )
     }
     data = describe(walker, grid, settings).assign(arrays)
     at_border = count_at_border(grid, basins.attractor)
@@ -132,12 +138,13 @@ def request_of(about: xr.Dataset, grid: Grid) -> dict:
     }
 
 
-def arrays_to_compute(grid: Grid) -> dict[str, xr.Variable]:
+def arrays_to_compute(walker: System, grid: Grid) -> dict[str, xr.Variable]:
     """The arrays over a grid before anything is computed."""
+    about = attributes_of_arrays(walker.failures)
     return {
-        "fate": constant_array(grid, NOT_COMPUTED, np.int8, ATTRIBUTES["fate"]),
-        "attractor": constant_array(grid, -1, np.int32, ATTRIBUTES["attractor"]),
-        "strides": constant_array(grid, 0, np.int32, ATTRIBUTES["strides"]),
+        "fate": constant_array(grid, NOT_COMPUTED, np.int8, about["fate"]),
+        "attractor": constant_array(grid, -1, np.int32, about["attractor"]),
+        "strides": constant_array(grid, 0, np.int32, about["strides"]),
     }
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import xarray as xr
 
 from walker_jax.basins.runs import Runs, flat_index
-from walker_jax.basins.schema import ATTRIBUTES, count_at_border
+from walker_jax.basins.schema import attributes_of_arrays, count_at_border
 from walker_jax.checks import WrongUse, check_kind, check_number, refuses_tracers, short
 from walker_jax.grids import Grid
 from walker_jax.storage.schema import check_dataset
@@ -50,8 +50,9 @@ def slice_basin(data: xr.Dataset, axis: str, value: float) -> xr.Dataset:
     }
     reached = arrays["attractor"][arrays["attractor"] >= 0]
     counts = np.bincount(reached, minlength=data.sizes["number"])
+    about = attributes_of_arrays(data.attrs.get("failures", ()))
     found = xr.Dataset(
-        {key: (plane.names, values, ATTRIBUTES[key]) for key, values in arrays.items()},
+        {key: (plane.names, values, about[key]) for key, values in arrays.items()},
         coords=plane.axes | {axis: centre},
         attrs=data.attrs | {"area": (counts * plane.cell_area).tolist()},
     )

@@ -51,12 +51,12 @@ def explain(
     modes = [
         one._asdict() | {"rises": [rise._asdict() for rise in one.rises]} for one in found.modes
     ]
-    known = found.outcome.name == "STRIDE"
+    known = found.name == "STRIDE"
     print_json(
         {
             "walker": describe_walker(walker),
             "start": found.start,
-            "outcome": found.outcome.name,
+            "outcome": found.name,
             "modes": modes,
             "complaints": found.complaints,
             "state": found.state if known else None,

@@ -21,7 +21,7 @@ from walker_jax.basins.computation import basin
 from walker_jax.basins.matching import number_alike
 from walker_jax.basins.memory import check_grid
 from walker_jax.basins.refinement import FINEST, refine
-from walker_jax.basins.schema import ATTRIBUTES, arrays_to_compute, describe, request_of
+from walker_jax.basins.schema import ARRAYS, arrays_to_compute, describe, request_of
 from walker_jax.checks import WrongUse, check_kind, check_whole, numbers, refuses_tracers, short
 from walker_jax.design.measures import gait_measures
 from walker_jax.execution.progress import track
@@ -216,7 +216,7 @@ def empty_row(plan: Measurement) -> dict[str, xr.Variable]:
     shape = OWN, LONGEST_PERIOD, plan.grid.coordinates
     row |= {"attractor_states": (("own", "phase", "coordinate"), np.full(shape, np.nan))}
     row = (without_gait(plan.walker) if plan.robust else {}) | row
-    return arrays_to_compute(plan.grid) | {
+    return arrays_to_compute(plan.walker, plan.grid) | {
         str(name): one.variable for name, one in xr.Dataset(row).items()
     }
 
@@ -249,7 +249,7 @@ def measure_basin(walker: System, plan: Measurement) -> dict[str, Any]:
     """The basin of a walker, its area, and its gait."""
     grid, strides, tolerance = plan.grid, plan.strides, plan.tolerance
     cells = basin(walker, grid, "direct", strides=strides, tolerance=tolerance)
-    row: dict[str, Any] = {name: cells[name].values for name in ATTRIBUTES}
+    row: dict[str, Any] = {name: cells[name].values for name in ARRAYS}
     row |= {"area": float(cells["area"].sum()), "attractors": cells.sizes["number"]}
     period, states = (empty_row(plan)[name].values.copy() for name in OF_OWN)
     kept = cells.isel(number=slice(OWN))

@@ -181,7 +181,9 @@ def basins_in_a_row(data: xr.Dataset) -> Figure:
     panels = figure.subplots(rows, 3, sharex=True, sharey=True, squeeze=False)
     fate, attractor = data["fate"].values, data["attractor"].values
     walks = fate == Outcome.STRIDE
-    regions = regions_of_one_basin(fate, walks & (attractor >= 0), walks & (attractor < 0))
+    regions = regions_of_one_basin(
+        fate, walks & (attractor >= 0), walks & (attractor < 0), data.attrs.get("failures", ())
+    )
     image, extent = paint(regions, fate.shape), extent_of(data, x, y)
     for ax in panels.flat[len(slopes) :]:
         ax.set_visible(False)

@@ -17,7 +17,7 @@ from walker_jax.figures.regions import (
     regions_of,
     show_image,
 )
-from walker_jax.figures.style import BASINS, FAILURES, INK
+from walker_jax.figures.style import BASINS, INK, failure_words
 from walker_jax.figures.text import walker_title
 from walker_jax.storage.schema import check_dataset
 from walker_jax.systems.outcomes import Outcome
@@ -70,7 +70,7 @@ def boundary(
     seen: dict[bytes, str] = {}
     for i in range(data.sizes["edge"]):
         one = data.isel(edge=i)
-        pair = " / ".join(name_of(Outcome(int(code))) for code in one["edge_fates"].values)
+        pair = " / ".join(name_of(int(code), data) for code in one["edge_fates"].values)
         colour = CURVES[len(seen) % len(CURVES)]
         states = one["edge_saddle"].values
         states = states[np.isfinite(states).all(axis=1)]
@@ -105,9 +105,10 @@ def boundary(
     return ax
 
 
-def name_of(outcome: Outcome) -> str:
+def name_of(outcome: int, data: xr.Dataset) -> str:
     """A region in a word or two."""
-    return "walks" if outcome == Outcome.STRIDE else FAILURES[outcome][2]
+    failures = data.attrs.get("failures", ())
+    return "walks" if outcome == Outcome.STRIDE else failure_words(outcome, failures)
 
 
 def saddle_phrase(one: xr.Dataset) -> str:

@@ -144,7 +144,9 @@ def zoom_film(data: xr.Dataset, path: Path, *, signature: str = "", progress: bo
     fate = data["fate"].values
     walks = fate == Outcome.STRIDE
     known = data["attractor"].values >= 0
-    regions = regions_of_one_basin(fate, walks & known, walks & ~known)
+    regions = regions_of_one_basin(
+        fate, walks & known, walks & ~known, data.attrs.get("failures", ())
+    )
     images = paint(regions, fate.shape).swapaxes(1, 2)
     figure = Figure(figsize=(6.4, 6.6), layout="constrained")
     ax = figure.subplots()

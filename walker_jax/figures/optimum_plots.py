@@ -253,7 +253,9 @@ def draw_basins(panels: Sequence[Axes], data: xr.Dataset) -> None:
         raise WrongUse("data must hold the basins at start and optimum of an optimisation")
     x, y = map(str, data["fate_start"].dims)
     fate = np.stack([data["fate_start"].values, data["fate_optimum"].values])
-    regions = regions_of_one_basin(fate, fate == ATTRACTED, fate == Outcome.STRIDE)
+    regions = regions_of_one_basin(
+        fate, fate == ATTRACTED, fate == Outcome.STRIDE, data.attrs.get("failures", ())
+    )
     images, extent = paint(regions, fate.shape), extent_of(data, x, y)
     for ax, side, image in zip(panels, ("start", "optimum"), images, strict=True):
         show_image(ax, image, extent)

@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Arc, Polygon
 
 from walker_jax.figures.layout import figure_legend, figure_title
-from walker_jax.figures.style import BASINS, FAILURES, INK, SMALL
+from walker_jax.figures.style import BASINS, INK, SMALL, failure_words
 from walker_jax.figures.text import walker_title
 from walker_jax.storage.schema import check_dataset
 from walker_jax.systems.outcomes import Outcome
@@ -49,7 +49,8 @@ def step(data: xr.Dataset) -> Figure:
     left = min(-0.62 * size, places.min() - 0.1 * size)  # farther where the walker falls
     right = max(0.62 * size, places.max() + 0.1 * size)
     strides = data["outcome"].values[0] == Outcome.STRIDE
-    ending = "just before heel strike" if strides else FAILURES[Outcome(int(data["outcome"][0]))][2]
+    failed = failure_words(int(data["outcome"][0]), data.attrs.get("failures", ()))
+    ending = "just before heel strike" if strides else failed
     for k, (ax, share) in enumerate(zip(panels, SHARES, strict=True)):
         pose = own.isel(frame=round(share * last))
         draw_ground(ax, data)

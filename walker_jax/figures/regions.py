@@ -1,5 +1,6 @@
 """Regions of a grid in their colours: basins, failures, and how the legend names them."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from walker_jax.figures.style import (
     INK,
     OTHERS,
     UNMATCHED,
+    failure_words,
 )
 from walker_jax.figures.text import SYMBOLS
 from walker_jax.systems.outcomes import Outcome
@@ -58,30 +60,33 @@ def regions_of(data: xr.Dataset, large: list[int]) -> list[Region]:
         Region(walking.artefacts, ARTEFACTS, "", "artefacts of cell mapping", counted=True),
         Region(walking.unmatched, UNMATCHED, "", UNMATCHED_WORDS, counted=True),
     ]
-    return with_failures(found, data["fate"].values)
+    return with_failures(found, data["fate"].values, data.attrs.get("failures", ()))
 
 
 def regions_of_one_basin(
     fate: Int[np.ndarray, "*shape"],
     basin: Bool[np.ndarray, "*shape"],
     unmatched: Bool[np.ndarray, "*shape"],
+    failures: Sequence[str] = (),
 ) -> list[Region]:
     """The regions that there are where all basins have one colour."""
     found = [
         Region(CellClass(basin), BASINS[0], "A", BASIN),
         Region(CellClass(unmatched), UNMATCHED, "", UNMATCHED_WORDS),
     ]
-    return with_failures(found, fate)
+    return with_failures(found, fate, failures)
 
 
-def with_failures(regions: list[Region], fate: Int[np.ndarray, "*shape"]) -> list[Region]:
+def with_failures(
+    regions: list[Region], fate: Int[np.ndarray, "*shape"], failures: Sequence[str]
+) -> list[Region]:
     """Regions and those of failures, without those that are empty."""
     cells = failing_cells(fate)
-    failures = [
-        Region(cells[outcome], colour, letter, words, counted=outcome == Outcome.UNDECIDED)
-        for outcome, (colour, letter, words) in FAILURES.items()
+    failing = [
+        Region(cells[one], colour, letter, failure_words(one, failures), one == Outcome.UNDECIDED)
+        for one, (colour, letter, _) in FAILURES.items()
     ]
-    return [region for region in (*regions, *failures) if region.cells.any()]
+    return [region for region in (*regions, *failing) if region.cells.any()]
 
 
 def paint(regions: list[Region], shape: tuple[int, ...]) -> UInt8[np.ndarray, "*shape 3"]:

@@ -21,7 +21,7 @@ from walker_jax.figures.regions import (
     regions_of,
     show_image,
 )
-from walker_jax.figures.style import BASINS, FAILURES, INK
+from walker_jax.figures.style import BASINS, INK, failure_words
 from walker_jax.figures.text import RADIUS, count_noun, walker_title
 from walker_jax.stability.nearest_starts import (
     NearestStart,
@@ -87,7 +87,9 @@ def disturbance(
     gait = data["gait_state"].values
     name = attractor_name(int(data["gait_period"]), data.attrs["section"], gait[None])
     signs = [(gait, "o", name)]
-    signs += [(one.state, sign, start_phrase(one)) for one, sign in zip(starts, "XP", strict=False)]
+    signs += [
+        (one.state, sign, start_phrase(one, data)) for one, sign in zip(starts, "XP", strict=False)
+    ]
     marks = []
     look: dict[str, Any] = {"ls": "", "mec": "white", "color": INK, "zorder": 3}
     for state, sign, words in signs:
@@ -120,11 +122,12 @@ def distance_phrase(starts: list[NearestStart]) -> str:
     return f"{nearest.distance:.4g}, from the gait to the nearest {end}"
 
 
-def start_phrase(start: NearestStart) -> str:
+def start_phrase(start: NearestStart, data: xr.Dataset) -> str:
     """What the legend says of the nearest start that does not return."""
     if start.outcome == Outcome.STRIDE:
         return "nearest start that converges to another attractor"
-    fails, strides = FAILURES[start.outcome][2], count_noun(start.strides, "stride")
+    fails = failure_words(start.outcome, data.attrs.get("failures", ()))
+    strides = count_noun(start.strides, "stride")
     return f"nearest start that {fails} after {strides}"
 
 

@@ -1,11 +1,12 @@
 """Colours, signs, lines and sizes that all pictures share."""
 
+from collections.abc import Sequence
 from typing import Any
 
 from matplotlib import rcParams
 from matplotlib.font_manager import FontProperties
 
-from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.outcomes import OWN, Outcome, name_of_outcome
 
 INK = "#1a1a1a"
 FAILURES = {
@@ -20,8 +21,21 @@ FAILURES = {
     Outcome.BUCKLED: ("#6b4828", "", "buckles"),
     Outcome.SCUFFED: ("#1d4843", "", "scuffs"),
     Outcome.SIDEWAYS: ("#c68739", "S", "falls sideways"),
+    Outcome.OWN_1: ("#9f88cb", "", "first failure of its own"),
+    Outcome.OWN_2: ("#3f8f8c", "", "second failure of its own"),
+    Outcome.OWN_3: ("#8f437c", "", "third failure of its own"),
+    Outcome.OWN_4: ("#4d5417", "", "fourth failure of its own"),
 }
-"""Colour, letter (Schwab and Wisse 2001, Figure 2) and words, from light to dark."""
+"""Colour, letter (Schwab and Wisse 2001, Figure 2) and words, from light to dark; then those of a
+system's own, which has a name for each that it knows."""
+
+
+def failure_words(outcome: int, failures: Sequence[str] = ()) -> str:
+    """How a walk fails, in words, of a system with these failures of its own."""
+    own = outcome in OWN[: len(failures)]
+    return name_of_outcome(outcome, failures).replace("_", " ") if own else FAILURES[outcome][2]
+
+
 BASINS = ("#0d2c5e", "#8c2566", "#0f7a72")
 MARKERS = "os^"
 """Colours of the basins, from dark to light, and signs of their attractors; the largest first."""

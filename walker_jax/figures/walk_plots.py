@@ -20,7 +20,7 @@ from walker_jax.figures.regions import (
     regions_of,
     show_image,
 )
-from walker_jax.figures.style import BASINS, FAILURES, INK, SMALL
+from walker_jax.figures.style import BASINS, INK, SMALL, failure_words
 from walker_jax.figures.text import count_noun, walker_title
 from walker_jax.storage.schema import check_dataset
 from walker_jax.systems.outcomes import Outcome
@@ -91,7 +91,11 @@ def course(data: xr.Dataset) -> str:
     outcomes = data["outcome"].values
     last = Outcome(int(outcomes[-1]))
     strides = count_noun(len(outcomes) - (last != Outcome.STRIDE), "stride")
-    return strides if last == Outcome.STRIDE else f"{strides}, then {FAILURES[last][2]}"
+    return (
+        strides
+        if last == Outcome.STRIDE
+        else f"{strides}, then {failure_words(last, data.attrs.get('failures', ()))}"
+    )
 
 
 def steps_over_basin(data: xr.Dataset, walk: xr.Dataset) -> Figure:

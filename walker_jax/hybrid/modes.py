@@ -69,17 +69,27 @@ class Mode(NamedTuple):
     conditions: tuple[Condition, ...] = ()
     reset: Callable[[Any], Any] = lambda state: state
     """The state in which the next mode begins, of that in which this one has ended."""
+    at_end: tuple[Condition, ...] = ()
+    """Functions of the state in which its last guard has ended it, before the reset, that must be
+    positive for the motion to go on: such as the speed at which a foot lifts in an impact."""
     foregone: Foregone | None = None
     rates_at: Callable[[Any], Any] | None = None
     """The time derivative of a single state, where `field` is no function."""
     as_smooth: bool = False
     """Whether the guards are known to be as smooth along a solution as the solution is, such as
     those of angles that move by their own sines: no step need be shorter for them then."""
+    energy: Function | None = None
+    """Of a state, if it is known. Nothing rests on it, but `explain` says how it changes."""
 
     @property
     def rates(self) -> Callable[[Any], Any]:
         """The time derivative of the state, where it is asked for at a single state."""
         return self.field if self.rates_at is None else self.rates_at  # pyright: ignore
+
+    def outcomes(self) -> list[int]:
+        """All that its guards and conditions lead to."""
+        conditions = (*self.conditions, *self.at_end)
+        return [*(one.leads_to for one in self.guards), *(one.outcome for one in conditions)]
 
     def functions(self, whole: bool = True) -> list[list[Function]]:
         """The value of each guard and the functions that admit it; all of them if `whole`."""

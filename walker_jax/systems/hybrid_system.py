@@ -5,7 +5,9 @@ from typing import Any
 
 from jaxtyping import Array, Float
 
+from walker_jax.checks import WrongUse
 from walker_jax.hybrid.modes import Mode
+from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
 
 
@@ -15,7 +17,8 @@ class HybridSystem(System):
     A stride begins in the state of the first mode that `lift` gives. Each mode is followed to the
     guard that ends it, and its `reset` gives the state in which the next one begins; that of the
     last one leads back to the section, where `project` reads the coordinates. A guard leads to
-    `Outcome.STRIDE` where the stride goes on, and else to the failure that it is.
+    `Outcome.STRIDE` where the stride goes on, and else to the failure that it is: `self.failure`
+    gives those that the system names in `failures`.
 
     States are of any shape: trees of scalars or arrays, such as a `NamedTuple` of numbers.
     """
@@ -31,3 +34,13 @@ class HybridSystem(System):
     @abc.abstractmethod
     def project(self, state: Any) -> Float[Array, " section"]:
         """The point of the section of a state there."""
+
+
+def check_outcomes(system: HybridSystem, *modes: Mode) -> None:
+    """Refuse guards and conditions that lead to what no `Outcome` is."""
+    for outcome in (one for mode in modes for one in mode.outcomes()):
+        if int(outcome) not in Outcome.__members__.values():
+            raise WrongUse(
+                f"leads_to of a guard of {system.label()} must be an Outcome, not {outcome}: "
+                "failure gives those of its own"
+            )

@@ -1,6 +1,7 @@
 """How a stride ends, and what it returns."""
 
 import enum
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -38,6 +39,30 @@ class Outcome(enum.IntEnum):
     that is checked. Or the swing disc of a walker in space."""
     SIDEWAYS = 11
     """A walker in space leans so far to a side that it is down."""
+    OWN_1 = 12
+    """The first of the failures that a system names itself, in `System.failures`."""
+    OWN_2 = 13
+    """The second of them."""
+    OWN_3 = 14
+    """The third of them."""
+    OWN_4 = 15
+    """The fourth of them."""
+
+
+OWN = Outcome.OWN_1, Outcome.OWN_2, Outcome.OWN_3, Outcome.OWN_4
+"""Failures that have names only in a system."""
+
+
+def name_of_outcome(outcome: int, failures: Sequence[str] = ()) -> str:
+    """The name of an outcome of a system with these failures of its own."""
+    own = int(outcome) - OWN[0]
+    return failures[own] if 0 <= own < len(failures) else Outcome(int(outcome)).name
+
+
+def names_of_outcomes(failures: Sequence[str] = ()) -> dict[Outcome, str]:
+    """The names of all outcomes of a system with these failures of its own."""
+    known = [one for one in Outcome if one not in OWN[len(failures) :]]
+    return {one: name_of_outcome(one, failures) for one in known}
 
 
 class Stride(NamedTuple):

@@ -74,15 +74,22 @@ class SpringMassRunner(HybridSystem):
             pull = self.stiffness * (1 - leg(y)) / leg(y)
             return Point(y.vx, y.vy, pull * y.x, pull * y.y - 1, jnp.ones_like(y.time))
 
+        def energy(y: Point) -> Any:
+            return (y.vx**2 + y.vy**2) / 2 + y.y
+
+        def with_spring(y: Point) -> Any:
+            return energy(y) + self.stiffness * straight(y) ** 2 / 2
+
+        touch = lambda y: y._replace(x=-jnp.cos(direction(y)))
         lands = Guard(lambda y: jnp.sin(direction(y)) - y.y)
         crashes = Guard(lambda y: -y.y, Outcome.FORWARD)
         backward = Guard(straight, Outcome.BACKWARD, (lambda y: -y.vx, lambda y: y.vy))
         downward = Guard(straight, Outcome.STOPPED, (lambda y: -y.vy,))
         leaves = Guard(straight, admits=(lambda y: y.vx, lambda y: y.vy))
         return (
-            Mode(fly, (lands,), reset=lambda y: y._replace(x=-jnp.cos(direction(y)))),
-            Mode(bounce, (crashes, backward, downward, leaves)),
-            Mode(fly, (Guard(lambda y: -y.vy),)),
+            Mode(fly, (lands,), reset=touch, energy=energy),
+            Mode(bounce, (crashes, backward, downward, leaves), energy=with_spring),
+            Mode(fly, (Guard(lambda y: -y.vy),), energy=energy),
         )
 
     def gait_region(self):

@@ -46,8 +46,9 @@ class SwitchedCompass(HybridSystem):
     The swing foot may pass below the ground. At heel strike, `phi = 2 theta` ahead, the foot that
     stood is free, the other one stops, and legs are exchanged, `multibody.impact`. The section is
     just after that. A stride is `BACKWARD` where the stance leg stops, or the strike turns it back,
-    `FORWARD` where it falls to theta = -pi/2, and `RUNNING` where the ground would have to pull. A
-    start is feasible where the trailing foot lifts, phidot > 2 thetadot.
+    `FORWARD` where it falls to theta = -pi/2, `RUNNING` where the ground would have to pull, and
+    `STOPPED` where the trailing foot does not lift. A start is feasible where it does,
+    phidot > 2 thetadot.
 
     **Arguments:** angles in rad, the others in units of the hip's mass, the legs and gravity.
 
@@ -92,12 +93,14 @@ class SwitchedCompass(HybridSystem):
         strikes = Guard(lambda state: state.phi - 2 * state.theta, admits=(lambda s: -s.phi,))
         free = replace(self, torque=jnp.zeros_like(self.torque))
         after = lambda state: after_strike(free, state)
-        return self.swing(stops, passes), free.swing(stops, falls, strikes, reset=after)
+        lifts = Condition(lambda state: foot_speed(after(state)), Outcome.STOPPED)
+        swing = free.swing(stops, falls, strikes, reset=after, at_end=(lifts,))
+        return self.swing(stops, passes), swing
 
-    def swing(self, *guards: Guard, **reset) -> Mode:
+    def swing(self, *guards: Guard, **end) -> Mode:
         """A part of the swing."""
         force = Condition(lambda state: normal_force(self, state), Outcome.RUNNING)
-        return Mode(SingleSupport(self), guards, (force,), **reset)
+        return Mode(SingleSupport(self), guards, (force,), **end)
 
     def lift(self, x):
         return CompassState(x[0], 2 * x[0], x[1], x[2])
@@ -108,7 +111,7 @@ class SwitchedCompass(HybridSystem):
     def feasible(self, x):
         """0 < theta < pi/2, thetadot < 0, and the trailing foot lifts: phidot > 2 thetadot."""
         forward = (x[0] > 0) & (x[0] < np.pi / 2) & (x[1] < 0)
-        return super().feasible(x) & forward & (x[2] > 2 * x[1])
+        return super().feasible(x) & forward & (foot_speed(self.lift(x)) > 0)
 
     def gait_region(self):
         axes = {"theta": (0, 0.6, 15), "sum": (-0.6, 0.3, 20), "turn": (-0.8, 0.2, 8)}
@@ -118,6 +121,11 @@ class SwitchedCompass(HybridSystem):
 def leg(angle: Real) -> Float[Array, " 2"]:
     """From foot to hip, of a leg at an angle from the normal of the slope."""
     return jnp.stack([-jnp.sin(angle), jnp.cos(angle)])
+
+
+def foot_speed(state: CompassState) -> Scalar:
+    """Proportional to the rate at which the trailing foot lifts just after heel strike."""
+    return state.phidot - 2 * state.thetadot
 
 
 def normal_force(walker: SwitchedCompass, state: CompassState) -> Scalar:

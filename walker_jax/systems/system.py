@@ -18,9 +18,17 @@ from jaxtyping import Array, Bool, Float
 from walker_jax.checks import WrongUse
 from walker_jax.grids import Grid
 from walker_jax.integrators.roots import Scalar
-from walker_jax.systems.outcomes import Outcome, Stride, make_stride
+from walker_jax.systems.outcomes import OWN, Outcome, Stride, make_stride
 
 AnySystem = TypeVar("AnySystem", bound="System")
+
+
+SHARED_FAILURES = tuple(
+    one.name
+    for one in Outcome
+    if one not in (Outcome.STRIDE, Outcome.OUTSIDE, Outcome.UNDECIDED, Outcome.LEFT_GRID, *OWN)
+)
+"""Names of failures on the way that all systems may have."""
 
 
 class System(eqx.Module):
@@ -32,6 +40,22 @@ class System(eqx.Module):
 
     section: ClassVar[tuple[str, ...]]
     """Names of the coordinates."""
+    failures: ClassVar[tuple[str, ...]] = ()
+    """Names of failures of its own, up to four, such as "misses" or "hits_the_wall"."""
+
+    def __check_init__(self):
+        names, known = self.failures, Outcome.__members__
+        words = isinstance(names, tuple) and all(isinstance(one, str) for one in names)
+        if not words or not all(one.isidentifier() and one not in known for one in names):
+            raise WrongUse(
+                f"failures of {self.label()} must be a tuple of words that name no Outcome, "
+                f"not {names!r}"
+            )
+        if len(set(names)) < len(names) or len(names) > len(OWN):
+            raise WrongUse(
+                f"failures of {self.label()} must be {len(OWN)} different words at most, "
+                f"not {names!r}"
+            )
 
     def __repr__(self):
         """The parameters' values, as far as each is one number; else their types and shapes."""
@@ -47,6 +71,17 @@ class System(eqx.Module):
         is not feasible, and `UNDECIDED` where a next point is not finite.
         """
         raise WrongUse(f"advance must be defined by {self.label()}, which has none")
+
+    def failure(self, name: str) -> Outcome:
+        """The `Outcome` of a failure: one of the system's own `failures`, or one that all share."""
+        if name in self.failures:
+            return OWN[self.failures.index(name)]
+        if name not in SHARED_FAILURES:
+            raise WrongUse(
+                f"failure of {self.label()} must be one of "
+                f"{', '.join([*self.failures, *SHARED_FAILURES])}, not {name!r}"
+            )
+        return Outcome[name]
 
     def label(self) -> str:
         """Its name in data sets, answers and errors."""
@@ -94,7 +129,9 @@ def apply_map(walker: System, x: Float[Array, " section"]) -> Stride:
             f"{state.dtype} of shape {state.shape}"
         )
     finite = jnp.all(jnp.isfinite(state))
-    outcome = jnp.where((outcome == Outcome.STRIDE) & ~finite, Outcome.UNDECIDED, outcome)
+    known = jnp.asarray((outcome >= 0) & (outcome < len(Outcome)))
+    decided = known & ((outcome != Outcome.STRIDE) | finite)
+    outcome = jnp.where(decided, outcome, Outcome.UNDECIDED)
     outcome = jnp.where(walker.feasible(x), outcome, Outcome.OUTSIDE).astype(jnp.int8)
     return make_stride(state, outcome, jnp.asarray(time, x.dtype))
 

@@ -36,6 +36,7 @@ from walker_jax.walkers.phase import (
     Phase,
     State,
     conditions_of,
+    energy_of,
     fall_guards,
     is_of_package,
     is_planar,
@@ -140,6 +141,7 @@ class Walker(HybridSystem):
             foregone=foregone,
             rates_at=self.vector_field,
             as_smooth=all(is_of_package(type(self), hook) for hook in GUARD_HOOKS),
+            energy=energy_of(self),
         )
         return *(phase.mode() for phase in self.phases()), swing
 
@@ -225,7 +227,8 @@ class Walker(HybridSystem):
         return -state.theta
 
     def falls(self, state: Any) -> dict[str, Scalar]:
-        """Functions that rise through zero where the walker falls, by the name of an `Outcome`.
+        """Functions that rise through zero where the walker falls, by the name of an `Outcome`, or
+        of one of the walker's own `failures`.
 
         The earliest counts; at the start of a stride, the first that is not negative. By default
         as in the plane.

@@ -82,12 +82,14 @@ def describe_walker(walker: System) -> dict[str, Any]:
 def attributes_of(walker: System, *, without: str | None = None) -> dict[str, Any]:
     """The parameters of a walker, and its options that are on, as attributes of a data set.
 
-    Of a class that is not of the package, a fingerprint of its code too.
+    The names of its own failures too, and of a class that is not of the package a fingerprint of
+    its code.
     """
     values = {name: float(value) for name, value in numbers_of(walker).items() if name != without}
     values |= dict.fromkeys(chosen_options(walker), 1)
     code = code_fingerprint(type(walker), code_of(walker))
     about: dict[str, Any] = {f"walker_{name}": value for name, value in values.items()}
+    about |= {"failures": list(walker.failures)} if walker.failures else {}
     return about | ({"code": code} if code else {})
 
 

@@ -16,13 +16,7 @@ from walker_jax.hybrid.modes import Condition, Function, Guard, Mode
 from walker_jax.integrators.roots import Scalar
 from walker_jax.integrators.taylor import VectorField
 from walker_jax.systems.outcomes import Outcome
-
-FAILURES = tuple(
-    one.name
-    for one in Outcome
-    if one not in (Outcome.STRIDE, Outcome.OUTSIDE, Outcome.UNDECIDED, Outcome.LEFT_GRID)
-)
-"""Names that falls may have."""
+from walker_jax.systems.system import SHARED_FAILURES
 
 
 class State(NamedTuple):
@@ -114,7 +108,14 @@ class Phase(eqx.Module):
             self.end,
             rates_at=self.vector_field,
             as_smooth=as_smooth,
+            energy=energy_of(self),
         )
+
+
+def energy_of(part: Any) -> Function | None:
+    """The method of a walker or a phase that gives its energy, if it has one."""
+    energy = getattr(part, "energy", None)
+    return energy if callable(energy) else None
 
 
 def is_of_package(kind: type, method: str) -> bool:
@@ -125,7 +126,8 @@ def is_of_package(kind: type, method: str) -> bool:
 
 def conditions_of(part: Any) -> dict[int, Function]:
     """Its conditions, the contact force Q_v among them, by the outcome where one is violated."""
-    others = {int(Outcome[name]): one for name, one in part.conditions().items()}
+    walker = getattr(part, "walker", part)
+    others = {int(walker.failure(name)): one for name, one in part.conditions().items()}
     return {int(Outcome.RUNNING): lambda state: part.contact_force(state)[1]} | others
 
 
@@ -134,13 +136,13 @@ def fall_guards(walker: Any, *, persist: bool = False) -> list[Guard]:
     value = lambda name: lambda state: walker.falls(state)[name]
     kind, guards = type(walker).__name__, []
     for name, shape in jax.eval_shape(walker.falls, some_state(walker)).items():
-        if name not in FAILURES:
+        if name not in (names := (*walker.failures, *SHARED_FAILURES)):
             raise WrongUse(
-                f"falls of {kind} must be named by a failure, one of {', '.join(FAILURES)}, "
+                f"falls of {kind} must be named by a failure, one of {', '.join(names)}, "
                 f"not {name!r}"
             )
         check_real(f"falls of {kind}: {name}", shape)
-        guard = Guard(value(name), Outcome[name], persists=persist, at_once=True)
+        guard = Guard(value(name), walker.failure(name), persists=persist, at_once=True)
         if name == "BACKWARD" and is_planar(walker):
             guard = guard._replace(measure=lambda speed: speed**2 / 2)  # smooth at a dead point
         guards.append(guard)

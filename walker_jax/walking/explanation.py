@@ -21,7 +21,7 @@ from walker_jax.integrators.method import MAX_STEPS
 from walker_jax.integrators.roots import Real
 from walker_jax.kernels import by_kernel
 from walker_jax.systems.hybrid_system import HybridSystem
-from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome, name_of_outcome
 from walker_jax.systems.system import System
 from walker_jax.walkers.model import Walker
 from walker_jax.walking.starts import during_stride, full_state, is_feasible, on_section, prepare
@@ -29,6 +29,8 @@ from walker_jax.walking.stride import begin_next, fall_of, method_of, modes_from
 
 MOST_RISES = 20
 """Rises in a mode that are told, the last ones."""
+ENERGY_DRIFT = 1e-6
+"""Change of the energy, relative to it or to 1, from which on it is no error of the integration."""
 PARTS = 0.25, 0.5, 0.75, 1.0
 """Of a step, where conditions are looked at."""
 
@@ -59,12 +61,16 @@ class ModeRecord(NamedTuple):
     """About the least value of each condition, by the outcome where it is negative: of `PARTS`."""
     greatest: dict[str, float]
     """The greatest value of each guard at the ends of steps, by its number and outcome."""
+    energy: tuple[float, float]
+    """At its start and at its end; NaN where the mode does not say it."""
 
 
 class Explanation(NamedTuple):
     """A stride, as it happened; printed, it is a report."""
 
     outcome: Outcome
+    name: str
+    """Of the outcome, where it is one of the system's own."""
     system: str
     start: Float[np.ndarray, " coordinates"]
     modes: list[ModeRecord]
@@ -75,7 +81,7 @@ class Explanation(NamedTuple):
     """Derivative of the next point by the start; NaN where there is none."""
 
     def __str__(self) -> str:
-        lines = [f"{self.system} from {format_point(self.start)}: {self.outcome.name}"]
+        lines = [f"{self.system} from {format_point(self.start)}: {self.name}"]
         for i, mode in enumerate(self.modes):
             end = f"ended by {mode.ended_by}" if mode.ended_by else "ended by nothing"
             lines.append(f"mode {i}: {mode.time:.6g} in {mode.steps} steps, {end}")
@@ -91,6 +97,9 @@ class Explanation(NamedTuple):
             for name, value in mode.least.items():
                 broken = ", violated" if value < 0 else ""
                 lines.append(f"  condition {name}: {value:.6g} at least{broken}")
+            start, end = mode.energy
+            if np.isfinite(start):
+                lines.append(f"  energy {start:.9g} at the start, {end - start:+.3g} along the way")
         if self.outcome == Outcome.STRIDE:
             lines.append(f"leads to {format_point(self.state)}")
             rows, columns = self.jacobian.shape
@@ -112,11 +121,12 @@ def explain(
     """Why the stride from x ends as it does, and whether the parts of a model fit together.
 
     Mode by mode: each guard that rose through zero, when, and whether it was admitted; how near the
-    others came; about the least values of conditions. And complaints: a start that is not feasible;
+    others came; about the least values of conditions; how the energy changes, where it is known
+    (`Mode.energy`, an `energy` of a walker). And complaints: a start that is not feasible;
     a point of the section that `lift` and `project` change; a field that is not finite; a mode that
-    no guard ends, as it never rose or was never admitted; a walker's impact that leads off the
-    section, or a point from which no stride begins; derivatives that are not finite. `print` shows
-    it all.
+    no guard ends, as it never rose or was never admitted; energy that changes although gravity
+    alone drives a walker; an impact that leads off the section, or a point from which no stride
+    begins; derivatives that are not finite. `print` shows it all.
 
     **Arguments:** any system and a point of its section, as in `stride`.
     """
@@ -131,6 +141,8 @@ def explain(
     if isinstance(walker, HybridSystem) and not complaints:
         records, landed = record_modes(during_stride(walker, x), x, integrator)
         complaints += check_records(records)
+        if isinstance(walker, Walker) and walker.driven_by_gravity():
+            complaints += check_energy(records)
         if outcome == Outcome.STRIDE and landed is not None:
             complaints += check_landing(walker, landed)
     if outcome == Outcome.UNDECIDED and not complaints:
@@ -143,7 +155,10 @@ def explain(
                 f"no stride begins at the next point, {format_point(np.asarray(made.state))}"
             )
     state = np.asarray(made.state)
-    return Explanation(outcome, walker.label(), np.asarray(x), records, complaints, state, jacobian)
+    name = name_of_outcome(outcome, walker.failures)
+    return Explanation(
+        outcome, name, walker.label(), np.asarray(x), records, complaints, state, jacobian
+    )
 
 
 def check_point(system: System, x: Any) -> list[str]:
@@ -182,6 +197,19 @@ def check_records(records: list[ModeRecord]) -> list[str]:
     return found if records and not records[-1].ended_by else []
 
 
+def check_energy(records: list[ModeRecord]) -> list[str]:
+    """Complaints of a walker whose energy should stay as it is in each mode."""
+    found = []
+    for i, mode in enumerate(records):
+        start, end = mode.energy
+        if abs(end - start) > ENERGY_DRIFT * max(1.0, abs(start)):
+            found.append(
+                f"in mode {i} the energy changes by {end - start:.3g}, but gravity alone drives "
+                "the walker: vector_field and energy do not belong together"
+            )
+    return found
+
+
 def check_landing(system: HybridSystem, landed: Any) -> list[str]:
     """Complaints of the state in which the next stride begins."""
     point = system.project(landed)
@@ -206,7 +234,9 @@ def record_modes(
     modes = modes_from(system, x)
     for number, mode in enumerate(modes):
         last = number == len(modes) - 1
-        record, state, leads_on = record_mode(mode, number, state, integrator, may_be_due=not last)
+        record, state, leads_on = record_mode(
+            mode, number, state, integrator, system.failures, not last
+        )
         records.append(record)
         if not leads_on:
             return records, None
@@ -216,26 +246,37 @@ def record_modes(
 
 
 def record_mode(
-    mode: Mode, number: int, state: Any, integrator: Integrator, *, may_be_due: bool
+    mode: Mode,
+    number: int,
+    state: Any,
+    integrator: Integrator,
+    failures: tuple[str, ...],
+    may_be_due: bool,
 ) -> tuple[ModeRecord, Any, bool]:
     """A mode from a state: what it saw, its last state, and whether the stride goes on.
 
     One that `may_be_due` is over at once where its last guard is not below zero.
     """
-    names = [Outcome(int(guard.leads_to)).name for guard in mode.guards]
+    names = [name_of_outcome(guard.leads_to, failures) for guard in mode.guards]
+    energy_of = mode.energy or (lambda state: np.nan)
+    energy = float(energy_of(state))
     conditions = {}
     for i, one in enumerate(mode.conditions):
-        name = Outcome(one.outcome).name
+        name = name_of_outcome(one.outcome, failures)
         conditions[f"{name} ({i})" if name in conditions else name] = one.value
     least = {name: float(value(state)) for name, value in conditions.items()}
     values = [float(guard.value(state)) for guard in mode.guards]
     greatest = {f"{i} ({name})": values[i] for i, name in enumerate(names)}
-    fallen = Outcome(int(fall_of(mode, state)))
+
+    def over_at_once(name):
+        return ModeRecord(0.0, 0, f"{name} at once", [], least, greatest, (energy, energy))
+
+    fallen = int(fall_of(mode, state))
     if fallen != Outcome.UNDECIDED:
-        return ModeRecord(0.0, 0, f"{fallen.name} at once", [], least, greatest), state, False
+        return over_at_once(name_of_outcome(fallen, failures)), state, False
     method = method_of(mode, state, integrator)
     if may_be_due and not begins_below(method.series(mode.guards[-1].value, state, 2)):
-        return ModeRecord(0.0, 0, f"{names[-1]} at once", [], least, greatest), state, True
+        return over_at_once(names[-1]), state, True
 
     def look(state, series, time):
         """A step up to a time: its end, the guards there, and the conditions on the way."""
@@ -279,9 +320,16 @@ def record_mode(
         state, time = end, time + float(length)
     rises = rises[-MOST_RISES:]
     if ending is None:
-        return ModeRecord(np.inf, count, "", rises, least, greatest), state, False
-    record = ModeRecord(ending.time, count, ending.leads_to, rises, least, greatest)
-    return record, there, ending.leads_to == Outcome.STRIDE.name
+        change = energy, float(energy_of(state))
+        return ModeRecord(np.inf, count, "", rises, least, greatest, change), state, False
+    change = energy, float(energy_of(there))
+    leads_on = ending.leads_to == Outcome.STRIDE.name
+    for one in mode.at_end if leads_on else ():
+        name = f"{name_of_outcome(one.outcome, failures)} at the end"
+        least[name] = float(one.value(there))
+        leads_on &= least[name] > 0
+    record = ModeRecord(ending.time, count, ending.leads_to, rises, least, greatest, change)
+    return record, there, leads_on
 
 
 def rises_of(coefficients: Float[np.ndarray, " n"], length: float, below: bool) -> list[float]:

@@ -27,7 +27,7 @@ from walker_jax.integrators.roots import Real
 from walker_jax.integrators.taylor import with_fast_sincos
 from walker_jax.kernels import by_kernel
 from walker_jax.systems.hybrid_system import HybridSystem
-from walker_jax.systems.outcomes import Outcome, Stride
+from walker_jax.systems.outcomes import OWN, Outcome, Stride
 from walker_jax.systems.system import System, apply_map
 from walker_jax.walkers.model import Scalar, Walker, toppling_rate
 from walker_jax.walkers.spatial import SpatialWalker
@@ -54,6 +54,7 @@ WAYS = {
     Outcome.SCUFFED: "scuffing",
     Outcome.SIDEWAYS: "sideways",
     Outcome.OUTSIDE: "outside",
+    **dict.fromkeys(OWN, "own"),
 }
 """The margin of each way to fail."""
 
@@ -88,6 +89,8 @@ class Margins(NamedTuple):
     distance from it."""
     outside: Float[Array, "*cells"]
     """By how much the start is feasible, where a system says it (`System.margin`)."""
+    own: Float[Array, "*cells"]
+    """That of the system's own `failures`, the least of them."""
 
 
 def margins(
@@ -148,7 +151,9 @@ def follow_margins(
 def measure_map(walker: System, x: Float[Array, " section"]) -> Margins:
     """The margin that a system says itself is that of the failure that happens."""
     stride, margin = apply_map(walker, x), margin_of_start(walker, x)
-    ways = {name: jnp.where(stride.outcome == way, margin, jnp.nan) for way, name in WAYS.items()}
+    ways = dict.fromkeys(WAYS.values(), jnp.full_like(margin, jnp.nan))
+    for way, name in WAYS.items():
+        ways[name] = jnp.where(stride.outcome == way, margin, ways[name])
     return Margins(stride, **ways | {"outside": margin})
 
 
@@ -202,18 +207,39 @@ def measure_stride(walker: HybridSystem, arrival: Arrival, outcome: Array) -> di
     pulled = jnp.any(jnp.stack([part.verdict == Outcome.RUNNING for part in parts]))
     failed = jnp.where(pulled, force_at_start(parts), failed)
 
+    # the end of a mode
+    for i, part in enumerate(parts):
+        ended = part.end.guard == len(part.mode.guards) - 1
+        ended = struck if i == len(parts) - 1 else ended | (part.verdict == Outcome.STRIDE)
+        for one in part.mode.at_end:
+            value = one.value(part.end.state)
+            passed[one.outcome] = jnp.minimum(
+                passed.get(one.outcome, infinite), jnp.where(ended & ~violated, value, infinite)
+            )
+            failed = jnp.where(ended & (outcome == one.outcome) & (value <= 0), value, failed)
+
     stopped = int(Outcome.STOPPED)
     if isinstance(walker, Walker):
         passed[stopped] = jnp.where(struck & ~violated, lift, passed.get(stopped, infinite))
-    failed = jnp.where(struck & (outcome == stopped), lift, failed)
+        failed = jnp.where(struck & (outcome == stopped), lift, failed)
 
     began = (outcome != Outcome.OUTSIDE) & (outcome != Outcome.UNDECIDED) & ~pulled
-    margins = {}
+    margins: dict[str, Scalar] = {}
+    led_to = {end for part in parts for end in part.mode.outcomes()}
     for way, name in WAYS.items():
+        if way in OWN and way not in led_to:
+            margins.setdefault(name, infinite * jnp.nan)
+            continue
         value = passed.get(int(way), infinite)
         value = jnp.where(began & jnp.isfinite(value), value, jnp.nan)
-        margins[name] = jnp.where(outcome == way, not_above_zero(failed), value)
+        value = jnp.where(outcome == way, not_above_zero(failed), value)
+        margins[name] = least_known(margins[name], value) if name in margins else value
     return margins
+
+
+def least_known(one: Scalar, other: Scalar) -> Scalar:
+    """The lesser of two margins, of which either may be NaN."""
+    return jnp.where(jnp.isnan(one) | (other < one), other, one)
 
 
 def time_scale(walker: HybridSystem, state: Any) -> Scalar:

@@ -28,7 +28,7 @@ from walker_jax.integrators.method import Method, zero_at
 from walker_jax.integrators.roots import Real
 from walker_jax.integrators.taylor import with_fast_sincos
 from walker_jax.kernels import by_kernel
-from walker_jax.systems.hybrid_system import HybridSystem
+from walker_jax.systems.hybrid_system import HybridSystem, check_outcomes
 from walker_jax.systems.outcomes import Outcome, Stride, make_stride
 from walker_jax.systems.system import System, apply_map
 from walker_jax.walkers.model import Scalar, Walker, check_planar
@@ -133,6 +133,7 @@ def modes_from(
     A walker that was launched, and did not start on the section, is followed to the end of a fall.
     """
     *phases, swing = walker.modes()
+    check_outcomes(walker, *phases, swing)
     launched = not on_section(walker, x)
     if launched or to_the_end:
         swing = swing._replace(foregone=None)
@@ -180,6 +181,7 @@ def follow_phases(
         over = (now.verdict == Outcome.UNDECIDED) & due
         now = now._replace(verdict=jnp.where(over, Outcome.STRIDE, now.verdict).astype(jnp.int8))
         now = follow_on(mode, now, integrator, measured)
+        now = now._replace(verdict=judge_end(mode, now))
         ended = now.verdict == Outcome.STRIDE
         time = jnp.where(now.verdict == Outcome.UNDECIDED, jnp.inf, now.time)
         verdict = jnp.where(ended, Outcome.UNDECIDED, now.verdict).astype(jnp.int8)
@@ -237,6 +239,15 @@ def follow_on(mode: Mode, last: Arrival, integrator: Integrator, measured: bool 
     return Arrival(found.state, last.time + found.time, verdict.astype(jnp.int8), violated, parts)
 
 
+def judge_end(mode: Mode, last: Arrival) -> Int[Array, ""]:
+    """The verdict on a mode that was followed: it may have ended as the motion cannot go on."""
+    verdict = last.verdict
+    for one in reversed(mode.at_end):
+        fails = (last.verdict == Outcome.STRIDE) & (with_fast_sincos(one.value)(last.state) <= 0)
+        verdict = jnp.where(fails, one.outcome, verdict)
+    return verdict.astype(jnp.int8)
+
+
 def method_of(mode: Mode, start: Any, integrator: Integrator) -> Method:
     """The method by which a mode is integrated: its steps end at kinks of guards too."""
     functions = tuple(function for guard in mode.functions() for function in guard)
@@ -251,6 +262,8 @@ def end_stride(walker: HybridSystem, modes: list[Mode], last: Arrival) -> tuple[
     struck = jnp.where(fallen == Outcome.UNDECIDED, Outcome.STRIDE, fallen)
     struck = jnp.where(lift > 0, struck, Outcome.STOPPED)
     struck = jnp.where(jnp.isfinite(lift), struck, Outcome.UNDECIDED)
+    for one in reversed(modes[-1].at_end):
+        struck = jnp.where(one.value(last.state) > 0, struck, one.outcome)
     for outcome, violated in reversed(last.violated.items()):
         struck = jnp.where(violated, outcome, struck)
     outcome = jnp.where(last.verdict == Outcome.STRIDE, struck, last.verdict).astype(jnp.int8)

@@ -1,0 +1,176 @@
+"""Failures that a system names itself are outcomes like any other, wherever outcomes are told."""
+
+import json
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from matplotlib.text import Text
+
+import walker_jax as wj
+from walker_jax import figures
+from walker_jax.basins.summary import summarise_basin, tally
+from walker_jax.cli import main
+
+GRID = wj.Grid.plain(speed=(0, 3, 60), place=(-1, 1, 4))
+
+
+class Juggler(wj.HybridSystem):
+    """A ball thrown up under a ceiling, which must come down fast enough to be thrown again.
+
+    It comes down as fast as it was thrown, and is thrown at 0.8 of that and 0.2 more.
+    """
+
+    ceiling: float = 2.0
+    slowest: float = 0.5
+
+    section = "speed", "place"
+    failures = "hits_the_ceiling", "sticks"
+
+    def lift(self, x):
+        return {"y": 0 * x[0], "speed": x[0], "place": x[1]}
+
+    def project(self, state):
+        return jnp.stack([state["speed"], state["place"]])
+
+    def feasible(self, x):
+        return x[0] > 0
+
+    def modes(self):
+        field = lambda y: {"y": y["speed"], "speed": -1 + 0 * y["y"], "place": 0 * y["y"]}
+        again = lambda y: y | {"speed": 0.2 - 0.8 * y["speed"], "place": y["place"] / 2}
+        guards = (
+            wj.Guard(lambda y: y["y"] - self.ceiling, self.failure("hits_the_ceiling")),
+            wj.Guard(lambda y: -y["y"], admits=(lambda y: -y["speed"],)),
+        )
+        fast = wj.Condition(lambda y: -y["speed"] - self.slowest, self.failure("sticks"))
+        energy = lambda y: y["y"] + y["speed"] ** 2 / 2
+        return (wj.Mode(field, guards, reset=again, at_end=(fast,), energy=energy),)
+
+
+BASIN = wj.basin(Juggler(), GRID, "direct", strides=300)
+
+
+def test_strides_end_in_them():
+    made = wj.strides(Juggler(), [[1.0, 0.4], [0.4, 0.0], [2.1, 0.0], [-1.0, 0.0]])
+    assert made.outcome.tolist() == [0, wj.Outcome.OWN_2, wj.Outcome.OWN_1, wj.Outcome.OUTSIDE]
+    np.testing.assert_allclose(made.state[0], [1.0, 0.2], rtol=1e-12)
+    assert np.isnan(made.state[1:]).all()
+
+
+def test_margins_are_how_far_they_are():
+    found = wj.margins_of_many(Juggler(), [[1.0, 0.0], [0.6, 0.0], [0.4, 0.0], [1.9, 0.0]])
+    np.testing.assert_allclose(found.own, [0.5, 0.1, -0.1, 2 - 1.9**2 / 2], atol=1e-12)
+    assert np.isnan(found.stopping).all()
+    by = jax.grad(lambda system: wj.margins(system, jnp.array([0.6, 0.0])).own)(Juggler())
+    assert by.slowest == pytest.approx(-1, abs=1e-12) and by.ceiling == 0
+    # The ball is at the ceiling with no speed at 2: it would have risen by nothing.
+    assert 0 >= wj.margins(Juggler(), jnp.array([2.0 + 1e-9, 0.0])).own > -1e-8
+
+
+def test_the_basin_names_them():
+    speed = BASIN["speed"].values
+    fate = BASIN["fate"].values[:, 0]
+    expected = np.where(speed > 2, 12, np.where(speed < 0.5, 13, 0))
+    np.testing.assert_array_equal(fate, expected)
+    flags = dict(
+        zip(
+            BASIN["fate"].attrs["flag_meanings"].split(),
+            BASIN["fate"].attrs["flag_values"],
+            strict=True,
+        )
+    )
+    assert flags["hits_the_ceiling"] == 12 and flags["sticks"] == 13 and "OWN_1" not in flags
+    fates = summarise_basin(BASIN, tally(BASIN))["fates"]
+    assert fates["hits_the_ceiling"] == 80 and fates["sticks"] == 40 and "OWN_3" not in fates
+    words = {one.get_text() for one in figures.basin(BASIN).figure.findobj(Text)}
+    assert {"hits the ceiling", "sticks"} <= words
+    mapped = wj.basin(Juggler(), GRID)
+    assert set(np.unique(mapped["fate"].values)) <= {0, 12, 13}
+
+
+def test_the_area_has_derivatives_by_what_moves_their_boundaries():
+    found = wj.area_gradient(Juggler(), GRID, ["ceiling", "slowest"])
+    assert found.area == pytest.approx(3.0, rel=1e-9)
+    np.testing.assert_allclose(found.gradient, [1.0, -2.0], rtol=1e-4)
+
+
+def test_an_explanation_names_them():
+    stuck = str(wj.explain(Juggler(), [0.4, 0.0]))
+    assert stuck.startswith("Juggler from (0.4, 0): sticks\n")
+    assert "condition sticks at the end: -0.1 at least, violated" in stuck
+    assert "energy 0.08 at the start" in stuck
+    high = wj.explain(Juggler(), [2.1, 0.0])
+    assert high.name == "hits_the_ceiling" and high.modes[0].ended_by == high.name
+    assert high.outcome == wj.Outcome.OWN_1
+
+
+def test_the_command_line_names_them(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("walker_jax.cli.startup.keep_compiled", lambda: None)
+    monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
+    source = Path(__file__).read_text().partition("BASIN =")[0].replace("import pytest\n", "")
+    (tmp_path / "juggling.py").write_text(source)
+    words = "basin --axis speed=0:3:30 --axis place=-1:1:2 --method direct --json".split()
+    where = ["--system", f"{tmp_path / 'juggling.py'}:Juggler", "--out", str(tmp_path / "b.zarr")]
+    monkeypatch.setattr(sys, "argv", ["walker-jax", *words, *where])
+    with pytest.raises(SystemExit) as ended:
+        main.main()
+    assert ended.value.code == 0
+    fates = json.loads(capsys.readouterr().out)["fates"]
+    assert fates["hits_the_ceiling"] == 20 and fates["sticks"] == 10
+
+
+class Leaning(wj.SimplestWalker):
+    failures = ("leans_too_far",)
+
+    def falls(self, state):
+        return {"leans_too_far": state.theta - 0.5} | super().falls(state)
+
+
+def test_walkers_have_them_too():
+    made = wj.strides(Leaning(0.009), [[0.2, -0.2], [0.55, -0.5]])
+    assert made.outcome.tolist() == [0, wj.Outcome.OWN_1]
+
+
+class Unnamed(Juggler):
+    failures = ()
+
+
+class Elsewhere(Juggler):
+    def modes(self):
+        (mode,) = super().modes()
+        return (mode._replace(guards=(mode.guards[0]._replace(leads_to=99), mode.guards[1])),)
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (Unnamed, "failure of Unnamed must be one of FORWARD, .*, not 'hits_the_ceiling'"),
+        (Elsewhere, "leads_to of a guard of Elsewhere must be an Outcome, not 99"),
+        (
+            type("Twice", (Juggler,), {"failures": ("sticks", "sticks")}),
+            "failures of Twice must be 4 different words at most",
+        ),
+        (
+            type("Taken", (Juggler,), {"failures": ("FORWARD",)}),
+            "failures of Taken must be a tuple of words that name no Outcome, not",
+        ),
+    ],
+)
+def test_what_is_none_is_refused(make, said):
+    with pytest.raises(ValueError, match=said):
+        wj.stride(make(), jnp.array([1.0, 0.0]))
+
+
+class Astray(wj.System):
+    section = ("x",)
+
+    def advance(self, x):
+        return x, jnp.asarray(99), 1.0
+
+
+def test_an_outcome_that_is_none_is_undecided():
+    assert wj.stride(Astray(), jnp.array([1.0])).outcome == wj.Outcome.UNDECIDED
