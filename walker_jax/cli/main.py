@@ -58,8 +58,7 @@ def verdict(error: Exception) -> tuple[int, str]:
         return 1, f"{type(error).__name__}: {error}"
     said, place = [*map(str, error.args)], isinstance(error, checks.WrongPlace | checks.NotWritten)
     verbatim = said[:1] if place else []  # it holds paths
-    of_system = any(word.partition("=")[0] == "--system" for word in sys.argv)
-    options = OPTIONS_OF_SYSTEMS if of_system else OPTIONS
+    options = OPTIONS_OF_SYSTEMS if vars(error).get("of_system") else OPTIONS
     named = [with_options_named(one, options) for one in said[len(verbatim) :]]
     reason = ": ".join([*verbatim, *named])
     return (2 if isinstance(error, checks.WrongUse) else 1), reason

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from walker_jax.checks import WrongPlace, WrongUse
+from walker_jax.checks import ComputationFailed, WrongPlace, WrongUse
 from walker_jax.cli.list_walkers import ListWalkers
 from walker_jax.cli.rewording import option_of, with_options_named
 from walker_jax.systems.family import SYSTEMS
@@ -92,7 +92,8 @@ def with_walker_options(command: Callable[..., None], kinds: Kinds) -> Callable[
     @functools.wraps(command)
     def with_options(**given):
         walker = given.pop("walker")
-        name = given.pop("system", None) or walker
+        system = given.pop("system", None)
+        name = system or walker
         given.pop("list_walkers")
         for one, instead in without.items():
             if given.pop(PREFIX + one) is not None:
@@ -101,7 +102,11 @@ def with_walker_options(command: Callable[..., None], kinds: Kinds) -> Callable[
         values = {one: value for one, value in values.items() if value is not None}
         checks = {one.name: given.pop(PREFIX + one.name) for one in offered_options(kinds)}
         chosen = [one for one, chosen in checks.items() if chosen]
-        return command(build_walker(kinds, name, values, chosen), **given)
+        try:
+            return command(build_walker(kinds, name, values, chosen), **given)
+        except (WrongUse, ComputationFailed) as error:
+            vars(error)["of_system"] = system is not None  # which has options of its own
+            raise
 
     accepted = walker_options(offered, owners, kinds, without)
     if vars(command)["systems"]:
