@@ -14,6 +14,8 @@ import walker_jax as wj
 from walker_jax import figures
 from walker_jax.basins.summary import summarise_basin, tally
 from walker_jax.cli import main
+from walker_jax.explorer.family import describe_family
+from walker_jax.explorer.subjects import Offer
 
 GRID = wj.Grid.plain(speed=(0, 3, 60), place=(-1, 1, 4))
 
@@ -133,6 +135,9 @@ class Leaning(wj.SimplestWalker):
 def test_walkers_have_them_too():
     made = wj.strides(Leaning(0.009), [[0.2, -0.2], [0.55, -0.5]])
     assert made.outcome.tolist() == [0, wj.Outcome.OWN_1]
+    offered = {"leaning": Offer("leaning", Leaning, (0.009,), "")}
+    fates = describe_family(offered)["fates"]
+    assert fates[12]["words"] == "leans too far" and fates[12]["lost"] and 13 not in fates
 
 
 class Unnamed(Juggler):

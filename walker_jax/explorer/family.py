@@ -10,11 +10,12 @@ from walker_jax.figures.style import (
     BASINS,
     FAILURES,
     OTHERS,
+    failure_words,
 )
 from walker_jax.figures.style import (
     UNMATCHED as UNMATCHED_COLOUR,
 )
-from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.outcomes import OWN, Outcome
 from walker_jax.walkers.parameters import Parameter
 
 NOT_LOST = (Outcome.STRIDE, Outcome.OUTSIDE, Outcome.UNDECIDED, Outcome.LEFT_GRID)
@@ -29,10 +30,10 @@ def describe_family(offers: Offers) -> dict:
             int(outcome): {
                 "name": outcome.name,
                 "words": words,
-                "colour": colour,
+                "colour": FAILURES[outcome][0],
                 "lost": outcome not in NOT_LOST,
             }
-            for outcome, (colour, _, words) in FAILURES.items()
+            for outcome, words in words_of_failures(offers).items()
         },
         "basins": list(BASINS),
         "others": OTHERS,
@@ -48,6 +49,16 @@ def describe_family(offers: Offers) -> dict:
         },
         "sections": SECTIONS,
     }
+
+
+def words_of_failures(offers: Offers) -> dict[Outcome, str]:
+    """The failures that walkers on the page may have, with words for each."""
+    named: dict[Outcome, set[str]] = {}
+    for one in offers.values():
+        for outcome in OWN[: len(one.kind.failures)]:
+            named.setdefault(outcome, set()).add(failure_words(outcome, one.kind.failures))
+    own = {outcome: " or ".join(sorted(words)) for outcome, words in named.items()}
+    return {one: words for one, (_, _, words) in FAILURES.items() if one not in OWN} | own
 
 
 def describe_offer(offered: Offer) -> dict:

@@ -48,9 +48,9 @@ def step(data: xr.Dataset) -> Figure:
     places = np.concatenate([shown[name].values[:, 0] for name in ("stance", "hip", "swing")])
     left = min(-0.62 * size, places.min() - 0.1 * size)  # farther where the walker falls
     right = max(0.62 * size, places.max() + 0.1 * size)
-    strides = data["outcome"].values[0] == Outcome.STRIDE
-    failed = failure_words(int(data["outcome"][0]), data.attrs.get("failures", ()))
-    ending = "just before heel strike" if strides else failed
+    outcome, ending = int(data["outcome"][0]), "just before heel strike"
+    if outcome != Outcome.STRIDE:
+        ending = failure_words(outcome, data.attrs.get("failures", ()))
     for k, (ax, share) in enumerate(zip(panels, SHARES, strict=True)):
         pose = own.isel(frame=round(share * last))
         draw_ground(ax, data)
