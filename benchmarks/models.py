@@ -34,15 +34,15 @@ class Case(NamedTuple):
 
 
 CASES = {
-    "henon": Case(wj.HenonMap(1.02), {"x": (-2, 2, 100), "y": (-2, 2, 100)}, ("a", 0.3, 1.0), 1000),
+    "henon": Case(wj.HenonMap(1.02), {"x": (-2, 2, 100), "y": (-2, 2, 100)}, ("a", 0.9, 1.1), 1000),
     "duffing": Case(
         wj.DuffingOscillator(), {"x": (-2, 2, 60), "v": (-2, 2, 60)}, ("force", 0.24, 0.25), 1000
     ),
     "bouncing-ball": Case(
-        wj.BouncingBall(), {"phase": (0, 2, 60), "velocity": (1, 5, 60)}, ("amplitude", 0.85, 1.0)
+        wj.BouncingBall(), {"angle": (0, 2, 60), "velocity": (1, 5, 60)}, ("amplitude", 0.4, 0.6)
     ),
     "impact-oscillator": Case(
-        wj.ImpactOscillator(), {"phase": (-2, 2, 60), "velocity": (-3, -0.1, 60)}, ("stop", 0, 0.2)
+        wj.ImpactOscillator(), {"angle": (0, 3.1, 60), "v": (-2, -0.1, 60)}, ("stop", -0.1, 0.1)
     ),
     "runner": Case(wj.SpringMassRunner(), {"apex": (0.9, 2.2, 400)}, ("stiffness", 24.0, 27.0)),
     "runner-with-retraction": Case(
@@ -103,6 +103,15 @@ def survey(name: str, case: Case) -> None:
     area = lambda one: f"area {float(one.area.sum()):.6g}, periods {one.period.values.tolist()}"
     options: dict[str, Any] = {"strides": case.strides}
     data = timed("basin", lambda: wj.basin(system, grid, "direct", **options), area)
+    if not gait.stable:
+        start, period = data.states.values[0, 0], int(data.period[0])
+        gait = timed(
+            f"the cycle of {period}",
+            lambda: wj.find_gait(system, start, period),
+            lambda one: (
+                f"{one.states[0].round(9)}, largest multiplier {abs(one.multipliers[0]):.9g}"
+            ),
+        )
     plane = grid.shape if len(grid.shape) == 2 else None
     if plane:
         check = {"check": 1000}
@@ -121,8 +130,8 @@ def survey(name: str, case: Case) -> None:
     )
     timed(
         "boundary_dimension",
-        lambda: wj.boundary_dimension(system, grid, pairs=2000, **options),
-        lambda one: f"{one.dimension:.4f} in {len(case.window)} dimensions",
+        lambda: wj.boundary_dimension(system, grid, pairs=20_000, **options),
+        lambda one: f"{one.value:.4f} ({one.low:.3f} to {one.high:.3f})",
     )
     timed(
         "continue_gait",

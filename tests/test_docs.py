@@ -17,7 +17,9 @@ from walker_jax.storage.requests import canonical_json
 
 ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "write-your-own.md"
-SYSTEMS = ROOT / "docs" / "systems.md"
+OWN_MAP, OWN_MACHINE, COMING_FROM = (
+    ROOT / "docs" / f"{name}.md" for name in ("own-map", "own-machine", "coming-from")
+)
 
 
 def programs(page):
@@ -181,17 +183,32 @@ def test_every_public_function_is_in_the_table_of_functions_or_the_glossary():
 SLOW = pytest.mark.slow
 
 
-@pytest.mark.parametrize("number", [0, pytest.param(1, marks=SLOW), pytest.param(2, marks=SLOW)])
-def test_systems_of_the_page_give_the_numbers_that_it_asserts(number):
-    source = programs(SYSTEMS)[number]
+@pytest.mark.parametrize(
+    ("page", "number"),
+    [
+        (OWN_MAP, 0),
+        (OWN_MAP, 1),
+        pytest.param(OWN_MACHINE, 0, marks=SLOW),
+        pytest.param(OWN_MACHINE, 1, marks=SLOW),
+        pytest.param(COMING_FROM, 0, marks=SLOW),
+        (COMING_FROM, 1),
+    ],
+    ids=lambda one: one.stem if isinstance(one, Path) else str(one),
+)
+def test_systems_of_the_pages_give_the_numbers_that_they_assert(page, number):
+    source = programs(page)[number]
     assert "\nassert " in source
     with jax.numpy_dtype_promotion("standard"):  # as those who copy it have
-        exec(compile(source, SYSTEMS.name, "exec"), {"__name__": "own"})
+        exec(compile(source, page.name, "exec"), {"__name__": "own"})
+
+
+def test_every_program_of_a_system_is_tested():
+    assert [len(programs(page)) for page in (OWN_MAP, OWN_MACHINE, COMING_FROM)] == [2, 2, 2]
 
 
 def test_a_map_takes_ten_lines_and_a_runner_forty():
     lines = lambda source: [line for line in source.splitlines() if line.strip()]
-    the_map, _, runner = map(lines, programs(SYSTEMS))
+    the_map, runner = lines(programs(OWN_MAP)[0]), lines(programs(OWN_MACHINE)[1])
     setup = 3  # imports of JAX, and its precision
     assert len(the_map) <= 12 + setup - 1
     assert len(runner) <= 40 + setup + 10  # six lines of assertions and docstrings

@@ -203,6 +203,31 @@ def test_the_ball_that_keeps_step_with_the_table(orbit):
     np.testing.assert_allclose(stable.step_times, 2 * np.pi, rtol=1e-13)
 
 
+@pytest.mark.parametrize(
+    ("system", "axes"),
+    [
+        (wj.BouncingBall(), {"angle": (0.4, 1.2, 8), "velocity": (2.8, 3.4, 8)}),
+        (wj.ImpactOscillator(), {"angle": (2.4, 3.1, 8), "v": (-1, -0.1, 8)}),
+    ],
+    ids=lambda one: type(one).__name__,
+)
+def test_basins_of_systems_with_impacts(system, axes):
+    """Of each cell, what a walk from its centre shows; of the region too."""
+    grid = wj.Grid.plain(**axes)
+    data = wj.basin(system, grid, "direct", strides=400)
+    xs = grid.centres(np.arange(grid.size))
+    for _ in range(400):
+        found = wj.strides(system, xs)
+        xs = np.where(found.outcome[:, None] == wj.Outcome.STRIDE, found.state, xs)
+    gait = wj.find_gait(system)
+    arrived = np.abs(xs - gait.states[0]).max(axis=1) < 1e-6
+    (number,) = np.flatnonzero(
+        [np.abs(one - gait.states[0]).max() < 1e-6 for one in data["states"].values[:, 0]]
+    )
+    np.testing.assert_array_equal(data["attractor"].values.ravel() == number, arrived)
+    assert arrived.sum() > 10
+
+
 def test_the_ball_doubles_its_period_where_it_must():
     expected = REFERENCE["bouncing_ball"]
     branch = wj.continue_gait(

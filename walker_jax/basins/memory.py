@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from walker_jax.checks import WrongUse, check_kind, numbers, short
 from walker_jax.grids import Grid
+from walker_jax.storage.schema import names_in_use
 from walker_jax.systems.system import System
 
 BYTES_PER_CELL = {"cell-map": 25, "direct": 100}
@@ -29,9 +30,17 @@ def lies_along(grid: Grid, place: int, coordinate: int) -> bool:
 
 
 def check_grid(
-    walker: System, grid: Grid, method: str, each: int = BYTES_PER_CELL["direct"]
+    walker: System,
+    grid: Grid,
+    method: str,
+    each: int = BYTES_PER_CELL["direct"],
+    *,
+    kind: str = "basin",
 ) -> None:
-    """Refuse a grid that is not of the walker's section, or too large for this machine's memory."""
+    """Refuse a grid that is not of the walker's section, or too large for this machine's memory.
+
+    Its axes must not have names that the arrays of this `kind` of data set have.
+    """
     check_kind("walker", walker, System)
     check_kind("grid", grid, Grid)
     if grid.coordinates != len(walker.section):
@@ -50,6 +59,11 @@ def check_grid(
             raise WrongUse(
                 f"grid must name coordinates in the order of the section, {walker.section}, "
                 f"not {(*grid.names, *grid.fixed)}"
+            )
+        if name in names_in_use(kind):
+            raise WrongUse(
+                f"grid must not have an axis called {name}, as data sets have an array or a "
+                "dimension of that name: call it another"
             )
     needed, memory = grid.size * each, memory_of_machine()
     if needed > memory:

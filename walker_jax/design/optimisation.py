@@ -176,7 +176,7 @@ def optimise(
     if problem.grid is None and problem.size:
         raise WrongUse("grid is required: no start has a gait of period one to lay it around")
     if problem.grid is not None:
-        check_grid(walker, problem.grid, "direct")
+        check_grid(walker, problem.grid, "direct", kind="optimum")
         axes, needed = len(problem.grid.names), SIZES.get(problem.size)
         if needed is not None and axes != needed:
             raise WrongUse(

@@ -126,7 +126,7 @@ def sweep(
     grid = default_region(walker) if grid is None else grid
     if grid is None:
         raise WrongUse("grid is required where no gait of period one is found")
-    check_grid(walker, grid, "direct")
+    check_grid(walker, grid, "direct", kind="sweep")
     tolerance = float(default_tolerance(jnp.asarray(0.0).dtype, tolerance))
     how = {"levels": levels, "check": check, "robust": int(robust), "strides": strides}
     how = {"method": "direct", **how, "seed": seed, "tolerance": tolerance}

@@ -74,7 +74,7 @@ def boundary(
 
     Raises `ValueError` as `basin`, `basin_entropy` and `merge_regions`.
     """
-    check_grid(walker, grid, "direct")
+    check_grid(walker, grid, "direct", kind="boundary")
     check_single(walker)
     if min(grid.shape) < MIN_CELLS:
         raise WrongUse(

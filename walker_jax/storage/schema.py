@@ -482,6 +482,17 @@ KINDS["sweep"].variables.update(
 )
 
 
+OF_SLICES = {"phidot"}
+"""Arrays that are named as the coordinate whose value they hold."""
+
+
+def names_in_use(kind: str) -> frozenset[str]:
+    """Names of the arrays and dimensions of a kind, which no axis of its grid may have."""
+    variables = variables_of(kind)
+    dimensions = {name for one in variables.values() for name in one.dims.split()}
+    return frozenset(variables.keys() - OF_SLICES | dimensions)
+
+
 def variables_of(kind: str) -> dict[str, Variable]:
     """The variables of a kind, those of its base among them."""
     base = KINDS[kind].base

@@ -29,16 +29,17 @@ class Flight(NamedTuple):
 class BouncingBall(HybridSystem):
     """A ball over a table at amplitude sin(phase), from just after one impact to the next.
 
-    The unit of time is 1 / angular frequency of the table; gravity is 1, so the amplitude is the
-    greatest acceleration of the table over that of gravity. Relative velocities are multiplied by
-    -restitution at an impact. A ball that sticks to the table is `OUTSIDE`. The full equations, not
-    the approximation of high bounces; Luo and Han (1996, Nonlinear Dynamics 10, 1-18).
+    The section's `angle` is that phase. The unit of time is 1 / angular frequency of the table;
+    gravity is 1, so the amplitude is the greatest acceleration of the table over that of gravity.
+    Relative velocities are multiplied by -restitution at an impact. A ball that sticks to the table
+    is `OUTSIDE`. The full equations, not the approximation of high bounces; Luo and Han (1996,
+    Nonlinear Dynamics 10, 1-18).
     """
 
     amplitude: Real = AMPLITUDE.field()
     restitution: Real = RESTITUTION.field()
 
-    section = ("phase", "velocity")
+    section = ("angle", "velocity")
 
     def table(self, phase):
         """Its height and velocity."""
@@ -67,4 +68,4 @@ class BouncingBall(HybridSystem):
         return (Mode(field, (lands,), reset=bounce),)
 
     def gait_region(self):
-        return Grid.plain(phase=(-np.pi, np.pi, 30), velocity=(0, 6, 30))
+        return Grid.plain(angle=(-np.pi, np.pi, 30), velocity=(0, 6, 30))

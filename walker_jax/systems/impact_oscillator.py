@@ -17,6 +17,10 @@ LONGEST = 100.0
 """Time without an impact after which the oscillator is said to have `STOPPED` hitting the stop."""
 
 
+RESTING = 1e-6
+"""Speed after an impact below which it comes to rest on the stop, in ever faster impacts."""
+
+
 class Motion(NamedTuple):
     """Position and rate, the phase of the force, and the time since an impact; or their rates."""
 
@@ -29,8 +33,9 @@ class Motion(NamedTuple):
 class ImpactOscillator(HybridSystem):
     """x'' + 2 damping x' + x = cos(frequency t) for x < stop, v -> -restitution v at x = stop.
 
-    From just after one impact to the next; phase is frequency t, and v negative. Shaw and Holmes
-    (1983, Journal of Sound and Vibration 90, 129-155).
+    From just after one impact to the next; the angle is frequency t, and v negative. An oscillator
+    that comes to rest on the stop is `OUTSIDE`. Shaw and Holmes (1983, Journal of Sound and
+    Vibration 90, 129-155).
     """
 
     frequency: Real = Parameter("frequency", "of the force", "", 2.5).field()
@@ -38,7 +43,7 @@ class ImpactOscillator(HybridSystem):
     restitution: Real = Parameter("restitution", "at an impact", "", 0.8, 0, 1).field()
     damping: Real = Parameter("damping", "of the rate", "", 0.0, 0, 1, closed=True).field()
 
-    section = ("phase", "v")
+    section = ("angle", "v")
 
     def lift(self, x):
         return Motion(self.stop + 0 * x[0], x[1], x[0], jnp.zeros_like(x[0]))
@@ -50,7 +55,7 @@ class ImpactOscillator(HybridSystem):
         return self.margin(x) > 0
 
     def margin(self, x):
-        return -x[1]
+        return -x[1] - RESTING
 
     def modes(self):
         def field(y: Motion) -> Motion:
@@ -64,4 +69,4 @@ class ImpactOscillator(HybridSystem):
         return (Mode(field, (waits, hits), reset=back),)
 
     def gait_region(self):
-        return Grid.plain(phase=(-np.pi, np.pi, 40), v=(-2, 0, 40))
+        return Grid.plain(angle=(-np.pi, np.pi, 40), v=(-2, 0, 40))
