@@ -46,7 +46,7 @@ CASES = {
     ),
     "runner": Case(wj.SpringMassRunner(), {"apex": (0.9, 2.2, 400)}, ("stiffness", 24.0, 27.0)),
     "runner-with-retraction": Case(
-        wj.SpringMassRunner(retraction=0.4), {"apex": (0.9, 2.2, 400)}, ("retraction", 0.0, 0.8)
+        wj.SpringMassRunner(retraction=0.1), {"apex": (0.9, 2.2, 400)}, ("retraction", 0.05, 0.15)
     ),
     "torso-wheel": Case(
         wj.TorsoWheel(0.0), {"thetadot": (-1, 0, 60), "psi": (-0.2, 1.5, 60)}, ("lean", 0.45, 0.55)
@@ -84,7 +84,7 @@ def nearest_failure(data, gait: np.ndarray, grid: wj.Grid) -> np.ndarray:
     xs = grid.centres(np.arange(grid.size))
     here = data["attractor"].values.ravel()
     home = here[np.abs(xs - gait).max(axis=1).argmin()]
-    away = xs[here != home]
+    away = xs[(here != home) & (data["fate"].values.ravel() != wj.Outcome.OUTSIDE)]
     return away[np.abs(away - gait).max(axis=1).argmin()]
 
 
@@ -126,7 +126,7 @@ def survey(name: str, case: Case) -> None:
     timed(
         "edge_state",
         lambda: wj.edge_state(system, np.asarray(gait.states[0]), away),
-        lambda one: one.kind,
+        lambda one: one.kind or "none: another label is between",
     )
     timed(
         "boundary_dimension",

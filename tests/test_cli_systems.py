@@ -1,5 +1,6 @@
 """Systems that are no walkers, on the command line."""
 
+import functools
 import json
 import sys
 
@@ -134,6 +135,38 @@ def test_a_slice_elsewhere_is_another_request(run):
     assert share == pytest.approx(2 * 0.9**2 / 1.8**2, abs=0.1)  # of the square, |y| + |z| < 0.9
     code, out, err = run(*command, "--axis", "x=0.8", *axes)
     assert (code, out) == (2, "") and "continuation.zarr holds another result" in err
+
+
+def test_bifurcations_over_a_parameter_that_is_named(run, monkeypatch):
+    diagram = functools.partial(wj.bifurcation_diagram, scan=10)
+    monkeypatch.setattr("walker_jax.bifurcation_diagram", diagram)
+    command = ["bifurcation", "--system", "henon", "--over", "a", "--from", "0.3", "--to", "0.95"]
+    code, out, err = run(*command, "--period-max", "2", "--json")
+    assert code == 0, err
+    doublings = [one["a"] for one in json.loads(out)["doublings"]]
+    np.testing.assert_allclose(doublings, [0.3675, 0.9125], rtol=1e-12)  # by Henon's formulas
+    code, out, err = run(*command, "--period-max", "2")
+    assert code == 0 and "from a 0.3 to 0.95\n" in out and "up to the highest a\n" in out, err
+    spring = ("--walker", "spring", "--slope", "0.01", "--over", "hip-stiffness", "--to", "2")
+    code, out, err = run("bifurcation", *spring)
+    assert (code, err) == (2, "walker-jax: --from is required: the range of hip-stiffness\n")
+
+
+def test_walks_of_a_system(run):
+    command = ["walk", "--system", "my_maps.py:system", "--start", "x=0.5", "--start", "y=0"]
+    code, out, err = run(*command, "--strides", "3", "--json")
+    assert code == 0, err
+    made = json.loads(out)
+    expected = wj.walk(own(1.02), jnp.array([0.5, 0.0]), 3)
+    np.testing.assert_allclose(made["states"], expected.states, rtol=1e-15)
+    assert made["outcomes"] == ["STRIDE"] * 3 and made["times"] == [1.0] * 3
+    code, out, err = run(*command)
+    assert code == 0 and out.split()[:4] == ["stride", "x", "y", "time"], err
+    code, out, err = run("walk", "--system", "bouncing-ball", "--strides", "2")
+    assert code == 0 and "3.141593" in out, err
+    for option in ("--ground", "0.1"), ("--animate", "film.gif"), ("--theta", "0.2"):
+        code, out, err = run(*command, *option)
+        assert (code, out) == (2, "") and option[0] in err
 
 
 def test_a_sweep_needs_no_region_of_gaits(run, tmp_path):

@@ -159,7 +159,8 @@ def test_bifurcations_are_listed_by_period_then_slope():
             "cascade": ("event", [True, True, False, False, False, False]),
             "lost": ("end", [0.019, 0.0191]),
             **gaits_of({2: ([0.0202, 0.0201, 0.02005, 0.0201], [False, False, True, False])}),
-        }
+        },
+        attrs={"parameter": "slope"},
     )
     found = summarise_bifurcations(data)
     periods = [(one["from"], one["to"], one["slope"]) for one in found["doublings"]]

@@ -23,7 +23,8 @@ COMMANDS = {
     "explain": "Say why the stride from one start ends as it does, and whether a model fits "
     "together.",
     "gait": "Find the gaits of a walker: cycles of strides, and their stability.",
-    "bifurcation": "Follow the gaits over the slope: how each is born, doubles and ends.",
+    "bifurcation": "Follow the gaits over the slope, or another parameter: how each is born, "
+    "doubles and ends.",
     "explore": "Explore basins in a browser: drag the slope, watch the basin; click a start, watch "
     "it walk.",
     "basin": "Compute and draw the basin of attraction of a walker's gait.",
@@ -71,7 +72,7 @@ class Commands(TyperGroup):
 def load(name: str, args: Sequence[str] = ()):
     """The command of that name, with its options, and those of the walker that `args` name."""
     function = getattr(import_module(f"walker_jax.cli.{name}_command"), name)
-    if "without" in vars(function):  # a walker is its first argument
+    if "ranges_over" in vars(function):  # a walker is its first argument
         from walker_jax.cli.walker_options import offered_kinds, with_walker_options
 
         function = with_walker_options(function, offered_kinds(function, args))

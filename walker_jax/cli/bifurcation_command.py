@@ -8,11 +8,20 @@ import typer
 
 import walker_jax as wj
 from walker_jax import storage
+from walker_jax.checks import WrongUse
 from walker_jax.cli.answers import draw, find_earlier, listed, print_json, request_for
-from walker_jax.cli.options import Json, Out, Overwrite, PictureOfData, check_slopes
+from walker_jax.cli.options import (
+    Json,
+    Out,
+    Overwrite,
+    PictureOfData,
+    check_range,
+    hyphenated,
+)
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.execution.progress import bar
 from walker_jax.gaits.summary import summarise_bifurcations
+from walker_jax.systems.system import System
 from walker_jax.walkers.family import WALKERS
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import (
@@ -31,9 +40,12 @@ def help_of_end(which: str, end: int) -> str:
     return f"{which} slope, rad (default: {usual:g}{''.join(others)})."
 
 
-@takes_walker(without={"slope": "--from and --to"})
+@takes_walker(systems=True, ranges_over="over")
 def bifurcation(
-    walker: Walker,
+    walker: System,
+    over: Annotated[
+        str, typer.Option(metavar="NAME", help="The parameter that changes, from --from to --to.")
+    ] = "slope",
     low: Annotated[float | None, typer.Option("--from", help=help_of_end("Lowest", 0))] = None,
     high: Annotated[float | None, typer.Option("--to", help=help_of_end("Highest", 1))] = None,
     period_max: Annotated[
@@ -47,23 +59,26 @@ def bifurcation(
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Follow the gaits over the slope: how each is born, doubles and ends."""
+    """Follow the gaits over the slope, or another parameter: how each is born, doubles and ends."""
     from walker_jax import figures
 
-    low, high = (
-        end if given is None else given
-        for given, end in zip((low, high), slopes_of(type(walker)), strict=True)
-    )
-    check_slopes(walker, low, high)
-    walker = with_parameter(walker, "slope", low)
-    about = {name: value for name, value in describe_walker(walker).items() if name != "slope"}
-    asked = {"slope": [low, high], "period_max": period_max, "strides": strides}
+    over = over.replace("-", "_")
+    if over == "slope" and isinstance(walker, Walker):
+        usual = slopes_of(type(walker))
+        low, high = (usual[i] if end is None else end for i, end in enumerate((low, high)))
+    if low is None or high is None:
+        missing = "--from" if low is None else "--to"
+        raise WrongUse(f"{missing} is required: the range of {hyphenated(over)}")
+    check_range(walker, over, low, high)
+    walker = with_parameter(walker, over, low)
+    about = {name: value for name, value in describe_walker(walker).items() if name != over}
+    asked = {"over": over, "range": [low, high], "period_max": period_max, "strides": strides}
     request = request_for("bifurcation", walker, walker=about, **asked)
     figure, data = find_earlier(out, figure, request, overwrite=overwrite)
     if data is None:
         with bar("bifurcations", True):
             data = wj.bifurcation_diagram(
-                walker, "slope", (low, high), period_max=period_max, strides=strides, progress=True
+                walker, over, (low, high), period_max=period_max, strides=strides, progress=True
             )
         data = storage.save(data, out, request)
     draw(figures.bifurcations(data), figure, request)
@@ -73,12 +88,14 @@ def bifurcation(
         return
     name, *values = about.items()
     others = [f"{key} {value}" for key, value in values]
-    print(f"Gaits of {', '.join([name[1], *others])}, from slope {low:g} to {high:g} rad")
-    print_bifurcations(answer, strides)
+    unit = " rad" if over == "slope" else ""
+    span = f"from {hyphenated(over)} {low:g} to {high:g}{unit}"
+    print(f"Gaits of {', '.join([name[1], *others])}, {span}")
+    print_bifurcations(answer, over, strides)
     print(f"  data set {out}, picture {figure}")
 
 
-def print_bifurcations(answer: dict, strides: int) -> None:
+def print_bifurcations(answer: dict, over: str, strides: int) -> None:
     """The answer of `bifurcation`, in words."""
     for title, key in (
         ("doublings of the most stable gait", "doublings"),
@@ -91,12 +108,12 @@ def print_bifurcations(answer: dict, strides: int) -> None:
         print(f"  {title}:{'' if answer[key] else ' none'}")
         for event in answer[key]:
             periods = f"{event['from']} to {event['to']}" if "to" in event else event["period"]
-            print(f"    period {periods} at {event['slope']:.12f}, ({listed(event['state'])})")
+            print(f"    period {periods} at {event[over]:.12f}, ({listed(event['state'])})")
     below, above = answer["lost"]["below"], answer["lost"]["above"]
     if math.isnan(below):
-        print("  no walker that starts close to a gait walks on, on any slope")
+        print(f"  no walker that starts close to a gait walks on, at any {hyphenated(over)}")
     elif math.isnan(above):
-        print("  walkers that start close to a gait walk on up to the highest slope")
+        print(f"  walkers that start close to a gait walk on up to the highest {hyphenated(over)}")
     else:
         print(f"  walking is lost between {below:.8f}, where a walker makes {strides} strides,")
         print(f"  and {above:.8f}, where none does")

@@ -23,6 +23,7 @@ EXAMPLES = {
     "bifurcation": (
         "bifurcation --from 0.001 --to 0.022",
         "bifurcation --walker spring --hip-stiffness 1 --to 0.02 --out spring.zarr",
+        "bifurcation --system henon --over a --from 0 --to 1.2 --out henon.zarr",
     ),
     "explore": ("explore", "explore --walker spring --hip-stiffness 1", "explore --no-browser"),
     "basin": (

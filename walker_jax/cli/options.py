@@ -246,9 +246,9 @@ def cluster_from(workers: int | None, scheduler: str | None) -> int | str | None
     return scheduler if workers is None else workers
 
 
-def check_slopes(walker: Walker, low: float, high: float) -> None:
-    """Refuse slopes that the walker refuses, and those that --from and --to do not order."""
-    check_parameter(walker, "slope", low, high)
+def check_range(walker: System, name: str, low: float, high: float) -> None:
+    """Refuse values that the parameter cannot have, and those that --from and --to do not order."""
+    check_parameter(walker, name, low, high)
     if not low < high:
         raise WrongUse(f"--from {low:g} must be below --to {high:g}")
 

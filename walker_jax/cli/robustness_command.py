@@ -20,7 +20,7 @@ from walker_jax.cli.options import (
     Seed,
     asked_of,
     check_finite,
-    check_slopes,
+    check_range,
     grid_from,
 )
 from walker_jax.cli.walker_options import takes_walker
@@ -101,7 +101,7 @@ def robustness(
     grid = grid_from(walker, theta, sum_, at_phidot)
     slopes = None
     if low is not None and high is not None:
-        check_slopes(walker, low, high)
+        check_range(walker, "slope", low, high)
         slopes = space_decimals(low, high, count or 20)
     about = describe_walker(walker)
     slope = about["slope"] if slopes is None else about.pop("slope")

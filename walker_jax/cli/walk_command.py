@@ -18,12 +18,16 @@ from walker_jax.cli.options import (
     Json,
     Overwrite,
     Seed,
+    StartAt,
     check_finite,
+    start_from,
     state_from,
 )
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.execution.progress import bar
 from walker_jax.gaits.selection import require_gait
+from walker_jax.systems.outcomes import name_of_outcome
+from walker_jax.systems.system import System
 from walker_jax.walkers.model import State, Walker, moves_like
 from walker_jax.walkers.parameters import describe_walker
 
@@ -33,9 +37,9 @@ FRAME_INTERVAL = 0.15
 """Time between two frames of a film: 1/20 s for legs of one metre."""
 
 
-@takes_walker()
+@takes_walker(systems=True)
 def walk(
-    walker: Walker,
+    walker: System,
     theta: Annotated[
         float | None, typer.Option(help="Stance angle at the start, rad (default: see above).")
     ] = None,
@@ -43,6 +47,7 @@ def walk(
         float | None, typer.Option(help="Its rate at the start, rad per unit of time.")
     ] = None,
     phidot: Annotated[float | None, typer.Option(help=f"{PHIDOT_HELP}.")] = None,
+    start: StartAt = None,
     strides: Annotated[int, typer.Option(min=1, max=1_000_000, help="Strides at most.")] = 9,
     ground: Annotated[
         float | None,
@@ -68,6 +73,11 @@ def walk(
     given = {"theta": theta, "thetadot": thetadot, "phidot": phidot}
     given = {name: value for name, value in given.items() if value is not None}
     check_finite(**given, ground=0.0 if ground is None else ground)
+    if not isinstance(walker, Walker):
+        for option, value in (("--ground", ground), ("--animate", animate)):
+            if value is not None:
+                raise WrongUse(f"{option} is for walkers, not for {walker.label()}: leave it out")
+    given = start_from(walker, start, given)
     if moves_like(walker, wj.SimplestWalker):
         given = PAPER_START | given
     rough = {} if ground is None else {"ground": ground, "seed": seed}
@@ -80,26 +90,26 @@ def walk(
         figures.check_film(animate)
         storage.check_picture(animate, request, overwrite=overwrite, argument="animate")
     with bar("walk", True):
-        start = (
+        begin = (
             state_from(walker, given) if given else require_gait(walker, walker.section).states[0]
         )
         heights = None
         if ground is not None:
             heights = ground * np.random.default_rng(seed).normal(size=strides)
-        made = wj.walk(walker, start, strides, ground=heights)
+        made = wj.walk(walker, begin, strides, ground=heights)
     outcomes = np.asarray(made.outcomes)
     completed = int((outcomes == wj.Outcome.STRIDE).sum())
     count = min(completed + 1, strides)
     if outcomes[0] == wj.Outcome.OUTSIDE:
-        refuse_start(walker, np.asarray(start))
-    names = [wj.Outcome(code).name for code in outcomes[:count].tolist()]
+        refuse_start(walker, np.asarray(begin))
+    names = [name_of_outcome(code, walker.failures) for code in outcomes[:count].tolist()]
     states, times = np.asarray(made.states)[: completed + 1], np.asarray(made.times)[:count]
     coordinates = walker.section if ground is None else State._fields
     if animate is not None:
-        motion = wj.motion(walker, start, strides, step=FRAME_INTERVAL, ground=heights)
+        motion = wj.motion(walker, begin, strides, step=FRAME_INTERVAL, ground=heights)
         data = None
         if not isinstance(walker, wj.SpatialWalker):
-            data = wj.basin(walker, film_window(walker, start), "direct", progress=True)
+            data = wj.basin(walker, film_window(walker, begin), "direct", progress=True)
         signature = storage.signature(request)
         figures.film(motion, animate, data, signature=signature, progress=True)
     if as_json:
@@ -116,8 +126,9 @@ def walk(
         print(f"film {animate}")
 
 
-def refuse_start(walker: Walker, start: Float[np.ndarray, " section"]) -> NoReturn:
+def refuse_start(walker: System, start: Float[np.ndarray, " section"]) -> NoReturn:
     """Raises `WrongUse` for a start that is not feasible, with the condition for that."""
-    options = " and ".join(f"--{name}" for name in walker.section)
+    form = "--{}" if isinstance(walker, Walker) else "--start {}"
+    options = " and ".join(map(form.format, walker.section))
     condition = (inspect.getdoc(type(walker).feasible) or "").partition("\n")[0].rstrip(".")
     raise WrongUse(f"{options} must be a feasible start, not {start.tolist()}: {condition}")

@@ -3,9 +3,8 @@
 import functools
 import inspect
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import zip_longest
-from types import MappingProxyType
 from typing import Annotated
 
 import typer
@@ -29,17 +28,15 @@ Kinds = Mapping[str, type[System] | System]
 """The walkers, or the system, that a command offers, by their names."""
 
 
-def takes_walker(
-    *, without: Mapping[str, str] = MappingProxyType({}), systems: bool = False
-) -> Callable:
+def takes_walker(*, systems: bool = False, ranges_over: str | None = None) -> Callable:
     """Decorate a command whose first argument is a walker: `with_walker_options` replaces it.
 
-    `without` are parameters that the command sets itself, and its own options that say how. With
-    `systems`, it takes any other system too.
+    With `systems`, it takes any other system too. `ranges_over` is its argument that names the
+    parameter that goes from --from to --to, and has no one value.
     """
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        vars(command).update(without=without, systems=systems)
+        vars(command).update(systems=systems, ranges_over=ranges_over)
         return command
 
     return decorate
@@ -85,8 +82,8 @@ def parameters_of(kind: type[System] | System) -> tuple[Parameter, ...]:
 
 def with_walker_options(command: Callable[..., None], kinds: Kinds) -> Callable[..., None]:
     """The command with options for the walkers that it offers, in the place of its walker."""
-    without: Mapping[str, str] = vars(command)["without"]
-    offered, owners = offered_parameters(kinds, without)
+    offered, owners = offered_parameters(kinds)
+    ranges_over: str | None = vars(command)["ranges_over"]
     own = list(inspect.signature(command).parameters.values())[1:]
 
     @functools.wraps(command)
@@ -95,11 +92,13 @@ def with_walker_options(command: Callable[..., None], kinds: Kinds) -> Callable[
         system = given.pop("system", None)
         name = system or walker
         given.pop("list_walkers")
-        for one, instead in without.items():
-            if given.pop(PREFIX + one) is not None:
-                raise WrongUse(f"{option_of(one)} is not for this command: give {instead}")
         values = {parameter: given.pop(PREFIX + parameter) for parameter in offered}
         values = {one: value for one, value in values.items() if value is not None}
+        if ranges_over is not None:
+            over = given[ranges_over].replace("-", "_")
+            if over in values:
+                raise WrongUse(f"{option_of(over)} is not for this command: give --from and --to")
+            values |= {} if given["low"] is None or over not in offered else {over: given["low"]}
         checks = {one.name: given.pop(PREFIX + one.name) for one in offered_options(kinds)}
         chosen = [one for one, chosen in checks.items() if chosen]
         try:
@@ -108,7 +107,7 @@ def with_walker_options(command: Callable[..., None], kinds: Kinds) -> Callable[
             vars(error)["of_system"] = system is not None  # which has options of its own
             raise
 
-    accepted = walker_options(offered, owners, kinds, without)
+    accepted = walker_options(offered, owners, kinds)
     if vars(command)["systems"]:
         accepted.insert(1, SYSTEM_OPTION)
     own = [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in own]
@@ -117,27 +116,21 @@ def with_walker_options(command: Callable[..., None], kinds: Kinds) -> Callable[
     return with_options
 
 
-def offered_parameters(
-    kinds: Kinds, without: Collection[str]
-) -> tuple[dict[str, Parameter], dict[str, list[str]]]:
-    """The parameters of all walkers, but `without`, and the names of the walkers that have them."""
+def offered_parameters(kinds: Kinds) -> tuple[dict[str, Parameter], dict[str, list[str]]]:
+    """The parameters of all walkers, and the names of the walkers that have them."""
     offered: dict[str, Parameter] = {}
     owners: dict[str, list[str]] = {}
     for name, kind in kinds.items():
         for one in parameters_of(kind):
-            if one.name not in without:
-                offered.setdefault(one.name, one)
-                owners.setdefault(one.name, []).append(name)
+            offered.setdefault(one.name, one)
+            owners.setdefault(one.name, []).append(name)
     return offered, owners
 
 
 def walker_options(
-    offered: dict[str, Parameter],
-    owners: dict[str, list[str]],
-    kinds: Kinds,
-    without: Collection[str],
+    offered: dict[str, Parameter], owners: dict[str, list[str]], kinds: Kinds
 ) -> list[inspect.Parameter]:
-    """`--walker`, an option for each parameter, hidden for those `without`; `--list-walkers`."""
+    """`--walker`, an option for each parameter, `--list-walkers`."""
 
     def help_of(one: Parameter) -> str:
         about = "; ".join(filter(None, (one.meaning, one.unit)))
@@ -162,9 +155,6 @@ def walker_options(
             option_of(one.name), help=help_of(one), rich_help_panel=PANEL, show_default=False
         )
         accepted.append(option(PREFIX + one.name, Annotated[float | None, number], None))
-    for one in without:  # which people try
-        hidden = typer.Option(option_of(one), hidden=True)
-        accepted.append(option(PREFIX + one, Annotated[float | None, hidden], None))
     for one, whose in offered_options(kinds).items():
         about = f"{whose_option(whose, kinds)}{one.meaning}."
         flag = typer.Option(option_of(one.name), help=about, rich_help_panel=PANEL)

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from walker_jax.basins.cell_classes import has_known_units
 from walker_jax.figures.layout import Shown, dress, figure_title, new_axes, size_between
 from walker_jax.figures.style import (
     BASINS,
@@ -316,7 +317,7 @@ def write_step_times(ax: Axes, data: xr.Dataset) -> None:
         )
     if len(heights):
         ax.annotate(
-            "step time\n(√(l/g))",
+            "step time\n(√(l/g))" if has_known_units(data) else "time",
             (1.03, 1),
             (0, 3),
             "axes fraction",

@@ -22,12 +22,13 @@ def summarise_gait(gait: Gait) -> dict:
 
 
 def summarise_bifurcations(data: xr.Dataset) -> dict:
-    """Bifurcations and the loss of walking, from a `bifurcation_diagram` over the slope.
+    """Bifurcations and the loss of walking, from a `bifurcation_diagram`.
 
     **Returns** `doublings` of the cascade that starts from the most stable gait of period one,
     `other_doublings`, `folds` and `neimark_sackers`, each in ascending order of period, then of
-    slope; `lost`, the slopes `below` and `above` the loss of walking; and `stable_beyond`, the
-    intervals of slope beyond it in which a gait born at a fold is stable.
+    the parameter, whose value they have under its name; `lost`, the values `below` and `above` the
+    loss of walking; and `stable_beyond`, the intervals beyond it in which a gait born at a fold is
+    stable.
     """
     fold, cascade = data["event_fold"].values, data["cascade"].values
     below, above = map(float, data["lost"].values)
@@ -42,16 +43,16 @@ def summarise_bifurcations(data: xr.Dataset) -> dict:
 
 
 def list_events(data: xr.Dataset, chosen: np.ndarray) -> list[dict]:
-    """The bifurcations chosen, in ascending order of period, then of slope."""
-    periods, slopes = data["event_period"].values, data["event_value"].values
-    order = [i for i in np.lexsort([slopes, periods]) if chosen[i]]
+    """The bifurcations chosen, in ascending order of period, then of value."""
+    periods, values = data["event_period"].values, data["event_value"].values
+    order = [i for i in np.lexsort([values, periods]) if chosen[i]]
     events = []
     for i in order:
         period = int(periods[i])
         fold = bool(data["event_fold"].values[i])
         kind = {"period": period} if fold else {"from": period, "to": 2 * period}
         state = data["event_states"].values[i, 0]
-        events.append({**kind, "slope": float(slopes[i]), "state": state})
+        events.append({**kind, data.attrs["parameter"]: float(values[i]), "state": state})
     return events
 
 
@@ -59,14 +60,14 @@ def list_tori(data: xr.Dataset) -> list[dict]:
     """The Neimark-Sacker points in the same order, and the angles of their pairs of multipliers."""
     if "torus_value" not in data:
         return []
-    periods, slopes = data["torus_period"].values, data["torus_value"].values
+    periods, values = data["torus_period"].values, data["torus_value"].values
     angles = np.arctan2(*np.moveaxis(data["torus_multipliers"].values[:, 0, ::-1], 1, 0))
     return [
         {
-            **{"period": int(periods[i]), "slope": float(slopes[i])},
+            **{"period": int(periods[i]), data.attrs["parameter"]: float(values[i])},
             **{"angle": abs(float(angles[i])), "state": data["torus_states"].values[i, 0]},
         }
-        for i in np.lexsort([slopes, periods])
+        for i in np.lexsort([values, periods])
     ]
 
 
