@@ -59,7 +59,7 @@ def test_of_a_longer_period_the_gait_with_the_smallest_multiplier_is_taken(monke
     [
         (None, 2, False, "none of the searches"),
         (np.nan, 2, False, "none of the searches"),
-        (np.nan, 1, False, "no stride from the state where the search begins"),
+        (np.nan, 1, False, "no stride from where the search begins"),
         (np.nan, 1, True, "no stride from the guess"),
         (np.nan, 2, True, "fewer than 2 strides from the guess"),
         (1e-3, 1, True, "misses the next state by 0.001"),
@@ -128,7 +128,7 @@ def test_a_walker_that_moves_by_equations_of_its_own_has_not_the_window_of_the_p
         for kind in (Unchanged, Lifted)
     ]
     assert given == [
-        "the walker makes no stride from the state where the search begins",
+        "the walker makes no stride from where the search begins (explain says why)",
         "none of the 80000 starts over the section makes a stride (explain says why)",
     ]
 

@@ -38,10 +38,10 @@ def reason_without_gait(walker: System, period: int, search: Gait | None, *, gue
     if search is None or not (np.isfinite(search.residual) or single):
         return reason_of_all(walker)
     if not np.isfinite(search.residual):
-        start = "the guess" if guessed else "the state where the search begins"
+        start = "the guess" if guessed else "where the search begins"
         made = "no stride" if period == 1 else f"fewer than {period} strides"
         subject = "the walker" if isinstance(walker, Walker) else "the system"
-        return f"{subject} makes {made} from {start}"
+        return f"{subject} makes {made} from {start} (explain says why)"
     if search.residual > LARGE_RESIDUAL:
         return (
             f"Newton's iteration diverged: a stride misses the next state by {search.residual:.2g}"
