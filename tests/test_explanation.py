@@ -121,6 +121,31 @@ def test_a_mode_that_is_over_as_it_begins_is_told():
     assert found.modes[0].time == 0 and found.modes[1].time == pytest.approx(2 * np.pi)
 
 
+class WithEnergy(wj.SimplestWalker):
+    """Of its mass at the hip."""
+
+    def energy(self, state):
+        return state.thetadot**2 / 2 + jnp.cos(state.theta - self.slope)
+
+
+class Leaky(WithEnergy):
+    def energy(self, state):
+        return super().energy(state) + 0.1 * state.theta
+
+
+def test_energy_that_should_be_constant_is_looked_at():
+    sound = wj.explain(WithEnergy(0.009), [0.2, -0.2])
+    start, end = sound.modes[0].energy
+    assert start == pytest.approx(0.02 + np.cos(0.191), rel=1e-14) and abs(end - start) < 1e-12
+    assert sound.complaints == [] and f"energy {start:.9g} at the start" in str(sound)
+    found = wj.explain(Leaky(0.009), [0.2, -0.2])
+    (complaint,) = found.complaints
+    assert complaint.startswith("in mode 0 the energy changes by -0.0")
+    runner = wj.explain(wj.SpringMassRunner(), [1.0])
+    energies = np.array([mode.energy for mode in runner.modes])
+    np.testing.assert_allclose(energies, wj.SpringMassRunner().energy, rtol=1e-11)
+
+
 def test_an_angle_may_be_wrapped():
     found = wj.explain(wj.BouncingBall(), jnp.array([0.8 + 2 * np.pi, 3.1]))
     assert found.outcome == wj.Outcome.STRIDE and found.complaints == [] and found.modes

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import xarray as xr
 from matplotlib.text import Text
 
 import walker_jax as wj
@@ -16,6 +17,7 @@ from walker_jax.basins.summary import summarise_basin, tally
 from walker_jax.cli import main
 from walker_jax.explorer.family import describe_family
 from walker_jax.explorer.subjects import Offer
+from walker_jax.systems.outcomes import failures_of
 
 GRID = wj.Grid.plain(speed=(0, 3, 60), place=(-1, 1, 4))
 
@@ -73,7 +75,7 @@ def test_margins_are_how_far_they_are():
     assert 0 >= wj.margins(Juggler(), jnp.array([2.0 + 1e-9, 0.0])).own > -1e-8
 
 
-def test_the_basin_names_them():
+def test_the_basin_names_them(tmp_path):
     speed = BASIN["speed"].values
     fate = BASIN["fate"].values[:, 0]
     expected = np.where(speed > 2, 12, np.where(speed < 0.5, 13, 0))
@@ -90,6 +92,10 @@ def test_the_basin_names_them():
     assert fates["hits_the_ceiling"] == 80 and fates["sticks"] == 40 and "OWN_3" not in fates
     words = {one.get_text() for one in figures.basin(BASIN).figure.findobj(Text)}
     assert {"hits the ceiling", "sticks"} <= words
+    # NetCDF has no list of one name
+    BASIN.assign_attrs(failures=["sticks"]).to_netcdf(tmp_path / "b.nc", engine="h5netcdf")
+    with xr.open_dataset(tmp_path / "b.nc", engine="h5netcdf") as kept:
+        assert failures_of(kept) == ("sticks",)
     mapped = wj.basin(Juggler(), GRID)
     assert set(np.unique(mapped["fate"].values)) <= {0, 12, 13}
 

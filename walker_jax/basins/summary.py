@@ -9,7 +9,7 @@ from jaxtyping import Int
 from walker_jax.basins.cell_classes import unmatched_cells
 from walker_jax.basins.schema import artefacts
 from walker_jax.basins.volumes import runs_of
-from walker_jax.systems.outcomes import Outcome, names_of_outcomes
+from walker_jax.systems.outcomes import Outcome, failures_of, names_of_outcomes
 
 CELLS_AT_ONCE = 2**22
 """Cells that are counted together, some 40 MB: a large data set does not fit into memory."""
@@ -51,7 +51,7 @@ def summarise_basin(data: xr.Dataset, counts: Tally) -> dict:
     A refined basin has the error of its area too; over three dimensions both are of its `volume`.
     An earlier data set does not tell how many cells of basins are at the border of its grid.
     """
-    names = names_of_outcomes(data.attrs.get("failures", ()))
+    names = names_of_outcomes(failures_of(data))
     size = {"area": float(data["area"].sum())}
     if "total_area" in data:
         name = "volume" if "run_fate" in data else "area"

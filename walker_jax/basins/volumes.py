@@ -8,6 +8,7 @@ from walker_jax.basins.schema import attributes_of_arrays, count_at_border
 from walker_jax.checks import WrongUse, check_kind, check_number, refuses_tracers, short
 from walker_jax.grids import Grid
 from walker_jax.storage.schema import check_dataset
+from walker_jax.systems.outcomes import failures_of
 
 
 @refuses_tracers()
@@ -50,7 +51,7 @@ def slice_basin(data: xr.Dataset, axis: str, value: float) -> xr.Dataset:
     }
     reached = arrays["attractor"][arrays["attractor"] >= 0]
     counts = np.bincount(reached, minlength=data.sizes["number"])
-    about = attributes_of_arrays(data.attrs.get("failures", ()))
+    about = attributes_of_arrays(failures_of(data))
     found = xr.Dataset(
         {key: (plane.names, values, about[key]) for key, values in arrays.items()},
         coords=plane.axes | {axis: centre},

@@ -34,7 +34,7 @@ from walker_jax.figures.text import (
     walker_title,
 )
 from walker_jax.storage.schema import check_dataset
-from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome, failures_of
 
 PANELS = 6
 """Slices in a picture of a basin of three dimensions, at most."""
@@ -182,7 +182,7 @@ def basins_in_a_row(data: xr.Dataset) -> Figure:
     fate, attractor = data["fate"].values, data["attractor"].values
     walks = fate == Outcome.STRIDE
     regions = regions_of_one_basin(
-        fate, walks & (attractor >= 0), walks & (attractor < 0), data.attrs.get("failures", ())
+        fate, walks & (attractor >= 0), walks & (attractor < 0), failures_of(data)
     )
     image, extent = paint(regions, fate.shape), extent_of(data, x, y)
     for ax in panels.flat[len(slopes) :]:

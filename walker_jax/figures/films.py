@@ -25,7 +25,7 @@ from walker_jax.figures.style import INK
 from walker_jax.figures.text import walker_title
 from walker_jax.figures.walk_plots import TRAJECTORY, trajectory_in
 from walker_jax.storage.schema import check_dataset
-from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome, failures_of
 
 FILMS = (".gif", ".mp4")
 FRAMES_PER_SECOND = 20
@@ -144,9 +144,7 @@ def zoom_film(data: xr.Dataset, path: Path, *, signature: str = "", progress: bo
     fate = data["fate"].values
     walks = fate == Outcome.STRIDE
     known = data["attractor"].values >= 0
-    regions = regions_of_one_basin(
-        fate, walks & known, walks & ~known, data.attrs.get("failures", ())
-    )
+    regions = regions_of_one_basin(fate, walks & known, walks & ~known, failures_of(data))
     images = paint(regions, fate.shape).swapaxes(1, 2)
     figure = Figure(figsize=(6.4, 6.6), layout="constrained")
     ax = figure.subplots()

@@ -50,7 +50,7 @@ from walker_jax.figures.text import (
     walker_title,
 )
 from walker_jax.storage.schema import check_dataset
-from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome, failures_of
 
 STAGES = (
     ("#a9bfe3", 8.5, "long steps"),
@@ -254,7 +254,7 @@ def draw_basins(panels: Sequence[Axes], data: xr.Dataset) -> None:
     x, y = map(str, data["fate_start"].dims)
     fate = np.stack([data["fate_start"].values, data["fate_optimum"].values])
     regions = regions_of_one_basin(
-        fate, fate == ATTRACTED, fate == Outcome.STRIDE, data.attrs.get("failures", ())
+        fate, fate == ATTRACTED, fate == Outcome.STRIDE, failures_of(data)
     )
     images, extent = paint(regions, fate.shape), extent_of(data, x, y)
     for ax, side, image in zip(panels, ("start", "optimum"), images, strict=True):

@@ -18,7 +18,7 @@ from walker_jax.figures.layout import figure_legend, figure_title
 from walker_jax.figures.style import BASINS, INK, SMALL, failure_words
 from walker_jax.figures.text import walker_title
 from walker_jax.storage.schema import check_dataset
-from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome, failures_of
 
 SWING = BASINS[1]
 """Colour of the swing leg; the stance leg is in ink."""
@@ -50,7 +50,7 @@ def step(data: xr.Dataset) -> Figure:
     right = max(0.62 * size, places.max() + 0.1 * size)
     outcome, ending = int(data["outcome"][0]), "just before heel strike"
     if outcome != Outcome.STRIDE:
-        ending = failure_words(outcome, data.attrs.get("failures", ()))
+        ending = failure_words(outcome, failures_of(data))
     for k, (ax, share) in enumerate(zip(panels, SHARES, strict=True)):
         pose = own.isel(frame=round(share * last))
         draw_ground(ax, data)

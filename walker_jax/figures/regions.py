@@ -23,7 +23,7 @@ from walker_jax.figures.style import (
     failure_words,
 )
 from walker_jax.figures.text import SYMBOLS
-from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome, failures_of
 
 Extent = tuple[float, float, float, float]
 BASIN, UNMATCHED_WORDS = "basin of attraction", "converges to no known attractor"
@@ -60,7 +60,7 @@ def regions_of(data: xr.Dataset, large: list[int]) -> list[Region]:
         Region(walking.artefacts, ARTEFACTS, "", "artefacts of cell mapping", counted=True),
         Region(walking.unmatched, UNMATCHED, "", UNMATCHED_WORDS, counted=True),
     ]
-    return with_failures(found, data["fate"].values, data.attrs.get("failures", ()))
+    return with_failures(found, data["fate"].values, failures_of(data))
 
 
 def regions_of_one_basin(

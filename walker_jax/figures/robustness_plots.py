@@ -30,7 +30,7 @@ from walker_jax.stability.nearest_starts import (
     nearest_starts,
 )
 from walker_jax.storage.schema import check_dataset
-from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome, failures_of
 
 WINDOW = 1.25
 """Half the width of the picture of the least disturbance, to the width of its curve."""
@@ -126,7 +126,7 @@ def start_phrase(start: NearestStart, data: xr.Dataset) -> str:
     """What the legend says of the nearest start that does not return."""
     if start.outcome == Outcome.STRIDE:
         return "nearest start that converges to another attractor"
-    fails = failure_words(start.outcome, data.attrs.get("failures", ()))
+    fails = failure_words(start.outcome, failures_of(data))
     strides = count_noun(start.strides, "stride")
     return f"nearest start that {fails} after {strides}"
 

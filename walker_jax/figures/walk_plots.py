@@ -23,7 +23,7 @@ from walker_jax.figures.regions import (
 from walker_jax.figures.style import BASINS, INK, SMALL, failure_words
 from walker_jax.figures.text import count_noun, walker_title
 from walker_jax.storage.schema import check_dataset
-from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome, failures_of
 
 TRAJECTORY = "#f2b632"
 """Colour of a trajectory in a basin, seen on dark and on pale ground."""
@@ -94,7 +94,7 @@ def course(data: xr.Dataset) -> str:
     return (
         strides
         if last == Outcome.STRIDE
-        else f"{strides}, then {failure_words(last, data.attrs.get('failures', ()))}"
+        else f"{strides}, then {failure_words(last, failures_of(data))}"
     )
 
 

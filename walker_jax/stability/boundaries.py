@@ -17,7 +17,7 @@ from walker_jax.entropies import BOX, basin_entropy
 from walker_jax.execution.progress import bar, track
 from walker_jax.gaits.cycles import Gait
 from walker_jax.grids import Grid
-from walker_jax.systems.outcomes import Outcome, name_of_outcome
+from walker_jax.systems.outcomes import Outcome, failures_of, name_of_outcome
 from walker_jax.systems.system import System, check_single
 from walker_jax.wada import MIN_REGIONS, RADIUS, check_radius, merge_regions
 
@@ -215,7 +215,7 @@ def padded(rows: list, size: int) -> Float[np.ndarray, "n most size"]:
 
 def summarise_boundary(data: xr.Dataset) -> dict:
     """The results of `boundary` for JSON; fates by their names."""
-    failures = data.attrs.get("failures", ())
+    failures = failures_of(data)
     names = lambda codes: [name_of_outcome(int(code), failures) for code in codes.values]
     value, crowded = float(data["boundary_entropy"]), float(data["boundary_crowded"])
     shares = zip(data["spacing"].values.tolist(), data["wada_share"].values.tolist(), strict=True)

@@ -25,7 +25,7 @@ from walker_jax.stability.rough_ground import steps_to_fall
 from walker_jax.stability.sampling import BasinStability, basin_stability
 from walker_jax.stability.slices import default_region
 from walker_jax.stability.steps_down import NO_STEP_DOWN, LeastStepDown, least_step_down
-from walker_jax.systems.outcomes import Outcome, name_of_outcome
+from walker_jax.systems.outcomes import Outcome, failures_of, name_of_outcome
 from walker_jax.systems.system import System
 from walker_jax.walkers.model import check_planar, is_planar
 from walker_jax.walkers.parameters import check_parameter, with_parameter
@@ -314,7 +314,7 @@ def value_of(data: xr.Dataset, field: Field) -> Any:
     if field.kind in ("outcome", "text"):
         if field.kind == "text":
             return str(value)
-        return name_of_outcome(int(value), data.attrs.get("failures", ()))
+        return name_of_outcome(int(value), failures_of(data))
     return float(value) if field.kind == "number" else int(value)
 
 

@@ -2,7 +2,7 @@
 
 import enum
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Inexact, Int
@@ -51,6 +51,12 @@ class Outcome(enum.IntEnum):
 
 OWN = Outcome.OWN_1, Outcome.OWN_2, Outcome.OWN_3, Outcome.OWN_4
 """Failures that have names only in a system."""
+
+
+def failures_of(data: Any) -> tuple[str, ...]:
+    """The names of its system's own failures that a data set has among its attributes."""
+    names = data.attrs.get("failures", ())
+    return (names,) if isinstance(names, str) else tuple(names)  # NetCDF has no list of one
 
 
 def name_of_outcome(outcome: int, failures: Sequence[str] = ()) -> str:
