@@ -96,6 +96,8 @@ def survey(name: str, case: Case) -> None:
         lambda: wj.find_gait(system),
         lambda one: f"{one.states[0].round(9)}, largest multiplier {abs(one.multipliers[0]):.9g}",
     )
+    if gait is None:
+        return
     at = dict(zip(system.section, map(float, gait.states[0]), strict=True))
     whole = set(case.window) == set(system.section)
     axes: dict[str, Any] = dict(case.window)
@@ -103,6 +105,8 @@ def survey(name: str, case: Case) -> None:
     area = lambda one: f"area {float(one.area.sum()):.6g}, periods {one.period.values.tolist()}"
     options: dict[str, Any] = {"strides": case.strides}
     data = timed("basin", lambda: wj.basin(system, grid, "direct", **options), area)
+    if data is None or not len(data.number):
+        return
     if not gait.stable:
         start, period = data.states.values[0, 0], int(data.period[0])
         gait = timed(

@@ -11,6 +11,7 @@ import xarray as xr
 
 import walker_jax as wj
 from walker_jax.cli import main
+from walker_jax.stability.summary import summarise_robustness
 from walker_jax.systems.family import SYSTEMS
 from walker_jax.walkers.parameters import parameters
 
@@ -143,7 +144,7 @@ def test_bifurcations_over_a_parameter_that_is_named(run, monkeypatch):
     command = ["bifurcation", "--system", "henon", "--over", "a", "--from", "0.3", "--to", "0.95"]
     code, out, err = run(*command, "--period-max", "2", "--json")
     assert code == 0, err
-    doublings = [one["a"] for one in json.loads(out)["doublings"]]
+    doublings = [one["value"] for one in json.loads(out)["doublings"]]
     np.testing.assert_allclose(doublings, [0.3675, 0.9125], rtol=1e-12)  # by Henon's formulas
     code, out, err = run(*command, "--period-max", "2")
     assert code == 0 and "from a 0.3 to 0.95\n" in out and "up to the highest a\n" in out, err
@@ -167,6 +168,40 @@ def test_walks_of_a_system(run):
     for option in ("--ground", "0.1"), ("--animate", "film.gif"), ("--theta", "0.2"):
         code, out, err = run(*command, *option)
         assert (code, out) == (2, "") and option[0] in err
+
+
+def test_robustness_of_a_system(run):
+    small = ("--levels", "0", "--strides", "300")
+    command = ["robustness", "--system", "my_maps.py:system", "--a", "0.3", *small]
+    code, out, err = run(*command, "--axis", "x=-2:2:30", "--axis", "y=-2:2:30", "--json")
+    assert code == 0, err
+    found = json.loads(out)
+    assert found["walker"]["a"] == 0.3 and "slope" not in found and found["step_down"] is None
+    assert found["gait"]["state"] == pytest.approx([1.0, 0.3]) and found["area"] == 16
+    assert found["least_disturbance"]["failure"] == "OUTSIDE"
+    table = ("--over", "a", "--from", "0.2", "--to", "0.3", "--count", "2", "--out", "t.zarr")
+    code, out, err = run("robustness", "--system", "my_maps.py:system", *table, *small, *SQUARE)
+    assert code == 0 and "\n  a 0.2: area " in out and "\n  a 0.3: area " in out, err
+
+
+class Nowhere(wj.System):
+    """All that is tried returns."""
+
+    section = "x", "y"
+
+    def advance(self, x):
+        return 0.1 * x, wj.Outcome.STRIDE, 1.0
+
+    def gait_region(self):
+        return wj.Grid.plain(x=(-1, 1, 10), y=(-1, 1, 10))
+
+
+def test_where_nothing_fails_robustness_has_the_rest():
+    data = wj.robustness(Nowhere(), levels=0, check=0)
+    assert np.isnan(data["least_disturbance"]) and data["failure"] == data["fall_failure"] == -1
+    assert data["stability"] == 1 and data["total_area"] == pytest.approx(4, rel=1e-12)
+    found = summarise_robustness(data, {})
+    assert found["least_disturbance"]["failure"] is None and found["gait"]["period"] == 1
 
 
 def test_a_sweep_needs_no_region_of_gaits(run, tmp_path):

@@ -141,7 +141,8 @@ def test_every_fate_is_told_from_the_others_even_in_grey():
     for outcome in Outcome:
         (colour[outcome],) = np.unique(found[data["fate"].values == outcome], axis=0)
     anywhere = Outcome.STRIDE, Outcome.OUTSIDE, Outcome.UNDECIDED, Outcome.LEFT_GRID
-    of_planes = *anywhere, Outcome.FORWARD, Outcome.BACKWARD, Outcome.RUNNING
+    falls = Outcome.FORWARD, Outcome.BACKWARD, Outcome.RUNNING, Outcome.STOPPED
+    of_planes = *anywhere, *falls
     of_package, own = [one for one in Outcome if one not in OWN], (*of_planes, *OWN)
     for one, other in chain(combinations(of_package, 2), combinations(own, 2)):
         assert abs(lightness(colour[one]) - lightness(colour[other])) > 6, (one, other)

@@ -75,6 +75,86 @@ def test_margins_are_how_far_they_are():
     assert 0 >= wj.margins(Juggler(), jnp.array([2.0 + 1e-9, 0.0])).own > -1e-8
 
 
+class Relay(wj.HybridSystem):
+    """Two modes of waiting; the first must end early, and at a known place."""
+
+    latest: float = 1.0
+    farthest: float = 2.0
+
+    section = "wait", "place"
+    failures = "late", "lost"
+
+    def lift(self, x):
+        return {"time": 0 * x[0], "wait": x[0], "place": x[1]}
+
+    def project(self, y):
+        return jnp.stack([y["wait"], y["place"]])
+
+    def modes(self):
+        field = lambda y: {"time": 1 + 0 * y["time"], "wait": 0 * y["wait"], "place": 0 * y["wait"]}
+        ends = wj.Guard(lambda y: y["time"] - y["wait"])
+        judged = (
+            wj.Condition(lambda y: self.latest - y["time"], self.failure("late")),
+            wj.Condition(lambda y: self.farthest - y["place"], self.failure("lost")),
+            wj.Condition(lambda y: self.farthest - 0.5 - y["place"], self.failure("lost")),
+            wj.Condition(lambda y: jnp.sqrt(4 + y["place"]), self.failure("lost")),
+        )
+        first = wj.Mode(field, (ends,), reset=lambda y: y | {"time": 0 * y["time"]}, at_end=judged)
+        return first, wj.Mode(field, (wj.Guard(lambda y: y["time"] - 1),))
+
+
+def test_a_mode_that_is_not_the_last_is_judged_at_its_end():
+    starts = np.array([[0.5, 0.0], [1.5, 0.0], [0.5, 1.7], [0.5, 2.5], [1.5, 2.5], [-0.5, 1.7]])
+    found = wj.margins_of_many(Relay(), starts)
+    late, lost = wj.Outcome.OWN_1, wj.Outcome.OWN_2
+    assert found.stride.outcome.tolist() == [0, late, lost, lost, late, lost]
+    np.testing.assert_array_equal(wj.strides(Relay(), starts).outcome, found.stride.outcome)
+    np.testing.assert_allclose(found.own, [0.5, -0.5, -0.2, -1.0, -0.5, -0.2], atol=1e-12)
+    # what is not a number decides nothing
+    assert wj.stride(Relay(), jnp.array([0.5, -5.0])).outcome == wj.Outcome.UNDECIDED
+    said = str(wj.explain(Relay(), [0.5, 1.7]))
+    assert "from (0.5, 1.7): lost\n" in said and "mode 1" not in said
+    assert "condition lost at the end: 0.3 at least\n" in said
+    assert "condition lost at the end (2): -0.2 at least, violated" in said
+    at_once = wj.explain(Relay(), [-0.5, 1.7])
+    assert at_once.name == "lost" and len(at_once.modes) == 1
+    assert at_once.modes[0].ended_by == "STRIDE at once"
+
+
+class Stumbling(wj.SimplestWalker):
+    """It stops where it comes down too slowly, too."""
+
+    slowest: float = 0.0
+
+    def modes(self):
+        (swing,) = super().modes()
+        fast = wj.Condition(lambda y: -y.thetadot - self.slowest, wj.Outcome.STOPPED)
+        return (swing._replace(at_end=(fast,)),)
+
+
+def test_a_walker_has_the_least_of_its_margins():
+    x = jnp.array([0.2, -0.2])
+    plain = wj.margins(wj.SimplestWalker(0.009), x)
+    values = [wj.margins(Stumbling(0.009, slowest), x) for slowest in (0.0, 0.19, 0.3)]
+    speed = float(values[1].stopping) + 0.19
+    assert values[0].stopping == min(plain.stopping, speed) and 0.19 < speed < 0.3
+    assert values[2].stride.outcome == wj.Outcome.STOPPED
+    assert values[2].stopping == pytest.approx(speed - 0.3, abs=1e-12)
+    change = jax.grad(lambda walker: wj.margins(walker, x).stopping)(Stumbling(0.009, 0.3))
+    assert change.slowest == pytest.approx(-1, abs=1e-12)
+
+
+def test_ends_and_axes_have_their_names_elsewhere_too():
+    with pytest.raises(ValueError, match="not both hits_the_ceiling: try a start on the other"):
+        wj.edge_state(Juggler(), np.array([2.2, 0.0]), np.array([2.5, 0.0]))
+    named = wj.Map(lambda x: x / 2, ("failure", "frame"))
+    grid = wj.Grid.plain(failure=(0, 1, 3), frame=(0, 1, 3))
+    for make in (wj.robustness, lambda system, grid: wj.zoom(system, grid, 10)):
+        with pytest.raises(ValueError, match="grid must not have an axis called f"):
+            make(named, grid)
+    assert np.isnan(wj.boundary_dimension(named, grid, pairs=50).value)
+
+
 def test_the_basin_names_them(tmp_path):
     speed = BASIN["speed"].values
     fate = BASIN["fate"].values[:, 0]
@@ -156,11 +236,29 @@ class Elsewhere(Juggler):
         return (mode._replace(guards=(mode.guards[0]._replace(leads_to=99), mode.guards[1])),)
 
 
+class Unknown(Juggler):
+    def modes(self):
+        (mode,) = super().modes()
+        high = mode.guards[0]._replace(leads_to=wj.Outcome.OWN_3)
+        return (mode._replace(guards=(high, mode.guards[1])),)
+
+
+class Misspelt(Juggler):
+    def modes(self):
+        (mode,) = super().modes()
+        return (mode._replace(at_end=(mode.at_end[0]._replace(outcome="sticks"),)),)
+
+
 @pytest.mark.parametrize(
     ("make", "said"),
     [
         (Unnamed, "failure of Unnamed must be one of FORWARD, .*, not 'hits_the_ceiling'"),
-        (Elsewhere, "leads_to of a guard of Elsewhere must be an Outcome, not 99"),
+        (
+            Elsewhere,
+            "guards of a mode of Elsewhere must lead to an Outcome, not to 99: fail",
+        ),
+        (Misspelt, "at_end of a mode of Misspelt must lead to a failure, not to 'sticks'"),
+        (Unknown, "guards of a mode of Unknown must lead to an Outcome, not to .*OWN_3"),
         (
             type("Twice", (Juggler,), {"failures": ("sticks", "sticks")}),
             "failures of Twice must be 4 different words at most",

@@ -215,7 +215,7 @@ def made_up_robustness(monkeypatch, walker: wj.Walker = WALKER, grid=GRID):
     gait = wj.find_gait(walker)
     point = (0.002, np.array([0.6, 0.8]), np.asarray(gait.states[0]), 0, Outcome.FORWARD, 6)
     answers = {
-        "least_disturbance": wj.LeastDisturbance(*point),
+        "least_known": wj.LeastDisturbance(*point),
         "least_step_down": wj.LeastStepDown(0.001, np.zeros(4), 0, Outcome.FORWARD, 6),
         "basin_stability": wj.BasinStability(
             *map(np.asarray, (0.3, 0.2, 0.4, 8 * [0], 0, 20.0, np.inf))
@@ -234,7 +234,7 @@ def test_robustness_says_where_a_search_ends_in_another_gait_than_that_of_the_ba
     data = made_up_robustness(monkeypatch)
     assert float(data["multiplier"]) == pytest.approx(np.abs(owner.multipliers[0]), rel=1e-9)
     words = compare_with_search(owner, other)
-    assert summarise_robustness(data, 0.004)["note"] == words
+    assert summarise_robustness(data, {"slope": 0.004})["note"] == words
     assert "an unstable gait, multiplier 3.21277, at (0.148778, -0.158807), not that" in words
 
 
@@ -264,9 +264,9 @@ def test_the_schema_of_robustness_has_all_that_it_adds_to_the_basin(monkeypatch)
 
 def test_a_summary_of_robustness_has_none_for_what_is_not_there(monkeypatch):
     data = made_up_robustness(monkeypatch)
-    found = summarise_robustness(data, 0.004)
+    found = summarise_robustness(data, {"slope": 0.004})
     assert found["gait"]["period"] == 1 and found["slope"] == 0.004 and found["note"] == ""
-    assert summarise_robustness(data.drop_vars("note"), 0.004)["note"] is None
+    assert summarise_robustness(data.drop_vars("note"), {"slope": 0.004})["note"] is None
     least = found["least_disturbance"]
     assert (least["size"], least["failure"], least["strides"]) == (0.002, "FORWARD", 6)
     assert list(found["basin_stability"]) == [
@@ -275,13 +275,13 @@ def test_a_summary_of_robustness_has_none_for_what_is_not_there(monkeypatch):
     ]
     assert found["boundary_dimension"] == {"value": 1.25, "low": 1.0, "high": 1.5}
     earlier = data.drop_vars([name for name in data if "fall" in str(name)])
-    older = summarise_robustness(earlier, 0.004)
+    older = summarise_robustness(earlier, {"slope": 0.004})
     assert older["least_fall"] is older["step_down_fall"] is None
     assert older["least_disturbance"]["size"] == 0.002
-    nowhere = summarise_robustness(data.assign(without_gait(WALKER)), 0.2)
+    nowhere = summarise_robustness(data.assign(without_gait(WALKER)), {"slope": 0.2})
     assert list(nowhere) == list(found)
     assert nowhere["at_border"] == found["at_border"] == int(data.at_border)
-    assert summarise_robustness(data.assign(at_border=5), 0.004)["at_border"] == 5
+    assert summarise_robustness(data.assign(at_border=5), {"slope": 0.004})["at_border"] == 5
     assert all(nowhere[name] is None for name in [*nowhere][5:])
-    assert summarise_robustness(data.assign(at_border=np.nan), 0.2)["at_border"] is None
-    assert summarise_robustness(data.drop_vars("at_border"), 0.2)["at_border"] is None
+    assert summarise_robustness(data.assign(at_border=np.nan), {"slope": 0.2})["at_border"] is None
+    assert summarise_robustness(data.drop_vars("at_border"), {"slope": 0.2})["at_border"] is None

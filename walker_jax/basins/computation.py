@@ -97,7 +97,8 @@ def basin(
     if not isinstance(method, str) or method not in METHODS:
         raise WrongUse(f"method must be one of {', '.join(METHODS)}, not {short(method)}")
     strides = check_whole("strides", strides)
-    check_grid(walker, grid, method, (BYTES_PER_CELL if out is None else BYTES_STORED)[method])
+    each = (BYTES_PER_CELL if out is None else BYTES_STORED)[method]
+    check_grid(walker, grid, method, each, kind="basin")
     dtype = jnp.asarray(0.0).dtype
     check_precision(dtype)
     integrator = integrator_of(dtype, tolerance, solver)

@@ -6,6 +6,7 @@ the starts that lead there. Walkers on that balance, as it were: the stance leg 
 upright, or the swing foot only grazes the ground.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -28,7 +29,7 @@ from walker_jax.checks import (
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import search_gait
 from walker_jax.integrators.integrator import Integrator, integrator_of
-from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome, name_of_outcome
 from walker_jax.systems.system import System, check_single
 from walker_jax.walking.failure_margins import Margins, follow_margins
 from walker_jax.walking.iteration import for_each_start
@@ -116,7 +117,8 @@ def edge_state(
 
     first, second = label_starts(np.stack(ends)).tolist()
     if first == second:
-        raise WrongUse(f"a and b must have different fates, not both {explain_fate(first)}")
+        fate = explain_fate(first, walker.failures)
+        raise WrongUse(f"a and b must have different fates, not both {fate}")
     image = lambda x: np.asarray(take_strides(walker, x, tolerance=tolerance).state)
 
     saddle: Gait | None = None
@@ -148,9 +150,9 @@ def fate_of(label: int) -> Outcome:
     return Outcome(label) if label < len(Outcome) else Outcome.STRIDE
 
 
-def explain_fate(label: int) -> str:
+def explain_fate(label: int, failures: Sequence[str] = ()) -> str:
     """A fate that two starts share, and what to try instead of them."""
-    name = fate_of(label).name
+    name = name_of_outcome(fate_of(label), failures)
     if label == Outcome.UNDECIDED:
         return f"{name}: the integration gave no answer; try another tolerance, or other starts"
     where = ", to the same gait" if label >= len(Outcome) else ""

@@ -35,11 +35,11 @@ def check_grid(
     method: str,
     each: int = BYTES_PER_CELL["direct"],
     *,
-    kind: str = "basin",
+    kind: str | None = None,
 ) -> None:
     """Refuse a grid that is not of the walker's section, or too large for this machine's memory.
 
-    Its axes must not have names that the arrays of this `kind` of data set have.
+    Its axes must not have names that the arrays have of the `kind` of data set that is made.
     """
     check_kind("walker", walker, System)
     check_kind("grid", grid, Grid)
@@ -60,7 +60,7 @@ def check_grid(
                 f"grid must name coordinates in the order of the section, {walker.section}, "
                 f"not {(*grid.names, *grid.fixed)}"
             )
-        if name in names_in_use(kind):
+        if kind is not None and name in names_in_use(kind):
             raise WrongUse(
                 f"grid must not have an axis called {name}, as data sets have an array or a "
                 "dimension of that name: call it another"

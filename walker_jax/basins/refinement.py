@@ -193,7 +193,8 @@ def refine_cells(
     by_centres: bool = False,
 ) -> Refined:
     """The work of `refine`. Cells of the finest grid may have the fates of their centres."""
-    check_grid(walker, grid, "direct", kind="refined basin")
+    kind = "refined volume" if len(getattr(grid, "names", ())) == 3 else "refined basin"
+    check_grid(walker, grid, "direct", kind=kind)
     check_whole("levels", levels, 0, FINEST)
     check_whole("check", check, 0)
     check_whole("strides", strides)

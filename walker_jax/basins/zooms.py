@@ -154,7 +154,7 @@ def zoom(
     if not 1 <= factor < np.inf:
         raise WrongUse(f"factor must be 1 or more, and finite, not {factor}")
     check_whole("frames", frames, 2)
-    check_grid(walker, grid, "direct")
+    check_grid(walker, grid, "direct", kind="zoom")
     middle = None if centre is None else check_state(walker, "centre", centre)
     mapper = checked_mapper(walker, grid, strides, tolerance, "zoom, into the last digits,")
     middle = find_boundary_point(mapper, grid) if middle is None else middle

@@ -26,7 +26,10 @@ from walker_jax.walkers.family import WALKERS
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import (
     SLOPE,
+    Parameter,
+    check_parameter,
     describe_walker,
+    described_by,
     slopes_of,
     with_parameter,
 )
@@ -37,7 +40,7 @@ def help_of_end(which: str, end: int) -> str:
     usual = SLOPE.span[end]
     own = {name: slopes_of(kind)[end] for name, kind in WALKERS.items()}
     others = [f", {name}: {value:g}" for name, value in own.items() if value != usual]
-    return f"{which} slope, rad (default: {usual:g}{''.join(others)})."
+    return f"{which} value (default, of the slope: {usual:g}{''.join(others)})."
 
 
 @takes_walker(systems=True, ranges_over="over")
@@ -63,6 +66,7 @@ def bifurcation(
     from walker_jax import figures
 
     over = over.replace("-", "_")
+    check_parameter(walker, over)
     if over == "slope" and isinstance(walker, Walker):
         usual = slopes_of(type(walker))
         low, high = (usual[i] if end is None else end for i, end in enumerate((low, high)))
@@ -88,7 +92,8 @@ def bifurcation(
         return
     name, *values = about.items()
     others = [f"{key} {value}" for key, value in values]
-    unit = " rad" if over == "slope" else ""
+    units = {one.name: f" {one.unit}".rstrip() for one in described_by(walker, Parameter)}
+    unit = units.get(over, "")
     span = f"from {hyphenated(over)} {low:g} to {high:g}{unit}"
     print(f"Gaits of {', '.join([name[1], *others])}, {span}")
     print_bifurcations(answer, over, strides)
@@ -97,6 +102,7 @@ def bifurcation(
 
 def print_bifurcations(answer: dict, over: str, strides: int) -> None:
     """The answer of `bifurcation`, in words."""
+    value = "slope" if over == "slope" else "value"
     for title, key in (
         ("doublings of the most stable gait", "doublings"),
         ("doublings of other gaits", "other_doublings"),
@@ -108,7 +114,7 @@ def print_bifurcations(answer: dict, over: str, strides: int) -> None:
         print(f"  {title}:{'' if answer[key] else ' none'}")
         for event in answer[key]:
             periods = f"{event['from']} to {event['to']}" if "to" in event else event["period"]
-            print(f"    period {periods} at {event[over]:.12f}, ({listed(event['state'])})")
+            print(f"    period {periods} at {event[value]:.12f}, ({listed(event['state'])})")
     below, above = answer["lost"]["below"], answer["lost"]["above"]
     if math.isnan(below):
         print(f"  no walker that starts close to a gait walks on, at any {hyphenated(over)}")

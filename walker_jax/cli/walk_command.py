@@ -1,6 +1,5 @@
 """`walker-jax walk`."""
 
-import inspect
 from pathlib import Path
 from typing import Annotated, NoReturn
 
@@ -89,10 +88,9 @@ def walk(
 
         figures.check_film(animate)
         storage.check_picture(animate, request, overwrite=overwrite, argument="animate")
+    instead = walker.section if isinstance(walker, Walker) else ["--start NAME=VALUE"]
     with bar("walk", True):
-        begin = (
-            state_from(walker, given) if given else require_gait(walker, walker.section).states[0]
-        )
+        begin = state_from(walker, given) if given else require_gait(walker, instead).states[0]
         heights = None
         if ground is not None:
             heights = ground * np.random.default_rng(seed).normal(size=strides)
@@ -128,7 +126,9 @@ def walk(
 
 def refuse_start(walker: System, start: Float[np.ndarray, " section"]) -> NoReturn:
     """Raises `WrongUse` for a start that is not feasible, with the condition for that."""
-    form = "--{}" if isinstance(walker, Walker) else "--start {}"
+    form = "--{}" if isinstance(walker, Walker) else "--start {}=VALUE"
     options = " and ".join(map(form.format, walker.section))
-    condition = (inspect.getdoc(type(walker).feasible) or "").partition("\n")[0].rstrip(".")
-    raise WrongUse(f"{options} must be a feasible start, not {start.tolist()}: {condition}")
+    own = type(walker).feasible is not System.feasible
+    about = (type(walker).feasible.__doc__ or "") if own else ""  # not that of a class above
+    condition = "".join(f": {line.strip().rstrip('.')}" for line in about.splitlines()[:1])
+    raise WrongUse(f"{options} must be a feasible start, not {start.tolist()}{condition}")

@@ -28,15 +28,18 @@ Kinds = Mapping[str, type[System] | System]
 """The walkers, or the system, that a command offers, by their names."""
 
 
-def takes_walker(*, systems: bool = False, ranges_over: str | None = None) -> Callable:
+def takes_walker(
+    *, systems: bool = False, ranges_over: str | None = None, or_one_value: bool = False
+) -> Callable:
     """Decorate a command whose first argument is a walker: `with_walker_options` replaces it.
 
     With `systems`, it takes any other system too. `ranges_over` is its argument that names the
-    parameter that goes from --from to --to, and has no one value.
+    parameter that goes from --from to --to, and has no one value; without a range it may have,
+    with `or_one_value`.
     """
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        vars(command).update(systems=systems, ranges_over=ranges_over)
+        vars(command).update(systems=systems, ranges_over=ranges_over, or_one_value=or_one_value)
         return command
 
     return decorate
@@ -96,9 +99,13 @@ def with_walker_options(command: Callable[..., None], kinds: Kinds) -> Callable[
         values = {one: value for one, value in values.items() if value is not None}
         if ranges_over is not None:
             over = given[ranges_over].replace("-", "_")
-            if over in values:
+            ranges = given["low"] is not None or not vars(command)["or_one_value"]
+            if over in values and ranges:
                 raise WrongUse(f"{option_of(over)} is not for this command: give --from and --to")
-            values |= {} if given["low"] is None or over not in offered else {over: given["low"]}
+            if ranges and over in offered:
+                if given["low"] is None and math.isnan(offered[over].default):
+                    raise WrongUse(f"--from is required: the range of {over.replace('_', '-')}")
+                values |= {} if given["low"] is None else {over: given["low"]}
         checks = {one.name: given.pop(PREFIX + one.name) for one in offered_options(kinds)}
         chosen = [one for one, chosen in checks.items() if chosen]
         try:

@@ -22,7 +22,7 @@ FAILURES = {
     Outcome.SCUFFED: ("#1d4843", "", "scuffs"),
     Outcome.SIDEWAYS: ("#c68739", "S", "falls sideways"),
     Outcome.OWN_1: ("#9f88cb", "", "first failure of its own"),
-    Outcome.OWN_2: ("#3f8f8c", "", "second failure of its own"),
+    Outcome.OWN_2: ("#4b3364", "", "second failure of its own"),
     Outcome.OWN_3: ("#8f437c", "", "third failure of its own"),
     Outcome.OWN_4: ("#4d5417", "", "fourth failure of its own"),
 }

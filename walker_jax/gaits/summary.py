@@ -25,10 +25,10 @@ def summarise_bifurcations(data: xr.Dataset) -> dict:
     """Bifurcations and the loss of walking, from a `bifurcation_diagram`.
 
     **Returns** `doublings` of the cascade that starts from the most stable gait of period one,
-    `other_doublings`, `folds` and `neimark_sackers`, each in ascending order of period, then of
-    the parameter, whose value they have under its name; `lost`, the values `below` and `above` the
-    loss of walking; and `stable_beyond`, the intervals beyond it in which a gait born at a fold is
-    stable.
+    `other_doublings`, `folds` and `neimark_sackers`, each in ascending order of period, then of the
+    parameter, which is their `slope`, or the `value` of another one; `lost`, the values `below` and
+    `above` the loss of walking; and `stable_beyond`, the intervals beyond it in which a gait
+    that is born at a fold is stable.
     """
     fold, cascade = data["event_fold"].values, data["cascade"].values
     below, above = map(float, data["lost"].values)
@@ -52,8 +52,13 @@ def list_events(data: xr.Dataset, chosen: np.ndarray) -> list[dict]:
         fold = bool(data["event_fold"].values[i])
         kind = {"period": period} if fold else {"from": period, "to": 2 * period}
         state = data["event_states"].values[i, 0]
-        events.append({**kind, data.attrs["parameter"]: float(values[i]), "state": state})
+        events.append({**kind, value_key(data): float(values[i]), "state": state})
     return events
+
+
+def value_key(data: xr.Dataset) -> str:
+    """Under which an event has the value of the parameter: another name could be that of a key."""
+    return "slope" if data.attrs["parameter"] == "slope" else "value"
 
 
 def list_tori(data: xr.Dataset) -> list[dict]:
@@ -64,7 +69,7 @@ def list_tori(data: xr.Dataset) -> list[dict]:
     angles = np.arctan2(*np.moveaxis(data["torus_multipliers"].values[:, 0, ::-1], 1, 0))
     return [
         {
-            **{"period": int(periods[i]), data.attrs["parameter"]: float(values[i])},
+            **{"period": int(periods[i]), value_key(data): float(values[i])},
             **{"angle": abs(float(angles[i])), "state": data["torus_states"].values[i, 0]},
         }
         for i in np.lexsort([values, periods])

@@ -13,7 +13,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Bool, Float
 
 from walker_jax.basins.mapper import Mapper
-from walker_jax.checks import check_whole, refuses_tracers
+from walker_jax.checks import ComputationFailed, check_whole, refuses_tracers
 from walker_jax.gaits.cycles import Gait
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.stability.descents import descend_to_failure
@@ -154,3 +154,13 @@ def least_disturbance(
     disturbance = tried[-1]
     direction = (disturbance if scale is None else step) / length
     return LeastDisturbance(length, direction, x + disturbance, phase, failure, made)
+
+
+def least_known(walker: System, gait: Gait, **about: Any) -> LeastDisturbance:
+    """The least disturbance; NaN, and a failure of -1, where none that is tried ends elsewhere."""
+    try:
+        return least_disturbance(walker, gait, **about)
+    except ComputationFailed:
+        unknown = np.full(len(walker.section), np.nan)
+        none: Any = -1
+        return LeastDisturbance(np.nan, unknown, unknown, 0, none, -1)

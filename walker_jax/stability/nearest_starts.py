@@ -42,6 +42,8 @@ def nearest_starts(data: xr.Dataset) -> list[NearestStart]:
     if nearest.outcome != Outcome.STRIDE or "least_fall" not in data:
         return [nearest]
     distance, state = float(data["least_fall"]), data["fall_state"].values
+    if not np.isfinite(distance):  # nothing falls
+        return [nearest]
     fall = NearestStart(
         state - distance * data["fall_direction"].values,
         distance,

@@ -1,6 +1,6 @@
 """All measures of robustness of a gait, and their table over a parameter."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -11,6 +11,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from walker_jax.basins.attracting_gaits import compare_with_search, gait_of_basins
+from walker_jax.basins.memory import check_grid
 from walker_jax.basins.refinement import refine
 from walker_jax.checks import WrongUse, check_precision, numbers, refuses_tracers
 from walker_jax.execution.progress import bar, track
@@ -20,7 +21,7 @@ from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import search_gait
 from walker_jax.grids import Grid
 from walker_jax.stability.dimension import boundary_dimension, comparisons
-from walker_jax.stability.disturbances import LeastDisturbance, least_disturbance
+from walker_jax.stability.disturbances import LeastDisturbance, least_known
 from walker_jax.stability.rough_ground import steps_to_fall
 from walker_jax.stability.sampling import BasinStability, basin_stability
 from walker_jax.stability.slices import default_region
@@ -71,11 +72,11 @@ def robustness(
     `gait_period`, `gait_state` (the nearest to the least disturbance), `multiplier` (the
     largest modulus), `step_time` (the mean), `return_strides` (the characteristic return time); of
     the point that `least_disturbance` finds,
-    `least_disturbance`, `direction`, `failing_state`, `failure` (-1 for none) and
-    `failing_strides`; of the one that it finds with `fall`, which is the same unless the first
-    leads to another motion, `least_fall`, `fall_direction`, `fall_state`, `fall_failure` and
-    `fall_strides`; `step_down` and `step_down_failure`, and `step_down_fall`, the least one from
-    which the walker falls; `stability`, with `_low` and `_high`, `in_time`,
+    `least_disturbance`, `direction`, `failing_state`, `failure` and `failing_strides`, NaN and -1
+    where it returns from all that were tried; of the one that it finds with `fall`, which is the
+    same unless the first leads to another motion, `least_fall`, `fall_direction`, `fall_state`,
+    `fall_failure` and `fall_strides`; `step_down` and `step_down_failure`, and `step_down_fall`,
+    the least one from which the walker falls; `stability`, with `_low` and `_high`, `in_time`,
     `median_strides`, `slowest_strides`, `mean_strides`, `pace`, `median_pace`, `mean_shock` and
     `largest_shock`, as `basin_stability` has them, sizes being shares of the gait's state;
     `dimension`, with `_low` and `_high`, of the boundary; and with a `ground` the mean
@@ -88,6 +89,8 @@ def robustness(
     """
     if ground is not None:
         check_planar(walker)
+    if grid is not None:
+        check_grid(walker, grid, "direct", kind="robustness")
     check_precision(jnp.asarray(0.0).dtype, "robustness, which has the dimension of a boundary,")
     with bar("search for a gait", progress):
         searched = search_gait(walker, tolerance=tolerance)
@@ -119,9 +122,9 @@ def robustness(
         return boundary_dimension(walker, grid, seed=seed, **comparisons(walker), **about)
 
     def by_disturbances() -> tuple[Gait, LeastDisturbance, LeastDisturbance, BasinStability]:
-        nearest = fall = least_disturbance(walker, gait, **about)
+        nearest = fall = least_known(walker, gait, **about)
         if nearest.failure in LEADS_ELSEWHERE:
-            fall = least_disturbance(walker, gait, fall=True, **about)
+            fall = least_known(walker, gait, fall=True, **about)
         rolled = gait._replace(states=np.roll(np.asarray(gait.states), -nearest.phase, axis=0))
         scale = np.abs(np.asarray(rolled.states[0]))
         stability = basin_stability(walker, disturbances, rolled, scale=scale, seed=seed, **about)
@@ -276,8 +279,8 @@ def without_gait(walker: System) -> dict:
     return numbers | vectors | whole | {NOTE.name: np.array("", object)} | WITHOUT_GAIT
 
 
-def summarise_robustness(data: xr.Dataset, slope: float) -> dict:
-    """The results of `robustness` on one slope, for JSON; None where no gait attracts."""
+def summarise_robustness(data: xr.Dataset, at: Mapping[str, float]) -> dict:
+    """The results of `robustness`, `at` a value, for JSON; None where no gait attracts."""
     attracts = int(data["gait_period"]) > 0
     values = lambda group: {
         key: value_of(data, field) if attracts else None for key, field in group.items()
@@ -295,7 +298,7 @@ def summarise_robustness(data: xr.Dataset, slope: float) -> dict:
         of_gait["steps_to_fall"] = values(GROUND) | {"ground": float(data.attrs["ground"])}
     at_border = data.get("at_border", np.nan)  # earlier data sets, and rows without a grid, lack it
     return {
-        "slope": slope,
+        **at,
         "area": float(data["total_area"]),
         "area_error": float(data["total_area_error"]),
         "at_border": int(at_border) if np.isfinite(at_border) else None,
@@ -314,6 +317,8 @@ def value_of(data: xr.Dataset, field: Field) -> Any:
     if field.kind in ("outcome", "text"):
         if field.kind == "text":
             return str(value)
+        if value < 0:
+            return None
         return name_of_outcome(int(value), failures_of(data))
     return float(value) if field.kind == "number" else int(value)
 

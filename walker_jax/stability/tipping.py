@@ -6,6 +6,7 @@ fall: the share of their basin that another basin covers at the new value (Kasza
 are followed too.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -29,7 +30,7 @@ from walker_jax.checks import (
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import integrator_of
 from walker_jax.stability.sampling import Sampler, draw_starts, wilson_interval
-from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome, name_of_outcome
 from walker_jax.systems.system import System, check_single
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 from walker_jax.walking.iteration import orbits
@@ -147,8 +148,8 @@ def tipping_probability(
         high=intervals[..., 1],
         starts=counts,
         on_attractor=np.array([of_end(end) for end in before]),
-        before=tuple(map(name_of, before.tolist())),
-        after=tuple(map(name_of, after.tolist())),
+        before=tuple(name_of(end, walker.failures) for end in before.tolist()),
+        after=tuple(name_of(end, walker.failures) for end in after.tolist()),
         attractors_before=[one.states for one in mapper_before.attractors],
         attractors_after=[one.states for one in mapper_after.attractors],
     )
@@ -159,12 +160,13 @@ def ends_of(labels: Labels) -> Int[np.ndarray, " n"]:
     return np.where(labels.converged, labels.attractor, FAILURES + labels.fate.astype(int))
 
 
-def name_of(end: int) -> str:
+def name_of(end: int, failures: Sequence[str]) -> str:
     """The name of an end."""
     if end < FAILURES:
         return f"attractor {end}"
-    outcome = Outcome(end - FAILURES)
-    return "unknown attractor" if outcome == Outcome.STRIDE else outcome.name
+    outcome = end - FAILURES
+    walks = outcome == Outcome.STRIDE
+    return "unknown attractor" if walks else name_of_outcome(outcome, failures)
 
 
 def transition_counts(

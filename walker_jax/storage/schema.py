@@ -52,7 +52,8 @@ class Kind(NamedTuple):
 V = Variable
 WALKER = {
     "walker": "class of the walker; each parameter is an attribute `walker_` + its name, and "
-    "`code` is a fingerprint of a class that is not of the package"
+    "`code` is a fingerprint of a class that is not of the package, and `failures` are the "
+    "names of its own failures"
 }
 SECTION = {"section": "names of the coordinates of a state"}
 KINDS = {

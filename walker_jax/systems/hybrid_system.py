@@ -3,11 +3,12 @@
 import abc
 from typing import Any
 
+import numpy as np
 from jaxtyping import Array, Float
 
-from walker_jax.checks import WrongUse
+from walker_jax.checks import WrongUse, short
 from walker_jax.hybrid.modes import Mode
-from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome, names_of_outcomes
 from walker_jax.systems.system import System
 
 
@@ -37,10 +38,18 @@ class HybridSystem(System):
 
 
 def check_outcomes(system: HybridSystem, *modes: Mode) -> None:
-    """Refuse guards and conditions that lead to what no `Outcome` is."""
-    for outcome in (one for mode in modes for one in mode.outcomes()):
-        if int(outcome) not in Outcome.__members__.values():
-            raise WrongUse(
-                f"leads_to of a guard of {system.label()} must be an Outcome, not {outcome}: "
-                "failure gives those of its own"
-            )
+    """Refuse guards and conditions that lead to what is no `Outcome`, or one without a name."""
+    known = names_of_outcomes(system.failures)
+    for mode in modes:
+        conditions = [("at_end", mode.at_end, True), ("conditions", mode.conditions, True)]
+        for part, ones, failures_alone in (("guards", mode.guards, False), *conditions):
+            for one in ones:
+                outcome = getattr(one, "leads_to" if part == "guards" else "outcome", one)
+                number = isinstance(outcome, int | np.integer) and not isinstance(outcome, bool)
+                goes_on = number and outcome == Outcome.STRIDE
+                if not number or outcome not in known or (goes_on and failures_alone):
+                    raise WrongUse(
+                        f"{part} of a mode of {system.label()} must lead to "
+                        f"{'a failure' if failures_alone else 'an Outcome'}, not to "
+                        f"{short(outcome)}: failure gives one by its name"
+                    )

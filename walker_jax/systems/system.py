@@ -129,7 +129,7 @@ def apply_map(walker: System, x: Float[Array, " section"]) -> Stride:
             f"{state.dtype} of shape {state.shape}"
         )
     finite = jnp.all(jnp.isfinite(state))
-    known = jnp.asarray((outcome >= 0) & (outcome < len(Outcome)))
+    known = jnp.asarray((outcome >= 0) & (outcome < OWN[0] + len(walker.failures)))
     decided = known & ((outcome != Outcome.STRIDE) | finite)
     outcome = jnp.where(decided, outcome, Outcome.UNDECIDED)
     outcome = jnp.where(walker.feasible(x), outcome, Outcome.OUTSIDE).astype(jnp.int8)

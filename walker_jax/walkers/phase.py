@@ -4,6 +4,7 @@ The state, the falls and the conditions of a walker are those of its phases too.
 """
 
 import abc
+import inspect
 from collections.abc import Callable
 from typing import Any, NamedTuple, cast
 
@@ -29,7 +30,8 @@ class State(NamedTuple):
 
 
 Conditions = dict[str, Callable[[Any], Scalar]]
-"""Functions of the state, by the name of the `Outcome` of a stride in which one is negative."""
+"""Functions of the state, by the name of the failure of a stride in which one is negative: that of
+an `Outcome`, or one of the walker's own."""
 
 
 class Phase(eqx.Module):
@@ -115,7 +117,8 @@ class Phase(eqx.Module):
 def energy_of(part: Any) -> Function | None:
     """The method of a walker or a phase that gives its energy, if it has one."""
     energy = getattr(part, "energy", None)
-    return energy if callable(energy) else None
+    of_a_state = callable(energy) and len(inspect.signature(energy).parameters) == 1
+    return energy if of_a_state else None
 
 
 def is_of_package(kind: type, method: str) -> bool:

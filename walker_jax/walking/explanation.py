@@ -95,7 +95,8 @@ class Explanation(NamedTuple):
                 if name not in risen:
                     lines.append(f"  guard {name} did not rise: {value:.6g} at most")
             for name, value in mode.least.items():
-                broken = ", violated" if value < 0 else ""
+                holds = value > 0 if "at the end" in name else value >= 0
+                broken = "" if holds else ", violated"
                 lines.append(f"  condition {name}: {value:.6g} at least{broken}")
             start, end = mode.energy
             if np.isfinite(start):
@@ -276,7 +277,9 @@ def record_mode(
         return over_at_once(name_of_outcome(fallen, failures)), state, False
     method = method_of(mode, state, integrator)
     if may_be_due and not begins_below(method.series(mode.guards[-1].value, state, 2)):
-        return over_at_once(names[-1]), state, True
+        at_end = values_at_end(mode, state, failures)
+        least |= at_end
+        return over_at_once(names[-1]), state, all(value > 0 for value in at_end.values())
 
     def look(state, series, time):
         """A step up to a time: its end, the guards there, and the conditions on the way."""
@@ -324,12 +327,20 @@ def record_mode(
         return ModeRecord(np.inf, count, "", rises, least, greatest, change), state, False
     change = energy, float(energy_of(there))
     leads_on = ending.leads_to == Outcome.STRIDE.name
-    for one in mode.at_end if leads_on else ():
-        name = f"{name_of_outcome(one.outcome, failures)} at the end"
-        least[name] = float(one.value(there))
-        leads_on &= least[name] > 0
+    if leads_on:
+        at_end = values_at_end(mode, there, failures)
+        least, leads_on = least | at_end, all(value > 0 for value in at_end.values())
     record = ModeRecord(ending.time, count, ending.leads_to, rises, least, greatest, change)
     return record, there, leads_on
+
+
+def values_at_end(mode: Mode, state: Any, failures: tuple[str, ...]) -> dict[str, float]:
+    """The values of what is asked of a state in which a mode has ended."""
+    found: dict[str, float] = {}
+    for i, one in enumerate(mode.at_end):
+        name = f"{name_of_outcome(one.outcome, failures)} at the end"
+        found[f"{name} ({i})" if name in found else name] = float(one.value(state))
+    return found
 
 
 def rises_of(coefficients: Float[np.ndarray, " n"], length: float, below: bool) -> list[float]:

@@ -208,20 +208,21 @@ def measure_stride(walker: HybridSystem, arrival: Arrival, outcome: Array) -> di
     failed = jnp.where(pulled, force_at_start(parts), failed)
 
     # the end of a mode
+    judged: list[tuple[int, Array, Scalar]] = []
     for i, part in enumerate(parts):
         ended = part.end.guard == len(part.mode.guards) - 1
         ended = struck if i == len(parts) - 1 else ended | (part.verdict == Outcome.STRIDE)
         for one in part.mode.at_end:
-            value = one.value(part.end.state)
-            passed[one.outcome] = jnp.minimum(
-                passed.get(one.outcome, infinite), jnp.where(ended & ~violated, value, infinite)
-            )
-            failed = jnp.where(ended & (outcome == one.outcome) & (value <= 0), value, failed)
-
-    stopped = int(Outcome.STOPPED)
+            judged.append((one.outcome, ended, one.value(part.end.state)))
     if isinstance(walker, Walker):
-        passed[stopped] = jnp.where(struck & ~violated, lift, passed.get(stopped, infinite))
-        failed = jnp.where(struck & (outcome == stopped), lift, failed)
+        judged.append((int(Outcome.STOPPED), struck, lift))
+    least = infinite
+    for of, ended, value in judged:
+        last = jnp.where(ended & ~violated & (value > 0), value, infinite)
+        passed[of] = jnp.minimum(passed.get(of, infinite), last)
+        ends = ended & (outcome == of) & (value <= 0)
+        least = jnp.minimum(least, jnp.where(ends, value, infinite))
+    failed = jnp.where(jnp.isfinite(least), least, failed)
 
     began = (outcome != Outcome.OUTSIDE) & (outcome != Outcome.UNDECIDED) & ~pulled
     margins: dict[str, Scalar] = {}

@@ -181,7 +181,9 @@ def follow_phases(
         over = (now.verdict == Outcome.UNDECIDED) & due
         now = now._replace(verdict=jnp.where(over, Outcome.STRIDE, now.verdict).astype(jnp.int8))
         now = follow_on(mode, now, integrator, measured)
-        now = now._replace(verdict=judge_end(mode, now))
+        judged = with_fast_sincos(partial(judge_end, mode))(now.state, now.verdict)
+        verdict = jnp.where(now.verdict == Outcome.STRIDE, judged, now.verdict)
+        now = now._replace(verdict=verdict)
         ended = now.verdict == Outcome.STRIDE
         time = jnp.where(now.verdict == Outcome.UNDECIDED, jnp.inf, now.time)
         verdict = jnp.where(ended, Outcome.UNDECIDED, now.verdict).astype(jnp.int8)
@@ -239,13 +241,13 @@ def follow_on(mode: Mode, last: Arrival, integrator: Integrator, measured: bool 
     return Arrival(found.state, last.time + found.time, verdict.astype(jnp.int8), violated, parts)
 
 
-def judge_end(mode: Mode, last: Arrival) -> Int[Array, ""]:
-    """The verdict on a mode that was followed: it may have ended as the motion cannot go on."""
-    verdict = last.verdict
+def judge_end(mode: Mode, state: Any, verdict: Int[Array, ""]) -> Int[Array, ""]:
+    """The verdict on the state in which a mode has ended: the motion may not go on from there."""
     for one in reversed(mode.at_end):
-        fails = (last.verdict == Outcome.STRIDE) & (with_fast_sincos(one.value)(last.state) <= 0)
-        verdict = jnp.where(fails, one.outcome, verdict)
-    return verdict.astype(jnp.int8)
+        value = one.value(state)
+        fails = jnp.where(jnp.isnan(value), Outcome.UNDECIDED, one.outcome)
+        verdict = jnp.where(value > 0, verdict, fails)
+    return verdict
 
 
 def method_of(mode: Mode, start: Any, integrator: Integrator) -> Method:
@@ -262,8 +264,7 @@ def end_stride(walker: HybridSystem, modes: list[Mode], last: Arrival) -> tuple[
     struck = jnp.where(fallen == Outcome.UNDECIDED, Outcome.STRIDE, fallen)
     struck = jnp.where(lift > 0, struck, Outcome.STOPPED)
     struck = jnp.where(jnp.isfinite(lift), struck, Outcome.UNDECIDED)
-    for one in reversed(modes[-1].at_end):
-        struck = jnp.where(one.value(last.state) > 0, struck, one.outcome)
+    struck = judge_end(modes[-1], last.state, struck)
     for outcome, violated in reversed(last.violated.items()):
         struck = jnp.where(violated, outcome, struck)
     outcome = jnp.where(last.verdict == Outcome.STRIDE, struck, last.verdict).astype(jnp.int8)
