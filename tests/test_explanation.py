@@ -134,14 +134,14 @@ class Leaky(WithEnergy):
 
 
 def test_energy_that_should_be_constant_is_looked_at():
-    sound = wj.explain(WithEnergy(0.009), [0.2, -0.2])
+    sound = wj.explain(WithEnergy(0.009), jnp.array([0.2, -0.2]))
     start, end = sound.modes[0].energy
     assert start == pytest.approx(0.02 + np.cos(0.191), rel=1e-14) and abs(end - start) < 1e-12
     assert sound.complaints == [] and f"energy {start:.9g} at the start" in str(sound)
-    found = wj.explain(Leaky(0.009), [0.2, -0.2])
+    found = wj.explain(Leaky(0.009), jnp.array([0.2, -0.2]))
     (complaint,) = found.complaints
     assert complaint.startswith("in mode 0 the energy changes by -0.0")
-    runner = wj.explain(wj.SpringMassRunner(), [1.0])
+    runner = wj.explain(wj.SpringMassRunner(), jnp.array([1.0]))
     energies = np.array([mode.energy for mode in runner.modes])
     np.testing.assert_allclose(energies, wj.SpringMassRunner().energy, rtol=1e-11)
 

@@ -59,14 +59,16 @@ BASIN = wj.basin(Juggler(), GRID, "direct", strides=300)
 
 
 def test_strides_end_in_them():
-    made = wj.strides(Juggler(), [[1.0, 0.4], [0.4, 0.0], [2.1, 0.0], [-1.0, 0.0]])
+    made = wj.strides(Juggler(), np.array([[1.0, 0.4], [0.4, 0.0], [2.1, 0.0], [-1.0, 0.0]]))
     assert made.outcome.tolist() == [0, wj.Outcome.OWN_2, wj.Outcome.OWN_1, wj.Outcome.OUTSIDE]
     np.testing.assert_allclose(made.state[0], [1.0, 0.2], rtol=1e-12)
     assert np.isnan(made.state[1:]).all()
 
 
 def test_margins_are_how_far_they_are():
-    found = wj.margins_of_many(Juggler(), [[1.0, 0.0], [0.6, 0.0], [0.4, 0.0], [1.9, 0.0]])
+    found = wj.margins_of_many(
+        Juggler(), np.array([[1.0, 0.0], [0.6, 0.0], [0.4, 0.0], [1.9, 0.0]])
+    )
     np.testing.assert_allclose(found.own, [0.5, 0.1, -0.1, 2 - 1.9**2 / 2], atol=1e-12)
     assert np.isnan(found.stopping).all()
     by = jax.grad(lambda system: wj.margins(system, jnp.array([0.6, 0.0])).own)(Juggler())
@@ -112,11 +114,11 @@ def test_a_mode_that_is_not_the_last_is_judged_at_its_end():
     np.testing.assert_allclose(found.own, [0.5, -0.5, -0.2, -1.0, -0.5, -0.2], atol=1e-12)
     # what is not a number decides nothing
     assert wj.stride(Relay(), jnp.array([0.5, -5.0])).outcome == wj.Outcome.UNDECIDED
-    said = str(wj.explain(Relay(), [0.5, 1.7]))
+    said = str(wj.explain(Relay(), jnp.array([0.5, 1.7])))
     assert "from (0.5, 1.7): lost\n" in said and "mode 1" not in said
     assert "condition lost at the end: 0.3 at least\n" in said
     assert "condition lost at the end (2): -0.2 at least, violated" in said
-    at_once = wj.explain(Relay(), [-0.5, 1.7])
+    at_once = wj.explain(Relay(), jnp.array([-0.5, 1.7]))
     assert at_once.name == "lost" and len(at_once.modes) == 1
     assert at_once.modes[0].ended_by == "STRIDE at once"
 
@@ -187,11 +189,11 @@ def test_the_area_has_derivatives_by_what_moves_their_boundaries():
 
 
 def test_an_explanation_names_them():
-    stuck = str(wj.explain(Juggler(), [0.4, 0.0]))
+    stuck = str(wj.explain(Juggler(), jnp.array([0.4, 0.0])))
     assert stuck.startswith("Juggler from (0.4, 0): sticks\n")
     assert "condition sticks at the end: -0.1 at least, violated" in stuck
     assert "energy 0.08 at the start" in stuck
-    high = wj.explain(Juggler(), [2.1, 0.0])
+    high = wj.explain(Juggler(), jnp.array([2.1, 0.0]))
     assert high.name == "hits_the_ceiling" and high.modes[0].ended_by == high.name
     assert high.outcome == wj.Outcome.OWN_1
 
@@ -219,7 +221,7 @@ class Leaning(wj.SimplestWalker):
 
 
 def test_walkers_have_them_too():
-    made = wj.strides(Leaning(0.009), [[0.2, -0.2], [0.55, -0.5]])
+    made = wj.strides(Leaning(0.009), np.array([[0.2, -0.2], [0.55, -0.5]]))
     assert made.outcome.tolist() == [0, wj.Outcome.OWN_1]
     offered = {"leaning": Offer("leaning", Leaning, (0.009,), "")}
     fates = describe_family(offered)["fates"]

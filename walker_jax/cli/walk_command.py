@@ -103,7 +103,7 @@ def walk(
     names = [name_of_outcome(code, walker.failures) for code in outcomes[:count].tolist()]
     states, times = np.asarray(made.states)[: completed + 1], np.asarray(made.times)[:count]
     coordinates = walker.section if ground is None else State._fields
-    if animate is not None:
+    if animate is not None and isinstance(walker, Walker):
         motion = wj.motion(walker, begin, strides, step=FRAME_INTERVAL, ground=heights)
         data = None
         if not isinstance(walker, wj.SpatialWalker):

@@ -33,7 +33,8 @@ system's own, which has a name for each that it knows."""
 def failure_words(outcome: int, failures: Sequence[str] = ()) -> str:
     """How a walk fails, in words, of a system with these failures of its own."""
     own = outcome in OWN[: len(failures)]
-    return name_of_outcome(outcome, failures).replace("_", " ") if own else FAILURES[outcome][2]
+    words = FAILURES[Outcome(outcome)][2]
+    return name_of_outcome(outcome, failures).replace("_", " ") if own else words
 
 
 BASINS = ("#0d2c5e", "#8c2566", "#0f7a72")

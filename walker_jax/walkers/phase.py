@@ -116,9 +116,9 @@ class Phase(eqx.Module):
 
 def energy_of(part: Any) -> Function | None:
     """The method of a walker or a phase that gives its energy, if it has one."""
-    energy = getattr(part, "energy", None)
+    energy: Any = getattr(part, "energy", None)
     of_a_state = callable(energy) and len(inspect.signature(energy).parameters) == 1
-    return energy if of_a_state else None
+    return cast("Function", energy) if of_a_state else None
 
 
 def is_of_package(kind: type, method: str) -> bool:

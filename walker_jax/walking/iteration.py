@@ -224,12 +224,12 @@ def walk_on(
 ) -> WalkEnd:
     """Walk on until a failure, until a target is reached, or for a number of strides."""
 
-    def distances(x):
+    def distances(x, targets):
         distance = jnp.sum(targets.frames * (x - targets.states)[:, None], axis=2)
         return jnp.max(jnp.abs(distance), axis=1)
 
     def is_near(x):
-        return jnp.asarray(False) if targets is None else jnp.any(distances(x) < 1)
+        return jnp.asarray(False) if targets is None else jnp.any(distances(x, targets) < 1)
 
     def unfinished(carry):
         _, outcome, made, near = carry
@@ -245,7 +245,7 @@ def walk_on(
     x, outcome, made, near = lax.while_loop(unfinished, advance, (x, *begun, is_near(x)))
     target = jnp.asarray(-1, jnp.int32)
     if targets is not None:
-        target = jnp.where(near, jnp.argmin(distances(x)).astype(jnp.int32), target)
+        target = jnp.where(near, jnp.argmin(distances(x, targets)).astype(jnp.int32), target)
     return WalkEnd(x, outcome, made, target)
 
 
