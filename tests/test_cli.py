@@ -1187,8 +1187,8 @@ def test_help_has_the_slopes_that_a_walker_has_by_default(run):
         "walk", "--help"
     )
     said = words("bifurcation", "--help")
-    assert "Lowest slope, rad (default: 0.001, kneed: 0.03)" in said
-    assert "Highest slope, rad (default: 0.022, kneed: 0.12)" in said
+    assert "Lowest value (default, of the slope: 0.001, kneed: 0.03)" in said
+    assert "Highest value (default, of the slope: 0.022, kneed: 0.12)" in said
 
 
 def test_help_names_the_parameters_of_walkers(run):

@@ -90,7 +90,7 @@ def robustness(
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Measure how large a disturbance a gait survives, on one slope or over many values.
+    """Measure how large a disturbance a gait survives, on one slope or over many.
 
     The measures are the area of the basin with its error; the least disturbance (minimal fatal
     shock) from which the walker does not return to its gait and, where that leads to another
