@@ -18,7 +18,7 @@ that have another outcome; those near a boundary; strides of which the states di
     powered-point-foot   10000000 strides  42%   0   0   0   1e-09  232 s
     powered-round-foot   10000000 strides  55%   0   0   0   9e-10  309 s
     powered-upper-body   10000000 strides  53%   0   0   0   1e-10  414 s
-    spatial               1000000 strides  37%   0   0   0   8e-12  258 s
+    spatial              10000000 strides  37%   0   0   0   2e-11 1582 s
     simplest on steps    10000000 strides   7%   0   0   0   1e-08   58 s
     powered on steps     10000000 strides  50%   0   0   0   2e-09  109 s
     kneed on steps       10000000 strides  41%   0   0   0   5e-11  635 s
