@@ -434,7 +434,7 @@ def test_a_fall_is_searched_for_only_where_the_nearest_start_that_is_lost_does_n
 
     survived = BasinStability(*map(np.asarray, (0.5, 0.4, 0.6, np.zeros(8, int), 0, 5.0, 9.0)))
     dimension = Uncertainty(1.0, 1.0, 1.0, 1.0, np.zeros(0), np.zeros(0))
-    monkeypatch.setattr("walker_jax.stability.summary.least_known", disturbed)
+    monkeypatch.setattr("walker_jax.stability.summary.least_disturbance_if_any", disturbed)
     monkeypatch.setattr("walker_jax.stability.summary.least_step_down", stepped)
     monkeypatch.setattr("walker_jax.stability.summary.basin_stability", lambda *_, **__: survived)
     monkeypatch.setattr(
@@ -482,7 +482,7 @@ def test_the_numbers_are_those_of_the_gait_of_the_largest_basin_where_it_is_weak
     at = {"size": 0.01, "direction": np.array([0.6, 0.8]), "state": np.array([0.21, -0.24])}
     answers = {
         "refine": basins,
-        "least_known": LeastDisturbance(**at, **failing),
+        "least_disturbance_if_any": LeastDisturbance(**at, **failing),
         "least_step_down": LeastStepDown(size=0.05, state=np.zeros(4), **failing),
         "boundary_dimension": Uncertainty(1.25, 1.0, 1.5, 0.75, np.zeros(0), np.zeros(0)),
     }

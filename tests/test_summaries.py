@@ -215,7 +215,7 @@ def made_up_robustness(monkeypatch, walker: wj.Walker = WALKER, grid=GRID):
     gait = wj.find_gait(walker)
     point = (0.002, np.array([0.6, 0.8]), np.asarray(gait.states[0]), 0, Outcome.FORWARD, 6)
     answers = {
-        "least_known": wj.LeastDisturbance(*point),
+        "least_disturbance_if_any": wj.LeastDisturbance(*point),
         "least_step_down": wj.LeastStepDown(0.001, np.zeros(4), 0, Outcome.FORWARD, 6),
         "basin_stability": wj.BasinStability(
             *map(np.asarray, (0.3, 0.2, 0.4, 8 * [0], 0, 20.0, np.inf))

@@ -22,7 +22,7 @@ from walker_jax.walking.iteration import iterate, orbits
 SAMPLE = 2**14
 """Starts that are followed in search of attractors."""
 SCOUTS = 2**8
-"""Those that are followed first: on what they find, most of the others end."""
+"""Starts that are followed first: on what they find, most of the others end."""
 LONGEST_PERIOD = 64
 """Strides in the longest cycle that is recognised as one."""
 PATIENCE = 8
@@ -150,7 +150,7 @@ def not_on(
     x: Float[np.ndarray, "n section"],
     integrator: Integrator,
 ) -> Bool[np.ndarray, " n"]:
-    """Which walkers neither fail nor come to one of these cycles, in as many strides."""
+    """Whether walkers neither fail nor come to one of these cycles in `PATIENCE` rounds."""
     targets, _ = targets_of(found, x.shape[1])
     end = iterate(walker, x, PATIENCE * LONGEST_PERIOD, integrator, targets)
     return (end.outcome == Outcome.STRIDE) & (end.target < 0)

@@ -18,7 +18,7 @@ from walker_jax.walkers.parameters import attributes_of
 NOT_COMPUTED = -1
 """The fate of a cell whose piece has not been computed."""
 ARRAYS = "fate", "attractor", "strides"
-"""Over a grid."""
+"""Names of the arrays over a grid."""
 
 
 def attributes_of_arrays(failures: Sequence[str]) -> dict[str, dict[str, Any]]:
@@ -57,11 +57,10 @@ def to_dataset(walker: System, grid: Grid, basins: Basins, settings: dict) -> xr
     """The data set that `basin` returns; the settings of the method are among its attributes."""
     reached = basins.attractor[basins.attractor >= 0]
     cells = np.bincount(reached, minlength=len(basins.attractors))
+    about = attributes_of_arrays(walker.failures)
     arrays = {
-        name: (grid.names, np.asarray(values).reshape(grid.shape), about)
-        for (name, about), values in zip(
-            attributes_of_arrays(walker.failures).items(), basins, strict=False
-        )
+        name: (grid.names, np.asarray(values).reshape(grid.shape), about[name])
+        for name, values in zip(ARRAYS, basins, strict=False)
     }
     data = describe(walker, grid, settings).assign(arrays)
     at_border = count_at_border(grid, basins.attractor)

@@ -61,7 +61,7 @@ def summarise_basin(data: xr.Dataset, counts: Tally) -> dict:
         "cells": int(counts.fates.sum()),
         **size,
         "attractors": summarise_attractors(data),
-        "fates": {names[one]: int(counts.fates[one]) for one in names},
+        "fates": {name: int(counts.fates[one]) for one, name in names.items()},
     }
 
 

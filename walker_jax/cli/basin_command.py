@@ -42,6 +42,7 @@ from walker_jax.cli.options import (
     check_finite,
     check_phidot,
     check_ranges,
+    check_section,
     cluster_from,
     window_from,
 )
@@ -262,21 +263,6 @@ def basin(
         )
     film = f", film {animate}" if animate is not None else ""
     print(f"  data set {out}, picture {figure}{film}")
-
-
-def check_section(walker: System, axis: list[str] | None) -> None:
-    """Refuse a section of one coordinate, which has no picture, and of many without --axis."""
-    count = len(walker.section)
-    if count == 1:
-        raise WrongUse(
-            f"{walker.label()} has a section of one coordinate, and pictures have two: use "
-            "walker_jax.basin in Python"
-        )
-    if count > 3 and not axis:
-        raise WrongUse(
-            f"--axis is required: {walker.label()} has a section of {count} coordinates; give two "
-            "or three of them as NAME=LO:HI:N, the others as NAME=VALUE"
-        )
 
 
 def zoom_centre(

@@ -20,7 +20,7 @@ from walker_jax.cli.options import (
 )
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.execution.progress import bar
-from walker_jax.gaits.summary import summarise_bifurcations
+from walker_jax.gaits.summary import summarise_bifurcations, value_key
 from walker_jax.systems.system import System
 from walker_jax.walkers.family import WALKERS
 from walker_jax.walkers.model import Walker
@@ -102,7 +102,6 @@ def bifurcation(
 
 def print_bifurcations(answer: dict, over: str, strides: int) -> None:
     """The answer of `bifurcation`, in words."""
-    value = "slope" if over == "slope" else "value"
     for title, key in (
         ("doublings of the most stable gait", "doublings"),
         ("doublings of other gaits", "other_doublings"),
@@ -113,8 +112,9 @@ def print_bifurcations(answer: dict, over: str, strides: int) -> None:
             continue
         print(f"  {title}:{'' if answer[key] else ' none'}")
         for event in answer[key]:
+            at = event[value_key(over)]
             periods = f"{event['from']} to {event['to']}" if "to" in event else event["period"]
-            print(f"    period {periods} at {event[value]:.12f}, ({listed(event['state'])})")
+            print(f"    period {periods} at {at:.12f}, ({listed(event['state'])})")
     below, above = answer["lost"]["below"], answer["lost"]["above"]
     if math.isnan(below):
         print(f"  no walker that starts close to a gait walks on, at any {hyphenated(over)}")

@@ -179,6 +179,28 @@ def refuse_axes_of_walkers(walker: System, **axes: Any) -> None:
             raise WrongUse(f"--{name} is for walkers: give --axis for each of a system's axes")
 
 
+def check_section(walker: System, axis: list[str] | None) -> None:
+    """Refuse a section of one coordinate, which has no picture, and of many without --axis."""
+    count = len(walker.section)
+    if count == 1:
+        raise WrongUse(
+            f"{walker.label()} has a section of one coordinate, and pictures have two: use "
+            "walker_jax.basin in Python"
+        )
+    if count > 3 and not axis:
+        raise WrongUse(
+            f"--axis is required: {walker.label()} has a section of {count} coordinates; give two "
+            "or three of them as NAME=LO:HI:N, the others as NAME=VALUE"
+        )
+
+
+def refuse_for_systems(walker: System, **options: Any) -> None:
+    """Refuse options, those that are not None, that only walkers have."""
+    for name, given in options.items():
+        if given is not None and not isinstance(walker, Walker):
+            raise WrongUse(f"--{name} is for walkers, not for {walker.label()}: leave it out")
+
+
 def check_ranges(axes: dict[str, Any], most: int) -> None:
     """Refuse axes of which too few, or too many, are ranges for a picture."""
     count = sum(not is_number(axis) for axis in axes.values())

@@ -28,7 +28,7 @@ OPTIONS_OF_SYSTEMS = OPTIONS | {
     "a guess": "--start NAME=VALUE",
     "the guess": "--start",
 }
-"""Those of a command with --system."""
+"""The same of a command with --system."""
 GIVE = re.compile(r"(?<=; give )((?:\w+, )+)(?=or )")
 """Arguments of which a message of `gaits.selection.require_gait` lists some."""
 

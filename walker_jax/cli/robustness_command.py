@@ -11,7 +11,6 @@ from walker_jax import storage
 from walker_jax.basins.windows import grid_along
 from walker_jax.checks import WrongUse
 from walker_jax.cli.answers import draw, find_earlier, listed, print_json, request_for
-from walker_jax.cli.basin_command import check_section
 from walker_jax.cli.options import (
     PHIDOT_HELP,
     Axes,
@@ -24,8 +23,10 @@ from walker_jax.cli.options import (
     asked_of,
     check_finite,
     check_range,
+    check_section,
     grid_from,
     hyphenated,
+    refuse_for_systems,
     window_from,
 )
 from walker_jax.cli.walker_options import takes_walker
@@ -110,9 +111,8 @@ def robustness(
     if disturbances <= 0:
         raise WrongUse(f"--disturbances must be above 0, not {disturbances}")
     grid = grid_from(walker, theta, sum_, at_phidot, axis=axis)
+    refuse_for_systems(walker, ground=ground)
     if not isinstance(walker, Walker):
-        if ground is not None:
-            raise WrongUse(f"--ground is for walkers, not for {walker.label()}: leave it out")
         check_section(walker, axis)
         grid = grid or grid_along(window_from(walker, axis, {}))
     about, name = describe_walker(walker), over.replace("-", "_")
@@ -121,7 +121,9 @@ def robustness(
         check_range(walker, name, low, high)
         values = space_decimals(low, high, count or 20)
         about.pop(name)
-    at = {} if "slope" not in about else {"slope": about["slope"]}
+    elif name != "slope":
+        raise WrongUse("--over is for a table: give --from and --to too")
+    at = {"slope": about["slope"]} if values is None and "slope" in about else {}
     options: Any = {
         "levels": levels,
         "disturbances": disturbances,

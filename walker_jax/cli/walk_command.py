@@ -19,6 +19,7 @@ from walker_jax.cli.options import (
     Seed,
     StartAt,
     check_finite,
+    refuse_for_systems,
     start_from,
     state_from,
 )
@@ -72,10 +73,7 @@ def walk(
     given = {"theta": theta, "thetadot": thetadot, "phidot": phidot}
     given = {name: value for name, value in given.items() if value is not None}
     check_finite(**given, ground=0.0 if ground is None else ground)
-    if not isinstance(walker, Walker):
-        for option, value in (("--ground", ground), ("--animate", animate)):
-            if value is not None:
-                raise WrongUse(f"{option} is for walkers, not for {walker.label()}: leave it out")
+    refuse_for_systems(walker, ground=ground, animate=animate)
     given = start_from(walker, start, given)
     if moves_like(walker, wj.SimplestWalker):
         given = PAPER_START | given
@@ -128,7 +126,8 @@ def refuse_start(walker: System, start: Float[np.ndarray, " section"]) -> NoRetu
     """Raises `WrongUse` for a start that is not feasible, with the condition for that."""
     form = "--{}" if isinstance(walker, Walker) else "--start {}=VALUE"
     options = " and ".join(map(form.format, walker.section))
-    own = type(walker).feasible is not System.feasible
-    about = (type(walker).feasible.__doc__ or "") if own else ""  # not that of a class above
-    condition = "".join(f": {line.strip().rstrip('.')}" for line in about.splitlines()[:1])
-    raise WrongUse(f"{options} must be a feasible start, not {start.tolist()}{condition}")
+    feasible = type(walker).feasible
+    about = feasible.__doc__ if feasible is not System.feasible else None  # not one of above
+    condition = (about or "").strip().partition("\n")[0].rstrip(".")
+    why = f": {condition}" if condition else ""
+    raise WrongUse(f"{options} must be a feasible start, not {start.tolist()}{why}")

@@ -98,14 +98,9 @@ def with_walker_options(command: Callable[..., None], kinds: Kinds) -> Callable[
         values = {parameter: given.pop(PREFIX + parameter) for parameter in offered}
         values = {one: value for one, value in values.items() if value is not None}
         if ranges_over is not None:
-            over = given[ranges_over].replace("-", "_")
-            ranges = given["low"] is not None or not vars(command)["or_one_value"]
-            if over in values and ranges:
-                raise WrongUse(f"{option_of(over)} is not for this command: give --from and --to")
-            if ranges and over in offered:
-                if given["low"] is None and math.isnan(offered[over].default):
-                    raise WrongUse(f"--from is required: the range of {over.replace('_', '-')}")
-                values |= {} if given["low"] is None else {over: given["low"]}
+            over, low = offered.get(given[ranges_over].replace("-", "_")), given["low"]
+            if over is not None and (low is not None or not vars(command)["or_one_value"]):
+                values |= lowest_value(over, low, values)
         checks = {one.name: given.pop(PREFIX + one.name) for one in offered_options(kinds)}
         chosen = [one for one, chosen in checks.items() if chosen]
         try:
@@ -121,6 +116,15 @@ def with_walker_options(command: Callable[..., None], kinds: Kinds) -> Callable[
     vars(with_options)["__signature__"] = inspect.Signature([*accepted, *own])  # which typer reads
     with_options.__annotations__ = {one.name: one.annotation for one in (*accepted, *own)}
     return with_options
+
+
+def lowest_value(over: Parameter, low: float | None, given: Mapping[str, float]) -> dict:
+    """The value from which a parameter goes up, if one is given; refuses one value of it."""
+    if over.name in given:
+        raise WrongUse(f"{option_of(over.name)} is not for this command: give --from and --to")
+    if low is None and math.isnan(over.default):
+        raise WrongUse(f"--from is required: the range of {option_of(over.name)[2:]}")
+    return {} if low is None else {over.name: low}
 
 
 def offered_parameters(kinds: Kinds) -> tuple[dict[str, Parameter], dict[str, list[str]]]:

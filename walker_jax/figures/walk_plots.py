@@ -91,11 +91,9 @@ def course(data: xr.Dataset) -> str:
     outcomes = data["outcome"].values
     last = Outcome(int(outcomes[-1]))
     strides = count_noun(len(outcomes) - (last != Outcome.STRIDE), "stride")
-    return (
-        strides
-        if last == Outcome.STRIDE
-        else f"{strides}, then {failure_words(last, failures_of(data))}"
-    )
+    if last == Outcome.STRIDE:
+        return strides
+    return f"{strides}, then {failure_words(last, failures_of(data))}"
 
 
 def steps_over_basin(data: xr.Dataset, walk: xr.Dataset) -> Figure:

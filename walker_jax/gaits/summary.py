@@ -52,13 +52,15 @@ def list_events(data: xr.Dataset, chosen: np.ndarray) -> list[dict]:
         fold = bool(data["event_fold"].values[i])
         kind = {"period": period} if fold else {"from": period, "to": 2 * period}
         state = data["event_states"].values[i, 0]
-        events.append({**kind, value_key(data): float(values[i]), "state": state})
+        events.append(
+            {**kind, value_key(data.attrs["parameter"]): float(values[i]), "state": state}
+        )
     return events
 
 
-def value_key(data: xr.Dataset) -> str:
-    """Under which an event has the value of the parameter: another name could be that of a key."""
-    return "slope" if data.attrs["parameter"] == "slope" else "value"
+def value_key(parameter: str) -> str:
+    """The key of a parameter's value in an event, whose other keys its name might be."""
+    return "slope" if parameter == "slope" else "value"
 
 
 def list_tori(data: xr.Dataset) -> list[dict]:
@@ -69,7 +71,7 @@ def list_tori(data: xr.Dataset) -> list[dict]:
     angles = np.arctan2(*np.moveaxis(data["torus_multipliers"].values[:, 0, ::-1], 1, 0))
     return [
         {
-            **{"period": int(periods[i]), value_key(data): float(values[i])},
+            **{"period": int(periods[i]), value_key(data.attrs["parameter"]): float(values[i])},
             **{"angle": abs(float(angles[i])), "state": data["torus_states"].values[i, 0]},
         }
         for i in np.lexsort([values, periods])

@@ -79,7 +79,7 @@ class Mode(NamedTuple):
     """Whether the guards are known to be as smooth along a solution as the solution is, such as
     those of angles that move by their own sines: no step need be shorter for them then."""
     energy: Function | None = None
-    """Of a state, if it is known. Nothing rests on it, but `explain` says how it changes."""
+    """The energy of a state, if it is known. `explain` alone uses it, and tells how it changes."""
 
     @property
     def rates(self) -> Callable[[Any], Any]:

@@ -156,8 +156,8 @@ def least_disturbance(
     return LeastDisturbance(length, direction, x + disturbance, phase, failure, made)
 
 
-def least_known(walker: System, gait: Gait, **about: Any) -> LeastDisturbance:
-    """The least disturbance; NaN, and a failure of -1, where none that is tried ends elsewhere."""
+def least_disturbance_if_any(walker: System, gait: Gait, **about: Any) -> LeastDisturbance:
+    """`least_disturbance`; NaN, and a failure of -1, where all that were tried return."""
     try:
         return least_disturbance(walker, gait, **about)
     except ComputationFailed:

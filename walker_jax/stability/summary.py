@@ -21,7 +21,7 @@ from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import search_gait
 from walker_jax.grids import Grid
 from walker_jax.stability.dimension import boundary_dimension, comparisons
-from walker_jax.stability.disturbances import LeastDisturbance, least_known
+from walker_jax.stability.disturbances import LeastDisturbance, least_disturbance_if_any
 from walker_jax.stability.rough_ground import steps_to_fall
 from walker_jax.stability.sampling import BasinStability, basin_stability
 from walker_jax.stability.slices import default_region
@@ -122,9 +122,9 @@ def robustness(
         return boundary_dimension(walker, grid, seed=seed, **comparisons(walker), **about)
 
     def by_disturbances() -> tuple[Gait, LeastDisturbance, LeastDisturbance, BasinStability]:
-        nearest = fall = least_known(walker, gait, **about)
+        nearest = fall = least_disturbance_if_any(walker, gait, **about)
         if nearest.failure in LEADS_ELSEWHERE:
-            fall = least_known(walker, gait, fall=True, **about)
+            fall = least_disturbance_if_any(walker, gait, fall=True, **about)
         rolled = gait._replace(states=np.roll(np.asarray(gait.states), -nearest.phase, axis=0))
         scale = np.abs(np.asarray(rolled.states[0]))
         stability = basin_stability(walker, disturbances, rolled, scale=scale, seed=seed, **about)

@@ -39,17 +39,17 @@ class HybridSystem(System):
 
 def check_outcomes(system: HybridSystem, *modes: Mode) -> None:
     """Refuse guards and conditions that lead to what is no `Outcome`, or one without a name."""
-    known = names_of_outcomes(system.failures)
+    known = names_of_outcomes(system.failures).keys()
+    failures = known - {Outcome.STRIDE}
     for mode in modes:
-        conditions = [("at_end", mode.at_end, True), ("conditions", mode.conditions, True)]
-        for part, ones, failures_alone in (("guards", mode.guards, False), *conditions):
-            for one in ones:
-                outcome = getattr(one, "leads_to" if part == "guards" else "outcome", one)
-                number = isinstance(outcome, int | np.integer) and not isinstance(outcome, bool)
-                goes_on = number and outcome == Outcome.STRIDE
-                if not number or outcome not in known or (goes_on and failures_alone):
-                    raise WrongUse(
-                        f"{part} of a mode of {system.label()} must lead to "
-                        f"{'a failure' if failures_alone else 'an Outcome'}, not to "
-                        f"{short(outcome)}: failure gives one by its name"
-                    )
+        ends = [("guards", getattr(one, "leads_to", one), known) for one in mode.guards]
+        for part in ("conditions", "at_end"):
+            ends += [(part, getattr(one, "outcome", one), failures) for one in getattr(mode, part)]
+        for part, outcome, allowed in ends:
+            number = isinstance(outcome, int | np.integer) and not isinstance(outcome, bool)
+            if not number or outcome not in allowed:
+                raise WrongUse(
+                    f"{part} of a mode of {system.label()} must lead to "
+                    f"{'an Outcome' if part == 'guards' else 'a failure'}, not to "
+                    f"{short(outcome)}: failure gives one by its name"
+                )

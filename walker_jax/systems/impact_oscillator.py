@@ -15,8 +15,6 @@ from walker_jax.systems.parameter import Parameter
 
 LONGEST = 100.0
 """Time without an impact after which the oscillator is said to have `STOPPED` hitting the stop."""
-
-
 RESTING = 1e-6
 """Speed after an impact below which it comes to rest on the stop, in ever faster impacts."""
 

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from walker_jax.checks import refuses_tracers
 from walker_jax.hybrid.crossings import begins_below
 from walker_jax.hybrid.following import along
-from walker_jax.hybrid.modes import Mode
+from walker_jax.hybrid.modes import Condition, Mode
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.method import MAX_STEPS
 from walker_jax.integrators.roots import Real
@@ -59,6 +59,8 @@ class ModeRecord(NamedTuple):
     rises: list[Rise]
     least: dict[str, float]
     """About the least value of each condition, by the outcome where it is negative: of `PARTS`."""
+    at_end: dict[str, float]
+    """The value of each condition of its end, by the outcome where it is not positive."""
     greatest: dict[str, float]
     """The greatest value of each guard at the ends of steps, by its number and outcome."""
     energy: tuple[float, float]
@@ -70,7 +72,7 @@ class Explanation(NamedTuple):
 
     outcome: Outcome
     name: str
-    """Of the outcome, where it is one of the system's own."""
+    """The name of the outcome, which may be one of the system's own."""
     system: str
     start: Float[np.ndarray, " coordinates"]
     modes: list[ModeRecord]
@@ -94,8 +96,9 @@ class Explanation(NamedTuple):
             for name, value in mode.greatest.items():
                 if name not in risen:
                     lines.append(f"  guard {name} did not rise: {value:.6g} at most")
-            for name, value in mode.least.items():
-                holds = value > 0 if "at the end" in name else value >= 0
+            asked = [(name, value, value >= 0) for name, value in mode.least.items()]
+            asked += [(name, value, value > 0) for name, value in mode.at_end.items()]
+            for name, value, holds in asked:
                 broken = "" if holds else ", violated"
                 lines.append(f"  condition {name}: {value:.6g} at least{broken}")
             start, end = mode.energy
@@ -261,25 +264,21 @@ def record_mode(
     names = [name_of_outcome(guard.leads_to, failures) for guard in mode.guards]
     energy_of = mode.energy or (lambda state: np.nan)
     energy = float(energy_of(state))
-    conditions = {}
-    for i, one in enumerate(mode.conditions):
-        name = name_of_outcome(one.outcome, failures)
-        conditions[f"{name} ({i})" if name in conditions else name] = one.value
+    conditions = {name: one.value for name, one in named(mode.conditions, failures).items()}
     least = {name: float(value(state)) for name, value in conditions.items()}
     values = [float(guard.value(state)) for guard in mode.guards]
     greatest = {f"{i} ({name})": values[i] for i, name in enumerate(names)}
 
-    def over_at_once(name):
-        return ModeRecord(0.0, 0, f"{name} at once", [], least, greatest, (energy, energy))
+    def over_at_once(name, at_end):
+        return ModeRecord(0.0, 0, f"{name} at once", [], least, at_end, greatest, (energy, energy))
 
     fallen = int(fall_of(mode, state))
     if fallen != Outcome.UNDECIDED:
-        return over_at_once(name_of_outcome(fallen, failures)), state, False
+        return over_at_once(name_of_outcome(fallen, failures), {}), state, False
     method = method_of(mode, state, integrator)
     if may_be_due and not begins_below(method.series(mode.guards[-1].value, state, 2)):
         at_end = values_at_end(mode, state, failures)
-        least |= at_end
-        return over_at_once(names[-1]), state, all(value > 0 for value in at_end.values())
+        return over_at_once(names[-1], at_end), state, all(one > 0 for one in at_end.values())
 
     def look(state, series, time):
         """A step up to a time: its end, the guards there, and the conditions on the way."""
@@ -324,23 +323,28 @@ def record_mode(
     rises = rises[-MOST_RISES:]
     if ending is None:
         change = energy, float(energy_of(state))
-        return ModeRecord(np.inf, count, "", rises, least, greatest, change), state, False
+        return ModeRecord(np.inf, count, "", rises, least, {}, greatest, change), state, False
     change = energy, float(energy_of(there))
     leads_on = ending.leads_to == Outcome.STRIDE.name
-    if leads_on:
-        at_end = values_at_end(mode, there, failures)
-        least, leads_on = least | at_end, all(value > 0 for value in at_end.values())
-    record = ModeRecord(ending.time, count, ending.leads_to, rises, least, greatest, change)
-    return record, there, leads_on
+    at_end = values_at_end(mode, there, failures) if leads_on else {}
+    ended = ending.time, count, ending.leads_to
+    record = ModeRecord(*ended, rises, least, at_end, greatest, change)
+    return record, there, leads_on and all(value > 0 for value in at_end.values())
+
+
+def named(conditions: tuple[Condition, ...], failures: tuple[str, ...], where: str = "") -> dict:
+    """Conditions by the names of their outcomes; one whose name is taken has its number too."""
+    found: dict[str, Condition] = {}
+    for i, one in enumerate(conditions):
+        name = name_of_outcome(one.outcome, failures) + where
+        found[f"{name} ({i})" if name in found else name] = one
+    return found
 
 
 def values_at_end(mode: Mode, state: Any, failures: tuple[str, ...]) -> dict[str, float]:
-    """The values of what is asked of a state in which a mode has ended."""
-    found: dict[str, float] = {}
-    for i, one in enumerate(mode.at_end):
-        name = f"{name_of_outcome(one.outcome, failures)} at the end"
-        found[f"{name} ({i})" if name in found else name] = float(one.value(state))
-    return found
+    """The values of the conditions of a state in which a mode has ended."""
+    asked = named(mode.at_end, failures, " at the end")
+    return {name: float(one.value(state)) for name, one in asked.items()}
 
 
 def rises_of(coefficients: Float[np.ndarray, " n"], length: float, below: bool) -> list[float]:

@@ -90,7 +90,7 @@ class Margins(NamedTuple):
     outside: Float[Array, "*cells"]
     """By how much the start is feasible, where a system says it (`System.margin`)."""
     own: Float[Array, "*cells"]
-    """That of the system's own `failures`, the least of them."""
+    """The least margin of the system's own `failures`."""
 
 
 def margins(
@@ -234,11 +234,11 @@ def measure_stride(walker: HybridSystem, arrival: Arrival, outcome: Array) -> di
         value = passed.get(int(way), infinite)
         value = jnp.where(began & jnp.isfinite(value), value, jnp.nan)
         value = jnp.where(outcome == way, not_above_zero(failed), value)
-        margins[name] = least_known(margins[name], value) if name in margins else value
+        margins[name] = lesser_known(margins[name], value) if name in margins else value
     return margins
 
 
-def least_known(one: Scalar, other: Scalar) -> Scalar:
+def lesser_known(one: Scalar, other: Scalar) -> Scalar:
     """The lesser of two margins, of which either may be NaN."""
     return jnp.where(jnp.isnan(one) | (other < one), other, one)
 

@@ -133,7 +133,7 @@ def broadcast_parameters(walker: AnySystem, n: int, dtype) -> AnySystem:
     return jax.tree.map(lambda leaf: np.broadcast_to(np.asarray(leaf, dtype), (n,)), walker)
 
 
-def select_walkers(walker: AnySystem, indices: Int[np.ndarray, " m"]) -> AnySystem:
+def select_walkers(walker: AnySystem, indices: Int[np.ndarray, " m"] | slice) -> AnySystem:
     """Some of many walkers; the one, where all starts have it in common."""
     return jax.tree.map(lambda leaf: leaf[indices] if np.ndim(leaf) else leaf, walker)
 
@@ -282,10 +282,9 @@ def iterate(
         single = in_lanes and done < SINGLE_STRIDES and len(active) >= MANY_WALKS
         count = 1 if for_host or single else min(next(rounds), limit - done)
         here = active if len(active) < n else slice(None)  # which copies nothing
-        some = walker if len(active) == n else select_walkers(walker, active)
         part = map_cells(
             walk_on,
-            (some, end.state[here], compiled, np.int32(count), integrator),
+            (select_walkers(walker, here), end.state[here], compiled, np.int32(count), integrator),
             (many, True, False, False, False),
             progress=progress and f"{progress}: from stride {done + 1} on, {len(active)} walkers",
         )
