@@ -144,6 +144,7 @@ def test_links_within_the_pages_lead_somewhere():
         "a torque at the hip",
         "a push-off",
         "uneven ground",
+        "a torso on a joint",
     ],
 )
 def test_a_walker_of_the_page_gives_the_numbers_that_it_asserts(title):
@@ -161,7 +162,7 @@ def test_an_objective_of_ones_own_is_made_small_by_an_optimiser():
 
 
 def test_every_program_of_the_page_is_tested():
-    assert len(re.findall(r"<!-- .* -->\n```python", PAGE.read_text())) == len(programs(PAGE)) == 6
+    assert len(re.findall(r"<!-- .* -->\n```python", PAGE.read_text())) == len(programs(PAGE)) == 7
 
 
 def test_the_pages_name_no_function_that_is_not_public():

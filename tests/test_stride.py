@@ -713,7 +713,8 @@ def test_a_vector_field_that_gives_no_state_is_refused(rates, found):
         def vector_field(self, state):
             return rates(state)
 
-    said = f"vector_field of Own must return a State of four scalars, not {found}"
+    expected = "the rates of its state, State(theta, phi, thetadot, phidot)"
+    said = f"vector_field of Own must return {expected}, not {found}"
     for function in (
         lambda x: wj.stride(Own(0.004), x),
         lambda x: wj.margins(Own(0.004), x),

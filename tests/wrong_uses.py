@@ -103,6 +103,15 @@ class Sunk(wj.RoundFootWalker):
         return super().swing_foot(state) - jnp.array([0, 0.1])
 
 
+class Sliding(wj.RoundFootWalker):
+    """One with a joint that moves its swing foot along the slope."""
+
+    joints = ("slide",)
+
+    def swing_foot(self, q):
+        return super().swing_foot(q) + jnp.stack([q[4], 0 * q[4]])
+
+
 class Kicking(wj.SimplestWalker):
     """One whose impact leaves its section."""
 

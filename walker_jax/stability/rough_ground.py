@@ -113,7 +113,7 @@ def steps_to_fall(
 
 def walk_disturbed(
     walker: Walker,
-    states: Float[np.ndarray, "n 4"],
+    states: Float[np.ndarray, "n full"],
     ground: RandomDisturbance,
     keys: Array,
     limit: int,
@@ -221,7 +221,7 @@ def read_key(key: Any) -> Array:
     return key
 
 
-def start_of_walks(walker: Walker, gait: Gait | None, tolerance: Any) -> Float[np.ndarray, " 4"]:
+def start_of_walks(walker: Walker, gait: Gait | None, tolerance: Any) -> Float[np.ndarray, " full"]:
     """The full state of a gait just after heel strike."""
     check_single(walker)
     gait = require_gait(walker, ["gait"], tolerance=tolerance) if gait is None else gait

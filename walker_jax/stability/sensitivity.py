@@ -56,10 +56,10 @@ class GaitSensitivity(NamedTuple):
 
     norm: Float[Array, ""]
     """Infinite for a gait that is not stable; NaN for one that was not found."""
-    A: Float[Array, "4 4"]
+    A: Float[Array, "full full"]
     """dx'/dx, of full states (theta, phi, thetadot, phidot)."""
-    B: Float[Array, "4 disturbances"]
-    C: Float[Array, "indicators 4"]
+    B: Float[Array, "full disturbances"]
+    C: Float[Array, "indicators full"]
     D: Float[Array, "indicators disturbances"]
     terms: Float[Array, "indicators disturbances"]
     """What each pair adds to the square of the norm."""
@@ -121,8 +121,10 @@ def respond_to(
         parts = zip(*(act(size) for act, size in zip(acts, e, strict=True)), strict=True)
         total = [sum(jnp.asarray(value, x.dtype) for value in values) for values in parts]
         made = follow_disturbed(walker, x, Disturbance(*total), integrator)
-        ends = State(*made.state)
-        return made.state, jnp.stack([look(walker, State(*x), ends, made.time) for look in looks])
+        ends = walker.state(*made.state)
+        return made.state, jnp.stack(
+            [look(walker, walker.state(*x), ends, made.time) for look in looks]
+        )
 
     x, e = jnp.stack(walker.lift(state)), jnp.zeros(len(acts), state.dtype)
     (A, B), (C, D) = jax.jacfwd(disturbed, (0, 1))(x, e)

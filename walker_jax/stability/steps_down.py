@@ -27,7 +27,7 @@ class LeastStepDown(NamedTuple):
 
     size: float
     """Its height, at right angles to the slope, in the unit of length."""
-    state: Float[np.ndarray, " 4"]
+    state: Float[np.ndarray, " full"]
     """(theta, phi, thetadot, phidot) just after heel strike on the lower ground; NaN if none."""
     phase: int
     """Number of the state of the gait from which the stride down begins."""

@@ -187,7 +187,7 @@ class Chart(NamedTuple):
     axes: Float[np.ndarray, "d d"]
     """Rows: directions, each as long as the standard deviation of states along it."""
 
-    def cell_of(self, states: Float[np.ndarray, "n 4"], side: float) -> Int[np.ndarray, " n"]:
+    def cell_of(self, states: Float[np.ndarray, "n full"], side: float) -> Int[np.ndarray, " n"]:
         """Number of the cell of each state."""
         y = section_and_gap(states, len(self.centre))
         place = np.floor((y - self.centre) @ np.linalg.inv(self.axes) / side)
@@ -208,13 +208,13 @@ class Chart(NamedTuple):
         return self.centre + (place + within) * side @ self.axes
 
 
-def section_and_gap(states: Float[np.ndarray, "n 4"], size: int) -> Float[np.ndarray, "n d"]:
+def section_and_gap(states: Float[np.ndarray, "n full"], size: int) -> Float[np.ndarray, "n d"]:
     """theta, thetadot and, as a third, phi - 2 theta, zero where both feet are as high."""
     theta, phi, thetadot, _ = states.T
     return np.stack([theta, thetadot, phi - 2 * theta], axis=1)[:, :size]
 
 
-def chart_of(walks: DisturbedWalk) -> tuple[Chart, Float[np.ndarray, "n 4"]]:
+def chart_of(walks: DisturbedWalk) -> tuple[Chart, Float[np.ndarray, "n full"]]:
     """The chart of the states of those walks that last, and these states."""
     lasting = walks.state[walks.outcome == Outcome.STRIDE]
     if len(lasting) < FEWEST_SURVIVORS:
@@ -241,7 +241,7 @@ def transition_matrix(
     walkers: int,
     tolerance: float | None,
     chart: Chart,
-    states: Float[np.ndarray, "n 4"],
+    states: Float[np.ndarray, "n full"],
     key: Array,
     side: float,
 ) -> tuple[csr_array, Int[np.ndarray, " cells"], int]:

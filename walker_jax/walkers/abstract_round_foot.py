@@ -56,11 +56,11 @@ class AbstractRoundFootWalker(HeavyLegWalker):
     def further_gait_region(self):
         """On large feet or steep slopes steps are long, and legs turn fast beside toppling."""
         axes = {"theta": (0, 1.5, 48), "sum": (-0.6, 0.7, 42), "turn": (-2.2, 0.3, 24)}
-        return pendulum_region(self.leg_length, axes)
+        return pendulum_region(self, self.leg_length, axes)
 
-    def hip_and_legs(self, q: Float[Array, " 4"]) -> tuple[Float[Array, " 2"], Float[Array, " 6"]]:
+    def hip_and_legs(self, q: Float[Array, " q"]) -> tuple[Float[Array, " 2"], Float[Array, " 6"]]:
         """The hip; and the legs' centres of mass and angles."""
-        u, v, theta, phi = q
+        u, v, theta, phi = q[:4]
         radius = self.foot_radius
         centre = jnp.stack([u - radius * theta, v + radius])
         hip = centre + (self.leg_length - radius) * leg(theta)

@@ -5,17 +5,25 @@ from typing import Any
 from walker_jax.checks import WrongUse
 
 
+def named(state: Any) -> str:
+    """A kind of full state, with the names of its fields."""
+    return f"{state.__name__}({', '.join(state._fields)})"
+
+
 def check_full_state(kind: Any, start: Any) -> None:
     """Refuse a class of walkers whose `lift` returns something else than its `state`.
 
-    Or whose methods are those of a walker of the package with another one.
+    Or whose methods are those of a walker of the package with another one, unless that has joints:
+    its methods take those of any number.
     """
-    expected = f"{kind.state.__name__}({', '.join(kind.state._fields)})"
+    expected = named(kind.state)
     if not isinstance(start, kind.state):
         raise WrongUse(
             f"lift of {kind.__name__} must return its state, {expected}, not a "
             f"{type(start).__name__} of {len(start)}"
         )
+    if getattr(kind, "joints", ()):
+        return
     for name in ("vector_field", "impact", "exchange_legs", "project"):
         owner: Any = next(base for base in kind.__mro__ if name in vars(base))
         taken = getattr(owner, "state", kind.state)  # a class that adds methods alone has none

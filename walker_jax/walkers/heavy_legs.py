@@ -1,5 +1,7 @@
-"""Walkers with mass on their legs, whose section has three coordinates."""
+"""Walkers with mass on their legs, and with bodies on joints between them."""
 
+import collections
+import functools
 from typing import Any, ClassVar
 
 import jax
@@ -13,25 +15,42 @@ from walker_jax.grids import Grid
 from walker_jax.kernels.scalars import unroll
 from walker_jax.multibody.single_support import stance_coordinates
 from walker_jax.walkers.masses import MultibodyWalker
-from walker_jax.walkers.model import Scalar, State
+from walker_jax.walkers.model import Scalar, State, region_of_starts
 
 
 class HeavyLegWalker(MultibodyWalker):
-    """Walkers with mass anywhere on the legs, whose section has three dimensions.
+    """Walkers with mass anywhere on the legs, and with any number of bodies on joints.
 
     What a walker of your own derives from. Its fields are its parameters, scalars, `slope` among
     them. It defines `system` and `swing_foot`. Legs must be alike: with both feet on the slope,
     phi = 2 theta and v = 0 of either.
+
+    `joints` names coordinates besides those of the legs: the angle of a torso, a mass that slides
+    along it, arms, feet on ankles. The generalised coordinates are q = (u, v, theta, phi, *joints),
+    a full state holds (theta, phi, *joints) and their rates, and the section has the joints and
+    their rates behind those of the legs. Joints move bodies, but not the points of the feet that
+    touch the ground. Springs, dampers and motors on them are the `generalised_forces` of `system`.
+    At heel strike a joint keeps its coordinate, as an angle from the slope's normal does; one that
+    is measured from a leg needs an `exchange_legs` of its own.
     """
 
     slope: Scalar
 
+    joints: ClassVar[tuple[str, ...]] = ()
+    """Names of the coordinates of joints."""
     section: ClassVar = ("theta", "thetadot", "phidot")
+
+    def __init_subclass__(cls, **kwargs):
+        if "joints" in vars(cls):
+            rates = [rate_of(joint) for joint in cls.joints]
+            cls.section = (*HeavyLegWalker.section, *cls.joints, *rates)
+            cls.state = state_with(cls.joints)
+        super().__init_subclass__(**kwargs)
 
     def __check_init__(self):
         if any(np.shape(leaf) or isinstance(leaf, Tracer) for leaf in jax.tree.leaves(self)):
             return
-        foot = swing_foot_at(self, 0.3)
+        foot, moved = swing_foot_at(self, 0.3, 0.0), swing_foot_at(self, 0.3, 0.1)
         if isinstance(foot, Tracer):  # of a walker made in a function that JAX transforms
             return
         along, above = np.asarray(foot)
@@ -40,45 +59,82 @@ class HeavyLegWalker(MultibodyWalker):
                 f"swing_foot of {type(self).__name__} must be on the slope where phi = 2 theta, "
                 f"v = 0, but v = {above:.3g} at theta = 0.3"
             )
+        away = np.abs(np.asarray(moved - foot)).max()
+        if not away <= 1e-5 * abs(along):
+            raise WrongUse(
+                f"swing_foot of {type(self).__name__} must stay where joints "
+                f"({', '.join(self.joints)}) move, but they move it by {away:.3g} at 0.1 each"
+            )
 
     def lift(self, x):
         """phi = 2 theta."""
-        return State(x[0], 2 * x[0], x[1], x[2])
+        count = len(self.joints)
+        return self.state(x[0], 2 * x[0], *x[3 : 3 + count], x[1], x[2], *x[3 + count :])
 
     def project(self, state):
-        return jnp.stack([state.theta, state.thetadot, state.phidot])
+        legs = [state.theta, state.thetadot, state.phidot]
+        names = *self.joints, *map(rate_of, self.joints)
+        return jnp.stack([*legs, *(getattr(state, name) for name in names)])
 
     def clearance(self, state):
-        above = lambda walker, *legs: walker.swing_foot(stance_coordinates([*legs]))[1]
+        above = lambda walker, *legs: walker.swing_foot(with_joints(walker, *legs))[1]
         return unroll(above)(self, state.theta, state.phi)
 
     def reach(self, state):
         """Of feet that roll, how far the walker gets by a step, rolling included."""
-        ahead = lambda walker, *legs: walker.swing_foot(stance_coordinates([*legs]))[0]
+        ahead = lambda walker, *legs: walker.swing_foot(with_joints(walker, *legs))[0]
         return unroll(ahead)(self, state.theta, state.phi)
 
     def feasible(self, x):
         """0 < theta < pi/2, thetadot < 0, and the trailing foot lifts: phidot > 2 thetadot."""
         theta, thetadot, phidot = x[0], x[1], x[2]
-        finite = jnp.isfinite(theta) & jnp.isfinite(thetadot) & jnp.isfinite(phidot)
+        finite = functools.reduce(jnp.logical_and, [jnp.isfinite(one) for one in x])
         forward = (theta > 0) & (theta < np.pi / 2) & (thetadot < 0)
         return finite & forward & (phidot > 2 * thetadot)
+
+
+def rate_of(joint: str) -> str:
+    """The name of the rate of a coordinate."""
+    return f"{joint}dot"
+
+
+@functools.cache
+def state_with(joints: tuple[str, ...]) -> type:
+    """The full state of a walker with joints: coordinates first, then their rates."""
+    if not joints:
+        return State
+    coordinates = "theta", "phi", *joints
+    names = *coordinates, *map(rate_of, coordinates)
+    proper = all(isinstance(one, str) and one.isidentifier() for one in joints)
+    if not proper or len(set(names)) < len(names):
+        raise WrongUse(f"joints must be different names of coordinates, not {joints!r}")
+    return collections.namedtuple("JointedState", names)
+
+
+def with_joints(
+    walker: HeavyLegWalker, theta: Scalar, phi: Scalar, at: Scalar | float = 0.0
+) -> Float[Array, " q"]:
+    """q with the stance foot at the origin, all joints at one place."""
+    return stance_coordinates([theta, phi, *[jnp.full_like(theta, at)] * len(walker.joints)])
 
 
 PENDULUM_AXES = {"theta": (0, 0.7, 35), "sum": (-0.6, 0.3, 50), "turn": (-1.1, 0.3, 24)}
 
 
-def pendulum_region(leg_length: Scalar, axes: dict[str, Any] = PENDULUM_AXES) -> Grid:
+def pendulum_region(
+    walker: HeavyLegWalker, leg_length: Scalar, axes: dict[str, Any] = PENDULUM_AXES
+) -> Grid:
     """A region to search for gaits, with rates counted in that of a pendulum of the leg's length.
 
-    That of toppling, by which walkers are searched for otherwise, vanishes as feet grow.
+    The toppling rate, the usual unit, vanishes for large feet.
     """
-    rate = 1 / float(np.sqrt(leg_length))
-    return Grid(axes, np.array([[1, 0, 0], [-rate, rate, 0], [0, 0, rate]]))
+    return region_of_starts(walker, axes, 1 / float(np.sqrt(leg_length)))
 
 
 @jax.jit
-def swing_foot_at(walker: HeavyLegWalker, theta: Scalar | float) -> Float[Array, " 2"]:
-    """(u, v) of the swing foot with legs as at heel strike, phi = 2 theta."""
+def swing_foot_at(
+    walker: HeavyLegWalker, theta: Scalar | float, joints: Scalar | float
+) -> Float[Array, " 2"]:
+    """(u, v) of the swing foot with legs as at heel strike, phi = 2 theta, and all joints alike."""
     theta = jnp.asarray(theta, walker.slope.dtype)
-    return walker.swing_foot(stance_coordinates([theta, 2 * theta]))
+    return walker.swing_foot(with_joints(walker, theta, 2 * theta, joints))

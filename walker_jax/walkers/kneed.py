@@ -146,19 +146,19 @@ class KneedWalker(HeavyLegWalker):
         return rises_ever_faster(self, state)
 
     def gait_region(self):
-        return pendulum_region(self.thigh_length + self.shank_length)
+        return pendulum_region(self, self.thigh_length + self.shank_length)
 
     def further_gait_region(self):
         """On large feet and steep slopes at once steps are long and fast."""
         axes = {"theta": (0.4, 1.2, 20), "sum": (-0.5, 0.5, 20), "turn": (-2.0, -0.4, 16)}
-        return pendulum_region(self.thigh_length + self.shank_length, axes)
+        return pendulum_region(self, self.thigh_length + self.shank_length, axes)
 
     def conditions(self):
         if not self.check_lock:
             return {}
         return {"BUCKLED": lambda state: stance_knee_moment(self, begin_bent(state), (4,))}
 
-    def joints(self, q: Float[Array, " q"]) -> tuple[Float[Array, " 2"], ...]:
+    def places(self, q: Float[Array, " q"]) -> tuple[Float[Array, " 2"], ...]:
         """The hip, the stance knee and the swing knee, and the centre of the swing foot's arc.
 
         Of q = (u, v, theta, phi, knee), or with the angle of a bent stance knee at its end: theta
@@ -179,10 +179,10 @@ class KneedWalker(HeavyLegWalker):
         return hip, stance_knee, swing_knee, foot
 
     def bent_system(self) -> System:
-        """The masses where knees are free, of q as `joints` takes it."""
+        """The masses where knees are free, of q as `places` takes it."""
 
         def transfer(q):
-            hip, stance_knee, swing_knee, _ = self.joints(q)
+            hip, stance_knee, swing_knee, _ = self.places(q)
             theta, thigh, swing_shank = q[2], q[2] - q[3], q[2] - q[3] - q[4]
             stance_shank = theta - q[5] if len(q) > 5 else theta
             thighs = [hip - self.thigh_com * leg(angle) for angle in (theta, thigh)]
@@ -199,7 +199,7 @@ class KneedWalker(HeavyLegWalker):
         return System(transfer, masses, gravity(self.slope, masses, turns=4))
 
     def bent_leg(self, state):
-        hip, _, *leg_below = self.joints(stance_coordinates(list(state[:3])))
+        hip, _, *leg_below = self.places(stance_coordinates(list(state[:3])))
         return jnp.stack(leg_below) - hip
 
     def system(self):
@@ -209,7 +209,7 @@ class KneedWalker(HeavyLegWalker):
 
     def bent_swing_foot(self, q: Float[Array, " 5"]) -> Float[Array, " 2"]:
         """(u, v) of the swing foot: of the arc's centre, as if that foot had rolled there."""
-        *_, centre = self.joints(q)
+        *_, centre = self.places(q)
         angle, radius = q[2] - q[3] - q[4], self.foot_radius
         return centre + jnp.stack([radius * angle, -radius])
 

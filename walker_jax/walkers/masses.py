@@ -29,9 +29,9 @@ from walker_jax.walkers.model import Phase, Scalar, State, Walker
 class MultibodyMotion(eqx.Module):
     """Motion on the stance foot of a system of masses, by the general method.
 
-    The generalised coordinates are q = (u, v, theta, phi), or (u, v) and those of a phase's state,
-    with u and v those of the stance foot along and normal to the slope: zero on the ground, and
-    held there.
+    The generalised coordinates are q = (u, v, theta, phi) and those of joints, or (u, v) and those
+    of a phase's state, with u and v those of the stance foot along and normal to the slope: zero on
+    the ground, and held there.
     """
 
     @abc.abstractmethod
@@ -74,7 +74,7 @@ class MultibodyWalker(MultibodyMotion, Walker):
     """
 
     @abc.abstractmethod
-    def swing_foot(self, q: Float[Array, " 4"]) -> Float[Array, " 2"]:
+    def swing_foot(self, q: Float[Array, " q"]) -> Float[Array, " 2"]:
         """The swing foot's coordinates, those that (u, v) are for the stance foot, (11)."""
 
     def contacts(self, q):
@@ -90,8 +90,8 @@ class MultibodyWalker(MultibodyMotion, Walker):
 
     def impact(self, state):
         """(17), without restitution."""
-        (u, v, thetadot, phidot), _ = rates_and_impulses(self, state)
-        return (u, v), State(state.theta, state.phi, thetadot, phidot)
+        (u, v, *rates), _ = rates_and_impulses(self, state)
+        return (u, v), self.state(*state[: len(rates)], *rates)
 
     def impulse(self, state: State) -> tuple[Scalar, Scalar]:
         """Impulse (rho_x, rho_y) of the ground on the swing foot at heel strike, (17)."""

@@ -94,20 +94,20 @@ class Walker(HybridSystem):
         """The part of the section where the states of gaits lie, in cells to search from.
 
         By default starts with the speed that takes the stance leg about to its dead point. Rates
-        are counted in that of toppling. Along phidot, whatever legs may do.
+        are counted in that of toppling. Along phidot, whatever legs may do. Joints are at rest at
+        0: a walker whose joints are elsewhere in its gait has a region of its own.
         """
         dtype = jnp.asarray(0.0).dtype
         walker = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), self)
         rate, widest = float(toppling_rate(walker)), 0.6
-        if len(self.section) == 2:
-            axes = {"theta": (0, widest, 100), "sum": (-1.5 * widest, 0.5 * widest, 800)}
-            return Grid(axes, np.array([[1, 0], [-rate, rate]]))
-        axes = {
-            "theta": (0, widest, 30),
-            "sum": (-widest, 0.5 * widest, 50),
-            "turn": (-widest, 0.5 * widest, 16),
-        }
-        return Grid(axes, np.array([[1, 0, 0], [-rate, rate, 0], [0, 0, rate]]))
+        axes = {"theta": (0, widest, 100), "sum": (-1.5 * widest, 0.5 * widest, 800)}
+        if len(self.section) > 2:
+            axes = {
+                "theta": (0, widest, 30),
+                "sum": (-widest, 0.5 * widest, 50),
+                "turn": (-widest, 0.5 * widest, 16),
+            }
+        return region_of_starts(self, axes, rate)
 
     def phases(self) -> tuple[Phase, ...]:
         """The phases of a stride before its last, the swing, in order. By default there is none."""
@@ -252,8 +252,10 @@ class Walker(HybridSystem):
 
     def exchange_legs(self, state: State) -> State:
         """The state with the swing leg as the new stance leg, (21) and its time derivative."""
-        theta, phi, thetadot, phidot = state
-        return State(theta - phi, -phi, thetadot - phidot, -phidot)
+        theta, phi, thetadot, phidot = (getattr(state, name) for name in State._fields)
+        return state._replace(
+            theta=theta - phi, phi=-phi, thetadot=thetadot - phidot, phidot=-phidot
+        )
 
 
 def check_planar(walker: Any) -> Walker:
@@ -339,6 +341,18 @@ def landing(walker: Walker) -> tuple[State, State, State]:
     return arrival, after, walker.lift(walker.project(after))
 
 
+def region_of_starts(walker: Walker, axes: dict[str, Any], rate: float) -> Grid:
+    """Starts by theta, the sum of theta and thetadot, and phidot; joints at rest at 0.
+
+    Rates are counted in `rate`.
+    """
+    axes = axes | {joint: (-0.5, 0.5, 1) for joint in walker.section[len(axes) :]}
+    units = [rate if name.endswith("dot") else 1.0 for name in walker.section]
+    shear = np.diag(units)
+    shear[1, 0] = -rate
+    return Grid(axes, shear)
+
+
 def least_scuff(length: Scalar) -> Scalar:
     """The depth from which on a foot is below the ground, for legs of some length."""
     return LEAST_SCUFF[jnp.dtype(jnp.result_type(length))] * length
@@ -351,7 +365,7 @@ def toppling_rate(walker: Walker) -> Scalar:
     To first order thetaddot = rate^2 (theta - slope).
     """
     slope = vars(walker)["slope"]
-    zero, one = jnp.zeros_like(slope), jnp.ones_like(slope)
-    upright, falling = State(slope, zero, zero, zero), State(one, zero, zero, zero)
+    rest = walker.state(*[jnp.zeros_like(slope)] * len(walker.state._fields))
+    upright, falling = rest._replace(theta=slope), rest._replace(theta=jnp.ones_like(slope))
     _, change = jax.jvp(walker.vector_field, (upright,), (falling,))
     return jnp.sqrt(jnp.abs(change.thetadot))

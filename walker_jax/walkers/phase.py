@@ -169,5 +169,6 @@ def some_state(walker: Any) -> Any:
 
 
 def is_planar(walker: Any) -> bool:
-    """Whether a system is a walker that moves in the plane, not in space."""
-    return getattr(walker, "state", None) is State
+    """Whether a system is a walker that moves in the plane: the angles of its legs come first."""
+    coordinates = getattr(getattr(walker, "state", None), "_fields", ())
+    return coordinates[:2] == State._fields[:2]

@@ -64,7 +64,7 @@ class AbstractPoweredWalker(MultibodyWalker):
 
     def push_off_impulse(self, q):
         """Dual to the foot's (u, v), which move with its point of contact, round or not."""
-        return self.push_off * jnp.concatenate([leg(q[2]), jnp.zeros_like(q[:2])])
+        return self.push_off * jnp.concatenate([leg(q[2]), jnp.zeros_like(q[2:])])
 
 
 class PoweredPointFootWalker(AbstractPoweredWalker, PointFootWalker):

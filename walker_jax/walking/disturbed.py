@@ -1,7 +1,7 @@
-"""Walks on which something is amiss at every stride: the ground, the slope, or a push.
+"""Walks with a disturbance in every stride: of the ground, the slope, or a push.
 
-States are full ones, (theta, phi, thetadot, phidot) just after heel strike, as the feet stand at
-different heights on rough ground.
+States are full ones, such as (theta, phi, thetadot, phidot), just after heel strike, as the feet
+stand at different heights on rough ground.
 """
 
 from typing import Any, NamedTuple
@@ -13,13 +13,13 @@ from jaxtyping import Array, Float, Int
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.kernels import by_kernel
 from walker_jax.systems.outcomes import Outcome, Stride
-from walker_jax.walkers.model import Scalar, State, Walker
+from walker_jax.walkers.model import Scalar, Walker
 from walker_jax.walkers.parameters import with_parameter
 from walker_jax.walking.stride import follow_step
 
 
 class Disturbance(NamedTuple):
-    """What is amiss during one stride."""
+    """Disturbances of one stride."""
 
     step: Scalar | float = 0.0
     """Height of the next foothold above the present one, in the unit of length."""
@@ -32,7 +32,7 @@ class Disturbance(NamedTuple):
 class DisturbedWalk(NamedTuple):
     """Where a number of disturbed strides leads: arrays of JAX or of NumPy."""
 
-    state: Float[Any, "*walks 4"]
+    state: Float[Any, "*walks full"]
     """The full state after the last one; NaN after a failure."""
     outcome: Int[Any, "*walks"]
     """`Outcome` of the last stride."""
@@ -50,14 +50,14 @@ def follow_disturbed(
     """One disturbed stride; the result's state is a full one."""
     slope = vars(walker)["slope"] + disturbance.slope
     steeper = with_parameter(walker, "slope", slope)
-    start = walker.lift(x) if x.shape == (len(walker.section),) else State(*x)
+    start = walker.lift(x) if x.shape == (len(walker.section),) else walker.state(*x)
     pushed = jnp.stack(walker.push(start, jnp.asarray(disturbance.push)))
     return follow_step(steeper, pushed, jnp.asarray(disturbance.step), integrator)
 
 
 def follow_disturbed_walk(
     walker: Walker,
-    x: Float[Array, " 4"],
+    x: Float[Array, " full"],
     disturbances: Float[Array, "strides 3"],
     integrator: Integrator,
 ) -> DisturbedWalk:

@@ -106,7 +106,7 @@ def motion(
     variables = {name: (("frame", "axis")[: x.ndim], x) for name, x in joined.items()}
     if ground is not None:
         variables["footholds"] = ("foothold", "axis"), np.array([*feet, foot])
-        starts = np.array([walker.project(State(*row)) for row in starts])
+        starts = np.array([walker.project(walker.state(*row)) for row in starts])
     variables["states"] = ("start", "coordinate"), starts
     variables |= {"outcome": ("made", outcomes), "duration": ("made", durations)}
     about = {"walker": type(walker).__name__, **attributes_of(walker)}

@@ -14,9 +14,10 @@ from walker_jax.integrators.integrator import AnySolver, Integrator, integrator_
 from walker_jax.integrators.roots import Real
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.system import AnySystem, System, check_single
+from walker_jax.walkers.full_states import named
 from walker_jax.walkers.masses import MultibodyMotion
 from walker_jax.walkers.model import Walker
-from walker_jax.walkers.phase import State, check_real, is_planar
+from walker_jax.walkers.phase import check_real, is_planar
 from walker_jax.walkers.spatial import SpatialWalker
 
 
@@ -78,7 +79,8 @@ def state_kinds(walker: Walker) -> list[type]:
     if not (phases := walker.phases()):
         return [walker.state]
     number: Any = jax.ShapeDtypeStruct((), jnp.asarray(0.0).dtype)
-    return [State, type(jax.eval_shape(phases[0].begin, State(number, number, number, number)))]
+    like = walker.state(*[number] * len(walker.state._fields))
+    return [walker.state, type(jax.eval_shape(phases[0].begin, like))]
 
 
 def full_state(walker: HybridSystem, x: Float[Array, " coordinates"]) -> Any:
@@ -116,8 +118,8 @@ def check_vector_field(walker: Walker, start: Any) -> None:
     if not isinstance(rates, walker.state) or any(np.shape(rate) for rate in rates):
         found = " ".join(eqx.tree_pformat(rates, struct_as_array=True).split())
         raise WrongUse(
-            f"vector_field of {type(walker).__name__} must return a State of four scalars, "
-            f"not {found}"
+            f"vector_field of {type(walker).__name__} must return the rates of its state, "
+            f"{named(walker.state)}, not {found}"
         )
 
 
