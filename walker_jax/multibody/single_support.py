@@ -71,8 +71,9 @@ def stance_coordinates(legs: list[Scalar]) -> Float[Array, " q"]:
 
 def coordinates_and_rates(state: Any) -> tuple[Float[Array, " q"], Float[Array, " q"]]:
     """q and its rates."""
-    half = len(state) // 2
-    return stance_coordinates(list(state[:half])), stance_coordinates(list(state[half:]))
+    numbers = jax.tree.leaves(state)
+    half = len(numbers) // 2
+    return stance_coordinates(numbers[:half]), stance_coordinates(numbers[half:])
 
 
 @jax.jit

@@ -1,6 +1,6 @@
 """A biped with knees and a torso, whose motors follow virtual constraints."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -10,30 +10,15 @@ from jaxtyping import Array, Float
 from walker_jax import multibody
 from walker_jax.grids import Grid
 from walker_jax.hybrid.modes import Condition, Guard, Mode
-from walker_jax.integrators.roots import Scalar
-from walker_jax.integrators.taylor import VirtualPower
-from walker_jax.kernels.scalars import unroll
+from walker_jax.integrators.roots import Real, Scalar
+from walker_jax.multibody.single_support import (
+    SingleSupport,
+    accelerations_and_forces,
+    coordinates_and_rates,
+)
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.parameter import Parameter
-
-LEAN = Parameter("lean", "of the torso, from the vertical", "rad", 0.15, -np.inf)
-BEND = Parameter("bend", "of the stance knee", "rad", 0.2, -np.inf)
-SWING_BEND = Parameter("swing_bend", "more of the swing knee at mid-stance", "rad", 0.6, -np.inf)
-REACH = Parameter("reach", "of the stance leg where knees are bent alike", "rad", 0.3)
-STIFFNESS = Parameter("stiffness", "k of all motors", "N m/rad", 400.0, closed=True)
-DAMPING = Parameter("damping", "c of all motors", "N m s/rad", 40.0, closed=True)
-TORSO_MASS = Parameter("torso_mass", "of the torso", "kg", 20.0)
-THIGH_MASS = Parameter("thigh_mass", "of a thigh", "kg", 6.8)
-SHANK_MASS = Parameter("shank_mass", "of a shank", "kg", 3.2)
-TORSO_INERTIA = Parameter("torso_inertia", "about its centre of mass, as all", "kg m^2", 2.22)
-THIGH_INERTIA = Parameter("thigh_inertia", "of a thigh", "kg m^2", 1.08)
-SHANK_INERTIA = Parameter("shank_inertia", "of a shank", "kg m^2", 0.93)
-TORSO_CENTRE = Parameter("torso_centre", "of mass, from the hip", "m", 0.2, -np.inf)
-THIGH_CENTRE = Parameter("thigh_centre", "of mass, from the hip", "m", 0.163, -np.inf)
-SHANK_CENTRE = Parameter("shank_centre", "of mass, from the knee", "m", 0.128, -np.inf)
-SEGMENT = Parameter("segment", "length of a thigh, and of a shank", "m", 0.4)
-GRAVITY = Parameter("gravity", "acceleration of free fall", "m/s^2", 9.81, closed=True)
 
 LINKS = "stance_shank", "stance_thigh", "torso", "swing_thigh", "swing_shank"
 LEAST_SCUFF = 1e-6
@@ -89,33 +74,34 @@ class FiveLinkBiped(HybridSystem):
 
     section = (*LINKS[:4], *(f"{link}_rate" for link in LINKS))
 
-    lean: Scalar = LEAN.field()
-    bend: Scalar = BEND.field()
-    swing_bend: Scalar = SWING_BEND.field()
-    reach: Scalar = REACH.field()
-    stiffness: Scalar = STIFFNESS.field()
-    damping: Scalar = DAMPING.field()
-    torso_mass: Scalar = TORSO_MASS.field()
-    thigh_mass: Scalar = THIGH_MASS.field()
-    shank_mass: Scalar = SHANK_MASS.field()
-    torso_inertia: Scalar = TORSO_INERTIA.field()
-    thigh_inertia: Scalar = THIGH_INERTIA.field()
-    shank_inertia: Scalar = SHANK_INERTIA.field()
-    torso_centre: Scalar = TORSO_CENTRE.field()
-    thigh_centre: Scalar = THIGH_CENTRE.field()
-    shank_centre: Scalar = SHANK_CENTRE.field()
-    segment: Scalar = SEGMENT.field()
-    gravity: Scalar = GRAVITY.field()
+    lean: Real = Parameter("lean", "of the torso, from the vertical", "rad", 0.15, -np.inf).field()
+    bend: Real = Parameter("bend", "of the stance knee", "rad", 0.2, -np.inf).field()
+    swing_bend: Real = Parameter(
+        "swing_bend", "more of the swing knee", "rad", 0.6, -np.inf
+    ).field()
+    reach: Real = Parameter("reach", "of the stance leg", "rad", 0.3).field()
+    stiffness: Real = Parameter("stiffness", "of motors", "N m/rad", 400.0, closed=True).field()
+    damping: Real = Parameter("damping", "of motors", "N m s/rad", 40.0, closed=True).field()
+    torso_mass: Real = Parameter("torso_mass", "of the torso", "kg", 20.0).field()
+    thigh_mass: Real = Parameter("thigh_mass", "of a thigh", "kg", 6.8).field()
+    shank_mass: Real = Parameter("shank_mass", "of a shank", "kg", 3.2).field()
+    torso_inertia: Real = Parameter("torso_inertia", "of the torso", "kg m^2", 2.22).field()
+    thigh_inertia: Real = Parameter("thigh_inertia", "of a thigh", "kg m^2", 1.08).field()
+    shank_inertia: Real = Parameter("shank_inertia", "of a shank", "kg m^2", 0.93).field()
+    torso_centre: Real = Parameter("torso_centre", "from the hip", "m", 0.2, -np.inf).field()
+    thigh_centre: Real = Parameter("thigh_centre", "from the hip", "m", 0.163, -np.inf).field()
+    shank_centre: Real = Parameter("shank_centre", "from the knee", "m", 0.128, -np.inf).field()
+    segment: Real = Parameter("segment", "length of a thigh, and of a shank", "m", 0.4).field()
+    gravity: Real = Parameter("gravity", "of free fall", "m/s^2", 9.81, closed=True).field()
 
-    def places(self, q: Float[Array, " q"]) -> tuple[Float[Array, "2 5"], Float[Array, "2 2"]]:
+    def places(self, q: Float[Array, " 7"]) -> tuple[Float[Array, "2 5"], Float[Array, "2 2"]]:
         """Centres of mass of the links; hip and swing foot: along the ground, and heights.
 
-        The stance foot is at q[5:], or at 0.
+        Coordinates are the place of the stance foot and the angles.
         """
-        foot = q[5:, None] if len(q) == 7 else jnp.zeros((2, 1), q.dtype)
-        ways = jnp.stack([jnp.sin(q[:5]), jnp.cos(q[:5])])
+        ways = jnp.stack([jnp.sin(q[2:]), jnp.cos(q[2:])])
         links = self.segment * ways
-        knee = foot + links[:, :1]
+        knee = q[:2, None] + links[:, :1]
         hip = knee + links[:, 1:2]
         swing_foot = hip - links[:, 3:4] - links[:, 4:]
         from_joint = [-self.shank_centre, -self.thigh_centre, self.torso_centre]
@@ -124,48 +110,40 @@ class FiveLinkBiped(HybridSystem):
         return joints + jnp.stack(from_joint) * ways, jnp.concatenate([hip, swing_foot], axis=1)
 
     def system(self) -> multibody.System:
-        """The links, of coordinates q; or of those and the place of the stance foot."""
+        """The links, of the coordinates of `places`."""
         masses = [self.shank_mass, self.thigh_mass, self.torso_mass]
         inertias = [self.shank_inertia, self.thigh_inertia, self.torso_inertia]
         masses, inertias = (jnp.stack([*one, *one[1::-1]]) for one in (masses, inertias))
-        transfer = lambda q: jnp.concatenate([*self.places(q)[0], q[:5]])
+        transfer = lambda q: jnp.concatenate([*self.places(q)[0], q[2:]])
         forces = jnp.concatenate([0 * masses, -self.gravity * masses, 0 * masses])
         every = jnp.concatenate([masses, masses, inertias])
         return multibody.System(transfer, every, forces, self.motors)
 
-    def motors(self, q: Float[Array, " q"], qdot: Float[Array, " q"]) -> Float[Array, " q"]:
+    def motors(self, q: Float[Array, " 7"], qdot: Float[Array, " 7"]) -> Float[Array, " 7"]:
         """Torques on the links; none on the foot."""
 
         def outputs(q):
-            theta, bend = (q[0] + q[1]) / 2, self.bend
+            shank, thigh, torso, swing_thigh, swing_shank = q[2:]
+            theta = (shank + thigh) / 2
             swung = self.swing_bend * (1 - (theta / self.reach) ** 2)
-            legs = theta + (q[3] + q[4]) / 2
+            legs, bend = theta + (swing_thigh + swing_shank) / 2, swing_shank - swing_thigh
             return jnp.stack(
-                [q[0] - q[1] - bend, q[2] - self.lean, legs, q[4] - q[3] - bend - swung]
+                [shank - thigh - self.bend, torso - self.lean, legs, bend - self.bend - swung]
             )
 
         y, rates = jax.jvp(outputs, (q,), (qdot,))
         knee, torso, leg, swing_knee = -self.stiffness * y - self.damping * rates
-        torques = jnp.stack([knee, -knee - torso - leg, torso, leg - swing_knee, swing_knee])
-        return jnp.concatenate([torques, jnp.zeros(len(q) - 5, q.dtype)])
-
-    def released(self, state: LinkState) -> tuple[Float[Array, " 7"], Float[Array, " 7"]]:
-        """Coordinates and rates with those of the stance foot, at rest at 0."""
-        one, two = (jnp.stack([*half, *2 * [jnp.zeros_like(half[0])]]) for half in state)
-        return one, two
-
-    def ground_force(self, state: LinkState) -> Float[Array, " 2"]:
-        """On the stance foot, along the ground and up (N)."""
-        return multibody.solve_motion(self.system(), *self.released(state), held=(5, 6)).forces[5:]
+        torques = [knee, -knee - torso - leg, torso, leg - swing_knee, swing_knee]
+        return jnp.stack([0 * knee, 0 * knee, *torques])
 
     def strike(self, state: LinkState) -> LinkState:
         """The state after the impact of the swing foot, which is the stance foot from then on."""
         foot = lambda q: self.places(q)[1][:, 1]
-        after = multibody.impact(self.system(), foot, *self.released(state)).velocities
-        return LinkState(state.angles[::-1], tuple(after[4::-1]))
+        after = multibody.impact(self.system(), foot, *coordinates_and_rates(state)).velocities
+        return LinkState(state.angles[::-1], tuple(after[:1:-1]))
 
     def modes(self):
-        hip_and_foot = lambda state: self.places(jnp.stack(state.angles))[1]
+        hip_and_foot = lambda state: self.places(coordinates_and_rates(state)[0])[1]
         ahead = lambda state: hip_and_foot(state)[0, 1]
         sunk = lambda state: -hip_and_foot(state)[1, 1]
         guards = (
@@ -174,13 +152,13 @@ class FiveLinkBiped(HybridSystem):
             Guard(sunk, Outcome.OUTSIDE, (ahead, lambda state: -state.angles[0])),
             Guard(sunk, admits=(ahead, lambda state: state.angles[0])),
         )
+        carried = lambda state: accelerations_and_forces(self, state)[1][1]
+        above = lambda state: LEAST_SCUFF - sunk(state)
         conditions = (
-            Condition(lambda state: self.ground_force(state)[1], Outcome.RUNNING),
-            Condition(
-                lambda state: LEAST_SCUFF - sunk(state), Outcome.SCUFFED, zero_at_ends=(True, True)
-            ),
+            Condition(carried, Outcome.RUNNING),
+            Condition(above, Outcome.SCUFFED, zero_at_ends=(True, True)),
         )
-        return (Mode(Swing(self), guards, conditions, self.strike, as_smooth=True),)
+        return (Mode(SingleSupport(self), guards, conditions, self.strike, as_smooth=True),)
 
     def feasible(self, x):
         """Where the swing foot can reach the ground, behind its knee."""
@@ -208,31 +186,3 @@ class FiveLinkBiped(HybridSystem):
 def cosine_of_swing_shank(x: Float[Array, " 9"]) -> Scalar:
     """With both feet on the ground."""
     return jnp.cos(x[0]) + jnp.cos(x[1]) - jnp.cos(x[3])
-
-
-class Swing(VirtualPower):
-    """The equations of motion on the stance foot."""
-
-    biped: Any
-
-    def transfer(self, q):
-        return flat(lambda biped, q: biped.system().transfer(q))(self.biped, q)
-
-    def virtual_power(self, q, qdot, acceleration):
-        power = lambda biped, *state: multibody.virtual_power(biped.system(), *state)
-        return flat(power)(self.biped, q, qdot, acceleration)
-
-    def factorise(self, q):
-        def factors(biped, q):
-            matrix = multibody.mass_matrix(biped.system(), jnp.stack(q))
-            return multibody.factorise(multibody.block(matrix, range(5)))
-
-        return unroll(factors)(self.biped, q)
-
-    def solve(self, factors, right):
-        return multibody.solve_factored(factors, right)
-
-
-def flat(function):
-    """A function of the biped and arrays as one of the biped and lists of scalars."""
-    return unroll(lambda biped, *lists: list(function(biped, *map(jnp.stack, lists))))
