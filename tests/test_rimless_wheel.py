@@ -2,7 +2,9 @@
 DOP853."""
 
 from functools import cache
+from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,6 +14,8 @@ from cells_of_basins import check_cells
 from scipy.integrate import solve_ivp
 
 import walker_jax as wj
+from walker_jax.hybrid.modes import Mode
+from walker_jax.multibody.single_support import SingleSupport
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.rimless_wheel import WheelState
 
@@ -321,3 +325,63 @@ def test_areas_of_basins_change_as_their_derivative_says():
     assert abs(change) > 6 * error
     fine = wj.refine(LEVEL, grid, 2)
     assert float(fine.area[0]) == pytest.approx(areas[0.5].area, abs=1e-3)
+
+
+# A controller with a state of its own
+
+
+class Remembering(NamedTuple):
+    """The wheel, and the integral of the torso's error."""
+
+    wheel: WheelState
+    integral: jax.Array
+
+
+class IntegratingWheel(wj.TorsoWheel):
+    """One whose controller integrates the error until the torso leans as it should on average."""
+
+    gain: Any = 0.1
+    section = (*wj.TorsoWheel.section, "integral")
+
+    def modes(self):
+        (mode,) = super().modes()
+
+        def rates(state):
+            held = eqx.tree_at(lambda one: one.lean, self, self.lean + self.gain * state.integral)
+            return Remembering(SingleSupport(held)(state.wheel), self.lean - state.wheel.psi)
+
+        of_wheel = lambda one: lambda state: one(state.wheel)
+        guards = tuple(one._replace(value=of_wheel(one.value)) for one in mode.guards)
+        strike = lambda state: Remembering(self.strike(state.wheel), state.integral)
+        return (Mode(rates, guards, reset=strike),)
+
+    def lift(self, x):
+        return Remembering(super().lift(x[:3]), x[3])
+
+    def project(self, state):
+        return jnp.append(super().project(state.wheel), state.integral)
+
+    def feasible(self, x):
+        return jnp.isfinite(x[3]) & super().feasible(x[:3])
+
+
+def test_a_controller_that_integrates_holds_the_torso_on_average():
+    wheel = IntegratingWheel(lean=0.65)
+    gait = wj.find_gait(wheel, [*gait_of(LEVEL).states[0], -1.5])
+    assert gait.stable
+    thetadot, psi, psidot, integral = gait.states[0]
+    p = {name: float(vars(wheel)[name]) for name in NAMES}
+
+    def field(t, y):
+        held = p | {"lean": p["lean"] + 0.1 * y[4]}
+        return [*y[2:4], *accelerations(held, y[:4]), p["lean"] - y[1]]
+
+    time = float(gait.step_times[0])
+    start = [p["alpha"], psi, thetadot, psidot, integral]
+    run = solve_ivp(field, (0, time), start, "DOP853", rtol=1e-12, atol=1e-13)
+    s, psi_end, _, _, integral_end = run.y[:, -1]
+    assert s == pytest.approx(-p["alpha"], abs=1e-11)
+    assert integral_end == pytest.approx(integral, abs=1e-11)  # so the error is zero on average
+    assert psi_end == pytest.approx(psi, abs=1e-11)
+    np.testing.assert_allclose(strike(p, run.y[:4, -1]), [thetadot, psidot], atol=1e-11)
+    assert abs(integral) > 0.1  # without it, the torso leans less or more
