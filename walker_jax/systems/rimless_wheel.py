@@ -2,7 +2,6 @@
 
 from typing import ClassVar, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -63,13 +62,9 @@ class TorsoWheel(HybridSystem):
     """
 
     slope: Real = Parameter("slope", "of the ground", "rad", 0.0, -np.pi / 2, np.pi / 2).field()
-    alpha: Real = Parameter(
-        "alpha", "half the angle between spokes", "rad", np.pi / 8, 0, np.pi / 2
-    ).field()
+    alpha: Real = Parameter("alpha", "half the spoke angle", "rad", np.pi / 8, 0, np.pi / 2).field()
     torso_mass: Real = Parameter("torso_mass", "of the torso", "hub mass", 1.0, closed=True).field()
-    torso_com: Real = Parameter(
-        "torso_com", "from the hub", "spoke length", 0.5, closed=True
-    ).field()
+    torso_com: Real = Parameter("torso_com", "from the hub", "spokes", 0.5, closed=True).field()
     torso_inertia: Real = Parameter("torso_inertia", "of the torso", "", 0.1, closed=True).field()
     stiffness: Real = Parameter("stiffness", "of the motor", "", 1.5, closed=True).field()
     damping: Real = Parameter("damping", "of the motor", "", 0.3, closed=True).field()
@@ -101,20 +96,28 @@ class TorsoWheel(HybridSystem):
 
     def strike(self, state: WheelState) -> WheelState:
         """The state on the next spoke. It has no mass, so its impulse is along it."""
-        theta = state.theta + 2 * self.alpha
-        thetadot, psidot = rates_after(self, theta, state)
-        return WheelState(theta, state.psi, thetadot, psidot)
+
+        def rates(wheel, state):
+            before, spoke = direction(state.theta), direction(state.theta + 2 * wheel.alpha)
+            # the hub is at direction(theta), and moves by its derivative as the wheel turns
+            turned = jnp.stack([-before[1], before[0]])
+            q = jnp.stack([*before, state.psi])
+            qdot = jnp.stack([*(state.thetadot * turned), state.psidot])
+            along = lambda q: jnp.stack([spoke @ q[:2]])
+            after = multibody.impact(wheel.bodies(lambda q: q[:2]), along, q, qdot).velocities
+            return -spoke[1] * after[0] + spoke[0] * after[1], after[2]
+
+        return WheelState(state.theta + 2 * self.alpha, state.psi, *unroll(rates)(self, state))
 
     def modes(self):
-        fallen = Guard(lambda state: -np.pi / 2 - state.psi, Outcome.BACKWARD)
         guards = (
             Guard(lambda state: state.thetadot, Outcome.BACKWARD, at_once=True),
-            fallen,
-            fallen._replace(value=lambda state: state.psi - np.pi / 2, leads_to=Outcome.FORWARD),
+            Guard(lambda state: -np.pi / 2 - state.psi, Outcome.BACKWARD),
+            Guard(lambda state: state.psi - np.pi / 2, Outcome.FORWARD),
             Guard(lambda state: -self.alpha - state.theta),
         )
-        normal = lambda state: accelerations_and_forces(self, state)[1][1]
-        pushes = Condition(normal, Outcome.RUNNING)
+        pushed = lambda state: accelerations_and_forces(self, state)[1][1]
+        pushes = Condition(pushed, Outcome.RUNNING)
         return (Mode(SingleSupport(self), guards, (pushes,), self.strike),)
 
     def lift(self, x):
@@ -134,20 +137,3 @@ class TorsoWheel(HybridSystem):
 def direction(angle: Real) -> Float[Array, " 2"]:
     """At an angle from the normal of the slope, positive backward; along and normal to it."""
     return jnp.stack([-jnp.sin(angle), jnp.cos(angle)])
-
-
-@jax.jit
-def rates_after(wheel: TorsoWheel, theta: Scalar, state: WheelState) -> tuple[Scalar, Scalar]:
-    """Rates of the wheel, and of its torso, on the spoke at theta."""
-
-    def solve(wheel, theta, state):
-        before, spoke = direction(state.theta), direction(theta)
-        # the hub is at direction(theta), and moves by its derivative as the wheel turns
-        turned = jnp.stack([-before[1], before[0]])
-        q = jnp.stack([*before, state.psi])
-        qdot = jnp.stack([*(state.thetadot * turned), state.psidot])
-        along = lambda q: jnp.stack([spoke @ q[:2]])
-        after = multibody.impact(wheel.bodies(lambda q: q[:2]), along, q, qdot).velocities
-        return -spoke[1] * after[0] + spoke[0] * after[1], after[2]
-
-    return unroll(solve)(wheel, theta, state)
