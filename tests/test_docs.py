@@ -17,6 +17,7 @@ from walker_jax.storage.requests import canonical_json
 
 ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "write-your-own.md"
+VIABILITY = ROOT / "docs" / "viability.md"
 OWN_MAP, OWN_MACHINE, COMING_FROM = (
     ROOT / "docs" / f"{name}.md" for name in ("own-map", "own-machine", "coming-from")
 )
@@ -193,6 +194,7 @@ SLOW = pytest.mark.slow
         pytest.param(OWN_MACHINE, 1, marks=SLOW),
         pytest.param(COMING_FROM, 0, marks=SLOW),
         (COMING_FROM, 1),
+        pytest.param(VIABILITY, 0, marks=SLOW),
     ],
     ids=lambda one: one.stem if isinstance(one, Path) else str(one),
 )

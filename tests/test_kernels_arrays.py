@@ -41,6 +41,27 @@ def test_parts_at_computed_indices():
     assert_same(lambda x, i: x[i.astype(jnp.uint8)], ARRAYS, np.abs(INDICES))
 
 
+def test_entries_of_tables_of_known_numbers():
+    rng = np.random.default_rng(4)
+    rows, flags = rng.normal(size=(300, 2)), rng.random(300) < 0.5
+    whole, single = rng.integers(-9, 9, 300), rng.normal(size=300).astype(np.float32)
+
+    def function(x, i):
+        return [
+            jnp.asarray(rows)[i],
+            jnp.asarray(rows).T[1, i] * x[0, 0],
+            jnp.asarray(flags)[i],
+            jnp.asarray(whole)[i],
+            jnp.asarray(single)[i],
+            jnp.asarray(rows).at[i].get(mode="fill"),
+            lax.dynamic_slice(jnp.asarray(rows), (i, jnp.int32(0)), (1, 2)),
+            lax.fori_loop(0, 40, lambda k, y: y + jnp.asarray(rows)[(k * i) % 300, 0], x[0, 0]),
+        ]
+
+    indices = np.array([0, 7, 150, 299, 300, 4000, -1, -300, -4000], np.int32)
+    assert_same(function, ARRAYS[: len(indices)], indices)
+
+
 def test_parts_written_at_computed_indices():
     def function(x, i):
         modes = "clip", "drop", "promise_in_bounds"

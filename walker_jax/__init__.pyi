@@ -10,6 +10,8 @@ from walker_jax.basins.volumes import slice_basin as slice_basin
 from walker_jax.basins.zooms import boundary_point as boundary_point
 from walker_jax.basins.zooms import zoom as zoom
 from walker_jax.checks import ComputationFailed as ComputationFailed
+from walker_jax.control.policies import Policy as Policy
+from walker_jax.control.viability import viable as viable
 from walker_jax.design.area_gradients import AreaGradient as AreaGradient
 from walker_jax.design.area_gradients import area_gradient as area_gradient
 from walker_jax.design.disturbance_gradients import DisturbanceGradient as DisturbanceGradient

@@ -42,6 +42,7 @@ from walker_jax.figures.style import FAILURES as FAILURES
 from walker_jax.figures.style import INK as INK
 from walker_jax.figures.style import OTHERS as OTHERS
 from walker_jax.figures.sweep_plots import sweep as sweep
+from walker_jax.figures.viability_plots import viability as viability
 from walker_jax.figures.volume_plots import volume as volume
 from walker_jax.figures.walk_plots import leg_angles as leg_angles
 from walker_jax.figures.walk_plots import steps_over_basin as steps_over_basin

@@ -1,17 +1,20 @@
 """Slices of arrays at computed indices, read and written by selection among all places.
 
 An index may differ from lane to lane. Reading selects among all slices of the same shape, by
-bisection of the index, so an axis of length n costs n selections for each entry. Writing selects,
-at every place, between the old entry and the new one. Indices out of bounds have JAX's meaning:
-they are clipped, or, for `FILL_OR_DROP`, reading returns a fill value and writing does nothing.
+bisection of the index, so an axis of length n costs n selections for each entry. A table of known
+numbers is in memory instead, from which each lane loads its own. Writing selects, at every place,
+between the old entry and the new one. Indices out of bounds have JAX's meaning: they are clipped,
+or, for `FILL_OR_DROP`, reading returns a fill value and writing does nothing.
 """
 
+import hashlib
 from itertools import product
 from typing import Any, no_type_check
 
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from llvmlite import ir
 
 from walker_jax.kernels.jaxprs import changes_entries
 from walker_jax.kernels.rules import UnsupportedPrimitive
@@ -19,6 +22,8 @@ from walker_jax.kernels.scalars import params_of
 from walker_jax.kernels.shortcuts import is_known
 
 BOOL = np.dtype(bool)
+TABLE = 16
+"""Fewest slices of known numbers that are loaded from a table in memory."""
 MAX_ENTRIES = 128
 """Most entries of an array with computed indices: with more, XLA is faster."""
 COMBINATIONS = {
@@ -85,8 +90,47 @@ def slice_at(emitter, array: np.ndarray, axis: int, index, size: int, kind, dtyp
 
     if is_known(index):
         return beginning(min(max(int(index), 0), last))
+    if size == 1 and last >= TABLE and all(map(is_known, array.flat)):
+        return load_from_table(emitter, array, axis, index, kind, dtype)
     check_size(array)
     return between(0, last)
+
+
+@no_type_check
+def load_from_table(emitter, array: np.ndarray, axis: int, index, kind, dtype) -> np.ndarray:
+    """One slice of an array of known numbers at an index, which is clipped."""
+    builder, lane, long = emitter.builder, ir.IntType(32), ir.IntType(64)
+    last = len(rows := np.moveaxis(array, axis, 0)) - 1
+    kinds = [np.dtype(kind)] * 2
+    index = emitter.term(
+        lax.min_p, {}, [emitter.term(lax.max_p, {}, [index, 0], kinds), last], kinds
+    )
+    index = builder.zext(index, ir.VectorType(long, emitter.lanes))
+    element = ir.IntType(8) if dtype == BOOL else emitter.scalar_type(dtype)
+    found = np.empty(rows.shape[1:], object)
+    for place in np.ndindex(found.shape):
+        table = table_of(emitter, rows[(slice(None), *place)], element, dtype)
+        vector = ir.Constant(ir.VectorType(element, emitter.lanes), ir.Undefined)
+        for number in range(emitter.lanes):
+            entry = builder.gep(table, [long(0), builder.extract_element(index, lane(number))])
+            vector = builder.insert_element(vector, builder.load(entry), lane(number))
+        found[place] = builder.trunc(vector, emitter.type(dtype)) if dtype == BOOL else vector
+    return np.expand_dims(found, axis)
+
+
+@no_type_check
+def table_of(emitter, numbers: np.ndarray, element, dtype) -> Any:
+    """A constant array in memory, one for all uses of the same numbers."""
+    values = np.asarray(numbers.tolist(), dtype)
+    name = f"table.{dtype}.{hashlib.sha256(values.tobytes()).hexdigest()}"
+    module = emitter.builder.module
+    if name not in module.globals:
+        kind = ir.ArrayType(element, len(values))
+        table = ir.GlobalVariable(module, kind, name)
+        table.global_constant, table.linkage = True, "internal"
+        whole = isinstance(element, ir.IntType)
+        table.initializer = kind([element(int(x) if whole else x) for x in values.tolist()])
+    return module.globals[name]
 
 
 @no_type_check

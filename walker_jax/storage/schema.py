@@ -75,6 +75,32 @@ KINDS = {
         },
         WALKER | SECTION | {"method": "`cell-map`, `direct` or `direct, refined`"},
     ),
+    "viability": Kind(
+        "What any choice of actions can do, over a grid (`viable`).",
+        {
+            "viable": V("*grid", "boolean", "", "some choice keeps it on the grid for ever"),
+            "inner": V("*grid", "boolean", "", "so from all of the cell", "with bounds"),
+            "outer": V("*grid", "boolean", "", "perhaps from some of the cell", "with bounds"),
+            "safe_actions": V("*grid", "integer", "", "actions that keep it viable"),
+            "lasting": V("*grid", "integer", "strides", "the most that can be made; -1 if viable"),
+            "failure": V("*grid", "integer", "", "`Outcome` in which that ends; 0 if viable"),
+            "capture": V("*grid", "integer", "strides", "the fewest to the target; -1 for none"),
+            "action": V("*grid", "integer", "", "that leads there, or keeps it viable; or -1"),
+            "axis": V("axis", "text", "", "names of the grid's axes"),
+            "lower": V("axis", "real", "", "the grid's lower ends"),
+            "upper": V("axis", "real", "", "the grid's upper ends"),
+            "shear": V("coordinate axis", "real", "", "a state is origin + shear · place"),
+            "origin": V("coordinate", "real", STATE, "the state where all axes are 0"),
+        },
+        WALKER
+        | SECTION
+        | {
+            "actions": "names of the parameters that the actions set: each is a variable over "
+            "`action_number`",
+            "area": f"of viable cells; {AREA}",
+            "target_area": "of the target",
+        },
+    ),
     "refined basin": Kind(
         "A basin over the finest grid of a refinement (`refine`).",
         {

@@ -1,0 +1,62 @@
+"""Actions: values of parameters that may change from stride to stride."""
+
+import itertools
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from walker_jax.checks import WrongUse, check_kind, is_number, numbers, short
+from walker_jax.grids import check_axis
+from walker_jax.systems.system import System, check_single
+from walker_jax.walkers.parameters import check_parameter, with_parameter
+
+MOST_ACTIONS = 10_000
+"""More would hardly be tried on purpose."""
+
+
+class Actions(NamedTuple):
+    """All combinations of values of some parameters, the last one fastest."""
+
+    names: tuple[str, ...]
+    values: Float[np.ndarray, "m parameters"]
+
+    def of(self, system: System, number: int) -> System:
+        """The system during a stride by one of the actions."""
+        dtype = jnp.asarray(0.0).dtype
+        for name, value in zip(self.names, self.values[number], strict=True):
+            system = with_parameter(system, name, np.asarray(value, dtype))
+        return system
+
+
+def read_actions(system: System, actions: Any) -> Actions:
+    """Actions from what a user gives: by parameter, (low, high, count) or the values themselves."""
+    check_single(system)
+    check_kind("actions", actions, Mapping)
+    if not actions:
+        raise WrongUse("actions must name a parameter, such as {'push_off': (0, 0.1, 16)}, not {}")
+    values = [values_of(name, given) for name, given in actions.items()]
+    for name, row in zip(actions, values, strict=True):
+        check_parameter(system, name, *row)
+    count = int(np.prod([len(row) for row in values]))
+    if count > MOST_ACTIONS:
+        raise WrongUse(f"actions must be at most {MOST_ACTIONS} in all, not {count}: lower a count")
+    return Actions(tuple(actions), np.array(list(itertools.product(*values))))
+
+
+def values_of(name: str, given: Any) -> Float[np.ndarray, " values"]:
+    """The values of a parameter: those of a range with both of its ends, or as they are."""
+    if isinstance(given, tuple) and len(given) == 3 and all(map(is_number, given)):
+        low, high, count = check_axis(name, given)
+        if count < 2:
+            raise WrongUse(f"{name}={short(given)}: a range needs two values at least")
+        return np.linspace(low, high, count)
+    values = numbers(name, given)
+    if values.ndim != 1 or not len(values) or not np.isfinite(values).all():
+        raise WrongUse(
+            f"actions of {name} must be (low, high, count), or a list of finite values, "
+            f"not {short(given)}"
+        )
+    return values

@@ -1,0 +1,105 @@
+"""Policies: actions as a function of the state."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+from jaxtyping import Array, Float
+
+from walker_jax.basins.volumes import grid_of
+from walker_jax.checks import WrongUse, check_kind
+from walker_jax.storage.schema import check_dataset
+from walker_jax.systems.maps import Map
+from walker_jax.systems.system import System, check_single, numbers_of
+from walker_jax.walkers.parameters import with_parameter
+from walker_jax.walking.stride import stride
+
+
+class Steered(Map):
+    """A system whose parameters are set anew before each stride."""
+
+    def advance(self, x):
+        return self.f(x, **self.parameters)
+
+
+def Policy(system: System, data: xr.Dataset) -> System:
+    """The system with the actions that `viable` found, chosen anew before each stride.
+
+    In a cell with an action its parameters are means of those of that cell and of the neighbours
+    that have actions too, weighted by how near their centres are (linearly along each axis), so
+    that they are continuous and have derivatives within a cell's neighbourhood. Elsewhere, in the
+    target and off the kernel, they are the system's own: what converges to its attractor within the
+    target converges to that.
+
+    The result is a system like any other, with the parameters of `system`: its basin, its
+    robustness and all else are computed as usual.
+
+    **Arguments:**
+
+    - `system`: the one that `viable` was given, or one like it with other parameters.
+    - `data`: what `viable` returned.
+
+    Raises `ValueError` for another data set, or one of another section.
+    """
+    check_kind("system", system, System)
+    check_single(system)
+    check_kind("data", data, xr.Dataset)
+    check_dataset(data, "viability")
+    if list(data.attrs["section"]) != list(system.section):
+        raise WrongUse(
+            f"data must be of the section {', '.join(system.section)}, "
+            f"not of {', '.join(data.attrs['section'])}"
+        )
+    names = tuple(data.attrs["actions"])
+    table = np.stack([data[name].values[data["action"].values] for name in names], axis=-1)
+    choose = interpolation(data, table)
+
+    def advance(x, **parameters):
+        acting = system
+        for name, value in parameters.items():
+            acting = with_parameter(acting, name, value)
+        own = jnp.stack([jnp.asarray(parameters[name], x.dtype) for name in names])
+        chosen = choose(x, own)
+        for i, name in enumerate(names):
+            acting = with_parameter(acting, name, chosen[i])
+        return stride(acting, x)[:3]
+
+    feasible = lambda x, **_: system.feasible(x)
+    made: Any = Steered  # whose own constructor pyright takes for a generated one
+    return made(advance, system.section, parameters=numbers_of(system), feasible=feasible)
+
+
+def interpolation(
+    data: xr.Dataset, table: Float[np.ndarray, "*shape parameters"]
+) -> Callable[[Array, Array], Array]:
+    """The parameters at a point, from those of the cells around it, and its own elsewhere."""
+    acts = data["action"].values >= 0
+    grid = grid_of(data)
+    counts, d = np.array(acts.shape), acts.ndim
+    flat, has = table.reshape(-1, table.shape[-1]), acts.ravel()
+    steps = np.append(np.cumprod(counts[:0:-1])[::-1], 1).astype(np.int32)
+
+    def choose(x: Float[Array, " section"], own: Float[Array, " parameters"]) -> Any:
+        to = lambda values: jnp.asarray(values, x.dtype)
+        across = (to(grid.unshear) * (x - to(grid.origin))).sum(axis=1)
+        u = (across - to(grid.lower)) / to(grid.spacing)
+        inside = jnp.all((u >= 0) & (u < to(counts)))  # not so for NaN
+        u = jnp.where(inside, u, 0.5)
+        cell = jnp.clip(jnp.floor(u), 0, to(counts - 1)).astype(jnp.int32)
+        held = inside & jnp.asarray(has)[(cell * steps).sum()]
+        first = jnp.floor(u - 0.5)
+        share = u - 0.5 - first
+        total, weight = jnp.zeros_like(own), jnp.zeros((), x.dtype)
+        for corner in np.ndindex(*(2,) * d):
+            place = first.astype(jnp.int32) + jnp.asarray(corner, jnp.int32)
+            there = jnp.clip(place, 0, jnp.asarray(counts - 1, jnp.int32))
+            number = (there * steps).sum()
+            near = jnp.prod(jnp.where(jnp.asarray(corner) == 1, share, 1 - share))
+            near = jnp.where(jnp.asarray(has)[number] & jnp.all(place == there), near, 0)
+            total = total + near * to(flat)[number]
+            weight = weight + near
+        return jnp.where(held, total / jnp.where(held, weight, 1), own)
+
+    return choose

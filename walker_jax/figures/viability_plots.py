@@ -1,0 +1,134 @@
+"""Pictures of what any control can do."""
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Bool
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import ListedColormap, Normalize
+from matplotlib.lines import Line2D
+
+from walker_jax.checks import WrongUse
+from walker_jax.figures.layout import Shown, dress, figure_of, new_axes
+from walker_jax.figures.regions import (
+    Extent,
+    counted_patch,
+    extent_of,
+    paint,
+    show_image,
+    with_failures,
+)
+from walker_jax.figures.style import INK
+from walker_jax.figures.text import walker_title
+from walker_jax.storage.schema import check_dataset
+from walker_jax.systems.outcomes import failures_of
+
+SHADES = ListedColormap(colormaps["cividis_r"](np.linspace(0.2, 1, 256)))
+"""Shares of safe actions, darker the more; it reads alike without colour."""
+LINES = {
+    "target": ("target", "white", 2.2, "-"),
+    "inner": ("viable from all of a cell (inner bound)", INK, 0.9, "-"),
+    "outer": ("viable from some of a cell (outer bound)", INK, 0.9, ":"),
+}
+"""Boundaries: words, colour, width and kind of their lines."""
+
+
+def viability(
+    data: xr.Dataset,
+    ax: Axes | None = None,
+    *,
+    title: bool | str = True,
+    subtitle: bool = True,
+    legend: bool = True,
+    labels: bool = True,
+) -> Axes:
+    """The viability kernel over a grid of two dimensions, and the failures around it.
+
+    Viable cells are shaded by the share of actions that keep them so; others have the colour of the
+    failure that no choice of actions prevents. Lines are the target's boundary and the bounds of
+    the kernel.
+
+    **Arguments:**
+
+    - `data`: what `walker_jax.viable` returns. The first dimension is drawn along the x axis.
+    - `ax`: where to draw; by default, on a new figure of 7 by 5.4 inches.
+    - `title`, `subtitle`, `legend`, `labels`: whether to write these, a title also in other words.
+
+    **Returns** the axes. Raises `ValueError` for a data set that is not of two dimensions, with
+    two cells or more along each.
+    """
+    check_dataset(data, "viability")
+    viable = data["viable"]
+    if viable.ndim != 2 or min(viable.shape) < 2:
+        raise WrongUse(
+            f"data must be viable over 2 x 2 cells or more, not over {dict(viable.sizes)}"
+        )
+    ax = new_axes(7, 5.4) if ax is None else ax
+    x, y = map(str, viable.dims)
+    extent = extent_of(data, x, y)
+    regions = with_failures([], data["failure"].values, failures_of(data))
+    image = paint(regions, viable.shape)
+    share = data["safe_actions"].values / data.sizes["action_number"]
+    scale = ScalarMappable(Normalize(0, max(share.max(), 1 / data.sizes["action_number"])), SHADES)
+    kernel = viable.values
+    image[kernel] = scale.to_rgba(share[kernel], bytes=True)[:, :3]
+    show_image(ax, image, extent)
+    drawn = {"target": data["capture"].values == 0}
+    drawn |= {name: data[name].values for name in ("inner", "outer") if name in data}
+    marks = [draw_boundary(ax, name, cells, extent) for name, cells in drawn.items()]
+    bar = figure_of(ax).colorbar(scale, ax=ax)
+    if labels:
+        bar.set_label("share of actions that keep the walker going")
+    dress(
+        ax,
+        Shown(title, subtitle, legend, labels),
+        title=walker_title(data),
+        note=viability_note(data),
+        x=x,
+        y=y,
+        legends=[
+            ([one for one in marks if one is not None], 2),
+            ([counted_patch(region, 1) for region in regions], 2),
+        ],
+        beside=[bar.ax],
+    )
+    return ax
+
+
+def draw_boundary(
+    ax: Axes, name: str, cells: Bool[np.ndarray, "nx ny"], extent: Extent
+) -> Line2D | None:
+    """The line around a set of cells, and its sign in the legend; none if there are no cells."""
+    words, colour, width, kind = LINES[name]
+    if not cells.any():
+        return None
+    left, right, low, high = extent
+    around = np.pad(cells, 1).repeat(2, 0).repeat(2, 1)[1:-1, 1:-1]
+    xs = np.linspace(left, right, cells.shape[0] + 1).repeat(2)
+    ys = np.linspace(low, high, cells.shape[1] + 1).repeat(2)
+    ax.contour(
+        xs,
+        ys,
+        around.T.astype(float),
+        levels=[0.5],
+        colors=[colour],
+        linewidths=[width],
+        linestyles=[kind],
+    )
+    on_white = "0.6" if colour == "white" else colour
+    return Line2D([], [], label=words, color=on_white, lw=width, ls=kind)
+
+
+def viability_note(data: xr.Dataset) -> str:
+    """The actions, and the areas."""
+    ranges = [
+        f"{name.replace('_', ' ')} from {data[name].min():g} to {data[name].max():g}"
+        for name in data.attrs["actions"]
+    ]
+    area, target = data.attrs["area"], data.attrs["target_area"]
+    count = data.sizes["action_number"]
+    words = f"{count} actions, {' and '.join(ranges)}: viable {area:.4g}"
+    if "inner_area" in data.attrs:
+        words += f" ({data.attrs['inner_area']:.4g} to {data.attrs['outer_area']:.4g})"
+    return f"{words}, target {target:.4g}"
