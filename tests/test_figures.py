@@ -1234,6 +1234,26 @@ AREAS = completed(
 EDGES = completed(every_fate().assign_coords(edge=[0, 1]), "boundary").assign(
     edge_kind=("edge", np.array(["forward", ""], object))
 )
+FATE = every_fate()["fate"]
+VIABLE = completed(
+    xr.Dataset(
+        {
+            "viable": FATE == 0,
+            "inner": FATE == 0,
+            "outer": FATE <= 1,
+            "failure": FATE,
+            "capture": (
+                FATE.dims,
+                np.where(FATE == 0, np.arange(FATE.size).reshape(FATE.shape), -1),
+            ),
+            "safe_actions": (FATE == 0) * 2,
+            "push_off": ("action_number", [0.0, 0.05, 0.1]),
+        },
+        attrs={"walker": "PoweredWalker", "walker_slope": 0.0165, "actions": ["push_off"]}
+        | {"area": 0.01, "inner_area": 0.009, "outer_area": 0.011, "target_area": 0.001},
+    ),
+    "viability",
+)
 GAITS = [gait(1, 0.63, 0.1, stable=True), gait(2, -4, 0.3), gait(1, 30, 5.0)]
 GIVEN_AXES: dict[str, Any] = {
     "basin": [every_fate()],
@@ -1250,6 +1270,7 @@ GIVEN_AXES: dict[str, Any] = {
     "boundary_dimension": [table()],
     "sweep": [swept(3, 2)],
     "leg_angles": [WALKED],
+    "viability": [VIABLE],
 }
 PARTS = ["title", "subtitle", "legend", "labels"]
 
