@@ -1234,7 +1234,7 @@ AREAS = completed(
 EDGES = completed(every_fate().assign_coords(edge=[0, 1]), "boundary").assign(
     edge_kind=("edge", np.array(["forward", ""], object))
 )
-FATE = every_fate()["fate"]
+FATE = every_fate(fates=(0, 1, 2, 3))["fate"]
 VIABLE = completed(
     xr.Dataset(
         {
@@ -1294,7 +1294,7 @@ def test_every_picture_on_given_axes_has_the_same_options():
         assert only == PARTS, name
 
 
-PAIRS = [*zip([*GIVEN_AXES][::2], [*GIVEN_AXES][1::2], strict=True)]
+PAIRS = [*zip([*GIVEN_AXES][::2], [*GIVEN_AXES, "robustness_measures"][1::2], strict=True)]
 OTHER_PAIRS = [pytest.param(pair, marks=pytest.mark.slow) for pair in PAIRS[1:-1]]
 
 

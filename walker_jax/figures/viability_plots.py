@@ -13,9 +13,9 @@ from walker_jax.checks import WrongUse
 from walker_jax.figures.layout import Shown, dress, figure_of, new_axes
 from walker_jax.figures.regions import (
     Extent,
-    counted_patch,
     extent_of,
     paint,
+    patch_of,
     show_image,
     with_failures,
 )
@@ -28,8 +28,8 @@ SHADES = ListedColormap(colormaps["cividis_r"](np.linspace(0.2, 1, 256)))
 """Shares of safe actions, darker the more; it reads alike without colour."""
 LINES = {
     "target": ("target", "white", 2.2, "-"),
-    "inner": ("viable from all of a cell (inner bound)", INK, 0.9, "-"),
-    "outer": ("viable from some of a cell (outer bound)", INK, 0.9, ":"),
+    "inner": ("inner bound", INK, 0.9, "-"),
+    "outer": ("outer bound", INK, 0.9, ":"),
 }
 """Boundaries: words, colour, width and kind of their lines."""
 
@@ -79,7 +79,7 @@ def viability(
     marks = [draw_boundary(ax, name, cells, extent) for name, cells in drawn.items()]
     bar = figure_of(ax).colorbar(scale, ax=ax)
     if labels:
-        bar.set_label("share of actions that keep the walker going")
+        bar.set_label("share of safe actions")
     dress(
         ax,
         Shown(title, subtitle, legend, labels),
@@ -88,8 +88,8 @@ def viability(
         x=x,
         y=y,
         legends=[
-            ([one for one in marks if one is not None], 2),
-            ([counted_patch(region, 1) for region in regions], 2),
+            ([one for one in marks if one is not None], 3),
+            ([patch_of(region) for region in regions], 2),
         ],
         beside=[bar.ax],
     )
