@@ -18,16 +18,16 @@ import xarray as xr
 import walker_jax as wj
 from walker_jax.cli import main
 from walker_jax.explorer.guard import TOKEN_HEADER, Bucket
+from walker_jax.explorer.offers import FAMILY, Offers
 from walker_jax.explorer.server import Server, listen, make_server, names_of
-from walker_jax.explorer.subjects import FAMILY, Offers
 
 TOKEN = "a-token-for-tests-alone"
 DIAGRAM = {
     "range": [0.001, 0.022],
-    "branches": [{"period": 1, "slope": [0.001, 0.02], "theta": [[0.1, 0.25]], "stable": [1, 0]}],
+    "branches": [{"period": 1, "value": [0.001, 0.02], "state": [[0.1, 0.25]], "stable": [1, 0]}],
     "points": [[0.001 + 0.0001 * k, 0.1 + 0.001 * k] for k in range(150)],
     "lost": [0.0193, 0.0194],
-    "events": [{"slope": 0.015088, "fold": False, "theta": 0.23, "cascade": True}],
+    "events": [{"value": 0.015088, "fold": False, "state": 0.23, "cascade": True}],
 }
 """A diagram of few points, in the form in which the server sends one."""
 

@@ -27,12 +27,13 @@ import xarray as xr
 from zarr.storage import ZipStore
 
 import walker_jax as wj
-from walker_jax.explorer import measures, pictures, service, walks, workers
+from walker_jax.explorer import measures, offers, pictures, service, walks, workers
 from walker_jax.explorer.family import describe_family
 from walker_jax.explorer.guard import MAX_BODY, Bucket
 from walker_jax.explorer.lattice import HOME_CELLS, TILE, Rectangle
+from walker_jax.explorer.offers import FAMILY
 from walker_jax.explorer.server import listen
-from walker_jax.explorer.subjects import FAMILY, Subject, read_subject
+from walker_jax.explorer.subjects import Subject, read_subject
 from walker_jax.walkers.family import PLANAR_WALKERS
 from walker_jax.walkers.parameters import parameters
 
@@ -333,9 +334,9 @@ def test_the_disturbance_for_the_page(monkeypatch):
 
 def test_the_diagram_for_the_page(monkeypatch):
     """Around the first doubling: branches are gaits, and points what walkers come to."""
-    monkeypatch.setattr(measures, "slopes_of", lambda kind: (0.0148, 0.0154))
+    monkeypatch.setattr(offers, "slopes_of", lambda kind: (0.0148, 0.0154))
     monkeypatch.setattr(measures, "DIAGRAM", {"period_max": 2, "strides": 400, "scan": 3})
-    diagram = measures.bifurcation(subject())
+    diagram = measures.bifurcation(subject(), "slope")
     assert json.dumps(diagram, allow_nan=False)
     for name, like in explorer_server.DIAGRAM.items():  # with which the page is tested
         assert len(diagram[name][0]) == len(like[0]) if name == "points" else diagram[name]
@@ -344,21 +345,21 @@ def test_the_diagram_for_the_page(monkeypatch):
     assert {*diagram} == {*explorer_server.DIAGRAM}
     assert diagram["range"] == (0.0148, 0.0154)
     assert diagram["lost"] == [0.0154, None]  # not up to there
-    (doubling,) = (one["slope"] for one in diagram["events"] if not one["fold"])
+    (doubling,) = (one["value"] for one in diagram["events"] if not one["fold"])
     assert doubling == pytest.approx(0.01508843794, abs=1e-9)
     places = np.array(diagram["points"])
     come_to = {slope: places[places[:, 0] == slope, 1] for slope in (0.0148, 0.0154)}
     assert [len(one) for one in come_to.values()] == [1, 2]
     (doubled,) = (one for one in diagram["branches"] if one["period"] == 2)
-    (last,) = np.flatnonzero(np.isclose(doubled["slope"], 0.0154))
-    ends = sorted(row[last] for row in doubled["theta"])
+    (last,) = np.flatnonzero(np.isclose(doubled["value"], 0.0154))
+    ends = sorted(row[last] for row in doubled["state"])
     np.testing.assert_allclose(ends, np.sort(come_to[0.0154]), rtol=0, atol=1e-6)
     assert all(doubled["stable"][-5:])
     stays = wj.find_gait(wj.SimplestWalker(0.0148)).states[0, 0]
     assert come_to[0.0148][0] == pytest.approx(stays, abs=1e-6)
     single = [one for one in diagram["branches"] if one["period"] == 1]
-    (long,) = (one for one in single if np.isclose(one["theta"][0], stays, atol=1e-9).any())
-    assert long["stable"] == [int(slope < doubling) for slope in long["slope"]]
+    (long,) = (one for one in single if np.isclose(one["state"][0], stays, atol=1e-9).any())
+    assert long["stable"] == [int(slope < doubling) for slope in long["value"]]
 
 
 @pytest.mark.slow
@@ -368,9 +369,9 @@ def test_the_measures_that_take_long():
     exact = wj.least_disturbance(wj.SimplestWalker(0.004))
     assert found["size"] == exact.size and found["failure"] == int(exact.failure)
     np.testing.assert_allclose(found["gait"], exact.state - exact.size * exact.direction)
-    diagram = measures.bifurcation(subject())
+    diagram = measures.bifurcation(subject(), "slope")
     assert json.dumps(diagram, allow_nan=False)
-    cascade = [one["slope"] for one in diagram["events"] if one["cascade"] and not one["fold"]]
+    cascade = [one["value"] for one in diagram["events"] if one["cascade"] and not one["fold"]]
     assert min(cascade) == pytest.approx(0.01508843794, abs=1e-9)
     assert diagram["lost"][0] == pytest.approx(
         0.01904, abs=1e-4
@@ -384,7 +385,7 @@ def test_a_diagram_is_of_the_walkers_own_slopes(monkeypatch, name, slopes):
     asked = []
     monkeypatch.setattr(measures, "bifurcation_diagram", lambda *words, **_: asked.extend(words))
     with pytest.raises(TypeError):  # of what is no diagram
-        measures.bifurcation(subject(name))
+        measures.bifurcation(subject(name), "slope")
     assert asked[1:] == ["slope", slopes]
 
 
@@ -707,7 +708,7 @@ def test_help_and_import_load_no_server():
     subprocess.run([sys.executable, "-c", program], check=True)
 
 
-def test_only_a_walker_in_the_plane_and_in_a_file_is_explored():
+def test_only_what_is_drawn_and_in_a_file_is_explored():
     class Own(wj.SimplestWalker):
         pass
 
@@ -715,6 +716,8 @@ def test_only_a_walker_in_the_plane_and_in_a_file_is_explored():
         wj.explore(Own(0.004))
     with pytest.raises(ValueError, match="walker must be one in the plane, not a SpatialWalker"):
         wj.explore(wj.SpatialWalker(0.004))
+    with pytest.raises(ValueError, match="has a section of one coordinate, and pictures have two"):
+        wj.explore(wj.SpringMassRunner())
     with pytest.raises(ValueError, match="height must be at least 100"):
         wj.explore(wj.SimplestWalker(0.004), height=1)
 

@@ -15,7 +15,8 @@ from walker_jax.cli import main
 from walker_jax.explorer import notebook, pictures, walks, workers
 from walker_jax.explorer.family import describe_offer
 from walker_jax.explorer.lattice import TILE
-from walker_jax.explorer.subjects import FAMILY, offer, read_subject
+from walker_jax.explorer.offers import FAMILY, offer
+from walker_jax.explorer.subjects import read_subject
 from walker_jax.walkers.kneed import LockedWalker
 from walker_jax.walkers.references import find_walker, reference_of
 
@@ -143,7 +144,7 @@ def test_a_worker_loads_the_class_unless_its_file_has_changed(walker, tmp_path, 
     async def use():
         crew = workers.Workers(1)
         try:
-            assert await crew.ask(walks.leg_of, about) == (1.0, 0.0)
+            assert await crew.ask(walks.leg_of, about) == {"length": 1.0, "radius": 0.0}
             with pytest.raises(workers.Failure, match="the code of Damped has changed"):
                 await crew.ask(walks.leg_of, edited)
         finally:

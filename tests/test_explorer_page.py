@@ -24,7 +24,8 @@ from zarr.storage import ZipStore
 
 import walker_jax as wj
 from walker_jax.explorer import measures, pictures
-from walker_jax.explorer.subjects import FAMILY, offer, read_subject
+from walker_jax.explorer.offers import FAMILY, OTHERS, offer
+from walker_jax.explorer.subjects import read_subject
 
 CHROMIUM = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
@@ -71,6 +72,33 @@ OWN = offer(Own(0.004))
 @pytest.fixture(scope="module")
 def running():
     with explorer_server.running(offers=FAMILY | {"Own": OWN}) as server:
+        yield server
+
+
+class Spiral(wj.System):
+    """Three numbers, of which two turn about the third, and escape where that is large."""
+
+    turn: float = 0.5
+
+    section = "east", "north", "up"
+    failures = ("flies_off",)
+
+    def advance(self, x):
+        cos, sin = 0.9 * jnp.cos(self.turn), 0.9 * jnp.sin(self.turn)
+        flies = jnp.where(x[2] > 1, self.failure("flies_off"), wj.Outcome.STRIDE)
+        after = jnp.stack([cos * x[0] - sin * x[1], sin * x[0] + cos * x[1], 1.5 * x[2]])
+        return jnp.where(x[2] > 0, after, 0.9 * after), flies, 1.0
+
+    def feasible(self, x):
+        return x[0] > -1.5
+
+    def gait_region(self):
+        return wj.Grid.plain(east=(-2, 2, 4), north=(-2, 2, 4), up=(-2, 2, 4))
+
+
+@pytest.fixture(scope="module")
+def machines():
+    with explorer_server.running(offers=OTHERS | {"Spiral": offer(Spiral())}) as server:
         yield server
 
 
@@ -161,6 +189,19 @@ def opened(browser, running):
 
     def open_page(state="", **options):
         pages.append(Page(browser, running.port, state, **options))
+        return pages[-1]
+
+    yield open_page
+    for one in pages:
+        one.close()
+
+
+@pytest.fixture
+def opened_system(browser, machines):
+    pages = []
+
+    def open_page(state, **options):
+        pages.append(Page(browser, machines.port, state, **options))
         return pages[-1]
 
     yield open_page
@@ -709,6 +750,82 @@ def test_a_server_that_goes_and_comes_back(browser):
         page.close()
 
 
+SHOWN = """[...document.querySelectorAll(
+  "label, legend, dt, dd, button, .stage, select"
+)].filter((one) => one.checkVisibility()).map((one) => one.textContent.trim() + one.title).join()"""
+
+
+def test_a_map_has_iterates_cycles_and_axes_of_its_own(opened_system):
+    page = opened_system("walker=henon&a=1.02")
+    assert page.value("explorer.map.axes") == ["x", "y"]
+    shown = page.value(SHOWN)
+    assert "System" in shown and "Cycle" in shown and "One iterate" in shown
+    for of_walkers in ("Walker", "Gait", "stride", "push", "real time", "rad", "Section"):
+        assert of_walkers not in shown
+    assert not page.page.locator("#stage").is_visible()
+    assert page.page.locator("#parameters .name").all_inner_texts() == ["a", "b"]
+    share = float(area_of(page)[0] / 16)
+    assert share == pytest.approx(0.6245, abs=0.01)  # of the basin of the cycle of period 4
+    page.page.mouse.move(*page.screen(0.1, 0.1))
+    page.wait("document.querySelector('#hover').textContent.includes('the cycle of period 4')")
+    assert page.shown("#hover").startswith("x 0.1")
+    # iterates come in their order, by keys too
+    page.page.mouse.click(*page.screen(0.1, 0.1))
+    page.wait("explorer.walk.playing && explorer.map.path.length > 3")
+    page.page.keyboard.press(" ")
+    page.wait("!explorer.walk.playing")
+    count = page.value("explorer.map.path.length")
+    page.page.keyboard.press(".")
+    page.wait(f"explorer.map.path.length === {count + 1}")
+    path = page.value("explorer.map.path")
+    made = wj.walk(wj.HenonMap(1.02), jnp.array(path[0]), len(path) - 1)
+    np.testing.assert_allclose(path, made.states, rtol=1e-9)
+    assert page.shown("#walk-note").lower() == f"iterate {len(path)}"
+    # one that escapes says so, and a parameter that changes begins anew
+    page.page.mouse.click(*page.screen(-1.9, -1.9))
+    page.wait("explorer.walk.over && !explorer.walk.playing && explorer.walk.start[0] < -1")
+    assert page.shown("#walk-note").lower().startswith("infeasible after ")
+    assert "infeasible" in page.shown("#legend")
+    page.page.locator("#parameters .typed").first.fill("0.3")
+    page.wait("JSON.parse(explorer.picture.layer.key).parameters.a === 0.3")
+    page.finished()
+    assert "basin of the cycle of period 1" in page.shown("#legend")
+    # the bifurcation diagram is over a parameter of one's choice
+    page.page.route("**/api/measure/bifurcation", partial(fulfil, explorer_server.DIAGRAM))
+    page.page.click("#tab-bifurcation")
+    page.wait("document.querySelector('#diagram-note').textContent.includes('the cycle first')")
+    with page.page.expect_request("**/api/measure/bifurcation") as asked:
+        page.page.select_option("#over", "b")
+    assert asked.value.post_data_json["over"] == "b"
+    page.wait("location.hash.includes('over=b')")
+
+
+def test_a_system_of_three_coordinates_is_shown_along_any_two(opened_system):
+    page = opened_system("walker=Spiral&section=east-up&at_north=0.5")
+    assert page.value("explorer.map.axes") == ["east", "up"]
+    assert page.page.locator("#section option").all_inner_texts() == [
+        *("east, north", "east, up", "north, up")
+    ]
+    assert page.page.locator("#slice .typed").input_value() == "0.5"
+    page.page.mouse.click(*page.screen(0.5, 0.7))
+    page.wait("explorer.walk.over && explorer.walk.strides.length === 2")
+    start = page.value("explorer.walk.start")
+    assert start[1] == 0.5 and start == pytest.approx([0.5, 0.5, 0.7], abs=0.02)
+    page.wait("!explorer.walk.playing")
+    assert page.shown("#walk-note").lower() == "flies off after 1 iterate"
+    page.page.mouse.click(*page.screen(-1.8, 0.7))
+    page.wait("document.querySelector('#walk-note').textContent === 'not a feasible start'")
+    page.page.select_option("#section select", "north-up")
+    page.wait("JSON.parse(explorer.picture.layer?.key ?? '{}').section === 'north-up'")
+    page.finished()
+    assert page.value("explorer.state.at") == {}
+    assert page.shown("#slice .name") == "slice at east"
+    assert page.shown(".at-gait") == "at the cycle"
+    legend = page.shown("#legend")
+    assert "flies off" in legend and "basin of the cycle of period 1" in legend
+    page.wait("location.hash.includes('section=north-up')")
+
+
 def test_a_link_of_another_server_is_told_apart(browser, running):
     context = browser.new_context()
     page = context.new_page()
@@ -770,7 +887,7 @@ def test_the_bifurcation_tab_has_the_slope_in_it(opened, monkeypatch, computed):
     few = {"period_max": 1, "strides": 60, "scan": 8}
     monkeypatch.setattr(measures, "DIAGRAM", few)
     found = (
-        measures.bifurcation(read_subject({"walker": "simplest"}))
+        measures.bifurcation(read_subject({"walker": "simplest"}), "slope")
         if computed
         else explorer_server.DIAGRAM
     )

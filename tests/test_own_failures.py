@@ -16,7 +16,7 @@ from walker_jax import figures
 from walker_jax.basins.summary import summarise_basin, tally
 from walker_jax.cli import main
 from walker_jax.explorer.family import describe_family
-from walker_jax.explorer.subjects import Offer
+from walker_jax.explorer.offers import Offer
 from walker_jax.systems.outcomes import failures_of
 
 GRID = wj.Grid.plain(speed=(0, 3, 60), place=(-1, 1, 4))
@@ -224,7 +224,7 @@ def test_walkers_have_them_too():
     made = wj.strides(Leaning(0.009), np.array([[0.2, -0.2], [0.55, -0.5]]))
     assert made.outcome.tolist() == [0, wj.Outcome.OWN_1]
     offered = {"leaning": Offer("leaning", Leaning, (0.009,), "")}
-    fates = describe_family(offered)["fates"]
+    fates = describe_family(offered)["walkers"]["leaning"]["fates"]
     assert fates[12]["words"] == "leans too far" and fates[12]["lost"] and 13 not in fates
 
 

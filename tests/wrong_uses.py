@@ -28,7 +28,7 @@ import walker_jax as wj
 from walker_jax import cellmaps, figures, kernels, multibody, storage
 from walker_jax.basins import memory
 from walker_jax.execution import tiles
-from walker_jax.explorer import lattice, service, subjects, walks
+from walker_jax.explorer import lattice, offers, service, subjects, walks
 from walker_jax.integrators import integrator
 from walker_jax.stability import stochastic_map, summary
 from walker_jax.storage.schema import TYPES, attributes_of, check_dataset, variables_of
@@ -38,7 +38,7 @@ from walker_jax.walking.disturbed import DisturbedWalk
 
 MODULES: tuple[ModuleType, ...] = (
     *(cellmaps, figures, integrator, kernels, lattice, multibody, references, stochastic_map),
-    *(storage, subjects, tiles, walks),
+    *(offers, storage, subjects, tiles, walks),
 )
 
 

@@ -81,7 +81,8 @@ def grid_along(axes: Mapping[str, Any]) -> Grid:
         return Grid.sheared(**axes)
     ranges = {name: axis for name, axis in axes.items() if not is_number(axis)}
     if ranges and list(axes)[: len(ranges)] != list(ranges):
-        return Grid.through({name: 0 if name in ranges else axes[name] for name in axes}, **ranges)
+        point = {name: 0.0 if name in ranges else float(axes[name]) for name in axes}
+        return Grid.through(point, **ranges)
     return Grid.plain(**axes)
 
 

@@ -25,7 +25,12 @@ EXAMPLES = {
         "bifurcation --walker spring --hip-stiffness 1 --to 0.02 --out spring.zarr",
         "bifurcation --system henon --over a --from 0 --to 1.2 --out henon.zarr",
     ),
-    "explore": ("explore", "explore --walker spring --hip-stiffness 1", "explore --no-browser"),
+    "explore": (
+        "explore",
+        "explore --walker spring --hip-stiffness 1",
+        "explore --system henon --a 1.02",
+        "explore --no-browser",
+    ),
     "basin": (
         "basin",
         "basin --method direct --slope 0.009 --out steep.zarr",

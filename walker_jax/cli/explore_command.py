@@ -4,16 +4,20 @@ from typing import Annotated
 
 import typer
 
+from walker_jax.basins.windows import grid_along
 from walker_jax.checks import WrongUse
+from walker_jax.cli.options import Axes, axes_from, check_ranges
 from walker_jax.cli.rewording import option_of
 from walker_jax.cli.walker_options import takes_walker
+from walker_jax.systems.system import System, numbers_of
 from walker_jax.walkers.model import Walker
-from walker_jax.walkers.parameters import chosen_options, parameters
+from walker_jax.walkers.parameters import chosen_options
 
 
-@takes_walker()
+@takes_walker(systems=True)
 def explore(
-    walker: Walker,
+    walker: System,
+    axis: Axes = None,
     port: Annotated[
         int, typer.Option(min=0, max=65535, help="Where the server listens; 0 for a free port.")
     ] = 0,
@@ -27,18 +31,26 @@ def explore(
     """Explore basins in a browser: drag the slope, watch the basin; click a start, watch it walk.
 
     Prints the link to the page, and serves it until Ctrl-C. The page needs no network. Its address
-    holds what it shows; buttons copy the command and the Python that give the same data.
+    holds what it shows; buttons copy the command and the Python that give the same data. A system
+    that is no walker has no film: a click shows its iterates. Its window has the axes of --axis, in
+    cells of the page's own, by default over its gait_region.
     """
+    from walker_jax.explorer.offers import offer
     from walker_jax.explorer.server import run_server
-    from walker_jax.explorer.subjects import offer
     from walker_jax.walkers.references import reference_of
 
     check_host(host)
-    offered = offer(walker)
+    if axis and isinstance(walker, Walker):
+        raise WrongUse("--axis is for --system: the page shows a walker about its gait")
+    axes = axes_from(walker, axis) if axis else {}
+    if axes:
+        check_ranges(axes, len(axes))
+        grid_along(axes)  # raises for ends that are none
+    offered = offer(walker, axes)
     reference_of(offered.kind)  # raises for what worker processes cannot import
     for option in chosen_options(walker):
         raise WrongUse(f"{option_of(option)} must be left out: the page knows parameters alone")
-    values = {one.name: float(getattr(walker, one.name)) for one in parameters(walker)}
+    values = {name: float(value) for name, value in numbers_of(walker).items()}
     run_server(host, port, offered, values, browser=browser)
 
 

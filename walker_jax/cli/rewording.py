@@ -27,6 +27,7 @@ OPTIONS_OF_SYSTEMS = OPTIONS | {
     "another guess": "another --start",
     "a guess": "--start NAME=VALUE",
     "the guess": "--start",
+    "walker must": "--system must",
 }
 """The same of a command with --system."""
 GIVE = re.compile(r"(?<=; give )((?:\w+, )+)(?=or )")

@@ -13,9 +13,15 @@ from walker_jax.checks import ComputationFailed, WrongPlace, WrongUse
 from walker_jax.cli.list_walkers import ListWalkers
 from walker_jax.cli.rewording import option_of, with_options_named
 from walker_jax.systems.family import SYSTEMS
-from walker_jax.systems.system import System, numbers_of
+from walker_jax.systems.system import System
 from walker_jax.walkers.family import WALKERS
-from walker_jax.walkers.parameters import Option, Parameter, options, parameters, with_parameter
+from walker_jax.walkers.parameters import (
+    Option,
+    Parameter,
+    options,
+    parameters_of,
+    with_parameter,
+)
 from walker_jax.walkers.references import find_system, find_walker, installed_walkers
 
 PANEL = "Walker"
@@ -69,18 +75,6 @@ def value_of(option: str, args: Sequence[str]) -> str | None:
         elif one.startswith(f"{option}="):
             value = one.partition("=")[2]
     return value
-
-
-def parameters_of(kind: type[System] | System) -> tuple[Parameter, ...]:
-    """The parameters of a class; of a system, with its own values as defaults."""
-    if isinstance(kind, type):
-        return parameters(kind)
-    described = {one.name: one for one in parameters(type(kind))}
-    plain = Parameter("", "", "", low=-math.inf)
-    return tuple(
-        described.get(name, plain)._replace(name=name, default=float(value))
-        for name, value in numbers_of(kind).items()
-    )
 
 
 def with_walker_options(command: Callable[..., None], kinds: Kinds) -> Callable[..., None]:

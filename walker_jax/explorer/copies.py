@@ -3,12 +3,15 @@
 import hashlib
 import shlex
 from pathlib import Path
+from typing import Any
 
-from walker_jax.explorer.lattice import Rectangle
-from walker_jax.explorer.measures import grid_of
-from walker_jax.explorer.subjects import FAMILY, Subject
-from walker_jax.walkers.model import Walker
-from walker_jax.walkers.references import reference_of
+from walker_jax.checks import is_number
+from walker_jax.explorer.lattice import Rectangle, home_of
+from walker_jax.explorer.pictures import plane_of
+from walker_jax.explorer.subjects import Subject
+from walker_jax.systems.maps import Map
+from walker_jax.systems.system import System
+from walker_jax.walkers.references import place_of, reference_of
 
 
 def describe(subject: Subject, cells: Rectangle, method: str) -> dict[str, str]:
@@ -21,13 +24,17 @@ def describe(subject: Subject, cells: Rectangle, method: str) -> dict[str, str]:
 
 def command(subject: Subject, cells: Rectangle, method: str) -> str:
     """`walker-jax basin` with the options that give the picture's data."""
-    words = ["walker-jax basin", f"--walker {shlex.quote(reference_of(subject.kind))}"]
+    walks = subject.offer.has_film
+    kind = "walker" if walks else "system"
+    words = ["walker-jax basin", f"--{kind} {shlex.quote(reference_of(subject.offer.kind))}"]
     words += [f"--{option(name)} {value!r}" for name, value in subject.parameters.items()]
     for name, ends in axes_of(subject, cells).items():
-        if isinstance(ends, tuple):
-            words.append(f"--{option(name)} {' '.join(map(repr, ends))}")
+        fixed = is_number(ends)
+        if walks:
+            given = repr(ends) if fixed else " ".join(map(repr, ends))
+            words.append(f"--{'at-' * fixed}{option(name)} {given}")
         else:
-            words.append(f"--at-{option(name)} {ends!r}")
+            words.append(f"--axis {name}={repr(ends) if fixed else ':'.join(map(repr, ends))}")
     words.append(f"--method {method}")
     name = hashlib.sha256(" ".join(words).encode()).hexdigest()[:6]
     return " ".join([*words, f"--out basin-{name}.zarr"])  # no two pictures at one place
@@ -35,25 +42,34 @@ def command(subject: Subject, cells: Rectangle, method: str) -> str:
 
 def program(subject: Subject, cells: Rectangle, method: str) -> str:
     """The same in Python."""
-    setting = ["", 'jax.config.update("jax_enable_x64", True)']
-    begin = ["import jax", "import walker_jax as wj", *setting]
-    kind = f"wj.{subject.kind.__name__}"
-    given = [f"{name}={value!r}" for name, value in subject.parameters.items()]
-    if subject.offer not in FAMILY.values():
-        begin, kind = begin_with_own(subject.kind, setting), subject.kind.__name__
-        given = [f"{name}=jnp.array({value!r})" for name, value in subject.parameters.items()]
-    axes = ", ".join(f"{name}={ends!r}" for name, ends in axes_of(subject, cells).items())
+    noun = "walker" if subject.offer.has_film else "system"
     lines = [
-        *begin,
-        f"walker = {kind}({', '.join(given)})",
-        f"grid = wj.Grid.{subject.section}({axes})",
-        f'basin = wj.basin(walker, grid, "{method}")',
+        *begin(subject, noun),
+        f"grid = {grid_in_python(subject, axes_of(subject, cells))}",
+        f'basin = wj.basin({noun}, grid, "{method}")',
     ]
     return "\n".join([*lines, ""])
 
 
-def begin_with_own(kind: type[Walker], setting: list[str]) -> list[str]:
-    """The beginning of a program that uses a class of a user's own, loaded after the setting."""
+def begin(subject: Subject, noun: str) -> list[str]:
+    """The beginning of the program, which makes the walker or the system."""
+    setting = ["", 'jax.config.update("jax_enable_x64", True)']
+    kind, values = subject.offer.kind, subject.parameters.items()
+    if isinstance(kind, type) and ":" not in reference_of(kind):
+        given = ", ".join(f"{name}={value!r}" for name, value in values)
+        begin = ["import jax", "import walker_jax as wj", *setting]
+        return [*begin, f"{noun} = wj.{kind.__name__}({given})"]
+    begin = begin_with_own(kind, setting)
+    if isinstance(kind, Map):
+        given = ", ".join(f'"{name}": jnp.array({value!r})' for name, value in values)
+        made = f"eqx.tree_at(lambda one: one.parameters, {place_of(kind)[1]}, {{{given}}})"
+        return ["import equinox as eqx", *begin, f"{noun} = {made}"]
+    given = ", ".join(f"{name}=jnp.array({value!r})" for name, value in values)
+    return [*begin, f"{noun} = {kind.__name__}({given})"]
+
+
+def begin_with_own(kind: type[System] | Map, setting: list[str]) -> list[str]:
+    """The beginning of a program that uses what a user has written, loaded after the setting."""
     place, _, name = reference_of(kind).rpartition(":")
     imports = ["import jax", "import jax.numpy as jnp", "import walker_jax as wj", *setting]
     if not place.endswith(".py"):
@@ -63,13 +79,25 @@ def begin_with_own(kind: type[Walker], setting: list[str]) -> list[str]:
     return ["import sys", "", *imports, search, f"from {file.stem} import {name}"]
 
 
-def axes_of(subject: Subject, cells: Rectangle) -> dict[str, tuple[float, float, int] | float]:
+def grid_in_python(subject: Subject, axes: dict[str, Any]) -> str:
+    """The call that makes the grid of these axes, as `grid_along` does."""
+    if "sum" in axes:
+        return f"wj.Grid.sheared({in_call(axes)})"
+    ranges = {name: ends for name, ends in axes.items() if not is_number(ends)}
+    if [*axes][: len(ranges)] == [*ranges]:
+        return f"wj.Grid.plain({in_call(axes)})"
+    point = {name: 0.0 if name in ranges else at for name, at in axes.items()}
+    return f"wj.Grid.through({point!r}, {in_call(ranges)})"
+
+
+def in_call(axes: dict[str, Any]) -> str:
+    """Axes as arguments of a function."""
+    return ", ".join(f"{name}={ends!r}" for name, ends in axes.items())
+
+
+def axes_of(subject: Subject, cells: Rectangle) -> dict[str, Any]:
     """The ends and the number of cells of each axis; the value of each that is fixed."""
-    box = grid_of(subject, cells).box
-    return {
-        name: (ends[0], ends[1], int(ends[2])) if isinstance(ends, list) else ends
-        for name, ends in box.items()
-    }
+    return home_of(subject.offer, subject.section).axes(subject, cells, plane_of(subject))
 
 
 def option(name: str) -> str:

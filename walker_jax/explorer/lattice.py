@@ -12,9 +12,12 @@ import numpy as np
 
 from walker_jax.basins.windows import PAPER_WINDOW, grid_along
 from walker_jax.checks import WrongUse, short
-from walker_jax.explorer.subjects import Offer, Subject, whole
+from walker_jax.explorer.offers import Offer, window_of
+from walker_jax.explorer.subjects import Subject, whole
+from walker_jax.gaits.search import search_gait
 from walker_jax.gaits.selection import require_gait
 from walker_jax.grids import Grid, axes_around
+from walker_jax.systems.system import has_gait_region
 from walker_jax.walkers.simplest import SimplestWalker
 
 HOME_CELLS = (200, 250)
@@ -47,38 +50,60 @@ class Rectangle(NamedTuple):
 
 
 class Home(NamedTuple):
-    """The window in which a walker is first shown."""
+    """The window in which a walker, or another system, is first shown."""
 
     lower: tuple[float, float]
     upper: tuple[float, float]
     gait: tuple[float, ...]
-    """The first state of its gait there."""
+    """The first state of its gait there; of a system without a known one, a point there."""
 
-    def grid(self, subject: Subject, cells: Rectangle, at: tuple[float, ...]) -> Grid:
-        """The grid of a rectangle of cells, in the plane at the other coordinates."""
-        axes: dict[str, Any] = {}
-        for k, name in enumerate(subject.axes):
+    def axes(self, subject: Subject, cells: Rectangle, at: tuple[float, ...]) -> dict[str, Any]:
+        """The axes of a rectangle of cells, and the coordinates of the plane that are fixed."""
+        plane = subject.plane
+        axes: dict[str, Any] = dict(zip(plane.others, at, strict=True))
+        for k, name in enumerate(plane.axes):
             first, across = cells.first[k], HOME_CELLS[k] * 2.0**cells.level
             shares = (end / across for end in (first, first + cells.shape[k]))
             low, high = (self.lower[k] * (1 - one) + self.upper[k] * one for one in shares)
             axes[name] = (float(low), float(high), cells.shape[k])
-        return grid_along(axes | dict(zip(subject.kind.section[2:], at, strict=True)))
+        return {name: axes[name] for name in plane.names}
+
+    def grid(self, subject: Subject, cells: Rectangle, at: tuple[float, ...]) -> Grid:
+        """The grid of a rectangle of cells, in the plane at the other coordinates."""
+        return grid_along(self.axes(subject, cells, at))
 
 
 @functools.cache
 def home_of(offered: Offer, section: str) -> Home:
-    """The paper's window for the simplest walker; around the default gait of any other."""
-    walker, kind = offered.build(offered.defaults), offered.kind
-    gait = np.asarray(require_gait(walker, ["another walker"]).states[0])
+    """The paper's window for the simplest walker, around the default gait of any other.
+
+    Of a system that is no walker, the plane of its `window_of`.
+    """
+    gait = first_state(offered)
+    if not offered.has_film:
+        window = window_of(offered)
+        (x0, x1), (y0, y1) = (window[name] for name in offered.planes[section].axes)
+        return Home((x0, y0), (x1, y1), gait)
     if section == "plain":
         x, y = (0.0, 2.5 * gait[0]), (2.5 * gait[1], 0.0)
-    elif kind is SimplestWalker:
+    elif offered.kind is SimplestWalker:
         x, y = (axis[:2] for axis in PAPER_WINDOW.values())
     else:
-        axes = axes_around(gait, ("theta", "sum", *kind.section[2:]))
+        axes = axes_around(np.array(gait), ("theta", "sum", *offered.section[2:]))
         x, y = axes["theta"][:2], axes["sum"][:2]
     (x0, x1), (y0, y1) = ([float(f"{end:.2g}") for end in ends] for ends in (x, y))
-    return Home((x0, y0), (x1, y1), tuple(gait.tolist()))
+    return Home((x0, y0), (x1, y1), gait)
+
+
+@functools.cache
+def first_state(offered: Offer) -> tuple[float, ...]:
+    """The first state of the default gait; of a system without one, the middle of its window."""
+    walker = offered.build(offered.defaults)
+    if offered.has_film:
+        gait = require_gait(walker, ["another walker"])
+    elif not has_gait_region(walker) or not (gait := search_gait(walker)).found:
+        return tuple((low + high) / 2 for low, high in window_of(offered).values())
+    return tuple(np.asarray(gait.states[0]).tolist())
 
 
 def read_tiles(asked: Any) -> list[Tile]:

@@ -16,17 +16,20 @@ import xarray as xr
 from walker_jax.basins.computation import basin
 from walker_jax.basins.refinement import refine
 from walker_jax.explorer.lattice import Rectangle, home_of
-from walker_jax.explorer.pictures import plane_of
+from walker_jax.explorer.offers import window_of
+from walker_jax.explorer.pictures import find_attractors, plane_of
 from walker_jax.explorer.subjects import Subject
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.diagrams import bifurcation_diagram
 from walker_jax.gaits.search import find_gaits, search_gait
 from walker_jax.grids import Grid
 from walker_jax.stability.disturbances import least_disturbance
-from walker_jax.walkers.parameters import slopes_of
+from walker_jax.systems.system import has_gait_region
 
 PERIODS = (1, 2)
 """Periods of which all gaits are searched."""
+SEARCHES = 2000
+"""Searches for gaits in the window of a system that does not say where they are."""
 AREA_LEVELS, AREA_CHECKS = 2, 50_000
 """Levels and checks of `refine` for an area: 2 s, and a standard error of 0.1 % of the basin."""
 DIAGRAM: dict[str, Any] = {"period_max": 4, "strides": 600, "scan": 160}
@@ -36,14 +39,40 @@ SHOWN_STATES = 24
 
 
 def gaits(subject: Subject) -> list[dict]:
-    """The gaits of the first periods, the most stable first, with their multipliers."""
-    walker = subject.walker
-    found = [gait for period in PERIODS for gait in find_gaits(walker, period)]
-    main = search_gait(walker)
-    if main.found and not any(np.allclose(one.states, main.states) for one in found):
+    """The gaits of the first periods, the most stable first, with their multipliers.
+
+    Where none of them is stable, those of the attractors too.
+    """
+    walker, region = subject.walker, region_of(subject)
+    found = [gait for period in PERIODS for gait in find_gaits(walker, period, region)]
+    main = main_gait(subject)
+    if main is not None and not any(np.allclose(one.states, main.states) for one in found):
         found.append(main)
+    if not any(gait.stable for gait in found):
+        cycles = [one.states for one in find_attractors(subject).mapper.attractors if one.period]
+        longer = [search_gait(walker, states, len(states)) for states in cycles]
+        found += [gait for gait in longer if gait.found]
     found.sort(key=lambda gait: (len(gait.states), abs(complex(gait.multipliers[0]))))
     return list(map(describe_gait, found))
+
+
+def main_gait(subject: Subject) -> Gait | None:
+    """The gait of period one that is found by default; the most stable one of the window."""
+    region = region_of(subject)
+    if region is None:
+        gait = search_gait(subject.walker)
+        return gait if gait.found else None
+    found = find_gaits(subject.walker, 1, region)
+    return min(found, key=lambda gait: abs(complex(gait.multipliers[0])), default=None)
+
+
+def region_of(subject: Subject) -> Grid | None:
+    """Where gaits are searched for: the window, of a system that has no `gait_region`."""
+    if has_gait_region(subject.walker):
+        return None
+    window = window_of(subject.offer)
+    count = round(SEARCHES ** (1 / len(window)))
+    return Grid.plain(**{name: (*ends, count) for name, ends in window.items()})
 
 
 def describe_gait(gait: Gait) -> dict:
@@ -68,8 +97,8 @@ def area(subject: Subject, cells: Rectangle) -> dict:
 
 def disturbance(subject: Subject) -> dict | None:
     """The least disturbance of the stable gait of period one; none where there is no such gait."""
-    gait = search_gait(subject.walker)
-    if not (gait.found and gait.stable):
+    gait = main_gait(subject)
+    if gait is None or not gait.stable:
         return None
     found = least_disturbance(subject.walker, gait)
     return {
@@ -81,10 +110,10 @@ def disturbance(subject: Subject) -> dict | None:
     }
 
 
-def bifurcation(subject: Subject) -> dict:
-    """Gaits and attractors over the slope: their stance angles at the start of a stride."""
-    slopes = slopes_of(subject.kind)
-    data = bifurcation_diagram(subject.walker, "slope", slopes, **DIAGRAM)
+def bifurcation(subject: Subject, over: str) -> dict:
+    """Gaits and attractors over a parameter: the first coordinate at the start of a stride."""
+    ends = subject.offer.spans[over]
+    data = bifurcation_diagram(subject.walker, over, ends, **DIAGRAM)
     branches = []
     for number in np.unique(data["branch"].values).tolist():
         own = data.isel(gait=np.flatnonzero(data["branch"].values == number))
@@ -92,8 +121,8 @@ def bifurcation(subject: Subject) -> dict:
         branches.append(
             {
                 "period": period,
-                "slope": own["value"].values.tolist(),
-                "theta": own["states"].values[:, :period, 0].T.tolist(),
+                "value": own["value"].values.tolist(),
+                "state": own["states"].values[:, :period, 0].T.tolist(),
                 "stable": own["stable"].values.astype(int).tolist(),
             }
         )
@@ -102,14 +131,14 @@ def bifurcation(subject: Subject) -> dict:
     at = np.broadcast_to(data["sample_value"].values[:, None, None], orbit.shape)[where]
     points = np.unique(np.round(np.stack([at, orbit[where]], axis=1), 6), axis=0)
     return {
-        "range": slopes,
+        "range": ends,
         "branches": branches,
         "points": points.tolist(),
         "lost": [finite(value) for value in data["lost"].values.tolist()],
         "events": [
             {
-                "slope": float(one["event_value"]),
-                "theta": float(one["event_states"][0, 0]),
+                "value": float(one["event_value"]),
+                "state": float(one["event_states"][0, 0]),
                 "fold": bool(one["event_fold"]),
                 "cascade": bool(one["cascade"]),
             }

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from urllib.parse import urlencode
 
 from walker_jax.checks import ComputationFailed, WrongUse, check_kind, check_whole
-from walker_jax.explorer.subjects import FAMILY, offer
-from walker_jax.walkers.model import Walker
-from walker_jax.walkers.parameters import chosen_options, parameters
+from walker_jax.explorer.offers import FAMILY, OTHERS, offer
+from walker_jax.systems.system import System, numbers_of
+from walker_jax.walkers.parameters import chosen_options
 from walker_jax.walkers.references import reference_of
 
 HEIGHT = 760
@@ -59,7 +59,8 @@ class PageServer:
 
 
 started: dict[str, PageServer] = {}
-"""The servers of this process's pages: one for the family, and one for each walker of one's own."""
+"""The servers of this process's pages, by what stands for a walker of one's own: the command of the
+family has no option, that of the package's other systems names one of them."""
 
 
 class Explorer:
@@ -81,36 +82,41 @@ class Explorer:
         self.server.close()
 
 
-def explore(walker: Walker, *, height: int = HEIGHT) -> Explorer:
+def explore(walker: System, *, height: int = HEIGHT) -> Explorer:
     """The page of `walker-jax explore` in a notebook: a basin that follows sliders, and walks.
 
     One server, in a process of its own on this machine's loopback interface, serves all pages of
-    the package's walkers; another one those of a class of your own, until its code changes. They
-    end with this process, or by `.close()`. The notebook's browser must be on the same machine;
-    elsewhere, forward the port of `.link`.
+    the package's walkers, another one those of its other systems, and one those of a class or a map
+    of your own, until its code changes. They end with this process, or by `.close()`. The
+    notebook's browser must be on the same machine; elsewhere, forward the port of `.link`.
 
     **Arguments:**
 
-    - `walker`: one in the plane, with numbers for parameters; of a class of your own in a file.
+    - `walker`: one in the plane, or any other system of two coordinates or more that has a
+      `gait_region`, with numbers for parameters; of a class, or a map, of your own in a file.
     - `height`: of the frame, in pixels.
 
-    **Returns** what a notebook shows as the page. Raises `ValueError` for a walker in space, and
-    for one of a class that is in no file; `ComputationFailed` where the server does not start.
+    **Returns** what a notebook shows as the page. Raises `ValueError` for a walker in space, for a
+    section of one coordinate, and for what is in no file; `ComputationFailed` where the server does
+    not start.
     """
-    check_kind("walker", walker, Walker)
+    check_kind("walker", walker, System)
     check_whole("height", height, 100, 10_000)
     for option in chosen_options(walker):
         raise WrongUse(f"walker must be without {option}: the page knows parameters alone")
-    values = {one.name: float(getattr(walker, one.name)) for one in parameters(walker)}
     offered = offer(walker)
-    reference, options = "", []
-    if offered not in FAMILY.values():
-        reference = reference_of(offered.kind)
+    values = {name: float(value) for name, value in numbers_of(walker).items()}
+    noun = "walker" if offered.has_film else "system"
+    key, options = "", []
+    if offered in OTHERS.values():
+        key, options = "system", ["--system", next(iter(OTHERS))]
+    elif offered not in FAMILY.values():
+        key = reference_of(offered.kind)
         words = ((f"--{name.replace('_', '-')}", repr(value)) for name, value in values.items())
-        options = ["--walker", reference, *(word for pair in words for word in pair)]
-    server = started.get(reference)
+        options = [f"--{noun}", key, *(word for pair in words for word in pair)]
+    server = started.get(key)
     if server is None or not server.serves or server.code != offered.code:
         if server is not None:
             server.close()
-        server = started[reference] = PageServer(options, offered.code)
+        server = started[key] = PageServer(options, offered.code)
     return Explorer(server, {"walker": offered.name} | values, height)

@@ -31,6 +31,7 @@ from walker_jax.explorer.subjects import Subject
 from walker_jax.gaits.search import search_gait
 from walker_jax.integrators.integrator import integrator_of
 from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.system import has_gait_region
 
 UNMATCHED, FIRST_ATTRACTOR = 32, 64
 """Labels beyond those of all outcomes."""
@@ -71,11 +72,11 @@ def find_attractors(subject: Subject) -> Known:
 
 
 def plane_of(subject: Subject) -> tuple[float, ...]:
-    """The coordinates of the section beyond the second; those of the gait where none are given."""
+    """The coordinates that are fixed in the plane; those of the gait where none are given."""
     if None in subject.at:
-        state = gait_state(subject)
-        given = zip(subject.at, state[2:].tolist(), strict=True)
-        return tuple(own if value is None else value for value, own in given)
+        gait = dict(zip(subject.offer.section, gait_state(subject).tolist(), strict=True))
+        given = zip(subject.plane.others, subject.at, strict=True)
+        return tuple(gait[name] if value is None else value for name, value in given)
     return tuple(value for value in subject.at if value is not None)
 
 
@@ -84,10 +85,10 @@ def gait_state(subject: Subject) -> Float[np.ndarray, " section"]:
 
     It depends on the subject alone: so pictures, copies and data of all who ask are of one plane.
     """
-    guess = np.array(home_of(subject.offer, subject.section).gait)
-    found = search_gait(subject.walker, guess)
-    if not found.found:
-        found = search_gait(subject.walker)
+    guess, walker = np.array(home_of(subject.offer, subject.section).gait), subject.walker
+    found = search_gait(walker, guess)
+    if not found.found and has_gait_region(walker):
+        found = search_gait(walker)
     return np.asarray(found.states[0]) if found.found else guess
 
 

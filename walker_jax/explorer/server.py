@@ -13,11 +13,11 @@ from urllib.parse import urlencode
 
 import uvicorn
 
-from walker_jax.checks import ComputationFailed, WrongUse
+from walker_jax.checks import ComputationFailed, WrongUse, is_number
 from walker_jax.explorer.connection import Connection
 from walker_jax.explorer.guard import Guard, in_link
+from walker_jax.explorer.offers import FAMILY, Offer, Offers, beside
 from walker_jax.explorer.service import make_app
-from walker_jax.explorer.subjects import FAMILY, Offer, Offers
 
 TOKEN_VARIABLE = "WALKER_JAX_TOKEN"
 """The environment variable that sets the token, so that links outlive the server; else random."""
@@ -128,13 +128,15 @@ def run_server(
 ) -> NoReturn:
     """Print the link, open the browser, and serve the page until an interrupt.
 
-    The page shows a walker with these parameters, and offers the family beside it.
+    The page shows a walker, or another system, with these parameters, and offers the package's
+    beside it. It begins in the slice that the offer's axes fix.
     """
     token = read_token()
     listener = listen(host, port)
     names = names_of(host, listener)
-    offers, first = FAMILY | {offered.name: offered}, {"walker": offered.name, "parameters": values}
-    server = make_server(listener, token, names, offers, first)
+    at = {name: axis for name, axis in offered.axes if is_number(axis)}
+    first = {"walker": offered.name, "parameters": values, "at": at}
+    server = make_server(listener, token, names, beside(offered), first)
     address, port = listener.getsockname()[:2]
     if not ip_address(address).is_loopback:
         print(
@@ -142,7 +144,8 @@ def run_server(
             "whoever has the link can compute here, and the link is sent in the clear",
             file=sys.stderr,
         )
-    link = link_to(names[0], port, token, {"walker": offered.name} | values)
+    sliced = {f"at_{name}": value for name, value in at.items()}
+    link = link_to(names[0], port, token, {"walker": offered.name} | values | sliced)
     print(link, flush=True)
     if browser:  # whose command line others may see: so it has a path that leads to the link once
         path = f"/open/{secrets.token_urlsafe(24)}"

@@ -31,10 +31,9 @@ from walker_jax.explorer import copies, measures, pictures, walks
 from walker_jax.explorer.family import describe_family
 from walker_jax.explorer.guard import FILES, TooLong, refuse
 from walker_jax.explorer.lattice import Rectangle, Tile, home_of, read_rectangle, read_tiles
+from walker_jax.explorer.offers import FAMILY, Offers
 from walker_jax.explorer.subjects import (
-    FAMILY,
     METHODS,
-    Offers,
     Subject,
     WrongParameter,
     choice,
@@ -129,7 +128,7 @@ class Service:
         if method == "direct":
             work = self.tiles(subject, read_tiles(asked.get("tiles")))
         else:
-            if len(subject.kind.section) > 2:
+            if len(subject.offer.section) > 2:
                 raise WrongUse("method must be direct for a slice, which walkers leave")
             rectangles = asked.get("rectangles")
             if not isinstance(rectangles, list) or not 1 <= len(rectangles) <= MAX_RECTANGLES:
@@ -209,7 +208,9 @@ class Service:
         elif kind == "disturbance":
             work = self.workers.ask(measures.disturbance, subject, long=True)
         elif kind == "bifurcation":
-            work = self.workers.ask(measures.bifurcation, subject, long=True)
+            spans = tuple(subject.offer.spans)
+            over = choice("over", asked.get("over", spans[0] if spans else None), spans)
+            work = self.workers.ask(measures.bifurcation, subject, over, long=True)
         else:
             return refuse(404, "there is no such measure")
         return JSONResponse(await unless_gone(request, work))

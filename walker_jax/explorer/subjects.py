@@ -1,10 +1,9 @@
-"""What a request is about, checked: a walker, its section, places on it.
+"""What a request is about, checked: a walker or another system, its section, places on it.
 
 A request is JSON from a stranger. Every number in it is bounded, every name is looked up among
 those that there are, and `WrongUse` says in one sentence what is wrong.
 """
 
-import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -12,108 +11,41 @@ import numpy as np
 from jaxtyping import Float
 
 from walker_jax.checks import WrongUse, is_number, short
-from walker_jax.walkers.family import PLANAR_WALKERS
-from walker_jax.walkers.fingerprints import code_fingerprint
-from walker_jax.walkers.model import Walker, check_planar
-from walker_jax.walkers.parameters import Parameter, parameters
-from walker_jax.walking.starts import state_kinds
+from walker_jax.explorer.offers import FAMILY, Offer, Offers, Plane
+from walker_jax.systems.system import System
+from walker_jax.walking.starts import sizes_of_starts
 
-SECTIONS = ("sheared", "plain")
 METHODS = ("direct", "cell-map")
-ADDRESS_KEYS = ("walker", "section", "method", "tab", "view", "start")
-"""What the page's address holds besides values of parameters; state.js writes and reads them."""
 LARGEST = 1e6
 """Largest absolute value of a number in a request, far beyond any that a walker walks with."""
 
 
-class Offer(NamedTuple):
-    """A walker that the page offers."""
-
-    name: str
-    """By which requests name it."""
-    kind: type[Walker]
-    defaults: tuple[float, ...]
-    """Values of its parameters until others are chosen, in the order of `parameters`."""
-    code: str
-    """The fingerprint of its code when the server started; empty for a class of the package."""
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Its parameters, with these defaults."""
-        described = zip(parameters(self.kind), self.defaults, strict=True)
-        return tuple(one._replace(default=value) for one, value in described)
-
-    def build(self, values: tuple[float, ...]) -> Walker:
-        """The walker with values of its parameters, in their order.
-
-        Raises `WrongUse` in a process that has loaded other code than the server has.
-        """
-        if self.code and code_fingerprint(self.kind) != self.code:
-            raise WrongUse(f"the code of {self.name} has changed: start the server anew")
-        described = zip(self.parameters, values, strict=True)
-        return self.kind(**{one.name: one.convert(value) for one, value in described})
-
-
-Offers = dict[str, Offer]
-"""What the page offers, by name: a request may name these walkers, and no others."""
-
-
-FAMILY: Offers = {
-    name: Offer(name, kind, tuple(one.default for one in parameters(kind)), "")
-    for name, kind in PLANAR_WALKERS.items()
-}
-"""The package's walkers in the plane, at the defaults of their parameters."""
-
-
-def offer(walker: Walker) -> Offer:
-    """A walker for the page: one of the family, or one of a user's own with its parameters.
-
-    Raises `WrongUse` for one that does not move in the plane, and for one with a parameter whose
-    name the page's address uses for something else.
-    """
-    check_planar(walker)
-    kind = type(walker)
-    for one in parameters(kind):
-        if one.name in ADDRESS_KEYS:
-            raise WrongUse(f"the page's address has a {one.name} of its own: rename the parameter")
-    for one in FAMILY.values():
-        if one.kind is kind:
-            return one
-    values = tuple(float(getattr(walker, one.name)) for one in parameters(kind))
-    return Offer(kind.__name__, kind, values, code_fingerprint(kind))
-
-
 class Subject(NamedTuple):
-    """The walker that a request is about, and the plane of its section that is shown."""
+    """The walker, or other system, that a request is about, and the plane that is shown."""
 
     offer: Offer
     values: tuple[float, ...]
     """Of its parameters, in the order of `parameters`."""
     section: str
-    """One of `SECTIONS`."""
+    """The name of one of its planes."""
     at: tuple[float | None, ...]
-    """Coordinates of the plane beyond the second; None for that of the gait."""
-
-    @property
-    def kind(self) -> type[Walker]:
-        """The class of the walker."""
-        return self.offer.kind
+    """The other coordinates of the plane; None for those of the gait."""
 
     @property
     def parameters(self) -> dict[str, float]:
         """The parameters by name."""
-        names = (one.name for one in parameters(self.kind))
+        names = (one.name for one in self.offer.parameters)
         return dict(zip(names, self.values, strict=True))
 
     @property
-    def walker(self) -> Walker:
-        """The walker itself."""
+    def walker(self) -> System:
+        """The walker, or system, itself."""
         return self.offer.build(self.values)
 
     @property
-    def axes(self) -> tuple[str, str]:
-        """The names of the two axes of the picture."""
-        return "theta", "sum" if self.section == "sheared" else "thetadot"
+    def plane(self) -> Plane:
+        """The plane that is shown."""
+        return self.offer.planes[self.section]
 
 
 class WrongParameter(WrongUse):
@@ -144,13 +76,15 @@ def read_subject(asked: Any, offers: Offers = FAMILY) -> Subject:
             if reason.startswith(f"{one} "):
                 raise WrongParameter(reason, one) from None
         raise
-    section = choice("section", asked.get("section", SECTIONS[0]), SECTIONS)
-    return Subject(offered, values, section, read_slice(offered.kind, asked.get("at", {})))
+    planes = offered.planes
+    section = choice("section", asked.get("section", next(iter(planes))), tuple(planes))
+    at = read_slice(planes[section].others, asked.get("at", {}))
+    return Subject(offered, values, section, at)
 
 
-def read_slice(kind: type[Walker], asked: Any) -> tuple[float | None, ...]:
-    """The coordinates beyond the second; None where the gait's are asked for."""
-    given, others = mapping("at", asked), kind.section[2:]
+def read_slice(others: tuple[str, ...], asked: Any) -> tuple[float | None, ...]:
+    """The coordinates that are fixed; None where the gait's are asked for."""
+    given = mapping("at", asked)
     for name in given:
         if name not in others:
             among = ", ".join(others) or "none"
@@ -161,10 +95,7 @@ def read_slice(kind: type[Walker], asked: Any) -> tuple[float | None, ...]:
 
 def read_start(subject: Subject, asked: Any) -> Float[np.ndarray, " coordinates"]:
     """A start on the section, or a full state."""
-    section = len(subject.kind.section)
-    kinds = state_kinds(subject.walker)
-    values = numbers("start", asked, (section, *(len(kind._fields) for kind in kinds)))
-    return np.array(values)
+    return np.array(numbers("start", asked, sizes_of_starts(subject.walker)))
 
 
 def mapping(name: str, value: Any) -> Mapping[str, Any]:
@@ -210,16 +141,3 @@ def numbers(name: str, value: Any, lengths: tuple[int, ...]) -> list[float]:
             f"{name} must be {' or '.join(map(str, lengths))} numbers, not {short(value)}"
         )
     return [number(name, one) for one in value]
-
-
-def slider_range(parameter: Parameter) -> tuple[float, float]:
-    """The ends of a parameter's slider; a value beyond them may be typed.
-
-    From zero, or a little below its default where it may be negative, to a few times its default.
-    """
-    scale = 5 * abs(parameter.default) or 1.0
-    above = 0.2 * scale if parameter.low == -math.inf or not parameter.default else 0.8 * scale
-    if parameter.low == 0 and not parameter.default:
-        above = scale
-    low = parameter.low if parameter.low >= 0 else parameter.default - 0.2 * scale
-    return max(low, parameter.low), min(parameter.default + above, parameter.high)

@@ -5,7 +5,7 @@ stride, its start and its end among them. The page draws the walker between them
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +19,7 @@ from walker_jax.integrators.integrator import Integrator
 from walker_jax.multibody import block, factorise, mass_matrix, solve_factored
 from walker_jax.multibody.single_support import stance_coordinates
 from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.system import System
 from walker_jax.walkers.abstract_point_foot import AbstractMasslessFootWalker
 from walker_jax.walkers.kneed import KneedWalker, lock_knees
 from walker_jax.walkers.masses import MultibodyWalker
@@ -37,22 +38,21 @@ FRAME = 0.06
 """Time between frames, 60 in a stride: a cubic through states and rates is exact enough between."""
 
 
-class Leg(NamedTuple):
-    """Sizes in which to draw a walker."""
+def leg_of(subject: Subject) -> dict[str, float] | None:
+    """The sizes in which to draw a walker; None for a system that is not drawn.
 
-    length: float
-    """From the hip to the centre of the foot's arc."""
-    radius: float
-
-
-def leg_of(subject: Subject) -> Leg:
-    """The sizes of a walker's legs. Raises `WrongUse` where it has none of one length."""
-    leg = Leg(*leg_shape(subject.walker))
-    if not (0 < leg.length < math.inf and math.isfinite(leg.radius)):
+    They are the length of its legs, from the hip to the centre of the foot's arc, and the radius of
+    that. Raises `WrongUse` where it has no legs of one length.
+    """
+    walker = subject.walker
+    if not isinstance(walker, Walker):
+        return None
+    length, radius = leg_shape(walker)
+    if not (0 < length < math.inf and math.isfinite(radius)):
         raise WrongUse(
             f"{subject.offer.name} cannot be drawn: its clearance and reach are no leg's"
         )
-    return leg
+    return {"length": length, "radius": radius}
 
 
 def follow(subject: Subject, start: Float[np.ndarray, " coordinates"], count: int) -> dict:
@@ -63,25 +63,26 @@ def follow(subject: Subject, start: Float[np.ndarray, " coordinates"], count: in
     of a `KneedWalker` are of a `BentState`; a state of the legs alone has its knees locked.
     `leg` has the sizes in which the walker is drawn.
     """
-    made, leg = [], leg_of(subject)._asdict()
+    made, leg = [], leg_of(subject)
     for _ in range(count):
         walker = walker_from(subject, start)
         stride = strides(walker, start[None])
-        outcome = Outcome(int(stride.outcome[0]))
-        if outcome == Outcome.OUTSIDE:
-            made.append(end(walker, start, outcome, 0.0, None))
-            return {"strides": made, "next": None, "leg": leg}
-        if outcome != Outcome.STRIDE:
+        outcome, duration = Outcome(int(stride.outcome[0])), float(stride.time[0])
+        if not isinstance(walker, Walker) or outcome == Outcome.OUTSIDE:
+            made.append(end(walker, start, outcome, duration if outcome == Outcome.STRIDE else 0.0))
+        elif outcome != Outcome.STRIDE:
             made.append(fall(walker, start, outcome))
+        else:
+            times = np.linspace(0, duration, 1 + max(8, round(duration / FRAME)))
+            states = states_at(walker, start, times)
+            made.append(end(walker, start, outcome, duration, states))
+        if outcome != Outcome.STRIDE:
             return {"strides": made, "next": None, "leg": leg}
-        duration = float(stride.time[0])
-        times = np.linspace(0, duration, 1 + max(8, round(duration / FRAME)))
-        made.append(end(walker, start, outcome, duration, states_at(walker, start, times)))
         start = np.asarray(stride.state[0])
     return {"strides": made, "next": start.tolist(), "leg": leg}
 
 
-def walker_from(subject: Subject, start: Float[np.ndarray, " coordinates"]) -> Walker:
+def walker_from(subject: Subject, start: Float[np.ndarray, " coordinates"]) -> System:
     """The walker whose stride begins at a start: with its knees locked, where these are."""
     walker = subject.walker
     if isinstance(walker, KneedWalker) and len(start) == len(State._fields):
@@ -103,13 +104,13 @@ def fall(walker: Walker, start: Float[np.ndarray, " coordinates"], outcome: Outc
 
 
 def end(
-    walker: Walker,
+    walker: System,
     start: Float[np.ndarray, " coordinates"],
     outcome: Outcome,
     duration: float,
-    states: Any,
+    states: Any = None,
 ) -> dict:
-    """A stride for the page.
+    """A stride for the page; without states, as of a system that is not drawn, of no frames.
 
     Where a leg has a knee: `bent`, the places of the knee and of the leg's end from the hip, and
     `locks`, the time of knee strike.
@@ -122,7 +123,7 @@ def end(
         "duration": duration,
         "frames": np.round(rows, 7).tolist(),
     }
-    if walker.phases() and len(rows):
+    if isinstance(walker, Walker) and len(rows) and walker.phases():
         bent = jax.vmap(walker.bent_leg)(jax.tree.map(jnp.asarray, states))
         if bent is not None:
             found["bent"] = np.round(np.asarray(bent).reshape(-1, 4), 6).tolist()
@@ -147,19 +148,19 @@ def push(
 
     In units of the walker's mass at the hip, or of mass, times speed.
     """
-    walker = walker_from(subject, start)
-    check_push(walker, subject.offer.name)
-    walker = jax.tree.map(lambda leaf: np.asarray(leaf, float), walker)
-    arguments = (walker, start[None], impulse[None], np.asarray(leg_shape(subject.walker)))
+    leg = np.asarray(leg_shape(check_push(subject.walker, subject.offer.name)))
+    walker = jax.tree.map(lambda leaf: np.asarray(leaf, float), walker_from(subject, start))
+    arguments = (walker, start[None], impulse[None], leg)
     return map_cells(after_push, arguments, (False, True, True, False))[0]
 
 
-def check_push(walker: Walker, name: str) -> None:
+def check_push(walker: System, name: str) -> MultibodyWalker | AbstractMasslessFootWalker:
     """Refuse to push a walker of which it is not known what moves with its hip."""
-    if walker.phases() and not isinstance(walker, KneedWalker):
-        raise WrongUse(f"{name} cannot be pushed: it has phases of its own")
     if not isinstance(walker, MultibodyWalker | AbstractMasslessFootWalker):
         raise WrongUse(f"{name} cannot be pushed: it does not say where its masses are")
+    if walker.phases() and not isinstance(walker, KneedWalker):
+        raise WrongUse(f"{name} cannot be pushed: it has phases of its own")
+    return walker
 
 
 def after_push(

@@ -32,6 +32,17 @@ def parameters(walker: type[System] | System) -> tuple[Parameter, ...]:
     return tuple(found)
 
 
+def parameters_of(kind: type[System] | System) -> tuple[Parameter, ...]:
+    """The parameters of a class; of a system, with its own values as defaults."""
+    if isinstance(kind, type):
+        return parameters(kind)
+    described = {one.name: one for one in parameters(type(kind))}
+    return tuple(
+        described.get(name, UNDESCRIBED)._replace(name=name, default=float(value))
+        for name, value in numbers_of(kind).items()
+    )
+
+
 def described_by(walker: type[System] | System, kind: type[Described]) -> tuple[Described, ...]:
     """What describes the fields of a walker, of one kind: those parameters have bounds."""
     described = (description(field, kind) for field in dataclasses.fields(walker))

@@ -19,7 +19,7 @@ from typing import Any, TypeGuard
 
 from walker_jax.checks import WrongPlace, WrongUse, short
 from walker_jax.systems.family import SYSTEMS
-from walker_jax.systems.system import System, check_single
+from walker_jax.systems.system import System, check_single, code_of
 from walker_jax.walkers.family import WALKERS
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.sources import file_of, holds_packages
@@ -73,25 +73,46 @@ def find_system(name: str) -> type[System] | System:
     return value
 
 
-def reference_of(kind: type[Walker]) -> str:
-    """The name by which `find_walker` finds a class, in another folder and process too.
+def reference_of(kind: type[System] | System) -> str:
+    """The name by which another process finds a class, or a system that a file makes.
 
-    Raises `WrongUse` for a class that is not to be found by its name in a module with a file.
+    `find_walker` takes that of a walker, `find_system` that of any other system. Raises `WrongUse`
+    for what is not to be found by its name in a module with a file.
     """
-    for name, one in WALKERS.items():
+    for name, one in (WALKERS | SYSTEMS).items():
         if one is kind:
             return name
-    module = sys.modules.get(kind.__module__)
+    module, attribute = place_of(kind)
     path = file_of(module)
-    if module is None or path is None or vars(module).get(kind.__qualname__) is not kind:
+    assert path is not None
+    name = module.__name__ if module.__spec__ is None else module.__spec__.name
+    path = path.resolve()
+    in_package = "." in name or path.name == "__init__.py" or holds_packages(path.parent)
+    return f"{name if in_package else path}:{attribute}"
+
+
+def place_of(kind: type[System] | System) -> tuple[ModuleType, str]:
+    """The module with a file that has a class, or makes a system, and its name there."""
+    if isinstance(kind, type):
+        module = sys.modules.get(kind.__module__)
+        found = getattr(module, "__dict__", {}).get(kind.__qualname__) is kind
+        if module is not None and found and file_of(module) is not None:
+            return module, kind.__qualname__
         raise WrongUse(
             f"walker must be of a class that other processes can import: write {kind.__name__} "
             "into a file, not within a function"
         )
-    name = module.__name__ if module.__spec__ is None else module.__spec__.name
-    path = path.resolve()
-    in_package = "." in name or path.name == "__init__.py" or holds_packages(path.parent)
-    return f"{name if in_package else path}:{kind.__name__}"
+    code = code_of(kind)
+    first = sys.modules.get(getattr(code[0], "__module__", ""))  # that of a map's function
+    for module in (first, *list(sys.modules.values())):
+        if module is not None and file_of(module) is not None:
+            for name, value in list(vars(module).items()):
+                if type(value) is type(kind) and code_of(value) == code:
+                    return module, name
+    raise WrongUse(
+        f"walker must be made where other processes can import it: write {kind.label()}, under a "
+        "name, into a file"
+    )
 
 
 def installed_walkers() -> dict[str, EntryPoint]:

@@ -1,6 +1,6 @@
-// The walker's controls, from what the server says of its parameters.
+// The controls of a walker, or another system, from what the server says of its parameters.
 
-import { SYMBOLS, UNITS, spaced } from "./words.js";
+import { spaced } from "./words.js";
 
 export class Controls {
   constructor(form, state) {
@@ -29,8 +29,8 @@ export class Controls {
       value: () => state.parameters[one.name],
       set: (value) => state.change("parameters", { parameters: { ...state.parameters, [one.name]: value } }),
     })));
-    const others = state.kind.section.slice(2);
-    form.querySelector("#slice").replaceChildren(...others.map((name) => this.sliceSlider(name)));
+    form.querySelector("#section").replaceChildren(...this.planeChoice());
+    this.buildSlices();
     const mapped = form.querySelector("#method input[value=cell-map]");
     mapped.disabled = state.sliced;
     mapped.parentElement.title = state.sliced ? "Not for a slice, which walkers leave" : "";
@@ -77,13 +77,37 @@ export class Controls {
     return row;
   }
 
+  /** What chooses the plane: a button for each of a walker's, a list of the axes of any other system. */
+  planeChoice() {
+    const { planes, film, coordinates } = this.state.kind, names = Object.keys(planes);
+    if (names.length < 2) return [];
+    const make = (tag, properties, ...inside) => {
+      const made = Object.assign(document.createElement(tag), properties);
+      made.append(...inside);
+      return made;
+    };
+    if (film) {
+      const button = (value) => make("label", {}, make("input", { type: "radio", name: "section", value }), ` ${value}`);
+      return [make("legend", { textContent: "Section" }), ...names.map(button)];
+    }
+    const axes = (name) => planes[name].axes.map((axis) => coordinates[axis].symbol).join(", ");
+    const list = make("select", { ariaLabel: "Axes" }, ...names.map((name) => new Option(axes(name), name)));
+    return [make("legend", { textContent: "Axes" }), list];
+  }
+
+  /** The sliders of the coordinates that are fixed in the plane. */
+  buildSlices() {
+    for (const name of this.sliders.keys()) if (name.startsWith("at_")) this.sliders.delete(name);
+    const rows = this.state.plane.others.map((name) => this.sliceSlider(name));
+    this.form.querySelector("#slice").replaceChildren(...rows);
+  }
+
   /** The slider of a coordinate of the slice; at the gait unless it is moved. */
   sliceSlider(name) {
     const { state } = this;
-    const span = 0.3;
-    const one = { name: `at_${name}`, unit: UNITS[name] ?? "rad", low: -span, high: span, step: 0.001, meaning: "where the slice is" };
+    const one = { ...state.kind.coordinates[name], name: `at_${name}`, meaning: "where the slice is" };
     const row = this.slider(one, {
-      title: `slice at ${SYMBOLS[name] ?? spaced(name)}`,
+      title: `slice at ${one.symbol}`,
       digits: 5, // of a gait's coordinate, which has them all
       value: () => state.at[name] ?? this.gait?.[name] ?? 0,
       set: (value) => state.change("slice", { at: { ...state.at, [name]: value } }),
@@ -91,7 +115,8 @@ export class Controls {
     const button = document.createElement("button");
     button.type = "button";
     button.className = "quiet at-gait";
-    button.textContent = "at the gait";
+    button.textContent = `at the ${state.words.gait}`;
+    button.dataset.name = name;
     button.setAttribute("aria-pressed", "true");
     button.addEventListener("click", () => {
       const { [name]: _, ...rest } = state.at;
@@ -103,7 +128,7 @@ export class Controls {
 
   /** Where the gait is, for slices that follow it. */
   setPlane(values) {
-    const names = this.state.kind.section.slice(2);
+    const names = this.state.plane.others;
     this.gait = Object.fromEntries(names.map((name, k) => [name, values[k] ?? 0]));
     for (const name of names) this.sliders.get(`at_${name}`)?.show();
   }
@@ -111,10 +136,13 @@ export class Controls {
   update() {
     const { state, form } = this;
     for (const { show } of this.sliders.values()) show();
-    for (const kind of ["section", "method"]) form.querySelector(`#${kind} [value=${state[kind]}]`).checked = true;
-    form.querySelectorAll(".at-gait").forEach((button, k) => {
-      button.setAttribute("aria-pressed", String(!(state.kind.section[2 + k] in state.at)));
-    });
+    for (const kind of ["section", "method"]) {
+      const chosen = form.querySelector(`#${kind} [value="${state[kind]}"]`);
+      if (chosen) chosen.checked = chosen.selected = true; // a button, or a line of a list
+    }
+    for (const button of form.querySelectorAll(".at-gait")) {
+      button.setAttribute("aria-pressed", String(!(button.dataset.name in state.at)));
+    }
   }
 
   /** A sentence beside the slider that is wrong; false if it is none of these. */

@@ -1,48 +1,67 @@
-// The bifurcation diagram: gaits and attractors over the slope, and the slope itself as a cursor.
+// The bifurcation diagram: gaits and attractors over a parameter, and its value as a cursor.
 
 import { css } from "./palette.js";
-import { decimals, number, ticks } from "./words.js";
+import { decimals, number, spaced, ticks } from "./words.js";
 
 const MARGIN = { left: 70, right: 14, top: 12, bottom: 44 };
-const STEP = 0.0001; // of the slope, by a key
+const STEPS = 210; // by a key, from end to end
 
 export class Diagram extends EventTarget {
-  constructor(canvas, palette) {
+  constructor(canvas, state, palette) {
     super();
-    Object.assign(this, { canvas, palette, data: null, slope: 0 });
+    Object.assign(this, { canvas, state, palette, data: null });
     this.context = canvas.getContext("2d");
     new ResizeObserver(() => this.draw()).observe(canvas);
-    const slopeAt = (event) => {
+    const valueAt = (event) => {
       const { left } = canvas.getBoundingClientRect();
       const share = (event.clientX - left - MARGIN.left) / this.width;
       const [low, high] = this.range();
       return Math.min(high, Math.max(low, low + share * (high - low)));
     };
-    const tell = (slope) => this.dispatchEvent(new CustomEvent("slope", { detail: Number(slope.toFixed(6)) }));
+    const tell = (value) => {
+      const [low, high] = this.range();
+      const places = Math.max(0, Math.min(12, 4 - Math.floor(Math.log10(high - low))));
+      this.dispatchEvent(new CustomEvent("value", { detail: Number(value.toFixed(places)) }));
+    };
     canvas.addEventListener("pointerdown", (event) => {
       canvas.setPointerCapture(event.pointerId);
-      tell(slopeAt(event));
+      tell(valueAt(event));
     });
-    canvas.addEventListener("pointermove", (event) => event.buttons && tell(slopeAt(event)));
+    canvas.addEventListener("pointermove", (event) => event.buttons && tell(valueAt(event)));
     canvas.addEventListener("keydown", (event) => {
       const step = { ArrowLeft: -1, ArrowRight: 1, PageDown: -10, PageUp: 10 }[event.key];
       if (!step) return;
       event.preventDefault();
-      tell(this.slope + step * STEP);
+      const [low, high] = this.range();
+      tell(this.value + (step * (high - low)) / STEPS);
     });
   }
 
-  range() {
-    return this.data?.range ?? [0.001, 0.022];
+  /** The parameter over which it is, what there is to say of it, its value and the ends of it. */
+  get over() {
+    return this.state.kind.parameters.find(({ name }) => name === this.state.over);
   }
 
-  setSlope(slope) {
-    this.slope = slope;
+  get value() {
+    return this.state.parameters[this.state.over];
+  }
+
+  range() {
+    return this.data?.range ?? this.state.kind.spans[this.state.over];
+  }
+
+  /** Show the parameter's value. */
+  show() {
+    if (!this.over) return;
     const [low, high] = this.range();
-    for (const [name, value] of Object.entries({ valuemin: low, valuemax: high, valuenow: slope })) {
-      this.canvas.setAttribute(`aria-${name}`, value);
-    }
+    const told = { valuemin: low, valuemax: high, valuenow: this.value, label: `${this.name()}, on the bifurcation diagram` };
+    for (const [name, value] of Object.entries(told)) this.canvas.setAttribute(`aria-${name}`, value);
     this.draw();
+  }
+
+  name() {
+    const name = spaced(this.over.name);
+    return name[0].toUpperCase() + name.slice(1);
   }
 
   setData(data) {
@@ -53,7 +72,7 @@ export class Diagram extends EventTarget {
   draw() {
     const { canvas, context: c, data } = this;
     const { clientWidth: width, clientHeight: height } = canvas;
-    if (!width || !height) return;
+    if (!width || !height || !this.over) return;
     const ratio = devicePixelRatio || 1;
     canvas.width = Math.round(width * ratio);
     canvas.height = Math.round(height * ratio);
@@ -64,8 +83,8 @@ export class Diagram extends EventTarget {
     const tall = height - MARGIN.top - MARGIN.bottom;
     const [low, high] = this.range();
     const [bottom, top] = this.extent();
-    const x = (slope) => MARGIN.left + ((slope - low) / (high - low)) * this.width;
-    const y = (theta) => MARGIN.top + (1 - (theta - bottom) / (top - bottom)) * tall;
+    const x = (value) => MARGIN.left + ((value - low) / (high - low)) * this.width;
+    const y = (place) => MARGIN.top + (1 - (place - bottom) / (top - bottom)) * tall;
     c.save();
     c.beginPath();
     c.rect(MARGIN.left, MARGIN.top, this.width, tall);
@@ -73,28 +92,28 @@ export class Diagram extends EventTarget {
     if (data) this.drawData(c, x, y, colour);
     c.restore();
     this.drawAxes(c, x, y, tall, colour, [bottom, top]);
-    if (this.slope >= low && this.slope <= high) this.drawCursor(c, x(this.slope), tall);
+    if (this.value >= low && this.value <= high) this.drawCursor(c, x(this.value), tall);
   }
 
   extent() {
-    const thetas = this.data?.points.map(([, theta]) => theta) ?? [0.1, 0.3];
-    if (!thetas.length) return [0, 0.5];
-    const low = Math.min(...thetas), high = Math.max(...thetas), pad = 0.06 * (high - low || 0.1);
+    const places = this.data?.points.map(([, place]) => place) ?? [0.1, 0.3];
+    if (!places.length) return [0, 0.5];
+    const low = Math.min(...places), high = Math.max(...places), pad = 0.06 * (high - low || 0.1);
     return [low - pad, high + pad];
   }
 
   drawData(c, x, y, colour) {
     for (const branch of this.data.branches) {
-      for (const thetas of branch.theta) {
+      for (const places of branch.state) {
         for (const stable of [0, 1]) {
           c.beginPath();
           c.strokeStyle = stable ? colour("--ink") : colour("--soft");
           c.lineWidth = stable ? 2 : 1;
           c.setLineDash(stable ? [] : [5, 4]);
-          branch.slope.forEach((slope, k) => {
+          branch.value.forEach((value, k) => {
             const drawn = branch.stable[k] === stable || branch.stable[k - 1] === stable;
-            if (drawn && k > 0 && branch.stable[k - 1] === stable) c.lineTo(x(slope), y(thetas[k]));
-            else c.moveTo(x(slope), y(thetas[k]));
+            if (drawn && k > 0 && branch.stable[k - 1] === stable) c.lineTo(x(value), y(places[k]));
+            else c.moveTo(x(value), y(places[k]));
           });
           c.stroke();
         }
@@ -102,10 +121,10 @@ export class Diagram extends EventTarget {
     }
     c.setLineDash([]);
     c.fillStyle = css(this.palette.basins[0], 0.75);
-    for (const [slope, theta] of this.data.points) c.fillRect(x(slope) - 0.75, y(theta) - 0.75, 1.5, 1.5);
+    for (const [value, place] of this.data.points) c.fillRect(x(value) - 0.75, y(place) - 0.75, 1.5, 1.5);
     for (const one of this.data.events) {
       c.beginPath();
-      c.arc(x(one.slope), y(one.theta), 3.5, 0, 2 * Math.PI);
+      c.arc(x(one.value), y(one.state), 3.5, 0, 2 * Math.PI);
       c.fillStyle = colour("--page");
       c.strokeStyle = css(this.palette.basins[1]);
       c.lineWidth = 1.6;
@@ -122,20 +141,21 @@ export class Diagram extends EventTarget {
     c.font = "12px system-ui, sans-serif";
     c.textAlign = "center";
     c.textBaseline = "top";
-    const slopes = ticks(...this.range(), Math.max(2, this.width / 90));
-    for (const value of slopes.values) c.fillText(decimals(value, slopes.places), x(value), MARGIN.top + tall + 7);
-    const thetas = ticks(bottom, top, tall / 60);
+    const across = ticks(...this.range(), Math.max(2, this.width / 90));
+    for (const value of across.values) c.fillText(decimals(value, across.places), x(value), MARGIN.top + tall + 7);
+    const up = ticks(bottom, top, tall / 60);
     c.textAlign = "right";
     c.textBaseline = "middle";
-    for (const value of thetas.values) c.fillText(decimals(value, thetas.places), MARGIN.left - 7, y(value));
+    for (const value of up.values) c.fillText(decimals(value, up.places), MARGIN.left - 7, y(value));
     c.fillStyle = colour("--soft");
     c.textAlign = "center";
     c.textBaseline = "alphabetic";
-    c.fillText("slope (rad)", MARGIN.left + this.width / 2, MARGIN.top + tall + 39);
+    const { name, unit } = this.over, { section, coordinates } = this.state.kind;
+    c.fillText(spaced(name) + (unit && ` (${unit})`), MARGIN.left + this.width / 2, MARGIN.top + tall + 39);
     c.save();
     c.translate(13, MARGIN.top + tall / 2);
     c.rotate(-Math.PI / 2);
-    c.fillText("stance leg angle θ at heel strike (rad)", 0, 0);
+    c.fillText(this.state.words.traced ?? coordinates[section[0]].label, 0, 0);
     c.restore();
   }
 
@@ -158,8 +178,9 @@ export class Diagram extends EventTarget {
   note() {
     if (!this.data) return "";
     const [below, above] = this.data.lost; // no upper one where some walk at the highest slope
-    const doublings = this.data.events.filter((one) => one.cascade && !one.fold).map((one) => one.slope);
-    const first = doublings.length ? `the gait first doubles its period at ${number(Math.min(...doublings), 5)}` : "no period doubling";
-    return `Solid: stable gaits; dashed: unstable ones; dots: attractors. ${first[0].toUpperCase()}${first.slice(1)}${below && above ? `; walking is lost near ${number(below, 3)}` : ""}.`;
+    const { gait, lost } = this.state.words;
+    const doublings = this.data.events.filter((one) => one.cascade && !one.fold).map((one) => one.value);
+    const first = doublings.length ? `the ${gait} first doubles its period at ${number(Math.min(...doublings), 5)}` : "no period doubling";
+    return `Solid: stable ${gait}s; dashed: unstable ones; dots: attractors. ${first[0].toUpperCase()}${first.slice(1)}${below && above ? `; ${lost} near ${number(below, 3)}` : ""}.`;
   }
 }

@@ -1,17 +1,17 @@
-// The facts beside the walker: gait, multipliers, area and least disturbance, as they come in.
+// The facts beside the picture: gait, multipliers, area and least disturbance, as they come in.
 //
 // From the picture itself come estimates at once; the server's exact values follow once the hand rests.
 
 import { Refused, ask } from "./api.js";
-import { count, multipliers, number, power, withError } from "./words.js";
+import { area, count, multipliers, number, withError } from "./words.js";
 
 const REST = 450; // ms without a change, after which the exact values are asked for
 const KINDS = ["gaits", "area", "disturbance"];
 
 export class Facts extends EventTarget {
-  constructor(root, about) {
+  constructor(root, state) {
     super();
-    this.about = about;
+    this.state = state;
     this.shown = Object.fromEntries(
       ["gait", "multipliers", "area", "disturbance"].map((name) => [name, root.querySelector(`#fact-${name}`)]),
     );
@@ -38,9 +38,10 @@ export class Facts extends EventTarget {
   }
 
   /** Ask for what has changed, once nothing changes any more. */
-  want(state, cells) {
-    const subject = structuredClone(state.subject());
-    const walker = { ...subject, section: "sheared", at: {} };
+  want(cells, cellArea) {
+    const subject = structuredClone(this.state.subject());
+    const { section: _, ...walker } = { ...subject, at: {} }; // in any plane the same
+    this.viewArea = cells[3] * cells[4] * cellArea;
     this.bodies = { gaits: walker, area: { ...subject, cells }, disturbance: walker };
     for (const kind of KINDS) {
       const key = JSON.stringify(this.bodies[kind]);
@@ -85,9 +86,17 @@ export class Facts extends EventTarget {
   showAttractors(attractors) {
     if (this.exact.gaits) return;
     const real = attractors.filter((one) => !one.artefact);
-    if (!real.length) return this.write("gait", "no walk goes on");
+    const { words } = this.state;
+    if (!real.length) return this.write("gait", words.none);
     const [first] = real;
-    this.write("gait", first.period ? `period ${first.period}, θ ${number(first.states[0][0], 5)}` : "walks without a period", false);
+    this.write("gait", first.period ? this.where(first) : words.aperiodic, false);
+  }
+
+  /** The period of a gait, and where it is: of a walker's, the angle of its leg. */
+  where({ period, states }) {
+    const { section, coordinates, film } = this.state.kind;
+    const told = section.slice(0, film ? 1 : 3).map((name, k) => `${coordinates[name].symbol} ${number(states[0][k], 5)}`);
+    return `period ${period}, ${told.join(", ")}${section.length > 3 ? ", …" : ""}`;
   }
 
   showGaits(gaits) {
@@ -102,35 +111,41 @@ export class Facts extends EventTarget {
     }
     const kind = first.stable ? "stable" : "unstable";
     const more = others && first.stable ? `; ${count(others, "unstable one")}` : "";
-    this.write("gait", `${kind}, period ${first.period}, θ ${number(first.states[0][0], 5)}${more}`);
+    this.write("gait", `${kind}, ${this.where(first)}${more}`);
     this.write("multipliers", `${multipliers(first)}; |λ| = ${number(Math.hypot(...first.multipliers[0]), 4)}`);
   }
 
-  showArea({ area, error }) {
-    this.write("area", withError(area, error));
+  showArea(found) {
+    this.write("area", withError(found.area, found.error) + this.share(found.area));
+  }
+
+  /** The part of the view that an area is; of a walker it is not told. */
+  share(size) {
+    return this.state.kind.film ? "" : `; ${number((100 * size) / this.viewArea, 3)} %`;
   }
 
   showDisturbance(found) {
     this.disturbance = found;
     if (found) {
-      const { words, lost } = this.about.fates[found.failure];
-      const fate = lost ? words : "walks to another gait";
-      this.write("disturbance", `${number(found.size, 5)}: ${fate} after ${count(found.strides, "stride")}`);
+      const { words, fates } = this.state;
+      const fate = fates[found.failure]?.words ?? words.else;
+      this.write("disturbance", `${number(found.size, 5)}: ${fate} after ${count(found.strides, words.stride)}`);
     } else {
-      this.write("disturbance", "no stable gait of period 1");
+      this.write("disturbance", `no stable ${this.state.words.gait} of period 1`);
     }
     this.rough = null;
     this.dispatchEvent(new Event("disturbance"));
   }
 
   /** Estimates from the picture's cells, of what is not known yet. */
-  estimate(found, lattice, state, attractors) {
+  estimate(found, lattice, attractors) {
     if (!found) return;
+    const { state } = this;
     if (!this.exact.area) {
-      const { first } = this.about.labels;
+      const { first } = state.about.labels;
       const walks = ([, , label]) => label >= first && !attractors[label - first]?.artefact;
-      const area = found.all.filter(walks).length * lattice.cellArea(found.level);
-      this.write("area", area ? power(area, 3) : "none", false);
+      const size = found.all.filter(walks).length * lattice.cellArea(found.level);
+      this.write("area", size ? area(size) + this.share(size) : "none", false);
     }
     if (this.exact.disturbance) return;
     this.rough = this.nearestLoss(found, lattice, state, attractors);
@@ -144,13 +159,13 @@ export class Facts extends EventTarget {
     if (!gait || state.sliced || state.method !== "direct") return null;
     const seen = state.shown(gait).every((v, k) => Math.abs(lattice.place(k, v) - state.view.centre[k]) < lattice.half(state.view, k));
     if (!seen) return null;
-    const scale = 2 ** -found.level;
+    const scale = 2 ** -found.level, { fates } = state;
     let nearest = { size: Infinity };
     for (const [i, j, label] of found.all) {
-      if (!this.about.fates[label]?.lost) continue;
+      if (!fates[label]?.lost) continue;
       const place = [(i + 0.5) * scale, (j + 0.5) * scale];
       const x = state.onSection(place.map((p, k) => lattice.value(k, p)));
-      const size = Math.hypot(x[0] - gait[0], x[1] - gait[1]);
+      const size = Math.hypot(...x.map((value, k) => value - gait[k]));
       if (size < nearest.size) nearest = { size, gait, state: x };
     }
     return nearest.gait ? nearest : null;

@@ -9,14 +9,14 @@ import { BasinMap } from "./map.js";
 import { Palette, css } from "./palette.js";
 import { Picture } from "./picture.js";
 import { Stage } from "./stage.js";
-import { State } from "./state.js";
+import { OUTSIDE, State } from "./state.js";
 import { TakeAway } from "./takeaway.js";
 import { Walk } from "./walk.js";
-import { SYMBOLS, count, decimals, multipliers, spaced } from "./words.js";
+import { count, decimals, multipliers, number, spaced } from "./words.js";
 
 const $ = (selector) => document.querySelector(selector);
-const OUTSIDE = 5; // the outcome of a start that is not feasible
 const PUSHES = { "[": -0.01, "]": 0.01 }; // along the slope, by keys
+const PATHS = { walker: { points: 60, joined: 60 }, system: { points: 2000, joined: 8 } }; // the last ones
 const WALK_REST = 300; // ms without a change of parameters, after which the walk begins anew
 const MOVED_REST = 50; // ms between two requests while the view moves
 const MAPPED_REST = 160; // ms without a change of view, after which cells are mapped anew
@@ -29,8 +29,8 @@ async function begin() {
   const map = new BasinMap($("#map"), picture, palette);
   const walk = new Walk();
   const stage = new Stage($("#stage"), walk, palette);
-  const diagram = new Diagram($("#diagram"), palette);
-  const facts = new Facts(document, about);
+  const diagram = new Diagram($("#diagram"), state, palette);
+  const facts = new Facts(document, state);
   const controls = new Controls($(".controls"), state);
   let lattice = null, homeKey = "", asking = 0, walking = 0; // no lattice while another is awaited
   let prepared = ""; // the walker that picture and facts belong to
@@ -43,7 +43,7 @@ async function begin() {
     homeKey = "";
     lattice = null;
     picture.stop();
-    say(`Preparing the ${walkerName()}`, Infinity);
+    say(`Preparing ${walkerName()}`, Infinity);
     const { walker, section } = state;
     if (walker !== prepared) clearFormer();
     const home = await ask("/api/home", { walker, section });
@@ -52,7 +52,7 @@ async function begin() {
     homeKey = key;
     prepared = walker;
     lattice = new Lattice(about.lattice, home);
-    map.axes = state.axes;
+    map.axes = state.axes.map((one) => one.label);
     map.setLattice(lattice, state.view);
     state.view = map.view;
     return true;
@@ -72,17 +72,19 @@ async function begin() {
     picture.show(state, lattice, map.view, map.pixels);
   };
   const viewCells = () => lattice.rectangle(map.view, lattice.level(map.view));
+  const wantFacts = () => facts.want(viewCells(), lattice.cellArea(lattice.level(map.view)));
 
-  /** The walker's name in a sentence. */
+  /** The name of the walker, or of another system, in a sentence. */
   function walkerName() {
     const name = state.walker.replaceAll("-", " ");
-    return /walker$/i.test(name) ? name : `${name} walker`;
+    return state.kind.film ? `the ${/walker$/i.test(name) ? name : `${name} walker`}` : name;
   }
 
   /** That a link names a walker which this server does not have. */
   function tellUnknown() {
     if (!state.unknown) return;
-    say(`This server does not know the walker ${state.unknown.slice(0, 60)}: start it with --walker. This is the ${walkerName()}.`, 12_000);
+    const { kind } = state.words;
+    say(`This server does not know the ${kind} ${state.unknown.slice(0, 60)}: start it with --${kind}. This is ${walkerName()}.`, 12_000);
     state.unknown = "";
   }
 
@@ -96,9 +98,9 @@ async function begin() {
     tellUnknown();
     stage.ground = state.parameters.slope ?? 0;
     map.shown = (x) => state.shown(x);
-    diagram.setSlope(state.parameters.slope ?? 0);
+    diagram.show();
     showPicture();
-    facts.want(state, viewCells());
+    wantFacts();
     showGaits();
     showArrow();
     stage.draw();
@@ -123,7 +125,7 @@ async function begin() {
   });
   picture.addEventListener("finished", () => {
     if (!lattice) return;
-    facts.estimate(picture.cells(map.view), lattice, state, picture.layer.attractors);
+    facts.estimate(picture.cells(map.view), lattice, picture.layer.attractors);
     showLegend();
   });
   /** Ask for what a moved view is missing; what there is has been drawn already. */
@@ -131,7 +133,7 @@ async function begin() {
     asking = 0;
     if (!lattice) return;
     showPicture();
-    facts.want(state, viewCells());
+    wantFacts();
   }
   map.addEventListener("moved", () => {
     if (!lattice) return;
@@ -160,16 +162,15 @@ async function begin() {
 
   /** What happens from a place, in words. */
   function happens({ label, strides, layer }) {
-    const { labels, fates } = about;
-    const many = strides === 255 ? "255 strides or more" : count(strides, "stride");
-    if (label === labels.unmatched) return `walks on, ${many} at least`;
+    const { labels } = about, { gait, stride, on, to } = state.words;
+    const many = strides === 255 ? `255 ${stride}s or more` : count(strides, stride);
+    if (label === labels.unmatched) return `${on}, ${many} at least`;
     if (label >= labels.first) {
       const one = layer.attractors[label - labels.first];
-      if (one?.artefact) return "a cycle of cells, no gait";
-      return `walks: at ${one?.period ? `the gait of period ${one.period}` : "an attractor without a period"} in ${many}`;
+      if (one?.artefact) return `a cycle of cells, no ${gait}`;
+      return `${to} ${one?.period ? `the ${gait} of period ${one.period}` : "an attractor without a period"} in ${many}`;
     }
-    const words = fates[label]?.words ?? "";
-    return strides && label !== OUTSIDE ? `${words} after ${many}` : words;
+    return label in state.fates ? state.failure(label, strides, many) : "";
   }
 
   map.addEventListener("hover", ({ detail: place }) => {
@@ -177,8 +178,8 @@ async function begin() {
     $("#hover").setAttribute("aria-live", map.cross ? "polite" : "off"); // of keys, not of a mouse
     const gait = map.gaitAt(place);
     const found = picture.at(place), places = Math.max(4, 4 + Math.ceil(map.view.zoom / 3.3));
-    const where = map.values(place).map((v, k) => `${SYMBOLS[state.axes[k]]} ${decimals(v, places)}`).join("   ");
-    const words = gait ? `${gait.stable ? "stable" : "unstable"} gait of period ${gait.period}, multipliers ${multipliers(gait)}` : "";
+    const where = map.values(place).map((v, k) => `${state.axes[k].symbol} ${decimals(v, places)}`).join("   ");
+    const words = gait ? `${gait.stable ? "stable" : "unstable"} ${state.words.gait} of period ${gait.period}, multipliers ${multipliers(gait)}` : "";
     $("#hover").textContent = `${where}   ${words || (found ? happens(found) : "")}`;
   });
 
@@ -188,17 +189,22 @@ async function begin() {
     const counts = new Map();
     for (const [, , label] of found.all) counts.set(label, (counts.get(label) ?? 0) + 1);
     const name = (label) => {
-      if (label === about.labels.unmatched) return "walks on, to no known gait";
-      if (label < about.labels.first) return about.fates[label].words;
+      const { gait, on } = state.words;
+      if (label === about.labels.unmatched) return `${on}, to no known ${gait}`;
+      if (label < about.labels.first) return state.fates[label].words;
       const one = layer.attractors[label - about.labels.first];
-      return one?.artefact ? "artefacts of cell mapping" : one?.period ? `basin of the gait of period ${one.period}` : "basin without a period";
+      if (one?.artefact) return "artefacts of cell mapping";
+      if (!one?.period) return "basin without a period";
+      const alike = layer.attractors.filter(({ period, artefact }) => period === one.period && !artefact);
+      const where = alike.length > 1 ? ` at ${state.axes[0].symbol} ${number(state.shown(one.states[0])[0], 3)}` : "";
+      return `basin of the ${gait} of period ${one.period}${where}`;
     };
     const rows = new Map();
     const order = (label) => (label >= about.labels.first ? label - 1000 : label === OUTSIDE ? 1000 : label);
     for (const label of [...counts.keys()].sort((a, b) => order(a) - order(b))) {
       const colour = css(palette.colour(label, layer.attractors));
       const key = label >= about.labels.first + palette.basins.length ? "other attractors" : name(label);
-      const unknown = label === about.labels.unmatched || about.fates[label]?.name === "UNDECIDED";
+      const unknown = label === about.labels.unmatched || state.fates[label]?.name === "UNDECIDED";
       rows.set(unknown ? `${key}: ${count(counts.get(label), "cell")}` : key, colour);
     }
     $("#legend").replaceChildren(...[...rows].map(([words, colour]) => {
@@ -224,14 +230,14 @@ async function begin() {
 
   function showPath() {
     const shown = walk.strides.filter((one) => one.begins <= walk.time && one.start.length === state.kind.section.length);
-    if (shown.length) map.path = shown.slice(-60).map((one) => state.shown(one.start));
+    if (shown.length) map.path = shown.slice(-PATHS[state.words.kind].points).map((one) => state.shown(one.start));
+    map.joined = PATHS[state.words.kind].joined;
     map.redraw();
   }
 
   map.addEventListener("start", ({ detail }) => {
     if (!lattice) return;
-    const x = state.onSection(detail);
-    startWalk([...x, ...state.kind.section.slice(2).map((name) => state.at[name] ?? controls.gait?.[name] ?? 0)]);
+    startWalk(state.onSection(detail, controls.gait));
   });
   walk.addEventListener("stride", showPath);
   walk.addEventListener("changed", () => {
@@ -246,10 +252,9 @@ async function begin() {
   walk.addEventListener("failed", ({ detail }) => complain(detail));
   const tellWalk = () => {
     const one = walk.current;
-    if (!one) return ($("#walk-note").textContent = "\u00a0");
+    if (!one) return ($("#walk-note").textContent = state.kind.film ? "\u00a0" : "Click a start on the picture");
     const ended = walk.over && walk.time >= walk.strides.at(-1).ends;
-    const fate = about.fates[one.outcome]?.words;
-    const text = ended ? (one.number ? `${fate} after ${count(one.number, "stride")}` : fate) : `stride ${one.number + 1}`;
+    const text = ended ? state.failure(one.outcome, one.number) : `${state.words.stride} ${one.number + 1}`;
     if ($("#walk-note").textContent !== text) $("#walk-note").textContent = text;
   };
   for (const event of ["changed", "stride"]) walk.addEventListener(event, tellWalk);
@@ -296,18 +301,19 @@ async function begin() {
 
   let diagramKey = "", diagramAbort = null;
   async function showDiagram() {
-    const { slope: _, ...others } = state.parameters;
-    const key = JSON.stringify([state.walker, others]);
-    if (key === diagramKey) return diagram.draw();
+    const { over, words } = state, { [over]: _, ...others } = state.parameters;
+    const key = JSON.stringify([state.walker, over, others]);
+    diagram.show();
+    if (key === diagramKey) return;
     diagramAbort?.abort();
     diagramAbort = new AbortController();
     diagramKey = key;
     diagram.setData(null);
-    $("#diagram-note").textContent = "The gaits are followed over the slope: some ten seconds…";
-    const slope = about.walkers[state.walker].parameters.find((one) => one.name === "slope")?.default;
-    const body = { walker: state.walker, parameters: { ...others, slope } };
+    $("#diagram-note").textContent = `${words.followed}: some ten seconds…`;
+    const body = { walker: state.walker, parameters: { ...others, [over]: diagram.over.default }, over };
     try {
       diagram.setData(await ask("/api/measure/bifurcation", body, diagramAbort.signal));
+      diagram.show();
       $("#diagram-note").textContent = diagram.note();
     } catch (error) {
       if (error.name === "AbortError") return;
@@ -315,9 +321,20 @@ async function begin() {
       $("#diagram-note").textContent = error instanceof Refused ? error.message : "";
     }
   }
-  diagram.addEventListener("slope", ({ detail }) => {
-    state.change("parameters", { parameters: { ...state.parameters, slope: detail } });
+  diagram.addEventListener("value", ({ detail }) => {
+    state.change("parameters", { parameters: { ...state.parameters, [state.over]: detail } });
   });
+  $("#over").addEventListener("change", (event) => state.change("over", { over: event.target.value }));
+
+  /** What the page shows of walkers alone, or of other systems alone. */
+  function showKind() {
+    const spans = Object.keys(state.kind.spans), { stride } = state.words;
+    document.body.toggleAttribute("data-film", state.kind.film);
+    for (const name of ["aria-label", "title"]) $("#step").setAttribute(name, `One ${stride}`);
+    $("#tab-bifurcation").hidden = !spans.length;
+    $("#over").replaceChildren(...spans.map((name) => new Option(spaced(name), name, false, name === state.over)));
+    $("#over").parentElement.hidden = spans.length < 2;
+  }
 
   new TakeAway(document, {
     wanted: () => {
@@ -330,7 +347,7 @@ async function begin() {
       return $("#map");
     },
     say,
-    title: () => `${state.tab}-${state.walker}-${Number((state.parameters.slope ?? 0).toPrecision(6))}`,
+    title: () => `${state.tab}-${state.walker}-${Number((Object.values(state.parameters)[0] ?? 0).toPrecision(6))}`,
   });
 
   const prefers = matchMedia("(prefers-color-scheme: dark)");
@@ -356,19 +373,23 @@ async function begin() {
 
   state.addEventListener("change", ({ detail: kind }) => {
     if (kind === "view" || kind === "start") return;
-    if (kind === "tab") return showTab();
+    if (kind === "tab" || kind === "over") return showTab();
     if (kind === "walker" || kind === "everything") {
       clearTimeout(walking);
       controls.build();
+      showKind();
+      showTab();
       walk.clear();
       walk.tell();
       map.path = [];
     }
     if (kind === "everything") {
-      showTab();
       if (lattice) map.view = state.view ??= lattice.whole();
     }
-    if (kind === "section") map.path = [];
+    if (kind === "section") {
+      controls.buildSlices();
+      map.path = [];
+    }
     if (kind !== "method") {
       map.arrow = null;
       facts.rough = null;
@@ -393,7 +414,9 @@ async function begin() {
   window.explorer = { state, picture, map, walk, stage, facts, palette, get lattice() { return lattice; } };
 
   showTheme();
+  showKind();
   showTab();
+  tellWalk();
   await update();
   if (state.start) await startWalk(state.start);
 }

@@ -1,7 +1,7 @@
 // The map: the picture with axes and marks, and what the hand does on it.
 
 import { clampView } from "./lattice.js";
-import { AXES, decimals, ticks } from "./words.js";
+import { decimals, ticks } from "./words.js";
 
 const MARGIN = { left: 78, right: 12, top: 12, bottom: 44 };
 const FONT = "12px system-ui, sans-serif";
@@ -17,8 +17,10 @@ export class BasinMap extends EventTarget {
     this.picture = picture;
     this.palette = palette;
     this.context = canvas.getContext("2d", { alpha: false });
+    this.axes = ["", ""]; // their labels
     this.gaits = [];
     this.path = [];
+    this.joined = Infinity; // its last points that lines join
     this.pointers = new Map();
     this.cross = null;
     picture.addEventListener("changed", () => this.redraw());
@@ -145,11 +147,11 @@ export class BasinMap extends EventTarget {
     c.fillStyle = soft;
     c.textAlign = "center";
     c.textBaseline = "alphabetic";
-    c.fillText(AXES.theta + x.note, box.left + box.width / 2, box.top + box.height + 39);
+    c.fillText(this.axes[0] + x.note, box.left + box.width / 2, box.top + box.height + 39);
     c.save();
     c.translate(13, box.top + box.height / 2);
     c.rotate(-Math.PI / 2);
-    c.fillText(AXES[this.axes?.[1] ?? "sum"] + y.note, 0, 0);
+    c.fillText(this.axes[1] + y.note, 0, 0);
     c.restore();
   }
 
@@ -195,7 +197,7 @@ export class BasinMap extends EventTarget {
       }
     }
     if (this.path.length) {
-      const points = this.path.map((x) => this.toScreen(...this.places(x)));
+      const points = this.path.slice(-this.joined).map((x) => this.toScreen(...this.places(x)));
       c.lineJoin = "round";
       for (const [colour, width] of [["rgba(26,26,26,0.55)", 3], [PATH, 1.6]]) {
         c.beginPath();

@@ -14,7 +14,9 @@ export class Palette {
   use(dark) {
     this.dark = dark;
     const shown = (colour) => (dark ? turned(parse(colour)) : parse(colour));
-    const { fates, basins, unmatched, others, artefacts, labels } = this.about;
+    const { walkers, basins, unmatched, others, artefacts, labels } = this.about;
+    const own = Object.values(walkers).map((one) => one.fates); // which have the same colours in all
+    const fates = Object.assign({}, this.about.fates, ...own);
     this.fates = Object.fromEntries(Object.entries(fates).map(([code, one]) => [code, shown(one.colour)]));
     this.basins = basins.map(shown);
     this.others = shown(others);

@@ -1,6 +1,9 @@
 // What the page shows, and the address bar that holds it: a link opens it again.
 
 import { clampView } from "./lattice.js";
+import { SYSTEM, WALKER, count } from "./words.js";
+
+export const OUTSIDE = 5; // the outcome of a start that is not feasible
 
 export class State extends EventTarget {
   constructor(about) {
@@ -26,11 +29,12 @@ export class State extends EventTarget {
       const value = Number((this.unknown ? null : given.get(one.name)) ?? NaN);
       this.parameters[one.name] = Number.isFinite(value) ? value : one.default;
     }
-    this.section = this.about.sections.includes(given.get("section")) ? given.get("section") : this.about.sections[0];
+    Object.assign(this, { section: given.get("section"), over: given.get("over") });
+    this.choose();
     this.method = given.get("method") === "cell-map" && !this.sliced ? "cell-map" : "direct";
-    this.tab = given.get("tab") === "bifurcation" ? "bifurcation" : "basin";
+    this.tab = given.get("tab") === "bifurcation" && this.over ? "bifurcation" : "basin";
     this.at = {};
-    for (const name of this.kind.section.slice(2)) {
+    for (const name of this.plane.others) {
       const value = Number(given.get(`at_${name}`) ?? NaN);
       if (Number.isFinite(value)) this.at[name] = value; // or that of the gait
     }
@@ -41,8 +45,31 @@ export class State extends EventTarget {
     this.start = start.length === this.kind.section.length && start.every(Number.isFinite) ? start : null;
   }
 
+  /** The first plane and the first parameter to follow gaits over, where what is asked for is none of its own. */
+  choose() {
+    const { planes, spans } = this.kind;
+    if (!Object.hasOwn(planes, this.section)) [this.section] = Object.keys(planes);
+    if (!Object.hasOwn(spans, this.over)) [this.over] = Object.keys(spans);
+  }
+
   get kind() {
     return this.about.walkers[this.walker];
+  }
+
+  /** The words for it. */
+  get words() {
+    return this.kind.film ? WALKER : SYSTEM;
+  }
+
+  /** How it may fail, by outcome: the failures that all share, and its own. */
+  get fates() {
+    return { ...this.about.fates, ...this.kind.fates };
+  }
+
+  /** How it fails, in words, after so many strides. */
+  failure(outcome, strides, many = count(strides, this.words.stride)) {
+    const { words } = outcome === OUTSIDE && !strides ? this.about.fates[outcome] : this.fates[outcome];
+    return strides ? `${words} after ${many}` : words;
   }
 
   /** Whether the picture is a slice of a section of more coordinates. */
@@ -50,9 +77,14 @@ export class State extends EventTarget {
     return this.kind.section.length > 2;
   }
 
-  /** The names of the picture's axes. */
+  /** The axes of the picture, and the coordinates that are fixed in it. */
+  get plane() {
+    return this.kind.planes[this.section];
+  }
+
+  /** What there is to say of these axes. */
   get axes() {
-    return ["theta", this.section === "plain" ? "thetadot" : "sum"];
+    return this.plane.axes.map((name) => this.kind.coordinates[name]);
   }
 
   /** What a request is about. */
@@ -62,11 +94,16 @@ export class State extends EventTarget {
 
   /** A point of the picture's axes from one of the section, and back. */
   shown(x) {
-    return [x[0], this.section === "plain" ? x[1] : x[0] + x[1]];
+    const { section } = this.kind;
+    return this.plane.axes.map((name) => (section.includes(name) ? x[section.indexOf(name)] : x[0] + x[1])); // of a sum
   }
 
-  onSection([a, b]) {
-    return [a, this.section === "plain" ? b : b - a];
+  onSection(pair, gait = {}) {
+    const { axes, others } = this.plane;
+    return this.kind.section.map((name) => {
+      if (axes.includes(name)) return pair[axes.indexOf(name)];
+      return others.includes(name) ? this.at[name] ?? gait[name] ?? 0 : pair[1] - pair[0];
+    });
   }
 
   /** Change some of it, and tell those who draw it. */
@@ -76,8 +113,13 @@ export class State extends EventTarget {
       this.parameters = Object.fromEntries(this.kind.parameters.map((one) => [one.name, one.default]));
       Object.assign(this, { at: {}, view: null, start: null });
       if (this.sliced) this.method = "direct";
+      this.choose();
+      if (!this.over) this.tab = "basin";
     }
-    if (kind === "section") this.view = null;
+    if (kind === "section") {
+      const kept = Object.entries(this.at).filter(([name]) => this.plane.others.includes(name));
+      Object.assign(this, { view: null, at: Object.fromEntries(kept) });
+    }
     this.tell(kind);
   }
 
@@ -89,9 +131,10 @@ export class State extends EventTarget {
 
   write() {
     const shown = new URLSearchParams({ walker: this.walker, ...this.parameters });
-    if (this.section !== this.about.sections[0]) shown.set("section", this.section);
+    if (this.section !== Object.keys(this.kind.planes)[0]) shown.set("section", this.section);
     if (this.method !== "direct") shown.set("method", this.method);
     if (this.tab !== "basin") shown.set("tab", this.tab);
+    if (this.over !== Object.keys(this.kind.spans)[0]) shown.set("over", this.over);
     for (const [name, value] of Object.entries(this.at)) shown.set(`at_${name}`, value);
     if (this.view) shown.set("view", [...this.view.centre, this.view.zoom].map((v) => +v.toPrecision(15)).join(","));
     if (this.start) shown.set("start", this.start.join(","));

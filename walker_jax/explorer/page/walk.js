@@ -5,7 +5,8 @@ import { ask } from "./api.js";
 const UNIT = 1 / Math.sqrt(9.81); // seconds in a unit of time, for legs of one metre
 const AHEAD = 6; // units of time before the end of what is known, at which more is asked for
 const STRIDES = 12; // of one answer
-const KEPT = 240; // strides that are remembered
+const ITERATE = 0.4; // units of time for which an iterate without a film is the last one shown
+const KEPT = { film: 240, iterates: 2000 }; // strides that are remembered
 const WALKS = 0; // the outcome of a stride that leads to the next
 
 export class Walk extends EventTarget {
@@ -55,7 +56,7 @@ export class Walk extends EventTarget {
     this.clear();
     Object.assign(this, { subject, start });
     this.append(answer, 0, 0);
-    this.playing = this.strides[0].frames.length > 1;
+    this.playing = this.strides[0].duration > 0;
     this.tell();
   }
 
@@ -64,17 +65,19 @@ export class Walk extends EventTarget {
     for (const one of strides) {
       const last = this.strides.at(-1);
       const number = last ? last.number + (last.cut ? 0 : 1) : 0; // a push cuts a stride in two
-      this.strides.push({ ...one, foot, begins, ends: begins + one.duration, number });
-      begins += one.duration;
-      if (one.frames.length) foot = this.nextFoot(one.frames.at(-1), foot);
+      const duration = leg ? one.duration : one.outcome === WALKS ? ITERATE : 0;
+      this.strides.push({ ...one, duration, foot, begins, ends: begins + duration, number });
+      begins += duration;
+      foot = this.nextFoot(one.frames.at(-1), foot);
     }
-    this.strides.splice(0, Math.max(0, this.strides.length - KEPT));
+    this.strides.splice(0, Math.max(0, this.strides.length - KEPT[leg ? "film" : "iterates"]));
     this.over = this.strides.at(-1).outcome !== WALKS;
     this.tell();
   }
 
   /** Where the next stance foot is: that is, its point of contact when its leg is upright. */
   nextFoot(state, foot) {
+    if (!state) return foot; // of what is not drawn
     const { swing } = this.places(state, foot);
     return swing[0] + this.leg.radius * (state[0] - state[1]);
   }

@@ -1,14 +1,15 @@
 // Numbers and names as a reader expects them.
 
-export const SYMBOLS = { theta: "θ", thetadot: "θ̇", phidot: "φ̇", sum: "θ + θ̇" };
-
-const RATE = "rad / √(l/g)";
-export const UNITS = { thetadot: RATE, phidot: RATE };
-
-export const AXES = {
-  theta: "stance leg angle θ (rad)",
-  sum: "θ + θ̇ (rad, time in √(l/g))",
-  thetadot: `stance leg rate θ̇ (${RATE})`,
+/** How the page speaks of walkers, and of systems that are none. */
+export const WALKER = {
+  kind: "walker", gait: "gait", stride: "stride", on: "walks on", to: "walks: at", else: "walks to another gait",
+  none: "no walk goes on", aperiodic: "walks without a period", lost: "walking is lost",
+  followed: "The gaits are followed over the slope", traced: "stance leg angle θ at heel strike (rad)",
+};
+export const SYSTEM = {
+  kind: "system", gait: "cycle", stride: "iterate", on: "goes on", to: "comes to", else: "comes to another attractor",
+  none: "no attractor is seen", aperiodic: "an attractor without a period", lost: "the attractors end",
+  followed: "The cycles are followed over this parameter",
 };
 
 /** A number with some significant digits, and a minus sign that is one. */
@@ -30,8 +31,16 @@ function trim(text) {
 
 const RAISED = "⁰¹²³⁴⁵⁶⁷⁸⁹";
 
+/** Whether a number of this size is written without a power of ten. */
+const isPlain = (size) => size >= 0.1 && size < 1000;
+
+/** An area: a number, or a mantissa times a power of ten. */
+export function area(value, digits = 3) {
+  return isPlain(value) ? number(value, digits) : power(value, digits);
+}
+
 /** A number as a mantissa times a power of ten. */
-export function power(value, digits = 3) {
+function power(value, digits = 3) {
   const [mantissa, exponent] = value.toExponential(digits - 1).split("e");
   const raised = [...exponent.replace("+", "")].map((c) => (c === "-" ? "⁻" : RAISED[c])).join("");
   return `${mantissa.replace("-", "−")} × 10${raised}`;
@@ -39,9 +48,13 @@ export function power(value, digits = 3) {
 
 /** A value and its error, at the digits that the error leaves. */
 export function withError(value, error) {
-  if (!(error > 0)) return power(value, 3);
+  if (!(error > 0)) return area(value, 3);
   const exponent = Math.floor(Math.log10(Math.abs(value) || error));
   const places = Math.max(0, Math.min(9, exponent - Math.floor(Math.log10(error)) + 1));
+  if (isPlain(value)) {
+    const digits = Math.max(0, 1 - Math.floor(Math.log10(error)));
+    return `${decimals(value, digits)} ± ${decimals(error, digits)}`;
+  }
   const scale = 10 ** exponent;
   const raised = power(scale, 1).split("× ")[1];
   return `(${decimals(value / scale, places)} ± ${decimals(error / scale, places)}) × ${raised}`;

@@ -1,0 +1,249 @@
+"""What the page offers: walkers in the plane, or other systems, each with planes and a window."""
+
+import dataclasses
+import functools
+import importlib
+import itertools
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from walker_jax.checks import WrongUse, check_kind, is_number
+from walker_jax.systems.family import SYSTEMS
+from walker_jax.systems.maps import Map
+from walker_jax.systems.system import System, check_single, code_of, has_gait_region, numbers_of
+from walker_jax.walkers.family import PLANAR_WALKERS
+from walker_jax.walkers.fingerprints import code_fingerprint
+from walker_jax.walkers.model import Walker, check_planar
+from walker_jax.walkers.parameters import (
+    Parameter,
+    parameters_of,
+    slopes_of,
+    with_parameter,
+)
+from walker_jax.walkers.references import place_of
+
+ADDRESS_KEYS = ("walker", "section", "method", "tab", "over", "view", "start")
+"""What the page's address holds besides values of parameters; state.js writes and reads them."""
+
+
+class Plane(NamedTuple):
+    """Two axes of the section, along which the page shows it."""
+
+    axes: tuple[str, str]
+    names: tuple[str, ...]
+    """Of these axes and of all other coordinates, in the order of the section."""
+
+    @property
+    def others(self) -> tuple[str, ...]:
+        """The coordinates that are fixed in the plane."""
+        return tuple(name for name in self.names if name not in self.axes)
+
+
+@dataclasses.dataclass(frozen=True)
+class Offer:
+    """A walker, or another system, that the page offers."""
+
+    name: str
+    """By which requests name it."""
+    kind: type[System] | Map = dataclasses.field(compare=False)
+    """Its class; a map itself, whose class does not say what it is."""
+    defaults: tuple[float, ...]
+    """Values of its parameters until others are chosen, in the order of `parameters`."""
+    code: str = ""
+    """The fingerprint of its code when the server started; empty for a class of the package."""
+    axes: tuple[tuple[str, Any], ...] = ()
+    """(low, high, count), or one value, of each coordinate, where the command has named them."""
+
+    @property
+    def section(self) -> tuple[str, ...]:
+        """The names of its coordinates."""
+        return self.kind.section
+
+    @property
+    def has_film(self) -> bool:
+        """Whether the page draws its motion: it is a walker."""
+        return isinstance(self.kind, type) and issubclass(self.kind, Walker)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Its parameters, with these defaults."""
+        described = zip(parameters_of(self.kind), self.defaults, strict=True)
+        return tuple(one._replace(default=value) for one, value in described)
+
+    @property
+    def planes(self) -> dict[str, Plane]:
+        """The planes in which the page shows it, by name, first that of the beginning."""
+        if self.has_film:
+            others = self.section[2:]
+            plain = Plane(("theta", "thetadot"), self.section)
+            return {"sheared": Plane(("theta", "sum"), ("theta", "sum", *others)), "plain": plain}
+        fixed = [name for name, axis in self.axes if is_number(axis)]
+        pairs = itertools.combinations(self.section, 2)
+        pairs = sorted(pairs, key=lambda pair: any(name in fixed for name in pair))
+        return {"-".join(pair): Plane(pair, self.section) for pair in pairs}
+
+    @property
+    def spans(self) -> dict[str, tuple[float, float]]:
+        """The parameters over which its gaits can be followed, and the ends of their values."""
+        if self.has_film and isinstance(self.kind, type):
+            return {"slope": slopes_of(self.kind)}
+        if not has_gait_region(self.build(self.defaults)):
+            return {}
+        return {one.name: span_around(one) for one in self.parameters}
+
+    def build(self, values: tuple[float, ...]) -> System:
+        """The system with values of its parameters, in their order.
+
+        Raises `WrongUse` in a process that has loaded other code than the server has.
+        """
+        if self.code and fingerprint_of(self.kind) != self.code:
+            raise WrongUse(f"the code of {self.name} has changed: start the server anew")
+        described = zip(self.parameters, values, strict=True)
+        numbers = {one.name: one.convert(value) for one, value in described}
+        if isinstance(self.kind, type):
+            return self.kind(**numbers)
+        made = self.kind
+        for name, value in numbers.items():
+            made = with_parameter(made, name, value)
+        return made
+
+    def __reduce__(self) -> tuple:
+        """To other processes: a map goes by its name in a file, as its functions may have none."""
+        kind = self.kind
+        if not isinstance(kind, type):
+            module, name = place_of(kind)
+            kind = module.__name__, name
+        return loaded_offer, (self.name, kind, self.defaults, self.code, self.axes)
+
+
+def loaded_offer(name: str, kind: type[System] | tuple[str, str], *others: Any) -> Offer:
+    """An offer that has come from another process."""
+    if isinstance(kind, tuple):
+        return Offer(name, vars(importlib.import_module(kind[0]))[kind[1]], *others)
+    return Offer(name, kind, *others)
+
+
+def fingerprint_of(kind: type[System] | Map) -> str:
+    """That of the code of a class or of a map; empty for a class of the package."""
+    if isinstance(kind, type):
+        return code_fingerprint(kind)
+    return code_fingerprint(type(kind), code_of(kind))
+
+
+Offers = dict[str, Offer]
+"""What the page offers, by name: a request may name these, and no others."""
+
+
+def at_defaults(kinds: Mapping[str, type[System]]) -> Offers:
+    """Offers of classes whose parameters all have defaults, and which have two coordinates."""
+    defaults = {
+        name: tuple(one.default for one in parameters_of(kind)) for name, kind in kinds.items()
+    }
+    return {
+        name: Offer(name, kind, defaults[name])
+        for name, kind in kinds.items()
+        if len(kind.section) > 1 and not np.isnan(defaults[name]).any()
+    }
+
+
+FAMILY = at_defaults(PLANAR_WALKERS)
+"""The package's walkers in the plane, at the defaults of their parameters."""
+OTHERS = at_defaults(SYSTEMS)
+"""Its other systems."""
+
+
+def offer(walker: System, axes: Mapping[str, Any] | None = None) -> Offer:
+    """A system for the page: one of the package's, or one with parameters and a window of its own.
+
+    Its window has these axes, by default over its `gait_region`. Raises `WrongUse` for a walker
+    that does not move in the plane, for a section of one coordinate or without a window, and for a
+    parameter whose name the page's address uses for something else.
+    """
+    check_kind("walker", walker, System)
+    check_single(walker)
+    if isinstance(walker, Walker):
+        check_planar(walker)
+    elif len(walker.section) < 2:
+        raise WrongUse(f"{walker.label()} has a section of one coordinate, and pictures have two")
+    kind = walker if isinstance(walker, Map) else type(walker)
+    described = parameters_of(kind)
+    for one in described:
+        if one.name in ADDRESS_KEYS:
+            raise WrongUse(f"the page's address has a {one.name} of its own: rename the parameter")
+    for one in (FAMILY | OTHERS).values():
+        if one.kind is kind and not axes:
+            return one
+    given = numbers_of(walker)
+    values = tuple(float(given[one.name]) for one in described)
+    names = {one: name for name, one in SYSTEMS.items()}
+    name = names.get(type(walker), walker.label())
+    made = Offer(name, kind, values, fingerprint_of(kind), tuple((axes or {}).items()))
+    if not made.has_film and not window_of(made):
+        raise WrongUse(
+            f"{name} has no gait_region, over which the window of the page is: define one, or give "
+            "--axis to walker-jax explore"
+        )
+    return made
+
+
+def beside(offered: Offer) -> Offers:
+    """The offers of a page that begins with one: those of the package of the same sort, and it."""
+    return (FAMILY if offered.has_film else OTHERS) | {offered.name: offered}
+
+
+@functools.cache
+def window_of(offered: Offer) -> dict[str, tuple[float, float]]:
+    """The ends of each coordinate of a system: those given, else those of its `gait_region`.
+
+    Empty where it has none of these. A coordinate that is fixed has ends for its slider.
+    """
+    walker = offered.build(offered.defaults)
+    window = {}
+    if has_gait_region(walker):
+        region = walker.gait_region()
+        shear, origin = np.asarray(region.shear), np.asarray(region.origin)
+        middle = origin + shear @ (np.asarray(region.lower) + region.upper) / 2
+        half = abs(shear) @ (np.asarray(region.upper) - region.lower) / 2
+        ends = np.stack([middle - half, middle + half], axis=1).tolist()
+        window = dict(zip(offered.section, map(tuple, ends), strict=True))
+    for name, axis in offered.axes:
+        if not is_number(axis):
+            window[name] = float(axis[0]), float(axis[1])
+        elif name not in window or not window[name][0] <= axis <= window[name][1]:
+            window[name] = axis - 1, axis + 1
+    return window
+
+
+def slider_range(parameter: Parameter) -> tuple[float, float]:
+    """The ends of a parameter's slider; a value beyond them may be typed.
+
+    From zero, or a little below its default where it may be negative, to a few times its default.
+    The parameter may have both values.
+    """
+    scale = 5 * abs(parameter.default) or 1.0
+    above = 0.2 * scale if parameter.low == -math.inf or not parameter.default else 0.8 * scale
+    if parameter.low == 0 and not parameter.default:
+        above = scale
+    low = parameter.low if parameter.low >= 0 else parameter.default - 0.2 * scale
+    low = float(max(low, parameter.low))
+    high = float(min(parameter.default + above, parameter.high))
+    step = slider_step(low, high)
+    return (
+        low if parameter.closed or low > parameter.low else low + step,
+        high if high < parameter.high else high - step,
+    )
+
+
+def span_around(parameter: Parameter) -> tuple[float, float]:
+    """From half its default to half more, as far as its slider goes; all of that about zero."""
+    low, high = slider_range(parameter)
+    half = abs(parameter.default) / 2 or high - low
+    return max(low, parameter.default - half), min(high, parameter.default + half)
+
+
+def slider_step(low: float, high: float) -> float:
+    """The step between the values of a slider: a power of ten."""
+    return 10.0 ** math.floor(math.log10((high - low) / 150))
