@@ -259,9 +259,10 @@ def test_a_push_of_a_leg_without_mass_is_the_limit():
 @pytest.mark.slow  # a walker with knees takes long to compile
 def test_a_walker_with_knees_bends_them_and_is_pushed():
     about = subject("kneed", slope=0.05)
-    gait = np.asarray(wj.find_gait(about.walker).states[0])
+    kneed: Any = about.walker
+    gait = np.asarray(wj.find_gait(kneed).states[0])
     (made,) = walks.follow(about, gait, 1)["strides"]
-    motion = wj.motion(about.walker, gait, 1)
+    motion = wj.motion(kneed, gait, 1)
     bent, frames = np.array(made["bent"]), np.array(made["frames"])
     assert made["outcome"] == 0 and len(bent) == len(frames)
     knee = (motion["swing_knee"] - motion["hip"]).values
@@ -270,7 +271,7 @@ def test_a_walker_with_knees_bends_them_and_is_pushed():
 
     # A push of no size changes nothing, while the knee bends or once it is locked.
     locks, count = made["locks"], len(frames) - 1
-    assert locks == pytest.approx(float(wj.phase_times(about.walker, gait)[0]), rel=1e-12)
+    assert locks == pytest.approx(float(wj.phase_times(kneed, gait)[0]), rel=1e-12)
     for k, state in ((4, frames[4]), (count - 3, frames[count - 3][[0, 1, 3, 4]])):
         time = k * made["duration"] / count
         assert (time > locks) == (len(state) == 4)

@@ -56,6 +56,7 @@ def make():
 
 
 Hidden = make()
+system = wj.Map(lambda x, a: a * x, ("x", "y"), parameters={"a": 0.5})
 '''
 TILES = [[-1, i, j] for i in range(2) for j in range(2)]
 
@@ -132,6 +133,8 @@ def test_its_picture_its_walk_and_what_is_copied_are_those_of_the_library(
 
 def test_a_worker_loads_the_class_unless_its_file_has_changed(walker, tmp_path, monkeypatch):
     about = read_subject({"walker": "Damped"}, {"Damped": offer(walker)})
+    made = offer(sys.modules["damped_walkers"].system, {"x": (0, 1, 9), "y": (0, 1, 9)})
+    of_map = read_subject({"walker": made.name}, {made.name: made})
     other = tmp_path / "edited_walker.py"
     other.write_text(TORQUE)
     monkeypatch.syspath_prepend(tmp_path)
@@ -145,6 +148,7 @@ def test_a_worker_loads_the_class_unless_its_file_has_changed(walker, tmp_path, 
         crew = workers.Workers(1)
         try:
             assert await crew.ask(walks.leg_of, about) == {"length": 1.0, "radius": 0.0}
+            assert await crew.ask(walks.leg_of, of_map) is None
             with pytest.raises(workers.Failure, match="the code of Damped has changed"):
                 await crew.ask(walks.leg_of, edited)
         finally:

@@ -1,9 +1,9 @@
 """The explorer with systems that are no walkers: maps and machines."""
 
-import asyncio
 import json
 import pickle
 import sys
+from typing import Any
 
 import explorer_server
 import jax.numpy as jnp
@@ -13,7 +13,7 @@ import pytest
 import walker_jax as wj
 from walker_jax.checks import WrongUse
 from walker_jax.cli import main
-from walker_jax.explorer import measures, notebook, pictures, walks, workers
+from walker_jax.explorer import measures, notebook, pictures
 from walker_jax.explorer.copies import describe
 from walker_jax.explorer.family import describe_family
 from walker_jax.explorer.lattice import TILE, Rectangle, home_of
@@ -79,7 +79,8 @@ def file(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def own(file):
-    return offer(find_system(f"{file}:system"), AXES)
+    system: Any = find_system(f"{file}:system")
+    return offer(system, AXES)
 
 
 @pytest.fixture(scope="module")
@@ -153,15 +154,15 @@ def test_the_window_is_the_region_of_gaits_or_that_of_the_command():
 
 
 def test_a_picture_is_the_basin(client):
-    asked = {"walker": "henon", "parameters": {"a": 1.02}, "tiles": TILES}
+    asked = {"walker": "henon", "parameters": {"a": 0.7}, "tiles": TILES}
     attractors, tiles = client.tiles(asked)
     label = np.concatenate(
         [np.frombuffer(one, np.uint8).reshape(2, TILE, TILE)[0] for one in tiles], axis=1
     )
     grid = wj.Grid.plain(x=(-2, 2, 50), y=(-2, 2 + 4 * 37.5 / 62.5, 100))
-    basin = wj.basin(wj.HenonMap(1.02), grid, "direct")
+    basin = wj.basin(wj.HenonMap(0.7), grid, "direct")
     walks_on = label >= pictures.FIRST_ATTRACTOR
-    assert [one["period"] for one in attractors] == basin["period"].values.tolist() == [4]
+    assert [one["period"] for one in attractors] == basin["period"].values.tolist() == [2]
     np.testing.assert_array_equal(walks_on, basin["attractor"].values >= 0)
     np.testing.assert_array_equal(label[~walks_on], basin["fate"].values[~walks_on])
     assert 1000 < walks_on.sum() < 4000
@@ -199,27 +200,25 @@ def test_a_start_has_iterates_and_no_film(client):
 def test_what_is_copied_gives_the_data_of_the_picture(own, tmp_path, monkeypatch, capsys):
     """Of a map in a file, and of a slice along coordinates that are not the first."""
     monkeypatch.setitem(sys.modules, "own_henon", sys.modules["own_henon"])  # as it is
-    about = subject(own, parameters={"a": 1.1})
+    about = subject(own, parameters={"a": 0.5})
     words = describe(about, Rectangle(-3, (2, 3), (12, 10)), "direct")
     names = {}
     exec(compile(words["python"], "copied", "exec"), names)
-    assert float(names["system"].a) == 1.1
+    assert float(names["system"].a) == 0.5
     assert names["basin"].attrs["code"] == own.code
     explorer_server.run_copied(words["command"], names["basin"], tmp_path, monkeypatch, capsys)
 
-    wheel = OTHERS["torso-wheel"]
-    about = subject(wheel, section="thetadot-psidot", at={"psi": 0.25})
+    drift = offer(Drift())
+    about = subject(drift, section="here-rest", at={"there": 0.25})
     words = describe(about, Rectangle(0, (0, 0), (200, 250)), "direct")
-    assert "walker-jax basin --system torso-wheel --slope 0.0 " in words["command"]
-    assert (
-        " --axis thetadot=-1.5:0.0:200 --axis psi=0.25 --axis psidot=-1.0:1.0:250 "
-        in (words["command"])
-    )
+    command = f"walker-jax basin --system {reference_of(Drift)} --rate 0.5 --tilt 0.0 "
+    axes = "--axis here=-2.0:2.0:200 --axis there=0.25 --axis rest=-1.0:1.0:250 "
+    assert words["command"].startswith(command + axes)
     (line,) = (one for one in words["python"].split("\n") if one.startswith("grid = "))
     grid = eval(line.removeprefix("grid = "), {"wj": wj})
     assert grid.shape == (200, 250) and grid.centre(0)[1] == 0.25
-    last = subject(wheel, section="thetadot-psi", at={"psidot": 0.5})
-    assert "psidot=0.5)" in describe(last, Rectangle(0, (0, 0), (2, 2)), "direct")["python"]
+    last = subject(drift, section="here-there", at={"rest": 0.5})
+    assert "rest=0.5)" in describe(last, Rectangle(0, (0, 0), (2, 2)), "direct")["python"]
 
 
 def test_cycles_and_their_bifurcations(own, monkeypatch):
@@ -238,32 +237,9 @@ def test_cycles_and_their_bifurcations(own, monkeypatch):
     assert json.dumps(diagram, allow_nan=False) and len(diagram["branches"]) > 0
 
 
-def test_workers_find_a_map_by_its_name(own):
+def test_a_map_goes_to_other_processes_by_its_name(own):
     again = pickle.loads(pickle.dumps(own))
     assert again == own and again.kind.f is own.kind.f  # though a function of it has no name
-
-    async def use():
-        crew = workers.Workers(1)
-        try:
-            asked = subject(own), np.array([0.1, 0.2]), 2
-            return await crew.ask(ends_of_walk, *map(pickled, asked))
-        finally:
-            crew.stop()
-
-    assert asyncio.run(use()) == walks.follow(subject(own), np.array([0.1, 0.2]), 2)["next"]
-
-
-def pickled(value):
-    """What a job can be known by."""
-    return pickle.dumps(value)
-
-
-def ends_of_walk(*asked):
-    """Where a worker comes to."""
-    import jax
-
-    jax.config.update("jax_enable_x64", True)
-    return walks.follow(*map(pickle.loads, asked))["next"]
 
 
 def test_commands_and_notebooks_name_it(file, own, monkeypatch, capsys):
@@ -285,18 +261,19 @@ def test_commands_and_notebooks_name_it(file, own, monkeypatch, capsys):
     assert offered.name == "own_henon" and window_of(offered) == {"x": (-1, 1), "y": (0, 1)}
 
     class Server(notebook.PageServer):
-        link, serves = "http://127.0.0.1:1/?token=x", True
+        link, serves = "http://127.0.0.1:1/?token=x", property(lambda self: True)
 
         def __init__(self, options, code):
             self.options, self.code = options, code
 
     monkeypatch.setattr(notebook, "PageServer", Server)
     monkeypatch.setattr(notebook, "started", {})
-    henon, duffing = notebook.explore(wj.HenonMap(1.02)), notebook.explore(wj.DuffingOscillator())
+    henon: Any = notebook.explore(wj.HenonMap(1.02))
+    duffing = notebook.explore(wj.DuffingOscillator())
     assert henon.server is duffing.server and henon.server.options == ["--system", "henon"]
     assert henon.link.endswith("#walker=henon&a=1.02&b=0.3")
     assert notebook.explore(wj.SimplestWalker(0.004)).server is not henon.server
-    compass = notebook.explore(wj.SwitchedCompass(0.04))
+    compass: Any = notebook.explore(wj.SwitchedCompass(0.04))
     assert compass.server.options[:4] == ["--system", "switched-compass", "--slope", "0.04"]
     with pytest.raises(WrongUse, match="has no gait_region"):
         notebook.explore(own.kind)
