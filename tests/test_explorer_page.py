@@ -894,7 +894,7 @@ def test_the_bifurcation_tab_has_the_slope_in_it(opened, monkeypatch, computed):
     )
     page.page.route("**/api/measure/bifurcation", partial(fulfil, found))
     page.page.click("#tab-bifurcation")
-    page.wait("document.querySelector('#diagram-note').textContent.includes('lost near 0.0193')")
+    page.wait("document.querySelector('#diagram-note').textContent.includes('lost near 0.019')")
     assert "doubles its period at 0.015088;" in page.shown("#diagram-note")
     assert page.value("document.querySelector('#diagram').getAttribute('aria-valuemax')") == "0.022"
     box = page.box("#diagram")

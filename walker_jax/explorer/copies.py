@@ -63,7 +63,7 @@ def begin(subject: Subject, noun: str) -> list[str]:
     if isinstance(kind, Map):
         given = ", ".join(f'"{name}": jnp.array({value!r})' for name, value in values)
         made = f"eqx.tree_at(lambda one: one.parameters, {place_of(kind)[1]}, {{{given}}})"
-        return ["import equinox as eqx", *begin, f"{noun} = {made}"]
+        return [*begin, f"{noun} = {made}"]
     given = ", ".join(f"{name}=jnp.array({value!r})" for name, value in values)
     return [*begin, f"{noun} = {kind.__name__}({given})"]
 
@@ -72,6 +72,8 @@ def begin_with_own(kind: type[System] | Map, setting: list[str]) -> list[str]:
     """The beginning of a program that uses what a user has written, loaded after the setting."""
     place, _, name = reference_of(kind).rpartition(":")
     imports = ["import jax", "import jax.numpy as jnp", "import walker_jax as wj", *setting]
+    if isinstance(kind, Map):
+        imports = ["import equinox as eqx", *imports]
     if not place.endswith(".py"):
         return [*imports, f"from {place} import {name}"]
     file = Path(place)
