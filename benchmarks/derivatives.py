@@ -53,7 +53,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import walker_jax as wj
-from walker_jax.kernels import primitive
+from walker_jax.kernels.program import programs
 
 STRIDES = 10
 
@@ -94,7 +94,7 @@ def main():
 
     for title, walker in ("simplest", wj.SimplestWalker), ("round feet", wj.RoundFootWalker):
         gait = np.asarray(wj.find_gait(walker(0.009)).states[0])
-        primitive.programs.clear()
+        programs.clear()
         jax.clear_caches()
         near = np.append(gait, 0.009) * np.random.default_rng(0).uniform(
             0.9999, 1.0001, (args.starts, len(gait) + 1)

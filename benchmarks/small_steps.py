@@ -39,7 +39,7 @@ from jax import lax
 
 import walker_jax as wj
 from walker_jax.execution.tiles import map_cells
-from walker_jax.kernels import by_kernel
+from walker_jax.kernels import kernel
 from walker_jax.systems.outcomes import Outcome
 
 jax.config.update("jax_enable_x64", True)
@@ -164,7 +164,7 @@ def fallen(walker: Any, y: Any) -> Any:
     return outcome
 
 
-@by_kernel
+@kernel
 def stride_by_small_steps(walker: Any, x: Any, step: Any) -> Any:
     """The next point of the section, and the outcome."""
     y = walker.lift(x)

@@ -17,7 +17,7 @@ from walker_jax import (
     SpringWalker,
     UpperBodyWalker,
 )
-from walker_jax.kernels import primitive
+from walker_jax.kernels import primitive, program
 from walker_jax.walkers.parameters import parameters
 
 SLOW = pytest.mark.slow
@@ -172,7 +172,7 @@ def test_second_derivatives_of_what_fails_are_nan():
 
 @pytest.mark.slow
 def test_derivatives_of_what_fails_are_nan_without_kernels(monkeypatch):
-    monkeypatch.setattr(primitive, "programs", OrderedDict())
+    monkeypatch.setattr(program, "programs", OrderedDict())
     monkeypatch.setenv("WALKER_JAX_KERNELS", "off")
     gradient = jax.grad(lambda z: of_numbers(SimplestWalker, "stride")(z)[0])
     starts = [STARTS[SimplestWalker][1], *FAILING.values()]

@@ -32,7 +32,7 @@ from walker_jax.design.evaluation import Evaluation
 from walker_jax.execution import tiles
 from walker_jax.execution.workers import open_workers
 from walker_jax.integrators.integrator import Integrator
-from walker_jax.kernels import primitive
+from walker_jax.kernels import decorator
 from walker_jax.stability import rough_ground
 
 NUMBERS = ["0.004", "0.2", "-0.2", "0.01", "0.3", "1", "2", "3", "10", "0", "-1", "1.5", "1e-300"]
@@ -482,7 +482,7 @@ HEAVY |= {"continue_basins", "robustness", "robustness_table"}
 """Always stopped where their work begins: where a bad value is a default, they take minutes."""
 
 
-BEGINNINGS = ((tiles, "program_of"), (primitive, "program_of"), (rough_ground, "walk_disturbed"))
+BEGINNINGS = ((tiles, "program_of"), (decorator, "program_of"), (rough_ground, "walk_disturbed"))
 BEGINNINGS += ((storage, "open_pieces"),)
 """Of a kernel, of the one computation without any that takes long to compile, and of a store."""
 

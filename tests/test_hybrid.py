@@ -15,7 +15,7 @@ from walker_jax.integrators.method import Method
 from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.integrators.taylor_solver import Taylor
 from walker_jax.integrators.taylor_steps import SERIES_ORDER
-from walker_jax.kernels import by_kernel
+from walker_jax.kernels import kernel
 
 pytestmark = pytest.mark.usefixtures("quick_references")
 
@@ -30,7 +30,7 @@ def rise():
     """The first admitted rise of each of some polynomials, whether bounds allow one, and the end's
     side. A rise is admitted where another polynomial is positive."""
 
-    @by_kernel
+    @kernel
     def one(value, admit, length):
         value, admit = list(value), list(admit)
         below = begins_below(value)
@@ -184,7 +184,7 @@ DOWN = Guard(lambda state: -state[0], 5)
 def to_zero():
     """From q = cos(t - a), p = -sin(t - a) at t = 0, to where q falls through zero."""
 
-    @by_kernel
+    @kernel
     def one(phase):
         start = jnp.cos(phase), -jnp.sin(-phase)
         return follow_mode(mode_of(DOWN), start, jnp.asarray(True), taylor())
@@ -213,7 +213,7 @@ def test_a_lane_does_not_depend_on_its_neighbours(to_zero):
 def test_derivatives_of_an_arrival_are_exact():
     """t = a + pi/2, whose derivatives by the phase are 1 and 0; the state is the same for all."""
 
-    @by_kernel
+    @kernel
     def run(phase):
         start = jnp.cos(phase), jnp.sin(phase)
         found = follow_mode(mode_of(DOWN), start, jnp.asarray(True), taylor())
@@ -262,9 +262,7 @@ def test_the_earliest_guard_counts_whatever_their_order_and_not_before_it_is_adm
     orders = [(0.5, 0.1, -0.3), (-0.3, 0.1, 0.5)]
     for levels in orders:
         mode = mode_of(level(0.8, lambda state: state[1]), *map(level, levels))
-        run = by_kernel(
-            lambda start, mode=mode: follow_mode(mode, start, jnp.asarray(True), taylor())
-        )
+        run = kernel(lambda start, mode=mode: follow_mode(mode, start, jnp.asarray(True), taylor()))
         found = run((jnp.array(1.0), jnp.array(0.0)))
         assert found.guard == 1 + levels.index(0.5)
         assert found.time == pytest.approx(np.arccos(0.5), abs=1e-12)
@@ -273,7 +271,7 @@ def test_the_earliest_guard_counts_whatever_their_order_and_not_before_it_is_adm
 def test_a_guard_that_rises_and_falls_within_one_step_is_seen():
     """q reaches 1 at t = pi / 2; the guard is above zero for 2e-4 around that."""
     mode = mode_of(Guard(lambda state: state[0] - np.cos(1e-4), 0))
-    run = by_kernel(lambda start: follow_mode(mode, start, jnp.asarray(True), taylor()))
+    run = kernel(lambda start: follow_mode(mode, start, jnp.asarray(True), taylor()))
     found = run((jnp.array(0.0), jnp.array(1.0)))
     assert found.guard == 0 and found.time == pytest.approx(np.pi / 2 - 1e-4, abs=1e-9)
 
@@ -284,7 +282,7 @@ def test_conditions_are_noted_where_they_are_violated_and_do_not_end_a_mode():
     conditions = [Condition(lambda s: least[0] - s[0], 0), Condition(lambda s: least[1] - s[0], 1)]
     conditions += [Condition(lambda s: s[0] - 1e-9, 2), Condition(lambda s: 2 - s[1] ** 2, 3)]
     mode = mode_of(DOWN, conditions=tuple(conditions))
-    run = by_kernel(lambda start: follow_mode(mode, start, jnp.asarray(True), taylor()))
+    run = kernel(lambda start: follow_mode(mode, start, jnp.asarray(True), taylor()))
     found = run((jnp.array(0.0), jnp.array(1.0)))
     assert found.guard == 0 and found.time == pytest.approx(np.pi, abs=1e-11)
     assert {key: bool(flag) for key, flag in found.violated.items()} == {
@@ -298,7 +296,7 @@ def test_conditions_are_noted_where_they_are_violated_and_do_not_end_a_mode():
 def test_what_is_foregone_is_not_followed_and_what_is_not_going_stays():
     mode = mode_of(DOWN, foregone=Foregone(lambda state: state[1] < -0.2, 7))
 
-    @by_kernel
+    @kernel
     def run(q, going):
         return follow_mode(mode, (q, jnp.zeros_like(q)), going, taylor())
 
@@ -313,7 +311,7 @@ def test_what_never_ends_nears_a_pole_or_rests_ends_after_so_many_steps(monkeypa
     square = lambda state: (state[0] ** 2,)
     mode = Mode(square, (Guard(lambda state: -2 - state[0], 0),))
     run = jax.vmap(
-        by_kernel(lambda y: follow_mode(mode, (y,), jnp.asarray(True), taylor(square, 1e-9)))
+        kernel(lambda y: follow_mode(mode, (y,), jnp.asarray(True), taylor(square, 1e-9)))
     )
     found = run(jnp.array([-1.0, 1.0, 0.0]))
     np.testing.assert_array_equal(found.guard, NO_GUARD)
@@ -326,6 +324,6 @@ def test_float32():
     mode = mode_of(DOWN)
     method = taylor(tolerance=1e-6, dtype="float32")
     start = jnp.float32(1.0), jnp.float32(0.5)
-    found = by_kernel(lambda s: follow_mode(mode, s, jnp.asarray(True), method))(start)
+    found = kernel(lambda s: follow_mode(mode, s, jnp.asarray(True), method))(start)
     assert {leaf.dtype for leaf in (*found.state, found.time)} == {jnp.dtype("float32")}
     assert found.time == pytest.approx(np.arctan(0.5) + np.pi / 2, abs=1e-5)

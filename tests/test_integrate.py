@@ -21,7 +21,7 @@ from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.integrators.taylor import solution_series
 from walker_jax.integrators.taylor_solver import SeriesSteps, Taylor, TaylorInterpolation
 from walker_jax.integrators.taylor_steps import SERIES_ORDER, evaluate_series, step_length
-from walker_jax.kernels import by_kernel
+from walker_jax.kernels import kernel
 
 TOLERANCE = 1e-12
 
@@ -225,7 +225,7 @@ def three_body_like(state):
 def single_steps():
     """One step at a time of Euler's equations: times and states at step ends."""
     method = Method(three_body_like, Taylor(SERIES_ORDER[jnp.dtype("float64")]), TOLERANCE)
-    take = by_kernel(lambda state: method.step(state, ())[1:3])
+    take = kernel(lambda state: method.step(state, ())[1:3])
     state = jnp.array(1.0), jnp.array(0.4), jnp.array(0.9)
     times, states = [0.0], [state]
     for _ in range(12):
@@ -275,7 +275,7 @@ def test_steps_of_a_series_in_diffeqsolve_are_those_of_the_loop(single_steps):
     times, states = single_steps
     order = SERIES_ORDER[jnp.dtype("float64")]
 
-    @by_kernel
+    @kernel
     def solve(start):
         solution = diffrax.diffeqsolve(
             diffrax.ODETerm(lambda t, y, args: three_body_like(y)),
@@ -305,7 +305,7 @@ def test_steps_of_a_series_in_diffeqsolve_are_those_of_the_loop(single_steps):
 def rise():
     """Upcrossings of a batch of polynomials of degree 6, (n, 7), in steps of lengths (n,)."""
 
-    @by_kernel  # each search ends for itself: some take a hundred thousand hops
+    @kernel  # each search ends for itself: some take a hundred thousand hops
     def first(p, length):
         value, always = list(p), jnp.asarray(True)
         ends_below = evaluate_polynomial(value, length) < 0

@@ -12,9 +12,9 @@ import pytest
 from jax import lax
 from jax.scipy.special import erf
 
-from walker_jax.kernels import Kernel, UnsupportedPrimitive
-from walker_jax.kernels import kernel as of_kernel
-from walker_jax.kernels.rules import RULES, exp_float32, log_float32
+from walker_jax.kernels import compiled
+from walker_jax.kernels.compiled import Compiled
+from walker_jax.kernels.rules import RULES, UnsupportedPrimitive, exp_float32, log_float32
 from walker_jax.kernels.scalars import ENTRYWISE
 
 SPECIAL = [0.0, -0.0, 1.0, -1.0, 0.5, np.inf, -np.inf, np.nan, 1e300, -1e-300, 2.5, -3.5]
@@ -33,7 +33,7 @@ def run(function, *cells, shared=()):
     like += [jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for x in cells]
     closed, shapes = jax.make_jaxpr(function, return_shape=True)(*like)
     mapped = [False] * len(shared) + [True] * len(cells)
-    compute, results = Kernel(closed).bind([*shared, *cells], mapped, len(cells[0]))
+    compute, results = Compiled(closed).bind([*shared, *cells], mapped, len(cells[0]))
     compute(0, len(cells[0]))
     return jax.tree.unflatten(jax.tree.structure(shapes), results)
 
@@ -251,7 +251,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from walker_jax.kernels import Kernel
+from walker_jax.kernels.compiled import Compiled
 
 jax.config.update("jax_enable_x64", True)
 signal.setitimer(signal.ITIMER_VIRTUAL, 20)  # seconds of the processor at most, in loops for ever
@@ -278,7 +278,7 @@ def chosen(shared, x):
 
 for function, cells in ((total, [0, 5, 1, 3, 2, 0, 7, 4, 6, 1]), (chosen, range(-2, 4))):
     cells = np.array(cells)
-    kernel = Kernel(jax.make_jaxpr(lambda cell: function((), cell))(cells[0]))
+    kernel = Compiled(jax.make_jaxpr(lambda cell: function((), cell))(cells[0]))
     compute, (results,) = kernel.bind([cells], [True], len(cells))
     compute(0, len(cells))
     print(results.tolist())
@@ -354,7 +354,7 @@ def test_arrays_of_any_length_and_shape(dtype):
 
 
 def test_only_the_cells_asked_for_are_written():
-    kernel = Kernel(jax.make_jaxpr(lambda shared, x: shared * x)(2.0, 0.0))
+    kernel = Compiled(jax.make_jaxpr(lambda shared, x: shared * x)(2.0, 0.0))
     x = np.arange(40.0)
     compute, (result,) = kernel.bind([np.float64(2), x], [False, True], 40)
     result[:] = -1
@@ -461,9 +461,9 @@ def test_a_function_may_have_no_results():
 def test_the_program_of_a_function_is_the_same_whenever_it_is_written(monkeypatch):
     """Not so if it depended on where objects lie in memory; nor would the last bits be."""
     programs, junk = [], []
-    compiled = of_kernel.load_program
-    keep = lambda text: programs.append(text) or compiled(text)
-    monkeypatch.setattr(of_kernel, "load_program", keep)
+    load = compiled.load_program
+    keep = lambda text: programs.append(text) or load(text)
+    monkeypatch.setattr(compiled, "load_program", keep)
 
     def function(shared, x):
         waves = [jnp.sin(k * x) * jnp.cos(shared / k) for k in range(1, 9)]
@@ -471,7 +471,7 @@ def test_the_program_of_a_function_is_the_same_whenever_it_is_written(monkeypatc
 
     change = lambda shared, x: jax.jvp(lambda x: function(shared, x), (x,), (x,))
     for size in (1, 10, 100, 1000, 10_000):
-        Kernel(jax.make_jaxpr(change)(jnp.float64(2), jnp.float64(1)))
+        Compiled(jax.make_jaxpr(change)(jnp.float64(2), jnp.float64(1)))
         junk.append([object() for _ in range(size)])  # so that the next ones lie elsewhere
         junk[::2] = [[] for _ in junk[::2]]
     assert len(programs) == 5 and len(set(programs)) == 1

@@ -17,7 +17,7 @@ from walker_jax.gaits.derivatives import linearise
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.roots import first_zero
 from walker_jax.integrators.taylor import function_series, solution_series, switching_series
-from walker_jax.kernels import by_kernel
+from walker_jax.kernels import kernel
 from walker_jax.multibody import System
 from walker_jax.multibody.single_support import SingleSupport
 from walker_jax.systems.outcomes import Outcome
@@ -304,7 +304,7 @@ def expanded():
         both = function_series(whole, line), function_series(branch, line)
         return *both, switching_series(whole, line)
 
-    @by_kernel  # which takes less to compile
+    @kernel  # which takes less to compile
     def all_of_them(line):
         return {name: look(line, *PIECEWISE[name]) for name in PIECEWISE}
 

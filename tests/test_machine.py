@@ -8,9 +8,9 @@ import pytest
 from walker_jax.checks import WrongUse
 from walker_jax.execution.tiles import map_cells
 from walker_jax.kernels import machine
+from walker_jax.kernels.compiled import shapes_and_types
 from walker_jax.kernels.emit import emit
-from walker_jax.kernels.kernel import shapes_and_types
-from walker_jax.kernels.primitive import program_of
+from walker_jax.kernels.program import program_of
 
 X86 = llvm.get_process_triple().startswith("x86_64")
 XS = np.stack([np.linspace(0.05, 0.3, 64), np.linspace(-0.05, -0.31, 64)], axis=1)
@@ -40,7 +40,7 @@ def test_answers_do_not_depend_on_kernels(value, monkeypatch):
     operands, structure = jax.tree.flatten((np.float64(0.5), XS[0]))
     avals = [jax.ShapeDtypeStruct(np.shape(one), np.float64) for one in operands]
     program, _ = program_of(function, structure, avals)
-    assert (program.kernel is None) == (value.lower() == "off")
+    assert (program.compiled is None) == (value.lower() == "off")
     if value in ("haswell", "nehalem"):
         assert machine.processor() == (value, "")
 

@@ -15,7 +15,7 @@ from hypothesis.extra.numpy import arrays
 from sympy.physics import mechanics
 
 from walker_jax import multibody
-from walker_jax.kernels import by_kernel
+from walker_jax.kernels import kernel
 from walker_jax.multibody import System, impact, kinetic_energy, potential_energy, solve_motion
 
 GRAVITY = 9.81
@@ -37,7 +37,7 @@ def states(seed, n, rates=4.0):
 
 def each(function, *args):
     """By kernels, which take less to compile."""
-    return jax.vmap(by_kernel(function))(*args)
+    return jax.vmap(kernel(function))(*args)
 
 
 def hanging(angle):
@@ -374,7 +374,7 @@ def test_a_locked_hinge_makes_one_body_of_two_and_takes_a_torque():
 def test_held_coordinates_are_counted_from_either_end_in_any_order_and_once():
     bars = two_bars(**BARS)
 
-    @by_kernel
+    @kernel
     def results(q, qdot):
         some = solve_motion(bars, q, qdot, held=(1,)), solve_motion(bars, q, qdot, held=[-1, 1, 1])
         return (
@@ -551,7 +551,7 @@ def some_contacts(shape):
     return lambda q: q[:CONTACTS] + jnp.cos(shape @ q) / 5
 
 
-@by_kernel
+@kernel
 def collide(masses, shape, contacts, q, qdot, e):
     system, contact = some_system(masses, shape), some_contacts(contacts)
     after = impact(system, contact, q, qdot, restitution=e)
@@ -815,7 +815,7 @@ def test_derivatives_by_a_mass_and_a_state_agree_with_central_differences():
         after = impact(system, tip, start, qdot[0], restitution=0.4)
         return jnp.concatenate([*solve_motion(system, start, qdot[0]), *after])
 
-    @by_kernel
+    @kernel
     def look(*at):
         total = lambda *at: jnp.sum(results(*at))
         return results(*at), jax.jacfwd(results, (0, 1))(*at), jax.grad(total, (0, 1))(*at)
@@ -832,7 +832,7 @@ def test_derivatives_by_a_mass_and_a_state_agree_with_central_differences():
 def test_float32_gives_float32():
     q, qdot = states(43, 2)
 
-    @by_kernel
+    @kernel
     def both(masses, q, qdot):
         transfer, forces = two_bars(**BARS).transfer, weights(masses, points=2)
         system = System(transfer, masses, forces, lambda q, qdot: -0.5 * qdot)

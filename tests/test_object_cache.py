@@ -11,17 +11,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from walker_jax.kernels import Kernel, machine, object_cache, private_files
+from walker_jax.kernels import machine, object_cache, private_files
+from walker_jax.kernels.compiled import Compiled
 
 FUNCTION = """
 import jax, jax.numpy as jnp, numpy as np
-from walker_jax.kernels import Kernel
+from walker_jax.kernels.compiled import Compiled
 
 def function(shared, x):  # of the C library: tan, pow, atan2
     return jnp.tan(x) + jnp.power(x, shared) * jnp.arctan2(x, shared)
 
 def compute():
-    kernel = Kernel(jax.make_jaxpr(function)(*np.ones(2, np.float32)))
+    kernel = Compiled(jax.make_jaxpr(function)(*np.ones(2, np.float32)))
     x = np.linspace(0.1, 3, 50, dtype=np.float32)
     run, results = kernel.bind([np.float32(0.3), x], [False, True], len(x))
     run(0, len(x))
@@ -45,7 +46,7 @@ def compilations(monkeypatch):
 
 
 def square(x=3.0):
-    kernel = Kernel(jax.make_jaxpr(lambda x: x * x)(1.0))
+    kernel = Compiled(jax.make_jaxpr(lambda x: x * x)(1.0))
     run, results = kernel.bind([np.array([x])], [True], 1)
     run(0, 1)
     return results[0].item()
@@ -98,7 +99,7 @@ def test_a_broken_file_is_compiled_anew(folder, compilations, how):
 def test_the_code_of_another_program_is_not_loaded(folder, compilations):
     square()
     (entry,) = folder.iterdir()
-    Kernel(jax.make_jaxpr(lambda x: x + x)(1.0))
+    Compiled(jax.make_jaxpr(lambda x: x + x)(1.0))
     (other,) = set(folder.iterdir()) - {entry}
     other.replace(entry)
     assert square() == 9 and len(compilations) == 3
@@ -198,7 +199,7 @@ def plant(path, code):
 
 def code_of_double(folder):
     """Machine code of x + x, which would be taken for that of x * x."""
-    Kernel(jax.make_jaxpr(lambda x: x + x)(1.0))
+    Compiled(jax.make_jaxpr(lambda x: x + x)(1.0))
     (path,) = folder.iterdir()
     code = path.read_bytes()[object_cache.CHECKSUM_BYTES :]
     path.unlink()

@@ -14,7 +14,7 @@ import walker_jax as wj
 from walker_jax.hybrid.modes import Guard
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.taylor_steps import step_length, taylor_step
-from walker_jax.kernels import by_kernel
+from walker_jax.kernels import kernel
 from walker_jax.stability.margin_changes import differentiate_margins
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.walkers.model import State
@@ -242,7 +242,7 @@ def test_margins_of_own_rules_vanish_where_a_walker_begins_to_fail(name):
     assert np.median(values) < 1e-9 and np.mean(values < 1e-6) > 0.9
 
 
-@by_kernel
+@kernel
 def length_of_step(walker, state):
     return taylor_step(walker.equations(), state, 12, 1e-12)[1]
 

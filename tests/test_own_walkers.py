@@ -20,7 +20,7 @@ import walker_jax as wj
 from walker_jax.checks import WrongUse
 from walker_jax.cli import main
 from walker_jax.cli.walker_options import names_that_begin
-from walker_jax.kernels import by_kernel
+from walker_jax.kernels import kernel
 from walker_jax.kernels.outside_code import AsItIs
 from walker_jax.multibody import System
 from walker_jax.stability.metric import metric_of
@@ -483,7 +483,7 @@ class Shifted(wj.SimplestWalker):
 def test_what_a_walker_reads_around_it_is_what_it_is_at_that_moment(kernels, monkeypatch):
     """As in a notebook, where a cell is run again, and the class is not."""
     if not kernels:
-        monkeypatch.setattr("walker_jax.kernels.primitive.Program.kernel", None)
+        monkeypatch.setattr("walker_jax.kernels.program.Program.compiled", None)
     cells = {"__name__": "cells_of_a_notebook", "wj": wj, "with_parameter": with_parameter}
     exec(IN_A_NOTEBOOK, cells)
     walker = cells["Shifted"](slope=jnp.array(0.004))
@@ -517,7 +517,7 @@ def test_equations_of_motion_read_what_is_around_them_at_that_moment():
     exec(WITH_MASSES, names)
     walker, state = names["Laden"](slope=0.01), State(*jnp.array([0.2, 0.4, -0.2, -0.25]))
 
-    @by_kernel
+    @kernel
     def force(walker, state):  # by the equations of motion, and soon compiled
         return walker.contact_force(state)[1]
 

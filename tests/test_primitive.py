@@ -17,8 +17,9 @@ import pytest
 from jax import export, lax
 from jax.extend.core import jaxpr_as_fun
 
-from walker_jax.kernels import by_kernel, ffi, primitive
-from walker_jax.kernels.primitive import Program
+from walker_jax.kernels import ffi, kernel, primitive
+from walker_jax.kernels import program as of_program
+from walker_jax.kernels.program import Program
 
 TURNS = 2
 
@@ -35,7 +36,7 @@ def results(a, x, y, count):
     return jnp.stack([y, x[0] * a]), y * x[1], count, y > 0.5
 
 
-@by_kernel
+@kernel
 def by_loop(a, x):
     """A vector, a number, an integer and a truth value of a number and a vector."""
     going = lambda carry: carry[1] < turns(x)
@@ -265,7 +266,7 @@ def test_float32():
     assert_same(found, expected, rtol=1e-5, atol=1e-6)
 
 
-@by_kernel
+@kernel
 def of_two_types(x, y):
     return x * x, y * y * x.astype(jnp.float64)
 
@@ -282,7 +283,7 @@ def test_operands_of_two_types():
 
 
 def test_a_linear_function_is_its_own_transpose():
-    scaled = by_kernel(lambda x, y: (jnp.stack([x[0] + 2 * x[1], 3 * x[0], x[1]]) * y[0], 1))
+    scaled = kernel(lambda x, y: (jnp.stack([x[0] + 2 * x[1], 3 * x[0], x[1]]) * y[0], 1))
     y = jnp.asarray([2.0])
     transposed = jax.jit(lambda w: jax.linear_transpose(lambda x: scaled(x, y)[0], X)(w)[0])
     w = jnp.asarray([1.0, -1.0, 0.5])
@@ -292,7 +293,7 @@ def test_a_linear_function_is_its_own_transpose():
 
 
 def test_what_has_no_real_results_has_no_derivative():
-    above = by_kernel(lambda x: (x > 0.5, jnp.floor(x).astype(int)))
+    above = kernel(lambda x: (x > 0.5, jnp.floor(x).astype(int)))
     tangents = jax.jit(lambda x, v: jax.jvp(above, (x,), (v,))[1])(A, A)
     assert all(tangent.dtype == jax.dtypes.float0 for tangent in tangents)
 
@@ -352,9 +353,9 @@ from jax.sharding import AxisType, NamedSharding, PartitionSpec as P
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 import walker_jax as wj
-from walker_jax.kernels import by_kernel
+from walker_jax.kernels import kernel
 
-@by_kernel
+@kernel
 def function(a, x):
     step = lambda c: (c[0] * a - jnp.sin(c[0]) * x[1], c[1] + 1)
     y, k = lax.while_loop(lambda c: c[1] < jnp.where(x[0] > 0.5, 3, 2), step, (x[0], 0))
@@ -525,12 +526,12 @@ COMPLEX = {
 def test_derivatives_through_complex_numbers(name):
     function, x = COMPLEX[name]
     expected = jax.jvp(function, (x,), (x,))
-    np.testing.assert_allclose(jax.jvp(by_kernel(function), (x,), (x,)), expected, rtol=1e-14)
+    np.testing.assert_allclose(jax.jvp(kernel(function), (x,), (x,)), expected, rtol=1e-14)
 
 
 def test_a_derivative_is_computed_in_the_modes_in_which_its_function_was_traced():
     thirds = lambda x: (x * x * jnp.sin(jnp.arange(1.0, 4.0) / 3.0)).sum()
-    function = by_kernel(thirds)
+    function = kernel(thirds)
     value, pull = jax.vjp(function, 1.3)
     one = jnp.ones_like(value)
     with jax.enable_x64(False):
@@ -543,18 +544,18 @@ def test_a_derivative_is_computed_in_the_modes_in_which_its_function_was_traced(
 
 def test_a_result_that_nobody_asks_for_leaves_gradients_alone():
     """Though its own derivative is infinite."""
-    function = by_kernel(lambda x: jnp.stack([x[0] * x[1], jnp.sqrt(x[2])]))
+    function = kernel(lambda x: jnp.stack([x[0] * x[1], jnp.sqrt(x[2])]))
     change = jax.grad(lambda x: function(x)[0])(jnp.array([1.0, 2.0, 0.0]))
     np.testing.assert_array_equal(change, [2.0, 1.0, 0.0])
 
 
 def test_a_number_of_python_takes_the_type_of_the_other_operand():
-    assert by_kernel(jnp.multiply)(2.0, np.float32(3)).dtype == np.float32
+    assert kernel(jnp.multiply)(2.0, np.float32(3)).dtype == np.float32
 
 
 def test_logarithms_of_denormal_numbers():
     x = np.array([1e-40, 1e-44], np.float32)
-    found = jax.vmap(by_kernel(jnp.log))(x)
+    found = jax.vmap(kernel(jnp.log))(x)
     np.testing.assert_allclose(found, np.log(x.astype(float)), rtol=1e-6)
 
 
@@ -585,13 +586,13 @@ BY_XLA = {
 def test_what_has_no_kernel_or_an_unusual_one_is_the_same(name):
     function, x = BY_XLA[name]
     for found, expected in zip(
-        *map(jax.tree.leaves, (by_kernel(function)(x), function(x))), strict=True
+        *map(jax.tree.leaves, (kernel(function)(x), function(x))), strict=True
     ):
         np.testing.assert_allclose(found, expected, rtol=1e-14)
 
 
 def test_what_is_printed_is_printed_at_every_call(capfd):
-    function = by_kernel(lambda x: (jax.debug.print("hey"), 2 * x)[1])
+    function = kernel(lambda x: (jax.debug.print("hey"), 2 * x)[1])
     function(1.0)
     function(2.0)
     jax.effects_barrier()
@@ -603,12 +604,12 @@ def test_what_is_printed_is_printed_at_every_call(capfd):
 
 def call(operands, results):
     """The handler, called with any buffers."""
-    program, _ = primitive.program_of(
+    program, _ = of_program.program_of(
         by_loop, jax.tree.structure((A, X)), [*map(jax.typeof, (A, X))]
     )
-    assert program.kernel is not None
+    assert program.compiled is not None
     like = [jax.ShapeDtypeStruct(*result) for result in results]
-    target = ffi.target(program.kernel)
+    target = ffi.target(program.compiled)
     return jax.jit(lambda *operands: jax.ffi.ffi_call(target, like)(*operands))(*operands)
 
 
@@ -655,7 +656,7 @@ def test_the_right_buffers_are_not():
 def test_xla_computes_where_its_interface_is_unknown(monkeypatch):
     """That is told once."""
     monkeypatch.setattr(ffi, "VERSION", (0, 10**6))
-    monkeypatch.setattr(primitive, "programs", OrderedDict())
+    monkeypatch.setattr(of_program, "programs", OrderedDict())
     ffi.available.cache_clear()
     try:
         with pytest.warns(RuntimeWarning, match="more slowly") as told:
@@ -721,7 +722,7 @@ def test_many_threads_compute_the_same_bits_as_one():
 
 @pytest.mark.parametrize("n", [1, 100_000])
 def test_denormal_numbers_are_kept(n):
-    tiny = by_kernel(lambda x: x * 1e-310)
+    tiny = kernel(lambda x: x * 1e-310)
     found = jax.jit(jax.vmap(tiny))(jnp.ones(n))
     np.testing.assert_array_equal(found, np.full(n, 1e-310))
     # The mode of XLA's threads is theirs again.

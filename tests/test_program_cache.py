@@ -15,7 +15,7 @@ from walker_jax.checks import WrongUse
 from walker_jax.integrators import method, roots
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.taylor_solver import Taylor
-from walker_jax.kernels import object_cache, primitive, program_cache
+from walker_jax.kernels import object_cache, program, program_cache
 from walker_jax.walkers.simplest import SimplestWalker
 from walker_jax.walking import stride, trajectories
 
@@ -31,7 +31,7 @@ def folder(tmp_path, monkeypatch):
 @pytest.fixture
 def traces(monkeypatch):
     """What is traced."""
-    made, closed = [], vars(primitive.Program)["closed"]
+    made, closed = [], vars(program.Program)["closed"]
     trace = closed.func
     monkeypatch.setattr(closed, "func", lambda program: made.append(program) or trace(program))
     return made
@@ -43,7 +43,7 @@ def end_of_stride(x):
 
 def as_of_another_process(function=end_of_stride, x=START):
     """The result in another process, which has no program in memory."""
-    primitive.programs.clear()
+    program.programs.clear()
     return np.asarray(function(jnp.asarray(x)))
 
 
@@ -56,7 +56,7 @@ def name_of(walker=None, dtype=float, function=stride.follow_stride, solver=None
     leaves, structure = jax.tree.flatten(arguments)
     avals = [jax.typeof(jnp.asarray(leaf, dtype)) for leaf in leaves]
     function = getattr(function, "of_one_cell", function)
-    return program_cache.name_of(function, structure, avals, primitive.current_settings())
+    return program_cache.name_of(function, structure, avals, program.current_settings())
 
 
 def test_another_process_need_not_trace(folder, traces):
@@ -159,9 +159,9 @@ def test_what_is_defined_elsewhere_has_no_name():
 def test_each_solver_has_a_program_of_its_own():
     one, other = diffrax.Bosh3(), diffrax.Tsit5()
     by = [wj.stride(SimplestWalker(0.004), START, solver=solver) for solver in (None, one, other)]
-    count = len(primitive.programs)
+    count = len(program.programs)
     again = wj.stride(SimplestWalker(0.004), START, solver=diffrax.Bosh3())
-    assert len(primitive.programs) == count
+    assert len(program.programs) == count
     states = {np.asarray(found.state).tobytes() for found in by}
     assert len(states) == 3 and np.asarray(again.state).tobytes() in states
 

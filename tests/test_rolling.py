@@ -12,7 +12,7 @@ from kane import Rolling
 from walker_jax import multibody
 from walker_jax.integrators.method import Method
 from walker_jax.integrators.taylor_solver import Taylor
-from walker_jax.kernels import by_kernel
+from walker_jax.kernels import kernel
 from walker_jax.multibody import ConstrainedMotion, System, space
 
 DISC = dict(slope=0.1, mass=1.3, length=1.0, width=0.3, radius=0.4, forward=0.0, outward=0.0)
@@ -83,7 +83,7 @@ def rolling(sizes):
 
 
 @partial(jax.vmap, in_axes=(None, 0))
-@by_kernel
+@kernel
 def rates_of(motion, start):
     return jnp.stack(motion(list(start)))
 
@@ -122,7 +122,7 @@ def test_multipliers_give_the_same_motion_and_the_force_of_friction():
     whole = motion.system()
 
     @jax.vmap
-    @by_kernel
+    @kernel
     def look(start):
         q, qdot = constrained(motion, start)
         found = multibody.solve_constrained(whole, motion.constraints, q, qdot)
@@ -146,7 +146,7 @@ def test_energy_is_kept_and_the_disc_does_not_slip():
     start = jnp.array([0.0, 0.0, 0.3, 0.1, 0.2, 0.5, -0.3, 4.0])
     reference = Rolling(BODY, 1)
 
-    @by_kernel
+    @kernel
     def walk(start):
         method = Method(motion, Taylor(8), jnp.asarray(1e-14))
         zero = jnp.zeros(())
@@ -215,7 +215,7 @@ def test_chaplygins_sleigh_moves_by_its_closed_form():
     v, w = 0.2, 0.9
     ellipse = lambda v, w: v**2 + w**2 * (inertia + m * a**2) / m
 
-    @by_kernel
+    @kernel
     def look(start, time):
         accelerations = sleigh(list(start))
         end: Any = method.solve(Slid(*start), 0.0 * time, time).ys
@@ -256,7 +256,7 @@ def test_a_disc_dropped_on_a_slope_begins_to_roll_and_keeps_its_momentum_about_t
         body.centre, body.rotation, body.contact, q, qdot
     )
 
-    @by_kernel
+    @kernel
     def drop(q, qdot):
         system = body.system()
         after = multibody.impact(system, None, q, qdot, constraints=made)

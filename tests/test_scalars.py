@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from jax import lax
 
-from walker_jax.kernels import by_kernel
+from walker_jax.kernels import kernel
 from walker_jax.kernels.scalars import EXACT, unroll
 
 pytestmark = pytest.mark.usefixtures("quick_references")
@@ -413,5 +413,5 @@ def test_functions_of_one_code_that_differ_in_anything_else_are_not_taken_for_ea
 
     for make in (bound, by_position, by_keyword):
         two, three = unroll(make(2.0)), unroll(make(3.0))
-        found = by_kernel(lambda x, two=two, three=three: (two(x), three(x)))(jnp.asarray(5.0))
+        found = kernel(lambda x, two=two, three=three: (two(x), three(x)))(jnp.asarray(5.0))
         assert list(map(float, found)) == [10.0, 15.0]

@@ -13,7 +13,7 @@ from PIL import Image, ImageSequence
 
 import walker_jax as wj
 from walker_jax import figures, multibody
-from walker_jax.kernels import by_kernel
+from walker_jax.kernels import kernel
 from walker_jax.multibody import ConstrainedMotion, System, space
 from walker_jax.storage.schema import check_dataset, variables_of
 from walker_jax.systems.outcomes import Outcome
@@ -78,7 +78,7 @@ def test_the_defaults_are_those_of_the_toy():
     assert sizes_of(WALKER) == TOY["sizes"]
 
 
-@by_kernel
+@kernel
 def look(walker, state):
     """The motion by the two methods, and the forces of the ground by the constraints on rates."""
     start = wj.SpatialState(*state)
@@ -128,7 +128,7 @@ def test_it_moves_as_the_general_method_and_kanes_say(walker):
 SIGNS = np.array([1, 1, 1, 1, -1, 1, 1, 1, -1, 1.0])
 
 
-@by_kernel
+@kernel
 def strike(walker, state):
     (along, up), after = walker.impact(wj.SpatialState(*state))
     return along, up, jnp.stack(after), jnp.stack(walker.exchange_legs(after))

@@ -25,7 +25,7 @@ from walker_jax import figures, storage
 from walker_jax.design import sweeps
 from walker_jax.execution import tiles, workers
 from walker_jax.execution.workers import open_workers
-from walker_jax.kernels.primitive import MODES
+from walker_jax.kernels.program import MODES
 from walker_jax.stability.summary import without_gait
 from walker_jax.storage import datasets
 

@@ -23,7 +23,7 @@ from walker_jax.integrators.taylor import (
     solution_series,
     with_fast_sincos,
 )
-from walker_jax.kernels import by_kernel
+from walker_jax.kernels import kernel
 from walker_jax.kernels.scalars import unroll
 from walker_jax.multibody.single_support import SingleSupport
 
@@ -44,7 +44,7 @@ def assert_series(series, expected, rtol=1e-13):
 
 def solved_series(vector_field, start, order=ORDER):
     """By a kernel, which takes less to compile."""
-    return by_kernel(lambda y: solution_series(vector_field, y, order))(start)
+    return kernel(lambda y: solution_series(vector_field, y, order))(start)
 
 
 # Sine and cosine
@@ -676,7 +676,7 @@ def test_series_by_virtual_power_of_all_orders_begin_alike():
 
 def test_series_by_virtual_power_in_float32():
     """Compiled."""
-    expand = by_kernel(lambda equations, state: solution_series(equations, state, LOW))
+    expand = kernel(lambda equations, state: solution_series(equations, state, LOW))
     low = jax.tree.leaves(expand(*chain(1, jnp.float32)))
     assert {c.dtype for c in low} == {jnp.dtype("float32")}
     equations, state = chain(1)

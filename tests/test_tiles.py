@@ -11,7 +11,8 @@ import pytest
 import walker_jax as wj
 from walker_jax.execution import tiles
 from walker_jax.execution.tiles import CALL_SHAPES, compact_order, map_cells
-from walker_jax.kernels import UnsupportedPrimitive, primitive
+from walker_jax.kernels import program as of_program
+from walker_jax.kernels.rules import UnsupportedPrimitive
 
 CALL = CALL_SHAPES["cpu"][0] * CALL_SHAPES["cpu"][1]
 
@@ -97,8 +98,8 @@ def starts():
 def test_strides_by_kernels_and_by_xla_are_the_same_to_rounding(monkeypatch, starts):
     walker = wj.SimplestWalker(0.004)
     found = wj.strides(walker, starts)
-    monkeypatch.setattr(primitive, "Kernel", no_kernel)
-    monkeypatch.setattr(primitive, "programs", OrderedDict())
+    monkeypatch.setattr(of_program, "Compiled", no_kernel)
+    monkeypatch.setattr(of_program, "programs", OrderedDict())
     expected = wj.strides(walker, starts)
     np.testing.assert_array_equal(found.outcome, expected.outcome)
     np.testing.assert_allclose(found.state, expected.state, rtol=0, atol=1e-9)
@@ -109,8 +110,8 @@ def test_an_option_that_xla_lacks_is_left_out(monkeypatch):
     """With it XLA would compile nothing."""
     options = {"xla_cpu_prefer_vector_width": 256, "xla_no_such_option": 1}
     monkeypatch.setitem(tiles.COMPILER_OPTIONS, "cpu", options)
-    monkeypatch.setattr(primitive, "Kernel", no_kernel)
-    monkeypatch.setattr(primitive, "programs", OrderedDict())
+    monkeypatch.setattr(of_program, "Compiled", no_kernel)
+    monkeypatch.setattr(of_program, "programs", OrderedDict())
     cells = np.arange(5.0)
     found = map_cells(lambda shared, cell: shared + cell**2, (3.0, cells))
     np.testing.assert_array_equal(found, 3 + cells**2)
@@ -157,9 +158,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from walker_jax.execution import tiles
-from walker_jax.kernels import primitive
+from walker_jax.kernels.program import Program
 jax.config.update("jax_enable_x64", True)
-primitive.Program.kernel = None  # so that it is XLA that computes, as on an accelerator
+Program.compiled = None  # so that it is XLA that computes, as on an accelerator
 devices = jax.local_devices()
 assert len(devices) == 8
 

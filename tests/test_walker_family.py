@@ -29,7 +29,7 @@ from walker_jax import (
 )
 from walker_jax.gaits.derivatives import linearise
 from walker_jax.integrators.integrator import Integrator
-from walker_jax.kernels.primitive import programs
+from walker_jax.kernels.program import programs
 from walker_jax.kernels.scalars import unroll
 from walker_jax.multibody import System
 from walker_jax.multibody.single_support import stance_coordinates

@@ -10,7 +10,7 @@ from threading import Event
 from typing import TypeVar
 
 from walker_jax.execution.tiles import cores, stopping
-from walker_jax.kernels.primitive import apply_settings, current_settings
+from walker_jax.kernels.program import apply_settings, current_settings
 
 Thing = TypeVar("Thing")
 Result = TypeVar("Result")

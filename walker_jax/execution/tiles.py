@@ -27,7 +27,7 @@ from jaxtyping import Int, PyTree
 from walker_jax.checks import WrongUse
 from walker_jax.execution.progress import bar
 from walker_jax.kernels.outside_code import states_of
-from walker_jax.kernels.primitive import (
+from walker_jax.kernels.program import (
     MAX_PROGRAMS,
     Program,
     apply_settings,
@@ -96,7 +96,7 @@ def map_cells(
         each = [each for arg, each in pairs for _ in jax.tree.leaves(arg)]
         avals = [abstract_value(x, one) for x, one in zip(operands, each, strict=True)]
         program, results = program_of(function, structure, avals)
-        if program.kernel is not None:
+        if program.compiled is not None:
             found = run_kernel(program, operands, each, n, progress)
             return jax.tree.unflatten(results, found)
     few = platform == "cpu" and n <= math.prod(SMALL_CALL_SHAPE)
@@ -172,8 +172,8 @@ def run_kernel(
     program: Program, operands: list, mapped: list[bool], n: int, progress: str | None
 ) -> list[np.ndarray]:
     """The cells' results by a kernel, on all cores."""
-    assert program.kernel is not None
-    run, results = program.kernel.bind(operands, mapped, n)
+    assert program.compiled is not None
+    run, results = program.compiled.bind(operands, mapped, n)
     workers = cores()
     least, most = KERNEL_CALL_CELLS
     # Several for each core, so that all end at about the same time.

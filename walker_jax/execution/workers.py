@@ -16,7 +16,7 @@ import jax
 
 from walker_jax.checks import WrongUse, check_whole
 from walker_jax.execution import tiles
-from walker_jax.kernels.primitive import MODES
+from walker_jax.kernels.program import MODES
 
 PIECES_PER_WORKER = 2
 """Pieces that each worker has been given, so that it need not wait for the next."""

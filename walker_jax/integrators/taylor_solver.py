@@ -1,7 +1,7 @@
 """A solver by Taylor series for `diffrax.diffeqsolve`.
 
 `SeriesSteps` is the step size controller that suits it, which never rejects a step. Derivatives are
-taken in forward mode; `kernels.by_kernel` derives reverse mode from them.
+taken in forward mode; `kernels.kernel` derives reverse mode from them.
 """
 
 from collections.abc import Callable

@@ -23,8 +23,6 @@ differentiated root search, reverse mode). Programs are compiled for the process
 and kept on disk (`object_cache`), and so is what tracing led to (`program_cache`).
 """
 
-from walker_jax.kernels.kernel import Kernel
-from walker_jax.kernels.primitive import by_kernel, tracing_for_kernel
-from walker_jax.kernels.rules import UnsupportedPrimitive
+from walker_jax.kernels.decorator import kernel, why_not
 
-__all__ = ["Kernel", "UnsupportedPrimitive", "by_kernel", "tracing_for_kernel"]
+__all__ = ["kernel", "why_not"]

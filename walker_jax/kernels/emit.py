@@ -5,6 +5,7 @@ import inspect
 import math
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any, no_type_check
 
 import jax
@@ -14,6 +15,8 @@ from llvmlite import ir
 
 from walker_jax.kernels import control, indexing
 from walker_jax.kernels.jaxprs import CALLS_WITH_DERIVATIVES, shape_dtype
+from walker_jax.kernels.memory import ADDRESS, LONG, Memory
+from walker_jax.kernels.outside_code import INSTALLED
 from walker_jax.kernels.rules import (
     FAST,
     REDUCTIONS,
@@ -84,17 +87,11 @@ class LLVMEmitter(Unrolling):
             self.constants[key] = vector
         return self.constants[key]
 
-    def intrinsic(self, name: str, *operands: Any, result: ir.Type | None = None):
-        kind = operands[0].type if result is None else result
-        letter = lambda t: f"v{t.count}{self.letter(t.element)}"
-        types = [kind, operands[0].type] if result is not None else [kind]
-        full = ".".join([f"llvm.{name}", *map(letter, types)])
-        module = self.builder.module
-        function = module.globals.get(full)
-        if function is None:
-            function = ir.Function(
-                module, ir.FunctionType(kind, [operand.type for operand in operands]), full
-            )
+    def intrinsic(self, name: str, *operands: Any):
+        """An operation of LLVM itself, on vectors of one type."""
+        kind = operands[0].type
+        full = f"llvm.{name}.v{kind.count}{kind.element.intrinsic_name}"
+        function = self.declare(full, kind, operands)
         return self.builder.call(function, operands, fastmath=FAST if is_float(kind) else ())
 
     def by_library(self, name: str, dtype, *operands: Any):
@@ -103,23 +100,20 @@ class LLVMEmitter(Unrolling):
         full = name + ("f" if dtype == np.float32 else "")
         if not in_library(full):
             raise UnsupportedPrimitive(name)
-        function = builder.module.globals.get(full)
-        if function is None:
-            function = ir.Function(
-                builder.module, ir.FunctionType(kind, [kind] * len(operands)), full
-            )
         result = ir.Constant(self.type(dtype), ir.Undefined)
         for lane in range(self.lanes):
             place = ir.Constant(ir.IntType(32), lane)
             values = [builder.extract_element(operand, place) for operand in operands]
+            function = self.declare(full, kind, values)
             result = builder.insert_element(result, builder.call(function, values), place)
         return result
 
-    @staticmethod
-    def letter(kind) -> str:
-        if isinstance(kind, ir.IntType):
-            return f"i{kind.width}"
-        return "f64" if isinstance(kind, ir.DoubleType) else "f32"
+    def declare(self, name: str, kind: ir.Type, operands) -> ir.Function:
+        """A function from outside of the program, with a result of a type."""
+        module = self.builder.module
+        if name not in module.globals:
+            ir.Function(module, ir.FunctionType(kind, [one.type for one in operands]), name)
+        return module.globals[name]
 
     # Values.
 
@@ -127,6 +121,13 @@ class LLVMEmitter(Unrolling):
         if isinstance(value, jax.Array):
             value = np.asarray(value)
         return super().entries_of(value)
+
+    def apply(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
+        try:
+            return super().apply(equation, operands)
+        except UnsupportedPrimitive as error:
+            error.line = error.line or line_of(equation)
+            raise
 
     def evaluate_term(
         self, primitive: Primitive, params: dict, operands: list, dtypes: list
@@ -256,6 +257,16 @@ def implemented_in_jax(primitive: Primitive) -> bool:
     return inspect.isfunction(primitive.impl) and not primitive.impl.__module__.startswith("jax.")
 
 
+def line_of(equation) -> str | None:
+    """The line of a user's code that an equation comes from, if that is known."""
+    traceback = equation.source_info.traceback
+    for frame in traceback.frames if traceback else ():
+        file = Path(frame.file_name)
+        if file.exists() and not any(map(file.is_relative_to, INSTALLED)):
+            return f"line {frame.line_num} of {file.name}"
+    return None
+
+
 LLVMEmitter.rules = {
     **Unrolling.rules,
     **dict.fromkeys(CALLS_WITH_DERIVATIVES, LLVMEmitter.call),
@@ -276,72 +287,34 @@ def emit(closed: ClosedJaxpr, operands: list, results: list, bits: int) -> str:
     """
     floats = [dtype.itemsize for _, dtype in (*operands, *results) if is_floating(dtype)]
     lanes = bits // 8 // max(floats, default=8)
+    arguments = [LONG, LONG, ADDRESS.as_pointer(), LONG.as_pointer()]
     module = ir.Module("kernel")
-    number, pointer = ir.IntType(64), ir.IntType(8).as_pointer()
-    arguments = [number, number, pointer.as_pointer(), number.as_pointer()]
     function = ir.Function(module, ir.FunctionType(ir.VoidType(), arguments), "kernel")
     start, stop, addresses, strides = function.args
     before, head, turn, done = map(function.append_basic_block, ("before", "head", "turn", "done"))
     builder = ir.IRBuilder(before)
     emitter = LLVMEmitter(builder, lanes)
-    long = lambda value: ir.Constant(number, value)
-    lane = lambda value: ir.Constant(ir.IntType(32), value)
-
-    def in_memory(dtype):
-        return ir.IntType(8) if dtype.kind == "b" else emitter.scalar_type(dtype)
-
-    def array_at(i: int, dtype):
-        address = builder.load(builder.gep(addresses, [long(i)]))
-        return builder.bitcast(address, in_memory(dtype).as_pointer())
-
-    arrays = [array_at(i, dtype) for i, (_, dtype) in enumerate((*operands, *results))]
-    steps = [builder.load(builder.gep(strides, [long(i)])) for i in range(len(operands))]
-    last = builder.sub(stop, long(1))
+    memory = Memory(emitter, addresses)
+    arrays = [memory.array(i, dtype) for i, (_, dtype) in enumerate((*operands, *results))]
+    steps = [builder.load(builder.gep(strides, [LONG(i)])) for i in range(len(operands))]
+    last = builder.sub(stop, LONG(1))
     builder.branch(head)
 
     builder.position_at_end(head)
-    first = builder.phi(number)
+    first = builder.phi(LONG)
     first.add_incoming(start, before)
     builder.cbranch(builder.icmp_signed("<", first, stop), turn, done)
 
     builder.position_at_end(turn)
-    # Lanes beyond the last cell compute that cell again, and write the same results.
-    cells = []
-    for i in range(lanes):
-        mine = builder.add(first, long(i))
-        cells.append(builder.select(builder.icmp_signed("<", mine, last), mine, last))
-
-    def load_operand(array, step, shape, dtype) -> np.ndarray:
-        """The entries of an operand, each a vector with the value of each lane's cell."""
-        begins = [builder.mul(cell, step) for cell in cells]
-        values = np.empty(shape, object)
-        for i, place in enumerate(np.ndindex(*shape)):
-            vector = ir.Constant(ir.VectorType(in_memory(dtype), lanes), ir.Undefined)
-            for j, begin in enumerate(begins):
-                value = builder.load(builder.gep(array, [builder.add(begin, long(i))]))
-                vector = builder.insert_element(vector, value, lane(j))
-            if dtype.kind == "b":
-                vector = builder.trunc(vector, emitter.type(dtype))
-            values[place] = vector
-        return values
-
+    memory.take_cells(first, last)
     inputs = [
-        load_operand(array, step, shape, dtype)
-        for array, step, (shape, dtype) in zip(arrays, steps, operands, strict=False)
+        memory.load(array, step, *operand)
+        for array, step, operand in zip(arrays, steps, operands, strict=False)
     ]
     outputs = emitter.interpret(closed, inputs)
-    for array, output, (shape, dtype) in zip(
-        arrays[len(operands) :], outputs, results, strict=True
-    ):
-        begins = [builder.mul(cell, long(math.prod(shape))) for cell in cells]
-        for i, place in enumerate(np.ndindex(*shape)):
-            vector = emitter.vector(output[place], dtype)
-            if dtype.kind == "b":
-                vector = builder.zext(vector, ir.VectorType(in_memory(dtype), lanes))
-            for j, begin in enumerate(begins):
-                value = builder.extract_element(vector, lane(j))
-                builder.store(value, builder.gep(array, [builder.add(begin, long(i))]))
-    first.add_incoming(builder.add(first, long(lanes)), builder.block)
+    for array, output, result in zip(arrays[len(operands) :], outputs, results, strict=True):
+        memory.store(array, output, *result)
+    first.add_incoming(builder.add(first, LONG(lanes)), builder.block)
     builder.branch(head)
     builder.position_at_end(done)
     builder.ret_void()

@@ -28,7 +28,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from walker_jax.kernels.kernel import Kernel
+from walker_jax.kernels.compiled import Compiled
 from walker_jax.kernels.machine import load_program
 
 VERSION = 0, 3
@@ -76,24 +76,24 @@ Equal kernels share one. None is ever removed, as it is unknown whether a progra
 """
 
 
-def target(kernel: Kernel) -> str:
+def target(compiled: Compiled) -> str:
     """The name under which XLA knows a kernel; registers the kernel on the first call."""
     buffers = [
         (XLA_TYPE_CODES[dtype.name], len(shape), math.prod(shape))
-        for shape, dtype in (*kernel.operands, *kernel.results)
+        for shape, dtype in (*compiled.operands, *compiled.results)
     ]
     # The name is the same in every process: programs that XLA keeps on disk refer to it.
-    digest = hashlib.sha256(repr((kernel.digest, buffers)).encode()).hexdigest()
+    digest = hashlib.sha256(repr((compiled.digest, buffers)).encode()).hexdigest()
     name = f"walker_jax_{digest[:32]}"
     with registration_lock:
         if name not in registrations:
-            registrations[name] = register(name, kernel, buffers)
+            registrations[name] = register(name, compiled, buffers)
     return name
 
 
-def register(name: str, kernel: Kernel, buffers: list[tuple[int, int, int]]) -> Any:
-    address = ctypes.cast(kernel.run, ctypes.c_void_p).value
-    head = [address, len(kernel.operands), len(kernel.results), *CELLS_PER_PIECE]
+def register(name: str, compiled: Compiled, buffers: list[tuple[int, int, int]]) -> Any:
+    address = ctypes.cast(compiled.run, ctypes.c_void_p).value
+    head = [address, len(compiled.operands), len(compiled.results), *CELLS_PER_PIECE]
     description = np.array([*head, *itertools.chain(*buffers)], np.int64)
     handler = ctypes.cast(load_handler().get_function_address("handle"), ctypes.c_void_p).value
     stub = STUB_PROGRAM.format(handler=handler, description=description.ctypes.data)
@@ -101,7 +101,7 @@ def register(name: str, kernel: Kernel, buffers: list[tuple[int, int, int]]) -> 
     call = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p)(program.get_function_address("stub"))
     jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(call), platform="cpu")
     jax.ffi.register_ffi_target_as_batch_partitionable(name)
-    return kernel, description, program
+    return compiled, description, program
 
 
 @functools.cache

@@ -1,7 +1,7 @@
 """Functions of one cell as a JAX primitive, which is a kernel on a CPU.
 
-`by_kernel` turns a function into one primitive of JAX. It is compiled separately, and works under
-`jit`, `vmap`, `scan` and every other transformation. On a CPU the primitive calls machine code
+A program becomes one primitive of JAX. It is compiled separately, and works under `jit`, `vmap`,
+`scan` and every other transformation. On a CPU the primitive calls machine code
 (`ffi`). On other devices, and for a function without a kernel, XLA compiles the same function.
 
 Each `vmap` adds an axis of cells; all cells share an operand that no `vmap` maps over. Cells need
@@ -14,11 +14,8 @@ mode computes the Jacobian in forward mode, column by column, and multiplies it 
 so no loop runs backwards. That suits functions of few numbers.
 """
 
-import contextlib
 import functools
-import itertools
 import math
-from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -26,21 +23,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import ShapedArray
-from jax.extend.core import Primitive, jaxpr_as_fun, jaxprs_in_params
+from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 from jax.sharding import PartitionSpec
 
-from walker_jax.kernels import ffi, machine
-from walker_jax.kernels.code_alone import code_of_program
-from walker_jax.kernels.jaxprs import shape_dtype
-from walker_jax.kernels.kernel import Kernel, without_garbage_collection
-from walker_jax.kernels.outside_code import states_of
-from walker_jax.kernels.program_cache import Traced, digest_of, keep_trace, name_of, recall_trace
-from walker_jax.kernels.rules import UnsupportedPrimitive
+from walker_jax.kernels import ffi
+from walker_jax.kernels.program import (
+    MAX_PROGRAMS,
+    Program,
+    apply_settings,
+    is_real,
+    tracing_for_kernel,
+)
 from walker_jax.kernels.sharding import is_divided, lower_divided
 
-MAX_PROGRAMS = 256
-"""Most functions that are kept compiled; those used least recently are dropped."""
 MAX_OPERATIONS = 4000, 20000
 """Most operations in a derivative along two directions at once, and along more than two.
 
@@ -50,212 +46,17 @@ two four fifths, which seldom repays the compilation.
 """
 MAX_DIRECTIONS = 32
 """Most directions at once: each number of directions needs a program of its own."""
-tracing_for_kernel = jax.make_user_context(False)
-"""True while a function is traced for a kernel: the functions it calls become part of it."""
-
-
-class Program:
-    """A pure function of arrays of one cell; its kernel and derivatives are made when needed."""
-
-    def __init__(
-        self,
-        function: Callable[..., list],
-        operands: Sequence,
-        settings: tuple,
-        origin: "tuple[Program, tuple[int, ...], int] | None" = None,
-        name: str | None = None,
-        avals: tuple[list[ShapedArray], list[ShapedArray]] | None = None,
-    ):
-        self.settings = settings
-        """Contexts and their values, under which the function and its derivatives are traced."""
-        self.trace = lambda: jax.make_jaxpr(function)(*operands)
-        self.name = name
-        """Under which its trace is on disk, or will be; None if it cannot be."""
-        self.traced = recall_trace(name)
-        """What is known of the function without a trace."""
-        if avals is None:
-            known = self.traced
-            avals = (known.operands, known.results) if known else self.avals_by_trace()
-        self.operands, self.results = avals
-        """Abstract values: given for a derivative, which is often only the origin of another."""
-        self.origin = origin
-        """Of a derivative: its program, the operands it is taken by, the number of directions."""
-        first = len(self.operands) if origin is None else len(origin[0].operands)
-        self.linear = frozenset(range(first, len(self.operands)))
-        """Operands in which the function is jointly linear: the directions of a derivative."""
-        self.derivatives: dict[tuple, Program] = {}
-        self.tree: Any = self.traced.tree if self.traced else None
-        """The tree of the results; None of a derivative."""
-
-    def avals_by_trace(self) -> tuple[list[ShapedArray], list[ShapedArray]]:
-        return self.closed.in_avals, self.closed.out_avals
-
-    @functools.cached_property
-    def closed(self):
-        """The jaxpr."""
-        settings = apply_settings(self.settings)
-        with settings, tracing_for_kernel(True), without_garbage_collection():
-            return self.trace()
-
-    @functools.cached_property
-    def kernel(self) -> Kernel | None:
-        """Its machine code; None if it holds what kernels do not support, or they are off."""
-        if machine.switched_off():
-            return None
-        if self.traced is not None:
-            kernel = Kernel.recall(self.operands, self.results, self.traced.digest)
-            if kernel is not None:
-                return kernel
-        try:
-            kernel = Kernel(self.closed)
-        except UnsupportedPrimitive:
-            return None
-        found = Traced(self.operands, self.results, self.tree, self.size, kernel.digest)
-        keep_trace(self.name, found)
-        return kernel
-
-    @property
-    def function(self) -> Callable[..., list]:
-        """The function in JAX's own primitives, evaluated from its jaxpr."""
-        return jaxpr_as_fun(self.closed)
-
-    @functools.cached_property
-    def size(self) -> int:
-        """The number of operations of one cell."""
-        return self.traced.size if self.traced else count_operations(self.closed.jaxpr)
-
-    def derivative(self, by: tuple[int, ...], directions: int = 1) -> "Program":
-        """The derivative of all real results along directions of the operands `by`.
-
-        Its operands are those of this program, followed by the tangents of each of `by`. Tangents
-        and results have a leading axis of directions.
-        """
-        if (by, directions) not in self.derivatives:
-            real = list(map(is_real, self.results))
-
-            def along(*values):
-                point, tangents = list(values[: len(self.operands)]), values[len(self.operands) :]
-
-                def of_some(*some):
-                    for i, value in zip(by, some, strict=True):
-                        point[i] = value
-                    return list(itertools.compress(self.function(*point), real))
-
-                some = tuple(point[i] for i in by)
-                one = lambda *tangents: jax.jvp(of_some, some, tangents)[1]
-                if directions != 1:
-                    return jax.vmap(one)(*tangents)
-                # Equal to the line above with one direction, and traced in half the time.
-                return [change[None] for change in one(*(tangent[0] for tangent in tangents))]
-
-            many = lambda aval: aval.update(shape=(directions, *aval.shape))
-            operands = [*self.operands, *(many(self.operands[i]) for i in by)]
-            avals = operands, [many(aval) for aval in itertools.compress(self.results, real)]
-            name = digest_of((self.name, by, directions)) if self.name else None
-            like, origin = list(map(shape_dtype, operands)), (self, by, directions)
-            program = Program(along, like, self.settings, origin, name, avals)
-            self.derivatives[by, directions] = program
-        return self.derivatives[by, directions]
-
-
-def count_operations(jaxpr) -> int:
-    """The number of scalars that a jaxpr computes, each loop counted for one turn."""
-    total = 0
-    for equation in jaxpr.eqns:
-        inner = list(jaxprs_in_params(equation.params))
-        total += sum(map(count_operations, inner))
-        total += 0 if inner else sum(math.prod(v.aval.shape) for v in equation.outvars)
-    return total
-
-
-def is_real(aval) -> bool:
-    return jnp.issubdtype(aval.dtype, jnp.floating)
-
-
-def is_complex(aval) -> bool:
-    return jnp.issubdtype(aval.dtype, jnp.complexfloating)
-
 
 kernel_p = Primitive("kernel")
 kernel_p.multiple_results = True
-programs: OrderedDict = OrderedDict()
-"""By function, shapes, types, settings and states of a user's own code: its program and the tree of
-its results."""
-MODES = {
-    "jax_enable_x64": jax.enable_x64,
-    "jax_numpy_dtype_promotion": jax.numpy_dtype_promotion,
-}
-"""Settings of JAX on which the results of a function depend, and the contexts that set them."""
 
 
-def current_settings() -> tuple[tuple[Any, Any], ...]:
-    """The contexts and their values in this thread."""
-    return tuple((context, getattr(jax.config, mode)) for mode, context in MODES.items())
-
-
-@contextlib.contextmanager
-def apply_settings(settings: tuple[tuple[Any, Any], ...]):
-    """Enters the contexts with these values, recorded at another time or in another thread."""
-    with contextlib.ExitStack() as now:
-        for context, value in settings:
-            now.enter_context(context(value))
-        yield
-
-
-def program_of(function: Callable, structure, avals: Sequence) -> tuple[Program, Any]:
-    """The program of a function for these shapes and types, and the tree of its results."""
-    function = getattr(function, "of_one_cell", function)  # undoes `by_kernel`
-    settings, states = current_settings(), states_of(function, structure)
-    kinds = ((x.shape, x.dtype, x.weak_type) for x in avals)
-    key = function, structure, settings, states, *kinds
-    if key in programs:
-        programs.move_to_end(key)
-        return programs[key]
-    results: Any = None
-
-    def flat(*leaves):
-        nonlocal results
-        with code_of_program(states):
-            found, results = jax.tree.flatten(function(*jax.tree.unflatten(structure, leaves)))
-        return found
-
-    name = None if machine.switched_off() else name_of(function, structure, avals, settings)
-    program = Program(flat, list(map(shape_dtype, avals)), settings, name=name)
-    if program.tree is None:
-        program.tree = results
-    programs[key] = program, program.tree
-    while len(programs) > MAX_PROGRAMS:
-        programs.popitem(last=False)
-    return programs[key]
-
-
-def by_kernel(function: Callable) -> Callable:
-    """Turns a pure function of arrays of one cell into a JAX primitive.
-
-    The function may depend on its arguments alone, PyTrees of arrays or numbers, and on no named
-    axis. A function of complex numbers is returned unchanged, since its real derivatives are not
-    linear over them. A function with a `jax.custom_vjp` has forward-mode derivatives only where JAX
-    has them.
-    """
-
-    @functools.wraps(function)
-    def call(*args):
-        leaves, structure = jax.tree.flatten(args)
-        leaves = list(map(jnp.asarray, leaves))
-        avals = list(map(jax.typeof, leaves))
-        if any(map(is_complex, avals)):
-            return function(*args)
-        program, results = program_of(function, structure, avals)
-        if any(map(is_complex, program.results)):
-            return function(*args)
-        leaves = vary_alike(list(map(without_weak_type, leaves)))
-        if tracing_for_kernel.value:
-            return jax.tree.unflatten(results, program.function(*leaves))
-        outputs = kernel_p.bind(*leaves, program=program, mapped=(0,) * len(leaves))
-        return jax.tree.unflatten(results, outputs)
-
-    vars(call)["of_one_cell"] = function  # by which `program_of` knows it
-    return call
+def call_program(program: Program, leaves: Sequence[jax.Array]) -> list[jax.Array]:
+    """The results of a program by its primitive; by its own equations within another kernel."""
+    leaves = vary_alike(list(map(without_weak_type, leaves)))
+    if tracing_for_kernel.value:
+        return program.function(*leaves)
+    return kernel_p.bind(*leaves, program=program, mapped=(0,) * len(leaves))
 
 
 def cells_shape(values: Sequence, mapped: Sequence[int]) -> tuple[int, ...]:
@@ -269,11 +70,11 @@ def compute(*operands, program: Program, mapped: tuple[int, ...]):
     default = jnp.zeros(()).devices()
     here = all(x.devices() == default for x in operands if isinstance(x, jax.Array))
     on_cpu = all(device.platform == "cpu" for device in default)
-    if not (here and on_cpu) or program.kernel is None:
+    if not (here and on_cpu) or program.compiled is None:
         return jit_call(program, mapped)(*operands)
     cells = cells_shape(operands, mapped)
     n = math.prod(cells)
-    run, results = program.kernel.bind(operands, list(map(bool, mapped)), n)
+    run, results = program.compiled.bind(operands, list(map(bool, mapped)), n)
     run(0, n)
     with apply_settings(program.settings):
         return [jnp.asarray(result.reshape((*cells, *result.shape[1:]))) for result in results]
@@ -336,9 +137,9 @@ def compute_by_xla(*operands, program: Program, mapped: tuple[int, ...]):
 
 def lower_on_cpu(ctx, *operands, program: Program, mapped: tuple[int, ...]):
     exported = ctx.module_context.lowering_parameters.for_export
-    if exported or program.kernel is None or not ffi.available():
+    if exported or program.compiled is None or not ffi.available():
         return lower_to_xla(ctx, *operands, program=program, mapped=mapped)
-    target = ffi.target(program.kernel)
+    target = ffi.target(program.compiled)
     if any(mapped) and is_divided(ctx):
         return lower_divided(ctx, operands, target, mapped, cells_shape(ctx.avals_in, mapped))
     return jax.ffi.ffi_lowering(target)(ctx, *operands)

@@ -47,7 +47,7 @@ OPTIONS = (
     *("jax_enable_custom_prng", "jax_numpy_rank_promotion", "jax_softmax_custom_jvp"),
     *("jax_threefry_partitionable", "jax_use_direct_linearize", "jax_debug_nans"),
 )
-"""Settings of JAX on which a trace may depend, besides those of `primitive.MODES`."""
+"""Settings of JAX on which a trace may depend, besides those of `program.MODES`."""
 ADDRESS = re.compile(r" at 0x[0-9a-f]+")
 
 

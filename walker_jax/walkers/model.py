@@ -26,7 +26,7 @@ from walker_jax.grids import Grid
 from walker_jax.hybrid.modes import Condition, Foregone, Guard, Mode
 from walker_jax.integrators.roots import Scalar
 from walker_jax.integrators.taylor import VectorField
-from walker_jax.kernels import by_kernel
+from walker_jax.kernels import kernel
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
@@ -358,7 +358,7 @@ def least_scuff(length: Scalar) -> Scalar:
     return LEAST_SCUFF[jnp.dtype(jnp.result_type(length))] * length
 
 
-@by_kernel
+@kernel
 def toppling_rate(walker: Walker) -> Scalar:
     """The rate at which a walker topples, legs together, from rest.
 

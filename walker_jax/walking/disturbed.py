@@ -11,7 +11,7 @@ from jax import lax
 from jaxtyping import Array, Float, Int
 
 from walker_jax.integrators.integrator import Integrator
-from walker_jax.kernels import by_kernel
+from walker_jax.kernels import kernel
 from walker_jax.systems.outcomes import Outcome, Stride
 from walker_jax.walkers.model import Scalar, Walker
 from walker_jax.walkers.parameters import with_parameter
@@ -40,7 +40,7 @@ class DisturbedWalk(NamedTuple):
     """Number of completed strides."""
 
 
-@by_kernel
+@kernel
 def follow_disturbed(
     walker: Walker,
     x: Float[Array, " coordinates"],

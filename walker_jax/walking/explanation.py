@@ -19,7 +19,7 @@ from walker_jax.hybrid.modes import Condition, Mode
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.method import MAX_STEPS
 from walker_jax.integrators.roots import Real
-from walker_jax.kernels import by_kernel
+from walker_jax.kernels import kernel
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.outcomes import Outcome, name_of_outcome
 from walker_jax.systems.system import System
@@ -286,13 +286,13 @@ def record_mode(
         values = [guard.value(ways[-1]) for guard in mode.guards]
         return ways[-1], values, [[value(y) for y in ways] for value in conditions.values()]
 
-    @by_kernel
+    @kernel
     def step(state, memory):
         series, end, length, memory = method.step(state, memory)
         polynomials = along(mode, series, whole=True)
         return series, end, length, memory, polynomials, look(state, series, length)
 
-    end_at = by_kernel(look)
+    end_at = kernel(look)
     rises: list[Rise] = []
     time, count, memory = 0.0, 0, method.first_memory(state)
     below = [value <= 0 for value in values]

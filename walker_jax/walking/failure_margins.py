@@ -25,7 +25,7 @@ from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.method import zero_at
 from walker_jax.integrators.roots import Real
 from walker_jax.integrators.taylor import with_fast_sincos
-from walker_jax.kernels import by_kernel
+from walker_jax.kernels import kernel
 from walker_jax.systems.hybrid_system import HybridSystem
 from walker_jax.systems.outcomes import OWN, Outcome, Stride
 from walker_jax.systems.system import System, apply_map
@@ -124,7 +124,7 @@ def failure_margin(found: Margins) -> Scalar:
     return by
 
 
-@by_kernel
+@kernel
 def follow_margins(
     walker: System, x: Float[Array, " coordinates"], integrator: Integrator
 ) -> Margins:

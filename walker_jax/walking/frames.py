@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float
 
 from walker_jax.hybrid.modes import Mode
 from walker_jax.integrators.integrator import Integrator
-from walker_jax.kernels import by_kernel
+from walker_jax.kernels import kernel
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.walkers.model import Walker
 from walker_jax.walking.starts import during_stride, prepare
@@ -24,7 +24,7 @@ from walker_jax.walking.stride import (
 from walker_jax.walking.trajectories import legs, trajectory
 
 
-@by_kernel
+@kernel
 def ends_of_modes(
     walker: Walker,
     x: Float[Array, " coordinates"],

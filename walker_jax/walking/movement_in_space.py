@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from walker_jax.kernels import by_kernel
+from walker_jax.kernels import kernel
 from walker_jax.walkers.rolling_stance import SpatialState
 from walker_jax.walkers.spatial import SpatialWalker, on_ground
 
@@ -33,7 +33,7 @@ def move_in_space(
     return angles, places, foot + mirror * sole[-1]
 
 
-@by_kernel
+@kernel
 def places_of(
     walker: SpatialWalker, state: SpatialState
 ) -> tuple[Float[jax.Array, "places 3"], Float[jax.Array, " 3"]]:

@@ -27,7 +27,7 @@ from walker_jax.integrators.integrator import AnySolver, Integrator
 from walker_jax.integrators.method import Method, zero_at
 from walker_jax.integrators.roots import Real
 from walker_jax.integrators.taylor import with_fast_sincos
-from walker_jax.kernels import by_kernel
+from walker_jax.kernels import kernel
 from walker_jax.systems.hybrid_system import HybridSystem, check_outcomes
 from walker_jax.systems.outcomes import Outcome, Stride, make_stride
 from walker_jax.systems.system import System, apply_map
@@ -110,7 +110,7 @@ def stride(
     return follow_step(check_planar(walker), x, height_of_step(step, x.dtype), integrator)
 
 
-@by_kernel
+@kernel
 def follow_stride(
     walker: System,
     x: Float[Array, " coordinates"],
@@ -314,7 +314,7 @@ def height_of_step(step: Any, dtype) -> Float[Array, ""]:
     return jnp.asarray(step, dtype)
 
 
-@by_kernel
+@kernel
 def follow_step(
     walker: Walker,
     x: Float[Array, " coordinates"],

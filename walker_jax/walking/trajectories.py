@@ -15,7 +15,7 @@ from walker_jax.checks import WrongUse
 from walker_jax.hybrid.modes import Mode
 from walker_jax.integrators.integrator import AnySolver, Integrator
 from walker_jax.integrators.roots import Real
-from walker_jax.kernels import by_kernel
+from walker_jax.kernels import kernel
 from walker_jax.systems.outcomes import Outcome, nan_unless
 from walker_jax.walkers.model import Scalar, State, Walker
 from walker_jax.walking.starts import as_floating, during_stride, full_state, prepare
@@ -57,7 +57,7 @@ def trajectory(
     return jax.vmap(state_after, (None, None, 0, None))(walker, x, times, integrator)
 
 
-@by_kernel
+@kernel
 def state_after(
     walker: Walker,
     x: Float[Array, " coordinates"],
@@ -111,7 +111,7 @@ def phase_times(
     return follow_phase_times(*prepare(walker, x, tolerance, solver))
 
 
-@by_kernel
+@kernel
 def follow_phase_times(
     walker: Walker, x: Float[Array, " coordinates"], integrator: Integrator
 ) -> Float[Array, " phases"]:

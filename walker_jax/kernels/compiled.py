@@ -22,8 +22,8 @@ MAX_NUMBERS = 1000
 """Most numbers in the operands and results of one cell: the program has code for each of them."""
 
 
-class Kernel:
-    """A compiled function of some operands, for arrays of cells."""
+class Compiled:
+    """The machine code of a jaxpr of one cell."""
 
     def __init__(self, closed: ClosedJaxpr):
         """Compiles the jaxpr. Raises `UnsupportedPrimitive` for what kernels do not support."""
@@ -43,16 +43,16 @@ class Kernel:
         jax.monitoring.record_event_duration_secs("/walker_jax/compile_kernel", seconds)
 
     @classmethod
-    def recall(cls, operands: Sequence, results: Sequence, digest: str) -> "Kernel | None":
-        """A kernel of these abstract values whose machine code is on disk, else None."""
+    def recall(cls, operands: Sequence, results: Sequence, digest: str) -> "Compiled | None":
+        """The code for these abstract values if it is on disk, else None."""
         engine = recall_program(digest)
         if engine is None:
             return None
-        kernel = object.__new__(cls)
-        kernel.operands, kernel.results = shapes_and_types(operands), shapes_and_types(results)
-        kernel.digest = digest
-        kernel.begin(engine)
-        return kernel
+        found = object.__new__(cls)
+        found.operands, found.results = shapes_and_types(operands), shapes_and_types(results)
+        found.digest = digest
+        found.begin(engine)
+        return found
 
     def begin(self, engine: Any) -> None:
         """Keep a program in memory, and find its entry."""

@@ -1,0 +1,152 @@
+"""A function of one cell made a kernel by a decorator, and why a function has no kernel."""
+
+import functools
+import inspect
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from walker_jax.checks import WrongUse, short
+from walker_jax.kernels.primitive import call_program
+from walker_jax.kernels.program import Program, program_of
+
+
+def kernel(
+    function: Callable | None = None, *, static_argnames: str | Sequence[str] = ()
+) -> Callable:
+    """Makes a kernel of a pure JAX function of one cell; a decorator.
+
+    A kernel is called as its function is, and `jax.vmap` maps it over cells. On a CPU it is machine
+    code that works on as many cells at once as a register holds, and on all cores under `jax.jit`.
+    On other devices, and where `why_not` gives a reason, XLA computes the same function.
+
+    `jit`, `vmap`, `jvp`, `vjp`, `grad`, `scan`, `shard_map` and all other transformations of JAX
+    apply. Reverse mode multiplies by the Jacobian, which is computed in forward mode. So it passes
+    a `lax.while_loop`, and suits functions of few numbers. A function with a `jax.custom_vjp` in it
+    has no derivatives.
+
+    **Arguments:**
+
+    - `function`: of PyTrees of arrays and numbers, which returns another. It may depend on its
+      arguments alone, and on no named axis. With complex arguments or results, the kernel is the
+      function itself.
+    - `static_argnames`: names of arguments that are hashable values and no arrays, such as a method
+      or a number of terms. Each value has a program of its own.
+
+    **Returns** the kernel, or a decorator if no function is given.
+
+    **Raises** `WrongUse` for names that are no arguments. The kernel raises it for an argument that
+    holds something else than arrays and numbers and is not static, and for a function that depends
+    on a traced value around it.
+    """
+    if function is None:
+        return functools.partial(kernel, static_argnames=static_argnames)
+    if not callable(function):
+        raise WrongUse(f"function must be a function, not {short(function)}")
+    static = [static_argnames] if isinstance(static_argnames, str) else list(static_argnames)
+    if unknown := set(static) - {*(inspect.signature(function).parameters if static else ())}:
+        raise WrongUse(f"static_argnames must be arguments of the function, not {min(unknown)!r}")
+
+    @functools.wraps(function, updated=())
+    def of_given(given: Given):
+        return function(*given.args, **given.kwargs, **{name: x for name, _, x in given.static})
+
+    def find_program(args: tuple, kwargs: dict):
+        """`program_for` the function itself, or of what it is given by name."""
+        try:
+            if static or kwargs:
+                return program_for(of_given, (given_to(function, static, args, kwargs),))
+            return program_for(function, args)
+        except TypeError:
+            refuse_others(inspect.signature(function).bind(*args, **kwargs).arguments, static)
+            raise
+
+    @functools.wraps(function)
+    def call(*args, **kwargs):
+        found = find_program(args, kwargs)
+        if found is None:
+            return function(*args, **kwargs)
+        program, leaves, results = found
+        return jax.tree.unflatten(results, call_program(program, leaves))
+
+    vars(call).update(of_one_cell=function, find_program=find_program)
+    return call
+
+
+def why_not(function: Callable, *args: Any, **kwargs: Any) -> str | None:
+    """Says in one line why a function of one cell has no kernel for these arguments.
+
+    **Arguments:**
+
+    - `function`: of one cell, made a kernel or not.
+    - `args`, `kwargs`: its arguments for one cell, of which only the shapes and types matter.
+
+    **Returns** the reason, with the line of the function where there is one, or `None` if there is
+    a kernel, which is then compiled.
+    """
+    platform = next(iter(jnp.zeros(()).devices())).platform
+    if platform != "cpu":
+        return f"arrays are on a {platform}, and kernels are for a CPU"
+    if not hasattr(function, "find_program"):
+        function = kernel(function)
+    found = vars(function)["find_program"](args, kwargs)
+    if found is None:
+        return "kernels do not support complex numbers"
+    program, *_ = found
+    return None if program.compiled else program.why_not
+
+
+def program_for(function: Callable, args: tuple) -> tuple[Program, list[jax.Array], Any] | None:
+    """The program for these arguments, their leaves, and the tree of the results.
+
+    None where some of them are complex: real derivatives are not linear over complex numbers.
+    """
+    leaves, structure = jax.tree.flatten(args)
+    leaves = list(map(jnp.asarray, leaves))
+    if any(map(jnp.iscomplexobj, leaves)):
+        return None
+    program, results = program_of(function, structure, list(map(jax.typeof, leaves)))
+    is_complex = (jnp.issubdtype(aval.dtype, jnp.complexfloating) for aval in program.results)
+    return None if any(is_complex) else (program, leaves, results)
+
+
+# --------------------------------------------------------------------------- arguments by name
+
+
+@functools.partial(
+    jax.tree_util.register_dataclass, data_fields=["args", "kwargs"], meta_fields=["static"]
+)
+@dataclass
+class Given:
+    """Arguments of a call: arrays by position and by name, and static values by name."""
+
+    args: tuple
+    kwargs: Mapping[str, Any]
+    static: tuple[tuple[str, type, Hashable], ...]
+    """With their types, since `1`, `1.0` and `True` are equal."""
+
+
+def given_to(function: Callable, static: Sequence[str], args: tuple, kwargs: dict) -> Given:
+    """The arguments of a call, of which some are static."""
+    given = inspect.signature(function).bind(*args, **kwargs)
+    values = [(name, given.arguments.pop(name)) for name in static if name in given.arguments]
+    for name, value in values:
+        if not isinstance(value, Hashable):
+            raise WrongUse(f"{name} is static and must be hashable, not {short(value)}")
+    return Given(given.args, given.kwargs, tuple((name, type(x), x) for name, x in values))
+
+
+def refuse_others(given: Mapping[str, Any], static: Sequence[str]) -> None:
+    """Raises `WrongUse` for the first argument that is not static and holds no array or number."""
+    for name, value in given.items():
+        for leaf in () if name in static else jax.tree.leaves(value):
+            try:
+                jnp.asarray(leaf)
+            except TypeError:
+                raise WrongUse(
+                    f"{name} must hold arrays and numbers alone, not {short(leaf)}: "
+                    "name it in static_argnames"
+                ) from None

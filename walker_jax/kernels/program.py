@@ -1,0 +1,212 @@
+"""A function of one cell as a program, which has machine code and derivatives of its own.
+
+A program is traced for the shapes and types of its arguments, and for the settings of JAX under
+which it is traced. It is kept: the same function of the same arguments is the same program. Its
+machine code is made when it is first needed, and so is each derivative, which is a program too.
+"""
+
+import contextlib
+import functools
+import itertools
+import math
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.core import ShapedArray
+from jax.extend.core import jaxpr_as_fun, jaxprs_in_params
+
+from walker_jax.checks import WrongUse, is_traced
+from walker_jax.kernels import machine
+from walker_jax.kernels.code_alone import code_of_program
+from walker_jax.kernels.compiled import Compiled, without_garbage_collection
+from walker_jax.kernels.jaxprs import shape_dtype
+from walker_jax.kernels.outside_code import states_of
+from walker_jax.kernels.program_cache import Traced, digest_of, keep_trace, name_of, recall_trace
+from walker_jax.kernels.rules import UnsupportedPrimitive
+
+MAX_PROGRAMS = 256
+"""Most functions that are kept compiled; those used least recently are dropped."""
+tracing_for_kernel = jax.make_user_context(False)
+"""True while a function is traced for a kernel: the functions it calls become part of it."""
+
+
+class Program:
+    """A pure function of arrays of one cell; machine code and derivatives are made when needed."""
+
+    def __init__(
+        self,
+        function: Callable[..., list],
+        operands: Sequence,
+        settings: tuple,
+        origin: "tuple[Program, tuple[int, ...], int] | None" = None,
+        name: str | None = None,
+        avals: tuple[list[ShapedArray], list[ShapedArray]] | None = None,
+    ):
+        self.settings = settings
+        """Contexts and their values, under which the function and its derivatives are traced."""
+        self.trace = lambda: jax.make_jaxpr(function)(*operands)
+        self.name = name
+        """Under which its trace is on disk, or will be; None if it cannot be."""
+        self.traced = recall_trace(name)
+        """What is known of the function without a trace."""
+        if avals is None:
+            known = self.traced
+            avals = (known.operands, known.results) if known else self.avals_by_trace()
+        self.operands, self.results = avals
+        """Abstract values: given for a derivative, which is often only the origin of another."""
+        self.origin = origin
+        """Of a derivative: its program, the operands it is taken by, the number of directions."""
+        first = len(self.operands) if origin is None else len(origin[0].operands)
+        self.linear = frozenset(range(first, len(self.operands)))
+        """Operands in which the function is jointly linear: the directions of a derivative."""
+        self.derivatives: dict[tuple, Program] = {}
+        self.tree: Any = self.traced.tree if self.traced else None
+        """The tree of the results; None of a derivative."""
+        self.why_not: str | None = None
+        """Why it has no machine code, once that has been asked for."""
+
+    def avals_by_trace(self) -> tuple[list[ShapedArray], list[ShapedArray]]:
+        return self.closed.in_avals, self.closed.out_avals
+
+    @functools.cached_property
+    def closed(self):
+        """The jaxpr."""
+        settings = apply_settings(self.settings)
+        with settings, tracing_for_kernel(True), without_garbage_collection():
+            closed = self.trace()
+        if is_traced(closed.consts):
+            raise WrongUse(
+                "a kernel must depend on its arguments alone: make the traced value that its "
+                "function reads another argument"
+            )
+        return closed
+
+    @functools.cached_property
+    def compiled(self) -> Compiled | None:
+        """Its machine code; None if there is none, and `why_not` then says why."""
+        if machine.switched_off():
+            self.why_not = f"{machine.VARIABLE} is off"
+            return None
+        if self.traced is not None:
+            compiled = Compiled.recall(self.operands, self.results, self.traced.digest)
+            if compiled is not None:
+                return compiled
+        try:
+            compiled = Compiled(self.closed)
+        except UnsupportedPrimitive as error:
+            self.why_not = f"kernels do not support {error}"
+            return None
+        found = Traced(self.operands, self.results, self.tree, self.size, compiled.digest)
+        keep_trace(self.name, found)
+        return compiled
+
+    @property
+    def function(self) -> Callable[..., list]:
+        """The function in JAX's own primitives, evaluated from its jaxpr."""
+        return jaxpr_as_fun(self.closed)
+
+    @functools.cached_property
+    def size(self) -> int:
+        """The number of operations of one cell."""
+        return self.traced.size if self.traced else count_operations(self.closed.jaxpr)
+
+    def derivative(self, by: tuple[int, ...], directions: int = 1) -> "Program":
+        """The derivative of all real results along directions of the operands `by`.
+
+        Its operands are those of this program, followed by the tangents of each of `by`. Tangents
+        and results have a leading axis of directions.
+        """
+        if (by, directions) not in self.derivatives:
+            real = list(map(is_real, self.results))
+
+            def along(*values):
+                point, tangents = list(values[: len(self.operands)]), values[len(self.operands) :]
+
+                def of_some(*some):
+                    for i, value in zip(by, some, strict=True):
+                        point[i] = value
+                    return list(itertools.compress(self.function(*point), real))
+
+                some = tuple(point[i] for i in by)
+                one = lambda *tangents: jax.jvp(of_some, some, tangents)[1]
+                if directions != 1:
+                    return jax.vmap(one)(*tangents)
+                # Equal to the line above with one direction, and traced in half the time.
+                return [change[None] for change in one(*(tangent[0] for tangent in tangents))]
+
+            many = lambda aval: aval.update(shape=(directions, *aval.shape))
+            operands = [*self.operands, *(many(self.operands[i]) for i in by)]
+            avals = operands, [many(aval) for aval in itertools.compress(self.results, real)]
+            name = digest_of((self.name, by, directions)) if self.name else None
+            like, origin = list(map(shape_dtype, operands)), (self, by, directions)
+            program = Program(along, like, self.settings, origin, name, avals)
+            self.derivatives[by, directions] = program
+        return self.derivatives[by, directions]
+
+
+def count_operations(jaxpr) -> int:
+    """The number of scalars that a jaxpr computes, each loop counted for one turn."""
+    total = 0
+    for equation in jaxpr.eqns:
+        inner = list(jaxprs_in_params(equation.params))
+        total += sum(map(count_operations, inner))
+        total += 0 if inner else sum(math.prod(v.aval.shape) for v in equation.outvars)
+    return total
+
+
+def is_real(aval) -> bool:
+    return jnp.issubdtype(aval.dtype, jnp.floating)
+
+
+programs: OrderedDict = OrderedDict()
+"""By function, shapes, types, settings and states of a user's own code: its program and the tree of
+its results."""
+MODES = {
+    "jax_enable_x64": jax.enable_x64,
+    "jax_numpy_dtype_promotion": jax.numpy_dtype_promotion,
+}
+"""Settings of JAX on which the results of a function depend, and the contexts that set them."""
+
+
+def current_settings() -> tuple[tuple[Any, Any], ...]:
+    """The contexts and their values in this thread."""
+    return tuple((context, getattr(jax.config, mode)) for mode, context in MODES.items())
+
+
+@contextlib.contextmanager
+def apply_settings(settings: tuple[tuple[Any, Any], ...]):
+    """Enters the contexts with these values, recorded at another time or in another thread."""
+    with contextlib.ExitStack() as now:
+        for context, value in settings:
+            now.enter_context(context(value))
+        yield
+
+
+def program_of(function: Callable, structure, avals: Sequence) -> tuple[Program, Any]:
+    """The program of a function for these shapes and types, and the tree of its results."""
+    function = getattr(function, "of_one_cell", function)  # undoes `kernel`
+    settings, states = current_settings(), states_of(function, structure)
+    kinds = ((x.shape, x.dtype, x.weak_type) for x in avals)
+    key = function, structure, settings, states, *kinds
+    if key in programs:
+        programs.move_to_end(key)
+        return programs[key]
+    results: Any = None
+
+    def flat(*leaves):
+        nonlocal results
+        with code_of_program(states):
+            found, results = jax.tree.flatten(function(*jax.tree.unflatten(structure, leaves)))
+        return found
+
+    name = None if machine.switched_off() else name_of(function, structure, avals, settings)
+    program = Program(flat, list(map(shape_dtype, avals)), settings, name=name)
+    if program.tree is None:
+        program.tree = results
+    programs[key] = program, program.tree
+    while len(programs) > MAX_PROGRAMS:
+        programs.popitem(last=False)
+    return programs[key]
