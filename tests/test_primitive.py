@@ -17,7 +17,7 @@ import pytest
 from jax import export, lax
 from jax.extend.core import jaxpr_as_fun
 
-from walker_jax.kernels import ffi, kernel, primitive
+from walker_jax.kernels import ffi, handler, kernel, primitive
 from walker_jax.kernels import program as of_program
 from walker_jax.kernels.program import Program
 
@@ -639,7 +639,7 @@ WRONG = {
 
 @pytest.mark.parametrize("name", WRONG)
 def test_other_buffers_are_refused(name):
-    with pytest.raises(jax.errors.JaxRuntimeError, match=ffi.BUFFER_MISMATCH):
+    with pytest.raises(jax.errors.JaxRuntimeError, match=handler.BUFFER_MISMATCH):
         jax.block_until_ready(call(*WRONG[name]))
 
 

@@ -296,28 +296,17 @@ def pull_back_derivative(cotangents, operands, program: Program, mapped: tuple[i
 
 def pull_back_linear(cotangents, operands, wanted: list[int], program: Program, mapped):
     """Cotangents for a linear function that is not a derivative: it is its own derivative."""
-    point = [
-        jnp.zeros(aval.shape, aval.dtype) if i in wanted else x
-        for i, (x, aval) in enumerate(zip(operands, program.operands, strict=True))
-    ]
-    where = tuple(0 if i in wanted else axes for i, axes in enumerate(mapped))
-    axis = max(mapped)
-    found = pull_back(
-        [
-            ct if isinstance(ct, ad.Zero) else jnp.expand_dims(ct, axis)
-            for ct, result in zip(cotangents, program.results, strict=True)
-            if is_real(result)
-        ],
-        *point,
-        *(operands[i] for i in wanted),
-        program=program.derivative(tuple(wanted)),
-        mapped=(*where, *(mapped[i] for i in wanted)),
-    )
-    parts = dict(zip(wanted, found[len(operands) :], strict=True))
-    return [
-        None if part is None else jnp.squeeze(part, mapped[i])
-        for i, part in ((i, parts.get(i)) for i in range(len(operands)))
-    ]
+
+    def of_wanted(*some):
+        values = list(operands)
+        for i, value in zip(wanted, some, strict=True):
+            values[i] = value
+        return kernel_p.bind(*values, program=program, mapped=mapped)
+
+    anywhere = [jnp.zeros(operands[i].aval.shape, operands[i].aval.dtype) for i in wanted]
+    _, pull = jax.vjp(of_wanted, *anywhere)
+    parts = dict(zip(wanted, pull(list(map(ad.instantiate_zeros, cotangents))), strict=True))
+    return [parts.get(i) for i in range(len(operands))]
 
 
 ad.primitive_transposes[kernel_p] = pull_back

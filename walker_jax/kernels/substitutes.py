@@ -139,19 +139,6 @@ def geqrf() -> Callable:
     return function
 
 
-def householder_product() -> Callable:
-    """The first columns of Q, a product of reflections."""
-
-    def function(a, taus):
-        m, n = a.shape
-        columns = list(jnp.eye(m, n, dtype=a.dtype).T)
-        for k in reversed(range(taus.shape[0])):
-            columns = [reflect(c, unit_vectors(a, k), taus[k]) for c in columns]
-        return [jnp.stack(columns, 1)]
-
-    return function
-
-
 def ormqr(left: bool, transpose: bool) -> Callable:
     """The product of Q or its transpose with a matrix, from the left or the right."""
 
@@ -173,11 +160,10 @@ def qr(*, full_matrices: bool, pivoting: bool, use_magma: bool | None) -> Callab
     def function(a):
         m, n = a.shape
         packed, taus = geqrf()(a)
-        r = jnp.triu(packed if full_matrices else packed[: min(m, n)])
-        if full_matrices and m > n:
-            packed = jnp.concatenate([packed, jnp.zeros((m, m - n), a.dtype)], 1)
-        (q,) = householder_product()(packed[:, : m if full_matrices else min(m, n)], taus)
-        return [q, r]
+        columns = m if full_matrices else min(m, n)
+        eye = jnp.eye(m, columns, dtype=a.dtype)
+        (q,) = ormqr(left=True, transpose=False)(packed, taus, eye)
+        return [q, jnp.triu(packed[:columns])]
 
     return function
 
@@ -268,7 +254,6 @@ SUBSTITUTES: dict[str, Callable[[dict], Callable]] = {
     "argmax": index_of_extremum(lambda a, b: a > b),
     "argmin": index_of_extremum(lambda a, b: a < b),
     "geqrf": map_batches(geqrf, (2,)),
-    "householder_product": map_batches(householder_product, (2, 1)),
     "ormqr": map_batches(ormqr, (2, 1, 2)),
     "qr": map_batches(qr, (2,)),
     "triangular_solve": map_batches(triangular_solve, (2, 2)),
