@@ -18,8 +18,8 @@ from walker_jax.storage.requests import canonical_json
 ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "write-your-own.md"
 VIABILITY = ROOT / "docs" / "viability.md"
-OWN_MAP, OWN_MACHINE, COMING_FROM = (
-    ROOT / "docs" / f"{name}.md" for name in ("own-map", "own-machine", "coming-from")
+OWN_MAP, OWN_MACHINE, COMING_FROM, KERNELS = (
+    ROOT / "docs" / f"{name}.md" for name in ("own-map", "own-machine", "coming-from", "kernels")
 )
 
 
@@ -195,18 +195,20 @@ SLOW = pytest.mark.slow
         pytest.param(COMING_FROM, 0, marks=SLOW),
         (COMING_FROM, 1),
         pytest.param(VIABILITY, 0, marks=SLOW),
+        *((KERNELS, number) for number in range(4)),
     ],
     ids=lambda one: one.stem if isinstance(one, Path) else str(one),
 )
-def test_systems_of_the_pages_give_the_numbers_that_they_assert(page, number):
+def test_programs_of_the_pages_give_the_numbers_that_they_assert(page, number):
     source = programs(page)[number]
     assert "\nassert " in source
     with jax.numpy_dtype_promotion("standard"):  # as those who copy it have
         exec(compile(source, page.name, "exec"), {"__name__": "own"})
 
 
-def test_every_program_of_a_system_is_tested():
-    assert [len(programs(page)) for page in (OWN_MAP, OWN_MACHINE, COMING_FROM)] == [2, 2, 2]
+def test_every_program_of_these_pages_is_tested():
+    pages = OWN_MAP, OWN_MACHINE, COMING_FROM, KERNELS
+    assert [len(programs(page)) for page in pages] == [2, 2, 2, 4]
 
 
 def test_a_map_takes_ten_lines_and_a_runner_forty():

@@ -13,6 +13,7 @@ from mkdocs.structure.files import File
 PACKAGE = Path(__file__).parent.parent.parent / "walker_jax"
 BESIDE = {
     "figures": "walker_jax.figures",
+    "kernels": "walker_jax.kernels",
     "multibody": "walker_jax.multibody",
 }
 """Rooms that users import as they are: `from walker_jax import figures`."""

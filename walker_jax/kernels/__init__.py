@@ -1,5 +1,7 @@
 """Functions of one cell as machine code that works on several cells at once.
 
+`kernel` makes a kernel of a function, and `why_not` says why one has none.
+
 XLA compiles a function that is mapped over a tile of cells into one loop over the tile for each
 fusion of operations. A while loop then runs until the slowest cell of the tile has ended, and an
 intermediate result that several fusions use is computed again in each. Kernels avoid both. The

@@ -1,10 +1,10 @@
 """A jaxpr of one cell as an LLVM program, in which each number is a vector with a lane per cell."""
 
 import contextlib
+import functools
 import inspect
 import math
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any, no_type_check
 
@@ -175,7 +175,7 @@ class LLVMEmitter(Unrolling):
         if primitive.name in SUBSTITUTES:
             function = SUBSTITUTES[primitive.name](params)
         elif implemented_in_jax(primitive):
-            function = partial(primitive.impl, **params)
+            function = functools.partial(primitive.impl, **params)
         else:
             return None
         if id(equation) not in self.functions:
@@ -185,18 +185,12 @@ class LLVMEmitter(Unrolling):
         return self.functions[id(equation)][1]
 
     def reduce(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
-        (operand,), axes, like = operands, equation.params["axes"], equation.outvars[0].aval
-        if operand.size == 0:
+        if operands[0].size == 0:
             raise UnsupportedPrimitive(equation.primitive.name)
         primitive = REDUCTIONS[equation.primitive.name]
-        moved = np.moveaxis(operand, axes, range(len(axes)))
-        result = np.empty(like.shape, object)
-        for place in np.ndindex(*like.shape):
-            first, *others = moved[(..., *place)].ravel()
-            for other in others:
-                first = self.term(primitive, {}, [first, other], [like.dtype] * 2)
-            result[place] = first
-        return [result]
+        dtypes = [equation.outvars[0].aval.dtype] * 2
+        combine = lambda one, other: self.term(primitive, {}, [one, other], dtypes)
+        return self.fold(equation, operands, lambda entries: functools.reduce(combine, entries))
 
     # Arrays and entries.
 

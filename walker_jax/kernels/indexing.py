@@ -8,6 +8,7 @@ or, for `FILL_OR_DROP`, reading returns a fill value and writing does nothing.
 """
 
 import hashlib
+from collections.abc import Sequence
 from itertools import product
 from typing import Any, no_type_check
 
@@ -232,13 +233,14 @@ def gather(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
                 emitter, conjunction(emitter, inside), chosen, filler, like.dtype
             )
         chosen = np.squeeze(chosen, dropped)
-        batch = iter(place)
-        where = [
-            slice(None) if axis in numbers.offset_dims else next(batch)
-            for axis in range(result.ndim)
-        ]
-        result[(*where, ...)] = chosen
+        result[window_at(place, result.ndim, numbers.offset_dims)] = chosen
     return [result]
+
+
+def window_at(place: tuple[int, ...], rank: int, window: Sequence[int]) -> tuple:
+    """The index of one window: whole along the axes of windows, at a place along the others."""
+    rest = iter(place)
+    return *(slice(None) if axis in window else next(rest) for axis in range(rank)), ...
 
 
 def out_of_bounds_value(value, dtype) -> bool | int | float:
@@ -262,12 +264,8 @@ def scatter(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
     clip = equation.params["mode"] == lax.GatherScatterMode.CLIP
     inserted = (*numbers.inserted_window_dims, *numbers.operand_batching_dims)
     for place in np.ndindex(indices.shape[:-1]):
-        batch = iter(place)
-        where = [
-            slice(None) if axis in numbers.update_window_dims else next(batch)
-            for axis in range(updates.ndim)
-        ]
-        window = np.expand_dims(updates[(*where, ...)], sorted(inserted))
+        window = updates[window_at(place, updates.ndim, numbers.update_window_dims)]
+        window = np.expand_dims(window, sorted(inserted))
         starts = [0] * array.ndim
         for axis, dim in zip(
             numbers.operand_batching_dims, numbers.scatter_indices_batching_dims, strict=True

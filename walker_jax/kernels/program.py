@@ -52,9 +52,10 @@ class Program:
         """Under which its trace is on disk, or will be; None if it cannot be."""
         self.traced = recall_trace(name)
         """What is known of the function without a trace."""
-        if avals is None:
-            known = self.traced
-            avals = (known.operands, known.results) if known else self.avals_by_trace()
+        if avals is None and self.traced is not None:
+            avals = self.traced.operands, self.traced.results
+        elif avals is None:
+            avals = self.closed.in_avals, self.closed.out_avals
         self.operands, self.results = avals
         """Abstract values: given for a derivative, which is often only the origin of another."""
         self.origin = origin
@@ -67,9 +68,6 @@ class Program:
         """The tree of the results; None of a derivative."""
         self.why_not: str | None = None
         """Why it has no machine code, once that has been asked for."""
-
-    def avals_by_trace(self) -> tuple[list[ShapedArray], list[ShapedArray]]:
-        return self.closed.in_avals, self.closed.out_avals
 
     @functools.cached_property
     def closed(self):

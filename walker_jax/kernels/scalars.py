@@ -193,11 +193,16 @@ class Unrolling(Interpreter):
         return result
 
     def sum(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
-        axes, like = equation.params["axes"], equation.outvars[0].aval
+        dtype = equation.outvars[0].aval.dtype
+        return self.fold(equation, operands, lambda entries: self.total(entries, dtype))
+
+    def fold(self, equation, operands: list[np.ndarray], combine: Callable) -> list[np.ndarray]:
+        """An array without the axes of a reduction, whose entries are combined."""
+        axes, shape = equation.params["axes"], equation.outvars[0].aval.shape
         moved = np.moveaxis(operands[0], axes, range(len(axes)))
-        result = np.empty(like.shape, object)
-        for place in np.ndindex(*like.shape):
-            result[place] = self.total(moved[(..., *place)].ravel(), like.dtype)
+        result = np.empty(shape, object)
+        for place in np.ndindex(*shape):
+            result[place] = combine(moved[(..., *place)].ravel())
         return [result]
 
     def contract(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
