@@ -13,6 +13,7 @@ cell; `Cramer` is a function without it.
 
 import argparse
 import ast
+import importlib
 import os
 import re
 import time
@@ -28,7 +29,7 @@ import numpy as np
 from jax import lax
 
 try:
-    import numba
+    numba = importlib.import_module("numba")
 except ImportError:
     numba = None
 
@@ -109,7 +110,7 @@ def functions() -> dict[str, Callable]:
     names: dict[str, Any] = {"__name__": "page"}
     for source in re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.S)[:3]:
         kinds = ast.Import, ast.ImportFrom, ast.FunctionDef
-        body = [node for node in ast.parse(source).body if isinstance(node, kinds)]
+        body: list[ast.stmt] = [node for node in ast.parse(source).body if isinstance(node, kinds)]
         exec(compile(ast.Module(body, []), PAGE.name, "exec"), names)
     return {"ensemble": names["oscillate"], "root": names["anomaly"], "fractal": names["newton"]}
 

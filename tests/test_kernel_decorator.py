@@ -3,6 +3,7 @@
 from functools import partial
 from types import SimpleNamespace
 
+import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -184,6 +185,24 @@ def test_a_fit_and_a_root_of_each_cell():
     radii = jnp.linspace(2.0, 9.0, 20)
     found = jax.jit(jax.vmap(root))(radii)
     np.testing.assert_allclose(jax.vmap(crossing)(found, radii), 0, atol=1e-12)
+
+
+def test_implicit_steps_of_each_cell():
+    """A stiff equation whose solution is cos(t)."""
+
+    @kernel
+    def solve(stiffness):
+        rate = lambda t, y, stiffness: -stiffness * (y - jnp.cos(t)) - jnp.sin(t)
+        return diffrax.diffeqsolve(
+            *(diffrax.ODETerm(rate), diffrax.Kvaerno3(), 0.0, 3.0, 0.01, jnp.ones(1), stiffness),
+            stepsize_controller=diffrax.PIDController(1e-7, 1e-7),
+            adjoint=diffrax.ForwardMode(),
+            throw=False,
+        ).ys
+
+    assert why_not(solve, 10.0) is None
+    ends = jax.jit(jax.vmap(solve))(jnp.logspace(0, 6, 9))
+    np.testing.assert_allclose(ends[:, 0, 0], np.cos(3.0), atol=1e-6)
 
 
 def test_linear_equations_by_a_method_that_is_chosen():

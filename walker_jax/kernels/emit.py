@@ -291,7 +291,7 @@ def emit(closed: ClosedJaxpr, operands: list, results: list, bits: int) -> str:
     memory = Memory(emitter, addresses)
     arrays = [memory.array(i, dtype) for i, (_, dtype) in enumerate((*operands, *results))]
     steps = [builder.load(builder.gep(strides, [LONG(i)])) for i in range(len(operands))]
-    last = builder.sub(stop, LONG(1))
+    last: Any = builder.sub(stop, LONG(1))
     builder.branch(head)
 
     builder.position_at_end(head)
