@@ -8,7 +8,7 @@ import pytest
 from jax import lax
 from test_kernels import assert_same, of_all, run
 
-from walker_jax.kernels.rules import UnsupportedPrimitive
+from walker_jax.kernels.jaxprs import UnsupportedPrimitive
 
 pytestmark = pytest.mark.usefixtures("quick_references")
 

@@ -15,7 +15,7 @@ import pytest
 from test_kernels import run
 
 from walker_jax.integrators.taylor_solver import Taylor
-from walker_jax.kernels.rules import UnsupportedPrimitive
+from walker_jax.kernels.jaxprs import UnsupportedPrimitive
 
 pytestmark = pytest.mark.usefixtures("quick_references")
 

@@ -12,7 +12,7 @@ import walker_jax as wj
 from walker_jax.execution import tiles
 from walker_jax.execution.tiles import CALL_SHAPES, compact_order, map_cells
 from walker_jax.kernels import program as of_program
-from walker_jax.kernels.rules import UnsupportedPrimitive
+from walker_jax.kernels.jaxprs import UnsupportedPrimitive
 
 CALL = CALL_SHAPES["cpu"][0] * CALL_SHAPES["cpu"][1]
 

@@ -15,8 +15,8 @@ from jax.extend.core import ClosedJaxpr
 
 from walker_jax.checks import WrongUse
 from walker_jax.kernels.emit import emit
+from walker_jax.kernels.jaxprs import UnsupportedPrimitive
 from walker_jax.kernels.machine import digest_of, load_program, recall_program, register_bits
-from walker_jax.kernels.rules import UnsupportedPrimitive
 
 MAX_NUMBERS = 1000
 """Most numbers in the operands and results of one cell: the program has code for each of them."""

@@ -5,7 +5,6 @@ import functools
 import inspect
 import math
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, no_type_check
 
 import jax
@@ -14,14 +13,12 @@ from jax.extend.core import ClosedJaxpr, Primitive
 from llvmlite import ir
 
 from walker_jax.kernels import control, indexing
-from walker_jax.kernels.jaxprs import CALLS_WITH_DERIVATIVES, shape_dtype
+from walker_jax.kernels.jaxprs import CALLS_WITH_DERIVATIVES, UnsupportedPrimitive, shape_dtype
 from walker_jax.kernels.memory import ADDRESS, LONG, Memory
-from walker_jax.kernels.outside_code import INSTALLED
 from walker_jax.kernels.rules import (
     FAST,
     REDUCTIONS,
     RULES,
-    UnsupportedPrimitive,
     in_library,
     is_float,
     is_floating,
@@ -121,13 +118,6 @@ class LLVMEmitter(Unrolling):
         if isinstance(value, jax.Array):
             value = np.asarray(value)
         return super().entries_of(value)
-
-    def apply(self, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
-        try:
-            return super().apply(equation, operands)
-        except UnsupportedPrimitive as error:
-            error.line = error.line or line_of(equation)
-            raise
 
     def evaluate_term(
         self, primitive: Primitive, params: dict, operands: list, dtypes: list
@@ -249,16 +239,6 @@ def implemented_in_jax(primitive: Primitive) -> bool:
     if primitive.name == "kernel":
         return False
     return inspect.isfunction(primitive.impl) and not primitive.impl.__module__.startswith("jax.")
-
-
-def line_of(equation) -> str | None:
-    """The line of a user's code that an equation comes from, if that is known."""
-    traceback = equation.source_info.traceback
-    for frame in traceback.frames if traceback else ():
-        file = Path(frame.file_name)
-        if file.exists() and not any(map(file.is_relative_to, INSTALLED)):
-            return f"line {frame.line_num} of {file.name}"
-    return None
 
 
 LLVMEmitter.rules = {

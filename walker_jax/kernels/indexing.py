@@ -17,8 +17,7 @@ import numpy as np
 from jax import lax
 from llvmlite import ir
 
-from walker_jax.kernels.jaxprs import changes_entries
-from walker_jax.kernels.rules import UnsupportedPrimitive
+from walker_jax.kernels.jaxprs import UnsupportedPrimitive, changes_entries
 from walker_jax.kernels.scalars import params_of
 from walker_jax.kernels.shortcuts import is_known
 

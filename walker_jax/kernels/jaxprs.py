@@ -6,10 +6,23 @@ Each interpreter has its own kind of values: entries of an array, instructions, 
 import abc
 from collections.abc import Callable, Mapping
 from functools import partial
+from pathlib import Path
 from typing import Any, ClassVar, no_type_check
 
 import jax
 from jax.extend.core import ClosedJaxpr, JaxprEqn, Literal
+
+from walker_jax.kernels.outside_code import INSTALLED
+
+
+class UnsupportedPrimitive(NotImplementedError):
+    """A function holds a primitive or a type that kernels do not support; the error names it."""
+
+    line: str | None = None
+    """The line of a user's code in which it is, if that is known."""
+
+    def __str__(self):
+        return ", in ".join(filter(None, (*self.args, self.line)))
 
 
 @no_type_check  # called for every equation of a program: checks would take minutes
@@ -36,20 +49,34 @@ class Interpreter(abc.ABC):
             known = isinstance(variable, Literal)
             return self.constant(variable.val) if known else values[variable]
 
-        for equation in jaxpr.eqns:
-            operands = [
-                self.constant(variable.val) if isinstance(variable, Literal) else values[variable]
-                for variable in equation.invars
-            ]
-            results = self.apply(equation, operands)
-            for variable, result in zip(equation.outvars, results, strict=True):
-                values[variable] = result
+        try:
+            for equation in jaxpr.eqns:
+                operands = [
+                    self.constant(one.val) if isinstance(one, Literal) else values[one]
+                    for one in equation.invars
+                ]
+                results = self.apply(equation, operands)
+                for variable, result in zip(equation.outvars, results, strict=True):
+                    values[variable] = result
+        except UnsupportedPrimitive as error:
+            error.line = error.line or line_of(equation)
+            raise
         return [read(variable) for variable in jaxpr.outvars]
 
     def apply(self, equation: JaxprEqn, operands: list) -> list:
         """The results of an equation."""
         rule = self.rules.get(equation.primitive.name, type(self).keep)
         return rule(self, equation, operands)
+
+
+def line_of(equation: JaxprEqn) -> str | None:
+    """The line of a user's code that an equation comes from, if that is known."""
+    traceback = equation.source_info.traceback
+    for frame in traceback.frames if traceback else ():
+        file = Path(frame.file_name)
+        if file.exists() and not any(map(file.is_relative_to, INSTALLED)):
+            return f"line {frame.line_num} of {file.name}"
+    return None
 
 
 def shape_dtype(aval) -> jax.ShapeDtypeStruct:

@@ -22,10 +22,9 @@ from walker_jax.checks import WrongUse, is_traced
 from walker_jax.kernels import machine
 from walker_jax.kernels.code_alone import code_of_program
 from walker_jax.kernels.compiled import Compiled, without_garbage_collection
-from walker_jax.kernels.jaxprs import shape_dtype
+from walker_jax.kernels.jaxprs import UnsupportedPrimitive, shape_dtype
 from walker_jax.kernels.outside_code import states_of
 from walker_jax.kernels.program_cache import Traced, digest_of, keep_trace, name_of, recall_trace
-from walker_jax.kernels.rules import UnsupportedPrimitive
 
 MAX_PROGRAMS = 256
 """Most functions that are kept compiled; those used least recently are dropped."""

@@ -12,18 +12,8 @@ from jax import lax
 from llvmlite import ir
 
 from walker_jax.kernels.elementary import exp_float32, log_float32, next_after
+from walker_jax.kernels.jaxprs import UnsupportedPrimitive
 from walker_jax.kernels.powers import known_exponent, power_of_known
-
-
-class UnsupportedPrimitive(NotImplementedError):
-    """A function holds a primitive or a type that kernels do not support; the error names it."""
-
-    line: str | None = None
-    """The line of a user's code in which it is, if that is known."""
-
-    def __str__(self):
-        return ", in ".join(filter(None, (*self.args, self.line)))
-
 
 # The file of the C library that has the mathematical functions.
 LIBRARY = {"linux": "libm.so.6", "darwin": "/usr/lib/libSystem.B.dylib", "win32": "ucrtbase"}

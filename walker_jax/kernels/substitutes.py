@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax import lax
 from jax.extend.core import jaxpr_as_fun
 
-from walker_jax.kernels.rules import UnsupportedPrimitive
+from walker_jax.kernels.jaxprs import UnsupportedPrimitive
 
 
 def scan_as_while(params: dict) -> Callable:
