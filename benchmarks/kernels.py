@@ -14,7 +14,7 @@ The answer, by processor times: where cells differ much, as in the ensemble, a k
 seventh of the time of `vmap`, half of that of batches, and a fifth of Numba's, whose loops work on
 one cell at a time. Where sines and cosines take most of the time, as for Kepler's equation, the
 four are alike: they are those of the C library, one cell after the other, and XLA's are faster.
-LAPACK's calls for 2 x 2 matrices make `vmap` of the fractal a hundred times as slow as a kernel.
+LAPACK's calls for 2 x 2 matrices make `vmap` of the fractal 170 times as slow as a kernel.
 
     2 cores; jax 0.10.2, Numba 0.68.1; 7 repeats
                                cells       ms       times as long  processor   first    error
