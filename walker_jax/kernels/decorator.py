@@ -2,7 +2,7 @@
 
 import functools
 import inspect
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -46,9 +46,7 @@ def kernel(
         return functools.partial(kernel, static_argnames=static_argnames)
     if not callable(function):
         raise WrongUse(f"function must be a function, not {short(function)}")
-    static = [static_argnames] if isinstance(static_argnames, str) else list(static_argnames)
-    if unknown := set(static) - {*(inspect.signature(function).parameters if static else ())}:
-        raise WrongUse(f"static_argnames must be arguments of the function, not {min(unknown)!r}")
+    static = names_of(function, static_argnames)
 
     @functools.wraps(function, updated=())
     def of_given(given: Given):
@@ -129,13 +127,25 @@ class Given:
     """With their types, since `1`, `1.0` and `True` are equal."""
 
 
+def names_of(function: Callable, static_argnames: Any) -> list[str]:
+    """The names of static arguments, which the function must have."""
+    several = isinstance(static_argnames, Collection) and not isinstance(static_argnames, str)
+    names = [*static_argnames] if several else [static_argnames]
+    for name in names:
+        if name not in [*inspect.signature(function).parameters]:
+            raise WrongUse(f"static_argnames must be arguments of the function, not {short(name)}")
+    return names
+
+
 def given_to(function: Callable, static: Sequence[str], args: tuple, kwargs: dict) -> Given:
     """The arguments of a call, of which some are static."""
     given = inspect.signature(function).bind(*args, **kwargs)
     values = [(name, given.arguments.pop(name)) for name in static if name in given.arguments]
     for name, value in values:
-        if not isinstance(value, Hashable):
-            raise WrongUse(f"{name} is static and must be hashable, not {short(value)}")
+        try:
+            hash(value)
+        except TypeError:
+            raise WrongUse(f"{name} is static and must be hashable, not {short(value)}") from None
     return Given(given.args, given.kwargs, tuple((name, type(x), x) for name, x in values))
 
 
