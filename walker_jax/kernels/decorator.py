@@ -130,7 +130,7 @@ class Given:
 def names_of(function: Callable, static_argnames: Any) -> list[str]:
     """The names of static arguments, which the function must have."""
     several = isinstance(static_argnames, Collection) and not isinstance(static_argnames, str)
-    names = [*static_argnames] if several else [static_argnames]
+    names: list[Any] = [*static_argnames] if several else [static_argnames]
     for name in names:
         if name not in [*inspect.signature(function).parameters]:
             raise WrongUse(f"static_argnames must be arguments of the function, not {short(name)}")
