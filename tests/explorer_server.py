@@ -127,7 +127,7 @@ def run_copied(
     """Run a copied command in a folder: it gives that basin. Returns the attributes of its own."""
     monkeypatch.chdir(folder)
     monkeypatch.setattr("walker_jax.cli.startup.keep_compiled", lambda: None)
-    monkeypatch.setattr("walker_jax.cli.basin_command.draw", lambda *_: None)
+    monkeypatch.setattr("walker_jax.cli.answers.draw", lambda *_: None)
     monkeypatch.setattr(sys, "argv", command.split())
     with pytest.raises(SystemExit) as stop:
         main.main()

@@ -18,11 +18,12 @@ from PIL import Image, ImageSequence
 
 import walker_jax as wj
 from walker_jax import storage
-from walker_jax.cli import app, basin_command, main, optimise_command, startup, sweep_command
+from walker_jax.checks import WrongUse
+from walker_jax.cli import answers, app, basin_command, main, optimise_command, options, startup
 from walker_jax.cli.answers import Stopwatch
 from walker_jax.cli.app import COMMANDS
 from walker_jax.cli.examples import DURATIONS, EXAMPLES
-from walker_jax.cli.rewording import option_of, with_options_named
+from walker_jax.cli.rewording import message_of, option_of
 from walker_jax.design import evaluation
 from walker_jax.design.measures import Measure
 from walker_jax.design.summary import summarise_optimum
@@ -140,7 +141,7 @@ def test_a_cycle_of_cells_that_is_no_gait_is_said_to_be_an_artefact(run, tmp_pat
     assert made_up.startswith("artefact 1: period 1, 1 cell, ")
     assert made_up.endswith(": a walker falls from there")
     with monkeypatch.context() as patch:
-        patch.setattr("walker_jax.cli.basin_command.draw", lambda *_: None)
+        patch.setattr("walker_jax.cli.answers.draw", lambda *_: None)
         _, out, _ = run("basin", "--out", "b.zarr", "--json")
     told = [
         {name: one[name] for name in ("cells", "artefact", "cycles", "falling")}
@@ -177,7 +178,7 @@ def test_what_is_said_of_cycles_of_cells():
     ],
 )
 def test_values_are_as_written(over, values):
-    (found,) = sweep_command.values_of([over]).values()
+    (found,) = options.values_of([over]).values()
     assert found == values
 
 
@@ -185,7 +186,7 @@ def test_names_of_parameters_have_hyphens_or_underscores():
     hyphens, underscores = ["hip-stiffness"], ["hip_stiffness"]
     walker = wj.SpringWalker(0.004)
     for names in (hyphens, underscores):
-        assert [*sweep_command.values_of([f"{names[0]}=0:1:2"])] == underscores
+        assert [*options.values_of([f"{names[0]}=0:1:2"])] == underscores
         for others in (hyphens, underscores):
             bounds = optimise_command.bounds_of(walker, names, [f"{others[0]}=0:1"])
             assert bounds == {"hip_stiffness": (0.0, 1.0)}
@@ -663,7 +664,7 @@ def test_answers_on_robustness(run, tmp_path, monkeypatch):
     }
     assert answer["boundary_dimension"] == {"value": 1.5, "low": 1.4, "high": 1.75}
     with monkeypatch.context() as patch:
-        patch.setattr("walker_jax.cli.robustness_command.draw", lambda *_: None)
+        patch.setattr("walker_jax.cli.answers.draw", lambda *_: None)
         text = run("robustness")[1]
     assert answer["at_border"] == 23
     assert "    the basin reaches the border of the grid, in 23 cells\n" in text
@@ -681,7 +682,7 @@ def test_answers_on_robustness(run, tmp_path, monkeypatch):
     assert rows[0]["gait"]["period"] == 1
     for name in ("least_disturbance", "least_fall", "step_down", "step_down_fall"):
         assert rows[0][name] is not None and rows[1][name] is None
-    monkeypatch.setattr("walker_jax.cli.robustness_command.draw", lambda *_: None)
+    monkeypatch.setattr("walker_jax.cli.answers.draw", lambda *_: None)
     assert "no gait attracts" in run(*arguments)[1]
     # where another motion is nearer than a fall both are told; a store that does not tell is read
     nearer = {"failure": 0, "failing_strides": 500, "fall_strides": 9, "step_down_failure": 0}
@@ -820,7 +821,7 @@ def test_an_interrupted_optimisation_goes_on(run, tmp_path, monkeypatch):
     assert 0 not in stages and {1, 2, 3} < set(stages)
 
 
-def test_an_optimum_is_told_with_both_ends_as_they_were_measured(capsys):
+def test_an_optimum_is_told_with_both_ends_as_they_were_measured():
     found = xr.Dataset(
         {
             "start": ("parameter", [0.004, 0.5]),
@@ -847,15 +848,14 @@ def test_an_optimum_is_told_with_both_ends_as_they_were_measured(capsys):
         **{"evaluations": 9, "converged": True},
         "note": {"start": None, "optimum": "another gait"},
     }
-    optimise_command.print_optimum(wj.SpringWalker(0.004, 0.5), answer, "area")
-    told = capsys.readouterr().out
+    told = "\n".join(optimise_command.optimum_in_words(wj.SpringWalker(0.004, 0.5), answer, "area"))
     assert "slope 0.004, hip_stiffness 0.5: 0.5625 +- 0.1" in told
     assert "slope 0.012, hip_stiffness 0.25: 0.84375 +- 0.06" in told
     assert "+0.2812, by a factor of 1.500" in told and "  optimum: another gait\n" in told
     assert "at a bound of hip_stiffness, held by the limit of speed; converged, 9 ev" in told
 
 
-def test_an_optimum_after_a_start_where_nothing_walks_is_told(capsys):
+def test_an_optimum_after_a_start_where_nothing_walks_is_told():
     ends = {"start": 0.0, "optimum": 0.002}
     answer = {
         "exact": ends,
@@ -867,8 +867,7 @@ def test_an_optimum_after_a_start_where_nothing_walks_is_told(capsys):
         "evaluations": 5,
     }
     answer |= {end: {"slope": 0.01} for end in ends}
-    optimise_command.print_optimum(wj.SimplestWalker(0.03), answer, "area")
-    told = capsys.readouterr().out
+    told = "\n".join(optimise_command.optimum_in_words(wj.SimplestWalker(0.03), answer, "area"))
     assert "slope 0.01: 0\n" in told and "slope 0.01: 0.002 +- 1e-06\n" in told
     assert "a change of +0.002\n" in told and "at a bound of slope; not converged" in told
 
@@ -1029,7 +1028,7 @@ def test_a_host_that_cannot_be_one_is_refused(run):
 
 
 def test_the_seed_of_a_refined_basin_is_part_of_it(run, monkeypatch):
-    asked, find_earlier = [], basin_command.find_earlier
+    asked, find_earlier = [], answers.find_earlier
 
     def refine(*_, seed, **__):
         raise wj.ComputationFailed(f"this was seed {seed}")
@@ -1039,7 +1038,7 @@ def test_the_seed_of_a_refined_basin_is_part_of_it(run, monkeypatch):
         return find_earlier(out, figure, request, overwrite=overwrite)
 
     monkeypatch.setattr("walker_jax.refine", refine)
-    monkeypatch.setattr(basin_command, "find_earlier", find)
+    monkeypatch.setattr(answers, "find_earlier", find)
     for given, seed in (([], 0), (["--seed", "3"], 3)):
         said = f"walker-jax: this was seed {seed}\n"
         assert run("basin", *SMALL, "--levels", "1", *given) == (1, "", said)
@@ -1067,19 +1066,25 @@ def test_help_has_colours_unless_no_color_is_set(settings, coloured, monkeypatch
 
 
 def test_messages_name_options():
-    for message, named in (
-        ("objective must be one of area", "--objective must be one of area"),
-        ("--objective must be one of area", "--objective must be one of area"),
+    for said, arguments, named in (
+        (["objective must be one of area"], ["objective"], "--objective must be one of area"),
         (
-            "at_least and at_most of speed must be finite",
+            ["at_least and at_most of speed must be finite"],
+            ["at_least", "at_most"],
             "--at-least and --at-most of speed must be finite",
         ),
-        ("give another out, or overwrite", "give another --out, or --overwrite"),
-        ("a grid island", "a grid island"),
+        (
+            ["out is taken", "give another out, or overwrite"],
+            ["out", "overwrite"],
+            "out is taken: give another --out, or --overwrite",
+        ),
+        (["leg must be below leg_mass, not 1"], ["leg"], "--leg must be below leg_mass, not 1"),
+        (["slope 1: no gait; give theta, or another slope"], ["theta", "slope"], None),
+        (["a grid island"], [], "a grid island"),
     ):
-        assert with_options_named(message) == named
-    longer = {"leg_mass": "--leg-mass", "leg": "--leg"}
-    assert with_options_named("leg and leg_mass", longer) == "--leg and --leg-mass"
+        error = WrongUse(*said, arguments=arguments)
+        assert str(error) == ": ".join(said)
+        assert message_of(error) == (named or "slope 1: no gait; give --theta, or another --slope")
 
 
 def test_compiled_programs_are_kept_where_the_user_says(tmp_path, monkeypatch):

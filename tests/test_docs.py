@@ -111,9 +111,7 @@ def test_the_commands_of_the_pages_run_one_after_the_other_in_one_folder(
     for name, source in re.findall(r"```python\n# (\w+\.py)\n(.*?)```", beginning, re.S):
         Path(name).write_text(source)  # the walker of one's own
     monkeypatch.setattr("walker_jax.cli.startup.keep_compiled", lambda: None)
-    names = ("basin", "bifurcation", "boundary", "continuation", "optimise", "robustness", "sweep")
-    for name in names:
-        monkeypatch.setattr(f"walker_jax.cli.{name}_command.find_earlier", of_data)
+    monkeypatch.setattr(answers, "find_earlier", of_data)
     monkeypatch.setattr("walker_jax.paper.reproduction.reproduce", of_report)
     monkeypatch.setattr(storage, "export", of_export)
     monkeypatch.setattr(storage, "check_picture", lambda path, request, **_: take(path, request))

@@ -182,17 +182,9 @@ def bench(tmp_path_factory, made):
     with contextlib.ExitStack() as stack:
         patch = lambda place, value: stack.enter_context(mock.patch(place, value))
         patch("walker_jax.cli.startup.keep_compiled", lambda: None)
-        for name in (
-            "basin",
-            "bifurcation",
-            "continuation",
-            "gait",
-            "optimise",
-            "robustness",
-            "sweep",
-        ):
-            place = f"walker_jax.cli.{name}_command.draw"
-            patch(place, lambda axes, path, request: put(path, request))
+        for place in ("answers", "gait_command"):
+            draw = f"walker_jax.cli.{place}.draw"
+            patch(draw, lambda axes, path, request: put(path, request))
         for name in PICTURES:
             patch(f"walker_jax.figures.{name}", lambda data: None)
         film = lambda *all, **more: all[1].write_bytes(more["signature"].encode())

@@ -83,11 +83,11 @@ def test_where_no_gait_is_found_what_makes_it_needless_is_named():
 
 
 def test_a_command_names_the_options_that_make_a_gait_needless():
-    from walker_jax.cli.rewording import with_options_named
+    from walker_jax.cli.rewording import message_of
 
     with pytest.raises(wj.ComputationFailed) as error:
         selection.require_gait(wj.SimplestWalker(0.5), ("theta", "sum"))
-    assert with_options_named(str(error.value)).endswith("give --theta, --sum, or another --slope")
+    assert message_of(error.value).endswith("give --theta, --sum, or another --slope")
 
 
 def test_windows_lie_around_the_gait_or_are_those_of_the_paper():

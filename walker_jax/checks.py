@@ -9,7 +9,7 @@ import inspect
 import operator
 import sys
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, ParamSpec, TypeGuard, TypeVar
 
 import jax
@@ -23,7 +23,22 @@ MAX_COUNT = 2**31 - 1
 """Strides, starts and cells are counted in 32 bits."""
 
 
-class WrongUse(ValueError):
+class Refusal(Exception):
+    """An error that is told on one line: what is wrong and, where that takes two parts, what to do.
+
+    Its last part may name `arguments`, each once or at its end; the command line, which has options
+    for them, puts these in their places.
+    """
+
+    def __init__(self, *said: str, arguments: Iterable[str] = ()):
+        super().__init__(*said)
+        self.arguments = tuple(arguments)
+
+    def __str__(self):
+        return ": ".join(map(str, self.args))
+
+
+class WrongUse(Refusal, ValueError):
     """An argument is refused. The package raises no other `ValueError` of its own.
 
     So one that is no `WrongUse` comes from within a computation, as NumPy's `LinAlgError` does.
@@ -33,19 +48,13 @@ class WrongUse(ValueError):
 class WrongPlace(WrongUse):
     """A place on disk is refused: what is wrong there, and perhaps the arguments that help."""
 
-    def __str__(self):
-        return ": ".join(self.args)
 
-
-class ComputationFailed(RuntimeError):
+class ComputationFailed(Refusal, RuntimeError):
     """A computation came to no answer, for the reason given, though its arguments are right."""
 
 
 class NotWritten(ComputationFailed):
     """The system refuses to write a result: where and why, and how it is resumed."""
-
-    def __str__(self):
-        return ": ".join(self.args)
 
 
 def current_name(owner: str, renamed: Mapping[str, str], name: str) -> str:
@@ -66,18 +75,20 @@ def check_whole(name: str, value: Any, least: int = 1, most: int = MAX_COUNT) ->
     try:
         number = operator.index(value)
     except TypeError:
-        raise WrongUse(f"{name} must be a whole number, not {short(value)}") from None
+        raise WrongUse(
+            f"{name} must be a whole number, not {short(value)}", arguments=[name]
+        ) from None
     if number < least:
-        raise WrongUse(f"{name} must be at least {least}, not {short(value)}")
+        raise WrongUse(f"{name} must be at least {least}, not {short(value)}", arguments=[name])
     if number > most:
-        raise WrongUse(f"{name} must be at most {most}, not {short(value)}")
+        raise WrongUse(f"{name} must be at most {most}, not {short(value)}", arguments=[name])
     return number
 
 
 def check_kind(name: str, value: Any, kind: type) -> None:
     """Raises `WrongUse` for a value of another kind; NumPy's booleans count as `bool`."""
     if not isinstance(value, (bool, np.bool_) if kind is bool else kind):
-        raise WrongUse(f"{name} must be a {kind.__name__}, not {short(value)}")
+        raise WrongUse(f"{name} must be a {kind.__name__}, not {short(value)}", arguments=[name])
 
 
 def check_number(name: str, value: Any) -> None:
@@ -88,14 +99,14 @@ def check_number(name: str, value: Any) -> None:
     except (TypeError, ValueError, OverflowError):
         single = False
     if not single:
-        raise WrongUse(f"{name} must be a real number, not {short(value)}")
+        raise WrongUse(f"{name} must be a real number, not {short(value)}", arguments=[name])
 
 
 def check_confidence(value: Any) -> None:
     """Raises `WrongUse` unless the value can be the confidence of an interval."""
     check_number("confidence", value)
     if not 0 < value < 1:
-        raise WrongUse(f"confidence must be between 0 and 1, not {value}")
+        raise WrongUse(f"confidence must be between 0 and 1, not {value}", arguments=["confidence"])
 
 
 def is_number(value: Any) -> TypeGuard[float]:
@@ -108,7 +119,9 @@ def numbers(name: str, values: Any) -> Float[np.ndarray, "..."]:
     try:
         return np.asarray(values, float)
     except (TypeError, ValueError, OverflowError):
-        raise WrongUse(f"{name} must be real numbers, not {short(values)}") from None
+        raise WrongUse(
+            f"{name} must be real numbers, not {short(values)}", arguments=[name]
+        ) from None
 
 
 def array(name: str, values: Any) -> Shaped[np.ndarray, "..."]:
@@ -116,7 +129,7 @@ def array(name: str, values: Any) -> Shaped[np.ndarray, "..."]:
     try:
         return np.asarray(values)
     except ValueError:
-        raise WrongUse(f"{name} must be an array, not {short(values)}") from None
+        raise WrongUse(f"{name} must be an array, not {short(values)}", arguments=[name]) from None
 
 
 def is_traced(tree: Any) -> bool:

@@ -4,8 +4,10 @@ import json
 import math
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Container, Iterable, Sequence
+from dataclasses import dataclass
 from importlib.metadata import version
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,8 +16,11 @@ import numpy as np
 
 from walker_jax import storage
 from walker_jax.checks import WrongPlace
+from walker_jax.cli.groups import option
+from walker_jax.execution.progress import bar
 from walker_jax.systems.system import System, code_of
 from walker_jax.walkers.fingerprints import code_fingerprint
+from walker_jax.walkers.parameters import describe_walker
 
 if TYPE_CHECKING:
     import xarray
@@ -25,11 +30,28 @@ PICTURES = (".png", ".svg", ".pdf")
 """Formats that carry a title, which tells whether a picture is of the same request."""
 
 
-def request_for(command: str, system: System, /, **asked: Any) -> dict[str, Any]:
-    """All that the answer of a command about a system depends on."""
+def request_for(
+    command: str, system: System, /, *, without: Container[str] = (), **asked: Any
+) -> dict[str, Any]:
+    """All that the answer of a command about a system depends on.
+
+    The system is described `without` the parameters over which the command goes.
+    """
+    about = {name: one for name, one in describe_walker(system).items() if name not in without}
     code = code_fingerprint(type(system), code_of(system))
-    asked |= {"code": code} if code else {}
+    asked = {"walker": about} | asked | ({"code": code} if code else {})
     return {"command": command, **asked, "version": version("walker-jax")}
+
+
+def slope_of(about: dict[str, Any]) -> dict[str, float]:
+    """The slope of a walker that is described in a request, if it has one."""
+    return {name: value for name, value in about.items() if name == "slope"}
+
+
+def walker_in_words(about: dict[str, Any], form: str = "g") -> str:
+    """A walker that is described in a request: its name, and its parameters."""
+    name, *values = about.items()
+    return ", ".join([name[1], *(f"{key} {value:{form}}" for key, value in values)])
 
 
 def picture_path(out: Path, figure: Path | None) -> Path:
@@ -65,11 +87,71 @@ def check_suffix(figure: Path) -> None:
         raise WrongPlace(f"--figure {figure} must end in one of {', '.join(PICTURES)}")
 
 
+def check_film(path: Path, request: dict, *, overwrite: bool) -> None:
+    """Refuse a place where a film cannot go."""
+    from walker_jax import figures
+
+    figures.check_film(path)
+    storage.check_picture(path, request, overwrite=overwrite, argument="animate")
+
+
 def draw(axes, path: Path, request: dict) -> None:
     """Save the picture to which axes belong, signed with the request."""
     picture = axes.get_figure(root=True)
     with storage.atomic_file(path) as draft:
         picture.savefig(draft, dpi=150, metadata={"Title": storage.signature(request)})
+
+
+@dataclass(frozen=True)
+class Output:
+    """Where the data set and the picture of a command go, and how its answer is printed."""
+
+    out: Path = option(Path(), "Where the data set goes (Zarr).")
+    figure: Path | None = option(
+        None, "Where the picture goes (default: the name of the data set with .png)."
+    )
+    overwrite: bool = option(False, "Replace what is there.")
+    as_json: bool = option(False, "Print the answer as JSON.", "--json")
+
+    def find(self, request: dict) -> "xarray.Dataset | None":
+        """The data set that the same command has completed; refuses places that are taken."""
+        return find_earlier(self.out, self.figure, request, overwrite=self.overwrite)[1]
+
+    def draw(self, axes: Any, request: dict) -> None:
+        """Save the picture to which axes belong."""
+        draw(axes, picture_path(self.out, self.figure), request)
+
+    def place(self, request: dict) -> dict[str, Any]:
+        """Arguments for functions of the library that save what they compute."""
+        return {"out": self.out, "request": request, "overwrite": self.overwrite}
+
+    def produce(
+        self,
+        request: dict,
+        compute: "Callable[[], xarray.Dataset]",
+        picture: str,
+        kept: bool = False,
+    ) -> "xarray.Dataset":
+        """The data set of a request, computed unless it stands there, and its picture.
+
+        `picture` is the name of a function in `figures`; with `kept`, `compute` saves by itself.
+        """
+        data = self.find(request)
+        if data is None:
+            with bar(request["command"], True):
+                data = compute()
+            data = data if kept else storage.save(data, self.out, request)
+        from walker_jax import figures  # which takes half a second to load
+
+        self.draw(getattr(figures, picture)(data), request)
+        return data
+
+    def tell(self, answer: dict, lines: Iterable[str], film: Path | None = None) -> None:
+        """Print the answer, and the places."""
+        shot = f", film {film}" if film is not None else ""
+        picture = picture_path(self.out, self.figure)
+        places = f"  data set {self.out}, picture {picture}{shot}"
+        tell(answer, chain(lines, [places]), as_json=self.as_json)
 
 
 class Stopwatch:
@@ -94,9 +176,12 @@ class Stopwatch:
         return {"compile": total, "run": time.perf_counter() - self.start - total}
 
 
-def print_json(answer: dict) -> None:
-    """Print an answer as JSON."""
-    print(json.dumps(jsonable(answer), allow_nan=False))
+def tell(answer: dict, lines: Iterable[str], *, as_json: bool) -> None:
+    """Print an answer as JSON, or in words, line by line."""
+    if as_json:
+        print(json.dumps(jsonable(answer), allow_nan=False))
+    else:
+        print(*lines, sep="\n")
 
 
 def jsonable(value: Any) -> Any:
@@ -115,3 +200,9 @@ def jsonable(value: Any) -> Any:
 def listed(numbers: Iterable[Any], form: str = ".6f") -> str:
     """Numbers with commas between them."""
     return ", ".join(f"{number:{form}}" for number in numbers)
+
+
+def points_listed(points: Sequence[Any]) -> str:
+    """Some points, the first four of many."""
+    more = ", ..." if len(points) > 4 else ""
+    return ", ".join(f"({listed(point)})" for point in points[:4]) + more

@@ -3,7 +3,6 @@
 So the group's help loads neither JAX nor the module of any command.
 """
 
-import functools
 import inspect
 from collections.abc import Callable, Sequence
 from importlib import import_module
@@ -14,8 +13,8 @@ from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
 from walker_jax.cli.examples import epilog
+from walker_jax.cli.groups import argument, arguments_of, ungrouped, with_arguments
 from walker_jax.cli.list_walkers import ListWalkers
-from walker_jax.cli.rewording import with_options_named
 from walker_jax.cli.version import Version
 
 COMMANDS = {
@@ -71,7 +70,7 @@ class Commands(TyperGroup):
 
 def load(name: str, args: Sequence[str] = ()):
     """The command of that name, with its options, and those of the walker that `args` name."""
-    function = getattr(import_module(f"walker_jax.cli.{name}_command"), name)
+    function = ungrouped(getattr(import_module(f"walker_jax.cli.{name}_command"), name))
     if "ranges_over" in vars(function):  # a walker is its first argument
         from walker_jax.cli.walker_options import offered_kinds, with_walker_options
 
@@ -101,17 +100,11 @@ def check_flags(command: TyperCommand) -> None:
 def with_quiet(command: Callable[..., None]) -> Callable[..., None]:
     """The command with the option `--quiet`, which acts by its callback."""
 
-    @functools.wraps(command)
-    def with_option(**given):
-        del given["quiet"]
+    def takes(quiet, **given):
         return command(**given)
 
-    keyword = inspect.Parameter.KEYWORD_ONLY
-    option = inspect.Parameter("quiet", keyword, default=False, annotation=Quiet)
-    own = [one.replace(kind=keyword) for one in inspect.signature(command).parameters.values()]
-    vars(with_option)["__signature__"] = inspect.Signature([*own, option])  # which typer reads
-    with_option.__annotations__ = {one.name: one.annotation for one in (*own, option)}
-    return with_option
+    own = [*arguments_of(command), argument("quiet", Quiet, False)]
+    return with_arguments(own, command, takes)
 
 
 def silence(requested: bool) -> bool:
@@ -143,7 +136,8 @@ def resume_notes(interruption: BaseException) -> list[str]:
         return []
     from walker_jax.storage import RESUME_HINT  # loaded already by what left the notes
 
-    return [with_options_named(note) for note in notes if note.startswith(RESUME_HINT)]
+    hints = [note for note in notes if note.startswith(RESUME_HINT)]
+    return [hint.replace("without overwrite", "without --overwrite", 1) for hint in hints]
 
 
 app = typer.Typer(

@@ -1,57 +1,37 @@
 """`walker-jax basin`."""
 
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-import typer
 from jaxtyping import Float
 
 import walker_jax as wj
 from walker_jax import storage
 from walker_jax.basins.cell_classes import has_known_units
-from walker_jax.basins.summary import summarise_basin, tally
-from walker_jax.basins.windows import (
-    fill_around_gait,
-    grid_along,
-    outline,
-    whole_section,
-)
+from walker_jax.basins.summary import Tally, summarise_basin, tally
+from walker_jax.basins.windows import fill_around_gait, grid_along, whole_section
 from walker_jax.checks import WrongUse, is_number
 from walker_jax.cli.answers import (
+    Output,
     Stopwatch,
-    draw,
-    find_earlier,
+    check_film,
     listed,
-    print_json,
+    points_listed,
     request_for,
+    slope_of,
 )
-from walker_jax.cli.options import (
-    PHIDOT_HELP,
-    Axes,
-    AxisOption,
-    Json,
-    Out,
-    Overwrite,
-    PictureOfData,
-    Scheduler,
-    WindowSum,
-    WindowTheta,
-    Workers,
-    check_drawable,
-    check_finite,
-    check_phidot,
-    check_ranges,
-    check_section,
-    cluster_from,
-    window_from,
-)
+from walker_jax.cli.groups import option
+from walker_jax.cli.options import PHIDOT_HELP, Pieces, check_finite, exclude, refuse
+from walker_jax.cli.section import AXIS, Axis, Window, check_section
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.execution.progress import bar
 from walker_jax.grids import Grid
 from walker_jax.systems.system import System
 from walker_jax.walkers.model import Walker
-from walker_jax.walkers.parameters import describe_in_words, describe_walker
+from walker_jax.walkers.parameters import describe_in_words
 
 if TYPE_CHECKING:
     import xarray
@@ -60,71 +40,126 @@ UNITS = {"area": "rad^2/sqrt(l/g)", "volume": "rad^3 g/l"}
 """Of the sizes of basins."""
 
 
+@dataclass(frozen=True)
+class BasinWindow(Window):
+    """A window of two dimensions or three, sheared or plain."""
+
+    at_phidot: float | None = option(
+        None, "A slice of such a section, followed directly (default: at the gait)."
+    )
+    thetadot: Axis | None = option(
+        None, "The plain section: thetadot in the place of --sum.", **AXIS
+    )
+    phidot: Axis | None = option(None, f"{PHIDOT_HELP}: a grid of three dimensions.", **AXIS)
+
+    def check(self, walker: System) -> None:
+        check_section(walker, self.axis)
+        super().check(walker)
+        exclude(sum=self.sum, thetadot=self.thetadot)
+
+    def own_axes(self, walker: Walker) -> dict[str, Any]:
+        axes: dict[str, Any] = {"theta": self.theta}
+        axes |= {"sum": self.sum} if self.thetadot is None else {"thetadot": self.thetadot}
+        if "phidot" in walker.section:
+            axes["phidot"] = self.at_phidot if self.phidot is None else self.phidot
+        return axes
+
+
+@dataclass(frozen=True)
+class How:
+    """How the cells of a basin are labelled."""
+
+    method: Literal["cell-map", "direct"] | None = option(
+        None, "Cell mapping (default), or direct iteration (always for a slice)."
+    )
+    strides: int | None = option(None, "Strides at most, direct only (default: 200).", min=1)
+    levels: int | None = option(
+        None,
+        "Cut cells on a boundary in two so many times: the area, or volume, with its error. A "
+        "section of three dimensions is then taken whole, without --at-phidot.",
+        min=0,
+        max=8,
+    )
+    seed: int | None = option(None, "Seed of random numbers, --levels only (default: 0).", min=0)
+
+    def settings(self, *, sliced: bool, zoomed: bool, drop: str) -> dict[str, Any]:
+        """The method and what it takes; `drop` is what else a slice by cell mapping may be."""
+        direct = sliced or zoomed or self.levels is not None
+        if self.method == "cell-map" and self.levels is not None:
+            raise WrongUse("--method must be direct with --levels, not cell-map")
+        if self.method == "cell-map" and zoomed:
+            raise WrongUse(
+                "--method must be direct with --zoom, whose window walkers leave: leave it out"
+            )
+        if self.method == "cell-map" and sliced:
+            raise WrongUse(
+                f"--method must be direct for a slice, which walkers leave: drop it, or give {drop}"
+            )
+        method = self.method or ("direct" if direct else "cell-map")
+        if method == "cell-map":
+            refuse("is for --method direct alone: give it too", strides=self.strides)
+        if self.levels is None:
+            refuse("is for --levels alone: give it too", seed=self.seed)
+            refined = {}
+        else:
+            refined = {"levels": self.levels, "seed": self.seed or 0}
+        limit = {"strides": self.strides or 200} if method == "direct" else {}
+        return {"method": method, **limit, **refined}
+
+
+@dataclass(frozen=True)
+class Zoom:
+    """A narrow window on the boundary between fates."""
+
+    zoom: float | None = option(
+        None,
+        "Zoom in on the boundary between fates: a window so many times as narrow, around a point "
+        "of it (direct; up to about 1e14).",
+        min=1,
+    )
+    near: tuple[float, float] | None = option(
+        None,
+        "Of the boundary, the point nearest to this one, along the first two axes (default: their "
+        "middle).",
+        metavar="X Y",
+    )
+    animate: Path | None = option(None, "Where a film of the zoom goes, .gif or .mp4.")
+    frames: int = option(120, "Pictures of the film.", min=2)
+
+    def check(self, window: BasinWindow, how: How) -> None:
+        """Refuse what a zoom excludes, and what is for one alone."""
+        exclude(zoom=self.zoom, levels=how.levels)
+        if self.zoom is None:
+            refuse("is for a --zoom: give it too", near=self.near, animate=self.animate)
+        elif window.phidot is not None and (self.near is not None or self.animate is not None):
+            raise WrongUse(
+                "--near and --animate are for a window of two dimensions: leave out --phidot"
+            )
+        for value in self.near or ():
+            check_finite(near=value)
+
+    def settings(self) -> dict[str, Any]:
+        """What is asked for, if anything is."""
+        return {} if self.zoom is None else {"zoom": self.zoom, "near": self.near}
+
+    def grid(self, walker: System, grid: Grid, strides: int = 200) -> Grid:
+        """The grid, or the narrow window in it."""
+        if self.zoom is None:
+            return grid
+        point: Float[np.ndarray, " section"] | None = None
+        if self.near is not None:
+            point = np.asarray(grid.origin) + np.asarray(grid.shear) @ np.array(self.near)
+        return grid.zoom(wj.boundary_point(walker, grid, point, strides=strides), self.zoom)
+
+
 @takes_walker(systems=True)
 def basin(
     walker: System,
-    theta: WindowTheta = None,
-    sum_: WindowSum = None,
-    thetadot: Annotated[
-        AxisOption | None,
-        typer.Option(metavar="LO HI N", help="The plain section: thetadot in the place of --sum."),
-    ] = None,
-    phidot: Annotated[
-        AxisOption | None,
-        typer.Option(metavar="LO HI N", help=f"{PHIDOT_HELP}: a grid of three dimensions."),
-    ] = None,
-    at_phidot: Annotated[
-        float | None,
-        typer.Option(help="A slice of such a section, followed directly (default: at the gait)."),
-    ] = None,
-    axis: Axes = None,
-    method: Annotated[
-        Literal["cell-map", "direct"] | None,
-        typer.Option(
-            help="Cell mapping (default), or direct iteration (always for a slice).",
-        ),
-    ] = None,
-    strides: Annotated[
-        int | None, typer.Option(min=1, help="Strides at most, direct only (default: 200).")
-    ] = None,
-    levels: Annotated[
-        int | None,
-        typer.Option(
-            min=0,
-            max=8,
-            help="Cut cells on a boundary in two so many times: the area, or volume, with its "
-            "error. A section of three dimensions is then taken whole, without --at-phidot.",
-        ),
-    ] = None,
-    seed: Annotated[
-        int | None, typer.Option(min=0, help="Seed of random numbers, --levels only (default: 0).")
-    ] = None,
-    zoom: Annotated[
-        float | None,
-        typer.Option(
-            min=1,
-            help="Zoom in on the boundary between fates: a window so many times as narrow, around "
-            "a point of it (direct; up to about 1e14).",
-        ),
-    ] = None,
-    near: Annotated[
-        tuple[float, float] | None,
-        typer.Option(
-            metavar="X Y",
-            help="Of the boundary, the point nearest to this one, along the first two axes "
-            "(default: their middle).",
-        ),
-    ] = None,
-    animate: Annotated[
-        Path | None, typer.Option(help="Where a film of the zoom goes, .gif or .mp4.")
-    ] = None,
-    frames: Annotated[int, typer.Option(min=2, help="Pictures of the film.")] = 120,
-    workers: Workers = None,
-    scheduler: Scheduler = None,
-    out: Out = Path("basin.zarr"),
-    figure: PictureOfData = None,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
+    window: BasinWindow,
+    how: How,
+    zoom: Zoom,
+    pieces: Pieces,
+    output: Output = Output(Path("basin.zarr")),
 ) -> None:
     """Compute and draw the basin of attraction of a walker's gait.
 
@@ -133,148 +168,74 @@ def basin(
     same command resumes an interrupted run. With --zoom 1e12 the window is one in which float64
     hardly tells starts apart; its digits are kept.
     """
-    check_section(walker, axis)
-    has_phidot = isinstance(walker, Walker) and "phidot" in walker.section
-    check_phidot(walker, at_phidot, phidot)
-    if thetadot is not None and sum_ is not None:
-        raise WrongUse("--sum and --thetadot exclude each other: give one of them")
-    cluster = cluster_from(workers, scheduler)
-    if levels is not None and cluster is not None:
-        raise WrongUse("--workers and --scheduler are for pieces, not for --levels: leave them out")
-    if levels is not None and method == "cell-map":
-        raise WrongUse("--method must be direct with --levels, not cell-map")
-    if levels is not None and zoom is not None:
-        raise WrongUse("--zoom and --levels exclude each other: give one of them")
-    axes: dict[str, Any] = {"theta": theta}
-    axes |= {"sum": sum_} if thetadot is None else {"thetadot": thetadot}
-    if has_phidot:
-        axes["phidot"] = at_phidot if phidot is None else phidot
-    axes = window_from(walker, axis, axes)
-    whole = has_phidot and levels is not None and at_phidot is None and not axis
-    sliced = has_phidot and phidot is None and not whole
-    if axis:
-        check_ranges(axes, 3 if zoom is None else 2)
+    axes, settings = ask(walker, window, how, zoom, pieces)
+    request = request_for("basin", walker, axes=axes, **settings, **zoom.settings())
+    shots = request | {"frames": zoom.frames}
+    if zoom.animate is not None:
+        check_film(zoom.animate, shots, overwrite=output.overwrite)
+    data = output.find(request)
+    kept = f"taken from {output.out}, computed before" if data is not None else ""
+    if not kept and output.out.exists() and not output.overwrite:
+        kept = f"resumed {output.out}"
+    clock = Stopwatch()
+    if data is None:
+        data = compute(walker, zoom, pieces, output, request)
+    seconds = clock.seconds()
+    output.draw(draw_basin(data), request)
+    if zoom.animate is not None:
+        draw_film(walker, zoom, data, shots)
+    counts = tally(data)
+    answer = summarise_basin(data, counts)
+    about = {"seconds": seconds, "walker": request["walker"]}
+    answer = slope_of(request["walker"]) | {"method": data.attrs["method"]} | answer | about
+    lines = basin_in_words(walker, data, answer, counts, request, kept)
+    output.tell(answer, lines, film=zoom.animate)
+
+
+def ask(
+    walker: System, window: BasinWindow, how: How, zoom: Zoom, pieces: Pieces
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The axes and the settings that the options ask for; refuses what excludes another."""
+    zoom.check(window, how)
+    axes = window.axes(walker, 3 if zoom.zoom is None else 2)
+    turned = isinstance(walker, Walker) and "phidot" in walker.section and not window.axis
+    whole = turned and how.levels is not None and window.at_phidot is None
+    if window.axis:
         sliced = any(map(is_number, axes.values()))
-    if zoom is None and (near is not None or animate is not None):
-        raise WrongUse(
-            f"{'--near' if near is not None else '--animate'} is for a --zoom: give it too"
-        )
-    if zoom is not None and method == "cell-map":
-        raise WrongUse(
-            "--method must be direct with --zoom, whose window walkers leave: leave it out"
-        )
-    if phidot is not None and (near is not None or animate is not None):
-        raise WrongUse(
-            "--near and --animate are for a window of two dimensions: leave out --phidot"
-        )
-    method = "direct" if levels is not None or zoom is not None else method
-    method = method or ("direct" if sliced else "cell-map")
-    if sliced and method == "cell-map":
-        raise WrongUse(
-            "--method must be direct for a slice, which walkers leave: drop it, or give "
-            + ("a range for each --axis" if axis else "--phidot")
-        )
-    if strides is not None and method != "direct":
-        raise WrongUse("--strides is for --method direct alone: give it too")
-    if seed is not None and levels is None:
-        raise WrongUse("--seed is for --levels alone: give it too")
-    strides, seed = strides or 200, seed or 0
-    if at_phidot is not None:
-        check_finite(**{"at-phidot": at_phidot})
+    else:
+        sliced = turned and window.phidot is None and not whole
+    drop = "a range for each --axis" if window.axis else "--phidot"
+    settings = how.settings(sliced=sliced, zoomed=zoom.zoom is not None, drop=drop)
+    if pieces.cluster() is not None and how.levels is not None:
+        raise WrongUse("--workers and --scheduler are for pieces, not for --levels: leave them out")
     if whole and isinstance(walker, Walker):  # the latter for the type checker alone
         known = whole_section(walker)
         axes = {name: known[name] if axis is None else axis for name, axis in axes.items()}
-    check_drawable(outline(axes))
-    asked = {
-        "axes": {
-            name: list(axis) if isinstance(axis, tuple) else axis for name, axis in axes.items()
-        },
-        "method": method,
-        **({"strides": strides} if method == "direct" else {}),
-        **({} if levels is None else {"levels": levels, "seed": seed}),
-        **({} if zoom is None else {"zoom": zoom, "near": near and list(near)}),
-    }
-    request = request_for("basin", walker, walker=describe_walker(walker), **asked)
-    shots = request | {"frames": frames}
-    if animate is not None:
-        from walker_jax import figures
+    return axes, settings
 
-        figures.check_film(animate)
-        storage.check_picture(animate, shots, overwrite=overwrite, argument="animate")
-    figure, data = find_earlier(out, figure, request, overwrite=overwrite)
-    reused, resumed = data is not None, out.exists() and not overwrite
-    clock = Stopwatch()
-    if data is None:
-        with bar("search for a gait", True):
-            grid = grid_along(fill_around_gait(walker, axes))
-        if levels is None:
-            if zoom is not None:
-                grid = grid.zoom(zoom_centre(walker, grid, near, strides), zoom)
-            options: Any = {"out": out, "request": request, "overwrite": overwrite}
-            options |= {"strides": strides, "cluster": cluster, "progress": True}
-            with bar("basin", True):
-                data = wj.basin(walker, grid, method, **options)
-        else:
-            with storage.rewritable(out, request) as save, bar("basin", True):
-                refined = wj.refine(walker, grid, levels, strides=strides, seed=seed, progress=True)
-                data = save(refined)
-    seconds = clock.seconds()
-    draw(draw_basin(data), figure, request)
-    if animate is not None and zoom is not None:
-        from walker_jax import figures
 
-        first, centre = grid_along(fill_around_gait(walker, axes)), data.attrs["origin"]
-        shown = wj.zoom(walker, first, zoom, centre, frames=frames, strides=strides, progress=True)
-        figures.zoom_film(shown, animate, signature=storage.signature(shots), progress=True)
-
-    # The data set has no coordinate for a slice through one that is not the last of the section.
-    fixed = {name: at for name, at in axes.items() if is_number(at)}
-    fixed |= {
-        name: float(data[name]) for name in walker.section if name in data and not data[name].ndim
-    }
-    counts = tally(data)
-    answer = summarise_basin(data, counts)
-    if as_json:
-        about = request["walker"]
-        slope = {"slope": about["slope"]} if "slope" in about else {}
-        answer = slope | {"method": data.attrs["method"]} | answer
-        print_json(answer | {"seconds": seconds, "walker": about})
-        return
-    print(f"Basin of attraction, {describe_in_words(walker)}, {data.attrs['method']}")
-    if zoom is not None:
-        print(f"  window {zoom:g} times as narrow, around ({listed(data.attrs['origin'], '.17g')})")
-    if fixed:
-        print(f"  slice at {', '.join(f'{name} {value:.10g}' for name, value in fixed.items())}")
-    measure = "volume" if "run_fate" in data or data["fate"].ndim == 3 else "area"
-    unit = UNITS[measure] if has_known_units(data) else ""
-    print_basin(answer, measure, unit, zoomed=zoom is not None)
-    if counts.unmatched:
-        print(f"  {counts.unmatched} cells walk on without coming near a known attractor")
-    if reused:
-        print(f"  taken from {out}, computed before")
-    elif resumed:
-        print(f"  resumed {out}; {seconds['run']:.2f} s to run")
-    else:
-        made = answer["cells"] if method == "cell-map" else counts.strides
-        made = made if levels is None else int(data["strides_made"])
-        print(
-            f"  {made:,} strides; {seconds['compile']:.1f} s to compile, "
-            f"{seconds['run']:.2f} s to run and to store"
+def compute(
+    walker: System, zoom: Zoom, pieces: Pieces, output: Output, request: dict
+) -> "xarray.Dataset":
+    """The data set of a request, which goes on where an interrupted run has ended."""
+    with bar("search for a gait", True):
+        grid = grid_along(fill_around_gait(walker, request["axes"]))
+    strides = {name: request[name] for name in ("strides",) if name in request}
+    if "levels" in request:
+        refined = {name: request[name] for name in ("levels", "seed")}
+        with storage.rewritable(output.out, request) as save, bar("basin", True):
+            return save(wj.refine(walker, grid, progress=True, **refined, **strides))
+    grid = zoom.grid(walker, grid, **strides)
+    with bar("basin", True):
+        return wj.basin(
+            walker,
+            grid,
+            request["method"],
+            cluster=pieces.cluster(),
+            progress=True,
+            **strides,
+            **output.place(request),
         )
-    film = f", film {animate}" if animate is not None else ""
-    print(f"  data set {out}, picture {figure}{film}")
-
-
-def zoom_centre(
-    walker: System, grid: Grid, near: tuple[float, float] | None, strides: int
-) -> Float[np.ndarray, " section"]:
-    """The point of the boundary to zoom in on."""
-    point = None
-    if near is not None:
-        check_finite(near=near[0])
-        check_finite(near=near[1])
-        point = np.asarray(grid.origin) + np.asarray(grid.shear) @ np.array(near)
-    return wj.boundary_point(walker, grid, point, strides=strides)
 
 
 def draw_basin(data: "xarray.Dataset"):
@@ -287,27 +248,69 @@ def draw_basin(data: "xarray.Dataset"):
     return draw_cells(figures.thin(data))
 
 
-def print_basin(answer: dict, measure: str, unit: str, *, zoomed: bool) -> None:
-    """The attractors and fates of a basin, in words; `measure` is the kind of its size.
+def draw_film(walker: System, zoom: Zoom, data: "xarray.Dataset", shots: dict) -> None:
+    """Save the film of a zoom into the middle of a basin's data set."""
+    from walker_jax import figures
+
+    grid, centre = grid_along(fill_around_gait(walker, shots["axes"])), data.attrs["origin"]
+    how: Any = {"frames": zoom.frames, "strides": shots["strides"], "progress": True}
+    shown = wj.zoom(walker, grid, shots["zoom"], centre, **how)
+    signature = storage.signature(shots)
+    figures.zoom_film(shown, zoom.animate, signature=signature, progress=True)
+
+
+def basin_in_words(
+    walker: System, data: "xarray.Dataset", answer: dict, counts: Tally, request: dict, kept: str
+) -> Iterator[str]:
+    """The answer of `basin`; `kept` is what of it stood there before."""
+    yield f"Basin of attraction, {describe_in_words(walker)}, {answer['method']}"
+    if "zoom" in request:
+        centre = listed(data.attrs["origin"], ".17g")
+        yield f"  window {request['zoom']:g} times as narrow, around ({centre})"
+    # The data set has no coordinate for a slice through one that is not the last of the section.
+    fixed = {name: at for name, at in request["axes"].items() if is_number(at)}
+    fixed |= {
+        name: float(data[name]) for name in walker.section if name in data and not data[name].ndim
+    }
+    if fixed:
+        yield f"  slice at {', '.join(f'{name} {value:.10g}' for name, value in fixed.items())}"
+    measure = "volume" if "run_fate" in data or data["fate"].ndim == 3 else "area"
+    unit = UNITS[measure] if has_known_units(data) else ""
+    yield from sizes_in_words(answer, measure, unit, zoomed="zoom" in request)
+    if counts.unmatched:
+        yield f"  {counts.unmatched} cells walk on without coming near a known attractor"
+    seconds = answer["seconds"]
+    if kept:
+        yield f"  {kept}" + f"; {seconds['run']:.2f} s to run" * kept.startswith("resumed")
+        return
+    made = answer["cells"] if answer["method"] == "cell-map" else counts.strides
+    made = int(data["strides_made"]) if "strides_made" in data else made
+    yield (
+        f"  {made:,} strides; {seconds['compile']:.1f} s to compile, "
+        f"{seconds['run']:.2f} s to run and to store"
+    )
+
+
+def sizes_in_words(answer: dict, measure: str, unit: str, *, zoomed: bool) -> Iterator[str]:
+    """The attractors and fates of a basin; `measure` is the kind of its size.
 
     That a basin goes on beyond the grid is not said of a window within it.
     """
     for i, one in enumerate(answer["attractors"]):
-        states = ", ".join(f"({listed(state)})" for state in one["states"][:4])
-        more = ", ..." if len(one["states"]) > 4 else ""
         period = f"period {one['period']}" if one["period"] else "no period"
         size = f"{one['cells']} cell{'s' * (one['cells'] != 1)}, {measure} {one['area']:.6g}"
         kind = "artefact" if one["artefact"] else "attractor"
-        print(f"  {kind} {i}: {period}, {size}, at {states}{more}{cycles_in_words(one)}")
+        states = points_listed(one["states"])
+        yield f"  {kind} {i}: {period}, {size}, at {states}{cycles_in_words(one)}"
     if f"{measure}_error" in answer:
         size, error = answer[measure], answer[f"{measure}_error"]
-        print(f"  {measure} {size:.7g} +- {error:.1g} {unit}".rstrip() + " in all")
+        yield f"  {measure} {size:.7g} +- {error:.1g} {unit}".rstrip() + " in all"
     else:
-        print(f"  {measure} {answer['area']:.6g} in all")
+        yield f"  {measure} {answer['area']:.6g} in all"
     if answer.get("at_border") and not zoomed:
-        print(f"  the basin reaches the border of the grid, in {answer['at_border']} cells")
+        yield f"  the basin reaches the border of the grid, in {answer['at_border']} cells"
     fates = [f"{n} {name}" for name, n in answer["fates"].items() if n or name == "UNDECIDED"]
-    print(f"  cells: {', '.join(fates)}")
+    yield f"  cells: {', '.join(fates)}"
 
 
 def cycles_in_words(attractor: dict) -> str:

@@ -1,88 +1,75 @@
 """`walker-jax continuation`."""
 
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 import walker_jax as wj
-from walker_jax import storage
 from walker_jax.checks import WrongUse
-from walker_jax.cli.answers import draw, find_earlier, print_json, request_for
-from walker_jax.cli.options import (
-    Axes,
-    Json,
-    Out,
-    Overwrite,
-    PictureOfData,
-    RegionSum,
-    RegionTheta,
-    SlicePlace,
-    asked_of,
-    grid_from,
-    hyphenated,
-)
-from walker_jax.cli.sweep_command import values_of
+from walker_jax.cli.answers import Output, request_for
+from walker_jax.cli.groups import option
+from walker_jax.cli.options import hyphenated, values_of
+from walker_jax.cli.section import Region, asked_of
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.stability.basin_fractions import summarise_fractions
 from walker_jax.systems.system import System
 from walker_jax.walkers.model import Walker
-from walker_jax.walkers.parameters import check_parameter, describe_walker
+from walker_jax.walkers.parameters import check_parameter
 
 DEFAULT = "slope=0.002:0.02:37"
 """The slopes over which walkers are followed."""
 
 
+@dataclass(frozen=True)
+class Over:
+    over: str = option(DEFAULT, "Values of a parameter.", metavar="NAME=LO:HI:N")
+
+
+@dataclass(frozen=True)
+class Options:
+    samples: int = option(100_000, "Starts in the region.", min=1)
+    strides: int = option(500, "Strides at most.", min=1)
+    seed: int = option(0, "Of the starts.", min=0)
+
+
 @takes_walker(systems=True)
 def continuation(
     walker: System,
-    over: Annotated[
-        str, typer.Option(metavar="NAME=LO:HI:N", help="Values of a parameter.")
-    ] = DEFAULT,
-    theta: RegionTheta = None,
-    sum_: RegionSum = None,
-    at_phidot: SlicePlace = None,
-    axis: Axes = None,
-    samples: Annotated[int, typer.Option(min=1, help="Starts in the region.")] = 100_000,
-    strides: Annotated[int, typer.Option(min=1, help="Strides at most.")] = 500,
-    seed: Annotated[int, typer.Option(min=0, help="Of the starts.")] = 0,
-    out: Out = Path("continuation.zarr"),
-    figure: PictureOfData = None,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
+    over: Over,
+    region: Region,
+    options: Options,
+    output: Output = Output(Path("continuation.zarr")),
 ) -> None:
     """Follow the attractors over a parameter, and the fractions of a region that converge to each.
 
     A gait keeps its number along its branch: it is born and it ends at folds and period doublings.
     """
-    from walker_jax import figures
-
-    if over == DEFAULT and not isinstance(walker, Walker):
+    if over.over == DEFAULT and not isinstance(walker, Walker):
         raise WrongUse("--over is required: a parameter of the system and its values, NAME=LO:HI:N")
-    ((name, values),) = values_of([over]).items()
+    ((name, values),) = values_of([over.over]).items()
     check_parameter(walker, name, *values)
-    region = grid_from(walker, theta, sum_, at_phidot, axis=axis)
-    about = {key: value for key, value in describe_walker(walker).items() if key != name}
-    options = {"samples": samples, "strides": strides, "seed": seed}
-    asked = {"over": {name: values}, "axes": asked_of(region)}
-    request = request_for("continuation", walker, walker=about, **asked, **options)
-    figure, data = find_earlier(out, figure, request, overwrite=overwrite)
-    if data is None:
-        data = wj.continue_basins(walker, name, values, region, progress=True, **options)
-        data = storage.save(data, out, request)
-    draw(figures.basin_fractions(data), figure, request)
+    grid, how = region.grid(walker), vars(options)
+    asked = {"over": {name: values}, "axes": asked_of(grid)}
+    request = request_for("continuation", walker, without=[name], **asked, **how)
+    data = output.produce(
+        request,
+        lambda: wj.continue_basins(walker, name, values, grid, progress=True, **how),
+        "basin_fractions",
+    )
     answer = summarise_fractions(data)
-    if as_json:
-        print_json({"walker": about, "parameter": name} | answer)
-        return
-    print(f"Attractors of {about['name']}, {hyphenated(name)} from {values[0]:g} to {values[-1]:g}")
+    about = request["walker"]
+    ends = f"{hyphenated(name)} from {values[0]:g} to {values[-1]:g}"
+    lines = [f"Attractors of {about['name']}, {ends}", *attractors_in_words(answer)]
+    output.tell({"walker": about, "parameter": name} | answer, lines)
+
+
+def attractors_in_words(answer: dict) -> Iterator[str]:
+    """The answer of `continuation`."""
     for one in answer["attractors"]:
         period = f"period {one['period']}" if one["period"] else "no period"
-        print(
-            f"  {one['number']}: {period}, from {one['first']:g} to {one['last']:g}; "
-            f"at most {one['largest_fraction']:.3%} of the region"
-        )
+        span = f"from {one['first']:g} to {one['last']:g}"
+        most = f"at most {one['largest_fraction']:.3%} of the region"
+        yield f"  {one['number']}: {period}, {span}; {most}"
     for event in answer["bifurcations"]:
         kind = "fold" if event["kind"] == "fold" else "period doubling"
-        print(f"    {kind} of {event['attractor']} at {event['value']:.12f}")
-    print(f"  data set {out}, picture {figure}")
+        yield f"    {kind} of {event['attractor']} at {event['value']:.12f}"

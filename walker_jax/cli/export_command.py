@@ -7,7 +7,7 @@ import typer
 
 from walker_jax import storage
 from walker_jax.checks import WrongPlace
-from walker_jax.cli.answers import print_json
+from walker_jax.cli.answers import tell
 from walker_jax.cli.options import Json, Overwrite
 
 
@@ -22,7 +22,5 @@ def export(
         raise WrongPlace(f"FILE.nc must end in .nc, not {file}")
     copied = storage.export(data, file, overwrite=overwrite)
     answer = {"data": str(data), "file": str(file), "variables": sorted(map(str, copied.variables))}
-    if as_json:
-        print_json(answer)
-        return
-    print(f"{data}: {', '.join(answer['variables'])}\n  NetCDF file {file}")
+    lines = [f"{data}: {', '.join(answer['variables'])}", f"  NetCDF file {file}"]
+    tell(answer, lines, as_json=as_json)

@@ -14,7 +14,6 @@ from typing import NoReturn
 
 from walker_jax.cli.app import Interrupted, app, resume_notes
 from walker_jax.cli.complaints import complaint
-from walker_jax.cli.rewording import OPTIONS, OPTIONS_OF_SYSTEMS, with_options_named
 
 FEW_COLLECTIONS = 50_000
 """New objects after which Python looks for garbage: traces are many objects, of which most live on,
@@ -54,14 +53,11 @@ def verdict(error: Exception) -> tuple[int, str]:
     if hasattr(error, "format_message"):  # an error of typer's own
         return 2, complaint(error)
     checks = sys.modules.get("walker_jax.checks")  # it loads JAX, and that may be what failed
-    if checks is None or not isinstance(error, checks.WrongUse | checks.ComputationFailed):
+    if checks is None or not isinstance(error, checks.Refusal):
         return 1, f"{type(error).__name__}: {error}"
-    said, place = [*map(str, error.args)], isinstance(error, checks.WrongPlace | checks.NotWritten)
-    verbatim = said[:1] if place else []  # it holds paths
-    options = OPTIONS_OF_SYSTEMS if vars(error).get("of_system") else OPTIONS
-    named = [with_options_named(one, options) for one in said[len(verbatim) :]]
-    reason = ": ".join([*verbatim, *named])
-    return (2 if isinstance(error, checks.WrongUse) else 1), reason
+    from walker_jax.cli.rewording import message_of
+
+    return (2 if isinstance(error, checks.WrongUse) else 1), message_of(error)
 
 
 def terminate(signal_number: int, frame: object) -> NoReturn:

@@ -2,37 +2,30 @@
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 import walker_jax as wj
 from walker_jax import storage
 from walker_jax.checks import ComputationFailed, WrongUse
-from walker_jax.cli.answers import draw, find_earlier, print_json, request_for
+from walker_jax.cli.answers import Output, request_for
+from walker_jax.cli.groups import option
 from walker_jax.cli.options import (
-    PHIDOT_HELP,
-    Axes,
-    AxisOption,
-    Json,
-    Out,
-    Overwrite,
-    PictureOfData,
-    RegionSum,
-    asked_of,
-    grid_from,
     hyphenated,
     read_numbers,
+    refuse_again,
+    underscored,
 )
+from walker_jax.cli.section import AXIS, Axis, Volume, asked_of
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.design.problem import default_levels
 from walker_jax.design.summary import ENDS, summarise_optimum
 from walker_jax.execution.progress import bar
 from walker_jax.systems.system import System
-from walker_jax.walkers.parameters import check_parameter, describe_in_words, describe_walker
+from walker_jax.walkers.parameters import check_parameter, describe_in_words
 
 if TYPE_CHECKING:
     import xarray
@@ -41,63 +34,62 @@ SAVED_EVERY = 2.0
 """Seconds after which the trace is saved again, at a tenth of a second each; also at the end."""
 
 
+@dataclass(frozen=True)
+class Problem:
+    """What is free, and what is wanted."""
+
+    over: list[str] | None = option(None, "A parameter that is free; may be repeated.")
+    bound: list[str] | None = option(
+        None, "Its bounds; one for each of them.", metavar="NAME=LO:HI"
+    )
+    objective: list[str] | None = option(
+        None,
+        "area (default), volume, least-disturbance, speed, step-length, spectral-radius, "
+        "sensitivity-norm or cost-of-transport; NAME=WEIGHT, repeated, for a weighted sum.",
+        metavar="NAME",
+    )
+    at_least: tuple[str, float] | None = option(
+        None, "Least speed, step-length, ...; one limit.", metavar="NAME VALUE"
+    )
+    at_most: tuple[str, float] | None = option(
+        None, "Greatest value of one of them; one limit.", metavar="NAME VALUE"
+    )
+
+    def limits(self) -> dict[str, dict[str, float]]:
+        """The limits by their arguments."""
+        given = {"at_least": self.at_least, "at_most": self.at_most}
+        return {
+            side: {} if limit is None else {hyphenated(limit[0]): limit[1]}
+            for side, limit in given.items()
+        }
+
+
+@dataclass(frozen=True)
+class OptimumRegion(Volume):
+    theta: Axis | None = option(None, "Where the area is measured, as for robustness.", **AXIS)
+    phidot: Axis | None = option(
+        None, "The same for a volume (default: the whole section).", **AXIS
+    )
+
+
+@dataclass(frozen=True)
+class Options:
+    starts: int = option(3, "Starts: the walker given, and others within the bounds.", min=1)
+    levels: int | None = option(
+        None, "Refinement of areas at both ends (default: 4; of volumes 2).", min=0, max=8
+    )
+    strides: int = option(200, "Strides a walker is followed for.", min=1)
+    scan: int = option(15, "Values of each parameter at which the objective is drawn.", min=0)
+    seed: int = option(0, "Of the starts.", min=0)
+
+
 @takes_walker(systems=True)
 def optimise(
     walker: System,
-    over: Annotated[
-        list[str] | None, typer.Option(help="A parameter that is free; may be repeated.")
-    ] = None,
-    bound: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME=LO:HI", help="Its bounds; one for each of them."),
-    ] = None,
-    objective: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            help="area (default), volume, least-disturbance, speed, step-length, spectral-radius, "
-            "sensitivity-norm or cost-of-transport; NAME=WEIGHT, repeated, for a weighted sum.",
-        ),
-    ] = None,
-    at_least: Annotated[
-        tuple[str, float] | None,
-        typer.Option(metavar="NAME VALUE", help="Least speed, step-length, ...; one limit."),
-    ] = None,
-    at_most: Annotated[
-        tuple[str, float] | None,
-        typer.Option(metavar="NAME VALUE", help="Greatest value of one of them; one limit."),
-    ] = None,
-    theta: Annotated[
-        AxisOption | None,
-        typer.Option(metavar="LO HI N", help="Where the area is measured, as for robustness."),
-    ] = None,
-    sum_: RegionSum = None,
-    at_phidot: Annotated[
-        float | None, typer.Option(help=f"{PHIDOT_HELP}: a slice there (else at the gait).")
-    ] = None,
-    phidot: Annotated[
-        AxisOption | None,
-        typer.Option(metavar="LO HI N", help="The same for a volume (default: the whole section)."),
-    ] = None,
-    axis: Axes = None,
-    starts: Annotated[
-        int, typer.Option(min=1, help="Starts: the walker given, and others within the bounds.")
-    ] = 3,
-    levels: Annotated[
-        int | None,
-        typer.Option(
-            min=0, max=8, help="Refinement of areas at both ends (default: 4; of volumes 2)."
-        ),
-    ] = None,
-    strides: Annotated[int, typer.Option(min=1, help="Strides a walker is followed for.")] = 200,
-    scan: Annotated[
-        int, typer.Option(min=0, help="Values of each parameter at which the objective is drawn.")
-    ] = 15,
-    seed: Annotated[int, typer.Option(min=0, help="Of the starts.")] = 0,
-    out: Out = Path("optimum.zarr"),
-    figure: PictureOfData = None,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
+    problem: Problem,
+    region: OptimumRegion,
+    options: Options,
+    output: Output = Output(Path("optimum.zarr")),
 ) -> None:
     """Design a walker: the parameters with the largest basin, or another objective, by gradient.
 
@@ -108,43 +100,33 @@ def optimise(
     """
     from walker_jax import figures
 
-    bounds = bounds_of(walker, over or [], bound or [])
-    weights = objective_of(objective or ["area"])
-    lowest, highest = (
-        {hyphenated(one[0]): one[1]} if one is not None else {} for one in (at_least, at_most)
-    )
-    levels = default_levels(weights) if levels is None else levels
-    grid = grid_from(walker, theta, sum_, at_phidot, phidot, axis)
-    about, limits = describe_walker(walker), {"at_least": lowest, "at_most": highest}
-    options: Any = {"starts": starts, "levels": levels, "strides": strides}
-    options |= {"scan": scan, "seed": seed}
-    asked = {"bounds": bounds, "objective": weights, "axes": asked_of(grid)}
-    request = request_for("optimise", walker, walker=about, **asked, **limits, **options)
-    figure, data = find_earlier(out, figure, request, overwrite=overwrite)
+    names = problem.objective or ["area"]
+    bounds = bounds_of(walker, problem.over or [], problem.bound or [])
+    weights, limits = objective_of(names), problem.limits()
+    how: Any = vars(options)
+    how |= {"levels": default_levels(weights)} if options.levels is None else {}
+    grid = region.grid(walker)
+    asked = {"bounds": bounds, "objective": weights, "axes": asked_of(grid), **limits, **how}
+    request = request_for("optimise", walker, **asked)
+    data = output.find(request)
     if data is None or "found" not in data:  # not begun, or interrupted
-        compute = partial(
-            wj.optimise, walker, bounds, weights, grid=grid, progress=True, **limits, **options
-        )
-        data = computed(compute, out, request, overwrite=overwrite)
+        how |= {"grid": grid, "progress": True, **limits}
+        data = computed(partial(wj.optimise, walker, bounds, weights, **how), output, request)
     if not data["found"]:
         reasons = "; ".join(dict.fromkeys(data["note"].values.tolist()))
         raise ComputationFailed(f"no start leads anywhere: {reasons}")
-    draw(figures.optimum(data), figure, request)
+    output.draw(figures.optimum(data), request)
     answer = summarise_optimum(data)
-    if as_json:
-        print_json(answer | {"walker": about})
-        return
-    print_optimum(walker, answer, " + ".join(objective or ["area"]))
-    for note in data["note"].values.tolist():
-        if note:
-            print(f"  a start led nowhere: {note}")
-    print(f"  data set {out}, picture {figure}")
+    lines = [*optimum_in_words(walker, answer, " + ".join(names))]
+    lines += [f"  a start led nowhere: {note}" for note in data["note"].values.tolist() if note]
+    output.tell(answer | {"walker": request["walker"]}, lines)
 
 
 def computed(
-    compute: "Callable[..., xarray.Dataset]", out: Path, request: dict, *, overwrite: bool
+    compute: "Callable[..., xarray.Dataset]", output: Output, request: dict
 ) -> "xarray.Dataset":
-    """The optimum, its trace saved at `out` as it grows; nobody else writes there meanwhile."""
+    """The optimum, its trace saved as it grows; nobody else writes there meanwhile."""
+    out, overwrite = output.out, output.overwrite
     with storage.rewritable(out, request) as save:
         known = storage.find(out, request, overwrite=overwrite)  # another run may just have ended
         if known is not None and "found" in known:
@@ -174,12 +156,11 @@ def computed(
 
 def bounds_of(walker: System, over: list[str], bound: list[str]) -> dict[str, tuple[float, float]]:
     """The bounds of the parameters that are free."""
-    names = [name.replace("-", "_") for name in over]
+    names = [*map(underscored, over)]
     bounds: dict[str, tuple[float, float]] = {}
     for text in bound:
         name, (low, high) = read_numbers("--bound", "NAME=LO:HI", (float, float), text)
-        if name in bounds:
-            raise WrongUse(f"--bound is given twice for {hyphenated(name)}")
+        refuse_again("--bound", name, bounds)
         bounds[name] = low, high
     if not names:
         raise WrongUse("--over is required: a parameter that is free, such as slope")
@@ -207,29 +188,28 @@ def objective_of(texts: list[str]) -> str | dict[str, float]:
             value = float(weight)
         except ValueError:
             raise WrongUse(f"--objective must be one NAME, or NAME=WEIGHT, not {text}") from None
-        if name in weights:
-            raise WrongUse(f"--objective is given twice for {name}")
+        refuse_again("--objective", name, weights)
         weights[name] = value
     return weights
 
 
-def print_optimum(walker: System, answer: dict, objective: str) -> None:
-    """The answer of `optimise`, in words."""
-    print(f"{objective}, {describe_in_words(walker)}")
+def optimum_in_words(walker: System, answer: dict, objective: str) -> Iterator[str]:
+    """The answer of `optimise`."""
+    yield f"{objective}, {describe_in_words(walker)}"
     for end in ENDS:
         values = ", ".join(f"{name} {value:.8g}" for name, value in answer[end].items())
         exact, error = answer["exact"][end], answer["exact_error"][end]
-        print(f"  {end:8} {values}: {exact:.7g}" + (f" +- {error:.1g}" if error > 0 else ""))
+        yield f"  {end:8} {values}: {exact:.7g}" + (f" +- {error:.1g}" if error > 0 else "")
     before, after = (answer["exact"][end] for end in ENDS)
     factor = f", by a factor of {after / before:.3f}" if before > 0 else ""
     for end in ENDS:
         if answer["note"][end]:
-            print(f"  {end}: {answer['note'][end]}")
-    print(f"  a change of {after - before:+.4g}{factor}")
+            yield f"  {end}: {answer['note'][end]}"
+    yield f"  a change of {after - before:+.4g}{factor}"
     place = "inside the bounds"
     if answer["at_bound"]:
         place = f"at a bound of {', '.join(answer['at_bound'])}"
     if answer["binding"]:
         place += f", held by the limit of {', '.join(answer['binding'])}"
     end = "converged" if answer["converged"] else "not converged"
-    print(f"  {place}; {end}, {answer['evaluations']} evaluations")
+    yield f"  {place}; {end}, {answer['evaluations']} evaluations"

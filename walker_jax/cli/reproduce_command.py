@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from walker_jax.cli.answers import Stopwatch, print_json
+from walker_jax.cli.answers import Stopwatch, tell
 from walker_jax.cli.options import Json, Overwrite
 
 
@@ -25,14 +25,13 @@ def reproduce(
 
     clock = Stopwatch()
     numbers = reproduction.reproduce(out, quick=quick, overwrite=overwrite, progress=True)
+    report = out / "report.html"
+    answer = {"report": str(report), "numbers": [number._asdict() for number in numbers]}
     differ = [number for number in numbers if not number.agrees]
-    if as_json:
-        listed = [number._asdict() for number in numbers]
-        seconds = clock.seconds()
-        print_json({"report": str(out / "report.html"), "numbers": listed, "seconds": seconds})
-        return
-    agree = len(numbers) - len(differ)
-    print(f"{agree} of {len(numbers)} numbers agree at the digits that the paper prints; not so:")
+    agree = f"{len(numbers) - len(differ)} of {len(numbers)} numbers agree"
+    lines = [f"{agree} at the digits that the paper prints; not so:"]
     for one in differ:
-        print(f"  {one.where}, {one.what}: printed {one.printed}, ours {one.ours}. {one.why}")
-    print(f"  report {out / 'report.html'}")
+        printed = f"printed {one.printed}, ours {one.ours}"
+        lines.append(f"  {one.where}, {one.what}: {printed}. {one.why}")
+    lines.append(f"  report {report}")
+    tell(answer | {"seconds": clock.seconds()}, lines, as_json=as_json)

@@ -1,95 +1,113 @@
 """`walker-jax robustness`."""
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-import typer
 
 import walker_jax as wj
-from walker_jax import storage
 from walker_jax.basins.windows import grid_along
 from walker_jax.checks import WrongUse
-from walker_jax.cli.answers import draw, find_earlier, listed, print_json, request_for
+from walker_jax.cli.answers import Output, listed, request_for, slope_of, walker_in_words
+from walker_jax.cli.groups import option
 from walker_jax.cli.options import (
-    PHIDOT_HELP,
-    Axes,
-    AxisOption,
-    Json,
-    Out,
-    Overwrite,
-    PictureOfData,
-    Seed,
-    asked_of,
     check_finite,
     check_range,
-    check_section,
-    grid_from,
     hyphenated,
+    refuse,
     refuse_for_systems,
-    window_from,
+    underscored,
 )
+from walker_jax.cli.section import AXIS, Axis, Region, asked_of, axes_of_region, check_section
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.design.evaluation import check_starts
+from walker_jax.grids import Grid
 from walker_jax.stability.summary import summarise_robustness
 from walker_jax.systems.system import System
 from walker_jax.walkers.model import Walker, is_planar
-from walker_jax.walkers.parameters import describe_walker, space_decimals
+from walker_jax.walkers.parameters import space_decimals
+
+
+@dataclass(frozen=True)
+class Over:
+    over: str = option("slope", "The parameter of a table, with --from and --to.", metavar="NAME")
+
+
+@dataclass(frozen=True)
+class BasinRegion(Region):
+    theta: Axis | None = option(None, "Stance angle, rad (default: 0 0.7854 200).", **AXIS)
+    sum: Axis | None = option(
+        None,
+        "theta + thetadot (default: -0.12 0.06 200; -1.1 0.1 800 but for the simplest).",
+        **AXIS,
+    )
+
+    def grid(self, walker: System) -> Grid | None:
+        """The default is the library's for walkers, and the region of gaits for other systems."""
+        grid = super().grid(walker)
+        if isinstance(walker, Walker):
+            return grid
+        check_section(walker, self.axis)
+        return grid or grid_along(axes_of_region(walker))
+
+
+@dataclass(frozen=True)
+class Options:
+    levels: int = option(4, "Times that cells on a boundary are cut in two.", min=0, max=8)
+    disturbances: float = option(
+        0.1, "Largest disturbance for basin stability, as a share of the gait's state."
+    )
+    strides: int = option(500, "Strides in which a walker may come back.", min=1)
+    ground: float | None = option(
+        None,
+        "Standard deviation of steps of rough ground: how long walks last there.",
+        min=0,
+    )
+    seed: int = option(0, "Seed of random numbers.", min=0)
+
+    def settings(self, walker: System) -> dict[str, Any]:
+        """Arguments of `robustness`."""
+        check_finite(disturbances=self.disturbances, ground=self.ground)
+        if self.disturbances <= 0:
+            raise WrongUse(f"--disturbances must be above 0, not {self.disturbances}")
+        refuse_for_systems(walker, ground=self.ground)
+        given = {name: value for name, value in vars(self).items() if value is not None}
+        if isinstance(walker, Walker) and not is_planar(walker):
+            given["check"] = check_starts(walker, exact=True)
+        return given
+
+
+@dataclass(frozen=True)
+class Table:
+    """The values of a table."""
+
+    low: float | None = option(None, "Lowest slope, or value, of a table.", "--from")
+    high: float | None = option(None, "Highest.", "--to")
+    count: int | None = option(None, "Rows of the table (default: 20).", min=2)
+
+    def values(self, walker: System, name: str) -> list[float] | None:
+        """The values of the parameter; None without a table."""
+        if (self.low is None) != (self.high is None):
+            raise WrongUse("--from and --to are for a table: give both or none")
+        if self.low is None or self.high is None:
+            over = None if name == "slope" else name
+            refuse("is for a table: give --from and --to too", count=self.count, over=over)
+            return None
+        check_range(walker, name, self.low, self.high)
+        return space_decimals(self.low, self.high, self.count or 20)
 
 
 @takes_walker(systems=True, ranges_over="over", or_one_value=True)
 def robustness(
     walker: System,
-    over: Annotated[
-        str, typer.Option(metavar="NAME", help="The parameter of a table, with --from and --to.")
-    ] = "slope",
-    theta: Annotated[
-        AxisOption | None,
-        typer.Option(metavar="LO HI N", help="Stance angle, rad (default: 0 0.7854 200)."),
-    ] = None,
-    sum_: Annotated[
-        AxisOption | None,
-        typer.Option(
-            "--sum",
-            metavar="LO HI N",
-            help="theta + thetadot (default: -0.12 0.06 200; -1.1 0.1 800 but for the simplest).",
-        ),
-    ] = None,
-    at_phidot: Annotated[
-        float | None,
-        typer.Option(help=f"{PHIDOT_HELP}: a slice there (else at the gait)."),
-    ] = None,
-    axis: Axes = None,
-    levels: Annotated[
-        int, typer.Option(min=0, max=8, help="Times that cells on a boundary are cut in two.")
-    ] = 4,
-    disturbances: Annotated[
-        float,
-        typer.Option(
-            help="Largest disturbance for basin stability, as a share of the gait's state."
-        ),
-    ] = 0.1,
-    strides: Annotated[
-        int, typer.Option(min=1, help="Strides in which a walker may come back.")
-    ] = 500,
-    ground: Annotated[
-        float | None,
-        typer.Option(
-            min=0, help="Standard deviation of steps of rough ground: how long walks last there."
-        ),
-    ] = None,
-    seed: Seed = 0,
-    low: Annotated[
-        float | None, typer.Option("--from", help="Lowest slope, or value, of a table.")
-    ] = None,
-    high: Annotated[float | None, typer.Option("--to", help="Highest.")] = None,
-    count: Annotated[
-        int | None, typer.Option(min=2, help="Rows of the table (default: 20).")
-    ] = None,
-    out: Out = Path("robustness.zarr"),
-    figure: PictureOfData = None,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
+    over: Over,
+    region: BasinRegion,
+    options: Options,
+    table: Table,
+    output: Output = Output(Path("robustness.zarr")),
 ) -> None:
     """Measure how large a disturbance a gait survives, on one slope or over many.
 
@@ -101,126 +119,95 @@ def robustness(
     angles of a walker on point feet, is a slice around the gait of any other, and of any other
     system the region in which its gaits are searched for.
     """
-    from walker_jax import figures
-
-    if (low is None) != (high is None):
-        raise WrongUse("--from and --to are for a table: give both or none")
-    if low is None and count is not None:
-        raise WrongUse("--count is for a table: give --from and --to too")
-    check_finite(disturbances=disturbances, ground=0.0 if ground is None else ground)
-    if disturbances <= 0:
-        raise WrongUse(f"--disturbances must be above 0, not {disturbances}")
-    grid = grid_from(walker, theta, sum_, at_phidot, axis=axis)
-    refuse_for_systems(walker, ground=ground)
-    if not isinstance(walker, Walker):
-        check_section(walker, axis)
-        grid = grid or grid_along(window_from(walker, axis, {}))
-    about, name = describe_walker(walker), over.replace("-", "_")
-    values = None
-    if low is not None and high is not None:
-        check_range(walker, name, low, high)
-        values = space_decimals(low, high, count or 20)
-        about.pop(name)
-    elif name != "slope":
-        raise WrongUse("--over is for a table: give --from and --to too")
-    at = {"slope": about["slope"]} if values is None and "slope" in about else {}
-    options: Any = {
-        "levels": levels,
-        "disturbances": disturbances,
-        "strides": strides,
-        "seed": seed,
-    } | ({} if ground is None else {"ground": ground})
-    if isinstance(walker, Walker) and not is_planar(walker):
-        options["check"] = check_starts(walker, exact=True)
-    asked = {"over": values and {name: values}, "axes": asked_of(grid)}
-    request = request_for("robustness", walker, walker=about, **asked, **options)
-    figure, data = find_earlier(out, figure, request, overwrite=overwrite)
-    if data is None:
-        if values is None:
-            data = wj.robustness(walker, grid, progress=True, **options)
-        else:
-            data = wj.robustness_table(walker, values, name, grid, progress=True, **options)
-        data = storage.save(data, out, request)
+    name = underscored(over.over)
+    values, how, grid = table.values(walker, name), options.settings(walker), region.grid(walker)
+    asked = {"over": values and {name: values}, "axes": asked_of(grid), **how}
+    request = request_for("robustness", walker, without=[name] * bool(values), **asked)
+    measure: Any = partial(wj.robustness, walker)
+    if values is not None:
+        measure = partial(wj.robustness_table, walker, values, name)
+    picture = "robustness" if values is None else "robustness_table"
+    data = output.produce(request, lambda: measure(grid, progress=True, **how), picture)
+    about = request["walker"]
     if values is None:
-        picture, rows = figures.robustness(data), [summarise_robustness(data, at)]
+        at = slope_of(about)
+        answer: dict[str, Any] = summarise_robustness(data, at)
+        rows, places = [answer], [f"slope {value:g}: " for value in at.values()] or [""]
+        about = {key: value for key, value in about.items() if key not in at}
     else:
-        picture = figures.robustness_table(data)
         rows = [
             summarise_robustness(data.isel({name: i}), {name: value})
             for i, value in enumerate(values)
         ]
-    draw(picture, figure, request)
-    if as_json:
-        many = "slopes" if name == "slope" else "values"
-        print_json({"walker": about} | (rows[0] if values is None else {many: rows}))
-        return
-    about = {key: value for key, value in about.items() if key not in at}
-    about.pop("name")
-    others = [f"{key} {value:g}" for key, value in about.items()]
-    print(", ".join([f"Robustness, {walker.label()}", *others]))
-    for row, value in zip(rows, [at.get("slope")] if values is None else values, strict=True):
-        print_measures(row, "" if value is None else f"{hyphenated(name)} {value:g}: ")
-    print(f"  data set {out}, picture {figure}")
+        answer = {"slopes" if name == "slope" else "values": rows}
+        places = [f"{hyphenated(name)} {value:g}: " for value in values]
+    lines = [f"Robustness, {walker_in_words(about)}"]
+    for row, place in zip(rows, places, strict=True):
+        lines += measures_in_words(row, place)
+    output.tell({"walker": request["walker"]} | answer, lines)
 
 
-def print_measures(row: dict, where: str) -> None:
-    """The answer of `robustness` on one slope, in words."""
-    print(f"  {where}area {row['area']:.7g} +- {row['area_error']:.1g}")
+def measures_in_words(row: dict, where: str) -> Iterator[str]:
+    """The answer of `robustness` on one slope."""
+    yield f"  {where}area {row['area']:.7g} +- {row['area_error']:.1g}"
     if row["at_border"]:
-        print(f"    the basin reaches the border of the grid, in {row['at_border']} cells")
+        yield f"    the basin reaches the border of the grid, in {row['at_border']} cells"
     if row["note"]:
-        print(f"    {row['note']}")
+        yield f"    {row['note']}"
     if row["gait"] is None:
-        print("    no gait attracts")
+        yield "    no gait attracts"
         return
     gait, smallest = row["gait"], row["least_disturbance"]
-    survived, dimension = row["basin_stability"], row["boundary_dimension"]
-    print(f"    gait of period {gait['period']}, largest multiplier {gait['multiplier']:.6f}")
-    print(f"    least disturbance {disturbance_in_words(smallest)}")
+    yield f"    gait of period {gait['period']}, largest multiplier {gait['multiplier']:.6f}"
+    yield f"    least disturbance {disturbance_in_words(smallest)}"
     if smallest["failure"] == "STRIDE" and row["least_fall"] is not None:
         fall = row["least_fall"]
         words = "none found" if fall["failure"] is None else disturbance_in_words(fall)
-        print(f"    least one from which it falls {words}")
+        yield f"    least one from which it falls {words}"
     if np.isfinite(row["step_down"]):  # it is not known of walkers in space
         down = f"{row['step_down']:.8f}"
         if row["step_down_failure"] == "STRIDE":
             down += f": leads to another motion; falls from {row['step_down_fall']:.8f}"
-        print(f"    least step down {down}")
-    print(
+        yield f"    least step down {down}"
+    yield from returns_in_words(row["basin_stability"], gait)
+    dimension = row["boundary_dimension"]
+    interval = f"{dimension['low']:.3f} to {dimension['high']:.3f}"
+    yield f"    dimension of the boundary {dimension['value']:.3f} ({interval})"
+    if "steps_to_fall" in row:
+        yield walks_in_words(row["steps_to_fall"])
+
+
+def returns_in_words(survived: dict, gait: dict) -> Iterator[str]:
+    """Which disturbances are survived, and how soon they are over."""
+    yield (
         f"    {survived['value']:.1%} ({survived['low']:.1%} to {survived['high']:.1%}) of "
         f"disturbances up to {survived['disturbances']:g} of the gait's state are survived; "
         f"half of them are over in {survived['median_strides']:g} strides, "
         f"95 of 100 in {survived['slowest_strides']:g}"
     )
     if survived["mean_strides"] is not None:  # a data set of an earlier version lacks it
-        print(
+        yield (
             f"    {survived['in_time']:.1%} are over in 10 strides; on average they take "
             f"{survived['mean_strides']:.4g}, and small ones shrink by a factor of e in "
             f"{gait['return_strides']:.3g}; the largest that is survived is "
             f"{survived['largest_shock']:.3g}"
         )
-    print(
-        f"    dimension of the boundary {dimension['value']:.3f} "
-        f"({dimension['low']:.3f} to {dimension['high']:.3f})"
-    )
-    if "steps_to_fall" in row:
-        print_walks(row["steps_to_fall"])
 
 
-def print_walks(walks: dict) -> None:
-    """How long walks last on rough ground, in words."""
+def walks_in_words(walks: dict) -> str:
+    """How long walks last on rough ground."""
     mean, low, high = (
         "inf" if value is None or not np.isfinite(value) else f"{value:.4g}"
         for value in (walks["mean"], walks["low"], walks["high"])
     )
-    print(
+    return (
         f"    on ground with steps of standard deviation {walks['ground']:g} it falls after {mean} "
         f"strides on average ({low} to {high})"
     )
 
 
 def disturbance_in_words(disturbance: dict) -> str:
-    """A least disturbance in words."""
+    """A least disturbance."""
     end = "leads to another motion"
     if disturbance["failure"] is None:
         return "unknown: from all that were tried it returns"

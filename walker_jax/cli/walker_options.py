@@ -1,6 +1,5 @@
 """The options that say which walker, or other system, a command is about."""
 
-import functools
 import inspect
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -9,9 +8,10 @@ from typing import Annotated
 
 import typer
 
-from walker_jax.checks import ComputationFailed, WrongPlace, WrongUse
+from walker_jax.checks import WrongUse
+from walker_jax.cli.groups import argument, arguments_of, with_arguments
 from walker_jax.cli.list_walkers import ListWalkers
-from walker_jax.cli.rewording import option_of, with_options_named
+from walker_jax.cli.rewording import option_of
 from walker_jax.systems.family import SYSTEMS
 from walker_jax.systems.system import System
 from walker_jax.walkers.family import WALKERS
@@ -63,7 +63,7 @@ def offered_kinds(command: Callable[..., None], args: Sequence[str]) -> Kinds:
             return {system: find_system(system)}
         return WALKERS if name in WALKERS else {name: find_walker(name)}
     except WrongUse as error:
-        raise WrongPlace(f"--{error}") from error
+        raise WrongUse(f"--{error}") from error
 
 
 def value_of(option: str, args: Sequence[str]) -> str | None:
@@ -81,14 +81,8 @@ def with_walker_options(command: Callable[..., None], kinds: Kinds) -> Callable[
     """The command with options for the walkers that it offers, in the place of its walker."""
     offered, owners = offered_parameters(kinds)
     ranges_over: str | None = vars(command)["ranges_over"]
-    own = list(inspect.signature(command).parameters.values())[1:]
 
-    @functools.wraps(command)
-    def with_options(**given):
-        walker = given.pop("walker")
-        system = given.pop("system", None)
-        name = system or walker
-        given.pop("list_walkers")
+    def takes(walker, list_walkers, system=None, **given):
         values = {parameter: given.pop(PREFIX + parameter) for parameter in offered}
         values = {one: value for one, value in values.items() if value is not None}
         if ranges_over is not None:
@@ -97,19 +91,12 @@ def with_walker_options(command: Callable[..., None], kinds: Kinds) -> Callable[
                 values |= lowest_value(over, low, values)
         checks = {one.name: given.pop(PREFIX + one.name) for one in offered_options(kinds)}
         chosen = [one for one, chosen in checks.items() if chosen]
-        try:
-            return command(build_walker(kinds, name, values, chosen), **given)
-        except (WrongUse, ComputationFailed) as error:
-            vars(error)["of_system"] = system is not None  # which has options of its own
-            raise
+        return command(walker=build_walker(kinds, system or walker, values, chosen), **given)
 
     accepted = walker_options(offered, owners, kinds)
     if vars(command)["systems"]:
         accepted.insert(1, SYSTEM_OPTION)
-    own = [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in own]
-    vars(with_options)["__signature__"] = inspect.Signature([*accepted, *own])  # which typer reads
-    with_options.__annotations__ = {one.name: one.annotation for one in (*accepted, *own)}
-    return with_options
+    return with_arguments([*accepted, *arguments_of(command)[1:]], command, takes)
 
 
 def lowest_value(over: Parameter, low: float | None, given: Mapping[str, float]) -> dict:
@@ -146,43 +133,33 @@ def walker_options(
                 defaults += f", {name}: {own:g}"
         return f"{whose_option(owners[one.name], kinds)}{about} ({defaults})".strip()
 
-    def option(name: str, annotation: object, default: object) -> inspect.Parameter:
-        keyword = inspect.Parameter.KEYWORD_ONLY
-        return inspect.Parameter(name, keyword, default=default, annotation=annotation)
-
     names = f"Its model: {' | '.join(WALKERS)}, or one's own, FILE.py:CLASS."
     model = typer.Option(
         help=names, rich_help_panel=PANEL, metavar="NAME", autocompletion=names_that_begin
     )
-    accepted = [option("walker", Annotated[str, model], DEFAULT)]
+    accepted = [argument("walker", Annotated[str, model], DEFAULT)]
     for one in offered.values():
         number = typer.Option(
             option_of(one.name), help=help_of(one), rich_help_panel=PANEL, show_default=False
         )
-        accepted.append(option(PREFIX + one.name, Annotated[float | None, number], None))
+        accepted.append(argument(PREFIX + one.name, Annotated[float | None, number], None))
     for one, whose in offered_options(kinds).items():
         about = f"{whose_option(whose, kinds)}{one.meaning}."
         flag = typer.Option(option_of(one.name), help=about, rich_help_panel=PANEL)
-        accepted.append(option(PREFIX + one.name, Annotated[bool, flag], False))
-    return [*accepted, option("list_walkers", ListWalkers, False)]
+        accepted.append(argument(PREFIX + one.name, Annotated[bool, flag], False))
+    return [*accepted, argument("list_walkers", ListWalkers, False)]
 
 
-SYSTEM_OPTION = inspect.Parameter(
-    "system",
-    inspect.Parameter.KEYWORD_ONLY,
-    default=None,
-    annotation=Annotated[
-        str | None,
-        typer.Option(
-            help=f"Any other system instead: {' | '.join(SYSTEMS)}, or one's own, FILE.py:NAME.",
-            rich_help_panel=PANEL,
-            metavar="NAME",
-            autocompletion=lambda incomplete: [
-                one for one in SYSTEMS if one.startswith(incomplete)
-            ],
-        ),
-    ],
-)
+SYSTEM = Annotated[
+    str | None,
+    typer.Option(
+        help=f"Any other system instead: {' | '.join(SYSTEMS)}, or one's own, FILE.py:NAME.",
+        rich_help_panel=PANEL,
+        metavar="NAME",
+        autocompletion=lambda incomplete: [one for one in SYSTEMS if one.startswith(incomplete)],
+    ),
+]
+SYSTEM_OPTION = argument("system", SYSTEM, None)
 """The option `--system`."""
 
 
@@ -209,10 +186,9 @@ def build_walker(kinds: Kinds, name: str, values: dict[str, float], checks: list
     """The walker of that name, with default values for parameters that are not given."""
     kind = kinds[name]
     described = {one.name: one for one in parameters_of(kind)}
-    named = {parameter: option_of(parameter) for parameter in described}
     for parameter in values:
         if parameter not in described:
-            has = ", ".join(named.values())
+            has = ", ".join(map(option_of, described))
             raise WrongUse(f"{option_of(parameter)} is not a parameter of {name}, which has {has}")
     owners = {one.name: whose for one, whose in offered_options(kinds).items()}
     for check in checks:
@@ -223,12 +199,9 @@ def build_walker(kinds: Kinds, name: str, values: dict[str, float], checks: list
     for parameter, value in values.items():
         if math.isnan(value) and math.isnan(described[parameter].default):
             raise WrongUse(f"{option_of(parameter)} is required: {name} has no default for it")
-    try:
-        numbers = {parameter: described[parameter].convert(v) for parameter, v in values.items()}
-        if isinstance(kind, type):
-            return kind(**numbers, **dict.fromkeys(checks, True))
-        for parameter in values:
-            kind = with_parameter(kind, parameter, numbers[parameter])
-        return kind
-    except WrongUse as error:
-        raise WrongUse(with_options_named(str(error), named)) from error
+    numbers = {parameter: described[parameter].convert(v) for parameter, v in values.items()}
+    if isinstance(kind, type):
+        return kind(**numbers, **dict.fromkeys(checks, True))
+    for parameter in values:
+        kind = with_parameter(kind, parameter, numbers[parameter])
+    return kind

@@ -174,7 +174,10 @@ def optimise(
     if grid is None:
         problem = problem._replace(grid=grid_for(problem, places))
     if problem.grid is None and problem.size:
-        raise WrongUse("grid is required: no start has a gait of period one to lay it around")
+        raise WrongUse(
+            "grid is required: no start has a gait of period one to lay it around",
+            arguments=["grid"],
+        )
     if problem.grid is not None:
         check_grid(walker, problem.grid, "direct", kind="optimum")
         axes, needed = len(problem.grid.names), SIZES.get(problem.size)
@@ -217,7 +220,8 @@ def grid_for(problem: Problem, places: list[Float[np.ndarray, " parameters"]]) -
         if len(first.section) != 3 or not isinstance(first, Walker):
             raise WrongUse(
                 f"objective must be area for a {type(first).__name__}, whose section has "
-                f"{len(first.section)} coordinates, not volume"
+                f"{len(first.section)} coordinates, not volume",
+                arguments=["objective"],
             )
         return grid_along(whole_section(first))
     return next((one for one in map(default_region, walkers) if one is not None), None)

@@ -108,16 +108,25 @@ def parse_objective(objective: str | Mapping[str, Any]) -> tuple[dict[str, float
         check_kind("objective", objective, Mapping)
     given = {objective: 1.0} if named else dict(objective)
     if not given:
-        raise WrongUse("objective must name at least one measure, not none")
+        raise WrongUse(
+            "objective must name at least one measure, not none", arguments=["objective"]
+        )
     for name, weight in given.items():
         if name not in OBJECTIVES:
-            raise WrongUse(f"objective must be one of {', '.join(OBJECTIVES)}, not {name!r}")
+            raise WrongUse(
+                f"objective must be one of {', '.join(OBJECTIVES)}, not {name!r}",
+                arguments=["objective"],
+            )
         if not (is_number(weight) and np.isfinite(weight) and weight != 0):
-            raise WrongUse(f"objective must give {name} a weight other than 0, not {weight}")
+            raise WrongUse(
+                f"objective must give {name} a weight other than 0, not {weight}",
+                arguments=["objective"],
+            )
     if len({*SIZES} & {*given}) > 1:
         raise WrongUse(
             "objective must have an area, a volume or basin-stability, as there is one grid, not "
-            "several"
+            "several",
+            arguments=["objective"],
         )
     weights = {name: float(weight) for name, weight in given.items()}
     return weights, OBJECTIVES[objective] if named else 1.0
@@ -139,17 +148,24 @@ def parse_limits(
         for name, value in given.items():
             if name not in GAIT_MEASURES:
                 known = ", ".join(GAIT_MEASURES)
-                raise WrongUse(f"at_least and at_most must be of one of {known}, not of {name!r}")
+                raise WrongUse(
+                    f"at_least and at_most must be of one of {known}, not of {name!r}",
+                    arguments=["at_least", "at_most"],
+                )
             if not (is_number(value) and np.isfinite(value)):
                 raise WrongUse(
-                    f"at_least and at_most of {name} must be finite numbers, not {value!r}"
+                    f"at_least and at_most of {name} must be finite numbers, not {value!r}",
+                    arguments=["at_least", "at_most"],
                 )
             pair = list(limits.get(name, (-np.inf, np.inf)))
             pair[side] = float(value)
             limits[name] = pair[0], pair[1]
     for name, (low, high) in limits.items():
         if low > high:
-            raise WrongUse(f"at_least {name} must be below at_most, not {low:g} and {high:g}")
+            raise WrongUse(
+                f"at_least {name} must be below at_most, not {low:g} and {high:g}",
+                arguments=["at_least", "at_most"],
+            )
     return limits
 
 
@@ -158,9 +174,14 @@ def check_bounds(walker: System, name: str, ends: Any) -> None:
     try:
         low, high = map(float, ends)
     except (TypeError, ValueError):
-        raise WrongUse(f"bounds of {name} must be two numbers, not {ends!r}") from None
+        raise WrongUse(
+            f"bounds of {name} must be two numbers, not {ends!r}", arguments=["bounds"]
+        ) from None
     if not (np.isfinite(low) and np.isfinite(high) and low < high):
-        raise WrongUse(f"bounds of {name} must be finite, the lower first, not {low:g}:{high:g}")
+        raise WrongUse(
+            f"bounds of {name} must be finite, the lower first, not {low:g}:{high:g}",
+            arguments=["bounds"],
+        )
     check_parameter(walker, name, low, high)
 
 

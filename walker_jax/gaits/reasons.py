@@ -1,5 +1,7 @@
 """Reasons why a search finds no gait, and the error that gives them."""
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from walker_jax.checks import ComputationFailed
@@ -17,18 +19,25 @@ residual ended at a gait of a shorter period or at a bifurcation."""
 
 
 def no_gait_found(
-    walker: System, period: int, search: Gait | None, *, guessed: bool, instead: str = ""
+    walker: System,
+    period: int,
+    search: Gait | None,
+    *,
+    guessed: bool,
+    instead: str = "",
+    arguments: Iterable[str] = (),
 ) -> ComputationFailed:
     """The error of a search without a gait: the reason, and what to do `instead`.
 
-    `search` is as in `reason_without_gait`.
+    `search` is as in `reason_without_gait`, `arguments` those that `instead` names.
     """
     reason = reason_without_gait(walker, period, search, guessed=guessed)
     instead = instead or f"try {'another guess' if guessed else 'a guess'}"
     other = "another slope" if "slope" in numbers_of(walker) else "other parameters"
     return ComputationFailed(
         f"no gait of period {period} found for {describe_briefly(walker)}: {reason}; {instead}, "
-        f"or {other}"
+        f"or {other}",
+        arguments=[*arguments, "slope"],
     )
 
 

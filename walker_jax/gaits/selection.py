@@ -19,12 +19,19 @@ def require_gait(walker: System, instead: Iterable[str], *, tolerance: Real | No
     """
     gait = search_gait(walker, tolerance=tolerance)
     if not gait.found:
-        raise no_gait_found(walker, 1, gait, guessed=False, instead=f"give {', '.join(instead)}")
+        names = [*instead]
+        told = f"give {', '.join(names)}"
+        raise no_gait_found(walker, 1, gait, guessed=False, instead=told, arguments=names)
     return gait
 
 
 def select_gaits(
-    walker: System, period: int = 1, guess: Any = None, *, every: bool = False
+    walker: System,
+    period: int = 1,
+    guess: Any = None,
+    *,
+    every: bool = False,
+    instead: str = "",
 ) -> list[Gait]:
     """One gait of a period, or every gait of that period.
 
@@ -32,6 +39,7 @@ def select_gaits(
 
     - `walker`, `period`, `guess`: as in `find_gait`.
     - `every`: whether to return all gaits that searches from the walker's `gait_region` find.
+    - `instead`: of trying another guess, as the error says it.
 
     **Returns** the gait to which the search converges from the guess, if there is a guess.
     Otherwise, for a period of one, the gait that `find_gait` finds by default, and after it, if
@@ -52,5 +60,6 @@ def select_gaits(
         found = [first] * bool(first.found) + [gait for gait in found if not same(gait)]
     if not found:
         search = None if every else first
-        raise no_gait_found(walker, period, search, guessed=guess is not None)
+        guessed = guess is not None
+        raise no_gait_found(walker, period, search, guessed=guessed, instead=instead)
     return found

@@ -85,7 +85,9 @@ def check_place(out: Path, places: dict[str, Path], request: dict, *, overwrite:
         return
     if not out.is_dir():
         raise storage.StoreConflict(
-            f"{out} exists and is not a folder", storage.ANOTHER_PLACE.format("out")
+            f"{out} exists and is not a folder",
+            storage.ANOTHER_PLACE.format("out"),
+            arguments=["out"],
         )
     storage.check_writable(out / "data")
     if (out / "data").exists():

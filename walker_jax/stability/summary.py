@@ -96,7 +96,7 @@ def robustness(
         searched = search_gait(walker, tolerance=tolerance)
         grid = default_region(walker, searched) if grid is None else grid
     if grid is None:
-        raise WrongUse("grid is required where no gait of period one is found")
+        raise WrongUse("grid is required where no gait of period one is found", arguments=["grid"])
     with bar("basin", progress):
         data = refine(
             walker,

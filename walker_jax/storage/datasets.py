@@ -62,7 +62,8 @@ def find(path: Path, request: dict, *, overwrite: bool = False) -> "xarray.Datas
         data = read_existing(path)
     except Damaged as error:
         if not overwrite:
-            raise Damaged(*error.args, ANOTHER_PLACE_OR_OVERWRITE.format("out")) from error
+            hint = ANOTHER_PLACE_OR_OVERWRITE.format("out")
+            raise Damaged(*error.args, hint, arguments=["out", "overwrite"]) from error
         check_writable(path)
         return None
     if data is not None and not overwrite:
@@ -71,7 +72,11 @@ def find(path: Path, request: dict, *, overwrite: bool = False) -> "xarray.Datas
             return data
     check_writable(path)
     if data is None and path.exists():
-        raise StoreConflict(f"{path} exists and is not a data set", ANOTHER_PLACE.format("out"))
+        raise StoreConflict(
+            f"{path} exists and is not a data set",
+            ANOTHER_PLACE.format("out"),
+            arguments=["out"],
+        )
     return None
 
 
@@ -176,11 +181,13 @@ def export(path: Path, file: Path, *, overwrite: bool = False) -> "xarray.Datase
         raise WrongUse("NetCDF takes h5netcdf and h5py: pip install 'walker_jax[netcdf]'")
     check_writable(file)
     if file.exists() and not (overwrite and file.is_file()):
-        raise StoreConflict(f"{file} exists", ANOTHER_PLACE_OR_OVERWRITE.format("file"))
+        hint = ANOTHER_PLACE_OR_OVERWRITE.format("file")
+        raise StoreConflict(f"{file} exists", hint, arguments=["overwrite"])
     try:
         data = load(path) if path.is_dir() else None
     except Damaged as error:
-        raise Damaged(*error.args, "the command that made it replaces it with overwrite") from error
+        hint = "the command that made it replaces it with overwrite"
+        raise Damaged(*error.args, hint, arguments=["overwrite"]) from error
     if data is None:
         raise StoreConflict(f"{path} is not a data set", "give the place of one")
     if data.attrs.get("unfinished"):

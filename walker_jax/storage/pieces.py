@@ -54,7 +54,9 @@ def resumable(
     try:
         yield
     except NotWritten as failure:
-        raise (NotWritten(failure.args[0], how) if begun() else failure) from failure.__cause__
+        raise (
+            NotWritten(failure.args[0], how, arguments=["overwrite"]) if begun() else failure
+        ) from failure.__cause__
     except Exception:
         raise
     except BaseException as interruption:
@@ -212,7 +214,9 @@ def open_pieces(
             raise
         except Exception as error:  # whatever is wrong with what others have written
             raise StoreConflict(
-                f"{path} exists and is not a data set", ANOTHER_PLACE.format("out")
+                f"{path} exists and is not a data set",
+                ANOTHER_PLACE.format("out"),
+                arguments=["out"],
             ) from error
         check_request(path, group.attrs, request)
         if not group.attrs.get("unfinished"):

@@ -27,7 +27,9 @@ def check_request(path: Path, attributes: Mapping, request: dict) -> None:
     except (TypeError, ValueError):  # nothing that was written here
         other = ""
     raise StoreConflict(
-        f"{path} holds another result{other}", ANOTHER_PLACE_OR_OVERWRITE.format("out")
+        f"{path} holds another result{other}",
+        ANOTHER_PLACE_OR_OVERWRITE.format("out"),
+        arguments=["out", "overwrite"],
     )
 
 
@@ -65,7 +67,9 @@ def check_picture(
     known = lambda: overwrite or any(one in path.read_bytes() for one in signatures)
     if not (path.is_file() and known()):
         raise StoreConflict(
-            f"{path} is something else", ANOTHER_PLACE_OR_OVERWRITE.format(argument)
+            f"{path} is something else",
+            ANOTHER_PLACE_OR_OVERWRITE.format(argument),
+            arguments=[argument, "overwrite"],
         )
 
 

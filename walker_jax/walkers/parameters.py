@@ -156,10 +156,17 @@ def check_parameter(walker: System, parameter: str, *values: float) -> None:
     check_kind("walker", walker, System)
     if not isinstance(parameter, str) or parameter not in numbers_of(walker):
         names = ", ".join(numbers_of(walker))
-        raise WrongUse(f"parameter must be one of the walker's, {names}, not {short(parameter)}")
+        raise WrongUse(
+            f"parameter must be one of the walker's, {names}, not {short(parameter)}",
+            arguments=["parameter"],
+        )
     if set(vars(walker)) <= set(inspect.signature(type(walker)).parameters):
         for value in values:
-            type(walker)(**{**vars(walker), parameter: value})
+            try:
+                type(walker)(**{**vars(walker), parameter: value})
+            except WrongUse as error:
+                error.arguments = ()  # it is a value that another argument names
+                raise
 
 
 def parameter_direction(walker: AnySystem, parameter: str | None, dtype) -> AnySystem:

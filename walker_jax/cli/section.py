@@ -1,0 +1,270 @@
+"""Options for coordinates of the section: the axes of a picture or a region, and a start."""
+
+from collections.abc import Container
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from walker_jax.basins.windows import fill_from_paper, grid_along, outline, window_of_region
+from walker_jax.checks import WrongUse, is_number
+from walker_jax.cli.groups import option
+from walker_jax.cli.options import (
+    PHIDOT_HELP,
+    check_finite,
+    exclude,
+    read_numbers,
+    refuse,
+    refuse_again,
+)
+from walker_jax.gaits.selection import require_gait
+from walker_jax.grids import Grid
+from walker_jax.systems.system import System
+from walker_jax.walkers.model import Walker
+
+Axis = tuple[float, float, int]
+"""The ends of an axis, and its number of cells."""
+AXIS = {"metavar": "LO HI N"}
+AXES: Any = option(
+    None,
+    "An axis along a coordinate of the section, or NAME=VALUE for a slice there: one for each, in "
+    "the place of the other axes.",
+    metavar="NAME=LO:HI:N",
+)
+START: Any = option(None, "A coordinate of the start, by name: one for each.", metavar="NAME=VALUE")
+AXIS_FORM = "NAME=LO:HI:N or NAME=VALUE"
+WINDOW_CELLS = 200
+"""Along each axis of a window that no option gives."""
+
+
+class Section:
+    """Axes by options of their own, or all of them by --axis."""
+
+    axis: list[str] | None
+
+    @property
+    def own(self) -> dict[str, Any]:
+        """What is given by options of their own."""
+        return {name: given for name, given in vars(self).items() if name != "axis"}
+
+    def check(self, walker: System) -> None:
+        """Refuse axes that the walker's section lacks, and two ways to give one."""
+        if self.axis:
+            for name, given in self.own.items():
+                exclude(axis=self.axis, **{name: given})
+        if not isinstance(walker, Walker):
+            refuse("is for walkers: give --axis for each of a system's axes", **self.own)
+        turned = {name: self.own.get(name) for name in ("phidot", "at_phidot")}
+        if "phidot" not in walker.section:
+            section = ", ".join(walker.section)
+            refuse(f"must be left out: it is not on the section, {section}", **turned)
+        exclude(**turned)
+        check_finite(at_phidot=turned["at_phidot"])
+
+
+@dataclass(frozen=True)
+class Window(Section):
+    """The window of a picture, by default that of the paper."""
+
+    theta: Axis | None = option(None, "Stance angle, rad (default: 0 0.4 200).", **AXIS)
+    sum: Axis | None = option(None, "theta + thetadot (default: -0.04 0.01 250).", **AXIS)
+    at_phidot: float | None = option(None, f"{PHIDOT_HELP}: a slice there (default: at the gait).")
+    axis: list[str] | None = AXES
+
+    def axes(self, walker: System, most: int = 2) -> dict[str, Any]:
+        """The axes, of which those of a walker may be None; `most` of them may be ranges.
+
+        The default of any other system is the region in which its gaits are searched for.
+        """
+        self.check(walker)
+        if self.axis:
+            axes = axes_from(walker, self.axis)
+            check_ranges(axes, most)
+        elif isinstance(walker, Walker):
+            axes = fill_from_paper(walker, self.own_axes(walker))
+        else:
+            axes = axes_of_region(walker)
+        check_drawable(outline(axes))
+        return axes
+
+    def own_axes(self, walker: Walker) -> dict[str, Any]:
+        """The axes of a walker's section that options of their own give, or None."""
+        axes: dict[str, Any] = {"theta": self.theta, "sum": self.sum}
+        return axes | ({"phidot": self.at_phidot} if "phidot" in walker.section else {})
+
+
+@dataclass(frozen=True)
+class Region(Section):
+    """The region in which areas are measured, by default all of the section."""
+
+    theta: Axis | None = option(None, "Stance angle, rad (default: all).", **AXIS)
+    sum: Axis | None = option(None, "theta + thetadot.", **AXIS)
+    at_phidot: float | None = option(None, f"{PHIDOT_HELP}: a slice there (else at the gait).")
+    axis: list[str] | None = AXES
+
+    def grid(self, walker: System) -> Grid | None:
+        """The grid of these axes, with phidot at one value or over a range; None for no axes."""
+        self.check(walker)
+        grid = grid_along(axes_from(walker, self.axis)) if self.axis else self.own_grid(walker)
+        if grid is not None:
+            check_drawable(grid)
+        return grid
+
+    def own_grid(self, walker: System) -> Grid | None:
+        """The grid of the axes that options of their own give."""
+        axes = {"theta": self.theta, "sum": self.sum}
+        if "phidot" in walker.section:
+            ranged = self.own.get("phidot")
+            axes |= {"at-phidot": self.at_phidot} if ranged is None else {"phidot": ranged}
+        if all(axis is None for axis in axes.values()):
+            return None
+        if len(walker.section) > 3:
+            each = "give --axis for each coordinate of the section"
+            refuse(f"is for walkers in the plane: {each}", **axes)
+        if None in axes.values():
+            raise WrongUse(f"give {' and '.join(f'--{name}' for name in axes)}, or none of them")
+        return Grid.sheared(**{name.removeprefix("at-"): axis for name, axis in axes.items()})
+
+
+@dataclass(frozen=True)
+class Volume(Region):
+    """The same, of two dimensions or three."""
+
+    phidot: Axis | None = option(None, "The same for volumes, not areas.", **AXIS)
+
+
+@dataclass(frozen=True)
+class Start:
+    """A point of the section."""
+
+    theta: float | None = option(None, "Stance angle at the start, rad (default: see above).")
+    thetadot: float | None = option(None, "Its rate at the start, rad per unit of time.")
+    phidot: float | None = option(None, f"{PHIDOT_HELP}.")
+    start: list[str] | None = START
+
+    def coordinates(self, walker: System) -> dict[str, float]:
+        """Those that are given, by --start or by options of their own."""
+        own = {"theta": self.theta, "thetadot": self.thetadot, "phidot": self.phidot}
+        check_finite(**own)
+        for name, value in own.items():
+            exclude(start=self.start or None, **{name: value})
+        refuse_own(walker, **own)
+        given = {name: value for name, value in own.items() if value is not None}
+        return start_from(walker, self.start) if self.start else given
+
+
+def has_own_options(walker: System) -> bool:
+    """Whether all coordinates of a section have options of their own."""
+    return {*walker.section} <= {"theta", "thetadot", "phidot"}
+
+
+def refuse_own(walker: System, **own: Any) -> None:
+    """Refuse options of a walker's coordinates for a section that has others."""
+    if not has_own_options(walker):
+        whose = "walkers in the plane" if isinstance(walker, Walker) else "walkers"
+        section = ", ".join(walker.section)
+        refuse(f"is for {whose}: give --start NAME=VALUE, for each of {section}", **own)
+
+
+def start_from(walker: System, texts: list[str]) -> dict[str, float]:
+    """The coordinates that --start names."""
+    given: dict[str, float] = {}
+    for text in texts:
+        name, (value,) = read_numbers("--start", "NAME=VALUE", (float,), text)
+        check_coordinate("--start", walker, name, given)
+        check_finite(start=value)
+        given[name] = value
+    for name in walker.section:
+        if name not in given:
+            raise WrongUse(f"--start {name}=VALUE is required too")
+    return given
+
+
+def begin_at(walker: System, given: dict[str, float]) -> Float[np.ndarray, " section"]:
+    """The state of these coordinates, or of the gait without any."""
+    instead = walker.section if has_own_options(walker) else ["--start NAME=VALUE"]
+    state = state_from(walker, given) if given else require_gait(walker, instead).states[0]
+    return np.asarray(state)
+
+
+def state_from(walker: System, given: dict[str, float]) -> Float[np.ndarray, " section"]:
+    """A state on the section from its coordinates, by name."""
+    section = ", ".join(walker.section)
+    for name in walker.section:
+        if name not in given:
+            raise WrongUse(f"--{name} is required too: the section is {section}")
+    for name in given:
+        if name not in walker.section:
+            raise WrongUse(f"--{name} must be left out: it is not on the section, {section}")
+    return np.array([given[name] for name in walker.section])
+
+
+def axes_from(walker: System, texts: list[str]) -> dict[str, Any]:
+    """The axes that --axis names, in the order of the section."""
+    axes: dict[str, Any] = {}
+    for text in texts:
+        kinds = (float, float, int) if ":" in text else (float,)
+        name, numbers = read_numbers("--axis", AXIS_FORM, kinds, text)
+        check_coordinate("--axis", walker, name, axes)
+        axes[name] = tuple(numbers) if ":" in text else numbers[0]
+        check_finite(axis=numbers[0] if ":" not in text else None)
+    for name in walker.section:
+        if name not in axes:
+            raise WrongUse(f"--axis {name}=LO:HI:N is required too, or {name}=VALUE for a slice")
+    return {name: axes[name] for name in walker.section}
+
+
+def axes_of_region(system: System) -> dict[str, Any]:
+    """The axes of the region in which a system's gaits are searched for."""
+    axes = window_of_region(system, WINDOW_CELLS)
+    if axes is None:
+        names = ", ".join(system.section)
+        raise WrongUse(f"--axis NAME=LO:HI:N is required, for each of {names}")
+    return axes
+
+
+def check_coordinate(option: str, walker: System, name: str, earlier: Container[str]) -> None:
+    """Refuse a name that the section lacks, or that an option was given for before."""
+    refuse_again(option, name, earlier)
+    if name not in walker.section:
+        section = ", ".join(walker.section)
+        raise WrongUse(f"{option} must be of the section, {section}, not of {name}")
+
+
+def check_section(walker: System, axis: list[str] | None) -> None:
+    """Refuse a section of one coordinate, which has no picture, and of many without --axis."""
+    count = len(walker.section)
+    if count == 1:
+        raise WrongUse(
+            f"{walker.label()} has a section of one coordinate, and pictures have two: use "
+            "walker_jax.basin in Python"
+        )
+    if count > 3 and not axis:
+        raise WrongUse(
+            f"--axis is required: {walker.label()} has a section of {count} coordinates; give two "
+            "or three of them as NAME=LO:HI:N, the others as NAME=VALUE"
+        )
+
+
+def check_ranges(axes: dict[str, Any], most: int) -> None:
+    """Refuse axes of which too few, or too many, are ranges for a picture."""
+    count = sum(not is_number(axis) for axis in axes.values())
+    if not 2 <= count <= most:
+        numbers = "two" if most == 2 else "two or three"
+        raise WrongUse(f"--axis must be NAME=LO:HI:N for {numbers} coordinates, not {count}")
+
+
+def check_drawable(grid: Grid) -> None:
+    """Refuse a grid that is too coarse for a picture."""
+    if min(grid.shape) < 2:
+        axes = " and ".join(f"--{name}" for name in grid.names)
+        raise WrongUse(f"{axes} must have 2 cells or more each for a picture, not {grid.shape}")
+
+
+def asked_of(grid: Grid | None) -> dict[str, Any]:
+    """The part of a request about a grid: its axes, and the point through which a slice goes."""
+    if grid is None:
+        return {}
+    origin = np.asarray(grid.origin)
+    return grid.box | ({} if grid.fixed or not origin.any() else {"origin": origin.tolist()})
