@@ -45,6 +45,21 @@ def has_known_units(data: xr.Dataset) -> bool:
     return [*data.attrs["section"][:2]] == ["theta", "thetadot"]
 
 
+def fixed_coordinates(data: xr.Dataset) -> dict[str, float]:
+    """The coordinates of the section that a slice holds at one value, and these values.
+
+    Those behind the axes are coordinates of the data set; those before one are in its origin.
+    """
+    section, origin = [*data.attrs["section"]], data.attrs.get("origin")
+    fixed = {name: float(data[name]) for name in section if name in data and not data[name].ndim}
+    axes = data["fate"].dims if "fate" in data else data["axis"].values.tolist()
+    if origin is not None and {*axes} <= {*section}:
+        fixed |= {
+            name: float(at) for name, at in zip(section, origin, strict=True) if name not in axes
+        } | fixed
+    return {name: fixed[name] for name in section if name in fixed}
+
+
 def total_area(data: xr.Dataset) -> float:
     """The area of all basins together."""
     return float(data["area"].sum())

@@ -6,11 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from jaxtyping import Float
 
 import walker_jax as wj
 from walker_jax import storage
-from walker_jax.basins.cell_classes import has_known_units
+from walker_jax.basins.cell_classes import fixed_coordinates, has_known_units
 from walker_jax.basins.summary import Tally, summarise_basin, tally
 from walker_jax.basins.windows import fill_around_gait, grid_along, whole_section
 from walker_jax.checks import WrongUse, is_number
@@ -22,16 +21,15 @@ from walker_jax.cli.answers import (
     points_listed,
     request_for,
     slope_of,
+    walker_in_words,
 )
 from walker_jax.cli.groups import option
 from walker_jax.cli.options import PHIDOT_HELP, Pieces, check_finite, exclude, refuse
 from walker_jax.cli.section import AXIS, Axis, Window, check_section
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.execution.progress import bar
-from walker_jax.grids import Grid
 from walker_jax.systems.system import System
 from walker_jax.walkers.model import Walker
-from walker_jax.walkers.parameters import describe_in_words
 
 if TYPE_CHECKING:
     import xarray
@@ -57,6 +55,15 @@ class BasinWindow(Window):
         super().check(walker)
         exclude(sum=self.sum, thetadot=self.thetadot)
 
+    def whole(self, walker: System, axes: dict[str, Any]) -> dict[str, Any]:
+        """The axes, on a section of three dimensions with those of the whole, but for a slice."""
+        if self.axis or not isinstance(walker, Walker) or "phidot" not in axes:
+            return axes
+        if self.at_phidot is not None:
+            return axes
+        known = whole_section(walker)
+        return {name: known[name] if axis is None else axis for name, axis in axes.items()}
+
     def own_axes(self, walker: Walker) -> dict[str, Any]:
         axes: dict[str, Any] = {"theta": self.theta}
         axes |= {"sum": self.sum} if self.thetadot is None else {"thetadot": self.thetadot}
@@ -66,9 +73,7 @@ class BasinWindow(Window):
 
 
 @dataclass(frozen=True)
-class How:
-    """How the cells of a basin are labelled."""
-
+class Options:
     method: Literal["cell-map", "direct"] | None = option(
         None, "Cell mapping (default), or direct iteration (always for a slice)."
     )
@@ -81,36 +86,6 @@ class How:
         max=8,
     )
     seed: int | None = option(None, "Seed of random numbers, --levels only (default: 0).", min=0)
-
-    def settings(self, *, sliced: bool, zoomed: bool, drop: str) -> dict[str, Any]:
-        """The method and what it takes; `drop` is what else a slice by cell mapping may be."""
-        direct = sliced or zoomed or self.levels is not None
-        if self.method == "cell-map" and self.levels is not None:
-            raise WrongUse("--method must be direct with --levels, not cell-map")
-        if self.method == "cell-map" and zoomed:
-            raise WrongUse(
-                "--method must be direct with --zoom, whose window walkers leave: leave it out"
-            )
-        if self.method == "cell-map" and sliced:
-            raise WrongUse(
-                f"--method must be direct for a slice, which walkers leave: drop it, or give {drop}"
-            )
-        method = self.method or ("direct" if direct else "cell-map")
-        if method == "cell-map":
-            refuse("is for --method direct alone: give it too", strides=self.strides)
-        if self.levels is None:
-            refuse("is for --levels alone: give it too", seed=self.seed)
-            refined = {}
-        else:
-            refined = {"levels": self.levels, "seed": self.seed or 0}
-        limit = {"strides": self.strides or 200} if method == "direct" else {}
-        return {"method": method, **limit, **refined}
-
-
-@dataclass(frozen=True)
-class Zoom:
-    """A narrow window on the boundary between fates."""
-
     zoom: float | None = option(
         None,
         "Zoom in on the boundary between fates: a window so many times as narrow, around a point "
@@ -126,9 +101,11 @@ class Zoom:
     animate: Path | None = option(None, "Where a film of the zoom goes, .gif or .mp4.")
     frames: int = option(120, "Pictures of the film.", min=2)
 
-    def check(self, window: BasinWindow, how: How) -> None:
-        """Refuse what a zoom excludes, and what is for one alone."""
-        exclude(zoom=self.zoom, levels=how.levels)
+    def check(self, window: BasinWindow) -> None:
+        """Refuse options that exclude each other, and those that are for another one."""
+        exclude(zoom=self.zoom, levels=self.levels)
+        if self.levels is None:
+            refuse("is for --levels alone: give it too", seed=self.seed)
         if self.zoom is None:
             refuse("is for a --zoom: give it too", near=self.near, animate=self.animate)
         elif window.phidot is not None and (self.near is not None or self.animate is not None):
@@ -138,26 +115,32 @@ class Zoom:
         for value in self.near or ():
             check_finite(near=value)
 
-    def settings(self) -> dict[str, Any]:
-        """What is asked for, if anything is."""
-        return {} if self.zoom is None else {"zoom": self.zoom, "near": self.near}
-
-    def grid(self, walker: System, grid: Grid, strides: int = 200) -> Grid:
-        """The grid, or the narrow window in it."""
-        if self.zoom is None:
-            return grid
-        point: Float[np.ndarray, " section"] | None = None
-        if self.near is not None:
-            point = np.asarray(grid.origin) + np.asarray(grid.shear) @ np.array(self.near)
-        return grid.zoom(wj.boundary_point(walker, grid, point, strides=strides), self.zoom)
+    def settings(self, window: BasinWindow, axes: dict[str, Any]) -> dict[str, Any]:
+        """The method, and what is asked of it on these axes."""
+        direct = ""  # why the method must be
+        if self.levels is not None:
+            direct = "with --levels, not cell-map"
+        elif self.zoom is not None:
+            direct = "with --zoom, whose window walkers leave: leave it out"
+        elif any(is_number(at) or (at is None and name == "phidot") for name, at in axes.items()):
+            whole = "a range for each --axis" if window.axis else "--phidot"
+            direct = f"for a slice, which walkers leave: drop it, or give {whole}"
+        method = self.method or ("direct" if direct else "cell-map")
+        if direct and method == "cell-map":
+            raise WrongUse(f"--method must be direct {direct}")
+        if method == "cell-map":
+            refuse("is for --method direct alone: give it too", strides=self.strides)
+            return {"method": method}
+        settings: dict[str, Any] = {"method": method, "strides": self.strides or 200}
+        settings |= {} if self.levels is None else {"levels": self.levels, "seed": self.seed or 0}
+        return settings | ({} if self.zoom is None else {"zoom": self.zoom, "near": self.near})
 
 
 @takes_walker(systems=True)
 def basin(
     walker: System,
     window: BasinWindow,
-    how: How,
-    zoom: Zoom,
+    options: Options,
     pieces: Pieces,
     output: Output = Output(Path("basin.zarr")),
 ) -> None:
@@ -168,74 +151,58 @@ def basin(
     same command resumes an interrupted run. With --zoom 1e12 the window is one in which float64
     hardly tells starts apart; its digits are kept.
     """
-    axes, settings = ask(walker, window, how, zoom, pieces)
-    request = request_for("basin", walker, axes=axes, **settings, **zoom.settings())
-    shots = request | {"frames": zoom.frames}
-    if zoom.animate is not None:
-        check_film(zoom.animate, shots, overwrite=output.overwrite)
+    options.check(window)
+    axes, cluster = window.axes(walker, 3 if options.zoom is None else 2), pieces.cluster()
+    if options.levels is not None:
+        if cluster is not None:
+            raise WrongUse(
+                "--workers and --scheduler are for pieces, not for --levels: leave them out"
+            )
+        axes = window.whole(walker, axes)
+    request = request_for("basin", walker, axes=axes, **options.settings(window, axes))
+    shots, film = request | {"frames": options.frames}, options.animate
+    if film is not None:
+        check_film(film, shots, overwrite=output.overwrite)
     data = output.find(request)
     kept = f"taken from {output.out}, computed before" if data is not None else ""
-    if not kept and output.out.exists() and not output.overwrite:
-        kept = f"resumed {output.out}"
+    resumed = not kept and output.out.exists() and not output.overwrite
     clock = Stopwatch()
     if data is None:
-        data = compute(walker, zoom, pieces, output, request)
+        data = compute(walker, request, output, cluster)
     seconds = clock.seconds()
     output.draw(draw_basin(data), request)
-    if zoom.animate is not None:
-        draw_film(walker, zoom, data, shots)
+    if film is not None:
+        draw_film(walker, data, shots, film)
     counts = tally(data)
-    answer = summarise_basin(data, counts)
-    about = {"seconds": seconds, "walker": request["walker"]}
-    answer = slope_of(request["walker"]) | {"method": data.attrs["method"]} | answer | about
-    lines = basin_in_words(walker, data, answer, counts, request, kept)
-    output.tell(answer, lines, film=zoom.animate)
-
-
-def ask(
-    walker: System, window: BasinWindow, how: How, zoom: Zoom, pieces: Pieces
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The axes and the settings that the options ask for; refuses what excludes another."""
-    zoom.check(window, how)
-    axes = window.axes(walker, 3 if zoom.zoom is None else 2)
-    turned = isinstance(walker, Walker) and "phidot" in walker.section and not window.axis
-    whole = turned and how.levels is not None and window.at_phidot is None
-    if window.axis:
-        sliced = any(map(is_number, axes.values()))
-    else:
-        sliced = turned and window.phidot is None and not whole
-    drop = "a range for each --axis" if window.axis else "--phidot"
-    settings = how.settings(sliced=sliced, zoomed=zoom.zoom is not None, drop=drop)
-    if pieces.cluster() is not None and how.levels is not None:
-        raise WrongUse("--workers and --scheduler are for pieces, not for --levels: leave them out")
-    if whole and isinstance(walker, Walker):  # the latter for the type checker alone
-        known = whole_section(walker)
-        axes = {name: known[name] if axis is None else axis for name, axis in axes.items()}
-    return axes, settings
+    answer = slope_of(request["walker"]) | {"method": data.attrs["method"]}
+    answer |= summarise_basin(data, counts)
+    answer |= {"seconds": seconds, "walker": request["walker"]}
+    if resumed:
+        kept = f"resumed {output.out}; {seconds['run']:.2f} s to run"
+    lines = [*basin_in_words(data, answer, counts, request)]
+    lines.append(f"  {kept or effort(data, answer, counts)}")
+    output.tell(answer, lines, film=film)
 
 
 def compute(
-    walker: System, zoom: Zoom, pieces: Pieces, output: Output, request: dict
+    walker: System, request: dict, output: Output, cluster: int | str | None
 ) -> "xarray.Dataset":
     """The data set of a request, which goes on where an interrupted run has ended."""
     with bar("search for a gait", True):
         grid = grid_along(fill_around_gait(walker, request["axes"]))
     strides = {name: request[name] for name in ("strides",) if name in request}
     if "levels" in request:
-        refined = {name: request[name] for name in ("levels", "seed")}
+        how = {"seed": request["seed"], "progress": True, **strides}
         with storage.rewritable(output.out, request) as save, bar("basin", True):
-            return save(wj.refine(walker, grid, progress=True, **refined, **strides))
-    grid = zoom.grid(walker, grid, **strides)
+            return save(wj.refine(walker, grid, request["levels"], **how))
+    if "zoom" in request:
+        near: Any = request["near"]
+        if near is not None:
+            near = np.asarray(grid.origin) + np.asarray(grid.shear) @ np.array(near)
+        grid = grid.zoom(wj.boundary_point(walker, grid, near, **strides), request["zoom"])
+    how = {"cluster": cluster, "progress": True, **strides, **output.place(request)}
     with bar("basin", True):
-        return wj.basin(
-            walker,
-            grid,
-            request["method"],
-            cluster=pieces.cluster(),
-            progress=True,
-            **strides,
-            **output.place(request),
-        )
+        return wj.basin(walker, grid, request["method"], **how)
 
 
 def draw_basin(data: "xarray.Dataset"):
@@ -248,30 +215,25 @@ def draw_basin(data: "xarray.Dataset"):
     return draw_cells(figures.thin(data))
 
 
-def draw_film(walker: System, zoom: Zoom, data: "xarray.Dataset", shots: dict) -> None:
-    """Save the film of a zoom into the middle of a basin's data set."""
+def draw_film(walker: System, data: "xarray.Dataset", shots: dict, film: Path) -> None:
+    """Save the film of a zoom to the middle of a basin's data set."""
     from walker_jax import figures
 
     grid, centre = grid_along(fill_around_gait(walker, shots["axes"])), data.attrs["origin"]
-    how: Any = {"frames": zoom.frames, "strides": shots["strides"], "progress": True}
+    how: Any = {"frames": shots["frames"], "strides": shots["strides"], "progress": True}
     shown = wj.zoom(walker, grid, shots["zoom"], centre, **how)
-    signature = storage.signature(shots)
-    figures.zoom_film(shown, zoom.animate, signature=signature, progress=True)
+    figures.zoom_film(shown, film, signature=storage.signature(shots), progress=True)
 
 
 def basin_in_words(
-    walker: System, data: "xarray.Dataset", answer: dict, counts: Tally, request: dict, kept: str
+    data: "xarray.Dataset", answer: dict, counts: Tally, request: dict
 ) -> Iterator[str]:
-    """The answer of `basin`; `kept` is what of it stood there before."""
-    yield f"Basin of attraction, {describe_in_words(walker)}, {answer['method']}"
+    """The answer of `basin`."""
+    yield f"Basin of attraction, {walker_in_words(request['walker'])}, {answer['method']}"
     if "zoom" in request:
         centre = listed(data.attrs["origin"], ".17g")
         yield f"  window {request['zoom']:g} times as narrow, around ({centre})"
-    # The data set has no coordinate for a slice through one that is not the last of the section.
-    fixed = {name: at for name, at in request["axes"].items() if is_number(at)}
-    fixed |= {
-        name: float(data[name]) for name in walker.section if name in data and not data[name].ndim
-    }
+    fixed = fixed_coordinates(data)
     if fixed:
         yield f"  slice at {', '.join(f'{name} {value:.10g}' for name, value in fixed.items())}"
     measure = "volume" if "run_fate" in data or data["fate"].ndim == 3 else "area"
@@ -279,16 +241,15 @@ def basin_in_words(
     yield from sizes_in_words(answer, measure, unit, zoomed="zoom" in request)
     if counts.unmatched:
         yield f"  {counts.unmatched} cells walk on without coming near a known attractor"
-    seconds = answer["seconds"]
-    if kept:
-        yield f"  {kept}" + f"; {seconds['run']:.2f} s to run" * kept.startswith("resumed")
-        return
+
+
+def effort(data: "xarray.Dataset", answer: dict, counts: Tally) -> str:
+    """How many strides were made, in which time."""
     made = answer["cells"] if answer["method"] == "cell-map" else counts.strides
     made = int(data["strides_made"]) if "strides_made" in data else made
-    yield (
-        f"  {made:,} strides; {seconds['compile']:.1f} s to compile, "
-        f"{seconds['run']:.2f} s to run and to store"
-    )
+    compiling, running = answer["seconds"]["compile"], answer["seconds"]["run"]
+    times = f"{compiling:.1f} s to compile, {running:.2f} s to run and to store"
+    return f"{made:,} strides; {times}"
 
 
 def sizes_in_words(answer: dict, measure: str, unit: str, *, zoomed: bool) -> Iterator[str]:

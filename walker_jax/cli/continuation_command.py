@@ -21,12 +21,8 @@ DEFAULT = "slope=0.002:0.02:37"
 
 
 @dataclass(frozen=True)
-class Over:
-    over: str = option(DEFAULT, "Values of a parameter.", metavar="NAME=LO:HI:N")
-
-
-@dataclass(frozen=True)
 class Options:
+    over: str = option(DEFAULT, "Values of a parameter.", metavar="NAME=LO:HI:N")
     samples: int = option(100_000, "Starts in the region.", min=1)
     strides: int = option(500, "Strides at most.", min=1)
     seed: int = option(0, "Of the starts.", min=0)
@@ -35,20 +31,20 @@ class Options:
 @takes_walker(systems=True)
 def continuation(
     walker: System,
-    over: Over,
-    region: Region,
     options: Options,
+    region: Region,
     output: Output = Output(Path("continuation.zarr")),
 ) -> None:
     """Follow the attractors over a parameter, and the fractions of a region that converge to each.
 
     A gait keeps its number along its branch: it is born and it ends at folds and period doublings.
     """
-    if over.over == DEFAULT and not isinstance(walker, Walker):
+    if options.over == DEFAULT and not isinstance(walker, Walker):
         raise WrongUse("--over is required: a parameter of the system and its values, NAME=LO:HI:N")
-    ((name, values),) = values_of([over.over]).items()
+    ((name, values),) = values_of([options.over]).items()
     check_parameter(walker, name, *values)
-    grid, how = region.grid(walker), vars(options)
+    how = {"samples": options.samples, "strides": options.strides, "seed": options.seed}
+    grid = region.grid(walker)
     asked = {"over": {name: values}, "axes": asked_of(grid)}
     request = request_for("continuation", walker, without=[name], **asked, **how)
     data = output.produce(

@@ -103,7 +103,7 @@ def optimise(
     names = problem.objective or ["area"]
     bounds = bounds_of(walker, problem.over or [], problem.bound or [])
     weights, limits = objective_of(names), problem.limits()
-    how: Any = vars(options)
+    how: Any = {**vars(options)}
     how |= {"levels": default_levels(weights)} if options.levels is None else {}
     grid = region.grid(walker)
     asked = {"bounds": bounds, "objective": weights, "axes": asked_of(grid), **limits, **how}

@@ -1,9 +1,6 @@
 """Messages of the library in the words of the command line."""
 
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from walker_jax.checks import Refusal  # which loads JAX
+from typing import Any
 
 OPTIONS = {"parameter": "--over", "bounds": "--bound", "grid": "--axis"}
 """Options whose names are not those of the arguments that they set."""
@@ -14,8 +11,8 @@ def option_of(argument: str) -> str:
     return OPTIONS.get(argument, f"--{argument.replace('_', '-')}")
 
 
-def message_of(error: "Refusal") -> str:
-    """The message of an error, with options in the places of its arguments."""
+def message_of(error: Any) -> str:
+    """The message of a `Refusal`, with options in the places of its arguments."""
     *before, last = map(str, error.args)
     words = last.split(" ")
     for argument in error.arguments:

@@ -32,11 +32,6 @@ from walker_jax.walkers.parameters import space_decimals
 
 
 @dataclass(frozen=True)
-class Over:
-    over: str = option("slope", "The parameter of a table, with --from and --to.", metavar="NAME")
-
-
-@dataclass(frozen=True)
 class BasinRegion(Region):
     theta: Axis | None = option(None, "Stance angle, rad (default: 0 0.7854 200).", **AXIS)
     sum: Axis | None = option(
@@ -82,14 +77,14 @@ class Options:
 
 @dataclass(frozen=True)
 class Table:
-    """The values of a table."""
-
+    over: str = option("slope", "The parameter of a table, with --from and --to.", metavar="NAME")
     low: float | None = option(None, "Lowest slope, or value, of a table.", "--from")
     high: float | None = option(None, "Highest.", "--to")
     count: int | None = option(None, "Rows of the table (default: 20).", min=2)
 
-    def values(self, walker: System, name: str) -> list[float] | None:
+    def values(self, walker: System) -> list[float] | None:
         """The values of the parameter; None without a table."""
+        name = underscored(self.over)
         if (self.low is None) != (self.high is None):
             raise WrongUse("--from and --to are for a table: give both or none")
         if self.low is None or self.high is None:
@@ -103,10 +98,9 @@ class Table:
 @takes_walker(systems=True, ranges_over="over", or_one_value=True)
 def robustness(
     walker: System,
-    over: Over,
+    table: Table,
     region: BasinRegion,
     options: Options,
-    table: Table,
     output: Output = Output(Path("robustness.zarr")),
 ) -> None:
     """Measure how large a disturbance a gait survives, on one slope or over many.
@@ -119,8 +113,8 @@ def robustness(
     angles of a walker on point feet, is a slice around the gait of any other, and of any other
     system the region in which its gaits are searched for.
     """
-    name = underscored(over.over)
-    values, how, grid = table.values(walker, name), options.settings(walker), region.grid(walker)
+    name, values = underscored(table.over), table.values(walker)
+    how, grid = options.settings(walker), region.grid(walker)
     asked = {"over": values and {name: values}, "axes": asked_of(grid), **how}
     request = request_for("robustness", walker, without=[name] * bool(values), **asked)
     measure: Any = partial(wj.robustness, walker)

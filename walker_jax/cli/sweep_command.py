@@ -27,14 +27,10 @@ SHOWN = *GAIT, "least_disturbance", "least_fall", "step_down", "step_down_fall"
 
 
 @dataclass(frozen=True)
-class Over:
+class Options:
     over: list[str] | None = option(
         None, "Values of a parameter; give it again for others.", metavar="NAME=LO:HI:N"
     )
-
-
-@dataclass(frozen=True)
-class Options:
     levels: int = option(2, "Levels of refinement of the areas.", min=0)
     check: int = option(500_000, "Starts that check each area.", min=0)
     robust: bool = option(False, "All numbers of `robustness` too; half a minute each.")
@@ -45,9 +41,8 @@ class Options:
 @takes_walker(systems=True)
 def sweep(
     walker: System,
-    over: Over,
-    region: Volume,
     options: Options,
+    region: Volume,
     pieces: Pieces,
     output: Output = Output(Path("sweep.zarr")),
 ) -> None:
@@ -56,17 +51,15 @@ def sweep(
     Results are saved as they are computed: the same command resumes an interrupted run. The picture
     shows the area over the first two parameters.
     """
-    values = values_of(over.over or [])
+    values = values_of(options.over or [])
     if not values:
         raise WrongUse("--over is required: a parameter and its values, such as slope=0.002:0.01:5")
     check_values(walker, {name: np.array(given) for name, given in values.items()})
     cluster, grid = pieces.cluster(), region.grid(walker)
-    asked = {"over": values, "axes": asked_of(grid), **vars(options)}
-    request = request_for("sweep", walker, without=values, **asked)
-    how: Any = {"cluster": cluster, "progress": True, **vars(options), **output.place(request)}
-    data = output.produce(
-        request, lambda: wj.sweep(walker, values, grid, **how), "sweep", kept=True
-    )
+    how: Any = vars(options) | {"over": values}
+    request = request_for("sweep", walker, without=values, axes=asked_of(grid), **how)
+    how |= {"cluster": cluster, "progress": True, **output.place(request)}
+    data = output.produce(request, lambda: wj.sweep(walker, grid=grid, **how), "sweep", kept=True)
     rows = tabulate_sweep(data, [*values])
     answer = {"walker": request["walker"], "points": rows.to_dict(orient="records")}
     output.tell(answer, rows_in_words(rows, [*values]))

@@ -2,14 +2,14 @@
 
 import inspect
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from itertools import zip_longest
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from walker_jax.checks import WrongUse
-from walker_jax.cli.groups import argument, arguments_of, with_arguments
+from walker_jax.cli.groups import Command, argument, arguments_of, with_arguments
 from walker_jax.cli.list_walkers import ListWalkers
 from walker_jax.cli.rewording import option_of
 from walker_jax.systems.family import SYSTEMS
@@ -24,7 +24,7 @@ from walker_jax.walkers.parameters import (
 )
 from walker_jax.walkers.references import find_system, find_walker, installed_walkers
 
-PANEL = "Walker"
+PANEL: Any = {"rich_help_panel": "Walker"}
 """The panel of the help that holds these options."""
 DEFAULT = "simplest"
 """The walker of a command that names none."""
@@ -32,6 +32,8 @@ PREFIX = "walker_"
 """Of the arguments for a walker's parameters: those of commands may have the same names."""
 Kinds = Mapping[str, type[System] | System]
 """The walkers, or the system, that a command offers, by their names."""
+Offered = dict[str, dict[str, Any]]
+"""What a command has options for, and the `Parameter` or `Option` of each walker that has it."""
 
 
 def takes_walker(
@@ -44,14 +46,14 @@ def takes_walker(
     with `or_one_value`.
     """
 
-    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+    def decorate(command: Command) -> Command:
         vars(command).update(systems=systems, ranges_over=ranges_over, or_one_value=or_one_value)
         return command
 
     return decorate
 
 
-def offered_kinds(command: Callable[..., None], args: Sequence[str]) -> Kinds:
+def offered_kinds(command: Command, args: Sequence[str]) -> Kinds:
     """The package's walkers, or the walker or system that the arguments of a command name."""
     name = value_of("--walker", args)
     system = value_of("--system", args) if vars(command)["systems"] else None
@@ -77,29 +79,29 @@ def value_of(option: str, args: Sequence[str]) -> str | None:
     return value
 
 
-def with_walker_options(command: Callable[..., None], kinds: Kinds) -> Callable[..., None]:
+def with_walker_options(command: Command, kinds: Kinds) -> Command:
     """The command with options for the walkers that it offers, in the place of its walker."""
-    offered, owners = offered_parameters(kinds)
+    offered = offered_options(kinds)
     ranges_over: str | None = vars(command)["ranges_over"]
 
     def takes(walker, list_walkers, system=None, **given):
-        values = {parameter: given.pop(PREFIX + parameter) for parameter in offered}
-        values = {one: value for one, value in values.items() if value is not None}
+        values = {name: given.pop(PREFIX + name) for name in offered}
+        values = {name: value for name, value in values.items() if value not in (None, False)}
         if ranges_over is not None:
-            over, low = offered.get(given[ranges_over].replace("-", "_")), given["low"]
-            if over is not None and (low is not None or not vars(command)["or_one_value"]):
-                values |= lowest_value(over, low, values)
-        checks = {one.name: given.pop(PREFIX + one.name) for one in offered_options(kinds)}
-        chosen = [one for one, chosen in checks.items() if chosen]
-        return command(walker=build_walker(kinds, system or walker, values, chosen), **given)
+            over, low = given[ranges_over].replace("-", "_"), given["low"]
+            if over in offered and (low is not None or not vars(command)["or_one_value"]):
+                values |= lowest_value(next(iter(offered[over].values())), low, values)
+        name = system or walker
+        return command(walker=build_walker(kinds[name], name, offered, values), **given)
 
-    accepted = walker_options(offered, owners, kinds)
-    if vars(command)["systems"]:
-        accepted.insert(1, SYSTEM_OPTION)
-    return with_arguments([*accepted, *arguments_of(command)[1:]], command, takes)
+    own = [argument("walker", WALKER, DEFAULT)]
+    own += [argument("system", SYSTEM, None)] if vars(command)["systems"] else []
+    own += [option_for(name, owners, len(kinds)) for name, owners in offered.items()]
+    own += [argument("list_walkers", ListWalkers, False), *arguments_of(command)[1:]]
+    return with_arguments(own, command, takes)
 
 
-def lowest_value(over: Parameter, low: float | None, given: Mapping[str, float]) -> dict:
+def lowest_value(over: Parameter, low: float | None, given: Container[str]) -> dict[str, float]:
     """The value from which a parameter goes up, if one is given; refuses one value of it."""
     if over.name in given:
         raise WrongUse(f"{option_of(over.name)} is not for this command: give --from and --to")
@@ -108,59 +110,32 @@ def lowest_value(over: Parameter, low: float | None, given: Mapping[str, float])
     return {} if low is None else {over.name: low}
 
 
-def offered_parameters(kinds: Kinds) -> tuple[dict[str, Parameter], dict[str, list[str]]]:
-    """The parameters of all walkers, and the names of the walkers that have them."""
-    offered: dict[str, Parameter] = {}
-    owners: dict[str, list[str]] = {}
-    for name, kind in kinds.items():
-        for one in parameters_of(kind):
-            offered.setdefault(one.name, one)
-            owners.setdefault(one.name, []).append(name)
-    return offered, owners
+def offered_options(kinds: Kinds) -> Offered:
+    """The parameters of all walkers, then what strides may be checked for."""
+    offered: Offered = {}
+    checks_of = lambda kind: options(kind) if isinstance(kind, type) else ()
+    for described in (parameters_of, checks_of):
+        for name, kind in kinds.items():
+            for one in described(kind):
+                offered.setdefault(one.name, {})[name] = one
+    return offered
 
 
-def walker_options(
-    offered: dict[str, Parameter], owners: dict[str, list[str]], kinds: Kinds
-) -> list[inspect.Parameter]:
-    """`--walker`, an option for each parameter, `--list-walkers`."""
-
-    def help_of(one: Parameter) -> str:
-        about = "; ".join(filter(None, (one.meaning, one.unit)))
-        defaults = "required" if math.isnan(one.default) else f"default: {one.default:g}"
-        for name in owners[one.name]:
-            own = next(each.default for each in parameters_of(kinds[name]) if each.name == one.name)
-            if own != one.default and not math.isnan(own):
-                defaults += f", {name}: {own:g}"
-        return f"{whose_option(owners[one.name], kinds)}{about} ({defaults})".strip()
-
-    names = f"Its model: {' | '.join(WALKERS)}, or one's own, FILE.py:CLASS."
-    model = typer.Option(
-        help=names, rich_help_panel=PANEL, metavar="NAME", autocompletion=names_that_begin
-    )
-    accepted = [argument("walker", Annotated[str, model], DEFAULT)]
-    for one in offered.values():
-        number = typer.Option(
-            option_of(one.name), help=help_of(one), rich_help_panel=PANEL, show_default=False
-        )
-        accepted.append(argument(PREFIX + one.name, Annotated[float | None, number], None))
-    for one, whose in offered_options(kinds).items():
-        about = f"{whose_option(whose, kinds)}{one.meaning}."
-        flag = typer.Option(option_of(one.name), help=about, rich_help_panel=PANEL)
-        accepted.append(argument(PREFIX + one.name, Annotated[bool, flag], False))
-    return [*accepted, argument("list_walkers", ListWalkers, False)]
-
-
-SYSTEM = Annotated[
-    str | None,
-    typer.Option(
-        help=f"Any other system instead: {' | '.join(SYSTEMS)}, or one's own, FILE.py:NAME.",
-        rich_help_panel=PANEL,
-        metavar="NAME",
-        autocompletion=lambda incomplete: [one for one in SYSTEMS if one.startswith(incomplete)],
-    ),
-]
-SYSTEM_OPTION = argument("system", SYSTEM, None)
-"""The option `--system`."""
+def option_for(name: str, owners: Mapping[str, Any], count: int) -> inspect.Parameter:
+    """The option for what some of a number of walkers have."""
+    one, panel = next(iter(owners.values())), PANEL
+    whose = "" if len(owners) == count else f"{', '.join(owners)}: "
+    if isinstance(one, Option):
+        flag = typer.Option(option_of(name), help=f"{whose}{one.meaning}.", **panel)
+        return argument(PREFIX + name, Annotated[bool, flag], False)
+    about = "; ".join(filter(None, (one.meaning, one.unit)))
+    defaults = "required" if math.isnan(one.default) else f"default: {one.default:g}"
+    for owner, other in owners.items():
+        if other.default != one.default and not math.isnan(other.default):
+            defaults += f", {owner}: {other.default:g}"
+    text = f"{whose}{about} ({defaults})".strip()
+    number = typer.Option(option_of(name), help=text, show_default=False, **panel)
+    return argument(PREFIX + name, Annotated[float | None, number], None)
 
 
 def names_that_begin(incomplete: str) -> list[str]:
@@ -168,40 +143,44 @@ def names_that_begin(incomplete: str) -> list[str]:
     return [name for name in (*WALKERS, *installed_walkers()) if name.startswith(incomplete)]
 
 
-def whose_option(owners: list[str], kinds: Kinds) -> str:
-    """The walkers that have an option, unless all do."""
-    return "" if len(owners) == len(kinds) else f"{', '.join(owners)}: "
+NAME: Any = PANEL | {"metavar": "NAME"}
+WALKER = Annotated[
+    str,
+    typer.Option(
+        help=f"Its model: {' | '.join(WALKERS)}, or one's own, FILE.py:CLASS.",
+        autocompletion=names_that_begin,
+        **NAME,
+    ),
+]
+SYSTEM = Annotated[
+    str | None,
+    typer.Option(
+        help=f"Any other system instead: {' | '.join(SYSTEMS)}, or one's own, FILE.py:NAME.",
+        autocompletion=lambda incomplete: [one for one in SYSTEMS if one.startswith(incomplete)],
+        **NAME,
+    ),
+]
 
 
-def offered_options(kinds: Kinds) -> dict[Option, list[str]]:
-    """What strides may be checked for, and the names of the walkers that have it."""
-    offered: dict[Option, list[str]] = {}
-    for name, kind in kinds.items():
-        for one in options(kind) if isinstance(kind, type) else ():
-            offered.setdefault(one, []).append(name)
-    return offered
-
-
-def build_walker(kinds: Kinds, name: str, values: dict[str, float], checks: list[str]) -> System:
+def build_walker(
+    kind: type[System] | System, name: str, offered: Offered, values: dict[str, float]
+) -> System:
     """The walker of that name, with default values for parameters that are not given."""
-    kind = kinds[name]
-    described = {one.name: one for one in parameters_of(kind)}
-    for parameter in values:
-        if parameter not in described:
-            has = ", ".join(map(option_of, described))
-            raise WrongUse(f"{option_of(parameter)} is not a parameter of {name}, which has {has}")
-    owners = {one.name: whose for one, whose in offered_options(kinds).items()}
-    for check in checks:
-        if name not in owners[check]:
-            whose = ", ".join(owners[check])
-            raise WrongUse(f"{option_of(check)} is not an option of {name}, but of {whose}")
-    values = {one.name: one.default for one in described.values()} | values
-    for parameter, value in values.items():
-        if math.isnan(value) and math.isnan(described[parameter].default):
-            raise WrongUse(f"{option_of(parameter)} is required: {name} has no default for it")
-    numbers = {parameter: described[parameter].convert(v) for parameter, v in values.items()}
+    own = {one: owners[name] for one, owners in offered.items() if name in owners}
+    numbers = {one: each.default for one, each in own.items() if isinstance(each, Parameter)}
+    for one in values:
+        if one not in own and isinstance(next(iter(offered[one].values())), Option):
+            whose = ", ".join(offered[one])
+            raise WrongUse(f"{option_of(one)} is not an option of {name}, but of {whose}")
+        if one not in own:
+            has = ", ".join(map(option_of, numbers))
+            raise WrongUse(f"{option_of(one)} is not a parameter of {name}, which has {has}")
+    for one, value in numbers.items():
+        if one not in values and math.isnan(value):
+            raise WrongUse(f"{option_of(one)} is required: {name} has no default for it")
+    made = {one: own[one].convert(value) for one, value in (numbers | values).items()}
     if isinstance(kind, type):
-        return kind(**numbers, **dict.fromkeys(checks, True))
-    for parameter in values:
-        kind = with_parameter(kind, parameter, numbers[parameter])
+        return kind(**made)
+    for one, value in made.items():
+        kind = with_parameter(kind, one, value)
     return kind

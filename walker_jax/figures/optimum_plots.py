@@ -272,7 +272,8 @@ def draw_basins(panels: Sequence[Axes], data: xr.Dataset) -> None:
 def optimum_basin_note(data: xr.Dataset, side: str) -> str:
     """The area of a basin, if it is known, and the slice that it is in, if it is in one."""
     area = area_at(data, side)
-    slices = [slice_phrase(name, at) for name, at in slice_coordinates(data).items()]
+    fixed = slice_coordinates(data)
+    slices = [slice_phrase(fixed)] if fixed else []
     return "; ".join([*([area_phrase(data, area)] if area else []), *slices])
 
 

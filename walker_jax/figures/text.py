@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import xarray as xr
 
-from walker_jax.basins.cell_classes import has_known_units, total_area
+from walker_jax.basins.cell_classes import fixed_coordinates, has_known_units, total_area
 
 AREA_LABEL = "area of the basin (rad² / √(l/g))"
 VOLUME_LABEL = "volume of the basin (rad³·g/l)"
@@ -78,9 +78,8 @@ def basin_note(data: xr.Dataset) -> str:
     method = data.attrs.get("method", "")
     shape = data.attrs.get("shape", data["fate"].shape)
     note = f"{METHOD_NAMES.get(method, method)} on {' × '.join(map(str, shape))} cells"
-    fixed = [name for name in data.attrs["section"] if name in data.coords and not data[name].ndim]
-    for name in fixed:
-        note += f"\n{slice_phrase(name, float(data[name]))}"
+    fixed = fixed_coordinates(data)
+    note += f"\n{slice_phrase(fixed)}" if fixed else ""
     area = total_area(data)
     return note if data["fate"].ndim != 2 or area == 0 else f"{note}; {area_phrase(data, area)}"
 
@@ -102,9 +101,10 @@ def with_error(value: float, error: float) -> str:
     return f"{value:.{digits}f} ± {error:.{digits}f}"
 
 
-def slice_phrase(name: str, value: float) -> str:
-    """Where the plane of a picture is."""
-    return f"in the slice at {coordinate_value(name, value)}"
+def slice_phrase(fixed: Mapping[str, float]) -> str:
+    """Where the plane of a picture is, by the coordinates that it holds fixed."""
+    values = [coordinate_value(name, value) for name, value in fixed.items()]
+    return join_phrases([f"in the slice at {values[0]}", *values[1:]], 60)
 
 
 def coordinate_value(name: str, value: float) -> str:
