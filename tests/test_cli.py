@@ -29,7 +29,7 @@ from walker_jax.design.measures import Measure
 from walker_jax.design.summary import summarise_optimum
 from walker_jax.kernels import private_files
 from walker_jax.paper import numbers
-from walker_jax.stability.summary import without_gait
+from walker_jax.stability.robustness_fields import without_gait
 from walker_jax.walkers.family import WALKERS
 from walker_jax.walkers.parameters import describe_walker, parameters
 

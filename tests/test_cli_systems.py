@@ -11,7 +11,7 @@ import xarray as xr
 
 import walker_jax as wj
 from walker_jax.cli import main
-from walker_jax.stability.summary import summarise_robustness
+from walker_jax.stability.robustness_fields import summarise_robustness
 from walker_jax.systems.family import SYSTEMS
 from walker_jax.walkers.parameters import parameters
 

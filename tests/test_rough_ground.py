@@ -30,6 +30,7 @@ from walker_jax.stability.stochastic_map import (
     ROUNDS,
     UNKNOWN,
     Chart,
+    Rough,
     choose_walkers,
     known_cells,
     solve_chain,
@@ -258,8 +259,9 @@ def test_a_stride_without_an_answer_is_no_fall_in_the_stochastic_map(monkeypatch
 
     monkeypatch.setattr("walker_jax.stability.stochastic_map.map_cells", made)
     chart = Chart(np.zeros(2), np.eye(2))
-    drawn = WALKER, NormalSteps(1e-3), 1000, None, chart, np.full((50, 4), 0.5)
-    chain, cells, undecided = transition_matrix(*drawn, jax.random.key(0), 1.0)
+    rough = Rough(WALKER, NormalSteps(1e-3), 1000, 1.0, None)
+    drawn = rough, chart, np.full((50, 4), 0.5)
+    chain, cells, undecided = transition_matrix(*drawn, jax.random.key(0))
     assert len(cells) == 1 and solve_chain(chain)[0] == pytest.approx(6 / 7, rel=1e-12)
     assert undecided == (ROUNDS - FORGOTTEN) * 300
 
@@ -275,13 +277,14 @@ def test_a_stochastic_map_that_cannot_be_says_why(gait, monkeypatch):
 
     monkeypatch.setattr(stochastic_map, "map_cells", made)
     chart = Chart(np.zeros(2), np.eye(2))
-    drawn = WALKER, NormalSteps(1e-3), 1000, None, chart, np.full((50, 4), 0.5)
+    rough = Rough(WALKER, NormalSteps(1e-3), 1000, 1.0, None)
+    drawn = rough, chart, np.full((50, 4), 0.5)
     with pytest.raises(ComputationFailed, match=r"no cell leads to another: .* more even"):
-        transition_matrix(*drawn, jax.random.key(0), 1.0)
+        transition_matrix(*drawn, jax.random.key(0))
     with monkeypatch.context() as patch:
         patch.setattr(stochastic_map, "MOST_CELLS", 0)
         with pytest.raises(ComputationFailed, match="walks reach more than 0 cells: side must be"):
-            transition_matrix(*drawn, jax.random.key(0), 1.0)
+            transition_matrix(*drawn, jax.random.key(0))
     outcome = Outcome.STRIDE
     scattered = np.random.default_rng(0).normal(size=(500, 4))
     pilot = DisturbedWalk(scattered, np.full(500, Outcome.STRIDE), np.full(500, 8))
@@ -359,8 +362,8 @@ def test_the_error_of_a_mean_life_is_widened_too(gait, monkeypatch):
         made = np.full(n, stochastic_map.PILOT_STRIDES)
         return DisturbedWalk(rng.normal(size=states.shape), np.zeros(n, np.int8), made)
 
-    def one_cell(walker, ground, walkers, tolerance, chart, states, key, side):
-        return csr_array(np.ones((1, 1))), chart.cell_of(states[:1], side), 0
+    def one_cell(rough, chart, states, key):
+        return csr_array(np.ones((1, 1))), chart.cell_of(states[:1], rough.side), 0
 
     def solve(chain):
         return 0.99, np.ones(1), np.full(1, next(lives) - stochastic_map.PILOT_STRIDES)

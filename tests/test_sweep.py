@@ -26,7 +26,7 @@ from walker_jax.design import sweeps
 from walker_jax.execution import tiles, workers
 from walker_jax.execution.workers import open_workers
 from walker_jax.kernels.program import MODES
-from walker_jax.stability.summary import without_gait
+from walker_jax.stability.robustness_fields import without_gait
 from walker_jax.storage import datasets
 
 WALKER = wj.SpringWalker(0.004, 0.0)

@@ -27,7 +27,7 @@ from walker_jax.basins.schema import (
     describe,
     to_dataset,
 )
-from walker_jax.checks import check_precision, check_whole, refuses_tracers
+from walker_jax.checks import MAX_COUNT, check_precision, check_whole, refuses_tracers
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import integrator_of
 from walker_jax.systems.system import System
@@ -193,12 +193,7 @@ def refine_cells(
     by_centres: bool = False,
 ) -> Refined:
     """The work of `refine`. Cells of the finest grid may have the fates of their centres."""
-    kind = "refined volume" if len(getattr(grid, "names", ())) == 3 else "refined basin"
-    check_grid(walker, grid, "direct", kind=kind)
-    check_whole("levels", levels, 0, FINEST)
-    check_whole("check", check, 0)
-    check_whole("strides", strides)
-    check_whole("seed", seed, 0)
+    check_refinement(walker, grid, {"levels": levels, "check": check, "seed": seed}, strides)
     dtype = jnp.asarray(0.0).dtype
     check_precision(dtype)
     integrator = integrator_of(dtype, tolerance)
@@ -217,16 +212,8 @@ def refine_cells(
         followed.append(len(cells.cells))
         boundary.append(len(next_cells))
 
-    # What a first check finds is followed to its end; a second one tells how much is left. Shares
-    # are those of least variance, (mistakes + 1) (size / count)^2 summed over the levels.
-    drawn, excess, _ = cells.compare(cells.inherited() ** (2 / 3), check)
-    mistakes = np.bincount(cells.runs.levels_of(drawn[excess != 0]), minlength=levels)
-    cells.follow(levels, np.unique(drawn[excess != 0]))
-    shares = cells.inherited() ** (2 / 3) * (mistakes + 1) ** (1 / 3)
-    drawn, excess, counts = cells.compare(shares, check)
+    drawn, excess, counts = check_twice(cells, levels, check)
     depth = cells.runs.levels_of(drawn)
-    mistakes = np.bincount(depth[excess != 0], minlength=levels)
-
     weight = cells.inherited() / np.maximum(counts, 1)
     missing = (weight[depth] * excess)[excess != 0]
     walks = cells.runs.attractor >= 0
@@ -235,6 +222,7 @@ def refine_cells(
     measured = not by_centres or len(grid.names) > 2
     variance = cells.measure_variance(min(check, REDRAWN) if measured else 0)
     # as if there were one mistake more than were found, lest none be taken for certainty
+    mistakes = np.bincount(depth[excess != 0], minlength=levels)
     variance += ((mistakes + 1) * weight**2).sum()
     variance = np.nan if check == 0 and levels else variance * finest.cell_area**2
     return Refined(
@@ -252,6 +240,29 @@ def refine_cells(
         missing=missing,
         total_strides=cells.total_strides,
     )
+
+
+def check_refinement(walker: System, grid: Grid, counts: dict[str, int], strides: int) -> None:
+    """Refuse a grid that does not fit, and numbers out of range."""
+    kind = "refined volume" if len(getattr(grid, "names", ())) == 3 else "refined basin"
+    check_grid(walker, grid, "direct", kind=kind)
+    for name, count in counts.items():
+        check_whole(name, count, 0, FINEST if name == "levels" else MAX_COUNT)
+    check_whole("strides", strides)
+
+
+def check_twice(
+    cells: RefinedCells, levels: int, check: int
+) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"], Int[np.ndarray, " levels"]]:
+    """What a second check finds: cells, by how much each is mistaken, and checks of each level.
+
+    What a first check finds is followed to its end; the second one tells how much is left. Shares
+    are those of least variance, (mistakes + 1) (size / count)^2 summed over the levels.
+    """
+    drawn, excess, _ = cells.compare(cells.inherited() ** (2 / 3), check)
+    mistakes = np.bincount(cells.runs.levels_of(drawn[excess != 0]), minlength=levels)
+    cells.follow(levels, np.unique(drawn[excess != 0]))
+    return cells.compare(cells.inherited() ** (2 / 3) * (mistakes + 1) ** (1 / 3), check)
 
 
 def check_finest(walker: System, grid: Grid, levels: int) -> Grid:

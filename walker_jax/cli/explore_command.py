@@ -1,23 +1,31 @@
 """`walker-jax explore`."""
 
+from dataclasses import dataclass
 from typing import Annotated
 
 import typer
 
 from walker_jax.basins.windows import grid_along
 from walker_jax.checks import WrongUse
-from walker_jax.cli.options import Axes, axes_from, check_ranges
 from walker_jax.cli.rewording import option_of
+from walker_jax.cli.section import AXES, axes_from, check_ranges
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.systems.system import System, numbers_of
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import chosen_options
 
 
+@dataclass(frozen=True)
+class Shown:
+    """The window of a system's page."""
+
+    axis: list[str] | None = AXES
+
+
 @takes_walker(systems=True)
 def explore(
     walker: System,
-    axis: Axes = None,
+    shown: Shown,
     port: Annotated[
         int, typer.Option(min=0, max=65535, help="Where the server listens; 0 for a free port.")
     ] = 0,
@@ -40,6 +48,7 @@ def explore(
     from walker_jax.walkers.references import reference_of
 
     check_host(host)
+    axis = shown.axis
     if axis and isinstance(walker, Walker):
         raise WrongUse("--axis is for --system: the page shows a walker about its gait")
     axes = axes_from(walker, axis) if axis else {}

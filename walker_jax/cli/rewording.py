@@ -7,8 +7,8 @@ OPTIONS = {"parameter": "--over", "bounds": "--bound", "grid": "--axis"}
 
 
 def option_of(argument: str) -> str:
-    """The option that sets an argument of the library."""
-    return OPTIONS.get(argument, f"--{argument.replace('_', '-')}")
+    """The option that sets an argument of the same name."""
+    return f"--{argument.replace('_', '-')}"
 
 
 def message_of(error: Any) -> str:
@@ -18,5 +18,5 @@ def message_of(error: Any) -> str:
     for argument in error.arguments:
         places = [i for i, word in enumerate(words) if word.rstrip(",:;") == argument]
         for i in places[-1:]:
-            words[i] = words[i].replace(argument, option_of(argument))
+            words[i] = words[i].replace(argument, OPTIONS.get(argument) or option_of(argument))
     return ": ".join([*before, " ".join(words)])

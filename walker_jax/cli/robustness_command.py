@@ -25,7 +25,7 @@ from walker_jax.cli.section import AXIS, Axis, Region, asked_of, axes_of_region,
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.design.evaluation import check_starts
 from walker_jax.grids import Grid
-from walker_jax.stability.summary import summarise_robustness
+from walker_jax.stability.robustness_fields import summarise_robustness
 from walker_jax.systems.system import System
 from walker_jax.walkers.model import Walker, is_planar
 from walker_jax.walkers.parameters import space_decimals

@@ -23,7 +23,7 @@ from walker_jax.basins.refinement import FINEST, check_finest, refine_cells
 from walker_jax.basins.windows import grid_along, whole_section
 from walker_jax.checks import WrongUse, check_kind, check_whole, refuses_tracers, short
 from walker_jax.design.area_gradients import Density
-from walker_jax.design.climbs import climb
+from walker_jax.design.climbs import Climb, climb
 from walker_jax.design.evaluation import (
     ENDS_STAGE,
     SCAN_STAGE,
@@ -139,70 +139,23 @@ def optimise(
 
     Raises `ValueError` for wrong parameters, bounds, names and numbers, and as `refine`.
     """
-    (weights, sign), limits = parse_objective(objective), parse_limits(at_least, at_most)
-    check_kind("walker", walker, System)
-    check_kind("bounds", bounds, Mapping)
+    goal, limits = parse_objective(objective), parse_limits(at_least, at_most)
     if known is not None:
         check_kind("known", known, xr.Dataset)
-    if not bounds:
-        raise WrongUse(f"bounds must name at least one parameter, not {dict(bounds)}")
-    for name, ends in bounds.items():
-        check_bounds(walker, name, ends)
-    if levels is None:
-        levels = default_levels(weights)
-    for name, value, lowest in (
-        *(("starts", starts, 1), ("strides", strides, 1)),
-        *(("levels", levels, 0), ("scan", scan, 0), ("seed", seed, 0)),
-    ):
-        check_whole(name, value, lowest)
-    if "sensitivity-norm" in weights:
-        check_planar(walker)
-    if "cost-of-transport" in {*weights, *limits} and not cost_is_known(walker):
-        raise WrongUse(
-            f"cost-of-transport is not known of a {type(walker).__name__}: define its motor_work, "
-            "or driven_by_gravity if nothing else drives it"
-        )
-    if ("basin-stability" in weights) != callable(density):
-        raise WrongUse(
-            f"density must be a function of states for basin-stability, and for that alone, not "
-            f"{short(density)}"
-        )
-    low, high = np.array([tuple(map(float, ends)) for ends in bounds.values()]).T
+    check_whole("starts", starts)
+    check_whole("scan", scan, 0)
+    levels = default_levels(goal[0]) if levels is None else levels
     how = (grid, levels, strides, seed, tolerance, density)
-    problem = Problem(walker, tuple(bounds), low, high, weights, sign, limits, *how)
+    problem = pose_problem(walker, bounds, goal, limits, how)
     places = starting_places(problem, starts)
-    if grid is None:
-        problem = problem._replace(grid=grid_for(problem, places))
-    if problem.grid is None and problem.size:
-        raise WrongUse(
-            "grid is required: no start has a gait of period one to lay it around",
-            arguments=["grid"],
-        )
-    if problem.grid is not None:
-        check_grid(walker, problem.grid, "direct", kind="optimum")
-        axes, needed = len(problem.grid.names), SIZES.get(problem.size)
-        if needed is not None and axes != needed:
-            raise WrongUse(
-                f"objective {problem.size} must have a grid of {needed} axes, not {axes}"
-            )
-        check_whole("levels", levels, 0, FINEST)
-        check_finest(walker, problem.grid, levels)
-
+    problem = with_grid(problem, places)
     climbs = starts + len(STEP_LENGTHS) - 1
     expected = climbs * USUAL_MEASUREMENTS + 2 + scan * len(bounds)  # 2 ends
     trace = Trace(problem, known, keep, progress, expected)
-    climb_from = lambda numbered: climb(trace, numbered[0], 0, numbered[1])
     with bar(f"{starts} starts", progress):
-        first = list(side_by_side(climb_from, enumerate(places)))
-    trace.sort_runs()
-    height = lambda one: -np.inf if one.best is None else sign * one.best.value
-    run = max(range(starts), key=lambda i: height(first[i]))
-    last, notes = first[run], {"note": ("start_number", string_array(one.note for one in first))}
-    for stage in range(1, len(STEP_LENGTHS)):
-        if last.best is not None:
-            further = climb(trace, run, stage, problem.place_of(last.best.parameters))
-            # what walked on a coarse grid alone is still the best that is known
-            last = further if further.best is not None else last._replace(converged=False)
+        first = climb_from_each(trace, places)
+    run, last = climb_on(trace, first)
+    notes = {"note": ("start_number", string_array(one.note for one in first))}
     start, best = first[run].start, last.best
     if start is None or best is None:
         return trace.data().assign(notes | {"found": False})
@@ -210,6 +163,82 @@ def optimise(
     found |= scan_objective(trace, best, scan) if scan else {}
     found |= {} if problem.grid is None else compare_basins(problem, start, best)
     return trace.data().assign(notes | found | {"found": True})
+
+
+def pose_problem(
+    walker: System,
+    bounds: Mapping[str, Any],
+    goal: tuple[dict[str, float], float],
+    limits: dict[str, tuple[float, float]],
+    how: tuple[Any, ...],
+) -> Problem:
+    """The problem, checked; `goal` is the objective as `parse_objective` returns it."""
+    check_kind("walker", walker, System)
+    check_kind("bounds", bounds, Mapping)
+    if not bounds:
+        raise WrongUse(f"bounds must name at least one parameter, not {dict(bounds)}")
+    for name, ends in bounds.items():
+        check_bounds(walker, name, ends)
+    low, high = np.array([tuple(map(float, ends)) for ends in bounds.values()]).T
+    problem = Problem(walker, tuple(bounds), low, high, *goal, limits, *how)
+    check_whole("strides", problem.strides)
+    check_whole("levels", problem.levels, 0)
+    check_whole("seed", problem.seed, 0)
+    if "sensitivity-norm" in problem.weights:
+        check_planar(walker)
+    if "cost-of-transport" in problem.measures and not cost_is_known(walker):
+        raise WrongUse(
+            f"cost-of-transport is not known of a {type(walker).__name__}: define its motor_work, "
+            "or driven_by_gravity if nothing else drives it"
+        )
+    if ("basin-stability" in problem.weights) != callable(problem.density):
+        raise WrongUse(
+            f"density must be a function of states for basin-stability, and for that alone, not "
+            f"{short(problem.density)}"
+        )
+    return problem
+
+
+def with_grid(problem: Problem, places: list[Float[np.ndarray, " parameters"]]) -> Problem:
+    """The problem with a grid, if it needs one, and that checked."""
+    if problem.grid is None:
+        problem = problem._replace(grid=grid_for(problem, places))
+    if problem.grid is None:
+        if problem.size:
+            raise WrongUse(
+                "grid is required: no start has a gait of period one to lay it around",
+                arguments=["grid"],
+            )
+        return problem
+    check_grid(problem.walker, problem.grid, "direct", kind="optimum")
+    axes, needed = len(problem.grid.names), SIZES.get(problem.size)
+    if needed is not None and axes != needed:
+        raise WrongUse(f"objective {problem.size} must have a grid of {needed} axes, not {axes}")
+    check_whole("levels", problem.levels, 0, FINEST)
+    check_finest(problem.walker, problem.grid, problem.levels)
+    return problem
+
+
+def climb_from_each(trace: Trace, places: list[Float[np.ndarray, " parameters"]]) -> list[Climb]:
+    """The climbs of the first stage."""
+    climb_from = lambda numbered: climb(trace, numbered[0], 0, numbered[1])
+    first = list(side_by_side(climb_from, enumerate(places)))
+    trace.sort_runs()
+    return first
+
+
+def climb_on(trace: Trace, first: list[Climb]) -> tuple[int, Climb]:
+    """The number of the climb that led highest, and the last one that goes on from its end."""
+    sign = trace.problem.sign
+    height = lambda one: -np.inf if one.best is None else sign * one.best.value
+    run = max(range(len(first)), key=lambda i: height(first[i]))
+    last = first[run]
+    for stage in range(1, len(STEP_LENGTHS)):
+        if last.best is not None:
+            further = climb(trace, run, stage, trace.problem.place_of(last.best.parameters))
+            # what walked on a coarse grid alone is still the best that is known
+            last = further if further.best is not None else last._replace(converged=False)
+    return run, last
 
 
 def grid_for(problem: Problem, places: list[Float[np.ndarray, " parameters"]]) -> Grid | None:

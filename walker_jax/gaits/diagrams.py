@@ -26,6 +26,7 @@ from walker_jax.gaits.branches import (
 from walker_jax.gaits.continuation import Start, start_at_doubling
 from walker_jax.gaits.crises import Loss, loss_of_walking
 from walker_jax.gaits.cycles import Gait, remove_duplicates
+from walker_jax.gaits.events import Bifurcation
 from walker_jax.gaits.long_runs import RECURRENCE_DISTANCE, attractors, starts_near_gaits
 from walker_jax.gaits.search import cycle_guesses, iterate_newton
 from walker_jax.integrators.integrator import Integrator
@@ -260,56 +261,15 @@ def assemble_diagram(
     loss: Loss,
 ) -> xr.Dataset:
     """The data set that `bifurcation_diagram` returns."""
-    size = len(walker.section)
-    phases = max((branch.period for branch in branches), default=1)
-
-    def pad(arrays: list[np.ndarray], *shape: int) -> np.ndarray:
-        """Arrays over (points, period, ...), concatenated and padded with NaN after each period."""
-        full = [np.full((len(a), phases, *shape), np.nan) for a in arrays]
-        for padded, a in zip(full, arrays, strict=True):
-            padded[:, : a.shape[1]] = a
-        return np.concatenate([np.zeros((0, phases, *shape)), *full])
-
-    def flatten(arrays: list[Any], dtype=float) -> np.ndarray:
-        return np.concatenate([np.zeros(0, dtype), *arrays]).astype(dtype)
-
-    def real_and_imaginary(multipliers: list[np.ndarray]) -> np.ndarray:
-        whole = np.concatenate([np.zeros((0, size), complex), *multipliers])
-        return np.stack([np.real(whole), np.imag(whole)], axis=-1)
-
-    counts = [len(branch.values) for branch in branches]
     events = [(i, b) for i, one in enumerate(branches) for b in (*one.folds, *one.doublings)]
     tori = [(i, b) for i, one in enumerate(branches) for b in one.neimark_sackers]
-    numbers = np.arange(len(branches))
-
-    def describe(events: list[tuple[int, Any]], name: str) -> dict[str, tuple]:
-        """Where the bifurcations of a list are, as variables over a dimension of this name."""
-        states = pad([b.states[None] for _, b in events], size)
-        multipliers = real_and_imaginary([b.multipliers[None] for _, b in events])
-        return {
-            f"{name}_branch": (name, np.array([i for i, _ in events], int)),
-            f"{name}_period": (name, np.array([len(b.states) for _, b in events], int)),
-            f"{name}_value": (name, np.array([b.value for _, b in events], float)),
-            f"{name}_states": ((name, "phase", "coordinate"), states),
-            f"{name}_multipliers": ((name, "order", "part"), multipliers),
-        }
-
+    shape = max((branch.period for branch in branches), default=1), len(walker.section)
     return xr.Dataset(
         {
-            "branch": ("gait", np.repeat(numbers, counts)),
-            "period": ("gait", np.repeat([b.period for b in branches], counts).astype(int)),
-            "value": ("gait", flatten([b.values for b in branches])),
-            "states": (("gait", "phase", "coordinate"), pad([b.states for b in branches], size)),
-            "step_times": (("gait", "phase"), pad([b.step_times for b in branches])),
-            "multipliers": (
-                ("gait", "order", "part"),
-                real_and_imaginary([b.multipliers for b in branches]),
-            ),
-            "stable": ("gait", flatten([b.stable for b in branches], bool)),
-            "on_cascade": ("gait", np.repeat(np.isin(numbers, members), counts)),
+            **variables_of_branches(branches, members, shape),
             "event_fold": ("event", np.array([b.kind == "fold" for _, b in events], bool)),
-            **describe(events, "event"),
-            **describe(tori, "torus"),
+            **variables_of_events(events, "event", shape),
+            **variables_of_events(tori, "torus", shape),
             "cascade": ("event", np.array([i in members for i, _ in events], bool)),
             "sample_value": ("sample", scanned["value"].values),
             "fate": (("sample", "start"), scanned["fate"].values),
@@ -328,3 +288,52 @@ def assemble_diagram(
             "version": f"walker-jax {version('walker-jax')}",
         },
     )
+
+
+def variables_of_branches(
+    branches: list[Branch], members: list[int], shape: tuple[int, int]
+) -> dict[str, tuple]:
+    """The gaits of all branches, one branch after the other; `shape` is of a cycle's states."""
+    counts, numbers = [len(branch.values) for branch in branches], np.arange(len(branches))
+    joined = lambda arrays, dtype: np.concatenate([np.zeros(0, dtype), *arrays]).astype(dtype)
+    multipliers = real_and_imaginary([b.multipliers for b in branches], shape[1])
+    return {
+        "branch": ("gait", np.repeat(numbers, counts)),
+        "period": ("gait", np.repeat([b.period for b in branches], counts).astype(int)),
+        "value": ("gait", joined([b.values for b in branches], float)),
+        "states": (("gait", "phase", "coordinate"), pad([b.states for b in branches], *shape)),
+        "step_times": (("gait", "phase"), pad([b.step_times for b in branches], shape[0])),
+        "multipliers": (("gait", "order", "part"), multipliers),
+        "stable": ("gait", joined([b.stable for b in branches], bool)),
+        "on_cascade": ("gait", np.repeat(np.isin(numbers, members), counts)),
+    }
+
+
+def variables_of_events(
+    events: list[tuple[int, Bifurcation]], name: str, shape: tuple[int, int]
+) -> dict[str, tuple]:
+    """Bifurcations with the numbers of their branches, over a dimension of this name."""
+    found = [b for _, b in events]
+    multipliers = real_and_imaginary([b.multipliers[None] for b in found], shape[1])
+    states = pad([b.states[None] for b in found], *shape)
+    return {
+        f"{name}_branch": (name, np.array([i for i, _ in events], int)),
+        f"{name}_period": (name, np.array([len(b.states) for b in found], int)),
+        f"{name}_value": (name, np.array([b.value for b in found], float)),
+        f"{name}_states": ((name, "phase", "coordinate"), states),
+        f"{name}_multipliers": ((name, "order", "part"), multipliers),
+    }
+
+
+def pad(arrays: list[np.ndarray], phases: int, *shape: int) -> np.ndarray:
+    """Arrays over (points, period, ...), concatenated and padded with NaN after each period."""
+    full = [np.full((len(a), phases, *shape), np.nan) for a in arrays]
+    for padded, a in zip(full, arrays, strict=True):
+        padded[:, : a.shape[1]] = a
+    return np.concatenate([np.zeros((0, phases, *shape)), *full])
+
+
+def real_and_imaginary(multipliers: list[np.ndarray], size: int) -> np.ndarray:
+    """Rows of so many multipliers, concatenated, each as its two parts."""
+    whole = np.concatenate([np.zeros((0, size), complex), *multipliers])
+    return np.stack([np.real(whole), np.imag(whole)], axis=-1)

@@ -14,6 +14,7 @@ from walker_jax.gaits.cycles import (
     multiply_jacobians,
     solve_linear_systems,
 )
+from walker_jax.gaits.derivatives import SecondDerivatives
 from walker_jax.gaits.requests import Request, Response
 
 
@@ -173,17 +174,25 @@ def locate_bifurcation(
         matrix = np.zeros((2 * count + 1, 2 * count + 1))
         matrix[:count, :count] = cycle_matrices(local.jacobian)[0]
         matrix[:count, -1] = local.by_parameter.ravel() * width
-        for i in range(period):
-            rows = slice(count + i * size, count + (i + 1) * size)
-            matrix[rows, i * size : (i + 1) * size] = second.changes[0, i, :, :size]
+        fill_changes(matrix[count:-1], second, width, -1)
         matrix[count:-1, count:-1] = cycle_matrices(local.jacobian, multiplier)[0]
-        matrix[count:-1, -1] = second.changes[0, :, :, size].ravel() * width
         matrix[-1, count:-1] = guess.ravel()
         step = solve_linear_systems(matrix[None], -mismatch[None])[0]
         cycle = cycle + step[:count].reshape(period, size)
         v = v + step[count:-1].reshape(period, size)
         value = value + float(step[-1]) * width
     return best
+
+
+def fill_changes(
+    rows: np.ndarray, second: SecondDerivatives, width: float, parameter: int = -2
+) -> None:
+    """Write how J_i v_i changes with the states, and with the parameter, into rows of a matrix."""
+    _, period, size, _ = second.changes.shape
+    for i in range(period):
+        part = slice(i * size, (i + 1) * size)
+        rows[part, part] = second.changes[0, i, :, :size]
+    rows[:, parameter] = second.changes[0, :, :, size].ravel() * width
 
 
 def better(
@@ -248,11 +257,8 @@ def locate_neimark_sacker(
         matrix[of_states, of_states] = cycle_matrices(local.jacobian)[0]
         matrix[of_states, -2] = local.by_parameter.ravel() * width
         for part, second in ((of_real, real), (of_imaginary, imaginary)):
-            for i in range(period):
-                rows = slice(part.start + i * size, part.start + (i + 1) * size)
-                matrix[rows, i * size : (i + 1) * size] = second.changes[0, i, :, :size]
+            fill_changes(matrix[part], second, width)
             matrix[part, part] = cycle_matrices(local.jacobian, c)[0]
-            matrix[part, -2] = second.changes[0, :, :, size].ravel() * width
         matrix[of_real, of_imaginary][last, first] += s * np.eye(size)
         matrix[of_imaginary, of_real][last, first] -= s * np.eye(size)
         turned = 1j * np.exp(1j * angle) * v[0]

@@ -161,14 +161,7 @@ def numbers_of_section_5(data: dict[str, xr.Dataset], walker: SimplestWalker) ->
     largest = float(data["areas"]["slope"].values[areas.argmax()])
     vanished = "slope at which the basin has vanished"
     return [
-        Number(
-            where="5.1",
-            what="fate of (0.2, -0.23)",
-            printed="F",
-            ours=fate[0],
-            agrees=fate == "FORWARD",
-            why="",
-        ),
+        Number("5.1", "fate of (0.2, -0.23)", "F", fate[0], agrees=fate == "FORWARD", why=""),
         Number(
             where="5.1",
             what="crossings of the basin along θ = 0.2",

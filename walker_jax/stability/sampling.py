@@ -33,7 +33,7 @@ from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import search_gait
 from walker_jax.grids import Grid
 from walker_jax.stability.gait_mapper import mapper_of_gait
-from walker_jax.stability.metric import CurvedMetric, DistanceFunction, metric_of
+from walker_jax.stability.metric import CurvedMetric, DistanceFunction, LinearMetric, metric_of
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
 from walker_jax.walking.iteration import check_parameter_arrays
@@ -116,6 +116,47 @@ def basin_stability(
     Raises `ValueError` for a single walker without a stable gait, and for arguments out of range.
     """
     sizes = metric_of(walker, scale, along, metric)
+    check_disturbances(walker, disturbances, sizes, turned=scale is not None or along is not None)
+    if within is not None:
+        check_number("within", within)
+        if not within > 0:
+            raise WrongUse(f"within must be positive, not {within}")
+    check_whole("samples", samples)
+    check_whole("horizon", horizon)
+    check_whole("seed", seed, 0)
+    check_confidence(confidence)
+    count = count_walkers(walker, gait)
+    about = starts_about(walker, disturbances, sizes, np.random.default_rng(seed), samples)
+    trial = Trial(about, sizes, within, horizon, strides, confidence, tolerance)
+    if count is None:
+        return BasinStability(*map(np.asarray, measure_returns(walker, gait, trial)))
+    rows = []
+    for i in range(count):
+        single = jax.tree.map(lambda leaf, i=i: leaf[i] if np.ndim(leaf) else leaf, walker)
+        gait = search_gait(single, tolerance=tolerance)
+        if gait.found and gait.stable:
+            rows.append(measure_returns(single, gait, trial))
+        else:
+            rows.append((*3 * (np.nan,), np.zeros(len(Outcome), int), 0, *8 * (np.nan,)))
+    return BasinStability(*map(np.array, zip(*rows, strict=True)))
+
+
+class Trial(NamedTuple):
+    """The starts of `basin_stability` about a state, and what is asked of them."""
+
+    about: Callable[[Any], Float[np.ndarray, "n section"]]
+    sizes: LinearMetric | CurvedMetric
+    within: float | None
+    horizon: int
+    strides: int
+    confidence: float
+    tolerance: float | None
+
+
+def check_disturbances(
+    walker: System, disturbances: Any, sizes: LinearMetric | CurvedMetric, *, turned: bool
+) -> None:
+    """Refuse what are no disturbances, and a metric, or directions if `turned`, not for them."""
     if isinstance(disturbances, Grid):
         check_grid(walker, disturbances, "direct")
     elif not callable(disturbances) and (
@@ -125,70 +166,65 @@ def basin_stability(
             "disturbances must be a positive number, a grid, or a function that draws starts, not "
             f"{short(disturbances)}"
         )
-    if not is_number(disturbances):
-        if scale is not None or along is not None:
-            raise WrongUse("scale and along must be left out where disturbances is not a number")
-    elif isinstance(sizes, CurvedMetric):
+    if turned and not is_number(disturbances):
+        raise WrongUse("scale and along must be left out where disturbances is not a number")
+    if is_number(disturbances) and isinstance(sizes, CurvedMetric):
         raise WrongUse("metric must be a matrix where disturbances is a number, not a function")
-    if within is not None:
-        check_number("within", within)
-        if not within > 0:
-            raise WrongUse(f"within must be positive, not {within}")
-    check_whole("samples", samples)
-    check_whole("horizon", horizon)
-    check_whole("seed", seed, 0)
-    check_confidence(confidence)
+
+
+def count_walkers(walker: System, gait: Gait | None) -> int | None:
+    """How many walkers parameters that are arrays make; None for a single walker."""
     counts = {np.size(leaf) for leaf in jax.tree.leaves(walker) if np.ndim(leaf)}
-    if counts and gait is not None:
+    if not counts:
+        return None
+    if gait is not None:
         raise WrongUse("gait must be left out for walkers with arrays for parameters")
-    if counts:
-        check_parameter_arrays(walker, max(counts))
+    check_parameter_arrays(walker, max(counts))
     if 0 in counts:
         raise WrongUse("walker must be one or more, and its parameters are arrays of none")
-    rng = np.random.default_rng(seed)
+    return max(counts)
+
+
+def starts_about(
+    walker: System,
+    disturbances: float | Grid | Sampler,
+    sizes: Any,
+    rng: np.random.Generator,
+    samples: int,
+) -> Callable[[Any], Float[np.ndarray, "n section"]]:
+    """The starts about a state of a gait; those of a grid or a function are the same for all."""
     if isinstance(disturbances, Grid):
         starts = disturbances.points_at(rng.uniform(size=(samples, len(disturbances.names))))
-        about = lambda state: starts
-    elif callable(disturbances):
+        return lambda state: starts
+    if callable(disturbances):
         starts = draw_starts(walker, "disturbances", disturbances, rng, samples)
-        about = lambda state: starts
-    else:
-        y = draw_from_ball(rng, samples, len(sizes.basis)) @ sizes.basis
-        about = lambda state: state + sizes.disturbance(state, y) * disturbances
+        return lambda state: starts
+    y = draw_from_ball(rng, samples, len(sizes.basis)) @ sizes.basis
+    return lambda state: state + sizes.disturbance(state, y) * disturbances
 
-    def measure(walker: System, gait: Gait | None) -> tuple:
-        mapper = mapper_of_gait(walker, gait, strides, tolerance)
-        (own,) = mapper.attractors
-        starts = about(own.states[0]).astype(own.states.dtype)
-        labels = mapper(starts)
-        fates = np.bincount(labels.fate, minlength=len(Outcome))
-        elsewhere = len(labels.remaining)
-        returned = int(labels.converged.sum())
-        interval = wilson_interval(returned, samples, confidence)
-        shocks = np.min([sizes.size(x, starts[labels.converged]) for x in own.states], axis=0)
-        shock = mean_of(shocks), np.max(shocks) if returned else np.nan
-        if within is None:
-            return returned / samples, *interval, fates, elsewhere, *6 * (np.nan,), *shock
-        close = mapper._replace(attractors=[own._replace(capture_boxes=cubes(own, within))])
-        closer = close.follow(starts[labels.converged])
-        made = np.where(closer.converged, closer.strides, np.inf)
-        late = np.percentile(made, (50, 95), method="inverted_cdf") if returned else 2 * (np.nan,)
-        beyond = shocks > 0  # a start at the gait itself has no pace
-        paces = made[beyond] / shocks[beyond]
-        ways = mean_of(made), mean_of(paces), median_of(paces), np.sum(made <= horizon) / samples
-        return returned / samples, *interval, fates, elsewhere, *late, *ways, *shock
 
-    if not counts:
-        return BasinStability(*map(np.asarray, measure(walker, gait)))
-    rows = []
-    for i in range(max(counts)):
-        single = jax.tree.map(lambda leaf, i=i: leaf[i] if np.ndim(leaf) else leaf, walker)
-        gait = search_gait(single, tolerance=tolerance)
-        if gait.found and gait.stable:
-            rows.append(measure(single, gait))
-        else:
-            rows.append((*3 * (np.nan,), np.zeros(len(Outcome), int), 0, *8 * (np.nan,)))
-    return BasinStability(*map(np.array, zip(*rows, strict=True)))
+def measure_returns(walker: System, gait: Gait | None, trial: Trial) -> tuple:
+    """The numbers of `BasinStability` of one walker, in their order."""
+    mapper = mapper_of_gait(walker, gait, trial.strides, trial.tolerance)
+    (own,) = mapper.attractors
+    starts = trial.about(own.states[0]).astype(own.states.dtype)
+    labels, samples = mapper(starts), len(starts)
+    fates = np.bincount(labels.fate, minlength=len(Outcome))
+    returned = int(labels.converged.sum())
+    interval = wilson_interval(returned, samples, trial.confidence)
+    counts = returned / samples, *interval, fates, len(labels.remaining)
+    shocks = np.min([trial.sizes.size(x, starts[labels.converged]) for x in own.states], axis=0)
+    shock = mean_of(shocks), np.max(shocks) if returned else np.nan
+    if trial.within is None:
+        return *counts, *6 * (np.nan,), *shock
+    close = mapper._replace(attractors=[own._replace(capture_boxes=cubes(own, trial.within))])
+    closer = close.follow(starts[labels.converged])
+    made = np.where(closer.converged, closer.strides, np.inf)
+    late = np.percentile(made, (50, 95), method="inverted_cdf") if returned else 2 * (np.nan,)
+    beyond = shocks > 0  # a start at the gait itself has no pace
+    paces = made[beyond] / shocks[beyond]
+    in_time = np.sum(made <= trial.horizon) / samples
+    return *counts, *late, mean_of(made), mean_of(paces), median_of(paces), in_time, *shock
 
 
 def draw_starts(

@@ -114,44 +114,23 @@ def metastability(
         raise WrongUse(f"side must be a number above 0, not {short(side)}")
     draw_one, key = read_ground(ground), read_key(key)
     start = start_of_walks(walker, gait, tolerance)
-    size = float(side)
-    starts = np.broadcast_to(start, (PILOT_WALKS, len(start)))
-    logs = np.empty((repetitions, 2))
-    undecided = 0
-    for number in range(repetitions):
-        # Each has walks of its own to begin with, which are not forgotten in a few strides.
-        pilot, own = jax.random.split(jax.random.fold_in(key, number))
-        keys = jax.random.split(pilot, PILOT_WALKS)
-        walks = walk_disturbed(walker, starts, draw_one, keys, PILOT_STRIDES, tolerance)
-        chart, lasting = chart_of(walks)
-        chain, cells, unanswered = transition_matrix(
-            walker, draw_one, walkers, tolerance, chart, lasting, own, size
-        )
-        survival, distribution, means = solve_chain(chain)
-        if survival >= 1:
-            raise ComputationFailed(
-                f"no walker fell from any of {len(cells):,} cells: ground is too even for a "
-                "result; give a rougher one"
-            )
-        decided = walks.outcome != Outcome.UNDECIDED
-        undecided += np.count_nonzero(~decided) + unanswered
-        place, known = places_of(chart.cell_of(lasting, size), cells)
-        later = len(lasting) * means[place[known]].mean()
-        mean = (walks.strides[decided].sum() + later) / np.count_nonzero(decided)
-        logs[number] = np.log(mean), np.log(survival / (1 - survival))
+    rough = Rough(walker, draw_one, walkers, float(side), tolerance)
+    made = [repeat(rough, start, jax.random.fold_in(key, i)) for i in range(repetitions)]
+    logs = np.array([(np.log(one.mean), np.log(one.survival / (1 - one.survival))) for one in made])
     log_mean, log_odds = logs.mean(axis=0)
     error = logs[:, 0].std(ddof=1) / np.sqrt(repetitions) * widening(repetitions)
-    centres = chart.points_in(cells, np.full((len(cells), len(chart.centre)), 0.5), size)
+    chart, cells = made[-1].chart, made[-1].cells
+    middle = np.full((len(cells), len(chart.centre)), 0.5)
     coordinates = [*walker.section, "gap"][: len(chart.centre)]
     return xr.Dataset(
         {
             "survival": 1 / (1 + np.exp(-log_odds)),
             "mean_strides": np.exp(log_mean),
             "mean_strides_error": np.exp(log_mean) * error,
-            "undecided": undecided,
-            "chance": ("cell", distribution),
-            "centre": (("cell", "direction"), centres),
-            "edges": (("edge", "direction"), size * chart.axes),
+            "undecided": sum(one.undecided for one in made),
+            "chance": ("cell", made[-1].distribution),
+            "centre": (("cell", "direction"), chart.points_in(cells, middle, rough.side)),
+            "edges": (("edge", "direction"), rough.side * chart.axes),
         },
         coords={"direction": np.array(coordinates, object)},
         attrs={
@@ -159,13 +138,55 @@ def metastability(
             **attributes_of(walker),
             "section": list(walker.section),
             "ground": describe_ground(ground),
-            "side": size,
+            "side": rough.side,
             "walkers": walkers,
             "repetitions": repetitions,
             "key": np.asarray(jax.random.key_data(key)).tolist(),
             "version": f"walker-jax {version('walker-jax')}",
         },
     )
+
+
+class Rough(NamedTuple):
+    """A walker on rough ground, and how finely its states are divided."""
+
+    walker: Walker
+    ground: RandomDisturbance
+    walkers: int
+    side: float
+    tolerance: float | None
+
+
+class Repetition(NamedTuple):
+    """The chance to survive a stride and the mean number of strides, by walks of their own."""
+
+    survival: float
+    mean: float
+    undecided: int
+    chart: "Chart"
+    cells: Int[np.ndarray, " cells"]
+    distribution: Float[np.ndarray, " cells"]
+
+
+def repeat(rough: Rough, start: Float[np.ndarray, " full"], key: Array) -> Repetition:
+    """One repetition. Its walks from the start are not forgotten in a few strides."""
+    pilot, own = jax.random.split(key)
+    along = rough.ground, jax.random.split(pilot, PILOT_WALKS), PILOT_STRIDES, rough.tolerance
+    walks = walk_disturbed(rough.walker, np.broadcast_to(start, (PILOT_WALKS, len(start))), *along)
+    chart, lasting = chart_of(walks)
+    chain, cells, unanswered = transition_matrix(rough, chart, lasting, own)
+    survival, distribution, means = solve_chain(chain)
+    if survival >= 1:
+        raise ComputationFailed(
+            f"no walker fell from any of {len(cells):,} cells: ground is too even for a result; "
+            "give a rougher one"
+        )
+    decided = walks.outcome != Outcome.UNDECIDED
+    place, known = places_of(chart.cell_of(lasting, rough.side), cells)
+    later = len(lasting) * means[place[known]].mean()
+    mean = (walks.strides[decided].sum() + later) / np.count_nonzero(decided)
+    unanswered += int(np.count_nonzero(~decided))
+    return Repetition(survival, mean, unanswered, chart, cells, distribution)
 
 
 def describe_ground(ground: float | RandomDisturbance) -> float | str:
@@ -236,14 +257,7 @@ def chart_of(walks: DisturbedWalk) -> tuple[Chart, Float[np.ndarray, "n full"]]:
 
 
 def transition_matrix(
-    walker: Walker,
-    ground: RandomDisturbance,
-    walkers: int,
-    tolerance: float | None,
-    chart: Chart,
-    states: Float[np.ndarray, "n full"],
-    key: Array,
-    side: float,
+    rough: Rough, chart: Chart, states: Float[np.ndarray, "n full"], key: Array
 ) -> tuple[csr_array, Int[np.ndarray, " cells"], int]:
     """P, and the numbers of its cells, in ascending order, from walks that last, in their states.
 
@@ -253,24 +267,22 @@ def transition_matrix(
     these there were.
     """
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).astype(np.uint32))
-    integrator = integrator_of(states.dtype, tolerance).in_dtype(states.dtype)
-    arrays = jax.tree.map(lambda leaf: np.asarray(leaf, states.dtype), walker)
+    integrator = integrator_of(states.dtype, rough.tolerance).in_dtype(states.dtype)
+    arrays = jax.tree.map(lambda leaf: np.asarray(leaf, states.dtype), rough.walker)
     chances, made_strides, undecided = np.full(len(states), 1 / len(states)), [], 0
     for number in range(ROUNDS):
-        cells, chance, chosen = choose_walkers(rng, chart.cell_of(states, side), chances, walkers)
+        here = chart.cell_of(states, rough.side)
+        cells, chance, chosen = choose_walkers(rng, here, chances, rough.walkers)
         if len(cells) > MOST_CELLS:
             raise ComputationFailed(
-                f"walks reach more than {MOST_CELLS:,} cells: side must be above {side:g}"
+                f"walks reach more than {MOST_CELLS:,} cells: side must be above {rough.side:g}"
             )
         padded = 1 << (len(chosen) - 1).bit_length()  # so that few programs are compiled
         own = jax.random.split(jax.random.fold_in(key, number), padded)
-        drawn = np.asarray(draw(ground, own, 0, 1))[: len(chosen), 0]
+        drawn = np.asarray(draw(rough.ground, own, 0, 1))[: len(chosen), 0]
         disturbances: Any = Disturbance(*np.ascontiguousarray(drawn.T))
-        made = map_cells(
-            follow_disturbed,
-            (arrays, states[chosen], disturbances, integrator),
-            (False, True, True, False),
-        )
+        given = arrays, states[chosen], disturbances, integrator
+        made = map_cells(follow_disturbed, given, (False, True, True, False))
         going = made.outcome == Outcome.STRIDE
         if not going.any():
             raise ComputationFailed(NO_CELL)
@@ -282,7 +294,7 @@ def transition_matrix(
             unknown = made.outcome == Outcome.UNDECIDED
             undecided += int(unknown.sum())
             ends = np.where(unknown, UNKNOWN, FALLEN)
-            ends[going] = chart.cell_of(states, side)
+            ends[going] = chart.cell_of(states, rough.side)
             made_strides.append((np.repeat(cells, each), ends, weights))
     starts, ends, weights = (np.concatenate(parts) for parts in zip(*made_strides, strict=True))
     cells = known_cells(starts, ends)

@@ -1,7 +1,7 @@
 """All measures of robustness of a gait, and their table over a parameter."""
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -22,11 +22,23 @@ from walker_jax.gaits.search import search_gait
 from walker_jax.grids import Grid
 from walker_jax.stability.dimension import boundary_dimension, comparisons
 from walker_jax.stability.disturbances import LeastDisturbance, least_disturbance_if_any
+from walker_jax.stability.robustness_fields import (
+    DIMENSION,
+    GROUND_NAMES,
+    LEAST_DISTURBANCE,
+    LEAST_FALL,
+    STABILITY,
+    variables,
+    variables_of_gait,
+    variables_of_return,
+    variables_of_steps,
+    without_gait,
+)
 from walker_jax.stability.rough_ground import steps_to_fall
 from walker_jax.stability.sampling import BasinStability, basin_stability
 from walker_jax.stability.slices import default_region
 from walker_jax.stability.steps_down import NO_STEP_DOWN, LeastStepDown, least_step_down
-from walker_jax.systems.outcomes import Outcome, failures_of, name_of_outcome
+from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import System
 from walker_jax.walkers.model import check_planar, is_planar
 from walker_jax.walkers.parameters import check_parameter, with_parameter
@@ -97,26 +109,34 @@ def robustness(
         grid = default_region(walker, searched) if grid is None else grid
     if grid is None:
         raise WrongUse("grid is required where no gait of period one is found", arguments=["grid"])
+    about: Any = {"strides": strides, "tolerance": tolerance}
     with bar("basin", progress):
-        data = refine(
-            walker,
-            grid,
-            levels,
-            check=check,
-            strides=strides,
-            seed=seed,
-            tolerance=tolerance,
-            progress=progress,
-        )
+        data = refine(walker, grid, levels, check=check, seed=seed, progress=progress, **about)
     data.attrs["disturbances"] = disturbances
     if ground is not None:
         data.attrs["ground"] = float(ground)
         data = data.assign(dict.fromkeys(GROUND_NAMES, np.nan))
     gait = gait_of_basins(walker, data, tolerance)
-    note = np.array(compare_with_search(gait, searched), object)  # which a store can hold
+    data = data.assign(without_gait(walker))
+    # an array of objects can be held by a store
+    data["note"] = np.array(compare_with_search(gait, searched), object)
     if gait is None:
-        return data.assign(without_gait(walker) | {"note": note})
-    about: Any = {"strides": strides, "tolerance": tolerance}
+        return data
+    with bar("disturbances, steps down, and the boundary", progress):
+        rolled, found = measure_gait(walker, grid, gait, disturbances, seed, about)
+    if ground is not None:
+        with bar("walks on rough ground", progress):
+            found |= measure_walks(walker, rolled, ground, seed, tolerance)
+    return data.assign(found)
+
+
+def measure_gait(
+    walker: System, grid: Grid, gait: Gait, disturbances: float, seed: int, about: dict[str, Any]
+) -> tuple[Gait, dict[str, Any]]:
+    """The gait from its state nearest to the least disturbance on, and its variables.
+
+    `about` is what all measures take: strides, and the tolerance.
+    """
 
     def by_boundary() -> Uncertainty:
         return boundary_dimension(walker, grid, seed=seed, **comparisons(walker), **about)
@@ -140,187 +160,25 @@ def robustness(
         return down, fall
 
     measures: list[Callable[[], Any]] = [by_boundary, by_disturbances, by_steps_down]
-    with bar("disturbances, steps down, and the boundary", progress):
-        boundary, of_disturbances, of_steps_down = side_by_side(lambda one: one(), measures)
-    rolled, nearest, fall, stability = of_disturbances
-    down, fall_down = of_steps_down
-    if ground is not None:
-        with bar("walks on rough ground", progress):
-            key = jax.random.key(seed)
-            walks = steps_to_fall(
-                check_planar(walker),
-                ground,
-                WALKS,
-                key,
-                gait=rolled,
-                limit=WALK_LIMIT,
-                tolerance=tolerance,
-            )
-        data = data.assign(dict(zip(GROUND_NAMES, walks[:3], strict=True)))
-    return data.assign(
-        {
-            "note": note,
-            "gait_period": len(rolled.states),
-            "gait_state": ("coordinate", np.asarray(rolled.states[0])),
-            "multiplier": float(np.abs(rolled.multipliers[0])),
-            "step_time": float(np.mean(rolled.step_times)),
-            "return_strides": float(rolled.return_strides),
-            "least_disturbance": nearest.size,
-            "direction": ("coordinate", nearest.direction),
-            "failing_state": ("coordinate", nearest.state),
-            "failure": int(nearest.failure),
-            "failing_strides": nearest.strides,
-            "least_fall": fall.size,
-            "fall_direction": ("coordinate", fall.direction),
-            "fall_state": ("coordinate", fall.state),
-            "fall_failure": int(fall.failure),
-            "fall_strides": fall.strides,
-            "step_down": down.size,
-            "step_down_failure": int(down.failure),
-            "step_down_fall": fall_down.size,
-            "stability": float(stability.value),
-            "stability_low": float(stability.low),
-            "stability_high": float(stability.high),
-            "in_time": float(stability.in_time),
-            "median_strides": float(stability.median),
-            "slowest_strides": float(stability.slowest),
-            "mean_strides": float(stability.mean),
-            "pace": float(stability.pace),
-            "median_pace": float(stability.median_pace),
-            "mean_shock": float(stability.mean_shock),
-            "largest_shock": float(stability.largest_shock),
-            "dimension": boundary.value,
-            "dimension_low": boundary.low,
-            "dimension_high": boundary.high,
-        }
-    )
-
-
-class Field(NamedTuple):
-    """A variable of the data set that `robustness` returns."""
-
-    name: str
-    kind: str
-    """"number"; "vector" over the section's coordinates; "text"; or whole: "count" or "outcome"."""
-
-
-GAIT = {
-    "period": Field("gait_period", "count"),
-    "state": Field("gait_state", "vector"),
-    "multiplier": Field("multiplier", "number"),
-    "step_time": Field("step_time", "number"),
-    "return_strides": Field("return_strides", "number"),
-}
-LEAST_DISTURBANCE = {
-    "size": Field("least_disturbance", "number"),
-    "direction": Field("direction", "vector"),
-    "state": Field("failing_state", "vector"),
-    "failure": Field("failure", "outcome"),
-    "strides": Field("failing_strides", "count"),
-}
-LEAST_FALL = {
-    "size": Field("least_fall", "number"),
-    "direction": Field("fall_direction", "vector"),
-    "state": Field("fall_state", "vector"),
-    "failure": Field("fall_failure", "outcome"),
-    "strides": Field("fall_strides", "count"),
-}
-STEP_DOWN = {
-    "step_down": Field("step_down", "number"),
-    "step_down_failure": Field("step_down_failure", "outcome"),
-    "step_down_fall": Field("step_down_fall", "number"),
-}
-STABILITY = {
-    "value": Field("stability", "number"),
-    "low": Field("stability_low", "number"),
-    "high": Field("stability_high", "number"),
-    "in_time": Field("in_time", "number"),
-}
-RETURN = {
-    "median_strides": Field("median_strides", "number"),
-    "slowest_strides": Field("slowest_strides", "number"),
-    "mean_strides": Field("mean_strides", "number"),
-    "pace": Field("pace", "number"),
-    "median_pace": Field("median_pace", "number"),
-    "mean_shock": Field("mean_shock", "number"),
-    "largest_shock": Field("largest_shock", "number"),
-}
-DIMENSION = {
-    "value": Field("dimension", "number"),
-    "low": Field("dimension_low", "number"),
-    "high": Field("dimension_high", "number"),
-}
-GROUND = {
-    "mean": Field("steps_to_fall", "number"),
-    "low": Field("steps_to_fall_low", "number"),
-    "high": Field("steps_to_fall_high", "number"),
-}
-"""What is known with a ground alone."""
-GROUND_NAMES = tuple(field.name for field in GROUND.values())
-NOTE = Field("note", "text")
-GROUPS = GAIT, LEAST_DISTURBANCE, LEAST_FALL, STEP_DOWN, STABILITY, RETURN, DIMENSION
-FIELDS = (NOTE, *(field for group in GROUPS for field in group.values()))
-"""The variables of a gait.
-
-A new one is computed in `robustness`, stands in a group here, by which JSON and sweeps have it, and
-in `storage.schema` with the mark `NEW`, as earlier data sets lack it.
-"""
-WITHOUT_GAIT = {"gait_period": 0}
-"""Values where no gait attracts, other than those of their kind, NaN, -1 and no text."""
-
-
-def without_gait(walker: System) -> dict:
-    """The variables that `robustness` adds where no gait attracts."""
-    of_kind = lambda *kinds: [field.name for field in FIELDS if field.kind in kinds]
-    unknown_state = "coordinate", np.full(len(walker.section), np.nan)
-    numbers = dict.fromkeys(of_kind("number"), np.nan)
-    vectors = dict.fromkeys(of_kind("vector"), unknown_state)
-    whole = dict.fromkeys(of_kind("count", "outcome"), -1)
-    return numbers | vectors | whole | {NOTE.name: np.array("", object)} | WITHOUT_GAIT
-
-
-def summarise_robustness(data: xr.Dataset, at: Mapping[str, float]) -> dict:
-    """The results of `robustness`, `at` a value, for JSON; None where no gait attracts."""
-    attracts = int(data["gait_period"]) > 0
-    values = lambda group: {
-        key: value_of(data, field) if attracts else None for key, field in group.items()
-    }
-    disturbances = {"disturbances": float(data.attrs["disturbances"])}
-    of_gait = {
-        "gait": values(GAIT),
-        "least_disturbance": values(LEAST_DISTURBANCE),
-        "least_fall": values(LEAST_FALL) if "least_fall" in data else None,
-        **values(STEP_DOWN),
-        "basin_stability": values(STABILITY) | disturbances | values(RETURN),
-        "boundary_dimension": values(DIMENSION),
-    }
-    if "steps_to_fall" in data:
-        of_gait["steps_to_fall"] = values(GROUND) | {"ground": float(data.attrs["ground"])}
-    at_border = data.get("at_border", np.nan)  # earlier data sets, and rows without a grid, lack it
-    return {
-        **at,
-        "area": float(data["total_area"]),
-        "area_error": float(data["total_area_error"]),
-        "at_border": int(at_border) if np.isfinite(at_border) else None,
-        "note": value_of(data, NOTE),
-        **(of_gait if attracts else dict.fromkeys(of_gait)),
+    boundary, (rolled, nearest, fall, stability), steps = side_by_side(lambda one: one(), measures)
+    return rolled, {
+        **variables_of_gait(rolled),
+        **variables(LEAST_DISTURBANCE, nearest._asdict()),
+        **variables(LEAST_FALL, fall._asdict()),
+        **variables_of_steps(*steps),
+        **variables(STABILITY, stability._asdict()),
+        **variables_of_return(stability),
+        **variables(DIMENSION, boundary._asdict()),
     }
 
 
-def value_of(data: xr.Dataset, field: Field) -> Any:
-    """The value of a field; None where a data set, of an earlier version, lacks it."""
-    if field.name not in data:
-        return None
-    value = data[field.name].values
-    if field.kind == "vector":
-        return value
-    if field.kind in ("outcome", "text"):
-        if field.kind == "text":
-            return str(value)
-        if value < 0:
-            return None
-        return name_of_outcome(int(value), failures_of(data))
-    return float(value) if field.kind == "number" else int(value)
+def measure_walks(
+    walker: System, gait: Gait, ground: float, seed: int, tolerance: float | None
+) -> dict[str, Any]:
+    """The variables of walks on rough ground."""
+    how: Any = {"gait": gait, "limit": WALK_LIMIT, "tolerance": tolerance}
+    walks = steps_to_fall(check_planar(walker), ground, WALKS, jax.random.key(seed), **how)
+    return dict(zip(GROUND_NAMES, walks[:3], strict=True))
 
 
 @refuses_tracers()
@@ -351,6 +209,8 @@ def robustness_table(
         raise WrongUse(f"values must be one row of numbers, not of shape {values.shape}")
     check_parameter(walker, parameter, *map(float, values))
     check_precision(jnp.asarray(0.0).dtype, "robustness_table, as robustness does,")
+    how: Any = {"levels": levels, "check": check, "disturbances": disturbances, "strides": strides}
+    how |= {"seed": seed, "ground": ground, "tolerance": tolerance}
     rows = []
     for value in track(values, parameter, progress):
         there = with_parameter(walker, parameter, float(value))
@@ -359,18 +219,7 @@ def robustness_table(
             unknown = dict.fromkeys(("total_area", "total_area_error"), np.nan)
             rows.append(xr.Dataset(unknown | without_gait(there)))
             continue
-        one = robustness(
-            there,
-            region,
-            levels=levels,
-            check=check,
-            disturbances=disturbances,
-            strides=strides,
-            seed=seed,
-            ground=ground,
-            tolerance=tolerance,
-            progress=progress,
-        )
+        one = robustness(there, region, progress=progress, **how)
         rows.append(one[[name for name in one if set(one[name].dims) <= {"coordinate"}]])
     about = {"walker": walker.label(), "disturbances": disturbances}
     return join_rows(rows, values, parameter).assign_attrs(

@@ -7,7 +7,7 @@ are followed too.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -108,17 +108,7 @@ def tipping_probability(
     dtype = jnp.asarray(0.0).dtype
     check_precision(dtype)
     integrator = integrator_of(dtype, tolerance)
-    rng = np.random.default_rng(seed)
-    if isinstance(region, Grid):
-        check_grid(walker, region, "direct")
-        starts = region.points_at(rng.uniform(size=(samples, len(region.names))))
-    elif callable(region):
-        starts = draw_starts(walker, "region", region, rng, samples)
-    else:
-        raise WrongUse(
-            f"region must be a grid, or a function that draws starts, not {short(region)}"
-        )
-    starts = starts.astype(dtype)
+    starts = starts_in(walker, region, np.random.default_rng(seed), samples).astype(dtype)
     found = []
     for one in (walker, with_parameter(walker, parameter, float(value))):
         mapper = Mapper(one, [], integrator, strides).with_attractors_from(starts)
@@ -129,9 +119,38 @@ def tipping_probability(
     for attractor in mapper_before.attractors:
         labels, mapper_after = mapper_after.label_all(states_of(mapper_before, attractor))
         jumped.append(ends_of(labels))
-    ends = [ends_of(labels_before), ends_of(labels_after)]
-    before, after = np.unique(ends[0]), np.unique(np.concatenate([ends[1], *jumped]))
-    counts = transition_counts(ends[0], ends[1], before, after)
+    ends = Ends(ends_of(labels_before), ends_of(labels_after), jumped)
+    return assemble_tipping(ends, mapper_before, mapper_after, confidence)
+
+
+class Ends(NamedTuple):
+    """Where walkers end, by the numbers of `ends_of`."""
+
+    before: Int[np.ndarray, " starts"]
+    after: Int[np.ndarray, " starts"]
+    jumped: list[Int[np.ndarray, " states"]]
+    """After the jump, from the states of each attractor before it."""
+
+
+def starts_in(
+    walker: System, region: Any, rng: np.random.Generator, samples: int
+) -> Float[np.ndarray, "n section"]:
+    """Starts in a region; refuses what is none."""
+    if isinstance(region, Grid):
+        check_grid(walker, region, "direct")
+        return region.points_at(rng.uniform(size=(samples, len(region.names))))
+    if not callable(region):
+        raise WrongUse(
+            f"region must be a grid, or a function that draws starts, not {short(region)}"
+        )
+    draw: Any = region
+    return draw_starts(walker, "region", draw, rng, samples)
+
+
+def assemble_tipping(ends: Ends, before: Mapper, after: Mapper, confidence: float) -> Tipping:
+    """What `tipping_probability` returns, by the mappers before and after the jump."""
+    rows, columns = np.unique(ends.before), np.unique(np.concatenate([ends.after, *ends.jumped]))
+    counts = transition_counts(ends.before, ends.after, rows, columns)
     total = counts.sum(axis=1, keepdims=True)
     intervals = np.array(
         [
@@ -139,19 +158,20 @@ def tipping_probability(
             for row, n in zip(counts.tolist(), total[:, 0].tolist(), strict=True)
         ]
     )
-    share = lambda ends: (ends[:, None] == after).mean(axis=0)
-    nowhere = np.full(len(after), np.nan)
-    of_end = lambda end: share(jumped[end]) if end < FAILURES else nowhere
+    nowhere = np.full(len(columns), np.nan)
+    share = lambda found: (found[:, None] == columns).mean(axis=0)
+    of_end = lambda end: share(ends.jumped[end]) if end < FAILURES else nowhere
+    names = lambda found: tuple(name_of(end, before.walker.failures) for end in found.tolist())
     return Tipping(
         probability=counts / total,
         low=intervals[..., 0],
         high=intervals[..., 1],
         starts=counts,
-        on_attractor=np.array([of_end(end) for end in before]),
-        before=tuple(name_of(end, walker.failures) for end in before.tolist()),
-        after=tuple(name_of(end, walker.failures) for end in after.tolist()),
-        attractors_before=[one.states for one in mapper_before.attractors],
-        attractors_after=[one.states for one in mapper_after.attractors],
+        on_attractor=np.array([of_end(end) for end in rows]),
+        before=names(rows),
+        after=names(columns),
+        attractors_before=[one.states for one in before.attractors],
+        attractors_after=[one.states for one in after.attractors],
     )
 
 

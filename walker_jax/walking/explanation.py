@@ -4,6 +4,7 @@ The rises of guards are looked for anew here, as the real roots of the polynomia
 that the search that decides a stride has a second opinion.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -280,33 +281,20 @@ def record_mode(
         at_end = values_at_end(mode, state, failures)
         return over_at_once(names[-1], at_end), state, all(one > 0 for one in at_end.values())
 
-    def look(state, series, time):
-        """A step up to a time: its end, the guards there, and the conditions on the way."""
-        ways = [method.state_at(state, series, part * time) for part in PARTS]
-        values = [guard.value(ways[-1]) for guard in mode.guards]
-        return ways[-1], values, [[value(y) for y in ways] for value in conditions.values()]
-
-    @kernel
-    def step(state, memory):
-        series, end, length, memory = method.step(state, memory)
-        polynomials = along(mode, series, whole=True)
-        return series, end, length, memory, polynomials, look(state, series, length)
-
-    end_at = kernel(look)
+    step, end_at = steps_of(mode, method, [*conditions.values()])
     rises: list[Rise] = []
-    time, count, memory = 0.0, 0, method.first_memory(state)
+    time, count, memory, ending = 0.0, 0, method.first_memory(state), None
     below = [value <= 0 for value in values]
-    ending = None
     while ending is None and count < MAX_STEPS:
         series, end, length, memory, polynomials, (there, values, seen) = step(state, memory)
         count += 1
         if not np.isfinite(length):
             break
-        found = []
-        for i, (value, admits) in enumerate(polynomials):
-            for when in rises_of(np.array(value), float(length), below[i]):
-                admitted = all(np.polyval(np.array(one)[::-1], when) > 0 for one in admits)
-                found.append(Rise(number, i, names[i], time + when, bool(admitted)))
+        found = [
+            Rise(number, i, names[i], time + when, admitted)
+            for i, (value, admits) in enumerate(polynomials)
+            for when, admitted in rises_in(value, admits, float(length), below[i])
+        ]
         counted = (rise for rise in found if rise.admitted)
         ending = min(counted, key=lambda rise: rise.time, default=None)
         if ending is not None:
@@ -321,15 +309,38 @@ def record_mode(
             greatest[name] = max(greatest[name], float(value))
         state, time = end, time + float(length)
     rises = rises[-MOST_RISES:]
-    if ending is None:
-        change = energy, float(energy_of(state))
-        return ModeRecord(np.inf, count, "", rises, least, {}, greatest, change), state, False
+    there = state if ending is None else there
     change = energy, float(energy_of(there))
-    leads_on = ending.leads_to == Outcome.STRIDE.name
+    leads_on = ending is not None and ending.leads_to == Outcome.STRIDE.name
     at_end = values_at_end(mode, there, failures) if leads_on else {}
-    ended = ending.time, count, ending.leads_to
+    ended = (np.inf, count, "") if ending is None else (ending.time, count, ending.leads_to)
     record = ModeRecord(*ended, rises, least, at_end, greatest, change)
     return record, there, leads_on and all(value > 0 for value in at_end.values())
+
+
+def steps_of(mode: Mode, method: Any, conditions: list[Callable]) -> tuple[Callable, Callable]:
+    """A step of a mode with all that is looked at in it, and the same up to a time in the step."""
+
+    def look(state, series, time):
+        """A step up to a time: its end, the guards there, and the conditions on the way."""
+        ways = [method.state_at(state, series, part * time) for part in PARTS]
+        values = [guard.value(ways[-1]) for guard in mode.guards]
+        return ways[-1], values, [[value(y) for y in ways] for value in conditions]
+
+    @kernel
+    def step(state, memory):
+        series, end, length, memory = method.step(state, memory)
+        polynomials = along(mode, series, whole=True)
+        return series, end, length, memory, polynomials, look(state, series, length)
+
+    return step, kernel(look)
+
+
+def rises_in(value: Any, admits: Any, length: float, below: bool) -> list[tuple[float, bool]]:
+    """When a guard rises in a step, by its polynomials, and whether each rise is admitted."""
+    holds = lambda one, when: np.polyval(np.array(one)[::-1], when) > 0
+    times = rises_of(np.array(value), length, below)
+    return [(when, all(bool(holds(one, when)) for one in admits)) for when in times]
 
 
 def named(conditions: tuple[Condition, ...], failures: tuple[str, ...], where: str = "") -> dict:

@@ -163,6 +163,21 @@ def margin_of_start(walker: System, x: Float[Array, " coordinates"]) -> Scalar:
     return jnp.sum(x) * jnp.nan if known is None else known
 
 
+def judged_ends(
+    walker: HybridSystem, parts: tuple[Part, ...], struck: Bool[Array, ""], lift: Scalar
+) -> list[tuple[int, Array, Scalar]]:
+    """The outcome of each condition of a mode's end, whether it came to that, and the value."""
+    judged: list[tuple[int, Array, Scalar]] = []
+    for i, part in enumerate(parts):
+        ended = part.end.guard == len(part.mode.guards) - 1
+        ended = struck if i == len(parts) - 1 else ended | (part.verdict == Outcome.STRIDE)
+        for one in part.mode.at_end:
+            judged.append((one.outcome, ended, one.value(part.end.state)))
+    if isinstance(walker, Walker):
+        judged.append((int(Outcome.STOPPED), struck, lift))
+    return judged
+
+
 def measure_stride(walker: HybridSystem, arrival: Arrival, outcome: Array) -> dict[str, Scalar]:
     """The margins of a stride that was measured, by name, whose outcome is known."""
     parts = arrival.parts
@@ -208,16 +223,8 @@ def measure_stride(walker: HybridSystem, arrival: Arrival, outcome: Array) -> di
     failed = jnp.where(pulled, force_at_start(parts), failed)
 
     # the end of a mode
-    judged: list[tuple[int, Array, Scalar]] = []
-    for i, part in enumerate(parts):
-        ended = part.end.guard == len(part.mode.guards) - 1
-        ended = struck if i == len(parts) - 1 else ended | (part.verdict == Outcome.STRIDE)
-        for one in part.mode.at_end:
-            judged.append((one.outcome, ended, one.value(part.end.state)))
-    if isinstance(walker, Walker):
-        judged.append((int(Outcome.STOPPED), struck, lift))
     least = infinite
-    for of, ended, value in judged:
+    for of, ended, value in judged_ends(walker, parts, struck, lift):
         last = jnp.where(ended & ~violated & (value > 0), value, infinite)
         passed[of] = jnp.minimum(passed.get(of, infinite), last)
         ends = ended & (outcome == of) & (value <= 0)
