@@ -8,10 +8,13 @@ import walker_jax as wj
 from walker_jax.basins.cell_classes import (
     along_axis,
     failing_cells,
+    fixed_coordinates,
     large_basins,
     total_area,
     walking_cells,
 )
+from walker_jax.basins.schema import describe
+from walker_jax.figures.text import SYMBOLS, basin_note
 from walker_jax.stability.nearest_starts import circle
 from walker_jax.systems.outcomes import Outcome
 
@@ -66,3 +69,30 @@ def test_points_of_a_circle_are_equally_far_from_its_centre():
     points = circle(centre, 0.003, 50)
     np.testing.assert_allclose(np.linalg.norm(points - centre, axis=1), 0.003, rtol=1e-12)
     assert points.shape == (50, 2) and np.ptp(points[:, 0]) > 0.0059
+
+
+def test_a_slice_tells_the_coordinates_that_it_holds_fixed():
+    """Behind its axes and before them; a window that is only zoomed into is no slice."""
+    walker, ends = wj.RoundFootWalker(0.01, foot_radius=0.3), {"thetadot": (-1, 0, 3)}
+    point = {"theta": 0.25, "thetadot": 0.0, "phidot": 0.0}
+    across = wj.Grid.through(point, **ends, phidot=(-0.5, 0.0, 4))
+    plain = wj.Grid.plain(theta=(0, 1, 2), **ends, phidot=-0.125)
+    whole = wj.Grid.plain(theta=(0, 1, 2), **ends, phidot=(-0.5, 0.0, 4)).zoom(
+        np.array([0.2, -0.2, 0.1]), 2
+    )
+    for grid, fixed in ((across, {"theta": 0.25}), (plain, {"phidot": -0.125}), (whole, {})):
+        assert fixed_coordinates(describe_fates(walker, grid)) == fixed
+    note = basin_note(describe_fates(walker, across))
+    assert note.endswith(f"\nin the slice at {SYMBOLS['theta']} = 0.25")
+    spatial = wj.SpatialWalker()
+    point = dict.fromkeys(spatial.section, 0.5)
+    grid = wj.Grid.through(point, theta=(0, 1, 2), phidot=(0, 1, 2))
+    note = " ".join(basin_note(describe_fates(spatial, grid)).split())
+    others = ("yaw", "phi", "yawdot", "leandot", "thetadot")
+    assert note.endswith(", ".join(f"{SYMBOLS.get(name, name)} = 0.5" for name in others))
+
+
+def describe_fates(walker, grid):
+    """A basin's data set in which no walker converges to an attractor."""
+    data = describe(walker, grid, {"method": "direct"})
+    return data.assign(fate=(grid.names, np.zeros(grid.shape, np.int8)), area=0.0)

@@ -19,7 +19,8 @@ from PIL import Image, ImageSequence
 import walker_jax as wj
 from walker_jax import storage
 from walker_jax.checks import WrongUse
-from walker_jax.cli import answers, app, basin_command, main, optimise_command, options, startup
+from walker_jax.cli import answers, app, basin_command, main, optimise_command, startup
+from walker_jax.cli import over as over_option
 from walker_jax.cli.answers import Stopwatch
 from walker_jax.cli.app import COMMANDS
 from walker_jax.cli.examples import DURATIONS, EXAMPLES
@@ -178,7 +179,7 @@ def test_what_is_said_of_cycles_of_cells():
     ],
 )
 def test_values_are_as_written(over, values):
-    (found,) = options.values_of([over]).values()
+    (found,) = over_option.values_of([over]).values()
     assert found == values
 
 
@@ -186,7 +187,7 @@ def test_names_of_parameters_have_hyphens_or_underscores():
     hyphens, underscores = ["hip-stiffness"], ["hip_stiffness"]
     walker = wj.SpringWalker(0.004)
     for names in (hyphens, underscores):
-        assert [*options.values_of([f"{names[0]}=0:1:2"])] == underscores
+        assert [*over_option.values_of([f"{names[0]}=0:1:2"])] == underscores
         for others in (hyphens, underscores):
             bounds = optimise_command.bounds_of(walker, names, [f"{others[0]}=0:1"])
             assert bounds == {"hip_stiffness": (0.0, 1.0)}

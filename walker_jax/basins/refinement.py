@@ -253,7 +253,7 @@ def check_refinement(walker: System, grid: Grid, counts: dict[str, int], strides
 
 def check_twice(
     cells: RefinedCells, levels: int, check: int
-) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"], Int[np.ndarray, " levels"]]:
+) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"], Int[np.ndarray, " levels"]]:
     """What a second check finds: cells, by how much each is mistaken, and checks of each level.
 
     What a first check finds is followed to its end; the second one tells how much is left. Shares

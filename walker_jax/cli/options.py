@@ -10,10 +10,9 @@ import typer
 from walker_jax.checks import WrongUse
 from walker_jax.cli.groups import option
 from walker_jax.cli.rewording import option_of
-from walker_jax.design.sweeps import MAX_COMBINATIONS
 from walker_jax.systems.system import System
 from walker_jax.walkers.model import Walker
-from walker_jax.walkers.parameters import check_parameter, space_decimals
+from walker_jax.walkers.parameters import check_parameter
 
 Json = Annotated[bool, typer.Option("--json", help="Print the answer as JSON.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
@@ -100,17 +99,3 @@ def hyphenated(name: str) -> str:
 def underscored(name: str) -> str:
     """A name as users type it, as the library has it."""
     return name.replace("-", "_")
-
-
-def values_of(over: list[str]) -> dict[str, list[float]]:
-    """The values of each parameter that --over names."""
-    values: dict[str, list[float]] = {}
-    for text in over:
-        name, (low, high, count) = read_numbers("--over", "NAME=LO:HI:N", (float, float, int), text)
-        if not low < high or count < 2 or not math.isfinite(high - low):
-            raise WrongUse(f"--over {text} must have LO below HI, both finite, and N of 2 or more")
-        refuse_again("--over", name, values)
-        if count > MAX_COMBINATIONS:
-            raise WrongUse(f"--over {text} must have N of at most {MAX_COMBINATIONS}")
-        values[name] = space_decimals(low, high, count)
-    return values

@@ -11,7 +11,8 @@ import walker_jax as wj
 from walker_jax.checks import WrongUse
 from walker_jax.cli.answers import Output, request_for
 from walker_jax.cli.groups import option
-from walker_jax.cli.options import Pieces, values_of
+from walker_jax.cli.options import Pieces
+from walker_jax.cli.over import values_of
 from walker_jax.cli.section import Volume, asked_of
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.design.summary import tabulate_sweep

@@ -85,8 +85,8 @@ def with_walker_options(command: Command, kinds: Kinds) -> Command:
     ranges_over: str | None = vars(command)["ranges_over"]
 
     def takes(walker, list_walkers, system=None, **given):
-        values = {name: given.pop(PREFIX + name) for name in offered}
-        values = {name: value for name, value in values.items() if value not in (None, False)}
+        values = {one: given.pop(PREFIX + one) for one in offered}
+        values = {one: value for one, value in values.items() if value is not None}
         if ranges_over is not None:
             over, low = given[ranges_over].replace("-", "_"), given["low"]
             if over in offered and (low is not None or not vars(command)["or_one_value"]):
@@ -127,7 +127,7 @@ def option_for(name: str, owners: Mapping[str, Any], count: int) -> inspect.Para
     whose = "" if len(owners) == count else f"{', '.join(owners)}: "
     if isinstance(one, Option):
         flag = typer.Option(option_of(name), help=f"{whose}{one.meaning}.", **panel)
-        return argument(PREFIX + name, Annotated[bool, flag], False)
+        return argument(PREFIX + name, Annotated[bool | None, flag], None)
     about = "; ".join(filter(None, (one.meaning, one.unit)))
     defaults = "required" if math.isnan(one.default) else f"default: {one.default:g}"
     for owner, other in owners.items():

@@ -54,6 +54,9 @@ def find_system(name: str) -> type[System] | System:
     if name in SYSTEMS:
         return SYSTEMS[name]
     place, _, attribute = name.rpartition(":")
+    if name.endswith(".py") and Path(name).is_file():
+        choice = choose_from(systems_in(load_file(Path(name), "system")), name)
+        raise WrongUse(f"system {name} must name a system, or a class of systems: {choice}")
     if not place:
         raise WrongUse(
             f"system must be one of {', '.join(SYSTEMS)}, or FILE.py:NAME, not {short(name)[1:-1]}"
@@ -67,7 +70,7 @@ def find_system(name: str) -> type[System] | System:
             raise WrongUse(f"system {name}: {error}") from error
         return value
     if not is_system(value):
-        others = choose_from([one for one in vars(module) if is_own(module, one)], place)
+        others = choose_from(systems_in(module), place)
         raise WrongUse(f"system {name} must be a system or a class of systems: {others}")
     check_complete("system", name, value)
     return value
@@ -207,6 +210,11 @@ def is_walker(value: Any) -> bool:
 
 def is_system(value: Any) -> TypeGuard[type[System]]:
     return isinstance(value, type) and issubclass(value, System)
+
+
+def systems_in(module: ModuleType) -> list[str]:
+    """The names of the systems, and of their classes, that a module makes."""
+    return [name for name in vars(module) if is_own(module, name)]
 
 
 def is_own(module: ModuleType, name: str) -> bool:
