@@ -1029,17 +1029,17 @@ def test_a_host_that_cannot_be_one_is_refused(run):
 
 
 def test_the_seed_of_a_refined_basin_is_part_of_it(run, monkeypatch):
-    asked, find_earlier = [], answers.find_earlier
+    asked, find = [], answers.Output.find
 
     def refine(*_, seed, **__):
         raise wj.ComputationFailed(f"this was seed {seed}")
 
-    def find(out, figure, request, *, overwrite):
+    def find_and_tell(output, request):
         asked.append(request["seed"])
-        return find_earlier(out, figure, request, overwrite=overwrite)
+        return find(output, request)
 
     monkeypatch.setattr("walker_jax.refine", refine)
-    monkeypatch.setattr(answers, "find_earlier", find)
+    monkeypatch.setattr(answers.Output, "find", find_and_tell)
     for given, seed in (([], 0), (["--seed", "3"], 3)):
         said = f"walker-jax: this was seed {seed}\n"
         assert run("basin", *SMALL, "--levels", "1", *given) == (1, "", said)

@@ -93,9 +93,10 @@ def test_the_commands_of_the_pages_run_one_after_the_other_in_one_folder(
     def begin(*_, **__):
         raise Begun
 
-    def of_data(out, figure, request, *, overwrite):
-        take(out, request)
-        take(answers.picture_path(out, figure), request)
+    def of_data(output, request):
+        output.check()
+        take(output.out, request)
+        take(output.picture, request)
         raise Begun
 
     def of_report(out, **_):
@@ -111,7 +112,7 @@ def test_the_commands_of_the_pages_run_one_after_the_other_in_one_folder(
     for name, source in re.findall(r"```python\n# (\w+\.py)\n(.*?)```", beginning, re.S):
         Path(name).write_text(source)  # the walker of one's own
     monkeypatch.setattr("walker_jax.cli.startup.keep_compiled", lambda: None)
-    monkeypatch.setattr(answers, "find_earlier", of_data)
+    monkeypatch.setattr(answers.Output, "find", of_data)
     monkeypatch.setattr("walker_jax.paper.reproduction.reproduce", of_report)
     monkeypatch.setattr(storage, "export", of_export)
     monkeypatch.setattr(storage, "check_picture", lambda path, request, **_: take(path, request))

@@ -54,33 +54,6 @@ def walker_in_words(about: dict[str, Any], form: str = "g") -> str:
     return ", ".join([name[1], *(f"{key} {value:{form}}" for key, value in values)])
 
 
-def picture_path(out: Path, figure: Path | None) -> Path:
-    """Where the picture of a data set goes; both places are checked."""
-    if not out.name:
-        raise WrongPlace(f"--out {out} is not the name of a data set: give one, such as a.zarr")
-    figure = figure or out.with_suffix(".png")
-    check_suffix(figure)
-    if out.absolute() in (figure.absolute(), *figure.absolute().parents):
-        raise WrongPlace(f"--figure {figure} must be another place than --out {out}")
-    return figure
-
-
-def find_earlier(
-    out: Path, figure: Path | None, request: dict, *, overwrite: bool
-) -> "tuple[Path, xarray.Dataset | None]":
-    """Where the picture goes, and the data set that the same command has completed at `out`.
-
-    Refuses a place where something else stands.
-    """
-    figure = picture_path(out, figure)
-    found = storage.find(out, request, overwrite=overwrite)  # first: it says what differs
-    earlier = request if found is None else storage.request_in(found.attrs)
-    storage.check_picture(figure, request, earlier, overwrite=overwrite)
-    if earlier["version"] != request["version"]:
-        print(f"{out} was computed by version {earlier['version']}", file=sys.stderr)
-    return figure, found
-
-
 def check_suffix(figure: Path) -> None:
     """Refuse a name of a picture that is not of one of the `PICTURES`."""
     if figure.suffix not in PICTURES:
@@ -113,13 +86,37 @@ class Output:
     overwrite: bool = option(False, "Replace what is there.")
     as_json: bool = option(False, "Print the answer as JSON.", "--json")
 
+    @property
+    def picture(self) -> Path:
+        """Where the picture goes."""
+        return self.figure or self.out.with_suffix(".png")
+
+    def check(self) -> None:
+        """Refuse places that are no names, or one place for both."""
+        if not self.out.name:
+            raise WrongPlace(
+                f"--out {self.out} is not the name of a data set: give one, such as a.zarr"
+            )
+        check_suffix(self.picture)
+        place = self.picture.absolute()
+        if self.out.absolute() in (place, *place.parents):
+            raise WrongPlace(f"--figure {self.picture} must be another place than --out {self.out}")
+
     def find(self, request: dict) -> "xarray.Dataset | None":
         """The data set that the same command has completed; refuses places that are taken."""
-        return find_earlier(self.out, self.figure, request, overwrite=self.overwrite)[1]
+        self.check()
+        found = storage.find(
+            self.out, request, overwrite=self.overwrite
+        )  # first: it says what differs
+        earlier = request if found is None else storage.request_in(found.attrs)
+        storage.check_picture(self.picture, request, earlier, overwrite=self.overwrite)
+        if earlier["version"] != request["version"]:
+            print(f"{self.out} was computed by version {earlier['version']}", file=sys.stderr)
+        return found
 
     def draw(self, axes: Any, request: dict) -> None:
         """Save the picture to which axes belong."""
-        draw(axes, picture_path(self.out, self.figure), request)
+        draw(axes, self.picture, request)
 
     def place(self, request: dict) -> dict[str, Any]:
         """Arguments for functions of the library that save what they compute."""
@@ -149,8 +146,7 @@ class Output:
     def tell(self, answer: dict, lines: Iterable[str], film: Path | None = None) -> None:
         """Print the answer, and the places."""
         shot = f", film {film}" if film is not None else ""
-        picture = picture_path(self.out, self.figure)
-        places = f"  data set {self.out}, picture {picture}{shot}"
+        places = f"  data set {self.out}, picture {self.picture}{shot}"
         tell(answer, chain(lines, [places]), as_json=self.as_json)
 
 
