@@ -24,10 +24,10 @@ MAX_COUNT = 2**31 - 1
 
 
 class Refusal(Exception):
-    """An error that is told on one line: what is wrong and, where that takes two parts, what to do.
+    """An error of one line, in one part or two: what is wrong, and what to do.
 
-    Its last part may name `arguments`, each once or at its end; the command line, which has options
-    for them, puts these in their places.
+    `arguments` are those that the last part names, each where it stands last as a word. The command
+    line puts its options in their places.
     """
 
     def __init__(self, *said: str, arguments: Iterable[str] = ()):
