@@ -19,8 +19,15 @@ from PIL import Image, ImageSequence
 import walker_jax as wj
 from walker_jax import storage
 from walker_jax.checks import WrongUse
-from walker_jax.cli import answers, app, basin_command, main, optimise_command, startup
-from walker_jax.cli import over as over_option
+from walker_jax.cli import (
+    answers,
+    app,
+    basin_command,
+    main,
+    optimise_command,
+    startup,
+    sweep_command,
+)
 from walker_jax.cli.answers import Stopwatch
 from walker_jax.cli.app import COMMANDS
 from walker_jax.cli.examples import DURATIONS, EXAMPLES
@@ -179,7 +186,7 @@ def test_what_is_said_of_cycles_of_cells():
     ],
 )
 def test_values_are_as_written(over, values):
-    (found,) = over_option.values_of([over]).values()
+    (found,) = sweep_command.values_of([over]).values()
     assert found == values
 
 
@@ -187,7 +194,7 @@ def test_names_of_parameters_have_hyphens_or_underscores():
     hyphens, underscores = ["hip-stiffness"], ["hip_stiffness"]
     walker = wj.SpringWalker(0.004)
     for names in (hyphens, underscores):
-        assert [*over_option.values_of([f"{names[0]}=0:1:2"])] == underscores
+        assert [*sweep_command.values_of([f"{names[0]}=0:1:2"])] == underscores
         for others in (hyphens, underscores):
             bounds = optimise_command.bounds_of(walker, names, [f"{others[0]}=0:1"])
             assert bounds == {"hip_stiffness": (0.0, 1.0)}
@@ -1068,22 +1075,22 @@ def test_help_has_colours_unless_no_color_is_set(settings, coloured, monkeypatch
 
 def test_messages_name_options():
     for said, arguments, named in (
-        (["objective must be one of area"], ["objective"], "--objective must be one of area"),
+        (["objective must be one of area"], "objective", "--objective must be one of area"),
         (
             ["at_least and at_most of speed must be finite"],
-            ["at_least", "at_most"],
+            "at_least at_most",
             "--at-least and --at-most of speed must be finite",
         ),
         (
             ["out is taken", "give another out, or overwrite"],
-            ["out", "overwrite"],
+            "out overwrite",
             "out is taken: give another --out, or --overwrite",
         ),
-        (["leg must be below leg_mass, not 1"], ["leg"], "--leg must be below leg_mass, not 1"),
-        (["slope 1: no gait; give theta, or another slope"], ["theta", "slope"], None),
-        (["a grid island"], [], "a grid island"),
+        (["leg must be below leg_mass, not 1"], "leg", "--leg must be below leg_mass, not 1"),
+        (["slope 1: no gait; give theta, or another slope"], "theta slope", None),
+        (["a grid island"], "", "a grid island"),
     ):
-        error = WrongUse(*said, arguments=arguments)
+        error = WrongUse(*said, of=arguments)
         assert str(error) == ": ".join(said)
         assert message_of(error) == (named or "slope 1: no gait; give --theta, or another --slope")
 

@@ -9,7 +9,7 @@ import inspect
 import operator
 import sys
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, ParamSpec, TypeGuard, TypeVar
 
 import jax
@@ -26,13 +26,13 @@ MAX_COUNT = 2**31 - 1
 class Refusal(Exception):
     """An error of one line, in one part or two: what is wrong, and what to do.
 
-    `arguments` are those that the last part names, each where it stands last as a word. The command
-    line puts its options in their places.
+    It is `of` arguments, whose names have spaces between them: the last part says each, last as a
+    word of its own. The command line puts its options in their places.
     """
 
-    def __init__(self, *said: str, arguments: Iterable[str] = ()):
+    def __init__(self, *said: str, of: str = ""):
         super().__init__(*said)
-        self.arguments = tuple(arguments)
+        self.arguments = of.split()
 
     def __str__(self):
         return ": ".join(map(str, self.args))
@@ -75,20 +75,18 @@ def check_whole(name: str, value: Any, least: int = 1, most: int = MAX_COUNT) ->
     try:
         number = operator.index(value)
     except TypeError:
-        raise WrongUse(
-            f"{name} must be a whole number, not {short(value)}", arguments=[name]
-        ) from None
+        raise WrongUse(f"{name} must be a whole number, not {short(value)}", of=name) from None
     if number < least:
-        raise WrongUse(f"{name} must be at least {least}, not {short(value)}", arguments=[name])
+        raise WrongUse(f"{name} must be at least {least}, not {short(value)}", of=name)
     if number > most:
-        raise WrongUse(f"{name} must be at most {most}, not {short(value)}", arguments=[name])
+        raise WrongUse(f"{name} must be at most {most}, not {short(value)}", of=name)
     return number
 
 
 def check_kind(name: str, value: Any, kind: type) -> None:
     """Raises `WrongUse` for a value of another kind; NumPy's booleans count as `bool`."""
     if not isinstance(value, (bool, np.bool_) if kind is bool else kind):
-        raise WrongUse(f"{name} must be a {kind.__name__}, not {short(value)}", arguments=[name])
+        raise WrongUse(f"{name} must be a {kind.__name__}, not {short(value)}", of=name)
 
 
 def check_number(name: str, value: Any) -> None:
@@ -99,14 +97,14 @@ def check_number(name: str, value: Any) -> None:
     except (TypeError, ValueError, OverflowError):
         single = False
     if not single:
-        raise WrongUse(f"{name} must be a real number, not {short(value)}", arguments=[name])
+        raise WrongUse(f"{name} must be a real number, not {short(value)}", of=name)
 
 
 def check_confidence(value: Any) -> None:
     """Raises `WrongUse` unless the value can be the confidence of an interval."""
     check_number("confidence", value)
     if not 0 < value < 1:
-        raise WrongUse(f"confidence must be between 0 and 1, not {value}", arguments=["confidence"])
+        raise WrongUse(f"confidence must be between 0 and 1, not {value}", of="confidence")
 
 
 def is_number(value: Any) -> TypeGuard[float]:
@@ -119,9 +117,7 @@ def numbers(name: str, values: Any) -> Float[np.ndarray, "..."]:
     try:
         return np.asarray(values, float)
     except (TypeError, ValueError, OverflowError):
-        raise WrongUse(
-            f"{name} must be real numbers, not {short(values)}", arguments=[name]
-        ) from None
+        raise WrongUse(f"{name} must be real numbers, not {short(values)}", of=name) from None
 
 
 def array(name: str, values: Any) -> Shaped[np.ndarray, "..."]:
@@ -129,7 +125,7 @@ def array(name: str, values: Any) -> Shaped[np.ndarray, "..."]:
     try:
         return np.asarray(values)
     except ValueError:
-        raise WrongUse(f"{name} must be an array, not {short(values)}", arguments=[name]) from None
+        raise WrongUse(f"{name} must be an array, not {short(values)}", of=name) from None
 
 
 def is_traced(tree: Any) -> bool:

@@ -9,8 +9,8 @@ from walker_jax.checks import WrongUse
 from walker_jax.cli.answers import Output, request_for
 from walker_jax.cli.groups import option
 from walker_jax.cli.options import hyphenated
-from walker_jax.cli.over import values_of
 from walker_jax.cli.section import Region, asked_of
+from walker_jax.cli.sweep_command import values_of
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.stability.basin_fractions import summarise_fractions
 from walker_jax.systems.system import System

@@ -1,5 +1,6 @@
 """`walker-jax sweep`."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,13 +12,13 @@ import walker_jax as wj
 from walker_jax.checks import WrongUse
 from walker_jax.cli.answers import Output, request_for
 from walker_jax.cli.groups import option
-from walker_jax.cli.options import Pieces
-from walker_jax.cli.over import values_of
+from walker_jax.cli.options import Pieces, read_numbers, refuse_again
 from walker_jax.cli.section import Volume, asked_of
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.design.summary import tabulate_sweep
-from walker_jax.design.sweeps import check_values
+from walker_jax.design.sweeps import MAX_COMBINATIONS, check_values
 from walker_jax.systems.system import System
+from walker_jax.walkers.parameters import space_decimals
 
 if TYPE_CHECKING:
     import pandas
@@ -76,3 +77,17 @@ def rows_in_words(rows: "pandas.DataFrame", names: list[str]) -> Iterator[str]:
             yield f"  failed at {where}: {row.get('reason') or 'no reason was kept'}"
         if row.get("note"):
             yield f"  {where}: {row['note']}"
+
+
+def values_of(over: list[str]) -> dict[str, list[float]]:
+    """The values of each parameter that --over names."""
+    values: dict[str, list[float]] = {}
+    for text in over:
+        name, (low, high, count) = read_numbers("--over", "NAME=LO:HI:N", (float, float, int), text)
+        if not low < high or count < 2 or not math.isfinite(high - low):
+            raise WrongUse(f"--over {text} must have LO below HI, both finite, and N of 2 or more")
+        refuse_again("--over", name, values)
+        if count > MAX_COMBINATIONS:
+            raise WrongUse(f"--over {text} must have N of at most {MAX_COMBINATIONS}")
+        values[name] = space_decimals(low, high, count)
+    return values

@@ -206,8 +206,7 @@ def with_grid(problem: Problem, places: list[Float[np.ndarray, " parameters"]]) 
     if problem.grid is None:
         if problem.size:
             raise WrongUse(
-                "grid is required: no start has a gait of period one to lay it around",
-                arguments=["grid"],
+                "grid is required: no start has a gait of period one to lay it around", of="grid"
             )
         return problem
     check_grid(problem.walker, problem.grid, "direct", kind="optimum")
@@ -250,7 +249,7 @@ def grid_for(problem: Problem, places: list[Float[np.ndarray, " parameters"]]) -
             raise WrongUse(
                 f"objective must be area for a {type(first).__name__}, whose section has "
                 f"{len(first.section)} coordinates, not volume",
-                arguments=["objective"],
+                of="objective",
             )
         return grid_along(whole_section(first))
     return next((one for one in map(default_region, walkers) if one is not None), None)

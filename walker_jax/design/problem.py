@@ -108,25 +108,21 @@ def parse_objective(objective: str | Mapping[str, Any]) -> tuple[dict[str, float
         check_kind("objective", objective, Mapping)
     given = {objective: 1.0} if named else dict(objective)
     if not given:
-        raise WrongUse(
-            "objective must name at least one measure, not none", arguments=["objective"]
-        )
+        raise WrongUse("objective must name at least one measure, not none", of="objective")
     for name, weight in given.items():
         if name not in OBJECTIVES:
             raise WrongUse(
-                f"objective must be one of {', '.join(OBJECTIVES)}, not {name!r}",
-                arguments=["objective"],
+                f"objective must be one of {', '.join(OBJECTIVES)}, not {name!r}", of="objective"
             )
         if not (is_number(weight) and np.isfinite(weight) and weight != 0):
             raise WrongUse(
-                f"objective must give {name} a weight other than 0, not {weight}",
-                arguments=["objective"],
+                f"objective must give {name} a weight other than 0, not {weight}", of="objective"
             )
     if len({*SIZES} & {*given}) > 1:
         raise WrongUse(
             "objective must have an area, a volume or basin-stability, as there is one grid, not "
             "several",
-            arguments=["objective"],
+            of="objective",
         )
     weights = {name: float(weight) for name, weight in given.items()}
     return weights, OBJECTIVES[objective] if named else 1.0
@@ -150,12 +146,12 @@ def parse_limits(
                 known = ", ".join(GAIT_MEASURES)
                 raise WrongUse(
                     f"at_least and at_most must be of one of {known}, not of {name!r}",
-                    arguments=["at_least", "at_most"],
+                    of="at_least at_most",
                 )
             if not (is_number(value) and np.isfinite(value)):
                 raise WrongUse(
                     f"at_least and at_most of {name} must be finite numbers, not {value!r}",
-                    arguments=["at_least", "at_most"],
+                    of="at_least at_most",
                 )
             pair = list(limits.get(name, (-np.inf, np.inf)))
             pair[side] = float(value)
@@ -164,7 +160,7 @@ def parse_limits(
         if low > high:
             raise WrongUse(
                 f"at_least {name} must be below at_most, not {low:g} and {high:g}",
-                arguments=["at_least", "at_most"],
+                of="at_least at_most",
             )
     return limits
 
@@ -174,13 +170,10 @@ def check_bounds(walker: System, name: str, ends: Any) -> None:
     try:
         low, high = map(float, ends)
     except (TypeError, ValueError):
-        raise WrongUse(
-            f"bounds of {name} must be two numbers, not {ends!r}", arguments=["bounds"]
-        ) from None
+        raise WrongUse(f"bounds of {name} must be two numbers, not {ends!r}", of="bounds") from None
     if not (np.isfinite(low) and np.isfinite(high) and low < high):
         raise WrongUse(
-            f"bounds of {name} must be finite, the lower first, not {low:g}:{high:g}",
-            arguments=["bounds"],
+            f"bounds of {name} must be finite, the lower first, not {low:g}:{high:g}", of="bounds"
         )
     check_parameter(walker, name, low, high)
 

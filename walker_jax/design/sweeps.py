@@ -126,7 +126,7 @@ def sweep(
     seed = check_whole("seed", seed, 0)
     grid = default_region(walker) if grid is None else grid
     if grid is None:
-        raise WrongUse("grid is required where no gait of period one is found", arguments=["grid"])
+        raise WrongUse("grid is required where no gait of period one is found", of="grid")
     check_grid(walker, grid, "direct", kind="sweep")
     tolerance = float(default_tolerance(jnp.asarray(0.0).dtype, tolerance))
     how = {"levels": levels, "check": check, "robust": int(robust), "strides": strides}

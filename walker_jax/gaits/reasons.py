@@ -37,7 +37,7 @@ def no_gait_found(
     return ComputationFailed(
         f"no gait of period {period} found for {describe_briefly(walker)}: {reason}; {instead}, "
         f"or {other}",
-        arguments=[*arguments, "slope"],
+        of=" ".join([*arguments, "slope"]),
     )
 
 

@@ -85,9 +85,7 @@ def check_place(out: Path, places: dict[str, Path], request: dict, *, overwrite:
         return
     if not out.is_dir():
         raise storage.StoreConflict(
-            f"{out} exists and is not a folder",
-            storage.ANOTHER_PLACE.format("out"),
-            arguments=["out"],
+            f"{out} exists and is not a folder", storage.ANOTHER_PLACE.format("out"), of="out"
         )
     storage.check_writable(out / "data")
     if (out / "data").exists():

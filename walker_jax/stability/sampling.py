@@ -193,10 +193,7 @@ def starts_about(
     samples: int,
 ) -> Callable[[Any], Float[np.ndarray, "n section"]]:
     """The starts about a state of a gait; those of a grid or a function are the same for all."""
-    if isinstance(disturbances, Grid):
-        starts = disturbances.points_at(rng.uniform(size=(samples, len(disturbances.names))))
-        return lambda state: starts
-    if callable(disturbances):
+    if not is_number(disturbances):
         starts = draw_starts(walker, "disturbances", disturbances, rng, samples)
         return lambda state: starts
     y = draw_from_ball(rng, samples, len(sizes.basis)) @ sizes.basis
@@ -228,9 +225,11 @@ def measure_returns(walker: System, gait: Gait | None, trial: Trial) -> tuple:
 
 
 def draw_starts(
-    walker: System, name: str, draw: Sampler, rng: np.random.Generator, samples: int
+    walker: System, name: str, draw: Any, rng: np.random.Generator, samples: int
 ) -> Float[np.ndarray, "n section"]:
-    """Starts that a function draws, the argument of a name, checked."""
+    """Starts in the region of a grid, or those that a function draws, the argument of a name."""
+    if isinstance(draw, Grid):
+        return draw.points_at(rng.uniform(size=(samples, len(draw.names))))
     starts = numbers(f"starts that {name} returns", draw(rng, samples))
     if starts.shape != (samples, len(walker.section)) or not np.isfinite(starts).all():
         raise WrongUse(

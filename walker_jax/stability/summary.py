@@ -108,7 +108,7 @@ def robustness(
         searched = search_gait(walker, tolerance=tolerance)
         grid = default_region(walker, searched) if grid is None else grid
     if grid is None:
-        raise WrongUse("grid is required where no gait of period one is found", arguments=["grid"])
+        raise WrongUse("grid is required where no gait of period one is found", of="grid")
     about: Any = {"strides": strides, "tolerance": tolerance}
     with bar("basin", progress):
         data = refine(walker, grid, levels, check=check, seed=seed, progress=progress, **about)

@@ -7,7 +7,7 @@ are followed too.
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -108,7 +108,14 @@ def tipping_probability(
     dtype = jnp.asarray(0.0).dtype
     check_precision(dtype)
     integrator = integrator_of(dtype, tolerance)
-    starts = starts_in(walker, region, np.random.default_rng(seed), samples).astype(dtype)
+    if isinstance(region, Grid):
+        check_grid(walker, region, "direct")
+    elif not callable(region):
+        raise WrongUse(
+            f"region must be a grid, or a function that draws starts, not {short(region)}"
+        )
+    rng = np.random.default_rng(seed)
+    starts = draw_starts(walker, "region", region, rng, samples).astype(dtype)
     found = []
     for one in (walker, with_parameter(walker, parameter, float(value))):
         mapper = Mapper(one, [], integrator, strides).with_attractors_from(starts)
@@ -130,21 +137,6 @@ class Ends(NamedTuple):
     after: Int[np.ndarray, " starts"]
     jumped: list[Int[np.ndarray, " states"]]
     """After the jump, from the states of each attractor before it."""
-
-
-def starts_in(
-    walker: System, region: Any, rng: np.random.Generator, samples: int
-) -> Float[np.ndarray, "n section"]:
-    """Starts in a region; refuses what is none."""
-    if isinstance(region, Grid):
-        check_grid(walker, region, "direct")
-        return region.points_at(rng.uniform(size=(samples, len(region.names))))
-    if not callable(region):
-        raise WrongUse(
-            f"region must be a grid, or a function that draws starts, not {short(region)}"
-        )
-    draw: Any = region
-    return draw_starts(walker, "region", draw, rng, samples)
 
 
 def assemble_tipping(ends: Ends, before: Mapper, after: Mapper, confidence: float) -> Tipping:

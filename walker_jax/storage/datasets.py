@@ -63,7 +63,7 @@ def find(path: Path, request: dict, *, overwrite: bool = False) -> "xarray.Datas
     except Damaged as error:
         if not overwrite:
             hint = ANOTHER_PLACE_OR_OVERWRITE.format("out")
-            raise Damaged(*error.args, hint, arguments=["out", "overwrite"]) from error
+            raise Damaged(*error.args, hint, of="out overwrite") from error
         check_writable(path)
         return None
     if data is not None and not overwrite:
@@ -73,9 +73,7 @@ def find(path: Path, request: dict, *, overwrite: bool = False) -> "xarray.Datas
     check_writable(path)
     if data is None and path.exists():
         raise StoreConflict(
-            f"{path} exists and is not a data set",
-            ANOTHER_PLACE.format("out"),
-            arguments=["out"],
+            f"{path} exists and is not a data set", ANOTHER_PLACE.format("out"), of="out"
         )
     return None
 
@@ -182,12 +180,12 @@ def export(path: Path, file: Path, *, overwrite: bool = False) -> "xarray.Datase
     check_writable(file)
     if file.exists() and not (overwrite and file.is_file()):
         hint = ANOTHER_PLACE_OR_OVERWRITE.format("file")
-        raise StoreConflict(f"{file} exists", hint, arguments=["overwrite"])
+        raise StoreConflict(f"{file} exists", hint, of="overwrite")
     try:
         data = load(path) if path.is_dir() else None
     except Damaged as error:
         hint = "the command that made it replaces it with overwrite"
-        raise Damaged(*error.args, hint, arguments=["overwrite"]) from error
+        raise Damaged(*error.args, hint, of="overwrite") from error
     if data is None:
         raise StoreConflict(f"{path} is not a data set", "give the place of one")
     if data.attrs.get("unfinished"):

@@ -55,7 +55,7 @@ def resumable(
         yield
     except NotWritten as failure:
         raise (
-            NotWritten(failure.args[0], how, arguments=["overwrite"]) if begun() else failure
+            NotWritten(failure.args[0], how, of="overwrite") if begun() else failure
         ) from failure.__cause__
     except Exception:
         raise
@@ -214,9 +214,7 @@ def open_pieces(
             raise
         except Exception as error:  # whatever is wrong with what others have written
             raise StoreConflict(
-                f"{path} exists and is not a data set",
-                ANOTHER_PLACE.format("out"),
-                arguments=["out"],
+                f"{path} exists and is not a data set", ANOTHER_PLACE.format("out"), of="out"
             ) from error
         check_request(path, group.attrs, request)
         if not group.attrs.get("unfinished"):

@@ -98,7 +98,7 @@ def acquire_lock(folder: Path, path: Path) -> filelock.BaseFileLock:
             except (filelock.Timeout, PermissionError):  # a run of this user, or of another one
                 wait = f"wait, or {ANOTHER_PLACE.format('out')}"
                 raise StoreConflict(
-                    f"{path} is being written by another run", wait, arguments=["out"]
+                    f"{path} is being written by another run", wait, of="out"
                 ) from None
     raise StoreConflict(f"{path} cannot be written: {folder} is in the way: move it away")
 

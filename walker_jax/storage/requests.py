@@ -29,7 +29,7 @@ def check_request(path: Path, attributes: Mapping, request: dict) -> None:
     raise StoreConflict(
         f"{path} holds another result{other}",
         ANOTHER_PLACE_OR_OVERWRITE.format("out"),
-        arguments=["out", "overwrite"],
+        of="out overwrite",
     )
 
 
@@ -69,7 +69,7 @@ def check_picture(
         raise StoreConflict(
             f"{path} is something else",
             ANOTHER_PLACE_OR_OVERWRITE.format(argument),
-            arguments=[argument, "overwrite"],
+            of=f"{argument} overwrite",
         )
 
 

@@ -33,10 +33,10 @@ class Parameter(NamedTuple):
         try:
             value = jnp.asarray(value)
         except (TypeError, ValueError, OverflowError):
-            raise WrongUse(refusal, arguments=[self.name]) from None
+            raise WrongUse(refusal, of=self.name) from None
         real = jnp.issubdtype(value.dtype, jnp.number) and jnp.isrealobj(value)
         if value.shape != () or not real:
-            raise WrongUse(refusal, arguments=[self.name])
+            raise WrongUse(refusal, of=self.name)
         if not jnp.issubdtype(value.dtype, jnp.floating):
             value = value.astype(float)
         if isinstance(value, Tracer):
@@ -44,9 +44,7 @@ class Parameter(NamedTuple):
         number = np.asarray(value)
         above = number >= self.low if self.closed else number > self.low
         if not (above & (number < self.high)):
-            raise WrongUse(
-                f"{self.name} must be {self.bounds()}, not {value}", arguments=[self.name]
-            )
+            raise WrongUse(f"{self.name} must be {self.bounds()}, not {value}", of=self.name)
         return value
 
     def bounds(self) -> str:

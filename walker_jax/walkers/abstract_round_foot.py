@@ -49,12 +49,12 @@ class AbstractRoundFootWalker(HeavyLegWalker):
         if radius >= length:
             raise WrongUse(
                 f"foot_radius must be less than leg_length {length:g}, not {radius:g}",
-                arguments=["foot_radius", "leg_length"],
+                of="foot_radius leg_length",
             )
         if inertia == 0 and down == 0 and float(self.com_offset) == 0:
             raise WrongUse(
                 "leg_inertia must be above 0 where com_from_hip and com_offset are 0, not 0",
-                arguments=["leg_inertia", "com_from_hip", "com_offset"],
+                of="leg_inertia com_from_hip com_offset",
             )
 
     def further_gait_region(self):

@@ -132,12 +132,12 @@ class KneedWalker(HeavyLegWalker):
             raise WrongUse(
                 "foot_radius must be less than thigh_length and shank_length together, "
                 f"{thigh + shank:g}, not {radius:g}",
-                arguments=["foot_radius", "thigh_length", "shank_length"],
+                of="foot_radius thigh_length shank_length",
             )
         if inertia == 0 and down == 0:
             raise WrongUse(
                 "shank_inertia must be above 0 where shank_com is 0, not 0",
-                arguments=["shank_inertia", "shank_com"],
+                of="shank_inertia shank_com",
             )
 
     def phases(self):

@@ -263,7 +263,7 @@ def check_planar(walker: Any) -> Walker:
     check_kind("walker", walker, Walker)
     if not is_planar(walker):
         raise WrongUse(
-            f"walker must be one in the plane, not a {type(walker).__name__}", arguments=["walker"]
+            f"walker must be one in the plane, not a {type(walker).__name__}", of="walker"
         )
     return walker
 

@@ -158,14 +158,14 @@ def check_parameter(walker: System, parameter: str, *values: float) -> None:
         names = ", ".join(numbers_of(walker))
         raise WrongUse(
             f"parameter must be one of the walker's, {names}, not {short(parameter)}",
-            arguments=["parameter"],
+            of="parameter",
         )
     if set(vars(walker)) <= set(inspect.signature(type(walker)).parameters):
         for value in values:
             try:
                 type(walker)(**{**vars(walker), parameter: value})
             except WrongUse as error:
-                error.arguments = ()  # it is a value that another argument names
+                error.arguments = []  # it is a value that another argument names
                 raise
 
 

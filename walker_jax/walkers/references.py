@@ -104,7 +104,7 @@ def place_of(kind: type[System] | System) -> tuple[ModuleType, str]:
         raise WrongUse(
             f"walker must be of a class that other processes can import: write {kind.__name__} "
             "into a file, not within a function",
-            arguments=["walker"],
+            of="walker",
         )
     code = code_of(kind)
     first = sys.modules.get(getattr(code[0], "__module__", ""))  # that of a map's function

@@ -119,14 +119,14 @@ class SpatialWalker(Walker):
         if radius >= length:
             raise WrongUse(
                 f"disc_radius must be less than leg_length {length:g}, not {radius:g}",
-                arguments=["disc_radius", "leg_length"],
+                of="disc_radius leg_length",
             )
         inertia = np.asarray(self.inertia(1.0))
         if not (np.linalg.eigvalsh(inertia) > 0).all():
             raise WrongUse(
                 "inertia_xx to inertia_yz must make a positive definite matrix, not "
                 f"{inertia.tolist()}",
-                arguments=["inertia_xx", "inertia_yz"],
+                of="inertia_xx inertia_yz",
             )
 
     def inertia_entries(self) -> tuple[Scalar, ...]:
