@@ -32,10 +32,10 @@ class Search:
     def coordinates(self, walker: System) -> dict[str, float]:
         """Those of the state in which the search begins, if it is given."""
         start = self.start or None
+        refuse_own(walker, guess=self.guess, phidot=self.phidot)
         exclude(guess=self.guess, start=start)
         exclude(start=start, phidot=self.phidot)
         exclude(guess=self.guess, start=start, all=self.all or None)
-        refuse_own(walker, guess=self.guess, phidot=self.phidot)
         if start is not None:
             return start_from(walker, start)
         if self.guess is None:

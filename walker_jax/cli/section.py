@@ -147,9 +147,9 @@ class Start:
         """Those that are given, by --start or by options of their own."""
         own = {"theta": self.theta, "thetadot": self.thetadot, "phidot": self.phidot}
         check_finite(**own)
+        refuse_own(walker, **own)
         for name, value in own.items():
             exclude(start=self.start or None, **{name: value})
-        refuse_own(walker, **own)
         given = {name: value for name, value in own.items() if value is not None}
         return start_from(walker, self.start) if self.start else given
 
