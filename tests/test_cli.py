@@ -1306,3 +1306,18 @@ def test_wrong_walkers(run, tmp_path, arguments, named):
     for word in named:
         assert word in err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_viable_tells_the_kernel_and_what_is_caught(run):
+    window = ("--theta", "0.05", "0.45", "20", "--sum", "-0.05", "0.01", "24")
+    command = ("viable", "--walker", "powered", "--action", "push-off=0:0.08:5", *window)
+    code, out, _ = run(*command, "--json")
+    assert code == 0
+    answer = json.loads(out)
+    assert answer["inner_area"] <= answer["area"] <= answer["outer_area"]
+    assert answer["target_area"] < answer["capturable"][0] <= answer["capturable"][-1]
+    assert answer["actions"] == {"push_off": [0.0, 0.08, 5]} and answer["cells"] == 480
+    assert Path("viable.zarr").is_dir() and Path("viable.png").is_file()
+    again = run(*command)
+    assert again[0] == 0 and f"area {answer['area']:.6g}, between" in again[1]
+    assert "caught within 1 stride: " in again[1]

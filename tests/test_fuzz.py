@@ -60,6 +60,7 @@ GOOD = {
     "optimise": ["--over", "slope", "--bound", "slope=0.001:0.02", "--scan", "3"],
     "robustness": ["--theta", *AXES[0], "--sum", *AXES[1]],
     "sweep": ["--over", "slope=0.003:0.004:2"],
+    "viable": ["--action", "slope=0.003:0.004:2", "--theta", *AXES[0], "--sum", *AXES[1]],
     "export": ["held.zarr", "b.nc"],
 }
 """What some commands need to answer, or to do so soon."""

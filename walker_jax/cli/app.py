@@ -28,6 +28,8 @@ COMMANDS = {
     "it walk.",
     "basin": "Compute and draw the basin of attraction of a walker's gait.",
     "boundary": "Measure the boundary between walking and falling: its entropy, its saddles, Wada.",
+    "viable": "Compute how large the basin could be: from where some choice of actions walks for "
+    "ever.",
     "robustness": "Measure how large a disturbance a gait survives, on one slope or over many.",
     "continuation": "Follow the attractors over a parameter, and the fractions of a region that "
     "converge to each.",

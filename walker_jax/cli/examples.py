@@ -38,6 +38,11 @@ EXAMPLES = {
         "basin --system henon --a 1.02 --axis x=-2:2:400 --axis y=-2:2:400 --method direct",
     ),
     "boundary": ("boundary", "boundary --slope 0.009 --out steep.zarr"),
+    "viable": (
+        "viable --walker powered --action push-off=0:0.1:17 --theta 0 0.8 160 --sum -0.4 0.05 180",
+        "viable --system torso-wheel --action lean=0.1:0.9:9 --axis thetadot=-1.2:0:30 --axis "
+        "psi=-0.4:1.2:32 --axis psidot=-1:1:20",
+    ),
     "robustness": (
         "robustness --slope 0.009",
         "robustness --slope 0.009 --ground 0.0002",
@@ -67,6 +72,7 @@ DURATIONS = {
     "explore": "A few seconds until the page opens.",
     "basin": "Five seconds for the paper's grid, and a second for each further million cells.",
     "boundary": "Half a minute.",
+    "viable": "Half a minute for the example.",
     "robustness": "Twenty seconds or more for each slope; minutes for walkers with knees.",
     "continuation": "A minute or two for the example.",
     "optimise": "Half a minute for the area over a slope, two for the least disturbance; up to an "

@@ -93,6 +93,9 @@ def viable(
     Raises `ValueError` for a grid that does not fit the section, or is a slice, or that this
     machine has not the memory for, for actions that are none, and for a target of another shape.
     """
+    check_kind("system", system, System)
+    if grid_axes(grid) < len(system.section) == grid.coordinates:
+        raise WrongUse("grid must be of all coordinates of the section, not a slice", of="grid")
     choice = read_actions(system, actions)
     check_kind("bounds", bounds, bool)
     each = BYTES_PER_IMAGE + (2 + 8 * grid_axes(grid)) * bounds
@@ -261,7 +264,7 @@ def dataset(
     sizes["target_area"] = float(target.sum() * grid.cell_area)
     settings = {"actions": list(actions.names), "tolerance": tolerance, **sizes}
     frame = {
-        "axis": ("axis", list(grid.names)),
+        "axis": ("axis", np.array(grid.names, object)),
         "lower": ("axis", grid.lower),
         "upper": ("axis", grid.upper),
         "shear": (("coordinate", "axis"), grid.shear),

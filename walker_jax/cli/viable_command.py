@@ -1,0 +1,102 @@
+"""`walker-jax viable`."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import walker_jax as wj
+from walker_jax.basins.windows import fill_around_gait, grid_along
+from walker_jax.checks import WrongUse
+from walker_jax.cli.answers import Output, request_for
+from walker_jax.cli.groups import option
+from walker_jax.cli.options import read_numbers, refuse_again
+from walker_jax.cli.section import Window
+from walker_jax.cli.walker_options import takes_walker
+from walker_jax.systems.outcomes import failures_of, name_of_outcome
+from walker_jax.systems.system import System, numbers_of
+from walker_jax.walkers.parameters import check_parameter, describe_in_words
+
+ACTION_FORM = "NAME=LO:HI:N"
+
+
+@dataclass(frozen=True)
+class Options:
+    action: list[str] | None = option(
+        None,
+        "A parameter that is chosen anew before each stride, with N values; all combinations of "
+        "several.",
+        metavar=ACTION_FORM,
+    )
+    no_bounds: bool = option(False, "Leave out the bounds of the area, which take half the time.")
+
+
+@takes_walker(systems=True)
+def viable(
+    walker: System,
+    window: Window,
+    options: Options,
+    output: Output = Output(Path("viable.zarr")),
+) -> None:
+    """Compute how large the basin could be: from where some choice of actions walks for ever.
+
+    Before each stride a controller chooses a value for each --action, such as the push-off. The
+    viability kernel holds the states from which it can go on for ever on the window; beyond it no
+    controller prevents a failure. Those from which a few strides lead into the passive basin are
+    counted too. The window must hold all coordinates of the section; its default is that of the
+    command basin.
+    """
+    actions = actions_of(walker, options.action or [])
+    axes = window.axes(walker, most=3)
+    bounds = not options.no_bounds
+    request = request_for("viable", walker, axes=axes, actions=actions, bounds=bounds)
+    compute = lambda: wj.viable(
+        walker, grid_along(fill_around_gait(walker, axes)), actions, bounds=bounds, progress=True
+    )
+    data = output.produce(request, compute, "viability")
+    cells, capture = int(data["viable"].size), data["capture"].values
+    answer: dict[str, Any] = {"walker": request["walker"], "actions": actions, "cells": cells}
+    for name in ("area", "inner_area", "outer_area", "target_area"):
+        answer[name] = data.attrs.get(name)
+    cell = data.attrs["area"] / max(1, int(data["viable"].sum()))
+    steps = range(1, int(capture.max(initial=0)) + 1)
+    answer["capturable"] = [float(((capture >= 0) & (capture <= n)).sum() * cell) for n in steps]
+    codes, counts = np.unique(data["failure"].values[~data["viable"].values], return_counts=True)
+    answer["failures"] = {
+        name_of_outcome(int(code), failures_of(data)): int(count)
+        for code, count in zip(codes, counts, strict=True)
+    }
+    output.tell(answer, kernel_in_words(walker, answer))
+
+
+def actions_of(walker: System, texts: list[str]) -> dict[str, tuple[float, float, int]]:
+    """The range of each parameter that --action names."""
+    if not texts:
+        raise WrongUse(f"--action {ACTION_FORM} is required, such as --action push-off=0:0.1:16")
+    actions: dict[str, tuple[float, float, int]] = {}
+    for text in texts:
+        kinds = (float, float, int)
+        name, (low, high, count) = read_numbers("--action", ACTION_FORM, kinds, text)
+        if not low < high or count < 2:
+            raise WrongUse(f"--action {text} must have LO below HI and N of 2 or more")
+        refuse_again("--action", name, actions)
+        if name not in (known := numbers_of(walker)):
+            raise WrongUse(f"--action must be of {', '.join(known)}, not of {name}")
+        check_parameter(walker, name, low, high)
+        actions[name] = low, high, count
+    return actions
+
+
+def kernel_in_words(walker: System, answer: dict) -> Iterator[str]:
+    """The answer of `viable`."""
+    yield f"Viability kernel, {describe_in_words(walker)}"
+    ranges = [f"{name} {low:g} to {high:g}" for name, (low, high, _) in answer["actions"].items()]
+    yield f"  actions: {', '.join(ranges)}"
+    between = ""
+    if answer["inner_area"] is not None:
+        between = f", between {answer['inner_area']:.4g} and {answer['outer_area']:.4g}"
+    yield f"  area {answer['area']:.6g}{between}; passive basin {answer['target_area']:.6g}"
+    for n, area in enumerate(answer["capturable"], 1):
+        yield f"  caught within {n} {'stride' if n == 1 else 'strides'}: {area:.6g}"
