@@ -12,10 +12,10 @@ from walker_jax import figures
 from walker_jax.basins.attractor import Attractor
 from walker_jax.basins.mapper import Labels
 from walker_jax.basins.matching import cycle_distance, match_cycles, number_alike
+from walker_jax.identity import code_fingerprint
 from walker_jax.stability import basin_fractions
 from walker_jax.stability.basin_fractions import Found, assemble, summarise_fractions
 from walker_jax.storage.schema import check_dataset
-from walker_jax.walkers.fingerprints import code_fingerprint
 
 VALUES = json.loads((Path(__file__).parent / "data" / "values.json").read_text())
 REGION = wj.Grid.sheared(theta=(0.1, 0.3, 10), sum=(-0.03, 0.01, 10))

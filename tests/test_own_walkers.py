@@ -3,11 +3,13 @@
 import functools
 import importlib
 import json
+import math
 import os
 import subprocess
 import sys
 from importlib.metadata import EntryPoint
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import equinox as eqx
@@ -20,17 +22,15 @@ import walker_jax as wj
 from walker_jax.checks import WrongUse
 from walker_jax.cli import main
 from walker_jax.cli.walker_options import names_that_begin
+from walker_jax.identity import AsItIs, code_fingerprint, holds_packages
 from walker_jax.kernels import kernel
-from walker_jax.kernels.outside_code import AsItIs
 from walker_jax.multibody import System
 from walker_jax.stability.metric import metric_of
 from walker_jax.stability.rough_ground import NormalSteps
 from walker_jax.walkers import references
-from walker_jax.walkers.fingerprints import code_fingerprint
 from walker_jax.walkers.model import State
 from walker_jax.walkers.parameters import describe_walker, parameters, with_parameter
 from walker_jax.walkers.references import find_walker
-from walker_jax.walkers.sources import holds_packages
 
 TORQUE = '''
 import equinox as eqx
@@ -412,6 +412,19 @@ def test_fingerprints_tell_code_apart_where_there_is_no_file(fingerprint, old, n
         assert defined(source) != defined(source)
 
 
+class Decorated:
+    """Has the names of a function that it is made of, and more."""
+
+    def __init__(self, function, factor):
+        wrapper: Any = self
+        functools.update_wrapper(wrapper, function)
+        self.factor = factor
+
+
+def made_by(kind, factor):
+    return kind(math.sin, factor)
+
+
 def test_files_and_closures_of_classes_in_sessions_are_covered(fingerprint, tmp_path):
     names: dict[str, Any] = {"__name__": "console", "wj": wj}
     exec(SESSION.replace("{attribute}", ""), names)
@@ -427,6 +440,12 @@ def test_files_and_closures_of_classes_in_sessions_are_covered(fingerprint, tmp_
         return code_fingerprint(W)
 
     assert made(1.0) == made(1.0) != made(2.0)
+    by_default = lambda factor: lambda x, *, size=factor: x * size
+    of_function = lambda *parts: code_fingerprint(wj.Map, parts)
+    assert of_function(by_default(1.0)) == of_function(by_default(1.0))
+    assert of_function(by_default(1.0)) != of_function(by_default(2.0))
+    assert of_function({"a": 1.0}.get) != of_function({"a": 2.0}.get)
+    assert of_function(made_by(Decorated, 1.0)) != of_function(made_by(Decorated, 2.0))
     assert code_fingerprint(wj.SpringWalker) == ""
 
 
@@ -436,10 +455,10 @@ def test_a_session_is_described_alike_in_another_process(fingerprint):
     )
     program = f"""
 import walker_jax as wj
-from walker_jax.walkers.live_code import Description
+from walker_jax.identity import ForStores
 names = {{"__name__": "console", "wj": wj}}
 exec({source!r}, names)
-found = Description({{}}).describe([names["helper"], names["Inner"], names["W"].impact])
+found = ForStores().describe(names["helper"], names["Inner"], names["W"].impact)
 """
     names: dict[str, Any] = {}
     given = {"PYTHONPATH": os.pathsep.join(sys.path), "JAX_ENABLE_X64": "1", "PYTHONHASHSEED": "1"}
@@ -477,6 +496,33 @@ class Shifted(wj.SimplestWalker):
     def during_stride(self, x):
         return with_parameter(self, "slope", self.slope + extra())
 """
+
+
+def test_what_a_function_reads_of_modules_is_what_it_is_at_that_moment():
+    module: Any = ModuleType("constants_of_a_notebook")
+    inner: Any = ModuleType("inner_of_a_notebook")
+    module.SIZE, module.other, module.inner = 1.0, 0.0, inner
+    inner.SIZE, inner.back = 1.0, module
+    names: dict[str, Any] = {"constants": module}
+    exec("def size(): return constants.SIZE + constants.inner.SIZE", names)
+    before = AsItIs(names["size"])
+    module.other = 1.0
+    assert AsItIs(names["size"]) == before
+    for one in (module, inner):
+        one.SIZE = 2.0
+        assert AsItIs(names["size"]) != before
+        one.SIZE = 1.0
+    assert AsItIs(names["size"]) == before
+
+
+def test_a_function_is_the_same_wherever_it_stands():
+    def made(source):
+        names: dict[str, Any] = {}
+        exec(source, names)
+        return AsItIs(names["read"])
+
+    source = "def read(x):\n    return one(x)"
+    assert made(source) == made(f"# moved\n{source}") != made(source.replace("one", "other"))
 
 
 @pytest.mark.parametrize("kernels", [True, pytest.param(False, marks=pytest.mark.slow)])
@@ -536,6 +582,14 @@ def test_a_static_field_that_is_no_option_is_refused():
         wj.basin(Static(slope=0.004), grid)
 
 
+class Steps:
+    def __init__(self, size):
+        self.size = size
+
+    def draw(self, key):
+        return self.size * key
+
+
 def test_functions_are_alike_that_do_the_same_with_the_same_values():
     make = lambda size, values: lambda key: size * np.sum(values) + key
     ones = np.ones(3)
@@ -554,6 +608,10 @@ def test_functions_are_alike_that_do_the_same_with_the_same_values():
     assert AsItIs(bound) != AsItIs(functools.partial(make(1.0, ones), key=3))
     by_name = lambda size: lambda key, *, by=size: by * key
     assert AsItIs(by_name(2)) == AsItIs(by_name(2)) != AsItIs(by_name(3))
+    bound = lambda size: Steps(size).draw
+    one = Steps(1.0)
+    assert AsItIs(one.draw) == AsItIs(one.draw) != AsItIs(bound(2.0))
+    assert AsItIs(jax.vmap(make(1.0, ones))) != AsItIs(jax.vmap(make(2.0, ones)))
     assert AsItIs(make(1.0, ones))(2.0) == 5
     assert AsItIs(NormalSteps(1e-3)) == AsItIs(NormalSteps(1e-3)) != AsItIs(NormalSteps(2e-3))
 

@@ -2,6 +2,10 @@
 
 import functools
 import json
+import os
+import subprocess
+import sys
+from pathlib import Path
 from typing import Any
 
 import diffrax
@@ -12,7 +16,7 @@ import pytest
 
 import walker_jax as wj
 from walker_jax.checks import WrongUse
-from walker_jax.integrators import method, roots
+from walker_jax.integrators import method, roots, taylor_steps
 from walker_jax.integrators.integrator import Integrator
 from walker_jax.integrators.taylor_solver import Taylor
 from walker_jax.kernels import object_cache, program, program_cache
@@ -31,9 +35,9 @@ def folder(tmp_path, monkeypatch):
 @pytest.fixture
 def traces(monkeypatch):
     """What is traced."""
-    made, closed = [], vars(program.Program)["closed"]
-    trace = closed.func
-    monkeypatch.setattr(closed, "func", lambda program: made.append(program) or trace(program))
+    made, trace = [], jax.make_jaxpr
+    counted = lambda function, **options: made.append(function) or trace(function, **options)
+    monkeypatch.setattr(jax, "make_jaxpr", counted)  # the package's own code would have other names
     return made
 
 
@@ -68,6 +72,28 @@ def test_another_process_need_not_trace(folder, traces):
         count = len(traces)
         assert as_of_another_process(function).tobytes() == first.tobytes()
         assert len(traces) == count
+
+
+def test_names_are_the_same_in_every_process():
+    """Whatever has been loaded, and whatever order its sets have."""
+    program = """
+import jax
+jax.config.update("jax_enable_x64", True)
+{}
+from test_program_cache import name_of
+print(name_of())
+"""
+    given = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}
+    runs = [
+        subprocess.Popen(
+            [sys.executable, "-c", program.format(first)],
+            env=given | {"PYTHONHASHSEED": seed},
+            stdout=subprocess.PIPE,
+        )
+        for seed, first in (("1", ""), ("2", "import walker_jax.cli.app, walker_jax.explorer"))
+    ]
+    one, other = (run.communicate()[0].split() for run in runs)
+    assert one == other and len(one) == 1
 
 
 @pytest.mark.parametrize(
@@ -122,8 +148,8 @@ def test_a_name_stands_for_all_that_a_trace_depends_on(monkeypatch):
     changes = [
         (method, "MAX_STEPS", 7),
         (program_cache, "register_bits", lambda: 64),
-        (roots, "differentiable_zero", replaced),
-        (roots, "differentiable_zero", roots.first_zero),
+        (taylor_steps, "differentiable_zero", replaced),
+        (taylor_steps, "differentiable_zero", roots.first_zero),
         (wj.Walker, "contact_force", lambda self, state: (0.0, 0.0)),
         (SimplestWalker, "vector_field", lambda self, state: state),
         (program_cache, "environment", lambda: ("another version",)),

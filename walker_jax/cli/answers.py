@@ -18,8 +18,8 @@ from walker_jax import storage
 from walker_jax.checks import WrongPlace
 from walker_jax.cli.groups import option
 from walker_jax.execution.progress import bar
+from walker_jax.identity import code_fingerprint
 from walker_jax.systems.system import System, code_of
-from walker_jax.walkers.fingerprints import code_fingerprint
 from walker_jax.walkers.parameters import describe_walker
 
 if TYPE_CHECKING:

@@ -26,7 +26,6 @@ from jaxtyping import Int, PyTree
 
 from walker_jax.checks import WrongUse
 from walker_jax.execution.progress import bar
-from walker_jax.kernels.outside_code import states_of
 from walker_jax.kernels.program import (
     MAX_PROGRAMS,
     Program,
@@ -34,6 +33,7 @@ from walker_jax.kernels.program import (
     current_settings,
     program_of,
 )
+from walker_jax.kernels.program_cache import states_of
 
 # Cells in a tile, and tiles in a call: a call should take much longer than it takes to make.
 CALL_SHAPES = {"cpu": (1024, 8), "gpu": (2**17, 1), "tpu": (2**17, 1)}

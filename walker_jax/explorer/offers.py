@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from walker_jax.checks import WrongUse, check_kind, is_number
+from walker_jax.identity import code_fingerprint
 from walker_jax.systems.family import SYSTEMS
 from walker_jax.systems.maps import Map
 from walker_jax.systems.system import System, check_single, code_of, has_gait_region, numbers_of
 from walker_jax.walkers.family import PLANAR_WALKERS
-from walker_jax.walkers.fingerprints import code_fingerprint
 from walker_jax.walkers.model import Walker, check_planar
 from walker_jax.walkers.parameters import (
     Parameter,

@@ -4,6 +4,7 @@ Each interpreter has its own kind of values: entries of an array, instructions, 
 """
 
 import abc
+import sysconfig
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -12,7 +13,8 @@ from typing import Any, ClassVar, no_type_check
 import jax
 from jax.extend.core import ClosedJaxpr, JaxprEqn, Literal
 
-from walker_jax.kernels.outside_code import INSTALLED
+INSTALLED = [Path(sysconfig.get_path(name)) for name in ("stdlib", "purelib", "platlib")]
+"""Folders of code that is not a user's own."""
 
 
 class UnsupportedPrimitive(NotImplementedError):

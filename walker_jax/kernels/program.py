@@ -19,12 +19,18 @@ from jax.core import ShapedArray
 from jax.extend.core import jaxpr_as_fun, jaxprs_in_params
 
 from walker_jax.checks import WrongUse, is_traced
+from walker_jax.identity import digest_of
 from walker_jax.kernels import machine
-from walker_jax.kernels.code_alone import code_of_program
 from walker_jax.kernels.compiled import Compiled, without_garbage_collection
 from walker_jax.kernels.jaxprs import UnsupportedPrimitive, shape_dtype
-from walker_jax.kernels.outside_code import states_of
-from walker_jax.kernels.program_cache import Traced, digest_of, keep_trace, name_of, recall_trace
+from walker_jax.kernels.program_cache import (
+    Traced,
+    code_of_program,
+    keep_trace,
+    name_of,
+    recall_trace,
+    states_of,
+)
 
 MAX_PROGRAMS = 256
 """Most functions that are kept compiled; those used least recently are dropped."""

@@ -21,8 +21,9 @@ from jax import lax
 from jax.extend.core import Primitive
 from jaxtyping import PyTree
 
-from walker_jax.kernels.code_alone import CodeAlone, code_of_program
+from walker_jax.identity import AsItIs
 from walker_jax.kernels.jaxprs import CALLS, Interpreter, called_function
+from walker_jax.kernels.program_cache import as_code_alone, code_of_program
 from walker_jax.kernels.shortcuts import SHORTCUTS, is_known
 
 ENTRYWISE = frozenset(
@@ -44,7 +45,7 @@ def unroll(function: Callable[..., PyTree]) -> Callable[..., PyTree]:
     by entry, such as factorisations and loops, are kept; so are functions with custom derivatives.
     """
 
-    code = CodeAlone(function) if CodeAlone.is_all_of(function) else None
+    code = as_code_alone(function)
 
     def scalar(*args):
         args = jax.tree.map(jnp.asarray, args)
@@ -56,7 +57,7 @@ def unroll(function: Callable[..., PyTree]) -> Callable[..., PyTree]:
 
 
 @partial(jax.jit, static_argnums=0, inline=True)
-def unroll_once(code: CodeAlone, *args) -> PyTree:
+def unroll_once(code: AsItIs, *args) -> PyTree:
     """`unrolled`, traced once for all programs with functions of the same code."""
     return unrolled(code.function, *args)
 
@@ -355,7 +356,7 @@ def unstack(unrolling, equation, operands):
 
 Unrolling.rules = {
     **dict.fromkeys(CALLS, Unrolling.call),
-    **dict.fromkeys(ENTRYWISE, Unrolling.entrywise),
+    **dict.fromkeys(sorted(ENTRYWISE), Unrolling.entrywise),
     **dict.fromkeys(("dynamic_slice", "gather"), Unrolling.index),
     **{name: entry_move(move) for name, move in MOVES.items()},
     "dot_general": Unrolling.contract,

@@ -15,7 +15,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from walker_jax.checks import ComputationFailed, WrongUse, check_kind, check_precision, short
-from walker_jax.kernels.outside_code import AsItIs
+from walker_jax.identity import AsItIs
 from walker_jax.systems.system import System
 
 SOLVING_STEPS = 60

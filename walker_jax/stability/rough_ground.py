@@ -26,8 +26,8 @@ from walker_jax.checks import (
 from walker_jax.execution.tiles import map_cells
 from walker_jax.gaits.cycles import Gait, check_found
 from walker_jax.gaits.selection import require_gait
+from walker_jax.identity import AsItIs
 from walker_jax.integrators.integrator import integrator_of
-from walker_jax.kernels.outside_code import AsItIs
 from walker_jax.systems.outcomes import Outcome
 from walker_jax.systems.system import check_single
 from walker_jax.walkers.model import Walker, check_planar

@@ -21,8 +21,8 @@ from jaxtyping import Array, Float
 from walker_jax.checks import WrongUse, check_kind, short
 from walker_jax.gaits.cycles import Gait
 from walker_jax.gaits.search import find_gait
+from walker_jax.identity import AsItIs
 from walker_jax.integrators.integrator import Integrator
-from walker_jax.kernels.outside_code import AsItIs
 from walker_jax.walkers.model import Scalar, State, Walker, check_planar
 from walker_jax.walking.disturbed import Disturbance, follow_disturbed
 from walker_jax.walking.starts import prepare

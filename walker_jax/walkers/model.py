@@ -24,6 +24,7 @@ from jaxtyping import Array, Bool, Float
 from walker_jax.checks import WrongUse, check_kind
 from walker_jax.grids import Grid
 from walker_jax.hybrid.modes import Condition, Foregone, Guard, Mode
+from walker_jax.identity import ForStores
 from walker_jax.integrators.roots import Scalar
 from walker_jax.integrators.taylor import VectorField
 from walker_jax.kernels import kernel
@@ -41,7 +42,6 @@ from walker_jax.walkers.phase import (
     is_of_package,
     is_planar,
 )
-from walker_jax.walkers.sources import sources_of
 
 LEAST_SCUFF = {jnp.dtype("float64"): 1e-9, jnp.dtype("float32"): 1e-5}
 """Depth, in legs, from which on a foot is below the ground: less is rounding, where it touches."""
@@ -74,7 +74,7 @@ class Walker(HybridSystem):
             said = next(i for i, base in enumerate(cls.__mro__) if name in vars(base))
             if any(method in vars(base) for base in cls.__mro__[:said] for method in methods):
                 setattr(cls, name, vars(Walker)[name])
-        sources_of(cls)  # which keeps them: a file may be edited while its code is in use
+        ForStores(cls)  # which keeps its files: one may be edited while its code is in use
 
     def __check_init__(self):
         check_lands_on_section(self)

@@ -9,9 +9,9 @@ import jax
 import numpy as np
 
 from walker_jax.checks import WrongUse, check_kind, short
+from walker_jax.identity import code_fingerprint
 from walker_jax.systems.parameter import Parameter as Parameter
 from walker_jax.systems.system import AnySystem, System, code_of, is_code, numbers_of
-from walker_jax.walkers.fingerprints import code_fingerprint
 
 Described = TypeVar("Described")
 

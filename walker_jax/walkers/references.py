@@ -18,11 +18,11 @@ from types import ModuleType
 from typing import Any, TypeGuard
 
 from walker_jax.checks import WrongPlace, WrongUse, short
+from walker_jax.identity import file_of, holds_packages
 from walker_jax.systems.family import SYSTEMS
 from walker_jax.systems.system import System, check_single, code_of
 from walker_jax.walkers.family import WALKERS
 from walker_jax.walkers.model import Walker
-from walker_jax.walkers.sources import file_of, holds_packages
 
 GROUP = "walker_jax.walkers"
 """The entry points by which other packages add walkers."""
