@@ -15,8 +15,8 @@ import walker_jax as wj
 ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "walker_jax"
 PAGE = (ROOT / "docs" / "architecture.md").read_text()
-USUAL, MOST = 400, 600
-"""Lines that a file has at most; and one that the page lists."""
+MOST = 400
+"""Lines that a file has at most."""
 
 OUTSIDE = PACKAGE / "__init__.py", PACKAGE / "__main__.py"
 PATHS = sorted(path for path in PACKAGE.rglob("*.py") if path not in OUTSIDE)
@@ -63,12 +63,6 @@ def rooms_of_the_page() -> list[str]:
     return re.findall(r"^ *(\w+) {2,}\S", picture, re.M)
 
 
-def longer_files_of_the_page() -> dict[str, str]:
-    """With the reason for each."""
-    (table,) = re.findall(r"<!-- longer files -->\n(.*?)\n\n", PAGE, re.S)
-    return dict(re.findall(r"^\| `(\S+)` \| (.+) \|$", table, re.M))
-
-
 def test_the_page_lists_every_room():
     rooms = rooms_of_the_page()
     assert len(rooms) > 10 and len(set(rooms)) == len(rooms)
@@ -106,13 +100,9 @@ def test_no_room_has_the_name_of_a_public_function():
     assert not functions & set(map(room_of, MODULES))
 
 
-def test_files_are_short_or_listed_with_a_reason():
-    lines = {
-        path.relative_to(PACKAGE).as_posix(): len(path.read_text().splitlines()) for path in PATHS
-    }
-    longer = {name for name, count in lines.items() if count > USUAL}
-    assert longer == set(longer_files_of_the_page())
-    assert max(lines.values()) <= MOST
+def test_files_are_short():
+    lines = {path.name: len(path.read_text().splitlines()) for path in PATHS}
+    assert {name for name, count in lines.items() if count > MOST} == set()
 
 
 def test_signatures_are_checked_in_every_room_with_shapes(pytestconfig):

@@ -2,7 +2,6 @@ import functools
 import json
 import os
 import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -13,7 +12,6 @@ import jax
 import numpy as np
 import pytest
 import xarray as xr
-from earlier_stores import remove_checksums
 from PIL import Image, ImageSequence
 
 import walker_jax as wj
@@ -159,11 +157,6 @@ def test_a_cycle_of_cells_that_is_no_gait_is_said_to_be_an_artefact(run, tmp_pat
         {"cells": 3043, "artefact": False, "cycles": 1, "falling": 0},
         {"cells": 1, "artefact": True, "cycles": 1, "falling": 1},
     ]
-    remove_checksums(tmp_path / "b.zarr")  # as of a version that knew none of these
-    for name in ("artefact", "cycles", "falling"):
-        shutil.rmtree(tmp_path / "b.zarr" / name)
-    code, text, err = run("basin", "--out", "b.zarr")
-    assert (code, err) == (0, "") and "attractor 1: period 1, 1 cell, " in text
 
 
 def test_what_is_said_of_cycles_of_cells():

@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+import zarr
 
+import walker_jax as wj
 from walker_jax import storage
 from walker_jax.checks import NotWritten
 from walker_jax.storage import datasets, schema
-from walker_jax.storage.damage import CHECKSUMS, Damaged
+from walker_jax.storage.damage import VERSION, Damaged
 
 REQUEST = {"command": "basin", "slope": 0.004}
 SIZES = {name: size for size, name in enumerate(("theta", "sum", "slope"), 3)}
@@ -164,28 +166,27 @@ def test_what_may_not_be_of_this_package_is_never_replaced(tmp_path):
             storage.find(foreign, REQUEST, overwrite=True)
 
 
-def test_a_data_set_of_an_earlier_version_is_replaced_too(tmp_path):
+@pytest.mark.parametrize("version", [None, 2])
+def test_a_data_set_of_another_schema_is_refused_and_can_be_replaced(tmp_path, version):
     there = Path(__file__).parent / "data" / "basin-0.1.0.zarr"
     path = Path(shutil.copytree(there, tmp_path / "a.zarr"))
-    whole = storage.load(path)
-    assert whole is not None and CHECKSUMS not in whole.attrs
-    for name, said in (
-        ("fate/c/0/0", "fate cannot be read"),
-        ("theta/c/0", "it cannot be read"),
-        ("area/zarr.json", "it cannot be read"),
-    ):
-        content = (path / name).read_bytes()
-        damage(path / name, "cut")
-        with pytest.raises(Damaged, match=f"is damaged: {said}: give another out, or overwrite"):
-            storage.find(path, {})
-        assert storage.find(path, {}, overwrite=True) is None
-        (path / name).write_bytes(content)
-    (path / "fate/c/0/0").unlink()
-    with pytest.raises(Damaged, match="is damaged: fate/c/0/0 is missing"):
+    group = zarr.open_group(path, mode="r+")
+    attributes = {**group.attrs, VERSION: version}
+    group.attrs.put({name: one for name, one in attributes.items() if one is not None})
+    said = "says no schema version" if version is None else "has schema version 2"
+    said = f"a.zarr {said}, and this package reads 1: give another out, or overwrite to replace it"
+    with pytest.raises(storage.StoreConflict, match=said) as error:
         storage.find(path, {})
-    (path / "zarr.json").write_bytes(b"{")  # nothing says that it is one
-    with pytest.raises(storage.StoreConflict, match="is not a data set"):
-        storage.find(path, {}, overwrite=True)
+    assert "\n" not in str(error.value)
+    with pytest.raises(storage.StoreConflict, match="and this package reads 1"):
+        storage.load(path)
+    with pytest.raises(storage.StoreConflict, match="and this package reads 1"):
+        wj.basin(
+            wj.SimplestWalker(0.004),
+            wj.Grid.plain(theta=(0, 0.2, 2), thetadot=(-1, 0, 2)),
+            out=path,
+        )
+    assert storage.find(path, {}, overwrite=True) is None
 
 
 def test_a_large_data_set_is_checked_too(tmp_path, monkeypatch):

@@ -326,7 +326,7 @@ def test_a_report_holds_everything(report):
     assert all(number.ours in page for number in numbers)
     kept = json.loads((out / "numbers.json").read_text())
     assert kept["numbers"] == [number._asdict() for number in numbers]
-    assert storage.load(out / "data" / "mapped.zarr") is not None
+    assert storage.load(out / "data" / "cell_mapping.zarr") is not None
 
 
 def files_of(out):

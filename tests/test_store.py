@@ -14,6 +14,7 @@ from zarr.storage import LocalStore
 from walker_jax import storage
 from walker_jax.checks import NotWritten
 from walker_jax.storage import places, requests
+from walker_jax.storage.kind import SCHEMA_VERSION
 
 REQUEST = {"command": "basin", "slope": 0.004}
 
@@ -33,7 +34,7 @@ def test_the_same_request_finds_its_result(tmp_path, data):
     assert found is not None and found.identical(written)
     assert [p.name for p in tmp_path.iterdir()] == ["a.zarr"]
     there = xr.open_zarr(path, consolidated=False)
-    del there.attrs["checksums"]
+    assert there.attrs.pop("schema_version") == SCHEMA_VERSION and there.attrs.pop("checksums")
     assert there.identical(written)
 
 
@@ -295,8 +296,18 @@ def test_another_run_may_have_finished_it_in_between(tmp_path):
 def test_a_data_set_of_others_may_have_a_request(tmp_path, data, request_):
     path = tmp_path / "a.zarr"
     data.assign_attrs(request=request_).to_zarr(path, consolidated=False)
-    with pytest.raises(storage.StoreConflict, match="holds another result"):
+    with pytest.raises(storage.StoreConflict, match="says no schema version"):
         storage.find(path, REQUEST)
+    with pytest.raises(storage.StoreConflict, match="holds another result"):
+        requests.check_request(path, {"request": request_}, REQUEST)
+
+
+def test_a_data_set_of_others_is_never_replaced(tmp_path, data):
+    path = tmp_path / "a.zarr"
+    data.to_zarr(path, consolidated=False)
+    for overwrite in (False, True):
+        with pytest.raises(storage.StoreConflict, match="is not a data set"):
+            storage.find(path, REQUEST, overwrite=overwrite)
 
 
 def test_a_link_is_another_name_of_a_place(tmp_path, data):

@@ -1,7 +1,6 @@
 """Basins over parameters, and the cluster that may compute them."""
 
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -17,7 +16,6 @@ import jax
 import numpy as np
 import pytest
 import xarray as xr
-from earlier_stores import remove_checksums
 from jax.errors import JaxRuntimeError
 
 import walker_jax as wj
@@ -224,26 +222,6 @@ def test_an_interrupted_sweep_goes_on(tmp_path, swept, monkeypatch):
     assert found.drop_attrs(deep=False).identical(swept.drop_attrs(deep=False))
     assert wj.sweep(WALKER, OVER, GRID, **QUICK, out=path).identical(found)
     assert len(computed) == 5
-
-
-def test_a_store_of_an_older_version_lacks_some_and_is_resumed(tmp_path, monkeypatch):
-    path, over, numbers = tmp_path / "a.zarr", {"slope": [0.004, 0.006]}, [1.5]
-
-    def measured(*_):
-        if not numbers:
-            raise KeyboardInterrupt
-        return {"total_area": numbers.pop()}
-
-    monkeypatch.setattr("walker_jax.design.sweeps.measure_basin", measured)
-    with pytest.raises(KeyboardInterrupt):
-        wj.sweep(SIMPLEST, over, GRID, **QUICK, out=path)
-    remove_checksums(path)
-    for name in ("reason", "speed"):
-        shutil.rmtree(path / name)
-    monkeypatch.setattr("walker_jax.design.sweeps.measure_basin", lambda *_: 1 / 0)
-    found = wj.sweep(SIMPLEST, over, GRID, **QUICK, out=path)
-    assert found["failed"].values.tolist() == [0, 1] and not {"reason", "speed"} & set(found)
-    assert found["total_area"][0] == 1.5
 
 
 @pytest.mark.parametrize(

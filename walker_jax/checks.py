@@ -57,19 +57,6 @@ class NotWritten(ComputationFailed):
     """The system refuses to write a result: where and why, and how it is resumed."""
 
 
-def current_name(owner: str, renamed: Mapping[str, str], name: str) -> str:
-    """The name that `name` of `owner` has now, with a warning; `AttributeError` if it has none."""
-    if name not in renamed:
-        raise AttributeError(f"{owner} has no attribute {name!r}")
-    warnings.warn(
-        f"{owner}.{name} is now called {renamed[name]}, and will not be found by its old name in "
-        "the version after next",
-        DeprecationWarning,
-        stacklevel=3,
-    )
-    return renamed[name]
-
-
 def check_whole(name: str, value: Any, least: int = 1, most: int = MAX_COUNT) -> int:
     """The value as an `int`; raises `WrongUse` unless it is a whole number in the range."""
     try:

@@ -9,7 +9,7 @@ numbered from 0 with the last axis fastest (C order), by int32; -1 stands for no
 import math
 import operator
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -21,7 +21,6 @@ from walker_jax.checks import (
     WrongUse,
     check_kind,
     check_number,
-    current_name,
     is_number,
     numbers,
     short,
@@ -47,9 +46,6 @@ class Grid(eqx.Module):
     numbers, or more than `MAX_SIZE` cells.
     """
 
-    RENAMED: ClassVar = {"states": "points_at", "held": "fixed_values"}
-    """Former names, and what they are called now."""
-
     names: tuple[str, ...] = eqx.field(static=True)
     """Names of the box coordinates u."""
     fixed: tuple[str, ...] = eqx.field(static=True)
@@ -66,11 +62,6 @@ class Grid(eqx.Module):
     """Its inverse, u = unshear @ (x - origin); of a slice, for points in it."""
     origin: Float[np.ndarray | Array, " s"]
     """The point of the state where u is zero."""
-
-    if not TYPE_CHECKING:  # to which any name would be known
-
-        def __getattr__(self, name: str) -> Any:
-            return getattr(self, current_name("Grid", self.RENAMED, name))
 
     def __init__(
         self,

@@ -49,17 +49,16 @@ def summarise_basin(data: xr.Dataset, counts: Tally) -> dict:
     """Cells, area, attractors and fates of a basin's data set, in what JSON can hold.
 
     A refined basin has the error of its area too; over three dimensions both are of its `volume`.
-    An earlier data set does not tell how many cells of basins are at the border of its grid.
     """
     names = names_of_outcomes(failures_of(data))
     size = {"area": float(data["area"].sum())}
     if "total_area" in data:
         name = "volume" if "run_fate" in data else "area"
         size = {name: float(data["total_area"]), f"{name}_error": float(data["total_area_error"])}
-    size |= {"at_border": int(data["at_border"])} if "at_border" in data else {}
     return {
         "cells": int(counts.fates.sum()),
         **size,
+        "at_border": int(data["at_border"]),
         "attractors": summarise_attractors(data),
         "fates": {name: int(counts.fates[one]) for one, name in names.items()},
     }

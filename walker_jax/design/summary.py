@@ -16,7 +16,6 @@ def summarise_optimum(data: xr.Dataset) -> dict:
     by_name = lambda key: dict(zip(names, data[key].values.tolist(), strict=True))
     at_ends = lambda key: {end: float(data[key.format(end)]) for end in ENDS}
     binding = data["measure"].values[data["binding"].values]
-    notes = {end: data.get(f"note_{end}") for end in ENDS}  # earlier data sets lack them
     return {
         "start": by_name("start"),
         "optimum": by_name("optimum"),
@@ -25,7 +24,7 @@ def summarise_optimum(data: xr.Dataset) -> dict:
         "exact_error": at_ends("exact_{}_error"),
         "at_bound": [name for name, side in by_name("at_bound").items() if side],
         "binding": binding.tolist(),
-        "note": {end: None if note is None else str(note.values) for end, note in notes.items()},
+        "note": {end: str(data[f"note_{end}"].values) for end in ENDS},
         "evaluations": data.sizes["evaluation"],
         "converged": bool(data["converged"]),
     }

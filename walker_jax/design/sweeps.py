@@ -191,14 +191,9 @@ def compute_missing(
         label = " × ".join(plan.names)
         found, done = each(compute, [*number]), place.count - len(number)
         for values, row in track(found, label, progress, place.count, done):
-            row = unknown | row
-            # A store that an older version began lacks some.
-            row = {name: value for name, value in row.items() if name in place.group}
-            place.write(number[values], row, done=True)
-        numbered = {}
-        if "attractor_states" in place.group:
-            period, states = (np.asarray(place.array(name)[...]) for name in OF_OWN)
-            numbered = {"attractor_number": ((*plan.names, "own"), number_alike(period, states))}
+            place.write(number[values], unknown | row, done=True)
+        period, states = (np.asarray(place.array(name)[...]) for name in OF_OWN)
+        numbered = {"attractor_number": ((*plan.names, "own"), number_alike(period, states))}
         place.finish(about.assign(numbered))
     return storage.open_dataset(out)
 

@@ -9,9 +9,6 @@ sqrt(l / g), with leg length l and gravity g. Colours differ in lightness as wel
 they are told apart in grey print and by the colour-blind.
 """
 
-from typing import TYPE_CHECKING, Any
-
-from walker_jax.checks import current_name
 from walker_jax.figures.basin_maps import basin as basin
 from walker_jax.figures.basin_maps import basin_slices as basin_slices
 from walker_jax.figures.basin_maps import basins_in_a_row as basins_in_a_row
@@ -46,16 +43,3 @@ from walker_jax.figures.viability_plots import viability as viability
 from walker_jax.figures.volume_plots import volume as volume
 from walker_jax.figures.walk_plots import leg_angles as leg_angles
 from walker_jax.figures.walk_plots import steps_over_basin as steps_over_basin
-
-RENAMED = {
-    "thinned": "thin",
-    "optimised": "optimum",
-    "basins_compared": "basins_before_and_after",
-}
-"""Former names, and what they are called now."""
-
-
-if not TYPE_CHECKING:  # to which any name would be known
-
-    def __getattr__(name: str) -> Any:
-        return globals()[current_name("walker_jax.figures", RENAMED, name)]

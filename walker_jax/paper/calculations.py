@@ -166,11 +166,3 @@ CALCULATIONS: dict[str, Callable[[Size], xr.Dataset]] = {
     "line": fates_along_line,
 }
 """The calculations by the names of their data sets."""
-STORED_NAMES = {
-    "cell_mapping": "mapped",
-    "direct_iteration": "followed",
-    "basins": "slopes",
-    "areas": "sizes",
-    "surviving_cells": "vanishing",
-}
-"""Names on disk, where these differ: those that the reports of earlier versions have."""

@@ -16,7 +16,7 @@ from walker_jax import storage
 from walker_jax.execution.progress import bar
 from walker_jax.execution.threads import side_by_side
 from walker_jax.paper import report
-from walker_jax.paper.calculations import CALCULATIONS, FULL, QUICK, STORED_NAMES
+from walker_jax.paper.calculations import CALCULATIONS, FULL, QUICK
 from walker_jax.paper.numbers import Number, compare_numbers
 from walker_jax.paper.pictures import FIGURES, PaperFigure
 
@@ -39,7 +39,7 @@ def reproduce(
     """
     size = QUICK if quick else FULL
     request = {"command": "reproduce", "size": size._asdict(), "version": version("walker-jax")}
-    places = {name: out / "data" / f"{STORED_NAMES.get(name, name)}.zarr" for name in CALCULATIONS}
+    places = {name: out / "data" / f"{name}.zarr" for name in CALCULATIONS}
     check_place(out, places, request, overwrite=overwrite)
     if overwrite:  # all at once, so that the same run can be resumed when interrupted
         for path in files_of(out):

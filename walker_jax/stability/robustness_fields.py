@@ -80,7 +80,7 @@ FIELDS = (NOTE, *(field for group in GROUPS for field in group.values()))
 """The variables of a gait.
 
 A new one is computed in `measure_gait`, and stands in a group here, by which JSON and sweeps have
-it, and in `storage.schema` with the mark `NEW`, as earlier data sets lack it.
+it, and in `storage.basin_kinds`.
 """
 WITHOUT_GAIT = {"gait_period": 0}
 """Values where no gait attracts, other than those of their kind, NaN, -1 and no text."""
@@ -142,14 +142,14 @@ def summarise_robustness(data: xr.Dataset, at: Mapping[str, float]) -> dict:
     of_gait = {
         "gait": values(GAIT),
         "least_disturbance": values(LEAST_DISTURBANCE),
-        "least_fall": values(LEAST_FALL) if "least_fall" in data else None,
+        "least_fall": values(LEAST_FALL),
         **values(STEP_DOWN),
         "basin_stability": values(STABILITY) | disturbances | values(RETURN),
         "boundary_dimension": values(DIMENSION),
     }
     if "steps_to_fall" in data:
         of_gait["steps_to_fall"] = values(GROUND) | {"ground": float(data.attrs["ground"])}
-    at_border = data.get("at_border", np.nan)  # earlier data sets, and rows without a grid, lack it
+    at_border = float(data["at_border"])  # NaN in a row without a grid
     return {
         **at,
         "area": float(data["total_area"]),
@@ -161,9 +161,7 @@ def summarise_robustness(data: xr.Dataset, at: Mapping[str, float]) -> dict:
 
 
 def value_of(data: xr.Dataset, field: Field) -> Any:
-    """The value of a field; None where a data set, of an earlier version, lacks it."""
-    if field.name not in data:
-        return None
+    """The value of a field; None for no outcome."""
     value = data[field.name].values
     if field.kind == "vector":
         return value

@@ -2,7 +2,6 @@
 
 Each chunk ends with its CRC-32C, which Zarr's codec of that name writes and checks. The attribute
 `checksums` of the group holds a digest of the metadata of each array, and one of the group's own.
-Data sets of earlier versions have none of these, and are read without.
 """
 
 import hashlib
@@ -13,7 +12,16 @@ from typing import TYPE_CHECKING, Any
 
 import google_crc32c
 
-from walker_jax.storage.damage import CHECKSUMS, METADATA, damaged, naming, read_metadata
+from walker_jax.storage.damage import (
+    CHECKSUMS,
+    METADATA,
+    VERSION,
+    Damaged,
+    damaged,
+    naming,
+    read_metadata,
+)
+from walker_jax.storage.kind import SCHEMA_VERSION
 from walker_jax.storage.places import open_group
 
 if TYPE_CHECKING:
@@ -47,11 +55,11 @@ def is_intact(chunk: bytes) -> bool:
     return end >= 0 and google_crc32c.value(chunk[:end]) == int.from_bytes(chunk[end:], "little")
 
 
-def check_chunks(path: Path, array: Any, *, checked: bool) -> None:
+def check_chunks(path: Path, array: Any) -> None:
     """Raises `Damaged` where a chunk of an array is missing, which would read as zeros.
 
-    And where one is not as it was written, if it has a checksum. Zarr's codec finds the same, but
-    does not know which chunk it is.
+    And where one is not as it was written. Zarr's codec finds the same, but does not know which
+    chunk it is.
     """
     import numpy as np
 
@@ -60,7 +68,7 @@ def check_chunks(path: Path, array: Any, *, checked: bool) -> None:
         key = f"{array.basename}/{array.metadata.encode_chunk_key(place)}"
         with naming(path, key, "is missing"):
             (path / key).stat()
-        if checked and not is_intact((path / key).read_bytes()):
+        if not is_intact((path / key).read_bytes()):
             raise damaged(path, key)
 
 
@@ -81,21 +89,23 @@ def seal(path: Path, attributes: dict | None = None, without: Iterable[str] = ()
     sums = {name: digest(read_metadata(path / name)) for name in arrays}
     group = read_metadata(path)
     given = group["attributes"] if attributes is None else attributes
-    known = json.loads(json.dumps(given))  # as it will be read
+    known = json.loads(json.dumps(given | {VERSION: SCHEMA_VERSION}))  # as it will be read
     sums = {"": digest(group | {"attributes": known | {CHECKSUMS: sums}})} | sums
     open_group(path, "r+").attrs.put(known | {CHECKSUMS: json.dumps(sums)})
 
 
-def check_metadata(path: Path) -> list[str] | None:
-    """The arrays of a data set that have checksums; None if it is of an earlier version.
+def check_metadata(path: Path) -> list[str]:
+    """The arrays of a data set that have checksums.
 
-    Raises `Damaged` where metadata are not as they were written.
+    Raises `Damaged` where metadata are not as they were written, or have another schema.
     """
     with naming(path, METADATA):
         found = read_metadata(path)
         attributes = found["attributes"]
-        if CHECKSUMS not in attributes:
-            return None
+        version = attributes.get(VERSION)
+        if version != SCHEMA_VERSION and "request" in attributes:
+            said = "says no schema version" if version is None else f"has schema version {version}"
+            raise Damaged(f"{path} {said}, and this package reads {SCHEMA_VERSION}")
         sums = json.loads(attributes[CHECKSUMS])
         own = sums.pop("")
     if digest(found | {"attributes": attributes | {CHECKSUMS: sums}}) != own:

@@ -13,15 +13,15 @@ from typing import Any
 
 from walker_jax.storage.places import StoreConflict
 
-CHECKSUMS = "checksums"
-"""The attribute of a group that holds digests of metadata."""
+CHECKSUMS, VERSION = "checksums", "schema_version"
+"""The attributes of a group that hold digests of metadata, and the version of the tables."""
 METADATA = "zarr.json"
 FILE = re.compile(rf"([^/]+/)?{METADATA}|[^/]+/c(/\d+)*|.*\.partial")
 """Relative paths of the files of a data set, those half written among them."""
 
 
 class Damaged(StoreConflict):
-    """A data set of this package is not as it was written: its place, and the part concerned."""
+    """A data set of this package is not as it is written now: its place, and the part concerned."""
 
 
 def damaged(path: Path, part: str, why: str = "is not as it was written") -> Damaged:

@@ -21,7 +21,7 @@ from walker_jax.storage.checksums import (
     seal,
     with_checksums,
 )
-from walker_jax.storage.damage import CHECKSUMS, METADATA, Damaged, is_own_array, naming
+from walker_jax.storage.damage import CHECKSUMS, METADATA, VERSION, Damaged, is_own_array, naming
 from walker_jax.storage.places import (
     ANOTHER_PLACE,
     ANOTHER_PLACE_OR_OVERWRITE,
@@ -50,7 +50,7 @@ def find(path: Path, request: dict, *, overwrite: bool = False) -> "xarray.Datas
     """The result of `request` that stands at `path`, or None where it is still to be computed.
 
     Raises `StoreConflict` where something else stands there, unless `overwrite` is given and it is
-    a data set, or a damaged one of this package; and `ValueError` where nothing can be written.
+    a data set of this package, damaged or not; and `ValueError` where nothing can be written.
     Puts in order what a killed run has left; changes nothing else.
     """
     path = resolve_link(path)
@@ -96,10 +96,9 @@ def read_existing(path: Path) -> "xarray.Dataset | None":
         # a run ended here but for the last thing that it had to do
         with suppress(StoreConflict, OSError), exclusive(path) as folder:
             kept = check_metadata(path)
-            if kept is not None:
-                others = {place.name for place in path.iterdir() if is_own_array(place)} - {*kept}
-                # this one last: it says that there is something to do
-                remove_arrays(path, folder, sorted(others, key=lambda name: name == "written"))
+            others = {place.name for place in path.iterdir() if is_own_array(place)} - {*kept}
+            # this one last: it says that there is something to do
+            remove_arrays(path, folder, sorted(others, key=lambda name: name == "written"))
     return data
 
 
@@ -151,16 +150,15 @@ def open_dataset(path: Path) -> "xarray.Dataset":
     with naming(path, "it"), warnings.catch_warnings():  # of arrays that a run is about to begin
         warnings.filterwarnings("ignore", "Object at .* is not recognized")
         unfinished = bool(group.attrs.get("unfinished"))
-        for name in group.array_keys() if kept is None else kept:
+        for name in kept:
             array = group[name]
             if not unfinished or array.metadata.dimension_names == (name,):  # which is read at once
-                check_chunks(path, array, checked=kept is not None)
+                check_chunks(path, array)
         data = xarray.open_zarr(path, consolidated=False, chunks=None)
-    data.attrs.pop(CHECKSUMS, None)
+    data.attrs = {name: one for name, one in data.attrs.items() if name not in (CHECKSUMS, VERSION)}
     if unfinished:
         return data
-    if kept is not None:
-        data = data.drop_vars(data.variables.keys() - kept)
+    data = data.drop_vars(data.variables.keys() - kept)
     if data.nbytes > LAZY_FROM_BYTES:
         return data
     for name, variable in data.variables.items():

@@ -82,8 +82,6 @@ class Pieces(NamedTuple):
     """Of the arrays that are cut."""
     aside: tuple[str, ...]
     """Those of them that `finish` removes."""
-    checked: bool
-    """Whether chunks have checksums; those that an earlier version began have none."""
 
     @property
     def counts(self) -> tuple[int, ...]:
@@ -106,14 +104,13 @@ class Pieces(NamedTuple):
 
     def missing(self) -> list[int]:
         """Pieces that are not written yet, or not as they were written any more."""
-        arrays = [self.array(name) for name in ("written", *(self.names if self.checked else ()))]
+        arrays = [self.array(name) for name in ("written", *self.names)]
 
         def is_there(array: Any, piece: int) -> bool:
             try:
-                chunk = self.chunk_file(array, piece).read_bytes()
+                return is_intact(self.chunk_file(array, piece).read_bytes())
             except OSError:
                 return False
-            return is_intact(chunk) or not self.checked
 
         pieces = range(self.count)
         return [i for i in pieces if not all(is_there(array, i) for array in arrays)]
@@ -155,14 +152,11 @@ class Pieces(NamedTuple):
         attributes = dict(self.group.attrs)
         final = data.attrs | {"request": attributes["request"]}
         left = (*self.aside, "written")  # this one last: it says that there is something to do
-        data = with_checksums(data) if self.checked else data.copy()
+        data = with_checksums(data)
         data.attrs = attributes
         with writing(self.path):
             data.to_zarr(self.path, mode="a", consolidated=False, write_empty_chunks=True)
-            if self.checked:
-                seal(self.path, final, without=left)  # in one go: the data set is whole
-            else:
-                open_group(self.path, "r+").attrs.put(final)
+            seal(self.path, final, without=left)  # in one go: the data set is whole
             remove_arrays(self.path, self.folder, left)
 
 
@@ -208,7 +202,7 @@ def open_pieces(
                 create_store(folder / "new", data.assign_attrs(kept), arrays, block)
                 move_into_place(folder, path)
         try:
-            checked = check_metadata(path) is not None
+            check_metadata(path)
             group = open_group(path, "r+")
         except StoreConflict:
             raise
@@ -223,7 +217,7 @@ def open_pieces(
         shape, block = array.shape[: len(block)], group[name].chunks[: len(block)]
         noted, names = json.loads(str(group.attrs["notes"])), tuple(n for n in arrays if n in group)
         with resumable(path, overwrite=overwrite):
-            yield Pieces(path, folder, group, shape, block, noted, names, (*aside,), checked)
+            yield Pieces(path, folder, group, shape, block, noted, names, (*aside,))
 
 
 def create_store(

@@ -7,9 +7,6 @@ from pathlib import Path
 
 from walker_jax.storage.places import ANOTHER_PLACE_OR_OVERWRITE, StoreConflict, check_writable
 
-ADDED = {"seed": 0}
-"""What requests of earlier versions lack, with the values that their results were computed with."""
-
 
 def check_request(path: Path, attributes: Mapping, request: dict) -> None:
     """Raises `StoreConflict` for the attributes of another result, and says what is other.
@@ -19,7 +16,6 @@ def check_request(path: Path, attributes: Mapping, request: dict) -> None:
     wanted = json.loads(canonical_json(request))
     try:
         there = request_in(attributes)
-        there |= {name: value for name, value in ADDED.items() if name in wanted.keys() - there}
         ours = {} if attributes.get("unfinished") else {"version": wanted.get("version")}
         other = first_difference(there | ours, wanted)
         if not other:

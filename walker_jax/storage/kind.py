@@ -1,0 +1,50 @@
+"""Kinds of data sets: names, dimensions, types, units and attributes of what each holds.
+
+A dimension `*name` stands for one or more dimensions, which are the same wherever that name stands,
+and `?name` for exactly one. States are those at the start of a stride, on the section. Angles are
+in rad, times in √(l/g), with leg length l and gravity g.
+"""
+
+from typing import NamedTuple
+
+SCHEMA_VERSION = 1
+"""That of the tables of kinds: stores of another one are refused."""
+TYPES = {"integer": "iub", "real": "fiu", "boolean": "biu", "text": "UOST"}
+"""The kinds of NumPy types, by their letters, that each type of variable may have."""
+STATE = "rad, rad/√(l/g)"
+AREA = "rad²/√(l/g)"
+TIME = "√(l/g)"
+FAILS = "the `Outcome` of its last stride; -1 for none"
+DIFFERS = "the gait of `find_gait`, where another one attracts"
+
+
+class Variable(NamedTuple):
+    """A variable of a data set."""
+
+    dims: str
+    """Its dimensions in their order."""
+    type: str
+    """One of `TYPES`."""
+    unit: str
+    about: str
+    when: str = ""
+    """Which data sets have it; empty for all."""
+
+
+class Kind(NamedTuple):
+    """A kind of data set."""
+
+    about: str
+    variables: dict[str, Variable]
+    attributes: dict[str, str]
+    """Those that every data set of this kind has, with their meaning."""
+    base: str = ""
+    """The kind whose variables and attributes it has too."""
+
+
+WALKER = {
+    "walker": "class of the walker; each parameter is an attribute `walker_` + its name, and "
+    "`code` is a fingerprint of a class that is not of the package, and `failures` are the "
+    "names of its own failures"
+}
+SECTION = {"section": "names of the coordinates of a state"}
