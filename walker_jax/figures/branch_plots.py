@@ -82,7 +82,7 @@ def gait_branches(
     for period, fold, value, cycle in zip(periods, folds, values, states, strict=True):
         sign = FOLD if fold else DOUBLING
         draw_event(ax, np.full(period, value), cycle[:period], period, sign)
-    tori = data["torus_value"].values if "torus_value" in data else np.zeros(0)
+    tori = data["torus_value"].values
     for i, value in enumerate(tori):
         period = int(data["torus_period"][i])
         cycle = first_coordinate(data["torus_states"])[i]

@@ -188,7 +188,7 @@ def robustness_measures(
     colour, style, words = MEASURES["least_disturbance"]
     label = f"{words} (largest {disturbance_scale:.4g})"
     handles += ax.plot(values, disturbances, style, color=colour, label=label)
-    falls = data.get("least_fall", data["least_disturbance"]).values / (disturbance_scale or 1)
+    falls = data["least_fall"].values / (disturbance_scale or 1)
     farther = falls > disturbances
     if farther.any():
         words = "least disturbance after which it falls, where that is larger"

@@ -65,8 +65,6 @@ def value_key(parameter: str) -> str:
 
 def list_tori(data: xr.Dataset) -> list[dict]:
     """The Neimark-Sacker points in the same order, and the angles of their pairs of multipliers."""
-    if "torus_value" not in data:
-        return []
     periods, values = data["torus_period"].values, data["torus_value"].values
     angles = np.arctan2(*np.moveaxis(data["torus_multipliers"].values[:, 0, ::-1], 1, 0))
     return [
@@ -87,9 +85,8 @@ def find_stable_intervals(data: xr.Dataset, above: float) -> list[dict]:
     fold, branch, slope = (data[f"event_{name}"].values for name in ("fold", "branch", "value"))
     intervals = []
     for one in np.unique(branch[fold]):
-        losses = slope[(branch == one) & ~fold]
-        if "torus_value" in data:
-            losses = np.r_[losses, data["torus_value"].values[data["torus_branch"].values == one]]
+        tori = data["torus_value"].values[data["torus_branch"].values == one]
+        losses = np.r_[slope[(branch == one) & ~fold], tori]
         ends = np.sort(np.r_[slope[(branch == one) & fold], losses])
         if not ends[0] > above:
             continue

@@ -39,7 +39,7 @@ def nearest_starts(data: xr.Dataset) -> list[NearestStart]:
         Outcome(int(data["failure"])),
         int(data["failing_strides"]),
     )
-    if nearest.outcome != Outcome.STRIDE or "least_fall" not in data:
+    if nearest.outcome != Outcome.STRIDE:
         return [nearest]
     distance, state = float(data["least_fall"]), data["fall_state"].values
     if not np.isfinite(distance):  # nothing falls
