@@ -829,6 +829,7 @@ def test_an_optimum_is_told_with_both_ends_as_they_were_measured():
             "at_bound": ("parameter", [0, -1]),
             "binding": ("measure", [False, True]),
             "converged": True,
+            "note_start": "",
             "note_optimum": "another gait",
             "value": ("evaluation", np.zeros(9)),
         },
@@ -843,7 +844,7 @@ def test_an_optimum_is_told_with_both_ends_as_they_were_measured():
         "exact_error": {"start": 0.125, "optimum": 0.0625},
         **{"at_bound": ["hip_stiffness"], "binding": ["speed"]},
         **{"evaluations": 9, "converged": True},
-        "note": {"start": None, "optimum": "another gait"},
+        "note": {"start": "", "optimum": "another gait"},
     }
     told = "\n".join(optimise_command.optimum_in_words(wj.SpringWalker(0.004, 0.5), answer, "area"))
     assert "slope 0.004, hip_stiffness 0.5: 0.5625 +- 0.1" in told
