@@ -86,10 +86,8 @@ def measure() -> None:
     grid = wj.Grid.sheared(theta=(0.0, 0.8, 1000), sum=(-0.4, 0.05, 1000))
     walker, actions = wj.PoweredWalker(0.004), {"push_off": (0.0, 0.1, 64)}
     x = grid.centres(np.arange(grid.size))
-    (
-        wj.strides(walker, x[:1000]),
-        wj.viable(walker, wj.Grid.sheared(theta=(0, 1, 9), sum=(0, 1, 9)), actions),
-    )
+    wj.strides(walker, x[:1000])
+    wj.viable(walker, wj.Grid.sheared(theta=(0, 1, 9), sum=(0, 1, 9)), actions)
     seconds = {}
     for name, work in {
         "a million strides": lambda: wj.strides(walker, x),

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 import walker_jax as wj
 from walker_jax import multibody
 from walker_jax.multibody.single_support import SingleSupport
-from walker_jax.systems.five_link_biped import LinkState
+from walker_jax.systems.five_links import LinkState
 
 BIPED = wj.FiveLinkBiped()
 GUESS = -0.1, -0.41, 0.14, 0.16, 0.5, 1.5, 0.5, 0.9, 1.4
