@@ -175,9 +175,9 @@ def parts_of(value: Any) -> list[Any]:
 
 def values_in(value: Any, largest: int) -> Hashable:
     """The values of an array; None for anything else, and for a larger one."""
-    if isinstance(value, np.ndarray | np.generic | jax.Array) and value.dtype != object:
+    if isinstance(value, np.ndarray | np.generic | jax.Array):
         with contextlib.suppress(TypeError):  # of a tracer, or of a key
-            if value.nbytes <= largest:
+            if value.dtype != object and value.nbytes <= largest:
                 return str(value.dtype), value.shape, digest_of(np.asarray(value).tobytes())
     return None
 
