@@ -79,11 +79,11 @@ def name_of(function: Any, structure: Any, avals: Sequence, settings: tuple) -> 
     statics = statics_of(structure)
     leaves, nodes = jax.tree.flatten(statics)
     classes = *classes_of(structure), *classes_of(nodes), *map(type, leaves)
-    words = str(structure), [value for _, value in settings], [*map(describe_aval, avals)]
-    if ADDRESS.search(repr(words)):
-        return None
     try:
         places = [*map(place_of, (function, *classes))]
+        words = str(structure), [value for _, value in settings], [*map(describe_aval, avals)]
+        if ADDRESS.search(repr(words)):
+            raise Unknown
         code = environment(), Reach().describe(function, classes, statics)
     except Unknown:
         return None
