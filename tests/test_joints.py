@@ -2,6 +2,7 @@
 
 import functools
 import itertools
+import pickle
 from typing import Any, ClassVar
 
 import jax
@@ -135,7 +136,24 @@ def test_joints_that_move_a_foot_are_refused():
         Long(0.004)
 
 
-@pytest.mark.parametrize("names", [("phi",), ("torso", "torso"), ("a b",), ("a", "adot"), (1,)])
+def test_full_states_can_be_pickled():
+    walker, gait = walker_and_gait()
+    full = jax.tree.map(np.asarray, walker.lift(jnp.asarray(gait.states[0])))
+    again = pickle.loads(pickle.dumps(full))
+    assert type(again) is walker.state and again == full
+
+
+def test_a_joint_is_no_parameter_and_makes_the_section():
+    with pytest.raises(ValueError, match="must not have names of parameters, unlike slope"):
+        type("Same", (LooseBody,), {"joints": ["slope"]})(0.004)
+    with pytest.raises(ValueError, match="section of Own must be left out: joints make it"):
+        type("Own", (LooseBody,), {"joints": ("arm",), "section": ("theta", "arm")})
+
+
+NAMES = [("phi",), ("torso", "torso"), ("a b",), ("a", "adot"), (1,), ("sum",), ("if",), ("count",)]
+
+
+@pytest.mark.parametrize("names", NAMES)
 def test_names_of_joints_are_checked(names):
     with pytest.raises(ValueError, match="joints must be different names of coordinates, not"):
         type("Other", (LooseBody,), {"joints": names})

@@ -62,6 +62,12 @@ def test_entries_of_tables_of_known_numbers():
     assert_same(function, ARRAYS[: len(indices)], indices)
 
 
+def test_indices_that_do_not_reach_the_end_of_an_array_have_no_kernel():
+    table = np.arange(300.0)
+    with pytest.raises(UnsupportedPrimitive, match="int8 indices of an array of 300"):
+        run(lambda x, i: jnp.asarray(table)[i] * x, np.ones(3), np.arange(3, dtype=np.int8))
+
+
 def test_parts_written_at_computed_indices():
     def function(x, i):
         modes = "clip", "drop", "promise_in_bounds"

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import xarray as xr
 from matplotlib.text import Text
 
 import walker_jax as wj
@@ -109,6 +110,61 @@ def test_pushes_that_are_too_weak_leave_no_kernel_and_so_many_strides():
     assert np.abs(data["lasting"].values - made).max() <= 1
     assert (data["lasting"].values != made).mean() < 0.01
     assert (data["failure"] == wj.Outcome.BACKWARD).all()
+
+
+def saturate(x, gain):
+    return jnp.clip(x + gain, 0, 1)
+
+
+@pytest.mark.parametrize("gain", [-1.0, 1.0, 0.3])
+@pytest.mark.parametrize("axes", [("x",), ("x", "y"), ("x", "y", "z")])
+def test_bounds_hold_where_images_lie_on_the_edges_of_the_grid(gain, axes):
+    """Cells do not hold their upper ends: what saturates there leaves the grid."""
+    system = wj.Map(saturate, axes, parameters={"gain": gain})
+    grid = wj.Grid.plain(**dict.fromkeys(axes, (0, 1, 10)))
+    data = wj.viable(system, grid, {"gain": [gain]})
+    inner, kernel, outer = (data[name].values for name in ("inner", "viable", "outer"))
+    assert not (inner & ~kernel).any() and not (kernel & ~outer).any()
+    assert kernel.all() if gain < 0 else not kernel.any()
+
+
+def test_the_systems_own_parameters_are_an_action():
+    """So what converges by itself is viable, whatever the actions."""
+    own = wj.PoweredWalker(0.004, push_off=0.01)
+    data = wj.viable(own, GRID, {"push_off": [0.03, 0.04]}, bounds=False)
+    assert data["push_off"].values.tolist() == [0.03, 0.04, 0.01]
+    target = data["capture"].values == 0
+    assert target.any() and not (target & ~data["viable"].values).any()
+    assert not ((data["capture"].values >= 0) & ~data["viable"].values).any()
+
+
+class Stalling(PushedWheel):
+    """One that names how it fails."""
+
+    failures = ("stalls",)
+
+    def advance(self, x):
+        state, outcome, time = super().advance(x)
+        return state, jnp.where(outcome == 0, outcome, self.failure("stalls")), time
+
+    def gait_region(self):
+        return wj.Grid.plain(rate=(0.0, 1.5, 100))
+
+
+def test_a_policy_has_what_its_system_has(tmp_path):
+    grid = wj.Grid.plain(rate=(0.0, 1.5, 100))
+    wheel = Stalling(push=0.11)
+    data = wj.viable(wheel, grid, {"push": (0.0, 0.2, 5)})
+    data.to_zarr(tmp_path / "kernel.zarr", consolidated=False)
+    with xr.open_zarr(tmp_path / "kernel.zarr", consolidated=False) as kept:
+        single = kept.load().assign_attrs(actions="push", section="rate")  # as NetCDF has them
+    steered = wj.Policy(wheel, single)
+    assert steered.failures == ("stalls",) and steered.label() == "SteeredStalling"
+    gait = wj.find_gait(steered)
+    np.testing.assert_allclose(gait.states, wj.find_gait(wheel).states, atol=1e-12)
+    followed = wj.basin(steered, grid, "direct")
+    assert followed.attrs["failures"] == ["stalls"]
+    assert np.array_equal(followed["attractor"] >= 0, data["viable"])
 
 
 # Walkers

@@ -352,12 +352,12 @@ def among_neighbours(pick: np.ufunc, values: np.ndarray, axis: int) -> np.ndarra
 
 
 def axes_around(state: Float[ArrayLike, " section"], names: tuple[str, ...]) -> dict:
-    """Axes of a window around a gait's state; with phidot among them, of a slice there."""
+    """Axes of a window around a gait's state; with phidot and joints among them, a slice there."""
     theta, thetadot, *others = map(float, np.asarray(state))
     middle = theta + thetadot if names[1] == "sum" else thetadot
     below, above = (0.5, 0.3) if "phidot" in names else (0.25, 0.1)
     return {
         "theta": (0.0, 2.5 * theta, 200),
         names[1]: (middle - below * theta, middle + above * theta, 250),
-        **({"phidot": others[0]} if "phidot" in names else {}),
+        **dict(zip(names[2:], others, strict=False)),
     }

@@ -179,13 +179,12 @@ def returns_in_words(survived: dict, gait: dict) -> Iterator[str]:
         f"half of them are over in {survived['median_strides']:g} strides, "
         f"95 of 100 in {survived['slowest_strides']:g}"
     )
-    if survived["mean_strides"] is not None:  # a data set of an earlier version lacks it
-        yield (
-            f"    {survived['in_time']:.1%} are over in 10 strides; on average they take "
-            f"{survived['mean_strides']:.4g}, and small ones shrink by a factor of e in "
-            f"{gait['return_strides']:.3g}; the largest that is survived is "
-            f"{survived['largest_shock']:.3g}"
-        )
+    yield (
+        f"    {survived['in_time']:.1%} are over in 10 strides; on average they take "
+        f"{survived['mean_strides']:.4g}, and small ones shrink by a factor of e in "
+        f"{gait['return_strides']:.3g}; the largest that is survived is "
+        f"{survived['largest_shock']:.3g}"
+    )
 
 
 def walks_in_words(walks: dict) -> str:

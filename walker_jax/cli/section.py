@@ -91,7 +91,9 @@ class Window(Section):
     def own_axes(self, walker: Walker) -> dict[str, Any]:
         """The axes of a walker's section that options of their own give, or None."""
         axes: dict[str, Any] = {"theta": self.theta, "sum": self.sum}
-        return axes | ({"phidot": self.at_phidot} if "phidot" in walker.section else {})
+        axes |= {"phidot": self.at_phidot} if "phidot" in walker.section else {}
+        joints = walker.section[3:] if walker.section[0] == "theta" else ()
+        return axes | dict.fromkeys(joints)
 
 
 @dataclass(frozen=True)

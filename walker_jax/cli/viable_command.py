@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 
 import walker_jax as wj
+from walker_jax.basins.volumes import grid_of
 from walker_jax.basins.windows import fill_around_gait, grid_along
 from walker_jax.checks import WrongUse
 from walker_jax.cli.answers import Output, request_for
 from walker_jax.cli.groups import option
-from walker_jax.cli.options import read_numbers, refuse_again
+from walker_jax.cli.options import hyphenated, read_numbers, refuse_again
 from walker_jax.cli.section import Window
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.systems.outcomes import failures_of, name_of_outcome
@@ -30,7 +31,7 @@ class Options:
         "several.",
         metavar=ACTION_FORM,
     )
-    no_bounds: bool = option(False, "Leave out the bounds of the area, which take half the time.")
+    no_bounds: bool = option(False, "Do not bound the area, which halves the time.")
 
 
 @takes_walker(systems=True)
@@ -45,10 +46,15 @@ def viable(
     Before each stride a controller chooses a value for each --action, such as the push-off. The
     viability kernel holds the states from which it can go on for ever on the window; beyond it no
     controller prevents a failure. Those from which a few strides lead into the passive basin are
-    counted too. The window must hold all coordinates of the section; its default is that of the
-    command basin.
+    counted too. The window must hold all coordinates of the section: of two, its default is that of
+    the command basin; of three, --axis gives each, and the picture is the slice in the middle.
     """
     actions = actions_of(walker, options.action or [])
+    if len(walker.section) > 2 and not window.axis:
+        section = ", ".join(walker.section)
+        raise WrongUse(
+            f"--axis NAME=LO:HI:N is required for each of {section}: a slice will not do"
+        )
     axes = window.axes(walker, most=3)
     bounds = not options.no_bounds
     request = request_for("viable", walker, axes=axes, actions=actions, bounds=bounds)
@@ -60,7 +66,7 @@ def viable(
     answer: dict[str, Any] = {"walker": request["walker"], "actions": actions, "cells": cells}
     for name in ("area", "inner_area", "outer_area", "target_area"):
         answer[name] = data.attrs.get(name)
-    cell = data.attrs["area"] / max(1, int(data["viable"].sum()))
+    cell = grid_of(data).cell_area
     steps = range(1, int(capture.max(initial=0)) + 1)
     answer["capturable"] = [float(((capture >= 0) & (capture <= n)).sum() * cell) for n in steps]
     codes, counts = np.unique(data["failure"].values[~data["viable"].values], return_counts=True)
@@ -83,7 +89,8 @@ def actions_of(walker: System, texts: list[str]) -> dict[str, tuple[float, float
             raise WrongUse(f"--action {text} must have LO below HI and N of 2 or more")
         refuse_again("--action", name, actions)
         if name not in (known := numbers_of(walker)):
-            raise WrongUse(f"--action must be of {', '.join(known)}, not of {name}")
+            names = ", ".join(map(hyphenated, known))
+            raise WrongUse(f"--action must be of {names}, not of {hyphenated(name)}")
         check_parameter(walker, name, low, high)
         actions[name] = low, high, count
     return actions

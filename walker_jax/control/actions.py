@@ -6,11 +6,13 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+import xarray as xr
 from jaxtyping import Float
 
 from walker_jax.checks import WrongUse, check_kind, is_number, numbers, short
 from walker_jax.grids import check_axis
-from walker_jax.systems.system import System, check_single
+from walker_jax.storage.schema import names_in_use
+from walker_jax.systems.system import System, check_single, numbers_of
 from walker_jax.walkers.parameters import check_parameter, with_parameter
 
 MOST_ACTIONS = 10_000
@@ -32,18 +34,32 @@ class Actions(NamedTuple):
 
 
 def read_actions(system: System, actions: Any) -> Actions:
-    """Actions from what a user gives: by parameter, (low, high, count) or the values themselves."""
+    """Actions from what a user gives: by parameter, (low, high, count) or the values themselves.
+
+    The system's own values are the last one, unless they are among them.
+    """
     check_single(system)
     check_kind("actions", actions, Mapping)
     if not actions:
         raise WrongUse("actions must name a parameter, such as {'push_off': (0, 0.1, 16)}, not {}")
     values = [values_of(name, given) for name, given in actions.items()]
+    for name in (names_in_use("viability") | {"action_number"}).intersection(actions):
+        raise WrongUse(f"actions must not be of {name}, as data sets have an array of that name")
     for name, row in zip(actions, values, strict=True):
         check_parameter(system, name, *row)
     count = int(np.prod([len(row) for row in values]))
     if count > MOST_ACTIONS:
         raise WrongUse(f"actions must be at most {MOST_ACTIONS} in all, not {count}: lower a count")
-    return Actions(tuple(actions), np.array(list(itertools.product(*values))))
+    every = np.array(list(itertools.product(*values)))
+    own = np.array([float(numbers_of(system)[name]) for name in actions])
+    among = np.isclose(every, own, rtol=1e-12, atol=1e-15).all(axis=1).any()
+    return Actions(tuple(actions), every if among else np.vstack([every, own]))
+
+
+def names_in(data: xr.Dataset, key: str) -> tuple[str, ...]:
+    """Names in an attribute of a data set; NetCDF has no list of one."""
+    names = data.attrs[key]
+    return (names,) if isinstance(names, str) else tuple(names)
 
 
 def values_of(name: str, given: Any) -> Float[np.ndarray, " values"]:
@@ -56,7 +72,7 @@ def values_of(name: str, given: Any) -> Float[np.ndarray, " values"]:
     values = numbers(name, given)
     if values.ndim != 1 or not len(values) or not np.isfinite(values).all():
         raise WrongUse(
-            f"actions of {name} must be (low, high, count), or a list of finite values, "
+            f"actions of {name} must be a tuple (low, high, count), or a list of finite values, "
             f"not {short(given)}"
         )
     return values

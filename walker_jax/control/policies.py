@@ -1,5 +1,6 @@
 """Policies: actions as a function of the state."""
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -10,9 +11,10 @@ from jaxtyping import Array, Float
 
 from walker_jax.basins.volumes import grid_of
 from walker_jax.checks import WrongUse, check_kind
+from walker_jax.control.actions import names_in
 from walker_jax.storage.schema import check_dataset
 from walker_jax.systems.maps import Map
-from walker_jax.systems.system import System, check_single, numbers_of
+from walker_jax.systems.system import System, check_single, code_field, numbers_of
 from walker_jax.walkers.parameters import with_parameter
 from walker_jax.walking.stride import stride
 
@@ -20,8 +22,32 @@ from walker_jax.walking.stride import stride
 class Steered(Map):
     """A system whose parameters are set anew before each stride."""
 
+    steered: Callable[[dict[str, Any]], System] = code_field()
+    """The system without a policy, with values of its parameters."""
+
+    def __init__(self, advance: Callable, steered: Callable, system: System):
+        feasible = lambda x, **parameters: steered(parameters).feasible(x)
+        own = numbers_of(system)
+        super().__init__(advance, system.section, parameters=own, feasible=feasible)
+        self.steered = steered
+
     def advance(self, x):
         return self.f(x, **self.parameters)
+
+    def margin(self, x):
+        return self.steered(self.parameters).margin(x)
+
+    def gait_region(self):
+        return self.steered(self.parameters).gait_region()
+
+    def further_gait_region(self):
+        return self.steered(self.parameters).further_gait_region()
+
+
+@functools.cache
+def steered_with(failures: tuple[str, ...]) -> type[Steered]:
+    """`Steered`, with the failures that a system has of its own."""
+    return type("Steered", (Steered,), {"failures": failures}) if failures else Steered
 
 
 def Policy(system: System, data: xr.Dataset) -> System:
@@ -47,28 +73,30 @@ def Policy(system: System, data: xr.Dataset) -> System:
     check_single(system)
     check_kind("data", data, xr.Dataset)
     check_dataset(data, "viability")
-    if list(data.attrs["section"]) != list(system.section):
+    section, names = names_in(data, "section"), names_in(data, "actions")
+    if section != tuple(system.section):
         raise WrongUse(
-            f"data must be of the section {', '.join(system.section)}, "
-            f"not of {', '.join(data.attrs['section'])}"
+            f"data must be of the section {', '.join(system.section)}, not of {', '.join(section)}"
         )
-    names = tuple(data.attrs["actions"])
+    for name in {*names} - {*numbers_of(system)}:
+        raise WrongUse(f"system must have the parameter {name}, which the actions set")
+    tolerance = float(data.attrs["tolerance"])
     table = np.stack([data[name].values[data["action"].values] for name in names], axis=-1)
     choose = interpolation(data, table)
 
-    def advance(x, **parameters):
+    def steered(parameters):
         acting = system
         for name, value in parameters.items():
             acting = with_parameter(acting, name, value)
-        own = jnp.stack([jnp.asarray(parameters[name], x.dtype) for name in names])
-        chosen = choose(x, own)
-        for i, name in enumerate(names):
-            acting = with_parameter(acting, name, chosen[i])
-        return stride(acting, x)[:3]
+        return acting
 
-    feasible = lambda x, **_: system.feasible(x)
-    made: Any = Steered  # whose own constructor pyright takes for a generated one
-    return made(advance, system.section, parameters=numbers_of(system), feasible=feasible)
+    def advance(x, **parameters):
+        own = jnp.stack([jnp.asarray(parameters[name], x.dtype) for name in names])
+        chosen = dict(zip(names, choose(x, own), strict=True))
+        return stride(steered(parameters | chosen), x, tolerance=tolerance)[:3]
+
+    advance.__name__ = f"Steered{system.label()}"
+    return steered_with(tuple(system.failures))(advance, steered, system)
 
 
 def interpolation(

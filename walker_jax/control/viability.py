@@ -8,7 +8,6 @@ Journal of Robotics Research 31:1094-1113). The share of actions that keep a sta
 measure of robustness of Heim and Sprowitz (2019, IEEE Transactions on Robotics 35:939-952).
 """
 
-import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -41,7 +40,7 @@ from walker_jax.systems.system import System
 from walker_jax.walking.stride import stride
 
 BYTES_PER_IMAGE = 5
-"""Memory for each cell and action, without bounds."""
+"""Memory for each cell and action, without bounds; with them, and for each cell, more."""
 
 
 @refuses_tracers()
@@ -64,15 +63,16 @@ def viable(
 
     - `system`: any walker or other system, such as one of `systems`.
     - `grid`: of its section, whole.
-    - `actions`: by the name of a parameter, (low, high, count) for so many values with both ends,
-      or the values; of several parameters all combinations.
+    - `actions`: by the name of a parameter, a tuple (low, high, count) for so many values with both
+      ends, or a list of values; of several parameters all combinations. The system's own values are
+      one more action, the last, unless they are among these.
     - `target`: whether each cell belongs to the target. By default those whose centres converge to
       an attractor of `system` as it is, by cell mapping: its passive basin.
     - `bounds`: whether to bound the kernel by what cells do as a whole. A stride is made from the
       corners of each cell too. The box around their images, widened by how far that of the centre
-      is from the mean of theirs, holds the image of the cell to second order in its size. `inner`
-      cells have an action that takes all of the box to inner cells; of `outer` ones some action
-      takes some corner, or the centre, and some of the box to outer ones.
+      is from the mean of theirs, holds the image of the cell to second order in its size. An
+      `inner` cell has an action whose box lies in inner cells. An `outer` cell has an action that
+      makes a stride from a corner or the centre, with a box that meets an outer cell.
     - `tolerance`: of the integration, as in `stride`.
     - `progress`: whether to show a progress bar on a terminal.
 
@@ -84,8 +84,9 @@ def viable(
     - `lasting`: the most strides that any choice makes from a cell that is not viable, else -1;
     - `failure`: the `Outcome` in which the longest of these walks ends, 0 where it is viable;
     - `capture`: the fewest strides into the target, 0 within it, -1 where none lead there;
-    - `action`: the number of one that leads there soonest, or, where none does, keeps it viable,
-      and of several the one after which most others do; -1 within the target and off the kernel;
+    - `action`: the number of one that leads there soonest, or, where none does, keeps it viable;
+      of several, the one that leads to the cell with the most safe actions; -1 in the target, where
+      the system is left alone, and where there is none;
 
     and over `action_number` the values of each parameter, by its name. Attributes: `area` of the
     kernel in the state's coordinates, `inner_area` and `outer_area`, and `target_area`.
@@ -98,8 +99,11 @@ def viable(
         raise WrongUse("grid must be of all coordinates of the section, not a slice", of="grid")
     choice = read_actions(system, actions)
     check_kind("bounds", bounds, bool)
-    each = BYTES_PER_IMAGE + (2 + 8 * grid_axes(grid)) * bounds
-    check_grid(system, grid, "cell-map", each * len(choice.values), kind="viability")
+    d, m = grid_axes(grid), len(choice.values)
+    each = (BYTES_PER_IMAGE + (2 + 8 * d) * bounds) * m + 25 + bounds * 20 * d * (2**d + 1)
+    check_grid(system, grid, "cell-map", each, kind="viability")
+    for name in {*grid.names} & {*choice.names}:
+        raise WrongUse(f"grid must not have an axis called {name}, as an action is: rename it")
     dtype = jnp.asarray(0.0).dtype
     check_precision(dtype)
     integrator = integrator_of(dtype, tolerance)
@@ -117,7 +121,7 @@ def viable(
         "lasting": lasting,
         "failure": unavoidable_failure(points, lasting),
         "capture": capture,
-        "action": np.where(kernel & ~chosen, action, -1).astype(np.int32),
+        "action": np.where((kernel | (capture > 0)) & ~chosen, action, -1).astype(np.int32),
     }
     found |= {name: find_viable(one) < 0 for name, one in boxes.items()}
     return dataset(system, grid, choice, found, chosen, float(integrator.tolerance))
@@ -236,14 +240,21 @@ def box_around(grid: Grid, centres: Images, corners: Images) -> tuple[np.ndarray
     # Where a part of a cell fails, how far its image goes is known to the size of that alone.
     bend = np.where(whole[..., None], bend, np.fmax(most - least, 1))
     with np.errstate(invalid="ignore"):
-        least, most = least - bend, most + bend
-        inside = ((least >= 0) & (most <= shape)).all(axis=-1)
-        touches = ((most > 0) & (least < shape)).all(axis=-1)
+        least, most = np.floor(least - bend), np.floor(most + bend)
+        inside = ((least >= 0) & (most < shape)).all(axis=-1)
+        touches = ((most >= 0) & (least < shape)).all(axis=-1)
     known = np.isfinite(least).all(axis=-1)
     clip = lambda value: np.clip(np.where(known[..., None], value, 0), 0, shape - 1)
-    low, high = clip(np.floor(least)), clip(np.ceil(most) - 1)
-    flat = lambda value: value.reshape(math.prod(grid.shape), *value.shape[d:])
-    return tuple(map(flat, (low, np.maximum(low, high), whole & inside, known & touches)))
+    # The centre's own cell belongs to the box, however its place is rounded.
+    image, on_grid = centres.image.reshape(grid.shape), (centres.image < grid.size)
+    on_grid = on_grid.reshape(grid.shape)
+    held = np.stack(np.unravel_index(np.where(on_grid, image, 0), grid.shape), axis=-1)
+    low, high = (
+        np.where(on_grid[..., None], end(held, clip(of)), clip(of))
+        for end, of in ((np.minimum, least), (np.maximum, most))
+    )
+    flat = lambda value: value.reshape(grid.size, *value.shape[d:])
+    return tuple(map(flat, (low, high, whole & inside & on_grid, (known & touches) | on_grid)))
 
 
 def dataset(

@@ -171,7 +171,7 @@ def offer(walker: System, axes: Mapping[str, Any] | None = None) -> Offer:
     kind = walker if isinstance(walker, Map) else type(walker)
     described = parameters_of(kind)
     for one in described:
-        if one.name in ADDRESS_KEYS:
+        if one.name in ADDRESS_KEYS or one.name.startswith("at_"):
             raise WrongUse(f"the page's address has a {one.name} of its own: rename the parameter")
     for one in (FAMILY | OTHERS).values():
         if one.kind is kind and not axes:

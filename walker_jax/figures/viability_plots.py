@@ -10,6 +10,7 @@ from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.lines import Line2D
 
 from walker_jax.checks import WrongUse
+from walker_jax.control.actions import names_in
 from walker_jax.figures.layout import Shown, dress, figure_of, new_axes
 from walker_jax.figures.regions import (
     Extent,
@@ -20,7 +21,7 @@ from walker_jax.figures.regions import (
     with_failures,
 )
 from walker_jax.figures.style import INK
-from walker_jax.figures.text import walker_title
+from walker_jax.figures.text import coordinate_value, walker_title
 from walker_jax.storage.schema import check_dataset
 from walker_jax.systems.outcomes import failures_of
 
@@ -43,7 +44,7 @@ def viability(
     legend: bool = True,
     labels: bool = True,
 ) -> Axes:
-    """The viability kernel over a grid of two dimensions, and the failures around it.
+    """The viability kernel over a grid, and the failures around it; of three axes, in the middle.
 
     Viable cells are shaded by the share of actions that keep them so; others have the colour of the
     failure that no choice of actions prevents. Lines are the target's boundary and the bounds of
@@ -55,15 +56,22 @@ def viability(
     - `ax`: where to draw; by default, on a new figure of 7 by 5.4 inches.
     - `title`, `subtitle`, `legend`, `labels`: whether to write these, a title also in other words.
 
-    **Returns** the axes. Raises `ValueError` for a data set that is not of two dimensions, with
-    two cells or more along each.
+    **Returns** the axes. Raises `ValueError` for a data set that is not of two or three dimensions,
+    with two cells or more along the first two.
     """
     check_dataset(data, "viability")
     viable = data["viable"]
-    if viable.ndim != 2 or min(viable.shape) < 2:
+    if viable.ndim not in (2, 3) or min(viable.shape[:2]) < 2:
         raise WrongUse(
             f"data must be viable over 2 x 2 cells or more, not over {dict(viable.sizes)}"
         )
+    note = viability_note(data)
+    if viable.ndim == 3:
+        depth = str(viable.dims[2])
+        middle = viable.shape[2] // 2
+        note = f"{note}; slice at {coordinate_value(depth, float(data[depth][middle]))}"
+        data = data.isel({depth: middle})
+        viable = data["viable"]
     ax = new_axes(7, 5.4) if ax is None else ax
     x, y = map(str, viable.dims)
     extent = extent_of(data, x, y)
@@ -84,7 +92,7 @@ def viability(
         ax,
         Shown(title, subtitle, legend, labels),
         title=walker_title(data),
-        note=viability_note(data),
+        note=note,
         x=x,
         y=y,
         legends=[
@@ -124,7 +132,7 @@ def viability_note(data: xr.Dataset) -> str:
     """The actions, and the areas."""
     ranges = [
         f"{name.replace('_', ' ')} from {data[name].min():g} to {data[name].max():g}"
-        for name in data.attrs["actions"]
+        for name in names_in(data, "actions")
     ]
     area, target = data.attrs["area"], data.attrs["target_area"]
     count = data.sizes["action_number"]

@@ -131,9 +131,16 @@ def names_of(function: Callable, static_argnames: Any) -> list[str]:
     """The names of static arguments, which the function must have."""
     several = isinstance(static_argnames, Collection) and not isinstance(static_argnames, str)
     names: list[Any] = [*static_argnames] if several else [static_argnames]
+    known = inspect.signature(function).parameters if names else {}
     for name in names:
-        if name not in [*inspect.signature(function).parameters]:
+        if name not in [*known]:
             raise WrongUse(f"static_argnames must be arguments of the function, not {short(name)}")
+    for one in known.values():
+        if one.kind in (one.POSITIONAL_ONLY, one.VAR_POSITIONAL):
+            raise WrongUse(
+                f"static_argnames must not be given for a function whose {one.name} has no name "
+                "for callers"
+            )
     return names
 
 

@@ -134,6 +134,13 @@ def table_of(emitter, numbers: np.ndarray, element, dtype) -> Any:
 
 
 @no_type_check
+def check_index_type(kind, array: np.ndarray) -> None:
+    """An index may be of a type that does not reach the end of an array."""
+    if array.size and max(array.shape) > np.iinfo(kind).max:
+        raise UnsupportedPrimitive(f"{kind} indices of an array of {array.size}")
+
+
+@no_type_check
 def check_size(array: np.ndarray) -> None:
     if array.size > MAX_ENTRIES:
         raise UnsupportedPrimitive(f"computed indices of an array of {array.size}")
@@ -188,6 +195,7 @@ def dynamic_slice(emitter, equation, operands: list[np.ndarray]) -> list[np.ndar
     dtype = equation.outvars[0].aval.dtype
     for axis, size in enumerate(equation.params["slice_sizes"]):
         kind = equation.invars[1 + axis].aval.dtype
+        check_index_type(kind, result)
         result = slice_at(emitter, result, axis, starts[axis][()], size, kind, dtype)
     return [result]
 
@@ -207,6 +215,7 @@ def gather(emitter, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
     params, like = equation.params, equation.outvars[0].aval
     numbers, sizes = params["dimension_numbers"], params["slice_sizes"]
     kind = equation.invars[1].aval.dtype
+    check_index_type(kind, array)
     filling = params["mode"] == lax.GatherScatterMode.FILL_OR_DROP
     dropped = (*numbers.collapsed_slice_dims, *numbers.operand_batching_dims)
     result = np.empty(like.shape, object)

@@ -127,7 +127,8 @@ def states_of(function: Callable, structure: Any) -> tuple[Hashable, ...]:
     walk.describe(function)
     definitions = (one for one in walk.found if isinstance(one, DEFINED))
     functions = (function,) if any(map(walk.opens, definitions)) else ()
-    own = *functions, *filter(walk.opens, classes_of(structure))
+    held = *classes_of(structure), *static_functions(structure)
+    own = *functions, *filter(walk.opens, held)
     return Walk().describe(*own) if own else ()
 
 
@@ -137,6 +138,12 @@ def classes_of(structure: Any) -> tuple[type, ...]:
     data = structure.node_data()
     inner = (one for child in structure.children() for one in classes_of(child))
     return () if data is None else (data[0], *inner)
+
+
+@functools.lru_cache(MOST)
+def static_functions(structure: Any) -> tuple[Callable, ...]:
+    """Functions, and other objects that are called, that are static in a tree's nodes."""
+    return tuple(one for one in jax.tree.leaves(statics_of(structure)) if callable(one))
 
 
 def as_code_alone(function: Callable) -> AsItIs | None:

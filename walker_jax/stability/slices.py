@@ -24,7 +24,7 @@ def slice_around(walker: Walker, state: Float[ArrayLike, " section"]) -> Grid:
     There the walker is turned, and pushed from the side.
     """
     if not isinstance(walker, SpatialWalker):
-        return Grid.sheared(**axes_around(state, ("theta", "sum", "phidot")))
+        return Grid.sheared(**axes_around(state, ("theta", "sum", *walker.section[2:])))
     point = dict(zip(walker.section, map(float, np.asarray(state)), strict=True))
     around = lambda name, half: (point[name] - half, point[name] + half, SLICE_CELLS)
     rate = float(np.sqrt(walker.leg_length))

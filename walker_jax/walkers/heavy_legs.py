@@ -2,6 +2,7 @@
 
 import collections
 import functools
+import keyword
 from typing import Any, ClassVar
 
 import jax
@@ -41,13 +42,19 @@ class HeavyLegWalker(MultibodyWalker):
     section: ClassVar = ("theta", "thetadot", "phidot")
 
     def __init_subclass__(cls, **kwargs):
-        if "joints" in vars(cls):
+        cls.joints = tuple(cls.joints)
+        if cls.joints:
+            given = [name for name in ("section", "state") if name in vars(cls)]
+            if given:
+                raise WrongUse(f"{given[0]} of {cls.__name__} must be left out: joints make it")
             rates = [rate_of(joint) for joint in cls.joints]
             cls.section = (*HeavyLegWalker.section, *cls.joints, *rates)
             cls.state = state_with(cls.joints)
         super().__init_subclass__(**kwargs)
 
     def __check_init__(self):
+        if taken := {*self.section} & {*vars(self)}:
+            raise WrongUse(f"joints must not have names of parameters, unlike {min(taken)}")
         if any(np.shape(leaf) or isinstance(leaf, Tracer) for leaf in jax.tree.leaves(self)):
             return
         foot, moved = swing_foot_at(self, 0.3, 0.0), swing_foot_at(self, 0.3, 0.1)
@@ -104,11 +111,22 @@ def state_with(joints: tuple[str, ...]) -> type:
     if not joints:
         return State
     coordinates = "theta", "phi", *joints
-    names = *coordinates, *map(rate_of, coordinates)
     proper = all(isinstance(one, str) and one.isidentifier() for one in joints)
-    if not proper or len(set(names)) < len(names):
+    names = *coordinates, *map(rate_of, coordinates)
+    taken = proper and any(
+        keyword.iskeyword(one) or one[0] == "_" or hasattr(tuple, one) for one in names
+    )
+    if not proper or taken or "sum" in names or len(set(names)) < len(names):
         raise WrongUse(f"joints must be different names of coordinates, not {joints!r}")
-    return collections.namedtuple("JointedState", names)
+    kind = collections.namedtuple("JointedState", names)
+    # No module has the class, so that pickle needs to be told how to make one.
+    kind.__reduce__ = lambda state: (make_state, (joints, tuple(state)))  # pyright: ignore
+    return kind
+
+
+def make_state(joints: tuple[str, ...], values: tuple) -> Any:
+    """A full state of a walker with joints, from its numbers."""
+    return state_with(joints)(*values)
 
 
 def with_joints(

@@ -122,7 +122,7 @@ def rises_ever_faster(walker: MultibodyWalker, state: State) -> Bool[Array, ""]:
     As for the simplest walker it is too late then to come down again, and the leg falls on: an
     experience (tests), but for walkers that rock on their feet, whose leg may turn.
     """
-    (_, _, thetaddot, phiddot), (_, Q_v, _, _) = accelerations_and_forces(walker, state)
+    (_, _, thetaddot, phiddot, *_), (_, Q_v, *_) = accelerations_and_forces(walker, state)
     rising = (state.phi > 2 * state.theta) & (state.phidot > 2 * state.thetadot)
     faster = phiddot > 2 * thetaddot
     falling = (state.phi < 0) & (thetaddot < 0) & (Q_v > 0)

@@ -294,6 +294,7 @@ async function begin() {
     $(`#tab-${name}`).addEventListener("click", () => state.change("tab", { tab: name }));
     $(`#tab-${name}`).addEventListener("keydown", (event) => {
       if (event.key !== "ArrowLeft" && event.key !== "ArrowRight") return;
+      if (!state.over) return; // the other tab is not shown
       state.change("tab", { tab: tabs[1 - k] });
       $(`#tab-${tabs[1 - k]}`).focus();
     });
