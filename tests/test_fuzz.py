@@ -401,6 +401,8 @@ def calls() -> dict[str, dict]:
         "continue_gait": {**of_gait, "parameter": "slope", "interval": interval},
         "basin": {**on_grid, "method": "direct"},
         "compare_methods": on_grid,
+        "viable": {"walker": walker, "grid": grid, "actions": {"slope": [0.003, 0.005]}}
+        | {"target": None, "bounds": True, "tolerance": None},
         "refine": refined,
         "slice_basin": {"data": volume, "axis": "phidot", "value": 0.1},
         "area_gradient": {**refined, "parameters": ("slope",), "bands": None},

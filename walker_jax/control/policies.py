@@ -25,10 +25,10 @@ class Steered(Map):
     steered: Callable[[dict[str, Any]], System] = code_field()
     """The system without a policy, with values of its parameters."""
 
-    def __init__(self, advance: Callable, steered: Callable, system: System):
+    def __init__(self, advance: Callable, steered: Callable, walker: System):
         feasible = lambda x, **parameters: steered(parameters).feasible(x)
-        own = numbers_of(system)
-        super().__init__(advance, system.section, parameters=own, feasible=feasible)
+        own = numbers_of(walker)
+        super().__init__(advance, walker.section, parameters=own, feasible=feasible)
         self.steered = steered
 
     def advance(self, x):
@@ -50,7 +50,7 @@ def steered_with(failures: tuple[str, ...]) -> type[Steered]:
     return type("Steered", (Steered,), {"failures": failures}) if failures else Steered
 
 
-def Policy(system: System, data: xr.Dataset) -> System:
+def Policy(walker: System, data: xr.Dataset) -> System:
     """The system with the actions that `viable` found, chosen anew before each stride.
 
     In a cell with an action its parameters are means of those of that cell and of the neighbours
@@ -59,33 +59,33 @@ def Policy(system: System, data: xr.Dataset) -> System:
     target and off the kernel, they are the system's own: what converges to its attractor within the
     target converges to that.
 
-    The result is a system like any other, with the parameters of `system`: its basin, its
+    The result is a system like any other, with the parameters of `walker`: its basin, its
     robustness and all else are computed as usual.
 
     **Arguments:**
 
-    - `system`: the one that `viable` was given, or one like it with other parameters.
+    - `walker`: the one that `viable` was given, or one like it with other parameters.
     - `data`: what `viable` returned.
 
     Raises `ValueError` for another data set, or one of another section.
     """
-    check_kind("system", system, System)
-    check_single(system)
+    check_kind("walker", walker, System)
+    check_single(walker)
     check_kind("data", data, xr.Dataset)
     check_dataset(data, "viability")
     section, names = names_in(data, "section"), names_in(data, "actions")
-    if section != tuple(system.section):
+    if section != tuple(walker.section):
         raise WrongUse(
-            f"data must be of the section {', '.join(system.section)}, not of {', '.join(section)}"
+            f"data must be of the section {', '.join(walker.section)}, not of {', '.join(section)}"
         )
-    for name in {*names} - {*numbers_of(system)}:
-        raise WrongUse(f"system must have the parameter {name}, which the actions set")
+    for name in {*names} - {*numbers_of(walker)}:
+        raise WrongUse(f"walker must have the parameter {name}, which the actions set")
     tolerance = float(data.attrs["tolerance"])
     table = np.stack([data[name].values[data["action"].values] for name in names], axis=-1)
     choose = interpolation(data, table)
 
     def steered(parameters):
-        acting = system
+        acting = walker
         for name, value in parameters.items():
             acting = with_parameter(acting, name, value)
         return acting
@@ -95,8 +95,8 @@ def Policy(system: System, data: xr.Dataset) -> System:
         chosen = dict(zip(names, choose(x, own), strict=True))
         return stride(steered(parameters | chosen), x, tolerance=tolerance)[:3]
 
-    advance.__name__ = f"Steered{system.label()}"
-    return steered_with(tuple(system.failures))(advance, steered, system)
+    advance.__name__ = f"Steered{walker.label()}"
+    return steered_with(tuple(walker.failures))(advance, steered, walker)
 
 
 def interpolation(

@@ -45,7 +45,7 @@ BYTES_PER_IMAGE = 5
 
 @refuses_tracers()
 def viable(
-    system: System,
+    walker: System,
     grid: Grid,
     actions: Mapping[str, Any],
     *,
@@ -61,13 +61,13 @@ def viable(
 
     **Arguments:**
 
-    - `system`: any walker or other system, such as one of `systems`.
+    - `walker`: any walker or other system, such as one of `systems`.
     - `grid`: of its section, whole.
     - `actions`: by the name of a parameter, a tuple (low, high, count) for so many values with both
       ends, or a list of values; of several parameters all combinations. The system's own values are
       one more action, the last, unless they are among these.
     - `target`: whether each cell belongs to the target. By default those whose centres converge to
-      an attractor of `system` as it is, by cell mapping: its passive basin.
+      an attractor of `walker` as it is, by cell mapping: its passive basin.
     - `bounds`: whether to bound the kernel by what cells do as a whole. A stride is made from the
       corners of each cell too. The box around their images, widened by how far that of the centre
       is from the mean of theirs, holds the image of the cell to second order in its size. An
@@ -94,21 +94,21 @@ def viable(
     Raises `ValueError` for a grid that does not fit the section, or is a slice, or that this
     machine has not the memory for, for actions that are none, and for a target of another shape.
     """
-    check_kind("system", system, System)
-    if grid_axes(grid) < len(system.section) == grid.coordinates:
+    check_kind("walker", walker, System)
+    if grid_axes(grid) < len(walker.section) == grid.coordinates:
         raise WrongUse("grid must be of all coordinates of the section, not a slice", of="grid")
-    choice = read_actions(system, actions)
+    choice = read_actions(walker, actions)
     check_kind("bounds", bounds, bool)
     d, m = grid_axes(grid), len(choice.values)
     each = (BYTES_PER_IMAGE + (2 + 8 * d) * bounds) * m + 25 + bounds * 20 * d * (2**d + 1)
-    check_grid(system, grid, "cell-map", each, kind="viability")
+    check_grid(walker, grid, "cell-map", each, kind="viability")
     for name in {*grid.names} & {*choice.names}:
         raise WrongUse(f"grid must not have an axis called {name}, as an action is: rename it")
     dtype = jnp.asarray(0.0).dtype
     check_precision(dtype)
     integrator = integrator_of(dtype, tolerance)
-    chosen = passive_basin(system, grid, integrator) if target is None else read(target, grid)
-    points, boxes = images(system, grid, choice, integrator, bounds, progress)
+    chosen = passive_basin(walker, grid, integrator) if target is None else read(target, grid)
+    points, boxes = images(walker, grid, choice, integrator, bounds, progress)
     lasting = find_viable(points)
     kernel = lasting < 0
     capture, safe = find_capture(points, chosen), count_safe(points, kernel)
@@ -124,7 +124,7 @@ def viable(
         "action": np.where((kernel | (capture > 0)) & ~chosen, action, -1).astype(np.int32),
     }
     found |= {name: find_viable(one) < 0 for name, one in boxes.items()}
-    return dataset(system, grid, choice, found, chosen, float(integrator.tolerance))
+    return dataset(walker, grid, choice, found, chosen, float(integrator.tolerance))
 
 
 def grid_axes(grid: Any) -> int:
@@ -144,9 +144,9 @@ def read(target: Any, grid: Grid) -> Bool[np.ndarray, " n"]:
     return values.ravel()
 
 
-def passive_basin(system: System, grid: Grid, integrator: Integrator) -> Bool[np.ndarray, " n"]:
+def passive_basin(walker: System, grid: Grid, integrator: Integrator) -> Bool[np.ndarray, " n"]:
     """Cells that converge to an attractor without a choice of actions, by cell mapping."""
-    return resolve(cell_map(system, grid, integrator), sinks=len(Outcome)).attractor >= 0
+    return resolve(cell_map(walker, grid, integrator), sinks=len(Outcome)).attractor >= 0
 
 
 class Images(NamedTuple):
@@ -160,7 +160,7 @@ class Images(NamedTuple):
 
 
 def images(
-    system: System,
+    walker: System,
     grid: Grid,
     actions: Actions,
     integrator: Integrator,
@@ -175,7 +175,7 @@ def images(
     whole, some = np.empty(shape[:2], bool), np.empty(shape[:2], bool)
     corners = grid_of_corners(grid)
     for number in track(range(m), "actions", progress, m):
-        acting = actions.of(system, number)
+        acting = actions.of(walker, number)
         centres = images_of(acting, grid, grid, integrator)
         points.image[:, number] = centres.image
         if bounds:
@@ -210,9 +210,9 @@ def image_of_start(
     shared: tuple[System, Grid, Grid, Integrator], index: Int[Array, ""]
 ) -> tuple[Float[Array, " d"], Bool[Array, ""], Int[Array, ""]]:
     """`Images` of one start."""
-    system, starts, grid, integrator = shared
+    walker, starts, grid, integrator = shared
     by = {"tolerance": integrator.tolerance, "solver": integrator.solver}
-    made = stride(system, starts.centre(index), **by)
+    made = stride(walker, starts.centre(index), **by)
     image = cell_image(grid, made.state, made.outcome, leave=Outcome.LEFT_GRID)
     away = made.state - jnp.asarray(grid.origin)
     across = (jnp.asarray(grid.unshear) * away).sum(axis=1)
@@ -258,7 +258,7 @@ def box_around(grid: Grid, centres: Images, corners: Images) -> tuple[np.ndarray
 
 
 def dataset(
-    system: System,
+    walker: System,
     grid: Grid,
     actions: Actions,
     found: dict[str, np.ndarray],
@@ -281,7 +281,7 @@ def dataset(
         "shear": (("coordinate", "axis"), grid.shear),
         "origin": ("coordinate", grid.origin),
     }
-    data = describe(system, grid, settings).assign(frame)
+    data = describe(walker, grid, settings).assign(frame)
     over = {name: (grid.names, values.reshape(grid.shape)) for name, values in found.items()}
     columns = zip(actions.names, actions.values.T, strict=True)
     return data.assign(over).assign({name: ("action_number", row) for name, row in columns})
