@@ -62,6 +62,10 @@ def test_entries_of_tables_of_known_numbers():
     assert_same(function, ARRAYS[: len(indices)], indices)
 
 
+def test_nothing_is_taken_of_an_empty_array():
+    assert_same(lambda x, i: [x[0, 0], *x[5:]], ARRAYS, INDICES)
+
+
 def test_indices_that_do_not_reach_the_end_of_an_array_have_no_kernel():
     table = np.arange(300.0)
     with pytest.raises(UnsupportedPrimitive, match="int8 indices of an array of 300"):

@@ -350,6 +350,8 @@ def split_axis(unrolling, equation, operands):
 
 def unstack(unrolling, equation, operands):
     axis, parts = equation.params["axis"], equation.outvars
+    if not parts:
+        return []
     shape = parts[0].aval.shape
     return [part.reshape(shape) for part in np.split(operands[0], len(parts), axis=axis)]
 

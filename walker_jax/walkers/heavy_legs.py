@@ -75,8 +75,9 @@ class HeavyLegWalker(MultibodyWalker):
 
     def lift(self, x):
         """phi = 2 theta."""
-        count = len(self.joints)
-        return self.state(x[0], 2 * x[0], *x[3 : 3 + count], x[1], x[2], *x[3 + count :])
+        joints = [x[i] for i in range(3, len(self.section))]
+        places, rates = joints[: len(self.joints)], joints[len(self.joints) :]
+        return self.state(x[0], 2 * x[0], *places, x[1], x[2], *rates)
 
     def project(self, state):
         legs = [state.theta, state.thetadot, state.phidot]
