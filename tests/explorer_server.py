@@ -32,6 +32,16 @@ DIAGRAM = {
 """A diagram of few points, in the form in which the server sends one."""
 
 
+@contextmanager
+def own_file(folder: Path, name: str, source: str) -> Iterator[Path]:
+    """A user's own file, which is forgotten in the end, with the module that was loaded of it."""
+    file = folder / f"{name}.py"
+    file.write_text(source)
+    yield file
+    sys.path.remove(str(folder))
+    del sys.modules[name]
+
+
 class Answer(NamedTuple):
     status: int
     body: bytes

@@ -63,11 +63,8 @@ TILES = [[-1, i, j] for i in range(2) for j in range(2)]
 
 @pytest.fixture(scope="module")
 def file(tmp_path_factory):
-    file = tmp_path_factory.mktemp("own") / "damped_walkers.py"
-    file.write_text(TORQUE)
-    yield file
-    sys.path.remove(str(file.parent))
-    del sys.modules["damped_walkers"]
+    with explorer_server.own_file(tmp_path_factory.mktemp("own"), "damped_walkers", TORQUE) as file:
+        yield file
 
 
 @pytest.fixture(scope="module")

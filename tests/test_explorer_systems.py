@@ -70,11 +70,8 @@ class Thrown(wj.SimplestWalker):
 
 @pytest.fixture(scope="module")
 def file(tmp_path_factory):
-    file = tmp_path_factory.mktemp("own") / "own_henon.py"
-    file.write_text(HENON)
-    yield file
-    sys.path.remove(str(file.parent))
-    del sys.modules["own_henon"]
+    with explorer_server.own_file(tmp_path_factory.mktemp("own"), "own_henon", HENON) as file:
+        yield file
 
 
 @pytest.fixture(scope="module")

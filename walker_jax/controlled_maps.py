@@ -3,8 +3,8 @@
 As in `cellmaps`, cells of a grid are numbered 0 ... n - 1, and what leads off the grid, or fails,
 leads to a sink, n + s for the one with the code s. But a cell has a row of images here, one for
 each action. Cells from which some choice of actions stays on the grid for ever are the *viability
-kernel* (Aubin 1991, Viability Theory, Birkhauser), and those from which one leads into a target the
-*capture basin* of it.
+kernel* (Aubin 1991, Viability Theory, Birkhauser). Cells from which some choice leads into a target
+are its *capture basin*.
 """
 
 from collections.abc import Iterator
@@ -40,9 +40,9 @@ class Points(NamedTuple):
 class Boxes(NamedTuple):
     """Images that are boxes of cells, for bounds on what cells do as a whole.
 
-    With `every`, a choice holds an image if it holds all of it: then cells that are viable are so
-    from each of their points, whatever the action does within them. Else it does if it holds some
-    of it: then cells that are not viable are not so from any.
+    With `every`, a choice holds an image if it holds all of its cells: a viable cell is then viable
+    from each of its points. Otherwise it holds an image if it holds one of its cells: a cell that
+    is not viable is then viable from none of its points.
     """
 
     low: Int[np.ndarray, "n m d"]
@@ -92,8 +92,8 @@ Images = Points | Boxes
 def find_viable(images: Images) -> Int32[np.ndarray, " n"]:
     """The viability kernel: how many steps each cell can make at most; -1 where for ever.
 
-    Round after round, cells leave that no action takes to one that is left. A cell keeps a witness,
-    an action that does, so that its other ones are tried only when that fails.
+    Each round removes the cells that no action takes to a cell that is left. A cell keeps a
+    witness, an action that does, and the others are tried only when the witness fails.
     """
     n, m = images.shape
     lasting = np.full(n, -1, np.int32)
@@ -153,10 +153,10 @@ def best_action(points: Points, value: Int[np.ndarray, " n"]) -> Int32[np.ndarra
 
 
 def unavoidable_failure(points: Points, lasting: Int32[np.ndarray, " n"]) -> Int8[np.ndarray, " n"]:
-    """The sink in which the longest walk from each cell ends that is not viable; 0 for viable ones.
+    """The sink in which the longest walk from a cell ends; 0 for viable cells.
 
-    Where several actions make as many steps, that of the first; where none makes any, the sink that
-    most actions lead to.
+    If several actions make as many steps, the first counts; if none makes a step, the sink to which
+    most actions lead.
     """
     n, m = points.shape
     failure, most = np.zeros(n, np.int8), int(lasting.max(initial=-1))

@@ -262,6 +262,12 @@ class Grid(eqx.Module):
         u = np.asarray(self.unshear) @ (point - np.asarray(self.origin))
         return (u - np.asarray(self.lower)) / np.asarray(self.spacing) - 0.5
 
+    def position(self, point: Float[Array, " s"]) -> Float[Array, " d"]:
+        """The place of a point on each axis, in cells from the lower end, for JAX to trace."""
+        lower, spacing = jnp.asarray(self.lower), jnp.asarray(self.spacing)
+        u = multiply(self.unshear, point.astype(lower.dtype) - jnp.asarray(self.origin))
+        return (u - lower) / spacing
+
     def cell(self, point: Float[Array, " s"]) -> Int32[Array, ""]:
         """Index of the cell that holds a point x, -1 where none does or x is not finite.
 

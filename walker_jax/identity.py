@@ -84,7 +84,7 @@ class Walk:
 
     def __init__(self):
         self.found: list[Any] = []
-        """What has a description of its own, kept so that its id stays its own."""
+        """Things with a description of their own, kept so that their ids stay their own."""
         self.numbers: dict[int, int] = {}
 
     def describe(self, *values: Any) -> tuple[Hashable, ...]:
@@ -154,7 +154,7 @@ class Walk:
         return is_own(home_of(definition))
 
     def name(self, definition: Any) -> Hashable:
-        """What a definition counts by: within a process it is itself."""
+        """The name by which a definition counts: within a process it is itself."""
         return AsItIs(definition, id(definition))
 
     def describe_thing(self, value: Any) -> Hashable:
@@ -167,7 +167,7 @@ class Walk:
 
 
 def parts_of(value: Any) -> list[Any]:
-    """What something is made of, if it is made of functions."""
+    """The parts of something that is made of functions; none of anything else."""
     parts = [getattr(value, name, None) for name in PARTS]
     made = any(part is not None for part in parts) and any(map(callable, (value, *parts)))
     return parts if made else []
@@ -197,7 +197,7 @@ def words_of_code(code: types.CodeType) -> str:
 
 
 def globals_of(function: types.FunctionType) -> dict[str, Any]:
-    """What a function reads of the names around it, and within modules among these.
+    """Values that a function reads by the names around it, and within modules among these.
 
     What is installed does not change. Of this package's own names those in lower case do.
     """
@@ -377,7 +377,7 @@ def read_loaded(path: Path) -> bytes:
 
 @functools.lru_cache(MOST)
 def imports_in(source: bytes) -> list[tuple[int, Sequence[str]]]:
-    """What a program imports, anywhere in it: the dots before a name, and its words."""
+    """Imports of a program, anywhere in it: the dots before a name, and its words."""
     found: list[tuple[int, Sequence[str]]] = []
     with contextlib.suppress(SyntaxError, ValueError):  # it cannot be imported either
         for node in ast.walk(ast.parse(source)):

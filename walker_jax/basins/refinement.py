@@ -254,7 +254,7 @@ def check_refinement(walker: System, grid: Grid, counts: dict[str, int], strides
 def check_twice(
     cells: RefinedCells, levels: int, check: int
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"], Int[np.ndarray, " levels"]]:
-    """What a second check finds: cells, by how much each is mistaken, and checks of each level.
+    """A second check: cells, by how much each is mistaken, and checks of each level.
 
     What a first check finds is followed to its end; the second one tells how much is left. Shares
     are those of least variance, (mistakes + 1) (size / count)^2 summed over the levels.

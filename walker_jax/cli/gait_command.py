@@ -30,7 +30,7 @@ class Search:
     start: list[str] | None = START
 
     def coordinates(self, walker: System) -> dict[str, float]:
-        """Those of the state in which the search begins, if it is given."""
+        """The coordinates of the state in which the search begins, if it is given."""
         start = self.start or None
         refuse_own(walker, guess=self.guess, phidot=self.phidot)
         exclude(guess=self.guess, start=start)
@@ -48,7 +48,7 @@ class Search:
         return given | ({} if self.phidot is None else {"phidot": self.phidot})
 
     def instead(self, walker: System) -> str:
-        """What to try where no gait is found."""
+        """Advice where no gait is found."""
         if self.guess is not None or self.start:
             return f"try another {'--start' if self.start else '--guess'}"
         form = "--guess THETA THETADOT" if has_own_options(walker) else "--start NAME=VALUE"

@@ -36,7 +36,7 @@ SAVED_EVERY = 2.0
 
 @dataclass(frozen=True)
 class Problem:
-    """What is free, and what is wanted."""
+    """The free parameters and the objective."""
 
     over: list[str] | None = option(None, "A parameter that is free; may be repeated.")
     bound: list[str] | None = option(

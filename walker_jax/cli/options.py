@@ -16,6 +16,7 @@ from walker_jax.walkers.parameters import check_parameter
 
 Json = Annotated[bool, typer.Option("--json", help="Print the answer as JSON.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
+RANGE_FORM = "NAME=LO:HI:N"
 PHIDOT_HELP = "Rate between the legs, for walkers whose section has it"
 
 
@@ -83,6 +84,15 @@ def read_numbers(
         return underscored(name), [kind(number) for kind, number in pairs]
     except ValueError:
         raise WrongUse(f"{option} must be {form}, not {text}") from None
+
+
+def read_range(option: str, text: str) -> tuple[str, float, float, int]:
+    """The name of a parameter, the ends of its range, and how many values it has there."""
+    kinds = float, float, int
+    name, (low, high, count) = read_numbers(option, RANGE_FORM, kinds, text)
+    if not low < high or count < 2 or not math.isfinite(high - low):
+        raise WrongUse(f"{option} {text} must have LO below HI, both finite, and N of 2 or more")
+    return name, low, high, count
 
 
 def refuse_again(option: str, name: str, earlier: Container[str]) -> None:

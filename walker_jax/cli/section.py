@@ -45,7 +45,7 @@ class Section:
 
     @property
     def own(self) -> dict[str, Any]:
-        """What is given by options of their own."""
+        """The axes that are given by options of their own."""
         return {name: given for name, given in vars(self).items() if name != "axis"}
 
     def check(self, walker: System) -> None:
@@ -146,7 +146,7 @@ class Start:
     start: list[str] | None = START
 
     def coordinates(self, walker: System) -> dict[str, float]:
-        """Those that are given, by --start or by options of their own."""
+        """The coordinates that are given, by --start or by options of their own."""
         own = {"theta": self.theta, "thetadot": self.thetadot, "phidot": self.phidot}
         check_finite(**own)
         refuse_own(walker, **own)

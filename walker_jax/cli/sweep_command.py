@@ -1,6 +1,5 @@
 """`walker-jax sweep`."""
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ import walker_jax as wj
 from walker_jax.checks import WrongUse
 from walker_jax.cli.answers import Output, request_for
 from walker_jax.cli.groups import option
-from walker_jax.cli.options import Pieces, read_numbers, refuse_again
+from walker_jax.cli.options import Pieces, read_range, refuse_again
 from walker_jax.cli.section import Volume, asked_of
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.design.summary import tabulate_sweep
@@ -83,9 +82,7 @@ def values_of(over: list[str]) -> dict[str, list[float]]:
     """The values of each parameter that --over names."""
     values: dict[str, list[float]] = {}
     for text in over:
-        name, (low, high, count) = read_numbers("--over", "NAME=LO:HI:N", (float, float, int), text)
-        if not low < high or count < 2 or not math.isfinite(high - low):
-            raise WrongUse(f"--over {text} must have LO below HI, both finite, and N of 2 or more")
+        name, low, high, count = read_range("--over", text)
         refuse_again("--over", name, values)
         if count > MAX_COMBINATIONS:
             raise WrongUse(f"--over {text} must have N of at most {MAX_COMBINATIONS}")

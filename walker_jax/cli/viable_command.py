@@ -3,24 +3,18 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 import walker_jax as wj
-from walker_jax.basins.volumes import grid_of
 from walker_jax.basins.windows import fill_around_gait, grid_along
 from walker_jax.checks import WrongUse
 from walker_jax.cli.answers import Output, request_for
 from walker_jax.cli.groups import option
-from walker_jax.cli.options import hyphenated, read_numbers, refuse_again
+from walker_jax.cli.options import RANGE_FORM, hyphenated, read_range, refuse_again
 from walker_jax.cli.section import Window
 from walker_jax.cli.walker_options import takes_walker
-from walker_jax.systems.outcomes import failures_of, name_of_outcome
+from walker_jax.control.viability import summarise_viability
 from walker_jax.systems.system import System, numbers_of
 from walker_jax.walkers.parameters import check_parameter, describe_in_words
-
-ACTION_FORM = "NAME=LO:HI:N"
 
 
 @dataclass(frozen=True)
@@ -29,7 +23,7 @@ class Options:
         None,
         "A parameter that is chosen anew before each stride, with N values; all combinations of "
         "several.",
-        metavar=ACTION_FORM,
+        metavar=RANGE_FORM,
     )
     no_bounds: bool = option(False, "Do not bound the area, which halves the time.")
 
@@ -62,31 +56,17 @@ def viable(
         walker, grid_along(fill_around_gait(walker, axes)), actions, bounds=bounds, progress=True
     )
     data = output.produce(request, compute, "viability")
-    cells, capture = int(data["viable"].size), data["capture"].values
-    answer: dict[str, Any] = {"walker": request["walker"], "actions": actions, "cells": cells}
-    for name in ("area", "inner_area", "outer_area", "target_area"):
-        answer[name] = data.attrs.get(name)
-    cell = grid_of(data).cell_area
-    steps = range(1, int(capture.max(initial=0)) + 1)
-    answer["capturable"] = [float(((capture >= 0) & (capture <= n)).sum() * cell) for n in steps]
-    codes, counts = np.unique(data["failure"].values[~data["viable"].values], return_counts=True)
-    answer["failures"] = {
-        name_of_outcome(int(code), failures_of(data)): int(count)
-        for code, count in zip(codes, counts, strict=True)
-    }
+    answer = {"walker": request["walker"], "actions": actions} | summarise_viability(data)
     output.tell(answer, kernel_in_words(walker, answer))
 
 
 def actions_of(walker: System, texts: list[str]) -> dict[str, tuple[float, float, int]]:
     """The range of each parameter that --action names."""
     if not texts:
-        raise WrongUse(f"--action {ACTION_FORM} is required, such as --action push-off=0:0.1:16")
+        raise WrongUse(f"--action {RANGE_FORM} is required, such as --action push-off=0:0.1:16")
     actions: dict[str, tuple[float, float, int]] = {}
     for text in texts:
-        kinds = (float, float, int)
-        name, (low, high, count) = read_numbers("--action", ACTION_FORM, kinds, text)
-        if not low < high or count < 2:
-            raise WrongUse(f"--action {text} must have LO below HI and N of 2 or more")
+        name, low, high, count = read_range("--action", text)
         refuse_again("--action", name, actions)
         if name not in (known := numbers_of(walker)):
             names = ", ".join(map(hyphenated, known))

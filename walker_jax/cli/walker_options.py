@@ -33,7 +33,7 @@ PREFIX = "walker_"
 Kinds = Mapping[str, type[System] | System]
 """The walkers, or the system, that a command offers, by their names."""
 Offered = dict[str, dict[str, Any]]
-"""What a command has options for, and the `Parameter` or `Option` of each walker that has it."""
+"""Names of options, each with the `Parameter` or `Option` of each walker that has it."""
 
 
 def takes_walker(

@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-import xarray as xr
 from jaxtyping import Float
 
 from walker_jax.checks import WrongUse, check_kind, is_number, numbers, short
@@ -34,9 +33,9 @@ class Actions(NamedTuple):
 
 
 def read_actions(system: System, actions: Any) -> Actions:
-    """Actions from what a user gives: by parameter, (low, high, count) or the values themselves.
+    """All combinations of the values that a user gives for each parameter.
 
-    The system's own values are the last one, unless they are among them.
+    The system's own values are one more, the last, unless they are among these.
     """
     check_single(system)
     check_kind("actions", actions, Mapping)
@@ -54,12 +53,6 @@ def read_actions(system: System, actions: Any) -> Actions:
     own = np.array([float(numbers_of(system)[name]) for name in actions])
     among = np.isclose(every, own, rtol=1e-12, atol=1e-15).all(axis=1).any()
     return Actions(tuple(actions), every if among else np.vstack([every, own]))
-
-
-def names_in(data: xr.Dataset, key: str) -> tuple[str, ...]:
-    """Names in an attribute of a data set; NetCDF has no list of one."""
-    names = data.attrs[key]
-    return (names,) if isinstance(names, str) else tuple(names)
 
 
 def values_of(name: str, given: Any) -> Float[np.ndarray, " values"]:

@@ -11,9 +11,9 @@ from jaxtyping import Array, Float
 
 from walker_jax.basins.volumes import grid_of
 from walker_jax.checks import WrongUse, check_kind
-from walker_jax.control.actions import names_in
 from walker_jax.storage.schema import check_dataset
 from walker_jax.systems.maps import Map
+from walker_jax.systems.outcomes import names_in
 from walker_jax.systems.system import System, check_single, code_field, numbers_of
 from walker_jax.walkers.parameters import with_parameter
 from walker_jax.walking.stride import stride
@@ -53,11 +53,10 @@ def steered_with(failures: tuple[str, ...]) -> type[Steered]:
 def Policy(walker: System, data: xr.Dataset) -> System:
     """The system with the actions that `viable` found, chosen anew before each stride.
 
-    In a cell with an action its parameters are means of those of that cell and of the neighbours
-    that have actions too, weighted by how near their centres are (linearly along each axis), so
-    that they are continuous and have derivatives within a cell's neighbourhood. Elsewhere, in the
-    target and off the kernel, they are the system's own: what converges to its attractor within the
-    target converges to that.
+    In a cell with an action, parameters are interpolated linearly along each axis between the
+    centres of that cell and of neighbours with actions, so they have derivatives. Elsewhere, in the
+    target and off the kernel, they are the system's own: a walker in the target converges to its
+    attractor.
 
     The result is a system like any other, with the parameters of `walker`: its basin, its
     robustness and all else are computed as usual.
@@ -82,7 +81,7 @@ def Policy(walker: System, data: xr.Dataset) -> System:
         raise WrongUse(f"walker must have the parameter {name}, which the actions set")
     tolerance = float(data.attrs["tolerance"])
     table = np.stack([data[name].values[data["action"].values] for name in names], axis=-1)
-    choose = interpolation(data, table)
+    choose = interpolate_actions(data, table)
 
     def steered(parameters):
         acting = walker
@@ -99,10 +98,11 @@ def Policy(walker: System, data: xr.Dataset) -> System:
     return steered_with(tuple(walker.failures))(advance, steered, walker)
 
 
-def interpolation(
+def interpolate_actions(
     data: xr.Dataset, table: Float[np.ndarray, "*shape parameters"]
 ) -> Callable[[Array, Array], Array]:
-    """The parameters at a point, from those of the cells around it, and its own elsewhere."""
+    """A function of a point and of own values of parameters: the values between cells with actions,
+    and the own ones elsewhere."""
     acts = data["action"].values >= 0
     grid = grid_of(data)
     counts, d = np.array(acts.shape), acts.ndim
@@ -111,12 +111,12 @@ def interpolation(
 
     def choose(x: Float[Array, " section"], own: Float[Array, " parameters"]) -> Any:
         to = lambda values: jnp.asarray(values, x.dtype)
-        across = (to(grid.unshear) * (x - to(grid.origin))).sum(axis=1)
-        u = (across - to(grid.lower)) / to(grid.spacing)
+        values, acting = to(flat), jnp.asarray(has)
+        u = grid.position(x).astype(x.dtype)
         inside = jnp.all((u >= 0) & (u < to(counts)))  # not so for NaN
         u = jnp.where(inside, u, 0.5)
         cell = jnp.clip(jnp.floor(u), 0, to(counts - 1)).astype(jnp.int32)
-        held = inside & jnp.asarray(has)[(cell * steps).sum()]
+        held = inside & acting[(cell * steps).sum()]
         first = jnp.floor(u - 0.5)
         share = u - 0.5 - first
         total, weight = jnp.zeros_like(own), jnp.zeros((), x.dtype)
@@ -125,8 +125,8 @@ def interpolation(
             there = jnp.clip(place, 0, jnp.asarray(counts - 1, jnp.int32))
             number = (there * steps).sum()
             near = jnp.prod(jnp.where(jnp.asarray(corner) == 1, share, 1 - share))
-            near = jnp.where(jnp.asarray(has)[number] & jnp.all(place == there), near, 0)
-            total = total + near * to(flat)[number]
+            near = jnp.where(acting[number] & jnp.all(place == there), near, 0)
+            total = total + near * values[number]
             weight = weight + near
         return jnp.where(held, total / jnp.where(held, weight, 1), own)
 

@@ -2,10 +2,11 @@
 
 A controller chooses an action before each stride, as values of parameters within limits. The states
 from which some choice keeps it going for ever are the viability kernel (Aubin 1991), outside of
-which no controller can prevent a failure; those from which one leads into a target, such as the
-basin of a gait, within n strides, are n-step capturable (Koolen and others 2012, International
-Journal of Robotics Research 31:1094-1113). The share of actions that keep a state viable is the
-measure of robustness of Heim and Sprowitz (2019, IEEE Transactions on Robotics 35:939-952).
+which no controller can prevent a failure. States from which some choice leads into a target, such
+as the basin of a gait, within n strides are n-step capturable (Koolen and others 2012,
+International Journal of Robotics Research 31:1094-1113). The share of actions that keep a state
+viable is the measure of robustness of Heim and Sprowitz (2019, IEEE Transactions on Robotics
+35:939-952).
 """
 
 from collections.abc import Mapping
@@ -19,6 +20,7 @@ from jaxtyping import Array, Bool, Float, Int, Int32
 from walker_jax.basins.memory import check_grid
 from walker_jax.basins.methods import cell_map
 from walker_jax.basins.schema import describe
+from walker_jax.basins.volumes import grid_of
 from walker_jax.cellmaps import cell_image, resolve
 from walker_jax.checks import WrongUse, array, check_kind, check_precision, refuses_tracers, short
 from walker_jax.control.actions import Actions, read_actions
@@ -35,12 +37,12 @@ from walker_jax.execution.progress import track
 from walker_jax.execution.tiles import map_cells, order_of_cells
 from walker_jax.grids import Grid
 from walker_jax.integrators.integrator import Integrator, integrator_of
-from walker_jax.systems.outcomes import Outcome
+from walker_jax.systems.outcomes import Outcome, failures_of, name_of_outcome
 from walker_jax.systems.system import System
 from walker_jax.walking.stride import stride
 
 BYTES_PER_IMAGE = 5
-"""Memory for each cell and action, without bounds; with them, and for each cell, more."""
+"""Memory for each cell and action, without bounds."""
 
 
 @refuses_tracers()
@@ -95,11 +97,12 @@ def viable(
     machine has not the memory for, for actions that are none, and for a target of another shape.
     """
     check_kind("walker", walker, System)
-    if grid_axes(grid) < len(walker.section) == grid.coordinates:
+    d = grid_axes(grid)
+    if d < len(walker.section) == grid.coordinates:
         raise WrongUse("grid must be of all coordinates of the section, not a slice", of="grid")
     choice = read_actions(walker, actions)
     check_kind("bounds", bounds, bool)
-    d, m = grid_axes(grid), len(choice.values)
+    m = len(choice.values)
     each = (BYTES_PER_IMAGE + (2 + 8 * d) * bounds) * m + 25 + bounds * 20 * d * (2**d + 1)
     check_grid(walker, grid, "cell-map", each, kind="viability")
     for name in {*grid.names} & {*choice.names}:
@@ -107,8 +110,12 @@ def viable(
     dtype = jnp.asarray(0.0).dtype
     check_precision(dtype)
     integrator = integrator_of(dtype, tolerance)
-    chosen = passive_basin(walker, grid, integrator) if target is None else read(target, grid)
-    points, boxes = images(walker, grid, choice, integrator, bounds, progress)
+    chosen = (
+        find_passive_basin(walker, grid, integrator)
+        if target is None
+        else read_target(target, grid)
+    )
+    points, boxes = map_actions(walker, grid, choice, integrator, bounds, progress)
     lasting = find_viable(points)
     kernel = lasting < 0
     capture, safe = find_capture(points, chosen), count_safe(points, kernel)
@@ -124,16 +131,16 @@ def viable(
         "action": np.where((kernel | (capture > 0)) & ~chosen, action, -1).astype(np.int32),
     }
     found |= {name: find_viable(one) < 0 for name, one in boxes.items()}
-    return dataset(walker, grid, choice, found, chosen, float(integrator.tolerance))
+    return to_dataset(walker, grid, choice, found, chosen, float(integrator.tolerance))
 
 
 def grid_axes(grid: Any) -> int:
-    """Number of axes of a grid, which is checked first."""
+    """The number of axes of a grid, checked to be one."""
     check_kind("grid", grid, Grid)
     return len(grid.names)
 
 
-def read(target: Any, grid: Grid) -> Bool[np.ndarray, " n"]:
+def read_target(target: Any, grid: Grid) -> Bool[np.ndarray, " n"]:
     """A target, checked, as a row."""
     values = array("target", target)
     if values.dtype != bool or values.shape != grid.shape:
@@ -144,13 +151,15 @@ def read(target: Any, grid: Grid) -> Bool[np.ndarray, " n"]:
     return values.ravel()
 
 
-def passive_basin(walker: System, grid: Grid, integrator: Integrator) -> Bool[np.ndarray, " n"]:
+def find_passive_basin(
+    walker: System, grid: Grid, integrator: Integrator
+) -> Bool[np.ndarray, " n"]:
     """Cells that converge to an attractor without a choice of actions, by cell mapping."""
     return resolve(cell_map(walker, grid, integrator), sinks=len(Outcome)).attractor >= 0
 
 
-class Images(NamedTuple):
-    """Where an action takes cells, or corners of cells."""
+class Arrivals(NamedTuple):
+    """Where an action takes starts: centres of cells, or their corners."""
 
     place: Float[np.ndarray, "n d"]
     """On each axis, in cells from the grid's lower end; of strides that were made."""
@@ -159,7 +168,7 @@ class Images(NamedTuple):
     """The cell, or the sink."""
 
 
-def images(
+def map_actions(
     walker: System,
     grid: Grid,
     actions: Actions,
@@ -176,10 +185,10 @@ def images(
     corners = grid_of_corners(grid)
     for number in track(range(m), "actions", progress, m):
         acting = actions.of(walker, number)
-        centres = images_of(acting, grid, grid, integrator)
+        centres = take_strides(acting, grid, grid, integrator)
         points.image[:, number] = centres.image
         if bounds:
-            around = images_of(acting, corners, grid, integrator)
+            around = take_strides(acting, corners, grid, integrator)
             box = box_around(grid, centres, around)
             low[:, number], high[:, number], whole[:, number], some[:, number] = box
     if not bounds:
@@ -197,34 +206,31 @@ def grid_of_corners(grid: Grid) -> Grid:
     return Grid(axes, grid.shear, grid.origin)
 
 
-def images_of(acting: System, starts: Grid, grid: Grid, integrator: Integrator) -> Images:
-    """Where a stride takes the centres of a grid, on another one."""
+def take_strides(acting: System, starts: Grid, grid: Grid, integrator: Integrator) -> Arrivals:
+    """Where strides from the centres of one grid arrive on another."""
     order = order_of_cells(starts.shape)
-    found = map_cells(image_of_start, ((acting, starts, grid, integrator), order))
+    found = map_cells(take_stride, ((acting, starts, grid, integrator), order))
     back = np.empty_like(order)
     back[order] = np.arange(len(order), dtype=order.dtype)
-    return Images(*(values[back] for values in found))
+    return Arrivals(*(values[back] for values in found))
 
 
-def image_of_start(
+def take_stride(
     shared: tuple[System, Grid, Grid, Integrator], index: Int[Array, ""]
 ) -> tuple[Float[Array, " d"], Bool[Array, ""], Int[Array, ""]]:
-    """`Images` of one start."""
+    """`Arrivals` of one start."""
     walker, starts, grid, integrator = shared
     by = {"tolerance": integrator.tolerance, "solver": integrator.solver}
     made = stride(walker, starts.centre(index), **by)
     image = cell_image(grid, made.state, made.outcome, leave=Outcome.LEFT_GRID)
-    away = made.state - jnp.asarray(grid.origin)
-    across = (jnp.asarray(grid.unshear) * away).sum(axis=1)
-    place = (across - jnp.asarray(grid.lower)) / jnp.asarray(grid.spacing)
-    return place, made.outcome == Outcome.STRIDE, image
+    return grid.position(made.state), made.outcome == Outcome.STRIDE, image
 
 
-def box_around(grid: Grid, centres: Images, corners: Images) -> tuple[np.ndarray, ...]:
-    """For each cell the box that holds its image, to second order, and for which bound it counts.
+def box_around(grid: Grid, centres: Arrivals, corners: Arrivals) -> tuple[np.ndarray, ...]:
+    """The box that holds the image of each cell, to second order, and whether each bound counts it.
 
-    That of the inner bound holds no failure, and lies on the grid; of the outer one some lies
-    there.
+    Returns its first and last places on each axis. The inner bound counts it if no part of the cell
+    fails and all of the box lies on the grid, the outer one if some of it does.
     """
     shape, d = np.array(grid.shape), len(grid.names)
     places = np.where(corners.made[:, None], corners.place, np.nan).reshape(*shape + 1, d)
@@ -257,7 +263,7 @@ def box_around(grid: Grid, centres: Images, corners: Images) -> tuple[np.ndarray
     return tuple(map(flat, (low, high, whole & inside & on_grid, (known & touches) | on_grid)))
 
 
-def dataset(
+def to_dataset(
     walker: System,
     grid: Grid,
     actions: Actions,
@@ -285,3 +291,21 @@ def dataset(
     over = {name: (grid.names, values.reshape(grid.shape)) for name, values in found.items()}
     columns = zip(actions.names, actions.values.T, strict=True)
     return data.assign(over).assign({name: ("action_number", row) for name, row in columns})
+
+
+def summarise_viability(data: xr.Dataset) -> dict:
+    """The areas of the kernel and of capturable states, and the failures around it, for JSON."""
+    capture, failure = data["capture"].values, data["failure"].values
+    cell = grid_of(data).cell_area
+    steps = range(1, int(capture.max(initial=0)) + 1)
+    codes, counts = np.unique(failure[~data["viable"].values], return_counts=True)
+    areas = ("area", "inner_area", "outer_area", "target_area")
+    return {
+        "cells": int(capture.size),
+        **{name: data.attrs.get(name) for name in areas},
+        "capturable": [float(((capture >= 0) & (capture <= n)).sum() * cell) for n in steps],
+        "failures": {
+            name_of_outcome(int(code), failures_of(data)): int(count)
+            for code, count in zip(codes, counts, strict=True)
+        },
+    }

@@ -1,4 +1,4 @@
-"""What the page offers: walkers in the plane, or other systems, each with planes and a window."""
+"""Offers of the page: walkers in the plane, or other systems, each with planes and a window."""
 
 import dataclasses
 import functools
@@ -26,7 +26,7 @@ from walker_jax.walkers.parameters import (
 from walker_jax.walkers.references import place_of
 
 ADDRESS_KEYS = ("walker", "section", "method", "tab", "over", "view", "start")
-"""What the page's address holds besides values of parameters; state.js writes and reads them."""
+"""Keys of the page's address besides parameters; state.js writes and reads them."""
 
 
 class Plane(NamedTuple):
@@ -34,7 +34,7 @@ class Plane(NamedTuple):
 
     axes: tuple[str, str]
     names: tuple[str, ...]
-    """Of these axes and of all other coordinates, in the order of the section."""
+    """Names of these axes and of all other coordinates, in the order of the section."""
 
     @property
     def others(self) -> tuple[str, ...]:
@@ -127,14 +127,14 @@ def loaded_offer(name: str, kind: type[System] | tuple[str, str], *others: Any) 
 
 
 def fingerprint_of(kind: type[System] | Map) -> str:
-    """That of the code of a class or of a map; empty for a class of the package."""
+    """The fingerprint of the code of a class or of a map; empty for a class of the package."""
     if isinstance(kind, type):
         return code_fingerprint(kind)
     return code_fingerprint(type(kind), code_of(kind))
 
 
 Offers = dict[str, Offer]
-"""What the page offers, by name: a request may name these, and no others."""
+"""The offers of a page, by name: a request may name these, and no others."""
 
 
 def at_defaults(kinds: Mapping[str, type[System]]) -> Offers:

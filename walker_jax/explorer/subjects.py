@@ -1,4 +1,4 @@
-"""What a request is about, checked: a walker or another system, its section, places on it.
+"""The subject of a request, checked: a walker or another system, its section, places on it.
 
 A request is JSON from a stranger. Every number in it is bounded, every name is looked up among
 those that there are, and `WrongUse` says in one sentence what is wrong.

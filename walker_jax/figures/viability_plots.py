@@ -10,7 +10,6 @@ from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.lines import Line2D
 
 from walker_jax.checks import WrongUse
-from walker_jax.control.actions import names_in
 from walker_jax.figures.layout import Shown, dress, figure_of, new_axes
 from walker_jax.figures.regions import (
     Extent,
@@ -23,7 +22,7 @@ from walker_jax.figures.regions import (
 from walker_jax.figures.style import INK
 from walker_jax.figures.text import coordinate_value, walker_title
 from walker_jax.storage.schema import check_dataset
-from walker_jax.systems.outcomes import failures_of
+from walker_jax.systems.outcomes import failures_of, names_in
 
 SHADES = ListedColormap(colormaps["cividis_r"](np.linspace(0.2, 1, 256)))
 """Shares of safe actions, darker the more; it reads alike without colour."""

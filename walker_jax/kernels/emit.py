@@ -45,6 +45,8 @@ class LLVMEmitter(Unrolling):
         """By type of an entry: that of its vectors."""
         self.constants: dict[tuple, ir.Constant] = {}
         """By known entry and type: its vector, whose words LLVM's library then makes once."""
+        self.tables: dict[tuple[int, int], tuple] = {}
+        """By identity of an array and axis: the array, and its tables in memory, if it is known."""
         self.functions: dict[int, tuple] = {}
         """By identity of an equation: the equation, and the function that it stands for."""
         self.alternatives: dict[int, tuple] = {}

@@ -7,7 +7,6 @@ between the old entry and the new one. Indices out of bounds have JAX's meaning:
 or, for `FILL_OR_DROP`, reading returns a fill value and writing does nothing.
 """
 
-import hashlib
 from collections.abc import Sequence
 from itertools import product
 from typing import Any, no_type_check
@@ -18,6 +17,7 @@ from jax import lax
 from llvmlite import ir
 
 from walker_jax.kernels.jaxprs import UnsupportedPrimitive, changes_entries
+from walker_jax.kernels.memory import entry_type
 from walker_jax.kernels.scalars import params_of
 from walker_jax.kernels.shortcuts import is_known
 
@@ -90,26 +90,27 @@ def slice_at(emitter, array: np.ndarray, axis: int, index, size: int, kind, dtyp
 
     if is_known(index):
         return beginning(min(max(int(index), 0), last))
-    if size == 1 and last >= TABLE and all(map(is_known, array.flat)):
-        return load_from_table(emitter, array, axis, index, kind, dtype)
+    if size == 1 and last >= TABLE and (tables := tables_of(emitter, array, axis, dtype)):
+        return load_from_tables(emitter, tables, array, axis, index, kind, dtype)
     check_size(array)
     return between(0, last)
 
 
 @no_type_check
-def load_from_table(emitter, array: np.ndarray, axis: int, index, kind, dtype) -> np.ndarray:
+def load_from_tables(
+    emitter, tables: list, array: np.ndarray, axis: int, index, kind, dtype
+) -> np.ndarray:
     """One slice of an array of known numbers at an index, which is clipped."""
     builder, lane, long = emitter.builder, ir.IntType(32), ir.IntType(64)
-    last = len(rows := np.moveaxis(array, axis, 0)) - 1
+    last, shape = array.shape[axis] - 1, np.delete(array.shape, axis)
     kinds = [np.dtype(kind)] * 2
     index = emitter.term(
         lax.min_p, {}, [emitter.term(lax.max_p, {}, [index, 0], kinds), last], kinds
     )
     index = builder.zext(index, ir.VectorType(long, emitter.lanes))
-    element = ir.IntType(8) if dtype == BOOL else emitter.scalar_type(dtype)
-    found = np.empty(rows.shape[1:], object)
-    for place in np.ndindex(found.shape):
-        table = table_of(emitter, rows[(slice(None), *place)], element, dtype)
+    element = entry_type(emitter, dtype)
+    found = np.empty(shape, object)
+    for place, table in zip(np.ndindex(*shape), tables, strict=True):
         vector = ir.Constant(ir.VectorType(element, emitter.lanes), ir.Undefined)
         for number in range(emitter.lanes):
             entry = builder.gep(table, [long(0), builder.extract_element(index, lane(number))])
@@ -119,18 +120,27 @@ def load_from_table(emitter, array: np.ndarray, axis: int, index, kind, dtype) -
 
 
 @no_type_check
-def table_of(emitter, numbers: np.ndarray, element, dtype) -> Any:
-    """A constant array in memory, one for all uses of the same numbers."""
-    values = np.asarray(numbers.tolist(), dtype)
-    name = f"table.{dtype}.{hashlib.sha256(values.tobytes()).hexdigest()}"
-    module = emitter.builder.module
-    if name not in module.globals:
-        kind = ir.ArrayType(element, len(values))
-        table = ir.GlobalVariable(module, kind, name)
-        table.global_constant, table.linkage = True, "internal"
-        whole = isinstance(element, ir.IntType)
-        table.initializer = kind([element(int(x) if whole else x) for x in values.tolist()])
-    return module.globals[name]
+def tables_of(emitter, array: np.ndarray, axis: int, dtype) -> list:
+    """Constant arrays in memory along an axis of an array of known numbers; none of any other."""
+    key = id(array), axis
+    if key not in emitter.tables:  # which keeps the array, so that no other has its id
+        known = all(map(is_known, array.flat))
+        rows = np.moveaxis(array, axis, -1).reshape(-1, array.shape[axis]) if known else ()
+        tables = [put_in_memory(emitter, np.asarray(row.tolist(), dtype)) for row in rows]
+        emitter.tables[key] = array, tables
+    return emitter.tables[key][1]
+
+
+@no_type_check
+def put_in_memory(emitter, values: np.ndarray) -> Any:
+    """A constant array of a program."""
+    module, element = emitter.builder.module, entry_type(emitter, values.dtype)
+    kind = ir.ArrayType(element, len(values))
+    table = ir.GlobalVariable(module, kind, module.get_unique_name("table"))
+    table.global_constant, table.linkage = True, "internal"
+    whole = isinstance(element, ir.IntType)
+    table.initializer = kind([element(int(x) if whole else x) for x in values.tolist()])
+    return table
 
 
 @no_type_check

@@ -11,6 +11,12 @@ ADDRESS = BYTE.as_pointer()
 
 
 @no_type_check  # as the emitter
+def entry_type(emitter, dtype) -> ir.Type:
+    """The type of an entry in memory, where a truth value takes a byte."""
+    return BYTE if dtype.kind == "b" else emitter.scalar_type(dtype)
+
+
+@no_type_check
 class Memory:
     """The arrays of cells: an operand or a result has the entries of one cell after another's."""
 
@@ -20,14 +26,10 @@ class Memory:
         self.cells: list[ir.Value] = []
         """For each lane, the number of its cell."""
 
-    def kind(self, dtype) -> ir.Type:
-        """The type of an entry in memory, where a truth value takes a byte."""
-        return BYTE if dtype.kind == "b" else self.emitter.scalar_type(dtype)
-
     def array(self, i: int, dtype) -> ir.Value:
         """The pointer to array number i."""
         address = self.builder.load(self.builder.gep(self.addresses, [LONG(i)]))
-        return self.builder.bitcast(address, self.kind(dtype).as_pointer())
+        return self.builder.bitcast(address, entry_type(self.emitter, dtype).as_pointer())
 
     def take_cells(self, first: ir.Value, last: ir.Value) -> None:
         """Give the lanes the cells from the first on.
@@ -45,7 +47,9 @@ class Memory:
         begins = [builder.mul(cell, stride) for cell in self.cells]
         values = np.empty(shape, object)
         for i, place in enumerate(np.ndindex(*shape)):
-            vector = ir.Constant(ir.VectorType(self.kind(dtype), len(begins)), ir.Undefined)
+            vector = ir.Constant(
+                ir.VectorType(entry_type(self.emitter, dtype), len(begins)), ir.Undefined
+            )
             for lane, begin in enumerate(begins):
                 value = builder.load(self.entry(array, begin, i))
                 vector = builder.insert_element(vector, value, ir.IntType(32)(lane))

@@ -56,7 +56,7 @@ class Program:
         self.name = name
         """Under which its trace is on disk, or will be; None if it cannot be."""
         self.traced = recall_trace(name)
-        """What is known of the function without a trace."""
+        """The facts that are known of the function without a trace."""
         if avals is None and self.traced is not None:
             avals = self.traced.operands, self.traced.results
         elif avals is None:
@@ -64,7 +64,7 @@ class Program:
         self.operands, self.results = avals
         """Abstract values: given for a derivative, which is often only the origin of another."""
         self.origin = origin
-        """Of a derivative: its program, the operands it is taken by, the number of directions."""
+        """A derivative has its program, the operands it is taken by, the number of directions."""
         first = len(self.operands) if origin is None else len(origin[0].operands)
         self.linear = frozenset(range(first, len(self.operands)))
         """Operands in which the function is jointly linear: the directions of a derivative."""

@@ -1,4 +1,4 @@
-"""What tracing led to, on disk, so that a process need not trace what another one has traced.
+"""An on-disk cache of traces, so that a process need not trace what another one has traced.
 
 To trace a function and to write its program takes most of the time until a first answer, once its
 machine code is on disk. So the shapes of its results are kept there too, beside the name of the
@@ -58,7 +58,7 @@ code_of_program = jax.make_user_context(None)
 
 
 class Traced(NamedTuple):
-    """What is known of a function without tracing it."""
+    """The facts that are known of a function without tracing it."""
 
     operands: list[ShapedArray]
     results: list[ShapedArray]
@@ -67,7 +67,7 @@ class Traced(NamedTuple):
     size: int
     """The number of operations of one cell."""
     digest: str
-    """Of its program, by which its machine code is found."""
+    """The hash of its program, by which its machine code is found."""
 
 
 class Unknown(Exception):
@@ -115,7 +115,7 @@ class Reach(Walk):
 
 
 def statics_of(structure: Any) -> list[Any]:
-    """What is static in the nodes of a tree."""
+    """The static values in the nodes of a tree."""
     data = structure.node_data()
     inner = [one for child in structure.children() for one in statics_of(child)]
     return inner if data is None else [data[1], *inner]
@@ -186,7 +186,7 @@ environment()  # now: a file may be edited later, when the code that is loaded i
 
 
 def recall_trace(name: str | None) -> Traced | None:
-    """What is on disk under a name."""
+    """The trace on disk under a name."""
     content = recall(name) if name else None
     if content is None:
         return None

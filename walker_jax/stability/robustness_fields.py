@@ -72,7 +72,7 @@ GROUND = {
     "low": Field("steps_to_fall_low", "number"),
     "high": Field("steps_to_fall_high", "number"),
 }
-"""What is known with a ground alone."""
+"""Variables that are known with a ground alone."""
 GROUND_NAMES = tuple(field.name for field in GROUND.values())
 NOTE = Field("note", "text")
 GROUPS = GAIT, LEAST_DISTURBANCE, LEAST_FALL, STEP_DOWN, STABILITY, RETURN, DIMENSION
@@ -99,7 +99,7 @@ def variables(group: Group, values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def variables_of_gait(gait: Gait) -> dict[str, Any]:
-    """Those of a gait, with its first state."""
+    """The variables of a gait, with its first state."""
     about = {
         "period": len(gait.states),
         "state": gait.states[0],
@@ -111,13 +111,13 @@ def variables_of_gait(gait: Gait) -> dict[str, Any]:
 
 
 def variables_of_steps(down: LeastStepDown, fall: LeastStepDown) -> dict[str, Any]:
-    """Those of the least step down, and of the least one from which the walker falls."""
+    """The variables of the least step down, and of the least from which the walker falls."""
     about = {"step_down": down.size, "step_down_failure": down.failure}
     return variables(STEP_DOWN, about | {"step_down_fall": fall.size})
 
 
 def variables_of_return(stability: BasinStability) -> dict[str, Any]:
-    """Those of the way back to the gait."""
+    """The variables of the way back to the gait."""
     about = {"median_strides": stability.median, "slowest_strides": stability.slowest}
     return variables(RETURN, stability._asdict() | about | {"mean_strides": stability.mean})
 

@@ -140,7 +140,7 @@ class Ends(NamedTuple):
 
 
 def assemble_tipping(ends: Ends, before: Mapper, after: Mapper, confidence: float) -> Tipping:
-    """What `tipping_probability` returns, by the mappers before and after the jump."""
+    """The result of `tipping_probability`, by the mappers before and after the jump."""
     rows, columns = np.unique(ends.before), np.unique(np.concatenate([ends.after, *ends.jumped]))
     counts = transition_counts(ends.before, ends.after, rows, columns)
     total = counts.sum(axis=1, keepdims=True)

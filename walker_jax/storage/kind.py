@@ -8,7 +8,7 @@ in rad, times in √(l/g), with leg length l and gravity g.
 from typing import NamedTuple
 
 SCHEMA_VERSION = 1
-"""That of the tables of kinds: stores of another one are refused."""
+"""The version of the tables of kinds: stores of another version are refused."""
 TYPES = {"integer": "iub", "real": "fiu", "boolean": "biu", "text": "UOST"}
 """The kinds of NumPy types, by their letters, that each type of variable may have."""
 STATE = "rad, rad/√(l/g)"
@@ -37,7 +37,7 @@ class Kind(NamedTuple):
     about: str
     variables: dict[str, Variable]
     attributes: dict[str, str]
-    """Those that every data set of this kind has, with their meaning."""
+    """Attributes that every data set of this kind has, with their meaning."""
     base: str = ""
     """The kind whose variables and attributes it has too."""
 

@@ -1,4 +1,4 @@
-"""What each kind of data set holds, and whether a data set is of a kind."""
+"""The contents of each kind of data set, and whether a data set is of a kind."""
 
 from typing import TYPE_CHECKING
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 KINDS: dict[str, Kind] = BASINS | GAITS
 """The kinds of data sets by name."""
 COUNTS = ("checked", "mistaken", "strides_made")
-"""What a refined basin counts, which a walker without a gait lacks in a table."""
+"""Counts of a refined basin, which a walker without a gait lacks in a table."""
 KINDS["robustness table"].variables.update(
     {
         # Integers are reals in a table, which has NaN for a walker without a gait.

@@ -55,7 +55,12 @@ OWN = Outcome.OWN_1, Outcome.OWN_2, Outcome.OWN_3, Outcome.OWN_4
 
 def failures_of(data: Any) -> tuple[str, ...]:
     """The names of its system's own failures that a data set has among its attributes."""
-    names = data.attrs.get("failures", ())
+    return names_in(data, "failures")
+
+
+def names_in(data: Any, attribute: str) -> tuple[str, ...]:
+    """The names that an attribute of a data set lists; none where it has no such attribute."""
+    names = data.attrs.get(attribute, ())
     return (names,) if isinstance(names, str) else tuple(names)  # NetCDF has no list of one
 
 

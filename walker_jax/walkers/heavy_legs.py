@@ -89,14 +89,14 @@ class HeavyLegWalker(MultibodyWalker):
         return unroll(above)(self, state.theta, state.phi)
 
     def reach(self, state):
-        """Of feet that roll, how far the walker gets by a step, rolling included."""
+        """With feet that roll, rolling is included: how far the walker gets by a step."""
         ahead = lambda walker, *legs: walker.swing_foot(with_joints(walker, *legs))[0]
         return unroll(ahead)(self, state.theta, state.phi)
 
     def feasible(self, x):
         """0 < theta < pi/2, thetadot < 0, and the trailing foot lifts: phidot > 2 thetadot."""
         theta, thetadot, phidot = x[0], x[1], x[2]
-        finite = functools.reduce(jnp.logical_and, [jnp.isfinite(one) for one in x])
+        finite = jnp.all(jnp.isfinite(x))
         forward = (theta > 0) & (theta < np.pi / 2) & (thetadot < 0)
         return finite & forward & (phidot > 2 * thetadot)
 
