@@ -16,13 +16,10 @@ from jax import lax
 
 import walker_jax as wj
 from walker_jax import multibody
+from walker_jax.integrators.expansion import with_fast_sincos
+from walker_jax.integrators.power_balance import VirtualPower
 from walker_jax.integrators.series import evaluate_polynomial, sincos
-from walker_jax.integrators.taylor import (
-    VirtualPower,
-    function_series,
-    solution_series,
-    with_fast_sincos,
-)
+from walker_jax.integrators.taylor import function_series, solution_series
 from walker_jax.kernels import kernel
 from walker_jax.kernels.scalars import unroll
 from walker_jax.multibody.single_support import SingleSupport
@@ -356,6 +353,38 @@ def test_series_differentiates_and_batches():
     series = jax.jit(jax.vmap(jax.jacfwd(lambda y: solution_series(jnp.square, y, ORDER))))(starts)
     for k, derivative in enumerate(series):
         np.testing.assert_allclose(derivative, (k + 1) * starts**k, rtol=1e-13)
+
+
+@pytest.mark.parametrize("times", [1, 2, 3])
+def test_derivatives_of_a_series_by_what_a_closure_holds(times):
+    """y' = a y^2 has the coefficients a^k y(0)^(k+1)."""
+
+    def coefficients(a, y):
+        return jnp.stack(solution_series(lambda y: a * jnp.square(y), y, ORDER))
+
+    def expected(a, y):
+        return jnp.stack([a**k * y ** (k + 1) for k in range(ORDER + 1)])
+
+    found = []
+    for function in (coefficients, expected):
+        for _ in range(times):
+            function = jax.jacfwd(function, argnums=(0, 1))
+        found.append(jax.tree.leaves(jax.jit(function)(0.7, 1.3)))
+    np.testing.assert_allclose(*found, rtol=1e-13)
+
+
+def test_derivatives_of_a_series_with_sines():
+    """tan(y / 2) = tan(y(0) / 2) exp(a t) for y' = a sin(y): dy/dy(0) = sin(y) / sin(y(0))."""
+    a, start = 0.7, 1.3
+    series = lambda a, y: jnp.stack(solution_series(lambda y: a * jnp.sin(y), y, ORDER))
+    y = lambda t: 2 * mpmath.atan(mpmath.tan(mpmath.mpf(start) / 2) * mpmath.exp(a * t))
+    expected = (
+        expected_series(lambda t: t * mpmath.sin(y(t))),
+        expected_series(lambda t: mpmath.sin(y(t)) / mpmath.sin(start)),
+    )
+    for jacobian in (jax.jacfwd, jax.jacrev):
+        for found, exact in zip(jax.jit(jacobian(series, (0, 1)))(a, start), expected, strict=True):
+            assert_series(found, exact)
 
 
 # Series of functions of a solution

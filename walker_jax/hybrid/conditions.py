@@ -15,8 +15,8 @@ from jax import lax
 from jaxtyping import Array, Bool
 
 from walker_jax.hybrid.modes import Condition, Function
+from walker_jax.integrators.expansion import with_fast_sincos
 from walker_jax.integrators.roots import Scalar
-from walker_jax.integrators.taylor import with_fast_sincos
 
 FINE = 1e-6
 """Resolution of a time, as part of a step. A value is right to the square of it."""

@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, PyTree
 
 from walker_jax.hybrid.conditions import least_between, value_and_rate
 from walker_jax.hybrid.modes import Condition, Guard, Mode
+from walker_jax.integrators.expansion import with_fast_sincos
 from walker_jax.integrators.method import zero_at
 from walker_jax.integrators.roots import (
     Instant,
@@ -25,7 +26,7 @@ from walker_jax.integrators.roots import (
     polynomial_jet,
 )
 from walker_jax.integrators.series import evaluate_polynomial
-from walker_jax.integrators.taylor import function_series, with_fast_sincos
+from walker_jax.integrators.taylor import function_series
 from walker_jax.integrators.taylor_steps import evaluate_series
 
 FINE = 1e-9

@@ -16,13 +16,13 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, PyTree
 
+from walker_jax.integrators.expansion import with_fast_sincos
 from walker_jax.integrators.roots import Real, Scalar, derivative_of
 from walker_jax.integrators.series import evaluate_polynomial
 from walker_jax.integrators.taylor import (
     VectorField,
     function_series,
     solution_series,
-    with_fast_sincos,
 )
 from walker_jax.integrators.taylor_solver import SeriesSteps, Taylor
 from walker_jax.integrators.taylor_steps import evaluate_series, taylor_step

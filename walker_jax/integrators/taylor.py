@@ -14,8 +14,6 @@ If f has a kink, its series continues the branch on which it starts, and is vali
 function changes sign. `switching_series` returns the series of these functions.
 """
 
-import abc
-import math
 from collections.abc import Callable
 
 import equinox as eqx
@@ -24,224 +22,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, PyTree
 
 from walker_jax.integrators.expansion import compose, switches
-from walker_jax.integrators.series import (
-    Series,
-    constant,
-    keeping_results,
-    recording,
-    scale,
-    series_log,
-)
+from walker_jax.integrators.power_balance import PowerBalance, coefficients_up_to
+from walker_jax.integrators.series import Series, recording, scale
 
 VectorField = Callable[[PyTree], PyTree]
-
-
-class PowerBalance(eqx.Module):
-    """Equations of motion as a balance of power, whose series needs no formula for accelerations.
-
-    A state holds coordinates first, then rates.
-    """
-
-    @abc.abstractmethod
-    def series(self, state: PyTree, order: int) -> PyTree[list]:
-        """Taylor coefficients of the solution."""
-
-    @abc.abstractmethod
-    def balance(
-        self, state: list[Series], start: list
-    ) -> tuple[list[Series], list[Series], list[Series]]:
-        """The series of the balance, and the lists of all series before and of it.
-
-        Those before depend on the unknown coefficient through their own of one order more.
-        """
-
-
-class VirtualPower(PowerBalance):
-    """Equations of motion as a balance of virtual power, without a formula for accelerations.
-
-    With x = F(q), they are p(q, q', x'') = 0, where p is linear in x'' = F(q(t))''. The series of
-    F(q(t)) follows from that of q(t), so neither derivatives of F nor the solution of linear
-    equations are expanded. A state holds the coordinates q first, then their rates.
-    """
-
-    @abc.abstractmethod
-    def transfer(self, q: list) -> list:
-        """F, from scalars q to scalars x."""
-
-    @abc.abstractmethod
-    def virtual_power(self, q: list, qdot: list, acceleration: list) -> list:
-        """p, of q, q' and x'': one scalar for each of q."""
-
-    @abc.abstractmethod
-    def factorise(self, q: list) -> PyTree:
-        """The matrix -dp/dx'' dF/dq, which multiplies q'' in -p, in a form for `solve`."""
-
-    @abc.abstractmethod
-    def solve(self, factors: PyTree, right: list) -> list:
-        """The solution of linear equations with the matrix of `factorise`."""
-
-    @eqx.filter_jit  # traced once for all calls
-    def __call__(self, state: PyTree) -> PyTree:
-        """The time derivative of a state."""
-        leaves, structure = jax.tree.flatten(state)
-        q, rates = leaves[: len(leaves) // 2], leaves[len(leaves) // 2 :]
-        velocity = lambda q: jax.jvp(self.transfer, (q,), (rates,))[1]
-        convective = jax.jvp(velocity, (q,), (rates,))[1]
-        accelerations = self.solve(self.factorise(q), self.virtual_power(q, rates, convective))
-        return jax.tree.unflatten(structure, rates + accelerations)
-
-    def series(self, state: PyTree, order: int) -> PyTree[list]:
-        """Taylor coefficients of the solution.
-
-        The k-th coefficient of p contains q_{k+2} only through the top coefficient of F(q(t)), with
-        the derivative of F at t = 0 as its factor. So p is first computed with q_{k+2} = 0; then
-        q_{k+2} is the solution of a linear equation whose right-hand side is that p.
-        """
-        with keeping_results():
-            return self.grow(state, order)
-
-    def grow(self, state: PyTree, order: int) -> PyTree[list]:
-        leaves, structure = jax.tree.flatten(state)
-        start, rates = leaves[: len(leaves) // 2], leaves[len(leaves) // 2 :]
-        factors = with_fast_sincos(self.factorise)(start)
-        # unknown coefficients are zero
-        q = [Series(lambda k: None, pair) for pair in zip(start, rates, strict=True)]
-        qdot = [derivative(series) for series in q]
-        p, of_transfer, of_power = self.balance([*q, *qdot], leaves)
-        for k in range(order):
-            missing = [jnp.zeros_like(start[0]) if c is None else c for c in (s[k] for s in p)]
-            for series in of_power:
-                del series.coefficients[k:]
-            for series in (*of_transfer, *q):
-                del series.coefficients[k + 2 :]
-            for series, value in zip(q, self.solve(factors, missing), strict=True):
-                series.coefficients.append(value * (1 / ((k + 1) * (k + 2))))
-        return jax.tree.unflatten(
-            structure, [coefficients_up_to(series, order) for series in (*q, *qdot)]
-        )
-
-    def balance(
-        self, state: list[Series], start: list
-    ) -> tuple[list[Series], list[Series], list[Series]]:
-        """The series of p along q(t), the list of all series of F, and that of all others of p."""
-        half = len(state) // 2
-        q, qdot = state[:half], state[half:]
-        with recording(series_log) as of_transfer:
-            x = compose(self.transfer, q, start[:half])
-        with recording(series_log) as of_power:
-            acceleration = [derivative(series, times=2) for series in x]
-            like = [jnp.zeros_like(start[0])] * len(x)
-            p = compose(
-                lambda args: self.virtual_power(*args),
-                (q, qdot, acceleration),
-                (start[:half], start[half:], like),
-            )
-        return p, of_transfer, of_power
-
-
-class ConstrainedPower(PowerBalance):
-    """Equations of motion of independent rates u, to which q' = T(q) u gives those of all q.
-
-    With momenta m = P(q) u they are p(q, u, m, m') = 0, one for each of u, where p is linear in m'.
-    A state holds the coordinates q first, then u.
-    """
-
-    @property
-    @abc.abstractmethod
-    def independent(self) -> tuple[int, ...]:
-        """Indices of the coordinates whose rates u are."""
-
-    @abc.abstractmethod
-    def rates(self, q: list, u: list) -> list:
-        """T(q) u: one scalar for each of q."""
-
-    @abc.abstractmethod
-    def momentum(self, q: list, u: list) -> list:
-        """P(q) u, to scalars m; more than p needs the rates of, if p needs them themselves."""
-
-    @abc.abstractmethod
-    def power(self, q: list, u: list, momentum: list, momentum_rates: list) -> list:
-        """p: one scalar for each of u."""
-
-    @abc.abstractmethod
-    def factorise(self, q: list) -> PyTree:
-        """The matrix -dp/dm' P, which multiplies u' in -p, in a form for `solve`."""
-
-    @abc.abstractmethod
-    def solve(self, factors: PyTree, right: list) -> list:
-        """The solution of linear equations with the matrix of `factorise`."""
-
-    def halves(self, leaves: list) -> tuple[list, list]:
-        """Coordinates, and independent rates."""
-        count = len(leaves) - len(self.independent)
-        return leaves[:count], leaves[count:]
-
-    @eqx.filter_jit  # traced once for all calls
-    def __call__(self, state: PyTree) -> PyTree:
-        """The time derivative of a state."""
-        leaves, structure = jax.tree.flatten(state)
-        q, u = self.halves(leaves)
-        qdot = self.rates(q, u)
-        momentum, convective = jax.jvp(lambda q: self.momentum(q, u), (q,), (qdot,))
-        udot = self.solve(self.factorise(q), self.power(q, u, momentum, convective))
-        return jax.tree.unflatten(structure, qdot + udot)
-
-    def series(self, state: PyTree, order: int) -> PyTree[list]:
-        """Taylor coefficients of the solution.
-
-        The k-th coefficient of p contains u_{k+1} only through the top coefficient of the momenta,
-        linearly, with P at t = 0 as its factor. So p is first computed with u_{k+1} = 0, and
-        u_{k+1} solves a linear equation whose right-hand side is that p.
-        """
-        with keeping_results():
-            return self.grow(state, order)
-
-    def grow(self, state: PyTree, order: int) -> PyTree[list]:
-        leaves, structure = jax.tree.flatten(state)
-        at, start = self.halves(leaves)
-        factors = with_fast_sincos(self.factorise)(at)
-        # unknown coefficients are zero
-        u = [Series(lambda k: None, [value]) for value in start]
-        qdot: list[Series] = []
-
-        def coordinate(i):
-            return Series(lambda k: at[i] if k == 0 else scale(qdot[i][k - 1], 1 / k))
-
-        q = [coordinate(i) for i in range(len(at))]
-        qdot += compose(lambda both: self.rates(*both), (q, u), (at, start))
-        p, of_momentum, of_power = self.balance([*q, *u], leaves)
-        for k in range(order):
-            missing = [jnp.zeros_like(leaves[0]) if c is None else c for c in (s[k] for s in p)]
-            for series in of_power:
-                del series.coefficients[k:]
-            for series in (*of_momentum, *u):
-                del series.coefficients[k + 1 :]
-            for series, value in zip(u, self.solve(factors, missing), strict=True):
-                series.coefficients.append(value * (1 / (k + 1)))
-        return jax.tree.unflatten(
-            structure, [coefficients_up_to(series, order) for series in (*q, *u)]
-        )
-
-    def balance(self, state, start):
-        both, at = self.halves(state), self.halves(start)
-        with recording(series_log) as of_momentum:
-            momentum = compose(lambda both: self.momentum(*both), both, at)
-        with recording(series_log) as of_power:
-            changes = [derivative(series) for series in momentum]
-            like = [jnp.zeros_like(start[0])] * len(momentum)
-            known = *both, momentum, changes
-            p = compose(lambda args: self.power(*args), known, (*at, like, like))
-        return p, of_momentum, of_power
-
-
-def derivative(series: Series, times: int = 1) -> Series:
-    """The derivative of a series by time, of order `times`."""
-
-    def rule(k):
-        coefficient = scale(series[k + times], math.perm(k + times, times))
-        return jnp.zeros_like(series[0]) if coefficient is None and k == 0 else coefficient
-
-    return Series(rule)
 
 
 @eqx.filter_jit
@@ -261,6 +45,12 @@ def solution_series(vector_field: VectorField, state: PyTree, order: int) -> PyT
     """
     if isinstance(vector_field, PowerBalance):
         return vector_field.series(state, order)
+    # What the function has in its closure becomes an argument, as derivatives go through it.
+    return expand_solution(eqx.filter_closure_convert(vector_field, state), state, order=order)
+
+
+@eqx.filter_custom_jvp
+def expand_solution(vector_field, state, *, order):
     leaves, structure = jax.tree.flatten(state)
     rates: list[Series] = []
 
@@ -270,6 +60,36 @@ def solution_series(vector_field: VectorField, state: PyTree, order: int) -> PyT
     solutions = jax.tree.unflatten(structure, [solution(i) for i in range(len(leaves))])
     rates += jax.tree.leaves(compose(vector_field, solutions, state))
     return jax.tree.map(lambda series: coefficients_up_to(series, order), solutions)
+
+
+@expand_solution.def_jvp
+def expand_variation(primals, tangents, *, order):
+    """The series of a solution and of its derivative, as the solution of one system."""
+    (vector_field, state), (change, dstate) = primals, tangents
+    tangent = lambda dx, x: jnp.zeros_like(x) if dx is None else dx
+    dstate = jax.tree.map(tangent, dstate, state, is_leaf=is_absent)
+    return expand_solution(VariedField(vector_field, change), (state, dstate), order=order)
+
+
+class VariedField(eqx.Module):
+    """The variational equations (y, dy)' = (f, (df/dy) dy + (df/dp) dp) of y' = f(y, p).
+
+    Their solution has the derivative dy of y along a direction in which parameters change by dp.
+    The coefficients of its series are the derivatives of those of y, but take fewer operations: the
+    derivative of the series of sin(y) is one product of series, cos(y) dy, and that of each of its
+    coefficients is part of four.
+    """
+
+    field: VectorField
+    change: PyTree
+    """dp: a tree as `field` is, with `None` for what is constant."""
+
+    def __call__(self, state: tuple[PyTree, PyTree]) -> tuple[PyTree, PyTree]:
+        (y, dy), change = state, self.change
+        varies = jax.tree.map(lambda dx, x: dx is not None, change, self.field, is_leaf=is_absent)
+        varying, constant = eqx.partition(self.field, varies)
+        f = lambda varying, y: eqx.combine(varying, constant)(y)
+        return jax.jvp(f, (varying, y), (change, dy))
 
 
 def function_series(function: Callable[[PyTree], PyTree], series: PyTree[list]) -> PyTree[list]:
@@ -318,22 +138,9 @@ def is_series(x) -> bool:
     return isinstance(x, Series)
 
 
-def with_fast_sincos(function: Callable) -> Callable:
-    """A function with every sine and cosine in it computed by `sincos`."""
-
-    def faster(*args):
-        constants = jax.tree.map(constant, args)
-        results = compose(lambda a: function(*a), constants, args)
-        return jax.tree.map(lambda series: jnp.asarray(series[0]), results)
-
-    return faster
+def is_absent(x) -> bool:
+    return x is None
 
 
 def is_list(x) -> bool:
     return isinstance(x, list)
-
-
-def coefficients_up_to(series: Series, order: int) -> list:
-    """The coefficients of a series as arrays, to an order."""
-    zero = jnp.zeros_like(series[0])
-    return [zero if series[k] is None else series[k] for k in range(order + 1)]

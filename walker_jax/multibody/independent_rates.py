@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from walker_jax.integrators.taylor import ConstrainedPower
+from walker_jax.integrators.power_balance import ConstrainedPower
 from walker_jax.kernels.scalars import unroll
 from walker_jax.multibody.constraints import rate_matrix
 from walker_jax.multibody.linear import block, factorise, solve_factored

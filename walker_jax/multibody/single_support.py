@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from walker_jax.integrators.power_balance import VirtualPower
 from walker_jax.integrators.roots import Scalar
-from walker_jax.integrators.taylor import VirtualPower
 from walker_jax.kernels.scalars import unroll
 from walker_jax.multibody.equations import solve_motion
 from walker_jax.multibody.linear import block, factorise, solve_factored

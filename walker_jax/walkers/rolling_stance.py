@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from walker_jax import multibody
-from walker_jax.integrators.taylor import ConstrainedPower
+from walker_jax.integrators.power_balance import ConstrainedPower
 from walker_jax.kernels.scalars import unroll
 from walker_jax.walkers.model import Scalar
 
