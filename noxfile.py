@@ -31,7 +31,7 @@ def tidy(session: nox.Session) -> None:
     session.install("-e", ".[dev]")
     session.run("ruff", "format", ".")
     session.run("ruff", "check", "--fix", ".")
-    session.run("python", "tests/test_schema.py")
+    session.run("python", "tests/storage/test_schema.py")
 
 
 @nox.session

@@ -29,7 +29,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PYTHONS = ("3.11", "3.12", "3.13", "3.14")
 SETS = {"oldest": "lowest-direct", "newest": "highest"}
 """How uv calls the two sets of versions."""
-TESTS = ("stride", "schema", "store")
+TESTS = ("walking/test_stride.py", "storage/test_schema.py", "storage/test_store.py")
 """The quick selection: files of tests that need the extra [test] alone, and take a minute."""
 JOB = ("-m", "walker_jax", "basin", "--json", "--overwrite")
 EXPECTED = {"cells": [3043, 1], "state": [0.1533895648762377, -0.1560801466756835]}
@@ -140,7 +140,7 @@ def try_versions(uv: str, version: str, name: str, place: Path) -> str:
     python = make_environment(uv, find_python(version), name, place, folder)
     began = time.monotonic()
     job = check_job(python, place, own_cache(place, folder))
-    tests = [f"tests/test_{one}.py" for one in TESTS]
+    tests = [f"tests/{one}" for one in TESTS]
     said = run(
         [python, "-m", "pytest", "-q", "-p", "no:cacheprovider", *tests],
         cwd=copy_of_tests(place),

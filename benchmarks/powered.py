@@ -1,7 +1,7 @@
 """Are gaits and sensitivity norms of powered walkers those of an independent integration?
 
-By scipy alone (tests/powered_reference.py): Runge-Kutta of order 8, places and velocities in the
-plane, differences of fourth order. docs/accuracy.md has the table that this prints.
+By scipy alone (tests/helpers/powered_reference.py): Runge-Kutta of order 8, places and velocities
+in the plane, differences of fourth order. docs/accuracy.md has the table that this prints.
 """
 
 import importlib
@@ -14,7 +14,7 @@ import numpy as np
 
 import walker_jax as wj
 
-sys.path.append(str(Path(__file__).parent.parent / "tests"))
+sys.path.append(str(Path(__file__).parent.parent / "tests" / "helpers"))
 reference: Any = importlib.import_module("powered_reference")  # a module of the tests
 
 WALKERS = (

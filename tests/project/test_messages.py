@@ -1,0 +1,161 @@
+"""The table of messages: a wrong use, and the whole line that it brings.
+
+`data/messages.txt` holds them, calls after >>> and command lines after $. Each message names the
+argument, and says what it must be or what to do instead, in one line of less than 200 characters.
+The calls run without the checks of signatures of the tests, as users make them.
+
+Every statement of the package that raises an error with a message is reached by a row, or by a test
+that `data/messages_elsewhere.txt` names, as it needs more than a row has: an earlier version, a
+full disk, another process, a long computation.
+"""
+
+import ast
+import inspect
+import operator
+import os
+import re
+import shlex
+from collections.abc import Iterator
+from functools import cache
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+import pytest
+from raise_sites import Site, all_sites, sites_behind
+from reference import DATA
+from unchecked import unchecked
+from wrong_uses import MODULES, names, prepare
+
+import walker_jax as wj
+from walker_jax.checks import ComputationFailed
+from walker_jax.cli import app, main
+
+
+def rows_of(file: str) -> list[list[str]]:
+    """The rows of a file, each of two lines."""
+    text = (DATA / file).read_text()
+    return [row.strip().split("\n") for row in text.split("\n\n")]
+
+
+TABLE = dict(rows_of("messages.txt"))
+"""Wrong uses, and the message that each brings."""
+ELSEWHERE = {
+    Site(*site.split(": ", 1)): tuple(test.split(" | "))
+    for test, site in rows_of("messages_elsewhere.txt")
+}
+"""Statements that raise errors, and the test that brings each, with words that it looks for."""
+CALL, LINE = ">>> ", "$ walker-jax"
+
+
+def error_of(use: str, known: dict[str, Any]) -> BaseException:
+    """The exception that a wrong use raises."""
+    with pytest.raises(Exception) as error:
+        if use.startswith(CALL):
+            eval(use.removeprefix(CALL), dict(known))
+        else:
+            app.app(shlex.split(use.removeprefix(LINE)), standalone_mode=False)
+    return error.value
+
+
+def message_of(use: str, error: BaseException) -> str:
+    """The message of a wrong use, and whether it is a failed computation or wrong usage."""
+    assert isinstance(error, Exception)
+    code, reason = main.verdict(error)
+    assert code == (1 if isinstance(error, ComputationFailed) else 2), (use, reason)
+    reason = str(error) if use.startswith(CALL) else main.on_one_line(reason)
+    return reason.replace(os.getcwd(), "HERE")
+
+
+class Told(NamedTuple):
+    """The message of a wrong use."""
+
+    message: str
+    sites: set[Site]
+    """The statements that raise it."""
+    failed: bool
+    """Whether the computation failed, though the use was right."""
+
+
+@pytest.fixture(scope="module")
+def told(tmp_path_factory) -> Iterator[dict[str, Told]]:
+    """The message of each wrong use, in a folder of its own."""
+    known, answers = names(), {}
+    with unchecked(), pytest.MonkeyPatch.context() as patch:
+        patch.chdir(tmp_path_factory.mktemp("told"))
+        prepare(patch)
+        for use in TABLE:
+            error = error_of(use, known)
+            failed = isinstance(error, ComputationFailed)
+            answers[use] = Told(message_of(use, error), sites_behind(error), failed)
+    yield answers
+
+
+@pytest.mark.parametrize("use", TABLE)
+def test_wrong_use_is_told_what_to_do(told, use):
+    assert told[use].message == TABLE[use]
+
+
+def test_every_error_of_the_package_has_a_row_or_a_test(told):
+    """One that is raised anew needs a row in `data/messages.txt`."""
+    reached = {site for one in told.values() for site in one.sites}
+    assert all_sites() - reached - ELSEWHERE.keys() == set()
+    assert ELSEWHERE.keys() - all_sites() == set(), "is raised no more"
+    assert ELSEWHERE.keys() & reached == set(), "has a row"
+
+
+@cache
+def source_of(test: str) -> str:
+    """The code of a test, FILE::NAME, its strings joined and without backslashes."""
+    file, name = test.split("::")
+    (path,) = DATA.parent.rglob(file)
+    text = path.read_text()
+    (node,) = (one for one in ast.parse(text).body if getattr(one, "name", "") == name)
+    assert isinstance(node, ast.FunctionDef)
+    nodes = [*node.decorator_list, node]
+    code = "\n".join(ast.get_source_segment(text, one) or "" for one in nodes)
+    return re.sub(r'"\s*r?f?"', "", code.replace("\\", ""))
+
+
+@pytest.mark.parametrize("site", ELSEWHERE, ids=lambda site: site.message)
+def test_other_tests_look_for_the_words_of_an_error(site):
+    test, words = ELSEWHERE[site]
+    assert len(words.split()) > 1 and words in source_of(test)
+    literal = re.search(r"\w+ \w+ \w+", site.message)  # and no expression that makes it
+    assert words in site.message or not literal
+
+
+PUBLIC = {name: getattr(wj, name) for name in wj.__all__}
+HOMES = SimpleNamespace(
+    **{one.__name__.rpartition(".")[2]: one for one in MODULES}, **PUBLIC, GRID=wj.Grid
+)
+"""Where the names that calls of the table begin with are found."""
+
+
+NAMES = names()
+
+
+def names_in(use: str) -> set[str]:
+    """The names that a message about a wrong use may give: those typed, and of its arguments."""
+    typed = {*re.findall(r"[\w-]+", use)}
+    known = typed | {"walker", "parameter", "slope", *REQUESTED}
+    if use.startswith(LINE):
+        command = use.removeprefix(LINE).split()[0]
+        options = app.load(command).params if command in app.COMMANDS else []
+        return known | {name for one in options for name in (*one.opts, one.opts[0].upper())}
+    for name in re.findall(rf"\b(?:wj\.|(?=(?:{'|'.join(vars(HOMES))})\b))([\w.]+)\(", use):
+        known |= {*inspect.signature(operator.attrgetter(name)(HOMES)).parameters}
+    for one in (NAMES[name] for name in typed & NAMES.keys()):
+        known |= {*getattr(one, "__dataclass_fields__", ()), *getattr(one, "_fields", ())}
+    return known
+
+
+REQUESTED = {"request", "tile", "tiles", "cells", "level", "at", "rectangles", "start"}
+"""Fields that requests of the page have."""
+
+
+@pytest.mark.parametrize("use", TABLE)
+def test_each_message_is_one_short_line_that_names_the_argument(told, use):
+    message, _, failed = told[use]
+    assert len(f"walker-jax: {message}") < 200 and not message.endswith((".", " "))
+    words = re.findall(r"[\w-]+", message.partition(", not ")[0])
+    assert failed or names_in(use) & {*words}
