@@ -91,6 +91,13 @@ def test_no_files_import_each_other():
         pytest.fail(" -> ".join(error.args[1]))
 
 
+def test_tests_stand_in_the_folders_of_their_rooms():
+    """Those in `project` are of the whole: its pages, messages and versions."""
+    folders = {one.name for one in (ROOT / "tests").iterdir() if any(one.glob("test_*.py"))}
+    assert folders - set(rooms_of_the_page()) == {"project"}
+    assert not list((ROOT / "tests").glob("test_*.py"))
+
+
 def test_no_room_has_the_name_of_a_public_function():
     """Or `import walker_jax.basin` would be a function, or a module, by what was imported first."""
     functions = {
