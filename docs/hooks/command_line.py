@@ -4,7 +4,7 @@ import re
 
 PLACE = "<!-- the options of every command -->"
 WALKER = "Walker"
-"""The panel of the options that describe a walker, the same in every command that takes one."""
+"""The theme of the options that describe a walker, the same in every command that takes one."""
 
 
 def on_page_markdown(markdown, *, page, config, files):
@@ -13,10 +13,12 @@ def on_page_markdown(markdown, *, page, config, files):
     from walker_jax.cli.app import COMMANDS, load
 
     commands = [load(name) for name in COMMANDS]
-    walkers = {row: None for command in commands for row in rows(command, WALKER)}
+    walkers = {
+        row: None for command in commands for row in rows(command, lambda theme: theme == WALKER)
+    }
     parts = ["### Options of the walker", table(walkers)]
     for command in commands:
-        own = rows(command, None)
+        own = rows(command, lambda theme: theme != WALKER)
         parts += [f"### walker-jax {command.name}", command.help, table(own)]
     return markdown.replace(PLACE, "\n\n".join(parts) + "\n")
 
@@ -28,13 +30,13 @@ def on_page_content(html, *, page, config, files):
     return re.sub(inline, lambda code: re.sub(r"--[\w-]+", option, code[0]), html)
 
 
-def rows(command, panel: str | None) -> list[str]:
-    """The rows of a command's arguments and options in one panel of its help."""
+def rows(command, of) -> list[str]:
+    """The rows of a command's arguments and options under themes of its help."""
     context = command.make_context(command.name, [], resilient_parsing=True)
     records = [
         one.get_help_record(context)
         for one in command.params
-        if getattr(one, "rich_help_panel", None) == panel
+        if of(getattr(one, "rich_help_panel", None))
     ]
     escaped = [[text.replace("|", "\\|") for text in record] for record in records if record]
     return [f"| `{flag}` | {text} |" for flag, text in escaped]

@@ -1186,20 +1186,31 @@ def test_the_walkers_are_listed_with_parameters_units_and_defaults(run):
 
 def test_help_has_the_slopes_that_a_walker_has_by_default(run):
     words = lambda *arguments: " ".join(run(*arguments)[1].replace("│", " ").split())
-    assert "of the ground; rad (default: 0.004, kneed: 0.05, spatial: 0.0702)" in words(
-        "walk", "--help"
-    )
+    assert "--slope X of the ground; rad (default: 0.004)" in words("walk", "--help")
+    kneed = words("walk", "--walker", "kneed", "--help")
+    assert "--slope X of the ground; rad (default: 0.05)" in kneed
     said = words("bifurcation", "--help")
     assert "Lowest value (default, of the slope: 0.001, kneed: 0.03)" in said
     assert "Highest value (default, of the slope: 0.022, kneed: 0.12)" in said
 
 
-def test_help_names_the_parameters_of_walkers(run):
-    code, out, _ = run("walk", "--help")
-    assert code == 0
-    words = " ".join(out.split())
-    for name in ("--walker", "--foot-mass", "--foot-radius", "--hip-stiffness", "--body-mass"):
-        assert name in words
+def test_help_has_the_parameters_of_the_walker_that_is_named(run):
+    for named in ([], ["--walker", "round-foot"], ["--walker=upper-body"], ["--system", "henon"]):
+        code, out, _ = run("basin", *named, "--help")
+        kind = WALKERS.get(named[-1].rpartition("=")[2] if named else "simplest", wj.HenonMap)
+        own = {option_of(one.name) for one in parameters(kind)}
+        others = {option_of(one.name) for kind in WALKERS.values() for one in parameters(kind)}
+        found = set(re.findall(r"^  (--[\w-]+) ", out, re.M))
+        assert code == 0 and own <= found and not (others - own) & found
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_begins_with_examples_and_is_short(run, name, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    lines = run(name, "--help")[1].splitlines()
+    assert lines[0].startswith(f"walker-jax {name} ") and "Examples:" in lines[:6]
+    assert len(lines) <= 60 and max(map(len, lines)) <= 80
+    assert not any("None" in line for line in lines)
 
 
 def test_another_walker_walks_and_is_named(run):

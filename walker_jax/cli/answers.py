@@ -79,10 +79,9 @@ def draw(axes, path: Path, request: dict) -> None:
 class Output:
     """Where the data set and the picture of a command go, and how its answer is printed."""
 
-    out: Path = option(Path(), "Where the data set goes (Zarr).")
-    figure: Path | None = option(
-        None, "Where the picture goes (default: the name of the data set with .png)."
-    )
+    theme = "Output"
+    out: Path = option(Path(), "Where the data set goes.")
+    figure: Path | None = option(None, "Where the picture goes (default: beside it, .png).")
     overwrite: bool = option(False, "Replace what is there.")
     as_json: bool = option(False, "Print the answer as JSON.", "--json")
 

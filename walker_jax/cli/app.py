@@ -12,8 +12,8 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
-from walker_jax.cli.examples import epilog
 from walker_jax.cli.groups import argument, arguments_of, ungrouped, with_arguments
+from walker_jax.cli.help_pages import HelpfulCommand
 from walker_jax.cli.list_walkers import ListWalkers
 from walker_jax.cli.version import Version
 
@@ -70,16 +70,19 @@ class Commands(TyperGroup):
             raise Interrupted(*resume_notes(interruption)) from interruption
 
 
-def load(name: str, args: Sequence[str] = ()):
-    """The command of that name, with its options, and those of the walker that `args` name."""
+def load(name: str, args: Sequence[str] | None = None):
+    """The command of that name, with its options.
+
+    Its help has those of the walker that its arguments name; without any, those of all walkers.
+    """
     function = ungrouped(getattr(import_module(f"walker_jax.cli.{name}_command"), name))
     if "ranges_over" in vars(function):  # a walker is its first argument
-        from walker_jax.cli.walker_options import offered_kinds, with_walker_options
+        from walker_jax.cli.walker_options import with_walker_options
 
-        function = with_walker_options(function, offered_kinds(function, args))
+        function = with_walker_options(function, args)
     single = typer.Typer(add_completion=False)
     text = flowing(inspect.cleandoc(function.__doc__ or ""))
-    single.command(name, help=text, epilog=epilog(name))(with_quiet(function))
+    single.command(name, cls=HelpfulCommand, help=text)(with_quiet(function))
     command = get_command(single)
     assert isinstance(command, TyperCommand)  # as it holds one command
     check_flags(command)
@@ -120,9 +123,7 @@ def silence(requested: bool) -> bool:
 
 Quiet = Annotated[
     bool,
-    typer.Option(
-        "--quiet", callback=silence, help="Show no progress: print the answer, or the error, alone."
-    ),
+    typer.Option("--quiet", callback=silence, help="Print the answer, or the error, alone."),
 ]
 
 

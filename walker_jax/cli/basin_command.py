@@ -42,9 +42,7 @@ UNITS = {"area": "rad^2/sqrt(l/g)", "volume": "rad^3 g/l"}
 class BasinWindow(Window):
     """A window of two dimensions or three, sheared or plain."""
 
-    at_phidot: float | None = option(
-        None, "A slice of such a section, followed directly (default: at the gait)."
-    )
+    at_phidot: float | None = option(None, "A slice of such a section (default: at the gait).")
     thetadot: Axis | None = option(
         None, "The plain section: thetadot in the place of --sum.", **AXIS
     )
@@ -74,28 +72,26 @@ class BasinWindow(Window):
 
 @dataclass(frozen=True)
 class Options:
+    theme = "Method"
     method: Literal["cell-map", "direct"] | None = option(
-        None, "Cell mapping (default), or direct iteration (always for a slice)."
+        None, "How (default: cell-map; a slice is always direct)."
     )
     strides: int | None = option(None, "Strides at most, direct only (default: 200).", min=1)
     levels: int | None = option(
         None,
-        "Cut cells on a boundary in two so many times: the area, or volume, with its error. A "
-        "section of three dimensions is then taken whole, without --at-phidot.",
+        "Cut cells on a boundary in two so many times: area or volume with its error.",
         min=0,
         max=8,
     )
     seed: int | None = option(None, "Seed of random numbers, --levels only (default: 0).", min=0)
     zoom: float | None = option(
         None,
-        "Zoom in on the boundary between fates: a window so many times as narrow, around a point "
-        "of it (direct; up to about 1e14).",
+        "A window so many times as narrow, up to 1e14, around a point of the boundary.",
         min=1,
     )
     near: tuple[float, float] | None = option(
         None,
-        "Of the boundary, the point nearest to this one, along the first two axes (default: their "
-        "middle).",
+        "Its centre is the boundary's point nearest to this one.",
         metavar="X Y",
     )
     animate: Path | None = option(None, "Where a film of the zoom goes, .gif or .mp4.")
@@ -147,9 +143,8 @@ def basin(
     """Compute and draw the basin of attraction of a walker's gait.
 
     The default is the basin of the simplest walker in the window of Schwab and Wisse (2001), Figure
-    4. For another walker the window is around its gait. The data set is written piece by piece: the
-    same command resumes an interrupted run. With --zoom 1e12 the window is one in which float64
-    hardly tells starts apart; its digits are kept.
+    4. For another walker the window is around its gait. With --levels a
+    section of three dimensions is taken whole. The same command resumes an interrupted run.
     """
     options.check(window)
     axes, cluster = window.axes(walker, 3 if options.zoom is None else 2), pieces.cluster()

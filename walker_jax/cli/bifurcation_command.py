@@ -42,6 +42,7 @@ def help_of_end(which: str, end: int) -> str:
 
 @dataclass(frozen=True)
 class Options:
+    theme = "Branches"
     over: str = option("slope", "The parameter that changes, from --from to --to.", metavar="NAME")
     low: float | None = option(None, help_of_end("Lowest", 0), "--from")
     high: float | None = option(None, help_of_end("Highest", 1), "--to")

@@ -17,6 +17,7 @@ from walker_jax.walkers.parameters import describe_in_words
 
 @dataclass(frozen=True)
 class Options:
+    theme = "Measures"
     strides: int = option(500, "Strides at most.", min=1)
 
 

@@ -23,6 +23,7 @@ DEFAULT = "slope=0.002:0.02:37"
 
 @dataclass(frozen=True)
 class Options:
+    theme = "Continuation"
     over: str = option(DEFAULT, "Values of a parameter.", metavar="NAME=LO:HI:N")
     samples: int = option(100_000, "Starts in the region.", min=1)
     strides: int = option(500, "Strides at most.", min=1)

@@ -34,8 +34,8 @@ EXAMPLES = {
     "basin": (
         "basin",
         "basin --method direct --slope 0.009 --out steep.zarr",
-        "basin --walker round-foot --theta 0.05 0.45 200 --sum -0.15 -0.02 160 --out slice.zarr",
-        "basin --system henon --a 1.02 --axis x=-2:2:400 --axis y=-2:2:400 --method direct",
+        "basin --walker round-foot --foot-radius 0.3",
+        "basin --system henon --a 1.02 --method direct",
     ),
     "boundary": ("boundary", "boundary --slope 0.009 --out steep.zarr"),
     "viable": (
@@ -53,7 +53,7 @@ EXAMPLES = {
         "continuation --walker powered --slope 0 --over push-off=0.02:0.1:17 --out powered.zarr",
     ),
     "optimise": (
-        "optimise --over slope --bound slope=0.001:0.02 --at-least speed 0.06",
+        "optimise --over slope --bound slope=0.001:0.02",
         "optimise --walker spring --over hip-stiffness --bound hip-stiffness=0:20",
     ),
     "sweep": (
@@ -75,17 +75,10 @@ DURATIONS = {
     "viable": "Half a minute for the example.",
     "robustness": "Twenty seconds or more for each slope; minutes for walkers with knees.",
     "continuation": "A minute or two for the example.",
-    "optimise": "Half a minute for the area over a slope, two for the least disturbance; up to an "
-    "hour for other walkers and more parameters. Fewer starts, a coarser grid (--theta, --sum) or "
-    "--scan 0 shorten it. Progress shows what is left.",
+    "optimise": "Half a minute for the area over a slope, an hour for more parameters; fewer "
+    "--starts and --scan 0 shorten it.",
     "sweep": "Some seconds for each combination, half a minute with --robust.",
     "export": "A second.",
     "reproduce": "Forty seconds; with --quick less.",
 }
 """How long each takes on two cores, as its help says."""
-
-
-def epilog(name: str) -> str:
-    """What the help of a command ends with."""
-    lines = [f"Takes on two cores: {DURATIONS[name]}", "Examples:"]
-    return "\n\n".join([*lines, *(f"  walker-jax {line}" for line in EXAMPLES[name])])

@@ -1,7 +1,7 @@
 """`walker-jax explore`."""
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -14,11 +14,15 @@ from walker_jax.systems.system import System, numbers_of
 from walker_jax.walkers.model import Walker
 from walker_jax.walkers.parameters import chosen_options
 
+PAGE: Any = {"rich_help_panel": "Page"}
+"""The theme of the help."""
+
 
 @dataclass(frozen=True)
 class Shown:
     """The window of a system's page."""
 
+    theme = "Page"
     axis: list[str] | None = AXES
 
 
@@ -27,13 +31,20 @@ def explore(
     walker: System,
     shown: Shown,
     port: Annotated[
-        int, typer.Option(min=0, max=65535, help="Where the server listens; 0 for a free port.")
+        int,
+        typer.Option(
+            min=0, max=65535, metavar="N", help="Where it listens; 0 for a free one.", **PAGE
+        ),
     ] = 0,
     host: Annotated[
-        str, typer.Option(help="The interface; any but this machine's own lets others in.")
+        str,
+        typer.Option(
+            metavar="NAME", help="The interface; any but this machine's own lets others in.", **PAGE
+        ),
     ] = "127.0.0.1",
     browser: Annotated[
-        bool, typer.Option("--browser/--no-browser", help="Whether to open the page.")
+        bool,
+        typer.Option("--browser/--no-browser", help="Whether to open the page.", **PAGE),
     ] = True,
 ) -> None:
     """Explore basins in a browser: drag the slope, watch the basin; click a start, watch it walk.

@@ -7,7 +7,7 @@ from pathlib import Path
 from walker_jax import storage
 from walker_jax.cli.answers import check_suffix, draw, listed, request_for, slope_of, tell
 from walker_jax.cli.groups import option
-from walker_jax.cli.options import PHIDOT_HELP, check_finite, exclude, refuse
+from walker_jax.cli.options import OUTPUT, PHIDOT_HELP, check_finite, exclude, refuse
 from walker_jax.cli.section import START, has_own_options, refuse_own, start_from, state_from
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.execution.progress import bar
@@ -21,6 +21,7 @@ from walker_jax.systems.system import System
 class Search:
     """Which gaits are searched for, and where the search begins."""
 
+    theme = "Search"
     period: int = option(1, "Strides in a cycle.", min=1)
     all: bool = option(False, "All gaits of the period, stable or not.")
     guess: tuple[float, float] | None = option(
@@ -57,9 +58,10 @@ class Search:
 
 @dataclass(frozen=True)
 class Picture:
+    theme = "Picture"
     figure: Path | None = option(None, "Where a picture of the Floquet multipliers goes.")
-    overwrite: bool = option(False, "Replace what is there.")
-    as_json: bool = option(False, "Print the answer as JSON.", "--json")
+    overwrite: bool = option(False, "Replace what is there.", **OUTPUT)
+    as_json: bool = option(False, "Print the answer as JSON.", "--json", **OUTPUT)
 
 
 @takes_walker(systems=True)

@@ -4,18 +4,34 @@ import dataclasses
 import functools
 import inspect
 from collections.abc import Callable, Iterable
-from typing import Annotated, Any
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 import typer
 
 from walker_jax.cli.rewording import option_of
 
 Command = Callable[..., None]
+PLACEHOLDERS = {int: "N", float: "X", Path: "FILE", str: "NAME"}
+"""What stands for a value in the help, by its type."""
 
 
 def option(default: Any, help: str, *flags: str, **settings: Any) -> Any:
     """A field of a group: an option with this help, and what else `typer.Option` takes."""
     return dataclasses.field(default=default, metadata={"option": (flags, help, settings)})
+
+
+def placeholder(kind: Any) -> str | None:
+    """A word for a value of this type, in the help; that of a flag has none."""
+    if get_origin(kind) is Literal:
+        return "|".join(get_args(kind))
+    inner = (placeholder(one) for one in get_args(kind))  # of a union, or of a list
+    return PLACEHOLDERS.get(kind) or next(filter(None, inner), None)
+
+
+def theme_of(group: Any) -> str | None:
+    """The heading above a group in the help."""
+    return getattr(group, "theme", None)
 
 
 def argument(name: str, annotation: Any, default: Any) -> inspect.Parameter:
@@ -41,6 +57,8 @@ def arguments_of(command: Command) -> list[inspect.Parameter]:
         for field in dataclasses.fields(one.annotation):
             flags, text, settings = field.metadata["option"]
             flags = flags or [option_of(field.name)] * (field.default is False)  # no --no-...
+            said = {"metavar": placeholder(field.type), "rich_help_panel": theme_of(one.annotation)}
+            settings = said | settings
             annotation = Annotated[field.type, typer.Option(*flags, help=text, **settings)]
             found.append(argument(field.name, annotation, given.get(field.name, field.default)))
     return found

@@ -51,6 +51,8 @@ ListWalkers = Annotated[
         "--list-walkers",
         is_eager=True,
         callback=list_walkers,
-        help="List the walkers and other systems, their parameters, units and defaults.",
+        help="List all walkers and systems, with their parameters; "
+        "--walker NAME --help has those of one.",
+        rich_help_panel="Walker",
     ),
 ]

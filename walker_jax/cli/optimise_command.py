@@ -38,6 +38,7 @@ SAVED_EVERY = 2.0
 class Problem:
     """The free parameters and the objective."""
 
+    theme = "Problem"
     over: list[str] | None = option(None, "A parameter that is free; may be repeated.")
     bound: list[str] | None = option(
         None, "Its bounds; one for each of them.", metavar="NAME=LO:HI"
@@ -49,10 +50,10 @@ class Problem:
         metavar="NAME",
     )
     at_least: tuple[str, float] | None = option(
-        None, "Least speed, step-length, ...; one limit.", metavar="NAME VALUE"
+        None, "Least speed, step-length, ...; one limit.", metavar="NAME X"
     )
     at_most: tuple[str, float] | None = option(
-        None, "Greatest value of one of them; one limit.", metavar="NAME VALUE"
+        None, "Greatest value of one of them; one limit.", metavar="NAME X"
     )
 
     def limits(self) -> dict[str, dict[str, float]]:
@@ -74,6 +75,7 @@ class OptimumRegion(Volume):
 
 @dataclass(frozen=True)
 class Options:
+    theme = "Search"
     starts: int = option(3, "Starts: the walker given, and others within the bounds.", min=1)
     levels: int | None = option(
         None, "Refinement of areas at both ends (default: 4; of volumes 2).", min=0, max=8
@@ -93,10 +95,8 @@ def optimise(
 ) -> None:
     """Design a walker: the parameters with the largest basin, or another objective, by gradient.
 
-    For example: walker-jax optimise --over slope --bound slope=0.001:0.02 --at-least speed 0.06
-
     Measurements are saved as they are made: the same command resumes an interrupted run. The
-    picture shows the ascent over a scan of the objective, and the basins before and after.
+    picture shows the ascent, and the basins before and after.
     """
     from walker_jax import figures
 

@@ -16,19 +16,20 @@ from walker_jax.walkers.parameters import check_parameter
 
 Json = Annotated[bool, typer.Option("--json", help="Print the answer as JSON.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
+OUTPUT = {"rich_help_panel": "Output"}
+"""Of options in another group, which the help has beside those of output."""
 RANGE_FORM = "NAME=LO:HI:N"
-PHIDOT_HELP = "Rate between the legs, for walkers whose section has it"
+PHIDOT_HELP = "Rate between the legs, on sections that have it"
 
 
 @dataclass(frozen=True)
 class Pieces:
     """Who computes the pieces of a data set."""
 
-    workers: int | None = option(
-        None, "Compute pieces in so many processes (Dask), which share the cores.", min=1
-    )
+    theme = "Processes"
+    workers: int | None = option(None, "Processes that share the cores (Dask).", min=1)
     scheduler: str | None = option(
-        None, "Compute pieces on the workers of a Dask scheduler.", metavar="ADDRESS"
+        None, "Of a Dask cluster, to compute pieces there.", metavar="ADDRESS"
     )
 
     def cluster(self) -> int | str | None:

@@ -10,7 +10,9 @@ from walker_jax.cli.options import Json, Overwrite
 
 
 def reproduce(
-    out: Annotated[Path, typer.Option(help="The folder of the report.")] = Path("report"),
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Where the report goes.")] = Path(
+        "report"
+    ),
     quick: Annotated[
         bool, typer.Option("--quick", help="With fewer cells and slopes, without exact areas.")
     ] = False,

@@ -36,7 +36,7 @@ class BasinRegion(Region):
     theta: Axis | None = option(None, "Stance angle, rad (default: 0 0.7854 200).", **AXIS)
     sum: Axis | None = option(
         None,
-        "theta + thetadot (default: -0.12 0.06 200; -1.1 0.1 800 but for the simplest).",
+        "theta + thetadot (simplest: -0.12 0.06 200, else -1.1 0.1 800).",
         **AXIS,
     )
 
@@ -51,6 +51,7 @@ class BasinRegion(Region):
 
 @dataclass(frozen=True)
 class Options:
+    theme = "Measures"
     levels: int = option(4, "Times that cells on a boundary are cut in two.", min=0, max=8)
     disturbances: float = option(
         0.1, "Largest disturbance for basin stability, as a share of the gait's state."
@@ -77,6 +78,7 @@ class Options:
 
 @dataclass(frozen=True)
 class Table:
+    theme = "Slopes"
     over: str = option("slope", "The parameter of a table, with --from and --to.", metavar="NAME")
     low: float | None = option(None, "Lowest slope, or value, of a table.", "--from")
     high: float | None = option(None, "Highest.", "--to")
@@ -105,13 +107,10 @@ def robustness(
 ) -> None:
     """Measure how large a disturbance a gait survives, on one slope or over many.
 
-    The measures are the area of the basin with its error; the least disturbance (minimal fatal
-    shock) from which the walker does not return to its gait and, where that leads to another
-    motion, the least one from which it falls; the least step down; the fraction of random
-    disturbances that it survives; the dimension of the boundary; and with --ground the mean number
-    of strides until it falls there. The default region has all
-    angles of a walker on point feet, is a slice around the gait of any other, and of any other
-    system the region in which its gaits are searched for.
+    The measures: the basin's area; the least disturbance from which the walker does not return to
+    its gait, and the least from which it falls; the least step down; the fraction of random
+    disturbances that it survives; the dimension of the boundary; and on rough ground the mean
+    number of strides until it falls.
     """
     name, values = underscored(table.over), table.values(walker)
     how, grid = options.settings(walker), region.grid(walker)

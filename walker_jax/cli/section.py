@@ -28,8 +28,7 @@ Axis = tuple[float, float, int]
 AXIS = {"metavar": "LO HI N"}
 AXES: Any = option(
     None,
-    "An axis along a coordinate of the section, or NAME=VALUE for a slice there: one for each, in "
-    "the place of the other axes.",
+    "An axis by name, or NAME=VALUE for a slice: one for each coordinate of the section.",
     metavar="NAME=LO:HI:N",
 )
 START: Any = option(None, "A coordinate of the start, by name: one for each.", metavar="NAME=VALUE")
@@ -67,6 +66,7 @@ class Section:
 class Window(Section):
     """The window of a picture, by default that of the paper."""
 
+    theme = "Window"
     theta: Axis | None = option(None, "Stance angle, rad (default: 0 0.4 200).", **AXIS)
     sum: Axis | None = option(None, "theta + thetadot (default: -0.04 0.01 250).", **AXIS)
     at_phidot: float | None = option(None, f"{PHIDOT_HELP}: a slice there (default: at the gait).")
@@ -100,6 +100,7 @@ class Window(Section):
 class Region(Section):
     """The region in which areas are measured, by default all of the section."""
 
+    theme = "Region"
     theta: Axis | None = option(None, "Stance angle, rad (default: all).", **AXIS)
     sum: Axis | None = option(None, "theta + thetadot.", **AXIS)
     at_phidot: float | None = option(None, f"{PHIDOT_HELP}: a slice there (else at the gait).")
@@ -140,7 +141,8 @@ class Volume(Region):
 class Start:
     """A point of the section."""
 
-    theta: float | None = option(None, "Stance angle at the start, rad (default: see above).")
+    theme = "Start"
+    theta: float | None = option(None, "Stance angle at the start, rad (default: see below).")
     thetadot: float | None = option(None, "Its rate at the start, rad per unit of time.")
     phidot: float | None = option(None, f"{PHIDOT_HELP}.")
     start: list[str] | None = START

@@ -29,6 +29,7 @@ SHOWN = *GAIT, "least_disturbance", "least_fall", "step_down", "step_down_fall"
 
 @dataclass(frozen=True)
 class Options:
+    theme = "Combinations"
     over: list[str] | None = option(
         None, "Values of a parameter; give it again for others.", metavar="NAME=LO:HI:N"
     )

@@ -19,6 +19,7 @@ from walker_jax.walkers.parameters import check_parameter, describe_in_words
 
 @dataclass(frozen=True)
 class Options:
+    theme = "Actions"
     action: list[str] | None = option(
         None,
         "A parameter that is chosen anew before each stride, with N values; all combinations of "

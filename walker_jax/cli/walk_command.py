@@ -14,7 +14,7 @@ from walker_jax.basins.windows import film_window
 from walker_jax.checks import WrongUse
 from walker_jax.cli.answers import check_film, request_for, tell
 from walker_jax.cli.groups import option
-from walker_jax.cli.options import check_finite, refuse_for_systems
+from walker_jax.cli.options import OUTPUT, check_finite, refuse_for_systems
 from walker_jax.cli.section import Start, begin_at, has_own_options
 from walker_jax.cli.walker_options import takes_walker
 from walker_jax.execution.progress import bar
@@ -30,14 +30,15 @@ FRAME_INTERVAL = 0.15
 
 @dataclass(frozen=True)
 class Options:
+    theme = "Walk"
     strides: int = option(9, "Strides at most.", min=1, max=1_000_000)
     ground: float | None = option(None, "Standard deviation of the steps of rough ground.", min=0)
     seed: int = option(0, "Seed of random numbers.", min=0)
     animate: Path | None = option(
         None, "Where a film goes, .gif, or .mp4 if the program ffmpeg is installed."
     )
-    overwrite: bool = option(False, "Replace what is there.")
-    as_json: bool = option(False, "Print the answer as JSON.", "--json")
+    overwrite: bool = option(False, "Replace what is there.", **OUTPUT)
+    as_json: bool = option(False, "Print the answer as JSON.", "--json", **OUTPUT)
 
     def heights(self) -> Float[np.ndarray, " strides"] | None:
         """The heights of the steps of rough ground."""

@@ -79,9 +79,14 @@ def value_of(option: str, args: Sequence[str]) -> str | None:
     return value
 
 
-def with_walker_options(command: Command, kinds: Kinds) -> Command:
-    """The command with options for the walkers that it offers, in the place of its walker."""
-    offered = offered_options(kinds)
+def with_walker_options(command: Command, args: Sequence[str] | None) -> Command:
+    """The command with options for the walkers that it offers, in the place of its walker.
+
+    Its help has those of the walker that its arguments name; without any, those of all walkers.
+    """
+    kinds = offered_kinds(command, args or ())
+    named = value_of("--system", args or ()) or value_of("--walker", args or ()) or DEFAULT
+    offered, told = offered_options(kinds), named if args is not None else None
     ranges_over: str | None = vars(command)["ranges_over"]
 
     def takes(walker, list_walkers, system=None, **given):
@@ -96,7 +101,7 @@ def with_walker_options(command: Command, kinds: Kinds) -> Command:
 
     own = [argument("walker", WALKER, DEFAULT)]
     own += [argument("system", SYSTEM, None)] if vars(command)["systems"] else []
-    own += [option_for(name, owners, len(kinds)) for name, owners in offered.items()]
+    own += [option_for(name, owners, len(kinds), told) for name, owners in offered.items()]
     own += [argument("list_walkers", ListWalkers, False), *arguments_of(command)[1:]]
     return with_arguments(own, command, takes)
 
@@ -121,9 +126,17 @@ def offered_options(kinds: Kinds) -> Offered:
     return offered
 
 
-def option_for(name: str, owners: Mapping[str, Any], count: int) -> inspect.Parameter:
-    """The option for what some of a number of walkers have."""
-    one, panel = next(iter(owners.values())), PANEL
+def option_for(
+    name: str, owners: Mapping[str, Any], count: int, told: str | None
+) -> inspect.Parameter:
+    """The option for what some of a number of walkers have; help is of the one that is told of."""
+    if told is None:
+        panel = PANEL
+    elif told in owners:
+        owners, count, panel = {told: owners[told]}, 1, PANEL
+    else:
+        panel = PANEL | {"hidden": True}
+    one = next(iter(owners.values()))
     whose = "" if len(owners) == count else f"{', '.join(owners)}: "
     if isinstance(one, Option):
         flag = typer.Option(option_of(name), help=f"{whose}{one.meaning}.", **panel)
@@ -134,7 +147,7 @@ def option_for(name: str, owners: Mapping[str, Any], count: int) -> inspect.Para
         if other.default != one.default and not math.isnan(other.default):
             defaults += f", {owner}: {other.default:g}"
     text = f"{whose}{about} ({defaults})".strip()
-    number = typer.Option(option_of(name), help=text, show_default=False, **panel)
+    number = typer.Option(option_of(name), help=text, show_default=False, metavar="X", **panel)
     return argument(PREFIX + name, Annotated[float | None, number], None)
 
 
@@ -147,7 +160,7 @@ NAME: Any = PANEL | {"metavar": "NAME"}
 WALKER = Annotated[
     str,
     typer.Option(
-        help=f"Its model: {' | '.join(WALKERS)}, or one's own, FILE.py:CLASS.",
+        help="The model, such as kneed, or FILE.py:CLASS.",
         autocompletion=names_that_begin,
         **NAME,
     ),
@@ -155,7 +168,7 @@ WALKER = Annotated[
 SYSTEM = Annotated[
     str | None,
     typer.Option(
-        help=f"Any other system instead: {' | '.join(SYSTEMS)}, or one's own, FILE.py:NAME.",
+        help="Any other system, such as henon, or FILE.py:NAME.",
         autocompletion=lambda incomplete: [one for one in SYSTEMS if one.startswith(incomplete)],
         **NAME,
     ),
