@@ -76,7 +76,7 @@ class OptimumRegion(Volume):
 @dataclass(frozen=True)
 class Options:
     theme = "Search"
-    starts: int = option(3, "Starts: the walker given, and others within the bounds.", min=1)
+    starts: int = option(3, "Walkers to start from: the one given, and others.", min=1)
     levels: int | None = option(
         None, "Refinement of areas at both ends (default: 4; of volumes 2).", min=0, max=8
     )
