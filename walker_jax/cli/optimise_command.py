@@ -46,7 +46,7 @@ class Problem:
     objective: list[str] | None = option(
         None,
         "area (default), volume, least-disturbance, speed, step-length, spectral-radius, "
-        "sensitivity-norm or cost-of-transport; NAME=WEIGHT, repeated, for a weighted sum.",
+        "sensitivity-norm or cost-of-transport; NAME=WEIGHT for a sum.",
         metavar="NAME",
     )
     at_least: tuple[str, float] | None = option(
