@@ -149,7 +149,7 @@ def short(value: Any) -> str:
 
 
 class PrecisionWarning(UserWarning):
-    """What is asked rests on many strides, and is computed in float32."""
+    """The answer rests on many strides, and is computed in float32."""
 
 
 FLOAT64_HINT = 'turn on float64 first, by jax.config.update("jax_enable_x64", True)'

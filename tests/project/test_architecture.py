@@ -112,6 +112,20 @@ def test_files_are_short():
     assert {name for name, count in lines.items() if count > MOST} == set()
 
 
+def test_docstrings_begin_with_their_subject():
+    """A noun or a verb: a sentence that begins with a relative clause is read twice."""
+    kinds = ast.Module | ast.ClassDef | ast.FunctionDef
+    described = [
+        (name, found)
+        for name, path in MODULES.items()
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, kinds) and (found := ast.get_docstring(node))
+    ]
+    assert len(described) > 1000
+    unclear = r"(What|Which|Whose|Of|That|Those)\b"
+    assert [one for one in described if re.match(unclear, one[1])] == []
+
+
 def test_signatures_are_checked_in_every_room_with_shapes(pytestconfig):
     """In the others it takes a tenth of all processor time, and would look at a type or two."""
     hardly = {"cli", "execution", "identity", "integrators", "kernels", "paper", "storage"}

@@ -1,4 +1,4 @@
-"""What a data set of a basin says: its area, its large basins, the classes of its cells."""
+"""The area, the large basins and the classes of cells of a basin's data set."""
 
 from collections.abc import Sequence
 from typing import NamedTuple

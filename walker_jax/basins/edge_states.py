@@ -49,7 +49,7 @@ SAMPLE = 257
 
 
 class EdgeState(NamedTuple):
-    """What the boundary between two fates leads to."""
+    """The state or set to which the boundary between two fates leads."""
 
     kind: str
     """"saddle", an unstable gait; the name of a margin that is zero there, for the boundary of a

@@ -47,7 +47,7 @@ class Labels(NamedTuple):
 
     @property
     def fallen(self) -> Bool[np.ndarray, " n"]:
-        """Which are known to have failed."""
+        """Mark the walks that are known to have failed."""
         return ~np.isin(self.fate, (Outcome.STRIDE, Outcome.UNDECIDED))
 
     @property

@@ -31,7 +31,7 @@ def match_cycles(
     known: Sequence[Float[np.ndarray, "_ section"]],
     within: float,
 ) -> list[int]:
-    """Of each cycle, the index of the known one that is nearest, each taken once; -1 for none."""
+    """Find the nearest known cycle of each cycle: its index, each taken once; -1 for none."""
     matches = [NONE] * len(cycles)
     pairs = [
         (cycle_distance(cycle, one), i, k)

@@ -57,7 +57,7 @@ class MappedPieces(NamedTuple):
         return {"image": constant_array(self.grid, -1, np.int32)}
 
     def notes(self) -> dict:
-        """What is computed before all pieces, and stored."""
+        """The results that are computed before all pieces, and stored."""
         return {}
 
     def piece(self, notes: dict, block: Block) -> dict[str, np.ndarray]:
@@ -99,7 +99,7 @@ class FollowedPieces(NamedTuple):
         return {"ends": constant_array(self.grid, np.nan, dtype, None, "coordinate")}
 
     def notes(self) -> dict:
-        """What is computed before all pieces, and stored."""
+        """The results that are computed before all pieces, and stored."""
         window, made = self.window()
         strides = self.settings["strides"] - made
         mapper = mapper_of_grid(self.walker, window, self.integrator, strides)

@@ -100,7 +100,7 @@ class RefinedCells:
             )
 
     def on_boundary(self, values: Shaped[np.ndarray, " runs"]) -> Bool[np.ndarray, " n"]:
-        """Which of the cells followed on this level have a neighbour, in a run of another value.
+        """Mark the cells followed on this level that have a neighbour in a run of another value.
 
         Others have none: where labels differ, both cells have been followed.
         """

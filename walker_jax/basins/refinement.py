@@ -113,7 +113,7 @@ def refine(
 
 
 class Refined(NamedTuple):
-    """What `refine` finds."""
+    """The result of `refine`."""
 
     grid: Grid
     """The finest."""

@@ -103,7 +103,7 @@ class Runs(NamedTuple):
         return int(np.where(outer, lengths, np.minimum(ends, lengths)).sum())
 
     def cells_of_level(self, level: int, number: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
-        """Those of the cells of a level, in ascending order, that have these numbers from 0 on."""
+        """The cells of a level, in ascending order, that have these numbers from 0 on."""
         own = np.flatnonzero(self.level == level)
         ends = np.cumsum(self.lengths[own])
         place = np.searchsorted(ends, number, "right")

@@ -49,7 +49,7 @@ class Basins(NamedTuple):
 
 
 def artefacts(data: xr.Dataset) -> Bool[np.ndarray, " number"]:
-    """Which attractors of a data set are artefacts of cells; none where it does not tell."""
+    """Mark the attractors that are artefacts of cells; none where a data set does not tell."""
     return data["artefact"].values if "artefact" in data else np.zeros(data.sizes["number"], bool)
 
 

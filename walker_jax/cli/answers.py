@@ -1,4 +1,4 @@
-"""What commands print, draw and save."""
+"""The answers of commands: printed, drawn and saved."""
 
 import json
 import math

@@ -19,7 +19,7 @@ from walker_jax.systems.system import System
 
 @dataclass(frozen=True)
 class Search:
-    """Which gaits are searched for, and where the search begins."""
+    """The gaits that are searched for, and where the search begins."""
 
     theme = "Search"
     period: int = option(1, "Strides in a cycle.", min=1)

@@ -171,7 +171,7 @@ def measures_in_words(row: dict, where: str) -> Iterator[str]:
 
 
 def returns_in_words(survived: dict, gait: dict) -> Iterator[str]:
-    """Which disturbances are survived, and how soon they are over."""
+    """Describe which disturbances are survived, and how soon they are over."""
     yield (
         f"    {survived['value']:.1%} ({survived['low']:.1%} to {survived['high']:.1%}) of "
         f"disturbances up to {survived['disturbances']:g} of the gait's state are survived; "

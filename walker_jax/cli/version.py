@@ -45,7 +45,7 @@ def print_version(requested: bool) -> bool:
 
 
 def processor_name() -> str:
-    """What the processor is called."""
+    """The name of the processor."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:  # not Linux
@@ -55,7 +55,7 @@ def processor_name() -> str:
 
 
 def vector_extensions() -> str:
-    """Which of the extensions it has that decide how many numbers it works on at once."""
+    """The extensions it has that decide how many numbers it works on at once."""
     import llvmlite.binding as llvm
 
     features = llvm.get_host_cpu_features()

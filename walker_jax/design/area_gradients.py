@@ -178,7 +178,7 @@ def area_gradient(
 
 
 class Integral(NamedTuple):
-    """That of v along the boundary, for each parameter."""
+    """The integral of v along the boundary, for each parameter."""
 
     gradient: Float[np.ndarray, " parameters"]
     error: Float[np.ndarray, " parameters"]

@@ -256,7 +256,7 @@ def grid_for(problem: Problem, places: list[Float[np.ndarray, " parameters"]]) -
 
 
 def measure_ends(trace: Trace, start: Evaluation, best: Evaluation) -> dict:
-    """What `optimise` says of the best climb's start and its end."""
+    """Measure the start and the end of the best climb."""
     problem, sides = trace.problem, {"start": start, "optimum": best}
     found: dict = {}
     ends = [problem.place_of(row.parameters) for row in sides.values()]

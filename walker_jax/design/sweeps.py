@@ -46,7 +46,7 @@ MAX_COMBINATIONS = 2**20
 
 
 class Measurement(NamedTuple):
-    """What is measured of every combination, and how; as the arguments of `sweep`."""
+    """The measurements of every combination, as the arguments of `sweep` ask for them."""
 
     walker: System
     grid: Grid

@@ -125,7 +125,7 @@ class Trace:
             self.keep(self.data([*self.rows, *left]))
 
     def label(self, values: Float[np.ndarray, " parameters"]) -> str:
-        """What progress shows of a measurement: which one it is, and how much time is left."""
+        """The label of a measurement in the progress: its number, and how much time is left."""
         done = len(self.rows)
         each = (time.perf_counter() - self.began) / max(done, 1)
         left = f", {in_words(each * max(self.expected - done, 1))} left" if done else ""

@@ -1,4 +1,4 @@
-"""What a computation shows of its progress: on a terminal, on request.
+"""The progress of a computation, shown on a terminal, on request.
 
 A computation within another adds a line to what the other one shows.
 """

@@ -1,4 +1,4 @@
-"""What one takes away from the page: the command, and the Python, that give the same result."""
+"""The command, and the Python, that give the same result as the page."""
 
 import hashlib
 import shlex

@@ -113,7 +113,7 @@ class Guard:
         return secrets.compare_digest(given, self.token)
 
     def hosts(self, scope: Scope) -> set[str]:
-        """What a request may call this machine, as in Host."""
+        """The names by which a request may call this machine, as in Host."""
         names = self.names | {in_link(scope["server"][0])}
         return {f"{name}:{self.port}" for name in names} | (names if self.port == 80 else set())
 

@@ -1,4 +1,4 @@
-"""What takes longer than a picture: gaits, area, least disturbance, bifurcation diagram, data.
+"""Measures that take longer than a picture: gaits, area, least disturbance, bifurcations, data.
 
 A worker computes these, in a process of its own (`workers`). Answers are what JSON holds, or bytes.
 """

@@ -50,7 +50,7 @@ REMEMBERED = 256
 
 
 class Known(NamedTuple):
-    """What is known of a subject."""
+    """All that is known of a subject."""
 
     mapper: Mapper
     at: tuple[float, ...]

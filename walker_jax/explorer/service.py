@@ -89,7 +89,7 @@ class Lane:
 
 
 class Service:
-    """What answers requests: threads, workers, and which walkers are compiled."""
+    """The service that answers requests: threads, workers, and the walkers that are compiled."""
 
     def __init__(self, offers: Offers = FAMILY) -> None:
         self.offers = offers
@@ -196,7 +196,7 @@ class Service:
             start = np.array(found["next"])
 
     async def measure(self, request: Request) -> Response:
-        """What takes longer than a picture; see `measures`."""
+        """Measure what takes longer than a picture; see `measures`."""
         asked = mapping("request", await read_json(request))
         subject = read_subject(asked, self.offers)
         kind = request.path_params["kind"]
@@ -229,7 +229,7 @@ class Service:
         return Response(await unless_gone(request, work), media_type="application/zip")
 
     async def wanted(self, request: Request) -> tuple[Subject, Any, str]:
-        """What a request takes away."""
+        """The files that a request takes away."""
         asked = mapping("request", await read_json(request))
         subject = read_subject(asked, self.offers)
         method = choice("method", asked.get("method", METHODS[0]), METHODS)
@@ -238,7 +238,7 @@ class Service:
         return subject, cells, method
 
     async def alive(self, request: Request) -> Response:
-        """That the server is there."""
+        """Answer that the server is there."""
         return JSONResponse({"alive": True})
 
 

@@ -52,7 +52,7 @@ class Interrupted(BaseException):
 
 
 class Failure(Exception):
-    """What a worker raised: its kind, `SAID` or the name of the exception, and the message."""
+    """An exception of a worker: its kind, `SAID` or its name, and the message."""
 
 
 def serve(connection: Connection, settings: dict[str, Any]) -> None:
@@ -89,7 +89,7 @@ def quiet(unraisable: Any) -> None:
 
 
 def answer(function: Callable, arguments: tuple) -> tuple[str, Any]:
-    """What a function returns, or how it fails; an interrupt ends it."""
+    """The result of a function, or how it fails; an interrupt ends it."""
 
     def give_up(number: int, frame: FrameType | None) -> None:
         raise Interrupted

@@ -233,7 +233,7 @@ def evenly_spaced(count: int, most: int) -> np.ndarray:
 
 
 def slicing_hint(fate: xr.DataArray) -> str:
-    """What to do with a basin of three dimensions where one of two is drawn."""
+    """Say what to do with a basin of three dimensions where one of two is drawn."""
     others = [name for name in fate.dims if name not in ("theta", "thetadot", "sum")]
     if fate.ndim != 3 or len(others) != 1:
         return ""

@@ -302,7 +302,7 @@ def measure_words(name: str) -> str:
 
 
 def limit_words(data: xr.Dataset) -> str:
-    """What limits forbid; without any, a scan has gaps only where the walker has no gait."""
+    """Describe what limits forbid; without any, a scan has gaps only where there is no gait."""
     sides = [
         f"{measure_words(name)} {side} {limit:g}"
         for name, pair in limits(data).items()

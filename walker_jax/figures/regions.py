@@ -133,7 +133,7 @@ WRITTEN_COORDINATES = 3
 
 
 def attractor_name(period: int, section: list[str], cycle: Float[np.ndarray, "n section"]) -> str:
-    """What the legend says of an attractor: its period, and up to two of its states."""
+    """The legend of an attractor: its period, and up to two of its states."""
     names = [SYMBOLS.get(name, name) for name in section]
     states = [", ".join(f"{value:.4f}" for value in state) for state in cycle.tolist()]
     shown = ", ".join(f"({state})" for state in states[:2]).replace("-", "−")

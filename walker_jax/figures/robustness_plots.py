@@ -123,7 +123,7 @@ def distance_phrase(starts: list[NearestStart]) -> str:
 
 
 def start_phrase(start: NearestStart, data: xr.Dataset) -> str:
-    """What the legend says of the nearest start that does not return."""
+    """The legend of the nearest start that does not return."""
     if start.outcome == Outcome.STRIDE:
         return "nearest start that converges to another attractor"
     fails = failure_words(start.outcome, failures_of(data))

@@ -33,7 +33,7 @@ class Request(NamedTuple):
 
 
 class Response(NamedTuple):
-    """What `linearise` and `differentiate_twice` return for the cycle of a request."""
+    """The result of `linearise` and `differentiate_twice` for the cycle of a request."""
 
     local: Linearisation
     second: SecondDerivatives | None

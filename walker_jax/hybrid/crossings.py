@@ -74,7 +74,7 @@ def comes_near_zero(series: list[Scalar], length: Scalar) -> Bool[Array, ""]:
 
 
 class Rest(NamedTuple):
-    """What is not linear in a function, at most, over a step."""
+    """A bound on the part of a function that is not linear over a step."""
 
     value: Scalar
     rate: Scalar

@@ -64,7 +64,7 @@ def load_or_compile(name: str, compile: Callable[[], bytes]) -> bytes:
 
 
 def recall(name: str) -> bytes | None:
-    """What is on disk under a name, if it is whole."""
+    """Read what is on disk under a name, if it is whole."""
     try:
         folder = private_folder("kernels")
         return read(folder / f"{name}{SUFFIX}") if folder else None

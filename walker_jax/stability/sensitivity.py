@@ -140,7 +140,7 @@ def respond_to(
 
 
 def look_up(what: str, table: dict[str, Any], name: Any) -> Any:
-    """What a name stands for, or the function given in place of one."""
+    """Find the function that a name stands for, or the one given in place of a name."""
     if callable(name):
         return name
     if not isinstance(name, str) or name not in table:

@@ -43,7 +43,7 @@ def with_checksums(data: "xarray.Dataset") -> "xarray.Dataset":
 
 
 def codecs() -> tuple:
-    """What is done to the bytes of each chunk."""
+    """The codecs through which the bytes of each chunk go."""
     from zarr.codecs import Crc32cCodec, ZstdCodec
 
     return ZstdCodec(), Crc32cCodec()

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 def resumable(
     path: Path, begun: Callable[[], bool] = lambda: True, *, overwrite: bool = False
 ) -> Iterator[None]:
-    """What interrupts the work within carries a note that the same again resumes from `path`.
+    """Let an interruption of the work within carry a note that it is resumed from `path`.
 
     `begun` is whether anything is there to resume from, `overwrite` whether that was given.
     """
@@ -94,7 +94,7 @@ class Pieces(NamedTuple):
         return math.prod(self.counts)
 
     def place(self, piece: int) -> tuple[int, ...]:
-        """Which piece along each axis it is."""
+        """The number of the piece along each axis."""
         return tuple(int(i) for i in np.unravel_index(piece, self.counts))
 
     def at(self, piece: int) -> tuple[slice, ...]:
@@ -120,7 +120,7 @@ class Pieces(NamedTuple):
         return self.group[name].with_config({"write_empty_chunks": True})
 
     def read(self, name: str, piece: int) -> np.ndarray:
-        """What an array holds of a piece."""
+        """Read the part of an array that is of a piece."""
         array = self.array(name)
         with naming(self.path, self.chunk_file(array, piece).relative_to(self.path).as_posix()):
             return np.asarray(array[self.at(piece)])

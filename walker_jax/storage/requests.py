@@ -1,4 +1,4 @@
-"""What was asked for, in words that are compared: the attribute `request` of a data set."""
+"""Requests in words that are compared: the attribute `request` of a data set."""
 
 import hashlib
 import json
@@ -70,7 +70,7 @@ def check_picture(
 
 
 def signature(request: dict) -> str:
-    """What a picture of `request` carries as its title, by which it is known again."""
+    """The title that a picture of `request` carries, by which it is known again."""
     return f"walker-jax {hashlib.sha256(canonical_json(request).encode()).hexdigest()}"
 
 

@@ -1,1 +1,1 @@
-"""What a return map must provide: maps, systems of modes, and outcomes of strides."""
+"""Return maps: systems in general, maps, systems of modes, and outcomes of strides."""

@@ -77,7 +77,7 @@ def names_of_outcomes(failures: Sequence[str] = ()) -> dict[Outcome, str]:
 
 
 class Stride(NamedTuple):
-    """What a stride leads to."""
+    """The result of a stride."""
 
     state: Float[Array, "*cells section"]
     """Start of the next stride, on the section; NaN unless the outcome is `STRIDE`."""
@@ -88,7 +88,7 @@ class Stride(NamedTuple):
 
 
 class Walk(NamedTuple):
-    """What a number of strides leads to. Nothing follows a failure: later states are NaN."""
+    """The result of a number of strides. Nothing follows a failure: later states are NaN."""
 
     states: Float[Array, "strides+1 coordinates"]
     """Start of each stride, and of the one after the last; full states on rough ground."""

@@ -73,7 +73,7 @@ class TorsoWheel(HybridSystem):
     section: ClassVar = ("thetadot", "psi", "psidot")
 
     def system(self) -> multibody.System:
-        """Of q = (u, v, theta, psi), u and v of the foot along and normal to the slope."""
+        """Masses and F(q), with q = (u, v, theta, psi); u and v are the foot's, as of the slope."""
 
         def torque(q, qdot):
             tau = self.stiffness * (self.lean - q[3]) - self.damping * qdot[3]

@@ -74,7 +74,7 @@ class SwitchedCompass(HybridSystem):
     section: ClassVar = ("theta", "thetadot", "phidot")
 
     def system(self) -> multibody.System:
-        """Of q = (u, v, theta, phi), u and v of the stance foot along and normal to the slope."""
+        """Masses and F(q), with q = (u, v, theta, phi); u and v are the stance foot's."""
 
         def transfer(q):
             hip, to_mass = q[:2] + leg(q[2]), self.com_from_hip
@@ -129,7 +129,7 @@ def foot_speed(state: CompassState) -> Scalar:
 
 
 def normal_force(walker: SwitchedCompass, state: CompassState) -> Scalar:
-    """Of the ground on the stance foot."""
+    """The normal force of the ground on the stance foot."""
     return accelerations_and_forces(walker, state)[1][1]
 
 

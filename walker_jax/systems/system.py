@@ -1,4 +1,4 @@
-"""What gaits, basins, stability and design need of what they study: a return map with parameters.
+"""A return map with parameters: all that gaits, basins, stability and design need to know.
 
 A system has a section, with names for its coordinates, and a rule that leads from one point of it
 to the next. The walkers of the package are systems, and so is any map, any flow with a period, any

@@ -19,7 +19,7 @@ UNBOUNDED = {"low": -np.inf, "high": np.inf}
 
 
 class FeedbackWalker(Walker):
-    """What the walkers that `Feedback` makes have in common."""
+    """The common part of the walkers that `Feedback` makes."""
 
     controlled: eqx.AbstractClassVar[tuple[str, ...]]
     """Names of the parameters that are set at each heel strike."""

@@ -207,7 +207,7 @@ class KneedWalker(HeavyLegWalker):
         return jnp.stack(leg_below) - hip
 
     def system(self):
-        """That of straight legs."""
+        """The system of straight legs."""
         bent = self.bent_system()
         return System(lambda q: bent.transfer(straight(q)), bent.masses, bent.forces)
 

@@ -104,7 +104,7 @@ class MultibodyPhase(MultibodyMotion, Phase):
 
     @abc.abstractmethod
     def closing(self, q: Float[Array, " q"]) -> Float[Array, " g"]:
-        """What is zero where the phase ends, and stays zero from then on."""
+        """The distance that is zero where the phase ends, and stays zero from then on."""
 
     def contacts(self, q):
         """The stance foot stays where it is."""

@@ -1,4 +1,4 @@
-"""What a walker is: its state, its section, its equations, and what is known of it.
+"""A walker: its state, its section, its equations, and what is known of it.
 
 Conventions, those of Schwab and Wisse (2001), whose equation numbers stand below. Gravity is 1.
 The unit of mass and that of length are the user's; where a walker has no parameter for them, they
@@ -48,7 +48,7 @@ LEAST_SCUFF = {jnp.dtype("float64"): 1e-9, jnp.dtype("float32"): 1e-5}
 
 
 class Walker(HybridSystem):
-    """What a stride needs to know of a walker. Its fields are its parameters, scalars all.
+    """A walker, as strides know it. Its fields are its parameters, scalars all.
 
     But for options, which are static.
     """
@@ -193,7 +193,7 @@ class Walker(HybridSystem):
         return jnp.zeros_like(state.theta, bool)
 
     def conditions(self) -> Conditions:
-        """What else must not be negative up to heel strike: by default only the force Q_v."""
+        """Functions that must not be negative up to heel strike: by default only the force Q_v."""
         return {}
 
     @abc.abstractmethod

@@ -44,19 +44,19 @@ def parameters_of(kind: type[System] | System) -> tuple[Parameter, ...]:
 
 
 def described_by(walker: type[System] | System, kind: type[Described]) -> tuple[Described, ...]:
-    """What describes the fields of a walker, of one kind: those parameters have bounds."""
+    """The descriptions of one kind of a walker's fields: those parameters have bounds."""
     described = (description(field, kind) for field in dataclasses.fields(walker))
     return tuple(one for one in described if one is not None)
 
 
 def description(field: dataclasses.Field, kind: type[Described]) -> Described | None:
-    """What describes a field, if it is of the kind: its converter is a method of that."""
+    """The description of a field, if it is of the kind: its converter is a method of that."""
     one = getattr(field.metadata.get("converter"), "__self__", None)
     return one if isinstance(one, kind) else None
 
 
 class Option(NamedTuple):
-    """What a walker's strides are checked for, or not: a static field."""
+    """A check of a walker's strides, made or not: a static field."""
 
     name: str
     meaning: str

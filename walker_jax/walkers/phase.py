@@ -58,7 +58,7 @@ class Phase(eqx.Module):
 
     @abc.abstractmethod
     def event(self, state: Any) -> Scalar:
-        """What rises through zero where the phase ends, and is negative before."""
+        """The function that rises through zero where the phase ends, and is negative before."""
 
     @abc.abstractmethod
     def end(self, state: Any) -> Any:

@@ -22,7 +22,7 @@ HIP_DAMPER = Parameter(
 
 
 class AbstractPoweredWalker(MultibodyWalker):
-    """What motors add to a walker with masses, by the general method.
+    """The motors of a walker with masses, by the general method.
 
     The hip's torque, dual to phi, is -hip_spring (phi - hip_angle) - hip_damper phidot: on the
     swing leg, and the opposite on the stance leg. Push-off is an impulse of the ground on the
@@ -50,7 +50,7 @@ class AbstractPoweredWalker(MultibodyWalker):
         )
 
     def motor_work(self, start, end):
-        """What the energy gains in the swing, by the hip alone, and in push-off.
+        """The energy gained in the swing, by the hip alone, and in push-off.
 
         Not known with phases: what is lost between them would count as work done on the motors.
         """

@@ -240,7 +240,7 @@ def check_complete(noun: str, name: str, kind: type[System]) -> None:
 
 
 def choose_from(names: Sequence[str], place: str) -> str:
-    """What to give for one of the walkers, or systems, of a place."""
+    """Say what to give for one of the walkers, or systems, of a place."""
     if not names:
         return f"{place} defines none"
     return "give " + " or ".join(f"{place}:{name}" for name in names)

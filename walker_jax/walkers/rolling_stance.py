@@ -113,7 +113,7 @@ class RollingStance(ConstrainedPower):
         return unroll(lambda self, q, u: self.momenta(q[3:], u).scalars())(self, q, u)
 
     def momenta(self, angles: list, u: list) -> Momenta:
-        """Of lean, theta and phi, and the rates."""
+        """The momenta of lean, theta and phi, and the rates."""
         walker = self.walker
         lean, theta, phi = angles
         yawdot, leandot, thetadot, phidot = u
@@ -153,7 +153,7 @@ class RollingStance(ConstrainedPower):
         return jnp.stack([c * h[0] + s * h[2], h[1], c * h[2] - s * h[0]])
 
     def weight(self, yaw: Scalar, lean: list[Scalar]) -> Vector:
-        """Of a leg, along the axle's frame."""
+        """The weight of a leg, along the axle's frame."""
         down, down_slope = -jnp.cos(self.walker.slope), jnp.sin(self.walker.slope)
         across, (c, s) = -down_slope * jnp.sin(yaw), lean
         gravity = [down_slope * jnp.cos(yaw), c * across + s * down, c * down - s * across]
@@ -201,7 +201,7 @@ def cross(a: Vector, b: Vector) -> Vector:
 
 @jax.jit
 def contact_forces(walker: Any, state: Any) -> list[Scalar]:
-    """Of the ground on the stance disc, down the slope and normal to it: what the balance lacks."""
+    """The forces of the ground on the stance disc, down the slope and normal to it."""
     q, u = list(state[:6]), list(state[6:])
     rates = list(RollingStance(walker)(state))
 

@@ -166,7 +166,7 @@ class SpatialWalker(Walker):
         return self.disc(q, swing) - self.disc_radius * self.axle(q)[:, 2]
 
     def centre_of_mass(self, q: Float[Array, " 7"], swing: bool) -> Float[Array, " 3"]:
-        """That of a leg."""
+        """The centre of mass of a leg."""
         outward = -self.com_outward if swing else self.com_outward
         place = jnp.stack([self.com_forward, outward, self.com_height - self.disc_radius])
         return self.disc(q, swing) + self.rotation(q, swing) @ place
@@ -248,7 +248,7 @@ class SpatialWalker(Walker):
         return (swing._replace(conditions=tuple(map(touches, swing.conditions))),)
 
     def contact_force(self, state: Any):
-        """Of the general method: the forces dual to x and z that hold the stance foot."""
+        """The forces of the general method, dual to x and z, that hold the stance foot."""
         along, normal = contact_forces(self, state)
         return along, normal
 

@@ -1,4 +1,4 @@
-"""What a stride starts from: a walker and a point of its section, or a full state, checked."""
+"""The start of a stride: a walker and a point of its section, or a full state, checked."""
 
 from typing import Any
 
