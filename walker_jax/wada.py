@@ -21,8 +21,8 @@ RADIUS = 5.0
 HALVINGS = 3
 """Coarser grids that are compared by default."""
 SHRINKS = 0.75
-"""Of the mean distance of boundaries on a grid twice as coarse, at most, if they are Wada's: those
-of Newton's method have 0.39 to 0.56 of it, and two curves a few cells apart 0.92 to 1.37."""
+"""Largest ratio of the mean distances of Wada boundaries on a grid and on one twice as coarse. It
+is 0.39 to 0.56 for those of Newton's method, and 0.92 to 1.37 for two curves a few cells apart."""
 
 
 class Wada(NamedTuple):

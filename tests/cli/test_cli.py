@@ -1016,7 +1016,7 @@ def test_every_command_has_examples_and_says_how_long_it_takes():
 def test_the_page_takes_no_walker_in_space(run):
     code, out, err = run("explore", "--no-browser", "--walker", "spatial")
     assert (code, out) == (2, "")
-    assert err == "walker-jax: --walker must be one in the plane, not a SpatialWalker\n"
+    assert err == "walker-jax: --walker must be planar, not a SpatialWalker\n"
 
 
 def test_a_host_that_cannot_be_one_is_refused(run):

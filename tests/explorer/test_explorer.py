@@ -715,7 +715,7 @@ def test_only_what_is_drawn_and_in_a_file_is_explored():
 
     with pytest.raises(ValueError, match=r"that other processes can import: write Own into a file"):
         wj.explore(Own(0.004))
-    with pytest.raises(ValueError, match="walker must be one in the plane, not a SpatialWalker"):
+    with pytest.raises(ValueError, match="walker must be planar, not a SpatialWalker"):
         wj.explore(wj.SpatialWalker(0.004))
     with pytest.raises(ValueError, match="has a section of one coordinate, and pictures have two"):
         wj.explore(wj.SpringMassRunner())

@@ -29,8 +29,8 @@ class Attractor(NamedTuple):
     falling: int = 0
     """From how many of the centres of their cells a walker falls."""
     artefact: bool = False
-    """Whether it is a cycle of cells alone, from most of whose centres walkers do not converge to
-    one attractor; its states are those centres."""
+    """Whether it is a cycle of cells alone: walkers from most of its centres do not converge to one
+    attractor. Its states are those centres."""
 
 
 def capture_radius(dtype) -> float:

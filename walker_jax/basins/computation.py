@@ -53,12 +53,12 @@ def basin(
       than 1e-9, down to 1e-15, keeps its digits by direct iteration: its centre is followed, with
       the Jacobian, until the window is wide enough (`Grid.zoom` makes one).
     - `method`: "cell-map" or "direct"; for a slice, "direct" only.
-    - `strides`: how many of them direct iteration follows a walker for. Those that are left are
-      followed on for some 16,000 more, if a cycle is known, but only to tell their attractor.
+    - `strides`: how many of them direct iteration follows a walker for. Undecided walks continue
+      for some 16,000 more, if a cycle is known, only to identify their attractor.
     - `tolerance`, `solver`: of the integration, as in `stride`. A cluster takes no other solver.
     - `progress`: whether to show a progress bar on a terminal.
-    - `out`: a place on disk, a Zarr store, into which the result is written piece by piece, while
-      memory holds a piece alone; but the cell map takes 12 bytes for each cell at the end.
+    - `out`: a place on disk, a Zarr store, into which the result is written piece by piece: only
+      one piece is in memory at a time, but the cell map takes 12 bytes for each cell at the end.
       A run that was interrupted is resumed from there, with the same result to the last bit. Until
       it has ended, cells of missing pieces have a fate of -1. The data set that is returned reads
       its arrays from there when they are used.
@@ -71,24 +71,24 @@ def basin(
 
     - `fate`: `Outcome` of the stride at which the walker fails; `STRIDE` where it converges to an
       attractor, or walks to the last stride (direct);
-    - `attractor`: number of the attractor it converges to, -1 for none; of a motion without a
-      period for all that are left after `strides`, of which few may have yet to fall or to
-      converge to a cycle (direct);
+    - `attractor`: number of the attractor it converges to, -1 for none; by direct iteration, that
+      of a motion without a period for all walks that go on after `strides`, a few of which may
+      still fall or converge to a cycle;
     - `strides`: strides completed before that, or before the failure;
 
     and over the attractors, numbered by period, then by the angle of their first state (the one
-    of the smallest angle), those last that are found only of walkers left at the end: `period` (0
+    of the smallest angle), then those found only from walkers still going at the end: `period` (0
     where the motion does not repeat itself), `states` (NaN after the period), and of the basin
     within the grid `cells` and `area` (rad^2 per unit of time; over three dimensions it is a
     volume). `at_border` is how many cells of basins are at the border of the grid: beyond it the
     basin may go on. Attributes say what was computed.
 
     The attractors of a cell map are those to which walkers converge from the centres of the cells
-    in its cycles. A cycle from most of whose centres they converge to one attractor belongs to
-    that, with all cells that lead to it. Any other is an `artefact` of the cells: its period and
-    states are those of cells and their centres, and it is numbered after all attractors. Further
-    arrays are `cycles`, how many cycles of cells belong to each, and `falling`, from how many
-    centres of their cells a walker falls.
+    in its cycles. If walkers from most of the centres of a cycle converge to one attractor, the
+    cycle belongs to it, with all cells that lead there. Any other is an `artefact` of the cells:
+    its period and states are those of cells and their centres, and it comes after all
+    attractors. Further arrays are `cycles`, how many cycles of cells belong to each, and
+    `falling`, from how many centres of their cells a walker falls.
 
     Raises `ValueError` for an unknown method, for a grid that does not fit the section or that this
     machine has not the memory for, and for a place where something else stands, that cannot be

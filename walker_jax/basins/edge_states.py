@@ -1,4 +1,4 @@
-"""Edge states: what walkers converge to that start on the boundary between two fates.
+"""Edge states, which walkers approach that start exactly on the boundary between two fates.
 
 On a smooth boundary that is a saddle, an unstable gait whose stable manifold the boundary is. But
 the stride function is not continuous: the boundary may also be one of a stride's own failures, or

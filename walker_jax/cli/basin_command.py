@@ -79,14 +79,14 @@ class Options:
     strides: int | None = option(None, "Strides at most, direct only (default: 200).", min=1)
     levels: int | None = option(
         None,
-        "Cut cells on a boundary in two so many times: area or volume with its error.",
+        "Halve boundary cells this many times: area or volume with its error.",
         min=0,
         max=8,
     )
     seed: int | None = option(None, "Seed of random numbers, --levels only (default: 0).", min=0)
     zoom: float | None = option(
         None,
-        "A window so many times as narrow, up to 1e14, around a point of the boundary.",
+        "A window on the boundary, narrowed by this factor, up to 1e14.",
         min=1,
     )
     near: tuple[float, float] | None = option(

@@ -92,7 +92,7 @@ def explore(walker: System, *, height: int = HEIGHT) -> Explorer:
 
     **Arguments:**
 
-    - `walker`: one in the plane, or any other system of two coordinates or more that has a
+    - `walker`: a planar one, or any other system of two coordinates or more that has a
       `gait_region`, with numbers for parameters; of a class, or a map, of your own in a file.
     - `height`: of the frame, in pixels.
 

@@ -1,9 +1,8 @@
 """Processes for what takes long, so that it blocks no picture, and can be given up.
 
 A worker is a process of low priority with a JAX of its own. It works on one thing at a time, which
-an interrupt ends; the worker stays, with what it has compiled. Of the workers, the first takes
-anything, and the others what is short: so nobody's bifurcation diagram keeps others from their
-gaits.
+an interrupt ends; the worker stays, with what it has compiled. The first worker takes every job,
+the others short ones: so nobody's bifurcation diagram keeps others from their gaits.
 """
 
 import asyncio

@@ -37,7 +37,7 @@ class Size(NamedTuple):
     slopes: int
     """Slopes of Figure 8."""
     levels: int | None
-    """Levels of refinement for the exact areas of Figure 8; without any, there are none."""
+    """Levels of refinement for the exact areas of Figure 8; None: areas are omitted."""
     strides: int
     """Strides after which a walker counts as walking, in the search for the loss of walking."""
     shifts: int

@@ -261,10 +261,10 @@ def transition_matrix(
 ) -> tuple[csr_array, Int[np.ndarray, " cells"], int]:
     """P, and the numbers of its cells, in ascending order, from walks that last, in their states.
 
-    A stride counts by the chance of the walk that makes it. What ends in a cell where no walker has
-    started has no part in it: that is about as rare as what has not happened at all. Nor has a
-    stride without an answer, which is not known to end in a fall; the last number is how many of
-    these there were.
+    A stride counts by the chance of the walk that makes it. Transitions to cells without starts are
+    dropped: they are about as rare as those that have not happened at all. So are strides without
+    an answer, which are not known to end in a fall; the last number is how many of these there
+    were.
     """
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).astype(np.uint32))
     integrator = integrator_of(states.dtype, rough.tolerance).in_dtype(states.dtype)

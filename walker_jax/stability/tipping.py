@@ -50,7 +50,7 @@ class Tipping(NamedTuple):
     high: Float[np.ndarray, "n m"]
     """Wilson's confidence interval of each."""
     starts: Int[np.ndarray, "n m"]
-    """Of which all this is."""
+    """Number of starts behind each estimate."""
     on_attractor: Float[np.ndarray, "n m"]
     """[i, j]: share of the states of attractor i from which a walker has end j after the jump; NaN
     for ends that are failures."""

@@ -72,8 +72,8 @@ def Feedback(
     - `gains`: the row of K for each parameter by name, of shape (section,).
     - `bounds`: the least and the largest value of some of these parameters, within those that the
       parameter has itself, which hold by default. They are parameters too, `least_push_off` and
-      `largest_push_off`. A parameter that may not be equal to a bound of its own, as a mass must be
-      above 0, must be among them.
+      `largest_push_off`. A parameter with an open range, as a mass must exceed 0, needs
+      explicit bounds.
 
     `ValueError` for parameters that the walker does not have, for what are no finite numbers of
     that shape, for bounds beyond those of a parameter or lacking, and for a walker that has

@@ -262,9 +262,7 @@ def check_planar(walker: Any) -> Walker:
     """Refuse walkers in space, where what is computed is known of walkers in the plane alone."""
     check_kind("walker", walker, Walker)
     if not is_planar(walker):
-        raise WrongUse(
-            f"walker must be one in the plane, not a {type(walker).__name__}", of="walker"
-        )
+        raise WrongUse(f"walker must be planar, not a {type(walker).__name__}", of="walker")
     return walker
 
 

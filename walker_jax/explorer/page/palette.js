@@ -1,7 +1,7 @@
-// Colours of cells: those of the figures on a light page, and on a dark one the same with their
-// lightness turned over, so that what is dark on one is light on the other, and differences stay.
+// Colours of cells: those of the figures on a light page, and on a dark one the same with inverted
+// lightness, so that contrast stays the same.
 
-const CHROMA = 0.8; // of a colour turned over: less, as it glows on a dark page
+const CHROMA = 0.8; // of an inverted colour: less, as it glows on a dark page
 const BOTH = 106; // the sum of a colour's lightness on both pages: above 100, as a dark page is not black
 
 export class Palette {
